@@ -1,0 +1,32 @@
+"""memsgyro_jax: differentiable, batched simulation of vibratory gyroscopes and their comparison with measurements.
+
+The names below are the table of contents, in the order of the two stories the package tells: a device in its closed loop and
+the sweep over fabricated dies, then measurements and what they say about the model. They are imported on first use, so that
+`memsgyro --help` answers without waiting for JAX.
+"""
+
+from importlib import import_module
+from importlib.metadata import PackageNotFoundError, version
+
+
+try:
+    __version__ = version("memsgyro-jax")
+except PackageNotFoundError:  # running from a source tree that was never installed
+    __version__ = "0+unknown"
+
+_CONTENTS = {
+    # name: module that defines it
+    "InputError": "errors",
+}
+
+__all__ = [*_CONTENTS, "__version__"]
+
+
+def __getattr__(name: str) -> object:
+    if name in _CONTENTS:
+        return getattr(import_module(f"{__name__}.{_CONTENTS[name]}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_CONTENTS])
