@@ -1,0 +1,78 @@
+"""The command line `memsgyro`.
+
+Commands are small functions that import what they run inside their body, so that `--help` answers without importing
+JAX. Each prints for people, writes files only where it is told to, and leaves errors to `main`: what the user can mend
+is one sentence and exit status 2.
+"""
+
+import os
+import sys
+from collections.abc import Sequence
+
+import cyclopts
+
+from . import __version__
+from .errors import InputError
+
+
+BAD_INPUT = 2
+INTERRUPTED = 130
+BROKEN_PIPE = 1  # as rich does
+
+app = cyclopts.App(
+    name="memsgyro",
+    help="Simulates vibratory gyroscopes in closed loop, one die or thousands, and lays them beside measurements.",
+    version=__version__,
+    suppress_keyboard_interrupt=False,  # `main` answers it
+)
+
+
+def main(tokens: Sequence[str] | None = None) -> None:
+    """Runs `memsgyro` and ends the process with its exit status.
+
+    0 is success, 2 bad input or an unusable file (one sentence on standard error), 130 an interruption by Ctrl-C.
+
+    Args:
+        tokens: the command line without the program's name; `None` takes it from the process.
+    """
+    sys.exit(_run(app, sys.argv[1:] if tokens is None else tokens))
+
+
+def _run(application: cyclopts.App, tokens: Sequence[str]) -> int:
+    try:
+        application(
+            list(tokens), exit_on_error=False, print_error=False, help_on_error=False, result_action="return_value"
+        )
+        sys.stdout.flush()
+    except InputError as error:
+        return _say(str(error), BAD_INPUT)
+    except cyclopts.CycloptsError as error:
+        return _say(f"{_one_line(str(error))} See `memsgyro --help`.", BAD_INPUT)
+    except KeyboardInterrupt:
+        return _say("Interrupted.", INTERRUPTED)
+    except BrokenPipeError:
+        # The reader of the pipe has left (`memsgyro ... | head`); Python would complain when it closes the stream.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return BROKEN_PIPE
+    except OSError as error:
+        return _say(_file_sentence(error), BAD_INPUT)
+    return 0
+
+
+def _say(sentence: str, status: int) -> int:
+    print(_one_line(sentence), file=sys.stderr)
+    return status
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split())
+
+
+def _file_sentence(error: OSError) -> str:
+    """Disk full, no permission, no such file: the file first, then the system's own words."""
+    reason = error.strerror or str(error) or type(error).__name__
+    return f"{error.filename}: {reason}." if error.filename else f"{reason}."
+
+
+if __name__ == "__main__":
+    main()

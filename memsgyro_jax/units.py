@@ -1,0 +1,157 @@
+"""The border: text, units and conventions on the outside, SI on the inside.
+
+Conversions are plain arithmetic and take floats, NumPy or JAX arrays of any shape. Text with units goes through pint,
+which is imported on first use.
+
+Three conventions that are easily confused, for white noise (IEEE Std 952 and 1431):
+
+- **per-sample standard deviation** σ at sampling rate f_s: what a simulation adds to each sample;
+- **one-sided density** d, in unit/√Hz over 0 … f_s/2: what data sheets and analysers quote; σ = d √(f_s/2);
+- **angle random walk** N, in deg/√h: rate noise whose *two-sided* power density is N², so that the Allan variance is
+  N²/τ and the one-sided density is √2 N.
+"""
+
+import math
+import re
+from functools import cache
+from typing import Any, NamedTuple
+
+from .errors import InputError
+
+
+_DEGREE = math.pi / 180.0
+_HEADER = re.compile(r"\s*(?P<name>[^\[\]]*?)\s*\[\s*(?P<unit>[^\[\]]*?)\s*\]\s*")
+_ROOT = re.compile(r"sqrt\(([^()]+)\)|√\(([^()]+)\)|√([^\W\d_]+)")
+
+
+class Column(NamedTuple):
+    """One CSV column as its header names it.
+
+    Args:
+        name: text before the bracket, e.g. ``"rate"``.
+        unit: text inside the bracket, e.g. ``"deg/s"``.
+    """
+
+    name: str
+    unit: str
+
+
+def rate_from_dps(rate: Any) -> Any:
+    """Rate in deg/s to rad/s."""
+    return rate * _DEGREE
+
+
+def rate_to_dps(rate: Any) -> Any:
+    """Rate in rad/s to deg/s."""
+    return rate / _DEGREE
+
+
+def std_from_density(density: Any, sample_rate: Any) -> Any:
+    """One-sided white density, in unit/√Hz, to the standard deviation of one sample: ``density · √(sample_rate/2)``.
+
+    Args:
+        density: one-sided amplitude density, any unit per √Hz; zero means no noise.
+        sample_rate: samples per second.
+    """
+    return density * (sample_rate / 2.0) ** 0.5
+
+
+def density_from_std(std: Any, sample_rate: Any) -> Any:
+    """Standard deviation of one sample of white noise to its one-sided density, in unit/√Hz."""
+    return std / (sample_rate / 2.0) ** 0.5
+
+
+def arw_from_deg_per_sqrt_hour(arw: Any) -> Any:
+    """Angle random walk N in deg/√h to rad/√s."""
+    return arw * (_DEGREE / 60.0)
+
+
+def arw_to_deg_per_sqrt_hour(arw: Any) -> Any:
+    """Angle random walk N in rad/√s to deg/√h."""
+    return arw / (_DEGREE / 60.0)
+
+
+def rate_psd_from_arw(arw: Any, *, one_sided: bool) -> Any:
+    """Power density of the rate noise, in (rad/s)²/Hz, of an angle random walk N: N² two-sided, 2 N² one-sided.
+
+    Args:
+        arw: N in rad/√s.
+        one_sided: whether the density is over positive frequencies only; no default, as the factor 2 is easily missed.
+    """
+    return (2.0 if one_sided else 1.0) * arw**2
+
+
+def arw_from_rate_psd(psd: Any, *, one_sided: bool) -> Any:
+    """Angle random walk N, in rad/√s, of a rate power density in (rad/s)²/Hz; undoes `rate_psd_from_arw`."""
+    return (psd / (2.0 if one_sided else 1.0)) ** 0.5
+
+
+def arw_from_std(std: Any, sample_rate: Any) -> Any:
+    """Angle random walk N, in rad/√s, of white rate noise of `std` rad/s per sample: ``std/√sample_rate``."""
+    return std / sample_rate**0.5
+
+
+def parse_header(text: str) -> Column:
+    """Reads a CSV column header ``name [unit]``.
+
+    Args:
+        text: the header, e.g. ``"rate [deg/s]"``; a pure number is written ``[1]``.
+
+    Raises:
+        InputError: if the name or the unit is missing; the caller adds file and column.
+    """
+    match = _HEADER.fullmatch(text)
+    if match is None or not match["name"] or not match["unit"]:
+        raise InputError(
+            f'Column header must read "name [unit]", e.g. "rate [deg/s]" or "gain [1]", but is "{text.strip()}".'
+        )
+    return Column(match["name"], match["unit"])
+
+
+def to_si(value: Any, unit: str, expected: str, name: str) -> Any:
+    """Converts `value` from `unit` to the SI unit `expected`.
+
+    Angles count as a dimension of their own, so that Hz is never taken for rad/s or the reverse.
+
+    Args:
+        value: number or array, in `unit`.
+        unit: any unit pint knows, also with ``sqrt(...)`` or ``√``, e.g. ``"nN"``, ``"deg/s"``, ``"uV/sqrt(Hz)"``;
+            a pure number is ``"1"``.
+        expected: the SI unit wanted, e.g. ``"N"``, ``"rad/s"``, ``"V/sqrt(Hz)"``, ``"1"``.
+        name: what the value is, for the message: a column, key or argument with where it stands.
+
+    Returns:
+        The number or array in `expected`.
+
+    Raises:
+        InputError: if `unit` is unknown or measures something else than `expected`.
+    """
+    source, target = _parse(unit, name), _parse(expected, name)
+    if _dimension(source) != _dimension(target):
+        raise InputError(f'Unit of {name} must measure the same as "{expected}", but is "{unit}".')
+    return _registry().Quantity(value, source).to(target).magnitude
+
+
+@cache
+def _registry() -> Any:
+    import pint
+
+    return pint.UnitRegistry()
+
+
+@cache
+def _parse(text: str, name: str) -> Any:
+    plain = _ROOT.sub(lambda match: f"({next(filter(None, match.groups()))})**0.5", text)
+    try:
+        if not plain.strip():
+            raise ValueError("a pure number is written 1, so that a forgotten unit is noticed")
+        return _registry().parse_units(plain)
+    except Exception as error:  # pint raises its own, tokenizer and assertion errors alike for text it cannot read
+        raise InputError(
+            f'Unit of {name} must be one that can be read, e.g. "um", "deg/s" or "1", but is "{text}".'
+        ) from error
+
+
+def _dimension(unit: Any) -> Any:
+    """Product of base units, in which radian stays visible (pint's own dimensionality drops it)."""
+    return _registry().get_root_units(unit)[1]

@@ -1,0 +1,55 @@
+"""Sets JAX up before any test module imports it, and offers what many tests share."""
+
+from memsgyro_jax import runtime
+
+
+runtime.configure(devices=2)
+
+import os  # noqa: E402
+import subprocess  # noqa: E402
+import sys  # noqa: E402
+from collections.abc import Callable  # noqa: E402
+from pathlib import Path  # noqa: E402
+
+import hypothesis  # noqa: E402
+import pytest  # noqa: E402
+
+
+# The first example of a property compiles, the others do not: a deadline per example would measure the compiler.
+hypothesis.settings.register_profile("memsgyro", deadline=None, derandomize=True, print_blob=True)
+hypothesis.settings.load_profile("memsgyro")
+
+ROOT = Path(__file__).resolve().parent.parent
+SETTINGS = ("XLA_FLAGS", "JAX_", "MEMSGYRO_")
+
+
+@pytest.fixture(scope="session")
+def root() -> Path:
+    """The repository."""
+    return ROOT
+
+
+@pytest.fixture(scope="session")
+def shared() -> Path:
+    """Measured and published material that is not part of the repository; tests that use it are extra."""
+    path = ROOT.parent / "shared"
+    if not path.is_dir():
+        pytest.skip("no folder `shared` beside the repository")
+    return path
+
+
+@pytest.fixture
+def fresh_python(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
+    """Runs `python *arguments` as a user's first start would: no setting of this process, empty cache, empty folder.
+
+    Keyword arguments are environment variables. Both folders last as long as the test: a second start finds the cache.
+    """
+
+    def run(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+        clean = {name: value for name, value in os.environ.items() if not name.startswith(SETTINGS)}
+        clean |= {"XDG_CACHE_HOME": str(tmp_path / "cache"), "PYTHONPATH": str(ROOT), **environment}
+        return subprocess.run(
+            [sys.executable, *arguments], env=clean, cwd=tmp_path, capture_output=True, text=True, check=False
+        )
+
+    return run

@@ -1,0 +1,152 @@
+"""The layout holds: imports point one way, files stay short, nothing names the machine it was written on."""
+
+import ast
+import importlib
+import re
+from pathlib import Path
+
+import pytest
+
+import memsgyro_jax
+
+
+pytestmark = pytest.mark.smoke
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGE = ROOT / "memsgyro_jax"
+MODULES = sorted(PACKAGE.rglob("*.py"))
+
+# A module imports only from modules above it. A folder counts as one place; inside it, everybody may import everybody.
+ORDER = [
+    *("errors", "runtime", "units"),
+    *("noise", "device", "propagate", "readout", "observers", "controllers"),
+    *("filters", "scenario", "loop"),
+    *("bound", "merit", "spread", "store", "sweep", "study"),
+    *("free", "measurement", "experiments", "fit", "identify"),
+    *("report", "cli"),
+]
+
+TOP_LEVEL = {
+    ".ci", ".gitignore", ".python-version", "CHANGELOG.md", "CITATION.cff", "CONTRIBUTING.md", "LICENSE", "README.md",
+    "docs", "examples", "memsgyro_jax", "mkdocs.yml", "pyproject.toml", "studies", "tests", "uv.lock",
+}  # fmt: skip
+TEXT = {".py", ".md", ".toml", ".yml", ".cff", ".html", ".css", ".csv", ""}
+
+
+def place(path: Path) -> str:
+    """The name in ORDER under which a file stands."""
+    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+
+
+def imported(path: Path) -> set[str]:
+    """Places of this package that a file imports, anywhere in its text."""
+    package = ("memsgyro_jax", *path.relative_to(PACKAGE).parent.parts)
+    names = []
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names += [alias.name.split(".") for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = package[: len(package) - node.level + 1] if node.level else ()
+            module = [*base, *(node.module.split(".") if node.module else [])]
+            names += [[*module, alias.name] for alias in node.names]
+    second = {name[1] for name in names if name[0] == "memsgyro_jax" and len(name) > 1}
+    return {memsgyro_jax._CONTENTS.get(name, name) for name in second} & set(ORDER)
+
+
+def repository_files() -> list[Path]:
+    """What belongs to the repository, told without git: everything but hidden folders, caches and build results."""
+    skip = re.compile(r"__pycache__|\.egg-info|^(dist|build|site|sweep-out|studies/out)$")
+    found, waiting = [], [ROOT]
+    while waiting:
+        for path in waiting.pop().iterdir():
+            if skip.search(path.relative_to(ROOT).as_posix()) or (path.name.startswith(".") and path.name != ".ci"):
+                continue
+            (waiting if path.is_dir() else found).append(path)
+    return found
+
+
+def test_every_module_has_its_place():
+    unknown = {place(path) for path in MODULES} - {*ORDER, "__init__"}
+    assert not unknown, f"give {unknown} a place in ORDER (and in the README's structure)"
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: path.relative_to(PACKAGE).as_posix())
+def test_imports_point_up_the_list(path):
+    if path == PACKAGE / "__init__.py":
+        assert imported(path) == set(), "the table of contents imports on first use only"
+        return
+    allowed = set(ORDER[: ORDER.index(place(path)) + 1])
+    assert imported(path) <= allowed, f"{path.name} imports {imported(path) - allowed}, which stand below it"
+
+
+def test_the_import_test_sees_every_form(tmp_path, monkeypatch):
+    monkeypatch.setattr(f"{__name__}.PACKAGE", tmp_path)
+    (tmp_path / "observers").mkdir()
+    file = tmp_path / "observers" / "ekf.py"
+    file.write_text(
+        "import memsgyro_jax.loop\nfrom .. import sweep\nfrom ..cli import main\nfrom .base import State\n"
+        "def f():\n    from memsgyro_jax.merit import rms\n    from memsgyro_jax import InputError\n"
+    )
+    assert imported(file) == {"loop", "sweep", "cli", "observers", "merit", "errors"}
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: path.relative_to(PACKAGE).as_posix())
+def test_files_stay_short(path):
+    assert len(path.read_text().splitlines()) < 400, "split the file where it holds a second idea"
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: path.relative_to(PACKAGE).as_posix())
+def test_only_the_report_imports_matplotlib_at_once(path):
+    """Results draw themselves through `.plot`, which imports matplotlib when called; it takes a second."""
+    if place(path) == "report":
+        return
+    top = [node for node in ast.parse(path.read_text()).body if isinstance(node, ast.Import | ast.ImportFrom)]
+    names = [alias.name for node in top for alias in node.names] + [getattr(node, "module", None) or "" for node in top]
+    assert not any(name.startswith("matplotlib") for name in names)
+
+
+def test_depth_is_at_most_two():
+    assert max(len(path.relative_to(PACKAGE).parts) for path in MODULES) <= 2
+
+
+def test_top_level_layout():
+    assert {path.relative_to(ROOT).parts[0] for path in repository_files()} <= TOP_LEVEL
+
+
+def test_no_path_of_a_machine():
+    home = re.compile(r"(?<![\w.])/(?:" + "|".join(["work", "tmp", "root", "home", "Users"]) + r")/")
+    found = [
+        f"{path.relative_to(ROOT)}:{number}"
+        for path in repository_files()
+        if path.suffix in TEXT
+        for number, line in enumerate(path.read_text().splitlines(), 1)
+        if home.search(line)
+    ]
+    assert not found
+
+
+@pytest.mark.parametrize("name", memsgyro_jax.__all__)
+def test_every_public_name_can_be_imported(name):
+    assert getattr(memsgyro_jax, name) is not None
+    assert name in dir(memsgyro_jax)
+
+
+def test_public_names_are_documented():
+    """A class or function of the table of contents says what it is."""
+    bare = [name for name in memsgyro_jax._CONTENTS if not getattr(memsgyro_jax, name).__doc__]
+    assert not bare
+
+
+def test_an_unknown_name_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="no_such_name"):
+        _ = memsgyro_jax.no_such_name
+
+
+def test_importing_the_package_starts_nothing(fresh_python):
+    done = fresh_python("-c", "import sys, memsgyro_jax; print('jax' in sys.modules, 'numpy' in sys.modules)")
+    assert done.stdout == "False False\n"
+
+
+def test_modules_import_on_their_own():
+    for name in sorted({place(path) for path in MODULES} - {"__init__"}):
+        assert importlib.import_module(f"memsgyro_jax.{name}").__doc__, f"{name} lacks a docstring"

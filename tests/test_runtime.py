@@ -1,0 +1,144 @@
+"""`runtime.configure` in processes of their own, because JAX reads its settings once."""
+
+import json
+import os
+
+import jax
+import pytest
+
+from memsgyro_jax import InputError, runtime
+
+
+pytestmark = pytest.mark.smoke
+
+REPORT = """
+import json, os, sys
+from memsgyro_jax import runtime
+{before}
+runtime.configure({arguments})
+lean = "jax" not in sys.modules
+import jax, jax.numpy as jnp
+print(json.dumps(dict(
+    lean=lean, flags=os.environ["XLA_FLAGS"].split(), devices=jax.device_count(), dtype=str(jnp.ones(1).dtype),
+    cache=jax.config.jax_compilation_cache_dir,
+)))
+"""
+
+
+@pytest.fixture
+def report(fresh_python):
+    def run(arguments="", before="", **environment):
+        done = fresh_python("-c", REPORT.format(arguments=arguments, before=before), **environment)
+        assert done.returncode == 0, done.stderr
+        return json.loads(done.stdout)
+
+    return run
+
+
+def test_first_start_sets_everything_without_importing_jax(report):
+    seen = report()
+    assert seen["lean"]
+    assert seen["dtype"] == "float64"
+    assert seen["devices"] == len(os.sched_getaffinity(0)) == runtime.usable_cores()
+    assert "--xla_cpu_prefer_vector_width=512" in seen["flags"]
+    assert any("xla_cpu_use_multi_output_fusion=true" in flag for flag in seen["flags"])
+    assert seen["cache"].endswith("compiled")
+
+
+def test_jax_may_be_imported_before(report):
+    seen = report("devices=3", before="import jax")
+    assert seen["devices"] == 3
+    assert seen["dtype"] == "float64"
+    assert seen["cache"].endswith("compiled")
+
+
+def test_second_call_changes_nothing(report):
+    once, twice = report("devices=2"), report("devices=2", before="runtime.configure(devices=2)")
+    assert once["flags"] == twice["flags"]
+
+
+def test_settings_of_the_user_stay(report, tmp_path):
+    theirs = ["--xla_cpu_prefer_vector_width=256", "--xla_force_host_platform_device_count=3"]
+    seen = report(XLA_FLAGS=" ".join(theirs), JAX_COMPILATION_CACHE_DIR=str(tmp_path / "mine"))
+    assert seen["flags"][:2] == theirs
+    assert [flag.split("=")[0] for flag in seen["flags"][2:]] == ["--xla_backend_extra_options"]
+    assert seen["devices"] == 3
+    assert seen["cache"] == str(tmp_path / "mine")
+
+
+def test_a_file_of_flags_is_left_alone(fresh_python, tmp_path):
+    (tmp_path / "flags.txt").write_text("--xla_force_host_platform_device_count=3\n")
+    code = "from memsgyro_jax import runtime; runtime.configure(); import jax, os; print(jax.device_count())"
+    done = fresh_python("-c", code, XLA_FLAGS=str(tmp_path / "flags.txt"))
+    assert done.stdout == "3\n", done.stderr
+
+
+def test_a_flag_this_jaxlib_does_not_know_is_left_out(report):
+    seen = report("devices=2", before='runtime._CPU_FLAGS = (*runtime._CPU_FLAGS, "--xla_no_such_flag=1")')
+    assert "--xla_cpu_prefer_vector_width=512" in seen["flags"]
+    assert "--xla_no_such_flag=1" not in seen["flags"]
+    assert seen["devices"] == 2
+
+
+def test_the_probe_runs_once(report):
+    first = report("devices=2")
+    again = report("devices=2", before="runtime._starts_with = None")  # a second probe would fail on None
+    assert again["flags"] == first["flags"]
+
+
+def test_nothing_is_written_without_a_cache(report, tmp_path):
+    seen = report("devices=2", MEMSGYRO_NO_CACHE="1")
+    assert seen["devices"] == 2
+    assert seen["cache"] is None
+    assert not (tmp_path / "cache").exists()
+
+
+def test_an_unwritable_cache_is_no_error(report, tmp_path):
+    (tmp_path / "cache").write_text("a file where the directory should go")
+    assert report("devices=2")["devices"] == 2
+
+
+def test_compiled_programs_are_found_by_the_next_start(fresh_python):
+    code = """
+from memsgyro_jax import runtime
+runtime.configure(devices=2)
+import jax, jax.numpy as jnp
+hits = []
+jax.monitoring.register_event_listener(lambda event, **_: hits.append(event.endswith("compilation_cache/cache_hits")))
+jax.jit(lambda x: jax.lax.scan(lambda c, _: (jnp.sin(jnp.linalg.solve(x + c, x)), None), x, length=9)[0])(jnp.eye(3))
+print(sum(hits))
+"""
+    environment = {"JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
+    first, second = (fresh_python("-c", code, **environment) for _ in range(2))
+    assert (first.returncode, first.stdout) == (0, "0\n"), first.stderr
+    assert int(second.stdout) > 0
+
+
+@pytest.mark.parametrize(
+    ("before", "arguments", "environment", "names"),
+    [
+        ("", "devices=0", {}, "`devices` must be at least 1"),
+        ("", "devices=2", {"XLA_FLAGS": "--xla_force_host_platform_device_count=3"}, "XLA_FLAGS"),
+        ("", "", {"JAX_ENABLE_X64": "0"}, "JAX_ENABLE_X64"),
+        ("import jax; jax.devices()", "", {}, "must be called before JAX"),
+    ],
+)
+def test_what_cannot_be_done_is_one_sentence(fresh_python, before, arguments, environment, names):
+    code = f"""
+from memsgyro_jax import InputError, runtime
+{before}
+try:
+    runtime.configure({arguments})
+except InputError as error:
+    print(error)
+"""
+    done = fresh_python("-c", code, **environment)
+    assert done.returncode == 0, done.stderr
+    assert names in done.stdout
+    assert done.stdout.count("\n") == 1
+
+
+def test_float32_is_refused_where_float64_is_needed():
+    runtime.require_float64("`simulate`")
+    with jax.enable_x64(False), pytest.raises(InputError, match=r"^`simulate` must run in float64, but .*float32"):
+        runtime.require_float64("`simulate`")
