@@ -20,7 +20,7 @@ MODULES = sorted(PACKAGE.rglob("*.py"))
 ORDER = [
     *("errors", "runtime", "units"),
     *("noise", "device", "propagate", "readout", "observers", "controllers"),
-    *("filters", "scenario", "loop"),
+    *("filters", "scenario", "loop", "engine"),
     *("bound", "merit", "spread", "store", "sweep", "study"),
     *("free", "measurement", "experiments", "fit", "identify"),
     *("report", "cli"),
