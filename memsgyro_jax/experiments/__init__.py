@@ -1,0 +1,11 @@
+"""Kinds of measurement, each of which predicts what the laboratory would have recorded. A new kind is a new file beside these."""
+
+from .base import CartesianNoise as CartesianNoise
+from .base import Experiment as Experiment
+from .base import Noise as Noise
+from .base import PolarNoise as PolarNoise
+from .bench import Bench as Bench
+from .bench import ElectricalFeedthrough as ElectricalFeedthrough
+from .bench import FiniteSweepRate as FiniteSweepRate
+from .bench import LockIn as LockIn
+from .frequency_sweep import FrequencySweep as FrequencySweep

@@ -1,0 +1,204 @@
+"""Maximum likelihood over any experiments: what is free is moved until every record is met within its noise.
+
+`fit` is a pure function of arrays: jit it, vmap it over noise draws, differentiate its result by the data (implicit function
+theorem, through optimistix).
+"""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import lineax as lx
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array, Float, PyTree
+
+from . import free as free_tree
+from .errors import InputError
+from .experiments.base import Experiment
+from .runtime import require_float64
+
+
+class NullDirection(eqx.Module):
+    """A combination of free parameters that the data do not hold: `std` of the combination and its largest parts, by name."""
+
+    std: float
+    parts: tuple[tuple[str, float], ...] = eqx.field(static=True)
+
+    def __str__(self) -> str:
+        return " ".join(f"{weight:+.2f}·{name}" for name, weight in self.parts)
+
+
+class Fit(eqx.Module):
+    """Outcome of a maximum-likelihood fit.
+
+    Args:
+        values: the tree with the free leaves at the optimum.
+        spec: which leaves were free.
+        chi2: sum of squared whitened residuals (and priors).
+        dof: their number less the number of free parameters.
+        covariance: inverse Fisher information of the unbounded coordinates (n, n); the pseudo-inverse where directions are null.
+        sensitivity: right singular vectors (n, n) and `singular` values (n,) of the whitened Jacobian in scaled coordinates.
+        scale: coordinate step that moves the residual by one standard deviation (n,).
+        residual: whitened residual at the optimum.
+        converged: whether the optimiser met its tolerance.
+        steps: optimiser steps taken.
+    """
+
+    values: PyTree
+    spec: PyTree
+    chi2: Array
+    dof: int = eqx.field(static=True)
+    covariance: Float[Array, "n n"]
+    sensitivity: Float[Array, "n n"]
+    singular: Float[Array, " n"]
+    scale: Float[Array, " n"]
+    residual: Float[Array, " r"]
+    converged: Array
+    steps: Array
+
+    @property
+    def chi2_per_dof(self) -> Array:
+        """1 within √(2/dof) where model and noise are right."""
+        return self.chi2 / self.dof
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the free parameters."""
+        return free_tree.names(self.values, self.spec)
+
+    @property
+    def status(self) -> str:
+        """A sentence for humans: converged or not, and what the data leave open."""
+        if not bool(self.converged):
+            return f"not converged after {int(self.steps)} steps"
+        nulls = self.null_directions()
+        return "converged" if not nulls else "converged; the data leave open: " + "; ".join(map(str, nulls))
+
+    def std_of(self, function, *, values: PyTree | None = None) -> PyTree:
+        """Standard deviation of any function of the fitted tree, by linear propagation of the covariance."""
+        tree = self.values if values is None else values
+        vector = free_tree.to_vector(tree, self.spec)
+        jacobian = jax.jacfwd(lambda v: function(free_tree.from_vector(v, tree, self.spec)))(vector)
+        return jax.tree.map(lambda j: jnp.sqrt(jnp.maximum(jnp.einsum("...i,ij,...j->...", j, self.covariance, j), 0.0)), jacobian)
+
+    def null_directions(self, tolerance: float = 1e-6) -> tuple[NullDirection, ...]:
+        """Directions whose information is below `tolerance` of the best one, or that the data do not hold at all."""
+        singular, names = np.asarray(self.singular), self.names
+        out = []
+        for value, vector in zip(singular, np.asarray(self.sensitivity), strict=True):
+            if value > tolerance * singular.max():
+                continue
+            order = np.argsort(-np.abs(vector))[:4]
+            parts = tuple((names[i], float(vector[i])) for i in order if abs(vector[i]) > 0.1)
+            out.append(NullDirection(float(1 / value) if value > 0 else float("inf"), parts))
+        return tuple(out)
+
+
+def fit(
+    values: PyTree, spec: PyTree, experiments: Sequence[Experiment], *, max_steps: int = 200, tolerance: float = 1e-9
+) -> Fit:
+    """Move the free leaves of `values` to the maximum of the likelihood of all `experiments`.
+
+    Args:
+        values: the start, and what stays fixed: anything the experiments predict from, e.g. a `Bench`.
+        spec: the tree of `memsgyro_jax.free` beside it.
+        experiments: records with their noise; their residuals are concatenated.
+        max_steps: bound on the steps of Levenberg and Marquardt's method.
+        tolerance: stop when a step changes no scaled coordinate by more than this many standard deviations.
+
+    **Raises:** `InputError` in float32, without experiments, with more free parameters than data, or if a start violates a bound.
+    """
+    require_float64("Fitting")
+    experiments = tuple(experiments)
+    if not experiments:
+        raise InputError("Argument `experiments` must hold at least one record, but is empty.")
+    solution, start, scale = _optimise(values, spec, experiments, max_steps, tolerance)
+    vector = start + scale * solution.value
+    result, jacobian = _linearise(vector, values, spec, experiments)
+    count, size = jacobian.shape
+    if count <= size:
+        raise InputError(f"Argument `experiments` must hold more than {size} real readings for {size} free parameters, but holds {count}.")
+    covariance, sensitivity, singular, step = _information(jacobian)
+    return Fit(
+        values=free_tree.from_vector(vector, values, spec),
+        spec=spec,
+        chi2=jnp.sum(result**2),
+        dof=count - size,
+        covariance=covariance,
+        sensitivity=sensitivity,
+        singular=singular,
+        scale=step,
+        residual=result,
+        converged=solution.result == optx.RESULTS.successful,
+        steps=solution.stats["num_steps"],
+    )
+
+
+def best_start(candidates: PyTree, experiments: Sequence[Experiment], keep: int) -> PyTree:
+    """The `keep` members of a batch of value trees (leading axis on every leaf) with the smallest sum of squares, best first."""
+    cost = jax.vmap(lambda tree: _cost(tree, experiments))(candidates)
+    order = jnp.argsort(jnp.where(jnp.isfinite(cost), cost, jnp.inf))[:keep]
+    return jax.tree.map(lambda leaf: leaf[order], candidates)
+
+
+def fit_from(candidates: PyTree, spec: PyTree, experiments: Sequence[Experiment], **options) -> Fit:
+    """Fit from every member of a batch of starts and return the one with the smallest χ²."""
+    fits = jax.vmap(lambda tree: fit(tree, spec, experiments, **options))(candidates)
+    best = jnp.argmin(jnp.where(jnp.isfinite(fits.chi2), fits.chi2, jnp.inf))
+    return jax.tree.map(lambda leaf: leaf[best], fits)
+
+
+def fisher_covariance(values: PyTree, spec: PyTree, experiments: Sequence[Experiment]) -> Float[Array, "n n"]:
+    """Cramér-Rao bound: inverse Fisher information of the coordinates at given values, no data needed."""
+    require_float64("The Cramér-Rao bound")
+    return _information(_linearise(free_tree.to_vector(values, spec), values, spec, experiments)[1])[0]
+
+
+def _residual(vector: Array, values: PyTree, spec: PyTree, experiments: Sequence[Experiment]) -> Array:
+    tree = free_tree.from_vector(vector, values, spec)
+    parts = [experiment.residual(tree) for experiment in experiments]
+    return jnp.concatenate([*parts, free_tree.prior_residual(vector, values, spec)])
+
+
+def _cost(tree: PyTree, experiments: Sequence[Experiment]) -> Array:
+    return sum(jnp.sum(experiment.residual(tree) ** 2) for experiment in experiments)
+
+
+def _linearise(vector: Array, values: PyTree, spec: PyTree, experiments: Sequence[Experiment]) -> tuple[Array, Array]:
+    def function(v: Array) -> Array:
+        return _residual(v, values, spec, experiments)
+
+    value, push = jax.linearize(function, vector)
+    return value, jax.vmap(push, out_axes=1)(jnp.eye(vector.size))
+
+
+def _optimise(values, spec, experiments, max_steps, tolerance):
+    """Levenberg-Marquardt in coordinates scaled so that a unit step of each alone moves the residual by one standard deviation."""
+    start = free_tree.to_vector(values, spec)
+    _, jacobian = _linearise(start, values, spec, experiments)
+    norm = jnp.linalg.norm(jacobian, axis=0)
+    scale = jax.lax.stop_gradient(1 / jnp.where(norm > 0, norm, 1.0))
+
+    def residual(step: Array, arguments: tuple) -> Array:
+        begin, tree, records = arguments
+        return _residual(begin + scale * step, tree, spec, records)
+
+    solver = optx.LevenbergMarquardt(rtol=tolerance, atol=tolerance, linear_solver=lx.Normal(lx.Cholesky()))
+    solution = optx.least_squares(
+        residual, solver, jnp.zeros_like(start), (start, values, experiments), options={"jac": "fwd"}, max_steps=max_steps, throw=False
+    )
+    return solution, start, scale
+
+
+def _information(jacobian: Array) -> tuple[Array, Array, Array, Array]:
+    """Covariance, right singular vectors, singular values and scale, through the SVD of the column-scaled Jacobian (never of JᵀJ)."""
+    norm = jnp.linalg.norm(jacobian, axis=0)
+    step = 1 / jnp.where(norm > 0, norm, 1.0)
+    upper = jnp.linalg.qr(jacobian * step, mode="r")
+    _, singular, right = jnp.linalg.svd(upper)
+    held = singular > 1e-12 * singular[0]
+    inverse = jnp.where(held, 1 / jnp.where(held, singular, 1.0), 0.0)
+    spread = (right.T * inverse) * step[:, None]
+    return spread @ spread.T, right, singular, step
