@@ -35,16 +35,18 @@ class LockIn(eqx.Module):
 
 
 class ElectricalFeedthrough(eqx.Module):
-    """The drive voltage leaks into the read-out: a phasor in proportion to the command, `leak[axis, channel, (re, im)]` in record units per drive.
+    """The drive voltage leaks into the read-out: a phasor in proportion to the command, reported as `electrical_feedthrough`.
 
-    Zero: no leak. Reported as `electrical_feedthrough`.
+    `x_drive` and `y_drive` are (channel, (re, im)) in record units per drive, for the electrode driven. Zero or `None`: no leak.
     """
 
-    leak: Array = eqx.field(converter=jnp.asarray)
+    x_drive: Array | None = None
+    y_drive: Array | None = None
 
     def phasor(self, axis: int) -> Complex[Array, " 2"]:
         """Leak into both channels when electrode `axis` is driven."""
-        return self.leak[axis, :, 0] + 1j * self.leak[axis, :, 1]
+        leak = self.y_drive if axis else self.x_drive
+        return jnp.zeros(2) + 0j if leak is None else leak[:, 0] + 1j * leak[:, 1]
 
 
 class FiniteSweepRate(eqx.Module):

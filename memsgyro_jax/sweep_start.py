@@ -1,0 +1,171 @@
+"""A starting point for the fit of a sweep that needs no luck: linear algebra from the record to every parameter but one.
+
+Both channels are rational functions with the same two poles. A rational fit (Sanathanan and Koerner's iteration) gives poles and
+numerators; in a two-mode gyroscope these are
+
+    Vx·det = G (s² + (γy − λη) s + ωy² − λα),   Vy·det = G ρ (λ s² + (λγx − η) s + λωx² − α),   det = Dx Dy − (α + ηs)²
+
+with real brackets, which yields G, the phase of ρ (up to the sign that |arg ρ| < 90° fixes) and, for each gain ratio |ρ|, all the
+rest. The gain ratio itself shows only in second order of the coupling, so it is scanned.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Complex, Float
+
+from .couplings import CoupledModes
+from .experiments import Bench, ElectricalFeedthrough, FrequencySweep, LockIn, PolarNoise
+
+
+GAIN_RATIOS = np.geomspace(0.05, 20.0, 17)
+PHASES = np.radians(np.arange(-75.0, 76.0, 15.0))
+
+
+def candidates(sweep: FrequencySweep, leak: bool = False) -> Bench:
+    """Benches to start from, one per guess of gain ratio and phase asymmetry, along the leading axis of every leaf.
+
+    Args:
+        sweep: record of a sweep with either electrode driven.
+        leak: whether to explain the constant part of the response by electrical feed-through.
+    """
+    response = sweep.measured / sweep.drive[:, None]
+    # With y driven, the same formulas hold with the axes exchanged.
+    response = response[:, ::-1] if sweep.axis else response
+    centre = 0.5 * (sweep.frequency.max() + sweep.frequency.min())
+    half = 0.5 * (sweep.frequency.max() - sweep.frequency.min())
+    t = (sweep.frequency - centre) / half
+    poles, residues, constant = _rational(t, response, isinstance(sweep.noise, PolarNoise), leak)
+    poles, residues = 1j * (centre + half * poles), 1j * half * residues
+    own = own_guess(poles, residues)
+    phases = jnp.append(jnp.asarray(PHASES), own[0, 1])
+    grid = jnp.stack(jnp.meshgrid(jnp.asarray(GAIN_RATIOS), phases), axis=-1).reshape(-1, 2)
+    guesses = jnp.concatenate([grid, own])
+    benches = jax.vmap(lambda guess: _bench(poles, residues, guess, sweep.axis))(guesses)
+    if not leak:
+        return benches
+    parts = jnp.stack([constant.real, constant.imag], axis=-1)
+    both = jnp.broadcast_to(parts, (len(guesses), 2, 2))
+    feedthrough = ElectricalFeedthrough(None, both[:, ::-1]) if sweep.axis else ElectricalFeedthrough(both)
+    return Bench(benches.device, benches.readout, feedthrough)
+
+
+def _rational(t: Float[Array, " n"], response: Complex[Array, "n 2"], relative: bool, leak: bool):
+    """Common poles (2,) in t, numerators at them divided by the pole distance (2 poles, 2 channels), and constants (2,) of both channels."""
+    weight = 1 / jnp.abs(response) if relative else jnp.broadcast_to(1 / jnp.abs(response).max(axis=0), response.shape)
+    powers = jnp.stack([jnp.ones_like(t), t, t**2], axis=1) + 0j
+    columns = powers
+    none = jnp.zeros_like(columns)
+
+    def solve(denominator: Array) -> Array:
+        w = weight / jnp.abs(denominator)[:, None]
+        rows = [
+            jnp.concatenate([-response[:, c, None] * powers[:, :2], *(columns if i == c else none for i in (0, 1))], axis=1) * w[:, c, None]
+            for c in (0, 1)
+        ]
+        matrix = jnp.concatenate(rows)
+        right = jnp.concatenate([response[:, c] * powers[:, 2] * w[:, c] for c in (0, 1)])
+        scale = jnp.linalg.norm(matrix, axis=0)
+        q, r = jnp.linalg.qr(matrix / scale)
+        return jax.scipy.linalg.solve_triangular(r, q.conj().T @ right) / scale
+
+    def iterate(_: int, state: tuple[Array, Array]) -> tuple[Array, Array]:
+        solution = solve(state[1])
+        poles = _stable(_quadratic_roots(solution[1], solution[0]))
+        return solution, (t - poles[0]) * (t - poles[1])
+
+    first = 0.1 * jnp.ones_like(t) + 0j
+    solution, denominator = jax.lax.fori_loop(0, 15, iterate, (jnp.zeros(2 + 2 * columns.shape[1]) + 0j, first))
+    poles = _stable(_quadratic_roots(solution[1], solution[0]))
+    numerators = solution[2:].reshape(2, -1)
+    at_poles = jnp.stack([numerators @ p ** jnp.arange(columns.shape[1]) for p in poles])
+    constant = numerators[:, 2]
+    return poles, at_poles / (poles - poles[::-1])[:, None], constant
+
+
+def _quadratic_roots(b: Array, c: Array) -> Complex[Array, " 2"]:
+    root = jnp.sqrt(b * b - 4 * c)
+    root = jnp.where((b.conj() * root).real < 0, -root, root)
+    q = -0.5 * (b + root)
+    return jnp.stack([q, c / q])
+
+
+def _stable(poles: Array) -> Array:
+    """Poles in t = (ω − centre)/half lie above the real axis when they decay."""
+    return poles.real + 1j * jnp.maximum(jnp.abs(poles.imag), 1e-7)
+
+
+def _bench(poles: Complex[Array, " 2"], residues: Complex[Array, "2 2"], guess: Float[Array, " 2"], axis: int) -> Bench:
+    """Bench with the guessed (gain ratio, phase asymmetry) that has the poles and residues found [rad/s].
+
+    The poles are kept whatever the guess: the uncoupled modes follow from them and the coupling by undoing the narrow-band
+    splitting, (ux − uy)² = (p1 − p2)² + (C/ω)². A wrong guess then misses only the small second resonance of the drive channel.
+    """
+    ratio, phase = guess
+    order = jnp.argsort(-jnp.abs(residues[:, 0]))  # the drive mode is the one the drive channel shows
+    poles, residues = poles[order], residues[order]
+    gain = _gain(poles, residues)
+    e0, e1, e2 = _bracket(poles, _sense_bracket(poles, residues) / (ratio * jnp.exp(1j * phase)))
+    middle, half = poles.mean(), 0.5 * (poles[0] - poles[1])
+
+    def uncoupled(_: int, ux: Array) -> Array:
+        coupling = -(e0 + e1 * ux + e2 * ux**2)  # C at the drive mode, where Dx vanishes
+        shift = jnp.sqrt(half**2 + coupling**2 / (4 * jnp.abs(poles[0] * poles[1])))
+        return middle + jnp.where((shift * half.conj()).real < 0, -shift, shift)
+
+    ux = jax.lax.fori_loop(0, 4, uncoupled, poles[0])
+    modes = jnp.stack([ux, 2 * middle - ux])
+    omega, damping = jnp.abs(modes), -2 * modes.real
+    # A wrong guess can ask for negative damping; share the sum evenly then.
+    quality = omega / jnp.where(jnp.min(damping) > 0, damping, jnp.abs(damping.mean()))
+    eta, alpha = e2 * damping[0] - e1, e2 * omega[0] ** 2 - e0
+    if axis == 0:
+        lock_in = LockIn(jnp.abs(gain), jnp.angle(gain), ratio, phase)
+        return Bench(CoupledModes(omega, quality, eta, alpha, e2, 0.0 * e2), lock_in)
+    # The driven channel is y: its gain is gain·drive_ratio·gain_ratio of the lock-in, with the drive ratio left at one.
+    lock_in = LockIn(jnp.abs(gain) * ratio, jnp.angle(gain) + phase, 1 / ratio, -phase)
+    return Bench(CoupledModes(omega[::-1], quality[::-1], eta, alpha, 0.0 * e2, e2), lock_in)
+
+
+def _gain(poles: Array, residues: Array) -> Array:
+    """Complex gain of the drive channel: Vx·det = G s² + ..., det = Π (s − p)(s − p*)."""
+    return 2j * jnp.abs(poles).mean() * residues[:, 0].sum()
+
+
+def _sense_bracket(poles: Array, residues: Array) -> Complex[Array, " 2"]:
+    """Vy·det/G at the two poles."""
+    others = poles[::-1]
+    slope = (poles - others) * (poles - poles.conj()) * (poles - others.conj())
+    return residues[:, 1] * slope / _gain(poles, residues)
+
+
+def _bracket(poles: Array, values: Array) -> Float[Array, " 3"]:
+    """Real e0, e1, e2 for which e0 + e1 s + e2 s² comes closest to the values at both poles.
+
+    The three columns are written about the mean frequency, where they are nearly orthogonal.
+    """
+    size = jnp.abs(poles).mean()
+    columns = jnp.stack([jnp.ones_like(poles), poles / size, 1 + (poles / size) ** 2], axis=1)
+    matrix = jnp.concatenate([columns.real, columns.imag])
+    norm = jnp.linalg.norm(matrix, axis=0)
+    solution = jnp.linalg.lstsq(matrix / norm, jnp.concatenate([values.real, values.imag]))[0] / norm
+    e2 = solution[2] / size**2
+    return jnp.stack([solution[0] + solution[2], solution[1] / size, e2])
+
+
+def own_guess(poles: Complex[Array, " 2"], residues: Complex[Array, "2 2"]) -> Float[Array, "2 2"]:
+    """Two guesses of (gain ratio, phase) that the record itself offers.
+
+    The first has the phase, within ±90°, that makes the bracket of the sense numerator real (it shows in the force coupling), the
+    second the complex ratio that makes the coupling seen in the sense channel agree with the zero of the drive channel.
+    """
+    order = jnp.argsort(-jnp.abs(residues[:, 0]))
+    poles, residues = poles[order], residues[order]
+    bracket = _sense_bracket(poles, residues)
+    turn = bracket[1] / poles[1].imag - bracket[0] / poles[0].imag
+    zero = (residues[0, 0] * poles[1] + residues[1, 0] * poles[0]) / residues[:, 0].sum()
+    square = -4 * jnp.abs(poles[0]) ** 2 * (poles[0] - (poles.sum() - zero)) * (poles[0] - zero)
+    ratio = -bracket[0] / jnp.sqrt(square)
+    ratio = jnp.where(ratio.real < 0, -ratio, ratio)
+    size = jnp.clip(jnp.abs(ratio), 0.01, 100.0)
+    return jnp.stack([jnp.stack([size, jnp.arctan(turn.imag / turn.real)]), jnp.stack([size, jnp.angle(ratio)])])
