@@ -1,8 +1,8 @@
 """memsgyro_jax: differentiable, batched simulation of vibratory gyroscopes and their comparison with measurements.
 
-The names below are the table of contents, in the order of the two stories the package tells: a device in its closed loop
-and the sweep over fabricated dies, then measurements and what they say about the model. They are imported on first use,
-so that `memsgyro --help` answers without waiting for JAX.
+The names below are the table of contents, in the order of the two stories the package tells: a device in its closed
+loop and the sweep over fabricated dies, then measurements and what they say about the model. They are imported on first
+use, so that `memsgyro --help` answers without waiting for JAX.
 """
 
 from importlib import import_module

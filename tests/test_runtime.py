@@ -80,6 +80,12 @@ def test_a_flag_this_jaxlib_does_not_know_is_left_out(report):
     assert seen["devices"] == 2
 
 
+@pytest.mark.parametrize(("platforms", "wanted"), [("", 3), ("cpu", 3), ("cuda,cpu", 3), ("cuda", 0)])
+def test_flags_of_the_cpu_are_for_the_cpu(monkeypatch, platforms, wanted):
+    monkeypatch.setenv("JAX_PLATFORMS", platforms)
+    assert len(runtime._missing_flags("", devices=2)) == wanted
+
+
 def test_the_probe_runs_once(report):
     first = report("devices=2")
     again = report("devices=2", before="runtime._starts_with = None")  # a second probe would fail on None

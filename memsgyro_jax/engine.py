@@ -1,0 +1,114 @@
+"""Runs a closed loop over time for one die or a batch of dies: one compiled scan, whatever is recorded of it.
+
+Time is scanned in blocks. At the end of a block a die that was lost is put back to the block's start and stays there,
+so that no NaN outlives a block; checking every sample would cost a tenth of the run time.
+"""
+
+import abc
+from typing import Generic, NamedTuple, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Int
+
+from . import noise
+from .device import Scalar
+from .loop import ClosedLoop, LoopState, Sample
+from .observers.base import Clock
+from .scenario import Scenario
+
+
+Memory = TypeVar("Memory")
+Output = TypeVar("Output")
+
+MEASUREMENT_STREAM = 0  # streams of `noise.normal_pair`
+
+
+class AbstractRecorder(eqx.Module, Generic[Memory, Output]):
+    """What is kept of a run: a running memory per sample and an output per block."""
+
+    @abc.abstractmethod
+    def init(self) -> Memory:
+        """The memory before the first sample."""
+
+    @abc.abstractmethod
+    def sample(self, memory: Memory, sample: Sample) -> Memory:
+        """The memory after one more sample."""
+
+    @abc.abstractmethod
+    def block(self, memory: Memory) -> tuple[Memory, Output]:
+        """The memory and the output at the end of a block."""
+
+
+class Run(NamedTuple):
+    """The end of a run: state, recorder's memory, its outputs stacked over blocks, and which dies were never lost."""
+
+    state: LoopState
+    memory: object
+    outputs: object
+    alive: Bool[Array, "*lanes"]
+    blocks_alive: Int[Array, "*lanes"]
+
+
+def run(
+    loop: ClosedLoop,
+    scenario: Scenario,
+    words: tuple[Array, Array],
+    period: Scalar,
+    blocks: int,
+    block: int,
+    recorder: AbstractRecorder,
+    design: ClosedLoop | None = None,
+) -> Run:
+    """Run `blocks` blocks of `block` samples with noise keyed by `words` (see `noise.die_words`).
+
+    The shape of `words` is that of the batch of dies; leaves of `loop` and `scenario` may have it as trailing axes. A
+    batched loop needs its unbatched `design` beside it, which tells component axes from dies.
+    """
+
+    def sample(carry, xs):
+        state, memory = carry
+        index, conditions, draws = xs
+        clock = Clock(index * period, index, period)
+        state, taken = loop.step(state, conditions, draws, clock)
+        return (state, recorder.sample(memory, taken)), None
+
+    def one_block(carry, number):
+        state, memory, alive, survived = carry
+        index = number * block + jnp.arange(block)
+        conditions = jax.vmap(scenario.at)((index + 0.5) * period)
+        draws = jax.vmap(lambda i: noise.normal_pair(words, i, MEASUREMENT_STREAM))(index)
+        (new_state, new_memory), _ = jax.lax.scan(sample, (state, memory), (index, conditions, draws))
+        new_memory, output = recorder.block(new_memory)
+        alive = alive & _healthy(loop, new_state)
+        keep = lambda new, old: jnp.where(alive, new, old)  # noqa: E731
+        kept = jax.tree.map(keep, (new_state, new_memory), (state, memory))
+        return (*kept, alive, survived + alive), output
+
+    ranks = jax.eval_shape(lambda: ((design or loop).init(), recorder.init()))
+    lanes = words[0].shape
+    begin = jax.tree.map(
+        lambda value, like: _over_dies(value, len(like.shape), lanes), (loop.init(), recorder.init()), ranks
+    )
+    start = (*begin, jnp.ones(lanes, bool), jnp.zeros(lanes, int))
+    (state, memory, alive, survived), outputs = jax.lax.scan(one_block, start, jnp.arange(blocks))
+    return Run(state, memory, outputs, alive, survived)
+
+
+def _healthy(loop: ClosedLoop, state: LoopState) -> Bool[Array, "*lanes"]:
+    """Whether truth and estimate are finite and the mass is within its travel."""
+    estimate = loop.observer.estimate(state.observer)
+    numbers = (*state.motion, *estimate.motion, *estimate.theta, *estimate.offset)
+    within = (jnp.abs(state.motion[0]) <= loop.travel) & (jnp.abs(state.motion[1]) <= loop.travel)
+    if estimate.rate_variance is not None:
+        within = within & (estimate.rate_variance >= 0.0)
+    return within & jnp.isfinite(sum(numbers))
+
+
+def _over_dies(value: Array, rank: int, lanes: tuple[int, ...]) -> Array:
+    """`value`, of `rank` component axes, repeated for every die unless it already differs between them."""
+    value = jnp.asarray(value)
+    if value.ndim == rank:
+        value = value.reshape(value.shape + (1,) * len(lanes))
+    return jnp.broadcast_to(value, value.shape[:rank] + lanes)

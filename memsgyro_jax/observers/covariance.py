@@ -1,0 +1,174 @@
+"""Block algebra of the extended Kalman filter: a symmetric covariance of 4 motion entries beside constants."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..device import Pair, Scalar
+from ..propagate import State4, dot
+
+
+class Covariance(NamedTuple):
+    """Symmetric covariance in blocks: `motion` upper triangle by rows (10 numbers), `cross` 4 rows, `constants`."""
+
+    motion: tuple[Scalar, ...]
+    cross: tuple[Float[Array, "constants *lanes"], ...]
+    constants: Float[Array, "constants constants *lanes"]
+
+
+Matrix4 = tuple[tuple[Scalar, ...], ...]
+Column = tuple[tuple[int, float, Scalar], ...]
+Columns = tuple[Column, Column]
+Kick = tuple[Matrix4, Columns]
+
+
+class Rows(NamedTuple):
+    """The motion rows of J P: 4×4 over the motion, 4 vectors over the constants."""
+
+    motion: tuple[tuple[Scalar, ...], ...]
+    constants: tuple[Array, ...]
+
+
+class Predicted(NamedTuple):
+    """Predicted motion, the motion rows of J P, and J itself: the motion's transition and the constants' kicks."""
+
+    mean: State4
+    rows: Rows
+    full: Matrix4
+    kicks: tuple[Kick, ...]
+
+
+class Prediction(NamedTuple):
+    """Covariance before a measurement. The constants' block is kept as it was, with what is to be done to it: writing
+    it out here would cost a pass over the largest array of the step."""
+
+    motion: tuple[Scalar, ...]
+    cross: tuple[Array, ...]
+    constants: Array
+    faded: Scalar
+    walk: Array
+
+    def row(self, index: int) -> Array:
+        """One row of the constants' block after fading and random walk."""
+        unit = np.zeros(self.constants.shape[0])
+        unit[index] = 1.0
+        grown = unit.reshape((-1,) + (1,) * (self.constants.ndim - 2)) * self.walk[index]
+        return _faded(self.faded, self.constants[index]) + grown
+
+
+class Gain(NamedTuple):
+    """One scalar measurement: covariance of the state with it, that divided by its variance, and the variance."""
+
+    motion: tuple[Scalar, ...]
+    constants: Array
+    motion_gain: tuple[Scalar, ...]
+    constant_gain: Array
+    spread: Scalar
+
+
+def square(upper: tuple[Scalar, ...]) -> list[list[Scalar]]:
+    """The 4x4 matrix of an upper triangle listed by rows."""
+    block: list[list[Scalar]] = [[0.0] * 4 for _ in range(4)]
+    entries = iter(upper)
+    for i in range(4):
+        for j in range(i, 4):
+            block[i][j] = block[j][i] = next(entries)
+    return block
+
+
+def rows(covariance: Covariance, full: Matrix4, kicks: tuple[Kick, ...]) -> Rows:
+    """The 4 motion rows of J P."""
+    block = square(covariance.motion)
+    motion = [[dot(row, tuple(block[k][j] for k in range(4))) for j in range(4)] for row in full]
+    constants = [combine(row, covariance.cross) for row in full]
+    for kick, columns in kicks:
+        on_motion = [[gathered(column, covariance.cross[j]) for column in columns] for j in range(4)]
+        on_constants = [gathered(column, covariance.constants) for column in columns]
+        for i, push in enumerate(kick):
+            motion[i] = [value + dot(push, tuple(on_motion[j])) for j, value in enumerate(motion[i])]
+            constants[i] = constants[i] + combine(push, on_constants)
+    return Rows(tuple(map(tuple, motion)), tuple(constants))
+
+
+def gathered(column: Column, vector: Array) -> Scalar:
+    """Acceleration of one axis by the constants `vector`; entries of `vector` may themselves be vectors."""
+    return sum(_signed(factor, _along(signal, vector[m]) * vector[m]) for m, factor, signal in column)
+
+
+def _along(signal: Scalar, entry: Array) -> Array:
+    """`signal` with an axis in front when the entry of a die is a vector."""
+    return signal[None] if jnp.ndim(entry) > jnp.ndim(signal) else signal
+
+
+def _signed(factor: float, product: Array) -> Array:
+    return product if factor == 1.0 else -product if factor == -1.0 else factor * product
+
+
+def combine(weights: tuple[Scalar, ...], vectors: tuple[Array, ...]) -> Array:
+    """Weighted sum of vectors of constants; weights are scalars of one die."""
+    return dot(tuple(jnp.asarray(w)[None] if not isinstance(w, float) else w for w in weights), tuple(vectors))
+
+
+def motion_block(predicted: Predicted) -> tuple[Scalar, ...]:
+    """Upper triangle of (J P) Jᵀ over the motion."""
+    across = predicted.rows
+    kicked = [
+        [[gathered(column, across.constants[i]) for column in columns] for i in range(4)]
+        for _, columns in predicted.kicks
+    ]
+    upper = []
+    for i in range(4):
+        for j in range(i, 4):
+            value = dot(across.motion[i], predicted.full[j])
+            for (kick, _), gained in zip(predicted.kicks, kicked, strict=True):
+                value = value + dot(kick[j], tuple(gained[i]))
+            upper.append(value)
+    return tuple(upper)
+
+
+def add_diagonal(upper: tuple[Scalar, ...], intensity: State4, period: Scalar) -> tuple[Scalar, ...]:
+    """An upper triangle with `intensity * period` added to its diagonal."""
+    diagonal = {0: 0, 4: 1, 7: 2, 9: 3}  # positions of (i, i) in an upper triangle by rows
+    return tuple(p + intensity[diagonal[n]] * period if n in diagonal else p for n, p in enumerate(upper))
+
+
+def correct_mean(motion: State4, constants: Array, first: Gain, second: Gain, weights: Pair) -> tuple[State4, Array]:
+    """Motion and constants moved by the two (decorrelated) innovations `weights` through their gains."""
+    moved = tuple(
+        m + a * weights[0] + b * weights[1]
+        for m, a, b in zip(motion, first.motion_gain, second.motion_gain, strict=True)
+    )
+    return moved, constants + first.constant_gain * weights[0][None] + second.constant_gain * weights[1][None]
+
+
+def _faded(factor: Scalar, constants: Array) -> Array:
+    return constants if isinstance(factor, float) else factor * constants
+
+
+def _diagonal(walk: Array, like: Array) -> Array:
+    """`walk` on the diagonal of a matrix shaped as `like`; dies are trailing axes of either."""
+    count, lanes = like.shape[0], like.ndim - 2
+    eye = np.eye(count).reshape((count, count) + (1,) * lanes)
+    return eye * walk.reshape((1, count) + walk.shape[1:] + (1,) * (lanes + 1 - walk.ndim))
+
+
+def downdate(prior: Prediction, first: Gain, second: Gain) -> Covariance:
+    """P - K₁v₁ᵀ - K₂v₂ᵀ, block by block; symmetric by construction."""
+    pairs = [(i, j) for i in range(4) for j in range(i, 4)]
+    motion = tuple(
+        p - first.motion_gain[i] * first.motion[j] - second.motion_gain[i] * second.motion[j]
+        for p, (i, j) in zip(prior.motion, pairs, strict=True)
+    )
+    cross = tuple(
+        row - first.motion_gain[i][None] * first.constants - second.motion_gain[i][None] * second.constants
+        for i, row in enumerate(prior.cross)
+    )
+    constants = (
+        _faded(prior.faded, prior.constants)
+        + _diagonal(prior.walk, prior.constants)
+        - first.constant_gain[:, None] * first.constants[None]
+        - second.constant_gain[:, None] * second.constants[None]
+    )
+    return Covariance(motion, cross, constants)

@@ -1,0 +1,95 @@
+"""What a Kalman filter is told before it starts: prior, process noise, annealing."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from ..device import AbstractGyro, MotionModel, Pair, Scalar, number
+from ..propagate import State4
+
+
+def arrays(**options: object) -> tuple[Scalar, ...]:
+    """A field that holds a tuple of numbers, each as an array."""
+    return eqx.field(converter=lambda numbers: jax.tree.map(jnp.asarray, tuple(numbers)), **options)
+
+
+class Prior(eqx.Module):
+    """Mean and standard deviation of everything the filter estimates, at the start.
+
+    `motion` (x, y, vx, vy) in m and m/s, `offset` in V, `theta` mass-normalised coefficients in the model's order;
+    a zero standard deviation means known exactly.
+    """
+
+    motion: State4 = arrays()
+    motion_std: State4 = arrays()
+    offset: Pair = arrays()
+    offset_std: Pair = arrays()
+    theta: tuple[Scalar, ...] = arrays()
+    theta_std: tuple[Scalar, ...] = arrays()
+
+
+class ProcessNoise(eqx.Module):
+    """Random-walk intensity per estimated entry, in unit²/s; zero means constant."""
+
+    motion: State4 = arrays()
+    offset: Pair = arrays()
+    theta: tuple[Scalar, ...] = arrays()
+
+    @classmethod
+    def none(cls, model: MotionModel) -> "ProcessNoise":
+        """Nothing walks."""
+        return cls((0.0,) * 4, (0.0,) * 2, (0.0,) * len(model.names))
+
+    @classmethod
+    def of(cls, model: MotionModel, **intensity: float) -> "ProcessNoise":
+        """Intensities by coefficient name, for example `rate=1e-3` [(rad/s)²/s]; unnamed entries do not walk."""
+        theta = [0.0] * len(model.names)
+        for name, value in intensity.items():
+            theta[model.index(name)] = value
+        return cls((0.0,) * 4, (0.0,) * 2, tuple(theta))
+
+
+class Annealing(eqx.Module):
+    """Measurement variance times `1 + excess * exp(-time/decay)`: a cautious start where the prior is far from linear.
+
+    `excess` zero means none; `decay` in s.
+    """
+
+    excess: Scalar = number(default=1000.0)
+    decay: Scalar = number(default=0.5e-3)
+
+    def factor(self, time: Scalar) -> Scalar:
+        """The factor at `time` [s]."""
+        return 1.0 + self.excess * jnp.exp(-time / self.decay)
+
+
+def design_prior(
+    gyro: AbstractGyro,
+    *,
+    spread: float = 0.15,
+    rate_std: float = 3.0,
+    offset_std: float = 20e-3,
+    amplitude: float = 1e-6,
+    motion_error: float = 0.05,
+) -> Prior:
+    """A prior around the design values of `gyro`, at rest but for a displacement `amplitude` [m] along x.
+
+    Each coefficient has standard deviation `spread` of its own value (relative), the rate `rate_std` [rad/s] about
+    zero, the read-out offsets `offset_std` [V] about zero, the motion `motion_error` of the amplitude (velocities times
+    the mode frequency). Zero standard deviations mean known exactly.
+    """
+    theta = gyro.coefficients(0.0)
+    is_rate = tuple(coefficient.is_rate for coefficient in gyro.model.coefficients)
+    # The unit rate's coefficients carry the share of each axis, so that a dual-mass gyro gets the right width for both.
+    share = gyro.coefficients(1.0)
+    std = tuple(rate_std * s if rate else spread * abs(v) for v, s, rate in zip(theta, share, is_rate, strict=True))
+    position = motion_error * amplitude
+    frequency = tuple(jnp.sqrt(theta[gyro.model.index(name)]) for name in ("kxx", "kyy"))
+    return Prior(
+        motion=(amplitude, 0.0, 0.0, 0.0),
+        motion_std=(position, position, position * frequency[0], position * frequency[1]),
+        offset=(0.0, 0.0),
+        offset_std=(offset_std, offset_std),
+        theta=theta,
+        theta_std=std,
+    )
