@@ -20,6 +20,9 @@ from .experiments.base import Experiment
 from .runtime import require_float64
 
 
+OPEN_STEP = 5.0  # in natural logarithms
+
+
 class NullDirection(eqx.Module):
     """A combination of free parameters that the data do not hold: `std` of the combination and its largest parts, by name."""
 
@@ -73,8 +76,15 @@ class Fit(eqx.Module):
         """A sentence for humans: converged or not, and what the data leave open."""
         if not bool(self.converged):
             return f"not converged after {int(self.steps)} steps"
-        nulls = self.null_directions()
-        return "converged" if not nulls else "converged; the data leave open: " + "; ".join(map(str, nulls))
+        nulls = [*self.open_parameters(), *map(str, self.null_directions())]
+        return "converged" if not nulls else "converged; the data leave open: " + "; ".join(nulls)
+
+    def open_parameters(self) -> tuple[str, ...]:
+        """Positive parameters that may change by orders of magnitude alone without moving the residual by one standard deviation."""
+        logarithmic = free_tree.logarithmic(self.values, self.spec)
+        return tuple(
+            name for name, log, step in zip(self.names, logarithmic, np.asarray(self.scale), strict=True) if log and not step < OPEN_STEP
+        )
 
     def std_of(self, function, *, values: PyTree | None = None) -> PyTree:
         """Standard deviation of any function of the fitted tree, by linear propagation of the covariance."""

@@ -80,6 +80,22 @@ class Logit(Transform):
         return (value > self.low) & (value < self.high)
 
 
+class LogLogit(Transform):
+    """Positive numbers strictly between `low` and `high`, even on a logarithmic scale: coordinate = logit of the position of ln(value)."""
+
+    low: Array = eqx.field(converter=jnp.asarray)
+    high: Array = eqx.field(converter=jnp.asarray)
+
+    def forward(self, value: Array) -> Array:
+        return jnp.log(jnp.log(value / self.low)) - jnp.log(jnp.log(self.high / value))
+
+    def inverse(self, coordinate: Array) -> Array:
+        return self.low * jnp.exp(jnp.log(self.high / self.low) * jax.nn.sigmoid(coordinate))
+
+    def admits(self, value: Array) -> Array:
+        return (value > self.low) & (value < self.high)
+
+
 class Prior(eqx.Module):
     """What is known before the data: a normal distribution of the *coordinate* (of ln(value) under `Log`), mean and standard deviation."""
 
@@ -151,6 +167,11 @@ def names(values: PyTree, spec: PyTree) -> tuple[str, ...]:
         size = int(jnp.size(value))
         out += [name] if jnp.ndim(value) == 0 else [f"{name}[{i}]" for i in range(size)]
     return tuple(out)
+
+
+def logarithmic(values: PyTree, spec: PyTree) -> tuple[bool, ...]:
+    """Whether each element of the vector is free on a logarithmic scale."""
+    return tuple(isinstance(free.transform, Log | LogLogit) for _, value, free in _free_leaves(values, spec) for _ in range(int(jnp.size(value))))
 
 
 def _is_spec(leaf: Any) -> bool:

@@ -81,14 +81,20 @@ def half_power(frequency: Float[Array, " n"], amplitude: Float[Array, " n"]) -> 
 
 
 def circle(frequency: Float[Array, " n"], response: Complex[Array, " n"], weight: Float[Array, " n"] | None = None) -> SingleMode:
-    """Mode from a complex fit of one resonance, response·(s − p) = b0 + b1·s, solved as weighted linear least squares and re-weighted.
-
-    Uses amplitude and phase of every point, needs no phase correction, and finds the *coupled* pole.
+    """Mode from a complex fit of one resonance: amplitude and phase of every point, no phase correction; it finds the *coupled* pole.
 
     Args:
         frequency: angular frequencies [rad/s].
         response: phasors of one channel, any unit.
         weight: relative weight of each equation; by default 1/|response|, right for noise in proportion to the signal.
+    """
+    return SingleMode.of_pole(circle_pole(frequency, response, weight))
+
+
+def circle_pole(frequency: Float[Array, " n"], response: Complex[Array, " n"], weight: Float[Array, " n"] | None = None) -> Array:
+    """The pole p [rad/s] of response·(iω − p) = b0 + b1·ω, by weighted linear least squares, re-weighted until it is the error of the response itself.
+
+    A positive real part means that no decaying mode explains the response.
     """
     centre, half = frequency.mean(), 0.5 * (frequency.max() - frequency.min())
     t = (frequency - centre) / half
@@ -101,8 +107,7 @@ def circle(frequency: Float[Array, " n"], response: Complex[Array, " n"], weight
         return jnp.linalg.lstsq(matrix / scale, response * t * w)[0][0] / scale[0]
 
     start = t[jnp.argmax(jnp.abs(response))] + 0.05j
-    pole = jax.lax.fori_loop(0, 12, reweighted, start)
-    return SingleMode.of_pole(1j * (centre + half * pole))
+    return 1j * (centre + half * jax.lax.fori_loop(0, 12, reweighted, start))
 
 
 def _crossing(frequency: Array, amplitude: Array, level: Array, top: Array, side: int) -> Array:

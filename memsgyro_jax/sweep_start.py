@@ -9,6 +9,7 @@ with real brackets, which yields G, the phase of ρ (up to the sign that |arg ρ
 rest. The gain ratio itself shows only in second order of the coupling, so it is scanned.
 """
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,6 +17,7 @@ from jaxtyping import Array, Complex, Float
 
 from .couplings import CoupledModes
 from .experiments import Bench, ElectricalFeedthrough, FrequencySweep, LockIn, PolarNoise
+from .modal import circle_pole
 
 
 GAIN_RATIOS = np.geomspace(0.05, 20.0, 17)
@@ -42,10 +44,13 @@ def candidates(sweep: FrequencySweep, leak: bool = False) -> Bench:
     grid = jnp.stack(jnp.meshgrid(jnp.asarray(GAIN_RATIOS), phases), axis=-1).reshape(-1, 2)
     guesses = jnp.concatenate([grid, own])
     benches = jax.vmap(lambda guess: _bench(poles, residues, guess, sweep.axis))(guesses)
+    poles = _single_poles(sweep.frequency, response)
+    others = jax.vmap(lambda guess: _bench_of_ratio(sweep.frequency, response, poles, guess, sweep.axis))(guesses)
+    benches = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), benches, others)
     if not leak:
         return benches
     parts = jnp.stack([constant.real, constant.imag], axis=-1)
-    both = jnp.broadcast_to(parts, (len(guesses), 2, 2))
+    both = jnp.broadcast_to(parts, (2 * len(guesses), 2, 2))
     feedthrough = ElectricalFeedthrough(None, both[:, ::-1]) if sweep.axis else ElectricalFeedthrough(both)
     return Bench(benches.device, benches.readout, feedthrough)
 
@@ -119,12 +124,7 @@ def _bench(poles: Complex[Array, " 2"], residues: Complex[Array, "2 2"], guess: 
     # A wrong guess can ask for negative damping; share the sum evenly then.
     quality = omega / jnp.where(jnp.min(damping) > 0, damping, jnp.abs(damping.mean()))
     eta, alpha = e2 * damping[0] - e1, e2 * omega[0] ** 2 - e0
-    if axis == 0:
-        lock_in = LockIn(jnp.abs(gain), jnp.angle(gain), ratio, phase)
-        return Bench(CoupledModes(omega, quality, eta, alpha, e2, 0.0 * e2), lock_in)
-    # The driven channel is y: its gain is gain·drive_ratio·gain_ratio of the lock-in, with the drive ratio left at one.
-    lock_in = LockIn(jnp.abs(gain) * ratio, jnp.angle(gain) + phase, 1 / ratio, -phase)
-    return Bench(CoupledModes(omega[::-1], quality[::-1], eta, alpha, 0.0 * e2, e2), lock_in)
+    return _placed(CoupledModes(omega, quality, eta, alpha, e2, 0.0 * e2), gain, ratio, phase, axis)
 
 
 def _gain(poles: Array, residues: Array) -> Array:
@@ -153,6 +153,49 @@ def _bracket(poles: Array, values: Array) -> Float[Array, " 3"]:
     return jnp.stack([solution[0] + solution[2], solution[1] / size, e2])
 
 
+def _single_poles(frequency: Array, response: Array) -> Complex[Array, " 2"]:
+    """Coupled drive pole from the drive channel and uncoupled sense pole from the ratio (λDx − C)/Dy, each alone [rad/s].
+
+    The ratio shows the sense mode where the sweep does not reach its resonance; its decay is then taken from the drive mode.
+    """
+    poles = jnp.stack([circle_pole(frequency, response[:, 0]), circle_pole(frequency, response[:, 1] / response[:, 0])])
+    decay = jnp.maximum(-poles.real, 1e-7 * jnp.abs(poles))
+    reach = 0.2 * jnp.min(jnp.abs(frequency - poles[1].imag)) + decay[0]
+    decay = jnp.stack([decay[0], jnp.where(poles[1].real < -reach, decay[0], decay[1])])
+    return -decay + 1j * jnp.abs(poles.imag)
+
+
+def _bench_of_ratio(frequency: Array, response: Array, poles: Array, guess: Array, axis: int) -> Bench:
+    """Bench with the guessed (gain ratio, phase asymmetry), its couplings from linear least squares on the ratio for given poles."""
+    ratio, phase = guess
+    measured = response[:, 1] / response[:, 0]
+    omega, quality = jnp.abs(poles), jnp.abs(poles) / (-2 * poles.real)
+    dx, dy, *_ = CoupledModes(omega, quality).dynamic_stiffness(frequency)
+    columns = jnp.stack([dx / dy, -1 / dy], axis=1) / jnp.abs(measured)[:, None]
+    norm = jnp.linalg.norm(columns, axis=0)
+    seen = jnp.linalg.lstsq(columns / norm, measured / jnp.abs(measured))[0] / norm
+    force, coupling = seen / (ratio * jnp.exp(1j * phase))
+    shift = coupling**2 / (4 * omega[0] ** 2 * (poles[0] - poles[1]))
+    drive = poles[0] + jnp.where(jnp.abs(shift) < 0.5 * jnp.abs(poles[0] - poles[1]), shift, 0.0)
+    drive = jnp.where(drive.real < 0, drive, poles[0])
+    omega = jnp.stack([jnp.abs(drive), omega[1]])
+    quality = jnp.stack([jnp.abs(drive) / (-2 * drive.real), quality[1]])
+    modes = CoupledModes(omega, quality, coupling.imag / omega[0], coupling.real, force.real, 0.0 * force.real)
+    gain = _regress(modes.response(frequency, 0)[:, 0], response[:, 0])
+    return _placed(modes, gain, ratio, phase, axis)
+
+
+def _placed(modes: CoupledModes, gain: Array, ratio: Array, phase: Array, axis: int) -> Bench:
+    """The bench of modes found with the driven axis first."""
+    if axis == 0:
+        return Bench(modes, LockIn(jnp.abs(gain), jnp.angle(gain), ratio, phase))
+    # The driven channel is y: its gain is gain·drive_ratio·gain_ratio of the lock-in, with the drive ratio left at one.
+    device = CoupledModes(
+        modes.omega[::-1], modes.quality[::-1], modes.damping_coupling, modes.stiffness_coupling, modes.force_xy, modes.force_yx
+    )
+    return Bench(device, LockIn(jnp.abs(gain) * ratio, jnp.angle(gain) + phase, 1 / ratio, -phase))
+
+
 def own_guess(poles: Complex[Array, " 2"], residues: Complex[Array, "2 2"]) -> Float[Array, "2 2"]:
     """Two guesses of (gain ratio, phase) that the record itself offers.
 
@@ -169,3 +212,26 @@ def own_guess(poles: Complex[Array, " 2"], residues: Complex[Array, "2 2"]) -> F
     ratio = jnp.where(ratio.real < 0, -ratio, ratio)
     size = jnp.clip(jnp.abs(ratio), 0.01, 100.0)
     return jnp.stack([jnp.stack([size, jnp.arctan(turn.imag / turn.real)]), jnp.stack([size, jnp.angle(ratio)])])
+
+
+def with_other_axis(bench: Bench, sweep: FrequencySweep) -> Bench:
+    """A bench found with x driven, completed by a sweep with y driven: its drive gain and its force coupling, by linear least squares."""
+    device, readout = bench.device, bench.readout
+    dx, dy, cxy, cyx = device.dynamic_stiffness(sweep.frequency, sweep.rate)
+    numerators = sweep.measured / sweep.drive[:, None] * (dx * dy - cxy * cyx)[:, None] / readout.channels(0)
+    drive = _regress(dx, numerators[:, 1])
+    cross = numerators[:, 0] / drive
+    force_xy = _regress(dy, cross + cxy, 1 / jnp.abs(cross)).real
+    leak = bench.feedthrough and ElectricalFeedthrough(bench.feedthrough.x_drive, jnp.zeros_like(bench.feedthrough.x_drive))
+    return eqx.tree_at(
+        lambda b: (b.device.force_xy, b.readout.drive_ratio, b.readout.drive_asymmetry, b.feedthrough),
+        bench,
+        (force_xy, jnp.abs(drive), jnp.angle(drive), leak),
+        is_leaf=lambda leaf: leaf is None,
+    )
+
+
+def _regress(column: Array, right: Array, weight: Array | None = None) -> Array:
+    """Complex factor f of column·f ≈ right, weighted, by default by 1/|right|."""
+    weight = (1 / jnp.abs(right) if weight is None else weight) ** 2
+    return jnp.sum(weight * column.conj() * right) / jnp.sum(weight * jnp.abs(column) ** 2)

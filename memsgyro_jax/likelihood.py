@@ -1,0 +1,125 @@
+"""Maximum likelihood of one or several frequency sweeps: what is free, where to start, and the fit itself."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, PyTree
+
+from . import fit as fitting
+from . import sweep_start
+from .experiments import Bench, ElectricalFeedthrough, FiniteSweepRate, FrequencySweep, PolarNoise
+from .experiments.seen import SeenBench
+from .free import Free, Log, LogLogit, fixed, mark
+
+
+STARTS = 6
+QUALITIES = (1.0, 1e9)  # what any resonator has: a sweep that does not show a mode would let its quality run away
+GAIN_RATIOS = (1e-4, 1e4)
+SPEEDS = np.geomspace(1e-3, 3.0, 8)  # sweep rates to start from, in squared decay rates of the narrower mode
+
+
+def free_parameters(seen: SeenBench, sweeps: Sequence[FrequencySweep]) -> PyTree:
+    """What a set of sweeps may move: modes, couplings and read-out; the force coupling of an electrode only where it was driven."""
+    axes = {sweep.axis for sweep in sweeps}
+    spec = mark(fixed(seen), lambda b: (b.omega, b.readout.gain), Free(Log()))
+    spec = mark(spec, lambda b: b.quality, Free(LogLogit(*QUALITIES)))
+    spec = mark(spec, lambda b: b.readout.gain_ratio, Free(LogLogit(*GAIN_RATIOS)))
+    spec = mark(spec, lambda b: (b.coupling, b.readout.phase, b.readout.phase_asymmetry), Free())
+    if 0 in axes:
+        spec = mark(spec, lambda b: b.force_yx, Free())
+    if 1 in axes:
+        spec = mark(spec, lambda b: b.force_xy, Free())
+    if len(axes) == 2:
+        spec = mark(spec, lambda b: b.readout.drive_ratio, Free(Log()))
+        spec = mark(spec, lambda b: b.readout.drive_asymmetry, Free())
+    if seen.feedthrough is not None:
+        spec = eqx.tree_at(lambda b: b.feedthrough, spec, jax.tree.map(lambda _: Free(), seen.feedthrough))
+    if seen.sweep_rate is not None:
+        spec = mark(spec, lambda b: b.sweep_rate.speed, Free(Log()))
+    return spec
+
+
+def fit_sweeps(sweeps: Sequence[FrequencySweep], *, leak: bool = False, moving: bool = False, starts: int = STARTS) -> fitting.Fit:
+    """Fit device and read-out to all sweeps from starts that the records themselves give.
+
+    Args:
+        sweeps: records of one device and one read-out, with either electrode driven.
+        leak: add `ElectricalFeedthrough` for the electrodes driven.
+        moving: add `FiniteSweepRate`, one speed for all sweeps.
+        starts: how many of the scanned starts to optimise.
+
+    Returns:
+        A `Fit` whose values are a `SeenBench`, with the gauge |phase asymmetry| < 90°.
+    """
+    candidates = _candidates(tuple(sweeps), leak, moving, starts)
+    spec = free_parameters(jax.tree.map(lambda leaf: leaf[0], candidates), sweeps)
+    best = fitting.fit_from(candidates, spec, sweeps, tolerance=1e-3, max_steps=40)
+    return refit(best.values, sweeps)
+
+
+def refit(start: SeenBench, sweeps: Sequence[FrequencySweep], **options) -> fitting.Fit:
+    """Fit from one start, gauge fixed before; use it for noise draws around a known device (under `vmap`)."""
+    return fitting.fit(gauge_fixed(start), free_parameters(start, sweeps), sweeps, **options)
+
+
+def gauge_fixed(seen: SeenBench) -> SeenBench:
+    """The twin with |phase asymmetry| < 90°: turning the y axis round, (λ, c, k, asymmetries) → (−λ, −c, −k, +180°), changes no prediction."""
+    readout = seen.readout
+    turned = jnp.cos(readout.phase_asymmetry) < 0
+    sign = jnp.where(turned, -1.0, 1.0)
+
+    def wrapped(angle: Array) -> Array:
+        return (angle + jnp.pi) % (2 * jnp.pi) - jnp.pi
+
+    half = jnp.where(turned, jnp.pi, 0.0)
+    # The seen products carry ρ, whose sign the turn changes together with that of C: only the force couplings |ρ|·λ change sign.
+    return eqx.tree_at(
+        lambda b: (b.force_yx, b.force_xy, b.readout.phase, b.readout.phase_asymmetry, b.readout.drive_asymmetry),
+        seen,
+        (
+            sign * seen.force_yx,
+            sign * seen.force_xy,
+            wrapped(readout.phase),
+            wrapped(readout.phase_asymmetry + half),
+            wrapped(readout.drive_asymmetry + half),
+        ),
+    )
+
+
+def neighbour_noise(residual: Array, sweep: FrequencySweep) -> Array:
+    """Standard deviation per channel and part, from differences of neighbouring residuals: blind to a smooth misfit.
+
+    Second differences, root mean square: right for noise of any distribution.
+    """
+    rows = residual.reshape(len(sweep.frequency), 2, 2)
+    bend = rows[1:-1] - 0.5 * (rows[:-2] + rows[2:])
+    return jnp.sqrt(jnp.mean(bend**2, axis=0) / 1.5)
+
+
+def _candidates(sweeps: tuple[FrequencySweep, ...], leak: bool, moving: bool, starts: int) -> SeenBench:
+    first = min(sweeps, key=lambda sweep: sweep.axis)
+    benches = sweep_start.candidates(first, leak)
+    other = next((sweep for sweep in sweeps if sweep.axis != first.axis), None)
+    if other is not None:
+        benches = jax.vmap(lambda bench: sweep_start.with_other_axis(bench, other))(benches)
+    if moving:
+        benches = fitting.best_start(benches, sweeps, starts)
+        decay = jnp.min(benches.device.omega / benches.device.quality, axis=-1) / 2
+        speeds = jnp.asarray(SPEEDS) * decay[:, None] ** 2
+        benches = jax.vmap(lambda bench, row: jax.vmap(lambda s: eqx.tree_at(_speed, bench, FiniteSweepRate(s), is_leaf=_absent))(row))(
+            benches, speeds
+        )
+        benches = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), benches)
+    kept = fitting.best_start(benches, sweeps, starts)
+    return jax.vmap(lambda bench: gauge_fixed(SeenBench.of(bench)))(kept)
+
+
+def _speed(bench: Bench) -> FiniteSweepRate | None:
+    return bench.sweep_rate
+
+
+def _absent(leaf: object) -> bool:
+    return leaf is None

@@ -1,0 +1,132 @@
+"""The estimators of the paper: least squares on the ratio of sense to drive response, with the corrections the paper makes beforehand.
+
+    exact        Y/X = (λ Dx − C)/(Dy − λ C),   Di = ωi² − ω² + iωωi/Qi,   C = α + iωη
+    truncated    Y/X ≈ (λ Dx − C)/Dy                                        (15), of which the paper uses the real part (16)-(18)
+
+Both need the *uncoupled* modes, the ratio of the two read-outs and their phase difference from elsewhere. What that costs, `identify` avoids.
+"""
+
+import abc
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Complex, Float
+from scipy import signal
+
+from .couplings import CoupledModes
+
+
+class RatioEstimate(eqx.Module):
+    """λ [1], η = cxy/m [1/s] and α = kxy/m [1/s²] with the standard deviations that the scatter about the fit suggests."""
+
+    force: Array
+    damping_coupling: Array
+    stiffness_coupling: Array
+    std: Float[Array, " 3"]
+
+    def values(self) -> Float[Array, " 3"]:
+        """(λ, η, α)."""
+        return jnp.stack([self.force, self.damping_coupling, self.stiffness_coupling])
+
+
+class RatioEstimator(eqx.Module):
+    """From the ratio of responses and the uncoupled modes to the couplings."""
+
+    @abc.abstractmethod
+    def __call__(self, frequency: Float[Array, " n"], ratio: Complex[Array, " n"], modes: CoupledModes) -> RatioEstimate:
+        """Couplings of a sweep with x driven, ratio = Y/X; with y driven pass X/Y and `mirrored(modes)` for λxy."""
+
+
+class TruncatedRatio(RatioEstimator):
+    """The paper's estimator exactly as published: real part of (15), unweighted least squares (18)."""
+
+    def __call__(self, frequency: Float[Array, " n"], ratio: Complex[Array, " n"], modes: CoupledModes) -> RatioEstimate:
+        """λ·Re(Dx/Dy) + η·Re(−iω/Dy) + α·Re(−1/Dy) = Re(Y/X)."""
+        dx, dy, *_ = modes.dynamic_stiffness(frequency)
+        return _least_squares(jnp.stack([dx / dy, -1j * frequency / dy, -1 / dy], axis=1).real, ratio.real)
+
+
+class ComplexRatio(RatioEstimator):
+    """Real and imaginary part of the truncated ratio: the same approximation, none of the data thrown away."""
+
+    def __call__(self, frequency: Float[Array, " n"], ratio: Complex[Array, " n"], modes: CoupledModes) -> RatioEstimate:
+        """As `TruncatedRatio`, with both parts stacked."""
+        dx, dy, *_ = modes.dynamic_stiffness(frequency)
+        matrix = jnp.stack([dx / dy, -1j * frequency / dy, -1 / dy], axis=1)
+        return _least_squares(_parts(matrix), _parts(ratio))
+
+
+class ExactRatio(RatioEstimator):
+    """The exact ratio, complex: Y/X·Dy = λDx − (1 − λ·Y/X)·C, bilinear, by repeated linear least squares on Y/X itself."""
+
+    iterations: int = eqx.field(static=True, default=12)
+
+    def __call__(self, frequency: Float[Array, " n"], ratio: Complex[Array, " n"], modes: CoupledModes) -> RatioEstimate:
+        """Noise-free data return the couplings to rounding: each pass shrinks the error by about λ·Y/X."""
+        dx, dy, *_ = modes.dynamic_stiffness(frequency)
+
+        def once(force: Array) -> RatioEstimate:
+            share = 1 - force * ratio
+            matrix = jnp.stack([dx, -1j * frequency * share, -share], axis=1) / dy[:, None]
+            return _least_squares(_parts(matrix), _parts(ratio))
+
+        force = jax.lax.fori_loop(0, self.iterations, lambda _, f: once(f).force, jnp.zeros(()))
+        return once(force)
+
+
+def mirrored(modes: CoupledModes) -> CoupledModes:
+    """The same device with x and y exchanged: the estimators then give λxy from X/Y of a sweep with y driven."""
+    return CoupledModes(
+        modes.omega[::-1], modes.quality[::-1], modes.damping_coupling, modes.stiffness_coupling, modes.force_xy, modes.force_yx
+    )
+
+
+def relative_error(estimator: RatioEstimator, modes: CoupledModes, frequency: Array, ratio: Array | None = None) -> Float[Array, " 3"]:
+    """Theoretical relative error (19) of λyx, cxy, kxy; without `ratio` that of noise-free data, the figure of Table 6."""
+    response = modes.response(frequency, 0)
+    truth = jnp.stack([modes.force_yx, modes.damping_coupling, modes.stiffness_coupling])
+    ratio = response[:, 1] / response[:, 0] if ratio is None else ratio
+    return estimator(frequency, ratio, modes).values() / truth - 1
+
+
+def conversion_ratio(x_driven: Complex[Array, "n 2"], y_driven: Complex[Array, "n 2"], modes: CoupledModes) -> Array:
+    """kSF = SFy/SFx from the two resonance peaks at equal drive voltage (25): amplitude × ω²/Q of each mode's own response, as a ratio."""
+    own = jnp.stack([jnp.abs(x_driven[:, 0]).max(), jnp.abs(y_driven[:, 1]).max()]) * modes.omega**2 / modes.quality
+    return own[1] / own[0]
+
+
+def phase_offset(frequency: Float[Array, " n"], response: Complex[Array, " n"], resonance: Array) -> Array:
+    """Phase to subtract from a channel [rad] so that it reads −90° at resonance (26), (27): exact only without coupling."""
+    # interpolate the unwrapped phase: angles of neighbours may lie on both sides of ±180°
+    return jnp.interp(resonance, frequency, jnp.unwrap(jnp.angle(response))) + jnp.pi / 2
+
+
+def peak_to_peak(amplitude: Float[Array, " n"], phase: Float[Array, " n"]) -> tuple[Array, Array]:
+    """Noise NA (relative) and Nφ [unit of `phase`] of a record at fixed frequency (28): largest less smallest reading."""
+    return jnp.ptp(amplitude) / jnp.mean(amplitude), jnp.ptp(phase)
+
+
+def low_pass(record: Float[np.ndarray, " n"], cutoff: float, sample_rate: float) -> Float[np.ndarray, " n"]:
+    """Fourth-order Butterworth low-pass run forwards and backwards, so that it shifts no resonance; cutoff and rate in the same unit."""
+    return signal.sosfiltfilt(signal.butter(4, cutoff, fs=sample_rate, output="sos"), record)
+
+
+def goodness_of_fit(measured: Float[Array, "..."], fitted: Float[Array, "..."]) -> Array:
+    """R_NL of (29): 1 − √(Σ(measured − fitted)²/Σ measured²). It says nothing about a coefficient that the curve hardly shows."""
+    return 1 - jnp.linalg.norm(jnp.ravel(measured - fitted)) / jnp.linalg.norm(jnp.ravel(measured))
+
+
+def _parts(values: Array) -> Array:
+    return jnp.concatenate([values.real, values.imag])
+
+
+def _least_squares(matrix: Float[Array, "r 3"], right: Float[Array, " r"]) -> RatioEstimate:
+    norm = jnp.linalg.norm(matrix, axis=0)
+    q, r = jnp.linalg.qr(matrix / norm)
+    solution = jax.scipy.linalg.solve_triangular(r, q.T @ right)
+    rest = right - matrix @ (solution / norm)
+    inverse = jax.scipy.linalg.solve_triangular(r, jnp.eye(3))
+    std = jnp.linalg.norm(inverse, axis=1) / norm * jnp.sqrt(jnp.sum(rest**2) / (right.size - 3))
+    return RatioEstimate(*(solution / norm), std)
