@@ -89,7 +89,7 @@ def run(
     ranks = jax.eval_shape(lambda: ((design or loop).init(), recorder.init()))
     lanes = words[0].shape
     begin = jax.tree.map(
-        lambda value, like: _over_dies(value, len(like.shape), lanes), (loop.init(), recorder.init()), ranks
+        lambda value, like: over_dies(value, len(like.shape), lanes), (loop.init(), recorder.init()), ranks
     )
     start = (*begin, jnp.ones(lanes, bool), jnp.zeros(lanes, int))
     (state, memory, alive, survived), outputs = jax.lax.scan(one_block, start, jnp.arange(blocks))
@@ -106,7 +106,7 @@ def _healthy(loop: ClosedLoop, state: LoopState) -> Bool[Array, "*lanes"]:
     return within & jnp.isfinite(sum(numbers))
 
 
-def _over_dies(value: Array, rank: int, lanes: tuple[int, ...]) -> Array:
+def over_dies(value: Array, rank: int, lanes: tuple[int, ...]) -> Array:
     """`value`, of `rank` component axes, repeated for every die unless it already differs between them."""
     value = jnp.asarray(value)
     if value.ndim == rank:
