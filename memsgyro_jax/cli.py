@@ -8,6 +8,8 @@ is one sentence and exit status 2.
 import os
 import sys
 from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Literal
 
 import cyclopts
 
@@ -36,6 +38,56 @@ def main(tokens: Sequence[str] | None = None) -> None:
         tokens: the command line without the program's name; `None` takes it from the process.
     """
     sys.exit(_run(app, sys.argv[1:] if tokens is None else tokens))
+
+
+@app.command
+def identify(
+    *sweeps: Path,
+    method: Literal["likelihood", "ratio"] = "likelihood",
+    mass: float | None = None,
+    amplitude_noise: float | None = None,
+    phase_noise: float | None = None,
+    effects: Annotated[tuple[str, ...], cyclopts.Parameter(consume_multiple=True)] = (),
+    drive_axis: Literal["x", "y"] | None = None,
+    conjugated: Annotated[bool, cyclopts.Parameter(negative=())] = False,
+    json: Path | None = None,
+    report: Path | None = None,
+) -> None:
+    """Coupling errors of a frequency sweep, with uncertainty and a verdict.
+
+    The CSV has `f [Hz]` and both channels as `Vx_I [V]`, `Vx_Q [V]`, `Vy_I [V]`, `Vy_Q [V]` or as `Vx_amp [1]`, `Vx_phase [deg]`,
+    `Vy_amp [1]`, `Vy_phase [deg]`; `F_x [N]` or `F_y [N]` gives the drive level and names the driven electrode. Phasors follow
+    e^{+iwt}.
+
+    Args:
+        sweeps: one or several CSV files of one device, with the x electrode, the y electrode or each of them driven.
+        method: maximum likelihood on both complex responses, or the published least squares on their ratio.
+        mass: of the mode in kg; without it c_xy and k_xy are per unit mass.
+        amplitude_noise: relative, peak to peak; without it the noise is estimated from neighbouring points.
+        phase_noise: in degrees, peak to peak.
+        effects: also model electrical_feedthrough, finite_sweep_rate.
+        drive_axis: the driven electrode of files without `F_x` and `F_y`.
+        conjugated: the file follows e^{-iwt}.
+        json: file for the machine-readable result.
+        report: file for a page with the curves, the fit and the residual.
+    """
+    from .runtime import configure
+
+    configure()
+    from .identify_command import run
+
+    run(
+        sweeps,
+        method=method,
+        mass=mass,
+        amplitude_noise=amplitude_noise,
+        phase_noise=phase_noise,
+        effects=effects,
+        drive_axis=drive_axis,
+        conjugated=conjugated,
+        json=json,
+        report=report,
+    )
 
 
 def _run(application: cyclopts.App, tokens: Sequence[str]) -> int:

@@ -68,7 +68,8 @@ class Identification:
         return self.chi2_per_dof <= gate(self.dof)
 
     def __str__(self) -> str:
-        lines = [f"Coupling errors by {self.method}: χ²/dof {self.chi2_per_dof:.3f} ({self.status})"]
+        chi2 = f"χ²/dof {self.chi2_per_dof:.3f}" if np.isfinite(self.chi2_per_dof) else "χ² unknown"
+        lines = [f"Coupling errors by {self.method}: {chi2} ({self.status})"]
         for group in (self.coefficients, self.modal, self.readout, self.effect_values):
             lines += [f"  {name:<20}{value}" for name, value in group.items()]
         return "\n".join([*lines, *(f"  note: {note}" for note in self.notes)])
@@ -118,9 +119,9 @@ class Identification:
 
     def plot(self, ax=None):
         """Measured points and fitted curves of every sweep, amplitude over frequency; returns the axes."""
-        from .report.sweep_figures import plot_amplitude
+        from . import sweep_figures
 
-        return plot_amplitude(self, ax)
+        return sweep_figures.plot_amplitude(self, ax)
 
 
 def gate(dof: int) -> float:

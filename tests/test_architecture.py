@@ -22,8 +22,9 @@ ORDER = [
     *("noise", "device", "propagate", "readout", "observers", "controllers"),
     *("filters", "scenario", "loop", "engine"),
     *("bound", "merit", "spread", "store", "sweep", "study"),
-    *("free", "measurement", "experiments", "fit", "identify"),
-    *("report", "cli"),
+    *("free", "measurement", "couplings", "modal", "experiments", "fit", "ratio", "sweep_start", "likelihood"),
+    *("identification", "identify", "identify_ratio", "sweep_figures"),
+    *("report", "identify_command", "cli"),
 ]
 
 TOP_LEVEL = {
