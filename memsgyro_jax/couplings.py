@@ -37,7 +37,12 @@ class CoupledModes(eqx.Module):
 
     @classmethod
     def from_coefficients(
-        cls, mass: float, stiffness: Float[Array, "2 2"], damping: Float[Array, "2 2"], force_yx: float = 0.0, force_xy: float = 0.0
+        cls,
+        mass: float,
+        stiffness: Float[Array, "2 2"],
+        damping: Float[Array, "2 2"],
+        force_yx: float = 0.0,
+        force_xy: float = 0.0,
     ) -> "CoupledModes":
         """From mass [kg] and symmetric stiffness [N/m] and damping [N·s/m] matrices."""
         stiffness, damping = jnp.asarray(stiffness) / mass, jnp.asarray(damping) / mass
@@ -64,7 +69,9 @@ class CoupledModes(eqx.Module):
         """
         s = 1j * frequency
         # (ω0 − ω)(ω0 + ω) instead of ω0² − ω²: at Q 1e5 the difference of squares would cost five digits near resonance.
-        diagonal = [(w - frequency) * (w + frequency) + s * w / q for w, q in zip(self.omega, self.quality, strict=True)]
+        diagonal = [
+            (w - frequency) * (w + frequency) + s * w / q for w, q in zip(self.omega, self.quality, strict=True)
+        ]
         coupling = self.stiffness_coupling + s * self.damping_coupling
         return diagonal[0], diagonal[1], coupling - 2 * s * rate, coupling + 2 * s * rate
 
@@ -86,7 +93,11 @@ class AxisAngles(eqx.Module):
     def modes(self, mass: float, stiffness: tuple[float, float], damping: tuple[float, float]) -> CoupledModes:
         """The coupled modes of a structure with these angles and *principal* stiffnesses [N/m] and dampings [N·s/m]."""
         return CoupledModes.from_coefficients(
-            mass, _rotated(stiffness, self.stiffness), _rotated(damping, self.damping), jnp.tan(self.drive), -jnp.tan(self.sense)
+            mass,
+            _rotated(stiffness, self.stiffness),
+            _rotated(damping, self.damping),
+            jnp.tan(self.drive),
+            -jnp.tan(self.sense),
         )
 
     @classmethod
@@ -117,7 +128,10 @@ class ErrorDisplacements(eqx.Module):
     def in_time(self, t: Float[Array, " t"], frequency: float) -> dict[str, Float[Array, "t n"]]:
         """Each displacement [m] over time [s] at the drive frequency [rad/s]."""
         turn = jnp.exp(1j * frequency * t)[:, None]
-        return {name: (turn * jnp.atleast_1d(getattr(self, name))).real for name in ("coriolis", "damping", "stiffness", "force")}
+        return {
+            name: (turn * jnp.atleast_1d(getattr(self, name))).real
+            for name in ("coriolis", "damping", "stiffness", "force")
+        }
 
 
 def sense_errors(modes: CoupledModes, frequency: Array, amplitude: Array, rate: Array) -> ErrorDisplacements:
@@ -130,14 +144,22 @@ def sense_errors(modes: CoupledModes, frequency: Array, amplitude: Array, rate: 
     dx, dy, *_ = modes.dynamic_stiffness(jnp.asarray(frequency))
     s, motion = 1j * frequency, amplitude / dy
     return ErrorDisplacements(
-        -2 * s * rate * motion, -s * modes.damping_coupling * motion, -modes.stiffness_coupling * motion + 0j, modes.force_yx * dx * motion
+        -2 * s * rate * motion,
+        -s * modes.damping_coupling * motion,
+        -modes.stiffness_coupling * motion + 0j,
+        modes.force_yx * dx * motion,
     )
 
 
 def drive_errors(modes: CoupledModes, frequency: Array, amplitude: Array, rate: Array) -> ErrorDisplacements:
     """The mirror image of `sense_errors`: what a sense motion Y = `amplitude` causes on the drive axis (Coriolis has the other sign)."""
     flipped = CoupledModes(
-        modes.omega[::-1], modes.quality[::-1], modes.damping_coupling, modes.stiffness_coupling, modes.force_xy, modes.force_yx
+        modes.omega[::-1],
+        modes.quality[::-1],
+        modes.damping_coupling,
+        modes.stiffness_coupling,
+        modes.force_xy,
+        modes.force_yx,
     )
     return sense_errors(flipped, frequency, amplitude, -rate)
 

@@ -130,7 +130,9 @@ def to_vector(values: PyTree, spec: PyTree) -> Float[Array, " n"]:
     pairs = _free_leaves(values, spec)
     for name, value, free in pairs:
         if not isinstance(value, jax.core.Tracer) and not bool(jnp.all(free.transform.admits(value))):
-            raise InputError(f"Argument `{name}` must lie within the bounds of its transform {free.transform}, but is {value}.")
+            raise InputError(
+                f"Argument `{name}` must lie within the bounds of its transform {free.transform}, but is {value}."
+            )
     return jnp.concatenate([jnp.ravel(free.transform.forward(value)) for _, value, free in pairs])
 
 
@@ -171,7 +173,11 @@ def names(values: PyTree, spec: PyTree) -> tuple[str, ...]:
 
 def logarithmic(values: PyTree, spec: PyTree) -> tuple[bool, ...]:
     """Whether each element of the vector is free on a logarithmic scale."""
-    return tuple(isinstance(free.transform, Log | LogLogit) for _, value, free in _free_leaves(values, spec) for _ in range(int(jnp.size(value))))
+    return tuple(
+        isinstance(free.transform, Log | LogLogit)
+        for _, value, free in _free_leaves(values, spec)
+        for _ in range(int(jnp.size(value)))
+    )
 
 
 def _is_spec(leaf: Any) -> bool:
@@ -182,7 +188,9 @@ def _spec_leaves(spec: PyTree, values: PyTreeDef) -> list[Free | None]:
     try:
         return values.flatten_up_to(spec)
     except (ValueError, TypeError) as error:
-        raise InputError("Argument `spec` must have the shape of the values beside it, but has another; build it with `fixed` and `mark`.") from error
+        raise InputError(
+            "Argument `spec` must have the shape of the values beside it, but has another; build it with `fixed` and `mark`."
+        ) from error
 
 
 def _free_leaves(values: PyTree, spec: PyTree) -> list[tuple[str, Array, Free]]:

@@ -80,7 +80,9 @@ class Identification:
             "schema": SCHEMA,
             "method": self.method,
             "status": self.status,
-            "coefficients": {name: {**_number(value), "verdict": value.verdict} for name, value in self.coefficients.items()},
+            "coefficients": {
+                name: {**_number(value), "verdict": value.verdict} for name, value in self.coefficients.items()
+            },
             "modal": {name: _number(value) for name, value in self.modal.items()},
             "gain_ratio": _finite(self.readout["gain_ratio"].value),
             "gain_ratio_std": _finite(self.readout["gain_ratio"].std),

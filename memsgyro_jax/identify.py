@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -22,7 +23,11 @@ EFFECTS: Mapping[str, str] = {"electrical_feedthrough": "leak", "finite_sweep_ra
 
 
 def identify(
-    records: Sequence[SweepRecord], *, noise: Noise | None = None, mass: float | None = None, effects: Sequence[str] = ()
+    records: Sequence[SweepRecord],
+    *,
+    noise: Noise | None = None,
+    mass: float | None = None,
+    effects: Sequence[str] = (),
 ) -> Identification:
     """Maximum likelihood on both complex responses of every sweep, jointly with modes, gain ratio and phase asymmetry.
 
@@ -49,9 +54,20 @@ def identify(
 def sweep_of(record: SweepRecord, noise: Noise | None = None) -> FrequencySweep:
     """The experiment of a record; without `noise` one with the shape of its format, to be scaled later."""
     if noise is None:
-        noise = PolarNoise(jnp.full(2, 1e-3), jnp.full(2, 1e-3)) if record.polar else CartesianNoise(jnp.full(2, np.abs(record.phasors).max() * 1e-3))
+        noise = (
+            PolarNoise(jnp.full(2, 1e-3), jnp.full(2, 1e-3))
+            if record.polar
+            else CartesianNoise(jnp.full(2, np.abs(record.phasors).max() * 1e-3))
+        )
     return FrequencySweep(
-        record.name, record.frequency, record.phasors, noise, drive=record.drive, start=record.start, axis=record.axis, rate=record.rate
+        record.name,
+        record.frequency,
+        record.phasors,
+        noise,
+        drive=record.drive,
+        start=record.start,
+        axis=record.axis,
+        rate=record.rate,
     )
 
 
@@ -65,7 +81,9 @@ def _compiled_refit(start: SeenBench, sweeps: tuple[FrequencySweep, ...]) -> Fit
     return refit(start, sweeps)
 
 
-def _fit(sweeps: tuple[FrequencySweep, ...], effects: Sequence[str], estimate: bool) -> tuple[Fit, tuple[FrequencySweep, ...]]:
+def _fit(
+    sweeps: tuple[FrequencySweep, ...], effects: Sequence[str], estimate: bool
+) -> tuple[Fit, tuple[FrequencySweep, ...]]:
     switches = {switch: name in effects for name, switch in EFFECTS.items()}
     outcome = _compiled(sweeps, **switches)
     for _ in range(3 if estimate else 0):
@@ -94,9 +112,15 @@ def _check(records: Sequence[SweepRecord], mass: float | None, effects: Sequence
         raise InputError("Argument `records` must hold at least one sweep, but is empty.")
     for record in records:
         if len(record.frequency) < 20:
-            raise InputError(f"{record.name}: a sweep must have at least 20 rows to be identified, but has {len(record.frequency)}.")
+            raise InputError(
+                f"{record.name}: a sweep must have at least 20 rows to be identified, but has {len(record.frequency)}."
+            )
     if len({record.unit for record in records}) > 1:
-        raise InputError("Argument `records` must share one unit of the channels, but they are in " + ", ".join(r.unit for r in records) + ".")
+        raise InputError(
+            "Argument `records` must share one unit of the channels, but they are in "
+            + ", ".join(r.unit for r in records)
+            + "."
+        )
     if mass is not None and not (np.isfinite(mass) and mass > 0):
         raise InputError(f"Argument `mass` must be a positive number of kilograms, but is {mass}.")
     for name in effects:
@@ -114,14 +138,20 @@ def _notes(records: Sequence[SweepRecord], noise: Noise | None, mass: float | No
 
 
 def _judged(
-    outcome: Fit, sweeps: tuple[FrequencySweep, ...], mass: float | None, effects: tuple[str, ...], repairs: Mapping[str, float], notes: tuple[str, ...]
+    outcome: Fit,
+    sweeps: tuple[FrequencySweep, ...],
+    mass: float | None,
+    effects: tuple[str, ...],
+    repairs: Mapping[str, float],
+    notes: tuple[str, ...],
 ) -> Identification:
     chi2 = float(outcome.chi2_per_dof)
-    modal, readout = _modal(outcome), _readout(outcome)
+    estimates = jax.tree.map(np.asarray, _estimates(outcome))
+    readout = _readout(*estimates["readout"])
     doubt = _doubt(outcome, sweeps, chi2, repairs, readout["phase_asymmetry_deg"].std)
     return Identification(
-        coefficients=_coefficients(outcome, sweeps, 1.0 if mass is None else mass, mass is not None, doubt),
-        modal=modal,
+        coefficients=_coefficients(*estimates["couplings"], outcome, sweeps, mass, doubt),
+        modal=_modal(*estimates["modal"]),
         readout=readout,
         chi2_per_dof=chi2,
         dof=outcome.dof,
@@ -129,18 +159,22 @@ def _judged(
         effects=effects,
         repairs=repairs,
         notes=notes,
-        effect_values=_effect_values(outcome),
+        effect_values=_effect_values(estimates),
         status=outcome.status,
         fit=outcome,
         sweeps=sweeps,
     )
 
 
-def _doubt(outcome: Fit, sweeps: Sequence[FrequencySweep], chi2: float, repairs: Mapping[str, float], phase_std: float) -> str:
+def _doubt(
+    outcome: Fit, sweeps: Sequence[FrequencySweep], chi2: float, repairs: Mapping[str, float], phase_std: float
+) -> str:
     """Why no coefficient of this fit can be trusted, or the empty string."""
     if chi2 > gate(outcome.dof):
         text = f"not trusted: two linear modes miss the record (chi2/dof {chi2:.3g})"
-        cures = [name for name, value in sorted(repairs.items(), key=lambda item: item[1]) if value <= gate(outcome.dof)]
+        cures = [
+            name for name, value in sorted(repairs.items(), key=lambda item: item[1]) if value <= gate(outcome.dof)
+        ]
         return text + (f"; add {' or '.join(cures)}" if cures else "")
     # A flat likelihood keeps the optimiser walking: what is open then is the data, not the method.
     if not phase_std < 30.0 or outcome.open_parameters() or not (bool(outcome.converged) or _covers(outcome, sweeps)):
@@ -160,24 +194,51 @@ def _advice(outcome: Fit, sweeps: Sequence[FrequencySweep]) -> str:
     return "more points or less noise are needed" if _covers(outcome, sweeps) else "sweep both resonances"
 
 
-def _coefficients(
-    outcome: Fit, sweeps: Sequence[FrequencySweep], mass: float, known_mass: bool, doubt: str
-) -> dict[str, Coefficient]:
-    def function(seen: SeenBench) -> jnp.ndarray:
-        device = seen.device
-        return jnp.stack([device.force_yx, device.force_xy, mass * device.damping_coupling, mass * device.stiffness_coupling])
+def _couplings(seen: SeenBench) -> jnp.ndarray:
+    device = seen.device
+    return jnp.stack([device.force_yx, device.force_xy, device.damping_coupling, device.stiffness_coupling])
 
-    device = outcome.values.device
-    value, std = np.asarray(function(outcome.values)), np.asarray(outcome.std_of(function))
+
+def _modes(seen: SeenBench) -> jnp.ndarray:
+    coupled = SingleMode.of_pole(coupled_poles(seen.device))
+    turns = jnp.stack([seen.omega, coupled.omega]) / (2 * jnp.pi)
+    return jnp.stack([turns, jnp.stack([seen.quality, coupled.quality])], axis=1)
+
+
+@eqx.filter_jit
+def _estimates(outcome: Fit) -> dict[str, tuple[jnp.ndarray, jnp.ndarray]]:
+    """Value and standard deviation of everything reported, in one compiled function."""
+    functions = {
+        "couplings": _couplings,
+        "modal": _modes,
+        "readout": lambda seen: jnp.stack([seen.readout.gain_ratio, jnp.rad2deg(seen.readout.phase_asymmetry)]),
+    }
+    seen = outcome.values
+    if seen.sweep_rate is not None:
+        functions["sweep_speed"] = lambda seen: seen.sweep_rate.speed / (2 * jnp.pi)
+    if seen.feedthrough is not None and seen.feedthrough.x_drive is not None:
+        functions["x_leak"] = lambda seen: seen.feedthrough.x_drive
+    if seen.feedthrough is not None and seen.feedthrough.y_drive is not None:
+        functions["y_leak"] = lambda seen: seen.feedthrough.y_drive
+    return {name: (function(seen), outcome.std_of(function)) for name, function in functions.items()}
+
+
+def _coefficients(
+    value: np.ndarray, std: np.ndarray, outcome: Fit, sweeps: Sequence[FrequencySweep], mass: float | None, doubt: str
+) -> dict[str, Coefficient]:
+    scale = np.array([1.0, 1.0, mass or 1.0, mass or 1.0])
+    value, std, device = value * scale, std * scale, outcome.values.device
     # What each could be at most: λ of order one, |cxy| ≤ √(cxx·cyy), |kxy| ≤ √(kxx·kyy).
-    ceiling = np.array([1.0, 1.0, mass * np.sqrt(np.prod(device.omega / device.quality)), mass * np.prod(device.omega)])
-    units = ("1", "1", "N*s/m", "N/m") if known_mass else ("1", "1", "1/s", "1/s^2")
+    ceiling = scale * np.array([1.0, 1.0, np.sqrt(np.prod(device.omega / device.quality)), np.prod(device.omega)])
+    units = ("1", "1", "N*s/m", "N/m") if mass else ("1", "1", "1/s", "1/s^2")
     axes = {sweep.axis for sweep in sweeps}
     out = {}
     for i, name in enumerate(("lambda_yx", "lambda_xy", "c_xy", "k_xy")):
         if i < 2 and i not in axes:
             electrode = "sense (y)" if i else "drive (x)"
-            out[name] = Coefficient(None, None, units[i], f"not identified by this sweep: drive the {electrode} electrode")
+            out[name] = Coefficient(
+                None, None, units[i], f"not identified by this sweep: drive the {electrode} electrode"
+            )
         else:
             verdict = doubt or _verdict(value[i], std[i], ceiling[i], lambda: _advice(outcome, sweeps))
             out[name] = Coefficient(float(value[i]), float(std[i]), units[i], verdict)
@@ -195,13 +256,7 @@ def _verdict(value: float, std: float, ceiling: float, advice) -> str:
     return f"not distinguishable from zero (|value| below {abs(value) + 2 * std:.2g} at 95 %)"
 
 
-def _modal(outcome: Fit) -> dict[str, Coefficient]:
-    def function(seen: SeenBench) -> jnp.ndarray:
-        coupled = SingleMode.of_pole(coupled_poles(seen.device))
-        turns = jnp.stack([seen.omega, coupled.omega]) / (2 * jnp.pi)
-        return jnp.stack([turns, jnp.stack([seen.quality, coupled.quality])], axis=1)
-
-    value, std = np.asarray(function(outcome.values)), np.asarray(outcome.std_of(function))
+def _modal(value: np.ndarray, std: np.ndarray) -> dict[str, Coefficient]:
     out = {}
     for axis, letter in enumerate("xy"):
         for i, (label, what) in enumerate((("", "uncoupled axis"), ("pole_", "coupled resonance"))):
@@ -210,28 +265,28 @@ def _modal(outcome: Fit) -> dict[str, Coefficient]:
     return out
 
 
-def _readout(outcome: Fit) -> dict[str, Coefficient]:
-    def function(seen: SeenBench) -> jnp.ndarray:
-        return jnp.stack([seen.readout.gain_ratio, jnp.rad2deg(seen.readout.phase_asymmetry)])
-
-    value, std = np.asarray(function(outcome.values)), np.asarray(outcome.std_of(function))
+def _readout(value: np.ndarray, std: np.ndarray) -> dict[str, Coefficient]:
     return {
         "gain_ratio": Coefficient(float(value[0]), float(std[0]), "1", "sense over drive channel"),
         "phase_asymmetry_deg": Coefficient(float(value[1]), float(std[1]), "deg", "sense less drive channel"),
     }
 
 
-def _effect_values(outcome: Fit) -> dict[str, Coefficient]:
-    seen, out = outcome.values, {}
-    if seen.sweep_rate is not None:
-        std = float(outcome.std_of(lambda b: b.sweep_rate.speed / (2 * jnp.pi)))
-        out["sweep_speed"] = Coefficient(float(seen.sweep_rate.speed / (2 * jnp.pi)), std, "Hz/s", "finite_sweep_rate")
-    if seen.feedthrough is not None:
-        for axis, leak in enumerate((seen.feedthrough.x_drive, seen.feedthrough.y_drive)):
-            if leak is None:
-                continue
-            std = outcome.std_of(lambda b, axis=axis: (b.feedthrough.x_drive, b.feedthrough.y_drive)[axis])
-            for channel, part in np.ndindex(2, 2):
-                name = f"leak_{'xy'[channel]}_{'IQ'[part]}_{'xy'[axis]}drive"
-                out[name] = Coefficient(float(leak[channel, part]), float(std[channel, part]), "1", "electrical_feedthrough, record units per drive")
+def _effect_values(estimates: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> dict[str, Coefficient]:
+    out = {}
+    if "sweep_speed" in estimates:
+        value, std = estimates["sweep_speed"]
+        out["sweep_speed"] = Coefficient(float(value), float(std), "Hz/s", "finite_sweep_rate")
+    for axis in "xy":
+        if f"{axis}_leak" not in estimates:
+            continue
+        value, std = estimates[f"{axis}_leak"]
+        for channel, part in np.ndindex(2, 2):
+            name = f"leak_{'xy'[channel]}_{'IQ'[part]}_{axis}_driven"
+            out[name] = Coefficient(
+                float(value[channel, part]),
+                float(std[channel, part]),
+                "1",
+                "electrical_feedthrough, record unit per drive",
+            )
     return out

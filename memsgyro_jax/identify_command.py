@@ -31,7 +31,9 @@ def run(
     records = [read_sweep(path, axis=axis, conjugated=conjugated) for path in sweeps]
     noise = _noise(amplitude_noise, phase_noise)
     if noise is not None and not all(record.polar for record in records):
-        raise InputError("Options `--amplitude-noise` and `--phase-noise` must go with amplitude and phase columns, but the file holds I and Q; leave them out.")
+        raise InputError(
+            "Options `--amplitude-noise` and `--phase-noise` must go with amplitude and phase columns, but the file holds I and Q; leave them out."
+        )
     if method == "ratio":
         result = identify_by_ratio(records, noise=noise, mass=mass)
     else:

@@ -18,7 +18,9 @@ from .ratio import TruncatedRatio, conversion_ratio, goodness_of_fit, mirrored, 
 VALIDITY_LIMIT = 0.02  # of the theoretical relative error, section 2.2.1
 
 
-def identify_by_ratio(records: Sequence[SweepRecord], *, noise: Noise | None = None, mass: float | None = None) -> Identification:
+def identify_by_ratio(
+    records: Sequence[SweepRecord], *, noise: Noise | None = None, mass: float | None = None
+) -> Identification:
     """λyx, cxy, kxy as published (and λxy where y was driven too), to be laid beside `identify`.
 
     Modes come from peak and half-power points, of the sense mode from the y-driven sweep where there is one, else from the ratio of the
@@ -28,24 +30,40 @@ def identify_by_ratio(records: Sequence[SweepRecord], *, noise: Noise | None = N
     """
     by_axis = {record.axis: record for record in records}
     if len(by_axis) != len(records) or 0 not in by_axis:
-        raise InputError("Argument `records` must hold one sweep with x driven and at most one with y driven for the ratio method, but does not.")
+        raise InputError(
+            "Argument `records` must hold one sweep with x driven and at most one with y driven for the ratio method, but does not."
+        )
     x, y = _ascending(by_axis[0]), _ascending(by_axis[1]) if 1 in by_axis else None
     modes = _modes(x, y)
-    asymmetry, gain_ratio, notes = 0.0, 1.0, ["Without a sweep with y driven, both channels are taken as equal in gain and phase."]
+    asymmetry, gain_ratio, notes = (
+        0.0,
+        1.0,
+        ["Without a sweep with y driven, both channels are taken as equal in gain and phase."],
+    )
     if y is not None:
         gain_ratio, notes = float(conversion_ratio(x[1], y[1], modes)), []
-        asymmetry = float(phase_offset(y[0], y[1][:, 1], modes.omega[1]) - phase_offset(x[0], x[1][:, 0], modes.omega[0]))
+        asymmetry = float(
+            phase_offset(y[0], y[1][:, 1], modes.omega[1]) - phase_offset(x[0], x[1][:, 0], modes.omega[0])
+        )
         asymmetry = (asymmetry + np.pi) % (2 * np.pi) - np.pi
     correction = gain_ratio * np.exp(1j * asymmetry)
     estimate = TruncatedRatio()(x[0], x[1][:, 1] / x[1][:, 0] / correction, modes)
     cross = None if y is None else TruncatedRatio()(y[0], y[1][:, 0] / y[1][:, 1] * correction, mirrored(modes))
     device = CoupledModes(
-        modes.omega, modes.quality, estimate.damping_coupling, estimate.stiffness_coupling, estimate.force, 0.0 if cross is None else cross.force
+        modes.omega,
+        modes.quality,
+        estimate.damping_coupling,
+        estimate.stiffness_coupling,
+        estimate.force,
+        0.0 if cross is None else cross.force,
     )
     bench, goodness = _fitted(device, gain_ratio, asymmetry, x)
     sweep = sweep_of(by_axis[0], noise)
     chi2 = float(jnp.mean(sweep.residual(bench) ** 2)) if noise is not None else float("nan")
-    notes += [f"R_NL of {name} {value:.4f}: it cannot tell whether a coefficient is right." for name, value in goodness.items()]
+    notes += [
+        f"R_NL of {name} {value:.4f}: it cannot tell whether a coefficient is right."
+        for name, value in goodness.items()
+    ]
     return Identification(
         coefficients=_coefficients(device, estimate, cross, x[0], mass),
         modal=_modal(modes),
@@ -70,7 +88,9 @@ def _ascending(record: SweepRecord) -> tuple[jnp.ndarray, jnp.ndarray]:
 
 def _modes(x: tuple, y: tuple | None) -> CoupledModes:
     drive = half_power(x[0], jnp.abs(x[1][:, 0]))
-    sense = half_power(y[0], jnp.abs(y[1][:, 1])) if y is not None else half_power(x[0], jnp.abs(x[1][:, 1] / x[1][:, 0]))
+    sense = (
+        half_power(y[0], jnp.abs(y[1][:, 1])) if y is not None else half_power(x[0], jnp.abs(x[1][:, 1] / x[1][:, 0]))
+    )
     for name, mode in (("drive", drive), ("sense", sense)):
         if not np.isfinite(float(mode.quality)):
             raise InputError(
@@ -93,7 +113,9 @@ def _fitted(device: CoupledModes, gain_ratio: float, asymmetry: float, x: tuple)
     return bench, curves
 
 
-def _coefficients(device: CoupledModes, estimate, cross, frequency: jnp.ndarray, mass: float | None) -> dict[str, Coefficient]:
+def _coefficients(
+    device: CoupledModes, estimate, cross, frequency: jnp.ndarray, mass: float | None
+) -> dict[str, Coefficient]:
     scale = np.array([1.0, mass or 1.0, mass or 1.0])
     value, std = np.asarray(estimate.values()) * scale, np.asarray(estimate.std) * scale
     error = np.abs(np.asarray(relative_error(TruncatedRatio(), device, frequency)))
@@ -103,14 +125,20 @@ def _coefficients(device: CoupledModes, estimate, cross, frequency: jnp.ndarray,
         for i, name in enumerate(("lambda_yx", "c_xy", "k_xy"))
     }
     missing = Coefficient(None, None, "1", "not identified by this sweep: drive the sense (y) electrode")
-    seen = missing if cross is None else Coefficient(float(cross.force), float(cross.std[0]), "1", "least squares, scatter only")
+    seen = (
+        missing
+        if cross is None
+        else Coefficient(float(cross.force), float(cross.std[0]), "1", "least squares, scatter only")
+    )
     return {"lambda_yx": out["lambda_yx"], "lambda_xy": seen, "c_xy": out["c_xy"], "k_xy": out["k_xy"]}
 
 
 def _verdict(error: float) -> str:
     """The paper's own criterion, on the noise-free error of the method at the identified point."""
     inside = "within" if error <= VALIDITY_LIMIT else "beyond"
-    return f"theoretical error {100 * error:.3g} %, {inside} the method's limit of 2 % (calibration and noise not counted)"
+    return (
+        f"theoretical error {100 * error:.3g} %, {inside} the method's limit of 2 % (calibration and noise not counted)"
+    )
 
 
 def _modal(modes: CoupledModes) -> dict[str, Coefficient]:

@@ -42,7 +42,9 @@ def free_parameters(seen: SeenBench, sweeps: Sequence[FrequencySweep]) -> PyTree
     return spec
 
 
-def fit_sweeps(sweeps: Sequence[FrequencySweep], *, leak: bool = False, moving: bool = False, starts: int = STARTS) -> fitting.Fit:
+def fit_sweeps(
+    sweeps: Sequence[FrequencySweep], *, leak: bool = False, moving: bool = False, starts: int = STARTS
+) -> fitting.Fit:
     """Fit device and read-out to all sweeps from starts that the records themselves give.
 
     Args:
@@ -56,8 +58,8 @@ def fit_sweeps(sweeps: Sequence[FrequencySweep], *, leak: bool = False, moving: 
     """
     candidates = _candidates(tuple(sweeps), leak, moving, starts)
     spec = free_parameters(jax.tree.map(lambda leaf: leaf[0], candidates), sweeps)
-    best = fitting.fit_from(candidates, spec, sweeps, tolerance=1e-3, max_steps=40)
-    return refit(best.values, sweeps)
+    best = fitting.fit_from(candidates, spec, sweeps)
+    return fitting.evaluate(gauge_fixed(best.values), spec, sweeps, converged=best.converged, steps=best.steps)
 
 
 def refit(start: SeenBench, sweeps: Sequence[FrequencySweep], **options) -> fitting.Fit:
@@ -109,9 +111,9 @@ def _candidates(sweeps: tuple[FrequencySweep, ...], leak: bool, moving: bool, st
         benches = fitting.best_start(benches, sweeps, starts)
         decay = jnp.min(benches.device.omega / benches.device.quality, axis=-1) / 2
         speeds = jnp.asarray(SPEEDS) * decay[:, None] ** 2
-        benches = jax.vmap(lambda bench, row: jax.vmap(lambda s: eqx.tree_at(_speed, bench, FiniteSweepRate(s), is_leaf=_absent))(row))(
-            benches, speeds
-        )
+        benches = jax.vmap(
+            lambda bench, row: jax.vmap(lambda s: eqx.tree_at(_speed, bench, FiniteSweepRate(s), is_leaf=_absent))(row)
+        )(benches, speeds)
         benches = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), benches)
     kept = fitting.best_start(benches, sweeps, starts)
     return jax.vmap(lambda bench: gauge_fixed(SeenBench.of(bench)))(kept)

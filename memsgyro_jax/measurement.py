@@ -77,12 +77,16 @@ def read_table(path: str | Path) -> Table:
     """
     path = Path(path)
     text = _text(path)
-    rows = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip() and not line.startswith("#")]
+    rows = [
+        (number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip() and not line.startswith("#")
+    ]
     if not rows:
         raise InputError(f"{path.name}: the file is empty; it must hold a header and rows.")
     header = _header(path, *rows[0])
     if len(rows) < 3:
-        raise InputError(f"{path.name}: the file must hold at least two rows below its header, but holds {len(rows) - 1}.")
+        raise InputError(
+            f"{path.name}: the file must hold at least two rows below its header, but holds {len(rows) - 1}."
+        )
     values = np.array([_row(path, number, line, header) for number, line in rows[1:]])
     _refuse_cut_end(path, text, rows)
     names = [name for name, _ in header]
@@ -138,7 +142,9 @@ def _text(path: Path) -> str:
     try:
         return path.read_bytes().decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise InputError(f"{path.name}: the file must be text in UTF-8, but byte {error.start} is not; save it as CSV (UTF-8).") from error
+        raise InputError(
+            f"{path.name}: the file must be text in UTF-8, but byte {error.start} is not; save it as CSV (UTF-8)."
+        ) from error
     except FileNotFoundError as error:
         raise InputError(f"{path}: no such file.") from error
 
@@ -160,7 +166,9 @@ def _header(path: Path, number: int, line: str) -> list[tuple[str, str]]:
         except InputError as error:
             raise InputError(f"{path.name}, line {number}, column {position}: {error}") from error
         if column.name in dict(header):
-            raise InputError(f"{path.name}, line {number}, column {position}: `{column.name}` stands twice in the header; remove one.")
+            raise InputError(
+                f"{path.name}, line {number}, column {position}: `{column.name}` stands twice in the header; remove one."
+            )
         header.append((column.name, column.unit))
     return header
 
@@ -169,14 +177,18 @@ def _row(path: Path, number: int, line: str, header: Sequence[tuple[str, str]]) 
     fields = _fields(line)
     if len(fields) != len(header):
         hint = "a decimal comma? write decimals with a point" if len(fields) > len(header) else "the row is cut short"
-        raise InputError(f"{path.name}, line {number}: the row must have {len(header)} fields like the header, but has {len(fields)} ({hint}).")
+        raise InputError(
+            f"{path.name}, line {number}: the row must have {len(header)} fields like the header, but has {len(fields)} ({hint})."
+        )
     values = []
     for field, (name, _) in zip(fields, header, strict=True):
         text = field.strip()
         # Python's float() would also take nan, inf, 1_000 and digits of other scripts.
         if not _NUMBER.fullmatch(text) or not text.isascii() or not np.isfinite(float(text)):
             shown = f"is `{text}`" if text else "is missing"
-            raise InputError(f"{path.name}, line {number}, column `{name}`: the value must be a finite number with a decimal point, but {shown}.")
+            raise InputError(
+                f"{path.name}, line {number}, column `{name}`: the value must be a finite number with a decimal point, but {shown}."
+            )
         values.append(float(text))
     return values
 
@@ -198,13 +210,19 @@ def _check_names(table: Table) -> bool:
     known = {"f", *_CARTESIAN, *_POLAR, *_CONDITIONS}
     for name in table.columns:
         if name not in known:
-            raise InputError(f"{table.path.name}, line 1: column `{name}` is not known; a sweep has {', '.join(sorted(known))}.")
+            raise InputError(
+                f"{table.path.name}, line 1: column `{name}` is not known; a sweep has {', '.join(sorted(known))}."
+            )
     polar = bool(names & set(_POLAR))
     if polar and names & set(_CARTESIAN):
-        raise InputError(f"{table.path.name}, line 1: the file must hold either I and Q or amplitude and phase, but holds both.")
+        raise InputError(
+            f"{table.path.name}, line 1: the file must hold either I and Q or amplitude and phase, but holds both."
+        )
     for name in ("f", *(_POLAR if polar else _CARTESIAN)):
         if name not in names:
-            raise InputError(f"{table.path.name}, line 1: column `{name}` is missing; the couplings need both channels, x and y.")
+            raise InputError(
+                f"{table.path.name}, line 1: column `{name}` is missing; the couplings need both channels, x and y."
+            )
     return polar
 
 
@@ -226,7 +244,9 @@ def _phasors(table: Table, polar: bool) -> tuple[np.ndarray, str]:
             continue
     if signal is None:
         units = ", ".join(f"{name} [{table.units[name]}]" for name in names if not name.endswith("_phase"))
-        raise InputError(f"{table.path.name}, line 1: the channels must share one linear unit such as V or 1, but are {units}.")
+        raise InputError(
+            f"{table.path.name}, line 1: the channels must share one linear unit such as V or 1, but are {units}."
+        )
     if not polar:
         both = [signal[f"V{a}_I"] + 1j * signal[f"V{a}_Q"] for a in "xy"]
     else:
@@ -250,12 +270,16 @@ def _phase(table: Table, name: str) -> np.ndarray:
 def _drive(table: Table, axis: int | None) -> tuple[int, np.ndarray, tuple[str, ...]]:
     present = [i for i, name in enumerate(("F_x", "F_y")) if name in table.columns and np.any(table.columns[name] != 0)]
     if len(present) == 2:
-        raise InputError(f"{table.path.name}: one electrode must be driven at a time, but both F_x and F_y are non-zero; split the file.")
+        raise InputError(
+            f"{table.path.name}: one electrode must be driven at a time, but both F_x and F_y are non-zero; split the file."
+        )
     if not present:
         note = () if axis is not None else ("The file names no drive (F_x or F_y): taken as the x electrode.",)
         return axis or 0, np.ones(len(table.lines)), note
     if axis is not None and axis != present[0]:
-        raise InputError(f"{table.path.name}: the driven axis was given as {'xy'[axis]}, but column F_{'xy'[present[0]]} is non-zero.")
+        raise InputError(
+            f"{table.path.name}: the driven axis was given as {'xy'[axis]}, but column F_{'xy'[present[0]]} is non-zero."
+        )
     name = ("F_x", "F_y")[present[0]]
     try:
         level = table.si(name, "N")
@@ -270,7 +294,9 @@ def _starts(table: Table, frequency: np.ndarray, drive: np.ndarray) -> np.ndarra
     """First frequency of the sweep each row belongs to; a sweep ends where a condition changes and runs strictly up or strictly down."""
     for name in ("T", "V_bias"):
         if name in table.columns and np.ptp(table.columns[name]) > 0:
-            raise InputError(f"{table.path.name}, column `{name}`: couplings are identified at one condition, but it changes; split the file by it.")
+            raise InputError(
+                f"{table.path.name}, column `{name}`: couplings are identified at one condition, but it changes; split the file by it."
+            )
     new = np.concatenate([[True], np.diff(drive) != 0])
     first = np.flatnonzero(new)
     for begin, end in zip(first, [*first[1:], len(frequency)], strict=True):
@@ -291,7 +317,9 @@ def _one_rate(table: Table) -> float:
         return 0.0
     rate = table.si("rate", "rad/s")
     if np.ptp(rate) > 0:
-        raise InputError(f"{table.path.name}, column `rate`: a sweep must be taken at one rate, but it changes; split the file by it.")
+        raise InputError(
+            f"{table.path.name}, column `rate`: a sweep must be taken at one rate, but it changes; split the file by it."
+        )
     return float(rate[0])
 
 
@@ -322,7 +350,11 @@ def _check_phase(table: Table, frequency: np.ndarray, driven: np.ndarray, axis: 
             "but with e^{+iωt} it falls; if the file follows e^{-iωt}, read it as conjugated (`--conjugated`)."
         )
     if turn > -np.radians(30):
-        hint = "is the phase in radians?" if polar and "deg" in table.units[column] else "are I and Q those of the driven channel?"
+        hint = (
+            "is the phase in radians?"
+            if polar and "deg" in table.units[column]
+            else "are I and Q those of the driven channel?"
+        )
         raise InputError(
             f"{table.path.name}, column `{column}`: the phase turns by only {np.degrees(turn):.1f}° across the half-power width of the driven "
             f"channel, but a resonance turns it by about -90°; {hint}"
@@ -330,4 +362,6 @@ def _check_phase(table: Table, frequency: np.ndarray, driven: np.ndarray, axis: 
 
 
 def _at(table: Table, row: int, name: str, what: str) -> InputError:
-    return InputError(f"{table.path.name}, line {table.lines[row]}, column `{name}`: {table.columns[name][row]:g} {what}.")
+    return InputError(
+        f"{table.path.name}, line {table.lines[row]}, column `{name}`: {table.columns[name][row]:g} {what}."
+    )

@@ -45,10 +45,14 @@ def coupled_poles(modes: CoupledModes, rate: float = 0.0) -> Complex[Array, " 2"
     def aberth(_: int, poles: Array) -> Array:
         step = jax.vmap(lambda s: _newton_step(frozen, s, rate))(poles)
         others = jnp.stack([poles[1], poles[0]])
-        return poles - step / (1 - step * (1 / (poles - others) + 1 / (poles - poles.conj()) + 1 / (poles - others.conj())))
+        return poles - step / (
+            1 - step * (1 / (poles - others) + 1 / (poles - poles.conj()) + 1 / (poles - others.conj()))
+        )
 
     distinct = start[0] != start[1]
-    poles = jnp.where(distinct, jax.lax.fori_loop(0, 6, aberth, jnp.where(distinct, start, start + jnp.array([1e-3, -1e-3]))), start)
+    poles = jnp.where(
+        distinct, jax.lax.fori_loop(0, 6, aberth, jnp.where(distinct, start, start + jnp.array([1e-3, -1e-3]))), start
+    )
     return jax.vmap(lambda s: s - _implicit_step(modes, frozen, s, rate))(jax.lax.stop_gradient(poles))
 
 
@@ -80,7 +84,9 @@ def half_power(frequency: Float[Array, " n"], amplitude: Float[Array, " n"]) -> 
     return SingleMode(peak, peak / (right - left))
 
 
-def circle(frequency: Float[Array, " n"], response: Complex[Array, " n"], weight: Float[Array, " n"] | None = None) -> SingleMode:
+def circle(
+    frequency: Float[Array, " n"], response: Complex[Array, " n"], weight: Float[Array, " n"] | None = None
+) -> SingleMode:
     """Mode from a complex fit of one resonance: amplitude and phase of every point, no phase correction; it finds the *coupled* pole.
 
     Args:
@@ -91,7 +97,9 @@ def circle(frequency: Float[Array, " n"], response: Complex[Array, " n"], weight
     return SingleMode.of_pole(circle_pole(frequency, response, weight))
 
 
-def circle_pole(frequency: Float[Array, " n"], response: Complex[Array, " n"], weight: Float[Array, " n"] | None = None) -> Array:
+def circle_pole(
+    frequency: Float[Array, " n"], response: Complex[Array, " n"], weight: Float[Array, " n"] | None = None
+) -> Array:
     """The pole p [rad/s] of response·(iω − p) = b0 + b1·ω, by weighted linear least squares, re-weighted until it is the error of the response itself.
 
     A positive real part means that no decaying mode explains the response.

@@ -35,14 +35,18 @@ class RatioEstimator(eqx.Module):
     """From the ratio of responses and the uncoupled modes to the couplings."""
 
     @abc.abstractmethod
-    def __call__(self, frequency: Float[Array, " n"], ratio: Complex[Array, " n"], modes: CoupledModes) -> RatioEstimate:
+    def __call__(
+        self, frequency: Float[Array, " n"], ratio: Complex[Array, " n"], modes: CoupledModes
+    ) -> RatioEstimate:
         """Couplings of a sweep with x driven, ratio = Y/X; with y driven pass X/Y and `mirrored(modes)` for λxy."""
 
 
 class TruncatedRatio(RatioEstimator):
     """The paper's estimator exactly as published: real part of (15), unweighted least squares (18)."""
 
-    def __call__(self, frequency: Float[Array, " n"], ratio: Complex[Array, " n"], modes: CoupledModes) -> RatioEstimate:
+    def __call__(
+        self, frequency: Float[Array, " n"], ratio: Complex[Array, " n"], modes: CoupledModes
+    ) -> RatioEstimate:
         """λ·Re(Dx/Dy) + η·Re(−iω/Dy) + α·Re(−1/Dy) = Re(Y/X)."""
         dx, dy, *_ = modes.dynamic_stiffness(frequency)
         return _least_squares(jnp.stack([dx / dy, -1j * frequency / dy, -1 / dy], axis=1).real, ratio.real)
@@ -51,7 +55,9 @@ class TruncatedRatio(RatioEstimator):
 class ComplexRatio(RatioEstimator):
     """Real and imaginary part of the truncated ratio: the same approximation, none of the data thrown away."""
 
-    def __call__(self, frequency: Float[Array, " n"], ratio: Complex[Array, " n"], modes: CoupledModes) -> RatioEstimate:
+    def __call__(
+        self, frequency: Float[Array, " n"], ratio: Complex[Array, " n"], modes: CoupledModes
+    ) -> RatioEstimate:
         """As `TruncatedRatio`, with both parts stacked."""
         dx, dy, *_ = modes.dynamic_stiffness(frequency)
         matrix = jnp.stack([dx / dy, -1j * frequency / dy, -1 / dy], axis=1)
@@ -63,7 +69,9 @@ class ExactRatio(RatioEstimator):
 
     iterations: int = eqx.field(static=True, default=12)
 
-    def __call__(self, frequency: Float[Array, " n"], ratio: Complex[Array, " n"], modes: CoupledModes) -> RatioEstimate:
+    def __call__(
+        self, frequency: Float[Array, " n"], ratio: Complex[Array, " n"], modes: CoupledModes
+    ) -> RatioEstimate:
         """Noise-free data return the couplings to rounding: each pass shrinks the error by about λ·Y/X."""
         dx, dy, *_ = modes.dynamic_stiffness(frequency)
 
@@ -79,11 +87,18 @@ class ExactRatio(RatioEstimator):
 def mirrored(modes: CoupledModes) -> CoupledModes:
     """The same device with x and y exchanged: the estimators then give λxy from X/Y of a sweep with y driven."""
     return CoupledModes(
-        modes.omega[::-1], modes.quality[::-1], modes.damping_coupling, modes.stiffness_coupling, modes.force_xy, modes.force_yx
+        modes.omega[::-1],
+        modes.quality[::-1],
+        modes.damping_coupling,
+        modes.stiffness_coupling,
+        modes.force_xy,
+        modes.force_yx,
     )
 
 
-def relative_error(estimator: RatioEstimator, modes: CoupledModes, frequency: Array, ratio: Array | None = None) -> Float[Array, " 3"]:
+def relative_error(
+    estimator: RatioEstimator, modes: CoupledModes, frequency: Array, ratio: Array | None = None
+) -> Float[Array, " 3"]:
     """Theoretical relative error (19) of λyx, cxy, kxy; without `ratio` that of noise-free data, the figure of Table 6."""
     response = modes.response(frequency, 0)
     truth = jnp.stack([modes.force_yx, modes.damping_coupling, modes.stiffness_coupling])

@@ -31,7 +31,17 @@ def plot_residual(result: Identification, ax=None):
         for channel, colour in enumerate((X_COLOUR, Y_COLOUR)):
             for part, marker in enumerate((".", "x")):
                 label = f"{'xy'[channel]} {parts[part]}, {'xy'[sweep.axis]} driven"
-                ax.plot(_hertz(sweep), rows[:, channel, part], marker, color=colour, ms=3, alpha=0.45, mew=0.6, label=label)
+                shown = slice(None, None, max(1, len(rows) // 400))  # a point is a tag in the SVG
+                ax.plot(
+                    _hertz(sweep)[shown],
+                    rows[shown, channel, part],
+                    marker,
+                    color=colour,
+                    ms=3,
+                    alpha=0.45,
+                    mew=0.6,
+                    label=label,
+                )
     limit = max(5.0, 1.1 * float(np.abs(np.asarray(result.fit.residual)).max()))
     ax.set(xlabel="frequency [Hz]", ylabel="residual / noise", ylim=(-limit, limit))
     ax.axhspan(-2, 2, color="#8a94a0", alpha=0.15, lw=0)
@@ -46,10 +56,12 @@ def _curves(result: Identification, ax, part, label: str, log: bool):
         order = np.argsort(np.asarray(sweep.frequency), kind="stable")
         for channel, colour in enumerate((X_COLOUR, Y_COLOUR)):
             name = f"{'xy'[channel]}, {'xy'[sweep.axis]} driven"
-            ax.plot(_hertz(sweep), part(np.asarray(sweep.measured[:, channel])), ".", ms=3, alpha=0.5, color=colour, label=name)
             for level in np.unique(np.asarray(sweep.drive)):
                 rows = order[np.asarray(sweep.drive)[order] == level]
-                ax.plot(_hertz(sweep)[rows], _unbroken(part(predicted[rows, channel])), "-", lw=1, color=FIT_COLOUR)
+                measured = _unbroken(part(np.asarray(sweep.measured)[rows, channel]))
+                ax.plot(_hertz(sweep)[rows], measured, "-", lw=3, alpha=0.45, color=colour, label=name)
+                ax.plot(_hertz(sweep)[rows], _unbroken(part(predicted[rows, channel])), "-", lw=0.9, color=FIT_COLOUR)
+                name = None  # one entry of the legend for all drive levels
     if log:
         ax.set_yscale("log")
     ax.set(xlabel="frequency [Hz]", ylabel=label)

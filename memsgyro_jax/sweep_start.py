@@ -65,7 +65,10 @@ def _rational(t: Float[Array, " n"], response: Complex[Array, "n 2"], relative: 
     def solve(denominator: Array) -> Array:
         w = weight / jnp.abs(denominator)[:, None]
         rows = [
-            jnp.concatenate([-response[:, c, None] * powers[:, :2], *(columns if i == c else none for i in (0, 1))], axis=1) * w[:, c, None]
+            jnp.concatenate(
+                [-response[:, c, None] * powers[:, :2], *(columns if i == c else none for i in (0, 1))], axis=1
+            )
+            * w[:, c, None]
             for c in (0, 1)
         ]
         matrix = jnp.concatenate(rows)
@@ -191,7 +194,12 @@ def _placed(modes: CoupledModes, gain: Array, ratio: Array, phase: Array, axis: 
         return Bench(modes, LockIn(jnp.abs(gain), jnp.angle(gain), ratio, phase))
     # The driven channel is y: its gain is gain·drive_ratio·gain_ratio of the lock-in, with the drive ratio left at one.
     device = CoupledModes(
-        modes.omega[::-1], modes.quality[::-1], modes.damping_coupling, modes.stiffness_coupling, modes.force_xy, modes.force_yx
+        modes.omega[::-1],
+        modes.quality[::-1],
+        modes.damping_coupling,
+        modes.stiffness_coupling,
+        modes.force_xy,
+        modes.force_yx,
     )
     return Bench(device, LockIn(jnp.abs(gain) * ratio, jnp.angle(gain) + phase, 1 / ratio, -phase))
 
@@ -222,7 +230,9 @@ def with_other_axis(bench: Bench, sweep: FrequencySweep) -> Bench:
     drive = _regress(dx, numerators[:, 1])
     cross = numerators[:, 0] / drive
     force_xy = _regress(dy, cross + cxy, 1 / jnp.abs(cross)).real
-    leak = bench.feedthrough and ElectricalFeedthrough(bench.feedthrough.x_drive, jnp.zeros_like(bench.feedthrough.x_drive))
+    leak = bench.feedthrough and ElectricalFeedthrough(
+        bench.feedthrough.x_drive, jnp.zeros_like(bench.feedthrough.x_drive)
+    )
     return eqx.tree_at(
         lambda b: (b.device.force_xy, b.readout.drive_ratio, b.readout.drive_asymmetry, b.feedthrough),
         bench,

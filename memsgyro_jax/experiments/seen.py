@@ -47,7 +47,12 @@ class SeenBench(eqx.Module):
         ratio, phase = self.readout.gain_ratio, self.readout.phase_asymmetry
         coupling = (self.coupling[0] + 1j * self.coupling[1]) * jnp.exp(-1j * phase) / ratio
         return CoupledModes(
-            self.omega, self.quality, coupling.imag / self.omega[0], coupling.real, self.force_yx / ratio, self.force_xy * ratio
+            self.omega,
+            self.quality,
+            coupling.imag / self.omega[0],
+            coupling.real,
+            self.force_yx / ratio,
+            self.force_xy * ratio,
         )
 
     def bench(self) -> Bench:

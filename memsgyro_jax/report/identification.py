@@ -17,17 +17,25 @@ def page(result: Identification) -> Page:
         out.text(note)
     if result.repairs:
         out.section("What the record holds beyond two linear modes")
-        out.text("χ²/dof after adding each known artefact; the one that brings it to 1 explains the record (add it with --effects).")
-        out.table(["effect", "χ²/dof with it"], [[name, f"{value:.3f}"] for name, value in sorted(result.repairs.items(), key=lambda i: i[1])])
+        out.text(
+            "χ²/dof after adding each known artefact; the one that brings it to 1 explains the record (add it with --effects)."
+        )
+        out.table(
+            ["effect", "χ²/dof with it"],
+            [[name, f"{value:.3f}"] for name, value in sorted(result.repairs.items(), key=lambda i: i[1])],
+        )
     out.section("Modes, read-out and effects")
     everything = {**result.modal, **result.readout, **result.effect_values}
     out.table(["parameter", "value", "± 1 σ", "unit", "meaning"], _rows(everything))
     if result.fit is not None:
         out.section("Curves and fit")
         for plot, caption in (
-            (plot_amplitude, "Amplitude of both channels: points measured, lines fitted."),
+            (plot_amplitude, "Amplitude of both channels: broad lines measured, thin lines fitted."),
             (plot_phase, "Phase of both channels, convention e^{+iωt}."),
-            (plot_residual, "What the fit leaves over, in standard deviations of the noise; the band is ± 2. Structure is missing physics."),
+            (
+                plot_residual,
+                "What the fit leaves over, in standard deviations of the noise; the band is ± 2. Structure is missing physics.",
+            ),
         ):
             figure = Figure(figsize=(9, 3.6))
             plot(result, figure.subplots())
@@ -46,6 +54,12 @@ def _summary(result: Identification) -> str:
 
 def _rows(values: dict[str, Coefficient]) -> list[list[str]]:
     return [
-        [name, "–" if c.value is None else f"{c.value:.7g}", "–" if c.std is None else f"{c.std:.2g}", c.unit, c.verdict]
+        [
+            name,
+            "–" if c.value is None else f"{c.value:.7g}",
+            "–" if c.std is None else f"{c.std:.2g}",
+            c.unit,
+            c.verdict,
+        ]
         for name, c in values.items()
     ]

@@ -53,9 +53,9 @@ class Drawing:
 class Page:
     """Builds a page from top to bottom.
 
-        page = Page("Coupling errors", "sweep.csv")
-        page.section("Result").text("...").table(["name", "value"], [["c_xy", "-6.96e-08"]])
-        page.save("report.html")
+    page = Page("Coupling errors", "sweep.csv")
+    page.section("Result").text("...").table(["name", "value"], [["c_xy", "-6.96e-08"]])
+    page.save("report.html")
     """
 
     def __init__(self, title: str, subtitle: str = "", footer: str | None = None):
@@ -114,7 +114,11 @@ def write_whole(path: str | Path, text: str) -> Path:
 def _template() -> Template:
     # Autoescape is unconditional: no file name decides whether a user's text is trusted.
     environment = Environment(
-        loader=PackageLoader("memsgyro_jax.report", "."), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+        loader=PackageLoader("memsgyro_jax.report", "."),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
     return environment.get_template("page.html")
 

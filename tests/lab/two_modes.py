@@ -25,7 +25,9 @@ class Gyro:
         """Mass, damping (with Coriolis) and stiffness matrices, and the force matrix (columns: electrodes)."""
         wx, wy, m = 2 * np.pi * self.fx, 2 * np.pi * self.fy, self.mass
         stiffness = np.array([[m * wx**2, self.kxy], [self.kxy, m * wy**2]])
-        damping = np.array([[m * wx / self.qx, self.cxy - 2 * m * self.rate], [self.cxy + 2 * m * self.rate, m * wy / self.qy]])
+        damping = np.array(
+            [[m * wx / self.qx, self.cxy - 2 * m * self.rate], [self.cxy + 2 * m * self.rate, m * wy / self.qy]]
+        )
         return np.eye(2) * m, damping, stiffness, np.array([[1.0, self.lam_xy], [self.lam_yx, 1.0]])
 
 
@@ -63,7 +65,9 @@ def chirped(gyro, frequency, speed, axis=0):
 
     z0 = steady(gyro, [f0], axis)[0]
     times = np.abs(np.asarray(frequency) - f0) / speed
-    solution = solve_ivp(slope, (0, times[-1]), np.concatenate([z0, 0 * z0]), t_eval=times, method="DOP853", rtol=1e-10, atol=1e-22)
+    solution = solve_ivp(
+        slope, (0, times[-1]), np.concatenate([z0, 0 * z0]), t_eval=times, method="DOP853", rtol=1e-10, atol=1e-22
+    )
     return solution.y[:2].T
 
 
