@@ -87,13 +87,15 @@ class LogLogit(Transform):
     high: Array = eqx.field(converter=jnp.asarray)
 
     def forward(self, value: Array) -> Array:
-        return jnp.log(jnp.log(value / self.low)) - jnp.log(jnp.log(self.high / value))
+        # An optimiser that ran to the bound stands on it to rounding; its coordinate must stay finite to go on from there.
+        place = jnp.clip(jnp.log(value / self.low) / jnp.log(self.high / self.low), 1e-12, 1 - 1e-12)
+        return jnp.log(place) - jnp.log1p(-place)
 
     def inverse(self, coordinate: Array) -> Array:
         return self.low * jnp.exp(jnp.log(self.high / self.low) * jax.nn.sigmoid(coordinate))
 
     def admits(self, value: Array) -> Array:
-        return (value > self.low) & (value < self.high)
+        return (value >= self.low) & (value <= self.high)
 
 
 class Prior(eqx.Module):

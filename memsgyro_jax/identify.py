@@ -46,7 +46,7 @@ def identify(
     repairs = {}
     if outcome.chi2_per_dof > gate(outcome.dof):
         for name in EFFECTS.keys() - set(effects):
-            other, _ = _fit(sweeps, (*effects, name), False)
+            other, _ = _fit(sweeps, (*effects, name), noise is None)
             repairs[name] = float(other.chi2_per_dof)
     return _judged(outcome, sweeps, mass, tuple(effects), repairs, _notes(records, noise, mass))
 
@@ -235,9 +235,9 @@ def _coefficients(
     out = {}
     for i, name in enumerate(("lambda_yx", "lambda_xy", "c_xy", "k_xy")):
         if i < 2 and i not in axes:
-            electrode = "sense (y)" if i else "drive (x)"
+            electrode = "xy"[i]
             out[name] = Coefficient(
-                None, None, units[i], f"not identified by this sweep: drive the {electrode} electrode"
+                None, None, units[i], f"not identified by this sweep: drive the {electrode} electrode too"
             )
         else:
             verdict = doubt or _verdict(value[i], std[i], ceiling[i], lambda: _advice(outcome, sweeps))

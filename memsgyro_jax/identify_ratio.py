@@ -124,7 +124,7 @@ def _coefficients(
         name: Coefficient(float(value[i]), float(std[i]), units[i], _verdict(error[i]))
         for i, name in enumerate(("lambda_yx", "c_xy", "k_xy"))
     }
-    missing = Coefficient(None, None, "1", "not identified by this sweep: drive the sense (y) electrode")
+    missing = Coefficient(None, None, "1", "not identified by this sweep: drive the y electrode too")
     seen = (
         missing
         if cross is None
