@@ -20,8 +20,8 @@ from .experiments import Bench, ElectricalFeedthrough, FrequencySweep, LockIn, P
 from .modal import circle_pole
 
 
-GAIN_RATIOS = np.geomspace(0.05, 20.0, 17)
-PHASES = np.radians(np.arange(-75.0, 76.0, 15.0))
+GAIN_RATIOS = np.geomspace(0.05, 20.0, 13)
+PHASES = np.radians(np.arange(-75.0, 76.0, 25.0))
 
 
 def candidates(sweep: FrequencySweep, leak: bool = False) -> Bench:
