@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, PyTree
+from jaxtyping import Array, Complex, PyTree
 
 from . import fit as fitting
 from . import sweep_start
@@ -15,7 +15,7 @@ from .experiments.seen import SeenBench
 from .free import Free, Log, LogLogit, fixed, mark
 
 
-STARTS = 3  # of several hundred scanned: on random devices the best two sufficed
+STARTS = 2  # of each family scanned
 QUALITIES = (1.0, 1e9)  # what any resonator has: a sweep that does not show a mode would let its quality run away
 GAIN_RATIOS = (1e-4, 1e4)
 SPEEDS = np.geomspace(1e-3, 3.0, 8)  # sweep rates to start from, in squared decay rates of the narrower mode
@@ -51,7 +51,7 @@ def fit_sweeps(
         sweeps: records of one device and one read-out, with either electrode driven.
         leak: add `ElectricalFeedthrough` for the electrodes driven.
         moving: add `FiniteSweepRate`, one speed for all sweeps.
-        starts: how many of the scanned starts to optimise.
+        starts: how many of each family of scanned starts to optimise.
 
     Returns:
         A `Fit` whose values are a `SeenBench`, with the gauge |phase asymmetry| < 90°.
@@ -65,6 +65,16 @@ def fit_sweeps(
 def refit(start: SeenBench, sweeps: Sequence[FrequencySweep], **options) -> fitting.Fit:
     """Fit from one start, gauge fixed before; use it for noise draws around a known device (under `vmap`)."""
     return fitting.fit(gauge_fixed(start), free_parameters(start, sweeps), sweeps, **options)
+
+
+def refit_draws(start: SeenBench, sweep: FrequencySweep, draws: Complex[Array, "d n 2"], together: int = 4) -> fitting.Fit:
+    """Refit every noise draw of a sweep from one start, by `vmap` over `together` of them at a time so that they stay in the cache.
+
+    Every leaf of the result has the draws along its leading axis.
+    """
+    return jax.lax.map(
+        lambda measured: refit(start, (sweep.with_measured(measured),), tolerance=1e-5), draws, batch_size=together
+    )
 
 
 def gauge_fixed(seen: SeenBench) -> SeenBench:
@@ -103,20 +113,28 @@ def neighbour_noise(residual: Array, sweep: FrequencySweep) -> Array:
 
 def _candidates(sweeps: tuple[FrequencySweep, ...], leak: bool, moving: bool, starts: int) -> SeenBench:
     first = min(sweeps, key=lambda sweep: sweep.axis)
-    benches = sweep_start.candidates(first, leak)
+    families = sweep_start.candidates(first, leak)
     other = next((sweep for sweep in sweeps if sweep.axis != first.axis), None)
     if other is not None:
-        benches = jax.vmap(lambda bench: sweep_start.with_other_axis(bench, other))(benches)
+        families = [jax.vmap(lambda bench: sweep_start.with_other_axis(bench, other))(family) for family in families]
+    # Each family keeps its best: the one that wins on a wide sweep fits noise with its second pole on a narrow one.
+    kept = [fitting.best_start(family, sweeps, starts) for family in families]
+    benches = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *kept)
     if moving:
-        benches = fitting.best_start(benches, sweeps, starts)
-        decay = jnp.min(benches.device.omega / benches.device.quality, axis=-1) / 2
-        speeds = jnp.asarray(SPEEDS) * decay[:, None] ** 2
-        benches = jax.vmap(
-            lambda bench, row: jax.vmap(lambda s: eqx.tree_at(_speed, bench, FiniteSweepRate(s), is_leaf=_absent))(row)
-        )(benches, speeds)
-        benches = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), benches)
-    kept = fitting.best_start(benches, sweeps, starts)
-    return jax.vmap(lambda bench: gauge_fixed(SeenBench.of(bench)))(kept)
+        benches = fitting.best_start(_at_speeds(benches), sweeps, len(families) * starts)
+    return jax.vmap(lambda bench: gauge_fixed(SeenBench.of(bench)))(benches)
+
+
+def _at_speeds(benches: Bench) -> Bench:
+    """Every bench of a batch at each of `SPEEDS`, as one batch."""
+    decay = jnp.min(benches.device.omega / benches.device.quality, axis=-1) / 2
+    speeds = jnp.asarray(SPEEDS) * decay[:, None] ** 2
+
+    def at(bench: Bench, speed: Array) -> Bench:
+        return eqx.tree_at(_speed, bench, FiniteSweepRate(speed), is_leaf=_absent)
+
+    grid = jax.vmap(lambda bench, row: jax.vmap(lambda speed: at(bench, speed))(row))(benches, speeds)
+    return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), grid)
 
 
 def _speed(bench: Bench) -> FiniteSweepRate | None:

@@ -24,8 +24,13 @@ GAIN_RATIOS = np.geomspace(0.05, 20.0, 13)
 PHASES = np.radians(np.arange(-75.0, 76.0, 25.0))
 
 
-def candidates(sweep: FrequencySweep, leak: bool = False) -> Bench:
-    """Benches to start from, one per guess of gain ratio and phase asymmetry, along the leading axis of every leaf.
+_FAR = np.geomspace(0.05, 20.0, 16)
+PLACES = np.concatenate([-_FAR[::-1], _FAR])  # of the sense mode from the drive mode, in half widths of the band
+COARSE_PHASES = np.radians([-50.0, 0.0, 50.0])
+
+
+def candidates(sweep: FrequencySweep, leak: bool = False) -> list[Bench]:
+    """Families of benches to start from, each along the leading axis of every leaf: by rational fit, by the ratio, by scanning the sense mode.
 
     Args:
         sweep: record of a sweep with either electrode driven.
@@ -46,13 +51,31 @@ def candidates(sweep: FrequencySweep, leak: bool = False) -> Bench:
     benches = jax.vmap(lambda guess: _bench(poles, residues, guess, sweep.axis))(guesses)
     poles = _single_poles(sweep.frequency, response)
     others = jax.vmap(lambda guess: _bench_of_ratio(sweep.frequency, response, poles, guess, sweep.axis))(guesses)
-    benches = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), benches, others)
+    families = [benches, others, _beyond(sweep.frequency, response, poles, sweep.axis)]
     if not leak:
-        return benches
+        return families
     parts = jnp.stack([constant.real, constant.imag], axis=-1)
-    both = jnp.broadcast_to(parts, (2 * len(guesses), 2, 2))
-    feedthrough = ElectricalFeedthrough(None, both[:, ::-1]) if sweep.axis else ElectricalFeedthrough(both)
-    return Bench(benches.device, benches.readout, feedthrough)
+    parts = parts[::-1] if sweep.axis else parts
+
+    def leaking(family: Bench) -> Bench:
+        each = jnp.broadcast_to(parts, (family.device.force_yx.shape[0], 2, 2))
+        feedthrough = ElectricalFeedthrough(None, each) if sweep.axis else ElectricalFeedthrough(each)
+        return Bench(family.device, family.readout, feedthrough)
+
+    return [leaking(family) for family in families]
+
+
+def _beyond(frequency: Array, response: Array, poles: Array, axis: int) -> Bench:
+    """Benches with the sense mode tried at places within and beyond the band, where noise hides its pull on the ratio."""
+    half = 0.5 * (frequency.max() - frequency.min())
+    places = poles[0].imag + half * jnp.asarray(PLACES)
+    tries = jnp.stack(jnp.meshgrid(places, jnp.asarray(COARSE_PHASES)), axis=-1).reshape(-1, 2)
+
+    def at(place: Array, phase: Array) -> Bench:
+        both = jnp.stack([poles[0], poles[0].real + 1j * place])
+        return _bench_of_ratio(frequency, response, both, jnp.stack([jnp.ones_like(phase), phase]), axis)
+
+    return jax.vmap(at)(tries[:, 0], tries[:, 1])
 
 
 def _rational(t: Float[Array, " n"], response: Complex[Array, "n 2"], relative: bool, leak: bool):
