@@ -268,4 +268,4 @@ def _information(jacobian: Array) -> tuple[Array, Array, Array, Array]:
     held = singular > 1e-7 * singular[-1]
     inverse = jnp.where(held, 1 / jnp.where(held, singular, 1.0), 0.0)
     spread = (vectors * inverse) * step[:, None]
-    return spread @ spread.T, vectors.T, singular, step
+    return spread @ spread.T, vectors.T, singular, jnp.where(norm > 0, step, jnp.inf)

@@ -131,7 +131,8 @@ def to_vector(values: PyTree, spec: PyTree) -> Float[Array, " n"]:
     """
     pairs = _free_leaves(values, spec)
     for name, value, free in pairs:
-        if not isinstance(value, jax.core.Tracer) and not bool(jnp.all(free.transform.admits(value))):
+        admitted = jnp.all(free.transform.admits(value))
+        if not isinstance(admitted, jax.core.Tracer) and not bool(admitted):
             raise InputError(
                 f"Argument `{name}` must lie within the bounds of its transform {free.transform}, but is {value}."
             )

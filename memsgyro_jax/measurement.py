@@ -235,6 +235,12 @@ def _angular_frequency(table: Table) -> np.ndarray:
 
 def _phasors(table: Table, polar: bool) -> tuple[np.ndarray, str]:
     names = _POLAR if polar else _CARTESIAN
+    for name in names:
+        if re.fullmatch(r"(dB|Np|B)\w*", table.units[name]):
+            raise InputError(
+                f"{table.path.name}, line 1: the channels must share one linear unit such as V or 1, "
+                f"but `{name}` is in {table.units[name]}; convert it."
+            )
     signal, unit = None, ""
     for unit in ("V", "1", "m", "A", "C", "F"):
         try:

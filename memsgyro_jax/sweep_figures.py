@@ -16,7 +16,7 @@ def plot_amplitude(result: Identification, ax=None):
 
 def plot_phase(result: Identification, ax=None):
     """Measured and fitted phase [deg] of both channels over frequency [Hz]; returns the axes."""
-    return _curves(result, _axes(ax), lambda z: np.degrees(np.angle(z)), "phase [deg]", log=False)
+    return _curves(result, _axes(ax), lambda z: _unbroken(np.degrees(np.angle(z))), "phase [deg]", log=False)
 
 
 def plot_residual(result: Identification, ax=None):
@@ -49,7 +49,7 @@ def plot_residual(result: Identification, ax=None):
     return ax
 
 
-def _curves(result: Identification, ax, part, label: str, log: bool):
+def _curves(result: Identification, ax, shown, label: str, log: bool):
     bench = result.fit.values
     for sweep in result.sweeps:
         predicted = np.asarray(sweep.predict(bench))
@@ -58,9 +58,9 @@ def _curves(result: Identification, ax, part, label: str, log: bool):
             name = f"{'xy'[channel]}, {'xy'[sweep.axis]} driven"
             for level in np.unique(np.asarray(sweep.drive)):
                 rows = order[np.asarray(sweep.drive)[order] == level]
-                measured = _unbroken(part(np.asarray(sweep.measured)[rows, channel]))
+                measured = shown(np.asarray(sweep.measured)[rows, channel])
                 ax.plot(_hertz(sweep)[rows], measured, "-", lw=3, alpha=0.45, color=colour, label=name)
-                ax.plot(_hertz(sweep)[rows], _unbroken(part(predicted[rows, channel])), "-", lw=0.9, color=FIT_COLOUR)
+                ax.plot(_hertz(sweep)[rows], shown(predicted[rows, channel]), "-", lw=0.9, color=FIT_COLOUR)
                 name = None  # one entry of the legend for all drive levels
     if log:
         ax.set_yscale("log")

@@ -144,13 +144,15 @@ def figure_3(points):
 
 
 def figure_over(values, label, settings, keys):
-    """Figures 4 to 6: rms relative error over one kind of measurement error, each estimator, beside the bound of the same sweep."""
+    """Figures 4 to 6: rms relative error over one kind of measurement error, each estimator, beside the bound of a wide sweep."""
+    limits = np.array([bound(device(), WIDE, *settings(v)[:2]) for v in values])
     figure = Figure(figsize=(11, 3.6), layout="constrained")
     axes = figure.subplots(1, 3, sharey=True)
     for i, ax in enumerate(axes):
         for (name, estimator), style in zip(ESTIMATORS.items(), ("-", "--", ":"), strict=True):
             found = [root_mean_square(errors(estimator, device(), NARROW, keys, *settings(v)))[i] for v in values]
             ax.loglog(values, found, style, color=COLOURS[i], label=name)
+        ax.loglog(values, limits[:, i], "-.", color="#1d2530", lw=1, label="likelihood on the wide sweep (bound)")
         ax.axhline(0.02, color="#8a94a0", lw=0.8)
         ax.set(xlabel=label, title=NAMES[i])
         ax.grid(alpha=0.25)
@@ -225,7 +227,7 @@ def histogram(pictures):
     figure = Figure(figsize=(9, 3.2), layout="constrained")
     for ax, (label, (values, limit)) in zip(figure.subplots(1, 2), pictures.items(), strict=True):
         pull = (values - C_XY) / limit
-        ax.hist(pull, bins=24, density=True, color=COLOURS[1], alpha=0.6)
+        ax.hist(pull, bins=20, density=True, color=COLOURS[1], alpha=0.6)
         grid = np.linspace(-4, 4, 200)
         ax.plot(grid, np.exp(-(grid**2) / 2) / np.sqrt(2 * np.pi), color="#1d2530", lw=1)
         ax.set(xlabel="(cxy − truth) / Cramér-Rao bound", title=label, yticks=[])
@@ -240,7 +242,7 @@ def phasor_picture():
     for ax, (part, title) in zip(figure.subplots(1, 2), ((np.real, "in phase with Coriolis"), (np.imag, "in quadrature")), strict=True):
         for (name, ratio), colour in zip(parts.items(), COLOURS, strict=True):
             ax.plot(np.asarray(frequency) / 2 / np.pi, part(np.asarray(ratio)), color=colour, label=f"{name} coupling")
-        ax.set(xlabel="drive frequency [Hz]", title=title)
+        ax.set(xlabel="drive frequency [Hz]", title=title, xticks=[8014.0, 8014.3, 8014.6])
         ax.set_yscale("symlog", linthresh=1e-3)
         ax.ticklabel_format(axis="x", useOffset=False)
         ax.grid(alpha=0.25)
@@ -287,9 +289,9 @@ def main(quick: bool) -> None:
          ["figure", "claimed", *ESTIMATORS, "Cramér-Rao, uncalibrated"], noisy(keys))
     page.section("P3: Figures 3 to 6")
     picture("fig3", figure_3(8 if quick else 40), "Figure 3: theoretical error over the coupling ratios. The grey line is the 2 % limit of the paper.")
-    picture("fig4", figure_over(np.geomspace(1e-6, 1e-2, points), "amplitude noise, peak to peak", lambda v: (v, 0.0), keys), "Figure 4: amplitude noise.")
-    picture("fig5", figure_over(np.geomspace(1e-3, 10, points), "phase noise [deg], peak to peak", lambda v: (0.0, np.radians(v)), keys), "Figure 5: phase noise.")
-    picture("fig6", figure_over(np.geomspace(1e-3, 10, points), "phase asymmetry [deg]", lambda v: (0.0, 0.0, np.radians(v)), keys[:1]), "Figure 6: phase asymmetry; no ratio estimator escapes it.")
+    picture("fig4", figure_over(np.geomspace(1e-6, 1e-2, points), "amplitude noise, peak to peak", lambda v: (v, PHASE / LOW_PASS), keys), "Figure 4: amplitude noise, with the phase noise left after the low-pass. Black: what maximum likelihood reaches with both resonances in the sweep and no calibration.")
+    picture("fig5", figure_over(np.geomspace(1e-3, 10, points), "phase noise [deg], peak to peak", lambda v: (AMPLITUDE / LOW_PASS, np.radians(v)), keys), "Figure 5: phase noise, with the amplitude noise left after the low-pass.")
+    picture("fig6", figure_over(np.geomspace(1e-3, 10, points), "phase asymmetry [deg]", lambda v: (AMPLITUDE / LOW_PASS, PHASE / LOW_PASS, np.radians(v)), keys), "Figure 6: phase asymmetry, with the noise left after the low-pass; no ratio estimator escapes it, the likelihood estimates it.")
     slope = float(errors(ExactRatio(), device(), NARROW, keys[:1], 0.0, 0.0, np.radians(1.0))[0, 1])
     show("P3: phase asymmetry", "cxy changes by kxy/(ω·cxy) per radian whatever the ratio estimator.", ["figure", "predicted", "exact ratio"],
          [["error of cxy per degree", _share(np.radians(1.0) * K_XY / (2 * np.pi * 8014.3 * abs(C_XY))), _share(slope)]])

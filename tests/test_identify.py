@@ -105,15 +105,14 @@ def test_narrow_sweep_is_refused_a_verdict():
 
 
 def test_noise_free_data_return_the_coefficients():
-    sweep = sweep_of(swept(lab.Gyro(), noise=None), RAW)
-    device = eqx.filter_jit(fit_sweeps)((sweep,)).values.device
+    device = identify([swept(lab.Gyro(), noise=None)], noise=RAW, mass=3e-7).fit.values.device
     truth = seen_bench().device
     for name in ("damping_coupling", "stiffness_coupling", "force_yx"):
         assert float(getattr(device, name) / getattr(truth, name)) == pytest.approx(1.0, abs=1e-9)
 
 
 def test_too_fast_a_sweep_is_noticed_named_and_repaired():
-    fast = swept(SLOW, SLOW_BAND, motion=lab.chirped(SLOW, SLOW_BAND, 0.2))
+    fast = swept(SLOW, SLOW_BAND, motion=lab.chirped(SLOW, SLOW_BAND, 1.0))
     plain = identify([fast], noise=RAW, mass=SLOW.mass)
     assert plain.chi2_per_dof > 10 * gate(plain.dof)
     assert plain.coefficients["c_xy"].verdict.endswith("add finite_sweep_rate")
@@ -121,7 +120,7 @@ def test_too_fast_a_sweep_is_noticed_named_and_repaired():
     assert repaired.explained
     assert_within(repaired.coefficients["c_xy"], SLOW.cxy)
     assert_within(repaired.coefficients["lambda_yx"], SLOW.lam_yx)
-    assert_within(repaired.effect_values["sweep_speed"], 0.2)
+    assert_within(repaired.effect_values["sweep_speed"], 1.0)
 
 
 def test_feedthrough_is_noticed_named_and_repaired():
