@@ -20,8 +20,8 @@ MODULES = sorted(PACKAGE.rglob("*.py"))
 ORDER = [
     *("errors", "runtime", "units"),
     *("noise", "device", "propagate", "readout", "observers", "controllers"),
-    *("filters", "scenario", "loop", "engine"),
-    *("bound", "merit", "spread", "store", "sweep", "study"),
+    *("filters", "scenario", "loop", "engine", "provenance", "pictures", "trace"),
+    *("bound", "merit", "spread", "store", "lot", "summary", "sweep", "study"),
     *("free", "measurement", "experiments", "fit", "identify"),
     *("report", "cli"),
 ]

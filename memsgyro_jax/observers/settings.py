@@ -74,15 +74,21 @@ def design_prior(
 ) -> Prior:
     """A prior around the design values of `gyro`, at rest but for a displacement `amplitude` [m] along x.
 
-    Each coefficient has standard deviation `spread` of its own value (relative), the rate `rate_std` [rad/s] about
-    zero, the read-out offsets `offset_std` [V] about zero, the motion `motion_error` of the amplitude (velocities times
-    the mode frequency). Zero standard deviations mean known exactly.
+    Every physical parameter of the device is taken to vary by `spread` of itself, independently; a coefficient, a
+    stiffness over a mass say, gets the standard deviation that follows to first order. The rate has `rate_std` [rad/s]
+    about zero, the read-out offsets `offset_std` [V] about zero, the motion `motion_error` of the amplitude (velocities
+    times the mode frequency). Zero standard deviations mean known exactly.
     """
     theta = gyro.coefficients(0.0)
-    is_rate = tuple(coefficient.is_rate for coefficient in gyro.model.coefficients)
-    # The unit rate's coefficients carry the share of each axis, so that a dual-mass gyro gets the right width for both.
+    leaves, structure = jax.tree.flatten(gyro)
+    slopes = jax.jacfwd(lambda values: jax.tree.unflatten(structure, values).coefficients(0.0))(leaves)
+    variances = (sum((spread * p * slope) ** 2 for p, slope in zip(leaves, row, strict=True)) for row in slopes)
+    # A unit rate gives each rate coefficient its share, which is below 1 for the frame of a dual-mass gyro.
     share = gyro.coefficients(1.0)
-    std = tuple(rate_std * s if rate else spread * abs(v) for v, s, rate in zip(theta, share, is_rate, strict=True))
+    std = tuple(
+        rate_std * s if coefficient.is_rate else jnp.sqrt(variance)
+        for variance, s, coefficient in zip(variances, share, gyro.model.coefficients, strict=True)
+    )
     position = motion_error * amplitude
     frequency = tuple(jnp.sqrt(theta[gyro.model.index(name)]) for name in ("kxx", "kyy"))
     return Prior(

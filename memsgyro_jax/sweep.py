@@ -1,0 +1,233 @@
+"""Monte Carlo over fabricated dies: draw, run in chunks, store, resume, summarise."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from . import lot, noise, runtime
+from .errors import InputError
+from .loop import ClosedLoop
+from .provenance import Settings
+from .scenario import AbstractProfile, Scenario, as_scenario
+from .spread import Spread
+from .store import LABELS, STATUS, Column, Store, labelled
+from .summary import Summary, summarise
+from .trace import count_steps
+
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.axes import Axes
+
+WINDOWS = 100  # at most about this many window means of the rate are kept per die, however long the run
+CPU_CHUNK, GPU_CHUNK = 32, 8192  # dies per device and batch: a CPU core wants them in its cache, a GPU wants many
+DEFAULT_TOLERANCE = float(np.radians(20.0))
+
+
+@dataclass(frozen=True)
+class Lot:
+    """The dies of a sweep: `data` as a Dataset over (die, window, coefficient, parameter), SI units in its attributes."""
+
+    data: "xr.Dataset"
+    settings: Settings
+    summary: Summary
+
+    def __repr__(self) -> str:
+        return repr(self.summary)
+
+    def to_xarray(self) -> "xr.Dataset":
+        """The Dataset."""
+        return self.data
+
+    def plot(self, ax: "Axes | None" = None) -> "Axes":
+        """Histogram of the rate error at the end, with the information bound."""
+        from . import pictures
+
+        return pictures.lot(self, ax)
+
+
+def sweep(
+    loop: ClosedLoop,
+    spread: Spread,
+    scenario: Scenario | AbstractProfile | float = 1.0,
+    *,
+    dies: int = 256,
+    sample_rate: float = 100e3,
+    duration: float = 0.1,
+    settle: float | None = None,
+    tolerance: float = DEFAULT_TOLERANCE,
+    seed: int = 0,
+    chunk: int | None = None,
+    out: str | Path | None = None,
+    resume: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+) -> Lot:
+    """Run `dies` dies drawn from `spread` around `loop` and gather their figures of merit.
+
+    `scenario` as in `simulate`. Statistics over time start at `settle` [s] (default: half the duration); a die has
+    converged when its rate error stays within `tolerance` [rad/s], and yields when it ends there. Die i depends on
+    (`seed`, i) only, whatever `dies`, the devices or a resume; `chunk` (dies per device and batch) changes rounding
+    only. With `out`, a folder, the rows go to `out/dies.zarr` as they are computed; `resume=True` goes on with a store
+    of the same configuration. `progress(done, dies)` is called after each batch.
+
+    Raises `InputError` for settings that cannot be run, a store of something else, and outside float64.
+    """
+    runtime.require_float64("sweep")
+    scenario, loop = as_scenario(scenario), loop.sampled_at(sample_rate)
+    settle = 0.5 * duration if settle is None else settle
+    _check(dies, settle, duration, tolerance, chunk)
+    plan = _plan(sample_rate, duration, settle, tolerance)
+    settings = Settings.of(loop, scenario, spread, plan, sample_rate=sample_rate, duration=duration, seed=seed)
+    devices = jax.local_devices()
+    chunk = chunk or (CPU_CHUNK if devices[0].platform == "cpu" else GPU_CHUNK)
+    runner = _Runner(loop, scenario, spread, plan, seed, chunk, lot.mesh_of(devices))
+    store = None if out is None else _open_store(Path(out), runner, settings, dies, resume)
+    rows, speed = _run_all(runner, store, dies, progress)
+    data = store.to_xarray() if store else runner.dataset(rows, dies, settings)
+    return Lot(data, settings, summarise(data, settings, loop, None, speed))
+
+
+@dataclass(frozen=True)
+class _Runner:
+    """Computes chunks by number; the same chunk gives the same bits on any device, in any company."""
+
+    loop: ClosedLoop
+    scenario: Scenario
+    spread: Spread
+    plan: lot.Plan
+    seed: int
+    chunk: int
+    mesh: jax.sharding.Mesh
+
+    def __call__(self, numbers: list[int]) -> dict[str, np.ndarray]:
+        """Rows of the given chunks, one after the other; missing ones up to the number of devices are repeated and
+        dropped.
+        """
+        padded = numbers + [numbers[-1]] * (self.mesh.size - len(numbers))
+        dies = np.concatenate([np.arange(n * self.chunk, (n + 1) * self.chunk) for n in padded])
+        first, inverse = np.unique(dies, return_inverse=True)
+        drawn = self.spread.draw(self.loop, self.scenario, self.seed, first)
+        order = jnp.asarray(inverse)
+        batched, scenario = jax.tree.map(
+            lambda value, plain: value[..., order] if jnp.ndim(value) > jnp.ndim(plain) else value,
+            (drawn.loop, drawn.scenario),
+            (self.loop, self.scenario),
+        )
+        words = noise.die_words(jax.random.key(self.seed), jnp.asarray(dies))
+        design = (self.loop, self.scenario)
+        rows = jax.tree.map(np.asarray, lot.run_batch(batched, scenario, design, words, self.plan, self.mesh))
+        rows["parameter"] = drawn.table[inverse]
+        return {name: value[: len(numbers) * self.chunk] for name, value in rows.items()}
+
+    @property
+    def columns(self) -> dict[str, Column]:
+        """The arrays of a lot."""
+        names, windows = self.loop.device.model.names, self.plan.blocks
+        parameters = len(self.spread.resolved(self.loop))
+        rate, time = Column((), (), "rad/s"), Column((), (), "s")
+        one = Column((), (), "1")
+        return {
+            "lost_at": time,
+            "rate_error_end": rate,
+            "rate_error_rms": rate,
+            "rate_series_std": rate,
+            "rate_std_end": rate,
+            "convergence_time": time,
+            "nis_mean": one,
+            "nees_end": one,
+            "coefficient_error": Column(("coefficient",), (len(names),), "1"),
+            "rate_estimate": Column(("window",), (windows,), "rad/s"),
+            "rate_true": Column(("window",), (windows,), "rad/s"),
+            "parameter": Column(("parameter",), (parameters,), "SI"),
+        }
+
+    @property
+    def coordinates(self) -> dict[str, tuple[str, np.ndarray, str]]:
+        """Numeric coordinates; `time` is the middle of each window."""
+        span = self.plan.block * self.plan.period
+        return {"time": ("window", (np.arange(self.plan.blocks) + 0.5) * span, "s")}
+
+    def attributes(self, settings: Settings) -> dict[str, object]:
+        """What the store and the Dataset say about how they were made."""
+        parameters = [item.path for item in self.spread.resolved(self.loop)]
+        labels = {"coefficient": list(self.loop.device.model.names), "parameter": parameters}
+        return {"schema": "memsgyro-dies/1", **settings.as_dict(), **self.plan._asdict(), LABELS: labels}
+
+    def dataset(self, rows: dict[str, np.ndarray], dies: int, settings: Settings) -> "xr.Dataset":
+        """Rows in memory as a Dataset."""
+        import xarray as xr
+
+        variables = {
+            name: (("die", *column.dimensions), rows[name][:dies], {"units": column.unit})
+            for name, column in self.columns.items()
+        }
+        variables[STATUS] = ("die", rows[STATUS][:dies])
+        coordinates = {name: (dim, values, {"units": unit}) for name, (dim, values, unit) in self.coordinates.items()}
+        return labelled(xr.Dataset(variables, coordinates, self.attributes(settings)))
+
+
+def _open_store(out: Path, runner: _Runner, settings: Settings, dies: int, resume: bool) -> Store:
+    path = out / "dies.zarr"
+    if resume and path.exists():
+        store = Store.open(path)
+        store.require(settings.fingerprint, runner.chunk)
+        store.resize(dies)
+        return store
+    return Store.create(path, runner.columns, runner.coordinates, runner.attributes(settings), dies, runner.chunk)
+
+
+def _run_all(
+    runner: _Runner, store: Store | None, dies: int, progress: Callable[[int, int], None] | None
+) -> tuple[dict[str, np.ndarray], float | None]:
+    """All chunks that are not in the store; their rows (if there is no store) and steps per second after the first
+    batch.
+    """
+    pending = store.pending() if store else list(range(-(-dies // runner.chunk)))
+    together, kept, began, timed = runner.mesh.size, [], time.perf_counter(), 0
+    for start in range(0, len(pending), together):
+        numbers = pending[start : start + together]
+        rows = runner(numbers)
+        for place, number in enumerate(numbers):
+            part = {name: value[place * runner.chunk : (place + 1) * runner.chunk] for name, value in rows.items()}
+            if store:
+                store.write(number, part)
+            else:
+                kept.append(part)
+        if start == 0:
+            began = time.perf_counter()  # the first batch compiles
+        else:
+            timed += len(numbers) * runner.chunk
+        if progress:
+            done = len(pending) - start - len(numbers)
+            progress(max(dies - done * runner.chunk, 0), dies)
+    steps = timed * runner.plan.blocks * runner.plan.block
+    speed = steps / (time.perf_counter() - began) if timed else None
+    return {name: np.concatenate([part[name] for part in kept]) for name in kept[0]} if kept else {}, speed
+
+
+def _plan(sample_rate: float, duration: float, settle: float, tolerance: float) -> lot.Plan:
+    """Windows as near to `WINDOWS` as divide the number of samples; a rest is dropped when none does."""
+    steps = count_steps(sample_rate, duration)
+    fits = [n for n in range(1, min(2 * WINDOWS, steps) + 1) if steps % n == 0]
+    best = min(fits, key=lambda n: abs(np.log(n / WINDOWS)))
+    blocks = best if best >= WINDOWS // 4 or steps < WINDOWS else WINDOWS
+    return lot.Plan(1.0 / sample_rate, blocks, steps // blocks, settle, tolerance)
+
+
+def _check(dies: int, settle: float, duration: float, tolerance: float, chunk: int | None) -> None:
+    if dies < 1:
+        raise InputError(f"Argument `dies` must be at least 1, but {dies} was given.")
+    if not 0.0 <= settle < duration:
+        raise InputError(
+            f"Argument `settle` must lie within the duration of {duration:g} s, but {settle:g} s was given."
+        )
+    if not tolerance > 0.0:
+        raise InputError(f"Argument `tolerance` must be positive, but {tolerance:g} rad/s was given.")
+    if chunk is not None and chunk < 1:
+        raise InputError(f"Argument `chunk` must be at least 1, but {chunk} was given.")
