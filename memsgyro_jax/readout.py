@@ -4,8 +4,6 @@ Every read-out is `volts = scale * signal + offset + noise` per axis. The observ
 the offset it must find. Noise is a one-sided density, so that changing the sample rate keeps the physics.
 """
 
-import abc
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -43,19 +41,11 @@ class Adc(eqx.Module):
 class AbstractReadout(eqx.Module):
     """What turns motion into the voltages an observer sees."""
 
+    scale: eqx.AbstractVar[Pair]  # volts per unit of the signal (V/m or V·s/m)
+    offset: eqx.AbstractVar[Pair]  # volts at zero signal
     noise_density: eqx.AbstractVar[Pair]
     adc: eqx.AbstractVar[Adc | None]
     signals: eqx.AbstractVar[tuple[int, int]]
-
-    @property
-    @abc.abstractmethod
-    def scale(self) -> Pair:
-        """Volts per unit of the signal, for x and y (V/m or V·s/m)."""
-
-    @property
-    @abc.abstractmethod
-    def offset(self) -> Pair:
-        """Volts at zero signal, for x and y."""
 
     def noise_std(self, period: Scalar) -> Pair:
         """Standard deviation of one sample in volts: density * sqrt(bandwidth), with bandwidth 1/(2·period)."""
