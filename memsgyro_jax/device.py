@@ -328,7 +328,8 @@ def check_positive_definite(name: str, xx: Scalar, yy: Scalar, xy: Scalar) -> No
     if not (np.all(xx > 0.0) and np.all(yy > 0.0) and np.all(xx * yy > xy**2)):
         raise InputError(
             f"The {name} matrix must be positive definite (xx > 0, yy > 0, xx·yy > xy²), "
-            f"but xx = {_worst(xx)}, yy = {_worst(yy)}, xy = {float(np.max(np.abs(xy))):g} was given; lower the coupling or correct the sign."
+            f"but xx = {_worst(xx)}, yy = {_worst(yy)}, xy = {float(np.max(np.abs(xy))):g} was given; "
+            "lower the coupling or correct the sign."
         )
 
 

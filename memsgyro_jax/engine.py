@@ -5,7 +5,7 @@ so that no NaN outlives a block; checking every sample would cost a tenth of the
 """
 
 import abc
-from typing import Generic, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -45,8 +45,8 @@ class Run(NamedTuple):
     """The end of a run: state, recorder's memory, its outputs stacked over blocks, and which dies were never lost."""
 
     state: LoopState
-    memory: object
-    outputs: object
+    memory: Any
+    outputs: Any
     alive: Bool[Array, "*lanes"]
     blocks_alive: Int[Array, "*lanes"]
 

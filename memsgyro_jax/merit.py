@@ -94,7 +94,7 @@ def following(
 
 
 def settling_time(time: Float[np.ndarray, " n"], error: Float[np.ndarray, " n"], tolerance: float) -> float:
-    """The time after which |error| stays within `tolerance`; NaN when it does not by the end, zero when it always did."""
+    """The time after which |error| stays within `tolerance`; NaN when it does not, zero when it always did."""
     outside = np.flatnonzero(~(np.abs(error) <= tolerance))
     if outside.size == 0:
         return 0.0

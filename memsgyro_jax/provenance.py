@@ -1,4 +1,4 @@
-"""What a result must carry to be repeated: settings, seed, versions, and a fingerprint of everything that was computed."""
+"""What a result carries to be repeated: settings, seed, versions, and a fingerprint of what was computed."""
 
 import hashlib
 import platform
@@ -14,7 +14,7 @@ from . import __version__
 
 @dataclass(frozen=True)
 class Settings:
-    """Sample rate in Hz, duration in s, seed, fingerprint of the computed objects, and versions of what computed them."""
+    """Sample rate in Hz, duration in s, seed, fingerprint of the computed objects, versions of what computed them."""
 
     sample_rate: float
     duration: float

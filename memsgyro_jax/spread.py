@@ -5,8 +5,10 @@ on how many dies are drawn, in which order or on how many machines.
 """
 
 import abc
+import math
 import re
 from dataclasses import dataclass
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -32,7 +34,7 @@ class AbstractDistribution(eqx.Module):
 
 
 class Normal(AbstractDistribution):
-    """Normal about the design value, cut at ±`cut` standard deviations; `relative` to the design or `std` in its unit."""
+    """Normal about the design value, cut at ±`cut` deviations; `relative` to it or `std` in its unit."""
 
     relative: float = 0.0
     std: float = 0.0
@@ -52,13 +54,13 @@ class Uniform(AbstractDistribution):
     """Uniform; `relative` half width about the design value, or from `low` to `high` in its unit."""
 
     relative: float | None = None
-    low: float | None = None
-    high: float | None = None
+    low: float = math.nan
+    high: float = math.nan
 
     def __check_init__(self):
-        if (self.relative is None) == (self.low is None or self.high is None):
+        if (self.relative is None) == (math.isnan(self.low) or math.isnan(self.high)):
             raise InputError("A uniform spread must have either `relative`, or `low` and `high`.")
-        if self.low is not None and self.high is not None and self.high < self.low:
+        if self.high < self.low:
             raise InputError(f"A uniform spread must have low <= high, but {self.low:g} and {self.high:g} were given.")
 
     def value(self, design, normal):
@@ -87,9 +89,9 @@ class Vary:
             raise InputError(f"A spread must name one number, but `{self.path}` is {type(here).__name__}.")
         return here
 
-    def find(self, root: "Root") -> object:
+    def find(self, root: "Root") -> Any:
         """Whatever stands at the path."""
-        here: object = root
+        here: Any = root
         for part in self.path.split("."):
             try:
                 here = here[int(part)] if re.fullmatch(r"\d+", part) else getattr(here, part)

@@ -7,7 +7,7 @@ reads as pending and is computed again on resume.
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,7 +16,6 @@ from .errors import InputError
 
 if TYPE_CHECKING:
     import xarray as xr
-    import zarr
 
 PENDING, OK, LOST = -1, 0, 1  # status of a die
 STATUS = "status"
@@ -37,7 +36,7 @@ class Store:
     """An open store of `dies` dies in chunks of `chunk`."""
 
     path: Path
-    group: "zarr.Group"
+    group: Any  # a zarr.Group, whose members zarr types as array or group
     dies: int
     chunk: int
 
@@ -45,7 +44,7 @@ class Store:
     def create(
         cls, path: Path, columns: dict[str, Column], coordinates: dict, attributes: dict, dies: int, chunk: int
     ) -> "Store":
-        """A new store; it appears under `path` complete or not at all. Raises `InputError` when there is one already."""
+        """A new store; complete under `path` or not there at all. Raises `InputError` when one is there."""
         import zarr
 
         if path.exists():
@@ -83,7 +82,7 @@ class Store:
         import zarr
 
         try:
-            group = zarr.open_group(path, mode="r+")
+            group: Any = zarr.open_group(path, mode="r+")
             status = group[STATUS]
             return cls(path, group, status.shape[0], status.chunks[0])
         except (KeyError, OSError, ValueError, zarr.errors.BaseZarrError) as error:
@@ -93,8 +92,9 @@ class Store:
         """Raise `InputError` unless the store holds the same computation, cut in the same chunks."""
         if self.group.attrs.get("fingerprint") != fingerprint:
             raise InputError(
-                f"{self.path} was computed from another configuration (fingerprint {self.group.attrs.get('fingerprint')} instead of "
-                f"{fingerprint}); choose another folder, or repeat the settings it was made with."
+                f"{self.path} was computed from another configuration (fingerprint "
+                f"{self.group.attrs.get('fingerprint')} instead of {fingerprint}); "
+                "choose another folder, or repeat the settings it was made with."
             )
         if self.chunk != chunk:
             raise InputError(f"{self.path} is cut in chunks of {self.chunk} dies; resume with chunk={self.chunk}.")

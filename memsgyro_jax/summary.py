@@ -7,6 +7,7 @@ import numpy as np
 
 from .loop import ClosedLoop
 from .merit import Following, Percentiles, Proportion, following, percentiles, proportion
+from .observers import ExtendedKalmanFilter
 from .provenance import Settings
 from .store import LOST, OK
 
@@ -67,7 +68,7 @@ class Summary:
             "fingerprint": self.settings.fingerprint,
             "versions": dict(self.settings.versions),
         }
-        return _without_nan(entries)
+        return {name: _without_nan(value) for name, value in entries.items()}
 
     def rows(self) -> list[tuple[str, str]]:
         """Name and value as text, for a table."""
@@ -142,6 +143,7 @@ def summarise(
 
 
 def _states(loop: ClosedLoop) -> int:
+    assert isinstance(loop.observer, ExtendedKalmanFilter)  # no other observer gives a NEES
     return len(loop.observer.covariance(loop.observer.init()))
 
 

@@ -32,7 +32,7 @@ DEFAULT_TOLERANCE = float(np.radians(20.0))
 
 @dataclass(frozen=True)
 class Lot:
-    """The dies of a sweep: `data` as a Dataset over (die, window, coefficient, parameter), SI units in its attributes."""
+    """The dies of a sweep: `data` as a Dataset over (die, window, coefficient, parameter), SI units throughout."""
 
     data: "xr.Dataset"
     settings: Settings
@@ -163,7 +163,7 @@ class _Runner:
         """Rows in memory as a Dataset."""
         import xarray as xr
 
-        variables = {
+        variables: dict[str, tuple] = {
             name: (("die", *column.dimensions), rows[name][:dies], {"units": column.unit})
             for name, column in self.columns.items()
         }

@@ -1,7 +1,7 @@
 """One closed-loop run of one die, kept sample by sample."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -60,8 +60,10 @@ class Trace:
     def __repr__(self) -> str:
         error = np.degrees(self.rate_error[len(self.time) // 2 :])
         return (
-            f"Trace of {self.time[-1]:.4g} s, {len(self.time)} samples kept at {self.settings.sample_rate:g} Hz, {self.status}\n"
-            f"rate error over the second half: mean {np.mean(error):.3g} deg/s, standard deviation {np.std(error):.3g} deg/s"
+            f"Trace of {self.time[-1]:.4g} s, {len(self.time)} samples kept at {self.settings.sample_rate:g} Hz, "
+            f"{self.status}\n"
+            f"rate error over the second half: mean {np.mean(error):.3g}, "
+            f"standard deviation {np.std(error):.3g} deg/s"
         )
 
     def to_xarray(self) -> "xr.Dataset":
@@ -102,10 +104,10 @@ class _Row(NamedTuple):
     offset: tuple
     volts: tuple
     force: tuple
-    estimate: object
+    estimate: Any
 
 
-class TraceRecorder(engine.AbstractRecorder[tuple, _Row]):
+class TraceRecorder(engine.AbstractRecorder[_Row, _Row]):
     """Keeps the last sample of each block; `empty` gives the shapes."""
 
     empty: _Row
