@@ -108,7 +108,7 @@ class ChargeAmplifier(AbstractReadout):
         µm).
         """
         density = snr_density(100.0, 1e-6, 1e5, THESIS_RATE) if noise_density is None else noise_density
-        return cls(
+        return cls(  # type: ignore[call-arg]
             fingers=113.0, width=5e-6, gap=1e-6, overlap=50e-6, mismatch=(0.1e-6, 0.085e-6), bias=10.0,
             feedback=1e-12, parasitic=1e-12, opamp_offset=(2e-3, 1e-3), noise_density=density,
         )  # fmt: skip
@@ -118,12 +118,12 @@ class ChargeAmplifier(AbstractReadout):
         """Capacitance per displacement in F/m (3.5)."""
         return tuple(n * PERMITTIVITY * w / z for n, w, z in zip(self.fingers, self.width, self.gap, strict=True))
 
-    @property
+    @property  # type: ignore[override]  # an AbstractVar of equinox may be a property
     def scale(self) -> Pair:
         """-2V/Cf · dC/dx (3.10)."""
         return tuple(-2.0 * self.bias / cf * g for cf, g in zip(self.feedback, self.gradient, strict=True))
 
-    @property
+    @property  # type: ignore[override]
     def offset(self) -> Pair:
         """α + ν·β of (3.10) and (3.12)."""
         parts = (self.gradient, self.mismatch, self.overlap, self.feedback, self.parasitic, self.opamp_offset)

@@ -11,8 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from . import lot, noise, runtime
+from .bound import information_bound
 from .errors import InputError
 from .loop import ClosedLoop
+from .observers import ExtendedKalmanFilter
 from .provenance import Settings
 from .scenario import AbstractProfile, Scenario, as_scenario
 from .spread import Spread
@@ -66,6 +68,7 @@ def sweep(
     chunk: int | None = None,
     out: str | Path | None = None,
     resume: bool = False,
+    bound_dies: int = 32,
     progress: Callable[[int, int], None] | None = None,
 ) -> Lot:
     """Run `dies` dies drawn from `spread` around `loop` and gather their figures of merit.
@@ -74,7 +77,8 @@ def sweep(
     converged when its rate error stays within `tolerance` [rad/s], and yields when it ends there. Die i depends on
     (`seed`, i) only, whatever `dies`, the devices or a resume; `chunk` (dies per device and batch) changes rounding
     only. With `out`, a folder, the rows go to `out/dies.zarr` as they are computed; `resume=True` goes on with a store
-    of the same configuration. `progress(done, dies)` is called after each batch.
+    of the same configuration. `progress(done, dies)` is called after each batch. The information bound is computed for
+    the first `bound_dies` dies (0: not at all); the summary quotes its root mean square over them.
 
     Raises `InputError` for settings that cannot be run, a store of something else, and outside float64.
     """
@@ -90,7 +94,8 @@ def sweep(
     store = None if out is None else _open_store(Path(out), runner, settings, dies, resume)
     rows, speed = _run_all(runner, store, dies, progress)
     data = store.to_xarray() if store else runner.dataset(rows, dies, settings)
-    return Lot(data, settings, summarise(data, settings, loop, None, speed))
+    bound = _bound(runner, min(dies, bound_dies), sample_rate, duration)
+    return Lot(data, settings, summarise(data, settings, loop, bound, speed))
 
 
 @dataclass(frozen=True)
@@ -170,6 +175,29 @@ class _Runner:
         variables[STATUS] = ("die", rows[STATUS][:dies])
         coordinates = {name: (dim, values, {"units": unit}) for name, (dim, values, unit) in self.coordinates.items()}
         return labelled(xr.Dataset(variables, coordinates, self.attributes(settings)))
+
+
+def _bound(runner: _Runner, dies: int, sample_rate: float, duration: float) -> float | None:
+    """Root mean square over the first dies of the least standard deviation of the rate at the end; None without noise."""
+    loop = runner.loop
+    if dies == 0 or any(float(jnp.min(density)) == 0.0 for density in loop.readout.noise_density):
+        return None
+    drawn = runner.spread.draw(loop, runner.scenario, runner.seed, np.arange(dies))
+    observer = loop.observer
+    known, prior = (observer.known, observer.prior) if isinstance(observer, ExtendedKalmanFilter) else ((), None)
+    found = information_bound(
+        drawn.loop,
+        drawn.scenario,
+        sample_rate=sample_rate,
+        duration=duration,
+        prior=prior,
+        known=known,
+        windows=1,
+        design=loop,
+    )
+    rate = found.rate_std[-1]
+    finite = rate[np.isfinite(rate)]
+    return float(np.sqrt(np.mean(finite**2))) if finite.size else None
 
 
 def _open_store(out: Path, runner: _Runner, settings: Settings, dies: int, resume: bool) -> Store:
