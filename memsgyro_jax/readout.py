@@ -118,13 +118,13 @@ class ChargeAmplifier(AbstractReadout):
         """Capacitance per displacement in F/m (3.5)."""
         return tuple(n * PERMITTIVITY * w / z for n, w, z in zip(self.fingers, self.width, self.gap, strict=True))
 
-    @property  # type: ignore[override]  # an AbstractVar of equinox may be a property
-    def scale(self) -> Pair:
+    @property
+    def scale(self) -> Pair:  # type: ignore[override]  # an AbstractVar of equinox may be a property
         """-2V/Cf · dC/dx (3.10)."""
         return tuple(-2.0 * self.bias / cf * g for cf, g in zip(self.feedback, self.gradient, strict=True))
 
-    @property  # type: ignore[override]
-    def offset(self) -> Pair:
+    @property
+    def offset(self) -> Pair:  # type: ignore[override]
         """α + ν·β of (3.10) and (3.12)."""
         parts = (self.gradient, self.mismatch, self.overlap, self.feedback, self.parasitic, self.opamp_offset)
         return tuple(
