@@ -5,8 +5,10 @@ loop and the sweep over fabricated dies, then measurements and what they say abo
 use, so that `memsgyro --help` answers without waiting for JAX.
 """
 
+import sys
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
+from types import ModuleType
 
 
 try:
@@ -62,6 +64,10 @@ _CONTENTS = {
     "sweep": "sweep",
     "Lot": "sweep",
     "Summary": "summary",
+    "load_study": "study",
+    "default_study": "study",
+    "Study": "study",
+    "read_rate_record": "study",
 }
 
 __all__ = [*_CONTENTS, "__version__"]
@@ -75,3 +81,14 @@ def __getattr__(name: str) -> object:
 
 def __dir__() -> list[str]:
     return sorted([*globals(), *_CONTENTS])
+
+
+class _Contents(ModuleType):
+    """A package in which `sweep` stays the function when the module of that name is imported."""
+
+    def __setattr__(self, name: str, value: object) -> None:
+        if not (name in _CONTENTS and isinstance(value, ModuleType)):
+            super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Contents

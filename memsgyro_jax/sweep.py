@@ -84,6 +84,7 @@ def sweep(
     """
     runtime.require_float64("sweep")
     scenario, loop = as_scenario(scenario), loop.sampled_at(sample_rate)
+    count_steps(sample_rate, duration)
     settle = 0.5 * duration if settle is None else settle
     _check(dies, settle, duration, tolerance, chunk)
     plan = _plan(sample_rate, duration, settle, tolerance)
@@ -178,7 +179,7 @@ class _Runner:
 
 
 def _bound(runner: _Runner, dies: int, sample_rate: float, duration: float) -> float | None:
-    """Root mean square over the first dies of the least standard deviation of the rate at the end; None without noise."""
+    """Root mean square over the first dies of the least standard deviation of the rate at the end, if there is one."""
     loop = runner.loop
     if dies == 0 or any(float(jnp.min(density)) == 0.0 for density in loop.readout.noise_density):
         return None

@@ -157,8 +157,8 @@ class ExtendedKalmanFilter(AbstractObserver[KalmanState]):
         self, state: KalmanState, motion: State4, offset: Pair, theta: tuple[Scalar, ...]
     ) -> Float[Array, "states *lanes"]:
         """Estimate minus truth in the order of `covariance`."""
-        difference = state.constants - self._constants(offset, theta)
-        return jnp.concatenate([jnp.stack([e - t for e, t in zip(state.motion, motion, strict=True)]), difference])
+        truth = (*motion, *self._chosen(offset, theta))
+        return jnp.stack([e - t for e, t in zip((*state.motion, *state.constants), truth, strict=True)])
 
     @property
     def known(self) -> tuple[str, ...]:
@@ -171,8 +171,11 @@ class ExtendedKalmanFilter(AbstractObserver[KalmanState]):
         return 2 if self.with_offsets else 0
 
     def _constants(self, offset: Pair, theta: tuple[Scalar, ...]) -> Float[Array, "constants *lanes"]:
-        entries = (*(offset if self.with_offsets else ()), *(theta[i] for i in self.estimated))
-        return jnp.stack(jnp.broadcast_arrays(*map(jnp.asarray, entries)))
+        return jnp.stack(jnp.broadcast_arrays(*map(jnp.asarray, self._chosen(offset, theta))))
+
+    def _chosen(self, offset: Pair, theta: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
+        """Of all offsets and coefficients those that are states."""
+        return (*(offset if self.with_offsets else ()), *(theta[i] for i in self.estimated))
 
     def _theta(self, constants: Array) -> tuple[Scalar, ...]:
         place = {index: self._first + order for order, index in enumerate(self.estimated)}
@@ -267,9 +270,7 @@ class ExtendedKalmanFilter(AbstractObserver[KalmanState]):
         return tuple(spread)
 
     def _walk(self, period: Scalar) -> Array:
-        noise = self.process_noise
-        entries = (*(noise.offset if self.with_offsets else ()), *(noise.theta[i] for i in self.estimated))
-        return jnp.stack(jnp.broadcast_arrays(*map(jnp.asarray, entries))) * period
+        return self._constants(self.process_noise.offset, self.process_noise.theta) * period
 
     def _gain(self, prior: Prediction, axis: int, variance: Scalar, earlier: Gain | None) -> Gain:
         """Covariance with the output of `axis`, given that output `earlier` has been taken."""
