@@ -18,7 +18,7 @@ MODULES = sorted(PACKAGE.rglob("*.py"))
 
 # A module imports only from modules above it. A folder counts as one place; inside it, everybody may import everybody.
 ORDER = [
-    *("errors", "runtime", "units"),
+    *("errors", "runtime", "units", "files", "table"),
     *("noise", "device", "propagate", "readout", "observers", "controllers"),
     *("filters", "scenario", "loop", "engine", "provenance", "pictures", "trace"),
     *("bound", "merit", "spread", "store", "lot", "summary", "sweep", "study"),
