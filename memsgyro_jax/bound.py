@@ -161,7 +161,8 @@ def information_bound(
             "were given."
         )
     _check_noise(loop.readout.noise_density)
-    design, loop = (loop if design is None else design).sampled_at(sample_rate), loop.sampled_at(sample_rate)
+    design = (loop if design is None else design).sampled_at(sample_rate)
+    loop = loop.sampled_at(sample_rate, design)
     unknown = _unknowns(design, prior, known, also)
     block = max(size for size in range(1, min(samples, _BLOCK) + 1) if samples % size == 0)
     lanes = _lanes(loop, design, scenario)
