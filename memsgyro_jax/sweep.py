@@ -128,7 +128,7 @@ class _Runner:
         words = noise.die_words(jax.random.key(self.seed), jnp.asarray(dies))
         design = (self.loop, self.scenario)
         rows = jax.tree.map(np.asarray, lot.run_batch(batched, scenario, design, words, self.plan, self.mesh))
-        rows["parameter"] = drawn.table[inverse]
+        rows["drawn"] = drawn.table[inverse]
         return {name: value[: len(numbers) * self.chunk] for name, value in rows.items()}
 
     @property
@@ -150,7 +150,7 @@ class _Runner:
             "coefficient_error": Column(("coefficient",), (len(names),), "1"),
             "rate_estimate": Column(("window",), (windows,), "rad/s"),
             "rate_true": Column(("window",), (windows,), "rad/s"),
-            "parameter": Column(("parameter",), (parameters,), "SI"),
+            "drawn": Column(("parameter",), (parameters,), "SI"),
         }
 
     @property
