@@ -23,7 +23,7 @@ ORDER = [
     *("filters", "scenario", "loop", "engine", "provenance", "pictures", "trace"),
     *("bound", "merit", "spread", "store", "lot", "summary", "sweep", "study"),
     *("free", "measurement", "experiments", "fit", "identify"),
-    *("report", "cli"),
+    *("report", "progress", "study_options", "sweep_command", "simulate_command", "cli"),
 ]
 
 TOP_LEVEL = {
