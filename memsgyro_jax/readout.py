@@ -7,9 +7,8 @@ the offset it must find. Noise is a one-sided density, so that changing the samp
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 
-from .device import VX, VY, Pair, Scalar, X, Y, check_positive, is_concrete, number
+from .device import VX, VY, Pair, Scalar, X, Y, check_not_negative, check_positive, number
 from .errors import InputError
 
 
@@ -165,7 +164,4 @@ def snr_density(snr: float, amplitude: float, scale: float, sample_rate: float) 
 
 def _check_density(density: Pair) -> None:
     for value in density:
-        if is_concrete(value) and not np.all(np.asarray(value) >= 0.0):
-            raise InputError(
-                f"Argument `noise_density` must not be negative, but {np.min(np.asarray(value)):g} was given."
-            )
+        check_not_negative("noise_density", value)

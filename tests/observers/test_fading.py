@@ -6,8 +6,9 @@ import pytest
 from oracles.kalman import Xia
 
 from memsgyro_jax.device import DualMassGyro, SingleMassGyro
+from memsgyro_jax.errors import InputError
 from memsgyro_jax.observers.fading import AdaptiveFading, FixedFading
-from memsgyro_jax.observers.settings import Annealing, ProcessNoise, design_prior
+from memsgyro_jax.observers.settings import Annealing, Prior, ProcessNoise, design_prior
 
 
 def factor_of(fading, period):
@@ -71,3 +72,30 @@ def test_design_prior_shares_the_rate_between_two_masses():
 def test_process_noise_takes_one_value_per_die():
     noise = ProcessNoise.of(SingleMassGyro.chi2010().model, rate=jnp.array([1.0, 2.0]))
     assert noise.theta[0].shape == (2,)
+
+
+def prior_with(**change):
+    design = design_prior(SingleMassGyro.chi2010())
+    names = ("motion", "motion_std", "offset", "offset_std", "theta", "theta_std")
+    return Prior(**{name: getattr(design, name) for name in names} | change)
+
+
+BAD = [
+    (lambda: FixedFading(-1.0), "`forgetting` must be finite and not negative, but -1"),
+    (lambda: FixedFading.per_sample(0.99, 1e5), "`forgetting` must be finite and not negative"),
+    (lambda: AdaptiveFading(0.0), "`window` must be positive and finite, but 0"),
+    (lambda: AdaptiveFading(1e-3, 0.9), "`ceiling - 1` must be finite and not negative, but -0.1"),
+    (lambda: Annealing(-1.0), "`excess` must be finite and not negative"),
+    (lambda: Annealing(10.0, 0.0), "`decay` must be positive"),
+    (lambda: ProcessNoise((0.0,) * 4, (0.0, -1.0), (0.0,) * 8), "`offset` must be finite and not negative, but -1"),
+    (lambda: ProcessNoise((0.0,) * 3, (0.0,) * 2, (0.0,) * 8), "`motion` must have 4 entries, but 3"),
+    (lambda: prior_with(theta_std=(1.0,) * 7), "`theta_std` must have 8 entries, but 7"),
+    (lambda: prior_with(motion_std=(1.0, 1.0, -1.0, 1.0)), "`motion_std` must be finite and not negative, but -1"),
+    (lambda: prior_with(offset_std=(1.0, float("nan"))), "`offset_std` must be finite and not negative, but nan"),
+]
+
+
+@pytest.mark.parametrize(("make", "words"), BAD, ids=[words for _, words in BAD])
+def test_impossible_settings_are_refused(make, words):
+    with pytest.raises(InputError, match=words):
+        make()

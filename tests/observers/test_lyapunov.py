@@ -129,3 +129,9 @@ def test_starts_where_it_is_told():
 def test_a_displacement_read_out_is_refused():
     with pytest.raises(InputError, match=r"needs a velocity read-out; use `DirectReadout.of_velocity`"):
         LyapunovObserver.for_device(SINGLE, ChargeAmplifier.chi2010())
+
+
+@pytest.mark.parametrize("change", [{"gain": 0.0}, {"gain": (1.0, -2.0)}, {"length": 0.0}, {"frequency": -1.0}])
+def test_impossible_gains_and_units_are_refused(change):
+    with pytest.raises(InputError, match=f"`{next(iter(change))}` must be positive and finite"):
+        LyapunovObserver.for_device(SINGLE, READOUT, **change)
