@@ -179,9 +179,14 @@ class _Runner:
 
 
 def _bound(runner: _Runner, dies: int, sample_rate: float, duration: float) -> float | None:
-    """Root mean square over the first dies of the least standard deviation of the rate at the end, if there is one."""
+    """Root mean square over the first dies of the least standard deviation of the rate at the end, if there is one.
+
+    The bound is that of a constant rate on a constant device, so there is none where anything varies.
+    """
     loop = runner.loop
-    if dies == 0 or any(float(jnp.min(density)) == 0.0 for density in loop.readout.noise_density):
+    conditions = jax.vmap(runner.scenario.at)(jnp.linspace(0.0, duration, 1001))
+    varies = any(float(jnp.ptp(value)) > 0.0 for value in jax.tree.leaves(conditions))
+    if dies == 0 or varies or any(float(jnp.min(density)) == 0.0 for density in loop.readout.noise_density):
         return None
     drawn = runner.spread.draw(loop, runner.scenario, runner.seed, np.arange(dies))
     observer = loop.observer
