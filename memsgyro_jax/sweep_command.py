@@ -5,8 +5,10 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+from .errors import InputError
 from .files import write_whole
 from .progress import progress
+from .study import Study
 from .study_options import chosen_study, require_writable, writing
 from .sweep import Lot, sweep
 
@@ -24,29 +26,31 @@ def run(
 
     `settings` are entries of the study's section `[sweep]`; None leaves the study's own.
     """
+    if resume and overwrite:
+        raise InputError("Options `--resume` and `--overwrite` must not be given together; leave one of them out.")
     chosen, notes = chosen_study(study, rate_record, **settings)
     require_writable(out / "summary.json", json_file)
     for note in notes:
         print(note)
-    store = out / "dies.zarr"
-    if overwrite and not resume:
-        shutil.rmtree(store, ignore_errors=True)
-    with writing(store, "make room or choose another folder, then go on with `--resume`"):
-        try:
-            with progress("dies", "compiling") as show:
-                lot = sweep(**chosen.sweep_arguments, out=out, resume=resume, progress=show)
-        finally:
-            shutil.rmtree(store.with_name(f"{store.name}.part"), ignore_errors=True)
-        print(_table(lot))
+    with writing(out, "make room or choose another folder, then go on with `--resume`"):
+        lot = _sweep(chosen, out, resume, overwrite)
         _write(lot, chosen, out, json_file)
+    print(lot)
     print(f"{out / 'report.html'}, summary.json and dies.zarr hold the details.")
 
 
-def _table(lot: Lot) -> str:
-    return repr(lot)
+def _sweep(study: Study, out: Path, resume: bool, overwrite: bool) -> Lot:
+    store = out / "dies.zarr"
+    if overwrite:
+        shutil.rmtree(store, ignore_errors=True)
+    try:
+        with progress("dies", "compiling") as show:
+            return sweep(**study.sweep_arguments, out=out, resume=resume, progress=show)
+    finally:
+        shutil.rmtree(store.with_name(f"{store.name}.part"), ignore_errors=True)
 
 
-def _write(lot: Lot, study: Any, out: Path, json_file: Path | None) -> None:
+def _write(lot: Lot, study: Study, out: Path, json_file: Path | None) -> None:
     from .report.sweep_page import sweep_page
 
     text = json.dumps(lot.summary.as_dict(), indent=2, ensure_ascii=False, allow_nan=False) + "\n"

@@ -1,5 +1,6 @@
 """Pictures of the report pages, as figures free of pyplot's state."""
 
+from dataclasses import fields, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
 
 WIDTH = 9.0  # inches; the page scales a figure to its own width
 _MANY = 12  # parameters at most in the grid of `parameter_figure`
+_POINTS = 1000  # rows of a trace in a picture
+_PERIODS, _FASTEST = 12.0, 4e3  # how many periods of motion are shown, of modes up to this many Hz
 _INK, _BAND, _WARN = "#1d2530", "#3b6fb6", "#c2502e"
 
 
@@ -53,7 +56,7 @@ def convergence_figure(lot: "Lot") -> Figure:
     ax.set_ylim(*_limits(estimate, true))
     ax.set_xlabel("time [ms]")
     ax.set_ylabel("rate [deg/s]")
-    ax.legend(loc="best", frameon=False, fontsize="small")
+    figure.legend(loc="outside lower center", frameon=False, fontsize="small", ncols=5)
     return _plain(figure)
 
 
@@ -118,30 +121,50 @@ def _rank(values: np.ndarray, error: np.ndarray) -> float:
     return float(stats.spearmanr(values, error).statistic) if np.ptp(values) > 0.0 and np.ptp(error) > 0.0 else 0.0
 
 
-def trace_figure(trace: "Trace", quantity: str) -> Figure:
-    """Estimate beside truth over time."""
+def rate_figure(trace: "Trace") -> Figure:
+    """Estimated and true rate over time."""
     figure = Figure(figsize=(WIDTH, 3.2), layout="constrained")
-    trace.plot(quantity, figure.subplots())
+    _thinned(trace).plot("rate", figure.subplots())
+    return _plain(figure)
+
+
+def motion_figure(trace: "Trace") -> Figure | None:
+    """Estimated and true displacement over the last periods; None where too few samples were kept to show a period."""
+    kept = (len(trace.time) - 1) / (trace.time[-1] - trace.time[0]) if len(trace.time) > 1 else 0.0
+    last = min(len(trace.time), round(_PERIODS * kept / _FASTEST))
+    if kept < 8.0 * _FASTEST or last < 8:
+        return None
+    figure = Figure(figsize=(WIDTH, 3.2), layout="constrained")
+    _rows(trace, slice(-last, None)).plot("motion", figure.subplots())
     return _plain(figure)
 
 
 def coefficients_figure(trace: "Trace") -> Figure:
-    """Relative error of every coefficient but the rate over time."""
-    figure = Figure(figsize=(WIDTH, 3.6), layout="constrained")
+    """Size of the relative error of every coefficient but the rate over time."""
+    figure, trace = Figure(figsize=(WIDTH, 3.6), layout="constrained"), _thinned(trace)
     ax = figure.subplots()
+    error = 100.0 * np.abs(trace.theta_estimate / trace.theta - 1.0)
     for index, name in enumerate(trace.coefficients):
         if not name.startswith("rate"):
-            ax.plot(
-                1e3 * trace.time,
-                100.0 * (trace.theta_estimate[:, index] / trace.theta[index] - 1.0),
-                lw=1.1,
-                label=name,
-            )
-    ax.set_yscale("symlog", linthresh=0.1)
+            ax.plot(1e3 * trace.time, np.maximum(error[:, index], 1e-12), lw=1.1, label=name)
+    ax.set_yscale("log")
     ax.set_xlabel("time [ms]")
     ax.set_ylabel("relative error [%]")
-    ax.legend(loc="best", frameon=False, ncols=4, fontsize="small")
+    figure.legend(loc="outside lower center", frameon=False, ncols=8, fontsize="small")
     return _plain(figure)
+
+
+def _thinned(trace: "Trace") -> "Trace":
+    """About `_POINTS` rows: more cannot be seen, but make the page heavy."""
+    return _rows(trace, slice(None, None, max(1, len(trace.time) // _POINTS)))
+
+
+def _rows(trace: "Trace", rows: slice) -> "Trace":
+    long = {
+        field.name: getattr(trace, field.name) for field in fields(trace) if field.name not in ("theta", "settings")
+    }
+    count = len(trace.time)
+    return replace(trace, **{n: v[rows] for n, v in long.items() if isinstance(v, np.ndarray) and len(v) == count})
 
 
 def _plain(figure: Figure) -> Figure:

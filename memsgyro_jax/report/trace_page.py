@@ -16,12 +16,12 @@ def trace_page(trace: "Trace", study: "Study", rows: list[tuple[str, str]]) -> P
     """The report of `trace`, a run of `study`; `rows` are its figures as name and value."""
     page = Page("One run of the closed loop", f"{study.source.name}, seed {trace.settings.seed}")
     page.section("Result").table(["figure", "value"], rows)
-    page.section("Rate")
-    page.figure(figures.trace_figure(trace, "rate"), "Estimated and true rate over time.")
-    page.section("Motion")
-    page.figure(figures.trace_figure(trace, "motion"), "Estimated displacement; true displacement dashed.")
+    page.section("Rate").figure(figures.rate_figure(trace), "Estimated and true rate over time.")
+    motion = figures.motion_figure(trace)
+    if motion is not None:
+        page.section("Motion").figure(motion, "Displacement over the last periods; estimated, and dashed the true one.")
     page.section("Coefficients")
-    page.figure(figures.coefficients_figure(trace), "Estimate over truth, minus one; linear within ± 0.1 %.")
+    page.figure(figures.coefficients_figure(trace), "Size of estimate over truth minus one.")
     page.section("Settings")
     page.table(["entry", "value"], list(settings(study.file.model_dump(by_alias=True, exclude_none=True))))
     page.table(["made with", "version"], [*trace.settings.versions, ("fingerprint", trace.settings.fingerprint)])
