@@ -25,7 +25,8 @@ class Settings:
     @classmethod
     def of(cls, *objects: object, sample_rate: float, duration: float, seed: int) -> "Settings":
         """Settings of a run of `objects` (loop, scenario, ...), whose every number enters the fingerprint."""
-        return cls(float(sample_rate), float(duration), int(seed), fingerprint(*objects, sample_rate, duration, seed), versions())
+        digits = fingerprint(*objects, sample_rate, duration, seed)
+        return cls(float(sample_rate), float(duration), int(seed), digits, versions())
 
     def as_dict(self) -> dict[str, object]:
         """Flat entries for attributes and JSON."""
