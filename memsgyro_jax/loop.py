@@ -7,7 +7,7 @@ import jax
 import numpy as np
 
 from .controllers.base import AbstractController
-from .device import AbstractGyro, Pair, Scalar, is_concrete, mode_frequencies, number
+from .device import AbstractGyro, Pair, Scalar, check_positive, is_concrete, mode_frequencies, number
 from .errors import InputError
 from .observers.base import AbstractObserver, Clock, Estimate
 from .observers.settings import arrays
@@ -54,6 +54,9 @@ class ClosedLoop(eqx.Module):
             raise InputError(
                 "The observer must expect the kind of device it watches; make it with `for_device(gyro, readout)`."
             )
+        check_positive("travel", self.travel)
+        if is_concrete(self.start) and not (len(self.start) == 4 and all(np.all(np.isfinite(v)) for v in self.start)):
+            raise InputError("Argument `start` must be 4 finite numbers (x, y, vx, vy), in m and m/s.")
 
     def init(self) -> LoopState:
         """The state at time zero."""
