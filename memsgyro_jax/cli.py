@@ -98,8 +98,8 @@ def sweep(
 ) -> None:
     """Monte Carlo over fabricated dies of the closed loop.
 
-    Prints percentiles of the rate error, the yield with its interval and the ratio to the information bound. Without a
-    study file it is the single-mass gyroscope of the thesis with a spread of 15 %.
+    Prints percentiles of the rate error, the yield, and the ratio to the bound.
+    Without a study file: the single-mass gyroscope of the thesis, 15 % spread.
 
     Args:
         study: a study file (TOML).

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .errors import InputError
 from .files import write_whole
 from .loop import ClosedLoop
 from .scenario import Scenario
@@ -34,6 +35,8 @@ def run(
 
     `die` is a number of the study's sweep; None runs the design itself. `settings` as in `sweep_command.run`.
     """
+    if die is not None and die < 0:
+        raise InputError(f"Option `--die` must be the number of a die, 0 or more, but {die} was given.")
     chosen, notes = chosen_study(study, rate_record, **settings)
     require_writable(out and out / "summary.json", json_file)
     for note in notes:

@@ -25,6 +25,8 @@ _INK, _BAND, _WARN = "#1d2530", "#3b6fb6", "#c2502e"
 def error_figure(lot: "Lot") -> Figure:
     """Histogram of the rate error at the end, with the information bound and the tolerance."""
     figure = Figure(figsize=(WIDTH, 3.4), layout="constrained")
+    if not np.isfinite(lot.data["rate_error_end"].values).any():
+        return _nothing(figure)
     ax = pictures.lot(lot, figure.subplots())
     tolerance = np.degrees(float(lot.data.attrs["tolerance"]))
     low, high = ax.get_xlim()
@@ -38,13 +40,12 @@ def error_figure(lot: "Lot") -> Figure:
 def convergence_figure(lot: "Lot") -> Figure:
     """The estimated rate of all dies over time beside the true rate: median and percentiles of window means."""
     figure = Figure(figsize=(WIDTH, 3.6), layout="constrained")
-    ax = figure.subplots()
     time = 1e3 * lot.data["time"].values
     alive = np.isfinite(lot.data["rate_error_end"].values)
     estimate, true = (np.degrees(lot.data[name].values[alive]) for name in ("rate_estimate", "rate_true"))
     if not estimate.size:
-        ax.text(0.5, 0.5, "no die survived", ha="center", transform=ax.transAxes)
-        return _plain(figure)
+        return _nothing(figure)
+    ax = figure.subplots()
     for low, high, alpha in ((5.0, 95.0, 0.2), (25.0, 75.0, 0.35)):
         band = np.percentile(estimate, [low, high], axis=0)
         ax.fill_between(time, *band, color=_BAND, alpha=alpha, lw=0, label=f"{low:.0f} to {high:.0f} % of the dies")
@@ -165,6 +166,11 @@ def _rows(trace: "Trace", rows: slice) -> "Trace":
     }
     count = len(trace.time)
     return replace(trace, **{n: v[rows] for n, v in long.items() if isinstance(v, np.ndarray) and len(v) == count})
+
+
+def _nothing(figure: Figure) -> Figure:
+    figure.text(0.5, 0.5, "no die survived", ha="center")
+    return figure
 
 
 def _plain(figure: Figure) -> Figure:
