@@ -97,7 +97,10 @@ class Store:
                 "choose another folder, or repeat the settings it was made with."
             )
         if self.chunk != chunk:
-            raise InputError(f"{self.path} is cut in chunks of {self.chunk} dies; resume with chunk={self.chunk}.")
+            raise InputError(
+                f"{self.path} was cut in blocks of {self.chunk} dies, this run would cut {chunk}; "
+                "resume with the chunk size it was made with."
+            )
 
     def resize(self, dies: int) -> None:
         """Make room for more dies; what is there stays. Fewer dies are refused."""

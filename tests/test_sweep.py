@@ -125,7 +125,7 @@ def test_a_store_of_something_else_is_refused(loop, tmp_path):
         mg.sweep(loop, mg.Spread.relative(0.1), dies=8, chunk=8, out=tmp_path, resume=True, **SHORT)
     with pytest.raises(InputError, match="another configuration"):
         mg.sweep(loop, SPREAD, dies=8, chunk=8, seed=1, out=tmp_path, resume=True, **SHORT)
-    with pytest.raises(InputError, match="chunks of 8"):
+    with pytest.raises(InputError, match="blocks of 64"):
         mg.sweep(loop, SPREAD, dies=8, chunk=4, out=tmp_path, resume=True, **SHORT)
     with pytest.raises(InputError, match="holds 8 dies"):
         mg.sweep(loop, SPREAD, dies=7, chunk=8, out=tmp_path, resume=True, **SHORT)
