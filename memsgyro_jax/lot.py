@@ -21,24 +21,17 @@ DIE_AXIS = "die"
 
 
 class LotMemory(NamedTuple):
-    """Running sums of one die."""
+    """Of one die: the last time outside the tolerance, and sums over the present window."""
 
     outside: Scalar
-    settled: Scalar
     error: Scalar
     squared: Scalar
     nis: Scalar
-    window_estimate: Scalar
-    window_true: Scalar
-    window: Scalar
 
 
-class LotRecorder(engine.AbstractRecorder[LotMemory, tuple[Scalar, Scalar]]):
-    """Sums over the settled part (from `settle` [s] on), the last time outside `tolerance` [rad/s], and window means of
-    the rate.
-    """
+class LotRecorder(engine.AbstractRecorder[LotMemory, tuple[Scalar, Scalar, Scalar]]):
+    """Sums of rate error, its square and NIS over each window, and the last time outside `tolerance` [rad/s]."""
 
-    settle: Scalar = number()
     tolerance: Scalar = number()
 
     def init(self) -> LotMemory:
@@ -47,27 +40,19 @@ class LotRecorder(engine.AbstractRecorder[LotMemory, tuple[Scalar, Scalar]]):
 
     def sample(self, memory: LotMemory, sample: Sample) -> LotMemory:
         """Add one sample."""
-        estimate, true = sample.estimate.rate, sample.conditions.inertial.rate
-        error = estimate - true
-        settled = jnp.where(sample.clock.time >= self.settle, 1.0, 0.0)
+        error = sample.estimate.rate - sample.conditions.inertial.rate
         nis = 0.0 if sample.estimate.nis is None else sample.estimate.nis
         return LotMemory(
             outside=jnp.where(jnp.abs(error) <= self.tolerance, memory.outside, sample.clock.time),
-            settled=memory.settled + settled,
-            error=memory.error + settled * error,
-            squared=memory.squared + settled * error**2,
-            nis=memory.nis + settled * nis,
-            window_estimate=memory.window_estimate + estimate,
-            window_true=memory.window_true + true,
-            window=memory.window + 1.0,
+            error=memory.error + error,
+            squared=memory.squared + error**2,
+            nis=memory.nis + nis,
         )
 
-    def block(self, memory: LotMemory) -> tuple[LotMemory, tuple[Scalar, Scalar]]:
-        """The window's mean estimate and mean true rate."""
-        output = memory.window_estimate / memory.window, memory.window_true / memory.window
-        return memory._replace(
-            window_estimate=0.0 * memory.window, window_true=0.0 * memory.window, window=0.0 * memory.window
-        ), output
+    def block(self, memory: LotMemory) -> tuple[LotMemory, tuple[Scalar, Scalar, Scalar]]:
+        """The window's sums; the next window starts from zero."""
+        sums = (memory.error, memory.squared, memory.nis)
+        return LotMemory(memory.outside, *(0.0 * value for value in sums)), sums
 
 
 class Plan(NamedTuple):
@@ -80,6 +65,12 @@ class Plan(NamedTuple):
     block: int
     settle: float
     tolerance: float
+
+    @property
+    def settled_window(self) -> int:
+        """The first window that lies in the settled part; the last window when none does."""
+        first = np.ceil(self.settle / (self.block * self.period) - 1e-9)
+        return min(int(first), self.blocks - 1)
 
 
 @eqx.filter_jit
@@ -105,32 +96,49 @@ def _spec(value: Array, plain: Array) -> P:
 
 
 def _rows(loop: ClosedLoop, scenario: Scenario, design: ClosedLoop, words: tuple, plan: Plan) -> dict[str, Array]:
-    recorder = LotRecorder(plan.settle, plan.tolerance)
+    recorder = LotRecorder(plan.tolerance)
     done = engine.run(loop, scenario, words, plan.period, plan.blocks, plan.block, recorder, design)
     end = plan.blocks * plan.block * plan.period
-    memory, state = done.memory, done.state
+    error, squared, nis = (sums / plan.block for sums in done.outputs)
+    settled = slice(plan.settled_window, None)
     conditions = scenario.at(end - 0.5 * plan.period)
-    estimate = loop.observer.estimate(state.observer)
-    error = estimate.rate - conditions.inertial.rate
-    mean = memory.error / memory.settled
+    estimate = loop.observer.estimate(done.state.observer)
     truth = loop.device.coefficients(conditions.inertial.rate)
+    rate_true = _window_rates(scenario, plan, words[0].shape)
+    outside, mean_square = done.memory.outside, jnp.mean(squared[settled], axis=0)
     nothing = jnp.full(words[0].shape, jnp.nan)
-    has_nis = estimate.nis is not None
+    consistent = estimate.nis is not None
     rows = {
         "lost_at": jnp.where(done.alive, jnp.nan, done.blocks_alive * plan.block * plan.period),
-        "rate_error_end": error,
-        "rate_error_rms": jnp.sqrt(memory.squared / memory.settled),
-        "rate_series_std": jnp.sqrt(jnp.maximum(memory.squared / memory.settled - mean**2, 0.0)),
+        "rate_error_end": estimate.rate - conditions.inertial.rate,
+        "rate_error_rms": jnp.sqrt(mean_square),
+        "rate_series_std": jnp.sqrt(jnp.maximum(mean_square - jnp.mean(error[settled], axis=0) ** 2, 0.0)),
         "rate_std_end": nothing if estimate.rate_variance is None else jnp.sqrt(estimate.rate_variance),
-        "convergence_time": jnp.where(memory.outside >= end - 0.5 * plan.period, jnp.nan, memory.outside),
-        "nis_mean": memory.nis / memory.settled if has_nis else nothing,
-        "nees_end": _nees(loop, state, conditions.offset_drift, truth) if has_nis else nothing,
-        "coefficient_error": jnp.stack([e / t - 1.0 for e, t in zip(estimate.theta, truth, strict=True)]),
-        "rate_estimate": done.outputs[0],
-        "rate_true": done.outputs[1],
+        "convergence_time": jnp.where(outside >= end - 0.5 * plan.period, jnp.nan, outside),
+        "nis_mean": jnp.mean(nis[settled], axis=0) if consistent else nothing,
+        "nees_end": _nees(loop, done.state, conditions.offset_drift, truth) if consistent else nothing,
+        "coefficient_error": jnp.stack([_relative(e, t) for e, t in zip(estimate.theta, truth, strict=True)]),
+        "rate_estimate": rate_true + error,
+        "rate_true": rate_true,
     }
     hide = {name: jnp.where(done.alive, value, jnp.nan) for name, value in rows.items() if name != "lost_at"}
     return {**rows, **hide, "status": jnp.where(done.alive, 0, 1).astype(jnp.int8)}
+
+
+def _relative(estimate: Scalar, true: Scalar) -> Scalar:
+    """Relative error; NaN for a quantity that is zero."""
+    return jnp.where(true == 0.0, jnp.nan, (estimate - true) / true)
+
+
+def _window_rates(scenario: Scenario, plan: Plan, lanes: tuple[int, ...]) -> Array:
+    """Mean true rate of each window; the rate of a sample is that of its middle."""
+
+    def window(number: Array) -> Array:
+        middles = (number * plan.block + jnp.arange(plan.block) + 0.5) * plan.period
+        return jnp.mean(jax.vmap(scenario.rate.value)(middles), axis=0)
+
+    rates = jax.lax.map(window, jnp.arange(plan.blocks))
+    return jnp.broadcast_to(rates.reshape(rates.shape + (1,) * (1 + len(lanes) - rates.ndim)), (plan.blocks, *lanes))
 
 
 def _nees(loop: ClosedLoop, state: engine.LoopState, drift: tuple, theta: tuple[Scalar, ...]) -> Array:
