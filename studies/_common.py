@@ -76,7 +76,8 @@ class _Keep(engine.AbstractRecorder):
         rate = sample.estimate.rate
         filtered, state = self.lowpass.step(memory[0], rate, sample.clock.period)
         true, seen = sample.conditions.inertial.rate, sample.estimate
-        return state, (true + 0.0 * rate, rate, filtered, seen.theta, seen.offset, sample.motion)
+        kept = (true, rate, filtered, seen.theta, seen.offset, sample.motion)
+        return state, jax.tree.map(lambda value: value + 0.0 * rate, kept)  # one value per run, also of constants
 
     def block(self, memory):
         return memory, memory[1]

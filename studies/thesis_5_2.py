@@ -10,10 +10,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 from _common import Report, dps, rms, seeds
 
-from memsgyro_jax import (
-    Annealing, ChargeAmplifier, ClosedLoop, DampingCompensation, DirectReadout, DualMassGyro, ExtendedKalmanFilter,
-    ForwardEuler, SingleMassGyro, Tone, design_prior, information_bound, runtime, snr_density,
-)  # fmt: skip
+import memsgyro_jax as mg
+from memsgyro_jax import runtime
 
 
 runtime.configure()
@@ -29,32 +27,32 @@ DUAL = {
 }  # fmt: skip
 
 
-def single_mass() -> ClosedLoop:
-    gyro, readout = SingleMassGyro.chi2010(), ChargeAmplifier.chi2010()
-    return closed(gyro, readout, Tone(600.0, 53.95))
+def single_mass() -> mg.ClosedLoop:
+    gyro, readout = mg.SingleMassGyro.chi2010(), mg.ChargeAmplifier.chi2010()
+    return closed(gyro, readout, mg.Tone(600.0, 53.95))
 
 
-def dual_mass() -> ClosedLoop:
-    density = snr_density(100.0, 1e-6, 1e5, 10e6)
-    readout = DirectReadout(1e5, offset=(8e-3, 12e-3), noise_density=density)
-    return closed(DualMassGyro.chi2010(), readout, (Tone(250.0, 53.95), Tone(450.0, 53.95)))
+def dual_mass() -> mg.ClosedLoop:
+    density = mg.snr_density(100.0, 1e-6, 1e5, 10e6)
+    readout = mg.DirectReadout(1e5, offset=(8e-3, 12e-3), noise_density=density)
+    return closed(mg.DualMassGyro.chi2010(), readout, (mg.Tone(250.0, 53.95), mg.Tone(450.0, 53.95)))
 
 
-def closed(gyro, readout, tones) -> ClosedLoop:
+def closed(gyro, readout, tones) -> mg.ClosedLoop:
     """The filter starts at 85 % of every true coefficient, at rate zero and without offsets."""
-    prior = design_prior(gyro)
+    prior = mg.design_prior(gyro)
     prior = eqx.tree_at(lambda p: p.theta, prior, tuple(0.85 * value for value in prior.theta))
-    observer = ExtendedKalmanFilter.for_device(gyro, readout, prior=prior, annealing=Annealing())
-    return ClosedLoop(gyro, readout, observer, DampingCompensation(tones=tones))
+    observer = mg.ExtendedKalmanFilter.for_device(gyro, readout, prior=prior, annealing=mg.Annealing())
+    return mg.ClosedLoop(gyro, readout, observer, mg.DampingCompensation(tones=tones))
 
 
-def by_euler(loop: ClosedLoop) -> ClosedLoop:
+def by_euler(loop: mg.ClosedLoop) -> mg.ClosedLoop:
     """Plant and filter by forward Euler, no annealing: the thesis' own numerics."""
     where = lambda made: (made.discretisation, made.observer.discretisation, made.observer.annealing)  # noqa: E731
-    return eqx.tree_at(where, loop, (ForwardEuler(), ForwardEuler(), None), is_leaf=lambda x: x is None)
+    return eqx.tree_at(where, loop, (mg.ForwardEuler(), mg.ForwardEuler(), None), is_leaf=lambda x: x is None)
 
 
-def relative_errors(loop: ClosedLoop, runs) -> dict[str, float]:
+def relative_errors(loop: mg.ClosedLoop, runs) -> dict[str, float]:
     """Root mean square over the seeds at 0.1 s, relative to the truth."""
     at = np.argmin(np.abs(runs.time - 0.1))
     names, theta = loop.device.model.names, np.asarray(loop.device.coefficients(RATE))
@@ -64,14 +62,14 @@ def relative_errors(loop: ClosedLoop, runs) -> dict[str, float]:
     return found
 
 
-def study(report: Report, name: str, loop: ClosedLoop, claimed: dict[str, float], ax) -> None:
+def study(report: Report, name: str, loop: mg.ClosedLoop, claimed: dict[str, float], ax) -> None:
     count, fast = (32, 4) if report.quick else (256, 16)
     runs = seeds(loop, RATE, count=count, sample_rate=100e3, duration=0.2)
     euler = seeds(by_euler(loop), RATE, count=fast, sample_rate=10e6, duration=0.1 if report.quick else 0.2)
-    bound = information_bound(loop, RATE, sample_rate=100e3, duration=0.2, windows=100)
+    bound = mg.information_bound(loop, RATE, sample_rate=100e3, duration=0.2, windows=100)
     error, end = dps(runs.rate - RATE), np.argmin(np.abs(runs.time - 0.1))
     least = dps(bound.rate_std[np.argmin(np.abs(bound.time - 0.1))])
-    prior = information_bound(loop, RATE, sample_rate=100e3, duration=0.1, prior=loop.observer.prior, windows=1)
+    prior = mg.information_bound(loop, RATE, sample_rate=100e3, duration=0.1, prior=loop.observer.prior, windows=1)
 
     say = lambda what, *rest: report.row(f"{name}: {what}", *rest)  # noqa: E731
     say("rate, Cramér-Rao bound at 0.1 s [deg/s]", "-", least, "no unbiased estimator can do better")

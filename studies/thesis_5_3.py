@@ -13,46 +13,44 @@ import numpy as np
 from _common import Report, dps, rms, seeds
 from matplotlib.ticker import FixedLocator, NullLocator, ScalarFormatter
 
-from memsgyro_jax import (
-    Annealing, ClosedLoop, DampingCompensation, DirectReadout, ExtendedKalmanFilter, FixedFading, ForwardEuler, Ramp,
-    Scenario, Sine, SingleMassGyro, Tone, design_prior, runtime, snr_density,
-)  # fmt: skip
+import memsgyro_jax as mg
+from memsgyro_jax import runtime
 
 
 runtime.configure()
 
-THESIS = FixedFading.per_sample(1.00014, 10e6)  # 1400/s: a memory of 0.7 ms
+THESIS = mg.FixedFading.per_sample(1.00014, 10e6)  # 1400/s: a memory of 0.7 ms
 CLAIMS = {"kxx": 1.1e-5, "kyy": 8.9e-6, "kxy": 5e-5, "dxx": 1.36e-2, "dyy": 1.19e-2, "dxy": 1.4e-2}
 
 
-def closed(fading: FixedFading, euler: bool = False) -> ClosedLoop:
+def closed(fading: mg.FixedFading, euler: bool = False) -> mg.ClosedLoop:
     """The filter starts at 90 % of every true coefficient, the read-out has offsets of 10 and 12 mV."""
-    gyro, step = SingleMassGyro.chi2010(), ForwardEuler() if euler else None
-    readout = DirectReadout(1e5, offset=(10e-3, 12e-3), noise_density=snr_density(100.0, 1e-6, 1e5, 10e6))
-    prior = design_prior(gyro, spread=0.1)
+    gyro, step = mg.SingleMassGyro.chi2010(), mg.ForwardEuler() if euler else None
+    readout = mg.DirectReadout(1e5, offset=(10e-3, 12e-3), noise_density=mg.snr_density(100.0, 1e-6, 1e5, 10e6))
+    prior = mg.design_prior(gyro, spread=0.1)
     prior = eqx.tree_at(lambda p: p.theta, prior, tuple(0.9 * value for value in prior.theta))
-    observer = ExtendedKalmanFilter.for_device(gyro, readout, prior=prior, fading=fading, discretisation=step,
-                                               annealing=None if euler else Annealing())  # fmt: skip
-    loop = ClosedLoop(gyro, readout, observer, DampingCompensation(tones=Tone(600.0, 53.95)))
+    observer = mg.ExtendedKalmanFilter.for_device(gyro, readout, prior=prior, fading=fading, discretisation=step,
+                                               annealing=None if euler else mg.Annealing())  # fmt: skip
+    loop = mg.ClosedLoop(gyro, readout, observer, mg.DampingCompensation(tones=mg.Tone(600.0, 53.95)))
     return eqx.tree_at(lambda made: made.discretisation, loop, step) if euler else loop
 
 
-def drifting() -> Scenario:
+def drifting() -> mg.Scenario:
     """Rate 1 rad/s, from 36 ms rising by 15 rad/s²; offsets from 45 ms drifting by 3 and 3.5 mV/s."""
-    return Scenario(rate=Ramp(0.036, 15.0, 1.0), offset_drift=(Ramp(0.045, 3e-3), Ramp(0.045, 3.5e-3)))
+    return mg.Scenario(rate=mg.Ramp(0.036, 15.0, 1.0), offset_drift=(mg.Ramp(0.045, 3e-3), mg.Ramp(0.045, 3.5e-3)))
 
 
-def noise_of(loop: ClosedLoop, count: int, sample_rate: float, duration: float):
+def noise_of(loop: mg.ClosedLoop, count: int, sample_rate: float, duration: float):
     """Root mean square rate error after 45 ms, over time and seeds, and the runs."""
     runs = seeds(loop, drifting(), count=count, sample_rate=sample_rate, duration=duration)
     late = runs.time > 0.045
     return float(rms(dps(runs.rate - runs.rate_true)[late])), runs
 
 
-def bandwidth_of(loop: ClosedLoop, frequencies: np.ndarray, each: int, sample_rate: float, duration: float):
+def bandwidth_of(loop: mg.ClosedLoop, frequencies: np.ndarray, each: int, sample_rate: float, duration: float):
     """Where a rate of 5 rad/s sin(2π f t) comes through 3 dB weaker, from `each` seeds per frequency."""
     tones = jnp.repeat(jnp.asarray(frequencies), each)
-    runs = seeds(loop, Sine(5.0, tones), count=len(tones), sample_rate=sample_rate, duration=duration, points=400)
+    runs = seeds(loop, mg.Sine(5.0, tones), count=len(tones), sample_rate=sample_rate, duration=duration, points=400)
     late = runs.time > 0.02
     phase = 2.0 * np.pi * runs.time[late, None] * np.asarray(tones)
     gain = []
@@ -79,7 +77,7 @@ report.row("bandwidth, -3 dB [Hz]", "> 30", bandwidth, "correct plant, λ as the
 
 curve = []
 for forgetting in (100.0, 400.0) if report.quick else (50.0, 100.0, 200.0, 400.0):
-    slow = closed(FixedFading(forgetting))
+    slow = closed(mg.FixedFading(forgetting))
     curve.append((bandwidth_of(slow, tones, each, 50e3, duration), noise_of(slow, count, 50e3, duration)[0]))
 curve = np.asarray(sorted([*curve, (bandwidth, error)]))
 at_30 = float(np.exp(np.interp(np.log(30.0), *np.log(curve).T)))
