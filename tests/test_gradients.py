@@ -59,32 +59,35 @@ def directions(loop):
     return made
 
 
-def check_gradients(loop, count, epsilon, tolerance):
+def check_gradients(loop, count, epsilon, tolerance, reverse=True):
     """Reverse mode, forward mode and a fourth-order finite difference agree along each direction."""
     arrays, static = eqx.partition(loop, eqx.is_inexact_array)
     value = jax.jit(lambda a: end_error(eqx.combine(a, static), count=count))
-    gradient = jax.jit(jax.grad(value))(arrays)
+    gradient = jax.jit(jax.grad(value))(arrays) if reverse else None
     forward = jax.jit(lambda a, t: jax.jvp(value, (a,), (t,))[1])
     for part, tangent in directions(loop).items():
-        along = sum(jnp.vdot(g, t) for g, t in zip(*map(jax.tree.leaves, (gradient, tangent)), strict=True))
+        along = float(forward(arrays, tangent))
         values = [
             float(value(jax.tree.map(lambda a, t, s=s: a + s * epsilon * t, arrays, tangent))) for s in (-2, -1, 1, 2)
         ]
         difference = (values[0] - 8 * values[1] + 8 * values[2] - values[3]) / (12 * epsilon)
-        assert float(forward(arrays, tangent)) == pytest.approx(float(along), rel=1e-9), part
-        assert float(along) == pytest.approx(difference, rel=tolerance), part
+        assert along == pytest.approx(difference, rel=tolerance), part
         assert along != 0.0, part
+        if reverse:
+            pairs = zip(*map(jax.tree.leaves, (gradient, tangent)), strict=True)
+            assert float(sum(jnp.vdot(g, t) for g, t in pairs)) == pytest.approx(along, rel=1e-9), part
 
 
 def test_gradients_of_the_lyapunov_loop(small):
     check_gradients(small, 300, 1e-5, 1e-6)
 
 
-@pytest.mark.slow
-def test_gradients_of_the_kalman_loop():
-    observer = ExtendedKalmanFilter.for_device(DESIGN, CIRCUIT)
-    loop = ClosedLoop(DESIGN, CIRCUIT, observer, DampingCompensation(Tone(600.0, 53.95)), discretisation=Exact(8))
-    check_gradients(eqx.tree_at(lambda tree: tree.observer.discretisation, loop, Exact(8)), 200, 1e-5, 1e-6)
+def test_derivatives_of_the_kalman_loop():
+    """Forward mode only: with the flags of `runtime.configure`, reverse mode takes minutes to compile."""
+    observer = ExtendedKalmanFilter.for_device(DESIGN, CIRCUIT, discretisation=Exact(8))
+    controller = DampingCompensation(Tone(600.0, 53.95))
+    loop = ClosedLoop(DESIGN, CIRCUIT, observer, controller, discretisation=Exact(8))
+    check_gradients(loop, 200, 1e-4, 1e-6, reverse=False)
 
 
 def test_gradients_pass_through_a_converter(small):
