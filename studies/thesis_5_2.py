@@ -65,7 +65,7 @@ def relative_errors(loop: mg.ClosedLoop, runs) -> dict[str, float]:
 def study(report: Report, name: str, loop: mg.ClosedLoop, claimed: dict[str, float], ax) -> None:
     count, fast = (32, 4) if report.quick else (256, 16)
     runs = seeds(loop, RATE, count=count, sample_rate=100e3, duration=0.2)
-    euler = seeds(by_euler(loop), RATE, count=fast, sample_rate=10e6, duration=0.1 if report.quick else 0.2)
+    euler = seeds(by_euler(loop), RATE, count=fast, sample_rate=10e6, duration=0.11)
     bound = mg.information_bound(loop, RATE, sample_rate=100e3, duration=0.2, windows=100)
     error, end = dps(runs.rate - RATE), np.argmin(np.abs(runs.time - 0.1))
     least = dps(bound.rate_std[np.argmin(np.abs(bound.time - 0.1))])
@@ -78,7 +78,7 @@ def study(report: Report, name: str, loop: mg.ClosedLoop, claimed: dict[str, flo
     say("rate error at 0.1 s [deg/s]", claimed["rate"], rms(error[end]), spread)
     series = np.median(np.std(error[end:], axis=0))
     say("  one run's own std, 0.1-0.2 s [deg/s]", claimed["rate"], series, "reading 1: forgets the run's common error")
-    late = euler.time >= 0.1 if not report.quick else euler.time >= 0.09
+    late = euler.time >= 0.1
     fast_error = dps(euler.rate - RATE)
     pumped = 1e6 * np.max(np.abs(euler.motion[:, :2]))
     say("  Euler plant and filter, 10 MHz [deg/s]", claimed["rate"], rms(fast_error[late]),
