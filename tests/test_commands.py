@@ -195,6 +195,7 @@ RECORDS = [
     ("0.005,60", "0,005,60", ["line 3", "decimal"]),
     (",60", "", ["line 3", "cut short"]),
 ]
+BOTH = STUDY.replace("dies = 256", "dies = 8")
 IN_STUDY = '[scenario]\nrate = { kind = "record", file = "r.csv" }\n'
 REFUSED = [
     # (files, tokens, what the sentence must say)
@@ -203,6 +204,7 @@ REFUSED = [
     *(({"r.csv": RECORD.replace(old, new)}, ["sweep", "--rate-record", "r.csv"], ["r.csv", *words])
       for old, new, words in RECORDS),
     ({"s.toml": IN_STUDY, "r.csv": RECORD.replace("60", "inf")}, ["sweep", "s.toml"], ["line 2", "r.csv, line 3"]),
+    ({"s.toml": BOTH}, ["sweep", "s.toml", "--dies", "-4"], ["s.toml, changed: `sweep.dies`", "-4"]),
     ({"out": "mine"}, ["sweep", "--out", "out"], ["out", "no folder"]),
     ({"j/x": ""}, ["sweep", "--json", "j"], ["j must be a file"]),
     ({"sweep-out/dies.zarr/x": "mine"}, ["sweep", "--resume"], ["dies.zarr", "not the store"]),

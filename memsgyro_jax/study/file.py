@@ -2,7 +2,7 @@
 
 import json
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -112,7 +112,9 @@ class Study:
             for table in tables:
                 here = here.setdefault(table, {})
             here[key] = value
-        return read_study(data, self.source)
+        # A line of the file would name a value that the change has replaced.
+        changed = Source(f"{self.source.name}, changed", self.source.folder)
+        return replace(read_study(data, changed), source=self.source)
 
     def to_toml(self, folder: str | Path | None = None) -> str:
         """The study as a file; names of recorded rates are relative to `folder` where they lie below it."""

@@ -234,7 +234,9 @@ def test_a_recorded_rate_lies_beside_its_study(write, tmp_path):
 def test_changes_are_checked_like_a_file():
     study = mg.default_study()
     assert study.changed({"sweep.dies": 3, "device.mass": "2e-7 kg"}).settings.dies == 3
-    with pytest.raises(mg.InputError, match=r"^the default study: `sweep.dies`: must be greater than or equal to 1"):
+    with pytest.raises(
+        mg.InputError, match=r"^the default study, changed: `sweep.dies`: must be greater than or equal to 1"
+    ):
         study.changed({"sweep.dies": 0})
 
 
