@@ -75,24 +75,38 @@ class Plan(NamedTuple):
 
 @eqx.filter_jit
 def run_batch(
-    loop: ClosedLoop, scenario: Scenario, design: tuple[ClosedLoop, Scenario], words: tuple, plan: Plan, mesh: Mesh
+    loop: ClosedLoop,
+    scenario: Scenario,
+    design: tuple[ClosedLoop, Scenario],
+    words: tuple,
+    plan: Plan,
+    mesh: Mesh,
+    lanes: int,
 ) -> dict[str, Float[Array, "dies ..."]]:
-    """The rows of a batch of dies, split evenly over the devices of `mesh`; dies lead in the result."""
+    """The rows of a batch of dies, split evenly over the devices of `mesh` and run `lanes` at a time; dies lead."""
     dynamic, static = eqx.partition((loop, scenario, words), eqx.is_array)
     plain = (*design, jax.tree.map(lambda word: word[0], words))
-    specs = jax.tree.map(_spec, dynamic, eqx.filter(plain, eqx.is_array))
+    varies = jax.tree.map(lambda value, one: value.ndim > one.ndim, dynamic, eqx.filter(plain, eqx.is_array))
+    specs = jax.tree.map(_spec, dynamic, varies)
 
-    def part(dynamic):
+    def group(dynamic):
         loop, scenario, words = eqx.combine(dynamic, static)
         rows = _rows(loop, scenario, design[0], words, plan)
         return {name: jnp.moveaxis(value, -1, 0) for name, value in rows.items()}
 
+    def part(dynamic):
+        # Always the same number of dies side by side: the compiler rounds differently for every vector length.
+        varied, common = eqx.partition(dynamic, varies)
+        groups = jax.tree.map(lambda v: jnp.moveaxis(v.reshape((*v.shape[:-1], -1, lanes)), -2, 0), varied)
+        rows = jax.lax.map(lambda chosen: group(eqx.combine(chosen, common)), groups)
+        return jax.tree.map(lambda v: v.reshape((-1, *v.shape[2:])), rows)
+
     return jax.shard_map(part, mesh=mesh, in_specs=(specs,), out_specs=P(DIE_AXIS), check_vma=False)(dynamic)
 
 
-def _spec(value: Array, plain: Array) -> P:
+def _spec(value: Array, varies: bool) -> P:
     """Split the trailing axis over devices where a leaf has one entry per die."""
-    return P(*(None,) * plain.ndim, DIE_AXIS) if value.ndim > plain.ndim else P()
+    return P(*(None,) * (value.ndim - 1), DIE_AXIS) if varies else P()
 
 
 def _rows(loop: ClosedLoop, scenario: Scenario, design: ClosedLoop, words: tuple, plan: Plan) -> dict[str, Array]:

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 WINDOWS = 100  # at most about this many window means of the rate are kept per die, however long the run
 CHUNKS_PER_BLOCK = 8
-CPU_CHUNK, GPU_CHUNK = 32, 8192  # dies per device and batch: a CPU core wants them in its cache, a GPU wants many
+CPU_LANES, GPU_LANES = 32, 8192  # dies side by side: a CPU core wants them in its cache, a GPU wants many
 DEFAULT_TOLERANCE = float(np.radians(20.0))
 
 
@@ -76,10 +76,10 @@ def sweep(
 
     `scenario` as in `simulate`. Statistics over time start at `settle` [s] (default: half the duration); a die has
     converged when its rate error stays within `tolerance` [rad/s], and yields when it ends there. Die i depends on
-    (`seed`, i) only, whatever `dies`, the devices or a resume; `chunk` (dies per device and batch) changes rounding
-    only. With `out`, a folder, the rows go to `out/dies.zarr` as they are computed; `resume=True` goes on with a store
-    of the same configuration. `progress(done, dies)` is called after each batch. The information bound is computed for
-    the first `bound_dies` dies (0: not at all); the summary quotes its root mean square over them.
+    (`seed`, i) only: not a bit of it changes with `dies`, `chunk` (dies per device and batch), the number of CPU
+    devices or a resume. With `out`, a folder, the rows go to `out/dies.zarr` as they are computed; `resume=True` goes
+    on with a store of the same configuration. `progress(done, dies)` is called after each batch. The information bound
+    is computed for the first `bound_dies` dies (0: not at all); the summary quotes its root mean square over them.
 
     Raises `InputError` for settings that cannot be run, a store of something else, and outside float64.
     """
@@ -91,8 +91,8 @@ def sweep(
     plan = _plan(sample_rate, duration, settle, tolerance)
     settings = Settings.of(loop, scenario, spread, plan, sample_rate=sample_rate, duration=duration, seed=seed)
     devices = jax.local_devices()
-    chunk = chunk or (CPU_CHUNK if devices[0].platform == "cpu" else GPU_CHUNK)
-    runner = _Runner(loop, scenario, spread, plan, seed, chunk, lot.mesh_of(devices))
+    lanes = CPU_LANES if devices[0].platform == "cpu" else GPU_LANES
+    runner = _Runner(loop, scenario, spread, plan, seed, chunk or lanes, lot.mesh_of(devices), lanes)
     store = None if out is None else _open_store(Path(out), runner, settings, dies, resume)
     rows, speed = _run_all(runner, store, dies, progress)
     data = store.to_xarray() if store else runner.dataset(rows, dies, settings)
@@ -111,6 +111,7 @@ class _Runner:
     seed: int
     chunk: int
     mesh: jax.sharding.Mesh
+    lanes: int
 
     def batches(self, block: int, dies: int) -> Iterator[dict[str, np.ndarray]]:
         """The rows of one block, batch by batch: a chunk for each device at a time, up to the block's end or `dies`.
@@ -126,8 +127,11 @@ class _Runner:
             count = min(chunks - first, self.mesh.size)
             # A last batch that does not fill the devices repeats its last chunk: one shape, one compilation.
             batch = [first + min(n, count - 1) for n in range(self.mesh.size)]
-            places = np.concatenate([np.arange(n * self.chunk, (n + 1) * self.chunk) for n in batch])
-            yield {name: value[: count * self.chunk] for name, value in self._run(drawn, words, places).items()}
+            # A chunk that does not fill the lanes repeats its last die.
+            inside = np.minimum(np.arange(-(-self.chunk // self.lanes) * self.lanes), self.chunk - 1)
+            rows = self._run(drawn, words, np.concatenate([n * self.chunk + inside for n in batch]))
+            chosen = np.concatenate([n * len(inside) + np.arange(self.chunk) for n in range(count)])
+            yield {name: value[chosen] for name, value in rows.items()}
 
     @property
     def block(self) -> int:
@@ -142,7 +146,7 @@ class _Runner:
             design,
         )
         chosen = tuple(jnp.asarray(word[places]) for word in words)
-        rows = lot.run_batch(loop, scenario, design, chosen, self.plan, self.mesh)
+        rows = lot.run_batch(loop, scenario, design, chosen, self.plan, self.mesh, self.lanes)
         return {**jax.tree.map(np.asarray, rows), "drawn": drawn.table[places]}
 
     @property

@@ -1,7 +1,7 @@
 """Over many dies the filter reaches the information bound and knows its own error, at any sample rate.
 
-Rate, start of the motion and device parameters are drawn from the prior the filter is given, so that nothing but the filter can
-be at fault.
+Rate, start of the motion and device parameters are drawn from the prior the filter is given, so that nothing but the
+filter can be at fault.
 """
 
 import dataclasses
