@@ -108,13 +108,13 @@ figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4), layout="constrained"
 left.plot(1e3 * correct.time, dps(correct.rate[:, 0]), label="estimate, correct plant", lw=0.8)
 left.plot(1e3 * euler.time, dps(euler.rate[:, 0]), "C3", label="estimate, Euler plant and filter", lw=0.8)
 left.plot(1e3 * correct.time, dps(correct.rate_true[:, 0]), "k--", label="true rate")
-left.set(xlabel="time [ms]", ylabel="rate [deg/s]", ylim=(-100, 250), title="λ = 1.00014 at 10 MHz, one run each")
+left.set(xlabel="time [ms]", ylabel="rate [deg/s]", xlim=(0, 100), ylim=(-100, 250), title="λ = 1.00014 at 10 MHz")
 right.loglog(curve[:, 0], curve[:, 1], "o-", label="correct plant, memory 20 to 0.7 ms")
 right.loglog(fast_bandwidth, last, "C3s", label="Euler plant and filter, last 10 ms")
 right.axhline(5.63, color="C2", ls=":", label="claimed: 5.63 deg/s and > 30 Hz")
 right.axvline(30.0, color="C2", ls=":")
 right.set(xlabel="-3 dB bandwidth [Hz]", ylabel="rate error [deg/s]", title="noise against speed")
-for axis, ticks in ((right.xaxis, (20, 30, 50, 100, 200, 300)), (right.yaxis, (5, 10, 20, 50))):
+for axis, ticks in ((right.xaxis, (10, 20, 30, 50, 100, 200, 300)), (right.yaxis, (5, 10, 20, 50))):
     axis.set_major_locator(FixedLocator(ticks))
     axis.set_minor_locator(NullLocator())
     axis.set_major_formatter(ScalarFormatter())
