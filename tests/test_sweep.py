@@ -190,8 +190,8 @@ def test_the_default_lot_is_consistent_and_at_the_bound(loop):
     assert figures.nis == pytest.approx(2.0, abs=0.02)
     text = json.loads(json.dumps(figures.as_dict()))
     assert set(text) >= {
-        "schema", "dies", "failed", "rate_error_dps", "bound_dps", "ratio_to_bound", "nees", "convergence_time_s", "yield",
-        "steps_per_s", "seed", "versions",
+        "schema", "dies", "failed", "rate_error_dps", "bound_dps", "ratio_to_bound", "nees", "convergence_time_s",
+        "yield", "steps_per_s", "seed", "versions",
     }  # fmt: skip
     assert set(text["rate_error_dps"]["end"]) == set(text["rate_error_dps"]["settled"]) == {"rms", "p50", "p95"}
     assert set(text["yield"]) == {"value", "low", "high", "criterion"}
