@@ -5,8 +5,10 @@ loop and the sweep over fabricated dies, then measurements and what they say abo
 use, so that `memsgyro --help` answers without waiting for JAX.
 """
 
+import sys
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
+from types import ModuleType
 
 
 try:
@@ -17,6 +19,60 @@ except PackageNotFoundError:  # running from a source tree that was never instal
 _CONTENTS = {
     # name: module that defines it
     "InputError": "errors",
+    "SingleMassGyro": "device",
+    "DualMassGyro": "device",
+    "AbstractGyro": "device",
+    "mode_frequencies": "device",
+    "ChargeAmplifier": "readout",
+    "DirectReadout": "readout",
+    "Adc": "readout",
+    "AbstractReadout": "readout",
+    "snr_density": "readout",
+    "ExtendedKalmanFilter": "observers",
+    "LyapunovObserver": "observers",
+    "AbstractObserver": "observers",
+    "Estimate": "observers",
+    "Clock": "observers",
+    "Prior": "observers",
+    "ProcessNoise": "observers",
+    "Annealing": "observers",
+    "design_prior": "observers",
+    "FixedFading": "observers",
+    "AdaptiveFading": "observers",
+    "DampingCompensation": "controllers",
+    "ReferenceModel": "controllers",
+    "OpenLoop": "controllers",
+    "AbstractController": "controllers",
+    "Tone": "controllers",
+    "Exact": "propagate",
+    "ForwardEuler": "propagate",
+    "Lowpass": "filters",
+    "Bandpass": "filters",
+    "Scenario": "scenario",
+    "AbstractProfile": "scenario",
+    "Constant": "scenario",
+    "Step": "scenario",
+    "Ramp": "scenario",
+    "Sine": "scenario",
+    "Chirp": "scenario",
+    "Recorded": "scenario",
+    "ClosedLoop": "loop",
+    "simulate": "trace",
+    "Trace": "trace",
+    "information_bound": "bound",
+    "InformationBound": "bound",
+    "CROSS_DAMPING_ASYMMETRY": "bound",
+    "Spread": "spread",
+    "Vary": "spread",
+    "Normal": "spread",
+    "Uniform": "spread",
+    "sweep": "sweep",
+    "Lot": "sweep",
+    "Summary": "summary",
+    "load_study": "study",
+    "default_study": "study",
+    "Study": "study",
+    "read_rate_record": "study",
 }
 
 __all__ = [*_CONTENTS, "__version__"]
@@ -30,3 +86,14 @@ def __getattr__(name: str) -> object:
 
 def __dir__() -> list[str]:
     return sorted([*globals(), *_CONTENTS])
+
+
+class _Contents(ModuleType):
+    """A package in which `sweep` stays the function when the module of that name is imported."""
+
+    def __setattr__(self, name: str, value: object) -> None:
+        if not (name in _CONTENTS and isinstance(value, ModuleType)):
+            super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Contents

@@ -25,6 +25,7 @@ app = cyclopts.App(
     name="memsgyro",
     help="Simulates vibratory gyroscopes in closed loop, one die or thousands, and lays them beside measurements.",
     version=__version__,
+    help_format="plaintext",  # markdown would cost a third of the time that `--help` takes
     suppress_keyboard_interrupt=False,  # `main` answers it
 )
 
@@ -38,56 +39,6 @@ def main(tokens: Sequence[str] | None = None) -> None:
         tokens: the command line without the program's name; `None` takes it from the process.
     """
     sys.exit(_run(app, sys.argv[1:] if tokens is None else tokens))
-
-
-@app.command
-def identify(
-    *sweeps: Path,
-    method: Literal["likelihood", "ratio"] = "likelihood",
-    mass: float | None = None,
-    amplitude_noise: float | None = None,
-    phase_noise: float | None = None,
-    effects: Annotated[tuple[str, ...], cyclopts.Parameter(consume_multiple=True)] = (),
-    drive_axis: Literal["x", "y"] | None = None,
-    conjugated: Annotated[bool, cyclopts.Parameter(negative=())] = False,
-    json: Path | None = None,
-    report: Path | None = None,
-) -> None:
-    """Coupling errors of a frequency sweep, with uncertainty and a verdict.
-
-    The CSV has `f [Hz]` and both channels as `Vx_I [V]`, `Vx_Q [V]`, `Vy_I [V]`, `Vy_Q [V]` or as `Vx_amp [1]`, `Vx_phase [deg]`,
-    `Vy_amp [1]`, `Vy_phase [deg]`; `F_x [N]` or `F_y [N]` gives the drive level and names the driven electrode. Phasors follow
-    e^{+iwt}.
-
-    Args:
-        sweeps: one or several CSV files of one device, with the x electrode, the y electrode or each of them driven.
-        method: maximum likelihood on both complex responses, or the published least squares on their ratio.
-        mass: of the mode in kg; without it c_xy and k_xy are per unit mass.
-        amplitude_noise: relative, peak to peak; without it the noise is estimated from neighbouring points.
-        phase_noise: in degrees, peak to peak.
-        effects: also model electrical_feedthrough, finite_sweep_rate.
-        drive_axis: the driven electrode of files without `F_x` and `F_y`.
-        conjugated: the file follows e^{-iwt}.
-        json: file for the machine-readable result.
-        report: file for a page with the curves, the fit and the residual.
-    """
-    from .runtime import configure
-
-    configure()
-    from .identify_command import run
-
-    run(
-        sweeps,
-        method=method,
-        mass=mass,
-        amplitude_noise=amplitude_noise,
-        phase_noise=phase_noise,
-        effects=effects,
-        drive_axis=drive_axis,
-        conjugated=conjugated,
-        json=json,
-        report=report,
-    )
 
 
 def _run(application: cyclopts.App, tokens: Sequence[str]) -> int:
@@ -124,6 +75,145 @@ def _file_sentence(error: OSError) -> str:
     """Disk full, no permission, no such file: the file first, then the system's own words."""
     reason = error.strerror or str(error) or type(error).__name__
     return f"{error.filename}: {reason}." if error.filename else f"{reason}."
+
+
+_Flag = Annotated[bool, cyclopts.Parameter(negative=())]
+
+
+@app.command
+def sweep(
+    study: Path | None = None,
+    /,
+    *,
+    dies: int | None = None,
+    seed: int | None = None,
+    out: Path = Path("sweep-out"),
+    resume: _Flag = False,
+    overwrite: _Flag = False,
+    rate_record: Path | None = None,
+    sample_rate: float | None = None,
+    duration: float | None = None,
+    chunk: int | None = None,
+    json: Path | None = None,
+) -> None:
+    """Monte Carlo over fabricated dies of the closed loop.
+
+    Prints percentiles of the rate error, the yield, and the ratio to the bound.
+    Without a study file: the single-mass gyroscope of the thesis, 15 % spread.
+
+    Args:
+        study: a study file (TOML).
+        dies: how many dies.
+        seed: of the dies and of their noise.
+        out: folder for dies.zarr, summary.json and report.html.
+        resume: go on with the dies.zarr in that folder, also to more dies.
+        overwrite: replace the dies.zarr in that folder.
+        rate_record: CSV with the header "t [s],rate [deg/s]" (any units), in place of the study's rate.
+        sample_rate: in Hz.
+        duration: of a run in s; a recorded rate's own without this option.
+        chunk: dies per device and batch.
+        json: another place for a copy of summary.json.
+    """
+    from .runtime import configure
+
+    configure()
+    from .sweep_command import run
+
+    run(
+        study, rate_record, out, resume, overwrite, json, dies=dies, seed=seed, chunk=chunk,
+        sample_rate=_with_unit(sample_rate, "Hz"), duration=_with_unit(duration, "s"),
+    )  # fmt: skip
+
+
+@app.command
+def simulate(
+    study: Path | None = None,
+    /,
+    *,
+    rate_record: Path | None = None,
+    die: int | None = None,
+    seed: int | None = None,
+    sample_rate: float | None = None,
+    duration: float | None = None,
+    out: Path | None = None,
+    json: Path | None = None,
+) -> None:
+    """One run of the closed loop.
+
+    Args:
+        study: a study file (TOML); without it the single-mass gyroscope of the thesis.
+        rate_record: CSV with the header "t [s],rate [deg/s]" (any units), in place of the study's rate.
+        die: number of a die of the study's sweep; without it the design itself runs.
+        seed: of the dies and of their noise.
+        sample_rate: in Hz.
+        duration: of the run in s; a recorded rate's own without this option.
+        out: folder for trace.zarr, summary.json and report.html.
+        json: file for the machine-readable result.
+    """
+    from .runtime import configure
+
+    configure()
+    from .simulate_command import run
+
+    run(
+        study, rate_record, out, json, die,
+        seed=seed, sample_rate=_with_unit(sample_rate, "Hz"), duration=_with_unit(duration, "s"),
+    )  # fmt: skip
+
+
+@app.command
+def identify(
+    *sweeps: Path,
+    method: Literal["likelihood", "ratio"] = "likelihood",
+    mass: float | None = None,
+    amplitude_noise: float | None = None,
+    phase_noise: float | None = None,
+    effects: Annotated[tuple[str, ...], cyclopts.Parameter(consume_multiple=True)] = (),
+    drive_axis: Literal["x", "y"] | None = None,
+    conjugated: _Flag = False,
+    json: Path | None = None,
+    report: Path | None = None,
+) -> None:
+    """Coupling errors of a frequency sweep, with uncertainty and a verdict.
+
+    The CSV has "f [Hz]" and both channels as "Vx_I [V]", "Vx_Q [V]", "Vy_I [V]", "Vy_Q [V]" or as "Vx_amp [1]",
+    "Vx_phase [deg]", "Vy_amp [1]", "Vy_phase [deg]"; "F_x [N]" or "F_y [N]" is the drive level and names the driven
+    electrode. Phasors follow e^{+iwt}.
+
+    Args:
+        sweeps: one or several CSV files of one device, with the x electrode, the y electrode or each of them driven.
+        method: maximum likelihood on both complex responses, or the published least squares on their ratio.
+        mass: of the mode in kg; without it c_xy and k_xy are per unit mass.
+        amplitude_noise: relative, peak to peak; without it the noise is estimated from neighbouring points.
+        phase_noise: in degrees, peak to peak.
+        effects: also model electrical_feedthrough, finite_sweep_rate.
+        drive_axis: the driven electrode of files without `F_x` and `F_y`.
+        conjugated: the file follows e^{-iwt}.
+        json: file for the machine-readable result.
+        report: file for a page with the curves, the fit and the residual.
+    """
+    from .runtime import configure
+
+    configure()
+    from .identify_command import run
+
+    run(
+        sweeps,
+        method=method,
+        mass=mass,
+        amplitude_noise=amplitude_noise,
+        phase_noise=phase_noise,
+        effects=effects,
+        drive_axis=drive_axis,
+        conjugated=conjugated,
+        json=json,
+        report=report,
+    )
+
+
+def _with_unit(number: float | None, unit: str) -> dict[str, object] | None:
+    """A number of the command line as a study file would hold it."""
+    return None if number is None else {"value": number, "unit": unit}
 
 
 if __name__ == "__main__":

@@ -316,8 +316,14 @@ def is_concrete(*values: object) -> bool:
 
 def check_positive(name: str, value: Scalar) -> None:
     """Raise `InputError` unless every entry is positive and finite; traced values pass."""
-    if is_concrete(value) and not np.all(np.asarray(value) > 0.0):
-        raise InputError(f"Argument `{name}` must be positive, but {_worst(value)} was given.")
+    if is_concrete(value) and not np.all((np.asarray(value) > 0.0) & np.isfinite(value)):
+        raise InputError(f"Argument `{name}` must be positive and finite, but {_worst(value)} was given.")
+
+
+def check_not_negative(name: str, value: Scalar) -> None:
+    """Raise `InputError` unless every entry is zero or positive, and finite; traced values pass."""
+    if is_concrete(value) and not np.all((np.asarray(value) >= 0.0) & np.isfinite(value)):
+        raise InputError(f"Argument `{name}` must be finite and not negative, but {_worst(value)} was given.")
 
 
 def check_positive_definite(name: str, xx: Scalar, yy: Scalar, xy: Scalar) -> None:
@@ -325,12 +331,16 @@ def check_positive_definite(name: str, xx: Scalar, yy: Scalar, xy: Scalar) -> No
     if not is_concrete(xx, yy, xy):
         return
     xx, yy, xy = (np.asarray(v, dtype=float) for v in (xx, yy, xy))
-    if not (np.all(xx > 0.0) and np.all(yy > 0.0) and np.all(xx * yy > xy**2)):
+    if not np.all((xx > 0.0) & (yy > 0.0) & (xx * yy > xy**2) & np.isfinite(xx * yy)):
         raise InputError(
             f"The {name} matrix must be positive definite (xx > 0, yy > 0, xx·yy > xy²), "
-            f"but xx = {_worst(xx)}, yy = {_worst(yy)}, xy = {float(np.max(np.abs(xy))):g} was given; lower the coupling or correct the sign."
+            f"but xx = {_worst(xx)}, yy = {_worst(yy)}, xy = {float(np.max(np.abs(xy))):g} was given; "
+            "lower the coupling or correct the sign."
         )
 
 
 def _worst(value: Scalar) -> str:
-    return f"{float(np.min(np.asarray(value))):g}"
+    """The entry to complain about: the first that is not finite, else the smallest."""
+    entries = np.ravel(np.asarray(value))
+    bad = entries[~np.isfinite(entries)]
+    return f"{float(bad[0] if bad.size else np.min(entries)):g}"

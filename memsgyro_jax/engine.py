@@ -5,7 +5,9 @@ so that no NaN outlives a block; checking every sample would cost a tenth of the
 """
 
 import abc
-from typing import Generic, NamedTuple, TypeVar
+import math
+from collections.abc import Callable
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -45,8 +47,8 @@ class Run(NamedTuple):
     """The end of a run: state, recorder's memory, its outputs stacked over blocks, and which dies were never lost."""
 
     state: LoopState
-    memory: object
-    outputs: object
+    memory: Any
+    outputs: Any
     alive: Bool[Array, "*lanes"]
     blocks_alive: Int[Array, "*lanes"]
 
@@ -92,8 +94,26 @@ def run(
         lambda value, like: over_dies(value, len(like.shape), lanes), (loop.init(), recorder.init()), ranks
     )
     start = (*begin, jnp.ones(lanes, bool), jnp.zeros(lanes, int))
-    (state, memory, alive, survived), outputs = jax.lax.scan(one_block, start, jnp.arange(blocks))
+    (state, memory, alive, survived), outputs = _scan_in_groups(one_block, start, blocks)
     return Run(state, memory, outputs, alive, survived)
+
+
+_FLAT = 256  # blocks up to which one loop stacks the outputs
+
+
+def _scan_in_groups(body: Callable, start: tuple, count: int) -> tuple[tuple, Any]:
+    """`jax.lax.scan` of `body` over 0 … count-1, as a loop of loops when there are many.
+
+    With multi-output fusion XLA copies the stacked outputs at every turn instead of writing a row, so that one loop
+    costs count²: 100 000 rows took minutes. Two loops cost count^1.5.
+    """
+    group = 1 if count <= _FLAT else max(n for n in range(1, math.isqrt(count) + 1) if count % n == 0)
+    if group == 1:
+        return jax.lax.scan(body, start, jnp.arange(count))
+    end, stacked = jax.lax.scan(
+        lambda carry, numbers: jax.lax.scan(body, carry, numbers), start, jnp.arange(count).reshape(-1, group)
+    )
+    return end, jax.tree.map(lambda rows: rows.reshape(count, *rows.shape[2:]), stacked)
 
 
 def _healthy(loop: ClosedLoop, state: LoopState) -> Bool[Array, "*lanes"]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from .errors import InputError
 from .experiments import Noise, PolarNoise
+from .files import write_whole
 from .identify import identify
 from .identify_ratio import identify_by_ratio
 from .measurement import read_sweep
@@ -44,8 +45,6 @@ def run(
         from .report.identification import page as build
 
         page = build(result).html()
-    from .report.page import write_whole
-
     for path, text in ((json, result.to_json() + "\n" if json else None), (report, page)):
         if path is not None:
             write_whole(path, text)

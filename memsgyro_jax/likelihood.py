@@ -10,7 +10,7 @@ from jaxtyping import Array, Complex, PyTree
 
 from . import fit as fitting
 from . import sweep_start
-from .experiments import Bench, ElectricalFeedthrough, FiniteSweepRate, FrequencySweep, PolarNoise
+from .experiments import Bench, FiniteSweepRate, FrequencySweep
 from .experiments.seen import SeenBench
 from .free import Free, Log, LogLogit, fixed, mark
 
@@ -67,7 +67,9 @@ def refit(start: SeenBench, sweeps: Sequence[FrequencySweep], **options) -> fitt
     return fitting.fit(gauge_fixed(start), free_parameters(start, sweeps), sweeps, **options)
 
 
-def refit_draws(start: SeenBench, sweep: FrequencySweep, draws: Complex[Array, "d n 2"], together: int = 4) -> fitting.Fit:
+def refit_draws(
+    start: SeenBench, sweep: FrequencySweep, draws: Complex[Array, "d n 2"], together: int = 4
+) -> fitting.Fit:
     """Refit every noise draw of a sweep from one start, by `vmap` over `together` of them at a time so that they stay in the cache.
 
     Every leaf of the result has the draws along its leading axis.

@@ -7,7 +7,7 @@ import jax
 import numpy as np
 
 from .controllers.base import AbstractController
-from .device import AbstractGyro, Pair, Scalar, is_concrete, mode_frequencies, number
+from .device import AbstractGyro, Pair, Scalar, check_positive, is_concrete, mode_frequencies, number
 from .errors import InputError
 from .observers.base import AbstractObserver, Clock, Estimate
 from .observers.settings import arrays
@@ -54,6 +54,9 @@ class ClosedLoop(eqx.Module):
             raise InputError(
                 "The observer must expect the kind of device it watches; make it with `for_device(gyro, readout)`."
             )
+        check_positive("travel", self.travel)
+        if is_concrete(self.start) and not (len(self.start) == 4 and all(np.all(np.isfinite(v)) for v in self.start)):
+            raise InputError("Argument `start` must be 4 finite numbers (x, y, vx, vy), in m and m/s.")
 
     def init(self) -> LoopState:
         """The state at time zero."""
@@ -76,16 +79,17 @@ class ClosedLoop(eqx.Module):
         new = LoopState(motion, observer, controller)
         return new, Sample(end, conditions, motion, volts, force, self.observer.estimate(observer))
 
-    def sampled_at(self, sample_rate: float) -> "ClosedLoop":
+    def sampled_at(self, sample_rate: float, design: "ClosedLoop | None" = None) -> "ClosedLoop":
         """This loop with its series long enough to be exact at `sample_rate` [Hz]; inside a transformation, unchanged.
 
         Raises `InputError` when the sample rate cannot carry the device's modes.
         """
         if not (np.isfinite(sample_rate) and sample_rate > 0.0):
             raise InputError(f"Argument `sample_rate` must be a positive number of Hz, but {sample_rate} was given.")
-        if not is_concrete(self.device):
+        device = self.device if design is None else design.device
+        if not is_concrete(device):
             return self
-        exact = Exact.covering(float(np.max(mode_frequencies(self.device))) * _MARGIN, sample_rate)
+        exact = Exact.covering(float(np.max(mode_frequencies(device))) * _MARGIN, sample_rate)
         return jax.tree.map(lambda part: exact if isinstance(part, Exact) else part, self, is_leaf=_is_exact)
 
 

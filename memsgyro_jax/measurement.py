@@ -6,35 +6,17 @@ the driven electrode), `T [degC]`, `V_bias [V]`, `rate [deg/s]`, `t [s]`. Any un
 the phase of the driven channel falls.
 """
 
-import csv
-import io
 import re
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from .errors import InputError
-from .units import parse_header, to_si
+from .table import Table, read_table
 
 
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _TWO_PI = 2 * np.pi
-
-
-@dataclass(frozen=True)
-class Table:
-    """A CSV file of numbers: columns in the unit of the header, and the line each row stands on."""
-
-    path: Path
-    columns: Mapping[str, np.ndarray]
-    units: Mapping[str, str]
-    lines: np.ndarray
-
-    def si(self, name: str, expected: str) -> np.ndarray:
-        """A column in the SI unit `expected`."""
-        return to_si(self.columns[name], self.units[name], expected, f"column `{name}` of {self.path.name}")
 
 
 @dataclass(frozen=True)
@@ -68,36 +50,6 @@ class SweepRecord:
     notes: tuple[str, ...] = ()
 
 
-def read_table(path: str | Path) -> Table:
-    """Reads a comma-separated file of numbers whose header names every column with its unit.
-
-    Lines that are empty or start with `#` are skipped.
-
-    **Raises:** `InputError`, with file, line and column, for anything but a complete table of finite numbers.
-    """
-    path = Path(path)
-    text = _text(path)
-    rows = [
-        (number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip() and not line.startswith("#")
-    ]
-    if not rows:
-        raise InputError(f"{path.name}: the file is empty; it must hold a header and rows.")
-    header = _header(path, *rows[0])
-    if len(rows) < 3:
-        raise InputError(
-            f"{path.name}: the file must hold at least two rows below its header, but holds {len(rows) - 1}."
-        )
-    values = np.array([_row(path, number, line, header) for number, line in rows[1:]])
-    _refuse_cut_end(path, text, rows)
-    names = [name for name, _ in header]
-    return Table(
-        path,
-        {name: values[:, i] for i, name in enumerate(names)},
-        dict(header),
-        np.array([number for number, _ in rows[1:]]),
-    )
-
-
 def read_sweep(path: str | Path, *, axis: int | None = None, conjugated: bool = False) -> SweepRecord:
     """Reads and checks one frequency sweep (see the head of this module for the columns).
 
@@ -112,7 +64,7 @@ def read_sweep(path: str | Path, *, axis: int | None = None, conjugated: bool = 
     polar = _check_names(table)
     frequency = _angular_frequency(table)
     if np.any(frequency <= 0):
-        raise _at(table, int(np.argmax(frequency <= 0)), "f", "must be positive")
+        raise table.at(int(np.argmax(frequency <= 0)), "f", "must be positive")
     phasors, unit = _phasors(table, polar)
     phasors = phasors.conj() if conjugated else phasors
     axis, drive, notes = _drive(table, axis)
@@ -138,72 +90,6 @@ _CARTESIAN = ("Vx_I", "Vx_Q", "Vy_I", "Vy_Q")
 _POLAR = ("Vx_amp", "Vx_phase", "Vy_amp", "Vy_phase")
 
 
-def _text(path: Path) -> str:
-    try:
-        return path.read_bytes().decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(
-            f"{path.name}: the file must be text in UTF-8, but byte {error.start} is not; save it as CSV (UTF-8)."
-        ) from error
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: no such file.") from error
-
-
-def _fields(line: str) -> list[str]:
-    return next(csv.reader(io.StringIO(line), skipinitialspace=True))
-
-
-def _header(path: Path, number: int, line: str) -> list[tuple[str, str]]:
-    if ";" in line or "\t" in line:
-        raise InputError(
-            f"{path.name}, line {number}: columns must be separated by commas (and decimals written with a point), "
-            "but the header has semicolons or tabs; export it again as comma-separated."
-        )
-    header = []
-    for position, field in enumerate(_fields(line), 1):
-        try:
-            column = parse_header(field)
-        except InputError as error:
-            raise InputError(f"{path.name}, line {number}, column {position}: {error}") from error
-        if column.name in dict(header):
-            raise InputError(
-                f"{path.name}, line {number}, column {position}: `{column.name}` stands twice in the header; remove one."
-            )
-        header.append((column.name, column.unit))
-    return header
-
-
-def _row(path: Path, number: int, line: str, header: Sequence[tuple[str, str]]) -> list[float]:
-    fields = _fields(line)
-    if len(fields) != len(header):
-        hint = "a decimal comma? write decimals with a point" if len(fields) > len(header) else "the row is cut short"
-        raise InputError(
-            f"{path.name}, line {number}: the row must have {len(header)} fields like the header, but has {len(fields)} ({hint})."
-        )
-    values = []
-    for field, (name, _) in zip(fields, header, strict=True):
-        text = field.strip()
-        # Python's float() would also take nan, inf, 1_000 and digits of other scripts.
-        if not _NUMBER.fullmatch(text) or not text.isascii() or not np.isfinite(float(text)):
-            shown = f"is `{text}`" if text else "is missing"
-            raise InputError(
-                f"{path.name}, line {number}, column `{name}`: the value must be a finite number with a decimal point, but {shown}."
-            )
-        values.append(float(text))
-    return values
-
-
-def _refuse_cut_end(path: Path, text: str, rows: Sequence[tuple[int, str]]) -> None:
-    """A copy that broke off leaves a last line without its end: a number short of digits (or of its exponent) is then plausible and wrong."""
-    if text.endswith(("\n", "\r")):
-        return
-    shortest = min(len(_fields(line)[-1]) for _, line in rows[1:-1])
-    if len(_fields(rows[-1][1])[-1]) < shortest:
-        raise InputError(
-            f"{path.name}, line {rows[-1][0]}: the file breaks off within its last number; copy it again or remove the line."
-        )
-
-
 def _check_names(table: Table) -> bool:
     """Whether the file holds amplitude and phase; refuses unknown and missing columns."""
     names = set(table.columns)
@@ -211,17 +97,17 @@ def _check_names(table: Table) -> bool:
     for name in table.columns:
         if name not in known:
             raise InputError(
-                f"{table.path.name}, line 1: column `{name}` is not known; a sweep has {', '.join(sorted(known))}."
+                f"{table.path}, line 1: column `{name}` is not known; a sweep has {', '.join(sorted(known))}."
             )
     polar = bool(names & set(_POLAR))
     if polar and names & set(_CARTESIAN):
         raise InputError(
-            f"{table.path.name}, line 1: the file must hold either I and Q or amplitude and phase, but holds both."
+            f"{table.path}, line 1: the file must hold either I and Q or amplitude and phase, but holds both."
         )
     for name in ("f", *(_POLAR if polar else _CARTESIAN)):
         if name not in names:
             raise InputError(
-                f"{table.path.name}, line 1: column `{name}` is missing; the couplings need both channels, x and y."
+                f"{table.path}, line 1: column `{name}` is missing; the couplings need both channels, x and y."
             )
     return polar
 
@@ -238,7 +124,7 @@ def _phasors(table: Table, polar: bool) -> tuple[np.ndarray, str]:
     for name in names:
         if re.fullmatch(r"(dB|Np|B)\w*", table.units[name]):
             raise InputError(
-                f"{table.path.name}, line 1: the channels must share one linear unit such as V or 1, "
+                f"{table.path}, line 1: the channels must share one linear unit such as V or 1, "
                 f"but `{name}` is in {table.units[name]}; convert it."
             )
     signal, unit = None, ""
@@ -251,14 +137,14 @@ def _phasors(table: Table, polar: bool) -> tuple[np.ndarray, str]:
     if signal is None:
         units = ", ".join(f"{name} [{table.units[name]}]" for name in names if not name.endswith("_phase"))
         raise InputError(
-            f"{table.path.name}, line 1: the channels must share one linear unit such as V or 1, but are {units}."
+            f"{table.path}, line 1: the channels must share one linear unit such as V or 1, but are {units}."
         )
     if not polar:
         both = [signal[f"V{a}_I"] + 1j * signal[f"V{a}_Q"] for a in "xy"]
     else:
         for name, values in signal.items():
             if np.any(values <= 0):
-                raise _at(table, int(np.argmax(values <= 0)), name, "must be a positive amplitude")
+                raise table.at(int(np.argmax(values <= 0)), name, "must be a positive amplitude")
         both = [signal[f"V{a}_amp"] * np.exp(1j * _phase(table, f"V{a}_phase")) for a in "xy"]
     return np.stack(both, axis=1), unit
 
@@ -268,7 +154,7 @@ def _phase(table: Table, name: str) -> np.ndarray:
     phase = table.si(name, "rad")
     if np.ptp(phase) > 6 * _TWO_PI:
         raise InputError(
-            f"{table.path.name}, column `{name}`: the phase covers {np.ptp(phase):.0f} rad, which no two-mode sweep does; is it in degrees?"
+            f"{table.path}, column `{name}`: the phase covers {np.ptp(phase):.0f} rad, which no two-mode sweep does; is it in degrees?"
         )
     return phase
 
@@ -277,14 +163,14 @@ def _drive(table: Table, axis: int | None) -> tuple[int, np.ndarray, tuple[str, 
     present = [i for i, name in enumerate(("F_x", "F_y")) if name in table.columns and np.any(table.columns[name] != 0)]
     if len(present) == 2:
         raise InputError(
-            f"{table.path.name}: one electrode must be driven at a time, but both F_x and F_y are non-zero; split the file."
+            f"{table.path}: one electrode must be driven at a time, but both F_x and F_y are non-zero; split the file."
         )
     if not present:
         note = () if axis is not None else ("The file names no drive (F_x or F_y): taken as the x electrode.",)
         return axis or 0, np.ones(len(table.lines)), note
     if axis is not None and axis != present[0]:
         raise InputError(
-            f"{table.path.name}: the driven axis was given as {'xy'[axis]}, but column F_{'xy'[present[0]]} is non-zero."
+            f"{table.path}: the driven axis was given as {'xy'[axis]}, but column F_{'xy'[present[0]]} is non-zero."
         )
     name = ("F_x", "F_y")[present[0]]
     try:
@@ -292,7 +178,7 @@ def _drive(table: Table, axis: int | None) -> tuple[int, np.ndarray, tuple[str, 
     except InputError:
         level = table.si(name, "V")
     if np.any(level <= 0):
-        raise _at(table, int(np.argmax(level <= 0)), name, "must be positive")
+        raise table.at(int(np.argmax(level <= 0)), name, "must be positive")
     return present[0], level, ()
 
 
@@ -301,7 +187,7 @@ def _starts(table: Table, frequency: np.ndarray, drive: np.ndarray) -> np.ndarra
     for name in ("T", "V_bias"):
         if name in table.columns and np.ptp(table.columns[name]) > 0:
             raise InputError(
-                f"{table.path.name}, column `{name}`: couplings are identified at one condition, but it changes; split the file by it."
+                f"{table.path}, column `{name}`: couplings are identified at one condition, but it changes; split the file by it."
             )
     new = np.concatenate([[True], np.diff(drive) != 0])
     first = np.flatnonzero(new)
@@ -314,7 +200,7 @@ def _starts(table: Table, frequency: np.ndarray, drive: np.ndarray) -> np.ndarra
         if wrong.size:
             row = begin + int(wrong[0]) + 1
             what = "repeats the one before" if frequency[row] == frequency[row - 1] else "goes back"
-            raise _at(table, row, "f", f"must run strictly up or strictly down within a sweep, but {what}")
+            raise table.at(row, "f", f"must run strictly up or strictly down within a sweep, but {what}")
     return frequency[first[np.cumsum(new) - 1]]
 
 
@@ -324,7 +210,7 @@ def _one_rate(table: Table) -> float:
     rate = table.si("rate", "rad/s")
     if np.ptp(rate) > 0:
         raise InputError(
-            f"{table.path.name}, column `rate`: a sweep must be taken at one rate, but it changes; split the file by it."
+            f"{table.path}, column `rate`: a sweep must be taken at one rate, but it changes; split the file by it."
         )
     return float(rate[0])
 
@@ -334,7 +220,7 @@ def _elapsed(table: Table) -> np.ndarray | None:
         return None
     time = table.si("t", "s")
     if np.any(np.diff(time) <= 0):
-        raise _at(table, int(np.argmax(np.diff(time) <= 0)) + 1, "t", "must increase")
+        raise table.at(int(np.argmax(np.diff(time) <= 0)) + 1, "t", "must increase")
     return time - time[0]
 
 
@@ -352,7 +238,7 @@ def _check_phase(table: Table, frequency: np.ndarray, driven: np.ndarray, axis: 
     column = f"V{axis}_phase" if polar else f"V{axis}_Q"
     if turn > np.radians(30):
         raise InputError(
-            f"{table.path.name}, column `{column}`: the phase rises by {np.degrees(turn):.0f}° across the resonance of the driven channel, "
+            f"{table.path}, column `{column}`: the phase rises by {np.degrees(turn):.0f}° across the resonance of the driven channel, "
             "but with e^{+iωt} it falls; if the file follows e^{-iωt}, read it as conjugated (`--conjugated`)."
         )
     if turn > -np.radians(30):
@@ -362,12 +248,6 @@ def _check_phase(table: Table, frequency: np.ndarray, driven: np.ndarray, axis: 
             else "are I and Q those of the driven channel?"
         )
         raise InputError(
-            f"{table.path.name}, column `{column}`: the phase turns by only {np.degrees(turn):.1f}° across the half-power width of the driven "
+            f"{table.path}, column `{column}`: the phase turns by only {np.degrees(turn):.1f}° across the half-power width of the driven "
             f"channel, but a resonance turns it by about -90°; {hint}"
         )
-
-
-def _at(table: Table, row: int, name: str, what: str) -> InputError:
-    return InputError(
-        f"{table.path.name}, line {table.lines[row]}, column `{name}`: {table.columns[name][row]:g} {what}."
-    )

@@ -35,7 +35,7 @@ def threefry2x32(
 
 def die_words(key: Array, die: Array) -> tuple[UInt32[Array, "*lanes"], UInt32[Array, "*lanes"]]:
     """The two key words of dies `die` (integers, any shape): `fold_in(key, die)`, whatever the batch."""
-    folded = jax.vmap(lambda index: jax.random.key_data(jax.random.fold_in(key, index)))(jnp.atleast_1d(die))
+    folded = jax.vmap(lambda index: jax.random.key_data(jax.random.fold_in(key, index)))(jnp.ravel(die))
     shape = jnp.shape(die)
     return folded[:, 0].reshape(shape), folded[:, 1].reshape(shape)
 

@@ -80,7 +80,8 @@ class Exact(AbstractDiscretisation):
         if sample_rate < 2.0 * highest_frequency:
             raise InputError(
                 f"Argument `sample_rate` must exceed twice the highest frequency to be followed, "
-                f"{highest_frequency:.0f} Hz, but {sample_rate:g} Hz was given; use at least {2.5 * highest_frequency:.0f} Hz."
+                f"{highest_frequency:.0f} Hz, but {sample_rate:g} Hz was given; "
+                f"use at least {2.5 * highest_frequency:.0f} Hz."
             )
         phase = 2.0 * math.pi * highest_frequency / sample_rate
         nodes = 1 if phase < 0.8 else 2 if phase < 1.6 else 3

@@ -95,7 +95,9 @@ class ExactRatio(RatioEstimator):
         starts = jnp.stack([_solution(_parts(columns), _parts(ratio))[:3] for columns in (linear, wide)])
         ends = jax.vmap(lambda start: jax.lax.fori_loop(0, self.iterations, improved, start))(starts)
         rests = jax.vmap(solved)(ends)
-        size = jnp.where(jnp.isfinite(rests.std).all(axis=1), jnp.linalg.norm(rests.std / rests.std[0], axis=1), jnp.inf)
+        size = jnp.where(
+            jnp.isfinite(rests.std).all(axis=1), jnp.linalg.norm(rests.std / rests.std[0], axis=1), jnp.inf
+        )
         best = jnp.argmin(size)
         return RatioEstimate(*ends[best], rests.std[best])
 

@@ -3,23 +3,22 @@
 import numpy as np
 
 from .experiments import FrequencySweep, PolarNoise
-from .identification import Identification
 
 
 X_COLOUR, Y_COLOUR, FIT_COLOUR = "#1f5fa8", "#c2571a", "#1d2530"
 
 
-def plot_amplitude(result: Identification, ax=None):
+def plot_amplitude(result, ax=None):
     """Measured amplitude of both channels over frequency [Hz] and the fitted curves, one pair per sweep; returns the axes."""
     return _curves(result, _axes(ax), np.abs, "amplitude [record unit]", log=True)
 
 
-def plot_phase(result: Identification, ax=None):
+def plot_phase(result, ax=None):
     """Measured and fitted phase [deg] of both channels over frequency [Hz]; returns the axes."""
     return _curves(result, _axes(ax), lambda z: _unbroken(np.degrees(np.angle(z))), "phase [deg]", log=False)
 
 
-def plot_residual(result: Identification, ax=None):
+def plot_residual(result, ax=None):
     """Whitened residual of every reading over frequency [Hz]: structure here is physics that the model lacks; returns the axes."""
     ax = _axes(ax)
     parts = ("amplitude", "phase") if isinstance(result.sweeps[0].noise, PolarNoise) else ("I", "Q")
@@ -49,7 +48,7 @@ def plot_residual(result: Identification, ax=None):
     return ax
 
 
-def _curves(result: Identification, ax, shown, label: str, log: bool):
+def _curves(result, ax, shown, label: str, log: bool):
     bench = result.fit.values
     for sweep in result.sweeps:
         predicted = np.asarray(sweep.predict(bench))

@@ -111,7 +111,11 @@ def noisy(keys):
     for label, claimed, divisor in (("raw", "> 1000 %", 1.0), ("after low-pass", "about 9 %", LOW_PASS)):
         cells = []
         for estimator in ESTIMATORS.values():
-            cells.append(_share(root_mean_square(errors(estimator, device(), NARROW, keys, AMPLITUDE / divisor, PHASE / divisor))[1]))
+            cells.append(
+                _share(
+                    root_mean_square(errors(estimator, device(), NARROW, keys, AMPLITUDE / divisor, PHASE / divisor))[1]
+                )
+            )
         limit = _share(bound(device(), NARROW, AMPLITUDE / divisor, PHASE / divisor)[1])
         rows.append([f"rms error of cxy, {label}", claimed, *cells, limit])
     return rows
@@ -125,7 +129,10 @@ def figure_3(points):
     base = {"force": 0.01, "damping": 0.1, "stiffness": 1e-3}
     figure = Figure(figsize=(11, 3.6), layout="constrained")
     axes = figure.subplots(1, 3, sharey=True)
-    for ax, (name, label) in zip(axes, {"force": "λyx", "damping": "k1 = cxy/cxx", "stiffness": "k2 = kxy/kxx"}.items(), strict=True):
+    for ax, (name, label) in zip(
+        axes, {"force": "λyx", "damping": "k1 = cxy/cxx", "stiffness": "k2 = kxy/kxx"}.items(), strict=True
+    ):
+
         def one(value, name=name):
             ratios = {**base, name: value}
             made = device(ratios["force"], ratios["damping"] * cxx, ratios["stiffness"] * kxx)
@@ -176,7 +183,7 @@ def end_to_end(key):
         found_ratio = conversion_ratio(x, y, taken)
         found_offset = phase_offset(WIDE, y[:, 1], sense.omega) - phase_offset(WIDE, x[:, 0], drive.omega)
         corrected = x[:, 1] / x[:, 0] / found_ratio * jnp.exp(-1j * found_offset)
-        inside = (WIDE >= NARROW[0]) & (WIDE <= NARROW[-1])
+        inside = (NARROW[0] <= WIDE) & (NARROW[-1] >= WIDE)
         values = TruncatedRatio()(WIDE[inside], corrected[inside], taken).values()
         truth = jnp.stack([modes.force_yx, modes.damping_coupling, modes.stiffness_coupling])
         fitted = CoupledModes(taken.omega, taken.quality, values[1], values[2], values[0], 0.0).response(WIDE, 0)
@@ -197,7 +204,9 @@ def goodness_is_blind():
     rows = []
     for factor in (1.0, 0.0, -1.0, 3.0):
         wrong = device(damping=factor * C_XY)
-        rows.append([f"cxy × {factor:g}", f"{float(goodness_of_fit(measured, jnp.abs(wrong.response(NARROW, 0)[:, 1]))):.4f}"])
+        rows.append(
+            [f"cxy × {factor:g}", f"{float(goodness_of_fit(measured, jnp.abs(wrong.response(NARROW, 0)[:, 1]))):.4f}"]
+        )
     return rows
 
 
@@ -208,7 +217,9 @@ def likelihood(key, draws):
     for label, divisor in (("raw", 1.0), ("filtered", LOW_PASS)):
         noise = PolarNoise.from_peak_to_peak(AMPLITUDE / divisor, PHASE / divisor)
         sweep = FrequencySweep(label, WIDE, np.ones((len(WIDE), 2)) + 0j, noise).simulate(truth)
-        measured = jax.vmap(lambda k, s=sweep, d=divisor: draw(k, s.measured, AMPLITUDE / d, PHASE / d))(jax.random.split(key, draws))
+        measured = jax.vmap(lambda k, s=sweep, d=divisor: draw(k, s.measured, AMPLITUDE / d, PHASE / d))(
+            jax.random.split(key, draws)
+        )
         fits = eqx.filter_jit(refit_draws)(truth, sweep, measured)
         value = np.asarray(jax.vmap(couplings)(fits.values))
         std = np.asarray(jax.vmap(lambda f: f.std_of(couplings))(fits))
@@ -217,7 +228,15 @@ def likelihood(key, draws):
         cover = np.mean(np.abs(value - target) < 1.96 * std, axis=0)
         for i, name in enumerate((*NAMES, "phase asymmetry")):
             unit = (lambda v: f"{np.degrees(v):.2g}°") if i == 3 else (lambda v, i=i: _share(v / abs(target[i])))
-            rows.append([f"{name}, {label}", unit(value[:, i].std()), unit(limit[i]), f"{value[:, i].std() / limit[i]:.3f}", f"{100 * cover[i]:.1f} %"])
+            rows.append(
+                [
+                    f"{name}, {label}",
+                    unit(value[:, i].std()),
+                    unit(limit[i]),
+                    f"{value[:, i].std() / limit[i]:.3f}",
+                    f"{100 * cover[i]:.1f} %",
+                ]
+            )
         rows.append([f"χ²/dof, {label}", f"{float(fits.chi2_per_dof.mean()):.4f}", "1", "", ""])
         pictures[label] = (value[:, 1] * MASS, limit[1] * MASS)
     return rows, pictures
@@ -239,7 +258,9 @@ def phasor_picture():
     frequency = jnp.asarray(2 * np.pi * np.linspace(8014.0, 8014.6, 301))
     parts = sense_errors(device(), frequency, 1e-6, np.radians(1.0)).relative()
     figure = Figure(figsize=(9, 3.2), layout="constrained")
-    for ax, (part, title) in zip(figure.subplots(1, 2), ((np.real, "in phase with Coriolis"), (np.imag, "in quadrature")), strict=True):
+    for ax, (part, title) in zip(
+        figure.subplots(1, 2), ((np.real, "in phase with Coriolis"), (np.imag, "in quadrature")), strict=True
+    ):
         for (name, ratio), colour in zip(parts.items(), COLOURS, strict=True):
             ax.plot(np.asarray(frequency) / 2 / np.pi, part(np.asarray(ratio)), color=colour, label=f"{name} coupling")
         ax.set(xlabel="drive frequency [Hz]", title=title, xticks=[8014.0, 8014.3, 8014.6])
@@ -271,7 +292,9 @@ def main(quick: bool) -> None:
     draws, points = (40, 5) if quick else (400, 25)
     keys = jax.random.split(jax.random.key(0), draws)
     OUT.mkdir(parents=True, exist_ok=True)
-    page = Page("Coupling errors from a frequency sweep", "Claimed beside obtained, and the estimator that reaches the bound")
+    page = Page(
+        "Coupling errors from a frequency sweep", "Claimed beside obtained, and the estimator that reaches the bound"
+    )
 
     def show(title, text, header, rows):
         _print(title, header, rows)
@@ -282,38 +305,110 @@ def main(quick: bool) -> None:
         page.figure(figure, caption)
 
     page.section("P1: what each coupling does to the sense axis")
-    picture("p1_phase", phasor_picture(), "Displacement of each coupling over that of Coriolis: damping in phase, stiffness in quadrature, force both.")
-    show("P6: theoretical relative error at the identified point", "Noise-free, perfect calibration. The published error is the truncation of the ratio; the exact ratio has none.",
-         ["figure", "claimed", *ESTIMATORS], noise_free())
-    show("P5: noise before and after the low-pass", "±5 Hz sweep, perfect calibration. The last column bounds every unbiased estimator that knows no calibration.",
-         ["figure", "claimed", *ESTIMATORS, "Cramér-Rao, uncalibrated"], noisy(keys))
+    picture(
+        "p1_phase",
+        phasor_picture(),
+        "Displacement of each coupling over that of Coriolis: damping in phase, stiffness in quadrature, force both.",
+    )
+    show(
+        "P6: theoretical relative error at the identified point",
+        "Noise-free, perfect calibration. The published error is the truncation of the ratio; the exact ratio has none.",
+        ["figure", "claimed", *ESTIMATORS],
+        noise_free(),
+    )
+    show(
+        "P5: noise before and after the low-pass",
+        "±5 Hz sweep, perfect calibration. The last column bounds every unbiased estimator that knows no calibration.",
+        ["figure", "claimed", *ESTIMATORS, "Cramér-Rao, uncalibrated"],
+        noisy(keys),
+    )
     page.section("P3: Figures 3 to 6")
-    picture("fig3", figure_3(8 if quick else 40), "Figure 3: theoretical error over the coupling ratios. The grey line is the 2 % limit of the paper.")
-    picture("fig4", figure_over(np.geomspace(1e-6, 1e-2, points), "amplitude noise, peak to peak", lambda v: (v, PHASE / LOW_PASS), keys), "Figure 4: amplitude noise, with the phase noise left after the low-pass. Black: what maximum likelihood reaches with both resonances in the sweep and no calibration.")
-    picture("fig5", figure_over(np.geomspace(1e-3, 10, points), "phase noise [deg], peak to peak", lambda v: (AMPLITUDE / LOW_PASS, np.radians(v)), keys), "Figure 5: phase noise, with the amplitude noise left after the low-pass.")
-    picture("fig6", figure_over(np.geomspace(1e-3, 10, points), "phase asymmetry [deg]", lambda v: (AMPLITUDE / LOW_PASS, PHASE / LOW_PASS, np.radians(v)), keys), "Figure 6: phase asymmetry, with the noise left after the low-pass; no ratio estimator escapes it, the likelihood estimates it.")
+    picture(
+        "fig3",
+        figure_3(8 if quick else 40),
+        "Figure 3: theoretical error over the coupling ratios. The grey line is the 2 % limit of the paper.",
+    )
+    picture(
+        "fig4",
+        figure_over(
+            np.geomspace(1e-6, 1e-2, points), "amplitude noise, peak to peak", lambda v: (v, PHASE / LOW_PASS), keys
+        ),
+        "Figure 4: amplitude noise, with the phase noise left after the low-pass. Black: what maximum likelihood reaches with both resonances in the sweep and no calibration.",
+    )
+    picture(
+        "fig5",
+        figure_over(
+            np.geomspace(1e-3, 10, points),
+            "phase noise [deg], peak to peak",
+            lambda v: (AMPLITUDE / LOW_PASS, np.radians(v)),
+            keys,
+        ),
+        "Figure 5: phase noise, with the amplitude noise left after the low-pass.",
+    )
+    picture(
+        "fig6",
+        figure_over(
+            np.geomspace(1e-3, 10, points),
+            "phase asymmetry [deg]",
+            lambda v: (AMPLITUDE / LOW_PASS, PHASE / LOW_PASS, np.radians(v)),
+            keys,
+        ),
+        "Figure 6: phase asymmetry, with the noise left after the low-pass; no ratio estimator escapes it, the likelihood estimates it.",
+    )
     slope = float(errors(ExactRatio(), device(), NARROW, keys[:1], 0.0, 0.0, np.radians(1.0))[0, 1])
-    show("P3: phase asymmetry", "cxy changes by kxy/(ω·cxy) per radian whatever the ratio estimator.", ["figure", "predicted", "exact ratio"],
-         [["error of cxy per degree", _share(np.radians(1.0) * K_XY / (2 * np.pi * 8014.3 * abs(C_XY))), _share(slope)]])
+    show(
+        "P3: phase asymmetry",
+        "cxy changes by kxy/(ω·cxy) per radian whatever the ratio estimator.",
+        ["figure", "predicted", "exact ratio"],
+        [["error of cxy per degree", _share(np.radians(1.0) * K_XY / (2 * np.pi * 8014.3 * abs(C_XY))), _share(slope)]],
+    )
     poles = coupled_poles(device())
-    show("P4: coupled poles are not the uncoupled parameters", "Peak and half-power points find the left column, the formulas need the right one.",
-         ["mode", "coupled", "uncoupled"],
-         [[f"f{a} [Hz]", f"{float(poles[i].imag) / 2 / np.pi:.4f}", f"{f:.4f}"] for i, (a, f) in enumerate((("x", 8014.3), ("y", 8035.3)))]
-         + [[f"Q{a}", f"{float(jnp.abs(poles[i]) / -2 / poles[i].real):.0f}", q] for i, (a, q) in enumerate((("x", "45000"), ("y", "42000")))])
+    show(
+        "P4: coupled poles are not the uncoupled parameters",
+        "Peak and half-power points find the left column, the formulas need the right one.",
+        ["mode", "coupled", "uncoupled"],
+        [
+            [f"f{a} [Hz]", f"{float(poles[i].imag) / 2 / np.pi:.4f}", f"{f:.4f}"]
+            for i, (a, f) in enumerate((("x", 8014.3), ("y", 8035.3)))
+        ]
+        + [
+            [f"Q{a}", f"{float(jnp.abs(poles[i]) / -2 / poles[i].real):.0f}", q]
+            for i, (a, q) in enumerate((("x", "45000"), ("y", "42000")))
+        ],
+    )
     chain = end_to_end(jax.random.key(1))
-    show("P4 to P6: the published chain end to end", "Modes, phases and conversion ratio from the sweeps themselves.", ["quantity", "raw", "filtered"],
-         [[f"error of {name}", *(_share(abs(chain[k]["error"][i])) for k in chain)] for i, name in enumerate(NAMES)]
-         + [["phase left after the −90° correction", *(f"{chain[k]['phase']:.2f}°" for k in chain)],
+    show(
+        "P4 to P6: the published chain end to end",
+        "Modes, phases and conversion ratio from the sweeps themselves.",
+        ["quantity", "raw", "filtered"],
+        [[f"error of {name}", *(_share(abs(chain[k]["error"][i])) for k in chain)] for i, name in enumerate(NAMES)]
+        + [
+            ["phase left after the −90° correction", *(f"{chain[k]['phase']:.2f}°" for k in chain)],
             ["error of the conversion ratio", *(_share(abs(chain[k]["ratio"])) for k in chain)],
-            ["R_NL of the sense curve (claimed 0.99)", *(f"{chain[k]['goodness']:.3f}" for k in chain)]])
-    show("P6: goodness of fit cannot tell", "R_NL of the noise-free sense amplitude with cxy replaced.", ["model", "R_NL"], goodness_is_blind())
+            ["R_NL of the sense curve (claimed 0.99)", *(f"{chain[k]['goodness']:.3f}" for k in chain)],
+        ],
+    )
+    show(
+        "P6: goodness of fit cannot tell",
+        "R_NL of the noise-free sense amplitude with cxy replaced.",
+        ["model", "R_NL"],
+        goodness_is_blind(),
+    )
     record = draw(jax.random.key(2), jnp.ones(2000) + 0j, AMPLITUDE, PHASE)
     amplitude, phase = peak_to_peak(jnp.abs(record), jnp.rad2deg(jnp.angle(record)))
-    show("P5: noise from a fixed-frequency record", "Largest less smallest reading of 2000.", ["figure", "put in", "obtained"],
-         [["NA", "0.1 %", _share(amplitude)], ["Nφ", "3°", f"{float(phase):.3g}°"]])
+    show(
+        "P5: noise from a fixed-frequency record",
+        "Largest less smallest reading of 2000.",
+        ["figure", "put in", "obtained"],
+        [["NA", "0.1 %", _share(amplitude)], ["Nφ", "3°", f"{float(phase):.3g}°"]],
+    )
     rows, pictures = likelihood(jax.random.key(3), 60 if quick else 400)
-    show("Maximum likelihood on both complex responses of one wide sweep", "Eleven free parameters, nothing corrected beforehand. On the same device and noise.",
-         ["coefficient", "spread over draws", "Cramér-Rao bound", "ratio", "95 % interval covers"], rows)
+    show(
+        "Maximum likelihood on both complex responses of one wide sweep",
+        "Eleven free parameters, nothing corrected beforehand. On the same device and noise.",
+        ["coefficient", "spread over draws", "Cramér-Rao bound", "ratio", "95 % interval covers"],
+        rows,
+    )
     picture("likelihood", histogram(pictures), "Error of cxy over its bound, with the standard normal density.")
     print(f"\nReport: {page.save(OUT / 'report.html')}")
 

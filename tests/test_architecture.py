@@ -18,13 +18,13 @@ MODULES = sorted(PACKAGE.rglob("*.py"))
 
 # A module imports only from modules above it. A folder counts as one place; inside it, everybody may import everybody.
 ORDER = [
-    *("errors", "runtime", "units"),
+    *("errors", "runtime", "units", "files", "table"),
     *("noise", "device", "propagate", "readout", "observers", "controllers"),
-    *("filters", "scenario", "loop", "engine"),
-    *("bound", "merit", "spread", "store", "sweep", "study"),
+    *("filters", "scenario", "loop", "engine", "provenance", "pictures", "trace"),
+    *("bound", "merit", "spread", "store", "lot", "summary", "sweep", "study"),
     *("free", "measurement", "couplings", "modal", "experiments", "fit", "ratio", "sweep_start", "likelihood"),
-    *("identification", "identify", "identify_ratio", "sweep_figures"),
-    *("report", "identify_command", "cli"),
+    *("sweep_figures", "identification", "identify", "identify_ratio"),
+    *("report", "progress", "study_options", "sweep_command", "simulate_command", "identify_command", "cli"),
 ]
 
 TOP_LEVEL = {
@@ -40,10 +40,12 @@ def place(path: Path) -> str:
 
 
 def imported(path: Path) -> set[str]:
-    """Places of this package that a file imports, anywhere in its text."""
+    """Places of this package that a file imports, anywhere in its text but where only a type checker looks."""
     package = ("memsgyro_jax", *path.relative_to(PACKAGE).parent.parts)
     names = []
-    for node in ast.walk(ast.parse(path.read_text())):
+    tree = ast.parse(path.read_text())
+    tree.body = [n for n in tree.body if not (isinstance(n, ast.If) and "TYPE_CHECKING" in ast.dump(n.test))]
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             names += [alias.name.split(".") for alias in node.names]
         elif isinstance(node, ast.ImportFrom):

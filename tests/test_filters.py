@@ -87,7 +87,7 @@ def test_step_inside_a_scan_is_apply():
     ("make", "says"),
     [
         (lambda: Lowpass(10.0, 5), "`order` must be 1, 2, 3 or 4, but 5"),
-        (lambda: Lowpass(-1.0), "`bandwidth` must be positive, but -1"),
+        (lambda: Lowpass(-1.0), "`bandwidth` must be positive and finite, but -1"),
         (lambda: Bandpass(20.0, 10.0), "`high - low` must be positive"),
         (lambda: Lowpass(600.0).apply(np.zeros(3), 1e3), "more than twice the filter's 600 Hz, but 1000 Hz"),
     ],

@@ -12,7 +12,7 @@ from memsgyro_jax import free
 from memsgyro_jax.errors import InputError
 from memsgyro_jax.experiments.base import Experiment, Noise
 from memsgyro_jax.fit import fisher_covariance, fit, fit_from
-from memsgyro_jax.free import Free, Identity, Log, LogLogit, Logit, Prior, fixed, mark
+from memsgyro_jax.free import Free, Identity, Log, Logit, LogLogit, Prior, fixed, mark
 
 
 class Line(eqx.Module):
@@ -42,7 +42,9 @@ class Ruler(Experiment):
 
 
 X = np.linspace(0.0, 4.0, 41)
-RECORD = Ruler("line", jnp.asarray(X), jnp.asarray(2.0 * X - 1.0 + 0.1 * np.random.default_rng(0).normal(size=41)), White(0.1))
+RECORD = Ruler(
+    "line", jnp.asarray(X), jnp.asarray(2.0 * X - 1.0 + 0.1 * np.random.default_rng(0).normal(size=41)), White(0.1)
+)
 LINE = Line(1.0, 0.5)
 BOTH = mark(fixed(LINE), lambda line: (line.slope, line.offset), Free())
 
@@ -145,9 +147,15 @@ def test_vector_and_tree_are_one_to_one():
     [
         (lambda: fit(LINE, fixed(LINE), [RECORD]), "at least one leaf free"),
         (lambda: fit(LINE, BOTH, []), "at least one record"),
-        (lambda: fit(Line(-1.0, 0.0), mark(BOTH, lambda line: line.slope, Free(Log())), [RECORD]), "`slope` must lie within"),
+        (
+            lambda: fit(Line(-1.0, 0.0), mark(BOTH, lambda line: line.slope, Free(Log())), [RECORD]),
+            "`slope` must lie within",
+        ),
         (lambda: fit(LINE, Free(), [RECORD]), "shape of the values"),
-        (lambda: fit(LINE, BOTH, [eqx.tree_at(lambda r: (r.x, r.measured), RECORD, (jnp.ones(2), jnp.ones(2)))]), "more than 2"),
+        (
+            lambda: fit(LINE, BOTH, [eqx.tree_at(lambda r: (r.x, r.measured), RECORD, (jnp.ones(2), jnp.ones(2)))]),
+            "more than 2",
+        ),
     ],
 )
 def test_what_cannot_be_fitted_is_refused(call, message):

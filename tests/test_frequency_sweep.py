@@ -59,7 +59,9 @@ def test_moving_sweep_equals_the_integrated_equations(frequency, axis):
     assert np.abs(settled - expected).max() > 0.2 * np.abs(expected).max(), "the sweep of this test must be fast"
 
 
-@pytest.mark.parametrize("effect", [{"sweep_rate": FiniteSweepRate(0.0)}, {"feedthrough": ElectricalFeedthrough(jnp.zeros((2, 2)))}])
+@pytest.mark.parametrize(
+    "effect", [{"sweep_rate": FiniteSweepRate(0.0)}, {"feedthrough": ElectricalFeedthrough(jnp.zeros((2, 2)))}]
+)
 def test_an_effect_of_zero_strength_is_exactly_absent(effect):
     plain = sweep(lab.WIDE).predict(bench(lab.Gyro(), lab.Instrument()))
     np.testing.assert_array_equal(sweep(lab.WIDE).predict(bench(lab.Gyro(), lab.Instrument(), **effect)), plain)

@@ -192,7 +192,9 @@ def random_device(rng):
         m, fx, fx + split, qx, qy, m * rng.uniform(-0.5, 0.5) * np.sqrt(wx * wy / qx / qy), m * coupling,
         between(1e-4, 0.1) * rng.choice([-1, 1]), 0.0,
     )  # fmt: skip
-    instrument = lab.Instrument(1e9 * np.exp(1j * rng.uniform(-3, 3)), between(0.2, 5), np.radians(rng.uniform(-60, 60)))
+    instrument = lab.Instrument(
+        1e9 * np.exp(1j * rng.uniform(-3, 3)), between(0.2, 5), np.radians(rng.uniform(-60, 60))
+    )
     widths = [fx / qx, (fx + split) / qy]
     margin = max(0.3 * abs(split), 5 * max(widths))
     grids = [np.linspace(min(fx, fx + split) - margin, max(fx, fx + split) + margin, 601)]
@@ -231,7 +233,10 @@ def test_the_estimate_is_differentiable_by_the_data():
 
 
 def test_the_published_chain_runs_and_is_worse():
-    records = [swept(lab.Gyro(), noise=lab.FILTERED, axis=axis, instrument=lab.replace(INSTRUMENT, drive_ratio=1.0)) for axis in (0, 1)]
+    records = [
+        swept(lab.Gyro(), noise=lab.FILTERED, axis=axis, instrument=lab.replace(INSTRUMENT, drive_ratio=1.0))
+        for axis in (0, 1)
+    ]
     result = identify_by_ratio(records, noise=FILTERED, mass=3e-7)
     assert abs(result.coefficients["c_xy"].value / lab.Gyro().cxy - 1) > 1.0
     assert result.coefficients["k_xy"].value == pytest.approx(0.103, rel=0.2)

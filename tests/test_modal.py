@@ -92,7 +92,9 @@ def test_published_errors_at_the_identified_point():
     np.testing.assert_allclose(error, [0.563e-6, 0.0609, 0.205e-6], rtol=0.02)
 
 
-@pytest.mark.parametrize(("noise", "low", "high"), [(lab.RAW, 11.42 / 1.3, 11.42 * 1.3), (lab.FILTERED, 0.087 / 1.3, 0.087 * 1.3)])
+@pytest.mark.parametrize(
+    ("noise", "low", "high"), [(lab.RAW, 11.42 / 1.3, 11.42 * 1.3), (lab.FILTERED, 0.087 / 1.3, 0.087 * 1.3)]
+)
 def test_published_noise_errors(noise, low, high):
     """> 1000 % before and about 9 % after the low-pass."""
     rng = np.random.default_rng(3)
@@ -103,7 +105,10 @@ def test_published_noise_errors(noise, low, high):
 
 
 @given(
-    force=st.floats(-0.5, 0.5), damping=st.floats(-1.0, 1.0), stiffness=st.floats(-0.02, 0.02), quality=st.floats(100.0, 1e5)
+    force=st.floats(-0.5, 0.5),
+    damping=st.floats(-1.0, 1.0),
+    stiffness=st.floats(-0.02, 0.02),
+    quality=st.floats(100.0, 1e5),
 )
 def test_the_exact_ratio_returns_noise_free_coefficients(force, damping, stiffness, quality):
     omega = REFERENCE.omega
@@ -186,7 +191,9 @@ def test_the_drive_axis_is_the_mirror_image():
 def test_angles_and_coefficients_are_one_to_one(stiffness, damping, drive, sense):
     made = AxisAngles(stiffness, damping, drive, sense).modes(1e-6, (120.0, 90.0), (3e-6, 2e-6))
     back = AxisAngles.of(made)
-    np.testing.assert_allclose([back.stiffness, back.damping, back.drive, back.sense], [stiffness, damping, drive, sense], atol=1e-9)
+    np.testing.assert_allclose(
+        [back.stiffness, back.damping, back.drive, back.sense], [stiffness, damping, drive, sense], atol=1e-9
+    )
 
 
 def test_a_turned_stiffness_axis_couples_with_half_the_difference():

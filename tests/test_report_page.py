@@ -6,7 +6,8 @@ from html.parser import HTMLParser
 import pytest
 from matplotlib.figure import Figure
 
-from memsgyro_jax.report.page import Page, write_whole
+from memsgyro_jax.files import write_whole
+from memsgyro_jax.report.page import Page
 
 
 def drawn(text="µm"):
@@ -33,12 +34,7 @@ EVIL = '<script>alert("x")</script>"><img src=x onerror=alert(1)>'
 
 def evil_page():
     return (
-        Page(EVIL, EVIL, EVIL)
-        .section(EVIL)
-        .text(EVIL)
-        .table([EVIL], [[EVIL]], EVIL)
-        .figure(drawn(EVIL), EVIL)
-        .html()
+        Page(EVIL, EVIL, EVIL).section(EVIL).text(EVIL).table([EVIL], [[EVIL]], EVIL).figure(drawn(EVIL), EVIL).html()
     )
 
 
@@ -70,7 +66,7 @@ def test_the_same_page_is_the_same_text():
 def test_numbers_are_set_flush_right():
     html = Page("t").section("s").table(["name", "value"], [["c_xy", "-7e-08"], ["k_xy", "–"]]).html()
     assert html.count('<td class="number">') == 2
-    assert '<td>c_xy</td>' in html
+    assert "<td>c_xy</td>" in html
 
 
 def test_a_failed_write_leaves_the_old_file(tmp_path):

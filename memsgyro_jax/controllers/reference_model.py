@@ -2,7 +2,7 @@
 
 import jax.numpy as jnp
 
-from ..device import Pair, Scalar
+from ..device import Pair, Scalar, check_positive
 from ..observers.base import Clock, Estimate
 from ..observers.settings import arrays
 from ..propagate import State4, dot
@@ -20,6 +20,10 @@ class ReferenceModel(AbstractController[tuple[()]]):
 
     frequency: Pair = arrays()
     tones: Tones = tones_field()
+
+    def __check_init__(self):
+        for value in self.frequency:
+            check_positive("frequency", value)
 
     def init(self) -> tuple[()]:
         """Nothing to remember."""

@@ -4,4 +4,10 @@ from .base import AbstractObserver as AbstractObserver
 from .base import Clock as Clock
 from .base import Estimate as Estimate
 from .ekf import ExtendedKalmanFilter as ExtendedKalmanFilter
+from .fading import AdaptiveFading as AdaptiveFading
+from .fading import FixedFading as FixedFading
 from .lyapunov import LyapunovObserver as LyapunovObserver
+from .settings import Annealing as Annealing
+from .settings import Prior as Prior
+from .settings import ProcessNoise as ProcessNoise
+from .settings import design_prior as design_prior

@@ -99,7 +99,7 @@ def gathered(column: Column, vector: Array) -> Scalar:
 
 def _along(signal: Scalar, entry: Array) -> Array:
     """`signal` with an axis in front when the entry of a die is a vector."""
-    return signal[None] if jnp.ndim(entry) > jnp.ndim(signal) else signal
+    return jnp.asarray(signal)[None] if jnp.ndim(entry) > jnp.ndim(signal) else signal
 
 
 def _signed(factor: float, product: Array) -> Array:
@@ -165,10 +165,13 @@ def downdate(prior: Prediction, first: Gain, second: Gain) -> Covariance:
         row - first.motion_gain[i][None] * first.constants - second.motion_gain[i][None] * second.constants
         for i, row in enumerate(prior.cross)
     )
+    # Products of one vector with itself are symmetric to the last bit. They must be: a difference between (i, j) and
+    # (j, i) is never corrected by a measurement, and fading multiplies it by λ at every sample.
+    first_root, second_root = (gain.constants / jnp.sqrt(gain.spread)[None] for gain in (first, second))
     constants = (
         _faded(prior.faded, prior.constants)
         + _diagonal(prior.walk, prior.constants)
-        - first.constant_gain[:, None] * first.constants[None]
-        - second.constant_gain[:, None] * second.constants[None]
+        - first_root[:, None] * first_root[None]
+        - second_root[:, None] * second_root[None]
     )
     return Covariance(motion, cross, constants)

@@ -157,16 +157,25 @@ class ExtendedKalmanFilter(AbstractObserver[KalmanState]):
         self, state: KalmanState, motion: State4, offset: Pair, theta: tuple[Scalar, ...]
     ) -> Float[Array, "states *lanes"]:
         """Estimate minus truth in the order of `covariance`."""
-        difference = state.constants - self._constants(offset, theta)
-        return jnp.concatenate([jnp.stack([e - t for e, t in zip(state.motion, motion, strict=True)]), difference])
+        truth = (*motion, *self._chosen(offset, theta))
+        return jnp.stack([e - t for e, t in zip((*state.motion, *state.constants), truth, strict=True)])
+
+    @property
+    def known(self) -> tuple[str, ...]:
+        """Names of the quantities that are not states: coefficients, and the offsets of an ideal circuit."""
+        fixed = tuple(name for i, name in enumerate(self.model.names) if i not in self.estimated)
+        return fixed if self.with_offsets else (*fixed, "offset_x", "offset_y")
 
     @property
     def _first(self) -> int:
         return 2 if self.with_offsets else 0
 
     def _constants(self, offset: Pair, theta: tuple[Scalar, ...]) -> Float[Array, "constants *lanes"]:
-        entries = (*(offset if self.with_offsets else ()), *(theta[i] for i in self.estimated))
-        return jnp.stack(jnp.broadcast_arrays(*map(jnp.asarray, entries)))
+        return jnp.stack(jnp.broadcast_arrays(*map(jnp.asarray, self._chosen(offset, theta))))
+
+    def _chosen(self, offset: Pair, theta: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
+        """Of all offsets and coefficients those that are states."""
+        return (*(offset if self.with_offsets else ()), *(theta[i] for i in self.estimated))
 
     def _theta(self, constants: Array) -> tuple[Scalar, ...]:
         place = {index: self._first + order for order, index in enumerate(self.estimated)}
@@ -242,7 +251,7 @@ class ExtendedKalmanFilter(AbstractObserver[KalmanState]):
         mean, constants = correct_mean(predicted.mean, state.constants, first, second, weights)
         nis = weights[0] ** 2 / first.spread + weights[1] ** 2 / second.spread
         new = KalmanState(mean, constants, downdate(prior, first, second), remembered, nis)
-        return _Corrected(new, self._smoothed(state, predicted, weights, first, second, new))
+        return _Corrected(new, self._smoothed(state, predicted, weights, first, second, new, faded))
 
     def _output(self, motion: tuple[Scalar, ...], constants: Array, axis: int) -> Scalar:
         """The measured combination of a column: scale * signal + offset."""
@@ -261,9 +270,7 @@ class ExtendedKalmanFilter(AbstractObserver[KalmanState]):
         return tuple(spread)
 
     def _walk(self, period: Scalar) -> Array:
-        noise = self.process_noise
-        entries = (*(noise.offset if self.with_offsets else ()), *(noise.theta[i] for i in self.estimated))
-        return jnp.stack(jnp.broadcast_arrays(*map(jnp.asarray, entries))) * period
+        return self._constants(self.process_noise.offset, self.process_noise.theta) * period
 
     def _gain(self, prior: Prediction, axis: int, variance: Scalar, earlier: Gain | None) -> Gain:
         """Covariance with the output of `axis`, given that output `earlier` has been taken."""
@@ -282,17 +289,19 @@ class ExtendedKalmanFilter(AbstractObserver[KalmanState]):
         inverse = 1.0 / spread
         return Gain(motion, constants, tuple(v * inverse for v in motion), constants * inverse[None], spread)
 
-    def _smoothed(self, state, predicted, weights, first, second, new) -> tuple:
+    def _smoothed(self, state, predicted, weights, first, second, new, faded) -> tuple:
         """Start of the sample given its end: the point about which an iterated filter linearises again."""
         if self.iterations == 1:
             return new.motion, new.constants
         # Cov(start, output) = (rows of J P) transposed, through the measurement; only the motion entries are needed.
+        # Fading stands for a wider covariance of the start.
         offsets = state.covariance.cross if self.with_offsets else None
         start = []
         for i in range(4):
             seen = [self.scale[a] * predicted.rows.motion[self.signals[a]][i] for a in (0, 1)]
             if offsets is not None:
                 seen = [value + offsets[i][a] for a, value in enumerate(seen)]
+            seen = [faded * value for value in seen]
             second_seen = seen[1] - self._output(first.motion_gain, first.constant_gain, 1) * seen[0]
             start.append(
                 state.motion[i] + seen[0] * weights[0] / first.spread + second_seen * weights[1] / second.spread

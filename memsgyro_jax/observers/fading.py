@@ -6,7 +6,7 @@ from typing import Generic, TypeVar
 import equinox as eqx
 import jax.numpy as jnp
 
-from ..device import Pair, Scalar, number
+from ..device import Pair, Scalar, check_not_negative, check_positive, number
 
 
 Memory = TypeVar("Memory")
@@ -36,6 +36,9 @@ class FixedFading(AbstractFading[tuple[()]]):
 
     forgetting: Scalar = number(default=0.0)
 
+    def __check_init__(self):
+        check_not_negative("forgetting", self.forgetting)
+
     @classmethod
     def per_sample(cls, factor: float, sample_rate: float) -> "FixedFading":
         """The law whose factor is `factor` at `sample_rate` [Hz], and the same memory in seconds at any other rate."""
@@ -59,6 +62,10 @@ class AdaptiveFading(AbstractFading[Pair]):
 
     window: Scalar = number(default=1e-3)
     ceiling: Scalar = number(default=1.01)
+
+    def __check_init__(self):
+        check_positive("window", self.window)
+        check_not_negative("ceiling - 1", self.ceiling - 1.0)
 
     def init(self) -> tuple[Scalar, Scalar]:
         """Weighted sum of squared innovations over their noise, and the weight it has gathered."""

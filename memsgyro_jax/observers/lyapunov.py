@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from ..device import UX, VX, AbstractGyro, MotionModel, Pair, Scalar, number
+from ..device import UX, VX, AbstractGyro, MotionModel, Pair, Scalar, check_positive, number
 from ..errors import InputError
 from ..propagate import AbstractDiscretisation, Exact, State4, fence
 from ..readout import AbstractReadout
@@ -41,6 +41,12 @@ class LyapunovObserver(AbstractObserver[LyapunovState]):
     frequency: Scalar = number()
     discretisation: AbstractDiscretisation
     model: MotionModel = eqx.field(static=True)
+
+    def __check_init__(self):
+        for value in self.gain:
+            check_positive("gain", value)
+        check_positive("length", self.length)
+        check_positive("frequency", self.frequency)
 
     @classmethod
     def for_device(

@@ -4,7 +4,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ..device import AbstractGyro, MotionModel, Pair, Scalar, number
+from ..device import AbstractGyro, MotionModel, Pair, Scalar, check_not_negative, check_positive, number
+from ..errors import InputError
 from ..propagate import State4
 
 
@@ -27,6 +28,12 @@ class Prior(eqx.Module):
     theta: tuple[Scalar, ...] = arrays()
     theta_std: tuple[Scalar, ...] = arrays()
 
+    def __check_init__(self):
+        _check_lengths(self, motion=4, motion_std=4, offset=2, offset_std=2, theta_std=len(self.theta))
+        for name in ("motion_std", "offset_std", "theta_std"):
+            for value in getattr(self, name):
+                check_not_negative(name, value)
+
 
 class ProcessNoise(eqx.Module):
     """Random-walk intensity per estimated entry, in unit²/s; zero means constant."""
@@ -34,6 +41,12 @@ class ProcessNoise(eqx.Module):
     motion: State4 = arrays()
     offset: Pair = arrays()
     theta: tuple[Scalar, ...] = arrays()
+
+    def __check_init__(self):
+        _check_lengths(self, motion=4, offset=2)
+        for name in ("motion", "offset", "theta"):
+            for value in getattr(self, name):
+                check_not_negative(name, value)
 
     @classmethod
     def none(cls, model: MotionModel) -> "ProcessNoise":
@@ -58,9 +71,21 @@ class Annealing(eqx.Module):
     excess: Scalar = number(default=1000.0)
     decay: Scalar = number(default=0.5e-3)
 
+    def __check_init__(self):
+        check_not_negative("excess", self.excess)
+        check_positive("decay", self.decay)
+
     def factor(self, time: Scalar) -> Scalar:
         """The factor at `time` [s]."""
         return 1.0 + self.excess * jnp.exp(-time / self.decay)
+
+
+def _check_lengths(settings: eqx.Module, **lengths: int) -> None:
+    for name, length in lengths.items():
+        if len(getattr(settings, name)) != length:
+            raise InputError(
+                f"Argument `{name}` must have {length} entries, but {len(getattr(settings, name))} were given."
+            )
 
 
 def design_prior(
@@ -74,15 +99,21 @@ def design_prior(
 ) -> Prior:
     """A prior around the design values of `gyro`, at rest but for a displacement `amplitude` [m] along x.
 
-    Each coefficient has standard deviation `spread` of its own value (relative), the rate `rate_std` [rad/s] about
-    zero, the read-out offsets `offset_std` [V] about zero, the motion `motion_error` of the amplitude (velocities times
-    the mode frequency). Zero standard deviations mean known exactly.
+    Every physical parameter of the device is taken to vary by `spread` of itself, independently; a coefficient, a
+    stiffness over a mass say, gets the standard deviation that follows to first order. The rate has `rate_std` [rad/s]
+    about zero, the read-out offsets `offset_std` [V] about zero, the motion `motion_error` of the amplitude (velocities
+    times the mode frequency). Zero standard deviations mean known exactly.
     """
     theta = gyro.coefficients(0.0)
-    is_rate = tuple(coefficient.is_rate for coefficient in gyro.model.coefficients)
-    # The unit rate's coefficients carry the share of each axis, so that a dual-mass gyro gets the right width for both.
+    leaves, structure = jax.tree.flatten(gyro)
+    slopes = jax.jacfwd(lambda values: jax.tree.unflatten(structure, values).coefficients(0.0))(leaves)
+    variances = (sum((spread * p * slope) ** 2 for p, slope in zip(leaves, row, strict=True)) for row in slopes)
+    # A unit rate gives each rate coefficient its share, which is below 1 for the frame of a dual-mass gyro.
     share = gyro.coefficients(1.0)
-    std = tuple(rate_std * s if rate else spread * abs(v) for v, s, rate in zip(theta, share, is_rate, strict=True))
+    std = tuple(
+        rate_std * s if coefficient.is_rate else jnp.sqrt(variance)
+        for variance, s, coefficient in zip(variances, share, gyro.model.coefficients, strict=True)
+    )
     position = motion_error * amplitude
     frequency = tuple(jnp.sqrt(theta[gyro.model.index(name)]) for name in ("kxx", "kyy"))
     return Prior(

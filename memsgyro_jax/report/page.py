@@ -5,7 +5,6 @@ every outside resource, so that a report may be opened from an untrusted share.
 """
 
 import io
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -16,6 +15,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from markupsafe import Markup
 
 from .. import __version__
+from ..files import write_whole
 
 
 if TYPE_CHECKING:
@@ -95,19 +95,6 @@ class Page:
             self.section("")
         self._sections[-1]["parts"].append(part)
         return self
-
-
-def write_whole(path: str | Path, text: str) -> Path:
-    """Write a text file beside its place and move it there, so that no half-written file is ever seen."""
-    path = Path(path)
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        part.write_text(text, encoding="utf-8")
-        part.replace(path)
-    except BaseException:
-        part.unlink(missing_ok=True)
-        raise
-    return path
 
 
 @cache

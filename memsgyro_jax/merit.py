@@ -1,0 +1,101 @@
+"""Figures of merit of a lot: percentiles, yield with its interval, and how a varying rate was followed."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy import optimize, stats
+
+
+@dataclass(frozen=True)
+class Proportion:
+    """A yield: `value` with its 95 % Wilson interval `low`..`high`, and the criterion in words."""
+
+    value: float
+    low: float
+    high: float
+    criterion: str
+
+
+def proportion(good: int, count: int, criterion: str) -> Proportion:
+    """The share of good dies among `count`; with no die at all it is unknown (0 to 1)."""
+    if count == 0:
+        return Proportion(float("nan"), 0.0, 1.0, criterion)
+    interval = stats.binomtest(good, count).proportion_ci(0.95, method="wilson")
+    return Proportion(good / count, float(interval.low), float(interval.high), criterion)
+
+
+@dataclass(frozen=True)
+class Percentiles:
+    """Root mean square, median and 95th percentile of the magnitude of an error over the dies."""
+
+    rms: float
+    p50: float
+    p95: float
+
+
+def percentiles(errors: Float[np.ndarray, " dies"]) -> Percentiles:
+    """Over the finite entries; NaN where there are none."""
+    size = np.abs(errors[np.isfinite(errors)])
+    if size.size == 0:
+        return Percentiles(float("nan"), float("nan"), float("nan"))
+    median, high = np.percentile(size, [50.0, 95.0])
+    return Percentiles(float(np.sqrt(np.mean(size**2))), float(median), float(high))
+
+
+@dataclass(frozen=True)
+class Following:
+    """How a varying rate was followed: rms error, delay in s, and -3 dB bandwidth in Hz.
+
+    Delay and bandwidth are those of the first-order lag with delay that maps the true rate to the mean estimate best.
+    The bandwidth is None where the record is too slow to show it.
+    """
+
+    rms: float
+    delay: float
+    bandwidth: float | None
+
+
+def following(
+    time: Float[np.ndarray, " windows"],
+    true: Float[np.ndarray, " windows"],
+    estimate: Float[np.ndarray, "dies windows"],
+) -> Following | None:
+    """Fit over the given windows (evenly spaced, acquisition left out); None for a rate that does not vary."""
+    spread = np.std(true)
+    if len(time) < 8 or not spread > 1e-3 * np.max(np.abs(true) + 1e-12):
+        return None
+    mean = np.mean(estimate, axis=0)
+    step = time[1] - time[0]
+
+    def answer(lag: float, delay: float) -> np.ndarray:
+        shifted = np.interp(time - delay, time, true)
+        decay = np.exp(-step / max(lag, 1e-12))
+        output = np.empty_like(shifted)
+        output[0] = shifted[0]
+        for n in range(1, len(time)):
+            output[n] = decay * output[n - 1] + (1.0 - decay) * shifted[n]
+        return output
+
+    reach = 0.25 * (time[-1] - time[0])
+    fits = [
+        optimize.least_squares(
+            lambda p: (answer(*p) - mean) / spread,
+            [lag, 0.5 * step],
+            bounds=([1e-9, -step], [reach, reach]),
+            x_scale=step,
+        )
+        for lag in (0.1 * step, 3.0 * step)
+    ]
+    lag, delay = min(fits, key=lambda fit: fit.cost).x
+    rms = float(np.sqrt(np.mean((estimate - true) ** 2)))
+    shows = lag > step  # a lag shorter than a window cannot be told from none
+    return Following(rms, float(delay), float(1.0 / (2.0 * np.pi * lag)) if shows else None)
+
+
+def settling_time(time: Float[np.ndarray, " n"], error: Float[np.ndarray, " n"], tolerance: float) -> float:
+    """The time after which |error| stays within `tolerance`; NaN when it does not, zero when it always did."""
+    outside = np.flatnonzero(~(np.abs(error) <= tolerance))
+    if outside.size == 0:
+        return 0.0
+    return float("nan") if outside[-1] == len(time) - 1 else float(time[outside[-1] + 1])

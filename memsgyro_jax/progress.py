@@ -1,0 +1,67 @@
+"""How far a long computation is: a bar with the remaining time on a terminal, plain lines elsewhere."""
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+
+_LINES = 10  # plain lines for a whole run, so that a log stays readable
+
+
+@contextmanager
+def progress(what: str, first: str) -> Iterator[Callable[[int, int], None]]:
+    """Gives a function of (done, total) that shows how far `what` is, on standard error.
+
+    Args:
+        what: counted things, for example "dies".
+        first: what happens before the first of them is done, for example "compiling".
+    """
+    if sys.stderr.isatty():
+        yield from _bar(what, first)
+    else:
+        yield _Lines(what)
+
+
+def _bar(what: str, first: str) -> Iterator[Callable[[int, int], None]]:
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    columns = (
+        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("elapsed"), TimeElapsedColumn(),
+        TextColumn("left"), TimeRemainingColumn(),
+    )  # fmt: skip
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(first, total=None)
+
+        def show(done: int, total: int) -> None:
+            bar.update(task, description=what, completed=done, total=total)
+
+        yield show
+
+
+class _Lines:
+    """About ten lines per run; the remaining time from the second call on, as the first has waited for the compiler."""
+
+    def __init__(self, what: str):
+        self.what, self.shown = what, -1
+        self.start: tuple[float, int] | None = None
+
+    def __call__(self, done: int, total: int) -> None:
+        now = time.monotonic()
+        if self.start is None:
+            self.start = now, done
+        tenth = _LINES * done // total
+        if tenth == self.shown and done < total:
+            return
+        self.shown = tenth
+        passed, since = now - self.start[0], done - self.start[1]
+        left = f", about {passed * (total - done) / since:.0f} s left" if since > 0 and done < total else ""
+        print(f"{done} of {total} {self.what}{left}", file=sys.stderr, flush=True)

@@ -1,0 +1,207 @@
+"""Fabrication spread: which numbers of a loop differ from die to die, and how.
+
+Die `i` is defined by (seed, i) alone: its place in a scrambled Sobol sequence (or its own random key) does not depend
+on how many dies are drawn, in which order or on how many machines.
+"""
+
+import abc
+import math
+import re
+from dataclasses import dataclass
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from scipy import stats
+
+from .errors import InputError
+from .loop import ClosedLoop
+from .scenario import Scenario
+
+
+DEVICE_PREFIX = "device."
+
+
+class AbstractDistribution(eqx.Module):
+    """Turns a standard normal number into a value around a design value; a new kind gives `value`."""
+
+    @abc.abstractmethod
+    def value(self, design: float, normal: Float[np.ndarray, " dies"]) -> Float[np.ndarray, " dies"]:
+        """Values of the dies; `normal` zero is the median."""
+
+
+class Normal(AbstractDistribution):
+    """Normal about the design value, cut at ±`cut` deviations; `relative` to it or `std` in its unit."""
+
+    relative: float = 0.0
+    std: float = 0.0
+    cut: float = 4.0
+
+    def __check_init__(self):
+        if min(self.relative, self.std) < 0.0 or self.cut <= 0.0:
+            raise InputError(f"A spread must not be negative, but {self.relative:g}, {self.std:g} were given.")
+
+    def value(self, design, normal):
+        """Design plus the normal number times the standard deviation, within the cut."""
+        inside = stats.truncnorm.ppf(stats.norm.cdf(normal), -self.cut, self.cut)
+        return design + inside * np.hypot(self.relative * design, self.std)
+
+
+class Uniform(AbstractDistribution):
+    """Uniform; `relative` half width about the design value, or from `low` to `high` in its unit."""
+
+    relative: float | None = None
+    low: float = math.nan
+    high: float = math.nan
+
+    def __check_init__(self):
+        if (self.relative is None) == (math.isnan(self.low) or math.isnan(self.high)):
+            raise InputError("A uniform spread must have either `relative`, or `low` and `high`.")
+        if self.high < self.low:
+            raise InputError(f"A uniform spread must have low <= high, but {self.low:g} and {self.high:g} were given.")
+
+    def value(self, design, normal):
+        """A point of the interval at the probability of the normal number."""
+        share = stats.norm.cdf(normal)
+        if self.relative is not None:
+            return design * (1.0 + self.relative * (2.0 * share - 1.0))
+        return self.low + share * (self.high - self.low)
+
+
+@dataclass(frozen=True)
+class Vary:
+    """A number of the loop or scenario and its distribution.
+
+    `path` names it from the loop, like `device.kxx`, `readout.opamp_offset.0`, `start.0`, or from the scenario, like
+    `scenario.rate.level`.
+    """
+
+    path: str
+    distribution: AbstractDistribution
+
+    def read(self, root: "Root") -> Array:
+        """The design value; raises `InputError` when the path does not lead to a number."""
+        here = self.find(root)
+        if not (eqx.is_inexact_array(here) and here.ndim == 0):
+            raise InputError(f"A spread must name one number, but `{self.path}` is {type(here).__name__}.")
+        return here
+
+    def find(self, root: "Root") -> Any:
+        """Whatever stands at the path."""
+        here: Any = root
+        for part in self.path.split("."):
+            try:
+                here = here[int(part)] if re.fullmatch(r"\d+", part) else getattr(here, part)
+            except (AttributeError, IndexError, TypeError):
+                raise InputError(
+                    f"A spread must name a number of the loop, but `{self.path}` has no `{part}`."
+                ) from None
+        return here
+
+
+class Root(eqx.Module):
+    """Where paths start: the parts of the loop, and the scenario."""
+
+    loop: ClosedLoop
+    scenario: Scenario
+
+    def __getattr__(self, name: str) -> object:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return getattr(self.loop, name)
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Independent or correlated variations of a lot; `correlation` is a matrix over `items` of the underlying normal
+    numbers.
+
+    `quasi=True` draws a scrambled Sobol sequence (percentiles converge faster), False pseudo-random numbers.
+    """
+
+    items: tuple[Vary, ...] = ()
+    correlation: tuple[tuple[float, ...], ...] | None = None
+    quasi: bool = True
+    everywhere: AbstractDistribution | None = None
+
+    @classmethod
+    def relative(cls, std: float, *, quasi: bool = True) -> "Spread":
+        """Each physical parameter of the device varies by `std` of itself (normal, independent); zero means identical
+        dies.
+        """
+        return cls(quasi=quasi, everywhere=Normal(relative=std))
+
+    def resolved(self, loop: ClosedLoop) -> tuple[Vary, ...]:
+        """The variations, with `everywhere` written out over the device's non-zero parameters that `items` does not
+        name.
+        """
+        if self.everywhere is None:
+            return self.items
+        named = {item.path for item in self.items}
+        device = [f"{DEVICE_PREFIX}{name}" for name in device_numbers(loop)]
+        return (*self.items, *(Vary(path, self.everywhere) for path in device if path not in named))
+
+    def draw(self, loop: ClosedLoop, scenario: Scenario, seed: int, dies: np.ndarray) -> "Draw":
+        """Dies `dies` (their numbers): loop and scenario with one value per die on a trailing axis, and the values
+        themselves.
+        """
+        root, items = Root(loop, scenario), self.resolved(loop)
+        normal = self._normal(len(items), seed, dies)
+        designs = [item.read(root) for item in items]
+        values = [
+            item.distribution.value(float(design), column)
+            for item, design, column in zip(items, designs, normal.T, strict=True)
+        ]
+        if items:
+            root = eqx.tree_at(lambda r: [item.find(r) for item in items], root, [jnp.asarray(v) for v in values])
+        table = np.stack(values, axis=1) if values else np.empty((len(dies), 0))
+        return Draw(root.loop, root.scenario, tuple(item.path for item in items), table)
+
+    def _normal(self, count: int, seed: int, dies: np.ndarray) -> Float[np.ndarray, "dies items"]:
+        if count == 0:
+            return np.empty((len(dies), 0))
+        uniform = self._uniform(count, seed, np.asarray(dies, int))
+        normal = stats.norm.ppf(np.clip(uniform, 1e-12, 1.0 - 1e-12))
+        if self.correlation is None:
+            return normal
+        matrix = np.asarray(self.correlation, float)
+        if matrix.shape != (count, count):
+            raise InputError(
+                f"Argument `correlation` must be {count}x{count}, one row per item, but {matrix.shape} was given."
+            )
+        try:
+            return normal @ np.linalg.cholesky(matrix).T
+        except np.linalg.LinAlgError:
+            raise InputError(
+                "Argument `correlation` must be positive definite; lower its off-diagonal entries."
+            ) from None
+
+    def _uniform(self, count: int, seed: int, dies: np.ndarray) -> Float[np.ndarray, "dies items"]:
+        if not self.quasi:
+            return np.stack([np.random.default_rng((seed, int(die))).random(count) for die in dies])
+        first, last = int(dies.min()), int(dies.max())
+        sequence = stats.qmc.Sobol(count, scramble=True, rng=np.random.default_rng(seed))
+        # The very first call must ask for a power of two (scipy warns of lost balance); the sequence is the same
+        # however it is cut.
+        points = [sequence.random_base2(0)] if first == 0 else [sequence.fast_forward(first).random(0)]
+        rest = last - first + 1 - len(points[0])
+        return np.concatenate([*points, sequence.random(rest)])[dies - first]
+
+
+@dataclass(frozen=True)
+class Draw:
+    """Drawn dies: `loop` and `scenario` with dies as trailing axis, `table` (dies, parameters) of the drawn values."""
+
+    loop: ClosedLoop
+    scenario: Scenario
+    parameters: tuple[str, ...]
+    table: Float[np.ndarray, "dies parameters"]
+
+
+def device_numbers(loop: ClosedLoop) -> tuple[str, ...]:
+    """Names of the device's fields that hold a non-zero number."""
+    fields = vars(loop.device)
+    return tuple(name for name, value in fields.items() if eqx.is_inexact_array(value) and jax.numpy.all(value != 0.0))

@@ -1,0 +1,148 @@
+"""CSV files of numbers whose header names each column with its unit, read so that nothing is silently wrong."""
+
+import csv
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from .errors import InputError
+from .units import parse_header, to_si
+
+
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+_DECIMAL_COMMA = "; is the decimal mark a comma? Write decimals with a point"
+
+
+@dataclass(frozen=True)
+class Table:
+    """A CSV file of numbers: columns in the unit of the header, and the line on which each row stands.
+
+    Args:
+        path: of the file.
+        columns: name to numbers, shape (rows,), in the column's own unit.
+        units: name to unit text.
+        lines: line number of each row in the file, counted from 1.
+    """
+
+    path: Path
+    columns: Mapping[str, np.ndarray]
+    units: Mapping[str, str]
+    lines: np.ndarray
+
+    def si(self, name: str, expected: str) -> np.ndarray:
+        """A column in the SI unit `expected`; raises `InputError` where the header's unit measures something else."""
+        return to_si(self.columns[name], self.units[name], expected, f"column `{name}` of {self.path}")
+
+    def at(self, row: int, name: str, what: str) -> InputError:
+        """The error that the value in `row` (from 0) of column `name` calls for; `what` must hold instead."""
+        value = self.columns[name][row]
+        return InputError(f"{self.path}, line {self.lines[row]}, column `{name}`: the value {what}, but is {value:g}.")
+
+
+class _Line(NamedTuple):
+    number: int
+    fields: list[str]
+
+
+def read_table(path: str | Path) -> Table:
+    """Reads a comma-separated file of finite numbers below a header like ``t [s],rate [deg/s]``.
+
+    Lines that are empty or start with `#` are skipped.
+
+    Raises:
+        InputError: one sentence with file, line and column for a missing unit, a column named twice, a semicolon or a
+            decimal comma, NaN or text in place of a number, a row of another length, or fewer than two rows.
+    """
+    path = Path(path)
+    text = _text(path)
+    lines = _lines(path, text)
+    if len(lines) < 3:
+        raise InputError(
+            f"{path}: the file must hold a header and at least two rows of numbers, but holds {len(lines)} lines."
+        )
+    header = _header(path, lines[0])
+    names = list(header)
+    values = np.array([_row(path, line, names) for line in lines[1:]])
+    _refuse_cut_end(path, text, lines)
+    columns = {name: values[:, place] for place, name in enumerate(names)}
+    return Table(path, columns, header, np.array([line.number for line in lines[1:]]))
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_bytes().decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(
+            f"{path}: the file must be text in UTF-8, but byte {error.start} is not; save it as CSV (UTF-8)."
+        ) from error
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: no such file.") from error
+    except OSError as error:
+        raise InputError(f"{path}: the file cannot be read ({error.strerror}).") from error
+
+
+def _lines(path: Path, text: str) -> list[_Line]:
+    kept = [(n, line) for n, line in enumerate(text.splitlines(), 1) if line.strip() and not line.startswith("#")]
+    if kept and re.search(r"[;\t]", kept[0][1]):
+        raise InputError(
+            f"{path}, line {kept[0][0]}: columns must be separated by commas and decimals written with a point, "
+            "but the header has semicolons or tabs; export it again as comma-separated."
+        )
+    return [_Line(number, _fields(path, number, line)) for number, line in kept]
+
+
+def _fields(path: Path, number: int, line: str) -> list[str]:
+    try:
+        return next(csv.reader([line], skipinitialspace=True, strict=True))
+    except csv.Error as error:
+        raise InputError(f"{path}, line {number}: the row is not comma-separated text ({error}).") from error
+
+
+def _header(path: Path, line: _Line) -> dict[str, str]:
+    header: dict[str, str] = {}
+    for place, field in enumerate(line.fields, 1):
+        where = f"{path}, line {line.number}, column {place}"
+        try:
+            column = parse_header(field)
+        except InputError as error:
+            raise InputError(f"{where}: {error}") from error
+        if column.name in header:
+            raise InputError(f"{where}: a column must be named once, but `{column.name}` stands twice; remove one.")
+        header[column.name] = column.unit
+    return header
+
+
+def _row(path: Path, line: _Line, names: list[str]) -> list[float]:
+    if len(line.fields) != len(names):
+        hint = _DECIMAL_COMMA if len(line.fields) > len(names) else "; the row is cut short"
+        raise InputError(
+            f"{path}, line {line.number}: the row must have {len(names)} fields like the header, "
+            f"but has {len(line.fields)}{hint}."
+        )
+    return [_number(path, line.number, name, field) for name, field in zip(names, line.fields, strict=True)]
+
+
+def _number(path: Path, number: int, name: str, field: str) -> float:
+    # Python's float() would also take nan, inf, 1_000 and digits of other scripts.
+    text = field.strip()
+    if text.isascii() and _NUMBER.fullmatch(text) and np.isfinite(float(text)):
+        return float(text)
+    found = f"is `{text}`" if text else "is missing"
+    hint = _DECIMAL_COMMA if re.fullmatch(r"[+-]?\d+,\d+", text) else "; mend or remove the row"
+    where = f"{path}, line {number}, column `{name}`"
+    raise InputError(f"{where}: the value must be a finite number, but {found}{hint}.")
+
+
+def _refuse_cut_end(path: Path, text: str, lines: list[_Line]) -> None:
+    """A copy that broke off leaves a last line without its end, whose last number is then plausible and wrong."""
+    if text.endswith(("\n", "\r")):
+        return
+    if len(lines[-1].fields[-1]) < min(len(line.fields[-1]) for line in lines[1:-1]):
+        raise InputError(
+            f"{path}, line {lines[-1].number}: the file must end with a whole row, but breaks off within its last "
+            "number; copy it again or remove the line."
+        )

@@ -1,0 +1,142 @@
+"""How fast is a sweep? The public `sweep` on the default study, beside hand-written yardsticks where there are any.
+
+`--yardstick DIR` names a folder whose `run.py` prints JSON of the form {"name": {"steps_per_s": ...}}; it is run pinned
+to the same core, turn by turn with ours, and both are compared by processor time (by wall clock, a busy machine would
+decide). What differs in the work: the sweep draws its own noise by (die, sample), steps plant and filter by the exact
+exponential, anneals the measurement variance, and gathers NIS, convergence and window statistics of every die; a
+yardstick does what its own description says, typically a 4th-order Taylor step and fading instead of annealing.
+"""
+
+import argparse
+import json
+import os
+import resource
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+
+def worker(options: argparse.Namespace) -> None:
+    """One process as a user would start it: import, first sweep, repeated sweeps; prints JSON."""
+    began = time.perf_counter()
+    if options.no_flags:
+        os.environ["JAX_ENABLE_X64"] = "1"
+    else:
+        from memsgyro_jax import runtime
+
+        runtime.configure(devices=options.cores)
+    import memsgyro_jax as mg
+
+    gyro, readout = mg.SingleMassGyro.chi2010(), mg.ChargeAmplifier.chi2010()
+    observer = mg.ExtendedKalmanFilter.for_device(gyro, readout, annealing=mg.Annealing())
+    loop = mg.ClosedLoop(gyro, readout, observer, mg.DampingCompensation(tones=mg.Tone(600.0, 53.95)))
+
+    def sweep() -> None:
+        mg.sweep(loop, mg.Spread.relative(0.15), 1.0, dies=options.dies, duration=options.duration, bound_dies=0)
+
+    sweep()
+    first, steps = time.perf_counter() - began, options.dies * round(options.duration * 100e3)
+    wall, processor = [], []
+    for _ in range(options.repeat):
+        clock, used = time.perf_counter(), time.process_time()
+        sweep()
+        wall.append(time.perf_counter() - clock)
+        processor.append(time.process_time() - used)
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    speeds = {"steps_per_s": steps / min(processor), "steps_per_wall_s": steps / min(wall)} if wall else {}
+    print(json.dumps({"first_call_s": first, "peak_memory_mib": memory, **speeds}))
+
+
+def start(*arguments: str, cores: int, cache: str, program: tuple[str, ...] = (__file__, "--worker")) -> dict:
+    """Runs Python on the first `cores` usable cores and reads the JSON that it prints last."""
+    allowed = sorted(os.sched_getaffinity(0))[-cores:]
+    environment = {k: v for k, v in os.environ.items() if not k.startswith(("XLA_FLAGS", "JAX_", "MEMSGYRO_"))}
+    environment |= {"XDG_CACHE_HOME": cache, "OMP_NUM_THREADS": "1"}
+    done = subprocess.run(
+        [sys.executable, *program, *arguments], env=environment, capture_output=True, text=True, check=False,
+        preexec_fn=lambda: os.sched_setaffinity(0, allowed),
+    )  # fmt: skip
+    if done.returncode:
+        sys.exit(f"{' '.join(program)} failed:\n{done.stderr[-2000:]}")
+    return json.loads(done.stdout[done.stdout.index("{") :])
+
+
+def measure(options: argparse.Namespace, cache: str) -> tuple[dict, dict]:
+    """Our figures and the yardsticks' speeds."""
+    job = ("--dies", str(options.dies), "--duration", str(options.duration), "--repeat", str(options.repeat))
+    ours: dict = {"first_start": start(*job, cores=1, cache=cache)}
+    pinned, yardsticks = [], {}
+    for _ in range(options.turns):
+        if options.yardstick:
+            found = start(cores=1, cache=cache, program=(str(options.yardstick / "run.py"),))
+            for name, value in found.items():
+                if isinstance(value, dict) and "steps_per_s" in value:
+                    yardsticks.setdefault(name, []).append(value["steps_per_s"])
+        pinned.append(start(*job, cores=1, cache=cache))
+    ours["one_core"] = max(pinned, key=lambda run: run["steps_per_s"])
+    ours["second_start_s"] = min(run["first_call_s"] for run in pinned)
+    ours["one_core_without_flags"] = start(*job, "--no-flags", cores=1, cache=cache)
+    if len(os.sched_getaffinity(0)) > 1:
+        ours["two_cores"] = start(*job, "--cores", "2", cores=2, cache=cache)
+    four = ("--dies", str(options.dies), "--duration", str(4.0 * options.duration), "--repeat", "0")
+    ours["four_times_the_steps"] = start(*four, cores=1, cache=cache)
+    return ours, {name: statistics.median(values) for name, values in yardsticks.items()}
+
+
+def table(ours: dict, yardsticks: dict, options: argparse.Namespace) -> list[tuple[str, str]]:
+    """What a person reads."""
+    one, bare = ours["one_core"], ours["one_core_without_flags"]
+    rows = [
+        ("one core", f"{one['steps_per_s'] / 1e6:.2f} million steps/s"),
+        ("one core without compiler flags", f"{bare['steps_per_s'] / 1e6:.2f} million steps/s"),
+    ]
+    if "two_cores" in ours:
+        both = ours["two_cores"]["steps_per_wall_s"]
+        text = f"{both / 1e6:.2f} million steps/s, {both / one['steps_per_wall_s']:.2f} x one core"
+        rows.append(("two cores, wall clock", text))
+    more = ours["four_times_the_steps"]["peak_memory_mib"] - ours["first_start"]["peak_memory_mib"]
+    rows += [
+        ("first call, nothing compiled yet", f"{ours['first_start']['first_call_s']:.1f} s from the start of Python"),
+        ("first call, compiled before", f"{ours['second_start_s']:.1f} s from the start of Python"),
+        ("memory for four times the steps", f"{1024.0 * more / options.dies:+.1f} KiB per die"),
+    ]
+    for name, speed in yardsticks.items():
+        with_flags, without = (run["steps_per_s"] / speed for run in (one, bare))
+        rows.append(
+            (f"against {name}", f"{with_flags:.3g} x, without flags {without:.3g} x (of {speed / 1e6:.4g} million)")
+        )
+    return rows
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--yardstick", type=Path, help="folder with a run.py to compare with")
+    parser.add_argument("--dies", type=int, default=256)
+    parser.add_argument("--duration", type=float, default=0.1, help="of each die's run, in s")
+    parser.add_argument("--repeat", type=int, default=5, help="timed sweeps per process; the fastest counts")
+    parser.add_argument("--turns", type=int, default=3, help="times that yardstick and sweep take turns")
+    parser.add_argument("--out", type=Path, default=Path(__file__).parents[1] / "out" / "closed_loop")
+    for hidden in ("--worker", "--no-flags"):
+        parser.add_argument(hidden, action="store_true", help=argparse.SUPPRESS)
+    parser.add_argument("--cores", type=int, default=1, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.worker:
+        return worker(options)
+    load = os.getloadavg()[0]
+    with tempfile.TemporaryDirectory() as cache:
+        ours, yardsticks = measure(options, cache)
+    rows = table(ours, yardsticks, options)
+    width = max(len(name) for name, _ in rows)
+    print(f"{options.dies} dies, {options.duration:g} s at 100 kHz; load of the machine before: {load:.1f}")
+    print("\n".join(f"  {name:<{width}}  {text}" for name, text in rows))
+    options.out.mkdir(parents=True, exist_ok=True)
+    record = {"ours": ours, "yardsticks": yardsticks, "load_before": load, "table": dict(rows)}
+    (options.out / "closed_loop.json").write_text(json.dumps(record, indent=1))
+    return None
+
+
+if __name__ == "__main__":
+    main()

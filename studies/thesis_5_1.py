@@ -1,0 +1,169 @@
+"""What can a gyro do without a control loop? Thesis 2.2.1 and 5.1, claim T6.
+
+One axis is held at 1 µm by a drive loop, the other is watched. A perfect gyro turns rate into amplitude, slowly; the
+two devices of Tables 5.1 and 5.2 are blind to rate, because stiffness coupling shakes the sense axis far more.
+"""
+
+import equinox as eqx
+import matplotlib.pyplot as plt
+import numpy as np
+from _common import Report
+from scipy.optimize import brentq
+
+import memsgyro_jax as mg
+from memsgyro_jax import runtime
+from memsgyro_jax.device import SINGLE_MASS, Inertial, MotionModel
+
+
+runtime.configure()
+
+AMPLITUDE, SAMPLE_RATE = 1e-6, 100e3
+
+
+class HeldDrive(mg.AbstractGyro):
+    """A gyro whose x axis swings at 1 µm and `frequency` [Hz] whatever y does: phase lock and gain control."""
+
+    gyro: mg.AbstractGyro
+    frequency: float
+    model: MotionModel = eqx.field(static=True, default=SINGLE_MASS)
+
+    def dynamics(self, inertial):
+        own, rest = self.gyro.dynamics(inertial), (0.0, 0.0)
+        spring = ((2.0 * np.pi * self.frequency) ** 2, 0.0)
+        return own._replace(
+            stiffness=(spring, own.stiffness[1]), damping=(rest, own.damping[1]), coriolis=(rest, own.coriolis[1])
+        )
+
+    def coefficients(self, rate):
+        return (rate,) * len(self.model.names)
+
+
+class Blind(mg.AbstractObserver):
+    """Estimates nothing: an open loop needs no observer."""
+
+    model: MotionModel = eqx.field(static=True, default=SINGLE_MASS)
+
+    def init(self):
+        return ()
+
+    def update(self, state, measured, force, clock):
+        return ()
+
+    def estimate(self, state):
+        return mg.Estimate((0.0,) * 4, (0.0,) * len(self.model.names), (0.0, 0.0), self.model)
+
+
+def perfect(frequency: float, quality: float) -> mg.SingleMassGyro:
+    mass, omega = 1.8e-7, 2.0 * np.pi * frequency
+    stiffness, damping = mass * omega**2, mass * omega / quality
+    return mg.SingleMassGyro(mass, stiffness, stiffness, 0.0, damping, damping, 0.0)
+
+
+def sense_amplitude(gyro: mg.AbstractGyro, frequency: float, rate: float, at: float, duration: float) -> tuple:
+    """Time and demodulated y amplitude [m], (5.3), with the drive held at `frequency` and a step of the rate."""
+    density = mg.snr_density(1000.0, AMPLITUDE, 1e5, SAMPLE_RATE)
+    start = (0.0, 0.0, AMPLITUDE * 2.0 * np.pi * frequency, 0.0)
+    readout = mg.DirectReadout(1e5, noise_density=density)
+    loop = mg.ClosedLoop(HeldDrive(gyro, frequency), readout, Blind(), mg.OpenLoop(), start=start)
+    run = mg.simulate(loop, mg.Step(at, rate), sample_rate=SAMPLE_RATE, duration=duration)
+    # Both quadratures: stiffness coupling answers in phase with x, a rate on a matched gyro a quarter period away.
+    carrier = np.exp(1j * 2.0 * np.pi * frequency * run.time)
+    parts = 2.0 * carrier * run.volts[:, 1] / 1e5
+    smooth = np.asarray(mg.Lowpass(100.0, 3).apply(np.stack([parts.real, parts.imag], axis=1), SAMPLE_RATE))
+    return run.time, np.hypot(*smooth.T)
+
+
+def response(gyro: mg.AbstractGyro, frequency: np.ndarray) -> np.ndarray:
+    """Displacement per acceleration, (frequencies, 2, 2), rows the answering axis."""
+    dynamics, s = gyro.dynamics(Inertial()), 2j * np.pi * np.asarray(frequency)[..., None, None]
+    return np.linalg.inv(s**2 * np.eye(2) + s * np.asarray(dynamics.damping) + np.asarray(dynamics.stiffness))
+
+
+def quality(gyro: mg.AbstractGyro) -> tuple[float, float]:
+    """Quality factors of the two modes, from the poles."""
+    dynamics, system = gyro.dynamics(Inertial()), np.zeros((4, 4))
+    system[:2, 2:], system[2:, :2] = np.eye(2), -np.asarray(dynamics.stiffness)
+    system[2:, 2:] = -np.asarray(dynamics.damping)
+    poles = sorted((p for p in np.linalg.eigvals(system) if p.imag > 0), key=abs)
+    return tuple(float(-abs(p) / (2.0 * p.real)) for p in poles)
+
+
+def rotation_swing(omega: float, damping: float, beat: float) -> float:
+    """y amplitude per rate at rate frequency `beat` [rad/s] over that at rest, matched axes: (2.8) with its sidebands
+    each half as large; the two sidebands add up in the demodulated signal."""
+    side = [2.0 * omega / (omega**2 - (omega + s * beat) ** 2 + 1j * (omega + s * beat) * damping) for s in (1, -1)]
+    return abs(0.5 * (side[0] - np.conj(side[1]))) / (2.0 / damping)
+
+
+report = Report()
+single, dual, ideal = mg.SingleMassGyro.chi2010(), mg.DualMassGyro.chi2010(), perfect(3200.0, 804.0)
+
+omega, damping = 2.0 * np.pi * 3200.0, 2.0 * np.pi * 3200.0 / 804.0
+time, swing = sense_amplitude(ideal, 3200.0, 1.0, 0.02, 0.5 if report.quick else 0.9)
+final = 2.0 * AMPLITUDE * 804.0 / omega
+half = brentq(lambda b: rotation_swing(omega, damping, b) - np.sqrt(0.5), 1e-3, 100.0) / (2.0 * np.pi)
+report.row("time constant, 3.2 kHz, Q 804 [s]", 0.08, float(time[np.argmax(swing > 0.632 * final)] - 0.02),
+           "simulated step of 1 rad/s, 100 Hz demodulator included (2Q/ω = 0.0800)")  # fmt: skip
+report.row("bandwidth [Hz]", "about 3", half, f"-3 dB; the claim is 1/(4τ) = {1 / (4 * 2 / damping):.2f}")
+report.row("best resolution at SNR 100 [deg/s]", 7.16, float(np.degrees(omega / (2.0 * 804.0) / 100.0)), "(2.9)")
+
+matched = perfect(3000.0, 1000.0)
+_, reached = sense_amplitude(matched, 3000.0, 1.0, 0.0, 0.7)
+unit = float(np.mean(reached[-2000:]))
+report.row("y amplitude per rad/s, 3 kHz, Q 1000 [µm]", 0.106, 1e6 * unit, "simulated")
+tilted = eqx.tree_at(lambda g: g.kxy, matched, 0.01 * matched.kxx)
+_, swing = sense_amplitude(tilted, 3000.0, 0.0, 0.0, 0.7)
+coupled = float(np.mean(swing[-2000:]))
+report.row("1 % leg error: y amplitude at rest [µm]", 10.0, 1e6 * coupled, "kxy = 1 % of kxx")
+report.row("  equivalent rate [rad/s]", 100.0, coupled / unit)
+
+
+def capacitance(mismatch: float) -> float:
+    """fF per rad/s at a relative mismatch of the frequencies, (2.8); 100 fF/µm, Q 1000."""
+    wx, wy = 2.0 * np.pi * 3000.0, 2.0 * np.pi * 3000.0 * (1.0 + mismatch)
+    return 1e8 * 2.0 * AMPLITUDE * wx / abs(wy**2 - wx**2 + 1j * wx * wy / 1000.0)
+
+
+for density, claim in ((4e-3, 2.5), (2e-3, 5.0)):
+    floor = density * np.sqrt(3000.0)
+    crossing = 100.0 * brentq(lambda x, f=floor: capacitance(x) - f, 1e-4, 0.3)
+    report.row(f"mismatch that hides 1 rad/s at {1e3 * density:.0f} aF/√Hz [%]", claim, crossing,
+               f"Fig 2.2, floor {floor:.3f} fF")  # fmt: skip
+
+for name, gyro, claims in (("one mass", single, (2893.0, 3758.0, 942.0, 919.0, -9.0, -9.0)),
+                           ("two masses", dual, (3000.0, 3674.0, 942.0, 769.0, -41.0, -34.0))):  # fmt: skip
+    modes, q = mg.mode_frequencies(gyro), quality(gyro)
+    answers = response(gyro, modes)
+    across = [20.0 * np.log10(abs(answers[0, 1, 0] / answers[0, 0, 0])),
+              20.0 * np.log10(abs(answers[1, 0, 1] / answers[1, 1, 1]))]  # fmt: skip
+    dynamics = gyro.dynamics(Inertial())
+    alone = [float(np.sqrt(dynamics.stiffness[i][i]) / dynamics.damping[i][i]) for i in (0, 1)]
+    for i in (0, 1):
+        report.row(f"{name}: resonance {i + 1} [Hz]", claims[i], float(modes[i]))
+        report.row(f"  Q of mode {i + 1}", claims[2 + i], q[i], f"from the pole; uncoupled axis {alone[i]:.0f}")
+        report.row(f"  transfer {'xy'[i]} to {'yx'[i]} there [dB]", claims[4 + i], float(across[i]))
+
+figure, (left, middle, right) = plt.subplots(1, 3, figsize=(14, 4), layout="constrained")
+band = np.linspace(2500.0, 4200.0, 3000)
+for name, gyro, style in (("one mass", single, "-"), ("two masses", dual, "--")):
+    answers = 1e6 * np.abs(response(gyro, band))
+    for i, axis in enumerate("xy"):
+        left.semilogy(band, answers[:, i, 0], f"C{i}{style}", label=f"{axis}, {name}")
+left.set(xlabel="frequency [Hz]", ylabel="displacement per acceleration along x [µm s²/m]", title="Figs 5.1 and 5.3")
+mismatch = np.linspace(0.0, 0.1, 400)
+middle.semilogy(100.0 * mismatch, [capacitance(x) for x in mismatch], label="signal of 1 rad/s")
+middle.axhline(4e-3 * np.sqrt(3000.0), color="k", ls="--", label="4 aF/√Hz in 3 kHz")
+middle.set(xlabel="frequency mismatch [%]", ylabel="capacitance [fF]", title="Fig 2.2")
+turn, end = (0.1, 0.3) if report.quick else (0.5, 1.0)
+for name, gyro, frequency, claim in (("perfect", ideal, 3200.0, 0.8), ("one mass", single, 2893.0, None),
+                                     ("two masses", dual, 3000.0, None)):  # fmt: skip
+    time, swing = sense_amplitude(gyro, frequency, 10.0, turn, end)
+    before, after = (float(np.mean(swing[(time > t - 0.01) & (time < t)])) for t in (turn, end))
+    report.row(f"{name}: y amplitude at rest and at 10 rad/s [µm]", claim or "equal",
+               f"{1e6 * before:.4f}, {1e6 * after:.4f}", "Figs 5.5, 5.6; after 0.5 s (quick: 0.2 s)")  # fmt: skip
+    right.semilogy(time, 1e6 * swing, label=name)
+right.set(xlabel="time [s]", ylabel="demodulated y amplitude [µm]", ylim=(1e-4, 3), title="Figs 5.5 and 5.6: 10 rad/s")
+for ax in (left, middle, right):
+    ax.legend(frameon=False, fontsize=8)
+report.picture(figure, "open_loop")
+report.finish()

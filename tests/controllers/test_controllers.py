@@ -1,0 +1,159 @@
+"""Forces against the thesis' formulas written out, and what they do to a device whose estimate is right."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from oracles import motion
+
+from memsgyro_jax.controllers import DampingCompensation, OpenLoop, ReferenceModel, Tone
+from memsgyro_jax.device import DUAL_MASS, SINGLE_MASS, DualMassGyro, Inertial, SingleMassGyro
+from memsgyro_jax.errors import InputError
+from memsgyro_jax.observers import Clock, Estimate
+from memsgyro_jax.propagate import Exact, applied
+
+
+MOTION = (0.8e-6, -0.4e-6, 0.011, 0.017)
+SINGLE = tuple(map(float, SingleMassGyro.chi2010().coefficients(1.5)))
+DUAL = tuple(map(float, DualMassGyro.chi2010().coefficients(1.5)))
+ESTIMATES = {
+    "single": Estimate(MOTION, SINGLE, (0.0, 0.0), SINGLE_MASS),
+    "dual": Estimate(MOTION, DUAL, (0.0, 0.0), DUAL_MASS),
+}
+CLOCK = Clock(1.3e-3, 130, 1e-5)
+
+
+def force_of(controller, estimate, clock=CLOCK):
+    force, state = controller.command(controller.init(), estimate, clock)
+    assert state == controller.init()
+    return np.array(force, float)
+
+
+def sine(amplitude, frequency, phase, time):
+    return amplitude * np.sin(2 * np.pi * frequency * time + phase)
+
+
+def test_tones():
+    tone = Tone(600.0, 53.95, 0.4)
+    assert float(tone.value(1.3e-3)) == pytest.approx(sine(53.95, 600.0, 0.4, 1.3e-3), rel=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("tones", "x", "y"),
+    [
+        (((), ()), 0.0, 0.0),
+        (Tone(600.0, 2.0), sine(2, 600, 0, 1.3e-3), sine(2, 600, 0, 1.3e-3)),
+        ((Tone(600.0, 2.0), ()), sine(2, 600, 0, 1.3e-3), 0.0),
+        ((Tone(600.0, 2.0), (Tone(50.0, 1.0), Tone(70.0, 3.0, 0.1))), sine(2, 600, 0, 1.3e-3),
+         sine(1, 50, 0, 1.3e-3) + sine(3, 70, 0.1, 1.3e-3)),
+    ],
+    ids=["none", "one for both", "x alone", "two on y"],
+)  # fmt: skip
+def test_damping_compensation_of_one_mass_is_4_27(tones, x, y):
+    _, _, _, _, dxx, dyy, dxy, sigma = SINGLE
+    vx, vy = MOTION[2:]
+    want = np.array([dxx * vx + dxy * vy + x, dxy * vx + dyy * vy + y]) / sigma
+    assert force_of(DampingCompensation(tones), ESTIMATES["single"]) == pytest.approx(want, rel=1e-13)
+
+
+def test_damping_compensation_of_two_masses_is_4_28():
+    dxx, dyy, sigma_x, sigma_y = DUAL[6:]
+    tone = sine(53.95, 600.0, 0.0, 1.3e-3)
+    want = [(dxx * MOTION[2] + tone) / sigma_x, (dyy * MOTION[3] + tone) / sigma_y]
+    assert force_of(DampingCompensation(Tone(600.0, 53.95)), ESTIMATES["dual"]) == pytest.approx(want, rel=1e-13)
+
+
+def reference_force(kind, motion_now, tone):
+    """(4.17) and (4.18), y's velocity multiplying d_yy, at the given motion."""
+    x, y, vx, vy = motion_now
+    kax, kay = (2 * np.pi * 3000.0) ** 2, (2 * np.pi * 5000.0) ** 2
+    if kind == "single":
+        w, kxx, kyy, kxy, dxx, dyy, dxy, sx = SINGLE
+        kyx, dyx, wx, sy = kxy, dxy, w, sx
+    else:
+        wx, w, kxx, kyy, kxy, kyx, dxx, dyy, sx, sy = DUAL
+        dxy = dyx = 0.0
+    return np.array(
+        [
+            (dxx * vx + dxy * vy + kxx * x + kxy * y - kax * x - 2 * wx * vy + tone) / sx,
+            (dyx * vx + dyy * vy + kyx * x + kyy * y - kay * y + 2 * w * vx + tone) / sy,
+        ]
+    )
+
+
+@pytest.mark.parametrize("kind", ["single", "dual"])
+def test_reference_model_is_4_17_and_4_18_half_a_sample_ahead(kind):
+    """Half a sample ahead along the reference oscillators, found here by the exponential."""
+    ahead, _ = motion.held(
+        np.array(
+            [[0, 0, 1, 0], [0, 0, 0, 1], [-((2 * np.pi * 3e3) ** 2), 0, 0, 0], [0, -((2 * np.pi * 5e3) ** 2), 0, 0]]
+        ),
+        np.zeros((4, 1)),
+        0.5e-5,
+    )
+    tone = sine(2.0, 600.0, 0.0, 1.3e-3 + 0.5e-5)
+    want = reference_force(kind, ahead @ MOTION, tone)
+    controller = ReferenceModel((3000.0, 5000.0), Tone(600.0, 2.0))
+    assert force_of(controller, ESTIMATES[kind]) == pytest.approx(want, rel=1e-10)
+    at_once = force_of(controller, ESTIMATES[kind], Clock(1.3e-3, 0, 1e-12))
+    assert at_once == pytest.approx(reference_force(kind, MOTION, sine(2.0, 600.0, 0.0, 1.3e-3)), rel=1e-5)
+
+
+def driven(gyro, controller, rate, count, sample_rate):
+    """Motion under the controller with a perfect estimate, through the exact propagator."""
+    state, path, exact = np.array([1e-6, 0.5e-6, 0.0, 0.0]), [], Exact.covering(5500.0, sample_rate)
+    dynamics, theta = gyro.dynamics(Inertial(rate)), gyro.coefficients(rate)
+    step = exact.transition(dynamics.stiffness, dynamics.velocity, 1 / sample_rate)
+    full, push = np.array(step.full), np.array(step.push)
+    for i in range(count):
+        estimate = Estimate(tuple(state), theta, (0.0, 0.0), gyro.model)
+        force = force_of(controller, estimate, Clock(i / sample_rate, i, 1 / sample_rate))
+        state = full @ state + push @ np.array(applied(dynamics, force), float)
+        path.append(state)
+    return np.array(path)
+
+
+@pytest.mark.parametrize("gyro", [SingleMassGyro.chi2010(), DualMassGyro.chi2010()], ids=["single", "dual"])
+def test_reference_model_makes_oscillators_of_its_frequencies(gyro):
+    """After 0.6 ms at 200 kHz, true motion is that of two undamped, uncoupled oscillators."""
+    path = driven(gyro, ReferenceModel((3000.0, 5000.0)), 1.0, 120, 200e3)
+    t = np.arange(1, 121) / 200e3
+    want = np.stack([1e-6 * np.cos(2 * np.pi * 3000 * t), 0.5e-6 * np.cos(2 * np.pi * 5000 * t)], axis=1)
+    assert np.max(np.abs(path[:, :2] - want)) < 0.02e-6
+
+
+def test_damping_compensation_removes_the_decay():
+    """The free device loses ω/Q·t of its energy; compensated it keeps all but the sample-and-hold's remainder."""
+    gyro = SingleMassGyro.chi2010()
+
+    def energy(path):
+        k = np.array(gyro.dynamics(Inertial()).stiffness)
+        return np.sum(path[:, 2:] ** 2, axis=1) + np.einsum("ti,ij,tj->t", path[:, :2], k, path[:, :2])
+
+    free = energy(driven(gyro, OpenLoop(), 0.0, 300, 100e3))
+    kept = energy(driven(gyro, DampingCompensation(), 0.0, 300, 100e3))
+    assert free[-1] / free[0] == pytest.approx(np.exp(-22.0 * 299e-5), rel=0.01)
+    # A force held over a sample is half a sample old: cos(ωh/2) of it does work, 1 % is left of the damping.
+    assert abs(np.log(kept[-1] / kept[0])) < 0.02 * abs(np.log(free[-1] / free[0]))
+
+
+def test_open_loop_holds_its_tones_at_the_middle_of_a_sample():
+    controller = OpenLoop((Tone(600.0, 1e-6), ()))
+    want = [sine(1e-6, 600.0, 0.0, 1.3e-3 + 0.5e-5), 0.0]
+    assert force_of(controller, ESTIMATES["single"]) == pytest.approx(want, rel=1e-13)
+    elsewhere = Estimate((1.0, 2.0, 3.0, 4.0), SINGLE, (0.0, 0.0), SINGLE_MASS)
+    assert np.array_equal(force_of(controller, elsewhere), force_of(controller, ESTIMATES["single"]))
+
+
+def test_forces_have_one_value_per_die():
+    many = Estimate(tuple(jnp.full(3, m) for m in MOTION), SINGLE, (0.0, 0.0), SINGLE_MASS)
+    tone = Tone(600.0, 2.0)
+    for controller in (OpenLoop(tone), DampingCompensation(tone), ReferenceModel((3e3, 5e3), tone)):
+        force = force_of(controller, many)
+        assert force.shape == (2, 3)
+        assert force[:, 0] == pytest.approx(force_of(controller, ESTIMATES["single"]), rel=1e-14)
+
+
+@pytest.mark.parametrize("frequency", [(0.0, 5e3), (3e3, -5e3), (float("nan"), 1.0)])
+def test_impossible_reference_frequencies_are_refused(frequency):
+    with pytest.raises(InputError, match="`frequency` must be positive and finite"):
+        ReferenceModel(frequency)

@@ -1,0 +1,54 @@
+"""Figures of merit against scipy and exact cases."""
+
+import numpy as np
+import pytest
+from scipy import signal, stats
+
+from memsgyro_jax.merit import following, percentiles, proportion, settling_time
+
+
+def test_a_yield_has_its_wilson_interval():
+    """Closed form of Wilson (1927) for 45 of 50."""
+    z, n, p = stats.norm.ppf(0.975), 50, 0.9
+    middle = (p + z**2 / (2 * n)) / (1 + z**2 / n)
+    half = z / (1 + z**2 / n) * np.sqrt(p * (1 - p) / n + z**2 / (4 * n**2))
+    found = proportion(45, 50, "in range")
+    assert (found.value, found.low, found.high) == pytest.approx((0.9, middle - half, middle + half))
+    assert proportion(0, 0, "nothing").high == 1.0
+
+
+def test_percentiles_leave_out_what_is_not_finite():
+    errors = np.concatenate([np.linspace(-1.0, 1.0, 2001), [np.nan, np.inf]])
+    found = percentiles(errors)
+    assert found.rms == pytest.approx(1.0 / np.sqrt(3.0), rel=1e-3)
+    assert (found.p50, found.p95) == pytest.approx((0.5, 0.95), abs=1e-3)
+    assert np.isnan(percentiles(np.array([np.nan])).rms)
+
+
+@pytest.mark.parametrize(("bandwidth", "delay"), [(10.0, 0.004), (30.0, 0.0), (50.0, 0.002)])
+def test_delay_and_bandwidth_of_a_known_lag_are_found(bandwidth, delay):
+    time = np.arange(400) * 1e-3
+    fine = np.arange(40000) * 1e-5
+    rate = lambda t: np.sin(2 * np.pi * 12.0 * t) + 0.5 * np.sin(2 * np.pi * 31.0 * t + 1.0)  # noqa: E731
+    lag = 1.0 / (2.0 * np.pi * bandwidth)
+    slow = signal.lsim(([1.0], [lag, 1.0]), rate(fine), fine)[1]
+    estimate = np.interp(time - delay, fine, slow)
+    late = time > 0.1
+    rng = np.random.default_rng(0)
+    dies = estimate[late] + 0.02 * rng.standard_normal((50, late.sum()))
+    found = following(time[late], rate(time[late]), dies)
+    assert found is not None
+    assert found.bandwidth == pytest.approx(bandwidth, rel=0.06)
+    assert found.delay == pytest.approx(delay, abs=6e-4)
+
+
+def test_a_constant_rate_is_not_followed():
+    assert following(np.arange(50) * 1e-3, np.ones(50), np.ones((3, 50))) is None
+
+
+def test_settling_time():
+    time, error = np.arange(5.0), np.array([3.0, 0.1, 2.0, 0.2, 0.1])
+    assert settling_time(time, error, 1.0) == 3.0
+    assert settling_time(time, error, 5.0) == 0.0
+    assert np.isnan(settling_time(time, error[::-1], 1.0))
+    assert np.isnan(settling_time(time, np.full(5, np.nan), 1.0))

@@ -1,0 +1,100 @@
+"""Fabrication spread: distributions, correlation, and the identity of a die."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import memsgyro_jax as mg
+from memsgyro_jax.errors import InputError
+from memsgyro_jax.scenario import as_scenario
+from memsgyro_jax.spread import device_numbers
+
+
+@pytest.fixture(scope="module")
+def loop() -> mg.ClosedLoop:
+    gyro, readout = mg.SingleMassGyro.chi2010(), mg.ChargeAmplifier.chi2010()
+    return mg.ClosedLoop(gyro, readout, mg.ExtendedKalmanFilter.for_device(gyro, readout), mg.OpenLoop())
+
+
+def draw(loop, spread, dies, seed=0, scenario=1.0):
+    return spread.draw(loop, as_scenario(scenario), seed, np.asarray(dies))
+
+
+def test_every_device_parameter_varies_but_one_that_is_zero(loop):
+    names = ("mass", "kxx", "kyy", "kxy", "dxx", "dyy", "dxy")
+    assert device_numbers(loop) == names
+    drawn = draw(loop, mg.Spread.relative(0.1), range(4))
+    assert drawn.parameters == tuple(f"device.{name}" for name in names)
+    assert drawn.loop.device.kxx.shape == (4,)
+    assert drawn.loop.device.cross_damping_asymmetry.shape == ()
+    np.testing.assert_array_equal(drawn.table[:, 1], drawn.loop.device.kxx)
+
+
+@pytest.mark.parametrize("quasi", [True, False])
+def test_a_die_is_the_same_in_any_company(loop, quasi):
+    spread = mg.Spread.relative(0.15, quasi=quasi)
+    whole = draw(loop, spread, range(33)).table
+    np.testing.assert_array_equal(draw(loop, spread, [17]).table[0], whole[17])
+    np.testing.assert_array_equal(draw(loop, spread, [32, 0, 5]).table, whole[[32, 0, 5]])
+    assert np.any(draw(loop, spread, [17], seed=1).table != whole[17])
+
+
+@pytest.mark.parametrize("quasi", [True, False])
+def test_the_distributions_are_what_they_say(loop, quasi):
+    spread = mg.Spread(
+        (
+            mg.Vary("device.kxx", mg.Normal(relative=0.1)),
+            mg.Vary("readout.opamp_offset.0", mg.Uniform(low=1e-3, high=3e-3)),
+        ),
+        quasi=quasi,
+    )
+    table = draw(loop, spread, range(1024)).table
+    cut = stats.truncnorm(-4, 4, loc=63.96, scale=6.396)
+    assert stats.kstest(table[:, 0], cut.cdf).pvalue > 1e-3
+    assert stats.kstest(table[:, 1], stats.uniform(1e-3, 2e-3).cdf).pvalue > 1e-3
+    assert abs(np.corrcoef(table.T)[0, 1]) < 4.0 / np.sqrt(1024)
+
+
+def test_correlation_is_kept(loop):
+    items = (mg.Vary("device.kxx", mg.Normal(relative=0.1)), mg.Vary("device.kyy", mg.Normal(relative=0.1)))
+    table = draw(loop, mg.Spread(items, correlation=((1.0, 0.8), (0.8, 1.0))), range(1024)).table
+    assert np.corrcoef(table.T)[0, 1] == pytest.approx(0.8, abs=0.04)
+
+
+def test_a_named_parameter_keeps_its_own_distribution(loop):
+    spread = mg.Spread((mg.Vary("device.kxy", mg.Uniform(relative=0.01)),), everywhere=mg.Normal(relative=0.15))
+    drawn = draw(loop, spread, range(64))
+    assert drawn.parameters.count("device.kxy") == 1
+    assert np.ptp(drawn.table[:, drawn.parameters.index("device.kxy")]) < 0.0201 * 12.78
+
+
+def test_the_scenario_can_vary(loop):
+    spread = mg.Spread((mg.Vary("scenario.rate.level", mg.Normal(std=2.0)),))
+    assert draw(loop, spread, range(8)).scenario.rate.level.shape == (8,)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: mg.Spread((mg.Vary("device.kzz", mg.Normal(relative=0.1)),)), "`kzz`"),
+        (lambda: mg.Spread((mg.Vary("readout.opamp_offset", mg.Normal(relative=0.1)),)), "one number"),
+        (lambda: mg.Spread((mg.Vary("readout.opamp_offset.5", mg.Normal(relative=0.1)),)), "`5`"),
+        (lambda: mg.Spread.relative(-0.1), "negative"),
+        (lambda: mg.Spread((mg.Vary("device.kxx", mg.Uniform()),)), "`relative`"),
+        (lambda: mg.Spread((mg.Vary("device.kxx", mg.Uniform(low=2.0, high=1.0)),)), "low <= high"),
+        (
+            lambda: mg.Spread((mg.Vary("device.kxx", mg.Normal(relative=0.1)),), correlation=((1.0, 0.0), (0.0, 1.0))),
+            "1x1",
+        ),
+        (
+            lambda: mg.Spread(
+                (mg.Vary("device.kxx", mg.Normal(relative=0.1)), mg.Vary("device.kyy", mg.Normal(relative=0.1))),
+                correlation=((1.0, 2.0), (2.0, 1.0)),
+            ),
+            "positive definite",
+        ),
+    ],
+)
+def test_bad_spreads_are_one_sentence(loop, make, words):
+    with pytest.raises(InputError, match=words):
+        draw(loop, make(), range(2))

@@ -1,0 +1,220 @@
+"""Sweeps: the same die is the same die, lost dies stay alone, and a kill loses nothing."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import memsgyro_jax as mg
+from memsgyro_jax.errors import InputError
+from memsgyro_jax.spread import AbstractDistribution
+from memsgyro_jax.store import Store
+
+
+SHORT = {"sample_rate": 100e3, "duration": 0.002, "bound_dies": 0}
+SPREAD = mg.Spread.relative(0.15)
+
+SCRIPT = """
+import sys
+from memsgyro_jax import runtime
+runtime.configure(devices={devices})
+import memsgyro_jax as mg
+gyro, readout = mg.SingleMassGyro.chi2010(), mg.ChargeAmplifier.chi2010()
+observer = mg.ExtendedKalmanFilter.for_device(gyro, readout, annealing=mg.Annealing())
+loop = mg.ClosedLoop(gyro, readout, observer, mg.DampingCompensation(mg.Tone(600.0, 53.95)))
+lot = mg.sweep(loop, mg.Spread.relative(0.15), dies={dies}, chunk=8, sample_rate=100e3, duration=0.002, bound_dies=0,
+               out=sys.argv[1], resume=True, progress=lambda done, dies: print(done, flush=True))
+"""
+
+
+@pytest.fixture(scope="module")
+def loop() -> mg.ClosedLoop:
+    gyro, readout = mg.SingleMassGyro.chi2010(), mg.ChargeAmplifier.chi2010()
+    observer = mg.ExtendedKalmanFilter.for_device(gyro, readout, annealing=mg.Annealing())
+    return mg.ClosedLoop(gyro, readout, observer, mg.DampingCompensation(mg.Tone(600.0, 53.95)))
+
+
+@pytest.fixture(scope="module")
+def reference(loop):
+    return mg.sweep(loop, SPREAD, dies=40, chunk=8, **SHORT).to_xarray()
+
+
+def same_bits(left, right, dies):
+    for name in left.data_vars:
+        a, b = left[name].values, right[name].values
+        if "die" in left[name].dims:
+            a, b = a[:dies], b[:dies]
+        assert a.tobytes() == b.tobytes(), name
+
+
+def test_fewer_dies_are_the_beginning_of_more(loop, reference):
+    same_bits(mg.sweep(loop, SPREAD, dies=13, chunk=8, **SHORT).to_xarray(), reference, 13)
+
+
+def test_one_device_gives_the_bits_of_two(reference, fresh_python, tmp_path):
+    done = fresh_python("-c", SCRIPT.format(devices=1, dies=40), str(tmp_path / "one"))
+    assert done.returncode == 0, done.stderr
+    same_bits(Store.open(tmp_path / "one" / "dies.zarr").to_xarray(), reference, 40)
+
+
+@pytest.mark.parametrize("chunk", [1, 5, 64])
+def test_the_chunk_size_changes_nothing(loop, reference, chunk):
+    same_bits(mg.sweep(loop, SPREAD, dies=6, chunk=chunk, **SHORT).to_xarray(), reference, 6)
+
+
+@pytest.mark.parametrize("share", [1, 10, 50])
+def test_diverging_dies_are_flagged_and_change_no_other(loop, reference, share):
+    """A die of negative damping far beyond anything physical leaves its travel within the run."""
+    dies = 40
+    bad = np.random.default_rng(share).choice(dies, max(1, dies * share // 100), replace=False)
+    spread = mg.Spread((mg.Vary("start.3", Planted(tuple(int(b) for b in bad))),), everywhere=SPREAD.everywhere)
+    plain = mg.Spread((mg.Vary("start.3", Planted(())),), everywhere=SPREAD.everywhere)
+    sick = mg.sweep(loop, spread, dies=dies, chunk=8, **SHORT)
+    well = mg.sweep(loop, plain, dies=dies, chunk=8, **SHORT)
+    status = sick.to_xarray()["status"].values
+    assert np.flatnonzero(status == 1).tolist() == sorted(bad.tolist())
+    assert sick.summary.failed == len(bad)
+    assert np.all(np.isnan(sick.to_xarray()["rate_error_end"].values[bad]))
+    others = np.setdiff1d(np.arange(dies), bad)
+    for name in ("rate_error_end", "coefficient_error", "rate_estimate", "nees_end"):
+        a, b = sick.to_xarray()[name].values[others], well.to_xarray()[name].values[others]
+        assert a.tobytes() == b.tobytes(), name
+
+
+class Planted(AbstractDistribution):
+    """Zero for most dies, a blow of 10 m/s for the dies named: the number of the die is read off its place."""
+
+    dies: tuple[int, ...] = eqx.field(static=True)
+    seen: list = eqx.field(static=True, default_factory=list)
+
+    def value(self, design, normal):
+        first = sum(self.seen)
+        self.seen.append(len(normal))
+        numbers = np.arange(first, first + len(normal))
+        return np.where(np.isin(numbers, self.dies), 10.0, 0.0)
+
+
+def test_a_store_is_what_the_sweep_returns(loop, reference, tmp_path):
+    lot = mg.sweep(loop, SPREAD, dies=40, chunk=8, out=tmp_path, **SHORT)
+    same_bits(lot.to_xarray(), reference, 40)
+    assert Store.open(tmp_path / "dies.zarr").pending() == []
+    assert list(lot.to_xarray()["coefficient"].values) == list(loop.device.model.names)
+
+
+def test_resume_goes_on_and_grows(loop, reference, tmp_path):
+    mg.sweep(loop, SPREAD, dies=20, chunk=8, out=tmp_path, **SHORT)
+    grown = mg.sweep(loop, SPREAD, dies=40, chunk=8, out=tmp_path, resume=True, **SHORT)
+    same_bits(grown.to_xarray(), reference, 40)
+
+
+def test_a_store_of_something_else_is_refused(loop, tmp_path):
+    mg.sweep(loop, SPREAD, dies=8, chunk=8, out=tmp_path, **SHORT)
+    with pytest.raises(InputError, match="--resume"):
+        mg.sweep(loop, SPREAD, dies=8, chunk=8, out=tmp_path, **SHORT)
+    with pytest.raises(InputError, match="another configuration"):
+        mg.sweep(loop, mg.Spread.relative(0.1), dies=8, chunk=8, out=tmp_path, resume=True, **SHORT)
+    with pytest.raises(InputError, match="another configuration"):
+        mg.sweep(loop, SPREAD, dies=8, chunk=8, seed=1, out=tmp_path, resume=True, **SHORT)
+    with pytest.raises(InputError, match="blocks of 64"):
+        mg.sweep(loop, SPREAD, dies=8, chunk=4, out=tmp_path, resume=True, **SHORT)
+    with pytest.raises(InputError, match="holds 8 dies"):
+        mg.sweep(loop, SPREAD, dies=7, chunk=8, out=tmp_path, resume=True, **SHORT)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"dies": 0}, "`dies`"),
+        ({"settle": 0.01}, "`settle`"),
+        ({"tolerance": 0.0}, "`tolerance`"),
+        ({"chunk": 0}, "`chunk`"),
+        ({"duration": -1.0}, "`duration`"),
+        ({"sample_rate": 5e3}, "`sample_rate`"),
+        ({"sample_rate": float("nan")}, "`sample_rate`"),
+    ],
+)
+def test_bad_settings_are_one_sentence(loop, arguments, words):
+    with pytest.raises(InputError, match=words):
+        mg.sweep(loop, SPREAD, **{"dies": 8, **SHORT, **arguments})
+
+
+def killed_at(delay: float, folder, environment) -> None:
+    """Start a sweep and kill it `delay` seconds after its first batch."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", SCRIPT.format(devices=2, dies=400), str(folder)],
+        env=environment, stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert process.stdout is not None
+    process.stdout.readline()
+    time.sleep(delay)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    process.stdout.close()
+
+
+def check_kills(loop, tmp_path, moments) -> None:
+    clean = {n: v for n, v in os.environ.items() if not n.startswith(("XLA_FLAGS", "JAX_", "MEMSGYRO_"))}
+    environment = clean | {"XDG_CACHE_HOME": str(tmp_path / "cache"), "PYTHONPATH": os.pathsep.join(sys.path)}
+    for number, delay in enumerate(moments):
+        folder = tmp_path / f"kill{number // 5}"  # five kills in a row hit the same store
+        killed_at(delay, folder, environment)
+    whole = mg.sweep(loop, SPREAD, dies=400, chunk=8, **SHORT).to_xarray()
+    for folder in sorted(tmp_path.glob("kill*")):
+        resumed = mg.sweep(loop, SPREAD, dies=400, chunk=8, out=folder, resume=True, **SHORT).to_xarray()
+        same_bits(resumed, whole, 400)
+
+
+def test_a_killed_sweep_resumes_to_the_same_bits(loop, tmp_path):
+    check_kills(loop, tmp_path, [0.05, 0.2])
+
+
+@pytest.mark.slow
+def test_fifty_kills_lose_nothing(loop, tmp_path):
+    check_kills(loop, tmp_path, np.random.default_rng(0).uniform(0.0, 0.6, 50))
+
+
+def test_the_default_lot_is_consistent_and_at_the_bound(loop):
+    """128 dies of the main job: a ratio to the bound of 1 within its sampling error, and a consistent filter."""
+    lot = mg.sweep(loop, SPREAD, dies=128, bound_dies=128)
+    figures = lot.summary
+    assert figures.failed == 0
+    assert figures.ratio_to_bound == pytest.approx(1.0, abs=3.0 / np.sqrt(2 * 128))
+    assert figures.nees == pytest.approx(14.0, abs=3.0 * np.sqrt(2 * 14 / 128))
+    assert figures.nis == pytest.approx(2.0, abs=0.02)
+    text = json.loads(json.dumps(figures.as_dict()))
+    assert set(text) >= {
+        "schema", "dies", "failed", "rate_error_dps", "bound_dps", "ratio_to_bound", "nees", "convergence_time_s",
+        "yield", "steps_per_s", "seed", "versions",
+    }  # fmt: skip
+    assert set(text["rate_error_dps"]["end"]) == set(text["rate_error_dps"]["settled"]) == {"rms", "p50", "p95"}
+    assert set(text["yield"]) == {"value", "low", "high", "criterion"}
+
+
+def test_a_varying_rate_is_followed_and_said_so(loop):
+    gyro = loop.device
+    noise = mg.ProcessNoise.of(gyro.model, rate=3e3)
+    quick = eqx.tree_at(lambda made: made.observer.process_noise, loop, noise)
+    lot = mg.sweep(
+        quick, SPREAD, mg.Sine(amplitude=5.0, frequency=20.0), dies=16, duration=0.15, settle=0.05, bound_dies=0
+    )
+    found = lot.summary.as_dict()["following"]
+    assert found["rms_dps"] < 60.0
+    assert -1e-3 < found["delay_s"] < 10e-3
+
+
+def test_identical_dies_differ_by_noise_alone(loop):
+    lot = mg.sweep(loop, mg.Spread(), dies=8, chunk=8, **SHORT).to_xarray()
+    assert lot.sizes["parameter"] == 0
+    assert len(np.unique(lot["rate_error_end"].values)) == 8
+
+
+def test_results_do_not_depend_on_a_rebuilt_loop(loop, reference):
+    rebuilt = eqx.tree_at(lambda made: made.device.mass, loop, jnp.asarray(1.8e-7))
+    same_bits(mg.sweep(rebuilt, SPREAD, dies=8, chunk=8, **SHORT).to_xarray(), reference, 8)

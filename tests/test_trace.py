@@ -1,0 +1,101 @@
+"""One run kept sample by sample."""
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+
+import memsgyro_jax as mg
+from memsgyro_jax.errors import InputError
+
+
+mpl.use("agg")
+
+
+@pytest.fixture(scope="module")
+def loop() -> mg.ClosedLoop:
+    gyro, readout = mg.SingleMassGyro.chi2010(), mg.ChargeAmplifier.chi2010()
+    observer = mg.ExtendedKalmanFilter.for_device(gyro, readout, annealing=mg.Annealing())
+    return mg.ClosedLoop(gyro, readout, observer, mg.DampingCompensation(mg.Tone(600.0, 53.95)))
+
+
+@pytest.fixture(scope="module")
+def trace(loop) -> mg.Trace:
+    return mg.simulate(loop, mg.Step(at=0.005, after=1.0), sample_rate=100e3, duration=0.01, seed=3)
+
+
+def test_a_trace_holds_the_whole_run(trace):
+    assert trace.time[0] == pytest.approx(1e-5)
+    assert trace.time[-1] == pytest.approx(0.01)
+    assert len(trace.time) == 1000
+    assert trace.lost_at is None
+    assert "completed" in repr(trace)
+    np.testing.assert_array_equal(np.unique(trace.rate_true), [0.0, 1.0])
+    assert np.max(np.abs(trace.motion[:, 0])) < 1.2e-6
+
+
+def test_decimation_keeps_every_nth_sample(loop, trace):
+    thin = mg.simulate(loop, mg.Step(at=0.005, after=1.0), sample_rate=100e3, duration=0.01, seed=3, decimation=10)
+    np.testing.assert_allclose(thin.rate_estimate, trace.rate_estimate[9::10], rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(thin.volts, trace.volts[9::10], rtol=1e-12, atol=1e-15)
+
+
+def test_noise_belongs_to_seed_and_die(loop, trace):
+    again = mg.simulate(loop, mg.Step(at=0.005, after=1.0), sample_rate=100e3, duration=0.01, seed=3)
+    assert again.volts.tobytes() == trace.volts.tobytes()
+    for other in ({"seed": 4}, {"seed": 3, "die": 1}):
+        volts = mg.simulate(loop, mg.Step(at=0.005, after=1.0), sample_rate=100e3, duration=0.01, **other).volts
+        assert np.std(volts - trace.volts) > 1e-5
+
+
+def test_the_voltage_is_the_motion_with_offset_and_noise(loop, trace):
+    scale = np.array([float(s) for s in loop.readout.scale])
+    noise = trace.volts - scale * trace.motion[:, :2] - trace.offset
+    expected = float(loop.readout.noise_std(1e-5)[0])
+    assert np.std(noise, axis=0) == pytest.approx([expected, expected], rel=0.08)
+
+
+def test_a_trace_becomes_a_dataset_and_pictures(trace):
+    data = trace.to_xarray()
+    assert data["rate_estimate"].attrs["units"] == "rad/s"
+    assert data.attrs["seed"] == 3
+    for quantity in ("rate", "motion", "offset", "kxx"):
+        assert trace.plot(quantity).get_xlabel() == "time [ms]"
+    with pytest.raises(InputError, match="`nonsense`"):
+        trace.plot("nonsense")
+    mpl.pyplot.close("all")
+
+
+def test_a_lost_die_says_when(loop):
+    pushed = mg.simulate(
+        mg.ClosedLoop(loop.device, loop.readout, loop.observer, mg.OpenLoop((mg.Tone(2893.0, 1e-3), ()))),
+        0.0, sample_rate=100e3, duration=0.01,
+    )  # fmt: skip
+    assert pushed.lost_at is not None
+    assert "lost" in pushed.status
+    assert np.all(np.isfinite(pushed.motion))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"duration": 0.0}, "`duration`"),
+        ({"duration": 1e-6}, "`duration`"),
+        ({"sample_rate": 4e3}, "`sample_rate`"),
+        ({"decimation": 0}, "`decimation`"),
+    ],
+)
+def test_bad_settings_are_one_sentence(loop, arguments, words):
+    with pytest.raises(InputError, match=words):
+        mg.simulate(loop, 0.0, **{"sample_rate": 100e3, "duration": 0.01, **arguments})
+
+
+def test_float32_is_refused(fresh_python):
+    done = fresh_python(
+        "-c",
+        "import memsgyro_jax as mg\n"
+        "g = mg.SingleMassGyro.chi2010()\n"
+        "l = mg.ClosedLoop(g, mg.ChargeAmplifier.chi2010(), mg.ExtendedKalmanFilter.for_device(g), mg.OpenLoop())\n"
+        "try: mg.simulate(l, 0.0, sample_rate=1e5, duration=1e-3)\n"
+        "except mg.InputError as error: print(error)",
+    )
+    assert "float64" in done.stdout or "64" in done.stdout, done.stderr
