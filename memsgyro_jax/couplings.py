@@ -1,13 +1,13 @@
 """Two coupled modes of a gyroscope: what couples them, by which angle, and the displacement each coupling causes.
 
-The equations of motion are (4) of Zheng et al. (2024), *Identification of coupling error coefficients of a micromechanical gyroscope
-from swept-frequency detection*, J. Chinese Inertial Technology 32(2):
+The equations of motion are (4) of Zheng et al. (2024), *Identification of coupling error coefficients of a
+micromechanical gyroscope from swept-frequency detection*, J. Chinese Inertial Technology 32(2):
 
     m ẍ + cxx ẋ + cxy ẏ + kxx x + kxy y = Fx cos θx − Fy sin θy + 2 m Ω ẏ
     m ÿ + cyx ẋ + cyy ẏ + kyx x + kyy y = Fx sin θx + Fy cos θy − 2 m Ω ẋ
 
-Divided by the mass, with η = cxy/m = cyx/m, α = kxy/m = kyx/m and force couplings λyx = tan θx, λxy = −tan θy, they are the
-`CoupledModes` below. Phasors follow e^{+iωt} throughout: x(t) = Re[X e^{iωt}].
+Divided by the mass, with η = cxy/m = cyx/m, α = kxy/m = kyx/m and force couplings λyx = tan θx, λxy = −tan θy, they are
+the `CoupledModes` below. Phasors follow e^{+iωt} throughout: x(t) = Re[X e^{iωt}].
 """
 
 import equinox as eqx
@@ -63,12 +63,14 @@ class CoupledModes(eqx.Module):
         return jnp.stack([jnp.stack([one, self.force_xy]), jnp.stack([self.force_yx, one])])
 
     def dynamic_stiffness(self, frequency: Float[Array, " n"], rate: float = 0.0) -> tuple[Array, Array, Array, Array]:
-        """Dx, Dy, Cxy, Cyx at angular frequencies [rad/s]: the matrix [[Dx, Cxy], [Cyx, Dy]] takes phasors (X, Y) [m] to acceleration [m/s²].
+        """Dx, Dy, Cxy, Cyx at angular frequencies [rad/s]: the matrix [[Dx, Cxy], [Cyx, Dy]] takes phasors (X, Y) [m]
+        to acceleration [m/s²].
 
         The rate Ω [rad/s] enters as ∓2iωΩ: a cross damping of opposite sign on the two axes.
         """
         s = 1j * frequency
-        # (ω0 − ω)(ω0 + ω) instead of ω0² − ω²: at Q 1e5 the difference of squares would cost five digits near resonance.
+        # (ω0 − ω)(ω0 + ω) instead of ω0² − ω²: at Q 1e5 the difference of squares would cost five digits near
+        # resonance.
         diagonal = [
             (w - frequency) * (w + frequency) + s * w / q for w, q in zip(self.omega, self.quality, strict=True)
         ]
@@ -83,7 +85,9 @@ class CoupledModes(eqx.Module):
 
 
 class AxisAngles(eqx.Module):
-    """Angles [rad] of Fig. 1 of the paper: stiffness axis θω, damping axis θτ, drive electrode θx, sense electrode θy. Zero: aligned."""
+    """Angles [rad] of Fig. 1 of the paper: stiffness axis θω, damping axis θτ, drive electrode θx, sense electrode θy.
+    Zero: aligned.
+    """
 
     stiffness: Array = eqx.field(converter=jnp.asarray, default=0.0)
     damping: Array = eqx.field(converter=jnp.asarray, default=0.0)
@@ -102,7 +106,8 @@ class AxisAngles(eqx.Module):
 
     @classmethod
     def of(cls, modes: CoupledModes) -> "AxisAngles":
-        """The angles of given coefficients, inverse of `modes`: tan 2θω = 2 kxy/(kxx − kyy), tan 2θτ = 2 cxy/(cxx − cyy), tan θx = λyx, tan θy = −λxy.
+        """The angles of given coefficients, inverse of `modes`: tan 2θω = 2 kxy/(kxx − kyy), tan 2θτ = 2 cxy/(cxx −
+        cyy), tan θx = λyx, tan θy = −λxy.
 
         θω and θτ are those of the first principal value in the larger-first order of the diagonal, within ±90°.
         """
@@ -111,7 +116,8 @@ class AxisAngles(eqx.Module):
 
 
 class ErrorDisplacements(eqx.Module):
-    """Sense displacement, as phasors [m], of each cause while the drive mode moves with phasor X: (5) to (9) of the paper.
+    """Sense displacement, as phasors [m], of each cause while the drive mode moves with phasor X: (5) to (9) of the
+    paper.
 
     `in_phase` and `quadrature` split each cause by the Coriolis displacement of a positive rate.
     """
@@ -122,7 +128,9 @@ class ErrorDisplacements(eqx.Module):
     force: Complex[Array, " n"]
 
     def relative(self) -> dict[str, Complex[Array, " n"]]:
-        """Each error over the Coriolis displacement: the real part is in phase with it, the imaginary part in quadrature."""
+        """Each error over the Coriolis displacement: the real part is in phase with it, the imaginary part in
+        quadrature.
+        """
         return {name: getattr(self, name) / self.coriolis for name in ("damping", "stiffness", "force")}
 
     def in_time(self, t: Float[Array, " t"], frequency: float) -> dict[str, Float[Array, "t n"]]:
@@ -137,9 +145,10 @@ class ErrorDisplacements(eqx.Module):
 def sense_errors(modes: CoupledModes, frequency: Array, amplitude: Array, rate: Array) -> ErrorDisplacements:
     """What the drive motion X = `amplitude` [m] at `frequency` [rad/s] causes on the sense axis at `rate` [rad/s].
 
-    With H = 1/Dy: Coriolis −2iωΩ·H·X (5), damping coupling −iωη·H·X (6), stiffness coupling −α·H·X (7), force coupling λyx·Dx·H·X (9)
-    (the electrode force that holds the motion is Dx·X). Damping is exactly in phase with Coriolis, stiffness exactly in quadrature;
-    force coupling is in phase at the drive resonance, where Dx is imaginary, and gains a quadrature part off it.
+    With H = 1/Dy: Coriolis −2iωΩ·H·X (5), damping coupling −iωη·H·X (6), stiffness coupling −α·H·X (7), force coupling
+    λyx·Dx·H·X (9) (the electrode force that holds the motion is Dx·X). Damping is exactly in phase with Coriolis,
+    stiffness exactly in quadrature; force coupling is in phase at the drive resonance, where Dx is imaginary, and gains
+    a quadrature part off it.
     """
     dx, dy, *_ = modes.dynamic_stiffness(jnp.asarray(frequency))
     s, motion = 1j * frequency, amplitude / dy
@@ -152,7 +161,9 @@ def sense_errors(modes: CoupledModes, frequency: Array, amplitude: Array, rate: 
 
 
 def drive_errors(modes: CoupledModes, frequency: Array, amplitude: Array, rate: Array) -> ErrorDisplacements:
-    """The mirror image of `sense_errors`: what a sense motion Y = `amplitude` causes on the drive axis (Coriolis has the other sign)."""
+    """The mirror image of `sense_errors`: what a sense motion Y = `amplitude` causes on the drive axis (Coriolis has
+    the other sign).
+    """
     flipped = CoupledModes(
         modes.omega[::-1],
         modes.quality[::-1],

@@ -1,7 +1,7 @@
 """Maximum likelihood over any experiments: what is free is moved until every record is met within its noise.
 
-`fit` is a pure function of arrays: jit it, vmap it over noise draws, differentiate its result by the data (implicit function
-theorem, through optimistix).
+`fit` is a pure function of arrays: jit it, vmap it over noise draws, differentiate its result by the data (implicit
+function theorem, through optimistix).
 """
 
 from collections.abc import Sequence
@@ -20,14 +20,17 @@ from .experiments.base import Experiment
 from .runtime import require_float64
 
 
-# The optimiser's damping starts at one in its own coordinates. With a unit of a hundred standard deviations that is nearly a
-# Gauss-Newton step, right from the good starts used here, and enough to be tamed within a few steps from a bad one.
+# The optimiser's damping starts at one in its own coordinates. With a unit of a hundred standard deviations that is
+# nearly a Gauss-Newton step, right from the good starts used here, and enough to be tamed within a few steps from a
+# bad one.
 REACH = 100.0
 OPEN_STEP = 5.0  # in natural logarithms
 
 
 class NullDirection(eqx.Module):
-    """A combination of free parameters that the data do not hold: `std` of the combination and its largest parts, by name."""
+    """A combination of free parameters that the data do not hold: `std` of the combination and its largest parts, by
+    name.
+    """
 
     std: float
     parts: tuple[tuple[str, float], ...] = eqx.field(static=True)
@@ -44,8 +47,10 @@ class Fit(eqx.Module):
         spec: which leaves were free.
         chi2: sum of squared whitened residuals (and priors).
         dof: their number less the number of free parameters.
-        covariance: inverse Fisher information of the unbounded coordinates (n, n); the pseudo-inverse where directions are null.
-        sensitivity: right singular vectors (n, n) and `singular` values (n,) of the whitened Jacobian in scaled coordinates.
+        covariance: inverse Fisher information of the unbounded coordinates (n, n); the pseudo-inverse where directions
+            are null.
+        sensitivity: right singular vectors (n, n) and `singular` values (n,) of the whitened Jacobian in scaled
+            coordinates.
         scale: coordinate step that moves the residual by one standard deviation (n,).
         residual: whitened residual at the optimum.
         converged: whether the optimiser met its tolerance.
@@ -83,7 +88,9 @@ class Fit(eqx.Module):
         return "converged" if not nulls else "converged; the data leave open: " + "; ".join(nulls)
 
     def open_parameters(self) -> tuple[str, ...]:
-        """Positive parameters that may change by orders of magnitude alone without moving the residual by one standard deviation."""
+        """Positive parameters that may change by orders of magnitude alone without moving the residual by one standard
+        deviation.
+        """
         logarithmic = free_tree.logarithmic(self.values, self.spec)
         return tuple(
             name
@@ -125,7 +132,8 @@ def fit(
         max_steps: bound on the steps of Levenberg and Marquardt's method.
         tolerance: stop when a step changes χ² and every scaled coordinate relatively by less than this.
 
-    **Raises:** `InputError` in float32, without experiments, with more free parameters than data, or if a start violates a bound.
+    **Raises:** `InputError` in float32, without experiments, with more free parameters than data, or if a start
+    violates a bound.
     """
     require_float64("Fitting")
     experiments = tuple(experiments)
@@ -138,9 +146,11 @@ def fit(
 def fit_from(
     candidates: PyTree, spec: PyTree, experiments: Sequence[Experiment], *, max_steps: int = 60, tolerance: float = 1e-6
 ) -> Fit:
-    """Fit from every member of a batch of starts (leading axis on every leaf), then once more from the best end; arguments as of `fit`.
+    """Fit from every member of a batch of starts (leading axis on every leaf), then once more from the best end;
+    arguments as of `fit`.
 
-    The starts run one after the other through one compiled optimiser: as lanes of a `vmap` all would wait for the slowest.
+    The starts run one after the other through one compiled optimiser: as lanes of a `vmap` all would wait for the
+    slowest.
     """
     require_float64("Fitting")
     experiments = tuple(experiments)
@@ -177,7 +187,8 @@ def evaluate(
     count, size = jacobian.shape
     if count <= size:
         raise InputError(
-            f"Argument `experiments` must hold more than {size} real readings for {size} free parameters, but holds {count}."
+            f"Argument `experiments` must hold more than {size} real readings for {size} free parameters, "
+            f"but holds {count}."
         )
     covariance, sensitivity, singular, step = _information(jacobian)
     return Fit(
@@ -196,7 +207,9 @@ def evaluate(
 
 
 def best_start(candidates: PyTree, experiments: Sequence[Experiment], keep: int) -> PyTree:
-    """The `keep` members of a batch of value trees (leading axis on every leaf) with the smallest sum of squares, best first."""
+    """The `keep` members of a batch of value trees (leading axis on every leaf) with the smallest sum of squares, best
+    first.
+    """
     cost = jax.vmap(lambda tree: _cost(tree, experiments))(candidates)
     order = jnp.argsort(jnp.where(jnp.isfinite(cost), cost, jnp.inf))[:keep]
     return jax.tree.map(lambda leaf: leaf[order], candidates)
@@ -227,9 +240,11 @@ def _linearise(vector: Array, values: PyTree, spec: PyTree, experiments: Sequenc
 
 
 def _optimise(values, spec, experiments, max_steps, tolerance):
-    """Levenberg-Marquardt in coordinates scaled so that a unit step of each alone moves the residual by `REACH` standard deviations.
+    """Levenberg-Marquardt in coordinates scaled so that a unit step of each alone moves the residual by `REACH`
+    standard deviations.
 
-    In these coordinates the normal equations are well enough conditioned, and ten times cheaper than a QR of the tall Jacobian.
+    In these coordinates the normal equations are well enough conditioned, and ten times cheaper than a QR of the tall
+    Jacobian.
     """
     start = free_tree.to_vector(values, spec)
     _, jacobian = _linearise(start, values, spec, experiments)
@@ -257,8 +272,8 @@ def _optimise(values, spec, experiments, max_steps, tolerance):
 def _information(jacobian: Array) -> tuple[Array, Array, Array, Array]:
     """Covariance, right singular vectors, singular values and scale of the Jacobian.
 
-    Through the eigenvalues of JᵀJ with unit columns: exact enough down to the 1e-7 below which a direction counts as not held at
-    all, and twenty times cheaper than a decomposition of the tall Jacobian.
+    Through the eigenvalues of JᵀJ with unit columns: exact enough down to the 1e-7 below which a direction counts as
+    not held at all, and twenty times cheaper than a decomposition of the tall Jacobian.
     """
     norm = jnp.linalg.norm(jacobian, axis=0)
     step = 1 / jnp.where(norm > 0, norm, 1.0)

@@ -1,8 +1,8 @@
 """What is free: a tree beside the values that says, leaf by leaf, what an optimiser may change and within which bounds.
 
-A value tree (a device, a read-out, an observer...) says what *is*. The tree of this module has the same shape and says what may
-*move*: a leaf is either `None` (fixed) or a `Free` with a transform to the unbounded line and, where something is known
-beforehand, a prior. Fitting and tuning both work on the flat vector that `to_vector` makes of the two trees.
+A value tree (a device, a read-out, an observer...) says what *is*. The tree of this module has the same shape and says
+what may *move*: a leaf is either `None` (fixed) or a `Free` with a transform to the unbounded line and, where something
+is known beforehand, a prior. Fitting and tuning both work on the flat vector that `to_vector` makes of the two trees.
 
     spec = mark(fixed(bench), lambda b: b.device.quality, Free(Log()))
     vector = to_vector(bench, spec)             # unbounded coordinates of the free leaves
@@ -81,13 +81,16 @@ class Logit(Transform):
 
 
 class LogLogit(Transform):
-    """Positive numbers strictly between `low` and `high`, even on a logarithmic scale: coordinate = logit of the position of ln(value)."""
+    """Positive numbers strictly between `low` and `high`, even on a logarithmic scale: coordinate = logit of the
+    position of ln(value).
+    """
 
     low: Array = eqx.field(converter=jnp.asarray)
     high: Array = eqx.field(converter=jnp.asarray)
 
     def forward(self, value: Array) -> Array:
-        # An optimiser that ran to the bound stands on it to rounding; its coordinate must stay finite to go on from there.
+        # An optimiser that ran to the bound stands on it to rounding; its coordinate must stay finite to go on from
+        # there.
         place = jnp.clip(jnp.log(value / self.low) / jnp.log(self.high / self.low), 1e-12, 1 - 1e-12)
         return jnp.log(place) - jnp.log1p(-place)
 
@@ -99,7 +102,9 @@ class LogLogit(Transform):
 
 
 class Prior(eqx.Module):
-    """What is known before the data: a normal distribution of the *coordinate* (of ln(value) under `Log`), mean and standard deviation."""
+    """What is known before the data: a normal distribution of the *coordinate* (of ln(value) under `Log`), mean and
+    standard deviation.
+    """
 
     mean: Array = eqx.field(converter=jnp.asarray)
     std: Array = eqx.field(converter=jnp.asarray)
@@ -192,7 +197,8 @@ def _spec_leaves(spec: PyTree, values: PyTreeDef) -> list[Free | None]:
         return values.flatten_up_to(spec)
     except (ValueError, TypeError) as error:
         raise InputError(
-            "Argument `spec` must have the shape of the values beside it, but has another; build it with `fixed` and `mark`."
+            "Argument `spec` must have the shape of the values beside it, but has another; "
+            "build it with `fixed` and `mark`."
         ) from error
 
 

@@ -1,4 +1,6 @@
-"""The result of an identification: coefficients with uncertainty and verdict, printable, and as JSON, xarray or picture."""
+"""The result of an identification: coefficients with uncertainty and verdict, printable, and as JSON, xarray or
+picture.
+"""
 
 import json
 from collections.abc import Mapping
@@ -17,7 +19,9 @@ SCHEMA = "memsgyro-identify/1"
 
 @dataclass(frozen=True)
 class Coefficient:
-    """A value with its standard deviation (`None` where none is known), unit and verdict; value `None` means that these sweeps cannot see it."""
+    """A value with its standard deviation (`None` where none is known), unit and verdict; value `None` means that these
+    sweeps cannot see it.
+    """
 
     value: float | None
     std: float | None
@@ -37,7 +41,8 @@ class Identification:
 
     Args:
         coefficients: `lambda_yx`, `lambda_xy`, `c_xy`, `k_xy`.
-        modal: uncoupled `f_x` [Hz], `q_x`, `f_y`, `q_y` and the coupled resonances `pole_x` [Hz], `pole_q_x`, ... they are mistaken for.
+        modal: uncoupled `f_x` [Hz], `q_x`, `f_y`, `q_y` and the coupled resonances `pole_x` [Hz], `pole_q_x`, ... they
+            are mistaken for.
         readout: `gain_ratio` and `phase_asymmetry_deg`.
         chi2_per_dof: 1 where model and noise explain the record; with estimated noise, misfit over neighbour scatter.
         method: how it was obtained.

@@ -1,4 +1,6 @@
-"""Coupling errors of a gyroscope from frequency sweeps, each with its uncertainty and a verdict whether these sweeps hold it."""
+"""Coupling errors of a gyroscope from frequency sweeps, each with its uncertainty and a verdict whether these sweeps
+hold it.
+"""
 
 from collections.abc import Mapping, Sequence
 
@@ -18,7 +20,8 @@ from .modal import SingleMode, coupled_poles
 from .runtime import require_float64
 
 
-# What a sweep may show beyond two linear modes, by its name in the catalogue of effects: the switch of the fit that models it.
+# What a sweep may show beyond two linear modes, by its name in the catalogue of effects: the switch of the fit that
+# models it.
 EFFECTS: Mapping[str, str] = {"electrical_feedthrough": "leak", "finite_sweep_rate": "moving"}
 
 

@@ -27,13 +27,16 @@ def run(
     json: Path | None,
     report: Path | None,
 ) -> None:
-    """Identify, print the result, and write what was asked for; everything is computed before the first file is written."""
+    """Identify, print the result, and write what was asked for; everything is computed before the first file is
+    written.
+    """
     axis = None if drive_axis is None else "xy".index(drive_axis)
     records = [read_sweep(path, axis=axis, conjugated=conjugated) for path in sweeps]
     noise = _noise(amplitude_noise, phase_noise)
     if noise is not None and not all(record.polar for record in records):
         raise InputError(
-            "Options `--amplitude-noise` and `--phase-noise` must go with amplitude and phase columns, but the file holds I and Q; leave them out."
+            "Options `--amplitude-noise` and `--phase-noise` must go with amplitude and phase columns, "
+            "but the file holds I and Q; leave them out."
         )
     if method == "ratio":
         result = identify_by_ratio(records, noise=noise, mass=mass)

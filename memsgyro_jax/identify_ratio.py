@@ -1,4 +1,6 @@
-"""The paper's chain from record to coefficients: peaks, half-power points, corrections, ratio, least squares, goodness of fit."""
+"""The paper's chain from record to coefficients: peaks, half-power points, corrections, ratio, least squares, goodness
+of fit.
+"""
 
 from collections.abc import Sequence
 
@@ -23,15 +25,18 @@ def identify_by_ratio(
 ) -> Identification:
     """λyx, cxy, kxy as published (and λxy where y was driven too), to be laid beside `identify`.
 
-    Modes come from peak and half-power points, of the sense mode from the y-driven sweep where there is one, else from the ratio of the
-    channels. Conversion ratio and phase correction need the y-driven sweep; without it both channels are taken as equal.
+    Modes come from peak and half-power points, of the sense mode from the y-driven sweep where there is one, else from
+    the ratio of the channels. Conversion ratio and phase correction need the y-driven sweep; without it both channels
+    are taken as equal.
 
-    **Raises:** `InputError` without exactly one x-driven sweep, or where a resonance with its half-power points is not in the band.
+    **Raises:** `InputError` without exactly one x-driven sweep, or where a resonance with its half-power points is not
+    in the band.
     """
     by_axis = {record.axis: record for record in records}
     if len(by_axis) != len(records) or 0 not in by_axis:
         raise InputError(
-            "Argument `records` must hold one sweep with x driven and at most one with y driven for the ratio method, but does not."
+            "Argument `records` must hold one sweep with x driven and at most one with y driven "
+            "for the ratio method, but does not."
         )
     x, y = _ascending(by_axis[0]), _ascending(by_axis[1]) if 1 in by_axis else None
     modes = _modes(x, y)
@@ -94,14 +99,17 @@ def _modes(x: tuple, y: tuple | None) -> CoupledModes:
     for name, mode in (("drive", drive), ("sense", sense)):
         if not np.isfinite(float(mode.quality)):
             raise InputError(
-                f"The ratio method must see the {name} resonance with both half-power points, but the sweep does not hold them; "
+                f"The ratio method must see the {name} resonance with both half-power points, "
+                "but the sweep does not hold them; "
                 "sweep both resonances, or use the likelihood method."
             )
     return CoupledModes(jnp.stack([drive.omega, sense.omega]), jnp.stack([drive.quality, sense.quality]))
 
 
 def _fitted(device: CoupledModes, gain_ratio: float, asymmetry: float, x: tuple) -> tuple[Bench, dict[str, float]]:
-    """The model curve through the record, with the overall gain that fits the drive channel best, and R_NL per curve as in Table 5."""
+    """The model curve through the record, with the overall gain that fits the drive channel best, and R_NL per curve as
+    in Table 5.
+    """
     response = device.response(x[0], 0)
     gain = jnp.vdot(response[:, 0], x[1][:, 0]) / jnp.vdot(response[:, 0], response[:, 0])
     bench = Bench(device, LockIn(jnp.abs(gain), jnp.angle(gain), gain_ratio, asymmetry))

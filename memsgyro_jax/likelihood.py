@@ -22,7 +22,9 @@ SPEEDS = np.geomspace(1e-3, 3.0, 8)  # sweep rates to start from, in squared dec
 
 
 def free_parameters(seen: SeenBench, sweeps: Sequence[FrequencySweep]) -> PyTree:
-    """What a set of sweeps may move: modes, couplings and read-out; the force coupling of an electrode only where it was driven."""
+    """What a set of sweeps may move: modes, couplings and read-out; the force coupling of an electrode only where it
+    was driven.
+    """
     axes = {sweep.axis for sweep in sweeps}
     spec = mark(fixed(seen), lambda b: (b.omega, b.readout.gain), Free(Log()))
     spec = mark(spec, lambda b: b.quality, Free(LogLogit(*QUALITIES)))
@@ -70,7 +72,8 @@ def refit(start: SeenBench, sweeps: Sequence[FrequencySweep], **options) -> fitt
 def refit_draws(
     start: SeenBench, sweep: FrequencySweep, draws: Complex[Array, "d n 2"], together: int = 4
 ) -> fitting.Fit:
-    """Refit every noise draw of a sweep from one start, by `vmap` over `together` of them at a time so that they stay in the cache.
+    """Refit every noise draw of a sweep from one start, by `vmap` over `together` of them at a time so that they stay
+    in the cache.
 
     Every leaf of the result has the draws along its leading axis.
     """
@@ -80,7 +83,9 @@ def refit_draws(
 
 
 def gauge_fixed(seen: SeenBench) -> SeenBench:
-    """The twin with |phase asymmetry| < 90°: turning the y axis round, (λ, c, k, asymmetries) → (−λ, −c, −k, +180°), changes no prediction."""
+    """The twin with |phase asymmetry| < 90°: turning the y axis round, (λ, c, k, asymmetries) → (−λ, −c, −k, +180°),
+    changes no prediction.
+    """
     readout = seen.readout
     turned = jnp.cos(readout.phase_asymmetry) < 0
     sign = jnp.where(turned, -1.0, 1.0)
@@ -89,7 +94,8 @@ def gauge_fixed(seen: SeenBench) -> SeenBench:
         return (angle + jnp.pi) % (2 * jnp.pi) - jnp.pi
 
     half = jnp.where(turned, jnp.pi, 0.0)
-    # The seen products carry ρ, whose sign the turn changes together with that of C: only the force couplings |ρ|·λ change sign.
+    # The seen products carry ρ, whose sign the turn changes together with that of C: only the force couplings |ρ|·λ
+    # change sign.
     return eqx.tree_at(
         lambda b: (b.force_yx, b.force_xy, b.readout.phase, b.readout.phase_asymmetry, b.readout.drive_asymmetry),
         seen,

@@ -1,9 +1,10 @@
-"""Reading what a laboratory recorded: a CSV whose header names each column with its unit, checked so that nothing is silently wrong.
+"""Reading what a laboratory recorded: a CSV whose header names each column with its unit, checked so that nothing is
+silently wrong.
 
-A frequency sweep has `f [Hz]`, both channels either as `Vx_I [V]`, `Vx_Q [V]`, `Vy_I [V]`, `Vy_Q [V]` or as `Vx_amp [1]`,
-`Vx_phase [deg]`, `Vy_amp [1]`, `Vy_phase [deg]`, and where known the condition columns `F_x [N]` or `F_y [N]` (drive level, which also names
-the driven electrode), `T [degC]`, `V_bias [V]`, `rate [deg/s]`, `t [s]`. Any unit that pint knows will do. Phasors follow e^{+iωt}: behind a resonance
-the phase of the driven channel falls.
+A frequency sweep has `f [Hz]`, both channels either as `Vx_I [V]`, `Vx_Q [V]`, `Vy_I [V]`, `Vy_Q [V]` or as `Vx_amp
+[1]`, `Vx_phase [deg]`, `Vy_amp [1]`, `Vy_phase [deg]`, and where known the condition columns `F_x [N]` or `F_y [N]`
+(drive level, which also names the driven electrode), `T [degC]`, `V_bias [V]`, `rate [deg/s]`, `t [s]`. Any unit that
+pint knows will do. Phasors follow e^{+iωt}: behind a resonance the phase of the driven channel falls.
 """
 
 import re
@@ -154,7 +155,8 @@ def _phase(table: Table, name: str) -> np.ndarray:
     phase = table.si(name, "rad")
     if np.ptp(phase) > 6 * _TWO_PI:
         raise InputError(
-            f"{table.path}, column `{name}`: the phase covers {np.ptp(phase):.0f} rad, which no two-mode sweep does; is it in degrees?"
+            f"{table.path}, column `{name}`: the phase covers {np.ptp(phase):.0f} rad, "
+            "which no two-mode sweep does; is it in degrees?"
         )
     return phase
 
@@ -183,11 +185,14 @@ def _drive(table: Table, axis: int | None) -> tuple[int, np.ndarray, tuple[str, 
 
 
 def _starts(table: Table, frequency: np.ndarray, drive: np.ndarray) -> np.ndarray:
-    """First frequency of the sweep each row belongs to; a sweep ends where a condition changes and runs strictly up or strictly down."""
+    """First frequency of the sweep each row belongs to; a sweep ends where a condition changes and runs strictly up or
+    strictly down.
+    """
     for name in ("T", "V_bias"):
         if name in table.columns and np.ptp(table.columns[name]) > 0:
             raise InputError(
-                f"{table.path}, column `{name}`: couplings are identified at one condition, but it changes; split the file by it."
+                f"{table.path}, column `{name}`: couplings are identified at one condition, "
+                "but it changes; split the file by it."
             )
     new = np.concatenate([[True], np.diff(drive) != 0])
     first = np.flatnonzero(new)
@@ -225,7 +230,9 @@ def _elapsed(table: Table) -> np.ndarray | None:
 
 
 def _check_phase(table: Table, frequency: np.ndarray, driven: np.ndarray, axis: str, polar: bool) -> None:
-    """The driven channel must turn by about −90° between its half-power points; what turns the other way, or not at all, was labelled wrongly."""
+    """The driven channel must turn by about −90° between its half-power points; what turns the other way, or not at
+    all, was labelled wrongly.
+    """
     order = np.argsort(frequency)
     response = driven[order]
     amplitude = np.abs(response)
@@ -238,7 +245,8 @@ def _check_phase(table: Table, frequency: np.ndarray, driven: np.ndarray, axis: 
     column = f"V{axis}_phase" if polar else f"V{axis}_Q"
     if turn > np.radians(30):
         raise InputError(
-            f"{table.path}, column `{column}`: the phase rises by {np.degrees(turn):.0f}° across the resonance of the driven channel, "
+            f"{table.path}, column `{column}`: the phase rises by {np.degrees(turn):.0f}° "
+            "across the resonance of the driven channel, "
             "but with e^{+iωt} it falls; if the file follows e^{-iωt}, read it as conjugated (`--conjugated`)."
         )
     if turn > -np.radians(30):
@@ -248,6 +256,7 @@ def _check_phase(table: Table, frequency: np.ndarray, driven: np.ndarray, axis: 
             else "are I and Q those of the driven channel?"
         )
         raise InputError(
-            f"{table.path}, column `{column}`: the phase turns by only {np.degrees(turn):.1f}° across the half-power width of the driven "
+            f"{table.path}, column `{column}`: the phase turns by only {np.degrees(turn):.1f}° "
+            "across the half-power width of the driven "
             f"channel, but a resonance turns it by about -90°; {hint}"
         )

@@ -1,7 +1,9 @@
-"""Poles and residues of two coupled modes: where the resonances really are, beside the uncoupled parameters they are mistaken for.
+"""Poles and residues of two coupled modes: where the resonances really are, beside the uncoupled parameters they are
+mistaken for.
 
-The peak and the half-power points of a measured curve belong to the *coupled* poles, roots of Dx·Dy = Cxy·Cyx; the formulas of the
-paper need ωx, Qx, ωy, Qy of the *uncoupled* axes. The two differ by about α²/(4ω²·split), which is small and yet rules the error.
+The peak and the half-power points of a measured curve belong to the *coupled* poles, roots of Dx·Dy = Cxy·Cyx; the
+formulas of the paper need ωx, Qx, ωy, Qy of the *uncoupled* axes. The two differ by about α²/(4ω²·split), which is
+small and yet rules the error.
 """
 
 from typing import NamedTuple
@@ -27,17 +29,20 @@ class SingleMode(eqx.Module):
 
 
 class PartialFractions(NamedTuple):
-    """Response to a unit acceleration as Σ residue/(iω − pole): poles (4,) [rad/s] with their conjugates, residues (4, 2) [s/m per m/s²]."""
+    """Response to a unit acceleration as Σ residue/(iω − pole): poles (4,) [rad/s] with their conjugates, residues (4,
+    2) [s/m per m/s²].
+    """
 
     poles: Complex[Array, " 4"]
     residues: Complex[Array, "4 2"]
 
 
 def coupled_poles(modes: CoupledModes, rate: float = 0.0) -> Complex[Array, " 2"]:
-    """The two poles in the upper half plane [rad/s], the one that tends to x first; exactly the uncoupled ones without coupling.
+    """The two poles in the upper half plane [rad/s], the one that tends to x first; exactly the uncoupled ones without
+    coupling.
 
-    Newton's method from the narrow-band solution, which knows the splitting by the coupling already; the derivative is that of
-    the implicit equation.
+    Newton's method from the narrow-band solution, which knows the splitting by the coupling already; the derivative is
+    that of the implicit equation.
     """
     start = jax.lax.stop_gradient(_narrow_band_poles(modes, rate))
     frozen = jax.lax.stop_gradient(modes)
@@ -70,8 +75,8 @@ def partial_fractions(modes: CoupledModes, axis: int, rate: float = 0.0) -> Part
 def half_power(frequency: Float[Array, " n"], amplitude: Float[Array, " n"]) -> SingleMode:
     """Mode from the peak and the half-power points of an amplitude curve, as the paper does (section 3.1).
 
-    The peak is the vertex of the parabola through the highest point and its neighbours, the half-power frequencies are interpolated
-    linearly; Q = ω/(ω₂ − ω₁). NaN where the curve does not fall to 1/√2 of its peak on both sides.
+    The peak is the vertex of the parabola through the highest point and its neighbours, the half-power frequencies are
+    interpolated linearly; Q = ω/(ω₂ − ω₁). NaN where the curve does not fall to 1/√2 of its peak on both sides.
     """
     top = jnp.clip(jnp.argmax(amplitude), 1, amplitude.size - 2)
     y, f = amplitude[top + jnp.arange(-1, 2)], frequency[top + jnp.arange(-1, 2)]
@@ -87,7 +92,8 @@ def half_power(frequency: Float[Array, " n"], amplitude: Float[Array, " n"]) -> 
 def circle(
     frequency: Float[Array, " n"], response: Complex[Array, " n"], weight: Float[Array, " n"] | None = None
 ) -> SingleMode:
-    """Mode from a complex fit of one resonance: amplitude and phase of every point, no phase correction; it finds the *coupled* pole.
+    """Mode from a complex fit of one resonance: amplitude and phase of every point, no phase correction; it finds the
+    *coupled* pole.
 
     Args:
         frequency: angular frequencies [rad/s].
@@ -100,7 +106,8 @@ def circle(
 def circle_pole(
     frequency: Float[Array, " n"], response: Complex[Array, " n"], weight: Float[Array, " n"] | None = None
 ) -> Array:
-    """The pole p [rad/s] of response·(iω − p) = b0 + b1·ω, by weighted linear least squares, re-weighted until it is the error of the response itself.
+    """The pole p [rad/s] of response·(iω − p) = b0 + b1·ω, by weighted linear least squares, re-weighted until it is
+    the error of the response itself.
 
     A positive real part means that no decaying mode explains the response.
     """

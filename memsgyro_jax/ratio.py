@@ -1,9 +1,12 @@
-"""The estimators of the paper: least squares on the ratio of sense to drive response, with the corrections the paper makes beforehand.
+"""The estimators of the paper: least squares on the ratio of sense to drive response, with the corrections the paper
+makes beforehand.
 
     exact        Y/X = (λ Dx − C)/(Dy − λ C),   Di = ωi² − ω² + iωωi/Qi,   C = α + iωη
-    truncated    Y/X ≈ (λ Dx − C)/Dy                                        (15), of which the paper uses the real part (16)-(18)
+    truncated    Y/X ≈ (λ Dx − C)/Dy                                        (15), of which the paper uses the real part
+    (16)-(18)
 
-Both need the *uncoupled* modes, the ratio of the two read-outs and their phase difference from elsewhere. What that costs, `identify` avoids.
+Both need the *uncoupled* modes, the ratio of the two read-outs and their phase difference from elsewhere. What that
+costs, `identify` avoids.
 """
 
 import abc
@@ -19,7 +22,7 @@ from .couplings import CoupledModes
 
 
 class RatioEstimate(eqx.Module):
-    """λ [1], η = cxy/m [1/s] and α = kxy/m [1/s²] with the standard deviations that the scatter about the fit suggests."""
+    """λ [1], η = cxy/m [1/s] and α = kxy/m [1/s²] with standard deviations from the scatter about the fit."""
 
     force: Array
     damping_coupling: Array
@@ -67,8 +70,8 @@ class ComplexRatio(RatioEstimator):
 class ExactRatio(RatioEstimator):
     """The exact ratio, complex: Y/X·(Dy − λC) = λDx − C over Dy, bilinear in (λ, η, α), by Gauss and Newton's method.
 
-    From two starts, the truncated solution and the one that takes λη and λα as unknowns of their own; the better end is returned.
-    Noise-free data give the couplings to rounding.
+    From two starts, the truncated solution and the one that takes λη and λα as unknowns of their own; the better end is
+    returned. Noise-free data give the couplings to rounding.
     """
 
     iterations: int = eqx.field(static=True, default=10)
@@ -117,7 +120,7 @@ def mirrored(modes: CoupledModes) -> CoupledModes:
 def relative_error(
     estimator: RatioEstimator, modes: CoupledModes, frequency: Array, ratio: Array | None = None
 ) -> Float[Array, " 3"]:
-    """Theoretical relative error (19) of λyx, cxy, kxy; without `ratio` that of noise-free data, the figure of Table 6."""
+    """Theoretical relative error (19) of λyx, cxy, kxy; without `ratio` that of noise-free data (Table 6)."""
     response = modes.response(frequency, 0)
     truth = jnp.stack([modes.force_yx, modes.damping_coupling, modes.stiffness_coupling])
     ratio = response[:, 1] / response[:, 0] if ratio is None else ratio
@@ -125,29 +128,37 @@ def relative_error(
 
 
 def conversion_ratio(x_driven: Complex[Array, "n 2"], y_driven: Complex[Array, "n 2"], modes: CoupledModes) -> Array:
-    """kSF = SFy/SFx from the two resonance peaks at equal drive voltage (25): amplitude × ω²/Q of each mode's own response, as a ratio."""
+    """kSF = SFy/SFx from the two resonance peaks at equal drive voltage (25): amplitude × ω²/Q of each mode's own
+    response, as a ratio.
+    """
     own = jnp.stack([jnp.abs(x_driven[:, 0]).max(), jnp.abs(y_driven[:, 1]).max()]) * modes.omega**2 / modes.quality
     return own[1] / own[0]
 
 
 def phase_offset(frequency: Float[Array, " n"], response: Complex[Array, " n"], resonance: Array) -> Array:
-    """Phase to subtract from a channel [rad] so that it reads −90° at resonance (26), (27): exact only without coupling."""
+    """Phase to subtract from a channel [rad] so that it reads −90° at resonance (26), (27): exact only without
+    coupling.
+    """
     # interpolate the unwrapped phase: angles of neighbours may lie on both sides of ±180°
     return jnp.interp(resonance, frequency, jnp.unwrap(jnp.angle(response))) + jnp.pi / 2
 
 
 def peak_to_peak(amplitude: Float[Array, " n"], phase: Float[Array, " n"]) -> tuple[Array, Array]:
-    """Noise NA (relative) and Nφ [unit of `phase`] of a record at fixed frequency (28): largest less smallest reading."""
+    """Noise NA (relative) and Nφ [unit of `phase`] at fixed frequency (28): largest less smallest reading."""
     return jnp.ptp(amplitude) / jnp.mean(amplitude), jnp.ptp(phase)
 
 
 def low_pass(record: Float[np.ndarray, " n"], cutoff: float, sample_rate: float) -> Float[np.ndarray, " n"]:
-    """Fourth-order Butterworth low-pass run forwards and backwards, so that it shifts no resonance; cutoff and rate in the same unit."""
+    """Fourth-order Butterworth low-pass run forwards and backwards, so that it shifts no resonance; cutoff and rate in
+    the same unit.
+    """
     return signal.sosfiltfilt(signal.butter(4, cutoff, fs=sample_rate, output="sos"), record)
 
 
 def goodness_of_fit(measured: Float[Array, "..."], fitted: Float[Array, "..."]) -> Array:
-    """R_NL of (29): 1 − √(Σ(measured − fitted)²/Σ measured²). It says nothing about a coefficient that the curve hardly shows."""
+    """R_NL of (29): 1 − √(Σ(measured − fitted)²/Σ measured²). It says nothing about a coefficient that the curve hardly
+    shows.
+    """
     return 1 - jnp.linalg.norm(jnp.ravel(measured - fitted)) / jnp.linalg.norm(jnp.ravel(measured))
 
 

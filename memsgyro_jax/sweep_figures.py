@@ -9,7 +9,9 @@ X_COLOUR, Y_COLOUR, FIT_COLOUR = "#1f5fa8", "#c2571a", "#1d2530"
 
 
 def plot_amplitude(result, ax=None):
-    """Measured amplitude of both channels over frequency [Hz] and the fitted curves, one pair per sweep; returns the axes."""
+    """Measured amplitude of both channels over frequency [Hz] and the fitted curves, one pair per sweep; returns the
+    axes.
+    """
     return _curves(result, _axes(ax), np.abs, "amplitude [record unit]", log=True)
 
 
@@ -19,7 +21,9 @@ def plot_phase(result, ax=None):
 
 
 def plot_residual(result, ax=None):
-    """Whitened residual of every reading over frequency [Hz]: structure here is physics that the model lacks; returns the axes."""
+    """Whitened residual of every reading over frequency [Hz]: structure here is physics that the model lacks; returns
+    the axes.
+    """
     ax = _axes(ax)
     parts = ("amplitude", "phase") if isinstance(result.sweeps[0].noise, PolarNoise) else ("I", "Q")
     position = 0

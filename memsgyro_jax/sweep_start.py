@@ -1,12 +1,13 @@
-"""A starting point for the fit of a sweep that needs no luck: linear algebra from the record to every parameter but one.
+"""A starting point for the fit of a sweep that needs no luck: linear algebra from the record to every parameter but
+one.
 
-Both channels are rational functions with the same two poles. A rational fit (Sanathanan and Koerner's iteration) gives poles and
-numerators; in a two-mode gyroscope these are
+Both channels are rational functions with the same two poles. A rational fit (Sanathanan and Koerner's iteration) gives
+poles and numerators; in a two-mode gyroscope these are
 
     Vx·det = G (s² + (γy − λη) s + ωy² − λα),   Vy·det = G ρ (λ s² + (λγx − η) s + λωx² − α),   det = Dx Dy − (α + ηs)²
 
-with real brackets, which yields G, the phase of ρ (up to the sign that |arg ρ| < 90° fixes) and, for each gain ratio |ρ|, all the
-rest. The gain ratio itself shows only in second order of the coupling, so it is scanned.
+with real brackets, which yields G, the phase of ρ (up to the sign that |arg ρ| < 90° fixes) and, for each gain ratio
+|ρ|, all the rest. The gain ratio itself shows only in second order of the coupling, so it is scanned.
 """
 
 import equinox as eqx
@@ -30,7 +31,8 @@ COARSE_PHASES = np.radians([-50.0, 0.0, 50.0])
 
 
 def candidates(sweep: FrequencySweep, leak: bool = False) -> list[Bench]:
-    """Families of benches to start from, each along the leading axis of every leaf: by rational fit, by the ratio, by scanning the sense mode.
+    """Families of benches to start from, each along the leading axis of every leaf: by rational fit, by the ratio, by
+    scanning the sense mode.
 
     Args:
         sweep: record of a sweep with either electrode driven.
@@ -66,7 +68,7 @@ def candidates(sweep: FrequencySweep, leak: bool = False) -> list[Bench]:
 
 
 def _beyond(frequency: Array, response: Array, poles: Array, axis: int) -> Bench:
-    """Benches with the sense mode tried at places within and beyond the band, where noise hides its pull on the ratio."""
+    """Benches with the sense mode tried at places within and beyond the band: noise hides its pull."""
     half = 0.5 * (frequency.max() - frequency.min())
     places = poles[0].imag + half * jnp.asarray(PLACES)
     tries = jnp.stack(jnp.meshgrid(places, jnp.asarray(COARSE_PHASES)), axis=-1).reshape(-1, 2)
@@ -79,7 +81,9 @@ def _beyond(frequency: Array, response: Array, poles: Array, axis: int) -> Bench
 
 
 def _rational(t: Float[Array, " n"], response: Complex[Array, "n 2"], relative: bool, leak: bool):
-    """Common poles (2,) in t, numerators at them divided by the pole distance (2 poles, 2 channels), and constants (2,) of both channels."""
+    """Common poles (2,) in t, numerators at them divided by the pole distance (2 poles, 2 channels), and constants (2,)
+    of both channels.
+    """
     weight = 1 / jnp.abs(response) if relative else jnp.broadcast_to(1 / jnp.abs(response).max(axis=0), response.shape)
     powers = jnp.stack([jnp.ones_like(t), t, t**2], axis=1) + 0j
     columns = powers
@@ -106,7 +110,7 @@ def _rational(t: Float[Array, " n"], response: Complex[Array, "n 2"], relative: 
         return solution, (t - poles[0]) * (t - poles[1])
 
     first = 0.1 * jnp.ones_like(t) + 0j
-    solution, denominator = jax.lax.fori_loop(0, 15, iterate, (jnp.zeros(2 + 2 * columns.shape[1]) + 0j, first))
+    solution, _ = jax.lax.fori_loop(0, 15, iterate, (jnp.zeros(2 + 2 * columns.shape[1]) + 0j, first))
     poles = _stable(_quadratic_roots(solution[1], solution[0]))
     numerators = solution[2:].reshape(2, -1)
     at_poles = jnp.stack([numerators @ p ** jnp.arange(columns.shape[1]) for p in poles])
@@ -129,8 +133,9 @@ def _stable(poles: Array) -> Array:
 def _bench(poles: Complex[Array, " 2"], residues: Complex[Array, "2 2"], guess: Float[Array, " 2"], axis: int) -> Bench:
     """Bench with the guessed (gain ratio, phase asymmetry) that has the poles and residues found [rad/s].
 
-    The poles are kept whatever the guess: the uncoupled modes follow from them and the coupling by undoing the narrow-band
-    splitting, (ux − uy)² = (p1 − p2)² + (C/ω)². A wrong guess then misses only the small second resonance of the drive channel.
+    The poles are kept whatever the guess: the uncoupled modes follow from them and the coupling by undoing the narrow-
+    band splitting, (ux − uy)² = (p1 − p2)² + (C/ω)². A wrong guess then misses only the small second resonance of the
+    drive channel.
     """
     ratio, phase = guess
     order = jnp.argsort(-jnp.abs(residues[:, 0]))  # the drive mode is the one the drive channel shows
@@ -180,9 +185,11 @@ def _bracket(poles: Array, values: Array) -> Float[Array, " 3"]:
 
 
 def _single_poles(frequency: Array, response: Array) -> Complex[Array, " 2"]:
-    """Coupled drive pole from the drive channel and uncoupled sense pole from the ratio (λDx − C)/Dy, each alone [rad/s].
+    """Coupled drive pole from the drive channel and uncoupled sense pole from the ratio (λDx − C)/Dy, each alone
+    [rad/s].
 
-    The ratio shows the sense mode where the sweep does not reach its resonance; its decay is then taken from the drive mode.
+    The ratio shows the sense mode where the sweep does not reach its resonance; its decay is then taken from the drive
+    mode.
     """
     poles = jnp.stack([circle_pole(frequency, response[:, 0]), circle_pole(frequency, response[:, 1] / response[:, 0])])
     decay = jnp.maximum(-poles.real, 1e-7 * jnp.abs(poles))
@@ -192,7 +199,9 @@ def _single_poles(frequency: Array, response: Array) -> Complex[Array, " 2"]:
 
 
 def _bench_of_ratio(frequency: Array, response: Array, poles: Array, guess: Array, axis: int) -> Bench:
-    """Bench with the guessed (gain ratio, phase asymmetry), its couplings from linear least squares on the ratio for given poles."""
+    """Bench with the guessed (gain ratio, phase asymmetry), its couplings from linear least squares on the ratio for
+    given poles.
+    """
     ratio, phase = guess
     measured = response[:, 1] / response[:, 0]
     omega, quality = jnp.abs(poles), jnp.abs(poles) / (-2 * poles.real)
@@ -230,8 +239,9 @@ def _placed(modes: CoupledModes, gain: Array, ratio: Array, phase: Array, axis: 
 def own_guess(poles: Complex[Array, " 2"], residues: Complex[Array, "2 2"]) -> Float[Array, "2 2"]:
     """Two guesses of (gain ratio, phase) that the record itself offers.
 
-    The first has the phase, within ±90°, that makes the bracket of the sense numerator real (it shows in the force coupling), the
-    second the complex ratio that makes the coupling seen in the sense channel agree with the zero of the drive channel.
+    The first has the phase, within ±90°, that makes the bracket of the sense numerator real (it shows in the force
+    coupling), the second the complex ratio that makes the coupling seen in the sense channel agree with the zero of the
+    drive channel.
     """
     order = jnp.argsort(-jnp.abs(residues[:, 0]))
     poles, residues = poles[order], residues[order]
@@ -246,7 +256,9 @@ def own_guess(poles: Complex[Array, " 2"], residues: Complex[Array, "2 2"]) -> F
 
 
 def with_other_axis(bench: Bench, sweep: FrequencySweep) -> Bench:
-    """A bench found with x driven, completed by a sweep with y driven: its drive gain and its force coupling, by linear least squares."""
+    """A bench found with x driven, completed by a sweep with y driven: its drive gain and its force coupling, by linear
+    least squares.
+    """
     device, readout = bench.device, bench.readout
     dx, dy, cxy, cyx = device.dynamic_stiffness(sweep.frequency, sweep.rate)
     numerators = sweep.measured / sweep.drive[:, None] * (dx * dy - cxy * cyx)[:, None] / readout.channels(0)

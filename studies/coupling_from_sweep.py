@@ -1,13 +1,15 @@
 """The sweep paper's story on its reference device: what each estimator makes of the same sweep.
 
-Rows P3, P5 and P6: claimed beside obtained for every number, Figures 3 to 6 for each estimator beside the Cramér-Rao bound, the
-paper's own chain end to end, and maximum likelihood on the same data. Writes `studies/out/coupling_from_sweep/`.
+Rows P3, P5 and P6: claimed beside obtained for every number, Figures 3 to 6 for each estimator beside the Cramér-Rao
+bound, the paper's own chain end to end, and maximum likelihood on the same data. Writes
+`studies/out/coupling_from_sweep/`.
 
     python studies/coupling_from_sweep.py [--quick]
 
-The tables of the paper that give the device are lost; its published errors fix mass, qualities and split (m 3e-7 kg, Qx 45 000,
-Qy 42 000, +21 Hz at 8014.3 Hz, a sweep of ±5 Hz with 1001 points) to within a few per cent, and noise of 1e-3 in amplitude and 3° in
-phase (peak to peak), both 165 times less after its low-pass, makes its sentences on noise come out.
+The tables of the paper that give the device are lost; its published errors fix mass, qualities and split (m 3e-7 kg, Qx
+45 000, Qy 42 000, +21 Hz at 8014.3 Hz, a sweep of ±5 Hz with 1001 points) to within a few per cent, and noise of 1e-3
+in amplitude and 3° in phase (peak to peak), both 165 times less after its low-pass, makes its sentences on noise come
+out.
 """
 
 import argparse
@@ -122,7 +124,9 @@ def noisy(keys):
 
 
 def figure_3(points):
-    """Theoretical error over the coupling ratios k1 = cxy/cxx, k2 = kxy/kxx and λ, one varied at a time, as a map over two."""
+    """Theoretical error over the coupling ratios k1 = cxy/cxx, k2 = kxy/kxx and λ, one varied at a time, as a map over
+    two.
+    """
     grid = np.geomspace(1e-4, 1.0, points)
     modes = device()
     cxx, kxx = MASS * modes.omega[0] / modes.quality[0], MASS * modes.omega[0] ** 2
@@ -151,7 +155,9 @@ def figure_3(points):
 
 
 def figure_over(values, label, settings, keys):
-    """Figures 4 to 6: rms relative error over one kind of measurement error, each estimator, beside the bound of a wide sweep."""
+    """Figures 4 to 6: rms relative error over one kind of measurement error, each estimator, beside the bound of a wide
+    sweep.
+    """
     limits = np.array([bound(device(), WIDE, *settings(v)[:2]) for v in values])
     figure = Figure(figsize=(11, 3.6), layout="constrained")
     axes = figure.subplots(1, 3, sharey=True)
@@ -227,7 +233,7 @@ def likelihood(key, draws):
         target = np.asarray(couplings(truth))
         cover = np.mean(np.abs(value - target) < 1.96 * std, axis=0)
         for i, name in enumerate((*NAMES, "phase asymmetry")):
-            unit = (lambda v: f"{np.degrees(v):.2g}°") if i == 3 else (lambda v, i=i: _share(v / abs(target[i])))
+            unit = (lambda v: f"{np.degrees(v):.2g}°") if i == 3 else (lambda v, size=abs(target[i]): _share(v / size))
             rows.append(
                 [
                     f"{name}, {label}",
@@ -312,7 +318,7 @@ def main(quick: bool) -> None:
     )
     show(
         "P6: theoretical relative error at the identified point",
-        "Noise-free, perfect calibration. The published error is the truncation of the ratio; the exact ratio has none.",
+        "Noise-free, perfect calibration. The published error is the truncation; the exact ratio has none.",
         ["figure", "claimed", *ESTIMATORS],
         noise_free(),
     )
@@ -333,7 +339,8 @@ def main(quick: bool) -> None:
         figure_over(
             np.geomspace(1e-6, 1e-2, points), "amplitude noise, peak to peak", lambda v: (v, PHASE / LOW_PASS), keys
         ),
-        "Figure 4: amplitude noise, with the phase noise left after the low-pass. Black: what maximum likelihood reaches with both resonances in the sweep and no calibration.",
+        "Figure 4: amplitude noise, with the phase noise left after the low-pass. "
+        "Black: what maximum likelihood reaches with both resonances in the sweep and no calibration.",
     )
     picture(
         "fig5",
@@ -353,7 +360,8 @@ def main(quick: bool) -> None:
             lambda v: (AMPLITUDE / LOW_PASS, PHASE / LOW_PASS, np.radians(v)),
             keys,
         ),
-        "Figure 6: phase asymmetry, with the noise left after the low-pass; no ratio estimator escapes it, the likelihood estimates it.",
+        "Figure 6: phase asymmetry, with the noise left after the low-pass; "
+        "no ratio estimator escapes it, the likelihood estimates it.",
     )
     slope = float(errors(ExactRatio(), device(), NARROW, keys[:1], 0.0, 0.0, np.radians(1.0))[0, 1])
     show(

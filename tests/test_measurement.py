@@ -154,7 +154,10 @@ MALFORMED = {
     "unknown column": (cell(1, 1, "Vx_magnitude [1]"), "`Vx_magnitude` is not known"),
     "column twice": (cell(1, 3, "Vx_amp [1]"), "`Vx_amp` stands twice"),
     "mixed units": (cell(1, 1, "Vx_amp [V]"), "must share one linear unit"),
-    "negative amplitude": (cell(8, 1, "-3.0"), r"line 8, column `Vx_amp`: the value must be a positive amplitude, but is -3"),
+    "negative amplitude": (
+        cell(8, 1, "-3.0"),
+        r"line 8, column `Vx_amp`: the value must be a positive amplitude, but is -3",
+    ),
     "negative frequency": (cell(2, 0, "-8010"), r"line 2, column `f`: the value must be positive, but is -8010"),
     "radians called degrees": (column(2, "Vx_phase [deg]", np.radians), "is the phase in radians"),
     "degrees called radians": (column(2, "Vx_phase [rad]", lambda p: p), "is it in degrees"),

@@ -1,4 +1,6 @@
-"""Kinds of measurement, each of which predicts what the laboratory would have recorded. A new kind is a new file beside these."""
+"""Kinds of measurement, each of which predicts what the laboratory would have recorded. A new kind is a new file beside
+these.
+"""
 
 from .base import CartesianNoise as CartesianNoise
 from .base import Experiment as Experiment

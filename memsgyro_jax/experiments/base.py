@@ -16,7 +16,9 @@ class Noise(eqx.Module):
 
 
 class CartesianNoise(Noise):
-    """The same white noise on the in-phase and the quadrature part: `std` in the unit of the record, scalar or one per channel."""
+    """The same white noise on the in-phase and the quadrature part: `std` in the unit of the record, scalar or one per
+    channel.
+    """
 
     std: Array = eqx.field(converter=jnp.asarray)
 
@@ -27,7 +29,8 @@ class CartesianNoise(Noise):
 
 
 class PolarNoise(Noise):
-    """Noise of an instrument that reads amplitude and phase: `amplitude` relative to the reading, `phase` in rad, each a standard deviation.
+    """Noise of an instrument that reads amplitude and phase: `amplitude` relative to the reading, `phase` in rad, each
+    a standard deviation.
 
     The paper quotes peak-to-peak values NA and Nφ of uniform noise: `from_peak_to_peak` divides them by √12.
     """
@@ -49,8 +52,8 @@ class PolarNoise(Noise):
 class Experiment(eqx.Module):
     """One record and the settings it was taken with.
 
-    A new kind of experiment subclasses this, predicts its own record from a bench (device, read-out and effects), and can then be
-    fitted together with every other kind.
+    A new kind of experiment subclasses this, predicts its own record from a bench (device, read-out and effects), and
+    can then be fitted together with every other kind.
     """
 
     name: eqx.AbstractVar[str]
@@ -63,7 +66,9 @@ class Experiment(eqx.Module):
 
     @abc.abstractmethod
     def conditions(self) -> dict[str, Float[Array, " n"]]:
-        """What was set or known per row, by name with its SI unit, e.g. `{"drive [N]": ...}`: where a misfit may depend on."""
+        """What was set or known per row, by name with its SI unit, e.g. `{"drive [N]": ...}`: where a misfit may depend
+        on.
+        """
 
     def residual(self, bench: PyTree) -> Float[Array, " r"]:
         """Measured minus predicted in standard deviations of the noise, as one vector."""

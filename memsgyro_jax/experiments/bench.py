@@ -35,9 +35,11 @@ class LockIn(eqx.Module):
 
 
 class ElectricalFeedthrough(eqx.Module):
-    """The drive voltage leaks into the read-out: a phasor in proportion to the command, reported as `electrical_feedthrough`.
+    """The drive voltage leaks into the read-out: a phasor in proportion to the command, reported as
+    `electrical_feedthrough`.
 
-    `x_drive` and `y_drive` are (channel, (re, im)) in record units per drive, for the electrode driven. Zero or `None`: no leak.
+    `x_drive` and `y_drive` are (channel, (re, im)) in record units per drive, for the electrode driven. Zero or `None`:
+    no leak.
     """
 
     x_drive: Array | None = None
@@ -50,7 +52,9 @@ class ElectricalFeedthrough(eqx.Module):
 
 
 class FiniteSweepRate(eqx.Module):
-    """The frequency moves while the modes ring: `speed` in rad/s per second. Zero: every point is settled. Reported as `finite_sweep_rate`."""
+    """The frequency moves while the modes ring: `speed` in rad/s per second. Zero: every point is settled. Reported as
+    `finite_sweep_rate`.
+    """
 
     speed: Array = eqx.field(converter=jnp.asarray)
 

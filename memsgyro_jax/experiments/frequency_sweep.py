@@ -22,7 +22,8 @@ class FrequencySweep(Experiment):
         measured: phasors of channels x and y per row, in any unit shared by both.
         noise: how far they may lie from the prediction.
         drive: force or command amplitude per row [N, or any unit]; 1 if unknown, the gain then absorbs it.
-        start: frequency at which the sweep that a row belongs to began, settled [rad/s]; by default that of the first row.
+        start: frequency at which the sweep that a row belongs to began, settled [rad/s]; by default that of the first
+            row.
         axis: the driven electrode, 0 = x or 1 = y.
         rate: known angular rate while sweeping [rad/s]; zero at rest.
     """
@@ -73,9 +74,9 @@ class FrequencySweep(Experiment):
 def sweep_lag(device, frequency: Array, start: Array, speed: Array, axis: int, rate: Array) -> Complex[Array, "n 2"]:
     """How a sweep at `speed` [rad/s²] differs from the settled response [m per m/s²]; exactly zero at zero speed.
 
-    Each pole p answers to a chirp e^{i∫ω dt} with ∫₀^∞ exp(−a s + iβs²/2) ds, a = iω − p, which is √π/(2b)·erfcx(a/(2b)) with
-    b = √(−iβ/2); a sweep that starts settled at ω₀ adds the free decay of what the settled state there lacks. The direction is
-    that of the rows: β is negative where the frequency falls below its start.
+    Each pole p answers to a chirp e^{i∫ω dt} with ∫₀^∞ exp(−a s + iβs²/2) ds, a = iω − p, which is
+    √π/(2b)·erfcx(a/(2b)) with b = √(−iβ/2); a sweep that starts settled at ω₀ adds the free decay of what the settled
+    state there lacks. The direction is that of the rows: β is negative where the frequency falls below its start.
     """
     fractions = partial_fractions(device, axis, rate)
     travelled = jnp.abs(frequency - start)
@@ -96,7 +97,9 @@ _SERIES = np.array([1.0, 3.0, 15.0, 105.0, 945.0, 10395.0, 135135.0])  # (2n −
 
 
 def _chirp_excess(a: Array, beta: Array) -> Array:
-    """√π z erfcx(z) − 1 with z = a/(2b): by its asymptotic series in w = iβ/a² where that is exact to rounding, else by Faddeeva's function."""
+    """√π z erfcx(z) − 1 with z = a/(2b): by its asymptotic series in w = iβ/a² where that is exact to rounding, else by
+    Faddeeva's function.
+    """
     w = 1j * beta / a**2
     slow = jnp.abs(w) < 1e-3
     series = w * jnp.polyval(jnp.asarray(_SERIES[::-1], dtype=w.dtype), jnp.where(slow, w, 0.0))

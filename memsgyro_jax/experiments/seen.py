@@ -1,7 +1,8 @@
 """The same bench in the coordinates in which a sweep sees it: the couplings as they appear in the sense channel.
 
-Data fix ρ·C(ωx) and |ρ|·λ (ρ the complex gain of the sense channel over the drive channel) far better than ρ, C and λ alone, which makes a
-long curved valley of the likelihood. Here the products are the coordinates, and the valley is straight.
+Data fix ρ·C(ωx) and |ρ|·λ (ρ the complex gain of the sense channel over the drive channel) far better than ρ, C and λ
+alone, which makes a long curved valley of the likelihood. Here the products are the coordinates, and the valley is
+straight.
 """
 
 import equinox as eqx
@@ -13,7 +14,9 @@ from .bench import Bench, ElectricalFeedthrough, FiniteSweepRate, LockIn
 
 
 class SeenBench(eqx.Module):
-    """A `Bench`, one to one. `coupling` is (real, imaginary) of ρ·(α + iωx·η), `force_yx` |ρ|·λyx and `force_xy` λxy/|ρ|, ρ = gain ratio · e^{i asymmetry}."""
+    """A `Bench`, one to one. `coupling` is (real, imaginary) of ρ·(α + iωx·η), `force_yx` |ρ|·λyx and `force_xy`
+    λxy/|ρ|, ρ = gain ratio · e^{i asymmetry}.
+    """
 
     omega: Array = eqx.field(converter=jnp.asarray)
     quality: Array = eqx.field(converter=jnp.asarray)

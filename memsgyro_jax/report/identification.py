@@ -1,5 +1,6 @@
 """The page of `memsgyro identify --report`: result, verdicts, curves, fit and residual."""
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from ..identification import Coefficient, Identification, gate
@@ -18,7 +19,8 @@ def page(result: Identification) -> Page:
     if result.repairs:
         out.section("What the record holds beyond two linear modes")
         out.text(
-            "χ²/dof after adding each known artefact; the one that brings it to 1 explains the record (add it with --effects)."
+            "χ²/dof after adding each known artefact; the one that brings it to 1 explains the record "
+            "(add it with --effects)."
         )
         out.table(
             ["effect", "χ²/dof with it"],
@@ -34,7 +36,8 @@ def page(result: Identification) -> Page:
             (plot_phase, "Phase of both channels, convention e^{+iωt}."),
             (
                 plot_residual,
-                "What the fit leaves over, in standard deviations of the noise; the band is ± 2. Structure is missing physics.",
+                "What the fit leaves over, in standard deviations of the noise; the band is ± 2. "
+                "Structure is missing physics.",
             ),
         ):
             figure = Figure(figsize=(9, 3.6))
@@ -44,7 +47,10 @@ def page(result: Identification) -> Page:
 
 
 def _summary(result: Identification) -> str:
-    text = f"χ²/dof {result.chi2_per_dof:.3f} for {result.dof} degrees of freedom (noise alone stays below {gate(result.dof):.3f}); {result.status}."
+    if not np.isfinite(result.chi2_per_dof):
+        return f"χ² unknown, because no noise was given; {result.status}."
+    text = f"χ²/dof {result.chi2_per_dof:.3f} for {result.dof} degrees of freedom "
+    text += f"(noise alone stays below {gate(result.dof):.3f}); {result.status}."
     if not result.explained:
         text += " The model does not explain this record: look at the residual below before using any coefficient."
     if result.effects:

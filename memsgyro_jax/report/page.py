@@ -1,7 +1,7 @@
 """A report page: sections of text, tables and figures in one HTML file that loads nothing from anywhere.
 
-Everything that is not a figure is escaped; figures are SVG drawn here by matplotlib. The page's content policy forbids scripts and
-every outside resource, so that a report may be opened from an untrusted share.
+Everything that is not a figure is escaped; figures are SVG drawn here by matplotlib. The page's content policy forbids
+scripts and every outside resource, so that a report may be opened from an untrusted share.
 """
 
 import io
@@ -114,7 +114,8 @@ def _svg(figure: "Figure", salt: str) -> Markup:
     import matplotlib as mpl
 
     buffer = io.StringIO()
-    # Text stays text (small, selectable, searchable); the salt keeps ids of several figures on one page apart and reproducible.
+    # Text stays text (small, selectable, searchable); the salt keeps ids of several figures on one page apart and
+    # reproducible.
     with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": salt, "font.family": "sans-serif"}):
         figure.savefig(buffer, format="svg", metadata={"Date": None}, bbox_inches="tight")
     text = buffer.getvalue()

@@ -1,4 +1,4 @@
-"""An independent laboratory: two coupled modes swept in frequency, by linear algebra on 2 × 2 matrices, in NumPy alone."""
+"""An independent laboratory: two coupled modes swept in frequency, by 2 × 2 linear algebra in NumPy alone."""
 
 from dataclasses import dataclass, replace
 
@@ -50,7 +50,9 @@ def steady(gyro, frequency, axis=0):
 
 
 def chirped(gyro, frequency, speed, axis=0):
-    """As `steady`, for a sweep at `speed` [Hz/s] that starts settled at the first frequency: the equations integrated in the rotating frame."""
+    """As `steady`, for a sweep at `speed` [Hz/s] that starts settled at the first frequency: the equations integrated
+    in the rotating frame.
+    """
     mass, damping, stiffness, force = gyro.matrices()
     f0 = frequency[0]
     sign = np.sign(frequency[-1] - f0)
