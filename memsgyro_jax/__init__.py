@@ -73,6 +73,22 @@ _CONTENTS = {
     "default_study": "study",
     "Study": "study",
     "read_rate_record": "study",
+    "read_sweep": "measurement",
+    "identify": "identify",
+    "identify_by_ratio": "identify_ratio",
+    "Identification": "identification",
+    "CoupledModes": "couplings",
+    "AxisAngles": "couplings",
+    "sense_errors": "couplings",
+    "drive_errors": "couplings",
+    "FrequencySweep": "experiments",
+    "Experiment": "experiments",
+    "Bench": "experiments",
+    "PolarNoise": "experiments",
+    "CartesianNoise": "experiments",
+    "fit": "fit",
+    "Fit": "fit",
+    "Free": "free",
 }
 
 __all__ = [*_CONTENTS, "__version__"]

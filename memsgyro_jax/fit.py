@@ -255,8 +255,10 @@ def _optimise(values, spec, experiments, max_steps, tolerance):
         begin, tree, records = arguments
         return _residual(begin + scale * step, tree, spec, records)
 
-    solver = optx.LevenbergMarquardt(rtol=tolerance, atol=tolerance, linear_solver=lx.Normal(lx.Cholesky()))
-    solution = optx.least_squares(
+    solver: optx.AbstractLeastSquaresSolver = optx.LevenbergMarquardt(
+        rtol=tolerance, atol=tolerance, linear_solver=lx.Normal(lx.Cholesky())
+    )
+    solution: optx.Solution = optx.least_squares(
         residual,
         solver,
         jnp.zeros_like(start),

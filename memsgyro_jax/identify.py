@@ -103,8 +103,8 @@ def _with_scatter(outcome: Fit, sweeps: tuple[FrequencySweep, ...]) -> tuple[Fre
         scatter = neighbour_noise(outcome.residual[position : position + size], sweep)
         position += size
         if isinstance(sweep.noise, PolarNoise):
-            noise = PolarNoise(sweep.noise.amplitude * scatter[:, 0], sweep.noise.phase * scatter[:, 1])
-        else:
+            noise: Noise = PolarNoise(sweep.noise.amplitude * scatter[:, 0], sweep.noise.phase * scatter[:, 1])
+        elif isinstance(sweep.noise, CartesianNoise):
             noise = CartesianNoise(sweep.noise.std * jnp.sqrt(jnp.mean(scatter**2, axis=1)))
         out.append(eqx.tree_at(lambda s: s.noise, sweep, noise))
     return tuple(out)
@@ -153,7 +153,7 @@ def _judged(
     readout = _readout(*estimates["readout"])
     doubt = _doubt(outcome, sweeps, chi2, repairs, readout["phase_asymmetry_deg"].std)
     return Identification(
-        coefficients=_coefficients(*estimates["couplings"], outcome, sweeps, mass, doubt),
+        coefficients=_coefficients(estimates["couplings"], outcome, sweeps, mass, doubt),
         modal=_modal(*estimates["modal"]),
         readout=readout,
         chi2_per_dof=chi2,
@@ -227,10 +227,15 @@ def _estimates(outcome: Fit) -> dict[str, tuple[jnp.ndarray, jnp.ndarray]]:
 
 
 def _coefficients(
-    value: np.ndarray, std: np.ndarray, outcome: Fit, sweeps: Sequence[FrequencySweep], mass: float | None, doubt: str
+    estimate: tuple[np.ndarray, np.ndarray],
+    outcome: Fit,
+    sweeps: Sequence[FrequencySweep],
+    mass: float | None,
+    doubt: str,
 ) -> dict[str, Coefficient]:
     scale = np.array([1.0, 1.0, mass or 1.0, mass or 1.0])
-    value, std, device = value * scale, std * scale, outcome.values.device
+    value, std = (part * scale for part in estimate)
+    device = outcome.values.device
     # What each could be at most: λ of order one, |cxy| ≤ √(cxx·cyy), |kxy| ≤ √(kxx·kyy).
     ceiling = scale * np.array([1.0, 1.0, np.sqrt(np.prod(device.omega / device.quality)), np.prod(device.omega)])
     units = ("1", "1", "N*s/m", "N/m") if mass else ("1", "1", "1/s", "1/s^2")

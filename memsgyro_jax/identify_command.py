@@ -56,7 +56,7 @@ def run(
 def _noise(amplitude: float | None, phase: float | None) -> Noise | None:
     if (amplitude is None) != (phase is None):
         raise InputError("Options `--amplitude-noise` and `--phase-noise` must be given together, but one is missing.")
-    if amplitude is None:
+    if amplitude is None or phase is None:
         return None
     for name, value in (("--amplitude-noise", amplitude), ("--phase-noise", phase)):
         if not (np.isfinite(value) and value > 0):

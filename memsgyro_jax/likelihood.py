@@ -8,10 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, PyTree
 
-from . import fit as fitting
 from . import sweep_start
 from .experiments import Bench, FiniteSweepRate, FrequencySweep
 from .experiments.seen import SeenBench
+from .fit import Fit, best_start, evaluate, fit, fit_from
 from .free import Free, Log, LogLogit, fixed, mark
 
 
@@ -46,7 +46,7 @@ def free_parameters(seen: SeenBench, sweeps: Sequence[FrequencySweep]) -> PyTree
 
 def fit_sweeps(
     sweeps: Sequence[FrequencySweep], *, leak: bool = False, moving: bool = False, starts: int = STARTS
-) -> fitting.Fit:
+) -> Fit:
     """Fit device and read-out to all sweeps from starts that the records themselves give.
 
     Args:
@@ -60,18 +60,16 @@ def fit_sweeps(
     """
     candidates = _candidates(tuple(sweeps), leak, moving, starts)
     spec = free_parameters(jax.tree.map(lambda leaf: leaf[0], candidates), sweeps)
-    best = fitting.fit_from(candidates, spec, sweeps)
-    return fitting.evaluate(gauge_fixed(best.values), spec, sweeps, converged=best.converged, steps=best.steps)
+    best = fit_from(candidates, spec, sweeps)
+    return evaluate(gauge_fixed(best.values), spec, sweeps, converged=best.converged, steps=best.steps)
 
 
-def refit(start: SeenBench, sweeps: Sequence[FrequencySweep], **options) -> fitting.Fit:
+def refit(start: SeenBench, sweeps: Sequence[FrequencySweep], **options) -> Fit:
     """Fit from one start, gauge fixed before; use it for noise draws around a known device (under `vmap`)."""
-    return fitting.fit(gauge_fixed(start), free_parameters(start, sweeps), sweeps, **options)
+    return fit(gauge_fixed(start), free_parameters(start, sweeps), sweeps, **options)
 
 
-def refit_draws(
-    start: SeenBench, sweep: FrequencySweep, draws: Complex[Array, "d n 2"], together: int = 4
-) -> fitting.Fit:
+def refit_draws(start: SeenBench, sweep: FrequencySweep, draws: Complex[Array, "d n 2"], together: int = 4) -> Fit:
     """Refit every noise draw of a sweep from one start, by `vmap` over `together` of them at a time so that they stay
     in the cache.
 
@@ -126,10 +124,10 @@ def _candidates(sweeps: tuple[FrequencySweep, ...], leak: bool, moving: bool, st
     if other is not None:
         families = [jax.vmap(lambda bench: sweep_start.with_other_axis(bench, other))(family) for family in families]
     # Each family keeps its best: the one that wins on a wide sweep fits noise with its second pole on a narrow one.
-    kept = [fitting.best_start(family, sweeps, starts) for family in families]
+    kept = [best_start(family, sweeps, starts) for family in families]
     benches = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *kept)
     if moving:
-        benches = fitting.best_start(_at_speeds(benches), sweeps, len(families) * starts)
+        benches = best_start(_at_speeds(benches), sweeps, len(families) * starts)
     return jax.vmap(lambda bench: gauge_fixed(SeenBench.of(bench)))(benches)
 
 

@@ -102,7 +102,7 @@ class ExactRatio(RatioEstimator):
             jnp.isfinite(rests.std).all(axis=1), jnp.linalg.norm(rests.std / rests.std[0], axis=1), jnp.inf
         )
         best = jnp.argmin(size)
-        return RatioEstimate(*ends[best], rests.std[best])
+        return _estimate(ends[best], rests.std[best])
 
 
 def mirrored(modes: CoupledModes) -> CoupledModes:
@@ -172,7 +172,11 @@ def _least_squares(matrix: Float[Array, "r 3"], right: Float[Array, " r"]) -> Ra
     rest = right - matrix @ solution
     inverse = jax.scipy.linalg.solve_triangular(jnp.linalg.qr(matrix / norm, mode="r"), jnp.eye(3))
     std = jnp.linalg.norm(inverse, axis=1) / norm * jnp.sqrt(jnp.sum(rest**2) / (right.size - 3))
-    return RatioEstimate(*solution, std)
+    return _estimate(solution, std)
+
+
+def _estimate(values: Float[Array, " 3"], std: Float[Array, " 3"]) -> RatioEstimate:
+    return RatioEstimate(values[0], values[1], values[2], std)
 
 
 def _solution(matrix: Float[Array, "r c"], right: Float[Array, " r"]) -> Float[Array, " c"]:

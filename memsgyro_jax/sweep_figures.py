@@ -58,7 +58,7 @@ def _curves(result, ax, shown, label: str, log: bool):
         predicted = np.asarray(sweep.predict(bench))
         order = np.argsort(np.asarray(sweep.frequency), kind="stable")
         for channel, colour in enumerate((X_COLOUR, Y_COLOUR)):
-            name = f"{'xy'[channel]}, {'xy'[sweep.axis]} driven"
+            name: str | None = f"{'xy'[channel]}, {'xy'[sweep.axis]} driven"
             for level in np.unique(np.asarray(sweep.drive)):
                 rows = order[np.asarray(sweep.drive)[order] == level]
                 measured = shown(np.asarray(sweep.measured)[rows, channel])

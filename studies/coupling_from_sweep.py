@@ -26,10 +26,10 @@ import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 
-from memsgyro_jax import fit as fitting  # noqa: E402
 from memsgyro_jax.couplings import CoupledModes, sense_errors  # noqa: E402
 from memsgyro_jax.experiments import Bench, FrequencySweep, LockIn, PolarNoise  # noqa: E402
 from memsgyro_jax.experiments.seen import SeenBench  # noqa: E402
+from memsgyro_jax.fit import evaluate  # noqa: E402
 from memsgyro_jax.likelihood import free_parameters, refit_draws  # noqa: E402
 from memsgyro_jax.modal import coupled_poles, half_power  # noqa: E402
 from memsgyro_jax.ratio import (  # noqa: E402
@@ -87,7 +87,7 @@ def bound(modes, frequency, amplitude, phase, asymmetry_known=False):
     noise = PolarNoise.from_peak_to_peak(amplitude, phase)
     seen = SeenBench.of(Bench(modes, LockIn(1e9)))
     sweep = FrequencySweep("bound", frequency, np.ones((len(frequency), 2)) + 0j, noise).simulate(seen)
-    std = fitting.evaluate(seen, free_parameters(seen, [sweep]), [sweep]).std_of(couplings)
+    std = evaluate(seen, free_parameters(seen, [sweep]), [sweep]).std_of(couplings)
     return np.abs(np.asarray(std[:3] / couplings(seen)[:3]))
 
 
@@ -229,11 +229,12 @@ def likelihood(key, draws):
         fits = eqx.filter_jit(refit_draws)(truth, sweep, measured)
         value = np.asarray(jax.vmap(couplings)(fits.values))
         std = np.asarray(jax.vmap(lambda f: f.std_of(couplings))(fits))
-        limit = np.asarray(fitting.evaluate(truth, free_parameters(truth, [sweep]), [sweep]).std_of(couplings))
+        limit = np.asarray(evaluate(truth, free_parameters(truth, [sweep]), [sweep]).std_of(couplings))
         target = np.asarray(couplings(truth))
         cover = np.mean(np.abs(value - target) < 1.96 * std, axis=0)
         for i, name in enumerate((*NAMES, "phase asymmetry")):
-            unit = (lambda v: f"{np.degrees(v):.2g}°") if i == 3 else (lambda v, size=abs(target[i]): _share(v / size))
+            size = abs(target[i])
+            unit = (lambda v: f"{np.degrees(v):.2g}°") if i == 3 else (lambda v, size=size: _share(v / size))
             rows.append(
                 [
                     f"{name}, {label}",

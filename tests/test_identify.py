@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from lab import two_modes as lab
 
-from memsgyro_jax import fit as fitting
 from memsgyro_jax.couplings import CoupledModes
 from memsgyro_jax.errors import InputError
 from memsgyro_jax.experiments import Bench, FrequencySweep, LockIn, PolarNoise
 from memsgyro_jax.experiments.seen import SeenBench
+from memsgyro_jax.fit import evaluate
 from memsgyro_jax.identify import gate, identify, sweep_of
 from memsgyro_jax.identify_ratio import identify_by_ratio
 from memsgyro_jax.likelihood import fit_sweeps, free_parameters, gauge_fixed, refit, refit_draws
@@ -159,7 +159,7 @@ def check_statistics(noise, level, draws, tolerance):
 
     fits = eqx.filter_jit(refit_draws)(start, sweep, measured)
     value, std = jax.vmap(lambda one: (couplings(one.values), one.std_of(couplings)))(fits)
-    bound = fitting.evaluate(start, free_parameters(start, [sweep]), [sweep]).std_of(couplings)
+    bound = evaluate(start, free_parameters(start, [sweep]), [sweep]).std_of(couplings)
     assert bool(fits.converged.all())
     np.testing.assert_allclose(np.std(value, axis=0) / bound, 1.0, atol=tolerance)
     assert abs(float(jnp.mean(fits.chi2_per_dof)) - 1) < 0.02

@@ -36,8 +36,7 @@ def page(result: Identification) -> Page:
             (plot_phase, "Phase of both channels, convention e^{+iωt}."),
             (
                 plot_residual,
-                "What the fit leaves over, in standard deviations of the noise; the band is ± 2. "
-                "Structure is missing physics.",
+                "What the fit leaves over, in standard deviations of the noise. Structure is missing physics.",
             ),
         ):
             figure = Figure(figsize=(9, 3.6))
