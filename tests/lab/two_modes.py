@@ -58,12 +58,15 @@ def chirped(gyro, frequency, speed, axis=0):
     sign = np.sign(frequency[-1] - f0)
     beta = 2 * np.pi * speed * sign
 
+    inverse = np.linalg.inv(mass)
+    own, damped, stiff = inverse @ force[:, axis], inverse @ damping, inverse @ stiffness
+
     def slope(t, state):
         # x = Z e^{iφ(t)} with φ' = w: Z'' = M⁻¹(F − K Z − D (Z' + iwZ)) − 2iw Z' + (w² − iβ) Z
         w = 2 * np.pi * f0 + beta * t
         z, v = state[:2], state[2:]
-        acceleration = np.linalg.solve(mass, force[:, axis] - stiffness @ z - damping @ (v + 1j * w * z))
-        return np.concatenate([v, acceleration - 2j * w * v + (w**2 - 1j * beta) * z])
+        acceleration = own - stiff @ z - damped @ (v + 1j * w * z) - 2j * w * v + (w**2 - 1j * beta) * z
+        return np.concatenate([v, acceleration])
 
     z0 = steady(gyro, [f0], axis)[0]
     times = np.abs(np.asarray(frequency) - f0) / speed
