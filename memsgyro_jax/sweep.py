@@ -224,6 +224,8 @@ def _bound(runner: _Runner, dies: int, sample_rate: float, duration: float) -> f
         windows=1,
         design=loop,
     )
+    if "rate" not in found.names:  # known to the observer: nothing to find
+        return None
     rate = found.rate_std[-1]
     finite = rate[np.isfinite(rate)]
     return float(np.sqrt(np.mean(finite**2))) if finite.size else None
