@@ -54,6 +54,11 @@ class ClosedLoop(eqx.Module):
             raise InputError(
                 "The observer must expect the kind of device it watches; make it with `for_device(gyro, readout)`."
             )
+        if getattr(self.observer, "signals", self.readout.signals) != self.readout.signals:
+            raise InputError(
+                "The observer and the read-out must measure the same, displacement or velocity; make the observer "
+                "with `for_device(gyro, readout)`."
+            )
         check_positive("travel", self.travel)
         if is_concrete(self.start) and not (len(self.start) == 4 and all(np.all(np.isfinite(v)) for v in self.start)):
             raise InputError("Argument `start` must be 4 finite numbers (x, y, vx, vy), in m and m/s.")
