@@ -117,7 +117,7 @@ def _rows(loop: ClosedLoop, scenario: Scenario, design: ClosedLoop, words: tuple
     settled = slice(plan.settled_window, None)
     conditions = scenario.at(end - 0.5 * plan.period)
     estimate = loop.observer.estimate(done.state.observer)
-    truth = loop.device.coefficients(conditions.inertial.rate)
+    truth = loop.device.coefficients(conditions.inertial.rate, conditions.inertial.damping_change)
     rate_true = _window_rates(scenario, plan, words[0].shape)
     outside, mean_square = done.memory.outside, jnp.mean(squared[settled], axis=0)
     nothing = jnp.full(words[0].shape, jnp.nan)
