@@ -38,7 +38,8 @@ class Sample(NamedTuple):
 class ClosedLoop(eqx.Module):
     """A gyro in operation. `start` is the true motion (x, y, vx, vy) at time zero in m and m/s.
 
-    A die whose displacement leaves `travel` [m], or whose numbers stop being finite, is lost: it is frozen and flagged.
+    A die whose displacement is beyond `travel` [m], or whose numbers are not finite, at the end of a block of samples
+    (a window of a sweep, a kept sample of a trace) is lost: it is frozen and flagged.
     """
 
     device: AbstractGyro
