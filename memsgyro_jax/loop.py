@@ -60,6 +60,12 @@ class ClosedLoop(eqx.Module):
                 "The observer and the read-out must measure the same, displacement or velocity; make the observer "
                 "with `for_device(gyro, readout)`."
             )
+        expected, scale = getattr(self.observer, "scale", self.readout.scale), self.readout.scale
+        if is_concrete(expected, scale) and np.any(np.sign(np.asarray(expected)) != np.sign(np.asarray(scale))):
+            raise InputError(
+                "The observer must expect a scale of the same sign as the read-out's; make it with "
+                "`for_device(gyro, readout)`."
+            )
         check_positive("travel", self.travel)
         if is_concrete(self.start) and not (len(self.start) == 4 and all(np.all(np.isfinite(v)) for v in self.start)):
             raise InputError("Argument `start` must be 4 finite numbers (x, y, vx, vy), in m and m/s.")

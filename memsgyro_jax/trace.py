@@ -189,12 +189,14 @@ def _as_trace(done: engine.Run, loop: ClosedLoop, theta: tuple, settings: Settin
     estimate, missing = row.estimate, np.full(row.time.shape, np.nan)
     survived = int(done.blocks_alive)
     lost = None if bool(done.alive) else survived * decimation / settings.sample_rate
+    with np.errstate(invalid="ignore"):  # the variance of a lost die may be negative
+        std = missing if estimate.rate_variance is None else np.sqrt(estimate.rate_variance)
     nominal = columns([np.asarray(o) for o in loop.readout.offset])
     return Trace(
         time=row.time,
         rate_true=row.rate,
         rate_estimate=estimate.rate,
-        rate_std=missing if estimate.rate_variance is None else np.sqrt(estimate.rate_variance),
+        rate_std=std,
         motion=columns(row.motion),
         motion_estimate=columns(estimate.motion),
         theta=columns([np.asarray(t) for t in theta]),

@@ -133,6 +133,12 @@ def test_an_observer_of_another_signal_is_refused():
         ClosedLoop(DESIGN, DirectReadout.of_velocity(1.0, 1e-9), observer, OpenLoop())
 
 
+def test_an_observer_of_the_opposite_sign_is_refused():
+    observer = ExtendedKalmanFilter.for_device(DESIGN)  # expects the charge amplifier, whose scale is negative
+    with pytest.raises(InputError, match="a scale of the same sign as the read-out's; make it with `for_device"):
+        ClosedLoop(DESIGN, DirectReadout(1e5, noise_density=1e-7), observer, OpenLoop())
+
+
 @pytest.mark.parametrize("travel", [0.0, -1e-6, float("nan")])
 def test_an_impossible_travel_is_refused(loop, travel):
     with pytest.raises(InputError, match="`travel` must be positive and finite"):
