@@ -30,6 +30,7 @@ from .device import (
     Term,
     X,
     Y,
+    check_positive,
     mode_frequencies,
 )
 from .engine import over_dies
@@ -154,6 +155,8 @@ def information_bound(
     Raises `InputError` for float32, an unknown name, a read-out without noise, or settings that make no sample.
     """
     require_float64("`information_bound`")
+    check_positive("sample_rate", sample_rate)
+    check_positive("duration", duration)
     scenario, samples, period = as_scenario(scenario), round(sample_rate * duration), 1.0 / sample_rate
     if samples < 1 or windows < 1:
         raise InputError(

@@ -23,6 +23,8 @@ X, Y, VX, VY, UX, UY = range(
 
 Scalar = Float[Array, "*lanes"]
 Pair = tuple[Scalar, Scalar]
+Change = tuple[Scalar, Scalar, Scalar]
+UNCHANGED: Change = (0.0, 0.0, 0.0)
 Matrix = tuple[Pair, Pair]
 
 
@@ -154,7 +156,7 @@ class Inertial(NamedTuple):
     angular_acceleration: Scalar = 0.0
     cross_rate: Pair = (0.0, 0.0)
     acceleration: Pair = (0.0, 0.0)
-    damping_change: tuple[Scalar, Scalar, Scalar] = (0.0, 0.0, 0.0)
+    damping_change: Change = UNCHANGED
 
 
 class AbstractGyro(eqx.Module):
@@ -167,9 +169,9 @@ class AbstractGyro(eqx.Module):
         """The true equations of motion under the given motion of the frame."""
 
     @abc.abstractmethod
-    def coefficients(self, rate: Scalar) -> tuple[Scalar, ...]:
-        """The values of `model.coefficients` nearest to this device at rate `rate` [rad/s]: what an observer should
-        find.
+    def coefficients(self, rate: Scalar, damping_change: Change = UNCHANGED) -> tuple[Scalar, ...]:
+        """The values of `model.coefficients` nearest to this device at rate `rate` [rad/s] and under `damping_change`
+        (as in `Inertial`): what an observer should find.
         """
 
 
@@ -229,11 +231,12 @@ class SingleMassGyro(AbstractGyro):
             bias = (-inertial.acceleration[0], -inertial.acceleration[1])
         return Dynamics(stiffness, damping, ((0.0, -2.0 * rate), (2.0 * rate, 0.0)), (per_mass, per_mass), bias)
 
-    def coefficients(self, rate: Scalar) -> tuple[Scalar, ...]:
+    def coefficients(self, rate: Scalar, damping_change: Change = UNCHANGED) -> tuple[Scalar, ...]:
         """(rate, kxx, kyy, kxy, dxx, dyy, dxy)/m and 1/m; with unequal cross damping the symmetric part."""
         m = self.mass
-        dxy = self.dxy + 0.5 * self.cross_damping_asymmetry
-        return (rate, self.kxx / m, self.kyy / m, self.kxy / m, self.dxx / m, self.dyy / m, dxy / m, 1.0 / m)
+        damping = (self.dxx, self.dyy, self.dxy + 0.5 * self.cross_damping_asymmetry)
+        changed = tuple(d * (1.0 + change) / m for d, change in zip(damping, damping_change, strict=True))
+        return (rate, self.kxx / m, self.kyy / m, self.kxy / m, *changed, 1.0 / m)
 
 
 class DualMassGyro(AbstractGyro):
@@ -282,11 +285,12 @@ class DualMassGyro(AbstractGyro):
             bias = (-inertial.acceleration[0], -inertial.acceleration[1])
         return Dynamics(stiffness, damping, ((0.0, -2.0 * share * rate), (2.0 * rate, 0.0)), (1.0 / mx, 1.0 / my), bias)
 
-    def coefficients(self, rate: Scalar) -> tuple[Scalar, ...]:
+    def coefficients(self, rate: Scalar, damping_change: Change = UNCHANGED) -> tuple[Scalar, ...]:
         """(rate_x, rate, kxx, kyy, kxy, kyx, dxx, dyy, sigma_x, sigma_y) of thesis (3.4)."""
         mx, my = self.mass_x, self.mass_y
-        along_x = (self.kxx / mx, self.kyy / my, self.kxy / mx, self.kyx / my, self.dxx / mx, self.dyy / my)
-        return (rate * my / mx, rate, *along_x, 1.0 / mx, 1.0 / my)
+        sxx, syy, _ = (1.0 + change for change in damping_change)
+        stiffness = (self.kxx / mx, self.kyy / my, self.kxy / mx, self.kyx / my)
+        return (rate * my / mx, rate, *stiffness, self.dxx * sxx / mx, self.dyy * syy / my, 1.0 / mx, 1.0 / my)
 
 
 def frame_stiffness(inertial: Inertial, x_share: Scalar) -> Matrix:

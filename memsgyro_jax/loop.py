@@ -38,7 +38,8 @@ class Sample(NamedTuple):
 class ClosedLoop(eqx.Module):
     """A gyro in operation. `start` is the true motion (x, y, vx, vy) at time zero in m and m/s.
 
-    A die whose displacement leaves `travel` [m], or whose numbers stop being finite, is lost: it is frozen and flagged.
+    A die whose displacement is beyond `travel` [m], or whose numbers are not finite, at the end of a block of samples
+    (a window of a sweep, a kept sample of a trace) is lost: it is frozen and flagged.
     """
 
     device: AbstractGyro
@@ -53,6 +54,17 @@ class ClosedLoop(eqx.Module):
         if self.device.model != self.observer.model:
             raise InputError(
                 "The observer must expect the kind of device it watches; make it with `for_device(gyro, readout)`."
+            )
+        if getattr(self.observer, "signals", self.readout.signals) != self.readout.signals:
+            raise InputError(
+                "The observer and the read-out must measure the same, displacement or velocity; make the observer "
+                "with `for_device(gyro, readout)`."
+            )
+        expected, scale = getattr(self.observer, "scale", self.readout.scale), self.readout.scale
+        if is_concrete(expected, scale) and np.any(np.sign(np.asarray(expected)) != np.sign(np.asarray(scale))):
+            raise InputError(
+                "The observer must expect a scale of the same sign as the read-out's; make it with "
+                "`for_device(gyro, readout)`."
             )
         check_positive("travel", self.travel)
         if is_concrete(self.start) and not (len(self.start) == 4 and all(np.all(np.isfinite(v)) for v in self.start)):

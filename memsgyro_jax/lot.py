@@ -117,11 +117,13 @@ def _rows(loop: ClosedLoop, scenario: Scenario, design: ClosedLoop, words: tuple
     settled = slice(plan.settled_window, None)
     conditions = scenario.at(end - 0.5 * plan.period)
     estimate = loop.observer.estimate(done.state.observer)
-    truth = loop.device.coefficients(conditions.inertial.rate)
+    truth = loop.device.coefficients(conditions.inertial.rate, conditions.inertial.damping_change)
     rate_true = _window_rates(scenario, plan, words[0].shape)
     outside, mean_square = done.memory.outside, jnp.mean(squared[settled], axis=0)
     nothing = jnp.full(words[0].shape, jnp.nan)
     consistent = estimate.nis is not None
+    has_covariance = isinstance(loop.observer, ExtendedKalmanFilter)
+    relative = [_relative(e, t) for e, t in zip(estimate.theta, truth, strict=True)]
     rows = {
         "lost_at": jnp.where(done.alive, jnp.nan, done.blocks_alive * plan.block * plan.period),
         "rate_error_end": estimate.rate - conditions.inertial.rate,
@@ -130,8 +132,9 @@ def _rows(loop: ClosedLoop, scenario: Scenario, design: ClosedLoop, words: tuple
         "rate_std_end": nothing if estimate.rate_variance is None else jnp.sqrt(estimate.rate_variance),
         "convergence_time": jnp.where(outside >= end - 0.5 * plan.period, jnp.nan, outside),
         "nis_mean": jnp.mean(nis[settled], axis=0) if consistent else nothing,
-        "nees_end": _nees(loop, done.state, conditions.offset_drift, truth) if consistent else nothing,
-        "coefficient_error": jnp.stack([_relative(e, t) for e, t in zip(estimate.theta, truth, strict=True)]),
+        "nees_end": _nees(loop, done.state, conditions.offset_drift, truth) if has_covariance else nothing,
+        # A known coefficient that does not vary is one number for all dies.
+        "coefficient_error": jnp.stack([jnp.broadcast_to(error, words[0].shape) for error in relative]),
         "rate_estimate": rate_true + error,
         "rate_true": rate_true,
     }

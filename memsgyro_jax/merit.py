@@ -58,10 +58,14 @@ class Following:
 
 def following(
     time: Float[np.ndarray, " windows"],
-    true: Float[np.ndarray, " windows"],
+    rates: Float[np.ndarray, "*dies windows"],
     estimate: Float[np.ndarray, "dies windows"],
 ) -> Following | None:
-    """Fit over the given windows (evenly spaced, acquisition left out); None for a rate that does not vary."""
+    """Fit of the dies' mean over the given windows (evenly spaced, acquisition left out).
+
+    `rates` are the true rates in rad/s, of each die or of all; None for a rate that does not vary.
+    """
+    true = np.mean(np.atleast_2d(rates), axis=0)
     spread = np.std(true)
     if len(time) < 8 or not spread > 1e-3 * np.max(np.abs(true) + 1e-12):
         return None
@@ -88,7 +92,7 @@ def following(
         for lag in (0.1 * step, 3.0 * step)
     ]
     lag, delay = min(fits, key=lambda fit: fit.cost).x
-    rms = float(np.sqrt(np.mean((estimate - true) ** 2)))
+    rms = float(np.sqrt(np.mean((estimate - rates) ** 2)))
     shows = lag > step  # a lag shorter than a window cannot be told from none
     return Following(rms, float(delay), float(1.0 / (2.0 * np.pi * lag)) if shows else None)
 

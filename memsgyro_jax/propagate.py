@@ -93,19 +93,16 @@ class Exact(AbstractDiscretisation):
     def advance(self, motion: State4, push: Pair, stiffness: Matrix, velocity: Matrix, period: Scalar) -> State4:
         """Exact to rounding when the order covers the sample rate: the Taylor series of the motion itself."""
         spring, damper = scale(-1.0, stiffness), scale(-1.0, velocity)
-        position, speed = motion[:2], motion[2:]
-        older, last = position, speed
-        weight = period
-        position = tuple(p + weight * v for p, v in zip(position, last, strict=True))
+        derivatives = [motion[:2], motion[2:]]  # of the displacement, by time
         for power in range(1, self.order + 1):
-            derivative = tuple(dot(k, older) + dot(c, last) for k, c in zip(spring, damper, strict=True))
+            older, last = derivatives[-2:]
+            following = tuple(dot(k, older) + dot(c, last) for k, c in zip(spring, damper, strict=True))
             if power == 1:
-                derivative = tuple(d + a for d, a in zip(derivative, push, strict=True))
-            older, last = last, derivative
-            next_weight = weight * period / (power + 1)
-            speed = tuple(v + weight * d for v, d in zip(speed, last, strict=True))
-            position = tuple(p + next_weight * d for p, d in zip(position, last, strict=True))
-            weight = next_weight
+                following = tuple(d + a for d, a in zip(following, push, strict=True))
+            derivatives.append(following)
+        weights = _taylor_weights(period, len(derivatives))
+        position = tuple(dot(weights, axis) for axis in zip(*derivatives, strict=True))
+        speed = tuple(dot(weights[:-1], axis) for axis in zip(*derivatives[1:], strict=True))
         return (*position, *speed)
 
     def transition(self, stiffness: Matrix, velocity: Matrix, period: Scalar) -> Transition:
@@ -166,22 +163,32 @@ def _series(stiffness: Matrix, velocity: Matrix, h: Scalar, order: int) -> tuple
     columns follow from E' = E A.
     """
     spring, damper = scale(-1.0, stiffness), scale(-1.0, velocity)
-    older, last = ((0.0, 0.0), (0.0, 0.0)), ((1.0, 0.0), (0.0, 1.0))
-    weight = h
-    rate, response, integral = last, scale(h, last), scale(0.5 * h * h, last)
-    for power in range(1, order + 1):
-        older, last = last, add_rows(matmul(older, spring), matmul(last, damper))
-        next_weight = weight * h / (power + 1)
-        rate = add_rows(rate, scale(weight, last))
-        response = add_rows(response, scale(next_weight, last))
-        integral = add_rows(integral, scale(next_weight * h / (power + 2), last))
-        weight = next_weight
+    terms: list[Rows] = [((0.0, 0.0), (0.0, 0.0)), ((1.0, 0.0), (0.0, 1.0))]
+    for _ in range(order):
+        terms.append(add_rows(matmul(terms[-2], spring), matmul(terms[-1], damper)))
+    # All sums at the end: adding each term as it comes would read and write twelve numbers of every die per order.
+    weights = _taylor_weights(h, len(terms) + 1)
+    rate, response, integral = (_weighted(weights[n:], terms[1:]) for n in (0, 1, 2))
     displaced = add_rows(rate, matmul(response, velocity))
     displaced_rate = matmul(response, spring)
     matrix = tuple((*displaced[i], *response[i]) for i in (0, 1)) + tuple(
         (*displaced_rate[i], *rate[i]) for i in (0, 1)
     )
     return matrix, (*integral, *response)
+
+
+def _taylor_weights(h: Scalar, count: int) -> tuple[Scalar, ...]:
+    """1, h, h²/2, h³/6, ..."""
+    weights = [1.0]
+    for power in range(1, count):
+        weights.append(weights[-1] * h / power)
+    return tuple(weights)
+
+
+def _weighted(weights: tuple[Scalar, ...], matrices: list[Rows]) -> Rows:
+    """Sum of matrices times weights; weights without a matrix are left over."""
+    used = weights[: len(matrices)]
+    return tuple(tuple(dot(used, tuple(m[i][j] for m in matrices)) for j in (0, 1)) for i in (0, 1))
 
 
 def dot(a: tuple[Scalar, ...], b: tuple[Scalar, ...]) -> Scalar:
@@ -225,10 +232,12 @@ def fence(time: Scalar, tree: object) -> object:
     non-negative number: the condition always holds but only at run time. Where multi-output fusion is on, or off the
     CPU, nothing is done.
     """
-    if jax.default_backend() != "cpu" or _FUSION in os.environ.get("XLA_FLAGS", ""):
+    if jax.default_backend() != "cpu" or fuses_many_outputs():
         return tree
     tree = jax.tree.map(jnp.asarray, tree)
     return jax.lax.cond(time > -1.0, lambda t: t, lambda t: jax.tree.map(jnp.zeros_like, t), tree)
 
 
-_FUSION = "xla_cpu_use_multi_output_fusion=true"
+def fuses_many_outputs() -> bool:
+    """Whether XLA on CPU was told to fuse computations with several results (`runtime.configure` does)."""
+    return "xla_cpu_use_multi_output_fusion=true" in os.environ.get("XLA_FLAGS", "")

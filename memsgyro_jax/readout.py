@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from .device import VX, VY, Pair, Scalar, X, Y, check_not_negative, check_positive, number
+from .device import VX, VY, Pair, Scalar, X, Y, check_not_negative, check_positive, is_concrete, number
 from .errors import InputError
 
 
@@ -99,6 +99,10 @@ class ChargeAmplifier(AbstractReadout):
         for name in ("fingers", "width", "gap", "feedback"):
             for value in getattr(self, name):
                 check_positive(name, value)
+        for value in self.parasitic:
+            check_not_negative("parasitic", value)
+        if is_concrete(self.rejection) and not jnp.all((self.rejection >= 0.0) & (self.rejection <= 1.0)):
+            raise InputError(f"Argument `rejection` must lie between 0 and 1, but {self.rejection} was given.")
         _check_density(self.noise_density)
 
     @classmethod

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .device import Inertial, Pair, Scalar, number
+from .device import Inertial, Pair, Scalar, check_positive, number
 from .errors import InputError
 
 
@@ -79,6 +79,9 @@ class Chirp(AbstractProfile):
     low: Scalar = number()
     high: Scalar = number()
     duration: Scalar = number()
+
+    def __check_init__(self):
+        check_positive("duration", self.duration)
 
     def value(self, time: Scalar) -> Scalar:
         """The swept sine; its phase is continuous."""

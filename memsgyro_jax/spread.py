@@ -41,8 +41,10 @@ class Normal(AbstractDistribution):
     cut: float = 4.0
 
     def __check_init__(self):
-        if min(self.relative, self.std) < 0.0 or self.cut <= 0.0:
+        if not (self.relative >= 0.0 and self.std >= 0.0):
             raise InputError(f"A spread must not be negative, but {self.relative:g}, {self.std:g} were given.")
+        if not self.cut > 0.0:
+            raise InputError(f"Argument `cut` must be positive, but {self.cut:g} was given.")
 
     def value(self, design, normal):
         """Design plus the normal number times the standard deviation, within the cut."""
@@ -58,8 +60,11 @@ class Uniform(AbstractDistribution):
     high: float = math.nan
 
     def __check_init__(self):
-        if (self.relative is None) == (math.isnan(self.low) or math.isnan(self.high)):
+        missing = [math.isnan(end) for end in (self.low, self.high)]
+        if any(missing) if self.relative is None else not all(missing):
             raise InputError("A uniform spread must have either `relative`, or `low` and `high`.")
+        if self.relative is not None and not self.relative >= 0.0:
+            raise InputError(f"A spread must not be negative, but {self.relative:g} was given.")
         if self.high < self.low:
             raise InputError(f"A uniform spread must have low <= high, but {self.low:g} and {self.high:g} were given.")
 

@@ -126,7 +126,7 @@ def summarise(
         settled=percentiles(data["rate_error_rms"].values[alive]),
         series_std=percentiles(data["rate_series_std"].values[alive]).rms,
         bound=bound,
-        ratio_to_bound=None if bound is None else figures.rms / bound,
+        ratio_to_bound=None if bound is None or not alive.any() else figures.rms / bound,
         nees=nees,
         states=None if nees is None else _states(loop),
         nis=nis,
@@ -134,7 +134,7 @@ def summarise(
         good=proportion(good, computed, f"rate error at the end within {np.degrees(tolerance):.3g} deg/s"),
         following=following(
             data["time"].values[settled],
-            data["rate_true"].values[alive][:, settled].mean(axis=0) if alive.any() else np.zeros(int(settled.sum())),
+            data["rate_true"].values[alive][:, settled] if alive.any() else np.zeros(int(settled.sum())),
             data["rate_estimate"].values[alive][:, settled],
         ),
         steps_per_s=speed,

@@ -15,6 +15,7 @@ from .bound import information_bound
 from .errors import InputError
 from .loop import ClosedLoop
 from .observers import ExtendedKalmanFilter
+from .propagate import fuses_many_outputs
 from .provenance import Settings
 from .scenario import AbstractProfile, Scenario, as_scenario
 from .spread import Draw, Spread
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
 
 WINDOWS = 100  # at most about this many window means of the rate are kept per die, however long the run
 CHUNKS_PER_BLOCK = 8
-CPU_LANES, GPU_LANES = 32, 8192  # dies side by side: a CPU core wants them in its cache, a GPU wants many
 DEFAULT_TOLERANCE = float(np.radians(20.0))
 
 
@@ -91,7 +91,7 @@ def sweep(
     plan = _plan(sample_rate, duration, settle, tolerance)
     settings = Settings.of(loop, scenario, spread, plan, sample_rate=sample_rate, duration=duration, seed=seed)
     devices = jax.local_devices()
-    lanes = CPU_LANES if devices[0].platform == "cpu" else GPU_LANES
+    lanes = _lanes(devices[0].platform)
     runner = _Runner(loop, scenario, spread, plan, seed, chunk or lanes, lot.mesh_of(devices), lanes)
     store = None if out is None else _open_store(Path(out), runner, settings, dies, resume)
     rows, speed = _run_all(runner, store, dies, progress)
@@ -224,6 +224,8 @@ def _bound(runner: _Runner, dies: int, sample_rate: float, duration: float) -> f
         windows=1,
         design=loop,
     )
+    if "rate" not in found.names:  # known to the observer: nothing to find
+        return None
     rate = found.rate_std[-1]
     finite = rate[np.isfinite(rate)]
     return float(np.sqrt(np.mean(finite**2))) if finite.size else None
@@ -265,6 +267,13 @@ def _run_all(
     steps = timed * runner.plan.blocks * runner.plan.block
     speed = steps / (time.perf_counter() - began) if timed and began else None
     return {name: np.concatenate([part[name] for part in kept]) for name in kept[0]} if kept else {}, speed
+
+
+def _lanes(platform: str) -> int:
+    """Dies side by side: in a core's cache on a CPU, many on a GPU; without fused loops each of them must be long."""
+    if platform != "cpu":
+        return 8192
+    return 32 if fuses_many_outputs() else 128
 
 
 def _within(number: int, block: int, dies: int) -> int:

@@ -26,8 +26,9 @@ if TYPE_CHECKING:
 class Trace:
     """What a run recorded, one row per kept sample; SI units throughout.
 
-    `rate_std` and `nis` are NaN for an observer without a covariance. `lost_at` is None, or the time at which the die
-    was lost (left its travel, or stopped being finite): rows from then on repeat the last good one.
+    `theta` holds the true coefficients at the end of the run. `rate_std` and `nis` are NaN for an observer without a
+    covariance. `lost_at` is None, or the time at which the die was lost (out of its travel, or not finite, at a kept
+    sample): rows from then on repeat the last good one.
     """
 
     time: Float[np.ndarray, " samples"]
@@ -150,7 +151,8 @@ def simulate(
     words = noise.die_words(jax.random.key(seed), jnp.asarray(die))
     done = _compiled(loop, scenario, words, 1.0 / sample_rate, steps // decimation, decimation)
     settings = Settings.of(loop, scenario, sample_rate=sample_rate, duration=duration, seed=seed)
-    return _as_trace(done, loop, settings, decimation)
+    end = scenario.at((steps // decimation * decimation - 0.5) / sample_rate).inertial
+    return _as_trace(done, loop, loop.device.coefficients(end.rate, end.damping_change), settings, decimation)
 
 
 def count_steps(sample_rate: float, duration: float) -> int:
@@ -181,21 +183,23 @@ def _row(sample: Sample) -> _Row:
     return _Row(*jax.tree.map(lambda x: jnp.asarray(x, float), numbers))
 
 
-def _as_trace(done: engine.Run, loop: ClosedLoop, settings: Settings, decimation: int) -> Trace:
+def _as_trace(done: engine.Run, loop: ClosedLoop, theta: tuple, settings: Settings, decimation: int) -> Trace:
     row: _Row = jax.tree.map(np.asarray, done.outputs)
     columns = lambda entries: np.stack(np.broadcast_arrays(*entries), axis=-1)  # noqa: E731
     estimate, missing = row.estimate, np.full(row.time.shape, np.nan)
     survived = int(done.blocks_alive)
     lost = None if bool(done.alive) else survived * decimation / settings.sample_rate
+    with np.errstate(invalid="ignore"):  # the variance of a lost die may be negative
+        std = missing if estimate.rate_variance is None else np.sqrt(estimate.rate_variance)
     nominal = columns([np.asarray(o) for o in loop.readout.offset])
     return Trace(
         time=row.time,
         rate_true=row.rate,
         rate_estimate=estimate.rate,
-        rate_std=missing if estimate.rate_variance is None else np.sqrt(estimate.rate_variance),
+        rate_std=std,
         motion=columns(row.motion),
         motion_estimate=columns(estimate.motion),
-        theta=columns([np.asarray(t) for t in loop.device.coefficients(row.rate[0])]),
+        theta=columns([np.asarray(t) for t in theta]),
         theta_estimate=columns(estimate.theta),
         offset=nominal + columns(row.offset),
         offset_estimate=columns(estimate.offset),

@@ -34,7 +34,7 @@ class HeldDrive(mg.AbstractGyro):
             stiffness=(spring, own.stiffness[1]), damping=(rest, own.damping[1]), coriolis=(rest, own.coriolis[1])
         )
 
-    def coefficients(self, rate):
+    def coefficients(self, rate, damping_change=(0.0, 0.0, 0.0)):
         return (rate,) * len(self.model.names)
 
 

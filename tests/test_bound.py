@@ -215,13 +215,20 @@ def test_variance_follows_covariance():
     ("arguments", "says"),
     [
         ({"known": ("mass",)}, "`known` must name some of x, y, .*sigma, but holds `mass`"),
-        ({"duration": 0.0}, "at least one sample and window, but 0 and 50"),
+        ({"duration": 1e-6}, "at least one sample and window, but 0 and 50"),
         ({"windows": 0}, "at least one sample and window"),
     ],
 )
 def test_bad_arguments_are_refused(arguments, says):
     with pytest.raises(InputError, match=says):
         information_bound(closed(), 1.0, **arguments)
+
+
+@pytest.mark.parametrize("name", ["sample_rate", "duration"])
+@pytest.mark.parametrize("value", [0.0, -1.0, float("nan")])
+def test_impossible_times_are_refused(name, value):
+    with pytest.raises(InputError, match=f"`{name}` must be positive and finite"):
+        information_bound(closed(), 1.0, **{name: value})
 
 
 def test_a_noise_free_readout_has_no_bound():

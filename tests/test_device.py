@@ -170,3 +170,13 @@ def test_impossible_devices_are_refused(kind, numbers, change, words):
 def test_an_unknown_coefficient_is_named():
     with pytest.raises(InputError, match=r"must be one of rate, kxx.* but `mass` was given"):
         SINGLE_MASS.index("mass")
+
+
+@pytest.mark.parametrize("gyro", [SingleMassGyro(**SINGLE), DualMassGyro(**DUAL)], ids=["single", "dual"])
+def test_coefficients_follow_a_change_of_damping(gyro):
+    """The table assembles to the same equations of motion as the device has under the change."""
+    change = (0.5, -0.2, 0.3)
+    true = gyro.dynamics(Inertial(rate=1.5, damping_change=change))
+    found = gyro.model.assemble(gyro.coefficients(1.5, change))
+    np.testing.assert_allclose(found.damping, true.damping, rtol=1e-14)
+    assert gyro.coefficients(1.5, (0.0, 0.0, 0.0)) == gyro.coefficients(1.5)

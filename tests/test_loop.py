@@ -15,7 +15,7 @@ from memsgyro_jax.errors import InputError
 from memsgyro_jax.loop import ClosedLoop
 from memsgyro_jax.observers import Clock, ExtendedKalmanFilter
 from memsgyro_jax.propagate import Exact, ForwardEuler
-from memsgyro_jax.readout import ChargeAmplifier
+from memsgyro_jax.readout import ChargeAmplifier, DirectReadout
 from memsgyro_jax.scenario import Constant, Scenario, as_scenario
 
 
@@ -125,6 +125,18 @@ def test_an_under_sampled_loop_is_refused(loop):
 def test_an_observer_of_another_kind_of_device_is_refused():
     with pytest.raises(InputError, match=r"observer must expect the kind of device it watches; make it with `for_dev"):
         ClosedLoop(DualMassGyro.chi2010(), CIRCUIT, ExtendedKalmanFilter.for_device(DESIGN), OpenLoop())
+
+
+def test_an_observer_of_another_signal_is_refused():
+    observer = ExtendedKalmanFilter.for_device(DESIGN, CIRCUIT)
+    with pytest.raises(InputError, match="must measure the same, displacement or velocity"):
+        ClosedLoop(DESIGN, DirectReadout.of_velocity(1.0, 1e-9), observer, OpenLoop())
+
+
+def test_an_observer_of_the_opposite_sign_is_refused():
+    observer = ExtendedKalmanFilter.for_device(DESIGN)  # expects the charge amplifier, whose scale is negative
+    with pytest.raises(InputError, match="a scale of the same sign as the read-out's; make it with `for_device"):
+        ClosedLoop(DESIGN, DirectReadout(1e5, noise_density=1e-7), observer, OpenLoop())
 
 
 @pytest.mark.parametrize("travel", [0.0, -1e-6, float("nan")])

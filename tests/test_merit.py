@@ -46,6 +46,14 @@ def test_a_constant_rate_is_not_followed():
     assert following(np.arange(50) * 1e-3, np.ones(50), np.ones((3, 50))) is None
 
 
+def test_each_die_is_measured_by_its_own_rate():
+    time, size = np.arange(100) * 1e-3, np.linspace(0.5, 1.5, 9)[:, None]
+    rates = size * np.sin(2 * np.pi * 20.0 * time)
+    found = following(time, rates, rates + 0.01)
+    assert found is not None
+    assert found.rms == pytest.approx(0.01)
+
+
 def test_settling_time():
     time, error = np.arange(5.0), np.array([3.0, 0.1, 2.0, 0.2, 0.1])
     assert settling_time(time, error, 1.0) == 3.0

@@ -116,6 +116,11 @@ BAD = [
         "`feedback` must be positive and finite, but -1e-12",
     ),
     (lambda: ChargeAmplifier(**COMB | {"fingers": float("nan")}), "`fingers` must be positive"),
+    (
+        lambda: ChargeAmplifier(**COMB | {"parasitic": -1e-12}),
+        "`parasitic` must be finite and not negative, but -1e-12",
+    ),
+    (lambda: ChargeAmplifier(**COMB | {"rejection": 1.5}), "`rejection` must lie between 0 and 1, but 1.5"),
     (lambda: ChargeAmplifier(**COMB | {"width": (5e-6,)}), "must have 2 entries, but 1"),
     (lambda: ChargeAmplifier(**COMB | {"overlap": (1.0, 2.0, 3.0)}), "must have 2 entries, but 3"),
     (

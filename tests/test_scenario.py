@@ -94,3 +94,9 @@ BAD = [
 def test_bad_records_are_refused(columns, words):
     with pytest.raises(InputError, match=words):
         Recorded(*map(np.array, columns))
+
+
+@pytest.mark.parametrize("duration", [0.0, -1.0, float("nan")])
+def test_a_chirp_must_take_time(duration):
+    with pytest.raises(InputError, match="`duration` must be positive"):
+        Chirp(1.0, 1.0, 10.0, duration)

@@ -80,6 +80,10 @@ def test_the_scenario_can_vary(loop):
         (lambda: mg.Spread((mg.Vary("readout.opamp_offset", mg.Normal(relative=0.1)),)), "one number"),
         (lambda: mg.Spread((mg.Vary("readout.opamp_offset.5", mg.Normal(relative=0.1)),)), "`5`"),
         (lambda: mg.Spread.relative(-0.1), "negative"),
+        (lambda: mg.Spread.relative(float("nan")), "negative"),
+        (lambda: mg.Spread((mg.Vary("device.kxx", mg.Uniform(relative=-0.1)),)), "negative"),
+        (lambda: mg.Spread((mg.Vary("device.kxx", mg.Uniform(relative=0.1, low=1.0)),)), "either `relative`"),
+        (lambda: mg.Spread((mg.Vary("device.kxx", mg.Normal(relative=0.1, cut=0.0)),)), "`cut` must be positive"),
         (lambda: mg.Spread((mg.Vary("device.kxx", mg.Uniform()),)), "`relative`"),
         (lambda: mg.Spread((mg.Vary("device.kxx", mg.Uniform(low=2.0, high=1.0)),)), "low <= high"),
         (

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import memsgyro_jax as mg
+from memsgyro_jax.device import SINGLE_MASS, MotionModel
 from memsgyro_jax.errors import InputError
 from memsgyro_jax.spread import AbstractDistribution
 from memsgyro_jax.store import Store
@@ -67,6 +68,37 @@ def test_one_device_gives_the_bits_of_two(reference, fresh_python, tmp_path):
 @pytest.mark.parametrize("chunk", [1, 5, 64])
 def test_the_chunk_size_changes_nothing(loop, reference, chunk):
     same_bits(mg.sweep(loop, SPREAD, dies=6, chunk=chunk, **SHORT).to_xarray(), reference, 6)
+
+
+def test_what_is_known_and_does_not_vary_needs_no_axis_of_dies(loop):
+    known = mg.ExtendedKalmanFilter.for_device(loop.device, loop.readout, known=("rate", "sigma"))
+    spread = mg.Spread((mg.Vary("device.kxx", mg.Uniform(relative=0.02)),))
+    lot = mg.sweep(eqx.tree_at(lambda made: made.observer, loop, known), spread, dies=3, **{**SHORT, "bound_dies": 1})
+    error = lot.to_xarray()["coefficient_error"]
+    assert np.all(error.sel(coefficient="sigma") == 0.0)
+    assert lot.summary.bound is None
+
+
+class Wrapped(mg.AbstractObserver):
+    """Somebody's own observer, which gives an innovation but no full covariance."""
+
+    inner: mg.ExtendedKalmanFilter
+    model: MotionModel = eqx.field(static=True, default=SINGLE_MASS)
+
+    def init(self):
+        return self.inner.init()
+
+    def update(self, state, measured, force, clock):
+        return self.inner.update(state, measured, force, clock)
+
+    def estimate(self, state):
+        return self.inner.estimate(state)
+
+
+def test_an_observer_from_outside_the_package_can_be_swept(loop):
+    lot = mg.sweep(eqx.tree_at(lambda made: made.observer, loop, Wrapped(loop.observer)), SPREAD, dies=2, **SHORT)
+    assert lot.summary.nis is not None
+    assert lot.summary.nees is None
 
 
 @pytest.mark.parametrize("share", [1, 10, 50])

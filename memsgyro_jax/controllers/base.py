@@ -7,6 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from ..device import Pair, Scalar, number
+from ..errors import InputError
 from ..observers.base import Clock, Estimate
 
 
@@ -50,7 +51,13 @@ def tones_field() -> Tones:
 
 
 def _as_tones(given: "Tone | tuple") -> Tones:
-    x, y = (given, given) if isinstance(given, Tone) else given
+    pair = (given, given) if isinstance(given, Tone) else tuple(given)
+    if len(pair) != 2:
+        raise InputError(
+            f"Argument `tones` must be one tone for both axes or a pair (x, y), but has {len(pair)} entries; put "
+            "several tones of an axis into a tuple of their own."
+        )
+    x, y = pair
     return tuple((axis,) if isinstance(axis, Tone) else tuple(axis) for axis in (x, y))
 
 

@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 
 from ..device import Pair, Scalar, check_positive
+from ..errors import InputError
 from ..observers.base import Clock, Estimate
 from ..observers.settings import arrays
 from ..propagate import State4, dot
@@ -22,6 +23,10 @@ class ReferenceModel(AbstractController[tuple[()]]):
     tones: Tones = tones_field()
 
     def __check_init__(self):
+        if len(self.frequency) != 2:
+            raise InputError(
+                f"Argument `frequency` must be a pair (x, y) in Hz, but has {len(self.frequency)} entries."
+            )
         for value in self.frequency:
             check_positive("frequency", value)
 

@@ -51,9 +51,9 @@ class Box(Part):
 
     def build(self, unit: str | None) -> AbstractDistribution:
         """The distribution of a parameter measured in `unit`."""
-        low = None if self.low is None else _in(self.low, unit, "low")
-        high = None if self.high is None else _in(self.high, unit, "high")
-        return Uniform(self.relative, low, high)
+        ends = {"low": self.low, "high": self.high}
+        given = {name: _in(end, unit, name) for name, end in ends.items() if end is not None}
+        return Uniform(self.relative, **given)
 
 
 def _in(given: str, unit: str | None, name: str) -> float:

@@ -157,3 +157,11 @@ def test_forces_have_one_value_per_die():
 def test_impossible_reference_frequencies_are_refused(frequency):
     with pytest.raises(InputError, match="`frequency` must be positive and finite"):
         ReferenceModel(frequency)
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_what_is_no_pair_of_axes_is_refused(count):
+    with pytest.raises(InputError, match=f"`tones` must be one tone for both axes or a pair .*{count} entries"):
+        OpenLoop((Tone(600.0, 1e-6),) * count)
+    with pytest.raises(InputError, match=f"`frequency` must be a pair .*{count} entries"):
+        ReferenceModel((3e3,) * count)

@@ -344,3 +344,10 @@ def test_lines_of_keys():
         ("a",): 1, ("b",): 2, ("b", "c", "d"): 3, ("b", "e f"): 4,
         ("g", "h"): 5, ("g", "h", 0): 5, ("g", "h", 0, "i"): 6, ("g", "h", 1): 7, ("g", "h", 1, "i"): 8,
     }  # fmt: skip
+
+
+def test_a_uniform_spread_may_be_relative(tmp_path):
+    path = tmp_path / "study.toml"
+    path.write_text('[spread.parameters]\n"device.mass" = { kind = "uniform", relative = "5 %" }\n')
+    (item,) = mg.load_study(path).spread.items
+    assert (item.path, item.distribution.relative) == ("device.mass", 0.05)
