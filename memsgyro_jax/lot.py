@@ -18,6 +18,8 @@ from .scenario import Scenario
 
 
 DIE_AXIS = "die"
+COVARIANCE = ("standardised", "correlation")  # rows that `nees` turns into a figure
+_SINGULAR = 1e-12  # least eigenvalue of a correlation matrix that is inverted
 
 
 class LotMemory(NamedTuple):
@@ -132,12 +134,14 @@ def _rows(loop: ClosedLoop, scenario: Scenario, design: ClosedLoop, words: tuple
         "rate_std_end": nothing if estimate.rate_variance is None else jnp.sqrt(estimate.rate_variance),
         "convergence_time": jnp.where(outside >= end - 0.5 * plan.period, jnp.nan, outside),
         "nis_mean": jnp.mean(nis[settled], axis=0) if consistent else nothing,
-        "nees_end": _nees(loop, done.state, conditions.offset_drift, truth) if has_covariance else nothing,
         # A known coefficient that does not vary is one number for all dies.
         "coefficient_error": jnp.stack([jnp.broadcast_to(error, words[0].shape) for error in relative]),
         "rate_estimate": rate_true + error,
         "rate_true": rate_true,
     }
+    if has_covariance:
+        pair = _standardised(loop, done.state, conditions.offset_drift, truth)
+        rows |= dict(zip(COVARIANCE, pair, strict=True))
     hide = {name: jnp.where(done.alive, value, jnp.nan) for name, value in rows.items() if name != "lost_at"}
     return {**rows, **hide, "status": jnp.where(done.alive, 0, 1).astype(jnp.int8)}
 
@@ -158,19 +162,32 @@ def _window_rates(scenario: Scenario, plan: Plan, lanes: tuple[int, ...]) -> Arr
     return jnp.broadcast_to(rates.reshape(rates.shape + (1,) * (1 + len(lanes) - rates.ndim)), (plan.blocks, *lanes))
 
 
-def _nees(loop: ClosedLoop, state: engine.LoopState, drift: tuple, theta: tuple[Scalar, ...]) -> Array:
-    """Normalised estimation error squared over all estimated states; their number on average when the filter is
-    consistent.
-    """
+def _standardised(
+    loop: ClosedLoop, state: engine.LoopState, drift: tuple, theta: tuple[Scalar, ...]
+) -> tuple[Array, Array]:
+    """Error in claimed standard deviations and the claimed correlation, over all estimated states; dies trail."""
     observer = loop.observer
     assert isinstance(observer, ExtendedKalmanFilter)
     offset = tuple(o + d for o, d in zip(loop.readout.offset, drift, strict=True))
-    error = jnp.moveaxis(observer.error(state.observer, state.motion, offset, theta), -1, 0)
-    covariance = jnp.moveaxis(observer.covariance(state.observer), -1, 0)
-    std = jnp.sqrt(jnp.diagonal(covariance, axis1=1, axis2=2))
-    correlation = covariance / (std[:, :, None] * std[:, None, :])
-    scaled = error / std
-    return jnp.sum(scaled * jnp.linalg.solve(correlation, scaled[:, :, None])[:, :, 0], axis=1)
+    covariance = observer.covariance(state.observer)
+    std = jnp.sqrt(jnp.stack([covariance[i, i] for i in range(len(covariance))]))
+    return observer.error(state.observer, state.motion, offset, theta) / std, covariance / (std[:, None] * std[None])
+
+
+def nees(
+    standardised: Float[np.ndarray, "dies states"], correlation: Float[np.ndarray, "dies states states"]
+) -> Float[np.ndarray, " dies"]:
+    """Normalised estimation error squared; the number of states on average when the filter is consistent.
+
+    NaN where something is known exactly: the covariance is singular then, and the figure means nothing. Outside the
+    compiled run, since a linear-algebra call on every device at once can wait for itself.
+    """
+    finite = np.all(np.isfinite(correlation), axis=(1, 2)) & np.all(np.isfinite(standardised), axis=1)
+    safe = np.where(finite[:, None, None], correlation, np.eye(correlation.shape[-1]))
+    regular = finite & (np.linalg.eigvalsh(safe)[:, 0] > _SINGULAR)
+    safe = np.where(regular[:, None, None], safe, np.eye(correlation.shape[-1]))
+    solved = np.linalg.solve(safe, standardised[..., None])[..., 0]
+    return np.where(regular, np.sum(standardised * solved, axis=1), np.nan)
 
 
 def mesh_of(devices: list[jax.Device]) -> Mesh:

@@ -150,8 +150,9 @@ class Spread:
         return (*self.items, *(Vary(path, self.everywhere) for path in device if path not in named))
 
     def draw(self, loop: ClosedLoop, scenario: Scenario, seed: int, dies: np.ndarray) -> "Draw":
-        """Dies `dies` (their numbers): loop and scenario with one value per die on a trailing axis, and the values
-        themselves.
+        """Dies `dies` (their numbers): loop and scenario with one value per die on a trailing axis, and the values.
+
+        Raises `InputError` when a die would be impossible, a negative mass say.
         """
         root, items = Root(loop, scenario), self.resolved(loop)
         normal = self._normal(len(items), seed, dies)
@@ -162,6 +163,7 @@ class Spread:
         ]
         if items:
             root = eqx.tree_at(lambda r: [item.find(r) for item in items], root, [jnp.asarray(v) for v in values])
+            _check_possible(root.loop, dies)
         table = np.stack(values, axis=1) if values else np.empty((len(dies), 0))
         return Draw(root.loop, root.scenario, tuple(item.path for item in items), table)
 
@@ -210,3 +212,13 @@ def device_numbers(loop: ClosedLoop) -> tuple[str, ...]:
     """Names of the device's fields that hold a non-zero number."""
     fields = vars(loop.device)
     return tuple(name for name, value in fields.items() if eqx.is_inexact_array(value) and jax.numpy.all(value != 0.0))
+
+
+def _check_possible(loop: ClosedLoop, dies: np.ndarray) -> None:
+    try:
+        for part in (loop.device, loop.readout):
+            getattr(part, "__check_init__", lambda: None)()
+    except InputError as error:
+        raise InputError(
+            f"The spread makes one of the dies {dies[0]} to {dies[-1]} impossible; lower it, or its `cut`. {error}"
+        ) from None

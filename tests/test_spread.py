@@ -102,3 +102,9 @@ def test_the_scenario_can_vary(loop):
 def test_bad_spreads_are_one_sentence(loop, make, words):
     with pytest.raises(InputError, match=words):
         draw(loop, make(), range(2))
+
+
+def test_impossible_dies_are_refused(loop):
+    spread = mg.Spread((mg.Vary("device.mass", mg.Normal(relative=0.5)),))
+    with pytest.raises(InputError, match=r"impossible.*`cut`.*`mass`"):
+        draw(loop, spread, range(256))

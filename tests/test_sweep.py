@@ -250,3 +250,19 @@ def test_identical_dies_differ_by_noise_alone(loop):
 def test_results_do_not_depend_on_a_rebuilt_loop(loop, reference):
     rebuilt = eqx.tree_at(lambda made: made.device.mass, loop, jnp.asarray(1.8e-7))
     same_bits(mg.sweep(rebuilt, SPREAD, dies=8, chunk=8, **SHORT).to_xarray(), reference, 8)
+
+
+def test_a_singular_covariance_has_no_nees(loop):
+    known = mg.design_prior(loop.device, motion_error=0.0)
+    sure = eqx.tree_at(lambda made: made.observer.prior, loop, known)
+    assert mg.sweep(sure, SPREAD, dies=8, chunk=8, **SHORT).summary.nees is None
+
+
+def test_a_filter_refuses_what_it_cannot_use(loop):
+    gyro = loop.device
+    with pytest.raises(InputError, match="`noise_density`"):
+        mg.ExtendedKalmanFilter.for_device(gyro, mg.DirectReadout(1e5))
+    with pytest.raises(InputError, match="`process_noise`"):
+        mg.ExtendedKalmanFilter.for_device(gyro, process_noise=mg.ProcessNoise((0.0,) * 4, (0.0,) * 2, (1.0,) * 3))
+    with pytest.raises(InputError, match="`prior`"):
+        mg.ExtendedKalmanFilter.for_device(gyro, prior=mg.design_prior(mg.DualMassGyro.chi2010()))

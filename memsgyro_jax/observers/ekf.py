@@ -18,7 +18,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..device import AbstractGyro, MotionModel, Pair, Scalar
+from ..device import AbstractGyro, MotionModel, Pair, Scalar, check_positive
 from ..errors import InputError
 from ..propagate import AbstractDiscretisation, Exact, State4, Transition, advance, dot, fence
 from ..readout import AbstractReadout, ChargeAmplifier
@@ -71,6 +71,21 @@ class ExtendedKalmanFilter(AbstractObserver[KalmanState]):
     estimated: tuple[int, ...] = eqx.field(static=True)
     with_offsets: bool = eqx.field(static=True)
     iterations: int = eqx.field(static=True)
+
+    def __check_init__(self):
+        for density in self.noise_density:
+            check_positive("noise_density", density)
+        count = len(self.model.names)
+        sizes = {
+            "prior": (len(self.prior.theta), len(self.prior.theta_std)),
+            "process_noise": (len(self.process_noise.theta),),
+        }
+        for name, found in sizes.items():
+            if set(found) != {count}:
+                raise InputError(
+                    f"Argument `{name}` of the filter must hold one number for each of the {count} coefficients "
+                    f"{', '.join(self.model.names)}, but {' and '.join(map(str, found))} were given."
+                )
 
     @classmethod
     def for_device(
