@@ -125,7 +125,8 @@ def _candidates(sweeps: tuple[FrequencySweep, ...], leak: bool, moving: bool, st
         families = [jax.vmap(lambda bench: sweep_start.with_other_axis(bench, other))(family) for family in families]
     # Each family keeps its best: the one that wins on a wide sweep fits noise with its second pole on a narrow one.
     kept = [best_start(family, sweeps, starts) for family in families]
-    benches = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *kept)
+    # the best of each family first, then the second of each
+    benches = jax.tree.map(lambda *leaves: jnp.stack(leaves, axis=1).reshape(-1, *leaves[0].shape[1:]), *kept)
     if moving:
         benches = best_start(_at_speeds(benches), sweeps, len(families) * starts)
     return jax.vmap(lambda bench: gauge_fixed(SeenBench.of(bench)))(benches)

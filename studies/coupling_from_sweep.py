@@ -270,7 +270,7 @@ def phasor_picture():
     ):
         for (name, ratio), colour in zip(parts.items(), COLOURS, strict=True):
             ax.plot(np.asarray(frequency) / 2 / np.pi, part(np.asarray(ratio)), color=colour, label=f"{name} coupling")
-        ax.set(xlabel="drive frequency [Hz]", title=title, xticks=[8014.0, 8014.3, 8014.6])
+        ax.set(xlabel="drive frequency [Hz]", title=title, xticks=[8014.0, 8014.3, 8014.6], ylim=(-1e4, 10))
         ax.set_yscale("symlog", linthresh=1e-3)
         ax.ticklabel_format(axis="x", useOffset=False)
         ax.grid(alpha=0.25)
