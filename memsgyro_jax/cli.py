@@ -176,9 +176,11 @@ def identify(
 ) -> None:
     """Coupling errors of a frequency sweep, with uncertainty and a verdict.
 
-    The CSV has "f [Hz]" and both channels as "Vx_I [V]", "Vx_Q [V]", "Vy_I [V]", "Vy_Q [V]" or as "Vx_amp [1]",
-    "Vx_phase [deg]", "Vy_amp [1]", "Vy_phase [deg]"; "F_x [N]" or "F_y [N]" is the drive level and names the driven
-    electrode. Phasors follow e^{+iwt}.
+    The CSV has the columns "f [Hz]" and, for both channels,
+    "Vx_I [V]", "Vx_Q [V]", "Vy_I [V]", "Vy_Q [V]", or
+    "Vx_amp [1]", "Vx_phase [deg]", "Vy_amp [1]", "Vy_phase [deg]".
+    "F_x [N]" or "F_y [N]" is the drive level and names the driven electrode.
+    Phasors follow e^{+iwt}.
 
     Args:
         sweeps: one or several CSV files of one device, with the x electrode, the y electrode or each of them driven.
