@@ -180,7 +180,10 @@ def test_numbers_survive_writing_to_the_last_bit(tmp_path_factory, mass, decay, 
 @pytest.mark.parametrize(
     ("section", "holds"),
     [
-        ('[readout]\nkind = "displacement"\nscale = "0.1 V/um"\n', lambda s: float(s.loop.readout.scale[1]) == 1e5),
+        (
+            '[readout]\nkind = "displacement"\nscale = "0.1 V/um"\nnoise_density = "0.5 uV/sqrt(Hz)"\n',
+            lambda s: float(s.loop.readout.scale[1]) == 1e5,
+        ),
         (
             '[readout]\nkind = "velocity"\nscale = "5 V*s/m"\n' + LYAPUNOV,
             lambda s: float(s.loop.observer.gain[0]) == 12.0 and float(s.loop.observer.frequency) == 18000.0,
