@@ -160,11 +160,9 @@ def sense_errors(modes: CoupledModes, frequency: Array, amplitude: Array, rate: 
     )
 
 
-def drive_errors(modes: CoupledModes, frequency: Array, amplitude: Array, rate: Array) -> ErrorDisplacements:
-    """The mirror image of `sense_errors`: what a sense motion Y = `amplitude` causes on the drive axis (Coriolis has
-    the other sign).
-    """
-    flipped = CoupledModes(
+def mirrored(modes: CoupledModes) -> CoupledModes:
+    """The same device with x and y exchanged."""
+    return CoupledModes(
         modes.omega[::-1],
         modes.quality[::-1],
         modes.damping_coupling,
@@ -172,7 +170,13 @@ def drive_errors(modes: CoupledModes, frequency: Array, amplitude: Array, rate: 
         modes.force_xy,
         modes.force_yx,
     )
-    return sense_errors(flipped, frequency, amplitude, -rate)
+
+
+def drive_errors(modes: CoupledModes, frequency: Array, amplitude: Array, rate: Array) -> ErrorDisplacements:
+    """The mirror image of `sense_errors`: what a sense motion Y = `amplitude` causes on the drive axis (Coriolis has
+    the other sign).
+    """
+    return sense_errors(mirrored(modes), frequency, amplitude, -rate)
 
 
 def _rotated(principal: tuple[float, float], angle: Array) -> Float[Array, "2 2"]:

@@ -7,14 +7,14 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 import numpy as np
 
-from .couplings import CoupledModes
+from .couplings import CoupledModes, mirrored
 from .errors import InputError
 from .experiments import Bench, LockIn, Noise
 from .identification import Coefficient, Identification
 from .identify import sweep_of
 from .measurement import SweepRecord
 from .modal import half_power
-from .ratio import TruncatedRatio, conversion_ratio, goodness_of_fit, mirrored, phase_offset, relative_error
+from .ratio import TruncatedRatio, conversion_ratio, goodness_of_fit, phase_offset, relative_error
 
 
 VALIDITY_LIMIT = 0.02  # of the theoretical relative error, section 2.2.1

@@ -105,18 +105,6 @@ class ExactRatio(RatioEstimator):
         return _estimate(ends[best], rests.std[best])
 
 
-def mirrored(modes: CoupledModes) -> CoupledModes:
-    """The same device with x and y exchanged: the estimators then give λxy from X/Y of a sweep with y driven."""
-    return CoupledModes(
-        modes.omega[::-1],
-        modes.quality[::-1],
-        modes.damping_coupling,
-        modes.stiffness_coupling,
-        modes.force_xy,
-        modes.force_yx,
-    )
-
-
 def relative_error(
     estimator: RatioEstimator, modes: CoupledModes, frequency: Array, ratio: Array | None = None
 ) -> Float[Array, " 3"]:

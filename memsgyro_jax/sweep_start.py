@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from .couplings import CoupledModes
+from .couplings import CoupledModes, mirrored
 from .experiments import Bench, ElectricalFeedthrough, FrequencySweep, LockIn, PolarNoise
 from .modal import circle_pole
 
@@ -225,15 +225,7 @@ def _placed(modes: CoupledModes, gain: Array, ratio: Array, phase: Array, axis: 
     if axis == 0:
         return Bench(modes, LockIn(jnp.abs(gain), jnp.angle(gain), ratio, phase))
     # The driven channel is y: its gain is gain·drive_ratio·gain_ratio of the lock-in, with the drive ratio left at one.
-    device = CoupledModes(
-        modes.omega[::-1],
-        modes.quality[::-1],
-        modes.damping_coupling,
-        modes.stiffness_coupling,
-        modes.force_xy,
-        modes.force_yx,
-    )
-    return Bench(device, LockIn(jnp.abs(gain) * ratio, jnp.angle(gain) + phase, 1 / ratio, -phase))
+    return Bench(mirrored(modes), LockIn(jnp.abs(gain) * ratio, jnp.angle(gain) + phase, 1 / ratio, -phase))
 
 
 def own_guess(poles: Complex[Array, " 2"], residues: Complex[Array, "2 2"]) -> Float[Array, "2 2"]:

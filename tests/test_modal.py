@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from lab import two_modes as lab
 
-from memsgyro_jax.couplings import AxisAngles, CoupledModes, drive_errors, sense_errors
+from memsgyro_jax.couplings import AxisAngles, CoupledModes, drive_errors, mirrored, sense_errors
 from memsgyro_jax.modal import SingleMode, circle, coupled_poles, half_power, partial_fractions
 from memsgyro_jax.ratio import (
     ComplexRatio,
@@ -17,7 +17,6 @@ from memsgyro_jax.ratio import (
     conversion_ratio,
     goodness_of_fit,
     low_pass,
-    mirrored,
     peak_to_peak,
     phase_offset,
     relative_error,
