@@ -1,0 +1,135 @@
+"""The port of the physics that a device may have beyond the base model.
+
+An effect is a formula and a strength. Strength zero is exactly "absent"; which effects a model has is structure, how
+strong they are are numbers. One's own effect takes about ten lines:
+
+    class Creep(mg.effects.ForceEffect):
+        name, unit, law = "creep", "N·s³/m³", "F = −s·v³"
+        axis: int = eqx.field(static=True, default=0)
+        strength: Array = mg.effects.strength()
+
+        def force(self, now):
+            return self.along(now, -self.strength * now.velocity[self.axis] ** 3)
+"""
+
+import abc
+from typing import ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..normalised import NormalisedDevice
+
+
+class Moment(eqx.Module):
+    """Everything an effect may depend on, at one instant. Vectors have one entry per axis.
+
+    | field | unit | holds |
+    |---|---|---|
+    | `displacement`, `velocity` | m, m/s | of the proof mass |
+    | `force` | N | applied by the electrodes |
+    | `own` | any | the effect's own state, `own_size` numbers |
+    | `rate`, `angular_acceleration` | rad/s, rad/s² | of the frame, as the record has it |
+    | `rate_trusted` | 1 | 1 where the rate is known apart from the table's own reading, else 0 |
+    | `warming` | K | temperature above the reference |
+    | `bias_voltage`, `reference_bias` | V | of the electrodes; at which the base stiffness holds |
+    | `time` | s | within the record |
+    | `progress` | 1 | part of the record that has passed, 0 to 1 |
+    | `record` | 1 | number of the record in its case, from 0 |
+    | `device` | | the base device |
+    | `scale` | V/m | of the read-out |
+    | `acceleration`, `jerk` | m/s², m/s³ | of the proof mass; only read-out effects see them |
+    """
+
+    displacement: Array
+    velocity: Array
+    force: Array
+    own: Array
+    rate: Array
+    angular_acceleration: Array
+    rate_trusted: Array
+    warming: Array
+    bias_voltage: Array
+    reference_bias: Array
+    time: Array
+    progress: Array
+    record: Array
+    device: NormalisedDevice
+    scale: Array
+    acceleration: Array | None = None
+    jerk: Array | None = None
+
+
+def strength(default: float = 0.0) -> Array:
+    """The field that holds the strength of an effect."""
+    return eqx.field(converter=jnp.asarray, default=default)
+
+
+class Effect(eqx.Module):
+    """A named physical effect: `name`, `unit` of its strength in SI, `law` as a formula, `reference`."""
+
+    name: ClassVar[str] = ""
+    unit: ClassVar[str] = "1"
+    law: ClassVar[str] = ""
+    reference: ClassVar[str] = ""
+    own_size: ClassVar[int] = 0
+    own_is_linear: ClassVar[bool] = False
+
+    strength: eqx.AbstractVar[Array]
+
+    @property
+    def where(self) -> str:
+        """Which of its variants this is: `x`, `y`, `x_to_y`, `stiffness`..., or empty."""
+        axis = getattr(self, "axis", None)
+        return "" if axis is None else "xy"[axis]
+
+    @property
+    def label(self) -> str:
+        """Name and variant, e.g. `cubic_stiffness x`."""
+        return f"{self.name} {self.where}".rstrip()
+
+    def along(self, now: Moment, value: Array) -> Float[Array, " axes"]:
+        """A vector with `value` on the effect's own axis and zero elsewhere."""
+        return jnp.zeros_like(now.displacement).at[self.axis].set(value)
+
+
+class ForceEffect(Effect):
+    """Acts on the proof mass."""
+
+    @abc.abstractmethod
+    def force(self, now: Moment) -> Float[Array, " axes"]:
+        """Force on the proof mass [N] along each axis."""
+
+    def own_rate(self, now: Moment) -> Float[Array, " own"]:
+        """Time derivative of the effect's own state; override it together with `own_size`."""
+        return jnp.zeros_like(now.own)
+
+
+class DriveEffect(Effect):
+    """Acts between the command and the electrodes."""
+
+    @abc.abstractmethod
+    def applied(self, command: Float[Array, " axes"], now: Moment) -> Float[Array, " axes"]:
+        """Force that the electrodes apply [N] when `command` [N] is asked for."""
+
+
+class ReadoutEffect(Effect):
+    """Acts between the displacement and the recorded voltage. `last` puts it behind all others."""
+
+    last: ClassVar[bool] = False
+
+    @abc.abstractmethod
+    def signal(self, volts: Float[Array, " axes"], now: Moment) -> Float[Array, " axes"]:
+        """Voltage of each channel, given what it would be without this effect."""
+
+
+class SweepEffect(Effect):
+    """Acts on the way a frequency sweep is taken: `speed` at which the frequency moves."""
+
+    @abc.abstractmethod
+    def speed(self) -> Array:
+        """Speed of the sweep [rad/s²]."""
+
+

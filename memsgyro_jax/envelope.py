@@ -1,0 +1,168 @@
+"""Motion in time by an exponential integrator: the linear part exactly, what it leaves out to second order in the step.
+
+The state may carry harmonics of a drive, s(t) = S₀(t) + Re Σ S_h(t) e^{ihωt}, with slowly varying S_h: one step then
+spans whole drive cycles and no waveform is sampled in time. Without a drive (harmonic 0 alone) it is the ordinary state
+under held forces. The scheme is ETD2RK of Cox and Matthews, "Exponential time differencing for stiff systems", J.
+Comput. Phys. 176 (2002), equation (22).
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Complex, Float
+
+from .model import Conditions, Model
+from .steady import HARMONICS, nonlinear_spectrum
+
+
+class Propagator(eqx.Module):
+    """e^{LΔ}, Δφ₁(LΔ), Δφ₂(LΔ) of one step Δ, one matrix per harmonic or a single real one."""
+
+    exponential: Array
+    first: Array
+    second: Array
+
+    @classmethod
+    def of(cls, matrix: Array, step: Array, units: Float[Array, " n"]) -> "Propagator":
+        """For s' = L·s + (what is left): L (..., n, n), the step [s] and typical sizes of the state's entries, which
+        only keep the arithmetic well scaled.
+        """
+        size = matrix.shape[-1]
+        one, none = jnp.eye(size, dtype=matrix.dtype), jnp.zeros((size, size), dtype=matrix.dtype)
+        balance = units / units[:, None]
+
+        def single(m: Array) -> tuple[Array, Array, Array]:
+            # Al-Mohy and Higham: φ-functions are blocks of one exponential of an augmented matrix.
+            block = jnp.block([[m * balance * step, one, none], [none, none, one], [none, none, none]])
+            power = exponential(block)
+            parts = power[:size, :size], step * power[:size, size : 2 * size], step * power[:size, 2 * size :]
+            return tuple(part / balance for part in parts)
+
+        for _ in range(matrix.ndim - 2):
+            single = jax.vmap(single)
+        return cls(*single(matrix))
+
+    def advance(self, state: Array, load: Array, rest) -> Array:
+        """One step under a constant `load`; `rest(state)` is what the linear part leaves out, evaluated at both
+        ends.
+        """
+        here = rest(state)
+        predicted = _apply(self.exponential, state) + _apply(self.first, load + here)
+        return predicted + _apply(self.second, rest(predicted) - here)
+
+
+def _apply(matrix: Array, vector: Array) -> Array:
+    return jnp.einsum("...ij,...j->...i", matrix, vector)
+
+
+def exponential(matrix: Array) -> Array:
+    """Matrix exponential by scaling and squaring of a Taylor series of order 18; no decomposition, cheap to
+    differentiate.
+    """
+    norm = jnp.max(jnp.sum(jnp.abs(matrix), axis=-1))
+    squarings = jnp.clip(jnp.ceil(jnp.log2(norm)), 0, 60).astype(int)
+    scaled = matrix * 2.0 ** (-squarings.astype(matrix.real.dtype))
+    one = jnp.eye(matrix.shape[-1], dtype=matrix.dtype)
+    total = one
+    for k in range(18, 0, -1):
+        total = one + scaled @ total / k
+    return jax.lax.fori_loop(0, squarings, lambda _, m: m @ m, total)
+
+
+def state_units(model: Model) -> Float[Array, " n"]:
+    """Typical sizes of the state's entries next to each other: velocities are ω times displacements."""
+    omega = jnp.sqrt(jax.lax.stop_gradient(jnp.max(model.device.stiffness)))
+    return jnp.ones(model.size).at[model.axes : 2 * model.axes].set(omega)
+
+
+class Driven(eqx.Module):
+    """The model under a drive Re[F e^{iωt}], its state as slowly varying harmonics (HARMONICS + 1, n).
+
+    The linear part is taken at the conditions `base`; what later conditions change is part of what is left out, and so
+    exact to second order in the step.
+    """
+
+    model: Model
+    omega: Array
+    force: Array
+    linear: tuple[Array, Array]
+
+    @classmethod
+    def of(cls, model: Model, omega: Array, force: Array, base: Conditions) -> "Driven":
+        """At a drive frequency [rad/s] and complex force [N] per axis."""
+        return cls(model, omega, force + 0j, model.linear(base))
+
+    @property
+    def operator(self) -> Complex[Array, "h n n"]:
+        """L_h = A − ihω."""
+        turning = 1j * jnp.arange(HARMONICS + 1)[:, None, None] * self.omega
+        return self.linear[0] - turning * jnp.eye(self.model.size)
+
+    @property
+    def load(self) -> Complex[Array, "h n"]:
+        """The drive, in harmonic 1."""
+        return jnp.zeros((HARMONICS + 1, self.model.size), complex).at[1].set(self.linear[1] @ self.force)
+
+    def propagator(self, step: Array) -> Propagator:
+        """Of one step [s]."""
+        return Propagator.of(self.operator, step, state_units(self.model))
+
+    def rest(self, state: Complex[Array, "h n"], conditions: Conditions) -> Complex[Array, "h n"]:
+        """What the linear part leaves out."""
+        left = nonlinear_spectrum(self.model, self.linear, state, self.force, conditions)
+        return jnp.zeros_like(state).at[:, np.asarray(self.model.nonlinear_rows)].set(left)
+
+    def at_rest(self) -> Complex[Array, "h n"]:
+        """No motion."""
+        return jnp.zeros((HARMONICS + 1, self.model.size), complex)
+
+    def run(
+        self, start: Complex[Array, "h n"], step: Array, conditions: Conditions
+    ) -> tuple[Complex[Array, "h n"], tuple[Array, Array]]:
+        """Through as many steps as `conditions` has rows: the last state, and per step the state at its end and the
+        state's mean over it.
+        """
+        propagate, load, inverse = self.propagator(step), self.load, jnp.linalg.inv(self.operator)
+
+        def advance(state: Array, now: Conditions) -> tuple[Array, tuple[Array, Array]]:
+            end = propagate.advance(state, load, lambda s: self.rest(s, now))
+            push = load + 0.5 * (self.rest(state, now) + self.rest(end, now))
+            return end, (end, _apply(inverse, (end - state) / step - push))
+
+        return jax.lax.scan(advance, start, conditions)
+
+    def instant(self, state: Complex[Array, "h n"], time: Array) -> Float[Array, " n"]:
+        """The state itself at a time [s], phase zero at time zero."""
+        turn = jnp.exp(1j * jnp.arange(HARMONICS + 1) * self.omega * time)
+        return jnp.real(turn @ state)
+
+
+def simulate(
+    model: Model,
+    forces: Float[Array, "t axes"],
+    increments: Float[Array, "t axes"],
+    step: Array,
+    conditions: Conditions,
+    base: Conditions,
+) -> Float[Array, "t n"]:
+    """State at the beginning of each step, from rest, under forces that go linearly from `forces` to `forces +
+    increments` within a step of `step` seconds: held ones with zero increments. `conditions` has a row per step.
+    """
+    matrix, gain = model.linear(base)
+    propagate = Propagator.of(matrix, step, state_units(model))
+    rows = np.asarray(model.nonlinear_rows)
+
+    def rest(state: Array, force: Array, now: Conditions) -> Array:
+        left = model.derivative(state, force, now) - matrix @ state - gain @ force
+        return jnp.zeros_like(state).at[rows].set(left[rows])
+
+    def advance(state: Array, inputs: tuple[Array, Array, Conditions]) -> tuple[Array, Array]:
+        force, increment, now = inputs
+        here = rest(state, force, now)
+        predicted = propagate.exponential @ state + propagate.first @ (gain @ force + here)
+        predicted = predicted + propagate.second @ (gain @ increment)
+        end = predicted + propagate.second @ (rest(predicted, force + increment, now) - here)
+        return end, state
+
+    return jax.lax.scan(advance, jnp.zeros(model.size), (forces, increments, conditions))[1]

@@ -1,0 +1,138 @@
+"""Steady vibration under a harmonic drive: exact where the model is linear, harmonic balance where it is not.
+
+The state is s(θ) = S₀ + Re Σ S_h e^{ihθ}, θ = ωt. The linear part of the model is inverted exactly per harmonic; the
+unknowns of the balance are the Fourier coefficients of the *nonlinear* accelerations alone, so their number does not
+grow with the effects' own linear states, and a linear model is solved by the first step.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Complex, Float
+
+from .model import Conditions, Model
+
+
+HARMONICS = 3
+SAMPLES = 32
+STEPS = 30
+
+
+def phases(samples: int = SAMPLES) -> Float[np.ndarray, " m"]:
+    """Phases θ of one period at which waveforms are sampled."""
+    return 2 * np.pi * np.arange(samples) / samples
+
+
+def waveform(coefficients: Complex[Array, "h n"], samples: int = SAMPLES) -> Float[Array, "m n"]:
+    """Samples over one period of S₀ + Re Σ S_h e^{ihθ}."""
+    angle = np.outer(phases(samples), np.arange(coefficients.shape[0]))
+    return jnp.cos(angle) @ coefficients.real - jnp.sin(angle) @ coefficients.imag
+
+
+def spectrum(samples: Float[Array, "m n"], harmonics: int = HARMONICS) -> Complex[Array, "h n"]:
+    """Fourier coefficients S₀ ... S_H of one period: the inverse of `waveform` for band-limited ones."""
+    count = samples.shape[0]
+    angle = np.outer(np.arange(harmonics + 1), phases(count))
+    weight = np.where(np.arange(harmonics + 1) == 0, 1.0, 2.0)[:, None] / count
+    return (weight * np.cos(angle)) @ samples - 1j * ((weight * np.sin(angle)) @ samples)
+
+
+def drive_waveform(force: Complex[Array, " axes"], samples: int = SAMPLES) -> tuple[Array, Array]:
+    """Command Re[F e^{iθ}] at each phase and its derivative by θ, both (m, axes)."""
+    turning = np.exp(1j * phases(samples))[:, None] * force
+    return turning.real, (1j * turning).real
+
+
+def nonlinear_spectrum(model, linear, state: Complex[Array, "h n"], force, conditions) -> Complex[Array, "h k"]:
+    """Fourier coefficients of what the linear part leaves out, in the rows that may be nonlinear."""
+    rows = np.asarray(model.nonlinear_rows)
+    matrix, gain = linear
+    command, _ = drive_waveform(force)
+
+    def rest(s: Array, u: Array) -> Array:
+        return (model.derivative(s, u, conditions) - matrix @ s - gain @ u)[rows]
+
+    return spectrum(jax.vmap(rest)(waveform(state), command))
+
+
+def steady_state(
+    model: Model,
+    omega: Float[Array, ""],
+    force: Complex[Array, " axes"],
+    conditions: Conditions,
+    guess: Complex[Array, " axes"],
+) -> Complex[Array, "h n"]:
+    """Fourier coefficients of the settled state under the force Re[F e^{iωt}] at one condition.
+
+    Where several steady states exist (a hardening spring driven hard), the one nearest to `guess`, the phasor of the
+    displacement, is found. Derivatives are those of the exact solution (implicit function theorem).
+    """
+    linear = model.linear(conditions)
+    solve = _linear_response(model, omega, force, linear)
+
+    def balance(flat: Array, model: Model, omega: Array, force: Array, conditions: Conditions) -> Array:
+        linear = model.linear(conditions)
+        state = _linear_response(model, omega, force, linear)(_unflatten(flat, model))
+        return flat - _flatten(nonlinear_spectrum(model, linear, state, force, conditions))
+
+    start = _displacement_only(model, omega, guess)
+    first = _flatten(nonlinear_spectrum(model, linear, start, force, conditions))
+    frozen = jax.lax.stop_gradient((model, omega, force, conditions))
+    found = _newton(lambda x: balance(x, *frozen), jax.lax.stop_gradient(first))
+    # One more step with everything differentiable but the Jacobian: value unchanged, derivative that of the solution.
+    slope = jax.jacfwd(lambda x: balance(x, *frozen))(found)
+    found = found - jnp.linalg.solve(slope, balance(found, model, omega, force, conditions))
+    return solve(_unflatten(found, model))
+
+
+def _linear_response(model, omega, force, linear):
+    """The map from nonlinear accelerations to the state, through the exact linear part, harmonic by harmonic."""
+    matrix, gain = linear
+    rows = np.asarray(model.nonlinear_rows)
+    order = np.arange(HARMONICS + 1)
+    operator = 1j * order[:, None, None] * omega * jnp.eye(model.size) - matrix
+    drive = (order == 1)[:, None] * (gain @ force)
+
+    def respond(nonlinear: Complex[Array, "h k"]) -> Complex[Array, "h n"]:
+        load = drive.at[:, rows].add(nonlinear)
+        return jnp.linalg.solve(operator, load[..., None])[..., 0]
+
+    return respond
+
+
+def _displacement_only(model, omega, guess):
+    state = jnp.zeros((HARMONICS + 1, model.size), dtype=complex)
+    return state.at[1, : 2 * model.axes].set(jnp.concatenate([guess, 1j * omega * guess]))
+
+
+def _newton(function, start: Float[Array, " n"]) -> Float[Array, " n"]:
+    """Newton's method until the step is lost in rounding, at most `STEPS` steps."""
+
+    def step(carry):
+        x, _, count = carry
+        change = jnp.linalg.solve(jax.jacfwd(function)(x), function(x))
+        small = jnp.max(jnp.abs(change)) <= 1e-13 * jnp.max(jnp.abs(x)) + 1e-300
+        return x - change, small | ~jnp.all(jnp.isfinite(change)), count + 1
+
+    def going(carry):
+        return ~carry[1] & (carry[2] < STEPS)
+
+    return jax.lax.while_loop(going, step, (start, jnp.asarray(False), 0))[0]
+
+
+def _flatten(coefficients: Complex[Array, "h k"]) -> Float[Array, " n"]:
+    return jnp.concatenate([coefficients.real.ravel(), coefficients.imag[1:].ravel()])
+
+
+def _unflatten(flat: Float[Array, " n"], model: Model) -> Complex[Array, "h k"]:
+    width = len(model.nonlinear_rows)
+    real, imaginary = flat[: (HARMONICS + 1) * width], flat[(HARMONICS + 1) * width :]
+    imaginary = jnp.concatenate([jnp.zeros(width), imaginary])
+    return (real + 1j * imaginary).reshape(HARMONICS + 1, width)
+
+
+def fundamental(model, omega, state: Complex[Array, "h n"], force, conditions) -> Complex[Array, " axes"]:
+    """Phasor of each channel's voltage at the drive frequency, all read-out effects included."""
+    command, turn = drive_waveform(force)
+    volts = jax.vmap(lambda s, u, du: model.observe(s, u, omega * du, conditions))(waveform(state), command, turn)
+    return spectrum(volts, 1)[1]
