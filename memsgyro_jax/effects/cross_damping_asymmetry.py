@@ -1,0 +1,24 @@
+"""Cross damping that is not the same both ways."""
+
+from jaxtyping import Array
+
+from .axes import Planar, turned
+from .base import ForceEffect, Moment, strength
+
+
+class CrossDampingAsymmetry(Planar, ForceEffect):
+    """F_x = +s/2·y', F_y = −s/2·x' with s = d_yx − d_xy in N·s/m; the base model holds their mean. Zero: they are
+    equal.
+
+    It does no work and looks exactly like a rate of s/(4·m): only a known rate tells it apart from an offset of the
+    table, and only another mass or mode from a true rate.
+
+    IEEE Std 1431-2004, Coriolis vibratory gyros, annex B.
+    """
+
+    name, unit, law = "cross_damping_asymmetry", "N·s/m", "F_x = +s/2·y', F_y = −s/2·x'"
+    reference = "IEEE Std 1431-2004, annex B"
+    strength: Array = strength()
+
+    def force(self, now: Moment) -> Array:
+        return 0.5 * self.strength * turned(now.velocity)

@@ -1,0 +1,43 @@
+"""Damping that changes at once: a leak, a particle, a valve."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from .base import ForceEffect, Moment, strength
+from .scan import Coverage, Scanned
+
+
+class DampingStep(Scanned, ForceEffect):
+    """All dampings times 1 + s from `time` [s] to the end of the record number `record`, s a pure number. Zero: damping
+    stays.
+
+    Shows as an amplitude and a phase that move to another level within a record. `time` and `record` are scanned: the
+    likelihood is not smooth in them.
+
+    Candler et al., "Long-term and accelerated life testing of a novel single-wafer vacuum encapsulation for MEMS
+    resonators", J. Microelectromech. Syst. 15 (2006) 1446.
+    """
+
+    name, unit, law = "damping_step", "1", "all dampings · (1 + s) after time t0 of one record"
+    reference = "Candler et al., J. Microelectromech. Syst. 15 (2006) 1446"
+    scanned = ("record", "time")
+    strength: Array = strength()
+    time: Array = eqx.field(converter=jnp.asarray, default=0.0)
+    record: Array = eqx.field(converter=jnp.asarray, default=0.0)
+
+    def force(self, now: Moment) -> Array:
+        since = (now.time >= self.time) & (now.record == self.record)
+        device = now.device
+        return -self.strength * since * (device.damping_matrix @ now.velocity) / device.mobility
+
+    def grid(self, coverage: Coverage) -> "tuple[DampingStep, ...]":
+        """Twenty-three moments inside each record that has a clock."""
+        moments = np.arange(1, 24) / 24
+        return tuple(
+            DampingStep(self.strength, time=float(part * duration), record=float(number))
+            for number, duration in enumerate(coverage.durations)
+            for part in moments
+            if duration > 0
+        )

@@ -1,0 +1,24 @@
+"""A pick-off that is more sensitive to one side."""
+
+from jaxtyping import Array
+
+from .axes import on_axis
+from .base import Moment, ReadoutEffect, strength
+
+
+class PickoffNonlinearity(ReadoutEffect):
+    """q → q + s·q² in one channel, with s in 1/m. Zero: the pick-off is linear. A single plate at a gap g has s = 1/g.
+
+    Shows as a mean and a second harmonic in raw records; a lock-in does not see it.
+
+    Trusov and Shkel, "Capacitive detection in resonant MEMS with arbitrary amplitude of motion", J. Micromech.
+    Microeng. 17 (2007) 1583.
+    """
+
+    name, unit, law = "pickoff_nonlinearity", "1/m", "q → q + s·q²"
+    reference = "Trusov and Shkel, J. Micromech. Microeng. 17 (2007) 1583"
+    axis: int = on_axis()
+    strength: Array = strength()
+
+    def signal(self, volts: Array, now: Moment) -> Array:
+        return volts + now.scale * self.along(now, self.strength * now.displacement[self.axis] ** 2)

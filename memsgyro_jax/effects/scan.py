@@ -1,0 +1,37 @@
+"""What cannot be found by a gradient: fields that must be tried on a grid, because the likelihood is not smooth or not
+informative there.
+"""
+
+import abc
+from dataclasses import dataclass
+from typing import ClassVar
+
+from .base import Effect
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """What the records of a case cover.
+
+    Args:
+        band: lowest and highest frequency [rad/s] in the records.
+        volts: largest amplitude [V] of any recorded voltage.
+        durations: length [s] of each record in the case's order; zero for one without a clock, such as a sweep.
+    """
+
+    band: tuple[float, float]
+    volts: float
+    durations: tuple[float, ...] = ()
+
+
+class Scanned(Effect):
+    """An effect of which `scanned` fields have to be tried on a grid before a fit may start."""
+
+    scanned: ClassVar[tuple[str, ...]] = ()
+
+    @abc.abstractmethod
+    def grid(self, coverage: Coverage) -> "tuple[Scanned, ...]":
+        """The same effect at every point worth a try, given what was recorded; may be empty.
+
+        All have the same structure and shapes, so that they can be stacked and evaluated side by side.
+        """

@@ -1,0 +1,52 @@
+"""Stiffness and damping that change with the temperature."""
+
+from jaxtyping import Array
+
+from .base import ForceEffect, Moment, strength
+
+
+class ThermalStiffness(ForceEffect):
+    """All stiffnesses times 1 + s·ΔT with s in 1/K and ΔT the temperature above the reference. Zero: none depends on
+    it.
+
+    Shows as a resonance that moves by s·ΔT/2 relative to itself; silicon has about −6e-5/K. A case with one temperature
+    cannot see it.
+
+    Hopcroft, Nix and Kenny, "What is the Young's modulus of silicon?", J. Microelectromech. Syst. 19 (2010) 229.
+    """
+
+    name, unit, law = "thermal_drift", "1/K", "all stiffnesses · (1 + s·ΔT)"
+    reference = "Hopcroft, Nix and Kenny, J. Microelectromech. Syst. 19 (2010) 229"
+    strength: Array = strength()
+
+    @property
+    def where(self) -> str:
+        """What drifts."""
+        return "stiffness"
+
+    def force(self, now: Moment) -> Array:
+        device = now.device
+        return -self.strength * now.warming * (device.stiffness_matrix @ now.displacement) / device.mobility
+
+
+class ThermalDamping(ForceEffect):
+    """All dampings times 1 + s·ΔT with s in 1/K and ΔT the temperature above the reference. Zero: none depends on it.
+
+    Shows as a width of the resonance that changes with the temperature: gas grows more viscous, thermoelastic loss
+    shifts. A case with one temperature cannot see it.
+
+    Kim et al., "Temperature dependence of quality factor in MEMS resonators", J. Microelectromech. Syst. 17 (2008) 755.
+    """
+
+    name, unit, law = "thermal_drift", "1/K", "all dampings · (1 + s·ΔT)"
+    reference = "Kim et al., J. Microelectromech. Syst. 17 (2008) 755"
+    strength: Array = strength()
+
+    @property
+    def where(self) -> str:
+        """What drifts."""
+        return "damping"
+
+    def force(self, now: Moment) -> Array:
+        device = now.device
+        return -self.strength * now.warming * (device.damping_matrix @ now.velocity) / device.mobility
