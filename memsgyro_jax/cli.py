@@ -213,6 +213,22 @@ def identify(
     )
 
 
+@app.command
+def effects(own: Path | None = None, /, *, json: Path | None = None) -> None:
+    """The catalogue of physical effects: name, unit of the strength, variants, law and reference.
+
+    Args:
+        own: a Python file with effects of your own, checked and listed behind the catalogue. It is run: trust it first.
+        json: file for the machine-readable list.
+    """
+    from .runtime import configure
+
+    configure()
+    from .effects_command import run
+
+    run(own, json)
+
+
 def _with_unit(number: float | None, unit: str) -> dict[str, object] | None:
     """A number of the command line as a study file would hold it."""
     return None if number is None else {"value": number, "unit": unit}

@@ -46,3 +46,4 @@ from .scan import Scanned as Scanned
 from .squeeze_film_damping import SqueezeFilmDamping as SqueezeFilmDamping
 from .thermal_drift import ThermalDamping as ThermalDamping
 from .thermal_drift import ThermalStiffness as ThermalStiffness
+from .user_file import load_effects as load_effects

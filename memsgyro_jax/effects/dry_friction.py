@@ -13,7 +13,7 @@ class DryFriction(ForceEffect):
 
     The sign is smooth: v·R²/(R² + creep²)^(3/2) with R² = v² + (rounding·ω0·q)². The turning points are rounded by the
     part `rounding` of the swing whatever its size, so that some tens of samples of a period resolve them; 0.1 takes
-    1.8 % off the work per cycle. Far below `creep` [m/s] the force vanishes, and with it its derivative at rest: the
+    1.1 % off the work per cycle. Far below `creep` [m/s] the force vanishes, and with it its derivative at rest: the
     mass never sticks, and the linear part of the model stays that of the base device.
 
     Shows as a peak that grows more than the drive, by an equivalent damping of 4·s/(π·ω·a), and a ring-down that ends

@@ -1,0 +1,108 @@
+"""Whether an effect keeps the port's promises: right shapes, exactly absent at strength zero, differentiable there."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from ..normalised import NormalisedDevice
+from .base import DriveEffect, Effect, ForceEffect, Moment, ReadoutEffect, SweepEffect
+
+
+def at_strength(effect: Effect, strength: Array) -> Effect:
+    """The same effect with another strength."""
+    return eqx.tree_at(lambda e: e.strength, effect, strength)
+
+
+def moments(effect: Effect, axes: int, count: int = 5) -> Moment:
+    """Some unremarkable instants of a gyro of 20 kHz, stacked; the first one is at rest."""
+    rng = np.random.default_rng(0)
+    size = (count, axes)
+    moving = np.arange(count) > 0
+
+    def vector(scale: float, width: int = axes) -> Array:
+        return jnp.asarray(scale * rng.standard_normal((count, width)) * moving[:, None])
+
+    def scalar(scale: float) -> Array:
+        return jnp.asarray(scale * rng.standard_normal(count) * moving)
+
+    stiffness, damping = ([1.5e10, 1.6e10, 1e8], [20.0, 25.0, 1.0]) if axes == 2 else ([1.5e10], [20.0])
+    device = NormalisedDevice(jnp.asarray(stiffness), jnp.asarray(damping), 5e6)
+    return Moment(
+        displacement=vector(1e-6),
+        velocity=vector(0.1),
+        force=vector(1e-8),
+        own=vector(1e-6, effect.own_size),
+        rate=scalar(1.0),
+        angular_acceleration=scalar(10.0),
+        rate_trusted=jnp.zeros(count),
+        warming=scalar(10.0),
+        bias_voltage=scalar(5.0),
+        reference_bias=jnp.ones(count),
+        time=jnp.linspace(0.0, 1.0, count),
+        progress=jnp.linspace(0.0, 1.0, count),
+        record=jnp.zeros(count),
+        device=jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (count, *leaf.shape)), device),
+        scale=jnp.full(size, 5e5),
+        acceleration=vector(1e4),
+        jerk=vector(1e9),
+    )
+
+
+class Part(NamedTuple):
+    """One method of a port: its value, an array of the shape it must have, and whether that array is also the value at
+    strength zero.
+    """
+
+    method: str
+    value: Callable[[Any, Moment], Array]
+    like: Callable[[Moment], Array]
+    exact: bool = True
+
+
+PARTS: dict[type[Effect], tuple[Part, ...]] = {
+    ForceEffect: (
+        Part("force", lambda e, now: e.force(now), lambda now: jnp.zeros_like(now.displacement)),
+        Part("own_rate", lambda e, now: e.own_rate(now), lambda now: now.own, exact=False),
+    ),
+    DriveEffect: (Part("applied", lambda e, now: e.applied(now.force, now), lambda now: now.force),),
+    ReadoutEffect: (
+        Part("signal", lambda e, now: e.signal(now.scale * now.displacement, now), lambda n: n.scale * n.displacement),
+    ),
+    SweepEffect: (Part("speed", lambda e, now: e.speed(), lambda now: jnp.zeros(())),),
+}
+
+
+def parts(effect: Effect) -> tuple[Part, ...]:
+    """The methods an effect answers for; none if it belongs to no port."""
+    return tuple(part for port, found in PARTS.items() if isinstance(effect, port) for part in found)
+
+
+def complaint(effect: Effect, axes: int) -> str:
+    """What is wrong with an effect, as the rest of a sentence about it; empty if nothing is."""
+    absent, now = at_strength(effect, jnp.zeros_like(effect.strength)), moments(effect, axes)
+    return next(filter(None, (_complaint(part, absent, now) for part in parts(effect))), "")
+
+
+def _complaint(part: Part, absent: Effect, now: Moment) -> str:
+    # Everything under tracing, as fits do: a branch on a number shows here and not in the middle of a fit.
+    like = jax.vmap(part.like)(now)
+    shape = jax.eval_shape(lambda n: jnp.asarray(part.value(absent, n)), jax.tree.map(lambda leaf: leaf[0], now)).shape
+    if shape != like.shape[1:]:
+        return f"method `{part.method}` must return an array of shape {like.shape[1:]}, but returns one of {shape}"
+
+    def value(strength: Array) -> Array:
+        return jax.vmap(lambda n: jnp.asarray(part.value(at_strength(absent, strength), n)))(now)
+
+    given, slope = jax.jit(lambda s: (value(s), jax.jacfwd(value)(s)))(absent.strength)
+    if not bool(jnp.all(jnp.isfinite(given))):
+        return f"method `{part.method}` must be finite at strength zero, but is not"
+    if part.exact and not bool(jnp.all(given == like)):
+        return f"method `{part.method}` must do exactly nothing at strength zero, but does something"
+    if not bool(jnp.all(jnp.isfinite(slope))):
+        return f"method `{part.method}` must have a finite derivative by the strength at zero, but has none"
+    return ""
