@@ -163,11 +163,9 @@ def _toml(path: Path) -> tuple[dict[str, Any], str]:
     except RecursionError as error:
         raise InputError(f"{path}: a case must be TOML of few levels, but is nested too deeply.") from error
     except ValueError as error:  # TOMLDecodeError, and Python's own for numbers of thousands of digits
-        raise InputError(f"{path}: a case must be TOML, but cannot be read: {_one_line(error)}.") from error
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split()).rstrip(".")
+        end = f"at line {text.count(chr(10)) + 1}, the end of the file"
+        reason = " ".join(str(error).replace("at end of document", end).split()).rstrip(".")
+        raise InputError(f"{path}: a case must be TOML, but cannot be read: {reason}.") from error
 
 
 def _refuse_twins(file: CaseFile, source: Source) -> None:
