@@ -229,6 +229,28 @@ def effects(own: Path | None = None, /, *, json: Path | None = None) -> None:
     run(own, json)
 
 
+@app.command
+def check(
+    case: Path,
+    /,
+) -> None:
+    """What a measurement case holds, and how good it is.
+
+    Prints the experiments, their noise and their largest readings.
+    Warns of rows that stand alone, of noise that is not the declared one,
+    and of records too short for the device.
+
+    Args:
+        case: folder with a case.toml and the CSV files that it names.
+    """
+    from .runtime import configure
+
+    configure()
+    from .check_command import run
+
+    run(case)
+
+
 def _with_unit(number: float | None, unit: str) -> dict[str, object] | None:
     """A number of the command line as a study file would hold it."""
     return None if number is None else {"value": number, "unit": unit}

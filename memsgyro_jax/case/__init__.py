@@ -1,5 +1,7 @@
 """Measurement cases: what a laboratory recorded of one device, what it declares about it, and the design behind it."""
 
+from .quality import CaseQuality as CaseQuality
+from .quality import assess as assess
 from .read import load_case as load_case
 from .records import AbstractRecord as AbstractRecord
 from .records import Case as Case

@@ -89,7 +89,7 @@ def write_bench(folder, seed=0):
     x = level * 1e-9 * _response(f, KX, DX)
     parts = map(noisy, (x.real, x.imag, 0.01 * x.real, 0.01 * x.imag))
     _write(folder / "sweep_x.csv", f"F_x [nN],f [Hz],{iq}", level, f, *parts)
-    t = np.arange(200) * 5e-5
+    t = np.arange(400) * 5e-5
     decay = 0.02 * np.exp(-DY / (2 * MASS) * t) * np.cos(np.sqrt(KY / MASS) * t)
     _write(folder / "ringdown.csv", "t [s],Vx [V],Vy [V]", t, noisy(0 * t), noisy(decay))
     t = (np.arange(120) + 0.5) * 3 / 3000
