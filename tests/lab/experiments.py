@@ -215,12 +215,7 @@ def _(experiment: RateTable, bench):
         "frequency": np.full(len(rate) + 1, 2 * np.pi * f),
     }  # fmt: skip
     own = bench.rows(len(rate) + 1, experiment.name, **conditions)
-    first = own.take(slice(0, 1))
-    settled = steady(plant, first, times[:1], times[:1] + 1 / f)
-    if experiment.profile is None and not h.rate_bias_drift and np.all(np.isinf(own.step_time)):
-        own, times = own.take(slice(0, 2)), times[:3]  # nothing ever changes: one block tells all
-    states = march(plant, own, times, settled[:, 0])
-    clean = np.resize(block_phasors(plant, states, times, own, experiment.cycles), (experiment.blocks, 2))
+    clean = _rate_table(plant, own, times, experiment.cycles)
     settings = {
         "drive_axis": "xy"[experiment.axis], "drive_force": (experiment.force / 1e-9, "nN"),
         "drive_frequency": (f, "Hz"), "lock_in_cycles": experiment.cycles,
@@ -234,6 +229,18 @@ def _(experiment: RateTable, bench):
         else "no rate column: the table stands still"
     )
     return _record(bench, experiment, "rate_table", columns, clean, settings)
+
+
+def _rate_table(plant, own, times, cycles):
+    """Phasors of all blocks but the first, which is settled."""
+    first, start = own.take(slice(0, 1)), times[:1]
+    end = start + (times[1] - times[0]) / cycles
+    settled = steady(plant, first, start, end)
+    if np.ptp(own.rate) == 0 and np.all(np.isinf(own.step_time)):
+        return np.repeat(cycle_phasors(plant, settled, start, end, first), len(own) - 1, axis=0)
+    linear = steady(plant.linear(), first, start, end)
+    states = march(plant, own, times, settled[:, 0], linear[:, 0])
+    return block_phasors(plant, states, times, own, cycles)
 
 
 # ---- time records

@@ -6,6 +6,8 @@ from scipy.integrate import DOP853
 
 STEPS_PER_PERIOD = 48
 CHUNK = 2048  # rows that fit the cache
+# How well a switch is placed in a step: an error δ changes the motion by δ where a force jumps, by δ² where it bends.
+SHARP, SMOOTH = 1e-12, 1e-7
 A, B, C = DOP853.A, DOP853.B, DOP853.C
 
 
@@ -68,30 +70,34 @@ def _to_first_switch(law, t, state, h, rows, mode, watch):
     """A step, shortened in those rows where a margin turns negative; also which margins were met (switches, rows)."""
     new = step(lambda a, s: law.slope(a, s, rows, mode), t, state, h)
     margin = law.margin(t + h, new, rows, mode)
-    hit = np.zeros(margin.shape, dtype=bool)
-    met = np.flatnonzero((margin.min(axis=0) < 0) & watch)
-    if met.size == 0:
+    hit = (margin < 0) & watch
+    switch, row = np.nonzero(hit)
+    if row.size == 0:
         return new, h, hit
-    h = h.copy()
-    own, m, clock, begin = rows.take(met), mode[:, met], t[met], state[:, met]
-
-    def smallest(length):
-        return law.margin(clock + length, trial(length), own, m).min(axis=0)
+    pair, own, m, clock, begin = np.arange(row.size), rows.take(row), mode[:, row], t[row], state[:, row]
 
     def trial(length):
         return step(lambda a, b: law.slope(a, b, own, m), clock, begin, length)
 
-    h[met] = _root(smallest, law.margin(clock, begin, own, m).min(axis=0), margin.min(axis=0)[met], h[met])
+    def missing(length):
+        return law.margin(clock + length, trial(length), own, m)[switch, pair]
+
+    before, after = law.margin(clock, begin, own, m)[switch, pair], margin[switch, row]
+    lengths = np.full(hit.shape, np.inf)
+    lengths[switch, row] = _root(missing, before, after, h[row], SHARP if law.jumps else SMOOTH)
+    h = np.minimum(h, lengths.min(axis=0))
+    hit = lengths <= h
+    met = np.flatnonzero(hit.any(axis=0))
+    own, m, clock, begin = rows.take(met), mode[:, met], t[met], state[:, met]
     new[:, met] = trial(h[met])
-    hit[:, met] = law.margin(clock + h[met], new[:, met], own, m) < 0
     return new, h, hit
 
 
-def _root(function, at_zero, at_end, end):
+def _root(function, at_zero, at_end, end, tolerance):
     """Just beyond the change from plus to minus in [0, end]: false position (Illinois), now and then a bisection."""
     low, high = np.zeros_like(end), end.copy()
     f_low, f_high = np.maximum(at_zero, 0.0), at_end.copy()
-    side, least = np.zeros_like(end), 4e-13 * end
+    side, least = np.zeros_like(end), 0.4 * tolerance * end
     for turn in range(60):
         guess = 0.5 * (low + high) if turn % 6 == 5 else low + (high - low) * f_low / (f_low - f_high)
         guess = np.clip(guess, low + least, high - least)  # or one end of the bracket would stay where it is
@@ -101,6 +107,6 @@ def _root(function, at_zero, at_end, end):
         f_low = np.where(plus, value, np.where(side == -1, 0.5 * f_low, f_low))
         low, high = np.where(plus, guess, low), np.where(plus, high, guess)
         side = np.where(plus, 1, -1)
-        if np.all(high - low <= 1e-12 * end):
+        if np.all(high - low <= tolerance * end):
             break
     return high

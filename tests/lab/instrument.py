@@ -12,6 +12,7 @@ class LockIn:
 
     def __init__(self, plant):
         self.plant, self.delay, limit = plant, plant.hidden.readout_delay, plant.limit()
+        self.jumps = plant.jumps
         self.own = len(plant.switches)
         self.clips = [(c, side, limit) for c in (0, 1) for side in (1, -1)] if np.isfinite(limit) else []
         self.switches = [*plant.switches, *self.clips]

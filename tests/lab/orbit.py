@@ -4,9 +4,10 @@ import numpy as np
 from lab.flow import integrate
 
 
-NUDGE = 1e-5  # relative to typical motion, for differences
-CLOSE = 1e-11
+NUDGE = 1e-6  # relative to the motion, for differences
+CLOSE, FLOOR = 1e-11, 1e-9  # relative size of the last correction: good enough; good enough if it shrinks no more
 WINDOW = 512
+TURNS = 16
 
 
 class NotSettled(RuntimeError):
@@ -16,53 +17,84 @@ class NotSettled(RuntimeError):
 def flow_and_slope(law, state, start, end, rows, period):
     """End states (parts, rows), and their derivatives by the start state (rows, parts, parts)."""
     n, count = state.shape
-    nudges = NUDGE * np.array(law.weights)
-    many = np.concatenate([state[:, None], state[:, None] + np.diag(nudges)[:, :, None]], axis=1).reshape(n, -1)
+    weights = np.array(law.weights)
+    motion = np.max(np.abs(state / weights[:, None]), axis=0)
+    nudges = NUDGE * weights[:, None] * np.where(motion > 0, motion, 1.0)
+    many = np.concatenate([state[:, None], state[:, None] + np.eye(n)[:, :, None] * nudges], axis=1).reshape(n, -1)
     index = np.tile(np.arange(count), n + 1)
     ends = integrate(law, many, start[index], end[index], rows.take(index), period).reshape(n, n + 1, count)
-    slope = (ends[:, 1:] - ends[:, :1]) / nudges[None, :, None]
+    slope = (ends[:, 1:] - ends[:, :1]) / nudges
     return ends[:, 0], slope.transpose(2, 0, 1)
 
 
 def steady(plant, rows, start, end, shift=0.0, guess=None):
-    """State at `start` of the motion that returns after `end` to where it was, plus `shift` (parts, rows)."""
-    weights = np.array(plant.weights)[:, None]
-    state = np.zeros((plant.size, len(rows))) if guess is None else guess.copy()
-    if guess is None and (plant.terms or plant.rates or plant.switches):
+    """State at `start` of the motion that returns after `end` to where it was, plus `shift` (parts, rows).
+
+    Where the linear device's motion is no good start, the row below is (its frequency is near, the sweep has come from
+    there), or a device at rest. A response with several settled motions needs its history: this is no tool for it.
+    """
+    linear = not (plant.terms or plant.rates or plant.switches)
+    state = np.zeros((plant.size, len(rows)))
+    if guess is not None:
+        state[:] = guess
+    elif not linear:
         state[:4] = steady(plant.linear(), rows, start, end)
     shift = np.broadcast_to(shift, state.shape)
-    open_rows, slope, last = np.arange(len(rows)), None, np.full(len(rows), np.inf)
-    for _ in range(60):
-        here = (plant, state[:, open_rows], start[open_rows], end[open_rows], rows.take(open_rows), plant.die.period)
-        if slope is None:
-            ends, slope = flow_and_slope(*here)
-            fresh = True
-        else:
-            ends, fresh = integrate(*here), False
-        miss = ends - state[:, open_rows] - shift[:, open_rows]
-        update = np.linalg.solve(np.eye(plant.size) - slope, miss.T[:, :, None])[:, :, 0].T
+    state, settled = _settle(plant, rows, start, end, state, shift)
+    for rest in (False, True):
+        for row in np.flatnonzero(~settled):
+            here = slice(row, row + 1)
+            if rest or (row and settled[row - 1]):
+                first = np.zeros((plant.size, 1)) if rest else state[:, row - 1 : row]
+                one = (plant, rows.take(here), start[here], end[here], first.copy(), shift[:, here])
+                state[:, here], settled[here] = _settle(*one)
+    if not settled.all():
+        raise NotSettled(f"{np.sum(~settled)} of {len(rows)} rows have no settled motion")
+    return state
+
+
+def _settle(plant, rows, start, end, state, shift):
+    """Newton's method with halved steps; the states, and which of them have settled."""
+    weights = np.array(plant.weights)[:, None]
+    best, least = state.copy(), np.full(len(rows), np.inf)
+    left = np.arange(len(rows))
+    for _ in range(20):
+        now = state[:, left]
+        ends, slope = flow_and_slope(plant, now, start[left], end[left], rows.take(left), plant.die.period)
+        miss = (ends - now - shift[:, left]) / weights
+        error = np.max(np.abs(miss), axis=0)
+        better = error < least[left]
+        least[left] = np.where(better, error, least[left])
+        # A mass that sticks may sit anywhere: such a direction is left alone.
+        inverse = np.linalg.pinv(np.eye(plant.size) - slope / weights * weights[:, 0], rcond=1e-7)
+        update = weights * np.einsum("rij,jr->ir", inverse, miss)
+        state[:, left] = np.where(better, now + update, 0.5 * (now + best[:, left]))
+        best[:, left] = np.where(better, now, best[:, left])
         size = np.max(np.abs(update / weights), axis=0)
-        if not fresh and np.any(size > 0.1 * last):
-            slope = None
-            last[:] = np.inf
-            continue
-        state[:, open_rows] += update
-        left = size > CLOSE * np.max(np.abs(state[:, open_rows] / weights), axis=0)
-        if not left.any():
-            return state
-        open_rows, slope, last = open_rows[left], slope[left], size[left]
-    raise NotSettled(f"{open_rows.size} of {len(rows)} rows have no settled motion")
+        far = ~better | (size > CLOSE * np.max(np.abs(now / weights), axis=0))
+        far &= least[left] > 1e-15 * np.max(np.abs(now / weights), axis=0)
+        left = left[far]
+        if left.size == 0:
+            break
+    # Where friction just lets go, the last correction shrinks slowly but moves nothing that could be measured.
+    settled = np.ones(len(rows), dtype=bool)
+    settled[left] = least[left] <= FLOOR * np.max(np.abs(best[:, left] / weights), axis=0)
+    state[:, left] = best[:, left]
+    return state, settled
 
 
-def march(plant, rows, times, first):
-    """States (parts, rows + 1) at `times` (rows + 1) of a motion that starts at `first` (parts,)."""
-    guess = np.zeros((plant.size, len(times)))
-    guess[:, 0] = first
+def march(plant, rows, times, first, linear_first=None):
+    """States (parts, rows + 1) at `times` (rows + 1) of a motion that starts at `first` (parts,).
+
+    The first guess is that the motion changes as the linear device's does, which starts at `linear_first` (4,).
+    """
+    guess = np.repeat(first[:, None], len(times), axis=1)
     if not (plant.terms or plant.rates or plant.switches):
+        guess[:, 1:] = 0.0
         return _window(plant, rows, times, guess)
-    guess[:4] = march(plant.linear(), rows, times, first[:4])
+    linear_first = first[:4] if linear_first is None else linear_first
+    guess[:4] += march(plant.linear(), rows, times, linear_first) - linear_first[:, None]
     states, a, width = guess.copy(), 0, WINDOW
-    states[:, 0] = first
     while a < len(rows):
         b = min(a + width, len(rows))
         trial = guess[:, a : b + 1].copy()
@@ -81,7 +113,7 @@ def _window(plant, rows, times, states):
     """Newton's method on all inner states at once; the first one is given."""
     weights = np.array(plant.weights)[:, None]
     slope, last = None, np.inf
-    for turn in range(25):
+    for turn in range(TURNS):
         here = (plant, states[:, :-1], times[:-1], times[1:], rows, plant.die.period)
         if slope is None:
             ends, slope = flow_and_slope(*here)
@@ -93,7 +125,7 @@ def _window(plant, rows, times, states):
         if not size < 1e3 * max(1.0, largest) or (turn and size > 2 * last):
             break
         states[:, 1:] += update
-        if size <= CLOSE * largest:
+        if size <= CLOSE * largest or (0.1 * last < size <= FLOOR * largest):
             return states
         if size > 0.1 * last:
             slope = None

@@ -26,6 +26,11 @@ class Plant:
         self._outsiders()
 
     @property
+    def jumps(self):
+        """Whether a force jumps at a switch."""
+        return any(self.friction)
+
+    @property
     def size(self):
         return len(self.weights)
 
