@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
+from .elimination import inverse
 from .model import Conditions, Model
 from .steady import HARMONICS, nonlinear_spectrum
 
@@ -54,6 +55,12 @@ class Propagator(eqx.Module):
 
 def _apply(matrix: Array, vector: Array) -> Array:
     return jnp.einsum("...ij,...j->...i", matrix, vector)
+
+
+def _solve(matrix: Array, vector: Array) -> Array:
+    """Solve with one matrix for many vectors along the leading axis."""
+    invert = inverse if matrix.ndim == 2 else jax.vmap(inverse)
+    return _apply(invert(matrix), vector)
 
 
 def exponential(matrix: Array) -> Array:
@@ -117,20 +124,33 @@ class Driven(eqx.Module):
         """No motion."""
         return jnp.zeros((HARMONICS + 1, self.model.size), complex)
 
-    def run(
-        self, start: Complex[Array, "h n"], step: Array, conditions: Conditions
-    ) -> tuple[Complex[Array, "h n"], tuple[Array, Array]]:
-        """Through as many steps as `conditions` has rows: the last state, and per step the state at its end and the
-        state's mean over it.
+    def run(self, start: Complex[Array, "h n"], step: Array, conditions: Conditions) -> tuple[Array, Array]:
+        """Through as many steps of `step` seconds as `conditions` has rows: the last state, and the state at the end of
+        each step.
         """
-        propagate, load, inverse = self.propagator(step), self.load, jnp.linalg.inv(self.operator)
+        propagate, load = self.propagator(step), self.load
 
-        def advance(state: Array, now: Conditions) -> tuple[Array, tuple[Array, Array]]:
+        def advance(state: Array, now: Conditions) -> tuple[Array, Array]:
             end = propagate.advance(state, load, lambda s: self.rest(s, now))
-            push = load + 0.5 * (self.rest(state, now) + self.rest(end, now))
-            return end, (end, _apply(inverse, (end - state) / step - push))
+            return end, end
 
         return jax.lax.scan(advance, start, conditions)
+
+    def demodulated(self, start: Array, ends: Array, step: Array, conditions: Conditions) -> Complex[Array, "t h n"]:
+        """What a boxcar lock-in over each step (a whole number of cycles) makes of the state: harmonic by harmonic the
+        mean, and in harmonic 1 also what passes from harmonic 0 and from the conjugate while they change.
+
+        Means of S·e^{ikωt} follow from the equation of motion: L times the mean is the change of S less the load.
+        """
+        starts = jnp.concatenate([start[None], ends[:-1]])
+        rest = jax.vmap(self.rest)
+        first, last = rest(starts, conditions), rest(ends, conditions)
+        change, drift = (ends - starts) / step, (last - first) / step
+        means = _solve(self.operator, change - self.load - 0.5 * (first + last))
+        matrix, turn = self.linear[0], 1j * self.omega * jnp.eye(self.model.size)
+        conjugate = _solve(matrix + turn, change[:, 1] - drift[:, 1] / (2j * self.omega))
+        constant = _solve(matrix - turn, change[:, 0] + drift[:, 0] / (1j * self.omega))
+        return means.at[:, 1].add(jnp.conj(conjugate) + 2 * constant)
 
     def instant(self, state: Complex[Array, "h n"], time: Array) -> Float[Array, " n"]:
         """The state itself at a time [s], phase zero at time zero."""

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
+from .elimination import inverse
 from .model import Conditions, Model
 
 
@@ -67,37 +68,42 @@ def steady_state(
     Where several steady states exist (a hardening spring driven hard), the one nearest to `guess`, the phasor of the
     displacement, is found. Derivatives are those of the exact solution (implicit function theorem).
     """
-    linear = model.linear(conditions)
-    solve = _linear_response(model, omega, force, linear)
+    rows = np.asarray(model.nonlinear_rows)
 
-    def balance(flat: Array, model: Model, omega: Array, force: Array, conditions: Conditions) -> Array:
-        linear = model.linear(conditions)
-        state = _linear_response(model, omega, force, linear)(_unflatten(flat, model))
+    def balance(flat: Array, response: tuple, model: Model, force: Array, conditions: Conditions) -> Array:
+        linear, driven, push = response
+        state = driven + _apply(push, _unflatten(flat, model))
         return flat - _flatten(nonlinear_spectrum(model, linear, state, force, conditions))
 
-    start = _displacement_only(model, omega, guess)
-    first = _flatten(nonlinear_spectrum(model, linear, start, force, conditions))
-    frozen = jax.lax.stop_gradient((model, omega, force, conditions))
-    found = _newton(lambda x: balance(x, *frozen), jax.lax.stop_gradient(first))
+    def respond(model: Model, omega: Array, force: Array, conditions: Conditions) -> tuple:
+        linear = model.linear(conditions)
+        driven, push = _linear_response(model, omega, force, linear)
+        return linear, driven, push[:, :, rows]
+
+    response = respond(model, omega, force, conditions)
+    frozen = jax.lax.stop_gradient((response, model, force, conditions))
+    start = _displacement_only(model, jax.lax.stop_gradient(omega), guess)
+    first = _flatten(nonlinear_spectrum(frozen[1], frozen[0][0], start, frozen[2], frozen[3]))
+    # What is left out is a difference of accelerations ω²·q: steps below their rounding are noise.
+    rounding = 1e-15 * jax.lax.stop_gradient(omega**2 * jnp.max(jnp.abs(response[1][1, : model.axes])))
+    found, solve = _newton(lambda x: balance(x, *frozen), first, rounding)
     # One more step with everything differentiable but the Jacobian: value unchanged, derivative that of the solution.
-    slope = jax.jacfwd(lambda x: balance(x, *frozen))(found)
-    found = found - jnp.linalg.solve(slope, balance(found, model, omega, force, conditions))
-    return solve(_unflatten(found, model))
+    found = found - solve @ balance(found, response, model, force, conditions)
+    return response[1] + _apply(response[2], _unflatten(found, model))
 
 
-def _linear_response(model, omega, force, linear):
-    """The map from nonlinear accelerations to the state, through the exact linear part, harmonic by harmonic."""
+def _linear_response(model, omega, force, linear) -> tuple[Complex[Array, "h n"], Complex[Array, "h n n"]]:
+    """The settled state of the linear part under the drive, and its response to a load, harmonic by harmonic."""
     matrix, gain = linear
-    rows = np.asarray(model.nonlinear_rows)
     order = np.arange(HARMONICS + 1)
     operator = 1j * order[:, None, None] * omega * jnp.eye(model.size) - matrix
+    push = jax.vmap(inverse)(operator)
     drive = (order == 1)[:, None] * (gain @ force)
+    return _apply(push, drive), push
 
-    def respond(nonlinear: Complex[Array, "h k"]) -> Complex[Array, "h n"]:
-        load = drive.at[:, rows].add(nonlinear)
-        return jnp.linalg.solve(operator, load[..., None])[..., 0]
 
-    return respond
+def _apply(matrix: Array, vector: Array) -> Array:
+    return jnp.einsum("hij,hj->hi", matrix, vector)
 
 
 def _displacement_only(model, omega, guess):
@@ -105,19 +111,21 @@ def _displacement_only(model, omega, guess):
     return state.at[1, : 2 * model.axes].set(jnp.concatenate([guess, 1j * omega * guess]))
 
 
-def _newton(function, start: Float[Array, " n"]) -> Float[Array, " n"]:
-    """Newton's method until the step is lost in rounding, at most `STEPS` steps."""
+def _newton(function, start: Float[Array, " n"], rounding: Array) -> tuple[Float[Array, " n"], Float[Array, "n n"]]:
+    """Newton's method until the step is lost in rounding, at most `STEPS` steps; also the last inverse Jacobian."""
 
     def step(carry):
-        x, _, count = carry
-        change = jnp.linalg.solve(jax.jacfwd(function)(x), function(x))
-        small = jnp.max(jnp.abs(change)) <= 1e-13 * jnp.max(jnp.abs(x)) + 1e-300
-        return x - change, small | ~jnp.all(jnp.isfinite(change)), count + 1
+        x, _, _, count = carry
+        solve = inverse(jax.jacfwd(function)(x))
+        change = solve @ function(x)
+        small = jnp.max(jnp.abs(change)) <= 1e-13 * jnp.max(jnp.abs(x)) + rounding
+        return x - change, solve, small | ~jnp.all(jnp.isfinite(change)), count + 1
 
     def going(carry):
-        return ~carry[1] & (carry[2] < STEPS)
+        return ~carry[2] & (carry[3] < STEPS)
 
-    return jax.lax.while_loop(going, step, (start, jnp.asarray(False), 0))[0]
+    begin = (start, jnp.eye(start.size), jnp.asarray(False), 0)
+    return jax.lax.while_loop(going, step, begin)[:2]
 
 
 def _flatten(coefficients: Complex[Array, "h k"]) -> Float[Array, " n"]:

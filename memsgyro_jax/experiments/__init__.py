@@ -6,8 +6,13 @@ from .base import CartesianNoise as CartesianNoise
 from .base import Experiment as Experiment
 from .base import Noise as Noise
 from .base import PolarNoise as PolarNoise
+from .base import RealNoise as RealNoise
 from .bench import Bench as Bench
 from .bench import ElectricalFeedthrough as ElectricalFeedthrough
 from .bench import FiniteSweepRate as FiniteSweepRate
 from .bench import LockIn as LockIn
 from .frequency_sweep import FrequencySweep as FrequencySweep
+from .harmonic_sweep import HarmonicSweep as HarmonicSweep
+from .rate_table import RateTable as RateTable
+from .ring_down import RingDown as RingDown
+from .time_record import TimeRecord as TimeRecord

@@ -28,6 +28,16 @@ class CartesianNoise(Noise):
         return jnp.stack([error.real, error.imag], axis=-1)
 
 
+class RealNoise(Noise):
+    """White noise on a real signal: `std` in the unit of the record, scalar or one per channel."""
+
+    std: Array = eqx.field(converter=jnp.asarray)
+
+    def whiten(self, measured: Float[Array, "n c"], predicted: Float[Array, "n c"]) -> Float[Array, "n c"]:
+        """Difference over `std`."""
+        return (measured - predicted) / self.std
+
+
 class PolarNoise(Noise):
     """Noise of an instrument that reads amplitude and phase: `amplitude` relative to the reading, `phase` in rad, each
     a standard deviation.

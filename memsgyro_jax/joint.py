@@ -1,0 +1,240 @@
+"""All readings of a case as one whitened residual, and its exact sensitivities to any directions in parameter space.
+
+One program per kind of record is compiled for the model with *all* effects in question; which parameters move is then
+a matter of numbers: fits of any subset, scores of every candidate and refits all reuse it.
+"""
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PyTree
+from scipy.optimize import least_squares
+
+from . import free
+from .effects.base import Effect
+from .experiments.base import Experiment
+from .model import Model
+from .readings import Readings
+from .runtime import require_float64, usable_cores
+
+
+WIDTH = 16  # directions that one pass of the compiled program differentiates
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of the model: its name for people, SI unit, and the effect it is a strength of (`None`: base)."""
+
+    name: str
+    unit: str
+    effect: int | None = None
+
+
+class Joint:
+    """The residual of a set of readings as a function of the parameter vector of a model.
+
+    Args:
+        model: base values, and every effect that may take part, at the strengths to start from.
+        readings: from `readings_of`.
+    """
+
+    def __init__(self, model: Model, readings: Sequence[Readings]):
+        require_float64("Comparing a model with measurements")
+        self.model, self.readings = model, tuple(readings)
+        self.spec = _all_free(model)
+        self.parameters = parameters(model)
+
+    @property
+    def start(self) -> np.ndarray:
+        """The parameter vector of the model."""
+        return np.asarray(free.to_vector(self.model, self.spec))
+
+    def at(self, vector: np.ndarray) -> Model:
+        """The model with the parameters of a vector."""
+        return free.from_vector(jnp.asarray(vector), self.model, self.spec)
+
+    def with_model(self, model: Model) -> "Joint":
+        """The same readings beside a model of the same structure with other fixed numbers."""
+        return Joint(model, self.readings)
+
+    def base(self) -> np.ndarray:
+        """Places of the base parameters in the vector."""
+        return np.array([i for i, p in enumerate(self.parameters) if p.effect is None])
+
+    def of_effect(self, effect: int) -> np.ndarray:
+        """Places of the strength of one effect."""
+        return np.array([i for i, p in enumerate(self.parameters) if p.effect == effect])
+
+    def residual(self, vector: np.ndarray, chosen: Sequence[Readings]) -> list[np.ndarray]:
+        """Whitened residual of each of the chosen readings, shape of the whitened record."""
+        return self._each(chosen, lambda r: np.asarray(_residual(jnp.asarray(vector), self.model, self.spec, r.experiment)))
+
+    def linearise(
+        self, vector: np.ndarray, directions: np.ndarray, chosen: Sequence[Readings]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Residual (r,) of the chosen readings and its derivative (r, k) along the rows of `directions` (k, p)."""
+        count = directions.shape[0]
+        padded = np.zeros((max(1, -(-count // WIDTH)) * WIDTH, directions.shape[1]))
+        padded[:count] = directions
+
+        def one(r: Readings) -> tuple[np.ndarray, np.ndarray]:
+            parts = []
+            for begin in range(0, len(padded), WIDTH):
+                block = jnp.asarray(padded[begin : begin + WIDTH])
+                value, slope = _linearise(jnp.asarray(vector), block, self.model, self.spec, r.experiment)
+                parts.append(np.asarray(slope))
+            return np.asarray(value), np.concatenate(parts)[:count]
+
+        values, slopes = zip(*self._each(chosen, one), strict=True)
+        return np.concatenate(values), np.concatenate(slopes, axis=1).T
+
+    def _each(self, chosen: Sequence[Readings], function) -> list:
+        with ThreadPoolExecutor(max(1, min(usable_cores(), len(chosen)))) as pool:
+            return list(pool.map(function, chosen))
+
+
+@eqx.filter_jit
+def _residual(vector: Array, model: Model, spec: PyTree, experiment: Experiment) -> Float[Array, " r"]:
+    return experiment.residual(free.from_vector(vector, model, spec))
+
+
+@eqx.filter_jit
+def _linearise(vector: Array, directions: Array, model: Model, spec: PyTree, experiment: Experiment):
+    def along(step: Array) -> Array:
+        return experiment.residual(free.from_vector(vector + step @ directions, model, spec))
+
+    none = jnp.zeros(directions.shape[0])
+    # Forward mode with one primal and all directions side by side: nothing of the trajectory is stored.
+    return jax.vmap(lambda e: jax.jvp(along, (none,), (e,)), out_axes=(None, 0))(jnp.eye(directions.shape[0]))
+
+
+def _all_free(model: Model) -> PyTree:
+    """Device, offsets and every strength are free."""
+    spec = free.fixed(model)
+    identity = free.Free(free.Identity())
+    leaves = lambda m: (  # noqa: E731
+        m.device.stiffness,
+        m.device.damping,
+        m.device.mobility,
+        m.offset,
+        *(effect.strength for effect in m.effects),
+    )
+    return free.mark(spec, leaves, identity)
+
+
+def parameters(model: Model) -> tuple[Parameter, ...]:
+    """The parameters in the order of the vector."""
+    pairs = ("",) if model.axes == 1 else ("xx", "yy", "xy")
+    base = [Parameter(f"k{p}/m", "rad²/s²") for p in pairs] + [Parameter(f"d{p}/m", "1/s") for p in pairs]
+    base += [Parameter("1/m", "1/kg")] + [Parameter(f"offset {a}".strip(), "V") for a in ("x", "y")[: model.axes]]
+    strengths = []
+    for place, effect in enumerate(model.effects):
+        size = effect.strength.size
+        labels = [effect.label] if size == 1 else [f"{effect.label}[{k}]" for k in range(size)]
+        strengths += [Parameter(label, effect.unit, place) for label in labels]
+    return (*base, *strengths)
+
+
+def check_order(model: Model) -> tuple[str, ...]:
+    """Names of the leaves in the order of the vector, for tests."""
+    return free.names(model, _all_free(model))
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """Where a fit ended.
+
+    Args:
+        vector: all parameters.
+        free: places of those that moved.
+        residual: whitened, of the fitted readings (r,).
+        jacobian: of the residual by the free parameters (r, k).
+        frozen: null directions that were held, each a combination (k,) of the free parameters over their scales.
+        converged: whether the optimiser met its tolerance.
+        evaluations: of residual and Jacobian.
+    """
+
+    vector: np.ndarray
+    free: np.ndarray
+    residual: np.ndarray
+    jacobian: np.ndarray
+    frozen: np.ndarray
+    converged: bool
+    evaluations: int
+
+    @property
+    def chi2(self) -> float:
+        """Sum of squared whitened residuals."""
+        return float(self.residual @ self.residual)
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Of the free parameters (k, k); infinite along parameters with a part in a null direction."""
+        size = _sizes(self.jacobian)
+        _, s, vt = np.linalg.svd(self.jacobian / size, full_matrices=False)
+        held = s > NULL * s[0]
+        spread = (vt[held].T / s[held]) / size[:, None]
+        covariance = spread @ spread.T
+        loose = np.any(np.abs(vt[~held]) > 1e-3, axis=0)
+        covariance[loose, loose] = np.inf
+        return covariance
+
+    @property
+    def std(self) -> np.ndarray:
+        """Standard deviation of each free parameter; infinite where the data do not hold it."""
+        return np.sqrt(np.diag(self.covariance))
+
+
+REACH = 1e6  # standard deviations
+STATIONARY = 0.02  # standard deviations by which a parameter may miss the optimum
+NULL = 1e-7  # of the best held direction: information below which a direction counts as not held
+
+
+def _sizes(jacobian: np.ndarray) -> np.ndarray:
+    norm = np.linalg.norm(jacobian, axis=0)
+    return np.where(norm > 0, norm, 1.0)
+
+
+def optimise(
+    joint: Joint, vector: np.ndarray, places: np.ndarray, chosen: Sequence[Readings], *, max_evaluations: int = 30
+) -> Optimum:
+    """Move the parameters at `places` to the maximum of the likelihood of the chosen readings.
+
+    Directions that the data do not hold are frozen where they are, for a drifting nuisance destroys every later test.
+    """
+    units = np.eye(vector.size)[places]
+    _, jacobian = joint.linearise(vector, units, chosen)
+    size = _sizes(jacobian)
+    _, s, vt = np.linalg.svd(jacobian / size, full_matrices=False)
+    frozen = vt[s <= NULL * s[0]]
+    # A unit of the optimiser is `REACH` standard deviations, so that its first step is one of Gauss and Newton.
+    directions = REACH * (vt[s > NULL * s[0]] / size) @ units
+    cache: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
+
+    def both(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        if z.tobytes() not in cache:
+            cache.clear()
+            value, slope = joint.linearise(vector + z @ directions, directions, chosen)
+            cache[z.tobytes()] = np.where(np.isfinite(value), value, 1e6), np.where(np.isfinite(slope), slope, 0.0)
+        return cache[z.tobytes()]
+
+    found = least_squares(
+        lambda z: both(z)[0],
+        np.zeros(len(directions)),
+        jac=lambda z: both(z)[1],
+        ftol=1e-9,
+        xtol=1e-12,
+        gtol=STATIONARY * REACH,
+        max_nfev=max_evaluations,
+    )
+    end = vector + found.x @ directions
+    value, slope = joint.linearise(end, units, chosen)
+    return Optimum(end, places, value, slope, frozen, bool(found.success), int(found.nfev))
+
+
+__all__ = ["Effect", "Joint", "Optimum", "Parameter", "optimise", "parameters", "replace"]
