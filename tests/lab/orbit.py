@@ -6,6 +6,7 @@ from lab.flow import integrate
 
 NUDGE = 1e-6  # relative to the motion, for differences
 CLOSE, FLOOR = 1e-11, 1e-9  # relative size of the last correction: good enough; good enough if it shrinks no more
+STUCK = 1e-8  # relative miss of a settled motion that cannot be narrowed down
 WINDOW = 512
 TURNS = 16
 
@@ -30,8 +31,8 @@ def flow_and_slope(law, state, start, end, rows, period):
 def steady(plant, rows, start, end, shift=0.0, guess=None):
     """State at `start` of the motion that returns after `end` to where it was, plus `shift` (parts, rows).
 
-    Where the linear device's motion is no good start, the row below is (its frequency is near, the sweep has come from
-    there), or a device at rest. A response with several settled motions needs its history: this is no tool for it.
+    Where the linear device's motion is no good start, a device at rest is (friction holds it), or the row below (its
+    frequency is near). A response with several settled motions needs its history: this is no tool for it.
     """
     linear = not (plant.terms or plant.rates or plant.switches)
     state = np.zeros((plant.size, len(rows)))
@@ -41,13 +42,17 @@ def steady(plant, rows, start, end, shift=0.0, guess=None):
         state[:4] = steady(plant.linear(), rows, start, end)
     shift = np.broadcast_to(shift, state.shape)
     state, settled = _settle(plant, rows, start, end, state, shift)
-    for rest in (False, True):
-        for row in np.flatnonzero(~settled):
-            here = slice(row, row + 1)
-            if rest or (row and settled[row - 1]):
-                first = np.zeros((plant.size, 1)) if rest else state[:, row - 1 : row]
-                one = (plant, rows.take(here), start[here], end[here], first.copy(), shift[:, here])
-                state[:, here], settled[here] = _settle(*one)
+    if not settled.all():
+        again = np.flatnonzero(~settled)
+        rest = np.zeros((plant.size, again.size))
+        state[:, again], settled[again] = _settle(
+            plant, rows.take(again), start[again], end[again], rest, shift[:, again]
+        )
+    for row in np.flatnonzero(~settled):
+        if row and settled[row - 1]:
+            here, below = slice(row, row + 1), state[:, row - 1 : row].copy()
+            one = (plant, rows.take(here), start[here], end[here], below, shift[:, here])
+            state[:, here], settled[here] = _settle(*one)
     if not settled.all():
         raise NotSettled(f"{np.sum(~settled)} of {len(rows)} rows have no settled motion")
     return state
@@ -78,7 +83,7 @@ def _settle(plant, rows, start, end, state, shift):
             break
     # Where friction just lets go, the last correction shrinks slowly but moves nothing that could be measured.
     settled = np.ones(len(rows), dtype=bool)
-    settled[left] = least[left] <= FLOOR * np.max(np.abs(best[:, left] / weights), axis=0)
+    settled[left] = least[left] <= STUCK * np.max(np.abs(best[:, left] / weights), axis=0)
     state[:, left] = best[:, left]
     return state, settled
 
