@@ -10,8 +10,8 @@ class CrossDampingAsymmetry(Planar, ForceEffect):
     """F_x = +s/2·y', F_y = −s/2·x' with s = d_yx − d_xy in N·s/m; the base model holds their mean. Zero: they are
     equal.
 
-    It does no work and looks exactly like a rate of s/(4·m): only a known rate tells it apart from an offset of the
-    table, and only another mass or mode from a true rate.
+    Shows as a response of the undriven axis in phase with the velocity of the driven one. It does no work and looks
+    exactly like a rate of s/(4·m): only a calibrated rate reference tells it from `rate_offset`.
 
     IEEE Std 1431-2004, Coriolis vibratory gyros, annex B.
     """

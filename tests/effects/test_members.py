@@ -1,0 +1,149 @@
+"""Promises that every member of the catalogue keeps."""
+
+import inspect
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from effects.members import AXES_AND_MEMBERS, CONDITIONS, LABELS, MEMBERS, STRENGTHS, model, present, seen, state_of
+
+from memsgyro_jax import effects as fx
+from memsgyro_jax.effects.trial import PARTS, at_strength, complaint, moments, parts
+
+
+every = pytest.mark.parametrize("effect", MEMBERS, ids=LABELS)
+every_axes = pytest.mark.parametrize(
+    ("axes", "effect"), AXES_AND_MEMBERS, ids=[f"{effect.label}, {axes} axes" for axes, effect in AXES_AND_MEMBERS]
+)
+
+
+def test_the_catalogue_is_complete():
+    assert len(MEMBERS) == len(set(LABELS)) == 43
+    assert {effect.name for effect in MEMBERS} == set(STRENGTHS)
+    assert {type(effect) for effect in MEMBERS} == set(fx.CATALOGUE)
+    assert all(fx.needed_axes(effect) == 1 for effect in fx.catalogue(1))
+
+
+@pytest.mark.parametrize("kind", fx.CATALOGUE, ids=lambda kind: kind.__name__)
+def test_a_member_is_described(kind):
+    assert issubclass(kind, tuple(PARTS))
+    assert kind.unit
+    assert kind.law
+    text = " ".join(inspect.getdoc(kind).split())
+    assert "Zero:" in text
+    assert "Shows" in text, "when it shows"
+    author = kind.reference.split(",")[0].split(" et al")[0].split(" and ")[0]
+    assert author in text, "the docstring gives the reference in full"
+
+
+@every_axes
+def test_zero_is_absent_exactly(axes, effect):
+    """Bit by bit, at an instant where nothing is zero."""
+    without, within = model(axes=axes), model(effect, axes=axes)
+    state = state_of(within)
+    slope, volts = seen(within, state)
+    expected_slope, expected_volts = seen(without, state[: 2 * axes])
+    np.testing.assert_array_equal(slope[: 2 * axes], expected_slope)
+    np.testing.assert_array_equal(volts, expected_volts)
+
+
+@every_axes
+def test_keeps_the_promises_asked_of_a_users_effect(axes, effect):
+    assert complaint(effect, axes) == ""
+
+
+@every
+def test_derivatives_are_finite_and_tell(effect):
+    """Finite by every leaf, at zero strength and beyond, also at rest; and not zero where a fit starts."""
+    now = moments(effect, 2)
+    for part in parts(effect):
+
+        def value(e, part=part):
+            return jax.vmap(lambda n: jnp.asarray(part.value(e, n)))(now)
+
+        for at in (effect, present(effect)):
+            slope = jax.jit(jax.jacfwd(value))(at)
+            assert all(bool(jnp.all(jnp.isfinite(leaf))) for leaf in jax.tree.leaves(slope))
+        if part.exact and "strength" not in getattr(effect, "scanned", ()):
+            assert float(jnp.max(jnp.abs(jax.jacfwd(value)(effect).strength))) > 0
+
+
+@every
+def test_present_differs_from_absent(effect):
+    if isinstance(effect, fx.SweepEffect):
+        assert present(effect).speed() != effect.speed()
+        return
+    absent = seen(model(effect), state := state_of(model(effect)))
+    changed = seen(model(present(effect)), state)
+    assert any(bool(jnp.any(a != b)) for a, b in zip(absent, changed, strict=True))
+
+
+@every
+def test_leaves_are_arrays(effect):
+    leaves = jax.tree.leaves(effect)
+    assert leaves
+    assert all(isinstance(leaf, jax.Array) and jnp.issubdtype(leaf.dtype, jnp.floating) for leaf in leaves)
+    assert any(leaf is effect.strength for leaf in leaves)
+
+
+@every
+def test_many_at_once_are_the_same_as_one_by_one(effect):
+    factors = np.array([0.0, 0.5, 2.0])
+    many = jax.vmap(lambda factor: present(effect, factor))(factors)
+    state = state_of(model(effect))
+    together = jax.vmap(lambda e: seen(model(e), state))(many) if not isinstance(effect, fx.SweepEffect) else None
+    for row, factor in enumerate(factors):
+        one = present(effect, factor)
+        if together is None:
+            assert jax.vmap(lambda e: e.speed())(many)[row] == one.speed()
+            continue
+        for a, b in zip(together, seen(model(one), state), strict=True):
+            np.testing.assert_allclose(a[row], b, rtol=1e-13, atol=0)
+
+
+def test_strengths_do_not_compile_anew():
+    """The set of effects is structure, their strengths are numbers: one program for all strengths."""
+    traced = []
+
+    @eqx.filter_jit
+    def run(of, state):
+        traced.append(1)
+        return seen(of, state)
+
+    state = state_of(model(*MEMBERS))
+    results = [
+        run(model(*(at_strength(e, factor * present(e).strength) for e in MEMBERS)), state)[0]
+        for factor in (0.5, 1.0, 2)
+    ]
+    assert len(traced) == 1
+    assert not np.array_equal(results[0], results[1])
+
+
+def test_all_members_together_at_zero_are_the_base_model():
+    of = model(*MEMBERS)
+    state = state_of(of)
+    slope, volts = seen(of, state)
+    expected_slope, expected_volts = seen(model(), state[:4])
+    np.testing.assert_array_equal(slope[:4], expected_slope)
+    np.testing.assert_array_equal(volts, expected_volts)
+
+
+@pytest.mark.parametrize("kind", [fx.RateOffset, fx.RateBiasDrift])
+def test_a_calibrated_record_has_no_rate_error(kind):
+    trusted = eqx.tree_at(lambda c: c.rate_trusted, CONDITIONS, jnp.asarray(1.0))
+    state = state_of(model())
+    given = seen(model(present(kind())), state, trusted)[0]
+    np.testing.assert_array_equal(given, seen(model(), state, trusted)[0])
+
+
+def test_declared_linear_own_states_are_linear():
+    """`own_is_linear` lets the harmonic balance leave those rows out: it had better be true."""
+    for effect in (e for e in MEMBERS if e.own_size):
+        assert effect.own_is_linear
+        of = model(present(effect))
+        matrix, gain = of.linear(CONDITIONS)
+        state = state_of(of)
+        slope = of.derivative(state, FORCE := np.array([1e-8, -2e-8]), CONDITIONS)
+        np.testing.assert_allclose(slope[4:], (matrix @ state + gain @ FORCE)[4:], rtol=1e-12)
