@@ -22,6 +22,7 @@ from .records import (
 _BANDS = 32  # of the spectrum: white noise is told by its quiet ones
 _NORMAL = 1.4826  # median absolute value to standard deviation, of a normal variable
 _RAYLEIGH = 1.1774  # median of the modulus of a complex normal variable over the standard deviation of each part
+_EXCHANGED = 3.0  # times the driven channel: more than a coupling within a design's tolerances makes
 _DISAGREE = 2.0  # factor between declared and estimated noise that is worth a sentence
 
 
@@ -85,7 +86,11 @@ def assess(case: Case) -> CaseQuality:
 def _assess(record: AbstractRecord, case: Case) -> RecordQuality:
     noise = estimated_noise(record)
     declared = record.noise_std
-    warnings = [*_lone(record, noise if declared is None else declared, case), *_settling(record, _decay(case.design))]
+    warnings = [
+        *_lone(record, noise if declared is None else declared, case),
+        *_settling(record, _decay(case.design)),
+        *_exchanged(record),
+    ]
     if declared is not None and noise > 0 and not 1 / _DISAGREE < noise / declared < _DISAGREE:
         warnings.append(
             f"{record.file}: the declared noise of {declared:.2g} {case.readout.unit} is not that of the rows, about "
@@ -168,6 +173,21 @@ def _decay(design: Mapping[str, DesignValue]) -> float:
     if "quality_factor" in design:
         return 2 * design["quality_factor"].high / design["resonance"].low
     return 2 * design["mass"].high / min(design["dxx"].low, design["dyy"].low)
+
+
+def _exchanged(record: AbstractRecord) -> list[str]:
+    """A sentence where the electrode at rest moves much more than the driven one."""
+    if not isinstance(record, FrequencySweepRecord | RingDownRecord) or record.readings.shape[1] < 2:
+        return []
+    peaks = np.max(np.abs(record.readings - record.readings.mean(axis=0)), axis=0)
+    driven, other = peaks[record.axis], peaks[1 - record.axis]
+    if other <= _EXCHANGED * driven:
+        return []
+    sentence = (
+        f"{record.file}: axis {'xy'[record.axis]} is driven, but the other reads {other / driven:.0f} times as much; "
+        "are the channels and `drive_axis` as labelled?"
+    )
+    return [sentence]
 
 
 @singledispatch

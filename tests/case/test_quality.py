@@ -87,6 +87,14 @@ def test_a_wrong_declared_noise_is_told(bench, factor):
     assert "declared noise" in warning
 
 
+@pytest.mark.parametrize("name", ["sweep_x", "ringdown"])
+def test_exchanged_channels_are_told(bench, name):
+    record = bench.record(name)
+    field = "phasors" if np.iscomplexobj(record.readings) else "signals"
+    (warning,) = assess(with_record(bench, name, **{field: record.readings[:, ::-1]})).warnings
+    assert "as labelled" in warning
+
+
 def test_short_drives_dwells_and_records_are_told(bench):
     (warning,) = assess(with_record(bench, "ringdown", drive_duration=0.01)).warnings
     assert "lasts less than 5 time constants" in warning
