@@ -70,10 +70,11 @@ def _(record: TimeRecord, table: Table, resonances: tuple[float, float]) -> None
 def near_resonance(low: float, high: float, resonances: tuple[float, float]) -> None:
     """Refuses a band [rad/s] that lies beyond any resonance of the design: a wrong unit, most likely."""
     if high * _REACH < resonances[0] or low > _REACH * resonances[1]:
+        expected = f"{resonances[0] / _TWO_PI:.6g} and {resonances[1] / _TWO_PI:.6g} Hz"
         shown = f"{low / _TWO_PI:.6g}" if low == high else f"{low / _TWO_PI:.6g} to {high / _TWO_PI:.6g}"
         raise InputError(
             f"must come within a factor of {_REACH:g} of a resonance, which the design puts between "
-            f"{resonances[0] / _TWO_PI:.6g} and {resonances[1] / _TWO_PI:.6g} Hz, but is {shown} Hz; is the unit right?"
+            f"{expected}, but is {shown} Hz (is the unit right?)"
         )
 
 

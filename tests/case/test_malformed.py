@@ -43,6 +43,7 @@ def refuses(folder, *words):
     message = str(caught.value)
     assert "\n" not in message
     assert message.endswith((".", "?")), message
+    assert "?." not in message
     for word in words:
         assert word in message, f"{word!r} is not in: {message}"
 
