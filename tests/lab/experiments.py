@@ -275,7 +275,7 @@ def _(experiment: Multisine, bench):
     wave = np.fft.irfft(spectrum, n)
     level = experiment.level / np.sqrt(np.mean(wave**2))
     u = printed(level * wave, bench.lab.digits)
-    before = n // 2  # the periodic input has been on for this long; the record's start is anybody's guess
+    before = min(256, n // 2)  # the periodic input has been on for this long; the record's start is anybody's guess
     times = np.arange(-before, n) * dt
     held = np.zeros((DEGREE_OF_HOLD + 1, 2, before + n))
     series = _between_samples(u)

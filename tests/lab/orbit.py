@@ -65,13 +65,14 @@ def _settle(plant, rows, start, end, state, shift):
     left = np.arange(len(rows))
     for _ in range(20):
         now = state[:, left]
-        ends, slope = flow_and_slope(plant, now, start[left], end[left], rows.take(left), plant.die.period)
+        with np.errstate(over="ignore", invalid="ignore"):  # a step may go astray: it is halved
+            ends, slope = flow_and_slope(plant, now, start[left], end[left], rows.take(left), plant.die.period)
         miss = (ends - now - shift[:, left]) / weights
         error = np.max(np.abs(miss), axis=0)
         better = error < least[left]
         least[left] = np.where(better, error, least[left])
         # A mass that sticks may sit anywhere: such a direction is left alone.
-        inverse = np.linalg.pinv(np.eye(plant.size) - slope / weights * weights[:, 0], rcond=1e-7)
+        inverse = np.linalg.pinv(np.eye(plant.size) - np.nan_to_num(slope / weights * weights[:, 0]), rcond=1e-7)
         update = weights * np.einsum("rij,jr->ir", inverse, miss)
         state[:, left] = np.where(better, now + update, 0.5 * (now + best[:, left]))
         best[:, left] = np.where(better, now, best[:, left])
@@ -120,11 +121,12 @@ def _window(plant, rows, times, states):
     slope, last = None, np.inf
     for turn in range(TURNS):
         here = (plant, states[:, :-1], times[:-1], times[1:], rows, plant.die.period)
-        if slope is None:
-            ends, slope = flow_and_slope(*here)
-        else:
-            ends = integrate(*here)
-        update = _propagate(slope, ends - states[:, 1:])
+        with np.errstate(over="ignore", invalid="ignore"):
+            if slope is None:
+                ends, slope = flow_and_slope(*here)
+            else:
+                ends = integrate(*here)
+            update = _propagate(slope, ends - states[:, 1:])
         size = np.max(np.abs(update / weights))
         largest = np.max(np.abs((states[:, 1:] + update) / weights))
         if not size < 1e3 * max(1.0, largest) or (turn and size > 2 * last):

@@ -92,7 +92,7 @@ class Multisine:
 
     name: str
     interval: float = 16384 / 1e7
-    samples: int = 8192
+    samples: int = 4096
     band: tuple = (1.0, 200.0)
     level: float = 0.02  # root mean square
     noise: float = 2.3e-4
@@ -154,15 +154,31 @@ class Laboratory:
         )
 
     @classmethod
+    def demo(cls, **changes):
+        """The kinds that tell a nonlinear spring, in files of some ten thousand numbers."""
+        profile = Profile((0.0, 90.0, -90.0, 180.0, 0.0), 0.15, (90.0, 2.0, 8.0, 0.3), (-180.0, -160.0, 0.1))
+        return cls(
+            (
+                Sweep("sweep_x", 0, (2e-8, 6e-8, 1.5e-7), points=25),
+                Sweep("sweep_y", 1, (2e-8, 1.5e-7), points=25),
+                RingDown("ringdown_x", 0, duration=0.5, interval=1e-4, samples=2000, role="validation"),
+                RateTable("rate", cycles=6, blocks=600, profile=profile),
+                Raw("raw", samples=1500),
+                Raw("raw_check", samples=1500, role="validation"),
+            ),
+            **changes,
+        )
+
+    @classmethod
     def resonator(cls, **changes):
         """One axis: multisines of two lengths, a sweep at three drives [V], a ring-down."""
         sweep = {"points": 31, "span": 25.0, "dense": 4.0, "both": False, "noise": 1e-4}
         return cls(
             (
-                Sweep("sweep", 0, (0.005, 0.02, 0.05), **sweep),
-                RingDown("ringdown", 0, 0.05, 0.5, 16384 / 1e7, 400, 2.3e-4),
+                Sweep("sweep", 0, (0.002, 0.006, 0.012), **sweep),
+                RingDown("ringdown", 0, 0.012, 0.5, 16384 / 1e7, 400, 2.3e-4),
                 Multisine("multisine"),
-                Multisine("multisine_check", samples=2048, role="validation"),
+                Multisine("multisine_check", samples=1024, role="validation"),
             ),
             **changes,
         )
