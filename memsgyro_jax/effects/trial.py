@@ -98,11 +98,15 @@ def _complaint(part: Part, absent: Effect, now: Moment) -> str:
     def value(strength: Array) -> Array:
         return jax.vmap(lambda n: jnp.asarray(part.value(at_strength(absent, strength), n)))(now)
 
-    given, slope = jax.jit(lambda s: (value(s), jax.jacfwd(value)(s)))(absent.strength)
+    def everything(strength: Array) -> tuple[Array, Array, Array]:
+        # In reverse mode a branch that is not taken still counts: zero times infinity is no number.
+        return value(strength), jax.jacfwd(value)(strength), jax.grad(lambda s: jnp.sum(value(s)))(strength)
+
+    given, forward, reverse = jax.jit(everything)(absent.strength)
     if not bool(jnp.all(jnp.isfinite(given))):
         return f"method `{part.method}` must be finite at strength zero, but is not"
     if part.exact and not bool(jnp.all(given == like)):
         return f"method `{part.method}` must do exactly nothing at strength zero, but does something"
-    if not bool(jnp.all(jnp.isfinite(slope))):
+    if not all(bool(jnp.all(jnp.isfinite(slope))) for slope in (forward, reverse)):
         return f"method `{part.method}` must have a finite derivative by the strength at zero, but has none"
     return ""

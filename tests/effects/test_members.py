@@ -64,8 +64,9 @@ def test_derivatives_are_finite_and_tell(effect):
             return jax.vmap(lambda n: jnp.asarray(part.value(e, n)))(now)
 
         for at in (effect, present(effect)):
-            slope = jax.jit(jax.jacfwd(value))(at)
-            assert all(bool(jnp.all(jnp.isfinite(leaf))) for leaf in jax.tree.leaves(slope))
+            reverse = jax.grad(lambda e, value=value: jnp.sum(value(e)))
+            slopes = jax.jit(lambda e, value=value, reverse=reverse: (jax.jacfwd(value)(e), reverse(e)))(at)
+            assert all(bool(jnp.all(jnp.isfinite(leaf))) for leaf in jax.tree.leaves(slopes))
         if part.exact and "strength" not in getattr(effect, "scanned", ()):
             assert float(jnp.max(jnp.abs(jax.jacfwd(value)(effect).strength))) > 0
 
@@ -136,6 +137,19 @@ def test_a_calibrated_record_has_no_rate_error(kind):
     state = state_of(model())
     given = seen(model(present(kind())), state, trusted)[0]
     np.testing.assert_array_equal(given, seen(model(), state, trusted)[0])
+
+
+def test_damping_steps_in_its_own_record_from_its_own_time_on():
+    step, state = fx.DampingStep(0.5, time=0.2, record=3.0), state_of(model())
+
+    def force(time, record):
+        at = eqx.tree_at(lambda c: (c.time, c.record), CONDITIONS, (jnp.asarray(time), jnp.asarray(record)))
+        return np.asarray(seen(model(step), state, at)[0] - seen(model(), state, at)[0])[2:]
+
+    assert np.all(force(0.2, 3.0) != 0)
+    np.testing.assert_array_equal(force(0.2, 3.0), force(9.0, 3.0))
+    for time, record in ((0.199, 3.0), (0.3, 2.0), (0.3, 4.0)):
+        assert not np.any(force(time, record))
 
 
 def test_declared_linear_own_states_are_linear():

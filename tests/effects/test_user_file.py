@@ -13,7 +13,7 @@ from memsgyro_jax.model import Conditions, Model
 
 
 GOOD = """\
-import equinox as eqx
+import equinox as eqx, jax
 from jax import Array
 
 import memsgyro_jax.effects as fx
@@ -100,6 +100,11 @@ BAD = {
     "shape": (FORCE, "self.strength * now.velocity[0]", "must return an array of shape (2,), but returns one of ()"),
     "not zero": ("** 3)", "** 3 + 1.0)", "line 7: effect `creep x`: method `force` must do exactly nothing"),
     "no number": (FORCE, "now.velocity * self.strength / self.strength", "must be finite at strength zero"),
+    "reverse slope": (
+        FORCE,
+        "self.along(now, jax.numpy.where(self.strength > 0, jax.numpy.sqrt(self.strength), 0.0))",
+        "must have a finite derivative by the strength at zero",
+    ),
     "slope": ("-self.strength *", "-(self.strength**0.5) *", "must have a finite derivative by the strength at zero"),
 }  # fmt: skip
 
