@@ -14,7 +14,11 @@ from jaxtyping import Array, Complex, Float
 
 from .elimination import inverse
 from .model import Conditions, Model
-from .steady import HARMONICS, nonlinear_spectrum
+from .steady import nonlinear_spectrum
+
+
+HARMONICS = 2  # a step in time carries no more: the third is a millionth of the first, and feeds back as its square
+SAMPLES = 12  # per cycle: exact for powers up to the third
 
 
 class Propagator(eqx.Module):
@@ -44,13 +48,14 @@ class Propagator(eqx.Module):
             single = jax.vmap(single)
         return cls(*single(matrix))
 
-    def advance(self, state: Array, load: Array, rest) -> Array:
-        """One step under a constant `load`; `rest(state)` is what the linear part leaves out, evaluated at both
+    def advance(self, state: Array, load: Array, rest) -> tuple[Array, Array, Array]:
+        """One step under a constant `load`: its end, and `rest(state)`, what the linear part leaves out, at both
         ends.
         """
         here = rest(state)
         predicted = _apply(self.exponential, state) + _apply(self.first, load + here)
-        return predicted + _apply(self.second, rest(predicted) - here)
+        there = rest(predicted)
+        return predicted + _apply(self.second, there - here), here, there
 
 
 def _apply(matrix: Array, vector: Array) -> Array:
@@ -81,6 +86,15 @@ def state_units(model: Model) -> Float[Array, " n"]:
     """Typical sizes of the state's entries next to each other: velocities are ω times displacements."""
     omega = jnp.sqrt(jax.lax.stop_gradient(jnp.max(model.device.stiffness)))
     return jnp.ones(model.size).at[model.axes : 2 * model.axes].set(omega)
+
+
+class Course(eqx.Module):
+    """Steps of a run, (t, h, n) each: the state at their start and end, and what the linear part leaves out there."""
+
+    start: Array
+    end: Array
+    here: Array
+    there: Array
 
 
 class Driven(eqx.Module):
@@ -117,36 +131,36 @@ class Driven(eqx.Module):
 
     def rest(self, state: Complex[Array, "h n"], conditions: Conditions) -> Complex[Array, "h n"]:
         """What the linear part leaves out."""
-        left = nonlinear_spectrum(self.model, self.linear, state, self.force, conditions)
+        left = nonlinear_spectrum(
+            self.model, self.linear, state, self.force, conditions, samples=SAMPLES, harmonics=HARMONICS
+        )
         return jnp.zeros_like(state).at[:, np.asarray(self.model.nonlinear_rows)].set(left)
 
     def at_rest(self) -> Complex[Array, "h n"]:
         """No motion."""
         return jnp.zeros((HARMONICS + 1, self.model.size), complex)
 
-    def run(self, start: Complex[Array, "h n"], step: Array, conditions: Conditions) -> tuple[Array, Array]:
-        """Through as many steps of `step` seconds as `conditions` has rows: the last state, and the state at the end of
-        each step.
+    def run(self, start: Complex[Array, "h n"], step: Array, conditions: Conditions) -> "tuple[Array, Course]":
+        """Through as many steps of `step` seconds as `conditions` has rows: the last state, and what happened on the
+        way.
         """
         propagate, load = self.propagator(step), self.load
 
-        def advance(state: Array, now: Conditions) -> tuple[Array, Array]:
-            end = propagate.advance(state, load, lambda s: self.rest(s, now))
-            return end, end
+        def advance(state: Array, now: Conditions) -> tuple[Array, tuple]:
+            end, here, there = propagate.advance(state, load, lambda s: self.rest(s, now))
+            return end, (state, end, here, there)
 
-        return jax.lax.scan(advance, start, conditions)
+        last, passed = jax.lax.scan(advance, start, conditions)
+        return last, Course(*passed)
 
-    def demodulated(self, start: Array, ends: Array, step: Array, conditions: Conditions) -> Complex[Array, "t h n"]:
+    def demodulated(self, course: "Course", step: Array) -> Complex[Array, "t h n"]:
         """What a boxcar lock-in over each step (a whole number of cycles) makes of the state: harmonic by harmonic the
         mean, and in harmonic 1 also what passes from harmonic 0 and from the conjugate while they change.
 
         Means of S·e^{ikωt} follow from the equation of motion: L times the mean is the change of S less the load.
         """
-        starts = jnp.concatenate([start[None], ends[:-1]])
-        rest = jax.vmap(self.rest)
-        first, last = rest(starts, conditions), rest(ends, conditions)
-        change, drift = (ends - starts) / step, (last - first) / step
-        means = _solve(self.operator, change - self.load - 0.5 * (first + last))
+        change, drift = (course.end - course.start) / step, (course.there - course.here) / step
+        means = _solve(self.operator, change - self.load - 0.5 * (course.here + course.there))
         matrix, turn = self.linear[0], 1j * self.omega * jnp.eye(self.model.size)
         conjugate = _solve(matrix + turn, change[:, 1] - drift[:, 1] / (2j * self.omega))
         constant = _solve(matrix - turn, change[:, 0] + drift[:, 0] / (1j * self.omega))

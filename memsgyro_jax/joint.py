@@ -6,7 +6,7 @@ a matter of numbers: fits of any subset, scores of every candidate and refits al
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import equinox as eqx
 import jax
@@ -16,14 +16,13 @@ from jaxtyping import Array, Float, PyTree
 from scipy.optimize import least_squares
 
 from . import free
-from .effects.base import Effect
 from .experiments.base import Experiment
 from .model import Model
 from .readings import Readings
 from .runtime import require_float64, usable_cores
 
 
-WIDTH = 16  # directions that one pass of the compiled program differentiates
+WIDTH = 12  # directions that one pass of the compiled program differentiates
 
 
 @dataclass(frozen=True)
@@ -57,10 +56,6 @@ class Joint:
     def at(self, vector: np.ndarray) -> Model:
         """The model with the parameters of a vector."""
         return free.from_vector(jnp.asarray(vector), self.model, self.spec)
-
-    def with_model(self, model: Model) -> "Joint":
-        """The same readings beside a model of the same structure with other fixed numbers."""
-        return Joint(model, self.readings)
 
     def base(self) -> np.ndarray:
         """Places of the base parameters in the vector."""
@@ -117,14 +112,10 @@ def _all_free(model: Model) -> PyTree:
     """Device, offsets and every strength are free."""
     spec = free.fixed(model)
     identity = free.Free(free.Identity())
-    leaves = lambda m: (  # noqa: E731
-        m.device.stiffness,
-        m.device.damping,
-        m.device.mobility,
-        m.offset,
-        *(effect.strength for effect in m.effects),
-    )
-    return free.mark(spec, leaves, identity)
+    spec = free.mark(spec, lambda m: (m.device.stiffness, m.device.damping, m.device.mobility, m.offset), identity)
+    if not model.effects:
+        return spec
+    return free.mark(spec, lambda m: tuple(effect.strength for effect in m.effects), identity)
 
 
 def parameters(model: Model) -> tuple[Parameter, ...]:
@@ -138,11 +129,6 @@ def parameters(model: Model) -> tuple[Parameter, ...]:
         labels = [effect.label] if size == 1 else [f"{effect.label}[{k}]" for k in range(size)]
         strengths += [Parameter(label, effect.unit, place) for label in labels]
     return (*base, *strengths)
-
-
-def check_order(model: Model) -> tuple[str, ...]:
-    """Names of the leaves in the order of the vector, for tests."""
-    return free.names(model, _all_free(model))
 
 
 @dataclass(frozen=True)
@@ -223,6 +209,9 @@ def optimise(
             cache[z.tobytes()] = np.where(np.isfinite(value), value, 1e6), np.where(np.isfinite(slope), slope, 0.0)
         return cache[z.tobytes()]
 
+    if max_evaluations == 0:
+        value, slope = joint.linearise(vector, units, chosen)
+        return Optimum(vector, places, value, slope, frozen, True, 1)
     found = least_squares(
         lambda z: both(z)[0],
         np.zeros(len(directions)),
@@ -235,6 +224,3 @@ def optimise(
     end = vector + found.x @ directions
     value, slope = joint.linearise(end, units, chosen)
     return Optimum(end, places, value, slope, frozen, bool(found.success), int(found.nfev))
-
-
-__all__ = ["Effect", "Joint", "Optimum", "Parameter", "optimise", "parameters", "replace"]

@@ -44,16 +44,18 @@ def drive_waveform(force: Complex[Array, " axes"], samples: int = SAMPLES) -> tu
     return turning.real, (1j * turning).real
 
 
-def nonlinear_spectrum(model, linear, state: Complex[Array, "h n"], force, conditions) -> Complex[Array, "h k"]:
+def nonlinear_spectrum(
+    model, linear, state: Complex[Array, "h n"], force, conditions, samples: int = SAMPLES, harmonics: int = HARMONICS
+) -> Complex[Array, "h k"]:
     """Fourier coefficients of what the linear part leaves out, in the rows that may be nonlinear."""
     rows = np.asarray(model.nonlinear_rows)
     matrix, gain = linear
-    command, _ = drive_waveform(force)
+    command, _ = drive_waveform(force, samples)
 
     def rest(s: Array, u: Array) -> Array:
         return (model.derivative(s, u, conditions) - matrix @ s - gain @ u)[rows]
 
-    return spectrum(jax.vmap(rest)(waveform(state), command))
+    return spectrum(jax.vmap(rest)(waveform(state, samples), command), harmonics)
 
 
 def steady_state(

@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Complex, Float
 
-from ..envelope import Driven
+from ..envelope import HARMONICS, Driven
 from ..model import Conditions, Model
 from ..steady import fundamental, steady_state
 from .base import Experiment, Noise
@@ -43,8 +43,8 @@ class RateTable(Experiment):
         driven = Driven.of(bench, self.frequency, self.force, first)
         start = steady_state(bench, self.frequency, driven.force, first, self.measured[0] / bench.scale)
         step = 2 * jnp.pi * self.block_cycles / self.frequency
-        _, ends = driven.run(start, step, self.surroundings)
-        seen = driven.demodulated(start, ends, step, self.surroundings)
+        _, course = driven.run(start[: HARMONICS + 1], step, self.surroundings)
+        seen = driven.demodulated(course, step)
         return jax.vmap(lambda s, c: fundamental(bench, self.frequency, s, driven.force, c))(seen, self.surroundings)
 
     def conditions(self) -> dict[str, Float[Array, " n"]]:

@@ -46,8 +46,8 @@ class RingDown(Experiment):
         free = Driven.of(bench, self.frequency, jnp.zeros_like(self.force), self.surroundings)
         state, _ = free.run(state, self.time[0], self.surroundings.rows(1))
         step = (self.time[-1] - self.time[0]) / (self.time.size - 1)
-        _, later = free.run(state, step, self.surroundings.rows(self.time.size - 1))
-        states = jnp.concatenate([state[None], later])
+        _, course = free.run(state, step, self.surroundings.rows(self.time.size - 1))
+        states = jnp.concatenate([state[None], course.end])
         quiet = jnp.zeros(bench.axes)
 
         def sample(state: Array, time: Array) -> Array:
