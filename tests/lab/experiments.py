@@ -94,7 +94,7 @@ def _(experiment: Sweep, bench):
     settings = {"drive_axis": letter} if bench.plant.die.axes == 2 else {}
     if experiment.condition != "drive":
         settings["drive_force"] = (experiment.force / unit, drive_column[5:-1])
-    settings |= {"settled": not bench.plant.hidden.finite_sweep_rate, "note": f"{header.split()[0]} is stepped"}
+    settings |= {"settled": experiment.settled, "note": f"{header.split()[0]} is stepped"}
     return _record(bench, experiment, "frequency_sweep", {header: column, "f [Hz]": f}, clean, settings)
 
 
@@ -199,15 +199,16 @@ def _(experiment: RateTable, bench):
     f = bench.resonance(experiment.axis)
     times = np.arange(-1, experiment.blocks + 1) * (experiment.cycles / f)  # a settled block comes first
     middle = 0.5 * (times[1:-1] + times[2:])
-    columns = {"t [s]": printed(middle, digits)}
+    t = printed(middle, digits)
+    columns = {"t [s]": t}
     rate = np.zeros(experiment.blocks)
     if experiment.profile is not None:
         columns["rate [deg/s]"] = printed(experiment.profile(middle), digits)
         rate = columns["rate [deg/s]"] * DEGREE
-    turn = np.gradient(rate, middle)
+    turn = np.gradient(rate, t)
     if h.rate_bias_drift and experiment.name == h.rate_bias_drift_record:
         order = np.arange(1, len(h.rate_bias_drift) + 1)
-        drift = np.cos(np.pi * middle[:, None] * order / times[-1]) @ np.array(h.rate_bias_drift)
+        drift = np.cos(np.pi * t[:, None] * order / times[-1]) @ np.array(h.rate_bias_drift)
         rate = rate + drift / (1 + h.rate_scale_error)  # the table's scale is not the drift's
     conditions = {
         "rate": np.append(rate[0], rate), "turn": np.append(0.0, turn), "calibrated": experiment.calibrated,

@@ -18,6 +18,7 @@ class Sweep:
     span: float = 21.75  # either side of the resonance [Hz]
     dense: float = 2.2  # half width [Hz] within which points crowd; infinite is even spacing
     shift: float = 0.0  # of the band [Hz]
+    settled: bool = True  # what the experimenter declares
     both: bool = True  # around both resonances, or the driven axis's alone
     noise: float = 6.324555320336759e-05
     role: str = ""
