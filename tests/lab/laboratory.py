@@ -2,11 +2,11 @@
 
 How the effects act together, where their laws leave it open:
 
-- Drive: the amplifier's gain, then `drive_nonlinearity`, then `force_misalignment`. Feedthrough sees the commanded force.
+- Drive: the amplifier's gain, `drive_nonlinearity`, `force_misalignment`. Feedthrough sees the commanded force.
 - Pick-off: `pickoff_scale_error`, then both nonlinearities of the scaled displacement, times `scale`; crosstalk of the
-  other displacement, feedthrough and offset are added, then the converter clips. The delay holds back the motion alone.
-- Rate: W (1 + `rate_scale_error`) + `rate_offset` + `rate_bias_drift`, constant in each block of a rate table (its value
-  at the middle). W' is `numpy.gradient` of the rate column over its times, so a step keeps its impulse.
+  other displacement, feedthrough and offset are added; the converter clips. The delay holds back the motion alone.
+- Rate: W (1 + `rate_scale_error`) + `rate_offset` + `rate_bias_drift`, constant in each block of a rate table (its
+  value at the middle). W' is `numpy.gradient` of the rate column over its times, so a step keeps its impulse.
 - `rate_bias_drift` and `damping_step` touch one named record. Drift: a_j cos(π j t / T), T the end of the last block.
 - `finite_sweep_rate`: every row is the slow motion at its frequency, rising; transients of the sweep's start are over.
 
