@@ -6,10 +6,10 @@ This is what measurements are compared with. Everything here is for one instant,
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from .device import SingleMassGyro
+from .effects.axes import needed_axes
 from .effects.base import DriveEffect, Effect, ForceEffect, Moment, ReadoutEffect
 from .errors import InputError
 from .normalised import NormalisedDevice
@@ -143,6 +143,11 @@ class Model(eqx.Module):
         return jax.jacfwd(self.derivative, argnums=(0, 1))(rest, still, conditions)
 
     @property
+    def is_sharp(self) -> bool:
+        """Whether the recorded waveform has corners."""
+        return any(isinstance(effect, ReadoutEffect) and effect.sharp for effect in self.effects)
+
+    @property
     def nonlinear_rows(self) -> tuple[int, ...]:
         """Rows of the derivative that may be nonlinear: accelerations, and own states not declared linear."""
         rows, place = list(range(self.axes, 2 * self.axes)), 2 * self.axes
@@ -156,6 +161,7 @@ class Model(eqx.Module):
         now = Moment(
             displacement=state[:a],
             velocity=state[a : 2 * a],
+            command=command,
             force=command,
             own=jnp.zeros(0),
             rate=conditions.rate,
@@ -181,6 +187,5 @@ def check_effect(effect: Effect, axes: int) -> None:
     """Refuse what is no effect, and an effect on an axis that the device does not have."""
     if not isinstance(effect, Effect):
         raise InputError(f"An effect must be an instance of `effects.Effect`, but {effect!r} was given.")
-    axis = getattr(effect, "axis", 0)
-    if isinstance(axis, int | np.integer) and axis >= axes:
-        raise InputError(f"Effect `{effect.label}` must act on an axis the device has, but it has {axes}.")
+    if needed_axes(effect) > axes:
+        raise InputError(f"Effect `{effect.label}` needs {needed_axes(effect)} axes, but the device has {axes}.")

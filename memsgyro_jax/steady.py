@@ -16,6 +16,7 @@ from .model import Conditions, Model
 
 HARMONICS = 3
 SAMPLES = 32
+SHARP_SAMPLES = 256
 STEPS = 30
 
 
@@ -143,6 +144,8 @@ def _unflatten(flat: Float[Array, " n"], model: Model) -> Complex[Array, "h k"]:
 
 def fundamental(model, omega, state: Complex[Array, "h n"], force, conditions) -> Complex[Array, " axes"]:
     """Phasor of each channel's voltage at the drive frequency, all read-out effects included."""
-    command, turn = drive_waveform(force)
-    volts = jax.vmap(lambda s, u, du: model.observe(s, u, omega * du, conditions))(waveform(state), command, turn)
+    samples = SHARP_SAMPLES if model.is_sharp else SAMPLES
+    command, turn = drive_waveform(force, samples)
+    states = waveform(state, samples)
+    volts = jax.vmap(lambda s, u, du: model.observe(s, u, omega * du, conditions))(states, command, turn)
     return spectrum(volts, 1)[1]

@@ -21,6 +21,7 @@ class AdcSaturation(Scanned, ReadoutEffect):
     reference = "IEEE Std 1241-2010"
     scanned = ("strength",)
     last = True
+    sharp = True
     strength: Array = strength()
 
     def signal(self, volts: Array, now: Moment) -> Array:

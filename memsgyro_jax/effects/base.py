@@ -16,7 +16,6 @@ import abc
 from typing import ClassVar
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -29,7 +28,8 @@ class Moment(eqx.Module):
     | field | unit | holds |
     |---|---|---|
     | `displacement`, `velocity` | m, m/s | of the proof mass |
-    | `force` | N | applied by the electrodes |
+    | `command` | N | asked for |
+    | `force` | N | applied by the electrodes, which drive effects make differ from the command |
     | `own` | any | the effect's own state, `own_size` numbers |
     | `rate`, `angular_acceleration` | rad/s, rad/s² | of the frame, as the record has it |
     | `rate_trusted` | 1 | 1 where the rate is known apart from the table's own reading, else 0 |
@@ -45,6 +45,7 @@ class Moment(eqx.Module):
 
     displacement: Array
     velocity: Array
+    command: Array
     force: Array
     own: Array
     rate: Array
@@ -64,7 +65,7 @@ class Moment(eqx.Module):
 
 def strength(default: float = 0.0) -> Array:
     """The field that holds the strength of an effect."""
-    return eqx.field(converter=jnp.asarray, default=default)
+    return eqx.field(converter=lambda value: jnp.asarray(value, float), default=default)
 
 
 class Effect(eqx.Module):
@@ -116,9 +117,12 @@ class DriveEffect(Effect):
 
 
 class ReadoutEffect(Effect):
-    """Acts between the displacement and the recorded voltage. `last` puts it behind all others."""
+    """Acts between the displacement and the recorded voltage. `last` puts it behind all others; a `sharp` one has corners
+    that a lock-in needs many samples to see.
+    """
 
     last: ClassVar[bool] = False
+    sharp: ClassVar[bool] = False
 
     @abc.abstractmethod
     def signal(self, volts: Float[Array, " axes"], now: Moment) -> Float[Array, " axes"]:

@@ -27,4 +27,4 @@ class ElectricalFeedthrough(Coupling, ReadoutEffect):
     strength: Array = strength()
 
     def signal(self, volts: Array, now: Moment) -> Array:
-        return volts + self.strength * self.across(now, now.force)
+        return volts + self.strength * self.across(now, now.command)

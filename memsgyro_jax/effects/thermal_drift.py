@@ -1,13 +1,14 @@
 """Stiffness and damping that change with the temperature."""
 
+import jax.numpy as jnp
 from jaxtyping import Array
 
 from .base import ForceEffect, Moment, strength
 
 
 class ThermalStiffness(ForceEffect):
-    """All stiffnesses times 1 + s·ΔT with s in 1/K and ΔT the temperature above the reference. Zero: none depends on
-    it.
+    """k_xx and k_yy times 1 + s·ΔT with s in 1/K and ΔT the temperature above the reference; the coupling, a matter of
+    angles, stays. Zero: none depends on it.
 
     Shows as a resonance that moves by s·ΔT/2 relative to itself; silicon has about −6e-5/K. A case with one temperature
     cannot see it.
@@ -15,7 +16,7 @@ class ThermalStiffness(ForceEffect):
     Hopcroft, Nix and Kenny, "What is the Young's modulus of silicon?", J. Microelectromech. Syst. 19 (2010) 229.
     """
 
-    name, unit, law = "thermal_drift", "1/K", "all stiffnesses · (1 + s·ΔT)"
+    name, unit, law = "thermal_drift", "1/K", "k_xx and k_yy · (1 + s·ΔT)"
     reference = "Hopcroft, Nix and Kenny, J. Microelectromech. Syst. 19 (2010) 229"
     strength: Array = strength()
 
@@ -26,11 +27,11 @@ class ThermalStiffness(ForceEffect):
 
     def force(self, now: Moment) -> Array:
         device = now.device
-        return -self.strength * now.warming * (device.stiffness_matrix @ now.displacement) / device.mobility
+        return -self.strength * now.warming * jnp.diag(device.stiffness_matrix) * now.displacement / device.mobility
 
 
 class ThermalDamping(ForceEffect):
-    """All dampings times 1 + s·ΔT with s in 1/K and ΔT the temperature above the reference. Zero: none depends on it.
+    """d_xx and d_yy times 1 + s·ΔT with s in 1/K and ΔT the temperature above the reference. Zero: none depends on it.
 
     Shows as a width of the resonance that changes with the temperature: gas grows more viscous, thermoelastic loss
     shifts. A case with one temperature cannot see it.
@@ -38,7 +39,7 @@ class ThermalDamping(ForceEffect):
     Kim et al., "Temperature dependence of quality factor in MEMS resonators", J. Microelectromech. Syst. 17 (2008) 755.
     """
 
-    name, unit, law = "thermal_drift", "1/K", "all dampings · (1 + s·ΔT)"
+    name, unit, law = "thermal_drift", "1/K", "d_xx and d_yy · (1 + s·ΔT)"
     reference = "Kim et al., J. Microelectromech. Syst. 17 (2008) 755"
     strength: Array = strength()
 
@@ -49,4 +50,4 @@ class ThermalDamping(ForceEffect):
 
     def force(self, now: Moment) -> Array:
         device = now.device
-        return -self.strength * now.warming * (device.damping_matrix @ now.velocity) / device.mobility
+        return -self.strength * now.warming * jnp.diag(device.damping_matrix) * now.velocity / device.mobility

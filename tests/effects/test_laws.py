@@ -41,12 +41,12 @@ FORCES = {
     "electrostatic_softening": lambda s, n, a: (
         s * (n.bias_voltage**2 - n.reference_bias**2) * n.displacement[a] * np.eye(2)[a]
     ),
-    "cross_damping_asymmetry": lambda s, n, a: np.array([s / 2 * n.velocity[1], -s / 2 * n.velocity[0]]),
+    "cross_damping_asymmetry": lambda s, n, a: np.array([-s / 2 * n.velocity[1], s / 2 * n.velocity[0]]),
     "quadratic_damping": lambda s, n, a: -s * abs(n.velocity[a]) * n.velocity[a] * np.eye(2)[a],
     "squeeze_film_damping": lambda s, n, a: -s * n.displacement[a] ** 2 * n.velocity[a] * np.eye(2)[a],
     "damping_step": lambda s, n, a: -s * M * D @ n.velocity * (n.time >= 0.4) * (n.record == 0),
-    "thermal_drift stiffness": lambda s, n, a: -s * n.warming * M * K @ n.displacement,
-    "thermal_drift damping": lambda s, n, a: -s * n.warming * M * D @ n.velocity,
+    "thermal_drift stiffness": lambda s, n, a: -s * n.warming * M * np.diag(K) * n.displacement,
+    "thermal_drift damping": lambda s, n, a: -s * n.warming * M * np.diag(D) * n.velocity,
     "parasitic_mode": lambda s, n, a: s * M * (2 * np.pi * 20e3) ** 2 * (n.own[0] - n.displacement[a]) * np.eye(2)[a],
     "rate_offset": lambda s, n, a: 2 * M * s * (1 - n.rate_trusted) * crossed(n),
     "rate_scale_error": lambda s, n, a: 2 * M * s * n.rate * crossed(n),

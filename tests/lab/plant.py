@@ -128,7 +128,7 @@ class Plant:
         if self.hidden.damping_step:
             factor = 1 + self.hidden.damping_step * (mode[self.step_switch] > 0)
             dxx, dyy, dxy = dxx * factor, dyy * factor, dxy * factor
-        skew = 0.5 * self.hidden.cross_damping_asymmetry + 2 * self.die.mass * rows.rate
+        skew = -0.5 * self.hidden.cross_damping_asymmetry + 2 * self.die.mass * rows.rate
         ux, uy = self.applied(rows.command(t), state)
         f = [ux - kxx * x - kxy * y - dxx * vx, uy - kxy * x - kyy * y - dyy * vy]
         f[0], f[1] = f[0] - (dxy - skew) * vy, f[1] - (dxy + skew) * vx

@@ -276,9 +276,9 @@ def test_the_bench_s_records_are_explained_by_their_truth(shared, case):
     names = ("kxx", "kyy", "kxy", "dxx", "dyy", "dxy", "Phix", "Phiy")
     die = Die(1 / t["minv"], *(t[name] for name in names))
     hidden = Hidden(  # there, newtons are nN, lengths µm, dyx and dxy change places, and couplings do not drift
-        cubic_stiffness_x=1e12 * t["k3x"], cross_damping_asymmetry=-t["ddxy"], readout_delay=t["tau"],
+        cubic_stiffness_x=1e12 * t["k3x"], cross_damping_asymmetry=t["ddxy"], readout_delay=t["tau"],
         electrical_feedthrough_x_to_x=1e9 * t["ftxx"], electrical_feedthrough_x_to_y=1e9 * t["ftxy"],
-        thermal_drift_stiffness=t["akT"], thermal_drift_damping=t["adT"], thermal_drift_couplings=False,
+        thermal_drift_stiffness=t["akT"], thermal_drift_damping=t["adT"],
     )  # fmt: skip
     plant = Plant(die, hidden)
     for name, condition in (("sweep_x", "swing"), ("soak", "temperature")):

@@ -1,0 +1,166 @@
+"""The search for missing effects: rank candidates by their scores, refit the best, keep what helps, until nothing does.
+
+One model carries every candidate at strength zero, so that one set of compiled programs serves all scores and refits.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .case_fit import CaseFit, beside
+from .joint import Joint, Optimum, optimise
+from .score import Score, basis, family_p_values, overlap, score
+
+
+LOOK_AHEAD = 3  # candidates that are refitted before one is chosen
+WORTH_A_LOOK = 0.3  # of the best score: below it a candidate is not refitted
+TWINS = 0.999  # overlap from which two candidates cannot both be tried
+ROUNDS = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Ranking:
+    """Scores of all candidates that are not in the model yet, their family-wise p-values, and their sensitivities."""
+
+    places: tuple[int, ...]
+    scores: tuple[Score, ...]
+    p_values: np.ndarray
+    slopes: tuple[np.ndarray, ...]
+
+    @property
+    def order(self) -> list[int]:
+        """Positions in this ranking, the most significant first; among equals the catalogue decides."""
+        return sorted(range(len(self.places)), key=lambda i: (self.scores[i].p_value, -self.scores[i].statistic, i))
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """What one round added (its label) and where the fit stood afterwards."""
+
+    added: str
+    fit: CaseFit
+
+
+class Search:
+    """State of a search; `accepted` are places of effects in the model's tuple."""
+
+    def __init__(self, base: CaseFit, level: float, tell: Callable[[str], None] = lambda text: None):
+        self.case, self.joint, self.level, self.tell = base.case, base.joint, level, tell
+        self.fitted = [r for r in self.joint.readings if r.fitted]
+        self.optimum, self.base = base.optimum, base
+        self.accepted: list[int] = []
+        self.steps = [Step("", base)]
+
+    def candidates(self) -> list[int]:
+        """Effects that are not in the model yet."""
+        return [i for i in range(len(self.joint.model.effects)) if i not in self.accepted]
+
+    def rank(self) -> Ranking:
+        """Scores at the present optimum."""
+        places = self.candidates()
+        blocks = [self.joint.of_effect(i) for i in places]
+        columns = np.concatenate(blocks)
+        _, slopes = self.joint.linearise(self.optimum.vector, np.eye(self.joint.start.size)[columns], self.fitted)
+        slopes = np.where(np.isfinite(slopes), slopes, 0.0)
+        parts = np.split(slopes, np.cumsum([block.size for block in blocks])[:-1], axis=1)
+        q = basis(self.optimum.jacobian)
+        scores = [score(self.optimum.residual, q, part) for part in parts]
+        return Ranking(tuple(places), tuple(scores), family_p_values(scores), tuple(parts))
+
+    def refit(self, places: Sequence[int], start: Optimum | None = None) -> Optimum:
+        """Base and the effects at `places` free."""
+        free = np.concatenate([self.joint.base(), *(self.joint.of_effect(i) for i in places)]).astype(int)
+        return optimise(self.joint, (start or self.optimum).vector, np.sort(free), self.fitted)
+
+    def advance(self, ranking: Ranking) -> bool:
+        """One round: add the best significant candidate, if there is one."""
+        promising = [i for i in ranking.order if ranking.p_values[i] <= self.level][:1]
+        if not promising:
+            return False
+        for i in ranking.order[1:]:
+            worth = ranking.scores[i].statistic >= WORTH_A_LOOK * ranking.scores[promising[0]].statistic
+            news = all(overlap(ranking.scores[i], ranking.scores[j]) < TWINS for j in promising)
+            if worth and news and ranking.p_values[i] <= self.level and len(promising) < LOOK_AHEAD:
+                promising.append(i)
+        labels = [self.joint.model.effects[ranking.places[i]].label for i in promising]
+        self.tell("look closer at " + ", ".join(labels))
+        refits = [self.refit([*self.accepted, ranking.places[i]]) for i in promising]
+        best = int(np.argmin([o.chi2 for o in refits]))
+        if refits[best].chi2 >= self.optimum.chi2:
+            return False
+        self.take(ranking.places[promising[best]], refits[best])
+        return True
+
+    def take(self, place: int, optimum: Optimum) -> None:
+        """Add an effect to the model."""
+        self.accepted.append(place)
+        self.optimum = optimum
+        self.steps.append(Step(self.joint.model.effects[place].label, beside(self.case, self.joint, optimum)))
+        self.tell(f"added {self.joint.model.effects[place].label}: χ²/dof {self.steps[-1].fit.chi2_per_dof:.4g}")
+
+    def prune(self) -> None:
+        """Drop effects that the final model no longer needs: taken early, while the misfit was large."""
+        while len(self.accepted) > 1:
+            scores = [self.own_score(i) for i in self.accepted]
+            weakest = int(np.argmax([s.p_value for s in scores]))
+            if scores[weakest].p_value <= self.level / max(1, len(self.joint.model.effects)):
+                return
+            place = self.accepted.pop(weakest)
+            vector = self.optimum.vector.copy()
+            vector[self.joint.of_effect(place)] = 0.0
+            self.optimum = self.refit(self.accepted, _moved(self.optimum, vector))
+            self.tell(f"dropped {self.joint.model.effects[place].label}, which the others explain")
+            self.steps.append(
+                Step(f"without {self.joint.model.effects[place].label}", beside(self.case, self.joint, self.optimum))
+            )
+
+    def own_score(self, place: int) -> Score:
+        """Score of an accepted effect beside everything else that is free: its Wald statistic."""
+        mine = np.isin(self.optimum.free, self.joint.of_effect(place))
+        estimate = self.optimum.vector[self.optimum.free[mine]]
+        jacobian = self.optimum.jacobian
+        explained = jacobian[:, mine] @ estimate
+        return score(explained, basis(jacobian[:, ~mine]), jacobian[:, mine])
+
+    def jacobian_without(self, place: int) -> np.ndarray:
+        """Sensitivities of everything free but one effect."""
+        return self.optimum.jacobian[:, ~np.isin(self.optimum.free, self.joint.of_effect(place))]
+
+    def run(self, ranking: Ranking | None = None) -> Ranking:
+        """Rounds until nothing is significant, from a ranking of the present model; returns that of the last one."""
+        ranking = self.rank() if ranking is None else ranking
+        for _ in range(ROUNDS):
+            if not self.advance(ranking):
+                break
+            ranking = self.rank()
+        before = len(self.accepted)
+        self.prune()
+        return ranking if before == len(self.accepted) else self.rank()
+
+    @classmethod
+    def resumed(cls, search: "Search", joint: Joint, place: int) -> "Search":
+        """Go on from a search with a larger model whose effect at `place` is new."""
+        free = np.concatenate([joint.base(), *(joint.of_effect(i) for i in (*search.accepted, place))]).astype(int)
+        fitted = [r for r in joint.readings if r.fitted]
+        optimum = optimise(joint, joint.start, np.sort(free), fitted)
+        out = cls(search.steps[-1].fit, search.level, search.tell)
+        out.joint, out.fitted, out.accepted = joint, fitted, list(search.accepted)
+        out.take(place, optimum)
+        return out
+
+
+def _moved(optimum: Optimum, vector: np.ndarray) -> Optimum:
+    return Optimum(
+        vector, optimum.free, optimum.residual, optimum.jacobian, optimum.frozen, optimum.converged, optimum.evaluations
+    )
+
+
+def start_search(case, joint: Joint, level: float, tell: Callable[[str], None]) -> Search:
+    """Fit the base model and begin."""
+    fitted = [r for r in joint.readings if r.fitted]
+    tell("fit the base model")
+    optimum = optimise(joint, joint.start, joint.base(), fitted)
+    base = beside(case, joint, optimum)
+    tell(f"base model: χ²/dof {base.chi2_per_dof:.4g}")
+    return Search(base, level, tell)
