@@ -91,9 +91,11 @@ def _(record: RateTableRecord, white: np.ndarray, predicted: np.ndarray, fit: Ca
         Variable("rate", record.rate),
         Variable("angular acceleration", slope),
     )
+    # Both channels by the phase of the drive: that of the sense channel turns over with the rate.
+    driven = predicted[:, record.axis : record.axis + 1]
     parts = (*_segments(record.time), *_settings("rate", record.rate, "rad/s", (slice(None),)))
     return Series(
-        record.name, _channels(fit.model.axes), white, turned(white, predicted), (slice(None),), parts, (), variables
+        record.name, _channels(fit.model.axes), white, turned(white, driven), (slice(None),), parts, (), variables
     )
 
 
