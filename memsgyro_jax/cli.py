@@ -251,6 +251,63 @@ def check(
     run(case)
 
 
+@app.command
+def compare(
+    case: Path,
+    /,
+    *,
+    model: Path | None = None,
+    effects: Path | None = None,
+    json: Path | None = None,
+) -> None:
+    """Where a model fails to explain a measurement case.
+
+    Prints the error of every experiment over its noise, then each failure:
+    experiment, drive level, temperature or time, frequency, channel.
+
+    Args:
+        case: folder with a case.toml and the CSV files that it names.
+        model: a model file, taken as it is; without it the base model is fitted.
+        effects: a Python file with effects of your own that the model has. It is run: trust it first.
+        json: file for the machine-readable result.
+    """
+    from .runtime import configure
+
+    configure()
+    from .compare_command import run
+
+    run(case, model, json, effects)
+
+
+@app.command
+def fit(
+    case: Path,
+    /,
+    *,
+    add: Annotated[tuple[str, ...], cyclopts.Parameter(consume_multiple=True)] = (),
+    effects: Path | None = None,
+    out: Path | None = None,
+    json: Path | None = None,
+) -> None:
+    """Fit a model with named effects to a measurement case.
+
+    Prints the error of every experiment before and after, also of those that are not fitted.
+
+    Args:
+        case: folder with a case.toml and the CSV files that it names.
+        add: names of effects, each with its variant ("cubic_stiffness x") or alone for all its variants.
+        effects: a Python file with effects of your own. It is run: trust it first.
+        out: file for the fitted model, for `memsgyro compare --model`.
+        json: file for the machine-readable result.
+    """
+    from .runtime import configure
+
+    configure()
+    from .fit_command import run
+
+    run(case, add, out, json, effects)
+
+
 def _with_unit(number: float | None, unit: str) -> dict[str, object] | None:
     """A number of the command line as a study file would hold it."""
     return None if number is None else {"value": number, "unit": unit}
