@@ -205,7 +205,9 @@ def judged(fit: CaseFit, *, level: float = LEVEL, fitted: bool = True) -> Compar
 
 def times(ratio: float) -> str:
     """A ratio to the noise, with digits enough and no power of ten below a million."""
-    return f"{ratio:.0f}" if 1e3 <= ratio < 1e6 else f"{ratio:.3g}"
+    if ratio < 99.95:
+        return f"{ratio:#.3g}"
+    return f"{ratio:.0f}" if ratio < 1e6 else f"{ratio:.3g}"
 
 
 def finite(value: float) -> float | None:
