@@ -19,7 +19,7 @@ def basis(jacobian: np.ndarray, null: float = 1e-7) -> np.ndarray:
     """Orthonormal basis (r, k) of the columns of a Jacobian, without the directions that the data do not hold."""
     size = np.linalg.norm(jacobian, axis=0)
     u, s, _ = np.linalg.svd(jacobian / np.where(size > 0, size, 1.0), full_matrices=False)
-    return u[:, s > null * s[0]]
+    return u[:, s > null * s.max(initial=0.0)]
 
 
 @dataclass(frozen=True, eq=False)
