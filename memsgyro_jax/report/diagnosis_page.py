@@ -134,7 +134,7 @@ def _ranking(out: Page, diagnosis: Diagnosis) -> None:
 
 def _candidate(c: Candidate) -> list[str]:
     p = f"{c.p_value:.2g}" if c.p_value >= 1e-12 else "< 1e-12"
-    return [c.label, times(c.score), f"{100 * c.explained_share:.2g} %", p, f"{100 * c.kept_share:.2g} %"]
+    return [c.label, times(c.score), f"{100 * c.explained_share:.3g} %", p, f"{100 * c.kept_share:.3g} %"]
 
 
 def _blind(out: Page, diagnosis: Diagnosis) -> None:

@@ -62,6 +62,7 @@ def time_figure(found: TimeForce, axis: int, motion: tuple[float, str], force: t
     """The force on an axis against its displacement, its velocity, and time; factors and units as for a sweep."""
     figure = Figure(figsize=(WIDTH, 2.8), layout="constrained")
     left, middle, right = figure.subplots(1, 3)
+    middle.sharey(left)
     _with_error(left, found.against_displacement(axis), motion[0], force[0])
     _with_error(middle, found.against_velocity(axis), motion[0] * 1e-3, force[0])
     course = found.against_time()
@@ -71,12 +72,16 @@ def time_figure(found: TimeForce, axis: int, motion: tuple[float, str], force: t
     right.set_xlabel("time [s]")
     left.set_ylabel(f"mean force [{force[1]}]")
     right.set_ylabel(f"rms force [{force[1]}]")
-    middle.sharey(left)
+    for ax in (left, middle, right):
+        ax.xaxis.set_major_locator(MaxNLocator(5))
     return _plain(figure)
 
 
 def rate_figure(found: RateResidual, unit: str) -> Figure:
-    """What is left of a rate table, in phase with displacement and velocity of the driven axis, per channel."""
+    """What is left of a rate table, in phase with displacement and velocity of the driven axis, per channel; volts are
+    shown as millivolts.
+    """
+    size, unit = (1e3, "mV") if unit == "V" else (1.0, unit)
     views = [(found.time, 1.0, "time [s]")]
     if found.rate is not None:
         views.insert(0, (found.rate, np.degrees(1.0), "rate [deg/s]"))
@@ -87,7 +92,7 @@ def rate_figure(found: RateResidual, unit: str) -> Figure:
         for column, (binned, factor, name) in enumerate(views):
             ax = grid[channel, column]
             for part, colour, label in ((0, FINAL, "like displacement"), (1, BASE, "like velocity")):
-                mean, error = binned.mean[:, channel, part], binned.error[:, channel, part]
+                mean, error = size * binned.mean[:, channel, part], size * binned.error[:, channel, part]
                 ax.errorbar(
                     factor * binned.centre, mean, error, fmt=".", color=colour, ms=4, elinewidth=0.8, label=label
                 )
