@@ -308,6 +308,41 @@ def fit(
     run(case, add, out, json, effects)
 
 
+@app.command
+def diagnose(
+    case: Path,
+    /,
+    *,
+    model: Path | None = None,
+    effects: Path | None = None,
+    level: float = 0.05,
+    out: Path | None = None,
+    json: Path | None = None,
+    report: Path | None = None,
+) -> None:
+    """Which physics is missing from the model of a measurement case, or that none is.
+
+    Prints a verdict, the effects that the model needs with their strengths,
+    how far the error falls, also on records that are not fitted,
+    and what to measure next where these records cannot tell.
+
+    Args:
+        case: folder with a case.toml and the CSV files that it names, or the word demo for the one that comes along.
+        model: a model file to start from, with the effects it has; without it the base model is fitted.
+        effects: a Python file with effects of your own, tried beside the catalogue. It is run: trust it first.
+        level: probability that an effect is reported where none is missing.
+        out: file for the fitted model, for `memsgyro compare --model`.
+        json: file for the machine-readable result.
+        report: file for a page with the ranking, the curves and the residual.
+    """
+    from .runtime import configure
+
+    configure()
+    from .diagnose_command import run
+
+    run(case, model, effects, out, json, report, level)
+
+
 def _with_unit(number: float | None, unit: str) -> dict[str, object] | None:
     """A number of the command line as a study file would hold it."""
     return None if number is None else {"value": number, "unit": unit}

@@ -65,3 +65,30 @@ class _Lines:
         passed, since = now - self.start[0], done - self.start[1]
         left = f", about {passed * (total - done) / since:.0f} s left" if since > 0 and done < total else ""
         print(f"{done} of {total} {self.what}{left}", file=sys.stderr, flush=True)
+
+
+@contextmanager
+def told() -> Iterator[Callable[[str], None]]:
+    """Gives a function of a sentence that says, on standard error, what happens now: a line each, with the time passed.
+
+    On a terminal the last line turns until the next one comes.
+    """
+    start = time.monotonic()
+    if not sys.stderr.isatty():
+        yield lambda text: print(_timed(start, text), file=sys.stderr, flush=True)
+        return
+    from rich.console import Console
+    from rich.text import Text
+
+    console = Console(stderr=True)
+    with console.status("reading") as status:
+
+        def tell(text: str) -> None:
+            console.print(Text(_timed(start, text), style="dim"))
+            status.update(Text(text))
+
+        yield tell
+
+
+def _timed(start: float, text: str) -> str:
+    return f"{time.monotonic() - start:5.0f} s  {text}"
