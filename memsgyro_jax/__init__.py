@@ -86,22 +86,43 @@ _CONTENTS = {
     "Bench": "experiments",
     "PolarNoise": "experiments",
     "CartesianNoise": "experiments",
-    "fit": "fit",
-    "Fit": "fit",
     "Free": "free",
+    "Resonator": "resonator",
+    "Model": "model",
+    "load_case": "case",
+    "write_case": "case",
+    "Case": "case",
+    "DesignValue": "case",
+    "Environment": "case",
+    "FrequencySweepRecord": "case",
+    "RingDownRecord": "case",
+    "RateTableRecord": "case",
+    "TimeRecord": "case",
+    "assess": "case",
+    "CaseQuality": "case",
+    "load_effects": "effects",
+    "compare": "compare",
+    "Comparison": "compare",
+    "fit": "case_fit",
+    "CaseFit": "case_fit",
+    "diagnose": "diagnose",
+    "Diagnosis": "diagnosis",
 }
+_FOLDERS = ("effects",)  # used by name: `mg.effects.CubicStiffness("x")`
 
-__all__ = [*_CONTENTS, "__version__"]
+__all__ = [*_CONTENTS, *_FOLDERS, "__version__"]
 
 
 def __getattr__(name: str) -> object:
     if name in _CONTENTS:
         return getattr(import_module(f"{__name__}.{_CONTENTS[name]}"), name)
+    if name in _FOLDERS:
+        return import_module(f"{__name__}.{name}")
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return sorted([*globals(), *_CONTENTS])
+    return sorted([*globals(), *_CONTENTS, *_FOLDERS])
 
 
 class _Contents(ModuleType):

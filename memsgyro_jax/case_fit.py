@@ -7,11 +7,13 @@ from functools import cached_property
 import numpy as np
 
 from .case import Case
+from .device import SingleMassGyro
 from .effects.base import Effect
 from .joint import Joint, Optimum, Parameter, optimise
 from .model import Model, check_effect
 from .noise_level import noise_level
 from .readings import Readings, model_of, readings_of
+from .resonator import Resonator
 from .start import starting_device
 
 
@@ -139,6 +141,20 @@ class CaseFit:
         ]
         lines += [f"  {p.name:<24} {p.value: .6g} ± {p.std:.2g} {p.unit}" for p in self.estimates]
         return "\n".join(lines)
+
+
+def fit(model: Model | SingleMassGyro | Resonator | None, case: Case, *, effects: Sequence[Effect] = ()) -> CaseFit:
+    """The maximum-likelihood fit of a model, with all its effects and further ones, to all records of a case.
+
+    Args:
+        model: a `Model`, or a device to start from; `None` takes a start from the data.
+        case: from `load_case`.
+        effects: beside those of the model; their strengths start at the values they carry.
+
+    **Raises:** `InputError` in float32, or where an effect or the device does not suit the case.
+    """
+    whole = model if isinstance(model, Model) or model is None else model_of(case, model)
+    return fit_case(case, effects, model=whole)
 
 
 def fit_case(case: Case, effects: Sequence[Effect] = (), *, model: Model | None = None, held: bool = False) -> CaseFit:

@@ -1,7 +1,7 @@
 """Inverses of many small matrices at once.
 
-LAPACK takes them one by one and, called from compiled loops on several threads, may wait for itself; elimination written
-out vectorises over the batch.
+LAPACK takes them one by one and, called from compiled loops on several threads, may wait for itself; elimination
+written out vectorises over the batch.
 """
 
 import jax

@@ -66,8 +66,16 @@ class Joint:
         return np.array([i for i, p in enumerate(self.parameters) if p.effect == effect])
 
     def residual(self, vector: np.ndarray, chosen: Sequence[Readings]) -> list[np.ndarray]:
-        """Whitened residual of each of the chosen readings, shape of the whitened record."""
-        return self._each(chosen, lambda r: np.asarray(_residual(jnp.asarray(vector), self.model, self.spec, r.experiment)))
+        """Whitened residual of each of the chosen readings."""
+        fitted = {_shape(r.experiment) for r in self.readings if r.fitted}
+
+        def one(r: Readings) -> np.ndarray:
+            at = jnp.asarray(vector)
+            if _shape(r.experiment) in fitted:  # a program exists; to compile one without slopes takes longer
+                return np.asarray(_linearise(at, jnp.zeros((WIDTH, at.size)), self.model, self.spec, r.experiment)[0])
+            return np.asarray(_residual(at, self.model, self.spec, r.experiment))
+
+        return self._each(chosen, one)
 
     def linearise(
         self, vector: np.ndarray, directions: np.ndarray, chosen: Sequence[Readings]
@@ -91,6 +99,11 @@ class Joint:
     def _each(self, chosen: Sequence[Readings], function) -> list:
         with ThreadPoolExecutor(max(1, min(usable_cores(), len(chosen)))) as pool:
             return list(pool.map(function, chosen))
+
+
+def _shape(experiment: Experiment) -> tuple:
+    """What decides which compiled program an experiment runs through, for the most part."""
+    return type(experiment), *(leaf.shape for leaf in jax.tree.leaves(experiment))
 
 
 @eqx.filter_jit
@@ -187,40 +200,52 @@ def _sizes(jacobian: np.ndarray) -> np.ndarray:
 
 
 def optimise(
-    joint: Joint, vector: np.ndarray, places: np.ndarray, chosen: Sequence[Readings], *, max_evaluations: int = 30
+    joint: Joint,
+    vector: np.ndarray,
+    places: np.ndarray,
+    chosen: Sequence[Readings],
+    *,
+    known: tuple[np.ndarray, np.ndarray] | None = None,
+    max_evaluations: int = 30,
 ) -> Optimum:
     """Move the parameters at `places` to the maximum of the likelihood of the chosen readings.
 
     Directions that the data do not hold are frozen where they are, for a drifting nuisance destroys every later test.
+
+    Args:
+        joint: residual and sensitivities.
+        vector: all parameters at the start.
+        places: of those that move.
+        chosen: the readings.
+        known: residual and Jacobian by those parameters at the start, where they are known already.
+        max_evaluations: bound on evaluations; 0 only evaluates.
     """
     units = np.eye(vector.size)[places]
-    _, jacobian = joint.linearise(vector, units, chosen)
-    size = _sizes(jacobian)
-    _, s, vt = np.linalg.svd(jacobian / size, full_matrices=False)
-    frozen = vt[s <= NULL * s[0]]
+    value, slope = joint.linearise(vector, units, chosen) if known is None else known
+    size = _sizes(slope)
+    _, s, vt = np.linalg.svd(slope / size, full_matrices=False)
+    held = s > NULL * s[0]
+    if max_evaluations == 0:
+        return Optimum(vector, places, value, slope, vt[~held], True, 1)
     # A unit of the optimiser is `REACH` standard deviations, so that its first step is one of Gauss and Newton.
-    directions = REACH * (vt[s > NULL * s[0]] / size) @ units
-    cache: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
+    mixing = REACH * vt[held] / size
+    cache = {np.zeros(len(mixing)).tobytes(): (value, slope @ mixing.T)}
 
     def both(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         if z.tobytes() not in cache:
+            new, along = joint.linearise(vector + z @ mixing @ units, mixing @ units, chosen)
             cache.clear()
-            value, slope = joint.linearise(vector + z @ directions, directions, chosen)
-            cache[z.tobytes()] = np.where(np.isfinite(value), value, 1e6), np.where(np.isfinite(slope), slope, 0.0)
+            cache[z.tobytes()] = np.where(np.isfinite(new), new, 1e6), np.where(np.isfinite(along), along, 0.0)
         return cache[z.tobytes()]
 
-    if max_evaluations == 0:
-        value, slope = joint.linearise(vector, units, chosen)
-        return Optimum(vector, places, value, slope, frozen, True, 1)
     found = least_squares(
         lambda z: both(z)[0],
-        np.zeros(len(directions)),
+        np.zeros(len(mixing)),
         jac=lambda z: both(z)[1],
-        ftol=1e-9,
+        ftol=1e-8,
         xtol=1e-12,
         gtol=STATIONARY * REACH,
         max_nfev=max_evaluations,
     )
-    end = vector + found.x @ directions
-    value, slope = joint.linearise(end, units, chosen)
-    return Optimum(end, places, value, slope, frozen, bool(found.success), int(found.nfev))
+    end, back = vector + found.x @ mixing @ units, np.linalg.pinv(mixing.T)
+    return Optimum(end, places, found.fun, found.jac @ back, vt[~held], bool(found.success), int(found.nfev))

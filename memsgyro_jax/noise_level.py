@@ -15,8 +15,9 @@ def noise_level(record: AbstractRecord) -> float:
 def estimated_noise(record: AbstractRecord) -> float:
     """White noise level from the record alone.
 
-    Raw captures: the spectrum in the uppermost fifth of the band, where a resonator far below hardly answers. Sweeps and
-    lock-in series: third differences, which smooth curves do not have, by their median, which resonances do not move.
+    Raw captures: the spectrum in the uppermost fifth of the band, where a resonator far below hardly answers. Sweeps
+    and lock-in series: third differences, which smooth curves do not have, by their median, which resonances do not
+    move.
     """
     values = np.asarray(record.readings)
     parts = np.stack([values.real, values.imag], axis=-1) if np.iscomplexobj(values) else values[..., None]

@@ -98,7 +98,11 @@ def _biased(sweep: HarmonicSweep) -> HarmonicSweep:
 
 
 _CHANGES: tuple[tuple[type[Experiment], str, Callable], ...] = (
-    (RateTable, "repeat `{name}` at known rate: steps and sines of ±100 deg/s from a calibrated reference", _calibrated),
+    (
+        RateTable,
+        "repeat `{name}` at known rate: steps and sines of 100 deg/s, calibrated",
+        _calibrated,
+    ),
     (HarmonicSweep, "repeat the frequency sweeps at 3 times the drive", _driven(3.0)),
     (HarmonicSweep, "repeat the frequency sweeps with the other axis driven", _other_axis),
     (HarmonicSweep, "repeat the frequency sweeps 40 K below and above the temperature", _heated),

@@ -4,6 +4,7 @@ Records of one kind that run through one program are laid together, so that few 
 reading keeps the number of its record and whether it may be fitted: what is not fitted validates.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import equinox as eqx
@@ -22,6 +23,7 @@ from .noise_level import noise_level
 
 
 PHASE_STEP = 0.1  # of the highest mode per integration step where a nonlinear part is integrated [rad]
+BLOCKS = 2000  # of a rate table that are compared; longer records are averaged to about as many
 RING_TIMES = 12  # amplitude time constants after which an unknown start has died out
 
 
@@ -55,9 +57,17 @@ def readings_of(case: Case) -> tuple[Readings, ...]:
         undeclared = not (isinstance(record, RingDownRecord) and others)
         fitted = undeclared if record.role is None else record.role == "fit"
         experiment = _EXPERIMENTS[type(record)](case, index, record)
-        rows = np.arange(record.rows)[-experiment.measured.shape[0] :]
+        rows = _rows(record, experiment.measured.shape[0])
         out.append(Readings(experiment, np.full(rows.size, index), rows, fitted))
     return tuple(out)
+
+
+def _rows(record: AbstractRecord, count: int) -> np.ndarray:
+    """The row of a record at which each compared reading stands."""
+    if isinstance(record, RateTableRecord):
+        merged = merged_blocks(record)
+        return np.arange(count) * merged + (merged - 1) // 2
+    return np.arange(record.rows)[-count:]
 
 
 def _sweeps(case: Case, records: list[tuple[int, FrequencySweepRecord]]) -> list[Readings]:
@@ -104,7 +114,16 @@ def _harmonic_sweep(case, records, rows: np.ndarray, real: np.ndarray) -> Harmon
             record=joined(lambda i, r: np.full(r.rows, float(i))),
         ).rows(len(rows)),
         near=jnp.asarray(measured / case.readout.scale),
+        direction=jnp.asarray(joined(_direction)),
     )
+
+
+def _direction(_: int, record: FrequencySweepRecord) -> np.ndarray:
+    """+1 in sweeps whose frequency rises, −1 in those where it falls."""
+    out = np.ones(record.rows)
+    for rows in record.sweeps:
+        out[rows] = -1.0 if record.frequency[rows][-1] < record.frequency[rows][0] else 1.0
+    return out
 
 
 def _ring_down(case: Case, index: int, record: RingDownRecord) -> RingDown:
@@ -127,24 +146,37 @@ def _ring_down(case: Case, index: int, record: RingDownRecord) -> RingDown:
 
 
 def _rate_table(case: Case, index: int, record: RateTableRecord) -> RateTable:
-    rate = np.asarray(record.rate)
-    surroundings = _surroundings(case, index, record.rows, rate, time=record.time)
-    slope = np.gradient(rate, record.period) if record.rows > 1 else np.zeros(1)
+    """Long records are compared in means of a few blocks: of white noise nothing is lost, and a mean rate within a few
+    milliseconds moves a resonator with a ring time of many as the rate itself.
+    """
+    merged = merged_blocks(record)
+    count = record.rows // merged
+
+    def means(values: np.ndarray) -> np.ndarray:
+        return np.asarray(values)[: count * merged].reshape(count, merged, *np.shape(values)[1:]).mean(axis=1)
+
+    slope = np.gradient(record.rate, record.period) if record.rows > 1 else np.zeros(1)
+    surroundings = _surroundings(case, index, count, means(record.rate), time=means(record.time))
     surroundings = eqx.tree_at(
         lambda c: (c.angular_acceleration, c.rate_trusted),
         surroundings,
-        (jnp.asarray(slope), jnp.full(record.rows, float(record.rate_calibrated))),
+        (jnp.asarray(means(slope)), jnp.full(count, float(record.rate_calibrated))),
     )
     return RateTable(
         name=record.name,
-        time=jnp.asarray(record.time),
-        measured=jnp.asarray(record.phasors),
-        noise=CartesianNoise(noise_level(record)),
+        time=jnp.asarray(means(record.time)),
+        measured=jnp.asarray(means(record.phasors)),
+        noise=CartesianNoise(noise_level(record) / np.sqrt(merged)),
         frequency=jnp.asarray(record.drive_frequency),
         force=jnp.asarray(record.drive_force * np.eye(case.channels)[record.axis]),
         surroundings=surroundings,
-        block_cycles=record.lock_in_cycles,
+        block_cycles=record.lock_in_cycles * merged,
     )
+
+
+def merged_blocks(record: RateTableRecord) -> int:
+    """How many lock-in blocks of a long record are compared as one."""
+    return max(1, record.rows // BLOCKS)
 
 
 def _time_record(case: Case, index: int, record: RawRecord) -> TimeRecord:
@@ -171,7 +203,11 @@ def _time_record(case: Case, index: int, record: RawRecord) -> TimeRecord:
     )
 
 
-_EXPERIMENTS = {RingDownRecord: _ring_down, RateTableRecord: _rate_table, RawRecord: _time_record}
+_EXPERIMENTS: dict[type, Callable[..., Experiment]] = {
+    RingDownRecord: _ring_down,
+    RateTableRecord: _rate_table,
+    RawRecord: _time_record,
+}
 
 
 def _between(forces: np.ndarray, substeps: int, hold: str) -> np.ndarray:

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array
 
 from .case import Case, FrequencySweepRecord
+from .case.device import resonances
 from .effects import Coverage, DampingStep, ParasiticMode, Scanned, catalogue
 from .experiments import HarmonicSweep
 from .joint import Optimum
@@ -33,11 +34,12 @@ class Found:
 def coverage(case: Case) -> Coverage:
     """What the records of a case cover."""
     bands = [r.frequency for r in case.records if isinstance(r, FrequencySweepRecord)]
-    drives = [np.atleast_1d(r.drive_frequency) for r in case.records if hasattr(r, "drive_frequency")]
-    clocks = [2 * np.pi * np.array([0.02, 0.25]) / r.period for r in case.records if hasattr(r, "hold")]
-    every = np.concatenate([*bands, *(drives if not clocks else clocks)] or [np.array([1.0, 2.0])])
+    low, high = resonances(case.design)
+    every = np.concatenate([*bands, [0.8 * low, 1.2 * high]])
     volts = max(float(np.max(np.abs(r.readings))) for r in case.records)
-    durations = tuple(float(r.time[-1]) if getattr(r, "period", None) else 0.0 for r in case.records)
+    durations = tuple(
+        0.0 if isinstance(r, FrequencySweepRecord) else float(getattr(r, "time", [0.0])[-1]) for r in case.records
+    )
     return Coverage((float(every.min()), float(every.max())), volts, durations)
 
 

@@ -4,7 +4,7 @@ One model carries every candidate at strength zero, so that one set of compiled 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,9 +14,10 @@ from .score import Score, basis, family_p_values, overlap, score
 
 
 LOOK_AHEAD = 3  # candidates that are refitted before one is chosen
-WORTH_A_LOOK = 0.3  # of the best score: below it a candidate is not refitted
+WORTH_A_LOOK = 0.5  # of the best score: below it a candidate is not refitted
 TWINS = 0.999  # overlap from which two candidates cannot both be tried
 ROUNDS = 8
+GLANCE, LONG = 5, 30  # evaluations to compare candidates, and to settle on one
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,29 +69,57 @@ class Search:
         scores = [score(self.optimum.residual, q, part) for part in parts]
         return Ranking(tuple(places), tuple(scores), family_p_values(scores), tuple(parts))
 
-    def refit(self, places: Sequence[int], start: Optimum | None = None) -> Optimum:
-        """Base and the effects at `places` free."""
+    def refit(self, places: Sequence[int], slopes: np.ndarray | None = None, evaluations: int = 30) -> Optimum:
+        """Base and the effects at `places` free; `slopes` are the sensitivities of the last of them, if known."""
         free = np.concatenate([self.joint.base(), *(self.joint.of_effect(i) for i in places)]).astype(int)
-        return optimise(self.joint, (start or self.optimum).vector, np.sort(free), self.fitted)
+        order, known = np.argsort(free), None
+        if slopes is not None:
+            known = self.optimum.residual, self._jacobian_of(free[: free.size - slopes.shape[1]], slopes)[:, order]
+        return optimise(
+            self.joint, self.optimum.vector, free[order], self.fitted, known=known, max_evaluations=evaluations
+        )
+
+    def _jacobian_of(self, free: np.ndarray, more: np.ndarray) -> np.ndarray:
+        """Columns of the present Jacobian in the order of `free`, and `more` columns."""
+        columns = [int(np.flatnonzero(self.optimum.free == i)[0]) for i in free]
+        return np.concatenate([self.optimum.jacobian[:, columns], more], axis=1)
 
     def advance(self, ranking: Ranking) -> bool:
         """One round: add the best significant candidate, if there is one."""
-        promising = [i for i in ranking.order if ranking.p_values[i] <= self.level][:1]
-        if not promising:
+        if not ranking.places or ranking.p_values[ranking.order[0]] > self.level:
             return False
-        for i in ranking.order[1:]:
+        promising = [self.first_twin(ranking)]
+        for i in ranking.order:
             worth = ranking.scores[i].statistic >= WORTH_A_LOOK * ranking.scores[promising[0]].statistic
             news = all(overlap(ranking.scores[i], ranking.scores[j]) < TWINS for j in promising)
             if worth and news and ranking.p_values[i] <= self.level and len(promising) < LOOK_AHEAD:
                 promising.append(i)
         labels = [self.joint.model.effects[ranking.places[i]].label for i in promising]
         self.tell("look closer at " + ", ".join(labels))
-        refits = [self.refit([*self.accepted, ranking.places[i]]) for i in promising]
+        refits = [
+            self.refit([*self.accepted, ranking.places[i]], ranking.slopes[i], GLANCE if len(promising) > 1 else LONG)
+            for i in promising
+        ]
         best = int(np.argmin([o.chi2 for o in refits]))
         if refits[best].chi2 >= self.optimum.chi2:
             return False
-        self.take(ranking.places[promising[best]], refits[best])
+        before, self.optimum = self.optimum, refits[best]
+        place = ranking.places[promising[best]]
+        if not refits[best].converged:
+            refits[best] = self.refit([*self.accepted, place], None, LONG)
+        self.optimum = before
+        self.take(place, refits[best])
         return True
+
+    def first_twin(self, ranking: Ranking) -> int:
+        """The best candidate, or the one that stands first in the catalogue of those that explain the same."""
+        best = ranking.order[0]
+        same = [
+            i
+            for i, mine in enumerate(ranking.scores)
+            if mine.size == ranking.scores[best].size and overlap(mine, ranking.scores[best]) >= TWINS
+        ]
+        return min([best, *same])
 
     def take(self, place: int, optimum: Optimum) -> None:
         """Add an effect to the model."""
@@ -109,7 +138,8 @@ class Search:
             place = self.accepted.pop(weakest)
             vector = self.optimum.vector.copy()
             vector[self.joint.of_effect(place)] = 0.0
-            self.optimum = self.refit(self.accepted, _moved(self.optimum, vector))
+            self.optimum = replace(self.optimum, vector=vector)
+            self.optimum = self.refit(self.accepted)
             self.tell(f"dropped {self.joint.model.effects[place].label}, which the others explain")
             self.steps.append(
                 Step(f"without {self.joint.model.effects[place].label}", beside(self.case, self.joint, self.optimum))
@@ -148,12 +178,6 @@ class Search:
         out.joint, out.fitted, out.accepted = joint, fitted, list(search.accepted)
         out.take(place, optimum)
         return out
-
-
-def _moved(optimum: Optimum, vector: np.ndarray) -> Optimum:
-    return Optimum(
-        vector, optimum.free, optimum.residual, optimum.jacobian, optimum.frozen, optimum.converged, optimum.evaluations
-    )
 
 
 def start_search(case, joint: Joint, level: float, tell: Callable[[str], None]) -> Search:

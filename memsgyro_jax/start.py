@@ -10,8 +10,8 @@ from .case import Case, FrequencySweepRecord, RateTableRecord, RingDownRecord
 from .case import TimeRecord as RawRecord
 from .case.device import resonances
 from .errors import InputError
-from .normalised import NormalisedDevice
 from .noise_level import noise_level
+from .normalised import NormalisedDevice
 
 
 ROUNDS = 12
@@ -23,12 +23,12 @@ def starting_device(case: Case) -> NormalisedDevice:
 
     **Raises:** `InputError` where no record drives the device in a known way.
     """
-    rows = [_phasors(case, record) for record in case.records if record.role != "validation"]
-    rows = [row for row in rows if row is not None]
+    offered = [_phasors(case, record) for record in case.records if record.role != "validation"]
+    rows = [row for row in offered if row is not None]
     if not rows:
         return design_device(case)
     omega, motion, force, weight = (np.concatenate(part) for part in zip(*rows, strict=True))
-    device = None
+    device = _solve(omega, motion, force, weight / omega**2)
     for _ in range(ROUNDS):
         device = _solve(omega, motion, force, weight * _response_weight(device, omega, motion.shape[1]))
     if not (np.all(np.linalg.eigvalsh(_matrix(device[0])) > 0) and np.all(np.diag(_matrix(device[1])) > 0)):
@@ -90,9 +90,8 @@ def _lines(case: Case, record: RawRecord) -> tuple:
 
 def _response_weight(device, omega: np.ndarray, axes: int) -> np.ndarray:
     """Size of the displacement per equation error at each frequency."""
-    if device is None:
-        return 1 / omega**2
-    operator = _matrix(device[0]) - omega[:, None, None] ** 2 * np.eye(axes) + 1j * omega[:, None, None] * _matrix(device[1])
+    turn = 1j * omega[:, None, None]
+    operator = _matrix(device[0]) + turn**2 * np.eye(axes) + turn * _matrix(device[1])
     return np.linalg.norm(np.linalg.inv(operator), axis=(1, 2))
 
 

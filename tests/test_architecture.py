@@ -22,9 +22,13 @@ ORDER = [
     *("noise", "device", "propagate", "readout", "observers", "controllers"),
     *("filters", "scenario", "loop", "engine", "provenance", "pictures", "trace"),
     *("bound", "merit", "spread", "store", "lot", "summary", "sweep", "study"),
-    *("free", "measurement", "couplings", "modal", "experiments", "fit", "ratio", "sweep_start", "likelihood"),
-    *("sweep_figures", "identification", "identify", "identify_ratio"),
-    *("report", "progress", "study_options", "sweep_command", "simulate_command", "identify_command", "cli"),
+    *("resonator", "normalised", "effects", "elimination", "model", "steady", "envelope"),
+    *("free", "measurement", "case", "noise_level", "couplings", "modal", "experiments", "fit", "ratio"),
+    *("sweep_start", "likelihood", "sweep_figures", "identification", "identify", "identify_ratio"),
+    *("readings", "start", "joint", "model_file", "case_fit", "misfit", "case_series", "residual_force", "compare"),
+    *("score", "search", "scanning", "plans", "diagnosis", "diagnose"),
+    *("report", "progress", "study_options", "sweep_command", "simulate_command", "identify_command"),
+    *("check_command", "compare_command", "fit_command", "diagnose_command", "effects_command", "cli"),
 ]
 
 TOP_LEVEL = {
@@ -52,8 +56,13 @@ def imported(path: Path) -> set[str]:
             base = package[: len(package) - node.level + 1] if node.level else ()
             module = [*base, *(node.module.split(".") if node.module else [])]
             names += [[*module, alias.name] for alias in node.names]
-    second = {name[1] for name in names if name[0] == "memsgyro_jax" and len(name) > 1}
-    return {memsgyro_jax._CONTENTS.get(name, name) for name in second} & set(ORDER)
+    # `from memsgyro_jax import fit` means the public name, `from .fit import Fit` the module.
+    places = {
+        memsgyro_jax._CONTENTS.get(name[1], name[1]) if len(name) == 2 else name[1]
+        for name in names
+        if name[0] == "memsgyro_jax" and len(name) > 1
+    }
+    return places & set(ORDER)
 
 
 def repository_files() -> list[Path]:

@@ -93,7 +93,7 @@ class Effect(eqx.Module):
 
     def along(self, now: Moment, value: Array) -> Float[Array, " axes"]:
         """A vector with `value` on the effect's own axis and zero elsewhere."""
-        return jnp.zeros_like(now.displacement).at[self.axis].set(value)
+        return jnp.zeros_like(now.displacement).at[getattr(self, "axis", 0)].set(value)
 
 
 class ForceEffect(Effect):
@@ -117,8 +117,9 @@ class DriveEffect(Effect):
 
 
 class ReadoutEffect(Effect):
-    """Acts between the displacement and the recorded voltage. `last` puts it behind all others; a `sharp` one has corners
-    that a lock-in needs many samples to see.
+    """Acts between the displacement and the recorded voltage.
+
+    `last` puts it behind all others; a `sharp` one has corners that a lock-in needs many samples to see.
     """
 
     last: ClassVar[bool] = False
@@ -135,5 +136,3 @@ class SweepEffect(Effect):
     @abc.abstractmethod
     def speed(self) -> Array:
         """Speed of the sweep [rad/s²]."""
-
-

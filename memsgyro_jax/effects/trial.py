@@ -32,10 +32,12 @@ def moments(effect: Effect, axes: int, count: int = 5) -> Moment:
 
     stiffness, damping = ([1.5e10, 1.6e10, 1e8], [20.0, 25.0, 1.0]) if axes == 2 else ([1.5e10], [20.0])
     device = NormalisedDevice(jnp.asarray(stiffness), jnp.asarray(damping), 5e6)
+    push = vector(1e-8)
     return Moment(
         displacement=vector(1e-6),
         velocity=vector(0.1),
-        force=vector(1e-8),
+        command=push,
+        force=push,
         own=vector(1e-6, effect.own_size),
         rate=scalar(1.0),
         angular_acceleration=scalar(10.0),

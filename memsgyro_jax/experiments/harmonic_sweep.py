@@ -1,10 +1,12 @@
-"""Frequency sweep of a `Model` with any effects, every row at its own condition: drive level, temperature, bias, rate."""
+"""Frequency sweep of a `Model` with any effects, each row at its own condition: drive, temperature, bias, rate."""
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Complex, Float
 
+from ..effects.base import SweepEffect
+from ..elimination import inverse
 from ..model import Conditions, Model
 from ..steady import fundamental, steady_state
 from .base import Experiment, Noise
@@ -24,6 +26,7 @@ class HarmonicSweep(Experiment):
         noise: how far they may lie from the prediction.
         surroundings: conditions per row.
         near: displacement phasors (n, axes) [m] that say which branch of a folded resonance is meant.
+        direction: +1 where the frequency rose towards a row, −1 where it fell.
     """
 
     name: str = eqx.field(static=True)
@@ -33,15 +36,20 @@ class HarmonicSweep(Experiment):
     noise: Noise
     surroundings: Conditions
     near: Complex[Array, "n axes"]
+    direction: Float[Array, " n"]
 
     def predict(self, bench: Model) -> Complex[Array, "n axes"]:
         """Phasors of all channels."""
 
-        def row(omega: Array, force: Array, conditions: Conditions, near: Array) -> Array:
+        speeds = [effect.speed() for effect in bench.effects if isinstance(effect, SweepEffect)]
+
+        def row(omega: Array, force: Array, conditions: Conditions, near: Array, direction: Array) -> Array:
             state = steady_state(bench, omega, force, conditions, near)
+            for speed in speeds:
+                state = state.at[1].add(sweep_lag(bench, omega, force, conditions, direction * speed))
             return fundamental(bench, omega, state, force, conditions)
 
-        return jax.vmap(row)(self.frequency, self.force, self.surroundings, self.near)
+        return jax.vmap(row)(self.frequency, self.force, self.surroundings, self.near, self.direction)
 
     def conditions(self) -> dict[str, Float[Array, " n"]]:
         """Frequency, drive level, temperature, bias and rate of each row."""
@@ -52,3 +60,18 @@ class HarmonicSweep(Experiment):
             "bias [V]": self.surroundings.bias_voltage,
             "rate [rad/s]": self.surroundings.rate,
         }
+
+
+def sweep_lag(model: Model, omega: Array, force: Array, conditions: Conditions, beta: Array) -> Complex[Array, " n"]:
+    """What a sweep whose frequency moves at `beta` [rad/s²] adds to the settled state; exactly zero at zero.
+
+    With L = iω − A the response to a chirp is ∫₀^∞ e^{−Ls + iβs²/2}·b ds, here its asymptotic series
+    iβL⁻³b + 3(iβ)²L⁻⁵b + 15(iβ)³L⁻⁷b: for sweeps that move little, √β against the half width of a resonance.
+    """
+    matrix, gain = model.linear(conditions)
+    invert = inverse(1j * omega * jnp.eye(model.size) - matrix)
+    term, total, factor = invert @ (gain @ force), 0.0, 1.0 + 0j
+    for odd in (1.0, 3.0, 5.0):
+        term, factor = invert @ (invert @ term), factor * odd * 1j * beta
+        total = total + factor * term
+    return total

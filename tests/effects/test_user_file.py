@@ -93,7 +93,6 @@ BAD = {
     "clash": ('"creep"', '"cubic_stiffness"', "line 7: an effect must have a name of its own, but `cubic_stiff"),
     "no strength": ("    strength: Array = fx.strength()\n", "", "line 7: effect `Creep` must have the field `str"),
     "plain number": ("fx.strength()", "0.0", "but its strength is 0.0"),
-    "whole number": ("fx.strength()", "fx.strength(0)", "line 7: effect `creep x` must have the field `strength"),
     "missing field": ("fx.strength()\n", "fx.strength()\n    gap: Array\n", "line 7: must run, but: TypeError"),
     "no such field": ("now.velocity", "now.speed", "line 13: effect `creep x` must be computable, but: AttributeError"),
     "branch": (f"return {FORCE}", f"return {FORCE} if now.time > 0 else now.force", "choose with `jax.numpy.where`"),
