@@ -54,7 +54,7 @@ def diagnose(
     candidates = [*catalogue(case.channels), *effects]
     smooth = [e for e in candidates if not isinstance(e, Scanned) and e.label not in known]
     joint = Joint(start.with_effect(*smooth), readings_of(case))
-    search = start_search(case, joint, level, tell)
+    search = start_search(case, joint, level, range(len(start.effects)), tell)
     first = search.rank()
     ranking = search.run(first)
     base, steps = search.base, list(search.steps)
@@ -78,6 +78,7 @@ def diagnose(
         candidates=_listed(search.joint.model, ranking),
         groups=groups,
         next_experiment=_next(search, ranking, confused, tell),
+        given=tuple(start.effects[i].label for i in search.given),
         steps=tuple(Stage(s.added, s.fit.chi2_per_dof, validation_error(s.fit)) for s in steps),
         level=level,
     )
@@ -121,7 +122,7 @@ def _with_scans(search: Search, ranking: Ranking, tell) -> tuple[Search, Ranking
 def _bare(search: Search) -> Model:
     """The fitted model with the accepted effects alone: smaller, and quicker to scan."""
     model = search.joint.at(search.optimum.vector)
-    kept = tuple(model.effects[i] for i in sorted(search.accepted))
+    kept = tuple(model.effects[i] for i in sorted((*search.given, *search.accepted)))
     return eqx.tree_at(lambda m: m.effects, model, kept, is_leaf=lambda x: isinstance(x, tuple))
 
 

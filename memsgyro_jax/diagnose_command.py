@@ -36,7 +36,7 @@ def run(
         found = diagnose(start, measured, effects=own, level=level, tell=tell)
     texts: list[tuple[Path, str]] = []
     if out is not None:
-        texts.append((out, model_text(found.final.model)))
+        texts.append((out, model_text(found.model)))
     if json is not None:
         texts.append((json, found.to_json() + "\n"))
     if report is not None:

@@ -4,11 +4,13 @@ import json
 from dataclasses import dataclass
 from typing import Literal
 
+import equinox as eqx
 import numpy as np
 
 from . import __version__
 from .case import Case
 from .case_fit import CaseFit
+from .model import Model
 
 
 Verdict = Literal["nothing_missing", "found", "cannot_tell", "partly_explained", "unknown_effect"]
@@ -90,6 +92,7 @@ class Diagnosis:
         next_experiment: what would decide, or `None`.
         steps: how the error fell.
         level: probability of a false alarm that was allowed.
+        given: labels of the effects that the model had from the beginning.
     """
 
     case: Case
@@ -104,6 +107,14 @@ class Diagnosis:
     next_experiment: str | None
     steps: tuple[Stage, ...]
     level: float
+    given: tuple[str, ...] = ()
+
+    @property
+    def model(self) -> Model:
+        """The final model with the effects it was given and those accepted."""
+        whole, labels = self.final.model, {*self.given, *(a.label for a in self.accepted)}
+        kept = tuple(effect for effect in whole.effects if effect.label in labels)
+        return eqx.tree_at(lambda m: m.effects, whole, kept, is_leaf=lambda node: isinstance(node, tuple))
 
     def __str__(self) -> str:
         lines = [f"{self.case.name}: {self.verdict.replace('_', ' ')}", self.sentence, ""]

@@ -44,10 +44,12 @@ class Step:
 
 
 class Search:
-    """State of a search; `accepted` are places of effects in the model's tuple."""
+    """State of a search; `accepted` and `given` are places of effects in the model's tuple: those it found, and those
+    that the model had from the beginning.
+    """
 
-    def __init__(self, base: CaseFit, level: float, tell: Callable[[str], None] = lambda text: None):
-        self.case, self.joint, self.level, self.tell = base.case, base.joint, level, tell
+    def __init__(self, base: CaseFit, level: float, given: Sequence[int], tell: Callable[[str], None]):
+        self.case, self.joint, self.level, self.tell, self.given = base.case, base.joint, level, tell, tuple(given)
         self.fitted = [r for r in self.joint.readings if r.fitted]
         self.optimum, self.base = base.optimum, base
         self.accepted: list[int] = []
@@ -55,7 +57,7 @@ class Search:
 
     def candidates(self) -> list[int]:
         """Effects that are not in the model yet."""
-        return [i for i in range(len(self.joint.model.effects)) if i not in self.accepted]
+        return [i for i in range(len(self.joint.model.effects)) if i not in (*self.given, *self.accepted)]
 
     def rank(self) -> Ranking:
         """Scores at the present optimum."""
@@ -71,7 +73,7 @@ class Search:
 
     def refit(self, places: Sequence[int], slopes: np.ndarray | None = None, evaluations: int = 30) -> Optimum:
         """Base and the effects at `places` free; `slopes` are the sensitivities of the last of them, if known."""
-        free = np.concatenate([self.joint.base(), *(self.joint.of_effect(i) for i in places)]).astype(int)
+        free = always_free(self.joint, (*self.given, *places))
         order, known = np.argsort(free), None
         if slopes is not None:
             known = self.optimum.residual, self._jacobian_of(free[: free.size - slopes.shape[1]], slopes)[:, order]
@@ -171,20 +173,25 @@ class Search:
     @classmethod
     def resumed(cls, search: "Search", joint: Joint, place: int) -> "Search":
         """Go on from a search with a larger model whose effect at `place` is new."""
-        free = np.concatenate([joint.base(), *(joint.of_effect(i) for i in (*search.accepted, place))]).astype(int)
+        free = always_free(joint, (*search.given, *search.accepted, place))
         fitted = [r for r in joint.readings if r.fitted]
         optimum = optimise(joint, joint.start, np.sort(free), fitted)
-        out = cls(search.steps[-1].fit, search.level, search.tell)
+        out = cls(search.steps[-1].fit, search.level, search.given, search.tell)
         out.joint, out.fitted, out.accepted = joint, fitted, list(search.accepted)
         out.take(place, optimum)
         return out
 
 
-def start_search(case, joint: Joint, level: float, tell: Callable[[str], None]) -> Search:
-    """Fit the base model and begin."""
+def always_free(joint: Joint, places: Sequence[int]) -> np.ndarray:
+    """Places in the vector of the base parameters and the strengths of some effects."""
+    return np.concatenate([joint.base(), *(joint.of_effect(i) for i in places)]).astype(int)
+
+
+def start_search(case, joint: Joint, level: float, given: Sequence[int], tell: Callable[[str], None]) -> Search:
+    """Fit the base model with the effects it was given, and begin."""
     fitted = [r for r in joint.readings if r.fitted]
     tell("fit the base model")
-    optimum = optimise(joint, joint.start, joint.base(), fitted)
+    optimum = optimise(joint, joint.start, always_free(joint, given), fitted)
     base = beside(case, joint, optimum)
     tell(f"base model: χ²/dof {base.chi2_per_dof:.4g}")
-    return Search(base, level, tell)
+    return Search(base, level, given, tell)

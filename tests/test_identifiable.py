@@ -1,0 +1,75 @@
+"""What records can identify, against an independent Fisher matrix."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from memsgyro_jax.case import Case, DesignValue, Environment, FrequencySweepRecord, Readout
+from memsgyro_jax.identifiable import identifiable
+
+
+W, Q, G, NOISE = 2 * np.pi * 3000.0, 300.0, 2.0, 1e-3
+
+
+def response(parameters, omega):
+    stiffness, damping, mobility = parameters
+    return mobility / (stiffness - omega**2 + 1j * omega * damping)
+
+
+@pytest.fixture(scope="module")
+def case():
+    omega = W * (1 + np.linspace(-3, 3, 61) / Q)
+    truth = np.array([W**2, W / Q, G * W**2])
+    count = omega.size
+    record = FrequencySweepRecord(
+        name="sweep",
+        file="sweep.csv",
+        lines=np.arange(count) + 2,
+        role="fit",
+        noise_std=NOISE,
+        axis=0,
+        settled=True,
+        frequency=omega,
+        drive=np.full(count, 1e-3),
+        temperature=np.full(count, 298.15),
+        bias_voltage=np.zeros(count),
+        rate=np.zeros(count),
+        phasors=1e-3 * response(truth, omega)[:, None],
+    )
+    design = {"resonance": W, "quality_factor": Q, "static_gain": G}
+    return Case(
+        folder=Path("case"),
+        name="one mode",
+        description="",
+        device="resonator",
+        design={name: DesignValue(value, 0.9 * value, 1.1 * value) for name, value in design.items()},
+        readout=Readout(1.0, None, "V"),
+        environment=Environment(),
+        conventions={},
+        records=(record,),
+    )
+
+
+def test_standard_deviations_are_those_of_the_fisher_matrix(case):
+    record = case.records[0]
+    truth = np.array([W**2, W / Q, G * W**2])
+    columns = []
+    for place in range(3):
+        step = np.zeros(3)
+        step[place] = 1e-6 * truth[place]
+        change = response(truth + step, record.frequency) - response(truth - step, record.frequency)
+        columns.append(1e-3 * change / (2e-6 * truth[place]) * truth[place] / NOISE)
+    jacobian = np.concatenate([np.real(columns), np.imag(columns)], axis=1).T
+    expected = np.sqrt(np.diag(np.linalg.inv(jacobian.T @ jacobian)))
+    found = identifiable(case)[0]
+    assert found.names[:3] == ("k/m", "d/m", "1/m")
+    np.testing.assert_allclose(found.relative[:3], expected, rtol=1e-4)
+
+
+def test_what_no_record_holds_is_infinite_and_named(case):
+    found = identifiable(case)[-1]
+    assert found.name == "all records"
+    assert np.isinf(found.relative[-1])
+    assert found.nulls == ("offset x",)
+    assert str(found).endswith("not held: offset x")
