@@ -15,7 +15,7 @@ from .compare import error_dict, finite, judged, times
 from .effects import Effect, Scanned, by_name, catalogue, load_effects
 from .errors import InputError
 from .files import write_whole
-from .model_file import write_model
+from .model_file import settings_of, write_model
 from .scanning import coverage, scan
 
 
@@ -85,6 +85,7 @@ def text(before: CaseFit, after: CaseFit) -> str:
     lines = [f"{after.case.name}: {after.status}; {chi2}", "rms of deviation over noise:", aligned([head, *rows])]
     lines += [comparison.verdict, *(f"  {failure}" for failure in comparison.failures), "Fitted:"]
     lines += [f"  {p.name:<24} {p.value: .6g} ± {p.std:.2g} {p.unit}" for p in after.estimates]
+    lines += [f"  {label}, held: {_listed(held)}" for label, held in _held(after).items()]
     return "\n".join(lines)
 
 
@@ -101,9 +102,20 @@ def to_dict(before: CaseFit, after: CaseFit) -> dict[str, Any]:
         "after": _fit(after),
         "explained": judged(after).explained,
         "effects": [_estimate(estimates[name]) for name in of_effects],
+        "held": _held(after),
         "parameters": [_estimate(p) for p in after.estimates if p.name not in of_effects],
         "versions": {"memsgyro_jax": __version__},
     }
+
+
+def _held(fit: CaseFit) -> dict[str, dict[str, float]]:
+    """Numbers of each effect that are not fitted, in SI: a frequency that was scanned, the moment of a step."""
+    held = {e.label: {name: float(getattr(e, name)) for name in settings_of(e)} for e in fit.model.effects}
+    return {label: values for label, values in held.items() if values}
+
+
+def _listed(values: dict[str, float]) -> str:
+    return ", ".join(f"{name} {value:.6g}" for name, value in values.items())
 
 
 def _fit(fit: CaseFit) -> dict[str, Any]:

@@ -102,7 +102,7 @@ def model_text(model: Model) -> str:
     for effect in present(model).effects:
         lines += ["", "[[effect]]", f'name = "{effect.name}"', *([f'where = "{effect.where}"'] if effect.where else [])]
         lines += [f"strength = {_toml(effect.strength, effect.label)}", f'unit = "{effect.unit}"']
-        settings = [f"{n} = {_toml(getattr(effect, n), n)}" for n in _settings(effect)]
+        settings = [f"{n} = {_toml(getattr(effect, n), n)}" for n in settings_of(effect)]
         lines += [f"settings = {{ {', '.join(settings)} }}"] if settings else []
     return "\n".join([*lines, ""])
 
@@ -177,8 +177,8 @@ def _effect(entry: _Effect, known: Sequence[Effect]) -> Effect:
     strength = to_si(np.asarray(entry.strength, float), entry.unit, effect.unit, "the strength")
     values = {"strength": strength, **entry.settings}
     for name, value in values.items():
-        if name not in ("strength", *_settings(effect)):
-            known_settings = ", ".join(_settings(effect)) or "none"
+        if name not in ("strength", *settings_of(effect)):
+            known_settings = ", ".join(settings_of(effect)) or "none"
             raise InputError(f"has a setting `{name}` that is not known (known: {known_settings})")
         if np.shape(value) != np.shape(getattr(effect, name)):
             raise InputError(
@@ -194,7 +194,7 @@ def present(model: Model) -> Model:
     return eqx.tree_at(lambda m: m.effects, model, kept, is_leaf=lambda x: isinstance(x, tuple))
 
 
-def _settings(effect: Effect) -> tuple[str, ...]:
+def settings_of(effect: Effect) -> tuple[str, ...]:
     """Numbers of an effect beside its strength, such as a frequency that was scanned."""
     fields = (f.name for f in dataclasses.fields(effect) if f.name != "strength")
     return tuple(name for name in fields if eqx.is_array(getattr(effect, name)))

@@ -6,6 +6,8 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
+from lab.die import Die
+from lab.laboratory import make_case
 
 import memsgyro_jax
 from memsgyro_jax.case import load_case
@@ -106,3 +108,12 @@ def test_bad_arguments(case):
         compare(None, case, level=0.0)
     with pytest.raises(InputError, match="`model` must be given"):
         compare(None, case, fitted=False)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(4))
+def test_a_device_without_hidden_effects_is_explained(tmp_path, seed):
+    """Measured by the independent laboratory."""
+    made = make_case(tmp_path / "case", Die.drawn(np.random.default_rng(seed)), seed=seed)
+    result = compare(None, load_case(made.folder), level=0.001)
+    assert result.explained, result.failures

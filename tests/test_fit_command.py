@@ -14,6 +14,17 @@ from memsgyro_jax.fit_command import named
 
 
 DEMO = Path(memsgyro_jax.__file__).parent / "demo"
+OWN = """
+from memsgyro_jax.effects import ForceEffect, strength
+
+class Spring(ForceEffect):
+    name, unit, law = "my_spring", "N/m**3", "F_x = -s x^3"
+    strength: object = strength()
+    axis = 0
+
+    def force(self, now):
+        return self.along(now, -self.strength * now.displacement[0] ** 3)
+"""
 
 
 def run(*tokens):
@@ -44,6 +55,23 @@ def test_a_fitted_model_is_written_and_compared(tmp_path, capsys):
     assert held["effects"] == ["cubic_stiffness x"]
     for entry in held["experiments"]:
         assert entry["error"] == pytest.approx(after[entry["name"], entry["role"]], rel=1e-9)
+
+
+@pytest.mark.slow
+def test_an_effect_of_ones_own_and_one_that_is_scanned(tmp_path, capsys):
+    own, model = tmp_path / "own.py", tmp_path / "model.toml"
+    own.write_text(OWN)
+    result = tmp_path / "fit.json"
+    tokens = ("--add", "my_spring", "damping_step", "--effects", own, "--out", model, "--json", result)
+    assert run("fit", DEMO, *tokens) == 0
+    assert "damping_step, held: time" in capsys.readouterr().out
+    data = json.loads(result.read_text())
+    spring, step = data["effects"]
+    assert spring["value"] == pytest.approx(1.5e9, rel=0.01)
+    assert abs(step["value"]) < 5 * step["std"], "nothing has stepped"
+    assert set(data["held"]["damping_step"]) == {"time", "record"}
+    assert run("compare", DEMO, "--model", model) == 2
+    assert "--effects FILE.py" in capsys.readouterr().err
 
 
 def test_the_base_model_is_compared(capsys):
