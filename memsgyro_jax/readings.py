@@ -142,6 +142,7 @@ def _ring_down(case: Case, index: int, record: RingDownRecord) -> RingDown:
         force=jnp.asarray(record.drive_force * np.eye(case.channels)[record.axis]),
         surroundings=jax.tree.map(lambda leaf: leaf[0], _surroundings(case, index, 1, 0.0)),
         cycles=cycles,
+        late=bool(record.time[0] > 0),
     )
 
 

@@ -20,9 +20,10 @@ class RingDown(Experiment):
         noise: how far they may lie from the prediction.
         frequency: of the drive [rad/s].
         force: amplitude per axis [N], (axes,).
-        cycles: of the drive before it was removed.
         surroundings: conditions, scalars.
-        step_cycles: drive cycles per step of the integration before the removal.
+        cycles: of the drive before it was removed.
+        late: whether the first sample comes after the removal, rather than with it.
+        step_cycles: at most so many drive cycles per step of the integration before the removal.
     """
 
     name: str = eqx.field(static=True)
@@ -33,19 +34,20 @@ class RingDown(Experiment):
     force: Float[Array, " axes"]
     surroundings: Conditions
     cycles: int = eqx.field(static=True)
-    step_cycles: int = eqx.field(static=True, default=3)
+    late: bool = eqx.field(static=True, default=False)
+    step_cycles: int = eqx.field(static=True, default=6)
 
     def predict(self, bench: Model) -> Float[Array, "n axes"]:
         """Voltage of every channel at every sample."""
         driven = Driven.of(bench, self.frequency, self.force, self.surroundings)
         period = 2 * jnp.pi / self.frequency
-        steps, left = divmod(self.cycles, self.step_cycles)
-        state, _ = driven.run(driven.at_rest(), self.step_cycles * period, self.surroundings.rows(steps))
-        if left:
-            state, _ = driven.run(state, period, self.surroundings.rows(left))
+        cycles = next(part for part in range(self.step_cycles, 0, -1) if self.cycles % part == 0)
+        steps = self.surroundings.rows(self.cycles // cycles)
+        state, _ = driven.run(driven.at_rest(), cycles * period, steps)
         free = Driven.of(bench, self.frequency, jnp.zeros_like(self.force), self.surroundings)
-        state, _ = free.run(state, self.time[0], self.surroundings.rows(1))
         step = (self.time[-1] - self.time[0]) / (self.time.size - 1)
+        if self.late:
+            state, _ = free.run(state, self.time[0], self.surroundings.rows(1))
         _, course = free.run(state, step, self.surroundings.rows(self.time.size - 1))
         states = jnp.concatenate([state[None], course.end])
         quiet = jnp.zeros(bench.axes)
