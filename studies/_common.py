@@ -23,14 +23,21 @@ matplotlib.use("agg")
 
 
 class Report:
-    """Collects claims and pictures of one study under `studies/out/NAME`."""
+    """Collects claims and pictures of one study under `studies/out/NAME`.
 
-    def __init__(self):
+    `data` is the help of an optional argument, a folder with measurements that the study needs; the study finds it in
+    the attribute of that name.
+    """
+
+    def __init__(self, data: str | None = None):
         study = Path(inspect.stack()[1].filename)
         parser = argparse.ArgumentParser(description=inspect.stack()[1].frame.f_globals["__doc__"])
         parser.add_argument("--quick", action="store_true", help="fewer seeds and shorter runs, under 30 s")
         parser.add_argument("--out", type=Path, default=study.parent / "out" / study.stem, help="folder for results")
+        if data is not None:
+            parser.add_argument("data", type=Path, nargs="?", help=data)
         options = parser.parse_args()
+        self.data = getattr(options, "data", None)
         self.quick, self.folder, self.title, self.rows = options.quick, options.out, study.stem, []
         self.folder.mkdir(parents=True, exist_ok=True)
 
