@@ -23,7 +23,6 @@ from .noise_level import noise_level
 
 
 PHASE_STEP = 0.1  # of the highest mode per integration step where a nonlinear part is integrated [rad]
-BLOCKS = 2000  # of a rate table that are compared; longer records are averaged to about as many
 RING_TIMES = 12  # amplitude time constants after which an unknown start has died out
 
 
@@ -57,17 +56,9 @@ def readings_of(case: Case) -> tuple[Readings, ...]:
         undeclared = not (isinstance(record, RingDownRecord) and others)
         fitted = undeclared if record.role is None else record.role == "fit"
         experiment = _EXPERIMENTS[type(record)](case, index, record)
-        rows = _rows(record, experiment.measured.shape[0])
+        rows = np.arange(record.rows)[-experiment.measured.shape[0] :]
         out.append(Readings(experiment, np.full(rows.size, index), rows, fitted))
     return tuple(out)
-
-
-def _rows(record: AbstractRecord, count: int) -> np.ndarray:
-    """The row of a record at which each compared reading stands."""
-    if isinstance(record, RateTableRecord):
-        merged = merged_blocks(record)
-        return np.arange(count) * merged + (merged - 1) // 2
-    return np.arange(record.rows)[-count:]
 
 
 def _sweeps(case: Case, records: list[tuple[int, FrequencySweepRecord]]) -> list[Readings]:
@@ -147,37 +138,23 @@ def _ring_down(case: Case, index: int, record: RingDownRecord) -> RingDown:
 
 
 def _rate_table(case: Case, index: int, record: RateTableRecord) -> RateTable:
-    """Long records are compared in means of a few blocks: of white noise nothing is lost, and a mean rate within a few
-    milliseconds moves a resonator with a ring time of many as the rate itself.
-    """
-    merged = merged_blocks(record)
-    count = record.rows // merged
-
-    def means(values: np.ndarray) -> np.ndarray:
-        return np.asarray(values)[: count * merged].reshape(count, merged, *np.shape(values)[1:]).mean(axis=1)
-
+    surroundings = _surroundings(case, index, record.rows, record.rate, time=record.time)
     slope = np.gradient(record.rate, record.period) if record.rows > 1 else np.zeros(1)
-    surroundings = _surroundings(case, index, count, means(record.rate), time=means(record.time))
     surroundings = eqx.tree_at(
         lambda c: (c.angular_acceleration, c.rate_trusted),
         surroundings,
-        (jnp.asarray(means(slope)), jnp.full(count, float(record.rate_calibrated))),
+        (jnp.asarray(slope), jnp.full(record.rows, float(record.rate_calibrated))),
     )
     return RateTable(
         name=record.name,
-        time=jnp.asarray(means(record.time)),
-        measured=jnp.asarray(means(record.phasors)),
-        noise=CartesianNoise(noise_level(record) / np.sqrt(merged)),
+        time=jnp.asarray(record.time),
+        measured=jnp.asarray(record.phasors),
+        noise=CartesianNoise(noise_level(record)),
         frequency=jnp.asarray(record.drive_frequency),
         force=jnp.asarray(record.drive_force * np.eye(case.channels)[record.axis]),
         surroundings=surroundings,
-        block_cycles=record.lock_in_cycles * merged,
+        block_cycles=record.lock_in_cycles,
     )
-
-
-def merged_blocks(record: RateTableRecord) -> int:
-    """How many lock-in blocks of a long record are compared as one."""
-    return max(1, record.rows // BLOCKS)
 
 
 def _time_record(case: Case, index: int, record: RawRecord) -> TimeRecord:
