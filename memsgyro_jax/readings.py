@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import signal
 
-from .case import AbstractRecord, Case, FrequencySweepRecord, RateTableRecord, RingDownRecord
+from .case import Case, FrequencySweepRecord, RateTableRecord, RingDownRecord
 from .case import TimeRecord as RawRecord
 from .case.device import resonances
 from .errors import InputError
