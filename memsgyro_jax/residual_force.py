@@ -25,7 +25,8 @@ from .experiments import HarmonicSweep
 from .model import Conditions, Model
 from .model_file import present
 from .noise_level import noise_level
-from .steady import drive_waveform, fundamental, spectrum, steady_state, waveform
+from .readings import merged_blocks
+from .steady import drive_waveform, spectrum, steady_state, waveform
 
 
 BINS = 24
@@ -174,11 +175,10 @@ def sweep_forces(fit: CaseFit) -> tuple[SweepForce, ...]:
 @eqx.filter_jit
 def _missing(model: Model, sweep: HarmonicSweep) -> tuple[Complex[Array, "n a"], Complex[Array, "n a"], Array]:
     """Per row: the motion seen, the force [N] it takes beyond the model, and |force per displacement| (n, a, a)."""
-    axes = model.axes
+    axes, errors = model.axes, (sweep.measured - sweep.predict(model)) / model.scale
 
-    def row(omega: Array, force: Array, conditions: Conditions, near: Array, measured: Array):
+    def row(omega: Array, force: Array, conditions: Conditions, near: Array, error: Array):
         state = steady_state(model, omega, force, conditions, near)
-        error = (measured - fundamental(model, omega, state, force, conditions)) / model.scale
         matrix, _ = model.linear(conditions)
         moved = state.at[1].add(_carried(matrix, omega, error))
         command, _ = drive_waveform(force)
@@ -187,7 +187,7 @@ def _missing(model: Model, sweep: HarmonicSweep) -> tuple[Complex[Array, "n a"],
         missing = (1j * omega * moved[1, axes : 2 * axes] - given) / model.device.mobility
         return moved[1, :axes], missing, jnp.abs(jnp.linalg.inv(_receptance(model, matrix, omega)))
 
-    return jax.vmap(row)(sweep.frequency, sweep.force, sweep.surroundings, sweep.near, sweep.measured)
+    return jax.vmap(row)(sweep.frequency, sweep.force, sweep.surroundings, sweep.near, errors)
 
 
 def _carried(matrix: Array, omega: Array, error: Complex[Array, " a"]) -> Complex[Array, " n"]:
@@ -285,14 +285,15 @@ def rate_residuals(fit: CaseFit) -> tuple[RateResidual, ...]:
     """What is left of every rate table of a case, against rate and time."""
     out = []
     for number, record in enumerate(fit.case.records):
-        if isinstance(record, RateTableRecord) and np.isfinite(fit.whitened[number]).all():
-            driven = fit.predicted(number)[:, record.axis]
-            error = (fit.whitened[number][..., 0] + 1j * fit.whitened[number][..., 1]) * noise_level(record)
-            error = error * (driven.conj() / np.abs(driven))[:, None]
+        if isinstance(record, RateTableRecord):
+            seen = np.isfinite(fit.whitened[number]).all(axis=(1, 2))
+            driven, white = fit.predicted(number)[seen, record.axis], fit.whitened[number][seen]
+            # Long records are compared in means of some rows, whose noise is smaller.
+            noise = noise_level(record) / np.sqrt(merged_blocks(record))
+            error = (white[..., 0] + 1j * white[..., 1]) * noise * (driven.conj() / np.abs(driven))[:, None]
             parts = np.stack([error.real, error.imag], axis=-1)
-            varies = np.ptp(record.rate) > 0
-            rate = in_bins(parts, record.rate, BINS) if varies else None
-            out.append(RateResidual(record.name, rate, in_bins(parts, record.time, 2 * BINS)))
+            rate = in_bins(parts, record.rate[seen], BINS) if np.ptp(record.rate) > 0 else None
+            out.append(RateResidual(record.name, rate, in_bins(parts, record.time[seen], 2 * BINS)))
     return tuple(out)
 
 
