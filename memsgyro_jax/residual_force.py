@@ -25,7 +25,6 @@ from .experiments import HarmonicSweep
 from .model import Conditions, Model
 from .model_file import present
 from .noise_level import noise_level
-from .readings import merged_blocks
 from .steady import drive_waveform, spectrum, steady_state, waveform
 
 
@@ -288,9 +287,9 @@ def rate_residuals(fit: CaseFit) -> tuple[RateResidual, ...]:
         if isinstance(record, RateTableRecord):
             seen = np.isfinite(fit.whitened[number]).all(axis=(1, 2))
             driven, white = fit.predicted(number)[seen, record.axis], fit.whitened[number][seen]
-            # Long records are compared in means of some rows, whose noise is smaller.
-            noise = noise_level(record) / np.sqrt(merged_blocks(record))
-            error = (white[..., 0] + 1j * white[..., 1]) * noise * (driven.conj() / np.abs(driven))[:, None]
+            error = (
+                (white[..., 0] + 1j * white[..., 1]) * noise_level(record) * (driven.conj() / np.abs(driven))[:, None]
+            )
             parts = np.stack([error.real, error.imag], axis=-1)
             rate = in_bins(parts, record.rate[seen], BINS) if np.ptp(record.rate) > 0 else None
             out.append(RateResidual(record.name, rate, in_bins(parts, record.time[seen], 2 * BINS)))
