@@ -105,6 +105,8 @@ _CONTENTS = {
     "Comparison": "compare",
     "fit": "case_fit",
     "CaseFit": "case_fit",
+    "write_model": "model_file",
+    "read_model": "model_file",
     "diagnose": "diagnose",
     "Diagnosis": "diagnosis",
 }

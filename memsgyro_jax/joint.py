@@ -16,6 +16,7 @@ from jaxtyping import Array, Float, PyTree
 from scipy.optimize import least_squares
 
 from . import free
+from .errors import InputError
 from .experiments.base import Experiment
 from .model import Model
 from .readings import Readings
@@ -44,6 +45,11 @@ class Joint:
 
     def __init__(self, model: Model, readings: Sequence[Readings]):
         require_float64("Comparing a model with measurements")
+        if not any(r.fitted for r in readings):
+            raise InputError(
+                'A case must have a record that may be fitted, but all have the role "validation"; leave the role of '
+                "one out."
+            )
         self.model, self.readings = model, tuple(readings)
         self.spec = _all_free(model)
         self.parameters = parameters(model)
