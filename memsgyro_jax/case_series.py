@@ -55,9 +55,9 @@ def _series(record: AbstractRecord, white: np.ndarray, predicted: np.ndarray, fi
         white,
         white,
         (slice(None),),
-        _segments(record.time),
+        _segments(record.time),  # type: ignore[attr-defined]
         bands,
-        tuple(variables),  # type: ignore[attr-defined]
+        tuple(variables),
     )
 
 

@@ -85,8 +85,8 @@ def _channels(fit: CaseFit) -> range:
 
 def settings_text(record: FrequencySweepRecord, force: str) -> str:
     """What was varied from sweep to sweep, for a caption."""
-    named = (("drive", record.drive, force), ("temperature", record.temperature, "K"))
-    named += (("bias voltage", record.bias_voltage, "V"), ("rate", record.rate, "rad/s"))
+    named = [("drive", record.drive, force), ("temperature", record.temperature, "K")]
+    named += [("bias voltage", record.bias_voltage, "V"), ("rate", record.rate, "rad/s")]
     said = []
     for name, values, unit in named:
         levels = list(dict.fromkeys(spoken(float(np.mean(values[s])), unit, 3) for s in record.sweeps))
