@@ -20,7 +20,7 @@ _PREFIXES = ((1e9, "G"), (1e6, "M"), (1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, 
 def spoken(value: float, unit: str, digits: int = 4) -> str:
     """A quantity in SI for people: `spoken(1.5e-7, "N")` is "150 nN"; kelvin become °C, rad/s of rate deg/s."""
     if unit == "K":
-        return f"{value - 273.15:.{digits}g} °C"
+        return f"{round(value - 273.15, 6):.{digits}g} °C"  # 273.15 itself is not exact in binary
     if unit == "rad/s":
         return f"{np.degrees(value):.{digits}g} deg/s"
     factor, prefix = next(((f, p) for f, p in _PREFIXES if abs(value) >= 0.9995 * f), (1.0, ""))
