@@ -33,7 +33,7 @@ TINY = Laboratory(
         Sweep("sweep_y", 1, (2e-8, 1.5e-7), points=7, span=10.0),
         Sweep("bias", 0, (5.0, 15.0), "bias", **NARROW, span=8.0),
         Sweep("soak", 0, (-40.0, 85.0), "temperature", **NARROW, span=12.0, shift=-2.0),
-        RingDown("ringdown", 0, duration=0.02, interval=1e-4, samples=80),
+        RingDown("ringdown", 0, duration=0.02, interval=1e-4, samples=80, role="fit"),
         RateTable("rate", cycles=6, blocks=80, profile=PROFILE),
         Raw("raw", interval=1e-5, samples=300),
     ),
