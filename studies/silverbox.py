@@ -83,6 +83,9 @@ def arrow_error(fit: CaseFit) -> float:
 def falling(names: list[str], errors: list[float]):
     figure, ax = plt.subplots(figsize=(7.0, 3.4), layout="constrained")
     ax.semilogy(errors, "o-")
+    ax.yaxis.set_major_formatter("{x:g}")
+    ax.yaxis.set_minor_formatter("{x:g}")
+    ax.tick_params(axis="y", which="both", labelsize="small")
     ax.set_xticks(range(len(names)), names, rotation=20, ha="right", fontsize="small")
     ax.set_ylabel("error on the arrow [mV]")
     return figure
