@@ -59,8 +59,9 @@ def diagnose(
     ranking = search.run(first)
     base, steps = search.base, list(search.steps)
     if not all(_explained(search.steps[-1].fit)):
-        search, ranking = _with_scans(search, ranking, tell)
-        steps += search.steps[1:]
+        later, ranking = _with_scans(search, ranking, tell)
+        steps += [] if later is search else later.steps[1:]
+        search = later
     final = search.steps[-1].fit
     tell("see what these records can tell apart")
     confused = _confusions(search, ranking)

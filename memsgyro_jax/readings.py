@@ -238,11 +238,20 @@ def _surroundings(case: Case, index: int, count: int, rate, *, time=0.0) -> Cond
     ).rows(count)
 
 
+def _offset(case: Case) -> np.ndarray:
+    """Constant voltage of each channel as the waveforms show it, where a record has any: a start for the fit, and the
+    value where only records that are not fitted see it.
+    """
+    tails = [r.signals[r.rows // 2 :] for r in case.records if isinstance(r, RingDownRecord | RawRecord)]
+    return np.mean([tail.mean(axis=0) for tail in tails], axis=0) if tails else np.zeros(case.channels)
+
+
 def model_of(case: Case, device, **more) -> Model:
     """The base model of a case around `device`, with the declared read-out and reference conditions."""
     return Model(
         device,
         scale=case.readout.scale,
+        offset=_offset(case),
         reference_temperature=case.environment.temperature,
         reference_bias=case.environment.bias_voltage,
         **more,
