@@ -184,7 +184,14 @@ def beside(case: Case, joint: Joint, optimum: Optimum) -> CaseFit:
     """The model at an optimum beside every record of the case, fitted or not."""
     white = [np.full((*r.readings.shape, 2 if np.iscomplexobj(r.readings) else 1), np.nan) for r in case.records]
     fitted = [np.zeros(r.rows, bool) for r in case.records]
-    for readings, values in zip(joint.readings, joint.residual(optimum.vector, joint.readings), strict=True):
+    known = [r for r in joint.readings if r.fitted]
+    begin = 0
+    for readings in known:  # the optimum has their residual, in this order
+        size = readings.record.size * readings.axes * (2 if np.iscomplexobj(readings.experiment.measured) else 1)
+        _place(readings, optimum.residual[begin : begin + size], white, fitted)
+        begin += size
+    others = [r for r in joint.readings if not r.fitted]
+    for readings, values in zip(others, joint.residual(optimum.vector, others), strict=True):
         _place(readings, values, white, fitted)
     return CaseFit(case, joint, optimum, tuple(white), tuple(fitted))
 

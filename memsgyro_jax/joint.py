@@ -103,6 +103,7 @@ class Joint:
         return np.concatenate(values), np.concatenate(slopes, axis=1).T
 
     def _each(self, chosen: Sequence[Readings], function) -> list:
+        """The function of each, on as many cores as there are; none for none."""
         with ThreadPoolExecutor(max(1, min(usable_cores(), len(chosen)))) as pool:
             return list(pool.map(function, chosen))
 
@@ -234,14 +235,15 @@ def optimise(
     if max_evaluations == 0:
         return Optimum(vector, places, value, slope, vt[~held], True, 1)
     # A unit of the optimiser is `REACH` standard deviations, so that its first step is one of Gauss and Newton.
-    mixing = REACH * vt[held] / size
+    ways = np.where(np.any(slope != 0, axis=0), vt[held], 0.0)  # rounding must not move what no record sees
+    mixing = REACH * ways / size
     cache = {np.zeros(len(mixing)).tobytes(): (value, slope @ mixing.T)}
 
     def both(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         if z.tobytes() not in cache:
             new, along = joint.linearise(vector + z @ mixing @ units, mixing @ units, chosen)
             cache.clear()
-            cache[z.tobytes()] = np.where(np.isfinite(new), new, 1e6), np.where(np.isfinite(along), along, 0.0)
+            cache[z.tobytes()] = np.where(np.abs(new) < 1e100, new, 1e6), np.where(np.isfinite(along), along, 0.0)
         return cache[z.tobytes()]
 
     found = least_squares(
@@ -253,5 +255,5 @@ def optimise(
         gtol=STATIONARY * REACH,
         max_nfev=max_evaluations,
     )
-    end, back = vector + found.x @ mixing @ units, np.linalg.pinv(mixing.T)
+    end, back = vector + found.x @ mixing @ units, ways * size / REACH
     return Optimum(end, places, found.fun, found.jac @ back, vt[~held], bool(found.success), int(found.nfev))

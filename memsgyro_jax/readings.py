@@ -251,7 +251,7 @@ def model_of(case: Case, device, **more) -> Model:
     return Model(
         device,
         scale=case.readout.scale,
-        offset=_offset(case),
+        offset=more.pop("offset", _offset(case)),
         reference_temperature=case.environment.temperature,
         reference_bias=case.environment.bias_voltage,
         **more,

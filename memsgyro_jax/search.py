@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import stats
 
 from .case_fit import CaseFit, beside
 from .joint import Joint, Optimum, optimise
@@ -17,6 +18,7 @@ LOOK_AHEAD = 3  # candidates that are refitted before one is chosen
 WORTH_A_LOOK = 0.5  # of the best score: below it a candidate is not refitted
 TWINS = 0.999  # overlap from which two candidates cannot both be tried
 ROUNDS = 8
+NUDGE = 1e-9  # of the base parameters
 GLANCE, LONG = 5, 30  # evaluations to compare candidates, and to settle on one
 
 
@@ -53,6 +55,7 @@ class Search:
         self.fitted = [r for r in self.joint.readings if r.fitted]
         self.optimum, self.base = base.optimum, base
         self.accepted: list[int] = []
+        self.unseen: frozenset[int] | None = None
         self.steps = [Step("", base)]
 
     def candidates(self) -> list[int]:
@@ -64,12 +67,28 @@ class Search:
         places = self.candidates()
         blocks = [self.joint.of_effect(i) for i in places]
         columns = np.concatenate(blocks)
-        _, slopes = self.joint.linearise(self.optimum.vector, np.eye(self.joint.start.size)[columns], self.fitted)
-        slopes = np.where(np.isfinite(slopes), slopes, 0.0)
+        slopes = self._slopes(columns)
         parts = np.split(slopes, np.cumsum([block.size for block in blocks])[:-1], axis=1)
         q = basis(self.optimum.jacobian)
         scores = [score(self.optimum.residual, q, part) for part in parts]
         return Ranking(tuple(places), tuple(scores), family_p_values(scores), tuple(parts))
+
+    def _slopes(self, columns: np.ndarray) -> np.ndarray:
+        """Sensitivities (r, k) to some parameters; zero where they are rounding, which a fit would blow up to any size.
+
+        Rounding is told by moving the base in its ninth digit: a true sensitivity stays what it was. Which parameters
+        the records cannot see at all does not change in a search, so once is enough.
+        """
+        units = np.eye(self.joint.start.size)[columns]
+        _, slopes = self.joint.linearise(self.optimum.vector, units, self.fitted)
+        if self.unseen is None:
+            moved = self.optimum.vector.copy()
+            moved[self.joint.base()] *= 1.0 + NUDGE
+            _, again = self.joint.linearise(moved, units, self.fitted)
+            rounding = np.linalg.norm(slopes - again, axis=0) > 0.1 * np.linalg.norm(slopes, axis=0)
+            self.unseen = frozenset(columns[rounding].tolist())
+        sure = ~np.isin(columns, list(self.unseen))
+        return np.where(np.isfinite(slopes) & sure, slopes, 0.0)
 
     def refit(self, places: Sequence[int], slopes: np.ndarray | None = None, evaluations: int = 30) -> Optimum:
         """Base and the effects at `places` free; `slopes` are the sensitivities of the last of them, if known."""
@@ -131,21 +150,26 @@ class Search:
         self.tell(f"added {self.joint.model.effects[place].label}: χ²/dof {self.steps[-1].fit.chi2_per_dof:.4g}")
 
     def prune(self) -> None:
-        """Drop effects that the final model no longer needs: taken early, while the misfit was large."""
-        while len(self.accepted) > 1:
-            scores = [self.own_score(i) for i in self.accepted]
-            weakest = int(np.argmax([s.p_value for s in scores]))
-            if scores[weakest].p_value <= self.level / max(1, len(self.joint.model.effects)):
-                return
-            place = self.accepted.pop(weakest)
-            vector = self.optimum.vector.copy()
+        """Drop effects that the final model no longer needs: taken early, while the misfit was large.
+
+        Wald's test only proposes: far from zero a strength may be imitated by others that could not do without it.
+        """
+        alone = self.level / max(1, len(self.joint.model.effects))
+        proposed = {i: self.own_score(i) for i in self.accepted}
+        for place, mine in sorted(proposed.items(), key=lambda pair: -pair[1].p_value):
+            if len(self.accepted) == 1 or self.own_score(place).p_value <= alone:
+                continue
+            before, vector = self.optimum, self.optimum.vector.copy()
             vector[self.joint.of_effect(place)] = 0.0
-            self.optimum = replace(self.optimum, vector=vector)
-            self.optimum = self.refit(self.accepted)
-            self.tell(f"dropped {self.joint.model.effects[place].label}, which the others explain")
-            self.steps.append(
-                Step(f"without {self.joint.model.effects[place].label}", beside(self.case, self.joint, self.optimum))
-            )
+            self.optimum = replace(before, vector=vector)
+            self.optimum = self.refit([i for i in self.accepted if i != place])
+            if stats.chi2.sf(self.optimum.chi2 - before.chi2, max(1, mine.size)) <= alone:
+                self.optimum = before
+                continue
+            self.accepted.remove(place)
+            label = self.joint.model.effects[place].label
+            self.tell(f"dropped {label}, which the others explain")
+            self.steps.append(Step(f"without {label}", beside(self.case, self.joint, self.optimum)))
 
     def own_score(self, place: int) -> Score:
         """Score of an accepted effect beside everything else that is free: its Wald statistic."""
