@@ -1,0 +1,145 @@
+"""Whole diagnoses of small cases whose truth the laboratory knows."""
+
+import json
+
+import pytest
+from bench_case import bench
+from lab.die import Die, Hidden, Outside
+from lab.protocol import Laboratory, Sweep
+from lab.strengths import VISIBLE, visible
+
+from memsgyro_jax.diagnose import diagnose
+from memsgyro_jax.effects import load_effects
+from memsgyro_jax.errors import InputError
+
+
+# ---- a gyro, all kinds of records, the whole catalogue
+
+
+@pytest.fixture(scope="module")
+def sound():
+    return diagnose(None, bench().case)
+
+
+@pytest.fixture(scope="module")
+def cubic():
+    return diagnose(None, bench(visible("cubic_stiffness_y")).case)
+
+
+def test_nothing_is_missing_from_a_sound_device(sound):
+    assert sound.verdict == "nothing_missing"
+    assert sound.accepted == ()
+    assert 0.85 < sound.base.chi2_per_dof < 1.15
+    assert all(c.p_value > 0.05 for c in sound.candidates)
+    assert [s.added for s in sound.steps] == [""]
+
+
+def test_a_hidden_spring_is_found(cubic):
+    assert cubic.verdict == "found"
+    (found,) = cubic.accepted
+    assert found.label == "cubic_stiffness y"
+    assert found.confused_with == ()
+    assert abs(found.estimate[0] - VISIBLE["cubic_stiffness_y"]) < 4.5 * found.std[0]
+    assert found.std[0] < 0.02 * VISIBLE["cubic_stiffness_y"]
+
+
+def test_the_error_falls_to_the_noise_on_records_that_were_not_fitted(cubic):
+    before, after = ({e.name: e.rms for e in fit.errors if e.role == "validation"} for fit in (cubic.base, cubic.final))
+    assert before["sweep_y"] > 5.0
+    assert all(value < 1.25 for value in after.values())
+    (found,) = cubic.accepted
+    assert found.error_before > 5.0 > 1.2 > found.error_after
+    assert [s.added for s in cubic.steps] == ["", "cubic_stiffness y"]
+
+
+def test_the_answer_is_readable_by_machines(cubic):
+    answer = json.loads(cubic.to_json())
+    assert answer["schema"] == "memsgyro-diagnosis/1"
+    assert answer["verdict"] == "found"
+    assert [(e["name"], e["axis"], e["unit"]) for e in answer["effects"]] == [("cubic_stiffness", "y", "N/m³")]
+    assert answer["residual"] == {}
+    first = answer["candidates_of_base"][0]
+    assert first["label"] == "cubic_stiffness y"
+    assert first["explained_share"] > 0.9
+
+
+def test_candidates_say_what_would_have_been_seen(sound):
+    """A strength well above `smallest_visible` was found, and would not have been at a hundredth of it."""
+    (spring,) = [c for c in sound.first if c.label == "cubic_stiffness y"]
+    assert spring.excited
+    assert 0.01 * VISIBLE["cubic_stiffness_y"] < spring.smallest_visible < 0.1 * VISIBLE["cubic_stiffness_y"]
+
+
+def test_an_impossible_level_is_refused():
+    with pytest.raises(InputError, match="Argument `level` must lie between 0 and 1, but is 2"):
+        diagnose(None, bench().case, level=2.0)
+
+
+# ---- a resonator with a stop, which no catalogue lists
+
+
+RESONATOR = Die.resonator(68.6, 11.0, 0.98)
+BAND = {"span": 25.0, "dense": 4.0, "both": False, "noise": 1e-4}
+SWEEPS = Laboratory(
+    (
+        Sweep("sweep", 0, (0.002, 0.006, 0.012), points=15, **BAND),
+        Sweep("sweep_check", 0, (0.009,), points=15, role="validation", **BAND),
+    ),
+    digits=17,
+)
+STOP = Hidden(outside=Outside(stop_x=0.03 * RESONATOR.kxx, stop_gap=0.05))
+OWN = """
+import jax.numpy as jnp
+from memsgyro_jax.effects import ForceEffect, strength
+
+
+class Stop(ForceEffect):
+    name, unit, law = "stop", "N/m", "F = -s max(q - gap, 0)"
+    axis: int = 0
+    strength: object = strength()
+
+    def force(self, now):
+        return self.along(now, -self.strength * jnp.maximum(now.displacement[self.axis] - 0.05, 0.0))
+"""
+
+
+@pytest.fixture(scope="module")
+def stopped():
+    return bench(STOP, 1, SWEEPS, RESONATOR).case
+
+
+def test_physics_outside_the_catalogue_is_not_called_found(stopped):
+    outcome = diagnose(None, stopped)
+    assert outcome.verdict in ("unknown_effect", "partly_explained")
+    assert any(not e.explained for e in outcome.final.errors)
+    assert "sweep" in outcome.sentence
+
+
+def test_a_user_s_own_effect_is_then_found(stopped, tmp_path):
+    path = tmp_path / "own.py"
+    path.write_text(OWN)
+    outcome = diagnose(None, stopped, effects=load_effects(path, 1))
+    assert [a.label for a in outcome.accepted] == ["stop x"]
+    (found,) = outcome.accepted
+    assert found.estimate[0] == pytest.approx(STOP.outside.stop_x, rel=0.05)
+    assert outcome.verdict == "found"
+
+
+@pytest.mark.xfail(strict=True, reason="rivals are judged where the effect is present, not absent")
+def test_a_change_of_units_is_no_rival():
+    """A scale error of the only axis is another mass and another spring; where there is no spring it explains none
+    of the misfit.
+    """
+    spring = Hidden(cubic_stiffness_x=3.9 * RESONATOR.kxx)
+    outcome = diagnose(None, bench(spring, 1, SWEEPS, RESONATOR).case)
+    assert [a.label for a in outcome.accepted] == ["cubic_stiffness x"]
+    assert outcome.accepted[0].confused_with == ()
+
+
+def test_what_a_lock_in_cannot_see_is_not_excited():
+    case = bench(Hidden(), 1, SWEEPS, RESONATOR).case
+    outcome = diagnose(None, case)
+    assert outcome.verdict == "nothing_missing"
+    excited = {c.label: c.excited for c in outcome.first}
+    assert not excited["thermal_drift stiffness"]
+    assert not excited["pickoff_nonlinearity x"], "a square has no part at the drive frequency"
