@@ -20,6 +20,7 @@ from .errors import InputError
 from .experiments import CartesianNoise, Experiment, HarmonicSweep, RateTable, RealNoise, RingDown, TimeRecord
 from .model import Conditions, Model
 from .noise_level import noise_level
+from .normalised import NormalisedDevice
 
 
 PHASE_STEP = 0.1  # of the highest mode per integration step where a nonlinear part is integrated [rad]
@@ -247,9 +248,18 @@ def _offset(case: Case) -> np.ndarray:
 
 
 def model_of(case: Case, device, **more) -> Model:
-    """The base model of a case around `device`, with the declared read-out and reference conditions."""
+    """The base model of a case around `device`, with the declared read-out and reference conditions.
+
+    **Raises:** `InputError` where the device has another number of axes than the case has channels.
+    """
+    base = NormalisedDevice.of(device)
+    if base.axes != case.channels:
+        raise InputError(
+            f"Argument `model` must have as many axes as the case {case.name} has channels, {case.channels}, "
+            f"but has {base.axes}."
+        )
     return Model(
-        device,
+        base,
         scale=case.readout.scale,
         offset=more.pop("offset", _offset(case)),
         reference_temperature=case.environment.temperature,
