@@ -1,8 +1,9 @@
 """A model fitted to all records of a measurement case at once, and how well it explains each of them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -48,6 +49,18 @@ class RecordError:
         """Whether χ²/N is within the gate."""
         return bool(self.chi2 / self.count <= self.gate)
 
+    def to_dict(self) -> dict[str, Any]:
+        """The entry of a JSON file."""
+        return {
+            "name": self.name,
+            "role": self.role,
+            "readings": self.count,
+            "error": self.rms,
+            "chi2_per_reading": self.chi2 / self.count,
+            "gate": float(self.gate),
+            "explained": self.explained,
+        }
+
 
 @dataclass(frozen=True)
 class Estimate:
@@ -57,6 +70,13 @@ class Estimate:
     value: float
     std: float
     unit: str
+
+    def __str__(self) -> str:
+        return f"{self.name:<24} {self.value: .6g} ± {self.std:.2g} {self.unit}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """The entry of a JSON file."""
+        return asdict(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +159,7 @@ class CaseFit:
             f"  {e.name:<{width}}  {e.role:<10}  {e.rms:10.4g} × noise{'' if e.explained else '  not explained'}"
             for e in self.errors
         ]
-        lines += [f"  {p.name:<24} {p.value: .6g} ± {p.std:.2g} {p.unit}" for p in self.estimates]
+        lines += [f"  {estimate}" for estimate in self.estimates]
         return "\n".join(lines)
 
 
@@ -172,11 +192,10 @@ def fit_case(case: Case, effects: Sequence[Effect] = (), *, model: Model | None 
     for effect in effects:
         check_effect(effect, base.axes)
     joint = Joint(base.with_effect(*effects), readings_of(case))
-    fitted = [r for r in joint.readings if r.fitted]
     vector, places = joint.start, np.arange(joint.start.size)
     if effects and not held:
-        vector = optimise(joint, vector, joint.base(), fitted).vector
-    optimum = optimise(joint, vector, places, fitted, max_evaluations=0 if held else 30)
+        vector = optimise(joint, vector, joint.base(), joint.fitted).vector
+    optimum = optimise(joint, vector, places, joint.fitted, max_evaluations=0 if held else 30)
     return beside(case, joint, optimum)
 
 
@@ -184,12 +203,9 @@ def beside(case: Case, joint: Joint, optimum: Optimum) -> CaseFit:
     """The model at an optimum beside every record of the case, fitted or not."""
     white = [np.full((*r.readings.shape, 2 if np.iscomplexobj(r.readings) else 1), np.nan) for r in case.records]
     fitted = [np.zeros(r.rows, bool) for r in case.records]
-    known = [r for r in joint.readings if r.fitted]
-    begin = 0
-    for readings in known:  # the optimum has their residual, in this order
-        size = readings.record.size * readings.axes * (2 if np.iscomplexobj(readings.experiment.measured) else 1)
-        _place(readings, optimum.residual[begin : begin + size], white, fitted)
-        begin += size
+    ends = np.cumsum([r.size for r in joint.fitted])
+    for readings, values in zip(joint.fitted, np.split(optimum.residual, ends[:-1]), strict=True):
+        _place(readings, values, white, fitted)
     others = [r for r in joint.readings if not r.fitted]
     for readings, values in zip(others, joint.residual(optimum.vector, others), strict=True):
         _place(readings, values, white, fitted)

@@ -15,6 +15,7 @@ from .case_fit import CaseFit, RecordError, fit_case
 from .case_series import series_of, spoken
 from .device import SingleMassGyro
 from .errors import InputError
+from .files import finite
 from .misfit import LEVEL, Check, Series, check_all
 from .model import Model
 from .noise_level import noise_level
@@ -94,7 +95,7 @@ class Comparison:
         lines = [f"{self.case.name}: {self.status}", aligned([head, *rows]), self.verdict]
         lines += [f"  {text}" for text in self.failures]
         if self.fitted:
-            lines += ["Fitted:", *(f"  {p.name:<24} {p.value: .6g} ± {p.std:.2g} {p.unit}" for p in self.fit.estimates)]
+            lines += ["Fitted:", *(f"  {estimate}" for estimate in self.fit.estimates)]
         return "\n".join(lines)
 
     @property
@@ -108,24 +109,22 @@ class Comparison:
 
     def to_dict(self) -> dict[str, Any]:
         """The machine-readable result, schema `memsgyro-comparison/1`; numbers that are not finite become null."""
-        return {
+        entries = {
             "schema": SCHEMA,
             "case": self.case.name,
             "status": self.status,
             "explained": self.explained,
             "verdict": self.verdict,
             "level": self.level,
-            "chi2_per_dof": finite(self.fit.chi2_per_dof) if self.fitted else None,
-            "experiments": [error_dict(e) for e in self.errors],
+            "chi2_per_dof": self.fit.chi2_per_dof if self.fitted else None,
+            "experiments": [e.to_dict() for e in self.errors],
             "failures": list(self.failures),
             "tests": [_check_dict(c) for c in self.checks],
-            "parameters": [
-                {"name": p.name, "value": finite(p.value), "std": finite(p.std), "unit": p.unit}
-                for p in (self.fit.estimates if self.fitted else ())
-            ],
-            "effects": [e.label for e in self.model.effects if np.any(np.asarray(e.strength) != 0)],
+            "parameters": [p.to_dict() for p in (self.fit.estimates if self.fitted else ())],
+            "effects": [e.label for e in self.model.present.effects],
             "versions": dict(self.versions),
         }
+        return finite(entries)
 
     def to_json(self) -> str:
         """`to_dict` as text."""
@@ -210,24 +209,6 @@ def times(ratio: float) -> str:
     return f"{ratio:.0f}" if ratio < 1e6 else f"{ratio:.3g}"
 
 
-def finite(value: float) -> float | None:
-    """A number that JSON can hold, or `None`."""
-    return float(value) if np.isfinite(value) else None
-
-
-def error_dict(error: RecordError) -> dict[str, Any]:
-    """The entry of one record and role."""
-    return {
-        "name": error.name,
-        "role": error.role,
-        "readings": error.count,
-        "error": finite(error.rms),
-        "chi2_per_reading": finite(error.chi2 / error.count),
-        "gate": float(error.gate),
-        "explained": error.explained,
-    }
-
-
 def _check_dict(check: Check) -> dict[str, Any]:
     return {
         "experiment": check.record,
@@ -235,9 +216,9 @@ def _check_dict(check: Check) -> dict[str, Any]:
         "test": check.kind,
         "of": check.heading or None,
         "at": check.label or None,
-        "statistic": finite(check.statistic),
+        "statistic": check.statistic,
         "readings": check.count,
-        "p_value": finite(check.p_value),
+        "p_value": check.p_value,
         "threshold": check.threshold,
         "failed": check.failed,
     }

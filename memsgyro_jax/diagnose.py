@@ -4,7 +4,6 @@ records cannot tell, or that it is none of those known.
 
 from collections.abc import Callable, Sequence
 
-import equinox as eqx
 import numpy as np
 
 from .case import Case
@@ -105,30 +104,31 @@ def _with_scans(search: Search, ranking: Ranking, tell) -> tuple[Search, Ranking
     best = None
     for grid in scans(search.case):
         tell(f"scan {grid[0].label}, {len(grid)} points")
-        found = scan(bare, search.optimum, search.fitted, grid)
+        found = scan(bare, search.optimum, search.joint.fitted, grid)
         if found and found.score.p_value * found.points <= search.level:
-            finer = scan(bare, search.optimum, search.fitted, refined(found.effect))
+            finer = scan(bare, search.optimum, search.joint.fitted, refined(found.effect))
             found = finer if finer and finer.score.statistic > found.score.statistic else found
             if best is None or found.score.statistic > best.score.statistic:
                 best = found
     if best is None:
         return search, ranking
     model = search.joint.at(search.optimum.vector).with_effect(best.effect)
-    later = Search.resumed(search, Joint(model, search.joint.readings), len(model.effects) - 1)
-    if later.optimum.chi2 >= search.optimum.chi2 - DECIDED:
-        return search, ranking
-    return later, later.run(None)
+    later = search.grown(Joint(model, search.joint.readings), len(model.effects) - 1, DECIDED)
+    return (search, ranking) if later is None else (later, later.run())
 
 
 def _bare(search: Search) -> Model:
     """The fitted model with the accepted effects alone: smaller, and quicker to scan."""
     model = search.joint.at(search.optimum.vector)
-    kept = tuple(model.effects[i] for i in sorted((*search.given, *search.accepted)))
-    return eqx.tree_at(lambda m: m.effects, model, kept, is_leaf=lambda x: isinstance(x, tuple))
+    return model.with_only(model.effects[i] for i in sorted((*search.given, *search.accepted)))
 
 
 def _confusions(search: Search, ranking: Ranking) -> dict[int, list[int]]:
-    """Per accepted effect the candidates that could stand in its place."""
+    """Per accepted effect the candidates that could stand in its place.
+
+    Sensitivities only propose: taken with the effect present, they hold some for alike that are not (a change of the
+    pick-off's scale on one axis changes the strength of a nonlinearity). A fit with the candidate instead decides.
+    """
     out: dict[int, list[int]] = {}
     for place in search.accepted:
         mine = search.own_score(place)
@@ -137,9 +137,15 @@ def _confusions(search: Search, ranking: Ranking) -> dict[int, list[int]]:
         out[place] = [
             other
             for other, theirs in zip(ranking.places, others, strict=True)
-            if separation(mine.statistic, mine, theirs) < CONFUSED
+            if separation(mine.statistic, mine, theirs) < CONFUSED and _replaces(search, place, other)
         ]
     return out
+
+
+def _replaces(search: Search, place: int, other: int) -> bool:
+    """Whether a fit with another effect in place of an accepted one is as good."""
+    instead = [other if i == place else i for i in search.accepted]
+    return search.refit(instead, start=search.without(place)).chi2 < search.optimum.chi2 + CONFUSED
 
 
 def _accepted(search: Search, confused: dict[int, list[int]], steps) -> tuple[Accepted, ...]:

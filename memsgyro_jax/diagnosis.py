@@ -1,20 +1,20 @@
 """What a diagnosis found: verdict, effects, candidates, groups that cannot be told apart, and what to measure next."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Literal
 
-import equinox as eqx
 import numpy as np
 
 from . import __version__
 from .case import Case
 from .case_fit import CaseFit
+from .files import finite
 from .model import Model
 
 
 Verdict = Literal["nothing_missing", "found", "cannot_tell", "partly_explained", "unknown_effect"]
-SIGMAS_SEEN = 4.3  # strength over its standard deviation that is found with 90 % power among some forty candidates
+SIGMAS_SEEN = 4.3  # strength over its standard deviation that is found nine times in ten among some forty candidates
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,8 @@ class Candidate:
         p_value: family-wise.
         explained_share: part of the misfit above noise that it explains.
         kept_share: part of its sensitivity that no other free parameter can take over.
-        smallest_visible: strength that would have been found with 90 % power; infinite where nothing shows it.
+        smallest_visible: strength that would have been found about nine times in ten; infinite where nothing
+            shows it.
         excited: whether the records can show it at all.
     """
 
@@ -113,8 +114,7 @@ class Diagnosis:
     def model(self) -> Model:
         """The final model with the effects it was given and those accepted."""
         whole, labels = self.final.model, {*self.given, *(a.label for a in self.accepted)}
-        kept = tuple(effect for effect in whole.effects if effect.label in labels)
-        return eqx.tree_at(lambda m: m.effects, whole, kept, is_leaf=lambda node: isinstance(node, tuple))
+        return whole.with_only(effect for effect in whole.effects if effect.label in labels)
 
     def __str__(self) -> str:
         lines = [f"{self.case.name}: {self.verdict.replace('_', ' ')}", self.sentence, ""]
@@ -139,7 +139,7 @@ class Diagnosis:
 
     def to_dict(self) -> dict:
         """Everything in numbers and text, schema `memsgyro-diagnosis/1`."""
-        return {
+        entries = {
             "schema": "memsgyro-diagnosis/1",
             "case": self.case.name,
             "version": __version__,
@@ -149,13 +149,14 @@ class Diagnosis:
             "base": _fit(self.base),
             "final": _fit(self.final),
             "effects": [_accepted(a) for a in self.accepted],
-            "candidates": [_finite(c.__dict__) for c in self.candidates],
-            "candidates_of_base": [_finite(c.__dict__) for c in self.first],
+            "candidates": [asdict(c) for c in self.candidates],
+            "candidates_of_base": [asdict(c) for c in self.first],
             "groups": [list(group) for group in self.groups],
             "next_experiment": self.next_experiment,
             "residual": {e.name: e.rms for e in self.final.errors if not e.explained},
-            "steps": [s.__dict__ for s in self.steps],
+            "steps": [asdict(s) for s in self.steps],
         }
+        return finite(entries)
 
     def to_json(self) -> str:
         """The same as text."""
@@ -181,27 +182,20 @@ def _fit(fit: CaseFit) -> dict:
             | {"gate": e.gate, "explained": e.explained}
             for e in fit.errors
         ],
-        "parameters": [_finite(p.__dict__) for p in fit.estimates],
+        "parameters": [p.to_dict() for p in fit.estimates],
     }
 
 
 def _accepted(a: Accepted) -> dict:
     single = len(a.estimate) == 1
-    return _finite(
-        {
-            "name": a.name,
-            "axis": a.where or None,
-            "estimate": a.estimate[0] if single else list(a.estimate),
-            "std": a.std[0] if single else list(a.std),
-            "unit": a.unit,
-            "p_value": a.p_value,
-            "validation_error_before": a.error_before,
-            "validation_error_after": a.error_after,
-            "confused_with": list(a.confused_with),
-        }
-    )
-
-
-def _finite(entries: dict) -> dict:
-    """JSON has no infinity: it reads null."""
-    return {k: None if isinstance(v, float) and not np.isfinite(v) else v for k, v in entries.items()}
+    return {
+        "name": a.name,
+        "axis": a.where or None,
+        "estimate": a.estimate[0] if single else list(a.estimate),
+        "std": a.std[0] if single else list(a.std),
+        "unit": a.unit,
+        "p_value": a.p_value,
+        "validation_error_before": a.error_before,
+        "validation_error_after": a.error_after,
+        "confused_with": list(a.confused_with),
+    }

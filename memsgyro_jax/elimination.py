@@ -35,3 +35,8 @@ def _gauss_jordan(matrix: Array) -> Array:
         return jnp.where((rows == column)[:, None], row, table), None
 
     return jax.lax.scan(step, table, rows)[0][:, size:]
+
+
+def times(matrix: Shaped[Array, "*batch n m"], vector: Shaped[Array, "*batch m"]) -> Shaped[Array, "*batch n"]:
+    """Matrix times vector, batch by batch."""
+    return jnp.einsum("...ij,...j->...i", matrix, vector)

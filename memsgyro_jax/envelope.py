@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from .elimination import inverse
+from .elimination import inverse, times
 from .model import Conditions, Model
 from .steady import nonlinear_spectrum
 
@@ -53,19 +53,15 @@ class Propagator(eqx.Module):
         ends.
         """
         here = rest(state)
-        predicted = _apply(self.exponential, state) + _apply(self.first, load + here)
+        predicted = times(self.exponential, state) + times(self.first, load + here)
         there = rest(predicted)
-        return predicted + _apply(self.second, there - here), here, there
-
-
-def _apply(matrix: Array, vector: Array) -> Array:
-    return jnp.einsum("...ij,...j->...i", matrix, vector)
+        return predicted + times(self.second, there - here), here, there
 
 
 def _solve(matrix: Array, vector: Array) -> Array:
     """Solve with one matrix for many vectors along the leading axis."""
     invert = inverse if matrix.ndim == 2 else jax.vmap(inverse)
-    return _apply(invert(matrix), vector)
+    return times(invert(matrix), vector)
 
 
 def exponential(matrix: Array) -> Array:

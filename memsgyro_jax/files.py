@@ -1,7 +1,9 @@
-"""Files that appear whole or not at all."""
+"""Files that appear whole or not at all, and what may stand in a JSON file."""
 
+import math
 import os
 from pathlib import Path
+from typing import Any
 
 
 def write_whole(path: str | Path, text: str) -> Path:
@@ -15,3 +17,12 @@ def write_whole(path: str | Path, text: str) -> Path:
         part.unlink(missing_ok=True)
         raise
     return path
+
+
+def finite(value: Any) -> Any:
+    """Entries of a JSON file without what it cannot hold: an infinite number, or none at all, reads null."""
+    if isinstance(value, dict):
+        return {name: finite(entry) for name, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -11,10 +11,10 @@ from . import __version__
 from .case import load_case
 from .case.records import aligned
 from .case_fit import CaseFit, fit_case
-from .compare import error_dict, finite, judged, times
+from .compare import judged, times
 from .effects import Effect, Scanned, by_name, catalogue, load_effects
 from .errors import InputError
-from .files import write_whole
+from .files import finite, write_whole
 from .model_file import settings_of, write_model
 from .scanning import coverage, scan
 
@@ -63,7 +63,7 @@ def _placed(effect: Effect, base: CaseFit) -> Effect:
     """An effect with a frequency, moment or limit to be tried first starts at the best point of its grid."""
     if not isinstance(effect, Scanned):
         return effect
-    readings = [r for r in base.joint.readings if r.fitted]
+    readings = base.joint.fitted
     best = scan(base.model, base.optimum, readings, effect.grid(coverage(base.case)))
     if best is None:
         raise InputError(
@@ -84,7 +84,7 @@ def text(before: CaseFit, after: CaseFit) -> str:
     chi2 = f"χ²/dof of the fitted readings {times(before.chi2_per_dof)} -> {times(after.chi2_per_dof)}"
     lines = [f"{after.case.name}: {after.status}; {chi2}", "rms of deviation over noise:", aligned([head, *rows])]
     lines += [comparison.verdict, *(f"  {failure}" for failure in comparison.failures), "Fitted:"]
-    lines += [f"  {p.name:<24} {p.value: .6g} ± {p.std:.2g} {p.unit}" for p in after.estimates]
+    lines += [f"  {estimate}" for estimate in after.estimates]
     lines += [f"  {label}, held: {_listed(held)}" for label, held in _held(after).items()]
     return "\n".join(lines)
 
@@ -93,7 +93,7 @@ def to_dict(before: CaseFit, after: CaseFit) -> dict[str, Any]:
     """The machine-readable result, schema `memsgyro-fit/1`; numbers that are not finite become null."""
     estimates = {p.name: p for p in after.estimates}
     of_effects = [p.name for p in after.joint.parameters if p.effect is not None]
-    return {
+    entries = {
         "schema": SCHEMA,
         "case": after.case.name,
         "status": after.status,
@@ -101,11 +101,12 @@ def to_dict(before: CaseFit, after: CaseFit) -> dict[str, Any]:
         "before": _fit(before),
         "after": _fit(after),
         "explained": judged(after).explained,
-        "effects": [_estimate(estimates[name]) for name in of_effects],
+        "effects": [estimates[name].to_dict() for name in of_effects],
         "held": _held(after),
-        "parameters": [_estimate(p) for p in after.estimates if p.name not in of_effects],
+        "parameters": [p.to_dict() for p in after.estimates if p.name not in of_effects],
         "versions": {"memsgyro_jax": __version__},
     }
+    return finite(entries)
 
 
 def _held(fit: CaseFit) -> dict[str, dict[str, float]]:
@@ -119,10 +120,4 @@ def _listed(values: dict[str, float]) -> str:
 
 
 def _fit(fit: CaseFit) -> dict[str, Any]:
-    return {"chi2_per_dof": finite(fit.chi2_per_dof), "experiments": [error_dict(e) for e in fit.errors]}
-
-
-def _estimate(estimate) -> dict[str, Any]:
-    return {
-        "name": estimate.name, "value": finite(estimate.value), "std": finite(estimate.std), "unit": estimate.unit
-    }  # fmt: skip
+    return {"chi2_per_dof": fit.chi2_per_dof, "experiments": [e.to_dict() for e in fit.errors]}

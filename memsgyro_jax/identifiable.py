@@ -48,7 +48,7 @@ def identifiable(case: Case) -> tuple[Identifiable, ...]:
     joint = Joint(model_of(case, starting_device(case)), readings_of(case))
     names = tuple(p.name for p in joint.parameters)
     units, blocks = np.eye(joint.start.size), {}
-    for readings in (r for r in joint.readings if r.fitted):
+    for readings in joint.fitted:
         _, slopes = joint.linearise(joint.start, units, [readings])
         rows = slopes.reshape(readings.record.size, -1, len(names))
         for record in np.unique(readings.record[readings.record >= 0]):

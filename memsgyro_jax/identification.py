@@ -11,6 +11,7 @@ import numpy as np
 
 from . import __version__
 from .experiments import FrequencySweep
+from .files import finite
 from .fit import Fit
 
 
@@ -81,7 +82,7 @@ class Identification:
 
     def to_dict(self) -> dict[str, Any]:
         """The machine-readable result, schema `memsgyro-identify/1`."""
-        return {
+        entries = {
             "schema": SCHEMA,
             "method": self.method,
             "status": self.status,
@@ -89,17 +90,18 @@ class Identification:
                 name: {**_number(value), "verdict": value.verdict} for name, value in self.coefficients.items()
             },
             "modal": {name: _number(value) for name, value in self.modal.items()},
-            "gain_ratio": _finite(self.readout["gain_ratio"].value),
-            "gain_ratio_std": _finite(self.readout["gain_ratio"].std),
-            "phase_asymmetry_deg": _finite(self.readout["phase_asymmetry_deg"].value),
-            "phase_asymmetry_deg_std": _finite(self.readout["phase_asymmetry_deg"].std),
-            "chi2_per_dof": _finite(self.chi2_per_dof),
+            "gain_ratio": self.readout["gain_ratio"].value,
+            "gain_ratio_std": self.readout["gain_ratio"].std,
+            "phase_asymmetry_deg": self.readout["phase_asymmetry_deg"].value,
+            "phase_asymmetry_deg_std": self.readout["phase_asymmetry_deg"].std,
+            "chi2_per_dof": self.chi2_per_dof,
             "dof": self.dof,
             "effects": {name: _number(value) for name, value in self.effect_values.items()},
             "repairs": dict(self.repairs),
             "notes": list(self.notes),
             "versions": dict(self.versions),
         }
+        return finite(entries)
 
     def to_json(self) -> str:
         """`to_dict` as text; no NaN or infinity in it."""
@@ -137,8 +139,4 @@ def gate(dof: int) -> float:
 
 
 def _number(value: Coefficient) -> dict[str, Any]:
-    return {"value": _finite(value.value), "std": _finite(value.std), "unit": value.unit}
-
-
-def _finite(value: float | None) -> float | None:
-    return None if value is None or not np.isfinite(value) else float(value)
+    return {"value": value.value, "std": value.std, "unit": value.unit}

@@ -7,6 +7,7 @@ a matter of numbers: fits of any subset, scores of every candidate and refits al
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
 
 import equinox as eqx
 import jax
@@ -54,10 +55,15 @@ class Joint:
         self.spec = _all_free(model)
         self.parameters = parameters(model)
 
-    @property
+    @cached_property
     def start(self) -> np.ndarray:
         """The parameter vector of the model."""
         return np.asarray(free.to_vector(self.model, self.spec))
+
+    @cached_property
+    def fitted(self) -> tuple[Readings, ...]:
+        """The readings that are fitted, in their order."""
+        return tuple(r for r in self.readings if r.fitted)
 
     def at(self, vector: np.ndarray) -> Model:
         """The model with the parameters of a vector."""
@@ -73,7 +79,7 @@ class Joint:
 
     def residual(self, vector: np.ndarray, chosen: Sequence[Readings]) -> list[np.ndarray]:
         """Whitened residual of each of the chosen readings."""
-        fitted = {_shape(r.experiment) for r in self.readings if r.fitted}
+        fitted = {_shape(r.experiment) for r in self.fitted}
 
         def one(r: Readings) -> np.ndarray:
             at = jnp.asarray(vector)
@@ -103,14 +109,15 @@ class Joint:
         return np.concatenate(values), np.concatenate(slopes, axis=1).T
 
     def _each(self, chosen: Sequence[Readings], function) -> list:
-        """The function of each, on as many cores as there are; none for none."""
+        """The function of each of the chosen, side by side on the cores."""
         with ThreadPoolExecutor(max(1, min(usable_cores(), len(chosen)))) as pool:
             return list(pool.map(function, chosen))
 
 
 def _shape(experiment: Experiment) -> tuple:
-    """What decides which compiled program an experiment runs through, for the most part."""
-    return type(experiment), *(leaf.shape for leaf in jax.tree.leaves(experiment))
+    """What decides which compiled program an experiment runs through."""
+    leaves, structure = jax.tree.flatten(experiment)
+    return structure, *(jnp.shape(leaf) for leaf in leaves)
 
 
 @eqx.filter_jit

@@ -3,9 +3,12 @@
 This is what measurements are compared with. Everything here is for one instant, one condition, one device.
 """
 
+from collections.abc import Iterable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from .device import SingleMassGyro
@@ -65,7 +68,6 @@ class Model(eqx.Module):
         self.device = NormalisedDevice.of(device)
         axes = self.device.axes
         self.scale, self.offset = (jnp.broadcast_to(jnp.asarray(v, float), (axes,)) for v in (scale, offset))
-        self.effects = ()
         self.reference_temperature = jnp.asarray(reference_temperature, float)
         self.reference_bias = jnp.asarray(reference_bias, float)
         for effect in effects:
@@ -90,7 +92,16 @@ class Model(eqx.Module):
         """The same model with further effects."""
         for effect in effects:
             check_effect(effect, self.axes)
-        return eqx.tree_at(lambda m: m.effects, self, (*self.effects, *effects), is_leaf=lambda x: isinstance(x, tuple))
+        return self.with_only((*self.effects, *effects))
+
+    def with_only(self, effects: Iterable[Effect]) -> "Model":
+        """The same model with these effects and no others."""
+        return eqx.tree_at(lambda m: m.effects, self, tuple(effects), is_leaf=lambda x: isinstance(x, tuple))
+
+    @property
+    def present(self) -> "Model":
+        """The same model without the effects of strength zero, which are absent."""
+        return self.with_only(effect for effect in self.effects if np.any(np.asarray(effect.strength) != 0))
 
     def derivative(
         self, state: Float[Array, " n"], command: Float[Array, " axes"], conditions: Conditions

@@ -99,7 +99,7 @@ def model_text(model: Model) -> str:
         ("bias_voltage", model.reference_bias, "V"),
     ):
         lines.append(f'{name} = {{ value = {_toml(value, name)}, unit = "{unit}" }}')
-    for effect in present(model).effects:
+    for effect in model.present.effects:
         lines += ["", "[[effect]]", f'name = "{effect.name}"', *([f'where = "{effect.where}"'] if effect.where else [])]
         lines += [f"strength = {_toml(effect.strength, effect.label)}", f'unit = "{effect.unit}"']
         settings = [f"{n} = {_toml(getattr(effect, n), n)}" for n in settings_of(effect)]
@@ -186,12 +186,6 @@ def _effect(entry: _Effect, known: Sequence[Effect]) -> Effect:
             )
         effect = eqx.tree_at(lambda e, name=name: getattr(e, name), effect, jnp.asarray(value, float))
     return effect
-
-
-def present(model: Model) -> Model:
-    """The same model without the effects of strength zero, which are absent."""
-    kept = tuple(effect for effect in model.effects if np.any(np.asarray(effect.strength) != 0))
-    return eqx.tree_at(lambda m: m.effects, model, kept, is_leaf=lambda x: isinstance(x, tuple))
 
 
 def settings_of(effect: Effect) -> tuple[str, ...]:

@@ -1,7 +1,8 @@
 """From a measurement case to experiments that predict it, reading by reading.
 
-Records of one kind that run through one program are laid together, so that few programs have to be compiled. Every
-reading keeps the number of its record and whether it may be fitted: what is not fitted validates.
+Records of one kind that run through one program are laid together, and experiments are named by their kind (a name is
+structure), so that few programs have to be compiled. Every reading keeps the number of its record and whether it may be
+fitted: what is not fitted validates.
 """
 
 from collections.abc import Callable
@@ -40,6 +41,12 @@ class Readings:
     def axes(self) -> int:
         """Number of channels."""
         return self.experiment.measured.shape[1]
+
+    @property
+    def size(self) -> int:
+        """Real numbers in the residual."""
+        values = self.experiment.measured
+        return values.size * (2 if jnp.iscomplexobj(values) else 1)
 
 
 def readings_of(case: Case) -> tuple[Readings, ...]:
@@ -126,7 +133,7 @@ def _ring_down(case: Case, index: int, record: RingDownRecord) -> RingDown:
             f"but holds {record.drive_duration * record.drive_frequency / (2 * np.pi):.3g}."
         )
     return RingDown(
-        name=record.name,
+        name="ring-downs",
         time=jnp.asarray(record.time),
         measured=jnp.asarray(record.signals),
         noise=RealNoise(noise_level(record)),
@@ -147,7 +154,7 @@ def _rate_table(case: Case, index: int, record: RateTableRecord) -> RateTable:
         (jnp.asarray(slope), jnp.full(record.rows, float(record.rate_calibrated))),
     )
     return RateTable(
-        name=record.name,
+        name="rate tables",
         time=jnp.asarray(record.time),
         measured=jnp.asarray(record.phasors),
         noise=CartesianNoise(noise_level(record)),
@@ -169,7 +176,7 @@ def _time_record(case: Case, index: int, record: RawRecord) -> TimeRecord:
     )
     skipped = _unknown_start(case, record)
     return TimeRecord(
-        name=record.name,
+        name="raw captures",
         time=jnp.asarray(record.time[skipped:]),
         measured=jnp.asarray(record.signals[skipped:]),
         noise=RealNoise(noise_level(record)),

@@ -23,7 +23,6 @@ from .case import TimeRecord as RawRecord
 from .case_fit import CaseFit
 from .experiments import HarmonicSweep
 from .model import Conditions, Model
-from .model_file import present
 from .noise_level import noise_level
 from .steady import drive_waveform, spectrum, steady_state, waveform
 
@@ -147,7 +146,7 @@ class RateResidual:
 
 def sweep_forces(fit: CaseFit) -> tuple[SweepForce, ...]:
     """The missing force of every row of every sweep of a case, fitted or not."""
-    model = present(fit.model)
+    model = fit.model.present
     found: dict[int, list] = {}
     for readings in fit.joint.readings:
         if isinstance(readings.experiment, HarmonicSweep):
@@ -209,7 +208,7 @@ def _receptance(model: Model, matrix: Array, omega: Array) -> Complex[Array, "a 
 
 def time_forces(fit: CaseFit) -> tuple[TimeForce, ...]:
     """The missing force over time of every raw capture and ring-down of a case."""
-    model, out = present(fit.model), []
+    model, out = fit.model.present, []
     for number, record in enumerate(fit.case.records):
         if isinstance(record, RawRecord | RingDownRecord):
             seen = np.isfinite(fit.whitened[number]).all(axis=(1, 2))

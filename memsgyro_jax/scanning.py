@@ -61,8 +61,7 @@ def scan(model: Model, optimum: Optimum, readings: Sequence[Readings], grid: Seq
         grid: the effect at every point.
     """
     q, best = basis(optimum.jacobian), None
-    sizes = [_size(r) for r in readings]
-    starts = np.concatenate([[0], np.cumsum(sizes)])
+    starts = np.concatenate([[0], np.cumsum([r.size for r in readings])])
     for place, chosen in enumerate(readings):
         points = [e for e in grid if _shows(e, chosen, readings)]
         if isinstance(chosen.experiment, TimeRecord):  # long to simulate: a coarse net there
@@ -89,11 +88,6 @@ def _shows(effect: Scanned, chosen: Readings, readings: Sequence[Readings]) -> b
         return bool(np.any(chosen.record == int(effect.record)))
     sweeps = any(isinstance(r.experiment, HarmonicSweep) for r in readings)
     return isinstance(chosen.experiment, HarmonicSweep) or not sweeps
-
-
-def _size(readings: Readings) -> int:
-    values = readings.experiment.measured
-    return values.size * (2 if jnp.iscomplexobj(values) else 1)
 
 
 def _stacked(effects: Sequence[Scanned]) -> Scanned:

@@ -4,7 +4,7 @@ One model carries every candidate at strength zero, so that one set of compiled 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import stats
@@ -52,7 +52,6 @@ class Search:
 
     def __init__(self, base: CaseFit, level: float, given: Sequence[int], tell: Callable[[str], None]):
         self.case, self.joint, self.level, self.tell, self.given = base.case, base.joint, level, tell, tuple(given)
-        self.fitted = [r for r in self.joint.readings if r.fitted]
         self.optimum, self.base = base.optimum, base
         self.accepted: list[int] = []
         self.unseen: frozenset[int] | None = None
@@ -80,25 +79,39 @@ class Search:
         the records cannot see at all does not change in a search, so once is enough.
         """
         units = np.eye(self.joint.start.size)[columns]
-        _, slopes = self.joint.linearise(self.optimum.vector, units, self.fitted)
+        _, slopes = self.joint.linearise(self.optimum.vector, units, self.joint.fitted)
         if self.unseen is None:
             moved = self.optimum.vector.copy()
             moved[self.joint.base()] *= 1.0 + NUDGE
-            _, again = self.joint.linearise(moved, units, self.fitted)
+            _, again = self.joint.linearise(moved, units, self.joint.fitted)
             rounding = np.linalg.norm(slopes - again, axis=0) > 0.1 * np.linalg.norm(slopes, axis=0)
             self.unseen = frozenset(columns[rounding].tolist())
         sure = ~np.isin(columns, list(self.unseen))
         return np.where(np.isfinite(slopes) & sure, slopes, 0.0)
 
-    def refit(self, places: Sequence[int], slopes: np.ndarray | None = None, evaluations: int = 30) -> Optimum:
-        """Base and the effects at `places` free; `slopes` are the sensitivities of the last of them, if known."""
+    def refit(
+        self,
+        places: Sequence[int],
+        *,
+        start: np.ndarray | None = None,
+        slopes: np.ndarray | None = None,
+        evaluations: int = LONG,
+    ) -> Optimum:
+        """Base and the effects at `places` free, from the present optimum or the vector `start`; `slopes` are the
+        sensitivities of the last of them at the present optimum, if known.
+        """
         free = always_free(self.joint, (*self.given, *places))
         order, known = np.argsort(free), None
         if slopes is not None:
             known = self.optimum.residual, self._jacobian_of(free[: free.size - slopes.shape[1]], slopes)[:, order]
-        return optimise(
-            self.joint, self.optimum.vector, free[order], self.fitted, known=known, max_evaluations=evaluations
-        )
+        begin = self.optimum.vector if start is None else start
+        return optimise(self.joint, begin, free[order], self.joint.fitted, known=known, max_evaluations=evaluations)
+
+    def without(self, place: int) -> np.ndarray:
+        """The present parameters with the strength of one effect zero."""
+        vector = self.optimum.vector.copy()
+        vector[self.joint.of_effect(place)] = 0.0
+        return vector
 
     def _jacobian_of(self, free: np.ndarray, more: np.ndarray) -> np.ndarray:
         """Columns of the present Jacobian in the order of `free`, and `more` columns."""
@@ -118,18 +131,20 @@ class Search:
         labels = [self.joint.model.effects[ranking.places[i]].label for i in promising]
         self.tell("look closer at " + ", ".join(labels))
         refits = [
-            self.refit([*self.accepted, ranking.places[i]], ranking.slopes[i], GLANCE if len(promising) > 1 else LONG)
+            self.refit(
+                [*self.accepted, ranking.places[i]],
+                slopes=ranking.slopes[i],
+                evaluations=GLANCE if len(promising) > 1 else LONG,
+            )
             for i in promising
         ]
         best = int(np.argmin([o.chi2 for o in refits]))
-        if refits[best].chi2 >= self.optimum.chi2:
+        place, chosen = ranking.places[promising[best]], refits[best]
+        if chosen.chi2 >= self.optimum.chi2:
             return False
-        before, self.optimum = self.optimum, refits[best]
-        place = ranking.places[promising[best]]
-        if not refits[best].converged:
-            refits[best] = self.refit([*self.accepted, place], None, LONG)
-        self.optimum = before
-        self.take(place, refits[best])
+        if not chosen.converged:
+            chosen = self.refit([*self.accepted, place], start=chosen.vector)
+        self.take(place, chosen)
         return True
 
     def first_twin(self, ranking: Ranking) -> int:
@@ -159,13 +174,10 @@ class Search:
         for place, mine in sorted(proposed.items(), key=lambda pair: -pair[1].p_value):
             if len(self.accepted) == 1 or self.own_score(place).p_value <= alone:
                 continue
-            before, vector = self.optimum, self.optimum.vector.copy()
-            vector[self.joint.of_effect(place)] = 0.0
-            self.optimum = replace(before, vector=vector)
-            self.optimum = self.refit([i for i in self.accepted if i != place])
-            if stats.chi2.sf(self.optimum.chi2 - before.chi2, max(1, mine.size)) <= alone:
-                self.optimum = before
+            fewer = self.refit([i for i in self.accepted if i != place], start=self.without(place))
+            if stats.chi2.sf(fewer.chi2 - self.optimum.chi2, max(1, mine.size)) <= alone:
                 continue
+            self.optimum = fewer
             self.accepted.remove(place)
             label = self.joint.model.effects[place].label
             self.tell(f"dropped {label}, which the others explain")
@@ -194,14 +206,14 @@ class Search:
         self.prune()
         return ranking if before == len(self.accepted) else self.rank()
 
-    @classmethod
-    def resumed(cls, search: "Search", joint: Joint, place: int) -> "Search":
-        """Go on from a search with a larger model whose effect at `place` is new."""
-        free = always_free(joint, (*search.given, *search.accepted, place))
-        fitted = [r for r in joint.readings if r.fitted]
-        optimum = optimise(joint, joint.start, np.sort(free), fitted)
-        out = cls(search.steps[-1].fit, search.level, search.given, search.tell)
-        out.joint, out.fitted, out.accepted = joint, fitted, list(search.accepted)
+    def grown(self, joint: Joint, place: int, gain: float) -> "Search | None":
+        """This search with a larger model whose effect at `place` is new; None unless χ² falls by `gain`."""
+        free = always_free(joint, (*self.given, *self.accepted, place))
+        optimum = optimise(joint, joint.start, np.sort(free), joint.fitted)
+        if optimum.chi2 >= self.optimum.chi2 - gain:
+            return None
+        out = Search(self.steps[-1].fit, self.level, self.given, self.tell)
+        out.joint, out.accepted = joint, list(self.accepted)
         out.take(place, optimum)
         return out
 
@@ -213,9 +225,8 @@ def always_free(joint: Joint, places: Sequence[int]) -> np.ndarray:
 
 def start_search(case, joint: Joint, level: float, given: Sequence[int], tell: Callable[[str], None]) -> Search:
     """Fit the base model with the effects it was given, and begin."""
-    fitted = [r for r in joint.readings if r.fitted]
     tell("fit the base model")
-    optimum = optimise(joint, joint.start, always_free(joint, given), fitted)
+    optimum = optimise(joint, joint.start, always_free(joint, given), joint.fitted)
     base = beside(case, joint, optimum)
     tell(f"base model: χ²/dof {base.chi2_per_dof:.4g}")
     return Search(base, level, given, tell)

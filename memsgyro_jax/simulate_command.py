@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .errors import InputError
-from .files import write_whole
+from .files import finite, write_whole
 from .loop import ClosedLoop
 from .scenario import Scenario
 from .store import LABELS
@@ -96,19 +96,13 @@ def summary(trace: Trace, settle: float | None) -> dict[str, Any]:
         **{f"{name}{unit}": value for (name, value), unit in zip(_settings(trace), ("_hz", "_s", "", ""), strict=True)},
         "versions": dict(trace.settings.versions),
     }
-    return _finite(entries)
+    return finite(entries)
 
 
 def _settings(trace: Trace) -> list[tuple[str, Any]]:
     given = trace.settings
     names = ("sample_rate", "duration", "seed", "fingerprint")
     return [(name, getattr(given, name)) for name in names]
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {name: _finite(entry) for name, entry in value.items()}
-    return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 def rows(figures: dict[str, Any]) -> list[tuple[str, str]]:

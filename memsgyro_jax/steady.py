@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from .elimination import inverse
+from .elimination import inverse, times
 from .model import Conditions, Model
 
 
@@ -75,24 +75,21 @@ def steady_state(
 
     def balance(flat: Array, response: tuple, model: Model, force: Array, conditions: Conditions) -> Array:
         linear, driven, push = response
-        state = driven + _apply(push, _unflatten(flat, model))
+        state = driven + times(push, _unflatten(flat, model))
         return flat - _flatten(nonlinear_spectrum(model, linear, state, force, conditions))
 
-    def respond(model: Model, omega: Array, force: Array, conditions: Conditions) -> tuple:
-        linear = model.linear(conditions)
-        driven, push = _linear_response(model, omega, force, linear)
-        return linear, driven, push[:, :, rows]
-
-    response = respond(model, omega, force, conditions)
+    linear = model.linear(conditions)
+    driven, push = _linear_response(model, omega, force, linear)
+    response = linear, driven, push[:, :, rows]
     frozen = jax.lax.stop_gradient((response, model, force, conditions))
     start = _displacement_only(model, jax.lax.stop_gradient(omega), guess)
     first = _flatten(nonlinear_spectrum(frozen[1], frozen[0][0], start, frozen[2], frozen[3]))
     # What is left out is a difference of accelerations ω²·q: steps below their rounding are noise.
-    rounding = 1e-15 * jax.lax.stop_gradient(omega**2 * jnp.max(jnp.abs(response[1][1, : model.axes])))
+    rounding = 1e-15 * jax.lax.stop_gradient(omega**2 * jnp.max(jnp.abs(driven[1, : model.axes])))
     found, solve = _newton(lambda x: balance(x, *frozen), first, rounding)
     # One more step with everything differentiable but the Jacobian: value unchanged, derivative that of the solution.
     found = found - solve @ balance(found, response, model, force, conditions)
-    return response[1] + _apply(response[2], _unflatten(found, model))
+    return driven + times(push[:, :, rows], _unflatten(found, model))
 
 
 def _linear_response(model, omega, force, linear) -> tuple[Complex[Array, "h n"], Complex[Array, "h n n"]]:
@@ -102,11 +99,7 @@ def _linear_response(model, omega, force, linear) -> tuple[Complex[Array, "h n"]
     operator = 1j * order[:, None, None] * omega * jnp.eye(model.size) - matrix
     push = jax.vmap(inverse)(operator)
     drive = (order == 1)[:, None] * (gain @ force)
-    return _apply(push, drive), push
-
-
-def _apply(matrix: Array, vector: Array) -> Array:
-    return jnp.einsum("hij,hj->hi", matrix, vector)
+    return times(push, drive), push
 
 
 def _displacement_only(model, omega, guess):

@@ -65,7 +65,7 @@ def candidates(quick: bool) -> dict[str, Score]:
     right = fit_case(case, [CubicStiffness(axis=0)])
     others = [e for e in catalogue(2) if not isinstance(e, Scanned) and e.label != "cubic_stiffness x"]
     joint = Joint(right.model.with_effect(*others), readings_of(case))
-    fitted = [r for r in joint.readings if r.fitted]
+    fitted = joint.fitted
     _, slopes = joint.linearise(joint.start, np.eye(joint.start.size), fitted)
     q = basis(slopes[:, np.concatenate([joint.base(), joint.of_effect(0)])])
     nothing = np.zeros(len(q))

@@ -31,7 +31,7 @@ class Linear:
     @classmethod
     def of(cls, joint: Joint, vector: np.ndarray) -> "Linear":
         """The base parameters free, every effect of the model a candidate."""
-        fitted = [r for r in joint.readings if r.fitted]
+        fitted = joint.fitted
         _, slopes = joint.linearise(vector, np.eye(vector.size), fitted)
         effects = joint.model.effects
         parts = tuple(slopes[:, joint.of_effect(i)] for i in range(len(effects)))

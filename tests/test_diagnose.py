@@ -125,7 +125,6 @@ def test_a_user_s_own_effect_is_then_found(stopped, tmp_path):
     assert outcome.verdict == "found"
 
 
-@pytest.mark.xfail(strict=True, reason="rivals are judged where the effect is present, not absent")
 def test_a_change_of_units_is_no_rival():
     """A scale error of the only axis is another mass and another spring; where there is no spring it explains none
     of the misfit.

@@ -14,6 +14,7 @@ from lab.strengths import VISIBLE, visible
 
 from memsgyro_jax.case_fit import CaseFit, fit_case
 from memsgyro_jax.effects import AdcSaturation, DampingStep, ParasiticMode
+from memsgyro_jax.experiments import RingDown
 
 
 SWEEPS = ("sweep_x", "sweep_y", "bias", "soak")
@@ -129,7 +130,7 @@ def test_the_error_of_a_ring_down_falls_with_the_square_of_the_step():
     made = bench(visible("cubic_stiffness_x"))
     effects = strengths(made.hidden, (EFFECTS[0],))
     fit = fit_case(made.case, model=truth(made.case, DIE, made.hidden, effects), held=True)
-    ring = next(r.experiment for r in fit.joint.readings if r.experiment.name == "ringdown")
+    ring = next(r.experiment for r in fit.joint.readings if isinstance(r.experiment, RingDown))
     clean = made.records["ringdown"].clean
     coarse, fine = (
         np.max(np.abs(eqx.filter_jit(replace(ring, step_cycles=n).predict)(fit.model) - clean)) for n in (6, 3)

@@ -130,7 +130,7 @@ def fitted():
     joint = Joint(truth(case, DIE, Hidden()), readings_of(case))
     start = joint.start.copy()
     start[joint.base()] = Joint(model_of(case, starting_device(case)), joint.readings).start
-    return joint, optimise(joint, start, joint.base(), [r for r in joint.readings if r.fitted])
+    return joint, optimise(joint, start, joint.base(), joint.fitted)
 
 
 def test_a_fit_ends_at_the_truth(fitted):
@@ -147,7 +147,7 @@ def test_a_fit_ends_at_the_truth(fitted):
 
 def test_an_optimum_is_stationary_and_says_its_residual(fitted):
     joint, optimum = fitted
-    chosen = [r for r in joint.readings if r.fitted]
+    chosen = joint.fitted
     value, slope = joint.linearise(optimum.vector, np.eye(joint.start.size)[optimum.free], chosen)
     np.testing.assert_allclose(optimum.residual, value, atol=1e-6)
     size = np.linalg.norm(slope, axis=0)
@@ -160,7 +160,7 @@ def test_chi_square_rises_by_one_at_one_standard_deviation(fitted):
     """Along an eigenvector of the covariance, by definition of the covariance."""
     joint, optimum = fitted
     values, vectors = np.linalg.eigh(optimum.covariance / np.outer(optimum.std, optimum.std))
-    chosen = [r for r in joint.readings if r.fitted]
+    chosen = joint.fitted
     for value, vector in zip(values[[0, -1]], vectors.T[[0, -1]], strict=True):
         moved = optimum.vector.copy()
         moved[optimum.free] += np.sqrt(value) * vector * optimum.std

@@ -8,7 +8,7 @@ import pytest
 from memsgyro_jax.effects import CubicStiffness, ParasiticMode, RateBiasDrift, ReadoutDelay, catalogue, load_effects
 from memsgyro_jax.errors import InputError
 from memsgyro_jax.model import Model
-from memsgyro_jax.model_file import model_text, present, read_model, write_model
+from memsgyro_jax.model_file import model_text, read_model, write_model
 from memsgyro_jax.normalised import NormalisedDevice
 from memsgyro_jax.resonator import Resonator
 
@@ -59,7 +59,7 @@ def test_every_effect_of_the_catalogue_comes_back(tmp_path):
 def test_effects_of_strength_zero_are_left_out(tmp_path):
     after = read_model(write_model(model(*catalogue(2)), tmp_path / "m.toml"))
     assert after.effects == ()
-    assert same(after, present(model(*catalogue(2))))
+    assert same(after, model(*catalogue(2)).present)
 
 
 def test_a_resonator_has_one_axis(tmp_path):

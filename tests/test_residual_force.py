@@ -11,7 +11,6 @@ import memsgyro_jax
 from memsgyro_jax.case import load_case
 from memsgyro_jax.case_fit import fit_case
 from memsgyro_jax.effects import CubicStiffness, ParasiticMode
-from memsgyro_jax.model_file import present
 from memsgyro_jax.residual_force import above_noise, in_bins, rate_residuals, sweep_forces, time_forces
 
 
@@ -137,4 +136,4 @@ def test_bins_are_means_with_their_error():
 
 
 def test_effects_that_are_absent_do_not_count(right):
-    assert [e.label for e in present(right.model).effects] == ["cubic_stiffness x"]
+    assert [e.label for e in right.model.present.effects] == ["cubic_stiffness x"]

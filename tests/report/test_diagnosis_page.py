@@ -24,7 +24,7 @@ def diagnosis():
     """Of the demonstration, put together by hand from two fits with one program."""
     case = load_case(Path(memsgyro_jax.__file__).parent / "demo")
     final = fit_case(case, [CubicStiffness(axis=0)])
-    fitted = [r for r in final.joint.readings if r.fitted]
+    fitted = final.joint.fitted
     vector = np.where([p.effect is None for p in final.joint.parameters], final.optimum.vector, 0.0)
     base = beside(case, final.joint, optimise(final.joint, vector, final.joint.base(), fitted))
     strength = final.estimates[-1]
