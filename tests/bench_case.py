@@ -40,6 +40,17 @@ TINY = Laboratory(
     digits=17,
 )
 
+# One axis, driven in volts: three levels of a sweep, and one in between that is not fitted.
+RESONATOR = Die.resonator(68.6, 11.0, 0.98)
+BAND = {"points": 15, "span": 25.0, "dense": 4.0, "both": False, "noise": 1e-4}
+ONE_AXIS = Laboratory(
+    (
+        Sweep("sweep", 0, (0.002, 0.006, 0.012), **BAND),
+        Sweep("sweep_check", 0, (0.009,), role="validation", **BAND),
+    ),
+    digits=17,
+)
+
 
 @dataclass(frozen=True, eq=False)
 class Bench:

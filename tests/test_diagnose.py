@@ -3,9 +3,8 @@
 import json
 
 import pytest
-from bench_case import bench
-from lab.die import Die, Hidden, Outside
-from lab.protocol import Laboratory, Sweep
+from bench_case import ONE_AXIS, RESONATOR, bench
+from lab.die import Hidden, Outside
 from lab.strengths import VISIBLE, visible
 
 from memsgyro_jax.diagnose import diagnose
@@ -78,15 +77,6 @@ def test_an_impossible_level_is_refused():
 # ---- a resonator with a stop, which no catalogue lists
 
 
-RESONATOR = Die.resonator(68.6, 11.0, 0.98)
-BAND = {"span": 25.0, "dense": 4.0, "both": False, "noise": 1e-4}
-SWEEPS = Laboratory(
-    (
-        Sweep("sweep", 0, (0.002, 0.006, 0.012), points=15, **BAND),
-        Sweep("sweep_check", 0, (0.009,), points=15, role="validation", **BAND),
-    ),
-    digits=17,
-)
 STOP = Hidden(outside=Outside(stop_x=0.03 * RESONATOR.kxx, stop_gap=0.05))
 OWN = """
 import jax.numpy as jnp
@@ -105,7 +95,7 @@ class Stop(ForceEffect):
 
 @pytest.fixture(scope="module")
 def stopped():
-    return bench(STOP, 1, SWEEPS, RESONATOR).case
+    return bench(STOP, 1, ONE_AXIS, RESONATOR).case
 
 
 def test_physics_outside_the_catalogue_is_not_called_found(stopped):
@@ -130,13 +120,13 @@ def test_a_change_of_units_is_no_rival():
     of the misfit.
     """
     spring = Hidden(cubic_stiffness_x=3.9 * RESONATOR.kxx)
-    outcome = diagnose(None, bench(spring, 1, SWEEPS, RESONATOR).case)
+    outcome = diagnose(None, bench(spring, 1, ONE_AXIS, RESONATOR).case)
     assert [a.label for a in outcome.accepted] == ["cubic_stiffness x"]
     assert outcome.accepted[0].confused_with == ()
 
 
 def test_what_a_lock_in_cannot_see_is_not_excited():
-    case = bench(Hidden(), 1, SWEEPS, RESONATOR).case
+    case = bench(Hidden(), 1, ONE_AXIS, RESONATOR).case
     outcome = diagnose(None, case)
     assert outcome.verdict == "nothing_missing"
     excited = {c.label: c.excited for c in outcome.first}

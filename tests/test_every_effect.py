@@ -5,9 +5,8 @@ Strengths are counted in standard deviations beside everything free, where a cas
 
 import numpy as np
 import pytest
-from bench_case import DIE, EFFECTS, bench, truth
-from lab.die import Die, Hidden, Outside
-from lab.protocol import Laboratory, Sweep
+from bench_case import DIE, EFFECTS, ONE_AXIS, RESONATOR, bench, truth
+from lab.die import Hidden, Outside
 from power import Linear
 
 from memsgyro_jax.diagnose import CONFUSED, diagnose
@@ -81,15 +80,6 @@ def test_nothing_more_is_found_beside_the_right_effect(linear, place):
 # ---- physics that no catalogue lists, in whole diagnoses
 
 
-RESONATOR = Die.resonator(68.6, 11.0, 0.98)
-BAND = {"span": 25.0, "dense": 4.0, "both": False, "noise": 1e-4}
-SWEEPS = Laboratory(
-    (
-        Sweep("sweep", 0, (0.002, 0.006, 0.012), points=15, **BAND),
-        Sweep("sweep_check", 0, (0.009,), points=15, role="validation", **BAND),
-    ),
-    digits=17,
-)
 K = RESONATOR.kxx
 STRANGERS = {
     "stop on one side": Outside(stop_x=0.03 * K, stop_gap=0.05),
@@ -102,5 +92,5 @@ STRANGERS = {
 @pytest.mark.parametrize("kind", STRANGERS)
 def test_a_stranger_is_never_called_found(kind, seed):
     """Twenty-one draws; one in twenty would be allowed."""
-    outcome = diagnose(None, bench(Hidden(outside=STRANGERS[kind]), seed, SWEEPS, RESONATOR).case)
+    outcome = diagnose(None, bench(Hidden(outside=STRANGERS[kind]), seed, ONE_AXIS, RESONATOR).case)
     assert outcome.verdict in ("unknown_effect", "partly_explained", "cannot_tell")

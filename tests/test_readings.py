@@ -5,8 +5,8 @@ from dataclasses import replace
 import jax
 import numpy as np
 import pytest
-from bench_case import DIE, bench, truth
-from lab.die import Die, Hidden
+from bench_case import DIE, RESONATOR, bench, truth
+from lab.die import Hidden
 from lab.protocol import Laboratory, Multisine, RingDown
 
 from memsgyro_jax.case_fit import fit_case
@@ -91,9 +91,6 @@ def test_raw_captures_take_steps_that_resolve_the_motion(case):
     assert float(raw.step) * fastest < 0.12
     assert raw.forces.shape[0] == 300 * raw.substeps
     np.testing.assert_array_equal(raw.increments, 0.0)
-
-
-RESONATOR = Die.resonator(68.6, 11.0, 0.98)
 
 
 def test_an_unknown_start_is_simulated_but_not_compared():

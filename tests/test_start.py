@@ -4,15 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bench_case import DIE, bench, truth
-from lab.die import Die, Hidden
+from bench_case import DIE, RESONATOR, bench, truth
+from lab.die import Hidden
 from lab.protocol import Laboratory, Multisine, Sweep
 from lab.strengths import visible
 
 from memsgyro_jax.start import design_device, starting_device
 
 
-RESONATOR = Die.resonator(68.6, 11.0, 0.98)
 SWEPT = Sweep("sweep", 0, (0.002, 0.006), points=15, span=25.0, dense=4.0, both=False, noise=1e-4)
 
 

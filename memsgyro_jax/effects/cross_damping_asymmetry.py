@@ -17,7 +17,7 @@ class CrossDampingAsymmetry(Planar, ForceEffect):
     """
 
     name, unit, law = "cross_damping_asymmetry", "N·s/m", "F_x = −s/2·y', F_y = +s/2·x'"
-    reference = "IEEE Std 1431-2004, annex B"
+    reference = "IEEE Std 1431-2004"
     strength: Array = strength()
 
     def force(self, now: Moment) -> Array:

@@ -1,5 +1,9 @@
 """Kinds of measurement, each of which predicts what the laboratory would have recorded. A new kind is a new file beside
 these.
+
+There are two families. `FrequencySweep` predicts from a `Bench` in closed form: coupling errors of one sweep, through a
+lock-in with its own errors (`identify`). `HarmonicSweep`, `RingDown`, `RateTable` and `TimeRecord` predict from a
+`Model` with any effects: the records of a measurement case (`compare`, `diagnose`, `fit`).
 """
 
 from .base import CartesianNoise as CartesianNoise

@@ -1,7 +1,6 @@
 """A damaged case is one sentence with its place, or a case; under a checksum no number changes."""
 
 import re
-import shutil
 
 import numpy as np
 import pytest
@@ -123,9 +122,3 @@ def test_under_a_checksum_no_number_changes(tmp_path, file):
             judge(outcome)
         else:
             same(intact, outcome)
-
-
-def test_a_copy_of_a_case_is_the_case(tmp_path):
-    folder = write_bench(tmp_path / "bench")
-    shutil.copytree(folder, tmp_path / "copy")
-    same(load_case(folder), load_case(tmp_path / "copy"))

@@ -30,7 +30,7 @@ def crossed(n):
 
 
 def drift(s, n):
-    return 2 * M * sum(c * np.cos(np.pi * k * n.progress) for k, c in enumerate(s, 1)) * crossed(n)
+    return 2 * M * sum(c * np.sin(np.pi * (k + 0.5) * n.progress) for k, c in enumerate(s)) * crossed(n)
 
 
 # label: force on the mass [N] per axis, as in the table of the contract, from strength, moment and axis.

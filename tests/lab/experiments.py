@@ -53,7 +53,7 @@ class Bench:
 @singledispatch
 def perform(experiment, bench):
     """The record of an experiment."""
-    raise NotImplementedError(f"nobody knows how to do {experiment}")
+    raise TypeError(f"nobody knows how to do {experiment}")
 
 
 def printed(values, digits):
@@ -207,8 +207,8 @@ def _(experiment: RateTable, bench):
         rate = columns["rate [deg/s]"] * DEGREE
     turn = np.gradient(rate, t)
     if h.rate_bias_drift and experiment.name == h.rate_bias_drift_record:
-        order = np.arange(1, len(h.rate_bias_drift) + 1)
-        drift = np.cos(np.pi * t[:, None] * order / times[-1]) @ np.array(h.rate_bias_drift)
+        order = np.arange(len(h.rate_bias_drift)) + 0.5
+        drift = np.sin(np.pi * t[:, None] * order / times[-1]) @ np.array(h.rate_bias_drift)
         rate = rate + drift / (1 + h.rate_scale_error)  # the table's scale is not the drift's
     conditions = {
         "rate": np.append(rate[0], rate), "turn": np.append(0.0, turn), "calibrated": experiment.calibrated,

@@ -7,7 +7,8 @@ How the effects act together, where their laws leave it open:
   other displacement, feedthrough and offset are added; the converter clips. The delay holds back the motion alone.
 - Rate: W (1 + `rate_scale_error`) + `rate_offset` + `rate_bias_drift`, constant in each block of a rate table (its
   value at the middle). W' is `numpy.gradient` of the rate column over its times, so a step keeps its impulse.
-- `rate_bias_drift` and `damping_step` touch one named record. Drift: a_j cos(π j t / T), T the end of the last block.
+- `rate_bias_drift` and `damping_step` touch one named record. Drift: a_j sin(π (j − 1/2) t / T), T the end of the last
+  block.
 - `finite_sweep_rate`: every row is the slow motion at its frequency, rising; transients of the sweep's start are over.
 
 Precision without noise is about 1e-10 of the motion. Exception: a peak that rises above the converter's range for less
