@@ -121,6 +121,8 @@ def _healthy(loop: ClosedLoop, state: LoopState) -> Bool[Array, "*lanes"]:
     estimate = loop.observer.estimate(state.observer)
     numbers = (*state.motion, *estimate.motion, *estimate.theta, *estimate.offset)
     within = (jnp.abs(state.motion[0]) <= loop.travel) & (jnp.abs(state.motion[1]) <= loop.travel)
+    if loop.filter is not None:
+        numbers = (*numbers, loop.rate(state))
     if estimate.rate_variance is not None:
         within = within & (estimate.rate_variance >= 0.0)
     return within & jnp.isfinite(sum(numbers))

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .device import Scalar, check_positive, is_concrete, number
+from .device import Scalar, check_positive, is_concrete
 from .errors import InputError
 
 
@@ -25,6 +25,11 @@ class Section(NamedTuple):
     warped: Scalar
     damping: Scalar
     gain: Scalar
+
+
+def _frequency() -> Scalar:
+    """A field in Hz: a float even where a whole number is given, so that it has a gradient and may differ per die."""
+    return eqx.field(converter=lambda value: jnp.asarray(value, float))
 
 
 class AbstractFilter(eqx.Module):
@@ -49,13 +54,7 @@ class AbstractFilter(eqx.Module):
 
         Raises `InputError` when the filter does not fit below half the sample rate.
         """
-        if is_concrete(*self.edges(), sample_rate):
-            highest = max(float(np.max(edge)) for edge in self.edges())
-            if not highest < 0.5 * sample_rate:
-                raise InputError(
-                    f"Argument `sample_rate` must be more than twice the filter's {highest:g} Hz, "
-                    f"but {sample_rate:g} Hz was given."
-                )
+        check_fits(self, sample_rate)
         signal = jnp.asarray(signal, float)
         begin = self.init(jnp.broadcast_to(jnp.asarray(start, float), signal.shape[1:]))
         return _scan(self, begin, signal, 1.0 / sample_rate)
@@ -68,7 +67,7 @@ class Lowpass(AbstractFilter):
     for a bandwidth that is not positive or another order.
     """
 
-    bandwidth: Scalar = number()
+    bandwidth: Scalar = _frequency()
     order: int = eqx.field(static=True, default=3)
 
     def __check_init__(self):
@@ -105,8 +104,8 @@ class Bandpass(AbstractFilter):
     `low` and `high` in Hz are where the power has halved (-3 dB). Raises `InputError` unless 0 < low < high.
     """
 
-    low: Scalar = number()
-    high: Scalar = number()
+    low: Scalar = _frequency()
+    high: Scalar = _frequency()
     order: int = eqx.field(static=True, default=1)
 
     def __check_init__(self):
@@ -148,6 +147,18 @@ class Bandpass(AbstractFilter):
                 size = jnp.abs(placed)
                 found.append(Section(size, -2.0 * placed.real / size, width / size))
         return tuple(found)
+
+
+def check_fits(filter_: AbstractFilter, sample_rate: float) -> None:
+    """Raise `InputError` unless the filter lies below half of `sample_rate` [Hz]; traced values pass."""
+    if not is_concrete(*filter_.edges(), sample_rate):
+        return
+    highest = max(float(np.max(edge)) for edge in filter_.edges())
+    if not highest < 0.5 * sample_rate:
+        raise InputError(
+            f"Argument `sample_rate` must be more than twice the filter's {highest:g} Hz, "
+            f"but {sample_rate:g} Hz was given."
+        )
 
 
 def _state_variable(section: Section, held: tuple[Scalar, Scalar], value: Scalar) -> tuple[tuple, tuple]:

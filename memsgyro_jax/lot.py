@@ -42,7 +42,7 @@ class LotRecorder(engine.AbstractRecorder[LotMemory, tuple[Scalar, Scalar, Scala
 
     def sample(self, memory: LotMemory, sample: Sample) -> LotMemory:
         """Add one sample."""
-        error = sample.estimate.rate - sample.conditions.inertial.rate
+        error = sample.rate - sample.conditions.inertial.rate
         nis = 0.0 if sample.estimate.nis is None else sample.estimate.nis
         return LotMemory(
             outside=jnp.where(jnp.abs(error) <= self.tolerance, memory.outside, sample.clock.time),
@@ -128,7 +128,7 @@ def _rows(loop: ClosedLoop, scenario: Scenario, design: ClosedLoop, words: tuple
     relative = [_relative(e, t) for e, t in zip(estimate.theta, truth, strict=True)]
     rows = {
         "lost_at": jnp.where(done.alive, jnp.nan, done.blocks_alive * plan.block * plan.period),
-        "rate_error_end": estimate.rate - conditions.inertial.rate,
+        "rate_error_end": loop.rate(done.state) - conditions.inertial.rate,
         "rate_error_rms": jnp.sqrt(mean_square),
         "rate_series_std": jnp.sqrt(jnp.maximum(mean_square - jnp.mean(error[settled], axis=0) ** 2, 0.0)),
         "rate_std_end": nothing if estimate.rate_variance is None else jnp.sqrt(estimate.rate_variance),

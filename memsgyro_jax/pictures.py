@@ -30,9 +30,12 @@ def trace(result: "Trace", quantity: str, ax: "Axes | None") -> "Axes":
         raise InputError(f"Argument `quantity` must be one of {', '.join(names)}, but `{quantity}` was given.")
     ax, time = axes(ax), result.time * 1e3
     if quantity == "rate":
-        estimate, spread = np.degrees(result.rate_estimate), np.degrees(result.rate_std)
+        estimate, spread = np.degrees(result.rate_unfiltered), np.degrees(result.rate_std)
         ax.fill_between(time, estimate - spread, estimate + spread, color="C0", alpha=0.25, lw=0, label="± claimed std")
-        ax.plot(time, estimate, color="C0", lw=1.0, label="estimate")
+        label = "estimate before the filter" if result.filtered else "estimate"
+        ax.plot(time, estimate, color="C0", lw=1.0, alpha=0.4 if result.filtered else 1.0, label=label)
+        if result.filtered:
+            ax.plot(time, np.degrees(result.rate_estimate), color="C1", lw=1.4, label="output")
         ax.plot(time, np.degrees(result.rate_true), color="k", lw=1.2, ls="--", label="true")
         ax.set_ylabel("rate [deg/s]")
         ax.set_ylim(*_limits(np.degrees(np.concatenate([result.rate_true, result.rate_estimate[len(time) // 4 :]]))))

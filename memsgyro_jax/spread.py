@@ -216,7 +216,7 @@ def device_numbers(loop: ClosedLoop) -> tuple[str, ...]:
 
 def _check_possible(loop: ClosedLoop, dies: np.ndarray) -> None:
     try:
-        for part in (loop.device, loop.readout):
+        for part in (loop.device, loop.readout, loop.filter):
             getattr(part, "__check_init__", lambda: None)()
     except InputError as error:
         raise InputError(

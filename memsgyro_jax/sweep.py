@@ -13,6 +13,7 @@ import numpy as np
 from . import lot, noise, runtime
 from .bound import information_bound
 from .errors import InputError
+from .filters import check_fits
 from .loop import ClosedLoop
 from .observers import ExtendedKalmanFilter
 from .propagate import fuses_many_outputs
@@ -81,6 +82,10 @@ def sweep(
     on with a store of the same configuration. `progress(done, dies)` is called after each batch. The information bound
     is computed for the first `bound_dies` dies (0: not at all); the summary quotes its root mean square over them.
 
+    Errors, convergence and window means are those of the loop's output, behind its filter where it has one; claimed
+    standard deviation, NIS and NEES those of the observer's estimate before the filter, which alone they speak of. The
+    bound holds for any use of the same data and prior, with a filter or without.
+
     Raises `InputError` for settings that cannot be run, a store of something else, and outside float64.
     """
     runtime.require_float64("sweep")
@@ -121,6 +126,8 @@ class _Runner:
         """
         numbers = np.arange(block * self.block, min((block + 1) * self.block, dies))
         drawn = self.spread.draw(self.loop, self.scenario, self.seed, numbers)
+        if drawn.loop.filter is not None:
+            check_fits(drawn.loop.filter, 1.0 / self.plan.period)
         words = jax.tree.map(np.asarray, noise.die_words(jax.random.key(self.seed), jnp.asarray(numbers)))
         chunks = -(-len(numbers) // self.chunk)
         for first in range(0, chunks, self.mesh.size):

@@ -26,14 +26,16 @@ if TYPE_CHECKING:
 class Trace:
     """What a run recorded, one row per kept sample; SI units throughout.
 
-    `theta` holds the true coefficients at the end of the run. `rate_std` and `nis` are NaN for an observer without a
-    covariance. `lost_at` is None, or the time at which the die was lost (out of its travel, or not finite, at a kept
-    sample): rows from then on repeat the last good one.
+    `theta` holds the true coefficients at the end of the run. `rate_estimate` is the loop's output, behind its filter
+    where it has one, `rate_unfiltered` the observer's own estimate, of which alone `rate_std` and `nis` speak (NaN for
+    an observer without a covariance). `lost_at` is None, or the time at which the die was lost (out of its travel, or
+    not finite, at a kept sample): rows from then on repeat the last good one.
     """
 
     time: Float[np.ndarray, " samples"]
     rate_true: Float[np.ndarray, " samples"]
     rate_estimate: Float[np.ndarray, " samples"]
+    rate_unfiltered: Float[np.ndarray, " samples"]
     rate_std: Float[np.ndarray, " samples"]
     motion: Float[np.ndarray, "samples 4"]
     motion_estimate: Float[np.ndarray, "samples 4"]
@@ -58,6 +60,11 @@ class Trace:
         """Estimate minus truth in rad/s."""
         return self.rate_estimate - self.rate_true
 
+    @property
+    def filtered(self) -> bool:
+        """Whether the output is another than the observer's own estimate."""
+        return not np.array_equal(self.rate_estimate, self.rate_unfiltered, equal_nan=True)
+
     def __repr__(self) -> str:
         error = np.degrees(self.rate_error[len(self.time) // 2 :])
         return (
@@ -75,6 +82,7 @@ class Trace:
         variables = {
             "rate_true": ("time", self.rate_true, {"units": "rad/s"}),
             "rate_estimate": ("time", self.rate_estimate, {"units": "rad/s"}),
+            "rate_unfiltered": ("time", self.rate_unfiltered, {"units": "rad/s"}),
             "rate_std": ("time", self.rate_std, {"units": "rad/s"}),
             "motion": (("time", "state"), self.motion, {"units": "m, m/s"}),
             "motion_estimate": (("time", "state"), self.motion_estimate, {"units": "m, m/s"}),
@@ -106,6 +114,7 @@ class _Row(NamedTuple):
     volts: tuple
     force: tuple
     estimate: Any
+    output: jax.Array
 
 
 class TraceRecorder(engine.AbstractRecorder[_Row, _Row]):
@@ -179,7 +188,10 @@ def _compiled(loop: ClosedLoop, scenario: Scenario, words: tuple, period: float,
 
 def _row(sample: Sample) -> _Row:
     drift, inertial = sample.conditions.offset_drift, sample.conditions.inertial
-    numbers = (sample.clock.time, inertial.rate, sample.motion, drift, sample.volts, sample.force, sample.estimate)
+    numbers = (
+        *(sample.clock.time, inertial.rate, sample.motion, drift, sample.volts, sample.force),
+        *(sample.estimate, sample.rate),
+    )
     return _Row(*jax.tree.map(lambda x: jnp.asarray(x, float), numbers))
 
 
@@ -195,7 +207,8 @@ def _as_trace(done: engine.Run, loop: ClosedLoop, theta: tuple, settings: Settin
     return Trace(
         time=row.time,
         rate_true=row.rate,
-        rate_estimate=estimate.rate,
+        rate_estimate=row.output,
+        rate_unfiltered=estimate.rate,
         rate_std=std,
         motion=columns(row.motion),
         motion_estimate=columns(estimate.motion),

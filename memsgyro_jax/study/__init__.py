@@ -13,8 +13,9 @@ from .record import read_rate_record as read_rate_record
 def load_study(path: str | Path) -> Study:
     """Reads a study file.
 
-    It has the sections `[device]`, `[readout]`, `[observer]`, `[controller]`, `[loop]`, `[scenario]`, `[spread]` and
-    `[sweep]`; one that is left out is that of `default_study()`, one that is given replaces it as a whole. Quantities
+    It has the sections `[device]`, `[readout]`, `[observer]`, `[controller]`, `[filter]`, `[loop]`, `[scenario]`,
+    `[spread]` and `[sweep]`; one that is left out is that of `default_study()` (which has no filter), one that is given
+    replaces it as a whole. Quantities
     are text with a unit, `"1.8e-7 kg"`, or `{ value = 1.8e-7, unit = "kg" }`. File names start at the study's folder.
 
     Raises:

@@ -10,6 +10,7 @@ from pydantic import ConfigDict, Field, ValidationError
 
 from ..errors import InputError
 from ..files import write_whole
+from ..filters import check_fits
 from ..loop import ClosedLoop
 from ..readout import THESIS_RATE, snr_density
 from ..scenario import Scenario
@@ -17,6 +18,7 @@ from ..spread import Normal, Root, Spread, Vary
 from .complaints import Source
 from .hardware import Charge, Device, Readout, SingleMass
 from .laws import Added, Anneal, Compensation, Controller, Kalman, Observer, discretisation
+from .output import Filter
 from .plan import Lot, Run, Start
 from .quantity import Part, field_unit
 from .surroundings import FOLDER, Surroundings
@@ -57,6 +59,7 @@ class StudyFile(Part):
             kind="damping_compensation", tones=(Added(frequency="600 Hz", amplitude="53.95 m/s^2"),)
         )
     )
+    filter: Filter | None = None
     loop: Start = Start()
     scenario: Surroundings = Field(default_factory=lambda: Surroundings(rate="1 rad/s"))
     spread: Lot = Lot(relative=0.15)
@@ -69,7 +72,7 @@ class StudyFile(Part):
             return "N*s/m"
         if first == "start":
             return "m" if path in ("start.0", "start.1") else "m/s"
-        if first in ("device", "readout") and len(rest) == 1:
+        if first in ("device", "readout", "filter") and len(rest) == 1 and getattr(self, first) is not None:
             return field_unit(type(getattr(self, first)), rest[0])
         if path.startswith("scenario.rate.") and len(self.scenario.rate) == 1:
             return field_unit(type(self.scenario.rate[0]), rest[-1])
@@ -155,8 +158,12 @@ def _build(file: StudyFile, source: Source) -> Study:
         controller = file.controller.build()
     start = (*file.loop.displacement, *file.loop.velocity)
     plant = discretisation(file.loop.discretisation)
-    loop = ClosedLoop(gyro, readout, observer, controller, start, file.loop.travel, plant)
+    filter_ = file.filter and file.filter.build()
+    loop = ClosedLoop(gyro, readout, observer, controller, start, file.loop.travel, plant, filter_)
     scenario = file.scenario.build()
+    if filter_ is not None:
+        with source.section("filter"):
+            check_fits(filter_, file.sweep.sample_rate)
     with source.section("sweep", "sample_rate"):
         loop.sampled_at(file.sweep.sample_rate)
     with source.section("sweep", "settle"):

@@ -48,6 +48,11 @@ kind = "reference_model"
 frequency = ["3 kHz", "5 kHz"]
 tones = [{ frequency = "600 Hz", amplitude = "50 m/s^2", phase = "90 deg", axis = "y" }]
 
+[filter]
+kind = "bandpass"
+low = "5 Hz"
+high = "2 kHz"
+
 [loop]
 displacement = "1 um"
 discretisation = "euler"
@@ -204,6 +209,20 @@ def test_numbers_survive_writing_to_the_last_bit(tmp_path_factory, mass, decay, 
             '[scenario.rate]\nkind = "chirp"\namplitude = "1 rad/s"\nlow = "0 Hz"\nhigh = "5 Hz"\nduration = "1 s"\n',
             lambda s: isinstance(s.scenario.rate, mg.Chirp),
         ),
+        (
+            """[filter]
+kind = "lowpass"
+bandwidth = "20 Hz"
+[spread.parameters]
+"filter.bandwidth" = { kind = "normal", std = "2 Hz" }
+""",
+            lambda s: float(s.loop.filter.bandwidth) == 20.0 and s.loop.filter.order == 3
+            and s.spread.items[0].distribution.std == 2.0,
+        ),
+        (
+            '[filter]\nkind = "bandpass"\nlow = "10 Hz"\nhigh = "1 kHz"\norder = 2\n',
+            lambda s: float(s.loop.filter.high) == 1000.0 and s.loop.filter.order == 2,
+        ),
         ("[spread]\nrelative = 0\n", lambda s: s.spread.resolved(s.loop) == ()),
     ],
 )  # fmt: skip
@@ -280,10 +299,15 @@ BAD = [
     ('kxx = "1e4 1/s^5"', 'dxy = "1e4 1/s^3"', ["`observer`", "`dxy`"]),
     ('frequency = ["3 kHz", "5 kHz"]', 'frequency = ["3 kHz"]', ["line 35, `controller.frequency"]),
     ('slope = "1 mV/s"', 'slope = "1 mV"', ["`scenario.offset_drift.y.slope`", '"V/s"', '"mV"']),
-    ('rate = ["100 deg/s", {', 'rate = ["100 deg", {', ["line 43", '"rad/s"', '"deg"']),
+    ('rate = ["100 deg/s", {', 'rate = ["100 deg", {', ["line 48", '"rad/s"', '"deg"']),
     ('"device.kxx" = {', '"device.kzz" = {', ["`spread`", "device.kzz"]),
     ('std = "2 N/m"', 'std = "2 kg"', ["`spread`", "device.kxx", '"N/m"', '"kg"']),
     ('low = "0.9 um", high = "1.1 um"', 'low = "1.9 um", high = "1.1 um"', ["`spread`", "start.0", "low <= high"]),
+    ('low = "5 Hz"', 'low = "5 kHz"', ["line 38, `filter`", "must have low below high, but has 5000 Hz and 2000 Hz"]),
+    ('high = "2 kHz"', 'high = "2 kHz"\norder = 5', ["line 42, `filter.order`", "less than or equal to 4"]),
+    ('high = "2 kHz"', 'high = "200 kHz"', ["line 38, `filter`", "more than twice the filter's 200000 Hz"]),
+    ('high = "2 kHz"', "high = 2000", ["line 41, `filter.high`", "must carry a unit"]),
+    ('kind = "bandpass"', 'kind = "notch"', ["line 38", '"lowpass" or "bandpass"', '"notch"']),
     ("dies = 12", "dies = 12.5", ["`sweep.dies`", "whole number"]),
     ("dies = 12", 'dies = "12"', ["`sweep.dies`", "whole number"]),
     ('sample_rate = "200 kHz"', 'sample_rate = "5 kHz"', ["`sweep.sample_rate`", "twice the highest", "at least"]),
@@ -293,7 +317,7 @@ BAD = [
     ("seed = 7", "seed = 7\nsead = 7", ["`sweep.sead`", "did you mean `seed`"]),
     ("[sweep]", "[sweeep]", ["`sweeep`", "did you mean `sweep`"]),
     ('schema = "memsgyro-study/1"', 'schema = "memsgyro-study/9"', ["line 2, `schema`", "memsgyro-study/1"]),
-    ("seed = 7", "seed = = 7", ["must be TOML", "line 63"]),
+    ("seed = 7", "seed = = 7", ["must be TOML", "line 68"]),
 ]  # fmt: skip
 
 
