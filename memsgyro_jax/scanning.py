@@ -64,10 +64,10 @@ def scan(model: Model, optimum: Optimum, readings: Sequence[Readings], grid: Seq
     starts = np.concatenate([[0], np.cumsum([r.size for r in readings])])
     for place, chosen in enumerate(readings):
         points = [e for e in grid if _shows(e, chosen, readings)]
-        if isinstance(chosen.experiment, TimeRecord):  # long to simulate: a coarse net there
-            points = points[:: -(-len(points) // COARSE)]
         if not points:
             continue
+        if isinstance(chosen.experiment, TimeRecord):  # long to simulate: a coarse net there
+            points = points[:: -(-len(points) // COARSE)]
         span = slice(starts[place], starts[place + 1])
         for begin in range(0, len(points), CHUNK):
             some = points[begin : begin + CHUNK]
