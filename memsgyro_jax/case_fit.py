@@ -6,6 +6,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy import stats
 
 from .case import Case
 from .device import SingleMassGyro
@@ -114,6 +115,39 @@ class CaseFit:
                 if values.size:
                     out.append(RecordError(record.name, role, values.size, float(values @ values)))
         return tuple(out)
+
+    @cached_property
+    def p_values(self) -> tuple[float, ...]:
+        """Per entry of `errors`, the probability of so large a χ² by noise alone.
+
+        What was not fitted also differs by the uncertainty of the fit: the sum of squares that a refit with these
+        readings would leave, itself included, is χ²-distributed with as many degrees of freedom as there are readings.
+        """
+        blocks = self._slopes_of_validation()
+        root = np.linalg.qr(self.optimum.jacobian, mode="r")
+        out = []
+        for error in self.errors:
+            chi2 = error.chi2
+            if error.role == "validation":
+                values, slopes = (np.concatenate(parts) for parts in zip(*blocks[error.name], strict=True))
+                whole, target = np.concatenate([root, slopes]), np.concatenate([np.zeros(len(root)), values])
+                size = np.linalg.norm(whole, axis=0)
+                whole = whole / np.where(size > 0, size, 1.0)
+                chi2 = float(np.sum((target - whole @ np.linalg.lstsq(whole, target)[0]) ** 2))
+            out.append(float(stats.chi2.sf(chi2, error.count)))
+        return tuple(out)
+
+    def _slopes_of_validation(self) -> dict[str, list[tuple[np.ndarray, np.ndarray]]]:
+        """Whitened residual and its sensitivity to the free parameters, of what was not fitted, by record."""
+        units = np.eye(self.optimum.vector.size)[self.optimum.free]
+        out: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
+        for readings in (r for r in self.joint.readings if not r.fitted):
+            values, slopes = self.joint.linearise(self.optimum.vector, units, [readings])
+            rows = np.repeat(readings.record, values.size // readings.record.size)
+            for record in np.unique(readings.record[readings.record >= 0]):
+                mine = (rows == record) & np.isfinite(values)
+                out.setdefault(self.case.records[record].name, []).append((values[mine], slopes[mine]))
+        return out
 
     @property
     def chi2_per_dof(self) -> float:

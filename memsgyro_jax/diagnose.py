@@ -21,8 +21,9 @@ from .search import Ranking, Search, start_search
 from .start import starting_device
 
 
-CONFUSED = 9.0  # expected Δχ² below which two effects count as not told apart
+CONFUSED = 10.8  # expected Δχ² below which noise puts the wrong one of two effects first in one case of twenty
 DECIDED = 25.0  # expected Δχ² from which an experiment counts as deciding
+RECORDS = 0.1  # share of the level for records that no candidate explains; the rest is the candidates'
 PARTLY = 0.5  # share of the misfit above noise that "partly explained" asks for
 
 
@@ -53,11 +54,11 @@ def diagnose(
     candidates = [*catalogue(case.channels), *effects]
     smooth = [e for e in candidates if not isinstance(e, Scanned) and e.label not in known]
     joint = Joint(start.with_effect(*smooth), readings_of(case))
-    search = start_search(case, joint, level, range(len(start.effects)), tell)
+    search = start_search(case, joint, (1 - RECORDS) * level, range(len(start.effects)), tell)
     first = search.rank()
     ranking = search.run(first)
     base, steps = search.base, list(search.steps)
-    if not all(_explained(search.steps[-1].fit)):
+    if not all(_explained(search.steps[-1].fit, search.accepted, level)):
         later, ranking = _with_scans(search, ranking, tell)
         steps += [] if later is search else later.steps[1:]
         search = later
@@ -65,14 +66,15 @@ def diagnose(
     tell("see what these records can tell apart")
     confused = _confusions(search, ranking)
     accepted = _accepted(search, confused, steps)
-    verdict = _verdict(base, final, accepted)
+    explained = _explained(final, accepted, level)
+    verdict = _verdict(base, final, accepted, all(explained))
     groups = tuple((a.label, *a.confused_with) for a in accepted if a.confused_with)
     return Diagnosis(
         case=case,
         base=base,
         final=final,
         verdict=verdict,
-        sentence=_sentence(verdict, accepted, final),
+        sentence=_sentence(verdict, accepted, final, explained),
         accepted=accepted,
         first=_listed(joint.model, first),
         candidates=_listed(search.joint.model, ranking),
@@ -90,12 +92,19 @@ def _start(model, case: Case) -> Model:
     return model_of(case, starting_device(case) if model is None else model)
 
 
-def _explained(fit: CaseFit) -> list[bool]:
+def _explained(fit: CaseFit, accepted: Sequence, level: float) -> list[bool]:
     """Per record and role, whether noise alone explains what is left; fitted readings, many and tested anyway, get a
     wider gate.
+
+    Where no effect was accepted, a record beyond its gate counts only if noise, and the uncertainty of the fit, would
+    seldom put it there: with all records together this happens to `RECORDS` of the level.
     """
     wide = [1.0 + 4.5 * np.sqrt(2.0 / e.count) if e.role == "fit" else e.gate for e in fit.errors]
-    return [e.chi2 / e.count <= gate for e, gate in zip(fit.errors, wide, strict=True)]
+    within = [e.chi2 / e.count <= gate for e, gate in zip(fit.errors, wide, strict=True)]
+    if accepted or all(within):
+        return within
+    alone = RECORDS * level / len(within)
+    return [fine or p > alone for fine, p in zip(within, fit.p_values, strict=True)]
 
 
 def _with_scans(search: Search, ranking: Ranking, tell) -> tuple[Search, Ranking]:
@@ -175,8 +184,7 @@ def _accepted(search: Search, confused: dict[int, list[int]], steps) -> tuple[Ac
     return tuple(a for _, a in sorted(out, key=lambda pair: -pair[0]))
 
 
-def _verdict(base: CaseFit, final: CaseFit, accepted: tuple[Accepted, ...]) -> Verdict:
-    explained = all(_explained(final))
+def _verdict(base: CaseFit, final: CaseFit, accepted: tuple[Accepted, ...], explained: bool) -> Verdict:
     if not accepted:
         return "nothing_missing" if explained else "unknown_effect"
     if explained:
@@ -185,12 +193,10 @@ def _verdict(base: CaseFit, final: CaseFit, accepted: tuple[Accepted, ...]) -> V
     return "partly_explained" if after < (1 - PARTLY) * before else "unknown_effect"
 
 
-def _sentence(verdict: Verdict, accepted: tuple[Accepted, ...], final: CaseFit) -> str:
+def _sentence(verdict: Verdict, accepted: tuple[Accepted, ...], final: CaseFit, explained: list[bool]) -> str:
     names = ", ".join(a.label for a in accepted)
     left = ", ".join(
-        f"{e.name} ({e.role}, {e.rms:.3g} × noise)"
-        for e, fine in zip(final.errors, _explained(final), strict=True)
-        if not fine
+        f"{e.name} ({e.role}, {e.rms:.3g} × noise)" for e, fine in zip(final.errors, explained, strict=True) if not fine
     )
     return {
         "nothing_missing": "The base model explains every record to its noise; no effect is missing.",

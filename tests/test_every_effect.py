@@ -8,7 +8,9 @@ import pytest
 from bench_case import DIE, EFFECTS, ONE_AXIS, RESONATOR, bench, truth
 from lab.die import Hidden, Outside
 from power import Linear
+from scipy import stats
 
+from memsgyro_jax.case_fit import fit_case
 from memsgyro_jax.diagnose import CONFUSED, diagnose
 from memsgyro_jax.diagnosis import SIGMAS_SEEN
 from memsgyro_jax.joint import Joint
@@ -47,17 +49,15 @@ def test_nothing_is_found_in_noise(linear, threshold):
 def rightly_first(linear: Linear, place: int) -> float:
     """Share of draws in which the right effect is first, or one that the package itself would not tell from it."""
     alike = linear.group(place, 1.0 - CONFUSED / STRONG**2)
-    residuals = linear.noise(200, np.random.default_rng(place)) + linear.shown(place, STRONG)
+    residuals = linear.noise(2 * DRAWS, np.random.default_rng(place)) + linear.shown(place, STRONG)
     return float(np.mean(np.isin(np.argmin(linear.single(residuals), axis=1), alike)))
 
 
-def test_the_right_effect_comes_first(linear):
-    """A rival just told apart, by Δχ² = 9, comes first in one draw of fifteen, Φ(−3/2): such alone may miss 95 %."""
+def test_the_right_effect_or_its_group_comes_first(linear):
+    """A rival just told apart comes first in one draw of twenty, by the choice of `CONFUSED`; others hardly ever."""
     shares = {label: rightly_first(linear, place) for place, label in enumerate(LABELS)}
-    below = {label: share for label, share in shares.items() if share < 0.95}
     assert np.mean(list(shares.values())) >= 0.98
-    assert len(below) <= 2, below
-    assert all(share >= 0.9 for share in below.values()), below
+    assert min(shares.values()) >= 0.95, shares
 
 
 @pytest.mark.parametrize("place", SINGLE, ids=[LABELS[i] for i in SINGLE])
@@ -75,6 +75,21 @@ def test_nothing_more_is_found_beside_the_right_effect(linear, place):
     limit = after.threshold(LEVEL)
     alarms = np.mean(after.single(after.noise(DRAWS, np.random.default_rng(place))).min(axis=1) <= limit)
     assert 0.02 <= alarms <= 0.07, alarms
+
+
+# ---- whole diagnoses where nothing is missing
+
+
+def test_a_sound_device_is_called_sound():
+    """At a level of 5 %, records that no candidate explains included: 3 to 21 alarms in 99.8 % of such series."""
+    verdicts = [diagnose(None, bench(Hidden(), seed).case, level=LEVEL).verdict for seed in range(100, 300)]
+    assert 3 <= sum(v != "nothing_missing" for v in verdicts) <= 21
+
+
+def test_the_records_that_were_not_fitted_are_as_surprising_as_they_say():
+    """Probabilities of what noise and the uncertainty of the fit do together are uniform."""
+    p = [min(fit_case(bench(Hidden(), seed, ONE_AXIS, RESONATOR).case).p_values) for seed in range(100)]
+    assert stats.kstest(1 - (1 - np.array(p)) ** 2, "uniform").pvalue > 1e-3
 
 
 # ---- physics that no catalogue lists, in whole diagnoses
