@@ -10,7 +10,6 @@ import numpy as np
 
 from . import __version__
 from .case import AbstractRecord, Case, FrequencySweepRecord
-from .case.records import aligned
 from .case_fit import CaseFit, RecordError, fit_case
 from .case_series import series_of, spoken
 from .device import SingleMassGyro
@@ -22,6 +21,7 @@ from .noise_level import noise_level
 from .normalised import NormalisedDevice
 from .readings import model_of
 from .resonator import Resonator
+from .text import aligned
 
 
 if TYPE_CHECKING:

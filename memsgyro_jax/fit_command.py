@@ -9,7 +9,6 @@ import numpy as np
 
 from . import __version__
 from .case import load_case
-from .case.records import aligned
 from .case_fit import CaseFit, fit_case
 from .compare import judged, times
 from .effects import Effect, Scanned, by_name, catalogue, load_effects
@@ -17,6 +16,7 @@ from .errors import InputError
 from .files import finite, write_whole
 from .model_file import settings_of, write_model
 from .scanning import coverage, scan
+from .text import aligned
 
 
 SCHEMA = "memsgyro-fit/1"

@@ -93,7 +93,7 @@ def run_batch(
 
     def group(dynamic):
         loop, scenario, words = eqx.combine(dynamic, static)
-        rows = _rows(loop, scenario, design[0], words, plan)
+        rows = rows_of(loop, scenario, design[0], words, plan)
         return {name: jnp.moveaxis(value, -1, 0) for name, value in rows.items()}
 
     def part(dynamic):
@@ -111,7 +111,8 @@ def _spec(value: Array, varies: bool) -> P:
     return P(*(None,) * (value.ndim - 1), DIE_AXIS) if varies else P()
 
 
-def _rows(loop: ClosedLoop, scenario: Scenario, design: ClosedLoop, words: tuple, plan: Plan) -> dict[str, Array]:
+def rows_of(loop: ClosedLoop, scenario: Scenario, design: ClosedLoop, words: tuple, plan: Plan) -> dict[str, Array]:
+    """The rows of dies side by side, which trail; differentiable by every number of the loop and scenario."""
     recorder = LotRecorder(plan.tolerance)
     done = engine.run(loop, scenario, words, plan.period, plan.blocks, plan.block, recorder, design)
     end = plan.blocks * plan.block * plan.period

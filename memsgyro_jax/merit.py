@@ -27,20 +27,26 @@ def proportion(good: int, count: int, criterion: str) -> Proportion:
 
 @dataclass(frozen=True)
 class Percentiles:
-    """Root mean square, median and 95th percentile of the magnitude of an error over the dies."""
+    """Root mean square, median and 95th percentile of the magnitude of an error over the dies.
+
+    `p95_low` to `p95_high` is the 95 % interval of the percentile, by order statistics; NaN with too few dies.
+    """
 
     rms: float
     p50: float
     p95: float
+    p95_low: float
+    p95_high: float
 
 
 def percentiles(errors: Float[np.ndarray, " dies"]) -> Percentiles:
     """Over the finite entries; NaN where there are none."""
     size = np.abs(errors[np.isfinite(errors)])
     if size.size == 0:
-        return Percentiles(float("nan"), float("nan"), float("nan"))
+        return Percentiles(*(float("nan"),) * 5)
     median, high = np.percentile(size, [50.0, 95.0])
-    return Percentiles(float(np.sqrt(np.mean(size**2))), float(median), float(high))
+    ends = stats.quantile_test(size, p=0.95).confidence_interval(0.95)
+    return Percentiles(float(np.sqrt(np.mean(size**2))), float(median), float(high), float(ends.low), float(ends.high))
 
 
 @dataclass(frozen=True)

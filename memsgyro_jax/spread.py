@@ -14,11 +14,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 from scipy import stats
 
+from .device import Scalar, is_concrete
 from .errors import InputError
 from .loop import ClosedLoop
+from .provenance import fingerprint
 from .scenario import Scenario
 
 
@@ -29,8 +31,8 @@ class AbstractDistribution(eqx.Module):
     """Turns a standard normal number into a value around a design value; a new kind gives `value`."""
 
     @abc.abstractmethod
-    def value(self, design: float, normal: Float[np.ndarray, " dies"]) -> Float[np.ndarray, " dies"]:
-        """Values of the dies; `normal` zero is the median."""
+    def value(self, design: Scalar, normal: Float[np.ndarray, " dies"]) -> Float[Array, " dies"]:
+        """Values of the dies, differentiable by the design value; `normal` zero is the median."""
 
 
 class Normal(AbstractDistribution):
@@ -49,7 +51,8 @@ class Normal(AbstractDistribution):
     def value(self, design, normal):
         """Design plus the normal number times the standard deviation, within the cut."""
         inside = stats.truncnorm.ppf(stats.norm.cdf(normal), -self.cut, self.cut)
-        return design + inside * np.hypot(self.relative * design, self.std)
+        std = self.relative * abs(design) if self.std == 0.0 else jnp.hypot(self.relative * design, self.std)
+        return design + inside * std
 
 
 class Uniform(AbstractDistribution):
@@ -119,18 +122,33 @@ class Root(eqx.Module):
         return getattr(self.loop, name)
 
 
+@dataclass(frozen=True, eq=False)
+class Points:
+    """Dies at chosen places: `normal` (dies, items) in standard deviations, and `noise` (dies,), the number of the die
+    whose measurement noise each of them gets.
+    """
+
+    normal: Float[np.ndarray, "dies items"]
+    noise: Int[np.ndarray, " dies"]
+
+    def __repr__(self) -> str:  # a store is told from others by it
+        return f"Points({len(self.normal)} dies, {fingerprint(np.asarray(self.normal), np.asarray(self.noise))})"
+
+
 @dataclass(frozen=True)
 class Spread:
     """Independent or correlated variations of a lot; `correlation` is a matrix over `items` of the underlying normal
     numbers.
 
-    `quasi=True` draws a scrambled Sobol sequence (percentiles converge faster), False pseudo-random numbers.
+    `quasi=True` draws a scrambled Sobol sequence (percentiles converge faster), False pseudo-random numbers. With
+    `points` nothing is drawn: die i is the i-th of them.
     """
 
     items: tuple[Vary, ...] = ()
     correlation: tuple[tuple[float, ...], ...] | None = None
     quasi: bool = True
     everywhere: AbstractDistribution | None = None
+    points: Points | None = None
 
     @classmethod
     def relative(cls, std: float, *, quasi: bool = True) -> "Spread":
@@ -154,20 +172,28 @@ class Spread:
 
         Raises `InputError` when a die would be impossible, a negative mass say.
         """
+        drawn = self.at(loop, scenario, self.normal(len(self.resolved(loop)), seed, dies))
+        _check_possible(drawn.loop, dies)
+        return drawn
+
+    def at(self, loop: ClosedLoop, scenario: Scenario, normal: Float[np.ndarray, "dies items"]) -> "Draw":
+        """Dies at given normal numbers, one column per variation; differentiable by the design values in `loop`."""
         root, items = Root(loop, scenario), self.resolved(loop)
-        normal = self._normal(len(items), seed, dies)
-        designs = [item.read(root) for item in items]
         values = [
-            item.distribution.value(float(design), column)
-            for item, design, column in zip(items, designs, normal.T, strict=True)
+            jnp.asarray(item.distribution.value(_number(item.read(root)), column))
+            for item, column in zip(items, np.asarray(normal).T, strict=True)
         ]
         if items:
-            root = eqx.tree_at(lambda r: [item.find(r) for item in items], root, [jnp.asarray(v) for v in values])
-            _check_possible(root.loop, dies)
-        table = np.stack(values, axis=1) if values else np.empty((len(dies), 0))
+            root = eqx.tree_at(lambda r: [item.find(r) for item in items], root, values)
+        table = jnp.stack(values, axis=1) if values else np.empty((len(normal), 0))
+        if is_concrete(table):
+            table = np.asarray(table)
         return Draw(root.loop, root.scenario, tuple(item.path for item in items), table)
 
-    def _normal(self, count: int, seed: int, dies: np.ndarray) -> Float[np.ndarray, "dies items"]:
+    def normal(self, count: int, seed: int, dies: np.ndarray) -> Float[np.ndarray, "dies items"]:
+        """The standard normal numbers, correlated where asked for, that define the dies with these numbers."""
+        if self.points is not None:
+            return np.asarray(self.points.normal)[dies]
         if count == 0:
             return np.empty((len(dies), 0))
         uniform = self._uniform(count, seed, np.asarray(dies, int))
@@ -185,6 +211,10 @@ class Spread:
             raise InputError(
                 "Argument `correlation` must be positive definite; lower its off-diagonal entries."
             ) from None
+
+    def noise(self, dies: np.ndarray) -> Int[np.ndarray, " dies"]:
+        """The numbers that key the measurement noise of the dies: their own, but for chosen points."""
+        return dies if self.points is None else np.asarray(self.points.noise)[dies]
 
     def _uniform(self, count: int, seed: int, dies: np.ndarray) -> Float[np.ndarray, "dies items"]:
         if not self.quasi:
@@ -212,6 +242,11 @@ def device_numbers(loop: ClosedLoop) -> tuple[str, ...]:
     """Names of the device's fields that hold a non-zero number."""
     fields = vars(loop.device)
     return tuple(name for name, value in fields.items() if eqx.is_inexact_array(value) and jax.numpy.all(value != 0.0))
+
+
+def _number(value: Array) -> Scalar:
+    """A Python number, which NumPy and SciPy work with fastest, unless it is traced."""
+    return float(value) if is_concrete(value) else value
 
 
 def _check_possible(loop: ClosedLoop, dies: np.ndarray) -> None:

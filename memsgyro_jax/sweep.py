@@ -128,7 +128,8 @@ class _Runner:
         drawn = self.spread.draw(self.loop, self.scenario, self.seed, numbers)
         if drawn.loop.filter is not None:
             check_fits(drawn.loop.filter, 1.0 / self.plan.period)
-        words = jax.tree.map(np.asarray, noise.die_words(jax.random.key(self.seed), jnp.asarray(numbers)))
+        keyed = jnp.asarray(self.spread.noise(numbers))
+        words = jax.tree.map(np.asarray, noise.die_words(jax.random.key(self.seed), keyed))
         chunks = -(-len(numbers) // self.chunk)
         for first in range(0, chunks, self.mesh.size):
             count = min(chunks - first, self.mesh.size)

@@ -18,10 +18,10 @@ MODULES = sorted(PACKAGE.rglob("*.py"))
 
 # A module imports only from modules above it. A folder counts as one place; inside it, everybody may import everybody.
 ORDER = [
-    *("errors", "runtime", "units", "files", "table"),
+    *("errors", "runtime", "units", "files", "text", "table"),
     *("noise", "device", "propagate", "readout", "observers", "controllers"),
     *("filters", "scenario", "loop", "engine", "provenance", "pictures", "trace"),
-    *("bound", "merit", "spread", "store", "lot", "summary", "sweep", "study"),
+    *("bound", "merit", "spread", "store", "lot", "summary", "sweep", "sensitivity", "study"),
     *("resonator", "normalised", "effects", "elimination", "model", "steady", "envelope"),
     *("free", "measurement", "case", "noise_level", "couplings", "modal", "experiments", "fit", "ratio"),
     *("sweep_start", "likelihood", "sweep_figures", "identification", "identify", "identify_ratio"),

@@ -59,7 +59,17 @@ def test_a_sweep_prints_its_table_and_leaves_three_results(memsgyro, folder):
     wanted = {"dies", "failed", "rate_error_dps", "bound_dps", "ratio_to_bound", "nees", "convergence_time_s", "yield"}
     assert wanted | {"steps_per_s", "seed", "versions"} <= set(summary)
     assert set(summary["yield"]) == {"value", "low", "high", "criterion"}
-    assert set(summary["rate_error_dps"]["end"]) == set(summary["rate_error_dps"]["settled"]) == {"rms", "p50", "p95"}
+    assert (
+        set(summary["rate_error_dps"]["end"])
+        == set(summary["rate_error_dps"]["settled"])
+        == {
+            "rms",
+            "p50",
+            "p95",
+            "p95_low",
+            "p95_high",
+        }
+    )
     assert (summary["dies"], summary["failed"], summary["seed"]) == (5, 0, 0)
     with xr.open_zarr(folder / "sweep-out" / "dies.zarr", consolidated=False) as data:
         error = np.degrees(data["rate_error_end"].values)

@@ -6,6 +6,7 @@ from functools import singledispatch
 
 import numpy as np
 
+from ..text import aligned
 from .outliers import interpolation_misfit, lone_rows
 from .records import (
     AbstractRecord,
@@ -15,7 +16,6 @@ from .records import (
     RateTableRecord,
     RingDownRecord,
     TimeRecord,
-    aligned,
 )
 
 

@@ -9,6 +9,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from ..errors import InputError
+from ..text import aligned
 
 
 Role = Literal["fit", "validation"]
@@ -322,9 +323,3 @@ class Case:
 
 def _noise(std: float | None, unit: str) -> str:
     return "-" if std is None else f"{std:.3g} {unit}".removesuffix(" 1")
-
-
-def aligned(rows: list[tuple[str, ...]]) -> str:
-    """Rows of text with their columns below each other."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return "\n".join("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows)

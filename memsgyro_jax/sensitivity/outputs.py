@@ -1,0 +1,78 @@
+"""The figures of a die whose sensitivity is asked for."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..store import OK
+
+
+DEGREES = 180.0 / np.pi
+Rows = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Output:
+    """A figure of every die of a sweep.
+
+    Args:
+        name: as it is printed.
+        unit: in which it is printed.
+        of: makes it (dies,) of the rows of a sweep (`rate_error_end`, `rate_error_rms`... in SI; see `sweep`); NaN for
+            a die that has none.
+        factor: from SI to `unit`.
+        counts: whether it is 0 or 1, and lost dies have it too.
+    """
+
+    name: str
+    unit: str
+    of: Callable[[Rows], Float[Array, " dies"]]
+    factor: float = 1.0
+    counts: bool = False
+
+
+# Made once: a program is compiled for each set of functions that it differentiates.
+END = Output("rate error at the end", "deg/s", lambda rows: rows["rate_error_end"], DEGREES)
+SETTLED = Output("rms rate error", "deg/s", lambda rows: rows["rate_error_rms"], DEGREES)
+LOST = Output("lost", "share", lambda rows: _share(rows["status"] != OK), counts=True)
+
+
+def outputs(tolerance: float) -> tuple[Output, ...]:
+    """What is looked at where nothing else is asked for: errors of the rate, lost dies, and dies whose error at the end
+    is beyond `tolerance` [rad/s], lost ones included.
+    """
+
+    def missed(rows: Rows) -> Any:
+        return _share(~(abs(rows["rate_error_end"]) <= tolerance))
+
+    return END, SETTLED, LOST, Output("out of tolerance", "share", missed, counts=True)
+
+
+def values_of(rows: Rows, chosen: Sequence[Output]) -> Float[np.ndarray, "outputs dies"]:
+    """Every output of every die in its printed unit."""
+    return np.stack([output.factor * np.asarray(output.of(rows), float) for output in chosen])
+
+
+def mean(values: Float[np.ndarray, "... dies"]) -> Float[np.ndarray, "..."]:
+    """Over the dies that have a value; NaN where none has."""
+    count = np.sum(np.isfinite(values), axis=-1)
+    return np.where(count > 0, np.nansum(values, axis=-1) / np.maximum(count, 1), np.nan)
+
+
+def standard_deviation(values: Float[np.ndarray, "... dies"]) -> Float[np.ndarray, "..."]:
+    """Over the dies that have a value; NaN where fewer than two have."""
+    count = np.sum(np.isfinite(values), axis=-1)
+    square = np.nansum((values - mean(values)[..., None]) ** 2, axis=-1)
+    return np.where(count > 1, np.sqrt(square / np.maximum(count - 1, 1)), np.nan)
+
+
+def standard_error(values: Float[np.ndarray, "... dies"]) -> Float[np.ndarray, "..."]:
+    """Of that mean."""
+    return standard_deviation(values) / np.sqrt(np.maximum(np.sum(np.isfinite(values), axis=-1), 1))
+
+
+def _share(condition: Any) -> Any:
+    return condition.astype(float)
