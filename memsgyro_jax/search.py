@@ -17,6 +17,7 @@ from .score import Score, basis, family_p_values, overlap, score
 LOOK_AHEAD = 3  # candidates that are refitted before one is chosen
 WORTH_A_LOOK = 0.5  # of the best score: below it a candidate is not refitted
 TWINS = 0.999  # overlap from which two candidates cannot both be tried
+NOTHING = 0.01  # of what a candidate explains: if no more is left, the others need not be refitted
 ROUNDS = 8
 NUDGE = 1e-9  # of the base parameters
 GLANCE, LONG = 5, 30  # evaluations to compare candidates, and to settle on one
@@ -130,14 +131,13 @@ class Search:
                 promising.append(i)
         labels = [self.joint.model.effects[ranking.places[i]].label for i in promising]
         self.tell("look closer at " + ", ".join(labels))
-        refits = [
-            self.refit(
-                [*self.accepted, ranking.places[i]],
-                slopes=ranking.slopes[i],
-                evaluations=GLANCE if len(promising) > 1 else LONG,
-            )
-            for i in promising
-        ]
+        refits: list[Optimum] = []
+        for i in promising:
+            evaluations = GLANCE if len(promising) > 1 else LONG
+            places = [*self.accepted, ranking.places[i]]
+            refits.append(self.refit(places, slopes=ranking.slopes[i], evaluations=evaluations))
+            if self._explains_all(refits[-1]):  # no other can do much better
+                break
         best = int(np.argmin([o.chi2 for o in refits]))
         place, chosen = ranking.places[promising[best]], refits[best]
         if chosen.chi2 >= self.optimum.chi2:
@@ -146,6 +146,12 @@ class Search:
             chosen = self.refit([*self.accepted, place], start=chosen.vector)
         self.take(place, chosen)
         return True
+
+    def _explains_all(self, refit: Optimum) -> bool:
+        """Whether what a refit leaves above the least that noise could leave is next to nothing of what it explains."""
+        dof = refit.residual.size - refit.free.size
+        least = dof - 3.0 * np.sqrt(2.0 * dof)
+        return refit.chi2 - least <= NOTHING * (self.optimum.chi2 - refit.chi2)
 
     def first_twin(self, ranking: Ranking) -> int:
         """The best candidate, or the one that stands first in the catalogue of those that explain the same."""

@@ -39,10 +39,13 @@ def tornado(result: "Tornado", output: str, ax: "Axes | None") -> "Axes":
     ax, k = axes(ax), _place(result.outputs, output)
     order = result.order(k)[::-1]
     place = np.arange(len(order))
-    ax.barh(place, np.nan_to_num(result.low[k, order]), 0.6, color="C0", alpha=0.8, label=f"-{result.sigmas:g} σ")
-    ax.barh(place, np.nan_to_num(result.high[k, order]), 0.6, color="C1", alpha=0.8, label=f"+{result.sigmas:g} σ")
+    for values, colour, offset, sign in ((result.low, "C0", 0.2, "-"), (result.high, "C1", -0.2, "+")):
+        bars = np.nan_to_num(values[k, order])
+        error = np.nan_to_num(result.std[k, order])
+        label = f"{sign}{result.sigmas:g} σ"
+        ax.barh(place + offset, bars, 0.4, xerr=error, color=colour, ecolor="0.4", label=label)
     if np.isfinite(result.slope[k]).all():
-        ax.plot(result.slope[k, order], place, "k|", ms=12, label=f"+{result.sigmas:g} σ by the gradient")
+        ax.plot(result.slope[k, order], place - 0.2, "k|", ms=10, label=f"+{result.sigmas:g} σ by the gradient")
     ax.axvline(0.0, color="k", lw=0.8)
     ax.set_yticks(place, [result.inputs[i] for i in order])
     ax.set_xlabel(f"change of {output} [{result.units[k]}] from {result.design[k]:.3g}")

@@ -1,0 +1,84 @@
+"""Which fabrication error matters? The same gyro twice: with a filter that knows nothing of its die, and with one that
+relies on the design.
+
+The first estimates every coefficient beside the rate and starts from the design values; the second takes stiffness and
+damping for known and estimates rate and motion. A tornado moves one parameter at a time, Sobol indices say which share
+of the variance each of them (and the noise) is answerable for, and the corners show the worst die. Where the response
+is straight, the first-order index of a parameter is the square of its bar over the sum of all squares, which the table
+checks.
+"""
+
+import time
+
+import matplotlib.pyplot as plt
+import numpy as np
+from _common import Report
+
+from memsgyro_jax import runtime
+
+
+runtime.configure()
+
+import memsgyro_jax as mg  # noqa: E402
+
+
+RELIED_ON = ("kxx", "kyy", "kxy", "dxx", "dyy", "dxy", "sigma")
+SPREAD = {"estimates everything": 0.1, "relies on the design": 1e-4}  # of every parameter of the device
+MOVED, VARIES = "rate error at the end", "rms rate error"  # what the tornado and the indices are drawn of
+
+
+def main() -> None:
+    report = Report()
+    points, repeats, sigmas = (32, 8, 1.0) if report.quick else (512, 64, 1.0)
+    run = {"sample_rate": 50e3, "duration": 0.02} if report.quick else {"sample_rate": 100e3, "duration": 0.05}
+    figure, axes = plt.subplots(2, 2, figsize=(13.0, 7.6), layout="constrained")
+    for column, (name, loop) in enumerate(loops().items()):
+        spread, began = mg.Spread.relative(SPREAD[name]), time.perf_counter()
+        bars = mg.tornado(loop, spread, repeats=repeats, sigmas=sigmas, **run)
+        shares = mg.sobol(loop, spread, points=points, **run)
+        worst = mg.corners(loop, spread, repeats=2, sigmas=2.0, **run)
+        print(f"\n== {name}, {100 * SPREAD[name]:g} % spread\n{bars}\n\n{shares}\n\n{worst}")
+        tell(report, name, bars, shares, worst)
+        report.row(f"{name}: dies run", "-", shares.dies + len(worst.signs) * 2, f"{time.perf_counter() - began:.0f} s")
+        bars.plot(axes[0, column], MOVED).set_title(f"{name}, spread {100 * SPREAD[name]:g} %")
+        shares.plot(axes[1, column], VARIES)
+    report.picture(figure, "sensitivity")
+    report.finish()
+
+
+def loops() -> dict[str, mg.ClosedLoop]:
+    gyro, readout = mg.SingleMassGyro.chi2010(), mg.ChargeAmplifier.chi2010()
+    drive = mg.DampingCompensation(tones=mg.Tone(600.0, 53.95))
+
+    def watched(**options) -> mg.ClosedLoop:
+        observer = mg.ExtendedKalmanFilter.for_device(gyro, readout, annealing=mg.Annealing(), **options)
+        return mg.ClosedLoop(gyro, readout, observer, drive)
+
+    everything, rest = watched(), watched(known=RELIED_ON)
+    return dict(zip(SPREAD, (everything, rest), strict=True))
+
+
+def tell(report: Report, name: str, bars: mg.Tornado, shares: mg.Sobol, worst: mg.Corners) -> None:
+    k, end = shares.outputs.index(VARIES), shares.outputs.index(MOVED)
+    first, most = bars.order(end)[0], int(np.argmax(shares.total[k]))
+    size = max(abs(bars.low[end, first]), abs(bars.high[end, first]))
+    report.row(f"{name}: {VARIES} at the design [deg/s]", "-", float(bars.design[k]))
+    report.row(f"{name}: largest change of the {MOVED} [deg/s]", "-", float(size),
+               f"{bars.inputs[first]}, ± {bars.std[end, first]:.2g}")  # fmt: skip
+    low, high = shares.total_interval[k, most]
+    report.row(f"{name}: largest total index", "-", float(shares.total[k, most]),
+               f"{shares.inputs[most]}, {low:.2f} to {high:.2f}")  # fmt: skip
+    noise = shares.inputs.index("noise")
+    low, high = shares.total_interval[k, noise]
+    report.row(f"{name}: share in which the noise takes part", "-", float(shares.total[k, noise]),
+               f"{low:.2f} to {high:.2f}")  # fmt: skip
+    straight = bars.slope[end] ** 2 / np.sum(bars.slope[end] ** 2)
+    off = float(np.max(np.abs(shares.first[end, :-1] - straight)))
+    report.row(f"{name}: first-order indices by the gradient alone, farthest off", 0.0, off, "0 if straight")
+    corner = worst.order(k)[0]
+    report.row(f"{name}: worst corner at 2 sigma [deg/s]", "-", float(worst.worst[k, corner]),
+               f"{worst.lost[corner]:.0%} lost")  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()
