@@ -11,8 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .device import Inertial, Pair, Scalar, check_positive, number
+from .device import Inertial, Pair, Scalar, check_not_negative, check_positive, number
 from .errors import InputError
+from .noise import normal_pair
+
+
+WALK_STREAM = 1  # stream of `noise.normal_pair`; the measurement noise of a run is stream 0
 
 
 class AbstractProfile(eqx.Module):
@@ -115,6 +119,40 @@ class Recorded(AbstractProfile):
     def value(self, time: Scalar) -> Scalar:
         """Linear between rows."""
         return jnp.interp(time, self.times, self.values)
+
+
+class RandomWalk(AbstractProfile):
+    """A random walk from `start`, its variance growing by `intensity` [unit²/s]; level after `duration` [s].
+
+    `realisation`, a number from 0 to 1, names one walk out of all: a spread over it (uniform from 0 to 1) gives each
+    die a walk of its own. Straight between `rows` points.
+    """
+
+    intensity: Scalar = number()
+    duration: Scalar = number()
+    start: Scalar = number(default=0.0)
+    realisation: Scalar = number(default=0.5)
+    rows: int = eqx.field(static=True, default=1000)
+
+    def __check_init__(self):
+        check_not_negative("intensity", self.intensity)
+        check_positive("duration", self.duration)
+        if self.rows < 2:
+            raise InputError(f"Argument `rows` must be at least 2, but {self.rows} was given.")
+
+    def value(self, time: Scalar) -> Scalar:
+        """Linear between the points of the walk."""
+        spacing = self.duration / self.rows
+        steps = jnp.sqrt(self.intensity * spacing) * self._normal()
+        levels = jnp.concatenate([jnp.zeros_like(steps[:1]), jnp.cumsum(steps, axis=0)])
+        place = jnp.clip(time / spacing, 0.0, self.rows)
+        before = jnp.minimum(jnp.floor(place).astype(int), self.rows - 1)
+        return self.start + levels[before] + (place - before) * (levels[before + 1] - levels[before])
+
+    def _normal(self) -> Float[Array, "rows *lanes"]:
+        key = (jnp.asarray(self.realisation * 2.0**32, jnp.uint32), jnp.zeros_like(self.realisation, jnp.uint32))
+        half = jnp.arange(-(-self.rows // 2)).reshape((-1,) + (1,) * jnp.ndim(self.realisation))
+        return jnp.concatenate(normal_pair(key, half, WALK_STREAM))[: self.rows]
 
 
 class Sum(AbstractProfile):

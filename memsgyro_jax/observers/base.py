@@ -20,13 +20,26 @@ class Clock(NamedTuple):
     period: Scalar
 
 
+class Innovation(NamedTuple):
+    """What the last sample told that was not expected: `error` in V of the two channels and the `variance` in V² that
+    the filter claims for them, the second given the first, so that the two are independent.
+    """
+
+    error: Pair
+    variance: Pair
+
+    @property
+    def squared(self) -> Pair:
+        """Squared error over variance of each channel; 1 on average when the filter is consistent."""
+        return tuple(e**2 / v for e, v in zip(self.error, self.variance, strict=True))
+
+
 class Estimate(eqx.Module):
     """What an observer believes at a sample.
 
     `motion` is (x, y, vx, vy) in m and m/s, `theta` the coefficients of `model` in order (known ones at their known
     values), `offset` the read-out offsets in V. Observers with a covariance also give the variance of the rate in
-    (rad/s)² and the normalised innovation squared of the last sample (2 on average when the filter is consistent);
-    others leave None.
+    (rad/s)² and the innovation of the last sample; others leave None.
     """
 
     motion: State4
@@ -34,7 +47,12 @@ class Estimate(eqx.Module):
     offset: Pair
     model: MotionModel = eqx.field(static=True)
     rate_variance: Scalar | None = None
-    nis: Scalar | None = None
+    innovation: Innovation | None = None
+
+    @property
+    def nis(self) -> Scalar | None:
+        """Normalised innovation squared of the last sample, 2 on average when the filter is consistent."""
+        return None if self.innovation is None else sum(self.innovation.squared)
 
     @property
     def rate(self) -> Scalar:

@@ -22,7 +22,7 @@ from ..device import AbstractGyro, MotionModel, Pair, Scalar, check_positive
 from ..errors import InputError
 from ..propagate import AbstractDiscretisation, Exact, State4, Transition, advance, dot, fence
 from ..readout import AbstractReadout, ChargeAmplifier
-from .base import AbstractObserver, Clock, Estimate
+from .base import AbstractObserver, Clock, Estimate, Innovation
 from .covariance import (
     Columns,
     Covariance,
@@ -43,13 +43,18 @@ from .settings import Annealing, Prior, ProcessNoise, design_prior
 
 
 class KalmanState(NamedTuple):
-    """Mean, covariance, what the fading law remembers, and the last normalised innovation squared."""
+    """Mean, covariance, what the fading law remembers, and the last innovation."""
 
     motion: State4
     constants: Float[Array, "constants *lanes"]
     covariance: Covariance
     fading: object
-    nis: Scalar
+    innovation: Innovation
+
+    @property
+    def nis(self) -> Scalar:
+        """The last normalised innovation squared."""
+        return sum(self.innovation.squared)
 
 
 class ExtendedKalmanFilter(AbstractObserver[KalmanState]):
@@ -137,8 +142,9 @@ class ExtendedKalmanFilter(AbstractObserver[KalmanState]):
         upper = tuple(self.prior.motion_std[i] ** 2 if i == j else zero for i in range(4) for j in range(i, 4))
         cross = tuple(0.0 * mean for _ in range(4))
         spread = jnp.eye(len(mean)).reshape((len(mean),) * 2 + (1,) * (std.ndim - 1)) * std[None] ** 2
+        nothing = Innovation((zero, zero), (zero + 1.0, zero + 1.0))
         return KalmanState(
-            self.prior.motion, mean, Covariance(upper, cross, spread), self.fading.init() if self.fading else (), zero
+            self.prior.motion, mean, Covariance(upper, cross, spread), self.fading.init() if self.fading else (), nothing
         )
 
     def update(self, state: KalmanState, measured: Pair, force: Pair, clock: Clock) -> KalmanState:
@@ -151,15 +157,14 @@ class ExtendedKalmanFilter(AbstractObserver[KalmanState]):
         return corrected.state
 
     def estimate(self, state: KalmanState) -> Estimate:
-        """Mean, rate variance and the last NIS."""
+        """Mean, rate variance and the last innovation."""
         rate = self.model.index("rate")
         variance = None
         if rate in self.estimated:
             position = self._first + self.estimated.index(rate)
             variance = state.covariance.constants[position, position]
-        return Estimate(
-            state.motion, self._theta(state.constants), self._offset(state.constants), self.model, variance, state.nis
-        )
+        theta, offset = self._theta(state.constants), self._offset(state.constants)
+        return Estimate(state.motion, theta, offset, self.model, variance, state.innovation)
 
     def covariance(self, state: KalmanState) -> Float[Array, "states states *lanes"]:
         """The full covariance, ordered motion, offsets (if states), estimated coefficients."""
@@ -264,8 +269,8 @@ class ExtendedKalmanFilter(AbstractObserver[KalmanState]):
         first, second, innovation = fence(clock.time, (first, second, innovation))
         weights = innovation[0], innovation[1] - self._output(first.motion_gain, first.constant_gain, 1) * innovation[0]
         mean, constants = correct_mean(predicted.mean, state.constants, first, second, weights)
-        nis = weights[0] ** 2 / first.spread + weights[1] ** 2 / second.spread
-        new = KalmanState(mean, constants, downdate(prior, first, second), remembered, nis)
+        seen = Innovation(weights, (first.spread, second.spread))
+        new = KalmanState(mean, constants, downdate(prior, first, second), remembered, seen)
         return _Corrected(new, self._smoothed(state, predicted, weights, first, second, new, faded))
 
     def _output(self, motion: tuple[Scalar, ...], constants: Array, axis: int) -> Scalar:

@@ -1,0 +1,13 @@
+"""What tuning makes small. A new loss is a subclass of `AbstractLoss` or `AbstractMean`, here or in a user's own file."""
+
+from .base import AbstractLoss as AbstractLoss
+from .base import AbstractMean as AbstractMean
+from .base import rate_error as rate_error
+from .claimed_variance import ClaimedVariance as ClaimedVariance
+from .consistency import Consistency as Consistency
+from .convergence_time import ConvergenceTime as ConvergenceTime
+from .delay import Delay as Delay
+from .innovation_likelihood import InnovationLikelihood as InnovationLikelihood
+from .squared_rate_error import SquaredRateError as SquaredRateError
+from .weighted import Weighted as Weighted
+from .worst_dies import WorstDies as WorstDies

@@ -1,0 +1,29 @@
+"""The information about the rate, as a Kalman filter counts it."""
+
+from typing import ClassVar
+
+import jax.numpy as jnp
+
+from ..errors import InputError
+from .base import AbstractMean
+
+
+class ClaimedVariance(AbstractMean):
+    """Mean from `settle` [s] on of ln of the variance of the rate, in (rad/s)², that the filter claims.
+
+    With the true noises a filter that is consistent claims the Bayesian information bound, so this is the bound without
+    a second computation: for tuning what makes the motion informative (auxiliary tones, reference frequencies). Never
+    free the filter's own noises with it: it would believe any claim. It needs no truth.
+    """
+
+    sees_truth: ClassVar[bool] = False
+
+    def of(self, sample):
+        """ln of the variance."""
+        variance = sample.estimate.rate_variance
+        if variance is None:
+            raise InputError(
+                "The loss `ClaimedVariance` must have an observer that claims a variance for the rate, an "
+                "`ExtendedKalmanFilter` say, but this loop's has none."
+            )
+        return jnp.log(variance)
