@@ -56,6 +56,7 @@ _CONTENTS = {
     "Sine": "scenario",
     "Chirp": "scenario",
     "Recorded": "scenario",
+    "RandomWalk": "scenario",
     "ClosedLoop": "loop",
     "simulate": "trace",
     "Trace": "trace",
@@ -76,6 +77,10 @@ _CONTENTS = {
     "corners": "sensitivity",
     "Corners": "sensitivity",
     "Output": "sensitivity",
+    "free": "tunable",
+    "Tunable": "tunable",
+    "tune": "tune",
+    "Tuning": "tuning",
     "load_study": "study",
     "default_study": "study",
     "Study": "study",
@@ -117,7 +122,7 @@ _CONTENTS = {
     "diagnose": "diagnose",
     "Diagnosis": "diagnosis",
 }
-_FOLDERS = ("effects",)  # used by name: `mg.effects.CubicStiffness("x")`
+_FOLDERS = ("effects", "losses")  # used by name: `mg.effects.CubicStiffness("x")`
 
 __all__ = [*_CONTENTS, *_FOLDERS, "__version__"]
 

@@ -162,6 +162,36 @@ def simulate(
 
 
 @app.command
+def tune(
+    study: Path | None = None,
+    /,
+    *,
+    dies: int | None = None,
+    seed: int | None = None,
+    out: Path = Path("tune-out"),
+    json: Path | None = None,
+) -> None:
+    """Gains, noises and bandwidths by gradient through the closed loop.
+
+    Prints what moved and what has no effect, and the error of unseen dies
+    before and after; warns where the gains absorb an error of the model.
+
+    Args:
+        study: a study file (TOML); its section [tune] says what is free.
+        dies: how many unseen dies are reported, as in a sweep.
+        seed: of the dies and of their noise.
+        out: folder for tuned.toml (a study file for sweep and simulate) and tuning.json.
+        json: another place for a copy of tuning.json.
+    """
+    from .runtime import configure
+
+    configure()
+    from .tune_command import run
+
+    run(study, out, json, dies=dies, seed=seed)
+
+
+@app.command
 def identify(
     *sweeps: Path,
     method: Literal["likelihood", "ratio"] = "likelihood",

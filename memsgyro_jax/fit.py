@@ -14,9 +14,11 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float, PyTree
 
-from . import free as free_tree
 from .errors import InputError
 from .experiments.base import Experiment
+from .free import from_vector, prior_residual, to_vector
+from .free import logarithmic as which_logarithmic
+from .free import names as free_names
 from .runtime import require_float64
 
 
@@ -77,7 +79,7 @@ class Fit(eqx.Module):
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the free parameters."""
-        return free_tree.names(self.values, self.spec)
+        return free_names(self.values, self.spec)
 
     @property
     def status(self) -> str:
@@ -91,7 +93,7 @@ class Fit(eqx.Module):
         """Positive parameters that may change by orders of magnitude alone without moving the residual by one standard
         deviation.
         """
-        logarithmic = free_tree.logarithmic(self.values, self.spec)
+        logarithmic = which_logarithmic(self.values, self.spec)
         return tuple(
             name
             for name, log, step in zip(self.names, logarithmic, np.asarray(self.scale), strict=True)
@@ -101,8 +103,8 @@ class Fit(eqx.Module):
     def std_of(self, function, *, values: PyTree | None = None) -> PyTree:
         """Standard deviation of any function of the fitted tree, by linear propagation of the covariance."""
         tree = self.values if values is None else values
-        vector = free_tree.to_vector(tree, self.spec)
-        jacobian = jax.jacfwd(lambda v: function(free_tree.from_vector(v, tree, self.spec)))(vector)
+        vector = to_vector(tree, self.spec)
+        jacobian = jax.jacfwd(lambda v: function(from_vector(v, tree, self.spec)))(vector)
         return jax.tree.map(
             lambda j: jnp.sqrt(jnp.maximum(jnp.einsum("...i,ij,...j->...", j, self.covariance, j), 0.0)), jacobian
         )
@@ -188,7 +190,7 @@ def evaluate(
     steps: int | Array = 0,
 ) -> Fit:
     """The `Fit` at given values, without moving them: residual, χ², covariance."""
-    vector = free_tree.to_vector(values, spec)
+    vector = to_vector(values, spec)
     result, jacobian = _linearise(vector, values, spec, tuple(experiments))
     count, size = jacobian.shape
     if count <= size:
@@ -224,13 +226,13 @@ def best_start(candidates: PyTree, experiments: Sequence[Experiment], keep: int)
 def fisher_covariance(values: PyTree, spec: PyTree, experiments: Sequence[Experiment]) -> Float[Array, "n n"]:
     """Cramér-Rao bound: inverse Fisher information of the coordinates at given values, no data needed."""
     require_float64("The Cramér-Rao bound")
-    return _information(_linearise(free_tree.to_vector(values, spec), values, spec, experiments)[1])[0]
+    return _information(_linearise(to_vector(values, spec), values, spec, experiments)[1])[0]
 
 
 def _residual(vector: Array, values: PyTree, spec: PyTree, experiments: Sequence[Experiment]) -> Array:
-    tree = free_tree.from_vector(vector, values, spec)
+    tree = from_vector(vector, values, spec)
     parts = [experiment.residual(tree) for experiment in experiments]
-    return jnp.concatenate([*parts, free_tree.prior_residual(vector, values, spec)])
+    return jnp.concatenate([*parts, prior_residual(vector, values, spec)])
 
 
 def _cost(tree: PyTree, experiments: Sequence[Experiment]) -> Array:
@@ -252,7 +254,7 @@ def _optimise(values, spec, experiments, max_steps, tolerance):
     In these coordinates the normal equations are well enough conditioned, and ten times cheaper than a QR of the tall
     Jacobian.
     """
-    start = free_tree.to_vector(values, spec)
+    start = to_vector(values, spec)
     _, jacobian = _linearise(start, values, spec, experiments)
     norm = jnp.linalg.norm(jacobian, axis=0)
     scale = jax.lax.stop_gradient(REACH / jnp.where(norm > 0, norm, 1.0))
@@ -273,7 +275,7 @@ def _optimise(values, spec, experiments, max_steps, tolerance):
         max_steps=max_steps,
         throw=False,
     )
-    tree = free_tree.from_vector(start + scale * solution.value, values, spec)
+    tree = from_vector(start + scale * solution.value, values, spec)
     return tree, solution.result == optx.RESULTS.successful, solution.stats["num_steps"]
 
 

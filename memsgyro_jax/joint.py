@@ -16,9 +16,9 @@ import numpy as np
 from jaxtyping import Array, Float, PyTree
 from scipy.optimize import least_squares
 
-from . import free
 from .errors import InputError
 from .experiments.base import Experiment
+from .free import Free, Identity, fixed, from_vector, mark, to_vector
 from .model import Model
 from .readings import Readings
 from .runtime import require_float64, usable_cores
@@ -58,7 +58,7 @@ class Joint:
     @cached_property
     def start(self) -> np.ndarray:
         """The parameter vector of the model."""
-        return np.asarray(free.to_vector(self.model, self.spec))
+        return np.asarray(to_vector(self.model, self.spec))
 
     @cached_property
     def fitted(self) -> tuple[Readings, ...]:
@@ -67,7 +67,7 @@ class Joint:
 
     def at(self, vector: np.ndarray) -> Model:
         """The model with the parameters of a vector."""
-        return free.from_vector(jnp.asarray(vector), self.model, self.spec)
+        return from_vector(jnp.asarray(vector), self.model, self.spec)
 
     def base(self) -> np.ndarray:
         """Places of the base parameters in the vector."""
@@ -122,13 +122,13 @@ def _shape(experiment: Experiment) -> tuple:
 
 @eqx.filter_jit
 def _residual(vector: Array, model: Model, spec: PyTree, experiment: Experiment) -> Float[Array, " r"]:
-    return experiment.residual(free.from_vector(vector, model, spec))
+    return experiment.residual(from_vector(vector, model, spec))
 
 
 @eqx.filter_jit
 def _linearise(vector: Array, directions: Array, model: Model, spec: PyTree, experiment: Experiment):
     def along(step: Array) -> Array:
-        return experiment.residual(free.from_vector(vector + step @ directions, model, spec))
+        return experiment.residual(from_vector(vector + step @ directions, model, spec))
 
     none = jnp.zeros(directions.shape[0])
     # Forward mode with one primal and all directions side by side: nothing of the trajectory is stored.
@@ -137,12 +137,12 @@ def _linearise(vector: Array, directions: Array, model: Model, spec: PyTree, exp
 
 def _all_free(model: Model) -> PyTree:
     """Device, offsets and every strength are free."""
-    spec = free.fixed(model)
-    identity = free.Free(free.Identity())
-    spec = free.mark(spec, lambda m: (m.device.stiffness, m.device.damping, m.device.mobility, m.offset), identity)
+    spec = fixed(model)
+    identity = Free(Identity())
+    spec = mark(spec, lambda m: (m.device.stiffness, m.device.damping, m.device.mobility, m.offset), identity)
     if not model.effects:
         return spec
-    return free.mark(spec, lambda m: tuple(effect.strength for effect in m.effects), identity)
+    return mark(spec, lambda m: tuple(effect.strength for effect in m.effects), identity)
 
 
 def parameters(model: Model) -> tuple[Parameter, ...]:

@@ -11,7 +11,7 @@ from jax.sharding import PartitionSpec as P
 from jaxtyping import Array, Float
 
 from . import engine
-from .device import Scalar, number
+from .device import Pair, Scalar, number
 from .loop import ClosedLoop, Sample
 from .observers.ekf import ExtendedKalmanFilter
 from .scenario import Scenario
@@ -28,33 +28,37 @@ class LotMemory(NamedTuple):
     outside: Scalar
     error: Scalar
     squared: Scalar
-    nis: Scalar
+    innovations: Pair
 
 
-class LotRecorder(engine.AbstractRecorder[LotMemory, tuple[Scalar, Scalar, Scalar]]):
-    """Sums of rate error, its square and NIS over each window, and the last time outside `tolerance` [rad/s]."""
+class LotRecorder(engine.AbstractRecorder[LotMemory, tuple[Scalar, Scalar, Pair]]):
+    """Over each window the sums of rate error, of its square, and of both channels' squared innovation over its
+    variance; and the last time outside `tolerance` [rad/s].
+    """
 
     tolerance: Scalar = number()
 
     def init(self) -> LotMemory:
         """Zeros: converged from the start, nothing gathered."""
-        return LotMemory(*(jnp.zeros(()) for _ in LotMemory._fields))
+        zero = jnp.zeros(())
+        return LotMemory(zero, zero, zero, (zero, zero))
 
     def sample(self, memory: LotMemory, sample: Sample) -> LotMemory:
         """Add one sample."""
         error = sample.rate - sample.conditions.inertial.rate
-        nis = 0.0 if sample.estimate.nis is None else sample.estimate.nis
+        innovation = sample.estimate.innovation
+        squares = (0.0, 0.0) if innovation is None else innovation.squared
         return LotMemory(
             outside=jnp.where(jnp.abs(error) <= self.tolerance, memory.outside, sample.clock.time),
             error=memory.error + error,
             squared=memory.squared + error**2,
-            nis=memory.nis + nis,
+            innovations=tuple(sum_ + square for sum_, square in zip(memory.innovations, squares, strict=True)),
         )
 
-    def block(self, memory: LotMemory) -> tuple[LotMemory, tuple[Scalar, Scalar, Scalar]]:
+    def block(self, memory: LotMemory) -> tuple[LotMemory, tuple[Scalar, Scalar, Pair]]:
         """The window's sums; the next window starts from zero."""
-        sums = (memory.error, memory.squared, memory.nis)
-        return LotMemory(memory.outside, *(0.0 * value for value in sums)), sums
+        sums = (memory.error, memory.squared, memory.innovations)
+        return LotMemory(memory.outside, *jax.tree.map(lambda value: 0.0 * value, sums)), sums
 
 
 class Plan(NamedTuple):
@@ -116,7 +120,7 @@ def rows_of(loop: ClosedLoop, scenario: Scenario, design: ClosedLoop, words: tup
     recorder = LotRecorder(plan.tolerance)
     done = engine.run(loop, scenario, words, plan.period, plan.blocks, plan.block, recorder, design)
     end = plan.blocks * plan.block * plan.period
-    error, squared, nis = (sums / plan.block for sums in done.outputs)
+    error, squared, innovations = jax.tree.map(lambda sums: sums / plan.block, done.outputs)
     settled = slice(plan.settled_window, None)
     conditions = scenario.at(end - 0.5 * plan.period)
     estimate = loop.observer.estimate(done.state.observer)
@@ -124,7 +128,7 @@ def rows_of(loop: ClosedLoop, scenario: Scenario, design: ClosedLoop, words: tup
     rate_true = _window_rates(scenario, plan, words[0].shape)
     outside, mean_square = done.memory.outside, jnp.mean(squared[settled], axis=0)
     nothing = jnp.full(words[0].shape, jnp.nan)
-    consistent = estimate.nis is not None
+    channels = [jnp.mean(nis[settled], axis=0) if estimate.innovation else nothing for nis in innovations]
     has_covariance = isinstance(loop.observer, ExtendedKalmanFilter)
     relative = [_relative(e, t) for e, t in zip(estimate.theta, truth, strict=True)]
     rows = {
@@ -134,7 +138,8 @@ def rows_of(loop: ClosedLoop, scenario: Scenario, design: ClosedLoop, words: tup
         "rate_series_std": jnp.sqrt(jnp.maximum(mean_square - jnp.mean(error[settled], axis=0) ** 2, 0.0)),
         "rate_std_end": nothing if estimate.rate_variance is None else jnp.sqrt(estimate.rate_variance),
         "convergence_time": jnp.where(outside >= end - 0.5 * plan.period, jnp.nan, outside),
-        "nis_mean": jnp.mean(nis[settled], axis=0) if consistent else nothing,
+        "nis_mean": sum(channels),
+        "nis_channel": jnp.stack(channels),
         # A known coefficient that does not vary is one number for all dies.
         "coefficient_error": jnp.stack([jnp.broadcast_to(error, words[0].shape) for error in relative]),
         "rate_estimate": rate_true + error,

@@ -6,17 +6,20 @@ what they do and not by luck.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.sharding import PartitionSpec as P
 from jaxtyping import Array, Bool, Float
 
-from . import batch, engine, noise
+from . import engine, lot, noise
 from .loop import ClosedLoop, Sample
 from .losses import AbstractLoss
+from .provenance import fingerprint
 from .scenario import Scenario
 from .spread import Spread
 from .tunable import Tunables, placed
@@ -71,18 +74,19 @@ class Objective:
     timing: Timing
     mesh: jax.sharding.Mesh
     lanes: int
+    keep: Path | None = None
 
     @classmethod
     def of(
         cls, loop: ClosedLoop, scenario: Scenario, spread: Spread, tunables: Tunables, loss: AbstractLoss, *,
-        dies: Sequence[int] | np.ndarray, timing: Timing, seed: int, lanes: int = 32,
+        dies: Sequence[int] | np.ndarray, timing: Timing, seed: int, lanes: int = 32, keep: Path | None = None,
     ) -> "Objective":  # fmt: skip
-        """Draw the dies."""
+        """Draw the dies. With `keep`, a folder, each evaluation is kept there and never computed again."""
         numbers = np.asarray(dies, int)
         drawn = spread.draw(loop, scenario, seed, numbers)
         words = jax.tree.map(np.asarray, noise.die_words(jax.random.key(seed), jnp.asarray(numbers)))
-        mesh = jax.sharding.Mesh(np.array(jax.local_devices()), ("die",))
-        return cls(tunables, loss, drawn.loop, drawn.scenario, (loop, scenario), words, timing, mesh, lanes)
+        mesh = lot.mesh_of(jax.local_devices())
+        return cls(tunables, loss, drawn.loop, drawn.scenario, (loop, scenario), words, timing, mesh, lanes, keep)
 
     @property
     def dies(self) -> int:
@@ -112,31 +116,52 @@ class Objective:
         loop, scenario = jax.tree.map(pick, (self.loop, self.scenario), self.design)
         words = tuple(word[places] for word in self.words)
         return Objective(
-            self.tunables, self.loss, loop, scenario, self.design, words, self.timing, self.mesh, self.lanes
+            self.tunables, self.loss, loop, scenario, self.design, words, self.timing, self.mesh, self.lanes, self.keep
         )
 
     def _run(self, numbers: np.ndarray, derivative: bool) -> tuple[np.ndarray, ...]:
-        places = batch.padded(self.dies, self.lanes, self.mesh)
         numbers = np.asarray(numbers, float)
-        each = np.broadcast_to(numbers.reshape(len(numbers), -1), (len(numbers), self.dies))[:, places]
-        full = self.some(places)
-        rows = _evaluate(
-            full.loop, full.scenario, full.words, jnp.asarray(each), self.design, self.loss, self.tunables.paths,
-            self.timing, self.mesh, self.lanes, derivative,
-        )  # fmt: skip
-        return tuple(np.asarray(row)[..., : self.dies] for row in rows)
+        each = np.broadcast_to(numbers.reshape(len(numbers), -1), (len(numbers), self.dies))
+        if self.keep is None:
+            return self._computed(each, derivative)
+        what = (self.loop, self.scenario, self.words, self.loss, self.timing, self.tunables.paths, each, derivative)
+        kept = self.keep / f"{fingerprint(*what)}.npz"
+        if kept.exists():
+            with np.load(kept) as rows:
+                return tuple(rows[name] for name in sorted(rows.files))
+        found = self._computed(each, derivative)
+        self.keep.mkdir(parents=True, exist_ok=True)
+        part = kept.with_suffix(".part.npz")
+        np.savez(part, *found)
+        part.replace(kept)
+        return found
+
+    def _computed(self, each: np.ndarray, derivative: bool) -> tuple[np.ndarray, ...]:
+        together = self.lanes * self.mesh.size
+        parts = []
+        for first in range(0, self.dies, together):
+            # The last die fills up the last batch: one shape, one compilation, however many dies.
+            places = np.minimum(np.arange(first, first + together), self.dies - 1)
+            part = self.some(places)
+            rows = _evaluate(
+                part.loop, part.scenario, part.words, jnp.asarray(each[:, places]), self.design, self.loss,
+                self.tunables.paths, self.timing, self.mesh, derivative,
+            )  # fmt: skip
+            parts.append([np.asarray(row) for row in rows])
+        return tuple(np.concatenate(rows, axis=-1)[..., : self.dies] for rows in zip(*parts, strict=True))
 
 
 @eqx.filter_jit
 def _evaluate(
     loop: ClosedLoop, scenario: Scenario, words: tuple, numbers: Array, design: tuple, loss: AbstractLoss,
-    paths: tuple[str, ...], timing: Timing, mesh: jax.sharding.Mesh, lanes: int, derivative: bool,
+    paths: tuple[str, ...], timing: Timing, mesh: jax.sharding.Mesh, derivative: bool,
 ) -> tuple[Array, ...]:  # fmt: skip
+    """Losses, survival and slopes of as many dies as fill the devices, split evenly over them."""
     dynamic, static = eqx.partition((loop, scenario, words, numbers), eqx.is_array)
     plain = eqx.filter((*design, tuple(word[0] for word in words), numbers[:, 0]), eqx.is_array)
-    varies = jax.tree.map(lambda value, one: value.ndim > one.ndim, dynamic, plain)
+    split = jax.tree.map(lambda value, one: _last(value.ndim) if value.ndim > one.ndim else P(), dynamic, plain)
 
-    def group(dynamic):
+    def part(dynamic):
         loop, scenario, words, numbers = eqx.combine(dynamic, static)
 
         def at(numbers):
@@ -145,16 +170,19 @@ def _evaluate(
             value = jnp.broadcast_to(loss.value(done.memory), words[0].shape)
             return value, done.alive & jnp.isfinite(value)
 
-        if not derivative:
-            value, alive = at(numbers)
-            return value, alive.astype(float)
-
         def along(unit):
             tangent = jnp.broadcast_to(unit[:, None], numbers.shape)
             value, slope, alive = jax.jvp(at, (numbers,), (tangent,), has_aux=True)
-            return value, alive.astype(float), slope
+            return value, alive, slope
 
-        value, alive, slopes = jax.vmap(along, out_axes=(None, None, 0))(jnp.eye(len(paths)))
-        return value, alive, slopes
+        if not derivative:
+            return at(numbers)
+        return jax.vmap(along, out_axes=(None, None, 0))(jnp.eye(len(paths)))
 
-    return batch.in_groups(group, dynamic, varies, mesh, lanes)
+    out = (_last(1), _last(1), _last(2)) if derivative else (_last(1), _last(1))
+    return jax.shard_map(part, mesh=mesh, in_specs=(split,), out_specs=out, check_vma=False)(dynamic)
+
+
+def _last(rank: int) -> P:
+    """The trailing axis, the dies, split over the devices."""
+    return P(*(None,) * (rank - 1), lot.DIE_AXIS)

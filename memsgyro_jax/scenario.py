@@ -125,14 +125,15 @@ class RandomWalk(AbstractProfile):
     """A random walk from `start`, its variance growing by `intensity` [unit²/s]; level after `duration` [s].
 
     `realisation`, a number from 0 to 1, names one walk out of all: a spread over it (uniform from 0 to 1) gives each
-    die a walk of its own. Straight between `rows` points.
+    die a walk of its own. It is straight between `rows` points: with fewer than samples it is smoother than a walk, and
+    a filter that expects one is too careful (NEES 12.5 of 14 with a tenth of the samples).
     """
 
     intensity: Scalar = number()
     duration: Scalar = number()
     start: Scalar = number(default=0.0)
     realisation: Scalar = number(default=0.5)
-    rows: int = eqx.field(static=True, default=1000)
+    rows: int = eqx.field(static=True, default=10_000)
 
     def __check_init__(self):
         check_not_negative("intensity", self.intensity)

@@ -179,6 +179,7 @@ class _Runner:
             "rate_std_end": rate,
             "convergence_time": time,
             "nis_mean": one,
+            "nis_channel": Column(("channel",), (2,), "1"),
             "nees_end": one,
             "coefficient_error": Column(("coefficient",), (len(names),), "1"),
             "rate_estimate": Column(("window",), (windows,), "rad/s"),
@@ -195,7 +196,7 @@ class _Runner:
     def attributes(self, settings: Settings) -> dict[str, object]:
         """What the store and the Dataset say about how they were made."""
         parameters = [item.path for item in self.spread.resolved(self.loop)]
-        labels = {"coefficient": list(self.loop.device.model.names), "parameter": parameters}
+        labels = {"coefficient": list(self.loop.device.model.names), "parameter": parameters, "channel": ["x", "y"]}
         return {"schema": "memsgyro-dies/1", **settings.as_dict(), **self.plan._asdict(), LABELS: labels}
 
     def dataset(self, rows: dict[str, np.ndarray], dies: int, settings: Settings) -> "xr.Dataset":

@@ -9,6 +9,7 @@ import difflib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -16,9 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from . import free as free_tree
 from .errors import InputError
-from .free import Free, Logit, LogLogit, Prior
+from .free import Free, Logit, LogLogit, Prior, to_vector
 from .loop import ClosedLoop
 from .observers import ExtendedKalmanFilter
 
@@ -161,9 +161,8 @@ def resolved(loop: ClosedLoop, tunables: Sequence[Tunable], sample_rate: float, 
                     f"The start of `{path}` must lie within its bounds {low:g} to {high:g}, but is {value:g}."
                 )
             found[order] = (path, start, _free(low, high, tunable, path), (low, high))
-    order = sorted(found)
     spec_leaves = [found[i][2] if i in found else None for i in range(len(leaves))]
-    rows = [found[i] for i in order]
+    rows = [found[i] for i in sorted(found)]
     return Tunables(
         paths=tuple(row[0] for row in rows),
         labels=tuple(_label(loop, row[0]) for row in rows),
@@ -185,11 +184,11 @@ def _dotted(path: tuple) -> str:
     return ".".join(parts)
 
 
-def _at(tree: object, path: str) -> Array:
+def _at(tree: Any, path: str) -> Array:
     here = tree
     for part in path.split("."):
-        here = here[int(part)] if part.isdigit() else getattr(here, part)  # type: ignore[index]
-    return here  # type: ignore[return-value]
+        here = here[int(part)] if part.isdigit() else getattr(here, part)
+    return here
 
 
 def _numbers_at(loop: ClosedLoop, path: str, known: Mapping[str, int]) -> list[str]:
@@ -259,5 +258,5 @@ def _label(loop: ClosedLoop, path: str) -> str:
 def tree(loop: ClosedLoop, tunables: Sequence[Tunable], *, sample_rate: float = 100e3, duration: float = 0.1):
     """The tree of `memsgyro_jax.free` beside `loop` in which the named numbers are free; arguments as of `resolved`."""
     spec = resolved(loop, tunables, sample_rate, duration).spec
-    free_tree.to_vector(loop, spec)
+    to_vector(loop, spec)
     return spec

@@ -21,14 +21,15 @@ ORDER = [
     *("errors", "runtime", "units", "files", "text", "table"),
     *("noise", "device", "propagate", "readout", "observers", "controllers"),
     *("filters", "scenario", "loop", "engine", "provenance", "pictures", "trace"),
-    *("bound", "merit", "spread", "store", "lot", "summary", "sweep", "sensitivity", "study"),
+    *("bound", "merit", "spread", "store", "lot", "summary", "sweep", "sensitivity"),
+    *("free", "losses", "tunable", "objective", "descent", "rescue", "survey", "tuning", "tune", "study"),
     *("resonator", "normalised", "effects", "elimination", "model", "steady", "envelope"),
-    *("free", "measurement", "case", "noise_level", "couplings", "modal", "experiments", "fit", "ratio"),
+    *("measurement", "case", "noise_level", "couplings", "modal", "experiments", "fit", "ratio"),
     *("sweep_start", "likelihood", "sweep_figures", "identification", "identify", "identify_ratio"),
     *("readings", "start", "joint", "identifiable", "model_file", "case_fit"),
     *("misfit", "case_series", "residual_force", "compare"),
     *("score", "search", "scanning", "plans", "diagnosis", "diagnose"),
-    *("report", "progress", "study_options", "sweep_command", "simulate_command", "identify_command"),
+    *("report", "progress", "study_options", "sweep_command", "simulate_command", "tune_command", "identify_command"),
     *("check_command", "compare_command", "fit_command", "diagnose_command", "effects_command", "cli"),
 ]
 

@@ -8,11 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from memsgyro_jax import free
 from memsgyro_jax.errors import InputError
 from memsgyro_jax.experiments.base import Experiment, Noise
 from memsgyro_jax.fit import fisher_covariance, fit, fit_from
-from memsgyro_jax.free import Free, Identity, Log, Logit, LogLogit, Prior, fixed, mark
+from memsgyro_jax.free import Free, Identity, Log, Logit, LogLogit, Prior, fixed, from_vector, mark, to_vector
 
 
 class Line(eqx.Module):
@@ -137,8 +136,8 @@ def test_a_value_on_its_bound_keeps_a_finite_coordinate():
 
 def test_vector_and_tree_are_one_to_one():
     spec = mark(BOTH, lambda line: line.slope, Free(Log()))
-    vector = free.to_vector(LINE, spec)
-    back = free.from_vector(vector, LINE, spec)
+    vector = to_vector(LINE, spec)
+    back = from_vector(vector, LINE, spec)
     assert (float(back.slope), float(back.offset)) == (pytest.approx(1.0), pytest.approx(0.5))
 
 

@@ -9,10 +9,10 @@ from bench_case import DIE, EFFECTS, bench, truth
 from lab.die import Hidden
 from lab.strengths import VISIBLE, visible
 
-from memsgyro_jax import free
 from memsgyro_jax.case_fit import fit_case
 from memsgyro_jax.effects import CubicStiffness
 from memsgyro_jax.errors import InputError
+from memsgyro_jax.free import names
 from memsgyro_jax.joint import Joint, optimise, parameters
 from memsgyro_jax.model import Model
 from memsgyro_jax.readings import model_of, readings_of
@@ -46,7 +46,7 @@ def test_parameters_come_in_the_order_of_the_vector(effects):
     made = bench()
     joint = Joint(made.model(effects), readings_of(made.case))
     assert [p.name for p in joint.parameters[:9]] == list(BASE)
-    leaves = [path.split("[")[0] for path in free.names(joint.model, joint.spec)]
+    leaves = [path.split("[")[0] for path in names(joint.model, joint.spec)]
     assert len(leaves) == len(joint.parameters) == joint.start.size
     assert leaves[:9] == ["device.stiffness"] * 3 + ["device.damping"] * 3 + ["device.mobility"] + ["offset"] * 2
     for k, parameter in enumerate(joint.parameters):

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 import memsgyro_jax as mg
-from memsgyro_jax import free, noise, simulate_command
+from memsgyro_jax import noise, simulate_command
 from memsgyro_jax.errors import InputError
+from memsgyro_jax.free import Free, Log, fixed, from_vector, mark, to_vector
 from memsgyro_jax.observers import Clock
 from memsgyro_jax.scenario import as_scenario
 
@@ -116,10 +117,10 @@ def test_something_else_in_place_of_a_filter_is_refused():
 def test_the_gradient_by_the_bandwidth_is_that_of_finite_differences():
     """Through the loop, by the coordinate that a free tree gives."""
     loop, words = closed(mg.Lowpass(400)).sampled_at(100e3), noise.die_words(jax.random.key(1), jnp.asarray(3))
-    spec = free.mark(free.fixed(loop), lambda tree: tree.filter.bandwidth, free.Free(free.Log()))
+    spec = mark(fixed(loop), lambda tree: tree.filter.bandwidth, Free(Log()))
 
     def squared(vector):
-        made = free.from_vector(vector, loop, spec)
+        made = from_vector(vector, loop, spec)
 
         def sample(state, i):
             clock = Clock(i * 1e-5, i, 1e-5)
@@ -129,7 +130,7 @@ def test_the_gradient_by_the_bandwidth_is_that_of_finite_differences():
         return jnp.mean(jax.lax.scan(sample, made.init(), jnp.arange(200))[1])
 
     both = jax.jit(lambda v: jax.jvp(squared, (v,), (jnp.ones(1),)))
-    at = free.to_vector(loop, spec)
+    at = to_vector(loop, spec)
     slope = float(both(at)[1])
     step = 1e-4
     finite = float(both(at + step)[0] - both(at - step)[0]) / (2.0 * step)

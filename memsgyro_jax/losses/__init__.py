@@ -1,4 +1,4 @@
-"""What tuning makes small. A new loss is a subclass of `AbstractLoss` or `AbstractMean`, here or in a user's own file."""
+"""What tuning makes small. A new loss is a subclass of `AbstractLoss` or `AbstractMean`, here or elsewhere."""
 
 from .base import AbstractLoss as AbstractLoss
 from .base import AbstractMean as AbstractMean

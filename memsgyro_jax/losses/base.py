@@ -48,9 +48,9 @@ class AbstractLoss(eqx.Module, Generic[Memory]):
 class AbstractMean(AbstractLoss[tuple[Scalar, Scalar]]):
     """The mean of something over the samples from `settle` [s] on. A subclass gives `of`:
 
-        class AbsoluteError(mg.losses.AbstractMean):
-            def of(self, sample):
-                return abs(sample.rate - sample.conditions.inertial.rate)
+    class AbsoluteError(mg.losses.AbstractMean):
+        def of(self, sample):
+            return abs(sample.rate - sample.conditions.inertial.rate)
     """
 
     settle: Scalar = number(default=0.0)

@@ -144,7 +144,11 @@ class ExtendedKalmanFilter(AbstractObserver[KalmanState]):
         spread = jnp.eye(len(mean)).reshape((len(mean),) * 2 + (1,) * (std.ndim - 1)) * std[None] ** 2
         nothing = Innovation((zero, zero), (zero + 1.0, zero + 1.0))
         return KalmanState(
-            self.prior.motion, mean, Covariance(upper, cross, spread), self.fading.init() if self.fading else (), nothing
+            self.prior.motion,
+            mean,
+            Covariance(upper, cross, spread),
+            self.fading.init() if self.fading else (),
+            nothing,
         )
 
     def update(self, state: KalmanState, measured: Pair, force: Pair, clock: Clock) -> KalmanState:

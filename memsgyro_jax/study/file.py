@@ -12,16 +12,20 @@ from ..errors import InputError
 from ..files import write_whole
 from ..filters import check_fits
 from ..loop import ClosedLoop
+from ..observers import ExtendedKalmanFilter
 from ..readout import THESIS_RATE, snr_density
 from ..scenario import Scenario
 from ..spread import Normal, Root, Spread, Vary
+from ..tunable import Tunable, free
 from .complaints import Source
 from .hardware import Charge, Device, Readout, SingleMass
 from .laws import Added, Anneal, Compensation, Controller, Kalman, Observer, discretisation
+from .numbers import entries_of, unit_at
 from .output import Filter
 from .plan import Lot, Run, Start
 from .quantity import Part, field_unit
 from .surroundings import FOLDER, Surroundings
+from .tuning import Tune
 
 
 SCHEMA = "memsgyro-study/1"
@@ -64,6 +68,7 @@ class StudyFile(Part):
     scenario: Surroundings = Field(default_factory=lambda: Surroundings(rate="1 rad/s"))
     spread: Lot = Lot(relative=0.15)
     sweep: Run = Run()
+    tune: Tune = Tune()
 
     def unit_of(self, path: str) -> str | None:
         """The unit of a number of the loop or scenario, where the sections know it."""
@@ -97,6 +102,41 @@ class Study:
     def settings(self) -> Run:
         """Section `[sweep]`."""
         return self.file.sweep
+
+    @property
+    def tune_arguments(self) -> dict[str, Any]:
+        """`tune(**study.tune_arguments)` tunes what section `[tune]` says."""
+        run, section = self.settings, self.file.tune
+        settle = 0.5 * run.duration if run.settle is None else run.settle
+        return {
+            "loop": self.loop, "spread": self.spread, "scenario": self.scenario, "free": self._free(),
+            "loss": section.chosen_loss(settle), "dies": section.dies, "validation_dies": section.validation_dies,
+            "evaluations": section.evaluations, "report_dies": run.dies, "sample_rate": run.sample_rate,
+            "duration": run.duration, "settle": settle, "seed": run.seed,
+        }  # fmt: skip
+
+    def _free(self) -> tuple[Tunable, ...]:
+        names, section = self.loop.device.model.names, self.file.tune
+        if section.free is None:
+            kalman = isinstance(self.loop.observer, ExtendedKalmanFilter)
+            own = ("noise_density", "process_noise.rate") if kalman else ("gain",)
+            return free(observer=own) + (() if self.loop.filter is None else free("filter"))
+        found = []
+        for number in section.free:
+            with self.source.section("tune", "free"):
+                try:
+                    found.append(number.build(unit_at(self.file, names, number.path)))
+                except ValueError as error:
+                    raise InputError(f"{number.path}: {error}") from error
+        with self.source.section("tune", "free"):
+            return free(found)
+
+    def with_numbers(self, loop: ClosedLoop, paths: tuple[str, ...]) -> "Study":
+        """This study with the numbers that `loop`, tuned say, has at `paths`.
+
+        Raises `InputError` for one that a study file does not hold.
+        """
+        return self.changed(entries_of(self.file, loop, paths))
 
     @property
     def sweep_arguments(self) -> dict[str, Any]:

@@ -38,7 +38,7 @@ class Bell(Part):
 
     def build(self, unit: str | None) -> AbstractDistribution:
         """The distribution of a parameter measured in `unit`."""
-        return Normal(self.relative, _in(self.std, unit, "std") if self.std else 0.0, self.cut)
+        return Normal(self.relative, within(self.std, unit, "std") if self.std else 0.0, self.cut)
 
 
 class Box(Part):
@@ -52,13 +52,14 @@ class Box(Part):
     def build(self, unit: str | None) -> AbstractDistribution:
         """The distribution of a parameter measured in `unit`."""
         ends = {"low": self.low, "high": self.high}
-        given = {name: _in(end, unit, name) for name, end in ends.items() if end is not None}
+        given = {name: within(end, unit, name) for name, end in ends.items() if end is not None}
         return Uniform(self.relative, **given)
 
 
-def _in(given: str, unit: str | None, name: str) -> float:
+def within(given: str, unit: str | None, name: str) -> float:
+    """A quantity in `unit`; raises `ValueError` where that is not known or of another kind."""
     if unit is None:
-        raise ValueError(f"only a relative spread can be given for this parameter, but `{name}` is set")
+        raise ValueError(f"the unit of this parameter is not known, so `{name}` cannot be given")
     return In(unit).read(given)
 
 

@@ -5,7 +5,7 @@ from typing import Annotated, Any, Generic, Literal, TypeVar
 
 from pydantic import BeforeValidator, Field, ValidationInfo, field_serializer, field_validator
 
-from ..scenario import AbstractProfile, Chirp, Constant, Ramp, Scenario, Sine, Step
+from ..scenario import AbstractProfile, Chirp, Constant, Ramp, RandomWalk, Scenario, Sine, Step
 from .quantity import Acceleration, Duration, Hertz, In, Part, Pure, Radian, Rate, Second, Volt
 from .record import read_rate_record
 
@@ -13,6 +13,7 @@ from .record import read_rate_record
 FOLDER = "folder"  # key of the context that validation and writing get: where relative file names start
 Value = TypeVar("Value")
 Slope = TypeVar("Slope")
+Growth = TypeVar("Growth")
 
 
 class Steady(Part, Generic[Value]):
@@ -79,6 +80,23 @@ class Swept(Part, Generic[Value]):
         return Chirp(self.amplitude, self.low, self.high, self.duration)
 
 
+class Wander(Part, Generic[Value, Growth]):
+    """`{ kind = "random_walk", intensity, duration, start, realisation }`: variance grows by `intensity` per second.
+
+    A spread over `scenario.rate.realisation`, uniform from 0 to 1, gives each die a walk of its own.
+    """
+
+    kind: Literal["random_walk"]
+    intensity: Annotated[Growth, Field(ge=0.0)]
+    duration: Duration
+    start: Value | None = None
+    realisation: Annotated[float, Field(ge=0.0, lt=1.0), In("1")] = 0.5
+
+    def build(self) -> AbstractProfile:
+        """The profile."""
+        return RandomWalk(self.intensity, self.duration, self.start or 0.0, self.realisation)
+
+
 class Record(Part):
     """`{ kind = "record", file }`: a recorded rate; the file name starts at the folder of the study file."""
 
@@ -120,9 +138,12 @@ _RateSlope = Annotated[float, In("rad/s^2")]
 _VoltSlope = Annotated[float, In("V/s")]
 _PureSlope = Annotated[float, In("1/s")]
 _Jerk = Annotated[float, In("m/s^3")]
-_Turn = Steady[Rate] | Jump[Rate] | Slide[Rate, _RateSlope] | Wave[Rate] | Swept[Rate]
-_Drift = Steady[Volt] | Jump[Volt] | Slide[Volt, _VoltSlope] | Wave[Volt] | Swept[Volt]
-_Change = Steady[Pure] | Jump[Pure] | Slide[Pure, _PureSlope] | Wave[Pure] | Swept[Pure]
+_RateGrowth = Annotated[float, In("rad^2/s^3")]
+_VoltGrowth = Annotated[float, In("V^2/s")]
+_PureGrowth = Annotated[float, In("1/s")]
+_Turn = Steady[Rate] | Jump[Rate] | Slide[Rate, _RateSlope] | Wave[Rate] | Swept[Rate] | Wander[Rate, _RateGrowth]
+_Drift = Steady[Volt] | Jump[Volt] | Slide[Volt, _VoltSlope] | Wave[Volt] | Swept[Volt] | Wander[Volt, _VoltGrowth]
+_Change = Steady[Pure] | Jump[Pure] | Slide[Pure, _PureSlope] | Wave[Pure] | Swept[Pure] | Wander[Pure, _PureGrowth]
 _Shake = (
     Steady[Acceleration] | Jump[Acceleration] | Slide[Acceleration, _Jerk] | Wave[Acceleration] | Swept[Acceleration]
 )
