@@ -107,7 +107,7 @@ class Objective:
     def total(self, values: Values, penalty: float) -> tuple[float, Float[np.ndarray, " n"] | None]:
         """The loss of the lot, a lost die counting `penalty`, and its gradient."""
         filled = jnp.asarray(np.where(values.alive, values.loss, penalty))
-        whole, weights = jax.value_and_grad(self.loss.combine)(filled)
+        whole, weights = _combined(self.loss, filled)
         return float(whole), None if values.slopes is None else values.slopes @ np.asarray(weights)
 
     def some(self, places: np.ndarray) -> "Objective":
@@ -149,6 +149,11 @@ class Objective:
             )  # fmt: skip
             parts.append([np.asarray(row) for row in rows])
         return tuple(np.concatenate(rows, axis=-1)[..., : self.dies] for rows in zip(*parts, strict=True))
+
+
+@eqx.filter_jit
+def _combined(loss: AbstractLoss, values: Array) -> tuple[Array, Array]:
+    return jax.value_and_grad(loss.combine)(values)
 
 
 @eqx.filter_jit

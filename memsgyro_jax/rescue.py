@@ -41,7 +41,8 @@ def rescued(
     objective = objective.some(np.arange(min(_DIES, objective.dies)))
     for _ in range(len(numbers)):
         values = objective.slopes(numbers)
-        flat = np.flatnonzero((effects(values, _per_factor(objective, numbers)) < FLAT) & ~moved)
+        tunables = objective.tunables.chosen((True,) * len(numbers), numbers)
+        flat = np.flatnonzero((effects(values, tunables.stretch(tunables.coordinates)) < FLAT) & ~moved)
         if flat.size == 0:
             break
         here, _ = objective.total(values, penalty)
@@ -55,12 +56,6 @@ def rescued(
         if told:
             told(f"{objective.tunables.labels[index]} had no effect at its start; the search goes on from {value:.3g}")
     return numbers, moved
-
-
-def _per_factor(objective: Objective, numbers: np.ndarray) -> np.ndarray:
-    """Change of each number by a factor e, or by its range where it is not on a logarithmic scale."""
-    tunables = objective.tunables
-    return np.where(tunables.logarithmic, numbers, tunables.high - tunables.low)
 
 
 def _totals(objective: Objective, numbers: np.ndarray, tries: list[tuple[int, float]], penalty: float) -> np.ndarray:

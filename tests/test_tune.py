@@ -1,0 +1,232 @@
+"""Tuning a small loop that compiles in seconds: the optimum is found, lost dies stay alone, a kill loses nothing."""
+
+import json
+import re
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import memsgyro_jax as mg
+from memsgyro_jax import cli, losses, objective
+from memsgyro_jax.errors import InputError
+from memsgyro_jax.objective import Objective, Timing
+from memsgyro_jax.tunable import resolved
+from memsgyro_jax.tune import TRAINING
+
+
+STUDY = """
+schema = "memsgyro-study/1"
+
+[readout]
+kind = "displacement"
+scale = "1e5 V/m"
+noise_density = "20 nV/sqrt(Hz)"
+
+[observer]
+kind = "ekf"
+known = ["kxx", "kyy", "kxy", "dxx", "dyy", "dxy", "sigma"]
+with_offsets = false
+discretisation = "euler"
+noise_density = "60 nV/sqrt(Hz)"        # three times too much
+process_noise = { rate = "1e5 rad^2/s^3" }  # a hundredth of the truth
+
+[controller]
+kind = "open_loop"
+
+[filter]
+kind = "lowpass"
+bandwidth = "300 Hz"
+order = 1
+
+[loop]
+discretisation = "euler"
+
+[scenario]
+rate = { kind = "random_walk", intensity = "1e7 rad^2/s^3", duration = "2 ms" }
+
+[spread.parameters]
+"scenario.rate.realisation" = { kind = "uniform", low = "0", high = "1" }
+"start.0" = { kind = "normal" }
+
+[sweep]
+dies = 16
+sample_rate = "1 MHz"
+duration = "2 ms"
+
+[tune]
+free = [
+    "observer.noise_density",
+    { path = "observer.process_noise.rate", low = "1 rad^2/s^3", high = "1e9 rad^2/s^3" },
+    { path = "filter.bandwidth", low = "10 Hz", high = "200 kHz" },
+]
+dies = 16
+validation_dies = 8
+"""
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory):
+    path = tmp_path_factory.mktemp("study") / "small.toml"
+    path.write_text(STUDY)
+    return mg.load_study(path)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("kept")
+
+
+@pytest.fixture(scope="module")
+def tuned(study, folder):
+    said = []
+    made = mg.tune(**study.tune_arguments, keep=folder, progress=said.append)
+    return made, said
+
+
+def likelihood(study):
+    given = study.tune_arguments
+    loop = given["loop"].sampled_at(given["sample_rate"])
+    tunables = resolved(loop, given["free"], given["sample_rate"], given["duration"])
+    own = tunables.chosen([True, True, True, False], tunables.values)
+    loss, timing = losses.InnovationLikelihood(given["settle"]), Timing(1e-6, 20, 100)
+    return Objective.of(
+        tunables.applied(loop, tunables.values), given["scenario"], given["spread"], own, loss,
+        dies=TRAINING + np.arange(16), timing=timing, seed=0,
+    )  # fmt: skip
+
+
+def test_the_truth_is_recovered(tuned):
+    made, said = tuned
+    found = {number.label: number for number in made.numbers}
+    for axis in (0, 1):
+        number = found[f"observer.noise_density.{axis}"]
+        assert number.value == pytest.approx(20e-9, rel=0.03)
+        assert number.fate.startswith("moved x 0.3")
+    assert found["observer.process_noise.rate"].value == pytest.approx(1e7, rel=0.3)
+    assert "at its upper bound" in found["filter.bandwidth"].fate  # the matched filter leaves nothing to smooth
+    assert [stage.loss for stage in made.stages] == ["InnovationLikelihood", "SquaredRateError"]
+    assert any("after 2" in sentence for sentence in said)
+
+
+def test_unseen_dies_fare_as_with_the_matched_filter(tuned, study):
+    made, _ = tuned
+    matched = study.changed(
+        {"observer.noise_density": "20 nV/sqrt(Hz)", "observer.process_noise.rate": "1e7 rad^2/s^3",
+         "filter.bandwidth": "200 kHz"}
+    )  # fmt: skip
+    best = mg.sweep(**{**matched.sweep_arguments, "bound_dies": 0}).data["rate_error_rms"].values
+    assert made.after.mean.value == pytest.approx(np.mean(best**2), rel=0.05)
+    assert made.ratio.high < 0.2
+    assert made.before.consistent is False
+    assert made.after.consistent is True
+    assert made.warnings == ()
+
+
+def test_the_result_says_what_it_is(tuned):
+    made, _ = tuned
+    text = repr(made)
+    for words in ("on 16 unseen dies", "after over before", "lost dies", "NIS of x and y", "moved x"):
+        assert words in text
+    assert "converged" in made.status
+    data = made.to_xarray()
+    assert np.mean(data["squared_error"].sel(loop="after").values) == pytest.approx(made.after.mean.value)
+    assert data.attrs["seed"] == 0
+    assert json.loads(json.dumps(made.as_dict(), allow_nan=False))["schema"] == "memsgyro-tuning/1"
+    assert made.plot().get_ylabel() == "dies below [%]"
+
+
+def test_a_killed_call_goes_on_to_the_same_bits(tuned, study, folder, monkeypatch):
+    def never(*_):
+        raise AssertionError("an evaluation that was kept was computed again")
+
+    monkeypatch.setattr(objective.Objective, "_computed", never)
+    again = mg.tune(**study.tune_arguments, keep=folder)
+    assert [n.value for n in again.numbers] == [n.value for n in tuned[0].numbers]
+    assert repr(again) == repr(tuned[0])
+
+
+def test_the_command_writes_a_study_that_sweeps_to_the_same_figures(tuned, folder, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "small.toml").write_text(STUDY)
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "evaluations").symlink_to(folder)
+    with pytest.raises(SystemExit) as end:
+        cli.main(["tune", "small.toml", "--out", "out", "--json", "copy.json"])
+    assert end.value.code == 0
+    assert "after over before" in capsys.readouterr().out
+    result = json.loads((tmp_path / "copy.json").read_text())
+    assert result == json.loads((tmp_path / "out" / "tuning.json").read_text())
+    written = mg.load_study(tmp_path / "out" / "tuned.toml")
+    same = zip(*(_leaves(loop) for loop in (written.loop, tuned[0].loop)), strict=True)
+    assert all(np.array_equal(a, b) for a, b in same)
+    lot = mg.sweep(**{**written.sweep_arguments, "bound_dies": 0})
+    assert np.mean(lot.data["rate_error_rms"].values ** 2) == result["after"]["mean"]["value"]
+
+
+def _leaves(loop):
+    return [np.asarray(leaf) for leaf in jax.tree.leaves(eqx.filter(loop, eqx.is_array))]
+
+
+def test_slopes_are_those_of_finite_differences(tuned, study):
+    made = likelihood(study)
+    at = made.tunables.values * np.array([0.9, 1.1, 3.0])
+    slopes = made.slopes(at).slopes
+    for i in range(3):
+        step = np.eye(3)[i] * at * 1e-3
+        parts = [made.values(at + k * step).loss for k in (-2, -1, 1, 2)]
+        difference = (parts[0] - 8 * parts[1] + 8 * parts[2] - parts[3]) / (12e-3 * at[i])
+        assert slopes[i] == pytest.approx(difference, rel=1e-6)
+
+
+def test_a_lost_die_changes_nothing_for_the_others(tuned, study):
+    made = likelihood(study)
+    start = jnp.asarray(np.where(np.arange(16) == 3, 1.0, np.asarray(made.loop.start[0])))  # a metre off
+    lost = replace(made, loop=eqx.tree_at(lambda loop: loop.start[0], made.loop, start))
+    whole, some = made.slopes(made.tunables.values), lost.slopes(made.tunables.values)
+    others = np.arange(16) != 3
+    assert some.alive.tolist() == others.tolist()
+    assert np.array_equal(some.loss[others], whole.loss[others])
+    assert np.array_equal(some.slopes[:, others], whole.slopes[:, others])
+    assert np.all(some.slopes[:, 3] == 0.0)
+    total, slope = made.total(some, 100.0)
+    assert total == pytest.approx((np.sum(whole.loss[others]) + 100.0) / 16)
+    assert slope == pytest.approx(np.sum(whole.slopes[:, others], axis=1) / 16)
+
+
+def test_what_is_switched_off_is_found_again(tuned, study):
+    off = study.changed({"observer.process_noise.rate": "0 rad^2/s^3"})
+    made = mg.tune(**{**off.tune_arguments, "free": off.tune_arguments["free"][:2]})
+    found = {number.label: number for number in made.numbers}
+    assert found["observer.process_noise.rate"].value == pytest.approx(1e7, rel=0.3)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"tune.free": ["observer.noise_densty"]}, "`observer.noise_densty` is none (did you mean"),
+        ({"tune.free": []}, "must name at least one number"),
+        ({"tune.free": [{"path": "filter.bandwidth", "low": "9 Hz", "high": "3 Hz"}]}, "must rise, but 9 to 3"),
+        ({"tune.free": [{"path": "filter.bandwidth", "low": "9 kg"}]}, "filter.bandwidth"),
+        ({"tune.free": [{"path": "filter.bandwidth", "low": "1 kHz"}]}, "within its bounds 1000 to"),
+        ({"tune.free": ["filter", "filter.bandwidth"]}, "freed twice"),
+        ({"tune.free": ["scenario.rate.intensity"]}, "is none"),
+        ({"tune.free": ["start.0"]}, "does both"),
+        ({"tune.free": ["start.1"]}, "must be given bounds"),
+        ({"tune.dies": 1}, "greater than or equal to 2"),
+        ({"tune.loss": "squared"}, "tune.loss"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_tuned_is_one_sentence(study, change, message):
+    with pytest.raises(InputError, match=re.escape(message)) as error:
+        mg.tune(**study.changed(change).tune_arguments)
+    assert "\n" not in str(error.value)
+
+
+def test_a_loss_that_is_no_number_at_the_start_is_one_sentence(tuned, study):
+    lost = study.changed({"loop.travel": "1e-9 m"})
+    with pytest.raises(InputError, match="must be a finite number at the start, but it is for none of 16 dies"):
+        mg.tune(**lost.tune_arguments)
