@@ -5,7 +5,7 @@ what they do and not by luck.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,7 +21,7 @@ from .loop import ClosedLoop, Sample
 from .losses import AbstractLoss
 from .provenance import fingerprint
 from .scenario import Scenario
-from .spread import Spread
+from .spread import AbstractDistribution, Spread
 from .tunable import Tunables, placed
 
 
@@ -63,7 +63,10 @@ class Values(NamedTuple):
 
 @dataclass(frozen=True)
 class Objective:
-    """The dies `dies` (their global numbers) of a lot under a loss. Make one with `Objective.of`."""
+    """The dies `dies` (their global numbers) of a lot under a loss. Make one with `Objective.of`.
+
+    A free number that also differs between dies is the design value that they lie `around`, each at its own place.
+    """
 
     tunables: Tunables
     loss: AbstractLoss
@@ -74,6 +77,8 @@ class Objective:
     timing: Timing
     mesh: jax.sharding.Mesh
     lanes: int
+    around: tuple[AbstractDistribution | None, ...]
+    places: Float[np.ndarray, "n dies"]
     keep: Path | None = None
 
     @classmethod
@@ -84,9 +89,18 @@ class Objective:
         """Draw the dies. With `keep`, a folder, each evaluation is kept there and never computed again."""
         numbers = np.asarray(dies, int)
         drawn = spread.draw(loop, scenario, seed, numbers)
+        items = spread.resolved(loop)
+        normal = dict(zip((i.path for i in items), spread.normal(len(items), seed, numbers).T, strict=True))
+        kinds = {item.path: item.distribution for item in items}
+        around = tuple(kinds.get(path) for path in tunables.paths)
+        places = [np.zeros(len(numbers)) if kind is None else kind.place(normal[path])
+                  for kind, path in zip(around, tunables.paths, strict=True)]  # fmt: skip
         words = jax.tree.map(np.asarray, noise.die_words(jax.random.key(seed), jnp.asarray(numbers)))
         mesh = lot.mesh_of(jax.local_devices())
-        return cls(tunables, loss, drawn.loop, drawn.scenario, (loop, scenario), words, timing, mesh, lanes, keep)
+        return cls(
+            tunables, loss, drawn.loop, drawn.scenario, (loop, scenario), words, timing, mesh, lanes, around,
+            np.stack(places), keep,
+        )  # fmt: skip
 
     @property
     def dies(self) -> int:
@@ -115,16 +129,15 @@ class Objective:
         pick = lambda value, plain: np.asarray(value)[..., places] if np.ndim(value) > np.ndim(plain) else value  # noqa: E731
         loop, scenario = jax.tree.map(pick, (self.loop, self.scenario), self.design)
         words = tuple(word[places] for word in self.words)
-        return Objective(
-            self.tunables, self.loss, loop, scenario, self.design, words, self.timing, self.mesh, self.lanes, self.keep
-        )
+        return replace(self, loop=loop, scenario=scenario, words=words, places=self.places[:, places])
 
     def _run(self, numbers: np.ndarray, derivative: bool) -> tuple[np.ndarray, ...]:
         numbers = np.asarray(numbers, float)
         each = np.broadcast_to(numbers.reshape(len(numbers), -1), (len(numbers), self.dies))
         if self.keep is None:
             return self._computed(each, derivative)
-        what = (self.loop, self.scenario, self.words, self.loss, self.timing, self.tunables.paths, each, derivative)
+        what = (self.loop, self.scenario, self.words, self.loss, self.timing, self.tunables.paths, self.around,
+                self.places, each, derivative)  # fmt: skip
         kept = self.keep / f"{fingerprint(*what)}.npz"
         if kept.exists():
             with np.load(kept) as rows:
@@ -144,8 +157,8 @@ class Objective:
             places = np.minimum(np.arange(first, first + together), self.dies - 1)
             part = self.some(places)
             rows = _evaluate(
-                part.loop, part.scenario, part.words, jnp.asarray(each[:, places]), self.design, self.loss,
-                self.tunables.paths, self.timing, self.mesh, derivative,
+                part.loop, part.scenario, part.words, jnp.asarray(each[:, places]), jnp.asarray(part.places),
+                self.design, self.loss, self.tunables.paths, self.around, self.timing, self.mesh, derivative,
             )  # fmt: skip
             parts.append([np.asarray(row) for row in rows])
         return tuple(np.concatenate(rows, axis=-1)[..., : self.dies] for rows in zip(*parts, strict=True))
@@ -158,19 +171,24 @@ def _combined(loss: AbstractLoss, values: Array) -> tuple[Array, Array]:
 
 @eqx.filter_jit
 def _evaluate(
-    loop: ClosedLoop, scenario: Scenario, words: tuple, numbers: Array, design: tuple, loss: AbstractLoss,
-    paths: tuple[str, ...], timing: Timing, mesh: jax.sharding.Mesh, derivative: bool,
+    loop: ClosedLoop, scenario: Scenario, words: tuple, numbers: Array, places: Array, design: tuple,
+    loss: AbstractLoss, paths: tuple[str, ...], around: tuple[AbstractDistribution | None, ...], timing: Timing,
+    mesh: jax.sharding.Mesh, derivative: bool,
 ) -> tuple[Array, ...]:  # fmt: skip
     """Losses, survival and slopes of as many dies as fill the devices, split evenly over them."""
-    dynamic, static = eqx.partition((loop, scenario, words, numbers), eqx.is_array)
-    plain = eqx.filter((*design, tuple(word[0] for word in words), numbers[:, 0]), eqx.is_array)
+    dynamic, static = eqx.partition((loop, scenario, words, numbers, places), eqx.is_array)
+    plain = eqx.filter((*design, tuple(word[0] for word in words), numbers[:, 0], places[:, 0]), eqx.is_array)
     split = jax.tree.map(lambda value, one: _last(value.ndim) if value.ndim > one.ndim else P(), dynamic, plain)
 
     def part(dynamic):
-        loop, scenario, words, numbers = eqx.combine(dynamic, static)
+        loop, scenario, words, numbers, places = eqx.combine(dynamic, static)
 
         def at(numbers):
-            tuned = placed(loop, paths, list(numbers))
+            own = [
+                number if kind is None else kind.value(number, place)
+                for number, kind, place in zip(numbers, around, places, strict=True)
+            ]
+            tuned = placed(loop, paths, own)
             done = engine.run(tuned, scenario, words, *timing, LossRecorder(loss), design[0])
             value = jnp.broadcast_to(loss.value(done.memory), words[0].shape)
             return value, done.alive & jnp.isfinite(value)

@@ -30,9 +30,13 @@ DEVICE_PREFIX = "device."
 class AbstractDistribution(eqx.Module):
     """Turns a standard normal number into a value around a design value; a new kind gives `value`."""
 
+    def place(self, normal: Float[np.ndarray, " dies"]) -> Float[np.ndarray, " dies"]:
+        """Where the dies stand, whatever the design: a function of their standard normal numbers, itself by default."""
+        return normal
+
     @abc.abstractmethod
-    def value(self, design: Scalar, normal: Float[np.ndarray, " dies"]) -> Float[Array, " dies"]:
-        """Values of the dies, differentiable by the design value; `normal` zero is the median."""
+    def value(self, design: Scalar, place: Float[Array, " dies"]) -> Float[Array, " dies"]:
+        """Values of the dies, differentiable by the design value."""
 
 
 class Normal(AbstractDistribution):
@@ -48,11 +52,14 @@ class Normal(AbstractDistribution):
         if not self.cut > 0.0:
             raise InputError(f"Argument `cut` must be positive, but {self.cut:g} was given.")
 
-    def value(self, design, normal):
-        """Design plus the normal number times the standard deviation, within the cut."""
-        inside = stats.truncnorm.ppf(stats.norm.cdf(normal), -self.cut, self.cut)
+    def place(self, normal):
+        """The normal numbers, drawn in within the cut."""
+        return stats.truncnorm.ppf(stats.norm.cdf(normal), -self.cut, self.cut)
+
+    def value(self, design, place):
+        """Design plus the place times the standard deviation."""
         std = self.relative * abs(design) if self.std == 0.0 else jnp.hypot(self.relative * design, self.std)
-        return design + inside * std
+        return design + place * std
 
 
 class Uniform(AbstractDistribution):
@@ -71,12 +78,15 @@ class Uniform(AbstractDistribution):
         if self.high < self.low:
             raise InputError(f"A uniform spread must have low <= high, but {self.low:g} and {self.high:g} were given.")
 
-    def value(self, design, normal):
-        """A point of the interval at the probability of the normal number."""
-        share = stats.norm.cdf(normal)
+    def place(self, normal):
+        """The probability of the normal number."""
+        return stats.norm.cdf(normal)
+
+    def value(self, design, place):
+        """A point of the interval."""
         if self.relative is not None:
-            return design * (1.0 + self.relative * (2.0 * share - 1.0))
-        return self.low + share * (self.high - self.low)
+            return design * (1.0 + self.relative * (2.0 * place - 1.0))
+        return self.low + place * (self.high - self.low)
 
 
 @dataclass(frozen=True)
@@ -180,7 +190,7 @@ class Spread:
         """Dies at given normal numbers, one column per variation; differentiable by the design values in `loop`."""
         root, items = Root(loop, scenario), self.resolved(loop)
         values = [
-            jnp.asarray(item.distribution.value(_number(item.read(root)), column))
+            jnp.asarray(item.distribution.value(_number(item.read(root)), item.distribution.place(column)))
             for item, column in zip(items, np.asarray(normal).T, strict=True)
         ]
         if items:

@@ -68,7 +68,8 @@ def tune(
     all. Training, validation and report run on different dies, all of the lot `seed`: the report on dies 0 to
     `report_dies` - 1, as `sweep` runs them. Every setting is tried on the same dies with the same noise. A stage ends
     when the loss or the validation dies gain no more, or after `evaluations` gradients; the best on validation counts.
-    A lost die counts as a large finite loss and is reported. `progress` is told what happens, in sentences. With
+    A free number that `spread` varies is the design value its dies lie around (design centring). A lost die counts as a
+    large finite loss and is reported. `progress` is told what happens, in sentences. With
     `keep`, a folder, evaluations are kept there: the same call goes on where another was killed, to the same bits.
 
     Raises `InputError` for what is free but unknown, for bounds that do not hold the start, for settings that cannot be
@@ -79,7 +80,7 @@ def tune(
     spread = Spread.relative(0.15) if spread is None else spread
     settle = 0.5 * duration if settle is None else settle
     tunables = resolved(loop, free, sample_rate, duration)
-    _check(spread, loop, tunables, dies, validation_dies, evaluations)
+    _check(dies, validation_dies, evaluations)
     stages = _stages(loop, tunables, loss, settle)
     timing = _timing(sample_rate, duration, max(float(stage.loss.begins()) for stage in stages))
     told = progress or (lambda sentence: None)
@@ -222,9 +223,7 @@ def _timing(sample_rate: float, duration: float, begins: float) -> Timing:
     return Timing(1.0 / sample_rate, blocks, steps // blocks)
 
 
-def _check(
-    spread: Spread, loop: ClosedLoop, tunables: Tunables, dies: int, validation_dies: int, evaluations: int
-) -> None:
+def _check(dies: int, validation_dies: int, evaluations: int) -> None:
     for name, value, least in (
         ("dies", dies, 2),
         ("validation_dies", validation_dies, 1),
@@ -234,6 +233,3 @@ def _check(
             raise InputError(f"Argument `{name}` must be at least {least}, but {value} was given.")
     if max(dies, validation_dies) > TRAINING:
         raise InputError(f"Argument `dies` must be at most {TRAINING}, but {max(dies, validation_dies)} was given.")
-    both = {item.path for item in spread.resolved(loop)} & set(tunables.paths)
-    if both:
-        raise InputError(f"A number must be either free or differ between dies, but `{sorted(both)[0]}` does both.")

@@ -75,12 +75,18 @@ def delay(factor):
     return np.maximum(found / 2e-3 - 1.0, 0.0) ** 2
 
 
+def missed(factor):
+    size = np.sqrt((factor * RATE[-1] - TRUE[-1]) ** 2 + (1e-3 * 0.02) ** 2)
+    return 1.0 / (1.0 + np.exp(-(size / 0.02 - 1.0) / 0.2))
+
+
 SQUARED = losses.SquaredRateError(SETTLE)
 CASES = {
     "squared error": (SQUARED, squares),
     "likelihood": (losses.InnovationLikelihood(SETTLE), likelihood),
     "consistency": (losses.Consistency(SETTLE), consistency),
     "convergence": (losses.ConvergenceTime(0.2), outside),
+    "out of tolerance": (losses.OutOfTolerance(0.02), missed),
     "delay": (losses.Delay(2e-3, SETTLE), delay),
     "claimed variance": (losses.ClaimedVariance(SETTLE), lambda f: np.mean(np.log(CLAIMED[0, LATE] * f**2), axis=0)),
     "weighted": (

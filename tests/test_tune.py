@@ -214,7 +214,6 @@ def test_what_is_switched_off_is_found_again(tuned, study):
         ({"tune.free": [{"path": "filter.bandwidth", "low": "1 kHz"}]}, "within its bounds 1000 to"),
         ({"tune.free": ["filter", "filter.bandwidth"]}, "freed twice"),
         ({"tune.free": ["scenario.rate.intensity"]}, "is none"),
-        ({"tune.free": ["start.0"]}, "does both"),
         ({"tune.free": ["start.1"]}, "must be given bounds"),
         ({"tune.dies": 1}, "greater than or equal to 2"),
         ({"tune.loss": "squared"}, "tune.loss"),
@@ -224,6 +223,32 @@ def test_what_cannot_be_tuned_is_one_sentence(study, change, message):
     with pytest.raises(InputError, match=re.escape(message)) as error:
         mg.tune(**study.changed(change).tune_arguments)
     assert "\n" not in str(error.value)
+
+
+def test_a_design_value_moves_its_dies(study):
+    """Free and varied at once: at a new design the dies are those drawn around it; slopes are those of differences."""
+    given, spread = study.tune_arguments, mg.Spread((mg.Vary("start.0", mg.Normal(relative=0.2)),))
+    free = mg.free({"start.0": (1e-7, 1e-5)})
+
+    def around(start):
+        loop = eqx.tree_at(lambda made: made.start, given["loop"], (jnp.asarray(start), *given["loop"].start[1:]))
+        loop = loop.sampled_at(given["sample_rate"])
+        tunables = resolved(loop, free, given["sample_rate"], given["duration"])
+        return Objective.of(
+            loop, given["scenario"], spread, tunables, losses.OutOfTolerance(30.0), dies=np.arange(8),
+            timing=Timing(1e-6, 20, 100), seed=0,
+        )  # fmt: skip
+
+    here = around(1e-6)
+    np.testing.assert_allclose(
+        here.values(np.array([1.2e-6])).loss, around(1.2e-6).values(np.array([1.2e-6])).loss, rtol=1e-9
+    )
+    step = 1e-4
+    parts = [np.mean(here.values(np.array([1e-6 * (1 + k * step)])).loss) for k in (-2, -1, 1, 2)]
+    difference = (parts[0] - 8 * parts[1] + 8 * parts[2] - parts[3]) / (12 * step)
+    slopes = here.slopes(np.array([1e-6])).slopes
+    assert np.mean(slopes) * 1e-6 == pytest.approx(difference, rel=1e-6)
+    assert difference != 0.0
 
 
 def test_a_loss_that_is_no_number_at_the_start_is_one_sentence(tuned, study):

@@ -8,6 +8,7 @@ from .consistency import Consistency as Consistency
 from .convergence_time import ConvergenceTime as ConvergenceTime
 from .delay import Delay as Delay
 from .innovation_likelihood import InnovationLikelihood as InnovationLikelihood
+from .out_of_tolerance import OutOfTolerance as OutOfTolerance
 from .squared_rate_error import SquaredRateError as SquaredRateError
 from .weighted import Weighted as Weighted
 from .worst_dies import WorstDies as WorstDies

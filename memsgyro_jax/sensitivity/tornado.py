@@ -173,7 +173,8 @@ def slopes(
     loop = loop.sampled_at(1.0 / plan.period)
     items, root = spread.resolved(loop), Root(loop, scenario)
     designs = [float(item.read(root)) for item in items]
-    above = [float(item.distribution.value(design, np.ones(1))[0]) for item, design in zip(items, designs, strict=True)]
+    one = np.ones(1)  # standard deviation above
+    above = [i.distribution.value(d, i.distribution.place(one))[0] for i, d in zip(items, designs, strict=True)]
     steps = sigmas * (np.asarray(above) - np.asarray(designs))
     words = noise.die_words(jax.random.key(seed), jnp.arange(repeats))
     smooth = [k for k, output in enumerate(of) if not output.counts]
