@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy import special
 
 import memsgyro_jax as mg
 from memsgyro_jax import losses
@@ -87,6 +88,7 @@ CASES = {
     "consistency": (losses.Consistency(SETTLE), consistency),
     "convergence": (losses.ConvergenceTime(0.2), outside),
     "out of tolerance": (losses.OutOfTolerance(0.02), missed),
+    "expected misses": (losses.ExpectedMisses(2e-3), lambda f: special.erfc(2e-3 / np.sqrt(2 * CLAIMED[0, -1] * f**2))),
     "delay": (losses.Delay(2e-3, SETTLE), delay),
     "claimed variance": (losses.ClaimedVariance(SETTLE), lambda f: np.mean(np.log(CLAIMED[0, LATE] * f**2), axis=0)),
     "weighted": (

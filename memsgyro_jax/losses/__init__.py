@@ -7,6 +7,7 @@ from .claimed_variance import ClaimedVariance as ClaimedVariance
 from .consistency import Consistency as Consistency
 from .convergence_time import ConvergenceTime as ConvergenceTime
 from .delay import Delay as Delay
+from .expected_misses import ExpectedMisses as ExpectedMisses
 from .innovation_likelihood import InnovationLikelihood as InnovationLikelihood
 from .out_of_tolerance import OutOfTolerance as OutOfTolerance
 from .squared_rate_error import SquaredRateError as SquaredRateError

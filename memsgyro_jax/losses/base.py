@@ -85,6 +85,16 @@ def rate_error(sample: Sample) -> Scalar:
     return sample.rate - sample.conditions.inertial.rate
 
 
+def claimed_variance(sample: Sample, who: str) -> Scalar:
+    """The variance of the rate that the observer claims; raises `InputError` where it claims none."""
+    if sample.estimate.rate_variance is None:
+        raise InputError(
+            f"The loss `{who}` must have an observer that claims a variance for the rate, an `ExtendedKalmanFilter` "
+            "say, but this loop's has none."
+        )
+    return sample.estimate.rate_variance
+
+
 def innovation_of(sample: Sample, who: str):
     """The innovation of a sample; raises `InputError` where the observer claims no variance for it."""
     if sample.estimate.innovation is None:

@@ -4,8 +4,7 @@ from typing import ClassVar
 
 import jax.numpy as jnp
 
-from ..errors import InputError
-from .base import AbstractMean
+from .base import AbstractMean, claimed_variance
 
 
 class ClaimedVariance(AbstractMean):
@@ -20,10 +19,4 @@ class ClaimedVariance(AbstractMean):
 
     def of(self, sample):
         """ln of the variance."""
-        variance = sample.estimate.rate_variance
-        if variance is None:
-            raise InputError(
-                "The loss `ClaimedVariance` must have an observer that claims a variance for the rate, an "
-                "`ExtendedKalmanFilter` say, but this loop's has none."
-            )
-        return jnp.log(variance)
+        return jnp.log(claimed_variance(sample, "ClaimedVariance"))
