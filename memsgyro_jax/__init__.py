@@ -81,6 +81,8 @@ _CONTENTS = {
     "Tunable": "tunable",
     "tune": "tune",
     "Tuning": "tuning",
+    "tune_on_record": "replay",
+    "RecordTuning": "replay",
     "load_study": "study",
     "default_study": "study",
     "Study": "study",

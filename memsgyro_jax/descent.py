@@ -3,7 +3,7 @@ stop can come from outside: validation dies that no longer gain, or patience tha
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import equinox as eqx
 import jax
@@ -81,6 +81,25 @@ def descend(
             if ended:
                 return _finished(steps, ended)
     return _finished(steps, "evaluations used up")
+
+
+def sought(
+    down: Callable[[Vector, int], Descent], moved: Callable[[Vector], Vector | None], start: Vector, evaluations: int
+) -> Descent:
+    """`down` from `start`, then again from where `moved` (a rescue) puts its end, until that finds nothing to move.
+
+    All steps in a row; `down` is told where to begin and how many evaluations are left.
+    """
+    steps: list[Step] = []
+    while True:
+        spent = steps[-1].evaluations if steps else 0
+        found = down(start, evaluations - spent)
+        steps += [replace(step, evaluations=spent + step.evaluations) for step in found.steps]
+        best = _finished(steps, found.status)
+        further = moved(best.coordinates) if steps[-1].evaluations < evaluations else None
+        if further is None:
+            return best
+        start = further
 
 
 def _finished(steps: list[Step], status: str) -> Descent:

@@ -155,13 +155,34 @@ class Objective:
         for first in range(0, self.dies, together):
             # The last die fills up the last batch: one shape, one compilation, however many dies.
             places = np.minimum(np.arange(first, first + together), self.dies - 1)
-            part = self.some(places)
-            rows = _evaluate(
-                part.loop, part.scenario, part.words, jnp.asarray(each[:, places]), jnp.asarray(part.places),
-                self.design, self.loss, self.tunables.paths, self.around, self.timing, self.mesh, derivative,
-            )  # fmt: skip
+            rows = _evaluate(*self._arguments(places, each, derivative))
             parts.append([np.asarray(row) for row in rows])
         return tuple(np.concatenate(rows, axis=-1)[..., : self.dies] for rows in zip(*parts, strict=True))
+
+    def _arguments(self, places: np.ndarray, each: np.ndarray, derivative: bool) -> tuple:
+        part, numbers = self.some(places), jnp.asarray(each[:, places])
+        return (part.loop, part.scenario, part.words, numbers, jnp.asarray(part.places), self.design, self.loss,
+                self.tunables.paths, self.around, self.timing, self.mesh, derivative)  # fmt: skip
+
+    def memory(self, *, derivative: bool) -> float:
+        """What the compiled program allocates beside its arguments, in bytes per die; compiles it."""
+        places = np.arange(self.lanes * self.mesh.size) % self.dies
+        each = np.repeat(self.tunables.values[:, None], self.dies, axis=1)
+        compiled = _evaluate.lower(  # type: ignore[attr-defined]
+            *self._arguments(places, each, derivative)
+        ).compile()
+        return compiled.compiled.memory_analysis().temp_size_in_bytes / self.lanes
+
+
+def judged(
+    objective: Objective, tunables: Tunables, coordinates: np.ndarray, penalty: float
+) -> tuple[float, np.ndarray, np.ndarray]:
+    """Loss, gradient and slopes of the dies, by the coordinates."""
+    values, stretch = objective.slopes(tunables.numbers(coordinates)), tunables.stretch(coordinates)
+    whole, slope = objective.total(values, penalty)
+    assert slope is not None
+    assert values.slopes is not None
+    return whole, slope * stretch, values.slopes[:, values.alive] * stretch[:, None]
 
 
 @eqx.filter_jit

@@ -3,14 +3,15 @@
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from .objective import Objective, Values
 
 
 FLAT = 1e-3  # of the standard deviation over dies: what a factor e changes less than has no effect
-_POINTS = 9  # places of the grid, from bound to bound
+_POINTS = 11  # places of the grid, from bound to bound
 _DIES = 16  # dies that try them
+_GAIN = 0.1  # of the standard deviation of the mean over these dies: a smaller gain is none
 
 
 def effects(values: Values, stretch: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
@@ -32,30 +33,30 @@ def noise_of(values: Values) -> float:
 
 def rescued(
     objective: Objective, numbers: Float[np.ndarray, " n"], penalty: float, told: Callable[[str], None] | None = None
-) -> tuple[Float[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
-    """`numbers` with those that have no effect where they stand moved to the best of a grid, and which were moved.
+) -> Float[np.ndarray, " n"] | None:
+    """`numbers` with the one that has no effect where it stands, and gains most elsewhere, moved there; None if none.
 
-    The grids of all of them are tried side by side, the best step is taken, and so on until none gains.
+    Only where the other numbers are settled: else it could gain by standing in for one that is still wrong. The grids
+    of all of them are tried side by side.
     """
-    numbers, moved = np.array(numbers, float), np.zeros(len(numbers), bool)
     objective = objective.some(np.arange(min(_DIES, objective.dies)))
-    for _ in range(len(numbers)):
-        values = objective.slopes(numbers)
-        tunables = objective.tunables.chosen((True,) * len(numbers), numbers)
-        flat = np.flatnonzero((effects(values, tunables.stretch(tunables.coordinates)) < FLAT) & ~moved)
-        if flat.size == 0:
-            break
-        here, _ = objective.total(values, penalty)
-        tries = [(i, value) for i in flat for value in objective.tunables.grid(i, _POINTS)]
-        found = _totals(objective, numbers, tries, penalty)
-        best = int(np.argmin(found))
-        if not found[best] < here - FLAT * noise_of(values):
-            break
-        index, value = tries[best]
-        numbers[index], moved[index] = value, True
-        if told:
-            told(f"{objective.tunables.labels[index]} had no effect at its start; the search goes on from {value:.3g}")
-    return numbers, moved
+    tunables = objective.tunables.chosen((True,) * len(numbers), numbers)
+    values = objective.slopes(numbers)
+    flat = np.flatnonzero(effects(values, tunables.stretch(tunables.coordinates)) < FLAT)
+    tries = [(i, value) for i in flat for value in objective.tunables.grid(i, _POINTS)]
+    if not tries:
+        return None
+    here, _ = objective.total(values, penalty)
+    found = _totals(objective, numbers, tries, penalty)
+    best = int(np.argmin(found))
+    if not found[best] < here - _GAIN * noise_of(values) / np.sqrt(objective.dies):
+        return None
+    index, value = tries[best]
+    moved = np.array(numbers, float)
+    moved[index] = value
+    if told:
+        told(f"{objective.tunables.labels[index]} has no effect where it is; the search goes on from {value:.3g}")
+    return moved
 
 
 def _totals(objective: Objective, numbers: np.ndarray, tries: list[tuple[int, float]], penalty: float) -> np.ndarray:

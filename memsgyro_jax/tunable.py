@@ -25,7 +25,7 @@ from .observers import ExtendedKalmanFilter
 
 Bounds = tuple[float, float]
 _DECADES = 1e3  # default bounds of a positive number: this factor to both sides
-_WALKS = (1e-4, 10.0)  # default bounds of a walk: it moves by this share of the prior's deviation in a run
+_WALKS = (1e-7, 10.0)  # default bounds of a walk: it moves by this share of the prior's deviation in a run
 _NYQUIST = 0.45  # of the sample rate: the most that a filter's bandwidth gets by default
 
 
@@ -126,9 +126,10 @@ class Tunables:
             return self.low[index] * (self.high[index] / self.low[index]) ** inside
         return self.low[index] + inside * (self.high[index] - self.low[index])
 
-    def applied(self, loop: ClosedLoop, values: Sequence[Array] | np.ndarray) -> ClosedLoop:
-        """The loop with these values, each a number or one per die."""
-        return placed(loop, self.paths, values)
+    def applied(self, loop: ClosedLoop, values: Sequence[float] | np.ndarray) -> ClosedLoop:
+        """The loop with these values."""
+        alike = [_alike(_at(loop, path), value) for path, value in zip(self.paths, values, strict=True)]
+        return placed(loop, self.paths, alike)
 
     def chosen(self, which: Sequence[bool], values: np.ndarray) -> "Tunables":
         """Some of them, starting at `values`."""
@@ -179,6 +180,11 @@ def placed(loop: ClosedLoop, paths: Sequence[str], values: Sequence[Array] | np.
     return eqx.tree_at(lambda tree: [_at(tree, path) for path in paths], loop, [jnp.asarray(v) for v in values])
 
 
+def _alike(leaf: Array, value: float) -> Array:
+    """The value as an array of the leaf's kind: a strong type in the place of a weak one compiles everything anew."""
+    return jnp.asarray(float(value)) if leaf.weak_type else jnp.asarray(np.float64(value))
+
+
 def _dotted(path: tuple) -> str:
     parts = (getattr(key, "name", None) or str(getattr(key, "idx", getattr(key, "key", ""))) for key in path)
     return ".".join(parts)
@@ -193,7 +199,7 @@ def _at(tree: Any, path: str) -> Array:
 
 def _numbers_at(loop: ClosedLoop, path: str, known: Mapping[str, int]) -> list[str]:
     """The paths of all numbers at or below `path`, coefficients by name or position."""
-    names, spelled = loop.device.model.names, path
+    names, spelled = loop.observer.model.names, path
     for prefix in ("observer.process_noise.theta.", "observer.process_noise.", "observer.prior.theta_std."):
         name = path.removeprefix(prefix)
         if name != path and name in names:
@@ -252,7 +258,7 @@ def _free(low: float, high: float, tunable: Tunable, path: str) -> Free:
 def _label(loop: ClosedLoop, path: str) -> str:
     """The path with a coefficient by its name."""
     head, _, last = path.rpartition(".theta.")
-    return f"{head}.{loop.device.model.names[int(last)]}" if head and last.isdigit() else path
+    return f"{head}.{loop.observer.model.names[int(last)]}" if head and last.isdigit() else path
 
 
 def tree(loop: ClosedLoop, tunables: Sequence[Tunable], *, sample_rate: float = 100e3, duration: float = 0.1):

@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 
 from . import runtime
-from .descent import Descent, Step, descend
+from .descent import Descent, Step, descend, sought
 from .errors import InputError
 from .loop import ClosedLoop
 from .losses import AbstractLoss, InnovationLikelihood, SquaredRateError
-from .objective import Objective, Timing, Values
+from .objective import Objective, Timing, Values, judged
 from .observers import ExtendedKalmanFilter
 from .provenance import Settings
 from .rescue import noise_of, rescued
@@ -82,7 +82,7 @@ def tune(
     tunables = resolved(loop, free, sample_rate, duration)
     _check(dies, validation_dies, evaluations)
     stages = _stages(loop, tunables, loss, settle)
-    timing = _timing(sample_rate, duration, max(float(stage.loss.begins()) for stage in stages))
+    timing = timing_of(sample_rate, duration, max(float(stage.loss.begins()) for stage in stages))
     told = progress or (lambda sentence: None)
     work = _Work(loop, scenario, spread, timing, seed, (dies, validation_dies), evaluations, told,
                  None if keep is None else Path(keep))  # fmt: skip
@@ -157,16 +157,19 @@ class _Work:
             for first, count in zip((TRAINING, VALIDATION), self.dies, strict=True)
         )  # fmt: skip
         penalty = _penalty(training.values(tunables.values), name)
-        start, _ = rescued(training, tunables.values, penalty, self.told)
-        from_there = tunables.chosen((True,) * len(start), start)
-        descent = descend(
-            lambda at: _judged(training, from_there, at, penalty),
-            lambda at: validation.total(validation.values(from_there.numbers(at)), penalty)[0],
-            from_there.coordinates,
-            evaluations=self.evaluations,
-            told=lambda step: self.told(_sentence(name, step)),
+        descent = sought(
+            lambda start, left: descend(
+                lambda at: judged(training, tunables, at, penalty),
+                lambda at: validation.total(validation.values(tunables.numbers(at)), penalty)[0],
+                start,
+                evaluations=left,
+                told=lambda step: self.told(_sentence(name, step)),
+            ),
+            lambda end: _elsewhere(training, end, penalty, self.told),
+            tunables.coordinates,
+            self.evaluations,
         )
-        found = from_there.numbers(descent.coordinates)
+        found = tunables.numbers(descent.coordinates)
         values = training.slopes(found)
         fate = fates(tunables, found, values)
         rows = [
@@ -178,23 +181,19 @@ class _Work:
         return _outcome(stage, descent, values, null_directions(tunables, found, values)), found, rows
 
 
+def _elsewhere(training: Objective, end: np.ndarray, penalty: float, told: Callable[[str], None]) -> np.ndarray | None:
+    """Coordinates after a rescue; None when nothing gains."""
+    tunables = training.tunables
+    moved = rescued(training, tunables.numbers(end), penalty, told)
+    return None if moved is None else tunables.chosen((True,) * len(moved), moved).coordinates
+
+
 def _outcome(stage: Stage, descent: Descent, values: Values, nulls: tuple[str, ...]) -> StageResult:
     pick = lambda name: tuple(getattr(step, name) for step in descent.steps)  # noqa: E731
     return StageResult(
         type(stage.loss).__name__, stage.reason, pick("evaluations"), pick("training"), pick("validation"),
         descent.best, int(np.sum(~values.alive)), descent.status, nulls,
     )  # fmt: skip
-
-
-def _judged(
-    objective: Objective, tunables: Tunables, coordinates: np.ndarray, penalty: float
-) -> tuple[float, np.ndarray, np.ndarray]:
-    """Loss, gradient and slopes of the dies, by the coordinates."""
-    values, stretch = objective.slopes(tunables.numbers(coordinates)), tunables.stretch(coordinates)
-    whole, slope = objective.total(values, penalty)
-    assert slope is not None
-    assert values.slopes is not None
-    return whole, slope * stretch, values.slopes[:, values.alive] * stretch[:, None]
 
 
 def _penalty(values: Values, name: str) -> float:
@@ -211,7 +210,7 @@ def _sentence(name: str, step: Step) -> str:
     return f"{name} after {step.evaluations}: training {step.training:.8g}, validation {step.validation:.8g}"
 
 
-def _timing(sample_rate: float, duration: float, begins: float) -> Timing:
+def timing_of(sample_rate: float, duration: float, begins: float) -> Timing:
     """Blocks as near to `_BLOCKS` as divide the samples; a loss must have something to judge."""
     if not 0.0 <= begins < duration:
         raise InputError(
