@@ -175,14 +175,16 @@ class Objective:
 
 
 def judged(
-    objective: Objective, tunables: Tunables, coordinates: np.ndarray, penalty: float
+    objective: Objective, tunables: Tunables, coordinates: np.ndarray, penalty: float, readings: float
 ) -> tuple[float, np.ndarray, np.ndarray]:
-    """Loss, gradient and slopes of the dies, by the coordinates."""
+    """Loss, gradient and slopes of the dies, by the coordinates; what is known beforehand counts once in `readings`."""
     values, stretch = objective.slopes(tunables.numbers(coordinates)), tunables.stretch(coordinates)
     whole, slope = objective.total(values, penalty)
     assert slope is not None
     assert values.slopes is not None
-    return whole, slope * stretch, values.slopes[:, values.alive] * stretch[:, None]
+    known, pull = tunables.prior(coordinates)
+    whole, slope = whole + known / readings, slope * stretch + pull / readings
+    return whole, slope, values.slopes[:, values.alive] * stretch[:, None]
 
 
 @eqx.filter_jit

@@ -121,8 +121,9 @@ def tune_on_record(
     training = _Some(every, slice(None, -_HELD_OUT))
     if not every.values(tunables.values).alive.all():
         raise InputError("The observer must follow the record at the start, but its numbers are not finite.")
+    readings = (len(volts) - settle * sample_rate) * (1.0 - _HELD_OUT / _SEGMENTS)
     descent = descend(
-        lambda at: judged(training, tunables, at, _NEVER),
+        lambda at: judged(training, tunables, at, _NEVER, readings),
         lambda at: _held_out(every, tunables.numbers(at)),
         tunables.coordinates,
         evaluations=evaluations,

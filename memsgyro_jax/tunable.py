@@ -112,6 +112,15 @@ class Tunables:
         """Which numbers move on a logarithmic scale."""
         return np.array([isinstance(f.transform, LogLogit) for f in self.transforms])
 
+    def prior(self, coordinates: Float[np.ndarray, " n"]) -> tuple[float, Float[np.ndarray, " n"]]:
+        """Negative log-density of what is known beforehand, in nats but for a constant, and its gradient."""
+        raw, value, slope = np.asarray(coordinates) / self._units, 0.0, np.zeros(len(self.paths))
+        for i, free_number in enumerate(self.transforms):
+            if free_number.prior is not None:
+                away = (raw[i] - float(free_number.prior.mean)) / float(free_number.prior.std)
+                value, slope[i] = value + 0.5 * away**2, away / float(free_number.prior.std) / self._units[i]
+        return value, slope
+
     def places(self, values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
         """Where values stand between their bounds, 0 to 1, on their own scale."""
         log = self.logarithmic
@@ -252,7 +261,9 @@ def _free(low: float, high: float, tunable: Tunable, path: str) -> Free:
             f"The prior of `{path}` must be a value within its positive bounds and a factor above 1, "
             f"but {value:g}, {factor:g} were given."
         )
-    return Free(transform, Prior(math.log(value), math.log(factor)))
+    # The prior is one of ln(value); beside it the coordinate is a straight line.
+    along = jax.grad(transform.forward)(value) * value
+    return Free(transform, Prior(transform.forward(jnp.asarray(value)), math.log(factor) * along))
 
 
 def _label(loop: ClosedLoop, path: str) -> str:

@@ -82,6 +82,7 @@ def tune(
     tunables = resolved(loop, free, sample_rate, duration)
     _check(dies, validation_dies, evaluations)
     stages = _stages(loop, tunables, loss, settle)
+    _check_priors(stages, tunables)
     timing = timing_of(sample_rate, duration, max(float(stage.loss.begins()) for stage in stages))
     told = progress or (lambda sentence: None)
     work = _Work(loop, scenario, spread, timing, seed, (dies, validation_dies), evaluations, told,
@@ -157,9 +158,11 @@ class _Work:
             for first, count in zip((TRAINING, VALIDATION), self.dies, strict=True)
         )  # fmt: skip
         penalty = _penalty(training.values(tunables.values), name)
+        steps = self.timing.blocks * self.timing.block - float(stage.loss.begins()) / self.timing.period
+        readings = self.dies[0] * steps
         descent = sought(
             lambda start, left: descend(
-                lambda at: judged(training, tunables, at, penalty),
+                lambda at: judged(training, tunables, at, penalty, readings),
                 lambda at: validation.total(validation.values(tunables.numbers(at)), penalty)[0],
                 start,
                 evaluations=left,
@@ -220,6 +223,17 @@ def timing_of(sample_rate: float, duration: float, begins: float) -> Timing:
     fits = [n for n in range(1, min(10 * _BLOCKS, steps) + 1) if steps % n == 0]
     blocks = min(fits, key=lambda n: abs(np.log(n / _BLOCKS)))
     return Timing(1.0 / sample_rate, blocks, steps // blocks)
+
+
+def _check_priors(stages: tuple[Stage, ...], tunables: Tunables) -> None:
+    """What is known beforehand is weighed against readings, so a likelihood must judge them."""
+    for stage in stages:
+        for path, number, used in zip(tunables.paths, tunables.transforms, stage.which, strict=True):
+            if used and number.prior is not None and not isinstance(stage.loss, InnovationLikelihood):
+                raise InputError(
+                    f"A prior must belong to a number that is tuned by likelihood, but `{path}` is tuned by "
+                    f"{type(stage.loss).__name__}; give it bounds instead."
+                )
 
 
 def _check(dies: int, validation_dies: int, evaluations: int) -> None:
