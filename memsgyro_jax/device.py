@@ -40,12 +40,14 @@ class Term(NamedTuple):
 class Coefficient:
     """A mass-normalised coefficient of the equations of motion and the terms it multiplies.
 
-    `is_rate` marks Coriolis terms, which a controller must not mistake for damping.
+    `is_rate` marks Coriolis terms, which a controller must not mistake for damping. `delays` is the channel (0 for x, 1
+    for y) of a displacement read-out that the coefficient, a time in s, delays; such a one has no terms.
     """
 
     name: str
     terms: tuple[Term, ...]
     is_rate: bool = False
+    delays: int | None = None
 
 
 class Dynamics(NamedTuple):

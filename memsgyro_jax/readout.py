@@ -157,6 +157,52 @@ class DirectReadout(AbstractReadout):
         return cls(scale, noise_density=noise_density, signals=(VX, VY))
 
 
+class Delayed(AbstractReadout):
+    """A displacement read-out whose channels answer `delay` (x, y) [s] late; zero is no delay.
+
+    To first order: the displacement less delay times velocity. What that leaves out is (ω·delay)²/2 of the signal.
+    """
+
+    inner: AbstractReadout
+    delay: Pair = pair_field()
+
+    def __check_init__(self):
+        if self.inner.signals != (X, Y):
+            raise InputError("Argument `inner` must be a displacement read-out, but it shows another signal.")
+
+    def measure(self, motion: tuple[Scalar, ...], noise: Pair, drift: Pair, period: Scalar) -> Pair:
+        """One sample of where the mass was."""
+        late = tuple(
+            place - delay * speed for place, speed, delay in zip(motion[:2], motion[2:], self.delay, strict=True)
+        )
+        return self.inner.measure((*late, *motion[2:]), noise, drift, period)
+
+    @property
+    def scale(self) -> Pair:  # type: ignore[override]
+        """Of the read-out itself."""
+        return self.inner.scale
+
+    @property
+    def offset(self) -> Pair:  # type: ignore[override]
+        """Of the read-out itself."""
+        return self.inner.offset
+
+    @property
+    def noise_density(self) -> Pair:  # type: ignore[override]
+        """Of the read-out itself."""
+        return self.inner.noise_density
+
+    @property
+    def adc(self) -> Adc | None:  # type: ignore[override]
+        """Of the read-out itself."""
+        return self.inner.adc
+
+    @property
+    def signals(self) -> tuple[int, int]:  # type: ignore[override]
+        """Displacement."""
+        return self.inner.signals
+
+
 def snr_density(snr: float, amplitude: float, scale: float, sample_rate: float) -> float:
     """One-sided noise density [V/√Hz] of the thesis' SNR: an amplitude ratio of `amplitude` [m] (or m/s) to the noise
     per sample.

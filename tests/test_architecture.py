@@ -21,7 +21,7 @@ ORDER = [
     *("errors", "runtime", "units", "files", "text", "table"),
     *("noise", "device", "propagate", "readout", "observers", "controllers"),
     *("filters", "scenario", "loop", "engine", "provenance", "pictures", "trace"),
-    *("bound", "merit", "spread", "store", "lot", "summary", "sweep", "sensitivity"),
+    *("bound", "merit", "spread", "store", "lot", "summary", "sweep", "sensitivity", "motion"),
     *("free", "losses", "tunable", "objective", "descent", "rescue", "survey", "tuning", "tune", "replay", "study"),
     *("resonator", "normalised", "effects", "elimination", "model", "steady", "envelope"),
     *("measurement", "case", "noise_level", "couplings", "modal", "experiments", "fit", "ratio"),

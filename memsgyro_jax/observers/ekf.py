@@ -18,7 +18,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..device import AbstractGyro, MotionModel, Pair, Scalar, check_positive
+from ..device import AbstractGyro, MotionModel, Pair, Scalar, X, Y, check_positive
 from ..errors import InputError
 from ..propagate import AbstractDiscretisation, Exact, State4, Transition, advance, dot, fence
 from ..readout import AbstractReadout, ChargeAmplifier
@@ -80,6 +80,12 @@ class ExtendedKalmanFilter(AbstractObserver[KalmanState]):
     def __check_init__(self):
         for density in self.noise_density:
             check_positive("noise_density", density)
+        if any(c.delays is not None for c in self.model.coefficients) and (
+            self.signals != (X, Y) or self.iterations > 1 or self.fading is not None
+        ):
+            raise InputError(
+                "A filter that estimates delays must have a displacement read-out, one iteration and no fading memory."
+            )
         count = len(self.model.names)
         sizes = {
             "prior": (len(self.prior.theta), len(self.prior.theta_std)),
@@ -260,6 +266,8 @@ class ExtendedKalmanFilter(AbstractObserver[KalmanState]):
             z - (s * predicted.mean[signal] + o)
             for z, s, signal, o in zip(measured, self.scale, self.signals, self._offset(state.constants), strict=True)
         )
+        lags = self._lags(predicted.mean, state.constants)
+        innovation = tuple(z if lag is None else z - lag.volts for z, lag in zip(innovation, lags, strict=True))
         motion, cross = motion_block(predicted), predicted.rows.constants
         faded, remembered = 1.0, ()
         if self.fading is not None:
@@ -268,19 +276,33 @@ class ExtendedKalmanFilter(AbstractObserver[KalmanState]):
             motion, cross = tuple(faded * p for p in motion), tuple(faded * row for row in cross)
         motion = add_diagonal(motion, self.process_noise.motion, clock.period)
         prior = Prediction(motion, cross, state.covariance.constants, faded, self._walk(clock.period))
-        first = self._gain(prior, 0, variance[0], None)
-        second = self._gain(prior, 1, variance[1], first)
+        first = self._gain(prior, 0, variance[0], None, lags)
+        second = self._gain(prior, 1, variance[1], first, lags)
         first, second, innovation = fence(clock.time, (first, second, innovation))
-        weights = innovation[0], innovation[1] - self._output(first.motion_gain, first.constant_gain, 1) * innovation[0]
+        shared = self._output(first.motion_gain, first.constant_gain, 1, lags[1])
+        weights = innovation[0], innovation[1] - shared * innovation[0]
         mean, constants = correct_mean(predicted.mean, state.constants, first, second, weights)
         seen = Innovation(weights, (first.spread, second.spread))
         new = KalmanState(mean, constants, downdate(prior, first, second), remembered, seen)
         return _Corrected(new, self._smoothed(state, predicted, weights, first, second, new, faded))
 
-    def _output(self, motion: tuple[Scalar, ...], constants: Array, axis: int) -> Scalar:
-        """The measured combination of a column: scale * signal + offset."""
+    def _output(self, motion: tuple[Scalar, ...], constants: Array, axis: int, lag: "_Lag | None" = None) -> Scalar:
+        """The measured combination of a column: scale * signal + offset, less what a delay takes away."""
         value = self.scale[axis] * motion[self.signals[axis]]
+        if lag is not None:
+            value = value + lag.by_velocity * motion[self.signals[axis] + 2] + lag.by_delay * constants[lag.place]
         return value + constants[axis] if self.with_offsets else value
+
+    def _lags(self, motion: State4, constants: Array) -> tuple["_Lag | None", "_Lag | None"]:
+        """What the estimated delays do to the outputs: to first order, volts = scale * (x - delay * vx)."""
+        lags: list[_Lag | None] = [None, None]
+        for order, index in enumerate(self.estimated):
+            axis = self.model.coefficients[index].delays
+            if axis is not None:
+                place = self._first + order
+                by_velocity, by_delay = -self.scale[axis] * constants[place], -self.scale[axis] * motion[2 + axis]
+                lags[axis] = _Lag(by_velocity * motion[2 + axis], by_velocity, by_delay, place)
+        return lags[0], lags[1]
 
     def _output_spread(self, motion: tuple[Scalar, ...], cross: tuple[Array, ...], state: KalmanState) -> Pair:
         """Predicted variance of the two outputs before fading, noise and measurement noise."""
@@ -296,8 +318,9 @@ class ExtendedKalmanFilter(AbstractObserver[KalmanState]):
     def _walk(self, period: Scalar) -> Array:
         return self._constants(self.process_noise.offset, self.process_noise.theta) * period
 
-    def _gain(self, prior: Prediction, axis: int, variance: Scalar, earlier: Gain | None) -> Gain:
+    def _gain(self, prior: Prediction, axis: int, variance: Scalar, earlier: Gain | None, lags: tuple) -> Gain:
         """Covariance with the output of `axis`, given that output `earlier` has been taken."""
+        lag = lags[axis]
         signal, scale = self.signals[axis], self.scale[axis]
         block = square(prior.motion)
         motion = tuple(scale * block[signal][i] for i in range(4))
@@ -305,11 +328,17 @@ class ExtendedKalmanFilter(AbstractObserver[KalmanState]):
         if self.with_offsets:
             motion = tuple(v + prior.cross[i][axis] for i, v in enumerate(motion))
             constants = constants + prior.row(axis)
+        if lag is not None:
+            velocity, delay = block[signal + 2], [prior.cross[i][lag.place] for i in range(4)]
+            motion = tuple(
+                v + lag.by_velocity * p + lag.by_delay * c for v, p, c in zip(motion, velocity, delay, strict=True)
+            )
+            constants = constants + lag.by_velocity * prior.cross[signal + 2] + lag.by_delay * prior.row(lag.place)
         if earlier is not None:
-            shared = self._output(earlier.motion, earlier.constants, axis)
+            shared = self._output(earlier.motion, earlier.constants, axis, lag)
             motion = tuple(v - k * shared for v, k in zip(motion, earlier.motion_gain, strict=True))
             constants = constants - earlier.constant_gain * shared[None]
-        spread = self._output(motion, constants, axis) + variance
+        spread = self._output(motion, constants, axis, lag) + variance
         inverse = 1.0 / spread
         return Gain(motion, constants, tuple(v * inverse for v in motion), constants * inverse[None], spread)
 
@@ -331,6 +360,15 @@ class ExtendedKalmanFilter(AbstractObserver[KalmanState]):
                 state.motion[i] + seen[0] * weights[0] / first.spread + second_seen * weights[1] / second.spread
             )
         return tuple(start), new.constants
+
+
+class _Lag(NamedTuple):
+    """Of a delayed channel: its volts, their derivatives by velocity and by delay, and the delay's place."""
+
+    volts: Scalar
+    by_velocity: Scalar
+    by_delay: Scalar
+    place: int
 
 
 class _Corrected(NamedTuple):
