@@ -23,6 +23,7 @@ runtime.configure()
 RATE, SAMPLE_RATE, DURATION = 1.0, 100e3, 0.1
 GYRO, READOUT = mg.SingleMassGyro.chi2010(), mg.ChargeAmplifier.chi2010()
 NONE, CROSS_AND_GAIN, ALL = mg.ModelErrors.none(), mg.ModelErrors(delay=0.0), mg.ModelErrors()
+FINDABLE = mg.ModelErrors(cross_damping=0.0)
 KNOWN = {"known": ("sigma",)}  # two tones tell eight numbers: all coefficients but that of the mass
 SPREAD = mg.Spread.relative(0.15)
 KNOWLEDGE = 0.1  # of the usual prior, 1.5 % of each coefficient: the estimate by which the motion was aimed
@@ -113,6 +114,7 @@ search = {"starts": 8, "steps": 120} if report.quick else {}
 nominal = mg.design_motion(GYRO, READOUT, tones=2, errors=NONE, **KNOWN, **search)
 own_axis = mg.design_motion(GYRO, READOUT, tones=2, own_axis=True, errors=NONE, **KNOWN, **search)
 for_gain = mg.design_motion(GYRO, READOUT, errors=CROSS_AND_GAIN, **search)
+for_findable = mg.design_motion(GYRO, READOUT, errors=FINDABLE, **search)
 robust = mg.design_motion(GYRO, READOUT, **search)
 print(robust)
 
@@ -124,6 +126,7 @@ designs = {
     "designed, one tone per axis": own_axis,
     "designed, right model": nominal,
     "designed for cross damping and gain": for_gain,
+    "designed for gain and delay": for_findable,
     "designed for all three (default)": robust,
 }
 
@@ -155,6 +158,8 @@ frozen, aimed = (
     np.array([each.bound(NONE, gyro) for each, gyro in zip(made, dies, strict=True)])
     for made in ([nominal] * len(dies), [nominal.aimed_at(gyro) for gyro in dies])
 )
+report.row("with gain ± 1 % and delays ± 0.1 µs alone", "", float(dps(for_findable.bound())),
+           "the filter finds both while it finds the rate")  # fmt: skip
 report.row("15 % spread, the same motion for all [deg/s]", 0.90, float(dps(np.median(frozen))),
            f"right model, median; root mean square {dps(rms(frozen)):.3g}")  # fmt: skip
 report.row(
@@ -163,14 +168,16 @@ report.row(
 
 runs = ["designed for all three (default)"]
 if not report.quick:
-    runs = ["designed, one tone per axis", "designed, right model", "designed for cross damping and gain", *runs]
+    runs = ["designed, one tone per axis", "designed, right model", "designed for cross damping and gain",
+            "designed for gain and delay", *runs]  # fmt: skip
 errors = {}
 for name in runs:
     error, bound, own, peak = run(designs[name], dies)
     errors[name] = error, bound
     ratio, spread = rms(error) / bound, 1.0 / np.sqrt(2.0 * len(error))
+    claim = "" if designs[name] is for_findable else "<= 1.1"
     beside = "" if own is None else f" (with all that the runs and the prior tell {dps(own):.3g})"
-    report.row(f"filter on {len(dies)} dies over bound: {name}", "<= 1.1", f"{ratio:.3f} ± {ratio * spread:.3f}",
+    report.row(f"filter on {len(dies)} dies over bound: {name}", claim, f"{ratio:.3f} ± {ratio * spread:.3f}",
                f"{dps(rms(error)):.3g} deg/s, bound {dps(bound):.3g}{beside}; up to {1e6 * peak:.2f} µm")  # fmt: skip
 
 combinations = [mg.ModelErrors(c, g, d) for c in (0.0, 0.1) for g in (0.0, 0.01) for d in (0.0, 0.1e-6)]

@@ -13,7 +13,7 @@ import scipy.linalg
 import memsgyro_jax as mg
 from memsgyro_jax import engine, noise
 from memsgyro_jax.errors import InputError
-from memsgyro_jax.motion.design import _plant, _step
+from memsgyro_jax.motion.design import _drawn, _plant, _step
 from memsgyro_jax.motion.information import Tones, cholesky, geometric, rate_variance, sensitivities
 from memsgyro_jax.scenario import as_scenario
 
@@ -144,18 +144,18 @@ def test_a_design_is_aimed_at_another_die(design):
 
 @pytest.mark.slow
 def test_a_spread_is_designed_for(design):
-    """The same program with three dies: their mean bound does not exceed that of the design for one."""
-    settings = {**SETTINGS, "starts": 3, "steps": 30}
-    lot = mg.design_motion(GYRO, tones=2, errors=NONE, spread=mg.Spread.relative(0.1), dies=3, aiming=False, **settings)
-    dies = [mg.SingleMassGyro(m, 63.96, 95.92, 12.78, 3.6e-6, 4.5e-6, 3.6e-7) for m in (1.7e-7, 1.9e-7)]
+    """Dies that all move alike: in the mean they tell more than in the motion that is best for the design device."""
+    spread = mg.Spread.relative(0.1)
+    lot = mg.design_motion(GYRO, tones=2, errors=NONE, spread=spread, dies=3, aiming=False, **SETTINGS)
+    dies = _drawn(lot.setting, spread, 3, 0)
     mean = lambda made: np.mean([np.log(made.bound(NONE, die)) for die in dies])  # noqa: E731
-    assert mean(lot) < mean(design.nominal)
+    assert mean(lot) < mean(design.nominal) - 0.05
 
 
 @pytest.mark.slow
-def test_the_filter_finds_gains_and_delays_and_reaches_the_bound(design):
-    dies, errors = 128, mg.ModelErrors(0.0, 0.01, 1e-7)
-    loop = dataclasses.replace(design, errors=errors).closed_loop().sampled_at(100e3)
+def test_the_filter_finds_gains_and_delays_and_comes_near_the_bound():
+    dies, design = 128, mg.design_motion(GYRO, errors=mg.ModelErrors(0.0, 0.01, 1e-7))
+    loop = design.closed_loop().sampled_at(100e3)
     draw = np.random.default_rng(5).standard_normal((4, dies))
     gain, delay = tuple(0.01 * draw[:2]), tuple(1e-7 * draw[2:])
     batch = eqx.tree_at(lambda l: (l.device.gain, l.device.delay, l.readout.delay), loop, (gain, delay, delay))  # noqa: E741
@@ -166,7 +166,7 @@ def test_the_filter_finds_gains_and_delays_and_reaches_the_bound(design):
     names = loop.observer.model.names
     found = np.asarray(estimate.theta[names.index("delay_x")] - estimate.theta[names.index("delay_y")])
     assert np.std(found - (delay[0] - delay[1])) < 0.2e-7, "of 1.4e-7 that were drawn"
-    assert np.sqrt(np.mean((np.asarray(estimate.rate) - 1.0) ** 2)) < 1.2 * design.bound(errors)
+    assert np.sqrt(np.mean((np.asarray(estimate.rate) - 1.0) ** 2)) < 1.5 * design.bound()
 
 
 class _Nothing(engine.AbstractRecorder):
