@@ -4,6 +4,7 @@ stop can come from outside: validation dies that no longer gain, or patience tha
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -17,8 +18,9 @@ Vector = Float[np.ndarray, " n"]
 _LONGEST = 2.0  # the longest step in coordinates, a factor e² of a number
 _SHORTEST = 1e-4  # the shortest step worth an evaluation
 _FLATTEST = 1e-6  # of the steepest direction's squared slope: less counts as this
-_TOLERANCE = 1e-3  # of the whole fall: what the last steps together must still gain
-_PATIENCE = 3  # accepted steps that may bring less, or no gain on the validation dies
+_PATIENCE = 3  # accepted steps that may bring next to nothing, or no gain on the validation dies
+_WORTH = 0.02  # of the standard error of the loss: what these steps together must bring
+_RENEWED = 0.2  # of the standard error where the metric was taken: from there on it is taken anew
 
 
 @dataclass(frozen=True)
@@ -45,8 +47,19 @@ class Descent:
         return self.steps[self.best].coordinates
 
 
+class Judged(NamedTuple):
+    """A loss at some coordinates: value, gradient, the slopes of its single dies, and the standard error of the value,
+    below which a fall is worth nothing.
+    """
+
+    value: float
+    slope: Vector
+    slopes: Float[np.ndarray, "n dies"]
+    error: float
+
+
 def descend(
-    loss: Callable[[Vector], tuple[float, Vector, Float[np.ndarray, "n dies"]]],
+    loss: Callable[[Vector], Judged],
     validation: Callable[[Vector], float],
     start: Vector,
     *,
@@ -55,31 +68,32 @@ def descend(
 ) -> Descent:
     """Lower `loss` from `start`, at most `evaluations` times; keep the best by `validation`.
 
-    `loss` gives value, gradient, and the slopes of the single dies. Their scatter is the metric: where the dies' slopes
-    are steep, steps are short (for a likelihood the direction of Fisher scoring). The first step has length one.
+    The scatter of the dies' slopes is the metric: where they are steep, steps are short (for a likelihood the direction
+    of Fisher scoring). The first step has length one. Where the scatter has changed much, it is taken anew.
     """
-    value, slope, slopes = loss(start)
-    steps = [Step(1, value, validation(start), start)]
+    here = loss(start)
+    steps, length = [Step(1, here.value, validation(start), start)], 1.0
     if told:
         told(steps[0])
-    root = _root(slopes)
-    length = float(np.linalg.norm(root @ root @ slope))
-    if length == 0.0:
-        return Descent(tuple(steps), 0, "nothing free has an effect")
-    unit = 1.0 / length
-    walk = _Walk(value, root @ slope * unit)
+    walk = _Walk(here, start, length)
     for count in range(2, evaluations + 1):
-        trial = start + root @ walk.trial
-        if np.max(np.abs(root @ walk.away)) < _SHORTEST:
+        if walk.stuck:
+            return _finished(steps, "nothing free has an effect")
+        trial = walk.trial
+        if np.max(np.abs(trial - walk.point)) < _SHORTEST:
             return _finished(steps, "converged: no longer step lowers the loss")
-        value, slope, _ = loss(trial)
-        if walk.took((value - steps[0].training) * unit, root @ slope * unit, root):
-            steps.append(Step(count, value, validation(trial), trial))
+        found = loss(trial)
+        before = walk.point
+        if walk.took(found):
+            steps.append(Step(count, found.value, validation(trial), trial))
             if told:
                 told(steps[-1])
-            ended = _ended(steps)
+            ended = _ended(steps, found.error)
             if ended:
                 return _finished(steps, ended)
+            if found.error < _RENEWED * walk.error:
+                length = min(1.0, 2.0 * float(np.linalg.norm(trial - before)))
+                walk = _Walk(found, trial, length)
     return _finished(steps, "evaluations used up")
 
 
@@ -107,51 +121,60 @@ def _finished(steps: list[Step], status: str) -> Descent:
 
 
 class _Walk:
-    """optimistix' BFGS with its state, given the loss at one trial at a time."""
+    """optimistix' BFGS with its state, given the loss at one trial at a time, in coordinates that the metric makes
+    round: `origin + root @ theirs`.
+    """
 
-    def __init__(self, value: float, slope: Vector):
+    def __init__(self, here: Judged, origin: Vector, length: float):
+        self.origin, self.root, self.first = origin, _root(here.slopes), here.value
+        natural = float(np.linalg.norm(self.root @ self.root @ here.slope))
+        self.stuck, self.unit, self.error = natural == 0.0, length / natural if natural > 0.0 else 0.0, here.error
         # Its own test of convergence would judge coordinates that the metric has scaled; `_ended` decides instead.
         self.solver: optx.BFGS = optx.BFGS(rtol=0.0, atol=1e-14)
-        self.point = jnp.zeros(len(slope))
-        like = jax.ShapeDtypeStruct((), self.point.dtype)
-        self.state = self.solver.init(_known, self.point, (0.0, slope), {}, like, None, frozenset())
-        self.value, self.slope = 0.0, slope
-        self.took(0.0, slope, np.eye(len(slope)))
+        self.here = jnp.zeros(len(origin))
+        like = jax.ShapeDtypeStruct((), self.here.dtype)
+        self.slope = self.root @ here.slope * self.unit
+        self.value = 0.0
+        self.state = self.solver.init(_known, self.here, (0.0, self.slope), {}, like, None, frozenset())
+        self._step(0.0, self.slope)
+
+    @property
+    def point(self) -> Vector:
+        """The last accepted coordinates."""
+        return self.origin + self.root @ np.asarray(self.here)
 
     @property
     def trial(self) -> Vector:
         """Where the loss is wanted next."""
-        return np.asarray(self.state.y_eval)
+        return self.origin + self.root @ np.asarray(self.state.y_eval)
 
-    @property
-    def away(self) -> Vector:
-        """The step that the trial is."""
-        return self.trial - np.asarray(self.point)
+    def took(self, found: Judged) -> bool:
+        """Whether the trial is accepted; then it chooses the next."""
+        return self._step((found.value - self.first) * self.unit, self.root @ found.slope * self.unit)
 
-    def took(self, value: float, slope: Vector, root: np.ndarray) -> bool:
-        """Whether the trial, with its value and gradient, is accepted; then it chooses the next."""
-        before, away = int(self.state.num_accepted_steps), self.away
+    def _step(self, value: float, slope: Vector) -> bool:
+        before, away = int(self.state.num_accepted_steps), np.asarray(self.state.y_eval - self.here)
         known = (jnp.asarray(value), jnp.asarray(slope))
-        self.point, self.state = _step(self.solver, self.point, known, self.state)
-        accepted = int(self.state.num_accepted_steps) > before
-        if accepted:
+        self.here, self.state = _stepped(self.solver, self.here, known, self.state)
+        taken = int(self.state.num_accepted_steps) > before
+        if taken:
             self.value, self.slope = value, slope
-            length = np.linalg.norm(root @ self.away)
-            shorter = self.away * min(1.0, _LONGEST / length if length > 0.0 else 1.0)
+            away = np.asarray(self.state.y_eval - self.here)
+            length = np.linalg.norm(self.root @ away)
+            away = away * min(1.0, _LONGEST / length if length > 0.0 else 1.0)
         else:
             # The parabola through what is known of this direction beats halving.
             expected = float(self.slope @ away)
             lack = value - self.value - expected
-            shorter = away * float(np.clip(-0.5 * expected / lack if lack > 0.0 else 0.5, 0.1, 0.5))
-        self.state = eqx.tree_at(lambda state: state.y_eval, self.state, self.point + shorter)
-        return accepted
+            away = away * float(np.clip(-0.5 * expected / lack if lack > 0.0 else 0.5, 0.1, 0.5))
+        self.state = eqx.tree_at(lambda state: state.y_eval, self.state, self.here + away)
+        return taken
 
 
-def _ended(steps: list[Step]) -> str | None:
+def _ended(steps: list[Step], error: float) -> str | None:
     if len(steps) <= _PATIENCE:
         return None
-    fall = steps[0].training - steps[-1].training
-    if steps[-1 - _PATIENCE].training - steps[-1].training < _TOLERANCE * fall:
+    if steps[-1 - _PATIENCE].training - steps[-1].training < _WORTH * error:
         return "converged: the loss has stopped falling"
     before = min(step.validation for step in steps[:-_PATIENCE])
     if min(step.validation for step in steps[-_PATIENCE:]) >= before:
@@ -175,6 +198,6 @@ def _known(coordinates, known):
 
 
 @eqx.filter_jit
-def _step(solver: optx.BFGS, point, known: tuple, state):
+def _stepped(solver: optx.BFGS, point, known: tuple, state):
     point, state, _ = solver.step(_known, point, known, {}, state, frozenset())
     return point, state

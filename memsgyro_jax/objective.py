@@ -17,6 +17,7 @@ from jax.sharding import PartitionSpec as P
 from jaxtyping import Array, Bool, Float
 
 from . import engine, lot, noise
+from .descent import Judged
 from .loop import ClosedLoop, Sample
 from .losses import AbstractLoss
 from .provenance import fingerprint
@@ -174,17 +175,25 @@ class Objective:
         return compiled.compiled.memory_analysis().temp_size_in_bytes / self.lanes
 
 
+def noise_of(values: Values) -> float:
+    """Standard deviation of the loss over the dies; where all are alike, its size."""
+    loss = values.loss[values.alive]
+    spread = float(np.std(loss)) if loss.size > 1 else 0.0
+    return spread if spread > 0.0 else max(float(np.max(np.abs(loss), initial=0.0)), np.finfo(float).tiny)
+
+
 def judged(
     objective: Objective, tunables: Tunables, coordinates: np.ndarray, penalty: float, readings: float
-) -> tuple[float, np.ndarray, np.ndarray]:
-    """Loss, gradient and slopes of the dies, by the coordinates; what is known beforehand counts once in `readings`."""
+) -> Judged:
+    """The loss as a descent wants it, by the coordinates; what is known beforehand counts once in `readings`."""
     values, stretch = objective.slopes(tunables.numbers(coordinates)), tunables.stretch(coordinates)
     whole, slope = objective.total(values, penalty)
     assert slope is not None
     assert values.slopes is not None
     known, pull = tunables.prior(coordinates)
     whole, slope = whole + known / readings, slope * stretch + pull / readings
-    return whole, slope, values.slopes[:, values.alive] * stretch[:, None]
+    error = noise_of(values) / float(np.sqrt(max(1, np.sum(values.alive))))
+    return Judged(whole, slope, values.slopes[:, values.alive] * stretch[:, None], error)
 
 
 @eqx.filter_jit

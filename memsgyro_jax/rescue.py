@@ -1,17 +1,19 @@
-"""Starts without a gradient: what was switched off, or stands where nothing moves, is looked for on a coarse grid."""
+"""Coarse grids: they bring a bad start near, and find what has no gradient where it stands, off or at a bound."""
 
 from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import Float
 
-from .objective import Objective, Values
+from .objective import Objective, Values, noise_of
 
 
 FLAT = 1e-3  # of the standard deviation over dies: what a factor e changes less than has no effect
 _POINTS = 11  # places of the grid, from bound to bound
 _DIES = 16  # dies that try them
-_GAIN = 0.1  # of the standard deviation of the mean over these dies: a smaller gain is none
+_GAIN = 0.1  # standard errors of the mean over these dies: a smaller gain is none
+_CLEAR = 1.0  # standard errors that a step of the first scan must gain
+EDGE = 0.02  # of the range: so near to a bound counts as at it
 
 
 def effects(values: Values, stretch: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
@@ -24,38 +26,55 @@ def effects(values: Values, stretch: Float[np.ndarray, " n"]) -> Float[np.ndarra
     return moved / noise_of(values)
 
 
-def noise_of(values: Values) -> float:
-    """Standard deviation of the loss over the dies; where all are alike, its size."""
-    loss = values.loss[values.alive]
-    spread = float(np.std(loss)) if loss.size > 1 else 0.0
-    return spread if spread > 0.0 else max(float(np.max(np.abs(loss), initial=0.0)), np.finfo(float).tiny)
+def scanned(
+    objective: Objective, numbers: Float[np.ndarray, " n"], penalty: float, told: Callable[[str], None] | None = None
+) -> Float[np.ndarray, " n"]:
+    """`numbers` with one after the other moved to the best of its coarse grid, the one that gains most first.
+
+    A few runs bring a bad start near, where a descent would take dozens of gradients; all tries run side by side.
+    """
+    for _ in range(len(numbers)):
+        moved = _better(objective, numbers, np.arange(len(numbers)), penalty, _CLEAR, told)
+        if moved is None:
+            break
+        numbers = moved
+    return numbers
 
 
 def rescued(
     objective: Objective, numbers: Float[np.ndarray, " n"], penalty: float, told: Callable[[str], None] | None = None
 ) -> Float[np.ndarray, " n"] | None:
-    """`numbers` with the one that has no effect where it stands, and gains most elsewhere, moved there; None if none.
+    """`numbers` with one that has no effect where it stands, or is at a bound, moved where it gains; None if none.
 
-    Only where the other numbers are settled: else it could gain by standing in for one that is still wrong. The grids
-    of all of them are tried side by side.
+    Only where the other numbers are settled: else it could gain by standing in for one that is still wrong.
     """
-    objective = objective.some(np.arange(min(_DIES, objective.dies)))
     tunables = objective.tunables.chosen((True,) * len(numbers), numbers)
+    stretch, places = tunables.stretch(tunables.coordinates), tunables.places(numbers)
     values = objective.slopes(numbers)
-    flat = np.flatnonzero(effects(values, tunables.stretch(tunables.coordinates)) < FLAT)
-    tries = [(i, value) for i in flat for value in objective.tunables.grid(i, _POINTS)]
+    stuck = (effects(values, stretch) < FLAT) | (places < EDGE) | (places > 1.0 - EDGE)
+    return _better(objective, numbers, np.flatnonzero(stuck), penalty, _GAIN, told)
+
+
+def _better(
+    objective: Objective, numbers: np.ndarray, which: np.ndarray, penalty: float, worth: float,
+    told: Callable[[str], None] | None,
+) -> np.ndarray | None:  # fmt: skip
+    """The best of the grids of some numbers; None if it gains less than `worth` standard errors."""
+    objective = objective.some(np.arange(min(_DIES, objective.dies)))
+    tries = [(i, value) for i in which for value in objective.tunables.grid(i, _POINTS)]
     if not tries:
         return None
+    values = objective.values(numbers)
     here, _ = objective.total(values, penalty)
     found = _totals(objective, numbers, tries, penalty)
     best = int(np.argmin(found))
-    if not found[best] < here - _GAIN * noise_of(values) / np.sqrt(objective.dies):
+    if not found[best] < here - worth * noise_of(values) / np.sqrt(objective.dies):
         return None
     index, value = tries[best]
     moved = np.array(numbers, float)
     moved[index] = value
     if told:
-        told(f"{objective.tunables.labels[index]} has no effect where it is; the search goes on from {value:.3g}")
+        told(f"{objective.tunables.labels[index]} from {numbers[index]:.3g} to {value:.3g}, the best of a coarse grid")
     return moved
 
 

@@ -3,12 +3,11 @@
 import numpy as np
 from jaxtyping import Float
 
-from .objective import Values
-from .rescue import FLAT, effects, noise_of
+from .objective import Values, noise_of
+from .rescue import EDGE, FLAT, effects
 from .tunable import Tunables
 
 
-_EDGE = 0.02  # of the range: so near to a bound counts as at it
 _STAYED = 0.01  # of ln(value), or of the range: less is no move
 _PART = 0.1  # shares of a direction below this are not named
 
@@ -21,9 +20,9 @@ def fates(tunables: Tunables, found: Float[np.ndarray, " n"], values: Values) ->
     words = []
     for i in range(len(tunables.paths)):
         parts = [_moved(tunables, found, i)]
-        if places[i] < _EDGE:
+        if places[i] < EDGE:
             parts.append("at its lower bound")
-        elif places[i] > 1.0 - _EDGE:
+        elif places[i] > 1.0 - EDGE:
             parts.append("at its upper bound")
         if effect[i] < FLAT:
             parts.append("no effect there")

@@ -16,10 +16,10 @@ from .descent import Descent, Step, descend, sought
 from .errors import InputError
 from .loop import ClosedLoop
 from .losses import AbstractLoss, InnovationLikelihood, SquaredRateError
-from .objective import Objective, Timing, Values, judged
+from .objective import Objective, Timing, Values, judged, noise_of
 from .observers import ExtendedKalmanFilter
 from .provenance import Settings
-from .rescue import noise_of, rescued
+from .rescue import rescued, scanned
 from .scenario import AbstractProfile, Scenario, as_scenario
 from .spread import Spread
 from .survey import fates, null_directions
@@ -158,6 +158,7 @@ class _Work:
             for first, count in zip((TRAINING, VALIDATION), self.dies, strict=True)
         )  # fmt: skip
         penalty = _penalty(training.values(tunables.values), name)
+        first = scanned(training, tunables.values, penalty, self.told)
         steps = self.timing.blocks * self.timing.block - float(stage.loss.begins()) / self.timing.period
         readings = self.dies[0] * steps
         descent = sought(
@@ -169,7 +170,7 @@ class _Work:
                 told=lambda step: self.told(_sentence(name, step)),
             ),
             lambda end: _elsewhere(training, end, penalty, self.told),
-            tunables.coordinates,
+            tunables.chosen((True,) * len(first), first).coordinates,
             self.evaluations,
         )
         found = tunables.numbers(descent.coordinates)

@@ -48,7 +48,7 @@ class Drifting(mg.SingleMassGyro):
 report = Report()
 DESIGN, READOUT = mg.SingleMassGyro.chi2010(), mg.ChargeAmplifier.chi2010()
 GYRO = Drifting(*(getattr(DESIGN, name) for name in ("mass", "kxx", "kyy", "kxy", "dxx", "dyy", "dxy")))
-DURATION, DIES, VALIDATION, UNSEEN = (0.02, 16, 8, 32) if report.quick else (0.1, 128, 64, 256)
+DURATION, DIES, VALIDATION, UNSEEN = (0.02, 16, 8, 32) if report.quick else (0.1, 64, 32, 256)
 RUN = {"sample_rate": 100e3, "duration": DURATION, "seed": 0}
 UNIT = mg.Uniform(low=0.0, high=1.0)
 CHANGES = ("scenario.damping_change.0.realisation", "scenario.damping_change.1.realisation")
@@ -94,7 +94,7 @@ def tune(loop, free=FREE, drift=0.0, loss=None):
     began = time.time()
     tell = lambda sentence: print(f"  {time.time() - began:4.0f} s  {sentence}", flush=True)  # noqa: E731
     return mg.tune(loop, scenario(drift), free=free, spread=SPREAD, loss=loss, dies=DIES, validation_dies=VALIDATION,
-                   report_dies=UNSEEN, evaluations=30, progress=tell, **RUN)  # fmt: skip
+                   report_dies=UNSEEN, evaluations=60, progress=tell, **RUN)  # fmt: skip
 
 
 def row(name, merit, asked, remark=""):

@@ -22,7 +22,7 @@ ORDER = [
     *("noise", "device", "propagate", "readout", "observers", "controllers"),
     *("filters", "scenario", "loop", "engine", "provenance", "pictures", "trace"),
     *("bound", "merit", "spread", "store", "lot", "summary", "sweep", "sensitivity", "motion"),
-    *("free", "losses", "tunable", "objective", "descent", "rescue", "survey", "tuning", "tune", "replay", "study"),
+    *("free", "losses", "tunable", "descent", "objective", "rescue", "survey", "tuning", "tune", "replay", "study"),
     *("resonator", "normalised", "effects", "elimination", "model", "steady", "envelope"),
     *("measurement", "case", "noise_level", "couplings", "modal", "experiments", "fit", "ratio"),
     *("sweep_start", "likelihood", "sweep_figures", "identification", "identify", "identify_ratio"),

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import memsgyro_jax as mg
-from memsgyro_jax.descent import Descent, Step, descend, sought
+from memsgyro_jax.descent import Descent, Judged, Step, descend, sought
 from memsgyro_jax.errors import InputError
 from memsgyro_jax.free import from_vector, names, to_vector
 from memsgyro_jax.objective import Values
@@ -91,7 +91,7 @@ def valley(at):
     x, y = at
     value = (1.0 - x) ** 2 + 30.0 * (y - x**2) ** 2
     slope = np.array([-2.0 * (1.0 - x) - 120.0 * x * (y - x**2), 60.0 * (y - x**2)])
-    return value, slope, slope[:, None] + np.array([[1.0, -1.0, 0.0], [0.0, 1.0, -1.0]])
+    return Judged(value, slope, slope[:, None] + np.array([[1.0, -1.0, 0.0], [0.0, 1.0, -1.0]]), 1e-3)
 
 
 def test_a_valley_is_followed_to_its_floor():
@@ -109,7 +109,7 @@ def test_the_best_on_validation_counts():
 
 
 def test_without_any_effect_nothing_moves():
-    flat = lambda at: (1.0, np.zeros(2), np.zeros((2, 3)))  # noqa: E731
+    flat = lambda at: Judged(1.0, np.zeros(2), np.zeros((2, 3)), 1.0)  # noqa: E731
     found = descend(flat, lambda at: 1.0, np.zeros(2), evaluations=5)
     assert found.status == "nothing free has an effect"
     assert found.coordinates.tolist() == [0.0, 0.0]

@@ -9,6 +9,7 @@ from pydantic import Field
 from ..controllers import AbstractController, DampingCompensation, OpenLoop, ReferenceModel, Tone
 from ..controllers.base import Tones
 from ..device import AbstractGyro
+from ..errors import InputError
 from ..observers import AbstractObserver, ExtendedKalmanFilter, LyapunovObserver
 from ..observers.fading import AbstractFading, AdaptiveFading, FixedFading
 from ..observers.settings import Annealing, ProcessNoise, design_prior
@@ -155,11 +156,16 @@ class Kalman(Part):
 
 
 class Lyapunov(Part):
-    """`kind = "lyapunov"`: the thesis' own observer; it needs a velocity read-out. `start` scales the first guess."""
+    """`kind = "lyapunov"`: the thesis' own observer; it needs a velocity read-out. `start` scales the first guess.
+
+    `adaptation` multiplies the unit gains of the coefficients, in the order of the device's model; left out, all are 1
+    but those of `known`, which are 0.
+    """
 
     kind: Literal["lyapunov"]
     gain: Pair[Positive] = (100.0, 100.0)
     known: tuple[str, ...] = ()
+    adaptation: tuple[Share, ...] | None = None
     start: Pure = 1.0
     length: Annotated[float, Field(gt=0.0), In("m")] = 1e-6
     frequency: Annotated[float, Field(gt=0.0), In("rad/s")] = 18849.55592153876
@@ -168,7 +174,15 @@ class Lyapunov(Part):
     def build(self, gyro: AbstractGyro, readout: AbstractReadout) -> AbstractObserver:
         """The observer; raises `InputError` for another read-out or a coefficient that the device does not have."""
         given = {**self.numbers(), "discretisation": discretisation(self.discretisation)}
-        return LyapunovObserver.for_device(gyro, readout, **given)
+        adaptation = given.pop("adaptation")
+        made = LyapunovObserver.for_device(gyro, readout, **given)
+        if adaptation is None:
+            return made
+        if len(adaptation) != len(made.adaptation):
+            raise InputError(
+                f"adaptation must have one entry for each of {', '.join(gyro.model.names)}, but has {len(adaptation)}"
+            )
+        return eqx.tree_at(lambda o: o.adaptation, made, tuple(map(jnp.asarray, adaptation)))
 
 
 Observer = Annotated[Kalman | Lyapunov, Field(discriminator="kind")]

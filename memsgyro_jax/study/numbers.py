@@ -33,7 +33,7 @@ def entry_of(file: Any, names: tuple[str, ...], path: str) -> Entry | None:
         return walk
     if last.isdigit():
         section, _, field = head.rpartition(".")
-        pair = tuple(f"{head}.{axis}" for axis in (0, 1))
+        pair = tuple(f"{head}.{i}" for i in range(len(names) if field == "adaptation" else 2))
     else:
         section, field, pair = head, last, (path,)
     if section in _PLAIN or section in _NESTED:

@@ -1,0 +1,81 @@
+"""The way back from the numbers of a loop to the entries of a study file."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import memsgyro_jax as mg
+from memsgyro_jax.errors import InputError
+from memsgyro_jax.study.numbers import unit_at
+from memsgyro_jax.tunable import placed
+
+
+LYAPUNOV = {
+    "readout": {"kind": "velocity", "scale": "5 V*s/m"},
+    "observer": {"kind": "lyapunov"},
+    "controller": {"kind": "reference_model", "frequency": ["3 kHz", "5 kHz"]},
+    "filter": {"kind": "bandpass", "low": "1 Hz", "high": "20 Hz"},
+}
+FADING = {
+    "observer": {
+        "kind": "ekf", "fading": {"kind": "fixed", "forgetting": "10 1/s"}, "annealing": {"excess": 10},
+        "process_noise": {"rate": "1 rad^2/s^3"},
+    },
+}  # fmt: skip
+PATHS = {
+    "kalman": (FADING, ("observer.noise_density.1", "observer.process_noise.theta.0", "observer.process_noise.theta.3",
+                        "observer.process_noise.offset.0", "observer.process_noise.motion.1",
+                        "observer.process_noise.motion.2", "observer.fading.forgetting", "observer.annealing.excess",
+                        "observer.annealing.decay", "controller.tones.1.0.amplitude", "controller.tones.0.0.phase",
+                        "device.kxx", "readout.opamp_offset.0")),
+    "lyapunov": (LYAPUNOV, ("observer.gain.0", "observer.adaptation.5", "filter.low", "filter.high")),
+}  # fmt: skip
+
+
+def study_of(changes):
+    return mg.default_study().changed(changes)
+
+
+@pytest.mark.parametrize("name", PATHS)
+def test_a_written_study_has_the_numbers_of_the_loop(name, tmp_path):
+    changes, paths = PATHS[name]
+    study = study_of(changes)
+    at = [_at(study.loop, path) for path in paths]
+    moved = placed(study.loop, paths, [jnp.asarray(1.01 * float(value) + 1e-12) for value in at])
+    again = mg.load_study(study.with_numbers(moved, paths).write(tmp_path / "tuned.toml"))
+    if "device.kxx" in paths:  # the observer was made for the old device
+        moved = eqx.tree_at(lambda loop: loop.observer.prior, moved, again.loop.observer.prior)
+    for path in paths:
+        assert float(_at(again.loop, path)) == float(_at(moved, path)), path
+    pairs = zip(jax.tree.leaves(again.loop), jax.tree.leaves(moved), strict=True)
+    assert all(np.array_equal(np.asarray(a), np.asarray(b)) for a, b in pairs)
+
+
+def _at(loop, path):
+    here = loop
+    for part in path.split("."):
+        here = here[int(part)] if part.isdigit() else getattr(here, part)
+    return here
+
+
+def test_units():
+    study = study_of(FADING)
+    names = study.loop.device.model.names
+    units = {
+        "observer.noise_density": "V/sqrt(Hz)", "observer.process_noise.rate": "rad^2/s^3",
+        "observer.process_noise.theta.kxx": "1/s^5", "controller.tones.0.0.frequency": "Hz", "observer.nothing": None,
+    }  # fmt: skip
+    assert {path: unit_at(study.file, names, path) for path in units} == units
+
+
+def test_a_number_that_a_file_does_not_hold_is_told():
+    study = mg.default_study()
+    with pytest.raises(InputError, match=r"holds no entry for `observer.prior.theta_std.0`"):
+        study.with_numbers(study.loop, ("observer.prior.theta_std.0",))
+
+
+def test_adaptation_needs_a_gain_for_each_coefficient():
+    with pytest.raises(InputError, match="adaptation must have one entry for each of rate, kxx"):
+        study_of({**LYAPUNOV, "observer": {"kind": "lyapunov", "adaptation": [1.0, 2.0]}})
