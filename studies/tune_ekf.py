@@ -2,8 +2,13 @@
 
 Gyro of Table 5.1, 15 % spread, 100 kHz; the rate of each die is a random walk of its own, whose intensity is known to
 this study and not to the filter. First the filter is wrong about noises only: tuning must find the truth from any
-start. Then the gyro has physics that the filter does not know (its stiffness drifts) beside twice the noise: tuning
-helps, but by letting the gains absorb the missing physics, and says so.
+start. Then the gyro has physics that the filter does not know (its stiffness drifts) beside twice the noise: tuning by
+the error helps, by letting the gains absorb the missing physics; tuning by the likelihood makes the error worse, since
+the noises that it raises to explain the innovations are not those that follow the rate. Both are warned of, and the
+drift's own process noise, untuned, beats both.
+
+Where the gradient does not win: for these seven numbers a simplex search at equal cost comes within 3 % of it, though
+it leaves the covariances wrong, as any search on the error may. The bandwidth alone gives three quarters of the gain.
 """
 
 import time
@@ -199,13 +204,15 @@ for colour, (name, found) in enumerate(tunings.items()):
         stage.evaluations, np.maximum(np.array(stage.training) - shift, 1e-7), f"C{colour}o-", ms=3, label=name
     )
 left.set(xlabel="gradients", ylabel="likelihood above the best [nats per sample]", title="From every start")
+left.xaxis.get_major_locator().set_params(integer=True)
 left.legend(frameon=False, title="start")
 
 
 def shares(ax, lots):
     for colour, (name, lot) in enumerate(lots.items()):
         error = np.sort(np.degrees(lot.data["rate_error_rms"].values))
-        ax.step(error, 100.0 * np.arange(1, error.size + 1) / error.size, f"C{colour}", where="post", label=name)
+        style = {"color": "k", "ls": "--", "lw": 1.0} if colour == 2 else {"color": f"C{colour}"}
+        ax.step(error, 100.0 * np.arange(1, error.size + 1) / error.size, where="post", label=name, **style)
     ax.set(xlabel="rms rate error [deg/s]", ylabel="unseen dies below [%]", xlim=(0.0, None), ylim=(0.0, 100.0))
     ax.legend(frameon=False, loc="lower right")
 
@@ -228,7 +235,8 @@ if not report.quick:
         report.row(name, "", f"{merit.mean.value:.4g}, NIS {nis}, NEES {merit.nees:.3g}, lost {merit.lost}")
     for name, found in both.items():
         share, nis = found.after.mean.value / known.mean.value, "{:.3g}, {:.3g}".format(*found.after.nis)
-        report.row(f"tuned without the drift, {name}", "<= 0.5 x noise known, none lost, warned",
+        asked = "<= 0.5 x noise known, none lost, warned" if name == "squared error" else "warned"
+        report.row(f"tuned without the drift, {name}", asked,
                    f"{found.after.mean.value:.4g} ({share:.3f} x), NIS {nis}, lost {found.after.lost}, "
                    f"{'warned' if found.warnings else 'not warned'}")  # fmt: skip
     over = right_noise.mean.value / min(found.after.mean.value for found in both.values())
