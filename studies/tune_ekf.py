@@ -253,7 +253,6 @@ if not report.quick:
     right.set_xscale("log")
     right.set_xlim(20.0, None)
 else:
-    shares(right, {"hand-set": hand_lot})
-    right.set_title("(the second part is not in --quick)")
+    right.set_axis_off()  # the second part is not in --quick
 report.picture(figure, "tune_ekf")
 report.finish()
