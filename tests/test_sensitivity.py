@@ -51,10 +51,10 @@ def test_the_indices_of_the_ishigami_function():
     alone = np.array([0.5 * (1 + 0.1 * np.pi**4 / 5) ** 2, 49 / 8, 0.0]) / variance
     together = 0.01 * np.pi**8 * (1 / 18 - 1 / 50) / variance
     first, total, first_interval, total_interval, dropped = indices_of(
-        ishigami_sets(2**14, 0), 0.95, np.random.default_rng(0)
+        ishigami_sets(2**12, 0), 0.95, np.random.default_rng(0)
     )
-    np.testing.assert_allclose(first, alone, atol=0.01)
-    np.testing.assert_allclose(total, np.add(alone, [together, 0.0, together]), atol=0.01)
+    np.testing.assert_allclose(first, alone, atol=0.02)
+    np.testing.assert_allclose(total, np.add(alone, [together, 0.0, together]), atol=0.02)
     assert dropped == 0
     for value, interval in ((first, first_interval), (total, total_interval)):
         assert np.all((interval[:, 0] < value) & (value < interval[:, 1]))
@@ -68,6 +68,7 @@ def test_the_indices_are_those_of_scipy():
     np.testing.assert_allclose(ours[1], theirs.total_order, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_intervals_hold_the_truth_as_often_as_they_say():
     """Second input, exact index 0.4424, in 95 % of 60 repeats; four standard deviations of that share are 11 %."""
     exact = 49 / 8 / (49 / 8 + 0.1 * np.pi**4 / 5 + 0.01 * np.pi**8 / 18 + 0.5)
