@@ -33,6 +33,7 @@ def threefry2x32(
     return x0, x1
 
 
+@jax.jit
 def die_words(key: Array, die: Array) -> tuple[UInt32[Array, "*lanes"], UInt32[Array, "*lanes"]]:
     """The two key words of dies `die` (integers, any shape): `fold_in(key, die)`, whatever the batch."""
     folded = jax.vmap(lambda index: jax.random.key_data(jax.random.fold_in(key, index)))(jnp.ravel(die))

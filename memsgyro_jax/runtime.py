@@ -162,7 +162,8 @@ def _enable_cache() -> None:
             return
         _set("jax_compilation_cache_dir", str(compiled))
     if "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:
-        _set("jax_persistent_cache_min_compile_time_secs", 0.1)
+        # Small programs too: what JAX computes outside a compiled function is one of them each, and a start has dozens.
+        _set("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 
 def _set(name: str, value: bool | float | str) -> None:

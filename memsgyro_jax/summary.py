@@ -3,6 +3,7 @@
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
+import jax
 import numpy as np
 
 from .loop import ClosedLoop
@@ -143,8 +144,10 @@ def summarise(
 
 
 def _states(loop: ClosedLoop) -> int:
-    assert isinstance(loop.observer, ExtendedKalmanFilter)  # no other observer gives a NEES
-    return len(loop.observer.covariance(loop.observer.init()))
+    observer = loop.observer
+    assert isinstance(observer, ExtendedKalmanFilter)  # no other observer gives a NEES
+    # The shape alone: the numbers would take half a second, one small program after the other.
+    return jax.eval_shape(lambda: observer.covariance(observer.init())).shape[0]
 
 
 def _mean(values: np.ndarray) -> float | None:
