@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import jax
 import numpy as np
 
+from .files import finite
 from .loop import ClosedLoop
 from .merit import Following, Percentiles, Proportion, following, percentiles, proportion
 from .observers import ExtendedKalmanFilter
@@ -69,7 +70,7 @@ class Summary:
             "fingerprint": self.settings.fingerprint,
             "versions": dict(self.settings.versions),
         }
-        return {name: _without_nan(value) for name, value in entries.items()}
+        return finite(entries)
 
     def rows(self) -> list[tuple[str, str]]:
         """Name and value as text, for a table."""
@@ -169,10 +170,3 @@ def _following(result: Following) -> dict[str, float | None]:
 def _following_text(result: Following) -> str:
     band = "beyond what the record shows" if result.bandwidth is None else f"{result.bandwidth:.3g} Hz"
     return f"rms {np.degrees(result.rms):.3g} deg/s, delay {1e3 * result.delay:.3g} ms, bandwidth {band}"
-
-
-def _without_nan(value: object) -> object:
-    """Not-a-number as None: JSON has no NaN."""
-    if isinstance(value, dict):
-        return {name: _without_nan(entry) for name, entry in value.items()}
-    return None if isinstance(value, float) and not np.isfinite(value) else value

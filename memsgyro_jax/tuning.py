@@ -13,6 +13,7 @@ from .observers import ExtendedKalmanFilter
 from .provenance import Settings
 from .store import LOST, OK
 from .sweep import Lot
+from .text import aligned
 
 
 if TYPE_CHECKING:
@@ -138,16 +139,16 @@ class Tuning:
         return finite(entries)
 
     def __repr__(self) -> str:
-        return "\n".join([*self._numbers_table(), "", *self._merit_table(), "", *self._closing()])
+        return "\n".join([self._numbers_table(), "", self._merit_table(), "", *self._closing()])
 
-    def _numbers_table(self) -> list[str]:
+    def _numbers_table(self) -> str:
         rows = [("free number", "start", "tuned", "bounds", "")]
         rows += [
             (n.label, f"{n.start:.4g}", f"{n.value:.4g}", f"{n.low:.2g} to {n.high:.2g}", n.fate) for n in self.numbers
         ]
-        return _columns(rows)
+        return aligned(rows)
 
-    def _merit_table(self) -> list[str]:
+    def _merit_table(self) -> str:
         rows = [(f"on {self.after.dies} unseen dies", "before", "after")]
         for name, field in (("mean squared error [(deg/s)²]", "mean"), ("median", "median"), ("95 %", "p95")):
             rows.append((name, *(_squared_degrees(getattr(merit, field)) for merit in (self.before, self.after))))
@@ -157,7 +158,7 @@ class Tuning:
             rows.append(("NIS of x and y, 1 expected", *(_pair(merit.nis) for merit in (self.before, self.after))))
         if self.after.nees is not None:
             rows.append(("NEES", *(_nees(merit) for merit in (self.before, self.after))))
-        return _columns(rows)
+        return aligned(rows)
 
     def _closing(self) -> list[str]:
         lines = [f"{stage.loss}: {stage.status}; {stage.reason}" for stage in self.stages]
@@ -267,8 +268,3 @@ def _nees(merit: Merit) -> str:
     if merit.nees is None or merit.nees_interval is None:
         return "-"
     return f"{merit.nees:.3g} of {merit.nees_expected} ({merit.nees_interval[0]:.3g} to {merit.nees_interval[1]:.3g})"
-
-
-def _columns(rows: list[tuple[str, ...]]) -> list[str]:
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    return ["  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
