@@ -1,7 +1,7 @@
 """The corners of the spread: every parameter at one of its ends at once."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,9 +13,9 @@ from ..loop import ClosedLoop
 from ..provenance import Settings
 from ..scenario import AbstractProfile, Scenario
 from ..spread import Points, Spread
-from ..sweep import DEFAULT_TOLERANCE, sweep
 from ..text import aligned
-from .outputs import Output, mean, outputs, values_of
+from .outputs import Output, mean
+from .points import inputs_of, run_at
 
 
 if TYPE_CHECKING:
@@ -117,18 +117,13 @@ def corners(
         InputError: for a spread without variations, `sigmas` or `repeats` that are not positive, a corner that no
             device can have, or settings that `sweep` refuses.
     """
-    inputs = tuple(item.path for item in spread.resolved(loop))
-    if not inputs:
-        raise InputError("Argument `spread` must vary at least one parameter, but varies none.")
+    inputs = inputs_of(loop, spread)
     if not (sigmas > 0.0 and repeats >= 1):
         raise InputError(f"Arguments `sigmas` and `repeats` must be positive, but are {sigmas:g} and {repeats}.")
-    chosen = tuple(of) if of is not None else outputs(settings.get("tolerance", DEFAULT_TOLERANCE))
     signs, complete = signs_of(len(inputs))
     points = Points(np.repeat(sigmas * signs, repeats, axis=0), np.tile(np.arange(repeats), len(signs)))
-    lot = sweep(
-        loop, replace(spread, points=points), scenario, dies=len(points.noise), seed=seed, bound_dies=0, **settings
-    )
-    found = values_of(lot.data, chosen).reshape(len(chosen), len(signs), repeats)
+    lot, chosen, values = run_at(points, loop, spread, scenario, of=of, seed=seed, **settings)
+    found = values.reshape(len(chosen), len(signs), repeats)
     status = np.asarray(lot.data["status"]).reshape(len(signs), repeats)
     largest = np.max(np.where(np.isfinite(found), np.abs(found), -np.inf), axis=-1)
     return Corners(

@@ -9,7 +9,7 @@ The measurement noise is one more input: a die of ABi has the noise of its die i
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,9 +21,9 @@ from ..loop import ClosedLoop
 from ..provenance import Settings
 from ..scenario import AbstractProfile, Scenario
 from ..spread import Points, Spread
-from ..sweep import DEFAULT_TOLERANCE, sweep
 from ..text import aligned
-from .outputs import Output, mean, outputs, standard_deviation, values_of
+from .outputs import Output, mean, standard_deviation
+from .points import inputs_of, run_at
 
 
 if TYPE_CHECKING:
@@ -145,18 +145,17 @@ def sobol(
         InputError: for a correlated spread, one without variations, `points` that are no power of two, or settings that
             `sweep` refuses.
     """
-    count = len(spread.resolved(loop))
-    _check(spread, count, points)
-    chosen = tuple(of) if of is not None else outputs(settings.get("tolerance", DEFAULT_TOLERANCE))
-    planned = replace(spread, points=_points(count, points, seed))
-    lot = sweep(loop, planned, scenario, dies=points * (count + 3), seed=seed, bound_dies=0, **settings)
-    found = values_of(lot.data, chosen).reshape(len(chosen), count + 3, points)
-    parts = [indices_of(values, confidence, np.random.default_rng((seed, k))) for k, values in enumerate(found)]
+    _check(spread, points)
+    inputs = inputs_of(loop, spread)
+    planned = _points(len(inputs), points, seed)
+    lot, chosen, values = run_at(planned, loop, spread, scenario, of=of, seed=seed, **settings)
+    found = values.reshape(len(chosen), len(inputs) + 3, points)
+    parts = [indices_of(sets, confidence, np.random.default_rng((seed, k))) for k, sets in enumerate(found)]
     first, total, first_interval, total_interval, dropped = (np.stack(part) for part in zip(*parts, strict=True))
     plain = found[:, :2].reshape(len(chosen), -1)
     return Sobol(
         outputs=tuple(o.name for o in chosen),
-        inputs=(*(item.path for item in planned.resolved(loop)), NOISE),
+        inputs=(*inputs, NOISE),
         first=first,
         total=total,
         first_interval=first_interval,
@@ -173,13 +172,11 @@ def sobol(
     )
 
 
-def _check(spread: Spread, count: int, points: int) -> None:
+def _check(spread: Spread, points: int) -> None:
     if spread.correlation is not None:
         raise InputError(
             "Argument `spread` must be independent for Sobol indices, but has a correlation; leave `correlation` out."
         )
-    if count == 0:
-        raise InputError("Argument `spread` must vary at least one parameter, but varies none.")
     if points < 2 or points & (points - 1):
         raise InputError(f"Argument `points` must be a power of two, at least 2, but is {points}.")
 

@@ -5,7 +5,7 @@ the noise hides it. All points share the same noise, so most of it cancels in th
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
@@ -21,9 +21,9 @@ from ..lot import Plan, rows_of
 from ..provenance import Settings
 from ..scenario import AbstractProfile, Scenario, as_scenario
 from ..spread import Points, Root, Spread
-from ..sweep import DEFAULT_TOLERANCE, sweep
 from ..text import aligned
-from .outputs import Output, mean, outputs, standard_error, values_of
+from .outputs import Output, mean, standard_error
+from .points import inputs_of, run_at
 
 
 if TYPE_CHECKING:
@@ -131,19 +131,16 @@ def tornado(
         InputError: for a spread without variations, `sigmas` or `repeats` that are not positive, or settings that
             `sweep` refuses.
     """
-    items = spread.resolved(loop)
-    if not items:
-        raise InputError("Argument `spread` must vary at least one parameter, but varies none.")
+    inputs = inputs_of(loop, spread)
     if not (sigmas > 0.0 and repeats >= 2):
         raise InputError(
             f"Arguments `sigmas` and `repeats` must be positive and at least 2, but are {sigmas:g} and {repeats}."
         )
-    chosen = tuple(of) if of is not None else outputs(settings.get("tolerance", DEFAULT_TOLERANCE))
-    ends = np.concatenate([np.zeros((1, len(items))), -sigmas * np.eye(len(items)), sigmas * np.eye(len(items))])
+    away = sigmas * np.eye(len(inputs))
+    ends = np.concatenate([np.zeros((1, len(inputs))), -away, away])
     points = Points(np.repeat(ends, repeats, axis=0), np.tile(np.arange(repeats), len(ends)))
-    planned = replace(spread, points=points)
-    lot = sweep(loop, planned, scenario, dies=len(points.noise), seed=seed, bound_dies=0, **settings)
-    found = values_of(lot.data, chosen).reshape(len(chosen), len(ends), repeats)
+    lot, chosen, values = run_at(points, loop, spread, scenario, of=of, seed=seed, **settings)
+    found = values.reshape(len(chosen), len(ends), repeats)
     status = np.asarray(lot.data["status"]).reshape(len(ends), repeats)
     change = found[:, 1:] - found[:, :1]
     moved, std = mean(change), standard_error(change)
@@ -152,7 +149,7 @@ def tornado(
     return Tornado(
         outputs=tuple(o.name for o in chosen),
         units=tuple(o.unit for o in chosen),
-        inputs=tuple(item.path for item in items),
+        inputs=inputs,
         design=mean(found[:, :1])[:, 0],
         low=low,
         high=high,
