@@ -11,6 +11,9 @@ from memsgyro_jax.loop import Sample
 from memsgyro_jax.observers import Clock
 
 
+PERCENTILES = {"rms", "p50", "p95", "p95_low", "p95_high"}  # what summary.json holds of an error
+
+
 class Keep(AbstractRecorder):
     """Keeps what `pick` takes from the last sample of each block."""
 

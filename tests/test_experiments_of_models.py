@@ -58,20 +58,20 @@ ACCURACY |= {"finite_sweep_rate": bounds(1e-5, 3e-11, 2e-6, 1e-11)}
 SCANNED = ("parasitic_mode_x", "parasitic_mode_y", "damping_step", "adc_saturation")
 
 
-def hold(found: dict[str, float], bound: dict[str, float]) -> None:
+def assert_within(found: dict[str, float], bound: dict[str, float]) -> None:
     too_far = {name: (value, bound[name]) for name, value in found.items() if not value <= bound[name]}
     assert not too_far, too_far
 
 
 def test_a_die_with_nothing_hidden():
-    hold(errors(Hidden()), LINEAR)
+    assert_within(errors(Hidden()), LINEAR)
 
 
 @pytest.mark.parametrize(
     "name", ["cubic_stiffness_x", "quadratic_stiffness_y", "readout_delay", "thermal_drift_stiffness", "rate_offset"]
 )
 def test_a_hidden_effect_is_predicted(name):
-    hold(errors(visible(name)), ACCURACY[name])
+    assert_within(errors(visible(name)), ACCURACY[name])
 
 
 def test_several_linear_effects_at_once_are_predicted():
@@ -80,7 +80,7 @@ def test_several_linear_effects_at_once_are_predicted():
         "angular_acceleration", "centrifugal", "force_misalignment_x_to_y",
         "electrical_feedthrough_x_to_x", "electrical_feedthrough_y_to_x", "pickoff_crosstalk_x_to_y",
     )  # fmt: skip
-    hold(errors(hidden), LINEAR)
+    assert_within(errors(hidden), LINEAR)
 
 
 def test_the_comparison_would_see_a_wrong_strength():
@@ -97,7 +97,7 @@ def test_the_comparison_would_see_a_wrong_strength():
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [n for n in VISIBLE if n not in SCANNED])
 def test_every_effect_is_predicted(name):
-    hold(errors(visible(name)), ACCURACY[name])
+    assert_within(errors(visible(name)), ACCURACY[name])
 
 
 @pytest.mark.slow
@@ -105,7 +105,7 @@ def test_every_effect_is_predicted(name):
 def test_a_parasitic_mode_is_predicted(axis):
     hidden = visible(f"parasitic_mode_{axis}")
     effect = ParasiticMode(axis, omega=hidden.parasitic_mode_frequency, quality=hidden.parasitic_mode_quality)
-    hold(errors(hidden, (effect,)), LINEAR)
+    assert_within(errors(hidden, (effect,)), LINEAR)
 
 
 @pytest.mark.slow
@@ -115,14 +115,14 @@ def test_a_damping_step_is_predicted():
     made = bench(hidden)
     number = [r.name for r in made.case.records].index("rate")
     model = made.model((DampingStep(time=0.06, record=float(number)),))
-    hold(compared(made, fit_case(made.case, model=model, held=True)), LINEAR | {"rate": 1e-3})
+    assert_within(compared(made, fit_case(made.case, model=model, held=True)), LINEAR | {"rate": 1e-3})
 
 
 @pytest.mark.slow
 def test_a_saturated_converter_is_predicted():
     """Sweeps see a clipped wave through 256 samples of a period; the table stays below the range."""
     found = errors(visible("adc_saturation"), (AdcSaturation(),))
-    hold(found, bounds(2e-4, 1e-11, 2e-6, 1e-11))
+    assert_within(found, bounds(2e-4, 1e-11, 2e-6, 1e-11))
 
 
 @pytest.mark.slow

@@ -59,7 +59,7 @@ def directions(loop):
     return made
 
 
-def check_gradients(loop, count, epsilon, tolerance, reverse=True):
+def assert_gradients_agree(loop, count, epsilon, tolerance, reverse=True):
     """Reverse mode, forward mode and a fourth-order finite difference agree along each direction."""
     arrays, static = eqx.partition(loop, eqx.is_inexact_array)
     value = jax.jit(lambda a: end_error(eqx.combine(a, static), count=count))
@@ -79,7 +79,7 @@ def check_gradients(loop, count, epsilon, tolerance, reverse=True):
 
 
 def test_gradients_of_the_lyapunov_loop(small):
-    check_gradients(small, 300, 1e-5, 1e-6)
+    assert_gradients_agree(small, 300, 1e-5, 1e-6)
 
 
 def test_derivatives_of_the_kalman_loop():
@@ -87,7 +87,7 @@ def test_derivatives_of_the_kalman_loop():
     observer = ExtendedKalmanFilter.for_device(DESIGN, CIRCUIT, discretisation=Exact(8))
     controller = DampingCompensation(Tone(600.0, 53.95))
     loop = ClosedLoop(DESIGN, CIRCUIT, observer, controller, discretisation=Exact(8))
-    check_gradients(loop, 200, 1e-4, 1e-6, reverse=False)
+    assert_gradients_agree(loop, 200, 1e-4, 1e-6, reverse=False)
 
 
 def test_gradients_pass_through_a_converter(small):

@@ -138,14 +138,14 @@ def test_feedthrough_is_noticed_named_and_repaired():
 @pytest.mark.parametrize(("noise", "level"), [(RAW, lab.RAW), (FILTERED, lab.FILTERED)])
 @pytest.mark.slow
 def test_many_draws_reach_the_bound(noise, level):
-    check_statistics(noise, level, draws=1000, tolerance=0.08)
+    assert_draws_reach_the_bound(noise, level, draws=1000, tolerance=0.08)
 
 
 def test_some_draws_reach_the_bound():
-    check_statistics(RAW, lab.RAW, draws=60, tolerance=0.35)
+    assert_draws_reach_the_bound(RAW, lab.RAW, draws=60, tolerance=0.35)
 
 
-def check_statistics(noise, level, draws, tolerance):
+def assert_draws_reach_the_bound(noise, level, draws, tolerance):
     """Spread over draws against the Cramér-Rao bound, χ², coverage."""
     start = seen_bench()
     sweep = sweep_of(swept(lab.Gyro(), noise=None), noise)

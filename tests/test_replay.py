@@ -4,7 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tuning_study import STUDY
+from tuning_study import small_study
 
 import memsgyro_jax as mg
 from memsgyro_jax.errors import InputError
@@ -12,9 +12,7 @@ from memsgyro_jax.errors import InputError
 
 @pytest.fixture(scope="module")
 def study(tmp_path_factory):
-    path = tmp_path_factory.mktemp("study") / "small.toml"
-    path.write_text(STUDY)
-    return mg.load_study(path)
+    return small_study(tmp_path_factory.mktemp("study"))
 
 
 @pytest.fixture(scope="module")

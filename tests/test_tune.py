@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tuning_study import STUDY
+from tuning_study import STUDY, small_study
 
 import memsgyro_jax as mg
 from memsgyro_jax import cli, losses, objective
@@ -21,9 +21,7 @@ from memsgyro_jax.tune import TRAINING
 
 @pytest.fixture(scope="module")
 def study(tmp_path_factory):
-    path = tmp_path_factory.mktemp("study") / "small.toml"
-    path.write_text(STUDY)
-    return mg.load_study(path)
+    return small_study(tmp_path_factory.mktemp("study"))
 
 
 @pytest.fixture(scope="module")

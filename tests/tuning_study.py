@@ -1,5 +1,10 @@
 """What the tests of tuning share: a small study that compiles in seconds."""
 
+from pathlib import Path
+
+import memsgyro_jax as mg
+
+
 STUDY = """
 schema = "memsgyro-study/1"
 
@@ -48,3 +53,10 @@ free = [
 dies = 16
 validation_dies = 8
 """
+
+
+def small_study(folder: Path) -> mg.Study:
+    """The study, read from a file in `folder`."""
+    path = folder / "small.toml"
+    path.write_text(STUDY)
+    return mg.load_study(path)

@@ -19,7 +19,7 @@ def bench(tmp_path):
     return write_bench(tmp_path / "bench")
 
 
-def same(case, other):
+def assert_same_case(case, other):
     for name in ("name", "description", "device", "design", "readout", "environment", "conventions"):
         assert getattr(case, name) == getattr(other, name), name
     for record, again in zip(case.records, other.records, strict=True):
@@ -70,7 +70,7 @@ def test_an_unknown_record_names_those_there_are(bench):
 def test_writing_and_reading_gives_the_same_numbers(bench, tmp_path):
     case = load_case(bench)
     write_case(case, tmp_path / "again")
-    same(case, load_case(tmp_path / "again"))
+    assert_same_case(case, load_case(tmp_path / "again"))
 
 
 def test_text_survives_writing(bench, tmp_path):
@@ -78,7 +78,7 @@ def test_text_survives_writing(bench, tmp_path):
     record = dataclasses.replace(case.records[0], note='quotes " \\ µ \x7f and\nlines', name="a.b [c]")
     odd = dataclasses.replace(case, description="=#'", conventions={"a b": "π"}, records=(record,))
     write_case(odd, tmp_path / "odd")
-    same(odd, load_case(tmp_path / "odd"))
+    assert_same_case(odd, load_case(tmp_path / "odd"))
 
 
 def test_a_case_is_not_overwritten(bench):
@@ -112,5 +112,5 @@ def test_amplitude_and_phase_are_the_same_phasors(bench):
 def test_public_cases_are_read_and_written(name, tmp_path):
     case = load_case(CASES / name)
     write_case(case, tmp_path / "case")
-    same(case, load_case(tmp_path / "case"))
+    assert_same_case(case, load_case(tmp_path / "case"))
     assert case.device == ("resonator" if name == "silverbox" else "single_mass")

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 from case.bench import write_bench
-from case.test_case import same
+from case.test_case import assert_same_case
 
 from memsgyro_jax.case import load_case, write_case
 from memsgyro_jax.errors import InputError
@@ -78,7 +78,7 @@ def damaged(folder, file, intact, rng):
         return str(error)
 
 
-def judge(sentence):
+def assert_names_its_place(sentence):
     assert "\n" not in sentence
     assert re.search(r"\.(toml|csv)", sentence), sentence
     assert re.search(r"lines? \d|byte \d|column|header|`[\w.]+`", sentence), sentence
@@ -93,23 +93,23 @@ def storm(folder, file, count, seed):
     return outcomes
 
 
-def check_storm(folder, file, count, seed):
+def assert_storm_is_weathered(folder, file, count, seed):
     outcomes = storm(folder, file, count, seed)
     refused = [outcome for outcome in outcomes if isinstance(outcome, str)]
     for sentence in refused:
-        judge(sentence)
+        assert_names_its_place(sentence)
     assert len(refused) > 0.3 * count
 
 
 @pytest.mark.parametrize("file", FILES)
 def test_damage_is_refused_with_its_place_or_is_a_case(tmp_path, file):
-    check_storm(write_bench(tmp_path / "bench"), file, 100, seed=1)
+    assert_storm_is_weathered(write_bench(tmp_path / "bench"), file, 100, seed=1)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("file", FILES)
 def test_much_damage_is_refused_with_its_place_or_is_a_case(tmp_path, file):
-    check_storm(write_bench(tmp_path / "bench"), file, 1500, seed=2)
+    assert_storm_is_weathered(write_bench(tmp_path / "bench"), file, 1500, seed=2)
 
 
 @pytest.mark.parametrize("file", FILES[1:])
@@ -119,6 +119,6 @@ def test_under_a_checksum_no_number_changes(tmp_path, file):
     write_case(intact, folder)
     for outcome in storm(folder, file, 60, seed=3):
         if isinstance(outcome, str):
-            judge(outcome)
+            assert_names_its_place(outcome)
         else:
-            same(intact, outcome)
+            assert_same_case(intact, outcome)

@@ -37,7 +37,7 @@ def field(place, text):
     return change
 
 
-def refuses(folder, *words):
+def assert_refused(folder, *words):
     with pytest.raises(InputError, match=re.escape(words[0])) as caught:
         load_case(folder)
     message = str(caught.value)
@@ -109,29 +109,29 @@ def refuses(folder, *words):
 )
 def test_a_wrong_entry_names_its_line_and_key(bench, old, new, words):
     swap(bench / "case.toml", old, new)
-    refuses(bench, *words)
+    assert_refused(bench, *words)
 
 
 def test_no_experiment_is_no_case(bench):
     path = bench / "case.toml"
     path.write_text(path.read_text().split("[[experiment]]")[0])
-    refuses(bench, "`experiment`", "missing")
+    assert_refused(bench, "`experiment`", "missing")
 
 
 def test_a_folder_without_case_is_named(tmp_path):
-    refuses(tmp_path, "case.toml", "no such file")
+    assert_refused(tmp_path, "case.toml", "no such file")
 
 
 def test_bytes_that_are_no_text_are_named(bench):
     path = bench / "case.toml"
     path.write_bytes(path.read_bytes().replace(b"mass = {", b"mass\xff = {"))
-    refuses(bench, "line 6", "UTF-8")
+    assert_refused(bench, "line 6", "UTF-8")
 
 
 def test_a_link_out_of_the_folder_is_refused(bench, tmp_path):
     (bench / "raw.csv").replace(tmp_path / "raw.csv")
     (bench / "raw.csv").symlink_to(tmp_path / "raw.csv")
-    refuses(bench, "experiment.3.file", "below the folder")
+    assert_refused(bench, "experiment.3.file", "below the folder")
 
 
 @pytest.mark.parametrize(
@@ -176,22 +176,22 @@ def test_a_link_out_of_the_folder_is_refused(bench, tmp_path):
 )
 def test_a_wrong_row_or_header_names_its_line_or_column(bench, file, line, change, words):
     edit(bench / file, line, change)
-    refuses(bench, file, *words)
+    assert_refused(bench, file, *words)
 
 
 def test_both_sweeps_under_one_condition_turn_back(bench):
     path = bench / "sweep_x.csv"
     path.write_text(path.read_text().replace("\n60,", "\n20,"))
-    refuses(bench, "line 43", "`f`", "turns back")
+    assert_refused(bench, "line 43", "`f`", "turns back")
 
 
 def test_a_sweep_taken_twice_is_refused(bench):
     path = bench / "sweep_x.csv"
     lines = path.read_text().splitlines()
     path.write_text("\n".join([*lines, *lines[1:42]]) + "\n")
-    refuses(bench, "line 84", "line 2", "same conditions")
+    assert_refused(bench, "line 84", "line 2", "same conditions")
 
 
 def test_a_file_without_rows_is_refused(bench):
     (bench / "raw.csv").write_text("")
-    refuses(bench, "raw.csv", "at least two rows")
+    assert_refused(bench, "raw.csv", "at least two rows")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from case.bench import write_bench
-from case.test_case import same
+from case.test_case import assert_same_case
 
 from memsgyro_jax.case import load_case, write_case
 from memsgyro_jax.errors import InputError
@@ -65,7 +65,7 @@ def test_a_resonator_has_one_channel_under_either_name(resonator, tmp_path):
     assert noise.signals.max() == pytest.approx(4e-3, rel=1e-12)
     assert noise.period == pytest.approx(0.0016384, rel=1e-5)
     write_case(case, tmp_path / "again")
-    same(case, load_case(tmp_path / "again"))
+    assert_same_case(case, load_case(tmp_path / "again"))
 
 
 def test_a_resonator_has_no_second_axis(resonator):
@@ -101,7 +101,7 @@ def test_digital_units_follow_the_scale(tmp_path):
     case = load_case(folder)
     assert (case.readout.unit, case.readout.adc_range) == ("1", 0.1)
     write_case(case, tmp_path / "again")
-    same(case, load_case(tmp_path / "again"))
+    assert_same_case(case, load_case(tmp_path / "again"))
     swap(folder / "raw.csv", "Vx [1]", "Vx [V]")
     with pytest.raises(InputError, match=r'column `Vx`.*same as "1"'):
         load_case(folder)
