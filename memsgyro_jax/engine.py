@@ -18,7 +18,7 @@ from . import noise
 from .device import Scalar
 from .loop import ClosedLoop, LoopState, Sample
 from .observers.base import Clock
-from .scenario import Scenario
+from .scenario import Conditions, Scenario
 
 
 Memory = TypeVar("Memory")
@@ -69,33 +69,60 @@ def run(
     batched loop needs its unbatched `design` beside it, which tells component axes from dies.
     """
 
-    def sample(carry, xs):
-        state, memory = carry
-        index, conditions, draws = xs
-        clock = Clock(index * period, index, period)
-        state, taken = loop.step(state, conditions, draws, clock)
-        return (state, recorder.sample(memory, taken)), None
+    def sample(carry, entering):
+        return one_sample(loop, period, recorder, carry, entering), None
 
     def one_block(carry, number):
         state, memory, alive, survived = carry
-        index = number * block + jnp.arange(block)
-        conditions = jax.vmap(scenario.at)((index + 0.5) * period)
-        draws = jax.vmap(lambda i: noise.normal_pair(words, i, MEASUREMENT_STREAM))(index)
-        (new_state, new_memory), _ = jax.lax.scan(sample, (state, memory), (index, conditions, draws))
+        (new_state, new_memory), _ = jax.lax.scan(
+            sample, (state, memory), entering(scenario, words, period, block, number)
+        )
         new_memory, output = recorder.block(new_memory)
-        alive = alive & _healthy(loop, new_state)
+        alive = alive & healthy(loop, new_state)
         keep = lambda new, old: jnp.where(alive, new, old)  # noqa: E731
         kept = jax.tree.map(keep, (new_state, new_memory), (state, memory))
         return (*kept, alive, survived + alive), output
 
-    ranks = jax.eval_shape(lambda: ((design or loop).init(), recorder.init()))
     lanes = words[0].shape
-    begin = jax.tree.map(
-        lambda value, like: over_dies(value, len(like.shape), lanes), (loop.init(), recorder.init()), ranks
-    )
-    start = (*begin, jnp.ones(lanes, bool), jnp.zeros(lanes, int))
+    start = (*beginning(loop, recorder, lanes, design), jnp.ones(lanes, bool), jnp.zeros(lanes, int))
     (state, memory, alive, survived), outputs = _scan_in_groups(one_block, start, blocks)
     return Run(state, memory, outputs, alive, survived)
+
+
+class Entering(NamedTuple):
+    """What enters the loop from outside at a sample: its number, the conditions, and standard normal numbers."""
+
+    index: Int[Array, ""]
+    conditions: Conditions
+    draws: tuple[Array, Array]
+
+
+def entering(scenario: Scenario, words: tuple[Array, Array], period: Scalar, block: int, number: Array) -> Entering:
+    """What enters at each of the `block` samples of block `number`, along a leading axis."""
+    index = number * block + jnp.arange(block)
+    conditions = jax.vmap(scenario.at)((index + 0.5) * period)
+    draws = jax.vmap(lambda i: noise.normal_pair(words, i, MEASUREMENT_STREAM))(index)
+    return Entering(index, conditions, draws)
+
+
+def one_sample(
+    loop: ClosedLoop, period: Scalar, recorder: AbstractRecorder, carry: tuple[LoopState, Any], entering: Entering
+) -> tuple[LoopState, Any]:
+    """State and recorder's memory one sample later."""
+    state, memory = carry
+    clock = Clock(entering.index * period, entering.index, period)
+    state, taken = loop.step(state, entering.conditions, entering.draws, clock)
+    return state, recorder.sample(memory, taken)
+
+
+def beginning(
+    loop: ClosedLoop, recorder: AbstractRecorder, lanes: tuple[int, ...], design: ClosedLoop | None = None
+) -> tuple[LoopState, Any]:
+    """State and recorder's memory before the first sample, repeated for the dies."""
+    ranks = jax.eval_shape(lambda: ((design or loop).init(), recorder.init()))
+    return jax.tree.map(
+        lambda value, like: over_dies(value, len(like.shape), lanes), (loop.init(), recorder.init()), ranks
+    )
 
 
 _FLAT = 256  # blocks up to which one loop stacks the outputs
@@ -116,7 +143,7 @@ def _scan_in_groups(body: Callable, start: tuple, count: int) -> tuple[tuple, An
     return end, jax.tree.map(lambda rows: rows.reshape(count, *rows.shape[2:]), stacked)
 
 
-def _healthy(loop: ClosedLoop, state: LoopState) -> Bool[Array, "*lanes"]:
+def healthy(loop: ClosedLoop, state: LoopState) -> Bool[Array, "*lanes"]:
     """Whether truth and estimate are finite and the mass is within its travel."""
     estimate = loop.observer.estimate(state.observer)
     numbers = (*state.motion, *estimate.motion, *estimate.theta, *estimate.offset)

@@ -4,7 +4,7 @@ Common random numbers: the dies and their noise are those of their numbers, what
 what they do and not by luck.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,6 +17,7 @@ from jax.sharding import PartitionSpec as P
 from jaxtyping import Array, Bool, Float
 
 from . import engine, lot, noise
+from .adjoint import Backwards, Kept
 from .descent import Judged
 from .loop import ClosedLoop, Sample
 from .losses import AbstractLoss
@@ -156,23 +157,35 @@ class Objective:
         for first in range(0, self.dies, together):
             # The last die fills up the last batch: one shape, one compilation, however many dies.
             places = np.minimum(np.arange(first, first + together), self.dies - 1)
-            rows = _evaluate(*self._arguments(places, each, derivative))
+            rows = self._rows(self._part(places, each), derivative)
             parts.append([np.asarray(row) for row in rows])
         return tuple(np.concatenate(rows, axis=-1)[..., : self.dies] for rows in zip(*parts, strict=True))
 
-    def _arguments(self, places: np.ndarray, each: np.ndarray, derivative: bool) -> tuple:
-        part, numbers = self.some(places), jnp.asarray(each[:, places])
-        return (part.loop, part.scenario, part.words, numbers, jnp.asarray(part.places), self.design, self.loss,
-                self.tunables.paths, self.around, self.timing, self.mesh, derivative)  # fmt: skip
+    def _rows(self, part: "Part", derivative: bool) -> tuple[Array, ...]:
+        if len(self.tunables.paths) < _MANY:
+            return _along(part) if derivative else _losses(part)
+        loss, alive, kept = _keeping(part)
+        return (loss, alive, _back(part, kept)) if derivative else (loss, alive)
+
+    def _part(self, places: np.ndarray, each: np.ndarray) -> "Part":
+        part = self.some(places)
+        return Part(part.loop, part.scenario, part.words, jnp.asarray(each[:, places]), jnp.asarray(part.places),
+                    self.loss, self.design, self.tunables.paths, self.around, self.timing, self.mesh)  # fmt: skip
 
     def memory(self, *, derivative: bool) -> float:
-        """What the compiled program allocates beside its arguments, in bytes per die; compiles it."""
+        """What the compiled programs allocate beside their arguments, in bytes per die; compiles them."""
         places = np.arange(self.lanes * self.mesh.size) % self.dies
-        each = np.repeat(self.tunables.values[:, None], self.dies, axis=1)
-        compiled = _evaluate.lower(  # type: ignore[attr-defined]
-            *self._arguments(places, each, derivative)
-        ).compile()
-        return compiled.compiled.memory_analysis().temp_size_in_bytes / self.lanes
+        part = self._part(places, np.repeat(self.tunables.values[:, None], self.dies, axis=1))
+        if len(self.tunables.paths) < _MANY:
+            return _temporary(_along if derivative else _losses, part) / self.lanes
+        kept = _keeping(part)[2]
+        passed = sum(leaf.nbytes for leaf in jax.tree.leaves(kept)) / self.mesh.size
+        programs = [_temporary(_keeping, part), *([_temporary(_back, part, kept)] if derivative else [])]
+        return (passed + max(programs)) / self.lanes
+
+
+def _temporary(program: Any, *arguments: Any) -> int:
+    return program.lower(*arguments).compile().compiled.memory_analysis().temp_size_in_bytes
 
 
 def noise_of(values: Values) -> float:
@@ -201,41 +214,114 @@ def _combined(loss: AbstractLoss, values: Array) -> tuple[Array, Array]:
     return jax.value_and_grad(loss.combine)(values)
 
 
+_MANY = 6  # free numbers from which on it is cheaper to go backwards
+
+
+class Part(NamedTuple):
+    """As many dies of an objective as fill the devices, evenly split over them, each with its own free numbers."""
+
+    loop: ClosedLoop
+    scenario: Scenario
+    words: tuple
+    numbers: Float[Array, "n dies"]
+    places: Float[Array, "n dies"]
+    loss: AbstractLoss
+    design: tuple[ClosedLoop, Scenario]
+    paths: tuple[str, ...]
+    around: tuple[AbstractDistribution | None, ...]
+    timing: Timing
+    mesh: jax.sharding.Mesh
+
+    @property
+    def varying(self) -> tuple:
+        """What may differ between dies."""
+        return self.loop, self.scenario, self.words, self.numbers, self.places
+
+    def own(self, numbers: Array) -> Float[Array, "n dies"]:
+        """The value of each free number for each die: the design's or the die's place around it."""
+        own = [
+            number if kind is None else kind.value(number, place)
+            for number, kind, place in zip(numbers, self.around, self.places, strict=True)
+        ]
+        return jnp.stack(own)
+
+    def tuned(self, own: Array) -> ClosedLoop:
+        """The loop with these values."""
+        return placed(self.loop, self.paths, list(own))
+
+    @property
+    def backwards(self) -> Backwards:
+        """The run of these dies as `adjoint` differentiates it."""
+        return Backwards(self.tuned, self.scenario, self.words, self.timing, LossRecorder(self.loss), self.loss.value,
+                         self.design[0])  # fmt: skip
+
+    def at(self, numbers: Array) -> tuple[Array, Array]:
+        """Losses and survival by running through."""
+        recorder = LossRecorder(self.loss)
+        done = engine.run(self.tuned(self.own(numbers)), self.scenario, self.words, *self.timing, recorder,
+                          self.design[0])  # fmt: skip
+        loss = jnp.broadcast_to(self.loss.value(done.memory), self.words[0].shape)
+        return loss, done.alive & jnp.isfinite(loss)
+
+
 @eqx.filter_jit
-def _evaluate(
-    loop: ClosedLoop, scenario: Scenario, words: tuple, numbers: Array, places: Array, design: tuple,
-    loss: AbstractLoss, paths: tuple[str, ...], around: tuple[AbstractDistribution | None, ...], timing: Timing,
-    mesh: jax.sharding.Mesh, derivative: bool,
-) -> tuple[Array, ...]:  # fmt: skip
-    """Losses, survival and slopes of as many dies as fill the devices, split evenly over them."""
-    dynamic, static = eqx.partition((loop, scenario, words, numbers, places), eqx.is_array)
-    plain = eqx.filter((*design, tuple(word[0] for word in words), numbers[:, 0], places[:, 0]), eqx.is_array)
-    split = jax.tree.map(lambda value, one: _last(value.ndim) if value.ndim > one.ndim else P(), dynamic, plain)
+def _losses(part: Part) -> tuple[Array, Array]:
+    """Losses and survival."""
+    return _split(lambda part: part.at(part.numbers), part, (_last(1), _last(1)))
 
-    def part(dynamic):
-        loop, scenario, words, numbers, places = eqx.combine(dynamic, static)
 
-        def at(numbers):
-            own = [
-                number if kind is None else kind.value(number, place)
-                for number, kind, place in zip(numbers, around, places, strict=True)
-            ]
-            tuned = placed(loop, paths, own)
-            done = engine.run(tuned, scenario, words, *timing, LossRecorder(loss), design[0])
-            value = jnp.broadcast_to(loss.value(done.memory), words[0].shape)
-            return value, done.alive & jnp.isfinite(value)
+@eqx.filter_jit
+def _along(part: Part) -> tuple[Array, Array, Array]:
+    """The same with slopes, forwards: every sample carries its derivative by each number along."""
 
-        def along(unit):
-            tangent = jnp.broadcast_to(unit[:, None], numbers.shape)
-            value, slope, alive = jax.jvp(at, (numbers,), (tangent,), has_aux=True)
-            return value, alive, slope
+    def along(part: Part):
+        def one(unit):
+            tangent = jnp.broadcast_to(unit[:, None], part.numbers.shape)
+            loss, slope, alive = jax.jvp(part.at, (part.numbers,), (tangent,), has_aux=True)
+            return loss, alive, slope
 
-        if not derivative:
-            return at(numbers)
-        return jax.vmap(along, out_axes=(None, None, 0))(jnp.eye(len(paths)))
+        return jax.vmap(one, out_axes=(None, None, 0))(jnp.eye(len(part.paths)))
 
-    out = (_last(1), _last(1), _last(2)) if derivative else (_last(1), _last(1))
-    return jax.shard_map(part, mesh=mesh, in_specs=(split,), out_specs=out, check_vma=False)(dynamic)
+    return _split(along, part, (_last(1), _last(1), _last(2)))
+
+
+@eqx.filter_jit
+def _keeping(part: Part) -> tuple[Array, Array, Kept]:
+    """Losses, survival, and what the way back needs."""
+
+    def losses(part: Part) -> tuple[Array, Array, Kept]:
+        return part.backwards.losses(part.own(part.numbers))
+
+    return _split(losses, part, _every(eqx.filter_eval_shape(losses, part)))
+
+
+@eqx.filter_jit
+def _back(part: Part, kept: Kept) -> Array:
+    """The slopes, backwards."""
+
+    def back(part: Part, kept: Kept):
+        own, chain = jax.vjp(part.own, part.numbers)
+        return chain(part.backwards.slopes(own, kept))[0]
+
+    return _split(back, part, _last(2), kept)
+
+
+def _split(function: Callable, part: Part, out: Any, *more: Any) -> Any:
+    """`function` of a part and of arrays by dies, run on every device with its share of the dies."""
+    dynamic, static = eqx.partition(part.varying, eqx.is_array)
+    plain = (*part.design, tuple(word[0] for word in part.words), part.numbers[:, 0], part.places[:, 0])
+    plain = eqx.filter(plain, eqx.is_array)
+    shares = jax.tree.map(lambda value, one: _last(value.ndim) if value.ndim > one.ndim else P(), dynamic, plain)
+
+    def local(dynamic, more):
+        return function(part._replace(**dict(zip(Part._fields, eqx.combine(dynamic, static), strict=False))), *more)
+
+    run = jax.shard_map(local, mesh=part.mesh, in_specs=(shares, _every(more)), out_specs=out, check_vma=False)
+    return run(dynamic, more)
+
+
+def _every(tree: Any) -> Any:
+    return jax.tree.map(lambda leaf: _last(leaf.ndim), tree)
 
 
 def _last(rank: int) -> P:

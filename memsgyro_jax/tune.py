@@ -5,6 +5,7 @@ likelihood of the innovations fixes their scale but is blind to what follows the
 numbers by likelihood, then the rest by the error.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,7 +31,6 @@ from .tuning import StageResult, TunedNumber, Tuning, merit_of, ratio_of, warnin
 
 
 TRAINING, VALIDATION = 2**20, 2**21  # numbers of the first dies; those of a report or a sweep begin at 0
-_BLOCKS = 20  # a lost die is noticed at the end of a block
 _LOST = 10.0  # a lost die counts like the worst die at the start and this many times its size
 
 
@@ -215,14 +215,16 @@ def _sentence(name: str, step: Step) -> str:
 
 
 def timing_of(sample_rate: float, duration: float, begins: float) -> Timing:
-    """Blocks as near to `_BLOCKS` as divide the samples; a loss must have something to judge."""
+    """As many blocks as samples in each, as near as divides the samples; a loss must have something to judge.
+
+    The way back of a derivative keeps the start of each block and each sample of one.
+    """
     if not 0.0 <= begins < duration:
         raise InputError(
             f"Argument `settle` must lie within the duration of {duration:g} s, but {begins:g} s was given."
         )
     steps = count_steps(sample_rate, duration)
-    fits = [n for n in range(1, min(10 * _BLOCKS, steps) + 1) if steps % n == 0]
-    blocks = min(fits, key=lambda n: abs(np.log(n / _BLOCKS)))
+    blocks = max(n for n in range(1, math.isqrt(steps) + 1) if steps % n == 0)
     return Timing(1.0 / sample_rate, blocks, steps // blocks)
 
 

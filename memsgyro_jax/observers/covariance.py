@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -54,8 +55,8 @@ class Prediction(NamedTuple):
         """One row of the constants' block after fading and random walk."""
         unit = np.zeros(self.constants.shape[0])
         unit[index] = 1.0
-        grown = unit.reshape((-1,) + (1,) * (self.constants.ndim - 2)) * self.walk[index]
-        return _faded(self.faded, self.constants[index]) + grown
+        grown = unit.reshape((-1,) + (1,) * (self.constants.ndim - 2)) * entries(self.walk)[index]
+        return _faded(self.faded, entries(self.constants)[index]) + grown
 
 
 class Gain(NamedTuple):
@@ -83,16 +84,22 @@ def rows(covariance: Covariance, full: Matrix4, kicks: tuple[Kick, ...]) -> Rows
     block = square(covariance.motion)
     motion = [[dot(row, tuple(block[k][j] for k in range(4))) for j in range(4)] for row in full]
     constants = [combine(row, covariance.cross) for row in full]
+    cross, matrix = [entries(row) for row in covariance.cross], entries(covariance.constants)
     for kick, columns in kicks:
-        on_motion = [[gathered(column, covariance.cross[j]) for column in columns] for j in range(4)]
-        on_constants = [gathered(column, covariance.constants) for column in columns]
+        on_motion = [[gathered(column, cross[j]) for column in columns] for j in range(4)]
+        on_constants = [gathered(column, matrix) for column in columns]
         for i, push in enumerate(kick):
             motion[i] = [value + dot(push, tuple(on_motion[j])) for j, value in enumerate(motion[i])]
             constants[i] = constants[i] + combine(push, on_constants)
     return Rows(tuple(map(tuple, motion)), tuple(constants))
 
 
-def gathered(column: Column, vector: Array) -> Scalar:
+def entries(vector: Array) -> tuple[Array, ...]:
+    """Those along the leading axis. Backwards they are concatenated, where indexing would add up padded arrays."""
+    return tuple(part[0] for part in jax.lax.split(vector, (1,) * vector.shape[0]))
+
+
+def gathered(column: Column, vector: tuple[Array, ...]) -> Scalar:
     """Acceleration of one axis by the constants `vector`; entries of `vector` may themselves be vectors."""
     return sum(_signed(factor, _along(signal, vector[m]) * vector[m]) for m, factor, signal in column)
 
@@ -114,9 +121,9 @@ def combine(weights: tuple[Scalar, ...], vectors: tuple[Array, ...]) -> Array:
 def motion_block(predicted: Predicted) -> tuple[Scalar, ...]:
     """Upper triangle of (J P) Jᵀ over the motion."""
     across = predicted.rows
+    vectors = [entries(v) for v in across.constants]
     kicked = [
-        [[gathered(column, across.constants[i]) for column in columns] for i in range(4)]
-        for _, columns in predicted.kicks
+        [[gathered(column, vectors[i]) for column in columns] for i in range(4)] for _, columns in predicted.kicks
     ]
     upper = []
     for i in range(4):
@@ -151,7 +158,26 @@ def _diagonal(walk: Array, like: Array) -> Array:
     """`walk` on the diagonal of a matrix shaped as `like`; dies are trailing axes of either."""
     count, lanes = like.shape[0], like.ndim - 2
     eye = np.eye(count).reshape((count, count) + (1,) * lanes)
-    return eye * walk.reshape((1, count) + walk.shape[1:] + (1,) * (lanes + 1 - walk.ndim))
+    return eye * _repeated(walk.reshape(walk.shape + (1,) * (lanes + 1 - walk.ndim)), axis=0)
+
+
+def _repeated(vector: Array, axis: int) -> Array:
+    """A square matrix of the same row or column. Its derivative is a sum of slices, which XLA vectorises over the dies;
+    that of a broadcast is a reduction, which it does not."""
+    return jnp.stack([vector] * vector.shape[0], axis=axis)
+
+
+@jax.custom_jvp
+def _outer_square(vector: Array) -> Array:
+    """The products of a vector's entries with each other."""
+    return vector[:, None] * vector[None]
+
+
+@_outer_square.defjvp
+def _outer_square_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
+    (vector,), (change,) = primals, tangents
+    by_row, by_column = _repeated(change, axis=0), _repeated(change, axis=1)
+    return _outer_square(vector), vector[:, None] * by_row + by_column * vector[None]
 
 
 def downdate(prior: Prediction, first: Gain, second: Gain) -> Covariance:
@@ -171,7 +197,7 @@ def downdate(prior: Prediction, first: Gain, second: Gain) -> Covariance:
     constants = (
         _faded(prior.faded, prior.constants)
         + _diagonal(prior.walk, prior.constants)
-        - first_root[:, None] * first_root[None]
-        - second_root[:, None] * second_root[None]
+        - _outer_square(first_root)
+        - _outer_square(second_root)
     )
     return Covariance(motion, cross, constants)

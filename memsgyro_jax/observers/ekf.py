@@ -33,6 +33,7 @@ from .covariance import (
     add_diagonal,
     correct_mean,
     downdate,
+    entries,
     gathered,
     motion_block,
     rows,
@@ -209,10 +210,11 @@ class ExtendedKalmanFilter(AbstractObserver[KalmanState]):
 
     def _theta(self, constants: Array) -> tuple[Scalar, ...]:
         place = {index: self._first + order for order, index in enumerate(self.estimated)}
-        return tuple(constants[place[i]] if i in place else self.prior.theta[i] for i in range(len(self.model.names)))
+        known = entries(constants)
+        return tuple(known[place[i]] if i in place else self.prior.theta[i] for i in range(len(self.model.names)))
 
     def _offset(self, constants: Array) -> Pair:
-        return (constants[0], constants[1]) if self.with_offsets else self.prior.offset
+        return entries(constants)[:2] if self.with_offsets else self.prior.offset
 
     def _predict(self, state: KalmanState, about: tuple, force: Pair, clock: Clock) -> Predicted:
         """Mean and the rows of J P, linearised about the motion and constants in `about`."""
@@ -246,7 +248,7 @@ class ExtendedKalmanFilter(AbstractObserver[KalmanState]):
         if about[0] is state.motion:
             return mean
         motion = tuple(a - b for a, b in zip(state.motion, about[0], strict=True))
-        constants = state.constants - about[1]
+        constants = entries(state.constants - about[1])
         moved = [m + dot(row, motion) for m, row in zip(mean, step.full, strict=True)]
         for kick, columns in kicks:
             gained = tuple(gathered(column, constants) for column in columns)
@@ -291,7 +293,7 @@ class ExtendedKalmanFilter(AbstractObserver[KalmanState]):
         value = self.scale[axis] * motion[self.signals[axis]]
         if lag is not None:
             value = value + lag.by_velocity * motion[self.signals[axis] + 2] + lag.by_delay * constants[lag.place]
-        return value + constants[axis] if self.with_offsets else value
+        return value + entries(constants)[axis] if self.with_offsets else value
 
     def _lags(self, motion: State4, constants: Array) -> tuple["_Lag | None", "_Lag | None"]:
         """What the estimated delays do to the outputs: to first order, volts = scale * (x - delay * vx)."""
@@ -326,7 +328,7 @@ class ExtendedKalmanFilter(AbstractObserver[KalmanState]):
         motion = tuple(scale * block[signal][i] for i in range(4))
         constants = scale * prior.cross[signal]
         if self.with_offsets:
-            motion = tuple(v + prior.cross[i][axis] for i, v in enumerate(motion))
+            motion = tuple(v + entries(prior.cross[i])[axis] for i, v in enumerate(motion))
             constants = constants + prior.row(axis)
         if lag is not None:
             velocity, delay = block[signal + 2], [prior.cross[i][lag.place] for i in range(4)]

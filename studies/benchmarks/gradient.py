@@ -1,9 +1,8 @@
 """What does a gradient through the closed loop cost? Runs of the lot it is worth, memory, compile time.
 
-Forward mode: every sample carries the derivative by each free number along, nothing of the run is stored. Reverse mode
-with a checkpoint at every sample was tried for the same loss and numbers: 0.28 MB per die, and twice as slow as forward
-mode by ten numbers, because the compiler options that make the loop fast make its reverse take minutes to compile. Its
-cost does not grow with the numbers, so it would pay from about twenty on.
+By few numbers the derivatives go forwards: every sample carries one by each number along, nothing of the run is stored.
+By more they go backwards through kept states, at a cost that does not grow with the numbers. The primal is the plain
+run with the loss recorded, whichever way the derivatives go.
 """
 
 import argparse
@@ -28,30 +27,40 @@ def worker(options: argparse.Namespace) -> None:
 
     import memsgyro_jax as mg
     from memsgyro_jax import losses
-    from memsgyro_jax.objective import Objective, Timing
+    from memsgyro_jax.objective import Objective
     from memsgyro_jax.tunable import resolved
+    from memsgyro_jax.tune import timing_of
 
     gyro, readout = mg.SingleMassGyro.chi2010(), mg.ChargeAmplifier.chi2010()
     noise = mg.ProcessNoise.of(gyro.model, rate=100.0)
     observer = mg.ExtendedKalmanFilter.for_device(gyro, readout, annealing=mg.Annealing(), process_noise=noise)
     loop = mg.ClosedLoop(gyro, readout, observer, mg.DampingCompensation(tones=mg.Tone(600.0, 53.95)))
     loop, free = loop.sampled_at(100e3), ("noise_density", *(f"process_noise.{name}" for name in NAMES))
-    tunables = resolved(loop, mg.free(observer=free[: options.numbers - 1]), 100e3, 0.1)
-    made = Objective.of(
-        loop, mg.Scenario(rate=mg.Constant(1.0)), mg.Spread.relative(0.15), tunables, losses.SquaredRateError(0.05),
-        dies=np.arange(options.dies), timing=Timing(1e-5, 20, options.steps // 20), seed=0, lanes=options.lanes,
-    )  # fmt: skip
+    duration = options.steps / 100e3
 
-    def timed(function) -> tuple[float, float]:
+    def objective(count: int) -> Objective:
+        """By two noise densities and spectra of process noise, `count` numbers in all."""
+        tunables = resolved(loop, mg.free(observer=free[: count - 1]), 100e3, duration)
+        return Objective.of(
+            loop, mg.Scenario(rate=mg.Constant(1.0)), mg.Spread.relative(0.15), tunables,
+            losses.SquaredRateError(0.5 * duration), dies=np.arange(options.dies),
+            timing=timing_of(100e3, duration, 0.5 * duration), seed=0, lanes=options.lanes,
+        )  # fmt: skip
+
+    plain, made = objective(2), objective(options.numbers)
+
+    def timed(function, numbers: np.ndarray) -> tuple[float, float]:
         """Processor seconds of the first call less a later one, and of the fastest later one."""
         spent = []
         for _ in range(1 + options.repeat):
             began = time.process_time()
-            function(tunables.values)
+            function(numbers)
             spent.append(time.process_time() - began)
         return spent[0] - min(spent[1:]), min(spent[1:])
 
-    (first, primal), (compiling, gradient) = timed(made.values), timed(made.slopes)
+    first, primal = timed(plain.values, plain.tunables.values)
+    made.values(made.tunables.values)  # whoever wants a gradient has asked for the loss before
+    compiling, gradient = timed(made.slopes, made.tunables.values)
     memory = made.memory(derivative=True) / 1e6
     print(json.dumps({"primal_s": primal, "gradient_s": gradient, "ratio": gradient / primal, "memory_mb": memory,
                       "compile_primal_s": first, "compile_gradient_s": compiling}))  # fmt: skip
