@@ -1,4 +1,5 @@
-"""The loss of a lot of dies as a function of what is free: a value per die, and its derivatives by forward mode.
+"""The loss of a lot of dies as a function of what is free: a value per die, and its derivatives, forwards by few
+numbers and backwards by many.
 
 Common random numbers: the dies and their noise are those of their numbers, whatever is tried, so two settings differ by
 what they do and not by luck.

@@ -67,11 +67,10 @@ def lyapunov():
     "made",
     [
         lambda study: small(study, losses.SquaredRateError(SETTLE)),
-        lambda study: small(study, losses.InnovationLikelihood(SETTLE)),
         lambda study: lyapunov(),
         pytest.param(lambda study: kalman(), marks=pytest.mark.slow),
     ],
-    ids=["error", "likelihood", "lyapunov", "kalman"],
+    ids=["small", "lyapunov", "kalman"],
 )
 def test_backwards_is_forwards(study, backwards, made):
     made = made(study)
@@ -104,6 +103,7 @@ def test_a_lost_die_changes_no_other(study, backwards):
     np.testing.assert_array_equal(values.loss[part.alive], part.loss[part.alive])
 
 
+@pytest.mark.slow
 def test_memory_grows_as_the_root_of_the_time(study, backwards):
     backwards(True)
     given = study.tune_arguments
