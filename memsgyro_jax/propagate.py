@@ -109,12 +109,11 @@ class Exact(AbstractDiscretisation):
         """Exact to rounding when the order covers the sample rate."""
         points, weights = np.polynomial.legendre.leggauss(self.nodes)
         shares = [0.5 * (1.0 + float(point)) for point in points]
-        parts = [
-            _assembled(_series(stiffness, velocity, share * period, _shorter(self.order, share)), stiffness, velocity)
-            for share in shares
-        ]
+        parts = [_series(stiffness, velocity, share * period, _shorter(self.order, share)) for share in shares]
         # Gauss points are symmetric: the way from a point to the end is the way from the start to its mirror image.
-        full, push = _assembled(_composed(parts[-1], parts[0]), stiffness, velocity)
+        (first, first_push), (last, last_push) = parts[0], parts[-1]
+        full = matmul(last, first)
+        push = add_rows(matmul(last, first_push), last_push)
         nodes = tuple(
             Node(reach, reach_push, scale(0.5 * float(weight) * period, tuple(row[2:] for row in rest)))
             for (reach, reach_push), (rest, _), weight in zip(parts, reversed(parts), weights, strict=True)
@@ -164,42 +163,25 @@ def applied(dynamics: Dynamics, force: Pair) -> Pair:
     return tuple(a if _is_number(b, 0) else a + b for a, b in zip(moved, dynamics.bias, strict=True))
 
 
-class _Answer(NamedTuple):
-    """What the displacement answers to a jump of the velocity and, integrated once more, of the acceleration (2×2)."""
+def _series(stiffness: Matrix, velocity: Matrix, h: Scalar, order: int) -> tuple[Rows, Rows]:
+    """Propagator and its input matrix over `h` from the impulse response q'' = -q' C - q K, q(0) = 0, q'(0) = 1.
 
-    response: Rows
-    integral: Rows
-
-
-def _series(stiffness: Matrix, velocity: Matrix, h: Scalar, order: int) -> _Answer:
-    """The answer after `h` from the power series of q'' = -q' C - q K, q(0) = 0, q'(0) = 1."""
+    Three sums of the same Taylor coefficients give the response, its derivative and its integral; the displacement
+    columns follow from E' = E A.
+    """
     spring, damper = scale(-1.0, stiffness), scale(-1.0, velocity)
     terms: list[Rows] = [((0.0, 0.0), (0.0, 0.0)), ((1.0, 0.0), (0.0, 1.0))]
     for _ in range(order):
         terms.append(add_rows(matmul(terms[-2], spring), matmul(terms[-1], damper)))
-    # All sums at the end: adding each term as it comes would read and write eight numbers of every die per order.
+    # All sums at the end: adding each term as it comes would read and write twelve numbers of every die per order.
     weights = _taylor_weights(h, len(terms) + 1)
-    return _Answer(*(_weighted(weights[n:], terms[1:]) for n in (1, 2)))
-
-
-def _assembled(answer: _Answer, stiffness: Matrix, velocity: Matrix) -> tuple[Rows, Rows]:
-    """Propagator and input matrix; q' = 1 - q C - (integral of q) K is the equation integrated once."""
-    response, integral = answer
-    spring, damper = scale(-1.0, stiffness), scale(-1.0, velocity)
-    displaced = add_rows(((1.0, 0.0), (0.0, 1.0)), matmul(integral, spring))
-    rate = add_rows(displaced, matmul(response, damper))
+    rate, response, integral = (_weighted(weights[n:], terms[1:]) for n in (0, 1, 2))
+    displaced = add_rows(rate, matmul(response, velocity))
     displaced_rate = matmul(response, spring)
     matrix = tuple((*displaced[i], *response[i]) for i in (0, 1)) + tuple(
         (*displaced_rate[i], *rate[i]) for i in (0, 1)
     )
     return matrix, (*integral, *response)
-
-
-def _composed(last: tuple[Rows, Rows], first: tuple[Rows, Rows]) -> _Answer:
-    """The answer after two stretches of time, each as propagator and input matrix."""
-    (matrix, push), position = first, last[0][:2]
-    response = matmul(position, tuple(row[2:] for row in matrix))
-    return _Answer(response, add_rows(matmul(position, push), last[1][:2]))
 
 
 def _taylor_weights(h: Scalar, count: int) -> tuple[Scalar, ...]:
