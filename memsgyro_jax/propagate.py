@@ -245,6 +245,20 @@ def fence(time: Scalar, tree: object) -> object:
     return jax.lax.cond(time > -1.0, lambda t: t, lambda t: jax.tree.map(jnp.zeros_like, t), tree)
 
 
+def once(time: Scalar, shared: object) -> object:
+    """`shared`, numbers of a sample that all dies have in common, computed for the sample and not for every die.
+
+    XLA on CPU takes a sine of one number into a loop over the dies that uses it, and calls it there for each of them.
+    `time` is any running, non-negative number, as for `fence`.
+    """
+    if jax.default_backend() != "cpu":
+        return shared
+    numbers = jax.tree.map(jnp.asarray, shared)
+    single, each = eqx.partition(numbers, lambda leaf: leaf.ndim == 0)
+    single = jax.lax.cond(time > -1.0, lambda t: t, lambda t: jax.tree.map(jnp.zeros_like, t), single)
+    return eqx.combine(single, each)
+
+
 def fuses_many_outputs() -> bool:
     """Whether XLA on CPU was told to fuse computations with several results (`runtime.configure` does)."""
     return "xla_cpu_use_multi_output_fusion=true" in os.environ.get("XLA_FLAGS", "")

@@ -1,5 +1,6 @@
 """What a result carries to be repeated: settings, seed, versions, and a fingerprint of what was computed."""
 
+import functools
 import hashlib
 import platform
 from dataclasses import asdict, dataclass
@@ -35,6 +36,7 @@ class Settings:
         return entries
 
 
+@functools.cache
 def versions() -> tuple[tuple[str, str], ...]:
     """Versions of Python, this package, and what it computes with."""
     packages = tuple((name, version(name)) for name in ("jax", "jaxlib", "equinox", "numpy"))

@@ -7,6 +7,7 @@ the offset it must find. Noise is a one-sided density, so that changing the samp
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from .device import VX, VY, Pair, Scalar, X, Y, check_not_negative, check_positive, is_concrete, number
 from .errors import InputError
@@ -101,7 +102,7 @@ class ChargeAmplifier(AbstractReadout):
                 check_positive(name, value)
         for value in self.parasitic:
             check_not_negative("parasitic", value)
-        if is_concrete(self.rejection) and not jnp.all((self.rejection >= 0.0) & (self.rejection <= 1.0)):
+        if is_concrete(self.rejection) and not np.all(np.abs(np.asarray(self.rejection) - 0.5) <= 0.5):
             raise InputError(f"Argument `rejection` must lie between 0 and 1, but {self.rejection} was given.")
         _check_density(self.noise_density)
 

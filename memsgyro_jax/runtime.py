@@ -16,16 +16,19 @@ from pathlib import Path
 from .errors import InputError
 
 
-# Undocumented options that let XLA's CPU compiler keep a small, long-running loop in one vectorised function. An
-# unknown name behind `--xla_backend_extra_options` is ignored, one in XLA_FLAGS itself ends the process: see `_known`.
+# Undocumented options that let XLA's CPU compiler keep a small, long-running loop in one vectorised function; the last
+# is LLVM's, which otherwise leaves loops with many inputs and results scalar. An unknown name of XLA's behind
+# `--xla_backend_extra_options` is ignored, one of LLVM's or in XLA_FLAGS itself ends the process: see `_known`.
 _EXTRA_OPTIONS = (
     "xla_cpu_use_multi_output_fusion=true",
     "xla_cpu_small_while_loop_byte_threshold=100000000",
     "xla_cpu_disable_loop_unrolling=true",
+    "-vectorize-memory-check-threshold=1000",
 )
 _CPU_FLAGS = ("--xla_cpu_prefer_vector_width=512", f"--xla_backend_extra_options={','.join(_EXTRA_OPTIONS)}")
+_TRIED = "0.10.2"  # the jaxlib that is known to take all of these
 _DEVICES_FLAG = "--xla_force_host_platform_device_count"
-_PROBE = "from jaxlib import xla_client; xla_client.make_cpu_client()"
+_PROBE = "import jax; jax.jit(abs)(1.0)"  # LLVM reads its options when it compiles
 
 
 def configure(devices: int | None = None) -> None:
@@ -130,20 +133,31 @@ def _backend_started() -> bool:
 
 def _known(flags: list[str]) -> list[str]:
     """Those of `flags` with which this jaxlib starts: tried once in a process of its own, then remembered."""
+    if version("jaxlib") == _TRIED and all(flag in _CPU_FLAGS or flag.startswith(_DEVICES_FLAG) for flag in flags):
+        return flags
     directory = cache_directory()
     asked = hashlib.sha256(" ".join(flags).encode()).hexdigest()[:12]
     answer = directory / f"flags-{asked}" if directory else None
     if answer and answer.is_file():
-        remembered = answer.read_text().split()
-        return [flag for flag in flags if flag in remembered]
-    known = flags if _starts_with(flags) else [flag for flag in flags if _starts_with([flag])]
+        return answer.read_text().split()
+    known = flags if _starts_with(flags) else [part for flag in flags if (part := _known_part(flag))]
     if answer:
         _write_if_possible(answer, "\n".join(known))
     return known
 
 
+def _known_part(flag: str) -> str:
+    """`flag` if this jaxlib starts with it; of a list of options those with which it starts; or nothing."""
+    if _starts_with([flag]):
+        return flag
+    name, _, options = flag.partition("=")
+    known = [option for option in options.split(",") if "," in options and _starts_with([f"{name}={option}"])]
+    return f"{name}={','.join(known)}" if known else ""
+
+
 def _starts_with(flags: list[str]) -> bool:
-    environment = {**os.environ, "XLA_FLAGS": " ".join(flags)}
+    alone = {"XLA_FLAGS": " ".join(flags), "JAX_PLATFORMS": "cpu", "JAX_ENABLE_COMPILATION_CACHE": "0"}
+    environment = {**os.environ, **alone}
     return (
         subprocess.run([sys.executable, "-c", _PROBE], env=environment, capture_output=True, check=False).returncode
         == 0

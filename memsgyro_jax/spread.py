@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -251,7 +250,7 @@ class Draw:
 def device_numbers(loop: ClosedLoop) -> tuple[str, ...]:
     """Names of the device's fields that hold a non-zero number."""
     fields = vars(loop.device)
-    return tuple(name for name, value in fields.items() if eqx.is_inexact_array(value) and jax.numpy.all(value != 0.0))
+    return tuple(name for name, value in fields.items() if eqx.is_inexact_array(value) and np.all(np.asarray(value)))
 
 
 def _number(value: Array) -> Scalar:

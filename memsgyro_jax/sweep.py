@@ -151,13 +151,11 @@ class _Runner:
         design = (self.loop, self.scenario)
         # Picked by NumPy: a hundred small JAX operations in each batch took a tenth of a sweep's time.
         loop, scenario = jax.tree.map(
-            lambda value, plain: (
-                jnp.asarray(np.asarray(value)[..., places]) if np.ndim(value) > np.ndim(plain) else value
-            ),
+            lambda value, plain: np.asarray(value)[..., places] if np.ndim(value) > np.ndim(plain) else value,
             (drawn.loop, drawn.scenario),
             design,
         )
-        chosen = tuple(jnp.asarray(word[places]) for word in words)
+        chosen = tuple(word[places] for word in words)
         rows = lot.run_batch(loop, scenario, design, chosen, self.plan, self.mesh, self.lanes)
         found = jax.tree.map(np.asarray, rows)
         pair = [found.pop(name) for name in lot.COVARIANCE if name in found]

@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 
 from memsgyro_jax.device import DualMassGyro, Dynamics, Inertial, SingleMassGyro, mode_frequencies
 from memsgyro_jax.errors import InputError
-from memsgyro_jax.propagate import Exact, ForwardEuler, applied, fence
+from memsgyro_jax.propagate import Exact, ForwardEuler, applied, fence, once
 
 
 START = (1e-6, 0.3e-6, 2e-3, -4e-3)
@@ -293,3 +293,18 @@ def test_a_fence_changes_nothing(monkeypatch):
     assert fenced is not bare
     same = jax.tree.map(lambda a, b: bool(np.all(np.asarray(a) == np.asarray(b))), fenced, bare)
     assert all(jax.tree.leaves(same))
+
+
+def test_a_sine_that_dies_share_is_not_in_their_loop():
+    step = lambda time, dies: dies * once(time, jnp.sin(time))  # noqa: E731
+    program = jax.jit(step).lower(0.1, jnp.ones(32)).compile().as_text()
+    (with_sine,) = (part for part in program.split("\n\n") if " sine(" in part)
+    assert "[32]" not in with_sine
+
+
+def test_what_is_computed_once_stays_as_it_is():
+    times, each = jnp.linspace(0.0, 1.0, 5), jnp.arange(3.0)
+    for time in times:
+        value, slope = jax.jit(jax.value_and_grad(lambda t: once(t, (jnp.sin(3.0 * t), each))[0]))(time)
+        np.testing.assert_allclose((value, slope), (np.sin(3.0 * time), 3.0 * np.cos(3.0 * time)), rtol=1e-14)
+    assert once(0.0, (1.0, each))[1] is each

@@ -2,6 +2,7 @@
 
 import json
 import os
+from importlib.metadata import version
 
 import jax
 import pytest
@@ -73,11 +74,22 @@ def test_a_file_of_flags_is_left_alone(fresh_python, tmp_path):
     assert done.stdout == "3\n", done.stderr
 
 
+UNTRIED = 'runtime._TRIED = "another"'
+
+
 def test_a_flag_this_jaxlib_does_not_know_is_left_out(report):
-    seen = report("devices=2", before='runtime._CPU_FLAGS = (*runtime._CPU_FLAGS, "--xla_no_such_flag=1")')
+    added = 'runtime._CPU_FLAGS = (*runtime._CPU_FLAGS, "--xla_no_such_flag=1")'
+    seen = report("devices=2", before=f"{UNTRIED}; {added}")
     assert "--xla_cpu_prefer_vector_width=512" in seen["flags"]
     assert "--xla_no_such_flag=1" not in seen["flags"]
     assert seen["devices"] == 2
+
+
+def test_an_option_of_the_compiler_that_it_does_not_know_is_left_out(report):
+    name = "--xla_backend_extra_options"
+    listed = f'runtime._CPU_FLAGS = ("{name}=xla_cpu_disable_loop_unrolling=true,-no-such=1",)'
+    seen = report("devices=2", before=f"{UNTRIED}; {listed}")
+    assert f"{name}=xla_cpu_disable_loop_unrolling=true" in seen["flags"]
 
 
 @pytest.mark.parametrize(("platforms", "wanted"), [("", 3), ("cpu", 3), ("cuda,cpu", 3), ("cuda", 0)])
@@ -87,9 +99,15 @@ def test_flags_of_the_cpu_are_for_the_cpu(monkeypatch, platforms, wanted):
 
 
 def test_the_probe_runs_once(report):
-    first = report("devices=2")
-    again = report("devices=2", before="runtime._starts_with = None")  # a second probe would fail on None
+    first = report("devices=2", before=UNTRIED)
+    again = report("devices=2", before=f"{UNTRIED}; runtime._starts_with = None")  # a second probe would fail on None
     assert again["flags"] == first["flags"]
+
+
+@pytest.mark.skipif(version("jaxlib") != runtime._TRIED, reason="another jaxlib is probed")
+def test_the_jaxlib_of_the_tests_needs_no_probe_and_takes_the_flags(report):
+    plain = report("devices=2", before="runtime._starts_with = None")
+    assert plain["flags"] == report("devices=2", before=UNTRIED)["flags"]
 
 
 def test_nothing_is_written_without_a_cache(report, tmp_path):

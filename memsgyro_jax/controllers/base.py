@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from ..device import Pair, Scalar, number
 from ..errors import InputError
 from ..observers.base import Clock, Estimate
+from ..propagate import once
 
 
 State = TypeVar("State")
@@ -63,4 +64,4 @@ def _as_tones(given: "Tone | tuple") -> Tones:
 
 def tone_values(tones: Tones, time: Scalar) -> Pair:
     """Sum of the tones of each axis at `time` [s]."""
-    return tuple(sum((tone.value(time) for tone in axis), 0.0) for axis in tones)
+    return once(time, tuple(sum((tone.value(time) for tone in axis), 0.0) for axis in tones))

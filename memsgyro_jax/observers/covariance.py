@@ -101,12 +101,19 @@ def entries(vector: Array) -> tuple[Array, ...]:
 
 def gathered(column: Column, vector: tuple[Array, ...]) -> Scalar:
     """Acceleration of one axis by the constants `vector`; entries of `vector` may themselves be vectors."""
-    return sum(_signed(factor, _along(signal, vector[m]) * vector[m]) for m, factor, signal in column)
+    return sum(_signed(factor, beside(signal, vector[m]) * vector[m]) for m, factor, signal in column)
 
 
-def _along(signal: Scalar, entry: Array) -> Array:
-    """`signal` with an axis in front when the entry of a die is a vector."""
-    return jnp.asarray(signal)[None] if jnp.ndim(entry) > jnp.ndim(signal) else signal
+def beside(number: Scalar, constants: Array) -> Array:
+    """`number` of a die, repeated for each of its `constants`; as it is beside a number, or where dies share it.
+
+    Its derivative is a sum of slices, which XLA vectorises over the dies; that of a broadcast is a reduction, which it
+    does not.
+    """
+    number = jnp.asarray(number)
+    if number.ndim + 1 != jnp.ndim(constants):
+        return number
+    return _repeated(number, len(constants), axis=0)
 
 
 def _signed(factor: float, product: Array) -> Array:
@@ -115,7 +122,8 @@ def _signed(factor: float, product: Array) -> Array:
 
 def combine(weights: tuple[Scalar, ...], vectors: tuple[Array, ...]) -> Array:
     """Weighted sum of vectors of constants; weights are scalars of one die."""
-    return dot(tuple(jnp.asarray(w)[None] if not isinstance(w, float) else w for w in weights), tuple(vectors))
+    pairs = zip(weights, vectors, strict=True)
+    return dot(tuple(w if isinstance(w, float) else beside(w, vector) for w, vector in pairs), tuple(vectors))
 
 
 def motion_block(predicted: Predicted) -> tuple[Scalar, ...]:
@@ -147,7 +155,8 @@ def correct_mean(motion: State4, constants: Array, first: Gain, second: Gain, we
         m + a * weights[0] + b * weights[1]
         for m, a, b in zip(motion, first.motion_gain, second.motion_gain, strict=True)
     )
-    return moved, constants + first.constant_gain * weights[0][None] + second.constant_gain * weights[1][None]
+    steps = (beside(w, constants) * gain.constant_gain for w, gain in zip(weights, (first, second), strict=True))
+    return moved, sum(steps, constants)
 
 
 def _faded(factor: Scalar, constants: Array) -> Array:
@@ -158,13 +167,11 @@ def _diagonal(walk: Array, like: Array) -> Array:
     """`walk` on the diagonal of a matrix shaped as `like`; dies are trailing axes of either."""
     count, lanes = like.shape[0], like.ndim - 2
     eye = np.eye(count).reshape((count, count) + (1,) * lanes)
-    return eye * _repeated(walk.reshape(walk.shape + (1,) * (lanes + 1 - walk.ndim)), axis=0)
+    return eye * _repeated(walk.reshape(walk.shape + (1,) * (lanes + 1 - walk.ndim)), count, axis=0)
 
 
-def _repeated(vector: Array, axis: int) -> Array:
-    """A square matrix of the same row or column. Its derivative is a sum of slices, which XLA vectorises over the dies;
-    that of a broadcast is a reduction, which it does not."""
-    return jnp.stack([vector] * vector.shape[0], axis=axis)
+def _repeated(value: Array, count: int, axis: int) -> Array:
+    return jnp.concatenate([jnp.expand_dims(value, axis)] * count, axis=axis)
 
 
 @jax.custom_jvp
@@ -176,7 +183,7 @@ def _outer_square(vector: Array) -> Array:
 @_outer_square.defjvp
 def _outer_square_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
     (vector,), (change,) = primals, tangents
-    by_row, by_column = _repeated(change, axis=0), _repeated(change, axis=1)
+    by_row, by_column = (_repeated(change, len(change), axis) for axis in (0, 1))
     return _outer_square(vector), vector[:, None] * by_row + by_column * vector[None]
 
 
@@ -188,12 +195,14 @@ def downdate(prior: Prediction, first: Gain, second: Gain) -> Covariance:
         for p, (i, j) in zip(prior.motion, pairs, strict=True)
     )
     cross = tuple(
-        row - first.motion_gain[i][None] * first.constants - second.motion_gain[i][None] * second.constants
+        row
+        - beside(first.motion_gain[i], row) * first.constants
+        - beside(second.motion_gain[i], row) * second.constants
         for i, row in enumerate(prior.cross)
     )
     # Products of one vector with itself are symmetric to the last bit. They must be: a difference between (i, j) and
     # (j, i) is never corrected by a measurement, and fading multiplies it by λ at every sample.
-    first_root, second_root = (gain.constants / jnp.sqrt(gain.spread)[None] for gain in (first, second))
+    first_root, second_root = (g.constants / beside(jnp.sqrt(g.spread), g.constants) for g in (first, second))
     constants = (
         _faded(prior.faded, prior.constants)
         + _diagonal(prior.walk, prior.constants)

@@ -31,6 +31,7 @@ from .covariance import (
     Predicted,
     Prediction,
     add_diagonal,
+    beside,
     correct_mean,
     downdate,
     entries,
@@ -198,6 +199,11 @@ class ExtendedKalmanFilter(AbstractObserver[KalmanState]):
         return fixed if self.with_offsets else (*fixed, "offset_x", "offset_y")
 
     @property
+    def states(self) -> int:
+        """How many quantities are estimated: the motion's 4, the offsets and the coefficients."""
+        return 4 + self._first + len(self.estimated)
+
+    @property
     def _first(self) -> int:
         return 2 if self.with_offsets else 0
 
@@ -339,10 +345,12 @@ class ExtendedKalmanFilter(AbstractObserver[KalmanState]):
         if earlier is not None:
             shared = self._output(earlier.motion, earlier.constants, axis, lag)
             motion = tuple(v - k * shared for v, k in zip(motion, earlier.motion_gain, strict=True))
-            constants = constants - earlier.constant_gain * shared[None]
+            constants = constants - earlier.constant_gain * beside(shared, constants)
         spread = self._output(motion, constants, axis, lag) + variance
         inverse = 1.0 / spread
-        return Gain(motion, constants, tuple(v * inverse for v in motion), constants * inverse[None], spread)
+        return Gain(
+            motion, constants, tuple(v * inverse for v in motion), constants * beside(inverse, constants), spread
+        )
 
     def _smoothed(self, state, predicted, weights, first, second, new, faded) -> tuple:
         """Start of the sample given its end: the point about which an iterated filter linearises again."""

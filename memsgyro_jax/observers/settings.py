@@ -104,7 +104,22 @@ def design_prior(
     about zero, the read-out offsets `offset_std` [V] about zero, the motion `motion_error` of the amplitude (velocities
     times the mode frequency). Zero standard deviations mean known exactly.
     """
-    theta = gyro.coefficients(0.0)
+    theta, theta_std = _theta(gyro, spread, rate_std)
+    position = motion_error * amplitude
+    frequency = tuple(jnp.sqrt(theta[gyro.model.index(name)]) for name in ("kxx", "kyy"))
+    return Prior(
+        motion=(amplitude, 0.0, 0.0, 0.0),
+        motion_std=(position, position, position * frequency[0], position * frequency[1]),
+        offset=(0.0, 0.0),
+        offset_std=(offset_std, offset_std),
+        theta=theta,
+        theta_std=theta_std,
+    )
+
+
+@eqx.filter_jit  # one small program in place of two dozen
+def _theta(gyro: AbstractGyro, spread: Scalar, rate_std: Scalar) -> tuple[tuple[Scalar, ...], tuple[Scalar, ...]]:
+    """Coefficients at rest, and their standard deviations to first order in the spread of the parameters."""
     leaves, structure = jax.tree.flatten(gyro)
     slopes = jax.jacfwd(lambda values: jax.tree.unflatten(structure, values).coefficients(0.0))(leaves)
     variances = (sum((spread * p * slope) ** 2 for p, slope in zip(leaves, row, strict=True)) for row in slopes)
@@ -114,13 +129,4 @@ def design_prior(
         rate_std * s if coefficient.is_rate else jnp.sqrt(variance)
         for variance, s, coefficient in zip(variances, share, gyro.model.coefficients, strict=True)
     )
-    position = motion_error * amplitude
-    frequency = tuple(jnp.sqrt(theta[gyro.model.index(name)]) for name in ("kxx", "kyy"))
-    return Prior(
-        motion=(amplitude, 0.0, 0.0, 0.0),
-        motion_std=(position, position, position * frequency[0], position * frequency[1]),
-        offset=(0.0, 0.0),
-        offset_std=(offset_std, offset_std),
-        theta=theta,
-        theta_std=std,
-    )
+    return gyro.coefficients(0.0), std
