@@ -80,7 +80,8 @@ def measure(options: argparse.Namespace, cache: str) -> tuple[dict, dict]:
     ours["second_start_s"] = min(run["first_call_s"] for run in pinned)
     ours["one_core_without_flags"] = start(*job, "--no-flags", cores=1, cache=cache)
     if len(os.sched_getaffinity(0)) > 1:
-        ours["two_cores"] = start(*job, "--cores", "2", cores=2, cache=cache)
+        both = [start(*job, "--cores", "2", cores=2, cache=cache) for _ in range(options.turns)]
+        ours["two_cores"] = max(both, key=lambda run: run["steps_per_wall_s"])
     four = ("--dies", str(options.dies), "--duration", str(4.0 * options.duration), "--repeat", "0")
     ours["four_times_the_steps"] = start(*four, cores=1, cache=cache)
     return ours, {name: max(values) for name, values in yardsticks.items()}
