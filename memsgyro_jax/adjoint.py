@@ -2,7 +2,7 @@
 
 The way forward keeps the state before every block. The way back runs a block again, keeps the state before each of its
 samples, and goes back through them. With as many samples in a block as there are blocks a run of n samples keeps 2√n
-states of a die, and its derivatives cost as much whether there are ten numbers or a hundred.
+states of a die, and one way back serves all numbers.
 
 A state is kept as one array: XLA on CPU writes a row of one array in place, but copies several anew at every sample.
 """

@@ -85,10 +85,7 @@ class Exact(AbstractDiscretisation):
             )
         phase = 2.0 * math.pi * highest_frequency / sample_rate
         nodes = 1 if phase < 0.8 else 2 if phase < 1.6 else 3
-        order = 4
-        while phase ** (order + 1) / math.factorial(order + 1) > 1e-17:
-            order += 1
-        return cls(order, nodes)
+        return cls(_order(phase, least=4), nodes)
 
     def advance(self, motion: State4, push: Pair, stiffness: Matrix, velocity: Matrix, period: Scalar) -> State4:
         """Exact to rounding when the order covers the sample rate: the Taylor series of the motion itself."""
@@ -123,8 +120,19 @@ class Exact(AbstractDiscretisation):
 
 def _shorter(order: int, share: float) -> int:
     """The order that covers `share` of a sample as well as `order` covers the whole."""
-    phase = (1e-17 * math.factorial(order + 1)) ** (1.0 / (order + 1)) * share
-    return next(n for n in range(1, order + 1) if phase ** (n + 1) / math.factorial(n + 1) <= 1e-17)
+    covered = (_REMAINDER * math.factorial(order + 1)) ** (1.0 / (order + 1))
+    return min(order, _order(covered * share, least=1))
+
+
+_REMAINDER = 1e-17
+
+
+def _order(phase: float, least: int) -> int:
+    """The last power to keep, at least `least`, for the exponential of a `phase` in rad."""
+    order = least
+    while phase ** (order + 1) / math.factorial(order + 1) > _REMAINDER:
+        order += 1
+    return order
 
 
 class ForwardEuler(AbstractDiscretisation):
@@ -241,8 +249,7 @@ def fence(time: Scalar, tree: object) -> object:
     """
     if jax.default_backend() != "cpu" or fuses_many_outputs():
         return tree
-    tree = jax.tree.map(jnp.asarray, tree)
-    return jax.lax.cond(time > -1.0, lambda t: t, lambda t: jax.tree.map(jnp.zeros_like, t), tree)
+    return _apart(time, jax.tree.map(jnp.asarray, tree))
 
 
 def once(time: Scalar, shared: object) -> object:
@@ -255,8 +262,12 @@ def once(time: Scalar, shared: object) -> object:
         return shared
     numbers = jax.tree.map(jnp.asarray, shared)
     single, each = eqx.partition(numbers, lambda leaf: leaf.ndim == 0)
-    single = jax.lax.cond(time > -1.0, lambda t: t, lambda t: jax.tree.map(jnp.zeros_like, t), single)
-    return eqx.combine(single, each)
+    return eqx.combine(_apart(time, single), each)
+
+
+def _apart(time: Scalar, arrays: object) -> object:
+    """`arrays` through a conditional on `time` that always holds, which the compiler cannot know."""
+    return jax.lax.cond(time > -1.0, lambda t: t, lambda t: jax.tree.map(jnp.zeros_like, t), arrays)
 
 
 def fuses_many_outputs() -> bool:

@@ -102,7 +102,7 @@ class ChargeAmplifier(AbstractReadout):
                 check_positive(name, value)
         for value in self.parasitic:
             check_not_negative("parasitic", value)
-        if is_concrete(self.rejection) and not np.all(np.abs(np.asarray(self.rejection) - 0.5) <= 0.5):
+        if is_concrete(self.rejection) and not all(0.0 <= value <= 1.0 for value in np.ravel(self.rejection)):
             raise InputError(f"Argument `rejection` must lie between 0 and 1, but {self.rejection} was given.")
         _check_density(self.noise_density)
 

@@ -54,6 +54,7 @@ class Store:
         shutil.rmtree(draft, ignore_errors=True)
         group = zarr.create_group(draft, zarr_format=3)
         group.attrs.update(attributes)
+        group.attrs["coordinates"] = " ".join(coordinates)  # tells xarray what is no variable
         for name, (dimension, values, unit) in coordinates.items():
             values = np.asarray(values)
             array = group.create_array(name, shape=values.shape, dtype=values.dtype, dimension_names=(dimension,))

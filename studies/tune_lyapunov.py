@@ -75,14 +75,8 @@ def main() -> None:
     report = Report()
     figure, axes = plt.subplots(1, 2, figsize=(11.0, 4.0), layout="constrained")
     few = {"dies": 8, "validation_dies": 8, "report_dies": 32, "sample_rate": 50e3, "duration": 0.2, "settle": 0.15}
-    many = {
-        "dies": 32,
-        "validation_dies": 32,
-        "report_dies": 128,
-        "sample_rate": NOISE_RATE,
-        "duration": 0.6,
-        "settle": 0.4,
-    }
+    lots = {"dies": 32, "validation_dies": 32, "report_dies": 128}
+    many = {**lots, "sample_rate": NOISE_RATE, "duration": 0.6, "settle": 0.4}
     plan = few if report.quick else many
     evaluations = 4 if report.quick else 30
     for ax, (name, drive) in zip(axes, DRIVES.items(), strict=True):

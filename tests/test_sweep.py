@@ -48,7 +48,8 @@ def reference(loop):
     return mg.sweep(loop, SPREAD, dies=40, chunk=8, **SHORT).to_xarray()
 
 
-def same_bits(left, right, dies):
+def assert_same_bits(left, right, dies):
+    assert set(left.data_vars) == set(right.data_vars)
     for name in left.data_vars:
         a, b = left[name].values, right[name].values
         if "die" in left[name].dims:
@@ -57,18 +58,18 @@ def same_bits(left, right, dies):
 
 
 def test_fewer_dies_are_the_beginning_of_more(loop, reference):
-    same_bits(mg.sweep(loop, SPREAD, dies=13, chunk=8, **SHORT).to_xarray(), reference, 13)
+    assert_same_bits(mg.sweep(loop, SPREAD, dies=13, chunk=8, **SHORT).to_xarray(), reference, 13)
 
 
 def test_one_device_gives_the_bits_of_two(reference, fresh_python, tmp_path):
     done = fresh_python("-c", SCRIPT.format(devices=1, dies=40), str(tmp_path / "one"))
     assert done.returncode == 0, done.stderr
-    same_bits(Store.open(tmp_path / "one" / "dies.zarr").to_xarray(), reference, 40)
+    assert_same_bits(Store.open(tmp_path / "one" / "dies.zarr").to_xarray(), reference, 40)
 
 
 @pytest.mark.parametrize("chunk", [1, 5, 64])
 def test_the_chunk_size_changes_nothing(loop, reference, chunk):
-    same_bits(mg.sweep(loop, SPREAD, dies=6, chunk=chunk, **SHORT).to_xarray(), reference, 6)
+    assert_same_bits(mg.sweep(loop, SPREAD, dies=6, chunk=chunk, **SHORT).to_xarray(), reference, 6)
 
 
 def test_what_is_known_and_does_not_vary_needs_no_axis_of_dies(loop):
@@ -136,7 +137,7 @@ class Planted(AbstractDistribution):
 
 def test_a_store_is_what_the_sweep_returns(loop, reference, tmp_path):
     lot = mg.sweep(loop, SPREAD, dies=40, chunk=8, out=tmp_path, **SHORT)
-    same_bits(lot.to_xarray(), reference, 40)
+    assert_same_bits(lot.to_xarray(), reference, 40)
     assert Store.open(tmp_path / "dies.zarr").pending() == []
     assert list(lot.to_xarray()["coefficient"].values) == list(loop.device.model.names)
 
@@ -144,7 +145,7 @@ def test_a_store_is_what_the_sweep_returns(loop, reference, tmp_path):
 def test_resume_goes_on_and_grows(loop, reference, tmp_path):
     mg.sweep(loop, SPREAD, dies=20, chunk=8, out=tmp_path, **SHORT)
     grown = mg.sweep(loop, SPREAD, dies=40, chunk=8, out=tmp_path, resume=True, **SHORT)
-    same_bits(grown.to_xarray(), reference, 40)
+    assert_same_bits(grown.to_xarray(), reference, 40)
 
 
 def test_a_store_of_something_else_is_refused(loop, tmp_path):
@@ -192,7 +193,7 @@ def killed_at(delay: float, folder, environment) -> None:
     process.stdout.close()
 
 
-def check_kills(loop, tmp_path, moments) -> None:
+def assert_kills_lose_nothing(loop, tmp_path, moments) -> None:
     clean = {n: v for n, v in os.environ.items() if not n.startswith(("XLA_FLAGS", "JAX_", "MEMSGYRO_"))}
     environment = clean | {"XDG_CACHE_HOME": str(tmp_path / "cache"), "PYTHONPATH": os.pathsep.join(sys.path)}
     for number, delay in enumerate(moments):
@@ -201,16 +202,16 @@ def check_kills(loop, tmp_path, moments) -> None:
     whole = mg.sweep(loop, SPREAD, dies=400, chunk=8, **SHORT).to_xarray()
     for folder in sorted(tmp_path.glob("kill*")):
         resumed = mg.sweep(loop, SPREAD, dies=400, chunk=8, out=folder, resume=True, **SHORT).to_xarray()
-        same_bits(resumed, whole, 400)
+        assert_same_bits(resumed, whole, 400)
 
 
 def test_a_killed_sweep_resumes_to_the_same_bits(loop, tmp_path):
-    check_kills(loop, tmp_path, [0.05, 0.2])
+    assert_kills_lose_nothing(loop, tmp_path, [0.05, 0.2])
 
 
 @pytest.mark.slow
 def test_fifty_kills_lose_nothing(loop, tmp_path):
-    check_kills(loop, tmp_path, np.random.default_rng(0).uniform(0.0, 0.6, 50))
+    assert_kills_lose_nothing(loop, tmp_path, np.random.default_rng(0).uniform(0.0, 0.6, 50))
 
 
 def test_the_default_lot_is_consistent_and_at_the_bound(loop):
@@ -251,7 +252,7 @@ def test_identical_dies_differ_by_noise_alone(loop):
 
 def test_results_do_not_depend_on_a_rebuilt_loop(loop, reference):
     rebuilt = eqx.tree_at(lambda made: made.device.mass, loop, jnp.asarray(1.8e-7))
-    same_bits(mg.sweep(rebuilt, SPREAD, dies=8, chunk=8, **SHORT).to_xarray(), reference, 8)
+    assert_same_bits(mg.sweep(rebuilt, SPREAD, dies=8, chunk=8, **SHORT).to_xarray(), reference, 8)
 
 
 def test_a_singular_covariance_has_no_nees(loop):

@@ -1,7 +1,7 @@
 """What does a gradient through the closed loop cost? Runs of the lot it is worth, memory, compile time.
 
 By few numbers the derivatives go forwards: every sample carries one by each number along, nothing of the run is stored.
-By more they go backwards through kept states, at a cost that does not grow with the numbers. The primal is the plain
+By more they go backwards through kept states, one way back for all numbers. The primal is the plain
 run with the loss recorded, whichever way the derivatives go.
 """
 

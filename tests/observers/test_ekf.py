@@ -127,7 +127,7 @@ def test_equals_the_dense_filter(name):
     volts, force = recorded(device, readout, rate, 1500)
     states = observe(observer, volts, force, 1.0 / rate)
     means, covariances = states_of(observer, states)
-    check_sound(covariances)
+    assert_sound(covariances)
     oracle, places, worst, factors = dense(observer, rate, terms=26, **extra), carried(observer), np.zeros(3), []
     for i, (z, u) in enumerate(zip(volts[:600], force[:600], strict=True)):
         oracle.step(z, u, (i + 1) / rate)
@@ -140,7 +140,7 @@ def test_equals_the_dense_filter(name):
         assert {1.0, 1.05} <= set(factors), "and at both limits"
 
 
-def check_sound(covariances):
+def assert_sound(covariances):
     """Symmetric to the last bit and positive definite, at every sample."""
     assert np.array_equal(covariances, np.swapaxes(covariances, 1, 2))
     std = np.sqrt(np.einsum("tii->ti", covariances))
@@ -153,7 +153,7 @@ def test_long_fading_keeps_the_covariance_sound():
     observer = ExtendedKalmanFilter.for_device(SINGLE, CIRCUIT, fading=FixedFading(1400.0))
     volts, force = recorded(SINGLE, CIRCUIT, 100e3, 10_000)
     means, covariances = states_of(observer, observe(observer, volts, force, 1e-5))
-    check_sound(covariances[::50])
+    assert_sound(covariances[::50])
     assert np.all(covariances[3000:, 6, 6] < 10.0**2)
     assert np.all(np.abs(means[3000:, 6] - 1.0) < 6 * np.sqrt(covariances[3000:, 6, 6]))
 
