@@ -73,6 +73,11 @@ class Plan(NamedTuple):
     tolerance: float
 
     @property
+    def window_times(self) -> Float[np.ndarray, " windows"]:
+        """The middle of each window in s."""
+        return (np.arange(self.blocks) + 0.5) * (self.block * self.period)
+
+    @property
     def settled_window(self) -> int:
         """The first window that lies in the settled part; the last window when none does."""
         first = np.ceil(self.settle / (self.block * self.period) - 1e-9)

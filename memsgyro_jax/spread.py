@@ -194,9 +194,8 @@ class Spread:
         ]
         if items:
             root = eqx.tree_at(lambda r: [item.find(r) for item in items], root, values)
-        table = jnp.stack(values, axis=1) if values else np.empty((len(normal), 0))
-        if is_concrete(table):
-            table = np.asarray(table)
+        stack = np.stack if is_concrete(values) else jnp.stack
+        table = stack(values, axis=1) if values else np.empty((len(normal), 0))
         return Draw(root.loop, root.scenario, tuple(item.path for item in items), table)
 
     def normal(self, count: int, seed: int, dies: np.ndarray) -> Float[np.ndarray, "dies items"]:

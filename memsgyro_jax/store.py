@@ -5,6 +5,7 @@ reads as pending and is computed again on resume.
 """
 
 import shutil
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -32,6 +33,28 @@ class Column:
 
 
 @dataclass(frozen=True)
+class Layout:
+    """What a lot consists of: its columns, numeric coordinates as (dimension, values, unit), and attributes."""
+
+    columns: dict[str, Column]
+    coordinates: dict[str, tuple[str, np.ndarray, str]]
+    attributes: dict[str, Any]
+
+    def dataset(self, rows: dict[str, np.ndarray]) -> "xr.Dataset":
+        """Rows and their status as a Dataset."""
+        import xarray as xr
+
+        variables: dict[str, tuple] = {
+            name: (("die", *column.dimensions), rows[name], {"units": column.unit})
+            for name, column in self.columns.items()
+        }
+        variables[STATUS] = ("die", rows[STATUS])
+        coordinates = {name: (dim, values, {"units": unit}) for name, (dim, values, unit) in self.coordinates.items()}
+        data = xr.Dataset(variables, coordinates, self.attributes)
+        return data.assign_coords(self.attributes[LABELS])
+
+
+@dataclass(frozen=True)
 class Store:
     """An open store of `dies` dies in chunks of `chunk`."""
 
@@ -41,9 +64,7 @@ class Store:
     chunk: int
 
     @classmethod
-    def create(
-        cls, path: Path, columns: dict[str, Column], coordinates: dict, attributes: dict, dies: int, chunk: int
-    ) -> "Store":
+    def create(cls, path: Path, layout: Layout, dies: int, chunk: int) -> "Store":
         """A new store; complete under `path` or not there at all. Raises `InputError` when one is there."""
         import zarr
 
@@ -53,9 +74,9 @@ class Store:
         draft = path.with_name(path.name + ".part")
         shutil.rmtree(draft, ignore_errors=True)
         group = zarr.create_group(draft, zarr_format=3)
-        group.attrs.update(attributes)
-        group.attrs["coordinates"] = " ".join(coordinates)  # tells xarray what is no variable
-        for name, (dimension, values, unit) in coordinates.items():
+        group.attrs.update(layout.attributes)
+        group.attrs["coordinates"] = " ".join(layout.coordinates)  # tells xarray what is no variable
+        for name, (dimension, values, unit) in layout.coordinates.items():
             values = np.asarray(values)
             array = group.create_array(name, shape=values.shape, dtype=values.dtype, dimension_names=(dimension,))
             array[:] = values
@@ -64,7 +85,7 @@ class Store:
             STATUS, shape=(dies,), chunks=(chunk,), dtype="int8", fill_value=PENDING, dimension_names=("die",)
         )
         status.attrs["meaning"] = f"{PENDING} pending, {OK} ok, {LOST} lost (out of travel or not finite)"
-        for name, column in columns.items():
+        for name, column in layout.columns.items():
             array = group.create_array(
                 name,
                 shape=(dies, *column.sizes),
@@ -107,9 +128,8 @@ class Store:
         """Make room for more dies; what is there stays. Fewer dies are refused."""
         if dies < self.dies:
             raise InputError(f"{self.path} holds {self.dies} dies; resume with at least as many, but {dies} was given.")
-        for name, array in self.group.arrays():
-            if name == STATUS or (array.metadata.dimension_names or ("",))[0] == "die":
-                array.resize((dies, *array.shape[1:]))
+        for _, array in self._columns():
+            array.resize((dies, *array.shape[1:]))
         object.__setattr__(self, "dies", dies)
 
     def pending(self) -> list[int]:
@@ -124,12 +144,15 @@ class Store:
                 self.group[name][start:stop] = values[: stop - start]
         self.group[STATUS][start:stop] = rows[STATUS][: stop - start]
 
-    def to_xarray(self) -> "xr.Dataset":
-        """Everything as a Dataset in memory; dies that were never computed have status -1 and NaN."""
-        import xarray as xr
+    def rows(self) -> dict[str, np.ndarray]:
+        """All columns and the status, read back; dies that were never computed have status -1 and NaN."""
+        return {name: array[:] for name, array in self._columns()}
 
-        with xr.open_zarr(self.path, consolidated=False, mask_and_scale=False) as data:
-            return labelled(data.load())
+    def _columns(self) -> Iterator[tuple[str, Any]]:
+        """Name and array of everything that has a row per die."""
+        for name, array in self.group.arrays():
+            if (array.metadata.dimension_names or ("",))[0] == "die":
+                yield name, array
 
     def _finished(self, number: int) -> bool:
         start, stop = number * self.chunk, min((number + 1) * self.chunk, self.dies)
@@ -137,8 +160,3 @@ class Store:
             return bool(np.all(self.group[STATUS][start:stop] != PENDING))
         except (OSError, RuntimeError, ValueError):  # a half-written chunk after a kill
             return False
-
-
-def labelled(data: "xr.Dataset") -> "xr.Dataset":
-    """`data` with the names in its attribute as coordinates."""
-    return data.assign_coords({name: list(values) for name, values in data.attrs.get(LABELS, {}).items()})

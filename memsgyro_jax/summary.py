@@ -1,20 +1,17 @@
 """The figures of a lot that a person and a script want: percentiles, yield, ratio to the bound."""
 
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .files import finite
 from .loop import ClosedLoop
+from .lot import Plan
 from .merit import Following, Percentiles, Proportion, following, percentiles, proportion
 from .observers import ExtendedKalmanFilter
 from .provenance import Settings
-from .store import LOST, OK
+from .store import LOST, OK, STATUS
 
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 SCHEMA = "memsgyro-sweep/1"
 
@@ -108,35 +105,39 @@ class Summary:
 
 
 def summarise(
-    data: "xr.Dataset", settings: Settings, loop: ClosedLoop, bound: float | None, speed: float | None
+    rows: dict[str, np.ndarray],
+    plan: Plan,
+    settings: Settings,
+    loop: ClosedLoop,
+    bound: float | None,
+    speed: float | None,
 ) -> Summary:
-    """Figures over the dies of `data` that were computed; lost dies count as failed and never as numbers."""
-    status = data["status"].values
+    """Figures over the dies of `rows` that were computed; lost dies count as failed and never as numbers."""
+    status = rows[STATUS]
     alive = status == OK
-    end = data["rate_error_end"].values[alive]
-    tolerance = float(data.attrs["tolerance"])
-    good = int(np.sum(np.abs(end) <= tolerance))
+    end = rows["rate_error_end"][alive]
+    good = int(np.sum(np.abs(end) <= plan.tolerance))
     computed = int(np.sum(alive | (status == LOST)))
     figures = percentiles(end)
-    nees, nis = (_mean(data[name].values[alive]) for name in ("nees_end", "nis_mean"))
-    settled = data["time"].values >= float(data.attrs["settle"])
+    nees, nis = (_mean(rows[name][alive]) for name in ("nees_end", "nis_mean"))
+    settled = plan.window_times >= plan.settle
     return Summary(
         dies=computed,
         failed=int(np.sum(status == LOST)),
         end=figures,
-        settled=percentiles(data["rate_error_rms"].values[alive]),
-        series_std=percentiles(data["rate_series_std"].values[alive]).rms,
+        settled=percentiles(rows["rate_error_rms"][alive]),
+        series_std=percentiles(rows["rate_series_std"][alive]).rms,
         bound=bound,
         ratio_to_bound=None if bound is None or not alive.any() else figures.rms / bound,
         nees=nees,
         states=None if nees is None else _states(loop),
         nis=nis,
-        convergence_time=_median(data["convergence_time"].values[alive]),
-        good=proportion(good, computed, f"rate error at the end within {np.degrees(tolerance):.3g} deg/s"),
+        convergence_time=_median(rows["convergence_time"][alive]),
+        good=proportion(good, computed, f"rate error at the end within {np.degrees(plan.tolerance):.3g} deg/s"),
         following=following(
-            data["time"].values[settled],
-            data["rate_true"].values[alive][:, settled] if alive.any() else np.zeros(int(settled.sum())),
-            data["rate_estimate"].values[alive][:, settled],
+            plan.window_times[settled],
+            rows["rate_true"][alive][:, settled] if alive.any() else np.zeros(int(settled.sum())),
+            rows["rate_estimate"][alive][:, settled],
         ),
         steps_per_s=speed,
         settings=settings,

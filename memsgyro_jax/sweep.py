@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,7 +21,7 @@ from .propagate import fuses_many_outputs
 from .provenance import Settings
 from .scenario import AbstractProfile, Scenario, as_scenario
 from .spread import Draw, Spread
-from .store import LABELS, STATUS, Column, Store, labelled
+from .store import LABELS, STATUS, Column, Layout, Store
 from .summary import Summary, summarise
 from .trace import count_steps
 
@@ -38,9 +39,15 @@ DEFAULT_TOLERANCE = float(np.radians(20.0))
 class Lot:
     """The dies of a sweep: `data` as a Dataset over (die, window, coefficient, parameter), SI units throughout."""
 
-    data: "xr.Dataset"
     settings: Settings
     summary: Summary
+    _rows: dict[str, np.ndarray]
+    _layout: Layout
+
+    @cached_property
+    def data(self) -> "xr.Dataset":
+        """The Dataset, made when first asked for: xarray takes half a second to import."""
+        return self._layout.dataset(self._rows)
 
     def __repr__(self) -> str:
         return repr(self.summary)
@@ -98,11 +105,12 @@ def sweep(
     devices = jax.local_devices()
     lanes = _lanes(devices[0].platform)
     runner = _Runner(loop, scenario, spread, plan, seed, chunk or lanes, lot.mesh_of(devices), lanes)
-    store = None if out is None else _open_store(Path(out), runner, settings, dies, resume)
+    layout = runner.layout(settings)
+    store = None if out is None else _open_store(Path(out), layout, dies, runner.block, resume)
     rows, speed = _run_all(runner, store, dies, progress)
-    data = store.to_xarray() if store else runner.dataset(rows, dies, settings)
+    rows = store.rows() if store else {name: values[:dies] for name, values in rows.items()}
     bound = _bound(runner, min(dies, bound_dies), sample_rate, duration)
-    return Lot(data, settings, summarise(data, settings, loop, bound, speed))
+    return Lot(settings, summarise(rows, plan, settings, loop, bound, speed), rows, layout)
 
 
 @dataclass(frozen=True)
@@ -162,14 +170,12 @@ class _Runner:
         found["nees_end"] = lot.nees(*pair) if pair else np.full(len(places), np.nan)
         return {**found, "drawn": drawn.table[places]}
 
-    @property
-    def columns(self) -> dict[str, Column]:
-        """The arrays of a lot."""
+    def layout(self, settings: Settings) -> Layout:
+        """The arrays of a lot, and what its Dataset and store say about how they were made."""
         names, windows = self.loop.device.model.names, self.plan.blocks
-        parameters = len(self.spread.resolved(self.loop))
-        rate, time = Column((), (), "rad/s"), Column((), (), "s")
-        one = Column((), (), "1")
-        return {
+        parameters = [item.path for item in self.spread.resolved(self.loop)]
+        rate, time, one = (Column((), (), unit) for unit in ("rad/s", "s", "1"))
+        columns = {
             "lost_at": time,
             "rate_error_end": rate,
             "rate_error_rms": rate,
@@ -182,32 +188,11 @@ class _Runner:
             "coefficient_error": Column(("coefficient",), (len(names),), "1"),
             "rate_estimate": Column(("window",), (windows,), "rad/s"),
             "rate_true": Column(("window",), (windows,), "rad/s"),
-            "drawn": Column(("parameter",), (parameters,), "SI"),
+            "drawn": Column(("parameter",), (len(parameters),), "SI"),
         }
-
-    @property
-    def coordinates(self) -> dict[str, tuple[str, np.ndarray, str]]:
-        """Numeric coordinates; `time` is the middle of each window."""
-        span = self.plan.block * self.plan.period
-        return {"time": ("window", (np.arange(self.plan.blocks) + 0.5) * span, "s")}
-
-    def attributes(self, settings: Settings) -> dict[str, object]:
-        """What the store and the Dataset say about how they were made."""
-        parameters = [item.path for item in self.spread.resolved(self.loop)]
-        labels = {"coefficient": list(self.loop.device.model.names), "parameter": parameters, "channel": ["x", "y"]}
-        return {"schema": "memsgyro-dies/1", **settings.as_dict(), **self.plan._asdict(), LABELS: labels}
-
-    def dataset(self, rows: dict[str, np.ndarray], dies: int, settings: Settings) -> "xr.Dataset":
-        """Rows in memory as a Dataset."""
-        import xarray as xr
-
-        variables: dict[str, tuple] = {
-            name: (("die", *column.dimensions), rows[name][:dies], {"units": column.unit})
-            for name, column in self.columns.items()
-        }
-        variables[STATUS] = ("die", rows[STATUS][:dies])
-        coordinates = {name: (dim, values, {"units": unit}) for name, (dim, values, unit) in self.coordinates.items()}
-        return labelled(xr.Dataset(variables, coordinates, self.attributes(settings)))
+        labels = {"coefficient": list(names), "parameter": parameters, "channel": ["x", "y"]}
+        attributes = {"schema": "memsgyro-dies/1", **settings.as_dict(), **self.plan._asdict(), LABELS: labels}
+        return Layout(columns, {"time": ("window", self.plan.window_times, "s")}, attributes)
 
 
 def _bound(runner: _Runner, dies: int, sample_rate: float, duration: float) -> float | None:
@@ -242,14 +227,14 @@ def _bound(runner: _Runner, dies: int, sample_rate: float, duration: float) -> f
     return float(np.sqrt(np.mean(finite**2))) if finite.size else None
 
 
-def _open_store(out: Path, runner: _Runner, settings: Settings, dies: int, resume: bool) -> Store:
+def _open_store(out: Path, layout: Layout, dies: int, block: int, resume: bool) -> Store:
     path = out / "dies.zarr"
     if resume and path.exists():
         store = Store.open(path)
-        store.require(settings.fingerprint, runner.block)
+        store.require(layout.attributes["fingerprint"], block)
         store.resize(dies)
         return store
-    return Store.create(path, runner.columns, runner.coordinates, runner.attributes(settings), dies, runner.block)
+    return Store.create(path, layout, dies, block)
 
 
 def _run_all(

@@ -62,7 +62,8 @@ def test_settings_of_the_user_stay(report, tmp_path):
     theirs = ["--xla_cpu_prefer_vector_width=256", "--xla_force_host_platform_device_count=3"]
     seen = report(XLA_FLAGS=" ".join(theirs), JAX_COMPILATION_CACHE_DIR=str(tmp_path / "mine"))
     assert seen["flags"][:2] == theirs
-    assert [flag.split("=")[0] for flag in seen["flags"][2:]] == ["--xla_backend_extra_options"]
+    ours = [flag.split("=")[0] for flag in seen["flags"][2:]]
+    assert ours == ["--xla_backend_extra_options", "--xla_cpu_use_fusion_emitters"]
     assert seen["devices"] == 3
     assert seen["cache"] == str(tmp_path / "mine")
 
@@ -92,7 +93,7 @@ def test_an_option_of_the_compiler_that_it_does_not_know_is_left_out(report):
     assert f"{name}=xla_cpu_disable_loop_unrolling=true" in seen["flags"]
 
 
-@pytest.mark.parametrize(("platforms", "wanted"), [("", 3), ("cpu", 3), ("cuda,cpu", 3), ("cuda", 0)])
+@pytest.mark.parametrize(("platforms", "wanted"), [("", 4), ("cpu", 4), ("cuda,cpu", 4), ("cuda", 0)])
 def test_flags_of_the_cpu_are_for_the_cpu(monkeypatch, platforms, wanted):
     monkeypatch.setenv("JAX_PLATFORMS", platforms)
     assert len(runtime._missing_flags("", devices=2)) == wanted

@@ -2,6 +2,7 @@
 
 import json
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -11,6 +12,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import xarray as xr
 from harness import PERCENTILES
 
 import memsgyro_jax as mg
@@ -48,6 +50,12 @@ def reference(loop):
     return mg.sweep(loop, SPREAD, dies=40, chunk=8, **SHORT).to_xarray()
 
 
+def stored(folder) -> xr.Dataset:
+    """The dies on disk, as a user reads them."""
+    with xr.open_zarr(folder / "dies.zarr", consolidated=False, mask_and_scale=False) as data:
+        return data.load()
+
+
 def assert_same_bits(left, right, dies):
     assert set(left.data_vars) == set(right.data_vars)
     for name in left.data_vars:
@@ -64,7 +72,7 @@ def test_fewer_dies_are_the_beginning_of_more(loop, reference):
 def test_one_device_gives_the_bits_of_two(reference, fresh_python, tmp_path):
     done = fresh_python("-c", SCRIPT.format(devices=1, dies=40), str(tmp_path / "one"))
     assert done.returncode == 0, done.stderr
-    assert_same_bits(Store.open(tmp_path / "one" / "dies.zarr").to_xarray(), reference, 40)
+    assert_same_bits(stored(tmp_path / "one"), reference, 40)
 
 
 @pytest.mark.parametrize("chunk", [1, 5, 64])
@@ -138,8 +146,10 @@ class Planted(AbstractDistribution):
 def test_a_store_is_what_the_sweep_returns(loop, reference, tmp_path):
     lot = mg.sweep(loop, SPREAD, dies=40, chunk=8, out=tmp_path, **SHORT)
     assert_same_bits(lot.to_xarray(), reference, 40)
+    assert_same_bits(stored(tmp_path), reference, 40)
     assert Store.open(tmp_path / "dies.zarr").pending() == []
     assert list(lot.to_xarray()["coefficient"].values) == list(loop.device.model.names)
+    xr.testing.assert_identical(pickle.loads(pickle.dumps(lot)).to_xarray(), lot.to_xarray())
 
 
 def test_resume_goes_on_and_grows(loop, reference, tmp_path):

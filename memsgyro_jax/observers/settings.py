@@ -104,9 +104,8 @@ def design_prior(
     about zero, the read-out offsets `offset_std` [V] about zero, the motion `motion_error` of the amplitude (velocities
     times the mode frequency). Zero standard deviations mean known exactly.
     """
-    theta, theta_std = _theta(gyro, spread, rate_std)
+    theta, theta_std, frequency = _theta(gyro, spread, rate_std)
     position = motion_error * amplitude
-    frequency = tuple(jnp.sqrt(theta[gyro.model.index(name)]) for name in ("kxx", "kyy"))
     return Prior(
         motion=(amplitude, 0.0, 0.0, 0.0),
         motion_std=(position, position, position * frequency[0], position * frequency[1]),
@@ -118,8 +117,10 @@ def design_prior(
 
 
 @eqx.filter_jit  # one small program in place of two dozen
-def _theta(gyro: AbstractGyro, spread: Scalar, rate_std: Scalar) -> tuple[tuple[Scalar, ...], tuple[Scalar, ...]]:
-    """Coefficients at rest, and their standard deviations to first order in the spread of the parameters."""
+def _theta(gyro: AbstractGyro, spread: Scalar, rate_std: Scalar) -> tuple[tuple[Scalar, ...], tuple[Scalar, ...], Pair]:
+    """Coefficients at rest, their standard deviations to first order in the spread of the parameters, and the axes'
+    natural frequencies.
+    """
     leaves, structure = jax.tree.flatten(gyro)
     slopes = jax.jacfwd(lambda values: jax.tree.unflatten(structure, values).coefficients(0.0))(leaves)
     variances = (sum((spread * p * slope) ** 2 for p, slope in zip(leaves, row, strict=True)) for row in slopes)
@@ -129,4 +130,5 @@ def _theta(gyro: AbstractGyro, spread: Scalar, rate_std: Scalar) -> tuple[tuple[
         rate_std * s if coefficient.is_rate else jnp.sqrt(variance)
         for variance, s, coefficient in zip(variances, share, gyro.model.coefficients, strict=True)
     )
-    return gyro.coefficients(0.0), std
+    theta = gyro.coefficients(0.0)
+    return theta, std, tuple(jnp.sqrt(theta[gyro.model.index(name)]) for name in ("kxx", "kyy"))
