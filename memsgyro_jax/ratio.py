@@ -76,6 +76,7 @@ class ExactRatio(RatioEstimator):
 
     iterations: int = eqx.field(static=True, default=10)
 
+    @eqx.filter_jit  # else every call would compile its loop anew
     def __call__(
         self, frequency: Float[Array, " n"], ratio: Complex[Array, " n"], modes: CoupledModes
     ) -> RatioEstimate:
