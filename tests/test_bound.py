@@ -51,10 +51,11 @@ def record(theta: np.ndarray, start: np.ndarray, gyro, sample_rate: float, sampl
     matrix[:2, 2:4], matrix[2:4, :2], matrix[2:4, 2:4] = np.eye(2), -np.asarray(stiffness), -np.asarray(damping)
     matrix[2:4, 4:] = np.diag(gain)
     step = scipy.linalg.expm(h * matrix)
+    middle = (np.arange(samples) + 0.5) * h
+    pushes = [float(tone.amplitude) * np.sin(2 * np.pi * float(tone.frequency) * middle) for tone in DRIVE]
     state, seen = np.asarray(start), []
-    for k in range(samples):
-        push = [tone.amplitude * np.sin(2 * np.pi * tone.frequency * (k + 0.5) * h) for tone in DRIVE]
-        state = step[:4, :4] @ state + step[:4, 4:] @ np.asarray(push)
+    for push in np.transpose(pushes):
+        state = step[:4, :4] @ state + step[:4, 4:] @ push
         seen.append(state[:2])
     return np.asarray(seen)
 
@@ -119,13 +120,16 @@ def test_sensitivities_are_those_of_the_closed_loop_plant():
     words = noise.die_words(jax.random.key(0), jnp.asarray(0))
     forces = np.stack(run(silent, as_scenario(rate), words, 1e-5, samples, 1, Force()).outputs, axis=-1)
 
+    @jax.jit
     def volts(theta):
-        dynamics, state, seen = SINGLE.model.assemble(tuple(theta)), silent.start, []
-        for force in forces:
+        dynamics = SINGLE.model.assemble(tuple(theta))
+
+        def step(state, force):
             push = tuple(g * f for g, f in zip(dynamics.gain, force, strict=True))
             state = silent.discretisation.advance(state, push, dynamics.stiffness, dynamics.velocity, 1e-5)
-            seen.append([s * float(q) for s, q in zip(silent.readout.scale, state[:2], strict=True)])
-        return np.asarray(seen)
+            return state, jnp.stack([s * q for s, q in zip(silent.readout.scale, state[:2], strict=True)])
+
+        return jax.lax.scan(step, silent.start, forces)[1]
 
     theta = np.asarray([float(t) for t in SINGLE.coefficients(rate)])
     change = np.where(theta == 1.0, 1e-2, 1e-4 * theta)

@@ -158,7 +158,7 @@ def assert_draws_reach_the_bound(noise, level, draws, tolerance):
         return jnp.stack(parts)
 
     fits = eqx.filter_jit(refit_draws)(start, sweep, measured)
-    value, std = jax.vmap(lambda one: (couplings(one.values), one.std_of(couplings)))(fits)
+    value, std = eqx.filter_jit(jax.vmap(lambda one: (couplings(one.values), one.std_of(couplings))))(fits)
     bound = evaluate(start, free_parameters(start, [sweep]), [sweep]).std_of(couplings)
     assert bool(fits.converged.all())
     np.testing.assert_allclose(np.std(value, axis=0) / bound, 1.0, atol=tolerance)

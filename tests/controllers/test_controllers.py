@@ -1,5 +1,6 @@
 """Forces against the thesis' formulas written out, and what they do to a device whose estimate is right."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -104,9 +105,14 @@ def driven(gyro, controller, rate, count, sample_rate):
     dynamics, theta = gyro.dynamics(Inertial(rate)), gyro.coefficients(rate)
     step = exact.transition(dynamics.stiffness, dynamics.velocity, 1 / sample_rate)
     full, push = np.array(step.full), np.array(step.push)
+
+    @jax.jit
+    def commanded(motion, index):
+        estimate = Estimate(motion, theta, (0.0, 0.0), gyro.model)
+        return controller.command(controller.init(), estimate, Clock(index / sample_rate, index, 1 / sample_rate))[0]
+
     for i in range(count):
-        estimate = Estimate(tuple(state), theta, (0.0, 0.0), gyro.model)
-        force = force_of(controller, estimate, Clock(i / sample_rate, i, 1 / sample_rate))
+        force = np.array(commanded(tuple(state), i))
         state = full @ state + push @ np.array(applied(dynamics, force), float)
         path.append(state)
     return np.array(path)
