@@ -28,10 +28,11 @@ _EXTRA_OPTIONS = (
 _CPU_FLAGS = (
     "--xla_cpu_prefer_vector_width=512",
     f"--xla_backend_extra_options={','.join(_EXTRA_OPTIONS)}",
-    # The dozens of small kernels around a loop compile in half the time without a pass through MLIR.
+    # The dozens of small kernels around a loop compile in half the time without a pass through MLIR. Gone from jaxlib
+    # 0.12, which compiles them as fast.
     "--xla_cpu_use_fusion_emitters=false",
 )
-_TRIED = "0.10.2"  # the jaxlib that is known to take all of these
+_TRIED = {"0.10.2": _CPU_FLAGS, "0.12.0.1": _CPU_FLAGS[:2]}  # what a jaxlib is known to take
 _DEVICES_FLAG = "--xla_force_host_platform_device_count"
 _PROBE = "import jax; jax.jit(abs)(1.0)"  # LLVM reads its options when it compiles
 
@@ -138,8 +139,9 @@ def _backend_started() -> bool:
 
 def _known(flags: list[str]) -> list[str]:
     """Those of `flags` with which this jaxlib starts: tried once in a process of its own, then remembered."""
-    if version("jaxlib") == _TRIED and all(flag in _CPU_FLAGS or flag.startswith(_DEVICES_FLAG) for flag in flags):
-        return flags
+    tried = _TRIED.get(version("jaxlib"))
+    if tried and all(flag in _CPU_FLAGS or flag.startswith(_DEVICES_FLAG) for flag in flags):
+        return [flag for flag in flags if flag in tried or flag.startswith(_DEVICES_FLAG)]
     directory = cache_directory()
     asked = hashlib.sha256(" ".join(flags).encode()).hexdigest()[:12]
     answer = directory / f"flags-{asked}" if directory else None

@@ -63,7 +63,8 @@ def test_settings_of_the_user_stay(report, tmp_path):
     seen = report(XLA_FLAGS=" ".join(theirs), JAX_COMPILATION_CACHE_DIR=str(tmp_path / "mine"))
     assert seen["flags"][:2] == theirs
     ours = [flag.split("=")[0] for flag in seen["flags"][2:]]
-    assert ours == ["--xla_backend_extra_options", "--xla_cpu_use_fusion_emitters"]
+    assert "--xla_backend_extra_options" in ours
+    assert set(ours) <= {"--xla_backend_extra_options", "--xla_cpu_use_fusion_emitters"}  # the latter if it is known
     assert seen["devices"] == 3
     assert seen["cache"] == str(tmp_path / "mine")
 
@@ -75,7 +76,7 @@ def test_a_file_of_flags_is_left_alone(fresh_python, tmp_path):
     assert done.stdout == "3\n", done.stderr
 
 
-UNTRIED = 'runtime._TRIED = "another"'
+UNTRIED = "runtime._TRIED = {}"
 
 
 def test_a_flag_this_jaxlib_does_not_know_is_left_out(report):
@@ -105,8 +106,8 @@ def test_the_probe_runs_once(report):
     assert again["flags"] == first["flags"]
 
 
-@pytest.mark.skipif(version("jaxlib") != runtime._TRIED, reason="another jaxlib is probed")
-def test_the_jaxlib_of_the_tests_needs_no_probe_and_takes_the_flags(report):
+@pytest.mark.skipif(version("jaxlib") not in runtime._TRIED, reason="another jaxlib is probed")
+def test_a_jaxlib_that_was_tried_needs_no_probe_and_takes_the_flags(report):
     plain = report("devices=2", before="runtime._starts_with = None")
     assert plain["flags"] == report("devices=2", before=UNTRIED)["flags"]
 
