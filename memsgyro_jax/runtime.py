@@ -29,7 +29,7 @@ _CPU_FLAGS = (
     "--xla_cpu_prefer_vector_width=512",
     f"--xla_backend_extra_options={','.join(_EXTRA_OPTIONS)}",
     # The dozens of small kernels around a loop compile in half the time without a pass through MLIR. Gone from jaxlib
-    # 0.12, which compiles them as fast.
+    # 0.12, with which a first sweep takes about as long.
     "--xla_cpu_use_fusion_emitters=false",
 )
 _TRIED = {"0.10.2": _CPU_FLAGS, "0.12.0.1": _CPU_FLAGS[:2]}  # what a jaxlib is known to take
