@@ -15,8 +15,9 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from memsgyro_jax import ClosedLoop, Lowpass, engine, noise
-from memsgyro_jax.scenario import as_scenario
+from memsgyro_jax import ClosedLoop, Lowpass
+from memsgyro_jax.loop import engine, noise
+from memsgyro_jax.loop.scenario import as_scenario
 
 
 matplotlib.use("agg")

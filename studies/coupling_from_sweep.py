@@ -15,7 +15,7 @@ out.
 import argparse
 from pathlib import Path
 
-from memsgyro_jax.runtime import configure
+from memsgyro_jax.base.runtime import configure
 
 
 configure()
@@ -26,13 +26,14 @@ import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 
-from memsgyro_jax.couplings import CoupledModes, sense_errors  # noqa: E402
-from memsgyro_jax.experiments import Bench, FrequencySweep, LockIn, PolarNoise  # noqa: E402
-from memsgyro_jax.experiments.seen import SeenBench  # noqa: E402
-from memsgyro_jax.fit import evaluate  # noqa: E402
-from memsgyro_jax.likelihood import free_parameters, refit_draws  # noqa: E402
-from memsgyro_jax.modal import coupled_poles, half_power  # noqa: E402
-from memsgyro_jax.ratio import (  # noqa: E402
+from memsgyro_jax.app.report.page import Page  # noqa: E402
+from memsgyro_jax.couplings.bench import Bench, LockIn  # noqa: E402
+from memsgyro_jax.couplings.fit import evaluate  # noqa: E402
+from memsgyro_jax.couplings.frequency_sweep import FrequencySweep  # noqa: E402
+from memsgyro_jax.couplings.likelihood import free_parameters, refit_draws  # noqa: E402
+from memsgyro_jax.couplings.modal import coupled_poles, half_power  # noqa: E402
+from memsgyro_jax.couplings.modes import CoupledModes, sense_errors  # noqa: E402
+from memsgyro_jax.couplings.ratio import (  # noqa: E402
     ComplexRatio,
     ExactRatio,
     TruncatedRatio,
@@ -42,7 +43,8 @@ from memsgyro_jax.ratio import (  # noqa: E402
     phase_offset,
     relative_error,
 )
-from memsgyro_jax.report.page import Page  # noqa: E402
+from memsgyro_jax.couplings.seen import SeenBench  # noqa: E402
+from memsgyro_jax.measurement.experiments import PolarNoise  # noqa: E402
 
 
 OUT = Path(__file__).parent / "out" / "coupling_from_sweep"

@@ -14,8 +14,9 @@ from rich.console import Console
 from rich.table import Table
 
 import memsgyro_jax as mg
-from memsgyro_jax import engine, noise, runtime
-from memsgyro_jax.scenario import as_scenario
+from memsgyro_jax.base import runtime
+from memsgyro_jax.loop import engine, noise
+from memsgyro_jax.loop.scenario import as_scenario
 
 
 runtime.configure()

@@ -14,15 +14,15 @@ import matplotlib.pyplot as plt
 import numpy as np
 from _common import Report
 
-from memsgyro_jax import runtime
+from memsgyro_jax.base import runtime
 
 
 runtime.configure()
 
-from memsgyro_jax.case import Case, load_case  # noqa: E402
-from memsgyro_jax.compare import judged  # noqa: E402
-from memsgyro_jax.diagnose import diagnose  # noqa: E402
-from memsgyro_jax.diagnosis import Diagnosis  # noqa: E402
+from memsgyro_jax.diagnosis.compare import judged  # noqa: E402
+from memsgyro_jax.diagnosis.diagnose import diagnose  # noqa: E402
+from memsgyro_jax.diagnosis.result import Diagnosis  # noqa: E402
+from memsgyro_jax.measurement.case import Case, load_case  # noqa: E402
 
 
 HIDDEN = 1.5e9  # N/m³

@@ -13,8 +13,8 @@ import optimistix as optx
 from _common import Report
 
 import memsgyro_jax as mg
-from memsgyro_jax import runtime
-from memsgyro_jax.filters import AbstractFilter
+from memsgyro_jax.base import runtime
+from memsgyro_jax.loop.filters import AbstractFilter
 
 
 runtime.configure()

@@ -16,18 +16,18 @@ import numpy as np
 from _common import Report
 from scipy import stats
 
-from memsgyro_jax import runtime
+from memsgyro_jax.base import runtime
 
 
 runtime.configure()
 
-from memsgyro_jax.case import load_case  # noqa: E402
-from memsgyro_jax.case_fit import fit_case  # noqa: E402
-from memsgyro_jax.diagnosis import SIGMAS_SEEN  # noqa: E402
+from memsgyro_jax.diagnosis.case_fit import fit_case  # noqa: E402
+from memsgyro_jax.diagnosis.joint import Joint  # noqa: E402
+from memsgyro_jax.diagnosis.result import SIGMAS_SEEN  # noqa: E402
+from memsgyro_jax.diagnosis.score import Score, basis, family_p_values, score  # noqa: E402
 from memsgyro_jax.effects import CubicStiffness, Scanned, catalogue  # noqa: E402
-from memsgyro_jax.joint import Joint  # noqa: E402
-from memsgyro_jax.readings import readings_of  # noqa: E402
-from memsgyro_jax.score import Score, basis, family_p_values, score  # noqa: E402
+from memsgyro_jax.measurement.case import load_case  # noqa: E402
+from memsgyro_jax.measurement.readings import readings_of  # noqa: E402
 
 
 LEVEL = 0.05

@@ -17,7 +17,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from _common import Report
 
-from memsgyro_jax import runtime
+from memsgyro_jax.base import runtime
 
 
 runtime.configure()

@@ -11,8 +11,8 @@ from _common import Report
 from scipy.optimize import brentq
 
 import memsgyro_jax as mg
-from memsgyro_jax import runtime
-from memsgyro_jax.device import SINGLE_MASS, Inertial, MotionModel
+from memsgyro_jax.base import runtime
+from memsgyro_jax.device.gyro import SINGLE_MASS, Inertial, MotionModel
 
 
 runtime.configure()

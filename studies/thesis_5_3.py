@@ -14,7 +14,7 @@ from _common import Report, dps, rms, seeds
 from matplotlib.ticker import FixedLocator, NullLocator, ScalarFormatter
 
 import memsgyro_jax as mg
-from memsgyro_jax import runtime
+from memsgyro_jax.base import runtime
 
 
 runtime.configure()

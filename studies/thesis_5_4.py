@@ -13,7 +13,7 @@ import numpy as np
 from _common import Report, dps, rms, seeds
 
 import memsgyro_jax as mg
-from memsgyro_jax import runtime
+from memsgyro_jax.base import runtime
 
 
 runtime.configure()

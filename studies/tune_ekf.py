@@ -21,11 +21,12 @@ from _common import Report
 from scipy.optimize import minimize
 
 import memsgyro_jax as mg
-from memsgyro_jax import losses, runtime
-from memsgyro_jax.objective import Objective
-from memsgyro_jax.tunable import resolved
-from memsgyro_jax.tune import TRAINING, timing_of
-from memsgyro_jax.tuning import merit_of
+from memsgyro_jax import losses
+from memsgyro_jax.base import runtime
+from memsgyro_jax.tuning.objective import Objective
+from memsgyro_jax.tuning.result import merit_of
+from memsgyro_jax.tuning.tunable import resolved
+from memsgyro_jax.tuning.tune import TRAINING, timing_of
 
 
 runtime.configure()

@@ -23,17 +23,17 @@ import numpy as np
 from _common import Report, dps
 from scipy.optimize import minimize
 
-from memsgyro_jax import runtime
+from memsgyro_jax.base import runtime
 
 
 runtime.configure()
 
 import memsgyro_jax as mg  # noqa: E402
-from memsgyro_jax.losses import SquaredRateError  # noqa: E402
-from memsgyro_jax.objective import Objective  # noqa: E402
-from memsgyro_jax.scenario import as_scenario  # noqa: E402
-from memsgyro_jax.tunable import resolved  # noqa: E402
-from memsgyro_jax.tune import TRAINING, timing_of  # noqa: E402
+from memsgyro_jax.loop.scenario import as_scenario  # noqa: E402
+from memsgyro_jax.tuning.losses import SquaredRateError  # noqa: E402
+from memsgyro_jax.tuning.objective import Objective  # noqa: E402
+from memsgyro_jax.tuning.tunable import resolved  # noqa: E402
+from memsgyro_jax.tuning.tune import TRAINING, timing_of  # noqa: E402
 
 
 NOISE_RATE, SPEED = 1e6, 2.0 * np.pi * 3000.0 * 1e-6  # Hz; m/s of a 1 µm motion at 3 kHz: SNR 1000 of the thesis

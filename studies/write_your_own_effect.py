@@ -13,19 +13,19 @@ import matplotlib.pyplot as plt
 import numpy as np
 from _common import Report
 
-from memsgyro_jax import runtime
+from memsgyro_jax.base import runtime
 
 
 runtime.configure()
 
-from memsgyro_jax.case import Case, load_case  # noqa: E402
-from memsgyro_jax.case_fit import fit_case  # noqa: E402
-from memsgyro_jax.device import SingleMassGyro  # noqa: E402
-from memsgyro_jax.diagnose import diagnose  # noqa: E402
-from memsgyro_jax.diagnosis import Diagnosis, validation_error  # noqa: E402
+from memsgyro_jax.app.report.diagnosis_page import page  # noqa: E402
+from memsgyro_jax.device.gyro import SingleMassGyro  # noqa: E402
+from memsgyro_jax.diagnosis.case_fit import fit_case  # noqa: E402
+from memsgyro_jax.diagnosis.diagnose import diagnose  # noqa: E402
+from memsgyro_jax.diagnosis.result import Diagnosis, validation_error  # noqa: E402
 from memsgyro_jax.effects import Effect, load_effects  # noqa: E402
-from memsgyro_jax.readings import model_of  # noqa: E402
-from memsgyro_jax.report.diagnosis_page import page  # noqa: E402
+from memsgyro_jax.measurement.case import Case, load_case  # noqa: E402
+from memsgyro_jax.measurement.readings import model_of  # noqa: E402
 
 
 STOP = """\

@@ -16,11 +16,11 @@ from lab.experiments import Record
 from lab.laboratory import make_case
 from lab.protocol import Laboratory, Profile, RateTable, Raw, RingDown, Sweep
 
-from memsgyro_jax.case import Case, load_case
+from memsgyro_jax.device.normalised import NormalisedDevice
 from memsgyro_jax.effects import Effect, Scanned, catalogue
-from memsgyro_jax.model import Model
-from memsgyro_jax.normalised import NormalisedDevice
-from memsgyro_jax.readings import model_of
+from memsgyro_jax.measurement.case import Case, load_case
+from memsgyro_jax.measurement.model import Model
+from memsgyro_jax.measurement.readings import model_of
 
 
 DIE = Die.drawn(np.random.default_rng(3))

@@ -1,6 +1,6 @@
 """Sets JAX up before any test module imports it, and offers what many tests share."""
 
-from memsgyro_jax import runtime
+from memsgyro_jax.base import runtime
 
 
 runtime.configure(devices=2)

@@ -5,10 +5,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from memsgyro_jax import noise
-from memsgyro_jax.engine import AbstractRecorder, run
-from memsgyro_jax.loop import Sample
-from memsgyro_jax.observers import Clock
+from memsgyro_jax.loop import noise
+from memsgyro_jax.loop.engine import AbstractRecorder, run
+from memsgyro_jax.loop.loop import Sample
+from memsgyro_jax.loop.observers import Clock
 
 
 PERCENTILES = {"rms", "p50", "p95", "p95_low", "p95_high"}  # what summary.json holds of an error

@@ -10,8 +10,8 @@ from functools import cached_property
 import numpy as np
 from scipy import stats
 
-from memsgyro_jax.joint import Joint
-from memsgyro_jax.score import Score, basis, family_p_values, overlap, score
+from memsgyro_jax.diagnosis.joint import Joint
+from memsgyro_jax.diagnosis.score import Score, basis, family_p_values, overlap, score
 
 
 @dataclass(frozen=True, eq=False)

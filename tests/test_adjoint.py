@@ -7,10 +7,11 @@ import pytest
 from tuning_study import STUDY
 
 import memsgyro_jax as mg
-from memsgyro_jax import losses, objective
-from memsgyro_jax.objective import Objective
-from memsgyro_jax.tunable import resolved
-from memsgyro_jax.tune import timing_of
+from memsgyro_jax import losses
+from memsgyro_jax.tuning import objective
+from memsgyro_jax.tuning.objective import Objective
+from memsgyro_jax.tuning.tunable import resolved
+from memsgyro_jax.tuning.tune import timing_of
 
 
 GYRO, SETTLE = mg.SingleMassGyro.chi2010(), 5e-4

@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from memsgyro_jax import noise
-from memsgyro_jax.bound import CROSS_DAMPING_ASYMMETRY, information_bound
-from memsgyro_jax.controllers import DampingCompensation, OpenLoop, Tone
-from memsgyro_jax.device import DualMassGyro, Inertial, SingleMassGyro
-from memsgyro_jax.engine import AbstractRecorder, run
-from memsgyro_jax.errors import InputError
-from memsgyro_jax.loop import ClosedLoop
-from memsgyro_jax.observers import ExtendedKalmanFilter
-from memsgyro_jax.observers.settings import Annealing
-from memsgyro_jax.readout import ChargeAmplifier, DirectReadout
-from memsgyro_jax.scenario import Ramp, as_scenario
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.device.gyro import DualMassGyro, Inertial, SingleMassGyro
+from memsgyro_jax.loop import noise
+from memsgyro_jax.loop.bound import CROSS_DAMPING_ASYMMETRY, information_bound
+from memsgyro_jax.loop.controllers import DampingCompensation, OpenLoop, Tone
+from memsgyro_jax.loop.engine import AbstractRecorder, run
+from memsgyro_jax.loop.loop import ClosedLoop
+from memsgyro_jax.loop.observers import ExtendedKalmanFilter
+from memsgyro_jax.loop.observers.settings import Annealing
+from memsgyro_jax.loop.readout import ChargeAmplifier, DirectReadout
+from memsgyro_jax.loop.scenario import Ramp, as_scenario
 
 
 SINGLE, DUAL = SingleMassGyro.chi2010(), DualMassGyro.chi2010()

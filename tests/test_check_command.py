@@ -3,7 +3,7 @@
 import pytest
 from case.bench import write_bench
 
-from memsgyro_jax.cli import main
+from memsgyro_jax.app.cli import main
 
 
 @pytest.fixture

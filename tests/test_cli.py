@@ -4,7 +4,8 @@ import errno
 
 import pytest
 
-from memsgyro_jax import InputError, __version__, cli
+from memsgyro_jax import InputError, __version__
+from memsgyro_jax.app import cli
 
 
 pytestmark = pytest.mark.smoke
@@ -27,12 +28,12 @@ except SystemExit as end:
 
 
 def test_version(fresh_python):
-    assert fresh_python("-m", "memsgyro_jax.cli", "--version").stdout.strip() == __version__
+    assert fresh_python("-m", "memsgyro_jax.app.cli", "--version").stdout.strip() == __version__
 
 
 @pytest.mark.parametrize("tokens", [["swep"], ["--no-such-option"]])
 def test_a_wrong_word_is_one_sentence(fresh_python, tokens):
-    done = fresh_python("-m", "memsgyro_jax.cli", *tokens)
+    done = fresh_python("-m", "memsgyro_jax.app.cli", *tokens)
     assert done.returncode == 2
     assert done.stdout == ""
     assert done.stderr.count("\n") == 1

@@ -13,7 +13,7 @@ import xarray as xr
 from harness import PERCENTILES
 
 import memsgyro_jax as mg
-from memsgyro_jax import cli
+from memsgyro_jax.app import cli
 
 
 SMALL = ["--dies", "5", "--sample-rate", "20e3", "--duration", "0.01", "--chunk", "2"]
@@ -236,7 +236,7 @@ def test_what_cannot_be_used_is_one_sentence_and_leaves_nothing(memsgyro, folder
 
 
 def test_float32_by_accident(fresh_python, tmp_path):
-    done = fresh_python("-m", "memsgyro_jax.cli", "sweep", *SMALL, JAX_ENABLE_X64="0")
+    done = fresh_python("-m", "memsgyro_jax.app.cli", "sweep", *SMALL, JAX_ENABLE_X64="0")
     assert (done.returncode, done.stdout) == (2, "")
     assert "float32" in done.stderr
     assert done.stderr.count("\n") == 1
@@ -266,7 +266,7 @@ cli.main({tokens})
 
 def test_a_page_that_cannot_be_made_leaves_no_half_of_the_results(memsgyro, folder, monkeypatch):
     """The page is made before the first of the small files is written."""
-    monkeypatch.setattr("memsgyro_jax.report.sweep_page.sweep_page", _broken)
+    monkeypatch.setattr("memsgyro_jax.app.report.sweep_page.sweep_page", _broken)
     with pytest.raises(ZeroDivisionError):
         cli._run(cli.app, ["sweep", *SMALL])
     assert {path.name for path in (folder / "sweep-out").iterdir()} == {"dies.zarr"}

@@ -10,12 +10,12 @@ from lab.die import Die
 from lab.laboratory import make_case
 
 import memsgyro_jax
-from memsgyro_jax.case import load_case
-from memsgyro_jax.case_fit import fit_case
-from memsgyro_jax.compare import compare, judged
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.device.resonator import Resonator
+from memsgyro_jax.diagnosis.case_fit import fit_case
+from memsgyro_jax.diagnosis.compare import compare, judged
 from memsgyro_jax.effects import CubicStiffness
-from memsgyro_jax.errors import InputError
-from memsgyro_jax.resonator import Resonator
+from memsgyro_jax.measurement.case import load_case
 
 
 @pytest.fixture(scope="module")

@@ -11,11 +11,11 @@ import pytest
 import scipy.linalg
 
 import memsgyro_jax as mg
-from memsgyro_jax import engine, noise
-from memsgyro_jax.errors import InputError
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.loop import engine, noise
+from memsgyro_jax.loop.scenario import as_scenario
 from memsgyro_jax.motion.design import _drawn, _plant, _step
 from memsgyro_jax.motion.information import Tones, cholesky, geometric, rate_variance, sensitivities
-from memsgyro_jax.scenario import as_scenario
 
 
 mpl.use("agg")

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from oracles import kalman, motion
 
-from memsgyro_jax.device import DUAL_MASS, SINGLE_MASS, DualMassGyro, Inertial, SingleMassGyro, mode_frequencies
-from memsgyro_jax.errors import InputError
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.device.gyro import DUAL_MASS, SINGLE_MASS, DualMassGyro, Inertial, SingleMassGyro, mode_frequencies
 
 
 SINGLE = {"mass": 1.8e-7, "kxx": 63.96, "kyy": 95.92, "kxy": 12.78, "dxx": 3.6e-6, "dyy": 4.5e-6, "dxy": 3.6e-7}

@@ -7,9 +7,9 @@ from bench_case import ONE_AXIS, RESONATOR, bench
 from lab.die import Hidden, Outside
 from lab.strengths import VISIBLE, visible
 
-from memsgyro_jax.diagnose import diagnose
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.diagnosis.diagnose import diagnose
 from memsgyro_jax.effects import load_effects
-from memsgyro_jax.errors import InputError
 
 
 # ---- a gyro, all kinds of records, the whole catalogue

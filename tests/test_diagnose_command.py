@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 import memsgyro_jax
-from memsgyro_jax.cli import main
-from memsgyro_jax.diagnose_command import load
+from memsgyro_jax.app.cli import main
+from memsgyro_jax.app.diagnose_command import load
 
 
 DEMO = Path(memsgyro_jax.__file__).parent / "demo"

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from memsgyro_jax.engine import _scan_in_groups
+from memsgyro_jax.loop.engine import _scan_in_groups
 
 
 @pytest.mark.parametrize("count", [1, 256, 257, 400, 1000])

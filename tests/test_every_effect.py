@@ -10,11 +10,11 @@ from lab.die import Hidden, Outside
 from power import Linear
 from scipy import stats
 
-from memsgyro_jax.case_fit import fit_case
-from memsgyro_jax.diagnose import CONFUSED, RECORDS, diagnose
-from memsgyro_jax.diagnosis import SIGMAS_SEEN
-from memsgyro_jax.joint import Joint
-from memsgyro_jax.readings import readings_of
+from memsgyro_jax.diagnosis.case_fit import fit_case
+from memsgyro_jax.diagnosis.diagnose import CONFUSED, RECORDS, diagnose
+from memsgyro_jax.diagnosis.joint import Joint
+from memsgyro_jax.diagnosis.result import SIGMAS_SEEN
+from memsgyro_jax.measurement.readings import readings_of
 
 
 pytestmark = pytest.mark.slow

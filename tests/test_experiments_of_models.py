@@ -12,9 +12,9 @@ from bench_case import DIE, EFFECTS, bench, strengths, truth
 from lab.die import Hidden
 from lab.strengths import VISIBLE, visible
 
-from memsgyro_jax.case_fit import CaseFit, fit_case
+from memsgyro_jax.diagnosis.case_fit import CaseFit, fit_case
 from memsgyro_jax.effects import AdcSaturation, DampingStep, ParasiticMode
-from memsgyro_jax.experiments import RingDown
+from memsgyro_jax.measurement.experiments import RingDown
 
 
 SWEEPS = ("sweep_x", "sweep_y", "bias", "soak")

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from memsgyro_jax.errors import InputError
-from memsgyro_jax.filters import Bandpass, Lowpass
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.loop.filters import Bandpass, Lowpass
 
 
 ORDERS = (1, 2, 3, 4)

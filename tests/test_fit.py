@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from memsgyro_jax.errors import InputError
-from memsgyro_jax.experiments.base import Experiment, Noise
-from memsgyro_jax.fit import fisher_covariance, fit, fit_from
-from memsgyro_jax.free import Free, Identity, Log, Logit, LogLogit, Prior, fixed, from_vector, mark, to_vector
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.free import Free, Identity, Log, Logit, LogLogit, Prior, fixed, from_vector, mark, to_vector
+from memsgyro_jax.couplings.fit import fisher_covariance, fit, fit_from
+from memsgyro_jax.measurement.experiments.base import Experiment, Noise
 
 
 class Line(eqx.Module):

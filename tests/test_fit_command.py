@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import memsgyro_jax
-from memsgyro_jax.cli import main
+from memsgyro_jax.app.cli import main
+from memsgyro_jax.app.fit_command import named
+from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.effects import catalogue
-from memsgyro_jax.errors import InputError
-from memsgyro_jax.fit_command import named
 
 
 DEMO = Path(memsgyro_jax.__file__).parent / "demo"

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from lab import two_modes as lab
 
-from memsgyro_jax.couplings import CoupledModes
-from memsgyro_jax.experiments import Bench, ElectricalFeedthrough, FiniteSweepRate, FrequencySweep, LockIn, PolarNoise
+from memsgyro_jax.couplings.bench import Bench, ElectricalFeedthrough, FiniteSweepRate, LockIn
+from memsgyro_jax.couplings.frequency_sweep import FrequencySweep
+from memsgyro_jax.couplings.modes import CoupledModes
+from memsgyro_jax.measurement.experiments import PolarNoise
 
 
 NOISE = PolarNoise.from_peak_to_peak(1e-3, np.radians(3.0))
@@ -88,7 +90,7 @@ def test_conditions_have_one_entry_per_row():
 
 
 def test_cartesian_noise_counts_both_parts():
-    from memsgyro_jax.experiments import CartesianNoise
+    from memsgyro_jax.measurement.experiments import CartesianNoise
 
     white = CartesianNoise(0.5).whiten(jnp.array([[1 + 2j]]), jnp.array([[0j]]))
     np.testing.assert_allclose(white, [[[2.0, 4.0]]])

@@ -6,14 +6,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from memsgyro_jax import noise
-from memsgyro_jax.controllers import DampingCompensation, ReferenceModel, Tone
-from memsgyro_jax.device import SingleMassGyro
-from memsgyro_jax.loop import ClosedLoop
-from memsgyro_jax.observers import Clock, ExtendedKalmanFilter, LyapunovObserver
-from memsgyro_jax.propagate import Exact
-from memsgyro_jax.readout import Adc, ChargeAmplifier, DirectReadout
-from memsgyro_jax.scenario import as_scenario
+from memsgyro_jax.device.gyro import SingleMassGyro
+from memsgyro_jax.device.propagate import Exact
+from memsgyro_jax.loop import noise
+from memsgyro_jax.loop.controllers import DampingCompensation, ReferenceModel, Tone
+from memsgyro_jax.loop.loop import ClosedLoop
+from memsgyro_jax.loop.observers import Clock, ExtendedKalmanFilter, LyapunovObserver
+from memsgyro_jax.loop.readout import Adc, ChargeAmplifier, DirectReadout
+from memsgyro_jax.loop.scenario import as_scenario
 
 
 DESIGN, CIRCUIT = SingleMassGyro.chi2010(), ChargeAmplifier.chi2010()

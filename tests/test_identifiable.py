@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from memsgyro_jax.case import Case, DesignValue, Environment, FrequencySweepRecord, Readout
-from memsgyro_jax.identifiable import identifiable
+from memsgyro_jax.diagnosis.identifiable import identifiable
+from memsgyro_jax.measurement.case import Case, DesignValue, Environment, FrequencySweepRecord, Readout
 
 
 W, Q, G, NOISE = 2 * np.pi * 3000.0, 300.0, 2.0, 1e-3

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from lab import two_modes as lab
 
-from memsgyro_jax.cli import main
+from memsgyro_jax.app.cli import main
 
 
 @pytest.fixture

@@ -9,15 +9,15 @@ from bench_case import DIE, EFFECTS, bench, truth
 from lab.die import Hidden
 from lab.strengths import VISIBLE, visible
 
-from memsgyro_jax.case_fit import fit_case
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.free import names
+from memsgyro_jax.device.resonator import Resonator
+from memsgyro_jax.diagnosis.case_fit import fit_case
+from memsgyro_jax.diagnosis.joint import Joint, optimise, parameters
 from memsgyro_jax.effects import CubicStiffness
-from memsgyro_jax.errors import InputError
-from memsgyro_jax.free import names
-from memsgyro_jax.joint import Joint, optimise, parameters
-from memsgyro_jax.model import Model
-from memsgyro_jax.readings import model_of, readings_of
-from memsgyro_jax.resonator import Resonator
-from memsgyro_jax.start import starting_device
+from memsgyro_jax.measurement.model import Model
+from memsgyro_jax.measurement.readings import model_of, readings_of
+from memsgyro_jax.measurement.start import starting_device
 
 
 KINDS = ("HarmonicSweep", "RingDown", "RateTable", "TimeRecord")

@@ -8,15 +8,15 @@ import pytest
 from harness import record
 from oracles import closed_loop, kalman, motion
 
-from memsgyro_jax import noise
-from memsgyro_jax.controllers import DampingCompensation, OpenLoop, Tone
-from memsgyro_jax.device import DualMassGyro, SingleMassGyro
-from memsgyro_jax.errors import InputError
-from memsgyro_jax.loop import ClosedLoop
-from memsgyro_jax.observers import Clock, ExtendedKalmanFilter
-from memsgyro_jax.propagate import Exact, ForwardEuler
-from memsgyro_jax.readout import ChargeAmplifier, DirectReadout
-from memsgyro_jax.scenario import Constant, Scenario, as_scenario
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.device.gyro import DualMassGyro, SingleMassGyro
+from memsgyro_jax.device.propagate import Exact, ForwardEuler
+from memsgyro_jax.loop import noise
+from memsgyro_jax.loop.controllers import DampingCompensation, OpenLoop, Tone
+from memsgyro_jax.loop.loop import ClosedLoop
+from memsgyro_jax.loop.observers import Clock, ExtendedKalmanFilter
+from memsgyro_jax.loop.readout import ChargeAmplifier, DirectReadout
+from memsgyro_jax.loop.scenario import Constant, Scenario, as_scenario
 
 
 DESIGN, CIRCUIT = SingleMassGyro.chi2010(), ChargeAmplifier.chi2010()

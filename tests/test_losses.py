@@ -9,11 +9,11 @@ from scipy import special
 
 import memsgyro_jax as mg
 from memsgyro_jax import losses
-from memsgyro_jax.device import SINGLE_MASS, Inertial
-from memsgyro_jax.errors import InputError
-from memsgyro_jax.loop import Sample
-from memsgyro_jax.observers.base import Clock, Innovation
-from memsgyro_jax.scenario import Conditions
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.device.gyro import SINGLE_MASS, Inertial
+from memsgyro_jax.loop.loop import Sample
+from memsgyro_jax.loop.observers.base import Clock, Innovation
+from memsgyro_jax.loop.scenario import Conditions
 
 
 COUNT, PERIOD, SETTLE, DIES = 300, 1e-3, 0.1, 7

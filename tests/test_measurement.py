@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from lab import two_modes as lab
 
-from memsgyro_jax.errors import InputError
-from memsgyro_jax.measurement import read_sweep
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.couplings.record import read_sweep
 
 
 FREQUENCY = np.linspace(8010.0, 8040.0, 61)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import signal, stats
 
-from memsgyro_jax.merit import following, percentiles, proportion, settling_time
+from memsgyro_jax.montecarlo.merit import following, percentiles, proportion, settling_time
 
 
 def test_a_yield_has_its_wilson_interval():

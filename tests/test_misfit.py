@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from memsgyro_jax import misfit
-from memsgyro_jax.misfit import Band, Part, Series, Variable, check_all, holm
+from memsgyro_jax.diagnosis import misfit
+from memsgyro_jax.diagnosis.misfit import Band, Part, Series, Variable, check_all, holm
 
 
 def series(white, *, record="a", turned=None, pieces=None):

@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from lab import two_modes as lab
 
-from memsgyro_jax.couplings import AxisAngles, CoupledModes, drive_errors, mirrored, sense_errors
-from memsgyro_jax.modal import SingleMode, circle, coupled_poles, half_power, partial_fractions
-from memsgyro_jax.ratio import (
+from memsgyro_jax.couplings.modal import SingleMode, circle, coupled_poles, half_power, partial_fractions
+from memsgyro_jax.couplings.modes import AxisAngles, CoupledModes, drive_errors, mirrored, sense_errors
+from memsgyro_jax.couplings.ratio import (
     ComplexRatio,
     ExactRatio,
     TruncatedRatio,

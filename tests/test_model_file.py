@@ -5,12 +5,12 @@ import jax
 import numpy as np
 import pytest
 
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.device.normalised import NormalisedDevice
+from memsgyro_jax.device.resonator import Resonator
 from memsgyro_jax.effects import CubicStiffness, ParasiticMode, RateBiasDrift, ReadoutDelay, catalogue, load_effects
-from memsgyro_jax.errors import InputError
-from memsgyro_jax.model import Model
-from memsgyro_jax.model_file import model_text, read_model, write_model
-from memsgyro_jax.normalised import NormalisedDevice
-from memsgyro_jax.resonator import Resonator
+from memsgyro_jax.measurement.model import Model
+from memsgyro_jax.measurement.model_file import model_text, read_model, write_model
 
 
 DEVICE = NormalisedDevice(np.array([3.56e8, 3.9e8 / 3, -2.1e6]), np.array([22.1, 28.4, 0.1 + 0.2]), 5.6e6)

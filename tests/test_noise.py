@@ -10,7 +10,7 @@ from oracles.threefry import threefry
 from scipy import stats
 from scipy.special import ndtri
 
-from memsgyro_jax import noise
+from memsgyro_jax.loop import noise
 
 
 WORD = st.integers(0, 2**32 - 1)

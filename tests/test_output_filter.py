@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 import memsgyro_jax as mg
-from memsgyro_jax import noise, simulate_command
-from memsgyro_jax.errors import InputError
-from memsgyro_jax.free import Free, Log, fixed, from_vector, mark, to_vector
-from memsgyro_jax.observers import Clock
-from memsgyro_jax.scenario import as_scenario
+from memsgyro_jax.app import simulate_command
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.free import Free, Log, fixed, from_vector, mark, to_vector
+from memsgyro_jax.loop import noise
+from memsgyro_jax.loop.observers import Clock
+from memsgyro_jax.loop.scenario import as_scenario
 
 
 GYRO, READOUT = mg.SingleMassGyro.chi2010(), mg.ChargeAmplifier.chi2010()

@@ -7,8 +7,8 @@ import sys
 
 import pytest
 
-from memsgyro_jax import progress as module
-from memsgyro_jax.progress import progress, told
+from memsgyro_jax.app import progress as module
+from memsgyro_jax.app.progress import progress, told
 
 
 def test_plain_lines_are_few_and_tell_the_time_left(capsys, monkeypatch):

@@ -11,9 +11,9 @@ from oracles import motion
 from oracles.kalman import SINGLE, influence
 from scipy.integrate import solve_ivp
 
-from memsgyro_jax.device import DualMassGyro, Dynamics, Inertial, SingleMassGyro, mode_frequencies
-from memsgyro_jax.errors import InputError
-from memsgyro_jax.propagate import Exact, ForwardEuler, applied, fence, once
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.device.gyro import DualMassGyro, Dynamics, Inertial, SingleMassGyro, mode_frequencies
+from memsgyro_jax.device.propagate import Exact, ForwardEuler, applied, fence, once
 
 
 START = (1e-6, 0.3e-6, 2e-3, -4e-3)

@@ -9,10 +9,10 @@ from bench_case import DIE, RESONATOR, bench, truth
 from lab.die import Hidden
 from lab.protocol import Laboratory, Multisine, RingDown
 
-from memsgyro_jax.case_fit import fit_case
-from memsgyro_jax.errors import InputError
-from memsgyro_jax.experiments import HarmonicSweep, TimeRecord
-from memsgyro_jax.readings import readings_of
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.diagnosis.case_fit import fit_case
+from memsgyro_jax.measurement.experiments import HarmonicSweep, TimeRecord
+from memsgyro_jax.measurement.readings import readings_of
 
 
 def with_roles(case, **roles):

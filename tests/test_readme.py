@@ -9,7 +9,7 @@ import matplotlib.pyplot as plt
 import pytest
 
 import memsgyro_jax as mg
-from memsgyro_jax import cli
+from memsgyro_jax.app import cli
 
 
 README = (Path(__file__).resolve().parent.parent / "README.md").read_text()

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from memsgyro_jax.errors import InputError
-from memsgyro_jax.readout import Adc, ChargeAmplifier, DirectReadout, snr_density
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.loop.readout import Adc, ChargeAmplifier, DirectReadout, snr_density
 
 
 EPSILON = 8.8541878128e-12

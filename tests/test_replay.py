@@ -7,7 +7,7 @@ import pytest
 from tuning_study import small_study
 
 import memsgyro_jax as mg
-from memsgyro_jax.errors import InputError
+from memsgyro_jax.base.errors import InputError
 
 
 @pytest.fixture(scope="module")

@@ -6,8 +6,8 @@ from html.parser import HTMLParser
 import pytest
 from matplotlib.figure import Figure
 
-from memsgyro_jax.files import write_whole
-from memsgyro_jax.report.page import Page
+from memsgyro_jax.app.report.page import Page
+from memsgyro_jax.base.files import write_whole
 
 
 def drawn(text="µm"):

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import memsgyro_jax
-from memsgyro_jax.case import load_case
-from memsgyro_jax.case_fit import fit_case
+from memsgyro_jax.diagnosis.case_fit import fit_case
+from memsgyro_jax.diagnosis.residual_force import above_noise, in_bins, rate_residuals, sweep_forces, time_forces
 from memsgyro_jax.effects import CubicStiffness, ParasiticMode
-from memsgyro_jax.residual_force import above_noise, in_bins, rate_residuals, sweep_forces, time_forces
+from memsgyro_jax.measurement.case import load_case
 
 
 @pytest.fixture(scope="module")

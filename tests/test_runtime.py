@@ -7,7 +7,8 @@ from importlib.metadata import version
 import jax
 import pytest
 
-from memsgyro_jax import InputError, runtime
+from memsgyro_jax import InputError
+from memsgyro_jax.base import runtime
 
 
 pytestmark = pytest.mark.smoke

@@ -7,9 +7,9 @@ from bench_case import bench
 from lab.die import Hidden
 from lab.strengths import visible
 
-from memsgyro_jax.case_fit import fit_case
+from memsgyro_jax.diagnosis.case_fit import fit_case
+from memsgyro_jax.diagnosis.scanning import scan, scans
 from memsgyro_jax.effects import DampingStep, ParasiticMode
-from memsgyro_jax.scanning import scan, scans
 
 
 STEP = replace(visible("damping_step"), damping_step_record="rate", damping_step_time=0.08)

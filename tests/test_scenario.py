@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from memsgyro_jax.errors import InputError
-from memsgyro_jax.scenario import Chirp, Constant, Ramp, Recorded, Scenario, Sine, Step, as_scenario
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.loop.scenario import Chirp, Constant, Ramp, Recorded, Scenario, Sine, Step, as_scenario
 
 
 TIMES = np.linspace(0.0, 2.0, 41)

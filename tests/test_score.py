@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from memsgyro_jax.score import Score, basis, family_p_values, overlap, score, separation
+from memsgyro_jax.diagnosis.score import Score, basis, family_p_values, overlap, score, separation
 
 
 @st.composite

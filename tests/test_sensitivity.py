@@ -9,11 +9,11 @@ import pytest
 from scipy import stats
 
 import memsgyro_jax as mg
-from memsgyro_jax.errors import InputError
-from memsgyro_jax.scenario import as_scenario
-from memsgyro_jax.sensitivity.corners import signs_of
-from memsgyro_jax.sensitivity.sobol import indices_of
-from memsgyro_jax.spread import Points
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.loop.scenario import as_scenario
+from memsgyro_jax.montecarlo.sensitivity.corners import signs_of
+from memsgyro_jax.montecarlo.sensitivity.sobol import indices_of
+from memsgyro_jax.montecarlo.spread import Points
 
 
 SHORT = {"sample_rate": 50e3, "duration": 2e-3, "tolerance": 1.0}

@@ -5,9 +5,9 @@ import pytest
 from scipy import stats
 
 import memsgyro_jax as mg
-from memsgyro_jax.errors import InputError
-from memsgyro_jax.scenario import as_scenario
-from memsgyro_jax.spread import device_numbers
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.loop.scenario import as_scenario
+from memsgyro_jax.montecarlo.spread import device_numbers
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from lab.die import Hidden
 from lab.protocol import Laboratory, Multisine, Sweep
 from lab.strengths import visible
 
-from memsgyro_jax.start import design_device, starting_device
+from memsgyro_jax.measurement.start import design_device, starting_device
 
 
 SWEPT = Sweep("sweep", 0, (0.002, 0.006), points=15, span=25.0, dense=4.0, both=False, noise=1e-4)

@@ -16,10 +16,10 @@ import xarray as xr
 from harness import PERCENTILES
 
 import memsgyro_jax as mg
-from memsgyro_jax.device import SINGLE_MASS, MotionModel
-from memsgyro_jax.errors import InputError
-from memsgyro_jax.spread import AbstractDistribution
-from memsgyro_jax.store import Store
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.device.gyro import SINGLE_MASS, MotionModel
+from memsgyro_jax.montecarlo.spread import AbstractDistribution
+from memsgyro_jax.montecarlo.store import Store
 
 
 SHORT = {"sample_rate": 100e3, "duration": 0.002, "bound_dies": 0}

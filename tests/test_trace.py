@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import memsgyro_jax as mg
-from memsgyro_jax.errors import InputError
+from memsgyro_jax.base.errors import InputError
 
 
 mpl.use("agg")

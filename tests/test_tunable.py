@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 
 import memsgyro_jax as mg
-from memsgyro_jax.descent import Descent, Judged, Step, descend, sought
-from memsgyro_jax.errors import InputError
-from memsgyro_jax.free import from_vector, names, to_vector
-from memsgyro_jax.objective import Values
-from memsgyro_jax.survey import fates, null_directions
-from memsgyro_jax.tunable import resolved, tree
-from memsgyro_jax.tuning import Interval, Merit, warnings_of
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.free import from_vector, names, to_vector
+from memsgyro_jax.tuning.descent import Descent, Judged, Step, descend, sought
+from memsgyro_jax.tuning.objective import Values
+from memsgyro_jax.tuning.result import Interval, Merit, warnings_of
+from memsgyro_jax.tuning.survey import fates, null_directions
+from memsgyro_jax.tuning.tunable import resolved, tree
 
 
 GYRO, READOUT = mg.SingleMassGyro.chi2010(), mg.ChargeAmplifier.chi2010()

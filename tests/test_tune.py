@@ -12,11 +12,13 @@ import pytest
 from tuning_study import STUDY, small_study
 
 import memsgyro_jax as mg
-from memsgyro_jax import cli, losses, objective
-from memsgyro_jax.errors import InputError
-from memsgyro_jax.objective import Objective, Timing
-from memsgyro_jax.tunable import resolved
-from memsgyro_jax.tune import TRAINING
+from memsgyro_jax import losses
+from memsgyro_jax.app import cli
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.tuning import objective
+from memsgyro_jax.tuning.objective import Objective, Timing
+from memsgyro_jax.tuning.tunable import resolved
+from memsgyro_jax.tuning.tune import TRAINING
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from memsgyro_jax import InputError, units
+from memsgyro_jax import InputError
+from memsgyro_jax.base import units
 
 
 pytestmark = pytest.mark.smoke

@@ -8,7 +8,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..errors import InputError
+from memsgyro_jax.base.errors import InputError
+
 from .base import Effect, Moment
 
 

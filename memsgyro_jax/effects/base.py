@@ -19,7 +19,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..normalised import NormalisedDevice
+from memsgyro_jax.device.normalised import NormalisedDevice
 
 
 class Moment(eqx.Module):

@@ -3,7 +3,8 @@
 import difflib
 from collections.abc import Sequence
 
-from ..errors import InputError
+from memsgyro_jax.base.errors import InputError
+
 from .adc_saturation import AdcSaturation
 from .angular_acceleration import AngularAcceleration
 from .axes import variants

@@ -9,7 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ..normalised import NormalisedDevice
+from memsgyro_jax.device.normalised import NormalisedDevice
+
 from .base import DriveEffect, Effect, ForceEffect, Moment, ReadoutEffect, SweepEffect
 
 

@@ -14,8 +14,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from ..errors import InputError
-from ..units import to_si
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.units import to_si
+
 from .axes import needed_axes, variants
 from .base import Effect
 from .catalogue import CATALOGUE

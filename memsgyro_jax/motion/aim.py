@@ -6,7 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..device import AbstractGyro, Inertial
+from memsgyro_jax.device.gyro import AbstractGyro, Inertial
+
 from .information import Tones
 
 

@@ -11,19 +11,20 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from ..bound import OFFSETS
-from ..controllers import DesignedMotion, OpenLoop, Tone
-from ..controllers.base import Tones as AxisTones
-from ..device import AbstractGyro, check_positive, mode_frequencies
-from ..errors import InputError
-from ..loop import ClosedLoop
-from ..observers import Annealing, ExtendedKalmanFilter, design_prior
-from ..propagate import Exact, State4
-from ..readout import AbstractReadout, ChargeAmplifier, Delayed
-from ..runtime import require_float64
-from ..scenario import as_scenario
-from ..spread import Spread
-from ..trace import count_steps
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.runtime import require_float64
+from memsgyro_jax.device.gyro import AbstractGyro, check_positive, mode_frequencies
+from memsgyro_jax.device.propagate import Exact, State4
+from memsgyro_jax.loop.bound import OFFSETS
+from memsgyro_jax.loop.controllers import DesignedMotion, OpenLoop, Tone
+from memsgyro_jax.loop.controllers.base import Tones as AxisTones
+from memsgyro_jax.loop.loop import ClosedLoop
+from memsgyro_jax.loop.observers import Annealing, ExtendedKalmanFilter, design_prior
+from memsgyro_jax.loop.readout import AbstractReadout, ChargeAmplifier, Delayed
+from memsgyro_jax.loop.scenario import as_scenario
+from memsgyro_jax.loop.trace import count_steps
+from memsgyro_jax.montecarlo.spread import Spread
+
 from . import picture
 from .aim import aim, aimed, modes, stay
 from .errors import ModelErrors

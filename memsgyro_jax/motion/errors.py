@@ -6,7 +6,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from ..device import AbstractGyro, Inertial, Scalar, check_not_negative, number
+from memsgyro_jax.device.gyro import AbstractGyro, Inertial, Scalar, check_not_negative, number
 
 
 class ModelErrors(eqx.Module):

@@ -16,7 +16,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Complex, Float
 
-from ..device import X, Y
+from memsgyro_jax.device.gyro import X, Y
+
 from .plant import Plant
 
 

@@ -4,9 +4,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..device import mode_frequencies
-from ..pictures import axes
-from ..units import rate_to_dps
+from memsgyro_jax.base.axes import axes
+from memsgyro_jax.base.units import rate_to_dps
+from memsgyro_jax.device.gyro import mode_frequencies
+
 from .errors import ModelErrors
 
 

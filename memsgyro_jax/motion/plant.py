@@ -8,11 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from ..bound import CROSS_DAMPING_ASYMMETRY, MOTION, OFFSETS
-from ..device import AbstractGyro, Inertial, MotionModel
-from ..errors import InputError
-from ..propagate import Exact, add_rows
-from ..readout import AbstractReadout
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.device.gyro import AbstractGyro, Inertial, MotionModel
+from memsgyro_jax.device.propagate import Exact, add_rows
+from memsgyro_jax.loop.bound import CROSS_DAMPING_ASYMMETRY, MOTION, OFFSETS
+from memsgyro_jax.loop.readout import AbstractReadout
 
 
 EXTRAS = (CROSS_DAMPING_ASYMMETRY.name, "gain_x", "gain_y", "delay_x", "delay_y")

@@ -3,7 +3,7 @@
 import equinox as eqx
 import jax.numpy as jnp
 
-from ..device import (
+from memsgyro_jax.device.gyro import (
     UNCHANGED,
     UX,
     UY,
@@ -17,7 +17,8 @@ from ..device import (
     Scalar,
     Term,
 )
-from ..observers.settings import Prior, arrays
+from memsgyro_jax.loop.observers.settings import Prior, arrays
+
 from .errors import ModelErrors
 
 

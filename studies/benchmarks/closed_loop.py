@@ -25,7 +25,7 @@ def worker(options: argparse.Namespace) -> None:
     if options.no_flags:
         os.environ["JAX_ENABLE_X64"] = "1"
     else:
-        from memsgyro_jax import runtime
+        from memsgyro_jax.base import runtime
 
         runtime.configure(devices=options.cores)
     import memsgyro_jax as mg

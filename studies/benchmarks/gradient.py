@@ -20,16 +20,16 @@ NAMES = ("rate", "kxx", "kyy", "kxy", "dxx", "dyy", "dxy", "sigma")
 
 def worker(options: argparse.Namespace) -> None:
     """One process on one core; prints JSON."""
-    from memsgyro_jax import runtime
+    from memsgyro_jax.base import runtime
 
     runtime.configure(devices=1)
     import numpy as np
 
     import memsgyro_jax as mg
     from memsgyro_jax import losses
-    from memsgyro_jax.objective import Objective
-    from memsgyro_jax.tunable import resolved
-    from memsgyro_jax.tune import timing_of
+    from memsgyro_jax.tuning.objective import Objective
+    from memsgyro_jax.tuning.tunable import resolved
+    from memsgyro_jax.tuning.tune import timing_of
 
     gyro, readout = mg.SingleMassGyro.chi2010(), mg.ChargeAmplifier.chi2010()
     noise = mg.ProcessNoise.of(gyro.model, rate=100.0)

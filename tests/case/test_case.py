@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from case.bench import write_bench
 
-from memsgyro_jax.case import load_case, write_case
-from memsgyro_jax.errors import InputError
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.measurement.case import load_case, write_case
 
 
 CASES = Path(__file__).resolve().parents[3] / "shared" / "data" / "cases"

@@ -5,8 +5,8 @@ import re
 import pytest
 from case.bench import write_bench
 
-from memsgyro_jax.case import load_case
-from memsgyro_jax.errors import InputError
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.measurement.case import load_case
 
 
 @pytest.fixture

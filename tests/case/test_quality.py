@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from case.bench import NOISE, write_bench
 
-from memsgyro_jax.case import assess, load_case
-from memsgyro_jax.case.outliers import interpolation_misfit, lone_rows
+from memsgyro_jax.measurement.case import assess, load_case
+from memsgyro_jax.measurement.case.outliers import interpolation_misfit, lone_rows
 
 
 CASES = Path(__file__).resolve().parents[3] / "shared" / "data" / "cases"

@@ -5,8 +5,8 @@ import pytest
 from case.bench import write_bench
 from case.test_case import assert_same_case
 
-from memsgyro_jax.case import load_case, write_case
-from memsgyro_jax.errors import InputError
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.measurement.case import load_case, write_case
 
 
 RESONATOR = """\

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from oracles import motion
 
-from memsgyro_jax.controllers import DampingCompensation, OpenLoop, ReferenceModel, Tone
-from memsgyro_jax.device import DUAL_MASS, SINGLE_MASS, DualMassGyro, Inertial, SingleMassGyro
-from memsgyro_jax.errors import InputError
-from memsgyro_jax.observers import Clock, Estimate
-from memsgyro_jax.propagate import Exact, applied
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.device.gyro import DUAL_MASS, SINGLE_MASS, DualMassGyro, Inertial, SingleMassGyro
+from memsgyro_jax.device.propagate import Exact, applied
+from memsgyro_jax.loop.controllers import DampingCompensation, OpenLoop, ReferenceModel, Tone
+from memsgyro_jax.loop.observers import Clock, Estimate
 
 
 MOTION = (0.8e-6, -0.4e-6, 0.011, 0.017)

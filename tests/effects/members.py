@@ -4,9 +4,9 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from memsgyro_jax.device.normalised import NormalisedDevice
 from memsgyro_jax.effects import Effect, ForceEffect, catalogue
-from memsgyro_jax.model import Conditions, Model
-from memsgyro_jax.normalised import NormalisedDevice
+from memsgyro_jax.measurement.model import Conditions, Model
 
 
 MEMBERS = catalogue(2)

@@ -8,9 +8,9 @@ from effects.members import MEMBERS
 
 from memsgyro_jax import InputError
 from memsgyro_jax import effects as fx
-from memsgyro_jax.device import SingleMassGyro
-from memsgyro_jax.model import Model
-from memsgyro_jax.resonator import Resonator
+from memsgyro_jax.device.gyro import SingleMassGyro
+from memsgyro_jax.device.resonator import Resonator
+from memsgyro_jax.measurement.model import Model
 
 
 COVERAGE = fx.Coverage(band=(1.1e5, 1.3e5), volts=0.8, durations=(0.0, 2.0, 0.5))

@@ -11,9 +11,9 @@ import pytest
 from effects.shooting import Plant, first_harmonic, settled
 
 from memsgyro_jax import effects as fx
-from memsgyro_jax.device import SingleMassGyro
-from memsgyro_jax.model import Conditions, Model
-from memsgyro_jax.steady import fundamental, steady_state
+from memsgyro_jax.device.gyro import SingleMassGyro
+from memsgyro_jax.measurement.model import Conditions, Model
+from memsgyro_jax.measurement.steady import fundamental, steady_state
 
 
 # A gyro of low quality factor: few periods of memory, strong drive, amplitude A of some 10 µm.

@@ -12,7 +12,7 @@ import pytest
 from effects.members import CONDITIONS, FORCE, FORCE_RATE, LABELS, MEMBERS, model, present, state_of
 
 from memsgyro_jax import effects as fx
-from memsgyro_jax.model import Model
+from memsgyro_jax.measurement.model import Model
 
 
 # One new unit in SI: length, mass, time, voltage, temperature.

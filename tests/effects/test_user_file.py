@@ -6,10 +6,11 @@ import sys
 import numpy as np
 import pytest
 
-from memsgyro_jax import InputError, cli
+from memsgyro_jax import InputError
 from memsgyro_jax import effects as fx
-from memsgyro_jax.device import SingleMassGyro
-from memsgyro_jax.model import Conditions, Model
+from memsgyro_jax.app import cli
+from memsgyro_jax.device.gyro import SingleMassGyro
+from memsgyro_jax.measurement.model import Conditions, Model
 
 
 GOOD = """\

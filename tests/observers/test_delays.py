@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import memsgyro_jax as mg
-from memsgyro_jax.errors import InputError
+from memsgyro_jax.base.errors import InputError
 
 
 EXPECTED, READOUT = mg.UncertainGyro(mg.SingleMassGyro.chi2010()), mg.ChargeAmplifier.chi2010()

@@ -7,13 +7,13 @@ import pytest
 from harness import observe
 from oracles import kalman, motion
 
-from memsgyro_jax.device import DualMassGyro, SingleMassGyro
-from memsgyro_jax.errors import InputError
-from memsgyro_jax.observers import Clock, ExtendedKalmanFilter
-from memsgyro_jax.observers.fading import AdaptiveFading, FixedFading
-from memsgyro_jax.observers.settings import Annealing, Prior, ProcessNoise
-from memsgyro_jax.propagate import Exact, ForwardEuler
-from memsgyro_jax.readout import ChargeAmplifier, DirectReadout
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.device.gyro import DualMassGyro, SingleMassGyro
+from memsgyro_jax.device.propagate import Exact, ForwardEuler
+from memsgyro_jax.loop.observers import Clock, ExtendedKalmanFilter
+from memsgyro_jax.loop.observers.fading import AdaptiveFading, FixedFading
+from memsgyro_jax.loop.observers.settings import Annealing, Prior, ProcessNoise
+from memsgyro_jax.loop.readout import ChargeAmplifier, DirectReadout
 
 
 SINGLE, DUAL = SingleMassGyro.chi2010(), DualMassGyro.chi2010()

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from oracles.kalman import Xia
 
-from memsgyro_jax.device import DualMassGyro, SingleMassGyro
-from memsgyro_jax.errors import InputError
-from memsgyro_jax.observers.fading import AdaptiveFading, FixedFading
-from memsgyro_jax.observers.settings import Annealing, Prior, ProcessNoise, design_prior
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.device.gyro import DualMassGyro, SingleMassGyro
+from memsgyro_jax.loop.observers.fading import AdaptiveFading, FixedFading
+from memsgyro_jax.loop.observers.settings import Annealing, Prior, ProcessNoise, design_prior
 
 
 def factor_of(fading, period):

@@ -7,10 +7,10 @@ from oracles import kalman, motion
 from oracles.lyapunov import Lyapunov, energy
 from scipy.integrate import solve_ivp
 
-from memsgyro_jax.device import DualMassGyro, SingleMassGyro
-from memsgyro_jax.errors import InputError
-from memsgyro_jax.observers import LyapunovObserver
-from memsgyro_jax.readout import ChargeAmplifier, DirectReadout
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.device.gyro import DualMassGyro, SingleMassGyro
+from memsgyro_jax.loop.observers import LyapunovObserver
+from memsgyro_jax.loop.readout import ChargeAmplifier, DirectReadout
 
 
 SINGLE, DUAL = SingleMassGyro.chi2010(), DualMassGyro.chi2010()

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import memsgyro_jax
-from memsgyro_jax.case import load_case
-from memsgyro_jax.case_fit import beside, fit_case
-from memsgyro_jax.diagnosis import Accepted, Candidate, Diagnosis, Stage, validation_error
+from memsgyro_jax.app.report.diagnosis_page import page
+from memsgyro_jax.diagnosis.case_fit import beside, fit_case
+from memsgyro_jax.diagnosis.joint import optimise
+from memsgyro_jax.diagnosis.result import Accepted, Candidate, Diagnosis, Stage, validation_error
 from memsgyro_jax.effects import CubicStiffness
-from memsgyro_jax.joint import optimise
-from memsgyro_jax.report.diagnosis_page import page
+from memsgyro_jax.measurement.case import load_case
 
 
 HOSTILE = '<script>alert("$x_1$")</script> & "quoted" 漢字 $\\frac$'

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import memsgyro_jax as mg
-from memsgyro_jax.report import figures
-from memsgyro_jax.report.sweep_page import settings, sweep_page
-from memsgyro_jax.report.trace_page import trace_page
+from memsgyro_jax.app.report import figures
+from memsgyro_jax.app.report.sweep_page import settings, sweep_page
+from memsgyro_jax.app.report.trace_page import trace_page
 
 
 HOSTILE = "<script>alert(1)</script>.toml"

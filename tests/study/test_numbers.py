@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import memsgyro_jax as mg
-from memsgyro_jax.errors import InputError
-from memsgyro_jax.study.numbers import unit_at
-from memsgyro_jax.tunable import placed
+from memsgyro_jax.app.study.numbers import unit_at
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.tuning.tunable import placed
 
 
 LYAPUNOV = {

@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import memsgyro_jax as mg
-from memsgyro_jax.provenance import fingerprint
-from memsgyro_jax.study.complaints import _lines
+from memsgyro_jax.base.complaints import _lines
+from memsgyro_jax.base.provenance import fingerprint
 
 
 FULL = """

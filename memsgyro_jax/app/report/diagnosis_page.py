@@ -1,0 +1,194 @@
+"""The page of a diagnosis: what is missing from the model, how much it helps, and what the records cannot tell."""
+
+import numpy as np
+
+from memsgyro_jax.diagnosis.compare import judged, times
+from memsgyro_jax.diagnosis.residual_force import rate_residuals, sweep_forces, time_forces
+from memsgyro_jax.diagnosis.result import Accepted, Candidate, Diagnosis
+from memsgyro_jax.measurement.case import FrequencySweepRecord, RateTableRecord
+
+from . import diagnosis_figures as figures
+from . import force_figures
+from .page import Page
+
+
+VERDICTS = {
+    "nothing_missing": "nothing is missing",
+    "found": "the missing effect was found",
+    "cannot_tell": "these records cannot tell which effect is missing",
+    "partly_explained": "partly explained",
+    "unknown_effect": "an unknown effect is missing",
+}
+_BEST = 12  # candidates of the base model that are listed
+
+
+def page(diagnosis: Diagnosis) -> Page:
+    """Build the page of a diagnosis."""
+    out = Page(f"Diagnosis of {diagnosis.case.name}", diagnosis.case.description)
+    out.section(f"Verdict: {VERDICTS[diagnosis.verdict]}").text(diagnosis.sentence)
+    _effects(out, diagnosis)
+    if diagnosis.next_experiment:
+        out.text(f"What to measure next: {diagnosis.next_experiment}.")
+    if len(diagnosis.steps) > 1:
+        names = "; ".join(f"step {k}: {_added(s.added)}" for k, s in enumerate(diagnosis.steps) if k)
+        out.figure(figures.steps_figure(diagnosis.steps), f"How the error fell. {names}.")
+    _errors(out, diagnosis)
+    _records(out, diagnosis)
+    if diagnosis.verdict in ("partly_explained", "unknown_effect"):
+        _forces(out, diagnosis)
+    _ranking(out, diagnosis)
+    _blind(out, diagnosis)
+    out.section("Parameters of the final model")
+    out.table(
+        ["parameter", "value", "± 1 σ", "unit"],
+        [[p.name, f"{p.value:.7g}", f"{p.std:.2g}", p.unit] for p in diagnosis.final.estimates],
+    )
+    out.text(f"Fit: {diagnosis.final.status}. Probability of a false alarm that was allowed: {diagnosis.level:g}.")
+    return out
+
+
+def _effects(out: Page, diagnosis: Diagnosis) -> None:
+    if diagnosis.accepted:
+        out.table(
+            ["effect", "estimate", "95 % interval", "unit", "error before", "error after", "not told apart from"],
+            [_effect(a) for a in diagnosis.accepted],
+            "Effects of the final model; errors are those of readings that were not fitted, over the noise.",
+        )
+
+
+def _effect(a: Accepted) -> list[str]:
+    half = [1.96 * s for s in a.std]
+    spans = (
+        f"{e - h:.4g} to {e + h:.4g}" if np.isfinite(h) else "not held" for e, h in zip(a.estimate, half, strict=True)
+    )
+    return [
+        a.label,
+        ", ".join(f"{e:.5g}" for e in a.estimate),
+        "; ".join(spans),
+        a.unit,
+        times(a.error_before),
+        times(a.error_after),
+        ", ".join(a.confused_with) or "–",
+    ]
+
+
+def _added(label: str) -> str:
+    return label if label.startswith("without") else f"with {label}"
+
+
+def _errors(out: Page, diagnosis: Diagnosis) -> None:
+    out.section("Error of every experiment")
+    before = {(e.name, e.role): e for e in diagnosis.base.errors}
+    rows = [
+        [
+            e.name,
+            "fitted" if e.role == "fit" else "not fitted",
+            e.count,
+            times(before[e.name, e.role].rms),
+            times(e.rms),
+            f"{np.sqrt(e.gate):.3g}",
+            "yes" if e.explained else "no",
+        ]
+        for e in diagnosis.final.errors
+    ]
+    header = ["experiment", "rows", "readings", "base model", "final model", "noise alone below", "explained"]
+    out.table(header, rows, "Root mean square of the deviation over the noise; 1 is the noise floor.")
+    comparison = judged(diagnosis.final)
+    out.text(f"{comparison.verdict.rstrip(':.')}." if comparison.failures else comparison.verdict)
+    for failure in comparison.failures:
+        out.text(failure)
+
+
+def _records(out: Page, diagnosis: Diagnosis) -> None:
+    base, final = diagnosis.base, diagnosis.final
+    force = "V" if diagnosis.case.device == "resonator" else "N"
+    out.section("Measured and predicted")
+    for number, record in enumerate(diagnosis.case.records):
+        if not np.isfinite(base.whitened[number]).any():
+            continue
+        if isinstance(record, FrequencySweepRecord):
+            varied = figures.settings_text(record, force)
+            caption = f"{record.name}, driven on {'xy'[record.axis]}{'; ' + varied if varied else ''}."
+            out.figure(figures.overlay_figure(number, base, final), caption)
+        else:
+            kind = "lock-in phasors" if isinstance(record, RateTableRecord) else "waveforms"
+            out.figure(
+                figures.residual_figure(number, base, final), f"{record.name}: residual of its {kind} over time."
+            )
+
+
+def _ranking(out: Page, diagnosis: Diagnosis) -> None:
+    out.section("Candidates")
+    out.table(
+        ["candidate beside the base model", "χ² it explains", "share of the misfit", "p-value", "own part"],
+        [_candidate(c) for c in diagnosis.first if c.excited][:_BEST],
+        "Best first. The p-value takes all candidates into account; the own part is what no free parameter imitates.",
+    )
+    left = [c for c in diagnosis.candidates if c.p_value <= diagnosis.level and c.excited][:_BEST]
+    if left:
+        out.table(
+            ["candidate beside the final model", "χ² it explains", "share of the misfit", "p-value", "own part"],
+            [_candidate(c) for c in left],
+            "Still significant, but not needed or not better than what was taken.",
+        )
+
+
+def _candidate(c: Candidate) -> list[str]:
+    p = f"{c.p_value:.2g}" if c.p_value >= 1e-12 else "< 1e-12"
+    return [c.label, times(c.score), f"{100 * c.explained_share:.3g} %", p, f"{100 * c.kept_share:.3g} %"]
+
+
+def _blind(out: Page, diagnosis: Diagnosis) -> None:
+    out.section("What these records can and cannot tell")
+    for group in diagnosis.groups:
+        out.text(f"Cannot be told apart: {', '.join(group)}.")
+    blind = [c.label for c in diagnosis.candidates if not c.excited]
+    if blind:
+        out.text(f"Cannot be seen at all, because nothing that was varied excites them: {', '.join(blind)}.")
+    seen = [[c.label, f"{c.smallest_visible:.2g}", c.unit] for c in diagnosis.candidates if c.excited]
+    if seen:
+        out.table(
+            ["effect absent from the final model", "smallest visible strength", "unit"],
+            sorted(seen),
+            "Each would have been found with a probability of 90 % if it were this strong.",
+        )
+
+
+def _forces(out: Page, diagnosis: Diagnosis) -> None:
+    """What the final model still lacks, as forces."""
+    final, gyro = diagnosis.final, diagnosis.case.device == "single_mass"
+    motion, force = ((1e6, "µm"), (1e9, "nN")) if gyro else ((1.0, "V"), (1.0, "V"))
+    units = ("N/m", "N s/m") if gyro else ("V/V", "V s/V")
+    out.section("The force that is missing").text(
+        "What the final model would need to move as it was seen to move. A law that fits these points is an effect of "
+        "one's own in about ten lines; --effects takes its file."
+    )
+    drawn = 0
+    for sweep in sweep_forces(final):
+        for axis in force_figures.shown_axes(sweep):
+            along = "xy"[sweep.axis]
+            out.figure(
+                force_figures.sweep_figure(sweep, axis, motion, *units),
+                f"{sweep.record}: force on {'xy'[axis]} as stiffness and damping, F = −k·{along} − d·d{along}/dt, "
+                "against the amplitude of the driven axis and the settings; a lighter point is a stronger drive. "
+                "Points that the noise makes uncertain are left out.",
+            )
+            drawn += 1
+    for course in time_forces(final):
+        for axis in range(final.model.axes):
+            if course.force[:, axis].any():
+                out.figure(
+                    force_figures.time_figure(course, axis, motion, force),
+                    f"{course.record}: force on {'xy'[axis]} near the resonances.",
+                )
+                drawn += 1
+    unexplained = {e.name for e in final.errors if not e.explained}
+    for left in rate_residuals(final):
+        if left.record in unexplained:
+            out.figure(
+                force_figures.rate_figure(left, diagnosis.case.readout.unit),
+                f"{left.record}: what is left, in phase with displacement and velocity of the driven axis.",
+            )
+            drawn += 1
+    if not drawn:
+        out.text("No record shows it as a force above its noise.")

@@ -1,0 +1,131 @@
+"""A report page: sections of text, tables and figures in one HTML file that loads nothing from anywhere.
+
+Everything that is not a figure is escaped; figures are SVG drawn here by matplotlib. The page's content policy forbids
+scripts and every outside resource, so that a report may be opened from an untrusted share.
+"""
+
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from jinja2 import Environment, PackageLoader, StrictUndefined, Template
+from markupsafe import Markup
+
+from memsgyro_jax import __version__
+from memsgyro_jax.base.files import write_whole
+
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True)
+class Text:
+    """A paragraph."""
+
+    text: str
+    kind: str = "text"
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of text below a header; columns that hold numbers only are set flush right."""
+
+    header: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    caption: str
+    numeric: Sequence[bool]
+    kind: str = "table"
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A figure as SVG text."""
+
+    svg: Markup
+    caption: str
+    kind: str = "figure"
+
+
+class Page:
+    """Builds a page from top to bottom.
+
+    page = Page("Coupling errors", "sweep.csv")
+    page.section("Result").text("...").table(["name", "value"], [["c_xy", "-6.96e-08"]])
+    page.save("report.html")
+    """
+
+    def __init__(self, title: str, subtitle: str = "", footer: str | None = None):
+        self.title, self.subtitle = title, subtitle
+        self.footer = f"memsgyro_jax {__version__}" if footer is None else footer
+        self._sections: list[dict] = []
+
+    def section(self, title: str) -> "Page":
+        """Begin a section; what follows goes into it."""
+        self._sections.append({"title": title, "parts": []})
+        return self
+
+    def text(self, text: str) -> "Page":
+        """A paragraph of plain text."""
+        return self._add(Text(text))
+
+    def table(self, header: Sequence[str], rows: Sequence[Sequence[object]], caption: str = "") -> "Page":
+        """A table; every cell is shown as its text."""
+        cells = [[str(cell) for cell in row] for row in rows]
+        numeric = [bool(cells) and all(_is_number(row[i]) for row in cells) for i in range(len(header))]
+        return self._add(Table(list(header), cells, caption, numeric))
+
+    def figure(self, figure: "Figure", caption: str) -> "Page":
+        """A matplotlib figure, as SVG within the page."""
+        return self._add(Drawing(_svg(figure, salt=f"figure-{sum(len(s['parts']) for s in self._sections)}"), caption))
+
+    def html(self) -> str:
+        """The page as text."""
+        return _template().render(title=self.title, subtitle=self.subtitle, sections=self._sections, footer=self.footer)
+
+    def save(self, path: str | Path) -> Path:
+        """Write the page, whole or not at all."""
+        return write_whole(path, self.html())
+
+    def _add(self, part: Text | Table | Drawing) -> "Page":
+        if not self._sections:
+            self.section("")
+        self._sections[-1]["parts"].append(part)
+        return self
+
+
+@cache
+def _template() -> Template:
+    # Autoescape is unconditional: no file name decides whether a user's text is trusted.
+    environment = Environment(
+        loader=PackageLoader("memsgyro_jax.app.report", "."),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template("page.html")
+
+
+def _svg(figure: "Figure", salt: str) -> Markup:
+    import matplotlib as mpl
+
+    buffer = io.StringIO()
+    # Text stays text (small, selectable, searchable); the salt keeps ids of several figures on one page apart and
+    # reproducible.
+    with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": salt, "font.family": "sans-serif"}):
+        figure.savefig(buffer, format="svg", metadata={"Date": None}, bbox_inches="tight")
+    text = buffer.getvalue()
+    return Markup(text[text.index("<svg") :])  # without the XML prolog, which has no place inside HTML
+
+
+def _is_number(text: str) -> bool:
+    head = text.strip().split(" ")[0].rstrip("%").replace("−", "-")
+    try:
+        float(head)
+    except ValueError:
+        return text.strip() in {"", "-", "–"}
+    return True

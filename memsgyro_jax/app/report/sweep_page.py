@@ -1,0 +1,115 @@
+"""The page of `memsgyro sweep`: result, pictures, the worst dies, and the settings that repeat it."""
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from . import figures
+from .page import Page
+
+
+if TYPE_CHECKING:
+    from memsgyro_jax.montecarlo.sweep import Lot
+
+    from ..study import Study
+
+_WORST = 10
+
+
+def sweep_page(lot: "Lot", study: "Study") -> Page:
+    """The report of `lot`, a sweep of `study`."""
+    summary = lot.summary
+    page = Page(
+        "Sweep over fabricated dies", f"{summary.dies} dies of {study.source.name}, seed {summary.settings.seed}"
+    )
+    page.section("Result").text(_headline(lot)).table(["figure", "value"], summary.rows())
+    page.section("Rate error at the end")
+    page.figure(figures.error_figure(lot), "Estimated minus true rate of each die at the end of the run.")
+    page.section("Convergence")
+    page.figure(
+        figures.convergence_figure(lot), "The estimated rate of the dies over time, as means over short windows."
+    )
+    _add_parameters(page, lot)
+    page.section(f"The {min(_WORST, summary.dies)} worst dies").table(*_worst(lot))
+    page.section("Settings")
+    page.text("Written as a study file, these settings repeat the sweep; so does the seed on any number of cores.")
+    page.table(["entry", "value"], list(settings(study.file.model_dump(by_alias=True, exclude_none=True))))
+    page.table(["made with", "version"], [*summary.settings.versions, ("fingerprint", summary.settings.fingerprint)])
+    return page
+
+
+def _headline(lot: "Lot") -> str:
+    summary = lot.summary
+    lost = "none was lost" if summary.failed == 0 else f"{summary.failed} were lost (out of travel or not finite)"
+    share, low, high = (100.0 * part for part in (summary.good.value, summary.good.low, summary.good.high))
+    text = f"Of {summary.dies} dies {lost}; {share:.1f} % ({low:.1f} to {high:.1f} % with 95 % confidence) are good: "
+    text += f"{summary.good.criterion}. "
+    if summary.ratio_to_bound is not None and summary.bound is not None:
+        text += (
+            f"The rate error is {np.degrees(summary.end.rms):.3g} deg/s rms, {summary.ratio_to_bound:.2f} times the "
+            f"{np.degrees(summary.bound):.3g} deg/s that any use of the same data and prior could reach at best."
+        )
+    else:
+        text += f"The rate error is {np.degrees(summary.end.rms):.3g} deg/s rms."
+    return text
+
+
+def _add_parameters(page: Page, lot: "Lot") -> None:
+    figure = figures.parameter_figure(lot)
+    page.section("Rate error against the drawn parameters")
+    if figure is None:
+        page.text("No parameter was varied.")
+        return
+    page.text(
+        "A tilted cloud is a parameter whose spread becomes a rate error; a funnel is one that makes the rate harder "
+        "to see. Rank correlations below about "
+        f"{2.0 / np.sqrt(max(lot.summary.dies - lot.summary.failed, 1)):.2f} are what chance gives."
+    )
+    page.figure(figure, "Each point is a die; parameters in falling order of rank correlation.")
+
+
+def _worst(lot: "Lot") -> tuple[list[str], list[list[str]]]:
+    """Lost dies first, in the order in which they were lost, then by the size of the error."""
+    data = lot.data
+    error, lost = np.degrees(data["rate_error_end"].values), data["lost_at"].values
+    order = np.lexsort((-np.abs(error), lost))[:_WORST]
+    names = [str(name) for name in data.coords["parameter"].values] if data.sizes.get("parameter") else []
+    middle = np.median(data["drawn"].values, axis=0) if names else np.empty(0)
+    header = ["die", "rate error [deg/s]", "claimed std [deg/s]", "converged after [ms]", "unusual in"]
+    rows = []
+    for die in order:
+        values = data["drawn"].values[die] if names else np.empty(0)
+        fate = f"lost at {1e3 * lost[die]:.3g} ms" if np.isfinite(lost[die]) else f"{error[die]:+.3g}"
+        claimed = np.degrees(float(data["rate_std_end"].values[die]))
+        converged = 1e3 * float(data["convergence_time"].values[die])
+        rows.append([str(die), fate, _or_dash(claimed), _or_dash(converged, "never"), _unusual(names, values, middle)])
+    return header, rows
+
+
+def _unusual(names: list[str], values: np.ndarray, middle: np.ndarray) -> str:
+    """The two parameters farthest from the median, relative to it."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        away = np.where(middle != 0.0, values / middle - 1.0, 0.0)
+    far = np.argsort(-np.abs(away))[:2]
+    return ", ".join(f"{figures.short(names[i])} {100.0 * away[i]:+.0f} %" for i in far) or "–"
+
+
+def _or_dash(value: float, otherwise: str = "–") -> str:
+    return f"{value:.3g}" if np.isfinite(value) else otherwise
+
+
+def settings(value: Any, name: str = "") -> Iterator[tuple[str, str]]:
+    """Dotted name and text of every entry of nested settings; empty tables and lists are left out."""
+    if isinstance(value, dict):
+        for key, entry in value.items():
+            yield from settings(entry, f"{name}.{key}" if name else key)
+    elif isinstance(value, list | tuple) and any(isinstance(entry, dict | list | tuple) for entry in value):
+        for number, entry in enumerate(value):
+            yield from settings(entry, f"{name}.{number}" if len(value) > 1 else name)
+    elif isinstance(value, list | tuple):
+        same = len(set(map(str, value))) == 1
+        if value:
+            yield name, str(value[0]) if same else ", ".join(map(str, value))
+    else:
+        yield name, str(value)

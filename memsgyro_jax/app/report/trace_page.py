@@ -1,0 +1,29 @@
+"""The page of `memsgyro simulate`: one run in pictures, and the settings that repeat it."""
+
+from typing import TYPE_CHECKING
+
+from . import figures
+from .page import Page
+from .sweep_page import settings
+
+
+if TYPE_CHECKING:
+    from memsgyro_jax.loop.trace import Trace
+
+    from ..study import Study
+
+
+def trace_page(trace: "Trace", study: "Study", rows: list[tuple[str, str]]) -> Page:
+    """The report of `trace`, a run of `study`; `rows` are its figures as name and value."""
+    page = Page("One run of the closed loop", f"{study.source.name}, seed {trace.settings.seed}")
+    page.section("Result").table(["figure", "value"], rows)
+    page.section("Rate").figure(figures.rate_figure(trace), "Estimated and true rate over time.")
+    motion = figures.motion_figure(trace)
+    if motion is not None:
+        page.section("Motion").figure(motion, "Displacement over the last periods; estimated, and dashed the true one.")
+    page.section("Coefficients")
+    page.figure(figures.coefficients_figure(trace), "Size of estimate over truth minus one.")
+    page.section("Settings")
+    page.table(["entry", "value"], list(settings(study.file.model_dump(by_alias=True, exclude_none=True))))
+    page.table(["made with", "version"], [*trace.settings.versions, ("fingerprint", trace.settings.fingerprint)])
+    return page

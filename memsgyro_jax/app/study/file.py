@@ -1,0 +1,242 @@
+"""The study file as a whole: its sections, the objects they describe, and writing it."""
+
+import json
+import re
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import ConfigDict, Field, ValidationError
+
+from memsgyro_jax.base.complaints import Source
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.files import write_whole
+from memsgyro_jax.base.quantity import Part, field_unit
+from memsgyro_jax.loop.filters import check_fits
+from memsgyro_jax.loop.loop import ClosedLoop
+from memsgyro_jax.loop.observers import ExtendedKalmanFilter
+from memsgyro_jax.loop.readout import THESIS_RATE, snr_density
+from memsgyro_jax.loop.scenario import Scenario
+from memsgyro_jax.montecarlo.spread import Normal, Root, Spread, Vary
+from memsgyro_jax.tuning.tunable import Tunable, free
+
+from .hardware import Charge, Device, Readout, SingleMass
+from .laws import Added, Anneal, Compensation, Controller, Kalman, Observer, discretisation
+from .numbers import entries_of, unit_at
+from .output import Filter
+from .plan import Lot, Run, Start
+from .surroundings import FOLDER, Surroundings
+from .tuning import Tune
+
+
+SCHEMA = "memsgyro-study/1"
+_BARE = re.compile(r"[A-Za-z0-9_-]+")
+
+
+def _device() -> SingleMass:
+    """Thesis Table 5.1."""
+    return SingleMass(
+        kind="single_mass", mass="1.8e-7 kg", kxx="63.96 N/m", kyy="95.92 N/m", kxy="12.78 N/m",
+        dxx="3.6e-6 N*s/m", dyy="4.5e-6 N*s/m", dxy="3.6e-7 N*s/m",
+    )  # fmt: skip
+
+
+def _readout() -> Charge:
+    """Thesis Table 5.3, with the noise density of 1 mV per sample at 10 MHz."""
+    return Charge(
+        kind="charge_amplifier", fingers=113, width="5e-6 m", gap="1e-6 m", overlap="50e-6 m",
+        mismatch=["0.1e-6 m", "0.085e-6 m"], bias="10 V", feedback="1e-12 F", parasitic="1e-12 F",
+        opamp_offset=["2e-3 V", "1e-3 V"],
+        noise_density=f"{snr_density(100.0, 1e-6, 1e5, THESIS_RATE)!r} V/sqrt(Hz)",
+    )  # fmt: skip
+
+
+class StudyFile(Part):
+    """All sections. One that is left out is that of the default study; one that is given replaces it as a whole."""
+
+    model_config = ConfigDict(validate_by_name=True, validate_by_alias=True)
+    format: Literal["memsgyro-study/1"] = Field(default=SCHEMA, alias="schema")
+    device: Device = Field(default_factory=_device)
+    readout: Readout = Field(default_factory=_readout)
+    observer: Observer = Field(default_factory=lambda: Kalman(kind="ekf", annealing=Anneal()))
+    controller: Controller = Field(
+        default_factory=lambda: Compensation(
+            kind="damping_compensation", tones=(Added(frequency="600 Hz", amplitude="53.95 m/s^2"),)
+        )
+    )
+    filter: Filter | None = None
+    loop: Start = Start()
+    scenario: Surroundings = Field(default_factory=lambda: Surroundings(rate="1 rad/s"))
+    spread: Lot = Lot(relative=0.15)
+    sweep: Run = Run()
+    tune: Tune = Tune()
+
+    def unit_of(self, path: str) -> str | None:
+        """The unit of a number of the loop or scenario, where the sections know it."""
+        first, *rest = [part for part in path.split(".") if not part.isdigit()]
+        if path == "device.cross_damping_asymmetry":
+            return "N*s/m"
+        if first == "start":
+            return "m" if path in ("start.0", "start.1") else "m/s"
+        if first in ("device", "readout", "filter") and len(rest) == 1 and getattr(self, first) is not None:
+            return field_unit(type(getattr(self, first)), rest[0])
+        if path.startswith("scenario.rate.") and len(self.scenario.rate) == 1:
+            return field_unit(type(self.scenario.rate[0]), rest[-1])
+        return None
+
+
+@dataclass(frozen=True)
+class Study:
+    """A study as objects: what `simulate` and `sweep` take.
+
+    `settings` holds dies, sample_rate [Hz], duration [s], settle [s], tolerance [rad/s], seed and chunk; `file` the
+    form in which it is written.
+    """
+
+    loop: ClosedLoop
+    scenario: Scenario
+    spread: Spread
+    file: StudyFile
+    source: Source
+
+    @property
+    def settings(self) -> Run:
+        """Section `[sweep]`."""
+        return self.file.sweep
+
+    @property
+    def tune_arguments(self) -> dict[str, Any]:
+        """`tune(**study.tune_arguments)` tunes what section `[tune]` says."""
+        run, section = self.settings, self.file.tune
+        settle = 0.5 * run.duration if run.settle is None else run.settle
+        return {
+            "loop": self.loop, "spread": self.spread, "scenario": self.scenario, "free": self._free(),
+            "loss": section.chosen_loss(settle), "dies": section.dies, "validation_dies": section.validation_dies,
+            "evaluations": section.evaluations, "report_dies": run.dies, "sample_rate": run.sample_rate,
+            "duration": run.duration, "settle": settle, "seed": run.seed,
+        }  # fmt: skip
+
+    def _free(self) -> tuple[Tunable, ...]:
+        names, section = self.loop.device.model.names, self.file.tune
+        if section.free is None:
+            kalman = isinstance(self.loop.observer, ExtendedKalmanFilter)
+            own = ("noise_density", "process_noise.rate") if kalman else ("gain",)
+            return free(observer=own) + (() if self.loop.filter is None else free("filter"))
+        found = []
+        for number in section.free:
+            with self.source.section("tune", "free"):
+                try:
+                    found.append(number.build(unit_at(self.file, names, number.path)))
+                except ValueError as error:
+                    raise InputError(f"{number.path}: {error}") from error
+        with self.source.section("tune", "free"):
+            return free(found)
+
+    def with_numbers(self, loop: ClosedLoop, paths: tuple[str, ...]) -> "Study":
+        """This study with the numbers that `loop`, tuned say, has at `paths`.
+
+        Raises `InputError` for one that a study file does not hold.
+        """
+        return self.changed(entries_of(self.file, loop, paths))
+
+    @property
+    def sweep_arguments(self) -> dict[str, Any]:
+        """`sweep(**study.sweep_arguments)` is the study's sweep."""
+        return {"loop": self.loop, "spread": self.spread, "scenario": self.scenario, **self.settings.numbers()}
+
+    def changed(self, changes: dict[str, Any]) -> "Study":
+        """This study with entries replaced by dotted name, for example `{"sweep.dies": 64, "device.mass": "2e-7 kg"}`.
+
+        Raises `InputError` as for a file with these entries.
+        """
+        data = self._data(None)
+        for path, value in changes.items():
+            *tables, key = path.split(".")
+            here = data
+            for table in tables:
+                here = here.setdefault(table, {})
+            here[key] = value
+        # A line of the file would name a value that the change has replaced.
+        changed = Source(f"{self.source.name}, changed", self.source.folder)
+        return replace(read_study(data, changed), source=self.source)
+
+    def to_toml(self, folder: str | Path | None = None) -> str:
+        """The study as a file; names of recorded rates are relative to `folder` where they lie below it."""
+        data = self._data(folder)
+        lines = [f"schema = {json.dumps(data.pop('schema'))}"]
+        for section, entries in data.items():
+            lines += ["", f"[{section}]", *(f"{_key(name)} = {_inline(value)}" for name, value in entries.items())]
+        return "\n".join(lines) + "\n"
+
+    def write(self, path: str | Path) -> Path:
+        """Write the study file `path`, whole or not at all."""
+        return write_whole(path, self.to_toml(Path(path).parent))
+
+    def __repr__(self) -> str:
+        return f"Study of {self.source.name}\n{self.to_toml()}"
+
+    def _data(self, folder: str | Path | None) -> dict[str, Any]:
+        dumped = self.file.model_dump(by_alias=True, exclude_none=True, context={FOLDER: folder})
+        return _without_empty(dumped)
+
+
+def read_study(data: dict[str, Any], source: Source) -> Study:
+    """The study that the parsed TOML `data` describes; raises `InputError` with everything that is wrong with it."""
+    try:
+        file = StudyFile.model_validate(data, context={FOLDER: source.folder})
+    except ValidationError as error:
+        raise source.complain(error.errors(include_url=False), StudyFile, data) from error
+    return _build(file, source)
+
+
+def _build(file: StudyFile, source: Source) -> Study:
+    gyro = file.device.build()
+    with source.section("readout"):
+        readout = file.readout.build()
+    with source.section("observer"):
+        observer = file.observer.build(gyro, readout)
+    with source.section("controller"):
+        controller = file.controller.build()
+    start = (*file.loop.displacement, *file.loop.velocity)
+    plant = discretisation(file.loop.discretisation)
+    filter_ = file.filter and file.filter.build()
+    loop = ClosedLoop(gyro, readout, observer, controller, start, file.loop.travel, plant, filter_)
+    scenario = file.scenario.build()
+    if filter_ is not None:
+        with source.section("filter"):
+            check_fits(filter_, file.sweep.sample_rate)
+    with source.section("sweep", "sample_rate"):
+        loop.sampled_at(file.sweep.sample_rate)
+    with source.section("sweep", "settle"):
+        if file.sweep.settle is not None and file.sweep.settle >= file.sweep.duration:
+            raise InputError(
+                f"must be shorter than the duration of {file.sweep.duration:g} s, but is {file.sweep.settle:g} s."
+            )
+    with source.section("spread"):
+        for path in file.spread.parameters:
+            Vary(path, Normal()).read(Root(loop, scenario))
+        spread = file.spread.build(file.unit_of)
+    return Study(loop, scenario, spread, file, source)
+
+
+def _without_empty(value: Any) -> Any:
+    """Tables without the entries that say nothing: empty lists and tables are what their absence means."""
+    if isinstance(value, dict):
+        kept = {name: _without_empty(entry) for name, entry in value.items()}
+        return {name: entry for name, entry in kept.items() if entry not in ((), [], {})}
+    return [_without_empty(entry) for entry in value] if isinstance(value, list | tuple) else value
+
+
+def _inline(value: Any) -> str:
+    """A TOML value on one line."""
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{_key(name)} = {_inline(entry)}" for name, entry in value.items()) + " }"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(_inline, value)) + "]"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return repr(value) if isinstance(value, int | float) else json.dumps(value, ensure_ascii=False)
+
+
+def _key(name: str) -> str:
+    return name if _BARE.fullmatch(name) else json.dumps(name, ensure_ascii=False)

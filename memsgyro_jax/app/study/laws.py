@@ -1,0 +1,249 @@
+"""Sections `[observer]` and `[controller]` of a study file."""
+
+from typing import Annotated, Literal
+
+import equinox as eqx
+import jax.numpy as jnp
+from pydantic import Field
+
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.quantity import (
+    Acceleration,
+    Density,
+    Duration,
+    Hertz,
+    In,
+    Metre,
+    Newton,
+    Pair,
+    Part,
+    PerSecond,
+    Pure,
+    Radian,
+    Share,
+    Whole,
+)
+from memsgyro_jax.device.gyro import AbstractGyro
+from memsgyro_jax.device.propagate import AbstractDiscretisation, Exact, ForwardEuler
+from memsgyro_jax.loop.controllers import AbstractController, DampingCompensation, OpenLoop, ReferenceModel, Tone
+from memsgyro_jax.loop.controllers.base import Tones
+from memsgyro_jax.loop.observers import AbstractObserver, ExtendedKalmanFilter, LyapunovObserver
+from memsgyro_jax.loop.observers.fading import AbstractFading, AdaptiveFading, FixedFading
+from memsgyro_jax.loop.observers.settings import Annealing, ProcessNoise, design_prior
+from memsgyro_jax.loop.readout import AbstractReadout
+
+
+Discretisation = Literal["exact", "euler"]
+Positive = Annotated[float, Field(gt=0.0), In("1")]
+
+
+def discretisation(name: Discretisation) -> AbstractDiscretisation:
+    """The way a sample is computed: exactly, or by the thesis' forward Euler."""
+    return Exact() if name == "exact" else ForwardEuler()
+
+
+class Fixed(Part):
+    """`fading = { kind = "fixed", forgetting = "1400 1/s" }`; zero never forgets."""
+
+    kind: Literal["fixed"]
+    forgetting: PerSecond
+
+    def build(self) -> AbstractFading:
+        """The law."""
+        return FixedFading(self.forgetting)
+
+
+class Adaptive(Part):
+    """`fading = { kind = "adaptive", window = "1 ms" }`: forget when the innovations exceed what is expected."""
+
+    kind: Literal["adaptive"]
+    window: Duration = 1e-3
+    ceiling: Annotated[float, Field(ge=1.0), In("1")] = 1.01
+
+    def build(self) -> AbstractFading:
+        """The law."""
+        return AdaptiveFading(self.window, self.ceiling)
+
+
+Fading = Annotated[Fixed | Adaptive, Field(discriminator="kind")]
+
+
+class Anneal(Part):
+    """`annealing = { excess = 1000, decay = "0.5 ms" }`: a cautious start; `excess = 0` is none."""
+
+    excess: Share = 1000.0
+    decay: Duration = 0.5e-3
+
+
+class PriorSpread(Part):
+    """Standard deviations of what the filter believes at the start; zero means known exactly.
+
+    `spread` of each coefficient relative to its design value; `motion_error` relative to `amplitude`, the displacement
+    along x at which the filter starts.
+    """
+
+    spread: Share = 0.15
+    rate_std: Annotated[float, Field(ge=0.0), In("rad/s")] = 3.0
+    offset_std: Annotated[float, Field(ge=0.0), In("V")] = 20e-3
+    amplitude: Metre = 1e-6
+    motion_error: Share = 0.05
+
+
+_Walk = Annotated[float, Field(ge=0.0), In("rad^2/s^3")]
+_StiffnessWalk = Annotated[float, Field(ge=0.0), In("1/s^5")]
+_DampingWalk = Annotated[float, Field(ge=0.0), In("1/s^3")]
+_MassWalk = Annotated[float, Field(ge=0.0), In("1/(kg^2*s)")]
+
+
+class Walks(Part):
+    """Random-walk intensities in (unit of the entry)²/s; what is not named does not walk."""
+
+    rate: _Walk | None = None
+    rate_x: _Walk | None = None
+    kxx: _StiffnessWalk | None = None
+    kyy: _StiffnessWalk | None = None
+    kxy: _StiffnessWalk | None = None
+    kyx: _StiffnessWalk | None = None
+    dxx: _DampingWalk | None = None
+    dyy: _DampingWalk | None = None
+    dxy: _DampingWalk | None = None
+    sigma: _MassWalk | None = None
+    sigma_x: _MassWalk | None = None
+    sigma_y: _MassWalk | None = None
+    offset: Pair[Annotated[float, Field(ge=0.0), In("V^2/s")]] = (0.0, 0.0)
+    position: Pair[Annotated[float, Field(ge=0.0), In("m^2/s")]] = (0.0, 0.0)
+    velocity: Pair[Annotated[float, Field(ge=0.0), In("m^2/s^3")]] = (0.0, 0.0)
+
+    def build(self, gyro: AbstractGyro) -> ProcessNoise:
+        """The process noise; raises `InputError` for a coefficient that the device does not have."""
+        given = self.numbers()
+        offset, motion = given.pop("offset"), (*given.pop("position"), *given.pop("velocity"))
+        theta = ProcessNoise.of(gyro.model, **{name: value for name, value in given.items() if value is not None}).theta
+        return ProcessNoise(motion, offset, theta)
+
+
+class Kalman(Part):
+    """`kind = "ekf"`: extended Kalman filter. `noise_density` left out is that of the read-out."""
+
+    kind: Literal["ekf"]
+    known: tuple[str, ...] = ()
+    with_offsets: bool = True
+    iterations: Annotated[Whole, Field(ge=1)] = 1
+    discretisation: Discretisation = "exact"
+    noise_density: Pair[Density] | None = None
+    annealing: Anneal | None = None
+    fading: Fading | None = None
+    process_noise: Walks = Walks()
+    prior: PriorSpread = PriorSpread()
+
+    def build(self, gyro: AbstractGyro, readout: AbstractReadout) -> AbstractObserver:
+        """The filter; raises `InputError` for a coefficient that the device does not have."""
+        made = ExtendedKalmanFilter.for_device(
+            gyro,
+            readout,
+            known=self.known,
+            with_offsets=self.with_offsets,
+            prior=design_prior(gyro, **self.prior.numbers()),
+            process_noise=self.process_noise.build(gyro),
+            fading=self.fading and self.fading.build(),
+            annealing=self.annealing and Annealing(**self.annealing.numbers()),
+            discretisation=discretisation(self.discretisation),
+            iterations=self.iterations,
+        )
+        if self.noise_density is None:
+            return made
+        return eqx.tree_at(lambda o: o.noise_density, made, tuple(map(jnp.asarray, self.noise_density)))
+
+
+class Lyapunov(Part):
+    """`kind = "lyapunov"`: the thesis' own observer; it needs a velocity read-out. `start` scales the first guess.
+
+    `adaptation` multiplies the unit gains of the coefficients, in the order of the device's model; left out, all are 1
+    but those of `known`, which are 0.
+    """
+
+    kind: Literal["lyapunov"]
+    gain: Pair[Positive] = (100.0, 100.0)
+    known: tuple[str, ...] = ()
+    adaptation: tuple[Share, ...] | None = None
+    start: Pure = 1.0
+    length: Annotated[float, Field(gt=0.0), In("m")] = 1e-6
+    frequency: Annotated[float, Field(gt=0.0), In("rad/s")] = 18849.55592153876
+    discretisation: Discretisation = "exact"
+
+    def build(self, gyro: AbstractGyro, readout: AbstractReadout) -> AbstractObserver:
+        """The observer; raises `InputError` for another read-out or a coefficient that the device does not have."""
+        given = {**self.numbers(), "discretisation": discretisation(self.discretisation)}
+        adaptation = given.pop("adaptation")
+        made = LyapunovObserver.for_device(gyro, readout, **given)
+        if adaptation is None:
+            return made
+        if len(adaptation) != len(made.adaptation):
+            raise InputError(
+                f"adaptation must have one entry for each of {', '.join(gyro.model.names)}, but has {len(adaptation)}"
+            )
+        return eqx.tree_at(lambda o: o.adaptation, made, tuple(map(jnp.asarray, adaptation)))
+
+
+Observer = Annotated[Kalman | Lyapunov, Field(discriminator="kind")]
+
+
+class Added(Part):
+    """An auxiliary acceleration `{ frequency, amplitude, phase, axis }`; `axis` is "x", "y" or "both"."""
+
+    frequency: Hertz
+    amplitude: Acceleration
+    phase: Radian = 0.0
+    axis: Literal["x", "y", "both"] = "both"
+
+
+class Force(Part):
+    """A drive force `{ frequency, amplitude, phase, axis }` in N."""
+
+    frequency: Hertz
+    amplitude: Newton
+    phase: Radian = 0.0
+    axis: Literal["x", "y", "both"] = "both"
+
+
+def _tones(given: tuple[Added | Force, ...]) -> Tones:
+    made = [(tone.axis, Tone(tone.frequency, tone.amplitude, tone.phase)) for tone in given]
+    x, y = (tuple(tone for axis, tone in made if axis in (name, "both")) for name in "xy")
+    return x, y
+
+
+class Compensation(Part):
+    """`kind = "damping_compensation"`: thesis (4.27), (4.28)."""
+
+    kind: Literal["damping_compensation"]
+    tones: tuple[Added, ...] = ()
+
+    def build(self) -> AbstractController:
+        """The controller."""
+        return DampingCompensation(_tones(self.tones))
+
+
+class Reference(Part):
+    """`kind = "reference_model"`: thesis (4.17), (4.18); `frequency` of x and y, which must differ."""
+
+    kind: Literal["reference_model"]
+    frequency: tuple[Hertz, Hertz]
+    tones: tuple[Added, ...] = ()
+
+    def build(self) -> AbstractController:
+        """The controller."""
+        return ReferenceModel(self.frequency, _tones(self.tones))
+
+
+class Open(Part):
+    """`kind = "open_loop"`: forces that ignore the estimate."""
+
+    kind: Literal["open_loop"]
+    tones: tuple[Force, ...] = ()
+
+    def build(self) -> AbstractController:
+        """The controller."""
+        return OpenLoop(_tones(self.tones))
+
+
+Controller = Annotated[Compensation | Reference | Open, Field(discriminator="kind")]

@@ -1,0 +1,119 @@
+"""Where the numbers of a loop stand in a study file: the way back from a tuned loop to text."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.quantity import In, Part, field_unit
+from memsgyro_jax.loop.loop import ClosedLoop
+
+from .laws import Walks
+
+
+class Entry(NamedTuple):
+    """A dotted name in the file, its unit, and the paths of the loop's numbers that it holds, one or two."""
+
+    name: str
+    unit: str
+    paths: tuple[str, ...]
+
+
+_PLAIN = ("device", "readout", "filter", "observer")
+_NESTED = ("observer.fading", "observer.annealing")
+
+
+def entry_of(file: Any, names: tuple[str, ...], path: str) -> Entry | None:
+    """The entry that holds the number at `path` of a loop whose coefficients have `names`; None where none does.
+
+    `file` is the `StudyFile`. Auxiliary tones are told apart by `tones_of`.
+    """
+    head, _, last = path.rpartition(".")
+    walk = _walk_of(names, head, last)
+    if walk:
+        return walk
+    if last.isdigit():
+        section, _, field = head.rpartition(".")
+        pair = tuple(f"{head}.{i}" for i in range(len(names) if field == "adaptation" else 2))
+    else:
+        section, field, pair = head, last, (path,)
+    if section in _PLAIN or section in _NESTED:
+        part = file
+        for name in section.split("."):
+            part = getattr(part, name, None)
+        unit = field_unit(type(part), field) if isinstance(part, Part) else None
+        return None if unit is None else Entry(f"{section}.{field}", unit, pair)
+    return None
+
+
+def _walk_of(names: tuple[str, ...], head: str, last: str) -> Entry | None:
+    """Process noise: coefficients by name, motion as position and velocity."""
+    table = "observer.process_noise"
+    if not head.startswith(f"{table}.") or not last.isdigit():
+        return None
+    kind, index = head.removeprefix(f"{table}."), int(last)
+    paths: tuple[str, ...]
+    if kind == "theta":
+        field, paths = names[index], (f"{head}.{index}",)
+    elif kind == "motion":
+        field, first = ("position", 0) if index < 2 else ("velocity", 2)
+        paths = tuple(f"{head}.{first + axis}" for axis in (0, 1))
+    else:
+        field, paths = "offset", tuple(f"{head}.{axis}" for axis in (0, 1))
+    unit = field_unit(Walks, field)
+    return None if unit is None else Entry(f"{table}.{field}", unit, paths)
+
+
+def unit_at(file: Any, names: tuple[str, ...], path: str) -> str | None:
+    """Unit of the number, or of all numbers, at `path` of a loop; coefficients may stand by their name."""
+    prefix = "observer.process_noise."
+    name = path.removeprefix(f"{prefix}theta.") if path.startswith(f"{prefix}theta.") else path.removeprefix(prefix)
+    if name != path and name in names:
+        path = f"{prefix}theta.{names.index(name)}"
+    if path.startswith("controller.tones."):
+        return _tone_units(file).get(path.rpartition(".")[2])
+    for candidate in (path, f"{path}.0"):
+        entry = entry_of(file, names, candidate)
+        if entry is not None:
+            return entry.unit
+    return None
+
+
+def entries_of(file: Any, loop: ClosedLoop, paths: tuple[str, ...]) -> dict[str, Any]:
+    """What `Study.changed` must be given so that the study has the numbers that `loop` has at `paths`.
+
+    Raises `InputError` for a number that a study file does not hold.
+    """
+    names = loop.device.model.names
+    changes: dict[str, Any] = {}
+    for path in paths:
+        if path.startswith("controller.tones."):
+            changes["controller.tones"] = _tones(file, loop)
+            continue
+        entry = entry_of(file, names, path)
+        if entry is None:
+            raise InputError(f"A study file holds no entry for `{path}`, so what was tuned cannot be written as one.")
+        written = [In(entry.unit).write(_read(loop, place)) for place in entry.paths]
+        changes[entry.name] = written[0] if len(written) == 1 else written
+    return changes
+
+
+def _tones(file: Any, loop: ClosedLoop) -> list[dict[str, Any]]:
+    units = _tone_units(file)
+    return [
+        {name: In(unit).write(float(np.asarray(getattr(tone, name)))) for name, unit in units.items()} | {"axis": axis}
+        for axis, tones in zip("xy", loop.controller.tones, strict=True)  # type: ignore[attr-defined]
+        for tone in tones
+    ]
+
+
+def _tone_units(file: Any) -> dict[str, str]:
+    force = getattr(file.controller, "kind", "") == "open_loop"
+    return {"frequency": "Hz", "amplitude": "N" if force else "m/s^2", "phase": "rad"}
+
+
+def _read(loop: ClosedLoop, path: str) -> float:
+    here: Any = loop
+    for part in path.split("."):
+        here = here[int(part)] if part.isdigit() else getattr(here, part)
+    return float(np.asarray(here))

@@ -1,0 +1,45 @@
+"""Section `[filter]` of a study file: what smooths the estimated rate into the loop's output."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from memsgyro_jax.base.quantity import Hertz, Part, Whole
+from memsgyro_jax.loop.filters import AbstractFilter, Bandpass, Lowpass
+
+
+Order = Annotated[Whole, Field(ge=1, le=4)]
+
+
+class LowpassFilter(Part):
+    """`kind = "lowpass"`: Butterworth; `bandwidth` is where the power has halved."""
+
+    kind: Literal["lowpass"]
+    bandwidth: Hertz
+    order: Order = 3
+
+    def build(self) -> AbstractFilter:
+        """The filter."""
+        return Lowpass(self.bandwidth, self.order)
+
+
+class BandpassFilter(Part):
+    """`kind = "bandpass"`: Butterworth with 2·`order` poles; the power has halved at `low` and at `high`."""
+
+    kind: Literal["bandpass"]
+    low: Hertz
+    high: Hertz
+    order: Order = 1
+
+    @model_validator(mode="after")
+    def _has_a_band(self) -> "BandpassFilter":
+        if not self.low < self.high:
+            raise ValueError(f"must have low below high, but has {self.low:g} Hz and {self.high:g} Hz")
+        return self
+
+    def build(self) -> AbstractFilter:
+        """The filter."""
+        return Bandpass(self.low, self.high, self.order)
+
+
+Filter = Annotated[LowpassFilter | BandpassFilter, Field(discriminator="kind")]

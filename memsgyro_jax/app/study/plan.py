@@ -1,0 +1,108 @@
+"""Sections `[loop]`, `[spread]` and `[sweep]` of a study file."""
+
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BeforeValidator, Field
+
+from memsgyro_jax.base.quantity import Duration, Hertz, In, Metre, Pair, Part, Rate, Share, Speed, Whole, parts
+from memsgyro_jax.montecarlo.spread import AbstractDistribution, Normal, Spread, Uniform, Vary
+
+from .laws import Discretisation, Positive
+
+
+class Start(Part):
+    """Section `[loop]`: where the mass starts, how far it may travel, and how the plant is computed."""
+
+    displacement: Pair[Metre] = (1e-6, 0.0)
+    velocity: Pair[Speed] = (0.0, 0.0)
+    travel: Annotated[float, Field(gt=0.0), In("m")] = 50e-6
+    discretisation: Discretisation = "exact"
+
+
+def _with_unit(given: Any) -> str:
+    """A quantity whose unit depends on what it varies, kept as text."""
+    number, unit = parts(given)
+    return f"{number!r} {unit}".strip()
+
+
+Quantity = Annotated[str, BeforeValidator(_with_unit)]
+
+
+class Bell(Part):
+    """`{ kind = "normal", relative = "10 %" }` or `std` in the parameter's unit, cut at `cut` standard deviations."""
+
+    kind: Literal["normal"]
+    relative: Share = 0.0
+    std: Quantity | None = None
+    cut: Positive = 4.0
+
+    def build(self, unit: str | None) -> AbstractDistribution:
+        """The distribution of a parameter measured in `unit`."""
+        return Normal(self.relative, within(self.std, unit, "std") if self.std else 0.0, self.cut)
+
+
+class Box(Part):
+    """`{ kind = "uniform", relative = "10 %" }`, the half width, or `low` and `high` in the parameter's unit."""
+
+    kind: Literal["uniform"]
+    relative: Share | None = None
+    low: Quantity | None = None
+    high: Quantity | None = None
+
+    def build(self, unit: str | None) -> AbstractDistribution:
+        """The distribution of a parameter measured in `unit`."""
+        ends = {"low": self.low, "high": self.high}
+        given = {name: within(end, unit, name) for name, end in ends.items() if end is not None}
+        return Uniform(self.relative, **given)
+
+
+def within(given: str, unit: str | None, name: str) -> float:
+    """A quantity in `unit`; raises `ValueError` where that is not known or of another kind."""
+    if unit is None:
+        raise ValueError(f"the unit of this parameter is not known, so `{name}` cannot be given")
+    return In(unit).read(given)
+
+
+class Lot(Part):
+    """Section `[spread]`: what differs from die to die.
+
+    `relative` holds for every physical parameter of the device, `parameters` names single ones (`"device.kxx"`,
+    `"readout.opamp_offset.0"`), which then follow their own law. `correlation` is over `parameters` in their order and
+    needs `relative = 0`.
+    """
+
+    relative: Share = 0.0
+    quasi: bool = True
+    parameters: dict[str, Annotated[Bell | Box, Field(discriminator="kind")]] = Field(default_factory=dict)
+    correlation: tuple[tuple[float, ...], ...] | None = None
+
+    def build(self, unit_of: Any) -> Spread:
+        """The spread; `unit_of` gives the unit of a path. Raises `ValueError` for a unit of another kind."""
+        if self.correlation is not None and self.relative > 0.0:
+            raise ValueError("correlation needs relative = 0, so that each row belongs to one of the parameters")
+        items = []
+        for path, law in self.parameters.items():
+            try:
+                items.append(Vary(path, law.build(unit_of(path))))
+            except ValueError as error:
+                raise ValueError(f'parameters."{path}": {error}') from error
+        everywhere = Normal(relative=self.relative) if self.relative > 0.0 else None
+        return Spread(tuple(items), self.correlation, self.quasi, everywhere)
+
+
+class Run(Part):
+    """Section `[sweep]`: how many dies, how long and how finely.
+
+    Statistics over time start at `settle` (half the duration when left out). A die yields when its rate error at the
+    end is within `tolerance`, and has converged when it stays there. `chunk` is the number of dies per device and
+    batch.
+    """
+
+    dies: Annotated[Whole, Field(ge=1)] = 256
+    sample_rate: Hertz = 100e3
+    duration: Duration = 0.1
+    settle: Annotated[float, Field(ge=0.0), In("s")] | None = None
+    tolerance: Annotated[Rate, Field(gt=0.0)] = float(np.radians(20.0))
+    seed: Annotated[Whole, Field(ge=0)] = 0
+    chunk: Annotated[Whole, Field(ge=1)] | None = None

@@ -1,0 +1,211 @@
+"""Section `[scenario]` of a study file: what varies during a run."""
+
+from pathlib import Path
+from typing import Annotated, Any, Generic, Literal, TypeVar
+
+from pydantic import BeforeValidator, Field, ValidationInfo, field_serializer, field_validator
+
+from memsgyro_jax.base.quantity import Acceleration, Duration, Hertz, In, Part, Pure, Radian, Rate, Second, Volt
+from memsgyro_jax.loop.scenario import AbstractProfile, Chirp, Constant, Ramp, RandomWalk, Scenario, Sine, Step
+
+from .record import read_rate_record
+
+
+FOLDER = "folder"  # key of the context that validation and writing get: where relative file names start
+Value = TypeVar("Value")
+Slope = TypeVar("Slope")
+Growth = TypeVar("Growth")
+
+
+class Steady(Part, Generic[Value]):
+    """`{ kind = "constant", level }`, or the level alone."""
+
+    kind: Literal["constant"]
+    level: Value
+
+    def build(self) -> AbstractProfile:
+        """The profile."""
+        return Constant(self.level)
+
+
+class Jump(Part, Generic[Value]):
+    """`{ kind = "step", at, after, before }`; `before` is zero when left out."""
+
+    kind: Literal["step"]
+    at: Second
+    after: Value
+    before: Value | None = None
+
+    def build(self) -> AbstractProfile:
+        """The profile."""
+        return Step(self.at, self.after, self.before or 0.0)
+
+
+class Slide(Part, Generic[Value, Slope]):
+    """`{ kind = "ramp", at, slope, start }`; `at` and `start` are zero when left out."""
+
+    kind: Literal["ramp"]
+    at: Second = 0.0
+    slope: Slope
+    start: Value | None = None
+
+    def build(self) -> AbstractProfile:
+        """The profile."""
+        return Ramp(self.at, self.slope, self.start or 0.0)
+
+
+class Wave(Part, Generic[Value]):
+    """`{ kind = "sine", amplitude, frequency, phase }`."""
+
+    kind: Literal["sine"]
+    amplitude: Value
+    frequency: Hertz
+    phase: Radian = 0.0
+
+    def build(self) -> AbstractProfile:
+        """The profile."""
+        return Sine(self.amplitude, self.frequency, self.phase)
+
+
+class Swept(Part, Generic[Value]):
+    """`{ kind = "chirp", amplitude, low, high, duration }`."""
+
+    kind: Literal["chirp"]
+    amplitude: Value
+    low: Annotated[float, Field(ge=0.0), In("Hz")]
+    high: Hertz
+    duration: Duration
+
+    def build(self) -> AbstractProfile:
+        """The profile."""
+        return Chirp(self.amplitude, self.low, self.high, self.duration)
+
+
+class Wander(Part, Generic[Value, Growth]):
+    """`{ kind = "random_walk", intensity, duration, start, realisation }`: variance grows by `intensity` per second.
+
+    A spread over `scenario.rate.realisation`, uniform from 0 to 1, gives each die a walk of its own.
+    """
+
+    kind: Literal["random_walk"]
+    intensity: Annotated[Growth, Field(ge=0.0)]
+    duration: Duration
+    start: Value | None = None
+    realisation: Annotated[float, Field(ge=0.0, lt=1.0), In("1")] = 0.5
+
+    def build(self) -> AbstractProfile:
+        """The profile."""
+        return RandomWalk(self.intensity, self.duration, self.start or 0.0, self.realisation)
+
+
+class Record(Part):
+    """`{ kind = "record", file }`: a recorded rate; the file name starts at the folder of the study file."""
+
+    kind: Literal["record"]
+    file: Path
+
+    @field_validator("file")
+    @classmethod
+    def _readable(cls, file: Path, info: ValidationInfo) -> Path:
+        found = (info.context or {}).get(FOLDER, Path()) / file
+        read_rate_record(found)
+        return found
+
+    @field_serializer("file")
+    def _as_text(self, file: Path, info: Any) -> str:
+        folder = (info.context or {}).get(FOLDER)
+        if folder is None:
+            return str(file.resolve())
+        folder, file = Path(folder).resolve(), file.resolve()
+        return file.relative_to(folder).as_posix() if file.is_relative_to(folder) else str(file)
+
+    def build(self) -> AbstractProfile:
+        """The profile."""
+        return read_rate_record(self.file)
+
+
+def _spelled_out(given: Any) -> Any:
+    """A level alone stands for a constant; a single profile for a list of one."""
+    many = given if isinstance(given, list | tuple) else [given]
+    is_level = [
+        not isinstance(one, Part | dict) or (isinstance(one, dict) and set(one) == {"value", "unit"}) for one in many
+    ]
+    return tuple(
+        {"kind": "constant", "level": one} if level else one for one, level in zip(many, is_level, strict=True)
+    )
+
+
+_RateSlope = Annotated[float, In("rad/s^2")]
+_VoltSlope = Annotated[float, In("V/s")]
+_PureSlope = Annotated[float, In("1/s")]
+_Jerk = Annotated[float, In("m/s^3")]
+_RateGrowth = Annotated[float, In("rad^2/s^3")]
+_VoltGrowth = Annotated[float, In("V^2/s")]
+_PureGrowth = Annotated[float, In("1/s")]
+_Turn = Steady[Rate] | Jump[Rate] | Slide[Rate, _RateSlope] | Wave[Rate] | Swept[Rate] | Wander[Rate, _RateGrowth]
+_Drift = Steady[Volt] | Jump[Volt] | Slide[Volt, _VoltSlope] | Wave[Volt] | Swept[Volt] | Wander[Volt, _VoltGrowth]
+_Change = Steady[Pure] | Jump[Pure] | Slide[Pure, _PureSlope] | Wave[Pure] | Swept[Pure] | Wander[Pure, _PureGrowth]
+_Shake = (
+    Steady[Acceleration] | Jump[Acceleration] | Slide[Acceleration, _Jerk] | Wave[Acceleration] | Swept[Acceleration]
+)
+
+_ByKind, _Spelled = Field(discriminator="kind"), BeforeValidator(_spelled_out)
+MainRate = Annotated[tuple[Annotated[_Turn | Record, _ByKind], ...], _Spelled]
+CrossRate = Annotated[tuple[Annotated[_Turn, _ByKind], ...], _Spelled]
+Drift = Annotated[tuple[Annotated[_Drift, _ByKind], ...], _Spelled]
+Change = Annotated[tuple[Annotated[_Change, _ByKind], ...], _Spelled]
+Shaking = Annotated[tuple[Annotated[_Shake, _ByKind], ...], _Spelled]
+
+
+class Offsets(Part):
+    """Change of the read-out offsets of x and y."""
+
+    x: Drift = ()
+    y: Drift = ()
+
+
+class DampingChange(Part):
+    """Relative change of the damping coefficients."""
+
+    dxx: Change = ()
+    dyy: Change = ()
+    dxy: Change = ()
+
+
+class CrossRates(Part):
+    """Rates about x and y; they act on devices with `rotating_frame = true`."""
+
+    x: CrossRate = ()
+    y: CrossRate = ()
+
+
+class Shake(Part):
+    """Acceleration of the frame along x and y; it acts on devices with `rotating_frame = true`."""
+
+    x: Shaking = ()
+    y: Shaking = ()
+
+
+class Surroundings(Part):
+    """Section `[scenario]`; what is left out is zero. Several profiles in a list add."""
+
+    rate: MainRate = ()
+    offset_drift: Offsets = Offsets()
+    damping_change: DampingChange = DampingChange()
+    cross_rate: CrossRates = CrossRates()
+    acceleration: Shake = Shake()
+
+    def build(self) -> Scenario:
+        """The scenario."""
+        groups = {name: tuple(_sum(profiles) for _, profiles in group) for name, group in self if name != "rate"}
+        return Scenario(rate=_sum(self.rate), **groups)
+
+
+def _sum(profiles: tuple) -> AbstractProfile:
+    made = [profile.build() for profile in profiles]
+    if not made:
+        return Constant()
+    total = made[0]
+    for profile in made[1:]:
+        total = total + profile
+    return total

@@ -1,0 +1,143 @@
+"""What is wrong with a study file, in one sentence that names every place."""
+
+import difflib
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, get_args
+
+from pydantic import BaseModel
+
+from .errors import InputError
+
+
+_WORD = r"""(?:[\w-]+|"[^"]*"|'[^']*')"""
+_KEYS = rf"{_WORD}(?:\s*\.\s*{_WORD})*"
+_TABLE = re.compile(rf"\s*(?P<open>\[\[?)\s*(?P<keys>{_KEYS})\s*\]")
+_ENTRY = re.compile(rf"\s*(?P<keys>{_KEYS})\s*=")
+Place = tuple[str | int, ...]
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where a study comes from: its name in messages, its folder, and its text (empty for one that is no file)."""
+
+    name: str
+    folder: Path
+    text: str = ""
+
+    @contextmanager
+    def section(self, *place: str) -> Iterator[None]:
+        """Adds the place to the errors of a section."""
+        try:
+            yield
+        except ValueError as error:
+            raise InputError(f"{self.name}: {self._at(place)}: {str(error).rstrip('.')}.") from error
+
+    def complain(self, errors: Sequence[Any], model: type[BaseModel], data: dict[str, Any]) -> InputError:
+        """All of pydantic's `errors` about `data`, read as `model`, in the order of the file."""
+        found = []
+        for error in errors:
+            place = _in_file(error["loc"], data)
+            found.append((self._line(place) or 0, f"{self._at(place)}: {_sentence(error, model)}"))
+        texts = list(dict.fromkeys(text for _, text in sorted(found, key=lambda entry: entry[0])))
+        count = f"{len(texts)} entries must be mended: " if len(texts) > 1 else ""
+        return InputError(f"{self.name}: {count}{'; '.join(text.rstrip('.') for text in texts)}.")
+
+    def _at(self, place: Place) -> str:
+        line = self._line(place)
+        return (f"line {line}, " if line else "") + f"`{'.'.join(map(str, place))}`"
+
+    def _line(self, place: Place) -> int | None:
+        """The line of the longest part of `place` that the file spells out."""
+        lines = _lines(self.text)
+        return next((lines[place[:size]] for size in range(len(place), 0, -1) if place[:size] in lines), None)
+
+
+def _lines(text: str) -> dict[Place, int]:
+    """Line of each key of a TOML text, by a simple scan: exact but for keys inside values that span lines."""
+    found: dict[Place, int] = {}
+    table: Place = ()
+    for number, line in enumerate(text.splitlines(), 1):
+        if heading := _TABLE.match(line):
+            table = _words(heading["keys"])
+            if heading["open"] == "[[":
+                found.setdefault(table, number)
+                table = (*table, sum(1 for place in found if place[:-1] == table and isinstance(place[-1], int)))
+            place = table
+        elif entry := _ENTRY.match(line):
+            place = (*table, *_words(entry["keys"]))
+        else:
+            continue
+        found.setdefault(place, number)
+    return found
+
+
+def _words(keys: str) -> Place:
+    return tuple(word.strip("\"'") for word in re.findall(_WORD, keys))
+
+
+def _in_file(loc: Place, data: Any) -> Place:
+    """pydantic's place without what the file does not spell out: the kind of a section, the index of a lone entry."""
+    place: list[str | int] = []
+    for step, part in enumerate(loc):
+        last = step == len(loc) - 1
+        inside: Any = data  # an entry of a table by its key, of a list by its number
+        if part in (data if isinstance(data, dict) else range(len(data)) if isinstance(data, list) else ()):
+            data = inside[part]
+        elif isinstance(part, int) or not last or (isinstance(data, dict) and data.get("kind") == part):
+            continue
+        place.append(part)
+    return tuple(place)
+
+
+def _sentence(error: Any, model: type[BaseModel]) -> str:
+    kind, given = error["type"], error["input"]
+    if kind == "value_error":
+        return str(error["ctx"]["error"])
+    if kind == "missing":
+        return "is missing"
+    if kind == "extra_forbidden":
+        return _unknown(str(error["loc"][-1]), _models_at(error["loc"][:-1], model))
+    if kind in ("union_tag_invalid", "union_tag_not_found"):
+        kinds = " or ".join(f'"{name}"' for name in map(_kind, _models_at(error["loc"], model)) if name)
+        found = given.get("kind") if isinstance(given, dict) else given
+        return f"must have a kind, {kinds}, but " + ("has none" if found is None else f"has {_shown(found)}")
+    wanted = error["msg"].replace("Input should be", "must be").replace("Field required", "is missing")
+    return f"{wanted}, but is {_shown(given)}"
+
+
+def _shown(value: Any) -> str:
+    text = f'"{value}"' if isinstance(value, str) else str(value)
+    return text if len(text) <= 40 else f"{text[:37]}..."
+
+
+def _unknown(name: str, models: list[type[BaseModel]]) -> str:
+    known = sorted({field.alias or key for each in models for key, field in each.model_fields.items()})
+    near = difflib.get_close_matches(name, known, n=1)
+    return f"is not known (did you mean `{near[0]}`?)" if near else f"is not known (known are {', '.join(known)})"
+
+
+def _models_at(loc: Place, model: type[BaseModel]) -> list[type[BaseModel]]:
+    """The sections that may stand at pydantic's place `loc`."""
+    models = [model]
+    for part in loc:
+        inner = [each.model_fields[part] for each in models if part in each.model_fields]
+        if inner:
+            models = [found for field in inner for found in _models(field.annotation)]
+        elif isinstance(part, str):
+            models = [each for each in models if _kind(each) == part] or models
+    return models
+
+
+def _models(annotation: Any) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [model for inner in get_args(annotation) for model in _models(inner)]
+
+
+def _kind(model: type[BaseModel]) -> str | None:
+    field = model.model_fields.get("kind")
+    return get_args(field.annotation)[0] if field else None

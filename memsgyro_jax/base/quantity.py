@@ -1,0 +1,131 @@
+"""Numbers with units in a study file, and the base class of its sections."""
+
+import re
+from dataclasses import dataclass
+from typing import Annotated, Any, TypeVar
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, GetCoreSchemaHandler
+from pydantic_core import CoreSchema, core_schema
+
+from .units import to_si
+
+
+_NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+_TEXT = re.compile(rf"\s*(?P<number>{_NUMBER})(?P<unit>\s.*|[^\d.,].*|)")  # 10%, 1400 1/s, but not 1,5 mm
+Value = TypeVar("Value")
+
+
+class Part(BaseModel):
+    """A section of a study file: immutable, unknown keys and infinite numbers refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, protected_namespaces=())
+
+    def numbers(self) -> dict[str, Any]:
+        """The fields by name, in SI and without `kind`: arguments for the object that the section describes."""
+        return {name: value for name, value in self if name != "kind"}
+
+
+@dataclass(frozen=True)
+class In:
+    """Annotation of a number that is held in the SI unit `unit` and written with any unit of the same kind.
+
+    In the file it reads `"1.8e-7 kg"` or `{ value = 1.8e-7, unit = "kg" }`; a pure number (`unit` "1") may stand alone.
+    """
+
+    unit: str
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """What pydantic asks an annotation for."""
+        serializer = core_schema.plain_serializer_function_ser_schema(self.write)
+        return core_schema.no_info_before_validator_function(self.read, handler(source), serialization=serializer)
+
+    def read(self, given: Any) -> float:
+        """The number in `unit`; raises `ValueError` where text, unit or type is wrong."""
+        number, unit = parts(given)
+        if not unit and self.unit != "1":
+            raise ValueError(f'must carry a unit, for example "{number:g} {self.unit}", but none was given')
+        if unit in ("", self.unit):  # nothing to convert, as in the default study: loading pint takes half a second
+            return number
+        return to_si(number, unit, self.unit, "the value")
+
+    def write(self, number: float) -> float | str:
+        """The form in which a file is written."""
+        return number if self.unit == "1" else f"{number!r} {self.unit}"
+
+
+def parts(given: Any) -> tuple[float, str]:
+    """Number and unit (empty where there is none) of a quantity as a file holds it."""
+    if isinstance(given, dict):
+        if set(given) != {"value", "unit"} or not isinstance(given["unit"], str):
+            raise ValueError('must be a table of "value" and "unit", for example { value = 1.8e-7, unit = "kg" }')
+        return _number(given["value"]), given["unit"]
+    if isinstance(given, str):
+        match = _TEXT.fullmatch(given)
+        if match is None:
+            raise ValueError(f'must be a number with a unit, for example "100 kHz", but is "{given}"')
+        return float(match["number"]), match["unit"].strip()
+    return _number(given), ""
+
+
+def _number(given: Any) -> float:
+    if isinstance(given, bool) or not isinstance(given, int | float):
+        raise ValueError(f"must be a number with a unit, but is {given!r}")
+    return float(given)
+
+
+def _pair(given: Any) -> Any:
+    """One entry for both axes, or two."""
+    is_sequence = isinstance(given, list | tuple)
+    if is_sequence and len(given) != 2:
+        raise ValueError(f"must be one value for both axes or a list of two (x, y), but has {len(given)} entries")
+    return tuple(given) if is_sequence else (given, given)
+
+
+Pair = Annotated[tuple[Value, Value], BeforeValidator(_pair)]
+"""Two numbers for the axes x and y; one alone serves both."""
+
+Pure = Annotated[float, In("1")]
+Share = Annotated[float, Field(ge=0.0), In("1")]
+Metre = Annotated[float, In("m")]
+Speed = Annotated[float, In("m/s")]
+Acceleration = Annotated[float, In("m/s^2")]
+Kilogram = Annotated[float, Field(gt=0.0), In("kg")]
+Stiffness = Annotated[float, In("N/m")]
+Damping = Annotated[float, In("N*s/m")]
+Newton = Annotated[float, In("N")]
+Volt = Annotated[float, In("V")]
+Farad = Annotated[float, In("F")]
+Density = Annotated[float, Field(ge=0.0), In("V/sqrt(Hz)")]
+Rate = Annotated[float, In("rad/s")]
+Radian = Annotated[float, In("rad")]
+Hertz = Annotated[float, Field(gt=0.0), In("Hz")]
+PerSecond = Annotated[float, Field(ge=0.0), In("1/s")]
+Second = Annotated[float, Field(ge=0.0), In("s")]
+Duration = Annotated[float, Field(gt=0.0), In("s")]
+
+
+def _whole(given: Any) -> Any:
+    if isinstance(given, bool) or not isinstance(given, int):
+        raise ValueError(f"must be a whole number, but is {given!r}")
+    return given
+
+
+Whole = Annotated[int, BeforeValidator(_whole)]
+
+
+def unit_of(annotation: Any) -> str | None:
+    """The unit in the annotation of a field, found inside pairs and options too; `None` where it holds no quantity."""
+    for found in getattr(annotation, "__metadata__", ()):
+        if isinstance(found, In):
+            return found.unit
+    inner = getattr(annotation, "__args__", ()) or ()
+    return next((unit for unit in map(unit_of, inner) if unit), None)
+
+
+def field_unit(part: type[BaseModel], name: str) -> str | None:
+    """Unit of field `name` of a section, or `None`."""
+    field = part.model_fields.get(name)
+    if field is None:
+        return None
+    marks = [mark.unit for mark in field.metadata if isinstance(mark, In)]
+    return marks[0] if marks else unit_of(field.annotation)

@@ -1,0 +1,352 @@
+"""Vibratory gyroscopes: parameters, equations of motion and their linear-in-parameters form.
+
+Both devices of the thesis are two-axis oscillators in a rotating frame. Everything here is written for one die; the
+engine passes many dies as trailing axes, so leaves are scalars or arrays of one number per die.
+"""
+
+import abc
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from memsgyro_jax.base.errors import InputError
+
+
+X, Y, VX, VY, UX, UY = range(
+    6
+)  # the signals an acceleration can be proportional to: displacement, velocity, applied force
+
+Scalar = Float[Array, "*lanes"]
+Pair = tuple[Scalar, Scalar]
+Change = tuple[Scalar, Scalar, Scalar]
+UNCHANGED: Change = (0.0, 0.0, 0.0)
+Matrix = tuple[Pair, Pair]
+
+
+class Term(NamedTuple):
+    """`factor * signal` in the acceleration of `axis` (0 for x, 1 for y)."""
+
+    axis: int
+    signal: int
+    factor: float
+
+
+@dataclass(frozen=True)
+class Coefficient:
+    """A mass-normalised coefficient of the equations of motion and the terms it multiplies.
+
+    `is_rate` marks Coriolis terms, which a controller must not mistake for damping. `delays` is the channel (0 for x, 1
+    for y) of a displacement read-out that the coefficient, a time in s, delays; such a one has no terms.
+    """
+
+    name: str
+    terms: tuple[Term, ...]
+    is_rate: bool = False
+    delays: int | None = None
+
+
+class Dynamics(NamedTuple):
+    """`acceleration = gain * force + bias - stiffness @ displacement - (damping + coriolis) @ velocity`.
+
+    Stiffness in rad²/s², damping and Coriolis in 1/s, gain in 1/kg, bias in m/s²; rows are the axes x and y.
+    """
+
+    stiffness: Matrix
+    damping: Matrix
+    coriolis: Matrix
+    gain: Pair
+    bias: Pair = (0.0, 0.0)
+
+    @property
+    def velocity(self) -> Matrix:
+        """Everything that multiplies the velocity: damping and Coriolis."""
+        return tuple(
+            tuple(d + c for d, c in zip(*rows, strict=True)) for rows in zip(self.damping, self.coriolis, strict=True)
+        )
+
+
+@dataclass(frozen=True)
+class MotionModel:
+    """The equations of motion as a table, linear in mass-normalised coefficients (thesis (3.2) and (3.4)).
+
+    Observers estimate the coefficients, controllers compensate them and the information bound differentiates by them:
+    all read this one table.
+    """
+
+    coefficients: tuple[Coefficient, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the coefficients in order."""
+        return tuple(c.name for c in self.coefficients)
+
+    def index(self, name: str) -> int:
+        """Position of coefficient `name`; raises `InputError` for an unknown one."""
+        if name not in self.names:
+            raise InputError(f"A coefficient must be one of {', '.join(self.names)}, but `{name}` was given.")
+        return self.names.index(name)
+
+    def assemble(self, theta: tuple[Scalar, ...]) -> Dynamics:
+        """The matrices that coefficients `theta` (in the order of `names`) stand for."""
+        stiffness, damping, coriolis = ([[0.0, 0.0], [0.0, 0.0]] for _ in range(3))
+        gain = [0.0, 0.0]
+        for value, coefficient in zip(theta, self.coefficients, strict=True):
+            for axis, signal, factor in coefficient.terms:
+                if signal >= UX:
+                    _accumulate(gain, axis, factor, value)
+                elif signal >= VX:
+                    _accumulate((coriolis if coefficient.is_rate else damping)[axis], signal - VX, -factor, value)
+                else:
+                    _accumulate(stiffness[axis], signal, -factor, value)
+        k, d, c = (tuple(map(tuple, matrix)) for matrix in (stiffness, damping, coriolis))
+        return Dynamics(stiffness=k, damping=d, coriolis=c, gain=tuple(gain))
+
+
+def _accumulate(row: list[Scalar], index: int, factor: float, value: Scalar) -> None:
+    """Add `factor * value` to an entry without the operations that plain 0 and 1 make superfluous: they sit in the
+    inner loop.
+    """
+    term = value if factor == 1.0 else factor * value
+    row[index] = term if isinstance(row[index], float) else row[index] + term
+
+
+SINGLE_MASS = MotionModel(
+    (
+        Coefficient("rate", (Term(0, VY, 2.0), Term(1, VX, -2.0)), is_rate=True),
+        Coefficient("kxx", (Term(0, X, -1.0),)),
+        Coefficient("kyy", (Term(1, Y, -1.0),)),
+        Coefficient("kxy", (Term(0, Y, -1.0), Term(1, X, -1.0))),
+        Coefficient("dxx", (Term(0, VX, -1.0),)),
+        Coefficient("dyy", (Term(1, VY, -1.0),)),
+        Coefficient("dxy", (Term(0, VY, -1.0), Term(1, VX, -1.0))),
+        Coefficient("sigma", (Term(0, UX, 1.0), Term(1, UY, 1.0))),
+    )
+)
+"""Thesis (3.2): symmetric coupling, one mass; sigma = 1/m."""
+
+DUAL_MASS = MotionModel(
+    (
+        Coefficient("rate_x", (Term(0, VY, 2.0),), is_rate=True),
+        Coefficient("rate", (Term(1, VX, -2.0),), is_rate=True),
+        Coefficient("kxx", (Term(0, X, -1.0),)),
+        Coefficient("kyy", (Term(1, Y, -1.0),)),
+        Coefficient("kxy", (Term(0, Y, -1.0),)),
+        Coefficient("kyx", (Term(1, X, -1.0),)),
+        Coefficient("dxx", (Term(0, VX, -1.0),)),
+        Coefficient("dyy", (Term(1, VY, -1.0),)),
+        Coefficient("sigma_x", (Term(0, UX, 1.0),)),
+        Coefficient("sigma_y", (Term(1, UY, 1.0),)),
+    )
+)
+"""Thesis (3.4): separate moving masses, no cross damping; rate_x = m1·Ω/(m1 + m2)."""
+
+
+class Inertial(NamedTuple):
+    """What the frame does to the device at one moment; every field zero means a resting frame and an undisturbed
+    device.
+
+    `rate` Ωz and `cross_rate` (Ωx, Ωy) in rad/s, `angular_acceleration` dΩz/dt in rad/s², `acceleration` of the frame
+    in m/s²; `damping_change` is the relative change of (dxx, dyy, dxy).
+    """
+
+    rate: Scalar = 0.0
+    angular_acceleration: Scalar = 0.0
+    cross_rate: Pair = (0.0, 0.0)
+    acceleration: Pair = (0.0, 0.0)
+    damping_change: Change = UNCHANGED
+
+
+class AbstractGyro(eqx.Module):
+    """A two-axis gyro. A new kind of device gives its `model` table and the two methods."""
+
+    model: eqx.AbstractClassVar[MotionModel]
+
+    @abc.abstractmethod
+    def dynamics(self, inertial: Inertial) -> Dynamics:
+        """The true equations of motion under the given motion of the frame."""
+
+    @abc.abstractmethod
+    def coefficients(self, rate: Scalar, damping_change: Change = UNCHANGED) -> tuple[Scalar, ...]:
+        """The values of `model.coefficients` nearest to this device at rate `rate` [rad/s] and under `damping_change`
+        (as in `Inertial`): what an observer should find.
+        """
+
+
+def number(**options: object) -> Array:
+    """A field that holds a number, or one per die, as an array: traced, differentiable, no recompilation when it
+    changes.
+    """
+    return eqx.field(converter=jnp.asarray, **options)
+
+
+class SingleMassGyro(AbstractGyro):
+    """One proof mass that moves along x and y (thesis (3.1)).
+
+    Mass in kg, stiffness in N/m, damping in N·s/m. `dyx` is the damping force on y per velocity along x; left out it
+    equals `dxy`, and a difference is indistinguishable from a rate of (dyx - dxy)/(4·mass) (thesis 4.1.2).
+    `rotating_frame=True` keeps the terms in Ω², dΩ/dt, cross rates and frame acceleration of (2.4); False drops them as
+    (2.6) does.
+    """
+
+    mass: Scalar = number()
+    kxx: Scalar = number()
+    kyy: Scalar = number()
+    kxy: Scalar = number()
+    dxx: Scalar = number()
+    dyy: Scalar = number()
+    dxy: Scalar = number()
+    cross_damping_asymmetry: Scalar = number()
+    rotating_frame: bool = eqx.field(static=True)
+    model: ClassVar[MotionModel] = SINGLE_MASS
+
+    def __init__(self, mass, kxx, kyy, kxy, dxx, dyy, dxy, *, dyx=None, rotating_frame: bool = False):
+        self.mass, self.kxx, self.kyy, self.kxy = mass, kxx, kyy, kxy
+        self.dxx, self.dyy, self.dxy = dxx, dyy, dxy
+        self.cross_damping_asymmetry = 0.0 if dyx is None else jnp.asarray(dyx) - jnp.asarray(dxy)
+        self.rotating_frame = rotating_frame
+
+    def __check_init__(self):
+        check_positive("mass", self.mass)
+        check_positive_definite("stiffness", self.kxx, self.kyy, self.kxy)
+        check_positive_definite("damping", self.dxx, self.dyy, self.dxy + 0.5 * self.cross_damping_asymmetry)
+
+    @classmethod
+    def chi2010(cls) -> "SingleMassGyro":
+        """The device of thesis Table 5.1: modes at 2.893 and 3.758 kHz, Q 942 and 919."""
+        return cls(mass=1.8e-7, kxx=63.96, kyy=95.92, kxy=12.78, dxx=3.6e-6, dyy=4.5e-6, dxy=3.6e-7)
+
+    def dynamics(self, inertial: Inertial) -> Dynamics:
+        """Thesis (3.1), with the frame terms of (2.4) when `rotating_frame` is set."""
+        per_mass, rate = 1.0 / self.mass, inertial.rate
+        sxx, syy, sxy = (per_mass * (1.0 + change) for change in inertial.damping_change)
+        dyx, kxy = self.dxy + self.cross_damping_asymmetry, self.kxy * per_mass
+        stiffness = ((self.kxx * per_mass, kxy), (kxy, self.kyy * per_mass))
+        damping = ((self.dxx * sxx, self.dxy * sxy), (dyx * sxy, self.dyy * syy))
+        bias = (0.0, 0.0)
+        if self.rotating_frame:
+            stiffness = _add(stiffness, frame_stiffness(inertial, x_share=1.0))
+            bias = (-inertial.acceleration[0], -inertial.acceleration[1])
+        return Dynamics(stiffness, damping, ((0.0, -2.0 * rate), (2.0 * rate, 0.0)), (per_mass, per_mass), bias)
+
+    def coefficients(self, rate: Scalar, damping_change: Change = UNCHANGED) -> tuple[Scalar, ...]:
+        """(rate, kxx, kyy, kxy, dxx, dyy, dxy)/m and 1/m; with unequal cross damping the symmetric part."""
+        m = self.mass
+        damping = (self.dxx, self.dyy, self.dxy + 0.5 * self.cross_damping_asymmetry)
+        changed = tuple(d * (1.0 + change) / m for d, change in zip(damping, damping_change, strict=True))
+        return (rate, self.kxx / m, self.kyy / m, self.kxy / m, *changed, 1.0 / m)
+
+
+class DualMassGyro(AbstractGyro):
+    """Decoupled two-mass gyro (thesis (3.3)): the frame mass moves along x only, the inner mass `mass_y` along x and y.
+
+    `mass_x` is the whole mass m1 + m2 moving along x and `mass_y` is m1, both in kg (Table 5.2); stiffness in N/m,
+    damping in N·s/m.
+    """
+
+    mass_x: Scalar = number()
+    mass_y: Scalar = number()
+    kxx: Scalar = number()
+    kyy: Scalar = number()
+    kxy: Scalar = number()
+    kyx: Scalar = number()
+    dxx: Scalar = number()
+    dyy: Scalar = number()
+    rotating_frame: bool = eqx.field(static=True, default=False)
+    model: ClassVar[MotionModel] = DUAL_MASS
+
+    def __check_init__(self):
+        check_positive("mass_y", self.mass_y)
+        check_positive("mass_x - mass_y", jnp.asarray(self.mass_x) - jnp.asarray(self.mass_y))
+        # An unsymmetric matrix is stable when its determinant is positive beside positive diagonal entries.
+        check_positive("kxx", self.kxx)
+        check_positive("kyy", self.kyy)
+        check_positive("kxx*kyy - kxy*kyx", self.kxx * self.kyy - self.kxy * self.kyx)
+        check_positive("dxx", self.dxx)
+        check_positive("dyy", self.dyy)
+
+    @classmethod
+    def chi2010(cls) -> "DualMassGyro":
+        """The device of thesis Table 5.2."""
+        return cls(mass_x=2.6e-7, mass_y=1.6e-7, kxx=92.38, kyy=85.26, kxy=0.92, kyx=0.25, dxx=5.2e-6, dyy=4.8e-6)
+
+    def dynamics(self, inertial: Inertial) -> Dynamics:
+        """Thesis (3.3); the frame terms follow (2.4) with the inner mass alone carrying the y motion."""
+        mx, my, rate = self.mass_x, self.mass_y, inertial.rate
+        share = my / mx
+        sxx, syy, _ = (1.0 + change for change in inertial.damping_change)
+        stiffness = ((self.kxx / mx, self.kxy / mx), (self.kyx / my, self.kyy / my))
+        damping = ((self.dxx * sxx / mx, 0.0), (0.0, self.dyy * syy / my))
+        bias = (0.0, 0.0)
+        if self.rotating_frame:
+            stiffness = _add(stiffness, frame_stiffness(inertial, x_share=share))
+            bias = (-inertial.acceleration[0], -inertial.acceleration[1])
+        return Dynamics(stiffness, damping, ((0.0, -2.0 * share * rate), (2.0 * rate, 0.0)), (1.0 / mx, 1.0 / my), bias)
+
+    def coefficients(self, rate: Scalar, damping_change: Change = UNCHANGED) -> tuple[Scalar, ...]:
+        """(rate_x, rate, kxx, kyy, kxy, kyx, dxx, dyy, sigma_x, sigma_y) of thesis (3.4)."""
+        mx, my = self.mass_x, self.mass_y
+        sxx, syy, _ = (1.0 + change for change in damping_change)
+        stiffness = (self.kxx / mx, self.kyy / my, self.kxy / mx, self.kyx / my)
+        return (rate * my / mx, rate, *stiffness, self.dxx * sxx / mx, self.dyy * syy / my, 1.0 / mx, 1.0 / my)
+
+
+def frame_stiffness(inertial: Inertial, x_share: Scalar) -> Matrix:
+    """Apparent stiffness per mass of a rotating frame (2.4); `x_share` is the part of the x-moving mass that also moves
+    along y.
+    """
+    rate, (rate_x, rate_y) = inertial.rate, inertial.cross_rate
+    product, spin = rate_x * rate_y, inertial.angular_acceleration
+    return ((-(rate_y**2 + rate**2), x_share * (product - spin)), (product + spin, -(rate_x**2 + rate**2)))
+
+
+def _add(a: Matrix, b: Matrix) -> Matrix:
+    return tuple(tuple(p + q for p, q in zip(*rows, strict=True)) for rows in zip(a, b, strict=True))
+
+
+def mode_frequencies(gyro: AbstractGyro) -> Float[np.ndarray, "*dies two"]:
+    """Undamped mode frequencies in Hz, ascending, of a concrete gyro at rest."""
+    (a, b), (c, d) = (np.broadcast_arrays(*map(np.asarray, row)) for row in gyro.dynamics(Inertial()).stiffness)
+    mean, split = 0.5 * (a + d), np.sqrt(0.25 * (a - d) ** 2 + b * c)
+    return np.sqrt(np.stack([mean - split, mean + split], axis=-1)) / (2.0 * np.pi)
+
+
+def is_concrete(*values: object) -> bool:
+    """Whether all values are numbers now, rather than tracers inside a transformation (which cannot be checked)."""
+    return not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(values))
+
+
+def check_positive(name: str, value: Scalar) -> None:
+    """Raise `InputError` unless every entry is positive and finite; traced values pass."""
+    if is_concrete(value) and not np.all((np.asarray(value) > 0.0) & np.isfinite(value)):
+        raise InputError(f"Argument `{name}` must be positive and finite, but {_worst(value)} was given.")
+
+
+def check_not_negative(name: str, value: Scalar) -> None:
+    """Raise `InputError` unless every entry is zero or positive, and finite; traced values pass."""
+    if is_concrete(value) and not np.all((np.asarray(value) >= 0.0) & np.isfinite(value)):
+        raise InputError(f"Argument `{name}` must be finite and not negative, but {_worst(value)} was given.")
+
+
+def check_positive_definite(name: str, xx: Scalar, yy: Scalar, xy: Scalar) -> None:
+    """Raise `InputError` unless the symmetric matrix [[xx, xy], [xy, yy]] is positive definite; traced values pass."""
+    if not is_concrete(xx, yy, xy):
+        return
+    xx, yy, xy = (np.asarray(v, dtype=float) for v in (xx, yy, xy))
+    if not np.all((xx > 0.0) & (yy > 0.0) & (xx * yy > xy**2) & np.isfinite(xx * yy)):
+        raise InputError(
+            f"The {name} matrix must be positive definite (xx > 0, yy > 0, xx·yy > xy²), "
+            f"but xx = {_worst(xx)}, yy = {_worst(yy)}, xy = {float(np.max(np.abs(xy))):g} was given; "
+            "lower the coupling or correct the sign."
+        )
+
+
+def _worst(value: Scalar) -> str:
+    """The entry to complain about: the first that is not finite, else the smallest."""
+    entries = np.ravel(np.asarray(value))
+    bad = entries[~np.isfinite(entries)]
+    return f"{float(bad[0] if bad.size else np.min(entries)):g}"

@@ -1,0 +1,88 @@
+"""A device in the coordinates that measurements see: everything per mass.
+
+Stiffness and mass free together make a valley of condition 1e10 in every likelihood; stiffness per mass, damping per
+mass and 1/mass do not. The comparison with measurements works in these.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from memsgyro_jax.base.errors import InputError
+
+from .gyro import SingleMassGyro
+from .resonator import Resonator
+
+
+class NormalisedDevice(eqx.Module):
+    """Symmetric oscillator per mass, with one axis or two.
+
+    | field | unit | holds |
+    |---|---|---|
+    | `stiffness` | rad²/s² | (xx,) or (xx, yy, xy) over mass |
+    | `damping` | 1/s | (xx,) or (xx, yy, xy) over mass |
+    | `mobility` | 1/kg | 1/mass: acceleration per force |
+    """
+
+    stiffness: Float[Array, " k"] = eqx.field(converter=jnp.asarray)
+    damping: Float[Array, " k"] = eqx.field(converter=jnp.asarray)
+    mobility: Float[Array, ""] = eqx.field(converter=jnp.asarray)
+
+    @classmethod
+    def of(cls, device: "SingleMassGyro | Resonator | NormalisedDevice") -> "NormalisedDevice":
+        """A device of the package in these coordinates; unequal cross damping has to be an effect.
+
+        **Raises:** `InputError` for any other device.
+        """
+        if isinstance(device, NormalisedDevice):
+            return device
+        if isinstance(device, Resonator):
+            w, q = device.resonance, device.quality_factor
+            return cls(jnp.stack([w**2]), jnp.stack([w / q]), device.static_gain * w**2)
+        if isinstance(device, SingleMassGyro):
+            k, d, m = (device.kxx, device.kyy, device.kxy), (device.dxx, device.dyy, device.dxy), device.mass
+            if float(device.cross_damping_asymmetry) != 0.0:
+                raise InputError(
+                    "Argument `device` must have equal cross damping here, but has `dyx` unlike `dxy`; "
+                    "leave `dyx` out and add the effect `cross_damping_asymmetry`."
+                )
+            return cls(jnp.stack(k) / m, jnp.stack(d) / m, 1.0 / m)
+        raise InputError(
+            "Argument `device` must be a SingleMassGyro or a Resonator to be compared with measurements, "
+            f"but is a {type(device).__name__}."
+        )
+
+    @property
+    def axes(self) -> int:
+        """Number of axes, 1 or 2."""
+        return 1 if self.stiffness.shape[-1] == 1 else 2
+
+    @property
+    def stiffness_matrix(self) -> Float[Array, "axes axes"]:
+        """Stiffness per mass [rad²/s²]."""
+        return _symmetric(self.stiffness)
+
+    @property
+    def damping_matrix(self) -> Float[Array, "axes axes"]:
+        """Damping per mass [1/s]."""
+        return _symmetric(self.damping)
+
+    def physical(self) -> SingleMassGyro | Resonator:
+        """The device with its mass: the gyro of two axes, the resonator of one."""
+        if self.axes == 1:
+            w = jnp.sqrt(self.stiffness[0])
+            return Resonator(w, w / self.damping[0], self.mobility / self.stiffness[0])
+        m = 1.0 / self.mobility
+        return SingleMassGyro(m, *(self.stiffness * m), *(self.damping * m))
+
+    def resonances(self) -> np.ndarray:
+        """Undamped mode frequencies [rad/s], ascending."""
+        return np.sqrt(np.linalg.eigvalsh(np.asarray(self.stiffness_matrix)))
+
+
+def _symmetric(entries: Array) -> Array:
+    if entries.shape[-1] == 1:
+        return entries[None]
+    xx, yy, xy = entries
+    return jnp.stack([jnp.stack([xx, xy]), jnp.stack([xy, yy])])

@@ -1,0 +1,301 @@
+"""A model beside measurements: how far apart, and where."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from memsgyro_jax import __version__
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.files import finite
+from memsgyro_jax.base.text import aligned
+from memsgyro_jax.device.gyro import SingleMassGyro
+from memsgyro_jax.device.normalised import NormalisedDevice
+from memsgyro_jax.device.resonator import Resonator
+from memsgyro_jax.measurement.case import AbstractRecord, Case, FrequencySweepRecord
+from memsgyro_jax.measurement.model import Model
+from memsgyro_jax.measurement.noise_level import noise_level
+from memsgyro_jax.measurement.readings import model_of
+
+from .case_fit import CaseFit, RecordError, fit_case
+from .misfit import LEVEL, Check, Series, check_all
+from .series import series_of, spoken
+
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from xarray import DataTree
+
+SCHEMA = "memsgyro-comparison/1"
+STANDS_OUT = 1.3  # times the variance of the whole record from which a part is named
+_SMALLEST = 1e-12  # p-values below are said to be below
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """A model beside a case, with every test of where it fails.
+
+    Args:
+        fit: the model, fitted or held, and its residuals.
+        series: the residual of each record as it was tested.
+        checks: every test made.
+        level: probability that a right model fails any of them.
+        fitted: whether the model was fitted to the case, or only evaluated.
+        versions: of what computed it.
+    """
+
+    fit: CaseFit
+    series: tuple[Series, ...]
+    checks: tuple[Check, ...]
+    level: float
+    fitted: bool
+    versions: Mapping[str, str] = field(default_factory=lambda: {"memsgyro_jax": __version__})
+
+    @property
+    def case(self) -> Case:
+        """What was measured."""
+        return self.fit.case
+
+    @property
+    def model(self) -> Model:
+        """What was compared."""
+        return self.fit.model
+
+    @property
+    def errors(self) -> tuple[RecordError, ...]:
+        """Deviation over noise per record and role."""
+        return self.fit.errors
+
+    @property
+    def explained(self) -> bool:
+        """Whether no test fails: noise alone explains the difference."""
+        return not any(check.failed for check in self.checks)
+
+    @property
+    def status(self) -> str:
+        """A sentence: how the fit ended."""
+        return self.fit.status if self.fitted else "the model was taken as it is"
+
+    @cached_property
+    def failures(self) -> tuple[str, ...]:
+        """Where the model fails, one sentence per record and channel, the worst first."""
+        found = []
+        for series in self.series:
+            for channel in series.channels:
+                mine = [c for c in self.checks if c.record == series.record and c.channel == channel]
+                if any(c.failed for c in mine):
+                    found.append((-mine[0].statistic, _sentence(self.case.record(series.record), series, mine)))
+        return tuple(text for _, text in sorted(found))
+
+    def __str__(self) -> str:
+        head = ("experiment", "role", "readings", "rms/noise", "noise alone below")
+        rows = [(e.name, e.role, str(e.count), times(e.rms), f"{np.sqrt(e.gate):.3g}") for e in self.errors]
+        lines = [f"{self.case.name}: {self.status}", aligned([head, *rows]), self.verdict]
+        lines += [f"  {text}" for text in self.failures]
+        if self.fitted:
+            lines += ["Fitted:", *(f"  {estimate}" for estimate in self.fit.estimates)]
+        return "\n".join(lines)
+
+    @property
+    def verdict(self) -> str:
+        """One sentence."""
+        failed = sum(c.failed for c in self.checks)
+        alarm = f"with probability {self.level:g} noise alone fails any"
+        if failed:
+            return f"The model does not explain the records: {failed} of {len(self.checks)} tests fail ({alarm}):"
+        return f"The model explains the records: none of {len(self.checks)} tests fails ({alarm})."
+
+    def to_dict(self) -> dict[str, Any]:
+        """The machine-readable result, schema `memsgyro-comparison/1`; numbers that are not finite become null."""
+        entries = {
+            "schema": SCHEMA,
+            "case": self.case.name,
+            "status": self.status,
+            "explained": self.explained,
+            "verdict": self.verdict,
+            "level": self.level,
+            "chi2_per_dof": self.fit.chi2_per_dof if self.fitted else None,
+            "experiments": [e.to_dict() for e in self.errors],
+            "failures": list(self.failures),
+            "tests": [_check_dict(c) for c in self.checks],
+            "parameters": [p.to_dict() for p in (self.fit.estimates if self.fitted else ())],
+            "effects": [e.label for e in self.model.present.effects],
+            "versions": dict(self.versions),
+        }
+        return finite(entries)
+
+    def to_json(self) -> str:
+        """`to_dict` as text."""
+        return json.dumps(self.to_dict(), indent=2, allow_nan=False, ensure_ascii=False)
+
+    def to_xarray(self) -> "DataTree":
+        """One node per record: measured, predicted and whitened, over row, channel and part, with units."""
+        import xarray as xr
+
+        nodes = {}
+        for number, record in enumerate(self.case.records):
+            # A slash separates nodes of a tree; the record's own name stands in the attributes.
+            nodes[f"{record.name.replace('/', '∕')}"] = _dataset(self.fit, number, record)
+        tree = xr.DataTree.from_dict(nodes)
+        tree.attrs.update(schema=SCHEMA, case=self.case.name, status=self.status, versions=json.dumps(self.versions))
+        return tree
+
+    def plot(self, ax: "Axes | None" = None) -> "Axes":
+        """Deviation over noise of every record, fitted and not, on a logarithmic scale; returns the axes."""
+        from memsgyro_jax.base import axes as pictures
+
+        ax = pictures.axes(ax)
+        names = list(dict.fromkeys(e.name for e in self.errors))
+        for role, marker, colour in (("fit", "o", "C0"), ("validation", "s", "C1")):
+            chosen = [e for e in self.errors if e.role == role]
+            if chosen:
+                ax.plot(
+                    [e.rms for e in chosen], [names.index(e.name) for e in chosen], marker, color=colour, ms=6,
+                    label="fitted" if role == "fit" else "not fitted", alpha=0.8,
+                )  # fmt: skip
+        ax.axvline(1.0, color="k", lw=1.0, ls="--", label="noise")
+        ax.set_xscale("log")
+        ax.set_xlabel("rms of deviation over noise")
+        # A dollar would start a formula of matplotlib's.
+        ax.set_yticks(range(len(names)), [name.replace("$", r"\$") for name in names])
+        ax.invert_yaxis()
+        ax.legend(loc="best", frameon=False)
+        return ax
+
+
+def compare(
+    model: Model | SingleMassGyro | Resonator | NormalisedDevice | None,
+    case: Case,
+    *,
+    fitted: bool = True,
+    level: float = LEVEL,
+) -> Comparison:
+    """Where a model fails to explain a measurement case.
+
+    Args:
+        model: with its effects, or a device, which gets the declared read-out of the case; `None` takes the base model
+            and finds its start in the records.
+        case: from `load_case`.
+        fitted: fit it to the records first, starting from its values; `False` takes it as it is.
+        level: probability that a right model fails any of the tests; 0 < level < 1.
+
+    **Raises:** `InputError` if the model does not suit the case, if `level` is out of range, or in float32.
+    """
+    if not 0.0 < level < 1.0:
+        raise InputError(f"Argument `level` must lie between 0 and 1, but is {level:g}.")
+    if model is None and not fitted:
+        raise InputError("Argument `model` must be given where `fitted` is false, but is None; pass a model or fit it.")
+    whole = None if model is None else model if isinstance(model, Model) else model_of(case, model)
+    if whole is not None and whole.axes != case.channels:
+        raise InputError(
+            f"Argument `model` must have as many axes as the case {case.name} has channels, {case.channels}, "
+            f"but has {whole.axes}."
+        )
+    return judged(fit_case(case, model=whole, held=not fitted), level=level, fitted=fitted)
+
+
+def judged(fit: CaseFit, *, level: float = LEVEL, fitted: bool = True) -> Comparison:
+    """Every test on the residuals of a fit that was made already."""
+    series = series_of(fit)
+    return Comparison(fit, series, check_all(series, level), level, fitted)
+
+
+def times(ratio: float) -> str:
+    """A ratio to the noise, with digits enough and no power of ten below a million."""
+    if ratio < 99.95:
+        return f"{ratio:#.3g}"
+    return f"{ratio:.0f}" if ratio < 1e6 else f"{ratio:.3g}"
+
+
+def _check_dict(check: Check) -> dict[str, Any]:
+    return {
+        "experiment": check.record,
+        "channel": check.channel,
+        "test": check.kind,
+        "of": check.heading or None,
+        "at": check.label or None,
+        "statistic": check.statistic,
+        "readings": check.count,
+        "p_value": check.p_value,
+        "threshold": check.threshold,
+        "failed": check.failed,
+    }
+
+
+def _sentence(record: AbstractRecord, series: Series, checks: list[Check]) -> str:
+    """What fails in one channel of a record; the first check is the variance of the whole."""
+    channel = f", channel {checks[0].channel}" if len(series.channels) > 1 else ""
+    failed = [c for c in checks if c.failed]
+    variances = [c for c in failed if c.kind == "variance"]
+    said = []
+    if variances:
+        place, worst = _place(record, series, checks[0], variances)
+        said.append(f"{times(worst.statistic)} × noise variance")
+    else:
+        place = ""
+    said += [f"residual not white ({_p(c.p_value)})" for c in failed if c.kind == "whiteness"]
+    depends = [c for c in failed if c.kind == "dependence"]
+    if depends:
+        names = ", ".join(dict.fromkeys(c.heading for c in sorted(depends, key=lambda c: c.p_value)))
+        said.append(f"depends on {names} ({_p(max(c.p_value for c in depends))})")
+    return f"{record.name} fails{place}{channel}: {'; '.join(said)}"
+
+
+def _place(record: AbstractRecord, series: Series, whole: Check, failed: list[Check]) -> tuple[str, Check]:
+    """The setting, and the frequency or time, at which the misfit is largest."""
+    settings = [
+        c for c in failed if c.label and c.heading != "frequency" and c.statistic > STANDS_OUT * whole.statistic
+    ]
+    bands = [c for c in failed if c.heading == "frequency"]
+    worst = max(settings or [whole], key=lambda c: c.statistic)
+    rows = np.ones(len(series.white), bool)
+    words = []
+    for part in series.parts:
+        if worst.label and (part.heading, part.label) == (worst.heading, worst.label):
+            rows = part.rows
+            words.append(f" from {part.label}" if part.heading == "time" else f" at {part.heading} {part.label}")
+    number = series.channels.index(whole.channel)
+    if isinstance(record, FrequencySweepRecord):
+        peak = _peak(np.where(rows[:, None], series.white[:, number], np.nan))
+        words.append(f", near {spoken(record.frequency[peak] / (2 * np.pi), 'Hz')}")
+    elif bands and not worst.label:
+        most = max(bands, key=lambda c: c.statistic)
+        words.append(f", {most.label}")
+        worst = most if most.statistic > worst.statistic else worst
+    return "".join(words), worst
+
+
+def _peak(white: np.ndarray) -> int:
+    """The row around which (n, parts) are largest, over five rows."""
+    power = np.nansum(white**2, axis=1)
+    return int(np.argmax(np.convolve(power, np.ones(5), mode="same") * (power > 0)))
+
+
+def _p(value: float) -> str:
+    return f"p < {_SMALLEST:g}" if value < _SMALLEST else f"p = {value:.2g}"
+
+
+def _dataset(fit: CaseFit, number: int, record: AbstractRecord):
+    import xarray as xr
+
+    unit, channels = fit.case.readout.unit, ["x", "y"][: fit.model.axes]
+    white = fit.whitened[number]
+    parts = ["I", "Q"] if white.shape[-1] == 2 else ["signal"]
+    values = {
+        "measured": (("row", "channel"), record.readings, {"unit": unit}),
+        "predicted": (("row", "channel"), fit.predicted(number), {"unit": unit}),
+        "whitened": (("row", "channel", "part"), white, {"unit": "1"}),
+        "fitted": (("row",), fit.fitted[number], {"unit": "1"}),
+    }
+    known = (("time", "s"), ("frequency", "rad/s"), ("drive", "V" if fit.case.device == "resonator" else "N"),
+             ("temperature", "K"), ("bias_voltage", "V"), ("rate", "rad/s"))  # fmt: skip
+    coords: dict[str, Any] = {"channel": channels, "part": parts}
+    for name, si in known:
+        column = getattr(record, name, None)
+        if isinstance(column, np.ndarray):
+            coords[name] = (("row",), column, {"unit": si})
+    attrs = {"name": record.name, "kind": record.kind, "role": record.role or "", "noise_std": noise_level(record)}
+    return xr.Dataset(values, coords=coords, attrs=attrs)

@@ -1,0 +1,283 @@
+"""Which named physical effect is missing from a model, given what a laboratory recorded; or that none is, or that the
+records cannot tell, or that it is none of those known.
+"""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.effects import Effect, Scanned, catalogue
+from memsgyro_jax.measurement.case import Case
+from memsgyro_jax.measurement.model import Model
+from memsgyro_jax.measurement.readings import model_of, readings_of
+from memsgyro_jax.measurement.start import starting_device
+
+from .case_fit import CaseFit
+from .joint import Joint
+from .plans import plans
+from .result import SIGMAS_SEEN, Accepted, Candidate, Diagnosis, Stage, Verdict, validation_error
+from .scanning import refined, scan, scans
+from .score import Score, basis, score, separation
+from .search import Ranking, Search, start_search
+
+
+CONFUSED = 10.8  # expected Δχ² below which noise puts the wrong one of two effects first in one case of twenty
+DECIDED = 25.0  # expected Δχ² from which an experiment counts as deciding
+RECORDS = 0.1  # share of the level for records that no candidate explains; the rest is the candidates'
+PARTLY = 0.5  # share of the misfit above noise that "partly explained" asks for
+
+
+def diagnose(
+    model: "Model | object | None",
+    case: Case,
+    *,
+    effects: Sequence[Effect] = (),
+    level: float = 0.05,
+    tell: Callable[[str], None] = lambda text: None,
+) -> Diagnosis:
+    """Find what is missing from a model of a case.
+
+    Args:
+        model: a `Model` or device to start from, with effects it already has; `None` takes the design.
+        case: from `load_case`.
+        effects: the user's own, beside the catalogue.
+        level: probability that anything is reported where nothing is missing.
+        tell: is called with a sentence as the search goes on.
+
+    Raises:
+        InputError: in float32, for a level outside 0 to 1, or effects that do not suit the device.
+    """
+    if not 0.0 < level < 1.0:
+        raise InputError(f"Argument `level` must lie between 0 and 1, but is {level:g}.")
+    start = _start(model, case)
+    known = {e.label for e in start.effects}
+    candidates = [*catalogue(case.channels), *effects]
+    smooth = [e for e in candidates if not isinstance(e, Scanned) and e.label not in known]
+    joint = Joint(start.with_effect(*smooth), readings_of(case))
+    search = start_search(case, joint, (1 - RECORDS) * level, range(len(start.effects)), tell)
+    first = search.rank()
+    ranking = search.run(first)
+    base, steps = search.base, list(search.steps)
+    if not all(_explained(search.steps[-1].fit, search.accepted, level)):
+        later, ranking = _with_scans(search, ranking, tell)
+        steps += [] if later is search else later.steps[1:]
+        search = later
+    final = search.steps[-1].fit
+    tell("see what these records can tell apart")
+    confused = _confusions(search, ranking)
+    accepted = _accepted(search, confused, steps)
+    explained = _explained(final, accepted, level)
+    verdict = _verdict(base, final, accepted, all(explained))
+    groups = tuple((a.label, *a.confused_with) for a in accepted if a.confused_with)
+    return Diagnosis(
+        case=case,
+        base=base,
+        final=final,
+        verdict=verdict,
+        sentence=_sentence(verdict, accepted, final, explained),
+        accepted=accepted,
+        first=_listed(joint.model, first),
+        candidates=_listed(search.joint.model, ranking),
+        groups=groups,
+        next_experiment=_next(search, ranking, confused, tell),
+        given=tuple(start.effects[i].label for i in search.given),
+        steps=tuple(Stage(s.added, s.fit.chi2_per_dof, validation_error(s.fit)) for s in steps),
+        level=level,
+    )
+
+
+def _start(model, case: Case) -> Model:
+    if isinstance(model, Model):
+        return model
+    return model_of(case, starting_device(case) if model is None else model)
+
+
+def _explained(fit: CaseFit, accepted: Sequence, level: float) -> list[bool]:
+    """Per record and role, whether noise alone explains what is left; fitted readings, many and tested anyway, get a
+    wider gate.
+
+    Where no effect was accepted, a record beyond its gate counts only if noise, and the uncertainty of the fit, would
+    seldom put it there: with all records together this happens to `RECORDS` of the level.
+    """
+    wide = [1.0 + 4.5 * np.sqrt(2.0 / e.count) if e.role == "fit" else e.gate for e in fit.errors]
+    within = [e.chi2 / e.count <= gate for e, gate in zip(fit.errors, wide, strict=True)]
+    if accepted or all(within):
+        return within
+    alone = RECORDS * level / len(within)
+    return [fine or p > alone for fine, p in zip(within, fit.p_values, strict=True)]
+
+
+def _with_scans(search: Search, ranking: Ranking, tell) -> tuple[Search, Ranking]:
+    """Try the effects that need a scan; take the best and go on, or leave the search as it was."""
+    bare = _bare(search)
+    best = None
+    for grid in scans(search.case):
+        tell(f"scan {grid[0].label}, {len(grid)} points")
+        found = scan(bare, search.optimum, search.joint.fitted, grid)
+        if found and found.score.p_value * found.points <= search.level:
+            finer = scan(bare, search.optimum, search.joint.fitted, refined(found.effect))
+            found = finer if finer and finer.score.statistic > found.score.statistic else found
+            if best is None or found.score.statistic > best.score.statistic:
+                best = found
+    if best is None:
+        return search, ranking
+    model = search.joint.at(search.optimum.vector).with_effect(best.effect)
+    later = search.grown(Joint(model, search.joint.readings), len(model.effects) - 1, DECIDED)
+    return (search, ranking) if later is None else (later, later.run())
+
+
+def _bare(search: Search) -> Model:
+    """The fitted model with the accepted effects alone: smaller, and quicker to scan."""
+    model = search.joint.at(search.optimum.vector)
+    return model.with_only(model.effects[i] for i in sorted((*search.given, *search.accepted)))
+
+
+def _confusions(search: Search, ranking: Ranking) -> dict[int, list[int]]:
+    """Per accepted effect the candidates that could stand in its place.
+
+    Sensitivities only propose: taken with the effect present, they hold some for alike that are not (a change of the
+    pick-off's scale on one axis changes the strength of a nonlinearity). A fit with the candidate instead decides.
+    """
+    out: dict[int, list[int]] = {}
+    for place in search.accepted:
+        mine = search.own_score(place)
+        q = basis(search.jacobian_without(place))
+        others = [score(search.optimum.residual, q, block) for block in ranking.slopes]
+        out[place] = [
+            other
+            for other, theirs in zip(ranking.places, others, strict=True)
+            if separation(mine.statistic, mine, theirs) < CONFUSED and _replaces(search, place, other)
+        ]
+    return out
+
+
+def _replaces(search: Search, place: int, other: int) -> bool:
+    """Whether a fit with another effect in place of an accepted one is as good."""
+    instead = [other if i == place else i for i in search.accepted]
+    return search.refit(instead, start=search.without(place)).chi2 < search.optimum.chi2 + CONFUSED
+
+
+def _accepted(search: Search, confused: dict[int, list[int]], steps) -> tuple[Accepted, ...]:
+    out = []
+    labels = [s.added for s in steps]
+    for place in search.accepted:
+        effect = search.joint.model.effects[place]
+        mine = search.own_score(place)
+        at = np.isin(search.optimum.free, search.joint.of_effect(place))
+        where = labels.index(effect.label) if effect.label in labels else len(steps) - 1
+        out.append(
+            (
+                mine.statistic,
+                Accepted(
+                    name=effect.name,
+                    where=effect.where,
+                    estimate=tuple(search.optimum.vector[search.joint.of_effect(place)].tolist()),
+                    std=tuple(search.optimum.std[at].tolist()),
+                    unit=effect.unit,
+                    p_value=mine.p_value,
+                    error_before=validation_error(steps[max(where - 1, 0)].fit),
+                    error_after=validation_error(steps[where].fit),
+                    confused_with=tuple(search.joint.model.effects[i].label for i in confused[place]),
+                ),
+            )
+        )
+    return tuple(a for _, a in sorted(out, key=lambda pair: -pair[0]))
+
+
+def _verdict(base: CaseFit, final: CaseFit, accepted: tuple[Accepted, ...], explained: bool) -> Verdict:
+    if not accepted:
+        return "nothing_missing" if explained else "unknown_effect"
+    if explained:
+        return "cannot_tell" if any(a.confused_with for a in accepted) else "found"
+    before, after = (sum(e.chi2 - e.count for e in fit.errors) for fit in (base, final))
+    return "partly_explained" if after < (1 - PARTLY) * before else "unknown_effect"
+
+
+def _sentence(verdict: Verdict, accepted: tuple[Accepted, ...], final: CaseFit, explained: list[bool]) -> str:
+    names = ", ".join(a.label for a in accepted)
+    left = ", ".join(
+        f"{e.name} ({e.role}, {e.rms:.3g} × noise)" for e, fine in zip(final.errors, explained, strict=True) if not fine
+    )
+    return {
+        "nothing_missing": "The base model explains every record to its noise; no effect is missing.",
+        "found": f"Missing was {names}; with it the model explains every record to its noise.",
+        "cannot_tell": f"{names} would explain every record to its noise, but so would "
+        + "; ".join(f"{' or '.join(a.confused_with)} in place of {a.label}" for a in accepted if a.confused_with)
+        + ".",
+        "partly_explained": f"{names} explains most of the misfit, but something unknown is left in {left}.",
+        "unknown_effect": f"Something is missing that no known effect explains: it shows in {left}.",
+    }[verdict]
+
+
+def _listed(model: Model, ranking: Ranking) -> tuple[Candidate, ...]:
+    out = []
+    for i in ranking.order:
+        effect, mine = model.effects[ranking.places[i]], ranking.scores[i]
+        out.append(
+            Candidate(
+                label=effect.label,
+                unit=effect.unit,
+                score=mine.statistic,
+                p_value=float(ranking.p_values[i]),
+                explained_share=mine.share,
+                kept_share=mine.kept,
+                smallest_visible=mine.visible(SIGMAS_SEEN),
+                excited=mine.size > 0,
+            )
+        )
+    return tuple(out)
+
+
+def _next(search: Search, ranking: Ranking, confused: dict[int, list[int]], tell) -> str | None:
+    """The first feasible experiment that would decide between an effect and its twin, else the best there is."""
+    pairs = [(place, twin) for place, twins in confused.items() for twin in twins[:1]]
+    if not pairs:
+        return _exciting(search, ranking)
+    place, twin = pairs[0]
+    labels = [search.joint.model.effects[i].label for i in (place, twin)]
+    best, best_gain = None, CONFUSED
+    for plan in plans(search.case, search.joint.readings):
+        tell(f"predict: {plan.text}")
+        gain = _decides(search, ranking, plan, place, twin)
+        if gain > best_gain:
+            best, best_gain = plan.text, gain
+        if gain >= DECIDED:
+            break
+    if best is None:
+        return f"none of the feasible experiments would tell {labels[0]} from {labels[1]}"
+    return f"{best}; it would tell {labels[0]} from {labels[1]} by {np.sqrt(best_gain):.3g} standard deviations"
+
+
+def _decides(search: Search, ranking: Ranking, plan, place: int, twin: int) -> float:
+    """Expected Δχ² between an effect and its twin once a planned experiment is added."""
+    mine, theirs = search.joint.of_effect(place), search.joint.of_effect(twin)
+    columns = np.concatenate([search.optimum.free, theirs])
+    units = np.eye(search.joint.start.size)[columns]
+    _, added = search.joint.linearise(search.optimum.vector, units, [plan.readings])
+    known = np.concatenate([search.optimum.jacobian, ranking.slopes[ranking.places.index(twin)]], axis=1)
+    whole = np.concatenate([known, np.where(np.isfinite(added), added, 0.0)])
+    is_mine, is_theirs = np.isin(columns, mine), np.isin(columns, theirs)
+    q = basis(whole[:, ~is_mine & ~is_theirs])
+    shown = whole[:, is_mine] @ search.optimum.vector[columns[is_mine]]
+    first: Score = score(shown, q, whole[:, is_mine])
+    return separation(first.statistic, first, score(shown, q, whole[:, is_theirs]))
+
+
+def _exciting(search: Search, ranking: Ranking) -> str | None:
+    """An experiment that would show candidates which these records cannot show."""
+    blind = [place for place, mine in zip(ranking.places, ranking.scores, strict=True) if mine.size == 0]
+    if not blind:
+        return None
+    columns = np.concatenate([search.optimum.free, *(search.joint.of_effect(i) for i in blind)])
+    units, best = np.eye(search.joint.start.size)[columns], (0, "")
+    for plan in plans(search.case, search.joint.readings):
+        _, added = search.joint.linearise(search.optimum.vector, units, [plan.readings])
+        added = np.where(np.isfinite(added), added, 0.0)
+        q = basis(added[:, : search.optimum.free.size])
+        news = [score(added[:, 0], q, added[:, [search.optimum.free.size + k]]).size for k in range(len(blind))]
+        best = max(best, (sum(news), plan.text), key=lambda pair: pair[0])
+    if best[0] == 0:
+        return None
+    labels = ", ".join(search.joint.model.effects[i].label for i in blind)
+    return f"{best[1]}; these records cannot show {labels}"

@@ -1,0 +1,202 @@
+"""What a diagnosis found: verdict, effects, candidates, groups that cannot be told apart, and what to measure next."""
+
+import json
+from dataclasses import asdict, dataclass
+from typing import Literal
+
+import numpy as np
+
+from memsgyro_jax import __version__
+from memsgyro_jax.base.files import finite
+from memsgyro_jax.measurement.case import Case
+from memsgyro_jax.measurement.model import Model
+
+from .case_fit import CaseFit
+
+
+Verdict = Literal["nothing_missing", "found", "cannot_tell", "partly_explained", "unknown_effect"]
+SIGMAS_SEEN = 4.3  # strength over its standard deviation that is found nine times in ten among some forty candidates
+
+
+@dataclass(frozen=True)
+class Accepted:
+    """An effect that the model needs.
+
+    Args:
+        name, where: as in the catalogue.
+        estimate, std: strength and standard deviation, one number each or one per component, in `unit`.
+        p_value: of the final model without it.
+        error_before, error_after: root mean square of validation residual over noise before and after it was added.
+        confused_with: labels of effects that these records cannot tell from it.
+    """
+
+    name: str
+    where: str
+    estimate: tuple[float, ...]
+    std: tuple[float, ...]
+    unit: str
+    p_value: float
+    error_before: float
+    error_after: float
+    confused_with: tuple[str, ...] = ()
+
+    @property
+    def label(self) -> str:
+        """Name and variant."""
+        return f"{self.name} {self.where}".rstrip()
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect that was tried beside the final model (in the first round: the base model).
+
+    Args:
+        label, unit: of the effect.
+        score: χ² it would explain.
+        p_value: family-wise.
+        explained_share: part of the misfit above noise that it explains.
+        kept_share: part of its sensitivity that no other free parameter can take over.
+        smallest_visible: strength that would have been found about nine times in ten; infinite where nothing
+            shows it.
+        excited: whether the records can show it at all.
+    """
+
+    label: str
+    unit: str
+    score: float
+    p_value: float
+    explained_share: float
+    kept_share: float
+    smallest_visible: float
+    excited: bool
+
+
+@dataclass(frozen=True)
+class Stage:
+    """The fit after one more effect: χ² per degree of freedom of the fitted readings and error of the validation."""
+
+    added: str
+    chi2_per_dof: float
+    validation_error: float
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """Outcome of `diagnose`; prints itself.
+
+    Args:
+        case: what was measured.
+        base, final: the base model and the model with all accepted effects, beside every record.
+        verdict: one of five; `sentence` says it in words.
+        accepted: effects of the final model, the strongest first.
+        first, candidates: all candidates beside the base model, and those left beside the final one, best first.
+        groups: labels that these records cannot tell apart.
+        next_experiment: what would decide, or `None`.
+        steps: how the error fell.
+        level: probability of a false alarm that was allowed.
+        given: labels of the effects that the model had from the beginning.
+    """
+
+    case: Case
+    base: CaseFit
+    final: CaseFit
+    verdict: Verdict
+    sentence: str
+    accepted: tuple[Accepted, ...]
+    first: tuple[Candidate, ...]
+    candidates: tuple[Candidate, ...]
+    groups: tuple[tuple[str, ...], ...]
+    next_experiment: str | None
+    steps: tuple[Stage, ...]
+    level: float
+    given: tuple[str, ...] = ()
+
+    @property
+    def model(self) -> Model:
+        """The final model with the effects it was given and those accepted."""
+        whole, labels = self.final.model, {*self.given, *(a.label for a in self.accepted)}
+        return whole.with_only(effect for effect in whole.effects if effect.label in labels)
+
+    def __str__(self) -> str:
+        lines = [f"{self.case.name}: {self.verdict.replace('_', ' ')}", self.sentence, ""]
+        lines += [
+            f"  {'base model' if not s.added else '+ ' + s.added:<36} χ²/dof {s.chi2_per_dof:10.4g}   "
+            f"validation error {s.validation_error:9.4g} × noise"
+            for s in self.steps
+        ]
+        for a in self.accepted:
+            value = ", ".join(f"{e:.5g} ± {s:.2g}" for e, s in zip(a.estimate, a.std, strict=True))
+            lines.append(f"  {a.label}: {value} {a.unit}" + _confused(a))
+        before = {(e.name, e.role): e.rms for e in self.base.errors}
+        lines += ["", "  error over noise, base -> final model"]
+        lines += [
+            f"  {e.name:<16} {e.role:<10} {before[e.name, e.role]:9.4g} -> {e.rms:.4g}"
+            + ("" if e.explained else "   not explained")
+            for e in self.final.errors
+        ]
+        if self.next_experiment:
+            lines += ["", f"  next experiment: {self.next_experiment}"]
+        return "\n".join(lines)
+
+    def to_dict(self) -> dict:
+        """Everything in numbers and text, schema `memsgyro-diagnosis/1`."""
+        entries = {
+            "schema": "memsgyro-diagnosis/1",
+            "case": self.case.name,
+            "version": __version__,
+            "level": self.level,
+            "verdict": self.verdict,
+            "sentence": self.sentence,
+            "base": _fit(self.base),
+            "final": _fit(self.final),
+            "effects": [_accepted(a) for a in self.accepted],
+            "candidates": [asdict(c) for c in self.candidates],
+            "candidates_of_base": [asdict(c) for c in self.first],
+            "groups": [list(group) for group in self.groups],
+            "next_experiment": self.next_experiment,
+            "residual": {e.name: e.rms for e in self.final.errors if not e.explained},
+            "steps": [asdict(s) for s in self.steps],
+        }
+        return finite(entries)
+
+    def to_json(self) -> str:
+        """The same as text."""
+        return json.dumps(self.to_dict(), indent=1, ensure_ascii=False, allow_nan=False)
+
+
+def validation_error(fit: CaseFit) -> float:
+    """Root mean square of residual over noise of all validation readings; of all readings where none validates."""
+    errors = [e for e in fit.errors if e.role == "validation"] or list(fit.errors)
+    return float(np.sqrt(sum(e.chi2 for e in errors) / sum(e.count for e in errors)))
+
+
+def _confused(a: Accepted) -> str:
+    return f"; these records cannot tell it from {' or '.join(a.confused_with)}" if a.confused_with else ""
+
+
+def _fit(fit: CaseFit) -> dict:
+    return {
+        "chi2_per_dof": fit.chi2_per_dof,
+        "status": fit.status,
+        "per_experiment": [
+            {"name": e.name, "role": e.role, "count": e.count, "chi2_per_n": e.chi2 / e.count, "error": e.rms}
+            | {"gate": e.gate, "explained": e.explained}
+            for e in fit.errors
+        ],
+        "parameters": [p.to_dict() for p in fit.estimates],
+    }
+
+
+def _accepted(a: Accepted) -> dict:
+    single = len(a.estimate) == 1
+    return {
+        "name": a.name,
+        "axis": a.where or None,
+        "estimate": a.estimate[0] if single else list(a.estimate),
+        "std": a.std[0] if single else list(a.std),
+        "unit": a.unit,
+        "p_value": a.p_value,
+        "validation_error_before": a.error_before,
+        "validation_error_after": a.error_after,
+        "confused_with": list(a.confused_with),
+    }

@@ -1,0 +1,1 @@
+"""One die in operation, sample by sample: read-out, observer, controller, filter, scenario, engine, trace and bound."""

@@ -1,0 +1,68 @@
+"""The controller port, and the auxiliary tones that several controllers add."""
+
+import abc
+from typing import Generic, TypeVar
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.device.gyro import Pair, Scalar, number
+from memsgyro_jax.device.propagate import once
+
+from ..observers.base import Clock, Estimate
+
+
+State = TypeVar("State")
+
+
+class AbstractController(eqx.Module, Generic[State]):
+    """Gives the force for the coming sample; it sees the estimate and the clock only."""
+
+    @abc.abstractmethod
+    def init(self) -> State:
+        """The controller's own state before the first sample; `()` for a static law."""
+
+    @abc.abstractmethod
+    def command(self, state: State, estimate: Estimate, clock: Clock) -> tuple[Pair, State]:
+        """Forces (x, y) in N, held until the next sample, and the new state."""
+
+
+class Tone(eqx.Module):
+    """`amplitude * sin(2π frequency t + phase)`; frequency in Hz, phase in rad, amplitude in the unit of its user; zero
+    means silent.
+    """
+
+    frequency: Scalar = number()
+    amplitude: Scalar = number()
+    phase: Scalar = number(default=0.0)
+
+    def value(self, time: Scalar) -> Scalar:
+        """The tone at `time` [s]."""
+        return self.amplitude * jnp.sin(2.0 * jnp.pi * self.frequency * time + self.phase)
+
+
+Tones = tuple[tuple[Tone, ...], tuple[Tone, ...]]
+
+
+def tones_field() -> Tones:
+    """A field of auxiliary tones per axis: none, one for both axes, or a pair whose entries are tones or tuples of
+    tones.
+    """
+    return eqx.field(converter=_as_tones, default=((), ()))
+
+
+def _as_tones(given: "Tone | tuple") -> Tones:
+    pair = (given, given) if isinstance(given, Tone) else tuple(given)
+    if len(pair) != 2:
+        raise InputError(
+            f"Argument `tones` must be one tone for both axes or a pair (x, y), but has {len(pair)} entries; put "
+            "several tones of an axis into a tuple of their own."
+        )
+    x, y = pair
+    return tuple((axis,) if isinstance(axis, Tone) else tuple(axis) for axis in (x, y))
+
+
+def tone_values(tones: Tones, time: Scalar) -> Pair:
+    """Sum of the tones of each axis at `time` [s]."""
+    return once(time, tuple(sum((tone.value(time) for tone in axis), 0.0) for axis in tones))

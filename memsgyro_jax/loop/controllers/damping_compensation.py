@@ -1,0 +1,28 @@
+"""Damping compensation (thesis 4.2.3)."""
+
+from memsgyro_jax.device.gyro import Pair
+from memsgyro_jax.device.propagate import dot
+
+from ..observers.base import Clock, Estimate
+from .base import AbstractController, Tones, tone_values, tones_field
+
+
+class DampingCompensation(AbstractController[tuple[()]]):
+    """Cancels the estimated damping, so that the mass swings on freely: `force = (D v + η) / gain`, (4.27) and (4.28).
+
+    `tones` are the auxiliary signals η, accelerations in m/s²; they are what makes the mass observable. The 53.95 of
+    the thesis, printed as volts, is an acceleration.
+    """
+
+    tones: Tones = tones_field()
+
+    def init(self) -> tuple[()]:
+        """Nothing to remember."""
+        return ()
+
+    def command(self, state: tuple[()], estimate: Estimate, clock: Clock) -> tuple[Pair, tuple[()]]:
+        """The force at the present estimate."""
+        dynamics, velocity = estimate.dynamics, estimate.motion[2:]
+        added = tone_values(self.tones, clock.time)
+        rows = zip(dynamics.damping, added, dynamics.gain, strict=True)
+        return tuple((dot(row, velocity) + tone) / gain for row, tone, gain in rows), state

@@ -1,0 +1,56 @@
+"""A prescribed motion, by forces computed from the estimate."""
+
+import jax.numpy as jnp
+
+from memsgyro_jax.device.gyro import Pair, Scalar, check_not_negative, number
+from memsgyro_jax.device.propagate import dot
+
+from ..observers.base import Clock, Estimate
+from .base import AbstractController, Tone, Tones, tones_field
+
+
+class DesignedMotion(AbstractController[tuple[()]]):
+    """Keeps the displacement r of each axis a sum of `tones`, in m: `force = (r'' + C r' + K r + s (r' - v)) / gain`.
+
+    Stiffness K, damping with Coriolis C, gain and velocity v are the estimate's, r is the design. `settling` s [1/s]
+    lets what else the mass does die away as exp(-s t/2); zero feeds nothing of the motion back and leaves that to the
+    damping of the device. Forces are held over samples; each tone is raised by the (ωh/2)/sin(ωh/2) that holding takes
+    away.
+    """
+
+    tones: Tones = tones_field()
+    settling: Scalar = number(default=1000.0)
+
+    def __check_init__(self):
+        check_not_negative("settling", self.settling)
+
+    def init(self) -> tuple[()]:
+        """Nothing to remember."""
+        return ()
+
+    def command(self, state: tuple[()], estimate: Estimate, clock: Clock) -> tuple[Pair, tuple[()]]:
+        """The force in the middle of the coming sample, over which it is held."""
+        time, dynamics = clock.time + 0.5 * clock.period, estimate.dynamics
+        parts = [[_held(tone, time, clock.period) for tone in axis] for axis in self.tones]
+        place, speed, push = (tuple(sum((p[i] for p in axis), 0.0) for axis in parts) for i in range(3))
+        now = tuple(_speed(axis, clock.time) for axis in self.tones)
+        behind = tuple(self.settling * (r - v) for r, v in zip(now, estimate.motion[2:], strict=True))
+        rows = zip(dynamics.stiffness, dynamics.velocity, push, behind, dynamics.gain, strict=True)
+        return tuple((dot(k, place) + dot(c, speed) + a + b) / gain for k, c, a, b, gain in rows), state
+
+
+def _speed(axis: tuple[Tone, ...], time: Scalar) -> Scalar:
+    """Velocity of the sum of an axis' tones at `time`."""
+    parts = (
+        2.0 * jnp.pi * t.frequency * t.amplitude * jnp.cos(2.0 * jnp.pi * t.frequency * time + t.phase) for t in axis
+    )
+    return sum(parts, 0.0)
+
+
+def _held(tone: Tone, time: Scalar, period: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+    """Displacement, velocity and acceleration of a tone, as holding needs them."""
+    omega = 2.0 * jnp.pi * tone.frequency
+    angle, half = omega * time + tone.phase, 0.5 * omega * period
+    size = tone.amplitude * half / jnp.sin(half)
+    place = size * jnp.sin(angle)
+    return place, size * omega * jnp.cos(angle), -(omega**2) * place

@@ -1,0 +1,21 @@
+"""Open-loop drive."""
+
+from memsgyro_jax.device.gyro import Pair
+
+from ..observers.base import Clock, Estimate
+from .base import AbstractController, Tones, tone_values, tones_field
+
+
+class OpenLoop(AbstractController[tuple[()]]):
+    """Forces that ignore the estimate: `tones` per axis, in N; without tones the device swings down freely."""
+
+    tones: Tones = tones_field()
+
+    def init(self) -> tuple[()]:
+        """Nothing to remember."""
+        return ()
+
+    def command(self, state: tuple[()], estimate: Estimate, clock: Clock) -> tuple[Pair, tuple[()]]:
+        """The tones in the middle of the coming sample, over which they are held."""
+        middle = clock.time + 0.5 * clock.period
+        return tuple(tone + 0.0 * estimate.motion[0] for tone in tone_values(self.tones, middle)), state

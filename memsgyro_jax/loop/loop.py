@@ -1,0 +1,150 @@
+"""The closed loop: device, read-out, observer and controller, one sample at a time."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.device.gyro import AbstractGyro, Pair, Scalar, check_positive, is_concrete, mode_frequencies, number
+from memsgyro_jax.device.propagate import AbstractDiscretisation, Exact, State4, applied, fence
+
+from .controllers.base import AbstractController
+from .filters import AbstractFilter, check_fits
+from .observers.base import AbstractObserver, Clock, Estimate
+from .observers.settings import arrays
+from .readout import AbstractReadout
+from .scenario import Conditions
+
+
+class Output(NamedTuple):
+    """The output filter's last output in rad/s, and its own state."""
+
+    rate: Scalar
+    held: tuple
+
+
+class LoopState(NamedTuple):
+    """Everything that a sample hands to the next; `output` is None in a loop without an output filter."""
+
+    motion: State4
+    observer: object
+    controller: object
+    output: Output | None = None
+
+
+class Sample(NamedTuple):
+    """What can be recorded of one sample: truth, measurement, command and estimate at its end.
+
+    `rate` in rad/s is what the loop gives out: the estimate's, behind the output filter where there is one.
+    """
+
+    clock: Clock
+    conditions: Conditions
+    motion: State4
+    volts: Pair
+    force: Pair
+    estimate: Estimate
+    rate: Scalar
+
+
+class ClosedLoop(eqx.Module):
+    """A gyro in operation. `start` is the true motion (x, y, vx, vy) at time zero in m and m/s.
+
+    A die whose displacement is beyond `travel` [m], or whose numbers are not finite, at the end of a block of samples
+    (a window of a sweep, a kept sample of a trace) is lost: it is frozen and flagged.
+
+    `filter` smooths the estimated rate into the loop's output, from the observer's first estimate on; None gives out
+    the estimate itself. Nothing feeds back from it.
+    """
+
+    device: AbstractGyro
+    readout: AbstractReadout
+    observer: AbstractObserver
+    controller: AbstractController
+    start: State4 = arrays(default=(1e-6, 0.0, 0.0, 0.0))
+    travel: Scalar = number(default=50e-6)
+    discretisation: AbstractDiscretisation = eqx.field(default_factory=Exact)
+    filter: AbstractFilter | None = None
+
+    def __check_init__(self):
+        if self.device.model != self.observer.model:
+            raise InputError(
+                "The observer must expect the kind of device it watches; make it with `for_device(gyro, readout)`."
+            )
+        if getattr(self.observer, "signals", self.readout.signals) != self.readout.signals:
+            raise InputError(
+                "The observer and the read-out must measure the same, displacement or velocity; make the observer "
+                "with `for_device(gyro, readout)`."
+            )
+        expected, scale = getattr(self.observer, "scale", self.readout.scale), self.readout.scale
+        if is_concrete(expected, scale) and np.any(np.sign(np.asarray(expected)) != np.sign(np.asarray(scale))):
+            raise InputError(
+                "The observer must expect a scale of the same sign as the read-out's; make it with "
+                "`for_device(gyro, readout)`."
+            )
+        check_positive("travel", self.travel)
+        if is_concrete(self.start) and not (len(self.start) == 4 and all(np.all(np.isfinite(v)) for v in self.start)):
+            raise InputError("Argument `start` must be 4 finite numbers (x, y, vx, vy), in m and m/s.")
+        if not (self.filter is None or isinstance(self.filter, AbstractFilter)):
+            raise InputError(
+                "Argument `filter` must be a filter, `Lowpass(10.0)` say, or None, "
+                f"but is {type(self.filter).__name__}."
+            )
+
+    def init(self) -> LoopState:
+        """The state at time zero."""
+        observer = self.observer.init()
+        if self.filter is None:
+            return LoopState(self.start, observer, self.controller.init())
+        level = jnp.asarray(self.observer.estimate(observer).rate, float)
+        return LoopState(self.start, observer, self.controller.init(), Output(level, self.filter.init(level)))
+
+    def rate(self, state: LoopState) -> Scalar:
+        """The loop's output in rad/s: the estimated rate, behind the output filter where there is one."""
+        return self.observer.estimate(state.observer).rate if state.output is None else state.output.rate
+
+    def step(self, state: LoopState, conditions: Conditions, noise: Pair, clock: Clock) -> tuple[LoopState, Sample]:
+        """One sample, from `clock` to one period later; `noise` is a pair of standard normal numbers."""
+        estimate = self.observer.estimate(state.observer)
+        force, controller = self.controller.command(state.controller, estimate, clock)
+
+        dynamics = self.device.dynamics(conditions.inertial)
+        push = applied(dynamics, force)
+        motion = self.discretisation.advance(state.motion, push, dynamics.stiffness, dynamics.velocity, clock.period)
+        motion = fence(clock.time, motion)
+
+        end = Clock(clock.time + clock.period, clock.sample + 1, clock.period)
+        volts = self.readout.measure(motion, noise, conditions.offset_drift, clock.period)
+        observer = self.observer.update(state.observer, volts, force, end)
+
+        estimate, output = self.observer.estimate(observer), None
+        if self.filter is not None and state.output is not None:
+            output = Output(*self.filter.step(state.output.held, estimate.rate, clock.period))
+        rate = estimate.rate if output is None else output.rate
+        new = LoopState(motion, observer, controller, output)
+        return new, Sample(end, conditions, motion, volts, force, estimate, rate)
+
+    def sampled_at(self, sample_rate: float, design: "ClosedLoop | None" = None) -> "ClosedLoop":
+        """This loop with its series long enough to be exact at `sample_rate` [Hz]; inside a transformation, unchanged.
+
+        Raises `InputError` when the sample rate cannot carry the device's modes or the output filter.
+        """
+        if not (np.isfinite(sample_rate) and sample_rate > 0.0):
+            raise InputError(f"Argument `sample_rate` must be a positive number of Hz, but {sample_rate} was given.")
+        if self.filter is not None:
+            check_fits(self.filter, sample_rate)
+        device = self.device if design is None else design.device
+        if not is_concrete(device):
+            return self
+        exact = Exact.covering(float(np.max(mode_frequencies(device))) * _MARGIN, sample_rate)
+        return jax.tree.map(lambda part: exact if isinstance(part, Exact) else part, self, is_leaf=_is_exact)
+
+
+_MARGIN = 1.3  # estimates and spread dies may lie above the design's mode frequencies
+
+
+def _is_exact(part: object) -> bool:
+    return isinstance(part, Exact)

@@ -1,0 +1,144 @@
+"""The thesis' own observer, with gains that make a Lyapunov function decrease (4.1.3.1, (4.11) and (4.12))."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.device.gyro import UX, VX, AbstractGyro, MotionModel, Pair, Scalar, check_positive, number
+from memsgyro_jax.device.propagate import AbstractDiscretisation, Exact, State4, fence
+
+from ..readout import AbstractReadout
+from .base import AbstractObserver, Clock, Estimate
+from .settings import arrays
+
+
+class LyapunovState(NamedTuple):
+    """Estimated motion and coefficients."""
+
+    motion: State4
+    theta: tuple[Scalar, ...]
+
+
+class LyapunovObserver(AbstractObserver[LyapunovState]):
+    """Velocity error drives the motion with a fixed gain and each coefficient with its own signal (4.11), (4.12).
+
+    The gains of the thesis have no units: they hold for motion in units of `length` [m] and time in units of
+    `1/frequency` [rad/s] (findings of its figures: 1 µm and 1/(2π·3 kHz)). `gain` is l of (4.11), one per axis;
+    `adaptation` multiplies the unit gains of the coefficients, in the model's order, zero freezing one at its start.
+    Corrections integrate the error, held over a sample, exactly. The read-out must be of velocity.
+    """
+
+    motion: State4 = arrays()
+    theta: tuple[Scalar, ...] = arrays()
+    gain: Pair = arrays()
+    adaptation: tuple[Scalar, ...] = arrays()
+    scale: Pair = arrays()
+    offset: Pair = arrays()
+    unit: tuple[Scalar, ...] = arrays()
+    length: Scalar = number()
+    frequency: Scalar = number()
+    discretisation: AbstractDiscretisation
+    model: MotionModel = eqx.field(static=True)
+
+    def __check_init__(self):
+        for value in self.gain:
+            check_positive("gain", value)
+        check_positive("length", self.length)
+        check_positive("frequency", self.frequency)
+
+    @classmethod
+    def for_device(
+        cls,
+        gyro: AbstractGyro,
+        readout: AbstractReadout,
+        *,
+        gain: float | Pair = 100.0,
+        known: tuple[str, ...] = (),
+        start: float = 1.0,
+        motion: State4 = (1e-6, 0.0, 0.0, 0.0),
+        length: float = 1e-6,
+        frequency: float = 2.0 * np.pi * 3000.0,
+        discretisation: AbstractDiscretisation | None = None,
+    ) -> "LyapunovObserver":
+        """An observer whose coefficients start at `start` times those of `gyro` (thesis: 0.8), the rate at zero.
+
+        `known` names coefficients that are not adapted: `("sigma",)` is the thesis' "mass known"; they start at the
+        full value. Raises `InputError` for a displacement read-out.
+        """
+        if readout.signals != (VX, VX + 1):
+            raise InputError("The Lyapunov observer needs a velocity read-out; use `DirectReadout.of_velocity`.")
+        fixed = {gyro.model.index(name) for name in known}
+        design = gyro.coefficients(0.0)
+        theta = tuple(value * (1.0 if i in fixed else start) for i, value in enumerate(design))
+        return cls(
+            motion=motion,
+            theta=theta,
+            gain=gain if isinstance(gain, tuple) else (gain, gain),
+            adaptation=tuple(0.0 if i in fixed else 1.0 for i in range(len(theta))),
+            scale=readout.scale,
+            offset=readout.offset,
+            unit=_units(gyro.model, design, frequency),
+            length=length,
+            frequency=frequency,
+            discretisation=discretisation if discretisation is not None else Exact(),
+            model=gyro.model,
+        )
+
+    def init(self) -> LyapunovState:
+        """The start values."""
+        return LyapunovState(self.motion, self.theta)
+
+    def update(self, state: LyapunovState, measured: Pair, force: Pair, clock: Clock) -> LyapunovState:
+        """Exact prediction with the present coefficients, then the correction by the velocity error."""
+        dynamics = self.model.assemble(state.theta)
+        acceleration = tuple(g * f for g, f in zip(dynamics.gain, force, strict=True))
+        motion = self.discretisation.advance(
+            state.motion, acceleration, dynamics.stiffness, dynamics.velocity, clock.period
+        )
+        motion = fence(clock.time, motion)
+        speed = self.length * self.frequency
+        parts = zip(measured, self.offset, self.scale, motion[2:], strict=True)
+        error = tuple(((z - offset) / scale - v) / speed for z, offset, scale, v in parts)
+        # A constant gain l closes 1 - exp(-l h) of the error in a sample of (scaled) length h; its integral is that
+        # over l.
+        closed = tuple(-jnp.expm1(-gain * self.frequency * clock.period) for gain in self.gain)
+        velocity = tuple(v + c * e * speed for v, c, e in zip(motion[2:], closed, error, strict=True))
+        driven = tuple(c * e / gain for c, e, gain in zip(closed, error, self.gain, strict=True))
+        return LyapunovState((*motion[:2], *velocity), self._adapted(state.theta, (*motion, *force), driven))
+
+    def estimate(self, state: LyapunovState) -> Estimate:
+        """Motion and coefficients; the read-out is taken as ideal, so the offsets are the declared ones."""
+        return Estimate(state.motion, state.theta, self.offset, self.model)
+
+    def _adapted(self, theta: tuple[Scalar, ...], signals: tuple[Scalar, ...], driven: Pair) -> tuple[Scalar, ...]:
+        """Each coefficient moved by its signals times the integrated error of their axes: L2 of (4.11)."""
+        new = []
+        for value, unit, adaptation, coefficient in zip(
+            theta, self.unit, self.adaptation, self.model.coefficients, strict=True
+        ):
+            move = sum(
+                factor * self._scaled(signals[signal], signal, unit) * driven[axis]
+                for axis, signal, factor in coefficient.terms
+            )
+            new.append(value + adaptation * unit * move)
+        return tuple(new)
+
+    def _scaled(self, value: Scalar, signal: int, unit: Scalar) -> Scalar:
+        """A signal without units; a force is measured by the acceleration it gives the nominal mass."""
+        if signal >= UX:
+            return value * unit / (self.length * self.frequency**2)
+        return value / (self.length * self.frequency) if signal >= VX else value / self.length
+
+
+def _units(model: MotionModel, design: tuple[Scalar, ...], frequency: float) -> tuple[Scalar, ...]:
+    """The unit of each coefficient in scaled variables: ω² for stiffness, ω for damping and rate, the design value for
+    1/mass.
+    """
+    units = []
+    for value, coefficient in zip(design, model.coefficients, strict=True):
+        signal = coefficient.terms[0].signal
+        units.append(value if signal >= UX else frequency if signal >= VX else frequency**2)
+    return tuple(units)

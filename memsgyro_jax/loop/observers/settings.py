@@ -1,0 +1,142 @@
+"""What a Kalman filter is told before it starts: prior, process noise, annealing."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.device.gyro import (
+    AbstractGyro,
+    MotionModel,
+    Pair,
+    Scalar,
+    check_not_negative,
+    check_positive,
+    number,
+)
+from memsgyro_jax.device.propagate import State4
+
+
+def arrays(**options: object) -> tuple[Scalar, ...]:
+    """A field that holds a tuple of numbers, each as an array."""
+    return eqx.field(converter=lambda numbers: jax.tree.map(jnp.asarray, tuple(numbers)), **options)
+
+
+class Prior(eqx.Module):
+    """Mean and standard deviation of everything the filter estimates, at the start.
+
+    `motion` (x, y, vx, vy) in m and m/s, `offset` in V, `theta` mass-normalised coefficients in the model's order;
+    a zero standard deviation means known exactly.
+    """
+
+    motion: State4 = arrays()
+    motion_std: State4 = arrays()
+    offset: Pair = arrays()
+    offset_std: Pair = arrays()
+    theta: tuple[Scalar, ...] = arrays()
+    theta_std: tuple[Scalar, ...] = arrays()
+
+    def __check_init__(self):
+        _check_lengths(self, motion=4, motion_std=4, offset=2, offset_std=2, theta_std=len(self.theta))
+        for name in ("motion_std", "offset_std", "theta_std"):
+            for value in getattr(self, name):
+                check_not_negative(name, value)
+
+
+class ProcessNoise(eqx.Module):
+    """Random-walk intensity per estimated entry, in unit²/s; zero means constant."""
+
+    motion: State4 = arrays()
+    offset: Pair = arrays()
+    theta: tuple[Scalar, ...] = arrays()
+
+    def __check_init__(self):
+        _check_lengths(self, motion=4, offset=2)
+        for name in ("motion", "offset", "theta"):
+            for value in getattr(self, name):
+                check_not_negative(name, value)
+
+    @classmethod
+    def none(cls, model: MotionModel) -> "ProcessNoise":
+        """Nothing walks."""
+        return cls((0.0,) * 4, (0.0,) * 2, (0.0,) * len(model.names))
+
+    @classmethod
+    def of(cls, model: MotionModel, **intensity: float) -> "ProcessNoise":
+        """Intensities by coefficient name, for example `rate=1e-3` [(rad/s)²/s]; unnamed entries do not walk."""
+        theta = [0.0] * len(model.names)
+        for name, value in intensity.items():
+            theta[model.index(name)] = value
+        return cls((0.0,) * 4, (0.0,) * 2, tuple(theta))
+
+
+class Annealing(eqx.Module):
+    """Measurement variance times `1 + excess * exp(-time/decay)`: a cautious start where the prior is far from linear.
+
+    `excess` zero means none; `decay` in s.
+    """
+
+    excess: Scalar = number(default=1000.0)
+    decay: Scalar = number(default=0.5e-3)
+
+    def __check_init__(self):
+        check_not_negative("excess", self.excess)
+        check_positive("decay", self.decay)
+
+    def factor(self, time: Scalar) -> Scalar:
+        """The factor at `time` [s]."""
+        return 1.0 + self.excess * jnp.exp(-time / self.decay)
+
+
+def _check_lengths(settings: eqx.Module, **lengths: int) -> None:
+    for name, length in lengths.items():
+        if len(getattr(settings, name)) != length:
+            raise InputError(
+                f"Argument `{name}` must have {length} entries, but {len(getattr(settings, name))} were given."
+            )
+
+
+def design_prior(
+    gyro: AbstractGyro,
+    *,
+    spread: float = 0.15,
+    rate_std: float = 3.0,
+    offset_std: float = 20e-3,
+    amplitude: float = 1e-6,
+    motion_error: float = 0.05,
+) -> Prior:
+    """A prior around the design values of `gyro`, at rest but for a displacement `amplitude` [m] along x.
+
+    Every physical parameter of the device is taken to vary by `spread` of itself, independently; a coefficient, a
+    stiffness over a mass say, gets the standard deviation that follows to first order. The rate has `rate_std` [rad/s]
+    about zero, the read-out offsets `offset_std` [V] about zero, the motion `motion_error` of the amplitude (velocities
+    times the mode frequency). Zero standard deviations mean known exactly.
+    """
+    theta, theta_std, frequency = _theta(gyro, spread, rate_std)
+    position = motion_error * amplitude
+    return Prior(
+        motion=(amplitude, 0.0, 0.0, 0.0),
+        motion_std=(position, position, position * frequency[0], position * frequency[1]),
+        offset=(0.0, 0.0),
+        offset_std=(offset_std, offset_std),
+        theta=theta,
+        theta_std=theta_std,
+    )
+
+
+@eqx.filter_jit  # one small program in place of two dozen
+def _theta(gyro: AbstractGyro, spread: Scalar, rate_std: Scalar) -> tuple[tuple[Scalar, ...], tuple[Scalar, ...], Pair]:
+    """Coefficients at rest, their standard deviations to first order in the spread of the parameters, and the axes'
+    natural frequencies.
+    """
+    leaves, structure = jax.tree.flatten(gyro)
+    slopes = jax.jacfwd(lambda values: jax.tree.unflatten(structure, values).coefficients(0.0))(leaves)
+    variances = (sum((spread * p * slope) ** 2 for p, slope in zip(leaves, row, strict=True)) for row in slopes)
+    # A unit rate gives each rate coefficient its share, which is below 1 for the frame of a dual-mass gyro.
+    share = gyro.coefficients(1.0)
+    std = tuple(
+        rate_std * s if coefficient.is_rate else jnp.sqrt(variance)
+        for variance, s, coefficient in zip(variances, share, gyro.model.coefficients, strict=True)
+    )
+    theta = gyro.coefficients(0.0)
+    return theta, std, tuple(jnp.sqrt(theta[gyro.model.index(name)]) for name in ("kxx", "kyy"))

@@ -1,0 +1,229 @@
+"""From motion to volts: comb pick-off and charge amplifier, an ideal pick-off, and the converter behind them.
+
+Every read-out is `volts = scale * signal + offset + noise` per axis. The observer is given the nominal scale and noise;
+the offset it must find. Noise is a one-sided density, so that changing the sample rate keeps the physics.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.device.gyro import (
+    VX,
+    VY,
+    Pair,
+    Scalar,
+    X,
+    Y,
+    check_not_negative,
+    check_positive,
+    is_concrete,
+    number,
+)
+
+
+PERMITTIVITY = 8.8541878128e-12  # F/m
+THESIS_RATE = 10e6  # Hz, the sampling rate at which the thesis states its noise per sample
+
+
+class Adc(eqx.Module):
+    """An analogue-to-digital converter: `limit` is half the span in volts, `bits` the word length.
+
+    Conversion rounds and clips; its derivative is that of the clipped straight line, so tuning sees through the steps.
+    """
+
+    limit: Scalar = number()
+    bits: int = eqx.field(static=True)
+
+    def __check_init__(self):
+        check_positive("limit", self.limit)
+        if not 1 <= self.bits <= 48:
+            raise InputError(f"Argument `bits` of the converter must lie between 1 and 48, but {self.bits} was given.")
+
+    def convert(self, volts: Scalar) -> Scalar:
+        """The nearest code's voltage, clipped at the limits."""
+        step = 2.0 * self.limit / 2**self.bits
+        clipped = jnp.clip(volts, -self.limit, self.limit - step)
+        return clipped + jax.lax.stop_gradient(step * jnp.round(clipped / step) - clipped)
+
+
+class AbstractReadout(eqx.Module):
+    """What turns motion into the voltages an observer sees."""
+
+    scale: eqx.AbstractVar[Pair]  # volts per unit of the signal (V/m or V·s/m)
+    offset: eqx.AbstractVar[Pair]  # volts at zero signal
+    noise_density: eqx.AbstractVar[Pair]
+    adc: eqx.AbstractVar[Adc | None]
+    signals: eqx.AbstractVar[tuple[int, int]]
+
+    def noise_std(self, period: Scalar) -> Pair:
+        """Standard deviation of one sample in volts: density * sqrt(bandwidth), with bandwidth 1/(2·period)."""
+        return tuple(density * jnp.sqrt(0.5 / period) for density in self.noise_density)
+
+    def measure(self, motion: tuple[Scalar, ...], noise: Pair, drift: Pair, period: Scalar) -> Pair:
+        """One sample in volts; `noise` is a pair of standard normal numbers, `drift` changes the offsets [V]."""
+        parts = zip(self.signals, self.scale, self.offset, drift, noise, self.noise_std(period), strict=True)
+        volts = tuple(s * motion[signal] + o + d + n * std for signal, s, o, d, n, std in parts)
+        return volts if self.adc is None else tuple(map(self.adc.convert, volts))
+
+
+def pair_field() -> Pair:
+    """A field for one number per axis; a single number serves both."""
+    return eqx.field(converter=_as_pair)
+
+
+def _as_pair(value: object) -> Pair:
+    if isinstance(value, tuple | list):
+        if len(value) != 2:
+            raise InputError(
+                f"A pair of numbers for the axes x and y must have 2 entries, but {len(value)} were given."
+            )
+        return tuple(map(jnp.asarray, value))
+    return (jnp.asarray(value), jnp.asarray(value))
+
+
+class ChargeAmplifier(AbstractReadout):
+    """Lateral comb pick-off into a charge amplifier (thesis 3.2 and 3.3.1), two numbers (x, y) per field.
+
+    `fingers` N; finger width `width` W, `gap` Z, initial overlap `overlap` x0 and its mismatch `mismatch` d in m;
+    `bias` in V; `feedback` Cf and `parasitic` Cp in F; op-amp `opamp_offset` Vos in V. `rejection` ν in [0, 1] scales
+    what the op-amp offset leaves (1: none rejected). The offset is the α + β of (3.10) with (3.12): mismatch and op-amp
+    parts add. `noise_density` in V/√Hz (one-sided), zero means noise-free; `adc` None means no converter.
+    """
+
+    fingers: Pair = pair_field()
+    width: Pair = pair_field()
+    gap: Pair = pair_field()
+    overlap: Pair = pair_field()
+    mismatch: Pair = pair_field()
+    bias: Scalar = number()
+    feedback: Pair = pair_field()
+    parasitic: Pair = pair_field()
+    opamp_offset: Pair = pair_field()
+    rejection: Scalar = number(default=1.0)
+    noise_density: Pair = eqx.field(converter=_as_pair, default=0.0)
+    adc: Adc | None = None
+    signals: tuple[int, int] = eqx.field(static=True, default=(X, Y))
+
+    def __check_init__(self):
+        for name in ("fingers", "width", "gap", "feedback"):
+            for value in getattr(self, name):
+                check_positive(name, value)
+        for value in self.parasitic:
+            check_not_negative("parasitic", value)
+        if is_concrete(self.rejection) and not all(0.0 <= value <= 1.0 for value in np.ravel(self.rejection)):
+            raise InputError(f"Argument `rejection` must lie between 0 and 1, but {self.rejection} was given.")
+        _check_density(self.noise_density)
+
+    @classmethod
+    def chi2010(cls, noise_density: float | Pair | None = None) -> "ChargeAmplifier":
+        """Thesis Table 5.3: 100 mV/µm, offsets 15 and 11 mV; noise 1 mV per sample at 10 MHz unless given (SNR 100 on 1
+        µm).
+        """
+        density = snr_density(100.0, 1e-6, 1e5, THESIS_RATE) if noise_density is None else noise_density
+        return cls(  # type: ignore[call-arg]
+            fingers=113.0, width=5e-6, gap=1e-6, overlap=50e-6, mismatch=(0.1e-6, 0.085e-6), bias=10.0,
+            feedback=1e-12, parasitic=1e-12, opamp_offset=(2e-3, 1e-3), noise_density=density,
+        )  # fmt: skip
+
+    @property
+    def gradient(self) -> Pair:
+        """Capacitance per displacement in F/m (3.5)."""
+        return tuple(n * PERMITTIVITY * w / z for n, w, z in zip(self.fingers, self.width, self.gap, strict=True))
+
+    @property
+    def scale(self) -> Pair:  # type: ignore[override]  # an AbstractVar of equinox may be a property
+        """-2V/Cf · dC/dx (3.10)."""
+        return tuple(-2.0 * self.bias / cf * g for cf, g in zip(self.feedback, self.gradient, strict=True))
+
+    @property
+    def offset(self) -> Pair:  # type: ignore[override]
+        """α + ν·β of (3.10) and (3.12)."""
+        parts = (self.gradient, self.mismatch, self.overlap, self.feedback, self.parasitic, self.opamp_offset)
+        return tuple(
+            2.0 * g * d * self.bias / cf + self.rejection * (2.0 * g * x0 + cp + cf) * vos / cf
+            for g, d, x0, cf, cp, vos in zip(*parts, strict=True)
+        )
+
+
+class DirectReadout(AbstractReadout):
+    """A pick-off without circuit: `scale * signal + offset + noise`, on displacement or on velocity.
+
+    `scale` in V/m (or V·s/m), `offset` in V, `noise_density` in V/√Hz one-sided; zeros mean absent.
+    """
+
+    scale: Pair = pair_field()
+    offset: Pair = eqx.field(converter=_as_pair, default=0.0)
+    noise_density: Pair = eqx.field(converter=_as_pair, default=0.0)
+    adc: Adc | None = None
+    signals: tuple[int, int] = eqx.field(static=True, default=(X, Y))
+
+    def __check_init__(self):
+        _check_density(self.noise_density)
+
+    @classmethod
+    def of_velocity(cls, scale: float | Pair, noise_density: float | Pair = 0.0) -> "DirectReadout":
+        """A velocity pick-off, as the thesis' own observer needs (4.1.3.1); `scale` in V·s/m."""
+        return cls(scale, noise_density=noise_density, signals=(VX, VY))
+
+
+class Delayed(AbstractReadout):
+    """A displacement read-out whose channels answer `delay` (x, y) [s] late; zero is no delay.
+
+    To first order: the displacement less delay times velocity. What that leaves out is (ω·delay)²/2 of the signal.
+    """
+
+    inner: AbstractReadout
+    delay: Pair = pair_field()
+
+    def __check_init__(self):
+        if self.inner.signals != (X, Y):
+            raise InputError("Argument `inner` must be a displacement read-out, but it shows another signal.")
+
+    def measure(self, motion: tuple[Scalar, ...], noise: Pair, drift: Pair, period: Scalar) -> Pair:
+        """One sample of where the mass was."""
+        late = tuple(
+            place - delay * speed for place, speed, delay in zip(motion[:2], motion[2:], self.delay, strict=True)
+        )
+        return self.inner.measure((*late, *motion[2:]), noise, drift, period)
+
+    @property
+    def scale(self) -> Pair:  # type: ignore[override]
+        """Of the read-out itself."""
+        return self.inner.scale
+
+    @property
+    def offset(self) -> Pair:  # type: ignore[override]
+        """Of the read-out itself."""
+        return self.inner.offset
+
+    @property
+    def noise_density(self) -> Pair:  # type: ignore[override]
+        """Of the read-out itself."""
+        return self.inner.noise_density
+
+    @property
+    def adc(self) -> Adc | None:  # type: ignore[override]
+        """Of the read-out itself."""
+        return self.inner.adc
+
+    @property
+    def signals(self) -> tuple[int, int]:  # type: ignore[override]
+        """Displacement."""
+        return self.inner.signals
+
+
+def snr_density(snr: float, amplitude: float, scale: float, sample_rate: float) -> float:
+    """One-sided noise density [V/√Hz] of the thesis' SNR: an amplitude ratio of `amplitude` [m] (or m/s) to the noise
+    per sample.
+
+    The thesis does not define its SNR; this reading alone gives its 7.16 °/s of section 5.2.1.
+    """
+    return abs(scale) * amplitude / snr * (2.0 / sample_rate) ** 0.5
+
+
+def _check_density(density: Pair) -> None:
+    for value in density:
+        check_not_negative("noise_density", value)

@@ -1,0 +1,227 @@
+"""One closed-loop run of one die, kept sample by sample."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from memsgyro_jax.base import runtime
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.provenance import Settings
+from memsgyro_jax.device.propagate import State4
+
+from . import engine, noise
+from .loop import ClosedLoop, Sample
+from .scenario import AbstractProfile, Scenario, as_scenario
+
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.axes import Axes
+
+
+@dataclass(frozen=True)
+class Trace:
+    """What a run recorded, one row per kept sample; SI units throughout.
+
+    `theta` holds the true coefficients at the end of the run. `rate_estimate` is the loop's output, behind its filter
+    where it has one, `rate_unfiltered` the observer's own estimate, of which alone `rate_std` and `nis` speak (NaN for
+    an observer without a covariance). `lost_at` is None, or the time at which the die was lost (out of its travel, or
+    not finite, at a kept sample): rows from then on repeat the last good one.
+    """
+
+    time: Float[np.ndarray, " samples"]
+    rate_true: Float[np.ndarray, " samples"]
+    rate_estimate: Float[np.ndarray, " samples"]
+    rate_unfiltered: Float[np.ndarray, " samples"]
+    rate_std: Float[np.ndarray, " samples"]
+    motion: Float[np.ndarray, "samples 4"]
+    motion_estimate: Float[np.ndarray, "samples 4"]
+    theta: Float[np.ndarray, " coefficients"]
+    theta_estimate: Float[np.ndarray, "samples coefficients"]
+    offset: Float[np.ndarray, "samples 2"]
+    offset_estimate: Float[np.ndarray, "samples 2"]
+    volts: Float[np.ndarray, "samples 2"]
+    force: Float[np.ndarray, "samples 2"]
+    nis: Float[np.ndarray, " samples"]
+    coefficients: tuple[str, ...]
+    lost_at: float | None
+    settings: Settings
+
+    @property
+    def status(self) -> str:
+        """A sentence on how the run went."""
+        return "completed" if self.lost_at is None else f"lost at {self.lost_at:.6g} s: out of travel or not finite"
+
+    @property
+    def rate_error(self) -> Float[np.ndarray, " samples"]:
+        """Estimate minus truth in rad/s."""
+        return self.rate_estimate - self.rate_true
+
+    @property
+    def filtered(self) -> bool:
+        """Whether the output is another than the observer's own estimate."""
+        return not np.array_equal(self.rate_estimate, self.rate_unfiltered, equal_nan=True)
+
+    def __repr__(self) -> str:
+        error = np.degrees(self.rate_error[len(self.time) // 2 :])
+        return (
+            f"Trace of {self.time[-1]:.4g} s, {len(self.time)} samples kept at {self.settings.sample_rate:g} Hz, "
+            f"{self.status}\n"
+            f"rate error over the second half: mean {np.mean(error):.3g}, "
+            f"standard deviation {np.std(error):.3g} deg/s"
+        )
+
+    def to_xarray(self) -> "xr.Dataset":
+        """The trace as a Dataset over `time`, units in the attributes."""
+        import xarray as xr
+
+        axes, states = ["x", "y"], ["x", "y", "vx", "vy"]
+        variables = {
+            "rate_true": ("time", self.rate_true, {"units": "rad/s"}),
+            "rate_estimate": ("time", self.rate_estimate, {"units": "rad/s"}),
+            "rate_unfiltered": ("time", self.rate_unfiltered, {"units": "rad/s"}),
+            "rate_std": ("time", self.rate_std, {"units": "rad/s"}),
+            "motion": (("time", "state"), self.motion, {"units": "m, m/s"}),
+            "motion_estimate": (("time", "state"), self.motion_estimate, {"units": "m, m/s"}),
+            "theta": ("coefficient", self.theta, {"units": "SI per kg"}),
+            "theta_estimate": (("time", "coefficient"), self.theta_estimate, {"units": "SI per kg"}),
+            "offset": (("time", "axis"), self.offset, {"units": "V"}),
+            "offset_estimate": (("time", "axis"), self.offset_estimate, {"units": "V"}),
+            "volts": (("time", "axis"), self.volts, {"units": "V"}),
+            "force": (("time", "axis"), self.force, {"units": "N"}),
+            "nis": ("time", self.nis, {"units": "1"}),
+        }
+        coordinates = {"time": self.time, "axis": axes, "state": states, "coefficient": list(self.coefficients)}
+        return xr.Dataset(variables, coordinates, {**self.settings.as_dict(), "status": self.status})
+
+    def plot(self, quantity: str = "rate", ax: "Axes | None" = None) -> "Axes":
+        """Estimate beside truth over time: `rate`, `motion`, `offset`, or the name of a coefficient."""
+        from . import pictures
+
+        return pictures.trace(self, quantity, ax)
+
+
+class _Row(NamedTuple):
+    """What a trace keeps of a sample."""
+
+    time: jax.Array
+    rate: jax.Array
+    motion: State4
+    offset: tuple
+    volts: tuple
+    force: tuple
+    estimate: Any
+    output: jax.Array
+
+
+class TraceRecorder(engine.AbstractRecorder[_Row, _Row]):
+    """Keeps the last sample of each block; `empty` gives the shapes."""
+
+    empty: _Row
+
+    def init(self) -> _Row:
+        """Zeros."""
+        return self.empty
+
+    def sample(self, memory: _Row, sample: Sample) -> _Row:
+        """The sample itself."""
+        return _row(sample)
+
+    def block(self, memory: _Row) -> tuple[_Row, _Row]:
+        """The last sample."""
+        return memory, memory
+
+
+def simulate(
+    loop: ClosedLoop,
+    scenario: Scenario | AbstractProfile | float = 0.0,
+    *,
+    sample_rate: float,
+    duration: float,
+    seed: int = 0,
+    die: int = 0,
+    decimation: int = 1,
+) -> Trace:
+    """Run one die of `loop` for `duration` [s] at `sample_rate` [Hz] and keep every `decimation`-th sample.
+
+    `scenario` is a `Scenario`, a profile of the rate, or a constant rate in rad/s. Noise depends on (`seed`, `die`)
+    only. Raises `InputError` for a sample rate that cannot carry the device's modes, and outside float64.
+    """
+    runtime.require_float64("simulate")
+    steps = count_steps(sample_rate, duration)
+    if not 1 <= decimation <= steps:
+        raise InputError(
+            f"Argument `decimation` must lie between 1 and the {steps} samples, but {decimation} was given."
+        )
+    scenario, loop = as_scenario(scenario), loop.sampled_at(sample_rate)
+    words = noise.die_words(jax.random.key(seed), jnp.asarray(die))
+    done = _compiled(loop, scenario, words, 1.0 / sample_rate, steps // decimation, decimation)
+    settings = Settings.of(loop, scenario, sample_rate=sample_rate, duration=duration, seed=seed)
+    end = scenario.at((steps // decimation * decimation - 0.5) / sample_rate).inertial
+    return _as_trace(done, loop, loop.device.coefficients(end.rate, end.damping_change), settings, decimation)
+
+
+def count_steps(sample_rate: float, duration: float) -> int:
+    """Samples in `duration`; raises `InputError` unless there is at least one."""
+    if not (np.isfinite(duration) and duration > 0.0):
+        raise InputError(f"Argument `duration` must be a positive number of seconds, but {duration} was given.")
+    steps = round(sample_rate * duration) if np.isfinite(sample_rate) else 0
+    if steps < 1:
+        raise InputError(
+            f"Argument `duration` must hold at least one sample at {sample_rate:g} Hz, but {duration:g} s was given."
+        )
+    return steps
+
+
+@eqx.filter_jit
+def _compiled(loop: ClosedLoop, scenario: Scenario, words: tuple, period: float, blocks: int, block: int) -> engine.Run:
+    def row() -> _Row:
+        clock = engine.Clock(jnp.zeros(()), jnp.zeros((), int), period)
+        return _row(loop.step(loop.init(), scenario.at(0.0), (0.0, 0.0), clock)[1])
+
+    empty = jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), jax.eval_shape(row))
+    return engine.run(loop, scenario, words, period, blocks, block, TraceRecorder(empty))
+
+
+def _row(sample: Sample) -> _Row:
+    drift, inertial = sample.conditions.offset_drift, sample.conditions.inertial
+    numbers = (
+        *(sample.clock.time, inertial.rate, sample.motion, drift, sample.volts, sample.force),
+        *(sample.estimate, sample.rate),
+    )
+    return _Row(*jax.tree.map(lambda x: jnp.asarray(x, float), numbers))
+
+
+def _as_trace(done: engine.Run, loop: ClosedLoop, theta: tuple, settings: Settings, decimation: int) -> Trace:
+    row: _Row = jax.tree.map(np.asarray, done.outputs)
+    columns = lambda entries: np.stack(np.broadcast_arrays(*entries), axis=-1)  # noqa: E731
+    estimate, missing = row.estimate, np.full(row.time.shape, np.nan)
+    survived = int(done.blocks_alive)
+    lost = None if bool(done.alive) else survived * decimation / settings.sample_rate
+    with np.errstate(invalid="ignore"):  # the variance of a lost die may be negative
+        std = missing if estimate.rate_variance is None else np.sqrt(estimate.rate_variance)
+    nominal = columns([np.asarray(o) for o in loop.readout.offset])
+    return Trace(
+        time=row.time,
+        rate_true=row.rate,
+        rate_estimate=row.output,
+        rate_unfiltered=estimate.rate,
+        rate_std=std,
+        motion=columns(row.motion),
+        motion_estimate=columns(estimate.motion),
+        theta=columns([np.asarray(t) for t in theta]),
+        theta_estimate=columns(estimate.theta),
+        offset=nominal + columns(row.offset),
+        offset_estimate=columns(estimate.offset),
+        volts=columns(row.volts),
+        force=columns(row.force),
+        nis=missing if estimate.nis is None else estimate.nis,
+        coefficients=loop.device.model.names,
+        lost_at=lost,
+        settings=settings,
+    )

@@ -1,0 +1,70 @@
+"""Whether rows follow each other at one period, as far as the printed digits can tell."""
+
+import numpy as np
+
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.table import Table
+from memsgyro_jax.base.units import to_si
+
+
+_JITTER = 1e-6  # of a period: what rounding in double precision may add where every digit was printed
+_MISMATCH = 1e-3  # relative, between blocks and cycles: a drive frequency is declared with a few digits
+
+
+def check_period(table: Table, period: float | None) -> None:
+    """Raises `InputError` with the line where column `t` leaves a straight line by more than its printed digits round.
+
+    Args:
+        table: the file.
+        period: [s] that must pass from row to row; `None` takes that of the file.
+    """
+    printed = table.columns["t"]
+    unit = float(to_si(1.0, table.units["t"], "s", "column `t`"))
+    rounding = _half_digit(printed)
+    steps = np.diff(printed)
+    typical = float(np.median(steps))
+    wrong = np.flatnonzero(np.abs(steps - typical) > 0.5 * typical)
+    if wrong.size:
+        raise _uneven(table, int(wrong[0]) + 1, steps[wrong[0]] * unit, typical * unit)
+    rows = np.arange(len(printed)) - (len(printed) - 1) / 2
+    slope = float(rows @ (printed - printed.mean()) / (rows @ rows))
+    if period is not None and abs(slope * unit - period) > _MISMATCH * period + 2 * rounding.max() * unit:
+        raise InputError(
+            f"{table.path}, column `t`: the rows must be as far apart as a lock-in block of `lock_in_cycles` drive "
+            f"cycles lasts, {period:.6g} s, but are {slope * unit:.6g} s apart; is a unit or a number wrong?"
+        )
+    # The line is known better than one row, but for few rows not much better: hence half a rounding more.
+    residual = np.abs(printed - printed.mean() - slope * rows)
+    excess = residual - (rounding + 0.5 * rounding.max() + _JITTER * slope * len(rows) ** 0.5)
+    if np.any(excess > 0):
+        row = int(np.argmax(excess))
+        raise table.at(row, "t", f"must lie on a clock of one period, {slope * unit:.9g} s, within its printed digits")
+
+
+def _uneven(table: Table, row: int, step: float, typical: float) -> InputError:
+    return InputError(
+        f"{table.path}, line {table.lines[row]}, column `t`: the rows must follow each other every {typical:.6g} s, "
+        f"but this one is {step:.6g} s after the one before; is a row missing or a digit wrong?"
+    )
+
+
+def _half_digit(values: np.ndarray) -> np.ndarray:
+    """Half of the last printed digit of each value.
+
+    Numbers of one decade are printed with the same number of decimals, of which trailing zeros are lost: the longest
+    of the decade tells.
+    """
+    decades = np.floor(np.log10(np.where(values == 0, 1.0, np.abs(values)))).astype(int)
+    half = np.empty(len(values))
+    for decade in np.unique(decades):
+        here = decades == decade
+        half[here] = 0.5 * 10.0 ** -max(_decimals(value) for value in values[here].tolist())
+    half[values == 0] = 0.0
+    return half
+
+
+def _decimals(value: float) -> int:
+    """Digits after the point in the shortest text that reads as `value`; negative for whole tens, hundreds."""
+    digits, _, exponent = f"{value!r}".partition("e")
+    after = digits.partition(".")[2].rstrip("0")
+    return len(after) - int(exponent or 0)

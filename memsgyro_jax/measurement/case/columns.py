@@ -1,0 +1,154 @@
+"""The columns of one CSV file of a case, in SI, with the checks that need nothing but the column."""
+
+import difflib
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.table import Table
+
+from .device import Vocabulary, angular
+
+
+@dataclass(frozen=True)
+class Columns:
+    """A table read with the vocabulary of a device.
+
+    Args:
+        table: the file.
+        words: names and units of the device.
+        unit: of the records, "V" or "1".
+    """
+
+    table: Table
+    words: Vocabulary
+    unit: str
+
+    def has(self, name: str) -> bool:
+        """Whether the file has the column."""
+        return name in self.table.columns
+
+    def refuse(self, what: str, column: str | None = None) -> InputError:
+        """The error about the header, or about a column as a whole."""
+        where = f"column `{column}`" if column else "header"
+        return InputError(f"{self.table.path}, {where}: {what}.")
+
+    def si(self, name: str, unit: str) -> np.ndarray:
+        """A column in the SI unit `unit`, or in rad/s for "rad/s" whether written in cycles or in angle per time."""
+        self._need(name)
+        values = self.table.si(name, unit)
+        if not np.all(np.isfinite(values)):
+            raise self.table.at(int(np.argmin(np.isfinite(values))), name, f"must be finite in {unit}")
+        return values
+
+    def frequency(self) -> np.ndarray:
+        """Column `f` in rad/s, positive."""
+        self._need("f")
+        values = angular(self.table.columns["f"], self.table.units["f"], f"column `f` of {self.table.path}")
+        return self._positive("f", np.asarray(values))
+
+    def optional(self, name: str, unit: str, default: float) -> np.ndarray:
+        """A column in SI, or `default` in every row."""
+        return self.si(name, unit) if self.has(name) else np.full(len(self.table.lines), default)
+
+    def time(self) -> np.ndarray:
+        """Column `t` [s], strictly increasing."""
+        time = self.si("t", "s")
+        late = np.diff(time) <= 0
+        if np.any(late):
+            raise self.table.at(int(np.argmax(late)) + 1, "t", "must be later than that of the row before")
+        return time
+
+    def drive(self, axis: int) -> np.ndarray | None:
+        """The drive level of the axis, positive, or `None` where the file has no such column."""
+        names = self.words.drives[0] if len(self.words.drives) == 1 else self._used(self.words.drives)
+        for number, name in enumerate(names):
+            if number != axis and self.has(name) and np.any(self.table.columns[name] != 0):
+                raise self.refuse(
+                    f"must be zero where `drive_axis` is {'xy'[axis]}, as one electrode is driven at a time", name
+                )
+        name = names[axis]
+        return self._positive(name, self.si(name, self.words.force)) if self.has(name) else None
+
+    def forces(self) -> np.ndarray:
+        """(n, axes) raw inputs; an electrode without a column is not driven."""
+        names = self._used(self.words.forces)
+        if not any(map(self.has, names)):
+            raise self.refuse(f"must have an input, column {_listed(names)}, but has none")
+        return np.stack([self.optional(name, self.words.force, 0.0) for name in names], axis=1)
+
+    def signals(self) -> np.ndarray:
+        """(n, channels) real readings."""
+        names = self._used(self.words.signals)
+        return np.stack([self._reading(name) for name in names], axis=1)
+
+    def phasors(self) -> np.ndarray:
+        """(n, channels) complex readings, from I and Q or from amplitude and phase."""
+        names = self._used(self.words.signals, ("_I", "_Q", "_amp", "_phase"))
+        polar = any(self.has(name + end) for name in names for end in ("_amp", "_phase"))
+        if polar and any(self.has(name + end) for name in names for end in ("_I", "_Q")):
+            raise self.refuse("must have either I and Q or amplitude and phase, but has some of both")
+        return np.stack([self._polar(name) if polar else self._cartesian(name) for name in names], axis=1)
+
+    def refuse_others(self, known: Iterable[str]) -> None:
+        """Refuses columns that this kind of experiment does not know."""
+        known = list(known)
+        for name in self.table.columns:
+            if name not in known:
+                near = difflib.get_close_matches(name, known, n=1)
+                hint = f"did you mean `{near[0]}`?" if near else f"known are {', '.join(known)}"
+                raise self.refuse(f"is not known to this kind of experiment ({hint})", name)
+
+    def signal_names(self, *ends: str) -> list[str]:
+        """Every name a reading may have."""
+        return [name + end for group in self.words.signals for name in group for end in ends]
+
+    def _used(self, groups: tuple[tuple[str, ...], ...], ends: tuple[str, ...] = ("",)) -> tuple[str, ...]:
+        """The group of names that the file uses; the first where it uses none."""
+        used = [group for group in groups if any(self.has(name + end) for name in group for end in ends)]
+        if len(used) > 1:
+            raise self.refuse(
+                f"must name its columns in one way, but has both {_listed(used[0])} and {_listed(used[1])}"
+            )
+        return used[0] if used else groups[0]
+
+    def _need(self, name: str) -> None:
+        if not self.has(name):
+            found = ", ".join(f"`{column}`" for column in self.table.columns)
+            raise self.refuse(f"must have the column `{name}`, but has {found}")
+
+    def _positive(self, name: str, values: np.ndarray) -> np.ndarray:
+        wrong = ~((values > 0) & np.isfinite(values))
+        if np.any(wrong):
+            raise self.table.at(int(np.argmax(wrong)), name, "must be positive")
+        return values
+
+    def _reading(self, name: str) -> np.ndarray:
+        self._need(name)
+        if re.fullmatch(r"(dB|Np|B|neper|bel|decibel)\w*", self.table.units[name]):
+            raise self.refuse(
+                f'must be in a linear unit such as "{self.unit}", but is in {self.table.units[name]}; convert it', name
+            )
+        return self.si(name, self.unit)
+
+    def _cartesian(self, name: str) -> np.ndarray:
+        return self._reading(f"{name}_I") + 1j * self._reading(f"{name}_Q")
+
+    def _polar(self, name: str) -> np.ndarray:
+        amplitude, phase = self._reading(f"{name}_amp"), self.si(f"{name}_phase", "rad")
+        negative = amplitude < 0
+        if np.any(negative):
+            raise self.table.at(int(np.argmax(negative)), f"{name}_amp", "must be an amplitude, zero or more")
+        if np.ptp(phase) > 12 * np.pi:
+            raise self.refuse(
+                f"must turn by a few half turns at most, but covers {np.ptp(phase):.0f} rad; is it in degrees?",
+                f"{name}_phase",
+            )
+        return amplitude * np.exp(1j * phase)
+
+
+def _listed(names: Iterable[str]) -> str:
+    return " or ".join(f"`{name}`" for name in names)

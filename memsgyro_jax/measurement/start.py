@@ -1,0 +1,122 @@
+"""A start for the fit of a linear device that needs no guess: its equation of motion is linear in its parameters.
+
+Every phasor obeys (K − ω² + iωD)·X = σ·F. Least squares on this equation, weighted with the response it implies
+(Sanathanan and Koerner, IEEE Trans. Autom. Control 8 (1963) 56), lands near the optimum from any distance.
+"""
+
+import numpy as np
+
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.device.normalised import NormalisedDevice
+
+from .case import Case, FrequencySweepRecord, RateTableRecord, RingDownRecord
+from .case import TimeRecord as RawRecord
+from .case.device import resonances
+from .noise_level import noise_level
+
+
+ROUNDS = 12
+PAIRS = {1: ((0, 0),), 2: ((0, 0), (1, 1), (0, 1))}
+
+
+def starting_device(case: Case) -> NormalisedDevice:
+    """The linear device that explains the case's phasors best, in coordinates per mass.
+
+    **Raises:** `InputError` where no record drives the device in a known way.
+    """
+    offered = [_phasors(case, record) for record in case.records if record.role != "validation"]
+    rows = [row for row in offered if row is not None]
+    if not rows:
+        return design_device(case)
+    omega, motion, force, weight = (np.concatenate(part) for part in zip(*rows, strict=True))
+    device = _solve(omega, motion, force, weight / omega**2)
+    for _ in range(ROUNDS):
+        device = _solve(omega, motion, force, weight * _response_weight(device, omega, motion.shape[1]))
+    if not (np.all(np.linalg.eigvalsh(_matrix(device[0])) > 0) and np.all(np.diag(_matrix(device[1])) > 0)):
+        return design_device(case)
+    return NormalisedDevice(*device)
+
+
+def design_device(case: Case) -> NormalisedDevice:
+    """The device as designed."""
+    d = {name: entry.value for name, entry in case.design.items()}
+    if case.device == "resonator":
+        w = d["resonance"]
+        return NormalisedDevice(np.array([w**2]), np.array([w / d["quality_factor"]]), d["static_gain"] * w**2)
+    m = d["mass"]
+    stiffness = np.array([d["kxx"], d["kyy"], d["kxy"]]) / m
+    return NormalisedDevice(stiffness, np.array([d["dxx"], d["dyy"], d["dxy"]]) / m, 1 / m)
+
+
+def _phasors(case: Case, record) -> tuple | None:
+    """Rows (ω, displacement phasors, force phasors, 1/noise) that a record offers at rest."""
+    axis = np.eye(case.channels)
+    scale = case.readout.scale
+    if isinstance(record, FrequencySweepRecord):
+        # The lowest drive and the reference conditions are the most linear; others only where nothing else is there.
+        calm = (record.rate == 0) & (np.abs(record.temperature - case.environment.temperature) < 1)
+        calm &= np.abs(record.bias_voltage - case.environment.bias_voltage) < 1e-6
+        calm &= record.drive <= 1.01 * record.drive.min()
+        calm = calm if calm.any() else np.ones(record.rows, bool)
+        force = np.outer(record.drive, axis[record.axis])[calm]
+        motion = record.phasors[calm] / scale
+        return record.frequency[calm], motion, force + 0j, np.full(motion.shape[0], abs(scale) / noise_level(record))
+    if isinstance(record, RateTableRecord) and np.any(record.rate == 0):
+        motion = record.phasors[record.rate == 0].mean(axis=0)[None] / scale
+        force = record.drive_force * axis[record.axis][None]
+        weight = np.sqrt(np.sum(record.rate == 0)) * abs(scale) / noise_level(record)
+        return np.array([record.drive_frequency]), motion, force + 0j, np.array([weight])
+    if isinstance(record, RawRecord):
+        return _lines(case, record)
+    if not isinstance(record, RingDownRecord):
+        raise InputError(f"Experiment `{record.name}` is of a kind that offers no start.")
+    return None
+
+
+def _lines(case: Case, record: RawRecord) -> tuple:
+    """Spectral lines of a raw capture around the resonances, under a Hann window that hides start and end."""
+    low, high = resonances(case.design)
+    window = np.hanning(record.rows)[:, None]
+    offset = record.signals.mean(axis=0)
+    motion = np.fft.rfft((record.signals - offset) * window, axis=0) / case.readout.scale
+    held = record.forces
+    force = np.fft.rfft(held * window, axis=0)
+    omega = 2 * np.pi * np.fft.rfftfreq(record.rows, record.period)
+    if record.hold == "zero_order":  # a held force is late by half a sample
+        force = force * (np.exp(-0.5j * omega * record.period) * np.sinc(omega * record.period / 2 / np.pi))[:, None]
+    near = (omega > 0.5 * low) & (omega < 2.0 * high)
+    weight = np.full(near.sum(), abs(case.readout.scale) / (noise_level(record) * np.sqrt(np.sum(window**2) / 2)))
+    return omega[near], motion[near], force[near], weight
+
+
+def _response_weight(device, omega: np.ndarray, axes: int) -> np.ndarray:
+    """Size of the displacement per equation error at each frequency."""
+    turn = 1j * omega[:, None, None]
+    operator = _matrix(device[0]) + turn**2 * np.eye(axes) + turn * _matrix(device[1])
+    return np.linalg.norm(np.linalg.inv(operator), axis=(1, 2))
+
+
+def _solve(omega, motion, force, weight) -> tuple[np.ndarray, np.ndarray, float]:
+    """Weighted least squares for (stiffness, damping, mobility) per mass."""
+    axes = motion.shape[1]
+    pairs = PAIRS[axes]
+    columns = np.zeros((omega.size, axes, 2 * len(pairs) + 1), complex)
+    for place, (i, j) in enumerate(pairs):
+        for row, column in {(i, j), (j, i)}:
+            columns[:, row, place] = motion[:, column]
+            columns[:, row, len(pairs) + place] = 1j * omega * motion[:, column]
+    columns[:, :, -1] = -force
+    target = omega[:, None] ** 2 * motion
+    left = (columns * weight[:, None, None]).reshape(-1, columns.shape[-1])
+    right = (target * weight[:, None]).ravel()
+    left, right = np.concatenate([left.real, left.imag]), np.concatenate([right.real, right.imag])
+    size = np.linalg.norm(left, axis=0)
+    size = np.where(size > 0, size, 1.0)
+    found = np.linalg.lstsq(left / size, right, rcond=1e-12)[0] / size
+    return found[: len(pairs)], found[len(pairs) : -1], float(found[-1])
+
+
+def _matrix(entries: np.ndarray) -> np.ndarray:
+    if len(entries) == 1:
+        return np.asarray(entries)[None]
+    return np.array([[entries[0], entries[2]], [entries[2], entries[1]]])

@@ -1,0 +1,206 @@
+"""What a sweep computes of each die, inside the compiled run."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh
+from jax.sharding import PartitionSpec as P
+from jaxtyping import Array, Float
+
+from memsgyro_jax.device.gyro import Pair, Scalar, number
+from memsgyro_jax.loop import engine
+from memsgyro_jax.loop.loop import ClosedLoop, Sample
+from memsgyro_jax.loop.observers.ekf import ExtendedKalmanFilter
+from memsgyro_jax.loop.scenario import Scenario
+
+
+DIE_AXIS = "die"
+COVARIANCE = ("standardised", "correlation")  # rows that `nees` turns into a figure
+_SINGULAR = 1e-12  # least eigenvalue of a correlation matrix that is inverted
+
+
+class LotMemory(NamedTuple):
+    """Of one die: the last time outside the tolerance, and sums over the present window."""
+
+    outside: Scalar
+    error: Scalar
+    squared: Scalar
+    innovations: Pair
+
+
+class LotRecorder(engine.AbstractRecorder[LotMemory, tuple[Scalar, Scalar, Pair]]):
+    """Over each window the sums of rate error, of its square, and of both channels' squared innovation over its
+    variance; and the last time outside `tolerance` [rad/s].
+    """
+
+    tolerance: Scalar = number()
+
+    def init(self) -> LotMemory:
+        """Zeros: converged from the start, nothing gathered."""
+        zero = jnp.zeros(())
+        return LotMemory(zero, zero, zero, (zero, zero))
+
+    def sample(self, memory: LotMemory, sample: Sample) -> LotMemory:
+        """Add one sample."""
+        error = sample.rate - sample.conditions.inertial.rate
+        innovation = sample.estimate.innovation
+        squares = (0.0, 0.0) if innovation is None else innovation.squared
+        return LotMemory(
+            outside=jnp.where(jnp.abs(error) <= self.tolerance, memory.outside, sample.clock.time),
+            error=memory.error + error,
+            squared=memory.squared + error**2,
+            innovations=tuple(sum_ + square for sum_, square in zip(memory.innovations, squares, strict=True)),
+        )
+
+    def block(self, memory: LotMemory) -> tuple[LotMemory, tuple[Scalar, Scalar, Pair]]:
+        """The window's sums; the next window starts from zero."""
+        sums = (memory.error, memory.squared, memory.innovations)
+        return LotMemory(memory.outside, *jax.tree.map(lambda value: 0.0 * value, sums)), sums
+
+
+class Plan(NamedTuple):
+    """The fixed numbers of a sweep's runs: period in s, blocks, samples per block, start of the settled part in s,
+    tolerance.
+    """
+
+    period: float
+    blocks: int
+    block: int
+    settle: float
+    tolerance: float
+
+    @property
+    def window_times(self) -> Float[np.ndarray, " windows"]:
+        """The middle of each window in s."""
+        return (np.arange(self.blocks) + 0.5) * (self.block * self.period)
+
+    @property
+    def settled_window(self) -> int:
+        """The first window that lies in the settled part; the last window when none does."""
+        first = np.ceil(self.settle / (self.block * self.period) - 1e-9)
+        return min(int(first), self.blocks - 1)
+
+
+@eqx.filter_jit
+def run_batch(
+    loop: ClosedLoop,
+    scenario: Scenario,
+    design: tuple[ClosedLoop, Scenario],
+    words: tuple,
+    plan: Plan,
+    mesh: Mesh,
+    lanes: int,
+) -> dict[str, Float[Array, "dies ..."]]:
+    """The rows of a batch of dies, split evenly over the devices of `mesh` and run `lanes` at a time; dies lead."""
+    dynamic, static = eqx.partition((loop, scenario, words), eqx.is_array)
+    plain = (*design, jax.tree.map(lambda word: word[0], words))
+    varies = jax.tree.map(lambda value, one: value.ndim > one.ndim, dynamic, eqx.filter(plain, eqx.is_array))
+    specs = jax.tree.map(_spec, dynamic, varies)
+
+    def group(dynamic):
+        loop, scenario, words = eqx.combine(dynamic, static)
+        rows = rows_of(loop, scenario, design[0], words, plan)
+        return {name: jnp.moveaxis(value, -1, 0) for name, value in rows.items()}
+
+    def part(dynamic):
+        # Always the same number of dies side by side: the compiler rounds differently for every vector length.
+        varied, common = eqx.partition(dynamic, varies)
+        groups = jax.tree.map(lambda v: jnp.moveaxis(v.reshape((*v.shape[:-1], -1, lanes)), -2, 0), varied)
+        rows = jax.lax.map(lambda chosen: group(eqx.combine(chosen, common)), groups)
+        return jax.tree.map(lambda v: v.reshape((-1, *v.shape[2:])), rows)
+
+    return jax.shard_map(part, mesh=mesh, in_specs=(specs,), out_specs=P(DIE_AXIS), check_vma=False)(dynamic)
+
+
+def _spec(value: Array, varies: bool) -> P:
+    """Split the trailing axis over devices where a leaf has one entry per die."""
+    return P(*(None,) * (value.ndim - 1), DIE_AXIS) if varies else P()
+
+
+def rows_of(loop: ClosedLoop, scenario: Scenario, design: ClosedLoop, words: tuple, plan: Plan) -> dict[str, Array]:
+    """The rows of dies side by side, which trail; differentiable by every number of the loop and scenario."""
+    recorder = LotRecorder(plan.tolerance)
+    done = engine.run(loop, scenario, words, plan.period, plan.blocks, plan.block, recorder, design)
+    end = plan.blocks * plan.block * plan.period
+    error, squared, innovations = jax.tree.map(lambda sums: sums / plan.block, done.outputs)
+    settled = slice(plan.settled_window, None)
+    conditions = scenario.at(end - 0.5 * plan.period)
+    estimate = loop.observer.estimate(done.state.observer)
+    truth = loop.device.coefficients(conditions.inertial.rate, conditions.inertial.damping_change)
+    rate_true = _window_rates(scenario, plan, words[0].shape)
+    outside, mean_square = done.memory.outside, jnp.mean(squared[settled], axis=0)
+    nothing = jnp.full(words[0].shape, jnp.nan)
+    channels = [jnp.mean(nis[settled], axis=0) if estimate.innovation else nothing for nis in innovations]
+    has_covariance = isinstance(loop.observer, ExtendedKalmanFilter)
+    relative = [_relative(e, t) for e, t in zip(estimate.theta, truth, strict=True)]
+    rows = {
+        "lost_at": jnp.where(done.alive, jnp.nan, done.blocks_alive * plan.block * plan.period),
+        "rate_error_end": loop.rate(done.state) - conditions.inertial.rate,
+        "rate_error_rms": jnp.sqrt(mean_square),
+        "rate_series_std": jnp.sqrt(jnp.maximum(mean_square - jnp.mean(error[settled], axis=0) ** 2, 0.0)),
+        "rate_std_end": nothing if estimate.rate_variance is None else jnp.sqrt(estimate.rate_variance),
+        "convergence_time": jnp.where(outside >= end - 0.5 * plan.period, jnp.nan, outside),
+        "nis_mean": sum(channels),
+        "nis_channel": jnp.stack(channels),
+        # A known coefficient that does not vary is one number for all dies.
+        "coefficient_error": jnp.stack([jnp.broadcast_to(error, words[0].shape) for error in relative]),
+        "rate_estimate": rate_true + error,
+        "rate_true": rate_true,
+    }
+    if has_covariance:
+        pair = _standardised(loop, done.state, conditions.offset_drift, truth)
+        rows |= dict(zip(COVARIANCE, pair, strict=True))
+    hide = {name: jnp.where(done.alive, value, jnp.nan) for name, value in rows.items() if name != "lost_at"}
+    return {**rows, **hide, "status": jnp.where(done.alive, 0, 1).astype(jnp.int8)}
+
+
+def _relative(estimate: Scalar, true: Scalar) -> Scalar:
+    """Relative error; NaN for a quantity that is zero."""
+    return jnp.where(true == 0.0, jnp.nan, (estimate - true) / true)
+
+
+def _window_rates(scenario: Scenario, plan: Plan, lanes: tuple[int, ...]) -> Array:
+    """Mean true rate of each window; the rate of a sample is that of its middle."""
+
+    def window(number: Array) -> Array:
+        middles = (number * plan.block + jnp.arange(plan.block) + 0.5) * plan.period
+        return jnp.mean(jax.vmap(scenario.rate.value)(middles), axis=0)
+
+    rates = jax.lax.map(window, jnp.arange(plan.blocks))
+    return jnp.broadcast_to(rates.reshape(rates.shape + (1,) * (1 + len(lanes) - rates.ndim)), (plan.blocks, *lanes))
+
+
+def _standardised(
+    loop: ClosedLoop, state: engine.LoopState, drift: tuple, theta: tuple[Scalar, ...]
+) -> tuple[Array, Array]:
+    """Error in claimed standard deviations and the claimed correlation, over all estimated states; dies trail."""
+    observer = loop.observer
+    assert isinstance(observer, ExtendedKalmanFilter)
+    offset = tuple(o + d for o, d in zip(loop.readout.offset, drift, strict=True))
+    covariance = observer.covariance(state.observer)
+    std = jnp.sqrt(jnp.stack([covariance[i, i] for i in range(len(covariance))]))
+    return observer.error(state.observer, state.motion, offset, theta) / std, covariance / (std[:, None] * std[None])
+
+
+def nees(
+    standardised: Float[np.ndarray, "dies states"], correlation: Float[np.ndarray, "dies states states"]
+) -> Float[np.ndarray, " dies"]:
+    """Normalised estimation error squared; the number of states on average when the filter is consistent.
+
+    NaN where something is known exactly: the covariance is singular then, and the figure means nothing. Outside the
+    compiled run, since a linear-algebra call on every device at once can wait for itself.
+    """
+    finite = np.all(np.isfinite(correlation), axis=(1, 2)) & np.all(np.isfinite(standardised), axis=1)
+    safe = np.where(finite[:, None, None], correlation, np.eye(correlation.shape[-1]))
+    regular = finite & (np.linalg.eigvalsh(safe)[:, 0] > _SINGULAR)
+    safe = np.where(regular[:, None, None], safe, np.eye(correlation.shape[-1]))
+    solved = np.linalg.solve(safe, standardised[..., None])[..., 0]
+    return np.where(regular, np.sum(standardised * solved, axis=1), np.nan)
+
+
+def mesh_of(devices: list[jax.Device]) -> Mesh:
+    """The devices in a row."""
+    return Mesh(np.array(devices), (DIE_AXIS,))

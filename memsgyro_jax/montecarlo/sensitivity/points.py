@@ -1,0 +1,49 @@
+"""A sweep at chosen points of the spread, which is what every kind of sensitivity is made of."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.loop.loop import ClosedLoop
+from memsgyro_jax.loop.scenario import AbstractProfile, Scenario
+
+from ..spread import Points, Spread
+from ..sweep import DEFAULT_TOLERANCE, Lot, sweep
+from .outputs import Output, outputs, values_of
+
+
+class Run(NamedTuple):
+    """A lot at chosen points, what was looked at, and the values (outputs, dies) in their printed units."""
+
+    lot: Lot
+    chosen: tuple[Output, ...]
+    values: Float[np.ndarray, "outputs dies"]
+
+
+def inputs_of(loop: ClosedLoop, spread: Spread) -> tuple[str, ...]:
+    """Paths of the varied parameters; raises `InputError` where there is none."""
+    items = spread.resolved(loop)
+    if not items:
+        raise InputError("Argument `spread` must vary at least one parameter, but varies none.")
+    return tuple(item.path for item in items)
+
+
+def run_at(
+    points: Points,
+    loop: ClosedLoop,
+    spread: Spread,
+    scenario: Scenario | AbstractProfile | float,
+    *,
+    of: Sequence[Output] | None,
+    seed: int,
+    **settings: Any,
+) -> Run:
+    """The outputs `of` (without, the default ones) of the dies of `spread` at `points`; `settings` are the sweep's."""
+    chosen = tuple(of) if of is not None else outputs(settings.get("tolerance", DEFAULT_TOLERANCE))
+    planned = replace(spread, points=points)
+    lot = sweep(loop, planned, scenario, dies=len(points.noise), seed=seed, bound_dies=0, **settings)
+    return Run(lot, chosen, values_of(lot.data, chosen))

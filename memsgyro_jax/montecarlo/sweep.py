@@ -1,0 +1,302 @@
+"""Monte Carlo over fabricated dies: draw, run in chunks, store, resume, summarise."""
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from memsgyro_jax.base import runtime
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.provenance import Settings
+from memsgyro_jax.device.propagate import fuses_many_outputs
+from memsgyro_jax.loop import noise
+from memsgyro_jax.loop.bound import information_bound
+from memsgyro_jax.loop.filters import check_fits
+from memsgyro_jax.loop.loop import ClosedLoop
+from memsgyro_jax.loop.observers import ExtendedKalmanFilter
+from memsgyro_jax.loop.scenario import AbstractProfile, Scenario, as_scenario
+from memsgyro_jax.loop.trace import count_steps
+
+from . import lot
+from .spread import Draw, Spread
+from .store import LABELS, STATUS, Column, Layout, Store
+from .summary import Summary, summarise
+
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.axes import Axes
+
+WINDOWS = 100  # at most about this many window means of the rate are kept per die, however long the run
+CHUNKS_PER_BLOCK = 8
+DEFAULT_TOLERANCE = float(np.radians(20.0))
+
+
+@dataclass(frozen=True)
+class Lot:
+    """The dies of a sweep: `data` as a Dataset over (die, window, coefficient, parameter), SI units throughout."""
+
+    settings: Settings
+    summary: Summary
+    _rows: dict[str, np.ndarray]
+    _layout: Layout
+
+    @cached_property
+    def data(self) -> "xr.Dataset":
+        """The Dataset, made when first asked for: xarray takes half a second to import."""
+        return self._layout.dataset(self._rows)
+
+    def __repr__(self) -> str:
+        return repr(self.summary)
+
+    def to_xarray(self) -> "xr.Dataset":
+        """The Dataset."""
+        return self.data
+
+    def plot(self, ax: "Axes | None" = None) -> "Axes":
+        """Histogram of the rate error at the end, with the information bound."""
+        from . import pictures
+
+        return pictures.lot(self, ax)
+
+
+def sweep(
+    loop: ClosedLoop,
+    spread: Spread,
+    scenario: Scenario | AbstractProfile | float = 1.0,
+    *,
+    dies: int = 256,
+    sample_rate: float = 100e3,
+    duration: float = 0.1,
+    settle: float | None = None,
+    tolerance: float = DEFAULT_TOLERANCE,
+    seed: int = 0,
+    chunk: int | None = None,
+    out: str | Path | None = None,
+    resume: bool = False,
+    bound_dies: int = 32,
+    progress: Callable[[int, int], None] | None = None,
+) -> Lot:
+    """Run `dies` dies drawn from `spread` around `loop` and gather their figures of merit.
+
+    `scenario` as in `simulate`. Statistics over time start at `settle` [s] (default: half the duration); a die has
+    converged when its rate error stays within `tolerance` [rad/s], and yields when it ends there. Die i depends on
+    (`seed`, i) only: not a bit of it changes with `dies`, `chunk` (dies per device and batch), the number of CPU
+    devices or a resume. With `out`, a folder, the rows go to `out/dies.zarr` as they are computed; `resume=True` goes
+    on with a store of the same configuration. `progress(done, dies)` is called after each batch. The information bound
+    is computed for the first `bound_dies` dies (0: not at all); the summary quotes its root mean square over them.
+
+    Errors, convergence and window means are those of the loop's output, behind its filter where it has one; claimed
+    standard deviation, NIS and NEES those of the observer's estimate before the filter, which alone they speak of. The
+    bound holds for any use of the same data and prior, with a filter or without.
+
+    Raises `InputError` for settings that cannot be run, a store of something else, and outside float64.
+    """
+    runtime.require_float64("sweep")
+    scenario, loop = as_scenario(scenario), loop.sampled_at(sample_rate)
+    count_steps(sample_rate, duration)
+    settle = 0.5 * duration if settle is None else settle
+    _check(dies, settle, duration, tolerance, chunk)
+    plan = _plan(sample_rate, duration, settle, tolerance)
+    settings = Settings.of(loop, scenario, spread, plan, sample_rate=sample_rate, duration=duration, seed=seed)
+    devices = jax.local_devices()
+    lanes = _lanes(devices[0].platform)
+    runner = _Runner(loop, scenario, spread, plan, seed, chunk or lanes, lot.mesh_of(devices), lanes)
+    layout = runner.layout(settings)
+    store = None if out is None else _open_store(Path(out), layout, dies, runner.block, resume)
+    rows, speed = _run_all(runner, store, dies, progress)
+    rows = store.rows() if store else {name: values[:dies] for name, values in rows.items()}
+    bound = _bound(runner, min(dies, bound_dies), sample_rate, duration)
+    return Lot(settings, summarise(rows, plan, settings, loop, bound, speed), rows, layout)
+
+
+@dataclass(frozen=True)
+class _Runner:
+    """Computes chunks by number; the same chunk gives the same bits on any device, in any company."""
+
+    loop: ClosedLoop
+    scenario: Scenario
+    spread: Spread
+    plan: lot.Plan
+    seed: int
+    chunk: int
+    mesh: jax.sharding.Mesh
+    lanes: int
+
+    def batches(self, block: int, dies: int) -> Iterator[dict[str, np.ndarray]]:
+        """The rows of one block, batch by batch: a chunk for each device at a time, up to the block's end or `dies`.
+
+        A block is drawn and written as one: drawing for every batch took a sixth of the time, writing every chunk a
+        third.
+        """
+        numbers = np.arange(block * self.block, min((block + 1) * self.block, dies))
+        drawn = self.spread.draw(self.loop, self.scenario, self.seed, numbers)
+        if drawn.loop.filter is not None:
+            check_fits(drawn.loop.filter, 1.0 / self.plan.period)
+        keyed = jnp.asarray(self.spread.noise(numbers))
+        words = jax.tree.map(np.asarray, noise.die_words(jax.random.key(self.seed), keyed))
+        chunks = -(-len(numbers) // self.chunk)
+        for first in range(0, chunks, self.mesh.size):
+            count = min(chunks - first, self.mesh.size)
+            # A last batch that does not fill the devices repeats its last chunk: one shape, one compilation.
+            batch = [first + min(n, count - 1) for n in range(self.mesh.size)]
+            # A chunk that does not fill the lanes repeats its last die.
+            inside = np.minimum(np.arange(-(-self.chunk // self.lanes) * self.lanes), self.chunk - 1)
+            places = np.concatenate([n * self.chunk + inside for n in batch])
+            rows = self._run(drawn, words, np.minimum(places, len(numbers) - 1))
+            chosen = np.concatenate([n * len(inside) + np.arange(self.chunk) for n in range(count)])
+            yield {name: value[chosen] for name, value in rows.items()}
+
+    @property
+    def block(self) -> int:
+        """Dies in a block."""
+        return self.chunk * CHUNKS_PER_BLOCK
+
+    def _run(self, drawn: Draw, words: tuple[np.ndarray, ...], places: np.ndarray) -> dict[str, np.ndarray]:
+        design = (self.loop, self.scenario)
+        # Picked by NumPy: a hundred small JAX operations in each batch took a tenth of a sweep's time.
+        loop, scenario = jax.tree.map(
+            lambda value, plain: np.asarray(value)[..., places] if np.ndim(value) > np.ndim(plain) else value,
+            (drawn.loop, drawn.scenario),
+            design,
+        )
+        chosen = tuple(word[places] for word in words)
+        rows = lot.run_batch(loop, scenario, design, chosen, self.plan, self.mesh, self.lanes)
+        found = jax.tree.map(np.asarray, rows)
+        pair = [found.pop(name) for name in lot.COVARIANCE if name in found]
+        found["nees_end"] = lot.nees(*pair) if pair else np.full(len(places), np.nan)
+        return {**found, "drawn": drawn.table[places]}
+
+    def layout(self, settings: Settings) -> Layout:
+        """The arrays of a lot, and what its Dataset and store say about how they were made."""
+        names, windows = self.loop.device.model.names, self.plan.blocks
+        parameters = [item.path for item in self.spread.resolved(self.loop)]
+        rate, time, one = (Column((), (), unit) for unit in ("rad/s", "s", "1"))
+        columns = {
+            "lost_at": time,
+            "rate_error_end": rate,
+            "rate_error_rms": rate,
+            "rate_series_std": rate,
+            "rate_std_end": rate,
+            "convergence_time": time,
+            "nis_mean": one,
+            "nis_channel": Column(("channel",), (2,), "1"),
+            "nees_end": one,
+            "coefficient_error": Column(("coefficient",), (len(names),), "1"),
+            "rate_estimate": Column(("window",), (windows,), "rad/s"),
+            "rate_true": Column(("window",), (windows,), "rad/s"),
+            "drawn": Column(("parameter",), (len(parameters),), "SI"),
+        }
+        labels = {"coefficient": list(names), "parameter": parameters, "channel": ["x", "y"]}
+        attributes = {"schema": "memsgyro-dies/1", **settings.as_dict(), **self.plan._asdict(), LABELS: labels}
+        return Layout(columns, {"time": ("window", self.plan.window_times, "s")}, attributes)
+
+
+def _bound(runner: _Runner, dies: int, sample_rate: float, duration: float) -> float | None:
+    """Root mean square over the first dies of the least standard deviation of the rate at the end, if there is one.
+
+    The bound is that of a constant rate on a constant device, so there is none where anything varies.
+    """
+    if dies == 0:
+        return None
+    loop = runner.loop
+    conditions = jax.vmap(runner.scenario.at)(jnp.linspace(0.0, duration, 1001))
+    varies = any(float(jnp.ptp(value)) > 0.0 for value in jax.tree.leaves(conditions))
+    if varies or any(float(jnp.min(density)) == 0.0 for density in loop.readout.noise_density):
+        return None
+    drawn = runner.spread.draw(loop, runner.scenario, runner.seed, np.arange(dies))
+    observer = loop.observer
+    known, prior = (observer.known, observer.prior) if isinstance(observer, ExtendedKalmanFilter) else ((), None)
+    found = information_bound(
+        drawn.loop,
+        drawn.scenario,
+        sample_rate=sample_rate,
+        duration=duration,
+        prior=prior,
+        known=known,
+        windows=1,
+        design=loop,
+    )
+    if "rate" not in found.names:  # known to the observer: nothing to find
+        return None
+    rate = found.rate_std[-1]
+    finite = rate[np.isfinite(rate)]
+    return float(np.sqrt(np.mean(finite**2))) if finite.size else None
+
+
+def _open_store(out: Path, layout: Layout, dies: int, block: int, resume: bool) -> Store:
+    path = out / "dies.zarr"
+    if resume and path.exists():
+        store = Store.open(path)
+        store.require(layout.attributes["fingerprint"], block)
+        store.resize(dies)
+        return store
+    return Store.create(path, layout, dies, block)
+
+
+def _run_all(
+    runner: _Runner, store: Store | None, dies: int, progress: Callable[[int, int], None] | None
+) -> tuple[dict[str, np.ndarray], float | None]:
+    """All chunks that are not in the store; their rows (if there is no store) and steps per second after the first
+    batch.
+    """
+    pending = store.pending() if store else list(range(-(-dies // runner.block)))
+    kept, done, timed, began = [], dies - sum(_within(n, runner.block, dies) for n in pending), 0, None
+    for number in pending:
+        parts = []
+        for rows in runner.batches(number, dies):
+            parts.append(rows)
+            count = len(rows[STATUS])
+            timed = 0 if began is None else timed + count
+            began = began or time.perf_counter()  # the first batch compiles
+            done = min(done + count, dies)
+            if progress:
+                progress(done, dies)
+        whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+        if store:
+            store.write(number, whole)
+        else:
+            kept.append(whole)
+    steps = timed * runner.plan.blocks * runner.plan.block
+    speed = steps / (time.perf_counter() - began) if timed and began else None
+    return {name: np.concatenate([part[name] for part in kept]) for name in kept[0]} if kept else {}, speed
+
+
+def _lanes(platform: str) -> int:
+    """Dies side by side: in a core's cache on a CPU, many on a GPU; without fused loops each of them must be long."""
+    if platform != "cpu":
+        return 8192
+    return 32 if fuses_many_outputs() else 128
+
+
+def _within(number: int, block: int, dies: int) -> int:
+    """How many of `dies` dies lie in block `number`."""
+    return min(block, dies - number * block)
+
+
+def _plan(sample_rate: float, duration: float, settle: float, tolerance: float) -> lot.Plan:
+    """Windows as near to `WINDOWS` as divide the number of samples; a rest is dropped when none does."""
+    steps = count_steps(sample_rate, duration)
+    fits = [n for n in range(1, min(2 * WINDOWS, steps) + 1) if steps % n == 0]
+    best = min(fits, key=lambda n: abs(np.log(n / WINDOWS)))
+    blocks = best if best >= WINDOWS // 4 or steps < WINDOWS else WINDOWS
+    return lot.Plan(1.0 / sample_rate, blocks, steps // blocks, settle, tolerance)
+
+
+def _check(dies: int, settle: float, duration: float, tolerance: float, chunk: int | None) -> None:
+    if dies < 1:
+        raise InputError(f"Argument `dies` must be at least 1, but {dies} was given.")
+    if not 0.0 <= settle < duration:
+        raise InputError(
+            f"Argument `settle` must lie within the duration of {duration:g} s, but {settle:g} s was given."
+        )
+    if not tolerance > 0.0:
+        raise InputError(f"Argument `tolerance` must be positive, but {tolerance:g} rad/s was given.")
+    if chunk is not None and chunk < 1:
+        raise InputError(f"Argument `chunk` must be at least 1, but {chunk} was given.")

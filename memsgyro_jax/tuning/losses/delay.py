@@ -1,0 +1,44 @@
+"""A limit on the delay with which the rate is followed."""
+
+import jax.numpy as jnp
+
+from memsgyro_jax.device.gyro import Scalar, check_not_negative, check_positive, number
+
+from .base import AbstractLoss, rate_error
+
+
+class Delay(AbstractLoss[tuple[Scalar, Scalar]]):
+    """((τ - `allowed`) / `allowed`)² where the delay τ exceeds `allowed` [s], else zero.
+
+    To first order an output that comes τ late misses the truth by -τ·slope, so τ is the regression of the error on the
+    slope of the true rate, from `settle` [s] on. That holds for rates that change little within τ; a rate with a white
+    slope, such as a random walk, shows no delay. A low-pass of the first order with bandwidth f has τ = 1/(2πf): this
+    is a limit on the bandwidth as well.
+    """
+
+    allowed: Scalar = number()
+    settle: Scalar = number(default=0.0)
+
+    def __check_init__(self):
+        check_positive("allowed", self.allowed)
+        check_not_negative("settle", self.settle)
+
+    def init(self):
+        """Sums of error times slope, and of the slope squared."""
+        return jnp.zeros(()), jnp.zeros(())
+
+    def sample(self, memory, sample):
+        """Add a sample once settled."""
+        counts, slope = sample.clock.time >= self.settle, sample.conditions.inertial.angular_acceleration
+        along = memory[0] + jnp.where(counts, rate_error(sample) * slope, 0.0)
+        return along, memory[1] + jnp.where(counts, slope**2, 0.0)
+
+    def value(self, memory):
+        """The squared relative excess; zero for a rate that does not vary."""
+        along, squares = memory
+        delay = -along / jnp.where(squares > 0.0, squares, 1.0)
+        return jnp.maximum(delay / self.allowed - 1.0, 0.0) ** 2
+
+    def begins(self):
+        """`settle`."""
+        return self.settle

@@ -1,0 +1,204 @@
+"""Tunes an observer on recorded voltages and commands: no simulation, no truth, the likelihood of its innovations."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from memsgyro_jax.base import runtime
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.device.gyro import Pair, Scalar, number
+from memsgyro_jax.loop.loop import LoopState, Sample
+from memsgyro_jax.loop.observers import ExtendedKalmanFilter
+from memsgyro_jax.loop.observers.base import Clock
+from memsgyro_jax.loop.scenario import Conditions, Scenario
+from memsgyro_jax.montecarlo import lot
+
+from .descent import descend
+from .losses import AbstractLoss, Consistency, InnovationLikelihood
+from .objective import Objective, Timing, Values, judged
+from .result import TunedNumber
+from .survey import fates, null_directions
+from .tunable import Tunable, Tunables, resolved
+
+
+_SEGMENTS, _HELD_OUT = 16, 4  # pieces of a record, and those at its end that judge what the others taught
+_BLOCKS = 20
+_NEVER = 1e300  # what a lost copy would count; the start is checked, and a step that loses the record is not taken
+
+
+class Replay(eqx.Module):
+    """In the place of a closed loop: the observer alone, fed with `volts` and `force`, one row per sample.
+
+    `force` [N] is what was held during the sample at whose end `volts` [V] were read.
+    """
+
+    observer: ExtendedKalmanFilter
+    volts: Float[Array, "samples 2"]
+    force: Float[Array, "samples 2"]
+    travel: float = float("inf")
+    filter: None = None
+
+    def init(self) -> LoopState:
+        """The observer's own start."""
+        return LoopState((jnp.zeros(()),) * 4, self.observer.init(), ())
+
+    def rate(self, state: LoopState) -> Scalar:
+        """The estimate in rad/s."""
+        return self.observer.estimate(state.observer).rate
+
+    def step(self, state: LoopState, conditions: Conditions, noise: Pair, clock: Clock) -> tuple[LoopState, Sample]:
+        """One row of the record; what is not in it (truth, conditions) is not a number."""
+        volts, force = (tuple(rows[clock.sample]) for rows in (self.volts, self.force))
+        end = Clock(clock.time + clock.period, clock.sample + 1, clock.period)
+        observer = self.observer.update(state.observer, volts, force, end)
+        seen = self.observer.estimate(observer)
+        unknown = jax.tree.map(lambda value: jnp.full_like(jnp.asarray(value, float), jnp.nan), conditions)
+        truth = (jnp.nan,) * 4
+        return LoopState(state.motion, observer, ()), Sample(end, unknown, truth, volts, force, seen, seen.rate)
+
+
+@dataclass(frozen=True)
+class RecordTuning:
+    """An observer tuned on a record: `observer`, the fate of each free number, and the figures of the part of the
+    record that was held out, before and after: mean negative log-likelihood in nats per sample, and (Σ ln² NIS)½ over
+    the two channels, zero when both are consistent.
+    """
+
+    observer: ExtendedKalmanFilter
+    numbers: tuple[TunedNumber, ...]
+    nulls: tuple[str, ...]
+    likelihood: tuple[float, float]
+    inconsistency: tuple[float, float]
+    status: str
+
+    def __repr__(self) -> str:
+        lines = [f"{n.label:<32} {n.start:10.4g} -> {n.value:10.4g}  {n.fate}" for n in self.numbers]
+        lines += [f"no effect along {null}" for null in self.nulls]
+        lines.append("held out: -ln likelihood {:.6g} -> {:.6g} nats per sample".format(*self.likelihood))
+        lines.append("held out: inconsistency {:.3g} -> {:.3g} (0 is consistent)".format(*self.inconsistency))
+        return "\n".join([*lines, self.status])
+
+
+class _Segment(InnovationLikelihood):
+    """The likelihood from `settle` up to `until` [s], one pair of times for each copy of the record."""
+
+    until: Scalar = number(default=0.0)
+
+    def sample(self, memory, sample):
+        """Add a sample of the segment."""
+        counts = (sample.clock.time > self.settle) & (sample.clock.time <= self.until)
+        return memory[0] + jnp.where(counts, self.of(sample), 0.0), memory[1] + counts
+
+
+def tune_on_record(
+    observer: ExtendedKalmanFilter,
+    volts: Float[np.ndarray, "samples 2"],
+    force: Float[np.ndarray, "samples 2"],
+    *,
+    free: Sequence[Tunable],
+    sample_rate: float,
+    settle: float = 0.0,
+    evaluations: int = 40,
+    progress: Callable[[str], None] | None = None,
+) -> RecordTuning:
+    """Move what is `free` (paths that begin with `observer.`) until the record is most likely.
+
+    Row k holds the voltages [V] at the end of sample k and the force [N] during it. The likelihood counts from `settle`
+    [s] on; the last quarter of the rest is held out and says how much was gained.
+
+    Raises `InputError` for a record of another shape or with gaps, for what cannot be freed, and outside float64.
+    """
+    runtime.require_float64("tune_on_record")
+    volts, force = _checked(volts, force, settle, sample_rate)
+    loop = Replay(observer, jnp.asarray(volts), jnp.asarray(force))
+    tunables = resolved(loop, free, sample_rate, len(volts) / sample_rate)
+    edges = np.linspace(settle, len(volts) / sample_rate, _SEGMENTS + 1)
+    every = _objective(loop, tunables, _Segment(edges[:-1], until=edges[1:]), _SEGMENTS, sample_rate)
+    training = _Some(every, slice(None, -_HELD_OUT))
+    if not every.values(tunables.values).alive.all():
+        raise InputError("The observer must follow the record at the start, but its numbers are not finite.")
+    readings = (len(volts) - settle * sample_rate) * (1.0 - _HELD_OUT / _SEGMENTS)
+    descent = descend(
+        lambda at: judged(training, tunables, at, _NEVER, readings),
+        # The held-out quarter of one record is too short to say when to stop, and few numbers do not overfit the rest.
+        lambda at: float(np.mean(every.values(tunables.numbers(at)).loss[:-_HELD_OUT])),
+        tunables.coordinates,
+        evaluations=evaluations,
+        told=lambda step: progress(f"after {step.evaluations}: {step.training:.8g}") if progress else None,
+    )
+    found = tunables.numbers(descent.coordinates)
+    values = training.slopes(found)
+    rows = zip(tunables.labels, tunables.paths, tunables.values, found, tunables.low, tunables.high,
+               fates(tunables, found, values), strict=True)  # fmt: skip
+    agreement = _objective(loop, tunables, Consistency(float(edges[-1 - _HELD_OUT])), 1, sample_rate)
+    pairs = [
+        (_held_out(every, numbers), float(np.sqrt(agreement.values(numbers).loss[0])))
+        for numbers in (tunables.values, found)
+    ]
+    return RecordTuning(
+        observer=tunables.applied(loop, found).observer,
+        numbers=tuple(
+            TunedNumber(label, path, float(a), float(b), float(low), float(high), "InnovationLikelihood", fate)
+            for label, path, a, b, low, high, fate in rows
+        ),
+        nulls=null_directions(tunables, found, values),
+        likelihood=(pairs[0][0], pairs[1][0]),
+        inconsistency=(pairs[0][1], pairs[1][1]),
+        status=descent.status,
+    )  # fmt: skip
+
+
+def _held_out(every: Objective, numbers: np.ndarray) -> float:
+    return float(np.mean(every.values(numbers).loss[-_HELD_OUT:]))
+
+
+@dataclass(frozen=True)
+class _Some:
+    """Some of the segments of an objective that computes all of them at once."""
+
+    every: Objective
+    which: slice
+
+    def slopes(self, numbers: np.ndarray) -> Values:
+        found = self.every.slopes(numbers)
+        assert found.slopes is not None
+        return Values(found.loss[self.which], found.alive[self.which], found.slopes[:, self.which])
+
+    def total(self, values: Values, penalty: float) -> tuple[float, np.ndarray | None]:
+        return self.every.total(values, penalty)
+
+
+def _objective(loop: Replay, tunables: Tunables, loss: AbstractLoss, copies: int, sample_rate: float) -> Objective:
+    """The whole record for each copy of the loss, on one device."""
+    samples = loop.volts.shape[0]
+    blocks = max(n for n in range(1, _BLOCKS + 1) if samples % n == 0)
+    words = (np.zeros(copies, np.uint32),) * 2
+    mesh, timing = lot.mesh_of(jax.local_devices()[:1]), Timing(1.0 / sample_rate, blocks, samples // blocks)
+    count, nothing = len(tunables.paths), Scenario()
+    return Objective(
+        tunables, loss, loop, nothing, (loop, nothing), words, timing, mesh, copies,
+        around=(None,) * count, places=np.zeros((count, copies)),
+    )  # fmt: skip
+
+
+def _checked(volts: Any, force: Any, settle: float, sample_rate: float) -> tuple[np.ndarray, np.ndarray]:
+    volts, force = np.asarray(volts, float), np.asarray(force, float)
+    for name, rows in (("volts", volts), ("force", force)):
+        if rows.ndim != 2 or rows.shape[1] != 2 or rows.shape != volts.shape:
+            raise InputError(
+                f"Argument `{name}` must have one row per sample and two columns, but has shape {rows.shape}."
+            )
+        if not np.all(np.isfinite(rows)):
+            raise InputError(f"Argument `{name}` must hold finite numbers only, but row "
+                             f"{int(np.argmin(np.all(np.isfinite(rows), axis=1)))} does not.")  # fmt: skip
+    if not 0.0 <= settle < len(volts) / sample_rate:
+        raise InputError(
+            f"Argument `settle` must lie within the record of {len(volts) / sample_rate:g} s, but is {settle:g} s."
+        )
+    return volts, force

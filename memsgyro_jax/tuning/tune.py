@@ -1,0 +1,252 @@
+"""Tunes a closed loop by gradient over a lot of dies: gains, noises and bandwidths, in two stages by default.
+
+A squared rate error sees only ratios of a filter's noises and does not know when they are wrong together; the
+likelihood of the innovations fixes their scale but is blind to what follows the filter. Hence first the observer's own
+numbers by likelihood, then the rest by the error.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from memsgyro_jax.base import runtime
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.provenance import Settings
+from memsgyro_jax.loop.loop import ClosedLoop
+from memsgyro_jax.loop.observers import ExtendedKalmanFilter
+from memsgyro_jax.loop.scenario import AbstractProfile, Scenario, as_scenario
+from memsgyro_jax.loop.trace import count_steps
+from memsgyro_jax.montecarlo.spread import Spread
+from memsgyro_jax.montecarlo.sweep import sweep
+
+from .descent import Descent, Step, descend, sought
+from .losses import AbstractLoss, InnovationLikelihood, SquaredRateError
+from .objective import Objective, Timing, Values, judged, noise_of
+from .rescue import rescued, scanned
+from .result import StageResult, TunedNumber, Tuning, merit_of, ratio_of, warnings_of
+from .survey import fates, null_directions
+from .tunable import Tunable, Tunables, resolved
+
+
+TRAINING, VALIDATION = 2**20, 2**21  # numbers of the first dies; those of a report or a sweep begin at 0
+_LOST = 10.0  # a lost die counts like the worst die at the start and this many times its size
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A loss, the numbers that it moves (their places in the tree), and why."""
+
+    loss: AbstractLoss
+    which: tuple[bool, ...]
+    reason: str
+
+
+def tune(
+    loop: ClosedLoop,
+    scenario: Scenario | AbstractProfile | float = 1.0,
+    *,
+    free: Sequence[Tunable],
+    spread: Spread | None = None,
+    loss: AbstractLoss | None = None,
+    dies: int = 128,
+    validation_dies: int = 64,
+    report_dies: int = 256,
+    sample_rate: float = 100e3,
+    duration: float = 0.1,
+    settle: float | None = None,
+    seed: int = 0,
+    evaluations: int = 40,
+    progress: Callable[[str], None] | None = None,
+    keep: str | Path | None = None,
+) -> Tuning:
+    """Move what is `free` (see `free`) of `loop` until the dies of `spread` (15 % by default) fare best.
+
+    Without a `loss` there are two stages: numbers of a Kalman filter by the likelihood of its innovations, what is left
+    by the squared rate error, both over the time from `settle` [s] on (default: half the duration). With one it judges
+    all. Training, validation and report run on different dies, all of the lot `seed`: the report on dies 0 to
+    `report_dies` - 1, as `sweep` runs them. Every setting is tried on the same dies with the same noise. A stage ends
+    when the loss or the validation dies gain no more, or after `evaluations` gradients; the best on validation counts.
+    A free number that `spread` varies is the design value its dies lie around (design centring). A lost die counts as a
+    large finite loss and is reported. `progress` is told what happens, in sentences. With
+    `keep`, a folder, evaluations are kept there: the same call goes on where another was killed, to the same bits.
+
+    Raises `InputError` for what is free but unknown, for bounds that do not hold the start, for settings that cannot be
+    run, for a loss that is no number at the start, and outside float64.
+    """
+    runtime.require_float64("tune")
+    scenario, loop = as_scenario(scenario), loop.sampled_at(sample_rate)
+    spread = Spread.relative(0.15) if spread is None else spread
+    settle = 0.5 * duration if settle is None else settle
+    tunables = resolved(loop, free, sample_rate, duration)
+    _check(dies, validation_dies, evaluations)
+    stages = _stages(loop, tunables, loss, settle)
+    _check_priors(stages, tunables)
+    timing = timing_of(sample_rate, duration, max(float(stage.loss.begins()) for stage in stages))
+    told = progress or (lambda sentence: None)
+    work = _Work(loop, scenario, spread, timing, seed, (dies, validation_dies), evaluations, told,
+                 None if keep is None else Path(keep))  # fmt: skip
+    numbers, results = tunables.values, []
+    rows: dict[str, TunedNumber] = {}
+    for stage in stages:
+        chosen = tunables.chosen(stage.which, numbers)
+        tuned = tunables.applied(loop, numbers)
+        outcome, values, found = work.run(stage, tuned, chosen)
+        numbers = np.array(numbers)
+        numbers[np.asarray(stage.which)] = values
+        results.append(outcome)
+        rows |= {row.path: row for row in found}
+    tuned = tunables.applied(loop, numbers)
+    told("before and after on unseen dies")
+    common = {"dies": report_dies, "sample_rate": sample_rate, "duration": duration, "settle": settle, "seed": seed}
+    lots = tuple(sweep(each, spread, scenario, bound_dies=0, **common) for each in (loop, tuned))
+    before, after = (merit_of(lot) for lot in lots)
+    settings = Settings.of(loop, scenario, spread, loss, tunables.paths, dies, sample_rate=sample_rate,
+                           duration=duration, seed=seed)  # fmt: skip
+    return Tuning(
+        loop=tuned,
+        numbers=tuple(rows[path] for path in tunables.paths),
+        stages=tuple(results),
+        before=before,
+        after=after,
+        ratio=ratio_of(*lots),
+        warnings=warnings_of(before, after, tuned),
+        settings=settings,
+        lots=lots,
+    )
+
+
+def _stages(loop: ClosedLoop, tunables: Tunables, loss: AbstractLoss | None, settle: float) -> tuple[Stage, ...]:
+    everything = (True,) * len(tunables.paths)
+    if loss is not None:
+        return (Stage(loss, everything, "the loss that was asked for"),)
+    own = tuple(path.startswith("observer.") for path in tunables.paths)
+    error = SquaredRateError(settle)
+    if not isinstance(loop.observer, ExtendedKalmanFilter):
+        return (Stage(error, everything, "this observer claims no variance, so there is no likelihood"),)
+    stages = (
+        Stage(InnovationLikelihood(settle), own, "it fixes the scale of the noises, which the error leaves open"),
+        Stage(error, tuple(not o for o in own), "the likelihood does not see what follows the filter"),
+    )
+    return tuple(stage for stage in stages if any(stage.which))
+
+
+@dataclass(frozen=True)
+class _Work:
+    """What all stages share."""
+
+    loop: ClosedLoop
+    scenario: Scenario
+    spread: Spread
+    timing: Timing
+    seed: int
+    dies: tuple[int, int]
+    evaluations: int
+    told: Callable[[str], None]
+    keep: Path | None
+
+    def run(
+        self, stage: Stage, loop: ClosedLoop, tunables: Tunables
+    ) -> tuple[StageResult, np.ndarray, list[TunedNumber]]:
+        """The stage's outcome, the numbers it found, and what became of each."""
+        name = type(stage.loss).__name__
+        self.told(f"{name} over {len(tunables.paths)} numbers, {self.dies[0]} dies: compiling")
+        training, validation = (
+            Objective.of(loop, self.scenario, self.spread, tunables, stage.loss, dies=first + np.arange(count),
+                         timing=self.timing, seed=self.seed, keep=self.keep)
+            for first, count in zip((TRAINING, VALIDATION), self.dies, strict=True)
+        )  # fmt: skip
+        penalty = _penalty(training.values(tunables.values), name)
+        first = scanned(training, tunables.values, penalty, self.told)
+        steps = self.timing.blocks * self.timing.block - float(stage.loss.begins()) / self.timing.period
+        readings = self.dies[0] * steps
+        descent = sought(
+            lambda start, left: descend(
+                lambda at: judged(training, tunables, at, penalty, readings),
+                lambda at: validation.total(validation.values(tunables.numbers(at)), penalty)[0],
+                start,
+                evaluations=left,
+                told=lambda step: self.told(_sentence(name, step)),
+            ),
+            lambda end: _elsewhere(training, end, penalty, self.told),
+            tunables.chosen((True,) * len(first), first).coordinates,
+            self.evaluations,
+        )
+        found = tunables.numbers(descent.coordinates)
+        values = training.slopes(found)
+        fate = fates(tunables, found, values)
+        rows = [
+            TunedNumber(label, path, float(a), float(b), float(low), float(high), name, words)
+            for label, path, a, b, low, high, words in zip(
+                tunables.labels, tunables.paths, tunables.values, found, tunables.low, tunables.high, fate, strict=True
+            )
+        ]
+        return _outcome(stage, descent, values, null_directions(tunables, found, values)), found, rows
+
+
+def _elsewhere(training: Objective, end: np.ndarray, penalty: float, told: Callable[[str], None]) -> np.ndarray | None:
+    """Coordinates after a rescue; None when nothing gains."""
+    tunables = training.tunables
+    moved = rescued(training, tunables.numbers(end), penalty, told)
+    return None if moved is None else tunables.chosen((True,) * len(moved), moved).coordinates
+
+
+def _outcome(stage: Stage, descent: Descent, values: Values, nulls: tuple[str, ...]) -> StageResult:
+    pick = lambda name: tuple(getattr(step, name) for step in descent.steps)  # noqa: E731
+    return StageResult(
+        type(stage.loss).__name__, stage.reason, pick("evaluations"), pick("training"), pick("validation"),
+        descent.best, int(np.sum(~values.alive)), descent.status, nulls,
+    )  # fmt: skip
+
+
+def _penalty(values: Values, name: str) -> float:
+    if not values.alive.any():
+        raise InputError(
+            f"The loss `{name}` must be a finite number at the start, but it is for none of {len(values.alive)} dies: "
+            "all are lost or give no number; start from a loop that works on some."
+        )
+    loss = values.loss[values.alive]
+    return float(np.max(loss) + _LOST * max(np.max(np.abs(loss)), noise_of(values)))
+
+
+def _sentence(name: str, step: Step) -> str:
+    return f"{name} after {step.evaluations}: training {step.training:.8g}, validation {step.validation:.8g}"
+
+
+def timing_of(sample_rate: float, duration: float, begins: float) -> Timing:
+    """As many blocks as samples in each, as near as divides the samples; a loss must have something to judge.
+
+    The way back of a derivative keeps the start of each block and each sample of one.
+    """
+    if not 0.0 <= begins < duration:
+        raise InputError(
+            f"Argument `settle` must lie within the duration of {duration:g} s, but {begins:g} s was given."
+        )
+    steps = count_steps(sample_rate, duration)
+    blocks = max(n for n in range(1, math.isqrt(steps) + 1) if steps % n == 0)
+    return Timing(1.0 / sample_rate, blocks, steps // blocks)
+
+
+def _check_priors(stages: tuple[Stage, ...], tunables: Tunables) -> None:
+    """What is known beforehand is weighed against readings, so a likelihood must judge them."""
+    for stage in stages:
+        for path, number, used in zip(tunables.paths, tunables.transforms, stage.which, strict=True):
+            if used and number.prior is not None and not isinstance(stage.loss, InnovationLikelihood):
+                raise InputError(
+                    f"A prior must belong to a number that is tuned by likelihood, but `{path}` is tuned by "
+                    f"{type(stage.loss).__name__}; give it bounds instead."
+                )
+
+
+def _check(dies: int, validation_dies: int, evaluations: int) -> None:
+    for name, value, least in (
+        ("dies", dies, 2),
+        ("validation_dies", validation_dies, 1),
+        ("evaluations", evaluations, 1),
+    ):
+        if value < least:
+            raise InputError(f"Argument `{name}` must be at least {least}, but {value} was given.")
+    if max(dies, validation_dies) > TRAINING:
+        raise InputError(f"Argument `dies` must be at most {TRAINING}, but {max(dies, validation_dies)} was given.")
