@@ -43,7 +43,7 @@ from memsgyro_jax.couplings.ratio import (  # noqa: E402
     phase_offset,
     relative_error,
 )
-from memsgyro_jax.couplings.seen import SeenBench  # noqa: E402
+from memsgyro_jax.couplings.sense_view import SeenBench  # noqa: E402
 from memsgyro_jax.measurement.experiments import PolarNoise  # noqa: E402
 
 

@@ -19,13 +19,13 @@ from memsgyro_jax.base import runtime
 
 runtime.configure()
 
-from memsgyro_jax.diagnosis.case_fit import CaseFit  # noqa: E402
-from memsgyro_jax.diagnosis.joint import Joint  # noqa: E402
+from memsgyro_jax.diagnosis.fit import CaseFit  # noqa: E402
+from memsgyro_jax.diagnosis.joint_residual import Joint  # noqa: E402
 from memsgyro_jax.diagnosis.search import Search, start_search  # noqa: E402
 from memsgyro_jax.effects import Scanned, catalogue  # noqa: E402
 from memsgyro_jax.measurement.case import Case, load_case  # noqa: E402
+from memsgyro_jax.measurement.linear_start import starting_device  # noqa: E402
 from memsgyro_jax.measurement.readings import model_of, readings_of  # noqa: E402
-from memsgyro_jax.measurement.start import starting_device  # noqa: E402
 
 
 WITHIN = 32_000  # samples of the arrow that stay within the fitted amplitudes

@@ -20,8 +20,8 @@ runtime.configure()
 
 from memsgyro_jax.app.report.diagnosis_page import page  # noqa: E402
 from memsgyro_jax.device.gyro import SingleMassGyro  # noqa: E402
-from memsgyro_jax.diagnosis.case_fit import fit_case  # noqa: E402
 from memsgyro_jax.diagnosis.diagnose import diagnose  # noqa: E402
+from memsgyro_jax.diagnosis.fit import fit_case  # noqa: E402
 from memsgyro_jax.diagnosis.result import Diagnosis, validation_error  # noqa: E402
 from memsgyro_jax.effects import Effect, load_effects  # noqa: E402
 from memsgyro_jax.measurement.case import Case, load_case  # noqa: E402

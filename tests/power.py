@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from scipy import stats
 
-from memsgyro_jax.diagnosis.joint import Joint
+from memsgyro_jax.diagnosis.joint_residual import Joint
 from memsgyro_jax.diagnosis.score import Score, basis, family_p_values, overlap, score
 
 

@@ -44,11 +44,10 @@ def place(path: Path) -> str:
 
 
 def imported(path: Path) -> set[str]:
-    """Places of this package that a file imports, anywhere in its text but where only a type checker looks."""
+    """Rooms of this package that a file imports, anywhere in its text, for type checkers too."""
     package = ("memsgyro_jax", *path.relative_to(PACKAGE).parent.parts)
     names = []
     tree = ast.parse(path.read_text())
-    tree.body = [n for n in tree.body if not (isinstance(n, ast.If) and "TYPE_CHECKING" in ast.dump(n.test))]
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             names += [alias.name.split(".") for alias in node.names]

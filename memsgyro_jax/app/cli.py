@@ -117,7 +117,7 @@ def sweep(
     from memsgyro_jax.base.runtime import configure
 
     configure()
-    from .sweep_command import run
+    from .commands.sweep import run
 
     run(
         study, rate_record, out, resume, overwrite, json, dies=dies, seed=seed, chunk=chunk,
@@ -153,7 +153,7 @@ def simulate(
     from memsgyro_jax.base.runtime import configure
 
     configure()
-    from .simulate_command import run
+    from .commands.simulate import run
 
     run(
         study, rate_record, out, json, die,
@@ -186,7 +186,7 @@ def tune(
     from memsgyro_jax.base.runtime import configure
 
     configure()
-    from .tune_command import run
+    from .commands.tune import run
 
     run(study, out, json, dies=dies, seed=seed)
 
@@ -227,7 +227,7 @@ def identify(
     from memsgyro_jax.base.runtime import configure
 
     configure()
-    from .identify_command import run
+    from .commands.identify import run
 
     run(
         sweeps,
@@ -254,7 +254,7 @@ def effects(own: Path | None = None, /, *, json: Path | None = None) -> None:
     from memsgyro_jax.base.runtime import configure
 
     configure()
-    from .effects_command import run
+    from .commands.effects import run
 
     run(own, json)
 
@@ -277,7 +277,7 @@ def check(
     from memsgyro_jax.base.runtime import configure
 
     configure()
-    from .check_command import run
+    from .commands.check import run
 
     run(case)
 
@@ -305,7 +305,7 @@ def compare(
     from memsgyro_jax.base.runtime import configure
 
     configure()
-    from .compare_command import run
+    from .commands.compare import run
 
     run(case, model, json, effects)
 
@@ -334,7 +334,7 @@ def fit(
     from memsgyro_jax.base.runtime import configure
 
     configure()
-    from .fit_command import run
+    from .commands.fit import run
 
     run(case, add, out, json, effects)
 
@@ -369,7 +369,7 @@ def diagnose(
     from memsgyro_jax.base.runtime import configure
 
     configure()
-    from .diagnose_command import run
+    from .commands.diagnose import run
 
     run(case, model, effects, out, json, report, level)
 

@@ -15,10 +15,10 @@ import optimistix as optx
 from jaxtyping import Array, Float, PyTree
 
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.base.free import from_vector, prior_residual, to_vector
-from memsgyro_jax.base.free import logarithmic as which_logarithmic
-from memsgyro_jax.base.free import names as free_names
 from memsgyro_jax.base.runtime import require_float64
+from memsgyro_jax.base.transforms import from_vector, prior_residual, to_vector
+from memsgyro_jax.base.transforms import logarithmic as which_logarithmic
+from memsgyro_jax.base.transforms import names as free_names
 from memsgyro_jax.measurement.experiments.base import Experiment
 
 

@@ -19,7 +19,7 @@ from .likelihood import fit_sweeps, neighbour_noise, refit
 from .modal import SingleMode, coupled_poles
 from .record import SweepRecord
 from .result import Coefficient, Identification, gate
-from .seen import SeenBench
+from .sense_view import SeenBench
 
 
 # What a sweep may show beyond two linear modes, by its name in the catalogue of effects: the switch of the fit that

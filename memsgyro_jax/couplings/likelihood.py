@@ -8,13 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, PyTree
 
-from memsgyro_jax.base.free import Free, Log, LogLogit, fixed, mark
+from memsgyro_jax.base.transforms import Free, Log, LogLogit, fixed, mark
 
 from . import start as sweep_start
 from .bench import Bench, FiniteSweepRate
 from .fit import Fit, best_start, evaluate, fit, fit_from
 from .frequency_sweep import FrequencySweep
-from .seen import SeenBench
+from .sense_view import SeenBench
 
 
 STARTS = 2  # of each family scanned

@@ -20,7 +20,7 @@ from memsgyro_jax.measurement.model import Model
 from memsgyro_jax.measurement.noise_level import noise_level
 from memsgyro_jax.measurement.readings import model_of
 
-from .case_fit import CaseFit, RecordError, fit_case
+from .fit import CaseFit, RecordError, fit_case
 from .misfit import LEVEL, Check, Series, check_all
 from .series import series_of, spoken
 

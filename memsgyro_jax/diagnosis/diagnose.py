@@ -9,15 +9,15 @@ import numpy as np
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.effects import Effect, Scanned, catalogue
 from memsgyro_jax.measurement.case import Case
+from memsgyro_jax.measurement.linear_start import starting_device
 from memsgyro_jax.measurement.model import Model
 from memsgyro_jax.measurement.readings import model_of, readings_of
-from memsgyro_jax.measurement.start import starting_device
 
-from .case_fit import CaseFit
-from .joint import Joint
-from .plans import plans
+from .fit import CaseFit
+from .joint_residual import Joint
+from .next_experiment import plans
 from .result import SIGMAS_SEEN, Accepted, Candidate, Diagnosis, Stage, Verdict, validation_error
-from .scanning import refined, scan, scans
+from .scans import refined, scan, scans
 from .score import Score, basis, score, separation
 from .search import Ranking, Search, start_search
 

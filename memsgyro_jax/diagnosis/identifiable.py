@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from memsgyro_jax.measurement.case import Case
+from memsgyro_jax.measurement.linear_start import starting_device
 from memsgyro_jax.measurement.readings import model_of, readings_of
-from memsgyro_jax.measurement.start import starting_device
 
-from .joint import NULL, Joint
+from .joint_residual import NULL, Joint
 
 
 PARTS = 4  # largest parts of a null direction that are named

@@ -25,7 +25,7 @@ from memsgyro_jax.measurement.model import Conditions, Model
 from memsgyro_jax.measurement.noise_level import noise_level
 from memsgyro_jax.measurement.steady import drive_waveform, spectrum, steady_state, waveform
 
-from .case_fit import CaseFit
+from .fit import CaseFit
 
 
 BINS = 24

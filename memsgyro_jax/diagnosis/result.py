@@ -11,7 +11,7 @@ from memsgyro_jax.base.files import finite
 from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.model import Model
 
-from .case_fit import CaseFit
+from .fit import CaseFit
 
 
 Verdict = Literal["nothing_missing", "found", "cannot_tell", "partly_explained", "unknown_effect"]

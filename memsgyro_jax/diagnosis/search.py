@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from .case_fit import CaseFit, beside
-from .joint import Joint, Optimum, optimise
+from .fit import CaseFit, beside
+from .joint_residual import Joint, Optimum, optimise
 from .score import Score, basis, family_p_values, overlap, score
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from memsgyro_jax.measurement.case import AbstractRecord, FrequencySweepRecord, RateTableRecord
 
-from .case_fit import CaseFit
+from .fit import CaseFit
 from .misfit import Band, Part, Series, Variable
 
 

@@ -12,7 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from .elimination import inverse, times
+from memsgyro_jax.base.linalg import inverse, times
+
 from .model import Conditions, Model
 from .steady import nonlinear_spectrum
 

@@ -9,7 +9,7 @@ from memsgyro_jax.base.provenance import Settings
 from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.observers import ExtendedKalmanFilter
 
-from .lot import Plan
+from .batch import Plan
 from .merit import Following, Percentiles, Proportion, following, percentiles, proportion
 from .store import LOST, OK, STATUS
 

@@ -23,7 +23,7 @@ from memsgyro_jax.loop.observers import ExtendedKalmanFilter
 from memsgyro_jax.loop.scenario import AbstractProfile, Scenario, as_scenario
 from memsgyro_jax.loop.trace import count_steps
 
-from . import lot
+from . import batch as lot
 from .spread import Draw, Spread
 from .store import LABELS, STATUS, Column, Layout, Store
 from .summary import Summary, summarise

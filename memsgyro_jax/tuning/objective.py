@@ -21,7 +21,7 @@ from memsgyro_jax.base.provenance import fingerprint
 from memsgyro_jax.loop import engine, noise
 from memsgyro_jax.loop.loop import ClosedLoop, Sample
 from memsgyro_jax.loop.scenario import Scenario
-from memsgyro_jax.montecarlo import lot
+from memsgyro_jax.montecarlo import batch as lot
 from memsgyro_jax.montecarlo.spread import AbstractDistribution, Spread
 
 from .adjoint import Backwards, Kept

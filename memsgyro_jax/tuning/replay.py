@@ -17,13 +17,13 @@ from memsgyro_jax.loop.loop import LoopState, Sample
 from memsgyro_jax.loop.observers import ExtendedKalmanFilter
 from memsgyro_jax.loop.observers.base import Clock
 from memsgyro_jax.loop.scenario import Conditions, Scenario
-from memsgyro_jax.montecarlo import lot
+from memsgyro_jax.montecarlo import batch as lot
 
 from .descent import descend
+from .fates import fates, null_directions
 from .losses import AbstractLoss, Consistency, InnovationLikelihood
 from .objective import Objective, Timing, Values, judged
 from .result import TunedNumber
-from .survey import fates, null_directions
 from .tunable import Tunable, Tunables, resolved
 
 

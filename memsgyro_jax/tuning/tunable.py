@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.base.free import Free, Logit, LogLogit, Prior, to_vector
+from memsgyro_jax.base.transforms import Free, Logit, LogLogit, Prior, to_vector
 from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.observers import ExtendedKalmanFilter
 

@@ -23,11 +23,11 @@ from memsgyro_jax.montecarlo.spread import Spread
 from memsgyro_jax.montecarlo.sweep import sweep
 
 from .descent import Descent, Step, descend, sought
+from .fates import fates, null_directions
+from .grid import rescued, scanned
 from .losses import AbstractLoss, InnovationLikelihood, SquaredRateError
 from .objective import Objective, Timing, Values, judged, noise_of
-from .rescue import rescued, scanned
 from .result import StageResult, TunedNumber, Tuning, merit_of, ratio_of, warnings_of
-from .survey import fates, null_directions
 from .tunable import Tunable, Tunables, resolved
 
 

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FormatStrFormatter, LogLocator, MaxNLocator, NullFormatter
 
-from memsgyro_jax.diagnosis.case_fit import CaseFit
+from memsgyro_jax.diagnosis.fit import CaseFit
 from memsgyro_jax.diagnosis.result import Stage
 from memsgyro_jax.diagnosis.series import spoken
 from memsgyro_jax.measurement.case import FrequencySweepRecord

@@ -5,9 +5,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Complex, Float
 
+from memsgyro_jax.base.linalg import inverse
 from memsgyro_jax.effects.base import SweepEffect
 
-from ..elimination import inverse
 from ..model import Conditions, Model
 from ..steady import fundamental, steady_state
 from .base import Experiment, Noise

@@ -21,7 +21,7 @@ from memsgyro_jax.loop import noise
 from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.scenario import AbstractProfile, Scenario, as_scenario
 
-from ..lot import Plan, rows_of
+from ..batch import Plan, rows_of
 from ..spread import Points, Root, Spread
 from .outputs import Output, mean, standard_error
 from .points import inputs_of, run_at

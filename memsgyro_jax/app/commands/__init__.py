@@ -1,0 +1,1 @@
+"""What each command of `memsgyro` does once its words are understood: one file a command."""

@@ -1,0 +1,89 @@
+"""What the commands that take a study file have in common: options that change the study, and where results go."""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.loop.scenario import Recorded
+
+from ..study import Study, default_study, load_study, read_rate_record
+
+
+_SETTLE = 0.05  # s, as in the default study; the rest of a recorded rate counts as settled
+
+
+def chosen_study(path: Path | None, rate_record: Path | None, **sweep: Any) -> tuple[Study, list[str]]:
+    """The study of a command line, and what a person should know about it.
+
+    `sweep` are entries of the section `[sweep]`; None leaves the study's own.
+    """
+    study = default_study() if path is None else load_study(path)
+    changes = {f"sweep.{name}": value for name, value in sweep.items() if value is not None}
+    notes: list[str] = []
+    if rate_record is not None:
+        record = read_rate_record(rate_record)
+        more, notes = _following(record, rate_record, own_study=path is not None)
+        changes = {**more, **changes}
+    return (study.changed(changes) if changes else study), notes
+
+
+def _following(record: Recorded, path: Path, own_study: bool) -> tuple[dict[str, Any], list[str]]:
+    """The run lasts as long as the record. The default study's filter, made for a constant rate, is told to follow."""
+    span = float(record.times[-1])
+    changes: dict[str, Any] = {
+        "scenario.rate": [{"kind": "record", "file": str(path.resolve())}],
+        "sweep.duration": f"{span!r} s",
+        "sweep.settle": f"{min(_SETTLE, 0.5 * span)!r} s",
+    }
+    notes = [f"The run lasts as long as the record, {span:g} s (`--duration` sets another time)."]
+    walk = random_walk(record)
+    if not own_study and walk > 0.0:
+        changes["observer.process_noise.rate"] = f"{walk!r} rad^2/s^3"
+        notes.append(
+            f"The filter follows a rate that walks by {np.degrees(np.sqrt(walk)):.3g} deg/s per root second, as the "
+            "record does (a study file sets `observer.process_noise.rate`)."
+        )
+    return changes, notes
+
+
+def random_walk(record: Recorded) -> float:
+    """Intensity in (rad/s)²/s of the random walk that resembles a record: 2 · std of the rate · std of its slope.
+
+    A walk with this intensity gains twice the record's variance in the time in which the record changes by its own
+    standard deviation. Zero for a constant rate.
+    """
+    times, rate = np.asarray(record.times), np.asarray(record.values)
+    grid = np.linspace(times[0], times[-1], 4 * len(times))
+    even = np.interp(grid, times, rate)
+    return float(2.0 * np.std(even) * np.std(np.diff(even)) / (grid[1] - grid[0]))
+
+
+def require_writable(*paths: Path | None) -> None:
+    """Raise `InputError` where a result could not be written, before hours are spent on it; creates nothing."""
+    for path in paths:
+        if path is None:
+            continue
+        there = path
+        while not there.exists() and there != there.parent:
+            there = there.parent
+        if path == there and path.is_dir():
+            raise InputError(f"{path} must be a file, but is a folder.")
+        if there != path and not there.is_dir():
+            raise InputError(f"{path} cannot be written, because {there} is no folder.")
+        if not os.access(there, os.W_OK):
+            raise InputError(f"{path} cannot be written: no permission for {there}.")
+
+
+@contextmanager
+def writing(where: Path, remedy: str) -> Iterator[None]:
+    """Turns a full disk and the like into a sentence that names the place; `remedy` says how to go on."""
+    try:
+        yield
+    except OSError as error:
+        name = error.filename or where
+        raise InputError(f"{name}: {error.strerror or error}; {remedy}.") from error

@@ -1,0 +1,255 @@
+"""A model fitted to all records of a measurement case at once, and how well it explains each of them."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from memsgyro_jax.device.gyro import SingleMassGyro
+from memsgyro_jax.device.resonator import Resonator
+from memsgyro_jax.effects.base import Effect
+from memsgyro_jax.measurement.case import Case
+from memsgyro_jax.measurement.linear_start import starting_device
+from memsgyro_jax.measurement.model import Model, check_effect
+from memsgyro_jax.measurement.noise_level import noise_level
+from memsgyro_jax.measurement.readings import Readings, model_of, readings_of
+
+from .joint_residual import Joint, Optimum, Parameter, optimise
+
+
+@dataclass(frozen=True)
+class RecordError:
+    """How far a record, or the part of it with one role, lies from the model.
+
+    Args:
+        name: of the record.
+        role: "fit" or "validation".
+        count: real readings.
+        chi2: sum of their squared deviations over the noise.
+    """
+
+    name: str
+    role: str
+    count: int
+    chi2: float
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of deviation over noise; 1 is the noise floor."""
+        return float(np.sqrt(self.chi2 / self.count))
+
+    @property
+    def gate(self) -> float:
+        """χ²/N up to which noise alone explains the record: 1 + 3·√(2/N)."""
+        return 1.0 + 3.0 * np.sqrt(2.0 / self.count)
+
+    @property
+    def explained(self) -> bool:
+        """Whether χ²/N is within the gate."""
+        return bool(self.chi2 / self.count <= self.gate)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The entry of a JSON file."""
+        return {
+            "name": self.name,
+            "role": self.role,
+            "readings": self.count,
+            "error": self.rms,
+            "chi2_per_reading": self.chi2 / self.count,
+            "gate": float(self.gate),
+            "explained": self.explained,
+        }
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A parameter of the model with its standard deviation (infinite where the records do not hold it)."""
+
+    name: str
+    value: float
+    std: float
+    unit: str
+
+    def __str__(self) -> str:
+        return f"{self.name:<24} {self.value: .6g} ± {self.std:.2g} {self.unit}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """The entry of a JSON file."""
+        return asdict(self)
+
+
+@dataclass(frozen=True, eq=False)
+class CaseFit:
+    """A model beside a case.
+
+    Args:
+        case: what was measured.
+        joint: its readings and the model's structure.
+        optimum: where the fit ended.
+        whitened: per record of the case (rows, channels, parts): deviation over noise, I and Q or one real part; NaN
+            for rows that are not compared.
+        fitted: per record, which rows were fitted (rows,).
+    """
+
+    case: Case
+    joint: Joint
+    optimum: Optimum
+    whitened: tuple[np.ndarray, ...]
+    fitted: tuple[np.ndarray, ...]
+
+    @cached_property
+    def model(self) -> Model:
+        """The fitted model."""
+        return self.joint.at(self.optimum.vector)
+
+    @property
+    def errors(self) -> tuple[RecordError, ...]:
+        """One entry per record and role, in the order of the case."""
+        out = []
+        for record, white, fitted in zip(self.case.records, self.whitened, self.fitted, strict=True):
+            for role, rows in (("fit", fitted), ("validation", ~fitted)):
+                values = white[rows]
+                values = values[np.isfinite(values)]
+                if values.size:
+                    out.append(RecordError(record.name, role, values.size, float(values @ values)))
+        return tuple(out)
+
+    @cached_property
+    def p_values(self) -> tuple[float, ...]:
+        """Per entry of `errors`, the probability of so large a χ² by noise alone.
+
+        What was not fitted also differs by the uncertainty of the fit: the sum of squares that a refit with these
+        readings would leave, itself included, is χ²-distributed with as many degrees of freedom as there are readings.
+        """
+        blocks = self._slopes_of_validation()
+        root = np.linalg.qr(self.optimum.jacobian, mode="r")
+        out = []
+        for error in self.errors:
+            chi2 = error.chi2
+            if error.role == "validation":
+                values, slopes = (np.concatenate(parts) for parts in zip(*blocks[error.name], strict=True))
+                whole, target = np.concatenate([root, slopes]), np.concatenate([np.zeros(len(root)), values])
+                size = np.linalg.norm(whole, axis=0)
+                whole = whole / np.where(size > 0, size, 1.0)
+                chi2 = float(np.sum((target - whole @ np.linalg.lstsq(whole, target)[0]) ** 2))
+            out.append(float(stats.chi2.sf(chi2, error.count)))
+        return tuple(out)
+
+    def _slopes_of_validation(self) -> dict[str, list[tuple[np.ndarray, np.ndarray]]]:
+        """Whitened residual and its sensitivity to the free parameters, of what was not fitted, by record."""
+        units = np.eye(self.optimum.vector.size)[self.optimum.free]
+        out: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
+        for readings in (r for r in self.joint.readings if not r.fitted):
+            values, slopes = self.joint.linearise(self.optimum.vector, units, [readings])
+            rows = np.repeat(readings.record, values.size // readings.record.size)
+            for record in np.unique(readings.record[readings.record >= 0]):
+                mine = (rows == record) & np.isfinite(values)
+                out.setdefault(self.case.records[record].name, []).append((values[mine], slopes[mine]))
+        return out
+
+    @property
+    def chi2_per_dof(self) -> float:
+        """Of the fitted readings."""
+        count = sum(e.count for e in self.errors if e.role == "fit")
+        return self.optimum.chi2 / (count - self.optimum.free.size)
+
+    @property
+    def estimates(self) -> tuple[Estimate, ...]:
+        """The parameters that were free."""
+        names: tuple[Parameter, ...] = self.joint.parameters
+        return tuple(
+            Estimate(names[i].name, float(self.optimum.vector[i]), float(std), names[i].unit)
+            for i, std in zip(self.optimum.free, self.optimum.std, strict=True)
+        )
+
+    @property
+    def null_directions(self) -> tuple[str, ...]:
+        """Combinations of parameters that the records do not hold, by name."""
+        out = []
+        for direction in self.optimum.frozen:
+            order = [i for i in np.argsort(-np.abs(direction))[:4] if abs(direction[i]) > 0.1]
+            names = [self.joint.parameters[self.optimum.free[i]].name for i in order]
+            out.append(" ".join(f"{direction[i]:+.2f}·{name}" for i, name in zip(order, names, strict=True)))
+        return tuple(out)
+
+    @property
+    def status(self) -> str:
+        """A sentence for humans."""
+        text = "converged" if self.optimum.converged else f"not converged after {self.optimum.evaluations} evaluations"
+        return text + "".join(f"; the records do not hold {null}" for null in self.null_directions)
+
+    def predicted(self, record: int) -> np.ndarray:
+        """What the model predicts for a record, in the shape and unit of its readings; NaN where not compared."""
+        white, entry = self.whitened[record], self.case.records[record]
+        error = white[..., 0] + 1j * white[..., 1] if white.shape[-1] == 2 else white[..., 0]
+        return entry.readings - error * noise_level(entry)
+
+    def __str__(self) -> str:
+        width = max(len(e.name) for e in self.errors)
+        lines = [f"{self.case.name}: {self.status}; χ²/dof of the fitted readings {self.chi2_per_dof:.4g}"]
+        lines += [
+            f"  {e.name:<{width}}  {e.role:<10}  {e.rms:10.4g} × noise{'' if e.explained else '  not explained'}"
+            for e in self.errors
+        ]
+        lines += [f"  {estimate}" for estimate in self.estimates]
+        return "\n".join(lines)
+
+
+def fit(model: Model | SingleMassGyro | Resonator | None, case: Case, *, effects: Sequence[Effect] = ()) -> CaseFit:
+    """The maximum-likelihood fit of a model, with all its effects and further ones, to all records of a case.
+
+    Args:
+        model: a `Model`, or a device to start from; `None` takes a start from the data.
+        case: from `load_case`.
+        effects: beside those of the model; their strengths start at the values they carry.
+
+    **Raises:** `InputError` in float32, or where an effect or the device does not suit the case.
+    """
+    whole = model if isinstance(model, Model) or model is None else model_of(case, model)
+    return fit_case(case, effects, model=whole)
+
+
+def fit_case(case: Case, effects: Sequence[Effect] = (), *, model: Model | None = None, held: bool = False) -> CaseFit:
+    """The maximum-likelihood fit of the base model with `effects` to a case.
+
+    Args:
+        case: from `load_case`.
+        effects: beside the base model; their strengths are free and start at the values they carry.
+        model: start from this model (with its effects) instead of one found from the data.
+        held: leave the model as it is and only evaluate it.
+
+    **Raises:** `InputError` in float32, or where an effect does not suit the device.
+    """
+    base = model if model is not None else model_of(case, starting_device(case))
+    for effect in effects:
+        check_effect(effect, base.axes)
+    joint = Joint(base.with_effect(*effects), readings_of(case))
+    vector, places = joint.start, np.arange(joint.start.size)
+    if effects and not held:
+        vector = optimise(joint, vector, joint.base(), joint.fitted).vector
+    optimum = optimise(joint, vector, places, joint.fitted, max_evaluations=0 if held else 30)
+    return beside(case, joint, optimum)
+
+
+def beside(case: Case, joint: Joint, optimum: Optimum) -> CaseFit:
+    """The model at an optimum beside every record of the case, fitted or not."""
+    white = [np.full((*r.readings.shape, 2 if np.iscomplexobj(r.readings) else 1), np.nan) for r in case.records]
+    fitted = [np.zeros(r.rows, bool) for r in case.records]
+    ends = np.cumsum([r.size for r in joint.fitted])
+    for readings, values in zip(joint.fitted, np.split(optimum.residual, ends[:-1]), strict=True):
+        _place(readings, values, white, fitted)
+    others = [r for r in joint.readings if not r.fitted]
+    for readings, values in zip(others, joint.residual(optimum.vector, others), strict=True):
+        _place(readings, values, white, fitted)
+    return CaseFit(case, joint, optimum, tuple(white), tuple(fitted))
+
+
+def _place(readings: Readings, values: np.ndarray, white: list[np.ndarray], fitted: list[np.ndarray]) -> None:
+    rows = values.reshape(readings.record.size, readings.axes, -1)
+    for record in np.unique(readings.record[readings.record >= 0]):
+        mine = readings.record == record
+        white[record][readings.row[mine]] = rows[mine]
+        fitted[record][readings.row[mine]] = readings.fitted

@@ -1,0 +1,123 @@
+"""Effects that no gradient at zero finds: tried at every point of a grid, on the records in which they would show."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from memsgyro_jax.effects import Coverage, DampingStep, ParasiticMode, Scanned, catalogue
+from memsgyro_jax.measurement.case import Case, FrequencySweepRecord
+from memsgyro_jax.measurement.case.device import resonances
+from memsgyro_jax.measurement.experiments import HarmonicSweep, TimeRecord
+from memsgyro_jax.measurement.model import Model
+from memsgyro_jax.measurement.readings import Readings
+
+from .joint_residual import Optimum
+from .score import Score, basis, score
+
+
+COARSE = 32  # points at most that are tried on a raw capture
+CHUNK = 8  # grid points evaluated side by side
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """The best point of a scan: the effect there, its score, and how many points were tried."""
+
+    effect: Scanned
+    score: Score
+    points: int
+
+
+def coverage(case: Case) -> Coverage:
+    """What the records of a case cover."""
+    bands = [r.frequency for r in case.records if isinstance(r, FrequencySweepRecord)]
+    low, high = resonances(case.design)
+    every = np.concatenate([*bands, [0.8 * low, 1.2 * high]])
+    volts = max(float(np.max(np.abs(r.readings))) for r in case.records)
+    durations = tuple(
+        0.0 if isinstance(r, FrequencySweepRecord) else float(getattr(r, "time", [0.0])[-1]) for r in case.records
+    )
+    return Coverage((float(every.min()), float(every.max())), volts, durations)
+
+
+def scans(case: Case) -> tuple[tuple[Scanned, ...], ...]:
+    """The grids worth scanning for a case, one per effect and variant."""
+    covered = coverage(case)
+    grids = [e.grid(covered) for e in catalogue(case.channels) if isinstance(e, Scanned)]
+    return tuple(grid for grid in grids if grid)
+
+
+def scan(model: Model, optimum: Optimum, readings: Sequence[Readings], grid: Sequence[Scanned]) -> Found | None:
+    """Score of every point of a grid beside the fitted model; the best one, or `None` where no record would show it.
+
+    Args:
+        model: at the optimum, without the effect.
+        optimum: the residual and Jacobian of the fitted readings.
+        readings: the fitted readings, in the order of that residual.
+        grid: the effect at every point.
+    """
+    q, best = basis(optimum.jacobian), None
+    starts = np.concatenate([[0], np.cumsum([r.size for r in readings])])
+    for place, chosen in enumerate(readings):
+        points = [e for e in grid if _shows(e, chosen, readings)]
+        if not points:
+            continue
+        if isinstance(chosen.experiment, TimeRecord):  # long to simulate: a coarse net there
+            points = points[:: -(-len(points) // COARSE)]
+        span = slice(starts[place], starts[place + 1])
+        for begin in range(0, len(points), CHUNK):
+            some = points[begin : begin + CHUNK]
+            padded = some + [some[-1]] * (CHUNK - len(some))
+            columns = np.asarray(_slopes(model, _stacked(padded), chosen.experiment))
+            for effect, column in zip(some, columns, strict=False):
+                whole = np.zeros((optimum.residual.size, 1))
+                whole[span, 0] = np.where(np.isfinite(column), column, 0.0)
+                found = Found(effect, score(optimum.residual, q, whole), len(grid))
+                if best is None or found.score.statistic > best.score.statistic:
+                    best = found
+    return best
+
+
+def _shows(effect: Scanned, chosen: Readings, readings: Sequence[Readings]) -> bool:
+    """Whether a scan looks at this record for this effect."""
+    if isinstance(effect, DampingStep):
+        return bool(np.any(chosen.record == int(effect.record)))
+    sweeps = any(isinstance(r.experiment, HarmonicSweep) for r in readings)
+    return isinstance(chosen.experiment, HarmonicSweep) or not sweeps
+
+
+def _stacked(effects: Sequence[Scanned]) -> Scanned:
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *effects)
+
+
+@eqx.filter_jit
+def _slopes(model: Model, effects: Scanned, experiment) -> Array:
+    """What each effect adds to the residual: per strength, or by the step from zero where the strength is scanned."""
+
+    def one(effect: Scanned) -> Array:
+        def residual(strength: Array) -> Array:
+            return experiment.residual(model.with_effect(eqx.tree_at(lambda e: e.strength, effect, strength)))
+
+        if "strength" in effect.scanned:
+            return residual(effect.strength) - experiment.residual(model)
+        return jax.jvp(residual, (jnp.zeros_like(effect.strength),), (jnp.ones_like(effect.strength),))[1]
+
+    return jax.vmap(one)(effects)
+
+
+def refined(effect: Scanned) -> tuple[Scanned, ...]:
+    """A finer grid around a point: frequencies a quarter of a width apart; elsewhere the point alone."""
+    if not isinstance(effect, ParasiticMode):
+        return (effect,)
+    width = float(effect.omega / effect.quality)
+    qualities = np.array([0.25, 0.5, 1.0, 2.0, 4.0]) * float(effect.quality)
+    return tuple(
+        ParasiticMode(effect.axis, effect.strength, omega=float(effect.omega) + part * width, quality=float(quality))
+        for part in np.linspace(-0.75, 0.75, 13)
+        for quality in qualities
+    )

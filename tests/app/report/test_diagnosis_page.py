@@ -1,0 +1,137 @@
+"""The page of a diagnosis: everything a colleague looks for, and nothing that a hostile case could smuggle in."""
+
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import memsgyro_jax
+from memsgyro_jax.app.report.diagnosis_page import page
+from memsgyro_jax.diagnosis.fit import beside, fit_case
+from memsgyro_jax.diagnosis.joint_residual import optimise
+from memsgyro_jax.diagnosis.result import Accepted, Candidate, Diagnosis, Stage, validation_error
+from memsgyro_jax.effects import CubicStiffness
+from memsgyro_jax.measurement.case import load_case
+
+
+HOSTILE = '<script>alert("$x_1$")</script> & "quoted" 漢字 $\\frac$'
+
+
+@pytest.fixture(scope="module")
+def diagnosis():
+    """Of the demonstration, put together by hand from two fits with one program."""
+    case = load_case(Path(memsgyro_jax.__file__).parent / "demo")
+    final = fit_case(case, [CubicStiffness(axis=0)])
+    fitted = final.joint.fitted
+    vector = np.where([p.effect is None for p in final.joint.parameters], final.optimum.vector, 0.0)
+    base = beside(case, final.joint, optimise(final.joint, vector, final.joint.base(), fitted))
+    strength = final.estimates[-1]
+    errors = [validation_error(fit) for fit in (base, final)]
+    twin = Candidate("cross_stiffness", "N/m³", 1.3e6, 1e-300, 0.91, 0.22, 1.1e9, True)
+    unseen = Candidate("thermal_drift damping", "1/K", 0.0, 1.0, 0.0, 0.0, np.inf, False)
+    return Diagnosis(
+        case=case,
+        base=base,
+        final=final,
+        verdict="found",
+        sentence="Missing was cubic_stiffness x.",
+        accepted=(
+            Accepted("cubic_stiffness", "x", (strength.value,), (strength.std,), "N/m³", 0.0, *errors, ("twin_of_it",)),
+        ),
+        first=(twin, unseen),
+        candidates=(replace(twin, p_value=0.4), unseen),
+        groups=(("cubic_stiffness x", "twin_of_it"),),
+        next_experiment="repeat the sweep at 3 times the drive",
+        steps=(Stage("", base.chi2_per_dof, errors[0]), Stage("cubic_stiffness x", final.chi2_per_dof, errors[1])),
+        level=0.05,
+    )
+
+
+class Outline(HTMLParser):
+    """Tags and text of a page."""
+
+    def __init__(self, html):
+        super().__init__()
+        self.tags, self.attributes, self.words = [], [], []
+        self.feed(html)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.attributes += attrs
+
+    def handle_data(self, data):
+        self.words.append(data)
+
+
+@pytest.fixture(scope="module")
+def found(diagnosis):
+    return page(diagnosis).html()
+
+
+def test_it_says_what_a_colleague_looks_for(found, diagnosis):
+    words = " ".join(Outline(found).words)
+    for text in (
+        "the missing effect was found",
+        diagnosis.sentence,
+        "What to measure next: repeat the sweep at 3 times the drive",
+        "twin_of_it",
+        "Cannot be told apart: cubic_stiffness x, twin_of_it",
+        "Cannot be seen at all, because nothing that was varied excites them: thermal_drift damping",
+        "step 1: with cubic_stiffness x",
+        "1.1e+09",
+        "< 1e-12",
+        "The model explains the records",
+    ):
+        assert text in words
+    estimate, std = diagnosis.accepted[0].estimate[0], diagnosis.accepted[0].std[0]
+    assert f"{estimate - 1.96 * std:.4g} to {estimate + 1.96 * std:.4g}" in words
+    assert "The force that is missing" not in words
+
+
+def test_every_experiment_has_its_error_and_its_picture(found, diagnosis):
+    words = Outline(found).words
+    for before, after in zip(diagnosis.base.errors, diagnosis.final.errors, strict=True):
+        place = words.index(before.name)
+        assert place
+        assert f"{before.rms:#.3g}" in words
+        assert f"{after.rms:#.3g}" in words
+    assert found.count("<svg") == len(diagnosis.case.records) + 1
+    assert len(found) < 2_000_000
+
+
+def test_what_is_unknown_is_shown_as_a_force(diagnosis):
+    unknown = replace(diagnosis, verdict="unknown_effect", final=diagnosis.base, accepted=(), steps=diagnosis.steps[:1])
+    html = page(unknown).html()
+    words = " ".join(Outline(html).words)
+    assert "The force that is missing" in words
+    assert "sweep_x: force on x as stiffness and damping" in words
+    assert "ringdown_x: force on x near the resonances" in words
+    assert "rate: what is left" in words
+    assert "sweep_x fails at drive 150 nN" in words
+
+
+def test_a_hostile_case_is_harmless(diagnosis, found):
+    records = tuple(replace(r, name=f"{HOSTILE}{k}", note=HOSTILE) for k, r in enumerate(diagnosis.case.records))
+    case = replace(diagnosis.case, name=HOSTILE, description=HOSTILE, records=records)
+    base, final = (replace(fit, case=case) for fit in (diagnosis.base, diagnosis.final))
+    bad = replace(diagnosis.accepted[0], name=HOSTILE, unit=HOSTILE, confused_with=(HOSTILE,))
+    hostile = replace(
+        diagnosis, case=case, base=base, final=final, sentence=HOSTILE, accepted=(bad,), next_experiment=HOSTILE,
+        first=tuple(replace(c, label=HOSTILE) for c in diagnosis.first), groups=((HOSTILE,),),
+        candidates=tuple(replace(c, label=HOSTILE) for c in diagnosis.candidates), verdict="partly_explained",
+        steps=(diagnosis.steps[0], replace(diagnosis.steps[1], added=HOSTILE)),
+    )  # fmt: skip
+    outline = Outline(page(hostile).html())
+    assert set(outline.tags) == set(Outline(found).tags), "no element that the plain page has not"
+    assert "script" not in outline.tags
+    assert HOSTILE in "".join(outline.words)
+    assert not [value for name, value in outline.attributes if name.startswith("on")]
+
+
+def test_nothing_is_loaded_from_anywhere(found):
+    outline = Outline(found)
+    links = [v for n, v in outline.attributes if n in ("src", "href", "xlink:href")]
+    assert all(link.startswith("#") for link in links)
+    assert not {"img", "link", "iframe", "script", "object"} & set(outline.tags)

@@ -1,0 +1,96 @@
+"""`memsgyro diagnose` as a user runs it."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+import memsgyro_jax
+from memsgyro_jax.app.cli import main
+from memsgyro_jax.app.commands.diagnose import load
+
+
+DEMO = Path(memsgyro_jax.__file__).parent / "demo"
+ONE_AXIS = """\
+schema = "memsgyro-model/1"
+[device]
+stiffness = { xx = 3.6e8, unit = "rad^2/s^2" }
+damping = { xx = 20.0, unit = "1/s" }
+mobility = { value = 5.5e6, unit = "1/kg" }
+[readout]
+scale = [5e5]
+offset = [0.0]
+[reference]
+temperature = { value = 298.15, unit = "K" }
+bias_voltage = { value = 10.0, unit = "V" }
+"""
+
+
+def run(*tokens):
+    with pytest.raises(SystemExit) as stop:
+        main([str(token) for token in tokens])
+    return stop.value.code
+
+
+def test_the_word_demo_is_the_case_that_comes_along(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert load(Path("demo")).name == "demo"
+    mine = tmp_path / "demo"
+    mine.mkdir()
+    assert load(Path("demo")).folder == DEMO
+    for path in DEMO.iterdir():
+        (mine / path.name).write_text(path.read_text().replace('name = "demo"', 'name = "mine"'))
+    assert load(Path("demo")).name == "mine", "a user's own folder comes first"
+
+
+@pytest.mark.parametrize(
+    ("tokens", "message"),
+    [
+        (("nowhere",), "nowhere"),
+        (("demo", "--level", "0"), "`level` must lie between 0 and 1"),
+        (("demo", "--effects", "nowhere.py"), "nowhere.py"),
+        (("demo", "--model", "nowhere.toml"), "nowhere.toml"),
+        (("demo", "--report", "."), "must be a file, but is a folder"),
+        (("demo", "--json", "file/result.json"), "is no folder"),
+    ],
+)
+def test_bad_input_is_one_sentence(tokens, message, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").write_text("")
+    assert run("diagnose", *tokens) == 2
+    out, error = capsys.readouterr()
+    assert out == ""
+    assert error.count("\n") == 1
+    assert message in error
+
+
+def test_a_model_of_another_device_is_refused(tmp_path, capsys):
+    (tmp_path / "model.toml").write_text(ONE_AXIS)
+    assert run("diagnose", DEMO, "--model", tmp_path / "model.toml") == 2
+    assert "model.toml: must have as many axes as the case demo has channels, 2, but has 1" in capsys.readouterr().err
+
+
+def test_help_names_every_option(capsys):
+    assert run("diagnose", "--help") == 0
+    printed = capsys.readouterr().out
+    for option in ("--model", "--effects", "--level", "--out", "--json", "--report"):
+        assert option in printed
+
+
+@pytest.mark.slow
+def test_the_demonstration_is_found_and_written(tmp_path, capsys):
+    names = {option: tmp_path / f"{option}.txt" for option in ("json", "report", "out")}
+    assert run("diagnose", "demo", *(word for o, path in names.items() for word in (f"--{o}", path))) == 0
+    out, said = capsys.readouterr()
+    assert out.startswith("demo: found\nMissing was cubic_stiffness x")
+    assert "added cubic_stiffness x" in said
+    result = json.loads(names["json"].read_text())
+    assert result["schema"] == "memsgyro-diagnosis/1"
+    assert result["verdict"] == "found"
+    (effect,) = result["effects"]
+    assert (effect["name"], effect["axis"]) == ("cubic_stiffness", "x")
+    assert abs(effect["estimate"] - 1.5e9) < 3 * effect["std"], "the laboratory hid 1.5e9 N/m³"
+    assert effect["validation_error_after"] < 1.05 < effect["validation_error_before"]
+    assert "cubic_stiffness x" in names["report"].read_text()
+    assert run("compare", DEMO, "--model", names["out"]) == 0
+    assert "explains the records" in capsys.readouterr().out

@@ -1,0 +1,264 @@
+"""Identification against an independent laboratory: right values, honest uncertainty, honest verdicts."""
+
+import json
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from lab import two_modes as lab
+
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.couplings.bench import Bench, LockIn
+from memsgyro_jax.couplings.fit import evaluate
+from memsgyro_jax.couplings.frequency_sweep import FrequencySweep
+from memsgyro_jax.couplings.identify import gate, identify, sweep_of
+from memsgyro_jax.couplings.identify_ratio import identify_by_ratio
+from memsgyro_jax.couplings.likelihood import fit_sweeps, free_parameters, gauge_fixed, refit, refit_draws
+from memsgyro_jax.couplings.modes import CoupledModes
+from memsgyro_jax.couplings.record import SweepRecord
+from memsgyro_jax.couplings.sense_view import SeenBench
+from memsgyro_jax.measurement.experiments import PolarNoise
+
+
+INSTRUMENT = lab.Instrument(ratio=1.3, asymmetry=np.radians(2.4), drive_ratio=0.8 * np.exp(0.3j))
+RAW = PolarNoise.from_peak_to_peak(lab.RAW[0], np.radians(lab.RAW[1]))
+FILTERED = PolarNoise.from_peak_to_peak(lab.FILTERED[0], np.radians(lab.FILTERED[1]))
+# A gyroscope slow enough to integrate its equations through a sweep.
+SLOW = lab.Gyro(mass=1e-6, fx=60.0, fy=63.0, qx=150.0, qy=90.0, cxy=4e-7, kxy=3e-3, lam_yx=0.03, lam_xy=-0.02)
+SLOW_BAND = np.linspace(55.0, 69.0, 1001)
+
+
+def record(phasors, frequency=lab.WIDE, axis=0):
+    """What the reader makes of a file, without the file."""
+    w = 2 * np.pi * frequency
+    one = np.ones(len(w))
+    return SweepRecord("sweep.csv", w, phasors, axis, one, one * w[0], 0.0, True, None, "1")
+
+
+def swept(gyro, frequency=lab.WIDE, noise=lab.RAW, axis=0, seed=0, instrument=INSTRUMENT, motion=None):
+    clean = lab.record(gyro, instrument, frequency, axis, motion)
+    return record(lab.noisy(clean, *noise, np.random.default_rng(seed)) if noise else clean, frequency, axis)
+
+
+def seen_bench(gyro=None, instrument=INSTRUMENT):
+    gyro = gyro or lab.Gyro()
+    damping = gyro.matrices()[1]
+    device = CoupledModes.from_coefficients(gyro.mass, gyro.matrices()[2], damping, gyro.lam_yx, gyro.lam_xy)
+    readout = LockIn(abs(instrument.gain), np.angle(instrument.gain), instrument.ratio, instrument.asymmetry)
+    return SeenBench.of(Bench(device, readout))
+
+
+def assert_within(coefficient, truth, sigmas=4.0):
+    assert abs(coefficient.value - truth) < sigmas * coefficient.std, f"{coefficient} is not {truth}"
+
+
+@pytest.fixture(scope="module")
+def wide():
+    return identify([swept(lab.Gyro())], noise=RAW, mass=3e-7)
+
+
+def test_wide_sweep_returns_every_coefficient(wide):
+    truth = lab.Gyro()
+    assert_within(wide.coefficients["lambda_yx"], truth.lam_yx)
+    assert_within(wide.coefficients["c_xy"], truth.cxy)
+    assert_within(wide.coefficients["k_xy"], truth.kxy)
+    assert_within(wide.readout["gain_ratio"], INSTRUMENT.ratio)
+    assert_within(wide.readout["phase_asymmetry_deg"], 2.4)
+    assert_within(wide.modal["f_y"], truth.fy)
+    assert_within(wide.modal["q_x"], truth.qx)
+    assert wide.readout["phase_asymmetry_deg"].std < 0.06
+    assert {wide.coefficients[name].verdict for name in ("lambda_yx", "c_xy", "k_xy")} == {"identified"}
+    assert "drive the y electrode" in wide.coefficients["lambda_xy"].verdict
+    assert wide.explained
+
+
+def test_result_as_json_and_xarray(wide):
+    data = json.loads(wide.to_json())
+    assert data["schema"] == "memsgyro-identify/1"
+    assert set(data["coefficients"]) == {"lambda_yx", "lambda_xy", "c_xy", "k_xy"}
+    assert set(data["coefficients"]["c_xy"]) == {"value", "std", "unit", "verdict"}
+    assert data["coefficients"]["c_xy"]["unit"] == "N*s/m"
+    assert data["phase_asymmetry_deg"] == pytest.approx(2.4, abs=0.3)
+    assert data["chi2_per_dof"] == pytest.approx(1.0, abs=0.08)
+    table = wide.to_xarray()
+    assert float(table.sel(coefficient="k_xy", statistic="value")) == data["coefficients"]["k_xy"]["value"]
+
+
+def test_both_electrodes_give_both_force_couplings():
+    result = identify([swept(lab.Gyro()), swept(lab.Gyro(), axis=1, seed=1)], noise=RAW, mass=3e-7)
+    assert_within(result.coefficients["lambda_yx"], lab.Gyro().lam_yx)
+    assert_within(result.coefficients["lambda_xy"], lab.Gyro().lam_xy)
+    assert_within(result.coefficients["c_xy"], lab.Gyro().cxy)
+    assert result.coefficients["lambda_xy"].verdict == "identified"
+
+
+def test_unknown_noise_is_estimated(wide):
+    result = identify([swept(lab.Gyro())], mass=3e-7)
+    assert result.chi2_per_dof == pytest.approx(1.0, abs=0.1)
+    assert result.coefficients["c_xy"].std == pytest.approx(wide.coefficients["c_xy"].std, rel=0.15)
+
+
+def test_narrow_sweep_is_refused_a_verdict():
+    result = identify([swept(lab.Gyro(), lab.NARROW)], noise=RAW, mass=3e-7)
+    assert result.explained
+    assert result.coefficients["c_xy"].verdict == "not identified by this sweep: sweep both resonances"
+
+
+def test_noise_free_data_return_the_coefficients():
+    device = identify([swept(lab.Gyro(), noise=None)], noise=RAW, mass=3e-7).fit.values.device
+    truth = seen_bench().device
+    for name in ("damping_coupling", "stiffness_coupling", "force_yx"):
+        assert float(getattr(device, name) / getattr(truth, name)) == pytest.approx(1.0, abs=1e-9)
+
+
+def test_too_fast_a_sweep_is_noticed_named_and_repaired():
+    fast = swept(SLOW, SLOW_BAND, motion=lab.chirped(SLOW, SLOW_BAND, 1.0))
+    plain = identify([fast], noise=RAW, mass=SLOW.mass)
+    assert plain.chi2_per_dof > 10 * gate(plain.dof)
+    assert plain.coefficients["c_xy"].verdict.endswith("add finite_sweep_rate")
+    repaired = identify([fast], noise=RAW, mass=SLOW.mass, effects=("finite_sweep_rate",))
+    assert repaired.explained
+    assert_within(repaired.coefficients["c_xy"], SLOW.cxy)
+    assert_within(repaired.coefficients["lambda_yx"], SLOW.lam_yx)
+    assert_within(repaired.effect_values["sweep_speed"], 1.0)
+
+
+def test_feedthrough_is_noticed_named_and_repaired():
+    clean = lab.record(SLOW, INSTRUMENT, SLOW_BAND)
+    leak = (0.03 * np.abs(clean[:, 0]).max() * np.exp(1j), 0.02 * np.abs(clean[:, 1]).max())
+    leaking = swept(SLOW, SLOW_BAND, instrument=lab.replace(INSTRUMENT, leak=leak))
+    plain = identify([leaking], noise=RAW, mass=SLOW.mass)
+    assert plain.coefficients["k_xy"].verdict.endswith("add electrical_feedthrough")
+    repaired = identify([leaking], noise=RAW, mass=SLOW.mass, effects=("electrical_feedthrough",))
+    assert repaired.explained
+    assert_within(repaired.coefficients["c_xy"], SLOW.cxy)
+    assert_within(repaired.effect_values["leak_x_I_x_driven"], leak[0].real)
+
+
+@pytest.mark.parametrize(("noise", "level"), [(RAW, lab.RAW), (FILTERED, lab.FILTERED)])
+@pytest.mark.slow
+def test_many_draws_reach_the_bound(noise, level):
+    assert_draws_reach_the_bound(noise, level, draws=1000, tolerance=0.08)
+
+
+def test_some_draws_reach_the_bound():
+    assert_draws_reach_the_bound(RAW, lab.RAW, draws=60, tolerance=0.35)
+
+
+def assert_draws_reach_the_bound(noise, level, draws, tolerance):
+    """Spread over draws against the Cramér-Rao bound, χ², coverage."""
+    start = seen_bench()
+    sweep = sweep_of(swept(lab.Gyro(), noise=None), noise)
+    rng = np.random.default_rng(5)
+    measured = jnp.stack([lab.noisy(np.asarray(sweep.measured), *level, rng) for _ in range(draws)])
+
+    def couplings(seen):
+        device = seen.device
+        parts = [device.force_yx, device.damping_coupling, device.stiffness_coupling, seen.readout.phase_asymmetry]
+        return jnp.stack(parts)
+
+    fits = eqx.filter_jit(refit_draws)(start, sweep, measured)
+    value, std = eqx.filter_jit(jax.vmap(lambda one: (couplings(one.values), one.std_of(couplings))))(fits)
+    bound = evaluate(start, free_parameters(start, [sweep]), [sweep]).std_of(couplings)
+    assert bool(fits.converged.all())
+    np.testing.assert_allclose(np.std(value, axis=0) / bound, 1.0, atol=tolerance)
+    assert abs(float(jnp.mean(fits.chi2_per_dof)) - 1) < 0.02
+    cover = np.mean(np.abs(value - couplings(start)) < 1.96 * std)
+    assert 0.93 < cover < 0.97
+    assert float(jnp.rad2deg(bound[3])) < 0.06
+
+
+@pytest.mark.parametrize("count", [8, pytest.param(200, marks=pytest.mark.slow)])
+def test_naive_starts_reach_the_optimum_found_from_the_truth(count):
+    rng = np.random.default_rng(17)
+    fit, from_truth = eqx.filter_jit(fit_sweeps), eqx.filter_jit(refit)
+    reached = 0
+    for _ in range(count):
+        gyro, instrument, band = random_device(rng)
+        sweep = sweep_of(swept(gyro, band, seed=rng.integers(2**31), instrument=instrument), RAW)
+        best = float(from_truth(seen_bench(gyro, instrument), (sweep,)).chi2)
+        reached += float(fit((sweep,)).chi2) <= best + 0.05
+    assert reached >= 0.97 * count
+
+
+def random_device(rng):
+    """Q 1e3-1e5, split 5 Hz-1 kHz, gain ratio 0.2-5, phase ±60°; a sweep that is dense where the resonances are."""
+    between = lambda low, high: np.exp(rng.uniform(np.log(low), np.log(high)))  # noqa: E731
+    fx, split, m = between(3e3, 3e4), between(5, 1000) * rng.choice([-1, 1]), 3e-7
+    qx, qy = between(1e3, 1e5), between(1e3, 1e5)
+    wx, wy = 2 * np.pi * fx, 2 * np.pi * (fx + split)
+    coupling = between(1e-3, 0.5) * abs(wy - wx) * 2 * wx * rng.choice([-1, 1])
+    gyro = lab.Gyro(
+        m, fx, fx + split, qx, qy, m * rng.uniform(-0.5, 0.5) * np.sqrt(wx * wy / qx / qy), m * coupling,
+        between(1e-4, 0.1) * rng.choice([-1, 1]), 0.0,
+    )  # fmt: skip
+    instrument = lab.Instrument(
+        1e9 * np.exp(1j * rng.uniform(-3, 3)), between(0.2, 5), np.radians(rng.uniform(-60, 60))
+    )
+    widths = [fx / qx, (fx + split) / qy]
+    margin = max(0.3 * abs(split), 5 * max(widths))
+    grids = [np.linspace(min(fx, fx + split) - margin, max(fx, fx + split) + margin, 601)]
+    grids += [f + w * np.sinh(np.linspace(-3, 3, 200)) for f, w in zip((fx, fx + split), widths, strict=True)]
+    return gyro, instrument, np.sort(np.concatenate(grids))
+
+
+def test_the_gauge_twin_predicts_the_same():
+    seen = seen_bench(instrument=lab.replace(INSTRUMENT, asymmetry=np.radians(140)))
+    turned = gauge_fixed(seen)
+    sweep = FrequencySweep("gauge", 2 * np.pi * lab.WIDE, np.ones((1001, 2)) + 0j, RAW, axis=1)
+    assert abs(float(turned.readout.phase_asymmetry)) < np.pi / 2
+    np.testing.assert_allclose(sweep.predict(turned), sweep.predict(seen), rtol=1e-12)
+    assert float(turned.device.damping_coupling) == pytest.approx(-float(seen.device.damping_coupling), rel=1e-9)
+
+
+def test_the_estimate_is_differentiable_by_the_data():
+    start, clean = seen_bench(), sweep_of(swept(lab.Gyro(), noise=None), RAW)
+
+    def damping(phase):
+        turned = clean.with_measured(clean.measured * jnp.exp(1j * phase * jnp.array([0.0, 1.0])))
+        return refit(start, (turned,)).values.device.damping_coupling
+
+    # An error of the phase between the channels is a nuisance of this estimator: the coefficient must not follow it.
+    value, slope = jax.jvp(eqx.filter_jit(damping), (0.0,), (1.0,))
+    assert abs(float(slope / value)) < 1e-6
+
+    @eqx.filter_jit
+    def of_tilt(slant):
+        turned = clean.with_measured(clean.measured * jnp.exp(1j * slant * jnp.linspace(0, 1, 1001))[:, None])
+        return refit(start, (turned,), tolerance=1e-9).values.device.damping_coupling
+
+    _, slope = jax.jvp(of_tilt, (jnp.asarray(0.0),), (jnp.asarray(1.0),))
+    step = jnp.asarray(1e-5)
+    difference = (of_tilt(step) - of_tilt(-step)) / (2 * step)
+    assert float(slope) == pytest.approx(float(difference), rel=1e-3)
+
+
+def test_the_published_chain_runs_and_is_worse():
+    records = [
+        swept(lab.Gyro(), noise=lab.FILTERED, axis=axis, instrument=lab.replace(INSTRUMENT, drive_ratio=1.0))
+        for axis in (0, 1)
+    ]
+    result = identify_by_ratio(records, noise=FILTERED, mass=3e-7)
+    assert abs(result.coefficients["c_xy"].value / lab.Gyro().cxy - 1) > 1.0
+    assert result.coefficients["k_xy"].value == pytest.approx(0.103, rel=0.2)
+    assert json.loads(result.to_json())["method"].startswith("ratio")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"records": []}, "at least one sweep"),
+        ({"effects": ("duffing",)}, "electrical_feedthrough"),
+        ({"mass": -1.0}, "positive number of kilograms"),
+    ],
+)
+def test_bad_arguments_are_one_sentence(arguments, message):
+    with pytest.raises(InputError, match=message):
+        identify(**{"records": [swept(lab.Gyro())], **arguments})
+
+
+def test_ratio_method_needs_both_resonances():
+    with pytest.raises(InputError, match="sweep both resonances"):
+        identify_by_ratio([swept(lab.Gyro(), lab.NARROW, noise=None)])

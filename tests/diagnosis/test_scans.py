@@ -1,0 +1,42 @@
+"""Effects with a moment, a frequency or a limit are found on their grid, in the records that would show them."""
+
+from dataclasses import replace
+
+import pytest
+from bench_case import bench
+from lab.die import Hidden
+from lab.strengths import visible
+
+from memsgyro_jax.diagnosis.fit import fit_case
+from memsgyro_jax.diagnosis.scans import scan, scans
+from memsgyro_jax.effects import DampingStep, ParasiticMode
+
+
+STEP = replace(visible("damping_step"), damping_step_record="rate", damping_step_time=0.08)
+
+
+def best(name, hidden):
+    """What the scan for an effect finds beside the base model."""
+    fit = fit_case(bench(hidden).case)
+    (grid,) = [g for g in scans(fit.case) if g[0].label == name]
+    return scan(fit.model, fit.optimum, fit.joint.fitted, grid)
+
+
+def test_a_damping_step_is_found_in_its_record_at_its_time():
+    case = bench(STEP).case
+    found = best("damping_step", STEP)
+    assert isinstance(found.effect, DampingStep)
+    assert case.records[int(found.effect.record)].name == "rate"
+    assert float(found.effect.time) == pytest.approx(0.08, abs=case.record("rate").time[-1] / 24)
+    assert found.score.statistic > 100.0
+
+
+def test_a_step_that_is_not_there_is_not_significant():
+    found = best("damping_step", Hidden())
+    assert found.score.p_value * found.points > 0.01
+
+
+def test_a_mode_is_looked_for_in_sweeps_and_not_in_the_raw_capture():
+    found = best("parasitic_mode x", Hidden())
+    assert isinstance(found.effect, ParasiticMode)
+    assert found.score.p_value * found.points > 0.01

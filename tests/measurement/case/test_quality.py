@@ -1,0 +1,111 @@
+"""What the rows tell of noise, outliers and settling."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from measurement.case.bench import NOISE, write_bench
+
+from memsgyro_jax.measurement.case import assess, load_case
+from memsgyro_jax.measurement.case.outliers import interpolation_misfit, lone_rows
+
+
+CASES = Path(__file__).resolve().parents[4] / "shared" / "data" / "cases"
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory):
+    return load_case(write_bench(tmp_path_factory.mktemp("quality") / "bench"))
+
+
+def quality(case, name):
+    return next(found for found in assess(case).records if found.record.name == name)
+
+
+def with_record(case, name, **changes):
+    return replace(case, records=tuple(replace(r, **changes) if r.name == name else r for r in case.records))
+
+
+def test_a_cubic_is_interpolated_without_error():
+    place = np.cumsum(np.random.default_rng(0).uniform(0.5, 1.5, 40))
+    values = 1 + place - 0.3 * place**2 + 0.01 * place**3
+    assert np.max(np.abs(interpolation_misfit(place, values))) < 1e-10
+
+
+def test_the_misfit_of_white_noise_has_its_deviation():
+    rng = np.random.default_rng(1)
+    place = np.cumsum(rng.uniform(0.5, 1.5, 20000))
+    assert np.std(interpolation_misfit(place, rng.normal(0, 3.0, 20000))) == pytest.approx(3.0, rel=0.03)
+
+
+@pytest.mark.parametrize("name", ["sweep_x", "ringdown", "rate", "raw"])
+def test_noise_is_told_by_the_rows(bench, name):
+    assert quality(bench, name).noise == pytest.approx(NOISE, rel=0.35)
+
+
+def test_a_sound_case_has_no_warning(bench):
+    assert assess(bench).warnings == ()
+
+
+@pytest.mark.parametrize(
+    ("name", "row", "channel"), [("sweep_x", 50, 1), ("ringdown", 100, 0), ("rate", 60, 1), ("raw", 150, 1)]
+)
+def test_a_wrong_digit_is_told_with_its_line(bench, name, row, channel):
+    record = bench.record(name)
+    field = "phasors" if np.iscomplexobj(record.readings) else "signals"
+    readings = record.readings.copy()
+    readings[row, channel] += 40 * NOISE
+    warnings = assess(with_record(bench, name, **{field: readings})).warnings
+    assert len(warnings) == 1
+    assert f"{record.file}, line {record.lines[row]}: channel {'xy'[channel]}" in warnings[0]
+
+
+def test_a_wrong_rate_is_told_with_its_line(bench):
+    rate = bench.record("rate").rate.copy()
+    rate[20] = 0.1
+    (warning,) = assess(with_record(bench, "rate", rate=rate)).warnings
+    assert "rate.csv, line 22: the rate lies far off" in warning
+
+
+@pytest.mark.parametrize("jump", [1.0, 1.0j])
+def test_a_step_is_no_outlier_and_a_spike_is(jump):
+    place = np.arange(60.0)
+    noise = np.random.default_rng(2).normal(0, 1e-3, 60)
+    assert lone_rows(place, noise + jump * (place > 30), 1e-3) == []
+    assert [row for row, _ in lone_rows(place, noise + jump * (place == 30), 1e-3)] == [30]
+
+
+def test_noise_alone_has_no_outlier():
+    rng = np.random.default_rng(3)
+    assert [lone_rows(np.arange(500.0), rng.normal(size=500), 1.0) for _ in range(50)] == [[]] * 50
+
+
+@pytest.mark.parametrize("factor", [0.1, 10.0])
+def test_a_wrong_declared_noise_is_told(bench, factor):
+    (warning,) = assess(with_record(bench, "ringdown", noise_std=factor * NOISE)).warnings
+    assert "declared noise" in warning
+
+
+@pytest.mark.parametrize("name", ["sweep_x", "ringdown"])
+def test_exchanged_channels_are_told(bench, name):
+    record = bench.record(name)
+    field = "phasors" if np.iscomplexobj(record.readings) else "signals"
+    (warning,) = assess(with_record(bench, name, **{field: record.readings[:, ::-1]})).warnings
+    assert "as labelled" in warning
+
+
+def test_short_drives_dwells_and_records_are_told(bench):
+    (warning,) = assess(with_record(bench, "ringdown", drive_duration=0.01)).warnings
+    assert "lasts less than 5 time constants" in warning
+    sweep = bench.record("sweep_x")
+    clocked = with_record(bench, "sweep_x", time=0.01 * np.arange(sweep.rows))
+    (warning,) = assess(clocked).warnings
+    assert "declared settled" in warning
+    assert assess(with_record(clocked, "sweep_x", settled=False)).warnings == ()
+
+
+@pytest.mark.skipif(not CASES.is_dir(), reason="the public cases lie beside the repository and are not there")
+@pytest.mark.parametrize("name", ["P1", "P4", "silverbox"])
+def test_public_cases_have_the_noise_they_declare_and_no_outlier(name):
+    assert assess(load_case(CASES / name)).warnings == ()

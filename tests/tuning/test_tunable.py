@@ -1,0 +1,163 @@
+"""What is free by name: bounds, coordinates, the tree of `memsgyro_jax.free`, and what became of each number."""
+
+import jax
+import numpy as np
+import pytest
+
+import memsgyro_jax as mg
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.transforms import from_vector, names, to_vector
+from memsgyro_jax.tuning.descent import Descent, Judged, Step, descend, sought
+from memsgyro_jax.tuning.fates import fates, null_directions
+from memsgyro_jax.tuning.objective import Values
+from memsgyro_jax.tuning.result import Interval, Merit, warnings_of
+from memsgyro_jax.tuning.tunable import resolved, tree
+
+
+GYRO, READOUT = mg.SingleMassGyro.chi2010(), mg.ChargeAmplifier.chi2010()
+NOISE = mg.ProcessNoise.of(GYRO.model, rate=100.0)
+OBSERVER = mg.ExtendedKalmanFilter.for_device(GYRO, READOUT, process_noise=NOISE, annealing=mg.Annealing())
+LOOP = mg.ClosedLoop(
+    GYRO, READOUT, OBSERVER, mg.DampingCompensation(mg.Tone(600.0, 53.95, 0.1)), filter=mg.Lowpass(100.0, 2)
+)
+FREE = mg.free(
+    {"controller.tones.0.0.phase": (-3.0, 3.0)}, observer=("noise_density", "process_noise.rate"), filter="bandwidth"
+)
+
+
+@pytest.fixture(scope="module")
+def made():
+    return resolved(LOOP, FREE, 100e3, 0.1)
+
+
+def test_names_lead_to_numbers_in_the_order_of_the_tree(made):
+    assert made.labels == (
+        "observer.noise_density.0", "observer.noise_density.1", "observer.process_noise.rate",
+        "controller.tones.0.0.phase", "filter.bandwidth",
+    )  # fmt: skip
+    assert made.values[2:].tolist() == [100.0, 0.1, 100.0]
+
+
+def test_default_bounds(made):
+    assert made.high[0] / made.low[0] == pytest.approx(1e6)
+    assert made.high[2] == pytest.approx((10.0 * 3.0) ** 2 / 0.1)  # a walk of ten prior deviations in the run
+    assert made.high[4] == pytest.approx(45e3)  # a bandwidth stays below half the sample rate
+
+
+def test_coordinates_and_numbers_are_one_to_one(made):
+    at = made.coordinates + np.linspace(-1.0, 1.0, 5)
+    again = made.chosen([True] * 5, made.numbers(at)).coordinates
+    assert again == pytest.approx(at, rel=1e-9)
+    step = 1e-5
+    for i in range(5):
+        unit = np.eye(5)[i] * step
+        slope = (made.numbers(at + unit) - made.numbers(at - unit))[i] / (2.0 * step)
+        assert made.stretch(at)[i] == pytest.approx(slope, rel=1e-7)
+
+
+def test_the_tree_is_that_of_what_is_free(made):
+    spec = tree(LOOP, FREE)
+    vector = to_vector(LOOP, spec)
+    assert len(names(LOOP, spec)) == 5
+    back = from_vector(vector, LOOP, spec)
+    assert float(back.filter.bandwidth) == pytest.approx(100.0)
+    assert jax.tree.structure(back) == jax.tree.structure(LOOP)
+
+
+def test_what_is_off_starts_at_its_lower_bound():
+    off = resolved(LOOP, mg.free("observer.process_noise.kxx"), 100e3, 0.1)
+    assert off.values[0] == off.low[0] > 0.0
+    assert np.isfinite(off.coordinates[0])
+
+
+def test_a_prior_needs_to_lie_within_the_bounds():
+    with pytest.raises(InputError, match=r"The prior of `filter.bandwidth` must be"):
+        resolved(LOOP, mg.free(mg.Tunable("filter.bandwidth", 1.0, 1e3, (2e3, 2.0))), 100e3, 0.1)
+
+
+def test_a_prior_is_one_of_the_logarithm():
+    held = resolved(LOOP, mg.free(mg.Tunable("filter.bandwidth", 1.0, 1e4, (50.0, 1.1))), 100e3, 0.1)
+    there = held.chosen([True], np.array([50.0 * 1.1])).coordinates
+    value, slope = held.prior(there)
+    assert value == pytest.approx(0.5, rel=0.03)
+    parts = [held.prior(there + step)[0] for step in (-1e-4, 1e-4)]
+    assert slope[0] == pytest.approx((parts[1] - parts[0]) / 2e-4, rel=1e-6)
+    with pytest.raises(InputError, match="must belong to a number that is tuned by likelihood"):
+        mg.tune(LOOP, free=mg.free(mg.Tunable("filter.bandwidth", 1.0, 1e4, (50.0, 1.1))))
+
+
+def valley(at):
+    """A narrow curved valley with its floor at (1, 1), and slopes of dies that scatter about its own."""
+    x, y = at
+    value = (1.0 - x) ** 2 + 30.0 * (y - x**2) ** 2
+    slope = np.array([-2.0 * (1.0 - x) - 120.0 * x * (y - x**2), 60.0 * (y - x**2)])
+    return Judged(value, slope, slope[:, None] + np.array([[1.0, -1.0, 0.0], [0.0, 1.0, -1.0]]), 1e-3)
+
+
+def test_a_valley_is_followed_to_its_floor():
+    found = descend(valley, lambda at: valley(at)[0], np.array([-1.0, 1.0]), evaluations=80)
+    assert found.coordinates == pytest.approx([1.0, 1.0], abs=0.02)
+    assert found.status.startswith("converged")
+    losses = [step.training for step in found.steps]
+    assert losses == sorted(losses, reverse=True)
+
+
+def test_the_best_on_validation_counts():
+    found = descend(valley, lambda at: float((at[0] + 0.5) ** 2), np.array([-1.0, 1.0]), evaluations=80)
+    assert found.status.startswith("stopped early")
+    assert abs(found.coordinates[0] + 0.5) == min(abs(step.coordinates[0] + 0.5) for step in found.steps)
+
+
+def test_without_any_effect_nothing_moves():
+    flat = lambda at: Judged(1.0, np.zeros(2), np.zeros((2, 3)), 1.0)  # noqa: E731
+    found = descend(flat, lambda at: 1.0, np.zeros(2), evaluations=5)
+    assert found.status == "nothing free has an effect"
+    assert found.coordinates.tolist() == [0.0, 0.0]
+
+
+def test_a_rescue_goes_down_again():
+    def down(start, left):
+        return Descent((Step(1, float(start[0]), float(start[0]), start),), 0, f"{left} left")
+
+    starts = iter([np.array([2.0]), np.array([1.0]), None])
+    found = sought(down, lambda end: next(starts), np.array([3.0]), 10)
+    assert [step.evaluations for step in found.steps] == [1, 2, 3]
+    assert found.coordinates.tolist() == [1.0]
+    assert found.status == "8 left"
+
+
+def test_each_number_has_a_fate(made):
+    few = made.chosen([True, True, True, False, True], made.values)
+    found = few.values * np.array([2.0, 2.0, 1.0, 1.0])
+    found[3] = few.high[3] * 0.999
+    rng = np.random.default_rng(0)
+    along = rng.normal(size=50)
+    # The dies feel the first two numbers only through their ratio, and the bandwidth not at all.
+    slopes = np.stack([along / found[0], -along / found[1], rng.normal(size=50) / found[2], 0.0 * along])
+    values = Values(rng.normal(size=50), np.ones(50, bool), slopes)
+    assert fates(few, found, values) == (
+        "moved x 2, in a direction without effect", "moved x 2, in a direction without effect", "stayed",
+        "moved x 450, at its upper bound, no effect there",
+    )  # fmt: skip
+    assert null_directions(few, found, values) == ("+0.71·observer.noise_density.0 +0.71·observer.noise_density.1",)
+
+
+def merit(mean, nis=(1.0, 1.0), nees=14.0, lost=0):
+    figure = Interval(mean, mean, mean)
+    return Merit(figure, figure, figure, 256, lost, nis, nees, 14, (13.1, 14.9))
+
+
+@pytest.mark.parametrize(
+    ("after", "words"),
+    [
+        (merit(0.5), []),
+        (merit(0.5, nis=(1.3, 1.0)), ["absorbing an error of the model", "NIS is 1.3, 1"]),
+        (merit(0.5, nees=30.0), ["absorbing an error of the model", "NEES is 30 instead of 14"]),
+        (merit(0.5, lost=2), ["2 of 256 unseen dies are lost"]),
+        (merit(1.5), ["has not fallen"]),
+    ],
+)
+def test_warnings(after, words):
+    said = " ".join(warnings_of(merit(1.0), after, LOOP))
+    assert bool(said) == bool(words)
+    assert all(word in said for word in words)
