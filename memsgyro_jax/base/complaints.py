@@ -1,6 +1,5 @@
 """What is wrong with a study file, in one sentence that names every place."""
 
-import difflib
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -11,6 +10,7 @@ from typing import Any, get_args
 from pydantic import BaseModel
 
 from .errors import InputError
+from .text import suggestion
 
 
 _WORD = r"""(?:[\w-]+|"[^"]*"|'[^']*')"""
@@ -116,8 +116,7 @@ def _shown(value: Any) -> str:
 
 def _unknown(name: str, models: list[type[BaseModel]]) -> str:
     known = sorted({field.alias or key for each in models for key, field in each.model_fields.items()})
-    near = difflib.get_close_matches(name, known, n=1)
-    return f"is not known (did you mean `{near[0]}`?)" if near else f"is not known (known are {', '.join(known)})"
+    return f"is not known ({suggestion(name, known)})"
 
 
 def _models_at(loc: Place, model: type[BaseModel]) -> list[type[BaseModel]]:

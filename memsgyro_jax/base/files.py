@@ -1,5 +1,6 @@
-"""Files that appear whole or not at all, and what may stand in a JSON file."""
+"""Files that appear whole or not at all, and the text of a JSON file."""
 
+import json
 import math
 import os
 from pathlib import Path
@@ -17,6 +18,16 @@ def write_whole(path: str | Path, text: str) -> Path:
         part.unlink(missing_ok=True)
         raise
     return path
+
+
+def json_text(entries: Any) -> str:
+    """Entries as JSON; what is not finite reads null."""
+    return json.dumps(finite(entries), indent=2, ensure_ascii=False, allow_nan=False)
+
+
+def write_json(path: str | Path, entries: Any) -> Path:
+    """Writes entries as a JSON file, whole or not at all."""
+    return write_whole(path, json_text(entries) + "\n")
 
 
 def finite(value: Any) -> Any:

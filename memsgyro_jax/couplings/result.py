@@ -2,15 +2,14 @@
 picture.
 """
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from memsgyro_jax import __version__
-from memsgyro_jax.base.files import finite
+from memsgyro_jax.base.files import finite, json_text
+from memsgyro_jax.base.provenance import versions
 
 from .fit import Fit
 from .frequency_sweep import FrequencySweep
@@ -67,7 +66,7 @@ class Identification:
     status: str = "converged"
     fit: Fit | None = None
     sweeps: tuple[FrequencySweep, ...] = ()
-    versions: Mapping[str, str] = field(default_factory=lambda: {"memsgyro_jax": __version__})
+    versions: Mapping[str, str] = field(default_factory=lambda: dict(versions()))
 
     @property
     def explained(self) -> bool:
@@ -106,7 +105,7 @@ class Identification:
 
     def to_json(self) -> str:
         """`to_dict` as text; no NaN or infinity in it."""
-        return json.dumps(self.to_dict(), indent=2, allow_nan=False)
+        return json_text(self.to_dict())
 
     def to_xarray(self):
         """Value and standard deviation of every coefficient, labelled, with verdicts and units in the attributes."""

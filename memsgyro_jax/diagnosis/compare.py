@@ -1,6 +1,5 @@
 """A model beside measurements: how far apart, and where."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -8,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from memsgyro_jax import __version__
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.base.files import finite
+from memsgyro_jax.base.files import finite, json_text
+from memsgyro_jax.base.provenance import versions
 from memsgyro_jax.base.text import aligned
 from memsgyro_jax.device.gyro import SingleMassGyro
 from memsgyro_jax.device.normalised import NormalisedDevice
@@ -52,7 +51,7 @@ class Comparison:
     checks: tuple[Check, ...]
     level: float
     fitted: bool
-    versions: Mapping[str, str] = field(default_factory=lambda: {"memsgyro_jax": __version__})
+    versions: Mapping[str, str] = field(default_factory=lambda: dict(versions()))
 
     @property
     def case(self) -> Case:
@@ -129,7 +128,7 @@ class Comparison:
 
     def to_json(self) -> str:
         """`to_dict` as text."""
-        return json.dumps(self.to_dict(), indent=2, allow_nan=False, ensure_ascii=False)
+        return json_text(self.to_dict())
 
     def to_xarray(self) -> "DataTree":
         """One node per record: measured, predicted and whitened, over row, channel and part, with units."""
@@ -140,7 +139,7 @@ class Comparison:
             # A slash separates nodes of a tree; the record's own name stands in the attributes.
             nodes[f"{record.name.replace('/', '∕')}"] = _dataset(self.fit, number, record)
         tree = xr.DataTree.from_dict(nodes)
-        tree.attrs.update(schema=SCHEMA, case=self.case.name, status=self.status, versions=json.dumps(self.versions))
+        tree.attrs.update(schema=SCHEMA, case=self.case.name, status=self.status, versions=json_text(self.versions))
         return tree
 
     def plot(self, ax: "Axes | None" = None) -> "Axes":

@@ -1,13 +1,12 @@
 """What a diagnosis found: verdict, effects, candidates, groups that cannot be told apart, and what to measure next."""
 
-import json
 from dataclasses import asdict, dataclass
 from typing import Literal
 
 import numpy as np
 
-from memsgyro_jax import __version__
-from memsgyro_jax.base.files import finite
+from memsgyro_jax.base.files import finite, json_text
+from memsgyro_jax.base.provenance import versions
 from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.model import Model
 
@@ -143,7 +142,6 @@ class Diagnosis:
         entries = {
             "schema": "memsgyro-diagnosis/1",
             "case": self.case.name,
-            "version": __version__,
             "level": self.level,
             "verdict": self.verdict,
             "sentence": self.sentence,
@@ -156,12 +154,13 @@ class Diagnosis:
             "next_experiment": self.next_experiment,
             "residual": {e.name: e.rms for e in self.final.errors if not e.explained},
             "steps": [asdict(s) for s in self.steps],
+            "versions": dict(versions()),
         }
         return finite(entries)
 
     def to_json(self) -> str:
         """The same as text."""
-        return json.dumps(self.to_dict(), indent=1, ensure_ascii=False, allow_nan=False)
+        return json_text(self.to_dict())
 
 
 def validation_error(fit: CaseFit) -> float:

@@ -1,9 +1,9 @@
 """The catalogue: every effect the package knows, in the order in which a gyro meets them."""
 
-import difflib
 from collections.abc import Sequence
 
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.text import suggestion
 
 from .adc_saturation import AdcSaturation
 from .angular_acceleration import AngularAcceleration
@@ -68,9 +68,7 @@ def by_name(name: str, where: str = "", among: Sequence[Effect] | None = None) -
     same = [effect for effect in known if effect.name == name]
     if not same:
         names = list(dict.fromkeys(effect.name for effect in known))
-        near = difflib.get_close_matches(name, names, n=1)
-        hint = f"did you mean `{near[0]}`?" if near else f"known are {', '.join(names)}"
-        raise InputError(f'An effect must be one of the catalogue, but "{name}" is not ({hint}).')
+        raise InputError(f'An effect must be one of the catalogue, but "{name}" is not ({suggestion(name, names)}).')
     found = [effect for effect in same if effect.where == where]
     if found:
         return found[0]

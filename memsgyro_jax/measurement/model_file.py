@@ -4,7 +4,6 @@ Numbers are written with all their digits, so that reading gives back the very s
 """
 
 import dataclasses
-import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -12,12 +11,13 @@ from typing import Any, Literal
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from pydantic import Field, StrictFloat, StrictInt, ValidationError
+from pydantic import Field, StrictFloat, StrictInt
 
 from memsgyro_jax.base.complaints import Source
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.files import write_whole
 from memsgyro_jax.base.quantity import Part
+from memsgyro_jax.base.toml import checked, read_toml, toml_text
 from memsgyro_jax.base.units import to_si
 from memsgyro_jax.device.normalised import NormalisedDevice
 from memsgyro_jax.effects import Effect, by_name, catalogue
@@ -117,23 +117,8 @@ def read_model(path: str | Path, own: Sequence[Effect] = ()) -> Model:
 
     **Raises:** `InputError` with file and line for what cannot be used.
     """
-    path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: must be text in UTF-8, but byte {error.start} is not.") from error
-    except OSError as error:
-        raise InputError(f"{path}: must be a readable model file, but: {error.strerror}.") from error
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path}: must be TOML, but: {error}.") from error
-    source = Source(str(path), path.parent, text)
-    try:
-        file = _File.model_validate(data)
-    except ValidationError as error:
-        raise source.complain(error.errors(), _File, data) from error
-    return _model(file, source, own)
+    data, source = read_toml(path, "model file")
+    return _model(checked(_File, data, source), source, own)
 
 
 def _model(file: _File, source: Source, own: Sequence[Effect]) -> Model:
@@ -203,5 +188,4 @@ def _toml(value: Any, name: str) -> str:
     numbers = np.asarray(value, float)
     if not np.isfinite(numbers).all():
         raise InputError(f"Argument `model` must hold finite numbers to be written, but `{name}` is {value}.")
-    # float's repr is the shortest text that reads back as the same number.
-    return repr(numbers.tolist())
+    return toml_text(numbers.tolist())

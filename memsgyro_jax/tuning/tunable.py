@@ -5,7 +5,6 @@
 `resolved` turns the names into the tree of `memsgyro_jax.base.free` beside the loop.
 """
 
-import difflib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -18,6 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.text import suggestion
 from memsgyro_jax.base.transforms import Free, Logit, LogLogit, Prior, to_vector
 from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.observers import ExtendedKalmanFilter
@@ -220,9 +220,7 @@ def _numbers_at(loop: ClosedLoop, path: str, known: Mapping[str, int]) -> list[s
     if found:
         return found
     short = [*known, *(f"observer.process_noise.{name}" for name in names)]
-    near = difflib.get_close_matches(path, short, n=1)
-    hint = f" (did you mean `{near[0]}`?)" if near else ""
-    raise InputError(f"What is free must be a number of the loop, but `{path}` is none{hint}.")
+    raise InputError(f"What is free must be a number of the loop, but `{path}` is none ({suggestion(path, short)}).")
 
 
 def _bounds(

@@ -118,5 +118,5 @@ def test_what_is_not_finite_is_not_written(tmp_path):
 
 
 def test_no_file(tmp_path):
-    with pytest.raises(InputError, match="readable model file"):
+    with pytest.raises(InputError, match="no such model file"):
         read_model(tmp_path / "none.toml")

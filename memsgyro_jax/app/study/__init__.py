@@ -1,10 +1,9 @@
 """Study files: the text form (TOML) of a loop, its surroundings, its spread and the settings of a sweep."""
 
-import tomllib
 from pathlib import Path
 
 from memsgyro_jax.base.complaints import Source as _Source
-from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.toml import read_toml as _read_toml
 
 from .file import Study as Study
 from .file import read_study as _read_study
@@ -22,19 +21,7 @@ def load_study(path: str | Path) -> Study:
     Raises:
         InputError: everything that is wrong with the file, each with its line and key.
     """
-    path = Path(path)
-    try:
-        text = path.read_bytes().decode("utf-8")
-        data = tomllib.loads(text)
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: no such study file.") from error
-    except OSError as error:
-        raise InputError(f"{path}: the study file cannot be read ({error.strerror}).") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: a study file must be text in UTF-8, but byte {error.start} is not.") from error
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path}: a study file must be TOML, but cannot be read: {error}.") from error
-    return _read_study(data, _Source(str(path), path.parent, text))
+    return _read_study(*_read_toml(path, "study file"))
 
 
 def default_study() -> Study:

@@ -1,17 +1,16 @@
 """The study file as a whole: its sections, the objects they describe, and writing it."""
 
-import json
-import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import ConfigDict, Field, ValidationError
+from pydantic import ConfigDict, Field
 
 from memsgyro_jax.base.complaints import Source
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.files import write_whole
 from memsgyro_jax.base.quantity import Part, field_unit
+from memsgyro_jax.base.toml import checked, toml_table, toml_text
 from memsgyro_jax.loop.filters import check_fits
 from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.observers import ExtendedKalmanFilter
@@ -30,7 +29,6 @@ from .tuning import Tune
 
 
 SCHEMA = "memsgyro-study/1"
-_BARE = re.compile(r"[A-Za-z0-9_-]+")
 
 
 def _device() -> SingleMass:
@@ -163,10 +161,8 @@ class Study:
     def to_toml(self, folder: str | Path | None = None) -> str:
         """The study as a file; names of recorded rates are relative to `folder` where they lie below it."""
         data = self._data(folder)
-        lines = [f"schema = {json.dumps(data.pop('schema'))}"]
-        for section, entries in data.items():
-            lines += ["", f"[{section}]", *(f"{_key(name)} = {_inline(value)}" for name, value in entries.items())]
-        return "\n".join(lines) + "\n"
+        head = f"schema = {toml_text(data.pop('schema'))}\n"
+        return "\n".join([head, *(toml_table(section, entries) for section, entries in data.items())])
 
     def write(self, path: str | Path) -> Path:
         """Write the study file `path`, whole or not at all."""
@@ -182,11 +178,7 @@ class Study:
 
 def read_study(data: dict[str, Any], source: Source) -> Study:
     """The study that the parsed TOML `data` describes; raises `InputError` with everything that is wrong with it."""
-    try:
-        file = StudyFile.model_validate(data, context={FOLDER: source.folder})
-    except ValidationError as error:
-        raise source.complain(error.errors(include_url=False), StudyFile, data) from error
-    return _build(file, source)
+    return _build(checked(StudyFile, data, source, {FOLDER: source.folder}), source)
 
 
 def _build(file: StudyFile, source: Source) -> Study:
@@ -225,18 +217,3 @@ def _without_empty(value: Any) -> Any:
         kept = {name: _without_empty(entry) for name, entry in value.items()}
         return {name: entry for name, entry in kept.items() if entry not in ((), [], {})}
     return [_without_empty(entry) for entry in value] if isinstance(value, list | tuple) else value
-
-
-def _inline(value: Any) -> str:
-    """A TOML value on one line."""
-    if isinstance(value, dict):
-        return "{ " + ", ".join(f"{_key(name)} = {_inline(entry)}" for name, entry in value.items()) + " }"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(map(_inline, value)) + "]"
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    return repr(value) if isinstance(value, int | float) else json.dumps(value, ensure_ascii=False)
-
-
-def _key(name: str) -> str:
-    return name if _BARE.fullmatch(name) else json.dumps(name, ensure_ascii=False)

@@ -1,6 +1,5 @@
 """The columns of one CSV file of a case, in SI, with the checks that need nothing but the column."""
 
-import difflib
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -9,6 +8,7 @@ import numpy as np
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.table import Table
+from memsgyro_jax.base.text import suggestion
 
 from .device import Vocabulary, angular
 
@@ -98,9 +98,7 @@ class Columns:
         known = list(known)
         for name in self.table.columns:
             if name not in known:
-                near = difflib.get_close_matches(name, known, n=1)
-                hint = f"did you mean `{near[0]}`?" if near else f"known are {', '.join(known)}"
-                raise self.refuse(f"is not known to this kind of experiment ({hint})", name)
+                raise self.refuse(f"is not known to this kind of experiment ({suggestion(name, known)})", name)
 
     def signal_names(self, *ends: str) -> list[str]:
         """Every name a reading may have."""

@@ -1,6 +1,5 @@
 """What each device is called by in files: design keys and their units, columns and their units."""
 
-import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -8,6 +7,7 @@ import numpy as np
 
 from memsgyro_jax.base.complaints import Source
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.text import suggestion
 from memsgyro_jax.base.units import to_si
 
 from .file import Amount, CaseFile, DesignEntry, ReadoutEntry
@@ -90,9 +90,7 @@ def design(file: CaseFile, source: Source) -> dict[str, DesignValue]:
     for key in file.design:
         if key not in words.design:
             with source.section("design", key):
-                near = difflib.get_close_matches(key, words.design, n=1)
-                known = f"did you mean `{near[0]}`?" if near else f"known are {', '.join(words.design)}"
-                raise InputError(f"is not known to a {file.device} ({known})")
+                raise InputError(f"is not known to a {file.device} ({suggestion(key, words.design)})")
     values = {}
     for key, unit in words.design.items():
         with source.section("design", key):

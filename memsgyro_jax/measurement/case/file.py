@@ -1,14 +1,14 @@
 """`case.toml` as a whole: its sections, as they are written, and the checks that need no other file."""
 
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
-from pydantic import BeforeValidator, Field, StrictBool, StrictFloat, ValidationError
+from pydantic import BeforeValidator, Field, StrictBool, StrictFloat
 
 from memsgyro_jax.base.complaints import Source
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.quantity import Part, Whole, parts
+from memsgyro_jax.base.toml import checked, read_toml
 
 
 SCHEMA = "memsgyro-case/1"
@@ -137,35 +137,10 @@ class CaseFile(Part):
 
 def read_file(path: Path) -> tuple[CaseFile, Source]:
     """The sections of `case.toml`; raises `InputError` with line and key of everything that is wrong with them."""
-    data, text = _toml(path)
-    source = Source(str(path), path.parent, text)
-    try:
-        file = CaseFile.model_validate(data)
-    except ValidationError as error:
-        raise source.complain(error.errors(include_url=False), CaseFile, data) from error
+    data, source = read_toml(path, "file", f"a measurement case is a folder with a `{FILE}`")
+    file = checked(CaseFile, data, source)
     _refuse_twins(file, source)
     return file, source
-
-
-def _toml(path: Path) -> tuple[dict[str, Any], str]:
-    try:
-        text = path.read_bytes().decode("utf-8-sig")
-        return tomllib.loads(text), text
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: no such file; a measurement case is a folder with a `{FILE}`.") from error
-    except OSError as error:
-        raise InputError(f"{path}: the file cannot be read ({error.strerror}).") from error
-    except UnicodeDecodeError as error:
-        line = error.object[: error.start].count(b"\n") + 1
-        raise InputError(
-            f"{path}, line {line}: a case must be text in UTF-8, but byte {error.start} is not."
-        ) from error
-    except RecursionError as error:
-        raise InputError(f"{path}: a case must be TOML of few levels, but is nested too deeply.") from error
-    except ValueError as error:  # TOMLDecodeError, and Python's own for numbers of thousands of digits
-        end = f"at line {text.count(chr(10)) + 1}, the end of the file"
-        reason = " ".join(str(error).replace("at end of document", end).split()).rstrip(".")
-        raise InputError(f"{path}: a case must be TOML, but cannot be read: {reason}.") from error
 
 
 def _refuse_twins(file: CaseFile, source: Source) -> None:

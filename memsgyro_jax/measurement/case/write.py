@@ -1,7 +1,6 @@
 """Writing a measurement case, in SI, so that reading it again gives the same numbers."""
 
 import hashlib
-import json
 from functools import singledispatch
 from pathlib import Path
 
@@ -9,6 +8,7 @@ import numpy as np
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.files import write_whole
+from memsgyro_jax.base.toml import toml_text as _text
 
 from .device import VOCABULARIES
 from .file import FILE, SCHEMA
@@ -181,8 +181,3 @@ def _table(name: str, entries: dict[str, str]) -> str:
 
 def _quantity(value: float, unit: str) -> str:
     return f"{{ value = {value!r}, unit = {_text(unit)} }}"
-
-
-def _text(text: str) -> str:
-    """A TOML string; JSON's escapes are TOML's, but JSON leaves the DEL character as it is."""
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
