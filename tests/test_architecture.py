@@ -3,6 +3,7 @@
 import ast
 import importlib
 import re
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -16,7 +17,7 @@ ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "memsgyro_jax"
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
-# A module imports only from modules above it. A folder counts as one place; inside it, everybody may import everybody.
+# A module imports only from modules above it. A folder counts as one place; inside it, imports may not go in a circle.
 ORDER = [
     "base",
     "device",
@@ -43,18 +44,23 @@ def place(path: Path) -> str:
     return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
 
 
-def imported(path: Path) -> set[str]:
-    """Rooms of this package that a file imports, anywhere in its text, for type checkers too."""
+def names_imported(path: Path) -> list[list[str]]:
+    """Dotted names that a file imports, anywhere in its text, for type checkers too."""
     package = ("memsgyro_jax", *path.relative_to(PACKAGE).parent.parts)
     names = []
-    tree = ast.parse(path.read_text())
-    for node in ast.walk(tree):
+    for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
             names += [alias.name.split(".") for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             base = package[: len(package) - node.level + 1] if node.level else ()
             module = [*base, *(node.module.split(".") if node.module else [])]
             names += [[*module, alias.name] for alias in node.names]
+    return names
+
+
+def imported(path: Path) -> set[str]:
+    """Rooms of this package that a file imports."""
+    names = names_imported(path)
     # `from memsgyro_jax import fit` means the public name, `from .fit import Fit` the module.
     places = {
         memsgyro_jax._CONTENTS.get(name[1], name[1]).split(".")[0] if len(name) == 2 else name[1]
@@ -99,6 +105,38 @@ def test_the_import_test_sees_every_form(tmp_path, monkeypatch):
         "def f():\n    from memsgyro_jax.montecarlo.merit import rms\n    from memsgyro_jax import InputError\n"
     )
     assert imported(file) == {"loop", "tuning", "app", "motion", "montecarlo", "base"}
+
+
+def circle(package: Path) -> list[str]:
+    """Files that import each other, directly or through others, anywhere in their text."""
+    rooms = [path for path in package.rglob("*.py") if path.parent != package]
+    named = {".".join(("memsgyro_jax", *path.relative_to(package).with_suffix("").parts)): path for path in rooms}
+    files = {name.removesuffix(".__init__"): path for name, path in named.items()}
+    graph = {}
+    for name, path in files.items():
+        found = [".".join(names) for names in names_imported(path)]
+        # `from .gyro import AbstractGyro` names the file and something in it.
+        graph[name] = {n if n in files else n.rpartition(".")[0] for n in found} & {*files} - {name}
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        return error.args[1]
+    return []
+
+
+def test_no_imports_in_a_circle():
+    assert circle(PACKAGE) == []
+
+
+def test_a_circle_for_type_checkers_is_found(tmp_path, monkeypatch):
+    monkeypatch.setattr(f"{__name__}.PACKAGE", tmp_path)
+    (tmp_path / "loop").mkdir()
+    (tmp_path / "loop" / "__init__.py").write_text("from .trace import Trace\n")
+    (tmp_path / "loop" / "trace.py").write_text("def plot():\n    from . import pictures\n")
+    (tmp_path / "loop" / "pictures.py").write_text("import numpy\n")
+    assert circle(tmp_path) == []
+    (tmp_path / "loop" / "pictures.py").write_text("if TYPE_CHECKING:\n    from .trace import Trace\n")
+    assert {*circle(tmp_path)} == {"memsgyro_jax.loop.trace", "memsgyro_jax.loop.pictures"}
 
 
 @pytest.mark.parametrize("path", MODULES, ids=lambda path: path.relative_to(PACKAGE).as_posix())

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from memsgyro_jax.base import runtime
+from memsgyro_jax.base.axes import axes
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.provenance import Settings
 from memsgyro_jax.device.propagate import State4
@@ -80,7 +81,7 @@ class Trace:
         """The trace as a Dataset over `time`, units in the attributes."""
         import xarray as xr
 
-        axes, states = ["x", "y"], ["x", "y", "vx", "vy"]
+        states = ["x", "y", "vx", "vy"]
         variables = {
             "rate_true": ("time", self.rate_true, {"units": "rad/s"}),
             "rate_estimate": ("time", self.rate_estimate, {"units": "rad/s"}),
@@ -96,14 +97,50 @@ class Trace:
             "force": (("time", "axis"), self.force, {"units": "N"}),
             "nis": ("time", self.nis, {"units": "1"}),
         }
-        coordinates = {"time": self.time, "axis": axes, "state": states, "coefficient": list(self.coefficients)}
+        coordinates = {"time": self.time, "axis": ["x", "y"], "state": states, "coefficient": list(self.coefficients)}
         return xr.Dataset(variables, coordinates, {**self.settings.as_dict(), "status": self.status})
 
     def plot(self, quantity: str = "rate", ax: "Axes | None" = None) -> "Axes":
         """Estimate beside truth over time: `rate`, `motion`, `offset`, or the name of a coefficient."""
-        from . import pictures
+        names = ("rate", "motion", "offset", *(n for n in self.coefficients if n != "rate"))
+        if quantity not in names:
+            raise InputError(f"Argument `quantity` must be one of {', '.join(names)}, but `{quantity}` was given.")
+        ax, time = axes(ax), self.time * 1e3
+        if quantity == "rate":
+            estimate, spread = np.degrees(self.rate_unfiltered), np.degrees(self.rate_std)
+            ax.fill_between(
+                time, estimate - spread, estimate + spread, color="C0", alpha=0.25, lw=0, label="± claimed std"
+            )
+            label = "estimate before the filter" if self.filtered else "estimate"
+            ax.plot(time, estimate, color="C0", lw=1.0, alpha=0.4 if self.filtered else 1.0, label=label)
+            if self.filtered:
+                ax.plot(time, np.degrees(self.rate_estimate), color="C1", lw=1.4, label="output")
+            ax.plot(time, np.degrees(self.rate_true), color="k", lw=1.2, ls="--", label="true")
+            ax.set_ylabel("rate [deg/s]")
+            ax.set_ylim(*_limits(np.degrees(np.concatenate([self.rate_true, self.rate_estimate[len(time) // 4 :]]))))
+        elif quantity in ("motion", "offset"):
+            factor, unit = (1e6, "displacement [µm]") if quantity == "motion" else (1e3, "offset [mV]")
+            for axis, name in enumerate("xy"):
+                ax.plot(
+                    time, factor * getattr(self, f"{quantity}_estimate")[:, axis], color=f"C{axis}", lw=1.0, label=name
+                )
+                ax.plot(time, factor * getattr(self, quantity)[:, axis], color="k", lw=0.8, ls="--")
+            ax.set_ylabel(unit)
+        else:
+            index = self.coefficients.index(quantity)
+            ax.plot(time, self.theta_estimate[:, index] / self.theta[index] - 1.0, color="C0", lw=1.0, label="estimate")
+            ax.axhline(0.0, color="k", lw=1.0, ls="--")
+            ax.set_ylabel(f"relative error of {quantity} [1]")
+        ax.set_xlabel("time [ms]")
+        ax.legend(loc="best", frameon=False)
+        return ax
 
-        return pictures.trace(self, quantity, ax)
+
+def _limits(values: np.ndarray) -> tuple[float, float]:
+    """Limits that show the settled part, whatever the first samples did."""
+    low, high = np.nanpercentile(values, [1.0, 99.0])
+    margin = 0.3 * (high - low) + 1e-9
+    return float(low - margin), float(high + margin)
 
 
 class _Row(NamedTuple):

@@ -24,6 +24,7 @@ from memsgyro_jax.loop.scenario import AbstractProfile, Scenario, as_scenario
 from memsgyro_jax.loop.trace import count_steps
 
 from . import batch as lot
+from .pictures import error_histogram
 from .spread import Draw, Spread
 from .store import LABELS, STATUS, Column, Layout, Store
 from .summary import Summary, summarise
@@ -61,9 +62,7 @@ class Lot:
 
     def plot(self, ax: "Axes | None" = None) -> "Axes":
         """Histogram of the rate error at the end, with the information bound."""
-        from . import pictures
-
-        return pictures.lot(self, ax)
+        return error_histogram(self.data["rate_error_end"].values, self.summary.bound, ax)
 
 
 def sweep(

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
+from memsgyro_jax.base.axes import axes
 from memsgyro_jax.base.files import finite
 from memsgyro_jax.base.provenance import Settings
 from memsgyro_jax.base.text import aligned
@@ -179,9 +180,19 @@ class Tuning:
 
     def plot(self, ax: "Axes | None" = None) -> "Axes":
         """Share of the unseen dies below a rate error, before and after."""
-        from . import pictures
-
-        return pictures.tuning(self, ax)
+        ax = axes(ax)
+        for name, lot, colour in zip(("before", "after"), self.lots, ("0.5", "C0"), strict=True):
+            error = np.sort(np.degrees(lot.data["rate_error_rms"].values))
+            share = 100.0 * np.arange(1, error.size + 1) / error.size  # lost dies sort last, as NaN: the top stays open
+            ax.step(error, share, where="post", color=colour, lw=1.5, label=name)
+        ax.set(
+            xlabel="rms rate error of the settled part [deg/s]",
+            ylabel="dies below [%]",
+            xlim=(0.0, None),
+            ylim=(0, 100),
+        )
+        ax.legend(loc="lower right", frameon=False)
+        return ax
 
 
 def squared_errors(lot: Lot) -> Float[np.ndarray, " dies"]:

@@ -14,7 +14,7 @@ import memsgyro_jax as mg
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.loop import engine, noise
 from memsgyro_jax.loop.scenario import as_scenario
-from memsgyro_jax.motion.design import _drawn, _plant, _step
+from memsgyro_jax.motion.design import _drawn
 from memsgyro_jax.motion.information import Tones, cholesky, geometric, rate_variance, sensitivities
 
 
@@ -51,7 +51,7 @@ def test_the_closed_form_is_the_information_bound_of_the_run(own_axis):
     want = mg.information_bound(forced(made), 1.0, **run)
     assert made.bound() == pytest.approx(want.rate_std[-1], rel=1e-8)
     moved = Tones(2.0 * np.pi * made.frequency, made.amplitude)
-    rows = sensitivities(_plant(made.setting, _step(made.setting)), moved, 1e-5, 2000, (0, 1))
+    rows = sensitivities(made.setting.plant(), moved, 1e-5, 2000, (0, 1))
     variances = jax.jit(lambda: [rate_variance(rows, jnp.ones(14), index, jnp.zeros(5)) for index in range(14)])()
     assert np.sqrt(variances) == pytest.approx(want.std[-1], rel=1e-7)
 
@@ -79,7 +79,7 @@ def test_errors_of_the_model_enter_as_finite_differences_of_a_simulation(own_axi
     want = [(volts(d) - volts(-d)).ravel() / (2.0 * s) for d, s in zip(np.diag(sizes), sizes, strict=True)]
     want = np.asarray(want).T / float(made.readout.noise_std(h)[0])
     moved = Tones(2.0 * np.pi * own_axis.frequency, own_axis.amplitude)
-    got = np.asarray(sensitivities(_plant(made, _step(made)), moved, h, samples, (0, 1)))[:, -5:]
+    got = np.asarray(sensitivities(made.plant(), moved, h, samples, (0, 1)))[:, -5:]
     size = np.linalg.norm(want, axis=0)
     np.testing.assert_allclose(got.T @ got / size / size[:, None], want.T @ want / size / size[:, None], atol=1e-6)
 

@@ -8,8 +8,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy import stats
 
-from memsgyro_jax.montecarlo import pictures
-
 
 if TYPE_CHECKING:
     from memsgyro_jax.loop.trace import Trace
@@ -27,7 +25,7 @@ def error_figure(lot: "Lot") -> Figure:
     figure = Figure(figsize=(WIDTH, 3.4), layout="constrained")
     if not np.isfinite(lot.data["rate_error_end"].values).any():
         return _nothing(figure)
-    ax = pictures.lot(lot, figure.subplots())
+    ax = lot.plot(figure.subplots())
     tolerance = np.degrees(float(lot.data.attrs["tolerance"]))
     low, high = ax.get_xlim()
     for number, edge in enumerate((-tolerance, tolerance)):

@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Array, Float
 
+from memsgyro_jax.base.errors import InputError
+
 from ..store import OK
 
 
@@ -72,6 +74,13 @@ def standard_deviation(values: Float[np.ndarray, "... dies"]) -> Float[np.ndarra
 def standard_error(values: Float[np.ndarray, "... dies"]) -> Float[np.ndarray, "..."]:
     """Of that mean."""
     return standard_deviation(values) / np.sqrt(np.maximum(np.sum(np.isfinite(values), axis=-1), 1))
+
+
+def place_of(name: str, names: tuple[str, ...]) -> int:
+    """Where an output stands; raises `InputError` for one that was not looked at."""
+    if name not in names:
+        raise InputError(f"Argument `output` must be one of {', '.join(names)}, but `{name}` was given.")
+    return names.index(name)
 
 
 def _share(condition: Any) -> Any:

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
+from memsgyro_jax.base.axes import axes
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.provenance import Settings
 from memsgyro_jax.base.text import aligned
@@ -23,7 +24,7 @@ from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.scenario import AbstractProfile, Scenario
 
 from ..spread import Points, Spread
-from .outputs import Output, mean, standard_deviation
+from .outputs import Output, mean, place_of, standard_deviation
 from .points import inputs_of, run_at
 
 
@@ -116,9 +117,22 @@ class Sobol:
 
     def plot(self, ax: "Axes | None" = None, output: str | None = None) -> "Axes":
         """Total (light) and first-order (dark) index of every input of one output, with intervals; returns the axes."""
-        from . import pictures
-
-        return pictures.sobol(self, self.outputs[0] if output is None else output, ax)
+        output = self.outputs[0] if output is None else output
+        ax, k = axes(ax), place_of(output, self.outputs)
+        order = np.argsort(np.nan_to_num(self.total[k]))
+        place = np.arange(len(order))
+        for values, interval, colour, offset, label in (
+            (self.total[k], self.total_interval[k], "C0", 0.2, "total"),
+            (self.first[k], self.first_interval[k], "C1", -0.2, "alone (first order)"),
+        ):
+            value, ends = np.nan_to_num(values[order]), np.nan_to_num(interval[order])
+            error = np.maximum(np.abs(ends.T - value), 0.0)
+            ax.barh(place + offset, value, 0.4, xerr=error, color=colour, ecolor="0.4", label=label)
+        ax.set_yticks(place, [self.inputs[i] for i in order])
+        ax.axvline(0.0, color="k", lw=0.8)
+        ax.set_xlabel(f"share of the variance of: {output}")
+        ax.legend(loc="lower right", frameon=False)
+        return ax
 
 
 def sobol(

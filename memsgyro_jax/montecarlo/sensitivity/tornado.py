@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from memsgyro_jax.base.axes import axes
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.provenance import Settings
 from memsgyro_jax.base.text import aligned
@@ -23,7 +24,7 @@ from memsgyro_jax.loop.scenario import AbstractProfile, Scenario, as_scenario
 
 from ..batch import Plan, rows_of
 from ..spread import Points, Root, Spread
-from .outputs import Output, mean, standard_error
+from .outputs import Output, mean, place_of, standard_error
 from .points import inputs_of, run_at
 
 
@@ -102,9 +103,22 @@ class Tornado:
 
     def plot(self, ax: "Axes | None" = None, output: str | None = None) -> "Axes":
         """Bars of one output, the largest on top, with the gradient's prediction; returns the axes."""
-        from . import pictures
-
-        return pictures.tornado(self, self.outputs[0] if output is None else output, ax)
+        output = self.outputs[0] if output is None else output
+        ax, k = axes(ax), place_of(output, self.outputs)
+        order = self.order(k)[::-1]
+        place = np.arange(len(order))
+        for values, colour, offset, sign in ((self.low, "C0", 0.2, "-"), (self.high, "C1", -0.2, "+")):
+            bars = np.nan_to_num(values[k, order])
+            error = np.nan_to_num(self.std[k, order])
+            label = f"{sign}{self.sigmas:g} σ"
+            ax.barh(place + offset, bars, 0.4, xerr=error, color=colour, ecolor="0.4", label=label)
+        if np.isfinite(self.slope[k]).all():
+            ax.plot(self.slope[k, order], place - 0.2, "k|", ms=10, label=f"+{self.sigmas:g} σ by the gradient")
+        ax.axvline(0.0, color="k", lw=0.8)
+        ax.set_yticks(place, [self.inputs[i] for i in order])
+        ax.set_xlabel(f"change of {output} [{self.units[k]}] from {self.design[k]:.3g}")
+        ax.legend(loc="best", frameon=False)
+        return ax
 
 
 def tornado(
