@@ -101,7 +101,7 @@ class LogLogit(Transform):
         return (value >= self.low) & (value <= self.high)
 
 
-class Prior(eqx.Module):
+class GaussianPrior(eqx.Module):
     """What is known before the data: a normal distribution of the *coordinate* (of ln(value) under `Log`), mean and
     standard deviation.
     """
@@ -114,7 +114,7 @@ class Free(eqx.Module):
     """A leaf that may move, through `transform`, optionally held by `prior`."""
 
     transform: Transform = Identity()
-    prior: Prior | None = None
+    prior: GaussianPrior | None = None
 
 
 def fixed(values: PyTree) -> PyTree:

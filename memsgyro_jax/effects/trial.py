@@ -56,7 +56,7 @@ def moments(effect: Effect, axes: int, count: int = 5) -> Moment:
     )
 
 
-class Part(NamedTuple):
+class PortMethod(NamedTuple):
     """One method of a port: its value, an array of the shape it must have, and whether that array is also the value at
     strength zero.
     """
@@ -67,31 +67,33 @@ class Part(NamedTuple):
     exact: bool = True
 
 
-PARTS: dict[type[Effect], tuple[Part, ...]] = {
+PORT_METHODS: dict[type[Effect], tuple[PortMethod, ...]] = {
     ForceEffect: (
-        Part("force", lambda e, now: e.force(now), lambda now: jnp.zeros_like(now.displacement)),
-        Part("own_rate", lambda e, now: e.own_rate(now), lambda now: now.own, exact=False),
+        PortMethod("force", lambda e, now: e.force(now), lambda now: jnp.zeros_like(now.displacement)),
+        PortMethod("own_rate", lambda e, now: e.own_rate(now), lambda now: now.own, exact=False),
     ),
-    DriveEffect: (Part("applied", lambda e, now: e.applied(now.force, now), lambda now: now.force),),
+    DriveEffect: (PortMethod("applied", lambda e, now: e.applied(now.force, now), lambda now: now.force),),
     ReadoutEffect: (
-        Part("signal", lambda e, now: e.signal(now.scale * now.displacement, now), lambda n: n.scale * n.displacement),
+        PortMethod(
+            "signal", lambda e, now: e.signal(now.scale * now.displacement, now), lambda n: n.scale * n.displacement
+        ),
     ),
-    SweepEffect: (Part("speed", lambda e, now: e.speed(), lambda now: jnp.zeros(())),),
+    SweepEffect: (PortMethod("speed", lambda e, now: e.speed(), lambda now: jnp.zeros(())),),
 }
 
 
-def parts(effect: Effect) -> tuple[Part, ...]:
+def methods_of(effect: Effect) -> tuple[PortMethod, ...]:
     """The methods an effect answers for; none if it belongs to no port."""
-    return tuple(part for port, found in PARTS.items() if isinstance(effect, port) for part in found)
+    return tuple(part for port, found in PORT_METHODS.items() if isinstance(effect, port) for part in found)
 
 
 def complaint(effect: Effect, axes: int) -> str:
     """What is wrong with an effect, as the rest of a sentence about it; empty if nothing is."""
     absent, now = at_strength(effect, jnp.zeros_like(effect.strength)), moments(effect, axes)
-    return next(filter(None, (_complaint(part, absent, now) for part in parts(effect))), "")
+    return next(filter(None, (_complaint(part, absent, now) for part in methods_of(effect))), "")
 
 
-def _complaint(part: Part, absent: Effect, now: Moment) -> str:
+def _complaint(part: PortMethod, absent: Effect, now: Moment) -> str:
     # Everything under tracing, as fits do: a branch on a number shows here and not in the middle of a fit.
     like = jax.vmap(part.like)(now)
     shape = jax.eval_shape(lambda n: jnp.asarray(part.value(absent, n)), jax.tree.map(lambda leaf: leaf[0], now)).shape

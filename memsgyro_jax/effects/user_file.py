@@ -20,7 +20,7 @@ from memsgyro_jax.base.units import to_si
 from .axes import needed_axes, variants
 from .base import Effect
 from .catalogue import CATALOGUE
-from .trial import PARTS, at_strength, complaint
+from .trial import PORT_METHODS, at_strength, complaint
 
 
 MODULE = "memsgyro_effects_of_user"
@@ -118,8 +118,8 @@ def _listed(given: Any, path: Path) -> list[Effect]:
 
 def _check_class(kind: type[Effect], place: str) -> None:
     name = kind.__name__
-    ports = " or ".join(f"`{port.__name__}`" for port in PARTS)
-    if not issubclass(kind, tuple(PARTS)):
+    ports = " or ".join(f"`{port.__name__}`" for port in PORT_METHODS)
+    if not issubclass(kind, tuple(PORT_METHODS)):
         raise InputError(f"{place}: effect `{name}` must be a subclass of {ports}, but is none.")
     if inspect.isabstract(kind):
         missing = ", ".join(f"`{method}`" for method in sorted(kind.__abstractmethods__))

@@ -19,7 +19,7 @@ from .readout import AbstractReadout
 from .scenario import Conditions
 
 
-class Output(NamedTuple):
+class FilterState(NamedTuple):
     """The output filter's last output in rad/s, and its own state."""
 
     rate: Scalar
@@ -32,7 +32,7 @@ class LoopState(NamedTuple):
     motion: State4
     observer: object
     controller: object
-    output: Output | None = None
+    output: FilterState | None = None
 
 
 class Sample(NamedTuple):
@@ -100,7 +100,7 @@ class ClosedLoop(eqx.Module):
         if self.filter is None:
             return LoopState(self.start, observer, self.controller.init())
         level = jnp.asarray(self.observer.estimate(observer).rate, float)
-        return LoopState(self.start, observer, self.controller.init(), Output(level, self.filter.init(level)))
+        return LoopState(self.start, observer, self.controller.init(), FilterState(level, self.filter.init(level)))
 
     def rate(self, state: LoopState) -> Scalar:
         """The loop's output in rad/s: the estimated rate, behind the output filter where there is one."""
@@ -122,7 +122,7 @@ class ClosedLoop(eqx.Module):
 
         estimate, output = self.observer.estimate(observer), None
         if self.filter is not None and state.output is not None:
-            output = Output(*self.filter.step(state.output.held, estimate.rate, clock.period))
+            output = FilterState(*self.filter.step(state.output.held, estimate.rate, clock.period))
         rate = estimate.rate if output is None else output.rate
         new = LoopState(motion, observer, controller, output)
         return new, Sample(end, conditions, motion, volts, force, estimate, rate)

@@ -24,7 +24,7 @@ LABELS = "labels"  # attribute: names along dimensions; zarr has no settled type
 
 
 @dataclass(frozen=True)
-class Column:
+class DieArray:
     """An array with one row per die: dimension names after `die`, their sizes, and the unit."""
 
     dimensions: tuple[str, ...]
@@ -36,7 +36,7 @@ class Column:
 class Layout:
     """What a lot consists of: its columns, numeric coordinates as (dimension, values, unit), and attributes."""
 
-    columns: dict[str, Column]
+    columns: dict[str, DieArray]
     coordinates: dict[str, tuple[str, np.ndarray, str]]
     attributes: dict[str, Any]
 

@@ -26,7 +26,7 @@ from memsgyro_jax.loop.trace import count_steps
 from . import batch as lot
 from .pictures import error_histogram
 from .spread import Draw, Spread
-from .store import LABELS, STATUS, Column, Layout, Store
+from .store import LABELS, STATUS, DieArray, Layout, Store
 from .summary import Summary, summarise
 
 
@@ -176,7 +176,7 @@ class _Runner:
         """The arrays of a lot, and what its Dataset and store say about how they were made."""
         names, windows = self.loop.device.model.names, self.plan.blocks
         parameters = [item.path for item in self.spread.resolved(self.loop)]
-        rate, time, one = (Column((), (), unit) for unit in ("rad/s", "s", "1"))
+        rate, time, one = (DieArray((), (), unit) for unit in ("rad/s", "s", "1"))
         columns = {
             "lost_at": time,
             "rate_error_end": rate,
@@ -185,12 +185,12 @@ class _Runner:
             "rate_std_end": rate,
             "convergence_time": time,
             "nis_mean": one,
-            "nis_channel": Column(("channel",), (2,), "1"),
+            "nis_channel": DieArray(("channel",), (2,), "1"),
             "nees_end": one,
-            "coefficient_error": Column(("coefficient",), (len(names),), "1"),
-            "rate_estimate": Column(("window",), (windows,), "rad/s"),
-            "rate_true": Column(("window",), (windows,), "rad/s"),
-            "drawn": Column(("parameter",), (len(parameters),), "SI"),
+            "coefficient_error": DieArray(("coefficient",), (len(names),), "1"),
+            "rate_estimate": DieArray(("window",), (windows,), "rad/s"),
+            "rate_true": DieArray(("window",), (windows,), "rad/s"),
+            "drawn": DieArray(("parameter",), (len(parameters),), "SI"),
         }
         labels = {"coefficient": list(names), "parameter": parameters, "channel": ["x", "y"]}
         attributes = {"schema": "memsgyro-dies/1", **settings.as_dict(), **self.plan._asdict(), LABELS: labels}

@@ -86,7 +86,7 @@ def loss(vector: Float[Array, " n"], problem: Problem) -> Float[Array, ""]:
     return jnp.where(jnp.isfinite(found), found, _LOST)
 
 
-class Found(NamedTuple):
+class BestTones(NamedTuple):
     """Tones at the end of each start, best first, and the logarithm of their bound."""
 
     tones: Tones
@@ -95,7 +95,7 @@ class Found(NamedTuple):
 
 def search(
     problem: Problem, modes: tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2 2"]], starts: int, steps: int, seed: int
-) -> Found:
+) -> BestTones:
     """Descend from the best `starts` of many random designs, each with at most `steps` steps of BFGS.
 
     `modes` are the frequencies [Hz] and shapes about which most of the designs are drawn.
@@ -109,7 +109,7 @@ def search(
     losses = _losses(padded, problem)[: 2 * starts].reshape(2, starts)
     best = jnp.argmin(losses, axis=0), jnp.arange(len(vectors))
     order = np.argsort(np.asarray(losses[best]))
-    return Found(jax.vmap(lambda v: tones(v, problem))(both[best][order]), np.asarray(losses[best])[order])
+    return BestTones(jax.vmap(lambda v: tones(v, problem))(both[best][order]), np.asarray(losses[best])[order])
 
 
 def _pool(problem: Problem, modes: tuple, count: int, rng: np.random.Generator) -> Float[np.ndarray, "count n"]:

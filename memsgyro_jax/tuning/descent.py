@@ -24,7 +24,7 @@ _RENEWED = 0.2  # of the standard error where the metric was taken: from there o
 
 
 @dataclass(frozen=True)
-class Step:
+class DescentStep:
     """One accepted step: evaluations so far, the training loss and the validation loss there, and the coordinates."""
 
     evaluations: int
@@ -37,7 +37,7 @@ class Step:
 class Descent:
     """The way down: `steps` from the start on, the number of the `best` by validation, and why it ended."""
 
-    steps: tuple[Step, ...]
+    steps: tuple[DescentStep, ...]
     best: int
     status: str
 
@@ -64,7 +64,7 @@ def descend(
     start: Vector,
     *,
     evaluations: int,
-    told: Callable[[Step], None] | None = None,
+    told: Callable[[DescentStep], None] | None = None,
 ) -> Descent:
     """Lower `loss` from `start`, at most `evaluations` times; keep the best by `validation`.
 
@@ -72,7 +72,7 @@ def descend(
     of Fisher scoring). The first step has length one. Where the scatter has changed much, it is taken anew.
     """
     here = loss(start)
-    steps, length = [Step(1, here.value, validation(start), start)], 1.0
+    steps, length = [DescentStep(1, here.value, validation(start), start)], 1.0
     if told:
         told(steps[0])
     walk = _Walk(here, start, length)
@@ -85,7 +85,7 @@ def descend(
         found = loss(trial)
         before = walk.point
         if walk.took(found):
-            steps.append(Step(count, found.value, validation(trial), trial))
+            steps.append(DescentStep(count, found.value, validation(trial), trial))
             if told:
                 told(steps[-1])
             ended = _ended(steps, found.error)
@@ -104,7 +104,7 @@ def sought(
 
     All steps in a row; `down` is told where to begin and how many evaluations are left.
     """
-    steps: list[Step] = []
+    steps: list[DescentStep] = []
     while True:
         spent = steps[-1].evaluations if steps else 0
         found = down(start, evaluations - spent)
@@ -116,7 +116,7 @@ def sought(
         start = further
 
 
-def _finished(steps: list[Step], status: str) -> Descent:
+def _finished(steps: list[DescentStep], status: str) -> Descent:
     return Descent(tuple(steps), int(np.argmin([step.validation for step in steps])), status)
 
 
@@ -171,7 +171,7 @@ class _Walk:
         return taken
 
 
-def _ended(steps: list[Step], error: float) -> str | None:
+def _ended(steps: list[DescentStep], error: float) -> str | None:
     if len(steps) <= _PATIENCE:
         return None
     if steps[-1 - _PATIENCE].training - steps[-1].training < _WORTH * error:

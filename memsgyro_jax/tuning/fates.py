@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from .grid import EDGE, FLAT, effects
+from .grid import EDGE, FLAT, changes_of
 from .objective import Values, noise_of
 from .tunable import Tunables
 
@@ -14,7 +14,7 @@ _PART = 0.1  # shares of a direction below this are not named
 
 def fates(tunables: Tunables, found: Float[np.ndarray, " n"], values: Values) -> tuple[str, ...]:
     """In words, for each number."""
-    effect = effects(values, _units(tunables, found))
+    effect = changes_of(values, _units(tunables, found))
     places = tunables.places(found)
     nulls = _null_vectors(tunables, found, values)
     words = []
@@ -46,7 +46,7 @@ def _null_vectors(tunables: Tunables, found: np.ndarray, values: Values) -> list
     """Right singular vectors, of the dies' slopes by relative changes, that change less than counts as an effect."""
     assert values.slopes is not None
     units = _units(tunables, found)
-    own = effects(values, units) >= FLAT
+    own = changes_of(values, units) >= FLAT
     slopes = (values.slopes[own] * units[own, None])[:, values.alive] / noise_of(values)
     if slopes.shape[0] < 2 or slopes.shape[1] < slopes.shape[0]:
         return []

@@ -16,7 +16,7 @@ _CLEAR = 1.0  # standard errors that a step of the first scan must gain
 EDGE = 0.02  # of the range: so near to a bound counts as at it
 
 
-def effects(values: Values, stretch: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+def changes_of(values: Values, stretch: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
     """Root mean square over dies of what a unit of each coordinate changes, over the loss's standard deviation."""
     assert values.slopes is not None
     alive = values.alive
@@ -51,7 +51,7 @@ def rescued(
     tunables = objective.tunables.chosen((True,) * len(numbers), numbers)
     stretch, places = tunables.stretch(tunables.coordinates), tunables.places(numbers)
     values = objective.slopes(numbers)
-    stuck = (effects(values, stretch) < FLAT) | (places < EDGE) | (places > 1.0 - EDGE)
+    stuck = (changes_of(values, stretch) < FLAT) | (places < EDGE) | (places > 1.0 - EDGE)
     return _better(objective, numbers, np.flatnonzero(stuck), penalty, _GAIN, told)
 
 

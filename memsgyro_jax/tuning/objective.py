@@ -164,15 +164,15 @@ class Objective:
             parts.append([np.asarray(row) for row in rows])
         return tuple(np.concatenate(rows, axis=-1)[..., : self.dies] for rows in zip(*parts, strict=True))
 
-    def _rows(self, part: "Part", derivative: bool) -> tuple[Array, ...]:
+    def _rows(self, part: "Portion", derivative: bool) -> tuple[Array, ...]:
         if len(self.tunables.paths) < _MANY:
             return _along(part) if derivative else _losses(part)
         loss, alive, kept = _keeping(part)
         return (loss, alive, _back(part, kept)) if derivative else (loss, alive)
 
-    def _part(self, places: np.ndarray, each: np.ndarray) -> "Part":
+    def _part(self, places: np.ndarray, each: np.ndarray) -> "Portion":
         part = self.some(places)
-        return Part(part.loop, part.scenario, part.words, jnp.asarray(each[:, places]), jnp.asarray(part.places),
+        return Portion(part.loop, part.scenario, part.words, jnp.asarray(each[:, places]), jnp.asarray(part.places),
                     self.loss, self.design, self.tunables.paths, self.around, self.timing, self.mesh)  # fmt: skip
 
     def memory(self, *, derivative: bool) -> float:
@@ -198,7 +198,7 @@ def noise_of(values: Values) -> float:
     return spread if spread > 0.0 else max(float(np.max(np.abs(loss), initial=0.0)), np.finfo(float).tiny)
 
 
-def judged(
+def evaluated(
     objective: Objective, tunables: Tunables, coordinates: np.ndarray, penalty: float, readings: float
 ) -> Judged:
     """The loss as a descent wants it, by the coordinates; what is known beforehand counts once in `readings`."""
@@ -220,7 +220,7 @@ def _combined(loss: AbstractLoss, values: Array) -> tuple[Array, Array]:
 _MANY = 6  # free numbers from which on it is cheaper to go backwards
 
 
-class Part(NamedTuple):
+class Portion(NamedTuple):
     """As many dies of an objective as fill the devices, evenly split over them, each with its own free numbers."""
 
     loop: ClosedLoop
@@ -268,16 +268,16 @@ class Part(NamedTuple):
 
 
 @eqx.filter_jit
-def _losses(part: Part) -> tuple[Array, Array]:
+def _losses(part: Portion) -> tuple[Array, Array]:
     """Losses and survival."""
     return _split(lambda part: part.at(part.numbers), part, (_last(1), _last(1)))
 
 
 @eqx.filter_jit
-def _along(part: Part) -> tuple[Array, Array, Array]:
+def _along(part: Portion) -> tuple[Array, Array, Array]:
     """The same with slopes, forwards: every sample carries its derivative by each number along."""
 
-    def along(part: Part):
+    def along(part: Portion):
         def one(unit):
             tangent = jnp.broadcast_to(unit[:, None], part.numbers.shape)
             loss, slope, alive = jax.jvp(part.at, (part.numbers,), (tangent,), has_aux=True)
@@ -289,27 +289,27 @@ def _along(part: Part) -> tuple[Array, Array, Array]:
 
 
 @eqx.filter_jit
-def _keeping(part: Part) -> tuple[Array, Array, Kept]:
+def _keeping(part: Portion) -> tuple[Array, Array, Kept]:
     """Losses, survival, and what the way back needs."""
 
-    def losses(part: Part) -> tuple[Array, Array, Kept]:
+    def losses(part: Portion) -> tuple[Array, Array, Kept]:
         return part.backwards.losses(part.own(part.numbers))
 
     return _split(losses, part, _every(eqx.filter_eval_shape(losses, part)))
 
 
 @eqx.filter_jit
-def _back(part: Part, kept: Kept) -> Array:
+def _back(part: Portion, kept: Kept) -> Array:
     """The slopes, backwards."""
 
-    def back(part: Part, kept: Kept):
+    def back(part: Portion, kept: Kept):
         own, chain = jax.vjp(part.own, part.numbers)
         return chain(part.backwards.slopes(own, kept))[0]
 
     return _split(back, part, _last(2), kept)
 
 
-def _split(function: Callable, part: Part, out: Any, *more: Any) -> Any:
+def _split(function: Callable, part: Portion, out: Any, *more: Any) -> Any:
     """`function` of a part and of arrays by dies, run on every device with its share of the dies."""
     dynamic, static = eqx.partition(part.varying, eqx.is_array)
     plain = (*part.design, tuple(word[0] for word in part.words), part.numbers[:, 0], part.places[:, 0])
@@ -317,7 +317,7 @@ def _split(function: Callable, part: Part, out: Any, *more: Any) -> Any:
     shares = jax.tree.map(lambda value, one: _last(value.ndim) if value.ndim > one.ndim else P(), dynamic, plain)
 
     def local(dynamic, more):
-        return function(part._replace(**dict(zip(Part._fields, eqx.combine(dynamic, static), strict=False))), *more)
+        return function(part._replace(**dict(zip(Portion._fields, eqx.combine(dynamic, static), strict=False))), *more)
 
     run = jax.shard_map(local, mesh=part.mesh, in_specs=(shares, _every(more)), out_specs=out, check_vma=False)
     return run(dynamic, more)

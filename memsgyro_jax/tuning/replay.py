@@ -22,7 +22,7 @@ from memsgyro_jax.montecarlo import batch as lot
 from .descent import descend
 from .fates import fates, null_directions
 from .losses import AbstractLoss, Consistency, InnovationLikelihood
-from .objective import Objective, Timing, Values, judged
+from .objective import Objective, Timing, Values, evaluated
 from .result import TunedNumber
 from .tunable import Tunable, Tunables, resolved
 
@@ -125,7 +125,7 @@ def tune_on_record(
         raise InputError("The observer must follow the record at the start, but its numbers are not finite.")
     readings = (len(volts) - settle * sample_rate) * (1.0 - _HELD_OUT / _SEGMENTS)
     descent = descend(
-        lambda at: judged(training, tunables, at, _NEVER, readings),
+        lambda at: evaluated(training, tunables, at, _NEVER, readings),
         # The held-out quarter of one record is too short to say when to stop, and few numbers do not overfit the rest.
         lambda at: float(np.mean(every.values(tunables.numbers(at)).loss[:-_HELD_OUT])),
         tunables.coordinates,

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.text import suggestion
-from memsgyro_jax.base.transforms import Free, Logit, LogLogit, Prior, to_vector
+from memsgyro_jax.base.transforms import Free, GaussianPrior, Logit, LogLogit, to_vector
 from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.observers import ExtendedKalmanFilter
 
@@ -261,7 +261,7 @@ def _free(low: float, high: float, tunable: Tunable, path: str) -> Free:
         )
     # The prior is one of ln(value); beside it the coordinate is a straight line.
     along = jax.grad(transform.forward)(value) * value
-    return Free(transform, Prior(transform.forward(jnp.asarray(value)), math.log(factor) * along))
+    return Free(transform, GaussianPrior(transform.forward(jnp.asarray(value)), math.log(factor) * along))
 
 
 def _label(loop: ClosedLoop, path: str) -> str:

@@ -22,11 +22,11 @@ from memsgyro_jax.loop.trace import count_steps
 from memsgyro_jax.montecarlo.spread import Spread
 from memsgyro_jax.montecarlo.sweep import sweep
 
-from .descent import Descent, Step, descend, sought
+from .descent import Descent, DescentStep, descend, sought
 from .fates import fates, null_directions
 from .grid import rescued, scanned
 from .losses import AbstractLoss, InnovationLikelihood, SquaredRateError
-from .objective import Objective, Timing, Values, judged, noise_of
+from .objective import Objective, Timing, Values, evaluated, noise_of
 from .result import StageResult, TunedNumber, Tuning, merit_of, ratio_of, warnings_of
 from .tunable import Tunable, Tunables, resolved
 
@@ -36,7 +36,7 @@ _LOST = 10.0  # a lost die counts like the worst die at the start and this many 
 
 
 @dataclass(frozen=True)
-class Stage:
+class TuningStage:
     """A loss, the numbers that it moves (their places in the tree), and why."""
 
     loss: AbstractLoss
@@ -118,17 +118,17 @@ def tune(
     )
 
 
-def _stages(loop: ClosedLoop, tunables: Tunables, loss: AbstractLoss | None, settle: float) -> tuple[Stage, ...]:
+def _stages(loop: ClosedLoop, tunables: Tunables, loss: AbstractLoss | None, settle: float) -> tuple[TuningStage, ...]:
     everything = (True,) * len(tunables.paths)
     if loss is not None:
-        return (Stage(loss, everything, "the loss that was asked for"),)
+        return (TuningStage(loss, everything, "the loss that was asked for"),)
     own = tuple(path.startswith("observer.") for path in tunables.paths)
     error = SquaredRateError(settle)
     if not isinstance(loop.observer, ExtendedKalmanFilter):
-        return (Stage(error, everything, "this observer claims no variance, so there is no likelihood"),)
+        return (TuningStage(error, everything, "this observer claims no variance, so there is no likelihood"),)
     stages = (
-        Stage(InnovationLikelihood(settle), own, "it fixes the scale of the noises, which the error leaves open"),
-        Stage(error, tuple(not o for o in own), "the likelihood does not see what follows the filter"),
+        TuningStage(InnovationLikelihood(settle), own, "it fixes the scale of the noises, which the error leaves open"),
+        TuningStage(error, tuple(not o for o in own), "the likelihood does not see what follows the filter"),
     )
     return tuple(stage for stage in stages if any(stage.which))
 
@@ -148,7 +148,7 @@ class _Work:
     keep: Path | None
 
     def run(
-        self, stage: Stage, loop: ClosedLoop, tunables: Tunables
+        self, stage: TuningStage, loop: ClosedLoop, tunables: Tunables
     ) -> tuple[StageResult, np.ndarray, list[TunedNumber]]:
         """The stage's outcome, the numbers it found, and what became of each."""
         name = type(stage.loss).__name__
@@ -164,7 +164,7 @@ class _Work:
         readings = self.dies[0] * steps
         descent = sought(
             lambda start, left: descend(
-                lambda at: judged(training, tunables, at, penalty, readings),
+                lambda at: evaluated(training, tunables, at, penalty, readings),
                 lambda at: validation.total(validation.values(tunables.numbers(at)), penalty)[0],
                 start,
                 evaluations=left,
@@ -193,7 +193,7 @@ def _elsewhere(training: Objective, end: np.ndarray, penalty: float, told: Calla
     return None if moved is None else tunables.chosen((True,) * len(moved), moved).coordinates
 
 
-def _outcome(stage: Stage, descent: Descent, values: Values, nulls: tuple[str, ...]) -> StageResult:
+def _outcome(stage: TuningStage, descent: Descent, values: Values, nulls: tuple[str, ...]) -> StageResult:
     pick = lambda name: tuple(getattr(step, name) for step in descent.steps)  # noqa: E731
     return StageResult(
         type(stage.loss).__name__, stage.reason, pick("evaluations"), pick("training"), pick("validation"),
@@ -211,7 +211,7 @@ def _penalty(values: Values, name: str) -> float:
     return float(np.max(loss) + _LOST * max(np.max(np.abs(loss)), noise_of(values)))
 
 
-def _sentence(name: str, step: Step) -> str:
+def _sentence(name: str, step: DescentStep) -> str:
     return f"{name} after {step.evaluations}: training {step.training:.8g}, validation {step.validation:.8g}"
 
 
@@ -229,7 +229,7 @@ def timing_of(sample_rate: float, duration: float, begins: float) -> Timing:
     return Timing(1.0 / sample_rate, blocks, steps // blocks)
 
 
-def _check_priors(stages: tuple[Stage, ...], tunables: Tunables) -> None:
+def _check_priors(stages: tuple[TuningStage, ...], tunables: Tunables) -> None:
     """What is known beforehand is weighed against readings, so a likelihood must judge them."""
     for stage in stages:
         for path, number, used in zip(tunables.paths, tunables.transforms, stage.which, strict=True):

@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.transforms import (
     Free,
+    GaussianPrior,
     Identity,
     Log,
     Logit,
     LogLogit,
-    Prior,
     fixed,
     from_vector,
     mark,
@@ -81,7 +81,7 @@ def test_only_what_is_free_moves():
 
 
 def test_a_prior_is_one_more_reading():
-    spec = mark(fixed(LINE), lambda line: line.slope, Free(Identity(), Prior(3.0, 0.01)))
+    spec = mark(fixed(LINE), lambda line: line.slope, Free(Identity(), GaussianPrior(3.0, 0.01)))
     result = fit(LINE, spec, [RECORD])
     target = np.asarray(RECORD.measured) - 0.5
     expected = (X @ target / 0.01 + 3.0 / 1e-4) / (X @ X / 0.01 + 1e4)

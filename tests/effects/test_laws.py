@@ -9,7 +9,7 @@ import pytest
 from effects.members import LABELS, MEMBERS, STRENGTHS, forces, present
 
 from memsgyro_jax import effects as fx
-from memsgyro_jax.effects.trial import moments, parts
+from memsgyro_jax.effects.trial import methods_of, moments
 
 
 M, K, D = 2e-7, np.array([[1.5e10, 1e8], [1e8, 1.6e10]]), np.array([[20.0, 1.0], [1.0, 25.0]])  # of `moments`
@@ -219,4 +219,4 @@ def test_springs_conserve_energy(label):
 def test_a_sweep_has_the_speed_of_its_strength():
     effect = fx.FiniteSweepRate(12.5)
     assert float(effect.speed()) == 12.5
-    assert parts(effect)[0].method == "speed"
+    assert methods_of(effect)[0].method == "speed"

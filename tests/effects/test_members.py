@@ -10,7 +10,7 @@ import pytest
 from effects.members import AXES_AND_MEMBERS, CONDITIONS, LABELS, MEMBERS, STRENGTHS, model, present, seen, state_of
 
 from memsgyro_jax import effects as fx
-from memsgyro_jax.effects.trial import PARTS, at_strength, complaint, moments, parts
+from memsgyro_jax.effects.trial import PORT_METHODS, at_strength, complaint, methods_of, moments
 
 
 every = pytest.mark.parametrize("effect", MEMBERS, ids=LABELS)
@@ -28,7 +28,7 @@ def test_the_catalogue_is_complete():
 
 @pytest.mark.parametrize("kind", fx.CATALOGUE, ids=lambda kind: kind.__name__)
 def test_a_member_is_described(kind):
-    assert issubclass(kind, tuple(PARTS))
+    assert issubclass(kind, tuple(PORT_METHODS))
     assert kind.unit
     assert kind.law
     text = " ".join(inspect.getdoc(kind).split())
@@ -58,7 +58,7 @@ def test_keeps_the_promises_asked_of_a_users_effect(axes, effect):
 def test_derivatives_are_finite_and_tell(effect):
     """Finite by every leaf, at zero strength and beyond, also at rest; and not zero where a fit starts."""
     now = moments(effect, 2)
-    for part in parts(effect):
+    for part in methods_of(effect):
 
         def value(e, part=part):
             return jax.vmap(lambda n: jnp.asarray(part.value(e, n)))(now)

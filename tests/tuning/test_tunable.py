@@ -7,7 +7,7 @@ import pytest
 import memsgyro_jax as mg
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.transforms import from_vector, names, to_vector
-from memsgyro_jax.tuning.descent import Descent, Judged, Step, descend, sought
+from memsgyro_jax.tuning.descent import Descent, DescentStep, Judged, descend, sought
 from memsgyro_jax.tuning.fates import fates, null_directions
 from memsgyro_jax.tuning.objective import Values
 from memsgyro_jax.tuning.result import Interval, Merit, warnings_of
@@ -117,7 +117,7 @@ def test_without_any_effect_nothing_moves():
 
 def test_a_rescue_goes_down_again():
     def down(start, left):
-        return Descent((Step(1, float(start[0]), float(start[0]), start),), 0, f"{left} left")
+        return Descent((DescentStep(1, float(start[0]), float(start[0]), start),), 0, f"{left} left")
 
     starts = iter([np.array([2.0]), np.array([1.0]), None])
     found = sought(down, lambda end: next(starts), np.array([3.0]), 10)

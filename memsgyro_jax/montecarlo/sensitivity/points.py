@@ -16,7 +16,7 @@ from ..sweep import DEFAULT_TOLERANCE, Lot, sweep
 from .outputs import Output, outputs, values_of
 
 
-class Run(NamedTuple):
+class Evaluation(NamedTuple):
     """A lot at chosen points, what was looked at, and the values (outputs, dies) in their printed units."""
 
     lot: Lot
@@ -41,9 +41,9 @@ def run_at(
     of: Sequence[Output] | None,
     seed: int,
     **settings: Any,
-) -> Run:
+) -> Evaluation:
     """The outputs `of` (without, the default ones) of the dies of `spread` at `points`; `settings` are the sweep's."""
     chosen = tuple(of) if of is not None else outputs(settings.get("tolerance", DEFAULT_TOLERANCE))
     planned = replace(spread, points=points)
     lot = sweep(loop, planned, scenario, dies=len(points.noise), seed=seed, bound_dies=0, **settings)
-    return Run(lot, chosen, values_of(lot.data, chosen))
+    return Evaluation(lot, chosen, values_of(lot.data, chosen))
