@@ -16,6 +16,8 @@ from jaxtyping import Array, Float
 
 from memsgyro_jax.base.errors import InputError
 
+from .carried import AbstractEffect, CarriesEffects, Effects
+
 
 X, Y, VX, VY, UX, UY = range(
     6
@@ -161,8 +163,10 @@ class Inertial(NamedTuple):
     damping_change: Change = UNCHANGED
 
 
-class AbstractGyro(eqx.Module):
-    """A two-axis gyro. A new kind of device gives its `model` table and the two methods."""
+class AbstractGyro(CarriesEffects):
+    """A two-axis gyro. A new kind of device gives its `model` table and the two methods; `dynamics` is that of the base
+    device, which the loop extends by the `effects`.
+    """
 
     model: eqx.AbstractClassVar[MotionModel]
 
@@ -204,11 +208,16 @@ class SingleMassGyro(AbstractGyro):
     rotating_frame: bool = eqx.field(static=True)
     model: ClassVar[MotionModel] = SINGLE_MASS
 
-    def __init__(self, mass, kxx, kyy, kxy, dxx, dyy, dxy, *, dyx=None, rotating_frame: bool = False):
+    def __init__(
+        self, mass, kxx, kyy, kxy, dxx, dyy, dxy, *, dyx=None, rotating_frame: bool = False,
+        effects: tuple[AbstractEffect, ...] = (), reference_temperature: float = 298.15, reference_bias: float = 0.0,
+    ):  # fmt: skip
         self.mass, self.kxx, self.kyy, self.kxy = mass, kxx, kyy, kxy
         self.dxx, self.dyy, self.dxy = dxx, dyy, dxy
         self.cross_damping_asymmetry = 0.0 if dyx is None else jnp.asarray(dyx) - jnp.asarray(dxy)
         self.rotating_frame = rotating_frame
+        self.effects = Effects.of(effects)
+        self.reference_temperature, self.reference_bias = reference_temperature, reference_bias
 
     def __check_init__(self):
         check_positive("mass", self.mass)

@@ -4,6 +4,8 @@ Stiffness and mass free together make a valley of condition 1e10 in every likeli
 mass and 1/mass do not. The comparison with measurements works in these.
 """
 
+from typing import Any
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -31,7 +33,8 @@ class NormalisedDevice(eqx.Module):
 
     @classmethod
     def of(cls, device: "SingleMassGyro | Resonator | NormalisedDevice") -> "NormalisedDevice":
-        """A device of the package in these coordinates; unequal cross damping has to be an effect.
+        """A device of the package in these coordinates, without its effects and the difference of its cross dampings,
+        which `effects.evaluation.carried` gives.
 
         **Raises:** `InputError` for any other device.
         """
@@ -41,12 +44,8 @@ class NormalisedDevice(eqx.Module):
             w, q = device.resonance, device.quality_factor
             return cls(jnp.stack([w**2]), jnp.stack([w / q]), device.static_gain * w**2)
         if isinstance(device, SingleMassGyro):
-            k, d, m = (device.kxx, device.kyy, device.kxy), (device.dxx, device.dyy, device.dxy), device.mass
-            if float(device.cross_damping_asymmetry) != 0.0:
-                raise InputError(
-                    "Argument `device` must have equal cross damping here, but has `dyx` unlike `dxy`; "
-                    "leave `dyx` out and add the effect `cross_damping_asymmetry`."
-                )
+            k, m = (device.kxx, device.kyy, device.kxy), device.mass
+            d = (device.dxx, device.dyy, device.dxy + 0.5 * device.cross_damping_asymmetry)
             return cls(jnp.stack(k) / m, jnp.stack(d) / m, 1.0 / m)
         raise InputError(
             "Argument `device` must be a SingleMassGyro or a Resonator to be compared with measurements, "
@@ -68,13 +67,15 @@ class NormalisedDevice(eqx.Module):
         """Damping per mass [1/s]."""
         return _symmetric(self.damping)
 
-    def physical(self) -> SingleMassGyro | Resonator:
-        """The device with its mass: the gyro of two axes, the resonator of one."""
+    def physical(self, **carried: Any) -> SingleMassGyro | Resonator:
+        """The device with its mass: the gyro of two axes, the resonator of one; `carried` are the fields of
+        `CarriesEffects`.
+        """
         if self.axes == 1:
             w = jnp.sqrt(self.stiffness[0])
-            return Resonator(w, w / self.damping[0], self.mobility / self.stiffness[0])
+            return Resonator(w, w / self.damping[0], self.mobility / self.stiffness[0], **carried)
         m = 1.0 / self.mobility
-        return SingleMassGyro(m, *(self.stiffness * m), *(self.damping * m))
+        return SingleMassGyro(m, *(self.stiffness * m), *(self.damping * m), **carried)
 
     def resonances(self) -> np.ndarray:
         """Undamped mode frequencies [rad/s], ascending."""

@@ -33,6 +33,11 @@ def on_axis(default: int | str = 0) -> Any:
 class Planar(Effect):
     """An effect that exists on a device with two axes only."""
 
+    @property
+    def axes_needed(self) -> int:
+        """Two."""
+        return 2
+
 
 class Coupling(Effect):
     """An effect that leads from the axis `source` to the axis `target`.
@@ -74,8 +79,7 @@ def coriolis(now: Moment, rate: Float[Array, ""]) -> Float[Array, " axes"]:
 
 def needed_axes(effect: Effect) -> int:
     """How many axes a device must have for this effect."""
-    used = [getattr(effect, name, 0) for name in ("axis", "source", "target")]
-    return 2 if isinstance(effect, Planar) else 1 + max(used)
+    return effect.axes_needed
 
 
 def variants(kind: type[Effect], axes: int) -> tuple[Effect, ...]:

@@ -19,6 +19,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from memsgyro_jax.device.carried import AbstractEffect
 from memsgyro_jax.device.normalised import NormalisedDevice
 
 
@@ -68,7 +69,7 @@ def strength(default: float = 0.0) -> Array:
     return eqx.field(converter=lambda value: jnp.asarray(value, float), default=default)
 
 
-class Effect(eqx.Module):
+class Effect(AbstractEffect):
     """A named physical effect: `name`, `unit` of its strength in SI, `law` as a formula, `reference`."""
 
     name: ClassVar[str] = ""
@@ -85,6 +86,11 @@ class Effect(eqx.Module):
         """Which of its variants this is: `x`, `y`, `x_to_y`, `stiffness`..., or empty."""
         axis = getattr(self, "axis", None)
         return "" if axis is None else "xy"[axis]
+
+    @property
+    def axes_needed(self) -> int:
+        """How many axes a device must have for this effect."""
+        return 1 + max(getattr(self, name, 0) for name in ("axis", "source", "target"))
 
     @property
     def label(self) -> str:

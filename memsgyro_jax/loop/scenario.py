@@ -12,7 +12,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.device.gyro import Inertial, Pair, Scalar, check_not_negative, check_positive, number
+from memsgyro_jax.device.conditions import Conditions
+from memsgyro_jax.device.gyro import Scalar, check_not_negative, check_positive, number
 
 from .noise import normal_pair
 
@@ -167,19 +168,13 @@ class Sum(AbstractProfile):
         return sum((part.value(time) for part in self.parts), 0.0)
 
 
-class Conditions(eqx.Module):
-    """The state of the world at one moment: the frame's motion and the change of the read-out offsets [V]."""
-
-    inertial: Inertial
-    offset_drift: Pair
-
-
 class Scenario(eqx.Module):
     """Profiles of everything that varies during a run; each defaults to zero (undisturbed).
 
     `rate` Ωz in rad/s; `offset_drift` of the x and y read-out in V; `damping_change` relative change of (dxx, dyy,
     dxy); `cross_rate` (Ωx, Ωy) in rad/s and `acceleration` of the frame in m/s² act on devices with
-    `rotating_frame=True`.
+    `rotating_frame=True`. Effects of the device see `temperature` in K and `bias_voltage` of the electrodes in V; None
+    is that at which the device's numbers hold.
     """
 
     rate: AbstractProfile = eqx.field(default_factory=Constant)
@@ -189,12 +184,30 @@ class Scenario(eqx.Module):
     )
     cross_rate: tuple[AbstractProfile, AbstractProfile] = eqx.field(default_factory=lambda: _constants(2))
     acceleration: tuple[AbstractProfile, AbstractProfile] = eqx.field(default_factory=lambda: _constants(2))
+    temperature: AbstractProfile | None = None
+    bias_voltage: AbstractProfile | None = None
 
     def at(self, time: Scalar) -> Conditions:
-        """Everything at `time` [s]; the angular acceleration is the slope of the rate."""
+        """Everything at `time` [s]; the angular acceleration is the slope of the rate. The true rate of a run is no
+        reading of a table, yet what effects add to it is as unknown as there: `rate_trusted` is zero.
+        """
         rate, slope = jax.jvp(self.rate.value, (jnp.asarray(time, float),), (jnp.ones((), float),))
-        values = (_values(profiles, time) for profiles in (self.cross_rate, self.acceleration, self.damping_change))
-        return Conditions(Inertial(rate, slope, *values), _values(self.offset_drift, time))
+        around = (None if profile is None else profile.value(time) for profile in (self.temperature, self.bias_voltage))
+        temperature, bias_voltage = around
+        return Conditions(
+            rate=rate,
+            angular_acceleration=slope,
+            rate_trusted=None,
+            temperature=temperature,
+            bias_voltage=bias_voltage,
+            time=None,
+            progress=None,
+            record=None,
+            cross_rate=_values(self.cross_rate, time),
+            acceleration=_values(self.acceleration, time),
+            damping_change=_values(self.damping_change, time),
+            offset_drift=_values(self.offset_drift, time),
+        )
 
 
 def _constants(count: int) -> tuple[Constant, ...]:

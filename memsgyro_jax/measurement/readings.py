@@ -260,14 +260,14 @@ def model_of(case: Case, device, **more) -> Model:
 
     **Raises:** `InputError` where the device has another number of axes than the case has channels.
     """
-    base = NormalisedDevice.of(device)
-    if base.axes != case.channels:
+    axes = NormalisedDevice.of(device).axes
+    if axes != case.channels:
         raise InputError(
             f"Argument `model` must have as many axes as the case {case.name} has channels, {case.channels}, "
-            f"but has {base.axes}."
+            f"but has {axes}."
         )
     return Model(
-        base,
+        device,
         scale=case.readout.scale,
         offset=more.pop("offset", _offset(case)),
         reference_temperature=case.environment.temperature,

@@ -10,7 +10,7 @@ from scipy import special
 import memsgyro_jax as mg
 from memsgyro_jax import losses
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.device.gyro import SINGLE_MASS, Inertial
+from memsgyro_jax.device.gyro import SINGLE_MASS
 from memsgyro_jax.loop.loop import Sample
 from memsgyro_jax.loop.observers.base import Clock, Innovation
 from memsgyro_jax.loop.scenario import Conditions
@@ -41,7 +41,7 @@ def values(loss, factor):
         time, true, slope, rate, errors, claimed = row
         innovation = Innovation(tuple(errors), tuple(claimed * factor**2))
         estimate = mg.Estimate((0.0,) * 4, (rate,) * 8, (0.0, 0.0), SINGLE_MASS, claimed[0] * factor**2, innovation)
-        conditions = Conditions(Inertial(true, slope), (0.0, 0.0))
+        conditions = Conditions(true, slope)
         clock = Clock(time, 0, PERIOD)
         sample = Sample(clock, conditions, (0.0,) * 4, (0.0, 0.0), (0.0, 0.0), estimate, factor * rate)
         return loss.sample(memory, sample), None

@@ -1,0 +1,123 @@
+"""What a device carries beyond its equations of motion: effects, and the surroundings in which its numbers hold."""
+
+import abc
+from collections.abc import Iterable
+from typing import Any, ClassVar, Self
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from memsgyro_jax.base.errors import InputError
+
+
+class AbstractEffect(eqx.Module):
+    """What a device must know of an effect that it carries: its name, and how many axes it needs."""
+
+    name: ClassVar[str] = ""
+
+    strength: eqx.AbstractVar[Array]
+
+    @property
+    @abc.abstractmethod
+    def label(self) -> str:
+        """Name and variant, e.g. `cubic_stiffness x`."""
+
+    @property
+    @abc.abstractmethod
+    def axes_needed(self) -> int:
+        """How many axes a device must have for this effect."""
+
+
+def check_effect(effect: object, axes: int) -> None:
+    """Refuse what is no effect, and an effect on an axis that the device does not have."""
+    if not isinstance(effect, AbstractEffect):
+        raise InputError(f"An effect must be an instance of `effects.Effect`, but {effect!r} was given.")
+    if effect.axes_needed > axes:
+        raise InputError(f"Effect `{effect.label}` needs {effect.axes_needed} axes, but the device has {axes}.")
+
+
+class Effects(tuple):
+    """The effects of a device: a tuple, of which a member is also reached by its label, as in
+    `gyro.effects.cubic_stiffness_x`.
+
+    `ranks` remembers how many axes each number of the effects had when they joined, so that a table is not mistaken for
+    one number per die.
+    """
+
+    ranks: tuple[int, ...]
+
+    @classmethod
+    def of(cls, effects: Iterable[AbstractEffect]) -> "Effects":
+        """From any effects.
+
+        **Raises:** `InputError` for what is no effect.
+        """
+        if isinstance(effects, cls):
+            return effects
+        members = tuple(effects)
+        for member in members:
+            check_effect(member, 2)
+        return cls._with(members, tuple(jnp.ndim(leaf) for leaf in jax.tree.leaves(members)))
+
+    @classmethod
+    def _with(cls, members: Iterable[Any], ranks: tuple[int, ...]) -> "Effects":
+        made = cls(members)
+        made.ranks = ranks
+        return made
+
+    def __getattr__(self, name: str) -> Any:
+        found = [effect for effect in self if getattr(effect, "label", "").replace(" ", "_") == name]
+        if len(found) != 1:
+            raise AttributeError(f"{len(found)} effects are called `{name}`")
+        return found[0]
+
+    def over_dies(self, lanes: int) -> Any:
+        """A tree like the effects, of `-1` for each number that has one entry per die on its last axis and None for
+        each that all dies share; `lanes` is how many axes of dies there are.
+        """
+        leaves, structure = jax.tree.flatten(self)
+        return structure.unflatten(
+            [-1 if lanes and jnp.ndim(leaf) > rank else None for leaf, rank in zip(leaves, self.ranks, strict=True)]
+        )
+
+
+jax.tree_util.register_pytree_with_keys(
+    Effects,
+    lambda effects: ([(jax.tree_util.SequenceKey(i), e) for i, e in enumerate(effects)], effects.ranks),
+    lambda ranks, members: Effects._with(members, ranks),
+    lambda effects: (tuple(effects), effects.ranks),
+)
+
+
+class CarriesEffects(eqx.Module):
+    """A device that effects can be given to.
+
+    `reference_temperature` [K] and `reference_bias` [V] are those at which its numbers hold: what effects call no
+    warming and no change of the bias.
+    """
+
+    effects: tuple[Any, ...] = eqx.field(kw_only=True, default=(), converter=Effects.of)
+    reference_temperature: float = eqx.field(kw_only=True, static=True, repr=False, default=298.15, converter=float)
+    reference_bias: float = eqx.field(kw_only=True, static=True, repr=False, default=0.0, converter=float)
+    axes: ClassVar[int] = 2
+
+    def __check_init__(self):
+        for effect in self.effects:
+            check_effect(effect, self.axes)
+
+    def with_effect(self, *effects: AbstractEffect) -> Self:
+        """The same device with further effects.
+
+        **Raises:** `InputError` for what is no effect, and for one that needs more axes than the device has.
+        """
+        return self.with_only((*self.effects, *effects))
+
+    def with_only(self, effects: Iterable[AbstractEffect]) -> Self:
+        """The same device with these effects and no others."""
+        made = eqx.tree_at(
+            lambda d: d.effects, self, Effects.of(tuple(effects)), is_leaf=lambda part: isinstance(part, tuple)
+        )
+        CarriesEffects.__check_init__(made)
+        return made
