@@ -18,7 +18,7 @@ from memsgyro_jax.base import runtime
 
 runtime.configure()
 
-from memsgyro_jax.app.report.diagnosis_page import page  # noqa: E402
+from memsgyro_jax.app.report.diagnosis_page import diagnosis_page  # noqa: E402
 from memsgyro_jax.device.gyro import SingleMassGyro  # noqa: E402
 from memsgyro_jax.diagnosis.diagnose import diagnose  # noqa: E402
 from memsgyro_jax.diagnosis.fit import fit_case  # noqa: E402
@@ -54,7 +54,7 @@ def main() -> None:
     stops = load_effects(file)
     case = recorded(stops[0], report.quick, seed=7)
     without = diagnose(None, case, tell=say)
-    picture = page(without).save(report.folder / "without.html")
+    picture = diagnosis_page(without).save(report.folder / "without.html")
     print(f"\nWith the catalogue alone: {without.sentence}\nThe missing force is drawn in {picture}.")
     print(f"The file {file.name} that mends it:\n\n{STOP}", flush=True)
     found = diagnose(None, case, effects=stops, tell=say)

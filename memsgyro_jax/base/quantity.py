@@ -15,7 +15,7 @@ _TEXT = re.compile(rf"\s*(?P<number>{_NUMBER})(?P<unit>\s.*|[^\d.,].*|)")  # 10%
 Value = TypeVar("Value")
 
 
-class Part(BaseModel):
+class FileSection(BaseModel):
     """A section of a study file: immutable, unknown keys and infinite numbers refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, protected_namespaces=())
@@ -41,7 +41,7 @@ class In:
 
     def read(self, given: Any) -> float:
         """The number in `unit`; raises `ValueError` where text, unit or type is wrong."""
-        number, unit = parts(given)
+        number, unit = number_and_unit(given)
         if not unit and self.unit != "1":
             raise ValueError(f'must carry a unit, for example "{number:g} {self.unit}", but none was given')
         if unit in ("", self.unit):  # nothing to convert, as in the default study: loading pint takes half a second
@@ -53,7 +53,7 @@ class In:
         return number if self.unit == "1" else f"{number!r} {self.unit}"
 
 
-def parts(given: Any) -> tuple[float, str]:
+def number_and_unit(given: Any) -> tuple[float, str]:
     """Number and unit (empty where there is none) of a quantity as a file holds it."""
     if isinstance(given, dict):
         if set(given) != {"value", "unit"} or not isinstance(given["unit"], str):

@@ -16,7 +16,7 @@ from pydantic import Field, StrictFloat, StrictInt
 from memsgyro_jax.base.complaints import Source
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.files import write_whole
-from memsgyro_jax.base.quantity import Part
+from memsgyro_jax.base.quantity import FileSection
 from memsgyro_jax.base.toml import checked, read_toml, toml_text
 from memsgyro_jax.base.units import to_si
 from memsgyro_jax.device.normalised import NormalisedDevice
@@ -32,35 +32,35 @@ Number = StrictFloat | StrictInt
 Numbers = Number | list[Number]
 
 
-class _Matrix(Part):
+class _Matrix(FileSection):
     xx: Number
     yy: Number | None = None
     xy: Number | None = None
     unit: str
 
 
-class _Scalar(Part):
+class _Scalar(FileSection):
     value: Number
     unit: str
 
 
-class _Device(Part):
+class _Device(FileSection):
     stiffness: _Matrix
     damping: _Matrix
     mobility: _Scalar
 
 
-class _Readout(Part):
+class _Readout(FileSection):
     scale: list[Number]
     offset: list[Number]
 
 
-class _Reference(Part):
+class _Reference(FileSection):
     temperature: _Scalar
     bias_voltage: _Scalar
 
 
-class _Effect(Part):
+class _Effect(FileSection):
     name: str
     where: str = ""
     strength: Numbers
@@ -68,7 +68,7 @@ class _Effect(Part):
     settings: dict[str, Numbers] = Field(default_factory=dict)
 
 
-class _File(Part):
+class _File(FileSection):
     format: Literal["memsgyro-model/1"] = Field(alias="schema")
     device: _Device
     readout: _Readout

@@ -7,7 +7,7 @@ import pytest
 
 import memsgyro_jax
 from memsgyro_jax.app.cli import main
-from memsgyro_jax.app.commands.diagnose import load
+from memsgyro_jax.app.commands.diagnose import load_demo_or
 
 
 DEMO = Path(memsgyro_jax.__file__).parent / "demo"
@@ -34,13 +34,13 @@ def run(*tokens):
 
 def test_the_word_demo_is_the_case_that_comes_along(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert load(Path("demo")).name == "demo"
+    assert load_demo_or(Path("demo")).name == "demo"
     mine = tmp_path / "demo"
     mine.mkdir()
-    assert load(Path("demo")).folder == DEMO
+    assert load_demo_or(Path("demo")).folder == DEMO
     for path in DEMO.iterdir():
         (mine / path.name).write_text(path.read_text().replace('name = "demo"', 'name = "mine"'))
-    assert load(Path("demo")).name == "mine", "a user's own folder comes first"
+    assert load_demo_or(Path("demo")).name == "mine", "a user's own folder comes first"
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import pytest
 
 import memsgyro_jax
 from memsgyro_jax.app.cli import main
-from memsgyro_jax.app.commands.fit import named
+from memsgyro_jax.app.report.fit_text import named_effects
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.effects import catalogue
 
@@ -113,10 +113,10 @@ def test_bad_input_is_one_sentence(tokens, message, tmp_path, capsys):
     ],
 )
 def test_names(names, labels):
-    assert [e.label for e in named(names, catalogue(2))] == labels
-    assert all(not np.any(e.strength) for e in named(names, catalogue(2)))
+    assert [e.label for e in named_effects(names, catalogue(2))] == labels
+    assert all(not np.any(e.strength) for e in named_effects(names, catalogue(2)))
 
 
 def test_a_variant_without_its_effect_is_no_name():
     with pytest.raises(InputError, match='"x" is not'):
-        named(["x"], catalogue(2))
+        named_effects(["x"], catalogue(2))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import memsgyro_jax as mg
-from memsgyro_jax.app.commands import simulate as simulate_command
+from memsgyro_jax.app.commands.simulate import simulate_command
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.transforms import Free, Log, fixed, from_vector, mark, to_vector
 from memsgyro_jax.loop import noise
@@ -142,7 +142,7 @@ def test_the_gradient_by_the_bandwidth_is_that_of_finite_differences():
 def test_the_command_prints_the_error_before_and_behind_the_filter(tmp_path, capsys):
     study = tmp_path / "study.toml"
     study.write_text('[filter]\nkind = "lowpass"\nbandwidth = "400 Hz"\n\n[sweep]\nduration = "4 ms"\nseed = 3\n')
-    simulate_command.run(study, None, None, tmp_path / "run.json", None)
+    simulate_command(study, json=tmp_path / "run.json")
     said = capsys.readouterr().out
     assert "rate error at the end before the filter" in said
     assert "claimed" in said.splitlines()[3]

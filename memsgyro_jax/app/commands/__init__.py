@@ -1,1 +1,1 @@
-"""What each command of `memsgyro` does once its words are understood: one file a command."""
+"""What each command of `memsgyro` does: one file a command, which imports what it runs inside its function."""

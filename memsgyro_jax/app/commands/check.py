@@ -1,16 +1,25 @@
-"""What `memsgyro check` does: read a measurement case, say what it holds, how good it is, and what it can identify."""
+"""`memsgyro check`: read a measurement case, say what it holds, how good it is, and what it can identify."""
 
 from pathlib import Path
 
-from memsgyro_jax.diagnosis.identifiable import identifiable
-from memsgyro_jax.measurement.case import assess, load_case
 
+def check_command(case: Path, /) -> None:
+    """What a measurement case holds, how good it is, and what it can identify.
 
-def run(folder: Path) -> None:
-    """Print the records of the case, their quality, and how well each would hold the base parameters."""
-    case = load_case(folder)
-    for part in (case, assess(case)):
+    Prints the experiments, their noise and their largest readings.
+    Warns of rows that stand alone, of noise that is not the declared one,
+    and of records too short for the device. Says to how many per cent
+    each record would hold each parameter of the base model, and which not at all.
+
+    Args:
+        case: folder with a case.toml and the CSV files that it names.
+    """
+    from memsgyro_jax.diagnosis.identifiable import identifiable
+    from memsgyro_jax.measurement.case import assess, load_case
+
+    measured = load_case(case)
+    for part in (measured, assess(measured)):
         print(part, end="\n\n", flush=True)
     print("What the fitted records can identify of the base model, by the size of one standard deviation:")
-    for line in identifiable(case):
+    for line in identifiable(measured):
         print(f"  {line}")

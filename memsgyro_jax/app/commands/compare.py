@@ -1,23 +1,40 @@
-"""What `memsgyro compare` does: read, fit or take a model, print where it fails, write."""
+"""`memsgyro compare`: read, fit or take a model, print where it fails, write."""
 
 from pathlib import Path
 
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.base.files import write_whole
-from memsgyro_jax.diagnosis.compare import compare
-from memsgyro_jax.effects import load_effects
-from memsgyro_jax.measurement.case import load_case
-from memsgyro_jax.measurement.model_file import read_model
 
 
-def run(case: Path, model: Path | None, json: Path | None, effects: Path | None) -> None:
-    """Compare, print, and write what was asked for; a model from a file is taken as it is."""
+def compare_command(
+    case: Path,
+    /,
+    *,
+    model: Path | None = None,
+    effects: Path | None = None,
+    json: Path | None = None,
+) -> None:
+    """Where a model fails to explain a measurement case.
+
+    Prints the error of every experiment over its noise, then each failure:
+    experiment, drive level, temperature or time, frequency, channel.
+
+    Args:
+        case: folder with a case.toml and the CSV files that it names.
+        model: a model file, taken as it is; without it the base model is fitted.
+        effects: a Python file with effects of your own that the model has. It is run: trust it first.
+        json: file for the machine-readable result.
+    """
+    from memsgyro_jax.base.files import write_json
+    from memsgyro_jax.diagnosis.compare import compare
+    from memsgyro_jax.effects import load_effects
+    from memsgyro_jax.measurement.case import load_case
+    from memsgyro_jax.measurement.model_file import read_model
+
     if effects is not None and model is None:
         raise InputError("Option `--effects` must go with `--model`, whose effects it defines; leave it out.")
     measured = load_case(case)
     own = load_effects(effects, measured.channels) if effects else ()
-    given = None if model is None else read_model(model, own)
-    result = compare(given, measured, fitted=model is None)
+    result = compare(None if model is None else read_model(model, own), measured, fitted=model is None)
     print(result)
     if json is not None:
-        write_whole(json, result.to_json() + "\n")
+        write_json(json, result.to_dict())

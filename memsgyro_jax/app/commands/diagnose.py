@@ -1,36 +1,57 @@
-"""What `memsgyro diagnose` does: read a case, find what is missing from its model, print, write."""
+"""`memsgyro diagnose`: read a case, find what is missing from its model, print, write."""
 
 from importlib.resources import as_file, files
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.base.files import write_whole
-from memsgyro_jax.diagnosis.diagnose import diagnose
-from memsgyro_jax.effects import Effect, load_effects
-from memsgyro_jax.measurement.case import Case, load_case
-from memsgyro_jax.measurement.case.file import FILE
-from memsgyro_jax.measurement.model import Model
-from memsgyro_jax.measurement.model_file import model_text, read_model
 
-from .options import require_writable
-from .progress import told
+
+if TYPE_CHECKING:
+    from memsgyro_jax.effects import Effect
+    from memsgyro_jax.measurement.case import Case
+    from memsgyro_jax.measurement.model import Model
 
 
 DEMO = Path("demo")
 
 
-def run(
+def diagnose_command(
     case: Path,
+    /,
+    *,
     model: Path | None = None,
     effects: Path | None = None,
+    level: float = 0.05,
     out: Path | None = None,
     json: Path | None = None,
     report: Path | None = None,
-    level: float = 0.05,
 ) -> None:
-    """Diagnose, print, and write what was asked for, once all of it is computed."""
+    """Which physics is missing from the model of a measurement case, or that none is.
+
+    Prints a verdict, the effects that the model needs with their strengths,
+    how far the error falls, also on records that are not fitted,
+    and what to measure next where these records cannot tell.
+
+    Args:
+        case: folder with a case.toml and the CSV files that it names, or the word demo for the one that comes along.
+        model: a model file to start from, with the effects it has; without it the base model is fitted.
+        effects: a Python file with effects of your own, tried beside the catalogue. It is run: trust it first.
+        level: probability that an effect is reported where none is missing.
+        out: file for the fitted model, for `memsgyro compare --model`.
+        json: file for the machine-readable result.
+        report: file for a page with the ranking, the curves and the residual.
+    """
+    from memsgyro_jax.base.files import json_text, write_whole
+    from memsgyro_jax.diagnosis.diagnose import diagnose
+    from memsgyro_jax.effects import load_effects
+    from memsgyro_jax.measurement.model_file import model_text
+
+    from .options import require_writable
+    from .progress import told
+
     require_writable(out, json, report)
-    measured = load(case)
+    measured = load_demo_or(case)
     own = load_effects(effects, measured.channels) if effects else ()
     start = None if model is None else _start(model, measured, own)
     with told() as tell:
@@ -39,25 +60,30 @@ def run(
     if out is not None:
         texts.append((out, model_text(found.model)))
     if json is not None:
-        texts.append((json, found.to_json() + "\n"))
+        texts.append((json, json_text(found.to_dict()) + "\n"))
     if report is not None:
-        from ..report.diagnosis_page import page
+        from ..report.diagnosis_page import diagnosis_page
 
-        texts.append((report, page(found).html()))
+        texts.append((report, diagnosis_page(found).html()))
     for path, text in texts:
         write_whole(path, text)
     print(found)
 
 
-def load(case: Path) -> Case:
+def load_demo_or(case: Path) -> "Case":
     """The case in a folder; `demo` where there is no such case is the demonstration that comes with the package."""
+    from memsgyro_jax.measurement.case import load_case
+    from memsgyro_jax.measurement.case.file import FILE
+
     if case == DEMO and not (case / FILE).exists():
         with as_file(files("memsgyro_jax") / "demo") as folder:
             return load_case(folder)
     return load_case(case)
 
 
-def _start(path: Path, case: Case, own: tuple[Effect, ...]) -> Model:
+def _start(path: Path, case: "Case", own: "tuple[Effect, ...]") -> "Model":
+    from memsgyro_jax.measurement.model_file import read_model
+
     model = read_model(path, own)
     if model.axes != case.channels:
         raise InputError(

@@ -1,27 +1,34 @@
-"""What `memsgyro effects` does: print the catalogue, and what a user's own file adds to it."""
+"""`memsgyro effects`: print the catalogue, and what a user's own file adds to it."""
 
-import json as formats
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from memsgyro_jax.base.files import write_whole
-from memsgyro_jax.effects import Effect, catalogue, load_effects
+
+if TYPE_CHECKING:
+    from memsgyro_jax.effects import Effect
 
 
 SCHEMA = "memsgyro-effects/1"
 
 
-def run(own: Path | None, json: Path | None) -> None:
-    """Read the user's file if there is one, print all effects, and write what was asked for."""
-    effects = (*catalogue(2), *(load_effects(own) if own else ()))
-    entries = described(effects)
-    print(table(entries))
+def effects_command(own: Path | None = None, /, *, json: Path | None = None) -> None:
+    """The catalogue of physical effects: name, unit of the strength, variants, law and reference.
+
+    Args:
+        own: a Python file with effects of your own, checked and listed behind the catalogue. It is run: trust it first.
+        json: file for the machine-readable list.
+    """
+    from memsgyro_jax.base.files import write_json
+    from memsgyro_jax.effects import catalogue, load_effects
+
+    entries = _described((*catalogue(2), *(load_effects(own) if own else ())))
+    print(_listing(entries))
     if json is not None:
-        write_whole(json, formats.dumps({"schema": SCHEMA, "effects": entries}, indent=2, ensure_ascii=False) + "\n")
+        write_json(json, {"schema": SCHEMA, "effects": entries})
 
 
-def described(effects: Sequence[Effect]) -> list[dict[str, Any]]:
+def _described(effects: "Sequence[Effect]") -> list[dict[str, Any]]:
     """One entry for effects of the same name and law, with all their variants."""
     entries: dict[tuple[str, str], dict[str, Any]] = {}
     for effect in effects:
@@ -31,7 +38,7 @@ def described(effects: Sequence[Effect]) -> list[dict[str, Any]]:
     return list(entries.values())
 
 
-def table(entries: Sequence[dict[str, Any]]) -> str:
+def _listing(entries: Sequence[dict[str, Any]]) -> str:
     """The entries for people, three lines each: name, unit and variants; law; reference."""
     wide = max(len(entry["name"]) for entry in entries)
     unit = max(len(entry["unit"]) for entry in entries)

@@ -1,123 +1,45 @@
-"""What `memsgyro fit` does: fit the base model, add the named effects, refit, and say what it helped."""
+"""`memsgyro fit`: fit the base model, add the named effects, refit, say what it helped, write."""
 
-import json as formats
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-
-from memsgyro_jax import __version__
-from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.base.files import finite, write_whole
-from memsgyro_jax.base.text import aligned
-from memsgyro_jax.diagnosis.compare import judged, times
-from memsgyro_jax.diagnosis.fit import CaseFit, fit_case
-from memsgyro_jax.diagnosis.scans import coverage, scan
-from memsgyro_jax.effects import Effect, Scanned, by_name, catalogue, load_effects
-from memsgyro_jax.measurement.case import load_case
-from memsgyro_jax.measurement.model_file import settings_of, write_model
+from .flags import Words
 
 
-SCHEMA = "memsgyro-fit/1"
+def fit_command(
+    case: Path,
+    /,
+    *,
+    add: Words = (),
+    effects: Path | None = None,
+    out: Path | None = None,
+    json: Path | None = None,
+) -> None:
+    """Fit a model with named effects to a measurement case.
 
+    Prints the error of every experiment before and after, also of those that are not fitted.
 
-def run(case: Path, add: Sequence[str], out: Path | None, json: Path | None, effects: Path | None) -> None:
-    """Fit without and with the effects, print both, and write what was asked for."""
+    Args:
+        case: folder with a case.toml and the CSV files that it names.
+        add: names of effects, each with its variant ("cubic_stiffness x") or alone for all its variants.
+        effects: a Python file with effects of your own. It is run: trust it first.
+        out: file for the fitted model, for `memsgyro compare --model` and for the device of a study.
+        json: file for the machine-readable result.
+    """
+    from memsgyro_jax.base.files import write_json
+    from memsgyro_jax.diagnosis.fit import fit_case
+    from memsgyro_jax.effects import catalogue, load_effects
+    from memsgyro_jax.measurement.case import load_case
+    from memsgyro_jax.measurement.model_file import write_model
+
+    from ..report.fit_text import fit_entries, fit_text, named_effects, placed
+
     measured = load_case(case)
     own = load_effects(effects, measured.channels) if effects else ()
-    chosen = named(add, (*catalogue(measured.channels), *own))
+    chosen = named_effects(add, (*catalogue(measured.channels), *own))
     before = fit_case(measured)
-    after = fit_case(measured, [_placed(effect, before) for effect in chosen])
-    print(text(before, after))
+    after = fit_case(measured, [placed(effect, before) for effect in chosen])
+    print(fit_text(before, after))
     if out is not None:
         write_model(after.model, out)
     if json is not None:
-        entry = formats.dumps(to_dict(before, after), indent=2, ensure_ascii=False, allow_nan=False)
-        write_whole(json, entry + "\n")
-
-
-def named(names: Sequence[str], known: Sequence[Effect]) -> tuple[Effect, ...]:
-    """The effects of names as a user writes them: "cubic_stiffness x" and "cubic_stiffness" "x" are one variant,
-    "cubic_stiffness" alone is all of them.
-
-    **Raises:** `InputError` where nothing is named, or what is named is not known.
-    """
-    if not names:
-        raise InputError("Option `--add` must name at least one effect, but names none; `memsgyro effects` lists them.")
-    words = [word for name in names for word in name.replace(".", " ").split()]
-    labels, places = {e.name for e in known}, {e.where for e in known if e.where}
-    found: list[Effect] = []
-    for number, word in enumerate(words):
-        following = words[number + 1] if number + 1 < len(words) else ""
-        if word in places and number and words[number - 1] in labels:
-            continue
-        same = [effect for effect in known if effect.name == word]
-        if following in places or not same:
-            same = [by_name(word, following if following in places else "", among=known)]
-        found += [effect for effect in same if effect.label not in {f.label for f in found}]
-    return tuple(found)
-
-
-def _placed(effect: Effect, base: CaseFit) -> Effect:
-    """An effect with a frequency, moment or limit to be tried first starts at the best point of its grid."""
-    if not isinstance(effect, Scanned):
-        return effect
-    readings = base.joint.fitted
-    best = scan(base.model, base.optimum, readings, effect.grid(coverage(base.case)))
-    if best is None:
-        raise InputError(
-            f"Effect `{effect.label}` must be visible in the records to be fitted, but no record shows it."
-        )
-    return best.effect
-
-
-def text(before: CaseFit, after: CaseFit) -> str:
-    """Both fits side by side."""
-    names = [e.label for e in after.model.effects]
-    head = ("experiment", "role", "base", f"with {', '.join(names)}", "noise alone below")
-    rows = [
-        (b.name, b.role, times(b.rms), times(a.rms), f"{np.sqrt(a.gate):.3g}")
-        for b, a in zip(before.errors, after.errors, strict=True)
-    ]
-    comparison = judged(after)
-    chi2 = f"χ²/dof of the fitted readings {times(before.chi2_per_dof)} -> {times(after.chi2_per_dof)}"
-    lines = [f"{after.case.name}: {after.status}; {chi2}", "rms of deviation over noise:", aligned([head, *rows])]
-    lines += [comparison.verdict, *(f"  {failure}" for failure in comparison.failures), "Fitted:"]
-    lines += [f"  {estimate}" for estimate in after.estimates]
-    lines += [f"  {label}, held: {_listed(held)}" for label, held in _held(after).items()]
-    return "\n".join(lines)
-
-
-def to_dict(before: CaseFit, after: CaseFit) -> dict[str, Any]:
-    """The machine-readable result, schema `memsgyro-fit/1`; numbers that are not finite become null."""
-    estimates = {p.name: p for p in after.estimates}
-    of_effects = [p.name for p in after.joint.parameters if p.effect is not None]
-    entries = {
-        "schema": SCHEMA,
-        "case": after.case.name,
-        "status": after.status,
-        "added": [e.label for e in after.model.effects],
-        "before": _fit(before),
-        "after": _fit(after),
-        "explained": judged(after).explained,
-        "effects": [estimates[name].to_dict() for name in of_effects],
-        "held": _held(after),
-        "parameters": [p.to_dict() for p in after.estimates if p.name not in of_effects],
-        "versions": {"memsgyro_jax": __version__},
-    }
-    return finite(entries)
-
-
-def _held(fit: CaseFit) -> dict[str, dict[str, float]]:
-    """Numbers of each effect that are not fitted, in SI: a frequency that was scanned, the moment of a step."""
-    held = {e.label: {name: float(getattr(e, name)) for name in settings_of(e)} for e in fit.model.effects}
-    return {label: values for label, values in held.items() if values}
-
-
-def _listed(values: dict[str, float]) -> str:
-    return ", ".join(f"{name} {value:.6g}" for name, value in values.items())
-
-
-def _fit(fit: CaseFit) -> dict[str, Any]:
-    return {"chi2_per_dof": fit.chi2_per_dof, "experiments": [e.to_dict() for e in fit.errors]}
+        write_json(json, fit_entries(before, after))

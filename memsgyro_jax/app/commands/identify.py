@@ -1,35 +1,55 @@
-"""What `memsgyro identify` does: read, identify, print, write."""
+"""`memsgyro identify`: read, identify, print, write."""
 
-from collections.abc import Sequence
+import math
 from pathlib import Path
-from typing import Literal
-
-import numpy as np
+from typing import TYPE_CHECKING, Literal
 
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.base.files import write_whole
-from memsgyro_jax.couplings.identify import identify
-from memsgyro_jax.couplings.identify_ratio import identify_by_ratio
-from memsgyro_jax.couplings.record import read_sweep
-from memsgyro_jax.measurement.experiments import Noise, PolarNoise
+
+from .flags import Flag, Words
 
 
-def run(
-    sweeps: Sequence[Path],
-    *,
-    method: Literal["likelihood", "ratio"],
-    mass: float | None,
-    amplitude_noise: float | None,
-    phase_noise: float | None,
-    effects: Sequence[str],
-    drive_axis: Literal["x", "y"] | None,
-    conjugated: bool,
-    json: Path | None,
-    report: Path | None,
+if TYPE_CHECKING:
+    from memsgyro_jax.measurement.experiments import Noise
+
+
+def identify_command(
+    *sweeps: Path,
+    method: Literal["likelihood", "ratio"] = "likelihood",
+    mass: float | None = None,
+    amplitude_noise: float | None = None,
+    phase_noise: float | None = None,
+    effects: Words = (),
+    drive_axis: Literal["x", "y"] | None = None,
+    conjugated: Flag = False,
+    json: Path | None = None,
+    report: Path | None = None,
 ) -> None:
-    """Identify, print the result, and write what was asked for; everything is computed before the first file is
-    written.
+    """Coupling errors of a frequency sweep, with uncertainty and a verdict.
+
+    The CSV has the columns "f [Hz]" and, for both channels,
+    "Vx_I [V]", "Vx_Q [V]", "Vy_I [V]", "Vy_Q [V]", or
+    "Vx_amp [1]", "Vx_phase [deg]", "Vy_amp [1]", "Vy_phase [deg]".
+    "F_x [N]" or "F_y [N]" is the drive level and names the driven electrode.
+    Phasors follow e^{+iwt}.
+
+    Args:
+        sweeps: one or several CSV files of one device, with the x electrode, the y electrode or each of them driven.
+        method: maximum likelihood on both complex responses, or the published least squares on their ratio.
+        mass: of the mode in kg; without it c_xy and k_xy are per unit mass.
+        amplitude_noise: relative, peak to peak; without it the noise is estimated from neighbouring points.
+        phase_noise: in degrees, peak to peak.
+        effects: also model electrical_feedthrough, finite_sweep_rate.
+        drive_axis: the driven electrode of files without `F_x` and `F_y`.
+        conjugated: the file follows e^{-iwt}.
+        json: file for the machine-readable result.
+        report: file for a page with the curves, the fit and the residual.
     """
+    from memsgyro_jax.base.files import write_json
+    from memsgyro_jax.couplings.identify import identify
+    from memsgyro_jax.couplings.identify_ratio import identify_by_ratio
+    from memsgyro_jax.couplings.record import read_sweep
+
     axis = None if drive_axis is None else "xy".index(drive_axis)
     records = [read_sweep(path, axis=axis, conjugated=conjugated) for path in sweeps]
     noise = _noise(amplitude_noise, phase_noise)
@@ -44,21 +64,24 @@ def run(
         result = identify(records, noise=noise, mass=mass, effects=tuple(effects))
     print(result)
     page = None
-    if report is not None:
-        from ..report.identification import page as build
+    if report is not None:  # before the first file is written
+        from ..report.identification import identification_page
 
-        page = build(result).html()
-    for path, text in ((json, result.to_json() + "\n" if json else None), (report, page)):
-        if path is not None:
-            write_whole(path, text)
+        page = identification_page(result)
+    if json is not None:
+        write_json(json, result.to_dict())
+    if page is not None and report is not None:
+        page.save(report)
 
 
-def _noise(amplitude: float | None, phase: float | None) -> Noise | None:
+def _noise(amplitude: float | None, phase: float | None) -> "Noise | None":
+    from memsgyro_jax.measurement.experiments import PolarNoise
+
     if (amplitude is None) != (phase is None):
         raise InputError("Options `--amplitude-noise` and `--phase-noise` must be given together, but one is missing.")
     if amplitude is None or phase is None:
         return None
     for name, value in (("--amplitude-noise", amplitude), ("--phase-noise", phase)):
-        if not (np.isfinite(value) and value > 0):
+        if not (math.isfinite(value) and value > 0):
             raise InputError(f"Option `{name}` must be a positive number, but is {value:g}.")
-    return PolarNoise.from_peak_to_peak(amplitude, float(np.radians(phase)))
+    return PolarNoise.from_peak_to_peak(amplitude, math.radians(phase))

@@ -32,6 +32,11 @@ def chosen_study(path: Path | None, rate_record: Path | None, **sweep: Any) -> t
     return (study.changed(changes) if changes else study), notes
 
 
+def with_unit(number: float | None, unit: str) -> dict[str, object] | None:
+    """A number of the command line as a study file would hold it."""
+    return None if number is None else {"value": number, "unit": unit}
+
+
 def _following(record: Recorded, path: Path, own_study: bool) -> tuple[dict[str, Any], list[str]]:
     """The run lasts as long as the record. The default study's filter, made for a constant rate, is told to follow."""
     span = float(record.times[-1])

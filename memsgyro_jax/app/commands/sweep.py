@@ -1,46 +1,76 @@
-"""What `memsgyro sweep` does: read the study, sweep, print, write."""
+"""`memsgyro sweep`: read the study, sweep, print, write."""
 
-import json
 import shutil
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.base.files import write_whole
-from memsgyro_jax.montecarlo.sweep import Lot, sweep
 
-from ..study import Study
-from .options import chosen_study, require_writable, writing
-from .progress import progress
+from .flags import Flag
 
 
-def run(
-    study: Path | None,
-    rate_record: Path | None,
-    out: Path,
-    resume: bool,
-    overwrite: bool,
-    json_file: Path | None,
-    **settings: Any,
+if TYPE_CHECKING:
+    from memsgyro_jax.montecarlo.sweep import Lot
+
+    from ..study import Study
+
+
+def sweep_command(
+    study: Path | None = None,
+    /,
+    *,
+    dies: int | None = None,
+    seed: int | None = None,
+    out: Path = Path("sweep-out"),
+    resume: Flag = False,
+    overwrite: Flag = False,
+    rate_record: Path | None = None,
+    sample_rate: float | None = None,
+    duration: float | None = None,
+    chunk: int | None = None,
+    json: Path | None = None,
 ) -> None:
-    """Sweep, print the table, and write `dies.zarr`, `summary.json` and `report.html` into `out`.
+    """Monte Carlo over fabricated dies of the closed loop.
 
-    `settings` are entries of the study's section `[sweep]`; None leaves the study's own.
+    Prints percentiles of the rate error, the yield, and the ratio to the bound.
+    Without a study file: the single-mass gyroscope of the thesis, 15 % spread.
+
+    Args:
+        study: a study file (TOML).
+        dies: how many dies.
+        seed: of the dies and of their noise.
+        out: folder for dies.zarr, summary.json and report.html.
+        resume: go on with the dies.zarr in that folder, also to more dies.
+        overwrite: replace the dies.zarr in that folder.
+        rate_record: CSV with the header "t [s],rate [deg/s]" (any units), in place of the study's rate.
+        sample_rate: in Hz.
+        duration: of a run in s; a recorded rate's own without this option.
+        chunk: dies per device and batch.
+        json: another place for a copy of summary.json.
     """
+    from .options import chosen_study, require_writable, with_unit, writing
+
     if resume and overwrite:
         raise InputError("Options `--resume` and `--overwrite` must not be given together; leave one of them out.")
-    chosen, notes = chosen_study(study, rate_record, **settings)
-    require_writable(out / "summary.json", json_file)
+    chosen, notes = chosen_study(
+        study, rate_record, dies=dies, seed=seed, chunk=chunk,
+        sample_rate=with_unit(sample_rate, "Hz"), duration=with_unit(duration, "s"),
+    )  # fmt: skip
+    require_writable(out / "summary.json", json)
     for note in notes:
         print(note)
     with writing(out, "make room or choose another folder, then go on with `--resume`"):
-        lot = _sweep(chosen, out, resume, overwrite)
-        _write(lot, chosen, out, json_file)
+        lot = _swept(chosen, out, resume, overwrite)
+        _write(lot, chosen, out, json)
     print(lot)
     print(f"{out / 'report.html'}, summary.json and dies.zarr hold the details.")
 
 
-def _sweep(study: Study, out: Path, resume: bool, overwrite: bool) -> Lot:
+def _swept(study: "Study", out: Path, resume: bool, overwrite: bool) -> "Lot":
+    from memsgyro_jax.montecarlo.sweep import sweep
+
+    from .progress import progress
+
     store = out / "dies.zarr"
     if overwrite:
         shutil.rmtree(store, ignore_errors=True)
@@ -51,11 +81,12 @@ def _sweep(study: Study, out: Path, resume: bool, overwrite: bool) -> Lot:
         shutil.rmtree(store.with_name(f"{store.name}.part"), ignore_errors=True)
 
 
-def _write(lot: Lot, study: Study, out: Path, json_file: Path | None) -> None:
+def _write(lot: "Lot", study: "Study", out: Path, json: Path | None) -> None:
+    from memsgyro_jax.base.files import write_json, write_whole
+
     from ..report.sweep_page import sweep_page
 
-    text = json.dumps(lot.summary.as_dict(), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     page = sweep_page(lot, study).html()
-    for path in {out / "summary.json", json_file or out / "summary.json"}:
-        write_whole(path, text)
+    for path in {out / "summary.json", json or out / "summary.json"}:
+        write_json(path, lot.summary.as_dict())
     write_whole(out / "report.html", page)

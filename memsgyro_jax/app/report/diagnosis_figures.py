@@ -29,7 +29,7 @@ def steps_figure(steps: Sequence[Stage]) -> Figure:
     ax.plot(place, [np.sqrt(s.chi2_per_dof) for s in steps], "o-", color=FINAL, label="fitted readings")
     ax.plot(place, [s.validation_error for s in steps], "s--", color=BASE, label="readings that were not fitted")
     _noise_line(ax)
-    logarithmic(ax)
+    log_scale(ax)
     ax.set_xticks(place, ["base model", *(f"step {k}" for k in place[1:])])
     ax.margins(x=0.2 if len(steps) < 3 else 0.05)
     ax.set_ylabel("error / noise")
@@ -68,8 +68,8 @@ def overlay_figure(number: int, base: CaseFit, final: CaseFit) -> Figure:
             lower.plot(hertz[rows], shown, marker, color=colour, ms=3.5, mew=0.7, alpha=0.7)
         _noise_line(lower)
         if rows is not near:
-            logarithmic(upper)
-        logarithmic(lower)
+            log_scale(upper)
+        log_scale(lower)
         upper.set_title(f"channel {'xy'[channel]}" + (", where base is worst" if rows is near else ""))
         lower.set_xlabel("frequency [Hz]")
         lower.ticklabel_format(axis="x", useOffset=False)
@@ -106,7 +106,7 @@ def residual_figure(number: int, base: CaseFit, final: CaseFit) -> Figure:
             time, rms = _stretches(record.time, _size(fit.whitened[number])[:, channel])  # type: ignore[attr-defined]
             ax.plot(time, rms, style, color=colour, lw=1.1)
         _noise_line(ax)
-        logarithmic(ax)
+        log_scale(ax)
         ax.set_ylim(0.3, max(5.0, 1.5 * ax.get_ylim()[1]))
         ax.set_title(f"channel {'xy'[channel]}")
         ax.set_xlabel("time [s]")
@@ -134,7 +134,7 @@ def colours(values: np.ndarray) -> np.ndarray:
     return colormaps["viridis"](0.85 * place / max(1, place.max()))
 
 
-def logarithmic(ax: Axes) -> None:
+def log_scale(ax: Axes) -> None:
     """A logarithmic axis that is labelled at whole decades, or, where there are hardly two, in between."""
     low, high = ax.dataLim.y0, ax.dataLim.y1
     ax.set_yscale("log")

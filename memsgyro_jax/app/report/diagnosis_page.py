@@ -22,7 +22,7 @@ VERDICTS = {
 _BEST = 12  # candidates of the base model that are listed
 
 
-def page(diagnosis: Diagnosis) -> Page:
+def diagnosis_page(diagnosis: Diagnosis) -> Page:
     """Build the page of a diagnosis."""
     out = Page(f"Diagnosis of {diagnosis.case.name}", diagnosis.case.description)
     out.section(f"Verdict: {VERDICTS[diagnosis.verdict]}").text(diagnosis.sentence)
@@ -186,7 +186,7 @@ def _forces(out: Page, diagnosis: Diagnosis) -> None:
     for left in rate_residuals(final):
         if left.record in unexplained:
             out.figure(
-                force_figures.rate_figure(left, diagnosis.case.readout.unit),
+                force_figures.residual_rate_figure(left, diagnosis.case.readout.unit),
                 f"{left.record}: what is left, in phase with displacement and velocity of the driven axis.",
             )
             drawn += 1

@@ -78,7 +78,7 @@ def time_figure(found: TimeForce, axis: int, motion: tuple[float, str], force: t
     return _plain(figure)
 
 
-def rate_figure(found: RateResidual, unit: str) -> Figure:
+def residual_rate_figure(found: RateResidual, unit: str) -> Figure:
     """What is left of a rate table, in phase with displacement and velocity of the driven axis, per channel; volts are
     shown as millivolts.
     """

@@ -9,7 +9,7 @@ from memsgyro_jax.couplings.result import Coefficient, Identification, gate
 from .page import Page
 
 
-def page(result: Identification) -> Page:
+def identification_page(result: Identification) -> Page:
     """Build the page of an identification."""
     names = ", ".join(sweep.name for sweep in result.sweeps)
     out = Page("Coupling errors from a frequency sweep", f"{names}, by {result.method}")

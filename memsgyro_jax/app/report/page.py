@@ -31,7 +31,7 @@ class Text:
 
 
 @dataclass(frozen=True)
-class Table:
+class PageTable:
     """Rows of text below a header; columns that hold numbers only are set flush right."""
 
     header: Sequence[str]
@@ -76,7 +76,7 @@ class Page:
         """A table; every cell is shown as its text."""
         cells = [[str(cell) for cell in row] for row in rows]
         numeric = [bool(cells) and all(_is_number(row[i]) for row in cells) for i in range(len(header))]
-        return self._add(Table(list(header), cells, caption, numeric))
+        return self._add(PageTable(list(header), cells, caption, numeric))
 
     def figure(self, figure: "Figure", caption: str) -> "Page":
         """A matplotlib figure, as SVG within the page."""
@@ -90,7 +90,7 @@ class Page:
         """Write the page, whole or not at all."""
         return write_whole(path, self.html())
 
-    def _add(self, part: Text | Table | Drawing) -> "Page":
+    def _add(self, part: Text | PageTable | Drawing) -> "Page":
         if not self._sections:
             self.section("")
         self._sections[-1]["parts"].append(part)

@@ -4,12 +4,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
+import jax
+import jax.numpy as jnp
+import numpy as np
 from pydantic import ConfigDict, Field
 
 from memsgyro_jax.base.complaints import Source
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.files import write_whole
-from memsgyro_jax.base.quantity import Part, field_unit
+from memsgyro_jax.base.quantity import FileSection, field_unit
 from memsgyro_jax.base.toml import checked, toml_table, toml_text
 from memsgyro_jax.loop.filters import check_fits
 from memsgyro_jax.loop.loop import ClosedLoop
@@ -23,7 +26,7 @@ from .hardware import Charge, Device, Readout, SingleMass
 from .laws import Added, Anneal, Compensation, Controller, Kalman, Observer, discretisation
 from .numbers import entries_of, unit_at
 from .output import Filter
-from .plan import Lot, Run, Start
+from .plan import SpreadSection, Start, SweepSection
 from .surroundings import FOLDER, Surroundings
 from .tuning import Tune
 
@@ -49,7 +52,7 @@ def _readout() -> Charge:
     )  # fmt: skip
 
 
-class StudyFile(Part):
+class StudyFile(FileSection):
     """All sections. One that is left out is that of the default study; one that is given replaces it as a whole."""
 
     model_config = ConfigDict(validate_by_name=True, validate_by_alias=True)
@@ -65,8 +68,8 @@ class StudyFile(Part):
     filter: Filter | None = None
     loop: Start = Start()
     scenario: Surroundings = Field(default_factory=lambda: Surroundings(rate="1 rad/s"))
-    spread: Lot = Lot(relative=0.15)
-    sweep: Run = Run()
+    spread: SpreadSection = SpreadSection(relative=0.15)
+    sweep: SweepSection = SweepSection()
     tune: Tune = Tune()
 
     def unit_of(self, path: str) -> str | None:
@@ -98,7 +101,7 @@ class Study:
     source: Source
 
     @property
-    def settings(self) -> Run:
+    def settings(self) -> SweepSection:
         """Section `[sweep]`."""
         return self.file.sweep
 
@@ -141,6 +144,17 @@ class Study:
     def sweep_arguments(self) -> dict[str, Any]:
         """`sweep(**study.sweep_arguments)` is the study's sweep."""
         return {"loop": self.loop, "spread": self.spread, "scenario": self.scenario, **self.settings.numbers()}
+
+    def die(self, number: int | None) -> tuple[ClosedLoop, Scenario]:
+        """Die `number` of the study's sweep, as a loop of one die; the design itself for None."""
+        if number is None:
+            return self.loop, self.scenario
+        drawn = self.spread.draw(self.loop, self.scenario, self.settings.seed, np.array([number]))
+        return jax.tree.map(
+            lambda one, design: one[..., 0] if jnp.ndim(one) > jnp.ndim(design) else one,
+            (drawn.loop, drawn.scenario),
+            (self.loop, self.scenario),
+        )
 
     def changed(self, changes: dict[str, Any]) -> "Study":
         """This study with entries replaced by dotted name, for example `{"sweep.dies": 64, "device.mass": "2e-7 kg"}`.

@@ -8,12 +8,12 @@ from memsgyro_jax.base.quantity import (
     Damping,
     Density,
     Farad,
+    FileSection,
     Hertz,
     In,
     Kilogram,
     Metre,
     Pair,
-    Part,
     Share,
     Stiffness,
     Volt,
@@ -23,7 +23,7 @@ from memsgyro_jax.device.gyro import VX, VY, AbstractGyro, DualMassGyro, SingleM
 from memsgyro_jax.loop.readout import AbstractReadout, Adc, ChargeAmplifier, DirectReadout, snr_density
 
 
-class SingleMass(Part):
+class SingleMass(FileSection):
     """`kind = "single_mass"`: thesis (3.1). `dyx` left out equals `dxy`."""
 
     kind: Literal["single_mass"]
@@ -47,7 +47,7 @@ class SingleMass(Part):
         return SingleMassGyro(**self.numbers())
 
 
-class DualMass(Part):
+class DualMass(FileSection):
     """`kind = "dual_mass"`: thesis (3.3)."""
 
     kind: Literal["dual_mass"]
@@ -74,7 +74,7 @@ class DualMass(Part):
 Device = Annotated[SingleMass | DualMass, Field(discriminator="kind")]
 
 
-class Converter(Part):
+class Converter(FileSection):
     """`adc = { limit = "1 V", bits = 16 }`: half the span and the word length."""
 
     limit: Annotated[float, Field(gt=0.0), In("V")]
@@ -85,7 +85,7 @@ class Converter(Part):
         return Adc(self.limit, self.bits)
 
 
-class Snr(Part):
+class Snr(FileSection):
     """Noise as the thesis states it: an amplitude ratio of `amplitude` to the noise of a sample at `sample_rate`."""
 
     ratio: Annotated[float, Field(gt=0.0), In("1")]
@@ -93,7 +93,7 @@ class Snr(Part):
     sample_rate: Hertz = 10e6
 
 
-class Charge(Part):
+class Charge(FileSection):
     """`kind = "charge_amplifier"`: comb pick-off and charge amplifier (thesis 3.2, 3.3.1).
 
     Noise is given as `noise_density` or as `snr`; with neither there is none.
@@ -132,7 +132,7 @@ class Charge(Part):
         return ChargeAmplifier(**given, noise_density=density, adc=quiet.adc)
 
 
-class Position(Part):
+class Position(FileSection):
     """`kind = "displacement"`: a pick-off of displacement without circuit, `scale` in V/m."""
 
     kind: Literal["displacement"]
@@ -146,7 +146,7 @@ class Position(Part):
         return _direct(self, (X, Y))
 
 
-class Velocity(Part):
+class Velocity(FileSection):
     """`kind = "velocity"`: a pick-off of velocity, as the thesis' own observer needs; `scale` in V·s/m."""
 
     kind: Literal["velocity"]

@@ -11,12 +11,12 @@ from memsgyro_jax.base.quantity import (
     Acceleration,
     Density,
     Duration,
+    FileSection,
     Hertz,
     In,
     Metre,
     Newton,
     Pair,
-    Part,
     PerSecond,
     Pure,
     Radian,
@@ -42,7 +42,7 @@ def discretisation(name: Discretisation) -> AbstractDiscretisation:
     return Exact() if name == "exact" else ForwardEuler()
 
 
-class Fixed(Part):
+class Fixed(FileSection):
     """`fading = { kind = "fixed", forgetting = "1400 1/s" }`; zero never forgets."""
 
     kind: Literal["fixed"]
@@ -53,7 +53,7 @@ class Fixed(Part):
         return FixedFading(self.forgetting)
 
 
-class Adaptive(Part):
+class Adaptive(FileSection):
     """`fading = { kind = "adaptive", window = "1 ms" }`: forget when the innovations exceed what is expected."""
 
     kind: Literal["adaptive"]
@@ -68,14 +68,14 @@ class Adaptive(Part):
 Fading = Annotated[Fixed | Adaptive, Field(discriminator="kind")]
 
 
-class Anneal(Part):
+class Anneal(FileSection):
     """`annealing = { excess = 1000, decay = "0.5 ms" }`: a cautious start; `excess = 0` is none."""
 
     excess: Share = 1000.0
     decay: Duration = 0.5e-3
 
 
-class PriorSpread(Part):
+class PriorSpread(FileSection):
     """Standard deviations of what the filter believes at the start; zero means known exactly.
 
     `spread` of each coefficient relative to its design value; `motion_error` relative to `amplitude`, the displacement
@@ -95,7 +95,7 @@ _DampingWalk = Annotated[float, Field(ge=0.0), In("1/s^3")]
 _MassWalk = Annotated[float, Field(ge=0.0), In("1/(kg^2*s)")]
 
 
-class Walks(Part):
+class Walks(FileSection):
     """Random-walk intensities in (unit of the entry)²/s; what is not named does not walk."""
 
     rate: _Walk | None = None
@@ -122,7 +122,7 @@ class Walks(Part):
         return ProcessNoise(motion, offset, theta)
 
 
-class Kalman(Part):
+class Kalman(FileSection):
     """`kind = "ekf"`: extended Kalman filter. `noise_density` left out is that of the read-out."""
 
     kind: Literal["ekf"]
@@ -155,7 +155,7 @@ class Kalman(Part):
         return eqx.tree_at(lambda o: o.noise_density, made, tuple(map(jnp.asarray, self.noise_density)))
 
 
-class Lyapunov(Part):
+class Lyapunov(FileSection):
     """`kind = "lyapunov"`: the thesis' own observer; it needs a velocity read-out. `start` scales the first guess.
 
     `adaptation` multiplies the unit gains of the coefficients, in the order of the device's model; left out, all are 1
@@ -188,7 +188,7 @@ class Lyapunov(Part):
 Observer = Annotated[Kalman | Lyapunov, Field(discriminator="kind")]
 
 
-class Added(Part):
+class Added(FileSection):
     """An auxiliary acceleration `{ frequency, amplitude, phase, axis }`; `axis` is "x", "y" or "both"."""
 
     frequency: Hertz
@@ -197,7 +197,7 @@ class Added(Part):
     axis: Literal["x", "y", "both"] = "both"
 
 
-class Force(Part):
+class Force(FileSection):
     """A drive force `{ frequency, amplitude, phase, axis }` in N."""
 
     frequency: Hertz
@@ -212,7 +212,7 @@ def _tones(given: tuple[Added | Force, ...]) -> Tones:
     return x, y
 
 
-class Compensation(Part):
+class Compensation(FileSection):
     """`kind = "damping_compensation"`: thesis (4.27), (4.28)."""
 
     kind: Literal["damping_compensation"]
@@ -223,7 +223,7 @@ class Compensation(Part):
         return DampingCompensation(_tones(self.tones))
 
 
-class Reference(Part):
+class Reference(FileSection):
     """`kind = "reference_model"`: thesis (4.17), (4.18); `frequency` of x and y, which must differ."""
 
     kind: Literal["reference_model"]
@@ -235,7 +235,7 @@ class Reference(Part):
         return ReferenceModel(self.frequency, _tones(self.tones))
 
 
-class Open(Part):
+class Open(FileSection):
     """`kind = "open_loop"`: forces that ignore the estimate."""
 
     kind: Literal["open_loop"]

@@ -5,13 +5,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.base.quantity import In, Part, field_unit
+from memsgyro_jax.base.quantity import FileSection, In, field_unit
 from memsgyro_jax.loop.loop import ClosedLoop
 
 from .laws import Walks
 
 
-class Entry(NamedTuple):
+class NumberEntry(NamedTuple):
     """A dotted name in the file, its unit, and the paths of the loop's numbers that it holds, one or two."""
 
     name: str
@@ -23,7 +23,7 @@ _PLAIN = ("device", "readout", "filter", "observer")
 _NESTED = ("observer.fading", "observer.annealing")
 
 
-def entry_of(file: Any, names: tuple[str, ...], path: str) -> Entry | None:
+def entry_of(file: Any, names: tuple[str, ...], path: str) -> NumberEntry | None:
     """The entry that holds the number at `path` of a loop whose coefficients have `names`; None where none does.
 
     `file` is the `StudyFile`. Auxiliary tones are told apart by `tones_of`.
@@ -41,12 +41,12 @@ def entry_of(file: Any, names: tuple[str, ...], path: str) -> Entry | None:
         part = file
         for name in section.split("."):
             part = getattr(part, name, None)
-        unit = field_unit(type(part), field) if isinstance(part, Part) else None
-        return None if unit is None else Entry(f"{section}.{field}", unit, pair)
+        unit = field_unit(type(part), field) if isinstance(part, FileSection) else None
+        return None if unit is None else NumberEntry(f"{section}.{field}", unit, pair)
     return None
 
 
-def _walk_of(names: tuple[str, ...], head: str, last: str) -> Entry | None:
+def _walk_of(names: tuple[str, ...], head: str, last: str) -> NumberEntry | None:
     """Process noise: coefficients by name, motion as position and velocity."""
     table = "observer.process_noise"
     if not head.startswith(f"{table}.") or not last.isdigit():
@@ -61,7 +61,7 @@ def _walk_of(names: tuple[str, ...], head: str, last: str) -> Entry | None:
     else:
         field, paths = "offset", tuple(f"{head}.{axis}" for axis in (0, 1))
     unit = field_unit(Walks, field)
-    return None if unit is None else Entry(f"{table}.{field}", unit, paths)
+    return None if unit is None else NumberEntry(f"{table}.{field}", unit, paths)
 
 
 def unit_at(file: Any, names: tuple[str, ...], path: str) -> str | None:

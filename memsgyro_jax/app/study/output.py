@@ -4,14 +4,14 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from memsgyro_jax.base.quantity import Hertz, Part, Whole
+from memsgyro_jax.base.quantity import FileSection, Hertz, Whole
 from memsgyro_jax.loop.filters import AbstractFilter, Bandpass, Lowpass
 
 
 Order = Annotated[Whole, Field(ge=1, le=4)]
 
 
-class LowpassFilter(Part):
+class LowpassFilter(FileSection):
     """`kind = "lowpass"`: Butterworth; `bandwidth` is where the power has halved."""
 
     kind: Literal["lowpass"]
@@ -23,7 +23,7 @@ class LowpassFilter(Part):
         return Lowpass(self.bandwidth, self.order)
 
 
-class BandpassFilter(Part):
+class BandpassFilter(FileSection):
     """`kind = "bandpass"`: Butterworth with 2·`order` poles; the power has halved at `low` and at `high`."""
 
     kind: Literal["bandpass"]

@@ -5,13 +5,25 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BeforeValidator, Field
 
-from memsgyro_jax.base.quantity import Duration, Hertz, In, Metre, Pair, Part, Rate, Share, Speed, Whole, parts
+from memsgyro_jax.base.quantity import (
+    Duration,
+    FileSection,
+    Hertz,
+    In,
+    Metre,
+    Pair,
+    Rate,
+    Share,
+    Speed,
+    Whole,
+    number_and_unit,
+)
 from memsgyro_jax.montecarlo.spread import AbstractDistribution, Normal, Spread, Uniform, Vary
 
 from .laws import Discretisation, Positive
 
 
-class Start(Part):
+class Start(FileSection):
     """Section `[loop]`: where the mass starts, how far it may travel, and how the plant is computed."""
 
     displacement: Pair[Metre] = (1e-6, 0.0)
@@ -22,14 +34,14 @@ class Start(Part):
 
 def _with_unit(given: Any) -> str:
     """A quantity whose unit depends on what it varies, kept as text."""
-    number, unit = parts(given)
+    number, unit = number_and_unit(given)
     return f"{number!r} {unit}".strip()
 
 
 Quantity = Annotated[str, BeforeValidator(_with_unit)]
 
 
-class Bell(Part):
+class Bell(FileSection):
     """`{ kind = "normal", relative = "10 %" }` or `std` in the parameter's unit, cut at `cut` standard deviations."""
 
     kind: Literal["normal"]
@@ -42,7 +54,7 @@ class Bell(Part):
         return Normal(self.relative, within(self.std, unit, "std") if self.std else 0.0, self.cut)
 
 
-class Box(Part):
+class Box(FileSection):
     """`{ kind = "uniform", relative = "10 %" }`, the half width, or `low` and `high` in the parameter's unit."""
 
     kind: Literal["uniform"]
@@ -64,7 +76,7 @@ def within(given: str, unit: str | None, name: str) -> float:
     return In(unit).read(given)
 
 
-class Lot(Part):
+class SpreadSection(FileSection):
     """Section `[spread]`: what differs from die to die.
 
     `relative` holds for every physical parameter of the device, `parameters` names single ones (`"device.kxx"`,
@@ -91,7 +103,7 @@ class Lot(Part):
         return Spread(tuple(items), self.correlation, self.quasi, everywhere)
 
 
-class Run(Part):
+class SweepSection(FileSection):
     """Section `[sweep]`: how many dies, how long and how finely.
 
     Statistics over time start at `settle` (half the duration when left out). A die yields when its rate error at the

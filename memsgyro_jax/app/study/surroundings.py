@@ -5,7 +5,7 @@ from typing import Annotated, Any, Generic, Literal, TypeVar
 
 from pydantic import BeforeValidator, Field, ValidationInfo, field_serializer, field_validator
 
-from memsgyro_jax.base.quantity import Acceleration, Duration, Hertz, In, Part, Pure, Radian, Rate, Second, Volt
+from memsgyro_jax.base.quantity import Acceleration, Duration, FileSection, Hertz, In, Pure, Radian, Rate, Second, Volt
 from memsgyro_jax.loop.scenario import AbstractProfile, Chirp, Constant, Ramp, RandomWalk, Scenario, Sine, Step
 
 from .record import read_rate_record
@@ -17,7 +17,7 @@ Slope = TypeVar("Slope")
 Growth = TypeVar("Growth")
 
 
-class Steady(Part, Generic[Value]):
+class Steady(FileSection, Generic[Value]):
     """`{ kind = "constant", level }`, or the level alone."""
 
     kind: Literal["constant"]
@@ -28,7 +28,7 @@ class Steady(Part, Generic[Value]):
         return Constant(self.level)
 
 
-class Jump(Part, Generic[Value]):
+class Jump(FileSection, Generic[Value]):
     """`{ kind = "step", at, after, before }`; `before` is zero when left out."""
 
     kind: Literal["step"]
@@ -41,7 +41,7 @@ class Jump(Part, Generic[Value]):
         return Step(self.at, self.after, self.before or 0.0)
 
 
-class Slide(Part, Generic[Value, Slope]):
+class Slide(FileSection, Generic[Value, Slope]):
     """`{ kind = "ramp", at, slope, start }`; `at` and `start` are zero when left out."""
 
     kind: Literal["ramp"]
@@ -54,7 +54,7 @@ class Slide(Part, Generic[Value, Slope]):
         return Ramp(self.at, self.slope, self.start or 0.0)
 
 
-class Wave(Part, Generic[Value]):
+class Wave(FileSection, Generic[Value]):
     """`{ kind = "sine", amplitude, frequency, phase }`."""
 
     kind: Literal["sine"]
@@ -67,7 +67,7 @@ class Wave(Part, Generic[Value]):
         return Sine(self.amplitude, self.frequency, self.phase)
 
 
-class Swept(Part, Generic[Value]):
+class Swept(FileSection, Generic[Value]):
     """`{ kind = "chirp", amplitude, low, high, duration }`."""
 
     kind: Literal["chirp"]
@@ -81,7 +81,7 @@ class Swept(Part, Generic[Value]):
         return Chirp(self.amplitude, self.low, self.high, self.duration)
 
 
-class Wander(Part, Generic[Value, Growth]):
+class Wander(FileSection, Generic[Value, Growth]):
     """`{ kind = "random_walk", intensity, duration, start, realisation }`: variance grows by `intensity` per second.
 
     A spread over `scenario.rate.realisation`, uniform from 0 to 1, gives each die a walk of its own.
@@ -98,7 +98,7 @@ class Wander(Part, Generic[Value, Growth]):
         return RandomWalk(self.intensity, self.duration, self.start or 0.0, self.realisation)
 
 
-class Record(Part):
+class Record(FileSection):
     """`{ kind = "record", file }`: a recorded rate; the file name starts at the folder of the study file."""
 
     kind: Literal["record"]
@@ -128,7 +128,8 @@ def _spelled_out(given: Any) -> Any:
     """A level alone stands for a constant; a single profile for a list of one."""
     many = given if isinstance(given, list | tuple) else [given]
     is_level = [
-        not isinstance(one, Part | dict) or (isinstance(one, dict) and set(one) == {"value", "unit"}) for one in many
+        not isinstance(one, FileSection | dict) or (isinstance(one, dict) and set(one) == {"value", "unit"})
+        for one in many
     ]
     return tuple(
         {"kind": "constant", "level": one} if level else one for one, level in zip(many, is_level, strict=True)
@@ -157,14 +158,14 @@ Change = Annotated[tuple[Annotated[_Change, _ByKind], ...], _Spelled]
 Shaking = Annotated[tuple[Annotated[_Shake, _ByKind], ...], _Spelled]
 
 
-class Offsets(Part):
+class Offsets(FileSection):
     """Change of the read-out offsets of x and y."""
 
     x: Drift = ()
     y: Drift = ()
 
 
-class DampingChange(Part):
+class DampingChange(FileSection):
     """Relative change of the damping coefficients."""
 
     dxx: Change = ()
@@ -172,21 +173,21 @@ class DampingChange(Part):
     dxy: Change = ()
 
 
-class CrossRates(Part):
+class CrossRates(FileSection):
     """Rates about x and y; they act on devices with `rotating_frame = true`."""
 
     x: CrossRate = ()
     y: CrossRate = ()
 
 
-class Shake(Part):
+class Shake(FileSection):
     """Acceleration of the frame along x and y; it acts on devices with `rotating_frame = true`."""
 
     x: Shaking = ()
     y: Shaking = ()
 
 
-class Surroundings(Part):
+class Surroundings(FileSection):
     """Section `[scenario]`; what is left out is zero. Several profiles in a list add."""
 
     rate: MainRate = ()

@@ -4,14 +4,14 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field
 
-from memsgyro_jax.base.quantity import Part, Whole
+from memsgyro_jax.base.quantity import FileSection, Whole
 from memsgyro_jax.tuning.losses import AbstractLoss, InnovationLikelihood, SquaredRateError
 from memsgyro_jax.tuning.tunable import Tunable
 
 from .plan import Quantity, within
 
 
-class FreeNumber(Part):
+class FreeNumber(FileSection):
     """`"filter.bandwidth"`, or `{ path = "filter.bandwidth", low = "5 Hz", high = "5 kHz" }`; a bound left out is the
     default one."""
 
@@ -31,7 +31,7 @@ def _named(given: Any) -> Any:
     return {"path": given} if isinstance(given, str) else given
 
 
-class Tune(Part):
+class Tune(FileSection):
     """Section `[tune]`. Without `free`: the noises of a Kalman filter or the gains of a Lyapunov observer, and the
     filter's frequencies.
 

@@ -7,7 +7,7 @@ from pydantic import BeforeValidator, Field, StrictBool, StrictFloat
 
 from memsgyro_jax.base.complaints import Source
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.base.quantity import Part, Whole, parts
+from memsgyro_jax.base.quantity import FileSection, Whole, number_and_unit
 from memsgyro_jax.base.toml import checked, read_toml
 
 
@@ -26,7 +26,7 @@ def _amount(given: Any) -> Amount:
     if isinstance(given, Amount):
         return given
     try:
-        number, unit = parts(given)
+        number, unit = number_and_unit(given)
     except OverflowError as error:
         raise ValueError("must be a finite number, but is larger than any") from error
     if not unit:
@@ -45,7 +45,7 @@ Name = Annotated[str, BeforeValidator(_name)]
 Axis = Literal["x", "y"]
 
 
-class DesignEntry(Part):
+class DesignEntry(FileSection):
     """`{ value, tolerance, unit }` with a relative half width, or `{ low, high, unit }`, or all of value, low, high."""
 
     unit: str
@@ -55,21 +55,21 @@ class DesignEntry(Part):
     high: StrictFloat | None = None
 
 
-class ReadoutEntry(Part):
+class ReadoutEntry(FileSection):
     """Section `[readout]`."""
 
     scale: Quantity
     adc_range: Quantity | None = None
 
 
-class EnvironmentEntry(Part):
+class EnvironmentEntry(FileSection):
     """Section `[environment]`."""
 
     temperature: Quantity = Amount(25.0, "degC")
     bias_voltage: Quantity = Amount(0.0, "V")
 
 
-class Entry(Part):
+class Entry(FileSection):
     """What every `[[experiment]]` may say."""
 
     name: Name
@@ -121,7 +121,7 @@ class TimeEntry(Entry):
 AnyEntry = Annotated[SweepEntry | RingDownEntry | RateTableEntry | TimeEntry, Field(discriminator="kind")]
 
 
-class CaseFile(Part):
+class CaseFile(FileSection):
     """All sections."""
 
     format: Literal["memsgyro-case/1"] = Field(alias="schema")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import memsgyro_jax
-from memsgyro_jax.app.report.diagnosis_page import page
+from memsgyro_jax.app.report.diagnosis_page import diagnosis_page
 from memsgyro_jax.diagnosis.fit import beside, fit_case
 from memsgyro_jax.diagnosis.joint_residual import optimise
 from memsgyro_jax.diagnosis.result import Accepted, Candidate, Diagnosis, Stage, validation_error
@@ -67,7 +67,7 @@ class Outline(HTMLParser):
 
 @pytest.fixture(scope="module")
 def found(diagnosis):
-    return page(diagnosis).html()
+    return diagnosis_page(diagnosis).html()
 
 
 def test_it_says_what_a_colleague_looks_for(found, diagnosis):
@@ -103,7 +103,7 @@ def test_every_experiment_has_its_error_and_its_picture(found, diagnosis):
 
 def test_what_is_unknown_is_shown_as_a_force(diagnosis):
     unknown = replace(diagnosis, verdict="unknown_effect", final=diagnosis.base, accepted=(), steps=diagnosis.steps[:1])
-    html = page(unknown).html()
+    html = diagnosis_page(unknown).html()
     words = " ".join(Outline(html).words)
     assert "The force that is missing" in words
     assert "sweep_x: force on x as stiffness and damping" in words
@@ -123,7 +123,7 @@ def test_a_hostile_case_is_harmless(diagnosis, found):
         candidates=tuple(replace(c, label=HOSTILE) for c in diagnosis.candidates), verdict="partly_explained",
         steps=(diagnosis.steps[0], replace(diagnosis.steps[1], added=HOSTILE)),
     )  # fmt: skip
-    outline = Outline(page(hostile).html())
+    outline = Outline(diagnosis_page(hostile).html())
     assert set(outline.tags) == set(Outline(found).tags), "no element that the plain page has not"
     assert "script" not in outline.tags
     assert HOSTILE in "".join(outline.words)

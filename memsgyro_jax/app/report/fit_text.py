@@ -1,0 +1,105 @@
+"""What effects added to a fit have helped, for people and for machines."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.files import finite
+from memsgyro_jax.base.provenance import versions
+from memsgyro_jax.base.text import aligned
+from memsgyro_jax.diagnosis.compare import judged, times
+from memsgyro_jax.diagnosis.fit import CaseFit
+from memsgyro_jax.diagnosis.scans import coverage, scan
+from memsgyro_jax.effects import Effect, Scanned, by_name
+from memsgyro_jax.measurement.model_file import settings_of
+
+
+SCHEMA = "memsgyro-fit/1"
+
+
+def named_effects(names: Sequence[str], known: Sequence[Effect]) -> tuple[Effect, ...]:
+    """The effects of names as a user writes them: "cubic_stiffness x" and "cubic_stiffness" "x" are one variant,
+    "cubic_stiffness" alone is all of them.
+
+    **Raises:** `InputError` where nothing is named, or what is named is not known.
+    """
+    if not names:
+        raise InputError("Option `--add` must name at least one effect, but names none; `memsgyro effects` lists them.")
+    words = [word for name in names for word in name.replace(".", " ").split()]
+    labels, places = {e.name for e in known}, {e.where for e in known if e.where}
+    found: list[Effect] = []
+    for number, word in enumerate(words):
+        following = words[number + 1] if number + 1 < len(words) else ""
+        if word in places and number and words[number - 1] in labels:
+            continue
+        same = [effect for effect in known if effect.name == word]
+        if following in places or not same:
+            same = [by_name(word, following if following in places else "", among=known)]
+        found += [effect for effect in same if effect.label not in {f.label for f in found}]
+    return tuple(found)
+
+
+def placed(effect: Effect, base: CaseFit) -> Effect:
+    """An effect with a frequency, moment or limit to be tried first starts at the best point of its grid."""
+    if not isinstance(effect, Scanned):
+        return effect
+    readings = base.joint.fitted
+    best = scan(base.model, base.optimum, readings, effect.grid(coverage(base.case)))
+    if best is None:
+        raise InputError(
+            f"Effect `{effect.label}` must be visible in the records to be fitted, but no record shows it."
+        )
+    return best.effect
+
+
+def fit_text(before: CaseFit, after: CaseFit) -> str:
+    """Both fits side by side."""
+    names = [e.label for e in after.model.effects]
+    head = ("experiment", "role", "base", f"with {', '.join(names)}", "noise alone below")
+    rows = [
+        (b.name, b.role, times(b.rms), times(a.rms), f"{np.sqrt(a.gate):.3g}")
+        for b, a in zip(before.errors, after.errors, strict=True)
+    ]
+    comparison = judged(after)
+    chi2 = f"χ²/dof of the fitted readings {times(before.chi2_per_dof)} -> {times(after.chi2_per_dof)}"
+    lines = [f"{after.case.name}: {after.status}; {chi2}", "rms of deviation over noise:", aligned([head, *rows])]
+    lines += [comparison.verdict, *(f"  {failure}" for failure in comparison.failures), "Fitted:"]
+    lines += [f"  {estimate}" for estimate in after.estimates]
+    lines += [f"  {label}, held: {_listed(held)}" for label, held in _held(after).items()]
+    return "\n".join(lines)
+
+
+def fit_entries(before: CaseFit, after: CaseFit) -> dict[str, Any]:
+    """The machine-readable result, schema `memsgyro-fit/1`; numbers that are not finite become null."""
+    estimates = {p.name: p for p in after.estimates}
+    of_effects = [p.name for p in after.joint.parameters if p.effect is not None]
+    entries = {
+        "schema": SCHEMA,
+        "case": after.case.name,
+        "status": after.status,
+        "added": [e.label for e in after.model.effects],
+        "before": _fit(before),
+        "after": _fit(after),
+        "explained": judged(after).explained,
+        "effects": [estimates[name].to_dict() for name in of_effects],
+        "held": _held(after),
+        "parameters": [p.to_dict() for p in after.estimates if p.name not in of_effects],
+        "versions": dict(versions()),
+    }
+    return finite(entries)
+
+
+def _held(fit: CaseFit) -> dict[str, dict[str, float]]:
+    """Numbers of each effect that are not fitted, in SI: a frequency that was scanned, the moment of a step."""
+    held = {e.label: {name: float(getattr(e, name)) for name in settings_of(e)} for e in fit.model.effects}
+    return {label: values for label, values in held.items() if values}
+
+
+def _listed(values: dict[str, float]) -> str:
+    return ", ".join(f"{name} {value:.6g}" for name, value in values.items())
+
+
+def _fit(fit: CaseFit) -> dict[str, Any]:
+    return {"chi2_per_dof": fit.chi2_per_dof, "experiments": [e.to_dict() for e in fit.errors]}
