@@ -31,13 +31,13 @@ def fit_command(
     from memsgyro_jax.measurement.case import load_case
     from memsgyro_jax.measurement.model_file import write_model
 
-    from ..report.fit_text import fit_entries, fit_text, named_effects, placed
+    from ..report.fit_text import fit_entries, fit_text, named_effects, placed_by_scan
 
     measured = load_case(case)
     own = load_effects(effects, measured.channels) if effects else ()
     chosen = named_effects(add, (*catalogue(measured.channels), *own))
     before = fit_case(measured)
-    after = fit_case(measured, [placed(effect, before) for effect in chosen])
+    after = fit_case(measured, [placed_by_scan(effect, before) for effect in chosen])
     print(fit_text(before, after))
     if out is not None:
         write_model(after.model, out)

@@ -41,7 +41,7 @@ def named_effects(names: Sequence[str], known: Sequence[Effect]) -> tuple[Effect
     return tuple(found)
 
 
-def placed(effect: Effect, base: CaseFit) -> Effect:
+def placed_by_scan(effect: Effect, base: CaseFit) -> Effect:
     """An effect with a frequency, moment or limit to be tried first starts at the best point of its grid."""
     if not isinstance(effect, Scanned):
         return effect
