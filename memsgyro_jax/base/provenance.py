@@ -12,22 +12,28 @@ import numpy as np
 
 from memsgyro_jax import __version__
 
+from .concrete import is_concrete, settled
+
 
 @dataclass(frozen=True)
 class Settings:
-    """Sample rate in Hz, duration in s, seed, fingerprint of the computed objects, versions of what computed them."""
+    """Sample rate in Hz, duration in s, seed, fingerprint of the computed objects, versions of what computed them.
+
+    Of a run inside `jax.vmap` or `jax.jit` the fingerprint is empty, and the seed None where it is traced itself.
+    """
 
     sample_rate: float
     duration: float
-    seed: int
+    seed: int | None
     fingerprint: str
     versions: tuple[tuple[str, str], ...]
 
     @classmethod
     def of(cls, *objects: object, sample_rate: float, duration: float, seed: int) -> "Settings":
         """Settings of a run of `objects` (loop, scenario, ...), whose every number enters the fingerprint."""
-        digits = fingerprint(*objects, sample_rate, duration, seed)
-        return cls(float(sample_rate), float(duration), int(seed), digits, versions())
+        computed = settled((*objects, sample_rate, duration, seed))
+        digits = fingerprint(*computed) if is_concrete(computed) else ""
+        return cls(float(sample_rate), float(duration), int(seed) if is_concrete(seed) else None, digits, versions())
 
     def as_dict(self) -> dict[str, object]:
         """Flat entries for attributes and JSON."""

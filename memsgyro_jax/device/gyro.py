@@ -9,11 +9,13 @@ from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from memsgyro_jax.base.concrete import check_not_negative as check_not_negative
+from memsgyro_jax.base.concrete import check_positive as check_positive
+from memsgyro_jax.base.concrete import check_positive_definite, is_concrete
 from memsgyro_jax.base.errors import InputError
 
 from .carried import AbstractEffect, CarriesEffects, Effects
@@ -318,44 +320,13 @@ def _add(a: Matrix, b: Matrix) -> Matrix:
 
 
 def mode_frequencies(gyro: AbstractGyro) -> Float[np.ndarray, "*dies two"]:
-    """Undamped mode frequencies in Hz, ascending, of a concrete gyro at rest."""
-    (a, b), (c, d) = (np.broadcast_arrays(*map(np.asarray, row)) for row in gyro.dynamics(Inertial()).stiffness)
-    mean, split = 0.5 * (a + d), np.sqrt(0.25 * (a - d) ** 2 + b * c)
-    return np.sqrt(np.stack([mean - split, mean + split], axis=-1)) / (2.0 * np.pi)
+    """Undamped mode frequencies in Hz, ascending, of a gyro at rest; inside a transformation JAX arrays."""
+    return natural_frequencies(gyro.dynamics(Inertial()).stiffness)
 
 
-def is_concrete(*values: object) -> bool:
-    """Whether all values are numbers now, rather than tracers inside a transformation (which cannot be checked)."""
-    return not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(values))
-
-
-def check_positive(name: str, value: Scalar) -> None:
-    """Raise `InputError` unless every entry is positive and finite; traced values pass."""
-    if is_concrete(value) and not np.all((np.asarray(value) > 0.0) & np.isfinite(value)):
-        raise InputError(f"Argument `{name}` must be positive and finite, but {_worst(value)} was given.")
-
-
-def check_not_negative(name: str, value: Scalar) -> None:
-    """Raise `InputError` unless every entry is zero or positive, and finite; traced values pass."""
-    if is_concrete(value) and not np.all((np.asarray(value) >= 0.0) & np.isfinite(value)):
-        raise InputError(f"Argument `{name}` must be finite and not negative, but {_worst(value)} was given.")
-
-
-def check_positive_definite(name: str, xx: Scalar, yy: Scalar, xy: Scalar) -> None:
-    """Raise `InputError` unless the symmetric matrix [[xx, xy], [xy, yy]] is positive definite; traced values pass."""
-    if not is_concrete(xx, yy, xy):
-        return
-    xx, yy, xy = (np.asarray(v, dtype=float) for v in (xx, yy, xy))
-    if not np.all((xx > 0.0) & (yy > 0.0) & (xx * yy > xy**2) & np.isfinite(xx * yy)):
-        raise InputError(
-            f"The {name} matrix must be positive definite (xx > 0, yy > 0, xx·yy > xy²), "
-            f"but xx = {_worst(xx)}, yy = {_worst(yy)}, xy = {float(np.max(np.abs(xy))):g} was given; "
-            "lower the coupling or correct the sign."
-        )
-
-
-def _worst(value: Scalar) -> str:
-    """The entry to complain about: the first that is not finite, else the smallest."""
-    entries = np.ravel(np.asarray(value))
-    bad = entries[~np.isfinite(entries)]
-    return f"{float(bad[0] if bad.size else np.min(entries)):g}"
+def natural_frequencies(stiffness: Matrix) -> Float[np.ndarray, "*dies two"]:
+    """Undamped mode frequencies in Hz, ascending, of a `stiffness` per mass in rad²/s²."""
+    xp = np if is_concrete(stiffness) else jnp
+    (a, b), (c, d) = (xp.broadcast_arrays(*map(xp.asarray, row)) for row in stiffness)
+    mean, split = 0.5 * (a + d), xp.sqrt(0.25 * (a - d) ** 2 + b * c)
+    return xp.sqrt(xp.stack([mean - split, mean + split], axis=-1)) / (2.0 * np.pi)

@@ -7,7 +7,6 @@ triangular square root of the information, updated by orthogonal transformations
 inverted: std from 1e-9 m to 1e5 rad²/s² stand side by side in it.
 """
 
-from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -16,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from memsgyro_jax.base.concrete import is_concrete, settled
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.runtime import require_float64
 from memsgyro_jax.base.units import rate_to_dps
@@ -39,6 +39,7 @@ from memsgyro_jax.device.gyro import (
 from memsgyro_jax.device.propagate import State4, add_rows, applied
 
 from .engine import over_dies
+from .least_variance import least_variance, with_slopes
 from .loop import ClosedLoop, LoopState
 from .observers.base import Clock
 from .observers.settings import Prior
@@ -52,27 +53,24 @@ prior neither can be known (thesis 4.1.2)."""
 MOTION = ("x", "y", "vx", "vy")
 OFFSETS = ("offset_x", "offset_y")
 _BLOCK = 200  # samples between two orthogonal updates, at most
-_NULL = 1e-11  # singular values of the scaled information root below this share of the largest carry no information
-_TOUCHED = 1e-5  # a quantity takes part in a direction when its (scaled) share is above this
 
 
-@dataclass(frozen=True)
-class InformationBound:
+class InformationBound(eqx.Module):
     """Smallest standard deviation that an unbiased estimator (with `prior`: any estimator, on average) can reach.
 
     `time` (windows,) in s; `std` (windows, quantities, *dies) in the quantities' units, infinite where the data say
     nothing; `covariance` (quantities, quantities, *dies) at the end, meaningful where `std` is finite. `degenerate`
     lists the directions that the whole run leaves undetermined (of the first die that has one), as {quantity: change in
-    its unit}, 1 for the first. Dies whose loop diverged hold NaN.
+    its unit}, 1 for the first; it is empty inside `jax.vmap` and `jax.jit`. Dies whose loop diverged hold NaN.
     """
 
     time: Float[np.ndarray, " windows"]
-    names: tuple[str, ...]
-    units: tuple[str, ...]
     std: Float[np.ndarray, "windows quantities *dies"]
     covariance: Float[np.ndarray, "quantities quantities *dies"]
-    degenerate: tuple[dict[str, float], ...] = ()
-    settings: dict[str, Any] = field(default_factory=dict)
+    names: tuple[str, ...] = eqx.field(static=True)
+    units: tuple[str, ...] = eqx.field(static=True)
+    degenerate: tuple[dict[str, float], ...] = eqx.field(static=True, default=())
+    settings: dict[str, Any] = eqx.field(static=True, default_factory=dict)
 
     @property
     def rate_std(self) -> Float[np.ndarray, "windows *dies"]:
@@ -152,6 +150,7 @@ def information_bound(
     model's coefficients. `also` adds further coefficients as unknown, without prior. The rate that is bounded is a
     constant added to the scenario's. Quantisation is not counted. `windows` is how many moments the bound is given for,
     at most. For a batch of dies (trailing axis of leaves of `loop` and `scenario`) give the unbatched `design` too.
+    Under `jax.grad` and `jax.jvp` first derivatives are exact; an infinite entry has none.
 
     Raises `InputError` for float32, an unknown name, a read-out without noise, or settings that make no sample.
     """
@@ -170,13 +169,17 @@ def information_bound(
     unknown = _unknowns(design, prior, known, also)
     block = max(size for size in range(1, min(samples, _BLOCK) + 1) if samples % size == 0)
     lanes = _lanes(loop, design, scenario)
-    roots = np.asarray(_roots(loop, design, scenario, unknown, period, samples // block, block, lanes))
-    chosen = np.unique(np.linspace(len(roots), 1, min(windows, len(roots))).round().astype(int))
-    std, covariance, degenerate = _solved(roots[chosen - 1], unknown)
+    slopes, blocks = not is_concrete(loop, scenario, prior), samples // block
+    roots, information = _roots(loop, design, scenario, unknown, period, blocks, block, lanes, slopes)
+    chosen = np.unique(np.linspace(blocks, 1, min(windows, blocks)).round().astype(int))
+    solved = least_variance(settled(roots)[chosen - 1], unknown.scale, unknown.names)
+    std, covariance = solved.std, solved.covariance
+    if information is not None:
+        std, covariance = with_slopes(solved, information[chosen - 1], unknown.scale)
     kind = "Cramér-Rao" if prior is None else "Bayesian"
     settings = {"kind": kind, "sample_rate": sample_rate, "duration": duration, "known": ", ".join(known)}
     return InformationBound(
-        chosen * block * period, unknown.names, unknown.units, std, covariance, degenerate, settings
+        chosen * block * period, std, covariance, unknown.names, unknown.units, solved.degenerate, settings
     )
 
 
@@ -199,9 +202,11 @@ def _unknowns(
     loop: ClosedLoop, prior: Prior | None, known: tuple[str, ...], also: tuple[Coefficient, ...]
 ) -> _Unknowns:
     model = MotionModel(loop.device.model.coefficients + also)
-    frequency = 2.0 * np.pi * float(np.mean(mode_frequencies(loop.device)))
-    length = max(1e-9, float(np.hypot(*(np.max(np.abs(q)) for q in loop.start[:2]))))
-    force = float(np.mean([np.mean(g) for g in loop.device.dynamics(Inertial()).gain]))
+    device, start = settled((loop.device, loop.start))
+    xp = np if is_concrete(device, start) else jnp
+    frequency = 2.0 * np.pi * xp.mean(mode_frequencies(device))
+    length = xp.maximum(1e-9, xp.hypot(*(xp.max(xp.abs(xp.asarray(q))) for q in start[:2])))
+    force = xp.mean(xp.stack([xp.mean(xp.asarray(g)) for g in device.dynamics(Inertial()).gain]))
     by_signal = {**dict.fromkeys((X, Y), (frequency**2, "1/s²")), **dict.fromkeys((VX, VY), (frequency, "1/s"))}
     by_signal |= dict.fromkeys((UX, UY), (force, "1/kg"))
     table = dict.fromkeys(MOTION[:2], (length, "m")) | dict.fromkeys(MOTION[2:], (length * frequency, "m/s"))
@@ -212,15 +217,15 @@ def _unknowns(
         raise InputError(f"Argument `known` must name some of {', '.join(table)}, but holds `{sorted(strange)[0]}`.")
     std = dict.fromkeys(table, np.inf)
     if prior is not None:
-        given = (*prior.motion_std, *prior.offset_std, *prior.theta_std)
-        std |= dict(zip(table, map(float, given), strict=False))
-    names = tuple(name for name in table if name not in known and std[name] > 0.0)
+        std |= dict(zip(table, (*prior.motion_std, *prior.offset_std, *prior.theta_std), strict=False))
+    exact = {name for name, value in settled(std).items() if is_concrete(value) and value == 0.0}
+    names = tuple(name for name in table if name not in exact.union(known))
     scale, units = zip(*(table[name] for name in names), strict=True)
     return _Unknowns(jnp.asarray(scale), jnp.asarray([std[name] for name in names]), names, units, model)
 
 
 def _check_noise(density: Pair) -> None:
-    if any(np.any(np.asarray(value) <= 0.0) for value in density):
+    if is_concrete(density) and any(np.any(np.asarray(value) <= 0.0) for value in density):
         raise InputError(
             "The read-out must have noise on both axes for a bound to exist, but a `noise_density` of 0 was given."
         )
@@ -243,9 +248,13 @@ class _Carry(NamedTuple):
 @eqx.filter_jit
 def _roots(
     loop: ClosedLoop, design: ClosedLoop, scenario: Scenario, unknown: _Unknowns, period: float, blocks: int,
-    block: int, lanes: tuple[int, ...],
-) -> Float[Array, "blocks *lanes quantities quantities"]:  # fmt: skip
-    """Triangular root of the information at the end of each block, in scaled quantities."""
+    block: int, lanes: tuple[int, ...], slopes: bool,
+) -> tuple[Float[Array, "blocks *lanes quantities quantities"], Array | None]:  # fmt: skip
+    """Triangular root of the information at the end of each block, in scaled quantities.
+
+    A root has no derivative where there is no information. With `slopes` the information itself comes along: its
+    numbers are too poor to be inverted, but its derivative is that of the root's square.
+    """
     std = loop.readout.noise_std(period)
     silent = eqx.tree_at(lambda made: made.readout.noise_density, loop, (jnp.zeros(()), jnp.zeros(())))
     count = len(unknown.names)
@@ -258,19 +267,21 @@ def _roots(
         return _Carry(state, tangents), _voltage_rows(silent, tangents, std, unknown, lanes)
 
     def one_block(carry, number):
-        state, root = carry
+        state, root, information = carry
         index = number * block + jnp.arange(block)
         state, rows = jax.lax.scan(sample, state, (index, jax.vmap(scenario.at)((index + 0.5) * period)))
         rows = jnp.moveaxis(rows.reshape(2 * block, count, *lanes), (0, 1), (-2, -1))
-        root = jnp.linalg.qr(jnp.concatenate([root, rows], axis=-2), mode="r")
-        return (state, root), root
+        root = jnp.linalg.qr(jnp.concatenate([root, jax.lax.stop_gradient(rows)], axis=-2), mode="r")
+        if information is not None:
+            information = information + jnp.swapaxes(rows, -1, -2) @ rows
+        return (state, root, information), (root, information)
 
     begin = jax.tree.map(
         lambda value, like: over_dies(value, jnp.ndim(like), lanes), loop.init(), jax.eval_shape(design.init)
     )
     first = tuple(over_dies(unknown.tangent(name), 1, lanes) for name in MOTION)
-    known = jnp.diag(unknown.scale / unknown.prior_std)
-    start = (_Carry(begin, first), jnp.broadcast_to(known, (*lanes, count, count)))
+    known = jnp.broadcast_to(jnp.diag(unknown.scale / unknown.prior_std), (*lanes, count, count))
+    start = (_Carry(begin, first), jax.lax.stop_gradient(known), known**2 if slopes else None)
     return jax.lax.scan(one_block, start, jnp.arange(blocks))[1]
 
 
@@ -309,39 +320,3 @@ def _voltage_rows(
         offset = over_dies(unknown.tangent(name), 1, lanes)
         rows.append((scale * tangents[signal] + offset) / noise)
     return jnp.stack(rows)
-
-
-def _solved(roots: np.ndarray, unknown: _Unknowns) -> tuple[np.ndarray, np.ndarray, tuple[dict[str, float], ...]]:
-    """Standard deviations, the covariance at the end, and the directions without information."""
-    lost = ~np.all(np.isfinite(roots), axis=(-2, -1))
-    roots = np.where(lost[..., None, None], np.eye(roots.shape[-1]), roots)
-    size = np.linalg.norm(roots, axis=-2, keepdims=True)
-    size = np.where(size > 0.0, size, 1.0)
-    _, singular, turned = np.linalg.svd(roots / size)
-    null = singular < _NULL * singular[..., :1]
-    weight = np.where(null, 0.0, 1.0 / np.where(null, 1.0, singular))
-    unit = np.asarray(unknown.scale) / size[..., 0, :]
-    inverse = np.swapaxes(turned, -1, -2) * weight[..., None, :] * unit[..., :, None]
-    std = np.linalg.norm(inverse, axis=-1)
-    touched = np.any(null[..., :, None] & (np.abs(turned) > _TOUCHED), axis=-2)
-    std = np.where(lost[..., None], np.nan, np.where(touched, np.inf, std))
-    covariance = inverse[-1] @ np.swapaxes(inverse[-1], -1, -2)
-    covariance = np.where(lost[-1][..., None, None], np.nan, covariance)
-    directions = _directions(null[-1], turned[-1], unit[-1], unknown.names)
-    return np.moveaxis(std, -1, 1), np.moveaxis(covariance, (-2, -1), (0, 1)), directions
-
-
-def _directions(
-    null: np.ndarray, turned: np.ndarray, unit: np.ndarray, names: tuple[str, ...]
-) -> tuple[dict[str, float], ...]:
-    """Null directions of the first die that has any, each scaled to 1 in its first quantity."""
-    affected = np.argwhere(np.any(null, axis=-1))
-    if not len(affected):
-        return ()
-    die = tuple(affected[0])
-    found = []
-    for vector in turned[die][null[die]]:
-        large = np.flatnonzero(np.abs(vector) > _TOUCHED)
-        physical = (vector * unit[die])[large]
-        found.append({names[i]: float(v / physical[0]) for i, v in zip(large, physical, strict=True)})
-    return tuple(found)

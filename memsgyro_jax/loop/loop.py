@@ -7,8 +7,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from memsgyro_jax.base.concrete import is_concrete, settled
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.device.gyro import AbstractGyro, Pair, Scalar, check_positive, is_concrete, mode_frequencies, number
+from memsgyro_jax.device.gyro import (
+    AbstractGyro,
+    Inertial,
+    Pair,
+    Scalar,
+    check_positive,
+    natural_frequencies,
+    number,
+)
 from memsgyro_jax.device.propagate import AbstractDiscretisation, Exact, State4, applied, fence
 
 from .controllers.base import AbstractController
@@ -128,18 +137,23 @@ class ClosedLoop(eqx.Module):
         return new, Sample(end, conditions, motion, volts, force, estimate, rate)
 
     def sampled_at(self, sample_rate: float, design: "ClosedLoop | None" = None) -> "ClosedLoop":
-        """This loop with its series long enough to be exact at `sample_rate` [Hz]; inside a transformation, unchanged.
+        """This loop with its series long enough to be exact at `sample_rate` [Hz].
 
+        Under `jax.vmap` and `jax.jit`, where the device's numbers are not known, the device that the observer starts
+        from tells the length; where that is unknown too the loop is unchanged: call this before the transformation.
         Raises `InputError` when the sample rate cannot carry the device's modes or the output filter.
         """
         if not (np.isfinite(sample_rate) and sample_rate > 0.0):
             raise InputError(f"Argument `sample_rate` must be a positive number of Hz, but {sample_rate} was given.")
         if self.filter is not None:
             check_fits(self.filter, sample_rate)
-        device = self.device if design is None else design.device
-        if not is_concrete(device):
+        whole = settled(self if design is None else design)
+        stiffness = whole.device.dynamics(Inertial()).stiffness
+        if not is_concrete(stiffness):
+            stiffness = whole.observer.estimate(whole.observer.init()).dynamics.stiffness
+        if not is_concrete(stiffness):
             return self
-        exact = Exact.covering(float(np.max(mode_frequencies(device))) * _MARGIN, sample_rate)
+        exact = Exact.covering(float(np.max(natural_frequencies(stiffness))) * _MARGIN, sample_rate)
         return jax.tree.map(lambda part: exact if isinstance(part, Exact) else part, self, is_leaf=_is_exact)
 
 

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from memsgyro_jax.base.concrete import is_concrete
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.conditions import Conditions
 from memsgyro_jax.device.gyro import Scalar, check_not_negative, check_positive, number
@@ -103,6 +104,8 @@ class Recorded(AbstractProfile):
     values: Float[Array, " samples"] = number()
 
     def __check_init__(self):
+        if not is_concrete(self.times, self.values):
+            return
         times, values = np.asarray(self.times), np.asarray(self.values)
         if times.ndim != 1 or times.shape != values.shape or times.size < 2:
             raise InputError(

@@ -1,6 +1,5 @@
 """One closed-loop run of one die, kept sample by sample."""
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
@@ -11,6 +10,7 @@ from jaxtyping import Float
 
 from memsgyro_jax.base import runtime
 from memsgyro_jax.base.axes import axes
+from memsgyro_jax.base.concrete import is_concrete
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.provenance import Settings
 from memsgyro_jax.device.propagate import State4
@@ -25,14 +25,16 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-@dataclass(frozen=True)
-class Trace:
+class Trace(eqx.Module):
     """What a run recorded, one row per kept sample; SI units throughout.
 
     `theta` holds the true coefficients at the end of the run. `rate_estimate` is the loop's output, behind its filter
     where it has one, `rate_unfiltered` the observer's own estimate, of which alone `rate_std` and `nis` speak (NaN for
-    an observer without a covariance). `lost_at` is None, or the time at which the die was lost (out of its travel, or
-    not finite, at a kept sample): rows from then on repeat the last good one.
+    an observer without a covariance). `intact_until` is the time in s at which the die was lost (out of its travel, or
+    not finite, at a kept sample), infinite for one that was not: rows from then on repeat the last good one.
+
+    Its numbers are the leaves of a pytree, so that a function of `simulate` can be differentiated, compiled and mapped:
+    `jax.vmap` gives a trace whose arrays have the runs along a leading axis.
     """
 
     time: Float[np.ndarray, " samples"]
@@ -49,9 +51,14 @@ class Trace:
     volts: Float[np.ndarray, "samples 2"]
     force: Float[np.ndarray, "samples 2"]
     nis: Float[np.ndarray, " samples"]
-    coefficients: tuple[str, ...]
-    lost_at: float | None
-    settings: Settings
+    intact_until: Float[np.ndarray, ""]
+    coefficients: tuple[str, ...] = eqx.field(static=True)
+    settings: Settings = eqx.field(static=True)
+
+    @property
+    def lost_at(self) -> float | None:
+        """The time in s at which the die was lost; None for one that was not."""
+        return None if np.isinf(self.intact_until) else float(self.intact_until)
 
     @property
     def status(self) -> str:
@@ -69,6 +76,8 @@ class Trace:
         return not np.array_equal(self.rate_estimate, self.rate_unfiltered, equal_nan=True)
 
     def __repr__(self) -> str:
+        if not is_concrete(self.time) or self.time.ndim > 1:
+            return f"Traces of {jnp.shape(self.time)} samples at {self.settings.sample_rate:g} Hz"
         error = np.degrees(self.rate_error[len(self.time) // 2 :])
         return (
             f"Trace of {self.time[-1]:.4g} s, {len(self.time)} samples kept at {self.settings.sample_rate:g} Hz, "
@@ -187,7 +196,9 @@ def simulate(
     """Run one die of `loop` for `duration` [s] at `sample_rate` [Hz] and keep every `decimation`-th sample.
 
     `scenario` is a `Scenario`, a profile of the rate, or a constant rate in rad/s. Noise depends on (`seed`, `die`)
-    only. Raises `InputError` for a sample rate that cannot carry the device's modes, and outside float64.
+    only. Every number of `loop` and `scenario` may be differentiated and mapped from outside (`jax.grad`, `jax.vmap`);
+    settings and status are then filled in as far as they are known. Raises `InputError` for a sample rate that cannot
+    carry the device's modes, and outside float64.
     """
     runtime.require_float64("simulate")
     steps = count_steps(sample_rate, duration)
@@ -235,14 +246,13 @@ def _row(sample: Sample) -> _Row:
 
 
 def _as_trace(done: engine.Run, loop: ClosedLoop, theta: tuple, settings: Settings, decimation: int) -> Trace:
-    row: _Row = jax.tree.map(np.asarray, done.outputs)
-    columns = lambda entries: np.stack(np.broadcast_arrays(*entries), axis=-1)  # noqa: E731
-    estimate, missing = row.estimate, np.full(row.time.shape, np.nan)
-    survived = int(done.blocks_alive)
-    lost = None if bool(done.alive) else survived * decimation / settings.sample_rate
+    nominal = loop.readout.offset
+    xp = np if is_concrete(done, theta, nominal) else jnp
+    columns = lambda entries: xp.stack(xp.broadcast_arrays(*map(xp.asarray, entries)), axis=-1)  # noqa: E731
+    row: _Row = jax.tree.map(xp.asarray, done.outputs)
+    estimate, missing = row.estimate, xp.full(row.time.shape, np.nan)
     with np.errstate(invalid="ignore"):  # the variance of a lost die may be negative
-        std = missing if estimate.rate_variance is None else np.sqrt(estimate.rate_variance)
-    nominal = columns([np.asarray(o) for o in loop.readout.offset])
+        std = missing if estimate.rate_variance is None else xp.sqrt(estimate.rate_variance)
     return Trace(
         time=row.time,
         rate_true=row.rate,
@@ -251,14 +261,14 @@ def _as_trace(done: engine.Run, loop: ClosedLoop, theta: tuple, settings: Settin
         rate_std=std,
         motion=columns(row.motion),
         motion_estimate=columns(estimate.motion),
-        theta=columns([np.asarray(t) for t in theta]),
+        theta=columns(theta),
         theta_estimate=columns(estimate.theta),
-        offset=nominal + columns(row.offset),
+        offset=columns(nominal) + columns(row.offset),
         offset_estimate=columns(estimate.offset),
         volts=columns(row.volts),
         force=columns(row.force),
         nis=missing if estimate.nis is None else estimate.nis,
+        intact_until=xp.where(done.alive, np.inf, done.blocks_alive * decimation / settings.sample_rate),
         coefficients=loop.device.model.names,
-        lost_at=lost,
         settings=settings,
     )

@@ -1,0 +1,58 @@
+"""Numbers that are known now, beside those that a transformation traces: checks can only be made of the former."""
+
+from typing import TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PyTree
+
+from .errors import InputError
+
+
+Tree = TypeVar("Tree", bound=PyTree)
+Number = Float[Array, "*lanes"]
+
+
+def is_concrete(*values: object) -> bool:
+    """Whether all values are numbers now, rather than tracers inside a transformation (which cannot be checked)."""
+    return not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(values))
+
+
+def settled(tree: Tree) -> Tree:
+    """`tree` without its derivatives: under `jax.grad` and `jax.jvp` the numbers themselves, known now; under `vmap`
+    and `jit`, where they are not, as it was.
+    """
+    return jax.tree.map(lambda leaf: leaf if is_concrete(leaf) else jnp.asarray(jax.lax.stop_gradient(leaf)), tree)
+
+
+def check_positive(name: str, value: Number) -> None:
+    """Raise `InputError` unless every entry is positive and finite; traced values pass."""
+    if is_concrete(value) and not np.all((np.asarray(value) > 0.0) & np.isfinite(value)):
+        raise InputError(f"Argument `{name}` must be positive and finite, but {_worst(value)} was given.")
+
+
+def check_not_negative(name: str, value: Number) -> None:
+    """Raise `InputError` unless every entry is zero or positive, and finite; traced values pass."""
+    if is_concrete(value) and not np.all((np.asarray(value) >= 0.0) & np.isfinite(value)):
+        raise InputError(f"Argument `{name}` must be finite and not negative, but {_worst(value)} was given.")
+
+
+def check_positive_definite(name: str, xx: Number, yy: Number, xy: Number) -> None:
+    """Raise `InputError` unless the symmetric matrix [[xx, xy], [xy, yy]] is positive definite; traced values pass."""
+    if not is_concrete(xx, yy, xy):
+        return
+    xx, yy, xy = (np.asarray(v, dtype=float) for v in (xx, yy, xy))
+    if not np.all((xx > 0.0) & (yy > 0.0) & (xx * yy > xy**2) & np.isfinite(xx * yy)):
+        raise InputError(
+            f"The {name} matrix must be positive definite (xx > 0, yy > 0, xx·yy > xy²), "
+            f"but xx = {_worst(xx)}, yy = {_worst(yy)}, xy = {float(np.max(np.abs(xy))):g} was given; "
+            "lower the coupling or correct the sign."
+        )
+
+
+def _worst(value: Number) -> str:
+    """The entry to complain about: the first that is not finite, else the smallest."""
+    entries = np.ravel(np.asarray(value))
+    bad = entries[~np.isfinite(entries)]
+    return f"{float(bad[0] if bad.size else np.min(entries)):g}"

@@ -1,0 +1,92 @@
+"""`jax.grad`, `jax.jvp` and `jax.vmap` from outside, over what a user calls."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import memsgyro_jax as mg
+
+
+RUN = {"sample_rate": 100e3, "duration": 2e-3, "seed": 1}
+GYRO, READOUT = mg.SingleMassGyro.chi2010(), mg.ChargeAmplifier.chi2010()
+LOOP = mg.ClosedLoop(
+    GYRO,
+    READOUT,
+    mg.ExtendedKalmanFilter.for_device(GYRO, READOUT, annealing=mg.Annealing()),
+    mg.DampingCompensation(mg.Tone(600.0, 53.95)),
+)
+VELOCITY = mg.DirectReadout.of_velocity(5.0, 1e-6)
+SWINGING = mg.ClosedLoop(GYRO, VELOCITY, mg.LyapunovObserver.for_device(GYRO, VELOCITY), mg.OpenLoop())
+
+
+def stiffened(kxx) -> mg.ClosedLoop:
+    return eqx.tree_at(lambda loop: loop.device.kxx, LOOP, jnp.asarray(kxx, float))
+
+
+def test_a_trace_is_differentiated_and_keeps_its_settings():
+    seen = []
+
+    def last(kxx):
+        trace = mg.simulate(stiffened(kxx), 1.0, **RUN)
+        seen.append(trace.settings)
+        return trace.rate_estimate[-1]
+
+    value, slope = jax.value_and_grad(last)(63.96)
+    step = 1e-3
+    difference = (last(63.96 + step) - last(63.96 - step)) / (2.0 * step)
+    assert value == pytest.approx(last(63.96), rel=1e-9)
+    assert slope == pytest.approx(difference, rel=1e-6)
+    assert seen[0] == seen[-1] != seen[1]
+
+
+def test_a_trace_of_many_devices_equals_theirs():
+    stiffness = np.array([62.0, 63.96, 66.0])
+    many = jax.vmap(lambda kxx: mg.simulate(stiffened(kxx), 1.0, **RUN))(stiffness)
+    assert many.rate_estimate.shape == (3, 200)
+    assert "(3, 200)" in repr(many)
+    for row, kxx in enumerate(stiffness):
+        one = mg.simulate(stiffened(kxx), 1.0, **RUN)
+        for name in ("rate_estimate", "motion", "volts", "nis"):
+            np.testing.assert_allclose(getattr(many, name)[row], getattr(one, name), rtol=1e-6, atol=1e-12)
+
+
+def test_a_trace_comes_out_of_a_compiled_function():
+    trace = jax.jit(lambda kxx: mg.simulate(stiffened(kxx), 1.0, **RUN))(63.96)
+    plain = mg.simulate(LOOP, 1.0, **RUN)
+    np.testing.assert_allclose(trace.volts, plain.volts, rtol=1e-9)
+    assert (trace.lost_at, trace.settings.fingerprint) == (None, "")
+    assert plain.settings.fingerprint
+
+
+def test_mode_frequencies_follow_every_number_of_the_device():
+    lower = lambda gyro: mg.mode_frequencies(gyro)[0]  # noqa: E731
+    slopes = jax.grad(lower)(GYRO)
+    for name in ("mass", "kxx", "kxy"):
+        value = float(getattr(GYRO, name))
+        by = lambda new, name=name: lower(eqx.tree_at(lambda g: getattr(g, name), GYRO, jnp.asarray(new)))  # noqa: E731
+        difference = (by(value * (1 + 1e-6)) - by(value * (1 - 1e-6))) / (2e-6 * value)
+        assert getattr(slopes, name) == pytest.approx(difference, rel=1e-7)
+    assert slopes.dxx == 0.0
+    many = jax.vmap(lambda kxx: mg.mode_frequencies(stiffened(kxx).device))(jnp.array([60.0, 63.96]))
+    np.testing.assert_allclose(many[1], mg.mode_frequencies(GYRO), rtol=1e-14)
+
+
+@pytest.mark.parametrize("prior", ["with a prior", "without"])
+def test_the_bound_is_differentiated_and_mapped(prior):
+    # Without a prior the rate cannot be told from unequal cross damping; what can be told has its derivative still.
+    found = {"also": (mg.CROSS_DAMPING_ASYMMETRY,)} if prior == "without" else {"prior": LOOP.observer.prior}
+    name = "kyy" if prior == "without" else "rate"
+    bound = lambda kxx: mg.information_bound(  # noqa: E731
+        eqx.tree_at(lambda loop: loop.device.kxx, SWINGING, jnp.asarray(kxx)), 1.0, duration=4e-3, windows=1, **found
+    )
+    end = lambda kxx: bound(kxx).of(name)[-1]  # noqa: E731
+    value, slope = jax.value_and_grad(end)(63.96)
+    assert value == pytest.approx(float(end(63.96)), rel=1e-9)
+    difference = (end(63.96 + 1e-3) - end(63.96 - 1e-3)) / 2e-3
+    assert float(slope) == pytest.approx(difference, rel=1e-5)
+    if prior == "without":
+        assert np.isinf(bound(63.96).rate_std[-1])
+        many = jax.vmap(bound)(jnp.array([60.0, 63.96]))
+        np.testing.assert_allclose(many.std[1], bound(63.96).std, rtol=1e-7)
