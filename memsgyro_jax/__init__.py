@@ -5,8 +5,10 @@ loop and the sweep over fabricated dies, then measurements and what they say abo
 use, so that `memsgyro --help` answers without waiting for JAX.
 """
 
+import re
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
+from typing import TYPE_CHECKING
 
 
 try:
@@ -14,136 +16,146 @@ try:
 except PackageNotFoundError:  # running from a source tree that was never installed
     __version__ = "0+unknown"
 
-_CONTENTS = {
-    # name: module that defines it
-    "InputError": "base.errors",
-    "SingleMassGyro": "device.gyro",
-    "DualMassGyro": "device.gyro",
-    "AbstractGyro": "device.gyro",
-    "mode_frequencies": "device.gyro",
-    "ChargeAmplifier": "loop.readout",
-    "DirectReadout": "loop.readout",
-    "Delayed": "loop.readout",
-    "Adc": "loop.readout",
-    "AbstractReadout": "loop.readout",
-    "snr_density": "loop.readout",
-    "ExtendedKalmanFilter": "loop.observers",
-    "LyapunovObserver": "loop.observers",
-    "AbstractObserver": "loop.observers",
-    "Estimate": "loop.observers",
-    "Clock": "loop.observers",
-    "Prior": "loop.observers",
-    "ProcessNoise": "loop.observers",
-    "Annealing": "loop.observers",
-    "design_prior": "loop.observers",
-    "FixedFading": "loop.observers",
-    "AdaptiveFading": "loop.observers",
-    "DampingCompensation": "loop.controllers",
-    "ReferenceModel": "loop.controllers",
-    "DesignedMotion": "loop.controllers",
-    "OpenLoop": "loop.controllers",
-    "AbstractController": "loop.controllers",
-    "Tone": "loop.controllers",
-    "Exact": "device.propagate",
-    "ForwardEuler": "device.propagate",
-    "Lowpass": "loop.filters",
-    "Bandpass": "loop.filters",
-    "Scenario": "loop.scenario",
-    "AbstractProfile": "loop.scenario",
-    "Constant": "loop.scenario",
-    "Step": "loop.scenario",
-    "Ramp": "loop.scenario",
-    "Sine": "loop.scenario",
-    "Chirp": "loop.scenario",
-    "Recorded": "loop.scenario",
-    "RandomWalk": "loop.scenario",
-    "ClosedLoop": "loop.loop",
-    "simulate": "loop.trace",
-    "Trace": "loop.trace",
-    "information_bound": "loop.bound",
-    "InformationBound": "loop.bound",
-    "CROSS_DAMPING_ASYMMETRY": "loop.bound",
-    "Spread": "montecarlo.spread",
-    "Vary": "montecarlo.spread",
-    "Normal": "montecarlo.spread",
-    "Uniform": "montecarlo.spread",
-    "design_motion": "motion",
-    "MotionDesign": "motion",
-    "ModelErrors": "motion",
-    "UncertainGyro": "motion",
-    "sweep": "montecarlo.sweep",
-    "Lot": "montecarlo.sweep",
-    "Summary": "montecarlo.summary",
-    "sobol": "montecarlo.sensitivity",
-    "Sobol": "montecarlo.sensitivity",
-    "tornado": "montecarlo.sensitivity",
-    "Tornado": "montecarlo.sensitivity",
-    "corners": "montecarlo.sensitivity",
-    "Corners": "montecarlo.sensitivity",
-    "Output": "montecarlo.sensitivity",
-    "free": "tuning.tunable",
-    "Tunable": "tuning.tunable",
-    "tune": "tuning.tune",
-    "Tuning": "tuning.result",
-    "tune_on_record": "tuning.replay",
-    "RecordTuning": "tuning.replay",
-    "load_study": "app.study",
-    "default_study": "app.study",
-    "Study": "app.study",
-    "read_rate_record": "app.study",
-    "read_sweep": "couplings.record",
-    "identify": "couplings.identify",
-    "identify_by_ratio": "couplings.identify_ratio",
-    "Identification": "couplings.result",
-    "CoupledModes": "couplings.modes",
-    "AxisAngles": "couplings.modes",
-    "sense_errors": "couplings.modes",
-    "drive_errors": "couplings.modes",
-    "FrequencySweep": "couplings.frequency_sweep",
-    "Experiment": "measurement.experiments",
-    "Bench": "couplings.bench",
-    "PolarNoise": "measurement.experiments",
-    "CartesianNoise": "measurement.experiments",
-    "Free": "base.transforms",
-    "Resonator": "device.resonator",
-    "Model": "measurement.model",
-    "load_case": "measurement.case",
-    "write_case": "measurement.case",
-    "Case": "measurement.case",
-    "DesignValue": "measurement.case",
-    "Environment": "measurement.case",
-    "FrequencySweepRecord": "measurement.case",
-    "RingDownRecord": "measurement.case",
-    "RateTableRecord": "measurement.case",
-    "TimeRecord": "measurement.case",
-    "assess": "measurement.case",
-    "CaseQuality": "measurement.case",
-    "load_effects": "effects",
-    "compare": "diagnosis.compare",
-    "Comparison": "diagnosis.compare",
-    "fit": "diagnosis.fit",
-    "CaseFit": "diagnosis.fit",
-    "write_model": "measurement.model_file",
-    "read_model": "measurement.model_file",
-    "diagnose": "diagnosis.diagnose",
-    "Diagnosis": "diagnosis.result",
+if TYPE_CHECKING:
+    # The one list of public names: read by people, editors and type checkers, and below for what is imported on use.
+    # isort: off
+    from .base.errors import InputError as InputError
+    from .device.gyro import SingleMassGyro as SingleMassGyro
+    from .device.gyro import DualMassGyro as DualMassGyro
+    from .device.gyro import AbstractGyro as AbstractGyro
+    from .device.gyro import mode_frequencies as mode_frequencies
+    from .loop.readout import ChargeAmplifier as ChargeAmplifier
+    from .loop.readout import DirectReadout as DirectReadout
+    from .loop.readout import Delayed as Delayed
+    from .loop.readout import Adc as Adc
+    from .loop.readout import AbstractReadout as AbstractReadout
+    from .loop.readout import snr_density as snr_density
+    from .loop.observers import ExtendedKalmanFilter as ExtendedKalmanFilter
+    from .loop.observers import LyapunovObserver as LyapunovObserver
+    from .loop.observers import AbstractObserver as AbstractObserver
+    from .loop.observers import Estimate as Estimate
+    from .loop.observers import Clock as Clock
+    from .loop.observers import Prior as Prior
+    from .loop.observers import ProcessNoise as ProcessNoise
+    from .loop.observers import Annealing as Annealing
+    from .loop.observers import design_prior as design_prior
+    from .loop.observers import FixedFading as FixedFading
+    from .loop.observers import AdaptiveFading as AdaptiveFading
+    from .loop.controllers import DampingCompensation as DampingCompensation
+    from .loop.controllers import ReferenceModel as ReferenceModel
+    from .loop.controllers import DesignedMotion as DesignedMotion
+    from .loop.controllers import OpenLoop as OpenLoop
+    from .loop.controllers import AbstractController as AbstractController
+    from .loop.controllers import Tone as Tone
+    from .device.propagate import Exact as Exact
+    from .device.propagate import ForwardEuler as ForwardEuler
+    from .loop.filters import Lowpass as Lowpass
+    from .loop.filters import Bandpass as Bandpass
+    from .loop.scenario import Scenario as Scenario
+    from .loop.scenario import AbstractProfile as AbstractProfile
+    from .loop.scenario import Constant as Constant
+    from .loop.scenario import Step as Step
+    from .loop.scenario import Ramp as Ramp
+    from .loop.scenario import Sine as Sine
+    from .loop.scenario import Chirp as Chirp
+    from .loop.scenario import Recorded as Recorded
+    from .loop.scenario import RandomWalk as RandomWalk
+    from .loop.loop import ClosedLoop as ClosedLoop
+    from .loop.trace import simulate as simulate
+    from .loop.trace import Trace as Trace
+    from .loop.bound import information_bound as information_bound
+    from .loop.bound import InformationBound as InformationBound
+    from .loop.bound import CROSS_DAMPING_ASYMMETRY as CROSS_DAMPING_ASYMMETRY
+    from .montecarlo.spread import Spread as Spread
+    from .montecarlo.spread import Vary as Vary
+    from .montecarlo.spread import Normal as Normal
+    from .montecarlo.spread import Uniform as Uniform
+    from .motion import design_motion as design_motion
+    from .motion import MotionDesign as MotionDesign
+    from .motion import ModelErrors as ModelErrors
+    from .motion import UncertainGyro as UncertainGyro
+    from .montecarlo.sweep import sweep as sweep
+    from .montecarlo.sweep import Lot as Lot
+    from .montecarlo.summary import Summary as Summary
+    from .montecarlo.sensitivity.sobol import sobol as sobol
+    from .montecarlo.sensitivity import Sobol as Sobol
+    from .montecarlo.sensitivity.tornado import tornado as tornado
+    from .montecarlo.sensitivity import Tornado as Tornado
+    from .montecarlo.sensitivity.corners import corners as corners
+    from .montecarlo.sensitivity import Corners as Corners
+    from .montecarlo.sensitivity import Output as Output
+    from .tuning.tunable import free as free
+    from .tuning.tunable import Tunable as Tunable
+    from .tuning.tune import tune as tune
+    from .tuning.result import Tuning as Tuning
+    from .tuning.replay import tune_on_record as tune_on_record
+    from .tuning.replay import RecordTuning as RecordTuning
+    from .app.study import load_study as load_study
+    from .app.study import default_study as default_study
+    from .app.study import Study as Study
+    from .app.study import read_rate_record as read_rate_record
+    from .couplings.record import read_sweep as read_sweep
+    from .couplings.identify import identify as identify
+    from .couplings.identify_ratio import identify_by_ratio as identify_by_ratio
+    from .couplings.result import Identification as Identification
+    from .couplings.modes import CoupledModes as CoupledModes
+    from .couplings.modes import AxisAngles as AxisAngles
+    from .couplings.modes import sense_errors as sense_errors
+    from .couplings.modes import drive_errors as drive_errors
+    from .couplings.frequency_sweep import FrequencySweep as FrequencySweep
+    from .measurement.experiments import Experiment as Experiment
+    from .couplings.bench import Bench as Bench
+    from .measurement.experiments import PolarNoise as PolarNoise
+    from .measurement.experiments import CartesianNoise as CartesianNoise
+    from .base.transforms import Free as Free
+    from .device.resonator import Resonator as Resonator
+    from .measurement.model import Model as Model
+    from .measurement.case import load_case as load_case
+    from .measurement.case import write_case as write_case
+    from .measurement.case import Case as Case
+    from .measurement.case import DesignValue as DesignValue
+    from .measurement.case import Environment as Environment
+    from .measurement.case import FrequencySweepRecord as FrequencySweepRecord
+    from .measurement.case import RingDownRecord as RingDownRecord
+    from .measurement.case import RateTableRecord as RateTableRecord
+    from .measurement.case import TimeRecord as TimeRecord
+    from .measurement.case import assess as assess
+    from .measurement.case import CaseQuality as CaseQuality
+    from .effects import load_effects as load_effects
+    from .diagnosis.compare import compare as compare
+    from .diagnosis.compare import Comparison as Comparison
+    from .diagnosis.fit import fit as fit
+    from .diagnosis.fit import CaseFit as CaseFit
+    from .measurement.model_file import write_model as write_model
+    from .measurement.model_file import read_model as read_model
+    from .diagnosis.diagnose import diagnose as diagnose
+    from .diagnosis.result import Diagnosis as Diagnosis
+
+    # Modules used by name: `mg.effects.CubicStiffness("x")`.
+    from .app import cli as cli
+    from .base import runtime as runtime
+    from . import effects as effects
+    from .tuning import losses as losses
+    # isort: on
+
+_FOLDERS = {"cli": "app.cli", "runtime": "base.runtime", "effects": "effects", "losses": "tuning.losses"}
+_SOURCE = __spec__.loader.get_source(__name__)  # type: ignore[union-attr]
+_CONTENTS = {  # name: module that defines it
+    name: module
+    for module, name in re.findall(r"^    from \.(\S+) import (\w+) as", _SOURCE, re.MULTILINE)
+    if name not in _FOLDERS
 }
-_FOLDERS = {
-    "cli": "app.cli",
-    "runtime": "base.runtime",
-    "effects": "effects",
-    "losses": "tuning.losses",
-}  # used by name: `mg.effects.CubicStiffness("x")`
 
 __all__ = [*_CONTENTS, *_FOLDERS, "__version__"]
 
+if not TYPE_CHECKING:  # for a type checker, what is not in the list does not exist
 
-def __getattr__(name: str) -> object:
-    if name in _CONTENTS:
-        return getattr(import_module(f"{__name__}.{_CONTENTS[name]}"), name)
-    if name in _FOLDERS:
-        return import_module(f"{__name__}.{_FOLDERS[name]}")
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    def __getattr__(name: str) -> object:
+        if name in _CONTENTS:
+            return getattr(import_module(f"{__name__}.{_CONTENTS[name]}"), name)
+        if name in _FOLDERS:
+            return import_module(f"{__name__}.{_FOLDERS[name]}")
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:

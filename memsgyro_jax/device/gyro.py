@@ -17,6 +17,7 @@ from memsgyro_jax.base.concrete import check_not_negative as check_not_negative
 from memsgyro_jax.base.concrete import check_positive as check_positive
 from memsgyro_jax.base.concrete import check_positive_definite, is_concrete
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.fields import Scalar as Scalar
 
 from .carried import AbstractEffect, CarriesEffects, Effects
 
@@ -25,7 +26,6 @@ X, Y, VX, VY, UX, UY = range(
     6
 )  # the signals an acceleration can be proportional to: displacement, velocity, applied force
 
-Scalar = Float[Array, "*lanes"]
 Pair = tuple[Scalar, Scalar]
 Change = tuple[Scalar, Scalar, Scalar]
 UNCHANGED: Change = (0.0, 0.0, 0.0)

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.fields import AbstractVar
 from memsgyro_jax.device.gyro import (
     VX,
     VY,
@@ -52,11 +53,11 @@ class Adc(eqx.Module):
 class AbstractReadout(eqx.Module):
     """What turns motion into the voltages an observer sees."""
 
-    scale: eqx.AbstractVar[Pair]  # volts per unit of the signal (V/m or V·s/m)
-    offset: eqx.AbstractVar[Pair]  # volts at zero signal
-    noise_density: eqx.AbstractVar[Pair]
-    adc: eqx.AbstractVar[Adc | None]
-    signals: eqx.AbstractVar[tuple[int, int]]
+    scale: AbstractVar[Pair]  # volts per unit of the signal (V/m or V·s/m)
+    offset: AbstractVar[Pair]  # volts at zero signal
+    noise_density: AbstractVar[Pair]
+    adc: AbstractVar[Adc | None]
+    signals: AbstractVar[tuple[int, int]]
 
     def noise_std(self, period: Scalar) -> Pair:
         """Standard deviation of one sample in volts: density * sqrt(bandwidth), with bandwidth 1/(2·period)."""
@@ -93,17 +94,17 @@ class ChargeAmplifier(AbstractReadout):
     parts add. `noise_density` in V/√Hz (one-sided), zero means noise-free; `adc` None means no converter.
     """
 
-    fingers: Pair = pair_field()
-    width: Pair = pair_field()
-    gap: Pair = pair_field()
-    overlap: Pair = pair_field()
-    mismatch: Pair = pair_field()
+    fingers: Scalar | Pair = pair_field()
+    width: Scalar | Pair = pair_field()
+    gap: Scalar | Pair = pair_field()
+    overlap: Scalar | Pair = pair_field()
+    mismatch: Scalar | Pair = pair_field()
     bias: Scalar = number()
-    feedback: Pair = pair_field()
-    parasitic: Pair = pair_field()
-    opamp_offset: Pair = pair_field()
+    feedback: Scalar | Pair = pair_field()
+    parasitic: Scalar | Pair = pair_field()
+    opamp_offset: Scalar | Pair = pair_field()
     rejection: Scalar = number(default=1.0)
-    noise_density: Pair = eqx.field(converter=_as_pair, default=0.0)
+    noise_density: Scalar | Pair = eqx.field(converter=_as_pair, default=0.0)
     adc: Adc | None = None
     signals: tuple[int, int] = eqx.field(static=True, default=(X, Y))
 
@@ -123,7 +124,7 @@ class ChargeAmplifier(AbstractReadout):
         µm).
         """
         density = snr_density(100.0, 1e-6, 1e5, THESIS_RATE) if noise_density is None else noise_density
-        return cls(  # type: ignore[call-arg]
+        return cls(
             fingers=113.0, width=5e-6, gap=1e-6, overlap=50e-6, mismatch=(0.1e-6, 0.085e-6), bias=10.0,
             feedback=1e-12, parasitic=1e-12, opamp_offset=(2e-3, 1e-3), noise_density=density,
         )  # fmt: skip
@@ -134,7 +135,7 @@ class ChargeAmplifier(AbstractReadout):
         return tuple(n * PERMITTIVITY * w / z for n, w, z in zip(self.fingers, self.width, self.gap, strict=True))
 
     @property
-    def scale(self) -> Pair:  # type: ignore[override]  # an AbstractVar of equinox may be a property
+    def scale(self) -> Pair:  # type: ignore[override]  # an abstract field may be a property
         """-2V/Cf · dC/dx (3.10)."""
         return tuple(-2.0 * self.bias / cf * g for cf, g in zip(self.feedback, self.gradient, strict=True))
 
@@ -154,9 +155,9 @@ class DirectReadout(AbstractReadout):
     `scale` in V/m (or V·s/m), `offset` in V, `noise_density` in V/√Hz one-sided; zeros mean absent.
     """
 
-    scale: Pair = pair_field()
-    offset: Pair = eqx.field(converter=_as_pair, default=0.0)
-    noise_density: Pair = eqx.field(converter=_as_pair, default=0.0)
+    scale: Scalar | Pair = pair_field()
+    offset: Scalar | Pair = eqx.field(converter=_as_pair, default=0.0)
+    noise_density: Scalar | Pair = eqx.field(converter=_as_pair, default=0.0)
     adc: Adc | None = None
     signals: tuple[int, int] = eqx.field(static=True, default=(X, Y))
 
@@ -176,7 +177,7 @@ class Delayed(AbstractReadout):
     """
 
     inner: AbstractReadout
-    delay: Pair = pair_field()
+    delay: Scalar | Pair = pair_field()
 
     def __check_init__(self):
         if self.inner.signals != (X, Y):
@@ -190,7 +191,7 @@ class Delayed(AbstractReadout):
         return self.inner.measure((*late, *motion[2:]), noise, drift, period)
 
     @property
-    def scale(self) -> Pair:  # type: ignore[override]
+    def scale(self) -> Pair:  # type: ignore[override]  # an abstract field may be a property
         """Of the read-out itself."""
         return self.inner.scale
 

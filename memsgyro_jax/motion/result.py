@@ -121,7 +121,7 @@ class MotionDesign:
         if float(self.errors.force_gain) > 0.0 or float(self.errors.delay) > 0.0:
             device = device if isinstance(device, UncertainGyro) else UncertainGyro(device)
             expected = UncertainGyro(expected)
-            readout = Delayed(readout, device.delay)  # type: ignore[call-arg]
+            readout = Delayed(readout, device.delay)
             prior, known = expected.prior(prior, self.errors, known)
         observer = ExtendedKalmanFilter.for_device(
             expected, made.readout, prior=prior, known=known, annealing=Annealing(),

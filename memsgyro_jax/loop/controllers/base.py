@@ -1,7 +1,7 @@
 """The controller port, and the auxiliary tones that several controllers add."""
 
 import abc
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeAlias, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -43,16 +43,17 @@ class Tone(eqx.Module):
 
 
 Tones = tuple[tuple[Tone, ...], tuple[Tone, ...]]
+GivenTones: TypeAlias = Any  # becomes `Tones`: a tone for both axes, or a pair of tones or of tuples of them
 
 
-def tones_field() -> Tones:
+def tones_field() -> GivenTones:
     """A field of auxiliary tones per axis: none, one for both axes, or a pair whose entries are tones or tuples of
     tones.
     """
     return eqx.field(converter=_as_tones, default=((), ()))
 
 
-def _as_tones(given: "Tone | tuple") -> Tones:
+def _as_tones(given: GivenTones) -> Tones:
     pair = (given, given) if isinstance(given, Tone) else tuple(given)
     if len(pair) != 2:
         raise InputError(

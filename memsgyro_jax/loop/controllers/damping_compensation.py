@@ -4,7 +4,7 @@ from memsgyro_jax.device.gyro import Pair
 from memsgyro_jax.device.propagate import dot
 
 from ..observers.base import Clock, Estimate
-from .base import AbstractController, Tones, tone_values, tones_field
+from .base import AbstractController, GivenTones, tone_values, tones_field
 
 
 class DampingCompensation(AbstractController[tuple[()]]):
@@ -14,7 +14,7 @@ class DampingCompensation(AbstractController[tuple[()]]):
     the thesis, printed as volts, is an acceleration.
     """
 
-    tones: Tones = tones_field()
+    tones: GivenTones = tones_field()
 
     def init(self) -> tuple[()]:
         """Nothing to remember."""

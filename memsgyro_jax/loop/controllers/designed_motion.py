@@ -6,7 +6,7 @@ from memsgyro_jax.device.gyro import Pair, Scalar, check_not_negative, number
 from memsgyro_jax.device.propagate import dot
 
 from ..observers.base import Clock, Estimate
-from .base import AbstractController, Tone, Tones, tones_field
+from .base import AbstractController, GivenTones, Tone, tones_field
 
 
 class DesignedMotion(AbstractController[tuple[()]]):
@@ -18,7 +18,7 @@ class DesignedMotion(AbstractController[tuple[()]]):
     away.
     """
 
-    tones: Tones = tones_field()
+    tones: GivenTones = tones_field()
     settling: Scalar = number(default=1000.0)
 
     def __check_init__(self):

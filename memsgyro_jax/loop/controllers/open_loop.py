@@ -3,13 +3,13 @@
 from memsgyro_jax.device.gyro import Pair
 
 from ..observers.base import Clock, Estimate
-from .base import AbstractController, Tones, tone_values, tones_field
+from .base import AbstractController, GivenTones, tone_values, tones_field
 
 
 class OpenLoop(AbstractController[tuple[()]]):
     """Forces that ignore the estimate: `tones` per axis, in N; without tones the device swings down freely."""
 
-    tones: Tones = tones_field()
+    tones: GivenTones = tones_field()
 
     def init(self) -> tuple[()]:
         """Nothing to remember."""

@@ -8,7 +8,7 @@ from memsgyro_jax.device.propagate import State4, dot
 
 from ..observers.base import Clock, Estimate
 from ..observers.settings import arrays
-from .base import AbstractController, Tones, tone_values, tones_field
+from .base import AbstractController, GivenTones, tone_values, tones_field
 
 
 class ReferenceModel(AbstractController[tuple[()]]):
@@ -21,7 +21,7 @@ class ReferenceModel(AbstractController[tuple[()]]):
     """
 
     frequency: Pair = arrays()
-    tones: Tones = tones_field()
+    tones: GivenTones = tones_field()
 
     def __check_init__(self):
         if len(self.frequency) != 2:

@@ -5,6 +5,7 @@ from typing import Generic, NamedTuple, TypeVar
 
 import equinox as eqx
 
+from memsgyro_jax.base.fields import AbstractVar
 from memsgyro_jax.device.gyro import Dynamics, MotionModel, Pair, Scalar
 from memsgyro_jax.device.propagate import State4
 
@@ -68,7 +69,7 @@ class Estimate(eqx.Module):
 class AbstractObserver(eqx.Module, Generic[State]):
     """Estimates motion and coefficients from measurements and its own last command; it never sees the true state."""
 
-    model: eqx.AbstractVar[MotionModel]
+    model: AbstractVar[MotionModel]
 
     @abc.abstractmethod
     def init(self) -> State:
