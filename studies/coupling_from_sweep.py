@@ -28,7 +28,6 @@ from matplotlib.figure import Figure  # noqa: E402
 
 from memsgyro_jax.app.report.page import Page  # noqa: E402
 from memsgyro_jax.couplings.bench import Bench, LockIn  # noqa: E402
-from memsgyro_jax.couplings.fit import evaluate  # noqa: E402
 from memsgyro_jax.couplings.frequency_sweep import FrequencySweep  # noqa: E402
 from memsgyro_jax.couplings.likelihood import free_parameters, refit_draws  # noqa: E402
 from memsgyro_jax.couplings.modal import coupled_poles, half_power  # noqa: E402
@@ -44,6 +43,7 @@ from memsgyro_jax.couplings.ratio import (  # noqa: E402
     relative_error,
 )
 from memsgyro_jax.couplings.sense_view import SeenBench  # noqa: E402
+from memsgyro_jax.couplings.tree_fit import evaluate  # noqa: E402
 from memsgyro_jax.measurement.experiments import PolarNoise  # noqa: E402
 
 

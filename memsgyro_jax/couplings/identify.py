@@ -12,14 +12,15 @@ import numpy as np
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.runtime import require_float64
 from memsgyro_jax.measurement.experiments import CartesianNoise, Noise, PolarNoise
+from memsgyro_jax.measurement.least_squares import gate
 
-from .fit import Fit
 from .frequency_sweep import FrequencySweep
 from .likelihood import fit_sweeps, neighbour_noise, refit
 from .modal import SingleMode, coupled_poles
 from .record import SweepRecord
-from .result import Coefficient, Identification, gate
+from .result import Coefficient, Identification
 from .sense_view import SeenBench
+from .tree_fit import Fit
 
 
 # What a sweep may show beyond two linear modes, by its name in the catalogue of effects: the switch of the fit that

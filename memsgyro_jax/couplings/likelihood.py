@@ -12,9 +12,9 @@ from memsgyro_jax.base.transforms import Free, Log, LogLogit, fixed, mark
 
 from . import start as sweep_start
 from .bench import Bench, FiniteSweepRate
-from .fit import Fit, best_start, evaluate, fit, fit_from
 from .frequency_sweep import FrequencySweep
 from .sense_view import SeenBench
+from .tree_fit import Fit, best_start, evaluate, fit_tree, fit_tree_from
 
 
 STARTS = 2  # of each family scanned
@@ -62,13 +62,13 @@ def fit_sweeps(
     """
     candidates = _candidates(tuple(sweeps), leak, moving, starts)
     spec = free_parameters(jax.tree.map(lambda leaf: leaf[0], candidates), sweeps)
-    best = fit_from(candidates, spec, sweeps)
+    best = fit_tree_from(candidates, spec, sweeps)
     return evaluate(gauge_fixed(best.values), spec, sweeps, converged=best.converged, steps=best.steps)
 
 
 def refit(start: SeenBench, sweeps: Sequence[FrequencySweep], **options) -> Fit:
     """Fit from one start, gauge fixed before; use it for noise draws around a known device (under `vmap`)."""
-    return fit(gauge_fixed(start), free_parameters(start, sweeps), sweeps, **options)
+    return fit_tree(gauge_fixed(start), free_parameters(start, sweeps), sweeps, **options)
 
 
 def refit_draws(start: SeenBench, sweep: FrequencySweep, draws: Complex[Array, "d n 2"], together: int = 4) -> Fit:

@@ -10,9 +10,10 @@ import numpy as np
 
 from memsgyro_jax.base.files import finite, json_text
 from memsgyro_jax.base.provenance import versions
+from memsgyro_jax.measurement.least_squares import gate
 
-from .fit import Fit
 from .frequency_sweep import FrequencySweep
+from .tree_fit import Fit
 
 
 SCHEMA = "memsgyro-identify/1"
@@ -131,11 +132,6 @@ class Identification:
         from . import figures as sweep_figures
 
         return sweep_figures.plot_amplitude(self, ax)
-
-
-def gate(dof: int) -> float:
-    """Largest χ²/dof that noise alone explains."""
-    return 1 + 3 * np.sqrt(2 / dof)
 
 
 def _number(value: Coefficient) -> dict[str, Any]:

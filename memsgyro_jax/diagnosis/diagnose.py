@@ -9,6 +9,7 @@ import numpy as np
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.effects import Effect, Scanned, catalogue
 from memsgyro_jax.measurement.case import Case
+from memsgyro_jax.measurement.least_squares import gate
 from memsgyro_jax.measurement.linear_start import starting_device
 from memsgyro_jax.measurement.model import Model
 from memsgyro_jax.measurement.readings import model_of, readings_of
@@ -100,8 +101,7 @@ def _explained(fit: CaseFit, accepted: Sequence, level: float) -> list[bool]:
     Where no effect was accepted, a record beyond its gate counts only if noise, and the uncertainty of the fit, would
     seldom put it there: with all records together this happens to `RECORDS` of the level.
     """
-    wide = [1.0 + 4.5 * np.sqrt(2.0 / e.count) if e.role == "fit" else e.gate for e in fit.errors]
-    within = [e.chi2 / e.count <= gate for e, gate in zip(fit.errors, wide, strict=True)]
+    within = [e.chi2 / e.count <= gate(e.count, 4.5 if e.role == "fit" else 3.0) for e in fit.errors]
     if accepted or all(within):
         return within
     alone = RECORDS * level / len(within)

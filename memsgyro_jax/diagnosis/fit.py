@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
+from memsgyro_jax.base.text import combination
 from memsgyro_jax.device.gyro import SingleMassGyro
 from memsgyro_jax.device.resonator import Resonator
 from memsgyro_jax.effects.base import Effect
 from memsgyro_jax.measurement.case import Case
+from memsgyro_jax.measurement.least_squares import gate
 from memsgyro_jax.measurement.linear_start import starting_device
 from memsgyro_jax.measurement.model import Model, check_effect
 from memsgyro_jax.measurement.noise_level import noise_level
@@ -44,7 +46,7 @@ class RecordError:
     @property
     def gate(self) -> float:
         """χ²/N up to which noise alone explains the record: 1 + 3·√(2/N)."""
-        return 1.0 + 3.0 * np.sqrt(2.0 / self.count)
+        return gate(self.count)
 
     @property
     def explained(self) -> bool:
@@ -168,12 +170,8 @@ class CaseFit:
     @property
     def null_directions(self) -> tuple[str, ...]:
         """Combinations of parameters that the records do not hold, by name."""
-        out = []
-        for direction in self.optimum.frozen:
-            order = [i for i in np.argsort(-np.abs(direction))[:4] if abs(direction[i]) > 0.1]
-            names = [self.joint.parameters[self.optimum.free[i]].name for i in order]
-            out.append(" ".join(f"{direction[i]:+.2f}·{name}" for i, name in zip(order, names, strict=True)))
-        return tuple(out)
+        names = [self.joint.parameters[i].name for i in self.optimum.free]
+        return tuple(combination(row * np.sign(row[np.argmax(np.abs(row))]), names) for row in self.optimum.frozen)
 
     @property
     def status(self) -> str:

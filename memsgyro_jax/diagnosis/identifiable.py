@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from memsgyro_jax.measurement.case import Case
+from memsgyro_jax.measurement.least_squares import Information
 from memsgyro_jax.measurement.linear_start import starting_device
 from memsgyro_jax.measurement.readings import model_of, readings_of
 
-from .joint_residual import NULL, Joint
+from .joint_residual import Joint
 
 
-PARTS = 4  # largest parts of a null direction that are named
 LOOSE = 1.0  # relative standard deviation from which a parameter counts as not identified
 
 
@@ -61,23 +61,9 @@ def identifiable(case: Case) -> tuple[Identifiable, ...]:
 def _judged(name: str, names: Sequence[str], jacobian: np.ndarray, values: np.ndarray) -> Identifiable:
     """Standard deviations and null directions of a Jacobian (r, p) in relative coordinates."""
     scale = np.where(values != 0, np.abs(values), 1.0)
-    relative = jacobian * scale
-    norm = np.linalg.norm(relative, axis=0)
-    size = np.where(norm > 0, norm, 1.0)
-    _, s, vt = np.linalg.svd(relative / size, full_matrices=False)
-    held = s > NULL * s[0]
-    spread = (vt[held].T / s[held]) / size[:, None]
-    std = np.sqrt(np.sum(spread**2, axis=1))
-    loose = np.any(np.abs(vt[~held]) > 1e-3, axis=0) if np.any(~held) else np.zeros(len(names), bool)
-    nulls = tuple(_spoken(direction, names) for direction in vt[~held])
-    return Identifiable(name, tuple(names), tuple(np.where(loose | (norm == 0), np.inf, std).tolist()), nulls)
-
-
-def _spoken(direction: np.ndarray, names: Sequence[str]) -> str:
-    order = [i for i in np.argsort(-np.abs(direction))[:PARTS] if abs(direction[i]) > 0.1]
-    if len(order) == 1:
-        return names[order[0]]
-    return " ".join(f"{direction[i]:+.2f}·{names[i]}" for i in order)
+    held = Information.of(jacobian * scale)
+    nulls = tuple(str(null).removeprefix("+1.00·") for null in held.null_directions(names))
+    return Identifiable(name, tuple(names), tuple(held.std.tolist()), nulls)
 
 
 def _percent(relative: float) -> str:

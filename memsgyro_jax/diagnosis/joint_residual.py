@@ -14,12 +14,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PyTree
-from scipy.optimize import least_squares
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.runtime import require_float64, usable_cores
 from memsgyro_jax.base.transforms import Free, Identity, fixed, from_vector, mark, to_vector
 from memsgyro_jax.measurement.experiments.base import Experiment
+from memsgyro_jax.measurement.least_squares import Information, least_squares
 from memsgyro_jax.measurement.model import Model
 from memsgyro_jax.measurement.readings import Readings
 
@@ -185,32 +185,24 @@ class Optimum:
         """Sum of squared whitened residuals."""
         return float(self.residual @ self.residual)
 
+    @cached_property
+    def information(self) -> Information:
+        """What the fitted readings hold of the free parameters."""
+        return Information.of(self.jacobian)
+
     @property
     def covariance(self) -> np.ndarray:
         """Of the free parameters (k, k); infinite along parameters with a part in a null direction."""
-        size = _sizes(self.jacobian)
-        _, s, vt = np.linalg.svd(self.jacobian / size, full_matrices=False)
-        held = s > NULL * s[0]
-        spread = (vt[held].T / s[held]) / size[:, None]
-        covariance = spread @ spread.T
-        loose = np.any(np.abs(vt[~held]) > 1e-3, axis=0)
-        covariance[loose, loose] = np.inf
-        return covariance
+        return np.asarray(self.information.covariance)
 
     @property
     def std(self) -> np.ndarray:
         """Standard deviation of each free parameter; infinite where the data do not hold it."""
-        return np.sqrt(np.diag(self.covariance))
+        return np.asarray(self.information.std)
 
 
-REACH = 1e6  # standard deviations
-STATIONARY = 0.02  # standard deviations by which a parameter may miss the optimum
-NULL = 1e-7  # of the best held direction: information below which a direction counts as not held
-
-
-def _sizes(jacobian: np.ndarray) -> np.ndarray:
-    norm = np.linalg.norm(jacobian, axis=0)
-    return np.where(norm > 0, norm, 1.0)
+GAUSS_NEWTON = 1e-12  # damping to begin with: none, in units of a standard deviation
+STATIONARY = 0.02  # standard deviations by which the residual may miss the optimum
 
 
 def optimise(
@@ -236,31 +228,24 @@ def optimise(
     """
     units = np.eye(vector.size)[places]
     value, slope = joint.linearise(vector, units, chosen) if known is None else known
-    size = _sizes(slope)
-    _, s, vt = np.linalg.svd(slope / size, full_matrices=False)
-    held = s > NULL * s[0]
+    begin = Information.of(slope)
+    size, held = np.where(begin.size > 0, begin.size, 1.0), begin.held
+    frozen = begin.directions[~held]
     if max_evaluations == 0:
-        return Optimum(vector, places, value, slope, vt[~held], True, 1)
-    # A unit of the optimiser is `REACH` standard deviations, so that its first step is one of Gauss and Newton.
-    ways = np.where(np.any(slope != 0, axis=0), vt[held], 0.0)  # rounding must not move what no record sees
-    mixing = REACH * ways / size
-    cache = {np.zeros(len(mixing)).tobytes(): (value, slope @ mixing.T)}
+        return Optimum(vector, places, value, slope, frozen, True, 1)
+    ways = np.where(begin.size > 0, begin.directions[held], 0.0)  # rounding must not move what no record sees
 
-    def both(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        if z.tobytes() not in cache:
-            new, along = joint.linearise(vector + z @ mixing @ units, mixing @ units, chosen)
-            cache.clear()
-            cache[z.tobytes()] = np.where(np.abs(new) < 1e100, new, 1e6), np.where(np.isfinite(along), along, 0.0)
-        return cache[z.tobytes()]
+    def linearise(place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        new, along = joint.linearise(vector + (place @ ways / size) @ units, ways / size @ units, chosen)
+        return np.where(np.abs(new) < 1e100, new, 1e6), np.where(np.isfinite(along), along, 0.0)
 
-    found = least_squares(
-        lambda z: both(z)[0],
-        np.zeros(len(mixing)),
-        jac=lambda z: both(z)[1],
-        ftol=1e-8,
-        xtol=1e-12,
-        gtol=STATIONARY * REACH,
-        max_nfev=max_evaluations,
+    end = least_squares(
+        linearise,
+        (value, slope @ (ways / size).T),
+        damping=GAUSS_NEWTON,
+        tolerance=STATIONARY,
+        evaluations=max_evaluations,
     )
-    end, back = vector + found.x @ mixing @ units, ways * size / REACH
-    return Optimum(end, places, found.fun, found.jac @ back, vt[~held], bool(found.success), int(found.nfev))
+    at = vector + (end.place @ ways / size) @ units
+    done = bool(end.settled(STATIONARY))
+    return Optimum(at, places, end.residual, end.slope @ ways * size, frozen, done, int(end.evaluations))

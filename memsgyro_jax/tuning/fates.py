@@ -3,6 +3,8 @@
 import numpy as np
 from jaxtyping import Float
 
+from memsgyro_jax.base.text import combination
+
 from .grid import EDGE, FLAT, changes_of
 from .objective import Values, noise_of
 from .tunable import Tunables
@@ -35,10 +37,7 @@ def fates(tunables: Tunables, found: Float[np.ndarray, " n"], values: Values) ->
 def null_directions(tunables: Tunables, found: Float[np.ndarray, " n"], values: Values) -> tuple[str, ...]:
     """Combinations of numbers, each with an effect of its own, along which no die's loss changes; logarithmic."""
     return tuple(
-        " ".join(
-            f"{share:+.2f}·{label}" for share, label in zip(vector, tunables.labels, strict=True) if abs(share) > _PART
-        )
-        for vector in _null_vectors(tunables, found, values)
+        combination(vector, tunables.labels, _PART, len(vector)) for vector in _null_vectors(tunables, found, values)
     )
 
 

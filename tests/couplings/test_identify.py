@@ -11,15 +11,16 @@ from lab import two_modes as lab
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.couplings.bench import Bench, LockIn
-from memsgyro_jax.couplings.fit import evaluate
 from memsgyro_jax.couplings.frequency_sweep import FrequencySweep
-from memsgyro_jax.couplings.identify import gate, identify, sweep_of
+from memsgyro_jax.couplings.identify import identify, sweep_of
 from memsgyro_jax.couplings.identify_ratio import identify_by_ratio
 from memsgyro_jax.couplings.likelihood import fit_sweeps, free_parameters, gauge_fixed, refit, refit_draws
 from memsgyro_jax.couplings.modes import CoupledModes
 from memsgyro_jax.couplings.record import SweepRecord
 from memsgyro_jax.couplings.sense_view import SeenBench
+from memsgyro_jax.couplings.tree_fit import evaluate
 from memsgyro_jax.measurement.experiments import PolarNoise
+from memsgyro_jax.measurement.least_squares import gate
 
 
 INSTRUMENT = lab.Instrument(ratio=1.3, asymmetry=np.radians(2.4), drive_ratio=0.8 * np.exp(0.3j))

@@ -4,7 +4,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from memsgyro_jax.couplings.figures import plot_amplitude, plot_phase, plot_residual
-from memsgyro_jax.couplings.result import Coefficient, Identification, gate
+from memsgyro_jax.couplings.result import Coefficient, Identification
+from memsgyro_jax.measurement.least_squares import gate
 
 from .page import Page
 

@@ -21,7 +21,7 @@ from memsgyro_jax.base.transforms import (
     mark,
     to_vector,
 )
-from memsgyro_jax.couplings.fit import fisher_covariance, fit, fit_from
+from memsgyro_jax.couplings.tree_fit import evaluate, fit_tree, fit_tree_from
 from memsgyro_jax.measurement.experiments.base import Experiment, Noise
 
 
@@ -60,7 +60,7 @@ BOTH = mark(fixed(LINE), lambda line: (line.slope, line.offset), Free())
 
 
 def test_a_line_is_fitted_like_least_squares():
-    result = fit(LINE, BOTH, [RECORD])
+    result = fit_tree(LINE, BOTH, [RECORD])
     matrix = np.stack([X, np.ones(41)], axis=1)
     expected, rest, *_ = np.linalg.lstsq(matrix, np.asarray(RECORD.measured), rcond=None)
     np.testing.assert_allclose([result.values.slope, result.values.offset], expected, rtol=1e-9)
@@ -69,11 +69,11 @@ def test_a_line_is_fitted_like_least_squares():
     assert result.dof == 39
     assert result.status == "converged"
     assert result.names == ("slope", "offset")
-    np.testing.assert_allclose(fisher_covariance(LINE, BOTH, [RECORD]), result.covariance, rtol=1e-9)
+    np.testing.assert_allclose(evaluate(LINE, BOTH, [RECORD]).covariance, result.covariance, rtol=1e-9)
 
 
 def test_only_what_is_free_moves():
-    result = fit(LINE, mark(fixed(LINE), lambda line: line.slope, Free(Log())), [RECORD])
+    result = fit_tree(LINE, mark(fixed(LINE), lambda line: line.slope, Free(Log())), [RECORD])
     assert float(result.values.offset) == 0.5
     expected = X @ (np.asarray(RECORD.measured) - 0.5) / (X @ X)
     assert float(result.values.slope) == pytest.approx(expected, rel=1e-9)
@@ -82,7 +82,7 @@ def test_only_what_is_free_moves():
 
 def test_a_prior_is_one_more_reading():
     spec = mark(fixed(LINE), lambda line: line.slope, Free(Identity(), GaussianPrior(3.0, 0.01)))
-    result = fit(LINE, spec, [RECORD])
+    result = fit_tree(LINE, spec, [RECORD])
     target = np.asarray(RECORD.measured) - 0.5
     expected = (X @ target / 0.01 + 3.0 / 1e-4) / (X @ X / 0.01 + 1e4)
     assert float(result.values.slope) == pytest.approx(expected, rel=1e-9)
@@ -96,9 +96,9 @@ class Sum(Ruler):
 
 def test_a_null_direction_is_named():
     record = Sum("sum", RECORD.x, RECORD.measured, White(0.1))
-    result = fit(LINE, BOTH, [record])
+    result = fit_tree(LINE, BOTH, [record])
     (null,) = result.null_directions()
-    assert {name for name, _ in null.parts} == {"slope", "offset"}
+    assert str(null) in ("+0.71·slope -0.71·offset", "-0.71·slope +0.71·offset")
     assert "leave open" in result.status
 
 
@@ -106,7 +106,7 @@ def test_an_unused_positive_parameter_is_named():
     line = Line(1.0, 0.5, jnp.asarray(3.0))
     spec = mark(fixed(line), lambda tree: tree.unused, Free(Log()))
     spec = mark(spec, lambda tree: tree.slope, Free())
-    assert fit(line, spec, [RECORD]).open_parameters() == ("unused",)
+    assert fit_tree(line, spec, [RECORD]).open_parameters() == ("unused",)
 
 
 def test_the_best_of_several_starts_is_returned():
@@ -116,13 +116,13 @@ def test_the_best_of_several_starts_is_returned():
 
     wave = Wave("wave", RECORD.x, jnp.sin(3.0 * RECORD.x), White(0.01))
     starts = Line(jnp.array([0.3, 2.8, 9.0]), jnp.zeros(3))
-    result = fit_from(starts, mark(fixed(LINE), lambda line: (line.slope, line.offset), Free()), [wave])
+    result = fit_tree_from(starts, mark(fixed(LINE), lambda line: (line.slope, line.offset), Free()), [wave])
     assert float(result.values.slope) == pytest.approx(3.0, abs=1e-9)
 
 
 def test_the_fit_is_differentiable_and_batched():
     def slope(readings):
-        return fit(LINE, BOTH, [eqx.tree_at(lambda r: r.measured, RECORD, readings)]).values.slope
+        return fit_tree(LINE, BOTH, [eqx.tree_at(lambda r: r.measured, RECORD, readings)]).values.slope
 
     gradient = jax.jacfwd(slope)(RECORD.measured)
     matrix = np.stack([X, np.ones(41)], axis=1)
@@ -155,15 +155,17 @@ def test_vector_and_tree_are_one_to_one():
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: fit(LINE, fixed(LINE), [RECORD]), "at least one leaf free"),
-        (lambda: fit(LINE, BOTH, []), "at least one record"),
+        (lambda: fit_tree(LINE, fixed(LINE), [RECORD]), "at least one leaf free"),
+        (lambda: fit_tree(LINE, BOTH, []), "at least one record"),
         (
-            lambda: fit(Line(-1.0, 0.0), mark(BOTH, lambda line: line.slope, Free(Log())), [RECORD]),
+            lambda: fit_tree(Line(-1.0, 0.0), mark(BOTH, lambda line: line.slope, Free(Log())), [RECORD]),
             "`slope` must lie within",
         ),
-        (lambda: fit(LINE, Free(), [RECORD]), "shape of the values"),
+        (lambda: fit_tree(LINE, Free(), [RECORD]), "shape of the values"),
         (
-            lambda: fit(LINE, BOTH, [eqx.tree_at(lambda r: (r.x, r.measured), RECORD, (jnp.ones(2), jnp.ones(2)))]),
+            lambda: fit_tree(
+                LINE, BOTH, [eqx.tree_at(lambda r: (r.x, r.measured), RECORD, (jnp.ones(2), jnp.ones(2)))]
+            ),
             "more than 2",
         ),
     ],
@@ -175,4 +177,4 @@ def test_what_cannot_be_fitted_is_refused(call, message):
 
 def test_single_precision_is_refused():
     with jax.enable_x64(False), pytest.raises(InputError, match="float64"):
-        fit(LINE, BOTH, [RECORD])
+        fit_tree(LINE, BOTH, [RECORD])

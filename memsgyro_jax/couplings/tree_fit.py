@@ -1,7 +1,7 @@
-"""Maximum likelihood over any experiments: what is free is moved until every record is met within its noise.
+"""Maximum likelihood over any experiments: what is free of a tree is moved until every record is met within its noise.
 
-`fit` is a pure function of arrays: jit it, vmap it over noise draws, differentiate its result by the data (implicit
-function theorem, through optimistix).
+`fit_tree` is a pure function of arrays: jit it, vmap it over noise draws, differentiate its result by the data (by the
+implicit function theorem).
 """
 
 from collections.abc import Sequence
@@ -9,9 +9,7 @@ from collections.abc import Sequence
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import lineax as lx
 import numpy as np
-import optimistix as optx
 from jaxtyping import Array, Float, PyTree
 
 from memsgyro_jax.base.errors import InputError
@@ -20,25 +18,12 @@ from memsgyro_jax.base.transforms import from_vector, prior_residual, to_vector
 from memsgyro_jax.base.transforms import logarithmic as which_logarithmic
 from memsgyro_jax.base.transforms import names as free_names
 from memsgyro_jax.measurement.experiments.base import Experiment
+from memsgyro_jax.measurement.least_squares import Information, NullDirection, gate, least_squares
 
 
-# The optimiser's damping starts at one in its own coordinates. With a unit of a hundred standard deviations that is
-# nearly a Gauss-Newton step, right from the good starts used here, and enough to be tamed within a few steps from a
-# bad one.
-REACH = 100.0
+DAMPING = 1e-4  # nearly a Gauss-Newton step, right from the good starts used here, and soon tamed from a bad one
+SETTLED = 100.0  # standard deviations per unit of `tolerance`
 OPEN_STEP = 5.0  # in natural logarithms
-
-
-class NullDirection(eqx.Module):
-    """A combination of free parameters that the data do not hold: `std` of the combination and its largest parts, by
-    name.
-    """
-
-    std: float
-    parts: tuple[tuple[str, float], ...] = eqx.field(static=True)
-
-    def __str__(self) -> str:
-        return " ".join(f"{weight:+.2f}·{name}" for name, weight in self.parts)
 
 
 class Fit(eqx.Module):
@@ -49,11 +34,7 @@ class Fit(eqx.Module):
         spec: which leaves were free.
         chi2: sum of squared whitened residuals (and priors).
         dof: their number less the number of free parameters.
-        covariance: inverse Fisher information of the unbounded coordinates (n, n); the pseudo-inverse where directions
-            are null.
-        sensitivity: right singular vectors (n, n) and `singular` values (n,) of the whitened Jacobian in scaled
-            coordinates.
-        scale: coordinate step that moves the residual by one standard deviation (n,).
+        information: what the data hold of the unbounded coordinates.
         residual: whitened residual at the optimum.
         converged: whether the optimiser met its tolerance.
         steps: optimiser steps taken.
@@ -63,10 +44,7 @@ class Fit(eqx.Module):
     spec: PyTree
     chi2: Array
     dof: int = eqx.field(static=True)
-    covariance: Float[Array, "n n"]
-    sensitivity: Float[Array, "n n"]
-    singular: Float[Array, " n"]
-    scale: Float[Array, " n"]
+    information: Information
     residual: Float[Array, " r"]
     converged: Array
     steps: Array
@@ -75,6 +53,11 @@ class Fit(eqx.Module):
     def chi2_per_dof(self) -> Array:
         """1 within √(2/dof) where model and noise are right."""
         return self.chi2 / self.dof
+
+    @property
+    def covariance(self) -> Float[Array, "n n"]:
+        """Of the unbounded coordinates; infinite where the data do not hold them."""
+        return self.information.covariance
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -94,10 +77,11 @@ class Fit(eqx.Module):
         deviation.
         """
         logarithmic = which_logarithmic(self.values, self.spec)
+        sizes = np.asarray(self.information.size)
         return tuple(
             name
-            for name, log, step in zip(self.names, logarithmic, np.asarray(self.scale), strict=True)
-            if log and not step < OPEN_STEP
+            for name, log, size in zip(self.names, logarithmic, sizes, strict=True)
+            if log and not size > 1 / OPEN_STEP
         )
 
     def std_of(self, function, *, values: PyTree | None = None) -> PyTree:
@@ -105,24 +89,14 @@ class Fit(eqx.Module):
         tree = self.values if values is None else values
         vector = to_vector(tree, self.spec)
         jacobian = jax.jacfwd(lambda v: function(from_vector(v, tree, self.spec)))(vector)
-        return jax.tree.map(
-            lambda j: jnp.sqrt(jnp.maximum(jnp.einsum("...i,ij,...j->...", j, self.covariance, j), 0.0)), jacobian
-        )
+        return jax.tree.map(lambda j: jnp.linalg.norm(j @ self.information.root, axis=-1), jacobian)
 
-    def null_directions(self, tolerance: float = 1e-6) -> tuple[NullDirection, ...]:
-        """Directions whose information is below `tolerance` of the best one, or that the data do not hold at all."""
-        singular, names = np.asarray(self.singular), self.names
-        out = []
-        for value, vector in zip(singular, np.asarray(self.sensitivity), strict=True):
-            if value > tolerance * singular.max():
-                continue
-            order = np.argsort(-np.abs(vector))[:4]
-            parts = tuple((names[i], float(vector[i])) for i in order if abs(vector[i]) > 0.1)
-            out.append(NullDirection(float(1 / value) if value > 0 else float("inf"), parts))
-        return tuple(out)
+    def null_directions(self) -> tuple[NullDirection, ...]:
+        """Combinations of coordinates that the data do not hold."""
+        return self.information.null_directions(self.names)
 
 
-def fit(
+def fit_tree(
     values: PyTree, spec: PyTree, experiments: Sequence[Experiment], *, max_steps: int = 200, tolerance: float = 1e-6
 ) -> Fit:
     """Move the free leaves of `values` to the maximum of the likelihood of all `experiments`.
@@ -141,15 +115,15 @@ def fit(
     experiments = tuple(experiments)
     if not experiments:
         raise InputError("Argument `experiments` must hold at least one record, but is empty.")
-    tree, converged, steps = _optimise(values, spec, experiments, max_steps, tolerance)
+    tree, converged, steps = _optimised(values, spec, experiments, max_steps, tolerance)
     return evaluate(tree, spec, experiments, converged=converged, steps=steps)
 
 
-def fit_from(
+def fit_tree_from(
     candidates: PyTree, spec: PyTree, experiments: Sequence[Experiment], *, max_steps: int = 60, tolerance: float = 1e-6
 ) -> Fit:
     """Fit from every member of a batch of starts (leading axis on every leaf), then once more from the best end;
-    arguments as of `fit`.
+    arguments as of `fit_tree`.
 
     The starts run one after the other through one compiled optimiser (as lanes of a `vmap` all would wait for the
     slowest), and no further ones once two were tried and the record is explained.
@@ -164,7 +138,7 @@ def fit_from(
         begin = jax.tree.map(
             lambda starts, one: jnp.where(index < count, starts[jnp.minimum(index, count - 1)], one), candidates, tree
         )
-        end, converged, steps = _optimise(begin, spec, experiments, max_steps, tolerance)
+        end, converged, steps = _optimised(begin, spec, experiments, max_steps, tolerance)
         reached = _cost(end, experiments)
         better = (reached <= cost) | ~jnp.isfinite(cost)
         return jax.tree.map(lambda a, b: jnp.where(better, a, b), (end, reached, converged, steps), best)
@@ -172,7 +146,7 @@ def fit_from(
     def run(best: tuple, index: Array) -> tuple[tuple, None]:
         _, cost, converged, _ = best
         # Noise alone explains the record already: what the starts left could find is the same optimum.
-        enough = converged & (cost < readings + 3 * (2 * readings) ** 0.5) & (index >= 2)
+        enough = converged & (cost < readings * gate(readings)) & (index >= 2)
         return jax.lax.cond(enough, lambda: best, lambda: attempt(best, index)), None
 
     first = jax.tree.map(lambda leaf: leaf[0], candidates)
@@ -198,16 +172,12 @@ def evaluate(
             f"Argument `experiments` must hold more than {size} real readings for {size} free parameters, "
             f"but holds {count}."
         )
-    covariance, sensitivity, singular, step = _information(jacobian)
     return Fit(
         values=values,
         spec=spec,
         chi2=jnp.sum(result**2),
         dof=count - size,
-        covariance=covariance,
-        sensitivity=sensitivity,
-        singular=singular,
-        scale=step,
+        information=Information.of(jacobian),
         residual=result,
         converged=jnp.asarray(converged),
         steps=jnp.asarray(steps),
@@ -221,12 +191,6 @@ def best_start(candidates: PyTree, experiments: Sequence[Experiment], keep: int)
     cost = jax.vmap(lambda tree: _cost(tree, experiments))(candidates)
     order = jnp.argsort(jnp.where(jnp.isfinite(cost), cost, jnp.inf))[:keep]
     return jax.tree.map(lambda leaf: leaf[order], candidates)
-
-
-def fisher_covariance(values: PyTree, spec: PyTree, experiments: Sequence[Experiment]) -> Float[Array, "n n"]:
-    """Cramér-Rao bound: inverse Fisher information of the coordinates at given values, no data needed."""
-    require_float64("The Cramér-Rao bound")
-    return _information(_linearise(to_vector(values, spec), values, spec, experiments)[1])[0]
 
 
 def _residual(vector: Array, values: PyTree, spec: PyTree, experiments: Sequence[Experiment]) -> Array:
@@ -247,50 +211,49 @@ def _linearise(vector: Array, values: PyTree, spec: PyTree, experiments: Sequenc
     return value, jax.vmap(push, out_axes=1)(jnp.eye(vector.size))
 
 
-def _optimise(values, spec, experiments, max_steps, tolerance):
-    """Levenberg-Marquardt in coordinates scaled so that a unit step of each alone moves the residual by `REACH`
-    standard deviations.
+def _optimised(values, spec, experiments, max_steps, tolerance) -> tuple[PyTree, Array, Array]:
+    vector, converged, steps = _optimum(values, spec, experiments, max_steps=max_steps, tolerance=tolerance)
+    return from_vector(vector, values, spec), converged, steps
 
-    In these coordinates the normal equations are well enough conditioned, and ten times cheaper than a QR of the tall
-    Jacobian.
-    """
+
+@eqx.filter_custom_jvp
+def _optimum(values, spec, experiments, *, max_steps, tolerance) -> tuple[Array, Array, Array]:
+    """The free coordinates at the optimum, whether it is one, and steps taken."""
     start = to_vector(values, spec)
-    _, jacobian = _linearise(start, values, spec, experiments)
+    residual, jacobian = _linearise(start, values, spec, experiments)
     norm = jnp.linalg.norm(jacobian, axis=0)
-    scale = jax.lax.stop_gradient(REACH / jnp.where(norm > 0, norm, 1.0))
+    scale = 1 / jnp.where(norm > 0, norm, 1.0)
 
-    def residual(step: Array, arguments: tuple) -> Array:
-        begin, tree, records = arguments
-        return _residual(begin + scale * step, tree, spec, records)
+    def linearise(place: Array) -> tuple[Array, Array]:
+        value, slope = _linearise(start + scale * place, values, spec, experiments)
+        return value, slope * scale
 
-    solver: optx.AbstractLeastSquaresSolver = optx.LevenbergMarquardt(
-        rtol=tolerance, atol=tolerance, linear_solver=lx.Normal(lx.Cholesky())
+    tolerance = SETTLED * tolerance
+    end = least_squares(
+        linearise,
+        (residual, jacobian * scale),
+        damping=DAMPING,
+        tolerance=tolerance,
+        evaluations=max_steps + 1,
+        loop=jax.lax.while_loop,
     )
-    solution: optx.Solution = optx.least_squares(
-        residual,
-        solver,
-        jnp.zeros_like(start),
-        (start, values, experiments),
-        options={"jac": "fwd"},
-        max_steps=max_steps,
-        throw=False,
-    )
-    tree = from_vector(start + scale * solution.value, values, spec)
-    return tree, solution.result == optx.RESULTS.successful, solution.stats["num_steps"]
+    settled = end.settled(tolerance)
+    # The last step is known, but too small to be worth another evaluation.
+    return start + scale * (end.place + jnp.where(settled, end.move, 0.0)), settled, end.evaluations - 1
 
 
-def _information(jacobian: Array) -> tuple[Array, Array, Array, Array]:
-    """Covariance, right singular vectors, singular values and scale of the Jacobian.
+@_optimum.def_jvp
+def _optimum_jvp(primals, tangents, *, max_steps, tolerance):
+    """dx = −H⁻¹·∂g with g = Jᵀr, which vanishes at the optimum, and H its exact derivative by x."""
+    vector, converged, steps = _optimum(*primals, max_steps=max_steps, tolerance=tolerance)
 
-    Through the eigenvalues of JᵀJ with unit columns: exact enough down to the 1e-7 below which a direction counts as
-    not held at all, and twenty times cheaper than a decomposition of the tall Jacobian.
-    """
-    norm = jnp.linalg.norm(jacobian, axis=0)
-    step = 1 / jnp.where(norm > 0, norm, 1.0)
-    scaled = jacobian * step
-    squares, vectors = jnp.linalg.eigh(scaled.T @ scaled)
-    singular = jnp.sqrt(jnp.maximum(squares, 0.0))
-    held = singular > 1e-7 * singular[-1]
-    inverse = jnp.where(held, 1 / jnp.where(held, singular, 1.0), 0.0)
-    spread = (vectors * inverse) * step[:, None]
-    return spread @ spread.T, vectors.T, singular, jnp.where(norm > 0, step, jnp.inf)
+    def gradient(at: Array, values, spec, experiments) -> Array:
+        residual, jacobian = _linearise(at, values, spec, experiments)
+        return jacobian.T @ residual
+
+    _, push = eqx.filter_jvp(lambda *arguments: gradient(vector, *arguments), primals, tangents)
+    hessian = jax.jacfwd(lambda at: gradient(at, *primals))(vector)
+    norm = jnp.linalg.norm(hessian, axis=0)
+    scale = jnp.where(norm > 0, norm, 1.0) ** -0.5
+    move = scale * jnp.linalg.solve(hessian * scale * scale[:, None], scale * push)
+    return (vector, converged, steps), (-move, None, None)
