@@ -115,7 +115,10 @@ def _shown(value: Any) -> str:
 
 
 def _unknown(name: str, models: list[type[BaseModel]]) -> str:
-    known = sorted({field.alias or key for each in models for key, field in each.model_fields.items()})
+    fields = [(key, field) for each in models for key, field in each.model_fields.items()]
+    known = sorted(
+        {n for key, field in fields for n in getattr(field.validation_alias, "choices", [field.alias or key])}
+    )
     return f"is not known ({suggestion(name, known)})"
 
 

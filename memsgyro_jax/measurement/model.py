@@ -4,6 +4,7 @@ This is what measurements are compared with. Everything here is for one instant,
 """
 
 from collections.abc import Iterable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -61,10 +62,12 @@ class Model(eqx.Module):
         for effect in self.effects:
             check_effect(effect, axes)
 
-    def physical(self) -> SingleMassGyro | Resonator:
-        """The device with its mass and its effects, as the loop runs it; scale and offset are the read-out's."""
+    def physical(self, **more: Any) -> SingleMassGyro | Resonator:
+        """The device with its mass and its effects, as the loop runs it, and `more` of its fields; scale and offset are
+        the read-out's.
+        """
         references = {"reference_temperature": self.reference_temperature, "reference_bias": self.reference_bias}
-        return self.device.physical(effects=self.effects, **{name: float(v) for name, v in references.items()})
+        return self.device.physical(effects=self.effects, **{name: float(v) for name, v in references.items()}, **more)
 
     @property
     def axes(self) -> int:

@@ -3,24 +3,23 @@
 Numbers are written with all their digits, so that reading gives back the very same model.
 """
 
-import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from pydantic import Field, StrictFloat, StrictInt
+from pydantic import Field
 
 from memsgyro_jax.base.complaints import Source
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.files import write_whole
 from memsgyro_jax.base.quantity import FileSection
-from memsgyro_jax.base.toml import checked, read_toml, toml_text
+from memsgyro_jax.base.toml import checked, read_toml, toml_table
 from memsgyro_jax.base.units import to_si
 from memsgyro_jax.device.normalised import NormalisedDevice
-from memsgyro_jax.effects import Effect, by_name, catalogue
+from memsgyro_jax.effects import Effect, catalogue
+from memsgyro_jax.effects.section import EffectSection, Number, entries_of_effect, written
 
 from .model import Model
 
@@ -28,8 +27,6 @@ from .model import Model
 SCHEMA = "memsgyro-model/1"
 _UNITS = {"stiffness": "rad²/s²", "damping": "1/s", "mobility": "1/kg"}
 _PAIRS = {1: ("xx",), 2: ("xx", "yy", "xy")}
-Number = StrictFloat | StrictInt
-Numbers = Number | list[Number]
 
 
 class _Matrix(FileSection):
@@ -60,20 +57,12 @@ class _Reference(FileSection):
     bias_voltage: _Scalar
 
 
-class _Effect(FileSection):
-    name: str
-    where: str = ""
-    strength: Numbers
-    unit: str
-    settings: dict[str, Numbers] = Field(default_factory=dict)
-
-
 class _File(FileSection):
     format: Literal["memsgyro-model/1"] = Field(alias="schema")
     device: _Device
     readout: _Readout
     reference: _Reference
-    effect: list[_Effect] = Field(default_factory=list)
+    effects: list[EffectSection] = Field(default_factory=list)
 
 
 def write_model(model: Model, path: str | Path) -> Path:
@@ -86,26 +75,24 @@ def write_model(model: Model, path: str | Path) -> Path:
 
 def model_text(model: Model) -> str:
     """The text of a model file."""
-    device, axes = model.device, model.axes
-    lines = [f'schema = "{SCHEMA}"', "", "[device]"]
-    for name in ("stiffness", "damping"):
-        entries = zip(_PAIRS[axes], getattr(device, name), strict=True)
-        numbers = ", ".join(f"{pair} = {_toml(value, name)}" for pair, value in entries)
-        lines.append(f'{name} = {{ {numbers}, unit = "{_UNITS[name]}" }}')
-    lines.append(f'mobility = {{ value = {_toml(device.mobility, "mobility")}, unit = "1/kg" }}')
-    lines += ["", "[readout]", *(f"{n} = {_toml(getattr(model, n), n)}" for n in ("scale", "offset"))]
-    lines += ["", "[reference]"]
-    for name, value, unit in (
+    device, pairs = model.device, _PAIRS[model.axes]
+    matrices = {
+        name: dict(zip(pairs, written(getattr(device, name), name), strict=True)) | {"unit": _UNITS[name]}
+        for name in ("stiffness", "damping")
+    }
+    scalars = (
+        ("mobility", device.mobility, "1/kg"),
         ("temperature", model.reference_temperature, "K"),
         ("bias_voltage", model.reference_bias, "V"),
-    ):
-        lines.append(f'{name} = {{ value = {_toml(value, name)}, unit = "{unit}" }}')
-    for effect in model.present.effects:
-        lines += ["", "[[effect]]", f'name = "{effect.name}"', *([f'where = "{effect.where}"'] if effect.where else [])]
-        lines += [f"strength = {_toml(effect.strength, effect.label)}", f'unit = "{effect.unit}"']
-        settings = [f"{n} = {_toml(getattr(effect, n), n)}" for n in settings_of(effect)]
-        lines += [f"settings = {{ {', '.join(settings)} }}"] if settings else []
-    return "\n".join([*lines, ""])
+    )
+    mobility, *reference = ({name: {"value": written(value, name), "unit": unit}} for name, value, unit in scalars)
+    sections = [
+        toml_table("device", matrices | mobility),
+        toml_table("readout", {name: written(getattr(model, name), name) for name in ("scale", "offset")}),
+        toml_table("reference", reference[0] | reference[1]),
+        *(toml_table("[effects]", entries_of_effect(effect)) for effect in model.present.effects),
+    ]
+    return "\n".join([f'schema = "{SCHEMA}"\n', *sections])
 
 
 def read_model(path: str | Path, own: Sequence[Effect] = ()) -> Model:
@@ -142,9 +129,9 @@ def _model(file: _File, source: Source, own: Sequence[Effect]) -> Model:
         temperature, bias = _si(file.reference.temperature, "K"), _si(file.reference.bias_voltage, "V")
     known = (*catalogue(axes), *own)
     effects = []
-    for number, entry in enumerate(file.effect):
-        with source.section("effect", number, "name"):
-            effects.append(_effect(entry, known))
+    for number, entry in enumerate(file.effects):
+        with source.section("effects", number, "name"):
+            effects.append(entry.build(known))
     return Model(
         NormalisedDevice(matrices["stiffness"], matrices["damping"], mobility),
         scale=jnp.asarray(file.readout.scale, float),
@@ -155,37 +142,5 @@ def _model(file: _File, source: Source, own: Sequence[Effect]) -> Model:
     )
 
 
-def _effect(entry: _Effect, known: Sequence[Effect]) -> Effect:
-    if entry.name not in {effect.name for effect in known}:
-        hint = "; a user's own effect needs its file, --effects FILE.py"
-        raise InputError(f'must be an effect that is known, but "{entry.name}" is not{hint}')
-    effect = by_name(entry.name, entry.where, among=known)
-    strength = to_si(np.asarray(entry.strength, float), entry.unit, effect.unit, "the strength")
-    values = {"strength": strength, **entry.settings}
-    for name, value in values.items():
-        if name not in ("strength", *settings_of(effect)):
-            known_settings = ", ".join(settings_of(effect)) or "none"
-            raise InputError(f"has a setting `{name}` that is not known (known: {known_settings})")
-        if np.shape(value) != np.shape(getattr(effect, name)):
-            raise InputError(
-                f"`{name}` must have the shape {np.shape(getattr(effect, name))}, but has {np.shape(value)}"
-            )
-        effect = eqx.tree_at(lambda e, name=name: getattr(e, name), effect, jnp.asarray(value, float))
-    return effect
-
-
-def settings_of(effect: Effect) -> tuple[str, ...]:
-    """Numbers of an effect beside its strength, such as a frequency that was scanned."""
-    fields = (f.name for f in dataclasses.fields(effect) if f.name != "strength")
-    return tuple(name for name in fields if eqx.is_array(getattr(effect, name)))
-
-
 def _si(entry: _Scalar, unit: str) -> float:
     return float(to_si(float(entry.value), entry.unit, unit, "the value"))
-
-
-def _toml(value: Any, name: str) -> str:
-    numbers = np.asarray(value, float)
-    if not np.isfinite(numbers).all():
-        raise InputError(f"Argument `model` must hold finite numbers to be written, but `{name}` is {value}.")
-    return toml_text(numbers.tolist())

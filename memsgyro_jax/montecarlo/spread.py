@@ -92,8 +92,8 @@ class Uniform(AbstractDistribution):
 class Vary:
     """A number of the loop or scenario and its distribution.
 
-    `path` names it from the loop, like `device.kxx`, `readout.opamp_offset.0`, `start.0`, or from the scenario, like
-    `scenario.rate.level`.
+    `path` names it from the loop, like `device.kxx`, `readout.opamp_offset.0`, `start.0`, an effect by number or label,
+    like `device.effects.cubic_stiffness_x.strength`, or from the scenario, like `scenario.rate.level`.
     """
 
     path: str
@@ -111,7 +111,7 @@ class Vary:
         here: Any = root
         for part in self.path.split("."):
             try:
-                here = here[int(part)] if re.fullmatch(r"\d+", part) else getattr(here, part)
+                here = here[int(part)] if re.fullmatch(r"\d+", part) else getattr(here, part.replace(" ", "_"))
             except (AttributeError, IndexError, TypeError):
                 raise InputError(
                     f"A spread must name a number of the loop, but `{self.path}` has no `{part}`."

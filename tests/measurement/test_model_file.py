@@ -92,7 +92,7 @@ def test_strengths_may_be_in_another_unit(tmp_path):
         ('unit = "1/kg"', 'unit = "kg"', 'line 6.*"1/kg"'),
         ('unit = "N/m³"', 'unit = "N/m"', "Unit of the strength"),
         ("cubic_stiffness", "cubic_softness", "cubic_softness"),
-        ('where = "x"', 'where = "z"', "where|variant|'z'"),
+        ('axis = "x"', 'axis = "z"', "variant|'z'"),
         ("strength = 1000000000.0", "strength = [1.0, 2.0]", "shape"),
         ("strength = 1000000000.0", "strength = nan", "finite"),
         ("strength = 1000000000.0", "strength = 1.0\nsettings = { omega = 1.0 }", "`omega` that is not known"),

@@ -41,5 +41,6 @@ def fit_command(
     print(fit_text(before, after))
     if out is not None:
         write_model(after.model, out)
+        print(f"{out} is the fitted device, for `compare --model` and for the section [device] of a study")
     if json is not None:
         write_json(json, fit_entries(before, after))

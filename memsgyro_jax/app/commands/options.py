@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.effects import load_effects
 from memsgyro_jax.loop.scenario import Recorded
 
 from ..study import Study, default_study, load_study, read_rate_record
@@ -17,18 +18,24 @@ from ..study import Study, default_study, load_study, read_rate_record
 _SETTLE = 0.05  # s, as in the default study; the rest of a recorded rate counts as settled
 
 
-def chosen_study(path: Path | None, rate_record: Path | None, **sweep: Any) -> tuple[Study, list[str]]:
+def chosen_study(
+    path: Path | None, rate_record: Path | None, effects: Path | None, **sweep: Any
+) -> tuple[Study, list[str]]:
     """The study of a command line, and what a person should know about it.
 
-    `sweep` are entries of the section `[sweep]`; None leaves the study's own.
+    `effects` is a file with effects of the user's own; `sweep` are entries of the section `[sweep]`, None leaves the
+    study's own.
     """
-    study = default_study() if path is None else load_study(path)
+    own = load_effects(effects, 2) if effects else ()
+    if own and path is None:
+        raise InputError("Option `--effects` must go with a study that names the effects, but no study was given.")
+    study = default_study() if path is None else load_study(path, own)
     changes = {f"sweep.{name}": value for name, value in sweep.items() if value is not None}
-    notes: list[str] = []
+    notes = study.notes
     if rate_record is not None:
         record = read_rate_record(rate_record)
-        more, notes = _following(record, rate_record, own_study=path is not None)
-        changes = {**more, **changes}
+        more, about = _following(record, rate_record, own_study=path is not None)
+        changes, notes = {**more, **changes}, [*notes, *about]
     return (study.changed(changes) if changes else study), notes
 
 

@@ -26,6 +26,7 @@ def simulate_command(
     sample_rate: float | None = None,
     duration: float | None = None,
     out: Path | None = None,
+    effects: Path | None = None,
     json: Path | None = None,
 ) -> None:
     """One run of the closed loop.
@@ -38,6 +39,7 @@ def simulate_command(
         sample_rate: in Hz.
         duration: of the run in s; a recorded rate's own without this option.
         out: folder for trace.zarr, summary.json and report.html.
+        effects: a Python file with effects of your own that the study names. It is run: trust it first.
         json: file for the machine-readable result.
     """
     from memsgyro_jax.base.files import write_json
@@ -50,8 +52,9 @@ def simulate_command(
     if die is not None and die < 0:
         raise InputError(f"Option `--die` must be the number of a die, 0 or more, but {die} was given.")
     chosen, notes = chosen_study(
-        study, rate_record, seed=seed, sample_rate=with_unit(sample_rate, "Hz"), duration=with_unit(duration, "s")
-    )
+        study, rate_record, effects, seed=seed,
+        sample_rate=with_unit(sample_rate, "Hz"), duration=with_unit(duration, "s"),
+    )  # fmt: skip
     require_writable(out and out / "summary.json", json)
     for note in notes:
         print(note)

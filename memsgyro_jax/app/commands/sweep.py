@@ -28,6 +28,7 @@ def sweep_command(
     sample_rate: float | None = None,
     duration: float | None = None,
     chunk: int | None = None,
+    effects: Path | None = None,
     json: Path | None = None,
 ) -> None:
     """Monte Carlo over fabricated dies of the closed loop.
@@ -46,6 +47,7 @@ def sweep_command(
         sample_rate: in Hz.
         duration: of a run in s; a recorded rate's own without this option.
         chunk: dies per device and batch.
+        effects: a Python file with effects of your own that the study names. It is run: trust it first.
         json: another place for a copy of summary.json.
     """
     from .options import chosen_study, require_writable, with_unit, writing
@@ -53,7 +55,7 @@ def sweep_command(
     if resume and overwrite:
         raise InputError("Options `--resume` and `--overwrite` must not be given together; leave one of them out.")
     chosen, notes = chosen_study(
-        study, rate_record, dies=dies, seed=seed, chunk=chunk,
+        study, rate_record, effects, dies=dies, seed=seed, chunk=chunk,
         sample_rate=with_unit(sample_rate, "Hz"), duration=with_unit(duration, "s"),
     )  # fmt: skip
     require_writable(out / "summary.json", json)

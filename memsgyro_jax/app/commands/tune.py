@@ -16,6 +16,7 @@ def tune_command(
     dies: int | None = None,
     seed: int | None = None,
     out: Path = Path("tune-out"),
+    effects: Path | None = None,
     json: Path | None = None,
 ) -> None:
     """Gains, noises and bandwidths by gradient through the closed loop.
@@ -29,6 +30,7 @@ def tune_command(
         dies: how many unseen dies are reported, as in a sweep.
         seed: of the dies and of their noise.
         out: folder for tuned.toml (a study file for sweep and simulate) and tuning.json.
+        effects: a Python file with effects of your own that the study names. It is run: trust it first.
         json: another place for a copy of tuning.json.
     """
     from memsgyro_jax.base.files import write_json
@@ -37,8 +39,10 @@ def tune_command(
     from .options import chosen_study, require_writable, writing
     from .progress import told
 
-    chosen, _ = chosen_study(study, None, dies=dies, seed=seed)
+    chosen, notes = chosen_study(study, None, effects, dies=dies, seed=seed)
     require_writable(out / RESULT, json)
+    for note in notes:
+        print(note)
     started = time.monotonic()
     with writing(out, "make room or choose another folder, then give the same command again"), told() as tell:
         tuning = tune(**chosen.tune_arguments, progress=tell, keep=out / "evaluations")

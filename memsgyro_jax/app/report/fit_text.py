@@ -13,7 +13,7 @@ from memsgyro_jax.diagnosis.compare import judged, times
 from memsgyro_jax.diagnosis.fit import CaseFit
 from memsgyro_jax.diagnosis.scans import coverage, scan
 from memsgyro_jax.effects import Effect, Scanned, by_name
-from memsgyro_jax.measurement.model_file import settings_of
+from memsgyro_jax.effects.section import settings_of
 
 
 SCHEMA = "memsgyro-fit/1"

@@ -1,5 +1,6 @@
 """The study file as a whole: its sections, the objects they describe, and writing it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -7,31 +8,37 @@ from typing import Any, Literal
 import jax
 import jax.numpy as jnp
 import numpy as np
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict, Field, model_validator
 
 from memsgyro_jax.base.complaints import Source
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.files import write_whole
 from memsgyro_jax.base.quantity import FileSection, field_unit
 from memsgyro_jax.base.toml import checked, toml_table, toml_text
+from memsgyro_jax.device.gyro import AbstractGyro
+from memsgyro_jax.effects import Effect, catalogue
+from memsgyro_jax.effects.section import EffectSection
 from memsgyro_jax.loop.filters import check_fits
 from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.observers import ExtendedKalmanFilter
 from memsgyro_jax.loop.readout import THESIS_RATE, snr_density
 from memsgyro_jax.loop.scenario import Scenario
+from memsgyro_jax.measurement.model import Model
 from memsgyro_jax.montecarlo.spread import Normal, Root, Spread, Vary
 from memsgyro_jax.tuning.tunable import Tunable, free
 
-from .hardware import Charge, Device, Readout, SingleMass
+from .hardware import Charge, Device, Fitted, FittedReadout, Readout, SingleMass
 from .laws import Added, Anneal, Compensation, Controller, Kalman, Observer, discretisation
 from .numbers import entries_of, unit_at
 from .output import Filter
+from .paths import FOLDER
 from .plan import SpreadSection, Start, SweepSection
-from .surroundings import FOLDER, Surroundings
+from .surroundings import Surroundings
 from .tuning import Tune
 
 
 SCHEMA = "memsgyro-study/1"
+_DENSITY = f"{snr_density(100.0, 1e-6, 1e5, THESIS_RATE)!r} V/sqrt(Hz)"
 
 
 def _device() -> SingleMass:
@@ -48,7 +55,7 @@ def _readout() -> Charge:
         kind="charge_amplifier", fingers=113, width="5e-6 m", gap="1e-6 m", overlap="50e-6 m",
         mismatch=["0.1e-6 m", "0.085e-6 m"], bias="10 V", feedback="1e-12 F", parasitic="1e-12 F",
         opamp_offset=["2e-3 V", "1e-3 V"],
-        noise_density=f"{snr_density(100.0, 1e-6, 1e5, THESIS_RATE)!r} V/sqrt(Hz)",
+        noise_density=_DENSITY,
     )  # fmt: skip
 
 
@@ -58,6 +65,7 @@ class StudyFile(FileSection):
     model_config = ConfigDict(validate_by_name=True, validate_by_alias=True)
     format: Literal["memsgyro-study/1"] = Field(default=SCHEMA, alias="schema")
     device: Device = Field(default_factory=_device)
+    effects: tuple[EffectSection, ...] = ()
     readout: Readout = Field(default_factory=_readout)
     observer: Observer = Field(default_factory=lambda: Kalman(kind="ekf", annealing=Anneal()))
     controller: Controller = Field(
@@ -72,6 +80,14 @@ class StudyFile(FileSection):
     sweep: SweepSection = SweepSection()
     tune: Tune = Tune()
 
+    @model_validator(mode="before")
+    @classmethod
+    def _readout_of_the_fit(cls, data: Any) -> Any:
+        """A fitted device brings its read-out along, all but the noise."""
+        if isinstance(data, dict) and "readout" not in data and "file" in (data.get("device") or ()):
+            return {**data, "readout": {"kind": "fitted", "noise_density": _DENSITY}}
+        return data
+
     def unit_of(self, path: str) -> str | None:
         """The unit of a number of the loop or scenario, where the sections know it."""
         first, *rest = [part for part in path.split(".") if not part.isdigit()]
@@ -80,9 +96,11 @@ class StudyFile(FileSection):
         if first == "start":
             return "m" if path in ("start.0", "start.1") else "m/s"
         if first in ("device", "readout", "filter") and len(rest) == 1 and getattr(self, first) is not None:
-            return field_unit(type(getattr(self, first)), rest[0])
-        if path.startswith("scenario.rate.") and len(self.scenario.rate) == 1:
-            return field_unit(type(self.scenario.rate[0]), rest[-1])
+            section = type(getattr(self, first))
+            return field_unit(SingleMass if section is Fitted else section, rest[0])
+        profiles = getattr(self.scenario, rest[0], ()) if first == "scenario" and rest else ()
+        if isinstance(profiles, tuple) and len(profiles) == 1:
+            return field_unit(type(profiles[0]), rest[-1])
         return None
 
 
@@ -99,6 +117,18 @@ class Study:
     spread: Spread
     file: StudyFile
     source: Source
+    own: tuple[Effect, ...] = ()
+
+    @property
+    def notes(self) -> list[str]:
+        """What a person should know of a study whose device was fitted: what is the fit's, and what the study's."""
+        if not isinstance(self.file.device, Fitted):
+            return []
+        found = ["the device"]
+        carried = self.loop.device.effects[: len(self.loop.device.effects) - len(self.file.effects)]
+        found += [f"its effects ({', '.join(effect.label for effect in carried)})"] if carried else []
+        found += ["scale and offset of the read-out"] if isinstance(self.file.readout, FittedReadout) else []
+        return [f"{self.file.device.file} gives {', '.join(found)}; everything else is the study's."]
 
     @property
     def settings(self) -> SweepSection:
@@ -170,13 +200,19 @@ class Study:
             here[key] = value
         # A line of the file would name a value that the change has replaced.
         changed = Source(f"{self.source.name}, changed", self.source.folder)
-        return replace(read_study(data, changed), source=self.source)
+        return replace(read_study(data, changed, self.own), source=self.source)
 
     def to_toml(self, folder: str | Path | None = None) -> str:
         """The study as a file; names of recorded rates are relative to `folder` where they lie below it."""
         data = self._data(folder)
         head = f"schema = {toml_text(data.pop('schema'))}\n"
-        return "\n".join([head, *(toml_table(section, entries) for section, entries in data.items())])
+        tables = [
+            toml_table(section, entries)
+            if isinstance(entries, dict)
+            else "\n".join(toml_table(f"[{section}]", entry) for entry in entries)
+            for section, entries in data.items()
+        ]
+        return "\n".join([head, *tables])
 
     def write(self, path: str | Path) -> Path:
         """Write the study file `path`, whole or not at all."""
@@ -190,15 +226,18 @@ class Study:
         return _without_empty(dumped)
 
 
-def read_study(data: dict[str, Any], source: Source) -> Study:
-    """The study that the parsed TOML `data` describes; raises `InputError` with everything that is wrong with it."""
-    return _build(checked(StudyFile, data, source, {FOLDER: source.folder}), source)
+def read_study(data: dict[str, Any], source: Source, own: Sequence[Effect] = ()) -> Study:
+    """The study that the parsed TOML `data` describes; `own` are effects beyond the catalogue.
+
+    Raises `InputError` with everything that is wrong with it.
+    """
+    return _build(checked(StudyFile, data, source, {FOLDER: source.folder}), source, tuple(own))
 
 
-def _build(file: StudyFile, source: Source) -> Study:
-    gyro = file.device.build()
+def _build(file: StudyFile, source: Source, own: tuple[Effect, ...]) -> Study:
+    gyro, model = _device_of(file, source, own)
     with source.section("readout"):
-        readout = file.readout.build()
+        readout = file.readout.build(model) if isinstance(file.readout, FittedReadout) else file.readout.build()
     with source.section("observer"):
         observer = file.observer.build(gyro, readout)
     with source.section("controller"):
@@ -221,8 +260,34 @@ def _build(file: StudyFile, source: Source) -> Study:
     with source.section("spread"):
         for path in file.spread.parameters:
             Vary(path, Normal()).read(Root(loop, scenario))
-        spread = file.spread.build(file.unit_of)
-    return Study(loop, scenario, spread, file, source)
+        spread = file.spread.build(lambda path: _unit_of_effect(gyro, path) or file.unit_of(path))
+    return Study(loop, scenario, spread, file, source, own)
+
+
+def _device_of(file: StudyFile, source: Source, own: tuple[Effect, ...]) -> tuple[AbstractGyro, Model | None]:
+    """The device with its effects, and the fitted model that it comes from."""
+    if isinstance(file.device, Fitted):
+        with source.section("device", "file"):
+            gyro, model = file.device.read(own)
+    else:
+        gyro, model = file.device.build(), None
+    labels = [effect.label for effect in gyro.effects]
+    for number, entry in enumerate(file.effects):
+        with source.section("effects", number, "name"):
+            effect = entry.build((*catalogue(2), *own))
+            if effect.label in labels:
+                raise InputError(f"`{effect.label}` must be given once, but stands twice; add up the strengths")
+            labels.append(effect.label)
+            gyro = gyro.with_effect(effect)
+    return gyro, model
+
+
+def _unit_of_effect(gyro: AbstractGyro, path: str) -> str | None:
+    """The unit of `device.effects.0.strength` and of `device.effects.cubic_stiffness_x.strength`."""
+    head, _, last = path.rpartition(".")
+    if not head.startswith("device.effects.") or last != "strength":
+        return None
+    return Vary(head.removeprefix("device."), Normal()).find(gyro).unit
 
 
 def _without_empty(value: Any) -> Any:

@@ -1,9 +1,11 @@
 """Sections `[device]` and `[readout]` of a study file."""
 
-from typing import Annotated, Literal
+from collections.abc import Sequence
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
+from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.quantity import (
     Damping,
     Density,
@@ -20,7 +22,12 @@ from memsgyro_jax.base.quantity import (
     Whole,
 )
 from memsgyro_jax.device.gyro import VX, VY, AbstractGyro, DualMassGyro, SingleMassGyro, X, Y
+from memsgyro_jax.effects import Effect
 from memsgyro_jax.loop.readout import AbstractReadout, Adc, ChargeAmplifier, DirectReadout, snr_density
+from memsgyro_jax.measurement.model import Model
+from memsgyro_jax.measurement.model_file import read_model
+
+from .paths import RelativePath
 
 
 class SingleMass(FileSection):
@@ -71,7 +78,33 @@ class DualMass(FileSection):
         return DualMassGyro(**self.numbers())
 
 
-Device = Annotated[SingleMass | DualMass, Field(discriminator="kind")]
+class Fitted(FileSection):
+    """`file = "device.toml"`: what `memsgyro fit --out` or `memsgyro diagnose --out` found, its effects included; the
+    file name starts at the folder of the study file.
+    """
+
+    kind: Literal["fitted"]
+    file: RelativePath
+    rotating_frame: bool = False
+
+    def read(self, own: Sequence[Effect] = ()) -> tuple[AbstractGyro, Model]:
+        """The device with its effects, and the model it comes from; `own` are effects beyond the catalogue.
+
+        Raises `InputError` unless it has two axes.
+        """
+        model = read_model(self.file, own)
+        gyro = model.physical(rotating_frame=True) if self.rotating_frame else model.physical()
+        if not isinstance(gyro, AbstractGyro):
+            raise InputError(f"must be a device with two axes to run in a loop, but {self.file} has one")
+        return gyro, model
+
+
+def _kind_of_file(given: Any) -> Any:
+    """A device that names a file needs no kind."""
+    return {"kind": "fitted", **given} if isinstance(given, dict) and "file" in given else given
+
+
+Device = Annotated[SingleMass | DualMass | Fitted, Field(discriminator="kind"), BeforeValidator(_kind_of_file)]
 
 
 class Converter(FileSection):
@@ -160,9 +193,24 @@ class Velocity(FileSection):
         return _direct(self, (VX, VY))
 
 
+class FittedReadout(FileSection):
+    """`kind = "fitted"`: scale and offset of the file that `[device]` names; noise and converter stand here."""
+
+    kind: Literal["fitted"]
+    noise_density: Pair[Density] = (0.0, 0.0)
+    adc: Converter | None = None
+
+    def build(self, model: Model | None) -> AbstractReadout:
+        """The read-out; raises `InputError` without a fitted device."""
+        if model is None:
+            raise InputError('must go with a fitted device, [device] file = "device.toml", but the device is given')
+        scale, offset = (tuple(map(float, pair)) for pair in (model.scale, model.offset))
+        return DirectReadout(scale, offset, self.noise_density, self.adc and self.adc.build(), (X, Y))
+
+
 def _direct(part: Position | Velocity, signals: tuple[int, int]) -> DirectReadout:
     adc = part.adc and part.adc.build()
     return DirectReadout(part.scale, part.offset, part.noise_density, adc, signals)
 
 
-Readout = Annotated[Charge | Position | Velocity, Field(discriminator="kind")]
+Readout = Annotated[Charge | Position | Velocity | FittedReadout, Field(discriminator="kind")]

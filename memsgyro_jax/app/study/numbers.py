@@ -6,6 +6,7 @@ import numpy as np
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.quantity import FileSection, In, field_unit
+from memsgyro_jax.effects.section import entries_of_effect
 from memsgyro_jax.loop.loop import ClosedLoop
 
 from .laws import Walks
@@ -89,6 +90,10 @@ def entries_of(file: Any, loop: ClosedLoop, paths: tuple[str, ...]) -> dict[str,
     for path in paths:
         if path.startswith("controller.tones."):
             changes["controller.tones"] = _tones(file, loop)
+            continue
+        added = loop.device.effects[len(loop.device.effects) - len(file.effects) :]
+        if path.startswith("device.effects.") and int(path.split(".")[2]) >= len(loop.device.effects) - len(added):
+            changes["effects"] = [entries_of_effect(effect) for effect in added]
             continue
         entry = entry_of(file, names, path)
         if entry is None:

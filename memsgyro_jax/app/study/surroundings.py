@@ -3,15 +3,27 @@
 from pathlib import Path
 from typing import Annotated, Any, Generic, Literal, TypeVar
 
-from pydantic import BeforeValidator, Field, ValidationInfo, field_serializer, field_validator
+from pydantic import BeforeValidator, Field, field_validator
 
-from memsgyro_jax.base.quantity import Acceleration, Duration, FileSection, Hertz, In, Pure, Radian, Rate, Second, Volt
+from memsgyro_jax.base.quantity import (
+    Acceleration,
+    Duration,
+    FileSection,
+    Hertz,
+    In,
+    Kelvin,
+    Pure,
+    Radian,
+    Rate,
+    Second,
+    Volt,
+)
 from memsgyro_jax.loop.scenario import AbstractProfile, Chirp, Constant, Ramp, RandomWalk, Scenario, Sine, Step
 
+from .paths import RelativePath
 from .record import read_rate_record
 
 
-FOLDER = "folder"  # key of the context that validation and writing get: where relative file names start
 Value = TypeVar("Value")
 Slope = TypeVar("Slope")
 Growth = TypeVar("Growth")
@@ -102,22 +114,13 @@ class Record(FileSection):
     """`{ kind = "record", file }`: a recorded rate; the file name starts at the folder of the study file."""
 
     kind: Literal["record"]
-    file: Path
+    file: RelativePath
 
     @field_validator("file")
     @classmethod
-    def _readable(cls, file: Path, info: ValidationInfo) -> Path:
-        found = (info.context or {}).get(FOLDER, Path()) / file
-        read_rate_record(found)
-        return found
-
-    @field_serializer("file")
-    def _as_text(self, file: Path, info: Any) -> str:
-        folder = (info.context or {}).get(FOLDER)
-        if folder is None:
-            return str(file.resolve())
-        folder, file = Path(folder).resolve(), file.resolve()
-        return file.relative_to(folder).as_posix() if file.is_relative_to(folder) else str(file)
+    def _readable(cls, file: Path) -> Path:
+        read_rate_record(file)
+        return file
 
     def build(self) -> AbstractProfile:
         """The profile."""
@@ -138,13 +141,16 @@ def _spelled_out(given: Any) -> Any:
 
 _RateSlope = Annotated[float, In("rad/s^2")]
 _VoltSlope = Annotated[float, In("V/s")]
+_KelvinSlope = Annotated[float, In("K/s")]
 _PureSlope = Annotated[float, In("1/s")]
 _Jerk = Annotated[float, In("m/s^3")]
 _RateGrowth = Annotated[float, In("rad^2/s^3")]
 _VoltGrowth = Annotated[float, In("V^2/s")]
+_KelvinGrowth = Annotated[float, In("K^2/s")]
 _PureGrowth = Annotated[float, In("1/s")]
 _Turn = Steady[Rate] | Jump[Rate] | Slide[Rate, _RateSlope] | Wave[Rate] | Swept[Rate] | Wander[Rate, _RateGrowth]
 _Drift = Steady[Volt] | Jump[Volt] | Slide[Volt, _VoltSlope] | Wave[Volt] | Swept[Volt] | Wander[Volt, _VoltGrowth]
+_Warmth = Steady[Kelvin] | Jump[Kelvin] | Slide[Kelvin, _KelvinSlope] | Wave[Kelvin] | Wander[Kelvin, _KelvinGrowth]
 _Change = Steady[Pure] | Jump[Pure] | Slide[Pure, _PureSlope] | Wave[Pure] | Swept[Pure] | Wander[Pure, _PureGrowth]
 _Shake = (
     Steady[Acceleration] | Jump[Acceleration] | Slide[Acceleration, _Jerk] | Wave[Acceleration] | Swept[Acceleration]
@@ -154,6 +160,7 @@ _ByKind, _Spelled = Field(discriminator="kind"), BeforeValidator(_spelled_out)
 MainRate = Annotated[tuple[Annotated[_Turn | Record, _ByKind], ...], _Spelled]
 CrossRate = Annotated[tuple[Annotated[_Turn, _ByKind], ...], _Spelled]
 Drift = Annotated[tuple[Annotated[_Drift, _ByKind], ...], _Spelled]
+Warmth = Annotated[tuple[Annotated[_Warmth, _ByKind], ...], _Spelled]
 Change = Annotated[tuple[Annotated[_Change, _ByKind], ...], _Spelled]
 Shaking = Annotated[tuple[Annotated[_Shake, _ByKind], ...], _Spelled]
 
@@ -188,24 +195,27 @@ class Shake(FileSection):
 
 
 class Surroundings(FileSection):
-    """Section `[scenario]`; what is left out is zero. Several profiles in a list add."""
+    """Section `[scenario]`; what is left out is zero, and temperature and bias voltage those at which the numbers of
+    the device hold. Several profiles in a list add.
+    """
 
     rate: MainRate = ()
     offset_drift: Offsets = Offsets()
     damping_change: DampingChange = DampingChange()
     cross_rate: CrossRates = CrossRates()
     acceleration: Shake = Shake()
+    temperature: Warmth = ()
+    bias_voltage: Drift = ()
 
     def build(self) -> Scenario:
         """The scenario."""
-        groups = {name: tuple(_sum(profiles) for _, profiles in group) for name, group in self if name != "rate"}
-        return Scenario(rate=_sum(self.rate), **groups)
+        alone = {name: _sum(profiles) for name, profiles in self if isinstance(profiles, tuple) and profiles}
+        groups = {name: tuple(_sum(p) for _, p in group) for name, group in self if isinstance(group, FileSection)}
+        return Scenario(**alone, **groups)
 
 
 def _sum(profiles: tuple) -> AbstractProfile:
-    made = [profile.build() for profile in profiles]
-    if not made:
-        return Constant()
+    made = [profile.build() for profile in profiles] or [Constant()]
     total = made[0]
     for profile in made[1:]:
         total = total + profile

@@ -1,0 +1,102 @@
+"""An effect as a table `[[effects]]` of a TOML file, in model files and in studies alike."""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from pydantic import AliasChoices, ConfigDict, Field, StrictFloat, StrictInt, model_serializer
+
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.quantity import FileSection, number_and_unit
+from memsgyro_jax.base.units import to_si
+
+from .base import Effect
+from .catalogue import by_name
+
+
+Number = StrictFloat | StrictInt
+Numbers = Number | list[Number]
+
+
+class EffectSection(FileSection):
+    """`name = "cubic_stiffness"`, `axis = "x"` (`variant` where it is no axis) and `strength = "8e8 N/m^3"`, or a
+    number with its `unit` beside it; `settings` holds further numbers, in SI.
+    """
+
+    model_config = ConfigDict(validate_by_name=True, validate_by_alias=True)
+    name: str
+    where: str = Field(default="", validation_alias=AliasChoices("axis", "variant"))
+    strength: Numbers | str | dict[str, Any]
+    unit: str | None = None
+    settings: dict[str, Numbers] = Field(default_factory=dict)
+
+    @model_serializer
+    def _entries(self) -> dict[str, Any]:
+        place = {"axis" if self.where in ("x", "y") else "variant": self.where} if self.where else {}
+        unit = {"unit": self.unit} if self.unit else {}
+        settings = {"settings": self.settings} if self.settings else {}
+        return {"name": self.name, **place, "strength": self.strength, **unit, **settings}
+
+    def build(self, known: Sequence[Effect]) -> Effect:
+        """The effect, one of `known`.
+
+        **Raises:** `InputError` for an effect, variant or setting that is not known, and for a strength of another unit
+        or shape.
+        """
+        if self.name.split(" ")[0] not in {effect.name for effect in known}:
+            hint = "; a user's own effect needs its file, --effects FILE.py"
+            raise InputError(f'must be an effect that is known, but "{self.name}" is not{hint}')
+        effect = by_name(self.name, self.where, among=known)
+        for name, value in {"strength": self._strength(effect), **self.settings}.items():
+            if name not in ("strength", *settings_of(effect)):
+                known_settings = ", ".join(settings_of(effect)) or "none"
+                raise InputError(f"has a setting `{name}` that is not known (known: {known_settings})")
+            if np.shape(value) != np.shape(getattr(effect, name)):
+                raise InputError(
+                    f"`{name}` must have the shape {np.shape(getattr(effect, name))}, but has {np.shape(value)}"
+                )
+            effect = eqx.tree_at(lambda e, name=name: getattr(e, name), effect, jnp.asarray(value, float))
+        return effect
+
+    def _strength(self, effect: Effect) -> Any:
+        given, unit = self.strength, self.unit
+        if isinstance(given, str | dict):
+            given, unit = number_and_unit(given)
+            if self.unit is not None and unit:
+                raise InputError("must give the unit once, in the text of the strength or beside it")
+            unit = unit or self.unit
+        if not unit:
+            if effect.unit != "1":
+                raise InputError(f'a strength of `{effect.label}` must carry a unit, for example "{effect.unit}"')
+            unit = "1"
+        return to_si(np.asarray(given, float), unit, effect.unit, "the strength")
+
+
+def entries_of_effect(effect: Effect) -> dict[str, Any]:
+    """The table that `EffectSection` reads back, numbers in SI with every digit.
+
+    **Raises:** `InputError` where a number is not finite.
+    """
+    settings = {name: written(getattr(effect, name), name) for name in settings_of(effect)}
+    strength = written(effect.strength, effect.label)
+    unit = effect.unit if effect.unit != "1" else None
+    return EffectSection(
+        name=effect.name, where=effect.where, strength=strength, unit=unit, settings=settings
+    ).model_dump()  # fmt: skip
+
+
+def settings_of(effect: Effect) -> tuple[str, ...]:
+    """Numbers of an effect beside its strength, such as a frequency that was scanned."""
+    fields = (f.name for f in dataclasses.fields(effect) if f.name != "strength")
+    return tuple(name for name in fields if eqx.is_array(getattr(effect, name)))
+
+
+def written(value: Any, name: str) -> Any:
+    """A number or list of numbers as a file holds it; raises `InputError` where one is not finite."""
+    numbers = np.asarray(value, float)
+    if not np.isfinite(numbers).all():
+        raise InputError(f"What is written must be finite, but `{name}` is {value}.")
+    return numbers.tolist()

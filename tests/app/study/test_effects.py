@@ -1,0 +1,118 @@
+"""A study's device may come from a fit and have effects; both survive writing, and what is wrong is one sentence."""
+
+import equinox as eqx
+import numpy as np
+import pytest
+
+import memsgyro_jax as mg
+
+
+GYRO = mg.SingleMassGyro.chi2010()
+ADDED = '[[effects]]\nname = "quadratic_damping"\naxis = "x"\nstrength = { value = 3, unit = "N*ms^2/mm^2" }\n'
+OWN = """
+from memsgyro_jax.effects import ForceEffect, strength
+
+class Creep(ForceEffect):
+    name, unit, law = "creep", "N*s**3/m**3", "F_x = -s v^3"
+    strength: object = strength()
+    axis = 0
+
+    def force(self, now):
+        return self.along(now, -self.strength * now.velocity[0] ** 3)
+"""
+
+
+@pytest.fixture
+def written(tmp_path):
+    """Writes a fitted device and a study beside it, and gives the study's path."""
+    model = mg.Model(GYRO.with_effect(mg.effects.CubicStiffness(0, 8e8)), scale=(1e5, 9e4), offset=(0.015, 0.011))
+    mg.write_model(model, tmp_path / "device.toml")
+
+    def write(text):
+        (tmp_path / "study.toml").write_text(text)
+        return tmp_path / "study.toml"
+
+    return write
+
+
+def test_a_fitted_device_brings_its_effects_and_its_readout(written, tmp_path):
+    study = mg.load_study(written(f'[device]\nfile = "device.toml"\n{ADDED}'))
+    device = study.loop.device
+    assert [effect.label for effect in device.effects] == ["cubic_stiffness x", "quadratic_damping x"]
+    assert float(device.effects[1].strength) == pytest.approx(3.0, rel=1e-12)
+    np.testing.assert_allclose([device.mass, device.kxy, device.dyy], [GYRO.mass, GYRO.kxy, GYRO.dyy], rtol=1e-14)
+    np.testing.assert_allclose(study.loop.readout.scale, (1e5, 9e4))
+    np.testing.assert_allclose(study.loop.readout.noise_density, mg.default_study().loop.readout.noise_density)
+    (note,) = study.notes
+    assert "cubic_stiffness x" in note
+    assert "quadratic" not in note
+    study.write(tmp_path / "again.toml")
+    assert 'file = "device.toml"' in (tmp_path / "again.toml").read_text(), "the name stays relative"
+    again = mg.load_study(tmp_path / "again.toml")
+    assert eqx.tree_equal(again.loop, study.loop)
+    assert again.changed({"sweep.dies": 3}).loop.device.effects[1].label == "quadratic_damping x"
+
+
+def test_what_was_tuned_of_an_effect_is_written(written):
+    study = mg.load_study(written(ADDED))
+    tuned = eqx.tree_at(lambda loop: loop.device.effects[0].strength, study.loop, np.asarray(4.0))
+    found = study.with_numbers(tuned, ("device.effects.0.strength",))
+    assert float(found.loop.device.effects[0].strength) == 4.0
+    fitted = mg.load_study(written('[device]\nfile = "device.toml"\n'))
+    with pytest.raises(mg.InputError, match=r"no entry for `device.effects.0.strength`"):
+        fitted.with_numbers(fitted.loop, ("device.effects.0.strength",))
+
+
+def test_strengths_and_conditions_vary_from_die_to_die(written):
+    study = mg.load_study(
+        written(f"""{ADDED}
+[scenario]
+temperature = "40 degC"
+[spread.parameters]
+"device.effects.quadratic_damping_x.strength" = {{ kind = "normal", relative = "10 %" }}
+"scenario.temperature.level" = {{ kind = "uniform", low = "10 degC", high = "300 K" }}
+""")
+    )
+    drawn = study.spread.draw(study.loop, study.scenario, 0, np.arange(64))
+    strength, temperature = drawn.table.T
+    assert np.std(strength) == pytest.approx(0.3, rel=0.3)
+    np.testing.assert_array_equal(drawn.loop.device.effects[0].strength, strength)
+    assert temperature.min() > 283.15
+    assert temperature.max() < 300.0
+
+
+def test_an_effect_of_ones_own_comes_with_its_file(written, tmp_path):
+    (tmp_path / "own.py").write_text(OWN)
+    path = written('[[effects]]\nname = "creep"\nstrength = "2 N*s^3/m^3"\n')
+    own = mg.load_effects(tmp_path / "own.py")
+    study = mg.load_study(path, own)
+    assert study.changed({"sweep.dies": 3}).loop.device.effects[0].label == "creep x"
+    with pytest.raises(mg.InputError, match=r"line 2, `effects.0.name`.*creep.*--effects FILE.py"):
+        mg.load_study(path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('"quadratic_damping"', '"quadratic_dampng"', ["effects.0", "quadratic_dampng"]),
+        ('axis = "x"', 'axis = "z"', ["variant", "'z'"]),
+        ('axis = "x"', 'axes = "x"', ["axes", "did you mean `axis`"]),
+        ('unit = "N*ms^2/mm^2"', 'unit = "N"', ["strength", '"N"']),
+        ('{ value = 3, unit = "N*ms^2/mm^2" }', "3.0", ["must carry a unit"]),
+        ('strength = { value = 3, unit = "N*ms^2/mm^2" }', "", ["effects.0.strength", "missing"]),
+        ("[[effects]]", f"{ADDED}\n[[effects]]", ["must be given once"]),
+        (
+            "[[effects]]",
+            '[device]\nfile = "none.toml"\n[[effects]]',
+            ["device.file", "none.toml", "no such model file"],
+        ),
+        ("[[effects]]", '[readout]\nkind = "fitted"\n[[effects]]', ["readout", "must go with a fitted device"]),
+    ],
+)
+def test_what_is_wrong_is_one_sentence(written, old, new, words):
+    assert old in ADDED
+    with pytest.raises(mg.InputError) as error:
+        mg.load_study(written(ADDED.replace(old, new, 1)))
+    for word in words:
+        assert word in str(error.value)
+    assert "\n" not in str(error.value)
