@@ -1,7 +1,11 @@
 """Text for people."""
 
 import difflib
+import math
 from collections.abc import Iterable, Sequence
+
+
+_PREFIXES = ((1e9, "G"), (1e6, "M"), (1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"), (1e-12, "p"))
 
 
 def aligned(rows: list[tuple[str, ...]]) -> str:
@@ -21,3 +25,13 @@ def combination(weights: Sequence[float], names: Sequence[str], least: float = 0
     """The largest parts of a combination of named numbers, `+0.71·a -0.71·b`; those up to `least` are left out."""
     pairs = sorted(zip(weights, names, strict=True), key=lambda pair: -round(abs(pair[0]), 6))[:most]
     return " ".join(f"{weight:+.2f}·{name}" for weight, name in pairs if abs(weight) > least)
+
+
+def spoken(value: float, unit: str, digits: int = 4) -> str:
+    """A quantity in SI for people: `spoken(1.5e-7, "N")` is "150 nN"; kelvin become °C, rad/s of rate deg/s."""
+    if unit == "K":
+        return f"{round(value - 273.15, 6):.{digits}g} °C"  # 273.15 itself is not exact in binary
+    if unit == "rad/s":
+        return f"{math.degrees(value):.{digits}g} deg/s"
+    factor, prefix = next(((f, p) for f, p in _PREFIXES if abs(value) >= 0.9995 * f), (1.0, ""))
+    return f"{value / factor:.{digits}g} {prefix}{unit}".rstrip()

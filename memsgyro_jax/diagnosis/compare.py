@@ -14,14 +14,14 @@ from memsgyro_jax.base.text import aligned
 from memsgyro_jax.device.gyro import SingleMassGyro
 from memsgyro_jax.device.normalised import NormalisedDevice
 from memsgyro_jax.device.resonator import Resonator
-from memsgyro_jax.measurement.case import AbstractRecord, Case, FrequencySweepRecord
+from memsgyro_jax.measurement.case import AbstractRecord, Case
+from memsgyro_jax.measurement.experiments.deviation import Series
 from memsgyro_jax.measurement.model import Model
-from memsgyro_jax.measurement.noise_level import noise_level
 from memsgyro_jax.measurement.readings import model_of
 
 from .fit import CaseFit, RecordError, fit_case
-from .misfit import LEVEL, Check, Series, check_all
-from .series import series_of, spoken
+from .misfit import LEVEL, Check, check_all
+from .series import series_of
 
 
 if TYPE_CHECKING:
@@ -257,9 +257,8 @@ def _place(record: AbstractRecord, series: Series, whole: Check, failed: list[Ch
             rows = part.rows
             words.append(f" from {part.label}" if part.heading == "time" else f" at {part.heading} {part.label}")
     number = series.channels.index(whole.channel)
-    if isinstance(record, FrequencySweepRecord):
-        peak = _peak(np.where(rows[:, None], series.white[:, number], np.nan))
-        words.append(f", near {spoken(record.frequency[peak] / (2 * np.pi), 'Hz')}")
+    if where := record.at(_peak(np.where(rows[:, None], series.white[:, number], np.nan))):
+        words.append(f", {where}")
     elif bands and not worst.label:
         most = max(bands, key=lambda c: c.statistic)
         words.append(f", {most.label}")
@@ -289,12 +288,8 @@ def _dataset(fit: CaseFit, number: int, record: AbstractRecord):
         "whitened": (("row", "channel", "part"), white, {"unit": "1"}),
         "fitted": (("row",), fit.fitted[number], {"unit": "1"}),
     }
-    known = (("time", "s"), ("frequency", "rad/s"), ("drive", "V" if fit.case.device == "resonator" else "N"),
-             ("temperature", "K"), ("bias_voltage", "V"), ("rate", "rad/s"))  # fmt: skip
     coords: dict[str, Any] = {"channel": channels, "part": parts}
-    for name, si in known:
-        column = getattr(record, name, None)
-        if isinstance(column, np.ndarray):
-            coords[name] = (("row",), column, {"unit": si})
-    attrs = {"name": record.name, "kind": record.kind, "role": record.role or "", "noise_std": noise_level(record)}
+    for known in record.known(fit.case):
+        coords[known.name.replace(" ", "_")] = (("row",), known.values, {"unit": known.unit})
+    attrs = {"name": record.name, "kind": record.kind, "role": record.role or "", "noise_std": record.noise_level}
     return xr.Dataset(values, coords=coords, attrs=attrs)

@@ -13,10 +13,10 @@ from memsgyro_jax.device.gyro import SingleMassGyro
 from memsgyro_jax.device.resonator import Resonator
 from memsgyro_jax.effects.base import Effect
 from memsgyro_jax.measurement.case import Case
+from memsgyro_jax.measurement.experiments import Deviation
 from memsgyro_jax.measurement.least_squares import gate
 from memsgyro_jax.measurement.linear_start import starting_device
 from memsgyro_jax.measurement.model import Model, check_effect
-from memsgyro_jax.measurement.noise_level import noise_level
 from memsgyro_jax.measurement.readings import Readings, model_of, readings_of
 
 from .joint_residual import Joint, Optimum, Parameter, optimise
@@ -183,7 +183,12 @@ class CaseFit:
         """What the model predicts for a record, in the shape and unit of its readings; NaN where not compared."""
         white, entry = self.whitened[record], self.case.records[record]
         error = white[..., 0] + 1j * white[..., 1] if white.shape[-1] == 2 else white[..., 0]
-        return entry.readings - error * noise_level(entry)
+        return entry.readings - error * entry.noise_level
+
+    def deviation(self, record: int) -> Deviation:
+        """How far a record of the case lies from the model, with all that a kind of measurement judges it by."""
+        mine = tuple(r for r in self.joint.readings if np.any(r.record == record))
+        return Deviation(self.model, self.case, record, self.whitened[record], self.predicted(record), mine)
 
     def __str__(self) -> str:
         width = max(len(e.name) for e in self.errors)

@@ -18,69 +18,14 @@ from typing import Literal
 import numpy as np
 from scipy import stats
 
+from memsgyro_jax.measurement.experiments.deviation import Band, Series
+
 
 LEVEL = 0.01  # probability that a comparison of a perfect model raises any alarm
 LAGS = 10  # rows over which whiteness is judged
 BINS = 8  # of a variable, with about as many rows in each
 FEW = 6  # rows below which a part is not judged on its own
 Kind = Literal["variance", "whiteness", "dependence"]
-
-
-@dataclass(frozen=True, eq=False)
-class Part:
-    """Some rows of a record.
-
-    Args:
-        heading: what they share, e.g. "drive".
-        label: its value for people, e.g. "150 nN".
-        rows: (n,) which rows.
-    """
-
-    heading: str
-    label: str
-    rows: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
-class Band:
-    """A band of the residual's spectrum, for records with a clock; `low` and `high` in cycles per row, 0 to 0.5."""
-
-    label: str
-    low: float
-    high: float
-
-
-@dataclass(frozen=True, eq=False)
-class Variable:
-    """Something that the residual may depend on: name and values (n,)."""
-
-    name: str
-    values: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
-class Series:
-    """The whitened residual of one record and what is known about its rows.
-
-    Args:
-        record: its name.
-        channels: names of the channels.
-        white: (n, channels, parts) deviation over noise, in the order of the rows; NaN where not compared.
-        turned: the same with each phasor's parts in phase with displacement and with velocity; `white` for signals.
-        pieces: rows that follow each other, one slice per sweep.
-        parts: rows to judge together.
-        bands: bands of the spectrum to judge.
-        variables: what the residual may depend on.
-    """
-
-    record: str
-    channels: tuple[str, ...]
-    white: np.ndarray
-    turned: np.ndarray
-    pieces: tuple[slice, ...]
-    parts: tuple[Part, ...] = ()
-    bands: tuple[Band, ...] = ()
-    variables: tuple[Variable, ...] = ()
 
 
 @dataclass(frozen=True)

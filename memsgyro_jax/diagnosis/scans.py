@@ -10,17 +10,15 @@ import numpy as np
 from jaxtyping import Array
 
 from memsgyro_jax.effects import Coverage, DampingStep, ParasiticMode, Scanned, catalogue
-from memsgyro_jax.measurement.case import Case, FrequencySweepRecord
-from memsgyro_jax.measurement.case.device import resonances
-from memsgyro_jax.measurement.experiments import HarmonicSweep, TimeRecord
+from memsgyro_jax.measurement.case import Case
+from memsgyro_jax.measurement.experiments import Readings
 from memsgyro_jax.measurement.model import Model
-from memsgyro_jax.measurement.readings import Readings
 
 from .joint_residual import Optimum
 from .score import Score, basis, score
 
 
-COARSE = 32  # points at most that are tried on a raw capture
+COARSE = 32  # points at most that are tried where each takes long
 CHUNK = 8  # grid points evaluated side by side
 
 
@@ -35,14 +33,10 @@ class Found:
 
 def coverage(case: Case) -> Coverage:
     """What the records of a case cover."""
-    bands = [r.frequency for r in case.records if isinstance(r, FrequencySweepRecord)]
-    low, high = resonances(case.design)
-    every = np.concatenate([*bands, [0.8 * low, 1.2 * high]])
+    low, high = case.resonances
+    every = np.concatenate([*(r.frequencies for r in case.records), [0.8 * low, 1.2 * high]])
     volts = max(float(np.max(np.abs(r.readings))) for r in case.records)
-    durations = tuple(
-        0.0 if isinstance(r, FrequencySweepRecord) else float(getattr(r, "time", [0.0])[-1]) for r in case.records
-    )
-    return Coverage((float(every.min()), float(every.max())), volts, durations)
+    return Coverage((float(every.min()), float(every.max())), volts, tuple(r.duration for r in case.records))
 
 
 def scans(case: Case) -> tuple[tuple[Scanned, ...], ...]:
@@ -67,7 +61,7 @@ def scan(model: Model, optimum: Optimum, readings: Sequence[Readings], grid: Seq
         points = [e for e in grid if _shows(e, chosen, readings)]
         if not points:
             continue
-        if isinstance(chosen.experiment, TimeRecord):  # long to simulate: a coarse net there
+        if chosen.experiment.slow:
             points = points[:: -(-len(points) // COARSE)]
         span = slice(starts[place], starts[place + 1])
         for begin in range(0, len(points), CHUNK):
@@ -87,8 +81,7 @@ def _shows(effect: Scanned, chosen: Readings, readings: Sequence[Readings]) -> b
     """Whether a scan looks at this record for this effect."""
     if isinstance(effect, DampingStep):
         return bool(np.any(chosen.record == int(effect.record)))
-    sweeps = any(isinstance(r.experiment, HarmonicSweep) for r in readings)
-    return isinstance(chosen.experiment, HarmonicSweep) or not sweeps
+    return chosen.experiment.shows_modes or not any(r.experiment.shows_modes for r in readings)
 
 
 def _stacked(effects: Sequence[Scanned]) -> Scanned:

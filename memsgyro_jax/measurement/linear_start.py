@@ -6,13 +6,9 @@ Every phasor obeys (K − ω² + iωD)·X = σ·F. Least squares on this equatio
 
 import numpy as np
 
-from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.normalised import NormalisedDevice
 
-from .case import Case, FrequencySweepRecord, RateTableRecord, RingDownRecord
-from .case import TimeRecord as RawRecord
-from .case.device import resonances
-from .noise_level import noise_level
+from .case import Case
 
 
 ROUNDS = 12
@@ -22,9 +18,9 @@ PAIRS = {1: ((0, 0),), 2: ((0, 0), (1, 1), (0, 1))}
 def starting_device(case: Case) -> NormalisedDevice:
     """The linear device that explains the case's phasors best, in coordinates per mass.
 
-    **Raises:** `InputError` where no record drives the device in a known way.
+    Where no record drives it in a known way, the device as designed.
     """
-    offered = [_phasors(case, record) for record in case.records if record.role != "validation"]
+    offered = [record.starting_phasors(case) for record in case.records if record.role != "validation"]
     rows = [row for row in offered if row is not None]
     if not rows:
         return design_device(case)
@@ -46,47 +42,6 @@ def design_device(case: Case) -> NormalisedDevice:
     m = d["mass"]
     stiffness = np.array([d["kxx"], d["kyy"], d["kxy"]]) / m
     return NormalisedDevice(stiffness, np.array([d["dxx"], d["dyy"], d["dxy"]]) / m, 1 / m)
-
-
-def _phasors(case: Case, record) -> tuple | None:
-    """Rows (ω, displacement phasors, force phasors, 1/noise) that a record offers at rest."""
-    axis = np.eye(case.channels)
-    scale = case.readout.scale
-    if isinstance(record, FrequencySweepRecord):
-        # The lowest drive and the reference conditions are the most linear; others only where nothing else is there.
-        calm = (record.rate == 0) & (np.abs(record.temperature - case.environment.temperature) < 1)
-        calm &= np.abs(record.bias_voltage - case.environment.bias_voltage) < 1e-6
-        calm &= record.drive <= 1.01 * record.drive.min()
-        calm = calm if calm.any() else np.ones(record.rows, bool)
-        force = np.outer(record.drive, axis[record.axis])[calm]
-        motion = record.phasors[calm] / scale
-        return record.frequency[calm], motion, force + 0j, np.full(motion.shape[0], abs(scale) / noise_level(record))
-    if isinstance(record, RateTableRecord) and np.any(record.rate == 0):
-        motion = record.phasors[record.rate == 0].mean(axis=0)[None] / scale
-        force = record.drive_force * axis[record.axis][None]
-        weight = np.sqrt(np.sum(record.rate == 0)) * abs(scale) / noise_level(record)
-        return np.array([record.drive_frequency]), motion, force + 0j, np.array([weight])
-    if isinstance(record, RawRecord):
-        return _lines(case, record)
-    if not isinstance(record, RingDownRecord):
-        raise InputError(f"Experiment `{record.name}` is of a kind that offers no start.")
-    return None
-
-
-def _lines(case: Case, record: RawRecord) -> tuple:
-    """Spectral lines of a raw capture around the resonances, under a Hann window that hides start and end."""
-    low, high = resonances(case.design)
-    window = np.hanning(record.rows)[:, None]
-    offset = record.signals.mean(axis=0)
-    motion = np.fft.rfft((record.signals - offset) * window, axis=0) / case.readout.scale
-    held = record.forces
-    force = np.fft.rfft(held * window, axis=0)
-    omega = 2 * np.pi * np.fft.rfftfreq(record.rows, record.period)
-    if record.hold == "zero_order":  # a held force is late by half a sample
-        force = force * (np.exp(-0.5j * omega * record.period) * np.sinc(omega * record.period / 2 / np.pi))[:, None]
-    near = (omega > 0.5 * low) & (omega < 2.0 * high)
-    weight = np.full(near.sum(), abs(case.readout.scale) / (noise_level(record) * np.sqrt(np.sum(window**2) / 2)))
-    return omega[near], motion[near], force[near], weight
 
 
 def _response_weight(device, omega: np.ndarray, axes: int) -> np.ndarray:

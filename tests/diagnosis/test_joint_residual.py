@@ -20,7 +20,7 @@ from memsgyro_jax.measurement.model import Model
 from memsgyro_jax.measurement.readings import model_of, readings_of
 
 
-KINDS = ("HarmonicSweep", "RingDown", "RateTable", "TimeRecord")
+KINDS = ("HarmonicSweep", "RingDown", "RateTable", "RawCapture")
 BASE = ("kxx/m", "kyy/m", "kxy/m", "dxx/m", "dyy/m", "dxy/m", "1/m", "offset x", "offset y")
 # All effects at once, each strong enough to matter, weak enough that all of them together leave the motion tame.
 EVERYTHING = replace(visible(*VISIBLE, times=0.2), rate_bias_drift=(0.02, -0.01, 0.01, 0.005, -0.005, 0.002))

@@ -5,14 +5,15 @@ import pytest
 from scipy import stats
 
 from memsgyro_jax.diagnosis import misfit
-from memsgyro_jax.diagnosis.misfit import Band, Part, Series, Variable, check_all, holm
+from memsgyro_jax.diagnosis.misfit import check_all, holm
+from memsgyro_jax.measurement.experiments.deviation import Band, Series, Subset, Variable
 
 
 def series(white, *, record="a", turned=None, pieces=None):
     """A record of two channels and 300 rows in three sweeps with everything that can be tested."""
     n = len(white)
     rows = np.arange(n)
-    parts = tuple(Part("drive", f"{k} nN", rows // (n // 3) == k) for k in range(3))
+    parts = tuple(Subset("drive", f"{k} nN", rows // (n // 3) == k) for k in range(3))
     variables = (
         Variable("displacement", np.abs(np.sin(0.1 * rows)) + 1e-3 * rows),
         Variable("time", rows * 1.0),

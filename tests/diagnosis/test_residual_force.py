@@ -9,9 +9,10 @@ import pytest
 
 import memsgyro_jax
 from memsgyro_jax.diagnosis.fit import fit_case
-from memsgyro_jax.diagnosis.residual_force import above_noise, in_bins, rate_residuals, sweep_forces, time_forces
+from memsgyro_jax.diagnosis.residual_force import rate_residuals, sweep_forces, time_forces
 from memsgyro_jax.effects import CubicStiffness, ParasiticMode
 from memsgyro_jax.measurement.case import load_case
+from memsgyro_jax.measurement.experiments.missing_force import above_noise, in_bins
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from lab.protocol import Laboratory, Multisine, RingDown
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.diagnosis.fit import fit_case
-from memsgyro_jax.measurement.experiments import HarmonicSweep, TimeRecord
+from memsgyro_jax.measurement.experiments import HarmonicSweep, RawCapture
 from memsgyro_jax.measurement.readings import readings_of
 
 
@@ -86,7 +86,7 @@ def test_errors_count_each_reading_once():
 
 
 def test_raw_captures_take_steps_that_resolve_the_motion(case):
-    raw = next(r.experiment for r in readings_of(case) if isinstance(r.experiment, TimeRecord))
+    raw = next(r.experiment for r in readings_of(case) if isinstance(r.experiment, RawCapture))
     fastest = 2 * np.pi * DIE.resonances()[1]
     assert float(raw.step) * fastest < 0.12
     assert raw.forces.shape[0] == 300 * raw.substeps

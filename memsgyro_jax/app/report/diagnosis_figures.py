@@ -8,18 +8,15 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FormatStrFormatter, LogLocator, MaxNLocator, NullFormatter
 
-from memsgyro_jax.diagnosis.fit import CaseFit
 from memsgyro_jax.diagnosis.result import Stage
-from memsgyro_jax.diagnosis.series import spoken
-from memsgyro_jax.measurement.case import FrequencySweepRecord
+from memsgyro_jax.measurement.experiments import AbstractRecord, Deviation
+from memsgyro_jax.measurement.experiments.deviation import View
 
 from .figures import WIDTH
 
 
 MEASURED, BASE, FINAL, QUIET = "#1d2530", "#c2571a", "#1f5fa8", "#8a94a0"
 _POINTS = 250  # of a long record in a picture
-_CURVES = 7  # sweeps in one picture
-_ZOOM = 2.5  # full widths of the resonance to each side
 
 
 def steps_figure(steps: Sequence[Stage]) -> Figure:
@@ -37,79 +34,46 @@ def steps_figure(steps: Sequence[Stage]) -> Figure:
     return _plain(figure)
 
 
-def overlay_figure(number: int, base: CaseFit, final: CaseFit) -> Figure:
-    """A sweep: measured points between the curves of base and final model, residual over noise below; the last column
-    is the neighbourhood in which the base model is worst.
-    """
-    record = base.case.records[number]
-    assert isinstance(record, FrequencySweepRecord)
-    hertz, white = record.frequency / (2 * np.pi), [_size(fit.whitened[number]) for fit in (base, final)]
-    predicted = [np.abs(fit.predicted(number)) for fit in (base, final)]
-    row, worst = np.unravel_index(int(np.nanargmax(white[0])), white[0].shape)
-    width = _ZOOM * float(np.max(np.diag(np.asarray(base.model.device.damping_matrix)))) / (2 * np.pi)
-    closest = next(piece for piece in record.sweeps if piece.start <= row < piece.stop)
-    near = np.zeros(record.rows, bool)
-    near[closest] = np.abs(hertz[closest] - hertz[row]) <= width
-    views = [(channel, record.sweeps[:: -(-len(record.sweeps) // _CURVES)], slice(None)) for channel in _channels(base)]
-    if near.sum() > 4:
-        views.append((int(worst), (near,), near))
+def overlay_figure(record: AbstractRecord, base: Deviation, final: Deviation, views: Sequence[View]) -> Figure:
+    """Measured points between the curves of base and final model, residual over noise below; a column per view."""
+    white, phasors = [one.size for one in (base, final)], np.iscomplexobj(record.readings)
+    measured, *curves = (np.abs(v) if phasors else v for v in (record.readings, base.predicted, final.predicted))
     figure = Figure(figsize=(WIDTH, 4.6), layout="constrained")
     grid = figure.subplots(2, len(views), squeeze=False, sharex="col", height_ratios=(3, 2))
-    for (channel, pieces, rows), (upper, lower) in zip(views, grid.T, strict=True):
-        for piece in pieces:
-            order = np.arange(record.rows)[piece][np.argsort(record.frequency[piece], kind="stable")]
-            upper.plot(
-                hertz[order], np.abs(record.phasors[order, channel]), ".", color=MEASURED, ms=3.5, mew=0, zorder=3
-            )
-            upper.plot(hertz[order], predicted[0][order, channel], "--", color=BASE, lw=1.1)
-            upper.plot(hertz[order], predicted[1][order, channel], "-", color=FINAL, lw=1.0)
+    for view, (upper, lower) in zip(views, grid.T, strict=True):
+        for rows in view.curves:
+            upper.plot(view.across[rows], measured[rows, view.channel], ".", color=MEASURED, ms=3.5, mew=0, zorder=3)
+            for values, colour, style in zip(curves, (BASE, FINAL), ("--", "-"), strict=True):
+                upper.plot(view.across[rows], values[rows, view.channel], style, color=colour, lw=1.1)
         for values, colour, marker in zip(white, (BASE, FINAL), ("x", "."), strict=True):
-            shown = np.maximum(values[rows, channel], 0.1)
-            lower.plot(hertz[rows], shown, marker, color=colour, ms=3.5, mew=0.7, alpha=0.7)
+            shown = np.maximum(values[view.rows, view.channel], 0.1)
+            lower.plot(view.across[view.rows], shown, marker, color=colour, ms=3.5, mew=0.7, alpha=0.7)
         _noise_line(lower)
-        if rows is not near:
+        if phasors and not view.near:
             log_scale(upper)
         log_scale(lower)
-        upper.set_title(f"channel {'xy'[channel]}" + (", where base is worst" if rows is near else ""))
-        lower.set_xlabel("frequency [Hz]")
+        upper.set_title(f"channel {'xy'[view.channel]}" + (", where base is worst" if view.near else ""))
+        lower.set_xlabel(view.heading)
         lower.ticklabel_format(axis="x", useOffset=False)
         lower.xaxis.set_major_locator(MaxNLocator(4))
-    grid[0, 0].set_ylabel(f"amplitude [{base.case.readout.unit}]")
+    grid[0, 0].set_ylabel(f"{'amplitude' if phasors else 'reading'} [{base.declared.readout.unit}]")
     grid[1, 0].set_ylabel("residual / noise")
     _keys(figure)
     return _plain(figure)
 
 
-def _channels(fit: CaseFit) -> range:
-    return range(fit.model.axes)
-
-
-def settings_text(record: FrequencySweepRecord, force: str) -> str:
-    """What was varied from sweep to sweep, for a caption."""
-    named = [("drive", record.drive, force), ("temperature", record.temperature, "K")]
-    named += [("bias voltage", record.bias_voltage, "V"), ("rate", record.rate, "rad/s")]
-    said = []
-    for name, values, unit in named:
-        levels = list(dict.fromkeys(spoken(float(np.mean(values[s])), unit, 3) for s in record.sweeps))
-        if len(levels) > 1:
-            said.append(f"{name} {', '.join(levels)}")
-    return "; ".join(said)
-
-
-def residual_figure(number: int, base: CaseFit, final: CaseFit) -> Figure:
-    """A record with a clock: residual over noise against time, as root mean square of short stretches."""
-    record = base.case.records[number]
+def residual_figure(base: Deviation, final: Deviation, views: Sequence[View]) -> Figure:
+    """Residual over noise alone, as root mean square of short stretches; a column per view."""
     figure = Figure(figsize=(WIDTH, 2.3), layout="constrained")
-    grid = figure.subplots(1, base.model.axes, squeeze=False, sharey=True)[0]
-    for channel, ax in enumerate(grid):
-        for fit, colour, style in ((base, BASE, "--"), (final, FINAL, "-")):
-            time, rms = _stretches(record.time, _size(fit.whitened[number])[:, channel])  # type: ignore[attr-defined]
-            ax.plot(time, rms, style, color=colour, lw=1.1)
+    grid = figure.subplots(1, len(views), squeeze=False, sharey=True)[0]
+    for view, ax in zip(views, grid, strict=True):
+        for one, colour, style in ((base, BASE, "--"), (final, FINAL, "-")):
+            ax.plot(*_stretches(view.across, one.size[:, view.channel]), style, color=colour, lw=1.1)
         _noise_line(ax)
         log_scale(ax)
         ax.set_ylim(0.3, max(5.0, 1.5 * ax.get_ylim()[1]))
-        ax.set_title(f"channel {'xy'[channel]}")
-        ax.set_xlabel("time [s]")
+        ax.set_title(f"channel {'xy'[view.channel]}")
+        ax.set_xlabel(view.heading)
     grid[0].set_ylabel("residual / noise")
     _keys(figure, measured=False)
     return _plain(figure)
@@ -121,11 +85,6 @@ def _stretches(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.nda
     count = min(_POINTS, max(1, len(values) // 10))
     pieces = np.array_split(np.arange(len(values)), count)
     return np.array([time[p].mean() for p in pieces]), np.array([np.sqrt(np.mean(values[p] ** 2)) for p in pieces])
-
-
-def _size(white: np.ndarray) -> np.ndarray:
-    """(n, channels) root mean square over the parts of each reading."""
-    return np.sqrt(np.mean(white**2, axis=-1))
 
 
 def colours(values: np.ndarray) -> np.ndarray:

@@ -5,7 +5,6 @@ import numpy as np
 from memsgyro_jax.diagnosis.compare import judged, times
 from memsgyro_jax.diagnosis.residual_force import rate_residuals, sweep_forces, time_forces
 from memsgyro_jax.diagnosis.result import Accepted, Candidate, Diagnosis
-from memsgyro_jax.measurement.case import FrequencySweepRecord, RateTableRecord
 
 from . import diagnosis_figures as figures
 from . import force_figures
@@ -100,21 +99,16 @@ def _errors(out: Page, diagnosis: Diagnosis) -> None:
 
 
 def _records(out: Page, diagnosis: Diagnosis) -> None:
-    base, final = diagnosis.base, diagnosis.final
-    force = "V" if diagnosis.case.device == "resonator" else "N"
     out.section("Measured and predicted")
     for number, record in enumerate(diagnosis.case.records):
-        if not np.isfinite(base.whitened[number]).any():
-            continue
-        if isinstance(record, FrequencySweepRecord):
-            varied = figures.settings_text(record, force)
-            caption = f"{record.name}, driven on {'xy'[record.axis]}{'; ' + varied if varied else ''}."
-            out.figure(figures.overlay_figure(number, base, final), caption)
-        else:
-            kind = "lock-in phasors" if isinstance(record, RateTableRecord) else "waveforms"
-            out.figure(
-                figures.residual_figure(number, base, final), f"{record.name}: residual of its {kind} over time."
-            )
+        base, final = (fit.deviation(number) for fit in (diagnosis.base, diagnosis.final))
+        if np.isfinite(base.white).any():
+            overlay = record.overlay(base, final)
+            if any(view.curves for view in overlay.views):
+                figure = figures.overlay_figure(record, base, final, overlay.views)
+            else:
+                figure = figures.residual_figure(base, final, overlay.views)
+            out.figure(figure, f"{record.name}: {overlay.caption}." if overlay.caption else f"{record.name}.")
 
 
 def _ranking(out: Page, diagnosis: Diagnosis) -> None:

@@ -5,7 +5,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from memsgyro_jax.diagnosis.residual_force import Binned, RateResidual, SweepForce, TimeForce
+from memsgyro_jax.measurement.experiments.missing_force import Binned, RateResidual, SweepForce, TimeForce
 
 from .diagnosis_figures import BASE, FINAL, MEASURED, QUIET, _plain, colours
 from .figures import WIDTH

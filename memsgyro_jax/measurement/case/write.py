@@ -1,8 +1,8 @@
 """Writing a measurement case, in SI, so that reading it again gives the same numbers."""
 
 import hashlib
-from functools import singledispatch
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -10,9 +10,9 @@ from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.files import write_whole
 from memsgyro_jax.base.toml import toml_text as _text
 
-from .device import VOCABULARIES
+from ..experiments import AbstractRecord
+from .content import Case
 from .file import FILE, SCHEMA
-from .records import AbstractRecord, Case, FrequencySweepRecord, RateTableRecord, RingDownRecord, TimeRecord
 
 
 def write_case(case: Case, folder: str | Path) -> Path:
@@ -40,7 +40,7 @@ def write_case(case: Case, folder: str | Path) -> Path:
         path = folder / record.file
         if not path.resolve().is_relative_to(folder.resolve()):
             raise InputError(f"File of experiment `{record.name}` must lie below the folder, but is {record.file!r}.")
-        text = _csv(_columns(record, case))
+        text = _csv(record.columns(case))
         path.parent.mkdir(parents=True, exist_ok=True)
         write_whole(path, text)
         sections.append(_table("[experiment]", _entry(record, case, text)))
@@ -48,7 +48,7 @@ def write_case(case: Case, folder: str | Path) -> Path:
 
 
 def _head(case: Case) -> list[str]:
-    words = VOCABULARIES[case.device]
+    words = case.words
     readout = {"scale": _quantity(case.readout.scale, f"{case.readout.unit}/{words.displacement}")}
     if case.readout.adc_range is not None:
         readout["adc_range"] = _quantity(case.readout.adc_range, case.readout.unit)
@@ -71,103 +71,15 @@ def _head(case: Case) -> list[str]:
 
 
 def _entry(record: AbstractRecord, case: Case, csv: str) -> dict[str, str]:
-    entry = {"name": _text(record.name), "kind": _text(record.kind), "file": _text(record.file)}
-    entry["sha256"] = _text(hashlib.sha256(csv.encode()).hexdigest())
+    entry: dict[str, Any] = {"name": record.name, "kind": record.kind, "file": record.file}
+    entry["sha256"] = hashlib.sha256(csv.encode()).hexdigest()
     if record.role is not None:
-        entry["role"] = _text(record.role)
+        entry["role"] = record.role
     if record.note:
-        entry["note"] = _text(record.note)
+        entry["note"] = record.note
     if record.noise_std is not None:
-        entry["noise_std"] = _quantity(record.noise_std, case.readout.unit)
-    return {**entry, **_settings(record, VOCABULARIES[case.device].force)}
-
-
-@singledispatch
-def _settings(record: AbstractRecord, force: str) -> dict[str, str]:
-    raise TypeError(f"no way to write a {type(record).__name__}")
-
-
-@_settings.register
-def _(record: FrequencySweepRecord, force: str) -> dict[str, str]:
-    return {"drive_axis": _text("xy"[record.axis]), "settled": "true" if record.settled else "false"}
-
-
-def _drive(record: RingDownRecord | RateTableRecord, force: str) -> dict[str, str]:
-    return {
-        "drive_axis": _text("xy"[record.axis]),
-        "drive_force": _quantity(record.drive_force, force),
-        "drive_frequency": _quantity(record.drive_frequency, "rad/s"),
-    }
-
-
-@_settings.register
-def _(record: RingDownRecord, force: str) -> dict[str, str]:
-    return {**_drive(record, force), "drive_duration": _quantity(record.drive_duration, "s")}
-
-
-@_settings.register
-def _(record: RateTableRecord, force: str) -> dict[str, str]:
-    reference = "calibrated" if record.rate_calibrated else "table"
-    cycles = str(record.lock_in_cycles)
-    return {**_drive(record, force), "lock_in_cycles": cycles, "rate_reference": _text(reference)}
-
-
-@_settings.register
-def _(record: TimeRecord, force: str) -> dict[str, str]:
-    return {"hold": _text(record.hold), "start": _text(record.start)}
-
-
-@singledispatch
-def _columns(record: AbstractRecord, case: Case) -> dict[str, np.ndarray]:
-    """Header to column."""
-    raise TypeError(f"no way to write a {type(record).__name__}")
-
-
-@_columns.register
-def _(record: FrequencySweepRecord, case: Case) -> dict[str, np.ndarray]:
-    words = VOCABULARIES[case.device]
-    time = {} if record.time is None else {"t [s]": record.time}
-    return {
-        **time,
-        f"{words.drives[0][record.axis]} [{words.force}]": record.drive,
-        "V_bias [V]": record.bias_voltage,
-        "T [K]": record.temperature,
-        "rate [rad/s]": record.rate,
-        "f [rad/s]": record.frequency,
-        **_phasors(record.phasors, case),
-    }
-
-
-@_columns.register
-def _(record: RingDownRecord, case: Case) -> dict[str, np.ndarray]:
-    return {"t [s]": record.time, **_signals(record.signals, case)}
-
-
-@_columns.register
-def _(record: RateTableRecord, case: Case) -> dict[str, np.ndarray]:
-    rate = {"rate [rad/s]": record.rate} if record.has_rate else {}
-    return {"t [s]": record.time, **rate, **_phasors(record.phasors, case)}
-
-
-@_columns.register
-def _(record: TimeRecord, case: Case) -> dict[str, np.ndarray]:
-    words = VOCABULARIES[case.device]
-    forces = {f"{name} [{words.force}]": record.forces[:, axis] for axis, name in enumerate(words.forces[0])}
-    return {"t [s]": record.time, **forces, **_signals(record.signals, case), "rate [rad/s]": record.rate}
-
-
-def _signals(signals: np.ndarray, case: Case) -> dict[str, np.ndarray]:
-    names = VOCABULARIES[case.device].signals[0]
-    return {f"{name} [{case.readout.unit}]": signals[:, c] for c, name in enumerate(names)}
-
-
-def _phasors(phasors: np.ndarray, case: Case) -> dict[str, np.ndarray]:
-    parts = _signals(phasors, case)
-    return {
-        header.replace(" [", f"_{end} ["): part
-        for header, value in parts.items()
-        for end, part in (("I", value.real), ("Q", value.imag))
-    }
+        entry["noise_std"] = {"value": record.noise_std, "unit": case.readout.unit}
+    return {key: _text(value) for key, value in (entry | record.keys(case)).items()}
 
 
 def _csv(columns: dict[str, np.ndarray]) -> str:

@@ -1,10 +1,18 @@
 """The port of the measurement side: a kind of experiment that predicts what the laboratory would have recorded."""
 
 import abc
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Complex, Float, PyTree
+
+from memsgyro_jax.device.conditions import Conditions
+
+from ..declared import Declared
 
 
 class Noise(eqx.Module):
@@ -60,11 +68,14 @@ class PolarNoise(Noise):
 
 
 class Experiment(eqx.Module):
-    """One record and the settings it was taken with.
+    """One record and the settings it was taken with: what a laboratory would have recorded of a device.
 
     A new kind of experiment subclasses this, predicts its own record from a bench (device, read-out and effects), and
     can then be fitted together with every other kind.
     """
+
+    shows_modes: ClassVar[bool] = False  # a parasitic mode is looked for here first
+    slow: ClassVar[bool] = False  # to predict: a scan takes a coarse net
 
     name: eqx.AbstractVar[str]
     measured: eqx.AbstractVar[Array]
@@ -74,12 +85,64 @@ class Experiment(eqx.Module):
     def predict(self, bench: PyTree) -> Array:
         """What the laboratory would have recorded, without noise, in the shape and unit of `measured`."""
 
-    @abc.abstractmethod
-    def conditions(self) -> dict[str, Float[Array, " n"]]:
-        """What was set or known per row, by name with its SI unit, e.g. `{"drive [N]": ...}`: where a misfit may depend
-        on.
+    def proposals(self, name: str) -> Iterator[tuple[str, "Experiment"]]:
+        """Experiments of the same shapes that a laboratory could add, the least effort first; none by default.
+
+        Each is a sentence that says what to do with the record `name`, and what would then be predicted.
         """
+        yield from ()
 
     def residual(self, bench: PyTree) -> Float[Array, " r"]:
         """Measured minus predicted in standard deviations of the noise, as one vector."""
         return self.noise.whiten(self.measured, self.predict(bench)).ravel()
+
+
+@dataclass(frozen=True)
+class Readings:
+    """An experiment, the record that each of its rows belongs to (−1: padding), the row there, whether it is fitted."""
+
+    experiment: Experiment
+    record: np.ndarray
+    row: np.ndarray
+    fitted: bool
+
+    @property
+    def axes(self) -> int:
+        """Number of channels."""
+        return self.experiment.measured.shape[1]
+
+    @property
+    def size(self) -> int:
+        """Real numbers in the residual."""
+        values = self.experiment.measured
+        return values.size * (2 if jnp.iscomplexobj(values) else 1)
+
+
+class Phasors(NamedTuple):
+    """Motion under a known force at rest, which tells a linear device without a guess.
+
+    Args:
+        omega: (n,) [rad/s], positive.
+        motion: (n, axes) displacement phasors [m].
+        force: (n, axes) force phasors [N].
+        weight: (n,) one over the standard deviation of the motion [1/m].
+    """
+
+    omega: np.ndarray
+    motion: np.ndarray
+    force: np.ndarray
+    weight: np.ndarray
+
+
+def surroundings(
+    declared: Declared, number: int, count: int, rate: np.ndarray | float = 0.0, *, time: np.ndarray | float = 0.0
+) -> Conditions:
+    """Conditions of `count` rows of record `number`, as declared but for the rate [rad/s] and the time [s]."""
+    return Conditions(
+        rate=rate,
+        temperature=declared.environment.temperature,
+        bias_voltage=declared.environment.bias_voltage,
+        time=time,
+        progress=np.linspace(0.0, 1.0, count),
+        record=float(number),
+    ).rows(count)

@@ -1,16 +1,22 @@
 """Frequency sweep of a `Model` with any effects, each row at its own condition: drive, temperature, bias, rate."""
 
+from collections.abc import Iterator
+from typing import ClassVar
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Complex, Float
 
 from memsgyro_jax.base.linalg import inverse
+from memsgyro_jax.device.conditions import Conditions
 from memsgyro_jax.effects.base import SweepEffect
 
-from ..model import Conditions, Model
-from ..steady import fundamental, steady_state
+from ..model import Model
+from ..steady import drive_waveform, fundamental, spectrum, steady_state, waveform
 from .base import Experiment, Noise
+from .missing_force import receptance
 
 
 class HarmonicSweep(Experiment):
@@ -29,6 +35,8 @@ class HarmonicSweep(Experiment):
         near: displacement phasors (n, axes) [m] that say which branch of a folded resonance is meant.
         direction: +1 where the frequency rose towards a row, −1 where it fell.
     """
+
+    shows_modes: ClassVar[bool] = True
 
     name: str = eqx.field(static=True)
     frequency: Float[Array, " n"]
@@ -52,15 +60,50 @@ class HarmonicSweep(Experiment):
 
         return jax.vmap(row)(self.frequency, self.force, self.surroundings, self.near, self.direction)
 
-    def conditions(self) -> dict[str, Float[Array, " n"]]:
-        """Frequency, drive level, temperature, bias and rate of each row."""
-        return {
-            "frequency [rad/s]": self.frequency,
-            "drive [N]": jnp.sqrt(jnp.sum(jnp.abs(self.force) ** 2, axis=1)),
-            "temperature [K]": self.surroundings.temperature,
-            "bias [V]": self.surroundings.bias_voltage,
-            "rate [rad/s]": self.surroundings.rate,
-        }
+    def proposals(self, name: str) -> Iterator[tuple[str, Experiment]]:
+        """All sweeps at once, driven harder, on the other axis, warmer and colder, at other bias voltages."""
+        again = "repeat the frequency sweeps"
+        driven = eqx.tree_at(lambda s: (s.force, s.near), self, (3.0 * self.force, 3.0 * self.near))
+        yield f"{again} at 3 times the drive", driven
+        if self.force.shape[1] == 2:
+            turned = eqx.tree_at(lambda s: (s.force, s.near), self, (self.force[:, ::-1], self.near[:, ::-1]))
+            yield f"{again} with the other axis driven", turned
+        place = np.arange(self.frequency.shape[0]) % 4
+        kelvin = self.surroundings.temperature + jnp.asarray(40.0 * np.sign(place - 1.5))
+        heated = eqx.tree_at(lambda s: s.surroundings.temperature, self, kelvin)
+        yield f"{again} 40 K below and above the temperature", heated
+        volts = jnp.where(self.surroundings.bias_voltage == 0, 5.0, self.surroundings.bias_voltage)
+        volts = volts * np.where(place < 2, 0.5, 1.5)
+        biased = eqx.tree_at(lambda s: s.surroundings.bias_voltage, self, volts)
+        yield f"{again} at half and 1.5 times the bias voltage", biased
+
+    @eqx.filter_jit
+    def missing(self, model: Model) -> tuple[Complex[Array, "n a"], Complex[Array, "n a"], Float[Array, "n a a"]]:
+        """Per row: the motion seen, the force [N] it takes beyond the model, and |force per displacement|."""
+        axes, errors = model.axes, (self.measured - self.predict(model)) / model.scale
+
+        def row(omega: Array, force: Array, conditions: Conditions, near: Array, error: Array):
+            state = steady_state(model, omega, force, conditions, near)
+            matrix, _ = model.linear(conditions)
+            moved = state.at[1].add(_carried(matrix, omega, error))
+            command, _ = drive_waveform(force)
+            rates = jax.vmap(lambda s, u: model.derivative(s, u, conditions))(waveform(moved), command)
+            given = spectrum(rates, 1)[1, axes : 2 * axes]
+            missing = (1j * omega * moved[1, axes : 2 * axes] - given) / model.device.mobility
+            return moved[1, :axes], missing, jnp.abs(jnp.linalg.inv(receptance(model, matrix, omega)))
+
+        return jax.vmap(row)(self.frequency, self.force, self.surroundings, self.near, errors)
+
+
+def _carried(matrix: Array, omega: Array, error: Complex[Array, " a"]) -> Complex[Array, " n"]:
+    """The state that goes with a displacement: velocity, and how the effects' own linear states follow."""
+    axes = error.shape[0]
+    motion = jnp.concatenate([error, 1j * omega * error])
+    if matrix.shape[0] == 2 * axes:
+        return motion
+    own = matrix[2 * axes :]
+    operator = 1j * omega * jnp.eye(own.shape[0]) - own[:, 2 * axes :]
+    return jnp.concatenate([motion, jnp.linalg.solve(operator, own[:, : 2 * axes] @ motion)])
 
 
 def sweep_lag(model: Model, omega: Array, force: Array, conditions: Conditions, beta: Array) -> Complex[Array, " n"]:

@@ -1,14 +1,33 @@
 """Rate table: driven at one frequency, demodulated block by block by a lock-in while the table turns."""
 
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, Literal, Self
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Complex, Float
+from pydantic import Field
 
+from memsgyro_jax.base.quantity import Whole
+from memsgyro_jax.base.table import Table
+from memsgyro_jax.device.conditions import Conditions
+
+from ..clock import check_period
+from ..columns import phasor_columns
+from ..declared import Declared
 from ..envelope import HARMONICS, Driven
-from ..model import Conditions, Model
+from ..model import Model
+from ..section import Axis, ExperimentSection, Quantity
 from ..steady import fundamental, steady_state
-from .base import Experiment, Noise
+from .base import CartesianNoise, Experiment, Noise, Phasors, surroundings
+from .clocked import ClockedRecord
+from .deviation import Deviation, Known, Series, Variable, segments, settings, turned
+from .missing_force import RateResidual, residual_over_rate
+from .record import Watched
+from .sheet import Sheet
 
 
 class RateTable(Experiment):
@@ -47,11 +66,154 @@ class RateTable(Experiment):
         seen = driven.demodulated(course, step)
         return jax.vmap(lambda s, c: fundamental(bench, self.frequency, s, driven.force, c))(seen, self.surroundings)
 
-    def conditions(self) -> dict[str, Float[Array, " n"]]:
-        """Time and rate of each block."""
+    def proposals(self, name: str) -> Iterator[tuple[str, Experiment]]:
+        """Rates that are known from a calibrated reference, fast rates, and a stronger drive."""
+        count, time, most = self.time.shape[0], np.asarray(self.time), np.radians(100.0)
+        phase, pace = np.arange(count) / count, 2 * np.pi * 20.0
+        rate = most * np.sign(np.sin(2 * np.pi * 4 * phase)) * (phase < 0.5)
+        rate = rate + most * np.sin(2 * np.pi * 10 * phase) * (phase >= 0.5)
+        slope = np.gradient(rate, float(time[-1] - time[0]) / max(count - 1, 1))
+        known = self._turning(rate, slope)
+        known = eqx.tree_at(lambda t: t.surroundings.rate_trusted, known, jnp.ones(count))
+        yield f"repeat `{name}` at known rate: steps and sines of 100 deg/s, calibrated", known
+        shaken = self._turning(most * np.sin(pace * time), most * pace * np.cos(pace * time))
+        yield f"repeat `{name}` with a rate sine of 100 deg/s at 20 Hz", shaken
+        yield f"repeat `{name}` at 3 times the drive", eqx.tree_at(lambda t: t.force, self, 3.0 * self.force)
+
+    def _turning(self, rate: np.ndarray, slope: np.ndarray) -> "RateTable":
+        """The same with another rate (n,) [rad/s] and its slope [rad/s²]."""
+        where = lambda t: (t.surroundings.rate, t.surroundings.angular_acceleration)  # noqa: E731
+        return eqx.tree_at(where, self, (jnp.asarray(rate), jnp.asarray(slope)))
+
+
+class RateTableSection(ExperimentSection):
+    """Rate table."""
+
+    drive_axis: Axis | None = None
+    drive_force: Quantity
+    drive_frequency: Quantity
+    lock_in_cycles: Annotated[Whole, Field(gt=0, le=10**9)]
+    rate_reference: Literal["table", "calibrated"] = "table"
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RateTableRecord(ClockedRecord):
+    """Lock-in phasors over time on a rate table, open loop, settled before t = 0.
+
+    Args:
+        axis: driven electrode, 0 = x, 1 = y.
+        drive_force: amplitude [N], of the input [V] for a resonator.
+        drive_frequency: [rad/s].
+        lock_in_cycles: drive cycles over which each row averages; rows follow each other without a gap.
+        rate_calibrated: the rate comes from a calibrated reference, not from the setting of the table.
+        has_rate: the file has a rate column; without it the table stands still.
+        time: (n,) middle of each block [s].
+        rate: (n,) angular rate [rad/s], zeros without the column.
+        phasors: (n, channels) complex, in the record unit.
+    """
+
+    kind: ClassVar[str] = "rate_table"
+    section: ClassVar[type[ExperimentSection]] = RateTableSection
+    axis: int
+    drive_force: float
+    drive_frequency: float
+    lock_in_cycles: int
+    rate_calibrated: bool
+    has_rate: bool
+    rate: np.ndarray
+    phasors: np.ndarray
+
+    @property
+    def readings(self) -> np.ndarray:
+        return self.phasors
+
+    @property
+    def extent(self) -> str:
+        return f"{self.span}, rate up to {np.degrees(np.max(np.abs(self.rate))):.4g} deg/s"
+
+    @property
+    def slope(self) -> np.ndarray:
+        """(n,) angular acceleration [rad/s²]."""
+        return np.gradient(self.rate, self.period) if self.rows > 1 else np.zeros(1)
+
+    @classmethod
+    def read(cls, sheet: Sheet) -> Self:
+        columns = sheet.columns
+        columns.refuse_others(["t", "rate", *columns.signal_names("_I", "_Q", "_amp", "_phase")])
+        return cls(
+            **sheet.common(),
+            axis=sheet.axis,
+            drive_force=sheet.amount("drive_force", sheet.force_unit),
+            drive_frequency=sheet.frequency("drive_frequency"),
+            lock_in_cycles=sheet.entry.lock_in_cycles,
+            rate_calibrated=sheet.entry.rate_reference == "calibrated",
+            has_rate=columns.has("rate"),
+            time=columns.time(),
+            rate=columns.optional("rate", "rad/s", 0.0),
+            phasors=columns.phasors(),
+        )
+
+    def check(self, table: Table, declared: Declared) -> None:
+        check_period(table, self.lock_in_cycles * 2 * np.pi / self.drive_frequency)
+
+    def keys(self, declared: Declared) -> dict[str, Any]:
         return {
-            "time [s]": self.time,
-            "rate [rad/s]": self.surroundings.rate,
-            "angular acceleration [rad/s²]": self.surroundings.angular_acceleration,
-            "temperature [K]": self.surroundings.temperature,
+            "drive_axis": "xy"[self.axis],
+            "drive_force": {"value": self.drive_force, "unit": declared.words.force},
+            "drive_frequency": {"value": self.drive_frequency, "unit": "rad/s"},
+            "lock_in_cycles": self.lock_in_cycles,
+            "rate_reference": "calibrated" if self.rate_calibrated else "table",
         }
+
+    def columns(self, declared: Declared) -> dict[str, np.ndarray]:
+        rate = {"rate [rad/s]": self.rate} if self.has_rate else {}
+        return {"t [s]": self.time, **rate, **phasor_columns(self.phasors, declared)}
+
+    def experiment(self, declared: Declared, number: int) -> RateTable:
+        around = eqx.tree_at(
+            lambda c: (c.angular_acceleration, c.rate_trusted),
+            surroundings(declared, number, self.rows, self.rate, time=self.time),
+            (jnp.asarray(self.slope), jnp.full(self.rows, float(self.rate_calibrated))),
+        )
+        return RateTable(
+            name="rate tables",
+            time=jnp.asarray(self.time),
+            measured=jnp.asarray(self.phasors),
+            noise=CartesianNoise(self.noise_level),
+            frequency=jnp.asarray(self.drive_frequency),
+            force=jnp.asarray(self.drive_force * np.eye(declared.channels)[self.axis]),
+            surroundings=around,
+            block_cycles=self.lock_in_cycles,
+        )
+
+    def starting_phasors(self, declared: Declared) -> Phasors | None:
+        still, scale = self.rate == 0, declared.readout.scale
+        if not still.any():
+            return None
+        motion = self.phasors[still].mean(axis=0)[None] / scale
+        force = self.drive_force * np.eye(declared.channels)[self.axis][None]
+        weight = np.sqrt(np.sum(still)) * abs(scale) / self.noise_level
+        return Phasors(np.array([self.drive_frequency]), motion, force + 0j, np.array([weight]))
+
+    def watched(self, noise: float) -> list[Watched]:
+        return [*super().watched(noise), self.in_time("the rate", self.rate)]
+
+    def known(self, declared: Declared) -> tuple[Known, ...]:
+        return (
+            *super().known(declared),
+            Known("rate", self.rate, "rad/s"),
+            Known("angular acceleration", self.slope, "rad/s²", set=False),
+        )
+
+    def series(self, deviation: Deviation) -> Series:
+        # Both channels by the phase of the drive: that of the sense channel turns over with the rate.
+        driven = deviation.predicted[:, self.axis : self.axis + 1]
+        known, whole = self.known(deviation.declared), (slice(None),)
+        parts = (*segments(self.time), *(part for one in known if one.set for part in settings(one, whole)))
+        variables = tuple(Variable(one.name, one.values) for one in known)
+        return Series(
+            self.name, deviation.channels, deviation.white, turned(deviation.white, driven), whole, parts, (), variables
+        )
+
+    def missing_force(self, deviation: Deviation) -> RateResidual:
+        return residual_over_rate(self.name, deviation, self.axis, self.rate, self.time, self.noise_level)

@@ -1,13 +1,27 @@
 """Ring-down: driven from rest for a while, then left alone."""
 
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.table import Table
+from memsgyro_jax.device.conditions import Conditions
+
+from ..clock import check_period
+from ..declared import Declared
 from ..envelope import Driven
-from ..model import Conditions, Model
-from .base import Experiment, Noise
+from ..model import Model
+from ..section import Axis, ExperimentSection, Quantity
+from .base import Experiment, Noise, RealNoise, surroundings
+from .checks import check_sampling, exchanged
+from .clocked import WaveformRecord
+from .sheet import Sheet
 
 
 class RingDown(Experiment):
@@ -57,6 +71,100 @@ class RingDown(Experiment):
 
         return jax.vmap(sample)(states, self.time)
 
-    def conditions(self) -> dict[str, Float[Array, " n"]]:
-        """Time of each sample."""
-        return {"time [s]": self.time}
+
+class RingDownSection(ExperimentSection):
+    """Ring-down."""
+
+    drive_axis: Axis | None = None
+    drive_force: Quantity
+    drive_frequency: Quantity
+    drive_duration: Quantity
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RingDownRecord(WaveformRecord):
+    """Free decay: from rest the axis is driven with F cos(ωt) for the whole number of cycles nearest below
+    `drive_duration`; the force is removed at t = 0.
+
+    Args:
+        axis: driven electrode, 0 = x, 1 = y.
+        drive_force: amplitude [N], of the input [V] for a resonator.
+        drive_frequency: [rad/s].
+        drive_duration: [s].
+        time: (n,) uniform [s].
+        signals: (n, channels) in the record unit.
+    """
+
+    kind: ClassVar[str] = "ring_down"
+    section: ClassVar[type[ExperimentSection]] = RingDownSection
+    last_resort: ClassVar[bool] = True
+    axis: int
+    drive_force: float
+    drive_frequency: float
+    drive_duration: float
+
+    @property
+    def extent(self) -> str:
+        return f"{self.span} after driving {'xy'[self.axis]} at {self.drive_frequency / (2 * np.pi):.6g} Hz"
+
+    @classmethod
+    def read(cls, sheet: Sheet) -> Self:
+        columns = sheet.columns
+        columns.refuse_others(["t", *columns.signal_names("")])
+        return cls(
+            **sheet.common(),
+            axis=sheet.axis,
+            drive_force=sheet.amount("drive_force", sheet.force_unit),
+            drive_frequency=sheet.frequency("drive_frequency"),
+            drive_duration=sheet.amount("drive_duration", "s"),
+            time=columns.time(),
+            signals=columns.signals(),
+        )
+
+    def check(self, table: Table, declared: Declared) -> None:
+        if self.time[0] < 0:
+            raise table.at(0, "t", "must not be before the force is removed at t = 0")
+        check_period(table, None)
+        check_sampling(self.period, self.rows, declared.resonances, table)
+
+    def keys(self, declared: Declared) -> dict[str, Any]:
+        return {
+            "drive_axis": "xy"[self.axis],
+            "drive_force": {"value": self.drive_force, "unit": declared.words.force},
+            "drive_frequency": {"value": self.drive_frequency, "unit": "rad/s"},
+            "drive_duration": {"value": self.drive_duration, "unit": "s"},
+        }
+
+    def experiment(self, declared: Declared, number: int) -> RingDown:
+        driven = self.drive_duration * self.drive_frequency / (2 * np.pi)
+        cycles = int(np.floor(driven + 1e-9))
+        if cycles < 1:
+            raise InputError(
+                f"{declared.folder}, experiment `{self.name}`: `drive_duration` must hold at least one drive cycle, "
+                f"but holds {driven:.3g}."
+            )
+        return RingDown(
+            name="ring-downs",
+            time=jnp.asarray(self.time),
+            measured=jnp.asarray(self.signals),
+            noise=RealNoise(self.noise_level),
+            frequency=jnp.asarray(self.drive_frequency),
+            force=jnp.asarray(self.drive_force * np.eye(declared.channels)[self.axis]),
+            surroundings=jax.tree.map(lambda leaf: leaf[0], surroundings(declared, number, 1)),
+            cycles=cycles,
+            late=bool(self.time[0] > 0),
+        )
+
+    def warnings(self, declared: Declared) -> list[str]:
+        found, decay = exchanged(self.file, self.axis, self.signals), declared.shortest_decay
+        if self.drive_duration < 5 * decay:
+            found.append(
+                f"{self.file}: the drive of {self.drive_duration:.3g} s lasts less than 5 time constants of {decay:.3g}"
+                " s or more, so the decay starts from a transient."
+            )
+        if self.period * self.rows < decay:
+            found.append(
+                f"{self.file}: the record of {self.period * self.rows:.3g} s is shorter than the time constant of "
+                f"{decay:.3g} s or more, so that the damping shows little."
+            )
+        return found

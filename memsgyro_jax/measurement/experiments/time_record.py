@@ -1,15 +1,39 @@
 """Raw capture: forces and waveforms sample by sample."""
 
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal, Self
+
 import equinox as eqx
 import jax
+import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
+from scipy import signal
 
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.table import Table
+from memsgyro_jax.device.conditions import Conditions
+
+from ..clock import check_period
+from ..declared import Declared
 from ..envelope import simulate
-from ..model import Conditions, Model
-from .base import Experiment, Noise
+from ..model import Model
+from ..section import ExperimentSection
+from .base import Experiment, Noise, Phasors, RealNoise, surroundings
+from .checks import check_sampling
+from .clocked import WaveformRecord
+from .deviation import Known
+from .record import Watched
+from .sheet import Sheet
 
 
-class TimeRecord(Experiment):
+PHASE_STEP = 0.1  # of the highest mode per integration step where a nonlinear part is integrated [rad]
+RING_TIMES = 12  # amplitude time constants after which an unknown start has died out
+Hold = Literal["zero_order", "linear", "band_limited"]
+
+
+class RawCapture(Experiment):
     """Waveforms under known forces, from rest.
 
     Args:
@@ -24,6 +48,8 @@ class TimeRecord(Experiment):
         substeps: integration steps per sample.
         skipped: samples at the beginning that are simulated but not compared, while an unknown start dies out.
     """
+
+    slow: ClassVar[bool] = True
 
     name: str = eqx.field(static=True)
     time: Float[Array, " n"]
@@ -44,6 +70,139 @@ class TimeRecord(Experiment):
         now = jax.tree.map(lambda leaf: leaf[kept], self.surroundings)
         return jax.vmap(bench.observe)(states[kept], self.forces[kept], self.increments[kept] / self.step, now)
 
-    def conditions(self) -> dict[str, Float[Array, " n"]]:
-        """Time of each sample."""
-        return {"time [s]": self.time}
+    def proposals(self, name: str) -> Iterator[tuple[str, Experiment]]:
+        """A stronger drive."""
+        stronger = (3.0 * self.forces, 3.0 * self.increments)
+        yield f"repeat `{name}` at 3 times the drive", eqx.tree_at(lambda s: (s.forces, s.increments), self, stronger)
+
+
+class TimeSection(ExperimentSection):
+    """Raw signals under held forces."""
+
+    hold: Hold
+    start: Literal["rest", "unknown"]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class TimeRecord(WaveformRecord):
+    """Raw signals under known forces.
+
+    Args:
+        hold: how the force runs between rows: "zero_order", "linear" or "band_limited".
+        start: "rest" or "unknown" motion at the first row.
+        time: (n,) uniform [s].
+        forces: (n, axes) [N], the input [V] for a resonator.
+        signals: (n, channels) in the record unit.
+        rate: (n,) angular rate [rad/s], zeros where the record does not say.
+    """
+
+    kind: ClassVar[str] = "time_record"
+    section: ClassVar[type[ExperimentSection]] = TimeSection
+    hold: Hold
+    start: Literal["rest", "unknown"]
+    forces: np.ndarray
+    rate: np.ndarray
+
+    @property
+    def extent(self) -> str:
+        return f"{self.span}, {self.hold} input, start {self.start}"
+
+    @classmethod
+    def read(cls, sheet: Sheet) -> Self:
+        columns = sheet.columns
+        inputs = [name for group in columns.words.forces for name in group]
+        columns.refuse_others(["t", *inputs, *columns.signal_names(""), "rate"])
+        return cls(
+            **sheet.common(),
+            hold=sheet.entry.hold,
+            start=sheet.entry.start,
+            time=columns.time(),
+            forces=columns.forces(),
+            signals=columns.signals(),
+            rate=columns.optional("rate", "rad/s", 0.0),
+        )
+
+    def check(self, table: Table, declared: Declared) -> None:
+        if self.start == "rest" and self.time[0] != 0:
+            raise table.at(0, "t", 'must be 0 in the first row of a record that starts at "rest"')
+        check_period(table, None)
+        check_sampling(self.period, self.rows, declared.resonances, table)
+
+    def keys(self, declared: Declared) -> dict[str, Any]:
+        return {"hold": self.hold, "start": self.start}
+
+    def columns(self, declared: Declared) -> dict[str, np.ndarray]:
+        words = declared.words
+        forces = {f"{name} [{words.force}]": self.forces[:, axis] for axis, name in enumerate(words.forces[0])}
+        return {**super().columns(declared), **forces, "rate [rad/s]": self.rate}
+
+    def experiment(self, declared: Declared, number: int) -> RawCapture:
+        held, highest = self.hold == "zero_order", declared.resonances[1]
+        substeps = max(1, int(np.ceil(0.9 * highest * self.period / PHASE_STEP)))
+        fine = np.repeat(self.forces, substeps, axis=0) if held else _between(self.forces, substeps, self.hold)
+        following = np.concatenate([fine[1:], fine[-1:]])
+        rate, time = (np.repeat(values, substeps) for values in (self.rate, self.time))
+        skipped = self._unknown_start(declared)
+        return RawCapture(
+            name="raw captures",
+            time=jnp.asarray(self.time[skipped:]),
+            measured=jnp.asarray(self.signals[skipped:]),
+            noise=RealNoise(self.noise_level),
+            forces=jnp.asarray(fine),
+            increments=jnp.asarray(np.zeros_like(fine) if held else following - fine),
+            step=jnp.asarray(self.period / substeps),
+            surroundings=surroundings(declared, number, fine.shape[0], rate, time=time),
+            substeps=substeps,
+            skipped=skipped,
+        )
+
+    def _unknown_start(self, declared: Declared) -> int:
+        """Samples until an unknown start has died out."""
+        if self.start == "rest":
+            return 0
+        waiting = RING_TIMES * 2 * declared.largest_quality / declared.resonances[0]
+        skipped = int(np.ceil(waiting / self.period))
+        if skipped > self.rows // 2:
+            raise InputError(
+                f"{declared.folder}, experiment `{self.name}`: a record with an unknown start must be longer than "
+                f"twice the {waiting:.3g} s in which the start dies out, but lasts {self.period * self.rows:.3g} s; "
+                'begin it at rest and write `start = "rest"`.'
+            )
+        return skipped
+
+    def starting_phasors(self, declared: Declared) -> Phasors:
+        """Spectral lines around the resonances, under a Hann window that hides start and end."""
+        (low, high), scale = declared.resonances, declared.readout.scale
+        window = np.hanning(self.rows)[:, None]
+        motion = np.fft.rfft((self.signals - self.signals.mean(axis=0)) * window, axis=0) / scale
+        force = np.fft.rfft(self.forces * window, axis=0)
+        omega = 2 * np.pi * np.fft.rfftfreq(self.rows, self.period)
+        if self.hold == "zero_order":  # a held force is late by half a sample
+            late = np.exp(-0.5j * omega * self.period) * np.sinc(omega * self.period / 2 / np.pi)
+            force = force * late[:, None]
+        near = (omega > 0.5 * low) & (omega < 2.0 * high)
+        weight = np.full(near.sum(), abs(scale) / (self.noise_level * np.sqrt(np.sum(window**2) / 2)))
+        return Phasors(omega[near], motion[near], force[near], weight)
+
+    def watched(self, noise: float) -> list[Watched]:
+        inputs = [self.in_time(f"the input {name}", column) for name, column in zip("xy", self.forces.T, strict=False)]
+        return [*super().watched(noise), *inputs, self.in_time("the rate", self.rate)]
+
+    def known(self, declared: Declared) -> tuple[Known, ...]:
+        return (*super().known(declared), Known("rate", self.rate, "rad/s"))
+
+
+def _between(forces: np.ndarray, substeps: int, hold: str) -> np.ndarray:
+    """Input on a grid `substeps` times finer: on straight lines, or as a band-limited signal.
+
+    The integration takes the fine grid as straight lines, which weakens a sine by (ωh)²/12; the band-limited signal is
+    strengthened by as much.
+    """
+    count = forces.shape[0]
+    if hold == "linear" or substeps == 1:
+        place = np.arange(count * substeps) / substeps
+        return np.stack([np.interp(place, np.arange(count), column) for column in forces.T], axis=1)
+    fine = signal.resample_poly(forces, substeps, 1, axis=0, window=("kaiser", 12.0), padtype="line")
+    curvature = np.zeros_like(fine)
+    curvature[1:-1] = fine[2:] - 2 * fine[1:-1] + fine[:-2]
+    return fine - curvature / 12

@@ -8,7 +8,7 @@ import pytest
 from measurement.case.bench import NOISE, write_bench
 
 from memsgyro_jax.measurement.case import assess, load_case
-from memsgyro_jax.measurement.case.outliers import interpolation_misfit, lone_rows
+from memsgyro_jax.measurement.outliers import interpolation_misfit, lone_rows
 
 
 CASES = Path(__file__).resolve().parents[4] / "shared" / "data" / "cases"

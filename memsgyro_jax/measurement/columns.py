@@ -10,7 +10,7 @@ from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.table import Table
 from memsgyro_jax.base.text import suggestion
 
-from .device import Vocabulary, angular
+from .declared import Declared, Vocabulary, angular
 
 
 @dataclass(frozen=True)
@@ -150,3 +150,18 @@ class Columns:
 
 def _listed(names: Iterable[str]) -> str:
     return " or ".join(f"`{name}`" for name in names)
+
+
+def signal_columns(signals: np.ndarray, declared: Declared) -> dict[str, np.ndarray]:
+    """Real readings (n, channels) as a file has them: header to column."""
+    names = declared.words.signals[0]
+    return {f"{name} [{declared.readout.unit}]": signals[:, c] for c, name in enumerate(names)}
+
+
+def phasor_columns(phasors: np.ndarray, declared: Declared) -> dict[str, np.ndarray]:
+    """Complex readings (n, channels) as I and Q: header to column."""
+    return {
+        header.replace(" [", f"_{end} ["): part
+        for header, value in signal_columns(phasors, declared).items()
+        for end, part in (("I", value.real), ("Q", value.imag))
+    }

@@ -42,7 +42,8 @@ def lone_rows(place: np.ndarray, values: np.ndarray, noise: float) -> list[tuple
     """Rows that a cubic through their neighbours misses by more than 12 standard deviations, and by how many.
 
     What counts as a standard deviation is the declared noise, or the usual misfit around the row where that is larger:
-    at a resonance the curve itself bends. A step, after which the new level stays, is none.
+    at a resonance the curve itself bends. A step, after which the new level stays, is none; nor is the first row of a
+    new course, which those on one side of it continue.
 
     Args:
         place: (n,) strictly monotonic abscissa.
@@ -58,7 +59,11 @@ def lone_rows(place: np.ndarray, values: np.ndarray, noise: float) -> list[tuple
     with np.errstate(divide="ignore", invalid="ignore"):
         sigmas = misfit / scale
     rows = [int(row) for row in np.flatnonzero(high)]
-    return [(row, float(sigmas[row])) for row in rows if _mends(place, values, row, misfit[row])]
+    return [
+        (row, float(sigmas[row]))
+        for row in rows
+        if _mends(place, values, row, misfit[row]) and not _continues(place, values, row, misfit[row])
+    ]
 
 
 def _usual(misfit: np.ndarray) -> np.ndarray:
@@ -85,3 +90,14 @@ def _mends(place: np.ndarray, values: np.ndarray, row: int, jump: float) -> bool
     weights = _weights(place[row - 2 : row + 3])[:, 0]
     mended[centre] = np.sum(weights * mended[[centre - 2, centre - 1, centre + 1, centre + 2]])
     return bool(np.max(np.abs(interpolation_misfit(place[piece], mended))) < _FLAT * jump)
+
+
+def _continues(place: np.ndarray, values: np.ndarray, row: int, jump: float) -> bool:
+    """Whether a row lies on the parabola through the three rows before it, or the three after it."""
+    for side in (np.arange(row - 3, row), np.arange(row + 3, row, -1)):
+        if side.min() >= 0 and side.max() < len(place):
+            nodes = place[side]
+            weights = [np.prod([(place[row] - b) / (a - b) for b in nodes if b != a]) for a in nodes]
+            if abs(values[row] - np.sum(weights * values[side])) < _FLAT * jump:
+                return True
+    return False

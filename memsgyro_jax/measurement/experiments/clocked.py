@@ -1,0 +1,99 @@
+"""Records whose rows follow each other in time at one period, and among them waveforms."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..columns import signal_columns
+from ..declared import Declared
+from ..noise import noise_over_time
+from .deviation import Band, Deviation, Known, Overlay, Series, Variable, View, segments
+from .missing_force import TimeForce, force_over_time
+from .record import AbstractRecord, Watched
+
+
+_AROUND = 0.1  # of a mode's frequency that counts as "at" it in a spectrum
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ClockedRecord(AbstractRecord):
+    """A record with a clock.
+
+    Args:
+        time: (n,) of each row [s], uniform.
+    """
+
+    time: np.ndarray
+
+    @property
+    def period(self) -> float:
+        """Mean time from row to row [s]."""
+        return float(self.time[-1] - self.time[0]) / (self.rows - 1)
+
+    @property
+    def duration(self) -> float:
+        return float(self.time[-1])
+
+    @property
+    def span(self) -> str:
+        """How long and how fast, for people."""
+        return f"{self.period * self.rows:.4g} s at {1 / self.period:.6g} Hz"
+
+    def estimated_noise(self) -> float:
+        return noise_over_time(self.readings)
+
+    def watched(self, noise: float) -> list[Watched]:
+        return [
+            self.in_time(f"channel {name}", column, noise) for name, column in zip("xy", self.readings.T, strict=False)
+        ]
+
+    def in_time(self, name: str, values: np.ndarray, noise: float = 0.0) -> Watched:
+        """A column of the record to be watched for wrong digits."""
+        return Watched(name, values, noise, np.arange(self.rows, dtype=float), (slice(None),))
+
+    def known(self, declared: Declared) -> tuple[Known, ...]:
+        return (Known("time", self.time, "s", set=False),)
+
+    def overlay(self, base: Deviation, final: Deviation) -> Overlay:
+        """The residual of every channel over time."""
+        what = "lock-in phasors" if np.iscomplexobj(self.readings) else "waveforms"
+        views = tuple(View(c, "time [s]", self.time, slice(None)) for c in range(len(base.channels)))
+        return Overlay(f"residual of its {what} over time", views)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class WaveformRecord(ClockedRecord):
+    """Raw signals, sample by sample.
+
+    Args:
+        signals: (n, channels) in the record unit.
+    """
+
+    signals: np.ndarray
+
+    @property
+    def readings(self) -> np.ndarray:
+        return self.signals
+
+    @property
+    def offset(self) -> np.ndarray:
+        return self.signals[self.rows // 2 :].mean(axis=0)
+
+    def columns(self, declared: Declared) -> dict[str, np.ndarray]:
+        return {"t [s]": self.time, **signal_columns(self.signals, declared)}
+
+    def series(self, deviation: Deviation) -> Series:
+        motion, white = deviation.motion, deviation.white
+        speed = np.gradient(motion, self.period, axis=0)
+        modes = deviation.model.device.resonances() * self.period / (2 * np.pi)
+        low, high = (1 - _AROUND) * modes[0], (1 + _AROUND) * modes[-1]
+        names = ("x", "y") if len(deviation.channels) == 2 else ("",)
+        variables = [Variable(f"displacement {n}".strip(), motion[:, i]) for i, n in enumerate(names)]
+        variables += [Variable(f"velocity {n}".strip(), speed[:, i]) for i, n in enumerate(names)]
+        bands = (Band("below resonance", 0.0, low), Band("at resonance", low, high), Band("above resonance", high, 0.5))
+        return Series(
+            self.name, deviation.channels, white, white, (slice(None),), segments(self.time), bands, tuple(variables)
+        )
+
+    def missing_force(self, deviation: Deviation) -> TimeForce | None:
+        return force_over_time(self.name, deviation, self.time, self.noise_level)

@@ -1,0 +1,357 @@
+"""Frequency sweep: settled lock-in phasors over drive frequency, of one or more sweeps under several conditions."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
+
+import jax.numpy as jnp
+import numpy as np
+from pydantic import StrictBool
+
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.table import Table
+from memsgyro_jax.base.text import spoken
+from memsgyro_jax.device.conditions import Conditions
+
+from ..columns import phasor_columns
+from ..declared import Declared
+from ..noise import noise_over_frequency
+from ..section import Axis, ExperimentSection, Quantity
+from .base import CartesianNoise, Phasors, Readings
+from .checks import exchanged, near_resonance
+from .deviation import Deviation, Known, Overlay, Series, Subset, Variable, View, settings, turned
+from .harmonic_sweep import HarmonicSweep
+from .missing_force import SweepForce
+from .record import AbstractRecord, Watched
+from .sheet import Sheet
+from .sweep_checks import check_order, check_phase, refuse_repeats
+
+
+_TWO_PI = 2 * np.pi
+_NEAR = 2.0  # full widths of a resonance that count as "at" it
+_CURVES = 7  # sweeps in one picture
+_ZOOM = 2.5  # full widths of the resonance to each side of a close-up
+
+
+class SweepSection(ExperimentSection):
+    """Frequency sweep; the drive level stands here or in a column `F_x` or `F_y`."""
+
+    settled: StrictBool
+    drive_axis: Axis | None = None
+    drive_force: Quantity | None = None
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FrequencySweepRecord(AbstractRecord):
+    """Lock-in phasors over drive frequency: V(t) = Re[(I + iQ) e^{iωt}] for a drive F cos(ωt).
+
+    Args:
+        axis: driven electrode, 0 = x, 1 = y.
+        settled: whether each row was recorded after the transient had died away.
+        frequency: (n,) angular frequency [rad/s].
+        drive: (n,) amplitude of the force [N], of the input [V] for a resonator.
+        temperature: (n,) [K].
+        bias_voltage: (n,) of the electrodes [V].
+        rate: (n,) angular rate [rad/s], zero where the record does not say.
+        phasors: (n, channels) complex, in the record unit.
+        time: (n,) when each row was recorded [s], or `None`.
+    """
+
+    kind: ClassVar[str] = "frequency_sweep"
+    section: ClassVar[type[ExperimentSection]] = SweepSection
+    axis: int
+    settled: bool
+    frequency: np.ndarray
+    drive: np.ndarray
+    temperature: np.ndarray
+    bias_voltage: np.ndarray
+    rate: np.ndarray
+    phasors: np.ndarray
+    time: np.ndarray | None = None
+
+    @property
+    def readings(self) -> np.ndarray:
+        return self.phasors
+
+    @property
+    def sweeps(self) -> tuple[slice, ...]:
+        """The rows of each single sweep: a new one begins where a condition is set anew or the frequency turns back.
+
+        Temperature and rate may be readings: within 1 K and 1 % of the largest rate they count as one setting.
+        """
+        settings = (
+            (self.drive, 0.0),
+            (self.bias_voltage, 0.0),
+            (self.temperature, 1.0),
+            (self.rate, 0.01 * float(np.max(np.abs(self.rate), initial=0.0))),
+        )
+        new = np.zeros(self.rows, bool)
+        for values, within in settings:
+            new |= _settings_begin(values, within)
+        steps = np.sign(np.diff(self.frequency))
+        begins, direction = [0], 0.0
+        for row in range(1, self.rows):
+            if new[row] or (direction and steps[row - 1] != direction):
+                begins.append(row)
+                direction = 0.0
+            else:
+                direction = steps[row - 1]
+        return tuple(slice(a, b) for a, b in zip(begins, [*begins[1:], self.rows], strict=True))
+
+    @property
+    def extent(self) -> str:
+        low, high = self.frequency.min() / _TWO_PI, self.frequency.max() / _TWO_PI
+        return f"{len(self.sweeps)} sweeps of {'xy'[self.axis]}, {low:.6g} to {high:.6g} Hz"
+
+    # ---- record
+
+    @classmethod
+    def read(cls, sheet: Sheet) -> Self:
+        columns, around, axis = sheet.columns, sheet.declared.environment, sheet.axis
+        drives = [name for group in columns.words.drives for name in group]
+        conditions = ("T", "V_bias", "rate", "t")
+        columns.refuse_others(["f", *columns.signal_names("_I", "_Q", "_amp", "_phase"), *drives, *conditions])
+        return cls(
+            **sheet.common(),
+            axis=axis,
+            settled=sheet.entry.settled,
+            drive=_drive(sheet, axis),
+            frequency=columns.frequency(),
+            temperature=columns.optional("T", "K", around.temperature),
+            bias_voltage=columns.optional("V_bias", "V", around.bias_voltage),
+            rate=columns.optional("rate", "rad/s", 0.0),
+            phasors=columns.phasors(),
+            time=columns.time() if columns.has("t") else None,
+        )
+
+    def check(self, table: Table, declared: Declared) -> None:
+        try:
+            near_resonance(float(self.frequency.min()), float(self.frequency.max()), declared.resonances)
+        except InputError as error:
+            raise InputError(f"{table.path}, column `f`: the band {error}.") from error
+        set_to = (self.drive, self.bias_voltage, self.temperature, self.rate)
+        check_order(table, self.frequency, set_to, self.sweeps)
+        refuse_repeats(table, self.frequency, set_to)
+        for rows in self.sweeps:
+            check_phase(table, rows, self.axis, self.frequency, self.phasors, self.noise_std or 0.0)
+
+    def keys(self, declared: Declared) -> dict[str, Any]:
+        return {"drive_axis": "xy"[self.axis], "settled": self.settled}
+
+    def columns(self, declared: Declared) -> dict[str, np.ndarray]:
+        words = declared.words
+        return {
+            **({} if self.time is None else {"t [s]": self.time}),
+            f"{words.drives[0][self.axis]} [{words.force}]": self.drive,
+            "V_bias [V]": self.bias_voltage,
+            "T [K]": self.temperature,
+            "rate [rad/s]": self.rate,
+            "f [rad/s]": self.frequency,
+            **phasor_columns(self.phasors, declared),
+        }
+
+    # ---- predict
+
+    def experiment(self, declared: Declared, number: int) -> HarmonicSweep:
+        return _joined(declared, [(number, self)], np.arange(self.rows), np.ones(self.rows, bool))
+
+    @classmethod
+    def laid_out(cls, declared: Declared, records: Sequence[tuple[int, Self]], alone: bool) -> list[Readings]:
+        """All rows of all sweeps as one experiment to fit and one, of the same shape, to validate; without a role every
+        second row is fitted.
+        """
+        record = np.concatenate([np.full(r.rows, number) for number, r in records])
+        row = np.concatenate([np.arange(r.rows) for _, r in records])
+        chosen = np.concatenate([np.arange(r.rows) % 2 == 0 if r.role is None else np.full(r.rows, r.role == "fit")
+                                 for _, r in records])  # fmt: skip
+        groups = [np.flatnonzero(chosen), np.flatnonzero(~chosen)]
+        size = max(map(len, groups))
+        out = []
+        for rows, fitted in zip(groups, (True, False), strict=True):
+            if rows.size:
+                padded = np.concatenate([rows, np.full(size - rows.size, rows[-1])])
+                real = np.arange(size) < rows.size
+                experiment = _joined(declared, records, padded, real)
+                out.append(Readings(experiment, np.where(real, record[padded], -1), row[padded], fitted))
+        return out
+
+    @property
+    def frequencies(self) -> np.ndarray:
+        return self.frequency
+
+    @property
+    def directions(self) -> np.ndarray:
+        """(n,) +1 in sweeps whose frequency rises, −1 in those where it falls."""
+        out = np.ones(self.rows)
+        for rows in self.sweeps:
+            out[rows] = -1.0 if self.frequency[rows][-1] < self.frequency[rows][0] else 1.0
+        return out
+
+    # ---- start
+
+    def starting_phasors(self, declared: Declared) -> Phasors:
+        # The lowest drive and the reference conditions are the most linear; others only where nothing else is there.
+        scale, around = declared.readout.scale, declared.environment
+        calm = (self.rate == 0) & (np.abs(self.temperature - around.temperature) < 1)
+        calm &= np.abs(self.bias_voltage - around.bias_voltage) < 1e-6
+        calm &= self.drive <= 1.01 * self.drive.min()
+        calm = calm if calm.any() else np.ones(self.rows, bool)
+        force = np.outer(self.drive, np.eye(declared.channels)[self.axis])[calm]
+        weight = np.full(int(calm.sum()), abs(scale) / self.noise_level)
+        return Phasors(self.frequency[calm], self.phasors[calm] / scale, force + 0j, weight)
+
+    # ---- noise and quality
+
+    def estimated_noise(self) -> float | None:
+        return noise_over_frequency(self.frequency, self.phasors, self.sweeps)
+
+    def watched(self, noise: float) -> list[Watched]:
+        return [
+            Watched(f"channel {name}", column, noise, self.frequency, self.sweeps)
+            for name, column in zip("xy", self.phasors.T, strict=False)
+        ]
+
+    def warnings(self, declared: Declared) -> list[str]:
+        found = exchanged(self.file, self.axis, self.phasors)
+        if self.time is not None and self.settled:
+            dwell, needed = float(np.median(np.diff(self.time))), 5 * declared.shortest_decay
+            if dwell < needed:
+                found.append(
+                    f"{self.file}: rows are declared settled, but follow each other after {dwell:.3g} s, less than the "
+                    f"{needed:.3g} s that are 5 time constants of the most damped device within the design."
+                )
+        return found
+
+    # ---- misfit and overlay
+
+    def known(self, declared: Declared) -> tuple[Known, ...]:
+        out = (
+            Known("frequency", self.frequency, "rad/s", set=False),
+            Known("drive", self.drive, declared.words.force),
+            Known("temperature", self.temperature, "K"),
+            Known("bias voltage", self.bias_voltage, "V"),
+            Known("rate", self.rate, "rad/s"),
+        )
+        return out if self.time is None else (*out, Known("time", self.time, "s", set=False))
+
+    def series(self, deviation: Deviation) -> Series:
+        motion = np.abs(deviation.predicted[:, self.axis] / np.asarray(deviation.model.scale)[self.axis])
+        known = self.known(deviation.declared)
+        parts = [part for one in known if one.set for part in settings(one, self.sweeps)]
+        variables = [Variable("displacement", motion), *(Variable(one.name, one.values) for one in known)]
+        return Series(
+            self.name, deviation.channels, deviation.white, turned(deviation.white, deviation.predicted), self.sweeps,
+            (*parts, *_around_modes(self.frequency, deviation)), (), tuple(variables),
+        )  # fmt: skip
+
+    def at(self, row: int) -> str:
+        return f"near {spoken(self.frequency[row] / _TWO_PI, 'Hz')}"
+
+    def overlay(self, base: Deviation, final: Deviation) -> Overlay:
+        """Every channel over frequency, and the neighbourhood in which the base model is worst."""
+        hertz, white = self.frequency / _TWO_PI, base.size
+        row, worst = np.unravel_index(int(np.nanargmax(white)), white.shape)
+        width = _ZOOM * float(np.max(np.diag(np.asarray(base.model.device.damping_matrix)))) / _TWO_PI
+        closest = next(piece for piece in self.sweeps if piece.start <= row < piece.stop)
+        near = np.zeros(self.rows, bool)
+        near[closest] = np.abs(hertz[closest] - hertz[row]) <= width
+
+        def curves(pieces: Sequence[slice | np.ndarray]) -> tuple[np.ndarray, ...]:
+            rows = [np.arange(self.rows)[piece] for piece in pieces]
+            return tuple(piece[np.argsort(hertz[piece], kind="stable")] for piece in rows)
+
+        drawn = curves(self.sweeps[:: -(-len(self.sweeps) // _CURVES)])
+        views = [View(c, "frequency [Hz]", hertz, slice(None), drawn) for c in range(len(base.channels))]
+        if near.sum() > 4:
+            views.append(View(int(worst), "frequency [Hz]", hertz, near, curves((near,)), near=True))
+        return Overlay(f"driven on {'xy'[self.axis]}{self._varied(base.declared)}", tuple(views))
+
+    def _varied(self, declared: Declared) -> str:
+        """What was varied from sweep to sweep, for a caption."""
+        said = []
+        for one in self.known(declared):
+            levels = [spoken(float(np.mean(one.values[s])), one.unit, 3) for s in self.sweeps] if one.set else []
+            if len(levels := list(dict.fromkeys(levels))) > 1:
+                said.append(f"; {one.name} {', '.join(levels)}")
+        return "".join(said)
+
+    def missing_force(self, deviation: Deviation) -> SweepForce:
+        """The missing force of every row, fitted or not."""
+        pieces, model = [], deviation.model
+        for readings in deviation.readings:
+            mine = readings.record == deviation.number
+            columns = readings.experiment.missing(model)  # type: ignore[attr-defined]
+            pieces.append((readings.row[mine], *(np.asarray(part)[mine] for part in columns)))
+        order = np.argsort(np.concatenate([piece[0] for piece in pieces]))
+        motion, force, gain = (np.concatenate([piece[k] for piece in pieces])[order] for k in (1, 2, 3))
+        noise = self.noise_level / np.abs(np.asarray(model.scale))
+        return SweepForce(
+            self.name, self.axis, self.frequency, self.drive, self.temperature, self.bias_voltage,
+            motion[:, self.axis], force, np.sqrt(gain**2 @ noise**2),
+        )  # fmt: skip
+
+
+def _settings_begin(values: np.ndarray, within: float) -> np.ndarray:
+    """Where `values` leave the value of the current setting by more than `within`."""
+    begins, held = np.zeros(len(values), bool), values[0]
+    for row in np.flatnonzero(np.diff(values) != 0) + 1:
+        if abs(values[row] - held) > within:
+            begins[row], held = True, values[row]
+    return begins
+
+
+def _drive(sheet: Sheet, axis: int) -> np.ndarray:
+    """Drive level of each row, from the column or the section."""
+    columns, entry = sheet.columns, sheet.entry
+    drive = columns.drive(axis)
+    with sheet.source.section("experiment", sheet.number, "drive_force"):
+        if drive is not None and entry.drive_force is not None:
+            raise InputError("must be left out where a column holds the drive level")
+        if drive is None and entry.drive_force is None:
+            name = columns.words.drives[-1][axis]
+            raise InputError(f"is missing; give the drive level here or in a column `{name}` of {entry.file}")
+    if drive is None:
+        drive = np.full(len(columns.table.lines), sheet.amount("drive_force", sheet.force_unit))
+    return drive
+
+
+def _joined(
+    declared: Declared, records: Sequence[tuple[int, FrequencySweepRecord]], rows: np.ndarray, real: np.ndarray
+) -> HarmonicSweep:
+    """Rows of all records, in their order, as one experiment; those that are not `real` have no weight."""
+
+    def joined(values) -> np.ndarray:
+        return np.concatenate([np.asarray(values(number, r)) for number, r in records])[rows]
+
+    measured = joined(lambda _, r: r.phasors)
+    noise = joined(lambda _, r: np.full(r.rows, r.noise_level))
+    return HarmonicSweep(
+        name="frequency sweeps",
+        frequency=jnp.asarray(joined(lambda _, r: r.frequency)),
+        force=jnp.asarray(joined(lambda _, r: np.outer(r.drive, np.eye(declared.channels)[r.axis])) + 0j),
+        measured=jnp.asarray(measured),
+        noise=CartesianNoise(np.where(real, noise, np.inf)[:, None]),
+        surroundings=Conditions(
+            rate=joined(lambda _, r: r.rate),
+            temperature=joined(lambda _, r: r.temperature),
+            bias_voltage=joined(lambda _, r: r.bias_voltage),
+            record=joined(lambda number, r: np.full(r.rows, float(number))),
+        ).rows(len(rows)),
+        near=jnp.asarray(measured / declared.readout.scale),
+        direction=jnp.asarray(joined(lambda _, r: r.directions)),
+    )
+
+
+def _around_modes(frequency: np.ndarray, deviation: Deviation) -> tuple[Subset, ...]:
+    """Rows below, at, between and above the resonances of the model."""
+    device = deviation.model.device
+    modes, width = device.resonances(), float(np.max(np.diag(np.asarray(device.damping_matrix))))
+    at = np.min(np.abs(frequency[:, None] - modes), axis=1) <= _NEAR * width
+    below, above = frequency < modes[0], frequency > modes[-1]
+    parts = (
+        ("below resonance", below & ~at),
+        ("at resonance", at),
+        ("between the resonances", ~(at | below | above)),
+        ("above resonance", above & ~at),
+    )
+    return tuple(Subset("frequency", label, rows) for label, rows in parts if rows.any() and not rows.all())

@@ -1,0 +1,207 @@
+"""The port: a kind of measurement, from the rows of its file to what a misfit of it may depend on.
+
+A member is one class of record with its `Experiment`. What it must say is how it is read and written and what the
+laboratory would have recorded of a model; all else has a default that claims nothing about the kind.
+"""
+
+import abc
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar, Literal, NamedTuple, Self
+
+import numpy as np
+
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.table import Table
+
+from ..declared import Declared
+from ..section import ExperimentSection
+from .base import Experiment, Phasors, Readings
+from .deviation import Deviation, Known, Overlay, Series, Variable, View, settings, turned
+from .missing_force import MissingForce
+from .sheet import Sheet
+
+
+Role = Literal["fit", "validation"]
+
+
+class Watched(NamedTuple):
+    """A column in which a row that stands alone among its neighbours is a wrong digit.
+
+    Args:
+        name: for people.
+        values: (n,) real or complex.
+        noise: standard deviation of each real number; zero where it carries none.
+        place: (n,) abscissa, strictly monotonic within each piece.
+        pieces: rows that follow each other.
+    """
+
+    name: str
+    values: np.ndarray
+    noise: float
+    place: np.ndarray
+    pieces: Sequence[slice]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class AbstractRecord(abc.ABC):
+    """One experiment.
+
+    Args:
+        name: unique within the case.
+        file: CSV file below the folder of the case.
+        lines: (n,) line of each row in that file, from 1.
+        role: "validation" is never fitted; `None` where the case does not say.
+        note: free text.
+        noise_std: of each real reading (each of I and Q for phasors), in the record unit; `None` asks to estimate it.
+    """
+
+    kind: ClassVar[str]  # the word for it in `case.toml`
+    section: ClassVar[type[ExperimentSection]] = ExperimentSection  # its keys there
+    last_resort: ClassVar[bool] = False  # without a role, fitted only where no other kind is
+    name: str
+    file: str
+    lines: np.ndarray
+    role: Role | None = None
+    note: str = ""
+    noise_std: float | None = None
+
+    # ---- record
+
+    @property
+    def rows(self) -> int:
+        """How many rows the record has."""
+        return len(self.lines)
+
+    @property
+    @abc.abstractmethod
+    def readings(self) -> np.ndarray:
+        """(n, channels) what was read, real or complex, in the record unit."""
+
+    @property
+    @abc.abstractmethod
+    def extent(self) -> str:
+        """What the record spans, for people."""
+
+    @classmethod
+    @abc.abstractmethod
+    def read(cls, sheet: Sheet) -> Self:
+        """The record that a section of `case.toml` and its CSV file hold; raises `InputError` for what is wrong."""
+
+    def check(self, table: Table, declared: Declared) -> None:  # noqa: B027
+        """Raises `InputError` where rows, declarations and design contradict each other; by default they never do."""
+
+    def keys(self, declared: Declared) -> dict[str, Any]:
+        """What `case.toml` says of this record beside what it says of all."""
+        return {}
+
+    @abc.abstractmethod
+    def columns(self, declared: Declared) -> dict[str, np.ndarray]:
+        """The CSV file in SI, header to column (n,)."""
+
+    # ---- predict
+
+    @abc.abstractmethod
+    def experiment(self, declared: Declared, number: int) -> Experiment:
+        """What predicts the rows, or the last of them; `number` is that of the record in its case."""
+
+    @classmethod
+    def laid_out(cls, declared: Declared, records: Sequence[tuple[int, Self]], alone: bool) -> list[Readings]:
+        """The readings of all records of this kind, each with its number; `alone` where no other kind may be fitted.
+
+        By default one experiment per record, fitted as a whole or not at all. Records of one shape share a program.
+        """
+        out = []
+        for number, record in records:
+            experiment = record.experiment(declared, number)
+            rows = np.arange(record.rows)[-experiment.measured.shape[0] :]
+            fitted = (alone or not cls.last_resort) if record.role is None else record.role == "fit"
+            out.append(Readings(experiment, np.full(rows.size, number), rows, fitted))
+        return out
+
+    @property
+    def frequencies(self) -> np.ndarray:
+        """Frequencies at which the record looked for a response [rad/s]; by default none."""
+        return np.zeros(0)
+
+    @property
+    def duration(self) -> float:
+        """Time [s] over which the device may have changed within the record; zero where rows have no time."""
+        return 0.0
+
+    # ---- start
+
+    def starting_phasors(self, declared: Declared) -> Phasors | None:
+        """Motion at known frequencies and forces, from which a start of a fit is found; by default none."""
+        return None
+
+    @property
+    def offset(self) -> np.ndarray | None:
+        """(channels,) the constant in the readings, as far as the record shows one at a glance."""
+        return None
+
+    # ---- noise and quality
+
+    def estimated_noise(self) -> float | None:
+        """Standard deviation of each real reading as the rows alone tell it; `None`, the default, where they do not."""
+        return None
+
+    @cached_property
+    def noise_level(self) -> float:
+        """Declared or estimated; raises `InputError` where it is neither."""
+        found = self.estimated_noise() if self.noise_std is None else self.noise_std
+        if not found:
+            raise InputError(
+                f"Experiment `{self.name}` must declare its `noise_std`, as its rows do not tell their noise."
+            )
+        return found
+
+    def watched(self, noise: float) -> list[Watched]:
+        """Columns in which a row far off its neighbours is an error; none by default."""
+        return []
+
+    def warnings(self, declared: Declared) -> list[str]:
+        """A sentence for everything about the rows that a colleague should know; none by default."""
+        return []
+
+    # ---- misfit and overlay
+
+    def known(self, declared: Declared) -> tuple[Known, ...]:
+        """What was set or known about every row, on which a misfit may depend; by default nothing."""
+        return ()
+
+    def series(self, deviation: Deviation) -> Series:
+        """What a misfit is tested against: by default each setting, and each variable, of what is known."""
+        known, white = self.known(deviation.declared), deviation.white
+        phasors = white.shape[-1] == 2
+        return Series(
+            self.name,
+            deviation.channels,
+            white,
+            turned(white, deviation.predicted) if phasors else white,
+            (),
+            tuple(part for one in known if one.set for part in settings(one, ())),
+            (),
+            tuple(Variable(one.name, one.values) for one in known),
+        )
+
+    def at(self, row: int) -> str:
+        """Where a row is, for people: "near 3.026 kHz"; empty where parts and segments say it already."""
+        return ""
+
+    def overlay(self, base: Deviation, final: Deviation) -> Overlay:
+        """The picture of the record: by default every channel over the first of what is known, else over the row."""
+        known = self.known(base.declared)
+        across, heading = (
+            (known[0].values, f"{known[0].name} [{known[0].unit}]") if known else (np.arange(self.rows), "row")
+        )
+        order = (np.argsort(across, kind="stable"),)
+        return Overlay("", tuple(View(c, heading, across, slice(None), order) for c in range(len(base.channels))))
+
+    def missing_force(self, deviation: Deviation) -> MissingForce | None:
+        """The force that the model lacks to move as it was seen to move, as one of three views; by default none."""
+        return None
+
+    def __str__(self) -> str:
+        return f"{self.name}: {self.kind}, {self.rows} rows, {self.extent}"

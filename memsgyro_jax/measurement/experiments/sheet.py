@@ -1,0 +1,76 @@
+"""One `[[experiment]]` and its CSV file on the way to a record."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from memsgyro_jax.base.complaints import Source
+from memsgyro_jax.base.errors import InputError
+
+from ..columns import Columns
+from ..declared import Declared, si
+from ..section import Amount
+from .checks import near_resonance
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """What a kind of measurement reads its record from.
+
+    Args:
+        declared: of the device.
+        source: `case.toml`, for complaints with line and key.
+        number: of the experiment in it, from 0.
+        entry: its section, of the class that the kind names.
+        columns: its CSV file.
+    """
+
+    declared: Declared
+    source: Source
+    number: int
+    entry: Any
+    columns: Columns
+
+    def common(self) -> dict[str, Any]:
+        """What every record holds, as keyword arguments."""
+        entry = self.entry
+        noise = None if entry.noise_std is None else self._noise(entry.noise_std)
+        return {
+            "name": entry.name, "file": entry.file, "lines": self.columns.table.lines, "role": entry.role,
+            "note": entry.note, "noise_std": noise,
+        }  # fmt: skip
+
+    def amount(self, key: str, unit: str) -> float:
+        """A positive quantity of the experiment in SI."""
+        with self.source.section("experiment", self.number, key):
+            return si(getattr(self.entry, key), unit)
+
+    def frequency(self, key: str) -> float:
+        """A drive frequency [rad/s], near where a die within the design may resonate."""
+        value = self.amount(key, "rad/s")
+        with self.source.section("experiment", self.number, key):
+            near_resonance(value, value, self.declared.resonances)
+        return value
+
+    @property
+    def axis(self) -> int:
+        """The axis that `drive_axis` names; a device of one axis needs no word."""
+        given = self.entry.drive_axis
+        with self.source.section("experiment", self.number, "drive_axis"):
+            if given is None and self.declared.channels == 2:
+                raise InputError('is missing; give "x" or "y"')
+            if given == "y" and self.declared.channels == 1:
+                raise InputError('must be "x" for a device of one axis, but is "y"')
+        return 1 if given == "y" else 0
+
+    @property
+    def force_unit(self) -> str:
+        """Unit of the drive."""
+        return self.declared.words.force
+
+    def _noise(self, noise: Amount) -> float:
+        with self.source.section("experiment", self.number, "noise_std"):
+            if noise.number <= 0:
+                raise InputError(
+                    f"must be positive, but is {noise.number:g} {noise.unit}; leave it out to have it estimated"
+                )
+            return si(noise, self.declared.readout.unit)

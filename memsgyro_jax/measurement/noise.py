@@ -1,0 +1,79 @@
+"""How much white noise a record has, told by its rows alone: of responses over frequency, and of signals over time."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import stats
+
+from .outliers import interpolation_misfit
+
+
+WINDOW = 11  # neighbouring rows that a local model explains
+FEWEST = 7  # rows below which it would explain anything
+ROUNDS = 3  # of weighting with the denominator found before
+PARTS = 5  # complex coefficients of the local model
+_BAND = 64  # spectral lines at least in a band
+_BANDS = 16  # at most
+_QUIET = 0.2  # share of the bands that no signal reaches
+_NORMAL = 1.4826  # median absolute value to standard deviation, of a normal variable
+_RAYLEIGH = 1.1774  # median of the modulus of a complex normal variable over the standard deviation of each part
+
+
+def noise_over_frequency(frequency: np.ndarray, phasors: np.ndarray, pieces: Sequence[slice]) -> float | None:
+    """Standard deviation of each real part of phasors (n, channels) over a frequency (n,), or `None` for few rows.
+
+    Around every row a ratio of two quadratics in frequency is fitted to 11 rows and leaves noise alone: a resonance and
+    what is smooth beside it are such a ratio (local rational method: McKelvey and Guérin, IFAC Proc. 45-16 (2012) 49),
+    while plain differences take a resonance of a few rows for noise. The median over all rows does not mind a jump.
+    """
+    levels = []
+    for piece in pieces:
+        width = min(WINDOW, piece.stop - piece.start)
+        if width >= FEWEST:
+            variance, freedom = _local_variance(frequency[piece], phasors[piece], width), 2 * (width - PARTS)
+            levels.append(variance.ravel() * freedom / stats.chi2.median(freedom))
+    return float(np.sqrt(np.median(np.concatenate(levels)))) if levels else None
+
+
+def _local_variance(place: np.ndarray, values: np.ndarray, width: int) -> np.ndarray:
+    """Mean square per degree of freedom of what the local model leaves in every window (windows, channels)."""
+    rows = np.arange(len(place) - width + 1)[:, None] + np.arange(width)
+    near = place[rows] - place[rows].mean(axis=1, keepdims=True)
+    near = near / np.max(np.abs(near), axis=1, keepdims=True)
+    powers = np.stack([near**0, near, near**2], axis=-1)[:, None]  # (windows, 1, width, 3)
+    seen = np.moveaxis(values[rows], -1, 1)[..., None]  # (windows, channels, width, 1)
+    columns = np.concatenate([powers + 0 * seen, -seen * powers[..., 1:]], axis=-1)
+    denominator = np.ones_like(seen)
+    for _ in range(ROUNDS):
+        found = np.linalg.pinv(columns / denominator, rcond=1e-12) @ (seen / denominator)
+        denominator = 1 + powers[..., 1:] @ found[..., 3:, :]
+    left = (columns @ found - seen) / denominator
+    return np.sum(np.abs(left[..., 0]) ** 2, axis=-1) / 2 / (width - PARTS)
+
+
+def noise_over_time(values: np.ndarray) -> float:
+    """Standard deviation of each real reading of evenly spaced signals or phasors (n, channels).
+
+    Signals only add to what the quiet part of the spectrum and the misfit of neighbours show: the lesser is believed.
+    """
+    misfit = interpolation_misfit(np.arange(len(values), dtype=float), values)[2:-2]
+    near = np.median(np.abs(misfit), axis=0) if len(misfit) else np.full(values.shape[1], np.inf)
+    near = near / _RAYLEIGH if np.iscomplexobj(misfit) else near * _NORMAL
+    return float(np.median(np.minimum(near, [_quiet_level(channel) for channel in values.T])))
+
+
+def _quiet_level(channel: np.ndarray) -> float:
+    """White noise below a signal that leaves part of the spectrum free: the level of the quiet bands."""
+    rows = len(channel)
+    window = np.hanning(rows + 2)[1:-1]
+    values = (channel - channel.mean()) * window
+    spectrum = np.fft.fft(values) if np.iscomplexobj(channel) else np.fft.rfft(values)
+    power = np.abs(spectrum) ** 2 / np.sum(window**2)
+    bands = np.array_split(power, max(1, min(_BANDS, len(power) // _BAND)))
+    # The median of m exponential variables scatters by 1/√m over its mean times ln 2, and a low quantile lies below.
+    scatter = 1.0 / np.log(2) / np.sqrt(len(power) / len(bands))
+    levels = np.array([np.median(band) / np.log(2) for band in bands])
+    level = np.quantile(levels, _QUIET) / (1 + stats.norm.ppf(_QUIET) * scatter * (len(bands) > 1))
+    quiet_bands = [band for band, at in zip(bands, levels, strict=True) if at <= level * (1 + 3 * scatter)]
+    quiet = float(np.sqrt(np.median(np.concatenate(quiet_bands)) / np.log(2)))
+    return quiet / np.sqrt(2) if np.iscomplexobj(channel) else quiet

@@ -1,0 +1,48 @@
+"""What an `[[experiment]]` of `case.toml` may say, whatever its kind, and the quantities in it."""
+
+from typing import Annotated, Any, Literal, NamedTuple
+
+from pydantic import BeforeValidator, Field
+
+from memsgyro_jax.base.quantity import FileSection, number_and_unit
+
+
+class Amount(NamedTuple):
+    """A number with its unit, as written."""
+
+    number: float
+    unit: str
+
+
+def _amount(given: Any) -> Amount:
+    if isinstance(given, Amount):
+        return given
+    try:
+        number, unit = number_and_unit(given)
+    except OverflowError as error:
+        raise ValueError("must be a finite number, but is larger than any") from error
+    if not unit:
+        raise ValueError(f'must carry a unit, for example {{ value = {number:g}, unit = "V" }}, but none was given')
+    return Amount(number, unit)
+
+
+def _name(given: Any) -> Any:
+    if isinstance(given, str) and (not given.isprintable() or given != given.strip() or not given):
+        raise ValueError(f"must be printable text without blanks at its ends, but is {given!r}")
+    return given
+
+
+Quantity = Annotated[Amount, BeforeValidator(_amount)]
+Name = Annotated[str, BeforeValidator(_name)]
+Axis = Literal["x", "y"]
+
+
+class ExperimentSection(FileSection):
+    """What every `[[experiment]]` may say; a kind adds its own keys in a subclass."""
+
+    name: Name
+    file: Name
+    role: Literal["fit", "validation"] | None = None
+    note: str = ""
+    noise_std: Quantity | None = None
+    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = None
