@@ -163,7 +163,7 @@ class Overlay:
     views: tuple[View, ...]
 
 
-def turned(white: np.ndarray, predicted: np.ndarray) -> np.ndarray:
+def in_phase(white: np.ndarray, predicted: np.ndarray) -> np.ndarray:
     """Residual phasors (n, channels, 2) turned by the predicted phase: in phase with displacement, with velocity."""
     size = np.abs(predicted)
     unit = np.where(size > 0, predicted, 1.0) / np.where(size > 0, size, 1.0)
@@ -171,7 +171,7 @@ def turned(white: np.ndarray, predicted: np.ndarray) -> np.ndarray:
     return np.stack([error.real, error.imag], axis=-1)
 
 
-def settings(known: Known, pieces: Sequence[slice]) -> list[Subset]:
+def by_setting(known: Known, pieces: Sequence[slice]) -> list[Subset]:
     """The rows at each setting of a condition, none where all rows agree; pieces of one setting stand together."""
     digits = 3 if known.unit in ("K", "rad/s") else 4
     labels = np.empty(len(known.values), dtype=object)

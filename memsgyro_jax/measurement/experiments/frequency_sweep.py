@@ -19,7 +19,7 @@ from ..noise import noise_over_frequency
 from ..section import Axis, ExperimentSection, Quantity
 from .base import CartesianNoise, Phasors, Readings
 from .checks import exchanged, near_resonance
-from .deviation import Deviation, Known, Overlay, Series, Subset, Variable, View, settings, turned
+from .deviation import Deviation, Known, Overlay, Series, Subset, Variable, View, in_phase
 from .harmonic_sweep import HarmonicSweep
 from .missing_force import SweepForce
 from .record import AbstractRecord, Watched
@@ -33,7 +33,7 @@ _CURVES = 7  # sweeps in one picture
 _ZOOM = 2.5  # full widths of the resonance to each side of a close-up
 
 
-class SweepSection(ExperimentSection):
+class FrequencySweepSection(ExperimentSection):
     """Frequency sweep; the drive level stands here or in a column `F_x` or `F_y`."""
 
     settled: StrictBool
@@ -58,7 +58,7 @@ class FrequencySweepRecord(AbstractRecord):
     """
 
     kind: ClassVar[str] = "frequency_sweep"
-    section: ClassVar[type[ExperimentSection]] = SweepSection
+    section: ClassVar[type[ExperimentSection]] = FrequencySweepSection
     axis: int
     settled: bool
     frequency: np.ndarray
@@ -237,10 +237,10 @@ class FrequencySweepRecord(AbstractRecord):
     def series(self, deviation: Deviation) -> Series:
         motion = np.abs(deviation.predicted[:, self.axis] / np.asarray(deviation.model.scale)[self.axis])
         known = self.known(deviation.declared)
-        parts = [part for one in known if one.set for part in settings(one, self.sweeps)]
+        parts = [part for one in known if one.set for part in by_setting(one, self.sweeps)]
         variables = [Variable("displacement", motion), *(Variable(one.name, one.values) for one in known)]
         return Series(
-            self.name, deviation.channels, deviation.white, turned(deviation.white, deviation.predicted), self.sweeps,
+            self.name, deviation.channels, deviation.white, in_phase(deviation.white, deviation.predicted), self.sweeps,
             (*parts, *_around_modes(self.frequency, deviation)), (), tuple(variables),
         )  # fmt: skip
 

@@ -24,7 +24,7 @@ from ..section import Axis, ExperimentSection, Quantity
 from ..steady import fundamental, steady_state
 from .base import CartesianNoise, Experiment, Noise, Phasors, surroundings
 from .clocked import ClockedRecord
-from .deviation import Deviation, Known, Series, Variable, segments, settings, turned
+from .deviation import Deviation, Known, Series, Variable, by_setting, in_phase, segments
 from .missing_force import RateResidual, residual_over_rate
 from .record import Watched
 from .sheet import Sheet
@@ -209,10 +209,17 @@ class RateTableRecord(ClockedRecord):
         # Both channels by the phase of the drive: that of the sense channel turns over with the rate.
         driven = deviation.predicted[:, self.axis : self.axis + 1]
         known, whole = self.known(deviation.declared), (slice(None),)
-        parts = (*segments(self.time), *(part for one in known if one.set for part in settings(one, whole)))
+        parts = (*segments(self.time), *(part for one in known if one.set for part in by_setting(one, whole)))
         variables = tuple(Variable(one.name, one.values) for one in known)
         return Series(
-            self.name, deviation.channels, deviation.white, turned(deviation.white, driven), whole, parts, (), variables
+            self.name,
+            deviation.channels,
+            deviation.white,
+            in_phase(deviation.white, driven),
+            whole,
+            parts,
+            (),
+            variables,
         )
 
     def missing_force(self, deviation: Deviation) -> RateResidual:

@@ -18,7 +18,7 @@ from memsgyro_jax.base.table import Table
 from ..declared import Declared
 from ..section import ExperimentSection
 from .base import Experiment, Phasors, Readings
-from .deviation import Deviation, Known, Overlay, Series, Variable, View, settings, turned
+from .deviation import Deviation, Known, Overlay, Series, Variable, View, in_phase
 from .missing_force import MissingForce
 from .sheet import Sheet
 
@@ -179,9 +179,9 @@ class AbstractRecord(abc.ABC):
             self.name,
             deviation.channels,
             white,
-            turned(white, deviation.predicted) if phasors else white,
+            in_phase(white, deviation.predicted) if phasors else white,
             (),
-            tuple(part for one in known if one.set for part in settings(one, ())),
+            tuple(part for one in known if one.set for part in by_setting(one, ())),
             (),
             tuple(Variable(one.name, one.values) for one in known),
         )
