@@ -19,7 +19,7 @@ from ..noise import noise_over_frequency
 from ..section import Axis, ExperimentSection, Quantity
 from .base import CartesianNoise, Phasors, Readings
 from .checks import exchanged, near_resonance
-from .deviation import Deviation, Known, Overlay, Series, Subset, Variable, View, in_phase
+from .deviation import Deviation, Known, Overlay, Series, Subset, Variable, View, by_setting, in_phase
 from .harmonic_sweep import HarmonicSweep
 from .missing_force import SweepForce
 from .record import AbstractRecord, Watched

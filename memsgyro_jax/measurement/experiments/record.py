@@ -18,7 +18,7 @@ from memsgyro_jax.base.table import Table
 from ..declared import Declared
 from ..section import ExperimentSection
 from .base import Experiment, Phasors, Readings
-from .deviation import Deviation, Known, Overlay, Series, Variable, View, in_phase
+from .deviation import Deviation, Known, Overlay, Series, Variable, View, by_setting, in_phase
 from .missing_force import MissingForce
 from .sheet import Sheet
 
