@@ -3,10 +3,12 @@
 import functools
 import hashlib
 import platform
-from dataclasses import asdict, dataclass
+import types
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, fields, is_dataclass
 from importlib.metadata import version
+from typing import Any
 
-import equinox as eqx
 import jax
 import numpy as np
 
@@ -50,12 +52,41 @@ def versions() -> tuple[tuple[str, str], ...]:
 
 
 def fingerprint(*objects: object) -> str:
-    """16 hexadecimal digits that change with any number or structure in `objects`."""
+    """16 hexadecimal digits that change with any number or structure in `objects`, whatever they print.
+
+    A number counts alike as a float and as an array of one entry; functions count by their name and code.
+    """
     digest = hashlib.sha256()
-    arrays, structure = eqx.partition(objects, eqx.is_array)
-    digest.update(str(jax.tree.structure(arrays)).encode())
-    digest.update(repr(jax.tree.leaves(structure)).encode())
-    for leaf in jax.tree.leaves(arrays):
-        value = np.asarray(leaf)
-        digest.update(f"{value.dtype}{value.shape}".encode() + value.tobytes())
+    for part in _parts(objects):
+        digest.update(part)
+        digest.update(b"\0")
     return digest.hexdigest()[:16]
+
+
+def _parts(value: Any) -> Iterator[bytes]:
+    """Everything that makes a value what it is, from the outside in."""
+    if isinstance(value, float | np.generic | np.ndarray | jax.Array):
+        array = np.asarray(value)
+        yield f"{array.dtype}{array.shape}".encode() + array.tobytes()
+        return
+    kind = type(value)
+    yield f"{kind.__module__}.{kind.__qualname__}".encode()
+    if is_dataclass(kind) and not isinstance(value, type):
+        yield from _parts({field.name: getattr(value, field.name) for field in fields(value)})
+    elif isinstance(value, dict):
+        for name, held in value.items():
+            yield from (*_parts(name), *_parts(held))
+    elif isinstance(value, tuple | list | set | frozenset):
+        yield str(len(value)).encode()
+        for held in value if isinstance(value, tuple | list) else sorted(value):
+            yield from _parts(held)
+    elif isinstance(value, types.FunctionType):
+        yield f"{value.__module__}.{value.__qualname__}".encode()
+        held = tuple(cell.cell_contents for cell in value.__closure__ or ())
+        yield from _parts((value.__code__, value.__defaults__, value.__kwdefaults__, held))
+    elif isinstance(value, types.CodeType):
+        yield from _parts((value.co_code, value.co_names, value.co_consts))
+    elif isinstance(value, functools.partial):
+        yield from _parts((value.func, value.args, value.keywords))
+    else:
+        yield repr(value).encode()

@@ -14,8 +14,10 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Complex, Float
 
+from memsgyro_jax.base.display import Displayed
 
-class CoupledModes(eqx.Module):
+
+class CoupledModes(Displayed):
     """Linear two-mode gyroscope per unit mass, index 0 = drive axis x, 1 = sense axis y.
 
     | field | unit | zero means |
@@ -84,7 +86,7 @@ class CoupledModes(eqx.Module):
         return jnp.stack([dy * fx - cxy * fy, dx * fy - cyx * fx], axis=-1) / (dx * dy - cxy * cyx)[:, None]
 
 
-class AxisAngles(eqx.Module):
+class AxisAngles(Displayed):
     """Angles [rad] of Fig. 1 of the paper: stiffness axis θω, damping axis θτ, drive electrode θx, sense electrode θy.
     Zero: aligned.
     """

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.files import finite, json_text
 from memsgyro_jax.base.provenance import versions
 from memsgyro_jax.measurement.least_squares import gate
@@ -37,8 +38,8 @@ class Coefficient:
         return f"{self.value:>14.6g} {spread:<10} {self.unit:<6} {self.verdict}"
 
 
-@dataclass(frozen=True)
-class Identification:
+@dataclass(frozen=True, repr=False)
+class Identification(Shown):
     """What a set of sweeps says about a gyroscope.
 
     Args:

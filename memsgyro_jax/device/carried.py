@@ -9,10 +9,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.errors import InputError
 
 
-class AbstractEffect(eqx.Module):
+class AbstractEffect(Displayed):
     """What a device must know of an effect that it carries: its name, and how many axes it needs."""
 
     name: ClassVar[str] = ""
@@ -47,7 +48,6 @@ class Effects(tuple):
     """
 
     ranks: tuple[int, ...]
-    _fields = ()  # else `eqx.tree_at` puts a plain `()` in the place of no effects
 
     @classmethod
     def of(cls, effects: Iterable[AbstractEffect]) -> "Effects":
@@ -92,7 +92,7 @@ jax.tree_util.register_pytree_with_keys(
 )
 
 
-class CarriesEffects(eqx.Module):
+class CarriesEffects(Displayed):
     """A device that effects can be given to.
 
     `reference_temperature` [K] and `reference_bias` [V] are those at which its numbers hold: what effects call no

@@ -7,6 +7,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from memsgyro_jax.base.display import Displayed
+
 from .gyro import UNCHANGED, Change, Inertial, Pair
 
 
@@ -14,7 +16,7 @@ def _number(default: float) -> Any:
     return eqx.field(converter=lambda value: None if value is None else jnp.asarray(value), default=default)
 
 
-class Conditions(eqx.Module):
+class Conditions(Displayed):
     """What acts on a device from outside, or is known of it: numbers, or one per row or die; zero is undisturbed.
 
     | field | unit | holds |

@@ -84,6 +84,9 @@ class MotionModel:
 
     coefficients: tuple[Coefficient, ...]
 
+    def __repr__(self) -> str:
+        return f"MotionModel of {', '.join(self.names)}"
+
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the coefficients in order."""

@@ -11,13 +11,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.errors import InputError
 
 from .gyro import SingleMassGyro
 from .resonator import Resonator
 
 
-class NormalisedDevice(eqx.Module):
+class NormalisedDevice(Displayed):
     """Symmetric oscillator per mass, with one axis or two.
 
     | field | unit | holds |

@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.errors import InputError
 
 from .gyro import Dynamics, Matrix, Pair, Scalar
@@ -50,7 +51,7 @@ class Transition(NamedTuple):
     nodes: tuple[Node, ...]
 
 
-class AbstractDiscretisation(eqx.Module):
+class AbstractDiscretisation(Displayed):
     """Turns `acceleration = push - stiffness @ displacement - velocity @ velocity` into samples of `period` seconds."""
 
     @abc.abstractmethod

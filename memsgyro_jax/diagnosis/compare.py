@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.files import finite, json_text
 from memsgyro_jax.base.provenance import versions
@@ -33,8 +34,8 @@ STANDS_OUT = 1.3  # times the variance of the whole record from which a part is 
 _SMALLEST = 1e-12  # p-values below are said to be below
 
 
-@dataclass(frozen=True, eq=False)
-class Comparison:
+@dataclass(frozen=True, eq=False, repr=False)
+class Comparison(Shown):
     """A model beside a case, with every test of where it fails.
 
     Args:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
+from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.text import combination
 from memsgyro_jax.device.gyro import SingleMassGyro
 from memsgyro_jax.device.resonator import Resonator
@@ -83,8 +84,8 @@ class Estimate:
         return asdict(self)
 
 
-@dataclass(frozen=True, eq=False)
-class CaseFit:
+@dataclass(frozen=True, eq=False, repr=False)
+class CaseFit(Shown):
     """A model beside a case.
 
     Args:

@@ -5,6 +5,7 @@ from typing import Literal
 
 import numpy as np
 
+from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.files import finite, json_text
 from memsgyro_jax.base.provenance import versions
 from memsgyro_jax.measurement.case import Case
@@ -79,8 +80,8 @@ class Stage:
     validation_error: float
 
 
-@dataclass(frozen=True, eq=False)
-class Diagnosis:
+@dataclass(frozen=True, eq=False, repr=False)
+class Diagnosis(Shown):
     """Outcome of `diagnose`; prints itself.
 
     Args:

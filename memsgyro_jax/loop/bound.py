@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from memsgyro_jax.base.concrete import is_concrete, settled
+from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.runtime import require_float64
 from memsgyro_jax.base.units import rate_to_dps
@@ -41,7 +42,7 @@ from memsgyro_jax.device.propagate import State4, add_rows, applied
 from .engine import over_dies
 from .least_variance import least_variance, with_slopes
 from .loop import ClosedLoop, LoopState
-from .observers.base import MOTION, OFFSETS, Clock
+from .observers.base import Clock
 from .observers.settings import Prior
 from .scenario import AbstractProfile, Conditions, Scenario, as_scenario
 
@@ -50,10 +51,12 @@ CROSS_DAMPING_ASYMMETRY = Coefficient("cross_damping_asymmetry", (Term(0, VY, 0.
 """(dyx - dxy)/m in 1/s, for `also` of `information_bound`: the force is that of a rate four times smaller, so without a
 prior neither can be known (thesis 4.1.2)."""
 
+MOTION = ("x", "y", "vx", "vy")
+OFFSETS = ("offset_x", "offset_y")
 _BLOCK = 200  # samples between two orthogonal updates, at most
 
 
-class InformationBound(eqx.Module):
+class InformationBound(Shown, eqx.Module):
     """Smallest standard deviation that an unbiased estimator (with `prior`: any estimator, on average) can reach.
 
     `time` (windows,) in s; `std` (windows, quantities, *dies) in the quantities' units, infinite where the data say

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.gyro import Scalar, check_positive, is_concrete
 
@@ -32,7 +33,7 @@ def _frequency() -> Scalar:
     return eqx.field(converter=lambda value: jnp.asarray(value, float))
 
 
-class AbstractFilter(eqx.Module):
+class AbstractFilter(Displayed):
     """A causal linear filter. `init` and `step` serve a scan, `apply` a record."""
 
     @abc.abstractmethod

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from memsgyro_jax.base.concrete import is_concrete, settled
+from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.gyro import (
     AbstractGyro,
@@ -59,7 +60,7 @@ class Sample(NamedTuple):
     rate: Scalar
 
 
-class ClosedLoop(eqx.Module):
+class ClosedLoop(Displayed):
     """A gyro in operation. `start` is the true motion (x, y, vx, vy) at time zero in m and m/s.
 
     A die whose displacement is beyond `travel` [m], or whose numbers are not finite, at the end of a block of samples

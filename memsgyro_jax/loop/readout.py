@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.fields import AbstractVar
 from memsgyro_jax.device.gyro import (
@@ -29,7 +30,7 @@ PERMITTIVITY = 8.8541878128e-12  # F/m
 THESIS_RATE = 10e6  # Hz, the sampling rate at which the thesis states its noise per sample
 
 
-class Adc(eqx.Module):
+class Adc(Displayed):
     """An analogue-to-digital converter: `limit` is half the span in volts, `bits` the word length.
 
     Conversion rounds and clips; its derivative is that of the clipped straight line, so tuning sees through the steps.
@@ -50,7 +51,7 @@ class Adc(eqx.Module):
         return clipped + jax.lax.stop_gradient(step * jnp.round(clipped / step) - clipped)
 
 
-class AbstractReadout(eqx.Module):
+class AbstractReadout(Displayed):
     """What turns motion into the voltages an observer sees."""
 
     scale: AbstractVar[Pair]  # volts per unit of the signal (V/m or V·s/m)

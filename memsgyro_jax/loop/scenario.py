@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from memsgyro_jax.base.concrete import is_concrete
+from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.conditions import Conditions
 from memsgyro_jax.device.gyro import Scalar, check_not_negative, check_positive, number
@@ -22,7 +23,7 @@ from .noise import normal_pair
 WALK_STREAM = 1  # stream of `noise.normal_pair`; the measurement noise of a run is stream 0
 
 
-class AbstractProfile(eqx.Module):
+class AbstractProfile(Displayed):
     """A scalar quantity over time. A new kind gives `value`."""
 
     @abc.abstractmethod
@@ -171,7 +172,7 @@ class Sum(AbstractProfile):
         return sum((part.value(time) for part in self.parts), 0.0)
 
 
-class Scenario(eqx.Module):
+class Scenario(Displayed):
     """Profiles of everything that varies during a run; each defaults to zero (undisturbed).
 
     `rate` Ωz in rad/s; `offset_drift` of the x and y read-out in V; `damping_change` relative change of (dxx, dyy,

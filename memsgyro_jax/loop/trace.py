@@ -11,6 +11,7 @@ from jaxtyping import Float
 from memsgyro_jax.base import runtime
 from memsgyro_jax.base.axes import axes
 from memsgyro_jax.base.concrete import is_concrete
+from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.provenance import Settings
 from memsgyro_jax.device.propagate import State4
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-class Trace(eqx.Module):
+class Trace(Shown, eqx.Module):
     """What a run recorded, one row per kept sample; SI units throughout.
 
     `theta` holds the true coefficients at the end of the run. `rate_estimate` is the loop's output, behind its filter

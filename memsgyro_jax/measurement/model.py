@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.device.carried import check_effect
 from memsgyro_jax.device.conditions import Conditions
 from memsgyro_jax.device.gyro import SingleMassGyro
@@ -21,7 +22,7 @@ from memsgyro_jax.effects.base import Effect, Moment, ReadoutEffect
 from memsgyro_jax.effects.evaluation import Acting, carried, moment
 
 
-class Model(eqx.Module):
+class Model(Displayed):
     """Base device, read-out and effects.
 
     Args:

@@ -16,8 +16,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy import stats
 
+from memsgyro_jax.base.display import Displayed, Shown
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.base.provenance import fingerprint
 from memsgyro_jax.device.gyro import Scalar, is_concrete
 from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.scenario import Scenario
@@ -26,7 +26,7 @@ from memsgyro_jax.loop.scenario import Scenario
 DEVICE_PREFIX = "device."
 
 
-class AbstractDistribution(eqx.Module):
+class AbstractDistribution(Displayed):
     """Turns a standard normal number into a value around a design value; a new kind gives `value`."""
 
     def place(self, normal: Float[np.ndarray, " dies"]) -> Float[np.ndarray, " dies"]:
@@ -88,8 +88,8 @@ class Uniform(AbstractDistribution):
         return self.low + place * (self.high - self.low)
 
 
-@dataclass(frozen=True)
-class Vary:
+@dataclass(frozen=True, repr=False)
+class Vary(Shown):
     """A number of the loop or scenario and its distribution.
 
     `path` names it from the loop, like `device.kxx`, `readout.opamp_offset.0`, `start.0`, an effect by number or label,
@@ -140,12 +140,12 @@ class Points:
     normal: Float[np.ndarray, "dies items"]
     noise: Int[np.ndarray, " dies"]
 
-    def __repr__(self) -> str:  # a store is told from others by it
-        return f"Points({len(self.normal)} dies, {fingerprint(np.asarray(self.normal), np.asarray(self.noise))})"
+    def __repr__(self) -> str:
+        return f"Points of {len(self.normal)} dies"
 
 
-@dataclass(frozen=True)
-class Spread:
+@dataclass(frozen=True, repr=False)
+class Spread(Shown):
     """Independent or correlated variations of a lot; `correlation` is a matrix over `items` of the underlying normal
     numbers.
 

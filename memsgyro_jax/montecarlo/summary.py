@@ -4,10 +4,11 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
+from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.files import finite
 from memsgyro_jax.base.provenance import Settings
 from memsgyro_jax.loop.loop import ClosedLoop
-from memsgyro_jax.loop.observers import AbstractCovarianceObserver
+from memsgyro_jax.loop.observers import ExtendedKalmanFilter
 
 from .batch import Plan
 from .merit import Following, Percentiles, Proportion, following, percentiles, proportion
@@ -18,7 +19,7 @@ SCHEMA = "memsgyro-sweep/1"
 
 
 @dataclass(frozen=True)
-class Summary:
+class Summary(Shown):
     """Figures of a lot, in SI; `as_dict` gives the machine-readable form with its units in the names.
 
     `end` and `settled` are over the dies that were not lost; `bound` is the root mean square over dies of the least
@@ -146,8 +147,8 @@ def summarise(
 
 
 def _states(loop: ClosedLoop) -> int:
-    assert isinstance(loop.observer, AbstractCovarianceObserver)  # no other observer gives a NEES
-    return len(loop.observer.states)
+    assert isinstance(loop.observer, ExtendedKalmanFilter)  # no other observer gives a NEES
+    return loop.observer.states
 
 
 def _mean(values: np.ndarray) -> float | None:

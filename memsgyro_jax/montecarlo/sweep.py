@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from memsgyro_jax.base import runtime
+from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.provenance import Settings
 from memsgyro_jax.device.propagate import fuses_many_outputs
@@ -19,7 +20,7 @@ from memsgyro_jax.loop import noise
 from memsgyro_jax.loop.bound import information_bound
 from memsgyro_jax.loop.filters import check_fits
 from memsgyro_jax.loop.loop import ClosedLoop
-from memsgyro_jax.loop.observers import AbstractCovarianceObserver
+from memsgyro_jax.loop.observers import ExtendedKalmanFilter
 from memsgyro_jax.loop.scenario import AbstractProfile, Scenario, as_scenario
 from memsgyro_jax.loop.trace import count_steps
 
@@ -40,7 +41,7 @@ DEFAULT_TOLERANCE = float(np.radians(20.0))
 
 
 @dataclass(frozen=True)
-class Lot:
+class Lot(Shown):
     """The dies of a sweep: `data` as a Dataset over (die, window, coefficient, parameter), SI units throughout."""
 
     settings: Settings
@@ -211,10 +212,7 @@ def _bound(runner: _Runner, dies: int, sample_rate: float, duration: float) -> f
         return None
     drawn = runner.spread.draw(loop, runner.scenario, runner.seed, np.arange(dies))
     observer = loop.observer
-    known: tuple[str, ...] = ()
-    prior = None
-    if isinstance(observer, AbstractCovarianceObserver):
-        known, prior = observer.known, observer.prior
+    known, prior = (observer.known, observer.prior) if isinstance(observer, ExtendedKalmanFilter) else ((), None)
     found = information_bound(
         drawn.loop,
         drawn.scenario,

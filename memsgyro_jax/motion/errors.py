@@ -2,14 +2,14 @@
 
 import math
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
+from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.device.gyro import AbstractGyro, Inertial, Scalar, check_not_negative, number
 
 
-class ModelErrors(eqx.Module):
+class ModelErrors(Displayed):
     """Standard deviations of what is known a priori only: the observer's model leaves it out.
 
     - `cross_damping`: by which dxy and dyx differ, relative to dxy (for a device without, to the geometric mean of dxx

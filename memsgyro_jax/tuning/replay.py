@@ -11,10 +11,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from memsgyro_jax.base import runtime
+from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.gyro import Pair, Scalar, number
 from memsgyro_jax.loop.loop import LoopState, Sample
-from memsgyro_jax.loop.observers import AbstractObserver
+from memsgyro_jax.loop.observers import ExtendedKalmanFilter
 from memsgyro_jax.loop.observers.base import Clock
 from memsgyro_jax.loop.scenario import Conditions, Scenario
 from memsgyro_jax.montecarlo import batch as lot
@@ -38,7 +39,7 @@ class Replay(eqx.Module):
     `force` [N] is what was held during the sample at whose end `volts` [V] were read.
     """
 
-    observer: AbstractObserver
+    observer: ExtendedKalmanFilter
     volts: Float[Array, "samples 2"]
     force: Float[Array, "samples 2"]
     travel: float = float("inf")
@@ -64,13 +65,13 @@ class Replay(eqx.Module):
 
 
 @dataclass(frozen=True)
-class RecordTuning:
+class RecordTuning(Shown):
     """An observer tuned on a record: `observer`, the fate of each free number, and the figures of the part of the
     record that was held out, before and after: mean negative log-likelihood in nats per sample, and (Σ ln² NIS)½ over
     the two channels, zero when both are consistent.
     """
 
-    observer: AbstractObserver
+    observer: ExtendedKalmanFilter
     numbers: tuple[TunedNumber, ...]
     nulls: tuple[str, ...]
     likelihood: tuple[float, float]
@@ -97,7 +98,7 @@ class _Segment(InnovationLikelihood):
 
 
 def tune_on_record(
-    observer: AbstractObserver,
+    observer: ExtendedKalmanFilter,
     volts: Float[np.ndarray, "samples 2"],
     force: Float[np.ndarray, "samples 2"],
     *,

@@ -8,10 +8,12 @@ from jaxtyping import Float
 from scipy import stats
 
 from memsgyro_jax.base.axes import axes
+from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.files import finite
 from memsgyro_jax.base.provenance import Settings
 from memsgyro_jax.base.text import aligned
 from memsgyro_jax.loop.loop import ClosedLoop
+from memsgyro_jax.loop.observers import ExtendedKalmanFilter
 from memsgyro_jax.montecarlo.store import LOST, OK
 from memsgyro_jax.montecarlo.sweep import Lot
 
@@ -100,7 +102,7 @@ class StageResult:
 
 
 @dataclass(frozen=True)
-class Tuning:
+class Tuning(Shown):
     """Outcome of `tune`: the tuned `loop`, what moved, and figures on unseen dies with unseen noise.
 
     `ratio` is the mean squared error after over before, over the same dies; `warnings` are sentences that a user must
@@ -222,11 +224,11 @@ def ratio_of(before: Lot, after: Lot) -> Interval:
     return _interval(pair, lambda rows, axis: np.mean(rows[..., 1], axis=axis) / np.mean(rows[..., 0], axis=axis))
 
 
-def warnings_of(before: Merit, after: Merit) -> tuple[str, ...]:
+def warnings_of(before: Merit, after: Merit, loop: ClosedLoop) -> tuple[str, ...]:
     """What a user must know before believing the gain."""
     found = []
     gained = after.mean.value < before.mean.value
-    if after.consistent is False:
+    if isinstance(loop.observer, ExtendedKalmanFilter) and after.consistent is False:
         why = _inconsistency(after)
         found.append(
             f"{'the error falls while' if gained else 'after tuning'} {why}: the gains are absorbing an error of the "

@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import ConfigDict, Field, model_validator
 
 from memsgyro_jax.base.complaints import Source
+from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.files import write_whole
 from memsgyro_jax.base.quantity import FileSection, field_unit
@@ -20,6 +21,7 @@ from memsgyro_jax.effects import Effect, catalogue
 from memsgyro_jax.effects.section import EffectSection
 from memsgyro_jax.loop.filters import check_fits
 from memsgyro_jax.loop.loop import ClosedLoop
+from memsgyro_jax.loop.observers import ExtendedKalmanFilter
 from memsgyro_jax.loop.readout import THESIS_RATE, snr_density
 from memsgyro_jax.loop.scenario import Scenario
 from memsgyro_jax.measurement.model import Model
@@ -104,7 +106,7 @@ class StudyFile(FileSection):
 
 
 @dataclass(frozen=True)
-class Study:
+class Study(Shown):
     """A study as objects: what `simulate` and `sweep` take.
 
     `settings` holds dies, sample_rate [Hz], duration [s], settle [s], tolerance [rad/s], seed and chunk; `file` the
@@ -149,8 +151,9 @@ class Study:
     def _free(self) -> tuple[Tunable, ...]:
         names, section = self.loop.device.model.names, self.file.tune
         if section.free is None:
-            own = free(observer=self.loop.observer.usually_tuned)
-            return own + (() if self.loop.filter is None else free("filter"))
+            kalman = isinstance(self.loop.observer, ExtendedKalmanFilter)
+            own = ("noise_density", "process_noise.rate") if kalman else ("gain",)
+            return free(observer=own) + (() if self.loop.filter is None else free("filter"))
         found = []
         for number in section.free:
             with self.source.section("tune", "free"):

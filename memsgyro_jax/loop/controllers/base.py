@@ -6,6 +6,7 @@ from typing import Any, Generic, TypeAlias, TypeVar
 import equinox as eqx
 import jax.numpy as jnp
 
+from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.gyro import Pair, Scalar, number
 from memsgyro_jax.device.propagate import once
@@ -16,7 +17,7 @@ from ..observers.base import Clock, Estimate
 State = TypeVar("State")
 
 
-class AbstractController(eqx.Module, Generic[State]):
+class AbstractController(Displayed, Generic[State]):
     """Gives the force for the coming sample; it sees the estimate and the clock only."""
 
     @abc.abstractmethod
@@ -28,7 +29,7 @@ class AbstractController(eqx.Module, Generic[State]):
         """Forces (x, y) in N, held until the next sample, and the new state."""
 
 
-class Tone(eqx.Module):
+class Tone(Displayed):
     """`amplitude * sin(2π frequency t + phase)`; frequency in Hz, phase in rad, amplitude in the unit of its user; zero
     means silent.
     """

@@ -3,16 +3,16 @@
 import abc
 from typing import Generic, TypeVar
 
-import equinox as eqx
 import jax.numpy as jnp
 
+from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.device.gyro import Pair, Scalar, check_not_negative, check_positive, number
 
 
 Memory = TypeVar("Memory")
 
 
-class AbstractFading(eqx.Module, Generic[Memory]):
+class AbstractFading(Displayed, Generic[Memory]):
     """Gives the factor λ >= 1 of (4.15) at each sample."""
 
     @abc.abstractmethod

@@ -4,6 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.gyro import (
     AbstractGyro,
@@ -22,7 +23,7 @@ def arrays(**options: object) -> tuple[Scalar, ...]:
     return eqx.field(converter=lambda numbers: jax.tree.map(jnp.asarray, tuple(numbers)), **options)
 
 
-class Prior(eqx.Module):
+class Prior(Displayed):
     """Mean and standard deviation of everything the filter estimates, at the start.
 
     `motion` (x, y, vx, vy) in m and m/s, `offset` in V, `theta` mass-normalised coefficients in the model's order;
@@ -43,7 +44,7 @@ class Prior(eqx.Module):
                 check_not_negative(name, value)
 
 
-class ProcessNoise(eqx.Module):
+class ProcessNoise(Displayed):
     """Random-walk intensity per estimated entry, in unit²/s; zero means constant."""
 
     motion: State4 = arrays()
@@ -70,7 +71,7 @@ class ProcessNoise(eqx.Module):
         return cls((0.0,) * 4, (0.0,) * 2, tuple(theta))
 
 
-class Annealing(eqx.Module):
+class Annealing(Displayed):
     """Measurement variance times `1 + excess * exp(-time/decay)`: a cautious start where the prior is far from linear.
 
     `excess` zero means none; `decay` in s.

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.text import aligned
 
 from ..experiments import AbstractRecord
@@ -37,8 +38,8 @@ class RecordQuality:
         return self.peak / noise if noise else np.inf
 
 
-@dataclass(frozen=True)
-class CaseQuality:
+@dataclass(frozen=True, repr=False)
+class CaseQuality(Shown):
     """The quality of all records; printed as a table with the warnings below it."""
 
     case: Case

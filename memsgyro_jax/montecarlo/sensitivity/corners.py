@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import linalg
 
+from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.provenance import Settings
 from memsgyro_jax.base.text import aligned
@@ -27,7 +28,7 @@ SHOWN = 5
 
 
 @dataclass(frozen=True, eq=False)
-class Corners:
+class Corners(Shown):
     """Outputs at the corners; prints the worst.
 
     Args:

@@ -17,6 +17,7 @@ from jaxtyping import Float
 from scipy import stats
 
 from memsgyro_jax.base.axes import axes
+from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.provenance import Settings
 from memsgyro_jax.base.text import aligned
@@ -37,7 +38,7 @@ RESAMPLES = 999
 
 
 @dataclass(frozen=True, eq=False)
-class Sobol:
+class Sobol(Shown):
     """Indices of every output by every input; prints itself.
 
     Args:

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from memsgyro_jax.base.axes import axes
+from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.provenance import Settings
 from memsgyro_jax.base.text import aligned
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Tornado:
+class Tornado(Shown):
     """Change of every output with one parameter at a time; prints itself.
 
     Args:

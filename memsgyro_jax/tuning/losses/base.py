@@ -3,10 +3,10 @@
 import abc
 from typing import ClassVar, Generic, TypeVar
 
-import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.gyro import Scalar, check_not_negative, number
 from memsgyro_jax.loop.loop import Sample
@@ -15,7 +15,7 @@ from memsgyro_jax.loop.loop import Sample
 Memory = TypeVar("Memory")
 
 
-class AbstractLoss(eqx.Module, Generic[Memory]):
+class AbstractLoss(Displayed, Generic[Memory]):
     """Gathers a running memory over the samples of one die and turns it into a number at the end.
 
     Written for one die, like an observer: dies are trailing axes. Nothing of the run is stored, so the memory is all

@@ -1,0 +1,141 @@
+"""Objects show their numbers with units, and what tells two of them apart are their numbers."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import memsgyro_jax as mg
+from memsgyro_jax.base.display import Displayed, stated_unit
+from memsgyro_jax.base.provenance import fingerprint
+
+
+GYRO, READOUT = mg.SingleMassGyro.chi2010(), mg.ChargeAmplifier.chi2010()
+TONE = mg.Tone(600.0, 53.95)
+OBSERVER = mg.ExtendedKalmanFilter.for_device(GYRO, READOUT, annealing=mg.Annealing(), fading=mg.AdaptiveFading())
+EXAMPLES = {
+    "loop": mg.ClosedLoop(GYRO, READOUT, OBSERVER, mg.DampingCompensation(TONE), filter=mg.Lowpass(100.0)),
+    "dual mass": mg.DualMassGyro.chi2010(),
+    "resonator": mg.Resonator(2e4, 1e3),
+    "read-out": mg.DirectReadout(1e5, adc=mg.Adc(5.0, 16)),
+    "Lyapunov": mg.LyapunovObserver.for_device(GYRO, mg.DirectReadout.of_velocity(1.0)),
+    "delayed": mg.Delayed(READOUT, 1e-6),
+    "reference model": mg.ReferenceModel((2.9e3, 3.7e3), TONE),
+    "designed motion": mg.DesignedMotion(TONE),
+    "open loop": mg.OpenLoop(TONE),
+    "fading": mg.FixedFading(1400.0),
+    "band-pass": mg.Bandpass(1.0, 100.0),
+    "scenario": mg.Scenario(mg.Step(0.05, 1.0) + mg.Sine(1.0, 5.0) + mg.Ramp(0.0, 1.0) + mg.RandomWalk(1.0, 0.1)),
+    "chirp": mg.Chirp(1.0, 1.0, 9.0, 0.1),
+    "record": mg.Recorded([0.0, 1.0, 2.0], [1.0, 2.0, 3.0]),
+    "model": mg.Model(GYRO, scale=1e5),
+    "coupled modes": mg.CoupledModes([1e4, 2e4], [1e3, 1e3]),
+    "angles": mg.AxisAngles(),
+    "errors": mg.ModelErrors(),
+    "spread": mg.Normal(0.15),
+    "uniform": mg.Uniform(low=1.0, high=2.0),
+    "every effect": GYRO.with_effect(*mg.effects.catalogue(2)),
+}
+
+
+def inside(value, around=""):
+    """Every field that holds numbers, as (object, field, unit)."""
+    for field in dataclasses.fields(value):
+        held = getattr(value, field.name)
+        unit = stated_unit(value, field, around)
+        leaves = jax.tree.leaves(held, is_leaf=lambda leaf: isinstance(leaf, Displayed))
+        for leaf in leaves:
+            if isinstance(leaf, Displayed):
+                yield from inside(leaf, unit)
+        if any(eqx.is_inexact_array(leaf) for leaf in leaves):
+            yield type(value).__name__, field.name, unit
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_every_number_has_a_unit_and_is_shown(name):
+    nameless = [(kind, field) for kind, field, unit in inside(EXAMPLES[name]) if unit is None]
+    assert not nameless, "give the field a unit in `base/display.py` or in its metadata"
+    assert "f64" not in repr(EXAMPLES[name])
+    assert "float64[]" not in repr(EXAMPLES[name])
+
+
+def test_a_device_is_written_as_it_is_made():
+    short = mg.SingleMassGyro(1.8e-7, 63.96, 95.92, 12.78, 3.6e-6, 4.5e-6, 0.0)
+    assert repr(short.with_effect(mg.effects.CubicStiffness("y", 8e8))) == (
+        "SingleMassGyro(\n"
+        "  effects=(CubicStiffness(axis='y', strength=8e+08 N/m³),),\n"
+        "  mass=1.8e-07 kg,\n"
+        "  kxx=63.96 N/m,\n"
+        "  kyy=95.92 N/m,\n"
+        "  kxy=12.78 N/m,\n"
+        "  dxx=3.6e-06 N·s/m,\n"
+        "  dyy=4.5e-06 N·s/m,\n"
+        "  dxy=0 N·s/m,\n"
+        "  cross_damping_asymmetry=0 N·s/m,\n"
+        "  rotating_frame=False\n"
+        ")"
+    )
+    assert repr(mg.Scenario(mg.Step(0.05, 1.0)).rate) == "Step(at=0.05 s, after=1, before=0)"
+    assert "rate=Step(at=0.05 s, after=1 rad/s, before=0 rad/s)" in repr(mg.Scenario(mg.Step(0.05, 1.0)))
+
+
+def test_many_dies_show_their_range_and_traced_numbers_that_they_are():
+    dies = eqx.tree_at(lambda g: g.mass, GYRO, jnp.linspace(1e-7, 2e-7, 64))
+    assert "mass=float64[64] from 1e-07 to 2e-07 kg" in repr(dies)
+    seen = []
+    jax.make_jaxpr(lambda gyro: seen.append(repr(gyro)))(GYRO)
+    assert "mass=traced float64[] kg" in seen[0]
+
+
+def test_a_notebook_shows_the_same_text():
+    assert mg.Tone(1.0, 2.0)._repr_html_().endswith(">Tone(frequency=1 Hz, amplitude=2, phase=0 rad)</pre>")
+    assert "&lt;" in mg.Spread((mg.Vary("<b>", mg.Normal(0.1)),))._repr_html_()
+    results = (
+        "Trace",
+        "InformationBound",
+        "Lot",
+        "Sobol",
+        "Tornado",
+        "Corners",
+        "Tuning",
+        "RecordTuning",
+        "Identification",
+    )
+    for name in (*results, "Comparison", "CaseFit", "Diagnosis", "MotionDesign", "CaseQuality"):
+        assert hasattr(getattr(mg, name), "_repr_html_"), name
+
+
+def test_a_fingerprint_changes_with_every_number_and_only_with_those():
+    values = [mg.Spread.relative(jnp.asarray(v)) for v in (0.25, 0.26)]
+    assert fingerprint(values[0]) != fingerprint(values[1])
+    assert fingerprint(values[0]) == fingerprint(mg.Spread.relative(0.25))
+    points = [dataclasses.replace(values[0], points=p) for p in ((1.0, 2.0), (1.0, 2.5))]
+    assert fingerprint(points[0]) != fingerprint(points[1])
+    assert fingerprint(GYRO) == fingerprint(mg.SingleMassGyro.chi2010())
+    leaves, structure = jax.tree.flatten(EXAMPLES["loop"])
+    told = {
+        fingerprint(structure.unflatten([*leaves[:i], 1.5 * leaves[i] + 1.0, *leaves[i + 1 :]]))
+        for i in range(len(leaves))
+    }
+    assert len(told | {fingerprint(EXAMPLES["loop"])}) == len(leaves) + 1
+
+
+def test_a_fingerprint_does_not_rest_on_what_is_printed():
+    class Silent(eqx.Module):
+        number: float = eqx.field(static=True)
+
+        def __repr__(self):
+            return "Silent()"
+
+    assert fingerprint(Silent(1.0)) != fingerprint(Silent(2.0))
+
+    def shifted(by):
+        return lambda time: time + by
+
+    assert fingerprint(shifted(1.0)) != fingerprint(shifted(2.0))
+    assert fingerprint(shifted(1.0)) == fingerprint(shifted(1.0))
+    assert fingerprint(lambda time: 2.0 * time) != fingerprint(lambda time: 3.0 * time)
+    assert fingerprint(np.ones(2)) != fingerprint(np.ones(2, np.float32))
