@@ -112,6 +112,8 @@ if TYPE_CHECKING:
     from .measurement.model import Model as Model
     from .measurement.case import load_case as load_case
     from .measurement.case import write_case as write_case
+    from .measurement.loop_record import case_of_trace as case_of_trace
+    from .measurement.loop_record import append_to_case as append_to_case
     from .measurement.case import Case as Case
     from .measurement.case import DesignValue as DesignValue
     from .measurement.case import Environment as Environment

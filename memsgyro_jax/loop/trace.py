@@ -1,5 +1,6 @@
 """One closed-loop run of one die, kept sample by sample."""
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
@@ -35,7 +36,7 @@ class Trace(Shown, eqx.Module):
     not finite, at a kept sample), infinite for one that was not: rows from then on repeat the last good one.
 
     Its numbers are the leaves of a pytree, so that a function of `simulate` can be differentiated, compiled and mapped:
-    `jax.vmap` gives a trace whose arrays have the runs along a leading axis.
+    `jax.vmap` gives a trace whose arrays have the runs along a leading axis. `loop` is what ran.
     """
 
     time: Float[np.ndarray, " samples"]
@@ -53,6 +54,7 @@ class Trace(Shown, eqx.Module):
     force: Float[np.ndarray, "samples 2"]
     nis: Float[np.ndarray, " samples"]
     intact_until: Float[np.ndarray, ""]
+    loop: ClosedLoop
     coefficients: tuple[str, ...] = eqx.field(static=True)
     settings: Settings = eqx.field(static=True)
 
@@ -109,6 +111,15 @@ class Trace(Shown, eqx.Module):
         }
         coordinates = {"time": self.time, "axis": ["x", "y"], "state": states, "coefficient": list(self.coefficients)}
         return xr.Dataset(variables, coordinates, {**self.settings.as_dict(), "status": self.status})
+
+    def to_case(self, folder: str | Path, **about: Any) -> Path:
+        """Write the run as a measurement case, or add it to the case in `folder`; `about` goes to `case_of_trace`.
+
+        Raises `InputError` for a run that no case can hold.
+        """
+        import memsgyro_jax as mg  # by their public names: measurements stand on the loop, not the loop on them
+
+        return mg.append_to_case(mg.case_of_trace(self, **about), folder)
 
     def plot(self, quantity: str = "rate", ax: "Axes | None" = None) -> "Axes":
         """Estimate beside truth over time: `rate`, `motion`, `offset`, or the name of a coefficient."""
@@ -270,6 +281,7 @@ def _as_trace(done: engine.Run, loop: ClosedLoop, theta: tuple, settings: Settin
         force=columns(row.force),
         nis=missing if estimate.nis is None else estimate.nis,
         intact_until=xp.where(done.alive, np.inf, done.blocks_alive * decimation / settings.sample_rate),
+        loop=loop,
         coefficients=loop.device.model.names,
         settings=settings,
     )

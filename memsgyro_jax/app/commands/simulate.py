@@ -2,13 +2,14 @@
 
 import shutil
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from memsgyro_jax.base.errors import InputError
 
 
 if TYPE_CHECKING:
     from memsgyro_jax.loop.trace import Trace
+    from memsgyro_jax.measurement.case import Environment
 
     from ..study import Study
 
@@ -26,6 +27,9 @@ def simulate_command(
     sample_rate: float | None = None,
     duration: float | None = None,
     out: Path | None = None,
+    case: Path | None = None,
+    record: str = "run",
+    role: Literal["fit", "validation"] | None = None,
     effects: Path | None = None,
     json: Path | None = None,
 ) -> None:
@@ -39,6 +43,9 @@ def simulate_command(
         sample_rate: in Hz.
         duration: of the run in s; a recorded rate's own without this option.
         out: folder for trace.zarr, summary.json and report.html.
+        case: folder of a measurement case to which the run is added as raw signals, or that is made.
+        record: name of the run in that case.
+        role: of the run in that case.
         effects: a Python file with effects of your own that the study names. It is run: trust it first.
         json: file for the machine-readable result.
     """
@@ -60,7 +67,7 @@ def simulate_command(
         print(note)
     plan = chosen.settings
     loop, scenario = chosen.die(die)
-    decimation = max(1, count_steps(plan.sample_rate, plan.duration) // _ROWS)
+    decimation = 1 if case else max(1, count_steps(plan.sample_rate, plan.duration) // _ROWS)
     trace = simulate(
         loop, scenario, sample_rate=plan.sample_rate, duration=plan.duration, seed=plan.seed, die=die or 0,
         decimation=decimation,
@@ -72,8 +79,22 @@ def simulate_command(
             _write(trace, chosen, figures, out)
         if json is not None:
             write_json(json, figures)
+    if case is not None:
+        around = _environment(chosen)
+        written = trace.to_case(case, name=record, role=role, design=chosen.loop.device, environment=around)
+        print(f"{written} holds the run, for `memsgyro check`, `compare`, `diagnose` and `fit`.")
     if out is not None:
         print(f"{out / 'report.html'}, summary.json and trace.zarr hold the details.")
+
+
+def _environment(study: "Study") -> "Environment":
+    """Temperature and bias voltage at the beginning; a case knows one of each."""
+    from memsgyro_jax.measurement.case import Environment
+
+    device, start = study.loop.device, study.scenario.at(0.0)
+    given = (start.temperature, start.bias_voltage)
+    held = (device.reference_temperature, device.reference_bias)
+    return Environment(*(own if now is None else float(now) for now, own in zip(given, held, strict=True)))
 
 
 def _write(trace: "Trace", study: "Study", figures: dict[str, Any], out: Path) -> None:

@@ -1,0 +1,98 @@
+"""A run of the loop as a measurement case: the model that ran explains it to its noise, whoever integrates it."""
+
+from dataclasses import replace
+
+import equinox as eqx
+import numpy as np
+import pytest
+
+import memsgyro_jax as mg
+from memsgyro_jax.app import cli
+
+
+RATE, DURATION = 50e3, 0.02
+STUDY = """
+[observer]
+kind = "ekf"
+prior = { amplitude = "1e-7 m", motion_error = 1 }
+[controller]
+kind = "damping_compensation"
+tones = [{ frequency = "600 Hz", amplitude = "54 m/s^2" }, { frequency = "2893 Hz", amplitude = "2 m/s^2", axis = "x" }]
+[loop]
+displacement = "0 m"
+[scenario]
+rate = { kind = "ramp", slope = "2000 rad/s^2" }
+[sweep]
+sample_rate = "50 kHz"
+duration = "20 ms"
+"""
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory):
+    path = tmp_path_factory.mktemp("loop") / "study.toml"
+    path.write_text(STUDY)
+    return path, mg.load_study(path)
+
+
+@pytest.fixture(scope="module")
+def trace(study):
+    loop, scenario = study[1].die(None)
+    return mg.simulate(loop, scenario, sample_rate=RATE, duration=DURATION, seed=3)
+
+
+def true_model(trace, device=None):
+    loop = trace.loop
+    return mg.Model(device or loop.device, scale=np.array(loop.readout.scale), offset=np.array(loop.readout.offset))
+
+
+def test_what_ran_explains_the_record(trace, tmp_path):
+    """The forces are held for the sample that they were held for, and the rate is that of the same sample."""
+    written = trace.to_case(tmp_path / "case")
+    case = mg.load_case(written.parent)
+    (record,) = case.records
+    assert record.start == "rest"
+    assert record.time[0] == 0.0
+    np.testing.assert_array_equal(record.signals[1:], trace.volts[:-1])
+    comparison = mg.compare(true_model(trace), case, fitted=False)
+    assert comparison.explained
+    late = replace(record, forces=np.roll(record.forces, 1, axis=0))
+    still = replace(record, rate=0.0 * record.rate)
+    for wrong in (late, still):
+        assert not mg.compare(true_model(trace), replace(case, records=(wrong,)), fitted=False).explained
+
+
+def test_the_design_is_that_of_the_maker(trace):
+    stiffer = eqx.tree_at(lambda d: d.kxx, trace.loop.device, np.asarray(70.0))
+    case = mg.case_of_trace(trace, design=stiffer, tolerance=0.1)
+    assert case.design["kxx"] == mg.DesignValue(70.0, 63.0, 77.0)
+    none = eqx.tree_at(lambda d: d.kxy, stiffer, np.asarray(0.0))
+    assert mg.case_of_trace(trace, design=none).design["kxy"].high == pytest.approx(0.15 * np.sqrt(70.0 * 95.92))
+
+
+def test_the_command_adds_runs_to_a_case(study, tmp_path, capsys):
+    case, path = tmp_path / "case", study[0]
+    for tokens in ((), ("--record", "check", "--role", "validation", "--seed", "1")):
+        with pytest.raises(SystemExit) as end:
+            cli.main(["simulate", str(path), "--case", str(case), *tokens])
+        assert end.value.code == 0, capsys.readouterr().err
+    records = mg.load_case(case).records
+    assert [(r.name, r.role) for r in records] == [("run", None), ("check", "validation")]
+    assert not np.array_equal(records[0].signals, records[1].signals)
+    with pytest.raises(SystemExit):
+        cli.main(["simulate", str(path), "--case", str(case), "--record", "check"])
+    assert "has an experiment `check` already" in capsys.readouterr().err
+    assert sorted(p.name for p in case.iterdir()) == ["case.toml", "check.csv", "run.csv"]
+
+
+def test_what_a_case_cannot_hold_is_refused(trace, tmp_path):
+    loop = trace.loop
+    coarse = mg.simulate(loop, 1.0, sample_rate=RATE, duration=DURATION, decimation=10)
+    lost = eqx.tree_at(lambda t: t.intact_until, trace, np.asarray(0.01))
+    uneven = eqx.tree_at(
+        lambda t: t.loop.readout, trace, mg.DirectReadout((1e5, 9e4)), is_leaf=lambda part: part is loop.readout
+    )
+    for wrong, words in ((coarse, "decimation=1"), (lost, "lost at 0.01 s"), (uneven, "one scale")):
+        with pytest.raises(mg.InputError, match=words):
+            wrong.to_case(tmp_path / "none")
+    assert not (tmp_path / "none").exists()
