@@ -50,8 +50,8 @@ class Effects(tuple):
     ranks: tuple[int, ...]
 
     @classmethod
-    def of(cls, effects: Iterable[AbstractEffect]) -> "Effects":
-        """From any effects.
+    def of(cls, effects: Iterable[AbstractEffect]) -> tuple[AbstractEffect, ...]:
+        """From any effects; none at all are a plain empty tuple.
 
         **Raises:** `InputError` for what is no effect.
         """
@@ -60,7 +60,7 @@ class Effects(tuple):
         members = tuple(effects)
         for member in members:
             check_effect(member, 2)
-        return cls._with(members, tuple(jnp.ndim(leaf) for leaf in jax.tree.leaves(members)))
+        return members and cls._with(members, tuple(jnp.ndim(leaf) for leaf in jax.tree.leaves(members)))
 
     @classmethod
     def _with(cls, members: Iterable[Any], ranks: tuple[int, ...]) -> "Effects":
