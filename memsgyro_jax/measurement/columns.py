@@ -158,6 +158,12 @@ def signal_columns(signals: np.ndarray, declared: Declared) -> dict[str, np.ndar
     return {f"{name} [{declared.readout.unit}]": signals[:, c] for c, name in enumerate(names)}
 
 
+def force_columns(forces: np.ndarray, declared: Declared) -> dict[str, np.ndarray]:
+    """Raw inputs (n, axes) as a file has them: header to column."""
+    words = declared.words
+    return {f"{name} [{words.force}]": forces[:, axis] for axis, name in enumerate(words.forces[0])}
+
+
 def phasor_columns(phasors: np.ndarray, declared: Declared) -> dict[str, np.ndarray]:
     """Complex readings (n, channels) as I and Q: header to column."""
     return {

@@ -16,6 +16,7 @@ from memsgyro_jax.base.table import Table
 from memsgyro_jax.device.conditions import Conditions
 
 from ..clock import check_period
+from ..columns import force_columns
 from ..declared import Declared
 from ..envelope import simulate
 from ..model import Model
@@ -132,8 +133,7 @@ class TimeRecord(WaveformRecord):
         return {"hold": self.hold, "start": self.start}
 
     def columns(self, declared: Declared) -> dict[str, np.ndarray]:
-        words = declared.words
-        forces = {f"{name} [{words.force}]": self.forces[:, axis] for axis, name in enumerate(words.forces[0])}
+        forces = force_columns(self.forces, declared)
         return {**super().columns(declared), **forces, "rate [rad/s]": self.rate}
 
     def experiment(self, declared: Declared, number: int) -> RawCapture:

@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 from measurement.case.bench import NOISE, write_bench
 
+import memsgyro_jax
 from memsgyro_jax.measurement.case import assess, load_case
+from memsgyro_jax.measurement.noise import noise_over_frequency, noise_over_time
 from memsgyro_jax.measurement.outliers import interpolation_misfit, lone_rows
 
 
@@ -41,7 +43,46 @@ def test_the_misfit_of_white_noise_has_its_deviation():
 
 @pytest.mark.parametrize("name", ["sweep_x", "ringdown", "rate", "raw"])
 def test_noise_is_told_by_the_rows(bench, name):
-    assert quality(bench, name).noise == pytest.approx(NOISE, rel=0.35)
+    assert quality(bench, name).noise == pytest.approx(NOISE, rel=0.15)
+
+
+@pytest.fixture(scope="module")
+def demo():
+    return load_case(Path(memsgyro_jax.__file__).parent / "demo")
+
+
+@pytest.mark.parametrize("name", ["sweep_x", "sweep_y", "ringdown_x", "rate", "raw", "raw_check"])
+def test_noise_left_out_is_estimated(demo, name):
+    """Of a ring-down of three samples per cycle, of resonances of a dozen rows: the laboratory's own to a tenth."""
+    record = demo.record(name)
+    assert replace(record, noise_std=None).noise_level == pytest.approx(record.noise_std, rel=0.1)
+
+
+def test_the_demonstration_is_faultless(demo):
+    """Rates that begin to turn, resonances of few rows and drives of just five time constants are no faults."""
+    assert assess(demo).warnings == ()
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("quality", [30.0, 1000.0])
+def test_a_resonance_is_not_taken_for_noise(quality, seed):
+    """Two coupled modes, twelve rows over the narrower one; white noise of 1 beside a peak of 10 000."""
+    rng, f = np.random.default_rng(seed), np.linspace(0.9, 1.1, 120)
+    f = np.sort(np.concatenate([f, 1 + np.linspace(-1, 1, 12) / quality]))
+    clean = 1e4 / quality / (1 - f**2 + 1j * f / quality) + 50 / (1.3 - f**2)
+    noisy = (clean + rng.normal(size=f.size) + 1j * rng.normal(size=f.size))[:, None]
+    assert noise_over_frequency(f, noisy, [slice(0, f.size)]) == pytest.approx(1.0, rel=0.15)
+
+
+@pytest.mark.parametrize("decay", [np.inf, 300.0])
+@pytest.mark.parametrize("cycles", [0.02, 0.31])
+def test_a_wave_is_not_taken_for_noise(decay, cycles):
+    """White noise of 1 below a tone, steady or decaying, of few or many samples per cycle."""
+    t = np.arange(2000)
+    wave = 500 * np.exp(-t / decay) * np.cos(2 * np.pi * cycles * t)
+    levels = [noise_over_time((wave + np.random.default_rng(k).normal(size=2000))[:, None]) for k in range(8)]
+    assert np.mean(levels) == pytest.approx(1.0, abs=0.03)
+    assert np.std(levels) < 0.05
 
 
 def test_a_sound_case_has_no_warning(bench):
@@ -74,6 +115,14 @@ def test_a_step_is_no_outlier_and_a_spike_is(jump):
     noise = np.random.default_rng(2).normal(0, 1e-3, 60)
     assert lone_rows(place, noise + jump * (place > 30), 1e-3) == []
     assert [row for row, _ in lone_rows(place, noise + jump * (place == 30), 1e-3)] == [30]
+
+
+def test_the_first_row_of_a_new_course_is_no_outlier():
+    """A table that begins to turn; a digit that is wrong there still is one."""
+    rate = np.maximum(np.sin((np.arange(60.0) - 29.95) / 40), 0.0)
+    assert lone_rows(np.arange(60.0), rate, 0.0) == []
+    rate[30] += 0.5
+    assert [row for row, _ in lone_rows(np.arange(60.0), rate, 0.0)] == [30]
 
 
 def test_noise_alone_has_no_outlier():
