@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from .loop.observers import ExtendedKalmanFilter as ExtendedKalmanFilter
     from .loop.observers import LyapunovObserver as LyapunovObserver
     from .loop.observers import AbstractObserver as AbstractObserver
+    from .loop.observers import AbstractCovarianceObserver as AbstractCovarianceObserver
     from .loop.observers import Estimate as Estimate
     from .loop.observers import Clock as Clock
     from .loop.observers import Prior as Prior

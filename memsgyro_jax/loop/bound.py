@@ -42,7 +42,7 @@ from memsgyro_jax.device.propagate import State4, add_rows, applied
 from .engine import over_dies
 from .least_variance import least_variance, with_slopes
 from .loop import ClosedLoop, LoopState
-from .observers.base import Clock
+from .observers.base import MOTION, OFFSETS, Clock
 from .observers.settings import Prior
 from .scenario import AbstractProfile, Conditions, Scenario, as_scenario
 
@@ -51,8 +51,6 @@ CROSS_DAMPING_ASYMMETRY = Coefficient("cross_damping_asymmetry", (Term(0, VY, 0.
 """(dyx - dxy)/m in 1/s, for `also` of `information_bound`: the force is that of a rate four times smaller, so without a
 prior neither can be known (thesis 4.1.2)."""
 
-MOTION = ("x", "y", "vx", "vy")
-OFFSETS = ("offset_x", "offset_y")
 _BLOCK = 200  # samples between two orthogonal updates, at most
 
 

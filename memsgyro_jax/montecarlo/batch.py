@@ -12,8 +12,8 @@ from jaxtyping import Array, Float
 
 from memsgyro_jax.device.gyro import Pair, Scalar, number
 from memsgyro_jax.loop import engine
-from memsgyro_jax.loop.loop import ClosedLoop, Sample
-from memsgyro_jax.loop.observers.ekf import ExtendedKalmanFilter
+from memsgyro_jax.loop.loop import ClosedLoop, LoopState, Sample
+from memsgyro_jax.loop.observers import AbstractCovarianceObserver
 from memsgyro_jax.loop.scenario import Scenario
 
 
@@ -134,7 +134,6 @@ def rows_of(loop: ClosedLoop, scenario: Scenario, design: ClosedLoop, words: tup
     outside, mean_square = done.memory.outside, jnp.mean(squared[settled], axis=0)
     nothing = jnp.full(words[0].shape, jnp.nan)
     channels = [jnp.mean(nis[settled], axis=0) if estimate.innovation else nothing for nis in innovations]
-    has_covariance = isinstance(loop.observer, ExtendedKalmanFilter)
     relative = [_relative(e, t) for e, t in zip(estimate.theta, truth, strict=True)]
     rows = {
         "lost_at": jnp.where(done.alive, jnp.nan, done.blocks_alive * plan.block * plan.period),
@@ -150,8 +149,8 @@ def rows_of(loop: ClosedLoop, scenario: Scenario, design: ClosedLoop, words: tup
         "rate_estimate": rate_true + error,
         "rate_true": rate_true,
     }
-    if has_covariance:
-        pair = _standardised(loop, done.state, conditions.offset_drift, truth)
+    if isinstance(loop.observer, AbstractCovarianceObserver):
+        pair = _standardised(loop, loop.observer, done.state, conditions.offset_drift, truth)
         rows |= dict(zip(COVARIANCE, pair, strict=True))
     hide = {name: jnp.where(done.alive, value, jnp.nan) for name, value in rows.items() if name != "lost_at"}
     return {**rows, **hide, "status": jnp.where(done.alive, 0, 1).astype(jnp.int8)}
@@ -174,11 +173,9 @@ def _window_rates(scenario: Scenario, plan: Plan, lanes: tuple[int, ...]) -> Arr
 
 
 def _standardised(
-    loop: ClosedLoop, state: engine.LoopState, drift: tuple, theta: tuple[Scalar, ...]
+    loop: ClosedLoop, observer: AbstractCovarianceObserver, state: LoopState, drift: tuple, theta: tuple[Scalar, ...]
 ) -> tuple[Array, Array]:
     """Error in claimed standard deviations and the claimed correlation, over all estimated states; dies trail."""
-    observer = loop.observer
-    assert isinstance(observer, ExtendedKalmanFilter)
     offset = tuple(o + d for o, d in zip(loop.readout.offset, drift, strict=True))
     covariance = observer.covariance(state.observer)
     std = jnp.sqrt(jnp.stack([covariance[i, i] for i in range(len(covariance))]))

@@ -8,7 +8,7 @@ from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.files import finite
 from memsgyro_jax.base.provenance import Settings
 from memsgyro_jax.loop.loop import ClosedLoop
-from memsgyro_jax.loop.observers import ExtendedKalmanFilter
+from memsgyro_jax.loop.observers import AbstractCovarianceObserver
 
 from .batch import Plan
 from .merit import Following, Percentiles, Proportion, following, percentiles, proportion
@@ -147,8 +147,8 @@ def summarise(
 
 
 def _states(loop: ClosedLoop) -> int:
-    assert isinstance(loop.observer, ExtendedKalmanFilter)  # no other observer gives a NEES
-    return loop.observer.states
+    assert isinstance(loop.observer, AbstractCovarianceObserver)  # no other observer gives a NEES
+    return len(loop.observer.states)
 
 
 def _mean(values: np.ndarray) -> float | None:

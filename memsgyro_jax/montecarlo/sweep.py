@@ -20,7 +20,7 @@ from memsgyro_jax.loop import noise
 from memsgyro_jax.loop.bound import information_bound
 from memsgyro_jax.loop.filters import check_fits
 from memsgyro_jax.loop.loop import ClosedLoop
-from memsgyro_jax.loop.observers import ExtendedKalmanFilter
+from memsgyro_jax.loop.observers import AbstractCovarianceObserver
 from memsgyro_jax.loop.scenario import AbstractProfile, Scenario, as_scenario
 from memsgyro_jax.loop.trace import count_steps
 
@@ -212,7 +212,10 @@ def _bound(runner: _Runner, dies: int, sample_rate: float, duration: float) -> f
         return None
     drawn = runner.spread.draw(loop, runner.scenario, runner.seed, np.arange(dies))
     observer = loop.observer
-    known, prior = (observer.known, observer.prior) if isinstance(observer, ExtendedKalmanFilter) else ((), None)
+    known: tuple[str, ...] = ()
+    prior = None
+    if isinstance(observer, AbstractCovarianceObserver):
+        known, prior = observer.known, observer.prior
     found = information_bound(
         drawn.loop,
         drawn.scenario,

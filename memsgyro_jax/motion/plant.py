@@ -11,7 +11,8 @@ from jaxtyping import Array, Complex, Float
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.gyro import AbstractGyro, Inertial, MotionModel
 from memsgyro_jax.device.propagate import Exact, add_rows
-from memsgyro_jax.loop.bound import CROSS_DAMPING_ASYMMETRY, MOTION, OFFSETS
+from memsgyro_jax.loop.bound import CROSS_DAMPING_ASYMMETRY
+from memsgyro_jax.loop.observers.base import MOTION, OFFSETS
 from memsgyro_jax.loop.readout import AbstractReadout
 
 

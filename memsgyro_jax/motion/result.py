@@ -16,11 +16,11 @@ from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.units import rate_to_dps
 from memsgyro_jax.device.gyro import AbstractGyro, mode_frequencies
 from memsgyro_jax.device.propagate import Exact, State4
-from memsgyro_jax.loop.bound import OFFSETS
 from memsgyro_jax.loop.controllers import DesignedMotion, OpenLoop, Tone
 from memsgyro_jax.loop.controllers.base import Tones as AxisTones
 from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.observers import Annealing, ExtendedKalmanFilter, design_prior
+from memsgyro_jax.loop.observers.base import OFFSETS
 from memsgyro_jax.loop.readout import AbstractReadout, Delayed
 from memsgyro_jax.loop.trace import count_steps
 

@@ -15,7 +15,7 @@ from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.gyro import Pair, Scalar, number
 from memsgyro_jax.loop.loop import LoopState, Sample
-from memsgyro_jax.loop.observers import ExtendedKalmanFilter
+from memsgyro_jax.loop.observers import AbstractObserver
 from memsgyro_jax.loop.observers.base import Clock
 from memsgyro_jax.loop.scenario import Conditions, Scenario
 from memsgyro_jax.montecarlo import batch as lot
@@ -39,7 +39,7 @@ class Replay(eqx.Module):
     `force` [N] is what was held during the sample at whose end `volts` [V] were read.
     """
 
-    observer: ExtendedKalmanFilter
+    observer: AbstractObserver
     volts: Float[Array, "samples 2"]
     force: Float[Array, "samples 2"]
     travel: float = float("inf")
@@ -71,7 +71,7 @@ class RecordTuning(Shown):
     the two channels, zero when both are consistent.
     """
 
-    observer: ExtendedKalmanFilter
+    observer: AbstractObserver
     numbers: tuple[TunedNumber, ...]
     nulls: tuple[str, ...]
     likelihood: tuple[float, float]
@@ -98,7 +98,7 @@ class _Segment(InnovationLikelihood):
 
 
 def tune_on_record(
-    observer: ExtendedKalmanFilter,
+    observer: AbstractObserver,
     volts: Float[np.ndarray, "samples 2"],
     force: Float[np.ndarray, "samples 2"],
     *,

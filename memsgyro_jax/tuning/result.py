@@ -13,7 +13,6 @@ from memsgyro_jax.base.files import finite
 from memsgyro_jax.base.provenance import Settings
 from memsgyro_jax.base.text import aligned
 from memsgyro_jax.loop.loop import ClosedLoop
-from memsgyro_jax.loop.observers import ExtendedKalmanFilter
 from memsgyro_jax.montecarlo.store import LOST, OK
 from memsgyro_jax.montecarlo.sweep import Lot
 
@@ -224,11 +223,11 @@ def ratio_of(before: Lot, after: Lot) -> Interval:
     return _interval(pair, lambda rows, axis: np.mean(rows[..., 1], axis=axis) / np.mean(rows[..., 0], axis=axis))
 
 
-def warnings_of(before: Merit, after: Merit, loop: ClosedLoop) -> tuple[str, ...]:
+def warnings_of(before: Merit, after: Merit) -> tuple[str, ...]:
     """What a user must know before believing the gain."""
     found = []
     gained = after.mean.value < before.mean.value
-    if isinstance(loop.observer, ExtendedKalmanFilter) and after.consistent is False:
+    if after.consistent is False:
         why = _inconsistency(after)
         found.append(
             f"{'the error falls while' if gained else 'after tuning'} {why}: the gains are absorbing an error of the "

@@ -20,12 +20,10 @@ from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.text import suggestion
 from memsgyro_jax.base.transforms import Free, GaussianPrior, Logit, LogLogit, to_vector
 from memsgyro_jax.loop.loop import ClosedLoop
-from memsgyro_jax.loop.observers import ExtendedKalmanFilter
 
 
 Bounds = tuple[float, float]
 _DECADES = 1e3  # default bounds of a positive number: this factor to both sides
-_WALKS = (1e-7, 10.0)  # default bounds of a walk: it moves by this share of the prior's deviation in a run
 _NYQUIST = 0.45  # of the sample rate: the most that a filter's bandwidth gets by default
 
 
@@ -236,13 +234,9 @@ def _bounds(
 
 
 def _default_bounds(loop: ClosedLoop, path: str, value: float, sample_rate: float, duration: float) -> Bounds:
-    observer = loop.observer
-    if path.startswith("observer.process_noise.") and isinstance(observer, ExtendedKalmanFilter):
-        kind, index = path.split(".")[-2:]
-        std = float(getattr(observer.prior, f"{kind}_std")[int(index)])
-        if std > 0.0:
-            low, high = ((share * std) ** 2 / duration for share in _WALKS)
-            return (low if value == 0.0 else min(low, value)), max(high, value)
+    own = loop.observer.bounds(path.removeprefix("observer."), duration) if path.startswith("observer.") else None
+    if own is not None:
+        return (own[0] if value == 0.0 else min(own[0], value)), max(own[1], value)
     if not value > 0.0:
         return math.nan, math.nan
     high = value * _DECADES

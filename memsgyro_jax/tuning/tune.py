@@ -16,7 +16,6 @@ from memsgyro_jax.base import runtime
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.provenance import Settings
 from memsgyro_jax.loop.loop import ClosedLoop
-from memsgyro_jax.loop.observers import ExtendedKalmanFilter
 from memsgyro_jax.loop.scenario import AbstractProfile, Scenario, as_scenario
 from memsgyro_jax.loop.trace import count_steps
 from memsgyro_jax.montecarlo.spread import Spread
@@ -112,7 +111,7 @@ def tune(
         before=before,
         after=after,
         ratio=ratio_of(*lots),
-        warnings=warnings_of(before, after, tuned),
+        warnings=warnings_of(before, after),
         settings=settings,
         lots=lots,
     )
@@ -124,7 +123,7 @@ def _stages(loop: ClosedLoop, tunables: Tunables, loss: AbstractLoss | None, set
         return (TuningStage(loss, everything, "the loss that was asked for"),)
     own = tuple(path.startswith("observer.") for path in tunables.paths)
     error = SquaredRateError(settle)
-    if not isinstance(loop.observer, ExtendedKalmanFilter):
+    if not loop.observer.claims_innovation:
         return (TuningStage(error, everything, "this observer claims no variance, so there is no likelihood"),)
     stages = (
         TuningStage(InnovationLikelihood(settle), own, "it fixes the scale of the noises, which the error leaves open"),

@@ -158,6 +158,6 @@ def merit(mean, nis=(1.0, 1.0), nees=14.0, lost=0):
     ],
 )
 def test_warnings(after, words):
-    said = " ".join(warnings_of(merit(1.0), after, LOOP))
+    said = " ".join(warnings_of(merit(1.0), after))
     assert bool(said) == bool(words)
     assert all(word in said for word in words)

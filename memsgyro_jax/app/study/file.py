@@ -21,7 +21,6 @@ from memsgyro_jax.effects import Effect, catalogue
 from memsgyro_jax.effects.section import EffectSection
 from memsgyro_jax.loop.filters import check_fits
 from memsgyro_jax.loop.loop import ClosedLoop
-from memsgyro_jax.loop.observers import ExtendedKalmanFilter
 from memsgyro_jax.loop.readout import THESIS_RATE, snr_density
 from memsgyro_jax.loop.scenario import Scenario
 from memsgyro_jax.measurement.model import Model
@@ -151,9 +150,8 @@ class Study(Shown):
     def _free(self) -> tuple[Tunable, ...]:
         names, section = self.loop.device.model.names, self.file.tune
         if section.free is None:
-            kalman = isinstance(self.loop.observer, ExtendedKalmanFilter)
-            own = ("noise_density", "process_noise.rate") if kalman else ("gain",)
-            return free(observer=own) + (() if self.loop.filter is None else free("filter"))
+            own = free(observer=self.loop.observer.usually_tuned)
+            return own + (() if self.loop.filter is None else free("filter"))
         found = []
         for number in section.free:
             with self.source.section("tune", "free"):

@@ -1,17 +1,25 @@
 """The observer port."""
 
 import abc
-from typing import Generic, NamedTuple, TypeVar
+from typing import ClassVar, Generic, NamedTuple, TypeVar
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.fields import AbstractVar
 from memsgyro_jax.device.gyro import Dynamics, MotionModel, Pair, Scalar
 from memsgyro_jax.device.propagate import State4
 
+from .settings import Prior
+
 
 State = TypeVar("State")
+
+MOTION = ("x", "y", "vx", "vy")
+OFFSETS = ("offset_x", "offset_y")
 
 
 class Clock(NamedTuple):
@@ -68,9 +76,13 @@ class Estimate(eqx.Module):
 
 
 class AbstractObserver(Displayed, Generic[State]):
-    """Estimates motion and coefficients from measurements and its own last command; it never sees the true state."""
+    """Estimates motion and coefficients from measurements and its own last command; it never sees the true state.
+
+    `usually_tuned` names the fields that tuning frees when nothing else is asked for.
+    """
 
     model: AbstractVar[MotionModel]
+    usually_tuned: ClassVar[tuple[str, ...]] = ()
 
     @abc.abstractmethod
     def init(self) -> State:
@@ -83,3 +95,59 @@ class AbstractObserver(Displayed, Generic[State]):
     @abc.abstractmethod
     def estimate(self, state: State) -> Estimate:
         """What the state says."""
+
+    def bounds(self, path: str, duration: float) -> tuple[float, float] | None:
+        """Least and greatest sensible value of the own number at `path` for tuning on runs of `duration` [s]; None
+        where nothing but its present value tells.
+        """
+        return None
+
+    @property
+    def claims_innovation(self) -> bool:
+        """Whether estimates hold innovations with their variances, so that their likelihood is known."""
+        return jax.eval_shape(lambda: self.estimate(self.init())).innovation is not None
+
+
+_WALKS = (1e-7, 10.0)  # of what the prior leaves open, as much as a quantity may walk during a run
+
+
+class AbstractCovarianceObserver(AbstractObserver[State]):
+    """An observer that claims a covariance: sweeps then give the NEES and the ratio to the information bound, and
+    tuning knows how far what it believes may walk.
+
+    `prior` is its belief at the start. Numbers of a field `process_noise`, a `ProcessNoise`, are bounded by it.
+    """
+
+    prior: AbstractVar[Prior]
+
+    @property
+    @abc.abstractmethod
+    def states(self) -> tuple[str, ...]:
+        """Names of what is estimated, among x, y, vx, vy, offset_x, offset_y and the model's coefficients."""
+
+    @abc.abstractmethod
+    def covariance(self, state: State) -> Float[Array, "states states *lanes"]:
+        """The covariance of the quantities in `states`, in their order."""
+
+    @property
+    def known(self) -> tuple[str, ...]:
+        """Names of what is taken as known."""
+        return tuple(name for name in (*MOTION, *self.model.names, *OFFSETS) if name not in self.states)
+
+    def error(
+        self, state: State, motion: State4, offset: Pair, theta: tuple[Scalar, ...]
+    ) -> Float[Array, "states *lanes"]:
+        """Estimate minus truth in the order of `states`."""
+        names, found = (*MOTION, *OFFSETS, *self.model.names), self.estimate(state)
+        pairs = zip((*found.motion, *found.offset, *found.theta), (*motion, *offset, *theta), strict=True)
+        errors = {name: estimate - truth for name, (estimate, truth) in zip(names, pairs, strict=True)}
+        return jnp.stack([errors[name] for name in self.states])
+
+    def bounds(self, path: str, duration: float) -> tuple[float, float] | None:
+        """Of the process noise: a walk during a run from nearly nothing to some times what the prior leaves open."""
+        if not path.startswith("process_noise."):
+            return None
+        kind, index = path.split(".")[-2:]
+        std = float(getattr(self.prior, f"{kind}_std")[int(index)])
+        least, most = _WALKS
+        return ((least * std) ** 2 / duration, (most * std) ** 2 / duration) if std > 0.0 else None

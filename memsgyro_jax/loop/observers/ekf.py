@@ -12,7 +12,7 @@ The coefficient columns place a coefficient's effect at the middle of the sample
 what accumulates at the resonances is then right at any sample rate, the remainder only ripples.
 """
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -23,7 +23,7 @@ from memsgyro_jax.device.gyro import AbstractGyro, MotionModel, Pair, Scalar, X,
 from memsgyro_jax.device.propagate import AbstractDiscretisation, Exact, State4, Transition, advance, dot, fence
 
 from ..readout import AbstractReadout, ChargeAmplifier
-from .base import AbstractObserver, Clock, Estimate, Innovation
+from .base import MOTION, OFFSETS, AbstractCovarianceObserver, Clock, Estimate, Innovation
 from .covariance import (
     Columns,
     Covariance,
@@ -60,7 +60,7 @@ class KalmanState(NamedTuple):
         return sum(self.innovation.squared)
 
 
-class ExtendedKalmanFilter(AbstractObserver[KalmanState]):
+class ExtendedKalmanFilter(AbstractCovarianceObserver[KalmanState]):
     """The observer of thesis (4.13)-(4.16). Make one with `for_device`.
 
     `estimated` holds the indices of the coefficients that are states, `with_offsets` whether the two read-out offsets
@@ -79,6 +79,7 @@ class ExtendedKalmanFilter(AbstractObserver[KalmanState]):
     estimated: tuple[int, ...] = eqx.field(static=True)
     with_offsets: bool = eqx.field(static=True)
     iterations: int = eqx.field(static=True)
+    usually_tuned: ClassVar[tuple[str, ...]] = ("noise_density", "process_noise.rate")
 
     def __check_init__(self):
         for density in self.noise_density:
@@ -179,30 +180,16 @@ class ExtendedKalmanFilter(AbstractObserver[KalmanState]):
         theta, offset = self._theta(state.constants), self._offset(state.constants)
         return Estimate(state.motion, theta, offset, self.model, variance, state.innovation)
 
+    @property
+    def states(self) -> tuple[str, ...]:
+        """The motion, the offsets (unless the circuit is ideal) and the estimated coefficients."""
+        return (*MOTION, *self._chosen(OFFSETS, self.model.names))
+
     def covariance(self, state: KalmanState) -> Float[Array, "states states *lanes"]:
-        """The full covariance, ordered motion, offsets (if states), estimated coefficients."""
         motion, cross, constants = state.covariance
         top = jnp.concatenate([jnp.stack([jnp.stack(row) for row in square(motion)]), jnp.stack(cross)], axis=1)
         bottom = jnp.concatenate([jnp.moveaxis(jnp.stack(cross), 0, 1), constants], axis=1)
         return jnp.concatenate([top, bottom], axis=0)
-
-    def error(
-        self, state: KalmanState, motion: State4, offset: Pair, theta: tuple[Scalar, ...]
-    ) -> Float[Array, "states *lanes"]:
-        """Estimate minus truth in the order of `covariance`."""
-        truth = (*motion, *self._chosen(offset, theta))
-        return jnp.stack([e - t for e, t in zip((*state.motion, *state.constants), truth, strict=True)])
-
-    @property
-    def known(self) -> tuple[str, ...]:
-        """Names of the quantities that are not states: coefficients, and the offsets of an ideal circuit."""
-        fixed = tuple(name for i, name in enumerate(self.model.names) if i not in self.estimated)
-        return fixed if self.with_offsets else (*fixed, "offset_x", "offset_y")
-
-    @property
-    def states(self) -> int:
-        """How many quantities are estimated: the motion's 4, the offsets and the coefficients."""
-        return 4 + self._first + len(self.estimated)
 
     @property
     def _first(self) -> int:

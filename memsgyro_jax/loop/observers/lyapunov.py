@@ -1,6 +1,6 @@
 """The thesis' own observer, with gains that make a Lyapunov function decrease (4.1.3.1, (4.11) and (4.12))."""
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -42,6 +42,7 @@ class LyapunovObserver(AbstractObserver[LyapunovState]):
     frequency: Scalar = number()
     discretisation: AbstractDiscretisation
     model: MotionModel = eqx.field(static=True)
+    usually_tuned: ClassVar[tuple[str, ...]] = ("gain",)
 
     def __check_init__(self):
         for value in self.gain:
