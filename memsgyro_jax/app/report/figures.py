@@ -159,11 +159,8 @@ def _thinned(trace: "Trace") -> "Trace":
 
 
 def _rows(trace: "Trace", rows: slice) -> "Trace":
-    long = {
-        field.name: getattr(trace, field.name) for field in fields(trace) if field.name not in ("theta", "settings")
-    }
-    count = len(trace.time)
-    return replace(trace, **{n: v[rows] for n, v in long.items() if isinstance(v, np.ndarray) and len(v) == count})
+    once = ("theta", "intact_until", "coefficients", "settings")
+    return replace(trace, **{f.name: getattr(trace, f.name)[rows] for f in fields(trace) if f.name not in once})
 
 
 def _nothing(figure: Figure) -> Figure:
