@@ -48,7 +48,6 @@ class Effects(tuple):
     """
 
     ranks: tuple[int, ...]
-    _fields = ()  # else `eqx.tree_at` puts a plain `()` in the place of no effects
 
     @classmethod
     def of(cls, effects: Iterable[AbstractEffect]) -> tuple[AbstractEffect, ...]:
