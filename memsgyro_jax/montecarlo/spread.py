@@ -8,7 +8,7 @@ import abc
 import math
 import re
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -24,6 +24,23 @@ from memsgyro_jax.loop.scenario import Scenario
 
 
 DEVICE_PREFIX = "device."
+_ROUNDING = 1e-13  # smallest eigenvalue of a correlation that a Cholesky decomposition survives
+
+
+class Uncertain(Protocol):
+    """Numbers of a device by their paths in it, with values and covariance in SI."""
+
+    paths: tuple[str, ...]
+    values: np.ndarray
+    covariance: np.ndarray
+
+
+class HasUncertainty(Protocol):
+    """A result that knows how well it holds the numbers of its device."""
+
+    @property
+    def uncertainty(self) -> Uncertain:
+        """The numbers with their joint uncertainty."""
 
 
 class AbstractDistribution(Displayed):
@@ -39,11 +56,14 @@ class AbstractDistribution(Displayed):
 
 
 class Normal(AbstractDistribution):
-    """Normal about the design value, cut at ±`cut` deviations; `relative` to it or `std` in its unit."""
+    """Normal about the design value, or about `mean` where one is given, cut at ±`cut` deviations; `relative` to it or
+    `std` in its unit.
+    """
 
     relative: float = 0.0
     std: float = 0.0
     cut: float = 4.0
+    mean: float | None = None
 
     def __check_init__(self):
         if not (self.relative >= 0.0 and self.std >= 0.0):
@@ -57,6 +77,7 @@ class Normal(AbstractDistribution):
 
     def value(self, design, place):
         """Design plus the place times the standard deviation."""
+        design = design if self.mean is None else self.mean
         std = self.relative * abs(design) if self.std == 0.0 else jnp.hypot(self.relative * design, self.std)
         return design + place * std
 
@@ -165,6 +186,32 @@ class Spread(Shown):
         dies.
         """
         return cls(quasi=quasi, everywhere=Normal(relative=std))
+
+    @classmethod
+    def from_fit(cls, fit: HasUncertainty, *, quasi: bool = True) -> "Spread":
+        """Dies as a fit leaves them possible: the numbers of its device, effects included, about the values of the fit
+        and with their joint uncertainty. The loop must have the fit's kind of device and its effects.
+
+        Raises `InputError` where the records do not hold a number, which could then be anything.
+        """
+        found = fit.uncertainty
+        variance = np.diag(found.covariance)
+        loose = [path for path, size in zip(found.paths, variance, strict=True) if not np.isfinite(size)]
+        if loose:
+            raise InputError(
+                f"A fit must hold every number that is drawn from it, but its records do not hold {', '.join(loose)}; "
+                "add a record that does."
+            )
+        std = np.sqrt(variance)
+        items = tuple(
+            Vary(f"{DEVICE_PREFIX}{path}", Normal(std=float(size), mean=float(value)))
+            for path, size, value in zip(found.paths, std, found.values, strict=True)
+        )
+        # A mass and the stiffness over it are held to a million times different shares: rounding must not let the
+        # correlation lose its definiteness.
+        values, vectors = np.linalg.eigh(found.covariance / np.outer(std, std))
+        joint = (vectors * np.maximum(values, _ROUNDING)) @ vectors.T
+        return cls(items, tuple(map(tuple, joint.tolist())), quasi)
 
     def resolved(self, loop: ClosedLoop) -> tuple[Vary, ...]:
         """The variations, with `everywhere` written out over the device's non-zero parameters that `items` does not

@@ -108,3 +108,31 @@ def test_impossible_dies_are_refused(loop):
     spread = mg.Spread((mg.Vary("device.mass", mg.Normal(relative=0.5)),))
     with pytest.raises(InputError, match=r"impossible.*`cut`.*`mass`"):
         draw(loop, spread, range(256))
+
+
+class Found:
+    """A fit of mass and stiffness whose ratio is held a hundred thousand times better than either."""
+
+    def __init__(self):
+        mass, ratio = 1.7e-7, 3.5e8
+        slopes = np.array([[1.0, 0.0], [ratio, mass]])  # of (mass, stiffness) by (mass, stiffness over mass)
+        self.paths, self.values = ("mass", "kxx"), np.array([mass, mass * ratio])
+        self.covariance = slopes @ np.diag([(0.01 * mass) ** 2, (1e-7 * ratio) ** 2]) @ slopes.T
+        self.uncertainty = self
+
+
+def test_dies_of_a_fit_keep_what_it_holds_together():
+    loop, scenario = mg.default_study().die(None)
+    drawn = mg.Spread.from_fit(Found()).draw(loop, scenario, 0, np.arange(512))
+    mass, ratio = drawn.loop.device.mass, drawn.loop.device.kxx / drawn.loop.device.mass
+    assert np.mean(mass) == pytest.approx(1.7e-7, rel=1e-3), "about the fit, not the design of the loop"
+    assert np.std(mass) == pytest.approx(0.01 * 1.7e-7, rel=0.02)
+    assert np.std(ratio) == pytest.approx(1e-7 * 3.5e8, rel=0.05)
+    assert abs(np.corrcoef(mass, ratio)[0, 1]) < 0.1
+
+
+def test_dies_of_a_fit_that_does_not_hold_a_number_are_refused():
+    loose = Found()
+    loose.covariance[1, 1] = np.inf
+    with pytest.raises(mg.InputError, match="do not hold kxx"):
+        mg.Spread.from_fit(loose)
