@@ -159,8 +159,9 @@ def _thinned(trace: "Trace") -> "Trace":
 
 
 def _rows(trace: "Trace", rows: slice) -> "Trace":
-    once = ("theta", "intact_until", "coefficients", "settings")
-    return replace(trace, **{f.name: getattr(trace, f.name)[rows] for f in fields(trace) if f.name not in once})
+    found = {field.name: getattr(trace, field.name) for field in fields(trace) if field.name != "theta"}
+    long = {name: value for name, value in found.items() if isinstance(value, np.ndarray) and value.ndim}
+    return replace(trace, **{name: value[rows] for name, value in long.items()})
 
 
 def _nothing(figure: Figure) -> Figure:
