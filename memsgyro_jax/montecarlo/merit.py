@@ -1,6 +1,7 @@
 """Figures of merit of a lot: percentiles, yield with its interval, and how a varying rate was followed."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -47,6 +48,30 @@ def percentiles(errors: Float[np.ndarray, " dies"]) -> Percentiles:
     median, high = np.percentile(size, [50.0, 95.0])
     ends = stats.quantile_test(size, p=0.95).confidence_interval(0.95)
     return Percentiles(float(np.sqrt(np.mean(size**2))), float(median), float(high), float(ends.low), float(ends.high))
+
+
+class StraightError(NamedTuple):
+    """Error of the settled rate over the true one: `bias` [rad/s] and `scale`, the scale-factor error (IEEE 528), each
+    with its standard deviation. `scale` is None where all dies turn alike; `bias` is then their mean error.
+    """
+
+    bias: float
+    bias_std: float
+    scale: float | None
+    scale_std: float | None
+
+
+def straight_error(rate: Float[np.ndarray, " dies"], error: Float[np.ndarray, " dies"]) -> StraightError | None:
+    """The straight line through the errors of dies that turn at `rate`, by least squares; None below three dies."""
+    if len(error) < 3:
+        return None
+    varied = float(np.std(rate)) > 1e-9 * (float(np.max(np.abs(rate))) + 1e-9)
+    table = np.stack([np.ones_like(rate), rate], axis=1)[:, : 1 + varied]
+    line, *_ = np.linalg.lstsq(table, error)
+    scatter = np.sum((error - table @ line) ** 2) / (len(error) - len(line))
+    std = np.sqrt(scatter * np.diag(np.linalg.inv(table.T @ table)))
+    scale, scale_std = (float(line[1]), float(std[1])) if varied else (None, None)
+    return StraightError(float(line[0]), float(std[0]), scale, scale_std)
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,16 @@ from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.observers import AbstractCovarianceObserver
 
 from .batch import Plan
-from .merit import Following, Percentiles, Proportion, following, percentiles, proportion
+from .merit import (
+    Following,
+    Percentiles,
+    Proportion,
+    StraightError,
+    following,
+    percentiles,
+    proportion,
+    straight_error,
+)
 from .store import LOST, OK, STATUS
 
 
@@ -24,8 +33,8 @@ class Summary(Shown):
 
     `end` and `settled` are over the dies that were not lost; `bound` is the root mean square over dies of the least
     standard deviation any unbiased use of the same data and prior could reach at the end, None where it does not apply.
-    `nees` is the mean over dies, `states` its expectation. `steps_per_s` is None when a single batch left nothing to
-    time after compiling.
+    `nees` is the mean over dies, `states` its expectation; `straight` holds bias and scale-factor error. `steps_per_s`
+    is None when a single batch left nothing to time after compiling.
     """
 
     dies: int
@@ -41,6 +50,7 @@ class Summary(Shown):
     convergence_time: float | None
     good: Proportion
     following: Following | None
+    straight: StraightError | None
     steps_per_s: float | None
     settings: Settings
 
@@ -61,6 +71,7 @@ class Summary(Shown):
             "convergence_time_s": self.convergence_time,
             "yield": asdict(self.good),
             "following": None if self.following is None else _following(self.following),
+            **({} if self.straight is None else _straight(self.straight)),
             "steps_per_s": self.steps_per_s,
             "seed": self.settings.seed,
             "sample_rate_hz": self.settings.sample_rate,
@@ -94,6 +105,8 @@ class Summary(Shown):
         rows.append(
             ("yield (95 % interval)", "{:.1f} % ({:.1f} to {:.1f} %)".format(*share) + f": {self.good.criterion}")
         )
+        if self.straight is not None:
+            rows.append(("bias, scale-factor error", _straight_text(self.straight)))
         if self.following is not None:
             rows.append(("varying rate followed", _following_text(self.following)))
         if self.steps_per_s is not None:
@@ -123,6 +136,11 @@ def summarise(
     figures = percentiles(end)
     nees, nis = (_mean(rows[name][alive]) for name in ("nees_end", "nis_mean"))
     settled = plan.window_times >= plan.settle
+    if alive.any():
+        true = np.mean(rows["rate_true"][alive][:, settled], axis=1)
+        straight = straight_error(true, np.mean(rows["rate_estimate"][alive][:, settled], axis=1) - true)
+    else:
+        straight = None
     return Summary(
         dies=computed,
         failed=int(np.sum(status == LOST)),
@@ -141,6 +159,7 @@ def summarise(
             rows["rate_true"][alive][:, settled] if alive.any() else np.zeros(int(settled.sum())),
             rows["rate_estimate"][alive][:, settled],
         ),
+        straight=straight,
         steps_per_s=speed,
         settings=settings,
     )
@@ -170,3 +189,15 @@ def _following(result: Following) -> dict[str, float | None]:
 def _following_text(result: Following) -> str:
     band = "beyond what the record shows" if result.bandwidth is None else f"{result.bandwidth:.3g} Hz"
     return f"rms {np.degrees(result.rms):.3g} deg/s, delay {1e3 * result.delay:.3g} ms, bandwidth {band}"
+
+
+def _straight(error: StraightError) -> dict[str, object]:
+    bias = {"value": float(np.degrees(error.bias)), "std": float(np.degrees(error.bias_std))}
+    return {"bias_dps": bias, "scale_factor_error": {"value": error.scale, "std": error.scale_std}}
+
+
+def _straight_text(error: StraightError) -> str:
+    bias = f"{np.degrees(error.bias):.3g} ± {np.degrees(error.bias_std):.2g} deg/s"
+    if error.scale is None or error.scale_std is None:
+        return f"{bias}, unknown (all dies turn alike)"
+    return f"{bias}, {100.0 * error.scale:.3g} ± {100.0 * error.scale_std:.2g} %"

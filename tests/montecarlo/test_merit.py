@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import signal, stats
 
-from memsgyro_jax.montecarlo.merit import following, percentiles, proportion, settling_time
+from memsgyro_jax.montecarlo.merit import following, percentiles, proportion, settling_time, straight_error
 
 
 def test_a_yield_has_its_wilson_interval():
@@ -69,3 +69,17 @@ def test_the_interval_of_a_percentile_holds_it_as_often_as_it_says():
     held = np.mean([e.p95_low <= 1.959964 <= e.p95_high for e in ends])
     assert 0.92 <= held <= 1.0
     assert np.isnan(percentiles(rng.standard_normal(8)).p95_high)
+
+
+def test_bias_and_scale_factor_are_the_line_through_the_errors():
+    rng = np.random.default_rng(0)
+    rate = rng.uniform(-2.0, 2.0, 400)
+    found = straight_error(rate, 0.3 - 0.05 * rate + 0.1 * rng.standard_normal(400))
+    assert found.bias == pytest.approx(0.3, abs=4 * found.bias_std)
+    assert found.scale == pytest.approx(-0.05, abs=4 * found.scale_std)
+    assert found.bias_std == pytest.approx(0.1 / np.sqrt(400), rel=0.15)
+    assert found.scale_std == pytest.approx(0.1 / np.sqrt(np.sum(rate**2)), rel=0.15)
+    alike = straight_error(np.full(400, 1.0), 0.3 + 0.1 * rng.standard_normal(400))
+    assert alike.bias == pytest.approx(0.3, abs=0.02)
+    assert alike.scale is None
+    assert straight_error(rate[:2], rate[:2]) is None
