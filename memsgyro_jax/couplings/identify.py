@@ -13,9 +13,10 @@ from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.runtime import require_float64
 from memsgyro_jax.measurement.experiments import CartesianNoise, Noise, PolarNoise
 from memsgyro_jax.measurement.least_squares import gate
+from memsgyro_jax.measurement.noise import noise_beside_misfit
 
 from .frequency_sweep import FrequencySweep
-from .likelihood import fit_sweeps, neighbour_noise, refit
+from .likelihood import fit_sweeps, refit
 from .modal import SingleMode, coupled_poles
 from .record import SweepRecord
 from .result import Coefficient, Identification
@@ -103,7 +104,8 @@ def _with_scatter(outcome: Fit, sweeps: tuple[FrequencySweep, ...]) -> tuple[Fre
     position, out = 0, []
     for sweep in sweeps:
         size = 4 * len(sweep.frequency)
-        scatter = neighbour_noise(outcome.residual[position : position + size], sweep)
+        rows = np.asarray(outcome.residual[position : position + size]).reshape(-1, 2, 2)
+        scatter = noise_beside_misfit(rows)
         position += size
         if isinstance(sweep.noise, PolarNoise):
             noise: Noise = PolarNoise(sweep.noise.amplitude * scatter[:, 0], sweep.noise.phase * scatter[:, 1])

@@ -109,16 +109,6 @@ def gauge_fixed(seen: SeenBench) -> SeenBench:
     )
 
 
-def neighbour_noise(residual: Array, sweep: FrequencySweep) -> Array:
-    """Standard deviation per channel and part, from differences of neighbouring residuals: blind to a smooth misfit.
-
-    Second differences, root mean square: right for noise of any distribution.
-    """
-    rows = residual.reshape(len(sweep.frequency), 2, 2)
-    bend = rows[1:-1] - 0.5 * (rows[:-2] + rows[2:])
-    return jnp.sqrt(jnp.mean(bend**2, axis=0) / 1.5)
-
-
 def _candidates(sweeps: tuple[FrequencySweep, ...], leak: bool, moving: bool, starts: int) -> SeenBench:
     first = min(sweeps, key=lambda sweep: sweep.axis)
     families = sweep_start.candidates(first, leak)

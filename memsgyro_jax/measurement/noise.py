@@ -1,4 +1,4 @@
-"""How much white noise a record has, told by its rows alone: of responses over frequency, and of signals over time."""
+"""How much white noise a record has, told by its rows alone: of responses, of signals, of what a fit leaves."""
 
 from collections.abc import Sequence
 
@@ -77,3 +77,12 @@ def _quiet_level(channel: np.ndarray) -> float:
     quiet_bands = [band for band, at in zip(bands, levels, strict=True) if at <= level * (1 + 3 * scatter)]
     quiet = float(np.sqrt(np.median(np.concatenate(quiet_bands)) / np.log(2)))
     return quiet / np.sqrt(2) if np.iscomplexobj(channel) else quiet
+
+
+def noise_beside_misfit(residual: np.ndarray) -> np.ndarray:
+    """Standard deviation of each part of a fit's residual (n, ...), blind to a misfit that is smooth from row to row.
+
+    Second differences, root mean square: right for noise of any distribution.
+    """
+    bend = residual[1:-1] - 0.5 * (residual[:-2] + residual[2:])
+    return np.sqrt(np.mean(bend**2, axis=0) / 1.5)

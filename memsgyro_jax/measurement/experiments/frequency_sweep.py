@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar, Self
 
 import jax.numpy as jnp
@@ -24,7 +25,7 @@ from .harmonic_sweep import HarmonicSweep
 from .missing_force import SweepForce
 from .record import AbstractRecord, Watched
 from .sheet import Sheet
-from .sweep_checks import check_order, check_phase, refuse_repeats
+from .sweep_rows import check_order, check_phase, refuse_repeats, single_sweeps
 
 
 _TWO_PI = 2 * np.pi
@@ -73,30 +74,13 @@ class FrequencySweepRecord(AbstractRecord):
     def readings(self) -> np.ndarray:
         return self.phasors
 
-    @property
+    @cached_property
     def sweeps(self) -> tuple[slice, ...]:
-        """The rows of each single sweep: a new one begins where a condition is set anew or the frequency turns back.
-
-        Temperature and rate may be readings: within 1 K and 1 % of the largest rate they count as one setting.
-        """
-        settings = (
-            (self.drive, 0.0),
-            (self.bias_voltage, 0.0),
-            (self.temperature, 1.0),
-            (self.rate, 0.01 * float(np.max(np.abs(self.rate), initial=0.0))),
-        )
-        new = np.zeros(self.rows, bool)
-        for values, within in settings:
-            new |= _settings_begin(values, within)
-        steps = np.sign(np.diff(self.frequency))
-        begins, direction = [0], 0.0
-        for row in range(1, self.rows):
-            if new[row] or (direction and steps[row - 1] != direction):
-                begins.append(row)
-                direction = 0.0
-            else:
-                direction = steps[row - 1]
-        return tuple(slice(a, b) for a, b in zip(begins, [*begins[1:], self.rows], strict=True))
+        """The rows of each single sweep: a new one begins where a condition is set anew or the frequency turns back."""
+        largest = float(np.max(np.abs(self.rate), initial=0.0))
+        # Temperature and rate may be readings: within 1 K and 1 % of the largest rate they count as one setting.
+        within = ((self.drive, 0.0), (self.bias_voltage, 0.0), (self.temperature, 1.0), (self.rate, 0.01 * largest))
+        return single_sweeps(self.frequency, within)
 
     @property
     def extent(self) -> str:
@@ -289,15 +273,6 @@ class FrequencySweepRecord(AbstractRecord):
             self.name, self.axis, self.frequency, self.drive, self.temperature, self.bias_voltage,
             motion[:, self.axis], force, np.sqrt(gain**2 @ noise**2),
         )  # fmt: skip
-
-
-def _settings_begin(values: np.ndarray, within: float) -> np.ndarray:
-    """Where `values` leave the value of the current setting by more than `within`."""
-    begins, held = np.zeros(len(values), bool), values[0]
-    for row in np.flatnonzero(np.diff(values) != 0) + 1:
-        if abs(values[row] - held) > within:
-            begins[row], held = True, values[row]
-    return begins
 
 
 def _drive(sheet: Sheet, axis: int) -> np.ndarray:

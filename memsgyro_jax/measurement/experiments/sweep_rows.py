@@ -1,4 +1,4 @@
-"""What the rows of a frequency sweep must say of each other."""
+"""Which rows of a file are one frequency sweep, and what they must say of each other."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -10,6 +10,31 @@ from memsgyro_jax.base.table import Table
 
 
 _FEWEST = 3  # rows of a sweep: fewer show no resonance and are what a mistyped level leaves behind
+
+
+def single_sweeps(frequency: np.ndarray, within: Sequence[tuple[np.ndarray, float]]) -> tuple[slice, ...]:
+    """Rows between which no condition leaves its value by more than it may, and the frequency does not turn back."""
+    new = np.zeros(len(frequency), bool)
+    for values, most in within:
+        new |= _settings_begin(values, most)
+    steps = np.sign(np.diff(frequency))
+    begins, direction = [0], 0.0
+    for row in range(1, len(frequency)):
+        if new[row] or (direction and steps[row - 1] != direction):
+            begins.append(row)
+            direction = 0.0
+        else:
+            direction = steps[row - 1]
+    return tuple(slice(a, b) for a, b in zip(begins, [*begins[1:], len(frequency)], strict=True))
+
+
+def _settings_begin(values: np.ndarray, within: float) -> np.ndarray:
+    """Where `values` leave the value of the current setting by more than `within`."""
+    begins, held = np.zeros(len(values), bool), values[0]
+    for row in np.flatnonzero(np.diff(values) != 0) + 1:
+        if abs(values[row] - held) > within:
+            begins[row], held = True, values[row]
+    return begins
 
 
 def check_order(table: Table, frequency: np.ndarray, set_to: Sequence[np.ndarray], sweeps: Sequence[slice]) -> None:
