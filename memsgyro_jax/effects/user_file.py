@@ -1,29 +1,21 @@
 """A user's own effects: a Python file in, instances out, or one sentence that says what to mend."""
 
-import ast
-import importlib.util
 import inspect
-import sys
-import traceback
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.units import to_si
+from memsgyro_jax.base.user_file import in_one_line, line_of, run_user_file
 
 from .axes import needed_axes, variants
 from .base import Effect
 from .catalogue import CATALOGUE
 from .trial import PORT_METHODS, at_strength, complaint
-
-
-MODULE = "memsgyro_effects_of_user"
 
 
 def load_effects(path: str | Path, axes: int = 2) -> tuple[Effect, ...]:
@@ -37,17 +29,11 @@ def load_effects(path: str | Path, axes: int = 2) -> tuple[Effect, ...]:
         InputError: with file and line, if the file does not run, holds no effect, or holds one that lacks a name, unit
             or method, has the name of another, or breaks a promise of the port (shape, zero means absent, finite).
     """
-    path = Path(path)
-    source = _read(path)
-    module = _run(path, source)
-    lines = {node.name: node.lineno for node in ast.walk(ast.parse(source)) if isinstance(node, ast.ClassDef)}
-
-    def at(kind: type) -> str:
-        return f"{path}, line {lines[kind.__name__]}" if kind.__name__ in lines else str(path)
-
-    given = getattr(module, "EFFECTS", None)
+    file = run_user_file(path)
+    path, at = file.path, file.at
+    given = getattr(file.module, "EFFECTS", None)
     if given is None:
-        kinds = _final_effects(module)
+        kinds = file.final(Effect)
         for kind in kinds:
             _check_class(kind, at(kind))
         effects = [effect for kind in kinds for effect in _instances(kind, axes, path, at(kind))]
@@ -63,47 +49,6 @@ def load_effects(path: str | Path, axes: int = 2) -> tuple[Effect, ...]:
     checked = tuple(_checked(effect, axes, path, at(type(effect))) for effect in effects)
     _check_names(checked, at)
     return checked
-
-
-def _read(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: must be a Python file in UTF-8, but byte {error.start} is not.") from error
-    except OSError as error:
-        raise InputError(f"{path}: must be a readable Python file, but: {error.strerror}.") from error
-
-
-def _run(path: Path, source: str) -> ModuleType:
-    spec = importlib.util.spec_from_loader(MODULE, loader=None, origin=str(path))
-    assert spec is not None
-    module = importlib.util.module_from_spec(spec)
-    module.__file__ = str(path)
-    before = sys.modules.get(MODULE)
-    sys.modules[MODULE] = module  # dataclasses look the module of a class up
-    try:
-        exec(compile(source, str(path), "exec"), module.__dict__)
-    except SyntaxError as error:
-        raise InputError(f"{path}, line {error.lineno}: must be valid Python, but: {error.msg}.") from error
-    except (Exception, SystemExit) as error:
-        raise InputError(f"{_place(error, path, str(path))}: must run, but: {_said(error)}.") from error
-    finally:
-        if before is None:
-            del sys.modules[MODULE]
-        else:
-            sys.modules[MODULE] = before
-    return module
-
-
-def _final_effects(module: ModuleType) -> list[type[Effect]]:
-    """Effect classes of the file in its order, without those that others of the file build on."""
-    own: list[type[Effect]] = [
-        value
-        for value in vars(module).values()
-        if isinstance(value, type) and issubclass(value, Effect) and value.__module__ == MODULE
-    ]
-    own = list(dict.fromkeys(own))
-    return [kind for kind in own if not any(other is not kind and issubclass(other, kind) for other in own)]
 
 
 def _listed(given: Any, path: Path) -> list[Effect]:
@@ -174,18 +119,4 @@ def _tried(action: Callable[[], Any], path: Path, place: str, wanted: str) -> An
     try:
         return action()
     except Exception as error:
-        raise InputError(f"{_place(error, path, place)}: {wanted}, but: {_said(error)}.") from error
-
-
-def _place(error: BaseException, path: Path, otherwise: str) -> str:
-    """The line of the file that an error came from, where it came from the file."""
-    numbers = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
-    return f"{path}, line {numbers[-1]}" if numbers else otherwise
-
-
-def _said(error: BaseException) -> str:
-    """An error in one line, without the closing full stop."""
-    if isinstance(error, jax.errors.TracerBoolConversionError):
-        return "it branches on a number; choose with `jax.numpy.where` instead of `if`"
-    first = str(error).strip().split("\n")[0].rstrip(".: ")
-    return f"{type(error).__name__}: {first}" if first else type(error).__name__
+        raise InputError(f"{line_of(error, path, place)}: {wanted}, but: {in_one_line(error)}.") from error

@@ -41,3 +41,11 @@ def test_a_broken_case_is_one_sentence(bench, capsys):
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     assert "raw.csv" in error
+
+
+def test_the_demonstration_has_no_warning(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert run("check", "demo") == 0
+    printed = capsys.readouterr().out
+    assert "sweep_x" in printed
+    assert "Warning" not in printed

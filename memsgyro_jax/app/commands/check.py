@@ -3,7 +3,7 @@
 from pathlib import Path
 
 
-def check_command(case: Path, /) -> None:
+def check_command(case: Path, /, *, kinds: Path | None = None) -> None:
     """What a measurement case holds, how good it is, and what it can identify.
 
     Prints the experiments, their noise and their largest readings.
@@ -12,12 +12,16 @@ def check_command(case: Path, /) -> None:
     each record would hold each parameter of the base model, and which not at all.
 
     Args:
-        case: folder with a case.toml and the CSV files that it names.
+        case: folder with a case.toml and the CSV files that it names, or the word demo for the one that comes along.
+        kinds: a Python file with kinds of measurement of your own. It is run: trust it first.
     """
     from memsgyro_jax.diagnosis.identifiable import identifiable
-    from memsgyro_jax.measurement.case import assess, load_case
+    from memsgyro_jax.measurement.case import assess
+    from memsgyro_jax.measurement.user_kinds import load_kinds
 
-    measured = load_case(case)
+    from .diagnose import load_demo_or
+
+    measured = load_demo_or(case, load_kinds(kinds) if kinds else ())
     for part in (measured, assess(measured)):
         print(part, end="\n\n", flush=True)
     print("What the fitted records can identify of the base model, by the size of one standard deviation:")

@@ -11,6 +11,7 @@ def compare_command(
     *,
     model: Path | None = None,
     effects: Path | None = None,
+    kinds: Path | None = None,
     json: Path | None = None,
 ) -> None:
     """Where a model fails to explain a measurement case.
@@ -19,20 +20,23 @@ def compare_command(
     experiment, drive level, temperature or time, frequency, channel.
 
     Args:
-        case: folder with a case.toml and the CSV files that it names.
+        case: folder with a case.toml and the CSV files that it names, or the word demo for the one that comes along.
         model: a model file, taken as it is; without it the base model is fitted.
         effects: a Python file with effects of your own that the model has. It is run: trust it first.
+        kinds: a Python file with kinds of measurement of your own. It is run: trust it first.
         json: file for the machine-readable result.
     """
     from memsgyro_jax.base.files import write_json
     from memsgyro_jax.diagnosis.compare import compare
     from memsgyro_jax.effects import load_effects
-    from memsgyro_jax.measurement.case import load_case
     from memsgyro_jax.measurement.model_file import read_model
+    from memsgyro_jax.measurement.user_kinds import load_kinds
+
+    from .diagnose import load_demo_or
 
     if effects is not None and model is None:
         raise InputError("Option `--effects` must go with `--model`, whose effects it defines; leave it out.")
-    measured = load_case(case)
+    measured = load_demo_or(case, load_kinds(kinds) if kinds else ())
     own = load_effects(effects, measured.channels) if effects else ()
     result = compare(None if model is None else read_model(model, own), measured, fitted=model is None)
     print(result)

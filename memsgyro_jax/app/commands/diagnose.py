@@ -1,5 +1,6 @@
 """`memsgyro diagnose`: read a case, find what is missing from its model, print, write."""
 
+from collections.abc import Sequence
 from importlib.resources import as_file, files
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -9,7 +10,7 @@ from memsgyro_jax.base.errors import InputError
 
 if TYPE_CHECKING:
     from memsgyro_jax.effects import Effect
-    from memsgyro_jax.measurement.case import Case
+    from memsgyro_jax.measurement.case import AbstractRecord, Case
     from memsgyro_jax.measurement.model import Model
 
 
@@ -22,6 +23,7 @@ def diagnose_command(
     *,
     model: Path | None = None,
     effects: Path | None = None,
+    kinds: Path | None = None,
     level: float = 0.05,
     out: Path | None = None,
     json: Path | None = None,
@@ -37,6 +39,7 @@ def diagnose_command(
         case: folder with a case.toml and the CSV files that it names, or the word demo for the one that comes along.
         model: a model file to start from, with the effects it has; without it the base model is fitted.
         effects: a Python file with effects of your own, tried beside the catalogue. It is run: trust it first.
+        kinds: a Python file with kinds of measurement of your own. It is run: trust it first.
         level: probability that an effect is reported where none is missing.
         out: file for the fitted model, for `memsgyro compare --model`.
         json: file for the machine-readable result.
@@ -46,12 +49,13 @@ def diagnose_command(
     from memsgyro_jax.diagnosis.diagnose import diagnose
     from memsgyro_jax.effects import load_effects
     from memsgyro_jax.measurement.model_file import model_text
+    from memsgyro_jax.measurement.user_kinds import load_kinds
 
     from .options import require_writable
     from .progress import told
 
     require_writable(out, json, report)
-    measured = load_demo_or(case)
+    measured = load_demo_or(case, load_kinds(kinds) if kinds else ())
     own = load_effects(effects, measured.channels) if effects else ()
     start = None if model is None else _start(model, measured, own)
     with told() as tell:
@@ -70,15 +74,15 @@ def diagnose_command(
     print(found)
 
 
-def load_demo_or(case: Path) -> "Case":
+def load_demo_or(case: Path, kinds: "Sequence[type[AbstractRecord]]" = ()) -> "Case":
     """The case in a folder; `demo` where there is no such case is the demonstration that comes with the package."""
     from memsgyro_jax.measurement.case import load_case
     from memsgyro_jax.measurement.case.file import FILE
 
     if case == DEMO and not (case / FILE).exists():
         with as_file(files("memsgyro_jax") / "demo") as folder:
-            return load_case(folder)
-    return load_case(case)
+            return load_case(folder, kinds=kinds)
+    return load_case(case, kinds=kinds)
 
 
 def _start(path: Path, case: "Case", own: "tuple[Effect, ...]") -> "Model":

@@ -11,6 +11,7 @@ def fit_command(
     *,
     add: Words = (),
     effects: Path | None = None,
+    kinds: Path | None = None,
     out: Path | None = None,
     json: Path | None = None,
 ) -> None:
@@ -19,21 +20,23 @@ def fit_command(
     Prints the error of every experiment before and after, also of those that are not fitted.
 
     Args:
-        case: folder with a case.toml and the CSV files that it names.
+        case: folder with a case.toml and the CSV files that it names, or the word demo for the one that comes along.
         add: names of effects, each with its variant ("cubic_stiffness x") or alone for all its variants.
         effects: a Python file with effects of your own. It is run: trust it first.
+        kinds: a Python file with kinds of measurement of your own. It is run: trust it first.
         out: file for the fitted model, for `memsgyro compare --model` and for the device of a study.
         json: file for the machine-readable result.
     """
     from memsgyro_jax.base.files import write_json
     from memsgyro_jax.diagnosis.fit import fit_case
     from memsgyro_jax.effects import catalogue, load_effects
-    from memsgyro_jax.measurement.case import load_case
     from memsgyro_jax.measurement.model_file import write_model
+    from memsgyro_jax.measurement.user_kinds import load_kinds
 
     from ..report.fit_text import fit_entries, fit_text, named_effects, placed_by_scan
+    from .diagnose import load_demo_or
 
-    measured = load_case(case)
+    measured = load_demo_or(case, load_kinds(kinds) if kinds else ())
     own = load_effects(effects, measured.channels) if effects else ()
     chosen = named_effects(add, (*catalogue(measured.channels), *own))
     before = fit_case(measured)

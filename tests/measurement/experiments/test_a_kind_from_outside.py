@@ -1,6 +1,7 @@
 """A kind of measurement written outside the package goes from CSV to verdict."""
 
 import ast
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from measurement.experiments import static_deflection
 from measurement.experiments.static_deflection import StaticDeflectionRecord
 
 import memsgyro_jax
+from memsgyro_jax.app.cli import main
 from memsgyro_jax.app.report.diagnosis_page import diagnosis_page
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.diagnosis.compare import compare
@@ -20,6 +22,7 @@ from memsgyro_jax.diagnosis.fit import fit
 from memsgyro_jax.effects import ElectrostaticSoftening
 from memsgyro_jax.measurement.case import assess, load_case, write_case
 from memsgyro_jax.measurement.experiments import KINDS, HarmonicSweep, RateTable, RawCapture, RingDown
+from memsgyro_jax.measurement.user_kinds import load_kinds
 
 
 SOFTENING = 2e-5 * RESONATOR.kxx  # N/(m·V²): two parts in a thousand at 10 V, where the sweeps have none
@@ -92,6 +95,35 @@ def test_it_is_diagnosed_and_drawn(case):
     assert diagnosis.verdict == "found"
     assert [effect.label for effect in diagnosis.accepted] == ["electrostatic_softening x"]
     assert diagnosis_page(diagnosis).html().count("<svg") == len(case.records) + 1
+
+
+def test_the_command_line_takes_its_file(folder, capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(["check", str(folder), "--kinds", static_deflection.__file__])
+    assert stop.value.code == 0
+    printed = capsys.readouterr().out
+    assert "Warning" not in printed
+    assert "held forces" in printed
+    assert re.search(r"\n  held: offset x to .*; not held: d/m, \+0.71·k/m \+0.71·1/m\n", printed)
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("x = 1", "must define a kind of measurement, a subclass of `memsgyro_jax.measurement.experiments.Abstract"),
+        (
+            "class A(AbstractRecord): pass",
+            "line 2: record `A` must have `columns`, `experiment`, `extent`, `read`",
+        ),
+        ("class A(TimeRecord): kind = None", "line 2: record `A` must have the word that `case.toml` has for it"),
+        ("1 / 0", "line 2: must run, but: ZeroDivisionError: division by zero"),
+    ],
+)
+def test_a_file_without_a_kind_is_one_sentence(tmp_path, text, sentence):
+    path = tmp_path / "own.py"
+    path.write_text(f"from memsgyro_jax.measurement.experiments import AbstractRecord, TimeRecord\n{text}\n")
+    with pytest.raises(InputError, match=re.escape(sentence)):
+        load_kinds(path)
 
 
 def test_nothing_generic_tells_kinds_apart():
