@@ -112,6 +112,8 @@ if TYPE_CHECKING:
     from .device.resonator import Resonator as Resonator
     from .measurement.model import Model as Model
     from .measurement.case import load_case as load_case
+    from .measurement.user_kinds import load_kinds as load_kinds
+    from .measurement.experiments import AbstractRecord as AbstractRecord
     from .measurement.case import write_case as write_case
     from .measurement.loop_record import case_of_trace as case_of_trace
     from .measurement.loop_record import append_to_case as append_to_case
