@@ -116,7 +116,7 @@ def _with_scans(search: Search, ranking: Ranking, tell) -> tuple[Search, Ranking
         tell(f"scan {grid[0].label}, {len(grid)} points")
         found = scan(bare, search.optimum, search.joint.fitted, grid)
         if found and found.score.p_value * found.points <= search.level:
-            finer = scan(bare, search.optimum, search.joint.fitted, refined(found.effect))
+            finer = scan(bare, search.optimum, search.joint.fitted, refined(found.effect, grid))
             found = finer if finer and finer.score.statistic > found.score.statistic else found
             if best is None or found.score.statistic > best.score.statistic:
                 best = found
@@ -179,10 +179,21 @@ def _accepted(search: Search, confused: dict[int, list[int]], steps) -> tuple[Ac
                     error_before=validation_error(steps[max(where - 1, 0)].fit),
                     error_after=validation_error(steps[where].fit),
                     confused_with=tuple(search.joint.model.effects[i].label for i in confused[place]),
+                    numbers=_numbers(search, place),
                 ),
             )
         )
     return tuple(a for _, a in sorted(out, key=lambda pair: -pair[0]))
+
+
+def _numbers(search: Search, place: int) -> dict[str, tuple[float, float, str]]:
+    """Further numbers of an accepted effect: value, standard deviation, unit."""
+    std = dict(zip(search.optimum.free.tolist(), search.optimum.std.tolist(), strict=True))
+    found = {}
+    for i in search.joint.numbers_of(place):
+        number = search.joint.parameters[i]
+        found[number.field + number.index] = float(search.optimum.vector[i]), std[int(i)], number.unit
+    return found
 
 
 def _verdict(base: CaseFit, final: CaseFit, accepted: tuple[Accepted, ...], explained: bool) -> Verdict:

@@ -5,11 +5,15 @@ from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 from scipy import stats
 
 from memsgyro_jax.base.display import Shown
-from memsgyro_jax.base.text import combination
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.joint_normal import JointNormal, number_at
+from memsgyro_jax.base.text import combination, suggestion
 from memsgyro_jax.device.gyro import SingleMassGyro
 from memsgyro_jax.device.resonator import Resonator
 from memsgyro_jax.effects.base import Effect
@@ -20,7 +24,11 @@ from memsgyro_jax.measurement.linear_start import starting_device
 from memsgyro_jax.measurement.model import Model, check_effect
 from memsgyro_jax.measurement.readings import Readings, model_of, readings_of
 
-from .joint_residual import Joint, Optimum, Parameter, optimise
+from .joint_residual import Joint, Parameter
+from .optimum import Optimum, optimise
+
+
+_BASE = {1: ("resonance", "quality_factor", "static_gain"), 2: ("mass", "kxx", "kyy", "kxy", "dxx", "dyy", "dxy")}
 
 
 @dataclass(frozen=True)
@@ -107,6 +115,30 @@ class CaseFit(Shown):
     def model(self) -> Model:
         """The fitted model."""
         return self.joint.at(self.optimum.vector)
+
+    @property
+    def device(self) -> SingleMassGyro | Resonator:
+        """The fitted device with its effects, as a loop runs it."""
+        return self.model.present.physical()
+
+    @cached_property
+    def uncertainty(self) -> JointNormal:
+        """Numbers of `device` that were fitted, by their paths there, with their joint uncertainty."""
+        joint, free = self.joint, self.optimum.free
+        present = {effect.label for effect in self.model.present.effects}
+        paths = list(_BASE[self.model.axes])
+        for parameter in (joint.parameters[i] for i in free):
+            label = joint.model.effects[parameter.effect].label if parameter.effect is not None else ""
+            if label in present:
+                paths.append(f"effects.{label.replace(' ', '_')}.{parameter.field}{parameter.index}")
+
+        def numbers(moved: Array) -> Array:
+            model = joint.at(jnp.asarray(self.optimum.vector).at[free].set(moved))
+            device = model.with_only(effect for effect in model.effects if effect.label in present).physical()
+            return jnp.stack([number_at(device, path) for path in paths])
+
+        held = self.optimum.information
+        return JointNormal.of(paths, numbers, self.optimum.vector[free], np.asarray(held.root), np.asarray(held.loose))
 
     @property
     def errors(self) -> tuple[RecordError, ...]:
@@ -202,21 +234,36 @@ class CaseFit(Shown):
         return "\n".join(lines)
 
 
-def fit(model: Model | SingleMassGyro | Resonator | None, case: Case, *, effects: Sequence[Effect] = ()) -> CaseFit:
+def fit(
+    model: Model | SingleMassGyro | Resonator | None,
+    case: Case,
+    *,
+    effects: Sequence[Effect] = (),
+    fixed: Sequence[str] = (),
+) -> CaseFit:
     """The maximum-likelihood fit of a model, with all its effects and further ones, to all records of a case.
 
     Args:
         model: a `Model`, or a device to start from; `None` takes a start from the data.
         case: from `load_case`.
-        effects: beside those of the model; their strengths start at the values they carry.
+        effects: beside those of the model or device; their numbers start at the values they carry.
+        fixed: names of parameters that keep their value, as a fit prints them: `"1/m"`, `"stop x gap"`.
 
-    **Raises:** `InputError` in float32, or where an effect or the device does not suit the case.
+    **Raises:** `InputError` in float32, where an effect or the device does not suit the case, or for a name that is no
+    parameter.
     """
     whole = model if isinstance(model, Model) or model is None else model_of(case, model)
-    return fit_case(case, effects, model=whole)
+    return fit_case(case, effects, model=whole, fixed=fixed)
 
 
-def fit_case(case: Case, effects: Sequence[Effect] = (), *, model: Model | None = None, held: bool = False) -> CaseFit:
+def fit_case(
+    case: Case,
+    effects: Sequence[Effect] = (),
+    *,
+    model: Model | None = None,
+    held: bool = False,
+    fixed: Sequence[str] = (),
+) -> CaseFit:
     """The maximum-likelihood fit of the base model with `effects` to a case.
 
     Args:
@@ -224,18 +271,31 @@ def fit_case(case: Case, effects: Sequence[Effect] = (), *, model: Model | None 
         effects: beside the base model; their strengths are free and start at the values they carry.
         model: start from this model (with its effects) instead of one found from the data.
         held: leave the model as it is and only evaluate it.
+        fixed: names of parameters that keep their value.
 
-    **Raises:** `InputError` in float32, or where an effect does not suit the device.
+    **Raises:** `InputError` in float32, where an effect does not suit the device, or for a name that is no parameter.
     """
     base = model if model is not None else model_of(case, starting_device(case))
     for effect in effects:
         check_effect(effect, base.axes)
     joint = Joint(base.with_effect(*effects), readings_of(case))
-    vector, places = joint.start, np.arange(joint.start.size)
-    if effects and not held:
-        vector = optimise(joint, vector, joint.base(), joint.fitted).vector
+    vector, places = joint.start, _free_places(joint, fixed)
+    alone = np.intersect1d(joint.base(), places)
+    if 0 < alone.size < places.size and not held:
+        vector = optimise(joint, vector, alone, joint.fitted).vector
     optimum = optimise(joint, vector, places, joint.fitted, max_evaluations=0 if held else 30)
     return beside(case, joint, optimum)
+
+
+def _free_places(joint: Joint, fixed: Sequence[str]) -> np.ndarray:
+    """Places of the parameters that may move."""
+    names = [p.name for p in joint.parameters]
+    for name in fixed:
+        if name not in names:
+            raise InputError(
+                f'Argument `fixed` must name parameters, but "{name}" is none ({suggestion(name, names)}).'
+            )
+    return np.array([i for i, name in enumerate(names) if name not in fixed], dtype=int)
 
 
 def beside(case: Case, joint: Joint, optimum: Optimum) -> CaseFit:

@@ -18,8 +18,8 @@ from jaxtyping import Array, Float, PyTree
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.runtime import require_float64, usable_cores
 from memsgyro_jax.base.transforms import Free, Identity, fixed, from_vector, mark, to_vector
+from memsgyro_jax.effects import free_numbers
 from memsgyro_jax.measurement.experiments.base import Experiment
-from memsgyro_jax.measurement.least_squares import Information, least_squares
 from memsgyro_jax.measurement.model import Model
 from memsgyro_jax.measurement.readings import Readings
 
@@ -29,11 +29,23 @@ WIDTH = 12  # directions that one pass of the compiled program differentiates
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number of the model: its name for people, SI unit, and the effect it is a strength of (`None`: base)."""
+    """One number of the model.
+
+    Args:
+        name, unit: for people, and in SI.
+        effect: place of the effect it is a number of; `None` for the base.
+        field: of the effect, `strength` or a number that it declares.
+        index: `[k]` where that field has several entries.
+        low, high: bounds that no fit leaves.
+    """
 
     name: str
     unit: str
     effect: int | None = None
+    field: str = ""
+    index: str = ""
+    low: float = -np.inf
+    high: float = np.inf
 
 
 class Joint:
@@ -75,7 +87,22 @@ class Joint:
 
     def of_effect(self, effect: int) -> np.ndarray:
         """Places of the strength of one effect."""
-        return np.array([i for i, p in enumerate(self.parameters) if p.effect == effect])
+        return np.array([i for i, p in enumerate(self.parameters) if p.effect == effect and p.field == "strength"])
+
+    def numbers_of(self, effect: int) -> np.ndarray:
+        """Places of the further numbers of one effect; at strength zero nothing depends on them."""
+        places = [i for i, p in enumerate(self.parameters) if p.effect == effect and p.field != "strength"]
+        return np.array(places, dtype=int)
+
+    @cached_property
+    def numbers(self) -> np.ndarray:
+        """Places of all numbers of effects beside their strengths."""
+        return np.concatenate([np.zeros(0, int), *(self.numbers_of(i) for i in range(len(self.model.effects)))])
+
+    @cached_property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest value of each parameter."""
+        return np.array([p.low for p in self.parameters]), np.array([p.high for p in self.parameters])
 
     def residual(self, vector: np.ndarray, chosen: Sequence[Readings]) -> list[np.ndarray]:
         """Whitened residual of each of the chosen readings."""
@@ -136,116 +163,30 @@ def _linearise(vector: Array, directions: Array, model: Model, spec: PyTree, exp
 
 
 def _all_free(model: Model) -> PyTree:
-    """Device, offsets and every strength are free."""
+    """Device, offsets, every strength and every declared number are free."""
     spec = fixed(model)
     identity = Free(Identity())
     spec = mark(spec, lambda m: (m.device.stiffness, m.device.damping, m.device.mobility, m.offset), identity)
     if not model.effects:
         return spec
-    return mark(spec, lambda m: tuple(effect.strength for effect in m.effects), identity)
+    places = [(i, number.field) for i, effect in enumerate(model.effects) for number in free_numbers(effect)]
+    return mark(spec, lambda m: tuple(getattr(m.effects[i], field) for i, field in places), identity)
 
 
 def parameters(model: Model) -> tuple[Parameter, ...]:
     """The parameters in the order of the vector."""
     pairs = ("",) if model.axes == 1 else ("xx", "yy", "xy")
-    base = [Parameter(f"k{p}/m", "rad²/s²") for p in pairs] + [Parameter(f"d{p}/m", "1/s") for p in pairs]
-    base += [Parameter("1/m", "1/kg")] + [Parameter(f"offset {a}".strip(), "V") for a in ("x", "y")[: model.axes]]
-    strengths = []
+    low = [-np.inf if pair == "xy" else 0.0 for pair in pairs]  # nothing but a coupling is negative
+    base = [Parameter(f"k{pair}/m", "rad²/s²", low=least) for pair, least in zip(pairs, low, strict=True)]
+    base += [Parameter(f"d{pair}/m", "1/s", low=least) for pair, least in zip(pairs, low, strict=True)]
+    base += [Parameter("1/m", "1/kg", low=0.0)]
+    base += [Parameter(f"offset {a}".strip(), "V") for a in ("x", "y")[: model.axes]]
+    others = []
     for place, effect in enumerate(model.effects):
-        size = effect.strength.size
-        labels = [effect.label] if size == 1 else [f"{effect.label}[{k}]" for k in range(size)]
-        strengths += [Parameter(label, effect.unit, place) for label in labels]
-    return (*base, *strengths)
-
-
-@dataclass(frozen=True)
-class Optimum:
-    """Where a fit ended.
-
-    Args:
-        vector: all parameters.
-        free: places of those that moved.
-        residual: whitened, of the fitted readings (r,).
-        jacobian: of the residual by the free parameters (r, k).
-        frozen: null directions that were held, each a combination (k,) of the free parameters over their scales.
-        converged: whether the optimiser met its tolerance.
-        evaluations: of residual and Jacobian.
-    """
-
-    vector: np.ndarray
-    free: np.ndarray
-    residual: np.ndarray
-    jacobian: np.ndarray
-    frozen: np.ndarray
-    converged: bool
-    evaluations: int
-
-    @property
-    def chi2(self) -> float:
-        """Sum of squared whitened residuals."""
-        return float(self.residual @ self.residual)
-
-    @cached_property
-    def information(self) -> Information:
-        """What the fitted readings hold of the free parameters."""
-        return Information.of(self.jacobian)
-
-    @property
-    def covariance(self) -> np.ndarray:
-        """Of the free parameters (k, k); infinite along parameters with a part in a null direction."""
-        return np.asarray(self.information.covariance)
-
-    @property
-    def std(self) -> np.ndarray:
-        """Standard deviation of each free parameter; infinite where the data do not hold it."""
-        return np.asarray(self.information.std)
-
-
-GAUSS_NEWTON = 1e-12  # damping to begin with: none, in units of a standard deviation
-STATIONARY = 0.02  # standard deviations by which the residual may miss the optimum
-
-
-def optimise(
-    joint: Joint,
-    vector: np.ndarray,
-    places: np.ndarray,
-    chosen: Sequence[Readings],
-    *,
-    known: tuple[np.ndarray, np.ndarray] | None = None,
-    max_evaluations: int = 30,
-) -> Optimum:
-    """Move the parameters at `places` to the maximum of the likelihood of the chosen readings.
-
-    Directions that the data do not hold are frozen where they are, for a drifting nuisance destroys every later test.
-
-    Args:
-        joint: residual and sensitivities.
-        vector: all parameters at the start.
-        places: of those that move.
-        chosen: the readings.
-        known: residual and Jacobian by those parameters at the start, where they are known already.
-        max_evaluations: bound on evaluations; 0 only evaluates.
-    """
-    units = np.eye(vector.size)[places]
-    value, slope = joint.linearise(vector, units, chosen) if known is None else known
-    begin = Information.of(slope)
-    size, held = np.where(begin.size > 0, begin.size, 1.0), begin.held
-    frozen = begin.directions[~held]
-    if max_evaluations == 0:
-        return Optimum(vector, places, value, slope, frozen, True, 1)
-    ways = np.where(begin.size > 0, begin.directions[held], 0.0)  # rounding must not move what no record sees
-
-    def linearise(place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        new, along = joint.linearise(vector + (place @ ways / size) @ units, ways / size @ units, chosen)
-        return np.where(np.abs(new) < 1e100, new, 1e6), np.where(np.isfinite(along), along, 0.0)
-
-    end = least_squares(
-        linearise,
-        (value, slope @ (ways / size).T),
-        damping=GAUSS_NEWTON,
-        tolerance=STATIONARY,
-        evaluations=max_evaluations,
-    )
-    at = vector + (end.place @ ways / size) @ units
-    done = bool(end.settled(STATIONARY))
-    return Optimum(at, places, end.residual, end.slope @ ways * size, frozen, done, int(end.evaluations))
+        for number in free_numbers(effect):
+            size = getattr(effect, number.field).size
+            label = effect.label if number.field == "strength" else f"{effect.label} {number.field}"
+            for index in [""] if size == 1 else [f"[{k}]" for k in range(size)]:
+                more = place, number.field, index, number.low, number.high
+                others.append(Parameter(label + index, number.unit, *more))
+    return (*base, *others)

@@ -1,6 +1,7 @@
 """What a diagnosis found: verdict, effects, candidates, groups that cannot be told apart, and what to measure next."""
 
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -28,6 +29,7 @@ class Accepted:
         p_value: of the final model without it.
         error_before, error_after: root mean square of validation residual over noise before and after it was added.
         confused_with: labels of effects that these records cannot tell from it.
+        numbers: its further numbers by name: value, standard deviation and unit.
     """
 
     name: str
@@ -39,6 +41,7 @@ class Accepted:
     error_before: float
     error_after: float
     confused_with: tuple[str, ...] = ()
+    numbers: Mapping[str, tuple[float, float, str]] = field(default_factory=dict)
 
     @property
     def label(self) -> str:
@@ -126,7 +129,8 @@ class Diagnosis(Shown):
         ]
         for a in self.accepted:
             value = ", ".join(f"{e:.5g} ± {s:.2g}" for e, s in zip(a.estimate, a.std, strict=True))
-            lines.append(f"  {a.label}: {value} {a.unit}" + _confused(a))
+            more = "".join(f", {name} {v:.6g} ± {s:.2g} {unit}" for name, (v, s, unit) in a.numbers.items())
+            lines.append(f"  {a.label}: {value} {a.unit}{more}" + _confused(a))
         before = {(e.name, e.role): e.rms for e in self.base.errors}
         lines += ["", "  error over noise, base -> final model"]
         lines += [
@@ -199,4 +203,5 @@ def _accepted(a: Accepted) -> dict:
         "validation_error_before": a.error_before,
         "validation_error_after": a.error_after,
         "confused_with": list(a.confused_with),
+        "numbers": {name: {"value": v, "std": s, "unit": unit} for name, (v, s, unit) in a.numbers.items()},
     }

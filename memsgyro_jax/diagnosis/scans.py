@@ -9,13 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from memsgyro_jax.effects import Coverage, DampingStep, ParasiticMode, Scanned, catalogue
+from memsgyro_jax.effects import Coverage, DampingStep, ParasiticMode, Scanned, catalogue, free_numbers
 from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.experiments import Readings
 from memsgyro_jax.measurement.model import Model
 
-from .joint_residual import Optimum
-from .score import Score, basis, score
+from .optimum import Optimum
+from .score import Score, basis, score, within_bounds
 
 
 COARSE = 32  # points at most that are tried where each takes long
@@ -23,7 +23,7 @@ CHUNK = 8  # grid points evaluated side by side
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class ScannedPoint:
     """The best point of a scan: the effect there, its score, and how many points were tried."""
 
     effect: Scanned
@@ -46,7 +46,7 @@ def scans(case: Case) -> tuple[tuple[Scanned, ...], ...]:
     return tuple(grid for grid in grids if grid)
 
 
-def scan(model: Model, optimum: Optimum, readings: Sequence[Readings], grid: Sequence[Scanned]) -> Found | None:
+def scan(model: Model, optimum: Optimum, readings: Sequence[Readings], grid: Sequence[Scanned]) -> ScannedPoint | None:
     """Score of every point of a grid beside the fitted model; the best one, or `None` where no record would show it.
 
     Args:
@@ -71,7 +71,12 @@ def scan(model: Model, optimum: Optimum, readings: Sequence[Readings], grid: Seq
             for effect, column in zip(some, columns, strict=False):
                 whole = np.zeros((optimum.residual.size, 1))
                 whole[span, 0] = np.where(np.isfinite(column), column, 0.0)
-                found = Found(effect, score(optimum.residual, q, whole), len(grid))
+                (number,) = [n for n in free_numbers(effect) if n.field == "strength"]
+                low, high = np.array([number.low]), np.array([number.high])
+                mine = score(optimum.residual, q, whole)
+                if "strength" not in effect.scanned:
+                    mine = within_bounds(mine, optimum.residual, whole, low, high)
+                found = ScannedPoint(effect, mine, len(grid))
                 if best is None or found.score.statistic > best.score.statistic:
                     best = found
     return best
@@ -103,8 +108,15 @@ def _slopes(model: Model, effects: Scanned, experiment) -> Array:
     return jax.vmap(one)(effects)
 
 
-def refined(effect: Scanned) -> tuple[Scanned, ...]:
-    """A finer grid around a point: frequencies a quarter of a width apart; elsewhere the point alone."""
+def refined(effect: Scanned, grid: Sequence[Scanned]) -> tuple[Scanned, ...]:
+    """A finer grid around a point: frequencies a quarter of a width apart, moments an eighth of those tried; elsewhere
+    the point alone.
+    """
+    if isinstance(effect, DampingStep):
+        moments = sorted(float(e.time) for e in grid if isinstance(e, DampingStep) and e.record == effect.record)
+        apart = moments[1] - moments[0] if len(moments) > 1 else 0.0
+        times = float(effect.time) + apart * np.linspace(-0.875, 0.875, 15)
+        return tuple(DampingStep(effect.strength, time=float(t), record=effect.record) for t in times)
     if not isinstance(effect, ParasiticMode):
         return (effect,)
     width = float(effect.omega / effect.quality)

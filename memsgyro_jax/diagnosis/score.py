@@ -6,7 +6,7 @@ of freedom as the candidate has numbers, if nothing is missing (Rao's score, or 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import stats
@@ -64,6 +64,18 @@ def score(residual: np.ndarray, q: np.ndarray, sensitivity: np.ndarray) -> Score
     share = float(np.clip(statistic / excess, 0.0, 1.0)) if excess > 0 else 0.0
     p_value = float(stats.chi2.sf(statistic, size)) if size else 1.0
     return Score(statistic, size, p_value, share, kept, u, float(s[held].min()) if size else 0.0)
+
+
+def within_bounds(
+    found: Score, residual: np.ndarray, sensitivity: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> Score:
+    """The same score, or none where the one strength (zero at present) would have to leave its bounds."""
+    if found.size != 1 or sensitivity.shape[1] != 1:
+        return found
+    step = -float((found.directions.T @ residual)[0] * (found.directions.T @ sensitivity)[0, 0])
+    if (step < 0 and low[0] >= 0) or (step > 0 and high[0] <= 0):
+        return replace(found, statistic=0.0, p_value=1.0, share=0.0)
+    return found
 
 
 def overlap(a: Score, b: Score) -> float:

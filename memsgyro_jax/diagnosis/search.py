@@ -10,8 +10,9 @@ import numpy as np
 from scipy import stats
 
 from .fit import CaseFit, beside
-from .joint_residual import Joint, Optimum, optimise
-from .score import Score, basis, family_p_values, overlap, score
+from .joint_residual import Joint
+from .optimum import Optimum, optimise
+from .score import Score, basis, family_p_values, overlap, score, within_bounds
 
 
 LOOK_AHEAD = 3  # candidates that are refitted before one is chosen
@@ -70,7 +71,9 @@ class Search:
         slopes = self._slopes(columns)
         parts = np.split(slopes, np.cumsum([block.size for block in blocks])[:-1], axis=1)
         q = basis(self.optimum.jacobian)
-        scores = [score(self.optimum.residual, q, part) for part in parts]
+        low, high = self.joint.bounds
+        residual, bounds = self.optimum.residual, [(low[block], high[block]) for block in blocks]
+        scores = [within_bounds(score(residual, q, s), residual, s, *b) for s, b in zip(parts, bounds, strict=True)]
         return Ranking(tuple(places), tuple(scores), family_p_values(scores), tuple(parts))
 
     def _slopes(self, columns: np.ndarray) -> np.ndarray:
@@ -101,23 +104,20 @@ class Search:
         """Base and the effects at `places` free, from the present optimum or the vector `start`; `slopes` are the
         sensitivities of the last of them at the present optimum, if known.
         """
-        free = always_free(self.joint, (*self.given, *places))
-        order, known = np.argsort(free), None
+        free, known = always_free(self.joint, (*self.given, *places)), None
         if slopes is not None:
-            known = self.optimum.residual, self._jacobian_of(free[: free.size - slopes.shape[1]], slopes)[:, order]
+            jacobian = np.zeros((self.optimum.residual.size, self.joint.start.size))
+            jacobian[:, self.optimum.free] = self.optimum.jacobian
+            jacobian[:, self.joint.of_effect(places[-1])] = slopes
+            known = self.optimum.residual, jacobian[:, free]
         begin = self.optimum.vector if start is None else start
-        return optimise(self.joint, begin, free[order], self.joint.fitted, known=known, max_evaluations=evaluations)
+        return optimise(self.joint, begin, free, self.joint.fitted, known=known, max_evaluations=evaluations)
 
     def without(self, place: int) -> np.ndarray:
         """The present parameters with the strength of one effect zero."""
         vector = self.optimum.vector.copy()
         vector[self.joint.of_effect(place)] = 0.0
         return vector
-
-    def _jacobian_of(self, free: np.ndarray, more: np.ndarray) -> np.ndarray:
-        """Columns of the present Jacobian in the order of `free`, and `more` columns."""
-        columns = [int(np.flatnonzero(self.optimum.free == i)[0]) for i in free]
-        return np.concatenate([self.optimum.jacobian[:, columns], more], axis=1)
 
     def advance(self, ranking: Ranking) -> bool:
         """One round: add the best significant candidate, if there is one."""
@@ -190,16 +190,18 @@ class Search:
             self.steps.append(Step(f"without {label}", beside(self.case, self.joint, self.optimum)))
 
     def own_score(self, place: int) -> Score:
-        """Score of an accepted effect beside everything else that is free: its Wald statistic."""
+        """Score of an accepted effect beside everything else that is free: its Wald statistic.
+
+        Its further numbers are held: without the effect there are none.
+        """
         mine = np.isin(self.optimum.free, self.joint.of_effect(place))
-        estimate = self.optimum.vector[self.optimum.free[mine]]
-        jacobian = self.optimum.jacobian
-        explained = jacobian[:, mine] @ estimate
-        return score(explained, basis(jacobian[:, ~mine]), jacobian[:, mine])
+        explained = self.optimum.jacobian[:, mine] @ self.optimum.vector[self.optimum.free[mine]]
+        return score(explained, basis(self.jacobian_without(place)), self.optimum.jacobian[:, mine])
 
     def jacobian_without(self, place: int) -> np.ndarray:
         """Sensitivities of everything free but one effect."""
-        return self.optimum.jacobian[:, ~np.isin(self.optimum.free, self.joint.of_effect(place))]
+        mine = np.concatenate([self.joint.of_effect(place), self.joint.numbers_of(place)])
+        return self.optimum.jacobian[:, ~np.isin(self.optimum.free, mine)]
 
     def run(self, ranking: Ranking | None = None) -> Ranking:
         """Rounds until nothing is significant, from a ranking of the present model; returns that of the last one."""
@@ -215,7 +217,7 @@ class Search:
     def grown(self, joint: Joint, place: int, gain: float) -> "Search | None":
         """This search with a larger model whose effect at `place` is new; None unless χ² falls by `gain`."""
         free = always_free(joint, (*self.given, *self.accepted, place))
-        optimum = optimise(joint, joint.start, np.sort(free), joint.fitted)
+        optimum = optimise(joint, joint.start, free, joint.fitted)
         if optimum.chi2 >= self.optimum.chi2 - gain:
             return None
         out = Search(self.steps[-1].fit, self.level, self.given, self.tell)
@@ -225,8 +227,9 @@ class Search:
 
 
 def always_free(joint: Joint, places: Sequence[int]) -> np.ndarray:
-    """Places in the vector of the base parameters and the strengths of some effects."""
-    return np.concatenate([joint.base(), *(joint.of_effect(i) for i in places)]).astype(int)
+    """Places in the vector of the base parameters and all numbers of some effects, ascending."""
+    of_effects = [part for i in places for part in (joint.of_effect(i), joint.numbers_of(i))]
+    return np.sort(np.concatenate([joint.base(), *of_effects]).astype(int))
 
 
 def start_search(case, joint: Joint, level: float, given: Sequence[int], tell: Callable[[str], None]) -> Search:

@@ -30,6 +30,9 @@ from .electrical_feedthrough import ElectricalFeedthrough as ElectricalFeedthrou
 from .electrostatic_softening import ElectrostaticSoftening as ElectrostaticSoftening
 from .finite_sweep_rate import FiniteSweepRate as FiniteSweepRate
 from .force_misalignment import ForceMisalignment as ForceMisalignment
+from .numbers import EffectNumber as EffectNumber
+from .numbers import free_numbers as free_numbers
+from .numbers import parameter as parameter
 from .parasitic_mode import ParasiticMode as ParasiticMode
 from .pickoff_crosstalk import PickoffCrosstalk as PickoffCrosstalk
 from .pickoff_cubic_nonlinearity import PickoffCubicNonlinearity as PickoffCubicNonlinearity

@@ -64,9 +64,11 @@ class Moment(eqx.Module):
     jerk: Array | None = None
 
 
-def strength(default: float = 0.0) -> Array:
-    """The field that holds the strength of an effect."""
-    return eqx.field(converter=lambda value: jnp.asarray(value, float), default=default)
+def strength(default: float = 0.0, *, sign: int = 0) -> Array:
+    """The field that holds the strength of an effect; `sign` is +1 or −1 where physics allows but one, which no fit
+    then leaves.
+    """
+    return eqx.field(converter=lambda value: jnp.asarray(value, float), default=default, metadata={"sign": sign})
 
 
 class Effect(AbstractEffect):

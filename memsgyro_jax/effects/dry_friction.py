@@ -25,7 +25,7 @@ class DryFriction(ForceEffect):
     name, unit, law = "dry_friction", "N", "F = −s·sign(v)"
     reference = "Den Hartog, Trans. ASME APM-53-9 (1931) 107"
     axis: int = on_axis()
-    strength: Array = strength()
+    strength: Array = strength(sign=+1)
     creep: Array = eqx.field(converter=jnp.asarray, default=1e-7)
     rounding: Array = eqx.field(converter=jnp.asarray, default=0.1)
 

@@ -1,12 +1,12 @@
 """A further mode that the proof mass carries: a finger, a frame, the package."""
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
 from .axes import on_axis
 from .base import ForceEffect, Moment, strength
+from .numbers import parameter
 from .scan import Coverage, Scanned
 
 
@@ -15,7 +15,7 @@ class ParasiticMode(Scanned, ForceEffect):
     F = s·m·ω_z²·(z − q), s a pure number. Zero: it follows without force.
 
     Shows as a notch beside a small peak at its own frequency `omega` [rad/s], of quality factor `quality`. The
-    frequency is scanned: a fit finds it only from within its own width.
+    frequency is scanned, for a fit finds it only from within its own width; from there on it is fitted.
 
     Den Hartog, Mechanical Vibrations, chapter 3 (the dynamic vibration absorber).
     """
@@ -25,9 +25,9 @@ class ParasiticMode(Scanned, ForceEffect):
     own_size, own_is_linear = 2, True
     scanned = ("omega",)
     axis: int = on_axis()
-    strength: Array = strength()
-    omega: Array = eqx.field(converter=jnp.asarray, default=2 * np.pi * 20e3)
-    quality: Array = eqx.field(converter=jnp.asarray, default=100.0)
+    strength: Array = strength(sign=+1)
+    omega: Array = parameter(start=2 * np.pi * 20e3, low=0.0, unit="rad/s")
+    quality: Array = parameter(start=100.0, low=0.5)
 
     def force(self, now: Moment) -> Array:
         pull = self.omega**2 * (now.own[0] - now.displacement[self.axis])

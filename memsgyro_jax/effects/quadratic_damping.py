@@ -18,7 +18,7 @@ class QuadraticDamping(ForceEffect):
     name, unit, law = "quadratic_damping", "N·s²/m²", "F = −s·|v|·v"
     reference = "Nayfeh and Mook, Nonlinear Oscillations, 1979, chapter 3"
     axis: int = on_axis()
-    strength: Array = strength()
+    strength: Array = strength(sign=+1)
 
     def force(self, now: Moment) -> Array:
         v = now.velocity[self.axis]

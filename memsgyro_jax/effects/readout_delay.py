@@ -17,7 +17,7 @@ class ReadoutDelay(ReadoutEffect):
 
     name, unit, law = "readout_delay", "s", "V(t) of q(t − s)"
     reference = "Saukoski, Aaltonen and Halonen, IEEE Sensors J. 7 (2007) 1639"
-    strength: Array = strength()
+    strength: Array = strength(sign=+1)
 
     def signal(self, volts: Array, now: Moment) -> Array:
         s = self.strength

@@ -17,8 +17,8 @@ from memsgyro_jax.base.text import combination
 
 NULL = 1e-7  # of the best held direction: information below which a direction counts as not held
 PART = 1e-3  # share of a parameter in a null direction from which its own value is not held
-BETTER, WORSE = 0.99, 0.01  # of the predicted fall of χ²: above it damping eases, below it a step is taken back
-EASE = 3.5
+BETTER, WORSE = 0.75, 0.01  # of the predicted fall of χ²: above it damping eases, below it a step is taken back
+EASE = 8.0
 LEVELS = 4.0 ** np.arange(-22, 31)  # dampings tried after a step that failed
 
 

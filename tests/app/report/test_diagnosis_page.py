@@ -10,7 +10,7 @@ import pytest
 import memsgyro_jax
 from memsgyro_jax.app.report.diagnosis_page import diagnosis_page
 from memsgyro_jax.diagnosis.fit import beside, fit_case
-from memsgyro_jax.diagnosis.joint_residual import optimise
+from memsgyro_jax.diagnosis.optimum import optimise
 from memsgyro_jax.diagnosis.result import Accepted, Candidate, Diagnosis, Stage, validation_error
 from memsgyro_jax.effects import CubicStiffness
 from memsgyro_jax.measurement.case import load_case

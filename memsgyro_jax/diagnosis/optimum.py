@@ -1,0 +1,176 @@
+"""The maximum of the likelihood of readings: which parameters can move, within their bounds, and where they end."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from memsgyro_jax.measurement.experiments import Readings
+from memsgyro_jax.measurement.least_squares import Information, least_squares
+
+from .joint_residual import Joint
+
+
+GAUSS_NEWTON = 1e-12  # damping to begin with: none, in units of a standard deviation
+STATIONARY = 0.02  # standard deviations by which the residual may miss the optimum
+NEAR = 0.1  # of the way to a bound: before that a step is straight
+FAR = 20.0  # in natural logarithms: no strength moves by a larger factor at once
+FLAT = 1e-6  # of the slope by a parameter: below it, it stands at its bound
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """Where a fit ended.
+
+    Args:
+        vector: all parameters.
+        free: places of those that moved.
+        residual: whitened, of the fitted readings (r,).
+        jacobian: of the residual by the free parameters (r, k).
+        frozen: null directions that were held, each a combination (k,) of the free parameters over their scales.
+        converged: whether the optimiser met its tolerance.
+        evaluations: of residual and Jacobian.
+    """
+
+    vector: np.ndarray
+    free: np.ndarray
+    residual: np.ndarray
+    jacobian: np.ndarray
+    frozen: np.ndarray
+    converged: bool
+    evaluations: int
+
+    @property
+    def chi2(self) -> float:
+        """Sum of squared whitened residuals."""
+        return float(self.residual @ self.residual)
+
+    @cached_property
+    def information(self) -> Information:
+        """What the fitted readings hold of the free parameters."""
+        return Information.of(self.jacobian)
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Of the free parameters (k, k); infinite along parameters with a part in a null direction."""
+        return np.asarray(self.information.covariance)
+
+    @property
+    def std(self) -> np.ndarray:
+        """Standard deviation of each free parameter; infinite where the data do not hold it."""
+        return np.asarray(self.information.std)
+
+
+def optimise(
+    joint: Joint,
+    vector: np.ndarray,
+    places: np.ndarray,
+    chosen: Sequence[Readings],
+    *,
+    known: tuple[np.ndarray, np.ndarray] | None = None,
+    max_evaluations: int = 30,
+) -> Optimum:
+    """Move the parameters at `places` to the maximum of the likelihood of the chosen readings, within their bounds.
+
+    Directions that the data do not hold are frozen where they are, for a drifting nuisance destroys every later test.
+    What depends on a strength that was zero, or would leave its bound at first, is tried again where the others end.
+
+    Args:
+        joint: residual and sensitivities.
+        vector: all parameters at the start.
+        places: of those that move.
+        chosen: the readings.
+        known: residual and Jacobian by those parameters at the start, where they are known already.
+        max_evaluations: bound on evaluations; 0 only evaluates.
+    """
+    units = np.eye(vector.size)[places]
+    value, slope = joint.linearise(vector, units, chosen) if known is None else known
+    first, count, done, tried = slope, 1, True, np.zeros(places.size, bool)
+    while count < max_evaluations:
+        free = _movable(joint, vector, places, value, slope)
+        if not np.any(free & ~tried):
+            break
+        tried, first = tried | free, slope
+        course = _Course(joint, vector, places[free], slope[:, free], chosen)
+        end = least_squares(
+            course.linearise,
+            (value, slope[:, free] @ course.ways.T),
+            damping=GAUSS_NEWTON,
+            tolerance=STATIONARY,
+            evaluations=max_evaluations - count + 1,
+        )
+        vector, along = course.at(end.place)
+        count, done = count + int(end.evaluations) - 1, bool(end.settled(STATIONARY))
+        late = ~free & (np.any(first != 0, axis=0) | np.isin(places, joint.numbers))
+        if np.all(along > FLAT) and not np.any(late):
+            value, slope = end.residual, np.zeros_like(slope)
+            slope[:, free] = end.slope @ course.back / along
+            break
+        value, slope = joint.linearise(vector, units, chosen)
+        count += 1
+    begin = Information.of(first)
+    return Optimum(vector, places, value, slope, begin.directions[~begin.held], done, count)
+
+
+def _movable(joint: Joint, vector: np.ndarray, places: np.ndarray, value: np.ndarray, slope: np.ndarray) -> np.ndarray:
+    """Which of the parameters move the residual and would not leave their bounds in a step of Gauss and Newton."""
+    low, high = (bound[places] for bound in joint.bounds)
+    free = np.any(slope != 0, axis=0)
+    while np.any(free):
+        size = np.linalg.norm(slope[:, free], axis=0)
+        step = np.zeros(free.size)
+        step[free] = -np.linalg.lstsq(slope[:, free] / size, value)[0] / size
+        out = free & (((vector[places] <= low) & (step < 0)) | ((vector[places] >= high) & (step > 0)))
+        if not np.any(out):
+            break
+        free = free & ~out
+    return free
+
+
+class _Course:
+    """Coordinates of a descent: combinations that the data hold, bent so that no parameter leaves its bounds.
+
+    A strength beside a number that scales the effect too, such as an exponent, moves by factors: in its logarithm the
+    valley that both make is straight.
+
+    Args:
+        places: of the parameters that move, in the vector.
+        slope: of the residual by them at the start (r, f).
+    """
+
+    def __init__(self, joint: Joint, vector: np.ndarray, places: np.ndarray, slope: np.ndarray, chosen):
+        self.joint, self.vector, self.places, self.chosen = joint, vector, places, chosen
+        begin = Information.of(slope)
+        held = begin.directions[begin.held]
+        self.ways, self.back = held / begin.size, held * begin.size
+        self.rows = np.eye(vector.size)[places]
+        beside = [joint.of_effect(i) for i in range(len(joint.model.effects)) if joint.numbers_of(i).size]
+        self.factors = np.isin(places, np.concatenate([np.zeros(0, int), *beside])) & (vector[places] != 0)
+
+    def at(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The vector at a place (k,), and how much of a step there each parameter that moves still follows (f,)."""
+        low, high = (bound[self.places] for bound in self.joint.bounds)
+        start, step = self.vector[self.places], place @ self.ways
+        values, along = bent(start, step, low, high)
+        factor = np.exp(np.clip(step / np.where(self.factors, start, 1.0), -FAR, FAR) * self.factors)
+        values, along = np.where(self.factors, start * factor, values), np.where(self.factors, factor, along)
+        vector = self.vector.copy()
+        vector[self.places] = values
+        return vector, along
+
+    def linearise(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Residual and its slopes by the coordinates; something finite and large where the model has none."""
+        vector, along = self.at(place)
+        new, slopes = self.joint.linearise(vector, (self.ways * along) @ self.rows, self.chosen)
+        return np.where(np.abs(new) < 1e100, new, 1e6), np.where(np.isfinite(slopes), slopes, 0.0)
+
+
+def bent(start: np.ndarray, step: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """start + step, but in the last part b = `NEAR` of the way to a bound what is left of the step, s, goes s·b/(b + s)
+    far, so that the bound is never passed; also the derivative by the step.
+    """
+    way = np.minimum(np.maximum(np.where(step < 0, start - low, high - start), 0.0), 1e300)
+    rest = np.maximum(np.abs(step) - (1.0 - NEAR) * way, 0.0)
+    share = np.where(rest > 0, NEAR * way / (NEAR * way + np.where(rest > 0, rest, 1.0)), 1.0)
+    return start + step - np.sign(step) * rest * (1.0 - share), share**2
