@@ -1,7 +1,7 @@
 """What a device carries beyond its equations of motion: effects, and the surroundings in which its numbers hold."""
 
 import abc
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any, ClassVar, Self
 
 import equinox as eqx
@@ -74,15 +74,6 @@ class Effects(tuple):
             raise AttributeError(f"{len(found)} effects are called `{name}`")
         return found[0]
 
-    def over_dies(self, lanes: int) -> Any:
-        """A tree like the effects, of `-1` for each number that has one entry per die on its last axis and None for
-        each that all dies share; `lanes` is how many axes of dies there are.
-        """
-        leaves, structure = jax.tree.flatten(self)
-        return structure.unflatten(
-            [-1 if lanes and jnp.ndim(leaf) > rank else None for leaf, rank in zip(leaves, self.ranks, strict=True)]
-        )
-
 
 jax.tree_util.register_pytree_with_keys(
     Effects,
@@ -90,6 +81,31 @@ jax.tree_util.register_pytree_with_keys(
     lambda ranks, members: Effects._with(members, ranks),
     lambda effects: (tuple(effects), effects.ranks),
 )
+
+
+def each_die(function: Callable[..., Any], *arguments: Any) -> Any:
+    """`function` of arguments written for one die, mapped over the dies that trail in them and in what it returns.
+
+    Whatever is not in `Effects` is a scalar for one die; the numbers of effects have the axes that they joined with.
+    """
+    leaves, structure = jax.tree.flatten(arguments)
+    lanes = [getattr(leaf, "ndim", 0) - rank for leaf, rank in zip(leaves, _ranks(arguments), strict=True)]
+    varies = [depth > 0 for depth in lanes]
+
+    def one(*varied: Any) -> Any:
+        rest = iter(varied)
+        chosen = [next(rest) if own else leaf for own, leaf in zip(varies, leaves, strict=True)]
+        return function(*structure.unflatten(chosen))
+
+    mapped = one
+    for _ in range(max(lanes, default=0)):
+        mapped = jax.vmap(mapped, in_axes=-1, out_axes=-1)
+    return mapped(*[leaf for own, leaf in zip(varies, leaves, strict=True) if own])
+
+
+def _ranks(tree: Any) -> list[int]:
+    parts = jax.tree.leaves(tree, is_leaf=lambda part: isinstance(part, Effects))
+    return [rank for part in parts for rank in (part.ranks if isinstance(part, Effects) else (0,))]
 
 
 class CarriesEffects(Displayed):

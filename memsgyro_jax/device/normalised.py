@@ -19,18 +19,21 @@ from .resonator import Resonator
 
 
 class NormalisedDevice(Displayed):
-    """Symmetric oscillator per mass, with one axis or two.
+    """Oscillator per mass, symmetric, with one axis or two.
 
     | field | unit | holds |
     |---|---|---|
     | `stiffness` | rad²/s² | (xx,) or (xx, yy, xy) over mass |
     | `damping` | 1/s | (xx,) or (xx, yy, xy) over mass |
     | `mobility` | 1/kg | 1/mass: acceleration per force |
+
+    Two masses, which effects may meet in the loop, have (xx, yy, xy, yx) and a mobility for each axis; the mass along y
+    is that which also moves along x.
     """
 
     stiffness: Float[Array, " k"] = eqx.field(converter=jnp.asarray)
     damping: Float[Array, " k"] = eqx.field(converter=jnp.asarray)
-    mobility: Float[Array, ""] = eqx.field(converter=jnp.asarray)
+    mobility: Float[Array, "..."] = eqx.field(converter=jnp.asarray)
 
     @classmethod
     def of(cls, device: "SingleMassGyro | Resonator | NormalisedDevice") -> "NormalisedDevice":
@@ -68,6 +71,10 @@ class NormalisedDevice(Displayed):
         """Damping per mass [1/s]."""
         return _symmetric(self.damping)
 
+    def mass(self, axis: int) -> Float[Array, ""]:
+        """The mass that moves along an axis [kg]."""
+        return 1.0 / (self.mobility if self.mobility.ndim == 0 else self.mobility[axis])
+
     def physical(self, **carried: Any) -> SingleMassGyro | Resonator:
         """The device with its mass: the gyro of two axes, the resonator of one; `carried` are the fields of
         `CarriesEffects`.
@@ -86,5 +93,5 @@ class NormalisedDevice(Displayed):
 def _symmetric(entries: Array) -> Array:
     if entries.shape[-1] == 1:
         return entries[None]
-    xx, yy, xy = entries
-    return jnp.stack([jnp.stack([xx, xy]), jnp.stack([xy, yy])])
+    xx, yy, xy, yx = (*entries, *entries[2:])[:4]
+    return jnp.stack([jnp.stack([xx, xy]), jnp.stack([yx, yy])])

@@ -51,6 +51,28 @@ class Transition(NamedTuple):
     nodes: tuple[Node, ...]
 
 
+class AbstractAddition(eqx.Module):
+    """What a device has beside its linear equations during a sample: accelerations, and own states of theirs."""
+
+    period: eqx.AbstractVar[Scalar]
+
+    @abc.abstractmethod
+    def rates(self, motion: State4, own: tuple[Scalar, ...]) -> tuple[Pair, tuple[Scalar, ...]]:
+        """The acceleration beside the linear one [m/s²], and the own states' derivative by time."""
+
+    @abc.abstractmethod
+    def carried(
+        self, own: tuple[Scalar, ...], rates: tuple[Scalar, ...], start: State4, end: State4
+    ) -> tuple[Scalar, ...]:
+        """The own states a period later, from their `rates` at its start or along the motion."""
+
+    @abc.abstractmethod
+    def corrected(
+        self, own: tuple[Scalar, ...], rates: tuple[Scalar, ...], later: tuple[Scalar, ...]
+    ) -> tuple[Scalar, ...]:
+        """`carried` own states once their rates at the end, `later`, are known too."""
+
+
 class AbstractDiscretisation(Displayed):
     """Turns `acceleration = push - stiffness @ displacement - velocity @ velocity` into samples of `period` seconds."""
 
@@ -58,9 +80,29 @@ class AbstractDiscretisation(Displayed):
     def advance(self, motion: State4, push: Pair, stiffness: Matrix, velocity: Matrix, period: Scalar) -> State4:
         """The motion one sample later."""
 
+    def extended(
+        self, motion: State4, own: tuple[Scalar, ...], push: Pair, stiffness: Matrix, velocity: Matrix,
+        beside: AbstractAddition,
+    ) -> tuple[State4, tuple[Scalar, ...]]:  # fmt: skip
+        """Motion and own states one sample later with accelerations `beside` the linear ones, here as a symmetric kick:
+        second order in the period, also where they depend on the velocity.
+        """
+        half = 0.5 * beside.period
+        first, rates = beside.rates(motion, own)
+        start = _kicked(motion, half, first)
+        end = self.advance(start, push, stiffness, velocity, beside.period)
+        carried = beside.carried(own, rates, start, end)
+        second, later = beside.rates(_kicked(end, half, first), carried)
+        return _kicked(end, half, second), beside.corrected(carried, rates, later)
+
     @abc.abstractmethod
     def transition(self, stiffness: Matrix, velocity: Matrix, period: Scalar) -> Transition:
         """The same as matrices, with the nodes that a derivative needs."""
+
+
+def _kicked(motion: State4, time: Scalar, acceleration: Pair) -> State4:
+    x, y, vx, vy = motion
+    return (x, y, vx + time * acceleration[0], vy + time * acceleration[1])
 
 
 class Exact(AbstractDiscretisation):

@@ -28,7 +28,7 @@ class AdcSaturation(Scanned, ReadoutEffect):
         present = self.strength > 0
         # 1/s would be infinite at zero, and its derivative no number even where it is not selected.
         limit = 1.0 / jnp.where(present, self.strength, 1.0)
-        return jnp.where(present, jnp.clip(volts, -limit, limit), volts)
+        return jnp.where(present, saturated(volts, limit), volts)
 
     def grid(self, coverage: Coverage) -> "tuple[AdcSaturation, ...]":
         """Limits from just above the largest recorded amplitude down to what a lock-in reads of a square wave, 4/π
@@ -37,3 +37,8 @@ class AdcSaturation(Scanned, ReadoutEffect):
         if not coverage.volts > 0:
             return ()
         return tuple(AdcSaturation(float(1.0 / (part * coverage.volts))) for part in np.linspace(1.0, np.pi / 4, 12))
+
+
+def saturated(volts: Array, limit: Array, step: Array | float = 0.0) -> Array:
+    """Volts clipped at ±`limit`; the highest code of a converter lies one `step` below."""
+    return jnp.clip(volts, -limit, limit - step)

@@ -19,4 +19,4 @@ class AngularAcceleration(Planar, ForceEffect):
     strength: Array = strength()
 
     def force(self, now: Moment) -> Array:
-        return self.strength * now.angular_acceleration / now.device.mobility * turned(now.displacement)
+        return self.strength * now.angular_acceleration * now.device.mass(1) * turned(now.displacement)

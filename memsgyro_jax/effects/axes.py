@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from memsgyro_jax.base.errors import InputError
 
-from .base import Effect, Moment
+from .base import Effect, Moment, on_one_axis
 
 
 def axis_number(axis: int | str) -> int:
@@ -64,7 +64,7 @@ class Coupling(Effect):
 
     def across(self, now: Moment, vector: Float[Array, " axes"]) -> Float[Array, " axes"]:
         """A vector with the source's entry of `vector` on the target axis and zero elsewhere."""
-        return jnp.zeros_like(now.displacement).at[self.target].set(vector[self.source])
+        return on_one_axis(now, self.target, vector[self.source])
 
 
 def turned(vector: Float[Array, " axes"]) -> Float[Array, " axes"]:
@@ -73,8 +73,8 @@ def turned(vector: Float[Array, " axes"]) -> Float[Array, " axes"]:
 
 
 def coriolis(now: Moment, rate: Float[Array, ""]) -> Float[Array, " axes"]:
-    """Force [N] by which a further rate [rad/s] acts on the moving mass: 2·m·rate·(y', −x')."""
-    return 2.0 * rate / now.device.mobility * turned(now.velocity)
+    """Force [N] by which a further rate [rad/s] acts on the mass that moves along both axes: 2·m·rate·(y', −x')."""
+    return 2.0 * rate * now.device.mass(1) * turned(now.velocity)
 
 
 def needed_axes(effect: Effect) -> int:

@@ -71,6 +71,12 @@ def strength(default: float = 0.0, *, sign: int = 0) -> Array:
     return eqx.field(converter=lambda value: jnp.asarray(value, float), default=default, metadata={"sign": sign})
 
 
+def on_one_axis(now: Moment, axis: int, value: Array) -> Float[Array, " axes"]:
+    """A vector with `value` on one axis and zero elsewhere; put together, as filling one in is slow for many dies."""
+    value = jnp.asarray(value)
+    return jnp.stack([value if i == axis else jnp.zeros_like(value) for i in range(now.displacement.shape[0])])
+
+
 class Effect(AbstractEffect):
     """A named physical effect: `name`, `unit` of its strength in SI, `law` as a formula, `reference`."""
 
@@ -101,7 +107,7 @@ class Effect(AbstractEffect):
 
     def along(self, now: Moment, value: Array) -> Float[Array, " axes"]:
         """A vector with `value` on the effect's own axis and zero elsewhere."""
-        return jnp.zeros_like(now.displacement).at[getattr(self, "axis", 0)].set(value)
+        return on_one_axis(now, getattr(self, "axis", 0), value)
 
 
 class ForceEffect(Effect):
@@ -110,6 +116,10 @@ class ForceEffect(Effect):
     @abc.abstractmethod
     def force(self, now: Moment) -> Float[Array, " axes"]:
         """Force on the proof mass [N] along each axis."""
+
+    def own_start(self, now: Moment) -> Float[Array, " own"]:
+        """The effect's own state where the mass is at time zero; zero unless overridden."""
+        return jnp.zeros(self.own_size)
 
     def own_rate(self, now: Moment) -> Float[Array, " own"]:
         """Time derivative of the effect's own state; override it together with `own_size`."""

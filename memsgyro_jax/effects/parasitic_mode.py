@@ -31,7 +31,11 @@ class ParasiticMode(Scanned, ForceEffect):
 
     def force(self, now: Moment) -> Array:
         pull = self.omega**2 * (now.own[0] - now.displacement[self.axis])
-        return self.along(now, self.strength / now.device.mobility * pull)
+        return self.along(now, self.strength * now.device.mass(self.axis) * pull)
+
+    def own_start(self, now: Moment) -> Array:
+        """Where the mass carries it at rest."""
+        return jnp.stack([now.displacement[self.axis], jnp.zeros(())])
 
     def own_rate(self, now: Moment) -> Array:
         """The state is (z, z'/ω_z): both of the size of a displacement."""

@@ -20,6 +20,11 @@ class ReadoutDelay(ReadoutEffect):
     strength: Array = strength(sign=+1)
 
     def signal(self, volts: Array, now: Moment) -> Array:
-        s = self.strength
-        later = now.velocity - s / 2.0 * (now.acceleration - s / 3.0 * now.jerk)
-        return volts - s * now.scale * later
+        return volts - now.scale * lag(self.strength, now.velocity, now.acceleration, now.jerk)
+
+
+def lag(delay: Array, velocity: Array, acceleration: Array | None = None, jerk: Array | None = None) -> Array:
+    """By how much q(t − delay) lies behind q(t) [m]: to the third order, or as far as derivatives are given."""
+    if acceleration is None or jerk is None:
+        return delay * velocity
+    return delay * (velocity - delay / 2.0 * (acceleration - delay / 3.0 * jerk))

@@ -76,7 +76,7 @@ def run(
     def one_block(carry, number):
         state, memory, alive, survived = carry
         (new_state, new_memory), _ = jax.lax.scan(
-            sample, (state, memory), entering(scenario, words, period, block, number)
+            sample, (state, memory), entering(scenario, words, period, block, number, samples=whole)
         )
         new_memory, output = recorder.block(new_memory)
         alive = alive & healthy(loop, new_state)
@@ -84,7 +84,7 @@ def run(
         kept = jax.tree.map(keep, (new_state, new_memory), (state, memory))
         return (*kept, alive, survived + alive), output
 
-    lanes = words[0].shape
+    lanes, whole = words[0].shape, blocks * block if loop.device.effects else None
     start = (*beginning(loop, recorder, lanes, design), jnp.ones(lanes, bool), jnp.zeros(lanes, int))
     (state, memory, alive, survived), outputs = _scan_in_groups(one_block, start, blocks)
     return Run(state, memory, outputs, alive, survived)
@@ -98,10 +98,23 @@ class Entering(NamedTuple):
     draws: tuple[Array, Array]
 
 
-def entering(scenario: Scenario, words: tuple[Array, Array], period: Scalar, block: int, number: Array) -> Entering:
-    """What enters at each of the `block` samples of block `number`, along a leading axis."""
+def entering(
+    scenario: Scenario,
+    words: tuple[Array, Array],
+    period: Scalar,
+    block: int,
+    number: Array,
+    samples: int | None = None,
+) -> Entering:
+    """What enters at each of the `block` samples of block `number`, along a leading axis; `samples` are those of the
+    whole run, where effects must know what part of it has passed.
+    """
     index = number * block + jnp.arange(block)
     conditions = jax.vmap(scenario.at)((index + 0.5) * period)
+    if samples is not None:
+        conditions = eqx.tree_at(
+            lambda c: c.progress, conditions, (index + 0.5) / samples, is_leaf=lambda leaf: leaf is None
+        )
     draws = jax.vmap(lambda i: noise.normal_pair(words, i, MEASUREMENT_STREAM))(index)
     return Entering(index, conditions, draws)
 
@@ -151,6 +164,7 @@ def healthy(loop: ClosedLoop, state: LoopState) -> Bool[Array, "*lanes"]:
     within = (jnp.abs(state.motion[0]) <= loop.travel) & (jnp.abs(state.motion[1]) <= loop.travel)
     if loop.filter is not None:
         numbers = (*numbers, loop.rate(state))
+    numbers = (*numbers, *state.own)
     if estimate.rate_variance is not None:
         within = within & (estimate.rate_variance >= 0.0)
     return within & jnp.isfinite(sum(numbers))

@@ -25,7 +25,8 @@ from .controllers.base import AbstractController
 from .filters import AbstractFilter, check_fits
 from .observers.base import AbstractObserver, Clock, Estimate
 from .observers.settings import arrays
-from .readout import AbstractReadout
+from .plant import Plant, check_effects, own_start
+from .readout import AbstractReadout, Effected
 from .scenario import Conditions
 
 
@@ -37,12 +38,15 @@ class FilterState(NamedTuple):
 
 
 class LoopState(NamedTuple):
-    """Everything that a sample hands to the next; `output` is None in a loop without an output filter."""
+    """Everything that a sample hands to the next; `output` is None in a loop without an output filter, `own` are the
+    numbers of the effects' own states.
+    """
 
     motion: State4
     observer: object
     controller: object
     output: FilterState | None = None
+    own: tuple[Scalar, ...] = ()
 
 
 class Sample(NamedTuple):
@@ -95,6 +99,7 @@ class ClosedLoop(Displayed):
                 "The observer must expect a scale of the same sign as the read-out's; make it with "
                 "`for_device(gyro, readout)`."
             )
+        check_effects(self.device, self.readout.signals)
         check_positive("travel", self.travel)
         if is_concrete(self.start) and not (len(self.start) == 4 and all(np.all(np.isfinite(v)) for v in self.start)):
             raise InputError("Argument `start` must be 4 finite numbers (x, y, vx, vy), in m and m/s.")
@@ -106,11 +111,11 @@ class ClosedLoop(Displayed):
 
     def init(self) -> LoopState:
         """The state at time zero."""
-        observer = self.observer.init()
-        if self.filter is None:
-            return LoopState(self.start, observer, self.controller.init())
-        level = jnp.asarray(self.observer.estimate(observer).rate, float)
-        return LoopState(self.start, observer, self.controller.init(), FilterState(level, self.filter.init(level)))
+        observer, output = self.observer.init(), None
+        if self.filter is not None:
+            level = jnp.asarray(self.observer.estimate(observer).rate, float)
+            output = FilterState(level, self.filter.init(level))
+        return LoopState(self.start, observer, self.controller.init(), output, own_start(self.device, self.start))
 
     def rate(self, state: LoopState) -> Scalar:
         """The loop's output in rad/s: the estimated rate, behind the output filter where there is one."""
@@ -121,21 +126,36 @@ class ClosedLoop(Displayed):
         estimate = self.observer.estimate(state.observer)
         force, controller = self.controller.command(state.controller, estimate, clock)
 
-        dynamics = self.device.dynamics(conditions.inertial)
-        push = applied(dynamics, force)
-        motion = self.discretisation.advance(state.motion, push, dynamics.stiffness, dynamics.velocity, clock.period)
-        motion = fence(clock.time, motion)
-
+        motion, own, shown = self._moved(state, conditions, force, clock)
         end = Clock(clock.time + clock.period, clock.sample + 1, clock.period)
-        volts = self.readout.measure(motion, noise, conditions.offset_drift, clock.period)
+        volts = self.readout.measure(motion, noise, conditions.offset_drift, clock.period, **shown)
         observer = self.observer.update(state.observer, volts, force, end)
 
         estimate, output = self.observer.estimate(observer), None
         if self.filter is not None and state.output is not None:
             output = FilterState(*self.filter.step(state.output.held, estimate.rate, clock.period))
         rate = estimate.rate if output is None else output.rate
-        new = LoopState(motion, observer, controller, output)
+        new = LoopState(motion, observer, controller, output, own)
         return new, Sample(end, conditions, motion, volts, force, estimate, rate)
+
+    def _moved(
+        self, state: LoopState, conditions: Conditions, force: Pair, clock: Clock
+    ) -> tuple[State4, tuple[Scalar, ...], dict[str, Effected]]:
+        """True motion and own states at the end of a sample, and what the read-out must know of effects, if any."""
+        dynamics = self.device.dynamics(conditions.inertial)
+        if not self.device.effects:
+            push = applied(dynamics, force)
+            motion = self.discretisation.advance(
+                state.motion, push, dynamics.stiffness, dynamics.velocity, clock.period
+            )
+            return fence(clock.time, motion), (), {}
+        plant = Plant.of(self.device, dynamics, conditions, force, self.readout.scale, clock).driven(state.motion)
+        push = applied(dynamics, plant.held)
+        motion, own = self.discretisation.extended(
+            state.motion, state.own, push, dynamics.stiffness, dynamics.velocity, plant
+        )
+        motion, own = fence(clock.time, (motion, own))
+        return motion, own, {"effects": plant.shown_at(motion, own)} if plant.shows else {}
 
     def sampled_at(self, sample_rate: float, design: "ClosedLoop | None" = None) -> "ClosedLoop":
         """This loop with its series long enough to be exact at `sample_rate` [Hz].

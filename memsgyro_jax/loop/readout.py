@@ -4,6 +4,8 @@ Every read-out is `volts = scale * signal + offset + noise` per axis. The observ
 the offset it must find. Noise is a one-sided density, so that changing the sample rate keeps the physics.
 """
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -24,10 +26,15 @@ from memsgyro_jax.device.gyro import (
     is_concrete,
     number,
 )
+from memsgyro_jax.effects.adc_saturation import saturated
+from memsgyro_jax.effects.readout_delay import lag
 
 
 PERMITTIVITY = 8.8541878128e-12  # F/m
 THESIS_RATE = 10e6  # Hz, the sampling rate at which the thesis states its noise per sample
+
+
+Effected = tuple[Callable[[Pair], Pair], Callable[[Pair], Pair]]
 
 
 class Adc(Displayed):
@@ -47,7 +54,7 @@ class Adc(Displayed):
     def convert(self, volts: Scalar) -> Scalar:
         """The nearest code's voltage, clipped at the limits."""
         step = 2.0 * self.limit / 2**self.bits
-        clipped = jnp.clip(volts, -self.limit, self.limit - step)
+        clipped = saturated(volts, self.limit, step)
         return clipped + jax.lax.stop_gradient(step * jnp.round(clipped / step) - clipped)
 
 
@@ -64,11 +71,21 @@ class AbstractReadout(Displayed):
         """Standard deviation of one sample in volts: density * sqrt(bandwidth), with bandwidth 1/(2·period)."""
         return tuple(density * jnp.sqrt(0.5 / period) for density in self.noise_density)
 
-    def measure(self, motion: tuple[Scalar, ...], noise: Pair, drift: Pair, period: Scalar) -> Pair:
-        """One sample in volts; `noise` is a pair of standard normal numbers, `drift` changes the offsets [V]."""
-        parts = zip(self.signals, self.scale, self.offset, drift, noise, self.noise_std(period), strict=True)
-        volts = tuple(s * motion[signal] + o + d + n * std for signal, s, o, d, n, std in parts)
+    def measure(
+        self, motion: tuple[Scalar, ...], noise: Pair, drift: Pair, period: Scalar, effects: Effected | None = None
+    ) -> Pair:
+        """One sample in volts; `noise` is a pair of standard normal numbers, `drift` changes the offsets [V]. `effects`
+        are what the device's effects make of the volts before the noise and behind it.
+        """
+        volts = self.clean(motion, drift) if effects is None else effects[0](self.clean(motion, drift))
+        volts = tuple(v + n * std for v, n, std in zip(volts, noise, self.noise_std(period), strict=True))
+        volts = volts if effects is None else effects[1](volts)
         return volts if self.adc is None else tuple(map(self.adc.convert, volts))
+
+    def clean(self, motion: tuple[Scalar, ...], drift: Pair) -> Pair:
+        """The volts without noise."""
+        parts = zip(self.signals, self.scale, self.offset, drift, strict=True)
+        return tuple(s * motion[signal] + o + d for signal, s, o, d in parts)
 
 
 def pair_field() -> Pair:
@@ -174,7 +191,8 @@ class DirectReadout(AbstractReadout):
 class Delayed(AbstractReadout):
     """A displacement read-out whose channels answer `delay` (x, y) [s] late; zero is no delay.
 
-    To first order: the displacement less delay times velocity. What that leaves out is (ω·delay)²/2 of the signal.
+    To first order: the displacement less delay times velocity. What that leaves out is (ω·delay)²/2 of the signal; the
+    effect `ReadoutDelay` goes on to the third order.
     """
 
     inner: AbstractReadout
@@ -184,12 +202,10 @@ class Delayed(AbstractReadout):
         if self.inner.signals != (X, Y):
             raise InputError("Argument `inner` must be a displacement read-out, but it shows another signal.")
 
-    def measure(self, motion: tuple[Scalar, ...], noise: Pair, drift: Pair, period: Scalar) -> Pair:
-        """One sample of where the mass was."""
-        late = tuple(
-            place - delay * speed for place, speed, delay in zip(motion[:2], motion[2:], self.delay, strict=True)
-        )
-        return self.inner.measure((*late, *motion[2:]), noise, drift, period)
+    def clean(self, motion: tuple[Scalar, ...], drift: Pair) -> Pair:
+        """The volts of where the mass was."""
+        parts = zip(motion[:2], motion[2:], self.delay, strict=True)
+        return self.inner.clean((*(place - lag(delay, speed) for place, speed, delay in parts), *motion[2:]), drift)
 
     @property
     def scale(self) -> Pair:  # type: ignore[override]  # an abstract field may be a property

@@ -98,7 +98,11 @@ class Backwards(NamedTuple):
         return engine.beginning(self.make(numbers), self.recorder, self.words[0].shape, self.design)
 
     def _entering(self, number: Array) -> engine.Entering:
-        return engine.entering(self.scenario, self.words, self.timing[0], self.timing[2], number)
+        return engine.entering(self.scenario, self.words, self.timing[0], self.timing[2], number, samples=self._samples)
+
+    @property
+    def _samples(self) -> int | None:
+        return self.timing[1] * self.timing[2] if self.design.device.effects else None
 
     def _sample(self, loop: ClosedLoop, carry: Carry, entering: engine.Entering) -> Carry:
         return engine.one_sample(loop, self.timing[0], self.recorder, carry, entering)

@@ -1,0 +1,249 @@
+"""The device in operation, effects included: what one sample makes of its motion, and what the read-out shows of it.
+
+The base device is propagated as without effects; they act as kicks at both ends of a sample, of half a sample each. A
+force that swings with the resonance is then summed by the trapezoidal rule, whose error for what accumulates over
+cycles is none: what is left is of second order in the period and does not grow. Own states that are linear are
+propagated by the series of their exponential, along the cubic through the motion at both ends, however fast they are.
+"""
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.device.carried import Effects, each_die
+from memsgyro_jax.device.conditions import Conditions
+from memsgyro_jax.device.gyro import AbstractGyro, Dynamics, Inertial, Pair, Scalar, SingleMassGyro
+from memsgyro_jax.device.normalised import NormalisedDevice
+from memsgyro_jax.device.propagate import AbstractAddition, State4, applied, dot
+from memsgyro_jax.effects.base import ForceEffect, Moment, SweepEffect
+from memsgyro_jax.effects.evaluation import Acting, moment
+
+from .observers.base import Clock
+
+
+Own = tuple[Scalar, ...]
+_TERMS = 28  # of the series of a linear own state: exact to rounding up to half a turn of it per sample
+
+
+class Plant(AbstractAddition):
+    """What the effects of a device add to it during one sample: `command` is asked for, `held` is what the electrodes
+    apply at its start.
+    """
+
+    effects: Effects
+    rest: Dynamics
+    dynamics: Dynamics
+    conditions: Conditions
+    command: Pair
+    scale: Pair
+    period: Scalar
+    held: Pair
+    one_mass: bool = eqx.field(static=True)
+    reference_temperature: float = eqx.field(static=True)
+    reference_bias: float = eqx.field(static=True)
+
+    @classmethod
+    def of(
+        cls, device: AbstractGyro, dynamics: Dynamics, conditions: Conditions, command: Pair, scale: Pair, clock: Clock
+    ) -> "Plant":
+        """At the sample that begins at `clock`."""
+        middle = eqx.tree_at(
+            lambda c: c.time, conditions, clock.time + 0.5 * clock.period, is_leaf=lambda leaf: leaf is None
+        )
+        return cls(
+            effects=Effects.of(device.effects),
+            rest=device.dynamics(Inertial()),
+            dynamics=dynamics,
+            conditions=middle,
+            command=command,
+            scale=scale,
+            period=clock.period,
+            held=command,
+            one_mass=isinstance(device, SingleMassGyro),
+            reference_temperature=device.reference_temperature,
+            reference_bias=device.reference_bias,
+        )
+
+    def driven(self, motion: State4) -> "Plant":
+        """The same with what the electrodes apply at the command, the mass being at `motion`."""
+        return eqx.tree_at(lambda plant: plant.held, self, each_die(_applied, self, motion))
+
+    def rates(self, motion: State4, own: Own) -> tuple[Pair, Own]:
+        """Acceleration beside the base device's [m/s²], and the own states' derivative by time."""
+        return each_die(_rates, self, motion, own)
+
+    def carried(self, own: Own, rates: Own, start: State4, end: State4) -> Own:
+        """Own states one period later: exactly where they are linear, else by Euler's step."""
+        return each_die(_carried, self, own, rates, start, end)
+
+    def corrected(self, own: Own, rates: Own, later: Own) -> Own:
+        """`carried` own states with the slope's change, for those that are not linear."""
+        half, fixed = 0.5 * self.period, iter(_linear(self.effects))
+        return tuple(o if next(fixed) else o + half * (b - a) for o, a, b in zip(own, rates, later, strict=True))
+
+    @property
+    def shows(self) -> bool:
+        """Whether any of the effects acts on the read-out."""
+        return bool(Acting.of(self.effects).readouts)
+
+    def shown_at(self, motion: State4, own: Own) -> "tuple[Shown, Shown]":
+        """What read-out effects make of volts before the noise, and behind it, at the end of the sample."""
+        return Shown(self, motion, own, False), Shown(self, motion, own, True)
+
+
+class Shown(eqx.Module):
+    """What read-out effects make of volts at one moment: those behind the noise (`last`), or the others."""
+
+    plant: Plant
+    motion: State4
+    own: Own
+    last: bool = eqx.field(static=True)
+
+    def __call__(self, volts: Pair) -> Pair:
+        """The volts [V] as the effects change them."""
+        readouts = [effect for effect in Acting.of(self.plant.effects).readouts if effect.last == self.last]
+        return each_die(_signal, self, volts) if readouts else volts
+
+
+def own_start(device: AbstractGyro, motion: State4) -> Own:
+    """The own states of a device's effects at time zero."""
+    if not Acting.of(device.effects).own_size:
+        return ()
+    zero, rest = (0.0, 0.0), device.dynamics(Inertial())
+    plant = Plant.of(device, rest, Conditions(), zero, zero, Clock(0.0, 0, 0.0))
+    return each_die(_began, plant, motion)
+
+
+def check_effects(device: AbstractGyro, signals: tuple[int, int]) -> None:
+    """Refuse what has no meaning in a loop.
+
+    **Raises:** `InputError` for an effect on the way a sweep is taken, and for a read-out effect on a velocity.
+    """
+    for effect in device.effects:
+        if isinstance(effect, SweepEffect):
+            raise InputError(
+                f"A loop takes no frequency sweep, so its device must be without the effect `{effect.label}`; leave it "
+                "out with `gyro.with_only(...)`."
+            )
+    if Acting.of(device.effects).readouts and signals != (0, 1):
+        raise InputError("A read-out whose effects are followed must show displacement, but it shows another signal.")
+
+
+def _linear(effects: Effects) -> tuple[bool, ...]:
+    """Of each own state, whether it is linear."""
+    return tuple(effect.own_is_linear for effect in Acting.of(effects).forces for _ in range(effect.own_size))
+
+
+def _moment(plant: Plant, motion: State4, command: Pair) -> Moment:
+    """What effects see, for one die."""
+    (kxx, kxy), (kyx, kyy) = plant.rest.stiffness
+    (dxx, dxy), (dyx, dyy) = plant.rest.damping
+    if plant.one_mass:
+        d = 0.5 * (dxy + dyx)
+        device = NormalisedDevice(jnp.stack([kxx, kyy, kxy]), jnp.stack([dxx, dyy, d]), plant.rest.gain[0])
+    else:
+        device = NormalisedDevice(*map(_stacked, ((kxx, kyy, kxy, kyx), (dxx, dyy, dxy, dyx), plant.rest.gain)))
+    return moment(
+        _stacked(motion[:2]),
+        _stacked(motion[2:]),
+        _stacked(command),
+        plant.conditions,
+        device=device,
+        scale=_stacked(plant.scale),
+        reference_temperature=plant.reference_temperature,
+        reference_bias=plant.reference_bias,
+    )
+
+
+def _stacked(values: tuple[Scalar, ...]) -> jax.Array:
+    return jnp.stack([jnp.asarray(value, float) for value in values]) if values else jnp.zeros(0)
+
+
+def _applied(plant: Plant, motion: State4) -> Pair:
+    return tuple(Acting.of(plant.effects).driven(_moment(plant, motion, plant.command)).force)
+
+
+def _rates(plant: Plant, motion: State4, own: Own) -> tuple[Pair, Own]:
+    acting = Acting.of(plant.effects)
+    now = acting.driven(_moment(plant, motion, plant.command))
+    force, rates = acting.force(now, _stacked(own))
+    beside = tuple(force)
+    if acting.drives:  # electrodes whose force depends on the place change it within the sample
+        beside = tuple(f + (a - h) for f, a, h in zip(force, now.force, plant.held, strict=True))
+    return tuple(g * f for g, f in zip(plant.dynamics.gain, beside, strict=True)), tuple(rates)
+
+
+def _began(plant: Plant, motion: State4) -> Own:
+    now = _moment(plant, motion, plant.command)
+    return tuple(number for effect in Acting.of(plant.effects).forces for number in effect.own_start(now))
+
+
+def _carried(plant: Plant, own: Own, rates: Own, start: State4, end: State4) -> Own:
+    made: list[Scalar] = []
+    place, h = 0, plant.period
+    for effect in Acting.of(plant.effects).forces:
+        mine = slice(place, place + effect.own_size)
+        place += effect.own_size
+        if effect.own_is_linear and effect.own_size:
+            made += _propagated(effect, plant, own[mine], start, end)
+        else:
+            made += [o + h * r for o, r in zip(own[mine], rates[mine], strict=True)]
+    return tuple(made)
+
+
+def _propagated(effect: ForceEffect, plant: Plant, own: Own, start: State4, end: State4) -> Own:
+    """The linear own state a period later, along the cubic through the motion at both ends under the held force."""
+    h, size, zero = plant.period, effect.own_size, (0.0, 0.0)
+    still = eqx.tree_at(lambda m: m.own, _moment(plant, (*zero, *zero), zero), jnp.zeros(size))
+
+    def slope(field: str, vector: Sequence[Scalar]) -> Own:
+        return tuple(effect.own_rate(eqx.tree_at(lambda m: getattr(m, field), still, _stacked(vector))))
+
+    rows = tuple(zip(*(slope("own", unit) for unit in np.eye(size).tolist()), strict=True))
+    axes = [(q, h * v, p, h * w) for q, v, p, w in zip(start[:2], start[2:], end[:2], end[2:], strict=True)]
+    cubic = [(q, v, 3.0 * (p - q) - 2.0 * v - w, 2.0 * (q - p) + v + w, 0.0) for q, v, p, w in axes]
+    powers = tuple(zip(*cubic, strict=True))
+    loads = [
+        _sum(slope("displacement", power), slope("velocity", [(k + 1) / h * v for v in following]))
+        for k, (power, following) in enumerate(pairwise(powers))
+    ]
+    loads[0] = _sum(loads[0], slope("force", plant.held))
+    term = total = own
+    for k in range(_TERMS):
+        slopes = tuple(dot(row, term) for row in rows)
+        slopes = _sum(slopes, loads[k]) if k < len(loads) else slopes
+        term = tuple(h / (k + 1) * s for s in slopes)
+        total = _sum(total, term)
+    return total
+
+
+def _sum(a: Own, b: Own) -> Own:
+    return tuple(p + q for p, q in zip(a, b, strict=True))
+
+
+def _signal(shown: Shown, volts: Pair) -> Pair:
+    acting = Acting.of(shown.plant.effects)
+    mine = acting._replace(readouts=tuple(effect for effect in acting.readouts if effect.last == shown.last))
+    return tuple(mine.signal(jnp.stack(volts), _seen(shown.plant, shown.motion, shown.own)))
+
+
+def _seen(plant: Plant, motion: State4, own: Own) -> Moment:
+    """What read-out effects see, with acceleration and jerk under the force still held."""
+    true = plant.dynamics
+    stiffness, velocity = (jnp.stack([_stacked(row) for row in rows]) for rows in (true.stiffness, true.velocity))
+    push = _stacked(applied(true, plant.held))
+
+    def slopes(q, v, own):
+        beside, rates = _rates(plant, (*q, *v), tuple(own))
+        return _stacked(beside) + push - stiffness @ q - velocity @ v, _stacked(rates)
+
+    q, v, inner = _stacked(motion[:2]), _stacked(motion[2:]), _stacked(own)
+    (acceleration, rates) = slopes(q, v, inner)
+    jerk = jax.jvp(slopes, (q, v, inner), (v, acceleration, rates))[1][0]
+    now = Acting.of(plant.effects).driven(_moment(plant, motion, plant.command))
+    return eqx.tree_at(lambda m: (m.acceleration, m.jerk), now, (acceleration, jerk), is_leaf=lambda leaf: leaf is None)
