@@ -33,5 +33,6 @@ class DryFriction(ForceEffect):
         q, v = now.displacement[self.axis], now.velocity[self.axis]
         stiffness = now.device.stiffness[self.axis]
         swing = v**2 + self.rounding**2 * stiffness * q**2
-        sign = v * swing / (swing + self.creep**2) ** 1.5
+        size = swing + self.creep**2
+        sign = v * swing / (size * jnp.sqrt(size))
         return self.along(now, -self.strength * sign)

@@ -26,5 +26,9 @@ class RateBiasDrift(Planar, ForceEffect):
     strength: Array = strength((0.0,) * TERMS)
 
     def force(self, now: Moment) -> Array:
-        shapes = jnp.sin(np.pi * (np.arange(TERMS) + 0.5) * now.progress)
-        return coriolis(now, (1.0 - now.rate_trusted) * (self.strength @ shapes))
+        first = jnp.sin(0.5 * np.pi * now.progress)
+        before, shape, wander = -first, first, self.strength[0] * first
+        for k in range(1, TERMS):  # sin(a + d) = 2·cos(d)·sin(a) − sin(a − d): one sine for all
+            before, shape = shape, 2.0 * (1.0 - 2.0 * first**2) * shape - before
+            wander = wander + self.strength[k] * shape
+        return coriolis(now, (1.0 - now.rate_trusted) * wander)

@@ -6,6 +6,7 @@ cycles is none: what is left is of second order in the period and does not grow.
 propagated by the series of their exponential, along the cubic through the motion at both ends, however fast they are.
 """
 
+import math
 from collections.abc import Sequence
 from itertools import pairwise
 
@@ -27,7 +28,9 @@ from .observers.base import Clock
 
 
 Own = tuple[Scalar, ...]
-_TERMS = 28  # of the series of a linear own state: exact to rounding up to half a turn of it per sample
+_TERMS = (
+    18  # of the series of a linear own state: its remainder is 1e-14 at 20 kHz sampled at 100, 1e-7 at half the rate
+)
 
 
 class Plant(AbstractAddition):
@@ -201,29 +204,27 @@ def _propagated(effect: ForceEffect, plant: Plant, own: Own, start: State4, end:
     h, size, zero = plant.period, effect.own_size, (0.0, 0.0)
     still = eqx.tree_at(lambda m: m.own, _moment(plant, (*zero, *zero), zero), jnp.zeros(size))
 
-    def slope(field: str, vector: Sequence[Scalar]) -> Own:
-        return tuple(effect.own_rate(eqx.tree_at(lambda m: getattr(m, field), still, _stacked(vector))))
+    def slope(**seen: Sequence[Scalar]) -> Own:
+        values = list(map(_stacked, seen.values()))
+        return tuple(effect.own_rate(eqx.tree_at(lambda m: [getattr(m, name) for name in seen], still, values)))
 
-    rows = tuple(zip(*(slope("own", unit) for unit in np.eye(size).tolist()), strict=True))
+    rows = tuple(zip(*(slope(own=unit) for unit in np.eye(size).tolist()), strict=True))
     axes = [(q, h * v, p, h * w) for q, v, p, w in zip(start[:2], start[2:], end[:2], end[2:], strict=True)]
     cubic = [(q, v, 3.0 * (p - q) - 2.0 * v - w, 2.0 * (q - p) + v + w, 0.0) for q, v, p, w in axes]
     powers = tuple(zip(*cubic, strict=True))
     loads = [
-        _sum(slope("displacement", power), slope("velocity", [(k + 1) / h * v for v in following]))
+        slope(displacement=power, velocity=[(k + 1) / h * v for v in following], force=zero if k else plant.held)
         for k, (power, following) in enumerate(pairwise(powers))
     ]
-    loads[0] = _sum(loads[0], slope("force", plant.held))
-    term = total = own
+    # The k-th derivative by time over the period, times the period's power; all summed at the end.
+    derivatives = [own]
     for k in range(_TERMS):
-        slopes = tuple(dot(row, term) for row in rows)
-        slopes = _sum(slopes, loads[k]) if k < len(loads) else slopes
-        term = tuple(h / (k + 1) * s for s in slopes)
-        total = _sum(total, term)
-    return total
-
-
-def _sum(a: Own, b: Own) -> Own:
-    return tuple(p + q for p, q in zip(a, b, strict=True))
+        slopes = tuple(dot(row, derivatives[-1]) for row in rows)
+        if k < len(loads):
+            slopes = tuple(s + math.factorial(k) * load for s, load in zip(slopes, loads[k], strict=True))
+        derivatives.append(tuple(h * s for s in slopes))
+    weights = tuple(1.0 / math.factorial(k) for k in range(len(derivatives)))
+    return tuple(dot(weights, numbers) for numbers in zip(*derivatives, strict=True))
 
 
 def _signal(shown: Shown, volts: Pair) -> Pair:
