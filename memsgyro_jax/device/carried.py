@@ -7,8 +7,10 @@ from typing import Any, ClassVar, Self
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
 
+from memsgyro_jax.base.concrete import is_concrete
 from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.errors import InputError
 
@@ -138,3 +140,9 @@ class CarriesEffects(Displayed):
         )
         CarriesEffects.__check_init__(made)
         return made
+
+    @property
+    def present(self) -> Self:
+        """The same device without the effects of strength zero, which are absent; strengths not known now stay."""
+        kept = [e for e in self.effects if not is_concrete(e.strength) or np.any(np.asarray(e.strength))]
+        return self if len(kept) == len(self.effects) else self.with_only(kept)

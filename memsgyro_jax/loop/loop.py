@@ -25,7 +25,7 @@ from .controllers.base import AbstractController
 from .filters import AbstractFilter, check_fits
 from .observers.base import AbstractObserver, Clock, Estimate
 from .observers.settings import arrays
-from .plant import Plant, check_effects, own_start
+from .plant import Plant, check_effects, check_own_states, own_start
 from .readout import AbstractReadout, Effected
 from .scenario import Conditions
 
@@ -109,6 +109,11 @@ class ClosedLoop(Displayed):
                 f"but is {type(self.filter).__name__}."
             )
 
+    @property
+    def present(self) -> "ClosedLoop":
+        """The same loop without effects of strength zero: they are absent to the last bit and the last operation."""
+        return eqx.tree_at(lambda made: made.device, self, self.device.present)
+
     def init(self) -> LoopState:
         """The state at time zero."""
         observer, output = self.observer.init(), None
@@ -168,6 +173,7 @@ class ClosedLoop(Displayed):
             raise InputError(f"Argument `sample_rate` must be a positive number of Hz, but {sample_rate} was given.")
         if self.filter is not None:
             check_fits(self.filter, sample_rate)
+        check_own_states((self if design is None else design).device, self.discretisation, sample_rate)
         whole = settled(self if design is None else design)
         stiffness = whole.device.dynamics(Inertial()).stiffness
         if not is_concrete(stiffness):

@@ -6,31 +6,21 @@ cycles is none: what is left is of second order in the period and does not grow.
 propagated by the series of their exponential, along the cubic through the motion at both ends, however fast they are.
 """
 
-import math
-from collections.abc import Sequence
-from itertools import pairwise
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.carried import Effects, each_die
 from memsgyro_jax.device.conditions import Conditions
 from memsgyro_jax.device.gyro import AbstractGyro, Dynamics, Inertial, Pair, Scalar, SingleMassGyro
 from memsgyro_jax.device.normalised import NormalisedDevice
-from memsgyro_jax.device.propagate import AbstractAddition, State4, applied, dot
-from memsgyro_jax.effects.base import ForceEffect, Moment, SweepEffect
+from memsgyro_jax.device.propagate import AbstractAddition, AbstractDiscretisation, Exact, State4, applied
+from memsgyro_jax.effects.base import Moment, SweepEffect
 from memsgyro_jax.effects.evaluation import Acting, moment
 
 from .observers.base import Clock
-
-
-Own = tuple[Scalar, ...]
-_TERMS = (
-    18  # of the series of a linear own state: its remainder is 1e-14 at 20 kHz sampled at 100, 1e-7 at half the rate
-)
+from .own_states import Own, check_speed, propagated, stacked
 
 
 class Plant(AbstractAddition):
@@ -117,9 +107,12 @@ def own_start(device: AbstractGyro, motion: State4) -> Own:
     """The own states of a device's effects at time zero."""
     if not Acting.of(device.effects).own_size:
         return ()
-    zero, rest = (0.0, 0.0), device.dynamics(Inertial())
-    plant = Plant.of(device, rest, Conditions(), zero, zero, Clock(0.0, 0, 0.0))
-    return each_die(_began, plant, motion)
+    return each_die(_began, _at_rest(device), motion)
+
+
+def _at_rest(device: AbstractGyro) -> Plant:
+    zero = (0.0, 0.0)
+    return Plant.of(device, device.dynamics(Inertial()), Conditions(), zero, zero, Clock(0.0, 0, 0.0))
 
 
 def check_effects(device: AbstractGyro, signals: tuple[int, int]) -> None:
@@ -137,6 +130,18 @@ def check_effects(device: AbstractGyro, signals: tuple[int, int]) -> None:
         raise InputError("A read-out whose effects are followed must show displacement, but it shows another signal.")
 
 
+def check_own_states(device: AbstractGyro, discretisation: AbstractDiscretisation, sample_rate: float) -> None:
+    """Refuse linear own states that turn faster than half the sample rate, where their series has to follow them.
+
+    **Raises:** `InputError`; traced values pass.
+    """
+    if isinstance(discretisation, Exact):
+        still = _moment(_at_rest(device), (0.0,) * 4, (0.0, 0.0))
+        for effect in Acting.of(device.effects).forces:
+            if effect.own_is_linear and effect.own_size:
+                check_speed(effect, still, sample_rate)
+
+
 def _linear(effects: Effects) -> tuple[bool, ...]:
     """Of each own state, whether it is linear."""
     return tuple(effect.own_is_linear for effect in Acting.of(effects).forces for _ in range(effect.own_size))
@@ -150,21 +155,17 @@ def _moment(plant: Plant, motion: State4, command: Pair) -> Moment:
         d = 0.5 * (dxy + dyx)
         device = NormalisedDevice(jnp.stack([kxx, kyy, kxy]), jnp.stack([dxx, dyy, d]), plant.rest.gain[0])
     else:
-        device = NormalisedDevice(*map(_stacked, ((kxx, kyy, kxy, kyx), (dxx, dyy, dxy, dyx), plant.rest.gain)))
+        device = NormalisedDevice(*map(stacked, ((kxx, kyy, kxy, kyx), (dxx, dyy, dxy, dyx), plant.rest.gain)))
     return moment(
-        _stacked(motion[:2]),
-        _stacked(motion[2:]),
-        _stacked(command),
+        stacked(motion[:2]),
+        stacked(motion[2:]),
+        stacked(command),
         plant.conditions,
         device=device,
-        scale=_stacked(plant.scale),
+        scale=stacked(plant.scale),
         reference_temperature=plant.reference_temperature,
         reference_bias=plant.reference_bias,
     )
-
-
-def _stacked(values: tuple[Scalar, ...]) -> jax.Array:
-    return jnp.stack([jnp.asarray(value, float) for value in values]) if values else jnp.zeros(0)
 
 
 def _applied(plant: Plant, motion: State4) -> Pair:
@@ -174,7 +175,7 @@ def _applied(plant: Plant, motion: State4) -> Pair:
 def _rates(plant: Plant, motion: State4, own: Own) -> tuple[Pair, Own]:
     acting = Acting.of(plant.effects)
     now = acting.driven(_moment(plant, motion, plant.command))
-    force, rates = acting.force(now, _stacked(own))
+    force, rates = acting.force(now, stacked(own))
     beside = tuple(force)
     if acting.drives:  # electrodes whose force depends on the place change it within the sample
         beside = tuple(f + (a - h) for f, a, h in zip(force, now.force, plant.held, strict=True))
@@ -188,43 +189,15 @@ def _began(plant: Plant, motion: State4) -> Own:
 
 def _carried(plant: Plant, own: Own, rates: Own, start: State4, end: State4) -> Own:
     made: list[Scalar] = []
-    place, h = 0, plant.period
+    place, h, still = 0, plant.period, _moment(plant, (0.0,) * 4, (0.0, 0.0))
     for effect in Acting.of(plant.effects).forces:
         mine = slice(place, place + effect.own_size)
         place += effect.own_size
         if effect.own_is_linear and effect.own_size:
-            made += _propagated(effect, plant, own[mine], start, end)
+            made += propagated(effect, still, own[mine], plant.held, start, end, h)
         else:
             made += [o + h * r for o, r in zip(own[mine], rates[mine], strict=True)]
     return tuple(made)
-
-
-def _propagated(effect: ForceEffect, plant: Plant, own: Own, start: State4, end: State4) -> Own:
-    """The linear own state a period later, along the cubic through the motion at both ends under the held force."""
-    h, size, zero = plant.period, effect.own_size, (0.0, 0.0)
-    still = eqx.tree_at(lambda m: m.own, _moment(plant, (*zero, *zero), zero), jnp.zeros(size))
-
-    def slope(**seen: Sequence[Scalar]) -> Own:
-        values = list(map(_stacked, seen.values()))
-        return tuple(effect.own_rate(eqx.tree_at(lambda m: [getattr(m, name) for name in seen], still, values)))
-
-    rows = tuple(zip(*(slope(own=unit) for unit in np.eye(size).tolist()), strict=True))
-    axes = [(q, h * v, p, h * w) for q, v, p, w in zip(start[:2], start[2:], end[:2], end[2:], strict=True)]
-    cubic = [(q, v, 3.0 * (p - q) - 2.0 * v - w, 2.0 * (q - p) + v + w, 0.0) for q, v, p, w in axes]
-    powers = tuple(zip(*cubic, strict=True))
-    loads = [
-        slope(displacement=power, velocity=[(k + 1) / h * v for v in following], force=zero if k else plant.held)
-        for k, (power, following) in enumerate(pairwise(powers))
-    ]
-    # The k-th derivative by time over the period, times the period's power; all summed at the end.
-    derivatives = [own]
-    for k in range(_TERMS):
-        slopes = tuple(dot(row, derivatives[-1]) for row in rows)
-        if k < len(loads):
-            slopes = tuple(s + math.factorial(k) * load for s, load in zip(slopes, loads[k], strict=True))
-        derivatives.append(tuple(h * s for s in slopes))
-    weights = tuple(1.0 / math.factorial(k) for k in range(len(derivatives)))
-    return tuple(dot(weights, numbers) for numbers in zip(*derivatives, strict=True))
 
 
 def _signal(shown: Shown, volts: Pair) -> Pair:
@@ -236,14 +209,14 @@ def _signal(shown: Shown, volts: Pair) -> Pair:
 def _seen(plant: Plant, motion: State4, own: Own) -> Moment:
     """What read-out effects see, with acceleration and jerk under the force still held."""
     true = plant.dynamics
-    stiffness, velocity = (jnp.stack([_stacked(row) for row in rows]) for rows in (true.stiffness, true.velocity))
-    push = _stacked(applied(true, plant.held))
+    stiffness, velocity = (jnp.stack([stacked(row) for row in rows]) for rows in (true.stiffness, true.velocity))
+    push = stacked(applied(true, plant.held))
 
     def slopes(q, v, own):
         beside, rates = _rates(plant, (*q, *v), tuple(own))
-        return _stacked(beside) + push - stiffness @ q - velocity @ v, _stacked(rates)
+        return stacked(beside) + push - stiffness @ q - velocity @ v, stacked(rates)
 
-    q, v, inner = _stacked(motion[:2]), _stacked(motion[2:]), _stacked(own)
+    q, v, inner = stacked(motion[:2]), stacked(motion[2:]), stacked(own)
     (acceleration, rates) = slopes(q, v, inner)
     jerk = jax.jvp(slopes, (q, v, inner), (v, acceleration, rates))[1][0]
     now = Acting.of(plant.effects).driven(_moment(plant, motion, plant.command))

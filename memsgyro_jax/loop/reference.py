@@ -3,7 +3,6 @@ too stiff for them.
 """
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
@@ -11,8 +10,7 @@ from memsgyro_jax.device.carried import each_die
 from memsgyro_jax.device.gyro import Matrix, Pair, Scalar
 from memsgyro_jax.device.propagate import AbstractAddition, AbstractDiscretisation, Exact, State4, Transition
 
-
-Own = tuple[Scalar, ...]
+from .own_states import Own, stacked
 
 
 class Reference(AbstractDiscretisation):
@@ -59,18 +57,14 @@ class Reference(AbstractDiscretisation):
                 - velocity[i][0] * v[0] - velocity[i][1] * v[1]
                 for i in (0, 1)
             ]  # fmt: skip
-            return period * v, period / omega * jnp.stack(pushed), period * _array(rates)
+            return period * v, period / omega * jnp.stack(pushed), period * stacked(rates)
 
         found = diffrax.diffeqsolve(
             diffrax.ODETerm(slope), diffrax.Dopri8(), 0.0, 1.0, 1.0,
-            (_array(motion[:2]), _array(motion[2:]) / omega, _array(own)),
+            (stacked(motion[:2]), stacked(motion[2:]) / omega, stacked(own)),
             stepsize_controller=diffrax.PIDController(rtol=self.tolerance, atol=self.floor),
             adjoint=diffrax.DirectAdjoint(), max_steps=self.steps, throw=False,
         )  # fmt: skip
         done = found.result == diffrax.RESULTS.successful
         q, v, inner = (jnp.where(done, part[-1], jnp.nan) for part in found.ys)
         return (*q, *(omega * v)), tuple(inner)
-
-
-def _array(values: tuple[Scalar, ...]) -> jax.Array:
-    return jnp.stack([jnp.asarray(value, float) for value in values]) if values else jnp.zeros(0)

@@ -220,7 +220,7 @@ def simulate(
         )
     scenario, loop = as_scenario(scenario), loop.sampled_at(sample_rate)
     words = noise.die_words(jax.random.key(seed), jnp.asarray(die))
-    done = _compiled(loop, scenario, words, 1.0 / sample_rate, steps // decimation, decimation)
+    done = _compiled(loop.present, scenario, words, 1.0 / sample_rate, steps // decimation, decimation)
     settings = Settings.of(loop, scenario, sample_rate=sample_rate, duration=duration, seed=seed)
     end = scenario.at((steps // decimation * decimation - 0.5) / sample_rate).inertial
     return _as_trace(done, loop, loop.device.coefficients(end.rate, end.damping_change), settings, decimation)

@@ -26,7 +26,7 @@ from memsgyro_jax.loop.trace import count_steps
 
 from . import batch as lot
 from .pictures import error_histogram
-from .spread import Draw, Spread
+from .spread import DEVICE_PREFIX, Draw, Spread
 from .store import LABELS, STATUS, DieArray, Layout, Store
 from .summary import Summary, summarise
 
@@ -100,6 +100,8 @@ def sweep(
     """
     runtime.require_float64("sweep")
     scenario, loop = as_scenario(scenario), loop.sampled_at(sample_rate)
+    if not any(item.path.startswith(f"{DEVICE_PREFIX}effects.") for item in spread.resolved(loop)):
+        loop = loop.present
     count_steps(sample_rate, duration)
     settle = 0.5 * duration if settle is None else settle
     _check(dies, settle, duration, tolerance, chunk)
