@@ -186,7 +186,7 @@ def test_strength_zero_is_absence_bit_for_bit():
 
     runs = [mg.simulate(thesis_loop(*e), AROUND, sample_rate=1e5, duration=2e-3) for e in ((), absent.effects)]
     assert np.array_equal(runs[0].motion, runs[1].motion)
-    assert np.array_equal(runs[0].theta, runs[1].theta)
+    assert np.array_equal(runs[0].theta_estimate, runs[1].theta_estimate)
 
 
 def thesis_loop(*effects):
