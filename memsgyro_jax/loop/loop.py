@@ -25,9 +25,9 @@ from .controllers.base import AbstractController
 from .filters import AbstractFilter, check_fits
 from .observers.base import AbstractObserver, Clock, Estimate
 from .observers.settings import arrays
-from .plant import Plant, check_effects, check_own_states, own_start
 from .readout import AbstractReadout, Effected
 from .scenario import Conditions
+from .with_effects import SampleEffects, check_effects, check_own_states, own_start
 
 
 class FilterState(NamedTuple):
@@ -154,7 +154,9 @@ class ClosedLoop(Displayed):
                 state.motion, push, dynamics.stiffness, dynamics.velocity, clock.period
             )
             return fence(clock.time, motion), (), {}
-        plant = Plant.of(self.device, dynamics, conditions, force, self.readout.scale, clock).driven(state.motion)
+        plant = SampleEffects.of(self.device, dynamics, conditions, force, self.readout.scale, clock).driven(
+            state.motion
+        )
         push = applied(dynamics, plant.held)
         motion, own = self.discretisation.extended(
             state.motion, state.own, push, dynamics.stiffness, dynamics.velocity, plant

@@ -17,13 +17,13 @@ from memsgyro_jax.effects.evaluation import Acting
 from memsgyro_jax.loop import noise
 from memsgyro_jax.loop.controllers import DampingCompensation, Tone
 from memsgyro_jax.loop.controllers.base import AbstractController
+from memsgyro_jax.loop.integrated import Integrated
 from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.observers import Clock, Estimate, ExtendedKalmanFilter
 from memsgyro_jax.loop.observers.base import AbstractObserver
-from memsgyro_jax.loop.plant import Plant
 from memsgyro_jax.loop.readout import Adc, ChargeAmplifier, DirectReadout
-from memsgyro_jax.loop.reference import Reference
 from memsgyro_jax.loop.scenario import AbstractProfile, Constant, Scenario
+from memsgyro_jax.loop.with_effects import SampleEffects
 from memsgyro_jax.measurement.model import Conditions, Model
 
 
@@ -69,7 +69,7 @@ class Held(AbstractController):
 
 
 class Blind(AbstractObserver):
-    """Sees nothing; the laws under test are those of the plant."""
+    """Sees nothing; the laws under test are those of the sample."""
 
     model = SINGLE_MASS
 
@@ -177,11 +177,11 @@ def test_strength_zero_is_absence_bit_for_bit():
     assert all(np.all(np.asarray(effect.strength) == 0.0) for effect in absent.effects)
     clock, motion, push = Clock(0.0, 0, PERIOD), (1e-6, -2e-7, 1e-3, 2e-3), (3e-9, -2e-9)
     around = AROUND.at(0.0)
-    plant = Plant.of(absent, absent.dynamics(around.inertial), around, push, (1e5, 1e5), clock).driven(motion)
+    sample = SampleEffects.of(absent, absent.dynamics(around.inertial), around, push, (1e5, 1e5), clock).driven(motion)
     own = (3e-7,) * Acting.of(absent.effects).own_size
-    assert tuple(plant.held) == push
-    assert tuple(plant.rates(motion, own)[0]) == (0.0, 0.0)
-    for shown in plant.shown_at(motion, own):
+    assert tuple(sample.held) == push
+    assert tuple(sample.rates(motion, own)[0]) == (0.0, 0.0)
+    for shown in sample.shown_at(motion, own):
         assert tuple(shown((0.123, -0.456))) == (0.123, -0.456)
 
     runs = [mg.simulate(thesis_loop(*e), AROUND, sample_rate=1e5, duration=2e-3) for e in ((), absent.effects)]
@@ -270,7 +270,7 @@ def test_the_reference_follows_the_exact_step_and_loses_a_die_alone():
     """A spring that turns over sends its die off to infinity within a sample; the die beside it goes on."""
     design = gyro(FEW[0])
     dies = in_loop(
-        with_strengths(design, [jnp.asarray([0.0, -1e30])]), 1, design, Reference(steps=64), np.arange(2), samples=50
+        with_strengths(design, [jnp.asarray([0.0, -1e30])]), 1, design, Integrated(steps=64), np.arange(2), samples=50
     )
     np.testing.assert_allclose(dies[..., 0], in_loop(gyro(), samples=50), atol=1e-17)
     assert np.all(dies[1:, :, 1] == dies[0, :, 1]) or np.all(np.isnan(dies[1:, :, 1]))

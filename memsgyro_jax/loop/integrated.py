@@ -13,7 +13,7 @@ from memsgyro_jax.device.propagate import AbstractAddition, AbstractDiscretisati
 from .own_states import Own, stacked
 
 
-class Reference(AbstractDiscretisation):
+class Integrated(AbstractDiscretisation):
     """The 8th-order method of Dormand and Prince (diffrax' `Dopri8`) with a step of its own within each sample, under
     the force held there.
 

@@ -23,7 +23,7 @@ from .observers.base import Clock
 from .own_states import Own, check_speed, propagated, stacked
 
 
-class Plant(AbstractAddition):
+class SampleEffects(AbstractAddition):
     """What the effects of a device add to it during one sample: `command` is asked for, `held` is what the electrodes
     apply at its start.
     """
@@ -43,7 +43,7 @@ class Plant(AbstractAddition):
     @classmethod
     def of(
         cls, device: AbstractGyro, dynamics: Dynamics, conditions: Conditions, command: Pair, scale: Pair, clock: Clock
-    ) -> "Plant":
+    ) -> "SampleEffects":
         """At the sample that begins at `clock`."""
         middle = eqx.tree_at(
             lambda c: c.time, conditions, clock.time + 0.5 * clock.period, is_leaf=lambda leaf: leaf is None
@@ -62,9 +62,9 @@ class Plant(AbstractAddition):
             reference_bias=device.reference_bias,
         )
 
-    def driven(self, motion: State4) -> "Plant":
+    def driven(self, motion: State4) -> "SampleEffects":
         """The same with what the electrodes apply at the command, the mass being at `motion`."""
-        return eqx.tree_at(lambda plant: plant.held, self, each_die(_applied, self, motion))
+        return eqx.tree_at(lambda sample: sample.held, self, each_die(_applied, self, motion))
 
     def rates(self, motion: State4, own: Own) -> tuple[Pair, Own]:
         """Acceleration beside the base device's [m/s²], and the own states' derivative by time."""
@@ -84,22 +84,22 @@ class Plant(AbstractAddition):
         """Whether any of the effects acts on the read-out."""
         return bool(Acting.of(self.effects).readouts)
 
-    def shown_at(self, motion: State4, own: Own) -> "tuple[Shown, Shown]":
+    def shown_at(self, motion: State4, own: Own) -> "tuple[OnReadout, OnReadout]":
         """What read-out effects make of volts before the noise, and behind it, at the end of the sample."""
-        return Shown(self, motion, own, False), Shown(self, motion, own, True)
+        return OnReadout(self, motion, own, False), OnReadout(self, motion, own, True)
 
 
-class Shown(eqx.Module):
+class OnReadout(eqx.Module):
     """What read-out effects make of volts at one moment: those behind the noise (`last`), or the others."""
 
-    plant: Plant
+    sample: SampleEffects
     motion: State4
     own: Own
     last: bool = eqx.field(static=True)
 
     def __call__(self, volts: Pair) -> Pair:
         """The volts [V] as the effects change them."""
-        readouts = [effect for effect in Acting.of(self.plant.effects).readouts if effect.last == self.last]
+        readouts = [effect for effect in Acting.of(self.sample.effects).readouts if effect.last == self.last]
         return each_die(_signal, self, volts) if readouts else volts
 
 
@@ -110,9 +110,9 @@ def own_start(device: AbstractGyro, motion: State4) -> Own:
     return each_die(_began, _at_rest(device), motion)
 
 
-def _at_rest(device: AbstractGyro) -> Plant:
+def _at_rest(device: AbstractGyro) -> SampleEffects:
     zero = (0.0, 0.0)
-    return Plant.of(device, device.dynamics(Inertial()), Conditions(), zero, zero, Clock(0.0, 0, 0.0))
+    return SampleEffects.of(device, device.dynamics(Inertial()), Conditions(), zero, zero, Clock(0.0, 0, 0.0))
 
 
 def check_effects(device: AbstractGyro, signals: tuple[int, int]) -> None:
@@ -147,77 +147,77 @@ def _linear(effects: Effects) -> tuple[bool, ...]:
     return tuple(effect.own_is_linear for effect in Acting.of(effects).forces for _ in range(effect.own_size))
 
 
-def _moment(plant: Plant, motion: State4, command: Pair) -> Moment:
+def _moment(sample: SampleEffects, motion: State4, command: Pair) -> Moment:
     """What effects see, for one die."""
-    (kxx, kxy), (kyx, kyy) = plant.rest.stiffness
-    (dxx, dxy), (dyx, dyy) = plant.rest.damping
-    if plant.one_mass:
+    (kxx, kxy), (kyx, kyy) = sample.rest.stiffness
+    (dxx, dxy), (dyx, dyy) = sample.rest.damping
+    if sample.one_mass:
         d = 0.5 * (dxy + dyx)
-        device = NormalisedDevice(jnp.stack([kxx, kyy, kxy]), jnp.stack([dxx, dyy, d]), plant.rest.gain[0])
+        device = NormalisedDevice(jnp.stack([kxx, kyy, kxy]), jnp.stack([dxx, dyy, d]), sample.rest.gain[0])
     else:
-        device = NormalisedDevice(*map(stacked, ((kxx, kyy, kxy, kyx), (dxx, dyy, dxy, dyx), plant.rest.gain)))
+        device = NormalisedDevice(*map(stacked, ((kxx, kyy, kxy, kyx), (dxx, dyy, dxy, dyx), sample.rest.gain)))
     return moment(
         stacked(motion[:2]),
         stacked(motion[2:]),
         stacked(command),
-        plant.conditions,
+        sample.conditions,
         device=device,
-        scale=stacked(plant.scale),
-        reference_temperature=plant.reference_temperature,
-        reference_bias=plant.reference_bias,
+        scale=stacked(sample.scale),
+        reference_temperature=sample.reference_temperature,
+        reference_bias=sample.reference_bias,
     )
 
 
-def _applied(plant: Plant, motion: State4) -> Pair:
-    return tuple(Acting.of(plant.effects).driven(_moment(plant, motion, plant.command)).force)
+def _applied(sample: SampleEffects, motion: State4) -> Pair:
+    return tuple(Acting.of(sample.effects).driven(_moment(sample, motion, sample.command)).force)
 
 
-def _rates(plant: Plant, motion: State4, own: Own) -> tuple[Pair, Own]:
-    acting = Acting.of(plant.effects)
-    now = acting.driven(_moment(plant, motion, plant.command))
+def _rates(sample: SampleEffects, motion: State4, own: Own) -> tuple[Pair, Own]:
+    acting = Acting.of(sample.effects)
+    now = acting.driven(_moment(sample, motion, sample.command))
     force, rates = acting.force(now, stacked(own))
     beside = tuple(force)
     if acting.drives:  # electrodes whose force depends on the place change it within the sample
-        beside = tuple(f + (a - h) for f, a, h in zip(force, now.force, plant.held, strict=True))
-    return tuple(g * f for g, f in zip(plant.dynamics.gain, beside, strict=True)), tuple(rates)
+        beside = tuple(f + (a - h) for f, a, h in zip(force, now.force, sample.held, strict=True))
+    return tuple(g * f for g, f in zip(sample.dynamics.gain, beside, strict=True)), tuple(rates)
 
 
-def _began(plant: Plant, motion: State4) -> Own:
-    now = _moment(plant, motion, plant.command)
-    return tuple(number for effect in Acting.of(plant.effects).forces for number in effect.own_start(now))
+def _began(sample: SampleEffects, motion: State4) -> Own:
+    now = _moment(sample, motion, sample.command)
+    return tuple(number for effect in Acting.of(sample.effects).forces for number in effect.own_start(now))
 
 
-def _carried(plant: Plant, own: Own, rates: Own, start: State4, end: State4) -> Own:
+def _carried(sample: SampleEffects, own: Own, rates: Own, start: State4, end: State4) -> Own:
     made: list[Scalar] = []
-    place, h, still = 0, plant.period, _moment(plant, (0.0,) * 4, (0.0, 0.0))
-    for effect in Acting.of(plant.effects).forces:
+    place, h, still = 0, sample.period, _moment(sample, (0.0,) * 4, (0.0, 0.0))
+    for effect in Acting.of(sample.effects).forces:
         mine = slice(place, place + effect.own_size)
         place += effect.own_size
         if effect.own_is_linear and effect.own_size:
-            made += propagated(effect, still, own[mine], plant.held, start, end, h)
+            made += propagated(effect, still, own[mine], sample.held, start, end, h)
         else:
             made += [o + h * r for o, r in zip(own[mine], rates[mine], strict=True)]
     return tuple(made)
 
 
-def _signal(shown: Shown, volts: Pair) -> Pair:
-    acting = Acting.of(shown.plant.effects)
+def _signal(shown: OnReadout, volts: Pair) -> Pair:
+    acting = Acting.of(shown.sample.effects)
     mine = acting._replace(readouts=tuple(effect for effect in acting.readouts if effect.last == shown.last))
-    return tuple(mine.signal(jnp.stack(volts), _seen(shown.plant, shown.motion, shown.own)))
+    return tuple(mine.signal(jnp.stack(volts), _seen(shown.sample, shown.motion, shown.own)))
 
 
-def _seen(plant: Plant, motion: State4, own: Own) -> Moment:
+def _seen(sample: SampleEffects, motion: State4, own: Own) -> Moment:
     """What read-out effects see, with acceleration and jerk under the force still held."""
-    true = plant.dynamics
+    true = sample.dynamics
     stiffness, velocity = (jnp.stack([stacked(row) for row in rows]) for rows in (true.stiffness, true.velocity))
-    push = stacked(applied(true, plant.held))
+    push = stacked(applied(true, sample.held))
 
     def slopes(q, v, own):
-        beside, rates = _rates(plant, (*q, *v), tuple(own))
+        beside, rates = _rates(sample, (*q, *v), tuple(own))
         return stacked(beside) + push - stiffness @ q - velocity @ v, stacked(rates)
 
     q, v, inner = stacked(motion[:2]), stacked(motion[2:]), stacked(own)
     (acceleration, rates) = slopes(q, v, inner)
     jerk = jax.jvp(slopes, (q, v, inner), (v, acceleration, rates))[1][0]
-    now = Acting.of(plant.effects).driven(_moment(plant, motion, plant.command))
+    now = Acting.of(sample.effects).driven(_moment(sample, motion, sample.command))
     return eqx.tree_at(lambda m: (m.acceleration, m.jerk), now, (acceleration, jerk), is_leaf=lambda leaf: leaf is None)
