@@ -21,6 +21,28 @@ hypothesis.settings.load_profile("memsgyro")
 
 ROOT = Path(__file__).resolve().parent.parent
 SETTINGS = ("XLA_FLAGS", "JAX_", "MEMSGYRO_")
+# The files that take longest, most of it to compile. Workers begin with them: one begun last would leave others idle.
+LONGEST = (
+    "tuning/test_tune.py",
+    "montecarlo/test_sweep.py",
+    "couplings/test_identify.py",
+    "motion/test_design_motion.py",
+    "loop/test_bound.py",
+    "diagnosis/test_diagnose.py",
+    "tuning/test_adjoint.py",
+    "loop/test_consistency.py",
+    "loop/test_output_filter.py",
+    "montecarlo/test_sensitivity.py",
+    "app/test_commands.py",
+    "test_readme.py",
+    "loop/observers/test_ekf.py",
+)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Longest files first."""
+    order = {ROOT / "tests" / name: place for place, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: order.get(item.path, len(LONGEST)))
 
 
 @pytest.fixture(scope="session")
