@@ -20,6 +20,7 @@ from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.fields import Scalar as Scalar
 
 from .carried import AbstractEffect, CarriesEffects, Effects
+from .small import Matrix, Vector, plus, times
 
 
 X, Y, VX, VY, UX, UY = range(
@@ -29,7 +30,6 @@ X, Y, VX, VY, UX, UY = range(
 Pair = tuple[Scalar, Scalar]
 Change = tuple[Scalar, Scalar, Scalar]
 UNCHANGED: Change = (0.0, 0.0, 0.0)
-Matrix = tuple[Pair, Pair]
 
 
 class Term(NamedTuple):
@@ -54,24 +54,22 @@ class Coefficient:
     delays: int | None = None
 
 
-class Dynamics(NamedTuple):
+class Dynamics(eqx.Module):
     """`acceleration = gain * force + bias - stiffness @ displacement - (damping + coriolis) @ velocity`.
 
     Stiffness in rad²/s², damping and Coriolis in 1/s, gain in 1/kg, bias in m/s²; rows are the axes x and y.
     """
 
-    stiffness: Matrix
-    damping: Matrix
-    coriolis: Matrix
-    gain: Pair
-    bias: Pair = (0.0, 0.0)
+    stiffness: Matrix = eqx.field(converter=Matrix)
+    damping: Matrix = eqx.field(converter=Matrix)
+    coriolis: Matrix = eqx.field(converter=Matrix)
+    gain: Vector = eqx.field(converter=Vector)
+    bias: Vector = eqx.field(converter=Vector, default=(0.0, 0.0))
 
     @property
     def velocity(self) -> Matrix:
         """Everything that multiplies the velocity: damping and Coriolis."""
-        return tuple(
-            tuple(d + c for d, c in zip(*rows, strict=True)) for rows in zip(self.damping, self.coriolis, strict=True)
-        )
+        return self.damping + self.coriolis
 
 
 @dataclass(frozen=True)
@@ -105,21 +103,13 @@ class MotionModel:
         for value, coefficient in zip(theta, self.coefficients, strict=True):
             for axis, signal, factor in coefficient.terms:
                 if signal >= UX:
-                    _accumulate(gain, axis, factor, value)
+                    row, place, sign = gain, axis, 1.0
                 elif signal >= VX:
-                    _accumulate((coriolis if coefficient.is_rate else damping)[axis], signal - VX, -factor, value)
+                    row, place, sign = (coriolis if coefficient.is_rate else damping)[axis], signal - VX, -1.0
                 else:
-                    _accumulate(stiffness[axis], signal, -factor, value)
-        k, d, c = (tuple(map(tuple, matrix)) for matrix in (stiffness, damping, coriolis))
-        return Dynamics(stiffness=k, damping=d, coriolis=c, gain=tuple(gain))
-
-
-def _accumulate(row: list[Scalar], index: int, factor: float, value: Scalar) -> None:
-    """Add `factor * value` to an entry without the operations that plain 0 and 1 make superfluous: they sit in the
-    inner loop.
-    """
-    term = value if factor == 1.0 else factor * value
-    row[index] = term if isinstance(row[index], float) else row[index] + term
+                    row, place, sign = stiffness[axis], signal, -1.0
+                row[place] = plus(row[place], times(sign * factor, value))
+        return Dynamics(stiffness, damping, coriolis, gain)
 
 
 SINGLE_MASS = MotionModel(
@@ -243,7 +233,7 @@ class SingleMassGyro(AbstractGyro):
         damping = ((self.dxx * sxx, self.dxy * sxy), (dyx * sxy, self.dyy * syy))
         bias = (0.0, 0.0)
         if self.rotating_frame:
-            stiffness = _add(stiffness, frame_stiffness(inertial, x_share=1.0))
+            stiffness = frame_stiffness(inertial, x_share=1.0) + stiffness
             bias = (-inertial.acceleration[0], -inertial.acceleration[1])
         return Dynamics(stiffness, damping, ((0.0, -2.0 * rate), (2.0 * rate, 0.0)), (per_mass, per_mass), bias)
 
@@ -297,7 +287,7 @@ class DualMassGyro(AbstractGyro):
         damping = ((self.dxx * sxx / mx, 0.0), (0.0, self.dyy * syy / my))
         bias = (0.0, 0.0)
         if self.rotating_frame:
-            stiffness = _add(stiffness, frame_stiffness(inertial, x_share=share))
+            stiffness = frame_stiffness(inertial, x_share=share) + stiffness
             bias = (-inertial.acceleration[0], -inertial.acceleration[1])
         return Dynamics(stiffness, damping, ((0.0, -2.0 * share * rate), (2.0 * rate, 0.0)), (1.0 / mx, 1.0 / my), bias)
 
@@ -315,11 +305,7 @@ def frame_stiffness(inertial: Inertial, x_share: Scalar) -> Matrix:
     """
     rate, (rate_x, rate_y) = inertial.rate, inertial.cross_rate
     product, spin = rate_x * rate_y, inertial.angular_acceleration
-    return ((-(rate_y**2 + rate**2), x_share * (product - spin)), (product + spin, -(rate_x**2 + rate**2)))
-
-
-def _add(a: Matrix, b: Matrix) -> Matrix:
-    return tuple(tuple(p + q for p, q in zip(*rows, strict=True)) for rows in zip(a, b, strict=True))
+    return Matrix(((-(rate_y**2 + rate**2), x_share * (product - spin)), (product + spin, -(rate_x**2 + rate**2))))
 
 
 def mode_frequencies(gyro: AbstractGyro) -> Float[np.ndarray, "*dies two"]:

@@ -1,13 +1,12 @@
 """One sample of a linear two-axis oscillator: exact under held force and rate, or by forward Euler as the thesis does.
 
-Matrices are nested tuples of scalars, not arrays: XLA then fuses a whole step over a batch of dies, where stacking
-small arrays cost a quarter of the run time. `fence` keeps the fusion from recomputing what many results share.
+Matrices are those of `small`, whose scalars XLA fuses into a whole step over a batch of dies. `fence` keeps the fusion
+from recomputing what many results share.
 """
 
 import abc
 import math
 import os
-from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -17,14 +16,14 @@ import numpy as np
 from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.errors import InputError
 
-from .gyro import Dynamics, Matrix, Pair, Scalar
+from .gyro import Dynamics, Pair, Scalar
+from .small import Matrix, Vector, identity, zeros
 
 
-Rows = tuple[tuple[Scalar, ...], ...]
 State4 = tuple[Scalar, Scalar, Scalar, Scalar]
 
 
-class Node(NamedTuple):
+class Node(eqx.Module):
     """A moment inside a sample at which a parameter error is taken to act.
 
     `reach` and `push` lead from the start of the sample to it, like `full` and `push` of `Transition`; `kick` (4×2) is
@@ -32,12 +31,12 @@ class Node(NamedTuple):
     end.
     """
 
-    reach: Rows
-    push: Rows
-    kick: Rows
+    reach: Matrix = eqx.field(converter=Matrix)
+    push: Matrix = eqx.field(converter=Matrix)
+    kick: Matrix = eqx.field(converter=Matrix)
 
 
-class Transition(NamedTuple):
+class Transition(eqx.Module):
     """How a sample maps the motion (x, y, vx, vy): `full @ motion + push @ acceleration`, and the nodes for its
     derivative.
 
@@ -46,8 +45,8 @@ class Transition(NamedTuple):
     resonances.
     """
 
-    full: Rows
-    push: Rows
+    full: Matrix = eqx.field(converter=Matrix)
+    push: Matrix = eqx.field(converter=Matrix)
     nodes: tuple[Node, ...]
 
 
@@ -133,18 +132,14 @@ class Exact(AbstractDiscretisation):
 
     def advance(self, motion: State4, push: Pair, stiffness: Matrix, velocity: Matrix, period: Scalar) -> State4:
         """Exact to rounding when the order covers the sample rate: the Taylor series of the motion itself."""
-        spring, damper = scale(-1.0, stiffness), scale(-1.0, velocity)
-        derivatives = [motion[:2], motion[2:]]  # of the displacement, by time
+        spring, damper = -Matrix(stiffness), -Matrix(velocity)
+        derivatives = [Vector(motion[:2]), Vector(motion[2:])]  # of the displacement, by time
         for power in range(1, self.order + 1):
             older, last = derivatives[-2:]
-            following = tuple(dot(k, older) + dot(c, last) for k, c in zip(spring, damper, strict=True))
-            if power == 1:
-                following = tuple(d + a for d, a in zip(following, push, strict=True))
-            derivatives.append(following)
+            following = spring @ older + damper @ last
+            derivatives.append(following + Vector(push) if power == 1 else following)
         weights = _taylor_weights(period, len(derivatives))
-        position = tuple(dot(weights, axis) for axis in zip(*derivatives, strict=True))
-        speed = tuple(dot(weights[:-1], axis) for axis in zip(*derivatives[1:], strict=True))
-        return (*position, *speed)
+        return (*(Vector(weights) @ derivatives), *(Vector(weights[:-1]) @ derivatives[1:]))
 
     def transition(self, stiffness: Matrix, velocity: Matrix, period: Scalar) -> Transition:
         """Exact to rounding when the order covers the sample rate."""
@@ -153,10 +148,10 @@ class Exact(AbstractDiscretisation):
         parts = [_series(stiffness, velocity, share * period, _shorter(self.order, share)) for share in shares]
         # Gauss points are symmetric: the way from a point to the end is the way from the start to its mirror image.
         (first, first_push), (last, last_push) = parts[0], parts[-1]
-        full = matmul(last, first)
-        push = add_rows(matmul(last, first_push), last_push)
+        full = last @ first
+        push = last @ first_push + last_push
         nodes = tuple(
-            Node(reach, reach_push, scale(0.5 * float(weight) * period, tuple(row[2:] for row in rest)))
+            Node(reach, reach_push, 0.5 * float(weight) * period * Matrix(row[2:] for row in rest))
             for (reach, reach_push), (rest, _), weight in zip(parts, reversed(parts), weights, strict=True)
         )
         return Transition(full, push, nodes)
@@ -185,55 +180,36 @@ class ForwardEuler(AbstractDiscretisation):
     def advance(self, motion: State4, push: Pair, stiffness: Matrix, velocity: Matrix, period: Scalar) -> State4:
         """Motion plus `period` times its derivative."""
         step = self.transition(stiffness, velocity, period)
-        return advance(motion, push, step.full, step.push)
+        return tuple(step.full @ motion + step.push @ push)
 
     def transition(self, stiffness: Matrix, velocity: Matrix, period: Scalar) -> Transition:
         """First order in `period`; a parameter error acts at the start of the sample and reaches the velocity alone."""
-        (kxx, kxy), (kyx, kyy) = stiffness
-        (cxx, cxy), (cyx, cyy) = velocity
-        h, one, zero = period, 1.0, 0.0
-        full = (
-            (one, zero, h, zero),
-            (zero, one, zero, h),
-            (-h * kxx, -h * kxy, one - h * cxx, -h * cxy),
-            (-h * kyx, -h * kyy, -h * cyx, one - h * cyy),
-        )
-        push = ((zero, zero), (zero, zero), (h, zero), (zero, h))
-        identity = tuple(tuple(float(i == j) for j in range(4)) for i in range(4))
-        start = Node(identity, ((zero, zero),) * 4, ((zero, zero), (zero, zero), (h, zero), (zero, h)))
-        return Transition(full, push, (start,))
-
-
-def advance(motion: State4, acceleration: Pair, matrix: Rows, push: Rows) -> State4:
-    """`matrix @ motion + push @ acceleration`."""
-    return tuple(dot(row, motion) + dot(p, acceleration) for row, p in zip(matrix, push, strict=True))
+        one, spring, damper = identity(2), -Matrix(stiffness), -Matrix(velocity)
+        full = one.beside(period * one).above((period * spring).beside(one + period * damper))
+        push = zeros(2, 2).above(period * one)
+        return Transition(full, push, (Node(identity(4), zeros(4, 2), push),))
 
 
 def applied(dynamics: Dynamics, force: Pair) -> Pair:
     """The held acceleration of a force [N] on the device: gain * force + bias, in m/s²."""
-    moved = tuple(g * f for g, f in zip(dynamics.gain, force, strict=True))
-    return tuple(a if _is_number(b, 0) else a + b for a, b in zip(moved, dynamics.bias, strict=True))
+    return tuple(dynamics.gain * Vector(force) + dynamics.bias)
 
 
-def _series(stiffness: Matrix, velocity: Matrix, h: Scalar, order: int) -> tuple[Rows, Rows]:
+def _series(stiffness: Matrix, velocity: Matrix, h: Scalar, order: int) -> tuple[Matrix, Matrix]:
     """Propagator and its input matrix over `h` from the impulse response q'' = -q' C - q K, q(0) = 0, q'(0) = 1.
 
     Three sums of the same Taylor coefficients give the response, its derivative and its integral; the displacement
     columns follow from E' = E A.
     """
-    spring, damper = scale(-1.0, stiffness), scale(-1.0, velocity)
-    terms: list[Rows] = [((0.0, 0.0), (0.0, 0.0)), ((1.0, 0.0), (0.0, 1.0))]
+    spring, damper = -Matrix(stiffness), -Matrix(velocity)
+    terms = [zeros(2, 2), identity(2)]
     for _ in range(order):
-        terms.append(add_rows(matmul(terms[-2], spring), matmul(terms[-1], damper)))
+        terms.append(terms[-2] @ spring + terms[-1] @ damper)
     # All sums at the end: adding each term as it comes would read and write twelve numbers of every die per order.
     weights = _taylor_weights(h, len(terms) + 1)
     rate, response, integral = (_weighted(weights[n:], terms[1:]) for n in (0, 1, 2))
-    displaced = add_rows(rate, matmul(response, velocity))
-    displaced_rate = matmul(response, spring)
-    matrix = tuple((*displaced[i], *response[i]) for i in (0, 1)) + tuple(
-        (*displaced_rate[i], *rate[i]) for i in (0, 1)
-    )
-    return matrix, (*integral, *response)
+    displaced, displaced_rate = rate + response @ velocity, response @ spring
+    return displaced.beside(response).above(displaced_rate.beside(rate)), integral.above(response)
 
 
 def _taylor_weights(h: Scalar, count: int) -> tuple[Scalar, ...]:
@@ -244,43 +220,9 @@ def _taylor_weights(h: Scalar, count: int) -> tuple[Scalar, ...]:
     return tuple(weights)
 
 
-def _weighted(weights: tuple[Scalar, ...], matrices: list[Rows]) -> Rows:
+def _weighted(weights: tuple[Scalar, ...], matrices: list[Matrix]) -> Matrix:
     """Sum of matrices times weights; weights without a matrix are left over."""
-    used = weights[: len(matrices)]
-    return tuple(tuple(dot(used, tuple(m[i][j] for m in matrices)) for j in (0, 1)) for i in (0, 1))
-
-
-def dot(a: tuple[Scalar, ...], b: tuple[Scalar, ...]) -> Scalar:
-    """Sum of products; factors that are the plain numbers 0 and 1 cost nothing."""
-    products = [_times(p, q) for p, q in zip(a, b, strict=True) if not (_is_number(p, 0) or _is_number(q, 0))]
-    return sum(products[1:], products[0]) if products else 0.0
-
-
-def _times(p: Scalar, q: Scalar) -> Scalar:
-    return q if _is_number(p, 1) else p if _is_number(q, 1) else p * q
-
-
-def matmul(a: Rows, b: Rows) -> Rows:
-    """Product of small matrices of scalars."""
-    columns = tuple(zip(*b, strict=True))
-    return tuple(tuple(dot(row, column) for column in columns) for row in a)
-
-
-def add_rows(a: Rows, b: Rows) -> Rows:
-    """Sum of small matrices of scalars."""
-    return tuple(
-        tuple(q if _is_number(p, 0) else p if _is_number(q, 0) else p + q for p, q in zip(*rows, strict=True))
-        for rows in zip(a, b, strict=True)
-    )
-
-
-def scale(factor: Scalar, a: Rows) -> Rows:
-    """A small matrix of scalars times a scalar."""
-    return tuple(tuple(0.0 if _is_number(p, 0) else factor * p for p in row) for row in a)
-
-
-def _is_number(value: object, number: int) -> bool:
-    return isinstance(value, float | int) and value == number
+    return sum((weight * matrix for weight, matrix in zip(weights, matrices, strict=False)), zeros(2, 2))
 
 
 def fence(time: Scalar, tree: object) -> object:

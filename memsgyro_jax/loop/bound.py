@@ -37,7 +37,7 @@ from memsgyro_jax.device.gyro import (
     check_positive,
     mode_frequencies,
 )
-from memsgyro_jax.device.propagate import State4, add_rows, applied
+from memsgyro_jax.device.propagate import State4, applied
 
 from .engine import over_dies
 from .least_variance import least_variance, with_slopes
@@ -302,10 +302,10 @@ def _propagated(
 
 def _plus(true: Dynamics, change: Dynamics) -> Dynamics:
     return Dynamics(
-        stiffness=add_rows(true.stiffness, change.stiffness),
-        damping=add_rows(true.damping, change.damping),
-        coriolis=add_rows(true.coriolis, change.coriolis),
-        gain=tuple(g + d for g, d in zip(true.gain, change.gain, strict=True)),
+        stiffness=true.stiffness + change.stiffness,
+        damping=true.damping + change.damping,
+        coriolis=true.coriolis + change.coriolis,
+        gain=true.gain + change.gain,
         bias=true.bias,
     )
 

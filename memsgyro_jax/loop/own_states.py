@@ -14,7 +14,8 @@ import numpy as np
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.gyro import Pair, Scalar, is_concrete
-from memsgyro_jax.device.propagate import Rows, State4, dot
+from memsgyro_jax.device.propagate import State4
+from memsgyro_jax.device.small import Matrix, Vector
 from memsgyro_jax.effects.base import ForceEffect, Moment
 
 
@@ -34,10 +35,10 @@ def _slope(effect: ForceEffect, still: Moment, **seen: Sequence[Scalar]) -> Own:
     return tuple(effect.own_rate(eqx.tree_at(lambda m: [getattr(m, name) for name in rest], still, values)))
 
 
-def _matrix(effect: ForceEffect, still: Moment) -> Rows:
+def _matrix(effect: ForceEffect, still: Moment) -> Matrix:
     """How the own state drives itself [1/s]."""
     columns = [_slope(effect, still, own=unit) for unit in np.eye(effect.own_size).tolist()]
-    return tuple(zip(*columns, strict=True))
+    return Matrix(columns).T
 
 
 def propagated(
@@ -55,14 +56,14 @@ def propagated(
         for k, (power, following) in enumerate(pairwise(zip(*cubic, strict=True)))
     ]  # fmt: skip
     # The k-th derivative by time over the period; all summed at the end.
-    derivatives = [own]
+    derivatives = [Vector(own)]
     for k in range(_TERMS):
-        slopes = tuple(dot(row, derivatives[-1]) for row in matrix)
+        slopes = matrix @ derivatives[-1]
         if k < len(loads):
-            slopes = tuple(s + math.factorial(k) * load for s, load in zip(slopes, loads[k], strict=True))
-        derivatives.append(tuple(h * s for s in slopes))
-    weights = tuple(1.0 / math.factorial(k) for k in range(len(derivatives)))
-    return tuple(dot(weights, numbers) for numbers in zip(*derivatives, strict=True))
+            slopes = slopes + math.factorial(k) * Vector(loads[k])
+        derivatives.append(h * slopes)
+    weights = Vector(1.0 / math.factorial(k) for k in range(len(derivatives)))
+    return tuple(weights @ derivatives)
 
 
 def check_speed(effect: ForceEffect, still: Moment, sample_rate: float) -> None:

@@ -10,7 +10,7 @@ from jaxtyping import Array, Complex, Float
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.gyro import AbstractGyro, Inertial, MotionModel
-from memsgyro_jax.device.propagate import Exact, add_rows
+from memsgyro_jax.device.propagate import Exact
 from memsgyro_jax.loop.bound import CROSS_DAMPING_ASYMMETRY
 from memsgyro_jax.loop.observers.base import MOTION, OFFSETS
 from memsgyro_jax.loop.readout import AbstractReadout
@@ -62,7 +62,7 @@ def _slopes(gyro: AbstractGyro, rate: float, period: float, step: Exact) -> tupl
 
     def matrices(change: Array) -> tuple[Array, Array]:
         moved = model.assemble(tuple(change[i] for i in range(count)))
-        stiffness, velocity = add_rows(true.stiffness, moved.stiffness), add_rows(true.velocity, moved.velocity)
+        stiffness, velocity = true.stiffness + moved.stiffness, true.velocity + moved.velocity
         gain = [(g + d) * (1.0 + change[count + i]) for i, (g, d) in enumerate(zip(true.gain, moved.gain, strict=True))]
         made = step.transition(stiffness, velocity, period)
         full, push = (jnp.stack([jnp.stack([1.0 * v for v in row]) for row in m]) for m in (made.full, made.push))

@@ -1,5 +1,7 @@
 """A gyro whose model has the errors that a design counts with, as coefficients that an observer can find."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax.numpy as jnp
 
@@ -47,7 +49,7 @@ class UncertainGyro(AbstractGyro):
     def dynamics(self, inertial: Inertial) -> Dynamics:
         """Those of the gyro, with the gains as they are."""
         own = self.gyro.dynamics(inertial)
-        return own._replace(gain=tuple(g * (1.0 + e) for g, e in zip(own.gain, self.gain, strict=True)))
+        return replace(own, gain=own.gain * tuple(1.0 + error for error in self.gain))
 
     def coefficients(self, rate: Scalar, damping_change: Change = UNCHANGED) -> tuple[Scalar, ...]:
         """Those of the gyro (a gain with its error, one gain for both axes with the mean error), split and delays."""

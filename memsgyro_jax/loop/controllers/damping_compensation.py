@@ -1,7 +1,6 @@
 """Damping compensation (thesis 4.2.3)."""
 
 from memsgyro_jax.device.gyro import Pair
-from memsgyro_jax.device.propagate import dot
 
 from ..observers.base import Clock, Estimate
 from .base import AbstractController, GivenTones, tone_values, tones_field
@@ -23,6 +22,5 @@ class DampingCompensation(AbstractController[tuple[()]]):
     def command(self, state: tuple[()], estimate: Estimate, clock: Clock) -> tuple[Pair, tuple[()]]:
         """The force at the present estimate."""
         dynamics, velocity = estimate.dynamics, estimate.motion[2:]
-        added = tone_values(self.tones, clock.time)
-        rows = zip(dynamics.damping, added, dynamics.gain, strict=True)
-        return tuple((dot(row, velocity) + tone) / gain for row, tone, gain in rows), state
+        force = (dynamics.damping @ velocity + tone_values(self.tones, clock.time)) / dynamics.gain
+        return tuple(force), state

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 
 from memsgyro_jax.device.gyro import Pair, Scalar, check_not_negative, number
-from memsgyro_jax.device.propagate import dot
+from memsgyro_jax.device.small import Vector
 
 from ..observers.base import Clock, Estimate
 from .base import AbstractController, GivenTones, Tone, tones_field
@@ -33,10 +33,9 @@ class DesignedMotion(AbstractController[tuple[()]]):
         time, dynamics = clock.time + 0.5 * clock.period, estimate.dynamics
         parts = [[_held(tone, time, clock.period) for tone in axis] for axis in self.tones]
         place, speed, push = (tuple(sum((p[i] for p in axis), 0.0) for axis in parts) for i in range(3))
-        now = tuple(_speed(axis, clock.time) for axis in self.tones)
-        behind = tuple(self.settling * (r - v) for r, v in zip(now, estimate.motion[2:], strict=True))
-        rows = zip(dynamics.stiffness, dynamics.velocity, push, behind, dynamics.gain, strict=True)
-        return tuple((dot(k, place) + dot(c, speed) + a + b) / gain for k, c, a, b, gain in rows), state
+        now = Vector(_speed(axis, clock.time) for axis in self.tones)
+        behind = self.settling * (now - estimate.motion[2:])
+        return tuple((dynamics.stiffness @ place + dynamics.velocity @ speed + push + behind) / dynamics.gain), state
 
 
 def _speed(axis: tuple[Tone, ...], time: Scalar) -> Scalar:

@@ -4,7 +4,8 @@ import jax.numpy as jnp
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.gyro import Pair, Scalar, check_positive
-from memsgyro_jax.device.propagate import State4, dot
+from memsgyro_jax.device.propagate import State4
+from memsgyro_jax.device.small import Vector
 
 from ..observers.base import Clock, Estimate
 from ..observers.settings import arrays
@@ -42,10 +43,9 @@ class ReferenceModel(AbstractController[tuple[()]]):
         ahead = self._ahead(estimate.motion, omega, 0.5 * clock.period)
         displacement, velocity = ahead[:2], ahead[2:]
         added = tone_values(self.tones, clock.time + 0.5 * clock.period)
-        rows = zip(dynamics.stiffness, dynamics.velocity, omega, displacement, added, dynamics.gain, strict=True)
-        return tuple(
-            (dot(k, displacement) + dot(c, velocity) - w**2 * q + tone) / gain for k, c, w, q, tone, gain in rows
-        ), state
+        cancelled = dynamics.stiffness @ displacement + dynamics.velocity @ velocity
+        wanted = Vector(w**2 * q for w, q in zip(omega, displacement, strict=True))
+        return tuple((cancelled - wanted + added) / dynamics.gain), state
 
     def _ahead(self, motion: State4, omega: Pair, lead: Scalar) -> State4:
         x, y, vx, vy = motion

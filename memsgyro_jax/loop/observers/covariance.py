@@ -1,5 +1,7 @@
 """Block algebra of the extended Kalman filter: a symmetric covariance of 4 motion entries beside constants."""
 
+from collections.abc import Sequence
+from functools import reduce
 from typing import NamedTuple
 
 import jax
@@ -8,7 +10,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from memsgyro_jax.device.gyro import Pair, Scalar
-from memsgyro_jax.device.propagate import State4, dot
+from memsgyro_jax.device.propagate import State4
+from memsgyro_jax.device.small import Matrix, Vector, plus
 
 
 class Covariance(NamedTuple):
@@ -19,25 +22,25 @@ class Covariance(NamedTuple):
     constants: Float[Array, "constants constants *lanes"]
 
 
-Matrix4 = tuple[tuple[Scalar, ...], ...]
 Column = tuple[tuple[int, float, Scalar], ...]
 Columns = tuple[Column, Column]
-Kick = tuple[Matrix4, Columns]
+Kick = tuple[Matrix, Columns]
+UPPER = tuple((i, j) for i in range(4) for j in range(i, 4))  # entries of an upper triangle
 
 
 class Rows(NamedTuple):
     """The motion rows of J P: 4×4 over the motion, 4 vectors over the constants."""
 
-    motion: tuple[tuple[Scalar, ...], ...]
-    constants: tuple[Array, ...]
+    motion: Matrix
+    constants: Vector
 
 
 class Predicted(NamedTuple):
     """Predicted motion, the motion rows of J P, and J itself: the motion's transition and the constants' kicks."""
 
-    mean: State4
+    mean: Vector
     rows: Rows
-    full: Matrix4
+    full: Matrix
     kicks: tuple[Kick, ...]
 
 
@@ -45,8 +48,8 @@ class Prediction(NamedTuple):
     """Covariance before a measurement. The constants' block is kept as it was, with what is to be done to it: writing
     it out here would cost a pass over the largest array of the step."""
 
-    motion: tuple[Scalar, ...]
-    cross: tuple[Array, ...]
+    motion: Vector
+    cross: Vector
     constants: Array
     faded: Scalar
     walk: Array
@@ -62,36 +65,27 @@ class Prediction(NamedTuple):
 class Gain(NamedTuple):
     """One scalar measurement: covariance of the state with it, that divided by its variance, and the variance."""
 
-    motion: tuple[Scalar, ...]
+    motion: Vector
     constants: Array
-    motion_gain: tuple[Scalar, ...]
+    motion_gain: Vector
     constant_gain: Array
     spread: Scalar
 
 
-def square(upper: tuple[Scalar, ...]) -> list[list[Scalar]]:
+def square(upper: tuple[Scalar, ...]) -> Matrix:
     """The 4x4 matrix of an upper triangle listed by rows."""
-    block: list[list[Scalar]] = [[0.0] * 4 for _ in range(4)]
-    entries = iter(upper)
-    for i in range(4):
-        for j in range(i, 4):
-            block[i][j] = block[j][i] = next(entries)
-    return block
+    table = dict(zip(UPPER, upper, strict=True))
+    return Matrix((table[min(i, j), max(i, j)] for j in range(4)) for i in range(4))
 
 
-def rows(covariance: Covariance, full: Matrix4, kicks: tuple[Kick, ...]) -> Rows:
+def rows(covariance: Covariance, full: Matrix, kicks: tuple[Kick, ...]) -> Rows:
     """The 4 motion rows of J P."""
-    block = square(covariance.motion)
-    motion = [[dot(row, tuple(block[k][j] for k in range(4))) for j in range(4)] for row in full]
-    constants = [combine(row, covariance.cross) for row in full]
+    motion, constants = full @ square(covariance.motion), combine(full, covariance.cross)
     cross, matrix = [entries(row) for row in covariance.cross], entries(covariance.constants)
     for kick, columns in kicks:
-        on_motion = [[gathered(column, cross[j]) for column in columns] for j in range(4)]
-        on_constants = [gathered(column, matrix) for column in columns]
-        for i, push in enumerate(kick):
-            motion[i] = [value + dot(push, tuple(on_motion[j])) for j, value in enumerate(motion[i])]
-            constants[i] = constants[i] + combine(push, on_constants)
-    return Rows(tuple(map(tuple, motion)), tuple(constants))
+        motion = motion + kick @ Matrix(gathered(columns, row) for row in cross).T
+        constants = constants + combine(kick, gathered(columns, matrix))
+    return Rows(motion, constants)
 
 
 def entries(vector: Array) -> tuple[Array, ...]:
@@ -99,9 +93,12 @@ def entries(vector: Array) -> tuple[Array, ...]:
     return tuple(part[0] for part in jax.lax.split(vector, (1,) * vector.shape[0]))
 
 
-def gathered(column: Column, vector: tuple[Array, ...]) -> Scalar:
-    """Acceleration of one axis by the constants `vector`; entries of `vector` may themselves be vectors."""
-    return sum(_signed(factor, beside(signal, vector[m]) * vector[m]) for m, factor, signal in column)
+def gathered(columns: Columns, vector: tuple[Array, ...]) -> Vector:
+    """Acceleration of both axes by the constants `vector`; its entries may themselves be vectors."""
+    return Vector(
+        reduce(plus, (_signed(factor, beside(signal, vector[m]) * vector[m]) for m, factor, signal in column), 0.0)
+        for column in columns
+    )
 
 
 def beside(number: Scalar, constants: Array) -> Array:
@@ -120,43 +117,38 @@ def _signed(factor: float, product: Array) -> Array:
     return product if factor == 1.0 else -product if factor == -1.0 else factor * product
 
 
-def combine(weights: tuple[Scalar, ...], vectors: tuple[Array, ...]) -> Array:
-    """Weighted sum of vectors of constants; weights are scalars of one die."""
-    pairs = zip(weights, vectors, strict=True)
-    return dot(tuple(w if isinstance(w, float) else beside(w, vector) for w, vector in pairs), tuple(vectors))
-
-
-def motion_block(predicted: Predicted) -> tuple[Scalar, ...]:
-    """Upper triangle of (J P) Jᵀ over the motion."""
-    across = predicted.rows
-    vectors = [entries(v) for v in across.constants]
-    kicked = [
-        [[gathered(column, vectors[i]) for column in columns] for i in range(4)] for _, columns in predicted.kicks
-    ]
-    upper = []
-    for i in range(4):
-        for j in range(i, 4):
-            value = dot(across.motion[i], predicted.full[j])
-            for (kick, _), gained in zip(predicted.kicks, kicked, strict=True):
-                value = value + dot(kick[j], tuple(gained[i]))
-            upper.append(value)
-    return tuple(upper)
-
-
-def add_diagonal(upper: tuple[Scalar, ...], intensity: State4, period: Scalar) -> tuple[Scalar, ...]:
-    """An upper triangle with `intensity * period` added to its diagonal."""
-    diagonal = {0: 0, 4: 1, 7: 2, 9: 3}  # positions of (i, i) in an upper triangle by rows
-    return tuple(p + intensity[diagonal[n]] * period if n in diagonal else p for n, p in enumerate(upper))
-
-
-def correct_mean(motion: State4, constants: Array, first: Gain, second: Gain, weights: Pair) -> tuple[State4, Array]:
-    """Motion and constants moved by the two (decorrelated) innovations `weights` through their gains."""
-    moved = tuple(
-        m + a * weights[0] + b * weights[1]
-        for m, a, b in zip(motion, first.motion_gain, second.motion_gain, strict=True)
+def combine(weights: Matrix, vectors: tuple[Array, ...]) -> Vector:
+    """`weights @ vectors` for vectors of constants; weights are scalars of one die."""
+    return Vector(
+        Vector(w if isinstance(w, float) else beside(w, v) for w, v in zip(row, vectors, strict=True)) @ vectors
+        for row in weights
     )
+
+
+def motion_block(predicted: Predicted) -> Vector:
+    """Upper triangle of (J P) Jᵀ over the motion."""
+    upper = _upper(predicted.rows.motion, predicted.full)
+    vectors = [entries(v) for v in predicted.rows.constants]
+    for kick, columns in predicted.kicks:
+        upper = upper + _upper([gathered(columns, vector) for vector in vectors], kick)
+    return upper
+
+
+def _upper(left: Sequence[Vector], right: Sequence[Vector]) -> Vector:
+    """Upper triangle of left @ rightᵀ."""
+    return Vector(left[i] @ right[j] for i, j in UPPER)
+
+
+def diagonal(entries: Vector) -> Vector:
+    """The upper triangle of a matrix that has `entries` on its diagonal and zeros beside it."""
+    return Vector(entries[i] if i == j else 0.0 for i, j in UPPER)
+
+
+def correct_mean(motion: Vector, constants: Array, first: Gain, second: Gain, weights: Pair) -> tuple[State4, Array]:
+    """Motion and constants moved by the two (decorrelated) innovations `weights` through their gains."""
+    moved = motion + first.motion_gain * weights[0] + second.motion_gain * weights[1]
     steps = (beside(w, constants) * gain.constant_gain for w, gain in zip(weights, (first, second), strict=True))
-    return moved, sum(steps, constants)
+    return tuple(moved), sum(steps, constants)
 
 
 def _faded(factor: Scalar, constants: Array) -> Array:
@@ -189,11 +181,8 @@ def _outer_square_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Ar
 
 def downdate(prior: Prediction, first: Gain, second: Gain) -> Covariance:
     """P - K₁v₁ᵀ - K₂v₂ᵀ, block by block; symmetric by construction."""
-    pairs = [(i, j) for i in range(4) for j in range(i, 4)]
-    motion = tuple(
-        p - first.motion_gain[i] * first.motion[j] - second.motion_gain[i] * second.motion[j]
-        for p, (i, j) in zip(prior.motion, pairs, strict=True)
-    )
+    first_part, second_part = (Vector(g.motion_gain[i] * g.motion[j] for i, j in UPPER) for g in (first, second))
+    motion = prior.motion - first_part - second_part
     cross = tuple(
         row
         - beside(first.motion_gain[i], row) * first.constants
@@ -209,4 +198,4 @@ def downdate(prior: Prediction, first: Gain, second: Gain) -> Covariance:
         - _outer_square(first_root)
         - _outer_square(second_root)
     )
-    return Covariance(motion, cross, constants)
+    return Covariance(tuple(motion), cross, constants)

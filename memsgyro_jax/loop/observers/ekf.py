@@ -20,20 +20,20 @@ from jaxtyping import Array, Float
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.gyro import AbstractGyro, MotionModel, Pair, Scalar, X, Y, check_positive
-from memsgyro_jax.device.propagate import AbstractDiscretisation, Exact, State4, Transition, advance, dot, fence
+from memsgyro_jax.device.propagate import AbstractDiscretisation, Exact, State4, Transition, fence
+from memsgyro_jax.device.small import Vector
 
 from ..readout import AbstractReadout, ChargeAmplifier
 from .base import MOTION, OFFSETS, AbstractCovarianceObserver, Clock, Estimate, Innovation
+from .channel import Channel, EstimatedDelay
 from .covariance import (
     Columns,
     Covariance,
-    Gain,
     Kick,
     Predicted,
     Prediction,
-    add_diagonal,
-    beside,
     correct_mean,
+    diagonal,
     downdate,
     entries,
     gathered,
@@ -214,10 +214,10 @@ class ExtendedKalmanFilter(AbstractCovarianceObserver[KalmanState]):
         """Mean and the rows of J P, linearised about the motion and constants in `about`."""
         theta = self._theta(about[1])
         dynamics = self.model.assemble(theta)
-        acceleration = tuple(g * f for g, f in zip(dynamics.gain, force, strict=True))
+        push = dynamics.gain * Vector(force)
         step = self.discretisation.transition(dynamics.stiffness, dynamics.velocity, clock.period)
-        inside = tuple(advance(about[0], acceleration, node.reach, node.push) for node in step.nodes)
-        mean = advance(about[0], acceleration, step.full, step.push)
+        inside = tuple(node.reach @ about[0] + node.push @ push for node in step.nodes)
+        mean = step.full @ about[0] + step.push @ push
         step, inside, mean = fence(clock.time, (step, inside, mean))
         kicks = tuple(
             (node.kick, self._columns((*motion, *force))) for node, motion in zip(step.nodes, inside, strict=True)
@@ -236,18 +236,29 @@ class ExtendedKalmanFilter(AbstractCovarianceObserver[KalmanState]):
         return tuple(map(tuple, columns))
 
     def _shift(
-        self, mean: State4, state: KalmanState, about: tuple, step: Transition, kicks: tuple[Kick, ...]
-    ) -> State4:
+        self, mean: Vector, state: KalmanState, about: tuple, step: Transition, kicks: tuple[Kick, ...]
+    ) -> Vector:
         """Carry a mean linearised elsewhere back to the filtered start; nothing to do in the first iteration."""
         if about[0] is state.motion:
             return mean
-        motion = tuple(a - b for a, b in zip(state.motion, about[0], strict=True))
+        mean = mean + step.full @ (Vector(state.motion) - about[0])
         constants = entries(state.constants - about[1])
-        moved = [m + dot(row, motion) for m, row in zip(mean, step.full, strict=True)]
         for kick, columns in kicks:
-            gained = tuple(gathered(column, constants) for column in columns)
-            moved = [m + dot(k, gained) for m, k in zip(moved, kick, strict=True)]
-        return tuple(moved)
+            mean = mean + kick @ gathered(columns, constants)
+        return mean
+
+    def _channels(self, motion: Vector, constants: Array) -> tuple[Channel, Channel]:
+        """Both measurements, linearised about a mean."""
+        channels = [
+            Channel(signal, scale, axis if self.with_offsets else None)
+            for axis, (signal, scale) in enumerate(zip(self.signals, self.scale, strict=True))
+        ]
+        for order, index in enumerate(self.estimated):
+            axis = self.model.coefficients[index].delays
+            if axis is not None:
+                delay = EstimatedDelay.of(self.scale[axis], motion[2 + axis], constants, self._first + order)
+                channels[axis] = channels[axis]._replace(delay=delay)
+        return channels[0], channels[1]
 
     def _variance(self, clock: Clock) -> Pair:
         factor = 0.5 / clock.period
@@ -257,87 +268,33 @@ class ExtendedKalmanFilter(AbstractCovarianceObserver[KalmanState]):
 
     def _correct(self, state: KalmanState, predicted: Predicted, measured: Pair, clock: Clock) -> "_Corrected":
         """Fading, process noise, and the two scalar measurements in turn."""
-        variance = self._variance(clock)
-        innovation = tuple(
-            z - (s * predicted.mean[signal] + o)
-            for z, s, signal, o in zip(measured, self.scale, self.signals, self._offset(state.constants), strict=True)
-        )
-        lags = self._lags(predicted.mean, state.constants)
-        innovation = tuple(z if lag is None else z - lag.volts for z, lag in zip(innovation, lags, strict=True))
+        variance, channels = self._variance(clock), self._channels(predicted.mean, state.constants)
+        innovation = self._innovation(measured, predicted.mean, state.constants, channels)
         motion, cross = motion_block(predicted), predicted.rows.constants
         faded, remembered = 1.0, ()
         if self.fading is not None:
-            spread = self._output_spread(motion, cross, state)
+            spread = tuple(channel.spread(motion, cross, state.covariance.constants) for channel in channels)
             faded, remembered = self.fading.factor(state.fading, spread, innovation, variance, clock.period)
-            motion, cross = tuple(faded * p for p in motion), tuple(faded * row for row in cross)
-        motion = add_diagonal(motion, self.process_noise.motion, clock.period)
-        prior = Prediction(motion, cross, state.covariance.constants, faded, self._walk(clock.period))
-        first = self._gain(prior, 0, variance[0], None, lags)
-        second = self._gain(prior, 1, variance[1], first, lags)
+            motion, cross = faded * motion, faded * cross
+        motion = motion + diagonal(Vector(self.process_noise.motion) * clock.period)
+        walk = self._constants(self.process_noise.offset, self.process_noise.theta) * clock.period
+        prior = Prediction(motion, cross, state.covariance.constants, faded, walk)
+        first = channels[0].gain(prior, variance[0])
+        second = channels[1].gain(prior, variance[1], first)
         first, second, innovation = fence(clock.time, (first, second, innovation))
-        shared = self._output(first.motion_gain, first.constant_gain, 1, lags[1])
+        shared = channels[1].of(first.motion_gain, first.constant_gain)
         weights = innovation[0], innovation[1] - shared * innovation[0]
         mean, constants = correct_mean(predicted.mean, state.constants, first, second, weights)
         seen = Innovation(weights, (first.spread, second.spread))
         new = KalmanState(mean, constants, downdate(prior, first, second), remembered, seen)
         return _Corrected(new, self._smoothed(state, predicted, weights, first, second, new, faded))
 
-    def _output(self, motion: tuple[Scalar, ...], constants: Array, axis: int, lag: "_Lag | None" = None) -> Scalar:
-        """The measured combination of a column: scale * signal + offset, less what a delay takes away."""
-        value = self.scale[axis] * motion[self.signals[axis]]
-        if lag is not None:
-            value = value + lag.by_velocity * motion[self.signals[axis] + 2] + lag.by_delay * constants[lag.place]
-        return value + entries(constants)[axis] if self.with_offsets else value
-
-    def _lags(self, motion: State4, constants: Array) -> tuple["_Lag | None", "_Lag | None"]:
-        """What the estimated delays do to the outputs: to first order, volts = scale * (x - delay * vx)."""
-        lags: list[_Lag | None] = [None, None]
-        for order, index in enumerate(self.estimated):
-            axis = self.model.coefficients[index].delays
-            if axis is not None:
-                place = self._first + order
-                by_velocity, by_delay = -self.scale[axis] * constants[place], -self.scale[axis] * motion[2 + axis]
-                lags[axis] = _Lag(by_velocity * motion[2 + axis], by_velocity, by_delay, place)
-        return lags[0], lags[1]
-
-    def _output_spread(self, motion: tuple[Scalar, ...], cross: tuple[Array, ...], state: KalmanState) -> Pair:
-        """Predicted variance of the two outputs before fading, noise and measurement noise."""
-        block = square(motion)
-        spread = []
-        for axis, signal in enumerate(self.signals):
-            value = self.scale[axis] ** 2 * block[signal][signal]
-            if self.with_offsets:
-                value = value + 2.0 * self.scale[axis] * cross[signal][axis] + state.covariance.constants[axis, axis]
-            spread.append(value)
-        return tuple(spread)
-
-    def _walk(self, period: Scalar) -> Array:
-        return self._constants(self.process_noise.offset, self.process_noise.theta) * period
-
-    def _gain(self, prior: Prediction, axis: int, variance: Scalar, earlier: Gain | None, lags: tuple) -> Gain:
-        """Covariance with the output of `axis`, given that output `earlier` has been taken."""
-        lag = lags[axis]
-        signal, scale = self.signals[axis], self.scale[axis]
-        block = square(prior.motion)
-        motion = tuple(scale * block[signal][i] for i in range(4))
-        constants = scale * prior.cross[signal]
-        if self.with_offsets:
-            motion = tuple(v + entries(prior.cross[i])[axis] for i, v in enumerate(motion))
-            constants = constants + prior.row(axis)
-        if lag is not None:
-            velocity, delay = block[signal + 2], [prior.cross[i][lag.place] for i in range(4)]
-            motion = tuple(
-                v + lag.by_velocity * p + lag.by_delay * c for v, p, c in zip(motion, velocity, delay, strict=True)
-            )
-            constants = constants + lag.by_velocity * prior.cross[signal + 2] + lag.by_delay * prior.row(lag.place)
-        if earlier is not None:
-            shared = self._output(earlier.motion, earlier.constants, axis, lag)
-            motion = tuple(v - k * shared for v, k in zip(motion, earlier.motion_gain, strict=True))
-            constants = constants - earlier.constant_gain * beside(shared, constants)
-        spread = self._output(motion, constants, axis, lag) + variance
-        inverse = 1.0 / spread
-        return Gain(
-            motion, constants, tuple(v * inverse for v in motion), constants * beside(inverse, constants), spread
+    def _innovation(self, measured: Pair, mean: Vector, constants: Array, channels: tuple[Channel, Channel]) -> Pair:
+        """What was measured less what was expected."""
+        parts = zip(measured, channels, self._offset(constants), strict=True)
+        found = tuple(z - (channel.scale * mean[channel.signal] + offset) for z, channel, offset in parts)
+        return tuple(
+            z if channel.delay is None else z - channel.delay.volts for z, channel in zip(found, channels, strict=True)
         )
 
     def _smoothed(self, state, predicted, weights, first, second, new, faded) -> tuple:
@@ -346,27 +303,14 @@ class ExtendedKalmanFilter(AbstractCovarianceObserver[KalmanState]):
             return new.motion, new.constants
         # Cov(start, output) = (rows of J P) transposed, through the measurement; only the motion entries are needed.
         # Fading stands for a wider covariance of the start.
-        offsets = state.covariance.cross if self.with_offsets else None
-        start = []
-        for i in range(4):
-            seen = [self.scale[a] * predicted.rows.motion[self.signals[a]][i] for a in (0, 1)]
-            if offsets is not None:
-                seen = [value + offsets[i][a] for a, value in enumerate(seen)]
-            seen = [faded * value for value in seen]
-            second_seen = seen[1] - self._output(first.motion_gain, first.constant_gain, 1) * seen[0]
-            start.append(
-                state.motion[i] + seen[0] * weights[0] / first.spread + second_seen * weights[1] / second.spread
-            )
+        channels = self._channels(predicted.mean, state.constants)
+        seen = [channel.scale * predicted.rows.motion[channel.signal] for channel in channels]
+        if self.with_offsets:
+            seen = [s + Vector(row[axis] for row in state.covariance.cross) for axis, s in enumerate(seen)]
+        seen = [faded * s for s in seen]
+        second_seen = seen[1] - channels[1].of(first.motion_gain, first.constant_gain) * seen[0]
+        start = state.motion + seen[0] * weights[0] / first.spread + second_seen * weights[1] / second.spread
         return tuple(start), new.constants
-
-
-class _Lag(NamedTuple):
-    """Of a delayed channel: its volts, their derivatives by velocity and by delay, and the delay's place."""
-
-    volts: Scalar
-    by_velocity: Scalar
-    by_delay: Scalar
-    place: int
 
 
 class _Corrected(NamedTuple):

@@ -9,6 +9,7 @@ import numpy as np
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.gyro import UX, VX, AbstractGyro, MotionModel, Pair, Scalar, check_positive, number
 from memsgyro_jax.device.propagate import AbstractDiscretisation, Exact, State4, fence
+from memsgyro_jax.device.small import Vector
 
 from ..readout import AbstractReadout
 from .base import AbstractObserver, Clock, Estimate
@@ -95,19 +96,16 @@ class LyapunovObserver(AbstractObserver[LyapunovState]):
     def update(self, state: LyapunovState, measured: Pair, force: Pair, clock: Clock) -> LyapunovState:
         """Exact prediction with the present coefficients, then the correction by the velocity error."""
         dynamics = self.model.assemble(state.theta)
-        acceleration = tuple(g * f for g, f in zip(dynamics.gain, force, strict=True))
         motion = self.discretisation.advance(
-            state.motion, acceleration, dynamics.stiffness, dynamics.velocity, clock.period
+            state.motion, dynamics.gain * Vector(force), dynamics.stiffness, dynamics.velocity, clock.period
         )
         motion = fence(clock.time, motion)
         speed = self.length * self.frequency
-        parts = zip(measured, self.offset, self.scale, motion[2:], strict=True)
-        error = tuple(((z - offset) / scale - v) / speed for z, offset, scale, v in parts)
+        error = ((Vector(measured) - self.offset) / self.scale - motion[2:]) / speed
         # A constant gain l closes 1 - exp(-l h) of the error in a sample of (scaled) length h; its integral is that
         # over l.
-        closed = tuple(-jnp.expm1(-gain * self.frequency * clock.period) for gain in self.gain)
-        velocity = tuple(v + c * e * speed for v, c, e in zip(motion[2:], closed, error, strict=True))
-        driven = tuple(c * e / gain for c, e, gain in zip(closed, error, self.gain, strict=True))
+        closed = Vector(-jnp.expm1(-gain * self.frequency * clock.period) for gain in self.gain) * error
+        velocity, driven = Vector(motion[2:]) + closed * speed, closed / self.gain
         return LyapunovState((*motion[:2], *velocity), self._adapted(state.theta, (*motion, *force), driven))
 
     def estimate(self, state: LyapunovState) -> Estimate:
