@@ -13,7 +13,7 @@ import memsgyro_jax
 SCRIPT = """
 import memsgyro_jax as mg
 
-gyro = mg.SingleMassGyro.chi2010()
+gyro = mg.SingleMassGyro.chi2010().with_effect(mg.effects.CubicStiffness("x", 8e8))
 readout = mg.DirectReadout(scale=1e5, noise_density=1e-6)
 controller = mg.DampingCompensation(mg.Tone(600.0, 53.95))
 loop = mg.ClosedLoop(gyro, readout, mg.ExtendedKalmanFilter.for_device(gyro, readout), controller)

@@ -13,6 +13,7 @@ from jaxtyping import Array
 from memsgyro_jax.base.concrete import is_concrete
 from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.fields import AbstractVar
 
 
 class AbstractEffect(Displayed):
@@ -20,7 +21,7 @@ class AbstractEffect(Displayed):
 
     name: ClassVar[str] = ""
 
-    strength: eqx.AbstractVar[Array]
+    strength: AbstractVar[Array]
 
     @property
     @abc.abstractmethod

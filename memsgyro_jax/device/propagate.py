@@ -15,6 +15,7 @@ import numpy as np
 
 from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.fields import AbstractVar
 
 from .gyro import Dynamics, Pair, Scalar
 from .small import Matrix, Vector, identity, zeros
@@ -53,7 +54,7 @@ class Transition(eqx.Module):
 class AbstractAddition(eqx.Module):
     """What a device has beside its linear equations during a sample: accelerations, and own states of theirs."""
 
-    period: eqx.AbstractVar[Scalar]
+    period: AbstractVar[Scalar]
 
     @abc.abstractmethod
     def rates(self, motion: State4, own: tuple[Scalar, ...]) -> tuple[Pair, tuple[Scalar, ...]]:

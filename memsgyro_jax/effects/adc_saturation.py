@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from .base import Moment, ReadoutEffect, strength
+from .base import Moment, ReadoutEffect, Scalar, strength
 from .scan import Coverage, Scanned
 
 
@@ -22,7 +22,7 @@ class AdcSaturation(Scanned, ReadoutEffect):
     scanned = ("strength",)
     last = True
     sharp = True
-    strength: Array = strength()
+    strength: Scalar = strength()
 
     def signal(self, volts: Array, now: Moment) -> Array:
         present = self.strength > 0

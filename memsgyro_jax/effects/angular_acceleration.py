@@ -3,7 +3,7 @@
 from jaxtyping import Array
 
 from .axes import Planar, turned
-from .base import ForceEffect, Moment, strength
+from .base import ForceEffect, Moment, Scalar, strength
 
 
 class AngularAcceleration(Planar, ForceEffect):
@@ -16,7 +16,7 @@ class AngularAcceleration(Planar, ForceEffect):
 
     name, unit, law = "angular_acceleration", "1", "F_x = +s·m·Ω'·y, F_y = −s·m·Ω'·x; physics says 1"
     reference = "Goldstein, Classical Mechanics, section 4.10"
-    strength: Array = strength()
+    strength: Scalar = strength()
 
     def force(self, now: Moment) -> Array:
         return self.strength * now.angular_acceleration * now.device.mass(1) * turned(now.displacement)

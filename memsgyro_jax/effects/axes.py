@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.fields import AbstractVar
 
 from .base import Effect, Moment, on_one_axis
 
@@ -47,8 +48,8 @@ class Coupling(Effect):
 
     straight: ClassVar[bool] = False
 
-    source: eqx.AbstractVar[int]
-    target: eqx.AbstractVar[int]
+    source: AbstractVar[Any]
+    target: AbstractVar[Any]
 
     def __check_init__(self):
         if self.source == self.target and not self.straight:

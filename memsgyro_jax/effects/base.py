@@ -19,6 +19,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from memsgyro_jax.base.fields import AbstractVar
+from memsgyro_jax.base.fields import Scalar as Scalar
 from memsgyro_jax.device.carried import AbstractEffect
 from memsgyro_jax.device.normalised import NormalisedDevice
 
@@ -87,7 +89,7 @@ class Effect(AbstractEffect):
     own_size: ClassVar[int] = 0
     own_is_linear: ClassVar[bool] = False
 
-    strength: eqx.AbstractVar[Array]
+    strength: AbstractVar[Array]
 
     @property
     def where(self) -> str:

@@ -2,7 +2,7 @@
 
 from jaxtyping import Array
 
-from .base import ForceEffect, Moment, strength
+from .base import ForceEffect, Moment, Scalar, strength
 
 
 class Centrifugal(ForceEffect):
@@ -16,7 +16,7 @@ class Centrifugal(ForceEffect):
 
     name, unit, law = "centrifugal", "1", "F = +s·m·Ω²·q; physics says 1"
     reference = "Goldstein, Classical Mechanics, section 4.10"
-    strength: Array = strength()
+    strength: Scalar = strength()
 
     def force(self, now: Moment) -> Array:
         return self.strength * now.rate**2 / now.device.mobility * now.displacement

@@ -3,7 +3,7 @@
 from jaxtyping import Array
 
 from .axes import Planar, turned
-from .base import ForceEffect, Moment, strength
+from .base import ForceEffect, Moment, Scalar, strength
 
 
 class CrossDampingAsymmetry(Planar, ForceEffect):
@@ -18,7 +18,7 @@ class CrossDampingAsymmetry(Planar, ForceEffect):
 
     name, unit, law = "cross_damping_asymmetry", "N·s/m", "F_x = −s/2·y', F_y = +s/2·x'"
     reference = "IEEE Std 1431-2004"
-    strength: Array = strength()
+    strength: Scalar = strength()
 
     def force(self, now: Moment) -> Array:
         return -0.5 * self.strength * turned(now.velocity)

@@ -3,7 +3,7 @@
 from jaxtyping import Array
 
 from .axes import Planar
-from .base import ForceEffect, Moment, strength
+from .base import ForceEffect, Moment, Scalar, strength
 
 
 class CrossStiffness(Planar, ForceEffect):
@@ -18,7 +18,7 @@ class CrossStiffness(Planar, ForceEffect):
 
     name, unit, law = "cross_stiffness", "N/m³", "F_x = −s·x·y², F_y = −s·x²·y"
     reference = "Westra et al., Phys. Rev. Lett. 105 (2010) 117205"
-    strength: Array = strength()
+    strength: Scalar = strength()
 
     def force(self, now: Moment) -> Array:
         q = now.displacement

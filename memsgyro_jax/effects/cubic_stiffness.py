@@ -3,7 +3,7 @@
 from jaxtyping import Array
 
 from .axes import on_axis
-from .base import ForceEffect, Moment, strength
+from .base import ForceEffect, Moment, Scalar, strength
 
 
 class CubicStiffness(ForceEffect):
@@ -18,8 +18,8 @@ class CubicStiffness(ForceEffect):
 
     name, unit, law = "cubic_stiffness", "N/m³", "F = −s·q³"
     reference = "Kaajakari et al., J. Microelectromech. Syst. 13 (2004) 715"
-    axis: int = on_axis()
-    strength: Array = strength()
+    axis: int | str = on_axis()
+    strength: Scalar = strength()
 
     def force(self, now: Moment) -> Array:
         return self.along(now, -self.strength * now.displacement[self.axis] ** 3)

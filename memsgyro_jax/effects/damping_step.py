@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from .base import ForceEffect, Moment, strength
+from .base import ForceEffect, Moment, Scalar, strength
 from .scan import Coverage, Scanned
 
 
@@ -23,9 +23,9 @@ class DampingStep(Scanned, ForceEffect):
     name, unit, law = "damping_step", "1", "all dampings · (1 + s) after time t0 of one record"
     reference = "Candler et al., J. Microelectromech. Syst. 15 (2006) 1446"
     scanned = ("record", "time")
-    strength: Array = strength()
-    time: Array = eqx.field(converter=jnp.asarray, default=0.0)
-    record: Array = eqx.field(converter=jnp.asarray, default=0.0)
+    strength: Scalar = strength()
+    time: Scalar = eqx.field(converter=jnp.asarray, default=0.0)
+    record: Scalar = eqx.field(converter=jnp.asarray, default=0.0)
 
     def force(self, now: Moment) -> Array:
         since = (now.time >= self.time) & (now.record == self.record)

@@ -3,7 +3,7 @@
 from jaxtyping import Array
 
 from .axes import on_axis
-from .base import DriveEffect, Moment, strength
+from .base import DriveEffect, Moment, Scalar, strength
 
 
 class DriveNonlinearity(DriveEffect):
@@ -17,8 +17,8 @@ class DriveNonlinearity(DriveEffect):
 
     name, unit, law = "drive_nonlinearity", "1/N", "u → u + s·u²"
     reference = "Tang et al., Sens. Actuators A 21 (1990) 328"
-    axis: int = on_axis()
-    strength: Array = strength()
+    axis: int | str = on_axis()
+    strength: Scalar = strength()
 
     def applied(self, command: Array, now: Moment) -> Array:
         return command + self.along(now, self.strength * command[self.axis] ** 2)

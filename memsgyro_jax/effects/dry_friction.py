@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from .axes import on_axis
-from .base import ForceEffect, Moment, strength
+from .base import ForceEffect, Moment, Scalar, strength
 
 
 class DryFriction(ForceEffect):
@@ -24,10 +24,10 @@ class DryFriction(ForceEffect):
 
     name, unit, law = "dry_friction", "N", "F = −s·sign(v)"
     reference = "Den Hartog, Trans. ASME APM-53-9 (1931) 107"
-    axis: int = on_axis()
-    strength: Array = strength(sign=+1)
-    creep: Array = eqx.field(converter=jnp.asarray, default=1e-7)
-    rounding: Array = eqx.field(converter=jnp.asarray, default=0.1)
+    axis: int | str = on_axis()
+    strength: Scalar = strength(sign=+1)
+    creep: Scalar = eqx.field(converter=jnp.asarray, default=1e-7)
+    rounding: Scalar = eqx.field(converter=jnp.asarray, default=0.1)
 
     def force(self, now: Moment) -> Array:
         q, v = now.displacement[self.axis], now.velocity[self.axis]

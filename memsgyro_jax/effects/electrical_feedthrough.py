@@ -5,7 +5,7 @@ from typing import ClassVar
 from jaxtyping import Array
 
 from .axes import Coupling, on_axis
-from .base import Moment, ReadoutEffect, strength
+from .base import Moment, ReadoutEffect, Scalar, strength
 
 
 class ElectricalFeedthrough(Coupling, ReadoutEffect):
@@ -22,9 +22,9 @@ class ElectricalFeedthrough(Coupling, ReadoutEffect):
     name, unit, law = "electrical_feedthrough", "V/N", "V_channel → V_channel + s·u_drive"
     reference = "Lee and Seshia, Sens. Actuators A 156 (2009) 36"
     straight: ClassVar[bool] = True
-    source: int = on_axis("x")
-    target: int = on_axis("x")
-    strength: Array = strength()
+    source: int | str = on_axis("x")
+    target: int | str = on_axis("x")
+    strength: Scalar = strength()
 
     def signal(self, volts: Array, now: Moment) -> Array:
         return volts + self.strength * self.across(now, now.command)

@@ -3,7 +3,7 @@
 from jaxtyping import Array
 
 from .axes import on_axis
-from .base import ForceEffect, Moment, strength
+from .base import ForceEffect, Moment, Scalar, strength
 
 
 class ElectrostaticSoftening(ForceEffect):
@@ -17,8 +17,8 @@ class ElectrostaticSoftening(ForceEffect):
 
     name, unit, law = "electrostatic_softening", "N/(m·V²)", "F = +s·(V_bias² − V_ref²)·q"
     reference = "Nathanson et al., IEEE Trans. Electron Devices 14 (1967) 117"
-    axis: int = on_axis()
-    strength: Array = strength()
+    axis: int | str = on_axis()
+    strength: Scalar = strength()
 
     def force(self, now: Moment) -> Array:
         excess = now.bias_voltage**2 - now.reference_bias**2

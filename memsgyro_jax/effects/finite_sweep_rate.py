@@ -2,7 +2,7 @@
 
 from jaxtyping import Array
 
-from .base import SweepEffect, strength
+from .base import Scalar, SweepEffect, strength
 
 
 class FiniteSweepRate(SweepEffect):
@@ -16,7 +16,7 @@ class FiniteSweepRate(SweepEffect):
 
     name, unit, law = "finite_sweep_rate", "rad/s²", "dω/dt = s while a sweep is recorded"
     reference = "Lewis, Trans. ASME 54 (1932) 253"
-    strength: Array = strength()
+    strength: Scalar = strength()
 
     def speed(self) -> Array:
         return self.strength

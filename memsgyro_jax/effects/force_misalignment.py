@@ -3,7 +3,7 @@
 from jaxtyping import Array
 
 from .axes import Coupling, on_axis
-from .base import DriveEffect, Moment, strength
+from .base import DriveEffect, Moment, Scalar, strength
 
 
 class ForceMisalignment(Coupling, DriveEffect):
@@ -16,9 +16,9 @@ class ForceMisalignment(Coupling, DriveEffect):
 
     name, unit, law = "force_misalignment", "1", "u_target → u_target + s·u_source"
     reference = "Shkel et al., Proc. American Control Conference (1999) 2119"
-    source: int = on_axis("x")
-    target: int = on_axis("y")
-    strength: Array = strength()
+    source: int | str = on_axis("x")
+    target: int | str = on_axis("y")
+    strength: Scalar = strength()
 
     def applied(self, command: Array, now: Moment) -> Array:
         return command + self.strength * self.across(now, command)

@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Array
 
 from .axes import on_axis
-from .base import ForceEffect, Moment, strength
+from .base import ForceEffect, Moment, Scalar, strength
 from .numbers import parameter
 from .scan import Coverage, Scanned
 
@@ -24,8 +24,8 @@ class ParasiticMode(Scanned, ForceEffect):
     reference = "Den Hartog, Mechanical Vibrations, chapter 3"
     own_size, own_is_linear = 2, True
     scanned = ("omega",)
-    axis: int = on_axis()
-    strength: Array = strength(sign=+1)
+    axis: int | str = on_axis()
+    strength: Scalar = strength(sign=+1)
     omega: Array = parameter(start=2 * np.pi * 20e3, low=0.0, unit="rad/s")
     quality: Array = parameter(start=100.0, low=0.5)
 

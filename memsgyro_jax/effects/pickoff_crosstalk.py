@@ -3,7 +3,7 @@
 from jaxtyping import Array
 
 from .axes import Coupling, on_axis
-from .base import Moment, ReadoutEffect, strength
+from .base import Moment, ReadoutEffect, Scalar, strength
 
 
 class PickoffCrosstalk(Coupling, ReadoutEffect):
@@ -18,9 +18,9 @@ class PickoffCrosstalk(Coupling, ReadoutEffect):
 
     name, unit, law = "pickoff_crosstalk", "1", "V_target → V_target + s·scale·q_source"
     reference = "Weinberg and Kourepenis, J. Microelectromech. Syst. 15 (2006) 479"
-    source: int = on_axis("x")
-    target: int = on_axis("y")
-    strength: Array = strength()
+    source: int | str = on_axis("x")
+    target: int | str = on_axis("y")
+    strength: Scalar = strength()
 
     def signal(self, volts: Array, now: Moment) -> Array:
         return volts + self.strength * now.scale * self.across(now, now.displacement)

@@ -3,7 +3,7 @@
 from jaxtyping import Array
 
 from .axes import on_axis
-from .base import Moment, ReadoutEffect, strength
+from .base import Moment, ReadoutEffect, Scalar, strength
 
 
 class PickoffCubicNonlinearity(ReadoutEffect):
@@ -19,8 +19,8 @@ class PickoffCubicNonlinearity(ReadoutEffect):
 
     name, unit, law = "pickoff_cubic_nonlinearity", "1/m²", "q → q + s·q³"
     reference = "Trusov and Shkel, J. Micromech. Microeng. 17 (2007) 1583"
-    axis: int = on_axis()
-    strength: Array = strength()
+    axis: int | str = on_axis()
+    strength: Scalar = strength()
 
     def signal(self, volts: Array, now: Moment) -> Array:
         return volts + now.scale * self.along(now, self.strength * now.displacement[self.axis] ** 3)

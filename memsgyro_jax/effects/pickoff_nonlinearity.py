@@ -3,7 +3,7 @@
 from jaxtyping import Array
 
 from .axes import on_axis
-from .base import Moment, ReadoutEffect, strength
+from .base import Moment, ReadoutEffect, Scalar, strength
 
 
 class PickoffNonlinearity(ReadoutEffect):
@@ -17,8 +17,8 @@ class PickoffNonlinearity(ReadoutEffect):
 
     name, unit, law = "pickoff_nonlinearity", "1/m", "q → q + s·q²"
     reference = "Trusov and Shkel, J. Micromech. Microeng. 17 (2007) 1583"
-    axis: int = on_axis()
-    strength: Array = strength()
+    axis: int | str = on_axis()
+    strength: Scalar = strength()
 
     def signal(self, volts: Array, now: Moment) -> Array:
         return volts + now.scale * self.along(now, self.strength * now.displacement[self.axis] ** 2)

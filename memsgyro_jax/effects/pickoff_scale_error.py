@@ -3,7 +3,7 @@
 from jaxtyping import Array
 
 from .axes import on_axis
-from .base import Moment, ReadoutEffect, strength
+from .base import Moment, ReadoutEffect, Scalar, strength
 
 
 class PickoffScaleError(ReadoutEffect):
@@ -17,8 +17,8 @@ class PickoffScaleError(ReadoutEffect):
 
     name, unit, law = "pickoff_scale_error", "1", "q → (1 + s)·q"
     reference = "IEEE Std 1431-2004"
-    axis: int = on_axis()
-    strength: Array = strength()
+    axis: int | str = on_axis()
+    strength: Scalar = strength()
 
     def signal(self, volts: Array, now: Moment) -> Array:
         return volts + now.scale * self.along(now, self.strength * now.displacement[self.axis])

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from .axes import on_axis
-from .base import ForceEffect, Moment, strength
+from .base import ForceEffect, Moment, Scalar, strength
 
 
 class QuadraticDamping(ForceEffect):
@@ -17,8 +17,8 @@ class QuadraticDamping(ForceEffect):
 
     name, unit, law = "quadratic_damping", "N·s²/m²", "F = −s·|v|·v"
     reference = "Nayfeh and Mook, Nonlinear Oscillations, 1979, chapter 3"
-    axis: int = on_axis()
-    strength: Array = strength(sign=+1)
+    axis: int | str = on_axis()
+    strength: Scalar = strength(sign=+1)
 
     def force(self, now: Moment) -> Array:
         v = now.velocity[self.axis]

@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Array
 
 from .axes import Planar, coriolis
-from .base import ForceEffect, Moment, strength
+from .base import ForceEffect, Moment, Scalar, strength
 
 
 TERMS = 6
@@ -23,7 +23,7 @@ class RateBiasDrift(Planar, ForceEffect):
 
     name, unit, law = "rate_bias_drift", "rad/s", "Ω → Ω + Σ s_k·sin(π·(k−½)·t/T), k = 1 ... 6"
     reference = "IEEE Std 1431-2004, rate random walk"
-    strength: Array = strength((0.0,) * TERMS)
+    strength: Scalar = strength((0.0,) * TERMS)
 
     def force(self, now: Moment) -> Array:
         first = jnp.sin(0.5 * np.pi * now.progress)

@@ -3,7 +3,7 @@
 from jaxtyping import Array
 
 from .axes import Planar, coriolis
-from .base import ForceEffect, Moment, strength
+from .base import ForceEffect, Moment, Scalar, strength
 
 
 class RateOffset(Planar, ForceEffect):
@@ -18,7 +18,7 @@ class RateOffset(Planar, ForceEffect):
 
     name, unit, law = "rate_offset", "rad/s", "Ω → Ω + s where the rate is not calibrated"
     reference = "IEEE Std 1431-2004, bias"
-    strength: Array = strength()
+    strength: Scalar = strength()
 
     def force(self, now: Moment) -> Array:
         return coriolis(now, self.strength * (1.0 - now.rate_trusted))

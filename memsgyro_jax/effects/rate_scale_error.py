@@ -3,7 +3,7 @@
 from jaxtyping import Array
 
 from .axes import Planar, coriolis
-from .base import ForceEffect, Moment, strength
+from .base import ForceEffect, Moment, Scalar, strength
 
 
 class RateScaleError(Planar, ForceEffect):
@@ -17,7 +17,7 @@ class RateScaleError(Planar, ForceEffect):
 
     name, unit, law = "rate_scale_error", "1", "Ω → Ω·(1 + s)"
     reference = "IEEE Std 1431-2004, scale factor error"
-    strength: Array = strength()
+    strength: Scalar = strength()
 
     def force(self, now: Moment) -> Array:
         return coriolis(now, self.strength * now.rate)

@@ -2,7 +2,7 @@
 
 from jaxtyping import Array
 
-from .base import Moment, ReadoutEffect, strength
+from .base import Moment, ReadoutEffect, Scalar, strength
 
 
 class ReadoutDelay(ReadoutEffect):
@@ -17,7 +17,7 @@ class ReadoutDelay(ReadoutEffect):
 
     name, unit, law = "readout_delay", "s", "V(t) of q(t − s)"
     reference = "Saukoski, Aaltonen and Halonen, IEEE Sensors J. 7 (2007) 1639"
-    strength: Array = strength(sign=+1)
+    strength: Scalar = strength(sign=+1)
 
     def signal(self, volts: Array, now: Moment) -> Array:
         return volts - now.scale * lag(self.strength, now.velocity, now.acceleration, now.jerk)

@@ -3,7 +3,7 @@
 from jaxtyping import Array
 
 from .axes import on_axis
-from .base import ForceEffect, Moment, strength
+from .base import ForceEffect, Moment, Scalar, strength
 
 
 class SqueezeFilmDamping(ForceEffect):
@@ -18,8 +18,8 @@ class SqueezeFilmDamping(ForceEffect):
 
     name, unit, law = "squeeze_film_damping", "N·s/m³", "F = −s·q²·v"
     reference = "Zaitsev et al., Nonlinear Dynamics 67 (2012) 859; Bao and Yang, Sens. Actuators A 136 (2007) 3"
-    axis: int = on_axis()
-    strength: Array = strength(sign=+1)
+    axis: int | str = on_axis()
+    strength: Scalar = strength(sign=+1)
 
     def force(self, now: Moment) -> Array:
         q, v = now.displacement[self.axis], now.velocity[self.axis]

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from .base import ForceEffect, Moment, strength
+from .base import ForceEffect, Moment, Scalar, strength
 
 
 class ThermalStiffness(ForceEffect):
@@ -18,7 +18,7 @@ class ThermalStiffness(ForceEffect):
 
     name, unit, law = "thermal_drift", "1/K", "k_xx and k_yy · (1 + s·ΔT)"
     reference = "Hopcroft, Nix and Kenny, J. Microelectromech. Syst. 19 (2010) 229"
-    strength: Array = strength()
+    strength: Scalar = strength()
 
     @property
     def where(self) -> str:
@@ -41,7 +41,7 @@ class ThermalDamping(ForceEffect):
 
     name, unit, law = "thermal_drift", "1/K", "d_xx and d_yy · (1 + s·ΔT)"
     reference = "Kim et al., J. Microelectromech. Syst. 17 (2008) 755"
-    strength: Array = strength()
+    strength: Scalar = strength()
 
     @property
     def where(self) -> str:

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float, PyTree
 
+from memsgyro_jax.base.fields import AbstractVar
 from memsgyro_jax.device.conditions import Conditions
 
 from ..declared import Declared
@@ -77,9 +78,9 @@ class Experiment(eqx.Module):
     shows_modes: ClassVar[bool] = False  # a parasitic mode is looked for here first
     slow: ClassVar[bool] = False  # to predict: a scan takes a coarse net
 
-    name: eqx.AbstractVar[str]
-    measured: eqx.AbstractVar[Array]
-    noise: eqx.AbstractVar[Noise]
+    name: AbstractVar[str]
+    measured: AbstractVar[Array]
+    noise: AbstractVar[Noise]
 
     @abc.abstractmethod
     def predict(self, bench: PyTree) -> Array:
