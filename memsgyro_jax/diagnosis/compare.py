@@ -22,7 +22,6 @@ from memsgyro_jax.measurement.readings import model_of
 
 from .fit import CaseFit, RecordError, fit_case
 from .misfit import LEVEL, Check, check_all
-from .series import series_of
 
 
 if TYPE_CHECKING:
@@ -199,7 +198,7 @@ def compare(
 
 def judged(fit: CaseFit, *, level: float = LEVEL, fitted: bool = True) -> Comparison:
     """Every test on the residuals of a fit that was made already."""
-    series = series_of(fit)
+    series = tuple(r.series(d) for r, d in fit.deviations)
     return Comparison(fit, series, check_all(series, level), level, fitted)
 
 

@@ -17,8 +17,9 @@ from memsgyro_jax.base.text import combination, suggestion
 from memsgyro_jax.device.gyro import SingleMassGyro
 from memsgyro_jax.device.resonator import Resonator
 from memsgyro_jax.effects.base import Effect
-from memsgyro_jax.measurement.case import Case
+from memsgyro_jax.measurement.case import AbstractRecord, Case
 from memsgyro_jax.measurement.experiments import Deviation
+from memsgyro_jax.measurement.experiments.missing_force import MissingForce
 from memsgyro_jax.measurement.least_squares import gate
 from memsgyro_jax.measurement.linear_start import starting_device
 from memsgyro_jax.measurement.model import Model, check_effect
@@ -222,6 +223,18 @@ class CaseFit(Shown):
         """How far a record of the case lies from the model, with all that a kind of measurement judges it by."""
         mine = tuple(r for r in self.joint.readings if np.any(r.record == record))
         return Deviation(self.model, self.case, record, self.whitened[record], self.predicted(record), mine)
+
+    @property
+    def deviations(self) -> tuple[tuple[AbstractRecord, Deviation], ...]:
+        """Every record of which a row is compared, with its deviation."""
+        compared = [k for k, white in enumerate(self.whitened) if np.isfinite(white).any()]
+        return tuple((self.case.records[k], self.deviation(k)) for k in compared)
+
+    @cached_property
+    def missing_forces(self) -> tuple[MissingForce, ...]:
+        """The force that the model lacks, as each compared record shows it, in their order."""
+        found = [record.missing_force(deviation) for record, deviation in self.deviations]
+        return tuple(one for one in found if one is not None)
 
     def __str__(self) -> str:
         width = max(len(e.name) for e in self.errors)

@@ -100,15 +100,13 @@ def _errors(out: Page, diagnosis: Diagnosis) -> None:
 
 def _records(out: Page, diagnosis: Diagnosis) -> None:
     out.section("Measured and predicted")
-    for number, record in enumerate(diagnosis.case.records):
-        base, final = (fit.deviation(number) for fit in (diagnosis.base, diagnosis.final))
-        if np.isfinite(base.white).any():
-            overlay = record.overlay(base, final)
-            if any(view.curves for view in overlay.views):
-                figure = figures.overlay_figure(record, base, final, overlay.views)
-            else:
-                figure = figures.residual_figure(base, final, overlay.views)
-            out.figure(figure, f"{record.name}: {overlay.caption}." if overlay.caption else f"{record.name}.")
+    for (record, base), (_, final) in zip(diagnosis.base.deviations, diagnosis.final.deviations, strict=True):
+        overlay = record.overlay(base, final)
+        if any(view.curves for view in overlay.views):
+            figure = figures.overlay_figure(record, base, final, overlay.views)
+        else:
+            figure = figures.residual_figure(base, final, overlay.views)
+        out.figure(figure, f"{record.name}: {overlay.caption}." if overlay.caption else f"{record.name}.")
 
 
 def _ranking(out: Page, diagnosis: Diagnosis) -> None:

@@ -24,7 +24,7 @@ class StaticDeflection(Experiment):
     def predict(self, bench):
         def row(force, around, n=bench.axes):
             state = jnp.zeros(bench.size)
-            for _ in range(6):  # Newton's steps towards rest
+            for _ in range(4):  # Newton's steps towards rest
                 slope = jax.jacfwd(bench.derivative)(state, force, around)[n : 2 * n, :n]
                 state = state.at[:n].add(-jnp.linalg.solve(slope, bench.derivative(state, force, around)[n : 2 * n]))
             return bench.observe(state, force, jnp.zeros(n), around)
