@@ -140,9 +140,9 @@ def test_a_circle_for_type_checkers_is_found(tmp_path, monkeypatch):
 
 # Names that still stand for two things; none may join them.
 TWICE = {
-    "Coefficient", "Conditions", "ElectricalFeedthrough", "Entry", "Estimate", "FiniteSweepRate", "Lot", "Part",
-    "Plan", "Run", "Step", "Table", "TimeRecord", "beside", "check", "compare", "diagnose", "estimated_noise",
-    "fit", "identify", "logarithmic", "page", "rate_figure", "rows", "run", "simulate", "sweep", "sweep_lag",
+    "Conditions", "Entry", "Lot", "Part",
+    "Plan", "Run", "Step", "Table", "TimeRecord", "check", "compare", "diagnose", "estimated_noise",
+    "fit", "identify", "logarithmic", "page", "rate_figure", "rows", "run", "simulate", "sweep",
     "times", "tune", "turned",
 }  # fmt: skip
 

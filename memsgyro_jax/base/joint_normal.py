@@ -32,18 +32,23 @@ class JointNormal:
 
     @classmethod
     def of(
-        cls, paths: Sequence[str], function: Callable, vector: np.ndarray, root: np.ndarray, loose: np.ndarray
+        cls, paths: Sequence[str], device: Callable, vector: np.ndarray, root: np.ndarray, loose: np.ndarray
     ) -> "JointNormal":
-        """Of `function` of a vector (k,) with covariance root·rootᵀ, by linear propagation; what depends on an entry
-        that is `loose` (k,) is not held.
+        """Of the numbers at `paths` of `device(vector)`, for a vector (k,) with covariance root·rootᵀ, by linear
+        propagation; what depends on an entry that is `loose` (k,) is not held.
         """
+
+        def numbers(at: Array) -> Array:
+            made = device(at)
+            return jnp.stack([number_at(made, path) for path in paths])
+
         at = jnp.asarray(vector)
-        slope = np.asarray(jax.jacfwd(function)(at))
+        slope = np.asarray(jax.jacfwd(numbers)(at))
         spread = slope @ root
         covariance = spread @ spread.T
         open_ended = np.any((slope != 0) & loose, axis=1)
         covariance[open_ended, open_ended] = np.inf
-        return cls(tuple(paths), np.asarray(function(at)), covariance)
+        return cls(tuple(paths), np.asarray(numbers(at)), covariance)
 
 
 def number_at(tree: Any, path: str) -> Array:

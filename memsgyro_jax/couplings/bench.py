@@ -4,6 +4,9 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Complex
 
+from memsgyro_jax.device.gyro import SingleMassGyro
+from memsgyro_jax.effects import Effect, ElectricalFeedthrough, FiniteSweepRate
+
 from .modes import CoupledModes
 
 
@@ -34,9 +37,8 @@ class LockIn(eqx.Module):
         return common * drive * jnp.stack([jnp.ones_like(common), self.gain_ratio * jnp.exp(1j * self.phase_asymmetry)])
 
 
-class ElectricalFeedthrough(eqx.Module):
-    """The drive voltage leaks into the read-out: a phasor in proportion to the command, reported as
-    `electrical_feedthrough`.
+class LeakPhasors(eqx.Module):
+    """What the effect `electrical_feedthrough` makes of a lock-in's record: a phasor in proportion to the command.
 
     `x_drive` and `y_drive` are (channel, (re, im)) in record units per drive, for the electrode driven. Zero or `None`:
     no leak.
@@ -51,18 +53,48 @@ class ElectricalFeedthrough(eqx.Module):
         return jnp.zeros(2) + 0j if leak is None else leak[:, 0] + 1j * leak[:, 1]
 
 
-class FiniteSweepRate(eqx.Module):
-    """The frequency moves while the modes ring: `speed` in rad/s per second. Zero: every point is settled. Reported as
-    `finite_sweep_rate`.
-    """
-
-    speed: Array = eqx.field(converter=jnp.asarray)
-
-
 class Bench(eqx.Module):
-    """Everything a prediction of an experiment depends on; an effect that is `None` is absent and costs nothing."""
+    """A device as a frequency sweep sees it; what is `None` is absent and costs nothing."""
 
     device: CoupledModes
     readout: LockIn = eqx.field(default_factory=LockIn)
-    feedthrough: ElectricalFeedthrough | None = None
+    feedthrough: LeakPhasors | None = None
     sweep_rate: FiniteSweepRate | None = None
+
+    @classmethod
+    def of(cls, gyro: SingleMassGyro, scale: float | tuple[float, float] = 1.0) -> "Bench":
+        """A gyro before a lock-in that reads `scale` [V/m], one number or one per channel, driven in N.
+
+        The gyro may carry `force_misalignment`, `electrical_feedthrough` and `finite_sweep_rate`.
+
+        **Raises:** `InputError` for any other effect, which is not of two linear modes.
+        """
+        volts = jnp.broadcast_to(jnp.asarray(scale, float), (2,))
+        leaks = [effect for effect in gyro.effects if isinstance(effect, ElectricalFeedthrough)]
+        rates = [effect for effect in gyro.effects if isinstance(effect, FiniteSweepRate)]
+        rest = gyro.with_only(e for e in gyro.effects if not isinstance(e, ElectricalFeedthrough | FiniteSweepRate))
+        drives = jnp.zeros((2, 2, 2))  # electrode, channel, part
+        for leak in leaks:
+            drives = drives.at[leak.source, leak.target, 0].add(leak.strength)
+        return cls(
+            CoupledModes.of(rest),
+            LockIn(volts[0] / gyro.mass, gain_ratio=volts[1] / volts[0]),
+            LeakPhasors(drives[0], drives[1]) if leaks else None,
+            FiniteSweepRate(sum(rate.strength for rate in rates)) if rates else None,
+        )
+
+    def gyro(self, mass: float) -> SingleMassGyro:
+        """The device of this mass [kg] with its effects, inverse of `of`; of a leak the part in phase with the drive.
+
+        What the lock-in adds (gains, phases) is no property of the device and stays behind.
+        """
+        effects: list[Effect] = []
+        if self.feedthrough is not None:
+            for electrode in (0, 1):
+                phase = self.readout.channels(electrode)
+                in_phase = jnp.real(self.feedthrough.phasor(electrode) * jnp.conj(phase / jnp.abs(phase)))
+                per_force = in_phase / (self.readout.drive_ratio if electrode else 1.0)
+                effects += [ElectricalFeedthrough(electrode, channel, per_force[channel]) for channel in (0, 1)]
+        if self.sweep_rate is not None:
+            effects.append(self.sweep_rate)
+        return self.device.gyro(mass).with_effect(*effects)

@@ -48,7 +48,9 @@ class FrequencySweep(Experiment):
         """Phasors of both channels; closed form, with a finite sweep rate too."""
         motion = bench.device.response(self.frequency, self.axis, self.rate)
         if bench.sweep_rate is not None:
-            lag = sweep_lag(bench.device, self.frequency, self.start, bench.sweep_rate.speed, self.axis, self.rate)
+            lag = chirp_excess(
+                bench.device, self.frequency, self.start, bench.sweep_rate.strength, self.axis, self.rate
+            )
             motion = motion + lag
         signal = motion * bench.readout.channels(self.axis)
         if bench.feedthrough is not None:
@@ -72,7 +74,7 @@ class FrequencySweep(Experiment):
         return self.with_measured(self.predict(bench))
 
 
-def sweep_lag(device, frequency: Array, start: Array, speed: Array, axis: int, rate: Array) -> Complex[Array, "n 2"]:
+def chirp_excess(device, frequency: Array, start: Array, speed: Array, axis: int, rate: Array) -> Complex[Array, "n 2"]:
     """How a sweep at `speed` [rad/s²] differs from the settled response [m per m/s²]; exactly zero at zero speed.
 
     Each pole p answers to a chirp e^{i∫ω dt} with ∫₀^∞ exp(−a s + iβs²/2) ds, a = iω − p, which is

@@ -19,7 +19,7 @@ from .frequency_sweep import FrequencySweep
 from .likelihood import fit_sweeps, refit
 from .modal import SingleMode, coupled_poles
 from .record import SweepRecord
-from .result import Coefficient, Identification
+from .result import CouplingCoefficient, Identification
 from .sense_view import SeenBench
 from .tree_fit import Fit
 
@@ -171,6 +171,7 @@ def _judged(
         status=outcome.status,
         fit=outcome,
         sweeps=sweeps,
+        mass=mass,
     )
 
 
@@ -223,7 +224,7 @@ def _estimates(outcome: Fit) -> dict[str, tuple[jnp.ndarray, jnp.ndarray]]:
     }
     seen = outcome.values
     if seen.sweep_rate is not None:
-        functions["sweep_speed"] = lambda seen: seen.sweep_rate.speed / (2 * jnp.pi)
+        functions["sweep_speed"] = lambda seen: seen.sweep_rate.strength / (2 * jnp.pi)
     if seen.feedthrough is not None and seen.feedthrough.x_drive is not None:
         functions["x_leak"] = lambda seen: seen.feedthrough.x_drive
     if seen.feedthrough is not None and seen.feedthrough.y_drive is not None:
@@ -237,7 +238,7 @@ def _coefficients(
     sweeps: Sequence[FrequencySweep],
     mass: float | None,
     doubt: str,
-) -> dict[str, Coefficient]:
+) -> dict[str, CouplingCoefficient]:
     scale = np.array([1.0, 1.0, mass or 1.0, mass or 1.0])
     value, std = (part * scale for part in estimate)
     device = outcome.values.device
@@ -249,12 +250,12 @@ def _coefficients(
     for i, name in enumerate(("lambda_yx", "lambda_xy", "c_xy", "k_xy")):
         if i < 2 and i not in axes:
             electrode = "xy"[i]
-            out[name] = Coefficient(
+            out[name] = CouplingCoefficient(
                 None, None, units[i], f"not identified by this sweep: drive the {electrode} electrode too"
             )
         else:
             verdict = doubt or _verdict(value[i], std[i], ceiling[i], lambda: _advice(outcome, sweeps))
-            out[name] = Coefficient(float(value[i]), float(std[i]), units[i], verdict)
+            out[name] = CouplingCoefficient(float(value[i]), float(std[i]), units[i], verdict)
     return out
 
 
@@ -269,34 +270,36 @@ def _verdict(value: float, std: float, ceiling: float, advice) -> str:
     return f"not distinguishable from zero (|value| below {abs(value) + 2 * std:.2g} at 95 %)"
 
 
-def _modal(value: np.ndarray, std: np.ndarray) -> dict[str, Coefficient]:
+def _modal(value: np.ndarray, std: np.ndarray) -> dict[str, CouplingCoefficient]:
     out = {}
     for axis, letter in enumerate("xy"):
         for i, (label, what) in enumerate((("", "uncoupled axis"), ("pole_", "coupled resonance"))):
-            out[f"{label}f_{letter}"] = Coefficient(float(value[i, 0, axis]), float(std[i, 0, axis]), "Hz", what)
-            out[f"{label}q_{letter}"] = Coefficient(float(value[i, 1, axis]), float(std[i, 1, axis]), "1", what)
+            out[f"{label}f_{letter}"] = CouplingCoefficient(
+                float(value[i, 0, axis]), float(std[i, 0, axis]), "Hz", what
+            )
+            out[f"{label}q_{letter}"] = CouplingCoefficient(float(value[i, 1, axis]), float(std[i, 1, axis]), "1", what)
     return out
 
 
-def _readout(value: np.ndarray, std: np.ndarray) -> dict[str, Coefficient]:
+def _readout(value: np.ndarray, std: np.ndarray) -> dict[str, CouplingCoefficient]:
     return {
-        "gain_ratio": Coefficient(float(value[0]), float(std[0]), "1", "sense over drive channel"),
-        "phase_asymmetry_deg": Coefficient(float(value[1]), float(std[1]), "deg", "sense less drive channel"),
+        "gain_ratio": CouplingCoefficient(float(value[0]), float(std[0]), "1", "sense over drive channel"),
+        "phase_asymmetry_deg": CouplingCoefficient(float(value[1]), float(std[1]), "deg", "sense less drive channel"),
     }
 
 
-def _effect_values(estimates: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> dict[str, Coefficient]:
+def _effect_values(estimates: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> dict[str, CouplingCoefficient]:
     out = {}
     if "sweep_speed" in estimates:
         value, std = estimates["sweep_speed"]
-        out["sweep_speed"] = Coefficient(float(value), float(std), "Hz/s", "finite_sweep_rate")
+        out["sweep_speed"] = CouplingCoefficient(float(value), float(std), "Hz/s", "finite_sweep_rate")
     for axis in "xy":
         if f"{axis}_leak" not in estimates:
             continue
         value, std = estimates[f"{axis}_leak"]
         for channel, part in np.ndindex(2, 2):
             name = f"leak_{'xy'[channel]}_{'IQ'[part]}_{axis}_driven"
-            out[name] = Coefficient(
+            out[name] = CouplingCoefficient(
                 float(value[channel, part]),
                 float(std[channel, part]),
                 "1",

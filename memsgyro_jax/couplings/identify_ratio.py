@@ -16,7 +16,7 @@ from .modal import half_power
 from .modes import CoupledModes, mirrored
 from .ratio import TruncatedRatio, conversion_ratio, goodness_of_fit, phase_offset, relative_error
 from .record import SweepRecord
-from .result import Coefficient, Identification
+from .result import CouplingCoefficient, Identification
 
 
 VALIDITY_LIMIT = 0.02  # of the theoretical relative error, section 2.2.1
@@ -75,8 +75,10 @@ def identify_by_ratio(
         coefficients=_coefficients(device, estimate, cross, x[0], mass),
         modal=_modal(modes),
         readout={
-            "gain_ratio": Coefficient(gain_ratio, None, "1", "sense over drive channel"),
-            "phase_asymmetry_deg": Coefficient(float(np.degrees(asymmetry)), None, "deg", "sense less drive channel"),
+            "gain_ratio": CouplingCoefficient(gain_ratio, None, "1", "sense over drive channel"),
+            "phase_asymmetry_deg": CouplingCoefficient(
+                float(np.degrees(asymmetry)), None, "deg", "sense less drive channel"
+            ),
         },
         chi2_per_dof=chi2,
         dof=4 * len(x[0]) - 3,
@@ -125,20 +127,20 @@ def _fitted(device: CoupledModes, gain_ratio: float, asymmetry: float, x: tuple)
 
 def _coefficients(
     device: CoupledModes, estimate, cross, frequency: jnp.ndarray, mass: float | None
-) -> dict[str, Coefficient]:
+) -> dict[str, CouplingCoefficient]:
     scale = np.array([1.0, mass or 1.0, mass or 1.0])
     value, std = np.asarray(estimate.values()) * scale, np.asarray(estimate.std) * scale
     error = np.abs(np.asarray(relative_error(TruncatedRatio(), device, frequency)))
     units = ("1", "N*s/m", "N/m") if mass else ("1", "1/s", "1/s^2")
     out = {
-        name: Coefficient(float(value[i]), float(std[i]), units[i], _verdict(error[i]))
+        name: CouplingCoefficient(float(value[i]), float(std[i]), units[i], _verdict(error[i]))
         for i, name in enumerate(("lambda_yx", "c_xy", "k_xy"))
     }
-    missing = Coefficient(None, None, "1", "not identified by this sweep: drive the y electrode too")
+    missing = CouplingCoefficient(None, None, "1", "not identified by this sweep: drive the y electrode too")
     seen = (
         missing
         if cross is None
-        else Coefficient(float(cross.force), float(cross.std[0]), "1", "least squares, scatter only")
+        else CouplingCoefficient(float(cross.force), float(cross.std[0]), "1", "least squares, scatter only")
     )
     return {"lambda_yx": out["lambda_yx"], "lambda_xy": seen, "c_xy": out["c_xy"], "k_xy": out["k_xy"]}
 
@@ -151,9 +153,9 @@ def _verdict(error: float) -> str:
     )
 
 
-def _modal(modes: CoupledModes) -> dict[str, Coefficient]:
+def _modal(modes: CoupledModes) -> dict[str, CouplingCoefficient]:
     out = {}
     for axis, letter in enumerate("xy"):
-        out[f"f_{letter}"] = Coefficient(float(modes.omega[axis] / (2 * np.pi)), None, "Hz", "peak")
-        out[f"q_{letter}"] = Coefficient(float(modes.quality[axis]), None, "1", "half-power points")
+        out[f"f_{letter}"] = CouplingCoefficient(float(modes.omega[axis] / (2 * np.pi)), None, "Hz", "peak")
+        out[f"q_{letter}"] = CouplingCoefficient(float(modes.quality[axis]), None, "1", "half-power points")
     return out

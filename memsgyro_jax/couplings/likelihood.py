@@ -9,9 +9,10 @@ import numpy as np
 from jaxtyping import Array, Complex, PyTree
 
 from memsgyro_jax.base.transforms import Free, Log, LogLogit, fixed, mark
+from memsgyro_jax.effects import FiniteSweepRate
 
 from . import start as sweep_start
-from .bench import Bench, FiniteSweepRate
+from .bench import Bench
 from .frequency_sweep import FrequencySweep
 from .sense_view import SeenBench
 from .tree_fit import Fit, best_start, evaluate, fit_tree, fit_tree_from
@@ -42,7 +43,7 @@ def free_parameters(seen: SeenBench, sweeps: Sequence[FrequencySweep]) -> PyTree
     if seen.feedthrough is not None:
         spec = eqx.tree_at(lambda b: b.feedthrough, spec, jax.tree.map(lambda _: Free(), seen.feedthrough))
     if seen.sweep_rate is not None:
-        spec = mark(spec, lambda b: b.sweep_rate.speed, Free(Log()))
+        spec = mark(spec, lambda b: b.sweep_rate.strength, Free(Log()))
     return spec
 
 
@@ -53,7 +54,7 @@ def fit_sweeps(
 
     Args:
         sweeps: records of one device and one read-out, with either electrode driven.
-        leak: add `ElectricalFeedthrough` for the electrodes driven.
+        leak: add `LeakPhasors` for the electrodes driven.
         moving: add `FiniteSweepRate`, one speed for all sweeps.
         starts: how many of each family of scanned starts to optimise.
 

@@ -15,6 +15,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Complex, Float
 
 from memsgyro_jax.base.display import Displayed
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.device.gyro import SingleMassGyro
+from memsgyro_jax.effects import ForceMisalignment
+from memsgyro_jax.effects.evaluation import carried
 
 
 class CoupledModes(Displayed):
@@ -50,6 +54,31 @@ class CoupledModes(Displayed):
         stiffness, damping = jnp.asarray(stiffness) / mass, jnp.asarray(damping) / mass
         omega = jnp.sqrt(jnp.diagonal(stiffness))
         return cls(omega, omega / jnp.diagonal(damping), damping[0, 1], stiffness[0, 1], force_yx, force_xy)
+
+    @classmethod
+    def of(cls, gyro: SingleMassGyro) -> "CoupledModes":
+        """The modes of a gyro, inverse of `gyro`; its force couplings are the effect `force_misalignment`.
+
+        **Raises:** `InputError` for a gyro with other effects or unequal cross damping, which are not two such modes.
+        """
+        force = {"x_to_y": jnp.zeros(()), "y_to_x": jnp.zeros(())}
+        for effect in carried(gyro):
+            if not isinstance(effect, ForceMisalignment):
+                raise InputError(
+                    "Argument `gyro` must carry no effect but `force_misalignment` to be two coupled modes, "
+                    f"but carries `{effect.label}`; take it off with `gyro.with_only(...)`."
+                )
+            force[effect.where] = force[effect.where] + effect.strength
+        m, omega = gyro.mass, jnp.sqrt(jnp.stack([gyro.kxx, gyro.kyy]) / gyro.mass)
+        quality = omega * m / jnp.stack([gyro.dxx, gyro.dyy])
+        return cls(omega, quality, gyro.dxy / m, gyro.kxy / m, force["x_to_y"], force["y_to_x"])
+
+    def gyro(self, mass: float) -> SingleMassGyro:
+        """The device of this mass [kg] with these modes, as loops, sweeps and fits take it; inverse of `of`."""
+        (kxx, kyy), (dxx, dyy) = mass * self.omega**2, mass * self.omega / self.quality
+        across = ForceMisalignment("x", "y", self.force_yx), ForceMisalignment("y", "x", self.force_xy)
+        kxy, dxy = mass * self.stiffness_coupling, mass * self.damping_coupling
+        return SingleMassGyro(mass, kxx, kyy, kxy, dxx, dyy, dxy, effects=across)
 
     def stiffness(self) -> Float[Array, "2 2"]:
         """Stiffness over mass [1/s²]."""

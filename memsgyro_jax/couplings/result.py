@@ -9,11 +9,16 @@ from typing import Any
 import numpy as np
 
 from memsgyro_jax.base.display import Shown
+from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.files import finite, json_text
+from memsgyro_jax.base.joint_normal import JointNormal
 from memsgyro_jax.base.provenance import versions
+from memsgyro_jax.base.transforms import from_vector, to_vector
+from memsgyro_jax.device.gyro import SingleMassGyro
 from memsgyro_jax.measurement.least_squares import gate
 
 from .frequency_sweep import FrequencySweep
+from .sense_view import SeenBench
 from .tree_fit import Fit
 
 
@@ -21,7 +26,7 @@ SCHEMA = "memsgyro-identify/1"
 
 
 @dataclass(frozen=True)
-class Coefficient:
+class CouplingCoefficient:
     """A value with its standard deviation (`None` where none is known), unit and verdict; value `None` means that these
     sweeps cannot see it.
     """
@@ -53,22 +58,64 @@ class Identification(Shown):
         repairs: χ²/dof after adding each effect, where the record is not explained without.
         notes: what was assumed, one sentence each.
         fit, sweeps: the fit and the records behind it, for plots and further use.
+        mass: of the mode [kg], where it was given.
     """
 
-    coefficients: Mapping[str, Coefficient]
-    modal: Mapping[str, Coefficient]
-    readout: Mapping[str, Coefficient]
+    coefficients: Mapping[str, CouplingCoefficient]
+    modal: Mapping[str, CouplingCoefficient]
+    readout: Mapping[str, CouplingCoefficient]
     chi2_per_dof: float
     dof: int
     method: str
     effects: tuple[str, ...] = ()
     repairs: Mapping[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
-    effect_values: Mapping[str, Coefficient] = field(default_factory=dict)
+    effect_values: Mapping[str, CouplingCoefficient] = field(default_factory=dict)
     status: str = "converged"
     fit: Fit | None = None
     sweeps: tuple[FrequencySweep, ...] = ()
+    mass: float | None = None
     versions: Mapping[str, str] = field(default_factory=lambda: dict(versions()))
+
+    @property
+    def device(self) -> SingleMassGyro:
+        """The gyro that was identified, with its coupling errors and effects, as a loop runs it; a force coupling that
+        no sweep could see is left out.
+
+        **Raises:** `InputError` without a mass, or for the ratio method, which fits no device.
+        """
+        fit, mass = self._fitted()
+        return _gyro(fit.values, mass, self._labels())
+
+    @property
+    def uncertainty(self) -> JointNormal:
+        """Numbers of `device` that were fitted, by their paths there, with their joint uncertainty; the mass is given.
+
+        **Raises:** `InputError` as `device` does.
+        """
+        fit, mass = self._fitted()
+        labels = self._labels()
+        paths = ["kxx", "kyy", "kxy", "dxx", "dyy", "dxy"]
+        paths += [f"effects.{label.replace(' ', '_')}.strength" for label in labels]
+        vector = np.asarray(to_vector(fit.values, fit.spec))
+        root, loose = np.asarray(fit.information.root), np.asarray(fit.information.loose)
+        return JointNormal.of(
+            paths, lambda at: _gyro(from_vector(at, fit.values, fit.spec), mass, labels), vector, root, loose
+        )
+
+    def _fitted(self) -> tuple[Fit, float]:
+        if self.fit is None:
+            raise InputError(f"A device must be fitted to be handed on, but {self.method} fits none; use `identify`.")
+        if self.mass is None:
+            raise InputError("A device must have a mass to be handed on, but none is known; pass `mass` to `identify`.")
+        return self.fit, self.mass
+
+    def _labels(self) -> tuple[str, ...]:
+        """Effects of the device that the sweeps can see."""
+        fit, mass = self._fitted()
+        axes = {sweep.axis for sweep in self.sweeps}
+        effects = fit.values.bench().gyro(mass).effects
+        return tuple(effect.label for effect in effects if getattr(effect, "source", min(axes)) in axes)
 
     @property
     def explained(self) -> bool:
@@ -135,5 +182,10 @@ class Identification(Shown):
         return sweep_figures.plot_amplitude(self, ax)
 
 
-def _number(value: Coefficient) -> dict[str, Any]:
+def _gyro(seen: SeenBench, mass: float, labels: tuple[str, ...]) -> SingleMassGyro:
+    gyro = seen.bench().gyro(mass)
+    return gyro.with_only(effect for effect in gyro.effects if effect.label in labels)
+
+
+def _number(value: CouplingCoefficient) -> dict[str, Any]:
     return {"value": value.value, "std": value.std, "unit": value.unit}

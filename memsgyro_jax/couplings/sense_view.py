@@ -9,7 +9,9 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from .bench import Bench, ElectricalFeedthrough, FiniteSweepRate, LockIn
+from memsgyro_jax.effects import FiniteSweepRate
+
+from .bench import Bench, LeakPhasors, LockIn
 from .modes import CoupledModes
 
 
@@ -24,7 +26,7 @@ class SeenBench(eqx.Module):
     force_yx: Array = eqx.field(converter=jnp.asarray)
     force_xy: Array = eqx.field(converter=jnp.asarray)
     readout: LockIn
-    feedthrough: ElectricalFeedthrough | None = None
+    feedthrough: LeakPhasors | None = None
     sweep_rate: FiniteSweepRate | None = None
 
     @classmethod

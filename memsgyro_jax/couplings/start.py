@@ -18,7 +18,7 @@ from jaxtyping import Array, Complex, Float
 
 from memsgyro_jax.measurement.experiments import PolarNoise
 
-from .bench import Bench, ElectricalFeedthrough, LockIn
+from .bench import Bench, LeakPhasors, LockIn
 from .frequency_sweep import FrequencySweep
 from .modal import circle_pole
 from .modes import CoupledModes, mirrored
@@ -64,7 +64,7 @@ def candidates(sweep: FrequencySweep, leak: bool = False) -> list[Bench]:
 
     def leaking(family: Bench) -> Bench:
         each = jnp.broadcast_to(parts, (family.device.force_yx.shape[0], 2, 2))
-        feedthrough = ElectricalFeedthrough(None, each) if sweep.axis else ElectricalFeedthrough(each)
+        feedthrough = LeakPhasors(None, each) if sweep.axis else LeakPhasors(each)
         return Bench(family.device, family.readout, feedthrough)
 
     return [leaking(family) for family in families]
@@ -260,9 +260,7 @@ def with_other_axis(bench: Bench, sweep: FrequencySweep) -> Bench:
     drive = _regress(dx, numerators[:, 1])
     cross = numerators[:, 0] / drive
     force_xy = _regress(dy, cross + cxy, 1 / jnp.abs(cross)).real
-    leak = bench.feedthrough and ElectricalFeedthrough(
-        bench.feedthrough.x_drive, jnp.zeros_like(bench.feedthrough.x_drive)
-    )
+    leak = bench.feedthrough and LeakPhasors(bench.feedthrough.x_drive, jnp.zeros_like(bench.feedthrough.x_drive))
     return eqx.tree_at(
         lambda b: (b.device.force_xy, b.readout.drive_ratio, b.readout.drive_asymmetry, b.feedthrough),
         bench,

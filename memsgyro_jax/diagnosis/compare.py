@@ -91,7 +91,7 @@ class Comparison(Shown):
 
     def __str__(self) -> str:
         head = ("experiment", "role", "readings", "rms/noise", "noise alone below")
-        rows = [(e.name, e.role, str(e.count), times(e.rms), f"{np.sqrt(e.gate):.3g}") for e in self.errors]
+        rows = [(e.name, e.role, str(e.count), as_times(e.rms), f"{np.sqrt(e.gate):.3g}") for e in self.errors]
         lines = [f"{self.case.name}: {self.status}", aligned([head, *rows]), self.verdict]
         lines += [f"  {text}" for text in self.failures]
         if self.fitted:
@@ -202,7 +202,7 @@ def judged(fit: CaseFit, *, level: float = LEVEL, fitted: bool = True) -> Compar
     return Comparison(fit, series, check_all(series, level), level, fitted)
 
 
-def times(ratio: float) -> str:
+def as_times(ratio: float) -> str:
     """A ratio to the noise, with digits enough and no power of ten below a million."""
     if ratio < 99.95:
         return f"{ratio:#.3g}"
@@ -232,7 +232,7 @@ def _sentence(record: AbstractRecord, series: Series, checks: list[Check]) -> st
     said = []
     if variances:
         place, worst = _place(record, series, checks[0], variances)
-        said.append(f"{times(worst.statistic)} × noise variance")
+        said.append(f"{as_times(worst.statistic)} × noise variance")
     else:
         place = ""
     said += [f"residual not white ({_p(c.p_value)})" for c in failed if c.kind == "whiteness"]

@@ -12,7 +12,7 @@ from scipy import stats
 
 from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.base.joint_normal import JointNormal, number_at
+from memsgyro_jax.base.joint_normal import JointNormal
 from memsgyro_jax.base.text import combination, suggestion
 from memsgyro_jax.device.gyro import SingleMassGyro
 from memsgyro_jax.device.resonator import Resonator
@@ -77,7 +77,7 @@ class RecordError:
 
 
 @dataclass(frozen=True)
-class Estimate:
+class ParameterEstimate:
     """A parameter of the model with its standard deviation (infinite where the records do not hold it)."""
 
     name: str
@@ -133,13 +133,12 @@ class CaseFit(Shown):
             if label in present:
                 paths.append(f"effects.{label.replace(' ', '_')}.{parameter.field}{parameter.index}")
 
-        def numbers(moved: Array) -> Array:
+        def device(moved: Array) -> SingleMassGyro | Resonator:
             model = joint.at(jnp.asarray(self.optimum.vector).at[free].set(moved))
-            device = model.with_only(effect for effect in model.effects if effect.label in present).physical()
-            return jnp.stack([number_at(device, path) for path in paths])
+            return model.with_only(effect for effect in model.effects if effect.label in present).physical()
 
         held = self.optimum.information
-        return JointNormal.of(paths, numbers, self.optimum.vector[free], np.asarray(held.root), np.asarray(held.loose))
+        return JointNormal.of(paths, device, self.optimum.vector[free], np.asarray(held.root), np.asarray(held.loose))
 
     @property
     def errors(self) -> tuple[RecordError, ...]:
@@ -193,11 +192,11 @@ class CaseFit(Shown):
         return self.optimum.chi2 / (count - self.optimum.free.size)
 
     @property
-    def estimates(self) -> tuple[Estimate, ...]:
+    def estimates(self) -> tuple[ParameterEstimate, ...]:
         """The parameters that were free."""
         names: tuple[Parameter, ...] = self.joint.parameters
         return tuple(
-            Estimate(names[i].name, float(self.optimum.vector[i]), float(std), names[i].unit)
+            ParameterEstimate(names[i].name, float(self.optimum.vector[i]), float(std), names[i].unit)
             for i, std in zip(self.optimum.free, self.optimum.std, strict=True)
         )
 
@@ -297,7 +296,7 @@ def fit_case(
     if 0 < alone.size < places.size and not held:
         vector = optimise(joint, vector, alone, joint.fitted).vector
     optimum = optimise(joint, vector, places, joint.fitted, max_evaluations=0 if held else 30)
-    return beside(case, joint, optimum)
+    return beside_case(case, joint, optimum)
 
 
 def _free_places(joint: Joint, fixed: Sequence[str]) -> np.ndarray:
@@ -311,7 +310,7 @@ def _free_places(joint: Joint, fixed: Sequence[str]) -> np.ndarray:
     return np.array([i for i, name in enumerate(names) if name not in fixed], dtype=int)
 
 
-def beside(case: Case, joint: Joint, optimum: Optimum) -> CaseFit:
+def beside_case(case: Case, joint: Joint, optimum: Optimum) -> CaseFit:
     """The model at an optimum beside every record of the case, fitted or not."""
     white = [np.full((*r.readings.shape, 2 if np.iscomplexobj(r.readings) else 1), np.nan) for r in case.records]
     fitted = [np.zeros(r.rows, bool) for r in case.records]

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from .fit import CaseFit, beside
+from .fit import CaseFit, beside_case
 from .joint_residual import Joint
 from .optimum import Optimum, optimise
 from .score import Score, basis, family_p_values, overlap, score, within_bounds
@@ -40,7 +40,7 @@ class Ranking:
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
+class SearchStep:
     """What one round added (its label) and where the fit stood afterwards."""
 
     added: str
@@ -57,7 +57,7 @@ class Search:
         self.optimum, self.base = base.optimum, base
         self.accepted: list[int] = []
         self.unseen: frozenset[int] | None = None
-        self.steps = [Step("", base)]
+        self.steps = [SearchStep("", base)]
 
     def candidates(self) -> list[int]:
         """Effects that are not in the model yet."""
@@ -167,7 +167,9 @@ class Search:
         """Add an effect to the model."""
         self.accepted.append(place)
         self.optimum = optimum
-        self.steps.append(Step(self.joint.model.effects[place].label, beside(self.case, self.joint, optimum)))
+        self.steps.append(
+            SearchStep(self.joint.model.effects[place].label, beside_case(self.case, self.joint, optimum))
+        )
         self.tell(f"added {self.joint.model.effects[place].label}: χ²/dof {self.steps[-1].fit.chi2_per_dof:.4g}")
 
     def prune(self) -> None:
@@ -187,7 +189,7 @@ class Search:
             self.accepted.remove(place)
             label = self.joint.model.effects[place].label
             self.tell(f"dropped {label}, which the others explain")
-            self.steps.append(Step(f"without {label}", beside(self.case, self.joint, self.optimum)))
+            self.steps.append(SearchStep(f"without {label}", beside_case(self.case, self.joint, self.optimum)))
 
     def own_score(self, place: int) -> Score:
         """Score of an accepted effect beside everything else that is free: its Wald statistic.
@@ -236,6 +238,6 @@ def start_search(case, joint: Joint, level: float, given: Sequence[int], tell: C
     """Fit the base model with the effects it was given, and begin."""
     tell("fit the base model")
     optimum = optimise(joint, joint.start, always_free(joint, given), joint.fitted)
-    base = beside(case, joint, optimum)
+    base = beside_case(case, joint, optimum)
     tell(f"base model: χ²/dof {base.chi2_per_dof:.4g}")
     return Search(base, level, given, tell)

@@ -129,7 +129,11 @@ class ForceEffect(Effect):
 
 
 class DriveEffect(Effect):
-    """Acts between the command and the electrodes."""
+    """Acts between the command and the electrodes, or, a `last` one, between them and the mass: `now.force` is then
+    what all electrodes give.
+    """
+
+    last: ClassVar[bool] = False
 
     @abc.abstractmethod
     def applied(self, command: Float[Array, " axes"], now: Moment) -> Float[Array, " axes"]:

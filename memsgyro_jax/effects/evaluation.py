@@ -41,8 +41,11 @@ class Acting(NamedTuple):
     def driven(self, now: Moment) -> Moment:
         """The same moment with the force that the electrodes apply at its command."""
         applied = now.command
-        for effect in self.drives:
-            applied = effect.applied(applied, now)
+        for last in (False, True):
+            electrodes = eqx.tree_at(lambda m: m.force, now, applied)
+            for effect in self.drives:
+                if effect.last == last:
+                    applied = effect.applied(applied, electrodes)
         return eqx.tree_at(lambda m: m.force, now, applied)
 
     def force(self, now: Moment, own: Float[Array, " own"]) -> tuple[Float[Array, " axes"], Float[Array, " own"]]:

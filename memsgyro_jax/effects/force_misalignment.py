@@ -16,9 +16,10 @@ class ForceMisalignment(Coupling, DriveEffect):
 
     name, unit, law = "force_misalignment", "1", "u_target → u_target + s·u_source"
     reference = "Shkel et al., Proc. American Control Conference (1999) 2119"
+    last = True
     source: int | str = on_axis("x")
     target: int | str = on_axis("y")
     strength: Scalar = strength()
 
     def applied(self, command: Array, now: Moment) -> Array:
-        return command + self.strength * self.across(now, command)
+        return command + self.strength * self.across(now, now.force)

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from lab import two_modes as lab
 
-from memsgyro_jax.couplings.bench import Bench, ElectricalFeedthrough, FiniteSweepRate, LockIn
+from memsgyro_jax.couplings.bench import Bench, LeakPhasors, LockIn
 from memsgyro_jax.couplings.frequency_sweep import FrequencySweep
 from memsgyro_jax.couplings.modes import CoupledModes
+from memsgyro_jax.effects import FiniteSweepRate
 from memsgyro_jax.measurement.experiments import PolarNoise
 
 
@@ -62,7 +63,7 @@ def test_moving_sweep_equals_the_integrated_equations(frequency, axis):
 
 
 @pytest.mark.parametrize(
-    "effect", [{"sweep_rate": FiniteSweepRate(0.0)}, {"feedthrough": ElectricalFeedthrough(jnp.zeros((2, 2)))}]
+    "effect", [{"sweep_rate": FiniteSweepRate(0.0)}, {"feedthrough": LeakPhasors(jnp.zeros((2, 2)))}]
 )
 def test_an_effect_of_zero_strength_is_exactly_absent(effect):
     plain = sweep(lab.WIDE).predict(bench(lab.Gyro(), lab.Instrument()))

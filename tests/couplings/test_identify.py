@@ -1,6 +1,7 @@
 """Identification against an independent laboratory: right values, honest uncertainty, honest verdicts."""
 
 import json
+from dataclasses import replace
 
 import equinox as eqx
 import jax
@@ -85,6 +86,19 @@ def test_result_as_json_and_xarray(wide):
     assert data["chi2_per_dof"] == pytest.approx(1.0, abs=0.08)
     table = wide.to_xarray()
     assert float(table.sel(coefficient="k_xy", statistic="value")) == data["coefficients"]["k_xy"]["value"]
+
+
+def test_what_was_identified_is_a_device_with_a_joint_uncertainty(wide):
+    device, joint = wide.device, wide.uncertainty
+    assert [e.label for e in device.effects] == ["force_misalignment x_to_y"], "y was never driven"
+    for path, name in {"dxy": "c_xy", "kxy": "k_xy", "effects.force_misalignment_x_to_y.strength": "lambda_yx"}.items():
+        place, expected = joint.paths.index(path), wide.coefficients[name]
+        assert joint.values[place] == pytest.approx(expected.value, rel=1e-9)
+        assert joint.std[place] == pytest.approx(expected.std, rel=1e-9)
+    assert float(device.kxy) == pytest.approx(wide.coefficients["k_xy"].value, rel=1e-9)
+    assert float(device.mass) == 3e-7
+    with pytest.raises(InputError, match="pass `mass` to `identify`"):
+        _ = replace(wide, mass=None).device
 
 
 def test_both_electrodes_give_both_force_couplings():

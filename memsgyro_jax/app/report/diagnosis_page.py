@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from memsgyro_jax.diagnosis.compare import judged, times
+from memsgyro_jax.diagnosis.compare import as_times, judged
 from memsgyro_jax.diagnosis.residual_force import rate_residuals, sweep_forces, time_forces
 from memsgyro_jax.diagnosis.result import Accepted, Candidate, Diagnosis
 
@@ -65,8 +65,8 @@ def _effect(a: Accepted) -> list[str]:
         ", ".join(f"{e:.5g}" for e in a.estimate),
         "; ".join(spans),
         a.unit,
-        times(a.error_before),
-        times(a.error_after),
+        as_times(a.error_before),
+        as_times(a.error_after),
         ", ".join(a.confused_with) or "–",
     ]
 
@@ -83,8 +83,8 @@ def _errors(out: Page, diagnosis: Diagnosis) -> None:
             e.name,
             "fitted" if e.role == "fit" else "not fitted",
             e.count,
-            times(before[e.name, e.role].rms),
-            times(e.rms),
+            as_times(before[e.name, e.role].rms),
+            as_times(e.rms),
             f"{np.sqrt(e.gate):.3g}",
             "yes" if e.explained else "no",
         ]
@@ -127,7 +127,7 @@ def _ranking(out: Page, diagnosis: Diagnosis) -> None:
 
 def _candidate(c: Candidate) -> list[str]:
     p = f"{c.p_value:.2g}" if c.p_value >= 1e-12 else "< 1e-12"
-    return [c.label, times(c.score), f"{100 * c.explained_share:.3g} %", p, f"{100 * c.kept_share:.3g} %"]
+    return [c.label, as_times(c.score), f"{100 * c.explained_share:.3g} %", p, f"{100 * c.kept_share:.3g} %"]
 
 
 def _blind(out: Page, diagnosis: Diagnosis) -> None:

@@ -9,7 +9,7 @@ from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.files import finite
 from memsgyro_jax.base.provenance import versions
 from memsgyro_jax.base.text import aligned
-from memsgyro_jax.diagnosis.compare import judged, times
+from memsgyro_jax.diagnosis.compare import as_times, judged
 from memsgyro_jax.diagnosis.fit import CaseFit
 from memsgyro_jax.diagnosis.scans import coverage, scan
 from memsgyro_jax.effects import Effect, Scanned, by_name
@@ -59,11 +59,11 @@ def fit_text(before: CaseFit, after: CaseFit) -> str:
     names = [e.label for e in after.model.effects]
     head = ("experiment", "role", "base", f"with {', '.join(names)}", "noise alone below")
     rows = [
-        (b.name, b.role, times(b.rms), times(a.rms), f"{np.sqrt(a.gate):.3g}")
+        (b.name, b.role, as_times(b.rms), as_times(a.rms), f"{np.sqrt(a.gate):.3g}")
         for b, a in zip(before.errors, after.errors, strict=True)
     ]
     comparison = judged(after)
-    chi2 = f"χ²/dof of the fitted readings {times(before.chi2_per_dof)} -> {times(after.chi2_per_dof)}"
+    chi2 = f"χ²/dof of the fitted readings {as_times(before.chi2_per_dof)} -> {as_times(after.chi2_per_dof)}"
     lines = [f"{after.case.name}: {after.status}; {chi2}", "rms of deviation over noise:", aligned([head, *rows])]
     lines += [comparison.verdict, *(f"  {failure}" for failure in comparison.failures), "Fitted:"]
     lines += [f"  {estimate}" for estimate in after.estimates]

@@ -4,7 +4,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from memsgyro_jax.couplings.figures import plot_amplitude, plot_phase, plot_residual
-from memsgyro_jax.couplings.result import Coefficient, Identification
+from memsgyro_jax.couplings.result import CouplingCoefficient, Identification
 from memsgyro_jax.measurement.least_squares import gate
 
 from .page import Page
@@ -59,7 +59,7 @@ def _summary(result: Identification) -> str:
     return text
 
 
-def _rows(values: dict[str, Coefficient]) -> list[list[str]]:
+def _rows(values: dict[str, CouplingCoefficient]) -> list[list[str]]:
     return [
         [
             name,

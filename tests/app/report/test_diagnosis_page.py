@@ -9,7 +9,7 @@ import pytest
 
 import memsgyro_jax
 from memsgyro_jax.app.report.diagnosis_page import diagnosis_page
-from memsgyro_jax.diagnosis.fit import beside, fit_case
+from memsgyro_jax.diagnosis.fit import beside_case, fit_case
 from memsgyro_jax.diagnosis.optimum import optimise
 from memsgyro_jax.diagnosis.result import Accepted, Candidate, Diagnosis, Stage, validation_error
 from memsgyro_jax.effects import CubicStiffness
@@ -26,7 +26,7 @@ def diagnosis():
     final = fit_case(case, [CubicStiffness(axis=0)])
     fitted = final.joint.fitted
     vector = np.where([p.effect is None for p in final.joint.parameters], final.optimum.vector, 0.0)
-    base = beside(case, final.joint, optimise(final.joint, vector, final.joint.base(), fitted))
+    base = beside_case(case, final.joint, optimise(final.joint, vector, final.joint.base(), fitted))
     strength = final.estimates[-1]
     errors = [validation_error(fit) for fit in (base, final)]
     twin = Candidate("cross_stiffness", "N/m³", 1.3e6, 1e-300, 0.91, 0.22, 1.1e9, True)
