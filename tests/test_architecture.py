@@ -89,10 +89,9 @@ def test_every_module_has_its_place():
     assert not unknown, f"give {unknown} a place in ORDER (and in the README's structure)"
 
 
-@pytest.mark.parametrize("path", ROOMS, ids=lambda path: path.relative_to(PACKAGE).as_posix())
-def test_imports_point_up_the_list(path):
-    allowed = set(ORDER[: ORDER.index(place(path)) + 1])
-    assert imported(path) <= allowed, f"{path.name} imports {imported(path) - allowed}, which stand below it"
+def test_imports_point_up_the_list():
+    below = {path: imported(path) - {*ORDER[: ORDER.index(place(path)) + 1]} for path in ROOMS}
+    assert not {path: names for path, names in below.items() if names}, "they stand below the file that imports them"
 
 
 def test_the_import_test_sees_every_form(tmp_path, monkeypatch):
@@ -156,19 +155,23 @@ def test_one_name_for_one_thing():
     assert {name: found for name, found in places.items() if len(found) > 1 and name not in TWICE} == {}
 
 
-@pytest.mark.parametrize("path", MODULES, ids=lambda path: path.relative_to(PACKAGE).as_posix())
-def test_files_stay_short(path):
-    assert len(path.read_text().splitlines()) < 400, "split the file where it holds a second idea"
+def test_files_stay_short():
+    long = [path for path in MODULES if len(path.read_text().splitlines()) >= 350]
+    assert not long, "split the file where it holds a second idea"
 
 
-@pytest.mark.parametrize("path", MODULES, ids=lambda path: path.relative_to(PACKAGE).as_posix())
-def test_only_the_report_imports_matplotlib_at_once(path):
+def test_only_the_report_imports_matplotlib_at_once():
     """Results draw themselves through `.plot`, which imports matplotlib when called; it takes a second."""
-    if "report" in path.parts:
-        return
-    top = [node for node in ast.parse(path.read_text()).body if isinstance(node, ast.Import | ast.ImportFrom)]
-    names = [alias.name for node in top for alias in node.names] + [getattr(node, "module", None) or "" for node in top]
-    assert not any(name.startswith("matplotlib") for name in names)
+    for path in MODULES:
+        top = [node for node in ast.parse(path.read_text()).body if isinstance(node, ast.Import | ast.ImportFrom)]
+        names = [alias.name for node in top for alias in node.names]
+        names += [getattr(node, "module", None) or "" for node in top]
+        assert "report" in path.parts or not any(name.startswith("matplotlib") for name in names), path
+
+
+def test_the_package_shows_its_rooms_and_little_else():
+    beside = {path.name for path in PACKAGE.iterdir()} - {*ORDER, "__pycache__"}
+    assert beside == {"__init__.py", "py.typed", "demo"}
 
 
 def test_depth_is_at_most_three():
@@ -191,10 +194,10 @@ def test_no_path_of_a_machine():
     assert not found
 
 
-@pytest.mark.parametrize("name", memsgyro_jax.__all__)
-def test_every_public_name_can_be_imported(name):
-    assert getattr(memsgyro_jax, name) is not None
-    assert name in dir(memsgyro_jax)
+def test_every_public_name_can_be_imported():
+    for name in memsgyro_jax.__all__:
+        assert getattr(memsgyro_jax, name) is not None
+    assert {*memsgyro_jax.__all__} <= {*dir(memsgyro_jax)}
 
 
 def test_public_names_are_documented():

@@ -37,6 +37,6 @@ def _gauss_jordan(matrix: Array) -> Array:
     return jax.lax.scan(step, table, rows)[0][:, size:]
 
 
-def times(matrix: Shaped[Array, "*batch n m"], vector: Shaped[Array, "*batch m"]) -> Shaped[Array, "*batch n"]:
+def product(matrix: Shaped[Array, "*batch n m"], vector: Shaped[Array, "*batch m"]) -> Shaped[Array, "*batch n"]:
     """Matrix times vector, batch by batch."""
     return jnp.einsum("...ij,...j->...i", matrix, vector)

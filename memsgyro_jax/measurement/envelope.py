@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from memsgyro_jax.base.linalg import inverse, times
+from memsgyro_jax.base.linalg import inverse, product
 
 from .model import Conditions, Model
 from .steady import nonlinear_spectrum
@@ -54,15 +54,15 @@ class Propagator(eqx.Module):
         ends.
         """
         here = rest(state)
-        predicted = times(self.exponential, state) + times(self.first, load + here)
+        predicted = product(self.exponential, state) + product(self.first, load + here)
         there = rest(predicted)
-        return predicted + times(self.second, there - here), here, there
+        return predicted + product(self.second, there - here), here, there
 
 
 def _solve(matrix: Array, vector: Array) -> Array:
     """Solve with one matrix for many vectors along the leading axis."""
     invert = inverse if matrix.ndim == 2 else jax.vmap(inverse)
-    return times(invert(matrix), vector)
+    return product(invert(matrix), vector)
 
 
 def exponential(matrix: Array) -> Array:
@@ -169,7 +169,7 @@ class Driven(eqx.Module):
         return jnp.real(turn @ state)
 
 
-def simulate(
+def run_samples(
     model: Model,
     forces: Float[Array, "t axes"],
     increments: Float[Array, "t axes"],

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from memsgyro_jax.base.linalg import inverse, times
+from memsgyro_jax.base.linalg import inverse, product
 
 from .model import Conditions, Model
 
@@ -76,7 +76,7 @@ def steady_state(
 
     def balance(flat: Array, response: tuple, model: Model, force: Array, conditions: Conditions) -> Array:
         linear, driven, push = response
-        state = driven + times(push, _unflatten(flat, model))
+        state = driven + product(push, _unflatten(flat, model))
         return flat - _flatten(nonlinear_spectrum(model, linear, state, force, conditions))
 
     linear = model.linear(conditions)
@@ -90,7 +90,7 @@ def steady_state(
     found, solve = _newton(lambda x: balance(x, *frozen), first, rounding)
     # One more step with everything differentiable but the Jacobian: value unchanged, derivative that of the solution.
     found = found - solve @ balance(found, response, model, force, conditions)
-    return driven + times(push[:, :, rows], _unflatten(found, model))
+    return driven + product(push[:, :, rows], _unflatten(found, model))
 
 
 def _linear_response(model, omega, force, linear) -> tuple[Complex[Array, "h n"], Complex[Array, "h n n"]]:
@@ -100,7 +100,7 @@ def _linear_response(model, omega, force, linear) -> tuple[Complex[Array, "h n"]
     operator = 1j * order[:, None, None] * omega * jnp.eye(model.size) - matrix
     push = jax.vmap(inverse)(operator)
     drive = (order == 1)[:, None] * (gain @ force)
-    return times(push, drive), push
+    return product(push, drive), push
 
 
 def _displacement_only(model, omega, guess):

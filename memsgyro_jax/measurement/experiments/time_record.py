@@ -18,7 +18,7 @@ from memsgyro_jax.device.conditions import Conditions
 from ..clock import check_period
 from ..columns import force_columns
 from ..declared import Declared
-from ..envelope import simulate
+from ..envelope import run_samples
 from ..model import Model
 from ..section import ExperimentSection
 from .base import Experiment, Noise, Phasors, RealNoise, surroundings
@@ -66,7 +66,7 @@ class RawCapture(Experiment):
     def predict(self, bench: Model) -> Float[Array, "n axes"]:
         """Voltage of every channel at every kept sample."""
         base = jax.tree.map(lambda leaf: leaf[0], self.surroundings)
-        states = simulate(bench, self.forces, self.increments, self.step, self.surroundings, base)
+        states = run_samples(bench, self.forces, self.increments, self.step, self.surroundings, base)
         kept = slice(self.skipped * self.substeps, None, self.substeps)
         now = jax.tree.map(lambda leaf: leaf[kept], self.surroundings)
         return jax.vmap(bench.observe)(states[kept], self.forces[kept], self.increments[kept] / self.step, now)
