@@ -14,6 +14,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from .errors import InputError
+from .files import write_whole
 
 
 # Undocumented options that let XLA's CPU compiler keep a small, long-running loop in one vectorised function; the last
@@ -149,7 +150,9 @@ def _known(flags: list[str]) -> list[str]:
         return answer.read_text().split()
     known = flags if _starts_with(flags) else [part for flag in flags if (part := _known_part(flag))]
     if answer:
-        _write_if_possible(answer, "\n".join(known))
+        with contextlib.suppress(OSError):  # a cache that cannot be written only costs the next start a probe
+            answer.parent.mkdir(parents=True, exist_ok=True)
+            write_whole(answer, "\n".join(known))
     return known
 
 
@@ -164,11 +167,8 @@ def _known_part(flag: str) -> str:
 
 def _starts_with(flags: list[str]) -> bool:
     alone = {"XLA_FLAGS": " ".join(flags), "JAX_PLATFORMS": "cpu", "JAX_ENABLE_COMPILATION_CACHE": "0"}
-    environment = {**os.environ, **alone}
-    return (
-        subprocess.run([sys.executable, "-c", _PROBE], env=environment, capture_output=True, check=False).returncode
-        == 0
-    )
+    probe = [sys.executable, "-c", _PROBE]
+    return subprocess.run(probe, env={**os.environ, **alone}, capture_output=True, check=False).returncode == 0
 
 
 def _enable_cache() -> None:
@@ -203,12 +203,3 @@ def _processor_features() -> str:
     except OSError:
         return platform.processor()
     return next((line for line in lines if line.startswith(("flags", "Features"))), "")
-
-
-def _write_if_possible(path: Path, text: str) -> None:
-    """Writes `path` as a whole or not at all; a cache that cannot be written only costs the next start a probe."""
-    part = path.with_name(f"{path.name}.{os.getpid()}")
-    with contextlib.suppress(OSError):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part.write_text(text)
-        part.replace(path)

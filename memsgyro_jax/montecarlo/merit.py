@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy import optimize, stats
+from scipy import optimize, signal, stats
 
 
 @dataclass(frozen=True)
@@ -106,11 +106,7 @@ def following(
     def answer(lag: float, delay: float) -> np.ndarray:
         shifted = np.interp(time - delay, time, true)
         decay = np.exp(-step / max(lag, 1e-12))
-        output = np.empty_like(shifted)
-        output[0] = shifted[0]
-        for n in range(1, len(time)):
-            output[n] = decay * output[n - 1] + (1.0 - decay) * shifted[n]
-        return output
+        return signal.lfilter([1.0 - decay], [1.0, -decay], shifted, zi=[decay * shifted[0]])[0]
 
     reach = 0.25 * (time[-1] - time[0])
     fits = [

@@ -72,11 +72,9 @@ class Normal(AbstractDistribution):
             raise InputError(f"Argument `cut` must be positive, but {self.cut:g} was given.")
 
     def place(self, normal):
-        """The normal numbers, drawn in within the cut."""
         return stats.truncnorm.ppf(stats.norm.cdf(normal), -self.cut, self.cut)
 
     def value(self, design, place):
-        """Design plus the place times the standard deviation."""
         design = design if self.mean is None else self.mean
         std = self.relative * abs(design) if self.std == 0.0 else jnp.hypot(self.relative * design, self.std)
         return design + place * std
@@ -99,11 +97,9 @@ class Uniform(AbstractDistribution):
             raise InputError(f"A uniform spread must have low <= high, but {self.low:g} and {self.high:g} were given.")
 
     def place(self, normal):
-        """The probability of the normal number."""
         return stats.norm.cdf(normal)
 
     def value(self, design, place):
-        """A point of the interval."""
         if self.relative is not None:
             return design * (1.0 + self.relative * (2.0 * place - 1.0))
         return self.low + place * (self.high - self.low)

@@ -1,12 +1,13 @@
 """The figures of a lot that a person and a script want: percentiles, yield, ratio to the bound."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, astuple, dataclass
 
 import numpy as np
 
 from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.files import finite
 from memsgyro_jax.base.provenance import Settings
+from memsgyro_jax.base.text import aligned
 from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.observers import AbstractCovarianceObserver
 
@@ -91,20 +92,14 @@ class Summary(Shown):
             ("standard deviation within one run", f"{np.degrees(self.series_std):.3g} deg/s"),
         ]
         if self.bound is not None and self.ratio_to_bound is not None:
-            rows.append(
-                (
-                    "information bound at the end",
-                    f"{np.degrees(self.bound):.3g} deg/s (reached x {self.ratio_to_bound:.3g})",
-                )
-            )
+            text = f"{np.degrees(self.bound):.3g} deg/s (reached x {self.ratio_to_bound:.3g})"
+            rows.append(("information bound at the end", text))
         if self.nees is not None:
             rows.append(("consistency (NEES, NIS)", f"{self.nees:.3g} of {self.states}, {self.nis:.3g} of 2"))
         if self.convergence_time is not None:
             rows.append(("median time to converge", f"{1e3 * self.convergence_time:.3g} ms"))
-        share = tuple(100.0 * v for v in (self.good.value, self.good.low, self.good.high))
-        rows.append(
-            ("yield (95 % interval)", "{:.1f} % ({:.1f} to {:.1f} %)".format(*share) + f": {self.good.criterion}")
-        )
+        share = "{:.1f} % ({:.1f} to {:.1f} %)".format(*(100.0 * v for v in astuple(self.good)[:3]))
+        rows.append(("yield (95 % interval)", f"{share}: {self.good.criterion}"))
         if self.straight is not None:
             rows.append(("bias, scale-factor error", _straight_text(self.straight)))
         if self.following is not None:
@@ -114,9 +109,7 @@ class Summary(Shown):
         return rows
 
     def __repr__(self) -> str:
-        rows = self.rows()
-        width = max(len(name) for name, _ in rows)
-        return "\n".join(f"{name:<{width}}  {value}" for name, value in rows)
+        return aligned(self.rows())
 
 
 def summarise(

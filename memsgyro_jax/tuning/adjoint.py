@@ -1,14 +1,14 @@
-"""A loss of a run and its derivatives by any number of free numbers at once: backwards through time.
+"""The losses of dies that run side by side, and their derivatives: forwards by few numbers, backwards through time by
+many at once.
 
-The way forward keeps the state before every block. The way back runs a block again, keeps the state before each of its
-samples, and goes back through them. With as many samples in a block as there are blocks a run of n samples keeps 2√n
-states of a die, and one way back serves all numbers.
+There the way forward keeps the state before every block. The way back runs a block again, keeps the state before each
+of its samples, and goes back through them. With as many samples in a block as there are blocks a run of n samples keeps
+2√n states of a die, and one way back serves all numbers.
 
 A state is kept as one array: XLA on CPU writes a row of one array in place, but copies several anew at every sample.
 """
 
 import math
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -16,14 +16,27 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from memsgyro_jax.device.gyro import Scalar
 from memsgyro_jax.loop import engine
 from memsgyro_jax.loop.loop import ClosedLoop, LoopState
 from memsgyro_jax.loop.scenario import Scenario
+from memsgyro_jax.montecarlo.spread import AbstractDistribution
+
+from .losses import AbstractLoss
+from .tunable import placed
 
 
 Carry = tuple[LoopState, Any]
-Flat = tuple[Float[Array, "size lanes"], Any]  # the real numbers of a state in one array, and what is none
+Flat = tuple[Float[Array, "size dies"], Any]  # the real numbers of a state in one array, and what is none
+Numbers = Float[Array, "n dies"]
+Judgement = tuple[Float[Array, " dies"], Bool[Array, " dies"]]  # losses, and which dies were not lost
+
+
+class Timing(NamedTuple):
+    """Sample period in s, blocks, and samples per block."""
+
+    period: float
+    blocks: int
+    block: int
 
 
 class Kept(NamedTuple):
@@ -33,48 +46,66 @@ class Kept(NamedTuple):
     end: Flat
 
 
-class Backwards(NamedTuple):
-    """A run to be differentiated by the numbers that `make` puts into its loop, a set for each die.
+class Portion(eqx.Module):
+    """Dies under a loss, as many as run at once, varied from a `design`.
 
-    `timing` is the period in s, the blocks, and the samples per block. `judge` reads the losses of the dies from the
-    memory of `recorder`, which must not change at the end of a block.
+    A free number, at one of `paths`, that also differs between dies is the design value that they lie `around`, each at
+    its own place. The loss must not change its memory at the end of a block.
     """
 
-    make: Callable[[Float[Array, "n lanes"]], ClosedLoop]
+    loop: ClosedLoop
     scenario: Scenario
-    words: tuple[Array, Array]
-    timing: tuple[Scalar, int, int]
-    recorder: engine.AbstractRecorder
-    judge: Callable[[Any], Float[Array, " lanes"]]
-    design: ClosedLoop
+    words: tuple
+    places: Numbers
+    design: tuple[ClosedLoop, Scenario]
+    loss: AbstractLoss
+    around: tuple[AbstractDistribution | None, ...]
+    paths: tuple[str, ...] = eqx.field(static=True)
+    timing: Timing = eqx.field(static=True)
 
-    def losses(self, numbers: Float[Array, "n lanes"]) -> tuple[Float[Array, " lanes"], Bool[Array, " lanes"], Kept]:
-        """The losses, which dies were not lost, and what the way back needs."""
-        loop = self.make(numbers)
+    def through(self, numbers: Numbers) -> Judgement:
+        """Losses by running through."""
+        loop = self._tuned(self._own(numbers))
+        done = engine.run(loop, self.scenario, self.words, *self.timing, self.loss, self.design[0])
+        return self._judgement(done.memory, done.alive)
+
+    def along(self, numbers: Numbers) -> tuple[Judgement, Numbers]:
+        """Losses and slopes, forwards: every sample carries its derivative by each number along."""
+
+        def one(unit):
+            tangent = jnp.broadcast_to(unit[:, None], numbers.shape)
+            loss, slope, alive = jax.jvp(self.through, (numbers,), (tangent,), has_aux=True)
+            return (loss, alive), slope
+
+        return jax.vmap(one, out_axes=(None, 0))(jnp.eye(len(self.paths)))
+
+    def keeping(self, numbers: Numbers) -> tuple[Judgement, Kept]:
+        """Losses, and what the way back needs."""
+        own = self._own(numbers)
+        loop = self._tuned(own)
 
         def forward(carry, number):
             before, alive = carry
             after, _ = jax.lax.scan(lambda *at: (self._sample(loop, *at), None), before, self._entering(number))
             return (after, alive & engine.healthy(loop, after[0])), _flat(before)
 
-        begin = (self._begin(numbers), jnp.ones(self.words[0].shape, bool))
-        (end, alive), starts = jax.lax.scan(forward, begin, jnp.arange(self.timing[1]))
-        loss = self._judged(end)
-        return loss, alive & jnp.isfinite(loss), Kept(starts, _flat(end))
+        begin = (self._begin(own), jnp.ones(self.words[0].shape, bool))
+        (end, alive), starts = jax.lax.scan(forward, begin, jnp.arange(self.timing.blocks))
+        return self._judgement(end[1], alive), Kept(starts, _flat(end))
 
-    def slopes(self, numbers: Float[Array, "n lanes"], kept: Kept) -> Float[Array, "n lanes"]:
-        """The derivatives of each die's loss by its numbers; those of a lost die mean nothing."""
-
-        loop = self.make(numbers)
+    def back(self, numbers: Numbers, kept: Kept) -> Numbers:
+        """The slopes, backwards; those of a lost die mean nothing."""
+        own, chain = jax.vjp(self._own, numbers)
+        loop = self._tuned(own)
 
         def one_back(carry, was):
             (real, rest), entering = was
             pull, slopes = carry
 
-            def sample(numbers, real):
-                return _flat(self._sample(self.make(numbers), self._unflat(real, rest), entering))
+            def sample(own, real):
+                return _flat(self._sample(self._tuned(own), self._unflat(real, rest), entering))
 
-            _, back, _ = jax.vjp(sample, numbers, real, has_aux=True)
+            _, back, _ = jax.vjp(sample, own, real, has_aux=True)
             more, pull = back(pull)
             return (pull, slopes + more), None
 
@@ -87,32 +118,40 @@ class Backwards(NamedTuple):
             return jax.lax.scan(one_back, carry, (states, entering), reverse=True)
 
         real, rest = kept.end
-        loss, judged = jax.vjp(lambda real: self._judged(self._unflat(real, rest)), real)
-        carry = (*judged(jnp.ones_like(loss)), jnp.zeros_like(numbers))
-        blocks = (jnp.arange(self.timing[1]), kept.starts)
+        loss, judged = jax.vjp(lambda real: self._judged(self._unflat(real, rest)[1]), real)
+        carry = (*judged(jnp.ones_like(loss)), jnp.zeros_like(own))
+        blocks = (jnp.arange(self.timing.blocks), kept.starts)
         (pull, slopes), _ = jax.lax.scan(block_back, carry, blocks, reverse=True)
-        _, begun = jax.vjp(lambda numbers: _flat(self._begin(numbers))[0], numbers)
-        return slopes + begun(pull)[0]
+        _, begun = jax.vjp(lambda own: _flat(self._begin(own))[0], own)
+        return chain(slopes + begun(pull)[0])[0]
 
-    def _begin(self, numbers: Array) -> Carry:
-        return engine.beginning(self.make(numbers), self.recorder, self.words[0].shape, self.design)
+    def _own(self, numbers: Numbers) -> Numbers:
+        """The value of each free number for each die: the design's or the die's place around it."""
+        rows = zip(numbers, self.around, self.places, strict=True)
+        return jnp.stack([number if kind is None else kind.value(number, place) for number, kind, place in rows])
+
+    def _tuned(self, own: Numbers) -> ClosedLoop:
+        return placed(self.loop, self.paths, list(own))
+
+    def _begin(self, own: Numbers) -> Carry:
+        return engine.beginning(self._tuned(own), self.loss, self.words[0].shape, self.design[0])
 
     def _entering(self, number: Array) -> engine.Entering:
-        return engine.entering(self.scenario, self.words, self.timing[0], self.timing[2], number, samples=self._samples)
-
-    @property
-    def _samples(self) -> int | None:
-        return self.timing[1] * self.timing[2] if self.design.device.effects else None
+        samples = self.timing.blocks * self.timing.block if self.design[0].device.effects else None
+        return engine.entering(self.scenario, self.words, self.timing.period, self.timing.block, number, samples)
 
     def _sample(self, loop: ClosedLoop, carry: Carry, entering: engine.Entering) -> Carry:
-        return engine.one_sample(loop, self.timing[0], self.recorder, carry, entering)
+        return engine.one_sample(loop, self.timing.period, self.loss, carry, entering)
 
-    def _judged(self, carry: Carry) -> Array:
-        return jnp.broadcast_to(self.judge(carry[1]), self.words[0].shape)
+    def _judged(self, memory: Any) -> Float[Array, " dies"]:
+        return jnp.broadcast_to(self.loss.value(memory), self.words[0].shape)
+
+    def _judgement(self, memory: Any, alive: Bool[Array, " dies"]) -> Judgement:
+        loss = self._judged(memory)
+        return loss, alive & jnp.isfinite(loss)
 
     def _unflat(self, real: Array, rest: Any) -> Carry:
-        lanes = self.words[0].shape
-        like = jax.eval_shape(lambda: engine.beginning(self.design, self.recorder, lanes))
+        like = jax.eval_shape(lambda: engine.beginning(self.design[0], self.loss, self.words[0].shape))
         shapes, tree = jax.tree.flatten(eqx.filter(like, lambda leaf: jnp.issubdtype(leaf.dtype, jnp.inexact)))
         # Derivatives of `split` are put together by one concatenation, those of slices by adding padded arrays.
         parts = jax.lax.split(real, [math.prod(leaf.shape[:-1]) for leaf in shapes])

@@ -1,22 +1,20 @@
-"""Minimises a loss over few coordinates with optimistix' BFGS, one step at a time, so that a person can watch and a
-stop can come from outside: validation dies that no longer gain, or patience that has ended.
+"""Minimises a loss over few coordinates by BFGS, one step at a time, so that a person can watch and a stop can come
+from outside: validation dies that no longer gain, or patience that has ended.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
 from jaxtyping import Float
+from scipy.optimize import BFGS
 
 
 Vector = Float[np.ndarray, " n"]
 _LONGEST = 2.0  # the longest step in coordinates, a factor e² of a number
 _SHORTEST = 1e-4  # the shortest step worth an evaluation
+_ARMIJO = 0.1  # of the fall that the slope promises: what a step must bring to be accepted
 _FLATTEST = 1e-6  # of the steepest direction's squared slope: less counts as this
 _PATIENCE = 3  # accepted steps that may bring next to nothing, or no gain on the validation dies
 _WORTH = 0.02  # of the standard error of the loss: what these steps together must bring
@@ -71,29 +69,30 @@ def descend(
     The scatter of the dies' slopes is the metric: where they are steep, steps are short (for a likelihood the direction
     of Fisher scoring). The first step has length one. Where the scatter has changed much, it is taken anew.
     """
+    steps: list[DescentStep] = []
+
+    def accepted(count: int, value: float, at: Vector) -> None:
+        steps.append(DescentStep(count, value, validation(at), at))
+        if told:
+            told(steps[-1])
+
     here = loss(start)
-    steps, length = [DescentStep(1, here.value, validation(start), start)], 1.0
-    if told:
-        told(steps[0])
-    walk = _Walk(here, start, length)
+    accepted(1, here.value, start)
+    walk = _Walk(here, start, 1.0)
     for count in range(2, evaluations + 1):
         if walk.stuck:
             return _finished(steps, "nothing free has an effect")
-        trial = walk.trial
-        if np.max(np.abs(trial - walk.point)) < _SHORTEST:
+        before, trial = walk.point, walk.trial
+        if np.max(np.abs(trial - before)) < _SHORTEST:
             return _finished(steps, "converged: no longer step lowers the loss")
         found = loss(trial)
-        before = walk.point
         if walk.took(found):
-            steps.append(DescentStep(count, found.value, validation(trial), trial))
-            if told:
-                told(steps[-1])
+            accepted(count, found.value, trial)
             ended = _ended(steps, found.error)
             if ended:
                 return _finished(steps, ended)
             if found.error < _RENEWED * walk.error:
-                length = min(1.0, 2.0 * float(np.linalg.norm(trial - before)))
-                walk = _Walk(found, trial, length)
+                walk = _Walk(found, trial, min(1.0, 2.0 * float(np.linalg.norm(trial - before))))
     return _finished(steps, "evaluations used up")
 
 
@@ -121,54 +120,44 @@ def _finished(steps: list[DescentStep], status: str) -> Descent:
 
 
 class _Walk:
-    """optimistix' BFGS with its state, given the loss at one trial at a time, in coordinates that the metric makes
-    round: `origin + root @ theirs`.
+    """BFGS with Armijo's rule, given the loss at one trial at a time, in coordinates that the metric makes round:
+    `origin + root @ theirs`.
     """
 
     def __init__(self, here: Judged, origin: Vector, length: float):
-        self.origin, self.root, self.first = origin, _root(here.slopes), here.value
+        self.origin, self.root, self.first, self.error = origin, _root(here.slopes), here.value, here.error
         natural = float(np.linalg.norm(self.root @ self.root @ here.slope))
-        self.stuck, self.unit, self.error = natural == 0.0, length / natural if natural > 0.0 else 0.0, here.error
-        # Its own test of convergence would judge coordinates that the metric has scaled; `_ended` decides instead.
-        self.solver: optx.BFGS = optx.BFGS(rtol=0.0, atol=1e-14)
-        self.here = jnp.zeros(len(origin))
-        like = jax.ShapeDtypeStruct((), self.here.dtype)
-        self.slope = self.root @ here.slope * self.unit
-        self.value = 0.0
-        self.state = self.solver.init(_known, self.here, (0.0, self.slope), {}, like, None, frozenset())
-        self._step(0.0, self.slope)
+        self.stuck, self.unit = natural == 0.0, length / natural if natural > 0.0 else 0.0
+        self.curvature = BFGS(exception_strategy="skip_update", init_scale=1.0)
+        self.curvature.initialize(len(origin), "inv_hess")
+        self.at, self.value, self.slope = np.zeros(len(origin)), 0.0, self.root @ here.slope * self.unit
+        self.step = -self.slope
 
     @property
     def point(self) -> Vector:
         """The last accepted coordinates."""
-        return self.origin + self.root @ np.asarray(self.here)
+        return self.origin + self.root @ self.at
 
     @property
     def trial(self) -> Vector:
         """Where the loss is wanted next."""
-        return self.origin + self.root @ np.asarray(self.state.y_eval)
+        return self.origin + self.root @ (self.at + self.step)
 
     def took(self, found: Judged) -> bool:
         """Whether the trial is accepted; then it chooses the next."""
-        return self._step((found.value - self.first) * self.unit, self.root @ found.slope * self.unit)
-
-    def _step(self, value: float, slope: Vector) -> bool:
-        before, away = int(self.state.num_accepted_steps), np.asarray(self.state.y_eval - self.here)
-        known = (jnp.asarray(value), jnp.asarray(slope))
-        self.here, self.state = _stepped(self.solver, self.here, known, self.state)
-        taken = int(self.state.num_accepted_steps) > before
-        if taken:
-            self.value, self.slope = value, slope
-            away = np.asarray(self.state.y_eval - self.here)
-            length = np.linalg.norm(self.root @ away)
-            away = away * min(1.0, _LONGEST / length if length > 0.0 else 1.0)
-        else:
+        value, slope = (found.value - self.first) * self.unit, self.root @ found.slope * self.unit
+        gain, expected = value - self.value, float(self.slope @ self.step)
+        if not gain <= _ARMIJO * expected:
             # The parabola through what is known of this direction beats halving.
-            expected = float(self.slope @ away)
-            lack = value - self.value - expected
-            away = away * float(np.clip(-0.5 * expected / lack if lack > 0.0 else 0.5, 0.1, 0.5))
-        self.state = eqx.tree_at(lambda state: state.y_eval, self.state, self.here + away)
-        return taken
+            lack = gain - expected
+            self.step = self.step * float(np.clip(-0.5 * expected / lack if lack > 0.0 else 0.5, 0.1, 0.5))
+            return False
+        self.curvature.update(self.step, slope - self.slope)
+        self.at, self.value, self.slope = self.at + self.step, value, slope
+        step = -self.curvature.dot(slope)
+        length = np.linalg.norm(self.root @ step)
+        self.step = step * min(1.0, _LONGEST / length if length > 0.0 else 1.0)
+        return True
 
 
 def _ended(steps: list[DescentStep], error: float) -> str | None:
@@ -189,15 +178,3 @@ def _root(slopes: Float[np.ndarray, "n dies"]) -> Float[np.ndarray, "n n"]:
     if not squares[-1] > 0.0:
         return np.eye(len(slopes))
     return (vectors / np.sqrt(np.maximum(squares, _FLATTEST * squares[-1]))) @ vectors.T
-
-
-def _known(coordinates, known):
-    """A function whose value and gradient were computed beforehand, as optimistix sees it."""
-    value, slope = known
-    return value + jnp.sum(slope * (coordinates - jax.lax.stop_gradient(coordinates))), None
-
-
-@eqx.filter_jit
-def _stepped(solver: optx.BFGS, point, known: tuple, state):
-    point, state, _ = solver.step(_known, point, known, {}, state, frozenset())
-    return point, state

@@ -7,6 +7,7 @@ from memsgyro_jax.base.text import combination
 
 from .grid import EDGE, FLAT, changes_of
 from .objective import Values, noise_of
+from .result import TunedNumber
 from .tunable import Tunables
 
 
@@ -32,6 +33,15 @@ def fates(tunables: Tunables, found: Float[np.ndarray, " n"], values: Values) ->
             parts.append("in a direction without effect")
         words.append(", ".join(parts))
     return tuple(words)
+
+
+def tuned_numbers(
+    tunables: Tunables, found: Float[np.ndarray, " n"], values: Values, stage: str
+) -> tuple[TunedNumber, ...]:
+    """What the stage of this name made of each number."""
+    rows = np.stack([tunables.values, found, tunables.low, tunables.high], axis=1).tolist()
+    named = zip(tunables.labels, tunables.paths, rows, fates(tunables, found, values), strict=True)
+    return tuple(TunedNumber(label, path, *row, stage=stage, fate=fate) for label, path, row, fate in named)
 
 
 def null_directions(tunables: Tunables, found: Float[np.ndarray, " n"], values: Values) -> tuple[str, ...]:

@@ -27,7 +27,7 @@ def changes_of(values: Values, stretch: Float[np.ndarray, " n"]) -> Float[np.nda
 
 
 def scanned(
-    objective: Objective, numbers: Float[np.ndarray, " n"], penalty: float, told: Callable[[str], None] | None = None
+    objective: Objective, numbers: Float[np.ndarray, " n"], penalty: float, told: Callable[[str], None]
 ) -> Float[np.ndarray, " n"]:
     """`numbers` with one after the other moved to the best of its coarse grid, the one that gains most first.
 
@@ -42,13 +42,13 @@ def scanned(
 
 
 def rescued(
-    objective: Objective, numbers: Float[np.ndarray, " n"], penalty: float, told: Callable[[str], None] | None = None
+    objective: Objective, numbers: Float[np.ndarray, " n"], penalty: float, told: Callable[[str], None]
 ) -> Float[np.ndarray, " n"] | None:
     """`numbers` with one that has no effect where it stands, or is at a bound, moved where it gains; None if none.
 
     Only where the other numbers are settled: else it could gain by standing in for one that is still wrong.
     """
-    tunables = objective.tunables.chosen((True,) * len(numbers), numbers)
+    tunables = objective.tunables.starting(numbers)
     stretch, places = tunables.stretch(tunables.coordinates), tunables.places(numbers)
     values = objective.slopes(numbers)
     stuck = (changes_of(values, stretch) < FLAT) | (places < EDGE) | (places > 1.0 - EDGE)
@@ -57,11 +57,12 @@ def rescued(
 
 def _better(
     objective: Objective, numbers: np.ndarray, which: np.ndarray, penalty: float, worth: float,
-    told: Callable[[str], None] | None,
+    told: Callable[[str], None],
 ) -> np.ndarray | None:  # fmt: skip
     """The best of the grids of some numbers; None if it gains less than `worth` standard errors."""
     objective = objective.some(np.arange(min(_DIES, objective.dies)))
-    tries = [(i, value) for i in which for value in objective.tunables.grid(i, _POINTS)]
+    grid = objective.tunables.at_places((np.arange(_POINTS)[:, None] + 0.5) / _POINTS)
+    tries = [(i, value) for i in which for value in grid[:, i]]
     if not tries:
         return None
     values = objective.values(numbers)
@@ -73,8 +74,7 @@ def _better(
     index, value = tries[best]
     moved = np.array(numbers, float)
     moved[index] = value
-    if told:
-        told(f"{objective.tunables.labels[index]} from {numbers[index]:.3g} to {value:.3g}, the best of a coarse grid")
+    told(f"{objective.tunables.labels[index]} from {numbers[index]:.3g} to {value:.3g}, the best of a coarse grid")
     return moved
 
 

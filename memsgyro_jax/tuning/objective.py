@@ -14,46 +14,19 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import PartitionSpec as P
 from jaxtyping import Array, Bool, Float
 
 from memsgyro_jax.base.provenance import fingerprint
-from memsgyro_jax.loop import engine, noise
-from memsgyro_jax.loop.loop import ClosedLoop, Sample
+from memsgyro_jax.loop import noise
+from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.scenario import Scenario
 from memsgyro_jax.montecarlo import batch as lot
 from memsgyro_jax.montecarlo.spread import AbstractDistribution, Spread
 
-from .adjoint import Backwards, Kept
+from .adjoint import Portion, Timing
 from .descent import Judged
 from .losses import AbstractLoss
-from .tunable import Tunables, placed
-
-
-class Timing(NamedTuple):
-    """Sample period in s, blocks, and samples per block."""
-
-    period: float
-    blocks: int
-    block: int
-
-
-class LossRecorder(engine.AbstractRecorder[Any, tuple[()]]):
-    """Carries a loss through a run."""
-
-    loss: AbstractLoss
-
-    def init(self):
-        """The loss's memory."""
-        return self.loss.init()
-
-    def sample(self, memory: Any, sample: Sample) -> Any:
-        """One more sample."""
-        return self.loss.sample(memory, sample)
-
-    def block(self, memory: Any) -> tuple[Any, tuple[()]]:
-        """Nothing to hand out before the end."""
-        return memory, ()
+from .tunable import Tunables
 
 
 class Values(NamedTuple):
@@ -131,8 +104,7 @@ class Objective:
 
     def some(self, places: np.ndarray) -> "Objective":
         """The dies at `places` (positions in this lot, which may repeat) as an objective of its own."""
-        pick = lambda value, plain: np.asarray(value)[..., places] if np.ndim(value) > np.ndim(plain) else value  # noqa: E731
-        loop, scenario = jax.tree.map(pick, (self.loop, self.scenario), self.design)
+        loop, scenario = lot.picked((self.loop, self.scenario), self.design, places)
         words = tuple(word[places] for word in self.words)
         return replace(self, loop=loop, scenario=scenario, words=words, places=self.places[:, places])
 
@@ -160,35 +132,40 @@ class Objective:
         for first in range(0, self.dies, together):
             # The last die fills up the last batch: one shape, one compilation, however many dies.
             places = np.minimum(np.arange(first, first + together), self.dies - 1)
-            rows = self._rows(self._part(places, each), derivative)
-            parts.append([np.asarray(row) for row in rows])
+            parts.append([np.asarray(row) for row in self._rows(places, each, derivative)])
         return tuple(np.concatenate(rows, axis=-1)[..., : self.dies] for rows in zip(*parts, strict=True))
 
-    def _rows(self, part: "Portion", derivative: bool) -> tuple[Array, ...]:
+    def _rows(self, places: np.ndarray, each: np.ndarray, derivative: bool) -> tuple[Array, ...]:
+        part, numbers = self._part(places), jnp.asarray(each[:, places])
         if len(self.tunables.paths) < _MANY:
-            return _along(part) if derivative else _losses(part)
-        loss, alive, kept = _keeping(part)
-        return (loss, alive, _back(part, kept)) if derivative else (loss, alive)
+            if not derivative:
+                return _split(Portion.through, self.mesh, part, numbers)
+            judgement, slopes = _split(Portion.along, self.mesh, part, numbers)
+            return *judgement, slopes
+        judgement, kept = _split(Portion.keeping, self.mesh, part, numbers)
+        return (*judgement, _split(Portion.back, self.mesh, part, numbers, kept)) if derivative else judgement
 
-    def _part(self, places: np.ndarray, each: np.ndarray) -> "Portion":
+    def _part(self, places: np.ndarray) -> Portion:
         part = self.some(places)
-        return Portion(part.loop, part.scenario, part.words, jnp.asarray(each[:, places]), jnp.asarray(part.places),
-                    self.loss, self.design, self.tunables.paths, self.around, self.timing, self.mesh)  # fmt: skip
+        return Portion(part.loop, part.scenario, part.words, jnp.asarray(part.places), self.design, self.loss,
+                       self.around, self.tunables.paths, self.timing)  # fmt: skip
 
     def memory(self, *, derivative: bool) -> float:
         """What the compiled programs allocate beside their arguments, in bytes per die; compiles them."""
         places = np.arange(self.lanes * self.mesh.size) % self.dies
-        part = self._part(places, np.repeat(self.tunables.values[:, None], self.dies, axis=1))
+        given = self._part(places), jnp.asarray(np.repeat(self.tunables.values[:, None], len(places), axis=1))
         if len(self.tunables.paths) < _MANY:
-            return _temporary(_along if derivative else _losses, part) / self.lanes
-        kept = _keeping(part)[2]
+            return self._temporary(Portion.along if derivative else Portion.through, *given) / self.lanes
+        kept = _split(Portion.keeping, self.mesh, *given)[1]
         passed = sum(leaf.nbytes for leaf in jax.tree.leaves(kept)) / self.mesh.size
-        programs = [_temporary(_keeping, part), *([_temporary(_back, part, kept)] if derivative else [])]
+        programs = [self._temporary(Portion.keeping, *given)]
+        if derivative:
+            programs.append(self._temporary(Portion.back, *given, kept))
         return (passed + max(programs)) / self.lanes
 
-
-def _temporary(program: Any, *arguments: Any) -> int:
-    return program.lower(*arguments).compile().compiled.memory_analysis().temp_size_in_bytes
+    def _temporary(self, function: Callable, *given: Any) -> int:
+        program: Any = _split
+        return program.lower(function, self.mesh, *given).compile().compiled.memory_analysis().temp_size_in_bytes
 
 
 def noise_of(values: Values) -> float:
@@ -207,9 +184,9 @@ def evaluated(
     assert slope is not None
     assert values.slopes is not None
     known, pull = tunables.prior(coordinates)
-    whole, slope = whole + known / readings, slope * stretch + pull / readings
     error = noise_of(values) / float(np.sqrt(max(1, np.sum(values.alive))))
-    return Judged(whole, slope, values.slopes[:, values.alive] * stretch[:, None], error)
+    slopes = values.slopes[:, values.alive] * stretch[:, None]
+    return Judged(whole + known / readings, slope * stretch + pull / readings, slopes, error)
 
 
 @eqx.filter_jit
@@ -220,113 +197,17 @@ def _combined(loss: AbstractLoss, values: Array) -> tuple[Array, Array]:
 _MANY = 6  # free numbers from which on it is cheaper to go backwards
 
 
-class Portion(NamedTuple):
-    """As many dies of an objective as fill the devices, evenly split over them, each with its own free numbers."""
-
-    loop: ClosedLoop
-    scenario: Scenario
-    words: tuple
-    numbers: Float[Array, "n dies"]
-    places: Float[Array, "n dies"]
-    loss: AbstractLoss
-    design: tuple[ClosedLoop, Scenario]
-    paths: tuple[str, ...]
-    around: tuple[AbstractDistribution | None, ...]
-    timing: Timing
-    mesh: jax.sharding.Mesh
-
-    @property
-    def varying(self) -> tuple:
-        """What may differ between dies."""
-        return self.loop, self.scenario, self.words, self.numbers, self.places
-
-    def own(self, numbers: Array) -> Float[Array, "n dies"]:
-        """The value of each free number for each die: the design's or the die's place around it."""
-        own = [
-            number if kind is None else kind.value(number, place)
-            for number, kind, place in zip(numbers, self.around, self.places, strict=True)
-        ]
-        return jnp.stack(own)
-
-    def tuned(self, own: Array) -> ClosedLoop:
-        """The loop with these values."""
-        return placed(self.loop, self.paths, list(own))
-
-    @property
-    def backwards(self) -> Backwards:
-        """The run of these dies as `adjoint` differentiates it."""
-        return Backwards(self.tuned, self.scenario, self.words, self.timing, LossRecorder(self.loss), self.loss.value,
-                         self.design[0])  # fmt: skip
-
-    def at(self, numbers: Array) -> tuple[Array, Array]:
-        """Losses and survival by running through."""
-        recorder = LossRecorder(self.loss)
-        done = engine.run(self.tuned(self.own(numbers)), self.scenario, self.words, *self.timing, recorder,
-                          self.design[0])  # fmt: skip
-        loss = jnp.broadcast_to(self.loss.value(done.memory), self.words[0].shape)
-        return loss, done.alive & jnp.isfinite(loss)
-
-
 @eqx.filter_jit
-def _losses(part: Portion) -> tuple[Array, Array]:
-    """Losses and survival."""
-    return _split(lambda part: part.at(part.numbers), part, (_last(1), _last(1)))
+def _split(function: Callable, mesh: jax.sharding.Mesh, part: Portion, *rows: Any) -> Any:
+    """`function` of a portion and of arrays by dies, run on every device with its share of the dies."""
+    loop, scenario = part.design
+    one = replace(part, loop=loop, scenario=scenario, words=tuple(w[0] for w in part.words), places=part.places[:, 0])
+    dynamic, static = eqx.partition(part, eqx.is_array)
+    shares = lot.shares(dynamic, lot.differs(dynamic, eqx.filter(one, eqx.is_array)))
+    specs = (shares, *(lot.shares(tree) for tree in rows))
+    out = lot.shares(eqx.filter_eval_shape(function, part, *rows))
 
+    def local(dynamic, *rows):
+        return function(eqx.combine(dynamic, static), *rows)
 
-@eqx.filter_jit
-def _along(part: Portion) -> tuple[Array, Array, Array]:
-    """The same with slopes, forwards: every sample carries its derivative by each number along."""
-
-    def along(part: Portion):
-        def one(unit):
-            tangent = jnp.broadcast_to(unit[:, None], part.numbers.shape)
-            loss, slope, alive = jax.jvp(part.at, (part.numbers,), (tangent,), has_aux=True)
-            return loss, alive, slope
-
-        return jax.vmap(one, out_axes=(None, None, 0))(jnp.eye(len(part.paths)))
-
-    return _split(along, part, (_last(1), _last(1), _last(2)))
-
-
-@eqx.filter_jit
-def _keeping(part: Portion) -> tuple[Array, Array, Kept]:
-    """Losses, survival, and what the way back needs."""
-
-    def losses(part: Portion) -> tuple[Array, Array, Kept]:
-        return part.backwards.losses(part.own(part.numbers))
-
-    return _split(losses, part, _every(eqx.filter_eval_shape(losses, part)))
-
-
-@eqx.filter_jit
-def _back(part: Portion, kept: Kept) -> Array:
-    """The slopes, backwards."""
-
-    def back(part: Portion, kept: Kept):
-        own, chain = jax.vjp(part.own, part.numbers)
-        return chain(part.backwards.slopes(own, kept))[0]
-
-    return _split(back, part, _last(2), kept)
-
-
-def _split(function: Callable, part: Portion, out: Any, *more: Any) -> Any:
-    """`function` of a part and of arrays by dies, run on every device with its share of the dies."""
-    dynamic, static = eqx.partition(part.varying, eqx.is_array)
-    plain = (*part.design, tuple(word[0] for word in part.words), part.numbers[:, 0], part.places[:, 0])
-    plain = eqx.filter(plain, eqx.is_array)
-    shares = jax.tree.map(lambda value, one: _last(value.ndim) if value.ndim > one.ndim else P(), dynamic, plain)
-
-    def local(dynamic, more):
-        return function(part._replace(**dict(zip(Portion._fields, eqx.combine(dynamic, static), strict=False))), *more)
-
-    run = jax.shard_map(local, mesh=part.mesh, in_specs=(shares, _every(more)), out_specs=out, check_vma=False)
-    return run(dynamic, more)
-
-
-def _every(tree: Any) -> Any:
-    return jax.tree.map(lambda leaf: _last(leaf.ndim), tree)
-
-
-def _last(rank: int) -> P:
-    """The trailing axis, the dies, split over the devices."""
-    return P(*(None,) * (rank - 1), lot.DIE_AXIS)
+    return jax.shard_map(local, mesh=mesh, in_specs=specs, out_specs=out, check_vma=False)(dynamic, *rows)

@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 from memsgyro_jax.base import runtime
 from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.device.carried import CarriesEffects
 from memsgyro_jax.device.gyro import Pair, Scalar, number
 from memsgyro_jax.loop.loop import LoopState, Sample
 from memsgyro_jax.loop.observers import AbstractObserver
@@ -21,7 +22,7 @@ from memsgyro_jax.loop.scenario import Conditions, Scenario
 from memsgyro_jax.montecarlo import batch as lot
 
 from .descent import descend
-from .fates import fates, null_directions
+from .fates import null_directions, tuned_numbers
 from .losses import AbstractLoss, Consistency, InnovationLikelihood
 from .objective import Objective, Timing, Values, evaluated
 from .result import TunedNumber
@@ -44,6 +45,7 @@ class Replay(eqx.Module):
     force: Float[Array, "samples 2"]
     travel: float = float("inf")
     filter: None = None
+    device: CarriesEffects = CarriesEffects()  # unknown, so that it carries none
 
     def init(self) -> LoopState:
         """The observer's own start."""
@@ -91,10 +93,8 @@ class _Segment(InnovationLikelihood):
 
     until: Scalar = number(default=0.0)
 
-    def sample(self, memory, sample):
-        """Add a sample of the segment."""
-        counts = (sample.clock.time > self.settle) & (sample.clock.time <= self.until)
-        return memory[0] + jnp.where(counts, self.of(sample), 0.0), memory[1] + counts
+    def counts(self, sample):
+        return (sample.clock.time > self.settle) & (sample.clock.time <= self.until)
 
 
 def tune_on_record(
@@ -135,28 +135,16 @@ def tune_on_record(
     )
     found = tunables.numbers(descent.coordinates)
     values = training.slopes(found)
-    rows = zip(tunables.labels, tunables.paths, tunables.values, found, tunables.low, tunables.high,
-               fates(tunables, found, values), strict=True)  # fmt: skip
     agreement = _objective(loop, tunables, Consistency(float(edges[-1 - _HELD_OUT])), 1, sample_rate)
-    pairs = [
-        (_held_out(every, numbers), float(np.sqrt(agreement.values(numbers).loss[0])))
-        for numbers in (tunables.values, found)
-    ]
+    both = tunables.values, found
     return RecordTuning(
         observer=tunables.applied(loop, found).observer,
-        numbers=tuple(
-            TunedNumber(label, path, float(a), float(b), float(low), float(high), "InnovationLikelihood", fate)
-            for label, path, a, b, low, high, fate in rows
-        ),
+        numbers=tuned_numbers(tunables, found, values, "InnovationLikelihood"),
         nulls=null_directions(tunables, found, values),
-        likelihood=(pairs[0][0], pairs[1][0]),
-        inconsistency=(pairs[0][1], pairs[1][1]),
+        likelihood=tuple(float(np.mean(every.values(at).loss[-_HELD_OUT:])) for at in both),
+        inconsistency=tuple(float(np.sqrt(agreement.values(at).loss[0])) for at in both),
         status=descent.status,
     )  # fmt: skip
-
-
-def _held_out(every: Objective, numbers: np.ndarray) -> float:
-    return float(np.mean(every.values(numbers).loss[-_HELD_OUT:]))
 
 
 @dataclass(frozen=True)

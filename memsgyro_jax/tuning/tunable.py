@@ -2,19 +2,21 @@
 
     free(observer=("noise_density", "process_noise.rate"), filter={"bandwidth": (5.0, 5e3)})
 
-`resolved` turns the names into the tree of `memsgyro_jax.base.free` beside the loop.
+`resolved` finds the numbers that the names mean, `tree` puts them into the tree of `base.transforms` beside the loop.
 """
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
+from scipy import special
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.text import suggestion
@@ -24,6 +26,7 @@ from memsgyro_jax.loop.loop import ClosedLoop
 
 Bounds = tuple[float, float]
 _DECADES = 1e3  # default bounds of a positive number: this factor to both sides
+_EDGE = 1e-12  # of the range: nearer to a bound the coordinate stays finite, to go on from there
 _NYQUIST = 0.45  # of the sample rate: the most that a filter's bandwidth gets by default
 
 
@@ -72,80 +75,82 @@ def _spelled(group: Group, prefix: str) -> list[Tunable]:
 
 @dataclass(frozen=True)
 class Tunables:
-    """The free numbers of a loop in the order of its tree: `paths`, `labels` for people, the `spec` of
-    `memsgyro_jax.base.free`, start `values`, bounds `low` and `high`, all SI and (n,).
+    """The free numbers of a loop in the order of its tree: `paths`, `labels` for people, start `values`, bounds `low`
+    and `high`, all SI and (n,), and `priors`, value and factor as in `Tunable`, NaN where nothing is known.
+
+    Coordinates are unbounded; a step of one is about a factor e in the middle of the range.
     """
 
     paths: tuple[str, ...]
     labels: tuple[str, ...]
-    spec: ClosedLoop = field(repr=False)
     values: Float[np.ndarray, " n"]
     low: Float[np.ndarray, " n"]
     high: Float[np.ndarray, " n"]
-    transforms: tuple[Free, ...] = field(repr=False)
+    priors: Float[np.ndarray, "n 2"]
 
     @property
     def coordinates(self) -> Float[np.ndarray, " n"]:
-        """Unbounded coordinates of the start, in which a step of one is about a factor e in the middle of the range."""
-        raw = [f.transform.forward(jnp.asarray(v)) for f, v in zip(self.transforms, self.values, strict=True)]
-        return np.asarray(raw, float) * self._units
+        """Of the start."""
+        return special.logit(np.clip(self.places(self.values), _EDGE, 1.0 - _EDGE)) * self._units
 
     def numbers(self, coordinates: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        """Values at unbounded coordinates."""
-        raw = np.asarray(coordinates) / self._units
-        return np.asarray([f.transform.inverse(u) for f, u in zip(self.transforms, raw, strict=True)])
+        """Values at coordinates."""
+        return self.at_places(special.expit(coordinates / self._units))
 
     def stretch(self, coordinates: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
         """Derivative of the values by the coordinates."""
-        raw = np.asarray(coordinates) / self._units
-        slopes = [jax.grad(f.transform.inverse)(float(u)) for f, u in zip(self.transforms, raw, strict=True)]
-        return np.asarray(slopes) / self._units
+        place, back = special.expit(coordinates / self._units), special.expit(-coordinates / self._units)
+        return np.where(self.logarithmic, self.at_places(place), 1.0) * self._range * place * back / self._units
+
+    @property
+    def logarithmic(self) -> Bool[np.ndarray, " n"]:
+        """Which numbers move on a logarithmic scale."""
+        return self.low > 0.0
+
+    def _scaled(self, values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        return np.where(self.logarithmic, np.log(np.where(self.logarithmic, values, 1.0)), values)
+
+    @property
+    def _range(self) -> Float[np.ndarray, " n"]:
+        return self._scaled(self.high) - self._scaled(self.low)
 
     @property
     def _units(self) -> Float[np.ndarray, " n"]:
-        return np.where(self.logarithmic, np.log(self.high / np.where(self.logarithmic, self.low, 1.0)) / 4.0, 1.0)
-
-    @property
-    def logarithmic(self) -> np.ndarray:
-        """Which numbers move on a logarithmic scale."""
-        return np.array([isinstance(f.transform, LogLogit) for f in self.transforms])
+        return np.where(self.logarithmic, self._range / 4.0, 1.0)
 
     def prior(self, coordinates: Float[np.ndarray, " n"]) -> tuple[float, Float[np.ndarray, " n"]]:
         """Negative log-density of what is known beforehand, in nats but for a constant, and its gradient."""
-        raw, value, slope = np.asarray(coordinates) / self._units, 0.0, np.zeros(len(self.paths))
-        for i, free_number in enumerate(self.transforms):
-            if free_number.prior is not None:
-                away = (raw[i] - float(free_number.prior.mean)) / float(free_number.prior.std)
-                value, slope[i] = value + 0.5 * away**2, away / float(free_number.prior.std) / self._units[i]
-        return value, slope
+        value, factor = self.priors.T
+        known = np.isfinite(value)
+        mean = self.starting(np.where(known, value, self.values)).coordinates
+        # The prior is one of ln(value); beside it the coordinate is a straight line.
+        std = np.where(known, np.log(factor) * value / self.stretch(mean), np.inf)
+        away = (coordinates - mean) / std
+        return 0.5 * float(np.sum(away**2)), away / std
 
     def places(self, values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
         """Where values stand between their bounds, 0 to 1, on their own scale."""
-        log = self.logarithmic
-        safe = [np.log(np.where(log, v, 1.0)) for v in (values, self.low, self.high)]
-        straight = (values - self.low) / (self.high - self.low)
-        return np.where(log, (safe[0] - safe[1]) / np.where(log, safe[2] - safe[1], 1.0), straight)
+        return (self._scaled(values) - self._scaled(self.low)) / self._range
 
-    def grid(self, index: int, count: int) -> Float[np.ndarray, " count"]:
-        """`count` values from bound to bound, even on the number's own scale."""
-        inside = (np.arange(count) + 0.5) / count
-        if self.logarithmic[index]:
-            return self.low[index] * (self.high[index] / self.low[index]) ** inside
-        return self.low[index] + inside * (self.high[index] - self.low[index])
+    def at_places(self, places: Float[np.ndarray, "*some n"]) -> Float[np.ndarray, "*some n"]:
+        """The values that stand there."""
+        logarithmic = self.low * np.exp(np.where(self.logarithmic, places * self._range, 0.0))
+        return np.where(self.logarithmic, logarithmic, self.low + places * self._range)
 
     def applied(self, loop: ClosedLoop, values: Sequence[float] | np.ndarray) -> ClosedLoop:
         """The loop with these values."""
         alike = [_alike(_at(loop, path), value) for path, value in zip(self.paths, values, strict=True)]
         return placed(loop, self.paths, alike)
 
-    def chosen(self, which: Sequence[bool], values: np.ndarray) -> "Tunables":
+    def starting(self, values: Float[np.ndarray, " n"]) -> "Tunables":
+        """The same numbers, starting at `values`."""
+        return replace(self, values=np.asarray(values))
+
+    def chosen(self, which: Sequence[bool], values: Float[np.ndarray, " n"]) -> "Tunables":
         """Some of them, starting at `values`."""
-        keep = [i for i, use in enumerate(which) if use]
-        pick = lambda items: tuple(items[i] for i in keep)  # noqa: E731
-        return Tunables(
-            pick(self.paths), pick(self.labels), self.spec, np.asarray(values)[keep], self.low[keep], self.high[keep],
-            pick(self.transforms),
-        )  # fmt: skip
+        paths, labels = (tuple(itertools.compress(names, which)) for names in (self.paths, self.labels))
+        rows = (np.asarray(row)[np.asarray(which)] for row in (values, self.low, self.high, self.priors))
+        return Tunables(paths, labels, *rows)
 
 
 def resolved(loop: ClosedLoop, tunables: Sequence[Tunable], sample_rate: float, duration: float) -> Tunables:
@@ -154,32 +159,24 @@ def resolved(loop: ClosedLoop, tunables: Sequence[Tunable], sample_rate: float, 
     Raises `InputError` for a path that leads nowhere or twice to a number, inverted bounds, a start outside them, or a
     number that needs bounds and has none.
     """
-    leaves, treedef = jax.tree_util.tree_flatten_with_path(loop)
+    leaves = jax.tree_util.tree_leaves_with_path(loop)
     place = {_dotted(path): order for order, (path, _) in enumerate(leaves)}
-    found: dict[int, tuple[str, float, Free, Bounds]] = {}
+    found: dict[str, tuple[float, ...]] = {}
     for tunable in tunables:
         for path in _numbers_at(loop, tunable.path, place):
-            value, order = float(_at(loop, path)), place[path]
-            if order in found:
+            if path in found:
                 raise InputError(f"A number must be freed once, but `{tunable.path}` is freed twice.")
+            value = float(_at(loop, path))
             low, high = _bounds(loop, path, value, tunable, sample_rate, duration)
             start = low if value == 0.0 and low > 0.0 else value  # "off": as good as its lower bound
             if not low <= start <= high:
                 raise InputError(
                     f"The start of `{path}` must lie within its bounds {low:g} to {high:g}, but is {value:g}."
                 )
-            found[order] = (path, start, _free(low, high, tunable, path), (low, high))
-    spec_leaves = [found[i][2] if i in found else None for i in range(len(leaves))]
-    rows = [found[i] for i in sorted(found)]
-    return Tunables(
-        paths=tuple(row[0] for row in rows),
-        labels=tuple(_label(loop, row[0]) for row in rows),
-        spec=jax.tree.unflatten(treedef, spec_leaves),
-        values=np.array([row[1] for row in rows]),
-        low=np.array([row[3][0] for row in rows]),
-        high=np.array([row[3][1] for row in rows]),
-        transforms=tuple(row[2] for row in rows),
-    )
+            found[path] = (start, low, high, *_prior(low, high, tunable, path))
+    paths = tuple(sorted(found, key=place.__getitem__))
+    values, low, high, *priors = np.array([found[path] for path in paths]).T
+    return Tunables(paths, tuple(_label(loop, path) for path in paths), values, low, high, np.stack(priors, axis=1))
 
 
 def placed(loop: ClosedLoop, paths: Sequence[str], values: Sequence[Array] | np.ndarray) -> ClosedLoop:
@@ -243,19 +240,16 @@ def _default_bounds(loop: ClosedLoop, path: str, value: float, sample_rate: floa
     return value / _DECADES, max(value, min(high, _NYQUIST * sample_rate)) if path.startswith("filter.") else high
 
 
-def _free(low: float, high: float, tunable: Tunable, path: str) -> Free:
-    transform = LogLogit(low, high) if low > 0.0 else Logit(low, high)
+def _prior(low: float, high: float, tunable: Tunable, path: str) -> tuple[float, float]:
     if tunable.prior is None:
-        return Free(transform)
+        return math.nan, math.nan
     value, factor = tunable.prior
     if not (low > 0.0 and low < value < high and factor > 1.0):
         raise InputError(
             f"The prior of `{path}` must be a value within its positive bounds and a factor above 1, "
             f"but {value:g}, {factor:g} were given."
         )
-    # The prior is one of ln(value); beside it the coordinate is a straight line.
-    along = jax.grad(transform.forward)(value) * value
-    return Free(transform, GaussianPrior(transform.forward(jnp.asarray(value)), math.log(factor) * along))
+    return value, factor
 
 
 def _label(loop: ClosedLoop, path: str) -> str:
@@ -266,6 +260,17 @@ def _label(loop: ClosedLoop, path: str) -> str:
 
 def tree(loop: ClosedLoop, tunables: Sequence[Tunable], *, sample_rate: float = 100e3, duration: float = 0.1):
     """The tree (`base.transforms`) beside `loop` in which the named numbers are free; arguments as of `resolved`."""
-    spec = resolved(loop, tunables, sample_rate, duration).spec
+    found = resolved(loop, tunables, sample_rate, duration)
+    rows = zip(found.low, found.high, *found.priors.T, strict=True)
+    free_numbers = dict(zip(found.paths, (_free(*row) for row in rows), strict=True))
+    spec = jax.tree_util.tree_map_with_path(lambda path, _: free_numbers.get(_dotted(path)), loop)
     to_vector(loop, spec)
     return spec
+
+
+def _free(low: float, high: float, value: float, factor: float) -> Free:
+    transform = LogLogit(low, high) if low > 0.0 else Logit(low, high)
+    if math.isnan(value):
+        return Free(transform)
+    along = jax.grad(transform.forward)(value) * value
+    return Free(transform, GaussianPrior(transform.forward(jnp.asarray(value)), math.log(factor) * along))

@@ -8,6 +8,7 @@ numbers by likelihood, then the rest by the error.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +23,7 @@ from memsgyro_jax.montecarlo.spread import Spread
 from memsgyro_jax.montecarlo.sweep import sweep
 
 from .descent import Descent, DescentStep, descend, sought
-from .fates import fates, null_directions
+from .fates import null_directions, tuned_numbers
 from .grid import rescued, scanned
 from .losses import AbstractLoss, InnovationLikelihood, SquaredRateError
 from .objective import Objective, Timing, Values, evaluated, noise_of
@@ -87,14 +88,12 @@ def tune(
     told = progress or (lambda sentence: None)
     work = _Work(loop, scenario, spread, timing, seed, (dies, validation_dies), evaluations, told,
                  None if keep is None else Path(keep))  # fmt: skip
-    numbers, results = tunables.values, []
+    numbers, results = np.array(tunables.values), []
     rows: dict[str, TunedNumber] = {}
     for stage in stages:
-        chosen = tunables.chosen(stage.which, numbers)
         tuned = tunables.applied(loop, numbers)
-        outcome, values, found = work.run(stage, tuned, chosen)
-        numbers = np.array(numbers)
-        numbers[np.asarray(stage.which)] = values
+        outcome, found = work.run(stage, tuned, tunables.chosen(stage.which, numbers))
+        numbers[np.asarray(stage.which)] = [row.value for row in found]
         results.append(outcome)
         rows |= {row.path: row for row in found}
     tuned = tunables.applied(loop, numbers)
@@ -148,8 +147,8 @@ class _Work:
 
     def run(
         self, stage: TuningStage, loop: ClosedLoop, tunables: Tunables
-    ) -> tuple[StageResult, np.ndarray, list[TunedNumber]]:
-        """The stage's outcome, the numbers it found, and what became of each."""
+    ) -> tuple[StageResult, tuple[TunedNumber, ...]]:
+        """The stage's outcome, and what became of each number."""
         name = type(stage.loss).__name__
         self.told(f"{name} over {len(tunables.paths)} numbers, {self.dies[0]} dies: compiling")
         training, validation = (
@@ -158,46 +157,43 @@ class _Work:
             for first, count in zip((TRAINING, VALIDATION), self.dies, strict=True)
         )  # fmt: skip
         penalty = _penalty(training.values(tunables.values), name)
-        first = scanned(training, tunables.values, penalty, self.told)
-        steps = self.timing.blocks * self.timing.block - float(stage.loss.begins()) / self.timing.period
-        readings = self.dies[0] * steps
-        descent = sought(
-            lambda start, left: descend(
-                lambda at: evaluated(training, tunables, at, penalty, readings),
-                lambda at: validation.total(validation.values(tunables.numbers(at)), penalty)[0],
-                start,
-                evaluations=left,
-                told=lambda step: self.told(_sentence(name, step)),
-            ),
-            lambda end: _elsewhere(training, end, penalty, self.told),
-            tunables.chosen((True,) * len(first), first).coordinates,
-            self.evaluations,
-        )
+        descent = self._sought(name, training, validation, penalty)
         found = tunables.numbers(descent.coordinates)
         values = training.slopes(found)
-        fate = fates(tunables, found, values)
-        rows = [
-            TunedNumber(label, path, float(a), float(b), float(low), float(high), name, words)
-            for label, path, a, b, low, high, words in zip(
-                tunables.labels, tunables.paths, tunables.values, found, tunables.low, tunables.high, fate, strict=True
-            )
-        ]
-        return _outcome(stage, descent, values, null_directions(tunables, found, values)), found, rows
+        outcome = StageResult(
+            name,
+            stage.reason,
+            *zip(*((step.evaluations, step.training, step.validation) for step in descent.steps), strict=True),
+            best=descent.best,
+            lost=int(np.sum(~values.alive)),
+            status=descent.status,
+            nulls=null_directions(tunables, found, values),
+        )
+        return outcome, tuned_numbers(tunables, found, values, name)
 
+    def _sought(self, name: str, training: Objective, validation: Objective, penalty: float) -> Descent:
+        """The way down from the best of coarse grids, with rescues."""
+        tunables = training.tunables
+        steps = self.timing.blocks * self.timing.block - float(training.loss.begins()) / self.timing.period
+        readings = self.dies[0] * steps
 
-def _elsewhere(training: Objective, end: np.ndarray, penalty: float, told: Callable[[str], None]) -> np.ndarray | None:
-    """Coordinates after a rescue; None when nothing gains."""
-    tunables = training.tunables
-    moved = rescued(training, tunables.numbers(end), penalty, told)
-    return None if moved is None else tunables.chosen((True,) * len(moved), moved).coordinates
+        def told(step: DescentStep) -> None:
+            losses = f"training {step.training:.8g}, validation {step.validation:.8g}"
+            self.told(f"{name} after {step.evaluations}: {losses}")
 
+        def judged(at: np.ndarray) -> float:
+            return validation.total(validation.values(tunables.numbers(at)), penalty)[0]
 
-def _outcome(stage: TuningStage, descent: Descent, values: Values, nulls: tuple[str, ...]) -> StageResult:
-    pick = lambda name: tuple(getattr(step, name) for step in descent.steps)  # noqa: E731
-    return StageResult(
-        type(stage.loss).__name__, stage.reason, pick("evaluations"), pick("training"), pick("validation"),
-        descent.best, int(np.sum(~values.alive)), descent.status, nulls,
-    )  # fmt: skip
+        def down(start: np.ndarray, left: int) -> Descent:
+            loss = partial(evaluated, training, tunables, penalty=penalty, readings=readings)
+            return descend(loss, judged, start, evaluations=left, told=told)
+
+        def moved(end: np.ndarray) -> np.ndarray | None:
+            found = rescued(training, tunables.numbers(end), penalty, self.told)
+            return None if found is None else tunables.starting(found).coordinates
+
+        first = scanned(training, tunables.values, penalty, self.told)
+        return sought(down, moved, tunables.starting(first).coordinates, self.evaluations)
 
 
 def _penalty(values: Values, name: str) -> float:
@@ -208,10 +204,6 @@ def _penalty(values: Values, name: str) -> float:
         )
     loss = values.loss[values.alive]
     return float(np.max(loss) + _LOST * max(np.max(np.abs(loss)), noise_of(values)))
-
-
-def _sentence(name: str, step: DescentStep) -> str:
-    return f"{name} after {step.evaluations}: training {step.training:.8g}, validation {step.validation:.8g}"
 
 
 def timing_of(sample_rate: float, duration: float, begins: float) -> Timing:
@@ -231,8 +223,8 @@ def timing_of(sample_rate: float, duration: float, begins: float) -> Timing:
 def _check_priors(stages: tuple[TuningStage, ...], tunables: Tunables) -> None:
     """What is known beforehand is weighed against readings, so a likelihood must judge them."""
     for stage in stages:
-        for path, number, used in zip(tunables.paths, tunables.transforms, stage.which, strict=True):
-            if used and number.prior is not None and not isinstance(stage.loss, InnovationLikelihood):
+        for path, (known, _), used in zip(tunables.paths, tunables.priors, stage.which, strict=True):
+            if used and np.isfinite(known) and not isinstance(stage.loss, InnovationLikelihood):
                 raise InputError(
                     f"A prior must belong to a number that is tuned by likelihood, but `{path}` is tuned by "
                     f"{type(stage.loss).__name__}; give it bounds instead."

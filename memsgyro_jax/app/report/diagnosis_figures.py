@@ -12,7 +12,7 @@ from memsgyro_jax.diagnosis.result import Stage
 from memsgyro_jax.measurement.experiments import AbstractRecord, Deviation
 from memsgyro_jax.measurement.experiments.deviation import View
 
-from .figures import WIDTH
+from .figures import blank, plain
 
 
 MEASURED, BASE, FINAL, QUIET = "#1d2530", "#c2571a", "#1f5fa8", "#8a94a0"
@@ -21,7 +21,7 @@ _POINTS = 250  # of a long record in a picture
 
 def steps_figure(steps: Sequence[Stage]) -> Figure:
     """How χ²/dof of the fitted and the error of the other readings fell with every effect that was added."""
-    figure = Figure(figsize=(WIDTH, 2.4), layout="constrained")
+    figure = blank(2.4)
     ax, place = figure.subplots(), np.arange(len(steps))
     ax.plot(place, [np.sqrt(s.chi2_per_dof) for s in steps], "o-", color=FINAL, label="fitted readings")
     ax.plot(place, [s.validation_error for s in steps], "s--", color=BASE, label="readings that were not fitted")
@@ -31,14 +31,14 @@ def steps_figure(steps: Sequence[Stage]) -> Figure:
     ax.margins(x=0.2 if len(steps) < 3 else 0.05)
     ax.set_ylabel("error / noise")
     ax.legend(frameon=False, fontsize="small")
-    return _plain(figure)
+    return faint(figure)
 
 
 def overlay_figure(record: AbstractRecord, base: Deviation, final: Deviation, views: Sequence[View]) -> Figure:
     """Measured points between the curves of base and final model, residual over noise below; a column per view."""
     white, phasors = [one.size for one in (base, final)], np.iscomplexobj(record.readings)
     measured, *curves = (np.abs(v) if phasors else v for v in (record.readings, base.predicted, final.predicted))
-    figure = Figure(figsize=(WIDTH, 4.6), layout="constrained")
+    figure = blank(4.6)
     grid = figure.subplots(2, len(views), squeeze=False, sharex="col", height_ratios=(3, 2))
     for view, (upper, lower) in zip(views, grid.T, strict=True):
         for rows in view.curves:
@@ -59,12 +59,12 @@ def overlay_figure(record: AbstractRecord, base: Deviation, final: Deviation, vi
     grid[0, 0].set_ylabel(f"{'amplitude' if phasors else 'reading'} [{base.declared.readout.unit}]")
     grid[1, 0].set_ylabel("residual / noise")
     _keys(figure)
-    return _plain(figure)
+    return faint(figure)
 
 
 def residual_figure(base: Deviation, final: Deviation, views: Sequence[View]) -> Figure:
     """Residual over noise alone, as root mean square of short stretches; a column per view."""
-    figure = Figure(figsize=(WIDTH, 2.3), layout="constrained")
+    figure = blank(2.3)
     grid = figure.subplots(1, len(views), squeeze=False, sharey=True)[0]
     for view, ax in zip(views, grid, strict=True):
         for one, colour, style in ((base, BASE, "--"), (final, FINAL, "-")):
@@ -76,7 +76,7 @@ def residual_figure(base: Deviation, final: Deviation, views: Sequence[View]) ->
         ax.set_xlabel(view.heading)
     grid[0].set_ylabel("residual / noise")
     _keys(figure, measured=False)
-    return _plain(figure)
+    return faint(figure)
 
 
 def _stretches(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -116,10 +116,9 @@ def _keys(figure: Figure, measured: bool = True) -> None:
     figure.legend(handles=keys, loc="outside lower center", ncols=4, frameon=False, fontsize="small")
 
 
-def _plain(figure: Figure) -> Figure:
-    """Without the box's upper and right edge, with a faint grid and small titles."""
+def faint(figure: Figure) -> Figure:
+    """The figure with less around its curves: small titles and a faint grid, too."""
     for ax in figure.axes:
-        ax.spines[["top", "right"]].set_visible(False)
         ax.grid(alpha=0.25, lw=0.6)
         ax.set_title(ax.get_title(), fontsize="medium")
-    return figure
+    return plain(figure)

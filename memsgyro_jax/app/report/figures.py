@@ -20,9 +20,14 @@ _PERIODS, _FASTEST = 12.0, 4e3  # how many periods of motion are shown, of modes
 _INK, _BAND, _WARN = "#1d2530", "#3b6fb6", "#c2502e"
 
 
+def blank(height: float) -> Figure:
+    """An empty figure, `height` inches high."""
+    return Figure(figsize=(WIDTH, height), layout="constrained")
+
+
 def error_figure(lot: "Lot") -> Figure:
     """Histogram of the rate error at the end, with the information bound and the tolerance."""
-    figure = Figure(figsize=(WIDTH, 3.4), layout="constrained")
+    figure = blank(3.4)
     if not np.isfinite(lot.data["rate_error_end"].values).any():
         return _nothing(figure)
     ax = lot.plot(figure.subplots())
@@ -32,12 +37,12 @@ def error_figure(lot: "Lot") -> Figure:
         if low < edge < high:
             ax.axvline(edge, color=_WARN, lw=1.0, ls=":", label=None if number else f"tolerance {tolerance:.3g} deg/s")
     ax.legend(loc="best", frameon=False)
-    return _plain(figure)
+    return plain(figure)
 
 
 def convergence_figure(lot: "Lot") -> Figure:
     """The estimated rate of all dies over time beside the true rate: median and percentiles of window means."""
-    figure = Figure(figsize=(WIDTH, 3.6), layout="constrained")
+    figure = blank(3.6)
     time = 1e3 * lot.data["time"].values
     alive = np.isfinite(lot.data["rate_error_end"].values)
     estimate, true = (np.degrees(lot.data[name].values[alive]) for name in ("rate_estimate", "rate_true"))
@@ -56,7 +61,7 @@ def convergence_figure(lot: "Lot") -> Figure:
     ax.set_xlabel("time [ms]")
     ax.set_ylabel("rate [deg/s]")
     figure.legend(loc="outside lower center", frameon=False, fontsize="small", ncols=5)
-    return _plain(figure)
+    return plain(figure)
 
 
 def _limits(estimate: np.ndarray, true: np.ndarray) -> tuple[float, float]:
@@ -76,7 +81,7 @@ def parameter_figure(lot: "Lot") -> Figure | None:
     order = np.argsort([-abs(rank) for rank in ranks(values, error)])[:_MANY]
     columns = min(4, len(order))
     rows = -(-len(order) // columns)
-    figure = Figure(figsize=(WIDTH, 0.4 + 2.1 * rows), layout="constrained")
+    figure = blank(0.4 + 2.1 * rows)
     axes = np.ravel(figure.subplots(rows, columns, sharey=True, squeeze=False))
     for ax, index in zip(axes, order, strict=False):
         _scatter(ax, names[index], values[:, index], error)
@@ -84,7 +89,7 @@ def parameter_figure(lot: "Lot") -> Figure | None:
         ax.set_axis_off()
     for ax in axes[::columns]:
         ax.set_ylabel("rate error [deg/s]")
-    return _plain(figure)
+    return plain(figure)
 
 
 def _scatter(ax: Axes, name: str, values: np.ndarray, error: np.ndarray) -> None:
@@ -122,9 +127,9 @@ def _rank(values: np.ndarray, error: np.ndarray) -> float:
 
 def rate_figure(trace: "Trace") -> Figure:
     """Estimated and true rate over time."""
-    figure = Figure(figsize=(WIDTH, 3.2), layout="constrained")
+    figure = blank(3.2)
     _thinned(trace).plot("rate", figure.subplots())
-    return _plain(figure)
+    return plain(figure)
 
 
 def motion_figure(trace: "Trace") -> Figure | None:
@@ -133,14 +138,14 @@ def motion_figure(trace: "Trace") -> Figure | None:
     last = min(len(trace.time), round(_PERIODS * kept / _FASTEST))
     if kept < 8.0 * _FASTEST or last < 8:
         return None
-    figure = Figure(figsize=(WIDTH, 3.2), layout="constrained")
+    figure = blank(3.2)
     _rows(trace, slice(-last, None)).plot("motion", figure.subplots())
-    return _plain(figure)
+    return plain(figure)
 
 
 def coefficients_figure(trace: "Trace") -> Figure:
     """Size of the relative error of every coefficient but the rate over time."""
-    figure, trace = Figure(figsize=(WIDTH, 3.6), layout="constrained"), _thinned(trace)
+    figure, trace = blank(3.6), _thinned(trace)
     ax = figure.subplots()
     error = 100.0 * np.abs(trace.theta_estimate / trace.theta - 1.0)
     for index, name in enumerate(trace.coefficients):
@@ -150,7 +155,7 @@ def coefficients_figure(trace: "Trace") -> Figure:
     ax.set_xlabel("time [ms]")
     ax.set_ylabel("relative error [%]")
     figure.legend(loc="outside lower center", frameon=False, ncols=8, fontsize="small")
-    return _plain(figure)
+    return plain(figure)
 
 
 def _thinned(trace: "Trace") -> "Trace":
@@ -169,8 +174,8 @@ def _nothing(figure: Figure) -> Figure:
     return figure
 
 
-def _plain(figure: Figure) -> Figure:
-    """Without the box's upper and right edge."""
+def plain(figure: Figure) -> Figure:
+    """The figure without the upper and right edge of its boxes."""
     for ax in figure.axes:
         ax.spines[["top", "right"]].set_visible(False)
     return figure

@@ -7,8 +7,8 @@ from matplotlib.ticker import MaxNLocator
 
 from memsgyro_jax.measurement.experiments.missing_force import Binned, RateResidual, SweepForce, TimeForce
 
-from .diagnosis_figures import BASE, FINAL, MEASURED, QUIET, _plain, colours
-from .figures import WIDTH
+from .diagnosis_figures import BASE, FINAL, MEASURED, QUIET, colours, faint
+from .figures import blank
 
 
 _SURE = 0.2  # part of the points that is known best
@@ -41,7 +41,7 @@ def sweep_figure(found: SweepForce, axis: int, motion: tuple[float, str], stiffn
         (found.stiffness[:, axis], found.stiffness_std[:, axis], f"stiffness [{stiffness}]"),
         (found.damping[:, axis], found.damping_std[:, axis], f"damping [{damping}]"),
     )
-    figure = Figure(figsize=(WIDTH, 4.8), layout="constrained")
+    figure = blank(4.8)
     grid = figure.subplots(2, len(views), sharex="col", sharey="row", squeeze=False)
     shades = colours(found.drive)
     for row, (values, std, label) in enumerate(quantities):
@@ -56,12 +56,12 @@ def sweep_figure(found: SweepForce, axis: int, motion: tuple[float, str], stiffn
                 ax.xaxis.set_major_locator(MaxNLocator(5))
                 ax.ticklabel_format(axis="x", useOffset=False)
         grid[row, 0].set_ylabel(label)
-    return _plain(figure)
+    return faint(figure)
 
 
 def time_figure(found: TimeForce, axis: int, motion: tuple[float, str], force: tuple[float, str]) -> Figure:
     """The force on an axis against its displacement, its velocity, and time; factors and units as for a sweep."""
-    figure = Figure(figsize=(WIDTH, 2.8), layout="constrained")
+    figure = blank(2.8)
     left, middle, right = figure.subplots(1, 3)
     middle.sharey(left)
     _with_error(left, found.against_displacement(axis), motion[0], force[0])
@@ -75,7 +75,7 @@ def time_figure(found: TimeForce, axis: int, motion: tuple[float, str], force: t
     right.set_ylabel(f"rms force [{force[1]}]")
     for ax in (left, middle, right):
         ax.xaxis.set_major_locator(MaxNLocator(5))
-    return _plain(figure)
+    return faint(figure)
 
 
 def residual_rate_figure(found: RateResidual, unit: str) -> Figure:
@@ -87,7 +87,7 @@ def residual_rate_figure(found: RateResidual, unit: str) -> Figure:
     if found.rate is not None:
         views.insert(0, (found.rate, np.degrees(1.0), "rate [deg/s]"))
     channels = found.time.mean.shape[1]
-    figure = Figure(figsize=(WIDTH, 2.4 * channels), layout="constrained")
+    figure = blank(2.4 * channels)
     grid = figure.subplots(channels, len(views), squeeze=False, sharex="col")
     for channel in range(channels):
         for column, (binned, factor, name) in enumerate(views):
@@ -102,7 +102,7 @@ def residual_rate_figure(found: RateResidual, unit: str) -> Figure:
                 ax.set_xlabel(name)
         grid[channel, 0].set_ylabel(f"channel {'xy'[channel]} [{unit}]")
     grid[0, 0].legend(frameon=False, fontsize="small")
-    return _plain(figure)
+    return faint(figure)
 
 
 def _with_error(ax: Axes, binned: Binned, across: float, up: float) -> None:

@@ -6,10 +6,9 @@ scripts and every outside resource, so that a report may be opened from an untru
 
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from markupsafe import Markup
@@ -20,34 +19,6 @@ from memsgyro_jax.base.files import write_whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-
-@dataclass(frozen=True)
-class Text:
-    """A paragraph."""
-
-    text: str
-    kind: str = "text"
-
-
-@dataclass(frozen=True)
-class PageTable:
-    """Rows of text below a header; columns that hold numbers only are set flush right."""
-
-    header: Sequence[str]
-    rows: Sequence[Sequence[str]]
-    caption: str
-    numeric: Sequence[bool]
-    kind: str = "table"
-
-
-@dataclass(frozen=True)
-class Drawing:
-    """A figure as SVG text."""
-
-    svg: Markup
-    caption: str
-    kind: str = "figure"
 
 
 class Page:
@@ -70,17 +41,18 @@ class Page:
 
     def text(self, text: str) -> "Page":
         """A paragraph of plain text."""
-        return self._add(Text(text))
+        return self._add("text", text=text)
 
     def table(self, header: Sequence[str], rows: Sequence[Sequence[object]], caption: str = "") -> "Page":
-        """A table; every cell is shown as its text."""
+        """A table; every cell is shown as its text, columns that hold numbers only flush right."""
         cells = [[str(cell) for cell in row] for row in rows]
         numeric = [bool(cells) and all(_is_number(row[i]) for row in cells) for i in range(len(header))]
-        return self._add(PageTable(list(header), cells, caption, numeric))
+        return self._add("table", header=list(header), rows=cells, caption=caption, numeric=numeric)
 
     def figure(self, figure: "Figure", caption: str) -> "Page":
         """A matplotlib figure, as SVG within the page."""
-        return self._add(Drawing(_svg(figure, salt=f"figure-{sum(len(s['parts']) for s in self._sections)}"), caption))
+        salt = f"figure-{sum(len(s['parts']) for s in self._sections)}"
+        return self._add("figure", svg=_svg(figure, salt), caption=caption)
 
     def html(self) -> str:
         """The page as text."""
@@ -90,10 +62,10 @@ class Page:
         """Write the page, whole or not at all."""
         return write_whole(path, self.html())
 
-    def _add(self, part: Text | PageTable | Drawing) -> "Page":
+    def _add(self, kind: str, **content: Any) -> "Page":
         if not self._sections:
             self.section("")
-        self._sections[-1]["parts"].append(part)
+        self._sections[-1]["parts"].append({"kind": kind, **content})
         return self
 
 

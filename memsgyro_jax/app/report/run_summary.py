@@ -13,7 +13,8 @@ SCHEMA = "memsgyro-run/1"
 
 def run_figures(trace: Trace, settle: float | None) -> dict[str, Any]:
     """What `summary.json` of a run holds; not-a-number (a lost die, an observer without covariance) is None."""
-    begin = 0.5 * trace.settings.duration if settle is None else settle
+    given = trace.settings
+    begin = 0.5 * given.duration if settle is None else settle
     entries = {
         "schema": SCHEMA,
         "status": trace.status,
@@ -30,8 +31,11 @@ def run_figures(trace: Trace, settle: float | None) -> dict[str, Any]:
             if not name.startswith("rate")
         },
         "settled_from_s": begin,
-        **{f"{name}{unit}": value for (name, value), unit in zip(_settings(trace), ("_hz", "_s", "", ""), strict=True)},
-        "versions": dict(trace.settings.versions),
+        "sample_rate_hz": given.sample_rate,
+        "duration_s": given.duration,
+        "seed": given.seed,
+        "fingerprint": given.fingerprint,
+        "versions": dict(given.versions),
     }
     return finite(entries)
 
@@ -44,26 +48,21 @@ def _error(error: np.ndarray, settled: np.ndarray) -> dict[str, float]:
     return {"end": end, "rms": rms, "mean": float(np.mean(chosen)), "std": float(np.std(chosen))}
 
 
-def _settings(trace: Trace) -> list[tuple[str, Any]]:
-    given = trace.settings
-    names = ("sample_rate", "duration", "seed", "fingerprint")
-    return [(name, getattr(given, name)) for name in names]
-
-
 def run_rows(figures: dict[str, Any]) -> list[tuple[str, str]]:
     """The figures as name and value."""
     shown = lambda value: "–" if value is None else f"{value:.3g}"  # noqa: E731
+    settled = lambda error: ", ".join(shown(error[name]) for name in ("rms", "mean", "std")) + " deg/s"  # noqa: E731
     error, raw, worst = (figures[n] for n in ("rate_error_dps", "rate_error_before_filter_dps", "coefficient_error"))
-    claimed = f"claimed {shown(figures['claimed_std_end_dps'])}"
+    claimed = f" (claimed {shown(figures['claimed_std_end_dps'])})"
     far = max(worst, key=lambda name: abs(worst[name] or 0.0))
-    return [
+    rows = [
         ("run", f"{figures['duration_s']:g} s at {figures['sample_rate_hz']:g} Hz, {figures['status']}"),
-        ("rate error at the end", f"{shown(error['end'])} deg/s{'' if raw else f' ({claimed})'}"),
-        (f"rate error from {figures['settled_from_s']:g} s on (rms, mean, std)",
-         ", ".join(shown(error[name]) for name in ("rms", "mean", "std")) + " deg/s"),
-        *([("rate error at the end before the filter", f"{shown(raw['end'])} deg/s ({claimed})"),
-           ("  from then on (rms, mean, std)",
-            ", ".join(shown(raw[name]) for name in ("rms", "mean", "std")) + " deg/s")] if raw else []),
-        ("farthest coefficient at the end", f"{far}, off by {100.0 * (worst[far] or 0.0):.3g} %"),
-        ("consistency (NIS)", f"{shown(figures['nis_mean'])} of 2"),
-    ]  # fmt: skip
+        ("rate error at the end", f"{shown(error['end'])} deg/s{'' if raw else claimed}"),
+        (f"rate error from {figures['settled_from_s']:g} s on (rms, mean, std)", settled(error)),
+    ]
+    if raw:
+        rows.append(("rate error at the end before the filter", f"{shown(raw['end'])} deg/s{claimed}"))
+        rows.append(("  from then on (rms, mean, std)", settled(raw)))
+    rows.append(("farthest coefficient at the end", f"{far}, off by {100.0 * (worst[far] or 0.0):.3g} %"))
+    rows.append(("consistency (NIS)", f"{shown(figures['nis_mean'])} of 2"))
+    return rows

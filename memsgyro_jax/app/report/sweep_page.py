@@ -10,6 +10,7 @@ from .page import Page
 
 
 if TYPE_CHECKING:
+    from memsgyro_jax.base.provenance import Settings
     from memsgyro_jax.montecarlo.sweep import Lot
 
     from ..study import Study
@@ -34,9 +35,7 @@ def sweep_page(lot: "Lot", study: "Study") -> Page:
     page.section(f"The {min(_WORST, summary.dies)} worst dies").table(*_worst(lot))
     page.section("Settings")
     page.text("Written as a study file, these settings repeat the sweep; so does the seed on any number of cores.")
-    page.table(["entry", "value"], list(settings(study.file.model_dump(by_alias=True, exclude_none=True))))
-    page.table(["made with", "version"], [*summary.settings.versions, ("fingerprint", summary.settings.fingerprint)])
-    return page
+    return with_settings(page, study, summary.settings)
 
 
 def _headline(lot: "Lot") -> str:
@@ -97,6 +96,12 @@ def _unusual(names: list[str], values: np.ndarray, middle: np.ndarray) -> str:
 
 def _or_dash(value: float, otherwise: str = "–") -> str:
     return f"{value:.3g}" if np.isfinite(value) else otherwise
+
+
+def with_settings(page: Page, study: "Study", made: "Settings") -> Page:
+    """The page and tables of the settings of a study, and of what computed it."""
+    page.table(["entry", "value"], list(settings(study.file.model_dump(by_alias=True, exclude_none=True))))
+    return page.table(["made with", "version"], [*made.versions, ("fingerprint", made.fingerprint)])
 
 
 def settings(value: Any, name: str = "") -> Iterator[tuple[str, str]]:

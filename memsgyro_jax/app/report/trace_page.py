@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 from . import figures
 from .page import Page
-from .sweep_page import settings
+from .sweep_page import with_settings
 
 
 if TYPE_CHECKING:
@@ -23,7 +23,4 @@ def trace_page(trace: "Trace", study: "Study", rows: list[tuple[str, str]]) -> P
         page.section("Motion").figure(motion, "Displacement over the last periods; estimated, and dashed the true one.")
     page.section("Coefficients")
     page.figure(figures.coefficients_figure(trace), "Size of estimate over truth minus one.")
-    page.section("Settings")
-    page.table(["entry", "value"], list(settings(study.file.model_dump(by_alias=True, exclude_none=True))))
-    page.table(["made with", "version"], [*trace.settings.versions, ("fingerprint", trace.settings.fingerprint)])
-    return page
+    return with_settings(page.section("Settings"), study, trace.settings)

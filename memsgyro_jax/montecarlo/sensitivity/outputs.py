@@ -7,8 +7,6 @@ from typing import Any
 import numpy as np
 from jaxtyping import Array, Float
 
-from memsgyro_jax.base.errors import InputError
-
 from ..store import OK
 
 
@@ -60,27 +58,17 @@ def values_of(rows: Rows, chosen: Sequence[Output]) -> Float[np.ndarray, "output
 
 def mean(values: Float[np.ndarray, "... dies"]) -> Float[np.ndarray, "..."]:
     """Over the dies that have a value; NaN where none has."""
-    count = np.sum(np.isfinite(values), axis=-1)
-    return np.where(count > 0, np.nansum(values, axis=-1) / np.maximum(count, 1), np.nan)
+    return np.ma.filled(np.ma.masked_invalid(values).mean(axis=-1), np.nan)
 
 
 def standard_deviation(values: Float[np.ndarray, "... dies"]) -> Float[np.ndarray, "..."]:
     """Over the dies that have a value; NaN where fewer than two have."""
-    count = np.sum(np.isfinite(values), axis=-1)
-    square = np.nansum((values - mean(values)[..., None]) ** 2, axis=-1)
-    return np.where(count > 1, np.sqrt(square / np.maximum(count - 1, 1)), np.nan)
+    return np.ma.filled(np.ma.masked_invalid(values).std(axis=-1, ddof=1), np.nan)
 
 
 def standard_error(values: Float[np.ndarray, "... dies"]) -> Float[np.ndarray, "..."]:
     """Of that mean."""
     return standard_deviation(values) / np.sqrt(np.maximum(np.sum(np.isfinite(values), axis=-1), 1))
-
-
-def place_of(name: str, names: tuple[str, ...]) -> int:
-    """Where an output stands; raises `InputError` for one that was not looked at."""
-    if name not in names:
-        raise InputError(f"Argument `output` must be one of {', '.join(names)}, but `{name}` was given.")
-    return names.index(name)
 
 
 def _share(condition: Any) -> Any:

@@ -12,6 +12,7 @@ from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.scenario import AbstractProfile, Scenario
 
 from ..spread import Points, Spread
+from ..store import OK
 from ..sweep import DEFAULT_TOLERANCE, Lot, sweep
 from .outputs import Output, outputs, values_of
 
@@ -22,6 +23,25 @@ class Evaluation(NamedTuple):
     lot: Lot
     chosen: tuple[Output, ...]
     values: Float[np.ndarray, "outputs dies"]
+
+    def at_places(self, repeats: int) -> Float[np.ndarray, "outputs places repeats"]:
+        """The values at each of the places that `repeated` has repeated."""
+        return self.values.reshape(len(self.chosen), -1, repeats)
+
+    def lost(self, repeats: int) -> Float[np.ndarray, " places"]:
+        """The share of dies lost at each of these places."""
+        return np.mean(np.asarray(self.lot.data["status"]).reshape(-1, repeats) != OK, axis=1)
+
+    @property
+    def told(self) -> dict[str, Any]:
+        """What every result says: names and units of its outputs, and settings."""
+        names, units = (tuple(getattr(output, part) for output in self.chosen) for part in ("name", "unit"))
+        return {"outputs": names, "units": units, "settings": self.lot.settings}
+
+
+def repeated(places: Float[np.ndarray, "places inputs"], repeats: int) -> Points:
+    """Each place with the same `repeats` noises."""
+    return Points(np.repeat(places, repeats, axis=0), np.tile(np.arange(repeats), len(places)))
 
 
 def inputs_of(loop: ClosedLoop, spread: Spread) -> tuple[str, ...]:

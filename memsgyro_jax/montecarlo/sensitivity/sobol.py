@@ -13,40 +13,36 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy import stats
 
 from memsgyro_jax.base.axes import axes
-from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.base.provenance import Settings
 from memsgyro_jax.base.text import aligned
 from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.scenario import AbstractProfile, Scenario
 
 from ..spread import Points, Spread
-from .outputs import Output, mean, place_of, standard_deviation
+from .outputs import Output, mean, standard_deviation
 from .points import inputs_of, run_at
+from .result import Sensitivity
 
 
 if TYPE_CHECKING:
-    import xarray as xr
     from matplotlib.axes import Axes
 
 NOISE = "noise"
 RESAMPLES = 999
 
 
-@dataclass(frozen=True, eq=False)
-class Sobol(Shown):
-    """Indices of every output by every input; prints itself.
+@dataclass(frozen=True, eq=False, repr=False)
+class Sobol(Sensitivity):
+    """Indices of every output by every input, the last of which is the measurement noise.
 
     Args:
-        outputs, inputs: names; the last input is the measurement noise.
         first, total: indices (outputs, inputs); NaN for an output that does not vary.
         first_interval, total_interval: their bootstrap intervals (outputs, inputs, 2).
         mean, std: of each output over the dies, in its unit (outputs,).
-        units: of the outputs.
         points: of set A.
         dropped: points of A left out of each output (outputs,), because one of their dies was lost.
         failed: lost dies of all.
@@ -54,84 +50,46 @@ class Sobol(Shown):
         confidence: of the intervals.
     """
 
-    outputs: tuple[str, ...]
-    inputs: tuple[str, ...]
     first: Float[np.ndarray, "outputs inputs"]
     total: Float[np.ndarray, "outputs inputs"]
     first_interval: Float[np.ndarray, "outputs inputs 2"]
     total_interval: Float[np.ndarray, "outputs inputs 2"]
     mean: Float[np.ndarray, " outputs"]
     std: Float[np.ndarray, " outputs"]
-    units: tuple[str, ...]
     points: int
-    dropped: np.ndarray
+    dropped: Int[np.ndarray, " outputs"]
     failed: int
     dies: int
     confidence: float
-    settings: Settings
 
     @property
     def status(self) -> str:
-        """A sentence: what was run and what was lost."""
         text = f"{self.dies} dies at {self.points} points, {self.failed} lost"
         most = int(np.max(self.dropped))
         return text + (f"; {most} points with a lost die are left out of the errors" if most else "")
 
-    def __repr__(self) -> str:
-        lines = [f"Sobol indices with {100 * self.confidence:g} % intervals: {self.status}"]
-        for k, (name, unit) in enumerate(zip(self.outputs, self.units, strict=True)):
-            if not np.isfinite(self.first[k]).any():
-                lost = not np.isfinite(self.mean[k])
-                lines.append(f"{name}: every die was lost" if lost else f"{name}: {self.mean[k]:.4g} {unit} for all")
-                continue
-            lines.append(f"{name}: {self.mean[k]:.4g} ± {self.std[k]:.3g} {unit}")
-            rows = [("  input", "first order", "total")]
-            for i in np.argsort(-self.total[k]):
-                rows.append((f"  {self.inputs[i]}", *(self._text(kind, k, i) for kind in ("first", "total"))))
-            lines.append(aligned(rows))
-        return "\n".join(lines)
+    def _title(self) -> str:
+        return f"Sobol indices with {100 * self.confidence:g} % intervals"
 
-    def _text(self, kind: str, output: int, place: int) -> str:
-        low, high = getattr(self, f"{kind}_interval")[output, place]
-        return f"{getattr(self, kind)[output, place]:6.3f} ({low:.3f} to {high:.3f})"
-
-    def to_xarray(self) -> "xr.Dataset":
-        """Dataset over output, input and end of the interval."""
-        import xarray as xr
-
-        where = ("output", "input")
-        return xr.Dataset(
-            {
-                "first": (where, self.first),
-                "total": (where, self.total),
-                "first_interval": ((*where, "end"), self.first_interval),
-                "total_interval": ((*where, "end"), self.total_interval),
-                "mean": ("output", self.mean),
-                "std": ("output", self.std),
-                "dropped": ("output", self.dropped),
-            },
-            coords={"output": list(self.outputs), "input": list(self.inputs), "end": ["low", "high"],
-                    "unit": ("output", list(self.units))},
-            attrs={"points": self.points, "dies": self.dies, "failed": self.failed, "confidence": self.confidence,
-                   **self.settings.as_dict()},
-        )  # fmt: skip
+    def _text(self, output: int) -> str:
+        name, unit, mean = self.outputs[output], self.units[output], self.mean[output]
+        if not np.isfinite(self.first[output]).any():
+            return f"{name}: {mean:.4g} {unit} for all" if np.isfinite(mean) else f"{name}: every die was lost"
+        rows = [("  input", "first order", "total")]
+        for i in np.argsort(-self.total[output]):
+            indices = ((self.first, self.first_interval), (self.total, self.total_interval))
+            texts = ("{:6.3f} ({:.3f} to {:.3f})".format(v[output, i], *ends[output, i]) for v, ends in indices)
+            rows.append((f"  {self.inputs[i]}", *texts))
+        return f"{name}: {mean:.4g} ± {self.std[output]:.3g} {unit}\n{aligned(rows)}"
 
     def plot(self, ax: "Axes | None" = None, output: str | None = None) -> "Axes":
         """Total (light) and first-order (dark) index of every input of one output, with intervals; returns the axes."""
-        output = self.outputs[0] if output is None else output
-        ax, k = axes(ax), place_of(output, self.outputs)
-        order = np.argsort(np.nan_to_num(self.total[k]))
-        place = np.arange(len(order))
-        for values, interval, colour, offset, label in (
-            (self.total[k], self.total_interval[k], "C0", 0.2, "total"),
-            (self.first[k], self.first_interval[k], "C1", -0.2, "alone (first order)"),
-        ):
-            value, ends = np.nan_to_num(values[order]), np.nan_to_num(interval[order])
-            error = np.maximum(np.abs(ends.T - value), 0.0)
-            ax.barh(place + offset, value, 0.4, xerr=error, color=colour, ecolor="0.4", label=label)
-        ax.set_yticks(place, [self.inputs[i] for i in order])
-        ax.axvline(0.0, color="k", lw=0.8)
-        ax.set_xlabel(f"share of the variance of: {output}")
+        ax, k = axes(ax), self._place(output)
+        total, first = self.total[k], self.first[k]
+        bars = [(total, np.abs(self.total_interval[k].T - total), "total"),
+                (first, np.abs(self.first_interval[k].T - first), "alone (first order)")]  # fmt: skip
+        self._bars(ax, np.argsort(np.nan_to_num(total)), bars)
+        ax.set_xlabel(f"share of the variance of: {self.outputs[k]}")
         ax.legend(loc="lower right", frameon=False)
         return ax
 
@@ -147,30 +105,24 @@ def sobol(
     seed: int = 0,
     **settings: Any,
 ) -> Sobol:
-    """Sobol indices of the outputs of a sweep over `spread`.
+    """Sobol indices of the outputs of a sweep over `spread`, which must be independent.
 
-    Args:
-        loop, spread, scenario: as in `sweep`; the spread must be independent.
-        points: of each of the two sets, a power of two; `points` times (number of varied parameters + 3) dies are run.
-        of: outputs; without, errors of the rate, lost dies, and dies out of tolerance.
-        confidence: of the bootstrap intervals.
-        seed: of dies and noise.
-        settings: of the sweep (`sample_rate`, `duration`, `tolerance`, `progress`, `out`, `resume`...).
+    Each of the two sets has `points` points, a power of two; `points` times (number of varied parameters + 3) dies are
+    run. `confidence` is that of the bootstrap intervals. Other arguments are those of `tornado`.
 
-    Raises:
-        InputError: for a correlated spread, one without variations, `points` that are no power of two, or settings that
-            `sweep` refuses.
+    Raises `InputError` for a correlated spread, one without variations, `points` that are no power of two, and settings
+    that `sweep` refuses.
     """
     _check(spread, points)
     inputs = inputs_of(loop, spread)
     planned = _points(len(inputs), points, seed)
-    lot, chosen, values = run_at(planned, loop, spread, scenario, of=of, seed=seed, **settings)
-    found = values.reshape(len(chosen), len(inputs) + 3, points)
+    run = run_at(planned, loop, spread, scenario, of=of, seed=seed, **settings)
+    found = run.values.reshape(len(run.chosen), len(inputs) + 3, points)
     parts = [indices_of(sets, confidence, np.random.default_rng((seed, k))) for k, sets in enumerate(found)]
     first, total, first_interval, total_interval, dropped = (np.stack(part) for part in zip(*parts, strict=True))
-    plain = found[:, :2].reshape(len(chosen), -1)
+    plain = found[:, :2].reshape(len(found), -1)
     return Sobol(
-        outputs=tuple(o.name for o in chosen),
+        **run.told,
         inputs=(*inputs, NOISE),
         first=first,
         total=total,
@@ -178,13 +130,11 @@ def sobol(
         total_interval=total_interval,
         mean=mean(plain),
         std=standard_deviation(plain),
-        units=tuple(o.unit for o in chosen),
         points=points,
         dropped=dropped,
-        failed=lot.summary.failed,
-        dies=lot.summary.dies,
+        failed=run.lot.summary.failed,
+        dies=run.lot.summary.dies,
         confidence=confidence,
-        settings=lot.settings,
     )
 
 

@@ -15,31 +15,28 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from memsgyro_jax.base.axes import axes
-from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.base.provenance import Settings
 from memsgyro_jax.base.text import aligned
 from memsgyro_jax.loop import noise
 from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.scenario import AbstractProfile, Scenario, as_scenario
 
 from ..batch import Plan, rows_of
-from ..spread import Points, Root, Spread
-from .outputs import Output, mean, place_of, standard_error
-from .points import inputs_of, run_at
+from ..spread import Root, Spread
+from .outputs import Output, mean, standard_error
+from .points import inputs_of, repeated, run_at
+from .result import Sensitivity
 
 
 if TYPE_CHECKING:
-    import xarray as xr
     from matplotlib.axes import Axes
 
 
-@dataclass(frozen=True, eq=False)
-class Tornado(Shown):
-    """Change of every output with one parameter at a time; prints itself.
+@dataclass(frozen=True, eq=False, repr=False)
+class Tornado(Sensitivity):
+    """Change of every output with one parameter at a time.
 
     Args:
-        outputs, units, inputs: names of outputs, their units, and paths of the varied parameters.
         design: outputs at the design, mean over the repeats (outputs,).
         low, high: change of the output with the parameter `sigmas` standard deviations below and above its design
             (outputs, inputs), mean over the repeats in which neither die was lost; NaN where there is none.
@@ -50,9 +47,6 @@ class Tornado(Shown):
         sigmas, repeats: as they were asked for.
     """
 
-    outputs: tuple[str, ...]
-    units: tuple[str, ...]
-    inputs: tuple[str, ...]
     design: Float[np.ndarray, " outputs"]
     low: Float[np.ndarray, "outputs inputs"]
     high: Float[np.ndarray, "outputs inputs"]
@@ -61,11 +55,9 @@ class Tornado(Shown):
     lost: Float[np.ndarray, "inputs 2"]
     sigmas: float
     repeats: int
-    settings: Settings
 
     @property
     def status(self) -> str:
-        """A sentence: what was run and what was lost."""
         dies = (2 * len(self.inputs) + 1) * self.repeats
         lost = round(float(np.sum(self.lost)) * self.repeats)
         return f"{dies} dies, {self.repeats} noises at each point, {lost} lost"
@@ -75,49 +67,30 @@ class Tornado(Shown):
         size = np.fmax(np.abs(self.low[output]), np.abs(self.high[output]))
         return np.argsort(-np.nan_to_num(size), kind="stable")
 
-    def __repr__(self) -> str:
-        lines = [f"Change by ∓{self.sigmas:g} standard deviations of one parameter: {self.status}"]
-        for k, (name, unit) in enumerate(zip(self.outputs, self.units, strict=True)):
-            if not np.any(np.nan_to_num([self.low[k], self.high[k]])):
-                lines.append(f"{name}: {self.design[k]:.4g} {unit} everywhere")
-                continue
-            lines.append(f"{name}: {self.design[k]:.4g} {unit} at the design")
-            rows = [("  input", "low", "high", "standard error", "gradient")]
-            for i in self.order(k):
-                numbers = (self.low[k, i], self.high[k, i], self.std[k, i], self.slope[k, i])
-                rows.append((f"  {self.inputs[i]}", *("-" if np.isnan(v) else f"{v:+.3g}" for v in numbers)))
-            lines.append(aligned(rows))
-        return "\n".join(lines)
+    def _title(self) -> str:
+        return f"Change by ∓{self.sigmas:g} standard deviations of one parameter"
 
-    def to_xarray(self) -> "xr.Dataset":
-        """Dataset over output and input."""
-        import xarray as xr
-
-        where = ("output", "input")
-        return xr.Dataset(
-            {name: (where, getattr(self, name)) for name in ("low", "high", "std", "slope")}
-            | {"design": ("output", self.design), "lost": (("input", "end"), self.lost)},
-            coords={"output": list(self.outputs), "input": list(self.inputs), "end": ["low", "high"],
-                    "unit": ("output", list(self.units))},
-            attrs={"sigmas": self.sigmas, "repeats": self.repeats, **self.settings.as_dict()},
-        )  # fmt: skip
+    def _text(self, output: int) -> str:
+        columns = [values[output] for values in (self.low, self.high, self.std, self.slope)]
+        design = f"{self.outputs[output]}: {self.design[output]:.4g} {self.units[output]}"
+        if not np.any(np.nan_to_num(columns[:2])):
+            return f"{design} everywhere"
+        rows = [("  input", "low", "high", "standard error", "gradient")]
+        for i in self.order(output):
+            shown = ("-" if np.isnan(column[i]) else f"{column[i]:+.3g}" for column in columns)
+            rows.append((f"  {self.inputs[i]}", *shown))
+        return f"{design} at the design\n{aligned(rows)}"
 
     def plot(self, ax: "Axes | None" = None, output: str | None = None) -> "Axes":
         """Bars of one output, the largest on top, with the gradient's prediction; returns the axes."""
-        output = self.outputs[0] if output is None else output
-        ax, k = axes(ax), place_of(output, self.outputs)
+        ax, k = axes(ax), self._place(output)
         order = self.order(k)[::-1]
-        place = np.arange(len(order))
-        for values, colour, offset, sign in ((self.low, "C0", 0.2, "-"), (self.high, "C1", -0.2, "+")):
-            bars = np.nan_to_num(values[k, order])
-            error = np.nan_to_num(self.std[k, order])
-            label = f"{sign}{self.sigmas:g} σ"
-            ax.barh(place + offset, bars, 0.4, xerr=error, color=colour, ecolor="0.4", label=label)
+        ends = ((self.low, "-"), (self.high, "+"))
+        self._bars(ax, order, [(values[k], self.std[k], f"{sign}{self.sigmas:g} σ") for values, sign in ends])
         if np.isfinite(self.slope[k]).all():
-            ax.plot(self.slope[k, order], place - 0.2, "k|", ms=10, label=f"+{self.sigmas:g} σ by the gradient")
-        ax.axvline(0.0, color="k", lw=0.8)
-        ax.set_yticks(place, [self.inputs[i] for i in order])
-        ax.set_xlabel(f"change of {output} [{self.units[k]}] from {self.design[k]:.3g}")
+            label = f"+{self.sigmas:g} σ by the gradient"
+            ax.plot(self.slope[k, order], np.arange(len(order)) - 0.2, "k|", ms=10, label=label)
+        ax.set_xlabel(f"change of {self.outputs[k]} [{self.units[k]}] from {self.design[k]:.3g}")
         ax.legend(loc="best", frameon=False)
         return ax
 
@@ -135,17 +108,12 @@ def tornado(
 ) -> Tornado:
     """One parameter of the spread after the other at ∓`sigmas` standard deviations, the others at their design.
 
-    Args:
-        loop, spread, scenario: as in `sweep`; correlations do not matter here.
-        sigmas: how far, in standard deviations of the parameter.
-        repeats: noises at each point.
-        of: outputs; without, errors of the rate, lost dies, and dies out of tolerance.
-        seed: of the noise.
-        settings: of the sweep (`sample_rate`, `duration`, `tolerance`, `progress`...).
+    `loop`, `spread` (correlations do not matter here), `scenario` and `settings` (`sample_rate`, `progress`...) are as
+    in `sweep`, which runs `repeats` dies at each point with the noise of `seed`. Looked at are the outputs `of` it:
+    without, errors of the rate, lost dies, and dies out of tolerance.
 
-    Raises:
-        InputError: for a spread without variations, `sigmas` or `repeats` that are not positive, or settings that
-            `sweep` refuses.
+    Raises `InputError` for a spread without variations, `sigmas` or `repeats` that are not positive, and settings that
+    `sweep` refuses.
     """
     inputs = inputs_of(loop, spread)
     if not (sigmas > 0.0 and repeats >= 2):
@@ -153,28 +121,25 @@ def tornado(
             f"Arguments `sigmas` and `repeats` must be positive and at least 2, but are {sigmas:g} and {repeats}."
         )
     away = sigmas * np.eye(len(inputs))
-    ends = np.concatenate([np.zeros((1, len(inputs))), -away, away])
-    points = Points(np.repeat(ends, repeats, axis=0), np.tile(np.arange(repeats), len(ends)))
-    lot, chosen, values = run_at(points, loop, spread, scenario, of=of, seed=seed, **settings)
-    found = values.reshape(len(chosen), len(ends), repeats)
-    status = np.asarray(lot.data["status"]).reshape(len(ends), repeats)
-    change = found[:, 1:] - found[:, :1]
-    moved, std = mean(change), standard_error(change)
-    low, high = np.split(moved, 2, axis=1)
-    plan = Plan(**{name: lot.data.attrs[name] for name in Plan._fields})
+    places = np.concatenate([np.zeros((1, len(inputs))), -away, away])
+    found = run_at(repeated(places, repeats), loop, spread, scenario, of=of, seed=seed, **settings)
+    values, lost = found.at_places(repeats), found.lost(repeats)
+    change = values[:, 1:] - values[:, :1]
+    low, high = np.split(mean(change), 2, axis=1)
+    plan = Plan(**{name: found.lot.data.attrs[name] for name in Plan._fields})
     return Tornado(
-        outputs=tuple(o.name for o in chosen),
-        units=tuple(o.unit for o in chosen),
+        **found.told,
         inputs=inputs,
-        design=mean(found[:, :1])[:, 0],
+        design=mean(values[:, 0]),
         low=low,
         high=high,
-        std=np.fmax(*np.split(std, 2, axis=1)),
-        slope=slopes(loop, spread, as_scenario(scenario), plan, sigmas=sigmas, repeats=repeats, of=chosen, seed=seed),
-        lost=np.mean(status[1:] != 0, axis=1).reshape(2, -1).T,
+        std=np.fmax(*np.split(standard_error(change), 2, axis=1)),
+        slope=slopes(
+            loop, spread, as_scenario(scenario), plan, sigmas=sigmas, repeats=repeats, of=found.chosen, seed=seed
+        ),
+        lost=lost[1:].reshape(2, -1).T,
         sigmas=sigmas,
         repeats=repeats,
-        settings=lot.settings,
     )
 
 

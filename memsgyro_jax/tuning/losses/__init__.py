@@ -1,7 +1,9 @@
-"""What tuning makes small. A new loss is a subclass of `AbstractLoss` or `AbstractMean`, here or elsewhere."""
+"""What tuning makes small. A new loss is a subclass of one of the abstract classes, here or elsewhere."""
 
+from .base import AbstractFinal as AbstractFinal
 from .base import AbstractLoss as AbstractLoss
 from .base import AbstractMean as AbstractMean
+from .base import AbstractSums as AbstractSums
 from .base import rate_error as rate_error
 from .claimed_variance import ClaimedVariance as ClaimedVariance
 from .consistency import Consistency as Consistency

@@ -18,5 +18,4 @@ class ClaimedVariance(AbstractMean):
     sees_truth: ClassVar[bool] = False
 
     def of(self, sample):
-        """ln of the variance."""
         return jnp.log(claimed_variance(sample, "ClaimedVariance"))

@@ -1,44 +1,30 @@
 """Time that a die needs to come within a tolerance, made smooth."""
 
-import jax
-import jax.numpy as jnp
+from typing import ClassVar
 
-from memsgyro_jax.device.gyro import Scalar, check_not_negative, check_positive, number
+from memsgyro_jax.device.gyro import Scalar, check_positive, number
 
-from .base import AbstractLoss, rate_error
+from .base import AbstractSums, missed, rate_error
 
 
-class ConvergenceTime(AbstractLoss[Scalar]):
+class ConvergenceTime(AbstractSums):
     """Time in s that the rate spends outside ±`tolerance` [rad/s], from `settle` [s] on.
 
     For a die that comes in once and stays this is the time to converge; each later excursion adds its length. The edge
-    is a logistic curve of relative width `softness`, so that the tolerance has a derivative.
+    is soft, of relative width `softness`.
     """
 
     tolerance: Scalar = number()
     softness: Scalar = number(default=0.1)
     settle: Scalar = number(default=0.0)
+    sums: ClassVar[int] = 1
 
     def __check_init__(self):
         check_positive("tolerance", self.tolerance)
         check_positive("softness", self.softness)
-        check_not_negative("settle", self.settle)
 
-    def init(self):
-        """No time."""
-        return jnp.zeros(())
-
-    def sample(self, memory, sample):
-        """Add the share of the sample that counts as outside."""
-        # √(e² + small²) for |e|: smooth where the error passes zero, which changes nothing out at the tolerance.
-        size = jnp.sqrt(rate_error(sample) ** 2 + (1e-3 * self.tolerance) ** 2)
-        outside = jax.nn.sigmoid((size / self.tolerance - 1.0) / self.softness)
-        return memory + jnp.where(sample.clock.time >= self.settle, sample.clock.period * outside, 0.0)
+    def terms(self, sample):
+        return (sample.clock.period * missed(rate_error(sample), self.tolerance, self.softness),)
 
     def value(self, memory):
-        """The time."""
-        return memory
-
-    def begins(self):
-        """`settle`."""
-        return self.settle
+        return memory[0]

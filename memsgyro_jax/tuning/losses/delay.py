@@ -2,12 +2,12 @@
 
 import jax.numpy as jnp
 
-from memsgyro_jax.device.gyro import Scalar, check_not_negative, check_positive, number
+from memsgyro_jax.device.gyro import Scalar, check_positive, number
 
-from .base import AbstractLoss, rate_error
+from .base import AbstractSums, rate_error
 
 
-class Delay(AbstractLoss[tuple[Scalar, Scalar]]):
+class Delay(AbstractSums):
     """((τ - `allowed`) / `allowed`)² where the delay τ exceeds `allowed` [s], else zero.
 
     To first order an output that comes τ late misses the truth by -τ·slope, so τ is the regression of the error on the
@@ -21,24 +21,12 @@ class Delay(AbstractLoss[tuple[Scalar, Scalar]]):
 
     def __check_init__(self):
         check_positive("allowed", self.allowed)
-        check_not_negative("settle", self.settle)
 
-    def init(self):
-        """Sums of error times slope, and of the slope squared."""
-        return jnp.zeros(()), jnp.zeros(())
-
-    def sample(self, memory, sample):
-        """Add a sample once settled."""
-        counts, slope = sample.clock.time >= self.settle, sample.conditions.inertial.angular_acceleration
-        along = memory[0] + jnp.where(counts, rate_error(sample) * slope, 0.0)
-        return along, memory[1] + jnp.where(counts, slope**2, 0.0)
+    def terms(self, sample):
+        slope = sample.conditions.inertial.angular_acceleration
+        return rate_error(sample) * slope, slope**2
 
     def value(self, memory):
-        """The squared relative excess; zero for a rate that does not vary."""
         along, squares = memory
-        delay = -along / jnp.where(squares > 0.0, squares, 1.0)
+        delay = -along / jnp.where(squares > 0.0, squares, 1.0)  # none for a rate that does not vary
         return jnp.maximum(delay / self.allowed - 1.0, 0.0) ** 2
-
-    def begins(self):
-        """`settle`."""
-        return self.settle

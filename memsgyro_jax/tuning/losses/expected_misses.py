@@ -6,12 +6,11 @@ import jax
 import jax.numpy as jnp
 
 from memsgyro_jax.device.gyro import Scalar, check_positive, number
-from memsgyro_jax.loop.loop import Sample
 
-from .base import AbstractLoss, claimed_variance
+from .base import AbstractFinal, claimed_variance
 
 
-class ExpectedMisses(AbstractLoss[Scalar]):
+class ExpectedMisses(AbstractFinal):
     """The probability that the rate is beyond ±`tolerance` [rad/s] at the end of the run: erfc(tolerance / (σ √2)), σ
     the standard deviation that the filter claims.
 
@@ -27,14 +26,8 @@ class ExpectedMisses(AbstractLoss[Scalar]):
     def __check_init__(self):
         check_positive("tolerance", self.tolerance)
 
-    def init(self):
-        """No variance yet."""
-        return jnp.zeros(())
+    def of(self, sample):
+        return claimed_variance(sample, "ExpectedMisses")
 
-    def sample(self, memory: Scalar, sample: Sample) -> Scalar:
-        """Only the last one counts."""
-        return claimed_variance(sample, "ExpectedMisses") + 0.0 * memory
-
-    def value(self, memory: Scalar) -> Scalar:
-        """The probability."""
+    def value(self, memory):
         return jax.scipy.special.erfc(self.tolerance / jnp.sqrt(2.0 * memory))

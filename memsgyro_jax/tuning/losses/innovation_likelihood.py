@@ -19,6 +19,5 @@ class InnovationLikelihood(AbstractMean):
     sees_truth: ClassVar[bool] = False
 
     def of(self, sample):
-        """Half of ln S + e²/S, summed over the channels."""
         innovation = innovation_of(sample, "InnovationLikelihood")
         return 0.5 * sum(s + jnp.log(v) for s, v in zip(innovation.squared, innovation.variance, strict=True))

@@ -1,14 +1,11 @@
 """The share of dies that miss a tolerance, made smooth."""
 
-import jax
-import jax.numpy as jnp
-
 from memsgyro_jax.device.gyro import Scalar, check_positive, number
 
-from .base import AbstractLoss, rate_error
+from .base import AbstractFinal, missed, rate_error
 
 
-class OutOfTolerance(AbstractLoss[Scalar]):
+class OutOfTolerance(AbstractFinal):
     """1 for a die whose rate error at the end of the run is far beyond ±`tolerance` [rad/s], 0 for one well within.
 
     Its mean over the dies is 1 less the yield, with the edge drawn out to a logistic curve of relative width
@@ -22,16 +19,8 @@ class OutOfTolerance(AbstractLoss[Scalar]):
         check_positive("tolerance", self.tolerance)
         check_positive("softness", self.softness)
 
-    def init(self):
-        """No error yet."""
-        return jnp.zeros(())
-
-    def sample(self, memory, sample):
-        """Only the last one counts."""
-        return rate_error(sample) + 0.0 * memory
+    def of(self, sample):
+        return rate_error(sample)
 
     def value(self, memory):
-        """How much the die counts as missing the tolerance."""
-        # √(e² + small²) for |e|: smooth where the error passes zero, which changes nothing out at the tolerance.
-        size = jnp.sqrt(memory**2 + (1e-3 * self.tolerance) ** 2)
-        return jax.nn.sigmoid((size / self.tolerance - 1.0) / self.softness)
+        return missed(memory, self.tolerance, self.softness)

@@ -11,5 +11,4 @@ class SquaredRateError(AbstractMean):
     """
 
     def of(self, sample):
-        """Squared error in (rad/s)²."""
         return rate_error(sample) ** 2

@@ -33,22 +33,17 @@ class Weighted(AbstractLoss[Any]):
 
     @property
     def sees_truth(self) -> bool:  # type: ignore[override]  # depends on the parts
-        """Whether any part does."""
         return any(loss.sees_truth for loss in self.losses)
 
     def init(self):
-        """The memories of the parts."""
         return tuple(loss.init() for loss in self.losses)
 
     def sample(self, memory, sample):
-        """Each part its own."""
         return tuple(loss.sample(own, sample) for loss, own in zip(self.losses, memory, strict=True))
 
     def value(self, memory):
-        """The weighted sum."""
         pairs = zip(self.losses, self.weights, memory, strict=True)
         return sum(weight * loss.value(own) for loss, weight, own in pairs)
 
     def begins(self):
-        """When the last part begins."""
         return max(float(loss.begins()) for loss in self.losses)

@@ -30,27 +30,21 @@ class WorstDies(AbstractLoss[Any]):
 
     @property
     def sees_truth(self) -> bool:  # type: ignore[override]  # depends on what is wrapped
-        """Whether the wrapped loss does."""
         return self.loss.sees_truth
 
     def init(self):
-        """That of the wrapped loss."""
         return self.loss.init()
 
     def sample(self, memory, sample):
-        """That of the wrapped loss."""
         return self.loss.sample(memory, sample)
 
     def value(self, memory):
-        """That of the wrapped loss."""
         return self.loss.value(memory)
 
     def begins(self):
-        """That of the wrapped loss."""
         return self.loss.begins()
 
     def combine(self, values):
-        """The smooth mean of the worst share."""
         spread = jnp.var(values)
         width = self.softness * jnp.sqrt(jnp.where(spread > 0.0, spread, 1.0))
         # At the minimum over t the derivative by t is zero: only the values carry a derivative.
