@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy import stats
 
 from memsgyro_jax.base import runtime
+from memsgyro_jax.base.axes import axes
 from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.provenance import Settings
@@ -25,7 +27,6 @@ from memsgyro_jax.loop.scenario import AbstractProfile, Scenario, as_scenario
 from memsgyro_jax.loop.trace import count_steps
 
 from . import batch as lot
-from .pictures import error_histogram
 from .spread import DEVICE_PREFIX, Draw, Spread
 from .store import LABELS, STATUS, DieArray, Layout, Store
 from .summary import Summary, summarise
@@ -63,7 +64,18 @@ class Lot(Shown):
 
     def plot(self, ax: "Axes | None" = None) -> "Axes":
         """Histogram of the rate error at the end, with the information bound."""
-        return error_histogram(self.data["rate_error_end"].values, self.summary.bound, ax)
+        ax, error = axes(ax), np.degrees(self.data["rate_error_end"].values)
+        error = error[np.isfinite(error)]
+        bins, label = max(10, round(np.sqrt(error.size))), f"{error.size} dies"
+        ax.hist(error, bins=bins, density=True, color="C0", alpha=0.6, label=label)
+        if self.summary.bound is not None:
+            bound = np.degrees(self.summary.bound)
+            at = np.linspace(*ax.get_xlim(), 300)
+            ax.plot(at, stats.norm.pdf(at, 0.0, bound), color="k", lw=1.2, label=f"information bound {bound:.3g} deg/s")
+        ax.set_xlabel("rate error at the end [deg/s]")
+        ax.set_ylabel("density [s/deg]")
+        ax.legend(loc="best", frameon=False)
+        return ax
 
 
 def sweep(

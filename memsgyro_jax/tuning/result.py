@@ -61,10 +61,19 @@ class Merit:
     @property
     def consistent(self) -> bool | None:
         """Whether NIS of both channels and NEES are within their intervals; None without a covariance."""
-        if self.nis is None or self.nees is None or self.nees_interval is None:
-            return None
-        channels = all(CONSISTENT[0] <= nis <= CONSISTENT[1] for nis in self.nis)
-        return channels and self.nees_interval[0] <= self.nees <= self.nees_interval[1]
+        return None if self.nees is None else not self.inconsistency
+
+    @property
+    def inconsistency(self) -> str:
+        """What is outside its interval, in words."""
+        parts, (low, high) = [], CONSISTENT
+        if self.nis is not None and not all(low <= nis <= high for nis in self.nis):
+            parts.append(f"NIS is {_pair(self.nis)} instead of 1 ({low:g} to {high:g})")
+        if self.nees is not None and self.nees_interval is not None:
+            low, high = self.nees_interval
+            if not low <= self.nees <= high:
+                parts.append(f"NEES is {self.nees:.3g} instead of {self.nees_expected} ({low:.3g} to {high:.3g})")
+        return " and ".join(parts)
 
 
 @dataclass(frozen=True)
@@ -126,39 +135,31 @@ class Tuning(Shown):
 
     def as_dict(self) -> dict[str, Any]:
         """The machine-readable form; SI, squared errors in (rad/s)²."""
-        entries: dict[str, Any] = {
-            "schema": SCHEMA,
-            "status": self.status,
-            "numbers": [asdict(number) for number in self.numbers],
-            "stages": [asdict(stage) for stage in self.stages],
-            "before": asdict(self.before),
-            "after": asdict(self.after),
-            "ratio": asdict(self.ratio),
-            "warnings": list(self.warnings),
-            **self.settings.as_dict(),
-        }
-        return finite(entries)
+        lots = {name: asdict(getattr(self, name)) for name in ("before", "after", "ratio")}
+        rows = {name: [asdict(row) for row in getattr(self, name)] for name in ("numbers", "stages")}
+        said = {"schema": SCHEMA, "status": self.status, "warnings": list(self.warnings)}
+        return finite(said | rows | lots | self.settings.as_dict())
 
     def __repr__(self) -> str:
         return "\n".join([self._numbers_table(), "", self._merit_table(), "", *self._closing()])
 
     def _numbers_table(self) -> str:
-        rows = [("free number", "start", "tuned", "bounds", "")]
-        rows += [
+        rows = [
             (n.label, f"{n.start:.4g}", f"{n.value:.4g}", f"{n.low:.2g} to {n.high:.2g}", n.fate) for n in self.numbers
         ]
-        return aligned(rows)
+        return aligned([("free number", "start", "tuned", "bounds", ""), *rows])
 
     def _merit_table(self) -> str:
+        both = self.before, self.after
         rows = [(f"on {self.after.dies} unseen dies", "before", "after")]
         for name, field in (("mean squared error [(deg/s)²]", "mean"), ("median", "median"), ("95 %", "p95")):
-            rows.append((name, *(_squared_degrees(getattr(merit, field)) for merit in (self.before, self.after))))
+            rows.append((name, *(_squared_degrees(getattr(merit, field)) for merit in both)))
         rows.append(("after over before", "1", str(self.ratio)))
-        rows.append(("lost dies", str(self.before.lost), str(self.after.lost)))
+        rows.append(("lost dies", *(str(merit.lost) for merit in both)))
         if self.after.nis is not None:
-            rows.append(("NIS of x and y, 1 expected", *(_pair(merit.nis) for merit in (self.before, self.after))))
+            rows.append(("NIS of x and y, 1 expected", *(_pair(merit.nis) for merit in both)))
         if self.after.nees is not None:
-            rows.append(("NEES", *(_nees(merit) for merit in (self.before, self.after))))
+            rows.append(("NEES", *(_nees(merit) for merit in both)))
         return aligned(rows)
 
     def _closing(self) -> list[str]:
@@ -228,29 +229,16 @@ def warnings_of(before: Merit, after: Merit) -> tuple[str, ...]:
     found = []
     gained = after.mean.value < before.mean.value
     if after.consistent is False:
-        why = _inconsistency(after)
+        when = "the error falls while" if gained else "after tuning"
         found.append(
-            f"{'the error falls while' if gained else 'after tuning'} {why}: the gains are absorbing an error of the "
-            "model; find what is missing first (`memsgyro compare`, `memsgyro diagnose`), add it or its process noise, "
-            "and tune again."
+            f"{when} {after.inconsistency}: the gains are absorbing an error of the model; find what is missing first "
+            "(`memsgyro compare`, `memsgyro diagnose`), add it or its process noise, and tune again."
         )
     if after.lost:
         found.append(f"{after.lost} of {after.dies} unseen dies are lost with the tuned loop ({before.lost} before).")
     if not gained:
         found.append("the error on unseen dies has not fallen; the start was as good.")
     return tuple(found)
-
-
-def _inconsistency(merit: Merit) -> str:
-    assert merit.nis is not None
-    parts = []
-    if not all(CONSISTENT[0] <= nis <= CONSISTENT[1] for nis in merit.nis):
-        parts.append(f"NIS is {_pair(merit.nis)} instead of 1 ({CONSISTENT[0]:g} to {CONSISTENT[1]:g})")
-    if merit.nees is not None and merit.nees_interval is not None:
-        low, high = merit.nees_interval
-        if not low <= merit.nees <= high:
-            parts.append(f"NEES is {merit.nees:.3g} instead of {merit.nees_expected} ({low:.3g} to {high:.3g})")
-    return " and ".join(parts)
 
 
 def _interval(values: np.ndarray, figure: Any) -> Interval:

@@ -86,8 +86,15 @@ def tune(
     _check_priors(stages, tunables)
     timing = timing_of(sample_rate, duration, max(float(stage.loss.begins()) for stage in stages))
     told = progress or (lambda sentence: None)
-    work = _Work(loop, scenario, spread, timing, seed, (dies, validation_dies), evaluations, told,
-                 None if keep is None else Path(keep))  # fmt: skip
+    drawn = partial(
+        Objective.of,
+        scenario=scenario,
+        spread=spread,
+        timing=timing,
+        seed=seed,
+        keep=None if keep is None else Path(keep),
+    )
+    work = _Work(drawn, (dies, validation_dies), evaluations, told)
     numbers, results = np.array(tunables.values), []
     rows: dict[str, TunedNumber] = {}
     for stage in stages:
@@ -133,17 +140,12 @@ def _stages(loop: ClosedLoop, tunables: Tunables, loss: AbstractLoss | None, set
 
 @dataclass(frozen=True)
 class _Work:
-    """What all stages share."""
+    """What all stages share: how a lot is drawn, how many dies train and judge, evaluations, and who is told."""
 
-    loop: ClosedLoop
-    scenario: Scenario
-    spread: Spread
-    timing: Timing
-    seed: int
+    drawn: Callable[..., Objective]
     dies: tuple[int, int]
     evaluations: int
     told: Callable[[str], None]
-    keep: Path | None
 
     def run(
         self, stage: TuningStage, loop: ClosedLoop, tunables: Tunables
@@ -152,10 +154,9 @@ class _Work:
         name = type(stage.loss).__name__
         self.told(f"{name} over {len(tunables.paths)} numbers, {self.dies[0]} dies: compiling")
         training, validation = (
-            Objective.of(loop, self.scenario, self.spread, tunables, stage.loss, dies=first + np.arange(count),
-                         timing=self.timing, seed=self.seed, keep=self.keep)
+            self.drawn(loop, tunables=tunables, loss=stage.loss, dies=first + np.arange(count))
             for first, count in zip((TRAINING, VALIDATION), self.dies, strict=True)
-        )  # fmt: skip
+        )
         penalty = _penalty(training.values(tunables.values), name)
         descent = self._sought(name, training, validation, penalty)
         found = tunables.numbers(descent.coordinates)
@@ -174,8 +175,8 @@ class _Work:
     def _sought(self, name: str, training: Objective, validation: Objective, penalty: float) -> Descent:
         """The way down from the best of coarse grids, with rescues."""
         tunables = training.tunables
-        steps = self.timing.blocks * self.timing.block - float(training.loss.begins()) / self.timing.period
-        readings = self.dies[0] * steps
+        timing = training.timing
+        readings = training.dies * (timing.blocks * timing.block - float(training.loss.begins()) / timing.period)
 
         def told(step: DescentStep) -> None:
             losses = f"training {step.training:.8g}, validation {step.validation:.8g}"
@@ -232,11 +233,8 @@ def _check_priors(stages: tuple[TuningStage, ...], tunables: Tunables) -> None:
 
 
 def _check(dies: int, validation_dies: int, evaluations: int) -> None:
-    for name, value, least in (
-        ("dies", dies, 2),
-        ("validation_dies", validation_dies, 1),
-        ("evaluations", evaluations, 1),
-    ):
+    least_of = (("dies", dies, 2), ("validation_dies", validation_dies, 1), ("evaluations", evaluations, 1))
+    for name, value, least in least_of:
         if value < least:
             raise InputError(f"Argument `{name}` must be at least {least}, but {value} was given.")
     if max(dies, validation_dies) > TRAINING:
