@@ -175,15 +175,15 @@ def noise_of(values: Values) -> float:
     return spread if spread > 0.0 else max(float(np.max(np.abs(loss), initial=0.0)), np.finfo(float).tiny)
 
 
-def evaluated(
-    objective: Objective, tunables: Tunables, coordinates: np.ndarray, penalty: float, readings: float
-) -> Judged:
-    """The loss as a descent wants it, by the coordinates; what is known beforehand counts once in `readings`."""
-    values, stretch = objective.slopes(tunables.numbers(coordinates)), tunables.stretch(coordinates)
+def evaluated(objective: Objective, values: Values, coordinates: np.ndarray, penalty: float, readings: float) -> Judged:
+    """Losses and slopes at some coordinates as a descent wants them; what is known beforehand counts once in
+    `readings`.
+    """
+    stretch = objective.tunables.stretch(coordinates)
     whole, slope = objective.total(values, penalty)
     assert slope is not None
     assert values.slopes is not None
-    known, pull = tunables.prior(coordinates)
+    known, pull = objective.tunables.prior(coordinates)
     error = noise_of(values) / float(np.sqrt(max(1, np.sum(values.alive))))
     slopes = values.slopes[:, values.alive] * stretch[:, None]
     return Judged(whole + known / readings, slope * stretch + pull / readings, slopes, error)

@@ -121,12 +121,11 @@ def tune_on_record(
     tunables = resolved(loop, free, sample_rate, len(volts) / sample_rate)
     edges = np.linspace(settle, len(volts) / sample_rate, _SEGMENTS + 1)
     every = _objective(loop, tunables, _Segment(edges[:-1], until=edges[1:]), _SEGMENTS, sample_rate)
-    training = _Some(every, slice(None, -_HELD_OUT))
     if not every.values(tunables.values).alive.all():
         raise InputError("The observer must follow the record at the start, but its numbers are not finite.")
     readings = (len(volts) - settle * sample_rate) * (1.0 - _HELD_OUT / _SEGMENTS)
     descent = descend(
-        lambda at: evaluated(training, tunables, at, _NEVER, readings),
+        lambda at: evaluated(every, _taught(every, tunables.numbers(at)), at, _NEVER, readings),
         # The held-out quarter of one record is too short to say when to stop, and few numbers do not overfit the rest.
         lambda at: float(np.mean(every.values(tunables.numbers(at)).loss[:-_HELD_OUT])),
         tunables.coordinates,
@@ -134,7 +133,7 @@ def tune_on_record(
         told=lambda step: progress(f"after {step.evaluations}: {step.training:.8g}") if progress else None,
     )
     found = tunables.numbers(descent.coordinates)
-    values = training.slopes(found)
+    values = _taught(every, found)
     agreement = _objective(loop, tunables, Consistency(float(edges[-1 - _HELD_OUT])), 1, sample_rate)
     both = tunables.values, found
     return RecordTuning(
@@ -147,20 +146,11 @@ def tune_on_record(
     )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class _Some:
-    """Some of the segments of an objective that computes all of them at once."""
-
-    every: Objective
-    which: slice
-
-    def slopes(self, numbers: np.ndarray) -> Values:
-        found = self.every.slopes(numbers)
-        assert found.slopes is not None
-        return Values(found.loss[self.which], found.alive[self.which], found.slopes[:, self.which])
-
-    def total(self, values: Values, penalty: float) -> tuple[float, np.ndarray | None]:
-        return self.every.total(values, penalty)
+def _taught(every: Objective, numbers: np.ndarray) -> Values:
+    """The segments that are not held out, of an objective that computes all of them at once."""
+    found = every.slopes(numbers)
+    assert found.slopes is not None
+    return Values(found.loss[:-_HELD_OUT], found.alive[:-_HELD_OUT], found.slopes[:, :-_HELD_OUT])
 
 
 def _objective(loop: Replay, tunables: Tunables, loss: AbstractLoss, copies: int, sample_rate: float) -> Objective:

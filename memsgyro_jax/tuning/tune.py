@@ -22,7 +22,7 @@ from memsgyro_jax.loop.trace import count_steps
 from memsgyro_jax.montecarlo.spread import Spread
 from memsgyro_jax.montecarlo.sweep import sweep
 
-from .descent import Descent, DescentStep, descend, sought
+from .descent import Descent, DescentStep, Judged, descend, sought
 from .fates import null_directions, tuned_numbers
 from .grid import rescued, scanned
 from .losses import AbstractLoss, InnovationLikelihood, SquaredRateError
@@ -182,11 +182,13 @@ class _Work:
             losses = f"training {step.training:.8g}, validation {step.validation:.8g}"
             self.told(f"{name} after {step.evaluations}: {losses}")
 
+        def loss(at: np.ndarray) -> Judged:
+            return evaluated(training, training.slopes(tunables.numbers(at)), at, penalty, readings)
+
         def judged(at: np.ndarray) -> float:
             return validation.total(validation.values(tunables.numbers(at)), penalty)[0]
 
         def down(start: np.ndarray, left: int) -> Descent:
-            loss = partial(evaluated, training, tunables, penalty=penalty, readings=readings)
             return descend(loss, judged, start, evaluations=left, told=told)
 
         def moved(end: np.ndarray) -> np.ndarray | None:

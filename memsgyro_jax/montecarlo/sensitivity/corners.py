@@ -94,7 +94,7 @@ def corners(
     if not (sigmas > 0.0 and repeats >= 1):
         raise InputError(f"Arguments `sigmas` and `repeats` must be positive, but are {sigmas:g} and {repeats}.")
     signs, complete = signs_of(len(inputs))
-    found = run_at(repeated(sigmas * signs, repeats), loop, spread, scenario, of=of, seed=seed, **settings)
+    found = run_at(repeated(sigmas * signs, repeats), loop, spread, scenario, of, seed, settings)
     values = found.at_places(repeats)
     largest = np.max(np.where(np.isfinite(values), np.abs(values), -np.inf), axis=-1)
     return Corners(

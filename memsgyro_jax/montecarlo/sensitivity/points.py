@@ -53,15 +53,9 @@ def inputs_of(loop: ClosedLoop, spread: Spread) -> tuple[str, ...]:
 
 
 def run_at(
-    points: Points,
-    loop: ClosedLoop,
-    spread: Spread,
-    scenario: Scenario | AbstractProfile | float,
-    *,
-    of: Sequence[Output] | None,
-    seed: int,
-    **settings: Any,
-) -> Evaluation:
+    points: Points, loop: ClosedLoop, spread: Spread, scenario: Scenario | AbstractProfile | float,
+    of: Sequence[Output] | None, seed: int, settings: dict[str, Any],
+) -> Evaluation:  # fmt: skip
     """The outputs `of` (without, the default ones) of the dies of `spread` at `points`; `settings` are the sweep's."""
     chosen = tuple(of) if of is not None else outputs(settings.get("tolerance", DEFAULT_TOLERANCE))
     planned = replace(spread, points=points)

@@ -116,7 +116,7 @@ def sobol(
     _check(spread, points)
     inputs = inputs_of(loop, spread)
     planned = _points(len(inputs), points, seed)
-    run = run_at(planned, loop, spread, scenario, of=of, seed=seed, **settings)
+    run = run_at(planned, loop, spread, scenario, of, seed, settings)
     found = run.values.reshape(len(run.chosen), len(inputs) + 3, points)
     parts = [indices_of(sets, confidence, np.random.default_rng((seed, k))) for k, sets in enumerate(found)]
     first, total, first_interval, total_interval, dropped = (np.stack(part) for part in zip(*parts, strict=True))

@@ -122,7 +122,7 @@ def tornado(
         )
     away = sigmas * np.eye(len(inputs))
     places = np.concatenate([np.zeros((1, len(inputs))), -away, away])
-    found = run_at(repeated(places, repeats), loop, spread, scenario, of=of, seed=seed, **settings)
+    found = run_at(repeated(places, repeats), loop, spread, scenario, of, seed, settings)
     values, lost = found.at_places(repeats), found.lost(repeats)
     change = values[:, 1:] - values[:, :1]
     low, high = np.split(mean(change), 2, axis=1)
