@@ -16,6 +16,7 @@ import abc
 from typing import ClassVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -76,7 +77,10 @@ def strength(default: float = 0.0, *, sign: int = 0) -> Array:
 def on_one_axis(now: Moment, axis: int, value: Array) -> Float[Array, " axes"]:
     """A vector with `value` on one axis and zero elsewhere; put together, as filling one in is slow for many dies."""
     value = jnp.asarray(value)
-    return jnp.stack([value if i == axis else jnp.zeros_like(value) for i in range(now.displacement.shape[0])])
+    parts, zero = range(now.displacement.shape[0]), jnp.zeros_like(value)
+    if isinstance(axis, jax.Array):  # a number under `jit`, where the author of an effect did not make it structure
+        return jnp.stack([jnp.where(axis == i, value, zero) for i in parts])
+    return jnp.stack([value if i == axis else zero for i in parts])
 
 
 class Effect(AbstractEffect):
