@@ -147,7 +147,8 @@ def information_bound(
     `prior` None gives the Cramér-Rao bound; with a prior its information is added (a standard deviation of zero means
     known exactly). `known` names quantities taken as known: x, y, vx, vy (at the start), offset_x, offset_y and the
     model's coefficients. `also` adds further coefficients as unknown, without prior. The rate that is bounded is a
-    constant added to the scenario's. Quantisation is not counted. `windows` is how many moments the bound is given for,
+    constant added to the scenario's. Effects of the device shape the run; what the quantities do to it is taken from
+    the linear part. Quantisation is not counted. `windows` is how many moments the bound is given for,
     at most. For a batch of dies (trailing axis of leaves of `loop` and `scenario`) give the unbatched `design` too.
     Under `jax.grad` and `jax.jvp` first derivatives are exact; an infinite entry has none.
 

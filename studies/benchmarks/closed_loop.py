@@ -16,6 +16,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 
@@ -30,13 +31,18 @@ def worker(options: argparse.Namespace) -> None:
         runtime.configure(devices=options.cores)
     import memsgyro_jax as mg
 
-    gyro, readout = mg.SingleMassGyro.chi2010(), mg.ChargeAmplifier.chi2010()
-    observer = mg.ExtendedKalmanFilter.for_device(gyro, readout, annealing=mg.Annealing())
-    loop = mg.ClosedLoop(gyro, readout, observer, mg.DampingCompensation(tones=mg.Tone(600.0, 53.95)))
+    def loop(*effects) -> mg.ClosedLoop:
+        gyro, readout = mg.SingleMassGyro.chi2010(), mg.ChargeAmplifier.chi2010()
+        observer = mg.ExtendedKalmanFilter.for_device(gyro, readout, annealing=mg.Annealing())
+        controller = mg.DampingCompensation(tones=mg.Tone(600.0, 53.95))
+        return mg.ClosedLoop(gyro.with_effect(*effects), readout, observer, controller)
 
-    def sweep() -> None:
-        mg.sweep(loop, mg.Spread.relative(0.15), 1.0, dies=options.dies, duration=options.duration, bound_dies=0)
+    def sweep(*effects) -> None:
+        spread, settings = mg.Spread.relative(0.15), {"dies": options.dies, "duration": options.duration}
+        mg.sweep(loop(*effects), spread, 1.0, bound_dies=0, **settings)
 
+    if options.effects:
+        return print(json.dumps(costs(sweep, options.repeat)))
     sweep()
     first, steps = time.perf_counter() - began, options.dies * round(options.duration * 100e3)
     wall, processor = [], []
@@ -47,7 +53,29 @@ def worker(options: argparse.Namespace) -> None:
         processor.append(time.process_time() - used)
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
     speeds = {"steps_per_s": steps / min(processor), "steps_per_wall_s": steps / min(wall)} if wall else {}
-    print(json.dumps({"first_call_s": first, "peak_memory_mib": memory, **speeds}))
+    return print(json.dumps({"first_call_s": first, "peak_memory_mib": memory, **speeds}))
+
+
+def costs(sweep: Callable[..., None], repeat: int) -> dict[str, float]:
+    """Processor time of a sweep with an effect over that without, for the first variant of each, turn by turn.
+
+    The strengths are too small to change a run, which would cost the same at any other.
+    """
+    import equinox as eqx
+
+    import memsgyro_jax as mg
+
+    every = {type(effect): effect for effect in reversed(mg.effects.catalogue())}
+    kinds = [kind for kind in mg.effects.CATALOGUE if not issubclass(kind, mg.effects.SweepEffect)]
+    faint = [eqx.tree_at(lambda e: e.strength, every[kind], 0.0 * every[kind].strength + 1e-30) for kind in kinds]
+    cases = {"none": (), **{effect.label: (effect,) for effect in faint}}
+    best = dict.fromkeys(cases, float("inf"))
+    for turn in range(1 + repeat):  # the first turn compiles
+        for name, effects in cases.items():
+            used = time.process_time()
+            sweep(*effects)
+            best[name] = min(best[name], time.process_time() - used) if turn else best[name]
+    return {name: spent / best["none"] for name, spent in best.items() if name != "none"}
 
 
 def start(*arguments: str, cores: int, cache: str, program: tuple[str, ...] = (__file__, "--worker")) -> dict:
@@ -84,6 +112,7 @@ def measure(options: argparse.Namespace, cache: str) -> tuple[dict, dict]:
         ours["two_cores"] = max(both, key=lambda run: run["steps_per_wall_s"])
     four = ("--dies", str(options.dies), "--duration", str(4.0 * options.duration), "--repeat", "0")
     ours["four_times_the_steps"] = start(*four, cores=1, cache=cache)
+    ours["cost_of_effects"] = start(*job, "--effects", cores=1, cache=cache)
     return ours, {name: max(values) for name, values in yardsticks.items()}
 
 
@@ -104,6 +133,7 @@ def table(ours: dict, yardsticks: dict, options: argparse.Namespace) -> list[tup
         ("first call, compiled before", f"{ours['second_start_s']:.1f} s from the start of Python"),
         ("memory for four times the steps", f"{1024.0 * more / options.dies:+.1f} KiB per die"),
     ]
+    rows += [(f"cost of {name}", f"{ratio - 1.0:+.0%} of a step") for name, ratio in ours["cost_of_effects"].items()]
     for name, speed in yardsticks.items():
         with_flags, without = (run["steps_per_s"] / speed for run in (one, bare))
         rows.append(
@@ -120,7 +150,7 @@ def main() -> None:
     parser.add_argument("--repeat", type=int, default=5, help="timed sweeps per process; the fastest counts")
     parser.add_argument("--turns", type=int, default=3, help="times that yardstick and sweep take turns")
     parser.add_argument("--out", type=Path, default=Path(__file__).parents[1] / "out" / "closed_loop")
-    for hidden in ("--worker", "--no-flags"):
+    for hidden in ("--worker", "--no-flags", "--effects"):
         parser.add_argument(hidden, action="store_true", help=argparse.SUPPRESS)
     parser.add_argument("--cores", type=int, default=1, help=argparse.SUPPRESS)
     options = parser.parse_args()
