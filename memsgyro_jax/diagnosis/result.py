@@ -8,7 +8,10 @@ import numpy as np
 
 from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.files import finite, json_text
+from memsgyro_jax.base.joint_normal import JointNormal
 from memsgyro_jax.base.provenance import versions
+from memsgyro_jax.device.gyro import SingleMassGyro
+from memsgyro_jax.device.resonator import Resonator
 from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.model import Model
 
@@ -119,6 +122,16 @@ class Diagnosis(Shown):
         """The final model with the effects it was given and those accepted."""
         whole, labels = self.final.model, {*self.given, *(a.label for a in self.accepted)}
         return whole.with_only(effect for effect in whole.effects if effect.label in labels)
+
+    @property
+    def device(self) -> SingleMassGyro | Resonator:
+        """The device of the final model with its effects, as a loop runs it."""
+        return self.final.device
+
+    @property
+    def uncertainty(self) -> JointNormal:
+        """Numbers of `device` that were fitted, by their paths there, with their joint uncertainty."""
+        return self.final.uncertainty
 
     def __str__(self) -> str:
         lines = [f"{self.case.name}: {self.verdict.replace('_', ' ')}", self.sentence, ""]

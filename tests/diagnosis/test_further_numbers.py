@@ -10,7 +10,7 @@ from lab.die import Hidden, Outside
 import memsgyro_jax as mg
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.diagnosis.optimum import bent
-from memsgyro_jax.effects import ForceEffect, QuadraticDamping, on_axis, parameter, strength
+from memsgyro_jax.effects import CubicStiffness, ForceEffect, QuadraticDamping, on_axis, parameter, strength
 from memsgyro_jax.measurement.model_file import model_text, read_model, write_model
 
 
@@ -121,3 +121,19 @@ def test_a_step_towards_a_bound_never_reaches_it():
         ends = [bent(start, step + h, low, high)[0] for h in (1e-6, -1e-6)]
         np.testing.assert_allclose(slope[:2], (ends[0] - ends[1])[:2] / 2e-6, atol=1e-6)
     np.testing.assert_array_equal(bent(start, np.zeros(3), low, high)[0], start)
+
+
+def test_a_device_with_an_effect_goes_into_compare_fit_and_diagnose(powered):
+    """The effect is free in a fit, part of what is compared, and given to a diagnosis; and what comes out goes on."""
+    case = bench(Hidden(cubic_stiffness_x=SPRING), 1, ONE_AXIS, RESONATOR).case
+    bare = powered.device.with_only(())
+    fit = mg.fit(bare.with_effect(CubicStiffness("x")), case)
+    (found,) = [e for e in fit.estimates if e.name == "cubic_stiffness x"]
+    assert abs(found.value - SPRING) < 4.5 * found.std
+    assert mg.compare(fit.device, case).explained
+    assert not mg.compare(bare, case).explained
+    given = mg.diagnose(bare.with_effect(CubicStiffness("x")), case)
+    assert (given.verdict, given.given) == ("nothing_missing", ("cubic_stiffness x",))
+    assert [e.label for e in given.device.effects] == ["cubic_stiffness x"]
+    np.testing.assert_allclose(given.device.effects.cubic_stiffness_x.strength, found.value, rtol=1e-3)
+    assert "effects.cubic_stiffness_x.strength" in given.uncertainty.paths
