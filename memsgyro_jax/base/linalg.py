@@ -1,12 +1,15 @@
-"""Inverses of many small matrices at once.
+"""Linear algebra of many small matrices at once, as arrays to be batched by `vmap`.
 
 LAPACK takes them one by one and, called from compiled loops on several threads, may wait for itself; elimination
-written out vectorises over the batch.
+written out vectorises over the batch. In the step of the loop even arrays cost too much: see `device.small`.
 """
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Shaped
+from jaxtyping import Array, Float, Shaped
+
+
+_SAME = 1e-11  # share of a squared length that is left of a column which depends on those before it
 
 
 def inverse(matrix: Shaped[Array, "n n"]) -> Shaped[Array, "n n"]:
@@ -40,3 +43,42 @@ def _gauss_jordan(matrix: Array) -> Array:
 def product(matrix: Shaped[Array, "*batch n m"], vector: Shaped[Array, "*batch m"]) -> Shaped[Array, "*batch n"]:
     """Matrix times vector, batch by batch."""
     return jnp.einsum("...ij,...j->...i", matrix, vector)
+
+
+def solve_pairs(matrix: Shaped[Array, "*batch 2 2"], right: Shaped[Array, "*batch 2"]) -> Shaped[Array, "*batch 2"]:
+    """Solutions of 2×2 systems."""
+    (a, b), (c, d) = (jnp.moveaxis(matrix, (-2, -1), (0, 1))[i] for i in (0, 1))
+    p, q = right[..., 0], right[..., 1]
+    return jnp.stack([d * p - b * q, a * q - c * p], axis=-1) / (a * d - b * c)[..., None]
+
+
+def cholesky(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """Lower triangular root of a Gram matrix; a row that depends on those before it, as of a tone of the frequency of
+    another, gets no column of its own.
+    """
+
+    def column(rest: Array, index: Array) -> tuple[Array, Array]:
+        pivot = rest[index, index]
+        new = pivot > _SAME * matrix[index, index]
+        lower = (jnp.arange(len(matrix)) >= index) & new
+        found = jnp.where(lower, rest[:, index], 0.0) / jnp.sqrt(jnp.where(new, pivot, 1.0))
+        return rest - found[:, None] * found, found
+
+    return jax.lax.scan(column, matrix, jnp.arange(len(matrix)))[1].T
+
+
+def exponential(matrix: Shaped[Array, "n n"]) -> Shaped[Array, "n n"]:
+    """Matrix exponential by scaling and squaring of a Taylor series of order 18; no decomposition, cheap to
+    differentiate.
+
+    For any matrix of any norm, once per run. `device.propagate` has a series of its own for the 4×4 of a device once
+    per sample and die: its order is known beforehand, and half of the products and all scaling fall away.
+    """
+    norm = jnp.max(jnp.sum(jnp.abs(matrix), axis=-1))
+    squarings = jnp.clip(jnp.ceil(jnp.log2(norm)), 0, 60).astype(int)
+    scaled = matrix * 2.0 ** (-squarings.astype(matrix.real.dtype))
+    one = jnp.eye(matrix.shape[-1], dtype=matrix.dtype)
+    total = one
+    for k in range(18, 0, -1):
+        total = one + scaled @ total / k
+    return jax.lax.fori_loop(0, squarings, lambda _, m: m @ m, total)

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from memsgyro_jax.base.linalg import inverse, product
+from memsgyro_jax.base.linalg import exponential, inverse, product
 
 from .model import Conditions, Model
 from .steady import nonlinear_spectrum
@@ -63,20 +63,6 @@ def _solve(matrix: Array, vector: Array) -> Array:
     """Solve with one matrix for many vectors along the leading axis."""
     invert = inverse if matrix.ndim == 2 else jax.vmap(inverse)
     return product(invert(matrix), vector)
-
-
-def exponential(matrix: Array) -> Array:
-    """Matrix exponential by scaling and squaring of a Taylor series of order 18; no decomposition, cheap to
-    differentiate.
-    """
-    norm = jnp.max(jnp.sum(jnp.abs(matrix), axis=-1))
-    squarings = jnp.clip(jnp.ceil(jnp.log2(norm)), 0, 60).astype(int)
-    scaled = matrix * 2.0 ** (-squarings.astype(matrix.real.dtype))
-    one = jnp.eye(matrix.shape[-1], dtype=matrix.dtype)
-    total = one
-    for k in range(18, 0, -1):
-        total = one + scaled @ total / k
-    return jax.lax.fori_loop(0, squarings, lambda _, m: m @ m, total)
 
 
 def state_units(model: Model) -> Float[Array, " n"]:

@@ -16,13 +16,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Complex, Float
 
+from memsgyro_jax.base.linalg import cholesky, solve_pairs
 from memsgyro_jax.device.gyro import X, Y
 
 from .plant import Plant
 
 
 _NOTHING = 1e-22  # square of what is left of a column of length one that depends on the others
-_SAME = 1e-11  # the same for an exponential, whose length is squared already
 
 
 class Tones(NamedTuple):
@@ -42,7 +42,7 @@ class Held(NamedTuple):
 def held(die: Plant, tones: Tones, period: float) -> Held:
     """Forces, held over samples and taken in their middles, under which the displacement at the samples is `tones`."""
     _, inputs = _responses(die, tones.omega, period)
-    force = _solve2(inputs[:, :2], tones.amplitude)
+    force = solve_pairs(inputs[:, :2], tones.amplitude)
     return Held(force, jnp.einsum("kij,kj->ki", inputs, force))
 
 
@@ -51,13 +51,6 @@ def _responses(die: Plant, omega: Array, period: float) -> tuple[Array, Array]:
     turn = jnp.exp(1j * omega * period)
     resolvent = jnp.einsum("im,km,mj->kij", die.shapes, 1.0 / (turn[:, None] - die.poles), die.left)
     return resolvent, resolvent @ die.push * jnp.exp(0.5j * omega * period)[:, None, None]
-
-
-def _solve2(matrix: Array, right: Array) -> Array:
-    """Solution of 2×2 systems, by hand: a library call per tone would cost more than everything else."""
-    (a, b), (c, d) = (jnp.moveaxis(matrix, (-2, -1), (0, 1))[i] for i in (0, 1))
-    p, q = right[..., 0], right[..., 1]
-    return jnp.stack([d * p - b * q, a * q - c * p], axis=-1) / (a * d - b * c)[..., None]
 
 
 def sensitivities(
@@ -69,7 +62,7 @@ def sensitivities(
     exponentials, so that products of columns are those of the records themselves.
     """
     resolvent, inputs = _responses(die, tones.omega, period)
-    force = _solve2(inputs[:, :2], tones.amplitude)
+    force = solve_pairs(inputs[:, :2], tones.amplitude)
     motion = jnp.einsum("kij,kj->ki", inputs, force)
     pushed = force * jnp.exp(0.5j * tones.omega * period)[:, None]
     kick = jnp.einsum("cij,kj->kic", die.full_slopes, motion) + jnp.einsum("cij,kj->kic", die.push_slopes, pushed)
@@ -132,7 +125,7 @@ def estimator(rows: Float[Array, "rows unknowns"], last: int) -> Float[Array, " 
     columns = jnp.concatenate([others / size, rows[:, last, None]], axis=1)
 
     def reduced(columns: Array, index: Array) -> tuple[Array, None]:
-        # Gram and Schmidt, twice is enough; a library's QR of a batch may wait for itself on a machine of two cores.
+        # Gram and Schmidt, twice is enough.
         chosen = columns[:, index]
         square = jnp.sum(chosen**2)
         unit = chosen / jnp.sqrt(jnp.where(square > _NOTHING, square, 1.0))
@@ -142,18 +135,3 @@ def estimator(rows: Float[Array, "rows unknowns"], last: int) -> Float[Array, " 
     count = columns.shape[1] - 1
     rest = jax.lax.scan(reduced, columns, jnp.arange(count))[0][:, -1]
     return rest / jnp.sum(rest**2)
-
-
-def cholesky(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
-    """Lower triangular root of a small matrix; a row that depends on those before it, as of a tone of the frequency of
-    another, gets no column of its own. See `estimator` for why it is not the library's.
-    """
-
-    def column(rest: Array, index: Array) -> tuple[Array, Array]:
-        pivot = rest[index, index]
-        new = pivot > _SAME * matrix[index, index]
-        lower = (jnp.arange(len(matrix)) >= index) & new
-        found = jnp.where(lower, rest[:, index], 0.0) / jnp.sqrt(jnp.where(new, pivot, 1.0))
-        return rest - found[:, None] * found, found
-
-    return jax.lax.scan(column, matrix, jnp.arange(len(matrix)))[1].T

@@ -12,10 +12,11 @@ import scipy.linalg
 
 import memsgyro_jax as mg
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.linalg import cholesky
 from memsgyro_jax.loop import engine, noise
 from memsgyro_jax.loop.scenario import as_scenario
 from memsgyro_jax.motion.design import _drawn
-from memsgyro_jax.motion.information import Tones, cholesky, geometric, rate_variance, sensitivities
+from memsgyro_jax.motion.information import Tones, geometric, rate_variance, sensitivities
 
 
 mpl.use("agg")
