@@ -219,12 +219,14 @@ def _bound(runner: _Runner, dies: int, sample_rate: float, duration: float) -> f
     varies = any(float(jnp.ptp(value)) > 0.0 for value in jax.tree.leaves(conditions))
     if varies or any(float(jnp.min(density)) == 0.0 for density in loop.readout.noise_density):
         return None
-    drawn = runner.spread.draw(loop, runner.scenario, runner.seed, np.arange(dies))
     observer = loop.observer
     known: tuple[str, ...] = ()
     prior = None
     if isinstance(observer, AbstractCovarianceObserver):
         known, prior = observer.known, observer.prior
+    if "rate" in known:  # nothing to find
+        return None
+    drawn = runner.spread.draw(loop, runner.scenario, runner.seed, np.arange(dies))
     found = information_bound(
         drawn.loop,
         drawn.scenario,
@@ -235,8 +237,6 @@ def _bound(runner: _Runner, dies: int, sample_rate: float, duration: float) -> f
         windows=1,
         design=loop,
     )
-    if "rate" not in found.names:  # known to the observer: nothing to find
-        return None
     rate = found.rate_std[-1]
     finite = rate[np.isfinite(rate)]
     return float(np.sqrt(np.mean(finite**2))) if finite.size else None
