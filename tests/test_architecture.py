@@ -137,22 +137,13 @@ def test_a_circle_for_type_checkers_is_found(tmp_path, monkeypatch):
     assert {*circle(tmp_path)} == {"memsgyro_jax.loop.trace", "memsgyro_jax.loop.pictures"}
 
 
-# Names that still stand for two things; none may join them.
-TWICE = {
-    "Conditions", "Entry", "Lot", "Part",
-    "Plan", "Run", "Step", "Table", "TimeRecord", "check", "compare", "diagnose", "estimated_noise",
-    "fit", "identify", "logarithmic", "page", "rate_figure", "rows", "run", "simulate", "sweep",
-    "times", "tune", "turned",
-}  # fmt: skip
-
-
 def test_one_name_for_one_thing():
     places = defaultdict(set)
     for path in MODULES:
         for node in ast.parse(path.read_text()).body:
             if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_"):
                 places[node.name].add(path.relative_to(PACKAGE).as_posix())
-    assert {name: found for name, found in places.items() if len(found) > 1 and name not in TWICE} == {}
+    assert {name: found for name, found in places.items() if len(found) > 1} == {}
 
 
 def test_files_stay_short():
