@@ -202,8 +202,12 @@ def _at(tree: Any, path: str) -> Array:
 
 
 def _numbers_at(loop: ClosedLoop, path: str, known: Mapping[str, int]) -> list[str]:
-    """The paths of all numbers at or below `path`, coefficients by name or position."""
+    """The paths of all numbers at or below `path`, coefficients by name or position, effects by label or position."""
     names, spelled = loop.observer.model.names, path
+    for number, effect in enumerate(loop.device.effects):
+        called = f"device.effects.{effect.label.replace(' ', '_')}"
+        if path == called or path.startswith(f"{called}."):
+            spelled = path.replace(called, f"device.effects.{number}", 1)
     for prefix in ("observer.process_noise.theta.", "observer.process_noise.", "observer.prior.theta_std."):
         name = path.removeprefix(prefix)
         if name != path and name in names:

@@ -25,6 +25,7 @@ from memsgyro_jax.loop.readout import Adc, ChargeAmplifier, DirectReadout
 from memsgyro_jax.loop.scenario import AbstractProfile, Constant, Scenario
 from memsgyro_jax.loop.with_effects import SampleEffects
 from memsgyro_jax.measurement.model import Conditions, Model
+from memsgyro_jax.tuning.tunable import resolved
 
 
 PERIOD, SAMPLES = 1e-5, 2000
@@ -321,3 +322,19 @@ def test_a_loop_refuses_effects_that_mean_nothing_in_it():
     fast = gyro(E.ParasiticMode("x", 1e-3, omega=2 * np.pi * 60e3))
     with pytest.raises(InputError, match="`parasitic_mode x`"):
         ClosedLoop(fast, DirectReadout(1e5), Blind(), Held(1)).sampled_at(100e3)
+
+
+def test_an_effect_is_reached_by_its_label_and_its_place():
+    loop = thesis_loop(E.CubicStiffness("x", 8e11), E.ParasiticMode("x", 1e-3))
+    named = mg.free({"device.effects.parasitic_mode_x.quality": (10.0, 1e3), "device.effects.0.strength": (0.0, 1e12)})
+    assert resolved(loop, named, 1e5, 0.1).paths == ("device.effects.0.strength", "device.effects.1.quality")
+    assert loop.device.effects.cubic_stiffness_x is loop.device.effects[0]
+
+
+def test_unequal_cross_damping_is_the_same_on_the_bench():
+    """The bench makes an effect of what the loop has in its equations; sign and size agree."""
+    unequal = SingleMassGyro(1.8e-7, 63.96, 95.92, 12.78, 3.6e-6, 4.5e-6, 3.6e-7, dyx=9e-7)
+    matrix = np.asarray(Model(unequal).linear(Conditions(rate=2.0))[0])[2:]
+    true = unequal.dynamics(Conditions(rate=2.0).inertial)
+    np.testing.assert_allclose(-matrix, np.hstack([np.array(true.stiffness), np.array(true.velocity)]), rtol=1e-12)
+    assert Model(unequal).physical().effects.cross_damping_asymmetry.strength == pytest.approx(-5.4e-7)
