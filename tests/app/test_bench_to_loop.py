@@ -2,7 +2,6 @@
 
 import importlib.util
 
-import numpy as np
 import pytest
 
 
@@ -20,33 +19,35 @@ def assert_same(found, wanted, name, key):
     assert abs(values[0] - values[1]) < 4.0 * max(stds), key
 
 
-def assert_story(story, retuned):
+def assert_story(story):
+    """The effect is named, and the fitted device errs in the loop as the true one does; gives its figures."""
     found = story.diagnosed()
     assert found["verdict"] == "found"
     assert [(effect["name"], effect["axis"]) for effect in found["effects"]] == [(story.name, "x")]
-    fit = story.fitted()
-    assert fit["explained"]
-    linear, true, fitted = (story.swept(study) for study in ("linear", "true", "fitted"))
+    assert story.fitted()["explained"]
+    true, fitted = (story.swept(study) for study in ("true", "fitted"))
     for name in ("bias_dps", "scale_factor_error"):
         assert_same(fitted, true, name, story.name)
     assert fitted["nis"] == pytest.approx(true["nis"], rel=0.05)
-    assert linear["nis"] == pytest.approx(2.0, rel=0.05)
-    errors = [figures["rate_error_dps"]["end"]["rms"] for figures in (linear, fitted, retuned(story))]
-    return errors, fitted
+    return fitted
+
+
+def rms(figures):
+    return figures["rate_error_dps"]["end"]["rms"]
 
 
 def test_quadratic_damping(bench_to_loop, tmp_path):
     story = bench_to_loop.Story("quadratic_damping", tmp_path, duration=10, dies=16, run=50)
-    (linear, fitted, wary), figures = assert_story(story, lambda story: story.swept("wary"))
-    assert figures["bias_dps"]["value"] < -10.0
-    assert fitted > 2.0 * linear
-    assert wary < 0.5 * fitted
+    fitted = assert_story(story)
+    assert fitted["bias_dps"]["value"] < -10.0
+    assert rms(story.swept("wary")) < 0.5 * rms(fitted)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["cubic_stiffness", "pickoff_nonlinearity", "parasitic_mode"])
 def test_every_other_effect(bench_to_loop, tmp_path, name):
-    (linear, fitted, tuned), figures = assert_story(bench_to_loop.Story(name, tmp_path), lambda story: story.tuned())
-    assert fitted > linear or figures["nis"] > 10.0
-    assert tuned < 0.75 * fitted
-    assert np.isfinite(tuned)
+    story = bench_to_loop.Story(name, tmp_path)
+    fitted, linear = assert_story(story), story.swept("linear")
+    assert linear["nis"] == pytest.approx(2.0, rel=0.05)
+    assert fitted["nis"] > 2.5
+    assert rms(story.tuned()) < 0.8 * rms(fitted)
