@@ -23,8 +23,10 @@ ROOT = Path(__file__).resolve().parent.parent
 SETTINGS = ("XLA_FLAGS", "JAX_", "MEMSGYRO_")
 # The files that take longest, most of it to compile. Workers begin with them: one begun last would leave others idle.
 LONGEST = (
+    "app/test_bench_to_loop.py",
     "tuning/test_tune.py",
     "montecarlo/test_sweep.py",
+    "loop/test_effects_in_loop.py",
     "couplings/test_identify.py",
     "motion/test_design_motion.py",
     "loop/test_bound.py",
