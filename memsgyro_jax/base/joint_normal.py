@@ -35,7 +35,7 @@ class JointNormal:
         cls, paths: Sequence[str], device: Callable, vector: np.ndarray, root: np.ndarray, loose: np.ndarray
     ) -> "JointNormal":
         """Of the numbers at `paths` of `device(vector)`, for a vector (k,) with covariance root·rootᵀ, by linear
-        propagation; what depends on an entry that is `loose` (k,) is not held.
+        propagation; what depends on an entry that is `loose` (k,) is not held, what depends on none is left out.
         """
 
         def numbers(at: Array) -> Array:
@@ -44,11 +44,13 @@ class JointNormal:
 
         at = jnp.asarray(vector)
         slope = np.asarray(jax.jacfwd(numbers)(at))
+        moves = np.any(slope != 0, axis=1)
+        kept, slope = [path for path, one in zip(paths, moves, strict=True) if one], slope[moves]
         spread = slope @ root
         covariance = spread @ spread.T
         open_ended = np.any((slope != 0) & loose, axis=1)
         covariance[open_ended, open_ended] = np.inf
-        return cls(tuple(paths), np.asarray(numbers(at)), covariance)
+        return cls(tuple(kept), np.asarray(numbers(at))[moves], covariance)
 
 
 def number_at(tree: Any, path: str) -> Array:

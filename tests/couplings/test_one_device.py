@@ -7,6 +7,7 @@ import pytest
 
 import memsgyro_jax as mg
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.joint_normal import JointNormal
 from memsgyro_jax.couplings.bench import Bench
 from memsgyro_jax.couplings.frequency_sweep import FrequencySweep
 from memsgyro_jax.couplings.modes import AxisAngles, CoupledModes
@@ -83,3 +84,15 @@ def test_what_two_modes_cannot_hold_is_refused():
         CoupledModes.of(MODES.gyro(MASS).with_effect(CubicStiffness("x", 1e9)))
     with pytest.raises(InputError, match="cross_damping_asymmetry"):
         CoupledModes.of(mg.SingleMassGyro(1e-7, 1.0, 1.1, 0.0, 1e-6, 1e-6, 0.0, dyx=1e-9))
+
+
+def test_numbers_that_were_given_have_no_uncertainty():
+    """The variance of a product by hand, and no entry for what does not move."""
+    root, loose = np.diag([0.1, 0.2]), np.array([False, False])
+    joint = JointNormal.of(["mass", "kxx"], lambda v: CoupledModes.of(MODES.gyro(MASS)).gyro(MASS * v[0] * v[1]),
+                           np.array([2.0, 3.0]), root, loose)  # fmt: skip
+    assert joint.paths == ("mass", "kxx")
+    np.testing.assert_allclose(joint.std / joint.values, np.hypot(0.1 / 2, 0.2 / 3), rtol=1e-12)
+    fixed = JointNormal.of(["mass", "kxx"], lambda v: mg.SingleMassGyro(MASS, 1.0, v[0], 0.0, 1e-6, 1e-6, 0.0),
+                           np.array([2.0]), np.eye(1), np.zeros(1, bool))  # fmt: skip
+    assert fixed.paths == ()

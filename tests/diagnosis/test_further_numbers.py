@@ -77,6 +77,7 @@ def test_a_number_may_be_fixed():
     assert float(fit.model.effects[0].exponent) == 3.0
     (found,) = [e for e in fit.estimates if e.name.startswith("power_spring")]
     assert abs(found.value - SPRING) < 4.5 * found.std
+    assert fit.uncertainty.paths[3:] == ("effects.power_spring_x.strength",)
     with pytest.raises(InputError, match="did you mean `power_spring x`"):
         fitted(Hidden(cubic_stiffness_x=SPRING), PowerSpring("x"), fixed=["power_sprung x"])
 
