@@ -8,44 +8,34 @@ the true device and that of the linear model, whose filter is the same.
 """
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
-
-import numpy as np
 
 from memsgyro_jax.base import runtime
 
 
 runtime.configure()
 
-import memsgyro_jax as mg  # noqa: E402
 from memsgyro_jax.app import cli  # noqa: E402
 
 
 class Hidden(NamedTuple):
-    """An effect on x: its strength, further numbers, the amplitude of the tone that excites the record, and whether the
-    record needs a frequency sweep of the same device beside it.
-    """
+    """An effect on x: its strength, and the amplitude of the tone that excites the record."""
 
     strength: str
-    settings: str = ""
     drive: str = "4 m/s^2"
-    sweep: bool = False
 
 
 HIDDEN = {
     "cubic_stiffness": Hidden("3e12 N/m^3", drive="1 m/s^2"),
     "quadratic_damping": Hidden("2e-4 N*s^2/m^2"),
     "pickoff_nonlinearity": Hidden("1e5 1/m"),
-    "parasitic_mode": Hidden("1e-2", "settings = { omega = 25132.7, quality = 100.0 }", sweep=True),
 }
 EFFECT = """
 [[effects]]
 name = "{name}"
 axis = "x"
 strength = "{strength}"
-{settings}
 """
 NOISE = 'noise_density = "0.447 uV/sqrt(Hz)"'
 MADE = f"""
@@ -133,26 +123,8 @@ class Story:
         for seed, role in enumerate(("fit", "validation")):
             memsgyro("simulate", self.path("record.toml"), "--case", self.path("case"), "--record", role,
                      "--role", role, "--seed", seed)  # fmt: skip
-        if HIDDEN[self.name].sweep:
-            self.sweep_on_the_bench()
         memsgyro("diagnose", self.path("case"), "--json", self.path("diagnosis.json"))
         return json.loads(self.path("diagnosis.json").read_text())
-
-    def sweep_on_the_bench(self) -> None:
-        """A frequency sweep of the same device joins the runs; the laboratory that records it is the bench's model."""
-        case, device = mg.load_case(self.path("case")), mg.load_study(self.path("record.toml")).loop.device
-        count, std = 300, 2e-5  # rows, V
-        one = np.ones(count)
-        blank = mg.FrequencySweepRecord(
-            name="sweep", file="sweep.csv", lines=np.arange(count) + 2, noise_std=std, axis=0, settled=True,
-            frequency=2.0 * np.pi * np.linspace(2500.0, 4600.0, count), drive=60e-9 * one,
-            temperature=case.environment.temperature * one, bias_voltage=0.0 * one, rate=0.0 * one,
-            phasors=np.zeros((count, 2), complex),
-        )  # fmt: skip
-        shown = blank.experiment(case, 0).predict(mg.Model(device, scale=case.readout.scale))
-        noise = np.random.default_rng(2).standard_normal((2, count, 2))
-        record = replace(blank, phasors=np.asarray(shown) + std * (noise[0] + 1j * noise[1]))
-        mg.append_to_case(replace(case, records=(record,)), case.folder)
 
     def fitted(self) -> dict[str, Any]:
         """The device with the effect, as the two runs hold it, in `device.toml`."""

@@ -44,7 +44,7 @@ def test_quadratic_damping(bench_to_loop, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["cubic_stiffness", "pickoff_nonlinearity", "parasitic_mode"])
+@pytest.mark.parametrize("name", ["cubic_stiffness", "pickoff_nonlinearity"])
 def test_every_other_effect(bench_to_loop, tmp_path, name):
     story = bench_to_loop.Story(name, tmp_path)
     fitted, linear = assert_story(story), story.swept("linear")
