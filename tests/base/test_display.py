@@ -104,7 +104,7 @@ def test_a_notebook_shows_the_same_text():
         "RecordTuning",
         "Identification",
     )
-    for name in (*results, "Comparison", "CaseFit", "Diagnosis", "MotionDesign", "CaseQuality"):
+    for name in (*results, "Comparison", "CaseFit", "Diagnosis", "MotionDesign", "CaseQuality", "Case"):
         assert hasattr(getattr(mg, name), "_repr_html_"), name
 
 

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.text import aligned
 
@@ -9,8 +10,8 @@ from ..declared import Declared
 from ..experiments import AbstractRecord
 
 
-@dataclass(frozen=True, eq=False)
-class Case(Declared):
+@dataclass(frozen=True, eq=False, repr=False)
+class Case(Shown, Declared):
     """Everything a laboratory declared and recorded of one device; see `Declared` for the other fields.
 
     Args:
