@@ -46,12 +46,10 @@ def configure(devices: int | None = None) -> None:
     `JAX_COMPILATION_CACHE_DIR`, `JAX_PLATFORMS`. With `MEMSGYRO_NO_CACHE` set to anything but `0` nothing is written to
     the cache directory. A second call with the same meaning does nothing.
 
-    Args:
-        devices: number of host devices the CPU is divided into, at least 1; `None` means one for each usable core.
+    The CPU is divided into `devices` host devices, at least 1; `None` means one for each usable core.
 
-    Raises:
-        InputError: if `devices` is below 1 or contradicts `XLA_FLAGS`, if `JAX_ENABLE_X64` asks for float32, or if JAX
-            has started without these settings.
+    Raises `InputError` if `devices` is below 1 or contradicts `XLA_FLAGS`, if `JAX_ENABLE_X64` asks for float32, or if
+    JAX has started without these settings.
     """
     count = usable_cores() if devices is None else devices
     if count < 1:
@@ -79,11 +77,7 @@ def configure(devices: int | None = None) -> None:
 def require_float64(who: str) -> None:
     """Refuses to go on in single precision, where covariances lose positive definiteness within half a second.
 
-    Args:
-        who: what needs float64, as the subject of the sentence, e.g. ``"`simulate`"``.
-
-    Raises:
-        InputError: if JAX's float64 is off.
+    `who` needs float64, as the subject of the sentence, e.g. ``"`simulate`"``; raises `InputError` if it is off.
     """
     import jax
 

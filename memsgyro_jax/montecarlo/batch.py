@@ -118,10 +118,15 @@ def differs(dies: PyTree, one: PyTree) -> PyTree[bool]:
     return jax.tree.map(lambda value, plain: np.ndim(value) > np.ndim(plain), dies, one)
 
 
+def trailing(rank: int) -> P:
+    """The trailing axis, the dies, split over devices."""
+    return P(*(None,) * (rank - 1), DIE_AXIS)
+
+
 def shares(dies: PyTree, varies: PyTree[bool] | None = None) -> PyTree[P]:
-    """How leaves are split over devices: along their trailing axis, the dies; not where they do not vary with it."""
+    """How leaves are split over devices: along their trailing axis, but not those that do not vary with it."""
     varies = jax.tree.map(lambda _: True, dies) if varies is None else varies
-    return jax.tree.map(lambda v, differs: P(*(None,) * (v.ndim - 1), DIE_AXIS) if differs else P(), dies, varies)
+    return jax.tree.map(lambda value, differs: trailing(value.ndim) if differs else P(), dies, varies)
 
 
 def picked(dies: PyTree, one: PyTree, places: Int[np.ndarray, " some"]) -> PyTree:

@@ -195,6 +195,7 @@ def _combined(loss: AbstractLoss, values: Array) -> tuple[Array, Array]:
 
 
 _MANY = 6  # free numbers from which on it is cheaper to go backwards
+_RANKS = {Portion.through: (1, 1), Portion.along: ((1, 1), 2), Portion.back: 2}  # of what needs no tracing to know it
 
 
 @eqx.filter_jit
@@ -205,7 +206,8 @@ def _split(function: Callable, mesh: jax.sharding.Mesh, part: Portion, *rows: An
     dynamic, static = eqx.partition(part, eqx.is_array)
     shares = lot.shares(dynamic, lot.differs(dynamic, eqx.filter(one, eqx.is_array)))
     specs = (shares, *(lot.shares(tree) for tree in rows))
-    out = lot.shares(eqx.filter_eval_shape(function, part, *rows))
+    ranks = _RANKS.get(function) or jax.tree.map(lambda row: row.ndim, eqx.filter_eval_shape(function, part, *rows))
+    out = jax.tree.map(lot.trailing, ranks)
 
     def local(dynamic, *rows):
         return function(eqx.combine(dynamic, static), *rows)

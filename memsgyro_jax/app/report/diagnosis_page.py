@@ -1,6 +1,9 @@
 """The page of a diagnosis: what is missing from the model, how much it helps, and what the records cannot tell."""
 
+from collections.abc import Iterator
+
 import numpy as np
+from matplotlib.figure import Figure
 
 from memsgyro_jax.diagnosis.compare import as_times, judged
 from memsgyro_jax.diagnosis.residual_force import rate_residuals, sweep_forces, time_forces
@@ -148,39 +151,38 @@ def _blind(out: Page, diagnosis: Diagnosis) -> None:
 
 def _forces(out: Page, diagnosis: Diagnosis) -> None:
     """What the final model still lacks, as forces."""
-    final, gyro = diagnosis.final, diagnosis.case.device == "single_mass"
-    motion, force = ((1e6, "µm"), (1e9, "nN")) if gyro else ((1.0, "V"), (1.0, "V"))
-    units = ("N/m", "N s/m") if gyro else ("V/V", "V s/V")
     out.section("The force that is missing").text(
         "What the final model would need to move as it was seen to move. A law that fits these points is an effect of "
         "one's own in about ten lines; --effects takes its file."
     )
-    drawn = 0
+    drawn = list(_force_figures(diagnosis))
+    for figure, caption in drawn:
+        out.figure(figure, caption)
+    if not drawn:
+        out.text("No record shows it as a force above its noise.")
+
+
+def _force_figures(diagnosis: Diagnosis) -> Iterator[tuple[Figure, str]]:
+    """Each picture of a force that stands out of the noise, and its caption."""
+    final, gyro = diagnosis.final, diagnosis.case.device == "single_mass"
+    motion, force = ((1e6, "µm"), (1e9, "nN")) if gyro else ((1.0, "V"), (1.0, "V"))
+    units = ("N/m", "N s/m") if gyro else ("V/V", "V s/V")
     for sweep in sweep_forces(final):
         for axis in force_figures.shown_axes(sweep):
             along = "xy"[sweep.axis]
-            out.figure(
-                force_figures.sweep_figure(sweep, axis, motion, *units),
+            caption = (
                 f"{sweep.record}: force on {'xy'[axis]} as stiffness and damping, F = −k·{along} − d·d{along}/dt, "
                 "against the amplitude of the driven axis and the settings; a lighter point is a stronger drive. "
-                "Points that the noise makes uncertain are left out.",
+                "Points that the noise makes uncertain are left out."
             )
-            drawn += 1
+            yield force_figures.sweep_figure(sweep, axis, motion, *units), caption
     for course in time_forces(final):
         for axis in range(final.model.axes):
             if course.force[:, axis].any():
-                out.figure(
-                    force_figures.time_figure(course, axis, motion, force),
-                    f"{course.record}: force on {'xy'[axis]} near the resonances.",
-                )
-                drawn += 1
+                figure = force_figures.time_figure(course, axis, motion, force)
+                yield figure, f"{course.record}: force on {'xy'[axis]} near the resonances."
     unexplained = {e.name for e in final.errors if not e.explained}
     for left in rate_residuals(final):
         if left.record in unexplained:
-            out.figure(
-                force_figures.residual_rate_figure(left, diagnosis.case.readout.unit),
-                f"{left.record}: what is left, in phase with displacement and velocity of the driven axis.",
-            )
-            drawn += 1
-    if not drawn:
-        out.text("No record shows it as a force above its noise.")
+            figure = force_figures.residual_rate_figure(left, diagnosis.case.readout.unit)
+            yield figure, f"{left.record}: what is left, in phase with displacement and velocity of the driven axis."

@@ -1,7 +1,7 @@
 """The loss port: a number per die that tuning makes small, gathered sample by sample while the loop runs."""
 
 import abc
-from typing import ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -119,19 +119,18 @@ def missed(error: Scalar, tolerance: Scalar, softness: Scalar) -> Scalar:
 
 def claimed_variance(sample: Sample, who: str) -> Scalar:
     """The variance of the rate that the observer claims; raises `InputError` where it claims none."""
-    if sample.estimate.rate_variance is None:
-        raise InputError(
-            f"The loss `{who}` must have an observer that claims a variance for the rate, an `ExtendedKalmanFilter` "
-            "say, but this loop's has none."
-        )
-    return sample.estimate.rate_variance
+    return _claimed(sample.estimate.rate_variance, "the rate", who)
 
 
 def innovation_of(sample: Sample, who: str):
     """The innovation of a sample; raises `InputError` where the observer claims no variance for it."""
-    if sample.estimate.innovation is None:
+    return _claimed(sample.estimate.innovation, "its innovations", who)
+
+
+def _claimed(found: Any, of: str, who: str) -> Any:
+    if found is None:
         raise InputError(
-            f"The loss `{who}` must have an observer that claims a variance for its innovations, an "
-            "`ExtendedKalmanFilter` say, but this loop's has none."
+            f"The loss `{who}` must have an observer that claims a variance for {of}, an `ExtendedKalmanFilter` say, "
+            "but this loop's has none."
         )
-    return sample.estimate.innovation
+    return found
