@@ -135,11 +135,11 @@ def check_own_states(device: AbstractGyro, discretisation: AbstractDiscretisatio
 
     **Raises:** `InputError`; traced values pass.
     """
-    if isinstance(discretisation, Exact):
+    turning = [e for e in Acting.of(device.effects).forces if e.own_is_linear and e.own_size]
+    if turning and isinstance(discretisation, Exact):
         still = _moment(_at_rest(device), (0.0,) * 4, (0.0, 0.0))
-        for effect in Acting.of(device.effects).forces:
-            if effect.own_is_linear and effect.own_size:
-                check_speed(effect, still, sample_rate)
+        for effect in turning:
+            check_speed(effect, still, sample_rate)
 
 
 def _linear(effects: Effects) -> tuple[bool, ...]:
