@@ -112,7 +112,8 @@ class ClosedLoop(Displayed):
     @property
     def present(self) -> "ClosedLoop":
         """The same loop without effects of strength zero: they are absent to the last bit and the last operation."""
-        return eqx.tree_at(lambda made: made.device, self, self.device.present)
+        device = self.device.present
+        return self if device is self.device else eqx.tree_at(lambda made: made.device, self, device)
 
     def init(self) -> LoopState:
         """The state at time zero."""
