@@ -60,9 +60,14 @@ def diagnose(
     first = search.rank()
     ranking = search.run(first)
     base, steps = search.base, list(search.steps)
-    if not all(_explained(search.steps[-1].fit, search.accepted, level)):
+    if not _done(search, level):
         later, ranking = _with_scans(search, ranking, tell)
         steps += [] if later is search else later.steps[1:]
+        if search.accepted and not _done(later, level):
+            # What a scan alone would explain, several smooth effects may have taken piece by piece: scan the base too.
+            fresh, again = _with_scans(Search(base, search.level, search.given, tell), first, tell)
+            if _done(fresh, level) or fresh.optimum.chi2 < later.optimum.chi2:
+                later, ranking, steps = fresh, again, [search.steps[0], *fresh.steps[1:]]
         search = later
     final = search.steps[-1].fit
     tell("see what these records can tell apart")
@@ -92,6 +97,11 @@ def _start(model, case: Case) -> Model:
     if isinstance(model, Model):
         return model
     return model_of(case, starting_device(case) if model is None else model)
+
+
+def _done(search: Search, level: float) -> bool:
+    """Whether nothing is left to explain."""
+    return all(_explained(search.steps[-1].fit, search.accepted, level))
 
 
 def _explained(fit: CaseFit, accepted: Sequence, level: float) -> list[bool]:
