@@ -222,6 +222,8 @@ class Search:
         optimum = optimise(joint, joint.start, free, joint.fitted)
         if optimum.chi2 >= self.optimum.chi2 - gain:
             return None
+        # A frequency and its width are found in a narrow valley: again from within it, to its end.
+        optimum = optimise(joint, optimum.vector, free, joint.fitted)
         out = Search(self.steps[-1].fit, self.level, self.given, self.tell)
         out.joint, out.accepted = joint, list(self.accepted)
         out.take(place, optimum)
