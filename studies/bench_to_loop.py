@@ -20,22 +20,25 @@ from memsgyro_jax.app import cli  # noqa: E402
 
 
 class Hidden(NamedTuple):
-    """An effect on x: its strength, and the amplitude of the tone that excites the record."""
+    """An effect on x: its strength, the amplitude of the tone that excites the record, and further numbers."""
 
     strength: str
     drive: str = "4 m/s^2"
+    further: str = ""
 
 
 HIDDEN = {
     "cubic_stiffness": Hidden("3e12 N/m^3", drive="1 m/s^2"),
     "quadratic_damping": Hidden("2e-4 N*s^2/m^2"),
     "pickoff_nonlinearity": Hidden("1e5 1/m"),
+    "parasitic_mode": Hidden("1e-2", further="settings = { omega = 25132.7, quality = 100.0 }"),
 }
 EFFECT = """
 [[effects]]
 name = "{name}"
 axis = "x"
 strength = "{strength}"
+{further}
 """
 NOISE = 'noise_density = "0.447 uV/sqrt(Hz)"'
 MADE = f"""

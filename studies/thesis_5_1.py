@@ -4,6 +4,8 @@ One axis is held at 1 µm by a drive loop, the other is watched. A perfect gyro 
 two devices of Tables 5.1 and 5.2 are blind to rate, because stiffness coupling shakes the sense axis far more.
 """
 
+import dataclasses
+
 import equinox as eqx
 import matplotlib.pyplot as plt
 import numpy as np
@@ -30,8 +32,8 @@ class HeldDrive(mg.AbstractGyro):
     def dynamics(self, inertial):
         own, rest = self.gyro.dynamics(inertial), (0.0, 0.0)
         spring = ((2.0 * np.pi * self.frequency) ** 2, 0.0)
-        return own._replace(
-            stiffness=(spring, own.stiffness[1]), damping=(rest, own.damping[1]), coriolis=(rest, own.coriolis[1])
+        return dataclasses.replace(
+            own, stiffness=(spring, own.stiffness[1]), damping=(rest, own.damping[1]), coriolis=(rest, own.coriolis[1])
         )
 
     def coefficients(self, rate, damping_change=(0.0, 0.0, 0.0)):
