@@ -63,10 +63,10 @@ def diagnose(
     if not _done(search, level):
         later, ranking = _with_scans(search, ranking, tell)
         steps += [] if later is search else later.steps[1:]
-        if search.accepted and not _done(later, level):
+        if search.accepted:
             # What a scan alone would explain, several smooth effects may have taken piece by piece: scan the base too.
             fresh, again = _with_scans(Search(base, search.level, search.given, tell), first, tell)
-            if _done(fresh, level) or fresh.optimum.chi2 < later.optimum.chi2:
+            if _simplicity(fresh, level) < _simplicity(later, level):
                 later, ranking, steps = fresh, again, [search.steps[0], *fresh.steps[1:]]
         search = later
     final = search.steps[-1].fit
@@ -102,6 +102,12 @@ def _start(model, case: Case) -> Model:
 def _done(search: Search, level: float) -> bool:
     """Whether nothing is left to explain."""
     return all(_explained(search.steps[-1].fit, search.accepted, level))
+
+
+def _simplicity(search: Search, level: float) -> tuple[bool, float]:
+    """Less is better: what explains all goes first, with as few effects as will do; else what leaves least."""
+    done = _done(search, level)
+    return not done, len(search.accepted) if done else search.optimum.chi2
 
 
 def _explained(fit: CaseFit, accepted: Sequence, level: float) -> list[bool]:
