@@ -18,6 +18,14 @@ from memsgyro_jax.loop.scenario import Scenario
 
 
 DIE_AXIS = "die"
+STATUS = "status"  # name of the column
+PENDING, OK, LOST, DIVERGED = -1, 0, 1, 2
+MEANING = {
+    PENDING: "pending",
+    OK: "ok",
+    LOST: "lost (out of travel or not finite)",
+    DIVERGED: "diverged (impossible under what its filter claims)",
+}
 COVARIANCE = ("standardised", "correlation")  # rows that `nees` turns into a figure
 _SINGULAR = 1e-12  # least eigenvalue of a correlation matrix that is inverted
 
@@ -167,7 +175,7 @@ def rows_of(loop: ClosedLoop, scenario: Scenario, design: ClosedLoop, words: tup
         pair = _standardised(loop, loop.observer, done.state, conditions.offset_drift, truth)
         rows |= dict(zip(COVARIANCE, pair, strict=True))
     hide = {name: jnp.where(done.alive, value, jnp.nan) for name, value in rows.items() if name != "lost_at"}
-    return {**rows, **hide, "status": jnp.where(done.alive, 0, 1).astype(jnp.int8)}
+    return {**rows, **hide, STATUS: jnp.where(done.alive, OK, LOST).astype(jnp.int8)}
 
 
 def _relative(estimate: Scalar, true: Scalar) -> Scalar:

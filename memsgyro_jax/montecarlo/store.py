@@ -14,12 +14,12 @@ import numpy as np
 
 from memsgyro_jax.base.errors import InputError
 
+from .batch import MEANING, PENDING, STATUS
+
 
 if TYPE_CHECKING:
     import xarray as xr
 
-PENDING, OK, LOST = -1, 0, 1  # status of a die
-STATUS = "status"
 LABELS = "labels"  # attribute: names along dimensions; zarr has no settled type for text arrays
 
 
@@ -84,7 +84,7 @@ class Store:
         status = group.create_array(
             STATUS, shape=(dies,), chunks=(chunk,), dtype="int8", fill_value=PENDING, dimension_names=("die",)
         )
-        status.attrs["meaning"] = f"{PENDING} pending, {OK} ok, {LOST} lost (out of travel or not finite)"
+        status.attrs["meaning"] = ", ".join(f"{value} {words}" for value, words in MEANING.items())
         for name, column in layout.columns.items():
             array = group.create_array(
                 name,

@@ -11,7 +11,7 @@ from memsgyro_jax.base.text import aligned
 from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.observers import AbstractCovarianceObserver
 
-from .batch import Plan
+from .batch import LOST, OK, STATUS, Plan
 from .merit import (
     Following,
     Percentiles,
@@ -22,7 +22,6 @@ from .merit import (
     proportion,
     straight_error,
 )
-from .store import LOST, OK, STATUS
 
 
 SCHEMA = "memsgyro-sweep/1"

@@ -27,8 +27,9 @@ from memsgyro_jax.loop.scenario import AbstractProfile, Scenario, as_scenario
 from memsgyro_jax.loop.trace import count_steps
 
 from . import batch as lot
+from .batch import STATUS
 from .spread import DEVICE_PREFIX, Draw, Spread
-from .store import LABELS, STATUS, DieArray, Layout, Store
+from .store import LABELS, DieArray, Layout, Store
 from .summary import Summary, summarise
 
 

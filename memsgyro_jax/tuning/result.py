@@ -13,7 +13,7 @@ from memsgyro_jax.base.files import finite
 from memsgyro_jax.base.provenance import Settings
 from memsgyro_jax.base.text import aligned
 from memsgyro_jax.loop.loop import ClosedLoop
-from memsgyro_jax.montecarlo.store import LOST, OK
+from memsgyro_jax.montecarlo.batch import LOST, OK
 from memsgyro_jax.montecarlo.sweep import Lot
 
 

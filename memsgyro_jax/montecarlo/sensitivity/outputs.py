@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..store import OK
+from ..batch import OK
 
 
 DEGREES = 180.0 / np.pi

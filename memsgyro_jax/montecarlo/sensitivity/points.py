@@ -11,8 +11,8 @@ from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.scenario import AbstractProfile, Scenario
 
+from ..batch import OK
 from ..spread import Points, Spread
-from ..store import OK
 from ..sweep import DEFAULT_TOLERANCE, Lot, sweep
 from .outputs import Output, outputs, values_of
 
