@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from .loop.observers import ProcessNoise as ProcessNoise
     from .loop.observers import Annealing as Annealing
     from .loop.observers import design_prior as design_prior
+    from .loop.observers import curves_of as curves_of
     from .loop.observers import FixedFading as FixedFading
     from .loop.observers import AdaptiveFading as AdaptiveFading
     from .loop.controllers import DampingCompensation as DampingCompensation

@@ -3,8 +3,9 @@
 A gyroscope runs in closed loop with a device that has more physics than its model. What follows is what its user does:
 `memsgyro simulate --case` records the signals of two short runs from rest; `diagnose` names what is missing; `fit`
 writes the device with it; a study whose `[device]` is that file runs `sweep`, which shows the rate error that the
-effect causes, and `tune`, which lets the filter expect a disturbance and lowers the error. Beside it stand the sweep of
-the true device and that of the linear model, whose filter is the same.
+effect causes, and lowers it: by `tune`, which lets the filter expect a disturbance, or, where the pick-off is curved,
+by a filter that knows the curve. Beside it stand the sweep of the true device and that of the linear model, whose
+filter is the same.
 """
 
 import json
@@ -20,17 +21,20 @@ from memsgyro_jax.app import cli  # noqa: E402
 
 
 class Hidden(NamedTuple):
-    """An effect on x: its strength, the amplitude of the tone that excites the record, and further numbers."""
+    """An effect on x: its strength, the amplitude of the tone that excites the record, further numbers, and whether the
+    filter can know it.
+    """
 
     strength: str
     drive: str = "4 m/s^2"
     further: str = ""
+    known: bool = False
 
 
 HIDDEN = {
     "cubic_stiffness": Hidden("3e12 N/m^3", drive="1 m/s^2"),
     "quadratic_damping": Hidden("2e-4 N*s^2/m^2"),
-    "pickoff_nonlinearity": Hidden("1e5 1/m"),
+    "pickoff_nonlinearity": Hidden("1e5 1/m", known=True),
     "parasitic_mode": Hidden("1e-2", further="settings = { omega = 25132.7, quality = 100.0 }"),
 }
 EFFECT = """
@@ -78,6 +82,7 @@ LOOP = """
 [observer]
 kind = "ekf"
 annealing = {{}}
+knows_pickoff = {knows}
 process_noise = {{ velocity = ["{disturbance} m^2/s^3", "1e-9 m^2/s^3"] }}
 [scenario]
 rate = "0 rad/s"
@@ -112,10 +117,14 @@ class Story:
         hidden = HIDDEN[name]
         sizes = {"duration": 20, "dies": 48, "rate": 100, "run": 100, **sizes}
         effect = EFFECT.format(name=name, **hidden._asdict())
-        quiet, wary = (LOOP.format(disturbance=size, **sizes) for size in ("1e-9", "1e-4"))
+        quiet, wary, aware = (
+            LOOP.format(disturbance=size, knows=knows, **sizes)
+            for size, knows in (("1e-9", "false"), ("1e-4", "false"), ("1e-9", "true"))
+        )
         studies = {
             "record": effect + MADE + RECORD.format(**hidden._asdict(), **sizes),
-            "true": effect + MADE + quiet, "linear": MADE + quiet, "fitted": FITTED + quiet, "wary": FITTED + wary,
+            "true": effect + MADE + quiet, "linear": MADE + quiet, "fitted": FITTED + quiet,
+            "wary": FITTED + wary, "aware": FITTED + aware,
         }  # fmt: skip
         folder.mkdir(parents=True, exist_ok=True)
         for study, text in studies.items():
@@ -165,7 +174,10 @@ def main() -> None:
         (strength, *_) = after["effects"]
         report.row(f"{name}: fit", HIDDEN[name].strength, strength["value"], f"± {strength['std']:.2g}")
         sweeps = {study: story.swept(study) for study in ("linear", "true", "fitted")}
-        sweeps["tuned"] = story.tuned() if not report.quick else story.swept("wary")
+        if HIDDEN[name].known:
+            sweeps["filter that knows it"] = story.swept("aware")
+        else:
+            sweeps["tuned"] = story.tuned() if not report.quick else story.swept("wary")
         for study, figures in sweeps.items():
             tell(report, f"{name}: {study}", figures, sweeps["true"])
     report.finish()

@@ -147,11 +147,13 @@ class DriveEffect(Effect):
 class ReadoutEffect(Effect):
     """Acts between the displacement and the recorded voltage.
 
-    `last` puts it behind all others; a `sharp` one has corners that a lock-in needs many samples to see.
+    `last` puts it behind all others; a `sharp` one has corners that a lock-in needs many samples to see; a `curve`
+    shows nothing but the displacement of its own axis, now, by a smooth law that a filter may know.
     """
 
     last: ClassVar[bool] = False
     sharp: ClassVar[bool] = False
+    curve: ClassVar[bool] = False
 
     @abc.abstractmethod
     def signal(self, volts: Float[Array, " axes"], now: Moment) -> Float[Array, " axes"]:

@@ -94,6 +94,19 @@ def moment(
     )
 
 
+def pickoff_volts(
+    effects: Iterable[Effect], scale: Float[Array, " axes"], displacement: Float[Array, " axes"]
+) -> Float[Array, " axes"]:
+    """Voltage of each channel, without offset, of a pick-off that has effects which are a `curve`."""
+    still = jnp.zeros_like(displacement)
+    device = NormalisedDevice(jnp.ones(3), jnp.ones(3), jnp.ones(()))  # which no curve looks at
+    now = moment(
+        displacement, still, still, Conditions(), device=device, scale=scale, reference_temperature=0.0,
+        reference_bias=0.0,
+    )  # fmt: skip
+    return Acting.of(effects).signal(scale * displacement, now)
+
+
 def carried(device: Any) -> tuple[Effect, ...]:
     """What a device has beyond a symmetric oscillator: its effects, and unequal cross damping as an effect too."""
     effects = tuple(getattr(device, "effects", ()))

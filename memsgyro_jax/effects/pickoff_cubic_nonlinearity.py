@@ -19,6 +19,7 @@ class PickoffCubicNonlinearity(ReadoutEffect):
 
     name, unit, law = "pickoff_cubic_nonlinearity", "1/m²", "q → q + s·q³"
     reference = "Trusov and Shkel, J. Micromech. Microeng. 17 (2007) 1583"
+    curve = True
     axis: int | str = on_axis()
     strength: Scalar = strength()
 

@@ -17,6 +17,7 @@ class PickoffNonlinearity(ReadoutEffect):
 
     name, unit, law = "pickoff_nonlinearity", "1/m", "q → q + s·q²"
     reference = "Trusov and Shkel, J. Micromech. Microeng. 17 (2007) 1583"
+    curve = True
     axis: int | str = on_axis()
     strength: Scalar = strength()
 

@@ -17,6 +17,7 @@ class PickoffScaleError(ReadoutEffect):
 
     name, unit, law = "pickoff_scale_error", "1", "q → (1 + s)·q"
     reference = "IEEE Std 1431-2004"
+    curve = True
     axis: int | str = on_axis()
     strength: Scalar = strength()
 

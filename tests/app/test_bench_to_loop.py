@@ -50,3 +50,12 @@ def test_cubic_stiffness(bench_to_loop, tmp_path):
     assert linear["nis"] == pytest.approx(2.0, rel=0.05)
     assert fitted["nis"] > 2.5
     assert rms(story.tuned()) < 0.8 * rms(fitted)
+
+
+@pytest.mark.slow
+def test_pickoff_nonlinearity(bench_to_loop, tmp_path):
+    story = bench_to_loop.Story("pickoff_nonlinearity", tmp_path, duration=10, dies=16, run=50)
+    fitted, aware = assert_story(story), story.swept("aware")
+    assert fitted["nis"] > 100.0
+    assert rms(aware) < 0.5 * rms(fitted)
+    assert aware["nis"] == pytest.approx(2.0, rel=0.05)

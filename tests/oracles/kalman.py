@@ -36,7 +36,8 @@ class Kalman:
     """`mean` and `covariance` over (motion, offsets, coefficients); everything else as in the thesis.
 
     `gauss` holds points and weights on [0, 1] of the rule for the coefficient columns of the Jacobian; `euler` asks for
-    the thesis' own step. `fading` is a function (spread, innovation, variance) -> λ.
+    the thesis' own step. `fading` is a function (spread, innovation, variance) -> λ. A pick-off with a `curve` c of its
+    axis shows q + c q².
     """
 
     table: tuple
@@ -52,6 +53,7 @@ class Kalman:
     iterations: int = 1
     fading: object = None
     annealing: object = None
+    curve: tuple = (0, 0)
     terms: int = 60
     nis: object = 0.0
     factor: object = field(default=1.0)
@@ -94,16 +96,17 @@ class Kalman:
     def step(self, measured, force, time):
         """Predict to `time` and correct with both channels at once."""
         size = len(self.mean)
-        h_matrix = np.array([[self.mean[0] * 0] * size] * 2)
-        for axis in (0, 1):
-            h_matrix[axis, self.signals[axis]] = self.scale[axis]
-            h_matrix[axis, 4 + axis] = self.mean[0] * 0 + 1
         variance = [d**2 / (2 * self.h) * (self.annealing(time) if self.annealing else 1) for d in self.density]
         about = self.mean
         for _ in range(self.iterations):
             moved, jacobian = self.predicted(about, force)
             mean = moved + jacobian @ (self.mean - about)
-            residual = np.array(measured) - h_matrix @ mean
+            h_matrix, bend = np.array([[self.mean[0] * 0] * size] * 2), np.array([self.mean[0] * 0] * 2)
+            for axis, (signal, curve) in enumerate(zip(self.signals, self.curve, strict=True)):
+                h_matrix[axis, signal] = self.scale[axis] * (1 + 2 * curve * mean[signal])
+                h_matrix[axis, 4 + axis] = self.mean[0] * 0 + 1
+                bend[axis] = self.scale[axis] * curve * mean[signal] ** 2
+            residual = np.array(measured) - (h_matrix @ mean - bend)
             prior = jacobian @ self.covariance @ jacobian.T
             factor = 1
             if self.fading:

@@ -27,7 +27,7 @@ from memsgyro_jax.device.gyro import AbstractGyro
 from memsgyro_jax.device.propagate import AbstractDiscretisation, Exact, ForwardEuler
 from memsgyro_jax.loop.controllers import AbstractController, DampingCompensation, OpenLoop, ReferenceModel, Tone
 from memsgyro_jax.loop.controllers.base import Tones
-from memsgyro_jax.loop.observers import AbstractObserver, ExtendedKalmanFilter, LyapunovObserver
+from memsgyro_jax.loop.observers import AbstractObserver, ExtendedKalmanFilter, LyapunovObserver, curves_of
 from memsgyro_jax.loop.observers.fading import AbstractFading, AdaptiveFading, FixedFading
 from memsgyro_jax.loop.observers.settings import Annealing, ProcessNoise, design_prior
 from memsgyro_jax.loop.readout import AbstractReadout
@@ -123,12 +123,15 @@ class Walks(FileSection):
 
 
 class Kalman(FileSection):
-    """`kind = "ekf"`: extended Kalman filter. `noise_density` left out is that of the read-out."""
+    """`kind = "ekf"`: extended Kalman filter. `noise_density` left out is that of the read-out; `knows_pickoff` tells
+    it the curves of the pick-off that the device has as effects.
+    """
 
     kind: Literal["ekf"]
     known: tuple[str, ...] = ()
     with_offsets: bool = True
     iterations: Annotated[Whole, Field(ge=1)] = 1
+    knows_pickoff: bool = False
     discretisation: Discretisation = "exact"
     noise_density: Pair[Density] | None = None
     annealing: Anneal | None = None
@@ -149,6 +152,7 @@ class Kalman(FileSection):
             annealing=self.annealing and Annealing(**self.annealing.numbers()),
             discretisation=discretisation(self.discretisation),
             iterations=self.iterations,
+            pickoff=curves_of(gyro) if self.knows_pickoff else (),
         )
         if self.noise_density is None:
             return made

@@ -31,12 +31,13 @@ class Channel(NamedTuple):
     """`scale * signal + offset`, less what a `delay` takes away; h of the update, which P meets on both sides.
 
     `signal` is the measured entry of the motion, `offset` the place of the offset among the constants (None where it
-    is no state).
+    is no state). `volts` are expected there, without offset and delay; of a curved pick-off `scale` is the slope.
     """
 
     signal: int
     scale: Scalar
     offset: int | None
+    volts: Scalar
     delay: EstimatedDelay | None = None
 
     def of(self, motion: Vector, constants: Array) -> Scalar:

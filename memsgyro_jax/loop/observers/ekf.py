@@ -12,16 +12,18 @@ The coefficient columns place a coefficient's effect at the middle of the sample
 what accumulates at the resonances is then right at any sample rate, the remainder only ripples.
 """
 
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.device.carried import Effects, each_die
 from memsgyro_jax.device.gyro import AbstractGyro, MotionModel, Pair, Scalar, X, Y, check_positive
 from memsgyro_jax.device.propagate import AbstractDiscretisation, Exact, State4, Transition, fence
 from memsgyro_jax.device.small import Vector
+from memsgyro_jax.effects.base import ReadoutEffect
 
 from ..readout import AbstractReadout, ChargeAmplifier
 from .base import MOTION, OFFSETS, AbstractCovarianceObserver, Clock, Estimate, Innovation
@@ -42,6 +44,7 @@ from .covariance import (
     square,
 )
 from .fading import AbstractFading
+from .pickoff import check_curves, shown
 from .settings import Annealing, Prior, ProcessNoise, design_prior
 
 
@@ -65,6 +68,7 @@ class ExtendedKalmanFilter(AbstractCovarianceObserver[KalmanState]):
 
     `estimated` holds the indices of the coefficients that are states, `with_offsets` whether the two read-out offsets
     are; the rest keeps its prior mean. `scale` in V per unit of `signals`, `noise_density` in V/√Hz one-sided.
+    `pickoff` are read-out effects that it knows: curves of the pick-off, followed to first order about the estimate.
     """
 
     prior: Prior
@@ -79,6 +83,7 @@ class ExtendedKalmanFilter(AbstractCovarianceObserver[KalmanState]):
     estimated: tuple[int, ...] = eqx.field(static=True)
     with_offsets: bool = eqx.field(static=True)
     iterations: int = eqx.field(static=True)
+    pickoff: tuple[Any, ...] = eqx.field(converter=Effects.of, default=())
     usually_tuned: ClassVar[tuple[str, ...]] = ("noise_density", "process_noise.rate")
 
     def __check_init__(self):
@@ -90,6 +95,7 @@ class ExtendedKalmanFilter(AbstractCovarianceObserver[KalmanState]):
             raise InputError(
                 "A filter that estimates delays must have a displacement read-out, one iteration and no fading memory."
             )
+        check_curves(self.pickoff, self.signals)
         count = len(self.model.names)
         sizes = {
             "prior": (len(self.prior.theta), len(self.prior.theta_std)),
@@ -116,12 +122,13 @@ class ExtendedKalmanFilter(AbstractCovarianceObserver[KalmanState]):
         annealing: Annealing | None = None,
         discretisation: AbstractDiscretisation | None = None,
         iterations: int = 1,
+        pickoff: tuple[ReadoutEffect, ...] = (),
     ) -> "ExtendedKalmanFilter":
         """A filter that expects a device like `gyro` (its design values) behind `readout` (default: thesis Table 5.3).
 
         `known` names coefficients taken as known: `("sigma",)` is the thesis' "mass known". `with_offsets=False` is its
         "ideal circuit". `iterations` above 1 relinearises each sample about its smoothed start (iterated
-        filter-smoother).
+        filter-smoother). `pickoff` are effects of the read-out that are known: `curves_of(gyro)`, say.
         """
         readout = readout if readout is not None else ChargeAmplifier.chi2010()
         if iterations < 1:
@@ -140,6 +147,7 @@ class ExtendedKalmanFilter(AbstractCovarianceObserver[KalmanState]):
             estimated=tuple(i for i in range(len(gyro.model.names)) if i not in fixed),
             with_offsets=with_offsets,
             iterations=iterations,
+            pickoff=pickoff,
         )
 
     def init(self) -> KalmanState:
@@ -249,9 +257,13 @@ class ExtendedKalmanFilter(AbstractCovarianceObserver[KalmanState]):
 
     def _channels(self, motion: Vector, constants: Array) -> tuple[Channel, Channel]:
         """Both measurements, linearised about a mean."""
+        slopes = self.scale
+        volts = tuple(scale * motion[signal] for signal, scale in zip(self.signals, slopes, strict=True))
+        if self.pickoff:
+            volts, slopes = each_die(shown, self.pickoff, self.scale, tuple(motion[:2]))
         channels = [
-            Channel(signal, scale, axis if self.with_offsets else None)
-            for axis, (signal, scale) in enumerate(zip(self.signals, self.scale, strict=True))
+            Channel(self.signals[axis], slopes[axis], axis if self.with_offsets else None, volts[axis])
+            for axis in range(2)
         ]
         for order, index in enumerate(self.estimated):
             axis = self.model.coefficients[index].delays
@@ -269,7 +281,7 @@ class ExtendedKalmanFilter(AbstractCovarianceObserver[KalmanState]):
     def _correct(self, state: KalmanState, predicted: Predicted, measured: Pair, clock: Clock) -> "_Corrected":
         """Fading, process noise, and the two scalar measurements in turn."""
         variance, channels = self._variance(clock), self._channels(predicted.mean, state.constants)
-        innovation = self._innovation(measured, predicted.mean, state.constants, channels)
+        innovation = self._innovation(measured, state.constants, channels)
         motion, cross = motion_block(predicted), predicted.rows.constants
         faded, remembered = 1.0, ()
         if self.fading is not None:
@@ -289,10 +301,10 @@ class ExtendedKalmanFilter(AbstractCovarianceObserver[KalmanState]):
         new = KalmanState(mean, constants, downdate(prior, first, second), remembered, seen)
         return _Corrected(new, self._smoothed(state, predicted, weights, first, second, new, faded))
 
-    def _innovation(self, measured: Pair, mean: Vector, constants: Array, channels: tuple[Channel, Channel]) -> Pair:
+    def _innovation(self, measured: Pair, constants: Array, channels: tuple[Channel, Channel]) -> Pair:
         """What was measured less what was expected."""
         parts = zip(measured, channels, self._offset(constants), strict=True)
-        found = tuple(z - (channel.scale * mean[channel.signal] + offset) for z, channel, offset in parts)
+        found = tuple(z - (channel.volts + offset) for z, channel, offset in parts)
         return tuple(
             z if channel.delay is None else z - channel.delay.volts for z, channel in zip(found, channels, strict=True)
         )

@@ -81,6 +81,22 @@ temperature = "40 degC"
     assert temperature.max() < 300.0
 
 
+def test_a_filter_knows_the_curves_of_the_pickoff_when_told_so(written):
+    curve = '[[effects]]\nname = "pickoff_nonlinearity"\naxis = "x"\nstrength = "1e4 1/m"\n'
+    told, plain = (
+        mg.load_study(written(f'{curve}[observer]\nkind = "ekf"\nknows_pickoff = {known}\n')).loop.observer.pickoff
+        for known in ("true", "false")
+    )
+    assert [effect.label for effect in told] == ["pickoff_nonlinearity x"]
+    assert plain == ()
+    gyro, readout = mg.SingleMassGyro.chi2010(), mg.ChargeAmplifier.chi2010()
+    with pytest.raises(mg.InputError, match=r"curves of the pick-off.*`cubic_stiffness x` is none"):
+        mg.ExtendedKalmanFilter.for_device(gyro, readout, pickoff=(mg.effects.CubicStiffness("x", 1.0),))
+    velocity = mg.DirectReadout.of_velocity(1.0, 1e-9)
+    with pytest.raises(mg.InputError, match="must have a displacement read-out"):
+        mg.ExtendedKalmanFilter.for_device(gyro, velocity, pickoff=told)
+
+
 def test_an_effect_of_ones_own_comes_with_its_file(written, tmp_path):
     (tmp_path / "own.py").write_text(OWN)
     path = written('[[effects]]\nname = "creep"\nstrength = "2 N*s^3/m^3"\n')

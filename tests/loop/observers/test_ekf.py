@@ -10,6 +10,7 @@ from oracles import kalman, motion
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.gyro import DualMassGyro, SingleMassGyro
 from memsgyro_jax.device.propagate import Exact, ForwardEuler
+from memsgyro_jax.effects import PickoffNonlinearity
 from memsgyro_jax.loop.observers import Clock, ExtendedKalmanFilter
 from memsgyro_jax.loop.observers.fading import AdaptiveFading, FixedFading
 from memsgyro_jax.loop.observers.settings import Annealing, Prior, ProcessNoise
@@ -46,6 +47,10 @@ VARIANTS = {
     ),
     "two nodes": (SINGLE, CIRCUIT, 20e3, {"discretisation": Exact(24, 2)}, {"gauss": GAUSS2}),
     "forward Euler": (SINGLE, CIRCUIT, 2e6, {"discretisation": ForwardEuler()}, {"euler": True}),
+    "curved pick-off": (
+        SINGLE, CIRCUIT, 100e3, {"pickoff": (PickoffNonlinearity("x", 1e5), PickoffNonlinearity("y", -4e4))},
+        {"curve": (1e5, -4e4)},
+    ),
     "iterated": (SINGLE, CIRCUIT, 100e3, {"iterations": 2}, {"iterations": 2}),
     "all at once": (
         DUAL, CIRCUIT, 50e3,
