@@ -44,7 +44,7 @@ from .covariance import (
     square,
 )
 from .fading import AbstractFading
-from .pickoff import check_curves, shown
+from .pickoff import check_curves, curved
 from .settings import Annealing, Prior, ProcessNoise, design_prior
 
 
@@ -260,7 +260,7 @@ class ExtendedKalmanFilter(AbstractCovarianceObserver[KalmanState]):
         slopes = self.scale
         volts = tuple(scale * motion[signal] for signal, scale in zip(self.signals, slopes, strict=True))
         if self.pickoff:
-            volts, slopes = each_die(shown, self.pickoff, self.scale, tuple(motion[:2]))
+            volts, slopes = each_die(curved, self.pickoff, self.scale, tuple(motion[:2]))
         channels = [
             Channel(self.signals[axis], slopes[axis], axis if self.with_offsets else None, volts[axis])
             for axis in range(2)

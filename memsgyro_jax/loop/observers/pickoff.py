@@ -29,7 +29,7 @@ def check_curves(effects: tuple[Any, ...], signals: tuple[int, int]) -> None:
             )
 
 
-def shown(pickoff: Effects, scale: Pair, displacement: Pair) -> tuple[Pair, Pair]:
+def curved(pickoff: Effects, scale: Pair, displacement: Pair) -> tuple[Pair, Pair]:
     """Volts of both channels without offset, and their slopes by the displacement of their own axis; for one die."""
     place, volts = jnp.stack(displacement), partial(pickoff_volts, pickoff, jnp.stack(scale))
     return tuple(volts(place)), tuple(jnp.diagonal(jax.jacfwd(volts)(place)))
