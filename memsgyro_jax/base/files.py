@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Any
 
 
-def write_whole(path: str | Path, text: str) -> Path:
-    """Writes a text file beside its place and moves it there, so that nobody ever sees half of it."""
+def write_whole(path: str | Path, content: str | bytes) -> Path:
+    """Writes a file, text as UTF-8, beside its place and moves it there, so that nobody ever sees half of it."""
     path = Path(path)
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        part.write_text(text, encoding="utf-8")
+        part.write_bytes(content.encode() if isinstance(content, str) else content)
         part.replace(path)
     except BaseException:
         part.unlink(missing_ok=True)

@@ -47,16 +47,17 @@ class Settings:
 @functools.cache
 def versions() -> tuple[tuple[str, str], ...]:
     """Versions of Python, this package, and what it computes with."""
-    packages = tuple((name, version(name)) for name in ("jax", "jaxlib", "equinox", "numpy"))
+    packages = tuple((name, version(name)) for name in ("jax", "jaxlib", "equinox", "diffrax", "numpy", "scipy"))
     return (("python", platform.python_version()), ("memsgyro_jax", __version__), *packages)
 
 
 def fingerprint(*objects: object) -> str:
-    """16 hexadecimal digits that change with any number or structure in `objects`, whatever they print.
+    """16 hexadecimal digits that change with any number or structure in `objects`, whatever they print, and with any of
+    the `versions`, which decide the last bits of a result.
 
     A number counts alike as a float and as an array of one entry; functions count by their name and code.
     """
-    digest = hashlib.sha256()
+    digest = hashlib.sha256(repr(versions()).encode())
     for part in _parts(objects):
         digest.update(part)
         digest.update(b"\0")

@@ -1,162 +1,206 @@
-"""The store of a sweep: a zarr group that is written chunk by chunk and survives a kill at any moment.
+"""The store of a sweep: a zarr group, written block by block, that survives kills, damage, and several processes.
 
-Arrays are filled with NaN and the status with `PENDING`; a chunk's status is written last, so whatever is not finished
-reads as pending and is computed again on resume.
+A block of rows counts when its status, which is written last, is not `PENDING` and every die's seal, a checksum over
+all of its row, agrees: whatever is unfinished, cut short, flipped, missing or in another's place is computed again. As
+a row is the same bits whoever computes it, no order of writes can make a wrong row count. Each chunk also has a CRC32C
+of its own (a codec of zarr), for those who read the store without this package.
 """
 
+import contextlib
+import hashlib
 import shutil
+import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from memsgyro_jax.base.errors import InputError
 
 from .batch import MEANING, PENDING, STATUS
+from .layout import SEAL, Layout, adapt, attributes_of, create, draft_path, held_by
+from .lease import Leases
 
 
-if TYPE_CHECKING:
-    import xarray as xr
-
-LABELS = "labels"  # attribute: names along dimensions; zarr has no settled type for text arrays
+_TOLD = 10  # damaged blocks that are named one by one
+_POLL = 0.2  # s between looks at blocks that others compute
 
 
-@dataclass(frozen=True)
-class DieArray:
-    """An array with one row per die: dimension names after `die`, their sizes, and the unit."""
-
-    dimensions: tuple[str, ...]
-    sizes: tuple[int, ...]
-    unit: str
-
-
-@dataclass(frozen=True)
-class Layout:
-    """What a lot consists of: its columns, numeric coordinates as (dimension, values, unit), and attributes."""
-
-    columns: dict[str, DieArray]
-    coordinates: dict[str, tuple[str, np.ndarray, str]]
-    attributes: dict[str, Any]
-
-    def dataset(self, rows: dict[str, np.ndarray]) -> "xr.Dataset":
-        """Rows and their status as a Dataset."""
-        import xarray as xr
-
-        variables: dict[str, tuple] = {
-            name: (("die", *column.dimensions), rows[name], {"units": column.unit})
-            for name, column in self.columns.items()
-        }
-        variables[STATUS] = ("die", rows[STATUS])
-        coordinates = {name: (dim, values, {"units": unit}) for name, (dim, values, unit) in self.coordinates.items()}
-        data = xr.Dataset(variables, coordinates, self.attributes)
-        return data.assign_coords(self.attributes[LABELS])
-
-
-@dataclass(frozen=True)
 class Store:
-    """An open store of `dies` dies in chunks of `chunk`."""
+    """An open store of `dies` dies in blocks of `block`.
 
-    path: Path
-    group: Any  # a zarr.Group, whose members zarr types as array or group
-    dies: int
-    chunk: int
+    `rows` holds the columns and the status of the dies that are done, in memory; `notes` what a person should know.
+    """
 
-    @classmethod
-    def create(cls, path: Path, layout: Layout, dies: int, chunk: int) -> "Store":
-        """A new store; complete under `path` or not there at all. Raises `InputError` when one is there."""
+    def __init__(self, path: Path, layout: Layout, dies: int, block: int, leases: Leases):
         import zarr
 
-        if path.exists():
-            raise InputError(f"{path} exists already; add `--resume` to go on with it, or choose another folder.")
-        path.parent.mkdir(parents=True, exist_ok=True)
-        draft = path.with_name(path.name + ".part")
-        shutil.rmtree(draft, ignore_errors=True)
-        group = zarr.create_group(draft, zarr_format=3)
-        group.attrs.update(layout.attributes)
-        group.attrs["coordinates"] = " ".join(layout.coordinates)  # tells xarray what is no variable
-        for name, (dimension, values, unit) in layout.coordinates.items():
-            values = np.asarray(values)
-            array = group.create_array(name, shape=values.shape, dtype=values.dtype, dimension_names=(dimension,))
-            array[:] = values
-            array.attrs["units"] = unit
-        status = group.create_array(
-            STATUS, shape=(dies,), chunks=(chunk,), dtype="int8", fill_value=PENDING, dimension_names=("die",)
-        )
-        status.attrs["meaning"] = ", ".join(f"{value} {words}" for value, words in MEANING.items())
-        for name, column in layout.columns.items():
-            array = group.create_array(
-                name,
-                shape=(dies, *column.sizes),
-                chunks=(chunk, *column.sizes),
-                dtype="float64",
-                fill_value=np.nan,
-                dimension_names=("die", *column.dimensions),
-            )
-            array.attrs["units"] = column.unit
-        draft.rename(path)
-        return cls.open(path)
+        self.path, self.layout, self.dies, self.block = path, layout, dies, block
+        self._leases = leases
+        self.notes = adapt(path, layout, dies, block)
+        group: Any = zarr.open_group(path, mode="r+")
+        self._arrays = {name: group[name] for name in (*layout.columns, SEAL, STATUS)}
+        self.rows = {name: _filled(array, dies) for name, array in self._arrays.items() if name != SEAL}
+        self._seen = [self._stamp(number) for number in range(-(-dies // block))]
+        if any(self._seen):
+            self._tell(self._load(0, dies))
 
-    @classmethod
-    def open(cls, path: Path) -> "Store":
-        """An existing store; raises `InputError` for something else."""
-        import zarr
+    @property
+    def done(self) -> int:
+        """How many dies are done."""
+        return int(np.sum(self.rows[STATUS] != PENDING))
 
-        try:
-            group: Any = zarr.open_group(path, mode="r+")
-            status = group[STATUS]
-            return cls(path, group, status.shape[0], status.chunks[0])
-        except (KeyError, OSError, ValueError, zarr.errors.BaseZarrError) as error:
-            raise InputError(f"{path} is not the store of a sweep; remove it or choose another folder.") from error
+    def unfinished(self) -> Iterator[int]:
+        """Numbers of the blocks that this process is to compute and `write`, one after another, until all are done.
 
-    def require(self, fingerprint: str, chunk: int) -> None:
-        """Raise `InputError` unless the store holds the same computation, cut in the same chunks."""
-        if self.group.attrs.get("fingerprint") != fingerprint:
-            raise InputError(
-                f"{self.path} was computed from another configuration (fingerprint "
-                f"{self.group.attrs.get('fingerprint')} instead of {fingerprint}); "
-                "choose another folder, or repeat the settings it was made with."
-            )
-        if self.chunk != chunk:
-            raise InputError(
-                f"{self.path} was cut in blocks of {self.chunk} dies, this run would cut {chunk}; "
-                "resume with the chunk size it was made with."
-            )
-
-    def resize(self, dies: int) -> None:
-        """Make room for more dies; what is there stays. Fewer dies are refused."""
-        if dies < self.dies:
-            raise InputError(f"{self.path} holds {self.dies} dies; resume with at least as many, but {dies} was given.")
-        for _, array in self._columns():
-            array.resize((dies, *array.shape[1:]))
-        object.__setattr__(self, "dies", dies)
-
-    def pending(self) -> list[int]:
-        """Numbers of the chunks that are not finished; a chunk that cannot be read counts as not finished."""
-        return [number for number in range(-(-self.dies // self.chunk)) if not self._finished(number)]
+        Blocks that other processes compute are waited for, and taken over from those that die.
+        """
+        waiting = [number for number in range(len(self._seen)) if not self._finished(number)]
+        while waiting:
+            before = len(waiting)
+            for number in list(waiting):
+                # Looked for again once it is claimed: somebody may have written it just before.
+                if not self._found(number) and self._leases.claim(number):
+                    if not self._found(number):
+                        yield number
+                    self._leases.release(number)
+                if self._finished(number):
+                    waiting.remove(number)
+            if len(waiting) == before:
+                time.sleep(_POLL)
+        if (held_by(self.path) or 0) < self.dies:  # another that goes on to fewer dies has just set back their number
+            adapt(self.path, self.layout, self.dies, self.block)
 
     def write(self, number: int, rows: dict[str, np.ndarray]) -> None:
-        """Write chunk `number`, the status last. Rows beyond the number of dies are dropped."""
-        start, stop = number * self.chunk, min((number + 1) * self.chunk, self.dies)
-        for name, values in rows.items():
-            if name != STATUS:
-                self.group[name][start:stop] = values[: stop - start]
-        self.group[STATUS][start:stop] = rows[STATUS][: stop - start]
+        """Write block `number`, the status last; rows beyond the number of dies are dropped.
 
-    def rows(self) -> dict[str, np.ndarray]:
-        """All columns and the status, read back; dies that were never computed have status -1 and NaN."""
-        return {name: array[:] for name, array in self._columns()}
+        Writes nothing if another process has taken the block over. Raises `InputError` if the store was replaced.
+        """
+        start, stop = self._span(number)
+        rows = {name: values[: stop - start] for name, values in rows.items()}
+        if self._identity() != self._expected:
+            raise InputError(f"{self.path} was removed or replaced while its sweep ran; give each a folder of its own.")
+        if not self._leases.holds(number):
+            return
+        for name in (*self.layout.columns, SEAL, STATUS):
+            values = self._seals(rows, start) if name == SEAL else rows[name]
+            self._arrays[name][start:stop] = values
+            if name != SEAL:
+                self.rows[name][start:stop] = values
+        self._seen[number] = self._stamp(number)
 
-    def _columns(self) -> Iterator[tuple[str, Any]]:
-        """Name and array of everything that has a row per die."""
-        for name, array in self.group.arrays():
-            if (array.metadata.dimension_names or ("",))[0] == "die":
-                yield name, array
+    @property
+    def _expected(self) -> tuple[object, object]:
+        return self.layout.attributes["fingerprint"], self.block
+
+    def _identity(self) -> tuple[object, object]:
+        """Fingerprint and block size of what lies at the path now."""
+        found = attributes_of(self.path)
+        return found.get("fingerprint"), found.get("block")
+
+    def _found(self, number: int) -> bool:
+        """Whether the block is done; read if its status was written since it was last looked at."""
+        stamp = self._stamp(number)
+        if stamp != self._seen[number]:
+            self._seen[number] = stamp
+            self._load(*self._span(number))
+        return self._finished(number)
 
     def _finished(self, number: int) -> bool:
-        start, stop = number * self.chunk, min((number + 1) * self.chunk, self.dies)
+        start, stop = self._span(number)
+        return bool(np.all(self.rows[STATUS][start:stop] != PENDING))
+
+    def _span(self, number: int) -> tuple[int, int]:
+        return number * self.block, min((number + 1) * self.block, self.dies)
+
+    def _stamp(self, number: int) -> tuple[int, int] | None:
+        """Changes when the status of a block is written; None when it never was."""
+        with contextlib.suppress(OSError):
+            found = (self.path / STATUS / "c" / str(number)).stat()
+            return found.st_ino, found.st_mtime_ns
+        return None
+
+    def _load(self, start: int, stop: int) -> list[int]:
+        """Read the rows of these dies that are done and sound; gives the blocks with others that claim to be done."""
+        columns = {name: self._column(array, start, stop) for name, array in self._arrays.items()}
+        seals, _ = columns.pop(SEAL)
+        rows = {name: values for name, (values, _) in columns.items()}
+        written = rows[STATUS] != PENDING
+        sound = written & np.isin(rows[STATUS], list(MEANING)) & (self._seals(rows, start) == seals)
+        readable = np.logical_and.reduce([whole for _, whole in columns.values()])
+        for name, values in rows.items():
+            self.rows[name][start:stop][sound & readable] = values[sound & readable]
+        return sorted({int(die) // self.block for die in start + np.flatnonzero(written & ~(sound & readable))})
+
+    def _column(self, array: Any, start: int, stop: int) -> tuple[np.ndarray, np.ndarray]:
+        """Rows of an array, and which of them could be read; the others count as written, for they once were."""
         try:
-            return bool(np.all(self.group[STATUS][start:stop] != PENDING))
-        except (OSError, RuntimeError, ValueError):  # a half-written chunk after a kill
-            return False
+            return array[start:stop], np.ones(stop - start, bool)
+        except Exception:  # what a decoder makes of damaged bytes is its own affair
+            if start // self.block == (stop - 1) // self.block:
+                return np.zeros((stop - start, *array.shape[1:]), array.dtype), np.zeros(stop - start, bool)
+        middle = self.block * ((start // self.block + -(-stop // self.block)) // 2)
+        halves = self._column(array, start, middle), self._column(array, middle, stop)
+        return np.concatenate([rows for rows, _ in halves]), np.concatenate([whole for _, whole in halves])
+
+    def _seals(self, rows: dict[str, np.ndarray], start: int) -> np.ndarray:
+        """For each row 64 bits that change with any of its numbers, its place, and what computed it."""
+        names = (*self.layout.columns, STATUS)
+        parts = [np.ascontiguousarray(rows[name]).view(np.uint8).reshape(len(rows[name]), -1) for name in names]
+        origin = hashlib.blake2b(f"{self.layout.attributes['fingerprint']} {' '.join(names)}".encode(), digest_size=8)
+        digests = []
+        for number, row in enumerate(np.concatenate(parts, axis=1), start):
+            digest = origin.copy()
+            digest.update(number.to_bytes(8, "little") + row.tobytes())
+            digests.append(int.from_bytes(digest.digest(), "little"))
+        return np.array(digests, np.uint64)
+
+    def _tell(self, damaged: list[int]) -> None:
+        for number in damaged[:_TOLD]:
+            start, stop = self._span(number)
+            self.notes.append(
+                f"Dies {start} to {stop - 1} of {self.path} do not agree with their checksums and are computed again."
+            )
+        if len(damaged) > _TOLD:
+            self.notes.append(f"So are those of {len(damaged) - _TOLD} further blocks.")
+
+
+@contextmanager
+def opened(path: Path, layout: Layout, dies: int, block: int, resume: bool) -> Iterator[Store]:
+    """The store at `path` for as long as this process works on it: created, or with `resume` gone on with.
+
+    One that another process works on is joined, and the work shared. Raises `InputError` for a store that is there
+    without `resume`, for one of another computation, version, block size or of more dies, and for what is no store.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with Leases(_leases(path)) as leases:
+        if path.exists() and not resume and not leases.shared():
+            raise InputError(f"{path} exists already; add `--resume` to go on with it, or choose another folder.")
+        if not path.exists():
+            create(path, layout, dies, block)
+        yield Store(path, layout, dies, block, leases)
+    if not leases.folder.exists():  # nobody else is at work, so what lies beside is of those who were killed
+        for draft in path.parent.glob(f".{path.name}.*.part"):
+            shutil.rmtree(draft, ignore_errors=True)
+
+
+def discard(path: Path) -> None:
+    """Remove a store, if there is one. Raises `InputError` while another process works on it."""
+    if not path.exists():
+        return
+    with Leases(_leases(path)) as leases:
+        if leases.shared():
+            raise InputError(f"{path} is being computed by another process; stop it first, or choose another folder.")
+        trash = draft_path(path)
+        path.rename(trash)  # gone at once
+        shutil.rmtree(trash, ignore_errors=True)
+
+
+def _leases(path: Path) -> Path:
+    return path.with_name(f".{path.name}.leases")
+
+
+def _filled(array: Any, dies: int) -> np.ndarray:
+    return np.full((dies, *array.shape[1:]), array.fill_value, array.dtype)

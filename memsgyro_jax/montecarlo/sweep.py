@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -28,8 +29,9 @@ from memsgyro_jax.loop.trace import count_steps
 
 from . import batch as lot
 from .batch import STATUS
+from .layout import LABELS, DieArray, Layout
 from .spread import DEVICE_PREFIX, Draw, Spread
-from .store import LABELS, DieArray, Layout, Store
+from .store import Store, opened
 from .summary import Summary, summarise
 
 
@@ -44,12 +46,16 @@ DEFAULT_TOLERANCE = float(np.radians(20.0))
 
 @dataclass(frozen=True)
 class Lot(Shown):
-    """The dies of a sweep: `data` as a Dataset over (die, window, coefficient, parameter), SI units throughout."""
+    """The dies of a sweep: `data` as a Dataset over (die, window, coefficient, parameter), SI units throughout.
+
+    `notes` says what was amiss with the store it went on with, one sentence each.
+    """
 
     settings: Settings
     summary: Summary
     _rows: dict[str, np.ndarray]
     _layout: Layout
+    notes: tuple[str, ...] = ()
 
     @cached_property
     def data(self) -> "xr.Dataset":
@@ -57,7 +63,7 @@ class Lot(Shown):
         return self._layout.dataset(self._rows)
 
     def __repr__(self) -> str:
-        return repr(self.summary)
+        return "\n".join([repr(self.summary), *(f"  note: {note}" for note in self.notes)])
 
     def to_xarray(self) -> "xr.Dataset":
         """The Dataset."""
@@ -102,8 +108,10 @@ def sweep(
     converged when its rate error stays within `tolerance` [rad/s], and yields when it ends there. Die i depends on
     (`seed`, i) only: not a bit of it changes with `dies`, `chunk` (dies per device and batch), the number of CPU
     devices or a resume. With `out`, a folder, the rows go to `out/dies.zarr` as they are computed; `resume=True` goes
-    on with a store of the same configuration. `progress(done, dies)` is called after each batch. The information bound
-    is computed for the first `bound_dies` dies (0: not at all); the summary quotes its root mean square over them.
+    on with a store of the same configuration and computes again what is damaged in it. Several processes, of several
+    machines too, may work on one store at a time: they share its blocks. `progress(done, dies)` is called after each
+    batch. The information bound is computed for the first `bound_dies` dies (0: not at all); the summary quotes its
+    root mean square over them.
 
     Errors, convergence and window means are those of the loop's output, behind its filter where it has one; claimed
     standard deviation, NIS and NEES those of the observer's estimate before the filter, which alone they speak of. The
@@ -124,11 +132,12 @@ def sweep(
     lanes = _lanes(devices[0].platform)
     runner = _Runner(loop, scenario, spread, plan, seed, chunk or lanes, lot.mesh_of(devices), lanes)
     layout = runner.layout(settings)
-    store = None if out is None else _open_store(Path(out), layout, dies, runner.block, resume)
-    rows, speed = _run_all(runner, store, dies, progress)
-    rows = store.rows() if store else {name: values[:dies] for name, values in rows.items()}
+    place = nullcontext() if out is None else opened(Path(out) / "dies.zarr", layout, dies, runner.block, resume)
+    with place as store:
+        rows, speed = _run_all(runner, store, dies, progress)
+        notes = tuple(store.notes) if store else ()
     bound = _bound(runner, min(dies, bound_dies), sample_rate, duration)
-    return Lot(settings, summarise(rows, plan, settings, loop, bound, speed), rows, layout)
+    return Lot(settings, summarise(rows, plan, settings, loop, bound, speed), rows, layout, notes)
 
 
 @dataclass(frozen=True)
@@ -204,7 +213,7 @@ class _Runner:
             "drawn": DieArray(("parameter",), (len(parameters),), "SI"),
         }
         labels = {"coefficient": list(names), "parameter": parameters, "channel": ["x", "y"]}
-        attributes = {"schema": "memsgyro-dies/1", **settings.as_dict(), **self.plan._asdict(), LABELS: labels}
+        attributes = {**settings.as_dict(), **self.plan._asdict(), LABELS: labels}
         return Layout(columns, {"time": ("window", self.plan.window_times, "s")}, attributes)
 
 
@@ -243,26 +252,14 @@ def _bound(runner: _Runner, dies: int, sample_rate: float, duration: float) -> f
     return float(np.sqrt(np.mean(finite**2))) if finite.size else None
 
 
-def _open_store(out: Path, layout: Layout, dies: int, block: int, resume: bool) -> Store:
-    path = out / "dies.zarr"
-    if resume and path.exists():
-        store = Store.open(path)
-        store.require(layout.attributes["fingerprint"], block)
-        store.resize(dies)
-        return store
-    return Store.create(path, layout, dies, block)
-
-
 def _run_all(
     runner: _Runner, store: Store | None, dies: int, progress: Callable[[int, int], None] | None
 ) -> tuple[dict[str, np.ndarray], float | None]:
-    """All chunks that are not in the store; their rows (if there is no store) and steps per second after the first
-    batch.
-    """
-    pending = store.pending() if store else list(range(-(-dies // runner.block)))
-    kept, done, timed, began = [], dies - sum(_within(n, runner.block, dies) for n in pending), 0, None
-    for number in pending:
-        parts = []
+    """The rows of all dies, computed or found in the store, and steps per second after the first batch."""
+    kept: list[dict[str, np.ndarray]] = []
+    done, timed, began = 0, 0, None
+    for number in store.unfinished() if store else range(-(-dies // runner.block)):
+        parts, done = [], store.done if store else done
         for rows in runner.batches(number, dies):
             parts.append(rows)
             count = len(rows[STATUS])
@@ -271,14 +268,21 @@ def _run_all(
             done = min(done + count, dies)
             if progress:
                 progress(done, dies)
-        whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+        whole = {name: _joined([part[name] for part in parts]) for name in parts[0]}
         if store:
             store.write(number, whole)
         else:
             kept.append(whole)
     steps = timed * runner.plan.blocks * runner.plan.block
     speed = steps / (time.perf_counter() - began) if timed and began else None
-    return {name: np.concatenate([part[name] for part in kept]) for name in kept[0]} if kept else {}, speed
+    found = store.rows if store else {name: np.concatenate([part[name] for part in kept])[:dies] for name in kept[0]}
+    return found, speed
+
+
+def _joined(parts: list[np.ndarray]) -> np.ndarray:
+    """Rows of several batches; what is not a number in one and the same way, for zarr leaves out chunks of it."""
+    rows = np.concatenate(parts)
+    return np.where(np.isnan(rows), np.nan, rows) if np.issubdtype(rows.dtype, np.floating) else rows
 
 
 def _lanes(platform: str) -> int:
@@ -286,11 +290,6 @@ def _lanes(platform: str) -> int:
     if platform != "cpu":
         return 8192
     return 32 if fuses_many_outputs() else 128
-
-
-def _within(number: int, block: int, dies: int) -> int:
-    """How many of `dies` dies lie in block `number`."""
-    return min(block, dies - number * block)
 
 
 def _plan(sample_rate: float, duration: float, settle: float, tolerance: float) -> lot.Plan:

@@ -112,7 +112,7 @@ def _write(trace: "Trace", study: "Study", figures: dict[str, Any], out: Path) -
 
 def _write_store(trace: "Trace", path: Path) -> None:
     """The trace as a zarr group, in place of an earlier one; text coordinates become attributes, as in `dies.zarr`."""
-    from memsgyro_jax.montecarlo.store import LABELS
+    from memsgyro_jax.montecarlo.layout import LABELS
 
     data = trace.to_xarray()
     texts = {str(name): list(map(str, c.values)) for name, c in data.coords.items() if c.dtype.kind in "UO"}

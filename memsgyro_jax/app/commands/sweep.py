@@ -1,6 +1,5 @@
 """`memsgyro sweep`: read the study, sweep, print, write."""
 
-import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -69,18 +68,15 @@ def sweep_command(
 
 
 def _swept(study: "Study", out: Path, resume: bool, overwrite: bool) -> "Lot":
+    from memsgyro_jax.montecarlo.store import discard
     from memsgyro_jax.montecarlo.sweep import sweep
 
     from .progress import progress
 
-    store = out / "dies.zarr"
     if overwrite:
-        shutil.rmtree(store, ignore_errors=True)
-    try:
-        with progress("dies", "compiling") as show:
-            return sweep(**study.sweep_arguments, out=out, resume=resume, progress=show)
-    finally:
-        shutil.rmtree(store.with_name(f"{store.name}.part"), ignore_errors=True)
+        discard(out / "dies.zarr")
+    with progress("dies", "compiling") as show:
+        return sweep(**study.sweep_arguments, out=out, resume=resume, progress=show)
 
 
 def _write(lot: "Lot", study: "Study", out: Path, json: Path | None) -> None:

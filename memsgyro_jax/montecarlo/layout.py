@@ -1,0 +1,188 @@
+"""What the store of a sweep looks like: its columns, and the metadata they are read by."""
+
+import contextlib
+import json
+import shutil
+import uuid
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.files import write_whole
+
+from .batch import MEANING, PENDING, STATUS
+
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+SCHEMA = "memsgyro-dies/2"
+LABELS = "labels"  # attribute: names along dimensions; zarr has no settled type for text arrays
+SEAL = "seal"
+_METADATA = "zarr.json"
+
+
+@dataclass(frozen=True)
+class DieArray:
+    """An array with one row per die: dimension names after `die`, their sizes, and the unit."""
+
+    dimensions: tuple[str, ...]
+    sizes: tuple[int, ...]
+    unit: str
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What a lot consists of: its columns, numeric coordinates as (dimension, values, unit), and attributes."""
+
+    columns: dict[str, DieArray]
+    coordinates: dict[str, tuple[str, np.ndarray, str]]
+    attributes: dict[str, Any]
+
+    def dataset(self, rows: dict[str, np.ndarray]) -> "xr.Dataset":
+        """Rows and their status as a Dataset."""
+        import xarray as xr
+
+        variables: dict[str, tuple] = {
+            name: (("die", *column.dimensions), rows[name], {"units": column.unit})
+            for name, column in self.columns.items()
+        }
+        variables[STATUS] = ("die", rows[STATUS])
+        coordinates = {name: (dim, values, {"units": unit}) for name, (dim, values, unit) in self.coordinates.items()}
+        data = xr.Dataset(variables, coordinates, self.attributes)
+        return data.assign_coords(self.attributes[LABELS])
+
+
+def files_of(layout: Layout, dies: int, block: int) -> dict[str, bytes]:
+    """Names and contents of the files of an empty store, by which any store of this layout can be read.
+
+    The metadata of the status, which tell how many dies there are, come last.
+    """
+    import zarr
+    from zarr.codecs import Crc32cCodec, ZstdCodec
+
+    packed = {"compressors": [ZstdCodec(), Crc32cCodec()]}
+    files: dict[str, Any] = {}
+    # The last entry tells xarray what is no variable.
+    others = {"schema": SCHEMA, "block": block, "coordinates": " ".join((*layout.coordinates, SEAL))}
+    group = zarr.create_group(zarr.storage.MemoryStore(files), zarr_format=3, attributes=layout.attributes | others)
+    for name, (dimension, values, unit) in layout.coordinates.items():
+        about = {"dimension_names": (dimension,), "attributes": {"units": unit}}
+        group.create_array(name, data=np.asarray(values), **about, **packed)
+    meaning = ", ".join(f"{value} {words}" for value, words in MEANING.items())
+    columns = {name: (column, "float64", np.nan, {"units": column.unit}) for name, column in layout.columns.items()}
+    columns[SEAL] = (DieArray((), (), "1"), "uint64", 0, {"meaning": "checksum of the row"})
+    columns[STATUS] = (DieArray((), (), "1"), "int8", PENDING, {"meaning": meaning})
+    for name, (column, dtype, fill, attributes) in columns.items():
+        group.create_array(
+            name,
+            shape=(dies, *column.sizes),
+            chunks=(block, *column.sizes),
+            dtype=dtype,
+            fill_value=fill,
+            dimension_names=("die", *column.dimensions),
+            attributes=attributes,
+            **packed,
+        )
+    contents = {name: content.to_bytes() for name, content in files.items()}
+    return dict(sorted(contents.items(), key=lambda file: file[0] == f"{STATUS}/{_METADATA}"))
+
+
+def create(path: Path, layout: Layout, dies: int, block: int) -> None:
+    """An empty store; complete under `path` or not there at all. Nothing happens if another process was faster."""
+    draft = draft_path(path)
+    try:
+        for name, content in files_of(layout, dies, block).items():
+            (draft / name).parent.mkdir(parents=True, exist_ok=True)
+            (draft / name).write_bytes(content)
+        draft.rename(path)
+    except OSError:
+        if not path.exists():
+            raise
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)
+
+
+def adapt(path: Path, layout: Layout, dies: int, block: int) -> list[str]:
+    """Give the store at `path` room for all dies and metadata as they were when it was created; says what was amiss.
+
+    Raises `InputError` unless it is a store of the same computation, of no more dies.
+    """
+    notes = []
+    _require(path, layout, block)
+    if dies < (held := held_by(path) or 0):
+        raise InputError(f"{path} holds {held} dies; resume with at least as many, but {dies} was given.")
+    for name, wanted in files_of(layout, dies, block).items():
+        place = path / name
+        if (found := _read(place)) == wanted:
+            continue
+        if place.name != _METADATA or _grown(found, dies) != json.loads(wanted):
+            notes.append(f"{place} was not as a sweep writes it, and was written anew.")
+        place.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(place, wanted)
+    return notes
+
+
+def draft_path(path: Path) -> Path:
+    """A name beside a folder that nobody else uses."""
+    return path.with_name(f".{path.name}.{uuid.uuid4().hex}.part")
+
+
+def _require(path: Path, layout: Layout, block: int) -> None:
+    """Raise `InputError` unless the store holds the same computation, cut in the same blocks."""
+    found, wanted = attributes_of(path), layout.attributes
+    if not {"fingerprint", "schema"} <= set(found):
+        raise InputError(f"{path} is not the store of a sweep; remove it or choose another folder.")
+    if found["schema"] != SCHEMA or found.get("versions") != wanted["versions"]:
+        raise InputError(
+            f"{path} was written by another version ({found['schema']}; {found.get('versions')}), whose rows may "
+            f"differ from those of this one ({SCHEMA}; {wanted['versions']}); use that or choose another folder."
+        )
+    if found["fingerprint"] != wanted["fingerprint"]:
+        raise InputError(
+            f"{path} was computed from another configuration (fingerprint {found['fingerprint']} instead of "
+            f"{wanted['fingerprint']}); choose another folder, or repeat the settings it was made with."
+        )
+    if found.get("block") != block:
+        raise InputError(
+            f"{path} was cut in blocks of {found.get('block')} dies, this run would cut {block}; "
+            "resume with the chunk size it was made with."
+        )
+
+
+def attributes_of(path: Path) -> dict[str, Any]:
+    """Attributes of a group; empty when it is none, or cannot be read."""
+    document = _document(_read(path / _METADATA))
+    attributes = document.get("attributes") if isinstance(document, dict) else None
+    return attributes if isinstance(attributes, dict) else {}
+
+
+def held_by(path: Path) -> int | None:
+    """For how many dies a store was made; None when its metadata do not tell."""
+    document = _document(_read(path / STATUS / _METADATA))
+    shape = document.get("shape") if isinstance(document, dict) else None
+    return shape[0] if isinstance(shape, list) and len(shape) == 1 and isinstance(shape[0], int) else None
+
+
+def _grown(text: bytes | None, dies: int) -> Any:
+    """The metadata of an array as they would be for so many dies."""
+    document = _document(text)
+    with contextlib.suppress(TypeError, KeyError, IndexError):
+        if document["dimension_names"][0] == "die" and document["shape"][0] <= dies:
+            document["shape"][0] = dies
+    return document
+
+
+def _document(text: bytes | None) -> Any:
+    with contextlib.suppress(ValueError, RecursionError):
+        return json.loads(text or b"")
+    return None
+
+
+def _read(place: Path) -> bytes | None:
+    with contextlib.suppress(OSError):
+        return place.read_bytes()
+    return None
