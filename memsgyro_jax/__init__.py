@@ -52,6 +52,7 @@ if TYPE_CHECKING:
     from .device.propagate import Exact as Exact
     from .device.propagate import ForwardEuler as ForwardEuler
     from .loop.integrated import Integrated as Integrated
+    from .loop.operation import Operation as Operation
     from .loop.filters import Lowpass as Lowpass
     from .loop.filters import Bandpass as Bandpass
     from .loop.scenario import Scenario as Scenario

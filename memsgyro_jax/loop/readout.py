@@ -31,6 +31,7 @@ from memsgyro_jax.effects.readout_delay import lag
 
 
 PERMITTIVITY = 8.8541878128e-12  # F/m
+TRAVEL = 50e-6  # m, the overlap of the thesis' combs
 THESIS_RATE = 10e6  # Hz, the sampling rate at which the thesis states its noise per sample
 
 
@@ -66,6 +67,11 @@ class AbstractReadout(Displayed):
     noise_density: AbstractVar[Pair]
     adc: AbstractVar[Adc | None]
     signals: AbstractVar[tuple[int, int]]
+
+    @property
+    def travel(self) -> float:
+        """How far in m a mass may move before the read-out no longer follows, 50 µm where nothing limits it."""
+        return TRAVEL
 
     def noise_std(self, period: Scalar) -> Pair:
         """Standard deviation of one sample in volts: density * sqrt(bandwidth), with bandwidth 1/(2·period)."""
@@ -148,6 +154,11 @@ class ChargeAmplifier(AbstractReadout):
         )  # fmt: skip
 
     @property
+    def travel(self) -> float:
+        """Until the fingers leave each other."""
+        return float(np.min(np.asarray(self.overlap)))
+
+    @property
     def gradient(self) -> Pair:
         """Capacitance per displacement in F/m (3.5)."""
         return tuple(n * PERMITTIVITY * w / z for n, w, z in zip(self.fingers, self.width, self.gap, strict=True))
@@ -206,6 +217,11 @@ class Delayed(AbstractReadout):
         """The volts of where the mass was."""
         parts = zip(motion[:2], motion[2:], self.delay, strict=True)
         return self.inner.clean((*(place - lag(delay, speed) for place, speed, delay in parts), *motion[2:]), drift)
+
+    @property
+    def travel(self) -> float:
+        """Of the read-out itself."""
+        return self.inner.travel
 
     @property
     def scale(self) -> Pair:  # type: ignore[override]  # an abstract field may be a property

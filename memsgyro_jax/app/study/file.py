@@ -27,8 +27,9 @@ from memsgyro_jax.measurement.model import Model
 from memsgyro_jax.montecarlo.spread import Normal, Root, Spread, Vary
 from memsgyro_jax.tuning.tunable import Tunable, free
 
+from .completed import USUAL_SPREAD, completed, left_to_device
 from .hardware import Charge, Device, Fitted, FittedReadout, Readout, SingleMass
-from .laws import Added, Anneal, Compensation, Controller, Kalman, Observer, discretisation
+from .laws import Anneal, Controller, Kalman, Observer, discretisation
 from .numbers import entries_of, unit_at
 from .output import Filter
 from .paths import FOLDER
@@ -60,7 +61,10 @@ def _readout() -> Charge:
 
 
 class StudyFile(FileSection):
-    """All sections. One that is left out is that of the default study; one that is given replaces it as a whole."""
+    """All sections. One that is left out is that of the default study; one that is given replaces it as a whole.
+
+    Numbers that are None are left to the device; `completed` fills them in.
+    """
 
     model_config = ConfigDict(validate_by_name=True, validate_by_alias=True)
     format: Literal["memsgyro-study/1"] = Field(default=SCHEMA, alias="schema")
@@ -68,15 +72,11 @@ class StudyFile(FileSection):
     effects: tuple[EffectSection, ...] = ()
     readout: Readout = Field(default_factory=_readout)
     observer: Observer = Field(default_factory=lambda: Kalman(kind="ekf", annealing=Anneal()))
-    controller: Controller = Field(
-        default_factory=lambda: Compensation(
-            kind="damping_compensation", tones=(Added(frequency="600 Hz", amplitude="53.95 m/s^2"),)
-        )
-    )
+    controller: Controller | None = None
     filter: Filter | None = None
     loop: Start = Start()
     scenario: Surroundings = Field(default_factory=lambda: Surroundings(rate="1 rad/s"))
-    spread: SpreadSection = SpreadSection(relative=0.15)
+    spread: SpreadSection = SpreadSection(relative=USUAL_SPREAD)
     sweep: SweepSection = SweepSection()
     tune: Tune = Tune()
 
@@ -109,26 +109,28 @@ class Study(Shown):
     """A study as objects: what `simulate` and `sweep` take.
 
     `settings` holds dies, sample_rate [Hz], duration [s], settle [s], tolerance [rad/s], seed and chunk; `file` the
-    form in which it is written.
+    form in which it is written, and `given` that without the numbers left to the device.
     """
 
     loop: ClosedLoop
     scenario: Scenario
     spread: Spread
     file: StudyFile
+    given: StudyFile
     source: Source
     own: tuple[Effect, ...] = ()
 
     @property
     def notes(self) -> list[str]:
-        """What a person should know of a study whose device was fitted: what is the fit's, and what the study's."""
+        """What a person should know of a device of its own: what is a fit's, and what follows the device."""
+        about = left_to_device(self.given, self.file) if "device" in self.given.model_fields_set else []
         if not isinstance(self.file.device, Fitted):
-            return []
+            return about
         found = ["the device"]
         carried = self.loop.device.effects[: len(self.loop.device.effects) - len(self.file.effects)]
         found += [f"its effects ({', '.join(effect.label for effect in carried)})"] if carried else []
         found += ["scale and offset of the read-out"] if isinstance(self.file.readout, FittedReadout) else []
-        return [f"{self.file.device.file} gives {', '.join(found)}; everything else is the study's."]
+        return [f"{self.file.device.file} gives {', '.join(found)}; everything else is the study's.", *about]
 
     @property
     def settings(self) -> SweepSection:
@@ -139,12 +141,13 @@ class Study(Shown):
     def tune_arguments(self) -> dict[str, Any]:
         """`tune(**study.tune_arguments)` tunes what section `[tune]` says."""
         run, section = self.settings, self.file.tune
-        settle = 0.5 * run.duration if run.settle is None else run.settle
+        duration = self.sweep_arguments["duration"]
+        settle = 0.5 * duration if run.settle is None else run.settle
         return {
             "loop": self.loop, "spread": self.spread, "scenario": self.scenario, "free": self._free(),
             "loss": section.chosen_loss(settle), "dies": section.dies, "validation_dies": section.validation_dies,
             "evaluations": section.evaluations, "report_dies": run.dies, "sample_rate": run.sample_rate,
-            "duration": run.duration, "settle": settle, "seed": run.seed,
+            "duration": duration, "settle": settle, "seed": run.seed,
         }  # fmt: skip
 
     def _free(self) -> tuple[Tunable, ...]:
@@ -190,12 +193,14 @@ class Study(Shown):
 
         Raises `InputError` as for a file with these entries.
         """
-        data = self._data(None)
+        data, complete = _data(self.given, None), _data(self.file, None)
         for path, value in changes.items():
             *tables, key = path.split(".")
-            here = data
+            here, whole = data, complete
             for table in tables:
-                here = here.setdefault(table, {})
+                whole = whole.get(table, {})
+                # A section left to the device has its kind from there.
+                here = here.setdefault(table, {"kind": whole["kind"]} if "kind" in whole else {})
             here[key] = value
         # A line of the file would name a value that the change has replaced.
         changed = Source(f"{self.source.name}, changed", self.source.folder)
@@ -203,7 +208,7 @@ class Study(Shown):
 
     def to_toml(self, folder: str | Path | None = None) -> str:
         """The study as a file; names of recorded rates are relative to `folder` where they lie below it."""
-        data = self._data(folder)
+        data = _data(self.file, folder)
         head = f"schema = {toml_text(data.pop('schema'))}\n"
         tables = [
             toml_table(section, entries)
@@ -220,10 +225,6 @@ class Study(Shown):
     def __repr__(self) -> str:
         return f"Study of {self.source.name}\n{self.to_toml()}"
 
-    def _data(self, folder: str | Path | None) -> dict[str, Any]:
-        dumped = self.file.model_dump(by_alias=True, exclude_none=True, context={FOLDER: folder})
-        return _without_empty(dumped)
-
 
 def read_study(data: dict[str, Any], source: Source, own: Sequence[Effect] = ()) -> Study:
     """The study that the parsed TOML `data` describes; `own` are effects beyond the catalogue.
@@ -233,14 +234,15 @@ def read_study(data: dict[str, Any], source: Source, own: Sequence[Effect] = ())
     return _build(checked(StudyFile, data, source, {FOLDER: source.folder}), source, tuple(own))
 
 
-def _build(file: StudyFile, source: Source, own: tuple[Effect, ...]) -> Study:
-    gyro, model = _device_of(file, source, own)
+def _build(given: StudyFile, source: Source, own: tuple[Effect, ...]) -> Study:
+    gyro, model = _device_of(given, source, own)
     with source.section("readout"):
-        readout = file.readout.build(model) if isinstance(file.readout, FittedReadout) else file.readout.build()
+        readout = given.readout.build(model) if isinstance(given.readout, FittedReadout) else given.readout.build()
+    file = completed(given, gyro, readout)
     with source.section("observer"):
         observer = file.observer.build(gyro, readout)
     with source.section("controller"):
-        controller = file.controller.build()
+        controller = file.controller.build()  # type: ignore[union-attr]  # `completed` gives one
     start = (*file.loop.displacement, *file.loop.velocity)
     plant = discretisation(file.loop.discretisation)
     filter_ = file.filter and file.filter.build()
@@ -252,15 +254,14 @@ def _build(file: StudyFile, source: Source, own: tuple[Effect, ...]) -> Study:
     with source.section("sweep", "sample_rate"):
         loop.sampled_at(file.sweep.sample_rate)
     with source.section("sweep", "settle"):
-        if file.sweep.settle is not None and file.sweep.settle >= file.sweep.duration:
-            raise InputError(
-                f"must be shorter than the duration of {file.sweep.duration:g} s, but is {file.sweep.settle:g} s."
-            )
+        settle, duration = file.sweep.settle, file.sweep.numbers()["duration"]
+        if settle is not None and settle >= duration:
+            raise InputError(f"must be shorter than the duration of {duration:g} s, but is {settle:g} s.")
     with source.section("spread"):
         for path in file.spread.parameters:
             Vary(path, Normal()).read(Root(loop, scenario))
         spread = file.spread.build(lambda path: _unit_of_effect(gyro, path) or file.unit_of(path))
-    return Study(loop, scenario, spread, file, source, own)
+    return Study(loop, scenario, spread, file, given, source, own)
 
 
 def _device_of(file: StudyFile, source: Source, own: tuple[Effect, ...]) -> tuple[AbstractGyro, Model | None]:
@@ -287,6 +288,11 @@ def _unit_of_effect(gyro: AbstractGyro, path: str) -> str | None:
     if not head.startswith("device.effects.") or last != "strength":
         return None
     return Vary(head.removeprefix("device."), Normal()).find(gyro).unit
+
+
+def _data(file: StudyFile, folder: str | Path | None) -> dict[str, Any]:
+    dumped = file.model_dump(by_alias=True, exclude_none=True, context={FOLDER: folder})
+    return _without_empty(dumped)
 
 
 def _without_empty(value: Any) -> Any:

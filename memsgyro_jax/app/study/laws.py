@@ -69,23 +69,27 @@ Fading = Annotated[Fixed | Adaptive, Field(discriminator="kind")]
 
 
 class Anneal(FileSection):
-    """`annealing = { excess = 1000, decay = "0.5 ms" }`: a cautious start; `excess = 0` is none."""
+    """`annealing = { excess = 1000, decay = "0.5 ms" }`: a cautious start; `excess = 0` is none.
+
+    The decay is one and a half periods of the lower mode when left out.
+    """
 
     excess: Share = 1000.0
-    decay: Duration = 0.5e-3
+    decay: Duration | None = None
 
 
 class PriorSpread(FileSection):
     """Standard deviations of what the filter believes at the start; zero means known exactly.
 
-    `spread` of each coefficient relative to its design value; `motion_error` relative to `amplitude`, the displacement
-    along x at which the filter starts.
+    `spread` of each coefficient relative to its design value (left out: that of `[spread]`, or 15 % where it has none);
+    `motion_error` relative to `amplitude`, the displacement along x at which the filter starts (left out: the true
+    one).
     """
 
-    spread: Share = 0.15
+    spread: Share | None = None
     rate_std: Annotated[float, Field(ge=0.0), In("rad/s")] = 3.0
     offset_std: Annotated[float, Field(ge=0.0), In("V")] = 20e-3
-    amplitude: Metre = 1e-6
+    amplitude: Metre | None = None
     motion_error: Share = 0.05
 
 
@@ -163,7 +167,7 @@ class Lyapunov(FileSection):
     """`kind = "lyapunov"`: the thesis' own observer; it needs a velocity read-out. `start` scales the first guess.
 
     `adaptation` multiplies the unit gains of the coefficients, in the order of the device's model; left out, all are 1
-    but those of `known`, which are 0.
+    but those of `known`, which are 0. `length` and `frequency` left out are the start and, nearly, the lower mode.
     """
 
     kind: Literal["lyapunov"]
@@ -171,8 +175,8 @@ class Lyapunov(FileSection):
     known: tuple[str, ...] = ()
     adaptation: tuple[Share, ...] | None = None
     start: Pure = 1.0
-    length: Annotated[float, Field(gt=0.0), In("m")] = 1e-6
-    frequency: Annotated[float, Field(gt=0.0), In("rad/s")] = 18849.55592153876
+    length: Annotated[float, Field(gt=0.0), In("m")] | None = None
+    frequency: Annotated[float, Field(gt=0.0), In("rad/s")] | None = None
     discretisation: Discretisation = "exact"
 
     def build(self, gyro: AbstractGyro, readout: AbstractReadout) -> AbstractObserver:

@@ -24,11 +24,14 @@ from .laws import Discretisation, Positive
 
 
 class Start(FileSection):
-    """Section `[loop]`: where the mass starts, how far it may travel, and how the plant is computed."""
+    """Section `[loop]`: where the mass starts, how far it may travel, and how the plant is computed.
 
-    displacement: Pair[Metre] = (1e-6, 0.0)
+    Left out, the travel is the read-out's, and the mass starts at 2 % of it along x.
+    """
+
+    displacement: Pair[Metre] | None = None
     velocity: Pair[Speed] = (0.0, 0.0)
-    travel: Annotated[float, Field(gt=0.0), In("m")] = 50e-6
+    travel: Annotated[float, Field(gt=0.0), In("m")] | None = None
     discretisation: Discretisation = "exact"
 
 
@@ -106,14 +109,15 @@ class SpreadSection(FileSection):
 class SweepSection(FileSection):
     """Section `[sweep]`: how many dies, how long and how finely.
 
+    Left out, the higher mode is sampled 26.6 times per period, for 10 000 samples of that rate.
     Statistics over time start at `settle` (half the duration when left out). A die yields when its rate error at the
     end is within `tolerance`, and has converged when it stays there. `chunk` is the number of dies per device and
     batch.
     """
 
     dies: Annotated[Whole, Field(ge=1)] = 256
-    sample_rate: Hertz = 100e3
-    duration: Duration = 0.1
+    sample_rate: Hertz | None = None
+    duration: Duration | None = None
     settle: Annotated[float, Field(ge=0.0), In("s")] | None = None
     tolerance: Annotated[Rate, Field(gt=0.0)] = float(np.radians(20.0))
     seed: Annotated[Whole, Field(ge=0)] = 0

@@ -1,0 +1,59 @@
+"""The numbers that a study leaves to its device."""
+
+from typing import Any, TypeVar
+
+import numpy as np
+
+from memsgyro_jax.base.quantity import FileSection
+from memsgyro_jax.device.gyro import AbstractGyro
+from memsgyro_jax.loop.operation import Operation
+from memsgyro_jax.loop.readout import AbstractReadout
+
+from .laws import Added, Compensation, Kalman, Lyapunov
+
+
+USUAL_SPREAD = 0.15
+File = TypeVar("File", bound=FileSection)
+
+
+def completed(file: File, gyro: AbstractGyro, readout: AbstractReadout) -> File:
+    """The `StudyFile` with what it leaves open: how `gyro` behind `readout` is usually operated."""
+    given: Any = file
+    usual = Operation.of(gyro, readout, given.loop.travel)
+    loop = _filled(given.loop, displacement=(usual.amplitude, 0.0), travel=usual.travel)
+    tone = Added(frequency=f"{float(usual.tone.frequency)!r} Hz", amplitude=f"{float(usual.tone.amplitude)!r} m/s^2")
+    sections = {
+        "loop": loop,
+        "sweep": _filled(given.sweep, **usual.run),
+        "observer": _observer(given.observer, usual, loop.displacement[0], given.spread.relative or USUAL_SPREAD),
+        "controller": given.controller or Compensation(kind="damping_compensation", tones=(tone,)),
+    }
+    return file.model_copy(update=sections)
+
+
+def _observer(part: FileSection, usual: Operation, amplitude: float, spread: float) -> FileSection:
+    if isinstance(part, Lyapunov):
+        return _filled(part, length=usual.amplitude, frequency=2.0 * np.pi * usual.frequency)
+    assert isinstance(part, Kalman)
+    annealing = part.annealing and _filled(part.annealing, decay=usual.decay)
+    prior = _filled(part.prior, spread=spread, amplitude=amplitude)
+    return part.model_copy(update={"annealing": annealing, "prior": prior})
+
+
+def _filled(part: File, **values: Any) -> File:
+    """`part` with those of the values that it leaves open."""
+    return part.model_copy(update={name: value for name, value in values.items() if getattr(part, name) is None})
+
+
+def left_to_device(given: Any, file: Any) -> list[str]:
+    """What the device settled of a study that left it open, as one sentence or none."""
+    open_ = {
+        "it starts at {0.loop.displacement[0]:.3g} m": given.loop.displacement is None,
+        "is driven by {0.controller.tones[0].amplitude:.4g} m/s^2 at {0.controller.tones[0].frequency:.4g} Hz": (
+            given.controller is None
+        ),
+        "is sampled at {0.sweep.sample_rate:.3g} Hz": given.sweep.sample_rate is None,
+        "runs {0.sweep.duration:.3g} s": given.sweep.duration is None,
+    }
+    found = [text.format(file) for text, is_open in open_.items() if is_open]
+    return [f"What the study leaves open follows the device: {', '.join(found)}."] if found else []
