@@ -18,8 +18,8 @@ def load_study(path: str | Path, own: Sequence[Effect] = ()) -> Study:
     It has the sections `[device]`, `[readout]`, `[observer]`, `[controller]`, `[filter]`, `[loop]`, `[scenario]`,
     `[spread]` and `[sweep]`; one that is left out is that of `default_study()` (which has no filter), one that is given
     replaces it as a whole. Start, tones, sampling, duration and prior follow the device where they are left out
-    (`Operation`). Quantities are text with a unit, `"1.8e-7 kg"`, or `{ value = 1.8e-7, unit = "kg" }`. File names start
-    at the study's folder.
+    (`Operation`). Quantities are text with a unit, `"1.8e-7 kg"`, or `{ value = 1.8e-7, unit = "kg" }`. File names
+    start at the study's folder.
 
     `[device]` may name the file of a fit, `file = "device.toml"`, and every `[[effects]]` adds one to the device:
     `name`, `axis` (or `variant`), `strength`.

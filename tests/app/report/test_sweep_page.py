@@ -89,7 +89,7 @@ def test_a_sweep_without_spread_and_one_without_survivors(study):
     known = ["kxx", "kyy", "kxy", "dxx", "dyy", "dxy", "sigma"]  # a smaller filter compiles faster
     alike = study.changed({"spread.relative": 0.0, "sweep.dies": 4, "observer.known": known})
     assert "No parameter was varied." in sweep_page(mg.sweep(**alike.sweep_arguments), alike).html()
-    tight = study.changed({"loop.travel": "1.001 um", "sweep.dies": 4})
+    tight = study.changed({"loop.travel": "1.001 um", "loop.displacement": ["1.1 um", "0 m"], "sweep.dies": 4})
     text = sweep_page(mg.sweep(**tight.sweep_arguments), tight).html()
     assert "4 were lost" in text
     assert "no die survived" in text
