@@ -1,16 +1,18 @@
 """What is wrong with a study file, in one sentence that names every place."""
 
 import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, get_args
 
 from pydantic import BaseModel
 
 from .errors import InputError
-from .text import suggestion
+from .text import FIRST, first_of, printable, shown, suggestion
 
 
 _WORD = r"""(?:[\w-]+|"[^"]*"|'[^']*')"""
@@ -37,35 +39,45 @@ class Source:
             raise InputError(f"{self.name}: {self._at(place)}: {str(error).rstrip('.')}.") from error
 
     def complain(self, errors: Sequence[Any], model: type[BaseModel], data: dict[str, Any]) -> InputError:
-        """All of pydantic's `errors` about `data`, read as `model`, in the order of the file."""
-        found = []
+        """The first ten of pydantic's `errors` about `data`, read as `model`, in the order of the file."""
+        about: dict[Place, list[Any]] = {}
         for error in errors:
-            place = _in_file(error["loc"], data)
-            found.append((self._line(place) or 0, f"{self._at(place)}: {_sentence(error, model)}"))
-        texts = list(dict.fromkeys(text for _, text in sorted(found, key=lambda entry: entry[0])))
-        count = f"{len(texts)} entries must be mended: " if len(texts) > 1 else ""
-        return InputError(f"{self.name}: {count}{'; '.join(text.rstrip('.') for text in texts)}.")
+            about.setdefault(_in_file(error["loc"], data), []).append(error)
+        order = sorted(about, key=lambda place: self._line(place) or 0)
+        texts: list[str] = []
+        for place in order[:FIRST]:
+            # Of an entry that may be one of several kinds, our own sentence says more than that it is none of them.
+            own = [error for error in about[place] if error["type"] == "value_error"] or about[place]
+            said = dict.fromkeys(_sentence(error, model).rstrip(".") for error in own)
+            texts.append(f"{self._at(place)}: {' or '.join(said)}")
+        return InputError(f"{self.name}: {first_of(texts, 'entries', len(order))}.")
 
     def _at(self, place: Place) -> str:
         line = self._line(place)
-        return (f"line {line}, " if line else "") + f"`{'.'.join(map(str, place))}`"
+        return (f"line {line}, " if line else "") + f"`{printable('.'.join(map(str, place)), 100)}`"
 
     def _line(self, place: Place) -> int | None:
         """The line of the longest part of `place` that the file spells out."""
-        lines = _lines(self.text)
+        lines = self._places
         return next((lines[place[:size]] for size in range(len(place), 0, -1) if place[:size] in lines), None)
+
+    @cached_property
+    def _places(self) -> dict[Place, int]:
+        return _lines(self.text)
 
 
 def _lines(text: str) -> dict[Place, int]:
     """Line of each key of a TOML text, by a simple scan: exact but for keys inside values that span lines."""
     found: dict[Place, int] = {}
     table: Place = ()
+    entries: Counter[Place] = Counter()  # of each list of tables
     for number, line in enumerate(text.splitlines(), 1):
         if heading := _TABLE.match(line):
             table = _words(heading["keys"])
             if heading["open"] == "[[":
                 found.setdefault(table, number)
-                table = (*table, sum(1 for place in found if place[:-1] == table and isinstance(place[-1], int)))
+                entries[table] += 1
+                table = (*table, entries[table] - 1)
             place = table
         elif entry := _ENTRY.match(line):
             place = (*table, *_words(entry["keys"]))
@@ -87,8 +99,8 @@ def _in_file(loc: Place, data: Any) -> Place:
         inside: Any = data  # an entry of a table by its key, of a list by its number
         if part in (data if isinstance(data, dict) else range(len(data)) if isinstance(data, list) else ()):
             data = inside[part]
-        elif isinstance(part, int) or not last or (isinstance(data, dict) and data.get("kind") == part):
-            continue
+        elif isinstance(part, int) or not last or not isinstance(data, dict) or data.get("kind") == part:
+            continue  # pydantic's own name for one of several kinds
         place.append(part)
     return tuple(place)
 
@@ -104,14 +116,9 @@ def _sentence(error: Any, model: type[BaseModel]) -> str:
     if kind in ("union_tag_invalid", "union_tag_not_found"):
         kinds = " or ".join(f'"{name}"' for name in map(_kind, _models_at(error["loc"], model)) if name)
         found = given.get("kind") if isinstance(given, dict) else given
-        return f"must have a kind, {kinds}, but " + ("has none" if found is None else f"has {_shown(found)}")
+        return f"must have a kind, {kinds}, but " + ("has none" if found is None else f"has {shown(found)}")
     wanted = error["msg"].replace("Input should be", "must be").replace("Field required", "is missing")
-    return f"{wanted}, but is {_shown(given)}"
-
-
-def _shown(value: Any) -> str:
-    text = f'"{value}"' if isinstance(value, str) else str(value)
-    return text if len(text) <= 40 else f"{text[:37]}..."
+    return f"{wanted}, but is {shown(given)}"
 
 
 def _unknown(name: str, models: list[type[BaseModel]]) -> str:

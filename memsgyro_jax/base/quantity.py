@@ -7,11 +7,11 @@ from typing import Annotated, Any, TypeVar
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, GetCoreSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
-from .units import to_si
+from .text import printable, shown
+from .units import NUMBER, decimal, to_si
 
 
-_NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
-_TEXT = re.compile(rf"\s*(?P<number>{_NUMBER})(?P<unit>\s.*|[^\d.,].*|)")  # 10%, 1400 1/s, but not 1,5 mm
+_TEXT = re.compile(rf"\s*(?P<number>{NUMBER})(?P<unit>\s.*|[^\d.,].*|)")  # 10%, 1400 1/s, but not 1,5 mm
 Value = TypeVar("Value")
 
 
@@ -33,6 +33,7 @@ class In:
     """
 
     unit: str
+    difference: bool = False  # of temperatures, so that "5 degC" must not become 278.15 K
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         """What pydantic asks an annotation for."""
@@ -46,6 +47,8 @@ class In:
             raise ValueError(f'must carry a unit, for example "{number:g} {self.unit}", but none was given')
         if unit in ("", self.unit):  # nothing to convert, as in the default study: loading pint takes half a second
             return number
+        if self.difference and to_si(0.0, unit, self.unit, "the value") != 0.0:
+            raise ValueError(f'must be a difference, for example "{number:g} K", but is a temperature in {unit}')
         return to_si(number, unit, self.unit, "the value")
 
     def write(self, number: float) -> float | str:
@@ -62,15 +65,18 @@ def number_and_unit(given: Any) -> tuple[float, str]:
     if isinstance(given, str):
         match = _TEXT.fullmatch(given)
         if match is None:
-            raise ValueError(f'must be a number with a unit, for example "100 kHz", but is "{given}"')
-        return float(match["number"]), match["unit"].strip()
+            raise ValueError(f'must be a number with a unit, for example "100 kHz", but is "{printable(given, 60)}"')
+        return decimal(match["number"]), match["unit"].strip()
     return _number(given), ""
 
 
-def _number(given: Any) -> float:
+def _number(given: Any, what: str = "a number with a unit") -> float:
     if isinstance(given, bool) or not isinstance(given, int | float):
-        raise ValueError(f"must be a number with a unit, but is {given!r}")
-    return float(given)
+        raise ValueError(f"must be {what}, but is {shown(given)}")
+    try:
+        return float(given)
+    except OverflowError as error:
+        raise ValueError("must be a finite number, but is too large for a computer") from error
 
 
 def _pair(given: Any) -> Any:
@@ -94,6 +100,7 @@ Stiffness = Annotated[float, In("N/m")]
 Damping = Annotated[float, In("N*s/m")]
 Newton = Annotated[float, In("N")]
 Kelvin = Annotated[float, In("K")]
+KelvinDifference = Annotated[float, In("K", difference=True)]
 Volt = Annotated[float, In("V")]
 Farad = Annotated[float, In("F")]
 Density = Annotated[float, Field(ge=0.0), In("V/sqrt(Hz)")]
@@ -105,13 +112,20 @@ Second = Annotated[float, Field(ge=0.0), In("s")]
 Duration = Annotated[float, Field(gt=0.0), In("s")]
 
 
+Number = Annotated[float, BeforeValidator(lambda given: _number(given, "a valid number"))]
+"""A number whose unit stands elsewhere."""
+
+LARGEST_COUNT, LARGEST_SEED = 2**31 - 1, 2**63 - 1
+
+
 def _whole(given: Any) -> Any:
-    if isinstance(given, bool) or not isinstance(given, int):
-        raise ValueError(f"must be a whole number, but is {given!r}")
+    if isinstance(given, bool) or not isinstance(given, int) or abs(given) > LARGEST_SEED:
+        raise ValueError(f"must be a whole number, at most {LARGEST_COUNT}, but is {shown(given)}")
     return given
 
 
-Whole = Annotated[int, BeforeValidator(_whole)]
+Whole = Annotated[int, BeforeValidator(_whole), Field(le=LARGEST_COUNT)]
+Seed = Annotated[int, BeforeValidator(_whole), Field(ge=0, le=LARGEST_SEED)]
 
 
 def unit_of(annotation: Any) -> str | None:

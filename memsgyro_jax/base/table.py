@@ -10,10 +10,11 @@ from typing import NamedTuple
 import numpy as np
 
 from .errors import InputError
-from .units import parse_header, to_si
+from .files import LARGEST_TABLE, read_text
+from .text import first_of, printable
+from .units import decimal, parse_header, to_si
 
 
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _DECIMAL_COMMA = "; is the decimal mark a comma? Write decimals with a point"
 
 
@@ -58,7 +59,7 @@ def read_table(path: str | Path) -> Table:
             decimal comma, NaN or text in place of a number, a row of another length, or fewer than two rows.
     """
     path = Path(path)
-    text = _text(path)
+    text = read_text(path, "file", most=LARGEST_TABLE)
     lines = _lines(path, text)
     if len(lines) < 3:
         raise InputError(
@@ -66,27 +67,16 @@ def read_table(path: str | Path) -> Table:
         )
     header = _header(path, lines[0])
     names = list(header)
-    values = np.array([_row(path, line, names) for line in lines[1:]])
+    values = np.array(_rows(path, lines[1:], names))
     _refuse_cut_end(path, text, lines)
     columns = {name: values[:, place] for place, name in enumerate(names)}
     return Table(path, columns, header, np.array([line.number for line in lines[1:]]))
 
 
-def _text(path: Path) -> str:
-    try:
-        return path.read_bytes().decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(
-            f"{path}: the file must be text in UTF-8, but byte {error.start} is not; save it as CSV (UTF-8)."
-        ) from error
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: no such file.") from error
-    except OSError as error:
-        raise InputError(f"{path}: the file cannot be read ({error.strerror}).") from error
-
-
 def _lines(path: Path, text: str) -> list[_Line]:
-    kept = [(n, line) for n, line in enumerate(text.splitlines(), 1) if line.strip() and not line.startswith("#")]
+    # Only what ends a line for an editor: `splitlines` would also end one at a form feed.
+    every = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    kept = [(n, line) for n, line in enumerate(every, 1) if line.strip() and not line.startswith("#")]
     if kept and re.search(r"[;\t]", kept[0][1]):
         raise InputError(
             f"{path}, line {kept[0][0]}: columns must be separated by commas and decimals written with a point, "
@@ -116,25 +106,32 @@ def _header(path: Path, line: _Line) -> dict[str, str]:
     return header
 
 
-def _row(path: Path, line: _Line, names: list[str]) -> list[float]:
+def _rows(path: Path, lines: list[_Line], names: list[str]) -> list[list[float]]:
+    rows, wrong = [], []
+    for line in lines:
+        try:
+            rows.append(_row(line, names))
+        except ValueError as error:
+            wrong.append(f"line {line.number}{error}")
+    if wrong:
+        raise InputError(f"{path}{', ' if len(wrong) == 1 else ': '}{first_of(wrong, 'rows')}.")
+    return rows
+
+
+def _row(line: _Line, names: list[str]) -> list[float]:
     if len(line.fields) != len(names):
         hint = _DECIMAL_COMMA if len(line.fields) > len(names) else "; the row is cut short"
-        raise InputError(
-            f"{path}, line {line.number}: the row must have {len(names)} fields like the header, "
-            f"but has {len(line.fields)}{hint}."
-        )
-    return [_number(path, line.number, name, field) for name, field in zip(names, line.fields, strict=True)]
+        raise ValueError(f": the row must have {len(names)} fields like the header, but has {len(line.fields)}{hint}")
+    return [_number(name, field) for name, field in zip(names, line.fields, strict=True)]
 
 
-def _number(path: Path, number: int, name: str, field: str) -> float:
-    # Python's float() would also take nan, inf, 1_000 and digits of other scripts.
+def _number(name: str, field: str) -> float:
     text = field.strip()
-    if text.isascii() and _NUMBER.fullmatch(text) and np.isfinite(float(text)):
-        return float(text)
-    found = f"is `{text}`" if text else "is missing"
-    hint = _DECIMAL_COMMA if re.fullmatch(r"[+-]?\d+,\d+", text) else "; mend or remove the row"
-    where = f"{path}, line {number}, column `{name}`"
-    raise InputError(f"{where}: the value must be a finite number, but {found}{hint}.")
+    try:
+        return decimal(text)
+    except ValueError as error:
+        hint = _DECIMAL_COMMA if re.fullmatch(r"[+-]?\d+,\d+", text) else "; mend or remove the row"
+        raise ValueError(f", column `{printable(name, 60)}`: the value {error}{hint}") from error
 
 
 def _refuse_cut_end(path: Path, text: str, lines: list[_Line]) -> None:

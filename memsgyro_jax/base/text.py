@@ -3,9 +3,13 @@
 import difflib
 import math
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 
 _PREFIXES = ((1e9, "G"), (1e6, "M"), (1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"), (1e-12, "p"))
+FIRST = 10  # complaints that a sentence spells out
+_MANY = 20  # names in a sentence
+_LONG = 60  # characters of a name in a sentence
 
 
 def aligned(rows: list[tuple[str, ...]]) -> str:
@@ -14,11 +18,40 @@ def aligned(rows: list[tuple[str, ...]]) -> str:
     return "\n".join("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows)
 
 
+def printable(text: str, most: int | None = None) -> str:
+    """Text for one line of a message: what cannot be printed as its escape, and not more than `most` characters."""
+    if most is not None and len(text) > most:
+        text = f"{text[: most - 3]}..."
+    return text if text.isprintable() else "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+
+
+def shown(value: Any) -> str:
+    """What was found, for a message: at most 40 characters of it."""
+    if isinstance(value, int) and abs(value) > 10**40:  # Python itself refuses to spell thousands of digits out
+        return "a number of more than 40 digits"
+    return printable(f'"{value}"' if isinstance(value, str) else str(value), 40)
+
+
+def listed(names: Iterable[str], quote: str = "") -> str:
+    """Names after each other, the first twenty and how many more."""
+    names = list(names)
+    more = f" and {len(names) - _MANY} more" if len(names) > _MANY else ""
+    return ", ".join(f"{quote}{printable(name, _LONG)}{quote}" for name in names[:_MANY]) + more
+
+
+def first_of(complaints: Sequence[str], what: str, count: int | None = None) -> str:
+    """Complaints in one sentence: the first ten, and how many more of `count`, which are all without it."""
+    count = len(complaints) if count is None else count
+    head = f"{count} {what} must be mended: " if count > 1 else ""
+    shown = complaints[:FIRST]
+    return f"{head}{'; '.join(shown)}{f'; and {count - len(shown)} more' if count > len(shown) else ''}"
+
+
 def suggestion(name: str, known: Iterable[str]) -> str:
     """What a name that is not known may have meant: "did you mean `kxy`?", or all that are known."""
     known = list(known)
-    near = difflib.get_close_matches(name, known, n=1)
-    return f"did you mean `{near[0]}`?" if near else f"known are {', '.join(known)}"
+    near = difflib.get_close_matches(name, known, n=1) if len(name) <= _LONG else []
+    return f"did you mean `{near[0]}`?" if near else f"known are {listed(known)}"
 
 
 def combination(weights: Sequence[float], names: Sequence[str], least: float = 0.1, most: int = 4) -> str:

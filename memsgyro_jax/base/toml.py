@@ -1,6 +1,7 @@
 """TOML files: one way of reading a file into checked sections, and the text of a value."""
 
 import json
+import math
 import re
 import tomllib
 from pathlib import Path
@@ -10,9 +11,15 @@ from pydantic import BaseModel, ValidationError
 
 from .complaints import Source
 from .errors import InputError
+from .files import read_text
+from .text import printable
 
 
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
+_LEVELS = 32
+_PART = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
+_CHAIN = re.compile(rf"(?<![\w.-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{_LEVELS}}}")
+_HUGE = re.compile(r"\d[\d_]{400}")
 Sections = TypeVar("Sections", bound=BaseModel)
 
 
@@ -27,22 +34,41 @@ def read_toml(path: str | Path, what: str, remedy: str = "") -> tuple[dict[str, 
     **Raises:** `InputError` with file, and line where there is one, for a file that cannot be read or is no TOML.
     """
     path = Path(path)
+    text = read_text(path, what, remedy=remedy)
     try:
-        text = path.read_bytes().decode("utf-8-sig")
-        return tomllib.loads(text), Source(str(path), path.parent, text)
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: no such {what}{f'; {remedy}' if remedy else ''}.") from error
-    except OSError as error:
-        raise InputError(f"{path}: the {what} cannot be read ({error.strerror}).") from error
-    except UnicodeDecodeError as error:
-        line = error.object[: error.start].count(b"\n") + 1
-        raise InputError(f"{path}: line {line}: a {what} must be UTF-8, but byte {error.start} is not.") from error
+        if chain := _CHAIN.search(text):  # reading it takes the square of its length
+            raise _NoNumber(chain.group(), f"a key must have at most {_LEVELS} parts, but `{{}}` has more")
+        return tomllib.loads(text, parse_float=_float), Source(str(path), path.parent, text)
+    except _NoNumber as error:
+        line = text.count("\n", 0, text.index(error.text)) + 1
+        raise InputError(f"{path}: line {line}: {error}.") from error
     except RecursionError as error:
         raise InputError(f"{path}: a {what} must be TOML of few levels, but is nested too deeply.") from error
-    except ValueError as error:  # TOMLDecodeError, and Python's own for numbers of thousands of digits
+    except ValueError as error:  # TOMLDecodeError, and Python's own for integers of thousands of digits
+        if huge := _HUGE.search(text):
+            line = text.count("\n", 0, huge.start()) + 1
+            raise InputError(f"{path}: line {line}: a number must have at most 400 digits, but has more.") from error
         end = f"at line {text.count(chr(10)) + 1}, the end of the file"
         reason = " ".join(str(error).replace("at end of document", end).split()).rstrip(".")
-        raise InputError(f"{path}: a {what} must be TOML, but cannot be read: {reason}.") from error
+        raise InputError(f"{path}: a {what} must be TOML, but cannot be read: {printable(reason, 200)}.") from error
+
+
+class _NoNumber(ValueError):
+    """What TOML allows, but cannot be meant: the text where it stands, and the sentence about it."""
+
+    def __init__(self, text: str, sentence: str) -> None:
+        super().__init__(sentence.format(printable(text, 40)))
+        self.text = text
+
+
+def _float(text: str) -> float:
+    """What TOML calls a float; one that a computer would silently make zero or infinite is refused."""
+    value = float(text)
+    if math.isinf(value) and "n" not in text:
+        raise _NoNumber(text, "a number must be finite, but `{}` is larger than any that a computer holds")
+    if value == 0.0 and re.search("[1-9]", re.split("[eE]", text)[0]):
+        raise _NoNumber(text, "a number must be zero or not, but `{}` is smaller than any that a computer holds")
+    return value
 
 
 def checked(model: type[Sections], data: dict[str, Any], source: Source, context: Any = None) -> Sections:

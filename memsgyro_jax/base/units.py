@@ -16,12 +16,24 @@ import re
 from functools import cache
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from .errors import InputError
+from .text import printable
 
 
 _DEGREE = math.pi / 180.0
 _HEADER = re.compile(r"\s*(?P<name>[^\[\]]*?)\s*\[\s*(?P<unit>[^\[\]]*?)\s*\]\s*")
 _ROOT = re.compile(r"sqrt\(([^()]+)\)|√\(([^()]+)\)|√([^\W\d_]+)")
+
+
+NUMBER = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
+"""A number in a file; Python's float() would also take nan, inf, 1_000 and digits of other scripts."""
+_NUMBER = re.compile(NUMBER)
+_EXPONENT = r"\(?\s*[+-]?\s*[0-9.]+\s*(?:/\s*[0-9]+\s*)?\)?(?![\w.]|\s*(?:\*\*|\^))"
+_POWER = re.compile(rf"(?:\*\*|\^)\s*(?P<exponent>{_EXPONENT})?")
+_HIGHEST = 20.0  # power of a unit
+_LONGEST = 80  # characters of a unit
 
 
 class Column(NamedTuple):
@@ -91,6 +103,19 @@ def arw_from_std(std: Any, sample_rate: Any) -> Any:
     return std / sample_rate**0.5
 
 
+def decimal(text: str) -> float:
+    """The number that a file means by `text`; raises `ValueError` for anything else, and for one that would silently
+    become infinite or zero.
+    """
+    if _NUMBER.fullmatch(text) is None:
+        raise ValueError("must be a finite number, but " + (f"is `{printable(text, 60)}`" if text else "is missing"))
+    value = float(text)
+    if not math.isfinite(value) or (value == 0.0 and any(c in "123456789" for c in re.split("[eE]", text)[0])):
+        size = "small" if value == 0.0 else "large"
+        raise ValueError(f"must be a finite number, but `{printable(text, 60)}` is too {size} for a computer")
+    return value
+
+
 def parse_header(text: str) -> Column:
     """Reads a CSV column header ``name [unit]``.
 
@@ -102,9 +127,8 @@ def parse_header(text: str) -> Column:
     """
     match = _HEADER.fullmatch(text)
     if match is None or not match["name"] or not match["unit"]:
-        raise InputError(
-            f'Column header must read "name [unit]", e.g. "rate [deg/s]" or "gain [1]", but is "{text.strip()}".'
-        )
+        found = printable(text.strip(), 60)
+        raise InputError(f'Column header must read "name [unit]", e.g. "rate [deg/s]" or "gain [1]", but is "{found}".')
     return Column(match["name"], match["unit"])
 
 
@@ -129,7 +153,13 @@ def to_si(value: Any, unit: str, expected: str, name: str) -> Any:
     source, target = _parse(unit, name), _parse(expected, name)
     if _dimension(source) != _dimension(target):
         raise InputError(f'Unit of {name} must measure the same as "{expected}", but is "{unit}".')
-    return _registry().Quantity(value, source).to(target).magnitude
+    try:
+        found = _registry().Quantity(value, source).to(target).magnitude
+    except OverflowError:  # of the factor between the units
+        found = np.inf
+    if np.any(np.isfinite(value) & (~np.isfinite(found) | ((np.asarray(value) != 0) & (np.asarray(found) == 0)))):
+        raise InputError(f'Unit of {name} must leave a finite number in "{expected}", but "{unit}" does not.')
+    return found
 
 
 @cache
@@ -143,13 +173,23 @@ def _registry() -> Any:
 def _parse(text: str, name: str) -> Any:
     plain = _ROOT.sub(lambda match: f"({next(filter(None, match.groups()))})**0.5", text)
     try:
+        if len(text) > _LONGEST or any(not _is_power(found["exponent"]) for found in _POWER.finditer(plain)):
+            raise ValueError("pint would work out any power, however long that takes")
         if not plain.strip():
             raise ValueError("a pure number is written 1, so that a forgotten unit is noticed")
         return _registry().parse_units(plain)
     except Exception as error:  # pint raises its own, tokenizer and assertion errors alike for text it cannot read
         raise InputError(
-            f'Unit of {name} must be one that can be read, e.g. "um", "deg/s" or "1", but is "{text}".'
+            f'Unit of {name} must be one that can be read, e.g. "um", "deg/s" or "1", but is "{printable(text, 60)}".'
         ) from error
+
+
+def _is_power(exponent: str | None) -> bool:
+    """Whether what stands behind `**` is a plain number of a size that units have."""
+    if exponent is None:
+        return False
+    over, _, under = exponent.strip("() ").partition("/")
+    return abs(float(over.replace(" ", ""))) <= _HIGHEST and float(under or 1) != 0
 
 
 def _dimension(unit: Any) -> Any:

@@ -13,6 +13,7 @@ from typing import TypeVar
 import jax
 
 from .errors import InputError
+from .files import read_text
 
 
 MODULE = "memsgyro_file_of_user"
@@ -48,12 +49,7 @@ class UserFile:
 def run_user_file(path: str | Path) -> UserFile:
     """Run a file, which is running a program: only what one would run; `InputError` with file and line if it fails."""
     path = Path(path)
-    try:
-        source = path.read_text(encoding="utf-8")
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: must be a Python file in UTF-8, but byte {error.start} is not.") from error
-    except OSError as error:
-        raise InputError(f"{path}: must be a readable Python file, but: {error.strerror}.") from error
+    source = read_text(path, "Python file")
     module = _run(path, source)
     lines = {node.name: node.lineno for node in ast.walk(ast.parse(source)) if isinstance(node, ast.ClassDef)}
     return UserFile(path, module, lines)

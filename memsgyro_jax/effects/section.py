@@ -7,17 +7,17 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from pydantic import AliasChoices, ConfigDict, Field, StrictFloat, StrictInt, model_serializer
+from pydantic import AliasChoices, ConfigDict, Field, model_serializer
 
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.base.quantity import FileSection, number_and_unit
+from memsgyro_jax.base.quantity import FileSection, Number, number_and_unit
 from memsgyro_jax.base.units import to_si
 
 from .base import Effect
 from .catalogue import by_name
+from .numbers import free_numbers
 
 
-Number = StrictFloat | StrictInt
 Numbers = Number | list[Number]
 
 
@@ -58,6 +58,7 @@ class EffectSection(FileSection):
                 raise InputError(
                     f"`{name}` must have the shape {np.shape(getattr(effect, name))}, but has {np.shape(value)}"
                 )
+            _check_bounds(effect, name, np.asarray(value))
             effect = eqx.tree_at(lambda e, name=name: getattr(e, name), effect, jnp.asarray(value, float))
         return effect
 
@@ -86,6 +87,17 @@ def entries_of_effect(effect: Effect) -> dict[str, Any]:
     return EffectSection(
         name=effect.name, where=effect.where, strength=strength, unit=unit, settings=settings
     ).model_dump()  # fmt: skip
+
+
+def _check_bounds(effect: Effect, name: str, value: np.ndarray) -> None:
+    """Raises `InputError` for a number beyond what physics allows it, as no fit would leave it."""
+    for number in free_numbers(effect):
+        if number.field == name and not np.all((value >= number.low) & (value <= number.high)):
+            ends = [f"at least {number.low:g}"] * (number.low > -np.inf) + [f"at most {number.high:g}"] * (
+                number.high < np.inf
+            )
+            unit = "" if number.unit == "1" else f" {number.unit}"
+            raise InputError(f"`{name}` must be {' and '.join(ends)}{unit}, but is {value.tolist()}")
 
 
 def settings_of(effect: Effect) -> tuple[str, ...]:

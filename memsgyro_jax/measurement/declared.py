@@ -182,3 +182,12 @@ class Declared:
         if "quality_factor" in d:
             return d["quality_factor"].high
         return float(np.sqrt(d["kxx"].high * d["mass"].high) / min(d["dxx"].low, d["dyy"].low))
+
+
+def check_temperature(kelvin: float) -> float:
+    """The temperature of a device on a bench; raises `InputError` for one that none has: a wrong unit, most likely."""
+    if not 1.0 <= kelvin <= 1700.0:
+        raise InputError(
+            f"must lie between 1 K and 1700 K, where silicon melts, but is {kelvin:g} K; is the unit right?"
+        )
+    return kelvin

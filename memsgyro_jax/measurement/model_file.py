@@ -12,15 +12,17 @@ import numpy as np
 from pydantic import Field
 
 from memsgyro_jax.base.complaints import Source
+from memsgyro_jax.base.concrete import check_positive, check_positive_definite
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.files import write_whole
-from memsgyro_jax.base.quantity import FileSection
+from memsgyro_jax.base.quantity import FileSection, Number
 from memsgyro_jax.base.toml import checked, read_toml, toml_table
 from memsgyro_jax.base.units import to_si
 from memsgyro_jax.device.normalised import NormalisedDevice
 from memsgyro_jax.effects import Effect, catalogue
-from memsgyro_jax.effects.section import EffectSection, Number, entries_of_effect, written
+from memsgyro_jax.effects.section import EffectSection, entries_of_effect, written
 
+from .declared import check_temperature
 from .model import Model
 
 
@@ -119,14 +121,22 @@ def _model(file: _File, source: Source, own: Sequence[Effect]) -> Model:
                 raise InputError(f"must have the entries {', '.join(_PAIRS[axes])} as the stiffness has, but has not")
             values = np.array([value for value in given if value is not None], float)
             matrices[name] = to_si(values, entry.unit, _UNITS[name], "the value")
+            _check_definite(name, matrices[name])
     with source.section("device", "mobility"):
         mobility = _si(file.device.mobility, "1/kg")
+        if not (mobility > 0.0 or (axes == 1 and mobility < 0.0)):  # a resonator's pick-off may be turned round
+            raise InputError(f"must be 1 / mass, positive, but is {mobility:g} 1/kg")
     for name in ("scale", "offset"):
         with source.section("readout", name):
-            if len(getattr(file.readout, name)) != axes:
-                raise InputError(f"must have one entry per axis, {axes}, but has {len(getattr(file.readout, name))}")
-    with source.section("reference"):
-        temperature, bias = _si(file.reference.temperature, "K"), _si(file.reference.bias_voltage, "V")
+            given = getattr(file.readout, name)
+            if len(given) != axes:
+                raise InputError(f"must have one entry per axis, {axes}, but has {len(given)}")
+            if name == "scale" and 0.0 in given:
+                raise InputError("must not be zero, which shows nothing")
+    with source.section("reference", "temperature"):
+        temperature = check_temperature(_si(file.reference.temperature, "K"))
+    with source.section("reference", "bias_voltage"):
+        bias = _si(file.reference.bias_voltage, "V")
     known = (*catalogue(axes), *own)
     effects = []
     for number, entry in enumerate(file.effects):
@@ -140,6 +150,14 @@ def _model(file: _File, source: Source, own: Sequence[Effect]) -> Model:
         reference_temperature=temperature,
         reference_bias=bias,
     )
+
+
+def _check_definite(name: str, values: np.ndarray) -> None:
+    """What holds a mass, and what slows it, is positive along every direction."""
+    if len(values) == 1:
+        check_positive(name, values)
+    else:
+        check_positive_definite(name, *values)
 
 
 def _si(entry: _Scalar, unit: str) -> float:

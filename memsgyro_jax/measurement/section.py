@@ -1,5 +1,6 @@
 """What an `[[experiment]]` of `case.toml` may say, whatever its kind, and the quantities in it."""
 
+import math
 from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import BeforeValidator, Field
@@ -17,10 +18,9 @@ class Amount(NamedTuple):
 def _amount(given: Any) -> Amount:
     if isinstance(given, Amount):
         return given
-    try:
-        number, unit = number_and_unit(given)
-    except OverflowError as error:
-        raise ValueError("must be a finite number, but is larger than any") from error
+    number, unit = number_and_unit(given)
+    if not math.isfinite(number):
+        raise ValueError(f"must be a finite number, but is {number:g}")
     if not unit:
         raise ValueError(f'must carry a unit, for example {{ value = {number:g}, unit = "V" }}, but none was given')
     return Amount(number, unit)

@@ -120,3 +120,36 @@ def test_what_is_not_finite_is_not_written(tmp_path):
 def test_no_file(tmp_path):
     with pytest.raises(InputError, match="no such model file"):
         read_model(tmp_path / "none.toml")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("xx = 356000000.0", "xx = 0.0", "`device.stiffness`: The stiffness matrix must be positive definite"),
+        ("xy = -2100000.0", "xy = -3e8", "`device.stiffness`: The stiffness matrix must be positive definite"),
+        ("xx = 22.1", "xx = -22.1", "`device.damping`: The damping matrix must be positive definite"),
+        ("value = 5600000.0", "value = 0", "`device.mobility`: must be 1 / mass, positive, but is 0"),
+        ("value = 298.15", "value = 0.5", "`reference.temperature`: must lie between 1 K and 1700 K"),
+        ("value = 298.15", "value = 1e400", "must be finite"),
+        ("value = 10.0", "value = 1" + 400 * "0", "`reference.bias_voltage.value`: must be a finite number"),
+        ("scale = [500000.0", "scale = [0.0", "`readout.scale`: must not be zero"),
+        ("quality = 300.0", "quality = 0.1", "`quality` must be at least 0.5, but is 0.1"),
+        ("strength = 0.0001", "strength = -0.0001", "`strength` must be at least 0, but is -0.0001"),
+        ("strength = 0.0001", "strength = nan", "must be a finite number"),
+    ],
+)
+def test_what_no_device_is(tmp_path, old, new, words):
+    text = model_text(model(ParasiticMode(axis=0, strength=1e-4, omega=2e4, quality=300.0)))
+    assert old in text
+    (tmp_path / "m.toml").write_text(text.replace(old, new))
+    with pytest.raises(InputError, match=r"m\.toml: line \d+") as caught:
+        read_model(tmp_path / "m.toml")
+    assert words in str(caught.value)
+
+
+def test_a_resonator_is_held_and_slowed(tmp_path):
+    text = model_text(Model(Resonator(400.0, 20.0, 1.5), scale=2.0))
+    for old in ("xx = 160000.0", "xx = 20.0"):
+        (tmp_path / "m.toml").write_text(text.replace(old, "xx = 0.0"))
+        with pytest.raises(InputError, match=r"m\.toml: line \d+, `device\.(stiffness|damping)`: .* positive"):
+            read_model(tmp_path / "m.toml")

@@ -33,9 +33,11 @@ def compare_command(
     from memsgyro_jax.measurement.user_kinds import load_kinds
 
     from .diagnose import load_demo_or
+    from .options import require_writable
 
     if effects is not None and model is None:
         raise InputError("Option `--effects` must go with `--model`, whose effects it defines; leave it out.")
+    require_writable(json)
     measured = load_demo_or(case, load_kinds(kinds) if kinds else ())
     own = load_effects(effects, measured.channels) if effects else ()
     result = compare(None if model is None else read_model(model, own), measured, fitted=model is None)

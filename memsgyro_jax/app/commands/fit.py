@@ -35,7 +35,9 @@ def fit_command(
 
     from ..report.fit_text import fit_entries, fit_text, named_effects, placed_by_scan
     from .diagnose import load_demo_or
+    from .options import require_writable
 
+    require_writable(out, json)
     measured = load_demo_or(case, load_kinds(kinds) if kinds else ())
     own = load_effects(effects, measured.channels) if effects else ()
     chosen = named_effects(add, (*catalogue(measured.channels), *own))

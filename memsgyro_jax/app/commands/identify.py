@@ -50,6 +50,9 @@ def identify_command(
     from memsgyro_jax.couplings.identify_ratio import identify_by_ratio
     from memsgyro_jax.couplings.record import read_sweep
 
+    from .options import require_writable
+
+    require_writable(json, report)
     axis = None if drive_axis is None else "xy".index(drive_axis)
     records = [read_sweep(path, axis=axis, conjugated=conjugated) for path in sweeps]
     noise = _noise(amplitude_noise, phase_noise)

@@ -85,6 +85,8 @@ def require_writable(*paths: Path | None) -> None:
             there = there.parent
         if path == there and path.is_dir():
             raise InputError(f"{path} must be a file, but is a folder.")
+        if path.exists() and not path.is_file():
+            raise InputError(f"{path} must be a file, but is a device or a pipe.")
         if there != path and not there.is_dir():
             raise InputError(f"{path} cannot be written, because {there} is no folder.")
         if not os.access(there, os.W_OK):

@@ -13,6 +13,7 @@ from memsgyro_jax.base.quantity import (
     Metre,
     Pair,
     Rate,
+    Seed,
     Share,
     Speed,
     Whole,
@@ -120,5 +121,5 @@ class SweepSection(FileSection):
     duration: Duration | None = None
     settle: Annotated[float, Field(ge=0.0), In("s")] | None = None
     tolerance: Annotated[Rate, Field(gt=0.0)] = float(np.radians(20.0))
-    seed: Annotated[Whole, Field(ge=0)] = 0
+    seed: Seed = 0
     chunk: Annotated[Whole, Field(ge=1)] | None = None

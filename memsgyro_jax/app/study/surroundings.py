@@ -12,6 +12,7 @@ from memsgyro_jax.base.quantity import (
     Hertz,
     In,
     Kelvin,
+    KelvinDifference,
     Pure,
     Radian,
     Rate,
@@ -150,7 +151,9 @@ _KelvinGrowth = Annotated[float, In("K^2/s")]
 _PureGrowth = Annotated[float, In("1/s")]
 _Turn = Steady[Rate] | Jump[Rate] | Slide[Rate, _RateSlope] | Wave[Rate] | Swept[Rate] | Wander[Rate, _RateGrowth]
 _Drift = Steady[Volt] | Jump[Volt] | Slide[Volt, _VoltSlope] | Wave[Volt] | Swept[Volt] | Wander[Volt, _VoltGrowth]
-_Warmth = Steady[Kelvin] | Jump[Kelvin] | Slide[Kelvin, _KelvinSlope] | Wave[Kelvin] | Wander[Kelvin, _KelvinGrowth]
+_Warmth = (
+    Steady[Kelvin] | Jump[Kelvin] | Slide[Kelvin, _KelvinSlope] | Wave[KelvinDifference] | Wander[Kelvin, _KelvinGrowth]
+)
 _Change = Steady[Pure] | Jump[Pure] | Slide[Pure, _PureSlope] | Wave[Pure] | Swept[Pure] | Wander[Pure, _PureGrowth]
 _Shake = (
     Steady[Acceleration] | Jump[Acceleration] | Slide[Acceleration, _Jerk] | Wave[Acceleration] | Swept[Acceleration]

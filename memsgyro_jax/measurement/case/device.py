@@ -4,7 +4,7 @@ from memsgyro_jax.base.complaints import Source
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.text import suggestion
 
-from ..declared import VOCABULARIES, DesignValue, Environment, Readout, si
+from ..declared import VOCABULARIES, DesignValue, Environment, Readout, check_temperature, si
 from ..section import Amount
 from .file import CaseFile, DesignEntry, ReadoutEntry
 
@@ -82,6 +82,6 @@ def _record_unit(scale: Amount, length: str) -> tuple[str, float]:
 def environment(file: CaseFile, source: Source) -> Environment:
     """The environment in SI."""
     with source.section("environment", "temperature"):
-        temperature = si(file.environment.temperature, "K")
+        temperature = check_temperature(si(file.environment.temperature, "K"))
     with source.section("environment", "bias_voltage"):
         return Environment(temperature, si(file.environment.bias_voltage, "V", positive=False))

@@ -5,11 +5,11 @@ from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, Union
 
-from pydantic import Field, StrictFloat, create_model
+from pydantic import Field, create_model
 
 from memsgyro_jax.base.complaints import Source
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.base.quantity import FileSection
+from memsgyro_jax.base.quantity import FileSection, Number
 from memsgyro_jax.base.toml import checked, read_toml
 
 from ..experiments import AbstractRecord
@@ -24,10 +24,10 @@ class DesignEntry(FileSection):
     """`{ value, tolerance, unit }` with a relative half width, or `{ low, high, unit }`, or all of value, low, high."""
 
     unit: str
-    value: StrictFloat | None = None
-    tolerance: StrictFloat | None = Field(default=None, ge=0.0, lt=1.0)
-    low: StrictFloat | None = None
-    high: StrictFloat | None = None
+    value: Number | None = None
+    tolerance: Number | None = Field(default=None, ge=0.0, lt=1.0)
+    low: Number | None = None
+    high: Number | None = None
 
 
 class ReadoutEntry(FileSection):

@@ -79,3 +79,15 @@ def test_a_number_that_a_file_does_not_hold_is_told():
 def test_adaptation_needs_a_gain_for_each_coefficient():
     with pytest.raises(InputError, match="adaptation must have one entry for each of rate, kxx"):
         study_of({**LYAPUNOV, "observer": {"kind": "lyapunov", "adaptation": [1.0, 2.0]}})
+
+
+def test_the_swing_of_a_temperature_is_no_temperature(tmp_path):
+    def loaded(amplitude):
+        swing = f'{{ kind = "sine", amplitude = "{amplitude}", frequency = "1 Hz" }}'
+        (tmp_path / "s.toml").write_text(f'[scenario]\ntemperature = ["25 degC", {swing}]')
+        return mg.load_study(tmp_path / "s.toml").scenario.at(0.25).temperature
+
+    assert loaded("5 K") == pytest.approx(303.15)
+    assert loaded("5 delta_degC") == pytest.approx(303.15)
+    with pytest.raises(mg.InputError, match=r"`scenario\.temperature\.1\.amplitude`: must be a difference"):
+        loaded("5 degC")
