@@ -12,7 +12,7 @@ from typing import Any, get_args
 from pydantic import BaseModel
 
 from .errors import InputError
-from .text import FIRST, first_of, printable, shown, suggestion
+from .text import FIRST, excerpt, first_of, printable, suggestion
 
 
 _WORD = r"""(?:[\w-]+|"[^"]*"|'[^']*')"""
@@ -116,9 +116,9 @@ def _sentence(error: Any, model: type[BaseModel]) -> str:
     if kind in ("union_tag_invalid", "union_tag_not_found"):
         kinds = " or ".join(f'"{name}"' for name in map(_kind, _models_at(error["loc"], model)) if name)
         found = given.get("kind") if isinstance(given, dict) else given
-        return f"must have a kind, {kinds}, but " + ("has none" if found is None else f"has {shown(found)}")
+        return f"must have a kind, {kinds}, but " + ("has none" if found is None else f"has {excerpt(found)}")
     wanted = error["msg"].replace("Input should be", "must be").replace("Field required", "is missing")
-    return f"{wanted}, but is {shown(given)}"
+    return f"{wanted}, but is {excerpt(given)}"
 
 
 def _unknown(name: str, models: list[type[BaseModel]]) -> str:

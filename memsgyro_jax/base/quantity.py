@@ -7,7 +7,7 @@ from typing import Annotated, Any, TypeVar
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, GetCoreSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
-from .text import printable, shown
+from .text import excerpt, printable
 from .units import NUMBER, decimal, to_si
 
 
@@ -72,7 +72,7 @@ def number_and_unit(given: Any) -> tuple[float, str]:
 
 def _number(given: Any, what: str = "a number with a unit") -> float:
     if isinstance(given, bool) or not isinstance(given, int | float):
-        raise ValueError(f"must be {what}, but is {shown(given)}")
+        raise ValueError(f"must be {what}, but is {excerpt(given)}")
     try:
         return float(given)
     except OverflowError as error:
@@ -120,7 +120,7 @@ LARGEST_COUNT, LARGEST_SEED = 2**31 - 1, 2**63 - 1
 
 def _whole(given: Any) -> Any:
     if isinstance(given, bool) or not isinstance(given, int) or abs(given) > LARGEST_SEED:
-        raise ValueError(f"must be a whole number, at most {LARGEST_COUNT}, but is {shown(given)}")
+        raise ValueError(f"must be a whole number, at most {LARGEST_COUNT}, but is {excerpt(given)}")
     return given
 
 

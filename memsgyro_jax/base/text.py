@@ -25,7 +25,7 @@ def printable(text: str, most: int | None = None) -> str:
     return text if text.isprintable() else "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
-def shown(value: Any) -> str:
+def excerpt(value: Any) -> str:
     """What was found, for a message: at most 40 characters of it."""
     if isinstance(value, int) and abs(value) > 10**40:  # Python itself refuses to spell thousands of digits out
         return "a number of more than 40 digits"
