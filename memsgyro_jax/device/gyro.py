@@ -15,21 +15,25 @@ from jaxtyping import Array, Float
 
 from memsgyro_jax.base.concrete import check_not_negative as check_not_negative
 from memsgyro_jax.base.concrete import check_positive as check_positive
-from memsgyro_jax.base.concrete import check_positive_definite, is_concrete
+from memsgyro_jax.base.concrete import check_positive_definite as check_positive_definite
+from memsgyro_jax.base.concrete import is_concrete as is_concrete
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.fields import Scalar as Scalar
 
 from .carried import AbstractEffect, CarriesEffects, Effects
+from .inertial import UNCHANGED as UNCHANGED
+from .inertial import Change as Change
+from .inertial import Inertial as Inertial
+from .inertial import Pair as Pair
+from .inertial import frame_stiffness as frame_stiffness
+from .modes import angle_of_quadrature, coupled, in_turned_axes, rates_of
+from .modes import natural_frequencies as natural_frequencies
 from .small import Matrix, Vector, plus, times
 
 
 X, Y, VX, VY, UX, UY = range(
     6
 )  # the signals an acceleration can be proportional to: displacement, velocity, applied force
-
-Pair = tuple[Scalar, Scalar]
-Change = tuple[Scalar, Scalar, Scalar]
-UNCHANGED: Change = (0.0, 0.0, 0.0)
 
 
 class Term(NamedTuple):
@@ -143,21 +147,6 @@ DUAL_MASS = MotionModel(
 """Thesis (3.4): separate moving masses, no cross damping; rate_x = m1·Ω/(m1 + m2)."""
 
 
-class Inertial(NamedTuple):
-    """What the frame does to the device at one moment; every field zero means a resting frame and an undisturbed
-    device.
-
-    `rate` Ωz and `cross_rate` (Ωx, Ωy) in rad/s, `angular_acceleration` dΩz/dt in rad/s², `acceleration` of the frame
-    in m/s²; `damping_change` is the relative change of (dxx, dyy, dxy).
-    """
-
-    rate: Scalar = 0.0
-    angular_acceleration: Scalar = 0.0
-    cross_rate: Pair = (0.0, 0.0)
-    acceleration: Pair = (0.0, 0.0)
-    damping_change: Change = UNCHANGED
-
-
 class AbstractGyro(CarriesEffects):
     """A two-axis gyro. A new kind of device gives its `model` table and the two methods; `dynamics` is that of the base
     device, which the loop extends by the `effects`.
@@ -224,6 +213,31 @@ class SingleMassGyro(AbstractGyro):
         """The device of thesis Table 5.1: modes at 2.893 and 3.758 kHz, Q 942 and 919."""
         return cls(mass=1.8e-7, kxx=63.96, kyy=95.92, kxy=12.78, dxx=3.6e-6, dyy=4.5e-6, dxy=3.6e-7)
 
+    @classmethod
+    def from_modes(
+        cls, mass: Scalar, frequency: Pair, quality_factor: Scalar | Pair, *, angle: Scalar | None = None,
+        quadrature: Scalar | None = None, cross_damping: Scalar = 0.0, rotating_frame: bool = False,
+    ) -> "SingleMassGyro":  # fmt: skip
+        """The device of `mass` [kg] with modes at `frequency` [Hz], in either order, and of `quality_factor`, a number
+        for both or one each.
+
+        The first mode moves along x, or at `angle` [rad] from x to y. Instead of the angle, `quadrature` [rad/s] is the
+        rate whose force at the first mode has the amplitude of that of kxy (3.1): kxy = 2·mass·ω·quadrature.
+        `cross_damping`, between -1 and 1, couples the modes by that share of the root of both dampings. Zeros mean no
+        coupling. Raises `InputError` for numbers that no device has.
+        """
+        if angle is not None and quadrature is not None:
+            raise InputError("A device must have either `angle` or `quadrature`, but both were given.")
+        check_positive("mass", mass)
+        modes, damping = rates_of(frequency, quality_factor)
+        if quadrature is not None:
+            angle = angle_of_quadrature(quadrature, modes)
+        angle = 0.0 if angle is None else angle
+        kxx, kyy, kxy = in_turned_axes(modes[0] ** 2, modes[1] ** 2, 0.0, angle)
+        dxx, dyy, dxy = in_turned_axes(*damping, cross_damping * jnp.sqrt(damping[0] * damping[1]), angle)
+        coefficients = (mass * value for value in (kxx, kyy, kxy, dxx, dyy, dxy))
+        return cls(mass, *coefficients, rotating_frame=rotating_frame)
+
     def dynamics(self, inertial: Inertial) -> Dynamics:
         """Thesis (3.1), with the frame terms of (2.4) when `rotating_frame` is set."""
         per_mass, rate = 1.0 / self.mass, inertial.rate
@@ -278,6 +292,26 @@ class DualMassGyro(AbstractGyro):
         """The device of thesis Table 5.2."""
         return cls(mass_x=2.6e-7, mass_y=1.6e-7, kxx=92.38, kyy=85.26, kxy=0.92, kyx=0.25, dxx=5.2e-6, dyy=4.8e-6)
 
+    @classmethod
+    def from_modes(
+        cls, mass_x: Scalar, mass_y: Scalar, frequency: Pair, quality_factor: Scalar | Pair, *,
+        quadrature: Scalar = 0.0, rotating_frame: bool = False,
+    ) -> "DualMassGyro":  # fmt: skip
+        """The device with masses as in its fields, modes at `frequency` [Hz] along x and y, and of `quality_factor`, a
+        number for both or one each.
+
+        `quadrature` [rad/s] is the rate whose force on y at the first mode has the amplitude of that of kyx (3.3):
+        kxy = kyx = 2·mass_y·ω·quadrature; zero means no coupling. Raises `InputError` for numbers that no device has.
+        """
+        modes, damping = rates_of(frequency, quality_factor)
+        coupling = 2.0 * modes[0] * quadrature  # per inner mass
+        first, second = coupled(modes, coupling**2 * mass_y / mass_x)
+        kxy = mass_y * coupling
+        return cls(
+            mass_x, mass_y, mass_x * first, mass_y * second, kxy, kxy, mass_x * damping[0], mass_y * damping[1],
+            rotating_frame=rotating_frame,
+        )  # fmt: skip
+
     def dynamics(self, inertial: Inertial) -> Dynamics:
         """Thesis (3.3); the frame terms follow (2.4) with the inner mass alone carrying the y motion."""
         mx, my, rate = self.mass_x, self.mass_y, inertial.rate
@@ -299,23 +333,6 @@ class DualMassGyro(AbstractGyro):
         return (rate * my / mx, rate, *stiffness, self.dxx * sxx / mx, self.dyy * syy / my, 1.0 / mx, 1.0 / my)
 
 
-def frame_stiffness(inertial: Inertial, x_share: Scalar) -> Matrix:
-    """Apparent stiffness per mass of a rotating frame (2.4); `x_share` is the part of the x-moving mass that also moves
-    along y.
-    """
-    rate, (rate_x, rate_y) = inertial.rate, inertial.cross_rate
-    product, spin = rate_x * rate_y, inertial.angular_acceleration
-    return Matrix(((-(rate_y**2 + rate**2), x_share * (product - spin)), (product + spin, -(rate_x**2 + rate**2))))
-
-
 def mode_frequencies(gyro: AbstractGyro) -> Float[np.ndarray, "*dies two"]:
     """Undamped mode frequencies in Hz, ascending, of a gyro at rest; inside a transformation JAX arrays."""
     return natural_frequencies(gyro.dynamics(Inertial()).stiffness)
-
-
-def natural_frequencies(stiffness: Matrix) -> Float[np.ndarray, "*dies two"]:
-    """Undamped mode frequencies in Hz, ascending, of a `stiffness` per mass in rad²/s²."""
-    xp = np if is_concrete(stiffness) else jnp
-    (a, b), (c, d) = (xp.broadcast_arrays(*map(xp.asarray, row)) for row in stiffness)
-    mean, split = 0.5 * (a + d), xp.sqrt(0.25 * (a - d) ** 2 + b * c)
-    return xp.sqrt(xp.stack([mean - split, mean + split], axis=-1)) / (2.0 * np.pi)

@@ -5,6 +5,7 @@ the offset it must find. Noise is a one-sided density, so that changing the samp
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -32,6 +33,7 @@ from memsgyro_jax.effects.readout_delay import lag
 
 PERMITTIVITY = 8.8541878128e-12  # F/m
 TRAVEL = 50e-6  # m, the overlap of the thesis' combs
+_GAP = 1e-6  # m, of fingers that stand for a given gradient
 THESIS_RATE = 10e6  # Hz, the sampling rate at which the thesis states its noise per sample
 
 
@@ -151,6 +153,28 @@ class ChargeAmplifier(AbstractReadout):
         return cls(
             fingers=113.0, width=5e-6, gap=1e-6, overlap=50e-6, mismatch=(0.1e-6, 0.085e-6), bias=10.0,
             feedback=1e-12, parasitic=1e-12, opamp_offset=(2e-3, 1e-3), noise_density=density,
+        )  # fmt: skip
+
+    @classmethod
+    def from_gradient(
+        cls, gradient: Scalar | Pair, capacitance: Scalar | Pair, *, bias: Scalar, feedback: Scalar | Pair,
+        capacitance_mismatch: Scalar | Pair = 0.0, **further: Any,
+    ) -> "ChargeAmplifier":  # fmt: skip
+        """The pick-off whose capacitance changes by `gradient` [F/m], from `capacitance` [F] at rest, which its two
+        halves miss by `capacitance_mismatch` [F] in all; `further` are fields of the circuit.
+
+        The combs are one pair of fingers with that capacitance: the mass may travel until it is gone. Raises
+        `InputError` unless gradient and capacitance are positive.
+        """
+        gradient, capacitance, mismatch = map(_as_pair, (gradient, capacitance, capacitance_mismatch))
+        for name, pair in (("gradient", gradient), ("capacitance", capacitance)):
+            for value in pair:
+                check_positive(name, value)
+        return cls(
+            fingers=1.0, width=tuple(g * _GAP / PERMITTIVITY for g in gradient), gap=_GAP,
+            overlap=tuple(c / g for c, g in zip(capacitance, gradient, strict=True)),
+            mismatch=tuple(0.5 * m / g for m, g in zip(mismatch, gradient, strict=True)),
+            bias=bias, feedback=feedback, **{"parasitic": 0.0, "opamp_offset": 0.0, **further},
         )  # fmt: skip
 
     @property

@@ -28,7 +28,7 @@ from memsgyro_jax.montecarlo.spread import Normal, Root, Spread, Vary
 from memsgyro_jax.tuning.tunable import Tunable, free
 
 from .completed import USUAL_SPREAD, completed, left_to_device
-from .hardware import Charge, Device, Fitted, FittedReadout, Readout, SingleMass
+from .hardware import Charge, Device, Fitted, FittedReadout, Readout, SingleMass, unit_of_device
 from .laws import Anneal, Controller, Kalman, Observer, discretisation
 from .numbers import entries_of, unit_at
 from .output import Filter
@@ -96,8 +96,8 @@ class StudyFile(FileSection):
         if first == "start":
             return "m" if path in ("start.0", "start.1") else "m/s"
         if first in ("device", "readout", "filter") and len(rest) == 1 and getattr(self, first) is not None:
-            section = type(getattr(self, first))
-            return field_unit(SingleMass if section is Fitted else section, rest[0])
+            section = getattr(self, first)
+            return unit_of_device(section, rest[0]) if first == "device" else field_unit(type(section), rest[0])
         profiles = getattr(self.scenario, rest[0], ()) if first == "scenario" and rest else ()
         if isinstance(profiles, tuple) and len(profiles) == 1:
             return field_unit(type(profiles[0]), rest[-1])
@@ -270,7 +270,8 @@ def _device_of(file: StudyFile, source: Source, own: tuple[Effect, ...]) -> tupl
         with source.section("device", "file"):
             gyro, model = file.device.read(own)
     else:
-        gyro, model = file.device.build(), None
+        with source.section("device"):
+            gyro, model = file.device.build(), None
     labels = [effect.label for effect in gyro.effects]
     for number, entry in enumerate(file.effects):
         with source.section("effects", number, "name"):

@@ -1,6 +1,6 @@
 """Sections `[device]` and `[readout]` of a study file."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
@@ -16,10 +16,13 @@ from memsgyro_jax.base.quantity import (
     Kilogram,
     Metre,
     Pair,
+    Radian,
+    Rate,
     Share,
     Stiffness,
     Volt,
     Whole,
+    field_unit,
 )
 from memsgyro_jax.device.gyro import VX, VY, AbstractGyro, DualMassGyro, SingleMassGyro, X, Y
 from memsgyro_jax.effects import Effect
@@ -78,6 +81,45 @@ class DualMass(FileSection):
         return DualMassGyro(**self.numbers())
 
 
+Quality = Annotated[float, Field(gt=0.0), In("1")]
+
+
+class SingleModes(FileSection):
+    """`kind = "single_mass"` with `frequency`: a mass by its modes, see `SingleMassGyro.from_modes`.
+
+    `angle` or `quadrature` says how the modes couple, with neither they do not.
+    """
+
+    kind: Literal["single_mass_modes"]
+    mass: Kilogram
+    frequency: tuple[Hertz, Hertz]
+    quality_factor: Pair[Quality]
+    angle: Radian | None = None
+    quadrature: Rate | None = None
+    cross_damping: Annotated[float, Field(gt=-1.0, lt=1.0), In("1")] = 0.0
+    rotating_frame: bool = False
+
+    def build(self) -> AbstractGyro:
+        """The device; raises `InputError` where it cannot exist."""
+        return SingleMassGyro.from_modes(**self.numbers())
+
+
+class DualModes(FileSection):
+    """`kind = "dual_mass"` with `frequency`: two masses by their modes, see `DualMassGyro.from_modes`."""
+
+    kind: Literal["dual_mass_modes"]
+    mass_x: Kilogram
+    mass_y: Kilogram
+    frequency: tuple[Hertz, Hertz]
+    quality_factor: Pair[Quality]
+    quadrature: Rate = 0.0
+    rotating_frame: bool = False
+
+    def build(self) -> AbstractGyro:
+        """The device; raises `InputError` where it cannot exist."""
+        return DualMassGyro.from_modes(**self.numbers())
+
+
 class Fitted(FileSection):
     """`file = "device.toml"`: what `memsgyro fit --out` or `memsgyro diagnose --out` found, its effects included; the
     file name starts at the folder of the study file.
@@ -99,12 +141,27 @@ class Fitted(FileSection):
         return gyro, model
 
 
-def _kind_of_file(given: Any) -> Any:
-    """A device that names a file needs no kind."""
-    return {"kind": "fitted", **given} if isinstance(given, dict) and "file" in given else given
+def _kind_by_keys(given: Any) -> Any:
+    """A device that names a file needs no kind; one with frequencies is given by its modes."""
+    if not isinstance(given, dict):
+        return given
+    if "file" in given:
+        return {"kind": "fitted", **given}
+    return {**given, "kind": f"{given['kind']}_modes"} if "frequency" in given and given.get("kind") in _BOTH else given
 
 
-Device = Annotated[SingleMass | DualMass | Fitted, Field(discriminator="kind"), BeforeValidator(_kind_of_file)]
+_BOTH = ("single_mass", "dual_mass")
+Device = Annotated[
+    SingleMass | DualMass | SingleModes | DualModes | Fitted,
+    Field(discriminator="kind"),
+    BeforeValidator(_kind_by_keys),
+]
+
+
+def unit_of_device(part: FileSection, name: str) -> str | None:
+    """Unit of number `name` of the device that a section describes, by its modes or by a fit too."""
+    masses = SingleMass if isinstance(part, SingleMass | SingleModes | Fitted) else DualMass
+    return field_unit(masses, name)
 
 
 class Converter(FileSection):
@@ -149,20 +206,54 @@ class Charge(FileSection):
 
     @model_validator(mode="after")
     def _can_exist(self) -> "Charge":
-        if self.noise_density is not None and self.snr is not None:
-            raise ValueError("must have either noise_density or snr, but has both")
         self.build()
         return self
 
     def build(self) -> AbstractReadout:
         """The read-out; raises `InputError` where it cannot exist."""
-        given = self.numbers()
-        noise, snr, adc = given.pop("noise_density"), given.pop("snr"), given.pop("adc")
-        quiet = ChargeAmplifier(**given, noise_density=noise or 0.0, adc=adc and adc.build())
-        if snr is None:
-            return quiet
-        density = tuple(snr_density(snr.ratio, snr.amplitude, float(s), snr.sample_rate) for s in quiet.scale)
-        return ChargeAmplifier(**given, noise_density=density, adc=quiet.adc)
+        return _amplifier(self, ChargeAmplifier)
+
+
+class Capacitive(FileSection):
+    """`kind = "capacitive"`: a charge amplifier behind a pick-off of `gradient` in F/m and `capacitance` at rest.
+
+    Noise is given as `noise_density` or as `snr`; with neither there is none.
+    """
+
+    kind: Literal["capacitive"]
+    gradient: Pair[Annotated[float, Field(gt=0.0), In("F/m")]]
+    capacitance: Pair[Annotated[float, Field(gt=0.0), In("F")]]
+    capacitance_mismatch: Pair[Farad] = (0.0, 0.0)
+    bias: Volt
+    feedback: Pair[Farad]
+    parasitic: Pair[Farad] = (0.0, 0.0)
+    opamp_offset: Pair[Volt] = (0.0, 0.0)
+    rejection: Annotated[float, Field(ge=0.0, le=1.0), In("1")] = 1.0
+    noise_density: Pair[Density] | None = None
+    snr: Snr | None = None
+    adc: Converter | None = None
+
+    @model_validator(mode="after")
+    def _can_exist(self) -> "Capacitive":
+        self.build()
+        return self
+
+    def build(self) -> AbstractReadout:
+        """The read-out; raises `InputError` where it cannot exist."""
+        return _amplifier(self, ChargeAmplifier.from_gradient)
+
+
+def _amplifier(part: Charge | Capacitive, make: Callable[..., ChargeAmplifier]) -> ChargeAmplifier:
+    """What `make` gives of the section's numbers, with its noise."""
+    given = part.numbers()
+    noise, snr, adc = given.pop("noise_density"), given.pop("snr"), given.pop("adc")
+    if noise is not None and snr is not None:
+        raise ValueError("must have either noise_density or snr, but has both")
+    quiet = make(**given, noise_density=noise or 0.0, adc=adc and adc.build())
+    if snr is None:
+        return quiet
+    density = tuple(snr_density(snr.ratio, snr.amplitude, float(s), snr.sample_rate) for s in quiet.scale)
+    return make(**given, noise_density=density, adc=quiet.adc)
 
 
 class Position(FileSection):
@@ -213,4 +304,4 @@ def _direct(part: Position | Velocity, signals: tuple[int, int]) -> DirectReadou
     return DirectReadout(part.scale, part.offset, part.noise_density, adc, signals)
 
 
-Readout = Annotated[Charge | Position | Velocity | FittedReadout, Field(discriminator="kind")]
+Readout = Annotated[Charge | Capacitive | Position | Velocity | FittedReadout, Field(discriminator="kind")]

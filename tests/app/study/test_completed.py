@@ -8,13 +8,9 @@ import memsgyro_jax as mg
 
 
 def device(low, high):
-    """A device of 3 ug with modes near `low` and `high` [Hz], as text of a study file."""
-    mass, q = 3e-9, 5e3
-    (kx, dx), (ky, dy) = ((mass * (w := 2 * np.pi * f) ** 2, mass * w / q) for f in (low, high))
-    return (
-        f'[device]\nkind = "single_mass"\nmass = "{mass} kg"\nkxx = "{kx} N/m"\nkyy = "{ky} N/m"\n'
-        f'kxy = "{1e-4 * kx} N/m"\ndxx = "{dx} N*s/m"\ndyy = "{dy} N*s/m"\ndxy = "{0.02 * dx} N*s/m"\n'
-    )
+    """A device of 3 ug with modes at `low` and `high` [Hz], as text of a study file."""
+    frequencies = f'frequency = ["{low} Hz", "{high} Hz"]\nquality_factor = 5000\nquadrature = "10 deg/s"\n'
+    return f'[device]\nkind = "single_mass"\nmass = "3 ug"\n{frequencies}'
 
 
 def loaded(tmp_path, text):
@@ -31,6 +27,7 @@ def same_numbers(a, b):
 def test_what_is_open_follows_the_device(tmp_path, low, high):
     study = loaded(tmp_path, device(low, high))
     (tone,), _ = study.loop.controller.tones
+    np.testing.assert_allclose(mg.mode_frequencies(study.loop.device), (low, high), rtol=1e-12)
     assert float(tone.frequency) / low == pytest.approx(600 / 2893.09, rel=0.02)
     moved = float(tone.amplitude) / (2 * np.pi) ** 2 / (low**2 - float(tone.frequency) ** 2)
     assert moved == pytest.approx(0.1706e-6, rel=0.02), "a sixth of the start"
@@ -58,11 +55,11 @@ def test_what_is_said_stays_and_the_rest_follows_it(tmp_path):
     names, prior = study.loop.device.model.names, study.loop.observer.prior
     place = names.index("sigma")
     assert float(prior.theta_std[place] / prior.theta[place]) == pytest.approx(0.04), "as the dies vary"
-    started = study.changed({"loop.displacement": ["3e-7 m", "0 m"], "device.mass": "3.6e-9 kg"})
+    started = study.changed({"loop.displacement": ["3e-7 m", "0 m"], "device.frequency": ["18 kHz", "21 kHz"]})
     assert float(started.loop.observer.prior.motion[0]) == 3e-7
     (tone,), _ = started.loop.controller.tones
     (before,), _ = study.loop.controller.tones
-    assert float(tone.frequency / before.frequency) == pytest.approx(1.2**-0.5, rel=0.01), "a change moves what follows"
+    assert float(tone.frequency / before.frequency) == pytest.approx(0.9, rel=0.01), "a change moves what follows"
     assert study.changed({"controller.tones": []}).loop.controller.tones == ((), ())
 
 
@@ -71,3 +68,60 @@ def test_the_travel_is_that_of_the_combs():
     study = mg.default_study().changed({"readout": {**readout, "overlap": ["30 um", "20 um"]}})
     assert float(study.loop.travel) == pytest.approx(20e-6)
     assert float(study.loop.start[0]) == 4e-7
+
+
+DUAL = """[device]
+kind = "dual_mass"
+mass_x = "3 ug"
+mass_y = "2 ug"
+frequency = ["9 kHz", "10 kHz"]
+quality_factor = [1000, 2000]
+[spread.parameters]
+"device.kyy" = { kind = "normal", std = "0.1 N/m" }
+"""
+READOUT = """[readout]
+kind = "capacitive"
+gradient = "5 nF/m"
+capacitance = "50 fF"
+capacitance_mismatch = "0.1 fF"
+bias = "10 V"
+feedback = "1 pF"
+noise_density = "0.5 uV/sqrt(Hz)"
+"""
+
+
+def test_two_masses_by_their_modes_and_a_readout_by_its_capacitance(tmp_path):
+    study = loaded(tmp_path, DUAL + READOUT)
+    np.testing.assert_allclose(mg.mode_frequencies(study.loop.device), (9e3, 10e3), rtol=1e-12)
+    assert float(study.loop.device.dyy) == pytest.approx(2e-9 * 2 * np.pi * 10e3 / 2000)
+    assert study.spread.items[0].distribution.std == 0.1
+    readout = study.loop.readout
+    np.testing.assert_allclose(readout.scale, -2 * 10.0 / 1e-12 * 5e-9)
+    np.testing.assert_allclose(readout.offset, 1e-16 * 10.0 / 1e-12)
+    assert float(study.loop.travel) == pytest.approx(10e-6), "until the capacitance is gone"
+    assert mg.load_study(study.write(tmp_path / "again.toml")).file == study.file
+    with pytest.raises(mg.InputError, match=r"holds no entry for `device.kxx`"):
+        study.with_numbers(study.loop, ("device.kxx",))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('"9 kHz"', '"9 N/m"', ["line 5, `device.frequency", '"Hz"', '"N/m"']),
+        ("[1000, 2000]", "[1000, 0]", ["line 6, `device.quality_factor", "greater than 0"]),
+        ("[1000, 2000]", "[1000, 2000]\nquadrature = 3", ["line 7, `device.quadrature`", "must carry a unit"]),
+        ("[1000, 2000]", '[1000, 2000]\nquadrature = "1 MHz"', ["line 7", '"rad/s"']),
+        ("[1000, 2000]", '[1000, 2000]\nquadrature = "1e6 deg/s"', ["`device`", "`quadrature` must be smaller"]),
+        ("[1000, 2000]", '[1000, 2000]\nkxx = "3 N/m"', ["line 7, `device.kxx`", "is not known"]),
+        ("quality_factor = [1000, 2000]", "", ["`device.quality_factor`", "is missing"]),
+        ("10 V", "10 m", ["`readout.bias`", '"V"', '"m"']),
+        ("5 nF/m", "0 nF/m", ["`readout.gradient", "greater than 0"]),
+        ('"0.5 uV/sqrt(Hz)"', '"0.5 uV/sqrt(Hz)"\nsnr = { ratio = 100 }', ["`readout`", "either noise_density or snr"]),
+    ],
+)
+def test_what_no_device_has_is_told_with_its_place(tmp_path, old, new, words):
+    assert (DUAL + READOUT).count(old) == 1
+    with pytest.raises(mg.InputError) as error:
+        loaded(tmp_path, (DUAL + READOUT).replace(old, new))
+    for word in words:
+        assert word in str(error.value), str(error.value)

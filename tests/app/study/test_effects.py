@@ -43,7 +43,8 @@ def test_a_fitted_device_brings_its_effects_and_its_readout(written, tmp_path):
     np.testing.assert_allclose([device.mass, device.kxy, device.dyy], [GYRO.mass, GYRO.kxy, GYRO.dyy], rtol=1e-14)
     np.testing.assert_allclose(study.loop.readout.scale, (1e5, 9e4))
     np.testing.assert_allclose(study.loop.readout.noise_density, mg.default_study().loop.readout.noise_density)
-    (note,) = study.notes
+    note, open_ = study.notes
+    assert "follows the device" in open_
     assert "cubic_stiffness x" in note
     assert "quadratic" not in note
     study.write(tmp_path / "again.toml")
