@@ -57,7 +57,7 @@ def main() -> None:
     """Run, tell each fault's end as it comes, and exit with 1 where one was not seen."""
     parser = argparse.ArgumentParser(description="Plants faults in a copy of the package and runs its tests.")
     parser.add_argument("words", nargs="*")
-    parser.add_argument("--all", action="store_true", help="run the whole default suite where a room's tests see nothing")
+    parser.add_argument("--all", action="store_true", help="what a room misses meets the whole suite")
     options = parser.parse_args()
     chosen, missed = faults(options.words), []
     with tempfile.TemporaryDirectory() as place:
