@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.loop.scenario import Chirp, Constant, Ramp, Recorded, Scenario, Sine, Step, as_scenario
+from memsgyro_jax.loop.scenario import Chirp, Constant, Ramp, RandomWalk, Recorded, Scenario, Sine, Step, as_scenario
 
 
 TIMES = np.linspace(0.0, 2.0, 41)
@@ -38,6 +38,15 @@ def test_chirp_integrates_its_frequency():
     for t in TIMES[::4]:
         turns, _ = quad(lambda s: min(1.0 + 29.0 * s, 30.0), 0.0, t, points=[1.0], limit=200)
         assert float(profile.value(t)) == pytest.approx(2.0 * np.sin(2 * np.pi * turns), abs=1e-9)
+
+
+def test_the_variance_of_a_random_walk_grows_by_its_intensity():
+    walks = RandomWalk(intensity=3.0, duration=0.4, start=1.0, realisation=np.arange(4000) / 4000, rows=40)
+    for time in (0.1, 0.4, 9.0):
+        levels = np.asarray(walks.value(time))
+        variance = 3.0 * min(time, 0.4)
+        assert np.mean(levels) == pytest.approx(1.0, abs=4 * np.sqrt(variance / 4000))
+        assert np.var(levels) == pytest.approx(variance, rel=4 * np.sqrt(2 / 4000))
 
 
 @given(st.floats(0.01, 1.9))

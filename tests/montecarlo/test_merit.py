@@ -79,6 +79,10 @@ def test_bias_and_scale_factor_are_the_line_through_the_errors():
     assert found.scale == pytest.approx(-0.05, abs=4 * found.scale_std)
     assert found.bias_std == pytest.approx(0.1 / np.sqrt(400), rel=0.15)
     assert found.scale_std == pytest.approx(0.1 / np.sqrt(np.sum(rate**2)), rel=0.15)
+    few = stats.linregress(rate[:6], rate[:6] ** 2)
+    line = straight_error(rate[:6], rate[:6] ** 2)
+    assert (line.scale, line.scale_std) == pytest.approx((few.slope, few.stderr), rel=1e-9)
+    assert (line.bias, line.bias_std) == pytest.approx((few.intercept, few.intercept_stderr), rel=1e-9)
     alike = straight_error(np.full(400, 1.0), 0.3 + 0.1 * rng.standard_normal(400))
     assert alike.bias == pytest.approx(0.3, abs=0.02)
     assert alike.scale is None

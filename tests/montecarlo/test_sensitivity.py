@@ -12,7 +12,7 @@ import memsgyro_jax as mg
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.loop.scenario import as_scenario
 from memsgyro_jax.montecarlo.sensitivity.corners import signs_of
-from memsgyro_jax.montecarlo.sensitivity.sobol import indices_of
+from memsgyro_jax.montecarlo.sensitivity.sobol import designed_points, indices_of
 from memsgyro_jax.montecarlo.spread import Points
 
 
@@ -83,6 +83,16 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
         ends = indices_of(np.stack([ishigami(x) for x in (a, b, *mixed)]), 0.95, rng)[3][1]
         held += ends[0] <= exact <= ends[1]
     assert held / 60 >= 0.83
+
+
+def test_a_die_with_one_input_of_b_has_the_noise_of_its_die_in_a():
+    points = designed_points(2, 8, 0)
+    a, b, first, second, noisy = points.normal.reshape(5, 8, 2)
+    np.testing.assert_array_equal(first, np.stack([b[:, 0], a[:, 1]], axis=1))
+    np.testing.assert_array_equal(second, np.stack([a[:, 0], b[:, 1]], axis=1))
+    np.testing.assert_array_equal(noisy, a)
+    own, other = np.arange(8), np.arange(8, 16)
+    np.testing.assert_array_equal(points.noise.reshape(5, 8), [own, other, own, own, other])
 
 
 def test_points_with_a_lost_die_are_left_out_and_counted():

@@ -55,6 +55,14 @@ def test_the_distributions_are_what_they_say(loop, quasi):
     assert abs(np.corrcoef(table.T)[0, 1]) < 4.0 / np.sqrt(1024)
 
 
+def test_values_of_a_distribution_by_hand():
+    ends = np.array([0.0, 0.5, 1.0])
+    np.testing.assert_allclose(mg.Uniform(relative=0.2).value(5.0, ends), [4.0, 5.0, 6.0], rtol=1e-14)
+    np.testing.assert_allclose(mg.Uniform(low=-1.0, high=3.0).value(5.0, ends), [-1.0, 1.0, 3.0], rtol=1e-14)
+    np.testing.assert_allclose(mg.Normal(relative=0.3, std=2.0).value(-5.0, ends[1:]), [-3.75, -2.5], rtol=1e-14)
+    np.testing.assert_allclose(mg.Normal(std=2.0, mean=1.0).value(-5.0, ends[1:]), [2.0, 3.0], rtol=1e-14)
+
+
 def test_correlation_is_kept(loop):
     items = (mg.Vary("device.kxx", mg.Normal(relative=0.1)), mg.Vary("device.kyy", mg.Normal(relative=0.1)))
     table = draw(loop, mg.Spread(items, correlation=((1.0, 0.8), (0.8, 1.0))), range(1024)).table

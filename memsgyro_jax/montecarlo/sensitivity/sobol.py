@@ -115,7 +115,7 @@ def sobol(
     """
     _check(spread, points)
     inputs = inputs_of(loop, spread)
-    planned = _points(len(inputs), points, seed)
+    planned = designed_points(len(inputs), points, seed)
     run = run_at(planned, loop, spread, scenario, of, seed, settings)
     found = run.values.reshape(len(run.chosen), len(inputs) + 3, points)
     parts = [indices_of(sets, confidence, np.random.default_rng((seed, k))) for k, sets in enumerate(found)]
@@ -147,7 +147,7 @@ def _check(spread: Spread, points: int) -> None:
         raise InputError(f"Argument `points` must be a power of two, at least 2, but is {points}.")
 
 
-def _points(count: int, points: int, seed: int) -> Points:
+def designed_points(count: int, points: int, seed: int) -> Points:
     """Sets A, B, A with the noise of B, and A with one input of B at a time, one after the other."""
     sequence = stats.qmc.Sobol(2 * count, scramble=True, rng=np.random.default_rng((seed, count)))
     uniform = sequence.random_base2(int(np.log2(points)))
