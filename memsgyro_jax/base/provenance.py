@@ -2,11 +2,14 @@
 
 import functools
 import hashlib
+import inspect
 import platform
+import sys
 import types
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, fields, is_dataclass
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -55,39 +58,87 @@ def fingerprint(*objects: object) -> str:
     """16 hexadecimal digits that change with any number or structure in `objects`, whatever they print, and with any of
     the `versions`, which decide the last bits of a result.
 
-    A number counts alike as a float and as an array of one entry; functions count by their name and code.
+    A number counts alike as a float and as an array of one entry. Functions count by their code and by the numbers and
+    functions of their file that they name, classes that are no package's by those of their methods.
     """
     digest = hashlib.sha256(repr(versions()).encode())
-    for part in _parts(objects):
+    for part in _parts(objects, set()):
         digest.update(part)
         digest.update(b"\0")
     return digest.hexdigest()[:16]
 
 
-def _parts(value: Any) -> Iterator[bytes]:
-    """Everything that makes a value what it is, from the outside in."""
+def _parts(value: Any, seen: set[object]) -> Iterator[bytes]:
+    """Everything that makes a value what it is, from the outside in; of `seen` functions and classes the name alone."""
     if isinstance(value, float | np.generic | np.ndarray | jax.Array):
         array = np.asarray(value)
         yield f"{array.dtype}{array.shape}".encode() + array.tobytes()
         return
     kind = type(value)
     yield f"{kind.__module__}.{kind.__qualname__}".encode()
-    if is_dataclass(kind) and not isinstance(value, type):
-        yield from _parts({field.name: getattr(value, field.name) for field in fields(value)})
+    if is_dataclass(kind):
+        yield from _methods(kind, seen)
+        yield from _parts({field.name: getattr(value, field.name) for field in fields(value)}, seen)
     elif isinstance(value, dict):
         for name, held in value.items():
-            yield from (*_parts(name), *_parts(held))
+            yield from (*_parts(name, seen), *_parts(held, seen))
     elif isinstance(value, tuple | list | set | frozenset):
         yield str(len(value)).encode()
-        for held in value if isinstance(value, tuple | list) else sorted(value):
-            yield from _parts(held)
-    elif isinstance(value, types.FunctionType):
-        yield f"{value.__module__}.{value.__qualname__}".encode()
-        held = tuple(cell.cell_contents for cell in value.__closure__ or ())
-        yield from _parts((value.__code__, value.__defaults__, value.__kwdefaults__, held))
+        for held in value if isinstance(value, tuple | list) else sorted(value, key=repr):
+            yield from _parts(held, seen)
+    elif isinstance(value, type):
+        yield repr(value).encode()
+        yield from _methods(value, seen)
+    elif isinstance(inspect.unwrap(value), types.FunctionType) if callable(value) else False:
+        yield from _function(inspect.unwrap(value), seen)
     elif isinstance(value, types.CodeType):
-        yield from _parts((value.co_code, value.co_names, value.co_consts))
+        yield from _parts((value.co_code, value.co_names, value.co_consts), seen)
     elif isinstance(value, functools.partial):
-        yield from _parts((value.func, value.args, value.keywords))
+        yield from _parts((value.func, value.args, value.keywords), seen)
     else:
         yield repr(value).encode()
+
+
+def _function(function: types.FunctionType, seen: set[object]) -> Iterator[bytes]:
+    """A function and what it names: constants of its file, and functions and classes that stand there too."""
+    yield f"{function.__module__}.{function.__qualname__}".encode()
+    held = tuple(cell.cell_contents for cell in function.__closure__ or ())
+    yield from _parts((function.__code__, function.__defaults__, function.__kwdefaults__, held), seen)
+    if not _own(function) or function in seen:
+        return
+    seen.add(function)
+    for name in sorted(_names(function.__code__) & set(function.__globals__)):
+        named = function.__globals__[name]
+        there = callable(named) and getattr(named, "__module__", None) == function.__module__
+        if there or isinstance(named, _CONSTANTS) or (is_dataclass(named) and not isinstance(named, type)):
+            yield from _parts((name, named), seen)
+
+
+def _methods(kind: type, seen: set[object]) -> Iterator[bytes]:
+    """The methods that a class of the user's has, or inherits from another of them."""
+    if not _own(kind) or kind in seen:
+        return
+    seen.add(kind)
+    for base in filter(_own, kind.__mro__):
+        for name, method in vars(base).items():
+            code = inspect.unwrap(getattr(method, "fget", None) or getattr(method, "func", None) or method)
+            # Of the methods that Python reserves most are made by `dataclass`, and made anew in each process.
+            if isinstance(code, types.FunctionType) and (name == "__call__" or not name.startswith("__")):
+                yield from _parts((name, code), seen)
+
+
+_CONSTANTS = (bool, int, float, complex, str, bytes, tuple, np.generic, np.ndarray, jax.Array)
+
+
+def _own(named: Any) -> bool:
+    """Whether a class or function is the user's, rather than of an installed package."""
+    root = str(named.__module__).split(".")[0]
+    if root in sys.stdlib_module_names | {"builtins", __name__.split(".")[0]}:
+        return False
+    place = Path(getattr(sys.modules.get(root), "__file__", None) or "")
+    return not {"site-packages", "dist-packages"} & set(place.parts)
+
+
+def _names(code: types.CodeType) -> set[str]:
+    inner = [_names(constant) for constant in code.co_consts if isinstance(constant, types.CodeType)]
+    return set(code.co_names).union(*inner)

@@ -1,6 +1,7 @@
 """Objects show their numbers with units, and what tells two of them apart are their numbers."""
 
 import dataclasses
+import types
 
 import equinox as eqx
 import jax
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 import memsgyro_jax as mg
+from memsgyro_jax.base import provenance
 from memsgyro_jax.base.display import Displayed, stated_unit
 from memsgyro_jax.base.provenance import fingerprint
 
@@ -139,3 +141,47 @@ def test_a_fingerprint_does_not_rest_on_what_is_printed():
     assert fingerprint(shifted(1.0)) == fingerprint(shifted(1.0))
     assert fingerprint(lambda time: 2.0 * time) != fingerprint(lambda time: 3.0 * time)
     assert fingerprint(np.ones(2)) != fingerprint(np.ones(2, np.float32))
+
+
+OWN = """
+import equinox as eqx
+import jax
+GAIN = 2.0
+def force(x):
+    return GAIN * x
+class Effect(eqx.Module):
+    size: float
+    @jax.jit
+    def value(self, x):
+        return force(x) + again(self, x)
+def again(effect, x):
+    return 3 * x if x else effect.value(x)
+"""
+
+
+@pytest.mark.parametrize(
+    "change", [("2.0", "2.5"), ("GAIN * x", "GAIN + x"), ("force(x) +", "force(x) -"), ("3 *", "4 *")]
+)
+def test_a_fingerprint_changes_with_the_code_of_a_class_of_ones_own(change):
+    def made(text):
+        module = types.ModuleType("own")
+        exec(compile(text, "own.py", "exec"), vars(module))  # the user's file, edited
+        return fingerprint(module.Effect(1.0))
+
+    assert made(OWN) == made("# told better\n" + OWN)
+    assert made(OWN) != made(OWN.replace(*change))
+
+
+def test_a_fingerprint_changes_with_the_versions_that_decide_bits(monkeypatch):
+    before = fingerprint(1.0)
+    for place, (name, _) in enumerate(provenance.versions()):
+        others = [*provenance.versions()]
+        others[place] = name, "0.0.1"
+        monkeypatch.setattr(provenance, "versions", lambda others=tuple(others): others)
+        assert fingerprint(1.0) != before
+        monkeypatch.undo()
+
+
+def test_a_fingerprint_of_jax_and_sets_is_the_same_twice():
+    values = (jnp.sin, jax.jit(lambda x: x), frozenset({1, "a", None}), jax.nn.relu)
+    assert " at 0x" not in str(list(provenance._parts(values, set())))
