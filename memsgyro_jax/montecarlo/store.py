@@ -124,7 +124,9 @@ class Store:
 
     def _load(self, start: int, stop: int) -> list[int]:
         """Read the rows of these dies that are done and sound; gives the blocks with others that claim to be done."""
-        columns = {name: self._column(array, start, stop) for name, array in self._arrays.items()}
+        # The status first, as it is written last: of a block that another process is writing it says pending.
+        names = (STATUS, SEAL, *self.layout.columns)
+        columns = {name: self._column(self._arrays[name], start, stop) for name in names}
         seals, _ = columns.pop(SEAL)
         rows = {name: values for name, (values, _) in columns.items()}
         written = rows[STATUS] != PENDING

@@ -174,3 +174,22 @@ def test_who_wants_more_dies_shares_the_rest(tmp_path, first):
                 more.write(number, rows_of(number))
         assert more.rows["value"].tobytes() == np.sin(np.arange(14)).tobytes()
         assert one.rows["value"].tobytes() == np.sin(np.arange(first)).tobytes()
+
+
+def test_a_block_that_is_written_while_it_is_read_is_not_taken_for_damaged(tmp_path, monkeypatch):
+    with opened(tmp_path / "s", LAYOUT, 8, BLOCK, resume=False) as one:
+        work = one.unfinished()
+        one.write(next(work), rows_of(0))
+        number, column = next(work), Store._column
+
+        def slow(store, *given):
+            found = column(store, *given)
+            if store is not one:
+                one.write(number, rows_of(number))
+            return found
+
+        monkeypatch.setattr(Store, "_column", slow)
+        with opened(tmp_path / "s", LAYOUT, 8, BLOCK, resume=True) as other:
+            assert other.notes == []
+            assert list(other.unfinished()) == []
+            assert other.rows["value"].tobytes() == np.sin(np.arange(8)).tobytes()
