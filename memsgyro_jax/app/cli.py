@@ -5,10 +5,13 @@ importing JAX. It prints for people, writes files only where it is told to, and 
 can mend is one sentence and exit status 2.
 """
 
+import contextlib
 import functools
 import os
+import signal
 import sys
-from collections.abc import Callable, Sequence
+import threading
+from collections.abc import Callable, Iterator, Sequence
 
 import cyclopts
 
@@ -27,7 +30,8 @@ from .commands.tune import tune_command
 
 
 BAD_INPUT = 2
-INTERRUPTED = 130
+INTERRUPTED = 130  # as shells count: 128 and the number of the signal
+TERMINATED = 143
 BROKEN_PIPE = 1  # as rich does
 
 app = cyclopts.App(
@@ -69,12 +73,38 @@ for _command in (
 def main(tokens: Sequence[str] | None = None) -> None:
     """Runs `memsgyro` and ends the process with its exit status.
 
-    0 is success, 2 bad input or an unusable file (one sentence on standard error), 130 an interruption by Ctrl-C.
+    0 is success, 2 bad input or an unusable file, 130 an interruption by Ctrl-C, 143 an end asked for by `kill` or a
+    batch system (one sentence on standard error each), 1 a reader of the output that has left.
 
     Args:
         tokens: the command line without the program's name; `None` takes it from the process.
     """
-    sys.exit(_run(app, sys.argv[1:] if tokens is None else tokens))
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(AttributeError, ValueError):  # not all that stands in for them is a stream of text
+            stream.reconfigure(errors="replace")  # type: ignore[union-attr]  # `±` is no letter of every locale
+    with _told_to_end():
+        sys.exit(_run(app, sys.argv[1:] if tokens is None else tokens))
+
+
+class _Terminated(BaseException):
+    """Somebody asked this process to end."""
+
+
+@contextlib.contextmanager
+def _told_to_end() -> Iterator[None]:
+    """SIGTERM ends this process as Ctrl-C does, so that it tidies up, and not where it stands."""
+
+    def end(*_: object) -> None:
+        raise _Terminated
+
+    if threading.current_thread() is not threading.main_thread():  # only there Python takes signals
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _run(application: cyclopts.App, tokens: Sequence[str]) -> int:
@@ -89,6 +119,8 @@ def _run(application: cyclopts.App, tokens: Sequence[str]) -> int:
         return _say(f"{_one_line(str(error))} See `memsgyro --help`.", BAD_INPUT)
     except KeyboardInterrupt:
         return _say("Interrupted.", INTERRUPTED)
+    except _Terminated:
+        return _say("Terminated.", TERMINATED)
     except BrokenPipeError:
         # The reader of the pipe has left (`memsgyro ... | head`); Python would complain when it closes the stream.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

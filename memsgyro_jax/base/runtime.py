@@ -96,7 +96,8 @@ def usable_cores() -> int:
 
 
 def cache_directory() -> Path | None:
-    """Directory for compiled programs and the probe's answer, or `None` where none is wanted (`MEMSGYRO_NO_CACHE`).
+    """Directory for compiled programs and the probe's answer, or `None` where none is wanted (`MEMSGYRO_NO_CACHE`) or
+    the user has no home.
 
     It is divided by jaxlib version and by processor, because a compiled program holds instructions of the machine that
     made it and home directories are shared between the nodes of a cluster.
@@ -106,7 +107,11 @@ def cache_directory() -> Path | None:
     from platformdirs import user_cache_path
 
     processor = hashlib.sha256(f"{platform.machine()} {_processor_features()}".encode()).hexdigest()[:12]
-    return user_cache_path("memsgyro_jax") / f"jaxlib-{version('jaxlib')}-{processor}"
+    try:
+        cache = user_cache_path("memsgyro_jax")
+    except RuntimeError:  # no home is known; earlier versions give a path below `~`, which would be a folder here
+        return None
+    return cache / f"jaxlib-{version('jaxlib')}-{processor}" if cache.is_absolute() else None
 
 
 def _missing_flags(present: str, devices: int) -> list[str]:
@@ -140,8 +145,9 @@ def _known(flags: list[str]) -> list[str]:
     directory = cache_directory()
     asked = hashlib.sha256(" ".join(flags).encode()).hexdigest()[:12]
     answer = directory / f"flags-{asked}" if directory else None
-    if answer and answer.is_file():
-        return answer.read_text().split()
+    with contextlib.suppress(OSError, ValueError):
+        if answer:
+            return answer.read_text().split()
     known = flags if _starts_with(flags) else [part for flag in flags if (part := _known_part(flag))]
     if answer:
         with contextlib.suppress(OSError):  # a cache that cannot be written only costs the next start a probe

@@ -110,6 +110,18 @@ def test_chunks_in_each_others_place_are_computed_again(broken):
     assert_wanted(rows)
 
 
+def test_a_whole_block_in_anothers_place_is_computed_again(broken):
+    for column in (*LAYOUT.columns, "seal", STATUS):
+        files = [next(iter((broken / column / "c").rglob(name)), None) for name in ("0", "1")]
+        if column == "right":
+            files = [broken / column / "c" / name / "0" for name in ("0", "1")]
+        if files[0] is not None:
+            shutil.copy(*files)
+    computed, rows, _ = gone_on(broken)
+    assert computed == [1]
+    assert_wanted(rows)
+
+
 def test_metadata_are_written_anew_and_told(broken):
     file = broken / "left" / "zarr.json"
     file.write_text(file.read_text().replace('"float64"', '"float32"'))

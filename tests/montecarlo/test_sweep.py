@@ -78,9 +78,11 @@ def test_fewer_dies_are_the_beginning_of_more(loop, reference):
     assert_same_bits(mg.sweep(loop, SPREAD, dies=13, chunk=8, **SHORT).to_xarray(), reference, 13)
 
 
-def test_one_device_gives_the_bits_of_two(reference, fresh_python, tmp_path):
+def test_one_core_without_assertions_locale_or_home_gives_the_bits_of_two_devices(reference, fresh_python, tmp_path):
     kept = os.environ.get("XDG_CACHE_HOME", str(Path.home() / ".cache"))  # what does not differ need not be compiled
-    done = fresh_python("-c", SCRIPT.format(devices=1, dies=40), str(tmp_path / "one"), XDG_CACHE_HOME=kept)
+    one_core = "import os; os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})\n"
+    bare = {"XDG_CACHE_HOME": kept, "HOME": "/nowhere", "LC_ALL": "C", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0"}
+    done = fresh_python("-O", "-c", one_core + SCRIPT.format(devices=None, dies=40), str(tmp_path / "one"), **bare)
     assert done.returncode == 0, done.stderr
     assert_same_bits(stored(tmp_path / "one"), reference, 40)
 
@@ -228,11 +230,6 @@ def assert_kills_lose_nothing(loop, tmp_path, moments) -> None:
 
 def test_a_killed_sweep_resumes_to_the_same_bits(loop, tmp_path):
     assert_kills_lose_nothing(loop, tmp_path, [0.05, 0.2])
-
-
-@pytest.mark.slow
-def test_fifty_kills_lose_nothing(loop, tmp_path):
-    assert_kills_lose_nothing(loop, tmp_path, np.random.default_rng(0).uniform(0.0, 0.6, 50))
 
 
 def test_the_default_lot_is_consistent_and_at_the_bound(loop):

@@ -1,0 +1,69 @@
+"""Surroundings that are not what one hopes for: a sentence and the documented exit status, or the same result."""
+
+import os
+import signal
+import time
+
+import pytest
+
+from memsgyro_jax.app import cli
+from memsgyro_jax.base import runtime
+from memsgyro_jax.montecarlo.store import Store
+
+
+PROGRAM = """
+from memsgyro_jax import cli
+@cli.app.command
+def figures() -> None:
+    print("1 ± 2")
+cli.main()
+"""
+SURROUNDINGS = [
+    # (options of Python, environment, what is printed)
+    ([], {"PYTHONIOENCODING": "ascii"}, "1 ? 2\n"),
+    ([], {"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0"}, "1 ? 2\n"),
+    (["-O"], {"HOME": "/nowhere", "PYTHONIOENCODING": "utf-8"}, "1 ± 2\n"),
+]
+
+
+@pytest.mark.parametrize(("python", "environment", "printed"), SURROUNDINGS)
+def test_figures_are_printed_in_any_surroundings(fresh_python, tmp_path, python, environment, printed):
+    (tmp_path / "program.py").write_text(PROGRAM, encoding="utf-8")
+    done = fresh_python(*python, "program.py", "figures", **environment)
+    assert (done.returncode, done.stdout, done.stderr) == (0, printed, "")
+
+
+def test_output_that_finds_no_room_is_one_sentence(fresh_python):
+    code = """
+import subprocess, sys
+with open("/dev/full", "w") as full:
+    command = [sys.executable, "-m", "memsgyro_jax.app.cli", "--version"]
+    done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True)
+print(done.returncode, done.stderr, end="")
+"""
+    assert fresh_python("-c", code).stdout == "2 No space left on device.\n"
+
+
+@pytest.mark.parametrize(
+    ("number", "status", "sentence"), [(signal.SIGINT, 130, "Interrupted.\n"), (signal.SIGTERM, 143, "Terminated.\n")]
+)
+def test_a_sweep_that_is_told_to_end_tidies_up(tmp_path, capsys, monkeypatch, number, status, sentence):
+    def asked(store):
+        os.kill(os.getpid(), number)
+        time.sleep(10.0)
+        yield 0
+
+    monkeypatch.setattr(Store, "unfinished", asked)
+    with pytest.raises(SystemExit) as end:
+        cli.main(["sweep", "--sample-rate", "20e3", "--duration", "0.01", "--out", str(tmp_path / "out")])
+    assert end.value.code == status
+    assert capsys.readouterr().err == sentence
+    assert [file.name for file in (tmp_path / "out").iterdir()] == ["dies.zarr"]
+    assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
+
+
+def test_who_has_no_home_keeps_no_cache(monkeypatch):
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    assert runtime.cache_directory() is not None
+    monkeypatch.setattr("os.path.expanduser", lambda path: path)  # neither HOME nor an entry in the list of users
+    assert runtime.cache_directory() is None
