@@ -27,6 +27,7 @@ MEANING = {
     DIVERGED: "diverged (impossible under what its filter claims)",
 }
 COVARIANCE = ("standardised", "correlation")  # rows that `nees` turns into a figure
+_KEPT = ("lost_at", "coefficient_true")  # rows that a lost die has too
 _SINGULAR = 1e-12  # least eigenvalue of a correlation matrix that is inverted
 
 
@@ -157,6 +158,8 @@ def rows_of(loop: ClosedLoop, scenario: Scenario, design: ClosedLoop, words: tup
     nothing = jnp.full(words[0].shape, jnp.nan)
     channels = [jnp.mean(nis[settled], axis=0) if estimate.innovation else nothing for nis in innovations]
     relative = [_relative(e, t) for e, t in zip(estimate.theta, truth, strict=True)]
+    # A known coefficient that does not vary is one number for all dies.
+    over_dies = lambda numbers: jnp.stack([jnp.broadcast_to(number, words[0].shape) for number in numbers])  # noqa: E731
     rows = {
         "lost_at": jnp.where(done.alive, jnp.nan, done.blocks_alive * plan.block * plan.period),
         "rate_error_end": loop.rate(done.state) - conditions.inertial.rate,
@@ -166,15 +169,15 @@ def rows_of(loop: ClosedLoop, scenario: Scenario, design: ClosedLoop, words: tup
         "convergence_time": jnp.where(outside >= end - 0.5 * plan.period, jnp.nan, outside),
         "nis_mean": sum(channels),
         "nis_channel": jnp.stack(channels),
-        # A known coefficient that does not vary is one number for all dies.
-        "coefficient_error": jnp.stack([jnp.broadcast_to(error, words[0].shape) for error in relative]),
+        "coefficient_true": over_dies(truth),
+        "coefficient_error": over_dies(relative),
         "rate_estimate": rate_true + error,
         "rate_true": rate_true,
     }
     if isinstance(loop.observer, AbstractCovarianceObserver):
         pair = _standardised(loop, loop.observer, done.state, conditions.offset_drift, truth)
         rows |= dict(zip(COVARIANCE, pair, strict=True))
-    hide = {name: jnp.where(done.alive, value, jnp.nan) for name, value in rows.items() if name != "lost_at"}
+    hide = {name: jnp.where(done.alive, value, jnp.nan) for name, value in rows.items() if name not in _KEPT}
     return {**rows, **hide, STATUS: jnp.where(done.alive, OK, LOST).astype(jnp.int8)}
 
 

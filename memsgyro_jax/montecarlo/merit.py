@@ -50,6 +50,40 @@ def percentiles(errors: Float[np.ndarray, " dies"]) -> Percentiles:
     return Percentiles(float(np.sqrt(np.mean(size**2))), float(median), float(high), float(ends.low), float(ends.high))
 
 
+class Ratio(NamedTuple):
+    """Root mean square, over `dies`, of each die's error over its own bound, with its 95 % interval `low`..`high`, and
+    the median magnitude over that of a standard normal number (0.674), which a few bad dies do not move.
+    """
+
+    value: float
+    low: float
+    high: float
+    median: float
+    dies: int
+
+
+_MEDIAN = float(stats.norm.ppf(0.75))
+
+
+def ratio(errors: Float[np.ndarray, " dies"], bounds: Float[np.ndarray, " dies"]) -> Ratio | None:
+    """Errors over bounds, where both are finite; None without any.
+
+    The interval is that of chi-square with as many degrees of freedom as the scatter of the squares shows, at most the
+    number of dies (F. E. Satterthwaite, Biometrics Bulletin 2 (1946) 110): exact for normal errors, wide where a few
+    dies make the mean.
+    """
+    square = (errors / bounds) ** 2
+    square = square[np.isfinite(square)]
+    if square.size == 0:
+        return None
+    mean, scatter = float(np.mean(square)), float(np.var(square))
+    dof = min(2.0 * square.size * mean**2 / scatter, float(square.size)) if scatter > 0.0 else float(square.size)
+    low, high = np.sqrt(mean * dof / stats.chi2.ppf([0.975, 0.025], dof))
+    return Ratio(
+        float(np.sqrt(mean)), float(low), float(high), float(np.sqrt(np.median(square))) / _MEDIAN, square.size
+    )
+
+
 class StraightError(NamedTuple):
     """Error of the settled rate over the true one: `bias` [rad/s] and `scale`, the scale-factor error (IEEE 528), each
     with its standard deviation. `scale` is None where all dies turn alike; `bias` is then their mean error.

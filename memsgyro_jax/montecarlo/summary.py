@@ -3,6 +3,8 @@
 from dataclasses import asdict, astuple, dataclass
 
 import numpy as np
+from jaxtyping import Float
+from scipy import stats
 
 from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.files import finite
@@ -11,15 +13,18 @@ from memsgyro_jax.base.text import aligned
 from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.observers import AbstractCovarianceObserver
 
-from .batch import LOST, OK, STATUS, Plan
+from .batch import DIVERGED, LOST, OK, STATUS, Plan
+from .divergence import Divergence
 from .merit import (
     Following,
     Percentiles,
     Proportion,
+    Ratio,
     StraightError,
     following,
     percentiles,
     proportion,
+    ratio,
     straight_error,
 )
 
@@ -31,10 +36,13 @@ SCHEMA = "memsgyro-sweep/1"
 class Summary(Shown):
     """Figures of a lot, in SI; `as_dict` gives the machine-readable form with its units in the names.
 
-    `end` and `settled` are over the dies that were not lost; `bound` is the root mean square over dies of the least
-    standard deviation any unbiased use of the same data and prior could reach at the end, None where it does not apply.
-    `nees` is the mean over dies, `states` its expectation; `straight` holds bias and scale-factor error. `steps_per_s`
-    is None when a single batch left nothing to time after compiling.
+    `end` and `settled` are over the dies that were not lost, `sound` over those that did not diverge either; `failed`
+    dies were lost, `divergence` tells which of the others' filters were. `bound` is the root mean square over dies of
+    the least standard deviation any unbiased use of the same data and prior could reach at the end, `reached` compares
+    each die's error with its own bound; both are None where there is no bound.
+    `nees` is the mean over dies, `nees_median` their median, `states` the expectation of the mean; `straight` holds
+    bias and scale-factor error. `notes` were told before the run. `steps_per_s` is None when a single batch left
+    nothing to time after compiling.
     """
 
     dies: int
@@ -42,17 +50,26 @@ class Summary(Shown):
     end: Percentiles
     settled: Percentiles
     series_std: float
+    sound: Percentiles
+    divergence: Divergence
     bound: float | None
-    ratio_to_bound: float | None
+    reached: Ratio | None
     nees: float | None
+    nees_median: float | None
     states: int | None
     nis: float | None
     convergence_time: float | None
     good: Proportion
     following: Following | None
     straight: StraightError | None
+    notes: tuple[str, ...]
     steps_per_s: float | None
     settings: Settings
+
+    @property
+    def ratio_to_bound(self) -> float | None:
+        """Root mean square, over the dies, of error over that die's bound."""
+        return None if self.reached is None else self.reached.value
 
     def as_dict(self) -> dict[str, object]:
         """The content of `summary.json`."""
@@ -61,17 +78,25 @@ class Summary(Shown):
             "schema": SCHEMA,
             "dies": self.dies,
             "failed": self.failed,
-            "rate_error_dps": {"end": degrees(self.end), "settled": degrees(self.settled)},
+            "diverged": {"count": len(self.divergence.dies), **asdict(self.divergence)},
+            "rate_error_dps": {
+                "end": degrees(self.end),
+                "settled": degrees(self.settled),
+                "end_without_diverged": degrees(self.sound),
+            },
             "rate_series_std_dps": float(np.degrees(self.series_std)),
             "bound_dps": None if self.bound is None else float(np.degrees(self.bound)),
             "ratio_to_bound": self.ratio_to_bound,
+            "ratio_to_own_bound": None if self.reached is None else self.reached._asdict(),
             "nees": self.nees,
+            "nees_median": self.nees_median,
             "nees_expected": self.states,
             "nis": self.nis,
             "convergence_time_s": self.convergence_time,
             "yield": asdict(self.good),
             "following": None if self.following is None else _following(self.following),
             **({} if self.straight is None else _straight(self.straight)),
+            "notes": list(self.notes),
             "steps_per_s": self.steps_per_s,
             "seed": self.settings.seed,
             "sample_rate_hz": self.settings.sample_rate,
@@ -83,18 +108,21 @@ class Summary(Shown):
 
     def rows(self) -> list[tuple[str, str]]:
         """Name and value as text, for a table."""
-        end, settled = (tuple(np.degrees([p.rms, p.p50, p.p95])) for p in (self.end, self.settled))
+        diverged = len(self.divergence.dies)
+        unknown = self.divergence.unjudged
         rows = [
-            ("dies", f"{self.dies}, of which {self.failed} lost"),
-            ("rate error at the end (rms, median, 95 %)", "{:.3g}, {:.3g}, {:.3g} deg/s".format(*end)),
-            ("rate error over the settled part", "{:.3g}, {:.3g}, {:.3g} deg/s".format(*settled)),
+            ("dies", f"{self.dies}, of which {self.failed} lost" + ("" if unknown else f", {diverged} diverged")),
+            *([("diverged dies", f"unknown, because {unknown}")] if unknown else []),
+            *(("  diverged, likely because", cause) for cause in self.divergence.causes),
+            ("rate error at the end (rms, median, 95 %)", _triple(self.end)),
+            *([("  without the diverged dies", _triple(self.sound))] if diverged else []),
+            ("rate error over the settled part", _triple(self.settled)),
             ("standard deviation within one run", f"{np.degrees(self.series_std):.3g} deg/s"),
         ]
-        if self.bound is not None and self.ratio_to_bound is not None:
-            text = f"{np.degrees(self.bound):.3g} deg/s (reached x {self.ratio_to_bound:.3g})"
-            rows.append(("information bound at the end", text))
-        if self.nees is not None:
-            rows.append(("consistency (NEES, NIS)", f"{self.nees:.3g} of {self.states}, {self.nis:.3g} of 2"))
+        if self.bound is not None and self.reached is not None:
+            rows.append(("information bound at the end (rms)", f"{np.degrees(self.bound):.3g} deg/s"))
+            rows.append(("error over each die's own bound", _reached_text(self.reached, self.dies)))
+        rows.append(("consistency (NEES, NIS)", self._consistency()))
         if self.convergence_time is not None:
             rows.append(("median time to converge", f"{1e3 * self.convergence_time:.3g} ms"))
         share = "{:.1f} % ({:.1f} to {:.1f} %)".format(*(100.0 * v for v in astuple(self.good)[:3]))
@@ -103,9 +131,19 @@ class Summary(Shown):
             rows.append(("bias, scale-factor error", _straight_text(self.straight)))
         if self.following is not None:
             rows.append(("varying rate followed", _following_text(self.following)))
+        rows += [("note", note) for note in self.notes]
         if self.steps_per_s is not None:
             rows.append(("speed after compiling", f"{self.steps_per_s / 1e6:.3g} million steps/s"))
         return rows
+
+    def _consistency(self) -> str:
+        nis = "NIS unknown (the observer claims no innovations)" if self.nis is None else f"NIS {self.nis:.3g} of 2"
+        if self.nees is not None and self.nees_median is not None and self.states is not None:
+            middle = f"median {self.nees_median:.3g} of {stats.chi2.median(self.states):.3g}"
+            return f"NEES {self.nees:.3g} of {self.states} ({middle}), {nis}"
+        if self.states is None:
+            return f"NEES unknown (the observer claims no covariance), {nis}"
+        return f"NEES unknown (the claimed covariance is singular: something is taken as known exactly), {nis}"
 
     def __repr__(self) -> str:
         return aligned(self.rows())
@@ -116,16 +154,20 @@ def summarise(
     plan: Plan,
     settings: Settings,
     loop: ClosedLoop,
-    bound: float | None,
+    bounds: Float[np.ndarray, " dies"] | None,
+    divergence: Divergence,
+    notes: tuple[str, ...],
     speed: float | None,
 ) -> Summary:
-    """Figures over the dies of `rows` that were computed; lost dies count as failed and never as numbers."""
+    """Figures over the dies of `rows` that were computed; lost dies count as failed and never as numbers. `bounds` are
+    those of the first dies.
+    """
     status = rows[STATUS]
-    alive = status == OK
+    sound, lost = status == OK, status == LOST
+    alive = sound | (status == DIVERGED)
     end = rows["rate_error_end"][alive]
     good = int(np.sum(np.abs(end) <= plan.tolerance))
-    computed = int(np.sum(alive | (status == LOST)))
-    figures = percentiles(end)
+    computed = int(np.sum(alive | lost))
     nees, nis = (_mean(rows[name][alive]) for name in ("nees_end", "nis_mean"))
     settled = plan.window_times >= plan.settle
     if alive.any():
@@ -133,16 +175,20 @@ def summarise(
         straight = straight_error(true, np.mean(rows["rate_estimate"][alive][:, settled], axis=1) - true)
     else:
         straight = None
+    bounded = bounds is not None and bool(np.isfinite(bounds).any())
     return Summary(
         dies=computed,
-        failed=int(np.sum(status == LOST)),
-        end=figures,
+        failed=int(np.sum(lost)),
+        end=percentiles(end),
         settled=percentiles(rows["rate_error_rms"][alive]),
         series_std=percentiles(rows["rate_series_std"][alive]).rms,
-        bound=bound,
-        ratio_to_bound=None if bound is None or not alive.any() else figures.rms / bound,
+        sound=percentiles(rows["rate_error_end"][sound]),
+        divergence=divergence,
+        bound=percentiles(bounds).rms if bounded else None,
+        reached=ratio(rows["rate_error_end"][: len(bounds)], bounds) if bounded else None,
         nees=nees,
-        states=None if nees is None else _states(loop),
+        nees_median=None if nees is None else float(np.nanmedian(rows["nees_end"][alive])),
+        states=_states(loop),
         nis=nis,
         convergence_time=_median(rows["convergence_time"][alive]),
         good=proportion(good, computed, f"rate error at the end within {np.degrees(plan.tolerance):.3g} deg/s"),
@@ -152,14 +198,23 @@ def summarise(
             rows["rate_estimate"][alive][:, settled],
         ),
         straight=straight,
+        notes=notes,
         steps_per_s=speed,
         settings=settings,
     )
 
 
-def _states(loop: ClosedLoop) -> int:
-    assert isinstance(loop.observer, AbstractCovarianceObserver)  # no other observer gives a NEES
-    return len(loop.observer.states)
+def _states(loop: ClosedLoop) -> int | None:
+    return len(loop.observer.states) if isinstance(loop.observer, AbstractCovarianceObserver) else None
+
+
+def _triple(error: Percentiles) -> str:
+    return "{:.3g}, {:.3g}, {:.3g} deg/s".format(*np.degrees([error.rms, error.p50, error.p95]))
+
+
+def _reached_text(reached: Ratio, dies: int) -> str:
+    share = "" if reached.dies >= dies else f"; over {reached.dies} of {dies} dies"
+    return f"x {reached.value:.3g} rms ({reached.low:.3g} to {reached.high:.3g}), median x {reached.median:.3g}{share}"
 
 
 def _mean(values: np.ndarray) -> float | None:

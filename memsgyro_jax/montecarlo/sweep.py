@@ -20,15 +20,16 @@ from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.provenance import Settings
 from memsgyro_jax.device.propagate import fuses_many_outputs
 from memsgyro_jax.loop import noise
-from memsgyro_jax.loop.bound import information_bound
+from memsgyro_jax.loop.expectation import tell
 from memsgyro_jax.loop.filters import check_fits
 from memsgyro_jax.loop.loop import ClosedLoop
-from memsgyro_jax.loop.observers import AbstractCovarianceObserver
 from memsgyro_jax.loop.scenario import AbstractProfile, Scenario, as_scenario
 from memsgyro_jax.loop.trace import count_steps
 
 from . import batch as lot
-from .batch import STATUS
+from .batch import DIVERGED, OK, STATUS
+from .bounds import own_bounds
+from .divergence import divergence_of, impossible, unexpected
 from .layout import LABELS, DieArray, Layout
 from .spread import DEVICE_PREFIX, Draw, Spread
 from .store import Store, opened
@@ -127,6 +128,7 @@ def sweep(
     settle = 0.5 * duration if settle is None else settle
     _check(dies, settle, duration, tolerance, chunk)
     plan = _plan(sample_rate, duration, settle, tolerance)
+    tell(notes := unexpected(loop, scenario, spread, seed, dies, sample_rate, duration))
     settings = Settings.of(loop, scenario, spread, plan, sample_rate=sample_rate, duration=duration, seed=seed)
     devices = jax.local_devices()
     lanes = _lanes(devices[0].platform)
@@ -135,9 +137,10 @@ def sweep(
     place = nullcontext() if out is None else opened(Path(out) / "dies.zarr", layout, dies, runner.block, resume)
     with place as store:
         rows, speed = _run_all(runner, store, dies, progress)
-        notes = tuple(store.notes) if store else ()
-    bound = _bound(runner, min(dies, bound_dies), sample_rate, duration)
-    return Lot(settings, summarise(rows, plan, settings, loop, bound, speed), rows, layout, notes)
+        told = tuple(store.notes) if store else ()
+    bounds = own_bounds(loop, scenario, spread, seed, min(dies, bound_dies), sample_rate, duration)
+    divergence = divergence_of(rows, loop, scenario, plan)
+    return Lot(settings, summarise(rows, plan, settings, loop, bounds, divergence, notes, speed), rows, layout, told)
 
 
 @dataclass(frozen=True)
@@ -190,6 +193,8 @@ class _Runner:
         found = jax.tree.map(np.asarray, rows)
         pair = [found.pop(name) for name in lot.COVARIANCE if name in found]
         found["nees_end"] = lot.nees(*pair) if pair else np.full(len(places), np.nan)
+        astray = impossible(found, pair[0] if pair else None, self.plan, self.loop.filter is not None)
+        found[STATUS] = np.where(astray & (found[STATUS] == OK), np.int8(DIVERGED), found[STATUS])
         return {**found, "drawn": drawn.table[places]}
 
     def layout(self, settings: Settings) -> Layout:
@@ -207,6 +212,7 @@ class _Runner:
             "nis_mean": one,
             "nis_channel": DieArray(("channel",), (2,), "1"),
             "nees_end": one,
+            "coefficient_true": DieArray(("coefficient",), (len(names),), "SI"),
             "coefficient_error": DieArray(("coefficient",), (len(names),), "1"),
             "rate_estimate": DieArray(("window",), (windows,), "rad/s"),
             "rate_true": DieArray(("window",), (windows,), "rad/s"),
@@ -215,41 +221,6 @@ class _Runner:
         labels = {"coefficient": list(names), "parameter": parameters, "channel": ["x", "y"]}
         attributes = {**settings.as_dict(), **self.plan._asdict(), LABELS: labels}
         return Layout(columns, {"time": ("window", self.plan.window_times, "s")}, attributes)
-
-
-def _bound(runner: _Runner, dies: int, sample_rate: float, duration: float) -> float | None:
-    """Root mean square over the first dies of the least standard deviation of the rate at the end, if there is one.
-
-    The bound is that of a constant rate on a constant device, so there is none where anything varies.
-    """
-    if dies == 0:
-        return None
-    loop = runner.loop
-    conditions = jax.vmap(runner.scenario.at)(jnp.linspace(0.0, duration, 1001))
-    varies = any(float(jnp.ptp(value)) > 0.0 for value in jax.tree.leaves(conditions))
-    if varies or any(float(jnp.min(density)) == 0.0 for density in loop.readout.noise_density):
-        return None
-    observer = loop.observer
-    known: tuple[str, ...] = ()
-    prior = None
-    if isinstance(observer, AbstractCovarianceObserver):
-        known, prior = observer.known, observer.prior
-    if "rate" in known:  # nothing to find
-        return None
-    drawn = runner.spread.draw(loop, runner.scenario, runner.seed, np.arange(dies))
-    found = information_bound(
-        drawn.loop,
-        drawn.scenario,
-        sample_rate=sample_rate,
-        duration=duration,
-        prior=prior,
-        known=known,
-        windows=1,
-        design=loop,
-    )
-    rate = found.rate_std[-1]
-    finite = rate[np.isfinite(rate)]
-    return float(np.sqrt(np.mean(finite**2))) if finite.size else None
 
 
 def _run_all(

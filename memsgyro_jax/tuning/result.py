@@ -13,7 +13,7 @@ from memsgyro_jax.base.files import finite
 from memsgyro_jax.base.provenance import Settings
 from memsgyro_jax.base.text import aligned
 from memsgyro_jax.loop.loop import ClosedLoop
-from memsgyro_jax.montecarlo.batch import LOST, OK
+from memsgyro_jax.montecarlo.batch import LOST
 from memsgyro_jax.montecarlo.sweep import Lot
 
 
@@ -204,12 +204,12 @@ def squared_errors(lot: Lot) -> Float[np.ndarray, " dies"]:
 def merit_of(lot: Lot) -> Merit:
     """The figures of a lot."""
     status, squares = lot.data["status"].values, squared_errors(lot)
-    alive = squares[status == OK]
+    alive = squares[status != LOST]
     nis, nees, states = None, lot.summary.nees, lot.summary.states
     if nees is not None:
-        nis = tuple(float(v) for v in np.nanmean(lot.data["nis_channel"].values[status == OK], axis=0))
+        nis = tuple(float(v) for v in np.nanmean(lot.data["nis_channel"].values[status != LOST], axis=0))
     interval = None
-    if states is not None:
+    if nees is not None and states is not None:
         count = int(np.sum(np.isfinite(lot.data["nees_end"].values)))
         interval = tuple(float(v) for v in stats.chi2.ppf((0.005, 0.995), states * count) / count)
     figures = (_interval(alive, np.mean), _interval(alive, np.median), _interval(alive, _p95))

@@ -10,6 +10,7 @@ import numpy as np
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.effects import load_effects
+from memsgyro_jax.loop.expectation import random_walk
 from memsgyro_jax.loop.scenario import Recorded
 
 from ..study import Study, default_study, load_study, read_rate_record
@@ -61,18 +62,6 @@ def _following(record: Recorded, path: Path, own_study: bool) -> tuple[dict[str,
             "record does (a study file sets `observer.process_noise.rate`)."
         )
     return changes, notes
-
-
-def random_walk(record: Recorded) -> float:
-    """Intensity in (rad/s)²/s of the random walk that resembles a record: 2 · std of the rate · std of its slope.
-
-    A walk with this intensity gains twice the record's variance in the time in which the record changes by its own
-    standard deviation. Zero for a constant rate.
-    """
-    times, rate = np.asarray(record.times), np.asarray(record.values)
-    grid = np.linspace(times[0], times[-1], 4 * len(times))
-    even = np.interp(grid, times, rate)
-    return float(2.0 * np.std(even) * np.std(np.diff(even)) / (grid[1] - grid[0]))
 
 
 def require_writable(*paths: Path | None) -> None:

@@ -11,7 +11,7 @@ from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.scenario import AbstractProfile, Scenario
 
-from ..batch import OK
+from ..batch import LOST
 from ..spread import Points, Spread
 from ..sweep import DEFAULT_TOLERANCE, Lot, sweep
 from .outputs import Output, outputs, values_of
@@ -30,7 +30,7 @@ class Evaluation(NamedTuple):
 
     def lost(self, repeats: int) -> Float[np.ndarray, " places"]:
         """The share of dies lost at each of these places."""
-        return np.mean(np.asarray(self.lot.data["status"]).reshape(-1, repeats) != OK, axis=1)
+        return np.mean(np.asarray(self.lot.data["status"]).reshape(-1, repeats) == LOST, axis=1)
 
     @property
     def told(self) -> dict[str, Any]:

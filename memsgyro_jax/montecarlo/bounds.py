@@ -1,0 +1,55 @@
+"""The information bound of each die of a lot: how well its rate could be known at best."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from memsgyro_jax.loop.bound import information_bound
+from memsgyro_jax.loop.loop import ClosedLoop
+from memsgyro_jax.loop.observers import AbstractCovarianceObserver
+from memsgyro_jax.loop.scenario import Scenario
+
+from .batch import picked
+from .spread import Spread
+
+
+_LANES = 32  # dies side by side
+
+
+def own_bounds(
+    loop: ClosedLoop, scenario: Scenario, spread: Spread, seed: int, dies: int, sample_rate: float, duration: float
+) -> Float[np.ndarray, " dies"] | None:
+    """Least standard deviation of the rate at the end, of each of the first dies, if there is one; NaN for a die whose
+    data and prior say nothing.
+
+    The bound is that of a constant rate on a constant device, so there is none where anything varies.
+    """
+    if dies == 0:
+        return None
+    conditions = jax.vmap(scenario.at)(jnp.linspace(0.0, duration, 1001))
+    varies = any(float(jnp.ptp(value)) > 0.0 for value in jax.tree.leaves(conditions))
+    if varies or any(float(jnp.min(density)) == 0.0 for density in loop.readout.noise_density):
+        return None
+    observer = loop.observer
+    known: tuple[str, ...] = ()
+    prior = None
+    if isinstance(observer, AbstractCovarianceObserver):
+        known, prior = observer.known, observer.prior
+    if "rate" in known:  # nothing to find
+        return None
+    drawn, design = spread.draw(loop, scenario, seed, np.arange(dies)), (loop, scenario)
+    found = []
+    for first in range(0, dies, _LANES):
+        # Always as many side by side: one program, whatever the number of dies.
+        places = np.minimum(first + np.arange(_LANES), dies - 1)
+        made, turning = picked((drawn.loop, drawn.scenario), design, places)
+        bound = information_bound(
+            made, turning, sample_rate=sample_rate, duration=duration, prior=prior, known=known, windows=1, design=loop
+        )
+        found.append(np.broadcast_to(bound.rate_std[-1], places.shape))
+        if np.ndim(bound.rate_std[-1]) == 0:  # all dies are alike
+            found = [np.full(dies, bound.rate_std[-1])]
+            break
+    rate = np.concatenate(found)[:dies]
+    return np.where(np.isfinite(rate), rate, np.nan)

@@ -1,0 +1,161 @@
+"""Which filters were lost although their mass never left its travel, and what is likely to have led them astray.
+
+A filter says how large its errors and innovations may be. Of a die whose filter is right, the normalised estimation
+error squared at the end, the innovations of the settled part and the error of the rate each exceed the limits taken
+here with a probability of `LEVEL`: a die beyond one of them is *diverged*.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy import stats
+
+from memsgyro_jax.device.gyro import mode_frequencies, natural_frequencies
+from memsgyro_jax.device.propagate import Exact
+from memsgyro_jax.loop.expectation import FAR, expectations, folding, moving, unknown_to
+from memsgyro_jax.loop.loop import ClosedLoop
+from memsgyro_jax.loop.observers import AbstractCovarianceObserver
+from memsgyro_jax.loop.scenario import Scenario
+
+from .batch import DIVERGED, STATUS, Plan
+from .spread import Spread
+
+
+LEVEL = 1e-8
+"""Probability that a die whose filter is right is taken as diverged by one of the three
+tests: none is expected in 20 000 dies."""
+
+_LOOKED_AT = 256  # dies drawn before a run
+_SPREAD = 2.0  # times the design's highest mode within which those of the dies are taken to lie
+_NAMED = 5  # dies named in a sentence
+_REMAINDER = 1e-6  # of a whole run, in rad, that a series may leave out
+_ROUNDING = 1e-6  # relative deviation of a known coefficient that is no rounding
+Rows = Mapping[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Divergence:
+    """The diverged dies of a lot by number, and sentences on what is likely to have led them astray.
+
+    `unjudged` says why nothing can be said where the observer claims neither covariance nor innovations.
+    """
+
+    dies: tuple[int, ...] = ()
+    causes: tuple[str, ...] = ()
+    unjudged: str | None = None
+
+
+def impossible(
+    rows: Rows, standardised: Float[np.ndarray, "dies states"] | None, plan: Plan, filtered: bool
+) -> Bool[np.ndarray, " dies"]:
+    """Which dies are beyond what their filters claim, at `LEVEL`. `standardised` are the errors of all states in
+    claimed standard deviations, None without a covariance. The rate of a `filtered` loop is not the estimate the claims
+    speak of, and is left out.
+    """
+    samples = (plan.blocks - plan.settled_window) * plan.block
+    with np.errstate(invalid="ignore", divide="ignore"):
+        rate = np.abs(rows["rate_error_end"] / rows["rate_std_end"])
+    found = rows["nis_mean"] * samples > stats.chi2.isf(LEVEL, 2 * samples)
+    if not filtered:
+        found = found | (rate > stats.norm.isf(0.5 * LEVEL))
+    if standardised is None:
+        return found
+    states = standardised.shape[1]
+    # A singular covariance has no NEES; each error by itself then shares the level with the others.
+    worst = np.max(np.nan_to_num(np.abs(standardised), nan=0.0, posinf=np.inf), axis=1, initial=0.0)
+    alone = np.isnan(rows["nees_end"]) & (worst > stats.norm.isf(0.5 * LEVEL / max(states, 1)))
+    return found | alone | (rows["nees_end"] > stats.chi2.isf(LEVEL, states))
+
+
+def divergence_of(rows: Rows, loop: ClosedLoop, scenario: Scenario, plan: Plan) -> Divergence:
+    """The diverged dies of `rows`, and why."""
+    if not (isinstance(loop.observer, AbstractCovarianceObserver) or loop.observer.claims_innovation):
+        return Divergence(unjudged="the observer claims no covariance and no innovations to judge its errors by")
+    dies = np.flatnonzero(rows[STATUS] == DIVERGED)
+    return Divergence(tuple(dies.tolist()), _causes(rows, dies, loop, scenario, plan) if dies.size else ())
+
+
+def unexpected(
+    loop: ClosedLoop, scenario: Scenario, spread: Spread, seed: int, dies: int, sample_rate: float, duration: float
+) -> tuple[str, ...]:
+    """What a user should know before the run. The first dies are drawn for it only where their own rates or modes may
+    tell more than the design's.
+    """
+    first, highest = np.arange(min(dies, _LOOKED_AT)), float(np.max(mode_frequencies(loop.device)))
+    own = any(item.path.startswith("scenario.") for item in spread.resolved(loop))
+    if not (own or folding(np.array([_SPREAD * highest]), sample_rate).any()):
+        return expectations(loop, scenario, sample_rate, duration)
+    drawn = spread.draw(loop, scenario, seed, first)
+    return expectations(loop, scenario, sample_rate, duration, (drawn.loop.device, drawn.scenario.rate))
+
+
+class _Cause(NamedTuple):
+    """Dies (of the diverged) that a cause holds for, and the cause in words."""
+
+    holds: Bool[np.ndarray, " diverged"]
+    words: str
+
+
+def _causes(rows: Rows, dies: np.ndarray, loop: ClosedLoop, scenario: Scenario, plan: Plan) -> tuple[str, ...]:
+    theta = rows["coefficient_true"][dies]
+    found = [cause for cause in (*_sampling(theta, loop, plan), *_surprises(theta, loop)) if cause.holds.any()]
+    everywhere = unknown_to(loop)
+    if moving(loop.observer, scenario, plan.blocks * plan.block * plan.period):
+        everywhere = (*everywhere, "the rate moves, but the filter holds it constant")
+    texts = [f"{_count(cause.holds, dies)} {cause.words}" for cause in found]
+    texts += [f"all dies: {words}" for words in everywhere]
+    rest = ~np.any([cause.holds for cause in found], axis=0) if found else np.ones(len(dies), bool)
+    if rest.any() and not everywhere:
+        texts.append(
+            f"{_count(rest, dies)} are within what the filter was told: it did not bear being linearised about its "
+            "prior (narrow the prior or the spread, or change the annealing)"
+        )
+    return tuple(texts)
+
+
+def _count(holds: Bool[np.ndarray, " diverged"], dies: np.ndarray) -> str:
+    return f"{int(holds.sum())} of them ({_some(dies[holds])})"
+
+
+def _some(dies: Int[np.ndarray, " dies"]) -> str:
+    return ", ".join(map(str, dies[:_NAMED])) + (", ..." if len(dies) > _NAMED else "")
+
+
+def _sampling(theta: Float[np.ndarray, "dies coefficients"], loop: ClosedLoop, plan: Plan) -> list[_Cause]:
+    """Dies with a mode that their own sampling cannot carry."""
+    modes = natural_frequencies(loop.device.model.assemble(tuple(theta.T)).stiffness)[..., -1]
+    rate = 1.0 / plan.period
+    highest = float(np.nanmax(modes, initial=0.0))
+    above = folding(modes, rate)
+    found = [
+        _Cause(above, f"have a mode of up to {highest:.0f} Hz, too near half the sample rate of {rate:g} Hz or above"),
+        _Cause(np.isnan(modes), "have a stiffness that holds no mode"),
+    ]
+    series = loop.discretisation
+    if isinstance(series, Exact):
+        left_out = (2.0 * np.pi * modes / rate) ** (series.order + 1) / math.factorial(series.order + 1)
+        short = ~above & (left_out * plan.blocks * plan.block > _REMAINDER)
+        found.append(_Cause(short, f"have a mode that a series of order {series.order} cannot carry at {rate:g} Hz"))
+    return found
+
+
+def _surprises(theta: Float[np.ndarray, "dies coefficients"], loop: ClosedLoop) -> list[_Cause]:
+    """Dies whose coefficients the filter takes as known otherwise, or lie far outside its prior."""
+    observer = loop.observer
+    if not isinstance(observer, AbstractCovarianceObserver):
+        return []
+    names, known = np.array(observer.model.names), np.isin(observer.model.names, observer.known)
+    mean, std = (np.asarray([float(v) for v in part]) for part in (observer.prior.theta, observer.prior.theta_std))
+    known |= std == 0.0
+    away = np.abs(theta - mean)
+    off = known & (away > _ROUNDING * np.maximum(np.abs(mean), np.abs(theta)))
+    far = ~known & (away > FAR * std)
+    told = [
+        (off, "differ in what the filter takes as known exactly"),
+        (far, f"lie farther than {FAR:g} standard deviations from the filter's prior"),
+    ]
+    return [_Cause(which.any(axis=1), f"{words}: {', '.join(names[which.any(axis=0)])}") for which, words in told]
