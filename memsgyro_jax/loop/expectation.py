@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy import stats
 
 from memsgyro_jax.base.concrete import is_concrete
 from memsgyro_jax.device.gyro import AbstractGyro, mode_frequencies
@@ -15,8 +16,10 @@ from .observers import AbstractCovarianceObserver, AbstractObserver
 from .scenario import AbstractProfile, Recorded, Scenario
 
 
+_LEVEL = 1e-4  # probability at which a rate within the prior is told as far outside of it
+
 FAR = 4.0
-"""Standard deviations of its prior beyond which something is unexpected: one in 16 000 normal numbers is farther."""
+"""Standard deviations of its prior beyond which a coefficient is unexpected: one in 16 000 normal numbers is."""
 
 SWING = 0.15
 """Relative error of a mode's frequency that a filter passes through before it has settled."""
@@ -36,11 +39,11 @@ def expectations(
     """Sentences on what of `scenario` the observer of `loop` does not expect. `drawn` are the devices of some dies and
     their rates, which trail, where they differ. Nothing is said of traced numbers and of observers without a prior.
     """
-    if not (isinstance(loop.observer, AbstractCovarianceObserver) and is_concrete(loop.observer, scenario)):
+    if not (isinstance(loop.observer, AbstractCovarianceObserver) and is_concrete(loop, scenario)):
         return ()
     device, rate = drawn or (loop.device, scenario.rate)
     rates = _rates(scenario, duration) if drawn is None else np.atleast_1d(np.asarray(rate.value(0.0)))
-    said = (*moving(loop.observer, scenario, duration), *_far(loop.observer, rates))
+    said = (*moving(loop.observer, scenario, duration), *_far(loop.observer, rates, 1 if drawn is None else len(rates)))
     return (*said, *_sampled(np.atleast_2d(mode_frequencies(device))[:, -1], sample_rate))
 
 
@@ -120,7 +123,7 @@ def _sampled(modes: Float[np.ndarray, " dies"], sample_rate: float) -> tuple[str
     return (said,)
 
 
-def _far(observer: AbstractCovarianceObserver, rates: Float[np.ndarray, " rates"]) -> tuple[str, ...]:
+def _far(observer: AbstractCovarianceObserver, rates: Float[np.ndarray, " rates"], dies: int) -> tuple[str, ...]:
     if "rate" not in observer.model.names:
         return ()
     place = observer.model.index("rate")
@@ -132,7 +135,7 @@ def _far(observer: AbstractCovarianceObserver, rates: Float[np.ndarray, " rates"
         pull = f"is {away:.2g} standard deviations from that, and its estimate is pulled back towards it"
         remedy = f"`design_prior(gyro, rate_std={abs(rate - mean):.2g})` expects it"
         said = f"the filter {expected}, but the rate of {np.degrees(rate):.4g} deg/s {pull}; {remedy}."
-        return (said,) if away > FAR else ()
+        return (said,) if away > stats.norm.isf(0.5 * _LEVEL / dies) else ()
     if abs(rate - mean) <= 1e-9 * max(abs(rate), abs(mean)):
         return ()
     return (

@@ -18,6 +18,7 @@ from memsgyro_jax.base.provenance import Settings
 from memsgyro_jax.device.propagate import State4
 
 from . import engine, noise
+from .expectation import expectations, tell
 from .loop import ClosedLoop, Sample
 from .scenario import AbstractProfile, Scenario, as_scenario
 
@@ -209,8 +210,9 @@ def simulate(
 
     `scenario` is a `Scenario`, a profile of the rate, or a constant rate in rad/s. Noise depends on (`seed`, `die`)
     only. Every number of `loop` and `scenario` may be differentiated and mapped from outside (`jax.grad`, `jax.vmap`);
-    settings and status are then filled in as far as they are known. Raises `InputError` for a sample rate that cannot
-    carry the device's modes, and outside float64.
+    settings and status are then filled in as far as they are known. What the observer cannot expect of the run, a
+    moving rate that it holds constant say, is logged before it begins. Raises `InputError` for a sample rate that
+    cannot carry the device's modes, and outside float64.
     """
     runtime.require_float64("simulate")
     steps = count_steps(sample_rate, duration)
@@ -219,6 +221,7 @@ def simulate(
             f"Argument `decimation` must lie between 1 and the {steps} samples, but {decimation} was given."
         )
     scenario, loop = as_scenario(scenario), loop.sampled_at(sample_rate)
+    tell(expectations(loop, scenario, sample_rate, duration))
     words = noise.die_words(jax.random.key(seed), jnp.asarray(die))
     done = _compiled(loop.present, scenario, words, 1.0 / sample_rate, steps // decimation, decimation)
     settings = Settings.of(loop, scenario, sample_rate=sample_rate, duration=duration, seed=seed)

@@ -25,9 +25,9 @@ from .batch import DIVERGED, STATUS, Plan
 from .spread import Spread
 
 
-LEVEL = 1e-8
-"""Probability that a die whose filter is right is taken as diverged by one of the three
-tests: none is expected in 20 000 dies."""
+LEVEL = 1e-12
+"""Probability at which one of the three tests takes a die whose filter is right as diverged: far below one in 20 000
+dies, since the errors of a filter that linearises have longer tails than normal ones."""
 
 _LOOKED_AT = 256  # dies drawn before a run
 _SPREAD = 2.0  # times the design's highest mode within which those of the dies are taken to lie

@@ -100,7 +100,7 @@ def sweep(
     chunk: int | None = None,
     out: str | Path | None = None,
     resume: bool = False,
-    bound_dies: int = 32,
+    bound_dies: int = 256,
     progress: Callable[[int, int], None] | None = None,
 ) -> Lot:
     """Run `dies` dies drawn from `spread` around `loop` and gather their figures of merit.
@@ -111,12 +111,14 @@ def sweep(
     devices or a resume. With `out`, a folder, the rows go to `out/dies.zarr` as they are computed; `resume=True` goes
     on with a store of the same configuration and computes again what is damaged in it. Several processes, of several
     machines too, may work on one store at a time: they share its blocks. `progress(done, dies)` is called after each
-    batch. The information bound is computed for the first `bound_dies` dies (0: not at all); the summary quotes its
-    root mean square over them.
+    batch. The information bound is computed for each of the first `bound_dies` dies (0: not at all), which costs about
+    as much as running them; the summary compares each die's error with its own bound.
 
     Errors, convergence and window means are those of the loop's output, behind its filter where it has one; claimed
     standard deviation, NIS and NEES those of the observer's estimate before the filter, which alone they speak of. The
-    bound holds for any use of the same data and prior, with a filter or without.
+    bound holds for any use of the same data and prior, with a filter or without. A die whose errors or innovations are
+    impossible under what its filter claims (`divergence.LEVEL`) is *diverged*: counted, explained, and part of all
+    figures but those that say so. What the filter cannot expect of the run is logged before it begins.
 
     Raises `InputError` for settings that cannot be run, a store of something else, and outside float64.
     """

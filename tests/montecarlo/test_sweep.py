@@ -20,6 +20,8 @@ from harness import PERCENTILES
 import memsgyro_jax as mg
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.gyro import SINGLE_MASS, MotionModel
+from memsgyro_jax.montecarlo.batch import DIVERGED, OK, Plan
+from memsgyro_jax.montecarlo.divergence import divergence_of
 from memsgyro_jax.montecarlo.spread import AbstractDistribution
 
 
@@ -122,6 +124,35 @@ def test_an_observer_from_outside_the_package_can_be_swept(small):
     lot = mg.sweep(replace(small, observer=Wrapped(small.observer)), SPREAD, dies=2, **SHORT)
     assert lot.summary.nis is not None
     assert lot.summary.nees is None
+    assert "NEES unknown (the observer claims no covariance), NIS" in repr(lot)
+
+
+def test_filters_that_take_as_known_what_varies_are_diverged_and_told_so(loop, reference, tmp_path):
+    """What varies by 15 % makes the claims of a filter that is sure of it impossible, within travel or not."""
+    sure = eqx.tree_at(lambda made: made.observer.prior, loop, mg.design_prior(loop.device, spread=0.0))
+    lot = mg.sweep(sure, SPREAD, dies=8, chunk=8, out=tmp_path, **SHORT)
+    assert lot.summary.divergence.dies == tuple(range(8))
+    assert lot.summary.failed == 0
+    (cause,) = lot.summary.divergence.causes
+    assert cause.startswith("8 of them (0, 1, 2, 3, 4, ...) differ in what the filter takes as known exactly: kxx, kyy")
+    assert np.all(stored(tmp_path)["status"].values == DIVERGED)
+    assert np.isnan(lot.summary.sound.rms)
+    assert np.isfinite(lot.summary.end.rms)
+    text = repr(lot)
+    assert "0 lost, 8 diverged" in text
+    assert "NEES unknown (the claimed covariance is singular" in text
+    assert np.all(reference["status"].values == OK)
+
+
+def test_without_claims_divergence_is_unknown(small):
+    readout = mg.DirectReadout.of_velocity(1e5)
+    observer = mg.LyapunovObserver.for_device(small.device, readout)
+    made = replace(small, observer=observer, readout=readout)
+    found = divergence_of({}, made, mg.Scenario(), Plan(1e-5, 1, 1, 0.0, 1.0))
+    assert found.unjudged == "the observer claims no covariance and no innovations to judge its errors by"
+    lot = mg.sweep(small, mg.Spread(), dies=8, chunk=8, **SHORT)
+    assert "0 lost, 0 diverged" in repr(lot)
+    assert "unknown, because the observer claims" in repr(replace(lot.summary, divergence=found))
 
 
 @pytest.mark.parametrize("share", [1, 10, 50])
@@ -234,16 +265,20 @@ def test_a_killed_sweep_resumes_to_the_same_bits(loop, tmp_path):
 
 def test_the_default_lot_is_consistent_and_at_the_bound(loop):
     """128 dies of the main job: a ratio to the bound of 1 within its sampling error, and a consistent filter."""
-    lot = mg.sweep(loop, SPREAD, dies=128, bound_dies=128)
+    lot = mg.sweep(loop, SPREAD, dies=128)
     figures = lot.summary
     assert figures.failed == 0
+    assert figures.divergence.dies == ()
+    assert figures.reached.dies == 128
+    assert figures.reached.low < figures.ratio_to_bound < figures.reached.high
     assert figures.ratio_to_bound == pytest.approx(1.0, abs=3.0 / np.sqrt(2 * 128))
+    assert figures.reached.median == pytest.approx(1.0, abs=4.0 * 1.17 / np.sqrt(128))
     assert figures.nees == pytest.approx(14.0, abs=3.0 * np.sqrt(2 * 14 / 128))
     assert figures.nis == pytest.approx(2.0, abs=0.02)
     text = json.loads(json.dumps(figures.as_dict()))
     assert set(text) >= {
         "schema", "dies", "failed", "rate_error_dps", "bound_dps", "ratio_to_bound", "nees", "convergence_time_s",
-        "yield", "steps_per_s", "seed", "versions",
+        "yield", "steps_per_s", "seed", "versions", "diverged", "ratio_to_own_bound", "nees_median", "notes",
     }  # fmt: skip
     for part in ("end", "settled"):
         assert set(text["rate_error_dps"][part]) == PERCENTILES

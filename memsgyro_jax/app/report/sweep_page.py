@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from memsgyro_jax.montecarlo.batch import DIVERGED, STATUS
+
 from . import figures
 from .page import Page
 
@@ -42,15 +44,16 @@ def _headline(lot: "Lot") -> str:
     summary = lot.summary
     lost = "none was lost" if summary.failed == 0 else f"{summary.failed} were lost (out of travel or not finite)"
     share, low, high = (100.0 * part for part in (summary.good.value, summary.good.low, summary.good.high))
+    if summary.divergence.dies:
+        lost += f", and the filters of {len(summary.divergence.dies)} diverged (impossible under their claims)"
     text = f"Of {summary.dies} dies {lost}; {share:.1f} % ({low:.1f} to {high:.1f} % with 95 % confidence) are good: "
     text += f"{summary.good.criterion}. "
-    if summary.ratio_to_bound is not None and summary.bound is not None:
+    text += f"The rate error is {np.degrees(summary.end.rms):.3g} deg/s rms."
+    if summary.reached is not None:
         text += (
-            f"The rate error is {np.degrees(summary.end.rms):.3g} deg/s rms, {summary.ratio_to_bound:.2f} times the "
-            f"{np.degrees(summary.bound):.3g} deg/s that any use of the same data and prior could reach at best."
+            f" It is {summary.reached.value:.2f} times ({summary.reached.low:.2f} to {summary.reached.high:.2f}) what "
+            "any use of the same data and prior could reach at best on each die."
         )
-    else:
-        text += f"The rate error is {np.degrees(summary.end.rms):.3g} deg/s rms."
     return text
 
 
@@ -72,6 +75,7 @@ def _worst(lot: "Lot") -> tuple[list[str], list[list[str]]]:
     """Lost dies first, in the order in which they were lost, then by the size of the error."""
     data = lot.data
     error, lost = np.degrees(data["rate_error_end"].values), data["lost_at"].values
+    astray = data[STATUS].values == DIVERGED
     order = np.lexsort((-np.abs(error), lost))[:_WORST]
     names = [str(name) for name in data.coords["parameter"].values] if data.sizes.get("parameter") else []
     middle = np.median(data["drawn"].values, axis=0) if names else np.empty(0)
@@ -79,7 +83,8 @@ def _worst(lot: "Lot") -> tuple[list[str], list[list[str]]]:
     rows = []
     for die in order:
         values = data["drawn"].values[die] if names else np.empty(0)
-        fate = f"lost at {1e3 * lost[die]:.3g} ms" if np.isfinite(lost[die]) else f"{error[die]:+.3g}"
+        size = f"{error[die]:+.3g}" + (", diverged" if astray[die] else "")
+        fate = f"lost at {1e3 * lost[die]:.3g} ms" if np.isfinite(lost[die]) else size
         claimed = np.degrees(float(data["rate_std_end"].values[die]))
         converged = 1e3 * float(data["convergence_time"].values[die])
         rows.append([str(die), fate, _or_dash(claimed), _or_dash(converged, "never"), _unusual(names, values, middle)])
