@@ -121,7 +121,7 @@ class Summary(Shown):
         ]
         if self.bound is not None and self.reached is not None:
             rows.append(("information bound at the end (rms)", f"{np.degrees(self.bound):.3g} deg/s"))
-            rows.append(("error over each die's own bound", _reached_text(self.reached, self.dies)))
+            rows.append(("error over own bound, die by die", _reached_text(self.reached, self.dies)))
         rows.append(("consistency (NEES, NIS)", self._consistency()))
         if self.convergence_time is not None:
             rows.append(("median time to converge", f"{1e3 * self.convergence_time:.3g} ms"))

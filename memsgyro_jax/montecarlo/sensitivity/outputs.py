@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..batch import OK
+from .. import batch
 
 
 DEGREES = 180.0 / np.pi
@@ -37,7 +37,7 @@ class Output:
 # Made once: a program is compiled for each set of functions that it differentiates.
 END = Output("rate error at the end", "deg/s", lambda rows: rows["rate_error_end"], DEGREES)
 SETTLED = Output("rms rate error", "deg/s", lambda rows: rows["rate_error_rms"], DEGREES)
-LOST = Output("lost", "share", lambda rows: _share(rows["status"] != OK), counts=True)
+LOST = Output("lost", "share", lambda rows: _share(rows[batch.STATUS] == batch.LOST), counts=True)
 
 
 def outputs(tolerance: float) -> tuple[Output, ...]:
