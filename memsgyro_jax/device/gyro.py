@@ -5,6 +5,7 @@ engine passes many dies as trailing axes, so leaves are scalars or arrays of one
 """
 
 import abc
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
@@ -149,10 +150,12 @@ DUAL_MASS = MotionModel(
 
 class AbstractGyro(CarriesEffects):
     """A two-axis gyro. A new kind of device gives its `model` table and the two methods; `dynamics` is that of the base
-    device, which the loop extends by the `effects`.
+    device, which the loop extends by the `effects`. `couplings` names the fields that couple the axes, which no maker
+    holds at zero, with the two main coefficients that each stands beside.
     """
 
     model: eqx.AbstractClassVar[MotionModel]
+    couplings: ClassVar[Mapping[str, tuple[str, str]]] = {}
 
     @abc.abstractmethod
     def dynamics(self, inertial: Inertial) -> Dynamics:
@@ -191,6 +194,7 @@ class SingleMassGyro(AbstractGyro):
     cross_damping_asymmetry: Scalar = number()
     rotating_frame: bool = eqx.field(static=True)
     model: ClassVar[MotionModel] = SINGLE_MASS
+    couplings: ClassVar[Mapping[str, tuple[str, str]]] = {"kxy": ("kxx", "kyy"), "dxy": ("dxx", "dyy")}
 
     def __init__(
         self, mass, kxx, kyy, kxy, dxx, dyy, dxy, *, dyx=None, rotating_frame: bool = False,
@@ -276,6 +280,7 @@ class DualMassGyro(AbstractGyro):
     dyy: Scalar = number()
     rotating_frame: bool = eqx.field(static=True, default=False)
     model: ClassVar[MotionModel] = DUAL_MASS
+    couplings: ClassVar[Mapping[str, tuple[str, str]]] = {"kxy": ("kxx", "kyy"), "kyx": ("kxx", "kyy")}
 
     def __check_init__(self):
         check_positive("mass_y", self.mass_y)

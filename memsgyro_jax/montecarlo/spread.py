@@ -4,26 +4,34 @@ Die `i` is defined by (seed, i) alone: its place in a scrambled Sobol sequence (
 on how many dies are drawn, in which order or on how many machines.
 """
 
-import abc
-import math
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 from scipy import stats
 
-from memsgyro_jax.base.display import Displayed, Shown
+from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.device.gyro import Scalar, is_concrete
+from memsgyro_jax.device.gyro import AbstractGyro, Scalar, is_concrete
+from memsgyro_jax.device.sizes import numbers_of, with_sizes
 from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.scenario import Scenario
 
+from .batch import picked
+from .distributions import AbstractDistribution as AbstractDistribution
+from .distributions import AtLeast
+from .distributions import Normal as Normal
+from .distributions import Uniform as Uniform
+
 
 DEVICE_PREFIX = "device."
+_REDRAWS = 16  # of an impossible die
+Seed = int | tuple[int, int]  # of a first draw, and of a later one
 _ROUNDING = 1e-13  # smallest eigenvalue of a correlation that a Cholesky decomposition survives
 
 
@@ -41,68 +49,6 @@ class HasUncertainty(Protocol):
     @property
     def uncertainty(self) -> Uncertain:
         """The numbers with their joint uncertainty."""
-
-
-class AbstractDistribution(Displayed):
-    """Turns a standard normal number into a value around a design value; a new kind gives `value`."""
-
-    def place(self, normal: Float[np.ndarray, " dies"]) -> Float[np.ndarray, " dies"]:
-        """Where the dies stand, whatever the design: a function of their standard normal numbers, itself by default."""
-        return normal
-
-    @abc.abstractmethod
-    def value(self, design: Scalar, place: Float[Array, " dies"]) -> Float[Array, " dies"]:
-        """Values of the dies, differentiable by the design value."""
-
-
-class Normal(AbstractDistribution):
-    """Normal about the design value, or about `mean` where one is given, cut at ±`cut` deviations; `relative` to it or
-    `std` in its unit.
-    """
-
-    relative: float = 0.0
-    std: float = 0.0
-    cut: float = 4.0
-    mean: float | None = None
-
-    def __check_init__(self):
-        if not (self.relative >= 0.0 and self.std >= 0.0):
-            raise InputError(f"A spread must not be negative, but {self.relative:g}, {self.std:g} were given.")
-        if not self.cut > 0.0:
-            raise InputError(f"Argument `cut` must be positive, but {self.cut:g} was given.")
-
-    def place(self, normal):
-        return stats.truncnorm.ppf(stats.norm.cdf(normal), -self.cut, self.cut)
-
-    def value(self, design, place):
-        design = design if self.mean is None else self.mean
-        std = self.relative * abs(design) if self.std == 0.0 else jnp.hypot(self.relative * design, self.std)
-        return design + place * std
-
-
-class Uniform(AbstractDistribution):
-    """Uniform; `relative` half width about the design value, or from `low` to `high` in its unit."""
-
-    relative: float | None = None
-    low: float = math.nan
-    high: float = math.nan
-
-    def __check_init__(self):
-        missing = [math.isnan(end) for end in (self.low, self.high)]
-        if any(missing) if self.relative is None else not all(missing):
-            raise InputError("A uniform spread must have either `relative`, or `low` and `high`.")
-        if self.relative is not None and not self.relative >= 0.0:
-            raise InputError(f"A spread must not be negative, but {self.relative:g} was given.")
-        if self.high < self.low:
-            raise InputError(f"A uniform spread must have low <= high, but {self.low:g} and {self.high:g} were given.")
-
-    def place(self, normal):
-        return stats.norm.cdf(normal)
-
-    def value(self, design, place):
-        if self.relative is not None:
-            return design * (1.0 + self.relative * (2.0 * place - 1.0))
-        return self.low + place * (self.high - self.low)
 
 
 @dataclass(frozen=True, repr=False)
@@ -178,8 +124,8 @@ class Spread(Shown):
 
     @classmethod
     def relative(cls, std: float, *, quasi: bool = True) -> "Spread":
-        """Each physical parameter of the device varies by `std` of itself (normal, independent); zero means identical
-        dies.
+        """Each physical parameter of the device varies by `std` of itself (normal, independent), a coupling by `std` of
+        at least 1 % of the main coefficients; zero means identical dies.
         """
         return cls(quasi=quasi, everywhere=Normal(relative=std))
 
@@ -210,23 +156,36 @@ class Spread(Shown):
         return cls(items, tuple(map(tuple, joint.tolist())), quasi)
 
     def resolved(self, loop: ClosedLoop) -> tuple[Vary, ...]:
-        """The variations, with `everywhere` written out over the device's non-zero parameters that `items` does not
-        name.
+        """The variations, with `everywhere` written out over the device's numbers that `items` does not name: those
+        that are not zero, and couplings.
         """
         if self.everywhere is None:
             return self.items
-        named = {item.path for item in self.items}
-        device = [f"{DEVICE_PREFIX}{name}" for name in device_numbers(loop)]
-        return (*self.items, *(Vary(path, self.everywhere) for path in device if path not in named))
+        named, device, sizes = {item.path for item in self.items}, loop.device, with_sizes(loop.device)
+        found = [_sized(Vary(name, self.everywhere), device, sizes) for name in numbers_of(device)]
+        return (*self.items, *(item for item in found if item.path not in named))
 
     def draw(self, loop: ClosedLoop, scenario: Scenario, seed: int, dies: np.ndarray) -> "Draw":
         """Dies `dies` (their numbers): loop and scenario with one value per die on a trailing axis, and the values.
 
-        Raises `InputError` when a die would be impossible, a negative mass say.
+        A die that no device can be, of negative mass say, is drawn again until it is possible: the spread is cut there.
+        Raises `InputError` where that does not help, and for an impossible one of chosen `points`.
         """
-        drawn = self.at(loop, scenario, self.normal(len(self.resolved(loop)), seed, dies))
-        _check_possible(drawn.loop, dies)
-        return drawn
+        count, dies = len(self.resolved(loop)), np.asarray(dies, int)
+        normal, redrawn = np.array(self.normal(count, seed, dies)), np.zeros(len(dies), int)
+        drawn = self.at(loop, scenario, normal)
+        bad = impossible(drawn.loop, loop)
+        for attempt in range(1, 1 + (0 if self.points is not None else _REDRAWS)):
+            places = np.flatnonzero(bad)
+            if places.size == 0:
+                break
+            # By die and attempt alone, as the first draw is: the same die in any company.
+            normal[places], redrawn[places] = self.normal(count, (seed, attempt), dies[places]), attempt
+            bad[places] = impossible(self.at(loop, scenario, normal[places]).loop, loop)
+        if redrawn.any():
+            drawn = self.at(loop, scenario, normal)
+        _require_possible(drawn.loop, dies, bad)
+        return replace(drawn, normal=normal, redrawn=redrawn)
 
     def at(self, loop: ClosedLoop, scenario: Scenario, normal: Float[np.ndarray, "dies items"]) -> "Draw":
         """Dies at given normal numbers, one column per variation; differentiable by the design values in `loop`."""
@@ -239,9 +198,10 @@ class Spread(Shown):
             root = eqx.tree_at(lambda r: [item.find(r) for item in items], root, values)
         stack = np.stack if is_concrete(values) else jnp.stack
         table = stack(values, axis=1) if values else np.empty((len(normal), 0))
-        return Draw(root.loop, root.scenario, tuple(item.path for item in items), table)
+        none = np.zeros(len(normal), int)
+        return Draw(root.loop, root.scenario, tuple(item.path for item in items), table, np.asarray(normal), none)
 
-    def normal(self, count: int, seed: int, dies: np.ndarray) -> Float[np.ndarray, "dies items"]:
+    def normal(self, count: int, seed: Seed, dies: np.ndarray) -> Float[np.ndarray, "dies items"]:
         """The standard normal numbers, correlated where asked for, that define the dies with these numbers."""
         if self.points is not None:
             return np.asarray(self.points.normal)[dies]
@@ -267,9 +227,9 @@ class Spread(Shown):
         """The numbers that key the measurement noise of the dies: their own, but for chosen points."""
         return dies if self.points is None else np.asarray(self.points.noise)[dies]
 
-    def _uniform(self, count: int, seed: int, dies: np.ndarray) -> Float[np.ndarray, "dies items"]:
+    def _uniform(self, count: int, seed: Seed, dies: np.ndarray) -> Float[np.ndarray, "dies items"]:
         if not self.quasi:
-            return np.stack([np.random.default_rng((seed, int(die))).random(count) for die in dies])
+            return np.stack([np.random.default_rng((*np.atleast_1d(seed), int(die))).random(count) for die in dies])
         first, last = int(dies.min()), int(dies.max())
         sequence = stats.qmc.Sobol(count, scramble=True, rng=np.random.default_rng(seed))
         # The very first call must ask for a power of two (scipy warns of lost balance); the sequence is the same
@@ -281,18 +241,25 @@ class Spread(Shown):
 
 @dataclass(frozen=True)
 class Draw:
-    """Drawn dies: `loop` and `scenario` with dies as trailing axis, `table` (dies, parameters) of the drawn values."""
+    """Drawn dies: `loop` and `scenario` with dies as trailing axis, `table` (dies, parameters) of the drawn values from
+    their standard normal numbers `normal`, and how often each die was `redrawn` because it was impossible.
+    """
 
     loop: ClosedLoop
     scenario: Scenario
     parameters: tuple[str, ...]
     table: Float[np.ndarray, "dies parameters"]
+    normal: Float[np.ndarray, "dies items"]
+    redrawn: Int[np.ndarray, " dies"]
 
 
-def device_numbers(loop: ClosedLoop) -> tuple[str, ...]:
-    """Names of the device's fields that hold a non-zero number."""
-    fields = vars(loop.device)
-    return tuple(name for name, value in fields.items() if eqx.is_inexact_array(value) and np.all(np.asarray(value)))
+def _sized(item: Vary, device: AbstractGyro, sizes: AbstractGyro) -> Vary:
+    """`item` of the device, as an item of the loop: as wide as the coupling that it varies is large."""
+    design, size = item.find(device), item.find(sizes)
+    path, law = f"{DEVICE_PREFIX}{item.path}", item.distribution
+    if is_concrete(design, size):
+        return Vary(path, law if float(size) <= abs(float(design)) else AtLeast(law, float(size)))
+    return Vary(path, law if size is design else AtLeast(law, size))
 
 
 def _number(value: Array) -> Scalar:
@@ -300,11 +267,36 @@ def _number(value: Array) -> Scalar:
     return float(value) if is_concrete(value) else value
 
 
-def _check_possible(loop: ClosedLoop, dies: np.ndarray) -> None:
+def impossible(loop: ClosedLoop, design: ClosedLoop) -> Bool[np.ndarray, " dies"]:
+    """Which of the dies in `loop`, drawn about `design`, no device, read-out or filter can be.
+
+    The parts check themselves, many dies at a time: by halves, a few bad ones among thousands are soon found.
+    """
+    drawn, plain = ((part.device, part.readout, part.filter) for part in (loop, design))
+    varies = [v for v, p in zip(jax.tree.leaves(drawn), jax.tree.leaves(plain), strict=True) if np.ndim(v) > np.ndim(p)]
+    bad = np.zeros(varies[0].shape[-1] if varies else 1, bool)
+    waiting = [np.arange(len(bad))]
+    while waiting:
+        places = waiting.pop()
+        if _fault(picked(drawn, plain, places) if varies and is_concrete(varies) else drawn) is None:
+            continue
+        bad[places] = len(places) == 1
+        waiting += np.array_split(places, 2) if len(places) > 1 else []
+    return bad
+
+
+def _fault(parts: tuple) -> InputError | None:
     try:
-        for part in (loop.device, loop.readout, loop.filter):
+        for part in parts:
             getattr(part, "__check_init__", lambda: None)()
     except InputError as error:
+        return error
+    return None
+
+
+def _require_possible(loop: ClosedLoop, dies: np.ndarray, bad: np.ndarray) -> None:
+    if bad.any():
         raise InputError(
-            f"The spread makes one of the dies {dies[0]} to {dies[-1]} impossible; lower it, or its `cut`. {error}"
-        ) from None
+            f"The spread makes die {dies[np.argmax(bad)]} impossible however often it is drawn; lower it, or its `cut`."
+            f" {_fault((loop.device, loop.readout, loop.filter))}"
+        )

@@ -68,7 +68,7 @@ class Objective:
         numbers = np.asarray(dies, int)
         drawn = spread.draw(loop, scenario, seed, numbers)
         items = spread.resolved(loop)
-        normal = dict(zip((i.path for i in items), spread.normal(len(items), seed, numbers).T, strict=True))
+        normal = dict(zip((i.path for i in items), drawn.normal.T, strict=True))
         kinds = {item.path: item.distribution for item in items}
         around = tuple(kinds.get(path) for path in tunables.paths)
         places = [np.zeros(len(numbers)) if kind is None else kind.place(normal[path])

@@ -6,8 +6,11 @@ from scipy import stats
 
 import memsgyro_jax as mg
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.device.sizes import numbers_of
 from memsgyro_jax.loop.scenario import as_scenario
-from memsgyro_jax.montecarlo.spread import device_numbers
+
+
+READOUT = mg.ChargeAmplifier.chi2010()
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +25,7 @@ def draw(loop, spread, dies, seed=0, scenario=1.0):
 
 def test_every_device_parameter_varies_but_one_that_is_zero(loop):
     names = ("mass", "kxx", "kyy", "kxy", "dxx", "dyy", "dxy")
-    assert device_numbers(loop) == names
+    assert numbers_of(loop.device) == names
     drawn = draw(loop, mg.Spread.relative(0.1), range(4))
     assert drawn.parameters == tuple(f"device.{name}" for name in names)
     assert drawn.loop.device.kxx.shape == (4,)
@@ -112,10 +115,72 @@ def test_bad_spreads_are_one_sentence(loop, make, words):
         draw(loop, make(), range(2))
 
 
-def test_impossible_dies_are_refused(loop):
-    spread = mg.Spread((mg.Vary("device.mass", mg.Normal(relative=0.5)),))
-    with pytest.raises(InputError, match=r"impossible.*`cut`.*`mass`"):
-        draw(loop, spread, range(256))
+def test_an_impossible_die_is_drawn_again_and_stays_the_same_die(loop):
+    spread = mg.Spread(
+        (mg.Vary("device.mass", mg.Normal(relative=0.5)), mg.Vary("device.kxy", mg.Normal(relative=6.0)))
+    )
+    drawn = draw(loop, spread, range(256))
+    mass, kxy = drawn.table.T
+    assert 0.1 < np.mean(drawn.redrawn > 0) < 0.6
+    assert np.all(mass > 0.0)
+    assert np.all(kxy**2 < 63.96 * 95.92)
+    first = draw(loop, spread, range(8, 16))
+    np.testing.assert_array_equal(first.table, drawn.table[8:16])
+    np.testing.assert_array_equal(first.redrawn, drawn.redrawn[8:16])
+    for die in np.flatnonzero(drawn.redrawn)[:2]:
+        np.testing.assert_array_equal(draw(loop, spread, [die]).table[0], drawn.table[die])
+    # What is drawn again follows the same law, cut where no device can be.
+    good = mass[drawn.redrawn > 0]
+    assert abs(np.mean(good) / 1.8e-7 - 1.0) < 5.0 * 0.5 / np.sqrt(len(good))
+
+
+@pytest.mark.parametrize("std", [0.15, 0.3])
+def test_a_wide_spread_of_either_device_is_drawn(std):
+    crossed = stats.norm.cdf(-1.0 / (std * np.hypot(2.6, 1.6)))  # the inner mass above the whole of Table 5.2
+    for gyro, share in ((mg.SingleMassGyro.chi2010(), 0.0), (mg.DualMassGyro.chi2010(), crossed)):
+        made = mg.ClosedLoop(gyro, READOUT, mg.ExtendedKalmanFilter.for_device(gyro, READOUT), mg.OpenLoop())
+        drawn = draw(made, mg.Spread.relative(std), range(512))
+        assert np.mean(drawn.redrawn > 0) == pytest.approx(share, abs=0.02)
+        assert np.std(drawn.loop.device.dyy / gyro.dyy) == pytest.approx(std, rel=0.1)
+
+
+def test_dies_that_are_never_possible_are_refused(loop):
+    spread = mg.Spread((mg.Vary("device.mass", mg.Uniform(low=-1.0, high=-0.5)),))
+    with pytest.raises(InputError, match=r"die 3 impossible.*`cut`.*`mass`"):
+        draw(loop, spread, range(3, 8))
+
+
+def test_a_designed_loop_varies_like_its_device(loop):
+    gyro = mg.UncertainGyro(mg.SingleMassGyro.chi2010())
+    made = mg.ClosedLoop(gyro, READOUT, mg.ExtendedKalmanFilter.for_device(gyro, READOUT), mg.OpenLoop())
+    drawn = draw(made, mg.Spread.relative(0.15), range(16))
+    np.testing.assert_array_equal(drawn.table, draw(loop, mg.Spread.relative(0.15), range(16)).table)
+    assert drawn.parameters[0] == "device.gyro.mass"
+    np.testing.assert_array_equal(drawn.loop.device.gyro.kxx, drawn.table[:, 1])
+
+
+def test_a_coupling_meant_to_be_zero_varies_and_is_expected_to():
+    gyro = mg.SingleMassGyro.from_modes(3e-9, (2e4, 2.1e4), 5e3)
+    observer = mg.ExtendedKalmanFilter.for_device(gyro, READOUT)
+    made = mg.ClosedLoop(gyro, READOUT, observer, mg.OpenLoop())
+    drawn = draw(made, mg.Spread.relative(0.15), range(1024))
+    names = [name.removeprefix("device.") for name in drawn.parameters]
+    assert names == ["mass", "kxx", "kyy", "kxy", "dxx", "dyy", "dxy"]
+    for name, main in (("kxy", ("kxx", "kyy")), ("dxy", ("dxx", "dyy"))):
+        size = 0.01 * np.sqrt(float(getattr(gyro, main[0])) * float(getattr(gyro, main[1])))
+        values = drawn.table[:, names.index(name)]
+        assert np.std(values) == pytest.approx(0.15 * size, rel=0.05)
+        assert abs(np.mean(values)) < 0.01 * size
+        std = observer.prior.theta_std[gyro.model.index(name)]
+        assert float(std) == pytest.approx(0.15 * size / 3e-9, rel=1e-6), "the filter expects what is drawn"
+
+
+def test_no_coupling_of_the_thesis_is_wider_than_itself(loop):
+    prior = mg.design_prior(mg.SingleMassGyro.chi2010())
+    k, d = 12.78 / 1.8e-7, 3.6e-7 / 1.8e-7
+    place = mg.SingleMassGyro.chi2010().model.index
+    for name, value in (("kxy", k), ("dxy", d)):
+        assert float(prior.theta_std[place(name)]) == pytest.approx(0.15 * np.sqrt(2.0) * value, rel=1e-12)
 
 
 class Found:

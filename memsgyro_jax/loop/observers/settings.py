@@ -16,6 +16,7 @@ from memsgyro_jax.device.gyro import (
     number,
 )
 from memsgyro_jax.device.propagate import State4
+from memsgyro_jax.device.sizes import with_sizes
 
 
 def arrays(**options: object) -> tuple[Scalar, ...]:
@@ -108,7 +109,8 @@ def design_prior(
 ) -> Prior:
     """A prior around the design values of `gyro`, at rest but for a displacement `amplitude` [m] along x.
 
-    Every physical parameter of the device is taken to vary by `spread` of itself, independently; a coefficient, a
+    Every physical parameter of the device is taken to vary by `spread` of itself (a coupling by that of at least 1 % of
+    the main coefficients), independently; a coefficient, a
     stiffness over a mass say, gets the standard deviation that follows to first order. The rate has `rate_std` [rad/s]
     about zero, the read-out offsets `offset_std` [V] about zero, the motion `motion_error` of the amplitude (velocities
     times the mode frequency). Zero standard deviations mean known exactly.
@@ -131,8 +133,9 @@ def _theta(gyro: AbstractGyro, spread: Scalar, rate_std: Scalar) -> tuple[tuple[
     natural frequencies.
     """
     leaves, structure = jax.tree.flatten(gyro)
+    sizes = jax.tree.leaves(with_sizes(gyro))
     slopes = jax.jacfwd(lambda values: jax.tree.unflatten(structure, values).coefficients(0.0))(leaves)
-    variances = (sum((spread * p * slope) ** 2 for p, slope in zip(leaves, row, strict=True)) for row in slopes)
+    variances = (sum((spread * p * slope) ** 2 for p, slope in zip(sizes, row, strict=True)) for row in slopes)
     # A unit rate gives each rate coefficient its share, which is below 1 for the frame of a dual-mass gyro.
     share = gyro.coefficients(1.0)
     std = tuple(

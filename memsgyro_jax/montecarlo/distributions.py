@@ -1,0 +1,88 @@
+"""How a number differs from die to die, by what it is drawn from."""
+
+import abc
+import math
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from scipy import stats
+
+from memsgyro_jax.base.display import Displayed
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.device.gyro import Scalar
+
+
+class AbstractDistribution(Displayed):
+    """Turns a standard normal number into a value around a design value; a new kind gives `value`."""
+
+    def place(self, normal: Float[np.ndarray, " dies"]) -> Float[np.ndarray, " dies"]:
+        """Where the dies stand, whatever the design: a function of their standard normal numbers, itself by default."""
+        return normal
+
+    @abc.abstractmethod
+    def value(self, design: Scalar, place: Float[Array, " dies"]) -> Float[Array, " dies"]:
+        """Values of the dies, differentiable by the design value."""
+
+
+class Normal(AbstractDistribution):
+    """Normal about the design value, or about `mean` where one is given, cut at ±`cut` deviations; `relative` to it or
+    `std` in its unit.
+    """
+
+    relative: float = 0.0
+    std: float = 0.0
+    cut: float = 4.0
+    mean: float | None = None
+
+    def __check_init__(self):
+        if not (self.relative >= 0.0 and self.std >= 0.0):
+            raise InputError(f"A spread must not be negative, but {self.relative:g}, {self.std:g} were given.")
+        if not self.cut > 0.0:
+            raise InputError(f"Argument `cut` must be positive, but {self.cut:g} was given.")
+
+    def place(self, normal):
+        return stats.truncnorm.ppf(stats.norm.cdf(normal), -self.cut, self.cut)
+
+    def value(self, design, place):
+        design = design if self.mean is None else self.mean
+        std = self.relative * abs(design) if self.std == 0.0 else jnp.hypot(self.relative * design, self.std)
+        return design + place * std
+
+
+class Uniform(AbstractDistribution):
+    """Uniform; `relative` half width about the design value, or from `low` to `high` in its unit."""
+
+    relative: float | None = None
+    low: float = math.nan
+    high: float = math.nan
+
+    def __check_init__(self):
+        missing = [math.isnan(end) for end in (self.low, self.high)]
+        if any(missing) if self.relative is None else not all(missing):
+            raise InputError("A uniform spread must have either `relative`, or `low` and `high`.")
+        if self.relative is not None and not self.relative >= 0.0:
+            raise InputError(f"A spread must not be negative, but {self.relative:g} was given.")
+        if self.high < self.low:
+            raise InputError(f"A uniform spread must have low <= high, but {self.low:g} and {self.high:g} were given.")
+
+    def place(self, normal):
+        return stats.norm.cdf(normal)
+
+    def value(self, design, place):
+        if self.relative is not None:
+            return design * (1.0 + self.relative * (2.0 * place - 1.0))
+        return self.low + place * (self.high - self.low)
+
+
+class AtLeast(AbstractDistribution):
+    """`inner` about a design value smaller than `size`, but as wide as it is about `size`."""
+
+    inner: AbstractDistribution
+    size: Scalar
+
+    def place(self, normal):
+        return self.inner.place(normal)
+
+    def value(self, design, place):
+        return design + (self.inner.value(self.size, place) - self.size)
