@@ -174,14 +174,14 @@ class Spread(Shown):
         count, dies = len(self.resolved(loop)), np.asarray(dies, int)
         normal, redrawn = np.array(self.normal(count, seed, dies)), np.zeros(len(dies), int)
         drawn = self.at(loop, scenario, normal)
-        bad = impossible(drawn.loop, loop)
+        bad = cannot_be(drawn.loop, loop)
         for attempt in range(1, 1 + (0 if self.points is not None else _REDRAWS)):
             places = np.flatnonzero(bad)
             if places.size == 0:
                 break
             # By die and attempt alone, as the first draw is: the same die in any company.
             normal[places], redrawn[places] = self.normal(count, (seed, attempt), dies[places]), attempt
-            bad[places] = impossible(self.at(loop, scenario, normal[places]).loop, loop)
+            bad[places] = cannot_be(self.at(loop, scenario, normal[places]).loop, loop)
         if redrawn.any():
             drawn = self.at(loop, scenario, normal)
         _require_possible(drawn.loop, dies, bad)
@@ -267,7 +267,7 @@ def _number(value: Array) -> Scalar:
     return float(value) if is_concrete(value) else value
 
 
-def impossible(loop: ClosedLoop, design: ClosedLoop) -> Bool[np.ndarray, " dies"]:
+def cannot_be(loop: ClosedLoop, design: ClosedLoop) -> Bool[np.ndarray, " dies"]:
     """Which of the dies in `loop`, drawn about `design`, no device, read-out or filter can be.
 
     The parts check themselves, many dies at a time: by halves, a few bad ones among thousands are soon found.
