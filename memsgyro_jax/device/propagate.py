@@ -108,17 +108,33 @@ def _kicked(motion: State4, time: Scalar, acceleration: Pair) -> State4:
 class Exact(AbstractDiscretisation):
     """Matrix exponential under held acceleration, from a power series of half a sample, squared.
 
-    `order` is the last power kept; `Exact.covering` picks the one that is exact to rounding at a sample rate.
+    `order` is the last power kept, `nodes` the moments inside a sample at which its derivative is taken. What is given
+    stands; what is left out is chosen where sample rate and duration are known (`covering`), until then it is 12 and 1.
+    A filter takes its covariance from the derivative: with one node at 100 kHz, 27 samples in a period, it is 3 % off
+    within the first samples and 0.3 % later, the estimate up to 0.14 of its standard deviation; with two nodes both are
+    within 1e-4. Raises `InputError` for less than 1.
     """
 
-    order: int = eqx.field(static=True, default=12)
-    nodes: int = eqx.field(static=True, default=1)
+    order: int = eqx.field(static=True)
+    nodes: int = eqx.field(static=True)
+    given: tuple[int | None, int | None] = eqx.field(static=True, repr=False)
+
+    def __init__(self, order: int | None = None, nodes: int | None = None, *, otherwise: tuple[int, int] = (12, 1)):
+        for name, value in (("order", order), ("nodes", nodes)):
+            if value is not None and value < 1:
+                raise InputError(f"Argument `{name}` must be at least 1, but {value} was given.")
+        self.given = (order, nodes)
+        self.order, self.nodes = (b if a is None else a for a, b in zip(self.given, otherwise, strict=True))
 
     @classmethod
-    def covering(cls, highest_frequency: float, sample_rate: float) -> "Exact":
-        """The shortest series whose remainder is below 1e-17 for modes up to `highest_frequency`, both in Hz.
+    def covering(
+        cls, highest_frequency: float, sample_rate: float, chosen: "Exact | None" = None, left: float = 1.0
+    ) -> "Exact":
+        """The shortest series whose remainder is below 1e-17 for modes up to `highest_frequency`, both in Hz, with
+        enough nodes for a filter; but what was given to `chosen` stands.
 
-        Enough nodes are taken to keep the derivative by the coefficients within a few percent of exact. Raises
+        `left` is the share that damping leaves of a swing in the time a filter runs. As much does the filter know the
+        motion better than the coefficients, so that its derivative must be the more exact the longer it runs. Raises
         `InputError` below two samples per period, where nothing could be observed.
         """
         if sample_rate < 2.0 * highest_frequency:
@@ -128,8 +144,9 @@ class Exact(AbstractDiscretisation):
                 f"use at least {2.5 * highest_frequency:.0f} Hz."
             )
         phase = 2.0 * math.pi * highest_frequency / sample_rate
-        nodes = 1 if phase < 0.8 else 2 if phase < 1.6 else 3
-        return cls(_order(phase, least=4), nodes)
+        wanted = _NODES_ERROR * max(left, _LEAST_LEFT)
+        nodes = next(count for count in range(1, 99) if _gauss_error(count, 2.0 * phase) < wanted)
+        return cls(*((None, None) if chosen is None else chosen.given), otherwise=(_order(phase, least=4), nodes))
 
     def advance(self, motion: State4, push: Pair, stiffness: Matrix, velocity: Matrix, period: Scalar) -> State4:
         """Exact to rounding when the order covers the sample rate: the Taylor series of the motion itself."""
@@ -156,6 +173,16 @@ class Exact(AbstractDiscretisation):
             for (reach, reach_push), (rest, _), weight in zip(parts, reversed(parts), weights, strict=True)
         )
         return Transition(full, push, nodes)
+
+
+_NODES_ERROR = 0.08  # of the derivative, in what turns at twice the highest frequency; a run's figures do not show it
+_LEAST_LEFT = 1e-6  # beyond, a covariance is singular to rounding
+
+
+def _gauss_error(nodes: int, phase: float) -> float:
+    """Share by which the rule of Gauss misses the integral of a sine over a sample of `phase` [rad]."""
+    constant = math.factorial(nodes) ** 4 / ((2 * nodes + 1) * math.factorial(2 * nodes) ** 3)
+    return constant * phase ** (2 * nodes)
 
 
 def _shorter(order: int, share: float) -> int:

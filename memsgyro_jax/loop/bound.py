@@ -164,8 +164,8 @@ def information_bound(
             "were given."
         )
     _check_noise(loop.readout.noise_density)
-    design = (loop if design is None else design).sampled_at(sample_rate)
-    loop = loop.sampled_at(sample_rate, design)
+    design = (loop if design is None else design).sampled_at(sample_rate, duration=duration)
+    loop = loop.sampled_at(sample_rate, design, duration)
     unknown = _unknowns(design, prior, known, also)
     block = max(size for size in range(1, min(samples, _BLOCK) + 1) if samples % size == 0)
     lanes = _lanes(loop, design, scenario)

@@ -1,5 +1,6 @@
 """The closed loop: device, read-out, observer and controller, one sample at a time."""
 
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -165,8 +166,9 @@ class ClosedLoop(Displayed):
         motion, own = fence(clock.time, (motion, own))
         return motion, own, {"effects": plant.shown_at(motion, own)} if plant.shows else {}
 
-    def sampled_at(self, sample_rate: float, design: "ClosedLoop | None" = None) -> "ClosedLoop":
-        """This loop with its series long enough to be exact at `sample_rate` [Hz].
+    def sampled_at(self, sample_rate: float, design: "ClosedLoop | None" = None, duration: float = 0.1) -> "ClosedLoop":
+        """This loop with its series long enough to be exact at `sample_rate` [Hz], and for a filter that runs for
+        `duration` [s]; what an `Exact` was given stands.
 
         Under `jax.vmap` and `jax.jit`, where the device's numbers are not known, the device that the observer starts
         from tells the length; where that is unknown too the loop is unchanged: call this before the transformation.
@@ -178,13 +180,16 @@ class ClosedLoop(Displayed):
             check_fits(self.filter, sample_rate)
         check_own_states((self if design is None else design).device, self.discretisation, sample_rate)
         whole = settled(self if design is None else design)
-        stiffness = whole.device.dynamics(Inertial()).stiffness
-        if not is_concrete(stiffness):
-            stiffness = whole.observer.estimate(whole.observer.init()).dynamics.stiffness
-        if not is_concrete(stiffness):
+        known = whole.device.dynamics(Inertial())
+        if not is_concrete(known):
+            known = whole.observer.estimate(whole.observer.init()).dynamics
+        if not is_concrete(known):
             return self
-        exact = Exact.covering(float(np.max(natural_frequencies(stiffness))) * _MARGIN, sample_rate)
-        return jax.tree.map(lambda part: exact if isinstance(part, Exact) else part, self, is_leaf=_is_exact)
+        highest = float(np.max(natural_frequencies(known.stiffness))) * _MARGIN
+        decay = 0.5 * max(float(np.max(np.abs(known.damping[i][i]))) for i in (0, 1))
+        left = float(np.exp(-min(decay * duration, 100.0)))
+        exact = partial(Exact.covering, highest, sample_rate, left=left)
+        return jax.tree.map(lambda part: exact(part) if isinstance(part, Exact) else part, self, is_leaf=_is_exact)
 
 
 _MARGIN = 1.3  # estimates and spread dies may lie above the design's mode frequencies

@@ -220,7 +220,7 @@ def simulate(
         raise InputError(
             f"Argument `decimation` must lie between 1 and the {steps} samples, but {decimation} was given."
         )
-    scenario, loop = as_scenario(scenario), loop.sampled_at(sample_rate)
+    scenario, loop = as_scenario(scenario), loop.sampled_at(sample_rate, duration=duration)
     tell(expectations(loop, scenario, sample_rate, duration))
     words = noise.die_words(jax.random.key(seed), jnp.asarray(die))
     done = _compiled(loop.present, scenario, words, 1.0 / sample_rate, steps // decimation, decimation)

@@ -123,7 +123,7 @@ def sweep(
     Raises `InputError` for settings that cannot be run, a store of something else, and outside float64.
     """
     runtime.require_float64("sweep")
-    scenario, loop = as_scenario(scenario), loop.sampled_at(sample_rate)
+    scenario, loop = as_scenario(scenario), loop.sampled_at(sample_rate, duration=duration)
     if not any(item.path.startswith(f"{DEVICE_PREFIX}effects.") for item in spread.resolved(loop)):
         loop = loop.present
     count_steps(sample_rate, duration)

@@ -77,7 +77,7 @@ def tune(
     run, for a loss that is no number at the start, and outside float64.
     """
     runtime.require_float64("tune")
-    scenario, loop = as_scenario(scenario), loop.sampled_at(sample_rate)
+    scenario, loop = as_scenario(scenario), loop.sampled_at(sample_rate, duration=duration)
     spread = Spread.relative(0.15) if spread is None else spread
     settle = 0.5 * duration if settle is None else settle
     tunables = resolved(loop, free, sample_rate, duration)

@@ -221,6 +221,21 @@ def test_derivatives_converge_with_the_number_of_nodes():
         assert np.all(relative_jacobian_error(Exact.covering(1.3 * 3760.0, rate).nodes, rate) < 0.07)
 
 
+def test_what_an_exact_series_is_given_stands():
+    """The rest follows sample rate and duration: the less damping leaves of a swing, the more nodes."""
+    assert Exact.covering(5e3, 100e3, Exact(24, nodes=6)) == Exact(24, nodes=6)
+    automatic = Exact.covering(5e3, 50e3)
+    longer = Exact.covering(5e3, 50e3, Exact(24))
+    assert (longer.order, longer.nodes) == (24, automatic.nodes)
+    assert Exact.covering(5e3, 50e3, Exact(nodes=1)).order == automatic.order
+    counts = [Exact.covering(5e3, 100e3, left=left).nodes for left in (1.0, 0.1, 1e-3, 1e-6, 0.0)]
+    assert counts == sorted(counts)
+    assert counts[0] == 1
+    assert counts[-2] == counts[-1] > 2
+    with pytest.raises(InputError, match="`nodes` must be at least 1, but 0"):
+        Exact(nodes=0)
+
+
 def test_forward_euler_is_one_step_of_the_definition():
     dynamics = single(SINGLE_NUMBERS).dynamics(Inertial(rate=3.0))
     a, b, _ = motion.single_mass(*SINGLE_NUMBERS.values(), frame=motion.Frame(wz=3.0))

@@ -106,6 +106,11 @@ def test_sampling_sets_every_exact_series(loop):
     assert fast.discretisation.order < slow.discretisation.order
     assert fast.discretisation == fast.observer.discretisation
     assert slow.observer.discretisation.nodes > 1
+    chosen = eqx.tree_at(lambda tree: tree.observer.discretisation, loop, Exact(24, nodes=6))
+    assert chosen.sampled_at(1e6).sampled_at(50e3).observer.discretisation == Exact(24, nodes=6)
+    assert chosen.sampled_at(1e6).discretisation == fast.discretisation
+    assert loop.sampled_at(1e5, duration=0.1).discretisation.nodes == 1
+    assert loop.sampled_at(1e5, duration=1.0).discretisation.nodes > 2, "damping leaves the motion as if known"
     euler = eqx.tree_at(lambda tree: tree.observer.discretisation, loop, ForwardEuler())
     assert isinstance(euler.sampled_at(50e3).observer.discretisation, ForwardEuler)
     assert isinstance(euler.sampled_at(50e3).discretisation, Exact)

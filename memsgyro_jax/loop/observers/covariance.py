@@ -163,7 +163,8 @@ def _diagonal(walk: Array, like: Array) -> Array:
 
 
 def _repeated(value: Array, count: int, axis: int) -> Array:
-    return jnp.concatenate([jnp.expand_dims(value, axis)] * count, axis=axis)
+    one = jnp.expand_dims(value, axis)
+    return jnp.concatenate([one] * count, axis=axis) if count else jax.lax.slice_in_dim(one, 0, 0, axis=axis)
 
 
 @jax.custom_jvp

@@ -204,7 +204,8 @@ class ExtendedKalmanFilter(AbstractCovarianceObserver[KalmanState]):
         return 2 if self.with_offsets else 0
 
     def _constants(self, offset: Pair, theta: tuple[Scalar, ...]) -> Float[Array, "constants *lanes"]:
-        return jnp.stack(jnp.broadcast_arrays(*map(jnp.asarray, self._chosen(offset, theta))))
+        chosen = self._chosen(offset, theta)
+        return jnp.stack(jnp.broadcast_arrays(*map(jnp.asarray, chosen))) if chosen else jnp.zeros(0)
 
     def _chosen(self, offset: Pair, theta: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
         """Of all offsets and coefficients those that are states."""

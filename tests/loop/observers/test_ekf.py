@@ -11,10 +11,13 @@ from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.gyro import DualMassGyro, SingleMassGyro
 from memsgyro_jax.device.propagate import Exact, ForwardEuler
 from memsgyro_jax.effects import PickoffNonlinearity
+from memsgyro_jax.loop.controllers import DampingCompensation, Tone
+from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.observers import Clock, ExtendedKalmanFilter
 from memsgyro_jax.loop.observers.fading import AdaptiveFading, FixedFading
 from memsgyro_jax.loop.observers.settings import Annealing, Prior, ProcessNoise
 from memsgyro_jax.loop.readout import ChargeAmplifier, DirectReadout
+from memsgyro_jax.loop.trace import simulate
 
 
 SINGLE, DUAL = SingleMassGyro.chi2010(), DualMassGyro.chi2010()
@@ -193,10 +196,34 @@ def test_equals_a_fifty_digit_filter_for_long(name, count):
     assert np.all(in_fifty_digits(name, count) < 1e-7)
 
 
-def test_equals_the_linear_filter_when_every_coefficient_is_known():
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["14 states", "16 states", "fixed fading", "forward Euler"])
+def test_a_simulation_with_a_chosen_series_equals_a_fifty_digit_filter(name):
+    """The run's own volts and forces, filtered again; six nodes are the exact derivative."""
+    device, readout, rate, options, extra = VARIANTS[name]
+    options = {"discretisation": Exact(24, nodes=6)} | options
+    observer = ExtendedKalmanFilter.for_device(device, readout, **options)
+    loop = ClosedLoop(device, readout, observer, DampingCompensation(Tone(600.0, 53.95)))
+    trace = simulate(loop, 1.0, sample_rate=rate, duration=60 / rate)
+    points, weights = np.polynomial.legendre.leggauss(6)
+    with mpmath.workdps(50):
+        rule = tuple((mpmath.mpf((1.0 + p) / 2.0), mpmath.mpf(w / 2.0)) for p, w in zip(points, weights, strict=True))
+        oracle = dense(observer, rate, mpmath.mpf, terms=28, gauss=rule, **extra)
+        for i in range(60):
+            z, u = ([mpmath.mpf(float(v)) for v in row[i]] for row in (trace.volts, trace.force))
+            oracle.step(z, u, (i + 1) / rate)
+            std = np.sqrt(np.diag(oracle.covariance).astype(float))
+            mean = np.concatenate([trace.motion_estimate[i], trace.offset_estimate[i], trace.theta_estimate[i]])
+            assert np.all(np.abs((mean - oracle.mean).astype(float)) < 1e-7 * std)
+            assert abs(trace.rate_std[i] / std[6 + device.model.index("rate")] - 1.0) < 1e-7
+
+
+@pytest.mark.parametrize("with_offsets", [True, False])
+def test_equals_the_linear_filter_when_every_coefficient_is_known(with_offsets):
     """A filter for the motion and offsets alone is linear: the plain Kalman filter, in Joseph form."""
     walk = ProcessNoise((1e-18, 2e-18, 1e-8, 3e-8), (1e-6, 2e-6), (0.0,) * 8)
-    observer = ExtendedKalmanFilter.for_device(SINGLE, CIRCUIT, known=SINGLE.model.names, process_noise=walk)
+    known = {"known": SINGLE.model.names, "with_offsets": with_offsets}
+    observer = ExtendedKalmanFilter.for_device(SINGLE, CIRCUIT, process_noise=walk, **known)
     volts, force = recorded(SINGLE, CIRCUIT, 100e3, 1500)
     states = observe(observer, volts, force, 1e-5)
     means, covariances = states_of(observer, states)
@@ -205,15 +232,17 @@ def test_equals_the_linear_filter_when_every_coefficient_is_known():
     f, h = np.eye(6), np.hstack([np.diag(np.array(CIRCUIT.scale)), np.zeros((2, 2)), np.eye(2)])
     f[:4, :4] = step
     prior = observer.prior
-    start = np.diag(np.array([*prior.motion_std, *prior.offset_std]) ** 2)
+    start, free = np.diag(np.array([*prior.motion_std, *prior.offset_std]) ** 2), 4 + 2 * with_offsets
+    start[free:] = 0.0
     plain = kalman.LinearKalman(np.array([*prior.motion, *prior.offset]), start)
     q = np.diag(np.array([*walk.motion, *walk.offset])) * 1e-5
+    q[free:] = 0.0
     r = np.diag(np.array(CIRCUIT.noise_density) ** 2) * 0.5e5
     for i in range(1500):
         plain.step(f, np.concatenate([push @ force[i], np.zeros(2)]), q, h, r, volts[i])
-        std = np.sqrt(np.diag(plain.covariance))
-        assert np.all(np.abs(means[i] - plain.mean) < 1e-8 * std)
-        assert np.all(np.abs(covariances[i] - plain.covariance) < 1e-8 * np.outer(std, std))
+        std = np.sqrt(np.diag(plain.covariance))[:free]
+        assert np.all(np.abs(means[i] - plain.mean[:free]) < 1e-8 * std)
+        assert np.all(np.abs(covariances[i] - plain.covariance[:free, :free]) < 1e-8 * np.outer(std, std))
     assert observer.estimate(observer.init()).rate_variance is None
     assert observer.estimate(observer.init()).rate == 0.0
 
