@@ -63,15 +63,16 @@ def files_of(layout: Layout, dies: int, block: int) -> dict[str, bytes]:
     """
     import zarr
     from zarr.codecs import Crc32cCodec, ZstdCodec
+    from zarr.storage import MemoryStore
 
     packed = {"compressors": [ZstdCodec(), Crc32cCodec()]}
     files: dict[str, Any] = {}
     # The last entry tells xarray what is no variable.
     others = {"schema": SCHEMA, "block": block, "coordinates": " ".join((*layout.coordinates, SEAL))}
-    group = zarr.create_group(zarr.storage.MemoryStore(files), zarr_format=3, attributes=layout.attributes | others)
+    group = zarr.create_group(MemoryStore(files), zarr_format=3, attributes=layout.attributes | others)
     for name, (dimension, values, unit) in layout.coordinates.items():
         about = {"dimension_names": (dimension,), "attributes": {"units": unit}}
-        group.create_array(name, data=np.asarray(values), **about, **packed)
+        group.create_array(name, shape=np.shape(values), dtype=np.asarray(values).dtype, **about, **packed)[:] = values
     meaning = ", ".join(f"{value} {words}" for value, words in MEANING.items())
     columns = {name: (column, "float64", np.nan, {"units": column.unit}) for name, column in layout.columns.items()}
     columns[SEAL] = (DieArray((), (), "1"), "uint64", 0, {"meaning": "checksum of the row"})

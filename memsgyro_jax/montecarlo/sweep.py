@@ -230,24 +230,26 @@ def _run_all(
 ) -> tuple[dict[str, np.ndarray], float | None]:
     """The rows of all dies, computed or found in the store, and steps per second after the first batch."""
     kept: list[dict[str, np.ndarray]] = []
-    done, timed, began = 0, 0, None
+    done, timed, busy = 0, 0, None
     for number in store.unfinished() if store else range(-(-dies // runner.block)):
-        parts, done = [], store.done if store else done
+        parts, done, began = [], store.done if store else done, time.perf_counter()
         for rows in runner.batches(number, dies):
             parts.append(rows)
             count = len(rows[STATUS])
-            timed = 0 if began is None else timed + count
-            began = began or time.perf_counter()  # the first batch compiles
             done = min(done + count, dies)
             if progress:
                 progress(done, dies)
+            if busy is None:  # the first batch compiles
+                busy, began = 0.0, time.perf_counter()
+            else:
+                timed += count
         whole = {name: _joined([part[name] for part in parts]) for name in parts[0]}
         if store:
             store.write(number, whole)
         else:
             kept.append(whole)
-    steps = timed * runner.plan.blocks * runner.plan.block
-    speed = steps / (time.perf_counter() - began) if timed and began else None
+        busy = (busy or 0.0) + time.perf_counter() - began
+    speed = timed * runner.plan.blocks * runner.plan.block / busy if busy and timed else None
     found = store.rows if store else {name: np.concatenate([part[name] for part in kept])[:dies] for name in kept[0]}
     return found, speed
 

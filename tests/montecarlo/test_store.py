@@ -208,7 +208,7 @@ def mutate(generator: np.random.Generator, path: Path) -> list[Path]:
     elif kind == 7:
         one.write_bytes(content[:place] + generator.bytes(9) + content[place:])
     elif kind == 8:
-        shutil.rmtree(one.parent)
+        shutil.rmtree(one.parent if one.parent != path else path / "left")
     else:
         one = [file for file in files if file.name == "zarr.json"][generator.integers(5)]
         nested = generator.random() < 0.1

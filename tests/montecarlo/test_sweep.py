@@ -194,6 +194,12 @@ def test_a_store_is_what_the_sweep_returns(loop, reference, tmp_path):
     assert not np.any(stored(tmp_path)["status"])
     assert list(lot.to_xarray()["coefficient"].values) == list(loop.device.model.names)
     xr.testing.assert_identical(pickle.loads(pickle.dumps(lot)).to_xarray(), lot.to_xarray())
+    (tmp_path / "dies.zarr" / "nis_mean" / "c" / "0").unlink()
+    mended = mg.sweep(loop, SPREAD, dies=40, chunk=8, out=tmp_path, resume=True, **SHORT)
+    assert_same_bits(mended.to_xarray(), reference, 40)
+    assert_same_bits(stored(tmp_path), reference, 40)
+    assert "Dies 0 to 39" in mended.notes[0]
+    assert mended.notes[0] in repr(mended)
 
 
 def test_resume_goes_on_and_grows(loop, reference, tmp_path):
