@@ -106,12 +106,11 @@ def cache_directory() -> Path | None:
         return None
     from platformdirs import user_cache_path
 
-    processor = hashlib.sha256(f"{platform.machine()} {_processor_features()}".encode()).hexdigest()[:12]
     try:
         cache = user_cache_path("memsgyro_jax")
     except RuntimeError:  # no home is known; earlier versions give a path below `~`, which would be a folder here
         return None
-    return cache / f"jaxlib-{version('jaxlib')}-{processor}" if cache.is_absolute() else None
+    return cache / f"jaxlib-{version('jaxlib')}-{processor()}" if cache.is_absolute() else None
 
 
 def _missing_flags(present: str, devices: int) -> list[str]:
@@ -195,6 +194,11 @@ def _set(name: str, value: bool | float | str) -> None:
         jax.config.update(name, value)
     else:
         os.environ[name.upper()] = str(value)
+
+
+def processor() -> str:
+    """Digits that tell kinds of processors apart, by the instructions they know: between them last bits may differ."""
+    return hashlib.sha256(f"{platform.machine()} {_processor_features()}".encode()).hexdigest()[:12]
 
 
 def _processor_features() -> str:

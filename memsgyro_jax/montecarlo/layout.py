@@ -4,7 +4,7 @@ import contextlib
 import json
 import shutil
 import uuid
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 SCHEMA = "memsgyro-dies/2"
 LABELS = "labels"  # attribute: names along dimensions; zarr has no settled type for text arrays
+PROCESSOR = "processor"  # attribute: what kind of processor began a store
 SEAL = "seal"
 _METADATA = "zarr.json"
 
@@ -114,6 +115,12 @@ def adapt(path: Path, layout: Layout, dies: int, block: int) -> list[str]:
     """
     notes = []
     _require(path, layout, block)
+    began, here = attributes_of(path).get(PROCESSOR), layout.attributes.get(PROCESSOR)
+    if began != here:
+        notes.append(
+            f"{path} was begun on another kind of processor, whose rows may differ from this one's in last bits."
+        )
+        layout = replace(layout, attributes=layout.attributes | {PROCESSOR: began})
     if dies < (held := held_by(path) or 0):
         raise InputError(f"{path} holds {held} dies; resume with at least as many, but {dies} was given.")
     for name, wanted in files_of(layout, dies, block).items():

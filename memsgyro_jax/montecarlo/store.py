@@ -1,9 +1,9 @@
 """The store of a sweep: a zarr group, written block by block, that survives kills, damage, and several processes.
 
 A block of rows counts when its status, which is written last, is not `PENDING` and every die's seal, a checksum over
-all of its row, agrees: whatever is unfinished, cut short, flipped, missing or in another's place is computed again. As
-a row is the same bits whoever computes it, no order of writes can make a wrong row count. Each chunk also has a CRC32C
-of its own (a codec of zarr), for those who read the store without this package.
+all of its row, agrees: whatever is unfinished, cut short, flipped, missing or in another's place is computed again. No
+order of writes, by however many processes, can make a wrong row count. Each chunk also has a CRC32C of its own (a codec
+of zarr), for those who read the store without this package.
 """
 
 import contextlib
@@ -25,6 +25,7 @@ from .lease import Leases
 
 
 _TOLD = 10  # damaged blocks that are named one by one
+_AT_ONCE = 64  # blocks that are read together: more would hold a large store in memory three times
 _POLL = 0.2  # s between looks at blocks that others compute
 
 
@@ -45,7 +46,8 @@ class Store:
         self.rows = {name: _filled(array, dies) for name, array in self._arrays.items() if name != SEAL}
         self._seen = [self._stamp(number) for number in range(-(-dies // block))]
         if any(self._seen):
-            self._tell(self._load(0, dies))
+            step = _AT_ONCE * block
+            self._tell([n for start in range(0, dies, step) for n in self._load(start, min(start + step, dies))])
 
     @property
     def done(self) -> int:

@@ -30,7 +30,7 @@ from . import batch as lot
 from .batch import DIVERGED, OK, STATUS
 from .bounds import own_bounds
 from .divergence import divergence_of, impossible, unexpected
-from .layout import LABELS, DieArray, Layout
+from .layout import LABELS, PROCESSOR, DieArray, Layout
 from .spread import DEVICE_PREFIX, Draw, Spread
 from .store import Store, opened
 from .summary import Summary, summarise
@@ -221,7 +221,8 @@ class _Runner:
             "drawn": DieArray(("parameter",), (len(parameters),), "SI"),
         }
         labels = {"coefficient": list(names), "parameter": parameters, "channel": ["x", "y"]}
-        attributes = {**settings.as_dict(), **self.plan._asdict(), LABELS: labels}
+        made_by = {PROCESSOR: f"{self.mesh.devices.flat[0].device_kind} {runtime.processor()}"}
+        attributes = {**settings.as_dict(), **made_by, **self.plan._asdict(), LABELS: labels}
         return Layout(columns, {"time": ("window", self.plan.window_times, "s")}, attributes)
 
 

@@ -12,7 +12,7 @@ import xarray as xr
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.montecarlo import layout as layouts
 from memsgyro_jax.montecarlo.batch import LOST, STATUS
-from memsgyro_jax.montecarlo.layout import LABELS, DieArray, Layout
+from memsgyro_jax.montecarlo.layout import LABELS, PROCESSOR, DieArray, Layout
 from memsgyro_jax.montecarlo.store import opened
 
 
@@ -20,7 +20,7 @@ DIES, BLOCK = 40, 16
 LAYOUT = Layout(
     {"left": DieArray((), (), "1"), "right": DieArray(("window",), (3,), "rad/s"), "absent": DieArray((), (), "1")},
     {"time": ("window", np.arange(3.0), "s")},
-    {"fingerprint": "0123456789abcdef", "versions": "python 3, jax 0", LABELS: {}},
+    {"fingerprint": "0123456789abcdef", "versions": "python 3, jax 0", PROCESSOR: "this", LABELS: {}},
 )
 
 
@@ -64,7 +64,8 @@ def broken(whole, tmp_path):
     return Path(shutil.copytree(whole, tmp_path / "dies.zarr"))
 
 
-def test_a_store_is_gone_on_with_and_grows(tmp_path):
+def test_a_store_is_gone_on_with_and_grows(tmp_path, monkeypatch):
+    monkeypatch.setattr("memsgyro_jax.montecarlo.store._AT_ONCE", 2)
     path = tmp_path / "dies.zarr"
     assert gone_on(path, 20)[::2] == ([0, 1], [])
     assert gone_on(path, 20)[::2] == ([], [])
@@ -155,6 +156,17 @@ def test_what_is_another_computation_is_refused(broken, change, words):
         gone_on(broken, layout=layout)
 
 
+def test_another_kind_of_processor_is_told(broken):
+    layout = Layout(LAYOUT.columns, LAYOUT.coordinates, LAYOUT.attributes | {PROCESSOR: "another"})
+    for _ in range(2):
+        computed, rows, notes = gone_on(broken, layout=layout)
+        assert computed == []
+        assert_wanted(rows)
+        assert len(notes) == 1
+        assert "another kind of processor" in notes[0]
+    assert gone_on(broken)[2] == []
+
+
 def test_nothing_is_taken_for_a_status_that_is_none(broken):
     """Seals are not asked here: someone may have written them to fit."""
     with opened(broken, LAYOUT, DIES, BLOCK, resume=True) as store:
@@ -228,7 +240,8 @@ def assert_mutations_are_seen(whole: Path, folder: Path, seeds: range) -> None:
         # What a kill just before the status leaves is no damage.
         assert notes or not computed or any(STATUS in file.parts for file in harmed), seed
         if seed % 8 == 0:  # what is on disk now is right too
-            assert gone_on(path)[::2] == ([], [])
+            computed, _, notes = gone_on(path)
+            assert (computed, [note for note in notes if "processor" not in note]) == ([], [])
         shutil.rmtree(path.parent)
 
 
