@@ -6,10 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from measurement.case.bench import NOISE, write_bench
+from scipy import stats
 
 import memsgyro_jax
 from memsgyro_jax.measurement.case import assess, load_case
-from memsgyro_jax.measurement.noise import noise_over_frequency, noise_over_time
+from memsgyro_jax.measurement.least_squares import gate
+from memsgyro_jax.measurement.noise import noise_beside_misfit, noise_over_frequency, noise_over_time
 from memsgyro_jax.measurement.outliers import interpolation_misfit, lone_rows
 
 
@@ -76,13 +78,31 @@ def test_a_resonance_is_not_taken_for_noise(quality, seed):
 
 @pytest.mark.parametrize("decay", [np.inf, 300.0])
 @pytest.mark.parametrize("cycles", [0.02, 0.31])
-def test_a_wave_is_not_taken_for_noise(decay, cycles):
-    """White noise of 1 below a tone, steady or decaying, of few or many samples per cycle."""
-    t = np.arange(2000)
+@pytest.mark.parametrize("quadrature", [0.0, 1j])
+def test_a_wave_is_not_taken_for_noise(decay, cycles, quadrature):
+    """White noise of 1 in each part below a tone, steady or decaying, of few or many samples per cycle."""
+    t, levels = np.arange(2000), []
     wave = 500 * np.exp(-t / decay) * np.cos(2 * np.pi * cycles * t)
-    levels = [noise_over_time((wave + np.random.default_rng(k).normal(size=2000))[:, None]) for k in range(8)]
+    for k in range(8):
+        real, imaginary = np.random.default_rng(k).normal(size=(2, 2000))
+        rows = wave + real + quadrature * imaginary if quadrature else wave + real
+        levels.append(noise_over_time(rows[:, None]))
     assert np.mean(levels) == pytest.approx(1.0, abs=0.03)
     assert np.std(levels) < 0.05
+
+
+def test_the_noise_beside_a_smooth_misfit():
+    """White noise of 2 beside a misfit a hundred times larger that bends over hundreds of rows."""
+    smooth = 200 * np.sin(np.arange(20_000) / 400)
+    rows = smooth[:, None] + 2.0 * np.random.default_rng(0).normal(size=(20_000, 3))
+    np.testing.assert_allclose(noise_beside_misfit(rows), 2.0, rtol=0.04)
+
+
+def test_the_gate_is_where_noise_alone_ends():
+    """Three standard deviations above the mean of χ² per degree of freedom."""
+    for count in (10, 1000):
+        assert gate(count) == pytest.approx(1.0 + 3.0 * stats.chi2(count).std() / count, rel=1e-12)
+        assert gate(count, 4.5) == pytest.approx(1.0 + 4.5 * stats.chi2(count).std() / count, rel=1e-12)
 
 
 def test_a_sound_case_has_no_warning(bench):
