@@ -30,13 +30,16 @@ from .merit import (
 
 
 SCHEMA = "memsgyro-sweep/1"
+_LIKELY = 0.99
+_MATTERS = 0.05  # share by which a mean NEES must exceed its interval to be remarked: linearising costs some percent
 
 
 @dataclass(frozen=True)
 class Summary(Shown):
     """Figures of a lot, in SI; `as_dict` gives the machine-readable form with its units in the names.
 
-    `end` and `settled` are over the dies that were not lost, `sound` over those that did not diverge either; `failed`
+    Of `dies`, `redrawn` were drawn again because no device could be as they were drawn first. `end` and `settled` are
+    over the dies that were not lost, `sound` over those that did not diverge either; `failed`
     dies were lost, `divergence` tells which of the others' filters were. `bound` is the root mean square over dies of
     the least standard deviation any unbiased use of the same data and prior could reach at the end, `reached` compares
     each die's error with its own bound; both are None where there is no bound.
@@ -46,6 +49,7 @@ class Summary(Shown):
     """
 
     dies: int
+    redrawn: int
     failed: int
     end: Percentiles
     settled: Percentiles
@@ -67,6 +71,14 @@ class Summary(Shown):
     settings: Settings
 
     @property
+    def nees_interval(self) -> tuple[float, float]:
+        """Where the mean NEES of as many dies lies with a probability of 99 % if the filter is right."""
+        assert self.states is not None
+        count = self.dies - self.failed
+        low, high = stats.chi2.interval(_LIKELY, self.states * count)
+        return float(low) / count, float(high) / count
+
+    @property
     def ratio_to_bound(self) -> float | None:
         """Root mean square, over the dies, of error over that die's bound."""
         return None if self.reached is None else self.reached.value
@@ -77,6 +89,7 @@ class Summary(Shown):
         entries = {
             "schema": SCHEMA,
             "dies": self.dies,
+            "redrawn": self.redrawn,
             "failed": self.failed,
             "diverged": {"count": len(self.divergence.dies), **asdict(self.divergence)},
             "rate_error_dps": {
@@ -112,6 +125,7 @@ class Summary(Shown):
         unknown = self.divergence.unjudged
         rows = [
             ("dies", f"{self.dies}, of which {self.failed} lost" + ("" if unknown else f", {diverged} diverged")),
+            *([("  drawn again, impossible at first", self._redrawn())] if self.redrawn else []),
             *([("diverged dies", f"unknown, because {unknown}")] if unknown else []),
             *(("  diverged, likely because", cause) for cause in self.divergence.causes),
             ("rate error at the end (rms, median, 95 %)", _triple(self.end)),
@@ -136,11 +150,18 @@ class Summary(Shown):
             rows.append(("speed after compiling", f"{self.steps_per_s / 1e6:.3g} million steps/s"))
         return rows
 
+    def _redrawn(self) -> str:
+        share = 100.0 * self.redrawn / self.dies
+        return f"{self.redrawn} of {self.dies} dies ({share:.2g} %): the spread is cut where no device can be"
+
     def _consistency(self) -> str:
         nis = "NIS unknown (the observer claims no innovations)" if self.nis is None else f"NIS {self.nis:.3g} of 2"
         if self.nees is not None and self.nees_median is not None and self.states is not None:
             middle = f"median {self.nees_median:.3g} of {stats.chi2.median(self.states):.3g}"
-            return f"NEES {self.nees:.3g} of {self.states} ({middle}), {nis}"
+            low, high = self.nees_interval
+            # A filter that claims too much is careful, as annealing means it to be.
+            remark = ": the filter claims too little error" if self.nees > (1.0 + _MATTERS) * high else ""
+            return f"NEES {self.nees:.3g} of {self.states} (99 %: {low:.3g} to {high:.3g}{remark}; {middle}), {nis}"
         if self.states is None:
             return f"NEES unknown (the observer claims no covariance), {nis}"
         return f"NEES unknown (the claimed covariance is singular: something is taken as known exactly), {nis}"
@@ -178,6 +199,7 @@ def summarise(
     bounded = bounds is not None and bool(np.isfinite(bounds).any())
     return Summary(
         dies=computed,
+        redrawn=int(np.sum(rows["redrawn"][alive | lost] > 0)),
         failed=int(np.sum(lost)),
         end=percentiles(end),
         settled=percentiles(rows["rate_error_rms"][alive]),

@@ -197,7 +197,7 @@ class _Runner:
         found["nees_end"] = lot.nees(*pair) if pair else np.full(len(places), np.nan)
         astray = impossible(found, pair[0] if pair else None, self.plan, self.loop.filter is not None)
         found[STATUS] = np.where(astray & (found[STATUS] == OK), np.int8(DIVERGED), found[STATUS])
-        return {**found, "drawn": drawn.table[places]}
+        return {**found, "drawn": drawn.table[places], "redrawn": drawn.redrawn[places].astype(float)}
 
     def layout(self, settings: Settings) -> Layout:
         """The arrays of a lot, and what its Dataset and store say about how they were made."""
@@ -219,6 +219,7 @@ class _Runner:
             "rate_estimate": DieArray(("window",), (windows,), "rad/s"),
             "rate_true": DieArray(("window",), (windows,), "rad/s"),
             "drawn": DieArray(("parameter",), (len(parameters),), "SI"),
+            "redrawn": one,
         }
         labels = {"coefficient": list(names), "parameter": parameters, "channel": ["x", "y"]}
         made_by = {PROCESSOR: f"{self.mesh.devices.flat[0].device_kind} {runtime.processor()}"}

@@ -144,6 +144,20 @@ def test_filters_that_take_as_known_what_varies_are_diverged_and_told_so(loop, r
     assert np.all(reference["status"].values == OK)
 
 
+def test_dies_drawn_again_and_a_filter_that_claims_too_little_are_told(loop):
+    narrow = eqx.tree_at(lambda made: made.observer.prior, loop, mg.design_prior(loop.device, spread=0.05))
+    lot = mg.sweep(narrow, mg.Spread.relative(0.8), dies=24, chunk=8, **SHORT)
+    again = int(np.sum(lot.to_xarray()["redrawn"].values > 0))
+    assert lot.summary.redrawn == lot.summary.as_dict()["redrawn"] == again > 0
+    assert f"{again} of 24 dies" in repr(lot)
+    assert "the filter claims too little error" in repr(lot)
+    right = mg.sweep(loop, SPREAD, dies=40, chunk=8, **SHORT)
+    low, high = right.summary.nees_interval
+    assert (low, high) == pytest.approx((11.96, 16.25), abs=0.3), "χ² of 14, mean over 40 dies"
+    assert "drawn again" not in repr(right)
+    assert "the filter claims" not in repr(right)
+
+
 def test_without_claims_divergence_is_unknown(small):
     readout = mg.DirectReadout.of_velocity(1e5)
     observer = mg.LyapunovObserver.for_device(small.device, readout)
