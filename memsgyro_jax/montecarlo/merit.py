@@ -1,11 +1,11 @@
-"""Figures of merit of a lot: percentiles, yield with its interval, and how a varying rate was followed."""
+"""Figures of merit of a lot: percentiles, yield and ratio to the bound with their intervals, bias and scale factor."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy import optimize, signal, stats
+from scipy import stats
 
 
 @dataclass(frozen=True)
@@ -106,56 +106,6 @@ def straight_error(rate: Float[np.ndarray, " dies"], error: Float[np.ndarray, " 
     std = np.sqrt(scatter * np.diag(np.linalg.inv(table.T @ table)))
     scale, scale_std = (float(line[1]), float(std[1])) if varied else (None, None)
     return StraightError(float(line[0]), float(std[0]), scale, scale_std)
-
-
-@dataclass(frozen=True)
-class Following:
-    """How a varying rate was followed: rms error, delay in s, and -3 dB bandwidth in Hz.
-
-    Delay and bandwidth are those of the first-order lag with delay that maps the true rate to the mean estimate best.
-    The bandwidth is None where the record is too slow to show it.
-    """
-
-    rms: float
-    delay: float
-    bandwidth: float | None
-
-
-def following(
-    time: Float[np.ndarray, " windows"],
-    rates: Float[np.ndarray, "*dies windows"],
-    estimate: Float[np.ndarray, "dies windows"],
-) -> Following | None:
-    """Fit of the dies' mean over the given windows (evenly spaced, acquisition left out).
-
-    `rates` are the true rates in rad/s, of each die or of all; None for a rate that does not vary.
-    """
-    true = np.mean(np.atleast_2d(rates), axis=0)
-    spread = np.std(true)
-    if len(time) < 8 or not spread > 1e-3 * np.max(np.abs(true) + 1e-12):
-        return None
-    mean = np.mean(estimate, axis=0)
-    step = time[1] - time[0]
-
-    def answer(lag: float, delay: float) -> np.ndarray:
-        shifted = np.interp(time - delay, time, true)
-        decay = np.exp(-step / max(lag, 1e-12))
-        return signal.lfilter([1.0 - decay], [1.0, -decay], shifted, zi=[decay * shifted[0]])[0]
-
-    reach = 0.25 * (time[-1] - time[0])
-    fits = [
-        optimize.least_squares(
-            lambda p: (answer(*p) - mean) / spread,
-            [lag, 0.5 * step],
-            bounds=([1e-9, -step], [reach, reach]),
-            x_scale=step,
-        )
-        for lag in (0.1 * step, 3.0 * step)
-    ]
-    lag, delay = min(fits, key=lambda fit: fit.cost).x
-    rms = float(np.sqrt(np.mean((estimate - rates) ** 2)))
-    shows = lag > step  # a lag shorter than a window cannot be told from none
-    return Following(rms, float(delay), float(1.0 / (2.0 * np.pi * lag)) if shows else None)
 
 
 def settling_time(time: Float[np.ndarray, " n"], error: Float[np.ndarray, " n"], tolerance: float) -> float:

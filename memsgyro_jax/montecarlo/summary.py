@@ -15,13 +15,12 @@ from memsgyro_jax.loop.observers import AbstractCovarianceObserver
 
 from .batch import DIVERGED, LOST, OK, STATUS, Plan
 from .divergence import Divergence
+from .following import Following, following
 from .merit import (
-    Following,
     Percentiles,
     Proportion,
     Ratio,
     StraightError,
-    following,
     percentiles,
     proportion,
     ratio,
@@ -214,11 +213,7 @@ def summarise(
         nis=nis,
         convergence_time=_median(rows["convergence_time"][alive]),
         good=proportion(good, computed, f"rate error at the end within {np.degrees(plan.tolerance):.3g} deg/s"),
-        following=following(
-            plan.window_times[settled],
-            rows["rate_true"][alive][:, settled] if alive.any() else np.zeros(int(settled.sum())),
-            rows["rate_estimate"][alive][:, settled],
-        ),
+        following=following(plan.window_times, rows["rate_true"][alive], rows["rate_estimate"][alive], plan.settle),
         straight=straight,
         notes=notes,
         steps_per_s=speed,
@@ -251,13 +246,22 @@ def _median(values: np.ndarray) -> float | None:
     return middle if np.isfinite(middle) else None
 
 
-def _following(result: Following) -> dict[str, float | None]:
-    return {"rms_dps": float(np.degrees(result.rms)), "delay_s": result.delay, "bandwidth_hz": result.bandwidth}
+def _following(result: Following) -> dict[str, object]:
+    return {
+        "rms_dps": float(np.degrees(result.rms)),
+        "delay_s": result.delay,
+        "delay_interval_s": result.delay_interval,
+        "bandwidth_hz": result.bandwidth,
+        "bandwidth_interval_hz": result.bandwidth_interval,
+    }
 
 
 def _following_text(result: Following) -> str:
-    band = "beyond what the record shows" if result.bandwidth is None else f"{result.bandwidth:.3g} Hz"
-    return f"rms {np.degrees(result.rms):.3g} deg/s, delay {1e3 * result.delay:.3g} ms, bandwidth {band}"
+    delay = "{:.3g} ms ({:.3g} to {:.3g})".format(*(1e3 * t for t in (result.delay, *result.delay_interval)))
+    band = "not shown by this rate"
+    if result.bandwidth is not None and result.bandwidth_interval is not None:
+        band = "{:.3g} Hz ({:.3g} to {:.3g})".format(result.bandwidth, *result.bandwidth_interval)
+    return f"rms {np.degrees(result.rms):.3g} deg/s, delay {delay}, bandwidth {band}"
 
 
 def _straight(error: StraightError) -> dict[str, object]:

@@ -105,6 +105,19 @@ def test_points_with_a_lost_die_are_left_out_and_counted():
     np.testing.assert_array_equal(ours[0], kept[0])
 
 
+def test_an_output_that_nearly_never_differs_has_no_indices():
+    """Share of lost dies: 19 of 256 dies of both sets would say which dies were drawn, 20 have indices."""
+    values = np.zeros((5, 128))
+    values[0, :19] = 1.0
+    first, total, *intervals, dropped = indices_of(values, 0.95, np.random.default_rng(0))
+    assert np.all(np.isnan([first, total]))
+    assert np.all(np.isnan(intervals))
+    assert dropped == 0
+    values[1, 50] = 1.0
+    assert np.all(np.isfinite(indices_of(values, 0.95, np.random.default_rng(0))[1]))
+    assert np.all(np.isnan(indices_of(1.0 - values * (np.arange(128) < 19), 0.95, np.random.default_rng(0))[1]))
+
+
 # ---- sweeps at chosen points
 
 

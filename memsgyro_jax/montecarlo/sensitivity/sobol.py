@@ -33,6 +33,10 @@ if TYPE_CHECKING:
 
 NOISE = "noise"
 RESAMPLES = 999
+FEWEST = 20
+"""Dies of both sets that must differ from all others in an output, one that is nearly always 0 say, for it to have
+indices: those of fewer say which dies were drawn.
+"""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -40,7 +44,7 @@ class Sobol(Sensitivity):
     """Indices of every output by every input, the last of which is the measurement noise.
 
     Args:
-        first, total: indices (outputs, inputs); NaN for an output that does not vary.
+        first, total: indices (outputs, inputs); NaN for an output that is the same in all but `FEWEST` dies.
         first_interval, total_interval: their bootstrap intervals (outputs, inputs, 2).
         mean, std: of each output over the dies, in its unit (outputs,).
         points: of set A.
@@ -74,7 +78,11 @@ class Sobol(Sensitivity):
     def _text(self, output: int) -> str:
         name, unit, mean = self.outputs[output], self.units[output], self.mean[output]
         if not np.isfinite(self.first[output]).any():
-            return f"{name}: {mean:.4g} {unit} for all" if np.isfinite(mean) else f"{name}: every die was lost"
+            if not np.isfinite(mean):
+                return f"{name}: every die was lost"
+            if self.std[output] == 0.0:
+                return f"{name}: {mean:.4g} {unit} for all"
+            return f"{name}: {mean:.4g} {unit}; no indices, because it is the same for all but fewer than {FEWEST} dies"
         rows = [("  input", "first order", "total")]
         for i in np.argsort(-self.total[output]):
             indices = ((self.first, self.first_interval), (self.total, self.total_interval))
@@ -166,7 +174,8 @@ def indices_of(values: Float[np.ndarray, "sets points"], confidence: float, rng:
     kept, inputs = values[:, whole], len(values) - 2
     unknown = np.full(inputs, np.nan)
     dropped = np.asarray(values.shape[1] - kept.shape[1])
-    if kept.shape[1] < 2 or np.ptp(kept[:2]) == 0.0:
+    alike = np.unique(kept[:2], return_counts=True)[1]
+    if kept.shape[1] < 2 or kept[:2].size - np.max(alike, initial=0) < FEWEST:
         return unknown, unknown, np.full((inputs, 2), np.nan), np.full((inputs, 2), np.nan), dropped
 
     first, total = _estimates(kept)
