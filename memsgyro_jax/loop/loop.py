@@ -189,6 +189,7 @@ class ClosedLoop(Displayed):
         decay = 0.5 * max(float(np.max(np.abs(known.damping[i][i]))) for i in (0, 1))
         left = float(np.exp(-min(decay * duration, 100.0)))
         exact = partial(Exact.covering, highest, sample_rate, left=left)
+        exact()  # whoever propagates needs two samples per period
         return jax.tree.map(lambda part: exact(part) if isinstance(part, Exact) else part, self, is_leaf=_is_exact)
 
 

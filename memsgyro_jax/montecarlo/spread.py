@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from scipy import stats
 
-from memsgyro_jax.base.display import Shown
+from memsgyro_jax.base.display import UNITS, Shown
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.gyro import AbstractGyro, Scalar, is_concrete
 from memsgyro_jax.device.sizes import numbers_of, with_sizes
@@ -113,7 +113,8 @@ class Spread(Shown):
     numbers.
 
     `quasi=True` draws a scrambled Sobol sequence (percentiles converge faster), False pseudo-random numbers. With
-    `points` nothing is drawn: die i is the i-th of them.
+    `points` nothing is drawn: die i is the i-th of them. `shared`, from 0 to below 1, is the correlation that
+    `everywhere` has between numbers of one kind (stiffnesses, dampings, masses), which share their causes on a die.
     """
 
     items: tuple[Vary, ...] = ()
@@ -121,13 +122,19 @@ class Spread(Shown):
     quasi: bool = True
     everywhere: AbstractDistribution | None = None
     points: Points | None = None
+    shared: float = 0.0
+
+    def __post_init__(self):
+        if not 0.0 <= self.shared < 1.0:
+            raise InputError(f"Argument `shared` must lie from 0 to below 1, but {self.shared:g} was given.")
 
     @classmethod
-    def relative(cls, std: float, *, quasi: bool = True) -> "Spread":
-        """Each physical parameter of the device varies by `std` of itself (normal, independent), a coupling by `std` of
-        at least 1 % of the main coefficients; zero means identical dies.
+    def relative(cls, std: float, *, quasi: bool = True, shared: float = 0.0) -> "Spread":
+        """Each physical parameter of the device varies by `std` of itself (normal), a coupling by `std` of at least 1 %
+        of the main coefficients; zero means identical dies. `shared` is the correlation of numbers of one kind: 0.99
+        keeps modes together that are matched by design.
         """
-        return cls(quasi=quasi, everywhere=Normal(relative=std))
+        return cls(quasi=quasi, everywhere=Normal(relative=std), shared=shared)
 
     @classmethod
     def from_fit(cls, fit: HasUncertainty, *, quasi: bool = True) -> "Spread":
@@ -171,8 +178,8 @@ class Spread(Shown):
         A die that no device can be, of negative mass say, is drawn again until it is possible: the spread is cut there.
         Raises `InputError` where that does not help, and for an impossible one of chosen `points`.
         """
-        count, dies = len(self.resolved(loop)), np.asarray(dies, int)
-        normal, redrawn = np.array(self.normal(count, seed, dies)), np.zeros(len(dies), int)
+        items, dies = self.resolved(loop), np.asarray(dies, int)
+        normal, redrawn = np.array(self._together(items, seed, dies)), np.zeros(len(dies), int)
         drawn = self.at(loop, scenario, normal)
         bad = cannot_be(drawn.loop, loop)
         for attempt in range(1, 1 + (0 if self.points is not None else _REDRAWS)):
@@ -180,7 +187,7 @@ class Spread(Shown):
             if places.size == 0:
                 break
             # By die and attempt alone, as the first draw is: the same die in any company.
-            normal[places], redrawn[places] = self.normal(count, (seed, attempt), dies[places]), attempt
+            normal[places], redrawn[places] = self._together(items, (seed, attempt), dies[places]), attempt
             bad[places] = cannot_be(self.at(loop, scenario, normal[places]).loop, loop)
         if redrawn.any():
             drawn = self.at(loop, scenario, normal)
@@ -222,6 +229,16 @@ class Spread(Shown):
             raise InputError(
                 "Argument `correlation` must be positive definite; lower its off-diagonal entries."
             ) from None
+
+    def _together(self, items: tuple[Vary, ...], seed: Seed, dies: np.ndarray) -> Float[np.ndarray, "dies items"]:
+        """The standard normal numbers, numbers of one kind by their shared causes."""
+        normal = self.normal(len(items), seed, dies)
+        if self.shared == 0.0 or self.points is not None:
+            return normal
+        kinds = [UNITS.get(item.path.rpartition(".")[2]) for item in items]
+        own = np.arange(len(items)) >= len(self.items)
+        alike = np.equal.outer(kinds, kinds) & np.logical_and.outer(own, own)
+        return normal @ np.linalg.cholesky(np.where(alike, self.shared, 0.0) + np.diag(1.0 - self.shared * own)).T
 
     def noise(self, dies: np.ndarray) -> Int[np.ndarray, " dies"]:
         """The numbers that key the measurement noise of the dies: their own, but for chosen points."""

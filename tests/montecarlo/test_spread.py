@@ -91,6 +91,7 @@ def test_the_scenario_can_vary(loop):
         (lambda: mg.Spread((mg.Vary("readout.opamp_offset", mg.Normal(relative=0.1)),)), "one number"),
         (lambda: mg.Spread((mg.Vary("readout.opamp_offset.5", mg.Normal(relative=0.1)),)), "`5`"),
         (lambda: mg.Spread.relative(-0.1), "negative"),
+        (lambda: mg.Spread.relative(0.1, shared=1.0), "`shared` must lie from 0"),
         (lambda: mg.Spread.relative(float("nan")), "negative"),
         (lambda: mg.Spread((mg.Vary("device.kxx", mg.Uniform(relative=-0.1)),)), "negative"),
         (lambda: mg.Spread((mg.Vary("device.kxx", mg.Uniform(relative=0.1, low=1.0)),)), "either `relative`"),
@@ -148,6 +149,22 @@ def test_dies_that_are_never_possible_are_refused(loop):
     spread = mg.Spread((mg.Vary("device.mass", mg.Uniform(low=-1.0, high=-0.5)),))
     with pytest.raises(InputError, match=r"die 3 impossible.*`cut`.*`mass`"):
         draw(loop, spread, range(3, 8))
+
+
+def test_numbers_of_one_kind_share_their_causes(loop):
+    drawn = draw(loop, mg.Spread.relative(0.1, shared=0.9), range(1024))
+    wanted = np.eye(7)
+    for kind in (slice(1, 4), slice(4, 7)):
+        wanted[kind, kind] = 0.9 + 0.1 * np.eye(3)
+    np.testing.assert_allclose(np.corrcoef(drawn.table.T), wanted, atol=0.03)
+    assert np.std(drawn.table[:, 2] / 95.92) == pytest.approx(0.1, rel=0.03)
+    gyro = mg.SingleMassGyro.from_modes(3e-9, (2e4, 2.0005e4), 5e3)
+    made = mg.ClosedLoop(gyro, READOUT, mg.ExtendedKalmanFilter.for_device(gyro, READOUT), mg.OpenLoop())
+    apart, matched = (
+        np.ptp(mg.mode_frequencies(draw(made, mg.Spread.relative(0.1, shared=share), range(64)).loop.device), axis=-1)
+        for share in (0.0, 0.9999)
+    )
+    assert np.median(matched) < 0.05 * np.median(apart)
 
 
 def test_a_designed_loop_varies_like_its_device(loop):

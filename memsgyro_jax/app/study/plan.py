@@ -83,12 +83,14 @@ def within(given: str, unit: str | None, name: str) -> float:
 class SpreadSection(FileSection):
     """Section `[spread]`: what differs from die to die.
 
-    `relative` holds for every physical parameter of the device, `parameters` names single ones (`"device.kxx"`,
+    `relative` holds for every physical parameter of the device (correlated by `shared` within stiffnesses, dampings and
+    masses), `parameters` names single ones (`"device.kxx"`,
     `"readout.opamp_offset.0"`), which then follow their own law. `correlation` is over `parameters` in their order and
     needs `relative = 0`.
     """
 
     relative: Share = 0.0
+    shared: Annotated[float, Field(ge=0.0, lt=1.0), In("1")] = 0.0
     quasi: bool = True
     parameters: dict[str, Annotated[Bell | Box, Field(discriminator="kind")]] = Field(default_factory=dict)
     correlation: tuple[tuple[float, ...], ...] | None = None
@@ -104,7 +106,7 @@ class SpreadSection(FileSection):
             except ValueError as error:
                 raise ValueError(f'parameters."{path}": {error}') from error
         everywhere = Normal(relative=self.relative) if self.relative > 0.0 else None
-        return Spread(tuple(items), self.correlation, self.quasi, everywhere)
+        return Spread(tuple(items), self.correlation, self.quasi, everywhere, shared=self.shared)
 
 
 class SweepSection(FileSection):

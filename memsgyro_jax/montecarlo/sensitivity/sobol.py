@@ -147,9 +147,10 @@ def sobol(
 
 
 def _check(spread: Spread, points: int) -> None:
-    if spread.correlation is not None:
+    if spread.correlation is not None or spread.shared > 0.0:
         raise InputError(
-            "Argument `spread` must be independent for Sobol indices, but has a correlation; leave `correlation` out."
+            "Argument `spread` must be independent for Sobol indices, but has a correlation; leave `correlation` and "
+            "`shared` out."
         )
     if points < 2 or points & (points - 1):
         raise InputError(f"Argument `points` must be a power of two, at least 2, but is {points}.")
