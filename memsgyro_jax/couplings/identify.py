@@ -3,6 +3,7 @@ hold it.
 """
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -22,6 +23,7 @@ from .record import SweepRecord
 from .result import CouplingCoefficient, Identification
 from .sense_view import SeenBench
 from .tree_fit import Fit
+from .wrong_rows import without_wrong_rows
 
 
 # What a sweep may show beyond two linear modes, by its name in the catalogue of effects: the switch of the fit that
@@ -38,6 +40,8 @@ def identify(
 ) -> Identification:
     """Maximum likelihood on both complex responses of every sweep, jointly with modes, gain ratio and phase asymmetry.
 
+    A row that stands alone, as a wrong digit leaves it, is named in the notes and left out.
+
     Args:
         records: one or several sweeps of one device, with the x electrode, the y electrode or each of them driven.
         noise: of every reading; `None` estimates it from the scatter of neighbouring points.
@@ -49,13 +53,16 @@ def identify(
     require_float64("Identification")
     _check(records, mass, effects)
     sweeps = tuple(sweep_of(record, noise) for record in records)
-    outcome, sweeps = _fit(sweeps, effects, noise is None)
+    estimate = noise is None
+    (outcome, sweeps), wrong = without_wrong_rows(
+        sweeps, records, partial(_fit, effects=effects, estimate=estimate), partial(_again, estimate=estimate)
+    )
     repairs = {}
     if outcome.chi2_per_dof > gate(outcome.dof):
         for name in EFFECTS.keys() - set(effects):
             other, _ = _fit(sweeps, (*effects, name), noise is None)
             repairs[name] = float(other.chi2_per_dof)
-    return _judged(outcome, sweeps, mass, tuple(effects), repairs, _notes(records, noise, mass))
+    return _judged(outcome, sweeps, mass, tuple(effects), repairs, (*wrong, *_notes(records, noise, mass)))
 
 
 def sweep_of(record: SweepRecord, noise: Noise | None = None) -> FrequencySweep:
@@ -93,7 +100,15 @@ def _fit(
 ) -> tuple[Fit, tuple[FrequencySweep, ...]]:
     switches = {switch: name in effects for name, switch in EFFECTS.items()}
     outcome = _compiled(sweeps, **switches)
-    for _ in range(3 if estimate else 0):
+    return _again(outcome.values, _with_scatter(outcome, sweeps), True) if estimate else (outcome, sweeps)
+
+
+def _again(
+    start: SeenBench, sweeps: tuple[FrequencySweep, ...], estimate: bool
+) -> tuple[Fit, tuple[FrequencySweep, ...]]:
+    """A further fit from a start; to estimate the noise takes some."""
+    outcome = _compiled_refit(start, sweeps)
+    for _ in range(2 if estimate else 0):
         sweeps = _with_scatter(outcome, sweeps)
         outcome = _compiled_refit(outcome.values, sweeps)
     return outcome, sweeps

@@ -36,6 +36,7 @@ class SweepRecord:
         elapsed: time per row since the first [s], or `None`.
         unit: of the phasors.
         notes: what the reader assumed, one sentence each.
+        lines: of the file, per row.
     """
 
     name: str
@@ -49,6 +50,7 @@ class SweepRecord:
     elapsed: np.ndarray | None
     unit: str
     notes: tuple[str, ...] = ()
+    lines: np.ndarray | None = None
 
 
 def read_sweep(path: str | Path, *, axis: int | None = None, conjugated: bool = False) -> SweepRecord:
@@ -83,6 +85,7 @@ def read_sweep(path: str | Path, *, axis: int | None = None, conjugated: bool = 
         elapsed=_elapsed(table),
         unit=unit,
         notes=notes,
+        lines=table.lines,
     )
 
 

@@ -1,12 +1,20 @@
-"""Rows that stand alone among their neighbours, as a mistyped digit leaves them."""
+"""Rows that stand alone among their neighbours, as a mistyped digit leaves them: in what was read, and in what a fit
+leaves of it.
+"""
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from scipy import stats
 
 
 _SIGMAS = 12.0  # beyond this a row is reported
 _FLAT = 0.25  # share of the jump that the neighbours may still disagree by once the row is replaced
 _AROUND = 12  # rows on each side from which the usual misfit is told
+LEVEL = 1e-3  # share of records of normal noise in which `lone_residuals` finds a row
+_NEAR = 6  # rows on each side that say what a residual should be
+_FREEDOM = 0.3  # degrees of freedom per row of a robust standard deviation
+_AGREE = 0.7  # share of a row's excess that its neighbours may have once it is mended
+_MEDIAN, _QUARTILE = stats.norm.ppf([0.75, 0.875])  # of the modulus of a standard normal variable
 
 
 def interpolation_misfit(place: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -101,3 +109,65 @@ def _continues(place: np.ndarray, values: np.ndarray, row: int, jump: float) -> 
             if abs(values[row] - np.sum(weights * values[side])) < _FLAT * jump:
                 return True
     return False
+
+
+def lone_residuals(residual: np.ndarray, size: np.ndarray) -> list[tuple[int, int, float]]:
+    """Rows of which a fit leaves more than noise does: (row, column, standard deviations), none beside another.
+
+    Each is laid beside the parabola through its twelve neighbours, so that a misfit that is smooth from row to row
+    names nobody. A standard deviation is that of all rows, or of those around where it is larger,
+    from medians and quartiles, which a wrong row does not move. Of records of normal noise without a wrong row, at most
+    one in a thousand has a row that is named; it counts as such whether the noise is the same in all rows or goes with
+    the reading.
+
+    Args:
+        residual: (n, k) what the fit leaves of each reading, in order of the rows, over its standard deviation.
+        size: (n, k) what turns a residual with the noise the same in all rows into one with the noise in proportion to
+            the reading, or the reverse.
+    """
+    rows, columns = residual.shape
+    if rows <= _NEAR + _AROUND:
+        return []
+    apart = np.abs(_apart(residual))
+    excess = np.minimum(_excess(apart), _excess(apart * size))
+    limit = stats.t.isf(LEVEL / (2 * rows * columns), _FREEDOM * rows)
+    worst = np.max(excess, axis=1)
+    lone = (worst > limit) & (worst == np.max(sliding_window_view(np.pad(worst, 2), 5), axis=1))
+    found = [(int(row), int(np.argmax(excess[row])), float(worst[row])) for row in np.flatnonzero(lone)]
+    return [(row, column, far) for row, column, far in found if _stands_alone(residual[:, column], row)]
+
+
+def _excess(apart: np.ndarray) -> np.ndarray:
+    """(n, k) moduli over their usual value, that of all rows or that around where it is larger."""
+    whole = np.median(apart, axis=0) / _MEDIAN
+    reach = _NEAR + _AROUND
+    around = sliding_window_view(np.pad(apart, ((reach, reach), (0, 0)), mode="reflect"), 2 * reach + 1, axis=0)
+    others = np.r_[0:_AROUND, 2 * reach + 1 - _AROUND : 2 * reach + 1]  # without those that the row itself moves
+    usual = np.maximum(whole, np.quantile(around[..., others], 0.75, axis=-1) / _QUARTILE)
+    return apart / np.maximum(usual, np.finfo(float).tiny)
+
+
+def _apart(residual: np.ndarray) -> np.ndarray:
+    """(n, k) difference of each row from the parabola through twelve neighbours, with variance 1 for white noise."""
+    rows = len(residual)
+    width = min(2 * _NEAR + 1, rows)
+    first = np.clip(np.arange(rows) - _NEAR, 0, rows - width)
+    apart = np.empty_like(residual)
+    for begin in np.unique(np.arange(rows) - first):  # place of the row within its window: the same but at the ends
+        chosen = np.arange(rows) - first == begin
+        offsets = np.delete(np.arange(width) - begin, begin)
+        powers = np.vander(offsets, 3 if begin == _NEAR else 2)  # at an end a line, which a neighbour turns less
+        curve = np.insert(np.linalg.pinv(powers)[-1], begin, -1.0)
+        windows = sliding_window_view(residual, width, axis=0)[first[chosen]]
+        apart[chosen] = -windows @ curve / np.linalg.norm(curve)
+    return apart
+
+
+def _stands_alone(residual: np.ndarray, row: int) -> bool:
+    """Whether the rows around agree once this one is what they say: else it is the curve that bends there."""
+    first, last = max(row - _NEAR, 0), min(row + _NEAR + 1, len(residual))
+    piece, at = residual[first:last].copy(), row - first
+    others = np.delete(np.arange(len(piece)), at)
+    piece[at] = np.interp(at, others, piece[others])
+    before, after = _apart(residual[first:last, None])[at, 0], _apart(piece[:, None])[:, 0]
+    return bool(np.max(np.abs(after)) < _AGREE * abs(before))

@@ -115,6 +115,31 @@ def test_unknown_noise_is_estimated(wide):
     assert result.coefficients["c_xy"].std == pytest.approx(wide.coefficients["c_xy"].std, rel=0.15)
 
 
+@pytest.mark.parametrize(
+    ("row", "change", "column"),
+    [
+        (240, lambda z: -z.conjugate(), "Vy_phase"),
+        (760, lambda z: 10 * z, "Vy_amp"),
+        (0, lambda z: 10 * z, "Vy_amp"),
+        (1000, lambda z: 1.1 * z, "Vy_amp"),
+    ],
+)
+def test_a_row_with_a_wrong_digit_is_named_and_moves_nothing(row, change, column):
+    right = replace(swept(lab.Gyro()), lines=np.arange(1001) + 2)
+    wrong = replace(right, phasors=right.phasors.copy())
+    wrong.phasors[row, 1] = change(wrong.phasors[row, 1])
+    plain, found = identify([right], mass=3e-7), identify([wrong], mass=3e-7)
+    assert not [note for note in plain.notes if "line" in note]
+    assert found.notes[0].startswith(f"sweep.csv, line {row + 2}, column `{column}`: the row lies ")
+    assert len([note for note in found.notes if "line" in note]) == 1
+    assert found.explained
+    assert found.repairs == {}
+    for name in ("lambda_yx", "c_xy", "k_xy"):
+        before, after = plain.coefficients[name], found.coefficients[name]
+        assert after.value == pytest.approx(before.value, abs=0.3 * before.std)
+        assert after.std == pytest.approx(before.std, rel=0.1)
+
+
 def test_narrow_sweep_is_refused_a_verdict():
     result = identify([swept(lab.Gyro(), lab.NARROW)], noise=RAW, mass=3e-7)
     assert result.explained
@@ -133,6 +158,7 @@ def test_too_fast_a_sweep_is_noticed_named_and_repaired():
     plain = identify([fast], noise=RAW, mass=SLOW.mass)
     assert plain.chi2_per_dof > 10 * gate(plain.dof)
     assert plain.coefficients["c_xy"].verdict.endswith("add finite_sweep_rate")
+    assert not [note for note in plain.notes if "row" in note], "a misfit that is smooth is no wrong digit"
     repaired = identify([fast], noise=RAW, mass=SLOW.mass, effects=("finite_sweep_rate",))
     assert repaired.explained
     assert_within(repaired.coefficients["c_xy"], SLOW.cxy)
@@ -146,6 +172,7 @@ def test_feedthrough_is_noticed_named_and_repaired():
     leaking = swept(SLOW, SLOW_BAND, instrument=lab.replace(INSTRUMENT, leak=leak))
     plain = identify([leaking], noise=RAW, mass=SLOW.mass)
     assert plain.coefficients["k_xy"].verdict.endswith("add electrical_feedthrough")
+    assert not [note for note in plain.notes if "row" in note], "a misfit that is smooth is no wrong digit"
     repaired = identify([leaking], noise=RAW, mass=SLOW.mass, effects=("electrical_feedthrough",))
     assert repaired.explained
     assert_within(repaired.coefficients["c_xy"], SLOW.cxy)
