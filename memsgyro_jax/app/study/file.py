@@ -17,6 +17,7 @@ from memsgyro_jax.base.files import write_whole
 from memsgyro_jax.base.quantity import FileSection, field_unit
 from memsgyro_jax.base.toml import checked, toml_table, toml_text
 from memsgyro_jax.device.gyro import AbstractGyro
+from memsgyro_jax.device.propagate import Exact
 from memsgyro_jax.effects import Effect, catalogue
 from memsgyro_jax.effects.section import EffectSection
 from memsgyro_jax.loop.filters import check_fits
@@ -104,6 +105,11 @@ class StudyFile(FileSection):
         return None
 
 
+def _given(part: Any) -> Any:
+    """A series as chosen so far, for good."""
+    return Exact(part.order, part.nodes) if isinstance(part, Exact) else part
+
+
 @dataclass(frozen=True)
 class Study(Shown):
     """A study as objects: what `simulate` and `sweep` take.
@@ -181,11 +187,14 @@ class Study(Shown):
         """Die `number` of the study's sweep, as a loop of one die; the design itself for None."""
         if number is None:
             return self.loop, self.scenario
-        drawn = self.spread.draw(self.loop, self.scenario, self.settings.seed, np.array([number]))
+        # Its filter has the series of the design's, as in the sweep, and not one chosen for this die.
+        sampled = self.loop.sampled_at(self.settings.sample_rate, duration=self.settings.duration)
+        design = jax.tree.map(_given, sampled, is_leaf=lambda part: isinstance(part, Exact))
+        drawn = self.spread.draw(design, self.scenario, self.settings.seed, np.array([number]))
         return jax.tree.map(
             lambda one, design: one[..., 0] if jnp.ndim(one) > jnp.ndim(design) else one,
             (drawn.loop, drawn.scenario),
-            (self.loop, self.scenario),
+            (design, self.scenario),
         )
 
     def changed(self, changes: dict[str, Any]) -> "Study":
