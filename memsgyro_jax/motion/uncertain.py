@@ -1,9 +1,9 @@
 """A gyro whose model has the errors that a design counts with, as coefficients that an observer can find."""
 
+import math
 from dataclasses import replace
 
 import equinox as eqx
-import jax.numpy as jnp
 
 from memsgyro_jax.device.gyro import (
     UNCHANGED,
@@ -19,6 +19,7 @@ from memsgyro_jax.device.gyro import (
     Scalar,
     Term,
 )
+from memsgyro_jax.loop.bound import CROSS_DAMPING_ASYMMETRY
 from memsgyro_jax.loop.observers.settings import Prior, arrays
 
 from .errors import ModelErrors
@@ -31,9 +32,10 @@ _DELAYS = tuple(Coefficient(f"delay_{axis}", (), delays=i) for i, axis in enumer
 class UncertainGyro(AbstractGyro):
     """`gyro` with relative errors `gain` of the force on x and y, and `delay` [s] of its read-out's channels.
 
-    The coefficients of `gyro` are joined by half the difference of the gains [1/kg] (where one gain serves both axes:
-    the mean is in the coefficient of the mass) and by both delays, so that a filter made for it finds them. The delays
-    do not act here: `Delayed` is the read-out that has them. Zero errors are the gyro itself.
+    The coefficients of `gyro` are joined by the difference of its cross dampings [1/s], half that of the gains [1/kg]
+    (where one gain serves both axes: the mean is in the coefficient of the mass) and both delays, so that a filter made
+    for it finds them, or counts with what it cannot find. The delays do not act here: `Delayed` is the read-out that
+    has them. Zero errors are the gyro itself.
     """
 
     gyro: AbstractGyro
@@ -44,7 +46,7 @@ class UncertainGyro(AbstractGyro):
     def __post_init__(self):
         own = self.gyro.model
         split = (_SPLIT,) if _has_one_gain(own) else ()
-        self.model = MotionModel((*own.coefficients, *split, *_DELAYS))
+        self.model = MotionModel((*own.coefficients, CROSS_DAMPING_ASYMMETRY, *split, *_DELAYS))
 
     def dynamics(self, inertial: Inertial) -> Dynamics:
         """Those of the gyro, with the gains as they are."""
@@ -52,31 +54,39 @@ class UncertainGyro(AbstractGyro):
         return replace(own, gain=own.gain * tuple(1.0 + error for error in self.gain))
 
     def coefficients(self, rate: Scalar, damping_change: Change = UNCHANGED) -> tuple[Scalar, ...]:
-        """Those of the gyro (a gain with its error, one gain for both axes with the mean error), split and delays."""
+        """Those of the gyro (a gain with its error, one gain for both axes with the mean error), difference of the
+        cross dampings, split and delays.
+        """
         own, (x, y) = self.gyro.coefficients(rate, damping_change), self.gain
+        (_, xy), (yx, _) = self.gyro.dynamics(Inertial(damping_change=damping_change)).damping
         if not _has_one_gain(self.gyro.model):
             errors = {"sigma_x": x, "sigma_y": y}
             named = zip(own, self.gyro.model.names, strict=True)
-            return (*(value * (1.0 + errors.get(name, 0.0)) for value, name in named), *self.delay)
+            return (*(value * (1.0 + errors.get(name, 0.0)) for value, name in named), yx - xy, *self.delay)
         place = self.gyro.model.index("sigma")
         sigma = own[place]
         mean = (*own[:place], sigma * (1.0 + 0.5 * (x + y)), *own[place + 1 :])
-        return (*mean, 0.5 * sigma * (x - y), *self.delay)
+        return (*mean, yx - xy, 0.5 * sigma * (x - y), *self.delay)
 
     def prior(self, usual: Prior, errors: ModelErrors, known: tuple[str, ...]) -> tuple[Prior, tuple[str, ...]]:
-        """`usual`, a prior of the gyro alone, completed by what `errors` say, and which coefficients are still `known`:
-        not that of a known mass, which the mean error of the gains hides.
+        """`usual`, a prior of the gyro alone, completed by what `errors` say, and which coefficients are `known`: not a
+        mass that errors of the gains hide, but errors of zero.
         """
-        gain, delay = errors.force_gain, errors.delay
-        theta, std = usual.theta, usual.theta_std
-        if _has_one_gain(self.gyro.model):
-            place = self.gyro.model.index("sigma")
-            half = jnp.sqrt(0.5) * gain * theta[place]
-            theta, std = (*theta, 0.0), (*std, half)
-            if "sigma" in known:
-                std, known = (*std[:place], half, *std[place + 1 :]), tuple(name for name in known if name != "sigma")
-        ends = (*theta, 0.0, 0.0), (*std, delay, delay)
-        return Prior(usual.motion, usual.motion_std, usual.offset, usual.offset_std, *ends), known
+        one = _has_one_gain(self.gyro.model)
+        asymmetry, gain, _, *delays = errors.std(self.gyro)
+        shared = gain * (math.sqrt(0.5) if one else 1.0)
+        told = dict(zip(self.gyro.model.names, zip(usual.theta, usual.theta_std, strict=True), strict=True))
+        hidden = {name for name in known if name.startswith("sigma") and gain > 0.0}
+        told |= {name: (told[name][0], shared * told[name][0]) for name in hidden}
+        split = shared * told["sigma"][0] if one else 0.0
+        for name, std in zip(
+            self.model.names[len(told) :], [asymmetry, *([split] if one else []), *delays], strict=True
+        ):
+            told[name] = (0.0, std)
+            known = known if std > 0.0 else (*known, name)
+        theta, std = zip(*told.values(), strict=True)
+        prior = Prior(usual.motion, usual.motion_std, usual.offset, usual.offset_std, theta, std)
+        return prior, tuple(name for name in known if name not in hidden)
 
 
 def _has_one_gain(model: MotionModel) -> bool:

@@ -148,6 +148,39 @@ def test_a_design_is_aimed_at_another_die(design):
     assert np.all(np.sum(np.abs(aimed.amplitude), axis=0) <= 1e-6 * (1.0 + 1e-9))
 
 
+def test_the_loop_claims_no_more_than_the_design_assumed(design):
+    """Dies that have the errors of the model: unequal cross damping, that no filter tells from a rate, and gains."""
+    asymmetry, gain, *_ = design.errors.std(GYRO)
+    spread = mg.Spread((
+        mg.Vary("device.gyro.cross_damping_asymmetry", mg.Normal(std=float(asymmetry * GYRO.mass))),
+        *(mg.Vary(f"device.gain.{axis}", mg.Normal(std=float(gain))) for axis in (0, 1)),
+    ))  # fmt: skip
+    lot = mg.sweep(design.closed_loop(), spread, 1.0, dies=64, bound_dies=0)
+    claimed = lot.data["rate_std_end"].values
+    assert claimed == pytest.approx(design.bound(), rel=0.05)
+    assert np.sqrt(np.mean(lot.data["rate_error_end"].values ** 2)) == pytest.approx(design.bound(), rel=0.35)
+    assert np.median(lot.data["nees_end"].values) < 1.2 * lot.summary.states
+
+
+def test_errors_of_zero_are_known():
+    errors = {"cross_damping": 0.1, "force_gain": 0.0, "delay": 0.0}
+    for gyro, gain in ((GYRO, ("gain_split",)), (mg.DualMassGyro.chi2010(), ())):
+        made, usual = mg.UncertainGyro(gyro), mg.design_prior(gyro)
+        prior, known = made.prior(usual, mg.ModelErrors(**errors), ())
+        assert known == (*gain, "delay_x", "delay_y")
+        std = dict(zip(made.model.names, prior.theta_std, strict=True))
+        assert std["cross_damping_asymmetry"] == pytest.approx(mg.ModelErrors().std(gyro)[0])
+        assert prior.theta_std[: len(usual.theta)] == usual.theta_std
+    masses = ("sigma_x", "sigma_y")
+    prior, known = made.prior(usual, mg.ModelErrors(**errors | {"force_gain": 0.01}), masses)
+    assert known == ("delay_x", "delay_y"), "an error of the gain hides a known mass"
+    found = [prior.theta_std[made.model.index(name)] / prior.theta[made.model.index(name)] for name in masses]
+    assert found == pytest.approx([0.01, 0.01])
+    unequal = mg.SingleMassGyro(1.8e-7, 64.0, 96.0, 12.8, 3.6e-6, 4.5e-6, 3e-7, dyx=4e-7)
+    made = mg.UncertainGyro(unequal)
+    assert made.coefficients(1.0)[made.model.index("cross_damping_asymmetry")] == pytest.approx(1e-7 / 1.8e-7)
+
+
 @pytest.mark.slow
 def test_a_spread_is_designed_for(design):
     """Dies that all move alike: in the mean they tell more than in the motion that is best for the design device."""
@@ -191,6 +224,8 @@ def test_a_design_prints_itself_and_becomes_a_dataset_and_a_picture(design):
     assert "this design" in text
     assert "nominal design" in text
     assert "cross damping ± 10 %, force gain ± 1 %, delay ± 0.1 µs" in text
+    assert "gains nothing over the nominal design under them (2.8649 against 2.8649 deg/s)" in text
+    assert "cross damping by itself is 2.8648 deg/s" in text
     data = design.to_xarray()
     assert data["bound"].sel(design="this design").values[-1] == pytest.approx(design.bound())
     assert data["displacement"].dims == ("tone", "axis")

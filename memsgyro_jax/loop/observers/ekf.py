@@ -89,7 +89,7 @@ class ExtendedKalmanFilter(AbstractCovarianceObserver[KalmanState]):
     def __check_init__(self):
         for density in self.noise_density:
             check_positive("noise_density", density)
-        if any(c.delays is not None for c in self.model.coefficients) and (
+        if any(self.model.coefficients[i].delays is not None for i in self.estimated) and (
             self.signals != (X, Y) or self.iterations > 1 or self.fading is not None
         ):
             raise InputError(
