@@ -114,7 +114,8 @@ def test_a_recorded_rate_is_followed(memsgyro, folder):
     assert "as long as the record, 0.06 s" in out
     assert "varying rate followed" in out
     summary = load("sweep-out/summary.json")
-    assert set(summary["following"]) == {"rms_dps", "delay_s", "bandwidth_hz"}
+    intervals = {"delay_interval_s", "bandwidth_interval_hz"}
+    assert set(summary["following"]) == {"rms_dps", "delay_s", "bandwidth_hz", *intervals}
     assert summary["bound_dps"] is None, "the bound is that of a constant rate"
     with xr.open_zarr("sweep-out/dies.zarr", consolidated=False) as data:
         wanted = 3.0 * np.sin(2 * np.pi * 30.0 * data["time"].values)
