@@ -85,21 +85,11 @@ def sweep_of(record: SweepRecord, noise: Noise | None = None) -> FrequencySweep:
     )
 
 
-@eqx.filter_jit
-def _compiled(sweeps: tuple[FrequencySweep, ...], leak: bool, moving: bool) -> Fit:
-    return fit_sweeps(sweeps, leak=leak, moving=moving)
-
-
-@eqx.filter_jit
-def _compiled_refit(start: SeenBench, sweeps: tuple[FrequencySweep, ...]) -> Fit:
-    return refit(start, sweeps)
-
-
 def _fit(
     sweeps: tuple[FrequencySweep, ...], effects: Sequence[str], estimate: bool
 ) -> tuple[Fit, tuple[FrequencySweep, ...]]:
     switches = {switch: name in effects for name, switch in EFFECTS.items()}
-    outcome = _compiled(sweeps, **switches)
+    outcome = fit_sweeps(sweeps, **switches)
     return _again(outcome.values, _with_scatter(outcome, sweeps), True) if estimate else (outcome, sweeps)
 
 
@@ -107,10 +97,10 @@ def _again(
     start: SeenBench, sweeps: tuple[FrequencySweep, ...], estimate: bool
 ) -> tuple[Fit, tuple[FrequencySweep, ...]]:
     """A further fit from a start; to estimate the noise takes some."""
-    outcome = _compiled_refit(start, sweeps)
+    outcome = refit(start, sweeps)
     for _ in range(2 if estimate else 0):
         sweeps = _with_scatter(outcome, sweeps)
-        outcome = _compiled_refit(outcome.values, sweeps)
+        outcome = refit(outcome.values, sweeps)
     return outcome, sweeps
 
 

@@ -47,6 +47,7 @@ def free_parameters(seen: SeenBench, sweeps: Sequence[FrequencySweep]) -> PyTree
     return spec
 
 
+@eqx.filter_jit
 def fit_sweeps(
     sweeps: Sequence[FrequencySweep], *, leak: bool = False, moving: bool = False, starts: int = STARTS
 ) -> Fit:
@@ -67,6 +68,7 @@ def fit_sweeps(
     return evaluate(gauge_fixed(best.values), spec, sweeps, converged=best.converged, steps=best.steps)
 
 
+@eqx.filter_jit
 def refit(start: SeenBench, sweeps: Sequence[FrequencySweep], **options) -> Fit:
     """Fit from one start, gauge fixed before; use it for noise draws around a known device (under `vmap`)."""
     return fit_tree(gauge_fixed(start), free_parameters(start, sweeps), sweeps, **options)

@@ -63,7 +63,9 @@ class Joint:
                 'A case must have a record that may be fitted, but all have the role "validation"; leave the role of '
                 "one out."
             )
-        self.model, self.readings = model, tuple(readings)
+        # Without weak types: a number written in Python and one that was fitted run through the same program.
+        self.model = jax.tree.map(lambda leaf: jnp.asarray(leaf, leaf.dtype), model)
+        self.readings = tuple(readings)
         self.spec = _all_free(model)
         self.parameters = parameters(model)
 

@@ -70,6 +70,8 @@ def test_a_held_model_is_not_fitted(case, right):
     assert "taken as it is" in str(held)
     device = compare(right.model.device.physical(), case, fitted=False)
     assert not device.explained, "without offset and effect"
+    kinds = [[leaf.aval for leaf in jax.tree.leaves(c.joint.model.device)] for c in (right.fit, held.fit, device.fit)]
+    assert kinds[0] == kinds[1] == kinds[2], "one program for what was fitted and what was given"
     assert device.to_dict()["chi2_per_dof"] is None
 
 

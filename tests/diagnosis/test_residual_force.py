@@ -57,7 +57,8 @@ def test_nothing_is_missing_from_the_right_model(right):
 def test_an_appendage_at_rest_follows(right):
     """An effect with a state of its own and hardly any mass changes nothing."""
     model = right.model.with_effect(ParasiticMode(axis=0, strength=1e-12, omega=1e5, quality=50.0))
-    with_state = sweep_forces(fit_case(right.case, model=model, held=True))
+    sweeps = replace(right.case, records=tuple(r for r in right.case.records if r.kind == "frequency_sweep"))
+    with_state = sweep_forces(fit_case(sweeps, model=model, held=True))
     for a, b in zip(sweep_forces(right), with_state, strict=True):
         np.testing.assert_allclose(a.force / a.std, b.force / a.std, atol=1e-3)
 
