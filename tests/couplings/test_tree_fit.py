@@ -121,6 +121,7 @@ def test_the_best_of_several_starts_is_returned():
 
 
 def test_the_fit_is_differentiable_and_batched():
+    @jax.jit
     def slope(readings):
         return fit_tree(LINE, BOTH, [eqx.tree_at(lambda r: r.measured, RECORD, readings)]).values.slope
 

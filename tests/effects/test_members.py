@@ -63,12 +63,12 @@ def test_derivatives_are_finite_and_tell(effect):
         def value(e, part=part):
             return jax.vmap(lambda n: jnp.asarray(part.value(e, n)))(now)
 
-        for at in (effect, present(effect)):
-            reverse = jax.grad(lambda e, value=value: jnp.sum(value(e)))
-            slopes = jax.jit(lambda e, value=value, reverse=reverse: (jax.jacfwd(value)(e), reverse(e)))(at)
-            assert all(bool(jnp.all(jnp.isfinite(leaf))) for leaf in jax.tree.leaves(slopes))
+        reverse = jax.grad(lambda e, value=value: jnp.sum(value(e)))
+        slopes = jax.jit(lambda e, value=value, reverse=reverse: (jax.jacfwd(value)(e), reverse(e)))
+        absent, there = slopes(effect), slopes(present(effect))
+        assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves((absent, there)))
         if part.exact and "strength" not in getattr(effect, "scanned", ()):
-            assert float(jnp.max(jnp.abs(jax.jacfwd(value)(effect).strength))) > 0
+            assert np.max(np.abs(absent[0].strength)) > 0
 
 
 @every

@@ -213,7 +213,7 @@ def test_velocity_readout_is_bounded_too():
 
 
 def test_variance_follows_covariance():
-    got = information_bound(closed(), 1.0, duration=0.01)
+    got = information_bound(closed(), 1.0, duration=0.02)
     np.testing.assert_allclose(np.sqrt(np.diag(got.covariance)), got.std[-1], rtol=1e-9)
 
 
@@ -246,7 +246,7 @@ def test_a_noise_free_readout_has_no_bound():
 
 def test_an_unknown_quantity_is_refused():
     with pytest.raises(InputError, match=r"one of x, y, .* but `Q` was given"):
-        information_bound(closed(), 1.0, duration=0.001).of("Q")
+        information_bound(closed(), 1.0, duration=0.02).of("Q")
 
 
 class _Nothing(AbstractRecorder):

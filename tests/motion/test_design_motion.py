@@ -23,6 +23,7 @@ mpl.use("agg")
 
 GYRO = mg.SingleMassGyro.chi2010()
 NONE = mg.ModelErrors.none()
+rows_seen = eqx.filter_jit(sensitivities)
 SETTINGS = {"known": ("sigma",), "starts": 6, "steps": 100}
 
 
@@ -52,7 +53,7 @@ def test_the_closed_form_is_the_information_bound_of_the_run(own_axis):
     want = mg.information_bound(forced(made), 1.0, **run)
     assert made.bound() == pytest.approx(want.rate_std[-1], rel=1e-8)
     moved = Tones(2.0 * np.pi * made.frequency, made.amplitude)
-    rows = sensitivities(made.setting.plant(), moved, 1e-5, 2000, (0, 1))
+    rows = rows_seen(made.setting.plant(), moved, 1e-5, 2000, (0, 1))
 
     def variance(index):  # each unknown in the rate's place: one program for all
         own = jnp.roll(rows[:, :14], -index, axis=1)
@@ -85,7 +86,7 @@ def test_errors_of_the_model_enter_as_finite_differences_of_a_simulation(own_axi
     want = [(volts(d) - volts(-d)).ravel() / (2.0 * s) for d, s in zip(np.diag(sizes), sizes, strict=True)]
     want = np.asarray(want).T / float(made.readout.noise_std(h)[0])
     moved = Tones(2.0 * np.pi * own_axis.frequency, own_axis.amplitude)
-    got = np.asarray(sensitivities(made.plant(), moved, h, samples, (0, 1)))[:, -5:]
+    got = np.asarray(rows_seen(made.plant(), moved, h, samples, (0, 1)))[:, -5:]
     size = np.linalg.norm(want, axis=0)
     np.testing.assert_allclose(got.T @ got / size / size[:, None], want.T @ want / size / size[:, None], atol=1e-6)
 

@@ -18,7 +18,7 @@ from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.tuning import objective
 from memsgyro_jax.tuning.objective import Objective, Timing
 from memsgyro_jax.tuning.tunable import resolved
-from memsgyro_jax.tuning.tune import TRAINING
+from memsgyro_jax.tuning.tune import TRAINING, timing_of
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +43,7 @@ def likelihood(study):
     loop = given["loop"].sampled_at(given["sample_rate"])
     tunables = resolved(loop, given["free"], given["sample_rate"], given["duration"])
     own = tunables.chosen([True, True, True, False], tunables.values)
-    loss, timing = losses.InnovationLikelihood(given["settle"]), Timing(1e-6, 20, 100)
+    loss, timing = losses.InnovationLikelihood(given["settle"]), timing_of(given["sample_rate"], given["duration"], 0.0)
     return Objective.of(
         tunables.applied(loop, tunables.values), given["scenario"], given["spread"], own, loss,
         dies=TRAINING + np.arange(16), timing=timing, seed=0,

@@ -19,7 +19,7 @@ HOSTILE = "<script>alert(1)</script>.toml"
 
 @pytest.fixture(scope="module")
 def study():
-    changes = {"sweep.dies": 12, "sweep.chunk": 4, "sweep.sample_rate": "20 kHz", "sweep.duration": "10 ms"}
+    changes = {"sweep.dies": 12, "sweep.chunk": 2, "sweep.sample_rate": "20 kHz", "sweep.duration": "10 ms"}
     made = mg.default_study().changed(changes)
     return replace(made, source=replace(made.source, name=HOSTILE))
 
@@ -89,9 +89,9 @@ def test_a_sweep_without_spread_and_one_without_survivors(study):
     known = ["kxx", "kyy", "kxy", "dxx", "dyy", "dxy", "sigma"]  # a smaller filter compiles faster
     alike = study.changed({"spread.relative": 0.0, "sweep.dies": 4, "observer.known": known})
     assert "No parameter was varied." in sweep_page(mg.sweep(**alike.sweep_arguments), alike).html()
-    tight = study.changed({"loop.travel": "1.001 um", "loop.displacement": ["1.1 um", "0 m"], "sweep.dies": 4})
+    tight = study.changed({"loop.travel": "1.001 um", "loop.displacement": ["1.1 um", "0 m"]})
     text = sweep_page(mg.sweep(**tight.sweep_arguments), tight).html()
-    assert "4 were lost" in text
+    assert "12 were lost" in text
     assert "no die survived" in text
     assert "lost at" in text
 
