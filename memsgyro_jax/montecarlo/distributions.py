@@ -14,7 +14,14 @@ from memsgyro_jax.device.gyro import Scalar
 
 
 class AbstractDistribution(Displayed):
-    """Turns a standard normal number into a value around a design value; a new kind gives `value`."""
+    """Turns a standard normal number into a value around a design value; a new kind gives `value`, and `of_itself`
+    where it varies a number by a share of it: nothing, of one that is zero.
+    """
+
+    @property
+    def of_itself(self) -> bool:
+        """Whether the width is a share of the design value alone."""
+        return False
 
     def place(self, normal: Float[np.ndarray, " dies"]) -> Float[np.ndarray, " dies"]:
         """Where the dies stand, whatever the design: a function of their standard normal numbers, itself by default."""
@@ -41,6 +48,11 @@ class Normal(AbstractDistribution):
         if not self.cut > 0.0:
             raise InputError(f"Argument `cut` must be positive, but {self.cut:g} was given.")
 
+    @property
+    def of_itself(self) -> bool:
+        """With `relative` alone."""
+        return self.relative > 0.0 and self.std == 0.0 and self.mean is None
+
     def place(self, normal):
         return stats.truncnorm.ppf(stats.norm.cdf(normal), -self.cut, self.cut)
 
@@ -65,6 +77,11 @@ class Uniform(AbstractDistribution):
             raise InputError(f"A spread must not be negative, but {self.relative:g} was given.")
         if self.high < self.low:
             raise InputError(f"A uniform spread must have low <= high, but {self.low:g} and {self.high:g} were given.")
+
+    @property
+    def of_itself(self) -> bool:
+        """With `relative`."""
+        return bool(self.relative)
 
     def place(self, normal):
         return stats.norm.cdf(normal)

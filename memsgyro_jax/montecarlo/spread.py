@@ -63,10 +63,15 @@ class Vary(Shown):
     distribution: AbstractDistribution
 
     def read(self, root: "Root") -> Array:
-        """The design value; raises `InputError` when the path does not lead to a number."""
+        """The design value; raises `InputError` when the path does not lead to a number, or would not vary it."""
         here = self.find(root)
         if not (eqx.is_inexact_array(here) and here.ndim == 0):
             raise InputError(f"A spread must name one number, but `{self.path}` is {type(here).__name__}.")
+        if self.distribution.of_itself and is_concrete(here) and float(here) == 0.0:
+            raise InputError(
+                f"The spread of `{self.path}` must be given in its unit (`std`, or `low` and `high`), but is relative "
+                "to a design value of zero, which would not vary."
+            )
         return here
 
     def find(self, root: "Root") -> Any:

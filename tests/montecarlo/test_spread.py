@@ -90,6 +90,8 @@ def test_the_scenario_can_vary(loop):
         (lambda: mg.Spread((mg.Vary("device.kzz", mg.Normal(relative=0.1)),)), "`kzz`"),
         (lambda: mg.Spread((mg.Vary("readout.opamp_offset", mg.Normal(relative=0.1)),)), "one number"),
         (lambda: mg.Spread((mg.Vary("readout.opamp_offset.5", mg.Normal(relative=0.1)),)), "`5`"),
+        (lambda: mg.Spread((mg.Vary("start.1", mg.Normal(relative=0.1)),)), "relative to a design value of zero"),
+        (lambda: mg.Spread((mg.Vary("start.1", mg.Uniform(relative=0.1)),)), "`start.1` must be given in its unit"),
         (lambda: mg.Spread.relative(-0.1), "negative"),
         (lambda: mg.Spread.relative(0.1, shared=1.0), "`shared` must lie from 0"),
         (lambda: mg.Spread.relative(float("nan")), "negative"),

@@ -270,6 +270,8 @@ def _build(given: StudyFile, source: Source, own: tuple[Effect, ...]) -> Study:
         for path in file.spread.parameters:
             Vary(path, Normal()).read(Root(loop, scenario))
         spread = file.spread.build(lambda path: _unit_of_effect(gyro, path) or file.unit_of(path))
+        for item in spread.items:
+            item.read(Root(loop, scenario))
     return Study(loop, scenario, spread, file, given, source, own)
 
 

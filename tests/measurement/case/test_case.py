@@ -29,6 +29,31 @@ def assert_same_case(case, other):
                 np.testing.assert_array_equal(getattr(record, field.name), getattr(again, field.name), field.name)
 
 
+def test_a_design_may_be_given_by_its_modes(bench):
+    """In place of stiffness and damping; the numbers are those of the case's own ends, written out here."""
+    path, w = bench / "case.toml", 2 * np.pi * 3e3
+    text = path.read_text()
+    for old, new in (
+        ('kxx = { value = 64.0, unit = "N/m"', 'frequency_x = { value = 3.0, unit = "kHz"'),
+        ('kxy = { low = 0.0, high = 1.0, unit = "N/m" }', 'quadrature = { low = -10.0, high = 30.0, unit = "deg/s" }'),
+        ('dxx = { value = 3.6e-5, unit = "N*s/m"', 'quality_factor_x = { value = 90.0, unit = "1"'),
+        ('dyy = { value = 4.5e-5, unit = "N*s/m"', 'quality_factor_y = { value = 80.0, unit = "1"'),
+    ):
+        assert text.count(old) == 1
+        text = text.replace(old, new)
+    path.write_text(text)
+    design = load_case(bench).design
+    kxx, kxy, dxx, dyy = (design[name] for name in ("kxx", "kxy", "dxx", "dyy"))
+    ends = lambda *values: pytest.approx(values, rel=1e-12)  # noqa: E731
+    assert (kxx.value, kxx.low, kxx.high) == ends(1.8e-7 * w**2, 0.9**3 * 1.8e-7 * w**2, 1.1**3 * 1.8e-7 * w**2)
+    assert (kxy.value, kxy.low) == ends(3.6e-7 * w * np.radians(10.0), -(1.1**2) * 3.6e-7 * w * np.radians(10.0))
+    assert (dxx.low, dxx.high) == ends(0.9**2 * 1.8e-7 * w / 108.0, 1.1**2 * 1.8e-7 * w / 72.0)
+    assert dyy.value == pytest.approx(np.sqrt(72.0 * 1.8e-7) / 80.0, rel=1e-12)
+    path.write_text(text.replace("frequency_x", "kxx = { value = 64.0, unit = 'N/m', tolerance = 0.1 }\nfrequency_x"))
+    with pytest.raises(InputError, match=r"line 8, `design.frequency_x`: must not stand beside kxx"):
+        load_case(bench)
+
+
 def test_every_kind_is_read_in_si(bench):
     case = load_case(bench)
     assert case.channels == 2
