@@ -54,7 +54,7 @@ cross_damping = {device["cross"]!r}
 
 def told(summary) -> str:
     """What the run says of what does not fit."""
-    return "; ".join((*summary.notes, *summary.divergence.causes))
+    return "; ".join((*summary.notes, *summary.divergence.causes, *filter(None, [summary.hidden])))
 
 
 def main() -> None:

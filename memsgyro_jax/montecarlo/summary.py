@@ -30,6 +30,7 @@ from .merit import (
 
 SCHEMA = "memsgyro-sweep/1"
 _LIKELY = 0.99
+_HIDDEN = 0.2  # share of the prior from which errors about one rate fall a tenth below the bound
 _MATTERS = 0.05  # share by which a mean NEES must exceed its interval to be remarked: linearising costs some percent
 
 
@@ -41,7 +42,8 @@ class Summary(Shown):
     over the dies that were not lost, `sound` over those that did not diverge either; `failed`
     dies were lost, `divergence` tells which of the others' filters were. `bound` is the root mean square over dies of
     the least standard deviation any unbiased use of the same data and prior could reach at the end, `reached` compares
-    each die's error with its own bound; both are None where there is no bound.
+    each die's error with its own bound; both are None where there is no bound. `prior_share` is the part of the
+    information in the bound that the filter's prior of the rate brought along.
     `nees` is the mean over dies, `nees_median` their median, `states` the expectation of the mean; `straight` holds
     bias and scale-factor error. `notes` were told before the run. `steps_per_s` is None when a single batch left
     nothing to time after compiling.
@@ -56,6 +58,7 @@ class Summary(Shown):
     sound: Percentiles
     divergence: Divergence
     bound: float | None
+    prior_share: float | None
     reached: Ratio | None
     nees: float | None
     nees_median: float | None
@@ -98,6 +101,7 @@ class Summary(Shown):
             },
             "rate_series_std_dps": float(np.degrees(self.series_std)),
             "bound_dps": None if self.bound is None else float(np.degrees(self.bound)),
+            "prior_share": self.prior_share,
             "ratio_to_bound": self.ratio_to_bound,
             "ratio_to_own_bound": None if self.reached is None else self.reached._asdict(),
             "nees": self.nees,
@@ -134,6 +138,7 @@ class Summary(Shown):
         ]
         if self.bound is not None and self.reached is not None:
             rows.append(("information bound at the end (rms)", f"{np.degrees(self.bound):.3g} deg/s"))
+            rows += [("  mostly known before", self.hidden)] if self.hidden else []
             rows.append(("error over own bound, die by die", _reached_text(self.reached, self.dies)))
         rows.append(("consistency (NEES, NIS)", self._consistency()))
         if self.convergence_time is not None:
@@ -148,6 +153,16 @@ class Summary(Shown):
         if self.steps_per_s is not None:
             rows.append(("speed after compiling", f"{self.steps_per_s / 1e6:.3g} million steps/s"))
         return rows
+
+    @property
+    def hidden(self) -> str | None:
+        """A sentence where the read-out says so little of the rate that the errors tell of the prior instead."""
+        if self.prior_share is None or self.prior_share < _HIDDEN:
+            return None
+        return (
+            f"{100.0 * self.prior_share:.0f} % of what can be known of the rate is the filter's prior, because the "
+            "read-out's noise hides it; swing wider, run longer or lower the noise"
+        )
 
     def _redrawn(self) -> str:
         share = 100.0 * self.redrawn / self.dies
@@ -196,6 +211,7 @@ def summarise(
     else:
         straight = None
     bounded = bounds is not None and bool(np.isfinite(bounds).any())
+    bound = percentiles(bounds).rms if bounded else None
     return Summary(
         dies=computed,
         redrawn=int(np.sum(rows["redrawn"][alive | lost] > 0)),
@@ -205,7 +221,8 @@ def summarise(
         series_std=percentiles(rows["rate_series_std"][alive]).rms,
         sound=percentiles(rows["rate_error_end"][sound]),
         divergence=divergence,
-        bound=percentiles(bounds).rms if bounded else None,
+        bound=bound,
+        prior_share=None if bound is None else _prior_share(loop, bound),
         reached=ratio(rows["rate_error_end"][: len(bounds)], bounds) if bounded else None,
         nees=nees,
         nees_median=None if nees is None else float(np.nanmedian(rows["nees_end"][alive])),
@@ -219,6 +236,13 @@ def summarise(
         steps_per_s=speed,
         settings=settings,
     )
+
+
+def _prior_share(loop: ClosedLoop, bound: float) -> float | None:
+    if not isinstance(loop.observer, AbstractCovarianceObserver):
+        return None
+    std = float(np.max(np.asarray(loop.observer.prior.theta_std[loop.observer.model.index("rate")])))
+    return (bound / std) ** 2 if std > 0.0 else None
 
 
 def _states(loop: ClosedLoop) -> int | None:
