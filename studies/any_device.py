@@ -59,7 +59,7 @@ def told(summary) -> str:
 
 def main() -> None:
     report = Report()
-    dies = 64 if report.quick else 512
+    dies = 256 if report.quick else 512
     figure, axes = plt.subplots(figsize=(6, 4), layout="constrained")
     low, high = stats.chi2.interval(0.99, STATES * dies)
     reached = silent = 0
