@@ -42,8 +42,8 @@ class Summary(Shown):
     over the dies that were not lost, `sound` over those that did not diverge either; `failed`
     dies were lost, `divergence` tells which of the others' filters were. `bound` is the root mean square over dies of
     the least standard deviation any unbiased use of the same data and prior could reach at the end, `reached` compares
-    each die's error with its own bound; both are None where there is no bound. `prior_share` is the part of the
-    information in the bound that the filter's prior of the rate brought along.
+    each die's error with its own bound, `reached_sound` without the diverged dies; all are None without a bound.
+    `prior_share` is the part of the information in the bound that the filter's prior of the rate brought along.
     `nees` is the mean over dies, `nees_median` their median, `states` the expectation of the mean; `straight` holds
     bias and scale-factor error. `notes` were told before the run. `steps_per_s` is None when a single batch left
     nothing to time after compiling.
@@ -60,6 +60,7 @@ class Summary(Shown):
     bound: float | None
     prior_share: float | None
     reached: Ratio | None
+    reached_sound: Ratio | None
     nees: float | None
     nees_median: float | None
     states: int | None
@@ -140,6 +141,8 @@ class Summary(Shown):
             rows.append(("information bound at the end (rms)", f"{np.degrees(self.bound):.3g} deg/s"))
             rows += [("  mostly known before", self.hidden)] if self.hidden else []
             rows.append(("error over own bound, die by die", _reached_text(self.reached, self.dies)))
+            if diverged and self.reached_sound is not None:
+                rows.append(("  without the diverged dies", _reached_text(self.reached_sound, self.dies)))
         rows.append(("consistency (NEES, NIS)", self._consistency()))
         if self.convergence_time is not None:
             rows.append(("median time to converge", f"{1e3 * self.convergence_time:.3g} ms"))
@@ -200,7 +203,8 @@ def summarise(
     status = rows[STATUS]
     sound, lost = status == OK, status == LOST
     alive = sound | (status == DIVERGED)
-    end = rows["rate_error_end"][alive]
+    end_of_all = rows["rate_error_end"]
+    end = end_of_all[alive]
     good = int(np.sum(np.abs(end) <= plan.tolerance))
     computed = int(np.sum(alive | lost))
     nees, nis = (_mean(rows[name][alive]) for name in ("nees_end", "nis_mean"))
@@ -219,11 +223,12 @@ def summarise(
         end=percentiles(end),
         settled=percentiles(rows["rate_error_rms"][alive]),
         series_std=percentiles(rows["rate_series_std"][alive]).rms,
-        sound=percentiles(rows["rate_error_end"][sound]),
+        sound=percentiles(end_of_all[sound]),
         divergence=divergence,
         bound=bound,
         prior_share=None if bound is None else _prior_share(loop, bound),
-        reached=ratio(rows["rate_error_end"][: len(bounds)], bounds) if bounded else None,
+        reached=ratio(end_of_all[: len(bounds)], bounds) if bounded else None,
+        reached_sound=ratio(np.where(sound, end_of_all, np.nan)[: len(bounds)], bounds) if bounded else None,
         nees=nees,
         nees_median=None if nees is None else float(np.nanmedian(rows["nees_end"][alive])),
         states=_states(loop),

@@ -66,6 +66,13 @@ def loop() -> mg.ClosedLoop:
     return mg.ClosedLoop(gyro, readout, observer, mg.DampingCompensation(mg.Tone(600.0, 53.95)))
 
 
+@pytest.mark.slow
+def test_no_filter_of_twenty_thousand_default_dies_is_called_diverged(loop):
+    lot = mg.sweep(loop, mg.Spread.relative(0.15), dies=20_000, duration=0.02, bound_dies=0)
+    assert lot.summary.divergence.dies == ()
+    assert lot.summary.failed == 0
+
+
 def said(loop: mg.ClosedLoop, scenario: object, sample_rate: float = 100e3) -> tuple[str, ...]:
     whole = scenario if isinstance(scenario, mg.Scenario) else mg.Scenario(rate=scenario)
     return expectations(loop, whole, sample_rate, 0.1)

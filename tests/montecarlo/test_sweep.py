@@ -21,6 +21,7 @@ import memsgyro_jax as mg
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.gyro import SINGLE_MASS, MotionModel
 from memsgyro_jax.montecarlo.batch import DIVERGED, OK, Plan
+from memsgyro_jax.montecarlo.bounds import own_bounds
 from memsgyro_jax.montecarlo.divergence import divergence_of
 from memsgyro_jax.montecarlo.spread import AbstractDistribution
 
@@ -298,6 +299,9 @@ def test_the_default_lot_is_consistent_and_at_the_bound(loop):
     assert figures.reached.median == pytest.approx(1.0, abs=4.0 * 1.17 / np.sqrt(128))
     assert figures.nees == pytest.approx(14.0, abs=3.0 * np.sqrt(2 * 14 / 128))
     assert figures.nis == pytest.approx(2.0, abs=0.02)
+    few, more = (own_bounds(loop, mg.Scenario(mg.Constant(1.0)), SPREAD, 0, dies, 100e3, 0.1) for dies in (5, 40))
+    assert few.tobytes() == more[:5].tobytes()
+    assert len(np.unique(more)) == 40
     text = json.loads(json.dumps(figures.as_dict()))
     assert set(text) >= {
         "schema", "dies", "failed", "rate_error_dps", "bound_dps", "ratio_to_bound", "nees", "convergence_time_s",
