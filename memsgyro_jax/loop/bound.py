@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from memsgyro_jax.base.arguments import quantity
 from memsgyro_jax.base.concrete import is_concrete, settled
 from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
@@ -41,7 +42,7 @@ from memsgyro_jax.device.propagate import State4, applied
 
 from .engine import over_dies
 from .least_variance import least_variance, with_slopes
-from .loop import ClosedLoop, LoopState
+from .loop import ClosedLoop, LoopState, as_loop
 from .observers.base import MOTION, OFFSETS, Clock
 from .observers.settings import Prior
 from .scenario import AbstractProfile, Conditions, Scenario, as_scenario
@@ -134,8 +135,8 @@ def information_bound(
     loop: ClosedLoop,
     scenario: Scenario | AbstractProfile | float = 1.0,
     *,
-    sample_rate: float = 100e3,
-    duration: float = 0.1,
+    sample_rate: float | str = 100e3,
+    duration: float | str = 0.1,
     prior: Prior | None = None,
     known: tuple[str, ...] = (),
     also: tuple[Coefficient, ...] = (),
@@ -155,6 +156,8 @@ def information_bound(
     Raises `InputError` for float32, an unknown name, a read-out without noise, or settings that make no sample.
     """
     require_float64("`information_bound`")
+    loop = as_loop(loop)
+    sample_rate, duration = quantity("sample_rate", sample_rate, "Hz"), quantity("duration", duration, "s")
     check_positive("sample_rate", sample_rate)
     check_positive("duration", duration)
     scenario, samples, period = as_scenario(scenario), round(sample_rate * duration), 1.0 / sample_rate

@@ -198,3 +198,13 @@ _MARGIN = 1.3  # estimates and spread dies may lie above the design's mode frequ
 
 def _is_exact(part: object) -> bool:
     return isinstance(part, Exact)
+
+
+def as_loop(given: object) -> ClosedLoop:
+    """A closed loop as it is; raises `InputError` for anything else, a device say."""
+    if not isinstance(given, ClosedLoop):
+        raise InputError(
+            "Argument `loop` must be a ClosedLoop, of device, read-out, observer and controller, but is a "
+            f"{type(given).__name__}; a device alone has none of the others."
+        )
+    return given

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from memsgyro_jax.base.arguments import quantity
 from memsgyro_jax.base.concrete import is_concrete
 from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.errors import InputError
@@ -222,8 +223,10 @@ def _values(profiles: tuple[AbstractProfile, ...], time: Scalar) -> tuple[Scalar
     return tuple(profile.value(time) for profile in profiles)
 
 
-def as_scenario(given: "Scenario | AbstractProfile | float") -> Scenario:
-    """A scenario from itself, from a rate profile, or from a constant rate in rad/s."""
+def as_scenario(given: "Scenario | AbstractProfile | float | str") -> Scenario:
+    """A scenario from itself, from a rate profile, or from a constant rate in rad/s or as text with its unit."""
     if isinstance(given, Scenario):
         return given
-    return Scenario(rate=given if isinstance(given, AbstractProfile) else Constant(given))
+    return Scenario(
+        rate=given if isinstance(given, AbstractProfile) else Constant(quantity("scenario", given, "rad/s"))
+    )

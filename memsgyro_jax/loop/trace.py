@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from memsgyro_jax.base import runtime
+from memsgyro_jax.base.arguments import quantity, whole
 from memsgyro_jax.base.axes import axes
 from memsgyro_jax.base.concrete import is_concrete
 from memsgyro_jax.base.display import Shown
@@ -19,7 +20,7 @@ from memsgyro_jax.device.propagate import State4
 
 from . import engine, noise
 from .expectation import expectations, tell
-from .loop import ClosedLoop, Sample
+from .loop import ClosedLoop, Sample, as_loop
 from .scenario import AbstractProfile, Scenario, as_scenario
 
 
@@ -200,8 +201,8 @@ def simulate(
     loop: ClosedLoop,
     scenario: Scenario | AbstractProfile | float = 0.0,
     *,
-    sample_rate: float,
-    duration: float,
+    sample_rate: float | str,
+    duration: float | str,
     seed: int = 0,
     die: int = 0,
     decimation: int = 1,
@@ -215,6 +216,8 @@ def simulate(
     cannot carry the device's modes, and outside float64.
     """
     runtime.require_float64("simulate")
+    loop, seed, die, decimation = as_loop(loop), whole("seed", seed), whole("die", die), whole("decimation", decimation)
+    sample_rate, duration = quantity("sample_rate", sample_rate, "Hz"), quantity("duration", duration, "s")
     steps = count_steps(sample_rate, duration)
     if not 1 <= decimation <= steps:
         raise InputError(

@@ -14,6 +14,7 @@ import numpy as np
 from scipy import stats
 
 from memsgyro_jax.base import runtime
+from memsgyro_jax.base.arguments import quantity, whole
 from memsgyro_jax.base.axes import axes
 from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
@@ -22,7 +23,7 @@ from memsgyro_jax.device.propagate import fuses_many_outputs
 from memsgyro_jax.loop import noise
 from memsgyro_jax.loop.expectation import tell
 from memsgyro_jax.loop.filters import check_fits
-from memsgyro_jax.loop.loop import ClosedLoop
+from memsgyro_jax.loop.loop import ClosedLoop, as_loop
 from memsgyro_jax.loop.scenario import AbstractProfile, Scenario, as_scenario
 from memsgyro_jax.loop.trace import count_steps
 
@@ -92,10 +93,10 @@ def sweep(
     scenario: Scenario | AbstractProfile | float = 1.0,
     *,
     dies: int = 256,
-    sample_rate: float = 100e3,
-    duration: float = 0.1,
-    settle: float | None = None,
-    tolerance: float = DEFAULT_TOLERANCE,
+    sample_rate: float | str = 100e3,
+    duration: float | str = 0.1,
+    settle: float | str | None = None,
+    tolerance: float | str = DEFAULT_TOLERANCE,
     seed: int = 0,
     chunk: int | None = None,
     out: str | Path | None = None,
@@ -123,12 +124,16 @@ def sweep(
     Raises `InputError` for settings that cannot be run, a store of something else, and outside float64.
     """
     runtime.require_float64("sweep")
+    loop, seed = as_loop(loop), whole("seed", seed)
+    dies, bound_dies = whole("dies", dies, 1), whole("bound_dies", bound_dies)
+    sample_rate, duration = quantity("sample_rate", sample_rate, "Hz"), quantity("duration", duration, "s")
+    settle = 0.5 * duration if settle is None else quantity("settle", settle, "s")
+    tolerance, chunk = quantity("tolerance", tolerance, "rad/s"), chunk and whole("chunk", chunk, 1)
     scenario, loop = as_scenario(scenario), loop.sampled_at(sample_rate, duration=duration)
     if not any(item.path.startswith(f"{DEVICE_PREFIX}effects.") for item in spread.resolved(loop)):
         loop = loop.present
     count_steps(sample_rate, duration)
-    settle = 0.5 * duration if settle is None else settle
-    _check(dies, settle, duration, tolerance, chunk)
+    _check(settle, duration, tolerance, chunk)
     plan = _plan(sample_rate, duration, settle, tolerance)
     tell(notes := unexpected(loop, scenario, spread, seed, dies, sample_rate, duration))
     settings = Settings.of(loop, scenario, spread, plan, sample_rate=sample_rate, duration=duration, seed=seed)
@@ -278,9 +283,7 @@ def _plan(sample_rate: float, duration: float, settle: float, tolerance: float) 
     return lot.Plan(1.0 / sample_rate, blocks, steps // blocks, settle, tolerance)
 
 
-def _check(dies: int, settle: float, duration: float, tolerance: float, chunk: int | None) -> None:
-    if dies < 1:
-        raise InputError(f"Argument `dies` must be at least 1, but {dies} was given.")
+def _check(settle: float, duration: float, tolerance: float, chunk: int | None) -> None:
     if not 0.0 <= settle < duration:
         raise InputError(
             f"Argument `settle` must lie within the duration of {duration:g} s, but {settle:g} s was given."

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from memsgyro_jax.base.arguments import quantity, whole
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.runtime import require_float64
 from memsgyro_jax.device.gyro import AbstractGyro, check_positive, mode_frequencies
@@ -36,17 +37,17 @@ def design_motion(
     *,
     tones: int = 4,
     own_axis: bool = False,
-    displacement: float = 1e-6,
-    force: float = math.inf,
+    displacement: float | str = 1e-6,
+    force: float | str = math.inf,
     errors: ModelErrors | None = None,
     known: tuple[str, ...] = (),
     spread: Spread | None = None,
     dies: int = 8,
     aiming: bool = True,
     band: tuple[float, float] | None = None,
-    rate: float = 1.0,
-    sample_rate: float = 100e3,
-    duration: float = 0.1,
+    rate: float | str = 1.0,
+    sample_rate: float | str = 100e3,
+    duration: float | str = 0.1,
     starts: int = 16,
     steps: int = 200,
     seed: int = 0,
@@ -69,6 +70,13 @@ def design_motion(
     sample rate, an unknown name, a read-out without noise, fewer tones than the unknowns need.
     """
     require_float64("`design_motion`")
+    tones, dies, starts, seed = (
+        whole(name, number, least)
+        for name, number, least in (("tones", tones, 1), ("dies", dies, 1), ("starts", starts, 1), ("seed", seed, 0))
+    )
+    rate, sample_rate = quantity("rate", rate, "rad/s"), quantity("sample_rate", sample_rate, "Hz")
+    duration, displacement = quantity("duration", duration, "s"), quantity("displacement", displacement, "m")
+    force = quantity("force", force, "N")
     readout = ChargeAmplifier.chi2010() if readout is None else readout
     lower, upper = mode_frequencies(gyro)
     band = (0.5 * float(lower), 1.5 * float(upper)) if band is None else band

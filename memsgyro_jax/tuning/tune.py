@@ -14,9 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from memsgyro_jax.base import runtime
+from memsgyro_jax.base.arguments import quantity, whole
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.provenance import Settings
-from memsgyro_jax.loop.loop import ClosedLoop
+from memsgyro_jax.loop.loop import ClosedLoop, as_loop
 from memsgyro_jax.loop.scenario import AbstractProfile, Scenario, as_scenario
 from memsgyro_jax.loop.trace import count_steps
 from memsgyro_jax.montecarlo.spread import Spread
@@ -54,9 +55,9 @@ def tune(
     dies: int = 128,
     validation_dies: int = 64,
     report_dies: int = 256,
-    sample_rate: float = 100e3,
-    duration: float = 0.1,
-    settle: float | None = None,
+    sample_rate: float | str = 100e3,
+    duration: float | str = 0.1,
+    settle: float | str | None = None,
     seed: int = 0,
     evaluations: int = 40,
     progress: Callable[[str], None] | None = None,
@@ -77,11 +78,15 @@ def tune(
     run, for a loss that is no number at the start, and outside float64.
     """
     runtime.require_float64("tune")
+    loop, seed = as_loop(loop), whole("seed", seed)
+    dies, validation_dies = whole("dies", dies, 2), whole("validation_dies", validation_dies, 1)
+    report_dies, evaluations = whole("report_dies", report_dies, 1), whole("evaluations", evaluations, 1)
+    sample_rate, duration = quantity("sample_rate", sample_rate, "Hz"), quantity("duration", duration, "s")
     scenario, loop = as_scenario(scenario), loop.sampled_at(sample_rate, duration=duration)
     spread = Spread.relative(0.15) if spread is None else spread
-    settle = 0.5 * duration if settle is None else settle
+    settle = 0.5 * duration if settle is None else quantity("settle", settle, "s")
     tunables = resolved(loop, free, sample_rate, duration)
-    _check(dies, validation_dies, evaluations)
+    _check(dies, validation_dies)
     stages = _stages(loop, tunables, loss, settle)
     _check_priors(stages, tunables)
     timing = timing_of(sample_rate, duration, max(float(stage.loss.begins()) for stage in stages))
@@ -234,10 +239,6 @@ def _check_priors(stages: tuple[TuningStage, ...], tunables: Tunables) -> None:
                 )
 
 
-def _check(dies: int, validation_dies: int, evaluations: int) -> None:
-    least_of = (("dies", dies, 2), ("validation_dies", validation_dies, 1), ("evaluations", evaluations, 1))
-    for name, value, least in least_of:
-        if value < least:
-            raise InputError(f"Argument `{name}` must be at least {least}, but {value} was given.")
+def _check(dies: int, validation_dies: int) -> None:
     if max(dies, validation_dies) > TRAINING:
         raise InputError(f"Argument `dies` must be at most {TRAINING}, but {max(dies, validation_dies)} was given.")

@@ -1,0 +1,53 @@
+"""What a person passes to a public function: quantities as numbers or as text with a unit, counts and seeds."""
+
+from typing import Any
+
+import jax
+import numpy as np
+
+from .errors import InputError
+from .text import excerpt
+
+
+LARGEST = {"seed": 2**63 - 1}
+_LARGEST = 2**31 - 1  # dies are told apart by words of 32 bits
+
+
+def quantity(name: str, given: Any, unit: str) -> float:
+    """Argument `name` in the SI unit `unit`: a number is in it already, text such as "100 kHz" is converted.
+
+    Raises `InputError` for text without a unit or with one of another kind, and for what is neither.
+    """
+    if isinstance(given, str):
+        from .quantity import In  # takes half a second that numbers need not
+
+        try:
+            return In(unit).read(given)
+        except ValueError as error:
+            raise InputError(f"Argument `{name}`: {str(error).rstrip('.')}.") from error
+    if isinstance(given, bool) or not isinstance(given, float | int | np.generic | np.ndarray | jax.Array):
+        raise InputError(
+            f'Argument `{name}` must be a number in {unit}, or text with a unit such as "1 {unit}", but is '
+            f"{excerpt(given)} of type {type(given).__name__}."
+        )
+    return given  # type: ignore[return-value]
+
+
+def whole(name: str, given: Any, least: int = 0) -> int:
+    """Argument `name` as a whole number from `least` on; traced ones and arrays pass.
+
+    Raises `InputError` for a fraction, and for one below `least` or above 2⁶³ − 1 (seeds) or 2³¹ − 1 (counts).
+    """
+    if isinstance(given, jax.Array | np.ndarray) and (isinstance(given, jax.core.Tracer) or given.ndim):
+        return given  # type: ignore[return-value]
+    most = LARGEST.get(name, _LARGEST)
+    try:
+        number = int(given)
+        right = not isinstance(given, bool | str | bytes) and number == given and least <= number <= most
+    except (TypeError, ValueError, OverflowError):
+        right = False
+    if not right:
+        raise InputError(
+            f"Argument `{name}` must be a whole number from {least} to {most}, but {excerpt(given)} was given."
+        )
+    return number

@@ -1,0 +1,90 @@
+"""What a person passes to the public functions: text with units is taken, what cannot be meant is one sentence."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import memsgyro_jax as mg
+from memsgyro_jax.base.arguments import quantity, whole
+from memsgyro_jax.loop import trace
+
+
+@pytest.fixture(scope="module")
+def loop():
+    return mg.default_study().loop
+
+
+def refusal(function, *arguments, **options):
+    with pytest.raises(mg.InputError) as caught:
+        function(*arguments, **options)
+    sentence = str(caught.value)
+    assert sentence.isprintable()
+    assert sentence.endswith(".")
+    assert len(sentence) < 300
+    return sentence
+
+
+@pytest.mark.parametrize("seed", [-1, 2**63, 2**64, 1.5, float("nan"), float("inf"), "0", None, True, 10**400])
+def test_a_seed_that_is_none(loop, seed):
+    for run in (
+        lambda: mg.simulate(loop, sample_rate=100e3, duration=1e-3, seed=seed),
+        lambda: mg.sweep(loop, mg.Spread.relative(0.1), seed=seed),
+        lambda: mg.tune(loop, free=mg.free(observer=("rate_noise",)), seed=seed),
+        lambda: mg.design_motion(loop.device, seed=seed),
+    ):
+        assert refusal(run).startswith("Argument `seed` must be a whole number from 0 to 9223372036854775807, but ")
+
+
+@pytest.mark.parametrize("dies", [0, -3, 2.5, 1e20, 2**31, "many", None, True, 10**400])
+def test_dies_that_are_none(loop, dies):
+    assert "Argument `dies` must be a whole number from 1 to" in refusal(
+        mg.sweep, loop, mg.Spread.relative(0.1), dies=dies
+    )
+    free = mg.free(observer=("rate_noise",))
+    assert "Argument `dies` must be a whole number from 2 to" in refusal(mg.tune, loop, free=free, dies=dies)
+
+
+@pytest.mark.parametrize("given", ["100", "100 kg", "fast", "", "1e400 Hz", "1,5 kHz", None, True, [1e5], {"value": 1}])
+def test_a_sample_rate_that_is_none(loop, given):
+    for run in (mg.simulate, mg.information_bound):
+        assert "Argument `sample_rate`" in refusal(run, loop, 1.0, sample_rate=given, duration="1 ms")
+    assert "Argument `sample_rate`" in refusal(mg.sweep, loop, mg.Spread.relative(0.1), sample_rate=given)
+
+
+def test_a_device_is_no_loop(loop):
+    for run in (
+        lambda: mg.simulate(loop.device, sample_rate=100e3, duration=1e-3),
+        lambda: mg.sweep(loop.device, mg.Spread.relative(0.1)),
+        lambda: mg.tune(loop.device, free=()),
+        lambda: mg.information_bound(loop.device),
+    ):
+        assert refusal(run).startswith("Argument `loop` must be a ClosedLoop, of device, read-out, observer")
+        assert "but is a SingleMassGyro" in refusal(run)
+
+
+def test_text_with_units_is_what_the_number_is(loop, monkeypatch):
+    """Up to the compiled program, which this test spares."""
+    given = []
+
+    def compiled(loop, scenario, words, *settings):
+        given.append((float(scenario.at(0.0).inertial.rate), *settings))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(trace, "_compiled", compiled)
+    for scenario, sample_rate, duration in ((np.radians(30.0), 100e3, 1e-4), ("30 deg/s", "100 kHz", "0.1 ms")):
+        with pytest.raises(KeyboardInterrupt):
+            mg.simulate(loop, scenario, sample_rate=sample_rate, duration=duration)
+    assert given[1] == pytest.approx(given[0], rel=1e-15)
+    assert "Argument `scenario`" in refusal(mg.simulate, loop, "30 Hz", sample_rate=100e3, duration=1e-4)
+
+
+def test_quantities_and_counts():
+    assert quantity("rate", "100 kHz", "Hz") == 100e3
+    assert quantity("rate", "1 deg/s", "rad/s") == pytest.approx(np.pi / 180)
+    assert quantity("rate", np.float32(2.0), "Hz") == 2.0
+    assert jax.grad(lambda x: quantity("rate", x, "Hz") ** 2)(3.0) == 6.0
+    assert whole("dies", 1e3, 1) == 1000
+    assert whole("seed", 2**63 - 1) == 2**63 - 1
+    assert whole("dies", jnp.asarray(7)) == 7
+    assert jax.vmap(lambda die: whole("die", die) + 1)(jnp.arange(3)).tolist() == [1, 2, 3]
