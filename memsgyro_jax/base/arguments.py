@@ -46,6 +46,8 @@ def whole(name: str, given: Any, least: int = 0) -> int:
         right = not isinstance(given, bool | str | bytes) and number == given and least <= number <= most
     except (TypeError, ValueError, OverflowError):
         right = False
+    if isinstance(given, int) and -_LARGEST < given < least:
+        raise InputError(f"Argument `{name}` must be at least {least}, but {given} was given.")
     if not right:
         raise InputError(
             f"Argument `{name}` must be a whole number from {least} to {most}, but {excerpt(given)} was given."

@@ -81,7 +81,7 @@ def design_motion(
     lower, upper = mode_frequencies(gyro)
     band = (0.5 * float(lower), 1.5 * float(upper)) if band is None else band
     setting = Setting(gyro, readout, tuple(known), rate, sample_rate, duration, displacement, force)
-    _check(setting, tones, band, dies, starts)
+    _check(setting, band)
     errors = ModelErrors() if errors is None else errors
     die = setting.plant()
     gyros = [gyro] if spread is None else _drawn(setting, spread, dies, seed)
@@ -108,10 +108,7 @@ def design_motion(
     return nominal if not np.any(errors.std(gyro)) else replace(found(errors), nominal=nominal)
 
 
-def _check(setting: Setting, tones: int, band: tuple[float, float], dies: int, starts: int) -> None:
-    for name, count in (("tones", tones), ("dies", dies), ("starts", starts)):
-        if count < 1:
-            raise InputError(f"Argument `{name}` must be at least 1, but {count} was given.")
+def _check(setting: Setting, band: tuple[float, float]) -> None:
     for name in ("displacement", "sample_rate", "duration"):
         check_positive(name, getattr(setting, name))
     if not setting.force > 0.0:
