@@ -39,9 +39,7 @@ def test_a_seed_that_is_none(loop, seed):
 
 @pytest.mark.parametrize("dies", [0, -3, 2.5, 1e20, 2**31, "many", None, True, 10**400])
 def test_dies_that_are_none(loop, dies):
-    assert "Argument `dies` must be a whole number from 1 to" in refusal(
-        mg.sweep, loop, mg.Spread.relative(0.1), dies=dies
-    )
+    assert "Argument `dies` must be " in refusal(mg.sweep, loop, mg.Spread.relative(0.1), dies=dies)
     free = mg.free(observer=("rate_noise",))
     assert "Argument `dies` must be " in refusal(mg.tune, loop, free=free, dies=dies)
 
