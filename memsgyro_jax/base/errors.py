@@ -1,9 +1,15 @@
 """The one exception a user meets for bad input."""
 
+from .text import printable
+
 
 class InputError(ValueError):
     """An argument, file or setting that cannot be used.
 
     The message is one sentence that names the argument, file, line or column and the remedy;
-    the command line prints it alone and exits with status 2.
+    the command line prints it alone and exits with status 2. What a file holds and cannot be printed stands in it as
+    its escape, so that no text of a stranger commands a terminal.
     """
+
+    def __init__(self, message: str = "") -> None:
+        super().__init__(printable(" ".join(str(message).split("\n"))))

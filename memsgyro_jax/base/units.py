@@ -32,6 +32,7 @@ NUMBER = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
 _NUMBER = re.compile(NUMBER)
 _EXPONENT = r"\(?\s*[+-]?\s*[0-9.]+\s*(?:/\s*[0-9]+\s*)?\)?(?![\w.]|\s*(?:\*\*|\^))"
 _POWER = re.compile(rf"(?:\*\*|\^)\s*(?P<exponent>{_EXPONENT})?")
+_FOREIGN = re.compile(r"[^\w\s*/^().+√·°%Ωµμ²³¹⁰⁴-⁹⁻⁺-]|[^ \S]")
 _HIGHEST = 20.0  # power of a unit
 _LONGEST = 80  # characters of a unit
 
@@ -173,6 +174,8 @@ def _registry() -> Any:
 def _parse(text: str, name: str) -> Any:
     plain = _ROOT.sub(lambda match: f"({next(filter(None, match.groups()))})**0.5", text)
     try:
+        if _FOREIGN.search(text):
+            raise ValueError("pint would pass over what it does not know")
         if len(text) > _LONGEST or any(not _is_power(found["exponent"]) for found in _POWER.finditer(plain)):
             raise ValueError("pint would work out any power, however long that takes")
         if not plain.strip():
