@@ -26,6 +26,15 @@ def settled(tree: Tree) -> Tree:
     return jax.tree.map(lambda leaf: leaf if is_concrete(leaf) else jnp.asarray(jax.lax.stop_gradient(leaf)), tree)
 
 
+def strong(tree: Tree) -> Tree:
+    """The same numbers without JAX's weak types: one written in Python runs through the program of a computed one."""
+
+    def one(leaf: object) -> object:
+        return jnp.asarray(leaf, leaf.dtype) if isinstance(leaf, jax.Array) and leaf.weak_type else leaf
+
+    return jax.tree.map(one, tree)
+
+
 def check_positive(name: str, value: Number) -> None:
     """Raise `InputError` unless every entry is positive and finite; traced values pass."""
     if is_concrete(value) and not np.all((np.asarray(value) > 0.0) & np.isfinite(value)):

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PyTree
 
+from memsgyro_jax.base.concrete import strong
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.runtime import require_float64, usable_cores
 from memsgyro_jax.base.transforms import Free, Identity, fixed, from_vector, mark, to_vector
@@ -63,8 +64,7 @@ class Joint:
                 'A case must have a record that may be fitted, but all have the role "validation"; leave the role of '
                 "one out."
             )
-        # Without weak types: a number written in Python and one that was fitted run through the same program.
-        self.model = jax.tree.map(lambda leaf: jnp.asarray(leaf, leaf.dtype), model)
+        self.model = strong(model)
         self.readings = tuple(readings)
         self.spec = _all_free(model)
         self.parameters = parameters(model)

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from memsgyro_jax.base.concrete import is_concrete, settled
+from memsgyro_jax.base.concrete import is_concrete, settled, strong
 from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.gyro import (
@@ -190,7 +190,8 @@ class ClosedLoop(Displayed):
         left = float(np.exp(-min(decay * duration, 100.0)))
         exact = partial(Exact.covering, highest, sample_rate, left=left)
         exact()  # whoever propagates needs two samples per period
-        return jax.tree.map(lambda part: exact(part) if isinstance(part, Exact) else part, self, is_leaf=_is_exact)
+        made = jax.tree.map(lambda part: exact(part) if isinstance(part, Exact) else part, self, is_leaf=_is_exact)
+        return strong(made)
 
 
 _MARGIN = 1.3  # estimates and spread dies may lie above the design's mode frequencies

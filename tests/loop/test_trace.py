@@ -1,5 +1,7 @@
 """One run kept sample by sample."""
 
+import jax
+import jax.numpy as jnp
 import matplotlib as mpl
 import numpy as np
 import pytest
@@ -34,6 +36,12 @@ def test_a_trace_holds_the_whole_run(trace):
     middles = (np.arange(1000) + 0.5) * 1e-5
     np.testing.assert_array_equal(trace.rate_true, middles > 5.003e-3)
     assert np.max(np.abs(trace.motion[:, 0])) < 1.2e-6
+
+
+def test_a_device_from_a_file_runs_through_the_program_of_one_written_in_python(loop):
+    read = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)), loop)
+    kinds = [[leaf.aval for leaf in jax.tree.leaves(made.sampled_at(100e3))] for made in (loop, read)]
+    assert kinds[0] == kinds[1]
 
 
 def test_decimation_keeps_every_nth_sample(loop, trace):
