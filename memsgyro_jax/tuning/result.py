@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
-from scipy import stats
 
 from memsgyro_jax.base.axes import axes
 from memsgyro_jax.base.display import Shown
@@ -16,13 +15,14 @@ from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.montecarlo.batch import LOST
 from memsgyro_jax.montecarlo.sweep import Lot
 
+from .right import CONSISTENT, nees_interval, nis_interval, shift_of_nees
+
 
 if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.axes import Axes
 
 SCHEMA = "memsgyro-tuning/1"
-CONSISTENT = (0.9, 1.1)  # mean of e²/S of a channel within which a filter's claims pass as right
 _RESAMPLED = 2000  # bootstrap draws behind an interval
 
 
@@ -44,8 +44,9 @@ class Merit:
     in (rad/s)², lost dies, and the filter's consistency.
 
     `nis` is the mean of e²/S of both channels (1 when consistent), `nees` the mean normalised estimation error squared
-    at the end, `nees_expected` the number of states and `nees_interval` where 99 % of such means lie; None without a
-    covariance.
+    at the end, `nees_expected` what it is for a right filter, the number of states but for a rate that is another than
+    the prior expects. Of 400 right filters one is outside `nis_interval` of a channel, one outside `nees_interval`.
+    None without a covariance.
     """
 
     mean: Interval
@@ -55,8 +56,9 @@ class Merit:
     lost: int
     nis: tuple[float, float] | None
     nees: float | None
-    nees_expected: int | None
+    nees_expected: float | None
     nees_interval: tuple[float, float] | None
+    nis_interval: tuple[tuple[float, float], tuple[float, float]] = (CONSISTENT, CONSISTENT)
 
     @property
     def consistent(self) -> bool | None:
@@ -66,13 +68,15 @@ class Merit:
     @property
     def inconsistency(self) -> str:
         """What is outside its interval, in words."""
-        parts, (low, high) = [], CONSISTENT
-        if self.nis is not None and not all(low <= nis <= high for nis in self.nis):
-            parts.append(f"NIS is {_pair(self.nis)} instead of 1 ({low:g} to {high:g})")
+        parts = []
+        if self.nis is not None:
+            within = [low <= nis <= high for nis, (low, high) in zip(self.nis, self.nis_interval, strict=True)]
+            low, high = self.nis_interval[within.index(False)] if not all(within) else CONSISTENT
+            parts += [] if all(within) else [f"NIS is {_pair(self.nis)} instead of 1 ({low:.3g} to {high:.3g})"]
         if self.nees is not None and self.nees_interval is not None:
             low, high = self.nees_interval
             if not low <= self.nees <= high:
-                parts.append(f"NEES is {self.nees:.3g} instead of {self.nees_expected} ({low:.3g} to {high:.3g})")
+                parts.append(f"NEES is {self.nees:.3g} instead of {self.nees_expected:.3g} ({low:.3g} to {high:.3g})")
         return " and ".join(parts)
 
 
@@ -137,7 +141,7 @@ class Tuning(Shown):
         """The machine-readable form; SI, squared errors in (rad/s)²."""
         lots = {name: asdict(getattr(self, name)) for name in ("before", "after", "ratio")}
         rows = {name: [asdict(row) for row in getattr(self, name)] for name in ("numbers", "stages")}
-        said = {"schema": SCHEMA, "status": self.status, "warnings": list(self.warnings)}
+        said = {"schema": SCHEMA, "status": self.status, "gains": list(self.gains), "warnings": list(self.warnings)}
         return finite(said | rows | lots | self.settings.as_dict())
 
     def __repr__(self) -> str:
@@ -162,10 +166,23 @@ class Tuning(Shown):
             rows.append(("NEES", *(_nees(merit) for merit in both)))
         return aligned(rows)
 
+    @property
+    def gains(self) -> tuple[str, ...]:
+        """What tuning has brought, in sentences, as far as unseen dies tell."""
+        found, (before, after) = [], (self.before, self.after)
+        if self.ratio.high < 1.0:
+            found.append(f"the mean squared error on unseen dies falls to {self.ratio} of that before")
+        elif self.ratio.low <= 1.0:
+            found.append(f"the error on unseen dies is as before, within what they tell (ratio {self.ratio})")
+        if before.consistent is False and after.consistent:
+            said = f"NIS {_pair(before.nis)} -> {_pair(after.nis)}, NEES {before.nees:.3g} -> {after.nees:.3g}"
+            found.append(f"what the filter claims of its error is right now: {said}")
+        return tuple(found)
+
     def _closing(self) -> list[str]:
         lines = [f"{stage.loss}: {stage.status}; {stage.reason}" for stage in self.stages]
         lines += [f"no effect along {null}" for stage in self.stages for null in stage.nulls]
-        return lines + [f"WARNING: {warning}" for warning in self.warnings]
+        return [*lines, *self.gains, *(f"WARNING: {warning}" for warning in self.warnings)]
 
     def to_xarray(self) -> "xr.Dataset":
         """Squared errors of each unseen die before and after, and the free numbers."""
@@ -201,52 +218,60 @@ def squared_errors(lot: Lot) -> Float[np.ndarray, " dies"]:
     return lot.data["rate_error_rms"].values ** 2
 
 
-def merit_of(lot: Lot) -> Merit:
-    """The figures of a lot."""
+def merit_of(lot: Lot, loop: ClosedLoop | None = None) -> Merit:
+    """The figures of a lot; `loop` is what ran, where its prior is to be reckoned with."""
     status, squares = lot.data["status"].values, squared_errors(lot)
-    alive = squares[status != LOST]
+    there = status != LOST
     nis, nees, states = None, lot.summary.nees, lot.summary.states
-    if nees is not None:
-        nis = tuple(float(v) for v in np.nanmean(lot.data["nis_channel"].values[status != LOST], axis=0))
-    interval = None
+    expected, interval, around = None, None, (CONSISTENT, CONSISTENT)
     if nees is not None and states is not None:
-        count = int(np.sum(np.isfinite(lot.data["nees_end"].values)))
-        interval = tuple(float(v) for v in stats.chi2.ppf((0.005, 0.995), states * count) / count)
-    figures = (_interval(alive, np.mean), _interval(alive, np.median), _interval(alive, _p95))
+        channels = lot.data["nis_channel"].values[there]
+        nis = tuple(float(v) for v in np.nanmean(channels, axis=0))
+        around = nis_interval(channels[:, 0]), nis_interval(channels[:, 1])
+        each = lot.data["nees_end"].values
+        shift, slack = (0.0, (0.0, 0.0)) if loop is None else shift_of_nees(lot, loop)
+        expected = states + shift
+        interval = nees_interval(each[np.isfinite(each)], states, expected, slack)
+    mean, median, high = (_interval(squares[there], figure) for figure in (np.mean, np.median, _p95))
     lost = int(np.sum(status == LOST))
-    return Merit(*figures, len(status), lost, nis, nees, states, interval)
+    return Merit(mean, median, high, len(status), lost, nis, nees, expected, interval, around)
 
 
-def ratio_of(before: Lot, after: Lot) -> Interval:
-    """Mean squared error after over before, on the dies that neither lost."""
+def ratio_of(before: Lot, after: Lot, level: float = 0.95) -> Interval:
+    """Mean squared error after over before, on the dies that neither lost, with its interval of `level`."""
     pair = np.stack([squared_errors(before), squared_errors(after)], axis=1)
     pair = pair[np.all(np.isfinite(pair), axis=1)]
-    return _interval(pair, lambda rows, axis: np.mean(rows[..., 1], axis=axis) / np.mean(rows[..., 0], axis=axis))
+    return _interval(
+        pair, lambda rows, axis: np.mean(rows[..., 1], axis=axis) / np.mean(rows[..., 0], axis=axis), level
+    )
 
 
-def warnings_of(before: Merit, after: Merit) -> tuple[str, ...]:
-    """What a user must know before believing the gain."""
+def warnings_of(after: Merit, lost_before: int, ratio: Interval) -> tuple[str, ...]:
+    """What a user must know before believing the gain; of right loops that are no worse than before a share of `LEVEL`
+    is warned of. `ratio` of the errors has an interval that a share of half of that exceeds.
+    """
     found = []
-    gained = after.mean.value < before.mean.value
     if after.consistent is False:
-        when = "the error falls while" if gained else "after tuning"
+        when = "the error falls while" if ratio.high < 1.0 else "after tuning"
         found.append(
             f"{when} {after.inconsistency}: the gains are absorbing an error of the model; find what is missing first "
             "(`memsgyro compare`, `memsgyro diagnose`), add it or its process noise, and tune again."
         )
     if after.lost:
-        found.append(f"{after.lost} of {after.dies} unseen dies are lost with the tuned loop ({before.lost} before).")
-    if not gained:
-        found.append("the error on unseen dies has not fallen; the start was as good.")
+        found.append(f"{after.lost} of {after.dies} unseen dies are lost with the tuned loop ({lost_before} before).")
+    if ratio.low > 1.0:
+        found.append(
+            f"the mean squared error on unseen dies has risen to {ratio} of that before; the start was better."
+        )
     return tuple(found)
 
 
-def _interval(values: np.ndarray, figure: Any) -> Interval:
+def _interval(values: np.ndarray, figure: Any, level: float = 0.95) -> Interval:
     if len(values) == 0:
         return Interval(float("nan"), float("nan"), float("nan"))
     rng = np.random.default_rng(0)
     drawn = values[rng.integers(len(values), size=(_RESAMPLED, len(values)))]
-    low, high = np.percentile(figure(drawn, axis=1), [2.5, 97.5])
+    low, high = np.percentile(figure(drawn, axis=1), [50.0 * (1.0 - level), 50.0 * (1.0 + level)])
     return Interval(float(figure(values, axis=0)), float(low), float(high))
 
 
@@ -266,4 +291,6 @@ def _pair(nis: tuple[float, float] | None) -> str:
 def _nees(merit: Merit) -> str:
     if merit.nees is None or merit.nees_interval is None:
         return "-"
-    return f"{merit.nees:.3g} of {merit.nees_expected} ({merit.nees_interval[0]:.3g} to {merit.nees_interval[1]:.3g})"
+    return (
+        f"{merit.nees:.3g} of {merit.nees_expected:.3g} ({merit.nees_interval[0]:.3g} to {merit.nees_interval[1]:.3g})"
+    )

@@ -29,6 +29,7 @@ from .grid import rescued, scanned
 from .losses import AbstractLoss, InnovationLikelihood, SquaredRateError
 from .objective import Objective, Timing, Values, evaluated, noise_of
 from .result import StageResult, TunedNumber, Tuning, merit_of, ratio_of, warnings_of
+from .right import LEVEL
 from .tunable import Tunable, Tunables, resolved
 
 
@@ -112,7 +113,7 @@ def tune(
     told("before and after on unseen dies")
     common = {"dies": report_dies, "sample_rate": sample_rate, "duration": duration, "settle": settle, "seed": seed}
     lots = tuple(sweep(each, spread, scenario, bound_dies=0, **common) for each in (loop, tuned))
-    before, after = (merit_of(lot) for lot in lots)
+    before, after = (merit_of(lot, ran) for lot, ran in zip(lots, (loop, tuned), strict=True))
     settings = Settings.of(loop, scenario, spread, loss, tunables.paths, dies, sample_rate=sample_rate,
                            duration=duration, seed=seed)  # fmt: skip
     return Tuning(
@@ -122,7 +123,7 @@ def tune(
         before=before,
         after=after,
         ratio=ratio_of(*lots),
-        warnings=warnings_of(before, after),
+        warnings=warnings_of(after, before.lost, ratio_of(*lots, level=1.0 - 0.5 * LEVEL)),
         settings=settings,
         lots=lots,
     )

@@ -3,6 +3,7 @@
 import jax
 import numpy as np
 import pytest
+import xarray as xr
 
 import memsgyro_jax as mg
 from memsgyro_jax.base.errors import InputError
@@ -10,7 +11,8 @@ from memsgyro_jax.base.transforms import from_vector, names, to_vector
 from memsgyro_jax.tuning.descent import Descent, DescentStep, Judged, descend, sought
 from memsgyro_jax.tuning.fates import fates, null_directions
 from memsgyro_jax.tuning.objective import Values
-from memsgyro_jax.tuning.result import Interval, Merit, warnings_of
+from memsgyro_jax.tuning.result import Interval, Merit, ratio_of, warnings_of
+from memsgyro_jax.tuning.right import LEVEL, nees_interval, nis_interval
 from memsgyro_jax.tuning.tunable import resolved, tree
 
 
@@ -148,16 +150,43 @@ def merit(mean, nis=(1.0, 1.0), nees=14.0, lost=0):
 
 
 @pytest.mark.parametrize(
-    ("after", "words"),
+    ("after", "low", "words"),
     [
-        (merit(0.5), []),
-        (merit(0.5, nis=(1.3, 1.0)), ["absorbing an error of the model", "NIS is 1.3, 1"]),
-        (merit(0.5, nees=30.0), ["absorbing an error of the model", "NEES is 30 instead of 14"]),
-        (merit(0.5, lost=2), ["2 of 256 unseen dies are lost"]),
-        (merit(1.5), ["has not fallen"]),
+        (merit(0.5), 0.4, []),
+        (
+            merit(0.5, nis=(1.3, 1.0)),
+            0.4,
+            ["absorbing an error of the model", "NIS is 1.3, 1 instead of 1"],
+        ),
+        (merit(0.5, nees=30.0), 0.4, ["absorbing an error of the model", "NEES is 30 instead of 14"]),
+        (merit(0.5, lost=2), 0.4, ["2 of 256 unseen dies are lost"]),
+        (merit(1.05), 0.9, []),
+        (merit(1.5), 1.2, ["has risen to 1.5 (1.2 to 1.8) of that before"]),
     ],
 )
-def test_warnings(after, words):
-    said = " ".join(warnings_of(merit(1.0), after))
+def test_warnings(after, low, words):
+    value = after.mean.value
+    said = " ".join(warnings_of(after, 0, Interval(value, low, 2.0 * value - low)))
     assert bool(said) == bool(words)
     assert all(word in said for word in words)
+
+
+def test_right_loops_are_warned_of_at_the_stated_level():
+    """100 lots of 64 dies as a right filter leaves them, errors as unequal as those of dies: the share that is told."""
+    rng, told, figure = np.random.default_rng(3), 0, Interval(1.0, 1.0, 1.0)
+    for _ in range(100):
+        nees, nis = rng.chisquare(14, 64), 1.0 + 0.15 * rng.standard_normal((2, 64))
+        around = tuple(nis_interval(channel) for channel in nis)
+        own = Merit(figure, figure, figure, 64, 0, tuple(nis.mean(axis=1)), nees.mean(), 14.0,
+                    nees_interval(nees, 14, 14.0), around)  # fmt: skip
+        size = rng.lognormal(0.0, 1.0, 64)
+        lots = [Squares(size * rng.chisquare(20, 64) / 20) for _ in range(2)]
+        told += bool(warnings_of(own, 0, ratio_of(*lots, level=1.0 - 0.5 * LEVEL)))
+    assert told <= 5, "of 100 one is expected"
+
+
+class Squares:
+    """Of a lot, the mean squared errors alone."""
+
+    def __init__(self, squares):
+        self.data = xr.Dataset({"rate_error_rms": ("die", np.sqrt(squares))})

@@ -203,6 +203,6 @@ def test_a_design_value_moves_its_dies(study):
 
 
 def test_a_loss_that_is_no_number_at_the_start_is_one_sentence(tuned, study):
-    lost = study.changed({"loop.travel": "1e-9 m"})
+    lost = study.changed({"loop.travel": "1e-9 m", "loop.displacement": ["1 um", "0 m"]})
     with pytest.raises(InputError, match="must be a finite number at the start, but it is for none of 16 dies"):
         mg.tune(**lost.tune_arguments)
