@@ -5,6 +5,7 @@ error squared at the end, the innovations of the settled part and the error of t
 here with a probability of `LEVEL`: a die beyond one of them is *diverged*.
 """
 
+import functools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -59,16 +60,29 @@ def impossible(
     samples = (plan.blocks - plan.settled_window) * plan.block
     with np.errstate(invalid="ignore", divide="ignore"):
         rate = np.abs(rows["rate_error_end"] / rows["rate_std_end"])
-    found = rows["nis_mean"] * samples > stats.chi2.isf(LEVEL, 2 * samples)
+    found = rows["nis_mean"] * samples > _limit(2 * samples)
     if not filtered:
-        found = found | (rate > stats.norm.isf(0.5 * LEVEL))
+        found = found | (rate > _size(1))
     if standardised is None:
         return found
     states = standardised.shape[1]
     # A singular covariance has no NEES; each error by itself then shares the level with the others.
     worst = np.max(np.nan_to_num(np.abs(standardised), nan=0.0, posinf=np.inf), axis=1, initial=0.0)
-    alone = np.isnan(rows["nees_end"]) & (worst > stats.norm.isf(0.5 * LEVEL / max(states, 1)))
-    return found | alone | (rows["nees_end"] > stats.chi2.isf(LEVEL, states))
+    alone = np.isnan(rows["nees_end"]) & (worst > _size(max(states, 1)))
+    return found | alone | (rows["nees_end"] > _limit(states))
+
+
+# Kept, because every batch asks for them.
+@functools.cache
+def _limit(freedom: int) -> float:
+    """What a sum of so many squared normal numbers exceeds with probability `LEVEL`."""
+    return float(stats.chi2.isf(LEVEL, freedom))
+
+
+@functools.cache
+def _size(count: int) -> float:
+    """What the largest of so many normal numbers exceeds in size with probability `LEVEL` at most."""
+    return float(stats.norm.isf(0.5 * LEVEL / count))
 
 
 def divergence_of(rows: Rows, loop: ClosedLoop, scenario: Scenario, plan: Plan) -> Divergence:
