@@ -52,7 +52,9 @@ def check_positive_definite(name: str, xx: Number, yy: Number, xy: Number) -> No
     if not is_concrete(xx, yy, xy):
         return
     xx, yy, xy = (np.asarray(v, dtype=float) for v in (xx, yy, xy))
-    if not np.all((xx > 0.0) & (yy > 0.0) & (xx * yy > xy**2) & np.isfinite(xx * yy)):
+    with np.errstate(over="ignore"):
+        holds = np.all((xx > 0.0) & (yy > 0.0) & (xx * yy > xy**2) & np.isfinite(xx * yy))
+    if not holds:
         raise InputError(
             f"The {name} matrix must be positive definite (xx > 0, yy > 0, xx·yy > xy²), "
             f"but xx = {_worst(xx)}, yy = {_worst(yy)}, xy = {float(np.max(np.abs(xy))):g} was given; "

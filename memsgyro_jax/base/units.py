@@ -155,7 +155,8 @@ def to_si(value: Any, unit: str, expected: str, name: str) -> Any:
     if _dimension(source) != _dimension(target):
         raise InputError(f'Unit of {name} must measure the same as "{expected}", but is "{unit}".')
     try:
-        found = _registry().Quantity(value, source).to(target).magnitude
+        with np.errstate(over="ignore", under="ignore"):
+            found = _registry().Quantity(value, source).to(target).magnitude
     except OverflowError:  # of the factor between the units
         found = np.inf
     if np.any(np.isfinite(value) & (~np.isfinite(found) | ((np.asarray(value) != 0) & (np.asarray(found) == 0)))):
