@@ -127,7 +127,7 @@ def outcome(border: Border, folder: Path, data: bytes) -> Any:
 def plain(content: Any) -> Any:
     """Content as lists of bytes and text; a number that is not finite is a fault."""
     if isinstance(content, dict):
-        return [(key, plain(value)) for key, value in content.items()]
+        return sorted((key, plain(value)) for key, value in content.items())
     if isinstance(content, list | tuple):
         return [plain(value) for value in content]
     if isinstance(content, float | np.ndarray | jax.Array):
