@@ -66,9 +66,10 @@ def read_sweep(path: str | Path, *, axis: int | None = None, conjugated: bool = 
     table = read_table(path)
     polar = _check_names(table)
     frequency = _angular_frequency(table)
-    wrong = ~((frequency > 0) & (frequency < 1e100))
-    if np.any(wrong):
-        raise table.at(int(np.argmax(wrong)), "f", "must be positive, below 1e100 rad/s")
+    if np.any(frequency <= 0):
+        raise table.at(int(np.argmax(frequency <= 0)), "f", "must be positive")
+    if np.any(frequency > 1e100):
+        raise table.at(int(np.argmax(frequency > 1e100)), "f", "must be one that a device has")
     phasors, unit = _phasors(table, polar)
     phasors = phasors.conj() if conjugated else phasors
     axis, drive, notes = _drive(table, axis)
