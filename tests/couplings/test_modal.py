@@ -127,6 +127,22 @@ def test_the_mirrored_experiment_gives_the_other_force_coupling():
     assert float(found.force) == pytest.approx(lab.Gyro().lam_xy, rel=1e-9)
 
 
+def test_the_deviations_of_a_ratio_are_those_of_least_squares():
+    """Few rows: the numbers that were found count among the degrees of freedom."""
+    frequency = NARROW[:: len(NARROW) // 4][:4]
+    response = np.asarray(REFERENCE.response(frequency, 0))
+    ratio = response[:, 1] / response[:, 0] * (1 + 1e-3 * np.array([1.0, -2.0, 0.5j, 1.0 - 1.0j]))
+    found = ComplexRatio()(frequency, ratio, REFERENCE)
+    dx, dy, *_ = (np.asarray(part) for part in REFERENCE.dynamic_stiffness(frequency))
+    columns = np.stack([dx / dy, -1j * np.asarray(frequency) / dy, -1 / dy], axis=1)
+    columns, wanted = np.concatenate([columns.real, columns.imag]), np.concatenate([ratio.real, ratio.imag])
+    size = np.linalg.norm(columns, axis=0)
+    values, rest, *_ = np.linalg.lstsq(columns / size, wanted)
+    std = np.sqrt(np.diag(np.linalg.inv((columns / size).T @ (columns / size))) * rest[0] / (8 - 3)) / size
+    np.testing.assert_allclose(np.asarray(found.values()), values / size, rtol=1e-6)
+    np.testing.assert_allclose(np.asarray(found.std), std, rtol=1e-6)
+
+
 def test_the_complex_ratio_keeps_the_truncation():
     error = np.abs(relative_error(ComplexRatio(), REFERENCE, NARROW))
     assert 1e-6 < error[0] < 0.01

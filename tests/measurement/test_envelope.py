@@ -1,0 +1,32 @@
+"""What a lock-in makes of a block, against the integral of the signal itself."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from memsgyro_jax.device.conditions import Conditions
+from memsgyro_jax.device.gyro import SingleMassGyro
+from memsgyro_jax.measurement.envelope import Driven
+from memsgyro_jax.measurement.model import Model
+
+
+def test_a_block_of_a_lock_in_is_the_mean_of_the_turned_signal():
+    """Six cycles in which the drive sets in while a deflection decays: harmonics 0 and 1 both change within it."""
+    device = SingleMassGyro(mass=1e-7, kxx=60.0, kyy=80.0, kxy=3.0, dxx=2e-4, dyy=3e-4, dxy=1e-5)
+    model, omega, fine = Model(device), 2.1e4, 12_000
+    length = 6 * 2 * np.pi / omega
+    driven = Driven.of(model, jnp.asarray(omega), jnp.asarray([1e-6, 0.0]), Conditions())
+    start = driven.at_rest().at[0, :2].set(jnp.asarray([2e-7, -1e-7]))
+
+    def course(step, count):
+        return driven.run(start, step, Conditions().rows(count))[1]
+
+    (block,) = jax.jit(lambda: driven.demodulated(course(length, 1), length))()
+    states = jax.jit(lambda: course(length / fine, fine).start)()
+    time = np.arange(fine) * length / fine
+    signal = np.real(np.einsum("th,thn->tn", np.exp(1j * np.outer(time, np.arange(3)) * omega), np.asarray(states)))
+    last = np.asarray(driven.instant(driven.run(start, length, Conditions().rows(1))[0], length))
+    turned = np.exp(-1j * omega * np.append(time, length))[:, None] * np.concatenate([signal, last[None]])
+    wanted = 2 * np.trapezoid(turned, dx=1 / fine, axis=0)
+    assert abs(block[0, 0]) > 1e-3 * abs(block[1, 0]), "the deflection must matter"
+    np.testing.assert_allclose(block[1, :2], wanted[:2], rtol=2e-6)
