@@ -112,7 +112,7 @@ class Exact(AbstractDiscretisation):
     stands; what is left out is chosen where sample rate and duration are known (`covering`), until then it is 12 and 1.
     A filter takes its covariance from the derivative: with one node at 100 kHz, 27 samples in a period, it is 3 % off
     within the first samples and 0.3 % later, the estimate up to 0.14 of its standard deviation; with two nodes both are
-    within 1e-4. Raises `InputError` for less than 1.
+    within 1e-3. Raises `InputError` for less than 1.
     """
 
     order: int = eqx.field(static=True)
