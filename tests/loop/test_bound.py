@@ -193,7 +193,7 @@ def test_a_batch_is_its_dies_one_by_one():
     assert got.to_xarray().sizes == {"time": 4, "quantity": 14, "quantity_": 14, "die": 3}
     for die in range(3):
         one = eqx.tree_at(lambda made: made.device.mass, loop, mass[die])
-        want = information_bound(one, Ramp(0.0, 5.0, rates[die]), **settings)
+        want = information_bound(one, Ramp(0.0, 5.0, rates[die]), design=loop, **settings)
         np.testing.assert_allclose(got.std[..., die], want.std, rtol=1e-6)
 
 

@@ -25,6 +25,7 @@ from memsgyro_jax.loop.readout import Adc, ChargeAmplifier, DirectReadout
 from memsgyro_jax.loop.scenario import AbstractProfile, Constant, Scenario
 from memsgyro_jax.loop.with_effects import SampleEffects
 from memsgyro_jax.measurement.model import Conditions, Model
+from memsgyro_jax.montecarlo.batch import LOST
 from memsgyro_jax.tuning.tunable import resolved
 
 
@@ -243,8 +244,8 @@ def test_a_die_with_effects_is_the_same_die_in_any_chunk_and_its_loss_its_own(va
         if "die" in few[name].dims:
             assert np.array_equal(few[name].values, many[name].isel(die=slice(10)).values, equal_nan=True), name
     status = many["status"].values
-    assert 0 < np.sum(status != 0) < 24
-    assert np.all(np.isfinite(many["rate_error_end"].values) == (status == 0))
+    assert 0 < np.sum(status == LOST) < 24
+    assert np.all(np.isfinite(many["rate_error_end"].values) == (status != LOST))
 
 
 class Table(ForceEffect):

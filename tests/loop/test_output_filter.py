@@ -99,10 +99,14 @@ def test_a_die_whose_filter_lies_above_half_the_sample_rate_is_refused():
         mg.sweep(closed(mg.Lowpass(400.0)), spread, dies=8, sample_rate=100e3, duration=0.001, bound_dies=0)
 
 
-def test_a_spread_that_makes_a_bandwidth_negative_is_refused():
+def test_a_die_of_negative_bandwidth_is_drawn_again_and_refused_where_all_would_be():
     spread = mg.Spread((mg.Vary("filter.bandwidth", mg.Normal(std=400.0)),))
-    with pytest.raises(InputError, match=r"impossible; lower it, or its `cut`. Argument `bandwidth` must be positive"):
-        spread.draw(closed(mg.Lowpass(400.0)), as_scenario(1.0), 0, np.arange(32))
+    drawn = spread.draw(closed(mg.Lowpass(400.0)), as_scenario(1.0), 0, np.arange(32))
+    assert np.all(drawn.loop.filter.bandwidth > 0.0)
+    assert np.any(drawn.redrawn > 0)
+    below = mg.Spread((mg.Vary("filter.bandwidth", mg.Normal(std=1.0, mean=-400.0)),))
+    with pytest.raises(InputError, match=r"impossible however often it is drawn.*`bandwidth` must be positive"):
+        below.draw(closed(mg.Lowpass(400.0)), as_scenario(1.0), 0, np.arange(4))
 
 
 def test_a_loop_without_filter_has_no_bandwidth():

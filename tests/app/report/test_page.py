@@ -2,6 +2,7 @@
 
 import re
 from html.parser import HTMLParser
+from pathlib import Path
 
 import pytest
 from matplotlib.figure import Figure
@@ -69,11 +70,17 @@ def test_numbers_are_set_flush_right():
     assert "<td>c_xy</td>" in html
 
 
-def test_a_failed_write_leaves_the_old_file(tmp_path):
+def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
     path = tmp_path / "report.html"
     Page("old").save(path)
     before = path.read_text()
-    with pytest.raises(UnicodeEncodeError):
-        write_whole(path, "\ud800")
+
+    def full(part, content, write=Path.write_bytes):
+        write(part, content[:10])
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(OSError, match="No space left"):
+        write_whole(path, "new and longer than ten letters")
     assert path.read_text() == before
     assert list(tmp_path.iterdir()) == [path]
