@@ -181,9 +181,7 @@ def test_damage_is_one_sentence_or_what_the_text_says(borders, name, count):
         if isinstance(found, InputError):
             refused += 1
             assert_one_sentence(found, folder)
-        elif border.name.endswith(".toml") and tomllib.loads(data.decode("utf-8-sig")) == tomllib.loads(
-            border.intact.decode()
-        ):
+        elif border.name.endswith(".toml") and parsed(data) == parsed(border.intact):
             assert found == intact
     assert 0.3 * count < refused < count
 
