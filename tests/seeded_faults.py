@@ -35,14 +35,18 @@ class Fault:
     new: str
     tests: tuple[str, ...]
 
-    def planted(self, package: Path) -> str:
-        """Plant it in a copy of the package; the file's right text."""
-        path = package / self.file
-        text = path.read_text()
+    def text(self, package: Path) -> str:
+        """The file's right text, in which the line must stand."""
+        text = (package / self.file).read_text()
         if text.count(self.old) != 1 or self.old == self.new:
             found = text.count(self.old)
             raise SystemExit(f"{self.file}: `{self.old}` must stand there once, but stands {found} times.")
-        path.write_text(text.replace(self.old, self.new))
+        return text
+
+    def planted(self, package: Path) -> str:
+        """Plant it in a copy of the package; the file's right text."""
+        text = self.text(package)
+        (package / self.file).write_text(text.replace(self.old, self.new))
         return text
 
 
@@ -60,6 +64,8 @@ def main() -> None:
     parser.add_argument("--all", action="store_true", help="what a room misses meets the whole suite")
     options = parser.parse_args()
     chosen, missed = faults(options.words), []
+    for fault in chosen:
+        fault.text(ROOT / "memsgyro_jax")
     with tempfile.TemporaryDirectory() as place:
         copy = Path(place) / "project"
         shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns(".git", ".venv", "__pycache__", ".*_cache", "site"))

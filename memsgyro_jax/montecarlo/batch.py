@@ -212,8 +212,8 @@ def nees(
 ) -> Float[np.ndarray, " dies"]:
     """Normalised estimation error squared; the number of states on average when the filter is consistent.
 
-    NaN where something is known exactly: the covariance is singular then, and the figure means nothing. Outside the
-    compiled run, since a linear-algebra call on every device at once can wait for itself.
+    NaN where something is known exactly, or to rounding: the covariance is singular then, and the figure means nothing.
+    Outside the compiled run, since a linear-algebra call on every device at once can wait for itself.
     """
     finite = np.all(np.isfinite(correlation), axis=(1, 2)) & np.all(np.isfinite(standardised), axis=1)
     safe = np.where(finite[:, None, None], correlation, np.eye(correlation.shape[-1]))

@@ -181,7 +181,7 @@ class Summary(Shown):
             return f"NEES {self.nees:.3g} of {self.states} (99 %: {low:.3g} to {high:.3g}{remark}; {middle}), {nis}"
         if self.states is None:
             return f"NEES unknown (the observer claims no covariance), {nis}"
-        return f"NEES unknown (the claimed covariance is singular: something is taken as known exactly), {nis}"
+        return f"NEES unknown (the claimed covariance is singular: something is known exactly, or to rounding), {nis}"
 
     def __repr__(self) -> str:
         return aligned(self.rows())

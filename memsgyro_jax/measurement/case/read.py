@@ -9,6 +9,7 @@ import numpy as np
 
 from memsgyro_jax.base.complaints import Source
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.files import LARGEST_TABLE, read_whole
 from memsgyro_jax.base.table import Table, read_table
 
 from ..columns import Columns
@@ -85,7 +86,7 @@ def _path(case: Case, source: Source, number: int, entry: ExperimentSection) -> 
             raise InputError(f'must name a file that exists, but there is no "{name}" in {folder}')
     if entry.sha256 is not None:
         with source.section("experiment", number, "sha256"):
-            found = hashlib.sha256(path.read_bytes()).hexdigest()
+            found = hashlib.sha256(read_whole(path, "table", most=LARGEST_TABLE)).hexdigest()
             if found != entry.sha256:
                 raise InputError(
                     f"must be the checksum of {name}, but that file has {found[:12]}…: it was changed since; "
