@@ -1,6 +1,6 @@
 """Whether the tests can fail: plants one fault after the other in a copy of the package and runs the tests on it.
 
-    python tests/seeded_faults.py                  # every fault; an hour on two cores
+    python tests/seeded_faults.py                  # every fault; long
     python tests/seeded_faults.py readout scenario # faults whose file has one of these words in its path
     python tests/seeded_faults.py --all            # a fault that its room's tests miss meets the whole default suite
 
