@@ -69,13 +69,17 @@ def score(residual: np.ndarray, q: np.ndarray, sensitivity: np.ndarray) -> Score
 def within_bounds(
     found: Score, residual: np.ndarray, sensitivity: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> Score:
-    """The same score, or none where the one strength (zero at present) would have to leave its bounds."""
+    """The same score, or what is left of it where the one strength (zero at present) would have to leave its bounds."""
     if found.size != 1 or sensitivity.shape[1] != 1:
         return found
-    step = -float((found.directions.T @ residual)[0] * (found.directions.T @ sensitivity)[0, 0])
-    if (step < 0 and low[0] >= 0) or (step > 0 and high[0] <= 0):
-        return replace(found, statistic=0.0, p_value=1.0, share=0.0)
-    return found
+    news = float((found.directions.T @ sensitivity)[0, 0])
+    step = -float((found.directions.T @ residual)[0]) / news
+    part = float(np.clip(step, low[0], high[0])) / step if step != 0 else 1.0
+    if part == 1.0:
+        return found
+    left = max(0.0, part * (2.0 - part))  # of a parabola that rises to its top at the whole step
+    statistic = left * found.statistic
+    return replace(found, statistic=statistic, p_value=float(stats.chi2.sf(statistic, 1)), share=left * found.share)
 
 
 def overlap(a: Score, b: Score) -> float:

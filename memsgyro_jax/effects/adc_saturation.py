@@ -22,7 +22,7 @@ class AdcSaturation(Scanned, ReadoutEffect):
     scanned = ("strength",)
     last = True
     sharp = True
-    strength: Scalar = strength()
+    strength: Scalar = strength(sign=+1)
 
     def signal(self, volts: Array, now: Moment) -> Array:
         present = self.strength > 0

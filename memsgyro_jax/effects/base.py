@@ -13,6 +13,7 @@ strong they are are numbers. One's own effect takes about ten lines:
 """
 
 import abc
+import math
 from typing import ClassVar
 
 import equinox as eqx
@@ -67,11 +68,14 @@ class Moment(eqx.Module):
     jerk: Array | None = None
 
 
-def strength(default: float = 0.0, *, sign: int = 0) -> Array:
-    """The field that holds the strength of an effect; `sign` is +1 or −1 where physics allows but one, which no fit
-    then leaves.
+def strength(default: float = 0.0, *, sign: int = 0, low: float = -math.inf, high: float = math.inf) -> Array:
+    """The field that holds the strength of an effect; `sign` is +1 or −1 where physics allows but one, `low` and `high`
+    are further ends of what it allows. No fit leaves them, and a strength that ends there is no finding.
     """
-    return eqx.field(converter=lambda value: jnp.asarray(value, float), default=default, metadata={"sign": sign})
+    low, high = max(low, 0.0) if sign > 0 else low, min(high, 0.0) if sign < 0 else high
+    return eqx.field(
+        converter=lambda value: jnp.asarray(value, float), default=default, metadata={"range": (low, high)}
+    )
 
 
 def on_one_axis(now: Moment, axis: int, value: Array) -> Float[Array, " axes"]:

@@ -10,7 +10,7 @@ from .scan import Coverage, Scanned
 
 
 class DampingStep(Scanned, ForceEffect):
-    """All dampings times 1 + s from `time` [s] to the end of the record number `record`, s a pure number. Zero: damping
+    """All dampings times 1 + s from `time` [s] to the end of the record number `record`, s above −1. Zero: damping
     stays.
 
     Shows as an amplitude and a phase that move to another level within a record. `time` and `record` are scanned: the
@@ -23,7 +23,7 @@ class DampingStep(Scanned, ForceEffect):
     name, unit, law = "damping_step", "1", "all dampings · (1 + s) after time t0 of one record"
     reference = "Candler et al., J. Microelectromech. Syst. 15 (2006) 1446"
     scanned = ("record", "time")
-    strength: Scalar = strength()
+    strength: Scalar = strength(low=-1.0)
     time: Scalar = eqx.field(converter=jnp.asarray, default=0.0)
     record: Scalar = eqx.field(converter=jnp.asarray, default=0.0)
 

@@ -8,7 +8,8 @@ from .base import ForceEffect, Moment, Scalar, strength
 
 class ElectrostaticSoftening(ForceEffect):
     """F = +s·(V² − V_ref²)·q with s in N/(m·V²), V the bias of the record and V_ref the one at which the base stiffness
-    holds. Zero: the bias does not matter. Parallel plates of area A at a gap g have s = ε·A/g³.
+    holds. Zero: the bias does not matter. Positive: attraction softens. Parallel plates of area A at a gap
+    g have s = ε·A/g³.
 
     Shows as a resonance that falls with the square of the bias; a case with one bias cannot see it.
 
@@ -18,7 +19,7 @@ class ElectrostaticSoftening(ForceEffect):
     name, unit, law = "electrostatic_softening", "N/(m·V²)", "F = +s·(V_bias² − V_ref²)·q"
     reference = "Nathanson et al., IEEE Trans. Electron Devices 14 (1967) 117"
     axis: int | str = on_axis()
-    strength: Scalar = strength()
+    strength: Scalar = strength(sign=+1)
 
     def force(self, now: Moment) -> Array:
         excess = now.bias_voltage**2 - now.reference_bias**2

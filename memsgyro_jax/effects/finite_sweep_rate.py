@@ -6,7 +6,8 @@ from .base import Scalar, SweepEffect, strength
 
 
 class FiniteSweepRate(SweepEffect):
-    """The drive frequency moves at s rad/s per second while it is recorded. Zero: every point is settled.
+    """The drive frequency moves at s rad/s per second, the way its rows go, while it is recorded. Zero: every point is
+    settled.
 
     Shows as a peak that is late, lower and followed by a beat, and that lies on the other side when the sweep is run
     backwards.
@@ -16,7 +17,7 @@ class FiniteSweepRate(SweepEffect):
 
     name, unit, law = "finite_sweep_rate", "rad/s²", "dω/dt = s while a sweep is recorded"
     reference = "Lewis, Trans. ASME 54 (1932) 253"
-    strength: Scalar = strength()
+    strength: Scalar = strength(sign=+1)
 
     def speed(self) -> Array:
         return self.strength

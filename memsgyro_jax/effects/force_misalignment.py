@@ -7,7 +7,7 @@ from .base import DriveEffect, Moment, Scalar, strength
 
 
 class ForceMisalignment(Coupling, DriveEffect):
-    """u_target → u_target + s·u_source, s a pure number (the tangent of an angle). Zero: electrodes are aligned.
+    """u_target → u_target + s·u_source, s the tangent of an angle up to 45°. Zero: electrodes are aligned.
 
     Shows as motion of the undriven axis in phase with the drive, at every frequency.
 
@@ -19,7 +19,7 @@ class ForceMisalignment(Coupling, DriveEffect):
     last = True
     source: int | str = on_axis("x")
     target: int | str = on_axis("y")
-    strength: Scalar = strength()
+    strength: Scalar = strength(low=-1.0, high=1.0)
 
     def applied(self, command: Array, now: Moment) -> Array:
         return command + self.strength * self.across(now, now.force)

@@ -36,8 +36,7 @@ def free_numbers(effect: Effect) -> tuple[EffectNumber, ...]:
     out = []
     for field in dataclasses.fields(effect):
         if field.name == "strength":
-            sign = field.metadata.get("sign", 0)
-            out.append(EffectNumber("strength", effect.unit, 0.0 if sign > 0 else -np.inf, 0.0 if sign < 0 else np.inf))
+            out.append(EffectNumber("strength", effect.unit, *field.metadata.get("range", (-np.inf, np.inf))))
         elif "number" in field.metadata:
             out.append(EffectNumber(field.name, *field.metadata["number"]))
     return tuple(out)

@@ -7,8 +7,8 @@ from .base import Moment, ReadoutEffect, Scalar, strength
 
 
 class PickoffCrosstalk(Coupling, ReadoutEffect):
-    """V_target → V_target + s·scale_target·q_source, s a pure number (the tangent of an angle). Zero: channels see
-    their own axis only.
+    """V_target → V_target + s·scale_target·q_source, s a pure number (the tangent of an angle up to 45°). Zero:
+    channels see their own axis only.
 
     Shows as the resonance of the driven axis in the other channel, also during a ring-down.
 
@@ -20,7 +20,7 @@ class PickoffCrosstalk(Coupling, ReadoutEffect):
     reference = "Weinberg and Kourepenis, J. Microelectromech. Syst. 15 (2006) 479"
     source: int | str = on_axis("x")
     target: int | str = on_axis("y")
-    strength: Scalar = strength()
+    strength: Scalar = strength(low=-1.0, high=1.0)
 
     def signal(self, volts: Array, now: Moment) -> Array:
         return volts + self.strength * now.scale * self.across(now, now.displacement)

@@ -7,8 +7,8 @@ from .base import ForceEffect, Moment, Scalar, strength
 
 
 class RateScaleError(Planar, ForceEffect):
-    """Ω → Ω·(1 + s), s a pure number. Zero: the table's scale is right. Also an angular gain of the device below or
-    above one.
+    """Ω → Ω·(1 + s), s a pure number above −1. Zero: the table's scale is right. Also an angular gain of the device
+    below or above one.
 
     Shows as a response to rate that is too large or too small by the same part at every rate.
 
@@ -17,7 +17,7 @@ class RateScaleError(Planar, ForceEffect):
 
     name, unit, law = "rate_scale_error", "1", "Ω → Ω·(1 + s)"
     reference = "IEEE Std 1431-2004, scale factor error"
-    strength: Scalar = strength()
+    strength: Scalar = strength(low=-1.0)
 
     def force(self, now: Moment) -> Array:
         return coriolis(now, self.strength * now.rate)

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from memsgyro_jax.diagnosis.score import Score, basis, family_p_values, overlap, score, separation
+from memsgyro_jax.diagnosis.score import Score, basis, family_p_values, overlap, score, separation, within_bounds
 
 
 @st.composite
@@ -57,6 +57,23 @@ def test_units_change_no_score(problem, factor):
     assert one.kept == pytest.approx(other.kept, rel=1e-9)
     assert one.information * factor == pytest.approx(other.information, rel=1e-9)
     assert overlap(one, other) == pytest.approx(1.0)
+
+
+@given(linear_problems(), st.floats(-2.0, 0.0), st.floats(0.0, 2.0))
+def test_bounds_leave_of_a_score_what_the_strength_can_still_gain(problem, below, above):
+    """Exactly the fall of χ² in a regression whose strength ends at the bound; none where the sign is impossible."""
+    residual, free, candidate = problem
+    candidate = candidate[:, :1]
+    q, whole = basis(free), score(residual, basis(free), candidate)
+    best = -float(candidate[:, 0] @ (residual - q @ (q.T @ residual))) / whole.information**2
+    low, high = np.array([below * abs(best)]), np.array([above * abs(best)])
+    found = within_bounds(whole, residual, candidate, low, high)
+    end = np.clip(best, low[0], high[0])
+    gain = misfit(residual, free) - misfit(residual + end * candidate[:, 0], free) if free.size else (
+        residual @ residual - (residual + end * candidate[:, 0]) @ (residual + end * candidate[:, 0])
+    )  # fmt: skip
+    assert found.statistic == pytest.approx(gain, rel=1e-6, abs=1e-6 * max(1.0, whole.statistic))
+    assert found.p_value == pytest.approx(stats.chi2.sf(found.statistic, 1), rel=1e-9)
 
 
 def test_what_is_free_already_is_no_news():

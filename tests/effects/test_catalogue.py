@@ -80,6 +80,36 @@ def test_only_what_fits_the_device(axes, expected):
     assert max(map(fx.needed_axes, effects)) == axes
 
 
+# What physics allows a strength; every effect stands here, those of any sign too.
+ANY, POSITIVE, FACTOR, ANGLE = (-np.inf, np.inf), (0.0, np.inf), (-1.0, np.inf), (-1.0, 1.0)
+RANGES = {
+    "cubic_stiffness": ANY, "quadratic_stiffness": ANY, "cross_stiffness": ANY, "electrostatic_softening": POSITIVE,
+    "cross_damping_asymmetry": ANY, "quadratic_damping": POSITIVE, "squeeze_film_damping": POSITIVE,
+    "dry_friction": POSITIVE, "damping_step": FACTOR, "thermal_drift": ANY, "parasitic_mode": POSITIVE,
+    "rate_offset": ANY, "rate_scale_error": FACTOR, "rate_bias_drift": ANY, "angular_acceleration": (0.0, 2.0),
+    "centrifugal": (0.0, 2.0), "force_misalignment": ANGLE, "drive_nonlinearity": ANY, "electrical_feedthrough": ANY,
+    "readout_delay": POSITIVE, "pickoff_scale_error": FACTOR, "pickoff_nonlinearity": ANY,
+    "pickoff_cubic_nonlinearity": ANY, "pickoff_crosstalk": ANGLE, "adc_saturation": POSITIVE,
+    "finite_sweep_rate": POSITIVE,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("effect", MEMBERS, ids=lambda effect: effect.label)
+def test_every_strength_stays_within_what_physics_allows(effect):
+    (number,) = [n for n in fx.free_numbers(effect) if n.field == "strength"]
+    assert (number.low, number.high) == RANGES[effect.name]
+    assert all(n.low < n.high for n in fx.free_numbers(effect))
+
+
+def test_sign_and_ends_of_a_strength_go_together():
+    for sign, ends in ((1, (0.0, 3.0)), (-1, (-2.0, 0.0)), (0, (-2.0, 3.0))):
+
+        class Own(fx.ForceEffect):
+            strength: object = fx.strength(sign=sign, low=-2.0, high=3.0)
+
+        assert Own.__dataclass_fields__["strength"].metadata["range"] == ends
+
+
 def test_planar_effects_need_two_axes():
     assert {e.label for e in MEMBERS if isinstance(e, fx.Planar)} == {
         "cross_stiffness", "cross_damping_asymmetry", "rate_offset", "rate_scale_error", "rate_bias_drift",
