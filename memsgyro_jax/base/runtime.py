@@ -63,13 +63,14 @@ def configure(devices: int | None = None) -> None:
             f"Argument `devices` must agree with {_DEVICES_FLAG} in the environment variable XLA_FLAGS where both are "
             f"given, but is {devices}; leave one of them out."
         )
+    missing = _known(missing) if missing else []  # what this jaxlib does not know was left out by the first call too
     if missing and _backend_started():
         raise InputError(
             "`memsgyro_jax.base.runtime.configure()` must be called before JAX computes anything, but JAX has started "
             "already; move the call to the top of the script."
         )
     if missing:
-        os.environ["XLA_FLAGS"] = " ".join([present, *_known(missing)]).strip()
+        os.environ["XLA_FLAGS"] = " ".join([present, *missing]).strip()
     _set("jax_enable_x64", True)
     _enable_cache()
 

@@ -47,6 +47,7 @@ def aimed(tones: Tones, how: Aim, displacement: Float[Array, ""]) -> Tones:
 
 def modes(gyro: AbstractGyro) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2 2"]]:
     """Undamped mode frequencies [Hz], ascending, and their unit shapes in columns."""
-    values, shapes = np.linalg.eig(np.asarray(gyro.dynamics(Inertial()).stiffness, float))
+    # Stiffness over mass has real modes; newer NumPy gives them as complex numbers all the same.
+    values, shapes = (part.real for part in np.linalg.eig(np.asarray(gyro.dynamics(Inertial()).stiffness, float)))
     order = np.argsort(values)
     return np.sqrt(values[order]) / (2.0 * np.pi), shapes[:, order]

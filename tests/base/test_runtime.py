@@ -88,6 +88,12 @@ def test_a_flag_this_jaxlib_does_not_know_is_left_out(report):
     assert seen["devices"] == 2
 
 
+def test_a_second_call_after_jax_started_does_not_ask_for_it_again(report):
+    added = 'runtime._CPU_FLAGS = (*runtime._CPU_FLAGS, "--xla_no_such_flag=1")'
+    started = "runtime.configure(devices=2); import jax; jax.devices()"
+    assert report("devices=2", before=f"{UNTRIED}; {added}\n{started}")["devices"] == 2
+
+
 def test_an_option_of_the_compiler_that_it_does_not_know_is_left_out(report):
     name = "--xla_backend_extra_options"
     listed = f'runtime._CPU_FLAGS = ("{name}=xla_cpu_disable_loop_unrolling=true,-no-such=1",)'
