@@ -125,6 +125,7 @@ if TYPE_CHECKING:
     from .measurement.case import Environment as Environment
     from .measurement.case import FrequencySweepRecord as FrequencySweepRecord
     from .measurement.case import RingDownRecord as RingDownRecord
+    from .measurement.case import FreeDecayRecord as FreeDecayRecord
     from .measurement.case import RateTableRecord as RateTableRecord
     from .measurement.case import TimeRecord as TimeRecord
     from .measurement.case import assess as assess

@@ -307,7 +307,7 @@ def _free_places(joint: Joint, fixed: Sequence[str]) -> np.ndarray:
             raise InputError(
                 f'Argument `fixed` must name parameters, but "{name}" is none ({suggestion(name, names)}).'
             )
-    return np.array([i for i, name in enumerate(names) if name not in fixed], dtype=int)
+    return np.array([i for i, name in enumerate(names) if name not in fixed and i not in joint.idle], dtype=int)
 
 
 def beside_case(case: Case, joint: Joint, optimum: Optimum) -> CaseFit:

@@ -84,8 +84,14 @@ class Joint:
         return from_vector(jnp.asarray(vector), self.model, self.spec)
 
     def base(self) -> np.ndarray:
-        """Places of the base parameters in the vector."""
-        return np.array([i for i, p in enumerate(self.parameters) if p.effect is None])
+        """Places of the base parameters in the vector that the readings can hold."""
+        return np.array([i for i, p in enumerate(self.parameters) if p.effect is None and i not in self.idle])
+
+    @cached_property
+    def idle(self) -> frozenset[int]:
+        """Place of 1/m where no fitted record is driven by a known force: forces then scale with the declared mass."""
+        driven = any(r.experiment.driven for r in self.fitted)
+        return frozenset(i for i, p in enumerate(self.parameters) if p.name == "1/m" and not driven)
 
     def of_effect(self, effect: int) -> np.ndarray:
         """Places of the strength of one effect."""

@@ -162,9 +162,12 @@ def run_samples(
     step: Array,
     conditions: Conditions,
     base: Conditions,
+    *,
+    start: Float[Array, " n"] | None = None,
 ) -> Float[Array, "t n"]:
-    """State at the beginning of each step, from rest, under forces that go linearly from `forces` to `forces +
-    increments` within a step of `step` seconds: held ones with zero increments. `conditions` has a row per step.
+    """State at the beginning of each step, from `start` (`None`: at rest), under forces that go linearly from `forces`
+    to `forces + increments` within a step of `step` seconds: held ones with zero increments. `conditions` has a row per
+    step.
     """
     matrix, gain = model.linear(base)
     propagate = Propagator.of(matrix, step, state_units(model))
@@ -182,4 +185,5 @@ def run_samples(
         end = predicted + propagate.second @ (rest(predicted, force + increment, now) - here)
         return end, state
 
-    return jax.lax.scan(advance, jnp.zeros(model.size), (forces, increments, conditions))[1]
+    begin = jnp.zeros(model.size) if start is None else start
+    return jax.lax.scan(advance, begin, (forces, increments, conditions))[1]

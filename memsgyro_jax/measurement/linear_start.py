@@ -9,6 +9,7 @@ import numpy as np
 from memsgyro_jax.device.normalised import NormalisedDevice
 
 from .case import Case
+from .experiments import FreeDecayRecord
 
 
 ROUNDS = 12
@@ -23,7 +24,7 @@ def starting_device(case: Case) -> NormalisedDevice:
     offered = [record.starting_phasors(case) for record in case.records if record.role != "validation"]
     rows = [row for row in offered if row is not None]
     if not rows:
-        return design_device(case)
+        return _as_heard(case)
     omega, motion, force, weight = (np.concatenate(part) for part in zip(*rows, strict=True))
     device = _solve(omega, motion, force, weight / omega**2)
     for _ in range(ROUNDS):
@@ -31,6 +32,19 @@ def starting_device(case: Case) -> NormalisedDevice:
     if not (np.all(np.linalg.eigvalsh(_matrix(device[0])) > 0) and np.all(np.diag(_matrix(device[1])) > 0)):
         return design_device(case)
     return NormalisedDevice(*device)
+
+
+def _as_heard(case: Case) -> NormalisedDevice:
+    """The device as designed, each axis at the frequency and damping of what vibrates most in its free decays."""
+    device, heard = design_device(case), [r.free_modes(case) for r in case.records if isinstance(r, FreeDecayRecord)]
+    stiffness, damping = np.array(device.stiffness), np.array(device.damping)
+    for axis, modes in enumerate(zip(*heard, strict=True)):
+        _, omega, decay = max(modes)
+        stiffness[axis] = omega**2
+        damping[axis] = 2.0 * decay if decay > 0.0 else damping[axis]
+    if not np.all(np.linalg.eigvalsh(_matrix(stiffness)) > 0):
+        return device
+    return NormalisedDevice(stiffness, damping, device.mobility)
 
 
 def design_device(case: Case) -> NormalisedDevice:

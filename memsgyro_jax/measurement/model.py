@@ -99,6 +99,11 @@ class Model(Displayed):
         """The same model without the effects of strength zero, which are absent."""
         return self.with_only(effect for effect in self.effects if np.any(np.asarray(effect.strength) != 0))
 
+    def state_of(self, motion: Float[Array, " m"], conditions: Conditions) -> Float[Array, " n"]:
+        """The state of displacements and velocities, with the effects' own states as they begin there."""
+        now = self._moment(motion, jnp.zeros(self.axes), conditions)
+        return jnp.concatenate([motion, *(effect.own_start(now) for effect in self._acting.forces)])
+
     def derivative(
         self, state: Float[Array, " n"], command: Float[Array, " axes"], conditions: Conditions
     ) -> Float[Array, " n"]:

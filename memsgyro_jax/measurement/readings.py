@@ -19,8 +19,8 @@ def readings_of(case: Case) -> tuple[Readings, ...]:
     """The readings of a case, in SI, each with its noise.
 
     Fitted are records with the role "fit", and without a declared role what its kind says: every second row of a
-    frequency sweep, rate tables, raw captures; ring-downs only where nothing else holds the device. The others
-    validate.
+    frequency sweep, rate tables, raw captures; ring-downs, and the earlier half of free decays, only where nothing else
+    holds the device. The others validate.
     """
     alone = all(record.role == "validation" or record.last_resort for record in case.records)
     out = []

@@ -4,6 +4,7 @@ from ..declared import DesignValue as DesignValue
 from ..declared import Environment as Environment
 from ..declared import Readout as Readout
 from ..experiments import AbstractRecord as AbstractRecord
+from ..experiments import FreeDecayRecord as FreeDecayRecord
 from ..experiments import FrequencySweepRecord as FrequencySweepRecord
 from ..experiments import RateTableRecord as RateTableRecord
 from ..experiments import RingDownRecord as RingDownRecord

@@ -15,6 +15,7 @@ from .base import RealNoise as RealNoise
 from .base import surroundings as surroundings
 from .deviation import Deviation as Deviation
 from .deviation import Known as Known
+from .free_decay import FreeDecayRecord as FreeDecayRecord
 from .frequency_sweep import FrequencySweepRecord as FrequencySweepRecord
 from .harmonic_sweep import HarmonicSweep as HarmonicSweep
 from .rate_table import RateTable as RateTable
@@ -27,4 +28,6 @@ from .time_record import RawCapture as RawCapture
 from .time_record import TimeRecord as TimeRecord
 
 
-KINDS: tuple[type[AbstractRecord], ...] = (FrequencySweepRecord, RingDownRecord, RateTableRecord, TimeRecord)
+KINDS: tuple[type[AbstractRecord], ...] = (
+    *(FrequencySweepRecord, RingDownRecord, FreeDecayRecord, RateTableRecord, TimeRecord),
+)

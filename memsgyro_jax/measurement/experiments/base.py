@@ -77,6 +77,7 @@ class Experiment(eqx.Module):
 
     shows_modes: ClassVar[bool] = False  # a parasitic mode is looked for here first
     slow: ClassVar[bool] = False  # to predict: a scan takes a coarse net
+    driven: ClassVar[bool] = True  # by a known force: else it does not tell the mass
 
     name: AbstractVar[str]
     measured: AbstractVar[Array]

@@ -1,0 +1,119 @@
+"""Amplitude, frequency and decay rate of a free vibration over time, told by its record alone.
+
+In each short window the strongest vibration is (a + b·τ)·e^{iωτ}: least squares for a and b, and of b the part in phase
+with a is the change of the amplitude, the part in quadrature what the frequency misses; it is moved there until nothing
+is missing.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+
+CYCLES = 6  # of the vibration in a window at least
+ROWS = 12  # in a window at least
+ROUNDS = 8  # of moving the frequency
+SEEN = 10.0  # standard deviations of its own from which an amplitude counts
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """A vibration in windows that follow each other.
+
+    Args:
+        time: middle of each window (k,) [s].
+        phasor: of the vibration there (k,), complex, in the unit of the record.
+        amplitude_std: of its size (k,).
+        omega, omega_std: angular frequency (k,) [rad/s].
+        decay, decay_std: −a'/a, half of the damping per mass (k,) [1/s].
+        offset: mean of each window beside the vibration (k,); zero for phasors.
+    """
+
+    time: np.ndarray
+    phasor: np.ndarray
+    amplitude_std: np.ndarray
+    omega: np.ndarray
+    omega_std: np.ndarray
+    decay: np.ndarray
+    decay_std: np.ndarray
+    offset: np.ndarray
+
+    @property
+    def amplitude(self) -> np.ndarray:
+        """(k,) in the unit of the record."""
+        return np.abs(self.phasor)
+
+    def where(self, rows: np.ndarray) -> "Track":
+        """Some of the windows."""
+        return Track(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+
+    @property
+    def seen(self) -> "Track":
+        """The windows in which the vibration stands clear of the noise."""
+        return self.where(self.amplitude > SEEN * self.amplitude_std)
+
+
+def tracked(
+    time: np.ndarray, values: np.ndarray, band: tuple[float, float], *, reference: float = 0.0, rows: int = 0
+) -> Track:
+    """The strongest vibration within a band of a record.
+
+    Args:
+        time: (n,) uniform [s].
+        values: (n,) a real signal, or complex phasors of e^{iωt} at the frequency `reference`.
+        band: lowest and highest angular frequency [rad/s] at which it is looked for.
+        reference: of phasors [rad/s].
+        rows: of a window; 0 takes `CYCLES` cycles.
+    """
+    period = float(time[-1] - time[0]) / (len(time) - 1)
+    phasors = np.iscomplexobj(values)
+    omega = _strongest(values, period, band, reference)
+    width = rows or max(ROWS, int(np.ceil(CYCLES * 2 * np.pi / omega / period)))
+    width = min(width, len(time))
+    found = []
+    for begin in range(0, len(time) - width + 1, width):
+        one = _window(values[begin : begin + width], period, omega - reference, phasors)
+        found.append((time[begin : begin + width].mean(), *one))
+        low, high = band
+        if low < one[2] + reference < high:
+            omega = one[2] + reference
+    columns = [np.array(column) for column in zip(*found, strict=True)]
+    columns[3] = columns[3] + reference
+    return Track(*columns)
+
+
+def _strongest(values: np.ndarray, period: float, band: tuple[float, float], reference: float) -> float:
+    """The strongest line of the first part of a record within a band."""
+    some = values[: max(64, len(values) // 8)]
+    some = (some - (0.0 if np.iscomplexobj(some) else some.mean())) * np.hanning(len(some))
+    count = 8 * len(some)
+    omega = 2 * np.pi * np.fft.fftfreq(count, period) + reference
+    size = np.where((omega > band[0]) & (omega < band[1]), np.abs(np.fft.fft(some, count)), -1.0)
+    return float(omega[np.argmax(size)])
+
+
+def _window(values: np.ndarray, period: float, omega: float, phasors: bool) -> tuple[Any, ...]:
+    """Phasor, its standard deviation, frequency, its, decay rate, its, and the constant beside it."""
+    tau = (np.arange(len(values)) - 0.5 * (len(values) - 1)) * period
+    half = max(float(tau[-1]), period)
+    for _ in range(ROUNDS):
+        turn = np.exp(1j * omega * tau)
+        wave = np.stack([turn, 1j * turn, tau / half * turn, 1j * tau / half * turn], axis=1)
+        if phasors:
+            columns, seen = np.concatenate([wave.real, wave.imag]), np.concatenate([values.real, values.imag])
+        else:
+            columns, seen = np.concatenate([wave.real, np.ones((len(tau), 1))], axis=1), values
+        found, _, _, _ = np.linalg.lstsq(columns, seen)
+        a, b = found[0] + 1j * found[1], (found[2] + 1j * found[3]) / half
+        rate = b / a
+        move = float(np.clip(rate.imag, -1.0 / half, 1.0 / half))
+        omega += move
+        if abs(move) < 1e-9 * abs(omega) + 1e-12:
+            break
+    left = seen - columns @ found
+    freedom = max(1, len(seen) - columns.shape[1])
+    spread = np.sqrt(np.diag(np.linalg.pinv(columns.T @ columns)) * float(left @ left) / freedom)
+    slope = float(np.hypot(spread[2], spread[3])) / np.sqrt(2) / half / abs(a)
+    level = float(np.hypot(spread[0], spread[1])) / np.sqrt(2)
+    return a, level, omega, slope, -rate.real, slope, 0.0 if phasors else float(found[4])

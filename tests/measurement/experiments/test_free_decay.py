@@ -1,0 +1,190 @@
+"""Free decays from unknown starts, against plain integration of the equation of motion."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import least_squares
+
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.device.normalised import NormalisedDevice
+from memsgyro_jax.diagnosis.fit import fit_case
+from memsgyro_jax.effects import by_name, catalogue
+from memsgyro_jax.measurement.case import load_case, write_case
+from memsgyro_jax.measurement.model import Model
+from memsgyro_jax.measurement.readings import model_of, readings_of
+
+
+CASE = """
+schema = "memsgyro-case/1"
+name = "decay"
+device = "resonator"
+
+[design]
+resonance = {{ value = {hertz}, unit = "Hz", tolerance = 0.05 }}
+quality_factor = {{ low = 50, high = 20000, unit = "1" }}
+static_gain = {{ value = 1, unit = "1", tolerance = 0 }}
+
+[readout]
+scale = {{ value = 2, unit = "V/V" }}
+
+[[experiment]]
+name = "decay"
+kind = "free_decay"
+file = "decay.csv"
+{more}
+"""
+
+
+def moved(hertz, decay, cubic, begin, time):
+    """Displacement at some times of x'' + 2γx' + ω²(x + cubic·x³) = 0 from (x, v)."""
+    omega2 = (2 * np.pi * hertz) ** 2
+
+    def rates(_, s):
+        return [s[1], -2 * decay * s[1] - omega2 * (s[0] + cubic * s[0] ** 3)]
+
+    return solve_ivp(rates, (0, time[-1]), begin, t_eval=time, rtol=1e-10, atol=1e-12, method="DOP853").y
+
+
+def written(folder, time, columns, hertz, more=""):
+    """A case with one free decay."""
+    header = "t [s]," + ",".join(columns)
+    table = np.column_stack([time, *columns.values()])
+    np.savetxt(folder / "decay.csv", table, fmt="%.9g", delimiter=",", header=header, comments="")
+    (folder / "case.toml").write_text(CASE.format(hertz=hertz, more=more))
+    return load_case(folder)
+
+
+@pytest.fixture(scope="module")
+def hardening(tmp_path_factory):
+    """A decay of 37 Hz over a decade and a half, whose frequency falls by 20 %, and the true numbers."""
+    time = np.arange(1800) * 2e-3
+    x = moved(37.0, 1.0, 0.4, (1.0, 50.0), time)[0]
+    rng = np.random.default_rng(5)
+    volts = 2 * x + 0.01 * rng.standard_normal(x.size)
+    return written(tmp_path_factory.mktemp("decay"), 7.0 + time, {"y [V]": volts}, 38.0)
+
+
+def cubic():
+    return by_name("cubic_stiffness", among=catalogue(1))
+
+
+def test_a_hardening_decay_is_found_from_the_design_alone(hardening):
+    fit = fit_case(hardening, [cubic()])
+    device, strength = fit.model.device, fit.model.effects[0].strength
+    found = np.array([np.sqrt(device.stiffness[0]) / (2 * np.pi), device.damping[0] / 2])
+    std = {e.name: e.std for e in fit.estimates}
+    assert found == pytest.approx([37.0, 1.0], rel=0.03)
+    assert abs(device.stiffness[0] - (2 * np.pi * 37) ** 2) < 4 * std["k/m"]
+    assert abs(device.damping[0] - 2.0) < 4 * std["d/m"]
+    assert float(strength * device.mobility / device.stiffness[0]) == pytest.approx(0.4, rel=0.01)
+    assert "1/m" not in std, "without a drive the mass only scales the forces"
+    for error in fit.errors:
+        assert error.rms == pytest.approx(1.0, abs=0.1)
+    assert {e.role for e in fit.errors} == {"fit", "validation"}
+
+
+def test_eliminated_starts_are_those_of_a_fit_of_everything(hardening):
+    """χ² beside the best starts, and its slope, are those of a joint fit by SciPy in which each start is free."""
+    readings = readings_of(hardening)[0].experiment
+    pieces = readings.start.shape[0]
+    model = model_of(hardening, NormalisedDevice([233.0**2], [2.2], 233.0**2), offset=np.zeros(1))
+    model = model.with_effect(cubic())
+    residual = np.asarray(readings.residual(model)).reshape(pieces, -1)
+    rows = residual.shape[1]
+    time = np.arange(rows) * float(readings.period)
+    for k in (0, pieces - 1):
+        measured = np.asarray(readings.measured)[k * rows : (k + 1) * rows, 0]
+
+        def left(begin, measured=measured):
+            return (measured - 2 * moved(233.0 / (2 * np.pi), 1.1, 0.0, begin, time)[0]) / hardening.records[
+                0
+            ].noise_level
+
+        best = least_squares(left, np.asarray(readings.start)[k], x_scale=[1.0, 233.0])
+        assert np.sum(residual[k] ** 2) == pytest.approx(2 * best.cost, rel=1e-4)
+    assert pieces > 4
+
+
+def test_phasors_of_a_lock_in_tell_the_same_as_the_waveform(tmp_path):
+    """14 kHz, read 30 Hz beside the resonance at 500 readings a second."""
+    omega, decay, reference = 2 * np.pi * 14000.0, 8.0, 2 * np.pi * 13970.0
+    time = np.arange(250) * 2e-3
+    phasor = 0.3 * np.exp(1.1j + (1j * (omega - reference) - decay) * time)
+    rng = np.random.default_rng(1)
+    noisy = phasor + 1e-4 * (rng.standard_normal(250) + 1j * rng.standard_normal(250))
+    columns = {"y_I [V]": noisy.real, "y_Q [V]": noisy.imag}
+    case = written(
+        tmp_path, time, columns, 14010.0, 'reference_frequency = { value = 13970, unit = "Hz" }\nrole = "fit"'
+    )
+    fit = fit_case(case)
+    std = {e.name: e.std for e in fit.estimates}
+    assert abs(float(fit.model.device.damping[0]) - 2 * decay) < 4 * std["d/m"]
+    assert abs(float(fit.model.device.stiffness[0]) - (omega**2 + decay**2)) < 4 * std["k/m"]
+    assert std["k/m"] < 1e-6 * omega**2
+    assert fit.errors[0].rms == pytest.approx(1.0, abs=0.12)
+
+
+def test_a_part_is_cut_out_and_written_again(hardening, tmp_path):
+    time = hardening.records[0].time
+    more = 'from = { value = 7.5, unit = "s" }\nto = { value = 8500, unit = "ms" }'
+    case = written(tmp_path, time, {"y [V]": hardening.records[0].signals[:, 0]}, 38.0, more)
+    record = case.records[0]
+    assert record.rows == 501
+    assert record.time[0] == pytest.approx(7.5)
+    assert record.lines[0] == 2 + 250
+    again = load_case(write_case(case, tmp_path / "again")).records[0]
+    np.testing.assert_allclose(again.signals, record.signals)
+    assert again.extent == record.extent
+    with pytest.raises(InputError, match=r"must leave .* rows or more, but leaves 0"):
+        written(
+            tmp_path, time, {"y [V]": hardening.records[0].signals[:, 0]}, 38.0, 'from = { value = 99, unit = "s" }'
+        )
+
+
+def test_two_axes_ring_from_any_start(tmp_path):
+    """Both modes of a coupled mass, each with its start."""
+    text = """
+    schema = "memsgyro-case/1"
+    name = "two"
+    device = "single_mass"
+    [design]
+    mass = { value = 2e-7, unit = "kg", tolerance = 0.1 }
+    frequency_x = { value = 3000, unit = "Hz", tolerance = 0.05 }
+    frequency_y = { value = 3200, unit = "Hz", tolerance = 0.05 }
+    quadrature = { low = -100, high = 100, unit = "rad/s" }
+    quality_factor_x = { value = 400, unit = "1", tolerance = 0.3 }
+    quality_factor_y = { value = 400, unit = "1", tolerance = 0.3 }
+    dxy = { low = 0, high = 1e-7, unit = "N*s/m" }
+    [readout]
+    scale = { value = 1, unit = "V/um" }
+    [[experiment]]
+    name = "both"
+    kind = "free_decay"
+    file = "both.csv"
+    role = "fit"
+    noise_std = { value = 1, unit = "mV" }
+    """
+    stiffness = (2 * np.pi * np.array([3020.0, 3190.0])) ** 2
+    matrix = np.block(
+        [[np.zeros((2, 2)), np.eye(2)], [-np.diag(stiffness) - 2e6 * (1 - np.eye(2)), -np.diag([45.0, 50.0])]]
+    )
+    time = np.arange(600) * 5e-5
+    values, vectors = np.linalg.eig(matrix)
+    begin = np.linalg.solve(vectors, [1.0, -0.6, 3000.0, 9000.0])
+    motion = (np.exp(time[:, None] * values) * begin @ vectors.T).real[:, :2]
+    volts = motion + 1e-3 * np.random.default_rng(2).standard_normal(motion.shape)
+    table = np.column_stack([time, volts])
+    np.savetxt(tmp_path / "both.csv", table, fmt="%.9g", delimiter=",", header="t [s],Vx [V],Vy [V]", comments="")
+    (tmp_path / "case.toml").write_text(text)
+    fit = fit_case(load_case(tmp_path))
+    held = fit.model.device
+    std = {e.name: e.std for e in fit.estimates}
+    truth = {"kxx/m": stiffness[0], "kyy/m": stiffness[1], "kxy/m": 2e6, "dxx/m": 45.0, "dyy/m": 50.0}
+    found = dict(zip(("kxx/m", "kyy/m", "kxy/m", "dxx/m", "dyy/m"), [*held.stiffness, *held.damping[:2]], strict=True))
+    for name, value in truth.items():
+        assert abs(float(found[name]) - value) < 4 * std[name], name
+        assert std[name] < 0.3 * abs(value)
+    assert fit.errors[0].rms == pytest.approx(1.0, abs=0.1)
+    assert isinstance(fit.model, Model)
+    assert jnp.all(jnp.isfinite(held.damping))
