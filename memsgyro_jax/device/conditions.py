@@ -28,6 +28,7 @@ class Conditions(Displayed):
     | `time` | s | within the record |
     | `progress` | 1 | part of the record that has passed, 0 to 1 |
     | `record` | 1 | number of the record in its case, from 0 |
+    | `sweep` | 1 | number of the single sweep in its record, from 0 |
     | `cross_rate`, `acceleration` | rad/s, m/s² | of the frame along x and y |
     | `damping_change` | 1 | relative change of (dxx, dyy, dxy) |
     | `offset_drift` | V | change of the read-out's offsets |
@@ -44,6 +45,7 @@ class Conditions(Displayed):
     time: Array | None = _number(0.0)
     progress: Array | None = _number(0.0)
     record: Array | None = _number(0.0)
+    sweep: Array | None = _number(0.0)
     cross_rate: Pair = (0.0, 0.0)
     acceleration: Pair = (0.0, 0.0)
     damping_change: Change = UNCHANGED

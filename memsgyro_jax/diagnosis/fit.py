@@ -126,7 +126,7 @@ class CaseFit(Shown):
     def uncertainty(self) -> JointNormal:
         """Numbers of `device` that were fitted, by their paths there, with their joint uncertainty."""
         joint, free = self.joint, self.optimum.free
-        present = {effect.label for effect in self.model.present.effects}
+        present = {effect.label for effect in self.model.present.effects if not effect.of_instrument}
         paths = list(_BASE[self.model.axes])
         for parameter in (joint.parameters[i] for i in free):
             label = joint.model.effects[parameter.effect].label if parameter.effect is not None else ""

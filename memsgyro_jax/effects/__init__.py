@@ -12,6 +12,8 @@ from .axes import variants as variants
 from .base import DriveEffect as DriveEffect
 from .base import Effect as Effect
 from .base import ForceEffect as ForceEffect
+from .base import LockInEffect as LockInEffect
+from .base import LockInRow as LockInRow
 from .base import Moment as Moment
 from .base import ReadoutEffect as ReadoutEffect
 from .base import SweepEffect as SweepEffect
@@ -30,6 +32,8 @@ from .electrical_feedthrough import ElectricalFeedthrough as ElectricalFeedthrou
 from .electrostatic_softening import ElectrostaticSoftening as ElectrostaticSoftening
 from .finite_sweep_rate import FiniteSweepRate as FiniteSweepRate
 from .force_misalignment import ForceMisalignment as ForceMisalignment
+from .instrument import TERMS as TERMS
+from .instrument import InstrumentTerm as InstrumentTerm
 from .numbers import EffectNumber as EffectNumber
 from .numbers import free_numbers as free_numbers
 from .numbers import parameter as parameter

@@ -19,7 +19,7 @@ from typing import ClassVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Complex, Float
 
 from memsgyro_jax.base.fields import AbstractVar
 from memsgyro_jax.base.fields import Scalar as Scalar
@@ -43,6 +43,7 @@ class Moment(eqx.Module):
     | `time` | s | within the record |
     | `progress` | 1 | part of the record that has passed, 0 to 1 |
     | `record` | 1 | number of the record in its case, from 0 |
+    | `sweep` | 1 | number of the single sweep in its record, from 0 |
     | `device` | | the base device |
     | `scale` | V/m | of the read-out |
     | `acceleration`, `jerk` | m/s², m/s³ | of the proof mass; only read-out effects see them |
@@ -62,6 +63,7 @@ class Moment(eqx.Module):
     time: Array
     progress: Array
     record: Array
+    sweep: Array
     device: NormalisedDevice
     scale: Array
     acceleration: Array | None = None
@@ -96,6 +98,7 @@ class Effect(AbstractEffect):
     reference: ClassVar[str] = ""
     own_size: ClassVar[int] = 0
     own_is_linear: ClassVar[bool] = False
+    of_instrument: ClassVar[bool] = False  # belongs to a record, not to the device
 
     strength: AbstractVar[Array]
 
@@ -170,3 +173,31 @@ class SweepEffect(Effect):
     @abc.abstractmethod
     def speed(self) -> Array:
         """Speed of the sweep [rad/s²]."""
+
+
+class LockInRow(eqx.Module):
+    """What a lock-in knows of one row.
+
+    Args:
+        frequency: of the drive [rad/s].
+        force: complex amplitude of the command per axis [N].
+        before: phasors that were read in the row before [V].
+        record, sweep, time: as in a `Moment`.
+    """
+
+    frequency: Array
+    force: Complex[Array, " axes"]
+    before: Complex[Array, " axes"]
+    record: Array
+    sweep: Array
+    time: Array
+
+
+class LockInEffect(Effect):
+    """Acts on the phasors that a lock-in makes of the voltages of a sweep; a `last` one behind all others."""
+
+    last: ClassVar[bool] = False
+
+    @abc.abstractmethod
+    def phasors(self, values: Complex[Array, " axes"], row: LockInRow) -> Complex[Array, " axes"]:
+        """Phasor of each channel [V], given what it would be without this effect."""

@@ -89,6 +89,7 @@ def moment(
         time=number(at.time),
         progress=number(at.progress),
         record=number(at.record),
+        sweep=number(at.sweep),
         device=device,
         scale=scale,
     )

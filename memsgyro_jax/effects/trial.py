@@ -11,7 +11,7 @@ from jaxtyping import Array
 
 from memsgyro_jax.device.normalised import NormalisedDevice
 
-from .base import DriveEffect, Effect, ForceEffect, Moment, ReadoutEffect, SweepEffect
+from .base import DriveEffect, Effect, ForceEffect, LockInEffect, LockInRow, Moment, ReadoutEffect, SweepEffect
 
 
 def at_strength(effect: Effect, strength: Array) -> Effect:
@@ -49,6 +49,7 @@ def moments(effect: Effect, axes: int, count: int = 5) -> Moment:
         time=jnp.linspace(0.0, 1.0, count),
         progress=jnp.linspace(0.0, 1.0, count),
         record=jnp.zeros(count),
+        sweep=jnp.zeros(count),
         device=jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (count, *leaf.shape)), device),
         scale=jnp.full(size, 5e5),
         acceleration=vector(1e4),
@@ -67,6 +68,17 @@ class PortMethod(NamedTuple):
     exact: bool = True
 
 
+def _read(now: Moment) -> tuple[Array, LockInRow]:
+    """Phasors that a lock-in might make of a moment, and what it knows of the row."""
+    values, force = now.scale * now.displacement * (1 + 0.5j), now.force + 0j
+    return values, LockInRow(jnp.asarray(1.0), force, 0.9j * values, now.record, now.sweep, now.time)
+
+
+def _parts(values: Array) -> Array:
+    """Real and imaginary parts."""
+    return jnp.stack([values.real, values.imag], axis=-1)
+
+
 PORT_METHODS: dict[type[Effect], tuple[PortMethod, ...]] = {
     ForceEffect: (
         PortMethod("force", lambda e, now: e.force(now), lambda now: jnp.zeros_like(now.displacement)),
@@ -77,6 +89,9 @@ PORT_METHODS: dict[type[Effect], tuple[PortMethod, ...]] = {
         PortMethod(
             "signal", lambda e, now: e.signal(now.scale * now.displacement, now), lambda n: n.scale * n.displacement
         ),
+    ),
+    LockInEffect: (
+        PortMethod("phasors", lambda e, now: _parts(e.phasors(*_read(now))), lambda now: _parts(_read(now)[0])),
     ),
     SweepEffect: (PortMethod("speed", lambda e, now: e.speed(), lambda now: jnp.zeros(())),),
 }

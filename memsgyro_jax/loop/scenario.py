@@ -208,6 +208,7 @@ class Scenario(Displayed):
             time=None,
             progress=None,
             record=None,
+            sweep=None,
             cross_rate=_values(self.cross_rate, time),
             acceleration=_values(self.acceleration, time),
             damping_change=_values(self.damping_change, time),

@@ -65,10 +65,11 @@ class Model(Displayed):
 
     def physical(self, **more: Any) -> SingleMassGyro | Resonator:
         """The device with its mass and its effects, as the loop runs it, and `more` of its fields; scale and offset are
-        the read-out's.
+        the read-out's, and terms of an instrument stay with its records.
         """
         references = {"reference_temperature": self.reference_temperature, "reference_bias": self.reference_bias}
-        return self.device.physical(effects=self.effects, **{name: float(v) for name, v in references.items()}, **more)
+        own = tuple(effect for effect in self.effects if not effect.of_instrument)
+        return self.device.physical(effects=own, **{name: float(v) for name, v in references.items()}, **more)
 
     @property
     def axes(self) -> int:

@@ -90,12 +90,16 @@ def _(experiment: Sweep, bench):
         "temperature": {"temperature": known - lab.temperature}, "rate": {"rate": known},
     }[experiment.condition]  # fmt: skip
     force = known if experiment.condition == "drive" else experiment.force
-    clean = _sweep(bench, experiment, force, 2 * np.pi * f, conditions)
+    faults = lab.faults
+    conditions["pull"] = faults.pulled(len(f), bench.rng)
+    settled = _sweep(bench, experiment, faults.force(force), 2 * np.pi * f, conditions)
+    clean = faults.lock_in(settled, experiment.name, force)
     settings = {"drive_axis": letter} if bench.plant.die.axes == 2 else {}
     if experiment.condition != "drive":
         settings["drive_force"] = (experiment.force / unit, drive_column[5:-1])
     settings |= {"settled": experiment.settled, "note": f"{header.split()[0]} is stepped"}
-    return _record(bench, experiment, "frequency_sweep", {header: column, "f [Hz]": f}, clean, settings)
+    columns = {"t [s]": faults.dwell * np.arange(len(f))} if faults.dwell else {}
+    return _record(bench, experiment, "frequency_sweep", columns | {header: column, "f [Hz]": f}, clean, settings)
 
 
 def _grid(experiment, bench):

@@ -64,6 +64,7 @@ def _write_csv(path, record, protocol, rng):
         name = "y" if single else f"V{'xy'[c]}"
         for part, clean in parts.items():
             noisy = clean[:, c] + record.noise * rng.standard_normal(len(clean))
+            noisy = protocol.faults.spoiled(noisy, record.columns.get("t [s]"), rng)
             columns[f"{name}_{part} [V]" if part else f"{name} [V]"] = noisy
     known, decimals = len(record.columns), _decimals(record.noise)
     lines = [",".join(columns)]
@@ -133,7 +134,7 @@ def _toml(name, die, protocol, records):
         if record.role:
             entry["role"] = record.role
         if protocol.declare_noise and record.noise:
-            entry["noise_std"] = (record.noise, "V")
+            entry["noise_std"] = (protocol.faults.declared * record.noise, "V")
         lines.append("[[experiment]]\n" + "".join(f"{k} = {_value(v)}\n" for k, v in entry.items()))
     return "\n".join(lines)
 

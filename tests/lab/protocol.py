@@ -3,6 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
+from lab.faults import Faults
+
+
+SOUND = Faults()
 
 
 @dataclass(frozen=True)
@@ -102,7 +106,9 @@ class Multisine:
 
 @dataclass(frozen=True)
 class Laboratory:
-    """A list of experiments. `noise` scales every noise level; `digits` are those of the files (17 is exact)."""
+    """A list of experiments. `noise` scales every noise level; `digits` are those of the files (17 is exact), `faults`
+    what is wrong with its instruments.
+    """
 
     experiments: tuple
     noise: float = 1.0
@@ -110,6 +116,7 @@ class Laboratory:
     temperature: float = 25.0
     bias: float = 10.0
     declare_noise: bool = True
+    faults: Faults = SOUND
 
     @classmethod
     def full(cls, **changes):

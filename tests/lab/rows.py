@@ -43,12 +43,15 @@ class Rows:
         return force + chebyshev.chebval(2 * (t - self.origin) / self.span - 1, self.held, tensor=False)
 
 
-def rows(die, hidden, count, temperature=0.0, bias=0.0, rate=0.0, turn=0.0, calibrated=False, **drive):
-    """Conditions of `count` rows. `temperature` is T - T_ref [K], `bias` is V² - V_ref² [V²]."""
+def rows(die, hidden, count, temperature=0.0, bias=0.0, rate=0.0, turn=0.0, calibrated=False, pull=0.0, **drive):
+    """Conditions of `count` rows. `temperature` is T - T_ref [K], `bias` is V² - V_ref² [V²], `pull` what all
+    resonances change by, relative.
+    """
     wide = np.ones(count)
     softening = np.append(hidden.pair("electrostatic_softening"), 0.0)[:, None] * (bias * wide)
     heat = np.array([1.0, 1.0, float(hidden.thermal_drift_couplings)])[:, None] * temperature * wide
     stiffness = die.stiffness[:, None] * (1 + hidden.thermal_drift_stiffness * heat) - softening
+    stiffness = stiffness * (1 + pull * wide) ** 2
     damping = die.damping[:, None] * (1 + hidden.thermal_drift_damping * heat)
     scale = 1 + hidden.rate_scale_error
     true_rate = scale * rate * wide + (0.0 if calibrated else hidden.rate_offset)

@@ -310,10 +310,13 @@ def _joined(
             rate=joined(lambda _, r: r.rate),
             temperature=joined(lambda _, r: r.temperature),
             bias_voltage=joined(lambda _, r: r.bias_voltage),
+            time=joined(lambda _, r: np.zeros(r.rows) if r.time is None else r.time),
             record=joined(lambda number, r: np.full(r.rows, float(number))),
+            sweep=joined(lambda _, r: np.repeat(np.arange(len(r.sweeps)), [s.stop - s.start for s in r.sweeps])),
         ).rows(len(rows)),
         near=jnp.asarray(measured / declared.readout.scale),
         direction=jnp.asarray(joined(lambda _, r: r.directions)),
+        before=jnp.asarray(joined(lambda _, r: r.phasors[np.maximum(np.arange(r.rows) - 1, 0)])),
     )
 
 

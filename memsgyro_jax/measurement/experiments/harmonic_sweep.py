@@ -13,6 +13,7 @@ from memsgyro_jax.base.linalg import inverse
 from memsgyro_jax.device.conditions import Conditions
 from memsgyro_jax.effects.base import SweepEffect
 
+from ..lock_in import through_lock_in
 from ..model import Model
 from ..steady import drive_waveform, fundamental, spectrum, steady_state, waveform
 from .base import Experiment, Noise
@@ -34,6 +35,7 @@ class HarmonicSweep(Experiment):
         surroundings: conditions per row.
         near: displacement phasors (n, axes) [m] that say which branch of a folded resonance is meant.
         direction: +1 where the frequency rose towards a row, −1 where it fell.
+        before: phasors (n, axes) that were read in the row before [V]; `None` where each row stands alone.
     """
 
     shows_modes: ClassVar[bool] = True
@@ -46,6 +48,7 @@ class HarmonicSweep(Experiment):
     surroundings: Conditions
     near: Complex[Array, "n axes"]
     direction: Float[Array, " n"]
+    before: Complex[Array, "n axes"] | None = None
 
     def predict(self, bench: Model) -> Complex[Array, "n axes"]:
         """Phasors of all channels."""
@@ -58,7 +61,9 @@ class HarmonicSweep(Experiment):
                 state = state.at[1].add(sweep_lag(bench, omega, force, conditions, direction * speed))
             return fundamental(bench, omega, state, force, conditions)
 
-        return jax.vmap(row)(self.frequency, self.force, self.surroundings, self.near, self.direction)
+        settled = jax.vmap(row)(self.frequency, self.force, self.surroundings, self.near, self.direction)
+        before = self.measured if self.before is None else self.before
+        return through_lock_in(bench, settled, self.frequency, self.force, before, self.surroundings)
 
     def proposals(self, name: str) -> Iterator[tuple[str, Experiment]]:
         """All sweeps at once, driven harder, on the other axis, warmer and colder, at other bias voltages."""

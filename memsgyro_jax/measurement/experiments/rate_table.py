@@ -19,6 +19,7 @@ from ..clock import check_period
 from ..columns import phasor_columns
 from ..declared import Declared
 from ..envelope import HARMONICS, Driven
+from ..lock_in import through_lock_in
 from ..model import Model
 from ..section import Axis, ExperimentSection, Quantity
 from ..steady import fundamental, steady_state
@@ -64,7 +65,8 @@ class RateTable(Experiment):
         step = 2 * jnp.pi * self.block_cycles / self.frequency
         _, course = driven.run(start[: HARMONICS + 1], step, self.surroundings)
         seen = driven.demodulated(course, step)
-        return jax.vmap(lambda s, c: fundamental(bench, self.frequency, s, driven.force, c))(seen, self.surroundings)
+        given = jax.vmap(lambda s, c: fundamental(bench, self.frequency, s, driven.force, c))(seen, self.surroundings)
+        return through_lock_in(bench, given, self.frequency, driven.force, self.measured, self.surroundings)
 
     def proposals(self, name: str) -> Iterator[tuple[str, Experiment]]:
         """Rates that are known from a calibrated reference, fast rates, and a stronger drive."""

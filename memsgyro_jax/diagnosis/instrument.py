@@ -1,0 +1,140 @@
+"""The instrument before physics: nuisance terms that a case can hold, and what is known of them before it is recorded.
+
+A term is an effect whose strength has one entry per record or sweep; fit, scores and refits treat it like any other.
+What is known beforehand of a strength enters as readings of it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from memsgyro_jax.effects import TERMS, InstrumentTerm
+from memsgyro_jax.effects.instrument import (
+    DampingDrift,
+    DriveLevel,
+    FrequencyDrift,
+    FrequencyOffset,
+    GainDrift,
+    LockInBackground,
+    LockInFeedthrough,
+    LockInMemory,
+    PhaseDrift,
+    RecordGain,
+    ReferencePhase,
+)
+from memsgyro_jax.measurement.case import AbstractRecord, Case
+from memsgyro_jax.measurement.experiments import Readings
+from memsgyro_jax.measurement.experiments.base import Experiment, Noise, RealNoise
+from memsgyro_jax.measurement.model import Model
+
+
+class Knowledge(Experiment):
+    """What is known of a strength beforehand, as readings of zero.
+
+    Args:
+        name: the label of the effect.
+        measured: zeros (k, 1).
+        noise: with the standard deviation of each number.
+    """
+
+    name: str = eqx.field(static=True)
+    measured: Float[Array, "k 1"]
+    noise: Noise
+
+    def predict(self, bench: Model) -> Float[Array, "k 1"]:
+        """The strength; zero where the model lacks the effect."""
+        mine = [effect.strength for effect in bench.effects if effect.label == self.name]
+        return mine[0][:, None] if mine else jnp.zeros_like(self.measured)
+
+
+def knowledge(terms: Sequence[InstrumentTerm]) -> tuple[Readings, ...]:
+    """The readings that stand for what is known of the terms beforehand; they belong to no record."""
+    known = [term for term in terms if term.prior is not None]
+    return tuple(_prior(term.label, term.strength.size, term.prior) for term in known if term.prior)
+
+
+def _prior(label: str, size: int, std: float) -> Readings:
+    nobody = np.full(size, -1)
+    return Readings(Knowledge(label, jnp.zeros((size, 1)), RealNoise(std)), nobody, nobody, True)
+
+
+def instrument_terms(case: Case) -> tuple[InstrumentTerm, ...]:
+    """The terms that the records of a case can hold, each at zero; those of which they have but one group have none."""
+    groups = _Groups.of(case)
+    phasor, clocked = groups.phasor, groups.clocked
+    found = [
+        (LockInMemory, phasor, {}),
+        (ReferencePhase, phasor, {}),
+        (DriveLevel, groups.levels[1:], {}),
+        (RecordGain, groups.records[1:], {}),
+        (FrequencyOffset, groups.sweeps[1:], {}),
+        *((kind, clocked, groups.clock) for kind in (FrequencyDrift, DampingDrift, GainDrift, PhaseDrift)),
+    ]
+    terms = [kind(np.zeros(len(g)), groups.table(g), **more) for kind, g, more in found if g]
+    if phasor:
+        both = np.zeros(2 * case.channels)
+        terms += [LockInBackground(both), LockInFeedthrough(both)]
+    return tuple(sorted(terms, key=lambda term: TERMS.index(type(term))))
+
+
+Place = tuple[int, int]  # record, and single sweep within it
+
+
+@dataclass(frozen=True)
+class _Groups:
+    """Groups of rows that may share a number, each a set of places."""
+
+    shape: tuple[int, int]
+    records: list[set[Place]]
+    sweeps: list[set[Place]]
+    levels: list[set[Place]]
+    phasor: list[set[Place]]
+    clocked: list[set[Place]]
+    clock: dict[str, np.ndarray]
+
+    @classmethod
+    def of(cls, case: Case) -> "_Groups":
+        pieces = [getattr(record, "sweeps", (slice(None),)) for record in case.records]
+        places = [[(number, sweep) for sweep in range(len(p))] for number, p in enumerate(pieces)]
+        phasor = [np.iscomplexobj(record.readings) for record in case.records]
+        times = [_time(record) for record in case.records]
+        clocked = [t is not None and wave for t, wave in zip(times, phasor, strict=True)]
+        levels: dict[tuple, set[Place]] = {}
+        for (record, rows), own in zip(zip(case.records, pieces, strict=True), places, strict=True):
+            for piece, place in zip(rows, own, strict=True):
+                levels.setdefault((record.name, _level(record, piece)), set()).add(place)
+        return cls(
+            (len(places), max(map(len, places))),
+            [set(own) for own in places],
+            [{place} for own in places for place in own],
+            list(levels.values()),
+            [set(own) for own, wave in zip(places, phasor, strict=True) if wave],
+            [set(own) for own, timed in zip(places, clocked, strict=True) if timed],
+            {
+                "begin": np.array([0.0 if t is None else t[0] for t in times]),
+                "span": np.array([1.0 if t is None else t[-1] - t[0] for t in times]),
+            },
+        )
+
+    def table(self, groups: Sequence[set[Place]]) -> np.ndarray:
+        """Which number a row takes (records, sweeps, k)."""
+        out = np.zeros((*self.shape, len(groups)))
+        for k, group in enumerate(groups):
+            for place in group:
+                out[(*place, k)] = 1.0
+        return out
+
+
+def _level(record: AbstractRecord, piece: slice) -> float:
+    """The drive level of a single sweep; records without levels have one."""
+    drive = getattr(record, "drive", None)
+    return 0.0 if drive is None else float(np.mean(drive[piece]))
+
+
+def _time(record: AbstractRecord) -> np.ndarray | None:
+    time = getattr(record, "time", None)
+    return time if time is not None and len(time) > 1 and time[-1] > time[0] else None

@@ -1,0 +1,104 @@
+"""Terms of the instrument: the port's promises, which of them a case can hold, and faults of a bench that they take."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from bench_case import ONE_AXIS, RESONATOR, bench
+from lab.faults import Faults
+
+from memsgyro_jax.diagnosis.instrument import instrument_terms, knowledge
+from memsgyro_jax.diagnosis.joint_residual import Joint
+from memsgyro_jax.diagnosis.search import Search, start_search
+from memsgyro_jax.effects import TERMS
+from memsgyro_jax.effects.trial import complaint
+from memsgyro_jax.measurement.linear_start import starting_device
+from memsgyro_jax.measurement.readings import model_of, readings_of
+
+
+CLOCK = 5.0  # s from row to row
+
+
+def case_of(seed=0, **faults):
+    return bench(protocol=replace(ONE_AXIS, faults=Faults(**faults)), die=RESONATOR, seed=seed).case
+
+
+def searched(case) -> Search:
+    """The search over the terms alone, from the device that the records show."""
+    terms = instrument_terms(case)
+    model = model_of(case, starting_device(case)).with_effect(*terms)
+    search = start_search(case, Joint(model, (*readings_of(case), *knowledge(terms))), 0.01, (), lambda text: None)
+    search.run()
+    return search
+
+
+def numbers(search, label):
+    """Estimate and standard deviation of a term that was found."""
+    (place,) = [i for i in search.accepted if search.joint.model.effects[i].label == label]
+    mine = search.joint.of_effect(place)
+    return search.optimum.vector[mine], search.optimum.std[np.isin(search.optimum.free, mine)]
+
+
+@pytest.mark.parametrize("kind", TERMS, ids=lambda kind: kind.name)
+@pytest.mark.parametrize("axes", [1, 2])
+def test_a_term_keeps_the_promises_of_its_port(kind, axes):
+    size = 2 * axes if kind.name in ("lock_in_background", "lock_in_feedthrough") else 1
+    term = kind(np.zeros(size), np.ones((1, 1, size)))
+    assert complaint(term, axes) == ""
+    assert term.of_instrument
+
+
+def test_a_case_holds_no_term_of_which_it_has_one_group_alone():
+    """One drive level, one record: a level or a gain of its own would be the device's. Without a clock nothing
+    drifts.
+    """
+    labels = [term.label for term in instrument_terms(case_of())]
+    assert labels == [
+        "lock_in_memory", "reference_phase", "lock_in_background", "lock_in_feedthrough", "drive_level", "record_gain",
+        "frequency_offset",
+    ]  # fmt: skip
+    assert {"frequency_drift", "gain_drift"} < {term.label for term in instrument_terms(case_of(dwell=CLOCK))}
+    whole = case_of()
+    (alone,) = [replace(r, **_only(r, r.sweeps[0])) for r in whole.records if r.name == "sweep"]
+    labels = [term.label for term in instrument_terms(replace(whole, records=(alone,)))]
+    assert labels == ["lock_in_memory", "reference_phase", "lock_in_background", "lock_in_feedthrough"]
+
+
+def _only(record, rows):
+    names = ("lines", "frequency", "drive", "temperature", "bias_voltage", "rate", "phasors")
+    return {name: getattr(record, name)[rows] for name in names}
+
+
+@pytest.mark.parametrize(
+    ("label", "true", "faults"),
+    [
+        ("reference_phase", 0.026, {"phase": 0.026}),
+        ("lock_in_background", (2e-3, 1e-3), {"background": 2e-3 + 1e-3j}),
+        ("lock_in_feedthrough", (0.0, 0.2), {"feedthrough": 0.2j}),
+        ("lock_in_memory", np.exp(-2.5), {"dwell": CLOCK, "filter_time": 2.0}),
+        ("gain_drift", 0.03, {"dwell": CLOCK, "gain_drift": 0.03}),
+        ("phase_drift", 0.05, {"dwell": CLOCK, "phase_drift": 0.05}),
+        ("frequency_drift", 2e-3, {"dwell": CLOCK, "pull": 2e-3}),
+    ],
+)
+def test_a_fault_of_the_instrument_is_found_with_its_size(label, true, faults):
+    found = searched(case_of(**faults))
+    assert found.base.chi2_per_dof > 2
+    estimate, std = numbers(found, label)
+    true = np.atleast_1d(true)
+    assert np.all(np.abs(estimate[: true.size] - true) < 4 * std[: true.size])
+    assert found.steps[-1].fit.chi2_per_dof < 1.7  # that of the case without a fault is 1.49
+    assert len(found.accepted) == 1
+
+
+def test_levels_that_are_off_are_told_against_the_first():
+    found = searched(case_of(levels=(0.03, -0.04, 0.035)))
+    estimate, std = numbers(found, "drive_level")
+    true = np.array([0.96, 1.035]) / 1.03 - 1
+    assert np.all(np.abs(estimate[:2] - true) < 4 * std[:2])
+    assert std[2] == pytest.approx(0.05)  # the level of the record that is not fitted is known as before
+
+
+def test_sound_instruments_have_no_term():
+    """Of five benches at a level of 1 %."""
+    assert sum(bool(searched(case_of(seed)).accepted) for seed in range(5)) <= 1
