@@ -187,7 +187,7 @@ def parameters(model: Model) -> tuple[Parameter, ...]:
     low = [-np.inf if pair == "xy" else 0.0 for pair in pairs]  # nothing but a coupling is negative
     base = [Parameter(f"k{pair}/m", "rad²/s²", low=least) for pair, least in zip(pairs, low, strict=True)]
     base += [Parameter(f"d{pair}/m", "1/s", low=least) for pair, least in zip(pairs, low, strict=True)]
-    base += [Parameter("1/m", "1/kg", low=0.0)]
+    base += [Parameter("1/m", "1/kg", low=-np.inf if model.axes == 1 else 0.0)]  # a channel may be turned round
     base += [Parameter(f"offset {a}".strip(), "V") for a in ("x", "y")[: model.axes]]
     others = []
     for place, effect in enumerate(model.effects):

@@ -47,6 +47,7 @@ class Moment(eqx.Module):
     | `device` | | the base device |
     | `scale` | V/m | of the read-out |
     | `acceleration`, `jerk` | m/s², m/s³ | of the proof mass; only read-out effects see them |
+    | `order` | | 0, 1, 2: the read-out sees displacement, velocity, acceleration |
     """
 
     displacement: Array
@@ -68,6 +69,18 @@ class Moment(eqx.Module):
     scale: Array
     acceleration: Array | None = None
     jerk: Array | None = None
+    order: int = eqx.field(static=True, default=0)
+
+    @property
+    def seen(self) -> Array:
+        """What the read-out sees: displacement, velocity or acceleration."""
+        return self.derivatives[0]
+
+    @property
+    def derivatives(self) -> tuple[Array, ...]:
+        """What the read-out sees, and as many of its time derivatives as are known."""
+        known = (self.displacement, self.velocity, self.acceleration, self.jerk)[self.order :]
+        return tuple(part for part in known if part is not None)
 
 
 def strength(default: float = 0.0, *, sign: int = 0, low: float = -math.inf, high: float = math.inf) -> Array:

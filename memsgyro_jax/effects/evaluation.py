@@ -68,7 +68,7 @@ class Acting(NamedTuple):
 
 def moment(
     displacement: Array, velocity: Array, command: Array, conditions: Conditions, *, device: NormalisedDevice,
-    scale: Array, reference_temperature: Array | float, reference_bias: Array | float,
+    scale: Array, reference_temperature: Array | float, reference_bias: Array | float, order: int = 0,
 ) -> Moment:  # fmt: skip
     """What effects see of a motion and a command [N] under `conditions`; the force is still the command."""
     at = conditions
@@ -92,6 +92,7 @@ def moment(
         sweep=number(at.sweep),
         device=device,
         scale=scale,
+        order=order,
     )
 
 

@@ -23,4 +23,4 @@ class PickoffCrosstalk(Coupling, ReadoutEffect):
     strength: Scalar = strength(low=-1.0, high=1.0)
 
     def signal(self, volts: Array, now: Moment) -> Array:
-        return volts + self.strength * now.scale * self.across(now, now.displacement)
+        return volts + self.strength * now.scale * self.across(now, now.seen)

@@ -24,4 +24,4 @@ class PickoffCubicNonlinearity(ReadoutEffect):
     strength: Scalar = strength()
 
     def signal(self, volts: Array, now: Moment) -> Array:
-        return volts + now.scale * self.along(now, self.strength * now.displacement[self.axis] ** 3)
+        return volts + now.scale * self.along(now, self.strength * now.seen[self.axis] ** 3)

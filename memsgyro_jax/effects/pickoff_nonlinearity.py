@@ -22,4 +22,4 @@ class PickoffNonlinearity(ReadoutEffect):
     strength: Scalar = strength()
 
     def signal(self, volts: Array, now: Moment) -> Array:
-        return volts + now.scale * self.along(now, self.strength * now.displacement[self.axis] ** 2)
+        return volts + now.scale * self.along(now, self.strength * now.seen[self.axis] ** 2)

@@ -23,4 +23,4 @@ class PickoffScaleError(ReadoutEffect):
     strength: Scalar = strength(low=-1.0)
 
     def signal(self, volts: Array, now: Moment) -> Array:
-        return volts + now.scale * self.along(now, self.strength * now.displacement[self.axis])
+        return volts + now.scale * self.along(now, self.strength * now.seen[self.axis])

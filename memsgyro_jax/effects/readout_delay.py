@@ -20,11 +20,12 @@ class ReadoutDelay(ReadoutEffect):
     strength: Scalar = strength(sign=+1)
 
     def signal(self, volts: Array, now: Moment) -> Array:
-        return volts - now.scale * lag(self.strength, now.velocity, now.acceleration, now.jerk)
+        return volts - now.scale * lag(self.strength, *now.derivatives[1:])
 
 
-def lag(delay: Array, velocity: Array, acceleration: Array | None = None, jerk: Array | None = None) -> Array:
-    """By how much q(t − delay) lies behind q(t) [m]: to the third order, or as far as derivatives are given."""
-    if acceleration is None or jerk is None:
-        return delay * velocity
-    return delay * (velocity - delay / 2.0 * (acceleration - delay / 3.0 * jerk))
+def lag(delay: Array, *derivatives: Array) -> Array:
+    """By how much q(t − delay) lies behind q(t) [m]: as far as its derivatives are given, velocity first."""
+    part = delay / len(derivatives) * derivatives[-1]
+    for order in range(len(derivatives) - 1, 0, -1):
+        part = delay / order * (derivatives[order - 1] - part)
+    return part

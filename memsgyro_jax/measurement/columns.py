@@ -1,8 +1,9 @@
 """The columns of one CSV file of a case, in SI, with the checks that need nothing but the column."""
 
+import difflib
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.table import Table
 from memsgyro_jax.base.text import suggestion
 
-from .declared import Declared, Vocabulary, angular
+from .declared import Declared, Drive, Vocabulary, angular
 
 
 @dataclass(frozen=True)
@@ -21,11 +22,17 @@ class Columns:
         table: the file.
         words: names and units of the device.
         unit: of the records, "V" or "1".
+        drives: what drives the device, where that is not what usually does.
+        carried: names of columns that nothing depends on.
+        others: what `refuse_others` found of them, and of those that resemble no known name: header to values.
     """
 
     table: Table
     words: Vocabulary
     unit: str
+    drives: Drive | None = None
+    carried: tuple[str, ...] = ()
+    others: dict[str, np.ndarray] = field(default_factory=dict)
 
     def has(self, name: str) -> bool:
         """Whether the file has the column."""
@@ -71,14 +78,15 @@ class Columns:
                     f"must be zero where `drive_axis` is {'xy'[axis]}, as one electrode is driven at a time", name
                 )
         name = names[axis]
-        return self._positive(name, self.si(name, self.words.force)) if self.has(name) else None
+        return self._positive(name, self._force(name)) if self.has(name) else None
 
     def forces(self) -> np.ndarray:
         """(n, axes) raw inputs; an electrode without a column is not driven."""
         names = self._used(self.words.forces)
         if not any(map(self.has, names)):
             raise self.refuse(f"must have an input, column {_listed(names)}, but has none")
-        return np.stack([self.optional(name, self.words.force, 0.0) for name in names], axis=1)
+        still = np.zeros(len(self.table.lines))
+        return np.stack([self._force(name) if self.has(name) else still for name in names], axis=1)
 
     def signals(self) -> np.ndarray:
         """(n, channels) real readings."""
@@ -87,22 +95,61 @@ class Columns:
 
     def phasors(self) -> np.ndarray:
         """(n, channels) complex readings, from I and Q or from amplitude and phase."""
-        names = self._used(self.words.signals, ("_I", "_Q", "_amp", "_phase"))
-        polar = any(self.has(name + end) for name in names for end in ("_amp", "_phase"))
-        if polar and any(self.has(name + end) for name in names for end in ("_I", "_Q")):
+        named, polar = (
+            self._pairs(("_I", "_Q"), self.words.pairs),
+            self._pairs(("_amp", "_phase"), self.words.amplitudes),
+        )
+        if (angled := any(map(self.has, sum(polar, ())))) and any(map(self.has, sum(named, ()))):
             raise self.refuse("must have either I and Q or amplitude and phase, but has some of both")
-        return np.stack([self._polar(name) if polar else self._cartesian(name) for name in names], axis=1)
+        return np.stack(
+            [self._polar(*pair) if angled else self._cartesian(*pair) for pair in (polar if angled else named)], axis=1
+        )
+
+    @property
+    def has_phase(self) -> bool:
+        """Whether phasors are more than amplitudes."""
+        named, polar = (
+            self._pairs(("_I", "_Q"), self.words.pairs),
+            self._pairs(("_amp", "_phase"), self.words.amplitudes),
+        )
+        angled = [*sum(named, ()), *(phase for _, phase in polar)]
+        return any(map(self.has, angled)) or not any(self.has(first) for first, _ in polar)
+
+    def amplitudes(self) -> np.ndarray:
+        """(n, channels) amplitudes without a phase."""
+        names = [first for first, _ in self._pairs(("_amp", "_phase"), self.words.amplitudes)]
+        return np.stack([self._amplitude(name) for name in names], axis=1)
 
     def refuse_others(self, known: Iterable[str]) -> None:
-        """Refuses columns that this kind of experiment does not know."""
+        """Keeps columns that this kind of experiment does not know in `others`, and refuses those that may be the
+        misspelt name of one that it does, unless they are declared as carried along.
+        """
         known = list(known)
-        for name in self.table.columns:
-            if name not in known:
-                raise self.refuse(f"is not known to this kind of experiment ({suggestion(name, known)})", name)
+        for name, values in self.table.columns.items():
+            if name in known:
+                continue
+            if name not in self.carried and difflib.get_close_matches(name, known, n=1):
+                raise self.refuse(
+                    f"is not known to this kind of experiment ({suggestion(name, known)}); or list it in `carried`",
+                    name,
+                )
+            self.others[f"{name} [{self.table.units[name]}]"] = values
 
     def signal_names(self, *ends: str) -> list[str]:
         """Every name a reading may have."""
-        return [name + end for group in self.words.signals for name in group for end in ends]
+        further = sum((*self.words.pairs, *self.words.amplitudes), ()) if any(ends) else ()
+        return [*(name + end for group in self.words.signals for name in group for end in ends), *further]
+
+    def _pairs(self, ends: tuple[str, str], further: tuple[tuple[str, str], ...]) -> tuple[tuple[str, str], ...]:
+        """The two columns of each channel, as the file names them."""
+        groups = [tuple((name + ends[0], name + ends[1]) for name in group) for group in self.words.signals]
+        names = self._used(tuple(sum(group, ()) for group in (*groups, *((pair,) for pair in further))))
+        return tuple(zip(names[::2], names[1::2], strict=True))
+
+    def _force(self, name: str) -> np.ndarray:
+        if self.drives is not None and self.drives.scale:
+            return self.si(name, self.drives.unit) * self.drives.scale
+        return self.si(name, self.words.force)
 
     def _used(self, groups: tuple[tuple[str, ...], ...], ends: tuple[str, ...] = ("",)) -> tuple[str, ...]:
         """The group of names that the file uses; the first where it uses none."""
@@ -132,18 +179,22 @@ class Columns:
             )
         return self.si(name, self.unit)
 
-    def _cartesian(self, name: str) -> np.ndarray:
-        return self._reading(f"{name}_I") + 1j * self._reading(f"{name}_Q")
+    def _cartesian(self, first: str, second: str) -> np.ndarray:
+        return self._reading(first) + 1j * self._reading(second)
 
-    def _polar(self, name: str) -> np.ndarray:
-        amplitude, phase = self._reading(f"{name}_amp"), self.si(f"{name}_phase", "rad")
+    def _amplitude(self, name: str) -> np.ndarray:
+        amplitude = self._reading(name)
         negative = amplitude < 0
         if np.any(negative):
-            raise self.table.at(int(np.argmax(negative)), f"{name}_amp", "must be an amplitude, zero or more")
+            raise self.table.at(int(np.argmax(negative)), name, "must be an amplitude, zero or more")
+        return amplitude
+
+    def _polar(self, first: str, second: str) -> np.ndarray:
+        amplitude, phase = self._amplitude(first), self.si(second, "rad")
         if np.ptp(phase) > 12 * np.pi:
             raise self.refuse(
                 f"must turn by a few half turns at most, but covers {np.ptp(phase):.0f} rad; is it in degrees?",
-                f"{name}_phase",
+                second,
             )
         return amplitude * np.exp(1j * phase)
 
@@ -170,4 +221,11 @@ def phasor_columns(phasors: np.ndarray, declared: Declared) -> dict[str, np.ndar
         header.replace(" [", f"_{end} ["): part
         for header, value in signal_columns(phasors, declared).items()
         for end, part in (("I", value.real), ("Q", value.imag))
+    }
+
+
+def amplitude_columns(phasors: np.ndarray, declared: Declared) -> dict[str, np.ndarray]:
+    """Amplitudes (n, channels) without a phase: header to column."""
+    return {
+        header.replace(" [", "_amp ["): value for header, value in signal_columns(np.abs(phasors), declared).items()
     }

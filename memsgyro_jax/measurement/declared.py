@@ -4,7 +4,7 @@ Names are those of files: design keys with their units, columns with theirs.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -12,32 +12,70 @@ import numpy as np
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.units import to_si
+from memsgyro_jax.device.normalised import NormalisedDevice
 
 from .section import Amount
 
 
+QUANTITIES = ("displacement", "velocity", "acceleration")
+UNSURE = 3.0  # factor within which a design value that only the records tell is believed
+
+
 @dataclass(frozen=True)
 class DesignValue:
-    """A design parameter: what the maker meant, and the interval in which the die may lie, in SI."""
+    """A design parameter: what the maker meant, and the interval in which the die may lie, in SI.
+
+    One that the maker does not know is found from the records, `unknown`, and believed within a factor of three.
+    """
 
     value: float
     low: float
     high: float
+    unknown: bool = False
+
+    @classmethod
+    def found(cls, value: float) -> "DesignValue":
+        """What the records tell of a number that nobody declared."""
+        low, high = (
+            sorted((value / UNSURE, value * UNSURE)) if value > 0 else (-UNSURE * abs(value), UNSURE * abs(value))
+        )
+        return cls(value, low, high, unknown=True)
 
 
 @dataclass(frozen=True)
 class Readout:
-    """The declared read-out: record = scale · displacement + an unknown offset.
+    """The declared read-out: record = scale · dⁿ/dtⁿ displacement + an unknown offset.
 
     Args:
-        scale: record unit per unit of displacement, V/m (single mass) or V/V (resonator).
+        scale: record unit per unit of displacement, or of its derivative: V/m (single mass), V/V (resonator), V/(m/s).
         adc_range: the converter's largest reading, ± this much in the record unit; `None` where it is not declared.
-        unit: of the records, "V" or "1" (digital units).
+        unit: of the records, "V", or "1" (digital units), or any other that they are in.
+        order: n, what is read: 0 displacement, 1 velocity, 2 acceleration.
+        displacement: unit of the displacement; empty where it is the usual one of the device.
     """
 
     scale: float
     adc_range: float | None = None
     unit: str = "V"
+    order: int = 0
+    displacement: str = ""
+
+    def motion(self, phasors: np.ndarray, omega: np.ndarray | float) -> np.ndarray:
+        """Displacement phasors that phasors (n, channels) of the record stand for at `omega` (n,) [rad/s]."""
+        return phasors / (self.scale * (1j * np.asarray(omega)[..., None]) ** self.order)
+
+
+@dataclass(frozen=True)
+class Drive:
+    """What drives the device, as the records have it.
+
+    Args:
+        unit: "N", "V" or "A"; records hold it in newtons once `scale` is known.
+        scale: newtons per `unit`; `None` where it is not known, and then part of the gain that a fit finds.
+    """
+
+    unit: str
+    scale: float | None = None
 
 
 @dataclass(frozen=True)
@@ -60,6 +98,8 @@ class Vocabulary:
         signals: names of the channels; the first group that a file uses holds.
         forces: names of the raw inputs, likewise.
         drives: names of the drive levels, likewise.
+        pairs: further names of the two columns of a phasor, for instruments of one channel.
+        amplitudes: further names of amplitude and phase.
     """
 
     design: Mapping[str, str]
@@ -69,6 +109,8 @@ class Vocabulary:
     signals: tuple[tuple[str, ...], ...]
     forces: tuple[tuple[str, ...], ...]
     drives: tuple[tuple[str, ...], ...]
+    pairs: tuple[tuple[str, str], ...] = ()
+    amplitudes: tuple[tuple[str, str], ...] = ()
 
 
 VOCABULARIES = {
@@ -86,11 +128,24 @@ VOCABULARIES = {
         positive=("resonance", "quality_factor"),
         displacement="V",
         force="V",
-        signals=(("y",), ("Vx",)),
-        forces=(("u",), ("u_x",)),
-        drives=(("F",), ("F_x",)),
+        signals=(("y",), ("Vx",), ("x",), ("signal",)),
+        forces=(("u",), ("u_x",), ("drive",)),
+        drives=(("F",), ("F_x",), ("drive",)),
+        pairs=(("X", "Y"), ("I", "Q")),
+        amplitudes=(("R", "theta"), ("amp", "phase")),
     ),
 }
+
+
+def vocabulary(device: str, readout: Readout, drive: Drive | None) -> Vocabulary:
+    """Names and units of a device with its read-out and what drives it."""
+    words = VOCABULARIES[device]
+    words = replace(words, displacement=readout.displacement or words.displacement)
+    if drive is not None:
+        words = replace(words, force="N" if drive.scale else drive.unit)
+    if "static_gain" in words.design and words.force != words.displacement:
+        words = replace(words, design={**words.design, "static_gain": f"{words.displacement}/({words.force})"})
+    return words
 
 
 def si(amount: Amount, expected: str, *, positive: bool = True) -> float:
@@ -132,6 +187,7 @@ class Declared:
         readout: what is declared about the read-out.
         environment: what holds where a record does not say otherwise.
         conventions: free text by topic.
+        drive: what drives the device; `None` where it is a force [N], or an input [V] of a resonator.
     """
 
     folder: Path
@@ -142,6 +198,7 @@ class Declared:
     readout: Readout
     environment: Environment
     conventions: Mapping[str, str]
+    drive: Drive | None = None
 
     @property
     def channels(self) -> int:
@@ -151,7 +208,7 @@ class Declared:
     @property
     def words(self) -> Vocabulary:
         """What the device is called by in files."""
-        return VOCABULARIES[self.device]
+        return vocabulary(self.device, self.readout, self.drive)
 
     @property
     def resonances(self) -> tuple[float, float]:
@@ -191,3 +248,14 @@ def check_temperature(kelvin: float) -> float:
             f"must lie between 1 K and 1700 K, where silicon melts, but is {kelvin:g} K; is the unit right?"
         )
     return kelvin
+
+
+def design_device(declared: Declared) -> NormalisedDevice:
+    """The device as designed."""
+    d = {name: entry.value for name, entry in declared.design.items()}
+    if declared.device == "resonator":
+        w = d["resonance"]
+        return NormalisedDevice(np.array([w**2]), np.array([w / d["quality_factor"]]), d["static_gain"] * w**2)
+    m = d["mass"]
+    stiffness = np.array([d["kxx"], d["kyy"], d["kxy"]]) / m
+    return NormalisedDevice(stiffness, np.array([d["dxx"], d["dyy"], d["dxy"]]) / m, 1 / m)

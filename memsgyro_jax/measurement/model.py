@@ -29,6 +29,7 @@ class Model(Displayed):
         device: a `SingleMassGyro`, a `Resonator`, or either per mass; effects that it carries become the model's.
         scale: volts per displacement of each channel [V/m], or one number for all.
         offset: constant voltage of each channel [V]; lock-in records do not see it.
+        order: of the derivative that channels show and `scale` is per: 0 displacement, 1 velocity, 2 acceleration.
         effects: further ones, beside those that the device carries.
         reference_temperature: at which the base parameters hold [K]; None takes the device's.
         reference_bias: electrode bias at which the base stiffness holds [V]; None takes the device's.
@@ -40,6 +41,7 @@ class Model(Displayed):
     effects: tuple[Effect, ...]
     reference_temperature: Array
     reference_bias: Array
+    order: int = eqx.field(static=True)
 
     def __init__(
         self,
@@ -50,6 +52,7 @@ class Model(Displayed):
         effects: tuple[Effect, ...] = (),
         reference_temperature: float | None = None,
         reference_bias: float | None = None,
+        order: int = 0,
     ):
         self.device = NormalisedDevice.of(device)
         axes = self.device.axes
@@ -59,6 +62,7 @@ class Model(Displayed):
         self.reference_temperature, self.reference_bias = (
             jnp.asarray(own if given is None else given, float) for given, own in zip(at, held, strict=True)
         )
+        self.order = order
         self.effects = (*carried(device), *effects)
         for effect in self.effects:
             check_effect(effect, axes)
@@ -140,7 +144,11 @@ class Model(Displayed):
             (slope[a : 2 * a], curvature[a : 2 * a]),
             is_leaf=lambda leaf: leaf is None,
         )
-        return self._acting.signal(self.scale * now.displacement + self.offset, now)
+        return self._acting.signal(self.scale * now.seen + self.offset, now)
+
+    def motion(self, phasors: Array, omega: Array) -> Array:
+        """Displacement phasors that phasors (n, axes) of the channels stand for at `omega` (n,) [rad/s]."""
+        return phasors / (self.scale * (1j * omega[..., None]) ** self.order)
 
     def linear(self, conditions: Conditions) -> tuple[Float[Array, "n n"], Float[Array, "n axes"]]:
         """The derivative by state and command at rest: the part that is propagated exactly."""
@@ -173,5 +181,6 @@ class Model(Displayed):
                 scale=self.scale,
                 reference_temperature=self.reference_temperature,
                 reference_bias=self.reference_bias,
+                order=self.order,
             )
         )

@@ -55,5 +55,6 @@ def model_of(case: Case, device, **more) -> Model:
         offset=more.pop("offset", _offset(case)),
         reference_temperature=case.environment.temperature,
         reference_bias=case.environment.bias_voltage,
+        order=case.readout.order,
         **more,
     )

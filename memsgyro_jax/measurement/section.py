@@ -45,4 +45,5 @@ class ExperimentSection(FileSection):
     role: Literal["fit", "validation"] | None = None
     note: str = ""
     noise_std: Quantity | None = None
+    carried: tuple[str, ...] = ()
     sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = None

@@ -18,7 +18,7 @@ class Case(Shown, Declared):
         records: the experiments, in the order of the file.
     """
 
-    records: tuple[AbstractRecord, ...]
+    records: tuple[AbstractRecord, ...] = ()
 
     def record(self, name: str) -> AbstractRecord:
         """The experiment of that name; raises `InputError` where there is none."""

@@ -1,14 +1,15 @@
-"""Sections `[design]`, `[readout]` and `[environment]` of a case, in SI."""
+"""Sections `[design]`, `[readout]`, `[drive]` and `[environment]` of a case, in SI."""
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 from memsgyro_jax.base.complaints import Source
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.text import suggestion
 
-from ..declared import VOCABULARIES, DesignValue, Environment, Readout, check_temperature, si
+from ..declared import QUANTITIES, DesignValue, Drive, Environment, Readout, Vocabulary, check_temperature, si
 from ..section import Amount
 from .file import CaseFile, DesignEntry, ReadoutEntry
 
@@ -41,14 +42,16 @@ BY_MODES = {
 }
 """Of a single mass: frequencies of the uncoupled axes, the rate that looks like the coupling at that of x, and quality
 factors. Intervals add up."""
+BY_MASS = {"static_gain": Instead("mass", "kg", True, lambda before, m: 1.0 / (m * before["resonance"] ** 2))}
+"""Of a resonator whose displacement is a length and whose drive a force: its mass."""
+UNKNOWN = DesignValue(math.nan, -math.inf, math.inf, unknown=True)
 
 
-def design(file: CaseFile, source: Source) -> dict[str, DesignValue]:
-    """The design values in SI, also from what `BY_MODES` has in their place; raises `InputError` with line and key for
-    what is missing, unknown, given twice or impossible.
+def design(file: CaseFile, source: Source, words: Vocabulary) -> dict[str, DesignValue]:
+    """The design values in SI, also from what `BY_MODES` has in their place; what is left out, or declared unknown, is
+    left to the records. Raises `InputError` with line and key for what is not a key, given twice or impossible.
     """
-    words = VOCABULARIES[file.device]
-    by_modes = BY_MODES if file.device == "single_mass" else {}
+    by_modes = BY_MODES if file.device == "single_mass" else BY_MASS if words.design["static_gain"] == "m/(N)" else {}
     known = (*words.design, *(other.key for other in by_modes.values()))
     for key in file.design:
         if key not in known:
@@ -59,14 +62,20 @@ def design(file: CaseFile, source: Source) -> dict[str, DesignValue]:
         other = by_modes.get(key)
         if other is not None and other.key in file.design:
             with source.section("design", other.key):
+                _check_unit(file.design[other.key], other.key, other.unit, source)
                 if key in file.design:
                     raise InputError(f"must not stand beside {key}, which it gives; leave one of them out")
                 values[key] = _instead(file.design[other.key], other, values)
             continue
         with source.section("design", key):
-            if key not in file.design:
-                raise InputError(f'is missing; give {{ value, tolerance, unit = "{unit}" }}')
-            values[key] = _design_value(file.design[key], unit, key in words.positive)
+            given = file.design.get(key)
+            _check_unit(given, key, unit, source)
+            if given is not None:
+                values[key] = _design_value(given, unit, key in words.positive)
+            elif key == "mass":  # part of the gain: all else is per mass until the records tell
+                values[key] = DesignValue(1.0, 1.0, 1.0, unknown=True)
+            else:
+                values[key] = _unknown(key in words.positive)
     if file.device == "single_mass":
         with source.section("design", "kxy"):
             if values["kxy"].value ** 2 >= values["kxx"].value * values["kyy"].value:
@@ -74,18 +83,32 @@ def design(file: CaseFile, source: Source) -> dict[str, DesignValue]:
     return values
 
 
+def _check_unit(entry: DesignEntry | None, key: str, unit: str, source: Source) -> None:
+    if entry is not None and entry.unit is None and not entry.unknown:
+        with source.section("design", key, "unit"):
+            raise InputError(f'is missing; give one, such as "{unit}", or `unknown = true` instead of a value')
+
+
+def _unknown(positive: bool) -> DesignValue:
+    return replace(UNKNOWN, low=0.0) if positive else UNKNOWN
+
+
 def _instead(entry: DesignEntry, other: Instead, before: dict[str, DesignValue]) -> DesignValue:
     """The value from what stands in its place, lowest and highest over the corners of all intervals."""
     given = _design_value(entry, other.unit, other.positive)
     at = lambda name: {key: getattr(value, name) for key, value in before.items()}  # noqa: E731
+    if given.unknown or math.isnan(middle := other.value(at("value"), given.value)):
+        return _unknown(other.positive)
     corners = [other.value(at(name), end) for name in ("low", "high") for end in (given.low, given.high)]
-    return DesignValue(other.value(at("value"), given.value), min(corners), max(corners))
+    return DesignValue(middle, min(corners), max(corners))
 
 
 def _design_value(entry: DesignEntry, unit: str, positive: bool) -> DesignValue:
+    if entry.unknown:
+        return _unknown(positive)
     given = {name: number for name, number in entry if isinstance(number, float)}
     in_si = {
-        name: si(Amount(number, entry.unit), unit, positive=positive)
+        name: si(Amount(number, entry.unit or "1"), unit, positive=positive)
         for name, number in given.items()
         if name != "tolerance"
     }
@@ -104,32 +127,52 @@ def _design_value(entry: DesignEntry, unit: str, positive: bool) -> DesignValue:
     return DesignValue(value, low, high)
 
 
-def readout(file: CaseFile, source: Source) -> Readout:
-    """The read-out in SI, whose scale decides whether records are in volts or in digital units."""
+def readout(file: CaseFile, source: Source, recorded: str) -> Readout:
+    """The read-out in SI, whose scale decides whether records are in volts, digital units or what the files name;
+    without a scale a record is taken for the displacement, velocity or acceleration itself.
+
+    Args:
+        file, source: `case.toml`.
+        recorded: unit of the readings as the header of the files has it.
+    """
     entry: ReadoutEntry = file.readout
-    length = VOCABULARIES[file.device].displacement
-    with source.section("readout", "scale"):
-        unit, scale = _record_unit(entry.scale, length)
-        if scale == 0:
-            raise InputError("must not be zero")
+    order, own = QUANTITIES.index(entry.quantity), "m" if file.device == "single_mass" else ""
+    if entry.scale is None:
+        unit, scale, length = recorded, 1.0, recorded + order * "*s"
+    else:
+        with source.section("readout", "scale"):
+            unit, scale, length = _record_unit(entry.scale, order, own, recorded)
+            if scale == 0:
+                raise InputError("must not be zero")
     adc_range = None
     if entry.adc_range is not None:
         with source.section("readout", "adc_range"):
             adc_range = si(entry.adc_range, unit)
-    return Readout(scale, adc_range, unit)
+    return Readout(scale, adc_range, unit, order, "" if (own or "V") == length else length)
 
 
-def _record_unit(scale: Amount, length: str) -> tuple[str, float]:
-    """Unit of the records, volts or (for a displacement in metres) digital, and the scale in it."""
-    try:
-        return "V", si(scale, f"V/{length}", positive=False)
-    except InputError:
-        if length == "m":
+def _record_unit(scale: Amount, order: int, own: str, recorded: str) -> tuple[str, float, str]:
+    """Unit of the records, the scale in it, and the unit of the displacement that fit a scale per derivative."""
+    per, first = ("", "/s", "/s**2")[order], None
+    for length in (own,) if own else dict.fromkeys((recorded + order * "*s", "V", "m", "1")):
+        for unit in dict.fromkeys(("V", *("1",) * (length == "m"), recorded)):
             try:
-                return "1", si(scale, "1/m", positive=False)
-            except InputError:
-                pass
-        raise
+                return unit, si(scale, f"{unit}/({length}{per})" if per else f"{unit}/{length}", positive=False), length
+            except InputError as error:
+                first = first or error
+    raise first or InputError("must have a unit")
+
+
+def drive(file: CaseFile, source: Source, recorded: str) -> Drive | None:
+    """What drives the device, from the section or from the unit `recorded` in files and sections; `None` where it is
+    what drives such a device usually.
+    """
+    usual = "N" if file.device == "single_mass" else "V"
+    if file.drive is None:
+        return None if recorded in ("", usual) else Drive(recorded)
+    with source.section("drive", "scale"):
+        scale = None if file.drive.scale is None else si(file.drive.scale, f"N/({file.drive.unit})", positive=False)
+    return Drive(file.drive.unit, scale)
 
 
 def environment(file: CaseFile, source: Source) -> Environment:

@@ -21,9 +21,12 @@ FILE = "case.toml"
 
 
 class DesignEntry(FileSection):
-    """`{ value, tolerance, unit }` with a relative half width, or `{ low, high, unit }`, or all of value, low, high."""
+    """`{ value, tolerance, unit }` with a relative half width, or `{ low, high, unit }`, or all of value, low, high, or
+    `{ unknown = true }`, which is to leave it out.
+    """
 
-    unit: str
+    unit: str | None = None
+    unknown: bool = False
     value: Number | None = None
     tolerance: Number | None = Field(default=None, ge=0.0, lt=1.0)
     low: Number | None = None
@@ -33,8 +36,16 @@ class DesignEntry(FileSection):
 class ReadoutEntry(FileSection):
     """Section `[readout]`."""
 
-    scale: Quantity
+    quantity: Literal["displacement", "velocity", "acceleration"] = "displacement"
+    scale: Quantity | None = None
     adc_range: Quantity | None = None
+
+
+class DriveEntry(FileSection):
+    """Section `[drive]`."""
+
+    unit: str
+    scale: Quantity | None = None
 
 
 class EnvironmentEntry(FileSection):
@@ -51,8 +62,9 @@ class CaseFile(FileSection):
     name: Name
     description: str = ""
     device: Literal["single_mass", "resonator"]
-    design: dict[str, DesignEntry]
-    readout: ReadoutEntry
+    design: dict[str, DesignEntry] = Field(default_factory=dict)
+    readout: ReadoutEntry = ReadoutEntry()
+    drive: DriveEntry | None = None
     environment: EnvironmentEntry = EnvironmentEntry()
     conventions: dict[str, str] = Field(default_factory=dict)
     experiment: tuple[ExperimentSection, ...] = Field(min_length=1)

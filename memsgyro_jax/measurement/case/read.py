@@ -13,12 +13,13 @@ from memsgyro_jax.base.files import LARGEST_TABLE, read_whole
 from memsgyro_jax.base.table import Table, read_table
 
 from ..columns import Columns
-from ..declared import Readout
+from ..declared import Readout, vocabulary
 from ..experiments import KINDS, AbstractRecord, Sheet
 from ..section import ExperimentSection
 from .content import Case
-from .device import design, environment, readout
+from .device import design, drive, environment, readout
 from .file import FILE, read_file
+from .unknown import recorded_units, with_found_design
 
 
 def load_case(folder: str | Path, *, kinds: Sequence[type[AbstractRecord]] = ()) -> Case:
@@ -38,19 +39,22 @@ def load_case(folder: str | Path, *, kinds: Sequence[type[AbstractRecord]] = ())
     path = folder if folder.is_file() else folder / FILE
     known = _by_name(kinds)
     file, source = read_file(path, tuple(known.values()))
+    declared, driven = recorded_units(file, path.parent)
+    seen, force = readout(file, source, declared), drive(file, source, driven)
     case = Case(
         folder=path.parent,
         name=file.name,
         description=file.description,
         device=file.device,
-        design=design(file, source),
-        readout=readout(file, source),
+        design=design(file, source, vocabulary(file.device, seen, force)),
+        readout=seen,
         environment=environment(file, source),
         conventions=dict(file.conventions),
+        drive=force,
         records=(),
     )
     records = [_record(known[entry.kind], case, source, n, entry) for n, entry in enumerate(file.experiment)]  # type: ignore[attr-defined]
-    return replace(case, records=tuple(records))
+    return with_found_design(replace(case, records=tuple(records)), file, path)
 
 
 def _by_name(kinds: Sequence[type[AbstractRecord]]) -> dict[str, type[AbstractRecord]]:
@@ -67,8 +71,10 @@ def _record(
     kind: type[AbstractRecord], case: Case, source: Source, number: int, entry: ExperimentSection
 ) -> AbstractRecord:
     path = _path(case, source, number, entry)
-    columns = Columns(read_table(path), case.words, case.readout.unit)
+    columns = Columns(read_table(path), case.words, case.readout.unit, case.drive, entry.carried)
     record = kind.read(Sheet(case, source, number, entry, columns))
+    names = (name.rsplit(" [", 1)[0] for name in columns.others)
+    record = replace(record, carried=columns.others, undeclared=tuple(set(names) - set(entry.carried)))
     _check_range(record, columns.table, case.readout)
     record.check(columns.table, case)
     return record

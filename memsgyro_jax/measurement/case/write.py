@@ -10,6 +10,7 @@ from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.files import write_whole
 from memsgyro_jax.base.toml import toml_text as _text
 
+from ..declared import QUANTITIES
 from ..experiments import AbstractRecord
 from .content import Case
 from .file import FILE, SCHEMA
@@ -40,7 +41,7 @@ def write_case(case: Case, folder: str | Path) -> Path:
         path = folder / record.file
         if not path.resolve().is_relative_to(folder.resolve()):
             raise InputError(f"File of experiment `{record.name}` must lie below the folder, but is {record.file!r}.")
-        text = _csv(record.columns(case))
+        text = _csv({**record.columns(case), **record.carried})
         path.parent.mkdir(parents=True, exist_ok=True)
         write_whole(path, text)
         sections.append(_table("[experiment]", _entry(record, case, text)))
@@ -49,12 +50,15 @@ def write_case(case: Case, folder: str | Path) -> Path:
 
 def _head(case: Case) -> list[str]:
     words = case.words
-    readout = {"scale": _quantity(case.readout.scale, f"{case.readout.unit}/{words.displacement}")}
+    per, seen = words.displacement + case.readout.order * "/s", QUANTITIES[case.readout.order]
+    readout = {"quantity": _text(seen), "scale": _quantity(case.readout.scale, f"{case.readout.unit}/({per})")}
     if case.readout.adc_range is not None:
         readout["adc_range"] = _quantity(case.readout.adc_range, case.readout.unit)
     top = {"schema": SCHEMA, "name": case.name, "description": case.description, "device": case.device}
     design = {
-        key: f"{{ value = {v.value!r}, low = {v.low!r}, high = {v.high!r}, unit = {_text(words.design[key])} }}"
+        key: "{ unknown = true }"
+        if v.unknown
+        else f"{{ value = {v.value!r}, low = {v.low!r}, high = {v.high!r}, unit = {_text(words.design[key])} }}"
         for key, v in case.design.items()
     }
     around = {
@@ -65,6 +69,7 @@ def _head(case: Case) -> list[str]:
         "\n".join(f"{key} = {_text(value)}" for key, value in top.items()) + "\n",
         _table("design", design),
         _table("readout", readout),
+        *([_table("drive", {"unit": _text(words.force)})] if case.drive is not None else []),
         _table("environment", around),
         _table("conventions", {_text(key): _text(value) for key, value in case.conventions.items()}),
     ]
@@ -77,6 +82,8 @@ def _entry(record: AbstractRecord, case: Case, csv: str) -> dict[str, str]:
         entry["role"] = record.role
     if record.note:
         entry["note"] = record.note
+    if record.carried:
+        entry["carried"] = [name.rsplit(" [", 1)[0] for name in record.carried]
     if record.noise_std is not None:
         entry["noise_std"] = {"value": record.noise_std, "unit": case.readout.unit}
     return {key: _text(value) for key, value in (entry | record.keys(case)).items()}

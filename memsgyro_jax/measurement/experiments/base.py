@@ -47,6 +47,23 @@ class RealNoise(Noise):
         return (measured - predicted) / self.std
 
 
+class AmplitudeNoise(Noise):
+    """Noise of an instrument that tells the amplitude alone: `std` of each of I and Q, of which the modulus was taken.
+
+    The modulus of a phasor A with such noise is √(A² + std²) on average to second order in std/A, and scatters by `std`
+    where A is larger; below that it scatters by less, down to 0.66 std of noise alone (Rice distribution).
+    """
+
+    std: Array = eqx.field(converter=jnp.asarray)
+
+    def whiten(self, measured: Float[Array, "n c"], predicted: Complex[Array, "n c"]) -> Float[Array, "n c"]:
+        """Difference of the amplitude from that expected, over `std`."""
+        finite = jnp.where(jnp.isfinite(self.std), self.std, 0.0)
+        square = jnp.real(predicted * jnp.conj(predicted)) + finite**2
+        expected = jnp.sqrt(jnp.where(square > 0, square, 1.0)) * (square > 0)
+        return (measured - expected) / self.std
+
+
 class PolarNoise(Noise):
     """Noise of an instrument that reads amplitude and phase: `amplitude` relative to the reading, `phase` in rad, each
     a standard deviation.
@@ -128,12 +145,14 @@ class Phasors(NamedTuple):
         motion: (n, axes) displacement phasors [m].
         force: (n, axes) force phasors [N].
         weight: (n,) one over the standard deviation of the motion [1/m].
+        modulus: whether the motion is known by its amplitude alone.
     """
 
     omega: np.ndarray
     motion: np.ndarray
     force: np.ndarray
     weight: np.ndarray
+    modulus: bool = False
 
 
 def surroundings(

@@ -83,7 +83,7 @@ class WaveformRecord(ClockedRecord):
         return {"t [s]": self.time, **signal_columns(self.signals, declared)}
 
     def series(self, deviation: Deviation) -> Series:
-        motion, white = deviation.motion, deviation.white
+        motion, white = deviation.motion(self.period), deviation.white
         speed = np.gradient(motion, self.period, axis=0)
         modes = deviation.model.device.resonances() * self.period / (2 * np.pi)
         low, high = (1 - _AROUND) * modes[0], (1 + _AROUND) * modes[-1]

@@ -7,6 +7,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
+from scipy.signal import detrend
 
 from memsgyro_jax.base.text import spoken
 
@@ -49,10 +51,14 @@ class Deviation:
         """Names of the channels."""
         return ("x", "y")[: self.model.axes]
 
-    @property
-    def motion(self) -> np.ndarray:
-        """Displacement (n, axes) [m] that a predicted signal stands for."""
-        return (self.predicted - np.asarray(self.model.offset)) / np.asarray(self.model.scale)
+    def motion(self, period: float) -> np.ndarray:
+        """Displacement (n, axes) [m] that a predicted waveform stands for; one that is read by a derivative is
+        integrated, and its mean and slope, which nothing shows, are left out.
+        """
+        seen = (self.predicted - np.asarray(self.model.offset)) / np.asarray(self.model.scale)
+        for _ in range(self.model.order):
+            seen = detrend(cumulative_trapezoid(seen, dx=period, axis=0, initial=0), axis=0)
+        return seen
 
     @property
     def size(self) -> np.ndarray:

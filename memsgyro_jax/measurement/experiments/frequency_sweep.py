@@ -5,39 +5,39 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, Self
 
-import jax.numpy as jnp
 import numpy as np
 from pydantic import StrictBool
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.table import Table
 from memsgyro_jax.base.text import spoken
-from memsgyro_jax.device.conditions import Conditions
 
-from ..columns import phasor_columns
-from ..declared import Declared
+from ..columns import amplitude_columns, phasor_columns
+from ..declared import Declared, design_device
 from ..noise import noise_over_frequency
 from ..section import Axis, ExperimentSection, Quantity
-from .base import CartesianNoise, Phasors, Readings
+from .base import Phasors, Readings
 from .checks import exchanged, near_resonance
 from .deviation import Deviation, Known, Overlay, Series, Subset, Variable, View, by_setting, in_phase
 from .harmonic_sweep import HarmonicSweep
 from .missing_force import SweepForce
 from .record import AbstractRecord, Watched
 from .sheet import Sheet
-from .sweep_rows import check_order, check_phase, refuse_repeats, single_sweeps
+from .sweep_layout import halves, joined_rows
+from .sweep_rows import check_order, check_phase, refuse_copies, single_sweeps
 
 
 _TWO_PI = 2 * np.pi
 _NEAR = 2.0  # full widths of a resonance that count as "at" it
 _CURVES = 7  # sweeps in one picture
 _ZOOM = 2.5  # full widths of the resonance to each side of a close-up
+_SCATTER = 0.02  # of the drive that is a reading of one setting, and not another
 
 
 class FrequencySweepSection(ExperimentSection):
     """Frequency sweep; the drive level stands here or in a column `F_x` or `F_y`."""
 
-    settled: StrictBool
+    settled: StrictBool = True
     drive_axis: Axis | None = None
     drive_force: Quantity | None = None
 
@@ -56,6 +56,7 @@ class FrequencySweepRecord(AbstractRecord):
         rate: (n,) angular rate [rad/s], zero where the record does not say.
         phasors: (n, channels) complex, in the record unit.
         time: (n,) when each row was recorded [s], or `None`.
+        phase_known: whether phasors are more than amplitudes, which stand there with a phase of zero.
     """
 
     kind: ClassVar[str] = "frequency_sweep"
@@ -69,17 +70,23 @@ class FrequencySweepRecord(AbstractRecord):
     rate: np.ndarray
     phasors: np.ndarray
     time: np.ndarray | None = None
+    phase_known: bool = True
 
     @property
     def readings(self) -> np.ndarray:
-        return self.phasors
+        return self.phasors if self.phase_known else self.phasors.real
 
     @cached_property
     def sweeps(self) -> tuple[slice, ...]:
         """The rows of each single sweep: a new one begins where a condition is set anew or the frequency turns back."""
         largest = float(np.max(np.abs(self.rate), initial=0.0))
-        # Temperature and rate may be readings: within 1 K and 1 % of the largest rate they count as one setting.
-        within = ((self.drive, 0.0), (self.bias_voltage, 0.0), (self.temperature, 1.0), (self.rate, 0.01 * largest))
+        # Each may be a reading: within 2 % of the drive, 1 K and 1 % of the largest rate it counts as one setting.
+        within = (
+            (np.log(self.drive), _SCATTER),
+            (self.bias_voltage, 0.0),
+            (self.temperature, 1.0),
+            (self.rate, 0.01 * largest),
+        )
         return single_sweeps(self.frequency, within)
 
     @property
@@ -104,8 +111,9 @@ class FrequencySweepRecord(AbstractRecord):
             temperature=columns.optional("T", "K", around.temperature),
             bias_voltage=columns.optional("V_bias", "V", around.bias_voltage),
             rate=columns.optional("rate", "rad/s", 0.0),
-            phasors=columns.phasors(),
+            phasors=columns.phasors() if columns.has_phase else columns.amplitudes() + 0j,
             time=columns.time() if columns.has("t") else None,
+            phase_known=columns.has_phase,
         )
 
     def check(self, table: Table, declared: Declared) -> None:
@@ -113,10 +121,9 @@ class FrequencySweepRecord(AbstractRecord):
             near_resonance(float(self.frequency.min()), float(self.frequency.max()), declared.resonances)
         except InputError as error:
             raise InputError(f"{table.path}, column `f`: the band {error}.") from error
-        set_to = (self.drive, self.bias_voltage, self.temperature, self.rate)
-        check_order(table, self.frequency, set_to, self.sweeps)
-        refuse_repeats(table, self.frequency, set_to)
-        for rows in self.sweeps:
+        check_order(table, self.frequency, self.sweeps)
+        refuse_copies(table)
+        for rows in self.sweeps if self.phase_known else ():
             check_phase(table, rows, self.axis, self.frequency, self.phasors, self.noise_std or 0.0)
 
     def keys(self, declared: Declared) -> dict[str, Any]:
@@ -131,32 +138,22 @@ class FrequencySweepRecord(AbstractRecord):
             "T [K]": self.temperature,
             "rate [rad/s]": self.rate,
             "f [rad/s]": self.frequency,
-            **phasor_columns(self.phasors, declared),
+            **(phasor_columns if self.phase_known else amplitude_columns)(self.phasors, declared),
         }
 
     # ---- predict
 
     def experiment(self, declared: Declared, number: int) -> HarmonicSweep:
-        return _joined(declared, [(number, self)], np.arange(self.rows), np.ones(self.rows, bool))
+        return joined_rows(declared, [(number, self)], np.arange(self.rows), np.ones(self.rows, bool))
 
     @classmethod
     def laid_out(cls, declared: Declared, records: Sequence[tuple[int, Self]], alone: bool) -> list[Readings]:
         """All rows of all sweeps as one experiment to fit and one, of the same shape, to validate; without a role every
         second row is fitted.
         """
-        record = np.concatenate([np.full(r.rows, number) for number, r in records])
-        row = np.concatenate([np.arange(r.rows) for _, r in records])
-        chosen = np.concatenate([np.arange(r.rows) % 2 == 0 if r.role is None else np.full(r.rows, r.role == "fit")
-                                 for _, r in records])  # fmt: skip
-        groups = [np.flatnonzero(chosen), np.flatnonzero(~chosen)]
-        size = max(map(len, groups))
         out = []
-        for rows, fitted in zip(groups, (True, False), strict=True):
-            if rows.size:
-                padded = np.concatenate([rows, np.full(size - rows.size, rows[-1])])
-                real = np.arange(size) < rows.size
-                experiment = _joined(declared, records, padded, real)
-                out.append(Readings(experiment, np.where(real, record[padded], -1), row[padded], fitted))
+        for known in (True, False):
+            out += halves(declared, [pair for pair in records if pair[1].phase_known == known])
         return out
 
     @property
@@ -175,14 +172,30 @@ class FrequencySweepRecord(AbstractRecord):
 
     def starting_phasors(self, declared: Declared) -> Phasors:
         # The lowest drive and the reference conditions are the most linear; others only where nothing else is there.
-        scale, around = declared.readout.scale, declared.environment
+        around, readout = declared.environment, declared.readout
         calm = (self.rate == 0) & (np.abs(self.temperature - around.temperature) < 1)
         calm &= np.abs(self.bias_voltage - around.bias_voltage) < 1e-6
-        calm &= self.drive <= 1.01 * self.drive.min()
+        calm &= self.drive <= (1 + 2 * _SCATTER) * self.drive.min()
         calm = calm if calm.any() else np.ones(self.rows, bool)
         force = np.outer(self.drive, np.eye(declared.channels)[self.axis])[calm]
-        weight = np.full(int(calm.sum()), abs(scale) / self.noise_level)
-        return Phasors(self.frequency[calm], self.phasors[calm] / scale, force + 0j, weight)
+        motion, omega = readout.motion(self.phasors, self.frequency)[calm], self.frequency[calm]
+        weight = abs(readout.scale) * omega**readout.order / self.noise_level
+        return Phasors(omega, motion, force + 0j, weight, not self.phase_known)
+
+    def motion(self, declared: Declared) -> np.ndarray:
+        """(n, axes) displacement phasors that were seen; where no phase was, those of the device as designed."""
+        motion = declared.readout.motion(self.phasors, self.frequency)
+        return motion if self.phase_known else np.abs(motion) * self._lag(motion, declared)[:, None]
+
+    def _lag(self, motion: np.ndarray, declared: Declared) -> np.ndarray:
+        """(n,) of modulus 1: the phase at which the drive replaces what the damping takes, before or past the peak."""
+        size, device = np.abs(motion[:, self.axis]), design_device(declared)
+        taken = self.frequency * float(device.damping[self.axis]) * size
+        lag = np.arcsin(np.minimum(1.0, taken / np.abs(float(device.mobility) * self.drive)))
+        for rows in self.sweeps:
+            past = self.frequency[rows] > self.frequency[rows][np.argmax(size[rows])]
+            lag[rows] = np.where(past, np.pi - lag[rows], lag[rows])
+        return np.exp(-1j * lag) * np.sign(float(device.mobility))
 
     # ---- noise and quality
 
@@ -219,12 +232,13 @@ class FrequencySweepRecord(AbstractRecord):
         return out if self.time is None else (*out, Known("time", self.time, "s", set=False))
 
     def series(self, deviation: Deviation) -> Series:
-        motion = np.abs(deviation.predicted[:, self.axis] / np.asarray(deviation.model.scale)[self.axis])
+        motion = np.abs(deviation.model.motion(deviation.predicted, self.frequency)[:, self.axis])
+        turned = in_phase(deviation.white, deviation.predicted) if self.phase_known else deviation.white
         known = self.known(deviation.declared)
         parts = [part for one in known if one.set for part in by_setting(one, self.sweeps)]
         variables = [Variable("displacement", motion), *(Variable(one.name, one.values) for one in known)]
         return Series(
-            self.name, deviation.channels, deviation.white, in_phase(deviation.white, deviation.predicted), self.sweeps,
+            self.name, deviation.channels, deviation.white, turned, self.sweeps,
             (*parts, *_around_modes(self.frequency, deviation)), (), tuple(variables),
         )  # fmt: skip
 
@@ -259,8 +273,10 @@ class FrequencySweepRecord(AbstractRecord):
                 said.append(f"; {one.name} {', '.join(levels)}")
         return "".join(said)
 
-    def missing_force(self, deviation: Deviation) -> SweepForce:
-        """The missing force of every row, fitted or not."""
+    def missing_force(self, deviation: Deviation) -> SweepForce | None:
+        """The missing force of every row, fitted or not; none from amplitudes alone."""
+        if not self.phase_known:
+            return None
         pieces, model = [], deviation.model
         for readings in deviation.readings:
             mine = readings.record == deviation.number
@@ -269,9 +285,10 @@ class FrequencySweepRecord(AbstractRecord):
         order = np.argsort(np.concatenate([piece[0] for piece in pieces]))
         motion, force, gain = (np.concatenate([piece[k] for piece in pieces])[order] for k in (1, 2, 3))
         noise = self.noise_level / np.abs(np.asarray(model.scale))
+        noise = noise / self.frequency[:, None] ** model.order
         return SweepForce(
             self.name, self.axis, self.frequency, self.drive, self.temperature, self.bias_voltage,
-            motion[:, self.axis], force, np.sqrt(gain**2 @ noise**2),
+            motion[:, self.axis], force, np.sqrt(np.einsum("nij,nj->ni", gain**2, noise**2)),
         )  # fmt: skip
 
 
@@ -282,42 +299,14 @@ def _drive(sheet: Sheet, axis: int) -> np.ndarray:
     with sheet.source.section("experiment", sheet.number, "drive_force"):
         if drive is not None and entry.drive_force is not None:
             raise InputError("must be left out where a column holds the drive level")
+        if drive is None and entry.drive_force is None and sheet.declared.channels == 1:
+            return np.ones(len(columns.table.lines))  # the same for all rows: part of the gain
         if drive is None and entry.drive_force is None:
             name = columns.words.drives[-1][axis]
             raise InputError(f"is missing; give the drive level here or in a column `{name}` of {entry.file}")
     if drive is None:
         drive = np.full(len(columns.table.lines), sheet.amount("drive_force", sheet.force_unit))
     return drive
-
-
-def _joined(
-    declared: Declared, records: Sequence[tuple[int, FrequencySweepRecord]], rows: np.ndarray, real: np.ndarray
-) -> HarmonicSweep:
-    """Rows of all records, in their order, as one experiment; those that are not `real` have no weight."""
-
-    def joined(values) -> np.ndarray:
-        return np.concatenate([np.asarray(values(number, r)) for number, r in records])[rows]
-
-    measured = joined(lambda _, r: r.phasors)
-    noise = joined(lambda _, r: np.full(r.rows, r.noise_level))
-    return HarmonicSweep(
-        name="frequency sweeps",
-        frequency=jnp.asarray(joined(lambda _, r: r.frequency)),
-        force=jnp.asarray(joined(lambda _, r: np.outer(r.drive, np.eye(declared.channels)[r.axis])) + 0j),
-        measured=jnp.asarray(measured),
-        noise=CartesianNoise(np.where(real, noise, np.inf)[:, None]),
-        surroundings=Conditions(
-            rate=joined(lambda _, r: r.rate),
-            temperature=joined(lambda _, r: r.temperature),
-            bias_voltage=joined(lambda _, r: r.bias_voltage),
-            time=joined(lambda _, r: np.zeros(r.rows) if r.time is None else r.time),
-            record=joined(lambda number, r: np.full(r.rows, float(number))),
-            sweep=joined(lambda _, r: np.repeat(np.arange(len(r.sweeps)), [s.stop - s.start for s in r.sweeps])),
-        ).rows(len(rows)),
-        near=jnp.asarray(measured / declared.readout.scale),
-        direction=jnp.asarray(joined(lambda _, r: r.directions)),
-        before=jnp.asarray(joined(lambda _, r: r.phasors[np.maximum(np.arange(r.rows) - 1, 0)])),
-    )
 
 
 def _around_modes(frequency: np.ndarray, deviation: Deviation) -> tuple[Subset, ...]:

@@ -85,7 +85,7 @@ class HarmonicSweep(Experiment):
     @eqx.filter_jit
     def missing(self, model: Model) -> tuple[Complex[Array, "n a"], Complex[Array, "n a"], Float[Array, "n a a"]]:
         """Per row: the motion seen, the force [N] it takes beyond the model, and |force per displacement|."""
-        axes, errors = model.axes, (self.measured - self.predict(model)) / model.scale
+        axes, errors = model.axes, model.motion(self.measured - self.predict(model), self.frequency)
 
         def row(omega: Array, force: Array, conditions: Conditions, near: Array, error: Array):
             state = steady_state(model, omega, force, conditions, near)

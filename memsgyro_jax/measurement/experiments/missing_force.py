@@ -164,7 +164,8 @@ def force_over_time(record: str, deviation: Deviation, time: np.ndarray, noise_s
     scale = np.asarray(model.scale)
     noise = noise_std / np.abs(scale)
     error = deviation.white[seen, :, 0] * noise_std / scale
-    motion, period = deviation.motion[seen], float(time[-1] - time[0]) / (len(time) - 1)
+    period = float(time[-1] - time[0]) / (len(time) - 1)
+    motion = deviation.motion(period)[seen]
     count, modes = len(error), model.device.resonances()
     place = Conditions(temperature=around.temperature, bias_voltage=around.bias_voltage)
     omega = 2 * np.pi * np.fft.rfftfreq(count, period)
@@ -172,6 +173,7 @@ def force_over_time(record: str, deviation: Deviation, time: np.ndarray, noise_s
     window, slope, bend = _window(count, period)
     lines = np.zeros((omega.size, model.axes), complex)
     lines[near] = above_noise(np.fft.rfft(error * window, axis=0)[near] / noise, float(np.sum(window**2))) * noise
+    lines[near] /= (1j * omega[near, None]) ** model.order
     force = np.zeros_like(lines)
     stiffness, matrix = _dynamic_stiffness(model, place, jnp.asarray(omega[near]))
     force[near] = np.einsum("fij,fj->fi", stiffness, lines[near])

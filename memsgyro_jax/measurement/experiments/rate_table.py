@@ -61,7 +61,7 @@ class RateTable(Experiment):
         """Phasors of all channels and blocks."""
         first = jax.tree.map(lambda leaf: leaf[0], self.surroundings)
         driven = Driven.of(bench, self.frequency, self.force, first)
-        start = steady_state(bench, self.frequency, driven.force, first, self.measured[0] / bench.scale)
+        start = steady_state(bench, self.frequency, driven.force, first, bench.motion(self.measured[0], self.frequency))
         step = 2 * jnp.pi * self.block_cycles / self.frequency
         _, course = driven.run(start[: HARMONICS + 1], step, self.surroundings)
         seen = driven.demodulated(course, step)
@@ -189,12 +189,12 @@ class RateTableRecord(ClockedRecord):
         )
 
     def starting_phasors(self, declared: Declared) -> Phasors | None:
-        still, scale = self.rate == 0, declared.readout.scale
+        still, readout = self.rate == 0, declared.readout
         if not still.any():
             return None
-        motion = self.phasors[still].mean(axis=0)[None] / scale
+        motion = readout.motion(self.phasors[still].mean(axis=0)[None], self.drive_frequency)
         force = self.drive_force * np.eye(declared.channels)[self.axis][None]
-        weight = np.sqrt(np.sum(still)) * abs(scale) / self.noise_level
+        weight = np.sqrt(np.sum(still)) * abs(readout.scale) * self.drive_frequency**readout.order / self.noise_level
         return Phasors(np.array([self.drive_frequency]), motion, force + 0j, np.array([weight]))
 
     def watched(self, noise: float) -> list[Watched]:

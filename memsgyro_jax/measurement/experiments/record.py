@@ -5,8 +5,8 @@ laboratory would have recorded of a model; all else has a default that claims no
 """
 
 import abc
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar, Literal, NamedTuple, Self
 
@@ -55,6 +55,8 @@ class AbstractRecord(abc.ABC):
         role: "validation" is never fitted; `None` where the case does not say.
         note: free text.
         noise_std: of each real reading (each of I and Q for phasors), in the record unit; `None` asks to estimate it.
+        carried: columns that nothing depends on, header to values.
+        undeclared: which of them the case does not say to carry along.
     """
 
     kind: ClassVar[str]  # the word for it in `case.toml`
@@ -66,6 +68,8 @@ class AbstractRecord(abc.ABC):
     role: Role | None = None
     note: str = ""
     noise_std: float | None = None
+    carried: Mapping[str, np.ndarray] = field(default_factory=dict)
+    undeclared: tuple[str, ...] = ()
 
     # ---- record
 

@@ -42,6 +42,9 @@ class Sheet:
     def amount(self, key: str, unit: str) -> float:
         """A positive quantity of the experiment in SI."""
         with self.source.section("experiment", self.number, key):
+            drive = self.declared.drive
+            if drive is not None and drive.scale and unit == self.force_unit:
+                return si(getattr(self.entry, key), drive.unit) * drive.scale
             return si(getattr(self.entry, key), unit)
 
     def frequency(self, key: str) -> float:

@@ -9,22 +9,30 @@ from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.table import Table
 
 
+_AFTER = 6  # rows on each side of a turn that say whether it was one
 _FEWEST = 3  # rows of a sweep: fewer show no resonance and are what a mistyped level leaves behind
 
 
 def single_sweeps(frequency: np.ndarray, within: Sequence[tuple[np.ndarray, float]]) -> tuple[slice, ...]:
-    """Rows between which no condition leaves its value by more than it may, and the frequency does not turn back."""
+    """Rows between which no condition leaves its value by more than it may, and the frequency does not turn back; it
+    may stand, where rows are repeated; of those at a turn half belong to each side.
+    """
     new = np.zeros(len(frequency), bool)
     for values, most in within:
         new |= _settings_begin(values, most)
     steps = np.sign(np.diff(frequency))
     begins, direction = [0], 0.0
     for row in range(1, len(frequency)):
-        if new[row] or (direction and steps[row - 1] != direction):
+        step = steps[row - 1]
+        if new[row]:
             begins.append(row)
             direction = 0.0
-        else:
-            direction = steps[row - 1]
+        elif direction and step == -direction:
+            standing = int(np.argmax(frequency[row - 1 :: -1] != frequency[row - 1]))
+            begins.append(max(row - standing // 2, begins[-1] + 1))
+            direction = 0.0
+        elif step:
+            direction = step
     return tuple(slice(a, b) for a, b in zip(begins, [*begins[1:], len(frequency)], strict=True))
 
 
@@ -37,38 +45,46 @@ def _settings_begin(values: np.ndarray, within: float) -> np.ndarray:
     return begins
 
 
-def check_order(table: Table, frequency: np.ndarray, set_to: Sequence[np.ndarray], sweeps: Sequence[slice]) -> None:
-    """Each sweep has some rows; where the frequency turns back or stands, a condition must have been set anew."""
+def check_order(table: Table, frequency: np.ndarray, sweeps: Sequence[slice]) -> None:
+    """Each sweep has some rows, and its frequency turns back for good: not for one row, which is a wrong digit."""
     for before, after in pairwise(sweeps):
-        row = after.start
-        if all(values[row] == values[row - 1] for values in set_to):
-            what = "repeats the one before" if frequency[row] == frequency[row - 1] else "turns back"
-            raise table.at(
-                row, "f", f"must run strictly up or strictly down as long as no condition changes, but it {what}"
-            )
-        if _short(before):
-            break
+        row = _astray(frequency, before, after)
+        if row is not None:
+            raise table.at(row, "f", "must run up or down from row to row, but it turns back for this one alone")
     for rows in sweeps:
-        if _short(rows):
+        if rows.stop - rows.start < _FEWEST:
             raise InputError(
                 f"{table.path}, line {table.lines[rows.start]}: a sweep must have at least {_FEWEST} rows under one "
                 f"setting of drive, bias, temperature and rate, but has {rows.stop - rows.start}; mend or remove them."
             )
 
 
-def _short(rows: slice) -> bool:
-    return bool(rows.stop - rows.start < _FEWEST)
+def _astray(frequency: np.ndarray, before: slice, after: slice) -> int | None:
+    """The row at the turn without which the sweep before goes on as it ran, by a step of its usual size."""
+    turn, end = after.start, min(after.stop, after.start + _AFTER)
+    if (frequency[turn] - frequency[turn - 1]) * (frequency[turn - 1] - frequency[before.start]) >= 0:
+        return None  # another setting begins
+    start = max(before.start, turn - _AFTER)
+    for row in (turn - 1, turn):
+        kept = np.delete(frequency[start:end], row - start)
+        steps = np.diff(kept)
+        usual = np.median(np.abs(steps))
+        if len(kept) >= 4 and (np.all(steps > 0) or np.all(steps < 0)) and np.max(np.abs(steps)) <= 3 * usual:
+            return row
+    return None
 
 
-def refuse_repeats(table: Table, frequency: np.ndarray, set_to: Sequence[np.ndarray]) -> None:
-    """The same frequency under the same conditions is the same row twice."""
-    keys = np.stack([frequency, *set_to], axis=1)
-    _, first, group = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    repeated = np.flatnonzero(first[group.ravel()] != np.arange(len(frequency)))
+def refuse_copies(table: Table) -> None:
+    """The same reading to the last digit under the same conditions is the same row twice; one that was repeated has
+    noise of its own.
+    """
+    rows = np.stack(list(table.columns.values()), axis=1)
+    _, first, group = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+    repeated = np.flatnonzero(first[group.ravel()] != np.arange(len(rows)))
     if repeated.size:
         row = int(repeated[0])
         original = table.lines[first[group.ravel()[row]]]
-        raise table.at(row, "f", f"must differ from that of line {original}, which has the same conditions")
+        raise table.at(row, "f", f"must not repeat line {original} to the last digit under the same conditions")
 
 
 def check_phase(table: Table, rows: slice, axis: int, frequency: np.ndarray, phasors: np.ndarray, noise: float) -> None:

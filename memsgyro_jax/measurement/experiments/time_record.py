@@ -172,17 +172,21 @@ class TimeRecord(WaveformRecord):
 
     def starting_phasors(self, declared: Declared) -> Phasors:
         """Spectral lines around the resonances, under a Hann window that hides start and end."""
-        (low, high), scale = declared.resonances, declared.readout.scale
+        (low, high), readout = declared.resonances, declared.readout
         window = np.hanning(self.rows)[:, None]
-        motion = np.fft.rfft((self.signals - self.signals.mean(axis=0)) * window, axis=0) / scale
+        lines = np.fft.rfft((self.signals - self.signals.mean(axis=0)) * window, axis=0)
         force = np.fft.rfft(self.forces * window, axis=0)
         omega = 2 * np.pi * np.fft.rfftfreq(self.rows, self.period)
         if self.hold == "zero_order":  # a held force is late by half a sample
             late = np.exp(-0.5j * omega * self.period) * np.sinc(omega * self.period / 2 / np.pi)
             force = force * late[:, None]
+        if not np.isfinite(high):  # not declared: around the highest line
+            low = high = omega[1 + np.argmax(np.abs(lines[1:]).max(axis=1))]
         near = (omega > 0.5 * low) & (omega < 2.0 * high)
-        weight = np.full(near.sum(), abs(scale) / (self.noise_level * np.sqrt(np.sum(window**2) / 2)))
-        return Phasors(omega[near], motion[near], force[near], weight)
+        omega, noise = omega[near], self.noise_level * np.sqrt(np.sum(window**2) / 2)
+        return Phasors(
+            omega, readout.motion(lines[near], omega), force[near], abs(readout.scale) * omega**readout.order / noise
+        )
 
     def watched(self, noise: float) -> list[Watched]:
         inputs = [self.in_time(f"the input {name}", column) for name, column in zip("xy", self.forces.T, strict=False)]

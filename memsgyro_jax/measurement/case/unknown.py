@@ -1,0 +1,96 @@
+"""What a case leaves open, as its files tell it: units of drive and readings, and design values not declared."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.units import parse_header, to_si
+
+from ..declared import VOCABULARIES, DesignValue
+from ..phasor_fit import device_of_phasors, is_seen
+from .content import Case
+from .file import CaseFile
+
+
+_UNITS = ("V", "N", "A", "1", "m", "m/s", "m/s**2", "rad", "Pa")
+
+
+def recorded_units(file: CaseFile, folder: Path) -> tuple[str, str]:
+    """SI units of the readings and of the drive, from the first headers and sections that have them; "V" and "" where
+    none has."""
+    words = VOCABULARIES[file.device]
+    read = {name + end for group in words.signals for name in group for end in ("", "_I", "_Q", "_amp")}
+    read |= {name for pair in words.pairs for name in pair} | {first for first, _ in words.amplitudes}
+    driven = {name for group in (*words.forces, *words.drives) for name in group}
+    headers = [column for entry in file.experiment for column in _header(folder / entry.file)]
+    force = [amount.unit for e in file.experiment if (amount := getattr(e, "drive_force", None)) is not None]
+    units = [unit for name, unit in headers if name in driven]
+    return (
+        next((_base(unit) for name, unit in headers if name in read), "V") or "V",
+        next(map(_base, [*force, *units]), ""),
+    )
+
+
+def _header(path: Path) -> Iterator[tuple[str, str]]:
+    """Names and units of a header as far as they can be read; what is wrong with it is told when the file is read."""
+    try:
+        with path.open(encoding="utf-8") as file:
+            line = next((line for line in file if line.strip() and not line.startswith("#")), "")
+    except (OSError, ValueError):
+        return
+    for field in line[:10_000].split(","):
+        try:
+            yield tuple(parse_header(field))
+        except InputError:
+            continue
+
+
+def _base(unit: str) -> str:
+    """The SI unit of the same kind; empty for a unit that no reading or drive has."""
+    for base in _UNITS:
+        try:
+            to_si(1.0, unit, base, "the value")
+        except InputError:
+            continue
+        return base
+    return ""
+
+
+def with_found_design(case: Case, file: CaseFile, path: Path) -> Case:
+    """The case with a value for every number of its design that was left to the records.
+
+    **Raises:** `InputError` where no record drives the device in a known way, so that none tells.
+    """
+    open_ = [key for key, value in case.design.items() if value.unknown]
+    if not open_:
+        return case
+    offered = [record.starting_phasors(case) for record in case.records if record.role != "validation"]
+    rows = [phasors for phasors in offered if phasors is not None]
+    device = device_of_phasors(rows)
+    if device is None or not is_seen(device, rows):
+        raise InputError(
+            f"{path}, `design`: must give {', '.join(open_)}, as no record that may be fitted shows a clear resonance."
+        )
+    found = _numbers(case, *(np.asarray(part) for part in (device.stiffness, device.damping, device.mobility)))
+    told = {key: DesignValue.found(found[key]) for key in open_}
+    if "mass" in told:  # what was given by a frequency is per mass so far
+        for key, value in case.design.items():
+            if key not in open_ and key not in file.design:
+                told[key] = replace(
+                    value, **{end: getattr(value, end) * found["mass"] for end in ("value", "low", "high")}
+                )
+    return replace(case, design={**case.design, **told})
+
+
+def _numbers(case: Case, stiffness: np.ndarray, damping: np.ndarray, mobility: np.ndarray) -> dict[str, float]:
+    """Design values of a device in coordinates per mass."""
+    if case.device == "resonator":
+        w = float(np.sqrt(stiffness[0]))
+        return {"resonance": w, "quality_factor": w / float(damping[0]), "static_gain": float(mobility) / w**2}
+    mass = case.design["mass"]
+    m = 1.0 / float(mobility) if mass.unknown else mass.value
+    names = ("kxx", "kyy", "kxy", "dxx", "dyy", "dxy")
+    return {"mass": m} | {name: float(v * m) for name, v in zip(names, [*stiffness, *damping], strict=True)}

@@ -1,0 +1,63 @@
+"""Rows of frequency sweeps laid together as experiments."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from memsgyro_jax.device.conditions import Conditions
+
+from ..declared import Declared
+from .base import AmplitudeNoise, CartesianNoise, Readings
+from .harmonic_sweep import HarmonicSweep
+
+
+def halves(declared: Declared, records: Sequence[tuple[int, Any]]) -> list[Readings]:
+    """What is fitted and what is not, of one shape."""
+    if not records:
+        return []
+    record = np.concatenate([np.full(r.rows, number) for number, r in records])
+    row = np.concatenate([np.arange(r.rows) for _, r in records])
+    chosen = np.concatenate([np.arange(r.rows) % 2 == 0 if r.role is None else np.full(r.rows, r.role == "fit")
+                             for _, r in records])  # fmt: skip
+    groups = [np.flatnonzero(chosen), np.flatnonzero(~chosen)]
+    size = max(map(len, groups))
+    out = []
+    for rows, fitted in zip(groups, (True, False), strict=True):
+        if rows.size:
+            padded = np.concatenate([rows, np.full(size - rows.size, rows[-1])])
+            real = np.arange(size) < rows.size
+            experiment = joined_rows(declared, records, padded, real)
+            out.append(Readings(experiment, np.where(real, record[padded], -1), row[padded], fitted))
+    return out
+
+
+def joined_rows(
+    declared: Declared, records: Sequence[tuple[int, Any]], rows: np.ndarray, real: np.ndarray
+) -> HarmonicSweep:
+    """Rows of all records, in their order, as one experiment; those that are not `real` have no weight."""
+
+    def joined(values) -> np.ndarray:
+        return np.concatenate([np.asarray(values(number, r)) for number, r in records])[rows]
+
+    measured = joined(lambda _, r: r.readings)
+    noise = joined(lambda _, r: np.full(r.rows, r.noise_level))
+    return HarmonicSweep(
+        name="frequency sweeps",
+        frequency=jnp.asarray(joined(lambda _, r: r.frequency)),
+        force=jnp.asarray(joined(lambda _, r: np.outer(r.drive, np.eye(declared.channels)[r.axis])) + 0j),
+        measured=jnp.asarray(measured),
+        noise=(CartesianNoise if np.iscomplexobj(measured) else AmplitudeNoise)(np.where(real, noise, np.inf)[:, None]),
+        surroundings=Conditions(
+            rate=joined(lambda _, r: r.rate),
+            temperature=joined(lambda _, r: r.temperature),
+            bias_voltage=joined(lambda _, r: r.bias_voltage),
+            time=joined(lambda _, r: np.zeros(r.rows) if r.time is None else r.time),
+            record=joined(lambda number, r: np.full(r.rows, float(number))),
+            sweep=joined(lambda _, r: np.repeat(np.arange(len(r.sweeps)), [s.stop - s.start for s in r.sweeps])),
+        ).rows(len(rows)),
+        near=jnp.asarray(joined(lambda _, r: r.motion(declared))),
+        direction=jnp.asarray(joined(lambda _, r: r.directions)),
+        before=jnp.asarray(joined(lambda _, r: r.phasors[np.maximum(np.arange(r.rows) - 1, 0)])),
+    )

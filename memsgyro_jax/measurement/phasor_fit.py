@@ -1,0 +1,139 @@
+"""The linear device behind phasors, without a guess: its equation of motion is linear in its parameters.
+
+Every phasor obeys (K − ω² + iωD)·X = σ·F. Least squares on this equation, weighted with the response it implies
+(Sanathanan and Koerner, IEEE Trans. Autom. Control 8 (1963) 56), lands near the optimum from any distance.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from memsgyro_jax.device.normalised import NormalisedDevice
+
+from .experiments.base import Phasors
+
+
+ROUNDS = 12
+PAIRS = {1: ((0, 0),), 2: ((0, 0), (1, 1), (0, 1))}
+_FEWEST = 8  # rows of one axis from which a gain that turns the phase, and a background, can be told too
+_STANDS_OUT = 40.0
+_BETTER = 0.5  # of the squared error of the plain resonance that this must come to
+
+
+def device_of_phasors(offered: Sequence[Phasors]) -> NormalisedDevice | None:
+    """The device that explains the phasors of all records best; `None` where none is offered or it would not be one."""
+    if not offered:
+        return None
+    omega, motion, force, weight = (np.concatenate(part) for part in zip(*(rows[:4] for rows in offered), strict=True))
+    found = [_of_modulus(*rows[:4]) if rows.modulus else None for rows in offered]
+    if any(found):
+        return next(one for one in found if one is not None)
+    device = _solve(omega, motion, force, weight / omega**2)
+    for _ in range(ROUNDS):
+        device = _solve(omega, motion, force, weight * _response_weight(device, omega, motion.shape[1]))
+    if motion.shape[1] == 1 and len(omega) >= _FEWEST:
+        device = _turned(device, omega, motion[:, 0], force[:, 0], weight)
+    return NormalisedDevice(*device) if _is_device(device) else None
+
+
+def is_seen(device: NormalisedDevice, offered: Sequence[Phasors]) -> bool:
+    """Whether the resonance of one axis stands out of the noise by more than chance makes one: χ² falls by 40 when it
+    is added to a background.
+    """
+    gained = 0.0
+    for omega, motion, force, weight, modulus in offered:
+        if modulus or motion.shape[1] > 1:
+            return True
+        response = 1.0 / (device.stiffness[0] - omega**2 + 1j * omega * device.damping[0])
+        columns = force[:, 0, None] * weight[:, None] * np.stack([np.ones(len(omega)), np.asarray(response)], axis=1)
+        seen = motion[:, 0] * weight
+        for part, sign in ((columns[:, :1], 1.0), (columns, -1.0)):
+            part = part / np.linalg.norm(part, axis=0)
+            gained += sign * np.sum(np.abs(seen - part @ np.linalg.lstsq(part, seen, rcond=None)[0]) ** 2)
+    return bool(gained > _STANDS_OUT)
+
+
+def _is_device(device) -> bool:
+    return bool(np.all(np.linalg.eigvalsh(_matrix(device[0])) > 0) and np.all(np.diag(_matrix(device[1])) > 0))
+
+
+def _turned(plain, omega, motion, force, weight):
+    """The device where gain and background are complex, as instruments have them, if that explains much more.
+
+    (K − ω² + iωD)·X = n(ω)·F with a complex parabola n: a gain that turns the phase, and a background in proportion to
+    the drive, are of this form.
+    """
+    centre, span = omega.mean(), np.ptp(omega) or 1.0
+    place, near, target = (omega - centre) / span, omega**2 - centre**2, (omega**2 - centre**2) * motion
+    powers = -force[:, None] * place[:, None] ** np.arange(3)
+    columns = np.concatenate([motion[:, None], 1j * omega[:, None] * motion[:, None], powers, 1j * powers], axis=1)
+    scale = np.abs(weight) / np.maximum(np.abs(near + 1j * omega * plain[1][0] - (plain[0][0] - centre**2)), 1e-300)
+    for _ in range(ROUNDS):
+        left, right = columns * scale[:, None], target * scale
+        left, right = np.concatenate([left.real, left.imag]), np.concatenate([right.real, right.imag])
+        size = np.linalg.norm(left, axis=0)
+        size = np.where(size > 0, size, 1.0)
+        found = np.linalg.lstsq(left / size, right, rcond=1e-12)[0] / size
+        operator = found[0] - near + 1j * omega * found[1]
+        scale = weight / np.abs(operator)
+    stiffness, damping = found[0] + centre**2, found[1]
+    rest = np.sum(np.abs((columns @ found - target) * scale) ** 2)
+    alone = plain[0][0] - omega**2 + 1j * omega * plain[1][0]
+    unturned = np.sum(np.abs((motion - plain[2] * force / alone) * weight) ** 2)
+    if not (stiffness > 0 and damping > 0) or (rest > _BETTER * unturned and _is_device(plain)):
+        return plain
+    pole = (np.sqrt(stiffness) + 0.5j * damping - centre) / span
+    gain = np.polyval((found[2:5] + 1j * found[5:8])[::-1], pole)
+    return np.array([stiffness]), np.array([damping]), float(np.abs(gain) * (1.0 if gain.real >= 0 else -1.0))
+
+
+def _of_modulus(omega, motion, force, weight):
+    """The device of one axis behind amplitudes alone: 1/|X|² is a parabola in ω²."""
+    amplitude, drive = np.abs(motion[:, 0]), np.abs(force[:, 0])
+    top = int(np.argmax(amplitude / drive))
+    square, centre = omega**2, omega[top] ** 2
+    place = (square - centre) / np.ptp(square)
+    target, error = (drive / amplitude) ** 2, 2 * drive**2 / (amplitude**3 * weight)
+    columns = np.vander(place, 3) / error[:, None]
+    bend, slope, level = np.linalg.lstsq(columns, target / error, rcond=1e-12)[0]
+    bend, slope = bend / np.ptp(square) ** 2, slope / np.ptp(square)
+    if bend <= 0 or level <= 0:
+        return None
+    stiffness = centre - slope / (2 * bend)
+    dissipated = (level - slope**2 / (4 * bend)) / bend
+    if stiffness <= 0 or dissipated <= 0:  # the tip is not resolved: the half width of what is seen
+        return None
+    return NormalisedDevice(np.array([stiffness]), np.array([np.sqrt(dissipated / stiffness)]), 1 / np.sqrt(bend))
+
+
+def _response_weight(device, omega: np.ndarray, axes: int) -> np.ndarray:
+    """Size of the displacement per equation error at each frequency."""
+    turn = 1j * omega[:, None, None]
+    operator = _matrix(device[0]) + turn**2 * np.eye(axes) + turn * _matrix(device[1])
+    return np.linalg.norm(np.linalg.inv(operator), axis=(1, 2))
+
+
+def _solve(omega, motion, force, weight) -> tuple[np.ndarray, np.ndarray, float]:
+    """Weighted least squares for (stiffness, damping, mobility) per mass."""
+    axes = motion.shape[1]
+    pairs = PAIRS[axes]
+    columns = np.zeros((omega.size, axes, 2 * len(pairs) + 1), complex)
+    for place, (i, j) in enumerate(pairs):
+        for row, column in {(i, j), (j, i)}:
+            columns[:, row, place] = motion[:, column]
+            columns[:, row, len(pairs) + place] = 1j * omega * motion[:, column]
+    columns[:, :, -1] = -force
+    target = omega[:, None] ** 2 * motion
+    left = (columns * weight[:, None, None]).reshape(-1, columns.shape[-1])
+    right = (target * weight[:, None]).ravel()
+    left, right = np.concatenate([left.real, left.imag]), np.concatenate([right.real, right.imag])
+    size = np.linalg.norm(left, axis=0)
+    size = np.where(size > 0, size, 1.0)
+    found = np.linalg.lstsq(left / size, right, rcond=1e-12)[0] / size
+    return found[: len(pairs)], found[len(pairs) : -1], float(found[-1])
+
+
+def _matrix(entries: np.ndarray) -> np.ndarray:
+    if len(entries) == 1:
+        return np.asarray(entries)[None]
+    return np.array([[entries[0], entries[2]], [entries[2], entries[1]]])

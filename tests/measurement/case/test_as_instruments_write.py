@@ -1,0 +1,146 @@
+"""Records as instruments write them: any drive unit, velocity, X and Y, repeats, up and down, little declared."""
+
+import numpy as np
+import pytest
+from measurement.case.test_case import assert_same_case
+
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.measurement.case import assess, load_case, write_case
+from memsgyro_jax.measurement.linear_start import starting_device
+
+
+HEAD = """\
+schema = "memsgyro-case/1"
+name = "wire"
+device = "resonator"
+"""
+SWEEP = """
+[[experiment]]
+name = "sweep"
+kind = "frequency_sweep"
+file = "sweep.csv"
+"""
+
+
+def velocity(f, f0, quality, gain=-2.0):
+    """Velocity per drive of a resonator."""
+    w, w0 = 2 * np.pi * f, 2 * np.pi * f0
+    return 1j * w * gain / (w0**2 - w**2 + 1j * w * w0 / quality)
+
+
+def write(folder, header, columns, *, head=HEAD, readout='quantity = "velocity"', more=""):
+    folder.mkdir(exist_ok=True)
+    (folder / "case.toml").write_text(f"{head}[readout]\n{readout}\n{SWEEP}{more}")
+    np.savetxt(folder / "sweep.csv", np.column_stack(columns), delimiter=",", header=header, comments="", fmt="%.12g")
+    return folder
+
+
+def wire(folder, f0=3966.7, quality=59.5, span=6.0, seed=0, noise=1e-3, readings="X [V],Y [V]", **more):
+    """Two drives in ampere, up and down at each, the first twice; the drive is measured in every row."""
+    rng = np.random.default_rng(seed)
+    up = f0 * (1 + span / quality * np.linspace(-0.5, 0.5, 61))
+    f = np.concatenate([up, up[::-1], up, up[::-1], up, up[::-1]])
+    drive = np.repeat([1e-6, 3e-6], [244, 122]) * (1 + 1e-3 * rng.standard_normal(366))
+    v = drive * velocity(f, f0, quality)
+    v = v + noise * np.abs(v[:244]).max() * (rng.standard_normal(366) + 1j * rng.standard_normal(366))
+    columns = [2.3 * np.arange(366), drive, f, *((np.abs(v),) if "R" in readings else (v.real, v.imag))]
+    return write(folder, f"t [s],drive [A],f [Hz],{readings}", columns, **more)
+
+
+def test_one_header_line_and_no_design_are_enough(tmp_path):
+    case = load_case(wire(tmp_path / "wire"))
+    (sweep,) = case.records
+    assert (case.drive.unit, case.readout.order, case.readout.unit) == ("A", 1, "V")
+    assert [(s.start, s.stop) for s in sweep.sweeps] == [(61 * k, 61 * k + 61) for k in range(6)]
+    assert list(sweep.directions[::61]) == [1, -1, 1, -1, 1, -1]
+    resonance, quality = (case.design[key] for key in ("resonance", "quality_factor"))
+    assert resonance.unknown
+    assert resonance.value == pytest.approx(2 * np.pi * 3966.7, rel=1e-4)
+    assert quality.value == pytest.approx(59.5, rel=0.01)
+    assert case.design["static_gain"].value * resonance.value**2 == pytest.approx(-2.0, rel=0.01)
+    assert sweep.time[1] == 2.3
+    write_case(case, tmp_path / "again")
+    assert_same_case(case, load_case(tmp_path / "again"))
+
+
+@pytest.mark.parametrize("quality", [50.0, 3e3, 1e6])
+@pytest.mark.parametrize("readings", ["X [V],Y [V]", "R [V]"])
+def test_a_start_for_any_quality(tmp_path, quality, readings):
+    case = load_case(wire(tmp_path / "wire", 32.8e3, quality, seed=1, readings=readings))
+    device = starting_device(case)
+    w, d = float(np.sqrt(device.stiffness[0])), float(device.damping[0])
+    assert abs(w - 2 * np.pi * 32.8e3) < 0.01 * d
+    assert w / d == pytest.approx(quality, rel=0.02)
+    assert abs(float(device.mobility)) == pytest.approx(2.0, rel=0.02)
+    assert case.records[0].readings.dtype == (float if "R" in readings else complex)
+
+
+def test_gain_that_turns_the_phase_and_a_background_do_not_lead_astray(tmp_path):
+    f = np.linspace(1000, 1020, 81)
+    v = velocity(f, 1009.0, 200.0) * np.exp(0.7j) + (3e-5 - 4e-5j)
+    case = load_case(write(tmp_path / "w", "f [Hz],X [V],Y [V]", [f, v.real, v.imag], more='noise_std = "1 uV"'))
+    assert case.design["quality_factor"].value == pytest.approx(200.0, rel=1e-3)
+    assert case.design["resonance"].value == pytest.approx(2 * np.pi * 1009.0, rel=1e-5)
+
+
+@pytest.mark.parametrize(("low", "high"), [(990, 1004), (1006, 1020)])
+def test_one_side_of_the_resonance_is_enough(tmp_path, low, high):
+    rng, f = np.random.default_rng(2), np.linspace(low, high, 81)
+    v = velocity(f, 1005.0, 300.0) + 1e-6 * (rng.standard_normal(81) + 1j * rng.standard_normal(81))
+    case = load_case(write(tmp_path / "w", "f [Hz],X [V],Y [V]", [f, v.real, v.imag]))
+    assert case.design["resonance"].value == pytest.approx(2 * np.pi * 1005.0, rel=1e-4)
+    assert case.design["quality_factor"].value == pytest.approx(300.0, rel=0.05)
+
+
+def test_a_drive_in_volts_becomes_a_force_by_its_scale(tmp_path):
+    f = np.linspace(1000, 1020, 81)
+    v = velocity(f, 1009.0, 200.0)
+    columns = [np.full(81, 5.0), f, v.real, v.imag]
+    readout, drive = 'quantity = "velocity"\nscale = "4 V/(m/s)"', '[drive]\nunit = "V"\nscale = "2 uN/V"\n'
+    design = '[design]\nmass = { value = 2e-9, tolerance = 0.1, unit = "kg" }\n'
+    design += 'resonance = { value = 1009, tolerance = 0.1, unit = "Hz" }\n'
+    folder = write(tmp_path / "w", "drive [V],f [Hz],X [V],Y [V]", columns, head=HEAD + drive + design, readout=readout)
+    case = load_case(folder)
+    assert case.records[0].drive[0] == pytest.approx(1e-5)
+    assert case.words.force == "N"
+    assert case.design["static_gain"].value == pytest.approx(1 / (2e-9 * (2 * np.pi * 1009) ** 2))
+    write_case(case, tmp_path / "again")
+    assert_same_case(case, load_case(tmp_path / "again"))
+
+
+def test_a_column_that_nothing_depends_on_is_carried_along(tmp_path):
+    f = np.linspace(1000, 1020, 81)
+    v = velocity(f, 1009.0, 200.0)
+    columns = [f, v.real, v.imag, np.arange(81) / 8]
+    write(tmp_path / "w", "f [Hz],X [V],Y [V],pressure [mbar]", columns)
+    case = load_case(tmp_path / "w")
+    assert list(case.records[0].carried) == ["pressure [mbar]"]
+    assert any("`pressure`" in sentence for sentence in assess(case).warnings)
+    write_case(case, tmp_path / "again")
+    again = load_case(tmp_path / "again")
+    np.testing.assert_array_equal(again.records[0].carried["pressure [mbar]"], columns[3])
+    assert not any("`pressure`" in sentence for sentence in assess(again).warnings), "it is declared"
+    write(tmp_path / "w", "f [Hz],X [V],Y [V],fr [Hz]", columns)
+    with pytest.raises(InputError, match="did you mean `f`"):
+        load_case(tmp_path / "w")
+    write(tmp_path / "w", "f [Hz],X [V],Y [V],fr [Hz]", columns, more='carried = ["fr"]\n')
+    assert list(load_case(tmp_path / "w").records[0].carried) == ["fr [Hz]"]
+
+
+def test_rows_may_be_repeated_but_not_copied(tmp_path):
+    rng, f = np.random.default_rng(3), np.repeat(np.linspace(1000, 1020, 41), 3)
+    v = velocity(f, 1009.0, 200.0)
+    v = v + 1e-4 * np.abs(v).max() * (rng.standard_normal(v.size) + 1j * rng.standard_normal(v.size))
+    case = load_case(write(tmp_path / "w", "f [Hz],X [V],Y [V]", [f, v.real, v.imag]))
+    assert len(case.records[0].sweeps) == 1
+    v[1] = v[0]
+    write(tmp_path / "w", "f [Hz],X [V],Y [V]", [f, v.real, v.imag])
+    with pytest.raises(InputError, match="line 3, column `f`: the value must not repeat line 2"):
+        load_case(tmp_path / "w")
+
+
+def test_without_any_resonance_the_missing_numbers_are_named(tmp_path):
+    rng, f = np.random.default_rng(4), np.linspace(1000, 1020, 41)
+    write(tmp_path / "w", "f [Hz],X [V],Y [V]", [f, *rng.standard_normal((2, 41))])
+    with pytest.raises(InputError, match="must give resonance, quality_factor, static_gain"):
+        load_case(tmp_path / "w")
