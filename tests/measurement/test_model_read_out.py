@@ -56,7 +56,5 @@ def _phasor(model: Model) -> complex:
     device = NormalisedDevice([W**2], [0.0], 3.0)
     model = Model(device, effects=model.effects, order=1)
     still = jnp.zeros(1)
-    now, later = (
-        float(model.observe(jnp.array(s), still, still, AROUND)[0]) for s in ([1e-3, 0.0], [0.0, -1e-3 * W])
-    )
+    now, later = (float(model.observe(jnp.array(s), still, still, AROUND)[0]) for s in ([1e-3, 0.0], [0.0, -1e-3 * W]))
     return now - 1j * later
