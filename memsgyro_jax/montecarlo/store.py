@@ -64,7 +64,7 @@ class Store:
         waiting = [number for number in range(len(self._seen)) if not self._finished(number)]
         if waiting and not self._leases:
             missing = self.dies - self.done
-            raise InputError(f"{self.path} lacks {missing} dies, but its folder cannot be written to; copy it elsewhere.")
+            raise InputError(f"{self.path} lacks {missing} dies, but its folder cannot be written to; copy it.")
         while waiting:
             before = len(waiting)
             for number in list(waiting):
