@@ -115,6 +115,8 @@ if TYPE_CHECKING:
     from .device.resonator import Resonator as Resonator
     from .measurement.model import Model as Model
     from .measurement.case import load_case as load_case
+    from .measurement.import_case import import_case as import_case
+    from .measurement.import_case import ImportedCase as ImportedCase
     from .measurement.user_kinds import load_kinds as load_kinds
     from .measurement.experiments import AbstractRecord as AbstractRecord
     from .measurement.case import write_case as write_case

@@ -24,6 +24,7 @@ from .commands.diagnose import diagnose_command
 from .commands.effects import effects_command
 from .commands.fit import fit_command
 from .commands.identify import identify_command
+from .commands.import_ import import_command
 from .commands.simulate import simulate_command
 from .commands.sweep import sweep_command
 from .commands.tune import tune_command
@@ -62,6 +63,7 @@ for _command in (
     tune_command,
     identify_command,
     effects_command,
+    import_command,
     check_command,
     compare_command,
     fit_command,

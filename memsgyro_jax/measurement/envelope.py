@@ -131,12 +131,10 @@ class Driven(eqx.Module):
 
         def advance(state: Array, now: Conditions) -> tuple[Array, tuple]:
             end, here, there = propagate.advance(state, load, lambda s: self.rest(s, now))
-            return end, jnp.stack([end, here, there])
+            return end, (state, end, here, there)
 
-        # One result per step: with several, XLA's fusion copies all of the steps before at every step.
         last, passed = jax.lax.scan(advance, start, conditions)
-        end, here, there = jnp.moveaxis(passed, 1, 0)
-        return last, Course(jnp.concatenate([start[None], end[:-1]]), end, here, there)
+        return last, Course(*passed)
 
     def demodulated(self, course: "Course", step: Array) -> Complex[Array, "t h n"]:
         """What a boxcar lock-in over each step (a whole number of cycles) makes of the state: harmonic by harmonic the

@@ -9,7 +9,6 @@ of zarr), for those who read the store without this package.
 import contextlib
 import hashlib
 import shutil
-import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -34,16 +33,15 @@ class Store:
     """An open store of `dies` dies in blocks of `block`.
 
     `rows` holds the columns and the status of the dies that are done, in memory; `notes` what a person should know.
-    Without `leases` it is only read, and must be finished.
     """
 
-    def __init__(self, path: Path, layout: Layout, dies: int, block: int, leases: Leases | None):
+    def __init__(self, path: Path, layout: Layout, dies: int, block: int, leases: Leases):
         import zarr
 
         self.path, self.layout, self.dies, self.block = path, layout, dies, block
         self._leases = leases
         self.notes = adapt(path, layout, dies, block)
-        group: Any = zarr.open_group(path, mode="r+" if leases else "r")
+        group: Any = zarr.open_group(path, mode="r+")
         self._arrays = {name: group[name] for name in (*layout.columns, SEAL, STATUS)}
         self.rows = {name: _filled(array, dies) for name, array in self._arrays.items() if name != SEAL}
         self._seen = [self._stamp(number) for number in range(-(-dies // block))]
@@ -62,14 +60,11 @@ class Store:
         Blocks that other processes compute are waited for, and taken over from those that die.
         """
         waiting = [number for number in range(len(self._seen)) if not self._finished(number)]
-        if waiting and not self._leases:
-            missing = self.dies - self.done
-            raise InputError(f"{self.path} lacks {missing} dies, but its folder cannot be written to; copy it.")
         while waiting:
             before = len(waiting)
             for number in list(waiting):
                 # Looked for again once it is claimed: somebody may have written it just before.
-                if self._leases and not self._found(number) and self._leases.claim(number):
+                if not self._found(number) and self._leases.claim(number):
                     if not self._found(number):
                         yield number
                     self._leases.release(number)
@@ -89,7 +84,7 @@ class Store:
         rows = {name: values[: stop - start] for name, values in rows.items()}
         if self._identity() != self._expected:
             raise InputError(f"{self.path} was removed or replaced while its sweep ran; give each a folder of its own.")
-        if not self._leases or not self._leases.holds(number):
+        if not self._leases.holds(number):
             return
         for name in (*self.layout.columns, SEAL, STATUS):
             values = self._seals(rows, start) if name == SEAL else rows[name]
@@ -180,14 +175,10 @@ class Store:
 def opened(path: Path, layout: Layout, dies: int, block: int, resume: bool) -> Iterator[Store]:
     """The store at `path` for as long as this process works on it: created, or with `resume` gone on with.
 
-    One that another process works on is joined, and the work shared; a finished one whose folder cannot be written to
-    is read. Raises `InputError` for a store that is there without `resume`, for one of another computation, version,
-    block size or of more dies, and for what is no store.
+    One that another process works on is joined, and the work shared. Raises `InputError` for a store that is there
+    without `resume`, for one of another computation, version, block size or of more dies, and for what is no store.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    if resume and path.exists() and not _writable(path.parent):
-        yield Store(path, layout, dies, block, None)
-        return
     with Leases(_leases(path)) as leases:
         if path.exists() and not resume and not leases.shared():
             raise InputError(f"{path} exists already; add `--resume` to go on with it, or choose another folder.")
@@ -209,15 +200,6 @@ def discard(path: Path) -> None:
         trash = draft_path(path)
         path.rename(trash)  # gone at once
         shutil.rmtree(trash, ignore_errors=True)
-
-
-def _writable(folder: Path) -> bool:
-    """Whether a file can be made there, which permissions alone do not tell."""
-    try:
-        with tempfile.TemporaryFile(dir=folder):
-            return True
-    except OSError:
-        return False
 
 
 def _leases(path: Path) -> Path:

@@ -1,0 +1,45 @@
+"""`memsgyro import`: read what instruments save, write a measurement case, print what was assumed."""
+
+from pathlib import Path
+from typing import Annotated
+
+import cyclopts
+
+from .flags import Flag, Words
+
+
+def import_command(
+    *files: Path,
+    out: Path,
+    map_: Annotated[str, cyclopts.Parameter(name="--map")] = "",
+    drive: Words = (),
+    reference: str = "",
+    overwrite: Flag = False,
+    json: Path | None = None,
+) -> None:
+    """What instruments save, as case files that say what was assumed.
+
+    Reads text tables (any delimiter, decimal point or comma), Zurich Instruments'
+    CSV, HDF5 and MAT, touchstone s1p and s2p, LabVIEW lvm and TDMS, and
+    universal files. Prints what was assumed, which case.toml holds as well.
+
+    Args:
+        files: one or several of one device.
+        out: folder of the case.
+        map_: what columns mean where names do not tell, like "f=Frequency (Hz),x_I=X [V],x_Q=Y [V],F_x=drive [A]".
+        drive: level where no column has it, like "20 mV"; one for all files or one for each.
+        reference: frequency of a lock-in that recorded over time, like "32.768 kHz".
+        overwrite: write over a case that is there.
+        json: file for the machine-readable result.
+    """
+    from memsgyro_jax.base.files import write_json
+    from memsgyro_jax.measurement.import_case import import_case
+
+    from .options import require_writable
+
+    require_writable(json)
+    result = import_case(files, out, columns=map_, drive=drive, reference=reference, overwrite=overwrite)
+    print(result)
+    print(f"Next: `memsgyro check {out}`, then `memsgyro diagnose {out}`.")
+    if json is not None:
+        write_json(json, result.to_dict())

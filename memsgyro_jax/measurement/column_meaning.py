@@ -1,0 +1,238 @@
+"""What the columns of an instrument's file mean: from their names and units, or as the user says."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.text import listed, printable
+from memsgyro_jax.base.units import NUMBER, to_si
+
+from .formats import SourceColumn, SourceTable
+from .formats.header import split_header
+
+
+ROLES = ("t", "f", "I", "Q", "amp", "phase", "signal", "drive", "T", "V_bias", "rate")
+"""Time, frequency, parts of a phasor, amplitude and phase of it, a waveform, what drives, conditions."""
+SHORT = {
+    "x_I": "I", "Vx_I": "I", "X": "I", "x_Q": "Q", "Vx_Q": "Q", "Y": "Q", "x_amp": "amp", "Vx_amp": "amp", "R": "amp",
+    "x_phase": "phase", "Vx_phase": "phase", "theta": "phase", "x": "signal", "y": "signal", "Vx": "signal",
+    "F": "drive", "F_x": "drive", "u": "drive", "u_x": "drive",
+}  # fmt: skip
+"""Other words for the roles on the left of `--map`."""
+_UNUSED = re.compile(
+    r"std|stddev|sigma|noise|stderr|pwr|power|settl|bandwidth|\btc\b|constant|dio|trigger|aux|chunk|\bsize\b|\bnext|"
+    r"count|index|\bno\b|coherence|direction|status|overload|\bdate\b|density|comment|set ?timestamp|\bsweep\b"
+)
+_NAMED = {
+    "f": r"^(f|freq|frequency|grid|fdrive|f drive|drive freq\w*|stimulus freq\w*|x frequency)$|frequency",
+    "t": r"^(t|time|times|timestamp|timestamps|elapsed( time)?|x value|relative time|time axis)$",
+    "T": r"^(temp|temperature)\b|temperature",
+    "V_bias": r"bias",
+    "drive": r"drive|excit|force|stimul|generator|source|\binput\b|level|set ?point|control|sig(nal)? ?out|current|"
+    r"^(f x|u|u x|output)$|amplitude set",
+    "phase": r"phase|theta|\bphi\b|^arg$|angle",
+    "amp": r"^r$|\bamp|ampl|magnitude|^mag\b|\babs\b|modulus|\bgain\b|^s\d\d db$",
+}
+_PARTS = {
+    "I": {"x", "i", "re", "real", "inphase", "realz"},
+    "Q": {"y", "q", "im", "imag", "imaginary", "quadrature", "quad", "imagz"},
+}
+_DIMENSIONS = {"f": "Hz", "t": "s", "T": "K", "phase": "rad"}
+
+
+@dataclass(frozen=True)
+class Meaning:
+    """The columns of a table by what they mean.
+
+    Args:
+        columns: role to column.
+        assumed: one sentence each.
+        unused: names of those that are left out.
+    """
+
+    columns: Mapping[str, SourceColumn]
+    assumed: tuple[str, ...]
+    unused: tuple[str, ...]
+
+    @property
+    def swept(self) -> bool:
+        """Whether the frequency runs, rather than time."""
+        return "f" in self.columns and np.unique(self.columns["f"].values).size > 2
+
+
+def meaning_of(table: SourceTable, said: Mapping[str, str]) -> Meaning:
+    """What the columns of a table mean.
+
+    Args:
+        table: as read.
+        said: role to column, by the user; then no other column is used.
+
+    Raises:
+        InputError: the names and units do not tell; the sentence has a `--map` to copy.
+    """
+    if said:
+        columns = {role: _chosen(table, role, text) for role, text in said.items()}
+        names = {column.name for column in columns.values()}
+        unused = tuple(column.header for column in table.columns if column.name not in names)
+        return _whole(table, columns, (), unused)
+    found: dict[str, list[SourceColumn]] = {}
+    for column in table.columns:
+        found.setdefault(role_of(column), []).append(column)
+    if "f" not in found or not ({"I", "amp"} & {*found}):
+        _as_waveforms(found)
+    assumed = _settled(table, found)
+    columns = {
+        role: candidates[0] for role, candidates in found.items() if (role and role != "signal") or candidates[1:] == []
+    }
+    columns.pop("", None)
+    used = {id(column) for column in columns.values()}
+    unused = tuple(column.header for column in table.columns if id(column) not in used)
+    return _whole(table, columns, tuple(assumed), unused)
+
+
+def role_of(column: SourceColumn) -> str:
+    """What a column is by its unit and name; empty for what no record needs."""
+    name = " ".join(re.sub(r"[_\-/.:|()]+", " ", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", column.name)).lower().split())
+    name = re.sub(r"\bin ?phase\b", "inphase", name)
+    if column.values.dtype.kind not in "iuf" or _UNUSED.search(name):
+        return ""
+    for role in ("f", "t", "T", "phase"):
+        if column.unit and _measures(column.unit, _DIMENSIONS[role]) and not (role == "phase" and "rate" in name):
+            return role
+    if column.unit == "ticks":
+        return "t"
+    if column.unit and (_measures(column.unit, "rad/s") or name in ("rate", "omega")):
+        return "rate"
+    tokens = [re.sub(r"\d+$", "", token) for token in name.split()]
+    for role in ("f", "t", "T", "V_bias", "drive"):
+        unlike = column.unit and role in _DIMENSIONS
+        if re.search(_NAMED[role], name) and not unlike:
+            return role
+    for role, words in _PARTS.items():
+        if tokens and (tokens[-1] in words or tokens[0] in words) and tokens[-1] != "phase":
+            return role
+    for role in ("phase", "amp"):
+        if re.search(_NAMED[role], name):
+            return role
+    return "amp" if column.unit in ("dB", "dBV", "dBm") else "signal"
+
+
+def _measures(unit: str, expected: str) -> bool:
+    try:
+        to_si(1.0, unit, expected, "the column")
+    except InputError:
+        return False
+    return True
+
+
+def _as_waveforms(found: dict[str, list[SourceColumn]]) -> None:
+    """Over time, what is named like a part of a phasor, or like an amplitude but alternates, is a waveform."""
+    lone = "I" in found or "Q" in found
+    if lone and not ("I" in found and "Q" in found):
+        for role in ("I", "Q"):
+            found.setdefault("signal", []).extend(found.pop(role, []))
+    if "amp" in found and "phase" not in found and all(np.min(c.values) < 0 < np.max(c.values) for c in found["amp"]):
+        found.setdefault("signal", []).extend(found.pop("amp"))
+
+
+def _settled(table: SourceTable, found: dict[str, list[SourceColumn]]) -> list[str]:
+    """Chooses where two columns say the same; raises where that would be a guess."""
+    assumed = []
+    plain = [column for column in found.get("f", []) if column.name.lower() in ("f", "freq", "frequency")]
+    if len(found.get("f", [])) > 1 and len(plain) == 1:
+        found["f"] = plain
+    if {"I", "Q", "amp"} <= {*found}:
+        names = listed([c.header for role in ("amp", "phase") for c in found.pop(role, [])], "`")
+        assumed.append(f"in-phase and quadrature columns are used, and {names} is not")
+    over_time = "f" not in found or not ({"I", "amp"} & {*found})
+    wanted = ("t", "drive", "signal", "I", "Q") if over_time else ("f", "drive", "I", "Q", "amp", "phase")
+    for role in wanted:
+        here = found.get(role, [])
+        if role == "drive" and len(here) > 1:  # one that stays as it is drives nothing
+            here = [c for c in here if np.ptp(c.values) > 0] or here[:1]
+            found[role] = here
+        if len(here) > 1:
+            raise _unclear(
+                table, found, f"more than one column may be {_SPOKEN[role]}: {listed([c.header for c in here], '`')}"
+            )
+    return assumed
+
+
+_SPOKEN = {
+    "t": "the time", "f": "the frequency", "I": "the in-phase part", "Q": "the quadrature", "amp": "the amplitude",
+    "phase": "the phase", "signal": "the signal", "drive": "the drive", "T": "the temperature",
+}  # fmt: skip
+
+
+def _whole(table: SourceTable, columns: dict[str, SourceColumn], assumed: tuple[str, ...], unused) -> Meaning:
+    """The meaning, if it is that of a record."""
+    meaning = Meaning(columns, assumed, tuple(unused))
+    pair = {"I", "Q"} <= {*columns}
+    if meaning.swept and not (pair or "amp" in columns):
+        raise _unclear(
+            table, {k: [v] for k, v in columns.items()}, "no columns are in-phase and quadrature, or amplitude"
+        )
+    if not meaning.swept and "t" not in columns:
+        raise _unclear(table, {k: [v] for k, v in columns.items()}, "no column is a frequency that runs, or time")
+    if not meaning.swept and not (pair or {"amp", "phase"} <= {*columns} or "signal" in columns):
+        raise _unclear(table, {k: [v] for k, v in columns.items()}, "no column is the signal over time")
+    return meaning
+
+
+def _unclear(table: SourceTable, found: Mapping[str, Sequence[SourceColumn]], what: str) -> InputError:
+    """The names, and the words to copy."""
+    over_time = "f" not in found
+    roles = ("t", "signal") if over_time else ("f", "I", "Q") if "amp" not in found else ("f", "amp", "phase")
+    words = {"I": "x_I", "Q": "x_Q", "amp": "x_amp", "phase": "x_phase", "signal": "x"}
+    rest = [c for c in table.columns if c.values.dtype.kind in "iuf"]
+    pairs = []
+    for role in roles:
+        candidates = found.get(role) or [c for c in rest if role_of(c) in ("", "signal")]
+        if candidates or role not in ("phase",):
+            pairs.append(f"{words.get(role, role)}={candidates[0].header if candidates else 'COLUMN'}")
+            rest = [c for c in rest if not candidates or c is not candidates[0]]
+    names = listed([column.header for column in table.columns], "`")
+    where = f"{printable(str(table.path))}{', ' + table.name if table.name else ''}"
+    return InputError(f'{where}: {what}; the columns are {names}; say which is which, as in --map "{",".join(pairs)}".')
+
+
+def parse_map(text: str) -> dict[str, str]:
+    """`role=column,…` as role to column; raises `InputError` for what is no such list."""
+    pairs: dict[str, str] = {}
+    for part in re.split(r",(?=\s*\w+\s*=)", text):
+        left, equals, right = part.partition("=")
+        role = SHORT.get(left.strip(), left.strip())
+        if not equals or not right.strip() or role not in ROLES:
+            raise InputError(
+                f'Option `--map` must read "role=column,..." with roles among {", ".join(ROLES)} (or x_I, x_Q, x_amp, '
+                f"x_phase, x, u_x, F_x), but has `{printable(part, 60)}`."
+            )
+        if role in pairs:
+            raise InputError(f"Option `--map` must name each role once, but {left.strip()} stands twice.")
+        pairs[role] = right.strip()
+    return pairs
+
+
+def _chosen(table: SourceTable, role: str, text: str) -> SourceColumn:
+    """The column that a text names: `[number*]name [unit]`, where the unit is that of the file or overrides it."""
+    factor = re.match(rf"({NUMBER})\s*\*\s*(?=\S)", text)
+    wanted = text[factor.end() :] if factor else text
+    name, unit = split_header(wanted)
+    for same in (
+        lambda c: wanted in (c.header, c.name),
+        lambda c: c.name == name,
+        lambda c: c.name.casefold() == name.casefold(),
+    ):
+        hits = [column for column in table.columns if same(column)]
+        if len(hits) == 1:
+            values = hits[0].values
+            if values.dtype.kind not in "iuf":
+                raise InputError(f"{table.path}: `{wanted}`, named by --map, must hold numbers, but holds words.")
+            return SourceColumn(hits[0].name, unit or hits[0].unit, values * (float(factor[1]) if factor else 1))
+    names = listed([column.header for column in table.columns], "`")
+    raise InputError(
+        f"{table.path}: --map must name a column of the file for `{role}`, but `{wanted}` is none of {names}."
+    )

@@ -1,0 +1,193 @@
+"""Columns of numbers as text: any delimiter, decimal point or comma, with what stands above them."""
+
+import csv
+import itertools
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.files import LARGEST_TABLE, read_whole
+from memsgyro_jax.base.text import printable
+from memsgyro_jax.base.units import NUMBER
+
+from .base import Format, SourceColumn, SourceTable
+from .header import split_header, tidy_unit
+
+
+_SAMPLE = 2000  # lines by which the dialect is told
+_COMMENT = re.compile(r"^\s*(?:#|%|//|!|\*)+\s?")
+_PAIR = re.compile(r"^\s*([^:=,;\t]{1,60}?)\s*[:=,;\t]\s*(\S.*?)[\s,;]*$")
+_POINT = re.compile(NUMBER)
+_COMMA = re.compile(NUMBER.replace(r"\.", ","))
+_MISSING = {"", "nan", "-nan", "1.#qnan", "nan(ind)", "-nan(ind)", "inf", "+inf", "-inf", "--", "n/a", "na", "1.#inf"}
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """How fields are told apart (`None`: by blanks) and decimals written."""
+
+    delimiter: str | None
+    mark: str
+
+    def fields(self, line: str) -> list[str]:
+        """The fields of a line, without blanks around them."""
+        if self.delimiter is None:
+            return line.split()
+        parts = next(csv.reader([line], delimiter=self.delimiter, skipinitialspace=True), [])
+        return [part.strip() for part in parts]
+
+    def number(self, field: str) -> float | None:
+        """The number that a field holds, not a number for none, `None` for words."""
+        if (_POINT if self.mark == "." else _COMMA).fullmatch(field):
+            return float(field.replace(",", "."))
+        return np.nan if field.lower() in _MISSING else None
+
+    def mask(self, fields: list[str]) -> tuple[bool, ...]:
+        """Which fields are numbers or missing."""
+        return tuple(self.number(field) is not None for field in fields)
+
+    @property
+    def words(self) -> str:
+        """For people."""
+        names = {";": "semicolons", "\t": "tabs", ",": "commas", "|": "bars", None: "blanks"}
+        return f"columns separated by {names[self.delimiter]}, decimal {'point' if self.mark == '.' else 'comma'}"
+
+
+DIALECTS = [Dialect(d, mark) for d, mark in itertools.product((";", "\t", "|", None), ".,")] + [Dialect(",", ".")]
+
+
+class Delimited(Format):
+    """CSV, TSV and their relatives."""
+
+    name = "text table"
+
+    def recognises(self, path: Path, head: bytes) -> bool:
+        return decoded(head) is not None
+
+    def read(self, path: Path) -> tuple[SourceTable, ...]:
+        text, assumed = text_of(path)
+        lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+        return (table_of_lines(path, lines, assumed),)
+
+
+def decoded(data: bytes) -> tuple[str, str] | None:
+    """The text that bytes mean and its encoding, or `None` where they are no text."""
+    odd = data[1::2].count(0), data[::2].count(0)
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        guesses = ["utf-16"]
+    elif max(odd) > len(data) // 4:
+        guesses = ["utf-16-le" if odd[0] > odd[1] else "utf-16-be"]
+    else:
+        guesses = ["utf-8-sig", "cp1252", "latin-1"]
+    for encoding in guesses:
+        try:
+            text = data[: len(data) // 2 * 2 if "16" in encoding else None].decode(encoding)
+        except UnicodeDecodeError as error:
+            if encoding != "utf-8-sig" or error.start < len(data) - 4:
+                continue
+            text = data[: error.start].decode(encoding)  # a letter cut at the end of what was read
+        return None if re.search(r"[\x00-\x08\x0e-\x1b\x7f]", text) else (text, encoding)
+    return None
+
+
+def text_of(path: Path) -> tuple[str, list[str]]:
+    """The text of a file in any encoding that instruments use, and what was assumed."""
+    found = decoded(read_whole(path, "file", most=LARGEST_TABLE))
+    if found is None:
+        raise InputError(f"{printable(str(path))}: must be text or a format that is known, but is neither.")
+    text, encoding = found
+    return text, [] if encoding == "utf-8-sig" else [f"the text is in {encoding}"]
+
+
+def table_of_lines(path: Path, lines: list[str], assumed: list[str], first: int = 0) -> SourceTable:
+    """The table in the lines of a text from line `first` (from 0) on."""
+    bare = [_COMMENT.sub("", line) if _COMMENT.match(line) else line for line in lines]
+    data = [n for n in range(first, len(lines)) if lines[n].strip() and not _COMMENT.match(lines[n])]
+    if not data:
+        raise InputError(f"{printable(str(path))}: must hold rows of numbers, but holds none.")
+    dialect, mask = _dialect(path, [lines[n] for n in data[:_SAMPLE]])
+    begin = next(k for k, n in enumerate(data) if dialect.mask(dialect.fields(lines[n])) == mask)
+    above, header = _above(bare[first : data[begin]], dialect, len(mask))
+    repeated = {lines[n].strip() for n in range(first, data[begin])}
+    rows = []
+    for n in data[begin:]:
+        if lines[n].strip() in repeated:
+            continue
+        fields = dialect.fields(lines[n])
+        if len(fields) != len(mask) or any(m and dialect.number(f) is None for m, f in zip(mask, fields, strict=True)):
+            raise _broken(path, n + 1, fields, mask, last=n == data[-1])
+        rows.append(fields)
+    if len(rows) < 2:
+        raise InputError(f"{printable(str(path))}: must hold at least two rows of numbers, but holds {len(rows)}.")
+    columns = []
+    for place, is_number in enumerate(mask):
+        cells = [row[place] for row in rows]
+        if place == len(mask) - 1 and not any(cells):  # a delimiter at the end of each row
+            continue
+        values = np.array([dialect.number(cell) for cell in cells], float) if is_number else np.array(cells)
+        name, unit = header[place] if header else (f"column {place + 1}", "")
+        columns.append(SourceColumn(name or f"column {place + 1}", unit, values))
+    said = assumed if dialect == DIALECTS[-1] else [*assumed, dialect.words]
+    return SourceTable(path, "", tuple(columns), above, tuple(said))
+
+
+def _dialect(path: Path, lines: list[str]) -> tuple[Dialect, tuple[bool, ...]]:
+    """The dialect in which most fields of one run of rows are numbers, and which columns these are."""
+    best: tuple[float, Dialect, tuple[bool, ...]] | None = None
+    for dialect in DIALECTS:
+        masks = [dialect.mask(dialect.fields(line)) for line in lines]
+        for mask, group in itertools.groupby(masks):
+            score = len(list(group)) * (2 * sum(mask) - len(mask))
+            if len(mask) > 1 and any(mask) and (best is None or score > best[0]):
+                best = score, dialect, mask
+    if best is None or best[0] <= 0:
+        raise InputError(
+            f"{printable(str(path))}: must hold rows of at least two numbers, separated by commas, semicolons, tabs or "
+            "blanks, but holds none."
+        )
+    return best[1], best[2]
+
+
+def _above(lines: list[str], dialect: Dialect, width: int) -> tuple[dict[str, str], list[tuple[str, str]]]:
+    """What the lines above the rows say: attributes, and name and unit of each column (none where there is no header).
+
+    The header is the last line of as many fields as the rows have; a line of units may follow it.
+    """
+    cut = [(line, _fitting(line, dialect, width)) for line in lines if line.strip()]
+    places = [n for n, (_, fields) in enumerate(cut) if fields]
+    header: list[tuple[str, str]] = []
+    if places:
+        last = cut[places[-1]][1]
+        units = [tidy_unit(field.strip("[]()")) for field in last]
+        if len(places) > 1 and all(u or not f.strip() for u, f in zip(units, last, strict=True)) and any(units):
+            names = cut[places[-2]][1]
+            header = [(split_header(name)[0], unit) for name, unit in zip(names, units, strict=True)]
+            places = places[-2:]
+        else:
+            header = [split_header(field) for field in last]
+            places = places[-1:]
+    pairs = [_PAIR.match(line) for n, (line, _) in enumerate(cut) if n not in places]
+    return {pair[1].strip().strip('"'): pair[2].strip().strip('"') for pair in pairs if pair}, header
+
+
+def _fitting(line: str, dialect: Dialect, width: int) -> list[str]:
+    """The fields of a line above the rows if there are as many as in a row."""
+    splits = [dialect.fields(line)]
+    if dialect.delimiter is None:
+        splits += [re.split(r"\s{2,}|\t", line.strip()), re.split(r"(?<=[\])])\s+", line.strip()), line.split(",")]
+    for fields in splits:
+        if len(fields) == width and not all(dialect.mask(fields)):
+            return [field.strip() for field in fields]
+    return []
+
+
+def _broken(path: Path, line: int, fields: list[str], mask: tuple[bool, ...], last: bool) -> InputError:
+    found = f"has {len(fields)}" if len(fields) != len(mask) else "has words where they have numbers"
+    hint = "the file was cut short; save it again, or remove the line" if last else "mend or remove it"
+    return InputError(
+        f"{printable(str(path))}, line {line}: a row must have {len(mask)} fields like those before, but {found}; "
+        f"{hint}."
+    )

@@ -1,0 +1,231 @@
+"""Files as instruments save them, written as a measurement case that says what was assumed."""
+
+import re
+import shutil
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from memsgyro_jax.base.display import Shown
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.files import write_whole
+from memsgyro_jax.base.quantity import number_and_unit
+from memsgyro_jax.base.text import listed, printable
+from memsgyro_jax.base.toml import toml_table, toml_text
+from memsgyro_jax.base.units import parse_header
+
+from .case import Case, load_case
+from .case.file import FILE, SCHEMA
+from .column_meaning import meaning_of, parse_map
+from .formats import SourceTable, read_instrument_file
+from .imported_record import Given, ImportedRecord, records_of
+
+
+_LOCK_IN = "V(t) = Re[(I + i Q) exp(i w t)] for a drive F cos(w t); amplitudes are peak values"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ImportedCase(Shown):
+    """What became of the files of an instrument; printed with all that was assumed.
+
+    Args:
+        case: as `load_case` reads it.
+        formats: of each file.
+        records: where each experiment comes from, and what was assumed of it.
+    """
+
+    case: Case
+    formats: tuple[str, ...]
+    records: tuple[ImportedRecord, ...]
+
+    def __str__(self) -> str:
+        lines = [f"{self.case.folder}: {len(self.records)} records from {', '.join(dict.fromkeys(self.formats))}"]
+        lines.append(str(self.case))
+        for sentence, names in _shared(self.records).items():
+            where = "" if len(names) == len(self.records) else f" ({listed(names)})"
+            lines.append(f"Assumed: {sentence}{where}.")
+        return "\n".join(lines)
+
+    def to_dict(self) -> dict[str, Any]:
+        """All of it for a JSON file."""
+        return {
+            "schema": "memsgyro-import/1",
+            "case": str(self.case.folder),
+            "formats": list(self.formats),
+            "records": [
+                {
+                    "name": r.name, "kind": r.kind, "source": r.source, "columns": list(r.columns),
+                    "rows": len(next(iter(r.columns.values()))), "assumed": list(r.assumed), "unused": list(r.unused),
+                }
+                for r in self.records
+            ],
+        }  # fmt: skip
+
+
+def import_case(
+    paths: Sequence[str | Path],
+    folder: str | Path,
+    *,
+    columns: str = "",
+    drive: Sequence[str] = (),
+    reference: str = "",
+    overwrite: bool = False,
+) -> ImportedCase:
+    """Reads what instruments save, and writes a case of it: one file or several, one record or more from each.
+
+    Text tables with any delimiter, LabOne's CSV, HDF5 and MAT, touchstone, LabVIEW's lvm and TDMS, and universal files
+    are read; what a column means is told by its name and unit. A running frequency makes a frequency sweep, time and a
+    drive a time record, time alone a free decay.
+
+    Args:
+        paths: of the files.
+        folder: of the case; made where it does not exist.
+        columns: ``"f=Frequency (Hz),x_I=X [V],..."``, role to column, where names do not tell. Roles: f, t, x_I, x_Q,
+            x_amp, x_phase, x, F_x, u_x, T, V_bias, rate; a unit overrides the file's, and a factor may stand before the
+            name, ``t=1e-3*count [s]``. Columns that are not named are not used.
+        drive: level with its unit where no column has it, like ``"20 mV"``: one for all files or one for each.
+        reference: frequency of a lock-in that recorded over time, like ``"32.768 kHz"``.
+        overwrite: writes over a case that is there.
+
+    Returns:
+        The case, and all that was assumed.
+
+    Raises:
+        InputError: a file cannot be read, its columns are not clear (with the `--map` to copy), or the folder is taken.
+    """
+    folder = Path(folder)
+    if not paths:
+        raise InputError("Argument `paths` must hold at least one file, but is empty.")
+    if (folder.exists() and not folder.is_dir()) or (folder.is_dir() and any(folder.iterdir()) and not overwrite):
+        raise InputError(f"{folder} must be a new or empty folder, but exists; choose another, or give `--overwrite`.")
+    if len(drive) not in (0, 1, len(paths)):
+        raise InputError(
+            f"Option `--drive` must be given once or for each of {len(paths)} files, but has {len(drive)}."
+        )
+    said = parse_map(columns) if columns else {}
+    levels = [_amount(text, "--drive") for text in drive]
+    tuned = _amount(reference, "--reference") if reference else None
+    formats, records = [], []
+    for number, path in enumerate(map(Path, paths)):
+        form, tables = read_instrument_file(path)
+        level = levels[number if len(levels) > 1 else 0] if levels else None
+        formats.append(form)
+        records += _records(tables, said, Given(level, tuned))
+    records = _named(records)
+    case = _write(folder, records, [Path(path).name for path in paths])
+    return ImportedCase(case, tuple(formats), tuple(records))
+
+
+def _amount(text: str, option: str) -> tuple[float, str]:
+    try:
+        number, unit = number_and_unit(text)
+    except ValueError as error:
+        raise InputError(f"Option `{option}` {error}.") from error
+    if not unit or not number > 0:
+        raise InputError(f'Option `{option}` must be a positive number with its unit, like "20 mV", but is "{text}".')
+    return number, unit
+
+
+def _records(tables: tuple[SourceTable, ...], said: dict[str, str], given: Given) -> list[ImportedRecord]:
+    """Of one file; tables beside those that are measurements are passed over."""
+    records, first = [], None
+    for table in tables:
+        try:
+            name = "_".join(filter(None, (table.path.stem, table.name)))
+            records += records_of(name, table, meaning_of(table, said), given)
+        except InputError as error:
+            first = first or error
+    if not records and first is not None:
+        raise first
+    if not records:
+        raise InputError(f"{tables[0].path if tables else 'The file'}: must hold columns of numbers, but holds none.")
+    return records
+
+
+def _named(records: list[ImportedRecord]) -> list[ImportedRecord]:
+    """Records under names that differ and are file names."""
+    seen: dict[str, int] = {}
+    named = []
+    for record in records:
+        name = re.sub(r"[^\w.-]+", "_", record.name).strip("._") or "record"
+        seen[name] = seen.get(name, 0) + 1
+        named.append(replace(record, name=name if seen[name] == 1 else f"{name}_{seen[name]}"))
+    return named
+
+
+def _shared(records: Sequence[ImportedRecord]) -> dict[str, list[str]]:
+    """Each sentence once, with the records it is about."""
+    found: dict[str, list[str]] = {}
+    for record in records:
+        for sentence in record.assumed:
+            found.setdefault(sentence, []).append(record.name)
+        if record.unused:
+            found.setdefault(f"{listed(record.unused, '`')} not needed", []).append(record.name)
+    return found
+
+
+def _write(folder: Path, records: list[ImportedRecord], sources: list[str]) -> Case:
+    """Writes beside the folder, reads it as a test, and only then moves it there."""
+    parent = folder.absolute().parent
+    parent.mkdir(parents=True, exist_ok=True)
+    beside = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=parent))
+    try:
+        for record in records:
+            write_whole(beside / f"{record.name}.csv", _csv(record))
+        write_whole(beside / FILE, _toml(folder.absolute().name, records, sources))
+        try:
+            load_case(beside)
+        except InputError as error:
+            raise InputError(str(error).replace(str(beside), str(folder))) from error
+        folder.mkdir(parents=True, exist_ok=True)
+        for path in sorted(beside.iterdir(), key=lambda path: path.name == FILE):
+            path.replace(folder / path.name)
+    finally:
+        shutil.rmtree(beside, ignore_errors=True)
+    return load_case(folder)
+
+
+def _csv(record: ImportedRecord) -> str:
+    rows = zip(*(map(repr, column.astype(float).tolist()) for column in record.columns.values()), strict=True)
+    return "\n".join([",".join(record.columns), *map(",".join, rows)]) + "\n"
+
+
+def _toml(name: str, records: list[ImportedRecord], sources: list[str]) -> str:
+    """`case.toml`: what is not known of the device is left out, to be told by the records."""
+    top = {"schema": SCHEMA, "name": printable(name, 60), "description": f"imported from {listed(sources)}"}
+    parts = ["\n".join(f"{k} = {toml_text(v)}" for k, v in {**top, "device": "resonator"}.items()) + "\n"]
+    quantity = next((record.quantity for record in records if record.quantity), "displacement")
+    parts.append(
+        '# displacement, velocity or acceleration; add scale = { value = 1.0, unit = "V/um" } if it is known\n'
+        + toml_table("readout", {"quantity": quantity})
+    )
+    parts.append(
+        "# what is known beforehand: resonance, quality_factor, static_gain, as { value, tolerance, unit }\n"
+        + _design(records)
+    )
+    parts.append(toml_table("conventions", {"lock_in": _LOCK_IN}))
+    for record in records:
+        entry = {"name": record.name, "kind": record.kind, "file": f"{record.name}.csv", **record.keys}
+        if record.kind == "frequency_sweep":
+            entry["drive_axis"] = "x"
+        said = [f"# from {record.source}", *(f"# assumed: {sentence}" for sentence in record.assumed)]
+        said += [f"# not needed: {listed(record.unused)}"] if record.unused else []
+        parts.append("\n".join(map(printable, said)) + "\n" + toml_table("[experiment]", entry))
+    return "\n".join(parts)
+
+
+def _design(records: list[ImportedRecord]) -> str:
+    """Design values where no record is driven in a known way, roughly from the decays themselves."""
+    if any(not record.design for record in records):
+        return "[design]\n"
+    rough = records[0].design
+    entries = {
+        key: {"value": value, "low": value / spread, "high": value * spread, "unit": unit}
+        for (key, (value, unit)), spread in zip(rough.items(), (1.2, 3.0), strict=True)
+    }
+    header = next(header for header in records[0].columns if header.startswith("Vx"))
+    gain = f"{parse_header(header).unit}/V"  # nothing drives, so that any number does
+    entries["static_gain"] = {"value": 1.0, "low": 0.5, "high": 2.0, "unit": gain}
+    return toml_table("design", entries)

@@ -1,0 +1,332 @@
+"""From the columns of an instrument's table to records of a case: kind, columns in the words of a case, sections."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.units import to_si
+
+from .column_meaning import Meaning
+from .formats import SourceColumn, SourceTable
+from .formats.header import SPECIAL
+from .tracking import tracked
+
+
+_ALTERNATE = {"rms": np.sqrt(2.0), "pp": 0.5, "pk": 1.0}
+_REFERENCE = {"dB": (1.0, "1"), "dBV": (np.sqrt(2.0), "V"), "dBm": (np.sqrt(2.0 * 1e-3 * 50.0), "V")}
+_SILENT = 0.01  # of the largest drive: nothing
+_QUIET_SHARE = 0.15  # of the rows at the end without drive: a free decay
+_FEWEST = 50  # rows of a record over time
+_LOUD = 0.9  # of the largest envelope: the decay has not begun
+_CLEAR = 30.0  # degrees around which the phase at resonance tells what is read
+_LEVEL = re.compile(r"(?<![A-Za-z0-9.])(\d+(?:[.p]\d+)?)[ _]?([nuµm]?[VAN])(?:pk|p)?(?![A-Za-z])")
+
+
+@dataclass(frozen=True, eq=False)
+class ImportedRecord:
+    """One `[[experiment]]` to be.
+
+    Args:
+        name: of the record.
+        source: file and table that it comes from.
+        kind: of measurement.
+        columns: header, in the words of a case, to numbers.
+        keys: further keys of its section.
+        assumed: one sentence each.
+        unused: columns of the source that are left out.
+        quantity: what is read, where the record shows it: "displacement", "velocity" or "acceleration".
+        design: values that no other record can tell, in SI.
+    """
+
+    name: str
+    source: str
+    kind: str
+    columns: Mapping[str, np.ndarray]
+    keys: Mapping[str, Any]
+    assumed: tuple[str, ...]
+    unused: tuple[str, ...] = ()
+    quantity: str = ""
+    design: Mapping[str, tuple[float, str]] = field(default_factory=dict)
+
+
+class Given:
+    """What the user says beside the file: drive level and reference frequency with their units, or nothing."""
+
+    def __init__(self, drive: tuple[float, str] | None = None, reference: tuple[float, str] | None = None) -> None:
+        self.drive, self.reference = drive, reference
+
+
+def records_of(name: str, table: SourceTable, meaning: Meaning, given: Given) -> list[ImportedRecord]:
+    """The records that a table holds: a sweep, or what was forced and what was free of a run over time."""
+    assumed = [*table.assumed, *meaning.assumed]
+    rows = _finite(table, meaning, assumed)
+    source = f"{table.path.name}{', ' + table.name if table.name else ''}"
+    about = {"name": name, "source": source, "unused": meaning.unused}
+    if meaning.swept:
+        return [_sweep(about, table, rows, given, assumed)]
+    return _over_time(about, table, rows, given, assumed)
+
+
+def _finite(table: SourceTable, meaning: Meaning, assumed: list[str]) -> dict[str, SourceColumn]:
+    """The columns in rows that have every number and are no copies."""
+    kept = np.all([np.isfinite(column.values) for column in meaning.columns.values()], axis=0)
+    if not kept.all():
+        assumed.append(f"{(~kept).sum()} rows without a number are left out")
+    values = np.stack([np.asarray(column.values, float)[kept] for column in meaning.columns.values()], axis=1)
+    first = np.sort(np.unique(values, axis=0, return_index=True)[1])
+    if len(first) < len(values):
+        assumed.append(f"{len(values) - len(first)} rows that repeat an earlier one to the last digit are left out")
+    if len(first) < 3:
+        raise InputError(f"{table.path}: must hold at least three rows of numbers, but holds {len(first)}.")
+    places = np.flatnonzero(kept)[first]
+    return {role: SourceColumn(c.name, c.unit, c.values[places]) for role, c in meaning.columns.items()}
+
+
+# ---- sweeps
+
+
+def _sweep(about: dict, table: SourceTable, rows: dict[str, SourceColumn], given: Given, assumed: list[str]):
+    columns = {"f": _with_unit(rows["f"], "Hz", "frequency", assumed)}
+    if "t" in rows and rows["t"].unit == "ticks":
+        assumed.append(f"`{rows['t'].name}` is left out, as it counts ticks of a clock that is not named")
+    elif "t" in rows and np.all(np.diff(rows["t"].values) > 0):
+        columns["t"] = _time(table, rows["t"], assumed)
+    if "I" in rows:
+        parts = {"Vx_I": rows["I"], "Vx_Q": rows["Q"]}
+    else:
+        parts = {"Vx_amp": rows["amp"]} | ({"Vx_phase": rows["phase"]} if "phase" in rows else {})
+    for name, column in parts.items():
+        columns[name] = _angle(column, assumed) if name == "Vx_phase" else _reading(column, assumed)
+    quantity = _conventions(columns, table, assumed)
+    keys: dict[str, Any] = {"settled": True}
+    assumed.append("every row was read after its transient had died away (`settled`)")
+    if "drive" in rows:
+        columns["F_x"] = _reading(rows["drive"], assumed, "drive")
+    else:
+        keys["drive_force"] = _level(table, given, assumed)
+    _surroundings(columns, rows)
+    return ImportedRecord(
+        **about, kind="frequency_sweep", columns=_headed(columns), keys=keys, assumed=tuple(assumed), quantity=quantity
+    )
+
+
+def _conventions(columns: dict[str, SourceColumn], table: SourceTable, assumed: list[str]) -> str:
+    """Turns the phasors to e^{+iωt} where they run the other way; what is read, as the phase at resonance has it."""
+    unit = columns["Vx_I" if "Vx_I" in columns else "Vx_amp"].unit
+    measured = {"m": "displacement", "m/s": "velocity", "m/s**2": "acceleration"}
+    known = next((what for base, what in measured.items() if _same_kind(unit, base)), table.attributes.get("reads", ""))
+    if "Vx_I" in columns:
+        phasors = columns["Vx_I"].values + 1j * columns["Vx_Q"].values
+    elif "Vx_phase" in columns:
+        phasors = columns["Vx_amp"].values * np.exp(
+            1j * to_si(columns["Vx_phase"].values, columns["Vx_phase"].unit, "rad", "")
+        )
+    else:
+        return known
+    frequency = columns["f"].values
+    turn = phasors[1:] * phasors[:-1].conj()
+    if np.sum(np.sign(np.diff(frequency)) * turn.imag) > 0.2 * np.sum(np.abs(turn.imag)):
+        second = "Vx_Q" if "Vx_I" in columns else "Vx_phase"
+        columns[second] = SourceColumn("", columns[second].unit, -columns[second].values)
+        phasors = phasors.conj()
+        assumed.append("the phase rises across the resonance, so the file follows e^{-iωt}: it is negated")
+    if known:
+        return known
+    angle = np.degrees(np.angle(phasors[np.argmax(np.abs(phasors))]))
+    away = abs((angle + 90) % 180 - 90)  # from 0° or 180°
+    if away < _CLEAR:
+        assumed.append(f"the read-out shows velocity: at resonance its phase is {angle:+.0f}°, near 0° or 180°")
+        return "velocity"
+    if away > 90 - _CLEAR:
+        assumed.append(f"the read-out shows displacement: at resonance its phase is {angle:+.0f}°, near ±90°")
+        return "displacement"
+    assumed.append(f"the read-out is taken for displacement; its phase at resonance, {angle:+.0f}°, does not tell")
+    return ""
+
+
+def _level(table: SourceTable, given: Given, assumed: list[str]) -> dict[str, Any]:
+    """The drive level that no column holds."""
+    if given.drive is not None:
+        return {"value": given.drive[0], "unit": given.drive[1]}
+    if found := _LEVEL.search(table.path.stem):
+        value, unit = float(found[1].replace("p", ".")), found[2]
+        assumed.append(f"the drive is {value:g} {unit}, as the file's name says")
+        return {"value": value, "unit": unit}
+    assumed.append("the drive is 1 V, as the file does not say (`--drive`): only ratios between files matter")
+    return {"value": 1.0, "unit": "V"}
+
+
+# ---- time
+
+
+def _over_time(about: dict, table: SourceTable, rows: dict[str, SourceColumn], given: Given, assumed: list[str]):
+    columns = {"t": _time(table, rows["t"], assumed)}
+    if len(columns["t"].values) < _FEWEST:
+        raise InputError(f"{table.path}: a record over time must have {_FEWEST} rows, but has {len(rows['t'].values)}.")
+    if not np.all(np.diff(columns["t"].values) > 0):
+        raise InputError(f"{table.path}: the time must rise from row to row, but does not.")
+    if "signal" not in rows:
+        return [_lock_in_decay(about, table, columns, rows, given, assumed)]
+    columns["Vx"] = _reading(rows["signal"], assumed)
+    drive = rows.get("drive")
+    if drive is None or not np.ptp(drive.values) > 0:
+        return [_decay(about, columns, assumed)]
+    columns["u_x"] = _reading(drive, assumed, "drive")
+    force = np.abs(columns["u_x"].values)
+    last = int(np.flatnonzero(force > _SILENT * force.max())[-1]) + 1
+    free = len(force) - last > max(_QUIET_SHARE * len(force), _FEWEST)
+    records = []
+    forced = {name: _cut(column, slice(None, last if free else None)) for name, column in columns.items()}
+    records.append(_forced(about, forced, assumed))
+    if free:
+        begin = columns["t"].values[last]
+        after = {name: _cut(columns[name], slice(last, None)) for name in ("t", "Vx")}
+        said = [
+            *assumed,
+            f"from {begin:.6g} {columns['t'].unit} on nothing drives, and the decay is a record of its own",
+        ]
+        records.append(_decay({**about, "name": f"{about['name']}_free"}, after, said))
+    return records
+
+
+def _forced(about: dict, columns: dict[str, SourceColumn], assumed: list[str]) -> ImportedRecord:
+    signal, time = columns["Vx"].values - np.median(columns["Vx"].values), columns["t"]
+    calm = max(2, len(signal) // 200)
+    rest = bool(np.max(np.abs(signal[:calm])) < 0.05 * np.max(np.abs(signal)))
+    said = [*assumed, "the drive was sampled as it ran (`hold` is band_limited), not held from row to row"]
+    said.append(f"the motion begins at {'rest' if rest else 'an unknown state'}, as the first rows show")
+    if rest and time.values[0] != 0:
+        columns["t"] = SourceColumn("", time.unit, time.values - time.values[0])
+    keys = {"hold": "band_limited", "start": "rest" if rest else "unknown"}
+    return ImportedRecord(**about, kind="time_record", columns=_headed(columns), keys=keys, assumed=tuple(said))
+
+
+def _decay(about: dict, columns: dict[str, SourceColumn], assumed: list[str]) -> ImportedRecord:
+    """A waveform that dies out, from where its envelope was last near its largest."""
+    signal, time = columns["Vx"].values, columns["t"]
+    envelope = _envelope(signal - np.mean(signal))
+    begin = int(np.flatnonzero(envelope >= _LOUD * envelope.max())[-1])
+    said = list(assumed)
+    if begin > 0.02 * len(signal):
+        said.append(f"the free decay begins at {time.values[begin]:.6g} {time.unit}, where its envelope falls for good")
+    else:
+        begin = 0
+    design = rough_decay(to_si(time.values[begin:], time.unit, "s", "t"), signal[begin:])
+    keys = {"from": {"value": float(time.values[begin]), "unit": time.unit}} if begin else {}
+    return ImportedRecord(
+        **about, kind="free_decay", columns=_headed(columns), keys=keys, assumed=tuple(said), design=design
+    )
+
+
+def _lock_in_decay(about, table, columns, rows, given: Given, assumed: list[str]) -> ImportedRecord:
+    """Phasors over time."""
+    if given.reference is not None:
+        reference = given.reference
+    elif "f" in rows:
+        reference = float(rows["f"].values[0]), rows["f"].unit or "Hz"
+    else:
+        raise InputError(
+            f"{table.path}: the reference frequency of the lock-in must be known, but no column has it; give it as in "
+            '--reference "32.768 kHz".'
+        )
+    if "I" in rows:
+        columns |= {"Vx_I": _reading(rows["I"], assumed), "Vx_Q": _reading(rows["Q"], assumed)}
+        phasors = columns["Vx_I"].values + 1j * columns["Vx_Q"].values
+    else:
+        columns |= {"Vx_amp": _reading(rows["amp"], assumed), "Vx_phase": _angle(rows["phase"], assumed)}
+        phase = to_si(columns["Vx_phase"].values, columns["Vx_phase"].unit, "rad", "phase")
+        phasors = columns["Vx_amp"].values * np.exp(1j * phase)
+    design = rough_decay(to_si(columns["t"].values, columns["t"].unit, "s", "t"), phasors, to_si(*reference, "Hz", "f"))
+    keys = {"reference_frequency": {"value": reference[0], "unit": reference[1]}}
+    return ImportedRecord(
+        **about, kind="free_decay", columns=_headed(columns), keys=keys, assumed=tuple(assumed), design=design
+    )
+
+
+def _envelope(signal: np.ndarray) -> np.ndarray:
+    """Root mean square over a fiftieth of the record around each row."""
+    width = max(len(signal) // 50, 3)
+    return np.sqrt(np.convolve(signal**2, np.ones(width) / width, mode="same"))
+
+
+def rough_decay(time: np.ndarray, signal: np.ndarray, reference: float = 0.0) -> dict[str, tuple[float, str]]:
+    """Frequency and quality factor of the strongest vibration, means over the record weighted with its energy.
+
+    Args:
+        time: (n,) uniform [s].
+        signal: (n,) real, or phasors at `reference` [Hz].
+    """
+    period, omega = float(time[-1] - time[0]) / (len(time) - 1), 2 * np.pi * reference
+    slowest = 8 * np.pi / (period * len(time))
+    band = (omega - np.pi / period if np.iscomplexobj(signal) else slowest, omega + np.pi / period)
+    track = tracked(time, signal, band, reference=omega)
+    weight = track.amplitude**2 / np.sum(track.amplitude**2)
+    resonance, decay = float(weight @ track.omega), float(weight @ track.decay)
+    quality = resonance / (2 * max(decay, 1e-9 * resonance))
+    return {"resonance": (resonance / (2 * np.pi), "Hz"), "quality_factor": (max(quality, 1.0), "1")}
+
+
+# ---- columns
+
+
+def _cut(column: SourceColumn, rows: slice) -> SourceColumn:
+    return SourceColumn(column.name, column.unit, column.values[rows])
+
+
+def _headed(columns: Mapping[str, SourceColumn]) -> dict[str, np.ndarray]:
+    return {f"{name} [{column.unit}]": column.values for name, column in columns.items()}
+
+
+def _with_unit(column: SourceColumn, unit: str, what: str, assumed: list[str]) -> SourceColumn:
+    """The column in its unit, or in the usual one."""
+    if not column.unit:
+        assumed.append(f"the {what} `{column.name}` is in {unit}, as the file does not say")
+    return SourceColumn(column.name, column.unit or unit, column.values)
+
+
+def _time(table: SourceTable, column: SourceColumn, assumed: list[str]) -> SourceColumn:
+    if column.unit == "ticks":
+        raise InputError(
+            f"{table.path}: `{column.name}` must be in seconds, but counts ticks of a clock that is not named; "
+            f'say it as in --map "t=1.6667e-8*{column.name} [s],..." for one of 60 MHz, with all columns to be used.'
+        )
+    return _with_unit(column, "s", "time", assumed)
+
+
+def _angle(column: SourceColumn, assumed: list[str]) -> SourceColumn:
+    if column.unit:
+        return column
+    unit = "deg" if np.ptp(column.values) > 7.0 else "rad"
+    return _with_unit(column, unit, "phase", assumed)
+
+
+def _reading(column: SourceColumn, assumed: list[str], what: str = "reading") -> SourceColumn:
+    """Peak amplitudes in a linear unit."""
+    if special := SPECIAL.fullmatch(column.unit):
+        if special["decibel"]:
+            factor, unit = _REFERENCE[special["decibel"]]
+            assumed.append(f"`{column.name}` in {column.unit} is turned to a peak amplitude in {unit}")
+            return SourceColumn(column.name, unit, factor * 10 ** (column.values / 20))
+        if special["how"] != "pk":
+            assumed.append(f"`{column.name}` in {column.unit} is turned to a peak amplitude")
+        return SourceColumn(column.name, special["base"], _ALTERNATE[special["how"]] * column.values)
+    return _with_unit(column, "V", what, assumed)
+
+
+def _surroundings(columns: dict[str, SourceColumn], rows: Mapping[str, SourceColumn]) -> None:
+    """Temperature, bias and rate, where their unit says that they are."""
+    for name, expected in (("T", "K"), ("V_bias", "V"), ("rate", "rad/s")):
+        if name in rows and rows[name].unit and _same_kind(rows[name].unit, expected):
+            columns[name] = rows[name]
+
+
+def _same_kind(unit: str, expected: str) -> bool:
+    try:
+        to_si(1.0, unit, expected, "the column")
+    except InputError:
+        return False
+    return True

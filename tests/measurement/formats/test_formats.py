@@ -1,0 +1,209 @@
+"""The same sweep through every format gives the same readings."""
+
+import importlib
+import sys
+
+import instrument_files as w
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.units import parse_header, to_si
+from memsgyro_jax.measurement.column_meaning import meaning_of, parse_map
+from memsgyro_jax.measurement.formats import read_instrument_file
+from memsgyro_jax.measurement.imported_record import Given, records_of
+
+
+WRITERS = {
+    "semicolons.csv": w.semicolons, "labone_rows.csv": w.labone_rows, "labone_columns.csv": w.labone_columns,
+    "labone.h5": w.labone_hdf5, "labone.mat": w.labone_mat, "plain.mat": w.plain_mat, "plain.h5": w.plain_hdf5,
+    "classic.nc": w.netcdf, "labview.tdms": w.tdms, "modal.uff": w.universal, "labview.lvm": w.labview_text,
+    "analyser.s2p": w.touchstone,
+}  # fmt: skip
+BINARY = [name for name in WRITERS if not name.endswith((".csv", ".lvm", ".uff", ".s2p"))]
+
+
+def imported(path, said="", drive=None, reference=None):
+    _, tables = read_instrument_file(path)
+    (table,) = tables
+    meaning = meaning_of(table, parse_map(said) if said else {})
+    return records_of("record", table, meaning, Given(drive, reference))
+
+
+def column(record, name, unit):
+    for header, values in record.columns.items():
+        found = parse_header(header)
+        if found.name == name:
+            return to_si(values, found.unit, unit, name)
+    raise AssertionError(f"no {name} among {list(record.columns)}")
+
+
+def assert_is_the_sweep(record, unit="V", close=2e-8):
+    assert record.kind == "frequency_sweep"
+    np.testing.assert_allclose(column(record, "f", "Hz"), w.FREQUENCY, rtol=1e-9)
+    readings = column(record, "Vx_I", unit) + 1j * column(record, "Vx_Q", unit)
+    np.testing.assert_allclose(readings, w.RESPONSE, atol=close * np.abs(w.RESPONSE).max())
+
+
+def complaint(path):
+    """What is said of a file, or nothing of one that can still be read; any other error ends the test."""
+    try:
+        _, tables = read_instrument_file(path)
+        for table in tables:
+            records_of("record", table, meaning_of(table, {}), Given())
+    except InputError as error:
+        return str(error)
+    return None
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_every_format_gives_the_same_readings(name, tmp_path):
+    WRITERS[name](tmp_path / name)
+    (record,) = imported(tmp_path / name)
+    through = name.endswith("s2p")
+    close = 1e-5 if through else 1e-6 if name.endswith("uff") else 2e-8  # digits of the format
+    assert_is_the_sweep(record, "A" if through else "V", close)
+    if not through:
+        assert record.quantity == "displacement"
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    mark=st.sampled_from(".,"),
+    delimiter=st.sampled_from(";\t|"),
+    end=st.sampled_from(["\n", "\r\n"]),
+    encoding=st.sampled_from(["utf-8", "utf-8-sig", "latin-1", "utf-16", "utf-16-le"]),
+    top=st.sampled_from(
+        [(), ("% µ-gyro; run 3",), ("Instrument: lock-in", "Date,2024-05-06", "", "gain=10"), ("#", "# x=1")]
+    ),
+)
+def test_dialects_of_text_parse_the_same(tmp_path, mark, delimiter, end, encoding, top):
+    w.semicolons(tmp_path / "a.csv", mark, delimiter, end, encoding, top)
+    assert_is_the_sweep(imported(tmp_path / "a.csv")[0])
+
+
+@pytest.mark.parametrize("delimiter", [",", "   ", ", "])
+def test_commas_and_blanks_with_a_decimal_point(delimiter, tmp_path):
+    w.semicolons(tmp_path / "a.txt", ".", delimiter)
+    assert_is_the_sweep(imported(tmp_path / "a.txt")[0])
+
+
+@pytest.mark.parametrize(
+    ("header", "units"),
+    [
+        ("f [kHz];X [mV];Y [mV]", (1e-3, 1e3)),
+        ("Frequency/kHz;Re/mV;Im/mV", (1e-3, 1e3)),
+        ("freq_kHz;in-phase (mV);quadrature (mV)", (1e-3, 1e3)),
+        ("Freq, kHz;Real, mV;Imag, mV", (1e-3, 1e3)),
+        ("Frequency;X;Y\nkHz;mV;mV", (1e-3, 1e3)),
+        ("Frequency [Hz];demod0 X (Vrms);demod0 Y (Vrms)", (1.0, 1 / w.PEAK)),
+        ("Frequency [Hz];X [V pp];Y [V pp]", (1.0, 2.0)),
+    ],
+)
+def test_units_behind_the_name_in_every_way(header, units, tmp_path):
+    rows = [
+        f"{f * units[0]!r};{z.real * units[1]!r};{z.imag * units[1]!r}"
+        for f, z in zip(w.FREQUENCY.tolist(), w.RESPONSE.tolist(), strict=True)
+    ]
+    (tmp_path / "a.csv").write_text("\n".join([header, *rows]))
+    assert_is_the_sweep(imported(tmp_path / "a.csv")[0])
+
+
+@pytest.mark.parametrize(
+    ("header", "turn"), [("R [dBV],Theta [deg]", 180 / np.pi), ("Magnitude [dB],Phase [rad]", 1.0)]
+)
+def test_amplitude_in_decibels_and_phase(header, turn, tmp_path):
+    level = 20 * np.log10(np.abs(w.RESPONSE) / (w.PEAK if "dBV" in header else 1.0))
+    rows = [
+        f"{f},{a!r},{p * turn!r}"
+        for f, a, p in zip(w.FREQUENCY.tolist(), level.tolist(), np.angle(w.RESPONSE).tolist(), strict=True)
+    ]
+    (tmp_path / "a.csv").write_text("\n".join([f"f [Hz],{header}", *rows]))
+    (record,) = imported(tmp_path / "a.csv")
+    np.testing.assert_allclose(column(record, "Vx_amp", "V" if "dBV" in header else "1"), np.abs(w.RESPONSE), rtol=1e-9)
+    np.testing.assert_allclose(column(record, "Vx_phase", "rad"), np.angle(w.RESPONSE), atol=1e-12)
+    assert any("peak amplitude" in sentence for sentence in record.assumed)
+
+
+def test_the_other_sign_of_the_phase_is_turned_and_told(tmp_path, monkeypatch):
+    monkeypatch.setattr(w, "RESPONSE", w.RESPONSE.conj())
+    w.semicolons(tmp_path / "a.csv")
+    monkeypatch.undo()
+    (record,) = imported(tmp_path / "a.csv")
+    assert_is_the_sweep(record)
+    assert any("negated" in sentence for sentence in record.assumed)
+
+
+def test_velocity_is_seen_by_its_phase(tmp_path, monkeypatch):
+    monkeypatch.setattr(w, "RESPONSE", w.RESPONSE * 1j * w.FREQUENCY / 4000)
+    w.semicolons(tmp_path / "a.csv")
+    assert imported(tmp_path / "a.csv")[0].quantity == "velocity"
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_damaged_files_are_one_sentence(name, tmp_path):
+    path = tmp_path / name
+    WRITERS[name](path)
+    whole = path.read_bytes()
+    for part in (
+        whole[: len(whole) // 2],
+        whole[: len(whole) - 7],
+        whole[:100],
+        whole[:3],
+        b"",
+        b"\x00" * 500,
+        whole[:60] + bytes(range(256)),
+    ):
+        path.write_bytes(part)
+        sentence = complaint(path)
+        assert sentence is None or (str(path) in sentence and "\n" not in sentence)
+
+
+def test_a_missing_library_is_one_sentence_with_its_extra(tmp_path, monkeypatch):
+    w.tdms(tmp_path / "a.tdms")
+    monkeypatch.setitem(sys.modules, "nptdms", None)
+    importlib.invalidate_caches()
+    with pytest.raises(InputError, match=r"npTDMS.*memsgyro-jax\[import\]"):
+        imported(tmp_path / "a.tdms")
+
+
+def test_columns_that_could_be_either_are_named_with_a_map_to_copy(tmp_path):
+    path = tmp_path / "a.csv"
+    rows = [f"{n / 1000},{np.cos(n) * 0.99**n:.9g},{np.sin(n) * 0.99**n:.9g}" for n in range(200)]
+    path.write_text("\n".join(["time [s],strain0 [1],strain1 [1]", *rows]))
+    with pytest.raises(
+        InputError, match=r"`strain0 \[1\]`, `strain1 \[1\]`.*--map \"t=time \[s\],x=strain0 \[1\]\""
+    ) as told:
+        imported(path)
+    copied = str(told.value).split('--map "')[1].split('"')[0]
+    (record,) = imported(path, copied)
+    assert record.kind == "free_decay"
+    assert set(record.unused) == {"strain1 [1]"}
+
+
+def test_a_map_names_columns_without_a_header(tmp_path):
+    rows = [
+        f"{f / 1e3!r} {z.real!r} {z.imag!r}" for f, z in zip(w.FREQUENCY.tolist(), w.RESPONSE.tolist(), strict=True)
+    ]
+    (tmp_path / "a.dat").write_text("\n".join(rows))
+    with pytest.raises(InputError, match="--map"):
+        imported(tmp_path / "a.dat")
+    assert_is_the_sweep(imported(tmp_path / "a.dat", "f=column 1 [kHz],x_I=column 2 [V],x_Q=1*column 3 [V]")[0])
+
+
+@pytest.mark.parametrize("text", ["f", "f=", "frequency=a", "f=a,f=b", "f=no such column,x_I=X,x_Q=Y"])
+def test_a_wrong_map_is_one_sentence(text, tmp_path):
+    w.semicolons(tmp_path / "a.csv")
+    with pytest.raises(InputError, match="--map"):
+        imported(tmp_path / "a.csv", text)
+
+
+@pytest.mark.parametrize(
+    ("stem", "level"), [("sweep_20mV_up", (20.0, "mV")), ("s 0.5 nN", (0.5, "nN")), ("run12", (1.0, "V"))]
+)
+def test_the_drive_level_from_the_name_of_the_file(stem, level, tmp_path):
+    w.semicolons(tmp_path / f"{stem}.csv")
+    (record,) = imported(tmp_path / f"{stem}.csv")
+    assert record.keys["drive_force"] == {"value": level[0], "unit": level[1]}

@@ -1,0 +1,135 @@
+"""Files of instruments become a case that loads, checks and says what was assumed."""
+
+import json
+
+import instrument_files as w
+import nptdms
+import numpy as np
+import pytest
+
+import memsgyro_jax as mg
+from memsgyro_jax.app import cli
+
+
+def ring_down(path, frequency=3200.0, quality=2000.0, rows=4000, rate=20e3):
+    """A decay of a waveform in volts behind a moment of steady vibration, in TDMS."""
+    time = np.arange(rows) / rate
+    begin = 0.02
+    decay = np.exp(-np.pi * frequency / quality * np.clip(time - begin, 0.0, None))
+    noise = np.random.default_rng(3).normal(0.0, 1e-3, rows)
+    values = decay * np.cos(2 * np.pi * frequency * time + 0.4) + noise
+    about = {"wf_increment": 1 / rate, "wf_start_offset": 0.0, "unit_string": "V"}
+    with nptdms.TdmsWriter(str(path)) as writer:
+        writer.write_segment([nptdms.ChannelObject("scope", "ai0", values, about)])
+    return path
+
+
+@pytest.fixture
+def sweeps(tmp_path):
+    """Three sweeps of a lock-in, up and down, whose names tell the drive."""
+    paths = []
+    for level in (10, 20, 40):
+        path = tmp_path / f"sweep_{level}mV.csv"
+        w.labone_sweeps(path, level / 10, noise=1e-7)
+        paths.append(path)
+    return paths
+
+
+def test_several_files_become_records_of_one_case(sweeps, tmp_path):
+    found = mg.import_case(sweeps, tmp_path / "case")
+    case = found.case
+    assert [record.name for record in case.records] == [
+        f"sweep_{level}mV_chunk_{n}" for level in (10, 20, 40) for n in (0, 1)
+    ]
+    np.testing.assert_allclose(case.records[2].drive, 20e-3)
+    np.testing.assert_allclose(case.records[2].phasors[:, 0], 2 * w.RESPONSE, atol=6e-7)
+    assert case.design["resonance"].value == pytest.approx(2 * np.pi * 4000.0, rel=1e-4)
+    assert case.design["quality_factor"].value == pytest.approx(80.0, rel=0.02)
+    assert "effective values" in str(found)
+    text = (tmp_path / "case" / "case.toml").read_text()
+    assert "# assumed: the drive is 10 mV, as the file's name says" in text
+    assert found.to_dict()["records"][5]["rows"] == len(w.FREQUENCY)
+    assert len(mg.assess(case).records) == 6
+
+
+def test_a_decay_begins_where_its_envelope_falls(tmp_path):
+    case = mg.import_case([ring_down(tmp_path / "decay.tdms")], tmp_path / "case").case
+    (record,) = case.records
+    assert record.kind == "free_decay"
+    assert 0.02 <= record.time[0] < 0.05
+    assert case.design["resonance"].value == pytest.approx(2 * np.pi * 3200.0, rel=1e-3)
+    assert case.design["quality_factor"].value == pytest.approx(2000.0, rel=0.2)
+
+
+def test_what_is_forced_and_what_is_free_of_one_run_are_two_records(tmp_path):
+    time = np.arange(4000) / 20e3
+    drive = np.where(time < 0.1, np.cos(2 * np.pi * 3200 * time), 0.0)
+    signal = np.cos(2 * np.pi * 3200 * time) * np.minimum(time / 0.05, np.exp(-np.clip(time - 0.1, 0, None) / 0.03))
+    rows = [f"{t:.6f};{u:.6g};{y:.6g}" for t, u, y in zip(time, drive, signal, strict=True)]
+    (tmp_path / "run.csv").write_text("\n".join(["time/s;excitation/mV;velocity in volts [V]", *rows]))
+    found = mg.import_case([tmp_path / "run.csv"], tmp_path / "case")
+    forced, free = found.case.records
+    assert (forced.kind, forced.start, forced.rows) == ("time_record", "rest", 2000)
+    assert free.kind == "free_decay"
+    assert free.time[0] >= 0.1
+
+
+def test_phasors_over_time_need_their_reference(tmp_path):
+    time = np.arange(400) / 1e3
+    z = np.exp((-5 + 2j * np.pi * 0.7) * time)
+    rows = [f"{t},{p.real},{p.imag}" for t, p in zip(time, z, strict=True)]
+    (tmp_path / "a.csv").write_text("\n".join(["t [s],X [mV],Y [mV]", *rows]))
+    with pytest.raises(mg.InputError, match="--reference"):
+        mg.import_case([tmp_path / "a.csv"], tmp_path / "case")
+    case = mg.import_case([tmp_path / "a.csv"], tmp_path / "case", reference="4 kHz").case
+    assert case.records[0].reference_frequency == pytest.approx(2 * np.pi * 4000.0)
+    assert case.design["resonance"].value == pytest.approx(2 * np.pi * 4000.7, rel=1e-4)
+
+
+def test_a_folder_that_is_there_is_kept_unless_told(sweeps, tmp_path):
+    mg.import_case(sweeps[:1], tmp_path / "case")
+    before = sorted((tmp_path / "case").iterdir())
+    with pytest.raises(mg.InputError, match="--overwrite"):
+        mg.import_case(sweeps[1:2], tmp_path / "case")
+    assert sorted((tmp_path / "case").iterdir()) == before
+    again = mg.import_case(sweeps[1:2], tmp_path / "case", overwrite=True)
+    assert [record.file for record in again.case.records] == ["sweep_20mV_chunk_0.csv", "sweep_20mV_chunk_1.csv"]
+
+
+def test_nothing_is_left_of_an_import_that_fails(sweeps, tmp_path):
+    sweeps[1].write_text("no numbers\n")
+    before = set(tmp_path.iterdir())
+    with pytest.raises(mg.InputError, match=r"sweep_20mV\.csv"):
+        mg.import_case(sweeps, tmp_path / "case")
+    assert set(tmp_path.iterdir()) == before
+
+
+def test_the_command_prints_what_it_assumed_and_what_to_do_next(sweeps, tmp_path, capsys):
+    with pytest.raises(SystemExit) as ended:
+        cli.main(
+            ["import", *map(str, sweeps), "--out", str(tmp_path / "case"), "--json", str(tmp_path / "a.json"),
+             "--drive", "1 mV", "2 mV", "4 mV"]
+        )  # fmt: skip
+    assert ended.value.code == 0
+    out = capsys.readouterr().out
+    assert "Assumed: " in out
+    assert "memsgyro check" in out
+    entries = json.loads((tmp_path / "a.json").read_text())
+    assert entries["schema"] == "memsgyro-import/1"
+    assert all("drive" not in sentence for record in entries["records"] for sentence in record["assumed"])
+
+
+@pytest.mark.parametrize(
+    ("options", "what"),
+    [
+        (["--drive", "1 mV", "2 mV"], "--drive"),
+        (["--drive", "much"], "--drive"),
+        (["--map", "f=nothing"], "--map"),
+        (["--reference", "-3 Hz"], "--reference"),
+    ],
+)
+def test_wrong_options_are_one_sentence(options, what, sweeps, tmp_path, capsys):
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["import", *map(str, sweeps), "--out", str(tmp_path / "case"), *options])
+    assert ended.value.code == 2
+    assert what in capsys.readouterr().err
