@@ -6,7 +6,6 @@ from memsgyro_jax.device.normalised import NormalisedDevice
 
 from .case import Case
 from .declared import design_device as design_device
-from .experiments import FreeDecayRecord
 from .phasor_fit import device_of_phasors
 
 
@@ -25,7 +24,7 @@ def starting_device(case: Case) -> NormalisedDevice:
 
 def _as_heard(case: Case) -> NormalisedDevice:
     """The device as designed, each axis at the frequency and damping of what vibrates most in its free decays."""
-    device, heard = design_device(case), [r.free_modes(case) for r in case.records if isinstance(r, FreeDecayRecord)]
+    device, heard = design_device(case), [m for r in case.records if (m := r.free_modes(case)) is not None]
     stiffness, damping = np.array(device.stiffness), np.array(device.damping)
     for axis, modes in enumerate(zip(*heard, strict=True)):
         _, omega, decay = max(modes)

@@ -8,6 +8,7 @@ import numpy as np
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.units import parse_header, to_si
+from memsgyro_jax.device.normalised import NormalisedDevice
 
 from ..declared import VOCABULARIES, DesignValue
 from ..phasor_fit import device_of_phasors, is_seen
@@ -69,8 +70,8 @@ def with_found_design(case: Case, file: CaseFile, path: Path) -> Case:
         return case
     offered = [record.starting_phasors(case) for record in case.records if record.role != "validation"]
     rows = [phasors for phasors in offered if phasors is not None]
-    device = device_of_phasors(rows)
-    if device is None or not is_seen(device, rows):
+    device = device_of_phasors(rows) if rows else _left_alone(case)
+    if device is None or (rows and not is_seen(device, rows)):
         raise InputError(
             f"{path}, `design`: must give {', '.join(open_)}, as no record that may be fitted shows a clear resonance."
         )
@@ -83,6 +84,15 @@ def with_found_design(case: Case, file: CaseFile, path: Path) -> Case:
                     value, **{end: getattr(value, end) * found["mass"] for end in ("value", "low", "high")}
                 )
     return replace(case, design={**case.design, **told})
+
+
+def _left_alone(case: Case) -> NormalisedDevice | None:
+    """A device of one axis whose free vibration is all that was seen; of its gain nothing is known."""
+    heard = [modes for record in case.records if (modes := record.free_modes(case)) is not None]
+    if not heard or case.channels > 1:
+        return None
+    _, omega, decay = max(modes[0] for modes in heard)
+    return NormalisedDevice([omega**2], [2.0 * decay], omega**2) if decay > 0 else None
 
 
 def _numbers(case: Case, stiffness: np.ndarray, damping: np.ndarray, mobility: np.ndarray) -> dict[str, float]:

@@ -271,7 +271,8 @@ class FreeDecayRecord(WaveformRecord):
             track = few.track(declared, channel, rows)
             back = 0.5 * (rows - 1) * self.period
             turn = track.omega - (self.reference_frequency or 0.0)
-            begin = track.phasor * np.exp((track.decay - 1j * turn) * back) / declared.readout.scale
+            begin = track.phasor * np.exp((track.decay - 1j * turn) * back)
+            begin = declared.readout.motion(begin[:, None], track.omega)[:, 0]
             columns.append((begin.real, (1j * track.omega * begin).real))
         return np.stack([c[0] for c in columns] + [c[1] for c in columns], axis=1)
 

@@ -140,6 +140,12 @@ class AbstractRecord(abc.ABC):
         """Motion at known frequencies and forces, from which a start of a fit is found; by default none."""
         return None
 
+    def free_modes(self, declared: Declared) -> list[tuple[float, float, float]] | None:
+        """Per channel: amplitude, angular frequency [rad/s] and decay rate [1/s] of the strongest vibration of a device
+        left alone; by default none.
+        """
+        return None
+
     @property
     def offset(self) -> np.ndarray | None:
         """(channels,) the constant in the readings, as far as the record shows one at a glance."""
