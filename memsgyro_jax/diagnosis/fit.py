@@ -216,7 +216,7 @@ class CaseFit(Shown):
         """What the model predicts for a record, in the shape and unit of its readings; NaN where not compared."""
         white, entry = self.whitened[record], self.case.records[record]
         error = white[..., 0] + 1j * white[..., 1] if white.shape[-1] == 2 else white[..., 0]
-        return entry.readings - error * entry.noise_level
+        return entry.readings - error * entry.noise_of_rows
 
     def deviation(self, record: int) -> Deviation:
         """How far a record of the case lies from the model, with all that a kind of measurement judges it by."""

@@ -131,7 +131,7 @@ class _Groups:
 
 def _level(record: AbstractRecord, piece: slice) -> float:
     """The drive level of a single sweep; records without levels have one."""
-    drive = getattr(record, "drive", None)
+    drive = getattr(record, "setting", None)
     return 0.0 if drive is None else float(np.mean(drive[piece]))
 
 

@@ -24,6 +24,8 @@ class Columns:
         unit: of the records, "V" or "1".
         drives: what drives the device, where that is not what usually does.
         carried: names of columns that nothing depends on.
+        conjugated: whether phasors follow e^{-iωt}.
+        inverted: whether readings have the other sign.
         others: what `refuse_others` found of them, and of those that resemble no known name: header to values.
     """
 
@@ -32,6 +34,8 @@ class Columns:
     unit: str
     drives: Drive | None = None
     carried: tuple[str, ...] = ()
+    conjugated: bool = False
+    inverted: bool = False
     others: dict[str, np.ndarray] = field(default_factory=dict)
 
     def has(self, name: str) -> bool:
@@ -91,7 +95,7 @@ class Columns:
     def signals(self) -> np.ndarray:
         """(n, channels) real readings."""
         names = self._used(self.words.signals)
-        return np.stack([self._reading(name) for name in names], axis=1)
+        return self._signed(np.stack([self._reading(name) for name in names], axis=1))
 
     def phasors(self) -> np.ndarray:
         """(n, channels) complex readings, from I and Q or from amplitude and phase."""
@@ -101,9 +105,8 @@ class Columns:
         )
         if (angled := any(map(self.has, sum(polar, ())))) and any(map(self.has, sum(named, ()))):
             raise self.refuse("must have either I and Q or amplitude and phase, but has some of both")
-        return np.stack(
-            [self._polar(*pair) if angled else self._cartesian(*pair) for pair in (polar if angled else named)], axis=1
-        )
+        pairs = [self._polar(*pair) for pair in polar] if angled else [self._cartesian(*pair) for pair in named]
+        return self._signed(np.stack(pairs, axis=1))
 
     @property
     def has_phase(self) -> bool:
@@ -120,11 +123,19 @@ class Columns:
         names = [first for first, _ in self._pairs(("_amp", "_phase"), self.words.amplitudes)]
         return np.stack([self._amplitude(name) for name in names], axis=1)
 
+    def noise(self) -> np.ndarray | None:
+        """(n, channels) standard deviation of each real reading, from columns `x_std` or `std`; `None` without one."""
+        names = self._used((*(tuple(name + "_std" for name in group) for group in self.words.signals), ("std",)))
+        if not any(map(self.has, names)):
+            return None
+        found = [self._positive(name, self._reading(name)) for name in names]
+        return np.stack(found * (len(self.words.signals[0]) if len(found) == 1 else 1), axis=1)
+
     def refuse_others(self, known: Iterable[str]) -> None:
         """Keeps columns that this kind of experiment does not know in `others`, and refuses those that may be the
         misspelt name of one that it does, unless they are declared as carried along.
         """
-        known = list(known)
+        known = [*known, *self.signal_names("_std"), "std"]
         for name, values in self.table.columns.items():
             if name in known:
                 continue
@@ -145,6 +156,10 @@ class Columns:
         groups = [tuple((name + ends[0], name + ends[1]) for name in group) for group in self.words.signals]
         names = self._used(tuple(sum(group, ()) for group in (*groups, *((pair,) for pair in further))))
         return tuple(zip(names[::2], names[1::2], strict=True))
+
+    def _signed(self, readings: np.ndarray) -> np.ndarray:
+        readings = np.conj(readings) if self.conjugated else readings
+        return -readings if self.inverted else readings
 
     def _force(self, name: str) -> np.ndarray:
         if self.drives is not None and self.drives.scale:

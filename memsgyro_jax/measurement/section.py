@@ -45,5 +45,7 @@ class ExperimentSection(FileSection):
     role: Literal["fit", "validation"] | None = None
     note: str = ""
     noise_std: Quantity | None = None
+    convention: Literal["exp(+iwt)", "exp(-iwt)"] = "exp(+iwt)"
+    inverted: bool = False
     carried: tuple[str, ...] = ()
     sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = None

@@ -9,6 +9,7 @@ from memsgyro_jax.base.text import aligned
 
 from ..experiments import AbstractRecord
 from ..outliers import lone_rows
+from ..sign_conventions import disagreements
 from .content import Case
 
 
@@ -40,15 +41,22 @@ class RecordQuality:
 
 @dataclass(frozen=True, repr=False)
 class CaseQuality(Shown):
-    """The quality of all records; printed as a table with the warnings below it."""
+    """The quality of all records; printed as a table with the warnings below it.
+
+    Args:
+        case: that was looked at.
+        records: one by one.
+        signs: where records contradict each other in the sign of phase or voltage.
+    """
 
     case: Case
     records: tuple[RecordQuality, ...]
+    signs: tuple[str, ...] = ()
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """Those of all records."""
-        return tuple(warning for quality in self.records for warning in quality.warnings)
+        return (*(warning for quality in self.records for warning in quality.warnings), *self.signs)
 
     def __str__(self) -> str:
         unit = "" if self.case.readout.unit == "1" else f" {self.case.readout.unit}"
@@ -69,7 +77,8 @@ class CaseQuality(Shown):
 
 def assess(case: Case) -> CaseQuality:
     """The quality of each record of a case."""
-    return CaseQuality(case, tuple(_assess(record, case) for record in case.records))
+    signs = disagreements([(record.name, record.starting_phasors(case)) for record in case.records])
+    return CaseQuality(case, tuple(_assess(record, case) for record in case.records), tuple(f"{s}." for s in signs))
 
 
 def _assess(record: AbstractRecord, case: Case) -> RecordQuality:

@@ -71,7 +71,15 @@ def _record(
     kind: type[AbstractRecord], case: Case, source: Source, number: int, entry: ExperimentSection
 ) -> AbstractRecord:
     path = _path(case, source, number, entry)
-    columns = Columns(read_table(path), case.words, case.readout.unit, case.drive, entry.carried)
+    columns = Columns(
+        read_table(path),
+        case.words,
+        case.readout.unit,
+        case.drive,
+        entry.carried,
+        entry.convention == "exp(-iwt)",
+        entry.inverted,
+    )
     record = kind.read(Sheet(case, source, number, entry, columns))
     names = (name.rsplit(" [", 1)[0] for name in columns.others)
     record = replace(record, carried=columns.others, undeclared=tuple(set(names) - set(entry.carried)))

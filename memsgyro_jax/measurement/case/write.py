@@ -41,7 +41,7 @@ def write_case(case: Case, folder: str | Path) -> Path:
         path = folder / record.file
         if not path.resolve().is_relative_to(folder.resolve()):
             raise InputError(f"File of experiment `{record.name}` must lie below the folder, but is {record.file!r}.")
-        text = _csv({**record.columns(case), **record.carried})
+        text = _csv({**record.columns(case), **_noise(record, case), **record.carried})
         path.parent.mkdir(parents=True, exist_ok=True)
         write_whole(path, text)
         sections.append(_table("[experiment]", _entry(record, case, text)))
@@ -84,9 +84,17 @@ def _entry(record: AbstractRecord, case: Case, csv: str) -> dict[str, str]:
         entry["note"] = record.note
     if record.carried:
         entry["carried"] = [name.rsplit(" [", 1)[0] for name in record.carried]
-    if record.noise_std is not None:
+    if record.noise_std is not None and record.noise_rows is None:
         entry["noise_std"] = {"value": record.noise_std, "unit": case.readout.unit}
     return {key: _text(value) for key, value in (entry | record.keys(case)).items()}
+
+
+def _noise(record: AbstractRecord, case: Case) -> dict[str, np.ndarray]:
+    """Columns of the noise of each row."""
+    if record.noise_rows is None:
+        return {}
+    names = case.words.signals[0]
+    return {f"{name}_std [{case.readout.unit}]": record.noise_rows[:, c] for c, name in enumerate(names)}
 
 
 def _csv(columns: dict[str, np.ndarray]) -> str:

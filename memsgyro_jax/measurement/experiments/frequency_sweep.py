@@ -31,6 +31,8 @@ _TWO_PI = 2 * np.pi
 _NEAR = 2.0  # full widths of a resonance that count as "at" it
 _CURVES = 7  # sweeps in one picture
 _ZOOM = 2.5  # full widths of the resonance to each side of a close-up
+_WEAK = 5.0  # standard deviations that the highest of some tens of rows of mere noise stays within
+_CLEAR = 20.0  # standard deviations from which a sweep shows its resonance clearly
 _SCATTER = 0.02  # of the drive that is a reading of one setting, and not another
 
 
@@ -89,6 +91,16 @@ class FrequencySweepRecord(AbstractRecord):
         )
         return single_sweeps(self.frequency, within)
 
+    @cached_property
+    def setting(self) -> np.ndarray:
+        """(n,) drive that was set, of which `drive` may be a reading: the mean of all sweeps within 2 %."""
+        means = np.array([self.drive[rows].mean() for rows in self.sweeps])
+        order = np.argsort(means)
+        group = np.empty(len(means), int)
+        group[order] = np.cumsum(np.diff(np.log(means[order]), prepend=np.log(means[order[0]])) > _SCATTER)
+        levels = np.array([means[group == k].mean() for k in range(group.max() + 1)])
+        return np.repeat(levels[group], [rows.stop - rows.start for rows in self.sweeps])
+
     @property
     def extent(self) -> str:
         low, high = self.frequency.min() / _TWO_PI, self.frequency.max() / _TWO_PI
@@ -123,8 +135,9 @@ class FrequencySweepRecord(AbstractRecord):
             raise InputError(f"{table.path}, column `f`: the band {error}.") from error
         check_order(table, self.frequency, self.sweeps)
         refuse_copies(table)
+        noise = self.noise_std or self.estimated_noise() or 0.0
         for rows in self.sweeps if self.phase_known else ():
-            check_phase(table, rows, self.axis, self.frequency, self.phasors, self.noise_std or 0.0)
+            check_phase(table, rows, self.axis, self.frequency, self.phasors, noise)
 
     def keys(self, declared: Declared) -> dict[str, Any]:
         return {"drive_axis": "xy"[self.axis], "settled": self.settled}
@@ -175,7 +188,10 @@ class FrequencySweepRecord(AbstractRecord):
         around, readout = declared.environment, declared.readout
         calm = (self.rate == 0) & (np.abs(self.temperature - around.temperature) < 1)
         calm &= np.abs(self.bias_voltage - around.bias_voltage) < 1e-6
-        calm &= self.drive <= (1 + 2 * _SCATTER) * self.drive.min()
+        clear = [rows for rows in self.sweeps if self._peak(rows) > _CLEAR * self.noise_level] or self.sweeps
+        lowest = min(self.setting[rows][0] for rows in clear)
+        lowest = lowest if clear is not self.sweeps else self.setting.max()
+        calm &= np.abs(self.setting - lowest) <= 1e-9 * lowest
         calm = calm if calm.any() else np.ones(self.rows, bool)
         force = np.outer(self.drive, np.eye(declared.channels)[self.axis])[calm]
         motion, omega = readout.motion(self.phasors, self.frequency)[calm], self.frequency[calm]
@@ -197,6 +213,10 @@ class FrequencySweepRecord(AbstractRecord):
             lag[rows] = np.where(past, np.pi - lag[rows], lag[rows])
         return np.exp(-1j * lag) * np.sign(float(device.mobility))
 
+    def _peak(self, rows: slice) -> float:
+        """Highest reading of the driven channel within a sweep."""
+        return float(np.max(np.abs(self.phasors[rows, self.axis])))
+
     # ---- noise and quality
 
     def estimated_noise(self) -> float | None:
@@ -210,6 +230,10 @@ class FrequencySweepRecord(AbstractRecord):
 
     def warnings(self, declared: Declared) -> list[str]:
         found = exchanged(self.file, self.axis, self.phasors)
+        for rows in self.sweeps:
+            if self._peak(rows) < _WEAK * (self.noise_std or self.estimated_noise() or 0.0):
+                place = f"{self.file}, lines {self.lines[rows][0]} to {self.lines[rows][-1]}"
+                found.append(f"{place}: the sweep hardly rises above its noise, so that it tells little; it is used.")
         if self.time is not None and self.settled:
             dwell, needed = float(np.median(np.diff(self.time))), 5 * declared.shortest_decay
             if dwell < needed:
@@ -224,7 +248,7 @@ class FrequencySweepRecord(AbstractRecord):
     def known(self, declared: Declared) -> tuple[Known, ...]:
         out = (
             Known("frequency", self.frequency, "rad/s", set=False),
-            Known("drive", self.drive, declared.words.force),
+            Known("drive", self.setting, declared.words.force),
             Known("temperature", self.temperature, "K"),
             Known("bias voltage", self.bias_voltage, "V"),
             Known("rate", self.rate, "rad/s"),

@@ -181,7 +181,7 @@ class RateTableRecord(ClockedRecord):
             name="rate tables",
             time=jnp.asarray(self.time),
             measured=jnp.asarray(self.phasors),
-            noise=CartesianNoise(self.noise_level),
+            noise=CartesianNoise(self.noise_of_rows),
             frequency=jnp.asarray(self.drive_frequency),
             force=jnp.asarray(self.drive_force * np.eye(declared.channels)[self.axis]),
             surroundings=around,

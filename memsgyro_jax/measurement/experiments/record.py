@@ -55,6 +55,7 @@ class AbstractRecord(abc.ABC):
         role: "validation" is never fitted; `None` where the case does not say.
         note: free text.
         noise_std: of each real reading (each of I and Q for phasors), in the record unit; `None` asks to estimate it.
+        noise_rows: (n, channels) the same, where the file tells it row by row, of which `noise_std` is then the mean.
         carried: columns that nothing depends on, header to values.
         undeclared: which of them the case does not say to carry along.
     """
@@ -68,6 +69,7 @@ class AbstractRecord(abc.ABC):
     role: Role | None = None
     note: str = ""
     noise_std: float | None = None
+    noise_rows: np.ndarray | None = None
     carried: Mapping[str, np.ndarray] = field(default_factory=dict)
     undeclared: tuple[str, ...] = ()
 
@@ -166,6 +168,12 @@ class AbstractRecord(abc.ABC):
                 f"Experiment `{self.name}` must declare its `noise_std`, as its rows do not tell their noise."
             )
         return found
+
+    @property
+    def noise_of_rows(self) -> np.ndarray:
+        """(n, channels) standard deviation of each real reading."""
+        every = np.full(self.readings.shape, self.noise_level if self.noise_rows is None else 1.0)
+        return every if self.noise_rows is None else self.noise_rows
 
     def watched(self, noise: float) -> list[Watched]:
         """Columns in which a row far off its neighbours is an error; none by default."""

@@ -147,7 +147,7 @@ class RingDownRecord(WaveformRecord):
             name="ring-downs",
             time=jnp.asarray(self.time),
             measured=jnp.asarray(self.signals),
-            noise=RealNoise(self.noise_level),
+            noise=RealNoise(self.noise_of_rows),
             frequency=jnp.asarray(self.drive_frequency),
             force=jnp.asarray(self.drive_force * np.eye(declared.channels)[self.axis]),
             surroundings=jax.tree.map(lambda leaf: leaf[0], surroundings(declared, number, 1)),

@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from memsgyro_jax.base.complaints import Source
 from memsgyro_jax.base.errors import InputError
 
@@ -34,9 +36,15 @@ class Sheet:
         """What every record holds, as keyword arguments."""
         entry = self.entry
         noise = None if entry.noise_std is None else self._noise(entry.noise_std)
+        rows = self.columns.noise()
+        if rows is not None:
+            with self.source.section("experiment", self.number, "noise_std"):
+                if noise is not None:
+                    raise InputError("must be left out where columns hold the noise of each row")
+            noise = float(np.sqrt(np.mean(rows**2)))
         return {
             "name": entry.name, "file": entry.file, "lines": self.columns.table.lines, "role": entry.role,
-            "note": entry.note, "noise_std": noise,
+            "note": entry.note, "noise_std": noise, "noise_rows": rows,
         }  # fmt: skip
 
     def amount(self, key: str, unit: str) -> float:

@@ -42,13 +42,13 @@ def joined_rows(
         return np.concatenate([np.asarray(values(number, r)) for number, r in records])[rows]
 
     measured = joined(lambda _, r: r.readings)
-    noise = joined(lambda _, r: np.full(r.rows, r.noise_level))
+    noise = joined(lambda _, r: r.noise_of_rows)
     return HarmonicSweep(
         name="frequency sweeps",
         frequency=jnp.asarray(joined(lambda _, r: r.frequency)),
         force=jnp.asarray(joined(lambda _, r: np.outer(r.drive, np.eye(declared.channels)[r.axis])) + 0j),
         measured=jnp.asarray(measured),
-        noise=(CartesianNoise if np.iscomplexobj(measured) else AmplitudeNoise)(np.where(real, noise, np.inf)[:, None]),
+        noise=(CartesianNoise if np.iscomplexobj(measured) else AmplitudeNoise)(np.where(real[:, None], noise, np.inf)),
         surroundings=Conditions(
             rate=joined(lambda _, r: r.rate),
             temperature=joined(lambda _, r: r.temperature),

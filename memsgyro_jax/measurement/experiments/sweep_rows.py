@@ -93,17 +93,26 @@ def check_phase(table: Table, rows: slice, axis: int, frequency: np.ndarray, pha
     """
     order = np.argsort(frequency[rows])
     response = phasors[rows, axis][order]
+    ends = max(1, len(response) // 10)
+    background = np.mean(np.concatenate([response[:ends], response[-ends:]]))
+    turns = [turn for taken in (0.0, background) if (turn := _turn(response - taken, noise)) is not None]
+    if len(turns) < 2 or min(turns) <= -30:
+        return  # no full resonance in the band, or one drowned in noise: nothing to check against
+    where = f"{table.path}, lines {table.lines[rows][0]} to {table.lines[rows][-1]}"
+    conjugated = 'if the file follows e^{-iωt}, say `convention = "exp(-iwt)"`'
+    raise InputError(
+        f"{where}: the phase of channel {'xy'[axis]} must fall by about 90° across the resonance, as "
+        f"V(t) = Re[(I + iQ) e^{{iωt}}] does, but changes by {turns[0]:+.0f}°; "
+        f"{conjugated if turns[0] > 30 else 'are these readings as labelled?'}."
+    )
+
+
+def _turn(response: np.ndarray, noise: float) -> float | None:
+    """By how many degrees a response in the order of frequency turns between its half-power points, if it has both."""
     amplitude = np.abs(response)
     top = int(np.argmax(amplitude))
     low = amplitude < amplitude[top] / np.sqrt(2)
     if not low[:top].any() or not low[top:].any() or amplitude[top] < 12 * noise:
-        return  # no full resonance in the band, or one drowned in noise: nothing to check against
+        return None
     left, right = int(np.flatnonzero(low[:top])[-1]), top + int(np.argmax(low[top:]))
-    turn = np.degrees(np.angle(response[left + 1 : right + 1] * response[left:right].conj()).sum())
-    if turn > -30:
-        where = f"{table.path}, lines {table.lines[rows][0]} to {table.lines[rows][-1]}"
-        hint = "if the file follows e^{-iωt}, negate Q or the phase" if turn > 30 else "are these readings as labelled?"
-        raise InputError(
-            f"{where}: the phase of channel {'xy'[axis]} must fall by about 90° across the resonance, as "
-            f"V(t) = Re[(I + iQ) e^{{iωt}}] does, but changes by {turn:+.0f}°; {hint}."
-        )
+    return float(np.degrees(np.angle(response[left + 1 : right + 1] * response[left:right].conj()).sum()))

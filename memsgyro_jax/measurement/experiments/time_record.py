@@ -147,7 +147,7 @@ class TimeRecord(WaveformRecord):
             name="raw captures",
             time=jnp.asarray(self.time[skipped:]),
             measured=jnp.asarray(self.signals[skipped:]),
-            noise=RealNoise(self.noise_level),
+            noise=RealNoise(self.noise_of_rows[skipped:]),
             forces=jnp.asarray(fine),
             increments=jnp.asarray(np.zeros_like(fine) if held else following - fine),
             step=jnp.asarray(self.period / substeps),

@@ -144,3 +144,80 @@ def test_without_any_resonance_the_missing_numbers_are_named(tmp_path):
     write(tmp_path / "w", "f [Hz],X [V],Y [V]", [f, *rng.standard_normal((2, 41))])
     with pytest.raises(InputError, match="must give resonance, quality_factor, static_gain"):
         load_case(tmp_path / "w")
+
+
+def test_the_noise_of_each_row(tmp_path):
+    f = np.linspace(1000, 1020, 81)
+    v, std = velocity(f, 1009.0, 200.0), np.linspace(1e-6, 3e-6, 81)
+    case = load_case(write(tmp_path / "w", "f [Hz],X [V],Y [V],std [uV]", [f, v.real, v.imag, 1e6 * std]))
+    np.testing.assert_allclose(case.records[0].noise_of_rows[:, 0], std, rtol=1e-9)
+    (readings, other) = case.records[0].laid_out(case, [(0, case.records[0])], False)
+    np.testing.assert_allclose(np.asarray(readings.experiment.noise.std)[:, 0], std[::2], rtol=1e-9)
+    assert np.isinf(np.asarray(other.experiment.noise.std)[-1]), "padding has no weight"
+    write_case(case, tmp_path / "again")
+    assert_same_case(case, load_case(tmp_path / "again"))
+    write(tmp_path / "w", "f [Hz],X [V],Y [V],std [uV]", [f, v.real, v.imag, std], more='noise_std = "1 uV"')
+    with pytest.raises(InputError, match="must be left out where columns hold the noise"):
+        load_case(tmp_path / "w")
+
+
+SECOND = """
+[[experiment]]
+name = "second"
+kind = "time_record"
+file = "raw.csv"
+hold = "zero_order"
+start = "rest"
+"""
+
+
+@pytest.mark.parametrize(("turned", "said"), [(False, None), (True, "`second` reads as if inverted")])
+def test_a_record_with_the_other_sign_is_named(tmp_path, turned, said):
+    """A sweep and a burst of the same resonator, the burst with its wires exchanged."""
+    f, period, w, d = np.linspace(950, 1050, 81), 2e-5, 2 * np.pi * 1000.0, 2 * np.pi * 20
+    v = velocity(f, 1000.0, 50.0)
+    write(tmp_path / "w", "f [Hz],X [V],Y [V]", [f, v.real, v.imag], more='noise_std = "1 uV"\n' + SECOND)
+    t = period * np.arange(4000)
+    push = np.where(abs(t - 0.035) < 2.5e-3, np.sin(2 * np.pi * 1003 * t), 0.0)
+    decay = np.exp(-d / 2 * t) * np.cos(w * t)
+    seen = -2.0 * period * np.convolve(push, decay)[:4000] * (-1 if turned else 1)
+    table = np.column_stack([t, push, seen])
+    np.savetxt(tmp_path / "w" / "raw.csv", table, delimiter=",", header="t [s],u [V],y [V]", comments="", fmt="%.12g")
+    warnings = assess(load_case(tmp_path / "w")).signs
+    assert len(warnings) == (said is not None)
+    if said:
+        assert said in warnings[0]
+        path = tmp_path / "w" / "case.toml"
+        path.write_text(path.read_text() + "inverted = true\n")
+        assert not assess(load_case(tmp_path / "w")).signs, "the remedy mends it"
+
+
+def test_phasors_of_the_other_convention_are_refused_with_the_remedy(tmp_path):
+    f = np.linspace(1000, 1020, 81)
+    v = velocity(f, 1009.0, 200.0).conj()
+    write(tmp_path / "w", "f [Hz],X [V],Y [V]", [f, v.real, v.imag])
+    with pytest.raises(InputError, match='say `convention = "exp\\(-iwt\\)"`'):
+        load_case(tmp_path / "w")
+    write(tmp_path / "w", "f [Hz],X [V],Y [V]", [f, v.real, v.imag], more='convention = "exp(-iwt)"\n')
+    assert load_case(tmp_path / "w").design["quality_factor"].value == pytest.approx(200, rel=1e-3)
+
+
+def test_a_sweep_below_its_noise_is_used_with_a_warning(tmp_path):
+    rng = np.random.default_rng(6)
+    f, drive = np.tile(np.linspace(1000, 1020, 81), 2), np.repeat([1e-9, 1e-3], 81)
+    v = drive * velocity(f, 1009.0, 200.0) + 1e-6 * (rng.standard_normal(162) + 1j * rng.standard_normal(162))
+    case = load_case(write(tmp_path / "w", "drive [A],f [Hz],X [V],Y [V]", [drive, f, v.real, v.imag]))
+    assert any("hardly rises above its noise" in warning for warning in assess(case).warnings)
+    assert case.design["resonance"].value == pytest.approx(2 * np.pi * 1009.0, rel=1e-3)
+
+
+@pytest.mark.parametrize("order", ["displacement", "velocity"])
+def test_a_decay_alone_is_enough(tmp_path, order):
+    t = 1e-3 * np.arange(2000)
+    x = np.exp(-3.0 * t) * np.cos(2 * np.pi * 37 * t) + 1e-3 * np.random.default_rng(7).standard_normal(2000)
+    write(tmp_path / "w", "t [s],x [m],control [V]", [t, x, 0 * t], readout=f'quantity = "{order}"')
+    path = tmp_path / "w" / "case.toml"
+    path.write_text(path.read_text().replace("frequency_sweep", "free_decay"))
+    case = load_case(tmp_path / "w")
+    assert case.design["resonance"].value == pytest.approx(2 * np.pi * 37, rel=1e-4)
+    assert case.design["quality_factor"].value == pytest.approx(np.pi * 37 / 3.0, rel=0.05)
