@@ -2,7 +2,7 @@
 records cannot tell, or that it is none of those known.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -18,15 +18,15 @@ from .fit import CaseFit
 from .joint_residual import Joint
 from .next_experiment import plans
 from .result import SIGMAS_SEEN, Accepted, Candidate, Diagnosis, Stage, Verdict, validation_error
-from .scans import refined, scan, scans
+from .rounds import DECIDED, FITTED, search_on
 from .score import Score, basis, score, separation
-from .search import Ranking, Search, start_search
+from .search import CONFUSED, Ranking, Search, start_search
+from .wrong_noise import wrong_noise
 
 
-CONFUSED = 10.8  # expected Δχ² below which noise puts the wrong one of two effects first in one case of twenty
-DECIDED = 25.0  # expected Δχ² from which an experiment counts as deciding
 RECORDS = 0.1  # share of the level for records that no candidate explains; the rest is the candidates'
-PARTLY = 0.5  # share of the misfit above noise that "partly explained" asks for
+PARTLY = 0.9  # share of the misfit above noise, in readings never fitted, that "partly explained" asks for
+NAMED = 2  # effects that are named as tried where none explains what is missing
 
 
 def diagnose(
@@ -58,38 +58,40 @@ def diagnose(
     joint = Joint(start.with_effect(*smooth), readings_of(case))
     search = start_search(case, joint, (1 - RECORDS) * level, range(len(start.effects)), tell)
     first = search.rank()
-    ranking = search.run(first)
-    base, steps = search.base, list(search.steps)
-    if not _done(search, level):
-        later, ranking = _with_scans(search, ranking, tell)
-        steps += [] if later is search else later.steps[1:]
-        if search.accepted:
-            # What a scan alone would explain, several smooth effects may have taken piece by piece: scan the base too.
-            fresh, again = _with_scans(Search(base, search.level, search.given, tell), first, tell)
-            if _simplicity(fresh, level) < _simplicity(later, level):
-                later, ranking, steps = fresh, again, [search.steps[0], *fresh.steps[1:]]
-        search = later
+    search.own = tuple(i for i, e in enumerate(joint.model.effects) if e.label in {own.label for own in effects})
+    search, ranking = search_on(search, first)
+    base, steps = search.base, search.steps
     final = search.steps[-1].fit
     tell("see what these records can tell apart")
     confused = _confusions(search, ranking)
-    accepted = _accepted(search, confused, steps)
+    accepted, scale = _accepted(search, confused, steps), _scale(final)
     explained = _explained(final, accepted, level)
+    noise: Mapping[str, float] = {}
+    if not all(explained) and all(_explained(final, accepted, level, wrong := wrong_noise(final))):
+        explained, noise = [True] * len(explained), wrong
     verdict = _verdict(base, final, accepted, all(explained))
-    groups = tuple((a.label, *a.confused_with) for a in accepted if a.confused_with)
+    stages = tuple(Stage(s.added, s.fit.chi2_per_dof, validation_error(s.fit)) for s in steps)
+    if verdict == "unknown_effect":  # what was tried is no finding, and the model stays the base model
+        final, accepted, stages, tried = base, (), stages[:1], stages[1 : 1 + NAMED]
+        explained = _explained(base, (), level)
+    else:
+        tried = ()
     return Diagnosis(
         case=case,
         base=base,
         final=final,
         verdict=verdict,
-        sentence=_sentence(verdict, accepted, final, explained),
-        accepted=accepted,
+        sentence=_sentence(verdict, accepted, final, explained) + _of_noise(noise),
+        accepted=tuple(a.scaled(scale) for a in accepted),
         first=_listed(joint.model, first),
         candidates=_listed(search.joint.model, ranking),
-        groups=groups,
+        groups=tuple((a.label, *a.confused_with) for a in accepted if a.confused_with),
         next_experiment=_next(search, ranking, confused, tell),
         given=tuple(start.effects[i].label for i in search.given),
-        steps=tuple(Stage(s.added, s.fit.chi2_per_dof, validation_error(s.fit)) for s in steps),
+        steps=stages,
         level=level,
+        tried=tried,
+        scale=scale if accepted else 1.0,
     )
 
 
@@ -99,54 +101,34 @@ def _start(model, case: Case) -> Model:
     return model_of(case, starting_device(case) if model is None else model)
 
 
-def _done(search: Search, level: float) -> bool:
-    """Whether nothing is left to explain."""
-    return all(_explained(search.steps[-1].fit, search.accepted, level))
+def _scale(fit: CaseFit) -> float:
+    """Factor of standard deviations: what is left over the noise, where it is more than noise."""
+    dof = fit.optimum.residual.size - fit.optimum.free.size
+    return float(np.sqrt(fit.chi2_per_dof)) if fit.chi2_per_dof > gate(dof) else 1.0
 
 
-def _simplicity(search: Search, level: float) -> tuple[bool, float]:
-    """Less is better: what explains all goes first, with as few effects as will do; else what leaves least."""
-    done = _done(search, level)
-    return not done, len(search.accepted) if done else search.optimum.chi2
+def _of_noise(noise: Mapping[str, float]) -> str:
+    """A sentence on noise that is declared wrong; empty where none is."""
+    found = ", ".join(f"{size:.3g} times what is declared in {record}" for record, size in noise.items())
+    return f" The noise is {found}: what is left there is white and depends on nothing." if found else ""
 
 
-def _explained(fit: CaseFit, accepted: Sequence, level: float) -> list[bool]:
+def _explained(fit: CaseFit, accepted: Sequence, level: float, noise: Mapping[str, float] | None = None) -> list[bool]:
     """Per record and role, whether noise alone explains what is left; fitted readings, many and tested anyway, get a
     wider gate.
 
     Where no effect was accepted, a record beyond its gate counts only if noise, and the uncertainty of the fit, would
-    seldom put it there: with all records together this happens to `RECORDS` of the level.
+    seldom put it there: with all records together this happens to `RECORDS` of the level. Where the `noise` of a record
+    is declared wrong, the one found counts.
     """
-    within = [e.chi2 / e.count <= gate(e.count, 4.5 if e.role == "fit" else 3.0) for e in fit.errors]
+    within = [
+        e.chi2 / (noise or {}).get(e.name, 1.0) ** 2 / e.count <= gate(e.count, FITTED if e.role == "fit" else 3.0)
+        for e in fit.errors
+    ]
     if accepted or all(within):
         return within
     alone = RECORDS * level / len(within)
     return [fine or p > alone for fine, p in zip(within, fit.p_values, strict=True)]
-
-
-def _with_scans(search: Search, ranking: Ranking, tell) -> tuple[Search, Ranking]:
-    """Try the effects that need a scan; take the best and go on, or leave the search as it was."""
-    bare = _bare(search)
-    best = None
-    for grid in scans(search.case):
-        tell(f"scan {grid[0].label}, {len(grid)} points")
-        found = scan(bare, search.optimum, search.joint.fitted, grid)
-        if found and found.score.p_value * found.points <= search.level:
-            finer = scan(bare, search.optimum, search.joint.fitted, refined(found.effect, grid))
-            found = finer if finer and finer.score.statistic > found.score.statistic else found
-            if best is None or found.score.statistic > best.score.statistic:
-                best = found
-    if best is None:
-        return search, ranking
-    model = search.joint.at(search.optimum.vector).with_effect(best.effect)
-    later = search.grown(Joint(model, search.joint.readings), len(model.effects) - 1, DECIDED)
-    return (search, ranking) if later is None else (later, later.run())
-
-
-def _bare(search: Search) -> Model:
-    """The fitted model with the accepted effects alone: smaller, and quicker to scan."""
-    model = search.joint.at(search.optimum.vector)
-    return model.with_only(model.effects[i] for i in sorted((*search.given, *search.accepted)))
 
 
 def _confusions(search: Search, ranking: Ranking) -> dict[int, list[int]]:
@@ -217,7 +199,9 @@ def _verdict(base: CaseFit, final: CaseFit, accepted: tuple[Accepted, ...], expl
         return "nothing_missing" if explained else "unknown_effect"
     if explained:
         return "cannot_tell" if any(a.confused_with for a in accepted) else "found"
-    before, after = (sum(e.chi2 - e.count for e in fit.errors) for fit in (base, final))
+    roles = {e.role for e in base.errors}
+    judge = "validation" if "validation" in roles else "fit"
+    before, after = (sum(e.chi2 - e.count for e in fit.errors if e.role == judge) for fit in (base, final))
     return "partly_explained" if after < (1 - PARTLY) * before else "unknown_effect"
 
 

@@ -1,7 +1,7 @@
 """What a diagnosis found: verdict, effects, candidates, groups that cannot be told apart, and what to measure next."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -51,6 +51,11 @@ class Accepted:
         """Name and variant."""
         return f"{self.name} {self.where}".rstrip()
 
+    def scaled(self, factor: float) -> "Accepted":
+        """The same with all standard deviations multiplied."""
+        numbers = {name: (value, factor * std, unit) for name, (value, std, unit) in self.numbers.items()}
+        return replace(self, std=tuple(factor * s for s in self.std), numbers=numbers)
+
 
 @dataclass(frozen=True)
 class Candidate:
@@ -93,7 +98,7 @@ class Diagnosis(Shown):
     Args:
         case: what was measured.
         base, final: the base model and the model with all accepted effects, beside every record.
-        verdict: one of five; `sentence` says it in words.
+        verdict: one of the words of `Verdict`; `sentence` says it in words.
         accepted: effects of the final model, the strongest first.
         first, candidates: all candidates beside the base model, and those left beside the final one, best first.
         groups: labels that these records cannot tell apart.
@@ -101,6 +106,8 @@ class Diagnosis(Shown):
         steps: how the error fell.
         level: probability of a false alarm that was allowed.
         given: labels of the effects that the model had from the beginning.
+        tried: where an unknown effect is missing, what was tried and is not enough.
+        scale: factor of all standard deviations of effects: above one where the model leaves more than noise.
     """
 
     case: Case
@@ -116,6 +123,8 @@ class Diagnosis(Shown):
     steps: tuple[Stage, ...]
     level: float
     given: tuple[str, ...] = ()
+    tried: tuple[Stage, ...] = ()
+    scale: float = 1.0
 
     @property
     def model(self) -> Model:
@@ -135,15 +144,15 @@ class Diagnosis(Shown):
 
     def __str__(self) -> str:
         lines = [f"{self.case.name}: {self.verdict.replace('_', ' ')}", self.sentence, ""]
-        lines += [
-            f"  {'base model' if not s.added else '+ ' + s.added:<36} χ²/dof {s.chi2_per_dof:10.4g}   "
-            f"validation error {s.validation_error:9.4g} × noise"
-            for s in self.steps
-        ]
+        lines += map(_line, self.steps)
         for a in self.accepted:
             value = ", ".join(f"{e:.5g} ± {s:.2g}" for e, s in zip(a.estimate, a.std, strict=True))
             more = "".join(f", {name} {v:.6g} ± {s:.2g} {unit}" for name, (v, s, unit) in a.numbers.items())
             lines.append(f"  {a.label}: {value} {a.unit}{more}" + _confused(a))
+        if self.accepted and self.scale > 1.0:
+            lines.append(f"  (standard deviations times {self.scale:.3g}, as the model leaves more than the noise)")
+        if self.tried:
+            lines += ["", "  tried, and not enough", *map(_line, self.tried)]
         before = {(e.name, e.role): e.rms for e in self.base.errors}
         lines += ["", "  error over noise, base -> final model"]
         lines += [
@@ -172,6 +181,8 @@ class Diagnosis(Shown):
             "next_experiment": self.next_experiment,
             "residual": {e.name: e.rms for e in self.final.errors if not e.explained},
             "steps": [asdict(s) for s in self.steps],
+            "tried": [asdict(s) for s in self.tried],
+            "std_scale": self.scale,
             "versions": dict(versions()),
         }
         return finite(entries)
@@ -185,6 +196,11 @@ def validation_error(fit: CaseFit) -> float:
     """Root mean square of residual over noise of all validation readings; of all readings where none validates."""
     errors = [e for e in fit.errors if e.role == "validation"] or list(fit.errors)
     return float(np.sqrt(sum(e.chi2 for e in errors) / sum(e.count for e in errors)))
+
+
+def _line(stage: Stage) -> str:
+    label = f"+ {stage.added}" if stage.added else "base model"
+    return f"  {label:<36} χ²/dof {stage.chi2_per_dof:10.4g}   validation error {stage.validation_error:9.4g} × noise"
 
 
 def _confused(a: Accepted) -> str:

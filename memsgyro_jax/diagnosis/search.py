@@ -4,14 +4,16 @@ One model carries every candidate at strength zero, so that one set of compiled 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import stats
 
+from .acceptance import judged_by_misfit, refusal
 from .fit import CaseFit, beside_case
 from .joint_residual import Joint
 from .optimum import Optimum, optimise
+from .scans import coverage
 from .score import Score, basis, family_p_values, overlap, score, within_bounds
 
 
@@ -22,6 +24,9 @@ NOTHING = 0.01  # of what a candidate explains: if no more is left, the others n
 ROUNDS = 8
 NUDGE = 1e-9  # of the base parameters
 GLANCE, LONG = 5, 30  # evaluations to compare candidates, and to settle on one
+PATIENCE = 6  # refits without one that stays after which a round ends
+RESTARTS = (0.3, 0.03)  # of the linear estimate of a strength
+CONFUSED = 10.8  # expected Δχ² below which noise puts the wrong one of two effects first in one case of twenty
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,12 +54,13 @@ class SearchStep:
 
 class Search:
     """State of a search; `accepted` and `given` are places of effects in the model's tuple: those it found, and those
-    that the model had from the beginning.
+    that the model had from the beginning; `own` are those of the user, which go before the catalogue's.
     """
 
     def __init__(self, base: CaseFit, level: float, given: Sequence[int], tell: Callable[[str], None]):
         self.case, self.joint, self.level, self.tell, self.given = base.case, base.joint, level, tell, tuple(given)
         self.optimum, self.base = base.optimum, base
+        self.own: tuple[int, ...] = ()
         self.accepted: list[int] = []
         self.unseen: frozenset[int] | None = None
         self.steps = [SearchStep("", base)]
@@ -74,6 +80,8 @@ class Search:
         low, high = self.joint.bounds
         residual, bounds = self.optimum.residual, [(low[block], high[block]) for block in blocks]
         scores = [within_bounds(score(residual, q, s), residual, s, *b) for s, b in zip(parts, bounds, strict=True)]
+        chi2, dof = self.optimum.chi2, residual.size - self.optimum.free.size
+        scores = [replace(s, p_value=judged_by_misfit(s, chi2, dof)) for s in scores]
         return Ranking(tuple(places), tuple(scores), family_p_values(scores), tuple(parts))
 
     def _slopes(self, columns: np.ndarray) -> np.ndarray:
@@ -120,48 +128,87 @@ class Search:
         return vector
 
     def advance(self, ranking: Ranking) -> bool:
-        """One round: add the best significant candidate, if there is one."""
-        if not ranking.places or ranking.p_values[ranking.order[0]] > self.level:
+        """One round: add the best candidate that is significant and stays, if there is one."""
+        found = self.best(ranking)
+        if found is None:
             return False
-        promising = [self.first_twin(ranking)]
-        for i in ranking.order:
+        self.take(*found)
+        return True
+
+    def best(self, ranking: Ranking) -> tuple[int, Optimum] | None:
+        """The candidate that a refit with it favours, of those that are significant and stay, and that refit.
+
+        A user's own effect goes before others that explain as much.
+        """
+        refused: set[int] = set()
+        while len(refused) < PATIENCE and (promising := self._promising(ranking, refused)):
+            labels = [self.joint.model.effects[ranking.places[i]].label for i in promising]
+            self.tell("look closer at " + ", ".join(labels))
+            refits: dict[int, Optimum] = {}
+            for i in promising:
+                evaluations = GLANCE if len(promising) > 1 else LONG
+                refits[i] = self.with_one_more(ranking.places[i], ranking.slopes[i], evaluations)
+                if self._explains_all(refits[i]):  # no other can do much better
+                    break
+            for i in sorted(refits, key=lambda i: (refits[i].chi2 - CONFUSED * (ranking.places[i] in self.own), i)):
+                place, chosen = ranking.places[i], refits[i]
+                if not chosen.converged:
+                    chosen = self.refit([*self.accepted, place], start=chosen.vector)
+                if not self.refuses(place, chosen):
+                    return place, chosen
+            refused |= set(refits)
+        return None
+
+    def refuses(self, place: int, chosen: Optimum) -> bool:
+        """Whether an effect does not stay, though a refit with it was made; it is told why."""
+        why = refusal(
+            self.joint, place, self.optimum, chosen, others=len(self.accepted), coverage=coverage(self.case)
+        )  # fmt: skip
+        if why:
+            self.tell(f"left out {self.joint.model.effects[place].label}: {why}")
+        return bool(why)
+
+    def with_one_more(self, place: int, slopes: np.ndarray, evaluations: int) -> Optimum:
+        """A refit with one effect more, from its linear estimate; also from nearer zero where it fits worse than
+        without: a larger model can only fit better.
+        """
+        places = [*self.accepted, place]
+        found = self.refit(places, slopes=slopes, evaluations=evaluations)
+        for part in RESTARTS:
+            if found.chi2 < self.optimum.chi2:
+                break
+            start = self.optimum.vector.copy()
+            mine = self.joint.of_effect(place)
+            step = -np.linalg.lstsq(self._clean(slopes), self.optimum.residual)[0]
+            start[mine] = np.clip(part * step, *(bound[mine] for bound in self.joint.bounds))
+            again = self.refit(places, start=start, evaluations=LONG)
+            found = again if again.chi2 < found.chi2 else found
+        return found
+
+    def _clean(self, slopes: np.ndarray) -> np.ndarray:
+        """What of some sensitivities is news beside everything free."""
+        q = basis(self.optimum.jacobian)
+        return slopes - q @ (q.T @ slopes)
+
+    def _promising(self, ranking: Ranking, refused: set[int]) -> list[int]:
+        """Positions of the significant candidates that are worth a refit, the first the most."""
+        open_ = [i for i in ranking.order if i not in refused and ranking.p_values[i] <= self.level]
+        if not open_:
+            return []
+        promising = [first_twin(ranking, open_)]
+        for i in open_:
             worth = ranking.scores[i].statistic >= WORTH_A_LOOK * ranking.scores[promising[0]].statistic
             news = all(overlap(ranking.scores[i], ranking.scores[j]) < TWINS for j in promising)
-            if worth and news and ranking.p_values[i] <= self.level and len(promising) < LOOK_AHEAD:
+            own = ranking.places[i] in self.own
+            if (own and i not in promising) or (worth and news and len(promising) < LOOK_AHEAD):
                 promising.append(i)
-        labels = [self.joint.model.effects[ranking.places[i]].label for i in promising]
-        self.tell("look closer at " + ", ".join(labels))
-        refits: list[Optimum] = []
-        for i in promising:
-            evaluations = GLANCE if len(promising) > 1 else LONG
-            places = [*self.accepted, ranking.places[i]]
-            refits.append(self.refit(places, slopes=ranking.slopes[i], evaluations=evaluations))
-            if self._explains_all(refits[-1]):  # no other can do much better
-                break
-        best = int(np.argmin([o.chi2 for o in refits]))
-        place, chosen = ranking.places[promising[best]], refits[best]
-        if chosen.chi2 >= self.optimum.chi2:
-            return False
-        if not chosen.converged:
-            chosen = self.refit([*self.accepted, place], start=chosen.vector)
-        self.take(place, chosen)
-        return True
+        return promising
 
     def _explains_all(self, refit: Optimum) -> bool:
         """Whether what a refit leaves above the least that noise could leave is next to nothing of what it explains."""
         dof = refit.residual.size - refit.free.size
         least = dof - 3.0 * np.sqrt(2.0 * dof)
         return refit.chi2 - least <= NOTHING * (self.optimum.chi2 - refit.chi2)
-
-    def first_twin(self, ranking: Ranking) -> int:
-        """The best candidate, or the one that stands first in the catalogue of those that explain the same."""
-        best = ranking.order[0]
-        same = [
-            i
-            for i, mine in enumerate(ranking.scores)
-            if mine.size == ranking.scores[best].size and overlap(mine, ranking.scores[best]) >= TWINS
-        ]
-        return min([best, *same])
 
     def take(self, place: int, optimum: Optimum) -> None:
         """Add an effect to the model."""
@@ -171,6 +218,14 @@ class Search:
             SearchStep(self.joint.model.effects[place].label, beside_case(self.case, self.joint, optimum))
         )
         self.tell(f"added {self.joint.model.effects[place].label}: χ²/dof {self.steps[-1].fit.chi2_per_dof:.4g}")
+
+    def exchange(self, place: int, other: int, optimum: Optimum) -> None:
+        """Put another effect in the place of one that was accepted."""
+        self.accepted[self.accepted.index(place)] = other
+        self.optimum = optimum
+        new, old = (self.joint.model.effects[i].label for i in (other, place))
+        self.steps.append(SearchStep(f"{new} in place of {old}", beside_case(self.case, self.joint, optimum)))
+        self.tell(f"put {new} in place of {old}: χ²/dof {self.steps[-1].fit.chi2_per_dof:.4g}")
 
     def prune(self) -> None:
         """Drop effects that the final model no longer needs: taken early, while the misfit was large.
@@ -197,27 +252,20 @@ class Search:
         Its further numbers are held: without the effect there are none.
         """
         mine = np.isin(self.optimum.free, self.joint.of_effect(place))
-        explained = self.optimum.jacobian[:, mine] @ self.optimum.vector[self.optimum.free[mine]]
-        return score(explained, basis(self.jacobian_without(place)), self.optimum.jacobian[:, mine])
+        return score(self.taken_by(place), basis(self.jacobian_without(place)), self.optimum.jacobian[:, mine])
+
+    def taken_by(self, place: int) -> np.ndarray:
+        """What an accepted effect takes of the residual (r,), to the first order."""
+        mine = np.isin(self.optimum.free, self.joint.of_effect(place))
+        return -self.optimum.jacobian[:, mine] @ self.optimum.vector[self.optimum.free[mine]]
 
     def jacobian_without(self, place: int) -> np.ndarray:
         """Sensitivities of everything free but one effect."""
         mine = np.concatenate([self.joint.of_effect(place), self.joint.numbers_of(place)])
         return self.optimum.jacobian[:, ~np.isin(self.optimum.free, mine)]
 
-    def run(self, ranking: Ranking | None = None) -> Ranking:
-        """Rounds until nothing is significant, from a ranking of the present model; returns that of the last one."""
-        ranking = self.rank() if ranking is None else ranking
-        for _ in range(ROUNDS):
-            if not self.advance(ranking):
-                break
-            ranking = self.rank()
-        before = len(self.accepted)
-        self.prune()
-        return ranking if before == len(self.accepted) else self.rank()
-
     def grown(self, joint: Joint, place: int, gain: float) -> "Search | None":
-        """This search with a larger model whose effect at `place` is new; None unless χ² falls by `gain`."""
+        """This search with a larger model whose effect at `place` is new; None where χ² falls by less or it goes."""
         free = always_free(joint, (*self.given, *self.accepted, place))
         optimum = optimise(joint, joint.start, free, joint.fitted)
         if optimum.chi2 >= self.optimum.chi2 - gain:
@@ -225,9 +273,24 @@ class Search:
         # A frequency and its width are found in a narrow valley: again from within it, to its end.
         optimum = optimise(joint, optimum.vector, free, joint.fitted)
         out = Search(self.steps[-1].fit, self.level, self.given, self.tell)
+        out.base, out.steps, out.optimum, out.own = self.base, list(self.steps), self.optimum, self.own
         out.joint, out.accepted = joint, list(self.accepted)
+        if out.refuses(place, optimum):
+            return None
         out.take(place, optimum)
         return out
+
+
+def first_twin(ranking: Ranking, among: Sequence[int]) -> int:
+    """The first of some candidates, or the one that stands first in the catalogue of those that explain the same."""
+    best = among[0]
+    same = [
+        i
+        for i in among
+        if ranking.scores[i].size == ranking.scores[best].size
+        and overlap(ranking.scores[i], ranking.scores[best]) >= TWINS
+    ]
+    return min([best, *same])
 
 
 def always_free(joint: Joint, places: Sequence[int]) -> np.ndarray:

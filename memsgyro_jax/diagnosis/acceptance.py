@@ -1,0 +1,83 @@
+"""What an effect must do to stay in a model: explain something, be possible, and be supported by what was left out."""
+
+import numpy as np
+from scipy import stats
+
+from memsgyro_jax.effects import Coverage, Scanned
+from memsgyro_jax.measurement.least_squares import gate
+
+from .held_out import support
+from .joint_residual import Joint
+from .optimum import Optimum
+from .score import Score
+
+
+FEW = 0.05  # of the misfit above noise that is left: who explains less explains nothing
+MANY, THIRD = 2, 1.0 / 3.0  # effects from which a further one must explain a third of it
+PINNED = 0.01  # of the way from zero to a bound: a strength so near stands at it
+
+
+def excess(optimum: Optimum) -> float:
+    """Misfit of the fitted readings beyond what noise could leave, three standard deviations of χ²."""
+    dof = optimum.residual.size - optimum.free.size
+    return max(0.0, optimum.chi2 - dof * gate(dof))
+
+
+def refusal(joint: Joint, place: int, before: Optimum, after: Optimum, *, others: int, coverage: Coverage) -> str:
+    """Why the effect at `place`, which `after` has and `before` lacks, does not stay; empty where it does.
+
+    Args:
+        joint: of `after`.
+        place: of the effect in its model.
+        before, after: fits of the same readings.
+        others: how many effects were found before it.
+        coverage: what the records cover, which a scanned effect stays within.
+    """
+    gain, need = before.chi2 - after.chi2, THIRD if others >= MANY else FEW
+    if gain <= 0 or per_freedom(after) >= per_freedom(before):
+        return "the model with it fits no better"
+    if impossible := _impossible(joint, place, after, coverage):
+        return impossible
+    if gain < need * excess(before):
+        return f"it explains {100 * gain / excess(before):.2g} % of the misfit that is left"
+    if not after.converged:
+        return "the fit with it does not converge"
+    found = support(before, after, joint.fitted)
+    if not found.enough:
+        where = "rows" if found.rows < found.records else "records"
+        return f"{where} that were left out do not get better by it"
+    return ""
+
+
+def per_freedom(optimum: Optimum) -> float:
+    """χ² per degree of freedom."""
+    return optimum.chi2 / (optimum.residual.size - optimum.free.size)
+
+
+def _impossible(joint: Joint, place: int, after: Optimum, coverage: Coverage) -> str:
+    """Whether a strength stands at a bound, or a scanned effect has left what was recorded."""
+    effect = joint.model.effects[place]
+    low, high = joint.bounds
+    for i in joint.of_effect(place):
+        for bound in (low[i], high[i]):
+            if np.isfinite(bound) and abs(after.vector[i] - bound) <= PINNED * abs(bound):
+                return "its strength ends at the bound that physics sets"
+    if isinstance(effect, Scanned):
+        grid = effect.grid(coverage)
+        for i in joint.numbers_of(place):
+            tried = [float(getattr(one, joint.parameters[i].field)) for one in grid]
+            if len(set(tried)) > 1 and not min(tried) <= after.vector[i] <= max(tried):
+                return f"its {joint.parameters[i].field} leaves what was recorded"
+    return ""
+
+
+def judged_by_misfit(found: Score, chi2: float, dof: int) -> float:
+    """The p-value of a score alone, where what would be left beside it counts as noise if it is more than noise.
+
+    With T of χ² explained, what is left per degree of freedom is the scale: an effect stands out from the misfit of the
+    model, not from a noise that the model is far from.
+    """
+    left, freedom = chi2 - found.statistic, max(dof - found.size, 1)
+    if found.size == 0 or left / freedom <= gate(freedom):
+        return found.p_value
+    return float(stats.f.sf(found.statistic / found.size / (left / freedom), found.size, freedom))

@@ -1,0 +1,97 @@
+"""The rounds of a diagnosis: what a gradient finds and what needs a scan compete, and a rough effect makes room.
+
+Everything here looks at fitted readings alone: those that validate are kept for the verdict.
+"""
+
+from memsgyro_jax.measurement.least_squares import gate
+from memsgyro_jax.measurement.model import Model
+
+from .acceptance import excess
+from .joint_residual import Joint
+from .optimum import Optimum
+from .scans import refined, scan, scans
+from .score import basis, score
+from .search import CONFUSED, LOOK_AHEAD, ROUNDS, WORTH_A_LOOK, Ranking, Search
+
+
+DECIDED = 25.0  # expected Δχ² from which an experiment counts as deciding
+MOST = 0.9  # of the misfit: an effect that takes so much needs no rival from a scan
+FITTED = 4.5  # standard deviations of χ² in a fitted record that count as noise: these are many, and tested anyway
+
+
+def search_on(search: Search, ranking: Ranking) -> tuple[Search, Ranking]:
+    """Rounds from a ranking of the present model until nothing more stays; returns the last search and its ranking."""
+    scanned: set[tuple[int, ...]] = set()
+    for _ in range(ROUNDS):
+        found, model = search.best(ranking), tuple(search.accepted)
+        open_ = not _is_noise(search) and model not in scanned
+        if open_ and (found is None or not (model or _takes_most(search, found[1]))):
+            scanned.add(model)
+            grown = _with_scan(search, search.optimum if found is None else found[1])
+            if grown is not None:
+                search, ranking = grown, grown.rank()
+                continue
+        if found is not None:
+            search.take(*found)
+        elif _is_noise(search) or not _exchanged(search, ranking):
+            break
+        ranking = search.rank()
+    before = list(search.accepted)
+    search.prune()
+    return search, ranking if before == search.accepted else search.rank()
+
+
+def _is_noise(search: Search) -> bool:
+    """Whether noise alone explains what the fit leaves of every record that it saw."""
+    return all(e.chi2 / e.count <= gate(e.count, FITTED) for e in search.steps[-1].fit.errors if e.role == "fit")
+
+
+def _takes_most(search: Search, other: Optimum) -> bool:
+    return excess(other) <= (1.0 - MOST) * excess(search.optimum)
+
+
+def _with_scan(search: Search, rival: Optimum) -> Search | None:
+    """The search with the best effect that needs a scan, if it explains more than the rival fit does."""
+    bare, best = _bare(search), None
+    for grid in scans(search.case):
+        search.tell(f"scan {grid[0].label}, {len(grid)} points")
+        found = scan(bare, search.optimum, search.joint.fitted, grid)
+        if found and found.score.p_value * found.points <= search.level:
+            finer = scan(bare, search.optimum, search.joint.fitted, refined(found.effect, grid))
+            found = finer if finer and finer.score.statistic > found.score.statistic else found
+            if best is None or found.score.statistic > best.score.statistic:
+                best = found
+    if best is None or best.score.statistic <= search.optimum.chi2 - rival.chi2:
+        return None
+    model = search.joint.at(search.optimum.vector).with_effect(best.effect)
+    gain = max(DECIDED, search.optimum.chi2 - rival.chi2)
+    return search.grown(Joint(model, search.joint.readings), len(model.effects) - 1, gain)
+
+
+def _bare(search: Search) -> Model:
+    """The fitted model with the accepted effects alone: smaller, and quicker to scan."""
+    model = search.joint.at(search.optimum.vector)
+    return model.with_only(model.effects[i] for i in sorted((*search.given, *search.accepted)))
+
+
+def _exchanged(search: Search, ranking: Ranking) -> bool:
+    """Put a candidate in the place of an effect that was roughly right, where a fit with it is better.
+
+    The first effect of a search takes what it can of all that is missing; the exact one, beside it, gains little.
+    """
+    for place in sorted(search.accepted, key=lambda i: -search.own_score(i).statistic):
+        mine, taken = search.own_score(place), search.taken_by(place)
+        q = basis(search.jacobian_without(place))
+        rivals = {
+            other: score(taken, q, slopes).statistic
+            for other, slopes in zip(ranking.places, ranking.slopes, strict=True)
+        }
+        worth = [other for other in rivals if rivals[other] >= WORTH_A_LOOK * mine.statistic or other in search.own]
+        for other in sorted(worth, key=lambda i: -rivals[i])[:LOOK_AHEAD]:
+            instead = [other if i == place else i for i in search.accepted]
+            refit = search.refit(instead, start=search.without(place))
+            better = refit.chi2 + CONFUSED * (other not in search.own) < search.optimum.chi2
+            if better and not search.refuses(other, refit):
+                search.exchange(place, other, refit)
+                return True
+    return False
