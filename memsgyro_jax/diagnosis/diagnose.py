@@ -91,7 +91,7 @@ def diagnose(
         steps=stages,
         level=level,
         tried=tried,
-        scale=scale if accepted else 1.0,
+        scale=_scale(final),
     )
 
 

@@ -1,6 +1,7 @@
 """Whole diagnoses of small cases whose truth the laboratory knows."""
 
 import json
+from dataclasses import replace
 
 import pytest
 from bench_case import ONE_AXIS, RESONATOR, bench
@@ -99,10 +100,28 @@ def stopped():
 
 
 def test_physics_outside_the_catalogue_is_not_called_found(stopped):
+    """No strength is quoted of what is not the law: the model stays the base model; what was tried stands apart."""
     outcome = diagnose(None, stopped)
-    assert outcome.verdict in ("unknown_effect", "partly_explained")
+    assert outcome.verdict == "unknown_effect"
     assert any(not e.explained for e in outcome.final.errors)
     assert "sweep" in outcome.sentence
+    assert outcome.accepted == ()
+    assert outcome.final is outcome.base
+    assert 0 < len(outcome.tried) <= 2
+    assert outcome.tried[-1].chi2_per_dof < outcome.base.chi2_per_dof
+    answer = json.loads(outcome.to_json())
+    assert (answer["effects"], len(answer["tried"]), len(answer["steps"])) == ([], len(outcome.tried), 1)
+
+
+@pytest.mark.parametrize("times", [3.0, 0.3])
+def test_a_noise_that_is_declared_wrong_is_called_that(times):
+    """White deviations of three times the declared noise are no effect, and those of a third are no alarm."""
+    case = bench(Hidden(), 0, ONE_AXIS, RESONATOR).case
+    case = replace(case, records=tuple(replace(r, noise_std=r.noise_std / times) for r in case.records))
+    outcome = diagnose(None, case)
+    assert (outcome.verdict, outcome.accepted) == ("nothing_missing", ())
+    assert ("times what is declared in sweep" in outcome.sentence) == (times > 1)
+    assert outcome.scale == pytest.approx(max(times, 1.0), rel=0.25)
 
 
 def test_a_user_s_own_effect_is_then_found(stopped, tmp_path):

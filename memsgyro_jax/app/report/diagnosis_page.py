@@ -19,7 +19,7 @@ VERDICTS = {
     "found": "the missing effect was found",
     "cannot_tell": "these records cannot tell which effect is missing",
     "partly_explained": "partly explained",
-    "unknown_effect": "an unknown effect is missing",
+    "unknown_effect": "an unknown law is missing",
 }
 _BEST = 12  # candidates of the base model that are listed
 
@@ -38,12 +38,13 @@ def diagnosis_page(diagnosis: Diagnosis) -> Page:
     _records(out, diagnosis)
     if diagnosis.verdict in ("partly_explained", "unknown_effect"):
         _forces(out, diagnosis)
+    _tried(out, diagnosis)
     _ranking(out, diagnosis)
     _blind(out, diagnosis)
     out.section("Parameters of the final model")
     out.table(
         ["parameter", "value", "± 1 σ", "unit"],
-        [[p.name, f"{p.value:.7g}", f"{p.std:.2g}", p.unit] for p in diagnosis.final.estimates],
+        [[p.name, f"{p.value:.7g}", f"{diagnosis.scale * p.std:.2g}", p.unit] for p in diagnosis.final.estimates],
     )
     out.text(f"Fit: {diagnosis.final.status}. Probability of a false alarm that was allowed: {diagnosis.level:g}.")
     return out
@@ -54,7 +55,19 @@ def _effects(out: Page, diagnosis: Diagnosis) -> None:
         out.table(
             ["effect", "estimate", "95 % interval", "unit", "error before", "error after", "not told apart from"],
             [_effect(a) for a in diagnosis.accepted],
-            "Effects of the final model; errors are those of readings that were not fitted, over the noise.",
+            "Effects of the final model; errors are those of readings that were not fitted, over the noise."
+            + (f" Intervals are {diagnosis.scale:.3g} times those of the noise, as the model leaves more."
+               if diagnosis.scale > 1.0 else ""),
+        )  # fmt: skip
+
+
+def _tried(out: Page, diagnosis: Diagnosis) -> None:
+    """An appendix: the effects that come nearest to a law that is not known."""
+    if diagnosis.tried:
+        out.section("What was tried").table(
+            ["effect", "χ²/dof", "error of what was not fitted"],
+            [[_added(s.added), f"{s.chi2_per_dof:.4g}", as_times(s.validation_error)] for s in diagnosis.tried],
+            "One after the other, and not enough: a strength fitted here is that of a model which is wrong.",
         )
 
 
@@ -150,9 +163,9 @@ def _blind(out: Page, diagnosis: Diagnosis) -> None:
 
 
 def _forces(out: Page, diagnosis: Diagnosis) -> None:
-    """What the final model still lacks, as forces."""
+    """What the base model lacks, as forces: what wrong effects leave of a law is hard to read."""
     out.section("The force that is missing").text(
-        "What the final model would need to move as it was seen to move. A law that fits these points is an effect of "
+        "What the base model would need to move as it was seen to move. A law that fits these points is an effect of "
         "one's own in about ten lines; --effects takes its file."
     )
     drawn = list(_force_figures(diagnosis))
@@ -164,10 +177,10 @@ def _forces(out: Page, diagnosis: Diagnosis) -> None:
 
 def _force_figures(diagnosis: Diagnosis) -> Iterator[tuple[Figure, str]]:
     """Each picture of a force that stands out of the noise, and its caption."""
-    final, gyro = diagnosis.final, diagnosis.case.device == "single_mass"
+    base, gyro = diagnosis.base, diagnosis.case.device == "single_mass"
     motion, force = ((1e6, "µm"), (1e9, "nN")) if gyro else ((1.0, "V"), (1.0, "V"))
     units = ("N/m", "N s/m") if gyro else ("V/V", "V s/V")
-    for sweep in sweep_forces(final):
+    for sweep in sweep_forces(base):
         for axis in force_figures.shown_axes(sweep):
             along = "xy"[sweep.axis]
             caption = (
@@ -176,13 +189,13 @@ def _force_figures(diagnosis: Diagnosis) -> Iterator[tuple[Figure, str]]:
                 "Points that the noise makes uncertain are left out."
             )
             yield force_figures.sweep_figure(sweep, axis, motion, *units), caption
-    for course in time_forces(final):
-        for axis in range(final.model.axes):
+    for course in time_forces(base):
+        for axis in range(base.model.axes):
             if course.force[:, axis].any():
                 figure = force_figures.time_figure(course, axis, motion, force)
                 yield figure, f"{course.record}: force on {'xy'[axis]} near the resonances."
-    unexplained = {e.name for e in final.errors if not e.explained}
-    for left in rate_residuals(final):
+    unexplained = {e.name for e in base.errors if not e.explained}
+    for left in rate_residuals(base):
         if left.record in unexplained:
             figure = force_figures.residual_rate_figure(left, diagnosis.case.readout.unit)
             yield figure, f"{left.record}: what is left, in phase with displacement and velocity of the driven axis."

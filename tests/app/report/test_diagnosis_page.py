@@ -102,10 +102,13 @@ def test_every_experiment_has_its_error_and_its_picture(found, diagnosis):
 
 
 def test_what_is_unknown_is_shown_as_a_force(diagnosis):
-    unknown = replace(diagnosis, verdict="unknown_effect", final=diagnosis.base, accepted=(), steps=diagnosis.steps[:1])
+    first, then = diagnosis.steps[:1], diagnosis.steps[1:]
+    unknown = replace(diagnosis, verdict="unknown_effect", final=diagnosis.base, accepted=(), steps=first, tried=then)
     html = diagnosis_page(unknown).html()
     words = " ".join(Outline(html).words)
-    assert "The force that is missing" in words
+    assert "an unknown law is missing" in words
+    places = [words.index(text) for text in ("The force that is missing", "What was tried", "with cubic_stiffness x")]
+    assert places == sorted(places)
     assert "sweep_x: force on x as stiffness and damping" in words
     assert "ringdown_x: force on x near the resonances" in words
     assert "rate: what is left" in words
