@@ -19,20 +19,39 @@ _NORMAL = 1.4826  # median absolute value to standard deviation, of a normal var
 _RAYLEIGH = 1.1774  # median of the modulus of a complex normal variable over the standard deviation of each part
 
 
-def noise_over_frequency(frequency: np.ndarray, phasors: np.ndarray, pieces: Sequence[slice]) -> float | None:
+def noise_over_frequency(
+    frequency: np.ndarray, phasors: np.ndarray, pieces: Sequence[slice | np.ndarray]
+) -> float | None:
     """Standard deviation of each real part of phasors (n, channels) over a frequency (n,), or `None` for few rows.
 
     Around every row a ratio of two quadratics in frequency is fitted to 11 rows and leaves noise alone: a resonance and
     what is smooth beside it are such a ratio (local rational method: McKelvey and Guérin, IFAC Proc. 45-16 (2012) 49),
     while plain differences take a resonance of a few rows for noise. The median over all rows does not mind a jump.
+    Where frequencies are repeated, it is the scatter among their rows, which needs no model.
     """
     levels = []
     for piece in pieces:
-        width = min(WINDOW, piece.stop - piece.start)
+        if (scatter := _scatter(frequency[piece], phasors[piece])) is not None:
+            levels.append(scatter)
+            continue
+        width = min(WINDOW, len(frequency[piece]))
         if width >= FEWEST:
             variance, freedom = _local_variance(frequency[piece], phasors[piece], width), 2 * (width - PARTS)
             levels.append(variance.ravel() * freedom / stats.chi2.median(freedom))
     return float(np.sqrt(np.median(np.concatenate(levels)))) if levels else None
+
+
+def _scatter(place: np.ndarray, values: np.ndarray) -> np.ndarray | None:
+    """Squared standard deviation of each real part among rows of the same frequency, over its median for that many;
+    `None` where hardly any frequency is repeated.
+    """
+    _, group, count = np.unique(place, return_inverse=True, return_counts=True)
+    if np.sum(count - 1) < max(FEWEST, len(place) // 4):
+        return None
+    means = np.stack([np.bincount(group, part) for part in (*values.real.T, *values.imag.T)], axis=1) / count[:, None]
+    off = np.abs(values - (means[:, : values.shape[1]] + 1j * means[:, values.shape[1] :])[group]) ** 2
+    sums = np.stack([np.bincount(group, part) for part in off.T], axis=1)[count > 1]
+    return (sums / stats.chi2.median(2 * (count[count > 1] - 1))[:, None]).ravel()
 
 
 def _local_variance(place: np.ndarray, values: np.ndarray, width: int) -> np.ndarray:

@@ -24,7 +24,7 @@ from .missing_force import SweepForce
 from .record import AbstractRecord, Watched
 from .sheet import Sheet
 from .sweep_layout import halves, joined_rows
-from .sweep_rows import check_order, check_phase, refuse_copies, single_sweeps
+from .sweep_rows import alike, check_order, check_phase, levels_set, refuse_copies, single_sweeps
 
 
 _TWO_PI = 2 * np.pi
@@ -94,12 +94,13 @@ class FrequencySweepRecord(AbstractRecord):
     @cached_property
     def setting(self) -> np.ndarray:
         """(n,) drive that was set, of which `drive` may be a reading: the mean of all sweeps within 2 %."""
-        means = np.array([self.drive[rows].mean() for rows in self.sweeps])
-        order = np.argsort(means)
-        group = np.empty(len(means), int)
-        group[order] = np.cumsum(np.diff(np.log(means[order]), prepend=np.log(means[order[0]])) > _SCATTER)
-        levels = np.array([means[group == k].mean() for k in range(group.max() + 1)])
-        return np.repeat(levels[group], [rows.stop - rows.start for rows in self.sweeps])
+        return levels_set(self.drive, self.sweeps, _SCATTER)
+
+    @cached_property
+    def courses(self) -> tuple[np.ndarray, ...]:
+        """Rows that ought to lie on one curve, in the order of frequency: of a sweep and its repeats the same way."""
+        held = np.stack([self.directions, self.setting, self.bias_voltage, self.temperature, self.rate], axis=1)
+        return alike(self.frequency, held, self.sweeps)
 
     @property
     def extent(self) -> str:
@@ -220,7 +221,7 @@ class FrequencySweepRecord(AbstractRecord):
     # ---- noise and quality
 
     def estimated_noise(self) -> float | None:
-        return noise_over_frequency(self.frequency, self.phasors, self.sweeps)
+        return noise_over_frequency(self.frequency, self.phasors, self.courses)
 
     def watched(self, noise: float) -> list[Watched]:
         return [

@@ -45,6 +45,28 @@ def _settings_begin(values: np.ndarray, within: float) -> np.ndarray:
     return begins
 
 
+def levels_set(values: np.ndarray, sweeps: Sequence[slice], scatter: float) -> np.ndarray:
+    """(n,) what was set in each sweep, of which `values`, positive, are readings: the mean of all sweeps within a
+    relative `scatter` of the next.
+    """
+    means = np.array([values[rows].mean() for rows in sweeps])
+    order = np.argsort(means)
+    group = np.empty(len(means), int)
+    group[order] = np.cumsum(np.diff(np.log(means[order]), prepend=np.log(means[order[0]])) > scatter)
+    levels = np.array([means[group == k].mean() for k in range(group.max() + 1)])
+    return np.repeat(levels[group], [rows.stop - rows.start for rows in sweeps])
+
+
+def alike(frequency: np.ndarray, held: np.ndarray, sweeps: Sequence[slice]) -> tuple[np.ndarray, ...]:
+    """Rows, in the order of frequency, of all sweeps whose conditions `held` (n, k) agree to three digits."""
+    found: dict[tuple, list[np.ndarray]] = {}
+    for rows in sweeps:
+        key = tuple(f"{value:.3g}" for value in held[rows].mean(axis=0))
+        found.setdefault(key, []).append(np.arange(rows.start, rows.stop))
+    joined = map(np.concatenate, found.values())
+    return tuple(rows[np.argsort(frequency[rows], kind="stable")] for rows in joined)
+
+
 def check_order(table: Table, frequency: np.ndarray, sweeps: Sequence[slice]) -> None:
     """Each sweep has some rows, and its frequency turns back for good: not for one row, which is a wrong digit."""
     for before, after in pairwise(sweeps):

@@ -133,10 +133,28 @@ def test_rows_may_be_repeated_but_not_copied(tmp_path):
     v = v + 1e-4 * np.abs(v).max() * (rng.standard_normal(v.size) + 1j * rng.standard_normal(v.size))
     case = load_case(write(tmp_path / "w", "f [Hz],X [V],Y [V]", [f, v.real, v.imag]))
     assert len(case.records[0].sweeps) == 1
+    assert case.records[0].estimated_noise() == pytest.approx(1e-4 * np.abs(velocity(f, 1009.0, 200.0)).max(), rel=0.1)
     v[1] = v[0]
     write(tmp_path / "w", "f [Hz],X [V],Y [V]", [f, v.real, v.imag])
     with pytest.raises(InputError, match="line 3, column `f`: the value must not repeat line 2"):
         load_case(tmp_path / "w")
+
+
+def test_the_noise_is_how_well_a_sweep_repeats(tmp_path):
+    """An offset of each sweep is smooth along it, and seen by its repeats alone; up and down may differ for good."""
+    rng, up = np.random.default_rng(5), np.linspace(1000, 1020, 61)
+    f = np.concatenate([up, up[::-1]] * 6)
+    v = velocity(f, 1009.0, 200.0)
+    size = np.abs(v).max()
+    shift = rng.standard_normal(12) + 1j * rng.standard_normal(12) + np.tile([3.0, -3.0], 6)
+    v = (
+        v
+        + 1e-3 * size * np.repeat(shift, 61)
+        + 1e-5 * size * (rng.standard_normal(732) + 1j * rng.standard_normal(732))
+    )
+    sweep = load_case(write(tmp_path / "w", "f [Hz],X [V],Y [V]", [f, v.real, v.imag])).records[0]
+    assert [len(rows) for rows in sweep.courses] == [366, 366]
+    assert 0.5e-3 * size < sweep.estimated_noise() < 1.5e-3 * size
 
 
 def test_without_any_resonance_the_missing_numbers_are_named(tmp_path):
