@@ -15,7 +15,6 @@ from .allan_variance import NOISES, TERMS, covariance_parts, shapes
 # 100 %, more than 99 % where the walk is none.
 _FALL = 5.0
 _BESIDE_RAMP = (5.0, 10.0, 10.0, 14.0, 5.0)  # of each term
-_RAMP = 5.0, 8.5
 _RAMP = 0.1  # share of the variance at the longest averaging time from which a ramp counts
 _NOTHING = np.log(1e6)  # a term this far below the curve is as good as absent
 _MOST = np.log(1e4)  # and none can lie further above it
