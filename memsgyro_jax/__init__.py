@@ -114,9 +114,6 @@ if TYPE_CHECKING:
     from .base.transforms import Free as Free
     from .device.resonator import Resonator as Resonator
     from .measurement.model import Model as Model
-    from .measurement.allan import allan as allan
-    from .measurement.allan_result import Allan as Allan
-    from .measurement.allan_variance import allan_deviation as allan_deviation
     from .measurement.case import load_case as load_case
     from .measurement.import_case import import_case as import_case
     from .measurement.import_case import ImportedCase as ImportedCase
@@ -142,6 +139,11 @@ if TYPE_CHECKING:
     from .diagnosis.fit import CaseFit as CaseFit
     from .measurement.model_file import write_model as write_model
     from .measurement.model_file import read_model as read_model
+    from .diagnosis.backbone import backbone as backbone
+    from .diagnosis.backbone import Backbone as Backbone
+    from .diagnosis.law import draw_law as draw_law
+    from .diagnosis.law import fit_law as fit_law
+    from .diagnosis.law import DrawnLaw as DrawnLaw
     from .diagnosis.diagnose import diagnose as diagnose
     from .diagnosis.result import Diagnosis as Diagnosis
 

@@ -18,7 +18,6 @@ import cyclopts
 from memsgyro_jax import __version__
 from memsgyro_jax.base.errors import InputError
 
-from .commands.allan import allan_command
 from .commands.check import check_command
 from .commands.compare import compare_command
 from .commands.diagnose import diagnose_command
@@ -26,6 +25,7 @@ from .commands.effects import effects_command
 from .commands.fit import fit_command
 from .commands.identify import identify_command
 from .commands.import_ import import_command
+from .commands.law import law_command
 from .commands.simulate import simulate_command
 from .commands.sweep import sweep_command
 from .commands.tune import tune_command
@@ -63,13 +63,13 @@ for _command in (
     simulate_command,
     tune_command,
     identify_command,
-    allan_command,
     effects_command,
     import_command,
     check_command,
     compare_command,
     fit_command,
     diagnose_command,
+    law_command,
 ):
     app.command(_prepared(_command), name=_command.__name__.removesuffix("_command"))
 

@@ -19,6 +19,7 @@ from .fit import CaseFit
 
 
 Verdict = Literal["nothing_missing", "found", "cannot_tell", "partly_explained", "unknown_effect"]
+DRAW = "memsgyro law {} --out my_law.py"
 SIGMAS_SEEN = 4.3  # strength over its standard deviation that is found nine times in ten among some forty candidates
 
 
@@ -108,7 +109,6 @@ class Diagnosis(Shown):
         given: labels of the effects that the model had from the beginning.
         tried: where an unknown effect is missing, what was tried and is not enough.
         scale: factor of all standard deviations of effects: above one where the model leaves more than noise.
-        outlying: rows of records, from zero, that stand alone and were left out.
     """
 
     case: Case
@@ -126,7 +126,6 @@ class Diagnosis(Shown):
     given: tuple[str, ...] = ()
     tried: tuple[Stage, ...] = ()
     scale: float = 1.0
-    outlying: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
 
     @property
     def model(self) -> Model:
@@ -164,6 +163,8 @@ class Diagnosis(Shown):
         ]
         if self.next_experiment:
             lines += ["", f"  next experiment: {self.next_experiment}"]
+        if self.verdict in ("unknown_effect", "partly_explained"):
+            lines += ["", f"  the law that is missing, drawn, written and fitted: {DRAW.format(self.case.folder)}"]
         return "\n".join(lines)
 
     def to_dict(self) -> dict:
@@ -185,7 +186,6 @@ class Diagnosis(Shown):
             "steps": [asdict(s) for s in self.steps],
             "tried": [asdict(s) for s in self.tried],
             "std_scale": self.scale,
-            "outlying": {name: list(rows) for name, rows in self.outlying.items()},
             "versions": dict(versions()),
         }
         return finite(entries)

@@ -18,8 +18,10 @@ from .catalogue import CATALOGUE
 from .trial import PORT_METHODS, at_strength, complaint
 
 
-def load_effects(path: str | Path, axes: int = 2) -> tuple[Effect, ...]:
+def load_effects(path: str | Path, axes: int = 2, *, as_written: bool = False) -> tuple[Effect, ...]:
     """Effects that a Python file defines, at strength zero, for a device with so many axes.
+
+    With `as_written` their strengths are those of the file, from which a fit may start.
 
     These are the instances in the file's `EFFECTS`, or without it one instance for every axis of every subclass of an
     effect that the file defines and does not itself subclass further. Running a file is running a program: load only
@@ -48,7 +50,7 @@ def load_effects(path: str | Path, axes: int = 2) -> tuple[Effect, ...]:
         )
     checked = tuple(_checked(effect, axes, path, at(type(effect))) for effect in effects)
     _check_names(checked, at)
-    return checked
+    return tuple(effects) if as_written else checked
 
 
 def _listed(given: Any, path: Path) -> list[Effect]:

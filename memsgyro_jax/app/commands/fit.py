@@ -22,7 +22,7 @@ def fit_command(
     Args:
         case: folder with a case.toml and the CSV files that it names, or the word demo for the one that comes along.
         add: names of effects, each with its variant ("cubic_stiffness x") or alone for all its variants.
-        effects: a Python file with effects of your own. It is run: trust it first.
+        effects: a Python file with effects of your own, at the strengths to start from. It is run: trust it first.
         kinds: a Python file with kinds of measurement of your own. It is run: trust it first.
         out: file for the fitted model, for `memsgyro compare --model` and for the device of a study.
         json: file for the machine-readable result.
@@ -39,7 +39,7 @@ def fit_command(
 
     require_writable(out, json)
     measured = load_demo_or(case, load_kinds(kinds) if kinds else ())
-    own = load_effects(effects, measured.channels) if effects else ()
+    own = load_effects(effects, measured.channels, as_written=True) if effects else ()
     chosen = named_effects(add, (*catalogue(measured.channels), *own))
     before = fit_case(measured)
     after = fit_case(measured, [placed_by_scan(effect, before) for effect in chosen])

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from memsgyro_jax.diagnosis.compare import as_times, judged
 from memsgyro_jax.diagnosis.residual_force import rate_residuals, sweep_forces, time_forces
-from memsgyro_jax.diagnosis.result import Accepted, Candidate, Diagnosis
+from memsgyro_jax.diagnosis.result import DRAW, Accepted, Candidate, Diagnosis
 
 from . import diagnosis_figures as figures
 from . import force_figures
@@ -37,6 +37,7 @@ def diagnosis_page(diagnosis: Diagnosis) -> Page:
     _errors(out, diagnosis)
     _records(out, diagnosis)
     if diagnosis.verdict in ("partly_explained", "unknown_effect"):
+        out.text(f"The law that is missing is drawn, written and fitted by `{DRAW.format(diagnosis.case.folder)}`.")
         _forces(out, diagnosis)
     _tried(out, diagnosis)
     _ranking(out, diagnosis)

@@ -95,7 +95,11 @@ def _held(fit: CaseFit) -> dict[str, dict[str, float]]:
     """Numbers of each effect that are not fitted, in SI: a frequency that was scanned, the moment of a step."""
     free = {(fit.joint.model.effects[p.effect].label, p.field) for p in fit.joint.parameters if p.effect is not None}
     held = {
-        e.label: {name: float(getattr(e, name)) for name in settings_of(e) if (e.label, name) not in free}
+        e.label: {
+            name: float(getattr(e, name))
+            for name in settings_of(e)
+            if (e.label, name) not in free and np.ndim(getattr(e, name)) == 0
+        }
         for e in fit.model.effects
     }
     return {label: values for label, values in held.items() if values}

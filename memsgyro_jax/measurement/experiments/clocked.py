@@ -1,17 +1,20 @@
 """Records whose rows follow each other in time at one period, and among them waveforms."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from ..columns import signal_columns
 from ..declared import Declared
 from ..noise import noise_over_time
+from ..tracking import Track, tracked
 from .deviation import Band, Deviation, Known, Overlay, Series, Variable, View, segments
 from .missing_force import TimeForce, force_over_time
 from .record import AbstractRecord, Watched
 
 
+REACH = (0.5, 2.0)  # times the design's resonances: where a vibration is looked for
 _AROUND = 0.1  # of a mode's frequency that counts as "at" it in a spectrum
 
 
@@ -70,6 +73,7 @@ class WaveformRecord(ClockedRecord):
     """
 
     signals: np.ndarray
+    reference_frequency: ClassVar[float | None] = None  # of phasors; `None` for waveforms
 
     @property
     def readings(self) -> np.ndarray:
@@ -81,6 +85,12 @@ class WaveformRecord(ClockedRecord):
 
     def columns(self, declared: Declared) -> dict[str, np.ndarray]:
         return {"t [s]": self.time, **signal_columns(self.signals, declared)}
+
+    def track(self, declared: Declared, channel: int, rows: int = 0) -> Track:
+        """Amplitude, frequency and decay rate of the strongest vibration of a channel, over windows of some rows."""
+        low, high = declared.resonances
+        band = REACH[0] * low, REACH[1] * high
+        return tracked(self.time, self.signals[:, channel], band, reference=self.reference_frequency or 0.0, rows=rows)
 
     def series(self, deviation: Deviation) -> Series:
         motion, white = deviation.motion(self.period), deviation.white

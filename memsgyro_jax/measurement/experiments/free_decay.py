@@ -23,7 +23,6 @@ from ..envelope import HARMONICS, Driven, run_samples
 from ..model import Model
 from ..section import ExperimentSection, Quantity
 from ..steady import fundamental
-from ..tracking import Track, tracked
 from .base import CartesianNoise, Experiment, Noise, Readings, RealNoise, surroundings
 from .checks import check_sampling
 from .clocked import WaveformRecord
@@ -36,7 +35,6 @@ PHASE_STEP = 0.06  # of the highest mode per integration step [rad]
 TURN = 4.0  # phase by which a vibration may turn within a piece, between its lowest and highest frequency [rad]
 CYCLES, ROWS = 4, 24  # in a piece at least
 SOLVES = 4  # Gauss-Newton steps towards the start of a piece
-REACH = (0.5, 2.0)  # times the design's resonances: where the vibration is looked for
 
 
 class FreeDecay(Experiment):
@@ -203,12 +201,6 @@ class FreeDecayRecord(WaveformRecord):
         if self.reference_frequency is None:
             return super().columns(declared)
         return {"t [s]": self.time, **phasor_columns(self.signals, declared)}
-
-    def track(self, declared: Declared, channel: int, rows: int = 0) -> Track:
-        """Amplitude, frequency and decay rate of the strongest vibration of a channel, over windows of some rows."""
-        low, high = declared.resonances
-        band = REACH[0] * low, REACH[1] * high
-        return tracked(self.time, self.signals[:, channel], band, reference=self.reference_frequency or 0.0, rows=rows)
 
     # ---- pieces
 

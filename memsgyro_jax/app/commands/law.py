@@ -1,0 +1,67 @@
+"""`memsgyro law`: draw the law that no catalogue holds, write it as an effect, add it, say what it helped."""
+
+from pathlib import Path
+from typing import Literal
+
+from .flags import Flag
+
+
+def law_command(
+    case: Path,
+    /,
+    *,
+    out: Path,
+    axis: Literal["x", "y"] = "x",
+    terms: int = 3,
+    spline: Flag = False,
+    kinds: Path | None = None,
+    model: Path | None = None,
+    report: Path | None = None,
+) -> None:
+    """Draw an unknown law from a measurement case, write it as an effect file, and fit with it.
+
+    Prints frequency and damping against amplitude, the law, and the error of every
+    experiment without and with it, also of those that are not fitted.
+    Edit the file and add it again with `memsgyro fit CASE --effects FILE --add NAME`.
+
+    Args:
+        case: folder with a case.toml and the CSV files that it names, or the word demo for the one that comes along.
+        out: file for the law, a Python file with one effect per term.
+        axis: that the law is drawn for.
+        terms: at most so many terms.
+        spline: forces between knots instead of terms with a free exponent and a threshold.
+        kinds: a Python file with kinds of measurement of your own. It is run: trust it first.
+        model: file for the fitted model, for `memsgyro compare --model`.
+        report: file for a page with the backbone, the law and the errors.
+    """
+    from memsgyro_jax.base.errors import InputError
+    from memsgyro_jax.base.files import write_whole
+    from memsgyro_jax.diagnosis.backbone import backbone
+    from memsgyro_jax.diagnosis.fit import fit_case
+    from memsgyro_jax.diagnosis.law import draw_law, fit_law
+    from memsgyro_jax.measurement.model_file import write_model
+    from memsgyro_jax.measurement.user_kinds import load_kinds
+
+    from ..report.fit_text import fit_text
+    from .diagnose import load_demo_or
+    from .options import require_writable
+
+    require_writable(out, model, report)
+    if not 1 <= terms <= 9:
+        raise InputError(f"Option `--terms` must be 1 to 9, but is {terms}.")
+    measured, number = load_demo_or(case, load_kinds(kinds) if kinds else ()), "xy".index(axis)
+    if number >= measured.channels:
+        raise InputError(f"Option `--axis` must be x for a device of one axis, but is {axis}.")
+    before = fit_case(measured)
+    curve, law = backbone(before, number), draw_law(before, number, terms=terms, spline=spline)
+    print(curve, law, sep="\n\n")
+    after = fit_law(law, law.write(out)) if law.names else before
+    if law.names:
+        print("\n" + fit_text(before, after))
+        print(f"{out} is the law; edit it, then: memsgyro fit {case} --effects {out} --add {' '.join(law.names)}")
+    if model is not None:
+        write_model(after.model, model)
+    if report is not None:
+        from ..report.law_page import law_page
+
+        write_whole(report, law_page(curve, law, before, after).html())

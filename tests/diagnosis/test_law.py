@@ -1,0 +1,199 @@
+"""Laws that no catalogue holds, drawn from sweeps whose rows obey closed describing functions."""
+
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from memsgyro_jax.app.cli import main
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.diagnosis.backbone import backbone
+from memsgyro_jax.diagnosis.fit import fit_case
+from memsgyro_jax.diagnosis.law import draw_law, fit_law
+from memsgyro_jax.diagnosis.law_file import LawTerm, bends, law_text
+from memsgyro_jax.diagnosis.result import validation_error
+from memsgyro_jax.effects import by_name, catalogue, load_effects
+from memsgyro_jax.effects.trial import moments
+from memsgyro_jax.measurement.case import load_case
+
+
+CASE = """
+schema = "memsgyro-case/1"
+name = "stranger"
+device = "resonator"
+[design]
+resonance = {{ value = {hertz}, unit = "Hz", tolerance = 0.05 }}
+quality_factor = {{ value = {quality}, unit = "1", tolerance = 0.5 }}
+static_gain = {{ value = 1, unit = "1", tolerance = 0.9 }}
+[readout]
+scale = {{ value = 1, unit = "V/V" }}
+[[experiment]]
+name = "sweep"
+kind = "frequency_sweep"
+file = "sweep.csv"
+settled = true
+noise_std = {{ value = {noise}, unit = "V" }}
+"""
+TOP = 0.8  # V, about the largest amplitude
+ROWS = 60  # of each sweep
+
+
+@dataclass(frozen=True)
+class Device:
+    """Frequency [Hz] and quality factor."""
+
+    hertz: float
+    quality: float
+
+    @property
+    def omega(self):
+        return 2 * np.pi * self.hertz
+
+    @property
+    def width(self):
+        return self.omega / self.quality
+
+
+def bowed(a, device):
+    """F = −s·x·|x|, which takes 0.8 widths off the resonance at the top."""
+    return -1.6 * device.width * device.omega * a / TOP, 0 * a
+
+
+def contact(a, device):
+    """A spring that is touched at 0.3 V: F = −s·(|x| − 0.3)·sign(x) beyond."""
+    ratio = np.minimum(0.3 / a, 1.0)
+    share = 1 - 2 / np.pi * (np.arcsin(ratio) + ratio * np.sqrt(1 - ratio**2))
+    return 2.5 * device.width * device.omega * share, 0 * a
+
+
+def dragged(a, device):
+    """F = −s·v·|v|, which doubles the damping at the top."""
+    return 0 * a, device.width * a / TOP
+
+
+LAWS = {"bowed": bowed, "contact": contact, "dragged": dragged}
+DEVICES = {"wire": Device(1650.0, 150.0), "fork": Device(32768.0, 20000.0)}
+
+
+def swept(folder, law, device, seed=0):
+    """Two sweeps over frequency, each row where its amplitude is one of a grid, below and above resonance."""
+    rng, rows = np.random.default_rng(seed), []
+    linear = device.width * device.omega
+    for drive in (0.45, 1.1):
+        force = drive * TOP * linear
+        a = np.geomspace(0.03 * TOP, 6 * TOP, 4000)
+        stiffness, damping = law(a, device)
+        k, d = device.omega**2 + stiffness, device.width + damping
+        # |(K − ω²) + iωD| = F/a, solved for ω² on both sides
+        half, rest = k - d**2 / 2, (force / a) ** 2 - d**2 * (k - d**2 / 4)
+        for side in (-1, 1):
+            real = rest > 0
+            square = half[real] + side * np.sqrt(rest[real])
+            omega = np.sqrt(square)
+            x = force / (k[real] - square + 1j * omega * d[real])
+            order = np.argsort(omega)
+            grid = np.geomspace(0.05, 6.0, ROWS // 2)[::-side]
+            wanted = device.omega + side * device.width * grid
+            inside = (wanted > omega.min()) & (wanted < omega.max())
+            at = lambda part, w=wanted[inside], o=omega[order], p=order: np.interp(w, o, part[p])  # noqa: E731
+            rows += [(drive * TOP, w, p, q) for w, p, q in zip(wanted[inside], at(x.real), at(x.imag), strict=True)]
+    table = np.array(sorted(rows))
+    noise = 1e-3 * TOP
+    table[:, 2:] += noise * rng.standard_normal(table[:, 2:].shape)
+    table[:, 1] /= 2 * np.pi
+    header = "F [V],f [Hz],y_I [V],y_Q [V]"
+    np.savetxt(folder / "sweep.csv", table, fmt="%.12g", delimiter=",", header=header, comments="")
+    text = CASE.format(hertz=device.hertz, quality=device.quality, noise=noise)
+    (folder / "case.toml").write_text(text)
+    return load_case(folder)
+
+
+QUICK = {("bowed", "fork"), ("contact", "wire")}
+EACH = [
+    pytest.param(name, device, marks=() if (name, device) in QUICK else pytest.mark.slow)
+    for name in LAWS
+    for device in DEVICES
+]
+
+
+@pytest.mark.parametrize(("name", "device"), EACH)
+def test_a_law_is_drawn_written_and_helps_where_it_was_not_fitted(name, device, tmp_path):
+    law, of = LAWS[name], DEVICES[device]
+    before = fit_case(swept(tmp_path, law, of))
+    curve, drawn = backbone(before), draw_law(before)
+    inner = slice(10, -3)
+    stiffness, damping = law(curve.amplitude[inner], of)
+    found = curve.omega[inner] ** 2 - of.omega**2 - stiffness
+    assert np.all(np.abs(found) < 6 * 2 * of.omega * curve.omega_std[inner] + 0.1 * of.width * of.omega)
+    assert np.all(np.abs(curve.damping[inner] - of.width - damping) < 6 * curve.damping_std[inner] + 0.1 * of.width)
+    assert 1 <= len(drawn.terms) <= 3
+    assert drawn.left[0] > 2.0
+    assert drawn.left[1] < 1.3
+    after = fit_law(drawn, drawn.write(tmp_path / "law.py"))
+    assert validation_error(before) > 4.0
+    # The rows obey the first harmonic alone, the model its overtones too, which a corner has.
+    assert validation_error(after) < (2.0 if name == "contact" else 1.2)
+    if name == "contact":
+        stop = after.model.effects[-1]
+        assert [float(stop.threshold), float(stop.exponent)] == pytest.approx([0.3, 0.0], abs=0.02)
+
+
+SEEN = ((1e-9, 2e-6), (1e-3, 0.2))
+TERMS = (
+    LawTerm("stiffness", -3.0, 1.3, None, 2e-6, 1e-9),
+    LawTerm("stiffness", 40.0, 0.5, 4e-7, 2e-6, 1e-9),
+    LawTerm("damping", 2e-6, -0.6, None, 0.2, 1e-3),
+)
+
+
+def test_the_file_holds_what_was_drawn(tmp_path):
+    """Every effect in it is the term it was written from; a strange name of a case stays a comment."""
+    names = ("drawn_stiffness", "drawn_stiffness_2", "drawn_damping")
+    text = law_text('a "strange" """case\\', 1, names, SEEN, TERMS, ())
+    (tmp_path / "law.py").write_text(text)
+    effects = load_effects(tmp_path / "law.py", as_written=True)
+    assert [e.name for e in effects] == list(names)
+    now = moments(effects[0], 2)
+    for effect, term in zip(effects, TERMS, strict=True):
+        z = np.asarray(now.displacement if term.kind == "stiffness" else now.velocity)[:, 1]
+        force = jax.vmap(effect.force)(now)
+        np.testing.assert_allclose(force[:, 1], -term.strength * z * term.share(z), rtol=1e-5, atol=1e-25)
+        assert not np.any(force[:, 0])
+    assert not any(np.any(e.strength) for e in load_effects(tmp_path / "law.py")), "a search starts at zero"
+
+
+def test_a_spline_is_written_too(tmp_path):
+    knots, values = np.array([1e-7, 5e-7, 2e-6]), np.array([0.3, -2.0])
+    (tmp_path / "law.py").write_text(law_text("case", 0, ("drawn_stiffness",), SEEN, (), ((knots, values),)))
+    (effect,) = load_effects(tmp_path / "law.py", 1, as_written=True)
+    z = np.linspace(-2e-6, 2e-6, 9)
+    now = jax.vmap(lambda q: eqx.tree_at(lambda m: m.displacement, moments_one(), q[None]))(jnp.asarray(z))
+    share = sum(v * bend(z) for v, bend in zip(values, bends(knots), strict=True))
+    np.testing.assert_allclose(jax.vmap(effect.force)(now)[:, 0], -share * z, rtol=1e-5, atol=1e-25)
+
+
+def moments_one():
+    """One instant of a device of one axis."""
+    return jax.tree.map(lambda leaf: leaf[0], moments(by_name("cubic_stiffness", among=catalogue(1)), 1))
+
+
+def test_the_command_draws_writes_and_fits(tmp_path, capsys):
+    swept(tmp_path, bowed, DEVICES["fork"])
+    law, page = tmp_path / "law.py", tmp_path / "page.html"
+    with pytest.raises(SystemExit) as ended:
+        main(["law", str(tmp_path), "--out", str(law), "--terms", "1", "--report", str(page)])
+    assert ended.value.code == 0
+    out = capsys.readouterr().out
+    assert "drawn_stiffness" in out
+    assert f"memsgyro fit {tmp_path} --effects {law} --add drawn_stiffness" in out
+    assert "Frequency and damping against amplitude" in page.read_text()
+    assert load_effects(law, 1)
+
+
+def test_without_rows_of_an_axis_there_is_no_backbone(tmp_path):
+    before = fit_case(swept(tmp_path, bowed, DEVICES["fork"]))
+    with pytest.raises(InputError, match="sweeps or decays of axis y"):
+        backbone(before, 1)
