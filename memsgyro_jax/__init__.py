@@ -114,6 +114,9 @@ if TYPE_CHECKING:
     from .base.transforms import Free as Free
     from .device.resonator import Resonator as Resonator
     from .measurement.model import Model as Model
+    from .measurement.allan import allan as allan
+    from .measurement.allan_result import Allan as Allan
+    from .measurement.allan_variance import allan_deviation as allan_deviation
     from .measurement.case import load_case as load_case
     from .measurement.import_case import import_case as import_case
     from .measurement.import_case import ImportedCase as ImportedCase

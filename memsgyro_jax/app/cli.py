@@ -18,6 +18,7 @@ import cyclopts
 from memsgyro_jax import __version__
 from memsgyro_jax.base.errors import InputError
 
+from .commands.allan import allan_command
 from .commands.check import check_command
 from .commands.compare import compare_command
 from .commands.diagnose import diagnose_command
@@ -63,6 +64,7 @@ for _command in (
     simulate_command,
     tune_command,
     identify_command,
+    allan_command,
     effects_command,
     import_command,
     check_command,

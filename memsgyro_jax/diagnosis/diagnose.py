@@ -17,6 +17,7 @@ from memsgyro_jax.measurement.readings import model_of, readings_of
 from .fit import CaseFit
 from .joint_residual import Joint
 from .next_experiment import plans
+from .outlying import Rows, outlying, without_rows
 from .result import SIGMAS_SEEN, Accepted, Candidate, Diagnosis, Stage, Verdict, validation_error
 from .rounds import DECIDED, FITTED, search_on
 from .score import Score, basis, score, separation
@@ -57,6 +58,11 @@ def diagnose(
     smooth = [e for e in candidates if not isinstance(e, Scanned) and e.label not in known]
     joint = Joint(start.with_effect(*smooth), readings_of(case))
     search = start_search(case, joint, (1 - RECORDS) * level, range(len(start.effects)), tell)
+    left_out = outlying(search.base)
+    if left_out:
+        tell("leave out " + _of_rows(case, left_out))
+        joint = Joint(search.base.model, without_rows(joint.readings, left_out))
+        search = start_search(case, joint, (1 - RECORDS) * level, range(len(start.effects)), tell)
     first = search.rank()
     search.own = tuple(i for i, e in enumerate(joint.model.effects) if e.label in {own.label for own in effects})
     search, ranking = search_on(search, first)
@@ -81,7 +87,9 @@ def diagnose(
         base=base,
         final=final,
         verdict=verdict,
-        sentence=_sentence(verdict, accepted, final, explained) + _of_noise(noise),
+        sentence=_sentence(verdict, accepted, final, explained)
+        + _of_noise(noise)
+        + (f" Left out as outlying: {_of_rows(case, left_out)}." if left_out else ""),
         accepted=tuple(a.scaled(scale) for a in accepted),
         first=_listed(joint.model, first),
         candidates=_listed(search.joint.model, ranking),
@@ -91,6 +99,7 @@ def diagnose(
         steps=stages,
         level=level,
         tried=tried,
+        outlying={case.records[number].name: rows for number, rows in left_out.items()},
         scale=_scale(final),
     )
 
@@ -111,6 +120,14 @@ def _of_noise(noise: Mapping[str, float]) -> str:
     """A sentence on noise that is declared wrong; empty where none is."""
     found = ", ".join(f"{size:.3g} times what is declared in {record}" for record, size in noise.items())
     return f" The noise is {found}: what is left there is white and depends on nothing." if found else ""
+
+
+def _of_rows(case: Case, left_out: Rows) -> str:
+    """Rows by number, from one, of each record."""
+    return "; ".join(
+        f"row{'s' * (len(rows) > 1)} {', '.join(str(row + 1) for row in rows)} of {case.records[number].name}"
+        for number, rows in left_out.items()
+    )
 
 
 def _explained(fit: CaseFit, accepted: Sequence, level: float, noise: Mapping[str, float] | None = None) -> list[bool]:

@@ -109,6 +109,7 @@ class Diagnosis(Shown):
         given: labels of the effects that the model had from the beginning.
         tried: where an unknown effect is missing, what was tried and is not enough.
         scale: factor of all standard deviations of effects: above one where the model leaves more than noise.
+        outlying: rows of records, from zero, that stand alone and were left out.
     """
 
     case: Case
@@ -126,6 +127,7 @@ class Diagnosis(Shown):
     given: tuple[str, ...] = ()
     tried: tuple[Stage, ...] = ()
     scale: float = 1.0
+    outlying: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
 
     @property
     def model(self) -> Model:
@@ -186,6 +188,7 @@ class Diagnosis(Shown):
             "steps": [asdict(s) for s in self.steps],
             "tried": [asdict(s) for s in self.tried],
             "std_scale": self.scale,
+            "outlying": {name: list(rows) for name, rows in self.outlying.items()},
             "versions": dict(versions()),
         }
         return finite(entries)

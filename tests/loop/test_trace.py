@@ -1,5 +1,6 @@
 """One run kept sample by sample."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import matplotlib as mpl
@@ -110,3 +111,21 @@ def test_float32_is_refused(fresh_python):
         "except mg.InputError as error: print(error)",
     )
     assert "float64" in done.stdout or "64" in done.stdout, done.stderr
+
+
+def test_the_allan_deviation_of_a_trace(trace):
+    """Of its output's error; white rates of 0.5 deg/√h in a trace's place read so, and a lost die is left out."""
+    found = mg.allan(trace, start=5e-3)
+    np.testing.assert_allclose(found.deviation[0, :2], mg.allan_deviation(trace.rate_error[500:], (1, 2)), rtol=1e-12)
+    assert "1 s is not among" in found.terms[0]["arw_1s"].verdict
+    noise = np.radians(0.5) / 60.0 * np.sqrt(100e3) * np.random.default_rng(1).standard_normal((2, 1000))
+    several = eqx.tree_at(
+        lambda t: (t.time, t.rate_true, t.rate_estimate, t.intact_until),
+        trace,
+        (np.stack([trace.time] * 2), np.zeros((2, 1000)), noise, np.array([np.inf, 2e-3])),
+    )
+    white = mg.allan(several)
+    assert white.series == ("series 0",)
+    assert "1 of 2 dies were lost" in white.notes[0]
+    assert white.terms[0]["N"].low < 0.5 < white.terms[0]["N"].high
+    assert white.terms[0]["N"].value == pytest.approx(0.5, rel=0.1)

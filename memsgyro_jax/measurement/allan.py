@@ -1,0 +1,192 @@
+"""Allan deviation of rates at rest: the curve, the noises that it is made of, and what the record cannot tell."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Array, Float
+from scipy import stats
+
+from memsgyro_jax.base.arguments import quantity
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.loop.trace import Trace
+
+from .allan_result import MEANING, Allan, NoiseTerm
+from .allan_variance import TERMS, allan_deviation, shapes
+from .rate_log import RateLog, read_rate_log
+from .rate_noise import NoiseFit, fit_noise
+
+
+FLAT = float(np.sqrt(2.0 * np.log(2.0) / np.pi))  # 0.664, the deviation of flicker of strength one
+_FEWEST = 6  # octaves: five terms and something to judge them by
+
+
+def allan(
+    source: Trace | str | Path | Float[Array, "*series samples"],
+    *,
+    sample_rate: float | str | None = None,
+    column: str | None = None,
+    start: float | str = 0.0,
+    band: tuple[float, float] | None = None,
+) -> Allan:
+    """Allan deviation of rates at rest and its noise terms by maximum likelihood.
+
+    Args:
+        source: a CSV file as `read_rate_log` takes it; a `Trace`, one of `jax.vmap` too, whose error of the output is
+            taken; or rates in rad/s, shape (samples,) or (series, samples). Each rate counts as an average over its
+            period: for a sampled one the rate random walk reads differently at the first averaging times.
+        sample_rate: [Hz] of an array, or of a file.
+        column: the one to take of a file.
+        start: [s] from which on the rates count, behind the settling; zero takes all.
+        band: shortest and longest averaging time of the fit [s]; without it all octaves up to a third of the record.
+
+    Raises:
+        InputError: for rates that are not finite, do not vary or are too few, and for what `read_rate_log` refuses.
+    """
+    log = _after(_read(source, sample_rate, column), quantity("start", start, "s"))
+    samples, period = log.rate.shape[-1], log.period
+    octaves = tuple(2**k for k in range(samples.bit_length()) if 3 * 2**k <= samples)
+    if band is not None:
+        octaves = tuple(m for m in octaves if band[0] * (1 - 1e-9) <= m * period <= band[1] * (1 + 1e-9))
+    if len(octaves) < _FEWEST:
+        raise InputError(
+            f"The record must hold at least {_FEWEST} octaves of averaging times up to a third of it"
+            f"{'' if band is None else ' within `band`'}, but {samples} samples of {period:.4g} s hold {len(octaves)}."
+        )
+    factors = _factors(samples, period, octaves)
+    measured = allan_deviation(log.rate, factors)
+    if not np.all(measured[:, np.isin(factors, octaves)] > 0.0):
+        raise InputError("The rates must vary at every averaging time, but some do not; is the log of coarse numbers?")
+    found = fit_noise(measured[:, np.isin(factors, octaves)] ** 2, octaves, samples)
+    freedom = np.exp([np.interp(np.log(factors), np.log(octaves), row) for row in np.log(found.freedom)])
+    ends = [measured * np.sqrt(freedom / stats.chi2.ppf(tail, freedom)) for tail in (0.975, 0.025)]
+    tau = np.array(factors) * period
+    terms = tuple(_terms(found, k, tau, measured[k], ends[0][k], ends[1][k], period) for k in range(len(log.names)))
+    return Allan(
+        series=log.names,
+        tau=tau,
+        deviation=measured,
+        low=ends[0],
+        high=ends[1],
+        fitted=np.sqrt(found.value**2 @ shapes(factors).T),
+        terms=terms,
+        band=(octaves[0] * period, octaves[-1] * period),
+        chi2_per_dof=found.chi2 / found.dof,
+        period=period,
+        samples=samples,
+        notes=(*log.notes, *_misfits(log.names, found)),
+    )
+
+
+def _read(source: Any, sample_rate: float | str | None, column: str | None) -> RateLog:
+    if isinstance(source, str | Path):
+        return read_rate_log(source, sample_rate, column)
+    if column is not None:
+        raise InputError("Argument `column` must go with a file, but other rates were given.")
+    if isinstance(source, Trace):
+        if sample_rate is not None:
+            raise InputError("Argument `sample_rate` must be left out for a trace, which has its own times.")
+        return _of_trace(source)
+    if sample_rate is None:
+        raise InputError("Argument `sample_rate` must be given with rates, but is missing.")
+    period = 1.0 / float(quantity("sample_rate", sample_rate, "Hz"))
+    try:
+        rate = np.atleast_2d(np.asarray(source, float))
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            "Argument `source` must be a file, a trace or rates, but is of type "
+            f"{type(source).__name__}; a lot keeps no samples: map `simulate` over its dies with `jax.vmap`."
+        ) from error
+    if rate.ndim > 2 or not np.all(np.isfinite(rate)) or not (period > 0.0 and np.isfinite(period)):
+        raise InputError(
+            "Argument `source` must hold finite rates of shape (samples,) or (series, samples) at a positive sample "
+            f"rate, but has the shape {np.shape(source)}, or holds what is not finite."
+        )
+    return RateLog(_numbered(len(rate)), rate, period)
+
+
+def _of_trace(trace: Trace) -> RateLog:
+    error, lost = np.atleast_2d(trace.rate_error), np.atleast_1d(np.isfinite(trace.intact_until))
+    if np.all(lost):
+        raise InputError("The trace must be of a die that was not lost, but none of them is.")
+    times = np.asarray(trace.time).reshape(len(lost), -1)[0]
+    names = tuple(name for name, gone in zip(_numbered(len(lost)), lost, strict=True) if not gone)
+    notes = (f"{np.sum(lost)} of {len(lost)} dies were lost and are left out.",) if np.any(lost) else ()
+    return RateLog(names, error[~lost], float(times[-1] - times[0]) / (len(times) - 1), notes)
+
+
+def _numbered(count: int) -> tuple[str, ...]:
+    return ("rate",) if count == 1 else tuple(f"series {k}" for k in range(count))
+
+
+def _after(log: RateLog, start: float) -> RateLog:
+    first = round(start / log.period) if start >= 0.0 else -1
+    if not 0 <= first < log.rate.shape[-1]:
+        raise InputError(
+            f"Argument `start` must lie within the {log.rate.shape[-1] * log.period:.4g} s of the record, but "
+            f"{start:g} s was given."
+        )
+    return log._replace(rate=log.rate[:, first:])
+
+
+def _factors(samples: int, period: float, octaves: tuple[int, ...]) -> tuple[int, ...]:
+    """Four averaging times an octave, and one second where the samples hit it."""
+    most = samples // 3
+    quarters = {round(2 ** (k / 4)) for k in range(4 * most.bit_length())}
+    second = round(1.0 / period)
+    there = {second} if second and abs(second * period - 1.0) < 1e-6 else set()
+    return tuple(sorted(m for m in {*quarters, *octaves, *there} if m <= most))
+
+
+def _terms(
+    found: NoiseFit,
+    k: int,
+    tau: np.ndarray,
+    measured: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    period: float,
+) -> dict[str, NoiseTerm]:
+    terms = {}
+    for place, name in enumerate(TERMS):
+        _, unit, factor, power = MEANING[name]
+        value, least, most = (
+            factor * period**power * float(part[k, place]) for part in (found.value, found.low, found.high)
+        )
+        told = least > 0.0
+        terms[name] = NoiseTerm(value if told else None, least, most, unit, "" if told else "the record cannot tell it")
+    return {
+        **terms,
+        "arw_1s": _at_one_second(tau, measured, low, high),
+        "bias_instability": _minimum(terms, measured, low, high),
+    }
+
+
+def _at_one_second(tau: np.ndarray, *curves: np.ndarray) -> NoiseTerm:
+    """√(1 s) times the deviation at 1 s, between its neighbours where no averaging time is 1 s."""
+    _, unit, factor, _ = MEANING["N"]
+    if not tau[0] <= 1.0 + 1e-6 or not tau[-1] >= 1.0 - 1e-6:
+        return NoiseTerm(None, 0.0, float("inf"), unit, "1 s is not among the averaging times")
+    value, low, high = (factor * float(np.exp(np.interp(0.0, np.log(tau), np.log(curve)))) for curve in curves)
+    return NoiseTerm(value, low, high, unit, "")
+
+
+def _minimum(terms: Mapping[str, NoiseTerm], measured: np.ndarray, low: np.ndarray, high: np.ndarray) -> NoiseTerm:
+    _, unit, factor, _ = MEANING["B"]
+    least = int(np.argmin(measured))
+    value, below, above = (factor / FLAT * float(curve[least]) for curve in (measured, low, high))
+    if least == 0:
+        return NoiseTerm(None, 0.0, above, unit, "the deviation rises from the first averaging time on")
+    if all(terms[name].value is None for name in "BKR"):
+        return NoiseTerm(None, 0.0, above, unit, "the deviation has not ceased to fall")
+    return NoiseTerm(value, below, above, unit, "")
+
+
+def _misfits(names: tuple[str, ...], found: NoiseFit) -> list[str]:
+    poor = [name for name, p in zip(names, stats.chi2.sf(found.chi2, found.dof), strict=True) if p < 1e-3]
+    if not poor:
+        return []
+    which = "" if len(names) == 1 else f" of {len(poor)} of {len(names)} series"
+    said = f"The five noises do not describe the record{which} (χ² beyond its 99.9 % point); "
+    return [said + "a filter, vibration, settling or temperature: the terms hold only for a `band` without them."]

@@ -1,0 +1,111 @@
+"""Rate logs: what a sensor at rest put out, as a CSV file."""
+
+import dataclasses
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from memsgyro_jax.base.arguments import quantity
+from memsgyro_jax.base.concrete import check_positive
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.table import Table, read_table
+from memsgyro_jax.base.text import listed
+
+from .clock import check_period
+
+
+class RateLog(NamedTuple):
+    """Rates of one or several axes, evenly sampled.
+
+    Args:
+        names: of the series.
+        rate: [rad/s].
+        period: [s] from sample to sample.
+        notes: what was assumed or left out, one sentence each.
+    """
+
+    names: tuple[str, ...]
+    rate: Float[np.ndarray, "series samples"]
+    period: float
+    notes: tuple[str, ...] = ()
+
+
+def read_rate_log(path: str | Path, sample_rate: float | str | None = None, column: str | None = None) -> RateLog:
+    """The rates of a CSV file with a header like ``t [s],rate_z [deg/h]``, in any unit of angular rate.
+
+    Every column of a rate is a series, or `column` alone; others are left out. The clock is the column of times, or
+    `sample_rate` [Hz], which also takes times as they jitter for those of even sampling.
+
+    Raises:
+        InputError: with file, line and column for what `read_table` refuses, no or an unknown column of a rate, neither
+            times nor `sample_rate` or both in contradiction, a gap, and times that jitter.
+    """
+    table = read_table(path)
+    rates = [name for name in table.columns if _measures(table, name, "rad/s")]
+    times = [name for name in table.columns if _measures(table, name, "s")]
+    if not rates or (column is not None and column not in rates):
+        raise InputError(
+            f'{table.path}: a rate log must have a column such as "{column or "rate"} [deg/s]", but has '
+            f"{listed((f'{name} [{unit}]' for name, unit in table.units.items()), '`')}."
+        )
+    chosen = rates if column is None else [column]
+    if len(times) > 1:
+        raise InputError(f"{table.path}: a rate log must have one column of times, but has {listed(times, '`')}.")
+    if not times and sample_rate is None:
+        raise InputError(
+            f'{table.path}: a rate log must have a column of times such as "t [s]", but has none; add it, or give the '
+            "sample rate (`sample_rate`, `--rate`)."
+        )
+    period = None if sample_rate is None else _period(sample_rate)
+    clock = (
+        dataclasses.replace(table, columns={"t": table.columns[times[0]]}, units={"t": table.units[times[0]]})
+        if times
+        else None
+    )
+    left = [name for name in table.columns if name not in (*chosen, *times)]
+    notes = [f"Columns not used: {listed(left, '`')}."] if left else []
+    if clock is not None and period is not None:
+        notes.append(f"The rows are taken as sampled at {1.0 / period:g} Hz, whatever their times jitter.")
+    rate = np.stack([table.si(name, "rad/s") for name in chosen])
+    return RateLog(tuple(chosen), rate, _clocked(clock, period), tuple(notes))
+
+
+def _measures(table: Table, name: str, unit: str) -> bool:
+    try:
+        table.si(name, unit)
+    except InputError:
+        return False
+    return True
+
+
+def _period(sample_rate: float | str) -> float:
+    rate = quantity("sample_rate", sample_rate, "Hz")
+    check_positive("sample_rate", rate)
+    return 1.0 / float(rate)
+
+
+def _clocked(clock: Table | None, period: float | None) -> float:
+    """The period [s] that times, a given one, or both say."""
+    if clock is None:
+        assert period is not None
+        return period
+    times = clock.si("t", "s")
+    own = float(times[-1] - times[0]) / (len(times) - 1)
+    if period is None:
+        try:
+            check_period(clock, None)
+        except InputError as error:
+            raise InputError(
+                f"{str(error).rstrip('.')} (with a sample rate, `sample_rate` or `--rate`, jitter is passed over)."
+            ) from error
+        return own
+    wrong = np.flatnonzero(np.abs(np.diff(times) - period) > 0.5 * period)
+    if wrong.size:
+        row = int(wrong[0]) + 1
+        raise InputError(
+            f"{clock.path}, line {clock.lines[row]}: at the given sample rate the times must rise by {period:.6g} "
+            f"s a row, but here by {times[row] - times[row - 1]:.6g} s; is a row missing, or the rate wrong?"
+        )
+    return period

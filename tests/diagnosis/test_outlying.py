@@ -1,0 +1,55 @@
+"""Rows that stand alone are named and left out; a misfit, however large, names nobody."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from bench_case import BAND, RESONATOR, bench
+from lab.die import Hidden
+from lab.protocol import Laboratory, Sweep
+
+from memsgyro_jax.diagnosis.fit import beside_case, fit_case
+from memsgyro_jax.diagnosis.joint_residual import Joint
+from memsgyro_jax.diagnosis.optimum import optimise
+from memsgyro_jax.diagnosis.outlying import outlying, without_rows
+
+
+LONG = Laboratory((Sweep("sweep", 0, (0.002, 0.006), **BAND | {"points": 90}),), digits=17)
+WRONG = (11, 40, 77, 130, 151)
+
+
+def case_of(seed, hidden=Hidden(), rows=(), sigmas=15.0):  # noqa: B008
+    """A long sweep at two levels, with some rows that are wrong by so many standard deviations."""
+    case = bench(hidden, seed, LONG, RESONATOR).case
+    (record,) = case.records
+    phasors = record.phasors.copy()
+    turn = np.exp(2j * np.pi * np.random.default_rng(seed).random(len(rows)))
+    phasors[list(rows), 0] += sigmas * record.noise_std * turn
+    return replace(case, records=(replace(record, phasors=phasors),))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_wrong_rows_are_named_and_leave_the_fit_what_it_was(seed):
+    clean, fit = fit_case(case_of(seed)), fit_case(case_of(seed, rows=WRONG))
+    found = outlying(fit)
+    assert found == {0: WRONG}
+    joint = Joint(fit.model, without_rows(fit.joint.readings, found))
+    again = beside_case(fit.case, joint, optimise(joint, joint.start, joint.base(), joint.fitted))
+    assert fit.chi2_per_dof > 1.5
+    assert again.chi2_per_dof < 1.2
+    assert sum(e.count for e in again.errors) == sum(e.count for e in clean.errors) - 2 * len(WRONG)
+    free = again.optimum.free
+    moved = np.abs(again.optimum.vector[free] - clean.optimum.vector[free]) / clean.optimum.std
+    assert np.all(moved < 1.0)
+
+
+def test_normal_noise_and_a_missing_law_name_nobody():
+    """One false row in a thousand records, and none where a spring leaves several times the noise."""
+    assert all(outlying(fit_case(case_of(seed))) == {} for seed in range(8))
+    missing = fit_case(case_of(0, Hidden(cubic_stiffness_x=3.9 * RESONATOR.kxx)))
+    assert missing.chi2_per_dof > 20.0
+    assert outlying(missing) == {}
+
+
+def test_a_record_of_which_a_part_is_wrong_keeps_all_rows():
+    assert outlying(fit_case(case_of(0, rows=range(5, 175, 12), sigmas=40.0))) == {}

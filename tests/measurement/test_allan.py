@@ -1,0 +1,227 @@
+"""Allan deviation against published and independent values, and noise terms against series of known noise."""
+
+import json
+
+import allantools
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from oracles.rate_series import draw
+from scipy import stats
+from scipy.signal import lfilter
+
+import memsgyro_jax as mg
+from memsgyro_jax import InputError
+from memsgyro_jax.measurement.allan_variance import TERMS, allan_deviation, covariance_parts, shapes
+from memsgyro_jax.measurement.rate_noise import fit_noise
+
+
+NBS14 = [892.0, 809.0, 823.0, 798.0, 671.0, 644.0, 883.0, 903.0, 677.0]
+
+
+def nist_1000():
+    """The 1000 numbers of NIST Special Publication 1065, 12.4."""
+    n = [1234567890]
+    for _ in range(999):
+        n.append(16807 * n[-1] % 2147483647)
+    return np.array(n) / 2147483647.0
+
+
+def octaves(samples):
+    return tuple(2**k for k in range(30) if 3 * 2**k <= samples)
+
+
+def test_published_values():
+    # Table 31 of the publication, and of NBS Monograph 140 by Riley's handbook
+    np.testing.assert_allclose(
+        allan_deviation(nist_1000(), [1, 10, 100]), [2.922319e-01, 9.159953e-02, 3.241343e-02], rtol=2e-7
+    )
+    np.testing.assert_allclose(allan_deviation(NBS14, [1, 2]), [91.22945, 85.95287], rtol=1e-7)
+
+
+@pytest.mark.parametrize("rate", [nist_1000(), np.array(NBS14), 3.0 + np.cumsum(nist_1000() - 0.5)])
+def test_the_oracle_agrees(rate):
+    factors = [m for m in (1, 2, 3, 4, 7, 64, 300) if 2 * m <= len(rate)]
+    _, deviation, *_ = allantools.oadev(rate, rate=1.0, data_type="freq", taus=factors)
+    np.testing.assert_allclose(allan_deviation(rate, factors)[: len(deviation)], deviation, rtol=1e-10)
+
+
+def test_it_can_be_differentiated_and_mapped():
+    rates = np.stack([nist_1000()[:60], nist_1000()[60:120]])
+    mapped = jax.jit(jax.vmap(lambda rate: allan_deviation(rate, (1, 8))))(rates)
+    np.testing.assert_allclose(mapped, allan_deviation(rates, (1, 8)), rtol=1e-12)
+    slope = jax.grad(lambda rate: jnp.sum(allan_deviation(rate, (1, 8))))(jnp.asarray(rates[0]))
+    step = 1e-6 * np.eye(60)[17]
+    ends = [allan_deviation(rates[0] + sign * step, (1, 8)).sum() for sign in (1, -1)]
+    np.testing.assert_allclose(slope[17], (ends[0] - ends[1]) / 2e-6, rtol=1e-7)
+    still = jax.grad(lambda rate: jnp.sum(allan_deviation(rate, (1, 8))))(jnp.ones(60))
+    assert np.all(np.asarray(still) == 0.0)
+
+
+def test_a_ramp_is_known_exactly():
+    np.testing.assert_allclose(
+        allan_deviation(2.0 * np.arange(500.0), [1, 10, 100]), np.sqrt(2) * np.array([1, 10, 100])
+    )
+
+
+@pytest.mark.parametrize("truth", [(1, 0, 0, 0, 3), (1, 0.3, 0, 0, 0), (1, 0, 0.05, 2e-3, 0)], ids=str)
+def test_mean_and_covariance_of_the_model(truth):
+    """Every random term and the ramp, by 2000 drawn series."""
+    samples, factors = 768, octaves(768)
+    variance = allan_deviation(draw(np.random.default_rng(4), samples, 2000, *truth), factors) ** 2
+    power = np.square(np.array(truth, float))
+    np.testing.assert_allclose(variance.mean(axis=0), shapes(factors) @ power, rtol=0.08)
+    squares, sums = covariance_parts(samples, factors)
+    random = power[[0, 1, 2, 4]]
+    expected = np.einsum("ijab,a,b->ij", squares, random, random) + power[3] * sums @ random
+    np.testing.assert_allclose(np.var(variance, axis=0), np.diag(expected), rtol=0.25)
+    std = np.sqrt(np.diag(expected))
+    np.testing.assert_allclose(np.corrcoef(variance.T), expected / np.outer(std, std), atol=0.1)
+
+
+def test_covariances_of_long_records_are_covariances():
+    for samples in (300, 20_000, 3_000_000):
+        squares, sums = covariance_parts(samples, octaves(samples))
+        for each in (*np.moveaxis(np.einsum("ijaa->ija", squares), -1, 0), *np.moveaxis(sums, -1, 0)):
+            std = np.sqrt(np.diag(each))
+            assert np.linalg.eigvalsh(each / np.outer(std, std))[0] > -1e-9
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("samples", "truth", "fewest"),
+    [
+        (4096, (1.0, 0.1, 0.01, 0.0, 2.0), 0.90),
+        (20_000, (1.0, 0.2, 0.02, 1e-5, 0.0), 0.90),
+        (10_000, (0.3, 0.5, 0.0, 0.0, 0.0), 0.90),
+        (3000, (0.2, 0.0, 0.005, 1e-3, 1.0), 0.86),  # a walk whose own drift passes for a tenth of the ramp
+    ],
+    ids=str,
+)
+def test_known_mixtures_lie_in_their_intervals(samples, truth, fewest):
+    """In 90 to 99 % of 200 series each term; beside a ramp less is promised."""
+    factors = octaves(samples)
+    rates = draw(np.random.default_rng(11), samples, 200, *truth)
+    found = fit_noise(allan_deviation(rates, factors) ** 2, factors, samples)
+    held = np.mean((found.low <= truth) & (np.array(truth) <= found.high), axis=0)
+    assert np.all(held >= fewest), dict(zip(TERMS, held, strict=True))
+    told = np.mean(found.low > 0.0, axis=0) > 0.5  # a term that most records cannot tell is held by more
+    assert np.all(held[told] <= 0.99), dict(zip(TERMS, held, strict=True))
+    assert np.mean(stats.chi2.sf(found.chi2, found.dof) < 1e-3) <= 0.02
+
+
+def test_terms_are_found_or_said_to_be_unknown(tmp_path):
+    """Rates in rad/s at 50 Hz of 0.4 deg/√h and 20 deg/h of flicker; walk, ramp and quantisation are none."""
+    n, b = np.radians(0.4) / 60.0, np.radians(20.0) / 3600.0
+    rate = draw(np.random.default_rng(2), 30_000, 1, n=n * np.sqrt(50.0), b=b)[0] + np.radians(1.0)
+    found = mg.allan(rate, sample_rate="50 Hz")
+    terms = found.terms[0]
+    for name, truth in (("N", 0.4), ("B", 20.0)):
+        assert terms[name].low < truth < terms[name].high
+        assert terms[name].value == pytest.approx(truth, rel=0.15)
+    for name in "KRQ":
+        assert terms[name].value is None
+        assert 0.0 < terms[name].high < np.inf
+    # Read at 1 s: √(0.4² + 20²/60² · 0.441), and the curve flattens towards the flicker.
+    assert terms["arw_1s"].low < np.sqrt(0.4**2 + (20 / 60 * 0.664) ** 2) < terms["arw_1s"].high
+    assert terms["bias_instability"].value == pytest.approx(
+        found.deviation[0].min() / 0.66428 * 3600 * 180 / np.pi, rel=1e-4
+    )
+    assert "cannot tell" in str(found)
+    table = found.to_xarray()
+    assert np.isnan(table["term_value"].sel(term="K").item())
+    assert table["deviation"].attrs["units"] == "rad/s"
+    entries = json.loads(found.to_json())
+    assert entries["schema"] == "memsgyro-allan/1"
+    assert entries["series"][0]["terms"]["K"]["value"] is None
+    ax = found.plot()
+    assert ax.get_xscale() == "log"
+    ax.figure.clear()
+
+
+def test_what_still_falls_has_no_bias_instability():
+    found = mg.allan(draw(np.random.default_rng(5), 6000, 1, n=1e-3)[0], sample_rate=10.0)
+    assert found.terms[0]["bias_instability"].value is None
+    assert "not ceased to fall" in found.terms[0]["bias_instability"].verdict
+    assert found.chi2_per_dof[0] < 4.0
+    assert found.notes == ()
+
+
+def test_a_filter_is_noticed_and_a_band_helps():
+    rate = lfilter([0.4], [1.0, -0.6], draw(np.random.default_rng(6), 40_000, 1, n=1e-3)[0])
+    whole = mg.allan(rate, sample_rate=100.0)
+    assert "do not describe" in whole.status
+    part = mg.allan(rate, sample_rate=100.0, band=(1.0, 1000.0))
+    assert part.status == "completed"
+    assert part.terms[0]["N"].low < np.degrees(1e-4) * 60.0 < part.terms[0]["N"].high
+
+
+def test_many_series_are_summed_up():
+    found = mg.allan(draw(np.random.default_rng(7), 200, 8, n=1e-3), sample_rate=1.0)
+    assert "8 of 8" in str(found)
+    assert len(found.terms) == 8
+
+
+@pytest.mark.parametrize(
+    ("rate", "words"),
+    [
+        (np.zeros(1000), "must vary"),
+        (np.arange(20.0), "octaves"),
+        (np.array([np.nan] * 1000), "finite"),
+        (np.ones((2, 2, 1000)), "shape"),
+    ],
+    ids=["constant", "short", "nan", "three axes"],
+)
+def test_unusable_rates_are_refused(rate, words):
+    with pytest.raises(InputError, match=words):
+        mg.allan(rate, sample_rate=1.0)
+
+
+def write(path, header, *columns):
+    np.savetxt(path, np.stack(columns, axis=-1), delimiter=",", header=header, comments="", fmt="%.9g")
+    return path
+
+
+def test_a_log_in_degrees_per_hour(tmp_path):
+    rate = draw(np.random.default_rng(8), 1200, 3, n=1e-3)
+    time = np.arange(1200) / 20.0
+    path = write(
+        tmp_path / "log.csv", "t [s],wx [deg/h],wz [deg/h],T [degC]", time, *np.degrees(rate[:2]) * 3600, rate[2]
+    )
+    found = mg.allan(path)
+    assert found.series == ("wx", "wz")
+    assert found.period == pytest.approx(0.05, rel=1e-12)
+    np.testing.assert_allclose(found.deviation, mg.allan(rate[:2], sample_rate=20.0).deviation, rtol=1e-6)
+    assert found.notes == ("Columns not used: `T`.",)
+    assert mg.allan(path, column="wz", start="10 s").samples == 1000
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (lambda t: np.where(np.arange(1200) > 600, t + 0.35, t), "line 603.*is a row missing"),
+        (lambda t: t + 0.004 * np.sin(np.arange(1200.0)), "clock of one period.*--rate"),
+    ],
+    ids=["gap", "jitter"],
+)
+def test_gaps_and_jitter(tmp_path, spoil, words):
+    rate, time = draw(np.random.default_rng(9), 1200, 1, n=1e-3)[0], spoil(np.arange(1200) / 20.0)
+    path = write(tmp_path / "log.csv", "t [s],w [rad/s]", time, rate)
+    with pytest.raises(InputError, match=words):
+        mg.allan(path)
+    if "--rate" in words:
+        found = mg.allan(path, sample_rate=20.0)
+        assert "jitter" in found.notes[0]
+    else:
+        with pytest.raises(InputError, match="line 603"):
+            mg.allan(path, sample_rate=20.0)
+
+
+def test_a_log_without_times_needs_a_rate(tmp_path):
+    path = write(tmp_path / "log.csv", "w [rad/s]", draw(np.random.default_rng(9), 300, 1, n=1e-3)[0])
+    with pytest.raises(InputError, match="column of times"):
+        mg.allan(path)
+    assert mg.allan(path, sample_rate="1 kHz").period == 1e-3
+    with pytest.raises(InputError, match="must have a column"):
+        mg.allan(path, sample_rate=1.0, column="v")
