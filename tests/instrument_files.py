@@ -101,13 +101,10 @@ X0 3,9E+3 3,9E+3|Delta_X 5,0 5,0|***End_of_Header***   |X_Value Real Imaginary C
 
 
 def touchstone(path):
-    ohms = 50.0
-    admittance = RESPONSE  # as a current of 1 V, through
     scattering = np.zeros((len(FREQUENCY), 2, 2), complex)
-    through = 2 * ohms * admittance / (1 + 2 * ohms * admittance)
-    scattering[:, 0, 1] = scattering[:, 1, 0] = through
-    scattering[:, 0, 0] = scattering[:, 1, 1] = 1 - through
-    network = skrf.Network(f=FREQUENCY, f_unit="hz", s=scattering, z0=ohms)
+    scattering[:, 0, 1] = scattering[:, 1, 0] = RESPONSE
+    scattering[:, 0, 0] = scattering[:, 1, 1] = 1 - RESPONSE
+    network = skrf.Network(f=FREQUENCY, f_unit="hz", s=scattering, z0=50.0)
     network.write_touchstone(path.stem, str(path.parent), form="ri")
 
 

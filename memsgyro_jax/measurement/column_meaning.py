@@ -23,7 +23,7 @@ SHORT = {
 }  # fmt: skip
 """Other words for the roles on the left of `--map`."""
 _UNUSED = re.compile(
-    r"std|stddev|sigma|noise|stderr|pwr|power|settl|bandwidth|\btc\b|constant|dio|trigger|aux|chunk|\bsize\b|\bnext|"
+    r"std|sigma|noise|stderr|pwr|power|settl|bandwidth|\btc\b|constant|\bdio\b|^trigger|^aux ?in|chunk|\bsize\b|\bnext|"
     r"count|index|\bno\b|coherence|direction|status|overload|\bdate\b|density|comment|set ?timestamp|\bsweep\b"
 )
 _NAMED = {
@@ -33,8 +33,8 @@ _NAMED = {
     "V_bias": r"bias",
     "drive": r"drive|excit|force|stimul|generator|source|\binput\b|level|set ?point|control|sig(nal)? ?out|current|"
     r"^(f x|u|u x|output)$|amplitude set",
-    "phase": r"phase|theta|\bphi\b|^arg$|angle",
-    "amp": r"^r$|\bamp|ampl|magnitude|^mag\b|\babs\b|modulus|\bgain\b|^s\d\d db$",
+    "phase": r"\bphase|theta|\bphi\b|\barg\b|angle",
+    "amp": r"^r$|\bamp\b|ampl\b|amplitude|magnitude|\bmag\b|\babs\b|modulus|\bgain\b|^s\d\d db$",
 }
 _PARTS = {
     "I": {"x", "i", "re", "real", "inphase", "realz"},
@@ -49,12 +49,10 @@ class Meaning:
 
     Args:
         columns: role to column.
-        assumed: one sentence each.
         unused: names of those that are left out.
     """
 
     columns: Mapping[str, SourceColumn]
-    assumed: tuple[str, ...]
     unused: tuple[str, ...]
 
     @property
@@ -77,27 +75,27 @@ def meaning_of(table: SourceTable, said: Mapping[str, str]) -> Meaning:
         columns = {role: _chosen(table, role, text) for role, text in said.items()}
         names = {column.name for column in columns.values()}
         unused = tuple(column.header for column in table.columns if column.name not in names)
-        return _whole(table, columns, (), unused)
+        return _whole(table, columns, unused)
     found: dict[str, list[SourceColumn]] = {}
     for column in table.columns:
         found.setdefault(role_of(column), []).append(column)
     if "f" not in found or not ({"I", "amp"} & {*found}):
         _as_waveforms(found)
-    assumed = _settled(table, found)
+    _settled(table, found)
     columns = {
         role: candidates[0] for role, candidates in found.items() if (role and role != "signal") or candidates[1:] == []
     }
     columns.pop("", None)
     used = {id(column) for column in columns.values()}
     unused = tuple(column.header for column in table.columns if id(column) not in used)
-    return _whole(table, columns, tuple(assumed), unused)
+    return _whole(table, columns, unused)
 
 
 def role_of(column: SourceColumn) -> str:
     """What a column is by its unit and name; empty for what no record needs."""
     name = " ".join(re.sub(r"[_\-/.:|()]+", " ", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", column.name)).lower().split())
     name = re.sub(r"\bin ?phase\b", "inphase", name)
-    if column.values.dtype.kind not in "iuf" or _UNUSED.search(name):
+    if column.values.dtype.kind not in "iuf" or not np.isfinite(column.values).any() or _UNUSED.search(name):
         return ""
     for role in ("f", "t", "T", "phase"):
         if column.unit and _measures(column.unit, _DIMENSIONS[role]) and not (role == "phase" and "rate" in name):
@@ -111,11 +109,11 @@ def role_of(column: SourceColumn) -> str:
         unlike = column.unit and role in _DIMENSIONS
         if re.search(_NAMED[role], name) and not unlike:
             return role
-    for role, words in _PARTS.items():
-        if tokens and (tokens[-1] in words or tokens[0] in words) and tokens[-1] != "phase":
-            return role
     for role in ("phase", "amp"):
         if re.search(_NAMED[role], name):
+            return role
+    for role, words in _PARTS.items():
+        if tokens and (tokens[-1] in words or tokens[0] in words):
             return role
     return "amp" if column.unit in ("dB", "dBV", "dBm") else "signal"
 
@@ -138,15 +136,14 @@ def _as_waveforms(found: dict[str, list[SourceColumn]]) -> None:
         found.setdefault("signal", []).extend(found.pop("amp"))
 
 
-def _settled(table: SourceTable, found: dict[str, list[SourceColumn]]) -> list[str]:
+def _settled(table: SourceTable, found: dict[str, list[SourceColumn]]) -> None:
     """Chooses where two columns say the same; raises where that would be a guess."""
-    assumed = []
     plain = [column for column in found.get("f", []) if column.name.lower() in ("f", "freq", "frequency")]
     if len(found.get("f", [])) > 1 and len(plain) == 1:
         found["f"] = plain
-    if {"I", "Q", "amp"} <= {*found}:
-        names = listed([c.header for role in ("amp", "phase") for c in found.pop(role, [])], "`")
-        assumed.append(f"in-phase and quadrature columns are used, and {names} is not")
+    if {"I", "Q", "amp"} <= {*found}:  # the same twice
+        found.pop("amp")
+        found.pop("phase", None)
     over_time = "f" not in found or not ({"I", "amp"} & {*found})
     wanted = ("t", "drive", "signal", "I", "Q") if over_time else ("f", "drive", "I", "Q", "amp", "phase")
     for role in wanted:
@@ -158,7 +155,6 @@ def _settled(table: SourceTable, found: dict[str, list[SourceColumn]]) -> list[s
             raise _unclear(
                 table, found, f"more than one column may be {_SPOKEN[role]}: {listed([c.header for c in here], '`')}"
             )
-    return assumed
 
 
 _SPOKEN = {
@@ -167,9 +163,9 @@ _SPOKEN = {
 }  # fmt: skip
 
 
-def _whole(table: SourceTable, columns: dict[str, SourceColumn], assumed: tuple[str, ...], unused) -> Meaning:
+def _whole(table: SourceTable, columns: dict[str, SourceColumn], unused: tuple[str, ...]) -> Meaning:
     """The meaning, if it is that of a record."""
-    meaning = Meaning(columns, assumed, tuple(unused))
+    meaning = Meaning(columns, unused)
     pair = {"I", "Q"} <= {*columns}
     if meaning.swept and not (pair or "amp" in columns):
         raise _unclear(

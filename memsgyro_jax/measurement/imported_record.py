@@ -62,7 +62,7 @@ class Given:
 
 def records_of(name: str, table: SourceTable, meaning: Meaning, given: Given) -> list[ImportedRecord]:
     """The records that a table holds: a sweep, or what was forced and what was free of a run over time."""
-    assumed = [*table.assumed, *meaning.assumed]
+    assumed = [*table.assumed]
     rows = _finite(table, meaning, assumed)
     source = f"{table.path.name}{', ' + table.name if table.name else ''}"
     about = {"name": name, "source": source, "unused": meaning.unused}

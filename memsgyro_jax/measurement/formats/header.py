@@ -22,7 +22,7 @@ _SAME = {
     "V pp": "Vpp", "Vp": "Vpk", "V pk": "Vpk", "V_pk": "Vpk", "-": "1", "none": "1", "a.u.": "1", "arb": "1",
     "arb.": "1", "lin": "1", "dBVrms": "dBV", "counts": "1", "LSB": "1", "strain": "1", "m/m": "1", "ue": "ppm",
     "µε": "ppm", "µm/m": "ppm", "um/m": "ppm", "g": "g_0", "gn": "g_0", "Deg": "deg", "DEG": "deg", "Rad": "rad",
-    "dbm": "dBm", "db": "dB", "RAD": "rad", "dBV rms": "dBV", "v": "V", "mv": "mV",
+    "Newtons": "N", "Amps": "A", "dbm": "dBm", "db": "dB", "RAD": "rad", "dBV rms": "dBV", "v": "V", "mv": "mV",
 }  # fmt: skip
 SPECIAL = re.compile(r"(?P<decibel>dBV|dBm|dB)|(?P<base>[a-zA-Zµμ]+?)(?P<how>rms|pp|pk)")
 """Units that say how an amplitude is meant."""
@@ -48,7 +48,7 @@ def tidy_unit(text: str) -> str:
         return "percent"
     if not text or is_unit(text):
         return text
-    return ""
+    return text.lower() if len(text) > 3 and is_unit(text.lower()) else ""
 
 
 def is_unit(text: str) -> bool:

@@ -94,12 +94,17 @@ def _table(path, name, names, used, values, about, head, dialect, assumed) -> So
     x_unit = tidy_unit(_first(unit)) or ("s" if _first(dimension) == "Time" else "Hz")
     x_name = "frequency" if _first(dimension) == "Frequency" else "time" if x_unit == "s" else _first(dimension)
     labels, channel = about.get("Y_Unit_Label", []), 0
+    if head.get("X_Columns") == "Multi":  # then every channel has two columns
+        labels = labels[::2]
     columns: list[SourceColumn] = []
     for k in used:
         if names[k] == "X_Value":
             empty = not np.isfinite(values[:, k]).any()
             if not empty and not any(c.name == x_name for c in columns):
                 columns.append(SourceColumn(x_name, x_unit, values[:, k]))
+            continue
+        if not np.isfinite(values[:, k]).any():  # a channel without samples
+            channel += 1
             continue
         plain, unit_here = split_header(names[k])
         label = tidy_unit(labels[channel]) if channel < len(labels) else ""

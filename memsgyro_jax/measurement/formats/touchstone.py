@@ -11,7 +11,11 @@ from .base import Format, SourceColumn, SourceTable, library
 
 
 class Touchstone(Format):
-    """Scattering parameters over frequency, read as an admittance: the current that one volt makes."""
+    """Scattering parameters over frequency: what the load sees of one volt.
+
+    A resonance is one in every scattering parameter too, with the quality factor that the ports leave it. Unlike an
+    admittance worked out from it, it keeps its noise as the analyser had it, the same at all frequencies.
+    """
 
     name = "touchstone"
 
@@ -26,14 +30,14 @@ class Touchstone(Format):
         if len(frequency) < 3:
             raise InputError(f"{path}: must hold at least three frequencies, but holds {len(frequency)}.")
         through = network.nports == 2
-        value = -network.y[:, 1, 0] if through else network.y[:, 0, 0]
-        what = "-Y21, the current out of port 2" if through else "Y11, the current into the port"
+        value = network.s[:, 1, 0] if through else 1.0 - network.s[:, 0, 0]
         columns = (
             SourceColumn("frequency", "Hz", frequency),
-            SourceColumn("Y real", "A", value.real),
-            SourceColumn("Y imag", "A", value.imag),
+            SourceColumn("S real", "V", value.real),
+            SourceColumn("S imag", "V", value.imag),
             SourceColumn("drive", "V", np.ones(len(frequency))),
         )
-        impedance = f"{float(np.real(network.z0[0, 0])):g} ohm"
-        said = (f"the response is {what} under 1 V, from the scattering parameters at {impedance}",)
-        return (SourceTable(path, "", columns, {"reads": "velocity"}, said),)
+        what, ohms = "S21" if through else "1 - S11", float(np.real(network.z0[0, 0]))
+        said = f"the response is {what}, a voltage under 1 V, as of the current through a resonator in series"
+        loaded = f"its quality factor is the one beside the ports' {ohms:g} ohm"
+        return (SourceTable(path, "", columns, {"reads": "velocity"}, (said, loaded)),)

@@ -14,6 +14,7 @@ from .header import tidy_unit
 _ABSCISSA = {17: ("time", "s"), 18: ("frequency", "Hz")}
 _QUANTITIES = {8: ("displacement", "m"), 9: ("force", "N"), 11: ("velocity", "m/s"), 12: ("acceleration", "m/s^2"),
                13: ("force", "N")}  # fmt: skip
+_AMPLITUDES = (0, 1, 4, 12)  # kinds of functions: general, time response, frequency response, spectrum
 
 
 class Universal(Format):
@@ -27,12 +28,15 @@ class Universal(Format):
     def read(self, path: Path) -> tuple[SourceTable, ...]:
         sets = library("pyuff", "pyuff", path).UFF(str(path)).read_sets()
         functions = [one for one in (sets if isinstance(sets, list) else [sets]) if one.get("type") == 58]
+        functions = [one for one in functions if int(one.get("func_type", 0)) in _AMPLITUDES]
         alike = defaultdict(list)
         for one in functions:
             alike[np.asarray(one["x"]).tobytes(), one.get("abscissa_spec_data_type")].append(one)
         tables = [_table(path, group, len(alike) > 1) for group in alike.values()]
         if not tables:
-            raise InputError(f"{path}: must hold a function (dataset 58), but holds none.")
+            raise InputError(
+                f"{path}: must hold a time or frequency response or a spectrum (dataset 58), but holds none."
+            )
         return tuple(tables)
 
 

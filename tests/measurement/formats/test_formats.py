@@ -6,6 +6,8 @@ import sys
 import instrument_files as w
 import numpy as np
 import pytest
+import pyuff
+import skrf
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -62,11 +64,8 @@ def complaint(path):
 def test_every_format_gives_the_same_readings(name, tmp_path):
     WRITERS[name](tmp_path / name)
     (record,) = imported(tmp_path / name)
-    through = name.endswith("s2p")
-    close = 1e-5 if through else 1e-6 if name.endswith("uff") else 2e-8  # digits of the format
-    assert_is_the_sweep(record, "A" if through else "V", close)
-    if not through:
-        assert record.quantity == "displacement"
+    assert_is_the_sweep(record, close=1e-6 if name.endswith("uff") else 2e-8)  # digits of the format
+    assert record.quantity == ("velocity" if name.endswith("s2p") else "displacement")
 
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -207,3 +206,72 @@ def test_the_drive_level_from_the_name_of_the_file(stem, level, tmp_path):
     w.semicolons(tmp_path / f"{stem}.csv")
     (record,) = imported(tmp_path / f"{stem}.csv")
     assert record.keys["drive_force"] == {"value": level[0], "unit": level[1]}
+
+
+def over_time(rows=60, step=1e-3, mark="."):
+    """Rows of an excitation and what answers to it, as text, with nothing in the column of times."""
+    for n in range(rows):
+        yield f"\t{np.cos(0.7 * n):.6f}\t{np.sin(0.7 * n) * n / rows:.6f}".replace(".", mark)
+
+
+LVM = """LabVIEW Measurement|Writer_Version~2|Separator~Tab|Decimal_Separator~{mark}|Multi_Headings~Yes|X_Columns~{x}
+***End_of_Header***~|~|{segment}|***End_of_Header***~~~|{names}"""
+
+
+def labview(mark, x, segment, names, rows):
+    head = LVM.format(mark=mark, x=x, segment=segment, names=names).replace("|", "\n").replace("~", "\t")
+    return "\n".join([head, *rows]) + "\n"
+
+
+def test_labview_without_a_column_of_times(tmp_path):
+    segment = "Channels~2~~|Y_Unit_Label~Newtons~m/s^2~|X_Dimension~Time~Time~|X0~0,0~0,0~|Delta_X~1,0E-3~1,0E-3~"
+    names = "X_Value~Excitation (Trigger)~Response (Trigger)~Comment"
+    (tmp_path / "a.lvm").write_text(labview(",", "No", segment, names, over_time(mark=",")))
+    (record,) = imported(tmp_path / "a.lvm")
+    assert record.kind == "time_record"
+    assert {*record.columns} == {"t [s]", "u_x [N]", "Vx [m/s^2]"}
+    np.testing.assert_allclose(record.columns["t [s]"], np.arange(60) * 1e-3)
+
+
+def test_labview_with_a_column_of_times_for_each_channel_and_channels_without_samples(tmp_path):
+    segment = "Channels~3~~~~|Y_Unit_Label~Volts~~g~~|X_Dimension~Time~~Time~|X0~0.0~~0.0~|Delta_X~1E-3~~1E-3~"
+    names = "X_Value~Drive voltage~X_Value~Acceleration~X_Value~Untitled~Comment"
+    rows = (f"{n / 1e3}\t{np.cos(n):.6f}\t{n / 1e3}\t{np.sin(n):.6f}\t\t" for n in range(60))
+    (tmp_path / "a.lvm").write_text(labview(".", "Multi", segment, names, rows))
+    (record,) = imported(tmp_path / "a.lvm")
+    assert {*record.columns} == {"t [s]", "u_x [V]", "Vx [g_0]"}
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        "x-axis,1\nsecond,Volt",  # Keysight
+        "Model,MSO58\nFirmware Version,1.2\n\nWaveform Type,ANALOG\nHorizontal Units,s\n,,\nTIME,CH1",  # Tektronix
+        '"Time [s]","Out [V]"',
+        "LECROY9354,935412345\nSegments,1,SegmentSize,502\n#1,21 Mar 1990 9:37:08,0.0\nTime,Ampl",
+        "in s,C1 in V",  # Rohde & Schwarz
+        "t (s), signal (V)",
+    ],
+)
+def test_oscilloscopes(head, tmp_path):
+    rows = [f"{n * 1e-4:.4e},{np.exp(-n / 100) * np.cos(0.5 * n):.6e}" for n in range(400)]
+    (tmp_path / "a.csv").write_text("\n".join([head, *rows]) + "\n")
+    (record,) = imported(tmp_path / "a.csv")
+    assert record.kind == "free_decay"
+    np.testing.assert_allclose(record.columns["t [s]"], np.arange(400) * 1e-4)
+    assert record.design["resonance"][0] == pytest.approx(0.5e4 / (2 * np.pi), rel=1e-3)
+    assert record.design["quality_factor"][0] == pytest.approx(25.0, rel=0.05)
+
+
+def test_power_spectra_are_no_responses(tmp_path, monkeypatch):
+    written = pyuff.UFF.write_sets
+    monkeypatch.setattr(pyuff.UFF, "write_sets", lambda self, one, mode: written(self, one | {"func_type": 9}, mode))
+    w.universal(tmp_path / "a.uff")
+    with pytest.raises(InputError, match="holds none"):
+        imported(tmp_path / "a.uff")
+
+
+def test_a_reflection_is_read_as_what_goes_in(tmp_path):
+    scattering = (1 - w.RESPONSE)[:, None, None]
+    skrf.Network(f=w.FREQUENCY, f_unit="hz", s=scattering, z0=50.0).write_touchstone("a", str(tmp_path), form="db")
+    assert_is_the_sweep(imported(tmp_path / "a.s1p")[0])
