@@ -78,12 +78,16 @@ class FreeDecay(Experiment):
         """Measured minus predicted in standard deviations, without what another start would change."""
         starts, slopes = self._solved(jax.lax.stop_gradient(bench))
 
-        def one(start: Array, slope: Array, measured: Array, now: Conditions) -> Array:
-            left = self.noise.whiten(measured, self._readings(bench, start, now)).ravel()
+        def one(start: Array, slope: Array, measured: Array, noise: Noise, now: Conditions) -> Array:
+            left = noise.whiten(measured, self._readings(bench, start, now)).ravel()
             return left - slope.T @ (inverse(slope @ slope.T) @ (slope @ left))
 
-        parts = (starts, slopes, self._by_piece(self.measured), self._by_piece(self.surroundings))
-        return jax.vmap(one)(*parts).ravel()
+        return jax.vmap(one)(starts, slopes, *self._pieces()).ravel()
+
+    def _pieces(self) -> tuple[Array, Noise, Conditions]:
+        """Readings, their noise (each reading's own, as rows may be left out) and conditions of every piece."""
+        wide = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, self.measured.shape), self.noise)
+        return self._by_piece(self.measured), self._by_piece(wide), self._by_piece(self.surroundings)
 
     def _by_piece(self, rows: Any) -> Any:
         """Rows (n, ...) as (pieces, m, ...)."""
@@ -93,7 +97,7 @@ class FreeDecay(Experiment):
     def _solved(self, model: Model) -> tuple[Array, Array]:
         """The best start of every piece (pieces, s), and the slopes there of its residual (pieces, s, r) by unit."""
 
-        def one(begin: Array, measured: Array, now: Conditions) -> tuple[Array, Array]:
+        def one(begin: Array, measured: Array, noise: Noise, now: Conditions) -> tuple[Array, Array]:
             omega = jnp.sqrt(jnp.max(model.device.stiffness))
             axes = model.axes
             q, v = begin[:axes], begin[axes:]
@@ -101,7 +105,7 @@ class FreeDecay(Experiment):
             units = size * jnp.concatenate([jnp.ones(axes), jnp.full(axes, omega)])
 
             def left(start: Array) -> Array:
-                return self.noise.whiten(measured, self._readings(model, start, now)).ravel()
+                return noise.whiten(measured, self._readings(model, start, now)).ravel()
 
             def step(start: Array, _: None) -> tuple[Array, Array]:
                 value, slope = jax.vmap(lambda e: jax.jvp(left, (start,), (e,)), out_axes=(None, 0))(jnp.diag(units))
@@ -113,7 +117,7 @@ class FreeDecay(Experiment):
             return found, slopes[-1]
 
         begin = jax.lax.stop_gradient(self.start)
-        return jax.vmap(one)(begin, self._by_piece(self.measured), self._by_piece(self.surroundings))
+        return jax.vmap(one)(begin, *self._pieces())
 
     def _readings(self, model: Model, start: Array, now: Conditions) -> Array:
         """Readings (m, axes) of one piece."""

@@ -1,5 +1,6 @@
 """Free decays from unknown starts, against plain integration of the equation of motion."""
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from scipy.optimize import least_squares
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.normalised import NormalisedDevice
 from memsgyro_jax.diagnosis.fit import fit_case
+from memsgyro_jax.diagnosis.outlying import without_rows
 from memsgyro_jax.effects import by_name, catalogue
 from memsgyro_jax.measurement.case import load_case, write_case
 from memsgyro_jax.measurement.model import Model
@@ -104,6 +106,16 @@ def test_eliminated_starts_are_those_of_a_fit_of_everything(hardening):
         best = least_squares(left, np.asarray(readings.start)[k], x_scale=[1.0, 233.0])
         assert np.sum(residual[k] ** 2) == pytest.approx(2 * best.cost, rel=1e-4)
     assert pieces > 4
+
+
+def test_rows_that_are_left_out_have_no_say(hardening):
+    (readings,) = readings_of(hardening)[:1]
+    (without,) = without_rows([readings], {0: (int(readings.row[40]),)})
+    wrong = without.experiment.measured.at[40].add(5.0)
+    model = model_of(hardening, NormalisedDevice([233.0**2], [2.2], 233.0**2), offset=np.zeros(1))
+    left = without.experiment.residual(model)
+    assert left[40] == 0.0
+    np.testing.assert_array_equal(eqx.tree_at(lambda e: e.measured, without.experiment, wrong).residual(model), left)
 
 
 def test_phasors_of_a_lock_in_tell_the_same_as_the_waveform(tmp_path):
