@@ -154,10 +154,17 @@ if TYPE_CHECKING:
     from .app import cli as cli
     from .base import runtime as runtime
     from . import effects as effects
+    from .device import geometry as geometry
     from .tuning import losses as losses
     # isort: on
 
-_FOLDERS = {"cli": "app.cli", "runtime": "base.runtime", "effects": "effects", "losses": "tuning.losses"}
+_FOLDERS = {
+    "cli": "app.cli",
+    "runtime": "base.runtime",
+    "effects": "effects",
+    "geometry": "device.geometry",
+    "losses": "tuning.losses",
+}
 _SOURCE = __spec__.loader.get_source(__name__)  # type: ignore[union-attr]
 _CONTENTS = {  # name: module that defines it
     name: module

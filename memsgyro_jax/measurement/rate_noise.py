@@ -11,10 +11,10 @@ from .allan_variance import NOISES, TERMS, covariance_parts, shapes
 
 # Fall of twice the log-likelihood at the ends of a 95 % interval. It is 3.84 for many degrees of freedom, of which the
 # longest averaging times have few; beside a ramp the slower noises have but two or three, as Student's t has, and a
-# walk's own drift passes for the ramp. By simulation the intervals hold the truth in 92 to 99 %, beside a ramp in 88 to
+# walk's own drift passes for the ramp. By simulation the intervals hold the truth in 92 to 99 %, beside a ramp in 86 to
 # 100 %, more than 99 % where the walk is none.
 _FALL = 5.0
-_BESIDE_RAMP = (5.0, 10.0, 10.0, 14.0, 5.0)  # of each term
+_BESIDE_RAMP = (5.0, 13.0, 10.0, 22.0, 5.0)  # of each term
 _RAMP = 0.1  # share of the variance at the longest averaging time from which a ramp counts
 _NOTHING = np.log(1e6)  # a term this far below the curve is as good as absent
 _MOST = np.log(1e4)  # and none can lie further above it
