@@ -4,12 +4,14 @@ import re
 import tomllib
 from pathlib import Path
 
+import instrument_files
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import pytest
 
 import memsgyro_jax as mg
 from memsgyro_jax.app import cli
+from memsgyro_jax.measurement.column_meaning import parse_map
 
 
 README = (Path(__file__).resolve().parent.parent / "README.md").read_text()
@@ -50,7 +52,7 @@ def test_command_one_is_one_line():
 
 
 def test_options_named_in_the_readme_exist():
-    for command in ("sweep", "simulate"):
+    for command in ("sweep", "simulate", "import"):
         known = {name for argument in cli.app[command].assemble_argument_collection() for name in argument.names}
         named = {
             word
@@ -58,3 +60,19 @@ def test_options_named_in_the_readme_exist():
             for word in re.findall(r"--\w[\w-]*", line)
         }
         assert named <= known, named - known
+
+
+def test_files_of_an_instrument_become_a_case_as_told(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    command = re.search(r"bin/memsgyro (import .*)", README)[1].split()
+    for path in filter(lambda word: word.endswith(".csv"), command):
+        instrument_files.labone_sweeps(tmp_path / path, float(re.search(r"\d+", path)[0]) / 10, noise=1e-7)
+    with pytest.raises(SystemExit) as ended:
+        cli.main(command)
+    assert ended.value.code == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assumed = re.findall(r"^ *Assumed: (.*)$", README, re.MULTILINE)
+    assert len(assumed) == 4
+    assert all(line.rstrip(".") in out for line in assumed)
+    copied = re.search(r'--map "([^"]*)"', README)[1]
+    assert [*parse_map(copied)] == ["f", "I", "Q", "drive"]
