@@ -20,21 +20,20 @@ _RAYLEIGH = 1.1774  # median of the modulus of a complex normal variable over th
 
 
 def noise_over_frequency(
-    frequency: np.ndarray, phasors: np.ndarray, pieces: Sequence[slice | np.ndarray]
+    frequency: np.ndarray, phasors: np.ndarray, pieces: Sequence[slice], repeats: Sequence[np.ndarray] = ()
 ) -> float | None:
     """Standard deviation of each real part of phasors (n, channels) over a frequency (n,), or `None` for few rows.
 
     Around every row a ratio of two quadratics in frequency is fitted to 11 rows and leaves noise alone: a resonance and
     what is smooth beside it are such a ratio (local rational method: McKelvey and Guérin, IFAC Proc. 45-16 (2012) 49),
     while plain differences take a resonance of a few rows for noise. The median over all rows does not mind a jump.
-    Where frequencies are repeated, it is the scatter among their rows, which needs no model.
+    Where frequencies are repeated, it is the scatter among their rows instead, which needs no model: among those of
+    each of `repeats`, rows that ought to lie on one curve.
     """
-    levels = []
-    for piece in pieces:
-        if (scatter := _scatter(frequency[piece], phasors[piece])) is not None:
-            levels.append(scatter)
-            continue
-        width = min(WINDOW, len(frequency[piece]))
+    scatter = [_scatter(frequency[rows], phasors[rows]) for rows in repeats]
+    levels = [level for level in scatter if level is not None]
+    for piece in () if levels else pieces:
+        width = min(WINDOW, piece.stop - piece.start)
         if width >= FEWEST:
             variance, freedom = _local_variance(frequency[piece], phasors[piece], width), 2 * (width - PARTS)
             levels.append(variance.ravel() * freedom / stats.chi2.median(freedom))

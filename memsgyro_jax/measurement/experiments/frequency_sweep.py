@@ -221,7 +221,7 @@ class FrequencySweepRecord(AbstractRecord):
     # ---- noise and quality
 
     def estimated_noise(self) -> float | None:
-        return noise_over_frequency(self.frequency, self.phasors, self.courses)
+        return noise_over_frequency(self.frequency, self.phasors, self.sweeps, self.courses)
 
     def watched(self, noise: float) -> list[Watched]:
         return [
