@@ -7,6 +7,7 @@ from pathlib import Path
 import instrument_files
 import matplotlib as mpl
 import matplotlib.pyplot as plt
+import numpy as np
 import pytest
 
 import memsgyro_jax as mg
@@ -38,7 +39,23 @@ def test_python_examples_run(code, tmp_path, monkeypatch, capsys):
     assert [line for line in out.splitlines() if not line.startswith("speed")] == told.splitlines()
 
 
-@pytest.mark.parametrize("text", blocks("toml"))
+CASE = next(text for text in blocks("toml") if "memsgyro-case/1" in text)
+
+
+def test_the_smallest_case_can_be_loaded(tmp_path):
+    header = re.search(r"begins\s`(t \[s\].*)`", README)[1]
+    f, w0, rng = np.linspace(1000.0, 1020.0, 81), 2 * np.pi * 1009.0, np.random.default_rng(0)
+    w = 2 * np.pi * f
+    v = 1j * w / (w0**2 - w**2 + 1j * w * w0 / 200.0) + 1e-6 * rng.standard_normal((2, 81)).T @ [1, 1j]
+    rows = np.column_stack([2.0 * np.arange(81), np.full(81, 1e-6), f, v.real, v.imag])
+    np.savetxt(tmp_path / "sweep.csv", rows, delimiter=",", header=header, comments="")
+    (tmp_path / "case.toml").write_text(CASE)
+    case = mg.load_case(tmp_path)
+    assert case.readout.order == 1
+    assert case.design["quality_factor"].value == pytest.approx(200.0, rel=0.02)
+
+
+@pytest.mark.parametrize("text", [text for text in blocks("toml") if text != CASE])
 def test_study_examples_can_be_loaded(text, tmp_path):
     (tmp_path / "study.toml").write_text(text)
     study = mg.load_study(tmp_path / "study.toml")
