@@ -29,11 +29,13 @@ if TYPE_CHECKING:
     from .loop.readout import Delayed as Delayed
     from .loop.readout import Adc as Adc
     from .loop.readout import AbstractReadout as AbstractReadout
+    from .loop.readout import AbstractLinearReadout as AbstractLinearReadout
     from .loop.readout import snr_density as snr_density
     from .loop.observers import ExtendedKalmanFilter as ExtendedKalmanFilter
     from .loop.observers import LyapunovObserver as LyapunovObserver
     from .loop.observers import AbstractObserver as AbstractObserver
     from .loop.observers import AbstractCovarianceObserver as AbstractCovarianceObserver
+    from .loop.observers import AbstractBlockObserver as AbstractBlockObserver
     from .loop.observers import Estimate as Estimate
     from .loop.observers import Clock as Clock
     from .loop.observers import Prior as Prior
@@ -48,6 +50,7 @@ if TYPE_CHECKING:
     from .loop.controllers import DesignedMotion as DesignedMotion
     from .loop.controllers import OpenLoop as OpenLoop
     from .loop.controllers import AbstractController as AbstractController
+    from .loop.controllers import AbstractLinearController as AbstractLinearController
     from .loop.controllers import Tone as Tone
     from .device.propagate import Exact as Exact
     from .device.propagate import ForwardEuler as ForwardEuler

@@ -23,6 +23,7 @@ _FIELDS = {
     "1": "fingers rejection excess ceiling cut relative gain gain_ratio drive_ratio quality quality_factor force_yx "
     "force_xy damping_change force_gain cross_damping adaptation unit realisation progress record rate_trusted share "
     "softness rounding static_gain",
+    "samples": "Blocks.length Blocks.start",
     "kg": "mass mass_x mass_y",
     "1/kg": "mobility",
     "N/m": "kxx kyy kxy kyx",

@@ -86,7 +86,7 @@ def run(
 
     lanes, whole = words[0].shape, blocks * block if loop.device.effects else None
     start = (*beginning(loop, recorder, lanes, design), jnp.ones(lanes, bool), jnp.zeros(lanes, int))
-    (state, memory, alive, survived), outputs = _scan_in_groups(one_block, start, blocks)
+    (state, memory, alive, survived), outputs = scan_in_groups(one_block, start, blocks)
     return Run(state, memory, outputs, alive, survived)
 
 
@@ -142,7 +142,7 @@ def beginning(
 _FLAT = 256  # blocks up to which one loop stacks the outputs
 
 
-def _scan_in_groups(body: Callable, start: tuple, count: int) -> tuple[tuple, Any]:
+def scan_in_groups(body: Callable, start: tuple, count: int) -> tuple[tuple, Any]:
     """`jax.lax.scan` of `body` over 0 … count-1, as a loop of loops when there are many.
 
     With multi-output fusion XLA copies the stacked outputs at every turn instead of writing a row, so that one loop

@@ -96,6 +96,17 @@ class AbstractReadout(Displayed):
         return tuple(s * motion[signal] + o + d for signal, s, o, d in parts)
 
 
+class AbstractLinearReadout(AbstractReadout):
+    """A read-out whose volts are linear in the motion, and its noise white: a loop can then be advanced by blocks, and
+    reads the rows off `clean`.
+    """
+
+    @property
+    def hindrance(self) -> str | None:
+        """What of it is not linear after all, in words; None for nothing."""
+        return None if self.adc is None else "the read-out's converter rounds every sample"
+
+
 def pair_field() -> Pair:
     """A field for one number per axis; a single number serves both."""
     return eqx.field(converter=_as_pair)
@@ -111,7 +122,7 @@ def _as_pair(value: object) -> Pair:
     return (jnp.asarray(value), jnp.asarray(value))
 
 
-class ChargeAmplifier(AbstractReadout):
+class ChargeAmplifier(AbstractLinearReadout):
     """Lateral comb pick-off into a charge amplifier (thesis 3.2 and 3.3.1), two numbers (x, y) per field.
 
     `fingers` N; finger width `width` W, `gap` Z, initial overlap `overlap` x0 and its mismatch `mismatch` d in m;
@@ -202,7 +213,7 @@ class ChargeAmplifier(AbstractReadout):
         )
 
 
-class DirectReadout(AbstractReadout):
+class DirectReadout(AbstractLinearReadout):
     """A pick-off without circuit: `scale * signal + offset + noise`, on displacement or on velocity.
 
     `scale` in V/m (or V·s/m), `offset` in V, `noise_density` in V/√Hz one-sided; zeros mean absent.
@@ -223,7 +234,7 @@ class DirectReadout(AbstractReadout):
         return cls(scale, noise_density=noise_density, signals=(VX, VY))
 
 
-class Delayed(AbstractReadout):
+class Delayed(AbstractLinearReadout):
     """A displacement read-out whose channels answer `delay` (x, y) [s] late; zero is no delay.
 
     To first order: the displacement less delay times velocity. What that leaves out is (ω·delay)²/2 of the signal; the
@@ -232,6 +243,13 @@ class Delayed(AbstractReadout):
 
     inner: AbstractReadout
     delay: Scalar | Pair = pair_field()
+
+    @property
+    def hindrance(self) -> str | None:
+        """Of the read-out itself."""
+        if isinstance(self.inner, AbstractLinearReadout):
+            return self.inner.hindrance
+        return f"the read-out {type(self.inner).__name__} is none that blocks are told of"
 
     def __check_init__(self):
         if self.inner.signals != (X, Y):

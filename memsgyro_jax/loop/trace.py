@@ -19,6 +19,8 @@ from memsgyro_jax.base.provenance import Settings
 from memsgyro_jax.device.propagate import State4
 
 from . import engine, noise
+from .blocks.length import Blocks
+from .blocks.run import prepared, run_in_blocks
 from .expectation import expectations, tell
 from .loop import ClosedLoop, Sample, as_loop
 from .scenario import AbstractProfile, Scenario, as_scenario
@@ -214,6 +216,9 @@ def simulate(
     settings and status are then filled in as far as they are known. What the observer cannot expect of the run, a
     moving rate that it holds constant say, is logged before it begins. Raises `InputError` for a sample rate that
     cannot carry the device's modes, and outside float64.
+
+    A loop `in_blocks` keeps the ends of its blocks, and before them as many samples as `decimation` says, or somewhat
+    more. Its volts are without noise, its `nis` that of the block's statistics.
     """
     runtime.require_float64("simulate")
     loop, seed, die, decimation = as_loop(loop), whole("seed", seed), whole("die", die), whole("decimation", decimation)
@@ -224,12 +229,14 @@ def simulate(
             f"Argument `decimation` must lie between 1 and the {steps} samples, but {decimation} was given."
         )
     scenario, loop = as_scenario(scenario), loop.sampled_at(sample_rate, duration=duration)
-    tell(expectations(loop, scenario, sample_rate, duration))
+    ran, hindered = prepared(loop.present)
+    tell((*expectations(loop, scenario, sample_rate, duration), *hindered))
     words = noise.die_words(jax.random.key(seed), jnp.asarray(die))
-    done = _compiled(loop.present, scenario, words, 1.0 / sample_rate, steps // decimation, decimation)
+    rows = _Rows.of(ran.blocks, steps, decimation)
+    done = _compiled(ran, scenario, words, 1.0 / sample_rate, rows)
     settings = Settings.of(loop, scenario, sample_rate=sample_rate, duration=duration, seed=seed)
-    end = scenario.at((steps // decimation * decimation - 0.5) / sample_rate).inertial
-    return _as_trace(done, loop, loop.device.coefficients(end.rate, end.damping_change), settings, decimation)
+    end = scenario.at((rows.ends[-1] - 0.5) / sample_rate).inertial
+    return _as_trace(done, loop, loop.device.coefficients(end.rate, end.damping_change), settings, rows)
 
 
 def count_steps(sample_rate: float, duration: float) -> int:
@@ -244,14 +251,41 @@ def count_steps(sample_rate: float, duration: float) -> int:
     return steps
 
 
+class _Rows(NamedTuple):
+    """Rows of samples run one by one, samples of each; blocks behind them, and samples of each."""
+
+    rows: int
+    apart: int
+    blocks: int = 0
+    length: int = 1
+
+    @classmethod
+    def of(cls, blocks: Blocks | None, steps: int, decimation: int) -> "_Rows":
+        """Those of a run of `steps` samples."""
+        if blocks is None:
+            return cls(steps // decimation, decimation)
+        first = blocks.first(steps)
+        apart = max(n for n in range(1, min(decimation, first) + 1) if first % n == 0)
+        return cls(first // apart, apart, (steps - first) // blocks.length, blocks.length)
+
+    @property
+    def ends(self) -> np.ndarray:
+        """The number of samples at the end of each row, behind a zero."""
+        first = np.arange(self.rows + 1) * self.apart
+        return np.concatenate([first, first[-1] + self.length * np.arange(1, self.blocks + 1)])
+
+
 @eqx.filter_jit
-def _compiled(loop: ClosedLoop, scenario: Scenario, words: tuple, period: float, blocks: int, block: int) -> engine.Run:
+def _compiled(loop: ClosedLoop, scenario: Scenario, words: tuple, period: float, rows: _Rows) -> engine.Run:
     def row() -> _Row:
         clock = engine.Clock(jnp.zeros(()), jnp.zeros((), int), period)
         return _row(loop.step(loop.init(), scenario.at(0.0), (0.0, 0.0), clock)[1])
 
     empty = jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), jax.eval_shape(row))
-    return engine.run(loop, scenario, words, period, blocks, block, TraceRecorder(empty))
+    recorder = TraceRecorder(empty)
+    if loop.blocks is None:
+        return engine.run(loop, scenario, words, period, rows.rows, rows.apart, recorder)
+    return run_in_blocks(loop, scenario, words, period, (rows.rows, rows.apart), (rows.blocks, 1), recorder)
 
 
 def _row(sample: Sample) -> _Row:
@@ -263,7 +297,7 @@ def _row(sample: Sample) -> _Row:
     return _Row(*jax.tree.map(lambda x: jnp.asarray(x, float), numbers))
 
 
-def _as_trace(done: engine.Run, loop: ClosedLoop, theta: tuple, settings: Settings, decimation: int) -> Trace:
+def _as_trace(done: engine.Run, loop: ClosedLoop, theta: tuple, settings: Settings, rows: _Rows) -> Trace:
     nominal = loop.readout.offset
     xp = np if is_concrete(done, theta, nominal) else jnp
     columns = lambda entries: xp.stack(xp.broadcast_arrays(*map(xp.asarray, entries)), axis=-1)  # noqa: E731
@@ -286,7 +320,7 @@ def _as_trace(done: engine.Run, loop: ClosedLoop, theta: tuple, settings: Settin
         volts=columns(row.volts),
         force=columns(row.force),
         nis=missing if estimate.nis is None else estimate.nis,
-        intact_until=xp.where(done.alive, np.inf, done.blocks_alive * decimation / settings.sample_rate),
+        intact_until=xp.where(done.alive, np.inf, xp.asarray(rows.ends)[done.blocks_alive] / settings.sample_rate),
         loop=loop,
         coefficients=loop.device.model.names,
         settings=settings,

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float, Int, PyTree
 
 from memsgyro_jax.device.gyro import Pair, Scalar, number
 from memsgyro_jax.loop import engine
+from memsgyro_jax.loop.blocks.run import run_in_blocks
 from memsgyro_jax.loop.loop import ClosedLoop, LoopState, Sample
 from memsgyro_jax.loop.observers import AbstractCovarianceObserver
 from memsgyro_jax.loop.scenario import Scenario
@@ -68,8 +69,11 @@ class LotRecorder(engine.AbstractRecorder[LotMemory, tuple[Scalar, Scalar, Pair]
 
 
 class Plan(NamedTuple):
-    """The fixed numbers of a sweep's runs: period in s, blocks, samples per block, start of the settled part in s,
-    tolerance.
+    """The fixed numbers of a sweep's runs: period in s, windows of equal length, samples of each, start of the settled
+    part in s, tolerance.
+
+    In blocks: `start` samples before them, a window of their own, `stride` blocks in a window, and `statistics` that a
+    block has of each channel; zero where samples are run one by one.
     """
 
     period: float
@@ -77,17 +81,50 @@ class Plan(NamedTuple):
     block: int
     settle: float
     tolerance: float
+    start: int = 0
+    stride: int = 0
+    statistics: int = 0
+
+    @property
+    def windows(self) -> int:
+        """How many there are."""
+        return self.blocks + (self.start > 0)
+
+    @property
+    def samples(self) -> int:
+        """Of the whole run."""
+        return self.start + self.blocks * self.block
+
+    @property
+    def ends(self) -> Int[np.ndarray, " edges"]:
+        """The samples until the end of each window, behind a zero."""
+        edges = self.start + np.arange(self.blocks + 1) * self.block
+        return np.concatenate([[0], edges]) if self.start else edges
+
+    @property
+    def counts(self) -> Int[np.ndarray, " windows"]:
+        """What a window is the mean of: samples, or ends of blocks."""
+        return np.array([self.start] * (self.start > 0) + [self.stride or self.block] * self.blocks)
 
     @property
     def window_times(self) -> Float[np.ndarray, " windows"]:
-        """The middle of each window in s."""
-        return (np.arange(self.blocks) + 0.5) * (self.block * self.period)
+        """The middle of each window in s; in blocks the mean of their ends."""
+        if not self.start:
+            return (np.arange(self.blocks) + 0.5) * (self.block * self.period)
+        late = self.ends[1:-1] + 0.5 * (self.block + self.block / self.stride)
+        return np.concatenate([[0.5 * self.start], late]) * self.period
 
     @property
     def settled_window(self) -> int:
         """The first window that lies in the settled part; the last window when none does."""
-        first = np.ceil(self.settle / (self.block * self.period) - 1e-9)
-        return min(int(first), self.blocks - 1)
+        first = np.searchsorted(self.ends[:-1], self.settle / self.period - 1e-9 * self.block)
+        return min(int(first), self.windows - 1)
+
+    @property
+    def innovations(self) -> int:
+        """Of each channel in the settled part."""
+        late = self.counts[self.settled_window :]
+        return int(np.sum(late * self.statistics)) if self.stride else int(np.sum(late))
 
 
 @eqx.filter_jit
@@ -146,9 +183,13 @@ def picked(dies: PyTree, one: PyTree, places: Int[np.ndarray, " some"]) -> PyTre
 def rows_of(loop: ClosedLoop, scenario: Scenario, design: ClosedLoop, words: tuple, plan: Plan) -> dict[str, Array]:
     """The rows of dies side by side, which trail; differentiable by every number of the loop and scenario."""
     recorder = LotRecorder(plan.tolerance)
-    done = engine.run(loop, scenario, words, plan.period, plan.blocks, plan.block, recorder, design)
-    end = plan.blocks * plan.block * plan.period
-    error, squared, innovations = jax.tree.map(lambda sums: sums / plan.block, done.outputs)
+    if plan.start:
+        sizes = (1, plan.start), (plan.blocks, plan.stride)
+        done = run_in_blocks(loop, scenario, words, plan.period, *sizes, recorder, design)
+    else:
+        done = engine.run(loop, scenario, words, plan.period, plan.blocks, plan.block, recorder, design)
+    end, counts = plan.samples * plan.period, plan.counts[:, None] if plan.start else plan.block
+    error, squared, innovations = jax.tree.map(lambda sums: sums / counts, done.outputs)
     settled = slice(plan.settled_window, None)
     conditions = scenario.at(end - 0.5 * plan.period)
     estimate = loop.observer.estimate(done.state.observer)
@@ -161,7 +202,7 @@ def rows_of(loop: ClosedLoop, scenario: Scenario, design: ClosedLoop, words: tup
     # A known coefficient that does not vary is one number for all dies.
     over_dies = lambda numbers: jnp.stack([jnp.broadcast_to(number, words[0].shape) for number in numbers])  # noqa: E731
     rows = {
-        "lost_at": jnp.where(done.alive, jnp.nan, done.blocks_alive * plan.block * plan.period),
+        "lost_at": jnp.where(done.alive, jnp.nan, jnp.asarray(plan.ends)[done.blocks_alive] * plan.period),
         "rate_error_end": loop.rate(done.state) - conditions.inertial.rate,
         "rate_error_rms": jnp.sqrt(mean_square),
         "rate_series_std": jnp.sqrt(jnp.maximum(mean_square - jnp.mean(error[settled], axis=0) ** 2, 0.0)),
@@ -187,7 +228,11 @@ def _relative(estimate: Scalar, true: Scalar) -> Scalar:
 
 
 def _window_rates(scenario: Scenario, plan: Plan, lanes: tuple[int, ...]) -> Array:
-    """Mean true rate of each window; the rate of a sample is that of its middle."""
+    """Mean true rate of each window; the rate of a sample is that of its middle, that of a block at its end."""
+    if plan.start:
+        rates = jax.vmap(scenario.rate.value)(_instants(plan)).reshape(plan.blocks, plan.stride, -1).mean(axis=1)
+        begun = jax.vmap(scenario.rate.value)((jnp.arange(plan.start) + 0.5) * plan.period).reshape(plan.start, -1)
+        return jnp.broadcast_to(jnp.concatenate([begun.mean(axis=0)[None], rates]), (plan.windows, *lanes))
 
     def window(number: Array) -> Array:
         middles = (number * plan.block + jnp.arange(plan.block) + 0.5) * plan.period
@@ -195,6 +240,12 @@ def _window_rates(scenario: Scenario, plan: Plan, lanes: tuple[int, ...]) -> Arr
 
     rates = jax.lax.map(window, jnp.arange(plan.blocks))
     return jnp.broadcast_to(rates.reshape(rates.shape + (1,) * (1 + len(lanes) - rates.ndim)), (plan.blocks, *lanes))
+
+
+def _instants(plan: Plan) -> Float[np.ndarray, " instants"]:
+    """The middle of the last sample of every block, in s."""
+    length = plan.block // plan.stride
+    return (plan.start + length * np.arange(1, plan.blocks * plan.stride + 1) - 0.5) * plan.period
 
 
 def _standardised(

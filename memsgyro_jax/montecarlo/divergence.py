@@ -57,7 +57,7 @@ def impossible(
     claimed standard deviations, None without a covariance. The rate of a `filtered` loop is not the estimate the claims
     speak of, and is left out.
     """
-    samples = (plan.blocks - plan.settled_window) * plan.block
+    samples = plan.innovations
     with np.errstate(invalid="ignore", divide="ignore"):
         rate = np.abs(rows["rate_error_end"] / rows["rate_std_end"])
     found = rows["nis_mean"] * samples > _limit(2 * samples)
@@ -118,7 +118,7 @@ def _causes(rows: Rows, dies: np.ndarray, loop: ClosedLoop, scenario: Scenario, 
     theta = rows["coefficient_true"][dies]
     found = [cause for cause in (*_sampling(theta, loop, plan), *_surprises(theta, loop)) if cause.holds.any()]
     everywhere = unknown_to(loop)
-    if moving(loop.observer, scenario, plan.blocks * plan.block * plan.period):
+    if moving(loop.observer, scenario, plan.samples * plan.period):
         everywhere = (*everywhere, "the rate moves, but the filter holds it constant")
     texts = [f"{_count(cause.holds, dies)} {cause.words}" for cause in found]
     texts += [f"all dies: {words}" for words in everywhere]
@@ -152,7 +152,7 @@ def _sampling(theta: Float[np.ndarray, "dies coefficients"], loop: ClosedLoop, p
     series = loop.discretisation
     if isinstance(series, Exact):
         left_out = (2.0 * np.pi * modes / rate) ** (series.order + 1) / math.factorial(series.order + 1)
-        short = ~above & (left_out * plan.blocks * plan.block > _REMAINDER)
+        short = ~above & (left_out * plan.samples > _REMAINDER)
         found.append(_Cause(short, f"have a mode that a series of order {series.order} cannot carry at {rate:g} Hz"))
     return found
 

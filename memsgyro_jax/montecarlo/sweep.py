@@ -1,5 +1,6 @@
 """Monte Carlo over fabricated dies: draw, run in chunks, store, resume, summarise."""
 
+import re
 import time
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
@@ -21,6 +22,7 @@ from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.provenance import Settings
 from memsgyro_jax.device.propagate import fuses_many_outputs
 from memsgyro_jax.loop import noise
+from memsgyro_jax.loop.blocks.run import prepared, statistics
 from memsgyro_jax.loop.expectation import tell
 from memsgyro_jax.loop.filters import check_fits
 from memsgyro_jax.loop.loop import ClosedLoop, as_loop
@@ -43,6 +45,7 @@ if TYPE_CHECKING:
 
 WINDOWS = 100  # at most about this many window means of the rate are kept per die, however long the run
 CHUNKS_PER_BLOCK = 8
+_CHIMES = re.compile(r"tones.*frequency$")  # paths of tones that may cease to share a frequency
 DEFAULT_TOLERANCE = float(np.radians(20.0))
 
 
@@ -134,8 +137,9 @@ def sweep(
         loop = loop.present
     count_steps(sample_rate, duration)
     _check(settle, duration, tolerance, chunk)
-    plan = _plan(sample_rate, duration, settle, tolerance)
-    tell(notes := unexpected(loop, scenario, spread, seed, dies, sample_rate, duration))
+    loop, hindered = prepared(loop, apart=any(_CHIMES.search(item.path) for item in spread.resolved(loop)))
+    plan = _plan(loop, sample_rate, duration, settle, tolerance)
+    tell(notes := (*unexpected(loop, scenario, spread, seed, dies, sample_rate, duration), *hindered))
     settings = Settings.of(loop, scenario, spread, plan, sample_rate=sample_rate, duration=duration, seed=seed)
     devices = jax.local_devices()
     lanes = _lanes(devices[0].platform)
@@ -172,7 +176,7 @@ class _Runner:
         numbers = np.arange(block * self.block, min((block + 1) * self.block, dies))
         drawn = self.spread.draw(self.loop, self.scenario, self.seed, numbers)
         if drawn.loop.filter is not None:
-            check_fits(drawn.loop.filter, 1.0 / self.plan.period)
+            check_fits(drawn.loop.filter, self.loop.output_rate(1.0 / self.plan.period))
         keyed = jnp.asarray(self.spread.noise(numbers))
         words = jax.tree.map(np.asarray, noise.die_words(jax.random.key(self.seed), keyed))
         chunks = -(-len(numbers) // self.chunk)
@@ -206,7 +210,7 @@ class _Runner:
 
     def layout(self, settings: Settings) -> Layout:
         """The arrays of a lot, and what its Dataset and store say about how they were made."""
-        names, windows = self.loop.device.model.names, self.plan.blocks
+        names, windows = self.loop.device.model.names, self.plan.windows
         parameters = [item.path for item in self.spread.resolved(self.loop)]
         rate, time, one = (DieArray((), (), unit) for unit in ("rad/s", "s", "1"))
         columns = {
@@ -256,7 +260,7 @@ def _run_all(
         else:
             kept.append(whole)
         busy = (busy or 0.0) + time.perf_counter() - began
-    speed = timed * runner.plan.blocks * runner.plan.block / busy if busy and timed else None
+    speed = timed * runner.plan.samples / busy if busy and timed else None
     found = store.rows if store else {name: np.concatenate([part[name] for part in kept])[:dies] for name in kept[0]}
     return found, speed
 
@@ -274,9 +278,16 @@ def _lanes(platform: str) -> int:
     return 32 if fuses_many_outputs() else 128
 
 
-def _plan(sample_rate: float, duration: float, settle: float, tolerance: float) -> lot.Plan:
-    """Windows as near to `WINDOWS` as divide the number of samples; a rest is dropped when none does."""
+def _plan(loop: ClosedLoop, sample_rate: float, duration: float, settle: float, tolerance: float) -> lot.Plan:
+    """Windows as near to `WINDOWS` as divide the number of samples; a rest is dropped when none does. In blocks as many
+    of them in a window.
+    """
     steps = count_steps(sample_rate, duration)
+    if loop.blocks is not None:
+        stride = loop.blocks.stride(steps, WINDOWS)
+        start, window = loop.blocks.first(steps, stride), loop.blocks.length * stride
+        count = statistics(loop)
+        return lot.Plan(1.0 / sample_rate, (steps - start) // window, window, settle, tolerance, start, stride, count)
     fits = [n for n in range(1, min(2 * WINDOWS, steps) + 1) if steps % n == 0]
     best = min(fits, key=lambda n: abs(np.log(n / WINDOWS)))
     blocks = best if best >= WINDOWS // 4 or steps < WINDOWS else WINDOWS

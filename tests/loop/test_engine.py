@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import memsgyro_jax as mg
-from memsgyro_jax.loop.engine import _scan_in_groups, healthy
+from memsgyro_jax.loop.engine import healthy, scan_in_groups
 
 
 @pytest.mark.parametrize("count", [1, 256, 257, 400, 1000])
@@ -17,7 +17,7 @@ def test_a_loop_of_loops_is_one_loop(count):
         return total, (total, jnp.stack([number, -number]))
 
     for got, want in zip(
-        jax.tree.leaves(_scan_in_groups(body, jnp.zeros(()), count)),
+        jax.tree.leaves(scan_in_groups(body, jnp.zeros(()), count)),
         jax.tree.leaves(jax.lax.scan(body, jnp.zeros(()), jnp.arange(count))),
         strict=True,
     ):

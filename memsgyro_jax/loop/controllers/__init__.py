@@ -1,6 +1,7 @@
 """Controllers: what turns an estimate into drive forces. A sibling file here is a new kind."""
 
 from .base import AbstractController as AbstractController
+from .base import AbstractLinearController as AbstractLinearController
 from .base import Tone as Tone
 from .damping_compensation import DampingCompensation as DampingCompensation
 from .designed_motion import DesignedMotion as DesignedMotion

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 
 from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.fields import AbstractVar
 from memsgyro_jax.device.gyro import Pair, Scalar, number
 from memsgyro_jax.device.propagate import once
 
@@ -27,6 +28,25 @@ class AbstractController(Displayed, Generic[State]):
     @abc.abstractmethod
     def command(self, state: State, estimate: Estimate, clock: Clock) -> tuple[Pair, State]:
         """Forces (x, y) in N, held until the next sample, and the new state."""
+
+
+class AbstractLinearController(AbstractController[tuple[()]]):
+    """A controller without memory whose force is linear in the estimated motion and in its tones, whatever the
+    coefficients. A loop can then be advanced by blocks: it reads the law off `command`.
+
+    `frequencies` [Hz] are those besides the tones' at which the mass swings under it, other than its own.
+    """
+
+    tones: AbstractVar["Tones"]
+
+    @property
+    def frequencies(self) -> tuple[Scalar, ...]:
+        """None."""
+        return ()
+
+    def init(self) -> tuple[()]:
+        """Nothing to remember."""
+        return ()
 
 
 class Tone(Displayed):

@@ -3,10 +3,10 @@
 from memsgyro_jax.device.gyro import Pair
 
 from ..observers.base import Clock, Estimate
-from .base import AbstractController, GivenTones, tone_values, tones_field
+from .base import AbstractLinearController, GivenTones, tone_values, tones_field
 
 
-class DampingCompensation(AbstractController[tuple[()]]):
+class DampingCompensation(AbstractLinearController):
     """Cancels the estimated damping, so that the mass swings on freely: `force = (D v + η) / gain`, (4.27) and (4.28).
 
     `tones` are the auxiliary signals η, accelerations in m/s²; they are what makes the mass observable. The 53.95 of
@@ -14,10 +14,6 @@ class DampingCompensation(AbstractController[tuple[()]]):
     """
 
     tones: GivenTones = tones_field()
-
-    def init(self) -> tuple[()]:
-        """Nothing to remember."""
-        return ()
 
     def command(self, state: tuple[()], estimate: Estimate, clock: Clock) -> tuple[Pair, tuple[()]]:
         """The force at the present estimate."""

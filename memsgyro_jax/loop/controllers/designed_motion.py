@@ -6,10 +6,10 @@ from memsgyro_jax.device.gyro import Pair, Scalar, check_not_negative, number
 from memsgyro_jax.device.small import Vector
 
 from ..observers.base import Clock, Estimate
-from .base import AbstractController, GivenTones, Tone, tones_field
+from .base import AbstractLinearController, GivenTones, Tone, tones_field
 
 
-class DesignedMotion(AbstractController[tuple[()]]):
+class DesignedMotion(AbstractLinearController):
     """Keeps the displacement r of each axis a sum of `tones`, in m: `force = (r'' + C r' + K r + s (r' - v)) / gain`.
 
     Stiffness K, damping with Coriolis C, gain and velocity v are the estimate's, r is the design. `settling` s [1/s]
@@ -23,10 +23,6 @@ class DesignedMotion(AbstractController[tuple[()]]):
 
     def __check_init__(self):
         check_not_negative("settling", self.settling)
-
-    def init(self) -> tuple[()]:
-        """Nothing to remember."""
-        return ()
 
     def command(self, state: tuple[()], estimate: Estimate, clock: Clock) -> tuple[Pair, tuple[()]]:
         """The force in the middle of the coming sample, over which it is held."""

@@ -3,17 +3,13 @@
 from memsgyro_jax.device.gyro import Pair
 
 from ..observers.base import Clock, Estimate
-from .base import AbstractController, GivenTones, tone_values, tones_field
+from .base import AbstractLinearController, GivenTones, tone_values, tones_field
 
 
-class OpenLoop(AbstractController[tuple[()]]):
+class OpenLoop(AbstractLinearController):
     """Forces that ignore the estimate: `tones` per axis, in N; without tones the device swings down freely."""
 
     tones: GivenTones = tones_field()
-
-    def init(self) -> tuple[()]:
-        """Nothing to remember."""
-        return ()
 
     def command(self, state: tuple[()], estimate: Estimate, clock: Clock) -> tuple[Pair, tuple[()]]:
         """The tones in the middle of the coming sample, over which they are held."""

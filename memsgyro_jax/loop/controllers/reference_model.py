@@ -9,10 +9,10 @@ from memsgyro_jax.device.small import Vector
 
 from ..observers.base import Clock, Estimate
 from ..observers.settings import arrays
-from .base import AbstractController, GivenTones, tone_values, tones_field
+from .base import AbstractLinearController, GivenTones, tone_values, tones_field
 
 
-class ReferenceModel(AbstractController[tuple[()]]):
+class ReferenceModel(AbstractLinearController):
     """Makes each axis an undamped oscillator of its own frequency, (4.17) and (4.18), with y's velocity multiplying
     d_yy.
 
@@ -32,9 +32,10 @@ class ReferenceModel(AbstractController[tuple[()]]):
         for value in self.frequency:
             check_positive("frequency", value)
 
-    def init(self) -> tuple[()]:
-        """Nothing to remember."""
-        return ()
+    @property
+    def frequencies(self) -> tuple[Scalar, ...]:
+        """Those of the reference model."""
+        return self.frequency
 
     def command(self, state: tuple[()], estimate: Estimate, clock: Clock) -> tuple[Pair, tuple[()]]:
         """Cancel estimated stiffness, damping and Coriolis forces, and put the reference stiffness in their place."""

@@ -1,5 +1,6 @@
 """Observers: what estimates motion and coefficients from the read-out. A sibling file here is a new kind."""
 
+from .base import AbstractBlockObserver as AbstractBlockObserver
 from .base import AbstractCovarianceObserver as AbstractCovarianceObserver
 from .base import AbstractObserver as AbstractObserver
 from .base import Clock as Clock

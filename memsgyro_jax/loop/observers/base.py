@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.fields import AbstractVar
 from memsgyro_jax.device.gyro import Dynamics, MotionModel, Pair, Scalar
-from memsgyro_jax.device.propagate import State4
+from memsgyro_jax.device.propagate import AbstractDiscretisation, State4
 
 from .settings import Prior
 
@@ -151,3 +151,44 @@ class AbstractCovarianceObserver(AbstractObserver[State]):
         std = float(getattr(self.prior, f"{kind}_std")[int(index)])
         least, most = _WALKS
         return ((least * std) ** 2 / duration, (most * std) ** 2 / duration) if std > 0.0 else None
+
+
+class Believed(NamedTuple):
+    """Mean and covariance of the quantities in `states`, in their order; dies trail."""
+
+    mean: Float[Array, "states *lanes"]
+    covariance: Float[Array, "states states *lanes"]
+
+
+class AbstractBlockObserver(AbstractCovarianceObserver[State]):
+    """A Kalman filter that can take a block of samples at a time: four entries of motion in `states`, then constants
+    that walk at most: both offsets if `with_offsets`, then the model's coefficients numbered `estimated`.
+    `discretisation` is its idea of a sample, `scale` [V per unit] that of the `signals`.
+    """
+
+    scale: AbstractVar[Pair]
+    signals: AbstractVar[tuple[int, int]]
+    discretisation: AbstractVar[AbstractDiscretisation]
+    estimated: AbstractVar[tuple[int, ...]]
+    with_offsets: AbstractVar[bool]
+
+    @property
+    @abc.abstractmethod
+    def hindrance(self) -> str | None:
+        """What of its settings a block cannot hold, in words; None for nothing."""
+
+    @abc.abstractmethod
+    def believed(self, state: State) -> Believed:
+        """What the state says of `states`."""
+
+    @abc.abstractmethod
+    def believing(self, state: State, believed: Believed, innovation: Innovation) -> State:
+        """`state` with another belief, and the innovation that led to it."""
+
+    @abc.abstractmethod
+    def variance(self, clock: Clock) -> Pair:
+        """The variance in V² that it expects of a sample's noise."""
+
+    @abc.abstractmethod
+    def walk(self) -> tuple[Scalar, ...]:
+        """Intensity of the random walk of each of `states`, in unit²/s."""

@@ -78,6 +78,19 @@ def square(upper: tuple[Scalar, ...]) -> Matrix:
     return Matrix((table[min(i, j), max(i, j)] for j in range(4)) for i in range(4))
 
 
+def matrix_of(covariance: Covariance) -> Float[Array, "states states *lanes"]:
+    """The matrix of the blocks."""
+    motion, cross, constants = covariance
+    top = jnp.concatenate([jnp.stack([jnp.stack(row) for row in square(motion)]), jnp.stack(cross)], axis=1)
+    bottom = jnp.concatenate([jnp.moveaxis(jnp.stack(cross), 0, 1), constants], axis=1)
+    return jnp.concatenate([top, bottom], axis=0)
+
+
+def blocks_of(matrix: Float[Array, "states states *lanes"]) -> Covariance:
+    """The blocks of the matrix."""
+    return Covariance(tuple(matrix[i, j] for i, j in UPPER), tuple(matrix[:4, 4:]), matrix[4:, 4:])
+
+
 def rows(covariance: Covariance, full: Matrix, kicks: tuple[Kick, ...]) -> Rows:
     """The 4 motion rows of J P."""
     motion, constants = full @ square(covariance.motion), combine(full, covariance.cross)

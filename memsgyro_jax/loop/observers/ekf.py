@@ -26,7 +26,7 @@ from memsgyro_jax.device.small import Vector
 from memsgyro_jax.effects.base import ReadoutEffect
 
 from ..readout import AbstractReadout, ChargeAmplifier
-from .base import MOTION, OFFSETS, AbstractCovarianceObserver, Clock, Estimate, Innovation
+from .base import MOTION, OFFSETS, AbstractBlockObserver, Believed, Clock, Estimate, Innovation
 from .channel import Channel, EstimatedDelay
 from .covariance import (
     Columns,
@@ -34,14 +34,15 @@ from .covariance import (
     Kick,
     Predicted,
     Prediction,
+    blocks_of,
     correct_mean,
     diagonal,
     downdate,
     entries,
     gathered,
+    matrix_of,
     motion_block,
     rows,
-    square,
 )
 from .fading import AbstractFading
 from .pickoff import check_curves, curved
@@ -63,7 +64,7 @@ class KalmanState(NamedTuple):
         return sum(self.innovation.squared)
 
 
-class ExtendedKalmanFilter(AbstractCovarianceObserver[KalmanState]):
+class ExtendedKalmanFilter(AbstractBlockObserver[KalmanState]):
     """The observer of thesis (4.13)-(4.16). Make one with `for_device`.
 
     `estimated` holds the indices of the coefficients that are states, `with_offsets` whether the two read-out offsets
@@ -152,22 +153,15 @@ class ExtendedKalmanFilter(AbstractCovarianceObserver[KalmanState]):
 
     def init(self) -> KalmanState:
         """The prior."""
-        mean, std = (
-            self._constants(self.prior.offset, self.prior.theta),
-            self._constants(self.prior.offset_std, self.prior.theta_std),
-        )
+        mean = self._constants(self.prior.offset, self.prior.theta)
+        std = self._constants(self.prior.offset_std, self.prior.theta_std)
         zero = 0.0 * self.prior.motion[0]
         upper = tuple(self.prior.motion_std[i] ** 2 if i == j else zero for i in range(4) for j in range(i, 4))
         cross = tuple(0.0 * mean for _ in range(4))
         spread = jnp.eye(len(mean)).reshape((len(mean),) * 2 + (1,) * (std.ndim - 1)) * std[None] ** 2
         nothing = Innovation((zero, zero), (zero + 1.0, zero + 1.0))
-        return KalmanState(
-            self.prior.motion,
-            mean,
-            Covariance(upper, cross, spread),
-            self.fading.init() if self.fading else (),
-            nothing,
-        )
+        remembered = self.fading.init() if self.fading else ()
+        return KalmanState(self.prior.motion, mean, Covariance(upper, cross, spread), remembered, nothing)
 
     def update(self, state: KalmanState, measured: Pair, force: Pair, clock: Clock) -> KalmanState:
         """Predict over the last sample and correct with both channels."""
@@ -194,10 +188,30 @@ class ExtendedKalmanFilter(AbstractCovarianceObserver[KalmanState]):
         return (*MOTION, *self._chosen(OFFSETS, self.model.names))
 
     def covariance(self, state: KalmanState) -> Float[Array, "states states *lanes"]:
-        motion, cross, constants = state.covariance
-        top = jnp.concatenate([jnp.stack([jnp.stack(row) for row in square(motion)]), jnp.stack(cross)], axis=1)
-        bottom = jnp.concatenate([jnp.moveaxis(jnp.stack(cross), 0, 1), constants], axis=1)
-        return jnp.concatenate([top, bottom], axis=0)
+        return matrix_of(state.covariance)
+
+    @property
+    def hindrance(self) -> str | None:
+        """Whatever is not a plain extended Kalman filter."""
+        delays = any(self.model.coefficients[i].delays is not None for i in self.estimated)
+        found = {
+            "the filter's fading memory weighs samples": self.fading is not None,
+            "the filter iterates every sample": self.iterations > 1,
+            "the filter follows curves of the pick-off": bool(self.pickoff),
+            "the filter estimates delays": delays,
+        }
+        return next((words for words, holds in found.items() if holds), None)
+
+    def believed(self, state: KalmanState) -> Believed:
+        return Believed(jnp.concatenate([jnp.stack(state.motion), state.constants]), self.covariance(state))
+
+    def believing(self, state: KalmanState, believed: Believed, innovation: Innovation) -> KalmanState:
+        mean = believed.mean
+        return KalmanState(tuple(mean[:4]), mean[4:], blocks_of(believed.covariance), state.fading, innovation)
+
+    def walk(self) -> tuple[Scalar, ...]:
+        noise = self.process_noise
+        return (*noise.motion, *self._chosen(noise.offset, noise.theta))
 
     @property
     def _first(self) -> int:
@@ -273,7 +287,8 @@ class ExtendedKalmanFilter(AbstractCovarianceObserver[KalmanState]):
                 channels[axis] = channels[axis]._replace(delay=delay)
         return channels[0], channels[1]
 
-    def _variance(self, clock: Clock) -> Pair:
+    def variance(self, clock: Clock) -> Pair:
+        """The density over the band of a sample, raised while it anneals."""
         factor = 0.5 / clock.period
         if self.annealing is not None:
             factor = factor * self.annealing.factor(clock.time)
@@ -281,7 +296,7 @@ class ExtendedKalmanFilter(AbstractCovarianceObserver[KalmanState]):
 
     def _correct(self, state: KalmanState, predicted: Predicted, measured: Pair, clock: Clock) -> "_Corrected":
         """Fading, process noise, and the two scalar measurements in turn."""
-        variance, channels = self._variance(clock), self._channels(predicted.mean, state.constants)
+        variance, channels = self.variance(clock), self._channels(predicted.mean, state.constants)
         innovation = self._innovation(measured, state.constants, channels)
         motion, cross = motion_block(predicted), predicted.rows.constants
         faded, remembered = 1.0, ()

@@ -148,7 +148,7 @@ def slopes(
     of: Sequence[Output], seed: int,
 ) -> Float[np.ndarray, "outputs inputs"]:  # fmt: skip
     """Derivative of each output's mean over the noises by each parameter, times `sigmas` standard deviations of it."""
-    loop = loop.sampled_at(1.0 / plan.period, duration=plan.blocks * plan.block * plan.period)
+    loop = loop.sampled_at(1.0 / plan.period, duration=plan.samples * plan.period)
     items, root = spread.resolved(loop), Root(loop, scenario)
     designs = [float(item.read(root)) for item in items]
     one = np.ones(1)  # standard deviation above

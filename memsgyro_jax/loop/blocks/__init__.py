@@ -1,0 +1,1 @@
+"""The loop advanced a block of samples at a time."""

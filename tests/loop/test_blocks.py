@@ -1,0 +1,132 @@
+"""The loop in blocks: the same figures as sample by sample, and the algebra that leads there."""
+
+from dataclasses import replace
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+import memsgyro_jax as mg
+from memsgyro_jax.loop.blocks import basis
+from memsgyro_jax.loop.blocks.length import Blocks, renewals
+from memsgyro_jax.loop.blocks.run import prepared
+
+
+GYRO, READOUT = mg.SingleMassGyro.chi2010(), mg.ChargeAmplifier.chi2010()
+OBSERVER = mg.ExtendedKalmanFilter.for_device(GYRO, READOUT, annealing=mg.Annealing())
+LOOP = mg.ClosedLoop(GYRO, READOUT, OBSERVER, mg.DampingCompensation(tones=mg.Tone(600.0, 53.95)))
+
+
+def lot(loop: mg.ClosedLoop, dies: int = 32, **settings) -> dict[str, np.ndarray]:
+    found = mg.sweep(loop, mg.Spread.relative(0.15), 1.0, dies=dies, bound_dies=0, **settings).data
+    return {name: found[name].values for name in ("rate_error_end", "rate_std_end", "nees_end", "nis_mean", "status")}
+
+
+@pytest.fixture(scope="module")
+def samples() -> dict[str, np.ndarray]:
+    return lot(LOOP)
+
+
+def difference(a: dict, b: dict) -> float:
+    """Root mean square difference of the errors at the end, in claimed standard deviations."""
+    return float(np.sqrt(np.mean(((a["rate_error_end"] - b["rate_error_end"]) / b["rate_std_end"]) ** 2)))
+
+
+def test_the_same_noise_gives_the_same_rate(samples):
+    found = lot(replace(LOOP, blocks=Blocks(512, projected=True)))
+    assert difference(found, samples) < 0.01
+    np.testing.assert_allclose(found["rate_std_end"], samples["rate_std_end"], rtol=2e-3)
+    np.testing.assert_allclose(found["nees_end"], samples["nees_end"], atol=1.0)  # itself ± 5.3
+
+
+def test_a_die_is_the_same_in_any_company():
+    many, few = lot(LOOP.in_blocks(), 40), lot(LOOP.in_blocks(), 20)
+    for name, values in few.items():
+        np.testing.assert_array_equal(many[name][:20], values)
+    assert np.all(many["status"] == 0)
+    assert abs(np.mean(many["nis_mean"]) - 2.0) < 4.0 * np.sqrt(4.0 / (40 * 9 * 14))
+
+
+@pytest.mark.slow
+def test_drawn_statistics_are_those_of_drawn_samples():
+    found = lot(LOOP.in_blocks(), 4096)
+    normalised = found["rate_error_end"] / found["rate_std_end"]
+    assert stats.kstest(normalised, "norm").pvalue > 0.01
+    low, high = stats.chi2.ppf([0.005, 0.995], 14 * 4096) / 4096
+    assert low < np.mean(found["nees_end"]) < high
+
+
+def test_a_trace_holds_the_ends_of_blocks():
+    trace = mg.simulate(LOOP.in_blocks(), 1.0, sample_rate=100e3, duration=0.1, seed=3, decimation=56)
+    np.testing.assert_allclose(np.diff(trace.time), [560e-6] * 13 + [5.12e-3] * 18)
+    assert trace.time[-1] == pytest.approx(0.1)
+    assert trace.lost_at is None
+    assert abs(trace.rate_error[-1]) < 4.0 * trace.rate_std[-1]
+
+
+@pytest.mark.parametrize(
+    ("part", "words"),
+    [
+        (lambda loop: loop.device, "effect cubic_stiffness x"),
+        (lambda loop: loop.readout, "converter"),
+        (lambda loop: loop.observer, "fading memory"),
+        (lambda loop: loop.controller, "Own is no AbstractLinearController"),
+    ],
+)
+def test_the_part_that_holds_a_loop_up_is_told(part, words):
+    class Own(mg.AbstractController):
+        def init(self):
+            return ()
+
+        def command(self, state, estimate, clock):
+            return (0.0, 0.0), state
+
+    others = mg.ClosedLoop(
+        GYRO.with_effect(mg.effects.CubicStiffness("x", 1e12)),
+        eqx.tree_at(lambda r: r.adc, READOUT, mg.Adc(5.0, 16), is_leaf=lambda leaf: leaf is None),
+        mg.ExtendedKalmanFilter.for_device(GYRO, READOUT, fading=mg.FixedFading(100.0)),
+        Own(),
+    )
+    mixed = eqx.tree_at(part, LOOP.in_blocks(), part(others))
+    plain, said = prepared(mixed)
+    assert plain.blocks is None
+    assert len(said) == 1
+    assert words in said[0]
+
+
+def test_a_length_is_a_power_of_two():
+    with pytest.raises(mg.InputError, match="power of two, but 500"):
+        LOOP.in_blocks(500)
+    with pytest.raises(mg.InputError, match="at least 1"):
+        LOOP.in_blocks(start=0)
+
+
+@pytest.mark.parametrize("samples", [100, 512, 10_000, 100_000, 12_345])
+def test_what_is_left_of_a_run_is_whole_blocks(samples):
+    for stride in (1, 3):
+        first = Blocks(512).first(samples, stride)
+        assert (samples - first) % (512 * stride) == 0
+        assert min(512, samples) <= first <= samples
+
+
+def test_maps_are_made_when_time_has_doubled():
+    assert np.flatnonzero(renewals(50, always=False)).tolist() == [0, 1, 2, 4, 8, 16, 32, 48]
+    assert renewals(5, always=True).all()
+
+
+def test_the_statistics_of_white_noise_are_white():
+    angles = jnp.asarray([[0.2, 0.2], [0.21, 0.2], [0.04, 0.04]])  # of the second die two are one
+    number = np.arange(1, 65)
+    functions = np.stack([np.asarray(basis.at(n * angles)) for n in number])
+    gram = np.einsum("nil,njl->ijl", functions, functions)
+    one = basis.at(angles)
+    doubled = one[:, None] * one[None]
+    for _ in range(6):
+        doubled, one = basis.gram_twice(doubled, one), basis.twice(one)
+    np.testing.assert_allclose(doubled, gram, rtol=1e-10, atol=1e-10)
+    whiten = np.asarray(basis.whitening(jnp.asarray(gram)))
+    kept = np.einsum("ikl,kml,jml->ijl", whiten, gram, whiten)
+    np.testing.assert_allclose(kept[..., 0], np.eye(7), atol=1e-6)
+    np.testing.assert_allclose(kept[..., 1], np.diag([1, 1, 0, 1, 1, 0, 1]), atol=1e-6)
