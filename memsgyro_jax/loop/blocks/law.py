@@ -29,7 +29,7 @@ def tones_of(controller: AbstractLinearController) -> tuple[Tone, ...]:
     return (*controller.tones[0], *controller.tones[1])
 
 
-def alike(controller: AbstractLinearController, apart: bool) -> Groups:
+def same_frequency(controller: AbstractLinearController, apart: bool) -> Groups:
     """The tones that share a frequency, by their places; each by itself where that is not known, or `apart`."""
     tones = tones_of(controller)
     if apart or not is_concrete(tuple(tone.frequency for tone in tones)):

@@ -20,7 +20,7 @@ from ..scenario import Constant, Scenario
 from . import basis
 from .advance import Facts, advanced
 from .algebra import over_lanes
-from .law import Lanes, alike, tones_of
+from .law import Lanes, same_frequency, tones_of
 from .length import renewals
 from .maps import Maps, maps_of
 
@@ -54,7 +54,7 @@ def prepared(loop: ClosedLoop, apart: bool = False) -> tuple[ClosedLoop, tuple[s
         return replace(loop, blocks=None), (f"the loop runs sample by sample, not in blocks: {'; '.join(reasons)}.",)
     if loop.blocks.alike is not None:
         return loop, ()
-    return replace(loop, blocks=replace(loop.blocks, alike=alike(loop.controller, apart))), ()
+    return replace(loop, blocks=replace(loop.blocks, alike=same_frequency(loop.controller, apart))), ()
 
 
 def statistics(loop: ClosedLoop) -> int:
