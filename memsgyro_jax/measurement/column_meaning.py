@@ -102,8 +102,8 @@ def role_of(column: SourceColumn) -> str:
             return role
     if column.unit == "ticks":
         return "t"
-    if column.unit and (_measures(column.unit, "rad/s") or name in ("rate", "omega")):
-        return "rate"
+    if column.unit and _measures(column.unit, "rad/s"):
+        return "f" if re.search(_NAMED["f"], name) else "rate"
     tokens = [re.sub(r"\d+$", "", token) for token in name.split()]
     for role in ("f", "t", "T", "V_bias", "drive"):
         unlike = column.unit and role in _DIMENSIONS

@@ -66,9 +66,10 @@ def records_of(name: str, table: SourceTable, meaning: Meaning, given: Given) ->
     rows = _finite(table, meaning, assumed)
     source = f"{table.path.name}{', ' + table.name if table.name else ''}"
     about = {"name": name, "source": source, "unused": meaning.unused}
-    if meaning.swept:
-        return [_sweep(about, table, rows, given, assumed)]
-    return _over_time(about, table, rows, given, assumed)
+    with np.errstate(over="ignore", invalid="ignore"):  # of a damaged file; reading the case refuses them
+        if meaning.swept:
+            return [_sweep(about, table, rows, given, assumed)]
+        return _over_time(about, table, rows, given, assumed)
 
 
 def _finite(table: SourceTable, meaning: Meaning, assumed: list[str]) -> dict[str, SourceColumn]:
@@ -95,6 +96,8 @@ def _sweep(about: dict, table: SourceTable, rows: dict[str, SourceColumn], given
         assumed.append(f"`{rows['t'].name}` is left out, as it counts ticks of a clock that is not named")
     elif "t" in rows and np.all(np.diff(rows["t"].values) > 0):
         columns["t"] = _time(table, rows["t"], assumed)
+    elif "t" in rows:
+        assumed.append(f"`{rows['t'].name}` is left out, as it does not rise from row to row")
     if "I" in rows:
         parts = {"Vx_I": rows["I"], "Vx_Q": rows["Q"]}
     else:

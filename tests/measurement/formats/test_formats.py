@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.units import parse_header, to_si
 from memsgyro_jax.measurement.column_meaning import meaning_of, parse_map
+from memsgyro_jax.measurement.declared import angular
 from memsgyro_jax.measurement.formats import read_instrument_file
 from memsgyro_jax.measurement.imported_record import Given, records_of
 
@@ -44,7 +45,9 @@ def column(record, name, unit):
 
 def assert_is_the_sweep(record, unit="V", close=2e-8):
     assert record.kind == "frequency_sweep"
-    np.testing.assert_allclose(column(record, "f", "Hz"), w.FREQUENCY, rtol=1e-9)
+    header = next(header for header in record.columns if header.startswith("f "))
+    frequency = angular(record.columns[header], parse_header(header).unit, "f")
+    np.testing.assert_allclose(frequency, 2 * np.pi * w.FREQUENCY, rtol=1e-9)
     readings = column(record, "Vx_I", unit) + 1j * column(record, "Vx_Q", unit)
     np.testing.assert_allclose(readings, w.RESPONSE, atol=close * np.abs(w.RESPONSE).max())
 
@@ -99,6 +102,7 @@ def test_commas_and_blanks_with_a_decimal_point(delimiter, tmp_path):
         ("Frequency;X;Y\nkHz;mV;mV", (1e-3, 1e3)),
         ("Frequency [Hz];demod0 X (Vrms);demod0 Y (Vrms)", (1.0, 1 / w.PEAK)),
         ("Frequency [Hz];X [V pp];Y [V pp]", (1.0, 2.0)),
+        ("Frequency (rad/s);Re (V);Im (V)", (2 * np.pi, 1.0)),
     ],
 )
 def test_units_behind_the_name_in_every_way(header, units, tmp_path):
@@ -275,3 +279,12 @@ def test_a_reflection_is_read_as_what_goes_in(tmp_path):
     scattering = (1 - w.RESPONSE)[:, None, None]
     skrf.Network(f=w.FREQUENCY, f_unit="hz", s=scattering, z0=50.0).write_touchstone("a", str(tmp_path), form="db")
     assert_is_the_sweep(imported(tmp_path / "a.s1p")[0])
+
+
+def test_a_recording_that_broke_off_is_read_as_far_as_it_goes_and_told(tmp_path, capfd):
+    w.tdms(tmp_path / "a.tdms")
+    whole = (tmp_path / "a.tdms").read_bytes()
+    (tmp_path / "a.tdms").write_bytes(whole[:-100])
+    _, tables = read_instrument_file(tmp_path / "a.tdms")
+    assert any("broke off" in sentence for table in tables for sentence in table.assumed)
+    assert capfd.readouterr().err == ""
