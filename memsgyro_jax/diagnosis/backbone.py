@@ -176,6 +176,8 @@ class Backbone(Shown):
                 f"  {a[i]:10.4g}   {hertz[i]:.6g} ± {self.omega_std[i] / (2 * np.pi):.2g}   "
                 f"{self.damping[i]:.4g} ± {self.damping_std[i]:.2g}"
             )
+        slope, std = self.hardening
+        lines.append(f"  as a cubic spring over these amplitudes, k3/k1 = {slope:.4g} ± {std:.2g} 1/m² (1/V²)")
         lines.append(f"  below {a[0]:.3g} and above {a[-1]:.3g} nothing was seen: there the forces extrapolate")
         return "\n".join(lines)
 

@@ -1,0 +1,95 @@
+"""The measured cantilever: what its decay holds, and its page of the documentation as it stands."""
+
+import re
+import shlex
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from memsgyro_jax.app.cli import main
+from memsgyro_jax.diagnosis.backbone import backbone
+from memsgyro_jax.diagnosis.diagnose import diagnose
+from memsgyro_jax.diagnosis.fit import fit_case
+from memsgyro_jax.effects import by_name, catalogue
+from memsgyro_jax.measurement.case import load_case
+
+
+ROOT = Path(__file__).resolve().parent.parent
+CASE = ROOT / "tests/data/cantilever"
+PAGE = (ROOT / "docs/cantilever.md").read_text()
+COMMANDS = re.findall(r"^memsgyro .*$", PAGE, re.MULTILINE)
+LAW = ("cubic_stiffness", "quadratic_stiffness", "quadratic_damping")
+
+
+@pytest.fixture(scope="module")
+def fit():
+    return fit_case(load_case(CASE), [by_name(name, among=catalogue(1)) for name in LAW])
+
+
+def test_the_decay_tells_frequency_spring_and_damping(fit):
+    hertz = float(np.sqrt(fit.model.device.stiffness[0])) / (2 * np.pi)
+    assert hertz == pytest.approx(36.86, abs=0.02)
+    ratio = {
+        e.name: float(e.strength * fit.model.device.mobility / fit.model.device.stiffness[0]) for e in fit.model.effects
+    }
+    # Over amplitude a quadratic spring softens by 10/9 of its square: Nayfeh and Mook, "Nonlinear Oscillations" (1979).
+    amount = ratio["cubic_stiffness"] - 10 / 9 * ratio["quadratic_stiffness"] ** 2
+    assert 1e-12 * amount == pytest.approx(9.5e-6, rel=0.05)
+    assert ratio["quadratic_damping"] > 0
+
+
+def test_the_later_half_is_predicted_to_its_noise(fit):
+    (later,) = [e for e in fit.errors if e.role == "validation"]
+    assert later.rms < 1.1
+    assert later.explained
+
+
+def test_the_backbone_needs_no_law(fit):
+    curve = backbone(fit_case(fit.case))
+    slope, std = curve.hardening
+    assert 1e-12 * slope == pytest.approx(9.5e-6, rel=0.05)
+    assert std < 0.1 * slope
+    small = curve.amplitude < 1.5e-5
+    away = (curve.omega[small] / (2 * np.pi) - 36.86) / (curve.omega_std[small] / (2 * np.pi) + 0.01)
+    assert np.all(np.abs(away) < 4)
+    assert curve.damping[-1] > 2 * np.median(curve.damping[small]) - 4 * curve.damping_std[-1]
+
+
+def test_the_page_says_what_the_case_says():
+    written = tomllib.loads((CASE / "case.toml").read_text())
+    (told,) = [tomllib.loads(block) for block in re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)]
+    assert told["design"] == written["design"]
+    (experiment,) = told["experiment"]
+    assert experiment.items() <= written["experiment"][0].items()
+    assert [shlex.split(line)[1] for line in COMMANDS] == ["check", "diagnose", "law", "fit"]
+
+
+def run(line, folder, monkeypatch, capsys):
+    """A command of the page, beside the case; what it prints."""
+    (folder / "tests/data").mkdir(parents=True, exist_ok=True)
+    if not (folder / "tests/data/cantilever").exists():
+        (folder / "tests/data/cantilever").symlink_to(CASE)
+    monkeypatch.chdir(folder)
+    with pytest.raises(SystemExit) as ended:
+        main(shlex.split(line)[1:])
+    assert ended.value.code == 0, line
+    return capsys.readouterr().out
+
+
+def test_the_check_finds_nothing_wrong(tmp_path, monkeypatch, capsys):
+    assert "Warning" not in run(COMMANDS[0], tmp_path, monkeypatch, capsys)
+
+
+@pytest.mark.slow
+def test_every_command_of_the_page_runs(tmp_path, monkeypatch, capsys):
+    for line in COMMANDS[2:]:
+        assert "drawn_stiffness" in run(line, tmp_path, monkeypatch, capsys)
+
+
+@pytest.mark.slow
+def test_the_diagnosis_names_spring_and_damping():
+    found = diagnose(None, load_case(CASE))
+    assert found.verdict == "found"
+    assert {a.name for a in found.accepted} == set(LAW)
