@@ -27,6 +27,7 @@ from memsgyro_jax.measurement.readings import Readings, model_of, readings_of
 
 from .joint_residual import Joint, Parameter
 from .optimum import Optimum, optimise
+from .resolved import sharpened
 
 
 _BASE = {1: ("resonance", "quality_factor", "static_gain"), 2: ("mass", "kxx", "kyy", "kxy", "dxx", "dyy", "dxy")}
@@ -104,6 +105,8 @@ class CaseFit(Shown):
         whitened: per record of the case (rows, channels, parts): deviation over noise, I and Q or one real part; NaN
             for rows that are not compared.
         fitted: per record, which rows were fitted (rows,).
+        apart: standard deviations by which the last, finer resolution of steady states still moved a reading; zero
+            where they are resolved.
     """
 
     case: Case
@@ -111,6 +114,7 @@ class CaseFit(Shown):
     optimum: Optimum
     whitened: tuple[np.ndarray, ...]
     fitted: tuple[np.ndarray, ...]
+    apart: float = 0.0
 
     @cached_property
     def model(self) -> Model:
@@ -210,6 +214,8 @@ class CaseFit(Shown):
     def status(self) -> str:
         """A sentence for humans."""
         text = "converged" if self.optimum.converged else f"not converged after {self.optimum.evaluations} evaluations"
+        if self.apart > 0:
+            text += f"; steady states are not resolved: a finer balance moves a reading by {self.apart:.2g} × noise"
         return text + "".join(f"; the records do not hold {null}" for null in self.null_directions)
 
     def predicted(self, record: int) -> np.ndarray:
@@ -295,8 +301,13 @@ def fit_case(
     alone = np.intersect1d(joint.base(), places)
     if 0 < alone.size < places.size and not held:
         vector = optimise(joint, vector, alone, joint.fitted).vector
-    optimum = optimise(joint, vector, places, joint.fitted, max_evaluations=0 if held else 30)
-    return beside_case(case, joint, optimum)
+    longest = 0 if held else 30
+    optimum = optimise(joint, vector, places, joint.fitted, max_evaluations=longest)
+    readings, apart = sharpened(joint.at(optimum.vector), joint.readings)
+    if readings is not joint.readings:
+        joint = Joint(joint.at(optimum.vector), readings)
+        optimum = optimise(joint, joint.start, places, joint.fitted, max_evaluations=longest)
+    return beside_case(case, joint, optimum, apart)
 
 
 def _free_places(joint: Joint, fixed: Sequence[str]) -> np.ndarray:
@@ -310,7 +321,7 @@ def _free_places(joint: Joint, fixed: Sequence[str]) -> np.ndarray:
     return np.array([i for i, name in enumerate(names) if name not in fixed and i not in joint.idle], dtype=int)
 
 
-def beside_case(case: Case, joint: Joint, optimum: Optimum) -> CaseFit:
+def beside_case(case: Case, joint: Joint, optimum: Optimum, apart: float = 0.0) -> CaseFit:
     """The model at an optimum beside every record of the case, fitted or not."""
     white = [np.full((*r.readings.shape, 2 if np.iscomplexobj(r.readings) else 1), np.nan) for r in case.records]
     fitted = [np.zeros(r.rows, bool) for r in case.records]
@@ -320,7 +331,7 @@ def beside_case(case: Case, joint: Joint, optimum: Optimum) -> CaseFit:
     others = [r for r in joint.readings if not r.fitted]
     for readings, values in zip(others, joint.residual(optimum.vector, others), strict=True):
         _place(readings, values, white, fitted)
-    return CaseFit(case, joint, optimum, tuple(white), tuple(fitted))
+    return CaseFit(case, joint, optimum, tuple(white), tuple(fitted), apart)
 
 
 def _place(readings: Readings, values: np.ndarray, white: list[np.ndarray], fitted: list[np.ndarray]) -> None:

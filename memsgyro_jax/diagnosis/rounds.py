@@ -3,12 +3,16 @@
 Everything here looks at fitted readings alone: those that validate are kept for the verdict.
 """
 
+from dataclasses import replace
+
 from memsgyro_jax.measurement.least_squares import gate
 from memsgyro_jax.measurement.model import Model
 
 from .acceptance import excess
+from .fit import beside_case
 from .joint_residual import Joint
 from .optimum import Optimum
+from .resolved import sharpened
 from .scans import refined, scan, scans
 from .score import basis, score
 from .search import CONFUSED, LOOK_AHEAD, ROUNDS, WORTH_A_LOOK, Ranking, Search
@@ -29,16 +33,31 @@ def search_on(search: Search, ranking: Ranking) -> tuple[Search, Ranking]:
             scanned.add(model)
             grown = _with_scan(search, search.optimum if found is None else found[1])
             if grown is not None:
-                search, ranking = grown, grown.rank()
+                search = grown
+                _resolve(search)
+                ranking = search.rank()
                 continue
         if found is not None:
             search.take(*found)
         elif _is_noise(search) or not _exchanged(search, ranking):
             break
+        _resolve(search)
         ranking = search.rank()
     before = list(search.accepted)
     search.prune()
     return search, ranking if before == search.accepted else search.rank()
+
+
+def _resolve(search: Search) -> None:
+    """Predict more finely from here on, where the effect just taken needs it."""
+    model = search.joint.at(search.optimum.vector)
+    readings, apart = sharpened(model, search.joint.readings)
+    if readings is not search.joint.readings:
+        search.tell("predict with more harmonics")
+        search.joint, search.unseen = Joint(model, readings), None
+        search.optimum = search.refit(search.accepted)
+        fit = beside_case(search.case, search.joint, search.optimum, apart)
+        search.steps[-1] = replace(search.steps[-1], fit=fit)
 
 
 def _is_noise(search: Search) -> bool:

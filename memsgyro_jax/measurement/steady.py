@@ -5,6 +5,8 @@ unknowns of the balance are the Fourier coefficients of the *nonlinear* accelera
 grow with the effects' own linear states, and a linear model is solved by the first step.
 """
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,8 +17,15 @@ from memsgyro_jax.base.linalg import inverse, product
 from .model import Conditions, Model
 
 
-HARMONICS = 3
-SAMPLES = 32
+class Fineness(NamedTuple):
+    """How finely a period is resolved: highest harmonic of the balance, and samples of the waveform."""
+
+    harmonics: int = 3
+    samples: int = 32
+
+
+FINENESS = (Fineness(), Fineness(7, 128), Fineness(15, 512))  # a smooth law needs the first, one with a kink the others
+HARMONICS, SAMPLES = FINENESS[0]
 SHARP_SAMPLES = 256
 STEPS = 30
 
@@ -66,45 +75,48 @@ def steady_state(
     force: Complex[Array, " axes"],
     conditions: Conditions,
     guess: Complex[Array, " axes"],
+    fineness: Fineness = FINENESS[0],
 ) -> Complex[Array, "h n"]:
     """Fourier coefficients of the settled state under the force Re[F e^{iωt}] at one condition.
 
     Where several steady states exist (a hardening spring driven hard), the one nearest to `guess`, the phasor of the
     displacement, is found. Derivatives are those of the exact solution (implicit function theorem).
     """
-    rows = np.asarray(model.nonlinear_rows)
+    rows, (harmonics, samples) = np.asarray(model.nonlinear_rows), fineness
 
     def balance(flat: Array, response: tuple, model: Model, force: Array, conditions: Conditions) -> Array:
         linear, driven, push = response
-        state = driven + product(push, _unflatten(flat, model))
-        return flat - _flatten(nonlinear_spectrum(model, linear, state, force, conditions))
+        state = driven + product(push, _unflatten(flat, model, harmonics))
+        return flat - _flatten(nonlinear_spectrum(model, linear, state, force, conditions, samples, harmonics))
 
     linear = model.linear(conditions)
-    driven, push = _linear_response(model, omega, force, linear)
+    driven, push = _linear_response(model, omega, force, linear, harmonics)
     response = linear, driven, push[:, :, rows]
     frozen = jax.lax.stop_gradient((response, model, force, conditions))
-    start = _displacement_only(model, jax.lax.stop_gradient(omega), guess)
-    first = _flatten(nonlinear_spectrum(frozen[1], frozen[0][0], start, frozen[2], frozen[3]))
+    start = _displacement_only(model, jax.lax.stop_gradient(omega), guess, harmonics)
+    first = _flatten(nonlinear_spectrum(frozen[1], frozen[0][0], start, frozen[2], frozen[3], samples, harmonics))
     # What is left out is a difference of accelerations ω²·q: steps below their rounding are noise.
     rounding = 1e-15 * jax.lax.stop_gradient(omega**2 * jnp.max(jnp.abs(driven[1, : model.axes])))
     found, solve = _newton(lambda x: balance(x, *frozen), first, rounding)
     # One more step with everything differentiable but the Jacobian: value unchanged, derivative that of the solution.
     found = found - solve @ balance(found, response, model, force, conditions)
-    return driven + product(push[:, :, rows], _unflatten(found, model))
+    return driven + product(push[:, :, rows], _unflatten(found, model, harmonics))
 
 
-def _linear_response(model, omega, force, linear) -> tuple[Complex[Array, "h n"], Complex[Array, "h n n"]]:
+def _linear_response(
+    model, omega, force, linear, harmonics: int
+) -> tuple[Complex[Array, "h n"], Complex[Array, "h n n"]]:
     """The settled state of the linear part under the drive, and its response to a load, harmonic by harmonic."""
     matrix, gain = linear
-    order = np.arange(HARMONICS + 1)
+    order = np.arange(harmonics + 1)
     operator = 1j * order[:, None, None] * omega * jnp.eye(model.size) - matrix
     push = jax.vmap(inverse)(operator)
     drive = (order == 1)[:, None] * (gain @ force)
     return product(push, drive), push
 
 
-def _displacement_only(model, omega, guess):
-    state = jnp.zeros((HARMONICS + 1, model.size), dtype=complex)
+def _displacement_only(model, omega, guess, harmonics: int):
+    state = jnp.zeros((harmonics + 1, model.size), dtype=complex)
     return state.at[1, : 2 * model.axes].set(jnp.concatenate([guess, 1j * omega * guess]))
 
 
@@ -129,16 +141,18 @@ def _flatten(coefficients: Complex[Array, "h k"]) -> Float[Array, " n"]:
     return jnp.concatenate([coefficients.real.ravel(), coefficients.imag[1:].ravel()])
 
 
-def _unflatten(flat: Float[Array, " n"], model: Model) -> Complex[Array, "h k"]:
+def _unflatten(flat: Float[Array, " n"], model: Model, harmonics: int) -> Complex[Array, "h k"]:
     width = len(model.nonlinear_rows)
-    real, imaginary = flat[: (HARMONICS + 1) * width], flat[(HARMONICS + 1) * width :]
+    real, imaginary = flat[: (harmonics + 1) * width], flat[(harmonics + 1) * width :]
     imaginary = jnp.concatenate([jnp.zeros(width), imaginary])
-    return (real + 1j * imaginary).reshape(HARMONICS + 1, width)
+    return (real + 1j * imaginary).reshape(harmonics + 1, width)
 
 
-def fundamental(model, omega, state: Complex[Array, "h n"], force, conditions) -> Complex[Array, " axes"]:
+def fundamental(
+    model, omega, state: Complex[Array, "h n"], force, conditions, fineness: Fineness = FINENESS[0]
+) -> Complex[Array, " axes"]:
     """Phasor of each channel's voltage at the drive frequency, all read-out effects included."""
-    samples = SHARP_SAMPLES if model.is_sharp else SAMPLES
+    samples = max(SHARP_SAMPLES if model.is_sharp else 0, fineness.samples)
     command, turn = drive_waveform(force, samples)
     states = waveform(state, samples)
     volts = jax.vmap(lambda s, u, du: model.observe(s, u, omega * du, conditions))(states, command, turn)

@@ -111,6 +111,11 @@ class Experiment(eqx.Module):
         """
         yield from ()
 
+    @property
+    def finer(self) -> "Experiment | None":
+        """The same, predicted with a finer resolution; `None` where there is none, as by default."""
+        return None
+
     def residual(self, bench: PyTree) -> Float[Array, " r"]:
         """Measured minus predicted in standard deviations of the noise, as one vector."""
         return self.noise.whiten(self.measured, self.predict(bench)).ravel()

@@ -1,5 +1,6 @@
 """Frequency sweep of a `Model` with any effects, each row at its own condition: drive, temperature, bias, rate."""
 
+import dataclasses
 from collections.abc import Iterator
 from typing import ClassVar
 
@@ -15,7 +16,7 @@ from memsgyro_jax.effects.base import SweepEffect
 
 from ..lock_in import through_lock_in
 from ..model import Model
-from ..steady import drive_waveform, fundamental, spectrum, steady_state, waveform
+from ..steady import FINENESS, Fineness, drive_waveform, fundamental, spectrum, steady_state, waveform
 from .base import Experiment, Noise
 from .missing_force import receptance
 
@@ -36,6 +37,7 @@ class HarmonicSweep(Experiment):
         near: displacement phasors (n, axes) [m] that say which branch of a folded resonance is meant.
         direction: +1 where the frequency rose towards a row, −1 where it fell.
         before: phasors (n, axes) that were read in the row before [V]; `None` where each row stands alone.
+        fineness: of the harmonic balance; `finer` is the next.
     """
 
     shows_modes: ClassVar[bool] = True
@@ -49,6 +51,7 @@ class HarmonicSweep(Experiment):
     near: Complex[Array, "n axes"]
     direction: Float[Array, " n"]
     before: Complex[Array, "n axes"] | None = None
+    fineness: Fineness = eqx.field(static=True, default=FINENESS[0])
 
     def predict(self, bench: Model) -> Complex[Array, "n axes"]:
         """Phasors of all channels."""
@@ -56,10 +59,10 @@ class HarmonicSweep(Experiment):
         speeds = [effect.speed() for effect in bench.effects if isinstance(effect, SweepEffect)]
 
         def row(omega: Array, force: Array, conditions: Conditions, near: Array, direction: Array) -> Array:
-            state = steady_state(bench, omega, force, conditions, near)
+            state = steady_state(bench, omega, force, conditions, near, self.fineness)
             for speed in speeds:
                 state = state.at[1].add(sweep_lag(bench, omega, force, conditions, direction * speed))
-            return fundamental(bench, omega, state, force, conditions)
+            return fundamental(bench, omega, state, force, conditions, self.fineness)
 
         settled = jax.vmap(row)(self.frequency, self.force, self.surroundings, self.near, self.direction)
         before = self.measured if self.before is None else self.before
@@ -73,7 +76,7 @@ class HarmonicSweep(Experiment):
 
         def step(before: Array, row: tuple) -> tuple[Array, Array]:
             new, omega, force, conditions = row
-            state = steady_state(bench, omega, force, conditions, jnp.where(new, 0.0, before))
+            state = steady_state(bench, omega, force, conditions, jnp.where(new, 0.0, before), self.fineness)
             near = state[1, : bench.axes]
             return near, near
 
@@ -83,6 +86,12 @@ class HarmonicSweep(Experiment):
         rest = jnp.zeros(bench.axes, complex)
         near = jax.lax.scan(step, rest, (new, self.frequency, self.force, at))[1]
         return eqx.tree_at(lambda sweep: sweep.near, self, near)
+
+    @property
+    def finer(self) -> "HarmonicSweep | None":
+        """The same with more harmonics and samples; `None` at the last."""
+        place = FINENESS.index(self.fineness) + 1
+        return dataclasses.replace(self, fineness=FINENESS[place]) if place < len(FINENESS) else None
 
     def proposals(self, name: str) -> Iterator[tuple[str, Experiment]]:
         """All sweeps at once, driven harder, on the other axis, warmer and colder, at other bias voltages."""
@@ -107,11 +116,12 @@ class HarmonicSweep(Experiment):
         axes, errors = model.axes, model.motion(self.measured - self.predict(model), self.frequency)
 
         def row(omega: Array, force: Array, conditions: Conditions, near: Array, error: Array):
-            state = steady_state(model, omega, force, conditions, near)
+            state = steady_state(model, omega, force, conditions, near, self.fineness)
             matrix, _ = model.linear(conditions)
             moved = state.at[1].add(_carried(matrix, omega, error))
-            command, _ = drive_waveform(force)
-            rates = jax.vmap(lambda s, u: model.derivative(s, u, conditions))(waveform(moved), command)
+            samples = self.fineness.samples
+            command, states = drive_waveform(force, samples)[0], waveform(moved, samples)
+            rates = jax.vmap(lambda s, u: model.derivative(s, u, conditions))(states, command)
             given = spectrum(rates, 1)[1, axes : 2 * axes]
             missing = (1j * omega * moved[1, axes : 2 * axes] - given) / model.device.mobility
             return moved[1, :axes], missing, jnp.abs(jnp.linalg.inv(receptance(model, matrix, omega)))
