@@ -16,6 +16,9 @@ from memsgyro_jax.base.text import listed
 from .clock import check_period
 
 
+_MISMATCH = 0.01  # relative, between times and a given sample rate
+
+
 class RateLog(NamedTuple):
     """Rates of one or several axes, evenly sampled.
 
@@ -101,11 +104,16 @@ def _clocked(clock: Table | None, period: float | None) -> float:
                 f"{str(error).rstrip('.')} (with a sample rate, `sample_rate` or `--rate`, jitter is passed over)."
             ) from error
         return own
+    if abs(own - period) > _MISMATCH * period:
+        raise InputError(
+            f"{clock.path}: the times must agree with the given sample rate, {1.0 / period:g} Hz, but rise as at "
+            f"{1.0 / own:.6g} Hz; is a unit wrong, or are rows missing?"
+        )
     wrong = np.flatnonzero(np.abs(np.diff(times) - period) > 0.5 * period)
     if wrong.size:
         row = int(wrong[0]) + 1
         raise InputError(
             f"{clock.path}, line {clock.lines[row]}: at the given sample rate the times must rise by {period:.6g} "
-            f"s a row, but here by {times[row] - times[row - 1]:.6g} s; is a row missing, or the rate wrong?"
+            f"s a row, but here by {times[row] - times[row - 1]:.6g} s; is a row missing?"
         )
     return period

@@ -136,6 +136,15 @@ def test_the_film_is_blechs_series_and_reynolds_equation(length, width, gap, ome
     assert found == pytest.approx((4 * fine - coarse) / 3, rel=2e-4)
 
 
+def test_derivatives_of_the_film():
+    """By the gap, against central differences of fourth order."""
+    at = lambda gap: np.array(geometry.squeeze_film(3e-4, 1e-4, gap, 3e5, **AIR))  # noqa: E731
+    slopes = jax.jacfwd(lambda gap: jnp.stack(geometry.squeeze_film(3e-4, 1e-4, gap, 3e5, **AIR)))(2e-6)
+    h = 1e-9
+    expected = (8 * (at(2e-6 + h) - at(2e-6 - h)) - (at(2e-6 + 2 * h) - at(2e-6 - 2 * h))) / (12 * h)
+    np.testing.assert_allclose(slopes, expected, rtol=1e-9)
+
+
 def test_gas_plates_and_combs():
     assert geometry.couette_damping(1e-6, 2e-6, 1.8e-5) == pytest.approx(9e-6, rel=1e-12)
     knudsen = 68e-9 * 101325 / 100.0 / 2e-6

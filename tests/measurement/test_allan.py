@@ -213,6 +213,8 @@ def test_gaps_and_jitter(tmp_path, spoil, words):
     if "--rate" in words:
         found = mg.allan(path, sample_rate=20.0)
         assert "jitter" in found.notes[0]
+        with pytest.raises(InputError, match="rise as at 20"):
+            mg.allan(path, sample_rate=40.0)
     else:
         with pytest.raises(InputError, match="line 603"):
             mg.allan(path, sample_rate=20.0)
