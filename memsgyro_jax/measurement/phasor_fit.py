@@ -16,6 +16,7 @@ from .experiments.base import Phasors
 ROUNDS = 12
 PAIRS = {1: ((0, 0),), 2: ((0, 0), (1, 1), (0, 1))}
 _FEWEST = 8  # rows of one axis from which a gain that turns the phase, and a background, can be told too
+_BENT, _BENDS, _FINER = 1.5, 301, 41  # how far a resonance may bend over, in widths of the band; steps that are tried
 _STANDS_OUT = 40.0
 _BETTER = 0.5  # of the squared error of the plain resonance that this must come to
 
@@ -88,22 +89,35 @@ def _turned(plain, omega, motion, force, weight):
 
 
 def _of_modulus(omega, motion, force, weight):
-    """The device of one axis behind amplitudes alone: 1/|X|² is a parabola in ω²."""
+    """The device of one axis behind amplitudes alone: 1/|X|² is a parabola in ω² − c·|X|², where c bends the resonance
+    over, as a stiffness that changes with the amplitude does.
+    """
     amplitude, drive = np.abs(motion[:, 0]), np.abs(force[:, 0])
-    top = int(np.argmax(amplitude / drive))
-    square, centre = omega**2, omega[top] ** 2
-    place = (square - centre) / np.ptp(square)
     target, error = (drive / amplitude) ** 2, 2 * drive**2 / (amplitude**3 * weight)
-    columns = np.vander(place, 3) / error[:, None]
-    bend, slope, level = np.linalg.lstsq(columns, target / error, rcond=1e-12)[0]
-    bend, slope = bend / np.ptp(square) ** 2, slope / np.ptp(square)
-    if bend <= 0 or level <= 0:
+    reach = _BENT * np.ptp(omega**2) / np.max(amplitude) ** 2
+    bent = lambda c: _parabola(omega**2 - c * amplitude**2, target, error)  # noqa: E731
+    net = np.linspace(-reach, reach, _BENDS)
+    usable = [(one[0], c) for c in net if (one := bent(c))[1] is not None]
+    if not usable:
         return None
-    stiffness = centre - slope / (2 * bend)
-    dissipated = (level - slope**2 / (4 * bend)) / bend
-    if stiffness <= 0 or dissipated <= 0:  # the tip is not resolved: the half width of what is seen
-        return None
-    return NormalisedDevice(np.array([stiffness]), np.array([np.sqrt(dissipated / stiffness)]), 1 / np.sqrt(bend))
+    best, step = min(usable)[1], net[1] - net[0]
+    finer = [c for c in np.linspace(best - step, best + step, _FINER) if bent(c)[1] is not None]
+    return bent(min(finer, key=lambda c: bent(c)[0]))[1]
+
+
+def _parabola(square, target, error):
+    """Squared misfit of target = (K − square)²/σ² + D²·K/σ², and the device; `None` for what is none."""
+    centre, span = square.mean(), np.ptp(square)
+    columns = np.vander((square - centre) / span, 3) / error[:, None]
+    found = np.linalg.lstsq(columns, target / error, rcond=1e-12)[0]
+    misfit = float(np.sum((columns @ found - target / error) ** 2))
+    bend, slope, level = found / np.array([span**2, span, 1.0])
+    if bend <= 0:
+        return misfit, None
+    stiffness, dissipated = centre - slope / (2 * bend), (level - slope**2 / (4 * bend)) / bend
+    if stiffness <= 0 or dissipated <= 0:  # the tip is not resolved
+        return misfit, None
+    return misfit, NormalisedDevice([stiffness], [np.sqrt(dissipated / stiffness)], 1 / np.sqrt(bend))
 
 
 def _response_weight(device, omega: np.ndarray, axes: int) -> np.ndarray:

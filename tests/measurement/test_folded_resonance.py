@@ -8,8 +8,9 @@ import pytest
 from memsgyro_jax.device.conditions import Conditions
 from memsgyro_jax.device.normalised import NormalisedDevice
 from memsgyro_jax.effects import CubicStiffness
-from memsgyro_jax.measurement.experiments import CartesianNoise, HarmonicSweep
+from memsgyro_jax.measurement.experiments import CartesianNoise, HarmonicSweep, Phasors
 from memsgyro_jax.measurement.model import Model
+from memsgyro_jax.measurement.phasor_fit import device_of_phasors
 
 
 W, D, K3, F = 1.0, 0.04, 0.05, 0.12
@@ -77,3 +78,12 @@ def test_the_branch_that_continues_the_row_before(rows, truth):
     sweep = swept(rows, jnp.zeros((42, 1), complex))
     found = np.asarray(sweep.followed(MODEL).predict(MODEL))[:, 0]
     np.testing.assert_allclose(found, truth, atol=3e-3 * np.abs(truth).max())
+
+
+def test_amplitudes_of_a_folded_resonance_tell_its_start(truth, rows):
+    amplitude = np.abs(truth)[:, None] + 0j
+    offered = Phasors(rows, amplitude, np.full((42, 1), F + 0j), np.full(42, 1e4), modulus=True)
+    device = device_of_phasors([offered])
+    assert abs(float(device.stiffness[0]) - W**2) < 0.1 * W * D, "a tenth of the width"
+    assert float(device.damping[0]) == pytest.approx(D, rel=0.05)
+    assert float(device.mobility) == pytest.approx(1.0, rel=0.05)
