@@ -20,6 +20,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 
+LENGTHS = {"in blocks": 1.0, "in blocks, runs ten times as long": 10.0}
+
+
 def worker(options: argparse.Namespace) -> None:
     """One process as a user would start it: import, first sweep, repeated sweeps; prints JSON."""
     began = time.perf_counter()
@@ -39,7 +42,8 @@ def worker(options: argparse.Namespace) -> None:
 
     def sweep(*effects) -> None:
         spread, settings = mg.Spread.relative(0.15), {"dies": options.dies, "duration": options.duration}
-        mg.sweep(loop(*effects), spread, 1.0, bound_dies=0, **settings)
+        made = loop(*effects).in_blocks() if options.blocks else loop(*effects)
+        mg.sweep(made, spread, 1.0, bound_dies=0, **settings)
 
     if options.effects:
         return print(json.dumps(costs(sweep, options.repeat)))
@@ -96,7 +100,7 @@ def measure(options: argparse.Namespace, cache: str) -> tuple[dict, dict]:
     """Our figures and the yardsticks' speeds."""
     job = ("--dies", str(options.dies), "--duration", str(options.duration), "--repeat", str(options.repeat))
     ours: dict = {"first_start": start(*job, cores=1, cache=cache)}
-    pinned, yardsticks = [], {}
+    pinned, yardsticks, blocks = [], {}, {}  # type: list[dict], dict[str, list], dict[str, list]
     for _ in range(options.turns):
         if options.yardstick:
             found = start(cores=1, cache=cache, program=(str(options.yardstick / "run.py"),))
@@ -104,6 +108,10 @@ def measure(options: argparse.Namespace, cache: str) -> tuple[dict, dict]:
                 if isinstance(value, dict) and "steps_per_s" in value:
                     yardsticks.setdefault(name, []).append(value["steps_per_s"])
         pinned.append(start(*job, cores=1, cache=cache))
+        for name, times in LENGTHS.items():
+            longer = (*job[:2], "--duration", str(times * options.duration), *job[4:], "--blocks")
+            blocks.setdefault(name, []).append(start(*longer, cores=1, cache=cache))
+    ours |= {name: max(runs, key=lambda run: run["steps_per_s"]) for name, runs in blocks.items()}
     ours["one_core"] = max(pinned, key=lambda run: run["steps_per_s"])
     ours["second_start_s"] = min(run["first_call_s"] for run in pinned)
     ours["one_core_without_flags"] = start(*job, "--no-flags", cores=1, cache=cache)
@@ -123,6 +131,9 @@ def table(ours: dict, yardsticks: dict, options: argparse.Namespace) -> list[tup
         ("one core", f"{one['steps_per_s'] / 1e6:.2f} million steps/s"),
         ("one core without compiler flags", f"{bare['steps_per_s'] / 1e6:.2f} million steps/s"),
     ]
+    for name in LENGTHS:
+        speed = ours[name]["steps_per_s"]
+        rows.append((name, f"{speed / 1e6:.2f} million samples/s, {speed / one['steps_per_s']:.2f} x one by one"))
     if "two_cores" in ours:
         both = ours["two_cores"]["steps_per_wall_s"]
         text = f"{both / 1e6:.2f} million steps/s, {both / one['steps_per_wall_s']:.2f} x one core"
@@ -150,7 +161,7 @@ def main() -> None:
     parser.add_argument("--repeat", type=int, default=5, help="timed sweeps per process; the fastest counts")
     parser.add_argument("--turns", type=int, default=3, help="times that yardstick and sweep take turns")
     parser.add_argument("--out", type=Path, default=Path(__file__).parents[1] / "out" / "closed_loop")
-    for hidden in ("--worker", "--no-flags", "--effects"):
+    for hidden in ("--worker", "--no-flags", "--effects", "--blocks"):
         parser.add_argument(hidden, action="store_true", help=argparse.SUPPRESS)
     parser.add_argument("--cores", type=int, default=1, help=argparse.SUPPRESS)
     options = parser.parse_args()
