@@ -191,8 +191,9 @@ class CaseFit(Shown):
 
     @property
     def chi2_per_dof(self) -> float:
-        """Of the fitted readings."""
+        """Of the fitted readings, and of what was known beforehand."""
         count = sum(e.count for e in self.errors if e.role == "fit")
+        count += sum(r.size for r in self.joint.fitted if r.record.max(initial=-1) < 0)
         return self.optimum.chi2 / (count - self.optimum.free.size)
 
     @property

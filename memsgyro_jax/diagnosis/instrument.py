@@ -66,9 +66,12 @@ def instrument_terms(case: Case) -> tuple[InstrumentTerm, ...]:
     """The terms that the records of a case can hold, each at zero; those of which they have but one group have none."""
     groups = _Groups.of(case)
     phasor, clocked = groups.phasor, groups.clocked
+    every, several = [set().union(*phasor)] if phasor else [], phasor if len(phasor) > 1 else []
     found = [
-        (LockInMemory, phasor, {}),
-        (ReferencePhase, phasor, {}),
+        (LockInMemory, every, {}),
+        (LockInMemory, several, {"of": "by record"}),
+        (ReferencePhase, every, {}),
+        (ReferencePhase, several, {"of": "by record"}),
         (DriveLevel, groups.levels[1:], {}),
         (RecordGain, groups.records[1:], {}),
         (FrequencyOffset, groups.sweeps[1:], {}),

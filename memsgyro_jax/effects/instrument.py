@@ -24,11 +24,17 @@ class InstrumentTerm(Effect):
         entry: (records, sweeps, k) how much of each number a row takes.
 
     `prior` is the standard deviation that each number has before anything is measured, `None` where nothing is known.
+    `of` says which rows share a number where a term may have it both ways: empty for one number for all.
     """
 
     of_instrument: ClassVar[bool] = True
     prior: ClassVar[float | None] = None
     entry: AbstractVar[Array]
+
+    @property
+    def where(self) -> str:
+        """Which rows share a number, where that is left open."""
+        return getattr(self, "of", "")
 
     def chosen(self, now: Moment | LockInRow) -> Array:
         """The number of the group that a row belongs to."""
@@ -148,11 +154,12 @@ class PhaseDrift(ClockedTerm, LockInEffect):
 
 
 class ReferencePhase(InstrumentTerm, LockInEffect):
-    """The reference of the lock-in is turned by s_k rad in a record. Zero: it is the drive itself."""
+    """The reference of the lock-in is turned by s_k rad, in all records or in each. Zero: it is the drive itself."""
 
     name, unit, law = "reference_phase", "rad", "V → V·exp(i·s_k)"
     strength: Array = strength((0.0,), low=-1.0, high=1.0)
     entry: Array = _fixed((((0.0,),),))
+    of: str = eqx.field(static=True, default="")
 
     def phasors(self, values: Complex[Array, " axes"], row: LockInRow) -> Complex[Array, " axes"]:
         return values * jnp.exp(1j * self.chosen(row))
@@ -195,6 +202,7 @@ class LockInMemory(InstrumentTerm, LockInEffect):
     last: ClassVar[bool] = True
     strength: Array = strength((0.0,), low=0.0, high=0.9)
     entry: Array = _fixed((((0.0,),),))
+    of: str = eqx.field(static=True, default="")
 
     def phasors(self, values: Complex[Array, " axes"], row: LockInRow) -> Complex[Array, " axes"]:
         return values + self.chosen(row) * (row.before - values)

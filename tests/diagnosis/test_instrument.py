@@ -54,8 +54,8 @@ def test_a_case_holds_no_term_of_which_it_has_one_group_alone():
     """
     labels = [term.label for term in instrument_terms(case_of())]
     assert labels == [
-        "lock_in_memory", "reference_phase", "lock_in_background", "lock_in_feedthrough", "drive_level", "record_gain",
-        "frequency_offset",
+        "lock_in_memory", "lock_in_memory by record", "reference_phase", "reference_phase by record",
+        "lock_in_background", "lock_in_feedthrough", "drive_level", "record_gain", "frequency_offset",
     ]  # fmt: skip
     assert {"frequency_drift", "gain_drift"} < {term.label for term in instrument_terms(case_of(dwell=CLOCK))}
     whole = case_of()
