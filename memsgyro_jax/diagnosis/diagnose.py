@@ -17,6 +17,7 @@ from memsgyro_jax.measurement.readings import model_of, readings_of
 from .fit import CaseFit
 from .joint_residual import Joint
 from .next_experiment import plans
+from .nuisances import decided_by, instrument_first, of_instrument, terms_of
 from .outlying import Rows, outlying, without_rows
 from .result import SIGMAS_SEEN, Accepted, Candidate, Diagnosis, Stage, Verdict, validation_error
 from .rounds import DECIDED, FITTED, search_on
@@ -65,7 +66,7 @@ def diagnose(
         search = start_search(case, joint, (1 - RECORDS) * level, range(len(start.effects)), tell)
     first = search.rank()
     search.own = tuple(i for i, e in enumerate(joint.model.effects) if e.label in {own.label for own in effects})
-    search, ranking = search_on(search, first)
+    search, ranking, rival = instrument_first(search, first, smooth, search_on, lambda one: _is_done(one, level))
     base, steps = search.base, search.steps
     final = search.steps[-1].fit
     tell("see what these records can tell apart")
@@ -75,10 +76,11 @@ def diagnose(
     noise: Mapping[str, float] = {}
     if not all(explained) and all(_explained(final, accepted, level, wrong := wrong_noise(final))):
         explained, noise = [True] * len(explained), wrong
-    verdict = _verdict(base, final, accepted, all(explained))
+    terms = _accepted(search, {place: [] for place in terms_of(search)}, steps)
+    verdict = _verdict(base, final, accepted, all(explained), bool(terms))
     stages = tuple(Stage(s.added, s.fit.chi2_per_dof, validation_error(s.fit)) for s in steps)
     if verdict == "unknown_effect":  # what was tried is no finding, and the model stays the base model
-        final, accepted, stages, tried = base, (), stages[:1], stages[1 : 1 + NAMED]
+        final, accepted, terms, stages, tried = base, (), (), stages[:1], stages[1 : 1 + NAMED]
         explained = _explained(base, (), level)
     else:
         tried = ()
@@ -88,18 +90,20 @@ def diagnose(
         final=final,
         verdict=verdict,
         sentence=_sentence(verdict, accepted, final, explained)
+        + of_instrument(terms, rival)
         + _of_noise(noise)
         + (f" Left out as outlying: {_of_rows(case, left_out)}." if left_out else ""),
         accepted=tuple(a.scaled(scale) for a in accepted),
         first=_listed(joint.model, first),
         candidates=_listed(search.joint.model, ranking),
         groups=tuple((a.label, *a.confused_with) for a in accepted if a.confused_with),
-        next_experiment=_next(search, ranking, confused, tell),
-        given=tuple(start.effects[i].label for i in search.given),
+        next_experiment=decided_by(terms, rival) or _next(search, ranking, confused, tell),
+        given=tuple(effect.label for effect in start.effects),
         steps=stages,
         level=level,
         tried=tried,
         outlying={case.records[number].name: rows for number, rows in left_out.items()},
+        instrument=tuple(a.scaled(scale) for a in terms),
         scale=_scale(final),
     )
 
@@ -108,6 +112,11 @@ def _start(model, case: Case) -> Model:
     if isinstance(model, Model):
         return model
     return model_of(case, starting_device(case) if model is None else model)
+
+
+def _is_done(search: Search, level: float) -> bool:
+    """Whether nothing is left to explain."""
+    return all(_explained(search.steps[-1].fit, search.accepted, level))
 
 
 def _scale(fit: CaseFit) -> float:
@@ -134,15 +143,15 @@ def _explained(fit: CaseFit, accepted: Sequence, level: float, noise: Mapping[st
     """Per record and role, whether noise alone explains what is left; fitted readings, many and tested anyway, get a
     wider gate.
 
-    Where no effect was accepted, a record beyond its gate counts only if noise, and the uncertainty of the fit, would
-    seldom put it there: with all records together this happens to `RECORDS` of the level. Where the `noise` of a record
-    is declared wrong, the one found counts.
+    Where no effect was accepted, or terms of the instrument are free that some record alone would tell, a record beyond
+    its gate counts only if noise, and the uncertainty of the fit, would seldom put it there: with all records together
+    this happens to `RECORDS` of the level. Where the `noise` of a record is declared wrong, the one found counts.
     """
     within = [
         e.chi2 / (noise or {}).get(e.name, 1.0) ** 2 / e.count <= gate(e.count, FITTED if e.role == "fit" else 3.0)
         for e in fit.errors
     ]
-    if accepted or all(within):
+    if (accepted and not any(effect.of_instrument for effect in fit.joint.model.effects)) or all(within):
         return within
     alone = RECORDS * level / len(within)
     return [fine or p > alone for fine, p in zip(within, fit.p_values, strict=True)]
@@ -176,7 +185,7 @@ def _replaces(search: Search, place: int, other: int) -> bool:
 def _accepted(search: Search, confused: dict[int, list[int]], steps) -> tuple[Accepted, ...]:
     out = []
     labels = [s.added for s in steps]
-    for place in search.accepted:
+    for place in confused:
         effect = search.joint.model.effects[place]
         mine = search.own_score(place)
         at = np.isin(search.optimum.free, search.joint.of_effect(place))
@@ -211,9 +220,9 @@ def _numbers(search: Search, place: int) -> dict[str, tuple[float, float, str]]:
     return found
 
 
-def _verdict(base: CaseFit, final: CaseFit, accepted: tuple[Accepted, ...], explained: bool) -> Verdict:
+def _verdict(base: CaseFit, final: CaseFit, accepted: tuple[Accepted, ...], explained: bool, terms: bool) -> Verdict:
     if not accepted:
-        return "nothing_missing" if explained else "unknown_effect"
+        return ("instrument_only" if terms else "nothing_missing") if explained else "unknown_effect"
     if explained:
         return "cannot_tell" if any(a.confused_with for a in accepted) else "found"
     roles = {e.role for e in base.errors}
@@ -229,6 +238,8 @@ def _sentence(verdict: Verdict, accepted: tuple[Accepted, ...], final: CaseFit, 
     )
     return {
         "nothing_missing": "The base model explains every record to its noise; no effect is missing.",
+        "instrument_only": "With what the instrument does, the base model explains every record to its noise; no "
+        "mechanical effect is missing.",
         "found": f"Missing was {names}; with it the model explains every record to its noise.",
         "cannot_tell": f"{names} would explain every record to its noise, but so would "
         + "; ".join(f"{' or '.join(a.confused_with)} in place of {a.label}" for a in accepted if a.confused_with)

@@ -7,10 +7,11 @@ from scipy import stats
 
 from memsgyro_jax.effects import Effect
 
-from .fit import CaseFit, beside_case
+from .fit import beside_case
 from .instrument import instrument_terms, knowledge
 from .joint_residual import Joint
 from .optimum import Optimum, optimise
+from .result import Accepted
 from .score import Score
 from .search import GLANCE, LOOK_AHEAD, Ranking, Search, SearchStep, always_free
 
@@ -27,8 +28,9 @@ def instrument_first(
     effects: Sequence[Effect],
     go_on: Callable[[Search, Ranking], tuple[Search, Ranking]],
     done: Callable[[Search], bool],
-) -> tuple[Search, Ranking]:
-    """The end of a search that tries the instrument before the device.
+) -> tuple[Search, Ranking, str]:
+    """The end of a search that tries the instrument before the device, its ranking, and the label of an effect that the
+    records cannot tell from what the instrument does, empty where there is none.
 
     Where terms of the instrument explain every record, they do, unless one effect of the device says the same in fewer
     numbers. Where they do not, effects are looked for both beside them and without them, and the less wins.
@@ -39,60 +41,104 @@ def instrument_first(
         go_on: the search for effects of the device, from a search and its ranking.
         done: whether a search leaves nothing to explain.
     """
-    alone = instrument_alone(search, first)
-    if alone is None:
-        return go_on(search, first)
-    beside = beside_terms(alone, search.base, search.level, effects)
+    alone, ends = instrument_alone(search, first), []
+    if alone is not None:
+        ends.append(_beside(alone, search, effects, go_on))
+        whole, ranking = ends[0]
+        if done(whole) and not whole.accepted:
+            rival, gain = _rival(search, first, whole)
+            if gain < EVIDENT:
+                return whole, ranking, rival if gain > -EVIDENT else ""
+    bare, its_ranking = go_on(search, first)
+    ends.append((bare, its_ranking))
+    if bare.accepted and not any(done(one) for one, _ in ends):
+        # An effect that stands out may have hidden what the instrument does.
+        later = instrument_alone(bare, its_ranking)
+        ends += [] if later is None else [_beside(later, search, effects, go_on)]
+    return *min(ends, key=lambda end: (not done(end[0]), _cost(end[0].optimum))), ""
+
+
+def _beside(alone: Search, search: Search, effects: Sequence[Effect], go_on) -> tuple[Search, Ranking]:
+    """The search for effects of the device beside terms of the instrument, those taken out that it makes needless."""
+    beside = beside_terms(alone, search, effects)
     whole, ranking = go_on(beside, beside.rank())
     if whole.accepted:
         take_out(whole)
-    if done(whole) and not whole.accepted and not _one_effect_says_it(search, first, whole):
-        return whole, ranking
-    bare, its_ranking = go_on(search, first)
-    better = (not done(bare), _cost(bare)) <= (not done(whole), _cost(whole))
-    return (bare, its_ranking) if better else (whole, ranking)
+    return whole, ranking
 
 
-def _one_effect_says_it(search: Search, first: Ranking, whole: Search) -> bool:
-    """Whether one effect of the device, in fewer numbers, explains as much as the instrument does."""
+def _rival(search: Search, first: Ranking, whole: Search) -> tuple[str, float]:
+    """The best single effect of the device, and by how much it is better than the instrument."""
     best = first.order[0] if first.places else None
     if best is None or first.p_values[best] > search.level:
-        return False
+        return "", -np.inf
     rival = search.refit([first.places[best]], slopes=first.slopes[best])
-    return rival.chi2 + rival.free.size * float(np.log(rival.residual.size)) + EVIDENT < _cost(whole)
+    return search.joint.model.effects[first.places[best]].label, _cost(whole.optimum) - _cost(rival)
+
+
+def terms_of(search: Search) -> list[int]:
+    """Places of the terms of the instrument that a search was given."""
+    return [i for i in search.given if search.joint.model.effects[i].of_instrument]
+
+
+def of_instrument(terms: Sequence[Accepted], rival: str) -> str:
+    """Sentences on what the instrument does; empty where it does nothing."""
+    if not terms:
+        return ""
+    also = f" These records cannot tell it from {rival}." if rival else ""
+    return f" The instrument: {'; '.join(map(_numbers_of, terms))}.{also}"
+
+
+def _numbers_of(term: Accepted) -> str:
+    held = [f"{e:.4g} ± {s:.2g}" for e, s in zip(term.estimate, term.std, strict=True) if abs(e) > 1e-6 * s]
+    return f"{term.label} {', '.join(held)} {term.unit}".removesuffix(" 1")
+
+
+def decided_by(terms: Sequence[Accepted], rival: str) -> str:
+    """What tells a drift from a dependence on the amplitude; empty where nothing of the kind is in question."""
+    drifts = [term.label for term in terms if term.label.endswith("_drift")]
+    if not drifts or not rival:
+        return ""
+    return f"repeat the first drive level at the end of the record; it would tell {drifts[0]} from {rival}"
 
 
 def instrument_alone(search: Search, first: Ranking) -> Search | None:
-    """The base model with the terms of the instrument that its records need; `None` where they need none, or where an
-    effect of the device explains far more.
+    """The present model with the terms of the instrument that its records need; `None` where they need none, or where
+    an effect of the device explains far more.
 
     Args:
-        search: at its base model.
-        first: the effects of the device beside it.
+        search: its effects are given to the one returned.
+        first: the further effects of the device beside it.
     """
     terms = instrument_terms(search.case)
     if not terms or not _is_of_interest(search, first):
         return None
     search.tell("try what the instrument may have done")
     model = search.joint.at(search.optimum.vector)
-    model = model.with_only((*(model.effects[i] for i in search.given), *terms))
+    present = [*search.given, *search.accepted]
+    model = model.with_only((*(model.effects[i] for i in present), *terms))
     joint = Joint(model, (*search.joint.readings, *knowledge(terms)))
-    given = range(len(search.given))
+    given = range(len(present))
     optimum = optimise(joint, joint.start, always_free(joint, given), joint.fitted, max_evaluations=0)
     alone = Search(beside_case(search.case, joint, optimum), SHARE * search.level, given, search.tell)
     ranking = alone.rank()
     if ranking.scores[ranking.order[0]].statistic < FAINT * _most(first.scores):
         return None
-    while (found := _best(alone, ranking)) is not None:
-        alone.take(*found)
-        ranking = alone.rank()
+    add_terms(alone, ranking)
     return alone if alone.accepted else None
+
+
+def add_terms(search: Search, ranking: Ranking) -> None:
+    """Rounds over terms of the instrument, from a ranking of them, until none helps beyond chance."""
+    while (found := _best(search, ranking)) is not None:
+        search.take(*found)
+        ranking = search.rank()
 
 
 def _is_of_interest(search: Search, first: Ranking) -> bool:
     """Whether an effect would be added, or a record is not explained."""
     tempted = bool(first.places) and first.p_values[first.order[0]] <= search.level
-    return tempted or not all(e.explained for e in search.base.errors)
+    return tempted or not all(e.explained for e in search.steps[-1].fit.errors)
 
 
 def _most(scores: Sequence[Score]) -> float:
@@ -119,24 +165,37 @@ def _is_pinned(search: Search, place: int, optimum: Optimum) -> bool:
     return bool(np.any((value >= PINNED * high) | ((low < 0) & (value <= PINNED * low))))
 
 
-def beside_terms(alone: Search, base: CaseFit, level: float, effects: Sequence[Effect]) -> Search:
-    """A search for effects of the device beside the terms that were found, which are given to it."""
-    given = [*alone.given, *alone.accepted]
+def beside_terms(alone: Search, search: Search, effects: Sequence[Effect]) -> Search:
+    """A search for effects of the device beside the terms that were found, which are given to it; effects that `search`
+    was not given, but those terms stand beside, count as found.
+    """
     model = alone.joint.at(alone.optimum.vector)
-    kept = tuple(model.effects[i] for i in given)
+    kept = [model.effects[i] for i in (*alone.given, *alone.accepted)]
+    own = len(search.given)
+    found = [effect for effect in kept[own:] if not effect.of_instrument]
     terms = [effect for effect in kept if effect.of_instrument]
+    others = [effect for effect in effects if effect.label not in {one.label for one in found}]
     plain = [r for r in alone.joint.readings if r.record.max(initial=-1) >= 0]
-    joint = Joint(model.with_only((*kept, *effects)), (*plain, *knowledge(terms)))
-    places = range(len(kept))
-    optimum = optimise(joint, joint.start, always_free(joint, places), joint.fitted, max_evaluations=0)
-    out = Search(beside_case(alone.case, joint, optimum), level, places, alone.tell)
-    out.base, out.steps = base, [SearchStep("", base), *alone.steps[1:]]
+    given = [*kept[:own], *terms]
+    joint = Joint(model.with_only((*given, *found, *others)), (*plain, *knowledge(terms)))
+    accepted = list(range(len(given), len(given) + len(found)))
+    free = always_free(joint, range(len(given) + len(found)))
+    optimum = optimise(joint, joint.start, free, joint.fitted, max_evaluations=0)
+    out = Search(beside_case(alone.case, joint, optimum), search.level, range(len(given)), alone.tell)
+    out.base, out.accepted = search.base, accepted
+    out.steps = [search.steps[0], *alone.steps]
+    out.steps = [step for k, step in enumerate(out.steps) if k == 0 or step.added]
+    out.own = tuple(i for i, e in enumerate(joint.model.effects) if e.label in _labels(search, search.own))
     return out
+
+
+def _labels(search: Search, places: Sequence[int]) -> set[str]:
+    return {search.joint.model.effects[i].label for i in places}
 
 
 def take_out(search: Search) -> None:
     """Take terms of the instrument out again that the effects found since explain as well."""
-    for place in [i for i in search.given if search.joint.model.effects[i].of_instrument]:
+    for place in terms_of(search):
         size = search.joint.of_effect(place).size
         kept, search.given = search.given, tuple(i for i in search.given if i != place)
         fewer = search.refit(search.accepted, start=search.without(place))
@@ -149,6 +208,7 @@ def take_out(search: Search) -> None:
         search.steps.append(SearchStep(f"without {label}", beside_case(search.case, search.joint, fewer)))
 
 
-def _cost(search: Search) -> float:
-    """χ² and what each free number would cost at least: the Bayesian information criterion."""
-    return search.optimum.chi2 + search.optimum.free.size * float(np.log(search.optimum.residual.size))
+def _cost(optimum: Optimum) -> float:
+    """χ² and what each free number that the records hold must gain: the Bayesian information criterion."""
+    held = optimum.free.size - len(optimum.frozen)
+    return optimum.chi2 + held * float(np.log(optimum.residual.size))

@@ -18,7 +18,7 @@ from memsgyro_jax.measurement.model import Model
 from .fit import CaseFit
 
 
-Verdict = Literal["nothing_missing", "found", "cannot_tell", "partly_explained", "unknown_effect"]
+Verdict = Literal["nothing_missing", "instrument_only", "found", "cannot_tell", "partly_explained", "unknown_effect"]
 DRAW = "memsgyro law {} --out my_law.py"
 SIGMAS_SEEN = 4.3  # strength over its standard deviation that is found nine times in ten among some forty candidates
 
@@ -108,6 +108,7 @@ class Diagnosis(Shown):
         level: probability of a false alarm that was allowed.
         given: labels of the effects that the model had from the beginning.
         tried: where an unknown effect is missing, what was tried and is not enough.
+        instrument: terms of the instrument that the records need, beside which everything else is judged.
         scale: factor of all standard deviations of effects: above one where the model leaves more than noise.
         outlying: rows of records, from zero, that stand alone and were left out.
     """
@@ -126,6 +127,7 @@ class Diagnosis(Shown):
     level: float
     given: tuple[str, ...] = ()
     tried: tuple[Stage, ...] = ()
+    instrument: tuple[Accepted, ...] = ()
     scale: float = 1.0
     outlying: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
 
@@ -148,7 +150,7 @@ class Diagnosis(Shown):
     def __str__(self) -> str:
         lines = [f"{self.case.name}: {self.verdict.replace('_', ' ')}", self.sentence, ""]
         lines += map(_line, self.steps)
-        for a in self.accepted:
+        for a in (*self.instrument, *self.accepted):
             value = ", ".join(f"{e:.5g} ± {s:.2g}" for e, s in zip(a.estimate, a.std, strict=True))
             more = "".join(f", {name} {v:.6g} ± {s:.2g} {unit}" for name, (v, s, unit) in a.numbers.items())
             lines.append(f"  {a.label}: {value} {a.unit}{more}" + _confused(a))
@@ -180,6 +182,7 @@ class Diagnosis(Shown):
             "base": _fit(self.base),
             "final": _fit(self.final),
             "effects": [_accepted(a) for a in self.accepted],
+            "instrument": [_accepted(a) for a in self.instrument],
             "candidates": [asdict(c) for c in self.candidates],
             "candidates_of_base": [asdict(c) for c in self.first],
             "groups": [list(group) for group in self.groups],

@@ -5,10 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from bench_case import ONE_AXIS, RESONATOR, bench
+from lab.die import Hidden
 from lab.faults import Faults
 
+from memsgyro_jax.diagnosis.diagnose import diagnose
 from memsgyro_jax.diagnosis.instrument import instrument_terms, knowledge
 from memsgyro_jax.diagnosis.joint_residual import Joint
+from memsgyro_jax.diagnosis.nuisances import add_terms
 from memsgyro_jax.diagnosis.search import Search, start_search
 from memsgyro_jax.effects import TERMS
 from memsgyro_jax.effects.trial import complaint
@@ -17,6 +20,7 @@ from memsgyro_jax.measurement.readings import model_of, readings_of
 
 
 CLOCK = 5.0  # s from row to row
+HIDDEN = Hidden()
 
 
 def case_of(seed=0, **faults):
@@ -28,7 +32,7 @@ def searched(case) -> Search:
     terms = instrument_terms(case)
     model = model_of(case, starting_device(case)).with_effect(*terms)
     search = start_search(case, Joint(model, (*readings_of(case), *knowledge(terms))), 0.01, (), lambda text: None)
-    search.run()
+    add_terms(search, search.rank())
     return search
 
 
@@ -102,3 +106,46 @@ def test_levels_that_are_off_are_told_against_the_first():
 def test_sound_instruments_have_no_term():
     """Of five benches at a level of 1 %."""
     assert sum(bool(searched(case_of(seed)).accepted) for seed in range(5)) <= 1
+
+
+def diagnosed(seed=0, hidden=HIDDEN, **faults):
+    protocol = replace(ONE_AXIS, faults=Faults(**faults))
+    return diagnose(None, bench(hidden, protocol=protocol, die=RESONATOR, seed=seed).case)
+
+
+@pytest.mark.parametrize(
+    ("label", "faults"),
+    [
+        ("drive_level", {"levels": (0.03, -0.04, 0.035)}),
+        ("reference_phase", {"phase": 0.026}),
+        ("lock_in_memory", {"dwell": CLOCK, "filter_time": 2.0}),
+    ],
+)
+def test_a_fault_of_the_instrument_is_no_effect_of_the_device(label, faults):
+    found = diagnosed(**faults)
+    assert found.verdict == "instrument_only"
+    assert [term.label for term in found.instrument] == [label]
+    assert found.accepted == ()
+    assert found.to_dict()["instrument"][0]["name"] == label
+    assert label in str(found)
+    assert found.device.effects == ()
+
+
+def test_an_effect_is_found_beside_a_fault_and_without_one():
+    cubic = Hidden(cubic_stiffness_x=1.0)
+    for faults, terms in [
+        ({}, []),
+        ({"levels": (0.03, -0.04, 0.035)}, ["drive_level"]),
+        ({"phase": 0.026}, ["reference_phase"]),
+    ]:
+        found = diagnosed(hidden=cubic, **faults)
+        assert found.verdict == "found"
+        assert [a.label for a in found.accepted] == ["cubic_stiffness x"]
+        assert [term.label for term in found.instrument] == terms
+        assert abs(found.accepted[0].estimate[0] - 1.0) < 4 * found.accepted[0].std[0]
+
+
+def test_a_delay_that_is_a_phase_as_well_is_not_told_from_it():
+    found = diagnosed(phase=-0.026)
+    assert found.verdict == "instrument_only"
+    assert "cannot tell it from readout_delay" in found.sentence
