@@ -5,19 +5,20 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy import stats
 
-from memsgyro_jax.effects import Effect
+from memsgyro_jax.effects import Effect, InstrumentTerm
+from memsgyro_jax.measurement.model import Model
 
 from .fit import beside_case
 from .instrument import instrument_terms, knowledge
 from .joint_residual import Joint
 from .optimum import Optimum, optimise
 from .result import Accepted
-from .score import Score
+from .score import Score, basis, score
 from .search import GLANCE, LOOK_AHEAD, Ranking, Search, SearchStep, always_free
 
 
 SHARE = 0.2  # of the level for terms of the instrument
-FAINT = 0.2  # of what the best effect of the device would explain: below it the instrument is not the cause
+FAINT = 0.5  # of what the best effect of the device would explain: below it the instrument is not the cause
 EVIDENT = 10.0  # of the Bayesian information criterion by which an effect must be better than the instrument
 PINNED = 0.98  # of a bound: a strength so near has been stopped by it
 
@@ -42,15 +43,16 @@ def instrument_first(
         done: whether a search leaves nothing to explain.
     """
     alone, ends = instrument_alone(search, first), []
-    if alone is not None:
+    rival, gain = ("", np.inf) if alone is None else _rival(search, first, alone)
+    if alone is not None and gain < EVIDENT:
         ends.append(_beside(alone, search, effects, go_on))
         whole, ranking = ends[0]
         if done(whole) and not whole.accepted:
-            rival, gain = _rival(search, first, whole)
-            if gain < EVIDENT:
-                return whole, ranking, rival if gain > -EVIDENT else ""
+            return whole, ranking, rival if gain > -EVIDENT else ""
     bare, its_ranking = go_on(search, first)
-    ends.append((bare, its_ranking))
+    ends.insert(0, (bare, its_ranking))
+    if alone is not None and gain >= EVIDENT and not done(bare):
+        ends.append(_beside(alone, search, effects, go_on))
     if bare.accepted and not any(done(one) for one, _ in ends):
         # An effect that stands out may have hidden what the instrument does.
         later = instrument_alone(bare, its_ranking)
@@ -67,13 +69,13 @@ def _beside(alone: Search, search: Search, effects: Sequence[Effect], go_on) -> 
     return whole, ranking
 
 
-def _rival(search: Search, first: Ranking, whole: Search) -> tuple[str, float]:
+def _rival(search: Search, first: Ranking, alone: Search) -> tuple[str, float]:
     """The best single effect of the device, and by how much it is better than the instrument."""
     best = first.order[0] if first.places else None
     if best is None or first.p_values[best] > search.level:
         return "", -np.inf
     rival = search.refit([first.places[best]], slopes=first.slopes[best])
-    return search.joint.model.effects[first.places[best]].label, _cost(whole.optimum) - _cost(rival)
+    return search.joint.model.effects[first.places[best]].label, _cost(alone.optimum) - _cost(rival)
 
 
 def terms_of(search: Search) -> list[int]:
@@ -117,13 +119,13 @@ def instrument_alone(search: Search, first: Ranking) -> Search | None:
     model = search.joint.at(search.optimum.vector)
     present = [*search.given, *search.accepted]
     model = model.with_only((*(model.effects[i] for i in present), *terms))
+    if _promise(search, model, terms) < FAINT * _most(first.scores):
+        return None
     joint = Joint(model, (*search.joint.readings, *knowledge(terms)))
     given = range(len(present))
     optimum = optimise(joint, joint.start, always_free(joint, given), joint.fitted, max_evaluations=0)
     alone = Search(beside_case(search.case, joint, optimum), SHARE * search.level, given, search.tell)
     ranking = alone.rank()
-    if ranking.scores[ranking.order[0]].statistic < FAINT * _most(first.scores):
-        return None
     add_terms(alone, ranking)
     return alone if alone.accepted else None
 
@@ -133,6 +135,25 @@ def add_terms(search: Search, ranking: Ranking) -> None:
     while (found := _best(search, ranking)) is not None:
         search.take(*found)
         ranking = search.rank()
+
+
+def _promise(search: Search, model: Model, terms: Sequence[InstrumentTerm]) -> float:
+    """The best score of a term in the sweeps alone, where an instrument shows most and a program is soon compiled;
+    infinite where there are none.
+    """
+    fitted = search.joint.fitted
+    sweeps = [r for r in fitted if r.experiment.shows_modes]
+    if not sweeps:
+        return float("inf")
+    rows = np.concatenate([np.full(r.size, r.experiment.shows_modes) for r in fitted])
+    part = Joint(model, (*sweeps, *knowledge(terms)))
+    places = [i for i, effect in enumerate(model.effects) if effect.of_instrument]
+    blocks = [part.of_effect(i) for i in places]
+    value, slopes = part.linearise(part.start, np.eye(part.start.size)[np.concatenate(blocks)], part.fitted)
+    known = np.zeros((value.size, search.optimum.jacobian.shape[1]))
+    known[: rows.sum()] = search.optimum.jacobian[rows]
+    q, ends = basis(known), np.cumsum([block.size for block in blocks])[:-1]
+    return _most([score(value, q, one) for one in np.split(slopes, ends, axis=1)])
 
 
 def _is_of_interest(search: Search, first: Ranking) -> bool:

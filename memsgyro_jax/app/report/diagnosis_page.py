@@ -16,6 +16,7 @@ from .page import Page
 
 VERDICTS = {
     "nothing_missing": "nothing is missing",
+    "instrument_only": "the instrument explains it",
     "found": "the missing effect was found",
     "cannot_tell": "these records cannot tell which effect is missing",
     "partly_explained": "partly explained",
