@@ -27,6 +27,21 @@ except SystemExit as end:
     assert done.stdout.endswith("STATUS 0 []\n"), done.stdout + done.stderr
 
 
+def test_a_case_that_is_not_there_is_missed_before_anything_heavy(fresh_python):
+    code = f"""
+import sys
+from memsgyro_jax import cli
+for name in ("check", "compare", "fit", "diagnose"):
+    try:
+        cli.main([name, "nowhere"])
+    except SystemExit as end:
+        print(end.code, [name for name in {HEAVY} if name in sys.modules])
+"""
+    done = fresh_python("-c", code)
+    assert done.stdout == "2 []\n" * 4, done.stdout + done.stderr
+    assert done.stderr == "nowhere/case.toml: No such file or directory.\n" * 4
+
+
 def test_version(fresh_python):
     assert fresh_python("-m", "memsgyro_jax.app.cli", "--version").stdout.strip() == __version__
 

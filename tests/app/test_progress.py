@@ -4,6 +4,7 @@ import contextlib
 import os
 import pty
 import sys
+import threading
 
 import pytest
 
@@ -51,6 +52,21 @@ def test_a_terminal_gets_a_bar(monkeypatch):
     assert "compiling" in written
     assert "━" in written
     assert "left" in written
+
+
+def test_a_long_silence_is_broken_by_the_last_sentence(monkeypatch):
+    monkeypatch.setattr(module, "_SILENCE", 0.001)
+    said, again = [], threading.Event()
+
+    def say(text: str) -> None:
+        said.append(text)
+        if text.startswith("still: fit"):
+            again.set()
+
+    with module._repeated(say) as tell:
+        tell("fit the base model")
+        assert again.wait(60.0)
+    assert said[-1] == "still: fit the base model"
 
 
 def test_sentences_are_lines_with_the_time_passed(capsys, monkeypatch):

@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+from .diagnose import load_demo_or, look_for
+
 
 def check_command(case: Path, /, *, kinds: Path | None = None) -> None:
     """What a measurement case holds, how good it is, and what it can identify.
@@ -15,11 +17,10 @@ def check_command(case: Path, /, *, kinds: Path | None = None) -> None:
         case: folder with a case.toml and the CSV files that it names, or the word demo for the one that comes along.
         kinds: a Python file with kinds of measurement of your own. It is run: trust it first.
     """
+    look_for(case, kinds)
     from memsgyro_jax.diagnosis.identifiable import identifiable
     from memsgyro_jax.measurement.case import assess
     from memsgyro_jax.measurement.user_kinds import load_kinds
-
-    from .diagnose import load_demo_or
 
     measured = load_demo_or(case, load_kinds(kinds) if kinds else ())
     for part in (measured, assess(measured)):

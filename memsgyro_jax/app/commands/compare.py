@@ -4,6 +4,8 @@ from pathlib import Path
 
 from memsgyro_jax.base.errors import InputError
 
+from .diagnose import load_demo_or, look_for
+
 
 def compare_command(
     case: Path,
@@ -26,13 +28,13 @@ def compare_command(
         kinds: a Python file with kinds of measurement of your own. It is run: trust it first.
         json: file for the machine-readable result.
     """
+    look_for(case, model, effects, kinds)
     from memsgyro_jax.base.files import write_json
     from memsgyro_jax.diagnosis.compare import compare
     from memsgyro_jax.effects import load_effects
     from memsgyro_jax.measurement.model_file import read_model
     from memsgyro_jax.measurement.user_kinds import load_kinds
 
-    from .diagnose import load_demo_or
     from .options import require_writable
 
     if effects is not None and model is None:

@@ -45,6 +45,7 @@ def diagnose_command(
         json: file for the machine-readable result.
         report: file for a page with the ranking, the curves and the residual.
     """
+    look_for(case, model, effects, kinds)
     from memsgyro_jax.base.files import json_text, write_whole
     from memsgyro_jax.diagnosis.diagnose import diagnose
     from memsgyro_jax.effects import load_effects
@@ -72,6 +73,13 @@ def diagnose_command(
     for path, text in texts:
         write_whole(path, text)
     print(found)
+
+
+def look_for(case: Path, *others: Path | None) -> None:
+    """Raises the error of a file that is not there, before seconds are spent on what would read it."""
+    folder = [] if case == DEMO else [case if case.is_file() else case / "case.toml"]
+    for path in (*folder, *filter(None, others)):
+        path.stat()
 
 
 def load_demo_or(case: Path, kinds: "Sequence[type[AbstractRecord]]" = ()) -> "Case":

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from .diagnose import load_demo_or, look_for
 from .flags import Words
 
 
@@ -27,6 +28,7 @@ def fit_command(
         out: file for the fitted model, for `memsgyro compare --model` and for the device of a study.
         json: file for the machine-readable result.
     """
+    look_for(case, effects, kinds)
     from memsgyro_jax.base.files import write_json
     from memsgyro_jax.diagnosis.fit import fit_case
     from memsgyro_jax.effects import catalogue, load_effects
@@ -34,7 +36,6 @@ def fit_command(
     from memsgyro_jax.measurement.user_kinds import load_kinds
 
     from ..report.fit_text import fit_entries, fit_text, named_effects, placed_by_scan
-    from .diagnose import load_demo_or
     from .options import require_writable
 
     require_writable(out, json)

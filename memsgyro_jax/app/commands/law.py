@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Literal
 
+from .diagnose import load_demo_or, look_for
 from .flags import Flag
 
 
@@ -34,6 +35,7 @@ def law_command(
         model: file for the fitted model, for `memsgyro compare --model`.
         report: file for a page with the backbone, the law and the errors.
     """
+    look_for(case, kinds)
     from memsgyro_jax.base.errors import InputError
     from memsgyro_jax.base.files import write_whole
     from memsgyro_jax.diagnosis.backbone import backbone
@@ -43,7 +45,6 @@ def law_command(
     from memsgyro_jax.measurement.user_kinds import load_kinds
 
     from ..report.fit_text import fit_text
-    from .diagnose import load_demo_or
     from .options import require_writable
 
     require_writable(out, model, report)

@@ -1,11 +1,13 @@
 """How far a long computation is: a bar with the remaining time on a terminal, plain lines elsewhere."""
 
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 
+_SILENCE = 5.0  # s without a line, after which the last one is said again
 _LINES = 10  # plain lines for a whole run, so that a log stays readable
 
 
@@ -71,11 +73,12 @@ class _Lines:
 def told() -> Iterator[Callable[[str], None]]:
     """Gives a function of a sentence that says, on standard error, what happens now: a line each, with the time passed.
 
-    On a terminal the last line turns until the next one comes.
+    On a terminal the last line turns until the next one comes; elsewhere it is said again after `_SILENCE`.
     """
     start = time.monotonic()
     if not sys.stderr.isatty():
-        yield lambda text: print(_timed(start, text), file=sys.stderr, flush=True)
+        with _repeated(lambda text: print(_timed(start, text), file=sys.stderr, flush=True)) as tell:
+            yield tell
         return
     from rich.console import Console
     from rich.text import Text
@@ -88,6 +91,33 @@ def told() -> Iterator[Callable[[str], None]]:
             status.update(Text(text))
 
         yield tell
+
+
+@contextmanager
+def _repeated(say: Callable[[str], None]) -> Iterator[Callable[[str], None]]:
+    """Gives a function that says a sentence, and says it again as long as no other comes."""
+    last, news, over = ["reading"], threading.Event(), threading.Event()
+
+    def watch() -> None:
+        while not over.is_set():
+            if news.wait(_SILENCE):
+                news.clear()
+            else:
+                say(f"still: {last[0]}")
+
+    def tell(text: str) -> None:
+        last[0] = text
+        news.set()
+        say(text)
+
+    watcher = threading.Thread(target=watch, daemon=True)
+    watcher.start()
+    try:
+        yield tell
+    finally:
+        over.set()
+        news.set()
+        watcher.join()
 
 
 def _timed(start: float, text: str) -> str:
