@@ -129,12 +129,14 @@ class Driven(eqx.Module):
         """
         propagate, load = self.propagator(step), self.load
 
-        def advance(state: Array, now: Conditions) -> tuple[Array, tuple]:
+        def advance(state: Array, now: Conditions) -> tuple[Array, Array]:
             end, here, there = propagate.advance(state, load, lambda s: self.rest(s, now))
-            return end, (state, end, here, there)
+            return end, jnp.stack([end, here, there])
 
+        # One result per step: with several, XLA's fusion copies all of the steps before at every step.
         last, passed = jax.lax.scan(advance, start, conditions)
-        return last, Course(*passed)
+        end, here, there = jnp.moveaxis(passed, 1, 0)
+        return last, Course(jnp.concatenate([start[None], end[:-1]]), end, here, there)
 
     def demodulated(self, course: "Course", step: Array) -> Complex[Array, "t h n"]:
         """What a boxcar lock-in over each step (a whole number of cycles) makes of the state: harmonic by harmonic the
