@@ -110,3 +110,5 @@ def test_a_stranger_is_never_called_found(kind, seed):
     """Twenty-one draws; one in twenty would be allowed."""
     outcome = diagnose(None, bench(Hidden(outside=STRANGERS[kind]), seed, ONE_AXIS, RESONATOR).case)
     assert outcome.verdict in ("unknown_effect", "partly_explained", "cannot_tell")
+    assert len(outcome.accepted) + len(outcome.tried) <= 2
+    assert all(a.estimate[0] > 0 for a in outcome.accepted if a.name.endswith(("damping", "friction", "delay")))
