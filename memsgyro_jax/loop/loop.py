@@ -125,9 +125,10 @@ class ClosedLoop(Displayed):
         """The same loop advanced by blocks of `length` samples in closed form, after at least `start` samples one by
         one: the same statistics, at a fraction of the work.
 
-        It needs a device without effects, and read-out, observer and controller that are linear within a block; a loop
-        with another part runs sample by sample and tells which. Figures and traces then hold the ends of blocks;
-        tuning and the information bound go through the samples all the same.
+        It needs a device of one mass without effects, and read-out, observer and controller that are linear within a
+        block; a loop with another part runs sample by sample and tells which. Figures and traces then hold the ends of
+        blocks; tuning and the information bound go through the samples all the same.
+
         Raises `InputError` unless `length` is a power of two.
         """
         return replace(self, blocks=Blocks(length, start))

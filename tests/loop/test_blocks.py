@@ -96,6 +96,14 @@ def test_the_part_that_holds_a_loop_up_is_told(part, words):
     assert words in said[0]
 
 
+def test_two_masses_run_sample_by_sample():
+    dual = mg.DualMassGyro.chi2010()
+    observer = mg.ExtendedKalmanFilter.for_device(dual, READOUT)
+    plain, said = prepared(mg.ClosedLoop(dual, READOUT, observer, LOOP.controller).in_blocks())
+    assert plain.blocks is None
+    assert "two masses" in said[0]
+
+
 def test_a_length_is_a_power_of_two():
     with pytest.raises(mg.InputError, match="power of two, but 500"):
         LOOP.in_blocks(500)
