@@ -16,7 +16,6 @@ import xarray as xr
 
 from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.measurement.experiments import FreeDecayRecord, RingDownRecord
 
 from .fit import CaseFit
 from .residual_force import sweep_forces
@@ -277,10 +276,8 @@ def _of_decays(fit: CaseFit, axis: int) -> list[Equations]:
     """ω² = K(a) and 2γ = D(a) of every stretch of a record that rings down."""
     out, device = [], fit.model.device
     for record in fit.case.records:
-        if axis >= fit.case.channels or not isinstance(record, FreeDecayRecord | RingDownRecord):
-            continue
-        track = record.track(fit.case, axis).seen
-        if track.time.size == 0:
+        ringing = record.decay(fit.case, axis) if axis < fit.case.channels else None
+        if ringing is None or (track := ringing.seen).time.size == 0:
             continue
         spread = np.stack([2 * track.omega * track.omega_std, 2 * track.decay_std], axis=1)
         shown = np.stack([track.omega**2, 2 * track.decay], axis=1)

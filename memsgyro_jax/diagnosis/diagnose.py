@@ -18,7 +18,7 @@ from .fit import CaseFit
 from .joint_residual import Joint
 from .next_experiment import plans
 from .nuisances import decided_by, instrument_first, of_instrument, terms_of
-from .outlying import Rows, outlying, without_rows
+from .outlying import Rows, search_beside_outlying, without_rows
 from .result import SIGMAS_SEEN, Accepted, Candidate, Diagnosis, Stage, Verdict, validation_error
 from .rounds import DECIDED, FITTED, search_on
 from .score import Score, basis, score, separation
@@ -58,15 +58,23 @@ def diagnose(
     candidates = [*catalogue(case.channels), *effects]
     smooth = [e for e in candidates if not isinstance(e, Scanned) and e.label not in known]
     joint = Joint(start.with_effect(*smooth), readings_of(case))
-    search = start_search(case, joint, (1 - RECORDS) * level, range(len(start.effects)), tell)
-    left_out = outlying(search.base)
-    if left_out:
-        tell("leave out " + _of_rows(case, left_out))
-        joint = Joint(search.base.model, without_rows(joint.readings, left_out))
-        search = start_search(case, joint, (1 - RECORDS) * level, range(len(start.effects)), tell)
-    first = search.rank()
-    search.own = tuple(i for i, e in enumerate(joint.model.effects) if e.label in {own.label for own in effects})
-    search, ranking, rival = instrument_first(search, first, smooth, search_on, lambda one: _is_done(one, level))
+
+    def begun(left_out: Rows) -> Search:
+        if left_out:
+            tell("leave out " + _of_rows(case, left_out))
+        kept = Joint(joint.model, without_rows(joint.readings, left_out))
+        search = start_search(case, kept, (1 - RECORDS) * level, range(len(start.effects)), tell)
+        search.own = tuple(i for i, e in enumerate(joint.model.effects) if e.label in {own.label for own in effects})
+        return search
+
+    def done(search: Search) -> bool:
+        return all(_explained(search.steps[-1].fit, search.accepted, level))
+
+    def searched(search: Search) -> tuple[Search, Ranking, str, Ranking]:
+        first = search.rank()
+        return *instrument_first(search, first, smooth, search_on, done), first
+
+    (search, ranking, rival, first), left_out = search_beside_outlying(begun, searched, done)
     base, steps = search.base, search.steps
     final = search.steps[-1].fit
     tell("see what these records can tell apart")
@@ -82,6 +90,8 @@ def diagnose(
     if verdict == "unknown_effect":  # what was tried is no finding, and the model stays the base model
         final, accepted, terms, stages, tried = base, (), (), stages[:1], stages[1 : 1 + NAMED]
         explained = _explained(base, (), level)
+        if all(explained):  # an effect of chance that spoils what was never fitted
+            verdict, tried = "nothing_missing", ()
     else:
         tried = ()
     return Diagnosis(
@@ -112,11 +122,6 @@ def _start(model, case: Case) -> Model:
     if isinstance(model, Model):
         return model
     return model_of(case, starting_device(case) if model is None else model)
-
-
-def _is_done(search: Search, level: float) -> bool:
-    """Whether nothing is left to explain."""
-    return all(_explained(search.steps[-1].fit, search.accepted, level))
 
 
 def _scale(fit: CaseFit) -> float:

@@ -6,6 +6,7 @@ import numpy as np
 from scipy import stats
 
 from memsgyro_jax.effects import Effect, InstrumentTerm
+from memsgyro_jax.measurement.least_squares import gate
 from memsgyro_jax.measurement.model import Model
 
 from .fit import beside_case
@@ -18,7 +19,9 @@ from .search import GLANCE, LOOK_AHEAD, Ranking, Search, SearchStep, always_free
 
 
 SHARE = 0.2  # of the level for terms of the instrument
-FAINT = 0.5  # of what the best effect of the device would explain: below it the instrument is not the cause
+# Of what the best effect of the device would explain: below it the instrument is not the cause, beside an effect that
+# does and beside one that leaves noise alone.
+FAINT, RIVAL = 0.5, 0.9
 EVIDENT = 10.0  # of the Bayesian information criterion by which an effect must be better than the instrument
 PINNED = 0.98  # of a bound: a strength so near has been stopped by it
 
@@ -42,8 +45,9 @@ def instrument_first(
         go_on: the search for effects of the device, from a search and its ranking.
         done: whether a search leaves nothing to explain.
     """
-    alone, ends = instrument_alone(search, first), []
-    rival, gain = ("", np.inf) if alone is None else _rival(search, first, alone)
+    best, ends = _best_effect(search, first), []
+    alone = instrument_alone(search, first, RIVAL if best is not None and _leaves_noise(best[1]) else FAINT)
+    rival, gain = ("", np.inf) if alone is None else _rival(alone, best)
     if alone is not None and gain < EVIDENT:
         ends.append(_beside(alone, search, effects, go_on))
         whole, ranking = ends[0]
@@ -69,13 +73,23 @@ def _beside(alone: Search, search: Search, effects: Sequence[Effect], go_on) -> 
     return whole, ranking
 
 
-def _rival(search: Search, first: Ranking, alone: Search) -> tuple[str, float]:
-    """The best single effect of the device, and by how much it is better than the instrument."""
+def _best_effect(search: Search, first: Ranking) -> tuple[str, Optimum] | None:
+    """The best single effect of the device and a fit with it, if it helps beyond chance."""
     best = first.order[0] if first.places else None
     if best is None or first.p_values[best] > search.level:
-        return "", -np.inf
-    rival = search.refit([first.places[best]], slopes=first.slopes[best])
-    return search.joint.model.effects[first.places[best]].label, _cost(alone.optimum) - _cost(rival)
+        return None
+    fit = search.refit([first.places[best]], slopes=first.slopes[best])
+    return search.joint.model.effects[first.places[best]].label, fit
+
+
+def _leaves_noise(optimum: Optimum) -> bool:
+    dof = optimum.residual.size - optimum.free.size
+    return optimum.chi2 / dof <= gate(dof)
+
+
+def _rival(alone: Search, best: tuple[str, Optimum] | None) -> tuple[str, float]:
+    """The best single effect of the device, and by how much it is better than the instrument."""
+    return ("", -np.inf) if best is None else (best[0], _cost(alone.optimum) - _cost(best[1]))
 
 
 def terms_of(search: Search) -> list[int]:
@@ -104,13 +118,14 @@ def decided_by(terms: Sequence[Accepted], rival: str) -> str:
     return f"repeat the first drive level at the end of the record; it would tell {drifts[0]} from {rival}"
 
 
-def instrument_alone(search: Search, first: Ranking) -> Search | None:
+def instrument_alone(search: Search, first: Ranking, share: float = FAINT) -> Search | None:
     """The present model with the terms of the instrument that its records need; `None` where they need none, or where
     an effect of the device explains far more.
 
     Args:
         search: its effects are given to the one returned.
         first: the further effects of the device beside it.
+        share: of what the best of these would explain that a term must promise.
     """
     terms = instrument_terms(search.case)
     if not terms or not _is_of_interest(search, first):
@@ -119,7 +134,7 @@ def instrument_alone(search: Search, first: Ranking) -> Search | None:
     model = search.joint.at(search.optimum.vector)
     present = [*search.given, *search.accepted]
     model = model.with_only((*(model.effects[i] for i in present), *terms))
-    if _promise(search, model, terms) < FAINT * _most(first.scores):
+    if _promise(search, model, terms) < share * _most(first.scores):
         return None
     joint = Joint(model, (*search.joint.readings, *knowledge(terms)))
     given = range(len(present))

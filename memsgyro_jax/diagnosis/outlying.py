@@ -1,7 +1,8 @@
 """Rows that stand alone in what a fit leaves: named, and left out of every fit and every error from there on."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -11,6 +12,7 @@ from memsgyro_jax.measurement.experiments import Readings
 from memsgyro_jax.measurement.outliers import lone_residuals
 
 from .fit import CaseFit
+from .search import Search
 
 
 FEW_ROWS = 0.05  # share of a record's rows from which they are no outliers but a part of it
@@ -35,6 +37,32 @@ def outlying(fit: CaseFit) -> Rows:
         if 0 < len(found) <= FEW_ROWS * record.rows:
             out[deviation.number] = tuple(sorted(found))
     return out
+
+
+def search_beside_outlying(
+    begun: Callable[[Rows], Search], searched: Callable[[Search], tuple[Search, Any, Any, Any]],
+    done: Callable[[Search], bool],
+) -> tuple[tuple[Search, Any, Any, Any], Rows]:  # fmt: skip
+    """The end of a search, and the rows that it leaves out, if any.
+
+    Rows are outlying only beside a model that explains all others: beside another they may be its misfit, as the one
+    row at the top of a narrow resonance is. So they are left out at the beginning where the base model then explains
+    the case, or at the end where the model that was found does.
+
+    Args:
+        begun: a search without some rows.
+        searched: the end of a search, and what else is told of it.
+        done: whether a search leaves nothing to explain.
+    """
+    search = begun({})
+    if not done(search) and (rows := outlying(search.base)) and done(fewer := begun(rows)):
+        return searched(fewer), rows
+    found = searched(search)
+    if not done(found[0]) and (rows := outlying(found[0].steps[-1].fit)):
+        again = searched(begun(rows))
+        if done(again[0]):
+            return again, rows
+    return found, {}
 
 
 def without_rows(readings: Sequence[Readings], left_out: Rows) -> tuple[Readings, ...]:

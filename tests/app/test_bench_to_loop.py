@@ -36,6 +36,7 @@ def rms(figures):
     return figures["rate_error_dps"]["end"]["rms"]
 
 
+@pytest.mark.slow
 def test_quadratic_damping(bench_to_loop, tmp_path):
     story = bench_to_loop.Story("quadratic_damping", tmp_path, duration=10, dies=16, run=50)
     fitted = assert_story(story)

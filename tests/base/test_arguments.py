@@ -67,14 +67,16 @@ def test_text_with_units_is_what_the_number_is(loop, monkeypatch):
     given = []
 
     def compiled(loop, scenario, words, *settings):
-        given.append((float(scenario.at(0.0).inertial.rate), *settings))
+        period, rows = settings
+        given.append(((float(scenario.at(0.0).inertial.rate), period), rows))
         raise KeyboardInterrupt
 
     monkeypatch.setattr(trace, "_compiled", compiled)
     for scenario, sample_rate, duration in ((np.radians(30.0), 100e3, 1e-4), ("30 deg/s", "100 kHz", "0.1 ms")):
         with pytest.raises(KeyboardInterrupt):
             mg.simulate(loop, scenario, sample_rate=sample_rate, duration=duration)
-    assert given[1] == pytest.approx(given[0], rel=1e-15)
+    assert given[1][0] == pytest.approx(given[0][0], rel=1e-15)
+    assert given[1][1] == given[0][1]
     assert "Argument `scenario`" in refusal(mg.simulate, loop, "30 Hz", sample_rate=100e3, duration=1e-4)
 
 

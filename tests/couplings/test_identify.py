@@ -101,6 +101,7 @@ def test_what_was_identified_is_a_device_with_a_joint_uncertainty(wide):
         _ = replace(wide, mass=None).device
 
 
+@pytest.mark.slow
 def test_both_electrodes_give_both_force_couplings():
     result = identify([swept(lab.Gyro()), swept(lab.Gyro(), axis=1, seed=1)], noise=RAW, mass=3e-7)
     assert_within(result.coefficients["lambda_yx"], lab.Gyro().lam_yx)
@@ -153,6 +154,7 @@ def test_noise_free_data_return_the_coefficients():
         assert float(getattr(device, name) / getattr(truth, name)) == pytest.approx(1.0, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_too_fast_a_sweep_is_noticed_named_and_repaired():
     fast = swept(SLOW, SLOW_BAND, motion=lab.chirped(SLOW, SLOW_BAND, 1.0))
     plain = identify([fast], noise=RAW, mass=SLOW.mass)

@@ -99,6 +99,7 @@ def stopped():
     return bench(STOP, 1, ONE_AXIS, RESONATOR).case
 
 
+@pytest.mark.slow
 def test_physics_outside_the_catalogue_is_not_called_found(stopped):
     """No strength is quoted of what is not the law: the model stays the base model; what was tried stands apart."""
     outcome = diagnose(None, stopped)

@@ -62,6 +62,7 @@ def test_a_free_exponent_is_found_within_its_uncertainty(powered):
     assert all(error.explained for error in powered.errors)
 
 
+@pytest.mark.slow
 def test_a_free_threshold_is_found_within_its_uncertainty():
     fit = fitted(Hidden(outside=Outside(stop_x=STOP, stop_gap=GAP)), Stop("x"))
     found = {e.name: e for e in fit.estimates}

@@ -111,7 +111,7 @@ def swept(folder, law, device, seed=0):
     return load_case(folder)
 
 
-QUICK = {("bowed", "fork"), ("contact", "wire")}
+QUICK = {("bowed", "fork")}
 EACH = [
     pytest.param(name, device, marks=() if (name, device) in QUICK else pytest.mark.slow)
     for name in LAWS

@@ -30,6 +30,7 @@ def noise(seed, n=300, parts=2):
     return np.random.default_rng(seed).standard_normal((n, 2, parts))
 
 
+@pytest.mark.slow
 def test_a_comparison_of_noise_keeps_its_level():
     """1000 comparisons of two records, 40 tests each: false alarms as often as stated, within 3 σ of a binomial."""
     level, draws = 0.05, 1000

@@ -1,6 +1,7 @@
 """Rows that stand alone are named and left out; a misfit, however large, names nobody."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from lab.protocol import Laboratory, Sweep
 from memsgyro_jax.diagnosis.fit import beside_case, fit_case
 from memsgyro_jax.diagnosis.joint_residual import Joint
 from memsgyro_jax.diagnosis.optimum import optimise
-from memsgyro_jax.diagnosis.outlying import outlying, without_rows
+from memsgyro_jax.diagnosis.outlying import outlying, search_beside_outlying, without_rows
 
 
 LONG = Laboratory((Sweep("sweep", 0, (0.002, 0.006), **BAND | {"points": 90}),), digits=17)
@@ -53,3 +54,28 @@ def test_normal_noise_and_a_missing_law_name_nobody():
 
 def test_a_record_of_which_a_part_is_wrong_keeps_all_rows():
     assert outlying(fit_case(case_of(0, rows=range(5, 175, 12), sigmas=40.0))) == {}
+
+
+@pytest.mark.parametrize(
+    ("base", "fewer", "final", "again", "named"),
+    [
+        (True, True, True, True, False),  # nothing is missing
+        (False, True, True, True, True),  # all that was missing were these rows
+        (False, False, True, True, False),  # they belonged to what an effect explains
+        (False, False, False, True, True),  # they stand out beside an effect
+        (False, False, False, False, False),  # nothing explains the case: they may be what is unknown
+    ],
+)
+def test_rows_are_left_out_where_the_rest_is_explained(monkeypatch, base, fewer, final, again, named):
+    monkeypatch.setattr("memsgyro_jax.diagnosis.outlying.outlying", lambda fit: {0: (3,)})
+
+    def state(done):
+        return SimpleNamespace(done=done, base=None, steps=[SimpleNamespace(fit=None)])
+
+    def searched(search):
+        return state(again if search is without else final), None, "", None
+
+    whole, without = state(base), state(fewer)
+    found, rows = search_beside_outlying(lambda rows: without if rows else whole, searched, lambda one: one.done)
+    assert rows == ({0: (3,)} if named else {})
+    assert found[0].done == (again if named else final)

@@ -54,6 +54,7 @@ def test_nothing_is_missing_from_the_right_model(right):
     assert not any(found.force.any() for found in time_forces(right))
 
 
+@pytest.mark.slow
 def test_an_appendage_at_rest_follows(right):
     """An effect with a state of its own and hardly any mass changes nothing."""
     model = right.model.with_effect(ParasiticMode(axis=0, strength=1e-12, omega=1e5, quality=50.0))

@@ -22,6 +22,7 @@ def best(name, hidden):
     return scan(fit.model, fit.optimum, fit.joint.fitted, grid)
 
 
+@pytest.mark.slow
 def test_a_damping_step_is_found_in_its_record_at_its_time():
     case = bench(STEP).case
     found = best("damping_step", STEP)

@@ -122,6 +122,7 @@ def family(rng, rows=60, free=4):
     return q, [*single, *twins, near, rng.standard_normal((rows, 4)), np.zeros((rows, 1))]
 
 
+@pytest.mark.slow
 def test_false_alarms_of_a_family_come_as_often_as_stated():
     """The best of nine candidates, some of them twins, on white noise: 5 % alarm at the 5 % level."""
     rng, draws = np.random.default_rng(3), 600

@@ -152,6 +152,7 @@ def test_thesis_start_is_bounded_by_6_45_dps():
     assert not got.degenerate
 
 
+@pytest.mark.slow
 def test_unequal_cross_damping_cannot_be_told_from_a_rate():
     got = information_bound(closed(), 1.0, also=(CROSS_DAMPING_ASYMMETRY,), duration=0.02)
     plain = information_bound(closed(), 1.0, duration=0.02)

@@ -30,7 +30,8 @@ def matched(spread: float = 0.15, iterations: int = 1) -> tuple[mg.ClosedLoop, m
     return loop, dataclasses.replace(mg.Spread.relative(spread), items=(rate, *start))
 
 
-@pytest.mark.parametrize("sample_rate", [50e3, pytest.param(100e3, marks=slow), pytest.param(200e3, marks=slow)])
+@slow
+@pytest.mark.parametrize("sample_rate", [50e3, 100e3, 200e3])
 def test_at_the_bound_and_consistent(sample_rate):
     loop, spread = matched()
     figures = mg.sweep(loop, spread, 0.0, dies=DIES, sample_rate=sample_rate, bound_dies=512).summary

@@ -75,6 +75,7 @@ def bound_of(kxx, **options) -> mg.InformationBound:
     return mg.information_bound(loop, 1.0, duration=4e-3, windows=1, **options)
 
 
+@pytest.mark.slow
 def test_the_bound_is_differentiated():
     end = lambda kxx: bound_of(kxx, prior=LOOP.observer.prior).rate_std[-1]  # noqa: E731
     value, slope = jax.value_and_grad(end)(63.96)

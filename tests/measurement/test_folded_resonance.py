@@ -69,6 +69,7 @@ def test_each_direction_has_its_own_branch(truth):
     assert np.argmax(np.abs(np.diff(up))) > np.argmax(np.abs(np.diff(down))) + 2, "the fold is there"
 
 
+@pytest.mark.slow
 def test_the_branch_nearest_to_the_readings(rows, truth):
     found = np.asarray(swept(rows, jnp.asarray(truth)[:, None]).predict(MODEL))[:, 0]
     np.testing.assert_allclose(found, truth, atol=3e-3 * np.abs(truth).max())

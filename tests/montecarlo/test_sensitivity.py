@@ -142,6 +142,7 @@ def test_lost_dies_are_counted_and_no_numbers(loop):
     assert f"{found.failed} lost" in repr(found)
 
 
+@pytest.mark.slow
 def test_where_every_die_is_lost_nothing_is_claimed(loop):
     small = replace_travel(loop, 0.8e-6)
     found = mg.sobol(small, PAIR, points=32, **SHORT)

@@ -28,6 +28,8 @@ def compare_command(
         kinds: a Python file with kinds of measurement of your own. It is run: trust it first.
         json: file for the machine-readable result.
     """
+    if effects is not None and model is None:
+        raise InputError("Option `--effects` must go with `--model`, whose effects it defines; leave it out.")
     look_for(case, model, effects, kinds)
     from memsgyro_jax.base.files import write_json
     from memsgyro_jax.diagnosis.compare import compare
@@ -37,8 +39,6 @@ def compare_command(
 
     from .options import require_writable
 
-    if effects is not None and model is None:
-        raise InputError("Option `--effects` must go with `--model`, whose effects it defines; leave it out.")
     require_writable(json)
     measured = load_demo_or(case, load_kinds(kinds) if kinds else ())
     own = load_effects(effects, measured.channels) if effects else ()

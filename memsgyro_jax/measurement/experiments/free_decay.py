@@ -23,6 +23,7 @@ from ..envelope import HARMONICS, Driven, run_samples
 from ..model import Model
 from ..section import ExperimentSection, Quantity
 from ..steady import fundamental
+from ..tracking import Track
 from .base import CartesianNoise, Experiment, Noise, Readings, RealNoise, surroundings
 from .checks import check_sampling
 from .clocked import WaveformRecord
@@ -298,6 +299,9 @@ class FreeDecayRecord(WaveformRecord):
 
     def missing_force(self, deviation: Deviation) -> TimeForce | None:
         return super().missing_force(deviation) if self.reference_frequency is None else None
+
+    def decay(self, declared: Declared, channel: int) -> Track:
+        return self.track(declared, channel)
 
     def warnings(self, declared: Declared) -> list[str]:
         loud = [self.track(declared, channel).seen.time.size for channel in range(declared.channels)]

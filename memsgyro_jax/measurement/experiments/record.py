@@ -17,6 +17,7 @@ from memsgyro_jax.base.table import Table
 
 from ..declared import Declared
 from ..section import ExperimentSection
+from ..tracking import Track
 from .base import Experiment, Phasors, Readings
 from .deviation import Deviation, Known, Overlay, Series, Variable, View, by_setting, in_phase
 from .missing_force import MissingForce
@@ -219,6 +220,10 @@ class AbstractRecord(abc.ABC):
 
     def missing_force(self, deviation: Deviation) -> MissingForce | None:
         """The force that the model lacks to move as it was seen to move, as one of three views; by default none."""
+        return None
+
+    def decay(self, declared: Declared, channel: int) -> Track | None:
+        """Amplitude, frequency and decay rate of a channel where the record rings down; by default it does not."""
         return None
 
     def __str__(self) -> str:

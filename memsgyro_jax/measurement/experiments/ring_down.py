@@ -18,6 +18,7 @@ from ..declared import Declared
 from ..envelope import Driven
 from ..model import Model
 from ..section import Axis, ExperimentSection, Quantity
+from ..tracking import Track
 from .base import Experiment, Noise, RealNoise, surroundings
 from .checks import check_sampling, exchanged
 from .clocked import WaveformRecord
@@ -154,6 +155,9 @@ class RingDownRecord(WaveformRecord):
             cycles=cycles,
             late=bool(self.time[0] > 0),
         )
+
+    def decay(self, declared: Declared, channel: int) -> Track:
+        return self.track(declared, channel)
 
     def warnings(self, declared: Declared) -> list[str]:
         found, decay = exchanged(self.file, self.axis, self.signals), declared.shortest_decay

@@ -156,6 +156,7 @@ def assert_sound(covariances):
     assert np.all(smallest > 0.0)
 
 
+@pytest.mark.slow
 def test_long_fading_keeps_the_covariance_sound():
     """The memory of thesis 5.3, 0.7 ms, for 100 ms: rounding must not gain on what is forgotten."""
     observer = ExtendedKalmanFilter.for_device(SINGLE, CIRCUIT, fading=FixedFading(1400.0))

@@ -79,6 +79,7 @@ def test_without_declared_noise_it_cannot_be_judged(case):
         _ = replace(case.record("held"), noise_std=None).noise_level
 
 
+@pytest.mark.slow
 def test_it_alone_shows_what_is_missing(case):
     comparison = compare(None, case)
     assert not comparison.explained

@@ -86,6 +86,7 @@ def test_a_hardening_decay_is_found_from_the_design_alone(hardening):
     assert {e.role for e in fit.errors} == {"fit", "validation"}
 
 
+@pytest.mark.slow
 def test_eliminated_starts_are_those_of_a_fit_of_everything(hardening):
     """χ² beside the best starts, and its slope, are those of a joint fit by SciPy in which each start is free."""
     readings = readings_of(hardening)[0].experiment
