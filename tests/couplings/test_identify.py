@@ -110,6 +110,7 @@ def test_both_electrodes_give_both_force_couplings():
     assert result.coefficients["lambda_xy"].verdict == "identified"
 
 
+@pytest.mark.slow
 def test_unknown_noise_is_estimated(wide):
     result = identify([swept(lab.Gyro())], mass=3e-7)
     assert result.chi2_per_dof == pytest.approx(1.0, abs=0.1)
@@ -168,6 +169,7 @@ def test_too_fast_a_sweep_is_noticed_named_and_repaired():
     assert_within(repaired.effect_values["sweep_speed"], 1.0)
 
 
+@pytest.mark.slow
 def test_feedthrough_is_noticed_named_and_repaired():
     clean = lab.record(SLOW, INSTRUMENT, SLOW_BAND)
     leak = (0.03 * np.abs(clean[:, 0]).max() * np.exp(1j), 0.02 * np.abs(clean[:, 1]).max())
@@ -187,6 +189,7 @@ def test_many_draws_reach_the_bound(noise, level):
     assert_draws_reach_the_bound(noise, level, draws=1000, tolerance=0.08)
 
 
+@pytest.mark.slow
 def test_some_draws_reach_the_bound():
     assert_draws_reach_the_bound(RAW, lab.RAW, draws=60, tolerance=0.35)
 

@@ -32,6 +32,7 @@ def test_a_damping_step_is_found_in_its_record_at_its_time():
     assert found.score.statistic > 100.0
 
 
+@pytest.mark.slow
 def test_a_step_that_is_not_there_is_not_significant():
     found = best("damping_step", Hidden())
     assert found.score.p_value * found.points > 0.01

@@ -183,6 +183,7 @@ def test_what_is_known_helps_or_is_neutral(known):
         assert got.of(name)[-1] <= plain.of(name)[-1] * (1 + 1e-9)
 
 
+@pytest.mark.slow
 def test_a_batch_is_its_dies_one_by_one():
     loop = closed()
     mass = 1.8e-7 * jnp.asarray([0.9, 1.0, 1.2])

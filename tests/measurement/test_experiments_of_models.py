@@ -74,6 +74,7 @@ def test_a_hidden_effect_is_predicted(name):
     assert_within(errors(visible(name)), ACCURACY[name])
 
 
+@pytest.mark.slow
 def test_several_linear_effects_at_once_are_predicted():
     hidden = visible(
         "electrostatic_softening_x", "electrostatic_softening_y", "cross_damping_asymmetry", "thermal_drift_damping",

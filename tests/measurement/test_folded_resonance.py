@@ -75,6 +75,7 @@ def test_the_branch_nearest_to_the_readings(rows, truth):
     np.testing.assert_allclose(found, truth, atol=3e-3 * np.abs(truth).max())
 
 
+@pytest.mark.slow
 def test_the_branch_that_continues_the_row_before(rows, truth):
     sweep = swept(rows, jnp.zeros((42, 1), complex))
     found = np.asarray(sweep.followed(MODEL).predict(MODEL))[:, 0]

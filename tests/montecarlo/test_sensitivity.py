@@ -169,6 +169,7 @@ def test_dies_at_one_point_with_one_noise_are_the_same(loop):
     assert first == float(mg.sweep(loop, row, dies=6, bound_dies=0, **SHORT).data["rate_error_end"][4])
 
 
+@pytest.mark.slow
 def test_the_gradient_of_a_tornado_is_that_of_the_runs(loop):
     """Small steps, where the response is straight; the noise is shared."""
     found = mg.tornado(loop, PAIR, sigmas=1e-3, repeats=4, **SHORT)

@@ -312,6 +312,7 @@ def test_the_default_lot_is_consistent_and_at_the_bound(loop):
     assert set(text["yield"]) == {"value", "low", "high", "criterion"}
 
 
+@pytest.mark.slow
 def test_a_varying_rate_is_followed_and_said_so(small):
     noise = mg.ProcessNoise.of(small.device.model, rate=3e3)
     quick = eqx.tree_at(lambda made: made.observer.process_noise, small, noise)

@@ -149,6 +149,7 @@ def test_a_design_is_aimed_at_another_die(design):
     assert np.all(np.sum(np.abs(aimed.amplitude), axis=0) <= 1e-6 * (1.0 + 1e-9))
 
 
+@pytest.mark.slow
 def test_the_loop_claims_no_more_than_the_design_assumed(design):
     """Dies that have the errors of the model: unequal cross damping, that no filter tells from a rate, and gains."""
     asymmetry, gain, *_ = design.errors.std(GYRO)

@@ -115,6 +115,7 @@ def test_what_is_unknown_is_shown_as_a_force(diagnosis):
     assert "sweep_x fails at drive 150 nN" in words
 
 
+@pytest.mark.slow
 def test_a_hostile_case_is_harmless(diagnosis, found):
     records = tuple(replace(r, name=f"{HOSTILE}{k}", note=HOSTILE) for k, r in enumerate(diagnosis.case.records))
     case = replace(diagnosis.case, name=HOSTILE, description=HOSTILE, records=records)

@@ -85,6 +85,7 @@ def test_correlations_are_those_of_the_dies(lot):
     np.testing.assert_allclose(figures.ranks(values, error), by_hand, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_sweep_without_spread_and_one_without_survivors(study):
     known = ["kxx", "kyy", "kxy", "dxx", "dyy", "dxy", "sigma"]  # a smaller filter compiles faster
     alike = study.changed({"spread.relative": 0.0, "sweep.dies": 4, "observer.known": known})
