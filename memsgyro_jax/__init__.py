@@ -73,6 +73,9 @@ if TYPE_CHECKING:
     from .loop.bound import information_bound as information_bound
     from .loop.bound import InformationBound as InformationBound
     from .loop.bound import CROSS_DAMPING_ASYMMETRY as CROSS_DAMPING_ASYMMETRY
+    from .loop.observability import observability as observability
+    from .loop.observability import observability_matrix as observability_matrix
+    from .loop.observability import Observability as Observability
     from .montecarlo.spread import Spread as Spread
     from .montecarlo.spread import Vary as Vary
     from .montecarlo.spread import Normal as Normal
