@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from .loop.observers import AbstractObserver as AbstractObserver
     from .loop.observers import AbstractCovarianceObserver as AbstractCovarianceObserver
     from .loop.observers import AbstractBlockObserver as AbstractBlockObserver
+    from .loop.observers import NoObserver as NoObserver
     from .loop.observers import Estimate as Estimate
     from .loop.observers import Clock as Clock
     from .loop.observers import Prior as Prior
@@ -49,6 +50,14 @@ if TYPE_CHECKING:
     from .loop.controllers import ReferenceModel as ReferenceModel
     from .loop.controllers import DesignedMotion as DesignedMotion
     from .loop.controllers import OpenLoop as OpenLoop
+    from .loop.controllers import ClassicControl as ClassicControl
+    from .loop.controllers import PhaseLockedDrive as PhaseLockedDrive
+    from .loop.controllers import OpenSense as OpenSense
+    from .loop.controllers import ForceRebalance as ForceRebalance
+    from .loop.controllers import AbstractSense as AbstractSense
+    from .loop.controllers import TrackingDemodulator as TrackingDemodulator
+    from .loop.controllers import ProductDemodulator as ProductDemodulator
+    from .loop.controllers import AbstractDemodulator as AbstractDemodulator
     from .loop.controllers import AbstractController as AbstractController
     from .loop.controllers import AbstractLinearController as AbstractLinearController
     from .loop.controllers import Tone as Tone

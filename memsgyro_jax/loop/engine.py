@@ -159,7 +159,7 @@ def scan_in_groups(body: Callable, start: tuple, count: int) -> tuple[tuple, Any
 
 def healthy(loop: ClosedLoop, state: LoopState) -> Bool[Array, "*lanes"]:
     """Whether truth and estimate are finite and the mass is within its travel."""
-    estimate = loop.observer.estimate(state.observer)
+    estimate = loop.estimate(state)
     numbers = (*state.motion, *estimate.motion, *estimate.theta, *estimate.offset)
     within = (jnp.abs(state.motion[0]) <= loop.travel) & (jnp.abs(state.motion[1]) <= loop.travel)
     if loop.filter is not None:

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -139,15 +139,22 @@ class ClosedLoop(Displayed):
 
     def init(self) -> LoopState:
         """The state at time zero."""
-        observer, output = self.observer.init(), None
+        observer, controller, output = self.observer.init(), self.controller.init(), None
         if self.filter is not None:
-            level = jnp.asarray(self.observer.estimate(observer).rate, float)
+            level = jnp.asarray(self._given_out(observer, controller).rate, float)
             output = FilterState(level, self.filter.init(level))
-        return LoopState(self.start, observer, self.controller.init(), output, own_start(self.device, self.start))
+        return LoopState(self.start, observer, controller, output, own_start(self.device, self.start))
+
+    def estimate(self, state: LoopState) -> Estimate:
+        """What observer and controller say at a state, before the output filter."""
+        return self._given_out(state.observer, state.controller)
+
+    def _given_out(self, observer: Any, controller: Any) -> Estimate:
+        return self.controller.output(controller, self.observer.estimate(observer))
 
     def rate(self, state: LoopState) -> Scalar:
         """The loop's output in rad/s: the estimated rate, behind the output filter where there is one."""
-        return self.observer.estimate(state.observer).rate if state.output is None else state.output.rate
+        return self.estimate(state).rate if state.output is None else state.output.rate
 
     def step(self, state: LoopState, conditions: Conditions, noise: Pair, clock: Clock) -> tuple[LoopState, Sample]:
         """One sample, from `clock` to one period later; `noise` is a pair of standard normal numbers."""
@@ -158,8 +165,9 @@ class ClosedLoop(Displayed):
         end = Clock(clock.time + clock.period, clock.sample + 1, clock.period)
         volts = self.readout.measure(motion, noise, conditions.offset_drift, clock.period, **shown)
         observer = self.observer.update(state.observer, volts, force, end)
+        controller = self.controller.measured(controller, volts, end)
 
-        estimate, output = self.observer.estimate(observer), None
+        estimate, output = self._given_out(observer, controller), None
         if self.filter is not None and state.output is not None:
             output = FilterState(*self.filter.step(state.output.held, estimate.rate, clock.period))
         rate = estimate.rate if output is None else output.rate

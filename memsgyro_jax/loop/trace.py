@@ -23,6 +23,7 @@ from .blocks.length import Blocks
 from .blocks.run import prepared, run_in_blocks
 from .expectation import expectations, tell
 from .loop import ClosedLoop, Sample, as_loop
+from .observers.base import LockReadings
 from .scenario import AbstractProfile, Scenario, as_scenario
 
 
@@ -37,7 +38,8 @@ class Trace(Shown, eqx.Module):
     `theta` holds the true coefficients at the end of the run. `rate_estimate` is the loop's output, behind its filter
     where it has one, `rate_unfiltered` the observer's own estimate, of which alone `rate_std` and `nis` speak (NaN for
     an observer without a covariance). `intact_until` is the time in s at which the die was lost (out of its travel, or
-    not finite, at a kept sample), infinite for one that was not: rows from then on repeat the last good one.
+    not finite, at a kept sample), infinite for one that was not: rows from then on repeat the last good one. `readings`
+    are those of electronics that lock to the drive axis, each over time; None without such.
 
     Its numbers are the leaves of a pytree, so that a function of `simulate` can be differentiated, compiled and mapped:
     `jax.vmap` gives a trace whose arrays have the runs along a leading axis. `loop` is what ran.
@@ -61,6 +63,7 @@ class Trace(Shown, eqx.Module):
     loop: ClosedLoop
     coefficients: tuple[str, ...] = eqx.field(static=True)
     settings: Settings = eqx.field(static=True)
+    readings: LockReadings | None = None
 
     @property
     def lost_at(self) -> float | None:
@@ -113,6 +116,10 @@ class Trace(Shown, eqx.Module):
             "force": (("time", "axis"), self.force, {"units": "N"}),
             "nis": ("time", self.nis, {"units": "1"}),
         }
+        if self.readings is not None:
+            units = LockReadings("rad/s", "Hz", "m", "N")._asdict()
+            told = self.readings._asdict()
+            variables |= {f"lock_{name}": ("time", told[name], {"units": unit}) for name, unit in units.items()}
         coordinates = {"time": self.time, "axis": ["x", "y"], "state": states, "coefficient": list(self.coefficients)}
         return xr.Dataset(variables, coordinates, {**self.settings.as_dict(), "status": self.status})
 
@@ -324,4 +331,5 @@ def _as_trace(done: engine.Run, loop: ClosedLoop, theta: tuple, settings: Settin
         loop=loop,
         coefficients=loop.device.model.names,
         settings=settings,
+        readings=estimate.readings,
     )

@@ -192,7 +192,7 @@ def rows_of(loop: ClosedLoop, scenario: Scenario, design: ClosedLoop, words: tup
     error, squared, innovations = jax.tree.map(lambda sums: sums / counts, done.outputs)
     settled = slice(plan.settled_window, None)
     conditions = scenario.at(end - 0.5 * plan.period)
-    estimate = loop.observer.estimate(done.state.observer)
+    estimate = loop.estimate(done.state)
     truth = loop.device.coefficients(conditions.inertial.rate, conditions.inertial.damping_change)
     rate_true = _window_rates(scenario, plan, words[0].shape)
     outside, mean_square = done.memory.outside, jnp.mean(squared[settled], axis=0)

@@ -1,7 +1,7 @@
 """The controller port, and the auxiliary tones that several controllers add."""
 
 import abc
-from typing import Any, Generic, TypeAlias, TypeVar
+from typing import Any, ClassVar, Generic, TypeAlias, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -19,7 +19,14 @@ State = TypeVar("State")
 
 
 class AbstractController(Displayed, Generic[State]):
-    """Gives the force for the coming sample; it sees the estimate and the clock only."""
+    """Gives the force for the coming sample from the estimate and the clock.
+
+    One that sees the read-out's volts as well, not only what an observer makes of them, takes them in `measured`; one
+    that measures the rate by itself gives it out in `output`. `usually_tuned` names the fields that tuning frees when
+    nothing else is asked for and the observer names none.
+    """
+
+    usually_tuned: ClassVar[tuple[str, ...]] = ()
 
     @abc.abstractmethod
     def init(self) -> State:
@@ -28,6 +35,14 @@ class AbstractController(Displayed, Generic[State]):
     @abc.abstractmethod
     def command(self, state: State, estimate: Estimate, clock: Clock) -> tuple[Pair, State]:
         """Forces (x, y) in N, held until the next sample, and the new state."""
+
+    def measured(self, state: State, volts: Pair, clock: Clock) -> State:
+        """The own state once the volts [V] of the sample that ends at `clock` are known: as it was."""
+        return state
+
+    def output(self, state: State, estimate: Estimate) -> Estimate:
+        """What the loop gives out beside the observer's `estimate`: nothing."""
+        return estimate
 
 
 class AbstractLinearController(AbstractController[tuple[()]]):

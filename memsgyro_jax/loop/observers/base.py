@@ -44,12 +44,25 @@ class Innovation(NamedTuple):
         return tuple(e**2 / v for e, v in zip(self.error, self.variance, strict=True))
 
 
+class LockReadings(NamedTuple):
+    """What electronics that lock to the drive axis read beside the rate: `quadrature` as the rate [rad/s] whose force
+    has the size of a displacement's, `frequency` [Hz] of the lock, `amplitude` [m] along the drive axis and the `force`
+    [N] that holds it.
+    """
+
+    quadrature: Scalar
+    frequency: Scalar
+    amplitude: Scalar
+    force: Scalar
+
+
 class Estimate(eqx.Module):
     """What an observer believes at a sample.
 
     `motion` is (x, y, vx, vy) in m and m/s, `theta` the coefficients of `model` in order (known ones at their known
     values), `offset` the read-out offsets in V. Observers with a covariance also give the variance of the rate in
-    (rad/s)² and the innovation of the last sample; others leave None.
+    (rad/s)² and the innovation of the last sample; others leave None. `readings` are those of a controller that
+    measures.
     """
 
     motion: State4
@@ -58,6 +71,7 @@ class Estimate(eqx.Module):
     model: MotionModel = eqx.field(static=True)
     rate_variance: Scalar | None = None
     innovation: Innovation | None = None
+    readings: LockReadings | None = None
 
     @property
     def nis(self) -> Scalar | None:
@@ -68,6 +82,12 @@ class Estimate(eqx.Module):
     def rate(self) -> Scalar:
         """Estimated angular rate in rad/s."""
         return self.theta[self.model.index("rate")]
+
+    def read(self, rate: Scalar, readings: LockReadings) -> "Estimate":
+        """The same with a measured rate [rad/s] in place of its own."""
+        place = self.model.index("rate")
+        theta = (*self.theta[:place], rate, *self.theta[place + 1 :])
+        return Estimate(self.motion, theta, self.offset, self.model, self.rate_variance, self.innovation, readings)
 
     @property
     def dynamics(self) -> Dynamics:

@@ -1,0 +1,210 @@
+"""Classic control: a phase-locked drive axis and a sense axis that is demodulated or rebalanced."""
+
+from typing import Any, ClassVar, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.device.gyro import VX, AbstractGyro, Dynamics, Inertial, Pair, Scalar, X, check_positive, number
+
+from ..observers.base import Clock, Estimate, LockReadings
+from ..observers.settings import arrays
+from ..readout import AbstractReadout
+from .base import AbstractController
+from .demodulator import TrackingDemodulator
+from .phase_locked_drive import DriveState, PhaseLockedDrive
+from .sense import AbstractSense, ForceRebalance, OpenSense
+
+
+class ClassicState(NamedTuple):
+    """Of drive axis and sense axis."""
+
+    drive: DriveState
+    sense: Any
+
+
+class ClassicControl(AbstractController[ClassicState]):
+    """Drives x by phase-locked loop and gain control and reads the rate off y, from the read-out's volts alone.
+
+    `drive` holds x = A cos φ, `sense` measures y in open loop or rebalances it. `scale` [V per unit] and `offset` [V]
+    are those of the read-out's design, `signals` what it measures. The rate given out is `rate_scale` times (what the
+    design's scale factor makes of y, less `rate_offset` [rad/s]): the trim of a die, 1 and 0 for none. It belongs to
+    `NoObserver`. Make one with `open_loop` or `force_rebalance`.
+    """
+
+    drive: PhaseLockedDrive
+    sense: AbstractSense
+    scale: Pair = arrays()
+    offset: Pair = arrays()
+    rate_offset: Scalar = eqx.field(converter=jnp.asarray, default=0.0, metadata={"unit": "rad/s"})
+    rate_scale: Scalar = number(default=1.0)
+    signals: tuple[int, int] = eqx.field(static=True, default=(X, X + 1))
+    usually_tuned: ClassVar[tuple[str, ...]] = (
+        "drive.phase_gain", "drive.phase_integral", "drive.force_gain", "drive.force_integral",
+    )  # fmt: skip
+
+    @classmethod
+    def open_loop(
+        cls, gyro: AbstractGyro, readout: AbstractReadout, *, amplitude: Scalar, bandwidth: Scalar | None = None,
+        drive_bandwidth: Scalar | None = None,
+    ) -> "ClassicControl":  # fmt: skip
+        """For the design `gyro`, swinging at `amplitude` [m]: y is free, and its displacement is the rate.
+
+        `bandwidth` [Hz] of the sense axis' demodulator is a tenth of the drive's frequency, `drive_bandwidth` of the
+        drive's, which sets the gains of both drive loops, a twentieth, unless given. Raises `InputError` for numbers
+        that are not positive.
+        """
+        omega = locked_frequency(gyro, nulled=False)
+        drive = _drive(gyro, readout, amplitude, omega, drive_bandwidth)
+        sense = OpenSense(
+            TrackingDemodulator(omega / (20.0 * jnp.pi) if bandwidth is None else bandwidth),
+            _conversion(gyro, omega, amplitude),
+        )
+        return cls(drive, sense, readout.scale, readout.offset, signals=readout.signals)
+
+    @classmethod
+    def force_rebalance(
+        cls, gyro: AbstractGyro, readout: AbstractReadout, *, amplitude: Scalar, bandwidth: Scalar | None = None,
+        demodulator_bandwidth: Scalar | None = None, drive_bandwidth: Scalar | None = None,
+    ) -> "ClassicControl":  # fmt: skip
+        """For the design `gyro`, swinging at `amplitude` [m]: forces hold y still and are the rate and the quadrature.
+
+        `bandwidth` [Hz] is that of the loops' integral, the proportional gain cancels the sense axis' own decay as far
+        as it is real. Left out it is a quarter of `demodulator_bandwidth` (a twentieth of the drive's frequency, unless
+        given) where the axes match; where they are split, half of what the sense resonance, seen at the split, bears.
+        Raises `InputError` for numbers that are not positive.
+        """
+        omega = locked_frequency(gyro, nulled=True)
+        drive = _drive(gyro, readout, amplitude, omega, drive_bandwidth)
+        width = omega / (40.0 * jnp.pi) if demodulator_bandwidth is None else jnp.asarray(demodulator_bandwidth)
+        dynamics = gyro.dynamics(Inertial())
+        pole = _dynamic_stiffness(dynamics, omega) / (dynamics.damping[1][1] + 2j * omega)
+        decay, split = 0.5 * dynamics.damping[1][1], jnp.abs(jnp.imag(pole))
+        if bandwidth is None:
+            roll_off = 2.0 * jnp.pi * width
+            integral = jnp.where(split > 2.0 * decay, 0.5 * decay * (1.0 + split / roll_off), 0.25 * roll_off)
+        else:
+            check_positive("bandwidth", bandwidth)
+            integral = 2.0 * jnp.pi * jnp.asarray(bandwidth)
+        gain = integral * jnp.real(1.0 / pole)
+        per_rate = _coriolis(gyro) * omega * amplitude / dynamics.gain[1]
+        sense = ForceRebalance(
+            TrackingDemodulator(width), _conversion(gyro, omega, amplitude), per_rate, gain, integral, gain, integral
+        )
+        return cls(drive, sense, readout.scale, readout.offset, signals=readout.signals)
+
+    def init(self) -> ClassicState:
+        """At rest."""
+        return ClassicState(self.drive.init(), self.sense.init())
+
+    def command(self, state: ClassicState, estimate: Estimate, clock: Clock) -> tuple[Pair, ClassicState]:
+        """Forces whose fundamental has the phase φ: taken in the middle of the sample, and raised by the
+        (ωh/2)/sin(ωh/2) that holding takes away.
+        """
+        drive, half = state.drive, 0.5 * state.drive.speed * clock.period
+        held, (cos, sin) = half / jnp.sin(half), _turn(drive.phase + half)
+        i, q = self.sense.force(state.sense)
+        return (-held * drive.force * sin, held * (i * cos - q * sin)), state
+
+    def measured(self, state: ClassicState, volts: Pair, clock: Clock) -> ClassicState:
+        """Both axes after the sample that ends at `clock`."""
+        drive = self.drive.advanced(state.drive, clock.period)
+        turn = _turn(drive.phase)
+        shown = tuple(v - o for v, o in zip(volts, self.offset, strict=True))
+        first, second = (self._per_volt(axis, drive.speed) for axis in (0, 1))
+        sense = self.sense.step(state.sense, shown[1], turn, second, clock.period)
+        return ClassicState(self.drive.step(drive, shown[0], turn, first, clock.period), sense)
+
+    def output(self, state: ClassicState, estimate: Estimate) -> Estimate:
+        """The rate, trimmed, and what else the electronics read."""
+        rate, minus_quadrature = self.sense.rate(state.sense)
+        i, q = self.drive.displacement(state.drive, self._per_volt(0, state.drive.speed))
+        readings = LockReadings(
+            quadrature=-minus_quadrature,
+            frequency=state.drive.speed / (2.0 * jnp.pi),
+            amplitude=jnp.sqrt(i**2 + q**2 + (_TINY * self.drive.amplitude) ** 2),
+            force=state.drive.force,
+        )
+        return estimate.read(self.rate_scale * (rate - self.rate_offset), readings)
+
+    def _per_volt(self, axis: int, speed: Scalar) -> Pair:
+        """The phasor of displacement per volt at ω = `speed`; a velocity is jω times a displacement."""
+        per_unit = 1.0 / self.scale[axis]
+        zero = 0.0 * per_unit
+        return (zero, -per_unit / speed) if self.signals[axis] >= VX else (per_unit, zero)
+
+
+_TINY = 1e-9  # of the amplitude: a size has a derivative at rest too
+_STEPS = 8  # of Newton's way to the locked frequency, which doubles its digits
+_DRIVE_SHARE = 20.0  # of the drive's frequency to the bandwidth of its demodulator
+_LIMIT = 20.0  # times the force that holds the amplitude: how fast a start may be
+
+
+def _turn(phase: Scalar) -> Pair:
+    return jnp.cos(phase), jnp.sin(phase)
+
+
+def _coriolis(gyro: AbstractGyro) -> Scalar:
+    """Acceleration of y per rate and velocity of x: 2."""
+    return gyro.dynamics(Inertial(rate=jnp.ones(()))).coriolis[1][0] - gyro.dynamics(Inertial()).coriolis[1][0]
+
+
+def _dynamic_stiffness(dynamics: Dynamics, omega: Scalar) -> Scalar:
+    """Δ(jω) of the sense axis, per mass."""
+    return dynamics.stiffness[1][1] - omega**2 + 1j * omega * dynamics.damping[1][1]
+
+
+def _conversion(gyro: AbstractGyro, omega: Scalar, amplitude: Scalar) -> Pair:
+    """`j Δ / (2 ω A)`, 2 being the Coriolis factor."""
+    found = 1j * _dynamic_stiffness(gyro.dynamics(Inertial()), omega) / (_coriolis(gyro) * omega * amplitude)
+    return jnp.real(found), jnp.imag(found)
+
+
+def locked_frequency(gyro: AbstractGyro, *, nulled: bool) -> Scalar:
+    """The ω [rad/s] at which a force along x in phase with its velocity swings it, with y free, or `nulled` by a force
+    on y: there a phase-locked loop locks.
+
+    Free axes that couple have two such frequencies, at their modes; this is that of the mode which moves along x most.
+    """
+    dynamics = gyro.dynamics(Inertial())
+    (kxx, kxy), (kyx, kyy) = dynamics.stiffness
+    if nulled:
+        return jnp.sqrt(kxx)
+    (_, dxy), (dyx, _) = dynamics.damping
+
+    def out_of_phase(omega: Scalar) -> Scalar:
+        across = (kxy + 1j * omega * dxy) * (kyx + 1j * omega * dyx)
+        return kxx - omega**2 - jnp.real(across / _dynamic_stiffness(dynamics, omega))
+
+    mean, half = 0.5 * (kxx + kyy), jnp.sqrt(0.25 * (kxx - kyy) ** 2 + kxy * kyx)
+    omega = jnp.sqrt(jnp.where(kxx > kyy, mean + half, mean - half))
+    for _ in range(_STEPS):
+        value, slope = jax.jvp(out_of_phase, (omega,), (jnp.ones_like(omega),))
+        omega = omega - value / slope
+    return omega
+
+
+def _drive(
+    gyro: AbstractGyro, readout: AbstractReadout, amplitude: Scalar, omega: Scalar, bandwidth: Scalar | None
+) -> PhaseLockedDrive:
+    """Gains at which both loops, with the demodulator's pole b, have a double pole at b/2 beside a slow integral."""
+    check_positive("amplitude", amplitude)
+    if readout.signals[0] not in (X, VX):
+        raise InputError("A read-out for a phase-locked drive must measure x first, its displacement or its velocity.")
+    width = omega / (2.0 * jnp.pi * _DRIVE_SHARE) if bandwidth is None else jnp.asarray(bandwidth)
+    dynamics = gyro.dynamics(Inertial())
+    pole, decay, gain = 2.0 * jnp.pi * width, 0.5 * dynamics.damping[0][0], dynamics.gain[0]
+    per_force = gain / (2.0 * omega)  # growth of the amplitude
+    phase_gain, force_gain = 0.25 * pole, 0.25 * pole / per_force
+    return PhaseLockedDrive(
+        amplitude=amplitude,
+        frequency=omega / (2.0 * jnp.pi),
+        demodulator=TrackingDemodulator(width),
+        phase_gain=phase_gain,
+        phase_integral=phase_gain * 0.1 * pole,
+        force_gain=force_gain,
+        force_integral=force_gain * (decay + 0.02 * pole),
+        limit=_LIMIT * 2.0 * decay * omega * amplitude / gain,
+    )

@@ -1,0 +1,127 @@
+"""Classic control by linear algebra: the sampled periodic steady state, transfer functions and stability, in NumPy.
+
+In phasors of the sample the loop is linear at a fixed drive frequency: the plant under held force by the matrix
+exponential, the tracking demodulator and the integrals by their z-transforms, both sidebands and both images apart.
+"""
+
+import numpy as np
+from scipy import linalg, optimize
+
+
+class Plant:
+    """Mass-normalised matrices of a one-mass or two-mass gyro at a rate."""
+
+    def __init__(self, gyro, rate=0.0):
+        two = hasattr(gyro, "mass_x")
+        mx, my = (float(gyro.mass_x), float(gyro.mass_y)) if two else (float(gyro.mass),) * 2
+        kyx = gyro.kyx if two else gyro.kxy
+        dxy = 0.0 if two else float(gyro.dxy)
+        dyx = 0.0 if two else dxy + float(gyro.cross_damping_asymmetry)
+        share = my / mx if two else 1.0
+        self.k = np.array([[gyro.kxx / mx, gyro.kxy / mx], [kyx / my, gyro.kyy / my]], float)
+        self.d = np.array([[gyro.dxx / mx, dxy / mx - 2 * share * rate], [dyx / my + 2 * rate, gyro.dyy / my]], float)
+        self.gain = np.array([1 / mx, 1 / my])
+
+    def sampled(self, period):
+        """Transition of (x, y, vx, vy) and what held forces add."""
+        a = np.zeros((6, 6))
+        a[:2, 2:4], a[2:4, :2], a[2:4, 2:4], a[2:4, 4:] = np.eye(2), -self.k, -self.d, np.diag(self.gain)
+        e = linalg.expm(a * period)
+        return e[:4, :4], e[:4, 4:]
+
+    def sense(self, omega):
+        """Dynamic stiffness of y."""
+        return self.k[1, 1] - omega**2 + 1j * omega * self.d[1, 1]
+
+
+def hold(omega, period):
+    """Of a force that is raised by what holding takes away, evaluated half a sample ahead."""
+    half = 0.5 * omega * period
+    return half / np.sin(half) * np.exp(1j * half)
+
+
+def steady(gyro, rate, period, amplitude, conversion, nulled, near, velocity):
+    """(frequency in Hz, drive force, rate, quadrature) where x = A cos φ and the force is -F sin φ; y free or nulled.
+
+    Where the read-out is of `velocity`, the displacement is that over jω: held forces make the samples of both differ.
+    """
+    transition, push = Plant(gyro, rate).sampled(period)
+
+    def response(omega):
+        solved = np.linalg.solve(np.exp(1j * omega * period) * np.eye(4) - transition, push * hold(omega, period))
+        solved = solved[2:] / (1j * omega) if velocity else solved[:2]
+        forces = np.array([1j, 0.0])
+        if nulled:
+            forces[1] = -solved[1, 0] * 1j / solved[1, 1]
+        return solved @ forces, forces
+
+    def lead(omega):
+        (x, _), _ = response(omega)
+        return x.imag / abs(x)
+
+    near = 2 * np.pi * near
+    omega = optimize.brentq(lead, 0.999 * near, 1.001 * near, xtol=1e-12 * near, rtol=1e-15)
+    (x, y), forces = response(omega)
+    force = amplitude / abs(x)
+    per_rate = 2j * near * amplitude / Plant(gyro).gain[1]
+    found = force * (forces[1] / per_rate if nulled else y * conversion)
+    return omega / (2 * np.pi), force, found.real, -found.imag
+
+
+def demodulated(zeta, turn, share):
+    """z-transform of the tracked phasor (in the stationary frame) per volt."""
+    loop = turn / (zeta - turn) + turn.conjugate() / (zeta - turn.conjugate()) + 1.0 / (zeta - 1.0)
+    return 2.0 * share * zeta / (zeta - turn) / (1.0 + share * loop)
+
+
+def rate_response(gyro, omega, period, control, frequency):
+    """Phasor of the rate given out per rate at `frequency` [Hz], of a design without quadrature and cross damping."""
+    total = 0.0
+    for delta in (2 * np.pi * frequency, -2 * np.pi * frequency):
+        found = _sideband(gyro, omega, period, control, delta)
+        total = total + 0.5 * (found if delta >= 0 else np.conj(found))
+    return total
+
+
+def _sideband(gyro, omega, period, control, delta):
+    plant, sense = Plant(gyro), control.sense
+    amplitude, share = float(control.drive.amplitude), 2 * np.pi * float(sense.demodulator.bandwidth) * period
+    conversion = complex(*map(float, sense.conversion))
+    turn, zeta = np.exp(1j * omega * period), np.exp(1j * (omega + delta) * period)
+    coriolis = -2j * omega * amplitude / plant.sense(omega + delta)  # y per rate, as a phasor of the upper sideband
+    upper, lower = demodulated(zeta, turn, share), demodulated(zeta.conjugate(), turn, share)
+    if not hasattr(sense, "gain"):
+        return 0.5 * upper * coriolis * conversion
+    transition, push = plant.sampled(period)
+    per_force = np.linalg.solve(zeta * np.eye(4) - transition, push[:, 1])[1]
+
+    def law(z):
+        controller = float(sense.gain) + float(sense.integral) * period * z / (z - turn)
+        return conversion * controller
+
+    force = 1j * float(sense.force_per_rate) * hold(omega, period)
+    # A force is the real part of its phasor, so that both images of y come back at the sideband.
+    back = 0.5 * (force * law(zeta) * upper + np.conj(force * law(zeta.conjugate()) * lower))
+    y = coriolis / (1.0 - per_force * back)
+    return 0.5 * upper * law(zeta) * y
+
+
+def rebalance_growth(gyro, omega, period, sense):
+    """Greatest size of an eigenvalue of the sampled rebalance loop, the drive turning with `omega`."""
+    transition, push = Plant(gyro).sampled(period)
+    transition, push = transition[1::2, 1::2], push[1::2, 1]  # y alone: the axes must not couple
+    share, turn = 2 * np.pi * float(sense.demodulator.bandwidth) * period, np.exp(1j * omega * period)
+    conversion, gain, integral = complex(*map(float, sense.conversion)), float(sense.gain), float(sense.integral)
+    force = 1j * float(sense.force_per_rate) * hold(omega, period)
+
+    def step(state):
+        y, constant = state[:2], state[2]
+        tracked, summed = complex(*state[3:5]), complex(*state[5:])
+        y = transition @ y + push * (force * (summed + gain * conversion * tracked)).real
+        tracked, summed = turn * tracked, turn * summed
+        missed = y[0] - tracked.real - constant
+        tracked = tracked + 2 * share * missed
+        summed = summed + integral * period * conversion * tracked
+        return [*y, constant + share * missed, tracked.real, tracked.imag, summed.real, summed.imag]
+
+    return np.abs(np.linalg.eigvals(np.array([step(column) for column in np.eye(7)]).T)).max()
