@@ -95,6 +95,11 @@ if TYPE_CHECKING:
     from .motion import UncertainGyro as UncertainGyro
     from .montecarlo.sweep import sweep as sweep
     from .montecarlo.sweep import Lot as Lot
+    from .montecarlo.parts import plan as plan
+    from .montecarlo.parts import run_part as run_part
+    from .montecarlo.parts import summarise as summarise
+    from .montecarlo.parts import StoredSweep as StoredSweep
+    from .montecarlo.parts import PartRun as PartRun
     from .montecarlo.summary import Summary as Summary
     from .montecarlo.sensitivity.sobol import sobol as sobol
     from .montecarlo.sensitivity import Sobol as Sobol

@@ -22,7 +22,7 @@ from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.observers import AbstractCovarianceObserver
 from memsgyro_jax.loop.scenario import Scenario
 
-from .batch import DIVERGED, STATUS, Plan
+from .batch import Plan
 from .spread import Spread
 
 
@@ -85,12 +85,20 @@ def _size(count: int) -> float:
     return float(stats.norm.isf(0.5 * LEVEL / count))
 
 
-def divergence_of(rows: Rows, loop: ClosedLoop, scenario: Scenario, plan: Plan) -> Divergence:
-    """The diverged dies of `rows`, and why."""
+def divergence_of(
+    dies: Int[np.ndarray, " diverged"],
+    theta: Float[np.ndarray, "first coefficients"],
+    loop: ClosedLoop,
+    scenario: Scenario,
+    plan: Plan,
+) -> Divergence:
+    """The diverged `dies`, and why; `theta` are the coefficients of the first of them, or of all."""
     if not (isinstance(loop.observer, AbstractCovarianceObserver) or loop.observer.claims_innovation):
         return Divergence(unjudged="the observer claims no covariance and no innovations to judge its errors by")
-    dies = np.flatnonzero(rows[STATUS] == DIVERGED)
-    return Divergence(tuple(dies.tolist()), _causes(rows, dies, loop, scenario, plan) if dies.size else ())
+    causes = _causes(theta, dies[: len(theta)], loop, scenario, plan) if dies.size else ()
+    if len(theta) < dies.size:
+        causes = (*causes, f"only the first {len(theta)} of them were asked for a cause")
+    return Divergence(tuple(dies.tolist()), causes)
 
 
 def unexpected(
@@ -114,8 +122,7 @@ class _Cause(NamedTuple):
     words: str
 
 
-def _causes(rows: Rows, dies: np.ndarray, loop: ClosedLoop, scenario: Scenario, plan: Plan) -> tuple[str, ...]:
-    theta = rows["coefficient_true"][dies]
+def _causes(theta: np.ndarray, dies: np.ndarray, loop: ClosedLoop, scenario: Scenario, plan: Plan) -> tuple[str, ...]:
     found = [cause for cause in (*_sampling(theta, loop, plan), *_surprises(theta, loop)) if cause.holds.any()]
     everywhere = unknown_to(loop)
     if moving(loop.observer, scenario, plan.samples * plan.period):

@@ -19,10 +19,11 @@ from .batch import MEANING, PENDING, STATUS
 if TYPE_CHECKING:
     import xarray as xr
 
-SCHEMA = "memsgyro-dies/2"
+SCHEMA = "memsgyro-dies/3"
 LABELS = "labels"  # attribute: names along dimensions; zarr has no settled type for text arrays
 PROCESSOR = "processor"  # attribute: what kind of processor began a store
 SEAL = "seal"
+SHARD = 16384  # dies in a file of a column, at least where the store has as many
 _METADATA = "zarr.json"
 
 
@@ -69,7 +70,12 @@ def files_of(layout: Layout, dies: int, block: int) -> dict[str, bytes]:
     packed = {"compressors": [ZstdCodec(), Crc32cCodec()]}
     files: dict[str, Any] = {}
     # The last entry tells xarray what is no variable.
-    others = {"schema": SCHEMA, "block": block, "coordinates": " ".join((*layout.coordinates, SEAL))}
+    others = {
+        "schema": SCHEMA,
+        "block": block,
+        "shard": blocks_per_shard(block),
+        "coordinates": " ".join((*layout.coordinates, SEAL)),
+    }
     group = zarr.create_group(MemoryStore(files), zarr_format=3, attributes=layout.attributes | others)
     for name, (dimension, values, unit) in layout.coordinates.items():
         about = {"dimension_names": (dimension,), "attributes": {"units": unit}}
@@ -83,6 +89,7 @@ def files_of(layout: Layout, dies: int, block: int) -> dict[str, bytes]:
             name,
             shape=(dies, *column.sizes),
             chunks=(block, *column.sizes),
+            shards=(block * blocks_per_shard(block), *column.sizes),
             dtype=dtype,
             fill_value=fill,
             dimension_names=("die", *column.dimensions),
@@ -91,6 +98,11 @@ def files_of(layout: Layout, dies: int, block: int) -> dict[str, bytes]:
         )
     contents = {name: content.to_bytes() for name, content in files.items()}
     return dict(sorted(contents.items(), key=lambda file: file[0] == f"{STATUS}/{_METADATA}"))
+
+
+def blocks_per_shard(block: int) -> int:
+    """Blocks of `block` dies that share a file per column: a million dies in a thousand files."""
+    return max(1, SHARD // block)
 
 
 def create(path: Path, layout: Layout, dies: int, block: int) -> None:

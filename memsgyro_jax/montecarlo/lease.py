@@ -33,7 +33,7 @@ class Leases:
     def __init__(self, folder: Path):
         self.folder = folder
         self.name = f"{_OWNER}{uuid.uuid4().hex}"
-        self._held: dict[int, int] = {}  # attempt under which a block is claimed
+        self._held: dict[int | str, int] = {}  # attempt under which a block is claimed
         self._seen: dict[str, tuple[int, float]] = {}  # of other owners: last change of their file, when first noticed
         self._left = threading.Event()
         self._pulse = threading.Thread(target=self._beat, daemon=True)
@@ -66,7 +66,7 @@ class Leases:
             time.sleep(0.02)
         return False
 
-    def claim(self, block: int) -> bool:
+    def claim(self, block: int | str) -> bool:
         """Whether the block is now this process' own; False while another that lives has it."""
         last = self._last(block)
         if last >= 0 and self._alive(self._holder(block, last)):
@@ -80,29 +80,29 @@ class Leases:
         self._held[block] = last + 1
         return True
 
-    def holds(self, block: int) -> bool:
+    def holds(self, block: int | str) -> bool:
         """Whether a claimed block is still this process' own; to be asked before each write."""
         attempt = self._held.get(block)
         return attempt is not None and attempt == self._last(block) and self._holder(block, attempt) == self.name
 
-    def release(self, block: int) -> None:
+    def release(self, block: int | str) -> None:
         """Give up a claim; one that was lost meanwhile is its new owner's."""
         if self.holds(block):
             for attempt in range(self._held[block] + 1):
                 self._file(block, attempt).unlink(missing_ok=True)
         self._held.pop(block, None)
 
-    def _file(self, block: int, attempt: int) -> Path:
+    def _file(self, block: int | str, attempt: int) -> Path:
         return self.folder / f"{block}.{attempt}"
 
-    def _last(self, block: int) -> int:
+    def _last(self, block: int | str) -> int:
         """The highest attempt at a block, -1 without one."""
         attempt = 0
         while self._file(block, attempt).exists():
             attempt += 1
         return attempt - 1
 
-    def _holder(self, block: int, attempt: int) -> str:
+    def _holder(self, block: int | str, attempt: int) -> str:
         """Who made an attempt; one that was stopped before it could write its name is watched by its claim."""
         file = self._file(block, attempt)
         with contextlib.suppress(OSError, ValueError):

@@ -1,5 +1,6 @@
 """Figures of merit of a lot: percentiles, yield and ratio to the bound with their intervals, bias and scale factor."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -50,6 +51,12 @@ def percentiles(errors: Float[np.ndarray, " dies"]) -> Percentiles:
     return Percentiles(float(np.sqrt(np.mean(size**2))), float(median), float(high), float(ends.low), float(ends.high))
 
 
+def percentiles_of(rms: float, count: int, quantile: Callable[..., list[float]]) -> Percentiles:
+    """Over so many numbers that only their root mean square and `quantile` are known of."""
+    ranks = (stats.binom.ppf(0.025, count, 0.95), stats.binom.ppf(0.975, count, 0.95) + 1.0)
+    return Percentiles(rms, *quantile(0.5, 0.95, *(rank / count for rank in ranks)))
+
+
 class Ratio(NamedTuple):
     """Root mean square, over `dies`, of each die's error over its own bound, with its 95 % interval `low`..`high`, and
     the median magnitude over that of a standard normal number (0.674), which a few bad dies do not move.
@@ -95,17 +102,38 @@ class StraightError(NamedTuple):
     scale_std: float | None
 
 
-def straight_error(rate: Float[np.ndarray, " dies"], error: Float[np.ndarray, " dies"]) -> StraightError | None:
-    """The straight line through the errors of dies that turn at `rate`, by least squares; None below three dies."""
-    if len(error) < 3:
+class Moments:
+    """Count, mean and summed products of deviations of points, gathered part by part (T. F. Chan, G. H. Golub,
+    R. J. LeVeque, The American Statistician 37 (1983) 242).
+    """
+
+    def __init__(self, size: int):
+        self.count, self.mean, self.products, self.largest = 0, np.zeros(size), np.zeros((size, size)), np.zeros(size)
+
+    def add(self, points: Float[np.ndarray, "n size"]) -> None:
+        """Take points in."""
+        count, total = len(points), self.count + len(points)
+        # Means of equal numbers are equal, so that what does not vary has no scatter.
+        mean = points[0] + np.mean(points - points[0], axis=0)
+        away, apart = points - mean, mean - self.mean
+        self.products += away.T @ away + np.outer(apart, apart) * (self.count * count / total)
+        self.mean, self.count = (mean if not self.count else self.mean + apart * (count / total)), total
+        self.largest = np.maximum(self.largest, np.max(np.abs(points), axis=0))
+
+
+def straight_error(points: Moments) -> StraightError | None:
+    """The straight line through the errors of dies over their rates, by least squares, of moments of (rate, error);
+    None below three dies.
+    """
+    count, (rate, error), ((across, both), (_, up)) = points.count, points.mean, points.products
+    if count < 3:
         return None
-    varied = float(np.std(rate)) > 1e-9 * (float(np.max(np.abs(rate))) + 1e-9)
-    table = np.stack([np.ones_like(rate), rate], axis=1)[:, : 1 + varied]
-    line, *_ = np.linalg.lstsq(table, error)
-    scatter = np.sum((error - table @ line) ** 2) / (len(error) - len(line))
-    std = np.sqrt(scatter * np.diag(np.linalg.inv(table.T @ table)))
-    scale, scale_std = (float(line[1]), float(std[1])) if varied else (None, None)
-    return StraightError(float(line[0]), float(std[0]), scale, scale_std)
+    if not np.sqrt(across / count) > 1e-9 * (points.largest[0] + 1e-9):
+        return StraightError(float(error), float(np.sqrt(up / (count - 1) / count)), None, None)
+    slope = both / across
+    scatter = max(up - slope * both, 0.0) / (count - 2)
+    std, slope_std = np.sqrt(scatter * (1.0 / count + rate**2 / across)), np.sqrt(scatter / across)
+    return StraightError(float(error - slope * rate), float(std), float(slope), float(slope_std))
 
 
 def settling_time(time: Float[np.ndarray, " n"], error: Float[np.ndarray, " n"], tolerance: float) -> float:

@@ -1,65 +1,71 @@
-"""The store of a sweep: a zarr group, written block by block, that survives kills, damage, and several processes.
+"""The store of a sweep: a zarr group that survives kills, damage, and several processes.
 
-A block of rows counts when its status, which is written last, is not `PENDING` and every die's seal, a checksum over
-all of its row, agrees: whatever is unfinished, cut short, flipped, missing or in another's place is computed again. No
-order of writes, by however many processes, can make a wrong row count. Each chunk also has a CRC32C of its own (a codec
-of zarr), for those who read the store without this package.
+Each block of dies is a file of its own as soon as it is computed, and moves into the shards of the columns when the
+last block of a shard is there. Whatever is read is verified (`stored`), and what fails is computed again.
 """
 
-import contextlib
-import hashlib
 import shutil
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from memsgyro_jax.base.errors import InputError
 
-from .batch import MEANING, PENDING, STATUS
-from .layout import SEAL, Layout, adapt, attributes_of, create, draft_path, held_by
+from .batch import PENDING, STATUS
+from .layout import Layout, adapt, attributes_of, create, draft_path, held_by
 from .lease import Leases
+from .shards import holds
+from .stored import StoredRows
 
 
-_TOLD = 10  # damaged blocks that are named one by one
-_AT_ONCE = 64  # blocks that are read together: more would hold a large store in memory three times
 _POLL = 0.2  # s between looks at blocks that others compute
 
 
 class Store:
-    """An open store of `dies` dies in blocks of `block`.
+    """An open store of `dies` dies in blocks of `block`, of which this process is to see to those of `share`.
 
-    `rows` holds the columns and the status of the dies that are done, in memory; `notes` what a person should know.
+    `notes` holds what a person should know.
     """
 
-    def __init__(self, path: Path, layout: Layout, dies: int, block: int, leases: Leases):
-        import zarr
-
-        self.path, self.layout, self.dies, self.block = path, layout, dies, block
+    def __init__(self, path: Path, layout: Layout, dies: int, block: int, leases: Leases, share: range | None = None):
+        self.stored = StoredRows(path, layout, dies, block)
+        self.share = range(self.stored.blocks) if share is None else share
         self._leases = leases
         self.notes = adapt(path, layout, dies, block)
-        group: Any = zarr.open_group(path, mode="r+")
-        self._arrays = {name: group[name] for name in (*layout.columns, SEAL, STATUS)}
-        self.rows = {name: _filled(array, dies) for name, array in self._arrays.items() if name != SEAL}
-        self._seen = [self._stamp(number) for number in range(-(-dies // block))]
-        if any(self._seen):
-            step = _AT_ONCE * block
-            self._tell([n for start in range(0, dies, step) for n in self._load(start, min(start + step, dies))])
+        self._done = np.zeros(self.stored.blocks, bool)
+        self._seen: dict[int, object] = {}
+        damaged = [n for numbers in self.stored.within_shards(self.share) for n in self._look(numbers)]
+        self.stored.tell(damaged, self.notes, "are computed again")
+
+    @property
+    def path(self) -> Path:
+        """The zarr group."""
+        return self.stored.path
+
+    @property
+    def rows(self) -> dict[str, np.ndarray]:
+        """All columns, read and verified; pending where nothing sound is."""
+        return self.stored.all()
 
     @property
     def done(self) -> int:
-        """How many dies are done."""
-        return int(np.sum(self.rows[STATUS] != PENDING))
+        """How many dies of the share are done."""
+        return sum(np.subtract(*self.stored.span(number)[::-1]) for number in self.share if self._done[number])
+
+    @property
+    def wanted(self) -> int:
+        """How many dies the share has."""
+        return min(self.share.stop * self.stored.block, self.stored.dies) - self.share.start * self.stored.block
 
     def unfinished(self) -> Iterator[int]:
-        """Numbers of the blocks that this process is to compute and `write`, one after another, until all are done.
+        """Numbers of the blocks that this process is to compute and `write`, until all of the share are done.
 
         Blocks that other processes compute are waited for, and taken over from those that die.
         """
-        waiting = [number for number in range(len(self._seen)) if not self._finished(number)]
+        waiting = [number for number in self.share if not self._done[number]]
         while waiting:
             before = len(waiting)
             for number in list(waiting):
@@ -68,34 +74,33 @@ class Store:
                     if not self._found(number):
                         yield number
                     self._leases.release(number)
-                if self._finished(number):
+                if self._done[number]:
                     waiting.remove(number)
             if len(waiting) == before:
                 time.sleep(_POLL)
-        if (held_by(self.path) or 0) < self.dies:  # another that goes on to fewer dies has just set back their number
-            adapt(self.path, self.layout, self.dies, self.block)
+        stored = self.stored
+        if (held_by(self.path) or 0) < stored.dies:  # another that goes on to fewer dies has just set back their number
+            adapt(self.path, stored.layout, stored.dies, stored.block)
+        if self.share:
+            for shard in range(self.share.start // stored.per_shard, (self.share.stop - 1) // stored.per_shard + 1):
+                self._pack(shard)
 
     def write(self, number: int, rows: dict[str, np.ndarray]) -> None:
-        """Write block `number`, the status last; rows beyond the number of dies are dropped.
+        """Write block `number`; rows beyond the number of dies are dropped.
 
         Writes nothing if another process has taken the block over. Raises `InputError` if the store was replaced.
         """
-        start, stop = self._span(number)
-        rows = {name: values[: stop - start] for name, values in rows.items()}
-        if self._identity() != self._expected:
+        stored = self.stored
+        start, stop = stored.span(number)
+        if self._identity() != (stored.layout.attributes["fingerprint"], stored.block):
             raise InputError(f"{self.path} was removed or replaced while its sweep ran; give each a folder of its own.")
         if not self._leases.holds(number):
             return
-        for name in (*self.layout.columns, SEAL, STATUS):
-            values = self._seals(rows, start) if name == SEAL else rows[name]
-            self._arrays[name][start:stop] = values
-            if name != SEAL:
-                self.rows[name][start:stop] = values
+        records = stored.sealed({name: values[: stop - start] for name, values in rows.items()}, start)
+        stored.waiting.write(stored.name_of(number), stored.file_of(records))
         self._seen[number] = self._stamp(number)
-
-    @property
-    def _expected(self) -> tuple[object, object]:
-        return self.layout.attributes["fingerprint"], self.block
+        self._done[number] = True
+        self._pack(number // stored.per_shard)
 
     def _identity(self) -> tuple[object, object]:
         """Fingerprint and block size of what lies at the path now."""
@@ -103,76 +108,97 @@ class Store:
         return found.get("fingerprint"), found.get("block")
 
     def _found(self, number: int) -> bool:
-        """Whether the block is done; read if its status was written since it was last looked at."""
-        stamp = self._stamp(number)
-        if stamp != self._seen[number]:
-            self._seen[number] = stamp
-            self._load(*self._span(number))
-        return self._finished(number)
+        """Whether the block is done; read if it was written since it was last looked at."""
+        if not self._done[number] and self._stamp(number) != self._seen.get(number):
+            self._look(range(number, number + 1))
+        return bool(self._done[number])
 
-    def _finished(self, number: int) -> bool:
-        start, stop = self._span(number)
-        return bool(np.all(self.rows[STATUS][start:stop] != PENDING))
+    def _stamp(self, number: int) -> object:
+        """Changes when a block or its shard is written; None when it never was."""
+        place = self.stored.place_of(STATUS, number // self.stored.per_shard)
+        stamps = self.stored.waiting.stamp(self.stored.name_of(number)), self.stored.shards.stamp(place)
+        return stamps if any(stamps) else None
 
-    def _span(self, number: int) -> tuple[int, int]:
-        return number * self.block, min((number + 1) * self.block, self.dies)
+    def _look(self, numbers: range) -> list[int]:
+        """See which blocks of one shard are done; gives those that claim to be and are not sound."""
+        stored = self.stored
+        stamps = {number: self._stamp(number) for number in numbers}
+        if not any(stamps.values()):
+            return []
+        records, damaged = stored.read(numbers)
+        for place, number in enumerate(numbers):
+            mine = records[STATUS][place * stored.block : (place + 1) * stored.block]
+            self._done[number] = bool(np.all(mine != PENDING))
+        self._seen |= stamps
+        return damaged
 
-    def _stamp(self, number: int) -> tuple[int, int] | None:
-        """Changes when the status of a block is written; None when it never was."""
-        with contextlib.suppress(OSError):
-            found = (self.path / STATUS / "c" / str(number)).stat()
-            return found.st_ino, found.st_mtime_ns
-        return None
+    def _pack(self, shard: int) -> None:
+        """Put the blocks of a shard into it, if all are there and wait: whoever comes first, the others leave it.
 
-    def _load(self, start: int, stop: int) -> list[int]:
-        """Read the rows of these dies that are done and sound; gives the blocks with others that claim to be done."""
-        # The status first, as it is written last: of a block that another process is writing it says pending.
-        names = (STATUS, SEAL, *self.layout.columns)
-        columns = {name: self._column(self._arrays[name], start, stop) for name in names}
-        seals, _ = columns.pop(SEAL)
-        rows = {name: values for name, (values, _) in columns.items()}
-        written = rows[STATUS] != PENDING
-        sound = written & np.isin(rows[STATUS], list(MEANING)) & (self._seals(rows, start) == seals)
-        readable = np.logical_and.reduce([whole for _, whole in columns.values()])
-        for name, values in rows.items():
-            self.rows[name][start:stop][sound & readable] = values[sound & readable]
-        return sorted({int(die) // self.block for die in start + np.flatnonzero(written & ~(sound & readable))})
-
-    def _column(self, array: Any, start: int, stop: int) -> tuple[np.ndarray, np.ndarray]:
-        """Rows of an array, and which of them could be read; the others count as written, for they once were."""
+        What is missing on second look is found by the next who opens or reads the store.
+        """
+        stored, numbers = self.stored, self.stored.shard(shard)
+        waiting = stored.waiting.names()
+        mine = [number for number in numbers if stored.name_of(number) in waiting]
+        if not mine:
+            return
+        if len(mine) < len(numbers):
+            content = stored.shards.read(stored.place_of(STATUS, shard))
+            inside = np.zeros(stored.per_shard, bool) if content is None else holds(content, stored.per_shard)
+            if not all(inside[number - numbers.start] for number in numbers if number not in mine):
+                return
+        name = f"shard{shard}"
+        if not self._leases.claim(name):
+            return
         try:
-            return array[start:stop], np.ones(stop - start, bool)
-        except Exception:  # what a decoder makes of damaged bytes is its own affair
-            if start // self.block == (stop - 1) // self.block:
-                return np.zeros((stop - start, *array.shape[1:]), array.dtype), np.zeros(stop - start, bool)
-        middle = self.block * ((start // self.block + -(-stop // self.block)) // 2)
-        halves = self._column(array, start, middle), self._column(array, middle, stop)
-        return np.concatenate([rows for rows, _ in halves]), np.concatenate([whole for _, whole in halves])
+            records, _ = stored.read(numbers)
+            # Who goes on to more dies will pack theirs with these.
+            if np.all(records[STATUS] != PENDING) and held_by(self.path) == stored.dies and self._leases.holds(name):
+                for column, content in stored.shards_of(records):
+                    place = stored.place_of(column, shard)
+                    if content is None:
+                        stored.shards.remove(place)
+                    else:
+                        stored.shards.write(place, content)
+                for number in mine:
+                    stored.waiting.remove(stored.name_of(number))
+        finally:
+            self._leases.release(name)
 
-    def _seals(self, rows: dict[str, np.ndarray], start: int) -> np.ndarray:
-        """For each row 64 bits that change with any of its numbers, its place, and what computed it."""
-        names = (*self.layout.columns, STATUS)
-        parts = [np.ascontiguousarray(rows[name]).view(np.uint8).reshape(len(rows[name]), -1) for name in names]
-        origin = hashlib.blake2b(f"{self.layout.attributes['fingerprint']} {' '.join(names)}".encode(), digest_size=8)
-        digests = []
-        for number, row in enumerate(np.concatenate(parts, axis=1), start):
-            digest = origin.copy()
-            digest.update(number.to_bytes(8, "little") + row.tobytes())
-            digests.append(int.from_bytes(digest.digest(), "little"))
-        return np.array(digests, np.uint64)
 
-    def _tell(self, damaged: list[int]) -> None:
-        for number in damaged[:_TOLD]:
-            start, stop = self._span(number)
-            self.notes.append(
-                f"Dies {start} to {stop - 1} of {self.path} do not agree with their checksums and are computed again."
-            )
-        if len(damaged) > _TOLD:
-            self.notes.append(f"So are those of {len(damaged) - _TOLD} further blocks.")
+class Memory:
+    """Where the dies of a sweep go that has no store: the columns, in memory."""
+
+    notes: tuple[str, ...] = ()
+
+    def __init__(self, dies: int, block: int):
+        self.wanted, self._block, self._kept = dies, block, dict[int, dict[str, np.ndarray]]()
+
+    @property
+    def done(self) -> int:
+        """How many dies are done."""
+        return min(len(self._kept) * self._block, self.wanted)
+
+    @property
+    def rows(self) -> dict[str, np.ndarray]:
+        """All columns."""
+        return {
+            name: np.concatenate([part[name] for part in self._kept.values()])[: self.wanted] for name in self._kept[0]
+        }
+
+    def unfinished(self) -> Iterator[int]:
+        """Numbers of the blocks to be computed and written, one after another."""
+        yield from range(-(-self.wanted // self._block))
+
+    def write(self, number: int, rows: dict[str, np.ndarray]) -> None:
+        """Keep block `number`."""
+        self._kept[number] = rows
 
 
 @contextmanager
-def opened(path: Path, layout: Layout, dies: int, block: int, resume: bool) -> Iterator[Store]:
+def opened(
+    path: Path, layout: Layout, dies: int, block: int, resume: bool, share: range | None = None
+) -> Iterator[Store]:
     """The store at `path` for as long as this process works on it: created, or with `resume` gone on with.
 
     One that another process works on is joined, and the work shared. Raises `InputError` for a store that is there
@@ -184,7 +210,9 @@ def opened(path: Path, layout: Layout, dies: int, block: int, resume: bool) -> I
             raise InputError(f"{path} exists already; add `--resume` to go on with it, or choose another folder.")
         if not path.exists():
             create(path, layout, dies, block)
-        yield Store(path, layout, dies, block, leases)
+        store = Store(path, layout, dies, block, leases, share)
+        yield store
+        store.stored.waiting.tidy()
     if not leases.folder.exists():  # nobody else is at work, so what lies beside is of those who were killed
         for draft in path.parent.glob(f".{path.name}.*.part"):
             shutil.rmtree(draft, ignore_errors=True)
@@ -200,11 +228,8 @@ def discard(path: Path) -> None:
         trash = draft_path(path)
         path.rename(trash)  # gone at once
         shutil.rmtree(trash, ignore_errors=True)
+        shutil.rmtree(path.with_suffix(".blocks"), ignore_errors=True)
 
 
 def _leases(path: Path) -> Path:
     return path.with_name(f".{path.name}.leases")
-
-
-def _filled(array: Any, dies: int) -> np.ndarray:
-    return np.full((dies, *array.shape[1:]), array.fill_value, array.dtype)

@@ -13,7 +13,6 @@ from memsgyro_jax.base.text import aligned
 from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.observers import AbstractCovarianceObserver
 
-from .batch import DIVERGED, LOST, OK, STATUS, Plan
 from .divergence import Divergence
 from .following import Following, following
 from .merit import (
@@ -26,6 +25,7 @@ from .merit import (
     ratio,
     straight_error,
 )
+from .tally import Tally
 
 
 SCHEMA = "memsgyro-sweep/1"
@@ -187,9 +187,8 @@ class Summary(Shown):
         return aligned(self.rows())
 
 
-def summarise(
-    rows: dict[str, np.ndarray],
-    plan: Plan,
+def figures_of(
+    tally: Tally,
     settings: Settings,
     loop: ClosedLoop,
     bounds: Float[np.ndarray, " dies"] | None,
@@ -197,46 +196,39 @@ def summarise(
     notes: tuple[str, ...],
     speed: float | None,
 ) -> Summary:
-    """Figures over the dies of `rows` that were computed; lost dies count as failed and never as numbers. `bounds` are
-    those of the first dies.
+    """The summary of the dies in `tally`; lost ones count as failed and never as numbers. `bounds` are those of the
+    first dies.
     """
-    status = rows[STATUS]
-    sound, lost = status == OK, status == LOST
-    alive = sound | (status == DIVERGED)
-    end_of_all = rows["rate_error_end"]
-    end = end_of_all[alive]
-    good = int(np.sum(np.abs(end) <= plan.tolerance))
-    computed = int(np.sum(alive | lost))
-    nees, nis = (_mean(rows[name][alive]) for name in ("nees_end", "nis_mean"))
-    settled = plan.window_times >= plan.settle
-    if alive.any():
-        true = np.mean(rows["rate_true"][alive][:, settled], axis=1)
-        straight = straight_error(true, np.mean(rows["rate_estimate"][alive][:, settled], axis=1) - true)
-    else:
-        straight = None
+    plan = tally.plan
     bounded = bounds is not None and bool(np.isfinite(bounds).any())
     bound = percentiles(bounds).rms if bounded else None
+    reached, reached_sound = (
+        (ratio(errors[: len(bounds)], bounds) for errors in tally.first) if bounded else (None, None)
+    )
+    over_time, (converged,) = tally.over_time, tally.converged.quantile(0.5)
+    series = np.sqrt(tally.series_squares / tally.series_count) if tally.series_count else np.nan
+    within = f"rate error at the end within {np.degrees(plan.tolerance):.3g} deg/s"
     return Summary(
-        dies=computed,
-        redrawn=int(np.sum(rows["redrawn"][alive | lost] > 0)),
-        failed=int(np.sum(lost)),
-        end=percentiles(end),
-        settled=percentiles(rows["rate_error_rms"][alive]),
-        series_std=percentiles(rows["rate_series_std"][alive]).rms,
-        sound=percentiles(end_of_all[sound]),
+        dies=tally.computed,
+        redrawn=tally.redrawn,
+        failed=tally.lost,
+        end=tally.end.percentiles,
+        settled=tally.run.percentiles,
+        series_std=float(series),
+        sound=tally.sound.percentiles,
         divergence=divergence,
         bound=bound,
         prior_share=None if bound is None else _prior_share(loop, bound),
-        reached=ratio(end_of_all[: len(bounds)], bounds) if bounded else None,
-        reached_sound=ratio(np.where(sound, end_of_all, np.nan)[: len(bounds)], bounds) if bounded else None,
-        nees=nees,
-        nees_median=None if nees is None else float(np.nanmedian(rows["nees_end"][alive])),
+        reached=reached,
+        reached_sound=reached_sound,
+        nees=tally.mean("nees_end"),
+        nees_median=None if tally.mean("nees_end") is None else tally.nees.quantile(0.5)[0],
         states=_states(loop),
-        nis=nis,
-        convergence_time=_median(rows["convergence_time"][alive]),
-        good=proportion(good, computed, f"rate error at the end within {np.degrees(plan.tolerance):.3g} deg/s"),
-        following=following(plan.window_times, rows["rate_true"][alive], rows["rate_estimate"][alive], plan.settle),
-        straight=straight,
+        nis=tally.mean("nis_mean"),
+        convergence_time=converged if np.isfinite(converged) else None,
+        good=proportion(tally.good, tally.computed, within),
+        following=None if over_time is None else following(plan.window_times, *over_time, plan.settle),
+        straight=straight_error(tally.straight),
         notes=notes,
         steps_per_s=speed,
         settings=settings,
@@ -261,18 +253,6 @@ def _triple(error: Percentiles) -> str:
 def _reached_text(reached: Ratio, dies: int) -> str:
     share = "" if reached.dies >= dies else f"; over {reached.dies} of {dies} dies"
     return f"x {reached.value:.3g} rms ({reached.low:.3g} to {reached.high:.3g}), median x {reached.median:.3g}{share}"
-
-
-def _mean(values: np.ndarray) -> float | None:
-    finite = values[np.isfinite(values)]
-    return float(np.mean(finite)) if finite.size else None
-
-
-def _median(values: np.ndarray) -> float | None:
-    """Median with never-converged dies as infinitely late; None when that is the median, or without dies."""
-    late = np.where(np.isfinite(values), values, np.inf)
-    middle = float(np.median(late)) if late.size else np.inf
-    return middle if np.isfinite(middle) else None
 
 
 def _following(result: Following) -> dict[str, object]:

@@ -30,7 +30,7 @@ def tell(*words):
 
 def told(store, number, rows):
     write(store, number, rows)
-    if store._finished(number):
+    if store._done[number]:
         tell("wrote", folder, number)
 
 signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # leaves no dead behind

@@ -5,7 +5,7 @@ import pytest
 from scipy import signal, stats
 
 from memsgyro_jax.montecarlo.following import following
-from memsgyro_jax.montecarlo.merit import percentiles, proportion, ratio, settling_time, straight_error
+from memsgyro_jax.montecarlo.merit import Moments, percentiles, proportion, ratio, settling_time, straight_error
 
 
 def test_a_yield_has_its_wilson_interval():
@@ -122,19 +122,27 @@ def test_the_interval_of_a_percentile_holds_it_as_often_as_it_says():
     assert np.isnan(percentiles(rng.standard_normal(8)).p95_high)
 
 
+def line_of(rate, error):
+    """Of dies that come in two parts, as those of two shards do."""
+    points, gathered = np.stack([rate, error], axis=1), Moments(2)
+    for part in np.array_split(points, 2):
+        gathered.add(part)
+    return straight_error(gathered)
+
+
 def test_bias_and_scale_factor_are_the_line_through_the_errors():
     rng = np.random.default_rng(0)
     rate = rng.uniform(-2.0, 2.0, 400)
-    found = straight_error(rate, 0.3 - 0.05 * rate + 0.1 * rng.standard_normal(400))
+    found = line_of(rate, 0.3 - 0.05 * rate + 0.1 * rng.standard_normal(400))
     assert found.bias == pytest.approx(0.3, abs=4 * found.bias_std)
     assert found.scale == pytest.approx(-0.05, abs=4 * found.scale_std)
     assert found.bias_std == pytest.approx(0.1 / np.sqrt(400), rel=0.15)
     assert found.scale_std == pytest.approx(0.1 / np.sqrt(np.sum(rate**2)), rel=0.15)
     few = stats.linregress(rate[:6], rate[:6] ** 2)
-    line = straight_error(rate[:6], rate[:6] ** 2)
+    line = line_of(rate[:6], rate[:6] ** 2)
     assert (line.scale, line.scale_std) == pytest.approx((few.slope, few.stderr), rel=1e-9)
     assert (line.bias, line.bias_std) == pytest.approx((few.intercept, few.intercept_stderr), rel=1e-9)
-    alike = straight_error(np.full(400, 1.0), 0.3 + 0.1 * rng.standard_normal(400))
+    alike = line_of(np.full(400, 1.0), 0.3 + 0.1 * rng.standard_normal(400))
     assert alike.bias == pytest.approx(0.3, abs=0.02)
     assert alike.scale is None
-    assert straight_error(rate[:2], rate[:2]) is None
+    assert line_of(rate[:2], rate[:2]) is None

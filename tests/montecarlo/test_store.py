@@ -24,6 +24,14 @@ LAYOUT = Layout(
 )
 
 
+@pytest.fixture(scope="module", autouse=True)
+def small_shards():
+    """Blocks 0 and 1 in one shard, 2 in another."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(layouts, "SHARD", 2 * BLOCK)
+        yield
+
+
 def rows_of(number: int) -> dict[str, np.ndarray]:
     """A block as a sweep computes it: a column like another's neighbour, one that is never a number, a lost die."""
     dies = np.arange(number * BLOCK, (number + 1) * BLOCK)
@@ -64,8 +72,7 @@ def broken(whole, tmp_path):
     return Path(shutil.copytree(whole, tmp_path / "dies.zarr"))
 
 
-def test_a_store_is_gone_on_with_and_grows(tmp_path, monkeypatch):
-    monkeypatch.setattr("memsgyro_jax.montecarlo.store._AT_ONCE", 2)
+def test_a_store_is_gone_on_with_and_grows(tmp_path):
     path = tmp_path / "dies.zarr"
     assert gone_on(path, 20)[::2] == ([0, 1], [])
     assert gone_on(path, 20)[::2] == ([], [])
@@ -78,9 +85,9 @@ def test_a_store_is_gone_on_with_and_grows(tmp_path, monkeypatch):
     assert [file.name for file in tmp_path.iterdir()] == ["dies.zarr"], "no lease, no draft"
 
 
-def chunk(path: Path, column: str, number: int) -> Path:
-    files = sorted((path / column / "c").glob(f"{number}*/*")) or [path / column / "c" / str(number)]
-    return files[0]
+def shard(path: Path, column: str, number: int) -> Path:
+    place = path / column / "c" / str(number)
+    return place / "0" if place.is_dir() else place
 
 
 def flip(file: Path) -> None:
@@ -91,36 +98,75 @@ def flip(file: Path) -> None:
 
 @pytest.mark.parametrize("harm", [flip, Path.unlink, lambda file: file.write_bytes(b"")], ids=["flip", "gone", "empty"])
 @pytest.mark.parametrize("column", ["left", "right", "seal", STATUS])
-def test_a_damaged_block_is_computed_again_and_told(broken, harm, column):
-    harm(chunk(broken, column, 1))
+def test_a_damaged_shard_is_computed_again_and_told(broken, harm, column):
+    harm(shard(broken, column, 1))
     computed, rows, notes = gone_on(broken)
-    assert computed == [1]
+    assert computed == [2]
     assert_wanted(rows)
     quiet = column == STATUS and harm is Path.unlink  # as a kill just before the status leaves it
-    assert notes == [] if quiet else ["Dies 16 to 31" in note for note in notes] == [True]
+    assert notes == [] if quiet else ["Dies 32 to 39" in note for note in notes] == [True]
     assert gone_on(broken)[::2] == ([], [])
 
 
-def test_chunks_in_each_others_place_are_computed_again(broken):
-    left, other = chunk(broken, "left", 0), chunk(broken, "left", 1)
+INDEX = 2 * 16 + 4  # bytes of an index of two chunks
+
+
+@pytest.mark.parametrize("column", ["left", "right", "seal", STATUS])
+@pytest.mark.parametrize(("place", "lost"), [(3, [0]), (-INDEX - 1, [1]), (-1, [0, 1]), (-10, [0, 1])])
+def test_a_damaged_block_harms_no_other_of_its_shard(broken, column, place, lost):
+    file = shard(broken, column, 0)
+    content = bytearray(file.read_bytes())
+    content[place] ^= 4
+    file.write_bytes(content)
+    computed, rows, notes = gone_on(broken)
+    assert computed == lost
+    assert_wanted(rows)
+    assert len(notes) == len(lost)
+    with xr.open_zarr(broken, consolidated=False, mask_and_scale=False) as found:
+        assert_wanted(found.load())
+
+
+def test_shards_in_each_others_place_are_computed_again(broken):
+    left, other = shard(broken, "left", 0), shard(broken, "left", 1)
     kept = left.read_bytes()
     left.write_bytes(other.read_bytes())
     other.write_bytes(kept)
     computed, rows, _ = gone_on(broken)
-    assert computed == [0, 1]
+    assert computed == [0, 1, 2]
     assert_wanted(rows)
 
 
-def test_a_whole_block_in_anothers_place_is_computed_again(broken):
-    for column in (*LAYOUT.columns, "seal", STATUS):
-        files = [next(iter((broken / column / "c").rglob(name)), None) for name in ("0", "1")]
-        if column == "right":
-            files = [broken / column / "c" / name / "0" for name in ("0", "1")]
-        if files[0] is not None:
-            shutil.copy(*files)
+def test_a_whole_shard_in_anothers_place_is_computed_again(broken):
+    for column in ("left", "right", "seal", STATUS):
+        shutil.copy(shard(broken, column, 0), shard(broken, column, 1))
     computed, rows, _ = gone_on(broken)
-    assert computed == [1]
+    assert computed == [2]
     assert_wanted(rows)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_block_that_waits_for_its_shard_counts_if_it_is_sound(tmp_path, seed):
+    path = tmp_path / "dies.zarr"
+    with opened(path, LAYOUT, DIES, BLOCK, resume=False) as store:
+        number = next(store.unfinished())
+        store.write(number, rows_of(number))
+        assert_wanted(store.rows, BLOCK)
+    (file,) = (tmp_path / "dies.blocks").iterdir()
+    generator, content = np.random.default_rng(seed), bytearray(file.read_bytes())
+    place = int(generator.integers(len(content)))
+    if seed % 4 == 0:
+        content[place] ^= 1 << int(generator.integers(8))
+    elif seed % 4 == 1:
+        content = content[:place]
+    elif seed % 4 == 2:
+        content = content[:place] + generator.bytes(9) + content[place:]
+    file.write_bytes(content)
+    computed, rows, notes = gone_on(path)
+    assert computed in ([1, 2], [0, 1, 2])
+    assert len(notes) == (computed == [0, 1, 2])
+    assert seed % 4 != 3 or computed == [1, 2]
+    assert_wanted(rows)
+    assert [file.name for file in tmp_path.iterdir()] == ["dies.zarr"]
 
 
 def test_metadata_are_written_anew_and_told(broken):
@@ -167,13 +213,14 @@ def test_another_kind_of_processor_is_told(broken):
     assert gone_on(broken)[2] == []
 
 
-def test_nothing_is_taken_for_a_status_that_is_none(broken):
+def test_nothing_is_taken_for_a_status_that_is_none(tmp_path):
     """Seals are not asked here: someone may have written them to fit."""
-    with opened(broken, LAYOUT, DIES, BLOCK, resume=True) as store:
-        rows = rows_of(1) | {STATUS: np.full(BLOCK, 7, np.int8)}
-        store._leases.claim(1)
-        store.write(1, rows)
-    assert gone_on(broken)[0] == [1]
+    with opened(tmp_path / "dies.zarr", LAYOUT, DIES, BLOCK, resume=False) as store:
+        for number in store.unfinished():
+            store.write(number, rows_of(number) | ({STATUS: np.full(BLOCK, 7, np.int8)} if number == 1 else {}))
+    computed, rows, notes = gone_on(tmp_path / "dies.zarr")
+    assert (computed, len(notes)) == ([1], 1)
+    assert_wanted(rows)
 
 
 VALUES = (0, -1, 7, 10**30, 1.5, "", "x", None, True, [], {}, [[[]]], "NaN", {"name": "bytes"})

@@ -163,7 +163,7 @@ def test_without_claims_divergence_is_unknown(small):
     readout = mg.DirectReadout.of_velocity(1e5)
     observer = mg.LyapunovObserver.for_device(small.device, readout)
     made = replace(small, observer=observer, readout=readout)
-    found = divergence_of({}, made, mg.Scenario(), Plan(1e-5, 1, 1, 0.0, 1.0))
+    found = divergence_of(np.arange(0), np.empty((0, 0)), made, mg.Scenario(), Plan(1e-5, 1, 1, 0.0, 1.0))
     assert found.unjudged == "the observer claims no covariance and no innovations to judge its errors by"
     lot = mg.sweep(small, mg.Spread(), dies=8, chunk=8, **SHORT)
     assert "0 lost, 0 diverged" in repr(lot)

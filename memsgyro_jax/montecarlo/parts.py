@@ -1,0 +1,225 @@
+"""A sweep in parts: planned once, run by as many processes as there are, summarised when asked."""
+
+import re
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from memsgyro_jax.base import runtime
+from memsgyro_jax.base.arguments import quantity, whole
+from memsgyro_jax.base.display import Shown
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.provenance import Settings
+from memsgyro_jax.loop.blocks.run import prepared
+from memsgyro_jax.loop.expectation import tell
+from memsgyro_jax.loop.loop import ClosedLoop, as_loop
+from memsgyro_jax.loop.scenario import AbstractProfile, Scenario, as_scenario
+from memsgyro_jax.loop.trace import count_steps
+
+from .batch import Plan
+from .bounds import own_bounds
+from .divergence import divergence_of, unexpected
+from .layout import Layout
+from .runner import Runner, default_chunk, windows_of
+from .spread import DEVICE_PREFIX, Spread
+from .store import opened
+from .stored import StoredRows
+from .summary import Summary, figures_of
+from .tally import Tally
+
+
+_CHIMES = re.compile(r"tones.*frequency$")  # paths of tones that may cease to share a frequency
+DEFAULT_TOLERANCE = float(np.radians(20.0))
+
+
+@dataclass(frozen=True)
+class Computation:
+    """What a sweep computes: how, of how many dies, and what should be known before (`notes`)."""
+
+    runner: Runner
+    settings: Settings
+    dies: int
+    bound_dies: int
+    notes: tuple[str, ...]
+
+    @property
+    def layout(self) -> Layout:
+        """Of its columns."""
+        return self.runner.layout(self.settings)
+
+    @property
+    def plan(self) -> Plan:
+        """Of its runs."""
+        return self.runner.plan
+
+    def summary(
+        self, groups: Iterable[tuple[int, dict[str, np.ndarray]]], amiss: list[str], speed: float | None
+    ) -> Summary:
+        """Of columns that come part by part, with the first die of each; `amiss` is what is told of them by then."""
+        runner, settings, bounded = self.runner, self.settings, min(self.dies, self.bound_dies)
+        tally = Tally(self.plan, bounded)
+        for first, rows in groups:
+            tally.add(rows, first)
+        bounds = own_bounds(
+            runner.loop, runner.scenario, runner.spread, runner.seed, bounded, settings.sample_rate, settings.duration
+        )
+        divergence = divergence_of(*tally.diverged, runner.loop, runner.scenario, self.plan)
+        return figures_of(tally, settings, runner.loop, bounds, divergence, (*self.notes, *amiss), speed)
+
+
+@dataclass(frozen=True)
+class StoredSweep(Shown):
+    """A sweep whose dies go to the store at `path`, `out/dies.zarr`. It may be sent to other processes."""
+
+    path: Path
+    computation: Computation
+
+    @property
+    def dies(self) -> int:
+        """How many are wanted."""
+        return self.computation.dies
+
+    @property
+    def blocks(self) -> int:
+        """How many there are to share: one is computed, written and, if it is lost, repeated as a whole."""
+        return self.rows.blocks
+
+    @property
+    def rows(self) -> StoredRows:
+        """The dies that are there."""
+        return StoredRows(self.path, self.computation.layout, self.dies, self.computation.runner.block)
+
+    def __repr__(self) -> str:
+        made_of = self.computation.settings.fingerprint
+        return f"{self.path}: {self.dies} dies in {self.blocks} blocks, fingerprint {made_of}"
+
+
+@dataclass(frozen=True)
+class PartRun(Shown):
+    """What `run_part` did: of the `dies` of its share it computed `computed`, the others were there. `notes` says what
+    was amiss with the store, `steps_per_s` how fast it went, None where a single batch left nothing to time.
+    """
+
+    dies: int
+    computed: int
+    notes: tuple[str, ...]
+    steps_per_s: float | None
+
+    def __repr__(self) -> str:
+        return "\n".join([f"{self.computed} of {self.dies} dies computed, the others were there", *self.notes])
+
+
+def plan(
+    loop: ClosedLoop,
+    spread: Spread,
+    scenario: Scenario | AbstractProfile | float = 1.0,
+    *,
+    out: str | Path,
+    dies: int = 256,
+    sample_rate: float | str = 100e3,
+    duration: float | str = 0.1,
+    settle: float | str | None = None,
+    tolerance: float | str = DEFAULT_TOLERANCE,
+    seed: int = 0,
+    chunk: int | None = None,
+    bound_dies: int = 256,
+) -> StoredSweep:
+    """The store of a sweep in the folder `out`, created at once or not at all, or joined where it is there already.
+
+    Arguments and errors are those of `sweep`. Any number of processes may plan the same sweep; what one of them gives
+    to `run_part` or `summarise` is good for any.
+    """
+    computation = computation_of(
+        loop, spread, scenario, dies=dies, sample_rate=sample_rate, duration=duration, settle=settle,
+        tolerance=tolerance, seed=seed, chunk=chunk, bound_dies=bound_dies,
+    )  # fmt: skip
+    made = StoredSweep(Path(out) / "dies.zarr", computation)
+    with opened(made.path, computation.layout, made.dies, computation.runner.block, True, range(0)):
+        return made
+
+
+def run_part(
+    store: StoredSweep, part: tuple[int, int] = (1, 1), *, progress: Callable[[int, int], None] | None = None
+) -> PartRun:
+    """Compute part k of n, counted from one: of its share of the blocks those that are not there or not sound.
+
+    A share is its own: a part computes no other's blocks, so that its time is known before. Blocks that another process
+    works on are waited for, and taken over if that dies: at the end the share is done, and running a part again is
+    going on with it. `progress(done, dies)` is called after each batch.
+
+    Raises `InputError` for a part that is none, and for what `sweep` refuses of a store.
+    """
+    blocks, (number, count) = store.blocks, part
+    if not 1 <= number <= count:
+        raise InputError(f"Argument `part` must be (k, n) with 1 <= k <= n, but is ({number}, {count}).")
+    share = range((number - 1) * blocks // count, number * blocks // count)
+    return run_share(store, share, True, progress)
+
+
+def run_share(
+    store: StoredSweep, share: range | None, resume: bool, progress: Callable[[int, int], None] | None
+) -> PartRun:
+    """Compute what these blocks, or all, want; without `resume` in a store that nobody has begun."""
+    made = store.computation
+    with opened(store.path, made.layout, made.dies, made.runner.block, resume, share) as work:
+        before = work.done
+        speed = made.runner.work(work, made.dies, progress)
+        return PartRun(work.wanted, work.done - before, tuple(work.notes), speed)
+
+
+def summarise(store: StoredSweep, speed: float | None = None) -> Summary:
+    """The figures of the dies that are there, read shard by shard and verified; damaged ones count as not computed,
+    which `notes` tells.
+
+    Counts, yield and root mean squares are exact, medians and percentiles too up to 65 536 dies; beyond they lie within
+    1 part in 8192 (`tally.Sketch`). `speed` in steps per second is passed on.
+    """
+    amiss: list[str] = []
+    return store.computation.summary(store.rows.groups(amiss), amiss, speed)
+
+
+def computation_of(
+    loop: ClosedLoop,
+    spread: Spread,
+    scenario: Scenario | AbstractProfile | float,
+    *,
+    dies: int,
+    sample_rate: float | str,
+    duration: float | str,
+    settle: float | str | None,
+    tolerance: float | str,
+    seed: int,
+    chunk: int | None,
+    bound_dies: int,
+) -> Computation:
+    """What `sweep` was asked for. Raises `InputError` for settings that cannot be run, and outside float64."""
+    runtime.require_float64("sweep")
+    loop, seed = as_loop(loop), whole("seed", seed)
+    dies, bound_dies = whole("dies", dies, 1), whole("bound_dies", bound_dies)
+    sample_rate, duration = quantity("sample_rate", sample_rate, "Hz"), quantity("duration", duration, "s")
+    settle = 0.5 * duration if settle is None else quantity("settle", settle, "s")
+    tolerance, chunk = quantity("tolerance", tolerance, "rad/s"), chunk and whole("chunk", chunk, 1)
+    scenario, loop = as_scenario(scenario), loop.sampled_at(sample_rate, duration=duration)
+    if not any(item.path.startswith(f"{DEVICE_PREFIX}effects.") for item in spread.resolved(loop)):
+        loop = loop.present
+    count_steps(sample_rate, duration)
+    _check(settle, duration, tolerance, chunk)
+    loop, hindered = prepared(loop, apart=any(_CHIMES.search(item.path) for item in spread.resolved(loop)))
+    windows = windows_of(loop, sample_rate, duration, settle, tolerance)
+    tell(notes := (*unexpected(loop, scenario, spread, seed, dies, sample_rate, duration), *hindered))
+    settings = Settings.of(loop, scenario, spread, windows, sample_rate=sample_rate, duration=duration, seed=seed)
+    runner = Runner(loop, scenario, spread, windows, seed, chunk or default_chunk())
+    return Computation(runner, settings, dies, bound_dies, notes)
+
+
+def _check(settle: float, duration: float, tolerance: float, chunk: int | None) -> None:
+    if not 0.0 <= settle < duration:
+        raise InputError(
+            f"Argument `settle` must lie within the duration of {duration:g} s, but {settle:g} s was given."
+        )
+    if not tolerance > 0.0:
+        raise InputError(f"Argument `tolerance` must be positive, but {tolerance:g} rad/s was given.")
+    if chunk is not None and chunk < 1:
+        raise InputError(f"Argument `chunk` must be at least 1, but {chunk} was given.")
