@@ -49,7 +49,7 @@ class Runner:
     @property
     def lanes(self) -> int:
         """Dies side by side on each of them."""
-        return lanes_of(self.mesh.devices.flat[0].platform)
+        return side_by_side(self.mesh.devices.flat[0].platform)
 
     def batches(self, block: int, dies: int) -> Iterator[dict[str, np.ndarray]]:
         """The rows of one block, batch by batch: a chunk for each device at a time, up to the block's end or `dies`.
@@ -145,7 +145,7 @@ def _joined(parts: list[np.ndarray]) -> np.ndarray:
     return np.where(np.isnan(rows), np.nan, rows) if np.issubdtype(rows.dtype, np.floating) else rows
 
 
-def lanes_of(platform: str) -> int:
+def side_by_side(platform: str) -> int:
     """Dies side by side: in a core's cache on a CPU, many on a GPU; without fused loops each of them must be long."""
     if platform != "cpu":
         return 8192
@@ -154,7 +154,7 @@ def lanes_of(platform: str) -> int:
 
 def default_chunk() -> int:
     """Dies per device and batch."""
-    return lanes_of(jax.local_devices()[0].platform)
+    return side_by_side(jax.local_devices()[0].platform)
 
 
 def windows_of(loop: ClosedLoop, sample_rate: float, duration: float, settle: float, tolerance: float) -> lot.Plan:
