@@ -2,7 +2,7 @@
 records cannot tell, or that it is none of those known.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -16,12 +16,13 @@ from memsgyro_jax.measurement.readings import model_of, readings_of
 
 from .fit import CaseFit
 from .joint_residual import Joint
-from .next_experiment import plans
-from .nuisances import decided_by, instrument_first, of_instrument, terms_of
+from .next_experiment import advice, next_experiments
+from .nuisances import instrument_first, of_instrument, terms_of
+from .optimum import Optimum
 from .outlying import Rows, search_beside_outlying, without_rows
 from .result import SIGMAS_SEEN, Accepted, Candidate, Diagnosis, Stage, Verdict, validation_error
-from .rounds import DECIDED, FITTED, search_on
-from .score import Score, basis, score, separation
+from .rounds import FITTED, search_on
+from .score import basis, score, separation
 from .search import CONFUSED, Ranking, Search, start_search
 from .wrong_noise import wrong_noise
 
@@ -94,6 +95,7 @@ def diagnose(
             verdict, tried = "nothing_missing", ()
     else:
         tried = ()
+    planned = next_experiments(search, ranking, confused, rival, explained=all(explained))
     return Diagnosis(
         case=case,
         base=base,
@@ -107,7 +109,8 @@ def diagnose(
         first=_listed(joint.model, first),
         candidates=_listed(search.joint.model, ranking),
         groups=tuple((a.label, *a.confused_with) for a in accepted if a.confused_with),
-        next_experiment=decided_by(terms, rival) or _next(search, ranking, confused, tell),
+        next_experiment=advice(planned),
+        next_experiments=planned,
         given=tuple(effect.label for effect in start.effects),
         steps=stages,
         level=level,
@@ -162,32 +165,28 @@ def _explained(fit: CaseFit, accepted: Sequence, level: float, noise: Mapping[st
     return [fine or p > alone for fine, p in zip(within, fit.p_values, strict=True)]
 
 
-def _confusions(search: Search, ranking: Ranking) -> dict[int, list[int]]:
-    """Per accepted effect the candidates that could stand in its place.
+def _confusions(search: Search, ranking: Ranking) -> dict[int, dict[int, Optimum]]:
+    """Per accepted effect the candidates that could stand in its place, and fits with them.
 
     Sensitivities only propose: taken with the effect present, they hold some for alike that are not (a change of the
     pick-off's scale on one axis changes the strength of a nonlinearity). A fit with the candidate instead decides.
     """
-    out: dict[int, list[int]] = {}
+    out: dict[int, dict[int, Optimum]] = {}
     for place in search.accepted:
         mine = search.own_score(place)
         q = basis(search.jacobian_without(place))
-        others = [score(search.optimum.residual, q, block) for block in ranking.slopes]
-        out[place] = [
-            other
-            for other, theirs in zip(ranking.places, others, strict=True)
-            if separation(mine.statistic, mine, theirs) < CONFUSED and _replaces(search, place, other)
-        ]
+        out[place] = {}
+        for other, block in zip(ranking.places, ranking.slopes, strict=True):
+            theirs = score(search.optimum.residual, q, block)
+            if separation(mine.statistic, mine, theirs) < CONFUSED:
+                instead = [other if i == place else i for i in search.accepted]
+                fit = search.refit(instead, start=search.without(place))
+                if fit.chi2 < search.optimum.chi2 + CONFUSED:
+                    out[place][other] = fit
     return out
 
 
-def _replaces(search: Search, place: int, other: int) -> bool:
-    """Whether a fit with another effect in place of an accepted one is as good."""
-    instead = [other if i == place else i for i in search.accepted]
-    return search.refit(instead, start=search.without(place)).chi2 < search.optimum.chi2 + CONFUSED
-
-
-def _accepted(search: Search, confused: dict[int, list[int]], steps) -> tuple[Accepted, ...]:
+def _accepted(search: Search, confused: Mapping[int, Iterable[int]], steps) -> tuple[Accepted, ...]:
     out = []
     labels = [s.added for s in steps]
     for place in confused:
@@ -271,57 +270,3 @@ def _listed(model: Model, ranking: Ranking) -> tuple[Candidate, ...]:
             )
         )
     return tuple(out)
-
-
-def _next(search: Search, ranking: Ranking, confused: dict[int, list[int]], tell) -> str | None:
-    """The first feasible experiment that would decide between an effect and its twin, else the best there is."""
-    pairs = [(place, twin) for place, twins in confused.items() for twin in twins[:1]]
-    if not pairs:
-        return _exciting(search, ranking)
-    place, twin = pairs[0]
-    labels = [search.joint.model.effects[i].label for i in (place, twin)]
-    best, best_gain = None, CONFUSED
-    for plan in plans(search.case, search.joint.readings):
-        tell(f"predict: {plan.text}")
-        gain = _decides(search, ranking, plan, place, twin)
-        if gain > best_gain:
-            best, best_gain = plan.text, gain
-        if gain >= DECIDED:
-            break
-    if best is None:
-        return f"none of the feasible experiments would tell {labels[0]} from {labels[1]}"
-    return f"{best}; it would tell {labels[0]} from {labels[1]} by {np.sqrt(best_gain):.3g} standard deviations"
-
-
-def _decides(search: Search, ranking: Ranking, plan, place: int, twin: int) -> float:
-    """Expected Δχ² between an effect and its twin once a planned experiment is added."""
-    mine, theirs = search.joint.of_effect(place), search.joint.of_effect(twin)
-    columns = np.concatenate([search.optimum.free, theirs])
-    units = np.eye(search.joint.start.size)[columns]
-    _, added = search.joint.linearise(search.optimum.vector, units, [plan.readings])
-    known = np.concatenate([search.optimum.jacobian, ranking.slopes[ranking.places.index(twin)]], axis=1)
-    whole = np.concatenate([known, np.where(np.isfinite(added), added, 0.0)])
-    is_mine, is_theirs = np.isin(columns, mine), np.isin(columns, theirs)
-    q = basis(whole[:, ~is_mine & ~is_theirs])
-    shown = whole[:, is_mine] @ search.optimum.vector[columns[is_mine]]
-    first: Score = score(shown, q, whole[:, is_mine])
-    return separation(first.statistic, first, score(shown, q, whole[:, is_theirs]))
-
-
-def _exciting(search: Search, ranking: Ranking) -> str | None:
-    """An experiment that would show candidates which these records cannot show."""
-    blind = [place for place, mine in zip(ranking.places, ranking.scores, strict=True) if mine.size == 0]
-    if not blind:
-        return None
-    columns = np.concatenate([search.optimum.free, *(search.joint.of_effect(i) for i in blind)])
-    units, best = np.eye(search.joint.start.size)[columns], (0, "")
-    for plan in plans(search.case, search.joint.readings):
-        _, added = search.joint.linearise(search.optimum.vector, units, [plan.readings])
-        added = np.where(np.isfinite(added), added, 0.0)
-        q = basis(added[:, : search.optimum.free.size])
-        news = [score(added[:, 0], q, added[:, [search.optimum.free.size + k]]).size for k in range(len(blind))]
-        best = max(best, (sum(news), plan.text), key=lambda pair: pair[0])
-    if best[0] == 0:
-        return None
-    labels = ", ".join(search.joint.model.effects[i].label for i in blind)
-    return f"{best[1]}; these records cannot show {labels}"

@@ -1,21 +1,50 @@
-"""Experiments that a laboratory could add to a case: the same records, driven, biased, heated or turned otherwise.
+"""What to measure next: each feasible experiment, scored by what it would decide between the candidates that are left.
 
-They have the shapes of records that were taken, so that the compiled programs predict them at once.
+Kinds of measurement propose experiments in the shapes of records that were taken, so that the compiled programs predict
+them at once. Of two models that explain the records, one is taken for the truth: its prediction is what the proposed
+experiment would record. The other is then refitted to all records and this one, to first order and with everything in
+it free. What it leaves of χ² beyond the truth is the expected Δχ² (the T-optimality of Atkinson and Fedorov, Biometrika
+62 (1975) 57).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
 
 from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.experiments import Readings
 
+from .joint_residual import WIDTH, Joint
+from .optimum import Optimum, optimise
+from .result import SIGMAS_SEEN, Prospect
+from .rounds import DECIDED
+from .score import basis, score
+from .search import CONFUSED, Ranking, Search, always_free
+
+
+HALF = 0.5  # of what an experiment tells: how few rows hold it is said
+NOTHING = " from nothing"
+MANY = 3  # labels that a sentence lists
+
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """A feasible experiment: what to do, and its readings as they would be predicted."""
+    """A feasible experiment: what to do, and its readings, those measured to be replaced."""
 
     text: str
     readings: Readings
+
+
+@dataclass(frozen=True, eq=False)
+class Rivals:
+    """Two models of the same records: their names, where the one fits, and where the other."""
+
+    names: tuple[str, str]
+    truth: Optimum
+    other: Optimum
 
 
 def plans(case: Case, readings: Sequence[Readings]) -> tuple[Proposal, ...]:
@@ -23,6 +52,175 @@ def plans(case: Case, readings: Sequence[Readings]) -> tuple[Proposal, ...]:
     return tuple(
         Proposal(text, replace(taken, experiment=other))
         for taken in readings
-        if taken.fitted
+        if taken.fitted and taken.record.max(initial=-1) >= 0
         for text, other in taken.experiment.proposals(case.records[int(taken.record[0])].name)
     )
+
+
+def next_experiments(
+    search: Search, ranking: Ranking, twins: Mapping[int, Mapping[int, Optimum]], rival: str, *, explained: bool
+) -> tuple[Prospect, ...]:
+    """What each feasible experiment would decide, the best first.
+
+    Best are those that decide beyond doubt, the least effort first among them; the others follow by their expected Δχ².
+
+    Args:
+        search, ranking: at its end, and the candidates that are left.
+        twins: per accepted effect, those that could stand in its place, and fits with them.
+        rival: label of an effect of the device that explains as much as the instrument; empty where there is none.
+        explained: whether nothing but noise is left; else the two best guesses are to be told apart.
+    """
+    rivals = _rivals(search, twins, rival) or ([] if explained else _guesses(search, ranking))
+    weigh = _told_apart(search.joint, rivals) if rivals else _shown(search, ranking)
+    found = []
+    for plan in plans(search.case, search.joint.readings):
+        search.tell(f"predict: {plan.text}")
+        found.append(weigh(plan))
+    most = DECIDED if rivals else np.inf
+    return tuple(sorted(found, key=lambda p: (-p.shown, -min(p.chi2, most))))
+
+
+def advice(prospects: Sequence[Prospect]) -> str | None:
+    """A sentence on the best of them; `None` where nothing can be proposed."""
+    if not prospects:
+        return None
+    best = prospects[0]
+    if best.shown:
+        return f"{best.experiment}; it would {best.decides}"
+    by = f"{np.sqrt(best.chi2):.3g} standard deviations"
+    if best.decides.endswith(NOTHING):
+        effect = best.decides.removesuffix(NOTHING)
+        return f"{best.experiment}; {effect} as weak as these records would just show it would stand out by {by}"
+    if best.chi2 <= CONFUSED:
+        return f"none of the feasible experiments would tell {best.decides}"
+    return f"{best.experiment}; it would tell {best.decides} by {by}{best.where}"
+
+
+# ---- two models that explain the same records
+
+
+def _rivals(search: Search, twins: Mapping[int, Mapping[int, Optimum]], rival: str) -> list[Rivals]:
+    """The pairs that are to be told apart: an effect and each that could stand in its place, or the instrument and an
+    effect of the device.
+    """
+    joint, labels = search.joint, [effect.label for effect in search.joint.model.effects]
+    out = []
+    for place, others in twins.items():
+        out += [Rivals((labels[place], labels[other]), search.optimum, fit) for other, fit in others.items()]
+    terms = [i for i in search.given if joint.model.effects[i].of_instrument]
+    if terms and rival in labels:
+        start = search.optimum.vector.copy()
+        start[np.concatenate([joint.of_effect(i) for i in terms])] = 0.0
+        kept = [i for i in (*search.given, *search.accepted) if i not in terms]
+        fit = optimise(joint, start, always_free(joint, [*kept, labels.index(rival)]), joint.fitted)
+        out.append(Rivals((" and ".join(labels[i] for i in terms), rival), search.optimum, fit))
+    return out
+
+
+def _guesses(search: Search, ranking: Ranking) -> list[Rivals]:
+    """The two models that come nearest to an unknown law: that of the search, or one with its best candidate, and the
+    same with the next candidate in place of the last.
+    """
+    places = [ranking.places[i] for i in ranking.order if ranking.scores[i].size]
+    labels = [effect.label for effect in search.joint.model.effects]
+    if search.accepted and places:
+        *kept, last = search.accepted
+        fit = search.refit([*kept, places[0]], start=search.without(last))
+        return [Rivals((labels[last], labels[places[0]]), search.optimum, fit)]
+    if len(places) < 2:
+        return []
+    first, second = (search.refit([place]) for place in places[:2])
+    return [Rivals((labels[places[0]], labels[places[1]]), first, second)]
+
+
+def _told_apart(joint: Joint, rivals: Sequence[Rivals]) -> Callable[[Proposal], Prospect]:
+    """What a proposal is worth: of several pairs, the one that it tells least."""
+
+    def weigh(plan: Proposal) -> Prospect:
+        told = [(*expected(joint, pair, plan.readings), pair) for pair in rivals]
+        chi2, rows, pair = min(told, key=lambda one: one[0])
+        return Prospect(plan.text, f"{pair.names[0]} from {pair.names[1]}", chi2, where=_where(plan.readings, rows))
+
+    return weigh
+
+
+def expected(joint: Joint, pair: Rivals, planned: Readings) -> tuple[float, np.ndarray]:
+    """Expected Δχ² between two models once an experiment is added, and what each of its rows (n,) adds to it."""
+    recorded = as_recorded(joint, pair.truth, planned)
+    units = np.eye(joint.start.size)[pair.other.free]
+    value, slope = map(_finite, joint.linearise(pair.other.vector, units, [recorded]))
+    value = value - _finite(joint.residual(pair.truth.vector, [recorded])[0])
+    whole, left = np.concatenate([pair.other.jacobian, slope]), np.concatenate([pair.other.residual, value])
+    q = basis(whole)
+    left = left - q @ (q.T @ left)
+    rows = np.sum(left[-value.size :].reshape(planned.record.size, -1) ** 2, axis=1)
+    return max(0.0, float(left @ left) - pair.truth.chi2), rows
+
+
+def as_recorded(joint: Joint, truth: Optimum, planned: Readings) -> Readings:
+    """An experiment that recorded what a model predicts; as it stands where its noise has no `std`."""
+    measured, std = planned.experiment.measured, getattr(planned.experiment.noise, "std", None)
+    if std is None:
+        return planned
+    white = _finite(joint.residual(truth.vector, [planned])[0]).reshape(*measured.shape, -1)
+    error = _finite(np.broadcast_to(std, measured.shape)) * (white @ (1.0, 1.0j)[: white.shape[-1]])
+    experiment = eqx.tree_at(lambda e: e.measured, planned.experiment, measured - jnp.asarray(error))
+    return replace(planned, experiment=experiment)
+
+
+def _finite(values: np.ndarray) -> np.ndarray:
+    """The same with zero for rows that have no weight or no prediction."""
+    return np.where(np.isfinite(values), values, 0.0)
+
+
+def _where(planned: Readings, rows: np.ndarray) -> str:
+    """How few rows hold half of what an experiment tells, and where the best of them is."""
+    order = np.argsort(-rows)
+    few = 1 + int(np.searchsorted(np.cumsum(rows[order]), HALF * rows.sum()))
+    place = planned.experiment.at(int(order[0]))
+    return f", half of it in {few} of {rows.size} rows, first {place}" if place and rows.sum() > 0 else ""
+
+
+# ---- nothing left to tell apart: what is not seen yet
+
+
+def _shown(search: Search, ranking: Ranking) -> Callable[[Proposal], Prospect]:
+    """What a proposal is worth where no two models are left: effects that the records cannot show and it would, and
+    else, of those that the records speak for most, the one that gains most, at the strength that would just show.
+    """
+    joint, order = search.joint, ranking.order
+    blind = [i for i in range(len(order)) if not ranking.scores[i].size]
+    seen = [i for i in order if ranking.scores[i].size]
+    columns = np.concatenate([search.optimum.free, *(joint.of_effect(ranking.places[i]) for i in (*blind, *seen))])
+    columns = columns[: WIDTH * (1 + (search.optimum.free.size + len(blind)) // WIDTH)]  # as many as cost no more
+    looked = [i for i in (*blind, *seen) if np.isin(joint.of_effect(ranking.places[i]), columns).all()]
+
+    def weigh(plan: Proposal) -> Prospect:
+        if seen and any(plan.readings.experiment is r.experiment for r in joint.fitted):  # twice the same tells twice
+            return Prospect(
+                plan.text, _news((), joint.model.effects[ranking.places[seen[0]]].label), 2 * SIGMAS_SEEN**2
+            )
+        slopes = search.sensitivities(columns, [plan.readings], sure=not blind)
+        part = {i: slopes[:, np.isin(columns, joint.of_effect(ranking.places[i]))] for i in looked}
+        free = slopes[:, : search.optimum.free.size]
+        alone, both = basis(free), basis(np.concatenate([search.optimum.jacobian, free]))
+        new, gains = [], [(0.0, "")]
+        for i in looked:
+            label = joint.model.effects[ranking.places[i]].label
+            if ranking.scores[i].size:
+                whole = np.concatenate([ranking.slopes[i], part[i]])
+                more = score(np.zeros(len(whole)), both, whole).information / ranking.scores[i].information
+                gains.append((float((SIGMAS_SEEN * more) ** 2), label))
+            elif score(np.zeros(len(free)), alone, part[i]).size:
+                new.append(label)
+        chi2, label = max(gains)
+        return Prospect(plan.text, _news(new, label), chi2, shown=len(new))
+
+    return weigh
+
+
+def _news(new: Sequence[str], label: str) -> str:
+    if not new:
+        return f"{label}{NOTHING}"
+    more = f" and {len(new) - MANY} more" if len(new) > MANY else ""
+    return f"show {', '.join(new[:MANY])}{more}, which these records cannot"

@@ -110,14 +110,6 @@ def _numbers_of(term: Accepted) -> str:
     return f"{term.label} {', '.join(held)} {term.unit}".removesuffix(" 1")
 
 
-def decided_by(terms: Sequence[Accepted], rival: str) -> str:
-    """What tells a drift from a dependence on the amplitude; empty where nothing of the kind is in question."""
-    drifts = [term.label for term in terms if term.label.endswith("_drift")]
-    if not drifts or not rival:
-        return ""
-    return f"repeat the first drive level at the end of the record; it would tell {drifts[0]} from {rival}"
-
-
 def instrument_alone(search: Search, first: Ranking, share: float = FAINT) -> Search | None:
     """The present model with the terms of the instrument that its records need; `None` where they need none, or where
     an effect of the device explains far more.

@@ -20,6 +20,7 @@ from .fit import CaseFit
 
 Verdict = Literal["nothing_missing", "instrument_only", "found", "cannot_tell", "partly_explained", "unknown_effect"]
 DRAW = "memsgyro law {} --out my_law.py"
+_PLANNED = 5  # next experiments that are printed
 SIGMAS_SEEN = 4.3  # strength over its standard deviation that is found nine times in ten among some forty candidates
 
 
@@ -92,6 +93,25 @@ class Stage:
     validation_error: float
 
 
+@dataclass(frozen=True)
+class Prospect:
+    """A feasible experiment and what it would decide.
+
+    Args:
+        experiment: what to do.
+        decides: what it would tell, "A from B", or show.
+        chi2: expected Δχ² between the two once it is added to the records, everything free refitted.
+        shown: how many effects it would show that the records cannot.
+        where: how few of its rows hold half of that, and the best of them.
+    """
+
+    experiment: str
+    decides: str
+    chi2: float
+    shown: int = 0
+    where: str = ""
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Diagnosis(Shown):
     """Outcome of `diagnose`; prints itself.
@@ -104,6 +124,7 @@ class Diagnosis(Shown):
         first, candidates: all candidates beside the base model, and those left beside the final one, best first.
         groups: labels that these records cannot tell apart.
         next_experiment: what would decide, or `None`.
+        next_experiments: all that are feasible within what was recorded, the best first.
         steps: how the error fell.
         level: probability of a false alarm that was allowed.
         given: labels of the effects that the model had from the beginning.
@@ -130,6 +151,7 @@ class Diagnosis(Shown):
     instrument: tuple[Accepted, ...] = ()
     scale: float = 1.0
     outlying: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+    next_experiments: tuple[Prospect, ...] = ()
 
     @property
     def model(self) -> Model:
@@ -167,6 +189,7 @@ class Diagnosis(Shown):
         ]
         if self.next_experiment:
             lines += ["", f"  next experiment: {self.next_experiment}"]
+            lines += [f"    Δχ² {p.chi2:8.3g}  {p.experiment}" for p in self.next_experiments if not p.shown][:_PLANNED]
         if self.verdict in ("unknown_effect", "partly_explained"):
             lines += ["", f"  the law that is missing, drawn, written and fitted: {DRAW.format(self.case.folder)}"]
         return "\n".join(lines)
@@ -187,6 +210,7 @@ class Diagnosis(Shown):
             "candidates_of_base": [asdict(c) for c in self.first],
             "groups": [list(group) for group in self.groups],
             "next_experiment": self.next_experiment,
+            "next_experiments": [asdict(p) for p in self.next_experiments],
             "residual": {e.name: e.rms for e in self.final.errors if not e.explained},
             "steps": [asdict(s) for s in self.steps],
             "tried": [asdict(s) for s in self.tried],

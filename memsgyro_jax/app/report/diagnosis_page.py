@@ -32,6 +32,7 @@ def diagnosis_page(diagnosis: Diagnosis) -> Page:
     _effects(out, diagnosis)
     if diagnosis.next_experiment:
         out.text(f"What to measure next: {diagnosis.next_experiment}.")
+    _planned(out, diagnosis)
     if len(diagnosis.steps) > 1:
         names = "; ".join(f"step {k}: {_added(s.added)}" for k, s in enumerate(diagnosis.steps) if k)
         out.figure(figures.steps_figure(diagnosis.steps), f"How the error fell. {names}.")
@@ -61,6 +62,16 @@ def _effects(out: Page, diagnosis: Diagnosis) -> None:
             + (f" Intervals are {diagnosis.scale:.3g} times those of the noise, as the model leaves more."
                if diagnosis.scale > 1.0 else ""),
         )  # fmt: skip
+
+
+def _planned(out: Page, diagnosis: Diagnosis) -> None:
+    if diagnosis.next_experiments:
+        out.table(
+            ["feasible experiment", "would tell or show", "expected Δχ²"],
+            [[p.experiment, p.decides + p.where, as_times(p.chi2)] for p in diagnosis.next_experiments],
+            "Within what was recorded: conditions as they were varied, drives up to twice the largest. Expected Δχ² "
+            "between the two once the experiment is added, with everything else refitted to first order.",
+        )
 
 
 def _tried(out: Page, diagnosis: Diagnosis) -> None:

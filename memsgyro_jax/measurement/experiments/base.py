@@ -16,6 +16,9 @@ from memsgyro_jax.device.conditions import Conditions
 from ..declared import Declared
 
 
+BEYOND = 2.0  # times the largest drive or speed in a record: so far a next experiment may go
+
+
 class Noise(eqx.Module):
     """How far a record may lie from its prediction."""
 
@@ -107,9 +110,16 @@ class Experiment(eqx.Module):
     def proposals(self, name: str) -> Iterator[tuple[str, "Experiment"]]:
         """Experiments of the same shapes that a laboratory could add, the least effort first; none by default.
 
-        Each is a sentence that says what to do with the record `name`, and what would then be predicted.
+        Each is a sentence that says what to do with the record `name`, and what would then be predicted. They stay
+        within what the record shows that device and instruments can do: conditions that were varied, within the values
+        that they had, and drives and speeds within `BEYOND` times the largest. `measured`, near which a prediction may
+        look for its branch or start, need not be right.
         """
         yield from ()
+
+    def at(self, row: int) -> str:
+        """Where a row was or would be taken, for people: e.g. "near 3000 Hz"; empty by default."""
+        return ""
 
     @property
     def finer(self) -> "Experiment | None":

@@ -1,6 +1,6 @@
 """Free decay: a vibration that dies out, whatever made it; how it began is solved for."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self
 
@@ -24,7 +24,7 @@ from ..model import Model
 from ..section import ExperimentSection, Quantity
 from ..steady import fundamental
 from ..tracking import Track
-from .base import CartesianNoise, Experiment, Noise, Readings, RealNoise, surroundings
+from .base import BEYOND, CartesianNoise, Experiment, Noise, Readings, RealNoise, surroundings
 from .checks import check_sampling
 from .clocked import WaveformRecord
 from .deviation import Deviation, Series, in_phase, segments
@@ -84,6 +84,15 @@ class FreeDecay(Experiment):
             return left - slope.T @ (inverse(slope @ slope.T) @ (slope @ left))
 
         return jax.vmap(one)(starts, slopes, *self._pieces()).ravel()
+
+    def proposals(self, name: str) -> Iterator[tuple[str, Experiment]]:
+        """Again as it was, and from a larger start."""
+        yield f"repeat `{name}`", self
+        larger = eqx.tree_at(lambda d: (d.measured, d.start), self, (BEYOND * self.measured, BEYOND * self.start))
+        yield f"repeat `{name}` from {BEYOND:g} times the amplitude", larger
+
+    def at(self, row: int) -> str:
+        return f"at {float(np.asarray(self.surroundings.time)[row]):.4g} s"
 
     def _pieces(self) -> tuple[Array, Noise, Conditions]:
         """Readings, their noise (each reading's own, as rows may be left out) and conditions of every piece."""

@@ -11,14 +11,20 @@ import numpy as np
 from jaxtyping import Array, Complex, Float
 
 from memsgyro_jax.base.linalg import inverse
+from memsgyro_jax.base.text import spoken
 from memsgyro_jax.device.conditions import Conditions
 from memsgyro_jax.effects.base import SweepEffect
 
 from ..lock_in import through_lock_in
 from ..model import Model
 from ..steady import FINENESS, Fineness, drive_waveform, fundamental, spectrum, steady_state, waveform
-from .base import Experiment, Noise
+from .base import BEYOND, Experiment, Noise
 from .missing_force import receptance
+
+
+_VARIED = 3e-3  # of the largest value: below it a condition was held
+_COLD = 200.0  # K: below it nobody counts in °C
+_LEVELS = 0.05  # of the largest drive: below it a drive is that of the others, as it was read
 
 
 class HarmonicSweep(Experiment):
@@ -94,21 +100,80 @@ class HarmonicSweep(Experiment):
         return dataclasses.replace(self, fineness=FINENESS[place]) if place < len(FINENESS) else None
 
     def proposals(self, name: str) -> Iterator[tuple[str, Experiment]]:
-        """All sweeps at once, driven harder, on the other axis, warmer and colder, at other bias voltages."""
-        again = "repeat the frequency sweeps"
-        driven = eqx.tree_at(lambda s: (s.force, s.near), self, (3.0 * self.force, 3.0 * self.near))
-        yield f"{again} at 3 times the drive", driven
-        if self.force.shape[1] == 2:
-            turned = eqx.tree_at(lambda s: (s.force, s.near), self, (self.force[:, ::-1], self.near[:, ::-1]))
-            yield f"{again} with the other axis driven", turned
-        place = np.arange(self.frequency.shape[0]) % 4
-        kelvin = self.surroundings.temperature + jnp.asarray(40.0 * np.sign(place - 1.5))
-        heated = eqx.tree_at(lambda s: s.surroundings.temperature, self, kelvin)
-        yield f"{again} 40 K below and above the temperature", heated
-        volts = jnp.where(self.surroundings.bias_voltage == 0, 5.0, self.surroundings.bias_voltage)
-        volts = volts * np.where(place < 2, 0.5, 1.5)
-        biased = eqx.tree_at(lambda s: s.surroundings.bias_voltage, self, volts)
-        yield f"{again} at half and 1.5 times the bias voltage", biased
+        """All sweeps again: as they were, the first drive after the last, over other bands, at the ends of what was
+        varied, on the other axis, at other drives.
+        """
+        again, around = "repeat the frequency sweeps", self.surroundings
+        yield again, self
+        if (late := self._first_again()) is not None:
+            yield "repeat the first drive level at the end of the record", late
+        yield f"{again} over half the band, around the resonance", self._over(0.5)
+        yield f"{again} over {BEYOND:g} times the band", self._over(BEYOND)
+        for what, unit in (("temperature", "K"), ("bias_voltage", "V"), ("rate", "rad/s")):
+            values = np.asarray(getattr(around, what))
+            ends = float(values.min()), float(values.max())
+            if np.ptp(values) > _VARIED * np.abs(values).max():
+                half = np.where(np.arange(values.size) % 4 < 2, *ends)  # rows that are fitted are often every second
+                moved = eqx.tree_at(lambda s, what=what: getattr(s.surroundings, what), self, jnp.asarray(half))
+                low, high = (f"{end:.4g} K" if unit == "K" and end < _COLD else spoken(end, unit) for end in ends)
+                yield f"{again} at {what.replace('_', ' ')}s of {low} and {high}, the ends of what was recorded", moved
+        yield f"{again} at half the drive", self._driven(0.5)
+        used = np.any(np.asarray(self.force) != 0, axis=0)
+        if used.size == 2 and not used.all():
+            turned = (self.force[:, ::-1], self.near[:, ::-1])
+            yield f"{again} with the other axis driven", eqx.tree_at(lambda s: (s.force, s.near), self, turned)
+        yield f"{again} at {BEYOND:g} times the drive", self._driven(BEYOND)
+
+    def at(self, row: int) -> str:
+        level = np.abs(np.asarray(self.force)).max(axis=1)
+        where = f"near {spoken(float(self.frequency[row]) / (2 * np.pi), 'Hz')}"
+        highest = np.ptp(level) > _LEVELS * level.max() and level[row] == level.max()
+        return f"{where} at the highest drive" if highest else where
+
+    def _driven(self, times: float) -> "HarmonicSweep":
+        """The same at so many times the drive."""
+        where = lambda s: (s.force, s.near, s.measured, *(() if s.before is None else (s.before,)))  # noqa: E731
+        return eqx.tree_at(where, self, tuple(times * part for part in where(self)))
+
+    def _rows(self) -> tuple[np.ndarray, np.ndarray]:
+        """Number of the single sweep that each row belongs to, and its displacement along the drive."""
+        label = np.stack([np.asarray(self.surroundings.record), np.asarray(self.surroundings.sweep)], axis=1)
+        driven = np.argmax(np.abs(np.asarray(self.force)), axis=1)
+        return np.unique(label, axis=0, return_inverse=True)[1].ravel(), np.take_along_axis(
+            np.asarray(self.near), driven[:, None], axis=1
+        )[:, 0]
+
+    def _over(self, times: float) -> "HarmonicSweep":
+        """The same over a band so many times as wide about the strongest row of each sweep."""
+        (sweep, motion), omega = self._rows(), np.asarray(self.frequency)
+        moved, near = omega.copy(), np.array(self.near)
+        for number in np.unique(sweep):
+            rows = np.flatnonzero(sweep == number)
+            peak = omega[rows[np.argmax(np.abs(motion[rows]))]]
+            moved[rows] = np.maximum(peak + times * (omega[rows] - peak), peak / BEYOND)
+            order = rows[np.argsort(omega[rows], kind="stable")]
+            for axis in range(near.shape[1]):
+                near[rows, axis] = np.interp(moved[rows], omega[order], np.asarray(self.near)[order, axis])
+        return eqx.tree_at(lambda s: (s.frequency, s.near), self, (jnp.asarray(moved), jnp.asarray(near)))
+
+    def _first_again(self) -> "HarmonicSweep | None":
+        """The first of several drives of a record with a clock, once more after the last; `None` where there is none.
+
+        It fills the first rows, and the others have no weight.
+        """
+        time, record = np.asarray(self.surroundings.time), np.asarray(self.surroundings.record)
+        (sweep, _), level = self._rows(), np.abs(np.asarray(self.force)).max(axis=1)
+        for number in np.unique(record):
+            mine = np.flatnonzero(record == number)
+            first = mine[sweep[mine] == sweep[mine[0]]]
+            if np.ptp(level[mine]) > _LEVELS * level[mine].max() and np.ptp(time[mine]) > 0:
+                rows = np.resize(first, time.size)
+                again = jax.tree.map(lambda leaf, rows=rows: leaf[rows] if jnp.ndim(leaf) else leaf, self)
+                later = again.surroundings.time + (time[mine].max() - time[first].min())
+                again = eqx.tree_at(lambda s: s.surroundings.time, again, later)
+                silent = jnp.where((np.arange(time.size) < first.size)[:, None], 1.0, jnp.inf)
+                return eqx.tree_at(lambda s: s.noise.std, again, again.noise.std * silent)
+        return None
 
     @eqx.filter_jit
     def missing(self, model: Model) -> tuple[Complex[Array, "n a"], Complex[Array, "n a"], Float[Array, "n a a"]]:

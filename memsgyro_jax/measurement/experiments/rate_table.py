@@ -23,12 +23,15 @@ from ..lock_in import through_lock_in
 from ..model import Model
 from ..section import Axis, ExperimentSection, Quantity
 from ..steady import fundamental, steady_state
-from .base import CartesianNoise, Experiment, Noise, Phasors, surroundings
+from .base import BEYOND, CartesianNoise, Experiment, Noise, Phasors, surroundings
 from .clocked import ClockedRecord
 from .deviation import Deviation, Known, Series, Variable, by_setting, in_phase, segments
 from .missing_force import RateResidual, residual_over_rate
 from .record import Watched
 from .sheet import Sheet
+
+
+_SELDOM = 0.95  # of the rows turn more slowly than the fastest that a table is asked for
 
 
 class RateTable(Experiment):
@@ -69,18 +72,29 @@ class RateTable(Experiment):
         return through_lock_in(bench, given, self.frequency, driven.force, self.measured, self.surroundings)
 
     def proposals(self, name: str) -> Iterator[tuple[str, Experiment]]:
-        """Rates that are known from a calibrated reference, fast rates, and a stronger drive."""
-        count, time, most = self.time.shape[0], np.asarray(self.time), np.radians(100.0)
-        phase, pace = np.arange(count) / count, 2 * np.pi * 20.0
-        rate = most * np.sign(np.sin(2 * np.pi * 4 * phase)) * (phase < 0.5)
-        rate = rate + most * np.sin(2 * np.pi * 10 * phase) * (phase >= 0.5)
-        slope = np.gradient(rate, float(time[-1] - time[0]) / max(count - 1, 1))
-        known = self._turning(rate, slope)
-        known = eqx.tree_at(lambda t: t.surroundings.rate_trusted, known, jnp.ones(count))
-        yield f"repeat `{name}` at known rate: steps and sines of 100 deg/s, calibrated", known
-        shaken = self._turning(most * np.sin(pace * time), most * pace * np.cos(pace * time))
-        yield f"repeat `{name}` with a rate sine of 100 deg/s at 20 Hz", shaken
-        yield f"repeat `{name}` at 3 times the drive", eqx.tree_at(lambda t: t.force, self, 3.0 * self.force)
+        """Again as it was; rates up to the largest, known from a calibrated reference; fast ones; a stronger drive."""
+        count, time, around = self.time.shape[0], np.asarray(self.time), self.surroundings
+        most = float(np.max(np.abs(around.rate)))
+        fastest = float(np.quantile(np.abs(around.angular_acceleration), _SELDOM))  # but for jumps
+        yield f"repeat `{name}`", self
+        if most > 0:
+            phase, size = np.arange(count) / count, f"{np.degrees(most):.3g} deg/s"
+            rate = most * np.sign(np.sin(2 * np.pi * 4 * phase)) * (phase < 0.5)
+            rate = rate + most * np.sin(2 * np.pi * 10 * phase) * (phase >= 0.5)
+            slope = np.gradient(rate, float(time[-1] - time[0]) / max(count - 1, 1))
+            known = self._turning(rate, slope)
+            known = eqx.tree_at(lambda t: t.surroundings.rate_trusted, known, jnp.ones(count))
+            yield f"repeat `{name}` at known rate: steps and sines of {size}, calibrated", known
+        if most > 0 and fastest > 0:
+            pace = BEYOND * fastest / most
+            shaken = self._turning(most * np.sin(pace * time), most * pace * np.cos(pace * time))
+            yield f"repeat `{name}` with a rate sine of {size} at {pace / (2 * np.pi):.3g} Hz", shaken
+        where = lambda t: (t.force, t.measured)  # noqa: E731
+        stronger = eqx.tree_at(where, self, (BEYOND * self.force, BEYOND * self.measured))
+        yield f"repeat `{name}` at {BEYOND:g} times the drive", stronger
+
+    def at(self, row: int) -> str:
+        return f"at {float(self.time[row]):.4g} s"
 
     def _turning(self, rate: np.ndarray, slope: np.ndarray) -> "RateTable":
         """The same with another rate (n,) [rad/s] and its slope [rad/s²]."""

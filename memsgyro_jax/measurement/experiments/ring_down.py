@@ -1,5 +1,6 @@
 """Ring-down: driven from rest for a while, then left alone."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
@@ -19,7 +20,7 @@ from ..envelope import Driven
 from ..model import Model
 from ..section import Axis, ExperimentSection, Quantity
 from ..tracking import Track
-from .base import Experiment, Noise, RealNoise, surroundings
+from .base import BEYOND, Experiment, Noise, RealNoise, surroundings
 from .checks import check_sampling, exchanged
 from .clocked import WaveformRecord
 from .sheet import Sheet
@@ -71,6 +72,15 @@ class RingDown(Experiment):
             return bench.observe(free.instant(state, time), quiet, quiet, self.surroundings)
 
         return jax.vmap(sample)(states, self.time)
+
+    def proposals(self, name: str) -> Iterator[tuple[str, Experiment]]:
+        """Again as it was, and from a stronger drive."""
+        yield f"repeat `{name}`", self
+        driven = eqx.tree_at(lambda r: r.force, self, BEYOND * self.force)
+        yield f"repeat `{name}` at {BEYOND:g} times the drive", driven
+
+    def at(self, row: int) -> str:
+        return f"at {float(self.time[row]):.4g} s"
 
 
 class RingDownSection(ExperimentSection):

@@ -21,7 +21,7 @@ from ..declared import Declared
 from ..envelope import run_samples
 from ..model import Model
 from ..section import ExperimentSection
-from .base import Experiment, Noise, Phasors, RealNoise, surroundings
+from .base import BEYOND, Experiment, Noise, Phasors, RealNoise, surroundings
 from .checks import check_sampling
 from .clocked import WaveformRecord
 from .deviation import Known
@@ -72,9 +72,14 @@ class RawCapture(Experiment):
         return jax.vmap(bench.observe)(states[kept], self.forces[kept], self.increments[kept] / self.step, now)
 
     def proposals(self, name: str) -> Iterator[tuple[str, Experiment]]:
-        """A stronger drive."""
-        stronger = (3.0 * self.forces, 3.0 * self.increments)
-        yield f"repeat `{name}` at 3 times the drive", eqx.tree_at(lambda s: (s.forces, s.increments), self, stronger)
+        """Again as it was, and a stronger drive."""
+        yield f"repeat `{name}`", self
+        stronger = (BEYOND * self.forces, BEYOND * self.increments)
+        driven = eqx.tree_at(lambda s: (s.forces, s.increments), self, stronger)
+        yield f"repeat `{name}` at {BEYOND:g} times the drive", driven
+
+    def at(self, row: int) -> str:
+        return f"at {float(self.time[row]):.4g} s"
 
 
 class TimeSection(ExperimentSection):
