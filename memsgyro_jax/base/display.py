@@ -47,6 +47,7 @@ _FIELDS = {
     "Hz": "frequency bandwidth low high",
     "s": "at until time times delay duration decay window settle allowed",
     "SI per kg": "theta theta_std",
+    "m²/s³": "ProcessNoise.acceleration",
     "SI²/s": "ProcessNoise.motion ProcessNoise.offset ProcessNoise.theta",
     "SI": "Normal.std Uniform.low Uniform.high",
     "*": "level after before values Ramp.start RandomWalk.start Tone.amplitude Sine.amplitude Chirp.amplitude",

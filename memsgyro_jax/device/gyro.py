@@ -21,7 +21,8 @@ from memsgyro_jax.base.concrete import is_concrete as is_concrete
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.fields import Scalar as Scalar
 
-from .carried import AbstractEffect, CarriesEffects, Effects
+from .brownian import HasTemperature
+from .carried import AbstractEffect, Effects
 from .inertial import UNCHANGED as UNCHANGED
 from .inertial import Change as Change
 from .inertial import Inertial as Inertial
@@ -148,7 +149,7 @@ DUAL_MASS = MotionModel(
 """Thesis (3.4): separate moving masses, no cross damping; rate_x = m1·Ω/(m1 + m2)."""
 
 
-class AbstractGyro(CarriesEffects):
+class AbstractGyro(HasTemperature):
     """A two-axis gyro. A new kind of device gives its `model` table and the two methods; `dynamics` is that of the base
     device, which the loop extends by the `effects`. `couplings` names the fields that couple the axes, which no maker
     holds at zero, with the two main coefficients that each stands beside.
@@ -199,6 +200,7 @@ class SingleMassGyro(AbstractGyro):
     def __init__(
         self, mass, kxx, kyy, kxy, dxx, dyy, dxy, *, dyx=None, rotating_frame: bool = False,
         effects: tuple[AbstractEffect, ...] = (), reference_temperature: float = 298.15, reference_bias: float = 0.0,
+        temperature: Scalar | None = None,
     ):  # fmt: skip
         self.mass, self.kxx, self.kyy, self.kxy = mass, kxx, kyy, kxy
         self.dxx, self.dyy, self.dxy = dxx, dyy, dxy
@@ -206,6 +208,7 @@ class SingleMassGyro(AbstractGyro):
         self.rotating_frame = rotating_frame
         self.effects = Effects.of(effects)
         self.reference_temperature, self.reference_bias = reference_temperature, reference_bias
+        self.temperature = temperature
 
     def __check_init__(self):
         check_positive("mass", self.mass)

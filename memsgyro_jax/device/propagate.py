@@ -17,6 +17,7 @@ from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.fields import AbstractVar
 
+from .brownian import white_covariance
 from .gyro import Dynamics, Pair, Scalar
 from .small import Matrix, Vector, identity, zeros
 
@@ -99,6 +100,13 @@ class AbstractDiscretisation(Displayed):
     def transition(self, stiffness: Matrix, velocity: Matrix, period: Scalar) -> Transition:
         """The same as matrices, with the nodes that a derivative needs."""
 
+    def white(self, stiffness: Matrix, velocity: Matrix, density: Matrix, period: Scalar) -> Matrix:
+        """Covariance of the motion that a white acceleration of two-sided `density` [m²/s³] adds in a sample."""
+        return white_covariance(stiffness, velocity, density, period, _LONG)
+
+
+_LONG = 24  # terms, for modes up to a third of the sample rate
+
 
 def _kicked(motion: State4, time: Scalar, acceleration: Pair) -> State4:
     x, y, vx, vy = motion
@@ -174,6 +182,10 @@ class Exact(AbstractDiscretisation):
         )
         return Transition(full, push, nodes)
 
+    def white(self, stiffness: Matrix, velocity: Matrix, density: Matrix, period: Scalar) -> Matrix:
+        """Exact to rounding when the order covers the sample rate: squares turn twice as fast as the motion."""
+        return white_covariance(stiffness, velocity, density, period, _twice(self.order))
+
 
 _NODES_ERROR = 0.08  # of the derivative, in what turns at twice the highest frequency; a run's figures do not show it
 _LEAST_LEFT = 1e-6  # beyond, a covariance is singular to rounding
@@ -183,6 +195,11 @@ def _gauss_error(nodes: int, phase: float) -> float:
     """Share by which the rule of Gauss misses the integral of a sine over a sample of `phase` [rad]."""
     constant = math.factorial(nodes) ** 4 / ((2 * nodes + 1) * math.factorial(2 * nodes) ** 3)
     return constant * phase ** (2 * nodes)
+
+
+def _twice(order: int) -> int:
+    """The order that covers twice the phase that `order` covers."""
+    return _order(2.0 * (_REMAINDER * math.factorial(order + 1)) ** (1.0 / (order + 1)), least=order)
 
 
 def _shorter(order: int, share: float) -> int:
@@ -216,6 +233,10 @@ class ForwardEuler(AbstractDiscretisation):
         full = one.beside(period * one).above((period * spring).beside(one + period * damper))
         push = zeros(2, 2).above(period * one)
         return Transition(full, push, (Node(identity(4), zeros(4, 2), push),))
+
+    def white(self, stiffness: Matrix, velocity: Matrix, density: Matrix, period: Scalar) -> Matrix:
+        """All in the velocities: what moves the mass comes a sample later."""
+        return zeros(2, 4).above(zeros(2, 2).beside(period * Matrix(density)))
 
 
 def applied(dynamics: Dynamics, force: Pair) -> Pair:

@@ -15,13 +15,13 @@ LEAST_COUPLING = 0.01  # of the geometric mean of the main coefficients: an etch
 
 def numbers_of(gyro: AbstractGyro) -> tuple[str, ...]:
     """Paths of the numbers that differ from die to die, those of a gyro inside included: all that are not zero, and the
-    couplings.
+    couplings. The temperature is one for all.
     """
     found: list[str] = []
     for name, value in vars(gyro).items():
         if isinstance(value, AbstractGyro):
             found += [f"{name}.{inner}" for inner in numbers_of(value)]
-        elif eqx.is_inexact_array(value) and (name in gyro.couplings or np.all(np.asarray(value))):
+        elif name != "temperature" and eqx.is_inexact_array(value) and (name in gyro.couplings or np.all(np.asarray(value))):
             found.append(name)
     return tuple(found)
 

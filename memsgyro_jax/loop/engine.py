@@ -25,7 +25,8 @@ from .scenario import Conditions, Scenario
 Memory = TypeVar("Memory")
 Output = TypeVar("Output")
 
-MEASUREMENT_STREAM = 0  # streams of `noise.normal_pair`
+MEASUREMENT_STREAM = 0  # streams of `noise.normal_pair`; 1 and 2 are those of random walks and of blocks
+FORCE_STREAMS = (3, 4)
 
 
 class AbstractRecorder(eqx.Module, Generic[Memory, Output]):
@@ -76,7 +77,7 @@ def run(
     def one_block(carry, number):
         state, memory, alive, survived = carry
         (new_state, new_memory), _ = jax.lax.scan(
-            sample, (state, memory), entering(scenario, words, period, block, number, samples=whole)
+            sample, (state, memory), entering(scenario, words, period, block, number, samples=whole, warm=warm)
         )
         new_memory, output = recorder.block(new_memory)
         alive = alive & healthy(loop, new_state)
@@ -85,17 +86,21 @@ def run(
         return (*kept, alive, survived + alive), output
 
     lanes, whole = words[0].shape, blocks * block if loop.device.effects else None
+    warm = loop.device.temperature is not None
     start = (*beginning(loop, recorder, lanes, design), jnp.ones(lanes, bool), jnp.zeros(lanes, int))
     (state, memory, alive, survived), outputs = scan_in_groups(one_block, start, blocks)
     return Run(state, memory, outputs, alive, survived)
 
 
 class Entering(NamedTuple):
-    """What enters the loop from outside at a sample: its number, the conditions, and standard normal numbers."""
+    """What enters the loop from outside at a sample: its number, the conditions, and standard normal numbers, those of
+    the read-out and, where the device knows its temperature, the four of the motion.
+    """
 
     index: Int[Array, ""]
     conditions: Conditions
     draws: tuple[Array, Array]
+    shaking: tuple[Array, ...] | None
 
 
 def entering(
@@ -105,9 +110,10 @@ def entering(
     block: int,
     number: Array,
     samples: int | None = None,
+    warm: bool = False,
 ) -> Entering:
     """What enters at each of the `block` samples of block `number`, along a leading axis; `samples` are those of the
-    whole run, where effects must know what part of it has passed.
+    whole run, where effects must know what part of it has passed; `warm` is a device that knows its temperature.
     """
     index = number * block + jnp.arange(block)
     conditions = jax.vmap(scenario.at)((index + 0.5) * period)
@@ -116,7 +122,11 @@ def entering(
             lambda c: c.progress, conditions, (index + 0.5) / samples, is_leaf=lambda leaf: leaf is None
         )
     draws = jax.vmap(lambda i: noise.normal_pair(words, i, MEASUREMENT_STREAM))(index)
-    return Entering(index, conditions, draws)
+    shaking = None
+    if warm:
+        pairs = [jax.vmap(lambda i, s=stream: noise.normal_pair(words, i, s))(index) for stream in FORCE_STREAMS]
+        shaking = (*pairs[0], *pairs[1])
+    return Entering(index, conditions, draws, shaking)
 
 
 def one_sample(
@@ -125,7 +135,7 @@ def one_sample(
     """State and recorder's memory one sample later."""
     state, memory = carry
     clock = Clock(entering.index * period, entering.index, period)
-    state, taken = loop.step(state, entering.conditions, entering.draws, clock)
+    state, taken = loop.step(state, entering.conditions, entering.draws, clock, entering.shaking)
     return state, recorder.sample(memory, taken)
 
 

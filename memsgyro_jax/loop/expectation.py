@@ -80,6 +80,9 @@ def unknown_to(loop: ClosedLoop) -> tuple[str, ...]:
     if loop.device.effects:
         names = ", ".join(str(effect.label) for effect in loop.device.effects)
         found.append(f"effects of the device act that the filter's equations leave out ({names})")
+    process = getattr(loop.observer, "process_noise", None)
+    if loop.device.temperature is not None and process is not None and process.acceleration is None:
+        found.append("the filter was not told of the device's Brownian force")
     if told is not None:
         shares = [
             float(np.min(np.asarray(a) / np.asarray(b))) for a, b in zip(told, loop.readout.noise_density, strict=True)

@@ -12,6 +12,7 @@ import numpy as np
 from memsgyro_jax.base.concrete import is_concrete, settled, strong
 from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.device.brownian import drawn, thermal_acceleration
 from memsgyro_jax.device.gyro import (
     AbstractGyro,
     Inertial,
@@ -22,6 +23,7 @@ from memsgyro_jax.device.gyro import (
     number,
 )
 from memsgyro_jax.device.propagate import AbstractDiscretisation, Exact, State4, applied, fence
+from memsgyro_jax.device.small import Vector, plus
 
 from .blocks.length import Blocks
 from .controllers.base import AbstractController
@@ -156,12 +158,16 @@ class ClosedLoop(Displayed):
         """The loop's output in rad/s: the estimated rate, behind the output filter where there is one."""
         return self.estimate(state).rate if state.output is None else state.output.rate
 
-    def step(self, state: LoopState, conditions: Conditions, noise: Pair, clock: Clock) -> tuple[LoopState, Sample]:
-        """One sample, from `clock` to one period later; `noise` is a pair of standard normal numbers."""
+    def step(
+        self, state: LoopState, conditions: Conditions, noise: Pair, clock: Clock, shaking: State4 | None = None
+    ) -> tuple[LoopState, Sample]:
+        """One sample, from `clock` to one period later; `noise` is a pair of standard normal numbers, `shaking` four
+        for the device's Brownian force, None for none.
+        """
         estimate = self.observer.estimate(state.observer)
         force, controller = self.controller.command(state.controller, estimate, clock)
 
-        motion, own, shown = self._moved(state, conditions, force, clock)
+        motion, own, shown = self._moved(state, conditions, force, clock, shaking)
         end = Clock(clock.time + clock.period, clock.sample + 1, clock.period)
         volts = self.readout.measure(motion, noise, conditions.offset_drift, clock.period, **shown)
         observer = self.observer.update(state.observer, volts, force, end)
@@ -175,16 +181,17 @@ class ClosedLoop(Displayed):
         return new, Sample(end, conditions, motion, volts, force, estimate, rate)
 
     def _moved(
-        self, state: LoopState, conditions: Conditions, force: Pair, clock: Clock
+        self, state: LoopState, conditions: Conditions, force: Pair, clock: Clock, shaking: State4 | None
     ) -> tuple[State4, tuple[Scalar, ...], dict[str, Effected]]:
         """True motion and own states at the end of a sample, and what the read-out must know of effects, if any."""
         dynamics = self.device.dynamics(conditions.inertial)
+        shaken = (0.0,) * 4 if shaking is None else self._shaken(conditions, shaking, clock)
         if not self.device.effects:
             push = applied(dynamics, force)
             motion = self.discretisation.advance(
                 state.motion, push, dynamics.stiffness, dynamics.velocity, clock.period
             )
-            return fence(clock.time, motion), (), {}
+            return fence(clock.time, tuple(map(plus, motion, shaken))), (), {}
         plant = SampleEffects.of(self.device, dynamics, conditions, force, self.readout.scale, clock).driven(
             state.motion
         )
@@ -192,8 +199,18 @@ class ClosedLoop(Displayed):
         motion, own = self.discretisation.extended(
             state.motion, state.own, push, dynamics.stiffness, dynamics.velocity, plant
         )
-        motion, own = fence(clock.time, (motion, own))
+        motion, own = fence(clock.time, (tuple(map(plus, motion, shaken)), own))
         return motion, own, {"effects": plant.shown_at(motion, own)} if plant.shows else {}
+
+    def _shaken(self, conditions: Conditions, shaking: State4, clock: Clock) -> Vector:
+        """What the Brownian force adds to the motion in a sample. Its covariance is that of the frame at rest, from
+        which that of a turning one differs by twice its angle in a sample.
+        """
+        at_rest = self.device.dynamics(Inertial(damping_change=conditions.damping_change))
+        temperature = self.device.temperature if conditions.temperature is None else conditions.temperature
+        density = thermal_acceleration(at_rest.damping, at_rest.gain, temperature)
+        covariance = self.discretisation.white(at_rest.stiffness, at_rest.damping, density, clock.period)
+        return fence(clock.time, drawn(covariance, shaking))
 
     def sampled_at(self, sample_rate: float, design: "ClosedLoop | None" = None, duration: float = 0.1) -> "ClosedLoop":
         """This loop with its series long enough to be exact at `sample_rate` [Hz], and for a filter that runs for

@@ -46,6 +46,7 @@ class UncertainGyro(AbstractGyro):
     def __post_init__(self):
         own = self.gyro.model
         split = (_SPLIT,) if _has_one_gain(own) else ()
+        self.temperature = self.gyro.temperature
         self.model = MotionModel((*own.coefficients, CROSS_DAMPING_ASYMMETRY, *split, *_DELAYS))
 
     def dynamics(self, inertial: Inertial) -> Dynamics:

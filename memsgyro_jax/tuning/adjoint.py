@@ -137,8 +137,9 @@ class Portion(eqx.Module):
         return engine.beginning(self._tuned(own), self.loss, self.words[0].shape, self.design[0])
 
     def _entering(self, number: Array) -> engine.Entering:
-        samples = self.timing.blocks * self.timing.block if self.design[0].device.effects else None
-        return engine.entering(self.scenario, self.words, self.timing.period, self.timing.block, number, samples)
+        device, timing = self.design[0].device, self.timing
+        samples, warm = timing.blocks * timing.block if device.effects else None, device.temperature is not None
+        return engine.entering(self.scenario, self.words, timing.period, timing.block, number, samples, warm)
 
     def _sample(self, loop: ClosedLoop, carry: Carry, entering: engine.Entering) -> Carry:
         return engine.one_sample(loop, self.timing.period, self.loss, carry, entering)

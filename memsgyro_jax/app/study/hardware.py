@@ -33,7 +33,16 @@ from memsgyro_jax.measurement.model_file import read_model
 from .paths import RelativePath
 
 
-class SingleMass(FileSection):
+Warmth = Annotated[float, Field(ge=0.0), In("K")]
+
+
+class _Warm(FileSection):
+    """Of every device: `temperature` brings the Brownian force of its damping; left out there is none."""
+
+    temperature: Warmth | None = None
+
+
+class SingleMass(_Warm):
     """`kind = "single_mass"`: thesis (3.1). `dyx` left out equals `dxy`."""
 
     kind: Literal["single_mass"]
@@ -57,7 +66,7 @@ class SingleMass(FileSection):
         return SingleMassGyro(**self.numbers())
 
 
-class DualMass(FileSection):
+class DualMass(_Warm):
     """`kind = "dual_mass"`: thesis (3.3)."""
 
     kind: Literal["dual_mass"]
@@ -84,7 +93,7 @@ class DualMass(FileSection):
 Quality = Annotated[float, Field(gt=0.0), In("1")]
 
 
-class SingleModes(FileSection):
+class SingleModes(_Warm):
     """`kind = "single_mass"` with `frequency`: a mass by its modes, see `SingleMassGyro.from_modes`.
 
     `angle` or `quadrature` says how the modes couple, with neither they do not.
@@ -101,10 +110,12 @@ class SingleModes(FileSection):
 
     def build(self) -> AbstractGyro:
         """The device; raises `InputError` where it cannot exist."""
-        return SingleMassGyro.from_modes(**self.numbers())
+        given = self.numbers()
+        temperature = given.pop("temperature")
+        return SingleMassGyro.from_modes(**given).at_temperature(temperature)
 
 
-class DualModes(FileSection):
+class DualModes(_Warm):
     """`kind = "dual_mass"` with `frequency`: two masses by their modes, see `DualMassGyro.from_modes`."""
 
     kind: Literal["dual_mass_modes"]
@@ -117,10 +128,12 @@ class DualModes(FileSection):
 
     def build(self) -> AbstractGyro:
         """The device; raises `InputError` where it cannot exist."""
-        return DualMassGyro.from_modes(**self.numbers())
+        given = self.numbers()
+        temperature = given.pop("temperature")
+        return DualMassGyro.from_modes(**given).at_temperature(temperature)
 
 
-class Fitted(FileSection):
+class Fitted(_Warm):
     """`file = "device.toml"`: what `memsgyro fit --out` or `memsgyro diagnose --out` found, its effects included; the
     file name starts at the folder of the study file.
     """
@@ -138,7 +151,7 @@ class Fitted(FileSection):
         gyro = model.physical(rotating_frame=True) if self.rotating_frame else model.physical()
         if not isinstance(gyro, AbstractGyro):
             raise InputError(f"must be a device with two axes to run in a loop, but {self.file} has one")
-        return gyro, model
+        return gyro.at_temperature(self.temperature), model
 
 
 def _kind_by_keys(given: Any) -> Any:

@@ -123,7 +123,7 @@ class Walks(FileSection):
         given = self.numbers()
         offset, motion = given.pop("offset"), (*given.pop("position"), *given.pop("velocity"))
         theta = ProcessNoise.of(gyro.model, **{name: value for name, value in given.items() if value is not None}).theta
-        return ProcessNoise(motion, offset, theta)
+        return ProcessNoise(motion, offset, theta).shaken_as(gyro)
 
 
 class Kalman(FileSection):

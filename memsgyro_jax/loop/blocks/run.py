@@ -34,6 +34,8 @@ def hindrances(loop: ClosedLoop) -> tuple[str, ...]:
     if isinstance(loop.device, DualMassGyro):
         # With the same noise its rate ended 6 % of the claimed deviation apart, where one mass comes within 1 %.
         found.append("a device of two masses is not advanced by blocks to the accuracy of one mass")
+    if loop.device.temperature is not None:
+        found.append("the device's Brownian force acts between samples")
     for part, kind in (
         (loop.readout, AbstractLinearReadout),
         (loop.observer, AbstractBlockObserver),

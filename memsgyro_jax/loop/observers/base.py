@@ -168,7 +168,10 @@ class AbstractCovarianceObserver(AbstractObserver[State]):
         if not path.startswith("process_noise."):
             return None
         kind, index = path.split(".")[-2:]
-        std = float(getattr(self.prior, f"{kind}_std")[int(index)])
+        prior = getattr(self.prior, f"{kind}_std", None)
+        if prior is None:
+            return None
+        std = float(prior[int(index)])
         least, most = _WALKS
         return ((least * std) ** 2 / duration, (most * std) ** 2 / duration) if std > 0.0 else None
 

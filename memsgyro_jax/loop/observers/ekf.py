@@ -36,7 +36,6 @@ from .covariance import (
     Prediction,
     blocks_of,
     correct_mean,
-    diagonal,
     downdate,
     entries,
     gathered,
@@ -128,7 +127,7 @@ class ExtendedKalmanFilter(AbstractBlockObserver[KalmanState]):
         """A filter that expects a device like `gyro` (its design values) behind `readout` (default: thesis Table 5.3).
 
         `known` names coefficients taken as known: `("sigma",)` is the thesis' "mass known". `with_offsets=False` is its
-        "ideal circuit". `iterations` above 1 relinearises each sample about its smoothed start (iterated
+        "ideal circuit". It knows the Brownian force of a gyro that knows its temperature. `iterations` above 1 relinearises each sample about its smoothed start (iterated
         filter-smoother). `pickoff` are effects of the read-out that are known: `curves_of(gyro)`, say.
         """
         readout = readout if readout is not None else ChargeAmplifier.chi2010()
@@ -139,7 +138,7 @@ class ExtendedKalmanFilter(AbstractBlockObserver[KalmanState]):
             prior=prior if prior is not None else design_prior(gyro),
             scale=readout.scale,
             noise_density=readout.noise_density,
-            process_noise=process_noise if process_noise is not None else ProcessNoise.none(gyro.model),
+            process_noise=(process_noise or ProcessNoise.none(gyro.model)).shaken_as(gyro),
             fading=fading,
             annealing=annealing,
             discretisation=discretisation if discretisation is not None else Exact(),
@@ -199,6 +198,7 @@ class ExtendedKalmanFilter(AbstractBlockObserver[KalmanState]):
             "the filter iterates every sample": self.iterations > 1,
             "the filter follows curves of the pick-off": bool(self.pickoff),
             "the filter estimates delays": delays,
+            "the filter expects a Brownian force": self.process_noise.acceleration is not None,
         }
         return next((words for words, holds in found.items() if holds), None)
 
@@ -304,7 +304,8 @@ class ExtendedKalmanFilter(AbstractBlockObserver[KalmanState]):
             spread = tuple(channel.spread(motion, cross, state.covariance.constants) for channel in channels)
             faded, remembered = self.fading.factor(state.fading, spread, innovation, variance, clock.period)
             motion, cross = faded * motion, faded * cross
-        motion = motion + diagonal(Vector(self.process_noise.motion) * clock.period)
+        expected = self.model.assemble(self.prior.theta)
+        motion = motion + self.process_noise.gathered(expected, self.discretisation, clock.period)
         walk = self._constants(self.process_noise.offset, self.process_noise.theta) * clock.period
         prior = Prediction(motion, cross, state.covariance.constants, faded, walk)
         first = channels[0].gain(prior, variance[0])

@@ -1,13 +1,18 @@
 """What a Kalman filter is told before it starts: prior, process noise, annealing."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
 from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.device.brownian import thermal_acceleration
 from memsgyro_jax.device.gyro import (
     AbstractGyro,
+    Dynamics,
+    Inertial,
     MotionModel,
     Pair,
     Scalar,
@@ -15,8 +20,11 @@ from memsgyro_jax.device.gyro import (
     check_positive,
     number,
 )
-from memsgyro_jax.device.propagate import State4
+from memsgyro_jax.device.propagate import AbstractDiscretisation, State4
 from memsgyro_jax.device.sizes import with_sizes
+from memsgyro_jax.device.small import Vector
+
+from .covariance import UPPER, diagonal
 
 
 def arrays(**options: object) -> tuple[Scalar, ...]:
@@ -46,17 +54,28 @@ class Prior(Displayed):
 
 
 class ProcessNoise(Displayed):
-    """Random-walk intensity per estimated entry, in unit²/s; zero means constant."""
+    """Random-walk intensity per estimated entry, in unit²/s; zero means constant.
+
+    `acceleration` is the two-sided density (xx, yy, xy) in m²/s³ of a white one that shakes the mass between samples,
+    as the Brownian force does; None is none.
+    """
 
     motion: State4 = arrays()
     offset: Pair = arrays()
     theta: tuple[Scalar, ...] = arrays()
+    acceleration: tuple[Scalar, Scalar, Scalar] | None = eqx.field(
+        converter=lambda given: None if given is None else jax.tree.map(jnp.asarray, tuple(given)), default=None
+    )
 
     def __check_init__(self):
         _check_lengths(self, motion=4, offset=2)
         for name in ("motion", "offset", "theta"):
             for value in getattr(self, name):
                 check_not_negative(name, value)
+        if self.acceleration is not None:
+            _check_lengths(self, acceleration=3)
+            for value in self.acceleration[:2]:
+                check_not_negative("acceleration", value)
 
     @classmethod
     def none(cls, model: MotionModel) -> "ProcessNoise":
@@ -70,6 +89,25 @@ class ProcessNoise(Displayed):
         for name, value in intensity.items():
             theta[model.index(name)] = value
         return cls((0.0,) * 4, (0.0,) * 2, tuple(theta))
+
+    def shaken_as(self, gyro: AbstractGyro) -> "ProcessNoise":
+        """The same with the Brownian force of `gyro` by its design values, if it knows its temperature and none else
+        was given.
+        """
+        if gyro.temperature is None or self.acceleration is not None:
+            return self
+        rest = gyro.dynamics(Inertial())
+        density = thermal_acceleration(rest.damping, rest.gain, gyro.temperature)
+        return replace(self, acceleration=(density[0][0], density[1][1], density[0][1]))
+
+    def gathered(self, dynamics: Dynamics, discretisation: AbstractDiscretisation, period: Scalar) -> Vector:
+        """The upper triangle of what a sample adds to the covariance of the motion."""
+        walked = diagonal(Vector(self.motion) * period)
+        if self.acceleration is None:
+            return walked
+        xx, yy, xy = self.acceleration
+        white = discretisation.white(dynamics.stiffness, dynamics.damping, ((xx, xy), (xy, yy)), period)
+        return walked + Vector(white[i][j] for i, j in UPPER)
 
 
 class Annealing(Displayed):

@@ -91,7 +91,9 @@ noise_density = "0.5 uV/sqrt(Hz)"
 
 
 def test_two_masses_by_their_modes_and_a_readout_by_its_capacitance(tmp_path):
-    study = loaded(tmp_path, DUAL + READOUT)
+    study = loaded(tmp_path, DUAL.replace("[spread", 'temperature = "27 degC"\n[spread') + READOUT)
+    assert float(study.loop.device.temperature) == pytest.approx(300.15)
+    assert float(study.loop.observer.process_noise.acceleration[0]) > 0.0, "the filter knows the Brownian force"
     np.testing.assert_allclose(mg.mode_frequencies(study.loop.device), (9e3, 10e3), rtol=1e-12)
     assert float(study.loop.device.dyy) == pytest.approx(2e-9 * 2 * np.pi * 10e3 / 2000)
     assert study.spread.items[0].distribution.std == 0.1
@@ -114,6 +116,7 @@ def test_two_masses_by_their_modes_and_a_readout_by_its_capacitance(tmp_path):
         ("[1000, 2000]", '[1000, 2000]\nquadrature = "1e6 deg/s"', ["`device`", "`quadrature` must be smaller"]),
         ("[1000, 2000]", '[1000, 2000]\nkxx = "3 N/m"', ["line 7, `device.kxx`", "is not known"]),
         ("quality_factor = [1000, 2000]", "", ["`device.quality_factor`", "is missing"]),
+        ("[1000, 2000]", '[1000, 2000]\ntemperature = "-300 degC"', ["line 7, `device.temperature", "0"]),
         ("10 V", "10 m", ["`readout.bias`", '"V"', '"m"']),
         ("5 nF/m", "0 nF/m", ["`readout.gradient", "greater than 0"]),
         ('"0.5 uV/sqrt(Hz)"', '"0.5 uV/sqrt(Hz)"\nsnr = { ratio = 100 }', ["`readout`", "either noise_density or snr"]),
