@@ -21,7 +21,11 @@ def numbers_of(gyro: AbstractGyro) -> tuple[str, ...]:
     for name, value in vars(gyro).items():
         if isinstance(value, AbstractGyro):
             found += [f"{name}.{inner}" for inner in numbers_of(value)]
-        elif name != "temperature" and eqx.is_inexact_array(value) and (name in gyro.couplings or np.all(np.asarray(value))):
+        elif (
+            name != "temperature"
+            and eqx.is_inexact_array(value)
+            and (name in gyro.couplings or np.all(np.asarray(value)))
+        ):
             found.append(name)
     return tuple(found)
 

@@ -101,5 +101,7 @@ def test_a_step_of_euler_puts_it_all_into_the_velocities():
     density = thermal_acceleration(rest.damping, rest.gain, 300.0)
     found = matrix(ForwardEuler().white(rest.stiffness, rest.damping, density, 1e-7))
     assert np.all(found[:2] == 0.0)
-    np.testing.assert_allclose(found[2:, 2:], 1e-7 * 2.0 * BOLTZMANN * 300.0 * matrix(rest.damping) / 1.8e-7, rtol=1e-12)
+    np.testing.assert_allclose(
+        found[2:, 2:], 1e-7 * 2.0 * BOLTZMANN * 300.0 * matrix(rest.damping) / 1.8e-7, rtol=1e-12
+    )
     assert drawn(found.tolist(), (1.0, 1.0, 1.0, 1.0))[0] == 0.0

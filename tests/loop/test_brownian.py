@@ -23,7 +23,7 @@ DEVICES = {
     "split far": mg.SingleMassGyro.from_modes(1e-8, (10e3, 30e3), 1000.0),
     "heavy": mg.SingleMassGyro.from_modes(1e-6, (1500.0, 1700.0), (40e3, 10e3)),
     "turned": mg.SingleMassGyro.from_modes(5e-9, (20e3, 21e3), (5e3, 500.0), angle=0.6),
-    "turned, cross damping": mg.SingleMassGyro.from_modes(5e-9, (20e3, 24e3), (900.0, 500.0), angle=-0.4, cross_damping=0.8),
+    "cross damping": mg.SingleMassGyro.from_modes(5e-9, (20e3, 24e3), (900.0, 500.0), angle=-0.4, cross_damping=0.8),
     "low": mg.SingleMassGyro.from_modes(2e-8, (5e3, 5.5e3), 50.0),
 }  # fmt: skip
 
@@ -31,7 +31,8 @@ DEVICES = {
 def first_mode(device):
     """ω [rad/s], shape (x, y), and damping and inverse masses as matrices: eigenvectors of plain NumPy."""
     rest = device.dynamics(Inertial())
-    stiffness, damping = (np.array([[float(v) for v in row] for row in part]) for part in (rest.stiffness, rest.damping))
+    matrices = (rest.stiffness, rest.damping)
+    stiffness, damping = (np.array([[float(entry) for entry in row] for row in part]) for part in matrices)
     values, vectors = np.linalg.eig(stiffness)
     place = int(np.argmin(np.abs(np.abs(vectors[0]) - 1.0))) if stiffness[0, 1] == 0.0 else int(np.argmin(values))
     shape = vectors[:, place] * np.sign(vectors[0, place])
@@ -75,7 +76,7 @@ def test_which_damping_belongs():
 
 def test_a_filter_that_knows_the_force_is_consistent():
     """At a read-out noise where the force is most of the error, and cross damping correlates the axes."""
-    device = DEVICES["turned, cross damping"].at_temperature(300.0)
+    device = DEVICES["cross damping"].at_temperature(300.0)
     figures = matched_filter(device, 1e-6, 1e-9, dies=1024).summary
     low, high = stats.chi2.ppf([0.005, 0.995], 5 * 1024) / 1024
     assert (figures.failed, figures.states) == (0, 5)

@@ -127,8 +127,9 @@ class ExtendedKalmanFilter(AbstractBlockObserver[KalmanState]):
         """A filter that expects a device like `gyro` (its design values) behind `readout` (default: thesis Table 5.3).
 
         `known` names coefficients taken as known: `("sigma",)` is the thesis' "mass known". `with_offsets=False` is its
-        "ideal circuit". It knows the Brownian force of a gyro that knows its temperature. `iterations` above 1 relinearises each sample about its smoothed start (iterated
-        filter-smoother). `pickoff` are effects of the read-out that are known: `curves_of(gyro)`, say.
+        "ideal circuit". `iterations` above 1 relinearises each sample about its smoothed start (iterated
+        filter-smoother). `pickoff` are effects of the read-out that are known: `curves_of(gyro)`, say. The Brownian
+        force of a gyro that knows its temperature is expected.
         """
         readout = readout if readout is not None else ChargeAmplifier.chi2010()
         if iterations < 1:
