@@ -79,7 +79,7 @@ def white_covariance(stiffness: Matrix, velocity: Matrix, density: Matrix, perio
     return place.beside(mixed).above(mixed.T.beside(speed))
 
 
-def drawn(covariance: Matrix, normal: tuple[Scalar, ...]) -> Vector:
+def correlated(covariance: Matrix, normal: tuple[Scalar, ...]) -> Vector:
     """Numbers of that `covariance` from as many independent standard normal ones; zero covariance gives zeros.
 
     Its Cholesky root, from the last entry up: velocities gather most of a white force, displacements the rest of it.

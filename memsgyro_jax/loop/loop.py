@@ -12,7 +12,7 @@ import numpy as np
 from memsgyro_jax.base.concrete import is_concrete, settled, strong
 from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.device.brownian import drawn, thermal_acceleration
+from memsgyro_jax.device.brownian import correlated, thermal_acceleration
 from memsgyro_jax.device.gyro import (
     AbstractGyro,
     Inertial,
@@ -210,7 +210,7 @@ class ClosedLoop(Displayed):
         temperature = self.device.temperature if conditions.temperature is None else conditions.temperature
         density = thermal_acceleration(at_rest.damping, at_rest.gain, temperature)
         covariance = self.discretisation.white(at_rest.stiffness, at_rest.damping, density, clock.period)
-        return fence(clock.time, drawn(covariance, shaking))
+        return fence(clock.time, correlated(covariance, shaking))
 
     def sampled_at(self, sample_rate: float, design: "ClosedLoop | None" = None, duration: float = 0.1) -> "ClosedLoop":
         """This loop with its series long enough to be exact at `sample_rate` [Hz], and for a filter that runs for

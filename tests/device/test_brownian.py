@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import expm, solve_discrete_lyapunov
 
 import memsgyro_jax as mg
-from memsgyro_jax.device.brownian import BOLTZMANN, drawn, thermal_acceleration
+from memsgyro_jax.device.brownian import BOLTZMANN, correlated, thermal_acceleration
 from memsgyro_jax.device.gyro import Inertial
 from memsgyro_jax.device.propagate import Exact, ForwardEuler
 from memsgyro_jax.device.sizes import numbers_of
@@ -57,7 +57,7 @@ def test_covariance_of_a_sample(name, samples):
     expected = van_loan(*system(device, 300.0), 1.0 / rate)
     std = np.sqrt(np.diag(expected))
     np.testing.assert_allclose(matrix(found) / np.outer(std, std), expected / np.outer(std, std), atol=1e-10)
-    root = np.stack([np.array(drawn(found, tuple(unit)), float) for unit in np.eye(4)], axis=1)
+    root = np.stack([np.array(correlated(found, tuple(unit)), float) for unit in np.eye(4)], axis=1)
     np.testing.assert_allclose(root @ root.T / np.outer(std, std), expected / np.outer(std, std), atol=1e-10)
 
 
@@ -86,7 +86,7 @@ def test_none_without_temperature_and_none_at_zero():
 
     def moved(temperature):
         density = thermal_acceleration(rest.damping, rest.gain, temperature)
-        return jnp.stack(drawn(Exact().white(rest.stiffness, rest.damping, density, 1e-5), (1.0, -1.0, 2.0, 0.5)))
+        return jnp.stack(correlated(Exact().white(rest.stiffness, rest.damping, density, 1e-5), (1.0, -1.0, 2.0, 0.5)))
 
     assert np.all(np.asarray(moved(0.0)) == 0.0)
     slope = jax.jacfwd(moved)
@@ -104,4 +104,4 @@ def test_a_step_of_euler_puts_it_all_into_the_velocities():
     np.testing.assert_allclose(
         found[2:, 2:], 1e-7 * 2.0 * BOLTZMANN * 300.0 * matrix(rest.damping) / 1.8e-7, rtol=1e-12
     )
-    assert drawn(found.tolist(), (1.0, 1.0, 1.0, 1.0))[0] == 0.0
+    assert correlated(found.tolist(), (1.0, 1.0, 1.0, 1.0))[0] == 0.0
