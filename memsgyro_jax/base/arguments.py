@@ -1,8 +1,10 @@
 """What a person passes to a public function: quantities as numbers or as text with a unit, counts and seeds."""
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from .errors import InputError
@@ -19,18 +21,38 @@ def quantity(name: str, given: Any, unit: str) -> float:
     Raises `InputError` for text without a unit or with one of another kind, and for what is neither.
     """
     if isinstance(given, str):
-        from .quantity import In  # takes half a second that numbers need not
-
-        try:
-            return In(unit).read(given)
-        except ValueError as error:
-            raise InputError(f"Argument `{name}`: {str(error).rstrip('.')}.") from error
+        return _read(f"Argument `{name}`:", given, unit)
     if isinstance(given, bool) or not isinstance(given, float | int | np.generic | np.ndarray | jax.Array):
         raise InputError(
             f'Argument `{name}` must be a number in {unit}, or text with a unit such as "1 {unit}", but is '
             f"{excerpt(given)} of type {type(given).__name__}."
         )
     return given  # type: ignore[return-value]
+
+
+def _read(what: str, given: str, unit: str) -> float:
+    from .quantity import In  # takes half a second that numbers need not
+
+    try:
+        return In(unit).read(given)
+    except ValueError as error:
+        raise InputError(f"{what} {str(error).rstrip('.')}.") from error
+
+
+def in_unit(unit: str) -> Callable[[Any], Any]:
+    """The converter of a field that is held as an array in the SI unit `unit` ("" where that follows from its use).
+
+    Numbers pass, text such as "100 kHz" is converted. It raises `InputError` for other text.
+    """
+
+    def convert(given: Any) -> Any:
+        if not isinstance(given, str):
+            return jnp.asarray(given)
+        if not unit:
+            raise InputError(f"A number whose unit follows from its use must be given in SI, but is {excerpt(given)}.")
+        return jnp.asarray(_read("A number", given, unit))
+
+    return convert
 
 
 def whole(name: str, given: Any, least: int = 0) -> int:

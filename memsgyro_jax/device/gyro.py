@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from memsgyro_jax.base.arguments import in_unit, quantity
 from memsgyro_jax.base.concrete import check_not_negative as check_not_negative
 from memsgyro_jax.base.concrete import check_positive as check_positive
 from memsgyro_jax.base.concrete import check_positive_definite as check_positive_definite
@@ -169,11 +170,11 @@ class AbstractGyro(HasTemperature):
         """
 
 
-def number(**options: object) -> Array:
+def number(unit: str = "", **options: object) -> Array:
     """A field that holds a number, or one per die, as an array: traced, differentiable, no recompilation when it
-    changes.
+    changes. With a `unit` it may be given as text in another of the same kind, such as "2.9 kHz".
     """
-    return eqx.field(converter=jnp.asarray, **options)
+    return eqx.field(converter=in_unit(unit), **options)
 
 
 class SingleMassGyro(AbstractGyro):
@@ -185,13 +186,13 @@ class SingleMassGyro(AbstractGyro):
     (2.6) does.
     """
 
-    mass: Scalar = number()
-    kxx: Scalar = number()
-    kyy: Scalar = number()
-    kxy: Scalar = number()
-    dxx: Scalar = number()
-    dyy: Scalar = number()
-    dxy: Scalar = number()
+    mass: Scalar = number("kg")
+    kxx: Scalar = number("N/m")
+    kyy: Scalar = number("N/m")
+    kxy: Scalar = number("N/m")
+    dxx: Scalar = number("N*s/m")
+    dyy: Scalar = number("N*s/m")
+    dxy: Scalar = number("N*s/m")
     cross_damping_asymmetry: Scalar = number()
     rotating_frame: bool = eqx.field(static=True)
     model: ClassVar[MotionModel] = SINGLE_MASS
@@ -204,7 +205,8 @@ class SingleMassGyro(AbstractGyro):
     ):  # fmt: skip
         self.mass, self.kxx, self.kyy, self.kxy = mass, kxx, kyy, kxy
         self.dxx, self.dyy, self.dxy = dxx, dyy, dxy
-        self.cross_damping_asymmetry = 0.0 if dyx is None else jnp.asarray(dyx) - jnp.asarray(dxy)
+        damping = in_unit("N*s/m")
+        self.cross_damping_asymmetry = 0.0 if dyx is None else damping(dyx) - damping(dxy)
         self.rotating_frame = rotating_frame
         self.effects = Effects.of(effects)
         self.reference_temperature, self.reference_bias = reference_temperature, reference_bias
@@ -235,6 +237,7 @@ class SingleMassGyro(AbstractGyro):
         """
         if angle is not None and quadrature is not None:
             raise InputError("A device must have either `angle` or `quadrature`, but both were given.")
+        mass = quantity("mass", mass, "kg")
         check_positive("mass", mass)
         modes, damping = rates_of(frequency, quality_factor)
         if quadrature is not None:
@@ -273,14 +276,14 @@ class DualMassGyro(AbstractGyro):
     damping in N·s/m.
     """
 
-    mass_x: Scalar = number()
-    mass_y: Scalar = number()
-    kxx: Scalar = number()
-    kyy: Scalar = number()
-    kxy: Scalar = number()
-    kyx: Scalar = number()
-    dxx: Scalar = number()
-    dyy: Scalar = number()
+    mass_x: Scalar = number("kg")
+    mass_y: Scalar = number("kg")
+    kxx: Scalar = number("N/m")
+    kyy: Scalar = number("N/m")
+    kxy: Scalar = number("N/m")
+    kyx: Scalar = number("N/m")
+    dxx: Scalar = number("N*s/m")
+    dyy: Scalar = number("N*s/m")
     rotating_frame: bool = eqx.field(static=True, default=False)
     model: ClassVar[MotionModel] = DUAL_MASS
     couplings: ClassVar[Mapping[str, tuple[str, str]]] = {"kxy": ("kxx", "kyy"), "kyx": ("kxx", "kyy")}

@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from memsgyro_jax.base.arguments import quantity
 from memsgyro_jax.base.concrete import check_positive, is_concrete
 from memsgyro_jax.base.errors import InputError
 
@@ -23,6 +24,8 @@ def rates_of(frequency: Pair, quality_factor: Scalar | Pair) -> tuple[Pair, Pair
     for name, pair in (("frequency", frequency), ("quality_factor", quality)):
         if len(pair) != 2:
             raise InputError(f"Argument `{name}` must be a pair, one number for each mode, but {len(pair)} were given.")
+    frequency = tuple(quantity("frequency", value, "Hz") for value in frequency)
+    for name, pair in (("frequency", frequency), ("quality_factor", quality)):
         for value in pair:
             check_positive(name, value)
     first, second = (2.0 * jnp.pi * jnp.asarray(value) for value in frequency)

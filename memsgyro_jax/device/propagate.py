@@ -118,9 +118,9 @@ class Exact(AbstractDiscretisation):
 
     `order` is the last power kept, `nodes` the moments inside a sample at which its derivative is taken. What is given
     stands; what is left out is chosen where sample rate and duration are known (`covering`), until then it is 12 and 1.
-    A filter takes its covariance from the derivative: with one node at 100 kHz, 27 samples in a period, it is 3 % off
-    within the first samples and 0.3 % later, the estimate up to 0.14 of its standard deviation; with two nodes both are
-    within 1e-3. Raises `InputError` for less than 1.
+    A filter takes its covariance from the derivative: with one node at 27 samples in a period the standard deviations
+    that it claims are up to 0.2 % off (`claim_error`) and single estimates 0.08 of them. Raises `InputError` for less
+    than 1.
     """
 
     order: int = eqx.field(static=True)
@@ -156,6 +156,12 @@ class Exact(AbstractDiscretisation):
         nodes = next(count for count in range(1, 99) if _gauss_error(count, 2.0 * phase) < wanted)
         return cls(*((None, None) if chosen is None else chosen.given), otherwise=(_order(phase, least=4), nodes))
 
+    def claim_error(self, highest_frequency: float, sample_rate: float) -> float:
+        """Largest share by which a filter's claimed standard deviations differ from those of many nodes, once a period
+        has been seen; measured on devices of 4, 10 and 25 kHz at 18 to 40 samples per period.
+        """
+        return _CLAIMED * _gauss_error(self.nodes, 4.0 * math.pi * highest_frequency / sample_rate)
+
     def advance(self, motion: State4, push: Pair, stiffness: Matrix, velocity: Matrix, period: Scalar) -> State4:
         """Exact to rounding when the order covers the sample rate: the Taylor series of the motion itself."""
         spring, damper = -Matrix(stiffness), -Matrix(velocity)
@@ -188,6 +194,7 @@ class Exact(AbstractDiscretisation):
 
 
 _NODES_ERROR = 0.08  # of the derivative, in what turns at twice the highest frequency; a run's figures do not show it
+_CLAIMED = 0.22  # of the derivative's error remains in the claimed standard deviations
 _LEAST_LEFT = 1e-6  # beyond, a covariance is singular to rounding
 
 

@@ -28,7 +28,7 @@ from memsgyro_jax.device.small import Vector, plus
 from .blocks.length import Blocks
 from .controllers.base import AbstractController
 from .filters import AbstractFilter, check_fits
-from .observers.base import AbstractObserver, Clock, Estimate
+from .observers.base import AbstractCovarianceObserver, AbstractObserver, Clock, Estimate
 from .observers.settings import arrays
 from .readout import AbstractReadout, Effected
 from .scenario import Conditions
@@ -238,6 +238,19 @@ class ClosedLoop(Displayed):
         exact()  # whoever propagates needs two samples per period
         made = jax.tree.map(lambda part: exact(part) if isinstance(part, Exact) else part, self, is_leaf=_is_exact)
         return strong(made)
+
+
+def claim_error(loop: ClosedLoop, sample_rate: float) -> float | None:
+    """Largest share by which the standard deviations that the loop's observer claims are off, because it takes the
+    derivative of a sample at few nodes; None where it claims none, propagates otherwise, or numbers are not known.
+    """
+    steps = getattr(loop.observer, "discretisation", None)
+    stiffness = settled(loop).device.dynamics(Inertial()).stiffness
+    if not isinstance(steps, Exact) or not isinstance(loop.observer, AbstractCovarianceObserver):
+        return None
+    if not is_concrete(stiffness):
+        return None
+    return steps.claim_error(float(np.max(natural_frequencies(stiffness))), sample_rate)
 
 
 _MARGIN = 1.3  # estimates and spread dies may lie above the design's mode frequencies

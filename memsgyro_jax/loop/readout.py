@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from memsgyro_jax.base.arguments import in_unit
 from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.fields import AbstractVar
@@ -46,7 +47,7 @@ class Adc(Displayed):
     Conversion rounds and clips; its derivative is that of the clipped straight line, so tuning sees through the steps.
     """
 
-    limit: Scalar = number()
+    limit: Scalar = number("V")
     bits: int = eqx.field(static=True)
 
     def __check_init__(self):
@@ -118,8 +119,8 @@ def _as_pair(value: object) -> Pair:
             raise InputError(
                 f"A pair of numbers for the axes x and y must have 2 entries, but {len(value)} were given."
             )
-        return tuple(map(jnp.asarray, value))
-    return (jnp.asarray(value), jnp.asarray(value))
+        return tuple(map(in_unit(""), value))
+    return (in_unit("")(value),) * 2
 
 
 class ChargeAmplifier(AbstractLinearReadout):

@@ -48,7 +48,7 @@ class Constant(AbstractProfile):
 class Step(AbstractProfile):
     """`before` until `at` [s], `after` from then on."""
 
-    at: Scalar = number()
+    at: Scalar = number("s")
     after: Scalar = number()
     before: Scalar = number(default=0.0)
 
@@ -60,7 +60,7 @@ class Step(AbstractProfile):
 class Ramp(AbstractProfile):
     """`start` until `at` [s], then `slope` [1/s] on top."""
 
-    at: Scalar = number()
+    at: Scalar = number("s")
     slope: Scalar = number()
     start: Scalar = number(default=0.0)
 
@@ -73,8 +73,8 @@ class Sine(AbstractProfile):
     """`amplitude * sin(2π frequency t + phase)`; frequency in Hz, phase in rad."""
 
     amplitude: Scalar = number()
-    frequency: Scalar = number()
-    phase: Scalar = number(default=0.0)
+    frequency: Scalar = number("Hz")
+    phase: Scalar = number("rad", default=0.0)
 
     def value(self, time: Scalar) -> Scalar:
         """The sine."""
@@ -85,9 +85,9 @@ class Chirp(AbstractProfile):
     """A sine whose frequency rises linearly from `low` to `high` [Hz] during `duration` [s], and stays there."""
 
     amplitude: Scalar = number()
-    low: Scalar = number()
-    high: Scalar = number()
-    duration: Scalar = number()
+    low: Scalar = number("Hz")
+    high: Scalar = number("Hz")
+    duration: Scalar = number("s")
 
     def __check_init__(self):
         check_positive("duration", self.duration)
@@ -102,7 +102,7 @@ class Chirp(AbstractProfile):
 class Recorded(AbstractProfile):
     """Linear interpolation of a record; the end values hold outside. `times` [s] must rise strictly."""
 
-    times: Float[Array, " samples"] = number()
+    times: Float[Array, " samples"] = number("s")
     values: Float[Array, " samples"] = number()
 
     def __check_init__(self):
@@ -137,7 +137,7 @@ class RandomWalk(AbstractProfile):
     """
 
     intensity: Scalar = number()
-    duration: Scalar = number()
+    duration: Scalar = number("s")
     start: Scalar = number(default=0.0)
     realisation: Scalar = number(default=0.5)
     rows: int = eqx.field(static=True, default=10_000)

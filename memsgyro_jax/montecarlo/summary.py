@@ -10,7 +10,7 @@ from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.files import finite
 from memsgyro_jax.base.provenance import Settings
 from memsgyro_jax.base.text import aligned
-from memsgyro_jax.loop.loop import ClosedLoop
+from memsgyro_jax.loop.loop import ClosedLoop, claim_error
 from memsgyro_jax.loop.observers import AbstractCovarianceObserver
 
 from .divergence import Divergence
@@ -69,6 +69,7 @@ class Summary(Shown):
     good: Proportion
     following: Following | None
     straight: StraightError | None
+    claim_error: float | None
     notes: tuple[str, ...]
     steps_per_s: float | None
     settings: Settings
@@ -113,6 +114,7 @@ class Summary(Shown):
             "yield": asdict(self.good),
             "following": None if self.following is None else _following(self.following),
             **({} if self.straight is None else _straight(self.straight)),
+            "claim_error": self.claim_error,
             "notes": list(self.notes),
             "steps_per_s": self.steps_per_s,
             "seed": self.settings.seed,
@@ -178,10 +180,17 @@ class Summary(Shown):
             low, high = self.nees_interval
             # A filter that claims too much is careful, as annealing means it to be.
             remark = ": the filter claims too little error" if self.nees > (1.0 + _MATTERS) * high else ""
-            return f"NEES {self.nees:.3g} of {self.states} (99 %: {low:.3g} to {high:.3g}{remark}; {middle}), {nis}"
+            interval = f"99 %: {low:.3g} to {high:.3g}{remark}"
+            return f"NEES {self.nees:.3g} of {self.states} ({interval}; {middle}), {nis}{self._claims()}"
         if self.states is None:
             return f"NEES unknown (the observer claims no covariance), {nis}"
         return f"NEES unknown (the claimed covariance is singular: something is known exactly, or to rounding), {nis}"
+
+    def _claims(self) -> str:
+        """What the filter's own steps do to what it claims, where it is more than a rounded figure shows."""
+        if self.claim_error is None or self.claim_error < 1e-3:
+            return ""
+        return f"; claims to {100.0 * self.claim_error:.1g} %, more nodes make them exact"
 
     def __repr__(self) -> str:
         return aligned(self.rows())
@@ -229,6 +238,7 @@ def figures_of(
         good=proportion(tally.good, tally.computed, within),
         following=None if over_time is None else following(plan.window_times, *over_time, plan.settle),
         straight=straight_error(tally.straight),
+        claim_error=claim_error(loop, settings.sample_rate),
         notes=notes,
         steps_per_s=speed,
         settings=settings,

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from memsgyro_jax.base import runtime
+from memsgyro_jax.base.arguments import quantity
 from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.carried import CarriesEffects
@@ -103,8 +104,8 @@ def tune_on_record(
     force: Float[np.ndarray, "samples 2"],
     *,
     free: Sequence[Tunable],
-    sample_rate: float,
-    settle: float = 0.0,
+    sample_rate: float | str,
+    settle: float | str = 0.0,
     evaluations: int = 40,
     progress: Callable[[str], None] | None = None,
 ) -> RecordTuning:
@@ -116,6 +117,7 @@ def tune_on_record(
     Raises `InputError` for a record of another shape or with gaps, for what cannot be freed, and outside float64.
     """
     runtime.require_float64("tune_on_record")
+    sample_rate, settle = quantity("sample_rate", sample_rate, "Hz"), quantity("settle", settle, "s")
     volts, force = _checked(volts, force, settle, sample_rate)
     loop = Replay(observer, jnp.asarray(volts), jnp.asarray(force))
     tunables = resolved(loop, free, sample_rate, len(volts) / sample_rate)

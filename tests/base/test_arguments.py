@@ -89,3 +89,22 @@ def test_quantities_and_counts():
     assert whole("seed", 2**63 - 1) == 2**63 - 1
     assert whole("dies", jnp.asarray(7)) == 7
     assert jax.vmap(lambda die: whole("die", die) + 1)(jnp.arange(3)).tolist() == [1, 2, 3]
+
+
+def test_constructors_take_units_as_text():
+    tone = mg.Tone("0.6 kHz", 53.95, "180 deg")
+    np.testing.assert_allclose([tone.frequency, tone.phase], [600.0, np.pi])
+    gyro = mg.SingleMassGyro.from_modes("180 ug", ("2.9 kHz", 3700.0), 1000.0)
+    np.testing.assert_allclose(mg.mode_frequencies(gyro), [2900.0, 3700.0])
+    np.testing.assert_allclose(gyro.mass, 1.8e-7)
+    np.testing.assert_allclose(mg.Step("20 ms", 1.0).at, 0.02)
+    np.testing.assert_allclose(mg.Chirp(1.0, "10 Hz", "1 kHz", "0.1 s").high, 1000.0)
+    prior = mg.design_prior(gyro, rate_std="180 deg/s", amplitude="1 um")
+    np.testing.assert_allclose([prior.theta_std[0], prior.motion[0]], [np.pi, 1e-6])
+
+
+def test_text_that_no_constructor_takes():
+    assert "A number" in refusal(mg.Tone, "600 kg", 1.0)
+    assert "whose unit follows from its use" in refusal(mg.Tone, 600.0, "53.95 m/s^2")
+    assert "Argument `mass`" in refusal(mg.SingleMassGyro.from_modes, "heavy", (2900.0, 3700.0), 1000.0)
+    assert "whose unit follows from its use" in refusal(mg.DirectReadout, "100 mV/um")

@@ -6,11 +6,17 @@ filter can be at fault.
 
 import dataclasses
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import stats
 
 import memsgyro_jax as mg
+from memsgyro_jax.device.propagate import Exact
+from memsgyro_jax.loop.observers.base import Clock
+from memsgyro_jax.loop.scenario import as_scenario
 
 
 slow = pytest.mark.slow
@@ -78,3 +84,40 @@ def test_ten_kilohertz_is_enough_when_annealed():
     assert lot.summary.failed == 0
     assert np.max(np.abs(data["rate_error_end"].values) / data["rate_std_end"].values) < 5.0  # none astray
     assert lot.summary.ratio_to_bound <= 1.2
+
+
+@slow
+@pytest.mark.parametrize(("mode", "quality", "per_period", "nodes"), [
+    (None, None, 26.6, 1), (None, None, 40.0, 1), (10e3, 5000.0, 26.6, 1), (25e3, 2000.0, 18.0, 1),
+    (None, None, 12.0, 2),
+])  # fmt: skip
+def test_what_few_nodes_cost(mode, quality, per_period, nodes):
+    loop = matched()[0]
+    if mode is not None:
+        loop = mg.Operation.of(mg.SingleMassGyro.from_modes(1e-9, (mode, 1.05 * mode), quality)).loop()
+    highest = float(np.max(mg.mode_frequencies(loop.device)))
+    sample_rate, samples = per_period * highest, 1000
+    claims = [claimed(loop, count, sample_rate, samples)[round(per_period) :] for count in (nodes, 6)]
+    seen = np.max(np.abs(claims[0] / claims[1] - 1.0))
+    said = Exact(24, nodes).claim_error(highest, sample_rate)
+    assert 0.4 * said < seen < 1.25 * said
+
+
+def claimed(loop, nodes: int, sample_rate: float, samples: int) -> np.ndarray:
+    """Standard deviations (samples, states) that the filter claims, of motion, offsets and coefficients."""
+    loop = eqx.tree_at(lambda made: made.observer.discretisation, loop, Exact(24, nodes=nodes))
+    scenario, period = as_scenario(1.0), 1.0 / sample_rate
+
+    @eqx.filter_jit
+    def run(loop, noise):
+        def sample(state, xs):
+            index, volts = xs
+            clock = Clock(index * period, index, period)
+            state, _ = loop.step(state, scenario.at((index + 0.5) * period), tuple(volts), clock)
+            covariance = state.observer.covariance
+            motion = jnp.stack([covariance.motion[k] for k in (0, 4, 7, 9)])
+            return state, jnp.sqrt(jnp.concatenate([motion, jnp.diagonal(covariance.constants)]))
+
+        return jax.lax.scan(sample, loop.init(), (jnp.arange(samples), noise))[1]
+
+    return np.asarray(run(loop, jax.random.normal(jax.random.key(3), (samples, 2))))

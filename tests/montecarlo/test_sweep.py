@@ -299,6 +299,8 @@ def test_the_default_lot_is_consistent_and_at_the_bound(loop):
     assert figures.reached.median == pytest.approx(1.0, abs=4.0 * 1.17 / np.sqrt(128))
     assert figures.nees == pytest.approx(14.0, abs=3.0 * np.sqrt(2 * 14 / 128))
     assert figures.nis == pytest.approx(2.0, abs=0.02)
+    assert figures.claim_error == pytest.approx(0.002, rel=0.1), "measured: see test_what_few_nodes_cost"
+    assert "claims to 0.2 %" in repr(figures)
     few, more = (own_bounds(loop, mg.Scenario(mg.Constant(1.0)), SPREAD, 0, dies, 100e3, 0.1) for dies in (5, 40))
     assert few.tobytes() == more[:5].tobytes()
     assert len(np.unique(more)) == 40

@@ -69,9 +69,9 @@ class Tone(Displayed):
     means silent.
     """
 
-    frequency: Scalar = number()
+    frequency: Scalar = number("Hz")
     amplitude: Scalar = number()
-    phase: Scalar = number(default=0.0)
+    phase: Scalar = number("rad", default=0.0)
 
     def value(self, time: Scalar) -> Scalar:
         """The tone at `time` [s]."""

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from memsgyro_jax.base.arguments import quantity
 from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.brownian import thermal_acceleration
@@ -140,9 +141,9 @@ def design_prior(
     gyro: AbstractGyro,
     *,
     spread: float = 0.15,
-    rate_std: float = 3.0,
-    offset_std: float = 20e-3,
-    amplitude: float = 1e-6,
+    rate_std: float | str = 3.0,
+    offset_std: float | str = 20e-3,
+    amplitude: float | str = 1e-6,
     motion_error: float = 0.05,
 ) -> Prior:
     """A prior around the design values of `gyro`, at rest but for a displacement `amplitude` [m] along x.
@@ -153,6 +154,8 @@ def design_prior(
     about zero, the read-out offsets `offset_std` [V] about zero, the motion `motion_error` of the amplitude (velocities
     times the mode frequency). Zero standard deviations mean known exactly.
     """
+    rate_std, offset_std = quantity("rate_std", rate_std, "rad/s"), quantity("offset_std", offset_std, "V")
+    amplitude = quantity("amplitude", amplitude, "m")
     theta, theta_std, frequency = _theta(gyro, spread, rate_std)
     position = motion_error * amplitude
     return Prior(
