@@ -28,6 +28,7 @@ from .commands.identify import identify_command
 from .commands.import_ import import_command
 from .commands.law import law_command
 from .commands.simulate import simulate_command
+from .commands.status import status_command
 from .commands.sweep import sweep_command
 from .commands.tune import tune_command
 
@@ -61,6 +62,7 @@ def _prepared(command: Callable[..., None]) -> Callable[..., None]:
 
 for _command in (
     sweep_command,
+    status_command,
     simulate_command,
     tune_command,
     identify_command,

@@ -145,6 +145,13 @@ class Leases:
                 self._sign()
 
 
+def signed_in(folder: Path) -> tuple[int, int]:
+    """How many have signed in to `folder`, and how many blocks are claimed; some of them may have died."""
+    names = [file.name for file in folder.glob("*")] if folder.is_dir() else []
+    owners = sum(name.startswith(_OWNER) for name in names)
+    return owners, len({name.partition(".")[0] for name in names if name[:1].isdigit()})
+
+
 @functools.cache
 def _host() -> str:
     """This machine since its start; containers, which number their processes anew, count as machines."""

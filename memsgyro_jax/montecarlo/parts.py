@@ -3,6 +3,7 @@
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from memsgyro_jax.base import runtime
 from memsgyro_jax.base.arguments import quantity, whole
 from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.farm import farmed
 from memsgyro_jax.base.provenance import Settings
 from memsgyro_jax.loop.blocks.run import prepared
 from memsgyro_jax.loop.expectation import tell
@@ -167,6 +169,27 @@ def run_share(
         before = work.done
         speed = made.runner.work(work, made.dies, progress)
         return PartRun(work.wanted, work.done - before, tuple(work.notes), speed)
+
+
+def run_on_dask(
+    store: StoredSweep, scheduler: str, resume: bool, progress: Callable[[int, int], None] | None
+) -> PartRun:
+    """Let the workers of a Dask scheduler compute what is missing, a block a task."""
+    made, blocks = store.computation, store.blocks
+    with opened(store.path, made.layout, made.dies, made.runner.block, resume) as work:
+        before, notes, missing = work.done, tuple(work.notes), work.missing
+    done = before
+    for _, ran in farmed(partial(_block, store), missing, scheduler):
+        done += ran
+        if progress:
+            progress(done, store.dies)
+    # Blocks that others were at when they were looked for, and shards that nobody has put together.
+    rest = run_share(store, range(blocks), True, None)
+    return PartRun(rest.dies, done - before + rest.computed, (*notes, *rest.notes), None)
+
+
+def _block(store: StoredSweep, number: int) -> int:
+    return run_share(store, range(number, number + 1), True, None).computed
 
 
 def summarise(store: StoredSweep, speed: float | None = None) -> Summary:

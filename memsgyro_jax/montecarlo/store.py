@@ -5,6 +5,7 @@ last block of a shard is there. Whatever is read is verified (`stored`), and wha
 """
 
 import shutil
+import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -18,7 +19,7 @@ from .batch import PENDING, STATUS
 from .layout import Layout, adapt, attributes_of, create, draft_path, held_by
 from .lease import Leases
 from .shards import holds
-from .stored import StoredRows
+from .stored import StoredRows, waiting_of
 
 
 _POLL = 0.2  # s between looks at blocks that others compute
@@ -27,10 +28,12 @@ _POLL = 0.2  # s between looks at blocks that others compute
 class Store:
     """An open store of `dies` dies in blocks of `block`, of which this process is to see to those of `share`.
 
-    `notes` holds what a person should know.
+    `notes` holds what a person should know. Without `leases` it is only read, and must be finished.
     """
 
-    def __init__(self, path: Path, layout: Layout, dies: int, block: int, leases: Leases, share: range | None = None):
+    def __init__(
+        self, path: Path, layout: Layout, dies: int, block: int, leases: Leases | None, share: range | None = None
+    ):
         self.stored = StoredRows(path, layout, dies, block)
         self.share = range(self.stored.blocks) if share is None else share
         self._leases = leases
@@ -56,6 +59,11 @@ class Store:
         return sum(np.subtract(*self.stored.span(number)[::-1]) for number in self.share if self._done[number])
 
     @property
+    def missing(self) -> list[int]:
+        """The blocks of the share that are not done."""
+        return [number for number in self.share if not self._done[number]]
+
+    @property
     def wanted(self) -> int:
         """How many dies the share has."""
         return min(self.share.stop * self.stored.block, self.stored.dies) - self.share.start * self.stored.block
@@ -65,15 +73,20 @@ class Store:
 
         Blocks that other processes compute are waited for, and taken over from those that die.
         """
-        waiting = [number for number in self.share if not self._done[number]]
+        waiting, leases = self.missing, self._leases
+        if leases is None:
+            if waiting:
+                lacks = self.wanted - self.done
+                raise InputError(f"{self.path} lacks {lacks} dies, but its folder cannot be written to; copy it.")
+            return
         while waiting:
             before = len(waiting)
             for number in list(waiting):
                 # Looked for again once it is claimed: somebody may have written it just before.
-                if not self._found(number) and self._leases.claim(number):
+                if not self._found(number) and leases.claim(number):
                     if not self._found(number):
                         yield number
-                    self._leases.release(number)
+                    leases.release(number)
                 if self._done[number]:
                     waiting.remove(number)
             if len(waiting) == before:
@@ -94,7 +107,7 @@ class Store:
         start, stop = stored.span(number)
         if self._identity() != (stored.layout.attributes["fingerprint"], stored.block):
             raise InputError(f"{self.path} was removed or replaced while its sweep ran; give each a folder of its own.")
-        if not self._leases.holds(number):
+        if not self._leases or not self._leases.holds(number):
             return
         records = stored.sealed({name: values[: stop - start] for name, values in rows.items()}, start)
         stored.waiting.write(stored.name_of(number), stored.file_of(records))
@@ -140,7 +153,7 @@ class Store:
         stored, numbers = self.stored, self.stored.shard(shard)
         waiting = stored.waiting.names()
         mine = [number for number in numbers if stored.name_of(number) in waiting]
-        if not mine:
+        if not mine or not self._leases:
             return
         if len(mine) < len(numbers):
             content = stored.shards.read(stored.place_of(STATUS, shard))
@@ -201,11 +214,15 @@ def opened(
 ) -> Iterator[Store]:
     """The store at `path` for as long as this process works on it: created, or with `resume` gone on with.
 
-    One that another process works on is joined, and the work shared. Raises `InputError` for a store that is there
+    One that another process works on is joined, and the work shared; a finished one whose folder cannot be written to
+    is read. Raises `InputError` for a store that is there
     without `resume`, for one of another computation, version, block size or of more dies, and for what is no store.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    with Leases(_leases(path)) as leases:
+    if resume and path.exists() and not _writable(path.parent):
+        yield Store(path, layout, dies, block, None, share)
+        return
+    with Leases(leases_of(path)) as leases:
         if path.exists() and not resume and not leases.shared():
             raise InputError(f"{path} exists already; add `--resume` to go on with it, or choose another folder.")
         if not path.exists():
@@ -222,14 +239,24 @@ def discard(path: Path) -> None:
     """Remove a store, if there is one. Raises `InputError` while another process works on it."""
     if not path.exists():
         return
-    with Leases(_leases(path)) as leases:
+    with Leases(leases_of(path)) as leases:
         if leases.shared():
             raise InputError(f"{path} is being computed by another process; stop it first, or choose another folder.")
         trash = draft_path(path)
         path.rename(trash)  # gone at once
         shutil.rmtree(trash, ignore_errors=True)
-        shutil.rmtree(path.with_suffix(".blocks"), ignore_errors=True)
+        waiting_of(path).discard()
 
 
-def _leases(path: Path) -> Path:
+def _writable(folder: Path) -> bool:
+    """Whether a file can be made there, which permissions alone do not tell."""
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            return True
+    except OSError:
+        return False
+
+
+def leases_of(path: Path) -> Path:
+    """Where those who work on a store sign in."""
     return path.with_name(f".{path.name}.leases")

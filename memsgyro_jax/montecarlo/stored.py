@@ -24,6 +24,11 @@ from .shards import packed, unpacked
 _TOLD = 10  # damaged blocks that are named one by one
 
 
+def waiting_of(path: Path) -> Folder:
+    """Where the blocks of a store are that are not yet in a shard."""
+    return Folder(path.with_suffix(".blocks"))
+
+
 @dataclass(frozen=True)
 class StoredRows:
     """The dies of the store at `path`, in blocks of `block`."""
@@ -51,7 +56,7 @@ class StoredRows:
     @cached_property
     def waiting(self) -> Folder:
         """The blocks that are not yet in a shard, a file each: a table of `record` in NumPy's format."""
-        return Folder(self.path.with_suffix(".blocks"))
+        return waiting_of(self.path)
 
     @cached_property
     def record(self) -> np.dtype:

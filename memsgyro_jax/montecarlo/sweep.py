@@ -11,12 +11,13 @@ from scipy import stats
 
 from memsgyro_jax.base.axes import axes
 from memsgyro_jax.base.display import Shown
+from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.provenance import Settings
 from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.scenario import AbstractProfile, Scenario
 
 from .layout import Layout
-from .parts import DEFAULT_TOLERANCE, StoredSweep, computation_of, run_share, summarise
+from .parts import DEFAULT_TOLERANCE, PartRun, StoredSweep, computation_of, run_on_dask, run_share, summarise
 from .spread import Spread
 from .store import Memory
 from .stored import StoredRows
@@ -91,6 +92,7 @@ def sweep(
     chunk: int | None = None,
     out: str | Path | None = None,
     resume: bool = False,
+    dask: str | None = None,
     bound_dies: int = 256,
     progress: Callable[[int, int], None] | None = None,
 ) -> Lot:
@@ -101,7 +103,9 @@ def sweep(
     (`seed`, i) only: not a bit of it changes with `dies`, `chunk` (dies per device and batch), the number of CPU
     devices or a resume. With `out`, a folder, the rows go to `out/dies.zarr` as they are computed; `resume=True` goes
     on with a store of the same configuration and computes again what is damaged in it. Several processes, of several
-    machines too, may work on one store at a time: they share its blocks. `progress(done, dies)` is called after each
+    machines too, may work on one store at a time: they share its blocks (`plan` and `run_part` give each its own).
+    With `dask`, the address of a scheduler, its workers compute and write to `out`, which they must see; only a killed
+    one's block is computed again. `progress(done, dies)` is called after each
     batch. The information bound is computed for each of the first `bound_dies` dies (0: not at all), which costs about
     as much as running them; the summary compares each die's error with its own bound.
 
@@ -113,6 +117,8 @@ def sweep(
 
     Raises `InputError` for settings that cannot be run, a store of something else, and outside float64.
     """
+    if dask is not None and out is None:
+        raise InputError("Argument `dask` needs `out`, a folder that all workers see.")
     made = computation_of(
         loop, spread, scenario, dies=dies, sample_rate=sample_rate, duration=duration, settle=settle,
         tolerance=tolerance, seed=seed, chunk=chunk, bound_dies=bound_dies,
@@ -123,5 +129,11 @@ def sweep(
         rows = memory.rows
         return Lot(made.settings, made.summary([(0, rows)], [], speed), rows, made.layout)
     store = StoredSweep(Path(out) / "dies.zarr", made)
-    ran = run_share(store, None, resume, progress)
+    ran = run_share(store, None, resume, progress) if dask is None else run_on_dask(store, dask, resume, progress)
+    return lot_of(store, ran)
+
+
+def lot_of(store: StoredSweep, ran: PartRun) -> Lot:
+    """The dies of a store, after `ran` has worked on them."""
+    made = store.computation
     return Lot(made.settings, summarise(store, ran.steps_per_s), store.rows, made.layout, ran.notes)

@@ -48,6 +48,32 @@ def content(folder):
     return {path.relative_to(folder): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
+def test_a_sweep_in_parts_is_the_sweep(memsgyro, folder):
+    assert memsgyro("sweep", *SMALL, "--out", "whole")[0] == 0
+    status, out, _ = memsgyro("sweep", *SMALL, "--part", "1/2")  # all five dies are in one block, the second part's
+    assert (status, out.count("0 of 0 dies computed"), out.count("0 of 5 (0.0 %)")) == (0, 1, 1)
+    assert {path.name for path in (folder / "sweep-out").iterdir()} == {"dies.zarr"}
+    status, out, _ = memsgyro("sweep", *SMALL, "--part", "2/2")
+    assert (status, out.count("5 of 5 dies computed"), out.count("yield (95 % interval)")) == (0, 1, 1)
+    assert content(folder / "sweep-out" / "dies.zarr") == content(folder / "whole" / "dies.zarr")
+    parts, whole = load("sweep-out/summary.json"), load("whole/summary.json")
+    assert {**parts, "steps_per_s": None} == {**whole, "steps_per_s": None}
+    status, out, _ = memsgyro("status")
+    assert (status, out.split()) == (
+        0,
+        ["dies", "done", "5", "of", "5", "(100", "%):", "0", "lost,", "0", "diverged", "at", "work", "nobody"],
+    )
+    for tokens in (
+        ["--part", "3/2"],
+        ["--part", "two"],
+        ["--part", "1/1", "--overwrite"],
+        ["--part", "1/1", "--dask", "x"],
+    ):
+        status, _, said = memsgyro("sweep", *SMALL, *tokens)
+        assert (status, said.count("\n"), "`" in said) == (2, 1, True), said
+    assert memsgyro("status", "nowhere")[0] == 2
+
+
 def test_a_sweep_prints_its_table_and_leaves_three_results(memsgyro, folder):
     status, out, said = memsgyro("sweep", *SMALL)
     assert status == 0, said

@@ -85,6 +85,20 @@ def test_a_store_is_gone_on_with_and_grows(tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == ["dies.zarr"], "no lease, no draft"
 
 
+def test_a_finished_store_is_read_where_nothing_can_be_written(broken, monkeypatch):
+    def refused(*_, **__):
+        raise OSError(30, "Read-only file system")
+
+    monkeypatch.setattr("tempfile.TemporaryFile", refused)
+    monkeypatch.setattr("memsgyro_jax.montecarlo.store.Leases", None)
+    computed, rows, notes = gone_on(broken)
+    assert (computed, notes) == ([], [])
+    assert_wanted(rows)
+    shard(broken, "left", 1).unlink()
+    with pytest.raises(InputError, match="lacks 8 dies, but its folder cannot be written to"):
+        gone_on(broken)
+
+
 def shard(path: Path, column: str, number: int) -> Path:
     place = path / column / "c" / str(number)
     return place / "0" if place.is_dir() else place

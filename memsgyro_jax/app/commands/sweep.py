@@ -23,6 +23,8 @@ def sweep_command(
     out: Path = Path("sweep-out"),
     resume: Flag = False,
     overwrite: Flag = False,
+    part: str | None = None,
+    dask: str | None = None,
     rate_record: Path | None = None,
     sample_rate: float | None = None,
     duration: float | None = None,
@@ -42,6 +44,9 @@ def sweep_command(
         out: folder for dies.zarr, summary.json and report.html.
         resume: go on with the dies.zarr in that folder, also to more dies.
         overwrite: replace the dies.zarr in that folder.
+        part: `k/n` computes the k-th of n shares of the dies and goes on where it was begun; the one that finds
+            all dies done writes the summary.
+        dask: address of a Dask scheduler whose workers compute, a block at a time, and write into the folder.
         rate_record: CSV with the header "t [s],rate [deg/s]" (any units), in place of the study's rate.
         sample_rate: in Hz.
         duration: of a run in s; a recorded rate's own without this option.
@@ -51,8 +56,11 @@ def sweep_command(
     """
     from .options import chosen_study, require_writable, with_unit, writing
 
-    if resume and overwrite:
-        raise InputError("Options `--resume` and `--overwrite` must not be given together; leave one of them out.")
+    if (resume or part) and overwrite:
+        word = "--resume" if resume else "--part"
+        raise InputError(f"Options `{word}` and `--overwrite` must not be given together; leave one of them out.")
+    if part and dask:
+        raise InputError("Options `--part` and `--dask` must not be given together: Dask shares the work itself.")
     chosen, notes = chosen_study(
         study, rate_record, effects, dies=dies, seed=seed, chunk=chunk,
         sample_rate=with_unit(sample_rate, "Hz"), duration=with_unit(duration, "s"),
@@ -61,13 +69,41 @@ def sweep_command(
     for note in notes:
         print(note)
     with writing(out, "make room or choose another folder, then go on with `--resume`"):
-        lot = _swept(chosen, out, resume, overwrite)
+        lot = _swept(chosen, out, resume, overwrite, dask) if part is None else _part(chosen, out, _share(part))
+        if lot is None:
+            return
         _write(lot, chosen, out, json)
     print(lot)
     print(f"{out / 'report.html'}, summary.json and dies.zarr hold the details.")
 
 
-def _swept(study: "Study", out: Path, resume: bool, overwrite: bool) -> "Lot":
+def _share(part: str) -> tuple[int, int]:
+    number, _, count = part.partition("/")
+    if not (number.isascii() and number.isdigit() and count.isascii() and count.isdigit()):
+        raise InputError(f"Option `--part` must be k/n, as in 3/200, but is {part}.")
+    return int(number), int(count)
+
+
+def _part(study: "Study", out: Path, part: tuple[int, int]) -> "Lot | None":
+    """Compute a share; the lot when that was the last."""
+    from memsgyro_jax.montecarlo.parts import plan, run_part
+    from memsgyro_jax.montecarlo.standing import standing_of
+    from memsgyro_jax.montecarlo.sweep import lot_of
+
+    from .progress import progress
+
+    with progress("dies", "compiling") as show:
+        store = plan(**study.sweep_arguments, out=out)
+        ran = run_part(store, part, progress=show)
+    print(ran)
+    found = standing_of(out)
+    if found.finished:
+        return lot_of(store, ran)
+    print(found)
+    return None
+
+
+def _swept(study: "Study", out: Path, resume: bool, overwrite: bool, dask: str | None) -> "Lot":
     from memsgyro_jax.montecarlo.store import discard
     from memsgyro_jax.montecarlo.sweep import sweep
 
@@ -76,7 +112,7 @@ def _swept(study: "Study", out: Path, resume: bool, overwrite: bool) -> "Lot":
     if overwrite:
         discard(out / "dies.zarr")
     with progress("dies", "compiling") as show:
-        return sweep(**study.sweep_arguments, out=out, resume=resume, progress=show)
+        return sweep(**study.sweep_arguments, out=out, resume=resume, dask=dask, progress=show)
 
 
 def _write(lot: "Lot", study: "Study", out: Path, json: Path | None) -> None:

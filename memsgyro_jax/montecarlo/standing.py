@@ -1,0 +1,89 @@
+"""How far a store is, read from its statuses alone."""
+
+import io
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from memsgyro_jax.base.display import Shown
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.text import aligned
+
+from .batch import DIVERGED, LOST, OK, PENDING, STATUS
+from .folder import Folder
+from .layout import SCHEMA, attributes_of, blocks_per_shard, held_by
+from .lease import signed_in
+from .shards import unpacked
+from .store import leases_of
+from .stored import waiting_of
+
+
+@dataclass(frozen=True)
+class Standing(Shown):
+    """Of the `dies` of the store at `path` so many are `done`, `lost` and `diverged`; `waiting` of the done ones are in
+    files of single blocks. `processes` have signed in and hold `claimed` blocks now, unless they died just now.
+
+    Statuses are taken as they stand; `summarise` and going on verify them.
+    """
+
+    path: Path
+    dies: int
+    done: int
+    lost: int
+    diverged: int
+    waiting: int
+    processes: int
+    claimed: int
+
+    @property
+    def finished(self) -> bool:
+        """Whether all dies are done."""
+        return self.done == self.dies
+
+    def __repr__(self) -> str:
+        fate = f"{self.lost} lost, {self.diverged} diverged"
+        rows = [
+            ("dies done", f"{self.done} of {self.dies} ({_share(self.done, self.dies)}): {fate}"),
+            *([("  of them not yet in a shard", str(self.waiting))] if self.waiting else []),
+            ("at work", f"{self.processes} processes on {self.claimed} blocks" if self.processes else "nobody"),
+        ]
+        return aligned(rows)
+
+
+def standing_of(out: str | Path) -> Standing:
+    """How far the sweep in the folder `out` is. Raises `InputError` where there is no store."""
+    path = Path(out) / "dies.zarr"
+    attributes, dies = attributes_of(path), held_by(path)
+    block = attributes.get("block")
+    if attributes.get("schema") != SCHEMA or not isinstance(block, int) or block < 1 or dies is None:
+        found = attributes.get("schema", "no store")
+        raise InputError(f"{path} must be the store of a sweep ({SCHEMA}), but is {found}.")
+    per_shard, blocks, shards, files = blocks_per_shard(block), -(-dies // block), Folder(path), waiting_of(path)
+    there, counts, waiting = files.names(), np.zeros(3, int), 0
+    for first in range(0, blocks, per_shard):
+        numbers = range(first, min(first + per_shard, blocks))
+        content = shards.read(f"{STATUS}/c/{first // per_shard}")
+        rows, _ = unpacked(content, range(len(numbers)), block, per_shard, np.empty(0, "i1"), PENDING)
+        for place, number in enumerate(numbers):
+            if f"{number}.npy" in there:
+                mine = rows[place * block : (place + 1) * block]
+                before = np.count_nonzero(mine != PENDING)
+                found = _status_in(files.read(f"{number}.npy"))
+                mine[: len(found)] = np.where(mine[: len(found)] == PENDING, found, mine[: len(found)])
+                waiting += np.count_nonzero(mine != PENDING) - before
+        counts += [np.count_nonzero(rows[: dies - first * block] == status) for status in (OK, LOST, DIVERGED)]
+    ok, lost, diverged = (int(count) for count in counts)
+    at_work = signed_in(leases_of(path))
+    return Standing(path, dies, ok + lost + diverged, lost, diverged, waiting, *at_work)
+
+
+def _status_in(content: bytes | None) -> np.ndarray:
+    try:
+        return np.load(io.BytesIO(content or b""), allow_pickle=False)[STATUS]
+    except Exception:  # what a reader makes of damaged bytes is its own affair
+        return np.empty(0, "i1")
+
+
+def _share(done: int, dies: int) -> str:
+    return "100 %" if done == dies else f"{min(100.0 * done / dies, 99.9):.1f} %"
