@@ -40,7 +40,8 @@ def farmed(task: Callable[[Item], Any], items: Iterable[Item], scheduler: str) -
             begun[future.key] = item
             return future
 
-        queue = as_completed([begin(item) for item in islice(rest, _AHEAD * max(1, threads))])
+        first = [begin(item) for item in islice(rest, _AHEAD * max(1, threads))]
+        queue = as_completed(first, loop=client.loop)
         for future in queue:
             item, found = begun.pop(future.key), future.result()
             future.release()

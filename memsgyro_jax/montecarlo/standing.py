@@ -68,10 +68,10 @@ def standing_of(out: str | Path) -> Standing:
         for place, number in enumerate(numbers):
             if f"{number}.npy" in there:
                 mine = rows[place * block : (place + 1) * block]
-                before = np.count_nonzero(mine != PENDING)
+                before = int(np.count_nonzero(mine != PENDING))
                 found = _status_in(files.read(f"{number}.npy"))
                 mine[: len(found)] = np.where(mine[: len(found)] == PENDING, found, mine[: len(found)])
-                waiting += np.count_nonzero(mine != PENDING) - before
+                waiting += int(np.count_nonzero(mine != PENDING)) - before
         counts += [np.count_nonzero(rows[: dies - first * block] == status) for status in (OK, LOST, DIVERGED)]
     ok, lost, diverged = (int(count) for count in counts)
     at_work = signed_in(leases_of(path))
