@@ -9,6 +9,7 @@ import numpy as np
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.measurement.experiments import Noise
+from memsgyro_jax.measurement.outliers import lone_rows
 
 from .bench import Bench, LockIn
 from .identify import sweep_of
@@ -40,15 +41,16 @@ def identify_by_ratio(
             "Argument `records` must hold one sweep with x driven and at most one with y driven "
             "for the ratio method, but does not."
         )
-    x, y = _ascending(by_axis[0]), _ascending(by_axis[1]) if 1 in by_axis else None
+    wrong = {axis: _lone(record) for axis, record in by_axis.items()}
+    x = _ascending(by_axis[0], wrong[0])
+    y = _ascending(by_axis[1], wrong[1]) if 1 in by_axis else None
     modes = _modes(x, y)
-    asymmetry, gain_ratio, notes = (
-        0.0,
-        1.0,
-        ["Without a sweep with y driven, both channels are taken as equal in gain and phase."],
-    )
-    if y is not None:
-        gain_ratio, notes = float(conversion_ratio(x[1], y[1], modes)), []
+    notes = [_sentence(by_axis[axis], row) for axis, rows in sorted(wrong.items()) for row in rows]
+    asymmetry, gain_ratio = 0.0, 1.0
+    if y is None:
+        notes.append("Without a sweep with y driven, both channels are taken as equal in gain and phase.")
+    else:
+        gain_ratio = float(conversion_ratio(x[1], y[1], modes))
         asymmetry = float(
             phase_offset(y[0], y[1][:, 1], modes.omega[1]) - phase_offset(x[0], x[1][:, 0], modes.omega[0])
         )
@@ -88,10 +90,28 @@ def identify_by_ratio(
     )
 
 
-def _ascending(record: SweepRecord) -> tuple[jnp.ndarray, jnp.ndarray]:
-    """Frequency and response per drive of the highest drive level, in ascending order."""
+def _rows(record: SweepRecord) -> np.ndarray:
+    """Those of the highest drive level, in ascending order of frequency."""
     rows = np.flatnonzero(record.drive == record.drive.max())
-    rows = rows[np.argsort(record.frequency[rows])]
+    return rows[np.argsort(record.frequency[rows], kind="stable")]
+
+
+def _lone(record: SweepRecord) -> list[int]:
+    """Rows that stand alone among their neighbours, as a wrong digit or sign leaves them."""
+    rows = _rows(record)
+    rows = rows[np.unique(record.frequency[rows], return_index=True)[1]]
+    place = record.frequency[rows]
+    return sorted({int(rows[k]) for channel in record.phasors.T for k, _ in lone_rows(place, channel[rows], 0.0)})
+
+
+def _sentence(record: SweepRecord, row: int) -> str:
+    line = f"line {record.lines[row]}" if record.lines is not None else f"row {row + 1}"
+    return f"{record.name}, {line}: the row stands alone among its neighbours and was left out; is a digit wrong?"
+
+
+def _ascending(record: SweepRecord, wrong: list[int]) -> tuple[jnp.ndarray, jnp.ndarray]:
+    """Frequency and response per drive of the highest drive level, in ascending order, without the wrong rows."""
+    rows = np.array([row for row in _rows(record) if row not in wrong])
     return jnp.asarray(record.frequency[rows]), jnp.asarray(record.phasors[rows] / record.drive[rows, None])
 
 

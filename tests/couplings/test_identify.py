@@ -309,3 +309,21 @@ def test_bad_arguments_are_one_sentence(arguments, message):
 def test_ratio_method_needs_both_resonances():
     with pytest.raises(InputError, match="sweep both resonances"):
         identify_by_ratio([swept(lab.Gyro(), lab.NARROW, noise=None)])
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("wrong", [-1.0, 10.0, 0.1])
+def test_ratio_method_names_a_row_with_a_wrong_sign_or_digit(wrong, seed):
+    right = swept(lab.Gyro(), noise=lab.FILTERED, seed=seed)
+    row = int(
+        np.random.default_rng(seed).choice(
+            np.flatnonzero(np.abs(right.phasors[:, 0]) > 0.05 * np.abs(right.phasors[:, 0]).max())
+        )
+    )
+    phasors = right.phasors.copy()
+    phasors[row, 0] *= wrong
+    clean, spoilt = (identify_by_ratio([sweep], mass=3e-7) for sweep in (right, replace(right, phasors=phasors)))
+    assert not any("stands alone" in note for note in clean.notes)
+    assert [note for note in spoilt.notes if f"row {row + 1}: the row stands alone" in note]
+    for name in ("lambda_yx", "c_xy", "k_xy"):
+        assert abs(spoilt.coefficients[name].value - clean.coefficients[name].value) < clean.coefficients[name].std
