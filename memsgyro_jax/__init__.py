@@ -79,6 +79,8 @@ if TYPE_CHECKING:
     from .loop.loop import ClosedLoop as ClosedLoop
     from .loop.trace import simulate as simulate
     from .loop.trace import Trace as Trace
+    from .loop.noise_budget import noise_budget as noise_budget
+    from .loop.noise_budget import NoiseBudget as NoiseBudget
     from .loop.bound import information_bound as information_bound
     from .loop.bound import InformationBound as InformationBound
     from .loop.bound import CROSS_DAMPING_ASYMMETRY as CROSS_DAMPING_ASYMMETRY

@@ -80,6 +80,15 @@ class AbstractReadout(Displayed):
         """Standard deviation of one sample in volts: density * sqrt(bandwidth), with bandwidth 1/(2·period)."""
         return tuple(density * jnp.sqrt(0.5 / period) for density in self.noise_density)
 
+    def noise_at(self, frequency: Scalar, period: Scalar) -> dict[str, Pair]:
+        """One-sided densities in V/√Hz, by source, of signals at `frequency` [Hz] sampled every `period` [s]; rounding
+        by a converter is taken as white.
+        """
+        found: dict[str, Pair] = {"electronics": self.noise_density}
+        if self.adc is not None:
+            found["converter"] = (2.0 * self.adc.limit / 2**self.adc.bits * jnp.sqrt(period / 6.0),) * 2
+        return found
+
     def measure(
         self, motion: tuple[Scalar, ...], noise: Pair, drift: Pair, period: Scalar, effects: Effected | None = None
     ) -> Pair:
