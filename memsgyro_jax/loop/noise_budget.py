@@ -191,7 +191,7 @@ def _displacement(loop: ClosedLoop, density: tuple[Scalar, Scalar], omega: Scala
     """Of a density in volts on both channels, that of the displacement."""
     per_unit = [omega if signal >= VX else 1.0 for signal in loop.readout.signals]
     found = (d / (jnp.abs(s) * u) for d, s, u in zip(density, loop.readout.scale, per_unit, strict=True))
-    return tuple(found)  # type: ignore[return-value]
+    return tuple(found)
 
 
 def _sense(loop: ClosedLoop, amplitude: float | None) -> tuple[_Sense, bool]:
