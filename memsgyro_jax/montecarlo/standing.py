@@ -60,18 +60,17 @@ def standing_of(out: str | Path) -> Standing:
         found = attributes.get("schema", "no store")
         raise InputError(f"{path} must be the store of a sweep ({SCHEMA}), but is {found}.")
     per_shard, blocks, shards, files = blocks_per_shard(block), -(-dies // block), Folder(path), waiting_of(path)
-    there, counts, waiting = files.names(), np.zeros(3, int), 0
+    counts, waiting = np.zeros(3, int), 0
     for first in range(0, blocks, per_shard):
-        numbers = range(first, min(first + per_shard, blocks))
+        numbers, there = range(first, min(first + per_shard, blocks)), files.names()
+        # What waits first: it is removed when the shard is written.
+        own = {n: _status_in(files.read(f"{n}.npy")) for n in numbers if f"{n}.npy" in there}
         content = shards.read(f"{STATUS}/c/{first // per_shard}")
         rows, _ = unpacked(content, range(len(numbers)), block, per_shard, np.empty(0, "i1"), PENDING)
-        for place, number in enumerate(numbers):
-            if f"{number}.npy" in there:
-                mine = rows[place * block : (place + 1) * block]
-                before = int(np.count_nonzero(mine != PENDING))
-                found = _status_in(files.read(f"{number}.npy"))
-                mine[: len(found)] = np.where(mine[: len(found)] == PENDING, found, mine[: len(found)])
-                waiting += int(np.count_nonzero(mine != PENDING)) - before
+        for number, found in own.items():
+            mine = rows[(number - first) * block : (number - first) * block + len(found)]
+            waiting += int(np.count_nonzero((mine == PENDING) & (found != PENDING)))
+            mine[mine == PENDING] = found[mine == PENDING]
         counts += [np.count_nonzero(rows[: dies - first * block] == status) for status in (OK, LOST, DIVERGED)]
     ok, lost, diverged = (int(count) for count in counts)
     at_work = signed_in(leases_of(path))

@@ -18,15 +18,18 @@ if TYPE_CHECKING:
     from ..study import Study
 
 _WORST = 10
+_SHOWN = 16384  # dies that are shown one by one; more are summarised
 
 
 def sweep_page(lot: "Lot", study: "Study") -> Page:
     """The report of `lot`, a sweep of `study`."""
-    summary = lot.summary
+    summary, lot = lot.summary, lot.first(_SHOWN)
     page = Page(
         "Sweep over fabricated dies", f"{summary.dies} dies of {study.source.name}, seed {summary.settings.seed}"
     )
     page.section("Result").text(_headline(lot)).table(["figure", "value"], summary.rows())
+    if summary.dies > _SHOWN:
+        page.text(f"What follows shows the first {_SHOWN} dies.")
     page.section("Rate error at the end")
     page.figure(figures.error_figure(lot), "Estimated minus true rate of each die at the end of the run.")
     page.section("Convergence")
