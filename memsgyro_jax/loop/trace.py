@@ -19,7 +19,7 @@ from memsgyro_jax.base.provenance import Settings
 from memsgyro_jax.device.propagate import State4
 
 from . import engine, noise
-from .blocks.length import Blocks
+from .blocks.length import Blocks, lengths
 from .blocks.run import prepared, run_in_blocks
 from .expectation import expectations, tell
 from .loop import ClosedLoop, Sample, as_loop
@@ -259,10 +259,13 @@ def count_steps(sample_rate: float, duration: float) -> int:
 
 
 class _Rows(NamedTuple):
-    """Rows of samples run one by one, samples of each; blocks behind them, and samples of each."""
+    """Rows of samples run one by one, samples of each; samples in growing blocks behind them, then blocks and samples
+    of each.
+    """
 
     rows: int
     apart: int
+    lead: int = 0
     blocks: int = 0
     length: int = 1
 
@@ -271,15 +274,20 @@ class _Rows(NamedTuple):
         """Those of a run of `steps` samples."""
         if blocks is None:
             return cls(steps // decimation, decimation)
-        first = blocks.first(steps)
+        first, lead = blocks.first(steps)
         apart = max(n for n in range(1, min(decimation, first) + 1) if first % n == 0)
-        return cls(first // apart, apart, (steps - first) // blocks.length, blocks.length)
+        return cls(first // apart, apart, lead, (steps - first - lead) // blocks.length, blocks.length)
+
+    @property
+    def sizes(self) -> np.ndarray:
+        """Samples of each block."""
+        return lengths(self.rows * self.apart, self.lead, self.length, 1, self.blocks)
 
     @property
     def ends(self) -> np.ndarray:
         """The number of samples at the end of each row, behind a zero."""
         first = np.arange(self.rows + 1) * self.apart
-        return np.concatenate([first, first[-1] + self.length * np.arange(1, self.blocks + 1)])
+        return np.concatenate([first, first[-1] + np.cumsum(self.sizes)])
 
 
 @eqx.filter_jit
@@ -292,7 +300,7 @@ def _compiled(loop: ClosedLoop, scenario: Scenario, words: tuple, period: float,
     recorder = TraceRecorder(empty)
     if loop.blocks is None:
         return engine.run(loop, scenario, words, period, rows.rows, rows.apart, recorder)
-    return run_in_blocks(loop, scenario, words, period, (rows.rows, rows.apart), (rows.blocks, 1), recorder)
+    return run_in_blocks(loop, scenario, words, period, (rows.rows, rows.apart), rows.sizes, recorder)
 
 
 def _row(sample: Sample) -> _Row:

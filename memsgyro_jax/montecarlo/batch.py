@@ -12,6 +12,7 @@ from jaxtyping import Array, Float, Int, PyTree
 
 from memsgyro_jax.device.gyro import Pair, Scalar, number
 from memsgyro_jax.loop import engine
+from memsgyro_jax.loop.blocks.length import lengths
 from memsgyro_jax.loop.blocks.run import run_in_blocks
 from memsgyro_jax.loop.loop import ClosedLoop, LoopState, Sample
 from memsgyro_jax.loop.observers import AbstractCovarianceObserver
@@ -72,8 +73,8 @@ class Plan(NamedTuple):
     """The fixed numbers of a sweep's runs: period in s, windows of equal length, samples of each, start of the settled
     part in s, tolerance.
 
-    In blocks: `start` samples before them, a window of their own, `stride` blocks in a window, and `statistics` that a
-    block has of each channel; zero where samples are run one by one.
+    In blocks: `start` samples before them, a window of their own, `lead` samples in growing blocks, `stride` blocks in
+    a window, and `statistics` that a block has of each channel; zero where samples are run one by one.
     """
 
     period: float
@@ -82,37 +83,59 @@ class Plan(NamedTuple):
     settle: float
     tolerance: float
     start: int = 0
+    lead: int = 0
     stride: int = 0
     statistics: int = 0
 
     @property
     def windows(self) -> int:
         """How many there are."""
-        return self.blocks + (self.start > 0)
+        return len(self.counts)
 
     @property
     def samples(self) -> int:
         """Of the whole run."""
-        return self.start + self.blocks * self.block
+        return self.start + self.lead + self.blocks * self.block
+
+    @property
+    def sizes(self) -> Int[np.ndarray, "windows stride"]:
+        """In blocks: samples of each, those of a window in a row."""
+        return lengths(self.start, self.lead, self.block // self.stride, self.stride, self.blocks)
 
     @property
     def ends(self) -> Int[np.ndarray, " edges"]:
         """The samples until the end of each window, behind a zero."""
-        edges = self.start + np.arange(self.blocks + 1) * self.block
-        return np.concatenate([[0], edges]) if self.start else edges
+        if self.stride:
+            return np.concatenate([[0], self.start + np.concatenate([[0], np.cumsum(self.sizes.sum(axis=1))])])
+        return np.arange(self.blocks + 1) * self.block
 
     @property
     def counts(self) -> Int[np.ndarray, " windows"]:
         """What a window is the mean of: samples, or ends of blocks."""
-        return np.array([self.start] * (self.start > 0) + [self.stride or self.block] * self.blocks)
+        if self.stride:
+            return np.concatenate([[self.start], np.sum(self.sizes > 0, axis=1)])
+        return np.full(self.blocks, self.block)
+
+    @property
+    def instants(self) -> Float[np.ndarray, " instants"]:
+        """In blocks: the middle of the last sample of every block, in s."""
+        sizes = self.sizes[self.sizes > 0]
+        return (self.start + np.cumsum(sizes) - 0.5) * self.period
+
+    def per_window(self, values: Float[Array, "instants ..."]) -> Float[Array, "windows ..."]:
+        """In blocks: means over the `instants` of each window."""
+        counts = self.counts[1:]
+        places = np.repeat(np.arange(len(counts)), counts)
+        sums = jax.ops.segment_sum(values, places, len(counts), indices_are_sorted=True)
+        return sums / counts.reshape(-1, *(1,) * (values.ndim - 1))
 
     @property
     def window_times(self) -> Float[np.ndarray, " windows"]:
         """The middle of each window in s; in blocks the mean of their ends."""
-        if not self.start:
+        if not self.stride:
             return (np.arange(self.blocks) + 0.5) * (self.block * self.period)
-        late = self.ends[1:-1] + 0.5 * (self.block + self.block / self.stride)
-        return np.concatenate([[0.5 * self.start], late]) * self.period
+        late = np.asarray(self.per_window(jnp.asarray(self.instants))) + 0.5 * self.period
+        return np.concatenate([[0.5 * self.start * self.period], late])
 
     @property
     def settled_window(self) -> int:
@@ -124,7 +147,7 @@ class Plan(NamedTuple):
     def innovations(self) -> int:
         """Of each channel in the settled part."""
         late = self.counts[self.settled_window :]
-        return int(np.sum(late * self.statistics)) if self.stride else int(np.sum(late))
+        return int(np.sum(late)) * (self.statistics or 1)
 
 
 @eqx.filter_jit
@@ -183,12 +206,11 @@ def picked(dies: PyTree, one: PyTree, places: Int[np.ndarray, " some"]) -> PyTre
 def rows_of(loop: ClosedLoop, scenario: Scenario, design: ClosedLoop, words: tuple, plan: Plan) -> dict[str, Array]:
     """The rows of dies side by side, which trail; differentiable by every number of the loop and scenario."""
     recorder = LotRecorder(plan.tolerance)
-    if plan.start:
-        sizes = (1, plan.start), (plan.blocks, plan.stride)
-        done = run_in_blocks(loop, scenario, words, plan.period, *sizes, recorder, design)
+    if plan.stride:
+        done = run_in_blocks(loop, scenario, words, plan.period, (1, plan.start), plan.sizes, recorder, design)
     else:
         done = engine.run(loop, scenario, words, plan.period, plan.blocks, plan.block, recorder, design)
-    end, counts = plan.samples * plan.period, plan.counts[:, None] if plan.start else plan.block
+    end, counts = plan.samples * plan.period, plan.counts[:, None] if plan.stride else plan.block
     error, squared, innovations = jax.tree.map(lambda sums: sums / counts, done.outputs)
     settled = slice(plan.settled_window, None)
     conditions = scenario.at(end - 0.5 * plan.period)
@@ -229,8 +251,8 @@ def _relative(estimate: Scalar, true: Scalar) -> Scalar:
 
 def _window_rates(scenario: Scenario, plan: Plan, lanes: tuple[int, ...]) -> Array:
     """Mean true rate of each window; the rate of a sample is that of its middle, that of a block at its end."""
-    if plan.start:
-        rates = jax.vmap(scenario.rate.value)(_instants(plan)).reshape(plan.blocks, plan.stride, -1).mean(axis=1)
+    if plan.stride:
+        rates = plan.per_window(jax.vmap(scenario.rate.value)(plan.instants).reshape(len(plan.instants), -1))
         begun = jax.vmap(scenario.rate.value)((jnp.arange(plan.start) + 0.5) * plan.period).reshape(plan.start, -1)
         return jnp.broadcast_to(jnp.concatenate([begun.mean(axis=0)[None], rates]), (plan.windows, *lanes))
 
@@ -240,12 +262,6 @@ def _window_rates(scenario: Scenario, plan: Plan, lanes: tuple[int, ...]) -> Arr
 
     rates = jax.lax.map(window, jnp.arange(plan.blocks))
     return jnp.broadcast_to(rates.reshape(rates.shape + (1,) * (1 + len(lanes) - rates.ndim)), (plan.blocks, *lanes))
-
-
-def _instants(plan: Plan) -> Float[np.ndarray, " instants"]:
-    """The middle of the last sample of every block, in s."""
-    length = plan.block // plan.stride
-    return (plan.start + length * np.arange(1, plan.blocks * plan.stride + 1) - 0.5) * plan.period
 
 
 def _standardised(

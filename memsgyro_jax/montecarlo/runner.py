@@ -164,9 +164,9 @@ def windows_of(loop: ClosedLoop, sample_rate: float, duration: float, settle: fl
     steps = count_steps(sample_rate, duration)
     if loop.blocks is not None:
         stride = loop.blocks.stride(steps, WINDOWS)
-        start, window = loop.blocks.first(steps, stride), loop.blocks.length * stride
-        count = statistics(loop)
-        return lot.Plan(1.0 / sample_rate, (steps - start) // window, window, settle, tolerance, start, stride, count)
+        (start, lead), window = loop.blocks.first(steps, stride), loop.blocks.length * stride
+        numbers = (start, lead, stride, statistics(loop))
+        return lot.Plan(1.0 / sample_rate, (steps - start - lead) // window, window, settle, tolerance, *numbers)
     fits = [n for n in range(1, min(2 * WINDOWS, steps) + 1) if steps % n == 0]
     best = min(fits, key=lambda n: abs(np.log(n / WINDOWS)))
     blocks = best if best >= WINDOWS // 4 or steps < WINDOWS else WINDOWS

@@ -45,6 +45,7 @@ def timed(times: int, options: argparse.Namespace) -> tuple[float, int, float, f
 
     import memsgyro_jax as mg
     from memsgyro_jax.loop import engine, noise
+    from memsgyro_jax.loop.blocks.length import lengths
     from memsgyro_jax.loop.blocks.run import prepared, run_in_blocks
 
     class Nothing(engine.AbstractRecorder[tuple, tuple]):
@@ -65,13 +66,13 @@ def timed(times: int, options: argparse.Namespace) -> tuple[float, int, float, f
     loop = mg.ClosedLoop(gyro, readout, observer, controller).in_blocks(options.length)
     loop, _ = prepared(loop.sampled_at(100e3, duration=options.duration))
     samples = round(100e3 * options.duration)
-    first = loop.blocks.first(samples)
-    blocks = times * ((samples - first) // options.length)
-    sizes = (1, first), (blocks, 1)
+    first, lead = loop.blocks.first(samples)
+    blocks = times * ((samples - first - lead) // options.length)
+    sizes = lengths(first, lead, options.length, 1, blocks)
 
     @eqx.filter_jit
     def run(words):
-        state = run_in_blocks(loop, mg.Scenario(rate=mg.Constant(1.0)), words, 1e-5, *sizes, Nothing()).state
+        state = run_in_blocks(loop, mg.Scenario(rate=mg.Constant(1.0)), words, 1e-5, (1, first), sizes, Nothing()).state
         estimate = loop.observer.estimate(state.observer)
         return (estimate.rate - 1.0) / jnp.sqrt(estimate.rate_variance)
 
@@ -83,7 +84,7 @@ def timed(times: int, options: argparse.Namespace) -> tuple[float, int, float, f
         began = time.perf_counter()
         jax.block_until_ready(run(words))
         best = min(best, time.perf_counter() - began)
-    return best, first + blocks * options.length, compiling - best, float(np.sqrt(np.mean(np.asarray(error) ** 2)))
+    return best, first + int(sizes.sum()), compiling - best, float(np.sqrt(np.mean(np.asarray(error) ** 2)))
 
 
 if __name__ == "__main__":

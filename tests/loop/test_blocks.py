@@ -10,7 +10,7 @@ from scipy import stats
 
 import memsgyro_jax as mg
 from memsgyro_jax.loop.blocks import basis
-from memsgyro_jax.loop.blocks.length import Blocks, renewals
+from memsgyro_jax.loop.blocks.length import Blocks, lengths, renewals
 from memsgyro_jax.loop.blocks.run import prepared
 
 
@@ -46,7 +46,7 @@ def test_a_die_is_the_same_in_any_company():
     for name, values in few.items():
         np.testing.assert_array_equal(many[name][:20], values)
     assert np.all(many["status"] == 0)
-    assert abs(np.mean(many["nis_mean"]) - 2.0) < 4.0 * np.sqrt(4.0 / (40 * 9 * 14))
+    assert abs(np.mean(many["nis_mean"]) - 2.0) < 4.0 * np.sqrt(4.0 / (40 * 10 * 14))
 
 
 @pytest.mark.slow
@@ -60,7 +60,7 @@ def test_drawn_statistics_are_those_of_drawn_samples():
 
 def test_a_trace_holds_the_ends_of_blocks():
     trace = mg.simulate(LOOP.in_blocks(), 1.0, sample_rate=100e3, duration=0.1, seed=3, decimation=56)
-    np.testing.assert_allclose(np.diff(trace.time), [560e-6] * 13 + [5.12e-3] * 18)
+    np.testing.assert_allclose(np.diff(trace.time), [480e-6] * 10 + [2.56e-3] + [5.12e-3] * 18)
     assert trace.time[-1] == pytest.approx(0.1)
     assert trace.lost_at is None
     assert abs(trace.rate_error[-1]) < 4.0 * trace.rate_std[-1]
@@ -114,14 +114,22 @@ def test_a_length_is_a_power_of_two():
 @pytest.mark.parametrize("samples", [100, 512, 10_000, 100_000, 12_345])
 def test_what_is_left_of_a_run_is_whole_blocks(samples):
     for stride in (1, 3):
-        first = Blocks(512).first(samples, stride)
-        assert (samples - first) % (512 * stride) == 0
-        assert min(512, samples) <= first <= samples
+        alone, lead = Blocks(512).first(samples, stride)
+        whole, rest = divmod(samples - alone - lead, 512 * stride)
+        assert (rest, min(512, samples) <= alone <= min(640, samples)) == (0, True)
+        sizes = lengths(alone, lead, 512, stride, whole)
+        assert sizes.shape == (len(sizes), stride)
+        assert alone + sizes.sum() == samples
+        flat = sizes[sizes > 0]
+        passed = alone + np.cumsum(flat) - flat
+        assert np.all((flat <= passed // 2) | (passed >= alone + lead))
 
 
 def test_maps_are_made_when_time_has_doubled():
-    assert np.flatnonzero(renewals(50, always=False)).tolist() == [0, 1, 2, 4, 8, 16, 32, 48]
-    assert renewals(5, always=True).all()
+    sizes = np.array([[128, 256, 0], *[[512] * 3] * 16])
+    found = renewals(sizes, always=False)
+    assert np.flatnonzero(found).tolist() == [0, 1, 3, 4, 5, 7, 11, 19, 35]
+    assert renewals(sizes, always=True).sum() == 50
 
 
 def test_the_statistics_of_white_noise_are_white():
@@ -130,9 +138,9 @@ def test_the_statistics_of_white_noise_are_white():
     functions = np.stack([np.asarray(basis.at(n * angles)) for n in number])
     gram = np.einsum("nil,njl->ijl", functions, functions)
     one = basis.at(angles)
-    doubled = one[:, None] * one[None]
+    doubled, turn = one[:, None] * one[None], basis.Turn(jnp.cos(angles), jnp.sin(angles))
     for _ in range(6):
-        doubled, one = basis.gram_twice(doubled, one), basis.twice(one)
+        doubled, turn = basis.gram_twice(doubled, turn), turn.twice
     np.testing.assert_allclose(doubled, gram, rtol=1e-10, atol=1e-10)
     whiten = np.asarray(basis.whitening(jnp.asarray(gram)))
     kept = np.einsum("ikl,kml,jml->ijl", whiten, gram, whiten)

@@ -46,12 +46,12 @@ def advanced(
     w = jnp.concatenate([mean[:4], facts.tones])
     u = jnp.concatenate([motion, w, jnp.ones_like(w[:1])])
     away = mean[first:] - maps.theta
-    turned, seen = applied_to(maps.turned, w), applied_to(maps.seen_turned, w)  # (p, 4), (p, k, 2)
+    turned, seen = applied_to(maps.turned, w), applied_to(maps.seen_turned, w)  # (p, 4), (k, p, 2)
     offset = facts.offset - (mean[4:6] if with_offsets else facts.fixed)
     innovation = applied_to(maps.unexpected, u) + maps.ones[:, None] * offset + jnp.sqrt(facts.noise) * facts.normal
     rows = _rows(maps, seen, with_offsets)
     if len(away):
-        innovation = innovation - weighted(away, seen)
+        innovation = innovation - weighted(away, jnp.swapaxes(seen, 0, 1))
     shift, covariance, squares = _corrected(rows, innovation, facts.expected, covariance)
 
     moved = applied_to(maps.estimated, w)[:4] + applied_to(maps.free, shift[:4])
@@ -67,7 +67,7 @@ def _rows(maps: Maps, seen: Array, with_offsets: bool) -> Float[Array, "k 2 stat
     parts = [maps.seen_free]
     if with_offsets:
         parts.append(maps.ones[:, None, None] * jnp.eye(2)[..., None])
-    return jnp.concatenate([*parts, jnp.moveaxis(seen, 0, 2)], axis=2)
+    return jnp.concatenate([*parts, jnp.swapaxes(seen, 1, 2)], axis=2)
 
 
 def _corrected(

@@ -34,3 +34,12 @@ def applied_to(a: Float[Array, "... inner lanes"], vector: Float[Array, "inner l
 def weighted(weights: Float[Array, "some lanes"], parts: Float[Array, "some ... lanes"]) -> Float[Array, "... lanes"]:
     """The sum of `parts`, each times its weight."""
     return reduce(add, (w * p for w, p in zip(weights, parts, strict=True)))
+
+
+def weighted_by(
+    weights: Float[Array, "rows some lanes"], parts: Float[Array, "some ... lanes"]
+) -> Float[Array, "rows ... lanes"]:
+    """Sums of `parts`, one for each row of weights."""
+    middle = (1,) * (parts.ndim - 2)
+    wide = weights.reshape(weights.shape[:2] + middle + weights.shape[2:])
+    return reduce(add, (wide[:, i] * part[None] for i, part in enumerate(parts)))

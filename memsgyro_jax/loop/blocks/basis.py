@@ -7,6 +7,8 @@ rotation leads from b_n to b_{n+m}; so sums over 2m samples follow from those ov
     G_2m = G_m + R_m G_m R_mᵀ
 """
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -17,31 +19,60 @@ from memsgyro_jax.device.small import dot
 Angles = Float[Array, "frequencies lanes"]
 
 
+class Turn(NamedTuple):
+    """Cosine and sine of an angle for each frequency."""
+
+    cosine: Float[Array, "frequencies lanes"]
+    sine: Float[Array, "frequencies lanes"]
+
+    @property
+    def twice(self) -> "Turn":
+        """By twice the angle."""
+        return Turn(self.cosine**2 - self.sine**2, 2.0 * self.sine * self.cosine)
+
+
+class Sums(NamedTuple):
+    """Sums over samples of something times 1, the cosines and the sines: apart, since XLA joins slowly."""
+
+    one: Float[Array, "... lanes"]
+    cosine: Float[Array, "frequencies ... lanes"]
+    sine: Float[Array, "frequencies ... lanes"]
+
+    @classmethod
+    def first(cls, turn: Turn, value: Float[Array, "... lanes"]) -> "Sums":
+        """Of one sample, at the angle `turn`."""
+        cosine, sine = (_beside(part, value) for part in turn)
+        return cls(value, cosine * value, sine * value)
+
+    def turned(self, turn: Turn) -> "Sums":
+        """Those over b_n as those over b_{n+m}, where b_m is at `turn`."""
+        c, s = (_beside(part, self.one) for part in turn)
+        return Sums(self.one, c * self.cosine - s * self.sine, s * self.cosine + c * self.sine)
+
+    @property
+    def joined(self) -> Float[Array, "basis ... lanes"]:
+        """In the order of the basis."""
+        return jnp.concatenate([self.one[None], self.cosine, self.sine])
+
+
+def _beside(part: Float[Array, "frequencies lanes"], value: Float[Array, "... lanes"]) -> Array:
+    return part.reshape(part.shape[:1] + (1,) * (value.ndim - 1) + part.shape[1:])
+
+
 def at(angles: Angles) -> Float[Array, "basis lanes"]:
     """The basis where the phases are `angles` [rad]: 1, the cosines, the sines."""
     return jnp.concatenate([jnp.ones_like(angles[:1]), jnp.cos(angles), jnp.sin(angles)])
 
 
-def rotated(parts: Float[Array, "basis ..."], basis: Float[Array, "basis lanes"]) -> Float[Array, "basis ..."]:
-    """Sums over b_n as those over b_{n+m}, where `basis` is b_m; dies trail."""
-    count = (len(parts) - 1) // 2
-    one, cosine, sine = parts[:1], parts[1 : 1 + count], parts[1 + count :]
-    shape = (count,) + (1,) * (parts.ndim - 2) + basis.shape[1:]
-    c, s = basis[1 : 1 + count].reshape(shape), basis[1 + count :].reshape(shape)
-    return jnp.concatenate([one, c * cosine - s * sine, s * cosine + c * sine])
+def rotated(parts: Float[Array, "basis ... lanes"], turn: Turn) -> Float[Array, "basis ... lanes"]:
+    """`Sums.turned` of sums in one array."""
+    count = len(turn.cosine)
+    return Sums(parts[0], parts[1 : 1 + count], parts[1 + count :]).turned(turn).joined
 
 
-def twice(basis: Float[Array, "basis lanes"]) -> Float[Array, "basis lanes"]:
-    """b_2m from b_m."""
-    return rotated(basis, basis)
-
-
-def gram_twice(
-    gram: Float[Array, "basis basis lanes"], basis: Float[Array, "basis lanes"]
-) -> Float[Array, "basis basis lanes"]:
-    """G_2m from G_m, where `basis` is b_m."""
-    half = jnp.swapaxes(rotated(gram, basis), 0, 1)
-    return gram + rotated(half, basis)
+def gram_twice(gram: Float[Array, "basis basis lanes"], turn: Turn) -> Float[Array, "basis basis lanes"]:
+    """G_2m from G_m, where b_m is at `turn`."""
+    return gram + rotated(jnp.swapaxes(rotated(gram, turn), 0, 1), turn)
 
 
 _DEPENDENT = 1e-9  # of its own square, what of a function the ones before do not hold

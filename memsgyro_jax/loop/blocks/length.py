@@ -2,14 +2,21 @@
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Int
 
 from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.errors import InputError
 
 
+START = 512  # samples one by one that bring a filter near enough
+_SHORTEST = 128  # samples of a block that is worth its maps
+_SHARE = 2  # of what has passed, the inverse of the share that a growing block may take
+_RENEWED = 16  # blocks after which maps are renewed at the latest
+
+
 class Blocks(Displayed):
-    """Advances a loop by blocks of `length` samples, a power of two, after at least `start` samples one by one.
+    """Advances a loop by blocks of `length` samples, a power of two, after at least `start` samples one by one and
+    blocks that grow: none is longer than half of what has passed before it.
 
     The filter must have come near enough by then that the device is linear in what it does not know yet. `projected`
     takes the noise of the very samples that the loop would draw one by one, instead of drawing a block's statistics: as
@@ -18,7 +25,7 @@ class Blocks(Displayed):
     """
 
     length: int = eqx.field(static=True, default=512)
-    start: int = eqx.field(static=True, default=512)
+    start: int = eqx.field(static=True, default=START)
     projected: bool = eqx.field(static=True, default=False)
     alike: tuple[tuple[int, ...], ...] | None = eqx.field(static=True, default=None)
 
@@ -28,25 +35,41 @@ class Blocks(Displayed):
         if self.start < 1:
             raise InputError(f"Argument `start` of blocks must be at least 1, but {self.start} was given.")
 
-    def first(self, samples: int, stride: int = 1) -> int:
-        """The samples run one by one, so that of `samples` a whole number of `stride` blocks is left; all of them where
-        they are too few.
+    def first(self, samples: int, stride: int = 1) -> tuple[int, int]:
+        """The samples run one by one and those in growing blocks, so that of `samples` a whole number of `stride`
+        blocks is left; all of them one by one where they are too few.
         """
         whole = self.length * stride
-        least = min(self.start, samples)
-        return least + (samples - least) % whole
+        least = min(max(self.start, self.length), samples)
+        until = least + (samples - least) % whole
+        alone = min(self.start, until)
+        if until == samples:
+            return until, 0
+        alone += (until - alone) % min(_SHORTEST, self.length)
+        return alone, until - alone
 
     def stride(self, samples: int, windows: int) -> int:
         """The blocks that make up a window, when a run of `samples` is to have about `windows`."""
         return max(1, samples // (self.length * windows))
 
 
-_RENEWED = 16  # blocks after which maps are renewed at the latest
-
-
-def renewals(blocks: int, always: bool) -> Bool[np.ndarray, " blocks"]:
-    """Before which blocks maps are made: what is known of a constant sharpens as a power of time, so that it moves as
-    much from block 4 to 8 as from 8 to 16.
+def lengths(start: int, lead: int, length: int, stride: int, windows: int) -> Int[np.ndarray, "windows stride"]:
+    """Samples of all blocks behind the first `start` samples, in windows of `stride` blocks: `lead` samples in growing
+    blocks, the last window of which zeros fill, and `windows` of blocks of `length`.
     """
-    number = np.arange(blocks)
-    return always | (number & (number - 1) == 0) | (number % _RENEWED == 0)
+    place, end, growing = start, start + lead, []
+    while place < end:
+        growing.append(1 << (min(place // _SHARE, length, end - place).bit_length() - 1))
+        place += growing[-1]
+    growing += [0] * (-len(growing) % stride)
+    return np.concatenate([np.reshape(np.array(growing, int), (-1, stride)), np.full((windows, stride), length)])
+
+
+def renewals(sizes: Int[np.ndarray, "windows stride"], always: bool) -> Bool[np.ndarray, "windows stride"]:
+    """Before which blocks maps are made: of growing blocks before each; then what is known of a constant sharpens as a
+    power of time, so that it moves as much from block 4 to 8 as from 8 to 16.
+    """
+    flat = sizes.ravel()
+    number = np.arange(flat.size) - (np.argmax(flat == flat.max()) if flat.size else 0)
+    made = always | (number <= 0) | (number & (number - 1) == 0) | (number % _RENEWED == 0)
+    return (made & (flat > 0)).reshape(sizes.shape)

@@ -15,6 +15,8 @@ where O are the sums of C F^n and N those of C T_n; Q_2m = Q_m + F_m Q_m F_mᵀ 
 the motion gathers. At the end the sums are whitened (`basis`). ∂E/∂θ is the filter's own, by a rule of Gauss.
 """
 
+from functools import partial, reduce
+from operator import add
 from typing import Any, NamedTuple
 
 import jax
@@ -27,7 +29,8 @@ from memsgyro_jax.device.gyro import Dynamics
 from ..loop import ClosedLoop
 from ..observers.base import AbstractBlockObserver
 from . import basis
-from .algebra import multiplied, over_lanes, weighted
+from .algebra import multiplied, over_lanes, weighted, weighted_by
+from .basis import Sums, Turn
 from .law import Groups, Lanes, law_of, pulsations, rows_of_readout
 
 
@@ -50,22 +53,22 @@ class Maps(NamedTuple):
     walked: Float[Array, "4 4 lanes"]
     true: Float[Array, "4 u lanes"]
     seen_free: Float[Array, "k 2 4 lanes"]
-    seen_turned: Float[Array, "p k 2 w lanes"]
+    seen_turned: Float[Array, "k p 2 w lanes"]
     unexpected: Float[Array, "k 2 u lanes"]
 
 
 def maps_of(
-    loop: ClosedLoop, dynamics: Dynamics, theta: tuple[Scalar, ...], groups: Groups, period: Scalar, length: int,
-    lanes: Lanes,
+    loop: ClosedLoop, dynamics: Dynamics, theta: tuple[Scalar, ...], groups: Groups, period: Scalar,
+    doublings: tuple[Array, int], lanes: Lanes,
 ) -> Maps:  # fmt: skip
-    """The maps over `length` samples at linearisation `theta`, for a device with `dynamics`."""
+    """The maps over 2^p samples at linearisation `theta`, of a device with `dynamics`; `doublings` are p and its most."""
     observer: Any = loop.observer
     law = law_of(loop.controller, observer, theta, groups, period, lanes)
     pulsation, tonal = pulsations(loop.controller, observer.model.assemble(theta), groups, lanes)
     angles = pulsation * period
     free, step, turned = _sample(observer, theta, law, period, lanes)
     estimated = jnp.concatenate([step, _turning(tonal * period, lanes)])
-    true = _true_sample(loop, dynamics, law, estimated, period, lanes)
+    own, driven, pushed = _true_sample(loop, dynamics, law, period, lanes)
     expects = over_lanes(
         [
             [s if i == signal else 0.0 for i in range(4)]
@@ -73,29 +76,35 @@ def maps_of(
         ],
         lanes,
     )
-    shows = jnp.concatenate([rows_of_readout(loop.readout, lanes), -expects], axis=1)
-    shows = jnp.concatenate([shows, jnp.zeros((2, true.shape[1] - 8, *lanes))], axis=1)
+    shows = rows_of_readout(loop.readout, lanes)
     walk = jnp.eye(4)[..., None] * over_lanes(observer.walk()[:4], lanes) * period
-    one = basis.at(angles)
-    seen = lambda volts: one.reshape(len(one), *(1,) * (volts.ndim - 1), *lanes) * volts  # noqa: E731
-    start = (
-        one,
+    turn, one = Turn(jnp.cos(angles), jnp.sin(angles)), basis.at(angles)
+    seen = partial(Sums.first, turn)
+    start = _Doubling(
+        turn,
         one[:, None] * one[None],
-        _Sums(free, estimated, turned, walk, true),
-        (
+        _Ends(free, estimated, turned, walk, own, driven, pushed),
+        _Seen(
             seen(multiplied(expects, free)),
-            jnp.moveaxis(seen(multiplied(expects, turned)), 0, 1),
-            seen(multiplied(shows, true)),
+            seen(multiplied(expects, turned)),
+            seen(multiplied(shows, own)),
+            seen(multiplied(shows, driven) - multiplied(expects, step)),
+            seen(multiplied(shows, pushed)),
         ),
     )
-    _, gram, ends, sums = jax.lax.fori_loop(0, length.bit_length() - 1, lambda _, s: _doubled(*s), start)
+
+    def level(half: _Doubling, passed: Array) -> tuple[_Doubling, None]:
+        return jax.lax.cond(passed < doublings[0], _doubled, lambda whole: whole, half), None
+
+    _, gram, to, sums = jax.lax.scan(level, start, jnp.arange(doublings[1]))[0]
     whiten = basis.whitening(gram)
-    white = lambda parts: jnp.stack([weighted(row, parts) for row in whiten])  # noqa: E731
-    seen_turned = jnp.moveaxis(white(jnp.moveaxis(sums[1], 0, 1)), 0, 1)
+    white = partial(weighted_by, whiten)
+    unexpected = jnp.concatenate([white(part.joined) for part in (sums.own, sums.driven, sums.pushed)], axis=2)
     chosen = over_lanes([theta[i] for i in observer.estimated], lanes)
     return Maps(
-        chosen, angles, whiten, weighted_ones(whiten, gram), ends.estimated, ends.free, ends.turned, ends.walked,
-        ends.true[:4], white(sums[0]), seen_turned, white(sums[2]),
+        chosen, angles, whiten, weighted_ones(whiten, gram), to.estimated, to.free, to.turned, to.walked,
+        jnp.concatenate([to.own, to.driven, to.pushed], axis=1),
+        white(sums.free.joined), white(sums.turned.joined), unexpected,
     )  # fmt: skip
 
 
@@ -104,34 +113,70 @@ def weighted_ones(whiten: Float[Array, "k k lanes"], gram: Float[Array, "k k lan
     return jnp.stack([weighted(row, gram[:, 0]) for row in whiten])
 
 
-class _Sums(NamedTuple):
-    """What leads to the end of m samples; `true` is the whole of B."""
+class _Ends(NamedTuple):
+    """What leads to the end of m samples: F, A, T and Q, and of the true motion its own F, what w and what 1 push."""
 
     free: Array
     estimated: Array
     turned: Array
     walked: Array
-    true: Array
+    own: Array
+    driven: Array
+    pushed: Array
 
 
-def _doubled(one: Array, gram: Array, to: _Sums, sums: tuple[Array, Array, Array]) -> tuple:
-    """All of it over 2m samples from that over m."""
-    seen_free, seen_turned, unexpected = sums
-    turn = lambda parts: basis.rotated(parts, one)  # noqa: E731
-    moved = multiplied(seen_free, to.turned[:, None]) + multiplied(seen_turned, to.estimated)
-    ends = _Sums(
+class _Seen(NamedTuple):
+    """What the read-out shows over m samples: O and N; and of truth less estimate by z, w and 1."""
+
+    free: Sums
+    turned: Sums
+    own: Sums
+    driven: Sums
+    pushed: Sums
+
+
+class _Doubling(NamedTuple):
+    """b_m, G_m and the rest of m samples."""
+
+    turn: Turn
+    gram: Array
+    to: _Ends
+    seen: _Seen
+
+
+def _doubled(half: _Doubling) -> _Doubling:
+    """Over 2m samples from over m."""
+    turn, gram, to, seen = half
+    ends = _Ends(
         free=multiplied(to.free, to.free),
         estimated=multiplied(to.estimated, to.estimated),
         turned=multiplied(to.free, to.turned) + multiplied(to.turned, to.estimated),
         walked=to.walked + multiplied(multiplied(to.free, to.walked), jnp.swapaxes(to.free, 0, 1)),
-        true=multiplied(to.true, to.true),
+        own=multiplied(to.own, to.own),
+        driven=multiplied(to.own, to.driven) + multiplied(to.driven, to.estimated),
+        pushed=multiplied(to.own, to.pushed) + to.pushed,
     )
-    added = (
-        seen_free + turn(multiplied(seen_free, to.free)),
-        seen_turned + jnp.moveaxis(turn(jnp.moveaxis(moved, 0, 1)), 0, 1),
-        unexpected + turn(multiplied(unexpected, to.true)),
+
+    alone = Sums(seen.free.one[None], seen.free.cosine[:, None], seen.free.sine[:, None])  # of no coefficient
+    added = _Seen(
+        free=_later(turn, seen.free, _through(seen.free, to.free)),
+        turned=_later(turn, seen.turned, _through(alone, to.turned), _through(seen.turned, to.estimated)),
+        own=_later(turn, seen.own, _through(seen.own, to.own)),
+        driven=_later(turn, seen.driven, _through(seen.own, to.driven), _through(seen.driven, to.estimated)),
+        pushed=_later(turn, seen.pushed, _through(seen.own, to.pushed), seen.pushed),
     )
-    return basis.twice(one), basis.gram_twice(gram, one), ends, added
+    return _Doubling(turn.twice, basis.gram_twice(gram, turn), ends, added)
+
+
+def _through(sums: Sums, onto: Array) -> Sums:
+    """What is seen once all went through a map."""
+    return Sums(*(multiplied(part, onto) for part in sums))
+
+
+def _later(turn: Turn, first: Sums, *second: Sums) -> Sums:
+    """Sums over both halves, where what adds up over the second is given as if it were the first."""
+    rest = Sums(*(reduce(add, parts) for parts in zip(*second, strict=True))).turned(turn)
+    return Sums(*(a + b for a, b in zip(first, rest, strict=True)))
 
 
 def _sample(
@@ -154,17 +199,13 @@ def _sample(
 
 
 def _true_sample(
-    loop: ClosedLoop, dynamics: Dynamics, law: Array, estimated: Array, period: Scalar, lanes: Lanes
-) -> Array:
-    """B of a sample."""
+    loop: ClosedLoop, dynamics: Dynamics, law: Array, period: Scalar, lanes: Lanes
+) -> tuple[Array, Array, Array]:
+    """Of the true motion after a sample: what comes from itself, from w, and from nothing."""
     sample = loop.discretisation.transition(dynamics.stiffness, dynamics.velocity, period)
-    free, push = over_lanes(sample.full, lanes), over_lanes(sample.push, lanes)
+    push = over_lanes(sample.push, lanes)
     driven = multiplied(push, over_lanes(dynamics.gain, lanes)[:, None] * law)
-    constant = multiplied(push, over_lanes(dynamics.bias, lanes)[:, None])
-    size = len(estimated)
-    below = jnp.concatenate([jnp.zeros((size, 4, *lanes)), estimated, jnp.zeros((size, 1, *lanes))], axis=1)
-    last = jnp.concatenate([jnp.zeros((1, 4 + size, *lanes)), jnp.ones((1, 1, *lanes))], axis=1)
-    return jnp.concatenate([jnp.concatenate([free, driven, constant], axis=1), below, last])
+    return over_lanes(sample.full, lanes), driven, multiplied(push, over_lanes(dynamics.bias, lanes)[:, None])
 
 
 def _turning(angles: Float[Array, "tones lanes"], lanes: Lanes) -> Float[Array, "2·tones w lanes"]:

@@ -2,12 +2,13 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
+import numpy as np
+from jaxtyping import Array, Int
 
 from memsgyro_jax.device.gyro import DualMassGyro, Scalar
 
@@ -71,41 +72,68 @@ def statistics(loop: ClosedLoop) -> int:
 
 def run_in_blocks(
     loop: ClosedLoop, scenario: Scenario, words: tuple[Array, Array], period: Scalar, start: tuple[int, int],
-    windows: tuple[int, int], recorder: engine.AbstractRecorder, design: ClosedLoop | None = None,
+    sizes: Int[np.ndarray, "windows stride"], recorder: engine.AbstractRecorder, design: ClosedLoop | None = None,
 ) -> engine.Run:  # fmt: skip
-    """Run `start` (windows, samples of each) sample by sample and then `windows` (windows, blocks of each) in blocks.
+    """Run `start` (windows, samples of each) sample by sample and then windows of blocks of `sizes` samples, powers of
+    two, or none.
 
     As `engine.run`, but that the recorder takes a block for a sample: at its end, with the clean volts, and with the
     root mean square of the block's normalised innovations (of variance 1) for an innovation.
     """
     begun = engine.run(loop, scenario, words, period, *start, recorder, design)
-    course = _Course(loop, scenario, words, period, start[0] * start[1])
-    fresh = jnp.asarray(renewals(windows[0] * windows[1], _moves(scenario))).reshape(windows)
+    first, flat = start[0] * start[1], sizes.ravel()
+    course = _Course(loop, scenario, words, period, int(flat.max(initial=1)))
+    before = (first + np.cumsum(flat) - flat).reshape(sizes.shape)
+    numbers = np.arange(flat.size).reshape(sizes.shape)
+    doublings = np.log2(np.maximum(sizes, 1)).astype(int)
+    entering = jax.tree.map(jnp.asarray, (Span(numbers, before, doublings), renewals(sizes, _moves(scenario))))
+
+    def one(carry, span):
+        state, memory, maps = carry
+        state, sample = course.block(state, maps, span)
+        return state, recorder.sample(memory, sample), maps
 
     def block(carry, entering):
         state, memory, maps = carry
-        number, renewed = entering
-        maps = jax.lax.cond(renewed, lambda: course.maps(state, number), lambda: maps)
-        state, sample = course.block(state, maps, number)
-        return (state, recorder.sample(memory, sample), maps), None
+        span, renewed = entering
+        maps = jax.lax.cond(renewed, lambda: course.maps(state, span), lambda: maps)
+        carry = state, memory, maps
+        if flat.all():
+            return one(carry, span), None
+        there = jnp.asarray(flat > 0)[span.number]
+        return jax.lax.cond(there, lambda: one(carry, span), lambda: carry), None
 
     def window(carry, number):
         state, memory, maps, alive, survived = carry
-        numbers = number * windows[1] + jnp.arange(windows[1])
-        (new_state, new_memory, maps), _ = jax.lax.scan(block, (state, memory, maps), (numbers, fresh[number]))
+        inside = jax.tree.map(lambda parts: parts[number], entering)
+        (new_state, new_memory, maps), _ = jax.lax.scan(block, (state, memory, maps), inside)
         new_memory, output = recorder.block(new_memory)
         alive = alive & engine.healthy(loop, new_state)
         keep = lambda new, old: jnp.where(alive, new, old)  # noqa: E731
         kept = jax.tree.map(keep, (new_state, new_memory), (state, memory))
         return (*kept, maps, alive, survived + alive), output
 
-    shapes = jax.eval_shape(lambda: course.maps(begun.state, jnp.zeros((), int)))
+    zero = Span(*(jnp.zeros((), int),) * 3)
+    shapes = jax.eval_shape(lambda: course.maps(begun.state, zero))
     empty = jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), shapes)
     state = course.settled_in(begun.state)
     carry = (state, begun.memory, empty, begun.alive, begun.blocks_alive)
-    (state, memory, _, alive, survived), outputs = engine.scan_in_groups(window, carry, windows[0])
+    (state, memory, _, alive, survived), outputs = engine.scan_in_groups(window, carry, len(sizes))
     joined = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), begun.outputs, outputs)
     return engine.Run(state, memory, joined, alive, survived)
+
+
+class Span(NamedTuple):
+    """Where a block lies: its number, the samples before it, and how often one sample is doubled to it."""
+
+    number: Int[Array, ""]
+    before: Int[Array, ""]
+    doublings: Int[Array, ""]
+
+    @property
+    def length(self) -> Int[Array, ""]:
+        """Samples."""
+        return 1 << self.doublings
 
 
 def _moves(scenario: Scenario) -> bool:
@@ -121,7 +149,7 @@ class _Course(eqx.Module):
     scenario: Scenario
     words: tuple[Array, Array]
     period: Scalar
-    first: int = eqx.field(static=True)
+    longest: int = eqx.field(static=True)
 
     @property
     def lanes(self) -> Lanes:
@@ -144,11 +172,6 @@ class _Course(eqx.Module):
         """The filter."""
         return self.loop.observer
 
-    @property
-    def span(self) -> int:
-        """Samples of a block."""
-        return self.blocks.length
-
     def settled_in(self, state: LoopState) -> LoopState:
         """`state` with every leaf as a block leaves it."""
         observer = self.observer
@@ -157,44 +180,44 @@ class _Course(eqx.Module):
         told = observer.believing(state.observer, believed, Innovation((one, one), (one, one)))
         return state._replace(observer=told)
 
-    def maps(self, state: LoopState, number: Array) -> Maps:
-        """Linearised where the filter is; the device in the middle of block `number`."""
+    def maps(self, state: LoopState, span: Span) -> Maps:
+        """Linearised where the filter is; the device in the middle of the block."""
         loop, blocks = self.loop, self.blocks
-        middle = self.scenario.at((self.first + (number + 0.5) * self.span) * self.period)
+        middle = self.scenario.at((span.before + 0.5 * span.length) * self.period)
         theta = loop.observer.estimate(state.observer).theta
-        return maps_of(
-            loop, loop.device.dynamics(middle.inertial), theta, blocks.alike, self.period, blocks.length, self.lanes
-        )
+        doublings = span.doublings, self.longest.bit_length() - 1
+        dynamics = loop.device.dynamics(middle.inertial)
+        return maps_of(loop, dynamics, theta, blocks.alike, self.period, doublings, self.lanes)
 
-    def block(self, state: LoopState, maps: Maps, number: Array) -> tuple[LoopState, Sample]:
+    def block(self, state: LoopState, maps: Maps, span: Span) -> tuple[LoopState, Sample]:
         """The state a block later, and what can be recorded there."""
         loop, lanes = self.loop, self.lanes
         observer = self.observer
-        before = self.first + number * self.span
-        middle = (before + 0.5 * self.span) * self.period
+        before, elapsed = span.before, span.length * self.period
+        middle = before * self.period + 0.5 * elapsed
         drift = self.scenario.at(middle).offset_drift
         facts = Facts(
             tones=self._tones(before * self.period),
             offset=over_lanes(loop.readout.clean((0.0,) * 4, drift), lanes),
             fixed=over_lanes(observer.prior.offset, lanes),
-            normal=self._normal(maps, number),
+            normal=self._normal(maps, span),
             noise=over_lanes(loop.readout.noise_std(self.period), lanes) ** 2,
             expected=over_lanes(observer.variance(Clock(middle, before, self.period)), lanes),
-            walk=over_lanes(observer.walk()[4:], lanes) * (self.span * self.period),
+            walk=over_lanes(observer.walk()[4:], lanes) * elapsed,
         )
         motion, believed = self._row((jnp.stack(state.motion), observer.believed(state.observer)))
         motion, believed, squares = self._single(advanced(motion, believed, maps, facts, observer.with_offsets))
         size = jnp.sqrt(jnp.mean(squares, axis=0))
         one = jnp.ones_like(size[0])
         told = observer.believing(state.observer, believed, Innovation(tuple(size), (one, one)))
-        return self._ended(state._replace(motion=tuple(motion), observer=told), before + self.span)
+        return self._ended(state._replace(motion=tuple(motion), observer=told), span)
 
-    def _ended(self, state: LoopState, count: Array) -> tuple[LoopState, Sample]:
-        loop, period = self.loop, self.period
+    def _ended(self, state: LoopState, span: Span) -> tuple[LoopState, Sample]:
+        loop, period, count = self.loop, self.period, span.before + span.length
         clock = Clock(count * period, count, period)
         estimate, output = loop.observer.estimate(state.observer), None
         if loop.filter is not None and state.output is not None:
-            output = FilterState(*loop.filter.step(state.output.held, estimate.rate, self.span * period))
+            output = FilterState(*loop.filter.step(state.output.held, estimate.rate, span.length * period))
         rate = estimate.rate if output is None else output.rate
         conditions = self.scenario.at((count - 0.5) * period)
         force = loop.controller.command((), estimate, clock)[0]
@@ -210,13 +233,16 @@ class _Course(eqx.Module):
             entries += [jnp.sin(angle), jnp.cos(angle)]
         return jnp.stack(entries) if entries else jnp.zeros((0, *self.lanes))
 
-    def _normal(self, maps: Maps, number: Array) -> Array:
+    def _normal(self, maps: Maps, span: Span) -> Array:
         """Standard normal numbers for the statistics of a block."""
         size, draw = len(maps.ones), _drawer(self._row(self.words))
         if not self.blocks.projected:
-            return draw(number * size + jnp.arange(size), BLOCK_STREAM)
-        samples = self.first + number * self.span + jnp.arange(self.span)
-        return basis.projected(maps.angles, maps.whiten, draw(samples, engine.MEASUREMENT_STREAM))
+            return draw(span.number * size + jnp.arange(size), BLOCK_STREAM)
+        places = jnp.arange(self.longest)
+        drawn = jnp.where(
+            (places < span.length)[:, None, None], draw(span.before + places, engine.MEASUREMENT_STREAM), 0.0
+        )
+        return basis.projected(maps.angles, maps.whiten, drawn)
 
 
 def _drawer(words: tuple[Array, Array]) -> Callable[[Array, int], Array]:
