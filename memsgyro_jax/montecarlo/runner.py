@@ -52,7 +52,7 @@ class Runner:
         return side_by_side(self.mesh.devices.flat[0].platform)
 
     def batches(self, block: int, dies: int) -> Iterator[dict[str, np.ndarray]]:
-        """The rows of one block, batch by batch: a chunk for each device at a time, up to the block's end or `dies`.
+        """The rows of one block, batch by batch, up to the block's end or `dies`.
 
         A block is drawn and written as one: drawing for every batch took a sixth of the time, writing every chunk a
         third.
@@ -63,11 +63,11 @@ class Runner:
             check_fits(drawn.loop.filter, self.loop.output_rate(1.0 / self.plan.period))
         keyed = jnp.asarray(self.spread.noise(numbers))
         words = jax.tree.map(np.asarray, noise.die_words(jax.random.key(self.seed), keyed))
-        chunks = -(-len(numbers) // self.chunk)
-        for first in range(0, chunks, self.mesh.size):
-            count = min(chunks - first, self.mesh.size)
+        chunks, together = -(-len(numbers) // self.chunk), self._together(dies)
+        for first in range(0, chunks, together):
+            count = min(chunks - first, together)
             # A last batch that does not fill the devices repeats its last chunk: one shape, one compilation.
-            batch = [first + min(n, count - 1) for n in range(self.mesh.size)]
+            batch = [first + min(n, count - 1) for n in range(together)]
             # A chunk that does not fill the lanes repeats its last die.
             inside = np.minimum(np.arange(-(-self.chunk // self.lanes) * self.lanes), self.chunk - 1)
             places = np.concatenate([n * self.chunk + inside for n in batch])
@@ -98,6 +98,15 @@ class Runner:
     def block(self) -> int:
         """Dies in a block."""
         return self.chunk * CHUNKS_PER_BLOCK
+
+    def _together(self, dies: int) -> int:
+        """Chunks in a batch: one for each device, in blocks of samples as many as a block of dies has, since a call
+        takes as long as some of those.
+        """
+        if self.loop.blocks is None:
+            return self.mesh.size
+        chunks = -(-min(dies, self.block) // self.chunk)
+        return self.mesh.size * -(-chunks // self.mesh.size)
 
     def _run(self, drawn: Draw, words: tuple[np.ndarray, ...], places: np.ndarray) -> dict[str, np.ndarray]:
         design = (self.loop, self.scenario)

@@ -61,7 +61,7 @@ def maps_of(
     loop: ClosedLoop, dynamics: Dynamics, theta: tuple[Scalar, ...], groups: Groups, period: Scalar,
     doublings: tuple[Array, int], lanes: Lanes,
 ) -> Maps:  # fmt: skip
-    """The maps over 2^p samples at linearisation `theta`, of a device with `dynamics`; `doublings` are p and its most."""
+    """The maps over 2^p samples at linearisation `theta`, of a device with `dynamics`; `doublings`: p and its top."""
     observer: Any = loop.observer
     law = law_of(loop.controller, observer, theta, groups, period, lanes)
     pulsation, tonal = pulsations(loop.controller, observer.model.assemble(theta), groups, lanes)
