@@ -83,6 +83,13 @@ class Outside:
     maxwell_x: float = 0.0
     maxwell_y: float = 0.0
     maxwell_time: float = 1e-4
+    # A second mode z near a multiple of the resonance, of the same mass: the energy s x^p z, z'' = -w² z - (w/Q) z' - s x^p/m
+    # (internal resonance 1:p; Nayfeh and Mook, Nonlinear Oscillations, 1979). `ratio` is w over the axis' own frequency.
+    internal_x: float = 0.0
+    internal_y: float = 0.0
+    internal_order: int = 2
+    internal_ratio: float = 2.0
+    internal_quality: float = 1000.0
     # The drive amplifier warms up with what it delivers: u -> u (1 + s θ), θ' = ((u / 100 nN)² - θ) / time.
     drive_heating_x: float = 0.0
     drive_heating_y: float = 0.0

@@ -47,7 +47,7 @@ class Bench:
 
     def resonance(self, axis):
         """To the digits of a finder's display [Hz]."""
-        return round(float(self.plant.die.resonances()[axis]), 1)
+        return round(float(self.plant.die.resonances()[axis]), self.lab.finder)
 
 
 @singledispatch

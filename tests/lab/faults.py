@@ -19,6 +19,9 @@ class Faults:
         dwell: time from row to row [s]; a clock is written where it is not zero.
         filter_time, filter_order: of the lock-in's low-pass [s], a cascade of first-order stages.
         jitter: standard deviation of the drive frequency, relative, from row to row.
+        wander: relative amplitude of a slow beat of the resonances over the rows of a sweep, one and a half turns.
+        phase_jump: by which the reference turns within a sweep's rows, after two fifths of them [rad].
+        lost_row: whether a row is lost there: from then on each reads what belongs to the next.
         outliers: share of the rows that read anything up to the largest reading.
         mains: amplitude [V] of 50 Hz in waveforms, with a third of it at 150 Hz.
         quantum: step of the converter [V].
@@ -37,6 +40,9 @@ class Faults:
     filter_time: float = 0.0
     filter_order: int = 1
     jitter: float = 0.0
+    wander: float = 0.0
+    phase_jump: float = 0.0
+    lost_row: bool = False
     outliers: float = 0.0
     mains: float = 0.0
     quantum: float = 0.0
@@ -52,6 +58,7 @@ class Faults:
     def pulled(self, count, rng):
         """Relative change of the resonances against the drive frequency, row by row."""
         shift = self.pull * (np.linspace(0, 1, count) - 0.5)
+        shift = shift + self.wander * np.sin(3 * np.pi * np.linspace(0, 1, count))
         return shift - self.jitter * rng.standard_normal(count) if self.jitter else shift
 
     def lock_in(self, clean, name, force):
@@ -60,6 +67,10 @@ class Faults:
         gain = (1 + dict(self.gains).get(name, 0.0) + self.gain_drift * along) * np.exp(
             1j * (self.phase + self.phase_drift * along)
         )
+        late = np.arange(len(clean)) >= 2 * len(clean) // 5
+        gain = gain * np.exp(1j * self.phase_jump * late[:, None])
+        if self.lost_row:
+            clean = np.where(late[:, None], np.append(clean[1:], clean[-1:], axis=0), clean)
         seen = gain * clean + self.background + self.feedthrough * np.broadcast_to(force, len(clean))[:, None]
         return self._filtered(seen) if self.filter_time else seen
 

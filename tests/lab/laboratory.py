@@ -125,7 +125,7 @@ def _toml(name, die, protocol, records):
     head = f'schema = "memsgyro-case/1"\nname = "{name}"\ndescription = "made by a simulated laboratory"\n'
     lines = [head + f'device = "{device}"\n']
     if die.axes == 2:
-        lines.append(GYRO_DESIGN + GYRO_CONVENTIONS % (protocol.temperature, protocol.bias))
+        lines.append(_gyro_design(die) + GYRO_CONVENTIONS % (protocol.temperature, protocol.bias))
     else:
         w0 = np.sqrt(die.kxx / die.mass)
         lines.append(RESONATOR_DESIGN % (w0 / 2 / np.pi, w0 * die.mass / die.dxx, 1 / die.kxx))
@@ -137,6 +137,21 @@ def _toml(name, die, protocol, records):
             entry["noise_std"] = (protocol.faults.declared * record.noise, "V")
         lines.append("[[experiment]]\n" + "".join(f"{k} = {_value(v)}\n" for k, v in entry.items()))
     return "\n".join(lines)
+
+
+def _gyro_design(die):
+    """The thesis' design for a die of its, else the die's own numbers to two digits."""
+    design = Die()
+    if all(abs(getattr(die, name) / getattr(design, name) - 1) <= 0.2 for name in ("mass", "kxx", "kyy")):
+        return GYRO_DESIGN
+    lines = [("mass", die.mass, "kg", 0.10), ("kxx", die.kxx, "N/m", 0.10), ("kyy", die.kyy, "N/m", 0.10)]
+    lines += [("dxx", die.dxx, "N*s/m", 0.20), ("dyy", die.dyy, "N*s/m", 0.20)]
+    text = "[design]\n" + "".join(
+        f'{name} = {{ value = {value:.2g}, unit = "{unit}", tolerance = {part} }}\n' for name, value, unit, part in lines
+    )
+    for name, value, unit in (("kxy", die.kxy, "N/m"), ("dxy", die.dxy, "N*s/m")):
+        text += f'{name} = {{ low = 0.0, high = {2 * value:.2g}, unit = "{unit}" }}\n'
+    return text + GYRO_DESIGN[GYRO_DESIGN.index("\n[readout]") :]
 
 
 def _value(value):

@@ -100,6 +100,12 @@ class Plant:
                 for side in (1, -1) if o.stop_two_sided else (1,):
                     j = self._watch(f"stop{c}{side}", lambda t, s, r, c=c, side=side: side * s[c] - o.stop_gap)
                     self.terms.append(partial(_stop, c, s, side, j, o.stop_gap))
+            if s := getattr(o, f"internal_{a}"):
+                z, v = self._remember(f"i{c}", self.weights[c]), self._remember(f"j{c}", self.weights[2 + c])
+                w = o.internal_ratio * np.sqrt(self.die.stiffness[c] / self.die.mass)
+                self.terms.append(partial(_internal_pull, c, z, s, o.internal_order))
+                law = partial(_internal, c, z, v, s / self.die.mass, o.internal_order, w**2, w / o.internal_quality)
+                self.rates.append(law)
             if getattr(o, f"drive_heating_{a}"):
                 i = self._remember(f"heat{c}", 1.0)
                 self.rates.append(partial(_heating, c, i, o.drive_heating_force, o.drive_heating_time))
@@ -246,6 +252,10 @@ def _appendage_pull(c, z, stiffness, f, state, rows, mode):
     f[c] = f[c] + stiffness * (state[z] - state[c])
 
 
+def _internal_pull(c, z, s, order, f, state, rows, mode):
+    f[c] = f[c] - order * s * state[c] ** (order - 1) * state[z]
+
+
 def _element(c, stiffness, i, f, state, rows, mode):
     f[c] = f[c] - stiffness * state[i]
 
@@ -262,6 +272,10 @@ AXIS_LAWS = {"cubic_stiffness": _cubic, "quadratic_stiffness": _quadratic, "sque
 
 def _appendage(c, z, v, stiffness, damping, out, state, mode, u):
     out[z], out[v] = state[v], -stiffness * (state[z] - state[c]) - damping * state[v]
+
+
+def _internal(c, z, v, push, order, stiffness, damping, out, state, mode, u):
+    out[z], out[v] = state[v], -stiffness * state[z] - damping * state[v] - push * state[c] ** order
 
 
 def _bouc_wen(c, i, speed, spring, bound, out, state, mode, u):

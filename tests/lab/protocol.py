@@ -106,8 +106,8 @@ class Multisine:
 
 @dataclass(frozen=True)
 class Laboratory:
-    """A list of experiments. `noise` scales every noise level; `digits` are those of the files (17 is exact), `faults`
-    what is wrong with its instruments.
+    """A list of experiments. `noise` scales every noise level; `digits` are those of the files (17 is exact), `finder`
+    the decimals of the resonance [Hz] that bands are laid around; `faults` is what is wrong with its instruments.
     """
 
     experiments: tuple
@@ -116,6 +116,7 @@ class Laboratory:
     temperature: float = 25.0
     bias: float = 10.0
     declare_noise: bool = True
+    finder: int = 1
     faults: Faults = SOUND
 
     @classmethod
