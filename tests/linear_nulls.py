@@ -11,9 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from bench_case import truth
 from lab.die import Hidden
-from scipy import stats
 
-from memsgyro_jax.diagnosis.acceptance import judged_by_misfit, refusal
+from memsgyro_jax.diagnosis.acceptance import judged_by_misfit, refusal, unsure_noise
 from memsgyro_jax.diagnosis.diagnose import RECORDS
 from memsgyro_jax.diagnosis.instrument import instrument_terms, knowledge
 from memsgyro_jax.diagnosis.joint_residual import Joint
@@ -22,7 +21,7 @@ from memsgyro_jax.diagnosis.optimum import Optimum
 from memsgyro_jax.diagnosis.rounds import FITTED
 from memsgyro_jax.diagnosis.score import basis, family_p_values, score, within_bounds
 from memsgyro_jax.effects import Scanned, catalogue
-from memsgyro_jax.measurement.least_squares import gate
+from memsgyro_jax.measurement.least_squares import above, gate
 from memsgyro_jax.measurement.readings import readings_of
 
 
@@ -82,6 +81,11 @@ class Nulls:
         """Of each number of the residual; −1 is padding."""
         return np.concatenate([np.repeat(r.record, r.size // r.record.size) for r in self.every])
 
+    @cached_property
+    def undeclared(self):
+        """The same case, without a word on noise."""
+        return replace(self.case, records=tuple(replace(r, noise_std=None) for r in self.case.records))
+
     @property
     def fitted(self):
         """How many numbers are fitted."""
@@ -108,15 +112,20 @@ class Nulls:
             factor[self.record == number] = record.noise_std / read.estimated_noise()
         return factor
 
-    def decide(self, noise, factor=1.0):
-        """Of a draw, whose noise is believed to be 1/`factor` of the true one."""
+    def decide(self, noise, factor=None):
+        """Of a draw, with the true noise declared, or believed to be 1/`factor` of it as its rows told."""
+        case = self.case if factor is None else self.undeclared
+        freedom = [record.noise_freedom for record in case.records]
+        unsure = unsure_noise(case, self.joint.fitted)
+        factor = 1.0 if factor is None else factor
         fitted = slice(self.fitted)
         value, slopes = noise * factor, self.slopes * np.reshape(factor * np.ones(noise.size), (-1, 1))
         joint, base = self.joint, self.joint.base()
         before = _fitted(joint, base, value[fitted], slopes[fitted])
-        within, p_records = self._records(before, value, slopes)
-        scores, blocks = [], [joint.of_effect(i) for i in range(len(joint.model.effects))]
-        p_values, found = self._ranked(before, [slopes[fitted][:, b] for b in blocks], [_part(joint, b) for b in blocks])
+        within, p_records = self._records(before, value, slopes, freedom)
+        blocks = [joint.of_effect(i) for i in range(len(joint.model.effects))]
+        candidates = [slopes[fitted][:, block] for block in blocks]
+        p_values, found = self._ranked(before, candidates, [_part(joint, block) for block in blocks], unsure)
         best = int(np.argmin([s.p_value for s in found]))
         tempted = p_values[best] <= (1 - RECORDS) * LEVEL
         effect = False
@@ -124,25 +133,26 @@ class Nulls:
             after = _fitted(joint, np.append(base, blocks[best]), value[fitted], slopes[fitted])
             effect = not refusal(joint, best, before, after, others=0, coverage=None)
         tried = tempted or not all(within)
-        term = tried and self._ranked_terms(before) <= SHARE * (1 - RECORDS) * LEVEL
-        return Decision(effect, min(p_records) <= RECORDS * LEVEL / len(p_records), term, tempted, float(p_values.min()))
+        term = tried and self._ranked_terms(before, unsure) <= SHARE * (1 - RECORDS) * LEVEL
+        return Decision(
+            effect, min(p_records) <= RECORDS * LEVEL / len(p_records), term, tempted, float(p_values.min())
+        )
 
-    def _ranked(self, before, slopes, bounds):
+    def _ranked(self, before, slopes, bounds, unsure):
         q, residual = basis(before.jacobian), before.residual
         found = [within_bounds(score(residual, q, s), residual, s, *b) for s, b in zip(slopes, bounds, strict=True)]
-        dof = residual.size - before.free.size
-        found = [replace(s, p_value=judged_by_misfit(s, before.chi2, dof)) for s in found]
+        found = [replace(s, p_value=judged_by_misfit(s, before.chi2, before.dof, unsure)) for s in found]
         return family_p_values(found), found
 
-    def _ranked_terms(self, before):
+    def _ranked_terms(self, before, unsure):
         rows = self.terms[0].shape[0] - self.fitted
         widened = replace(
             before, residual=np.append(before.residual, np.zeros(rows)),
             jacobian=np.concatenate([before.jacobian, np.zeros((rows, before.jacobian.shape[1]))]),
         )  # fmt: skip
-        return float(self._ranked(widened, self.terms, self.bounds)[0].min())
+        return float(self._ranked(widened, self.terms, self.bounds, np.append(unsure, np.zeros(rows)))[0].min())
 
-    def _records(self, before, value, slopes):
+    def _records(self, before, value, slopes, freedom):
         """Per record and role whether it is within its gate, and the p-value of more."""
         base, moved = before.free, before.vector[before.free] - self.joint.start[before.free]
         left = value + slopes[:, base] @ moved
@@ -155,12 +165,12 @@ class Nulls:
                 if not mine.any():
                     continue
                 chi2, count = float(left[mine] @ left[mine]), int(mine.sum())
-                within.append(chi2 / count <= gate(count))
+                within.append(chi2 / count <= gate(count, freedom=freedom[number]))
                 if not fit:
                     through = np.linalg.lstsq(root.T, slopes[mine][:, base].T)[0]
                     chi2 = float(left[mine] @ np.linalg.solve(np.eye(count) + through.T @ through, left[mine]))
-                p = float(stats.chi2.sf(chi2, count))
-                p_values.append(1.0 if fit and chi2 / count <= gate(count, FITTED) else p)
+                fine = fit and chi2 / count <= gate(count, FITTED, freedom[number])
+                p_values.append(1.0 if fine else above(chi2, count, freedom[number]))
         return within, p_values
 
 

@@ -1,15 +1,18 @@
 """What an effect must do to stay in a model: explain something, be possible, and be supported by what was left out."""
 
+from collections.abc import Sequence
+
 import numpy as np
-from scipy import stats
 
 from memsgyro_jax.effects import Coverage, Scanned
+from memsgyro_jax.measurement.case import Case
+from memsgyro_jax.measurement.experiments import Readings
 from memsgyro_jax.measurement.least_squares import gate
 
 from .held_out import support
 from .joint_residual import Joint
 from .optimum import Optimum
-from .score import Score
+from .score import Score, survival
 
 
 FEW = 0.05  # of the misfit above noise that is left: who explains less explains nothing
@@ -19,8 +22,7 @@ PINNED = 0.01  # of the way from zero to a bound: a strength so near stands at i
 
 def excess(optimum: Optimum) -> float:
     """Misfit of the fitted readings beyond what noise could leave, three standard deviations of χ²."""
-    dof = optimum.residual.size - optimum.free.size
-    return max(0.0, optimum.chi2 - dof * gate(dof))
+    return max(0.0, optimum.chi2 - optimum.dof * gate(optimum.dof))
 
 
 def refusal(joint: Joint, place: int, before: Optimum, after: Optimum, *, others: int, coverage: Coverage) -> str:
@@ -51,7 +53,7 @@ def refusal(joint: Joint, place: int, before: Optimum, after: Optimum, *, others
 
 def per_freedom(optimum: Optimum) -> float:
     """χ² per degree of freedom."""
-    return optimum.chi2 / (optimum.residual.size - optimum.free.size)
+    return optimum.chi2 / optimum.dof
 
 
 def _impossible(joint: Joint, place: int, after: Optimum, coverage: Coverage) -> str:
@@ -71,13 +73,23 @@ def _impossible(joint: Joint, place: int, after: Optimum, coverage: Coverage) ->
     return ""
 
 
-def judged_by_misfit(found: Score, chi2: float, dof: int) -> float:
+def unsure_noise(case: Case, readings: Sequence[Readings]) -> np.ndarray:
+    """One over the degrees of freedom with which the noise of each number of a residual (r,) was estimated."""
+    loose = np.array([1.0 / record.noise_freedom for record in case.records] + [0.0])  # the last is for no record
+    return np.concatenate([np.repeat(loose[r.record], r.size // r.record.size) for r in readings])
+
+
+def judged_by_misfit(found: Score, chi2: float, dof: int, unsure: np.ndarray | float = 0.0) -> float:
     """The p-value of a score alone, where what would be left beside it counts as noise if it is more than noise.
 
     With T of χ² explained, what is left per degree of freedom is the scale: an effect stands out from the misfit of the
-    model, not from a noise that the model is far from.
+    model, not from a noise that the model is far from. `unsure` is that of each reading's noise, from `unsure_noise`.
     """
-    left, freedom = chi2 - found.statistic, max(dof - found.size, 1)
-    if found.size == 0 or left / freedom <= gate(freedom):
+    if found.size == 0:
         return found.p_value
-    return float(stats.f.sf(found.statistic / found.size / (left / freedom), found.size, freedom))
+    left, rest = chi2 - found.statistic, max(dof - found.size, 1)
+    doubt = float(np.sum(np.reshape(unsure, (-1, 1)) * found.directions**2)) / found.size
+    freedom = 1.0 / doubt if doubt > 0 else np.inf
+    if left / rest <= gate(rest, freedom=freedom):
+        return survival(found, freedom)
+    return survival(found, rest, left / rest)

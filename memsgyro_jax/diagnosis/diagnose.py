@@ -129,7 +129,7 @@ def _start(model, case: Case) -> Model:
 
 def _scale(fit: CaseFit) -> float:
     """Factor of standard deviations: what is left over the noise, where it is more than noise."""
-    dof = fit.optimum.residual.size - fit.optimum.free.size
+    dof = fit.optimum.dof
     return float(np.sqrt(fit.chi2_per_dof)) if fit.chi2_per_dof > gate(dof) else 1.0
 
 
@@ -156,8 +156,9 @@ def _explained(fit: CaseFit, accepted: Sequence, level: float, noise: Mapping[st
     this happens to `RECORDS` of the level. Where the `noise` of a record is declared wrong, the one found counts.
     """
     within = [
-        e.chi2 / (noise or {}).get(e.name, 1.0) ** 2 / e.count <= gate(e.count, FITTED if e.role == "fit" else 3.0)
+        e.chi2 / (noise or {}).get(e.name, 1.0) ** 2 / e.count <= gate(e.count, width, e.freedom)
         for e in fit.errors
+        for width in (FITTED if e.role == "fit" else 3.0,)
     ]
     if (accepted and not any(effect.of_instrument for effect in fit.joint.model.effects)) or all(within):
         return within

@@ -8,7 +8,6 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
-from scipy import stats
 
 from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
@@ -20,7 +19,7 @@ from memsgyro_jax.effects.base import Effect
 from memsgyro_jax.measurement.case import AbstractRecord, Case
 from memsgyro_jax.measurement.experiments import Deviation
 from memsgyro_jax.measurement.experiments.missing_force import MissingForce
-from memsgyro_jax.measurement.least_squares import gate
+from memsgyro_jax.measurement.least_squares import above, gate
 from memsgyro_jax.measurement.linear_start import starting_device
 from memsgyro_jax.measurement.model import Model, check_effect
 from memsgyro_jax.measurement.readings import Readings, model_of, readings_of
@@ -42,12 +41,14 @@ class RecordError:
         role: "fit" or "validation".
         count: real readings.
         chi2: sum of their squared deviations over the noise.
+        freedom: degrees of freedom with which the noise is known; infinite where it is declared.
     """
 
     name: str
     role: str
     count: int
     chi2: float
+    freedom: float = np.inf
 
     @property
     def rms(self) -> float:
@@ -56,8 +57,8 @@ class RecordError:
 
     @property
     def gate(self) -> float:
-        """χ²/N up to which noise alone explains the record: 1 + 3·√(2/N)."""
-        return gate(self.count)
+        """χ²/N up to which noise alone explains the record: 1 + 3·√(2/N), and more where the noise is an estimate."""
+        return gate(self.count, freedom=self.freedom)
 
     @property
     def explained(self) -> bool:
@@ -153,7 +154,9 @@ class CaseFit(Shown):
                 values = white[rows]
                 values = values[np.isfinite(values)]
                 if values.size:
-                    out.append(RecordError(record.name, role, values.size, float(values @ values)))
+                    out.append(
+                        RecordError(record.name, role, values.size, float(values @ values), record.noise_freedom)
+                    )
         return tuple(out)
 
     @cached_property
@@ -174,7 +177,7 @@ class CaseFit(Shown):
                 size = np.linalg.norm(whole, axis=0)
                 whole = whole / np.where(size > 0, size, 1.0)
                 chi2 = float(np.sum((target - whole @ np.linalg.lstsq(whole, target)[0]) ** 2))
-            out.append(float(stats.chi2.sf(chi2, error.count)))
+            out.append(above(chi2, error.count, error.freedom))
         return tuple(out)
 
     def _slopes_of_validation(self) -> dict[str, list[tuple[np.ndarray, np.ndarray]]]:

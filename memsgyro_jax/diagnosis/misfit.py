@@ -22,7 +22,7 @@ from memsgyro_jax.measurement.experiments.deviation import Band, Series
 
 
 LEVEL = 0.01  # probability that a comparison of a perfect model raises any alarm
-LAGS = 10  # rows over which whiteness is judged
+LAGS, PER_LAG, FEWEST_LAGS = 10, 5, 3  # rows over which whiteness is judged; readings that each needs; at least
 BINS = 8  # of a variable, with about as many rows in each
 FEW = 6  # rows below which a part is not judged on its own
 Kind = Literal["variance", "whiteness", "dependence"]
@@ -129,6 +129,7 @@ def whiteness(white: np.ndarray, pieces: Sequence[slice], lags: int = LAGS) -> l
     runs = [run for piece in pieces for part in white[piece].T if (run := part[np.isfinite(part)]).size]
     total = sum(run.size for run in runs)
     square = sum(float(run @ run) for run in runs)
+    lags = min(lags, total // PER_LAG)
     q, used = 0.0, 0
     for lag in range(1, lags + 1):
         pairs = sum(max(run.size - lag, 0) for run in runs)
@@ -137,7 +138,7 @@ def whiteness(white: np.ndarray, pieces: Sequence[slice], lags: int = LAGS) -> l
         product = sum(float(run[lag:] @ run[:-lag]) for run in runs)
         q += (product / square) ** 2 * total * (total + 2) / pairs if square > 0 else 0.0
         used += 1
-    return [(q, total, float(stats.chi2.sf(q, used)))] if used and total >= 5 * lags else []
+    return [(q, total, float(stats.chi2.sf(q, used)))] if used >= FEWEST_LAGS else []
 
 
 def dependence(values: np.ndarray, variable: np.ndarray, bins: int = BINS) -> list[tuple[float, int, float]]:

@@ -83,8 +83,7 @@ def _best_effect(search: Search, first: Ranking) -> tuple[str, Optimum] | None:
 
 
 def _leaves_noise(optimum: Optimum) -> bool:
-    dof = optimum.residual.size - optimum.free.size
-    return optimum.chi2 / dof <= gate(dof)
+    return optimum.chi2 / optimum.dof <= gate(optimum.dof)
 
 
 def _rival(alone: Search, best: tuple[str, Optimum] | None) -> tuple[str, float]:

@@ -47,6 +47,12 @@ class Optimum:
         return float(self.residual @ self.residual)
 
     @cached_property
+    def dof(self) -> int:
+        """Readings that are compared, without rows that only fill up a shape, less the parameters that moved."""
+        compared = (self.residual != 0) | np.any(self.jacobian != 0, axis=1)
+        return int(compared.sum()) - self.free.size
+
+    @cached_property
     def information(self) -> Information:
         """What the fitted readings hold of the free parameters."""
         return Information.of(self.jacobian)

@@ -62,7 +62,8 @@ def _resolve(search: Search) -> None:
 
 def _is_noise(search: Search) -> bool:
     """Whether noise alone explains what the fit leaves of every record that it saw."""
-    return all(e.chi2 / e.count <= gate(e.count, FITTED) for e in search.steps[-1].fit.errors if e.role == "fit")
+    errors = [e for e in search.steps[-1].fit.errors if e.role == "fit"]
+    return all(e.chi2 / e.count <= gate(e.count, FITTED, e.freedom) for e in errors)
 
 
 def _takes_most(search: Search, other: Optimum) -> bool:

@@ -34,6 +34,7 @@ class Score:
         kept: part of the candidate's sensitivity that is news, |S⊥|²/|S|².
         directions: orthonormal basis of S⊥ (r, size).
         information: smallest singular value of S⊥ per unit strength: the strength 1/information moves χ² by one.
+        low, high: of a single number, the bounds of its strength in standard deviations from where it is.
     """
 
     statistic: float
@@ -43,6 +44,8 @@ class Score:
     kept: float
     directions: np.ndarray
     information: float
+    low: float = -np.inf
+    high: float = np.inf
 
     def visible(self, sigmas: float) -> float:
         """Strength that stands `sigmas` standard deviations above the noise."""
@@ -60,7 +63,7 @@ def score(residual: np.ndarray, q: np.ndarray, sensitivity: np.ndarray) -> Score
     u = u[:, held]
     size = int(held.sum())
     statistic = float(np.sum((u.T @ residual) ** 2))
-    excess = float(residual @ residual) - (residual.size - q.shape[1])
+    excess = float(residual @ residual) - (np.count_nonzero(residual) - q.shape[1])  # padding is exactly zero
     share = float(np.clip(statistic / excess, 0.0, 1.0)) if excess > 0 else 0.0
     p_value = float(stats.chi2.sf(statistic, size)) if size else 1.0
     return Score(statistic, size, p_value, share, kept, u, float(s[held].min()) if size else 0.0)
@@ -69,17 +72,50 @@ def score(residual: np.ndarray, q: np.ndarray, sensitivity: np.ndarray) -> Score
 def within_bounds(
     found: Score, residual: np.ndarray, sensitivity: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> Score:
-    """The same score, or what is left of it where the one strength (zero at present) would have to leave its bounds."""
+    """The same score, or what is left of it where the one strength (zero at present) would have to leave its bounds;
+    its direction is then the one along which the strength grows.
+    """
     if found.size != 1 or sensitivity.shape[1] != 1:
         return found
-    news = float((found.directions.T @ sensitivity)[0, 0])
-    step = -float((found.directions.T @ residual)[0]) / news
-    part = float(np.clip(step, low[0], high[0])) / step if step != 0 else 1.0
-    if part == 1.0:
-        return found
-    left = max(0.0, part * (2.0 - part))  # of a parabola that rises to its top at the whole step
-    statistic = left * found.statistic
-    return replace(found, statistic=statistic, p_value=float(stats.chi2.sf(statistic, 1)), share=left * found.share)
+    along = -np.sign((found.directions.T @ sensitivity)[0, 0]) * found.directions
+    least, most = float(low[0]) * found.information, float(high[0]) * found.information
+    statistic = float(gain(along.T @ residual, least, most)[0])
+    share = found.share * statistic / found.statistic if found.statistic > 0 else found.share
+    bounded = replace(found, statistic=statistic, share=share, directions=along, low=least, high=most)
+    return replace(bounded, p_value=survival(bounded))
+
+
+def gain(estimate: np.ndarray, low: float, high: float) -> np.ndarray:
+    """Fall of χ² by a strength that moves from zero towards its estimate, all in standard deviations, within bounds."""
+    end = np.clip(estimate, low, high)
+    return end * (2.0 * estimate - end)
+
+
+def survival(found: Score, freedom: float = np.inf, scale: float = 1.0) -> float:
+    """Probability that noise alone gives a larger statistic.
+
+    A strength whose sign is known is tempted half as often, one near a bound little more. A noise that is known as well
+    as an estimate with `freedom` degrees of freedom tells it makes the normal distribution Student's, and χ² Fisher's.
+
+    Args:
+        found: with its statistic and bounds.
+        freedom: of the noise estimate.
+        scale: variance of the noise over the one that the residual was whitened with.
+    """
+    return float(_survival(np.array([found.statistic / scale]), found, freedom)[0])
+
+
+def _survival(statistic: np.ndarray, found: Score, freedom: float = np.inf) -> np.ndarray:
+    """The same for many statistics (n,)."""
+    known, size = np.isinf(freedom), found.size
+    if size != 1:
+        return np.asarray(stats.chi2.sf(statistic, size) if known else stats.f.sf(statistic / size, size, freedom))
+    out, root = np.zeros(statistic.shape), np.sqrt(np.maximum(statistic, 0.0))
+    for bound in (-found.low, found.high):
+        if bound > 0:
+            beyond = root if np.isinf(bound) else np.where(root <= bound, root, (statistic / bound + bound) / 2.0)
+            out += stats.norm.sf(beyond) if known else stats.t.sf(beyond, freedom)
+    return np.where(statistic > 0, out, 1.0)
 
 
 def overlap(a: Score, b: Score) -> float:
@@ -93,13 +129,21 @@ def overlap(a: Score, b: Score) -> float:
 def family_p_values(scores: Sequence[Score], draws: int = 20_000, seed: int = 0) -> np.ndarray:
     """Probability that the best of *all* candidates would reach each p-value by noise alone.
 
-    The candidates' correlations are taken into account by simulation, so that twins do not count twice (Westfall and
-    Young); beyond what the draws resolve, Bonferroni's bound stands.
+    The candidates' correlations and bounds are taken into account by simulation, so that twins do not count twice
+    (Westfall and Young); beyond what the draws resolve, Bonferroni's bound stands.
     """
     alone = np.array([s.p_value for s in scores])
     seen = [s for s in scores if s.size]
     if not seen:
         return np.ones(len(scores))
+    best = _best_by_noise(seen, draws, seed)
+    simulated = (np.searchsorted(best, alone, side="right") + 1) / (draws + 1)
+    bound = np.minimum(1.0, alone * len(seen))
+    return np.where(simulated > 20 / draws, np.minimum(simulated, bound), np.minimum(bound, 20 / draws))
+
+
+def _best_by_noise(seen: Sequence[Score], draws: int, seed: int) -> np.ndarray:
+    """The smallest p-value of all candidates in draws of noise, ascending."""
     every = np.concatenate([s.directions for s in seen], axis=1)
     values, vectors = np.linalg.eigh(every.T @ every)
     held = values > 1e-10
@@ -107,13 +151,11 @@ def family_p_values(scores: Sequence[Score], draws: int = 20_000, seed: int = 0)
     noise = np.random.default_rng(seed).standard_normal((draws, int(held.sum()))) @ root.T
     best, place = np.ones(draws), 0
     for s in seen:
-        statistic = np.sum(noise[:, place : place + s.size] ** 2, axis=1)
-        best = np.minimum(best, stats.chi2.sf(statistic, s.size))
+        mine = noise[:, place : place + s.size]
+        statistic = gain(mine[:, 0], s.low, s.high) if s.size == 1 else np.sum(mine**2, axis=1)
+        best = np.minimum(best, _survival(statistic, s))
         place += s.size
-    best.sort()
-    simulated = (np.searchsorted(best, alone, side="right") + 1) / (draws + 1)
-    bound = np.minimum(1.0, alone * len(seen))
-    return np.where(simulated > 20 / draws, np.minimum(simulated, bound), np.minimum(bound, 20 / draws))
+    return np.sort(best)
 
 
 def separation(wald: float, first: Score, second: Score) -> float:

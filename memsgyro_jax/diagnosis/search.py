@@ -11,7 +11,7 @@ from scipy import stats
 
 from memsgyro_jax.measurement.readings import Readings
 
-from .acceptance import judged_by_misfit, refusal
+from .acceptance import judged_by_misfit, refusal, unsure_noise
 from .fit import CaseFit, beside_case
 from .joint_residual import Joint
 from .optimum import Optimum, optimise
@@ -82,8 +82,8 @@ class Search:
         low, high = self.joint.bounds
         residual, bounds = self.optimum.residual, [(low[block], high[block]) for block in blocks]
         scores = [within_bounds(score(residual, q, s), residual, s, *b) for s, b in zip(parts, bounds, strict=True)]
-        chi2, dof = self.optimum.chi2, residual.size - self.optimum.free.size
-        scores = [replace(s, p_value=judged_by_misfit(s, chi2, dof)) for s in scores]
+        chi2, dof, unsure = self.optimum.chi2, self.optimum.dof, unsure_noise(self.case, self.joint.fitted)
+        scores = [replace(s, p_value=judged_by_misfit(s, chi2, dof, unsure)) for s in scores]
         return Ranking(tuple(places), tuple(scores), family_p_values(scores), tuple(parts))
 
     def _slopes(self, columns: np.ndarray) -> np.ndarray:
@@ -223,7 +223,7 @@ class Search:
 
     def _explains_all(self, refit: Optimum) -> bool:
         """Whether what a refit leaves above the least that noise could leave is next to nothing of what it explains."""
-        dof = refit.residual.size - refit.free.size
+        dof = refit.dof
         least = dof - 3.0 * np.sqrt(2.0 * dof)
         return refit.chi2 - least <= NOTHING * (self.optimum.chi2 - refit.chi2)
 
@@ -252,7 +252,7 @@ class Search:
         alone = self.level / max(1, len(self.joint.model.effects))
         proposed = {i: self.own_score(i) for i in self.accepted}
         for place, mine in sorted(proposed.items(), key=lambda pair: -pair[1].p_value):
-            if len(self.accepted) == 1 or self.own_score(place).p_value <= alone:
+            if self.own_score(place).p_value <= alone:
                 continue
             fewer = self.refit([i for i in self.accepted if i != place], start=self.without(place))
             if stats.chi2.sf(fewer.chi2 - self.optimum.chi2, max(1, mine.size)) <= alone:

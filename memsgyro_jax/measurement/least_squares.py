@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
+from scipy import stats
 
 from memsgyro_jax.base.text import combination
 
@@ -22,9 +23,18 @@ EASE = 8.0
 LEVELS = 4.0 ** np.arange(-22, 31)  # dampings tried after a step that failed
 
 
-def gate(count: float, width: float = 3.0) -> float:
-    """Largest χ² per reading (or degree of freedom) that noise alone explains: 1 + `width` standard deviations."""
-    return 1.0 + width * (2.0 / count) ** 0.5
+def gate(count: float, width: float = 3.0, freedom: float = np.inf) -> float:
+    """Largest χ² per reading (or degree of freedom) that noise alone explains: 1 + `width` standard deviations, of χ²
+    and of a noise that was estimated with `freedom` degrees of freedom.
+    """
+    return 1.0 + width * (2.0 / count + 2.0 / freedom) ** 0.5
+
+
+def above(chi2: float, count: int, freedom: float = np.inf) -> float:
+    """Probability of a larger χ² of `count` readings by noise alone, which is known, or estimated with `freedom`
+    degrees of freedom: then χ² per reading follows Fisher's distribution.
+    """
+    return float(stats.chi2.sf(chi2, count) if np.isinf(freedom) else stats.f.sf(chi2 / count, count, freedom))
 
 
 class NullDirection(NamedTuple):

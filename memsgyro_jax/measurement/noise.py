@@ -12,6 +12,9 @@ WINDOW = 11  # neighbouring rows that a local model explains
 FEWEST = 7  # rows below which it would explain anything
 ROUNDS = 3  # of weighting with the denominator found before
 PARTS = 5  # complex coefficients of the local model
+# Degrees of freedom per row and channel, as found by simulation: of local models (without 6 rows a piece), of waveforms
+# and of phasors in time, and of the scatter among repeats per row that is one too many.
+_LOCAL, _WAVE, _PHASOR, _REPEATED = (0.75, 6), 0.15, 0.5, 1.2
 _BAND = 64  # spectral lines at least in a band
 _BANDS = 16  # at most
 _QUIET = 0.2  # share of the bands that no signal reaches
@@ -40,13 +43,31 @@ def noise_over_frequency(
     return float(np.sqrt(np.median(np.concatenate(levels)))) if levels else None
 
 
+def freedom_over_frequency(
+    frequency: np.ndarray, channels: int, pieces: Sequence[slice], repeats: Sequence[np.ndarray] = ()
+) -> float:
+    """Degrees of freedom of `noise_over_frequency`: its square scatters like that of so many normal numbers."""
+    spare = [_spare(frequency[rows]) for rows in repeats]
+    if any(spare):
+        return _REPEATED * channels * sum(spare)
+    share, lost = _LOCAL
+    rows = [piece.stop - piece.start for piece in pieces]
+    return max(1.0, share * channels * sum(count - lost for count in rows if count >= FEWEST))
+
+
+def _spare(place: np.ndarray) -> int:
+    """Rows of frequencies that were read before; zero where these are hardly any."""
+    spare = len(place) - len(np.unique(place))
+    return spare if spare >= max(FEWEST, len(place) // 4) else 0
+
+
 def _scatter(place: np.ndarray, values: np.ndarray) -> np.ndarray | None:
     """Squared standard deviation of each real part among rows of the same frequency, over its median for that many;
     `None` where hardly any frequency is repeated.
     """
-    _, group, count = np.unique(place, return_inverse=True, return_counts=True)
-    if np.sum(count - 1) < max(FEWEST, len(place) // 4):
+    if not _spare(place):
         return None
+    _, group, count = np.unique(place, return_inverse=True, return_counts=True)
     means = np.stack([np.bincount(group, part) for part in (*values.real.T, *values.imag.T)], axis=1) / count[:, None]
     off = np.abs(values - (means[:, : values.shape[1]] + 1j * means[:, values.shape[1] :])[group]) ** 2
     sums = np.stack([np.bincount(group, part) for part in off.T], axis=1)[count > 1]
@@ -78,6 +99,11 @@ def noise_over_time(values: np.ndarray) -> float:
     near = np.median(np.abs(misfit), axis=0) if len(misfit) else np.full(values.shape[1], np.inf)
     near = near / _RAYLEIGH if np.iscomplexobj(misfit) else near * _NORMAL
     return float(np.median(np.minimum(near, [_quiet_level(channel) for channel in values.T])))
+
+
+def freedom_over_time(values: np.ndarray) -> float:
+    """Degrees of freedom of `noise_over_time`."""
+    return (_PHASOR if np.iscomplexobj(values) else _WAVE) * values.size
 
 
 def _quiet_level(channel: np.ndarray) -> float:

@@ -143,6 +143,9 @@ def test_a_change_of_units_is_no_rival():
     outcome = diagnose(None, bench(spring, 1, ONE_AXIS, RESONATOR).case)
     assert [a.label for a in outcome.accepted] == ["cubic_stiffness x"]
     assert outcome.accepted[0].confused_with == ()
+    base = outcome.base  # its rows are filled up to the shape of those that are not fitted, which counts for nothing
+    assert base.optimum.residual.size > sum(e.count for e in base.errors if e.role == "fit")
+    assert base.optimum.chi2 / base.optimum.dof == pytest.approx(base.chi2_per_dof)
 
 
 def test_what_a_lock_in_cannot_see_is_not_excited():

@@ -16,7 +16,7 @@ class Device:
 
 
 def gyro(frequency, split, quality, mass, coupling):
-    """Two axes [Hz] of one quality factor; `coupling` moves the two modes against each other, as a share of the split."""
+    """Two axes [Hz] of one quality factor; `coupling` of their springs as a share of the split."""
     w = 2 * np.pi * np.array([frequency, frequency + split])
     k, d = mass * w**2, mass * w / quality
     kxy = coupling * mass * w.mean() * 2 * np.pi * split

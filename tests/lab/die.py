@@ -83,8 +83,9 @@ class Outside:
     maxwell_x: float = 0.0
     maxwell_y: float = 0.0
     maxwell_time: float = 1e-4
-    # A second mode z near a multiple of the resonance, of the same mass: the energy s x^p z, z'' = -w² z - (w/Q) z' - s x^p/m
-    # (internal resonance 1:p; Nayfeh and Mook, Nonlinear Oscillations, 1979). `ratio` is w over the axis' own frequency.
+    # A second mode z of the same mass near a multiple of the resonance, with the energy s x^p z shared:
+    # z'' = -w² z - (w/Q) z' - s x^p/m (internal resonance 1:p; Nayfeh and Mook, Nonlinear Oscillations, 1979).
+    # `ratio` is w over the axis' own frequency.
     internal_x: float = 0.0
     internal_y: float = 0.0
     internal_order: int = 2

@@ -147,7 +147,8 @@ def _gyro_design(die):
     lines = [("mass", die.mass, "kg", 0.10), ("kxx", die.kxx, "N/m", 0.10), ("kyy", die.kyy, "N/m", 0.10)]
     lines += [("dxx", die.dxx, "N*s/m", 0.20), ("dyy", die.dyy, "N*s/m", 0.20)]
     text = "[design]\n" + "".join(
-        f'{name} = {{ value = {value:.2g}, unit = "{unit}", tolerance = {part} }}\n' for name, value, unit, part in lines
+        f'{name} = {{ value = {value:.2g}, unit = "{unit}", tolerance = {part} }}\n'
+        for name, value, unit, part in lines
     )
     for name, value, unit in (("kxy", die.kxy, "N/m"), ("dxy", die.dxy, "N*s/m")):
         text += f'{name} = {{ low = 0.0, high = {2 * value:.2g}, unit = "{unit}" }}\n'

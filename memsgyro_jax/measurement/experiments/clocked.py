@@ -7,7 +7,7 @@ import numpy as np
 
 from ..columns import signal_columns
 from ..declared import Declared
-from ..noise import noise_over_time
+from ..noise import freedom_over_time, noise_over_time
 from ..tracking import Track, tracked
 from .deviation import Band, Deviation, Known, Overlay, Series, Variable, View, segments
 from .missing_force import TimeForce, force_over_time
@@ -44,6 +44,9 @@ class ClockedRecord(AbstractRecord):
 
     def estimated_noise(self) -> float:
         return noise_over_time(self.readings)
+
+    def estimated_freedom(self) -> float:
+        return freedom_over_time(self.readings)
 
     def watched(self, noise: float) -> list[Watched]:
         return [

@@ -14,7 +14,7 @@ from memsgyro_jax.base.text import spoken
 
 from ..columns import amplitude_columns, phasor_columns
 from ..declared import Declared, design_device
-from ..noise import noise_over_frequency
+from ..noise import freedom_over_frequency, noise_over_frequency
 from ..section import Axis, ExperimentSection, Quantity
 from .base import Phasors, Readings
 from .checks import exchanged, near_resonance
@@ -177,10 +177,8 @@ class FrequencySweepRecord(AbstractRecord):
     @property
     def directions(self) -> np.ndarray:
         """(n,) +1 in sweeps whose frequency rises, −1 in those where it falls."""
-        out = np.ones(self.rows)
-        for rows in self.sweeps:
-            out[rows] = -1.0 if self.frequency[rows][-1] < self.frequency[rows][0] else 1.0
-        return out
+        falls = [self.frequency[rows][-1] < self.frequency[rows][0] for rows in self.sweeps]
+        return np.repeat(np.where(falls, -1.0, 1.0), [rows.stop - rows.start for rows in self.sweeps])
 
     # ---- start
 
@@ -222,6 +220,9 @@ class FrequencySweepRecord(AbstractRecord):
 
     def estimated_noise(self) -> float | None:
         return noise_over_frequency(self.frequency, self.phasors, self.sweeps, self.courses)
+
+    def estimated_freedom(self) -> float:
+        return freedom_over_frequency(self.frequency, self.phasors.shape[1], self.sweeps, self.courses)
 
     def watched(self, noise: float) -> list[Watched]:
         return [
@@ -309,8 +310,7 @@ class FrequencySweepRecord(AbstractRecord):
             pieces.append((readings.row[mine], *(np.asarray(part)[mine] for part in columns)))
         order = np.argsort(np.concatenate([piece[0] for piece in pieces]))
         motion, force, gain = (np.concatenate([piece[k] for piece in pieces])[order] for k in (1, 2, 3))
-        noise = self.noise_level / np.abs(np.asarray(model.scale))
-        noise = noise / self.frequency[:, None] ** model.order
+        noise = self.noise_level / np.abs(np.asarray(model.scale)) / self.frequency[:, None] ** model.order
         return SweepForce(
             self.name, self.axis, self.frequency, self.drive, self.temperature, self.bias_voltage,
             motion[:, self.axis], force, np.sqrt(np.einsum("nij,nj->ni", gain**2, noise**2)),

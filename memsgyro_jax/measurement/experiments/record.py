@@ -160,6 +160,15 @@ class AbstractRecord(abc.ABC):
         """Standard deviation of each real reading as the rows alone tell it; `None`, the default, where they do not."""
         return None
 
+    @property
+    def noise_freedom(self) -> float:
+        """Degrees of freedom with which the noise is known: infinite where it is declared."""
+        return np.inf if self.noise_std is not None else self.estimated_freedom()
+
+    def estimated_freedom(self) -> float:
+        """Degrees of freedom of `estimated_noise`: its square scatters like that of so many normal numbers."""
+        return np.inf
+
     @cached_property
     def noise_level(self) -> float:
         """Declared or estimated; raises `InputError` where it is neither."""

@@ -11,7 +11,13 @@ from scipy import stats
 import memsgyro_jax
 from memsgyro_jax.measurement.case import assess, load_case
 from memsgyro_jax.measurement.least_squares import gate
-from memsgyro_jax.measurement.noise import noise_beside_misfit, noise_over_frequency, noise_over_time
+from memsgyro_jax.measurement.noise import (
+    freedom_over_frequency,
+    freedom_over_time,
+    noise_beside_misfit,
+    noise_over_frequency,
+    noise_over_time,
+)
 from memsgyro_jax.measurement.outliers import interpolation_misfit, lone_rows
 
 
@@ -91,6 +97,40 @@ def test_a_wave_is_not_taken_for_noise(decay, cycles, quadrature):
     assert np.std(levels) < 0.05
 
 
+@pytest.mark.parametrize("rows", [15, 34])
+def test_an_estimate_scatters_as_its_degrees_of_freedom_say(rows):
+    """120 sweeps of two channels: no more than said, and no less than half of it."""
+    rng, place = np.random.default_rng(rows), np.linspace(-4, 4, rows)
+    curve, pieces = 1e3 / (1 + 1j * place[:, None]) * [1.0, 0.3], [slice(0, rows)]
+    noise = rng.normal(size=(120, *curve.shape)) + 1j * rng.normal(size=(120, *curve.shape))
+    squares = [noise_over_frequency(place, curve + one, pieces) ** 2 for one in noise]
+    seen = 2 * np.mean(squares) ** 2 / np.var(squares)
+    assert 0.75 * freedom_over_frequency(place, 2, pieces) < seen < 3.5 * freedom_over_frequency(place, 2, pieces)
+    assert np.mean(squares) == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.parametrize("rows", [300, 1200])
+@pytest.mark.parametrize("quadrature", [0.0, 1j])
+def test_an_estimate_over_time_scatters_as_its_degrees_of_freedom_say(rows, quadrature):
+    rng, t = np.random.default_rng(rows), np.arange(rows)
+    wave = 300 * np.exp(-t / 500) * (1.0 + 0j if quadrature else np.cos(2.3 * t))
+    noise = rng.normal(size=(120, rows)) + quadrature * rng.normal(size=(120, rows))
+    squares = [noise_over_time((wave + one)[:, None]) ** 2 for one in noise]
+    seen, said = 2 * np.mean(squares) ** 2 / np.var(squares), freedom_over_time((wave + noise[0])[:, None])
+    assert 0.7 * said < seen < 3.5 * said
+
+
+def test_an_estimate_from_repeats_scatters_as_its_degrees_of_freedom_say():
+    """Four sweeps over the same twenty frequencies."""
+    rng, place, rows = np.random.default_rng(0), np.tile(np.linspace(-4, 4, 20), 4), np.arange(80)
+    curve = 1e3 / (1 + 1j * place[:, None])
+    noise = rng.normal(size=(200, 80, 1)) + 1j * rng.normal(size=(200, 80, 1))
+    squares = [noise_over_frequency(place, curve + one, [slice(0, 80)], [rows]) ** 2 for one in noise]
+    said = freedom_over_frequency(place, 1, [slice(0, 80)], [rows])
+    assert 0.7 * said < 2 * np.mean(squares) ** 2 / np.var(squares) < 2.0 * said
+    assert np.mean(squares) == pytest.approx(1.0, abs=0.06)
+
+
 def test_the_noise_beside_a_smooth_misfit():
     """White noise of 2 beside a misfit a hundred times larger that bends over hundreds of rows."""
     smooth = 200 * np.sin(np.arange(20_000) / 400)
@@ -102,6 +142,8 @@ def test_the_gate_is_where_noise_alone_ends():
     """Three standard deviations above the mean of χ² per degree of freedom."""
     for count in (10, 1000):
         assert gate(count) == pytest.approx(1.0 + 3.0 * stats.chi2(count).std() / count, rel=1e-12)
+        both = stats.f(count, 50).std()  # Fisher's distribution, where the noise was estimated with 50
+        assert gate(count, freedom=50) == pytest.approx(1.0 + 3.0 * both, rel=0.16)
         assert gate(count, 4.5) == pytest.approx(1.0 + 4.5 * stats.chi2(count).std() / count, rel=1e-12)
 
 
