@@ -3,6 +3,7 @@
 import argparse
 import inspect
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -27,17 +28,20 @@ class Report:
     """Collects claims and pictures of one study under `studies/out/NAME`.
 
     `data` is the help of an optional argument, a folder with measurements that the study needs; the study finds it in
-    the attribute of that name.
+    the attribute of that name. `numbers` are further options that are whole numbers, name to default and help.
     """
 
-    def __init__(self, data: str | None = None):
+    def __init__(self, data: str | None = None, numbers: Mapping[str, tuple[int, str]] | None = None):
         study = Path(inspect.stack()[1].filename)
         parser = argparse.ArgumentParser(description=inspect.stack()[1].frame.f_globals["__doc__"])
         parser.add_argument("--quick", action="store_true", help="fewer seeds and shorter runs, under 30 s")
         parser.add_argument("--out", type=Path, default=study.parent / "out" / study.stem, help="folder for results")
         if data is not None:
             parser.add_argument("data", type=Path, nargs="?", help=data)
+        for name, (default, text) in (numbers or {}).items():
+            parser.add_argument(f"--{name}", type=int, default=default, help=f"{text} ({default})")
         options = parser.parse_args()
+        self.numbers = {name: getattr(options, name) for name in numbers or {}}
         self.data = getattr(options, "data", None)
         self.quick, self.folder, self.title, self.rows = options.quick, options.out, study.stem, []
         self.folder.mkdir(parents=True, exist_ok=True)

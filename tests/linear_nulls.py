@@ -4,7 +4,7 @@ Beside the truth a model is linear in noise: sensitivities are computed once for
 package's own tests. Where the noise is not declared, it is estimated from the rows of the draw.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -19,7 +19,7 @@ from memsgyro_jax.diagnosis.joint_residual import Joint
 from memsgyro_jax.diagnosis.nuisances import SHARE
 from memsgyro_jax.diagnosis.optimum import Optimum
 from memsgyro_jax.diagnosis.rounds import FITTED
-from memsgyro_jax.diagnosis.score import basis, family_p_values, score, within_bounds
+from memsgyro_jax.diagnosis.score import basis, best_by_noise, family_p_values, score, within_bounds
 from memsgyro_jax.effects import Scanned, catalogue
 from memsgyro_jax.measurement.least_squares import above, gate
 from memsgyro_jax.measurement.readings import readings_of
@@ -57,6 +57,7 @@ class Nulls:
     slopes: np.ndarray
     terms: tuple
     bounds: tuple
+    families: dict = field(default_factory=dict)
 
     @classmethod
     def of(cls, made, case):
@@ -85,6 +86,14 @@ class Nulls:
     def undeclared(self):
         """The same case, without a word on noise."""
         return replace(self.case, records=tuple(replace(r, noise_std=None) for r in self.case.records))
+
+    @property
+    def vectors(self):
+        """Labels of the effects, a basis of what is free, and the sensitivities to each effect, of what is fitted."""
+        joint, slopes = self.joint, self.slopes[: self.fitted]
+        effects = joint.model.effects
+        parts = tuple(slopes[:, joint.of_effect(i)] for i in range(len(effects)))
+        return tuple(e.label for e in effects), basis(slopes[:, joint.base()]), parts
 
     @property
     def fitted(self):
@@ -142,7 +151,9 @@ class Nulls:
         q, residual = basis(before.jacobian), before.residual
         found = [within_bounds(score(residual, q, s), residual, s, *b) for s, b in zip(slopes, bounds, strict=True)]
         found = [replace(s, p_value=judged_by_misfit(s, before.chi2, before.dof, unsure)) for s in found]
-        return family_p_values(found), found
+        if len(found) not in self.families:  # directions hardly depend on the draw: one simulation will do
+            self.families[len(found)] = best_by_noise([s for s in found if s.size])
+        return family_p_values(found, best=self.families[len(found)]), found
 
     def _ranked_terms(self, before, unsure):
         rows = self.terms[0].shape[0] - self.fitted

@@ -91,5 +91,7 @@ def judged_by_misfit(found: Score, chi2: float, dof: int, unsure: np.ndarray | f
     doubt = float(np.sum(np.reshape(unsure, (-1, 1)) * found.directions**2)) / found.size
     freedom = 1.0 / doubt if doubt > 0 else np.inf
     if left / rest <= gate(rest, freedom=freedom):
-        return survival(found, freedom)
+        # An estimate of the noise and what is left are two of the same.
+        both = (left + freedom, rest + freedom) if doubt > 0 else (1.0, 1.0)
+        return survival(found, freedom + rest, both[0] / both[1])
     return survival(found, rest, left / rest)

@@ -126,24 +126,28 @@ def overlap(a: Score, b: Score) -> float:
     return float(min(cosines[: a.size].min(), 1.0) ** 2) if cosines.size >= a.size else 0.0
 
 
-def family_p_values(scores: Sequence[Score], draws: int = 20_000, seed: int = 0) -> np.ndarray:
+def family_p_values(
+    scores: Sequence[Score], draws: int = 20_000, seed: int = 0, best: np.ndarray | None = None
+) -> np.ndarray:
     """Probability that the best of *all* candidates would reach each p-value by noise alone.
 
     The candidates' correlations and bounds are taken into account by simulation, so that twins do not count twice
-    (Westfall and Young); beyond what the draws resolve, Bonferroni's bound stands.
+    (Westfall and Young); beyond what the draws resolve, Bonferroni's bound stands. `best`, from `best_by_noise`, is the
+    simulation where it is known.
     """
     alone = np.array([s.p_value for s in scores])
     seen = [s for s in scores if s.size]
     if not seen:
         return np.ones(len(scores))
-    best = _best_by_noise(seen, draws, seed)
+    best = best_by_noise(seen, draws, seed) if best is None else best
+    draws = best.size
     simulated = (np.searchsorted(best, alone, side="right") + 1) / (draws + 1)
     bound = np.minimum(1.0, alone * len(seen))
     return np.where(simulated > 20 / draws, np.minimum(simulated, bound), np.minimum(bound, 20 / draws))
 
 
-def _best_by_noise(seen: Sequence[Score], draws: int, seed: int) -> np.ndarray:
-    """The smallest p-value of all candidates in draws of noise, ascending."""
+def best_by_noise(seen: Sequence[Score], draws: int = 20_000, seed: int = 0) -> np.ndarray:
+    """The smallest p-value of all candidates that records see, in draws of noise, ascending."""
     every = np.concatenate([s.directions for s in seen], axis=1)
     values, vectors = np.linalg.eigh(every.T @ every)
     held = values > 1e-10
