@@ -77,6 +77,8 @@ if TYPE_CHECKING:
     from .loop.scenario import Recorded as Recorded
     from .loop.scenario import RandomWalk as RandomWalk
     from .loop.loop import ClosedLoop as ClosedLoop
+    from .loop.stability import loop_margins as loop_margins
+    from .loop.stability import LoopMargins as LoopMargins
     from .loop.trace import simulate as simulate
     from .loop.trace import Trace as Trace
     from .loop.noise_budget import noise_budget as noise_budget
@@ -139,6 +141,9 @@ if TYPE_CHECKING:
     from .measurement.allan import allan as allan
     from .measurement.allan_result import Allan as Allan
     from .measurement.allan_variance import allan_deviation as allan_deviation
+    from .measurement.datasheet import datasheet as datasheet
+    from .measurement.datasheet_rows import Datasheet as Datasheet
+    from .measurement.datasheet_rows import DatasheetRow as DatasheetRow
     from .measurement.case import load_case as load_case
     from .measurement.import_case import import_case as import_case
     from .measurement.import_case import ImportedCase as ImportedCase

@@ -21,6 +21,7 @@ from memsgyro_jax.base.errors import InputError
 from .commands.allan import allan_command
 from .commands.check import check_command
 from .commands.compare import compare_command
+from .commands.datasheet import datasheet_command
 from .commands.diagnose import diagnose_command
 from .commands.effects import effects_command
 from .commands.fit import fit_command
@@ -67,6 +68,7 @@ for _command in (
     tune_command,
     identify_command,
     allan_command,
+    datasheet_command,
     effects_command,
     import_command,
     check_command,

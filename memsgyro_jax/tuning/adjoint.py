@@ -67,7 +67,7 @@ class Portion(eqx.Module):
         """Losses by running through."""
         loop = self._tuned(self._own(numbers))
         done = engine.run(loop, self.scenario, self.words, *self.timing, self.loss, self.design[0])
-        return self._judgement(done.memory, done.alive)
+        return self._judgement(done.memory, done.alive, loop)
 
     def along(self, numbers: Numbers) -> tuple[Judgement, Numbers]:
         """Losses and slopes, forwards: every sample carries its derivative by each number along."""
@@ -91,7 +91,7 @@ class Portion(eqx.Module):
 
         begin = (self._begin(own), jnp.ones(self.words[0].shape, bool))
         (end, alive), starts = jax.lax.scan(forward, begin, jnp.arange(self.timing.blocks))
-        return self._judgement(end[1], alive), Kept(starts, _flat(end))
+        return self._judgement(end[1], alive, loop), Kept(starts, _flat(end))
 
     def back(self, numbers: Numbers, kept: Kept) -> Numbers:
         """The slopes, backwards; those of a lost die mean nothing."""
@@ -118,8 +118,8 @@ class Portion(eqx.Module):
             return jax.lax.scan(one_back, carry, (states, entering), reverse=True)
 
         real, rest = kept.end
-        loss, judged = jax.vjp(lambda real: self._judged(self._unflat(real, rest)[1]), real)
-        carry = (*judged(jnp.ones_like(loss)), jnp.zeros_like(own))
+        loss, judged = jax.vjp(lambda real, own: self._judged(self._unflat(real, rest)[1], self._tuned(own)), real, own)
+        carry = judged(jnp.ones_like(loss))
         blocks = (jnp.arange(self.timing.blocks), kept.starts)
         (pull, slopes), _ = jax.lax.scan(block_back, carry, blocks, reverse=True)
         _, begun = jax.vjp(lambda own: _flat(self._begin(own))[0], own)
@@ -144,11 +144,11 @@ class Portion(eqx.Module):
     def _sample(self, loop: ClosedLoop, carry: Carry, entering: engine.Entering) -> Carry:
         return engine.one_sample(loop, self.timing.period, self.loss, carry, entering)
 
-    def _judged(self, memory: Any) -> Float[Array, " dies"]:
-        return jnp.broadcast_to(self.loss.value(memory), self.words[0].shape)
+    def _judged(self, memory: Any, loop: ClosedLoop) -> Float[Array, " dies"]:
+        return jnp.broadcast_to(self.loss.value(memory) + self.loss.of_loop(loop), self.words[0].shape)
 
-    def _judgement(self, memory: Any, alive: Bool[Array, " dies"]) -> Judgement:
-        loss = self._judged(memory)
+    def _judgement(self, memory: Any, alive: Bool[Array, " dies"], loop: ClosedLoop) -> Judgement:
+        loss = self._judged(memory, loop)
         return loss, alive & jnp.isfinite(loss)
 
     def _unflat(self, real: Array, rest: Any) -> Carry:

@@ -75,12 +75,15 @@ def demodulated(zeta, turn, share):
 
 
 def rate_response(gyro, omega, period, control, frequency):
-    """Phasor of the rate given out per rate at `frequency` [Hz], of a design without quadrature and cross damping."""
+    """Phasor of the rate given out per rate at `frequency` [Hz], of a design without quadrature and cross damping.
+
+    The rate is held over a sample.
+    """
     total = 0.0
     for delta in (2 * np.pi * frequency, -2 * np.pi * frequency):
         found = _sideband(gyro, omega, period, control, delta)
         total = total + 0.5 * (found if delta >= 0 else np.conj(found))
-    return total
+    return total * np.sinc(frequency * period)
 
 
 def _sideband(gyro, omega, period, control, delta):

@@ -9,6 +9,7 @@ from memsgyro_jax.device.gyro import AbstractGyro
 from memsgyro_jax.loop.operation import Operation
 from memsgyro_jax.loop.readout import AbstractReadout
 
+from .classic import Classic, Unobserved
 from .laws import Added, Compensation, Kalman, Lyapunov
 
 
@@ -20,13 +21,17 @@ def completed(file: File, gyro: AbstractGyro, readout: AbstractReadout) -> File:
     """The `StudyFile` with what it leaves open: how `gyro` behind `readout` is usually operated."""
     given: Any = file
     usual = Operation.of(gyro, readout, given.loop.travel)
-    loop = _filled(given.loop, displacement=(usual.amplitude, 0.0), travel=usual.travel)
+    at_rest = isinstance(given.controller, Classic)
+    start = 0.0 if at_rest else usual.amplitude
+    loop = _filled(given.loop, displacement=(start, 0.0), travel=usual.travel)
     tone = Added(frequency=f"{float(usual.tone.frequency)!r} Hz", amplitude=f"{float(usual.tone.amplitude)!r} m/s^2")
     sections = {
         "loop": loop,
         "sweep": _filled(given.sweep, **usual.run),
         "observer": _observer(given.observer, usual, loop.displacement[0], given.spread.relative or USUAL_SPREAD),
-        "controller": given.controller or Compensation(kind="damping_compensation", tones=(tone,)),
+        "controller": _filled(given.controller, amplitude=usual.amplitude)
+        if at_rest
+        else given.controller or Compensation(kind="damping_compensation", tones=(tone,)),
     }
     return file.model_copy(update=sections)
 
@@ -34,6 +39,8 @@ def completed(file: File, gyro: AbstractGyro, readout: AbstractReadout) -> File:
 def _observer(part: FileSection, usual: Operation, amplitude: float, spread: float) -> FileSection:
     if isinstance(part, Lyapunov):
         return _filled(part, length=usual.amplitude, frequency=2.0 * np.pi * usual.frequency)
+    if isinstance(part, Unobserved):
+        return part
     assert isinstance(part, Kalman)
     annealing = part.annealing and _filled(part.annealing, decay=usual.decay)
     prior = _filled(part.prior, spread=spread, amplitude=amplitude)

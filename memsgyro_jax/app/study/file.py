@@ -28,6 +28,7 @@ from memsgyro_jax.measurement.model import Model
 from memsgyro_jax.montecarlo.spread import Normal, Root, Spread, Vary
 from memsgyro_jax.tuning.tunable import Tunable, free
 
+from .classic import Classic, Unobserved
 from .completed import USUAL_SPREAD, completed, left_to_device
 from .hardware import Charge, Device, Fitted, FittedReadout, Readout, SingleMass, unit_of_device
 from .laws import Anneal, Controller, Kalman, Observer, discretisation
@@ -80,6 +81,20 @@ class StudyFile(FileSection):
     spread: SpreadSection = SpreadSection(relative=USUAL_SPREAD)
     sweep: SweepSection = SweepSection()
     tune: Tune = Tune()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _classic_needs_no_observer(cls, data: Any) -> Any:
+        """Classic control measures by itself, unless an observer is asked for."""
+        if isinstance(data, dict) and "observer" not in data and "classic" in (data.get("controller") or {}).values():
+            return {**data, "observer": {"kind": "none"}}
+        return data
+
+    @model_validator(mode="after")
+    def _someone_measures(self) -> "StudyFile":
+        if isinstance(self.observer, Unobserved) and not isinstance(self.controller, Classic):
+            raise ValueError('observer.kind must not be "none" with a controller that needs an estimate; use "classic"')
+        return self
 
     @model_validator(mode="before")
     @classmethod
@@ -159,7 +174,8 @@ class Study(Shown):
     def _free(self) -> tuple[Tunable, ...]:
         names, section = self.loop.device.model.names, self.file.tune
         if section.free is None:
-            own = free(observer=self.loop.observer.usually_tuned)
+            observer = self.loop.observer.usually_tuned
+            own = free(observer=observer) if observer else free(controller=self.loop.controller.usually_tuned)
             return own + (() if self.loop.filter is None else free("filter"))
         found = []
         for number in section.free:
@@ -251,7 +267,7 @@ def _build(given: StudyFile, source: Source, own: tuple[Effect, ...]) -> Study:
     with source.section("observer"):
         observer = file.observer.build(gyro, readout)
     with source.section("controller"):
-        controller = file.controller.build()  # type: ignore[union-attr]  # `completed` gives one
+        controller = file.controller.build(gyro, readout)  # type: ignore[union-attr]  # `completed` gives one
     start = (*file.loop.displacement, *file.loop.velocity)
     plant = discretisation(file.loop.discretisation)
     filter_ = file.filter and file.filter.build()

@@ -32,6 +32,8 @@ from memsgyro_jax.loop.observers.fading import AbstractFading, AdaptiveFading, F
 from memsgyro_jax.loop.observers.settings import Annealing, ProcessNoise, design_prior
 from memsgyro_jax.loop.readout import AbstractReadout
 
+from .classic import Classic, Unobserved
+
 
 Discretisation = Literal["exact", "euler"]
 Positive = Annotated[float, Field(gt=0.0), In("1")]
@@ -193,7 +195,7 @@ class Lyapunov(FileSection):
         return eqx.tree_at(lambda o: o.adaptation, made, tuple(map(jnp.asarray, adaptation)))
 
 
-Observer = Annotated[Kalman | Lyapunov, Field(discriminator="kind")]
+Observer = Annotated[Kalman | Lyapunov | Unobserved, Field(discriminator="kind")]
 
 
 class Added(FileSection):
@@ -226,7 +228,7 @@ class Compensation(FileSection):
     kind: Literal["damping_compensation"]
     tones: tuple[Added, ...] = ()
 
-    def build(self) -> AbstractController:
+    def build(self, gyro: AbstractGyro, readout: AbstractReadout) -> AbstractController:
         """The controller."""
         return DampingCompensation(_tones(self.tones))
 
@@ -238,7 +240,7 @@ class Reference(FileSection):
     frequency: tuple[Hertz, Hertz]
     tones: tuple[Added, ...] = ()
 
-    def build(self) -> AbstractController:
+    def build(self, gyro: AbstractGyro, readout: AbstractReadout) -> AbstractController:
         """The controller."""
         return ReferenceModel(self.frequency, _tones(self.tones))
 
@@ -249,9 +251,9 @@ class Open(FileSection):
     kind: Literal["open_loop"]
     tones: tuple[Force, ...] = ()
 
-    def build(self) -> AbstractController:
+    def build(self, gyro: AbstractGyro, readout: AbstractReadout) -> AbstractController:
         """The controller."""
         return OpenLoop(_tones(self.tones))
 
 
-Controller = Annotated[Compensation | Reference | Open, Field(discriminator="kind")]
+Controller = Annotated[Compensation | Reference | Open | Classic, Field(discriminator="kind")]

@@ -9,6 +9,7 @@ from memsgyro_jax.base.quantity import FileSection, In, field_unit
 from memsgyro_jax.effects.section import entries_of_effect
 from memsgyro_jax.loop.loop import ClosedLoop
 
+from .classic import Classic, entries_of_classic, unit_of_classic
 from .laws import Walks
 
 
@@ -73,6 +74,8 @@ def unit_at(file: Any, names: tuple[str, ...], path: str) -> str | None:
         path = f"{prefix}theta.{names.index(name)}"
     if path.startswith("controller.tones."):
         return _tone_units(file).get(path.rpartition(".")[2])
+    if isinstance(file.controller, Classic) and unit_of_classic(path):
+        return unit_of_classic(path)
     for candidate in (path, f"{path}.0"):
         entry = entry_of(file, names, candidate)
         if entry is not None:
@@ -90,6 +93,9 @@ def entries_of(file: Any, loop: ClosedLoop, paths: tuple[str, ...]) -> dict[str,
     for path in paths:
         if path.startswith("controller.tones."):
             changes["controller.tones"] = _tones(file, loop)
+            continue
+        if isinstance(file.controller, Classic) and unit_of_classic(path):
+            changes |= entries_of_classic(loop.controller)
             continue
         added = loop.device.effects[len(loop.device.effects) - len(file.effects) :]
         if path.startswith("device.effects.") and int(path.split(".")[2]) >= len(loop.device.effects) - len(added):

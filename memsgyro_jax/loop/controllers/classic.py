@@ -73,8 +73,8 @@ class ClassicControl(AbstractController[ClassicState]):
 
         `bandwidth` [Hz] is that of the loops' integral, the proportional gain cancels the sense axis' own decay as far
         as it is real. Left out it is a quarter of `demodulator_bandwidth` (a twentieth of the drive's frequency, unless
-        given) where the axes match; where they are split, half of what the sense resonance, seen at the split, bears.
-        Raises `InputError` for numbers that are not positive.
+        given) where the axes match; where they are split, a good third of what the sense resonance, seen at the split,
+        bears. Raises `InputError` for numbers that are not positive.
         """
         omega = locked_frequency(gyro, nulled=True)
         drive = _drive(gyro, readout, amplitude, omega, drive_bandwidth)
@@ -84,7 +84,7 @@ class ClassicControl(AbstractController[ClassicState]):
         decay, split = 0.5 * dynamics.damping[1][1], jnp.abs(jnp.imag(pole))
         if bandwidth is None:
             roll_off = 2.0 * jnp.pi * width
-            integral = jnp.where(split > 2.0 * decay, 0.5 * decay * (1.0 + split / roll_off), 0.25 * roll_off)
+            integral = jnp.where(split > 2.0 * decay, 0.25 * decay * (1.0 + split / roll_off), 0.25 * roll_off)
         else:
             check_positive("bandwidth", bandwidth)
             integral = 2.0 * jnp.pi * jnp.asarray(bandwidth)

@@ -11,6 +11,7 @@ from .convergence_time import ConvergenceTime as ConvergenceTime
 from .delay import Delay as Delay
 from .expected_misses import ExpectedMisses as ExpectedMisses
 from .innovation_likelihood import InnovationLikelihood as InnovationLikelihood
+from .loop_margin import LoopMargin as LoopMargin
 from .out_of_tolerance import OutOfTolerance as OutOfTolerance
 from .squared_rate_error import SquaredRateError as SquaredRateError
 from .weighted import Weighted as Weighted

@@ -11,7 +11,7 @@ from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.gyro import Scalar, check_not_negative, number
 from memsgyro_jax.loop import engine
-from memsgyro_jax.loop.loop import Sample
+from memsgyro_jax.loop.loop import ClosedLoop, Sample
 
 
 Memory = TypeVar("Memory")
@@ -33,6 +33,10 @@ class AbstractLoss(Displayed, engine.AbstractRecorder[Memory, tuple[()]]):
     @abc.abstractmethod
     def value(self, memory: Memory) -> Scalar:
         """The loss of the die."""
+
+    def of_loop(self, loop: ClosedLoop) -> Scalar:
+        """What the loss counts of the loop itself, its die and its gains, beside the run: nothing."""
+        return jnp.zeros(())
 
     def combine(self, values: Float[Array, " dies"]) -> Float[Array, ""]:
         """The loss of a lot from those of its dies: the mean, unless a loss says otherwise."""

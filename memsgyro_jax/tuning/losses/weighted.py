@@ -45,5 +45,8 @@ class Weighted(AbstractLoss[Any]):
         pairs = zip(self.losses, self.weights, memory, strict=True)
         return sum(weight * loss.value(own) for loss, weight, own in pairs)
 
+    def of_loop(self, loop):
+        return sum(weight * loss.of_loop(loop) for loss, weight in zip(self.losses, self.weights, strict=True))
+
     def begins(self):
         return max(float(loss.begins()) for loss in self.losses)

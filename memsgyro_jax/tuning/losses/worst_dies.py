@@ -41,6 +41,9 @@ class WorstDies(AbstractLoss[Any]):
     def value(self, memory):
         return self.loss.value(memory)
 
+    def of_loop(self, loop):
+        return self.loss.of_loop(loop)
+
     def begins(self):
         return self.loss.begins()
 

@@ -24,7 +24,10 @@ FADING = {
         "process_noise": {"rate": "1 rad^2/s^3"},
     },
 }  # fmt: skip
+CLASSIC = {"controller": {"kind": "classic", "sense": "rebalanced", "amplitude": "1 um"}, "observer": {"kind": "none"}}
 PATHS = {
+    "classic": (CLASSIC, ("controller.drive.phase_gain", "controller.drive.demodulator.bandwidth",
+                          "controller.sense.integral", "controller.rate_offset")),
     "kalman": (FADING, ("observer.noise_density.1", "observer.process_noise.theta.0", "observer.process_noise.theta.3",
                         "observer.process_noise.offset.0", "observer.process_noise.motion.1",
                         "observer.process_noise.motion.2", "observer.fading.forgetting", "observer.annealing.excess",
@@ -68,6 +71,7 @@ def test_units():
         "observer.process_noise.theta.kxx": "1/s^5", "controller.tones.0.0.frequency": "Hz", "observer.nothing": None,
     }  # fmt: skip
     assert {path: unit_at(study.file, names, path) for path in units} == units
+    assert unit_at(study_of(CLASSIC).file, names, "controller.drive.force_integral") == "N/(m*s)"
 
 
 def test_a_number_that_a_file_does_not_hold_is_told():

@@ -206,6 +206,12 @@ def test_numbers_survive_writing_to_the_last_bit(tmp_path_factory, mass, decay, 
             lambda s: float(s.loop.controller.tones[0][0].amplitude) == 1e-6 and s.loop.controller.tones[1] == (),
         ),
         (
+            '[controller]\nkind = "classic"\namplitude = "2 um"\nphase_gain = "30 1/s"\ndemodulator = "product"\n',
+            lambda s: isinstance(s.loop.observer, mg.NoObserver) and float(s.loop.controller.drive.amplitude) == 2e-6
+            and float(s.loop.controller.drive.phase_gain) == 30.0 and float(s.loop.start[0]) == 0.0
+            and isinstance(s.loop.controller.sense.demodulator, mg.ProductDemodulator),
+        ),
+        (
             '[scenario.rate]\nkind = "chirp"\namplitude = "1 rad/s"\nlow = "0 Hz"\nhigh = "5 Hz"\nduration = "1 s"\n',
             lambda s: isinstance(s.scenario.rate, mg.Chirp),
         ),
@@ -378,3 +384,15 @@ def test_a_uniform_spread_may_be_relative(tmp_path):
     path.write_text('[spread.parameters]\n"device.mass" = { kind = "uniform", relative = "5 %" }\n')
     (item,) = mg.load_study(path).spread.items
     assert (item.path, item.distribution.relative) == ("device.mass", 0.05)
+
+
+@pytest.mark.parametrize(
+    ("section", "words"),
+    [
+        ('[controller]\nkind = "classic"\ngain = 2\n', "gain is a gain of a rebalanced sense axis"),
+        ('[controller]\nkind = "classic"\nbandwidth = "2 Hz"\n', "bandwidth is that of a rebalanced sense axis"),
+        ('[observer]\nkind = "none"\n', 'observer.kind must not be "none"'),
+    ],
+)
+def test_classic_control_needs_its_loops(write, section, words):
+    assert words in refusal(write(section))

@@ -1,10 +1,12 @@
 """Classic control against the sampled periodic steady state, transfer functions and stability by linear algebra."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from oracles import classic
+from scipy import optimize
 
 import memsgyro_jax as mg
 from memsgyro_jax.loop.controllers.classic import locked_frequency
@@ -60,3 +62,148 @@ def test_the_steady_state_and_its_slope_are_those_of_linear_algebra(name):
     differences = [(expected(RATE + n * h) - expected(RATE - n * h)) / (2 * n * h) for n in (1, 2)]
     wanted = (4.0 * differences[0] - differences[1]) / 3.0
     assert np.asarray(slope) / sizes == pytest.approx(wanted / sizes, rel=1e-9, abs=1e-9)
+
+
+PLAIN = mg.SingleMassGyro.from_modes(1e-8, (10e3, 10.3e3), (2000.0, 300.0))  # no quadrature, no cross damping
+
+
+def response(control, frequencies):
+    """Phasor of the rate given out per rate at each frequency, to first order, over the last of ten periods or more."""
+    loop, steps = loop_of(PLAIN, DISPLACEMENT, control), 60_000
+
+    def run(frequency, size):
+        rate = mg.Sine(size, frequency, 0.5 * jnp.pi)
+        return mg.simulate(loop, rate, sample_rate=1.0 / PERIOD, duration=steps * PERIOD).rate_estimate
+
+    def found(frequency):
+        out = jax.jvp(lambda size: run(frequency, size), (0.0,), (1.0,))[1]
+        return 2.0 * jnp.mean((out * jnp.exp(-2j * jnp.pi * frequency * PERIOD * jnp.arange(1, steps + 1)))[-20_000:])
+
+    return np.asarray(jax.vmap(found)(jnp.asarray(frequencies)))
+
+
+@pytest.mark.parametrize(
+    ("make", "bandwidth"), [(mg.ClassicControl.open_loop, 1000.0), (mg.ClassicControl.force_rebalance, 15.0)]
+)
+def test_bandwidth_and_transfer_are_those_of_the_sampled_transfer_function(make, bandwidth):
+    control = make(PLAIN, DISPLACEMENT, amplitude=1e-6, bandwidth=bandwidth)
+    nulled = isinstance(control.sense, mg.ForceRebalance)
+    conversion = complex(*map(float, control.sense.conversion))
+    locked = classic.steady(PLAIN, 0.0, PERIOD, 1e-6, conversion, nulled, 10e3, velocity=False)[0]
+
+    def size(frequency):
+        return abs(classic.rate_response(PLAIN, 2 * np.pi * locked, PERIOD, control, frequency))
+
+    half_power = optimize.brentq(lambda f: size(f) - size(1e-3) / np.sqrt(2.0), 1.0, 3000.0)
+    # Whole periods in the last 0.1 s: multiples of 10 Hz, two of them around the half power.
+    below = 10.0 * np.floor(half_power / 10.0)
+    frequencies = np.array([10.0, below, below + 10.0, 100.0])
+    found = response(control, frequencies)
+    wanted = [classic.rate_response(PLAIN, 2 * np.pi * locked, PERIOD, control, f) for f in frequencies]
+    assert found == pytest.approx(np.array(wanted), rel=1e-6, abs=1e-7)
+    assert abs(found[1]) > size(1e-3) / np.sqrt(2.0) > abs(found[2])
+
+
+def designs(count, seed):
+    """Random devices with their rebalanced control, their sense axis split by up to 4 %, without coupling."""
+    rng = np.random.default_rng(seed)
+    made = []
+    for _ in range(count):
+        low, split = rng.uniform(7e3, 11e3), rng.uniform(-0.04, 0.04)
+        quality = 10.0 ** rng.uniform([2.7, 2.0], [3.7, 2.7])
+        gyro = mg.SingleMassGyro.from_modes(rng.uniform(0.5e-8, 2e-8), (low, low * (1.0 + split)), tuple(quality))
+        made.append((gyro, mg.ClassicControl.force_rebalance(gyro, DISPLACEMENT, amplitude=1e-6)))
+    return made
+
+
+def scaled(control, **factors):
+    """The control with some numbers multiplied, `sense.integral` as `sense_integral`."""
+    places = [name.split("_", 1) for name in factors]
+    values = [getattr(getattr(control, part), field) for part, field in places]
+    new = [value * factor for value, factor in zip(values, factors.values(), strict=True)]
+    return eqx.tree_at(lambda c: [getattr(getattr(c, part), field) for part, field in places], control, new)
+
+
+def with_rebalance(control, factor):
+    names = ("gain", "integral", "quadrature_gain", "quadrature_integral")
+    return scaled(control, **{f"sense_{name}": factor for name in names})
+
+
+def restlessness(gyros, controls, rate):
+    """Standard deviation of rate, frequency and amplitude over the last tenth of a run, over their sizes, die by die;
+    infinite for one that was lost.
+    """
+    stack = lambda trees: jax.tree.map(lambda *leaves: jnp.stack(leaves), *trees)  # noqa: E731
+
+    def one(gyro, control):
+        loop = mg.ClosedLoop(
+            gyro, DISPLACEMENT, mg.NoObserver.for_device(gyro, DISPLACEMENT), control, start=(0.0,) * 4
+        )
+        trace = mg.simulate(loop, rate, sample_rate=1.0 / PERIOD, duration=0.5, decimation=50)
+        told = (trace.rate_estimate / rate, trace.readings.frequency / 1e4, trace.readings.amplitude / 1e-6)
+        lost = jnp.isfinite(trace.intact_until)
+        return jnp.stack([jnp.where(lost, jnp.inf, jnp.std(part[-200:])) for part in told])
+
+    return np.asarray(jax.vmap(one)(stack(gyros), stack(controls))).T
+
+
+@pytest.mark.parametrize("count", [4, pytest.param(50, marks=pytest.mark.slow)])
+def test_gains_are_stable_in_the_simulation_where_they_are_by_formula_and_not_beyond(count):
+    made = designs(count, seed=7)
+    gyros, critical = [], []
+    for gyro, control in made:
+        near = float(control.drive.frequency)
+        turning = 2.0 * np.pi * classic.steady(gyro, 0.0, PERIOD, 1e-6, 1.0, True, near, velocity=False)[0]
+
+        def growth(factor, gyro=gyro, control=control, turning=turning):
+            return classic.rebalance_growth(gyro, turning, PERIOD, with_rebalance(control, factor).sense) - 1.0
+
+        top = next(f for f in 1.2 ** np.arange(99) if growth(f) > 0.0)
+        critical.append(optimize.brentq(growth, 0.05, top))
+        gyros.append(gyro)
+    inside, outside = (
+        [with_rebalance(control, share * edge) for (_, control), edge in zip(made, critical, strict=True)]
+        for share in (0.85, 1.15)
+    )
+    calm = restlessness(gyros, inside, RATE)[0]
+    wild = restlessness(gyros, outside, RATE)[0]
+    assert np.all(calm < 1e-2)
+    assert np.all(wild > 1.0)
+    for gyro, stable, unstable in zip(gyros, inside, outside, strict=True):
+        assert float(mg.loop_margins(loop_of(gyro, DISPLACEMENT, stable)).rate) > 0.0
+        assert float(mg.loop_margins(loop_of(gyro, DISPLACEMENT, unstable)).rate) < 0.0
+
+
+def test_the_drive_loops_are_stable_where_their_characteristic_polynomials_are():
+    """s (s + d/2)(s + b) + b (k s + i) is stable where i < (b + d/2)(k + d/2), the amplitude's gains per force."""
+    gyro, control = designs(1, seed=3)[0]
+    drive, omega = control.drive, 2.0 * np.pi * float(control.drive.frequency)
+    pole, decay = 2.0 * np.pi * float(drive.demodulator.bandwidth), 0.5 * float(gyro.dxx / gyro.mass)
+    grow = 1.0 / (2.0 * omega * float(gyro.mass))
+    edges = {
+        "drive_phase_integral": (pole + decay) * (float(drive.phase_gain) + decay) / float(drive.phase_integral),
+        "drive_force_integral": (pole + decay) * (float(drive.force_gain) + decay / grow) / float(drive.force_integral),
+    }
+    controls = [scaled(control, **{name: share * edge}) for name, edge in edges.items() for share in (0.8, 1.25)]
+    _, frequency, amplitude = restlessness([gyro] * 4, controls, RATE)
+    assert frequency[0] < 1e-6 < 1e-4 < frequency[1]
+    assert amplitude[2] < 1e-6 < 1e-3 < amplitude[3]
+    margins = [mg.loop_margins(loop_of(gyro, DISPLACEMENT, tried)) for tried in controls]
+    assert [float(margin.phase) > 0.0 for margin in margins] == [True, False, True, True]
+    assert [float(margin.amplitude) > 0.0 for margin in margins] == [True, True, True, False]
+
+
+def test_the_margin_is_a_loss_with_a_slope():
+    gyro, control = designs(1, seed=3)[0]
+    loss = mg.losses.Weighted((mg.losses.LoopMargin(0.9), 2.0))
+
+    def value(factor):
+        return loss.of_loop(loop_of(gyro, DISPLACEMENT, with_rebalance(control, factor)))
+
+    found, slope = jax.value_and_grad(value)(1.2)
+    least = mg.loop_margins(loop_of(gyro, DISPLACEMENT, with_rebalance(control, 1.2))).least
+    assert float(found) == pytest.approx(2.0 * (1.0 - float(least) / 0.9) ** 2, rel=1e-12)
+    assert float(found) > 0.0
+    assert float(slope) == pytest.approx(float(value(1.2 + 1e-5) - value(1.2 - 1e-5)) / 2e-5, rel=1e-4)
+    with pytest.raises(mg.InputError, match="driven by `ClassicControl`"):
+        mg.loop_margins(mg.default_study().loop)

@@ -1,0 +1,66 @@
+"""`memsgyro datasheet`: read the study, test its lot as a laboratory would, print, write."""
+
+from pathlib import Path
+
+from .flags import Flag
+
+
+def datasheet_command(
+    study: Path | None = None,
+    /,
+    *,
+    full_scale: float = 300.0,
+    dies: int | None = None,
+    seed: int | None = None,
+    trim: Flag = False,
+    noise_duration: float | None = None,
+    out: Path = Path("datasheet.html"),
+    effects: Path | None = None,
+    json: Path | None = None,
+) -> None:
+    """The datasheet of a simulated lot, on one page.
+
+    Zero-rate output, scale factor and non-linearity, noise density, angle
+    random walk, bandwidth, start-up time, cross-axis and acceleration
+    sensitivity, quadrature: minimum, typical and maximum over dies, in the
+    terms of IEEE 528 and 1431. What the model cannot give says so.
+
+    Args:
+        study: a study file (TOML).
+        full_scale: greatest rate either way, in deg/s.
+        dies: how many dies.
+        seed: of the dies and of their noise.
+        trim: also tell the figures after each die got its own offset and scale.
+        noise_duration: of the run with noise in s; without it what the bandwidth asks for.
+        out: the page, an HTML file.
+        effects: a Python file with effects of your own that the study names. It is run: trust it first.
+        json: file for the machine-readable result.
+    """
+    import numpy as np
+
+    from memsgyro_jax.base.files import write_json, write_whole
+    from memsgyro_jax.measurement.datasheet import datasheet
+
+    from ..report.datasheet_page import datasheet_page
+    from .options import chosen_study, require_writable, writing
+    from .progress import told
+
+    chosen, notes = chosen_study(study, None, effects, seed=seed)
+    require_writable(out, json)
+    for note in notes:
+        print(note)
+    run = chosen.sweep_arguments
+    arguments = {
+        name: run[name] for name in ("loop", "spread", "scenario", "sample_rate", "duration", "settle", "seed")
+    }
+    with told() as tell:
+        found = datasheet(
+            **arguments, full_scale=float(np.radians(full_scale)), dies=64 if dies is None else dies, trim=trim,
+            noise_duration=noise_duration, progress=tell,
+        )  # fmt: skip
+    with writing(out, "make room and run again"):
+        write_whole(out, datasheet_page(found, chosen).html())
+        if json is not None:
+            write_json(json, found.as_dict())
+    print(found)
+    print(f"{out} is the page.")

@@ -1,0 +1,160 @@
+"""The rows of a datasheet: one figure of every die, and what a lot of them says."""
+
+from dataclasses import asdict, dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy import stats
+
+from memsgyro_jax.base.display import Shown
+from memsgyro_jax.base.files import finite
+from memsgyro_jax.base.provenance import Settings
+from memsgyro_jax.base.text import aligned
+
+
+SCHEMA = "memsgyro-datasheet/1"
+NOT_MODELLED = "not modelled"
+_FEWEST = 3  # dies of which a spread is told
+
+
+class OverDies(NamedTuple):
+    """Mean over dies with its 95 % interval, mean ± 3 standard deviations (not below zero where no die can be), least
+    and greatest die, and percentiles.
+    """
+
+    typical: float
+    low: float
+    high: float
+    minimum: float
+    maximum: float
+    least: float
+    greatest: float
+    p5: float
+    p95: float
+    dies: int
+
+    @classmethod
+    def of(cls, values: Float[np.ndarray, " dies"], positive: bool = False) -> "OverDies | None":
+        """Over the finite values; None with fewer than three."""
+        known = values[np.isfinite(values)]
+        if len(known) < _FEWEST:
+            return None
+        mean, std = float(np.mean(known)), float(np.std(known, ddof=1))
+        reach = std / np.sqrt(len(known)) * float(stats.t.ppf(0.975, len(known) - 1))
+        p5, p95 = (float(p) for p in np.percentile(known, [5.0, 95.0]))
+        return cls(
+            mean, mean - reach, mean + reach, max(mean - 3.0 * std, 0.0) if positive else mean - 3.0 * std,
+            mean + 3.0 * std, float(known.min()), float(known.max()), p5, p95, len(known),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class DatasheetRow(Shown):
+    """One figure: `values` of the dies in `unit`, what it is in words and under which condition.
+
+    `missing` says why there are none: "not modelled" and what the model leaves out, or what the run did not show.
+    `trimmed` are the values once every die has its own offset and scale, None without a trim or where it changes
+    nothing. `positive` figures cannot be below zero.
+    """
+
+    name: str
+    unit: str
+    definition: str
+    condition: str
+    values: Float[np.ndarray, " dies"]
+    missing: str = ""
+    trimmed: Float[np.ndarray, " dies"] | None = None
+    positive: bool = False
+
+    @property
+    def over_dies(self) -> OverDies | None:
+        """What the lot says; None where there is nothing to say."""
+        return None if self.missing else OverDies.of(self.values, self.positive)
+
+    @property
+    def over_trimmed(self) -> OverDies | None:
+        """The same after the trim."""
+        return None if self.missing or self.trimmed is None else OverDies.of(self.trimmed, self.positive)
+
+    @property
+    def reason(self) -> str:
+        """Why there is no figure; empty where there is one."""
+        return self.missing or ("" if self.over_dies else f"fewer than {_FEWEST} dies tell it")
+
+    def cells(self, found: OverDies | None) -> tuple[str, str, str, str]:
+        """Minimum, typical with its interval, maximum and percentiles as text."""
+        if found is None:
+            return "", "", "", self.reason
+        return (
+            f"{found.minimum:.4g}",
+            f"{found.typical:.4g} ({found.low:.4g} to {found.high:.4g})",
+            f"{found.maximum:.4g}",
+            f"{found.p5:.4g} to {found.p95:.4g}",
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """Entries for JSON; null where there is no figure."""
+        told = {"before_trim": self.over_dies, "after_trim": self.over_trimmed}
+        return {
+            "name": self.name, "unit": self.unit, "definition": self.definition, "condition": self.condition,
+            "reason": self.reason or None, **{key: None if o is None else o._asdict() for key, o in told.items()},
+        }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Datasheet(Shown):
+    """The datasheet of a simulated lot: `rows`, and the curves behind them, SI.
+
+    `dies` were run, of which `lost` were lost in one of the runs and count nowhere. `rates` [rad/s] were applied in
+    turn and gave `outputs` (rates, dies); `times` [s] and `answers` (dies, times) are the answer to a step of the rate,
+    over that step. `notes` say what a reader must know.
+    """
+
+    rows: tuple[DatasheetRow, ...]
+    dies: int
+    lost: int
+    full_scale: float
+    rates: Float[np.ndarray, " rates"]
+    outputs: Float[np.ndarray, "rates dies"]
+    times: Float[np.ndarray, " times"]
+    answers: Float[np.ndarray, "dies times"]
+    settings: Settings
+    notes: tuple[str, ...] = field(default=())
+
+    def row(self, name: str) -> DatasheetRow:
+        """The row called so."""
+        return next(row for row in self.rows if row.name == name)
+
+    def table(self) -> list[tuple[str, ...]]:
+        """Name, unit, minimum (-3 σ), typical, maximum (+3 σ), 5 to 95 %; a trimmed row stands below its own."""
+        found: list[tuple[str, ...]] = []
+        for row in self.rows:
+            found.append((row.name, row.unit, *row.cells(row.over_dies)))
+            if row.over_trimmed is not None:
+                found.append(("  trimmed", row.unit, *row.cells(row.over_trimmed)))
+        return found
+
+    def __repr__(self) -> str:
+        head = ("figure", "unit", "-3 σ", "typical (95 %)", "+3 σ", "5 to 95 % of the dies")
+        lost = f", of which {self.lost} were lost and left out" if self.lost else ""
+        lines = [f"Datasheet of {self.dies} simulated dies{lost}", aligned([head, *self.table()])]
+        return "\n".join([*lines, *(f"  note: {note}" for note in self.notes)])
+
+    def as_dict(self) -> dict[str, Any]:
+        """The machine-readable form."""
+        return finite(
+            {
+                "schema": SCHEMA,
+                "dies": self.dies,
+                "lost": self.lost,
+                "full_scale_dps": float(np.degrees(self.full_scale)),
+                "rows": [row.as_dict() for row in self.rows],
+                "notes": list(self.notes),
+                "seed": self.settings.seed,
+                "sample_rate_hz": self.settings.sample_rate,
+                "duration_s": self.settings.duration,
+                "fingerprint": self.settings.fingerprint,
+                "versions": dict(asdict(self.settings)["versions"]),
+            }
+        )

@@ -1,0 +1,286 @@
+"""The tests behind a datasheet: each runs the lot and gives rows."""
+
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.loop.scenario import Constant
+
+from .allan import allan
+from .datasheet_rows import NOT_MODELLED, DatasheetRow
+from .lot_outputs import Outputs
+
+
+Dies = Float[np.ndarray, " dies"]
+_GRAVITY = 9.80665  # m/s²
+_BAND = 0.01  # of the full scale: an output within it of its end has started
+_STEADY = 0.01  # of a step: how far the last two tenths of the answer may differ
+_ALIKE = 1.5  # ratio of noise powers early and late that is still one noise
+_SHARE = 0.25  # of the bandwidth: up to where the noise counts as flat
+_LINES = 8  # fewest lines of a spectrum that make a density
+_RECORD = 200.0  # periods of the bandwidth that tell an Allan deviation
+_FRAME = "the device leaves out the terms of its rotating frame (`rotating_frame` brings them in)"
+
+
+class Answer(NamedTuple):
+    """The answer to a step of the rate, over that step: `values` (dies, times) from `times` [s] after it on, which dies
+    were never lost, and their -3 dB `bandwidth` [Hz], NaN where not shown.
+    """
+
+    times: Float[np.ndarray, " times"]
+    values: Float[np.ndarray, "dies times"]
+    alive: Bool[np.ndarray, " dies"]
+    bandwidth: Dies
+
+
+def settled_mean(run: Outputs, settle: float, what: str = "rate") -> Dies:
+    """Mean from `settle` [s] on."""
+    return np.mean(getattr(run, what)[:, round(settle / run.period) :], axis=1)
+
+
+def best_line(rates: np.ndarray, outputs: Float[np.ndarray, "rates dies"]) -> Float[np.ndarray, "two dies"]:
+    """Offset and slope of the best straight line of each die."""
+    return np.linalg.lstsq(np.stack([np.ones_like(rates), rates], axis=1), outputs)[0]
+
+
+def scale_and_bias(
+    bench: Any, rates: np.ndarray, table: list[Outputs]
+) -> tuple[Float[np.ndarray, "rates dies"], tuple[DatasheetRow, ...]]:
+    """The settled outputs at each rate, and zero-rate output, scale factor, non-linearity and quadrature."""
+    outputs = np.array([settled_mean(run, bench.settle) for run in table])
+    zero, full = len(rates) // 2, np.degrees(bench.full_scale)
+    constant = f"constant rate, mean from {bench.settle:.3g} to {bench.duration:.3g} s after power-on, no noise"
+    line = best_line(rates, outputs)
+    quadrature = np.degrees(settled_mean(table[zero], bench.settle, "quadrature"))
+    unread = "" if np.isfinite(quadrature).any() else f"{NOT_MODELLED}: this loop reads no quadrature"
+    return outputs, (
+        DatasheetRow(
+            "full scale", "deg/s", "Greatest rate, either way, over which the figures below hold", "declared",
+            np.full(outputs.shape[1], full),
+        ),
+        DatasheetRow(
+            "zero-rate output", "deg/s", "Output without input rate (bias)", constant, np.degrees(outputs[zero])
+        ),
+        DatasheetRow(
+            "scale factor", "1", "Slope of the best straight line of output over input rate",
+            f"{len(rates)} rates over ± full scale, {constant}", line[1],
+        ),
+        DatasheetRow(
+            "scale-factor non-linearity", "% of full scale",
+            "Greatest distance of the output from the best straight line", f"{len(rates)} rates over ± full scale",
+            non_linearity(rates, outputs, bench.full_scale), positive=True,
+        ),
+        DatasheetRow(
+            "quadrature", "deg/s", "Output in phase with displacement, as the rate whose force has its size",
+            constant, quadrature, unread,
+        ),
+    )  # fmt: skip
+
+
+def non_linearity(rates: np.ndarray, outputs: np.ndarray, full_scale: float) -> Dies:
+    """Greatest residual of the best line in percent of the full scale."""
+    offset, slope = best_line(rates, outputs)
+    return 100.0 * np.max(np.abs(outputs - offset - slope * rates[:, None]), axis=0) / full_scale
+
+
+def with_trim(
+    rows: tuple[DatasheetRow, ...], rates: np.ndarray, outputs: np.ndarray, full_scale: float
+) -> tuple[DatasheetRow, ...]:
+    """The rows with their figures after each die has been given its own offset and scale: those of the line through its
+    outputs at minus and plus half the full scale.
+    """
+    low, high = (outputs[int(np.argmin(np.abs(rates - place)))] for place in (-0.5 * full_scale, 0.5 * full_scale))
+    scale, offset = (high - low) / full_scale, 0.5 * (low + high)
+    trimmed = (outputs - offset) / scale
+    found = {
+        "zero-rate output": np.degrees(trimmed[len(rates) // 2]),
+        "scale factor": best_line(rates, trimmed)[1],
+        "scale-factor non-linearity": non_linearity(rates, trimmed, full_scale),
+    }
+    scaled = ("noise density", "angle random walk", "bias instability")
+    return tuple(
+        replace(row, trimmed=found[row.name] if row.name in found else row.values / np.abs(scale))
+        if not row.missing and (row.name in found or row.name in scaled)
+        else row
+        for row in rows
+    )
+
+
+def start_up(bench: Any, turning: Outputs) -> DatasheetRow:
+    """Time from power-on until the output of a `turning` lot stays near its end."""
+    late = settled_mean(turning, bench.duration - 10.0 * turning.period)
+    away = np.abs(turning.rate - late[:, None]) > _BAND * bench.full_scale
+    last = turning.rate.shape[1] - 1 - np.argmax(away[:, ::-1], axis=1)
+    time = np.where(away.any(axis=1), (last + 1) * turning.period, 0.0)
+    never = last >= turning.rate.shape[1] - 11
+    reason = "the output has not come to rest within the run" if np.mean(away.any(axis=1) & never) > 0.5 else ""
+    return DatasheetRow(
+        "start-up time", "s", "From power-on until the output stays within 1 % of full scale of its end",
+        f"rate of full scale, run of {bench.duration:.3g} s, no noise",
+        np.where(never & away.any(axis=1), np.nan, time), reason, positive=True,
+    )  # fmt: skip
+
+
+def step_answer(bench: Any, still: Outputs) -> tuple[Answer, tuple[DatasheetRow, ...]]:
+    """Bandwidth and group delay by a small step of the rate in the middle of a run."""
+    size = 0.1 * bench.full_scale
+    run = bench.run(bench.at(0.0, size))
+    first = round(0.5 * bench.duration / run.period)
+    answer = (run.rate - still.rate)[:, first:] / size
+    times = (np.arange(answer.shape[1]) + 0.5) * run.period
+    tenth = max(1, answer.shape[1] // 10)
+    end, before = np.mean(answer[:, -tenth:], axis=1), np.mean(answer[:, -2 * tenth : -tenth], axis=1)
+    settled = (np.abs(end - before) < _STEADY * np.abs(end)) & (np.abs(end) > 0.1)
+    reason = "" if np.mean(settled) > 0.5 else f"the output does not settle at a new rate within {times[-1]:.3g} s"
+    with np.errstate(divide="ignore", invalid="ignore"):
+        over = np.where(settled[:, None], answer / end[:, None], np.nan)
+    bandwidth = np.array([first_half_power(one, run.period) for one in over])
+    delay = 1e3 * np.sum(1.0 - over, axis=1) * run.period
+    beyond = reason or (
+        "" if np.isfinite(bandwidth).any() else f"it lies beyond {0.4 / run.period:.4g} Hz, which this run shows"
+    )
+    condition = f"step of {np.degrees(size):.3g} deg/s after {0.5 * bench.duration:.3g} s, no noise"
+    found = Answer(times, answer, run.alive & still.alive, bandwidth)
+    return found, (
+        DatasheetRow(
+            "bandwidth",
+            "Hz",
+            "Frequency of the rate at which the output has lost 3 dB",
+            condition,
+            bandwidth,
+            beyond,
+            positive=True,
+        ),
+        DatasheetRow("group delay", "ms", "Delay of a slowly varying rate", condition, delay, reason),
+    )
+
+
+def first_half_power(answer: Float[np.ndarray, " times"], period: float) -> float:
+    """The first frequency [Hz] at which the spectrum of the slope of a step's `answer`, means over windows of `period`
+    [s], is 3 dB down; NaN where it is not, up to 0.4 of a window's frequency.
+    """
+    if not np.all(np.isfinite(answer)):
+        return float("nan")
+    slope = np.diff(answer, prepend=0.0)
+    frequencies = np.geomspace(0.02 / (len(answer) * period), 0.4 / period, 600)
+    turns = np.exp(-2j * np.pi * frequencies[:, None] * period * np.arange(len(answer)))
+    size = np.abs(turns @ slope) / np.sinc(frequencies * period)
+    below = np.flatnonzero(size < np.sqrt(0.5))
+    if not below.size or below[0] == 0:
+        return float("nan")
+    place = slice(below[0] - 1, below[0] + 1)
+    return float(np.exp(np.interp(-np.sqrt(0.5), -size[place], np.log(frequencies[place]))))
+
+
+def record_needed(bandwidth: Dies, duration: float) -> float:
+    """How long a run with noise should last [s]: until an Allan deviation is told, from ten to a hundred `duration`."""
+    known = bandwidth[np.isfinite(bandwidth)]
+    return float(np.clip(_RECORD / np.median(known) if known.size else 0.0, 10.0 * duration, 100.0 * duration))
+
+
+def noises(bench: Any, bandwidth: Dies, duration: float) -> tuple[DatasheetRow, ...]:
+    """Noise density, angle random walk and bias instability of the output at rest."""
+    definitions = (
+        ("noise density", "deg/s/√Hz", "One-sided density of the output where it is flat"),
+        ("angle random walk", "deg/√h", "Coefficient N of the Allan deviation"),
+        ("bias instability", "deg/h", "Least Allan deviation over 0.664"),
+    )
+    condition = f"no input rate, {duration - bench.settle:.4g} s from {bench.settle:.3g} s after power-on"
+    silent = all(float(np.max(np.asarray(d))) == 0.0 for d in bench.loop.readout.noise_density)
+    run = None if silent else bench.noisy(bench.at(0.0), duration)
+    if run is None:
+        reasons = (f"{NOT_MODELLED}: the read-out has no noise",) * 3
+        return _noise_rows(definitions, condition, (np.full(len(bandwidth), np.nan),) * 3, reasons)
+    rate = run.rate[:, round(bench.settle / run.period) :]
+    nothing = np.full(len(rate), np.nan)
+    half = rate.shape[1] // 2
+    early, late = (np.median(np.var(np.diff(part), axis=1)) for part in (rate[:, :half], rate[:, half:]))
+    if not 1.0 / _ALIKE < early / late < _ALIKE:
+        learning = "the output is no stationary noise: its observer still learns, and steps less the longer it runs"
+        return _noise_rows(definitions, condition, (nothing,) * 3, (f"{NOT_MODELLED}: {learning}",) * 3)
+    widest = float(np.nanmedian(bandwidth)) if np.isfinite(bandwidth).any() else 0.4 / run.period
+    density, walk, instability = nothing.copy(), nothing.copy(), nothing.copy()
+    said = ["", "", ""]
+    frequencies = np.fft.rfftfreq(rate.shape[1], run.period)
+    flat = (frequencies > 0.0) & (frequencies <= _SHARE * widest)
+    if flat.sum() >= _LINES:
+        power = 2.0 * run.period / rate.shape[1] * np.abs(np.fft.rfft(rate - rate.mean(axis=1, keepdims=True))) ** 2
+        density = np.degrees(np.sqrt(np.mean(power[:, flat], axis=1)))
+    else:
+        said[0] = (
+            f"the record is too short: {_LINES} lines below {_SHARE * widest:.3g} Hz take "
+            f"{_LINES / (_SHARE * widest):.3g} s"
+        )
+    try:
+        terms = allan(rate[run.alive], sample_rate=1.0 / run.period, band=(2.0 / widest, np.inf)).terms
+    except InputError:
+        said[1] = said[2] = (
+            f"the record is too short: averaging times from {2.0 / widest:.3g} s on take {_RECORD / widest:.3g} s"
+        )
+        return _noise_rows(definitions, condition, (density, walk, instability), tuple(said))
+    for name, values in (("N", walk), ("bias_instability", instability)):
+        values[run.alive] = [np.nan if term[name].value is None else term[name].value for term in terms]
+    if np.mean(np.isfinite(instability)) < 0.5:
+        said[2] = f"{NOT_MODELLED}: no flicker shows in {duration:.3g} s, the Allan deviation falls to its end"
+    return _noise_rows(definitions, condition, (density, walk, instability), tuple(said))
+
+
+def _noise_rows(
+    definitions: tuple[tuple[str, str, str], ...], condition: str, values: tuple[Dies, ...], reasons: tuple[str, ...]
+) -> tuple[DatasheetRow, ...]:
+    return tuple(
+        DatasheetRow(name, unit, definition, condition, value, reason, positive=True)
+        for (name, unit, definition), value, reason in zip(definitions, values, reasons, strict=True)
+    )
+
+
+def around_the_axes(bench: Any, table: list[Outputs]) -> tuple[DatasheetRow, ...]:
+    """Sensitivity to rates about the other axes and to acceleration of the frame."""
+    zero = settled_mean(table[len(table) // 2], bench.settle)
+    keeps = getattr(bench.loop.device, "rotating_frame", False)
+    rows = []
+    for axis, name in enumerate("xy"):
+        for kind, unit, size, what in (
+            ("cross-axis sensitivity", "%", bench.full_scale, "a rate of full scale about"),
+            ("sensitivity to acceleration", "deg/s/g", _GRAVITY, "an acceleration of 1 g of the frame along"),
+        ):
+            if keeps:
+                applied = tuple(Constant(size if axis == n else 0.0) for n in (0, 1))
+                field = "cross_rate" if unit == "%" else "acceleration"
+                moved = settled_mean(bench.run(bench.at(0.0, **{field: applied})), bench.settle) - zero
+                values = 100.0 * moved / size if unit == "%" else np.degrees(moved)
+            else:
+                values = np.full(len(zero), np.nan)
+            rows.append(
+                DatasheetRow(
+                    f"{kind}, {name}", unit, f"Change of the zero-rate output by {what} {name}",
+                    "constant, no noise", values, "" if keeps else f"{NOT_MODELLED}: {_FRAME}",
+                )
+            )  # fmt: skip
+    return tuple(rows)
+
+
+def temperature_rows(bench: Any, temperatures: tuple[float, ...]) -> tuple[DatasheetRow, ...]:
+    """Zero-rate output and scale factor over temperature, half of greatest less least."""
+    names = ("zero-rate output over temperature", "scale factor over temperature")
+    definition = "(max - min)/2 over the temperatures"
+    degrees = ", ".join(f"{kelvin - 273.15:.4g}" for kelvin in temperatures)
+    depends = any("thermal" in str(effect.label) for effect in bench.loop.device.effects)
+    found: list[Any] = [np.full(1, np.nan)] * 2
+    if depends:
+        swept = []
+        for kelvin in temperatures:
+            still, turning = (
+                settled_mean(bench.run(bench.at(rate, temperature=Constant(kelvin))), bench.settle)
+                for rate in (0.0, bench.full_scale)
+            )
+            swept.append((np.degrees(still), 100.0 * (turning - still) / bench.full_scale))
+        found = list(0.5 * np.ptp(np.array(swept), axis=0))
+    reason = "" if depends else f"{NOT_MODELLED}: nothing in the device depends on temperature"
+    return tuple(
+        DatasheetRow(name, unit, definition, f"constant at {degrees} °C, no noise", values, reason)
+        for name, unit, values in zip(names, ("deg/s", "%"), found, strict=True)
+    )

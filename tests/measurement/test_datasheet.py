@@ -1,0 +1,96 @@
+"""The figures of a datasheet against linear algebra of the same dies, and what it must not claim."""
+
+import json
+
+import jax
+import numpy as np
+import pytest
+from oracles import classic
+
+import memsgyro_jax as mg
+from memsgyro_jax.app.report.datasheet_page import datasheet_page
+from memsgyro_jax.measurement.datasheet_rows import NOT_MODELLED
+
+
+RATE, DIES, DENSITY = 100e3, 4, 1e-7
+GYRO = mg.SingleMassGyro.from_modes(1e-8, (5e3, 5.3e3), (400.0, 200.0), quadrature=np.radians(30.0), cross_damping=1e-3)
+READOUT = mg.DirectReadout(1e5, noise_density=DENSITY)
+CONTROL = mg.ClassicControl.open_loop(GYRO, READOUT, amplitude=1e-6, bandwidth=60.0, drive_bandwidth=400.0)
+LOOP = mg.ClosedLoop(GYRO, READOUT, mg.NoObserver.for_device(GYRO, READOUT), CONTROL, start=(0.0,) * 4)
+SPREAD = mg.Spread.relative(0.002)
+
+
+@pytest.fixture(scope="module")
+def sheet():
+    return mg.datasheet(
+        LOOP, SPREAD, full_scale="200 deg/s", dies=DIES, sample_rate=RATE, duration=0.2, settle=0.15,
+        noise_duration=4.0, trim=True, seed=3,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def dies():
+    drawn = SPREAD.draw(LOOP.sampled_at(RATE, duration=0.2), mg.Scenario(), 3, np.arange(DIES)).loop.device
+    return [jax.tree.map(lambda leaf, n=n: np.broadcast_to(leaf, DIES)[n], drawn) for n in range(DIES)]
+
+
+def test_zero_rate_output_scale_factor_and_quadrature_are_those_of_the_dies(sheet, dies):
+    conversion, near = complex(*map(float, CONTROL.sense.conversion)), float(CONTROL.drive.frequency)
+
+    def steady(gyro, rate):
+        lock = near * np.sqrt(float(gyro.kxx * GYRO.mass / gyro.mass / GYRO.kxx))
+        return classic.steady(gyro, rate, 1.0 / RATE, 1e-6, conversion, False, lock, velocity=False)[2:]
+
+    full = np.radians(200.0)
+    still = np.array([steady(gyro, 0.0) for gyro in dies])
+    slope = np.array([(steady(g, full)[0] - steady(g, -full)[0]) / (2.0 * full) for g in dies])
+    assert sheet.lost == 0
+    assert sheet.row("zero-rate output").values == pytest.approx(np.degrees(still[:, 0]), abs=1e-4)
+    assert sheet.row("quadrature").values == pytest.approx(np.degrees(still[:, 1]), abs=1e-4)
+    assert sheet.row("scale factor").values == pytest.approx(slope, abs=1e-6)
+    assert np.ptp(slope) > 1e-2
+    assert sheet.row("scale factor").trimmed == pytest.approx(1.0, abs=1e-5)
+    assert sheet.row("zero-rate output").trimmed == pytest.approx(0.0, abs=1e-4)
+
+
+def test_bandwidth_delay_and_noise_are_those_of_theory(sheet):
+    plain = mg.SingleMassGyro.from_modes(1e-8, (5e3, 5.3e3), (400.0, 200.0))
+    omega = 2.0 * np.pi * float(CONTROL.drive.frequency)
+
+    def answer(frequency):
+        return classic.rate_response(plain, omega, 1.0 / RATE, CONTROL, frequency)
+
+    at = np.linspace(20.0, 120.0, 2001)
+    sizes = np.abs([answer(f) for f in at]) / abs(answer(1e-2))
+    half_power = at[np.argmax(sizes < np.sqrt(0.5))]
+    assert np.median(sheet.row("bandwidth").values) == pytest.approx(half_power, rel=0.02)
+    delay = -np.angle(answer(0.1) / answer(1e-2)) / (2.0 * np.pi * 0.09)
+    assert np.median(sheet.row("group delay").values) == pytest.approx(1e3 * delay, rel=0.03)
+    # Both products of the demodulation carry the noise: twice its power, turned into rate by the conversion.
+    per_volt = abs(complex(*map(float, CONTROL.sense.conversion))) / 1e5
+    density = np.degrees(np.sqrt(2.0) * DENSITY * per_volt)
+    found = sheet.row("noise density").values
+    assert np.mean(found) == pytest.approx(density, rel=0.1)
+    walk = sheet.row("angle random walk").values
+    assert np.nanmean(walk) == pytest.approx(60.0 * density / np.sqrt(2.0), rel=0.15)
+
+
+def test_what_a_model_cannot_give_says_so(sheet):
+    reasons = {row.name: row.reason for row in sheet.rows}
+    for name in ("sensitivity to acceleration, x", "cross-axis sensitivity, y", "scale factor over temperature"):
+        assert reasons[name].startswith(NOT_MODELLED)
+        assert sheet.row(name).as_dict()["before_trim"] is None
+    assert "falls to its end" in reasons["bias instability"]
+    written = json.loads(json.dumps(sheet.as_dict(), allow_nan=False))
+    assert written["schema"] == "memsgyro-datasheet/1"
+    assert "not modelled" in repr(sheet)
+    page = datasheet_page(sheet, mg.default_study()).html()
+    assert page.count("<svg") == 1
+    assert all(row.definition in page for row in sheet.rows if "'" not in row.definition)
+
+
+def test_settings_that_cannot_be_run():
+    with pytest.raises(mg.InputError, match="`full_scale` must be positive"):
+        mg.datasheet(LOOP, SPREAD, full_scale=0.0)
+    with pytest.raises(mg.InputError, match="`settle` must lie within"):
+        mg.datasheet(LOOP, SPREAD, settle=3.0)
