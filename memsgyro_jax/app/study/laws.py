@@ -25,7 +25,14 @@ from memsgyro_jax.base.quantity import (
 )
 from memsgyro_jax.device.gyro import AbstractGyro
 from memsgyro_jax.device.propagate import AbstractDiscretisation, Exact, ForwardEuler
-from memsgyro_jax.loop.controllers import AbstractController, DampingCompensation, OpenLoop, ReferenceModel, Tone
+from memsgyro_jax.loop.controllers import (
+    AbstractController,
+    DampingCompensation,
+    EnergyControl,
+    OpenLoop,
+    ReferenceModel,
+    Tone,
+)
 from memsgyro_jax.loop.controllers.base import Tones
 from memsgyro_jax.loop.observers import AbstractObserver, ExtendedKalmanFilter, LyapunovObserver, curves_of
 from memsgyro_jax.loop.observers.fading import AbstractFading, AdaptiveFading, FixedFading
@@ -222,15 +229,29 @@ def _tones(given: tuple[Added | Force, ...]) -> Tones:
     return x, y
 
 
+class Energy(FileSection):
+    """`energy = { frequency, amplitude, gain }` of a control law: energy control beside it, thesis (4.21), (4.25)."""
+
+    frequency: tuple[Hertz, Hertz]
+    amplitude: tuple[Metre, Metre]
+    gain: PerSecond
+
+    def beside(self, law: AbstractController) -> AbstractController:
+        """The law with energy control."""
+        return EnergyControl(law, self.frequency, self.amplitude, self.gain)
+
+
 class Compensation(FileSection):
     """`kind = "damping_compensation"`: thesis (4.27), (4.28)."""
 
     kind: Literal["damping_compensation"]
     tones: tuple[Added, ...] = ()
+    energy: Energy | None = None
 
     def build(self, gyro: AbstractGyro, readout: AbstractReadout) -> AbstractController:
         """The controller."""
-        return DampingCompensation(_tones(self.tones))
+        law = DampingCompensation(_tones(self.tones))
+        return law if self.energy is None else self.energy.beside(law)
 
 
 class Reference(FileSection):
@@ -239,10 +260,12 @@ class Reference(FileSection):
     kind: Literal["reference_model"]
     frequency: tuple[Hertz, Hertz]
     tones: tuple[Added, ...] = ()
+    energy: Energy | None = None
 
     def build(self, gyro: AbstractGyro, readout: AbstractReadout) -> AbstractController:
         """The controller."""
-        return ReferenceModel(self.frequency, _tones(self.tones))
+        law = ReferenceModel(self.frequency, _tones(self.tones))
+        return law if self.energy is None else self.energy.beside(law)
 
 
 class Open(FileSection):

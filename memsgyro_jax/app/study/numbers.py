@@ -22,7 +22,7 @@ class NumberEntry(NamedTuple):
 
 
 _PLAIN = ("device", "readout", "filter", "observer")
-_NESTED = ("observer.fading", "observer.annealing")
+_NESTED = ("observer.fading", "observer.annealing", "controller.energy")
 
 
 def entry_of(file: Any, names: tuple[str, ...], path: str) -> NumberEntry | None:
@@ -39,10 +39,11 @@ def entry_of(file: Any, names: tuple[str, ...], path: str) -> NumberEntry | None
         pair = tuple(f"{head}.{i}" for i in range(len(names) if field == "adaptation" else 2))
     else:
         section, field, pair = head, last, (path,)
+    section = "controller.energy" if section == "controller" else section
     if section in _PLAIN or section in _NESTED:
         part = file
         for name in section.split("."):
-            part = getattr(part, name, None)
+            part = getattr(part, name, None)  # a law without energy control has no such part
         unit = field_unit(type(part), field) if isinstance(part, FileSection) else None
         return None if unit is None else NumberEntry(f"{section}.{field}", unit, pair)
     return None

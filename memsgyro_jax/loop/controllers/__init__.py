@@ -9,6 +9,7 @@ from .demodulator import AbstractDemodulator as AbstractDemodulator
 from .demodulator import ProductDemodulator as ProductDemodulator
 from .demodulator import TrackingDemodulator as TrackingDemodulator
 from .designed_motion import DesignedMotion as DesignedMotion
+from .energy_control import EnergyControl as EnergyControl
 from .open_loop import OpenLoop as OpenLoop
 from .phase_locked_drive import PhaseLockedDrive as PhaseLockedDrive
 from .reference_model import ReferenceModel as ReferenceModel

@@ -15,9 +15,12 @@ from memsgyro_jax.tuning.tunable import placed
 LYAPUNOV = {
     "readout": {"kind": "velocity", "scale": "5 V*s/m"},
     "observer": {"kind": "lyapunov"},
-    "controller": {"kind": "reference_model", "frequency": ["3 kHz", "5 kHz"]},
+    "controller": {
+        "kind": "reference_model", "frequency": ["3 kHz", "5 kHz"],
+        "energy": {"frequency": ["3 kHz", "5 kHz"], "amplitude": ["1 um", "0.5 um"], "gain": "9425 1/s"},
+    },
     "filter": {"kind": "bandpass", "low": "1 Hz", "high": "20 Hz"},
-}
+}  # fmt: skip
 FADING = {
     "observer": {
         "kind": "ekf", "fading": {"kind": "fixed", "forgetting": "10 1/s"}, "annealing": {"excess": 10},
@@ -33,7 +36,8 @@ PATHS = {
                         "observer.process_noise.motion.2", "observer.fading.forgetting", "observer.annealing.excess",
                         "observer.annealing.decay", "controller.tones.1.0.amplitude", "controller.tones.0.0.phase",
                         "device.kxx", "readout.opamp_offset.0")),
-    "lyapunov": (LYAPUNOV, ("observer.gain.0", "observer.adaptation.5", "filter.low", "filter.high")),
+    "lyapunov": (LYAPUNOV, ("observer.gain.0", "observer.adaptation.5", "filter.low", "filter.high", "controller.gain",
+                            "controller.amplitude.1")),
 }  # fmt: skip
 
 

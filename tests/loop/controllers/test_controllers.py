@@ -9,7 +9,7 @@ from oracles import motion
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.gyro import DUAL_MASS, SINGLE_MASS, DualMassGyro, Inertial, SingleMassGyro
 from memsgyro_jax.device.propagate import Exact, applied
-from memsgyro_jax.loop.controllers import DampingCompensation, OpenLoop, ReferenceModel, Tone
+from memsgyro_jax.loop.controllers import DampingCompensation, EnergyControl, OpenLoop, ReferenceModel, Tone
 from memsgyro_jax.loop.observers import Clock, Estimate
 
 
@@ -142,6 +142,39 @@ def test_damping_compensation_removes_the_decay():
     assert abs(np.log(kept[-1] / kept[0])) < 0.02 * abs(np.log(free[-1] / free[0]))
 
 
+@pytest.mark.parametrize(("start", "gain"), [(0.2, 1500.0), (2.0, 800.0)])
+def test_energy_grows_to_its_level_as_a_logistic(start, gain):
+    """Averaged over a period dE/dt = gain (1 - E/E0) E; the reference model leaves nothing else that works."""
+    reference = ReferenceModel((3000.0, 5000.0))
+    level = np.array([1e-6, 0.5e-6]) / start
+    omega = 2 * np.pi * np.array([3000.0, 5000.0])
+    controller = EnergyControl(reference, (3000.0, 5000.0), tuple(level), gain)
+    path = driven(SingleMassGyro.chi2010(), controller, 1.0, 800, 200e3)
+    energy = 0.5 * np.sum(path[:, 2:] ** 2 + (omega * path[:, :2]) ** 2, axis=1)
+    wanted = 0.5 * np.sum((omega * level) ** 2)
+    time = np.arange(1, 801) / 200e3
+    expected = wanted / (1 + (1 / start**2 - 1) * np.exp(-gain * time))
+    ripple = gain * abs(start**2 - 1.0) / (2.0 * omega[0])  # within a period
+    assert np.max(np.abs(energy / expected - 1.0)) < 1.1 * ripple
+    assert energy[-1] / expected[-1] == pytest.approx(1.0, abs=0.02)
+    assert abs(energy[-1] / wanted - 1.0) < 0.7 * abs(start**2 - 1.0)
+
+
+def test_energy_control_is_4_25_and_without_gain_nothing():
+    inner, estimate = DampingCompensation(Tone(600.0, 2.0)), ESTIMATES["single"]
+    controller = EnergyControl(inner, (3000.0, 5000.0), (1e-6, 0.0), 9e3)
+    x, y, vx, vy = MOTION
+    energy = 0.5 * (vx**2 + vy**2 + (6e3 * np.pi * x) ** 2 + (1e4 * np.pi * y) ** 2)
+    push = 9e3 * (1 - energy / (0.5 * (6e3 * np.pi * 1e-6) ** 2)) * np.array([vx, vy]) / SINGLE[-1]
+    assert force_of(controller, estimate) - force_of(inner, estimate) == pytest.approx(push, rel=1e-9)
+    silent = EnergyControl(inner, (3000.0, 5000.0), (1e-6, 0.0), 0.0)
+    assert np.array_equal(force_of(silent, estimate), force_of(inner, estimate))
+    with pytest.raises(InputError, match="sum of `amplitude`"):
+        EnergyControl(inner, (3000.0, 5000.0), (0.0, 0.0), 9e3)
+    with pytest.raises(InputError, match="`amplitude` must be a pair"):
+        EnergyControl(inner, (3000.0, 5000.0), (1e-6,), 9e3)
+
+
 def test_open_loop_holds_its_tones_at_the_middle_of_a_sample():
     controller = OpenLoop((Tone(600.0, 1e-6), ()))
     want = [sine(1e-6, 600.0, 0.0, 1.3e-3 + 0.5e-5), 0.0]
@@ -153,7 +186,9 @@ def test_open_loop_holds_its_tones_at_the_middle_of_a_sample():
 def test_forces_have_one_value_per_die():
     many = Estimate(tuple(jnp.full(3, m) for m in MOTION), SINGLE, (0.0, 0.0), SINGLE_MASS)
     tone = Tone(600.0, 2.0)
-    for controller in (OpenLoop(tone), DampingCompensation(tone), ReferenceModel((3e3, 5e3), tone)):
+    reference = ReferenceModel((3e3, 5e3), tone)
+    energy = EnergyControl(reference, (3e3, 5e3), (1e-6, 1e-6), 9e3)
+    for controller in (OpenLoop(tone), DampingCompensation(tone), reference, energy):
         force = force_of(controller, many)
         assert force.shape == (2, 3)
         assert force[:, 0] == pytest.approx(force_of(controller, ESTIMATES["single"]), rel=1e-14)
