@@ -78,7 +78,5 @@ def exponential(matrix: Shaped[Array, "n n"]) -> Shaped[Array, "n n"]:
     squarings = jnp.clip(jnp.ceil(jnp.log2(norm)), 0, 60).astype(int)
     scaled = matrix * 2.0 ** (-squarings.astype(matrix.real.dtype))
     one = jnp.eye(matrix.shape[-1], dtype=matrix.dtype)
-    total = one
-    for k in range(18, 0, -1):
-        total = one + scaled @ total / k
+    total = jax.lax.fori_loop(0, 18, lambda k, total: one + scaled @ total / (18 - k), one)
     return jax.lax.fori_loop(0, squarings, lambda _, m: m @ m, total)

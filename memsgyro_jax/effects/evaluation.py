@@ -52,10 +52,12 @@ class Acting(NamedTuple):
         """Force on the mass [N] beside that of the electrodes, and the time derivative of the own states."""
         force, rates, place = jnp.zeros_like(now.displacement), [], 0
         for effect in self.forces:
+            if not effect.own_size:
+                force = force + effect.force(now)
+                continue
             seen = eqx.tree_at(lambda m: m.own, now, own[place : place + effect.own_size])
             force = force + effect.force(seen)
-            if effect.own_size:
-                rates.append(effect.own_rate(seen))
+            rates.append(effect.own_rate(seen))
             place += effect.own_size
         return force, jnp.concatenate(rates) if rates else own
 

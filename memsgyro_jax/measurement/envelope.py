@@ -6,6 +6,8 @@ under held forces. The scheme is ETD2RK of Cox and Matthews, "Exponential time d
 Comput. Phys. 176 (2002), equation (22).
 """
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -137,6 +139,23 @@ class Driven(eqx.Module):
         last, passed = jax.lax.scan(advance, start, conditions)
         end, here, there = jnp.moveaxis(passed, 1, 0)
         return last, Course(jnp.concatenate([start[None], end[:-1]]), end, here, there)
+
+    def run_legs(
+        self, start: Complex[Array, "h n"], legs: Sequence[tuple[Array, Array, int]], conditions: Conditions
+    ) -> Complex[Array, "t h n"]:
+        """The state at the end of every step through legs that follow each other, each a force per axis, a step [s] and
+        how many of them, all under the same conditions.
+        """
+        forces, steps, counts = zip(*legs, strict=True)
+        propagators, pushes = jax.vmap(self.propagator)(jnp.stack(steps)), jnp.stack(forces) + 0j
+
+        def advance(state: Array, leg: Array) -> tuple[Array, Array]:
+            propagate, force = jax.tree.map(lambda leaf: leaf[leg], (propagators, pushes))
+            under = eqx.tree_at(lambda driven: driven.force, self, force)
+            end, _, _ = propagate.advance(state, under.load, lambda s: under.rest(s, conditions))
+            return end, end
+
+        return jax.lax.scan(advance, start, np.repeat(np.arange(len(legs)), counts))[1]
 
     def demodulated(self, course: "Course", step: Array) -> Complex[Array, "t h n"]:
         """What a boxcar lock-in over each step (a whole number of cycles) makes of the state: harmonic by harmonic the

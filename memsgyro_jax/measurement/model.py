@@ -109,6 +109,9 @@ class Model(Displayed):
         now = self._moment(motion, jnp.zeros(self.axes), conditions)
         return jnp.concatenate([motion, *(effect.own_start(now) for effect in self._acting.forces)])
 
+    # Compiled programs hold these many times over: under `jit` what every effect does is traced once for all of them.
+
+    @eqx.filter_jit
     def derivative(
         self, state: Float[Array, " n"], command: Float[Array, " axes"], conditions: Conditions
     ) -> Float[Array, " n"]:
@@ -123,6 +126,7 @@ class Model(Displayed):
             acceleration = acceleration + 2.0 * conditions.rate * jnp.stack([v[1], -v[0]])
         return jnp.concatenate([v, acceleration, own])
 
+    @eqx.filter_jit
     def observe(
         self,
         state: Float[Array, " n"],
@@ -131,11 +135,8 @@ class Model(Displayed):
         conditions: Conditions,
     ) -> Float[Array, " axes"]:
         """Voltage of each channel, without noise; `command_rate` [N/s] matters where a read-out effect looks back."""
-        slope, curvature = jax.jvp(
-            lambda s, u: self.derivative(s, u, conditions),
-            (state, command),
-            (self.derivative(state, command, conditions), command_rate),
-        )
+        slope, onward = jax.linearize(lambda s, u: self.derivative(s, u, conditions), state, command)
+        curvature = onward(slope, command_rate)
         now = self._moment(state, command, conditions)
         a = self.axes
         now = eqx.tree_at(
@@ -150,6 +151,7 @@ class Model(Displayed):
         """Displacement phasors that phasors (n, axes) of the channels stand for at `omega` (n,) [rad/s]."""
         return phasors / (self.scale * (1j * omega[..., None]) ** self.order)
 
+    @eqx.filter_jit
     def linear(self, conditions: Conditions) -> tuple[Float[Array, "n n"], Float[Array, "n axes"]]:
         """The derivative by state and command at rest: the part that is propagated exactly."""
         rest, still = jnp.zeros(self.size), jnp.zeros(self.axes)

@@ -7,6 +7,7 @@ grow with the effects' own linear states, and a linear model is solved by the fi
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -69,6 +70,7 @@ def nonlinear_spectrum(
     return spectrum(jax.vmap(rest)(waveform(state, samples), command), harmonics)
 
 
+@eqx.filter_jit
 def steady_state(
     model: Model,
     omega: Float[Array, ""],
@@ -125,8 +127,9 @@ def _newton(function, start: Float[Array, " n"], rounding: Array) -> tuple[Float
 
     def step(carry):
         x, _, _, count = carry
-        solve = inverse(jax.jacfwd(function)(x))
-        change = solve @ function(x)
+        value, along = jax.linearize(function, x)
+        solve = inverse(jax.vmap(along, out_axes=1)(jnp.eye(x.size)))
+        change = solve @ value
         small = jnp.max(jnp.abs(change)) <= 1e-13 * jnp.max(jnp.abs(x)) + rounding
         return x - change, solve, small | ~jnp.all(jnp.isfinite(change)), count + 1
 
@@ -148,6 +151,7 @@ def _unflatten(flat: Float[Array, " n"], model: Model, harmonics: int) -> Comple
     return (real + 1j * imaginary).reshape(harmonics + 1, width)
 
 
+@eqx.filter_jit
 def fundamental(
     model, omega, state: Complex[Array, "h n"], force, conditions, fineness: Fineness = FINENESS[0]
 ) -> Complex[Array, " axes"]:

@@ -58,18 +58,17 @@ class RingDown(Experiment):
         driven = Driven.of(bench, self.frequency, self.force, self.surroundings)
         period = 2 * jnp.pi / self.frequency
         cycles = next(part for part in range(self.step_cycles, 0, -1) if self.cycles % part == 0)
-        steps = self.surroundings.rows(self.cycles // cycles)
-        state, _ = driven.run(driven.at_rest(), cycles * period, steps)
-        free = Driven.of(bench, self.frequency, jnp.zeros_like(self.force), self.surroundings)
-        step = (self.time[-1] - self.time[0]) / (self.time.size - 1)
+        step, none = (self.time[-1] - self.time[0]) / (self.time.size - 1), jnp.zeros_like(self.force)
+        legs = [(self.force, cycles * period, self.cycles // cycles), (none, step, self.time.size - 1)]
         if self.late:
-            state, _ = free.run(state, self.time[0], self.surroundings.rows(1))
-        _, course = free.run(state, step, self.surroundings.rows(self.time.size - 1))
-        states = jnp.concatenate([state[None], course.end])
+            legs.insert(1, (none, self.time[0], 1))
+        before = sum(count for _, _, count in legs[:-1])
+        begin = driven.at_rest()
+        states = jnp.concatenate([begin[None], driven.run_legs(begin, legs, self.surroundings)])[before:]
         quiet = jnp.zeros(bench.axes)
 
         def sample(state: Array, time: Array) -> Array:
-            return bench.observe(free.instant(state, time), quiet, quiet, self.surroundings)
+            return bench.observe(driven.instant(state, time), quiet, quiet, self.surroundings)
 
         return jax.vmap(sample)(states, self.time)
 
