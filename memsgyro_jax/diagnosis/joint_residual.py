@@ -4,7 +4,7 @@ One program per kind of record is compiled for the model with *all* effects in q
 a matter of numbers: fits of any subset, scores of every candidate and refits all reuse it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
@@ -26,6 +26,7 @@ from memsgyro_jax.measurement.readings import Readings
 
 
 WIDTH = 12  # directions that one pass of the compiled program differentiates
+SHORT = 400  # rows up to which optimising a program takes longer than it will ever save
 
 
 @dataclass(frozen=True)
@@ -119,7 +120,8 @@ class Joint:
         def one(r: Readings) -> np.ndarray:
             at = jnp.asarray(vector)
             if _shape(r.experiment) in fitted:  # a program exists; to compile one without slopes takes longer
-                return np.asarray(_linearise(at, jnp.zeros((WIDTH, at.size)), self.model, self.spec, r.experiment)[0])
+                none = jnp.zeros((WIDTH, at.size))
+                return np.asarray(_linearise(r.experiment)(at, none, self.model, self.spec, r.experiment)[0])
             return np.asarray(_residual(at, self.model, self.spec, r.experiment))
 
         return self._each(chosen, one)
@@ -133,10 +135,10 @@ class Joint:
         padded[:count] = directions
 
         def one(r: Readings) -> tuple[np.ndarray, np.ndarray]:
-            parts = []
+            parts, program = [], _linearise(r.experiment)
             for begin in range(0, len(padded), WIDTH):
                 block = jnp.asarray(padded[begin : begin + WIDTH])
-                value, slope = _linearise(jnp.asarray(vector), block, self.model, self.spec, r.experiment)
+                value, slope = program(jnp.asarray(vector), block, self.model, self.spec, r.experiment)
                 parts.append(np.asarray(slope))
             return np.asarray(value), np.concatenate(parts)[:count]
 
@@ -160,14 +162,23 @@ def _residual(vector: Array, model: Model, spec: PyTree, experiment: Experiment)
     return experiment.residual(from_vector(vector, model, spec))
 
 
-@eqx.filter_jit
-def _linearise(vector: Array, directions: Array, model: Model, spec: PyTree, experiment: Experiment):
+def _value_and_slopes(vector: Array, directions: Array, model: Model, spec: PyTree, experiment: Experiment):
     def along(step: Array) -> Array:
         return experiment.residual(from_vector(vector + step @ directions, model, spec))
 
     none = jnp.zeros(directions.shape[0])
     # Forward mode with one primal and all directions side by side: nothing of the trajectory is stored.
     return jax.vmap(lambda e: jax.jvp(along, (none,), (e,)), out_axes=(None, 0))(jnp.eye(directions.shape[0]))
+
+
+_optimised = eqx.filter_jit(_value_and_slopes)
+_plain = eqx.filter_jit(_value_and_slopes, compiler_options={"xla_backend_optimization_level": 0})
+
+
+def _linearise(experiment: Experiment) -> Callable:
+    """The compiled program for an experiment: (vector, directions, model, spec, experiment) -> residual, slopes."""
+    short = experiment.measured.shape[0] <= SHORT and jax.default_backend() == "cpu"
+    return _plain if short else _optimised
 
 
 def _all_free(model: Model) -> PyTree:

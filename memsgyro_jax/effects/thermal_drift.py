@@ -1,6 +1,5 @@
 """Stiffness and damping that change with the temperature."""
 
-import jax.numpy as jnp
 from jaxtyping import Array
 
 from .base import ForceEffect, Moment, Scalar, strength
@@ -27,7 +26,13 @@ class ThermalStiffness(ForceEffect):
 
     def force(self, now: Moment) -> Array:
         device = now.device
-        return -self.strength * now.warming * jnp.diag(device.stiffness_matrix) * now.displacement / device.mobility
+        return (
+            -self.strength
+            * now.warming
+            * device.stiffness[: now.displacement.shape[0]]
+            * now.displacement
+            / device.mobility
+        )
 
 
 class ThermalDamping(ForceEffect):
@@ -50,4 +55,6 @@ class ThermalDamping(ForceEffect):
 
     def force(self, now: Moment) -> Array:
         device = now.device
-        return -self.strength * now.warming * jnp.diag(device.damping_matrix) * now.velocity / device.mobility
+        return (
+            -self.strength * now.warming * device.damping[: now.displacement.shape[0]] * now.velocity / device.mobility
+        )
