@@ -16,9 +16,11 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.tree_util import PyTreeDef
 from jaxtyping import Array, Float, PyTree
 
+from .concrete import is_concrete
 from .errors import InputError
 
 
@@ -34,7 +36,7 @@ class Transform(eqx.Module):
         """Value at an unbounded coordinate."""
 
     @abc.abstractmethod
-    def admits(self, value: Array) -> Array:
+    def admits(self, value: Array) -> Array | np.ndarray:
         """Whether each element can be represented."""
 
 
@@ -47,8 +49,8 @@ class Identity(Transform):
     def inverse(self, coordinate: Array) -> Array:
         return coordinate
 
-    def admits(self, value: Array) -> Array:
-        return jnp.isfinite(value)
+    def admits(self, value: Array) -> Array | np.ndarray:
+        return np.isfinite(value) if is_concrete(value) else jnp.isfinite(value)
 
 
 class Log(Transform):
@@ -136,12 +138,15 @@ def to_vector(values: PyTree, spec: PyTree) -> Float[Array, " n"]:
     """
     pairs = _free_leaves(values, spec)
     for name, value, free in pairs:
-        admitted = jnp.all(free.transform.admits(value))
-        if not isinstance(admitted, jax.core.Tracer) and not bool(admitted):
+        admitted = free.transform.admits(value)
+        if is_concrete(admitted) and not np.all(admitted):
             raise InputError(
                 f"Argument `{name}` must lie within the bounds of its transform {free.transform}, but is {value}."
             )
-    return jnp.concatenate([jnp.ravel(free.transform.forward(value)) for _, value, free in pairs])
+    parts = [free.transform.forward(value) for _, value, free in pairs]
+    if is_concrete(parts):  # in NumPy: a program for every shape of a leaf takes longer
+        return jnp.asarray(np.concatenate([np.ravel(part) for part in parts]))
+    return jnp.concatenate([jnp.ravel(part) for part in parts])
 
 
 def from_vector(vector: Float[Array, " n"], values: PyTree, spec: PyTree) -> PyTree:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -27,6 +28,18 @@ from memsgyro_jax.measurement.readings import Readings
 
 WIDTH = 12  # directions that one pass of the compiled program differentiates
 SHORT = 400  # rows up to which optimising a program takes longer than it will ever save
+
+
+def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A function whose last argument is an `Experiment` as a program; for few rows without optimising it."""
+    optimised = eqx.filter_jit(function)
+    plain = eqx.filter_jit(function, compiler_options={"xla_backend_optimization_level": 0})
+
+    def call(*arguments: Any) -> Any:
+        short = arguments[-1].measured.shape[0] <= SHORT and jax.default_backend() == "cpu"
+        return (plain if short else optimised)(*arguments)
+
+    return call
 
 
 @dataclass(frozen=True)
@@ -121,7 +134,7 @@ class Joint:
             at = jnp.asarray(vector)
             if _shape(r.experiment) in fitted:  # a program exists; to compile one without slopes takes longer
                 none = jnp.zeros((WIDTH, at.size))
-                return np.asarray(_linearise(r.experiment)(at, none, self.model, self.spec, r.experiment)[0])
+                return np.asarray(_linearise(at, none, self.model, self.spec, r.experiment)[0])
             return np.asarray(_residual(at, self.model, self.spec, r.experiment))
 
         return self._each(chosen, one)
@@ -135,10 +148,10 @@ class Joint:
         padded[:count] = directions
 
         def one(r: Readings) -> tuple[np.ndarray, np.ndarray]:
-            parts, program = [], _linearise(r.experiment)
+            parts = []
             for begin in range(0, len(padded), WIDTH):
                 block = jnp.asarray(padded[begin : begin + WIDTH])
-                value, slope = program(jnp.asarray(vector), block, self.model, self.spec, r.experiment)
+                value, slope = _linearise(jnp.asarray(vector), block, self.model, self.spec, r.experiment)
                 parts.append(np.asarray(slope))
             return np.asarray(value), np.concatenate(parts)[:count]
 
@@ -157,28 +170,19 @@ def _shape(experiment: Experiment) -> tuple:
     return structure, *(jnp.shape(leaf) for leaf in leaves)
 
 
-@eqx.filter_jit
+@compiled
 def _residual(vector: Array, model: Model, spec: PyTree, experiment: Experiment) -> Float[Array, " r"]:
     return experiment.residual(from_vector(vector, model, spec))
 
 
-def _value_and_slopes(vector: Array, directions: Array, model: Model, spec: PyTree, experiment: Experiment):
+@compiled
+def _linearise(vector: Array, directions: Array, model: Model, spec: PyTree, experiment: Experiment):
     def along(step: Array) -> Array:
         return experiment.residual(from_vector(vector + step @ directions, model, spec))
 
     none = jnp.zeros(directions.shape[0])
     # Forward mode with one primal and all directions side by side: nothing of the trajectory is stored.
     return jax.vmap(lambda e: jax.jvp(along, (none,), (e,)), out_axes=(None, 0))(jnp.eye(directions.shape[0]))
-
-
-_optimised = eqx.filter_jit(_value_and_slopes)
-_plain = eqx.filter_jit(_value_and_slopes, compiler_options={"xla_backend_optimization_level": 0})
-
-
-def _linearise(experiment: Experiment) -> Callable:
-    """The compiled program for an experiment: (vector, directions, model, spec, experiment) -> residual, slopes."""
-    short = experiment.measured.shape[0] <= SHORT and jax.default_backend() == "cpu"
-    return _plain if short else _optimised
 
 
 def _all_free(model: Model) -> PyTree:

@@ -3,13 +3,14 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Array
 
 from memsgyro_jax.measurement.experiments import Readings
 from memsgyro_jax.measurement.experiments.base import Experiment
 from memsgyro_jax.measurement.model import Model
+
+from .joint_residual import compiled
 
 
 TOLERANCE = 0.1  # of a standard deviation: so far a finer resolution may move a fitted reading
@@ -62,7 +63,7 @@ def _finer(readings: Readings, steps: int) -> Readings:
     return readings
 
 
-@eqx.filter_jit
+@compiled
 def _compiled(model: Model, experiment: Experiment) -> Array:
     return experiment.residual(model)
 

@@ -14,6 +14,7 @@ from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.experiments import Readings
 from memsgyro_jax.measurement.model import Model
 
+from .joint_residual import compiled
 from .optimum import Optimum
 from .score import Score, basis, score, within_bounds
 
@@ -93,7 +94,7 @@ def _stacked(effects: Sequence[Scanned]) -> Scanned:
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *effects)
 
 
-@eqx.filter_jit
+@compiled
 def _slopes(model: Model, effects: Scanned, experiment) -> Array:
     """What each effect adds to the residual: per strength, or by the step from zero where the strength is scanned."""
 
