@@ -33,7 +33,9 @@ SHORT = 400  # rows up to which optimising a program takes longer than it will e
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     """A function whose last argument is an `Experiment` as a program; for few rows without optimising it."""
     optimised = eqx.filter_jit(function)
-    plain = eqx.filter_jit(function, compiler_options={"xla_backend_optimization_level": 0})
+    plain = eqx.filter_jit(  # type: ignore[call-overload]  # which does not know the keywords of `jax.jit`
+        function, compiler_options={"xla_backend_optimization_level": 0}
+    )
 
     def call(*arguments: Any) -> Any:
         short = arguments[-1].measured.shape[0] <= SHORT and jax.default_backend() == "cpu"

@@ -1,8 +1,10 @@
 """All records as one residual: its order, its exact sensitivities, and where a fit with it ends."""
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from bench_case import DIE, EFFECTS, bench, truth
@@ -12,6 +14,7 @@ from lab.strengths import VISIBLE, visible
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.transforms import names
 from memsgyro_jax.device.resonator import Resonator
+from memsgyro_jax.diagnosis import joint_residual
 from memsgyro_jax.diagnosis.fit import fit_case
 from memsgyro_jax.diagnosis.joint_residual import Joint, parameters
 from memsgyro_jax.diagnosis.optimum import optimise
@@ -108,6 +111,20 @@ def test_sensitivities_are_those_of_finite_differences(joint, kind):
         difference = (8 * (at[1] - at[-1]) - (at[2] - at[-2])) / 12
         assert np.max(np.abs(slope)) > 1e-3
         np.testing.assert_allclose(slope, difference, atol=3e-6 * np.max(np.abs(slope)))
+
+
+class Rows(NamedTuple):
+    measured: np.ndarray
+
+
+def test_a_program_for_few_rows_says_the_same_as_one_for_many():
+    def readings(times, experiment):
+        return jnp.sin(times) * experiment.measured
+
+    program = joint_residual.compiled(readings)
+    for rows in (3, joint_residual.SHORT, joint_residual.SHORT + 1):
+        here = Rows(np.linspace(1.0, 2.0, rows))
+        np.testing.assert_allclose(program(here.measured, here), np.sin(here.measured) * here.measured, rtol=1e-14)
 
 
 def test_sensitivities_add_up(joint):
