@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from .loop.readout import ChargeAmplifier as ChargeAmplifier
     from .loop.readout import DirectReadout as DirectReadout
     from .loop.readout import Delayed as Delayed
+    from .loop.carrier_readout import CarrierReadout as CarrierReadout
     from .loop.readout import Adc as Adc
     from .loop.readout import AbstractReadout as AbstractReadout
     from .loop.readout import AbstractLinearReadout as AbstractLinearReadout
@@ -182,6 +183,7 @@ if TYPE_CHECKING:
     from .app import cli as cli
     from .base import runtime as runtime
     from . import effects as effects
+    from .device import electronics as electronics
     from .device import geometry as geometry
     from .tuning import losses as losses
     # isort: on
@@ -190,6 +192,7 @@ _FOLDERS = {
     "cli": "app.cli",
     "runtime": "base.runtime",
     "effects": "effects",
+    "electronics": "device.electronics",
     "geometry": "device.geometry",
     "losses": "tuning.losses",
 }

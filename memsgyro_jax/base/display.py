@@ -20,9 +20,11 @@ FEW = 6  # entries of an array that are written out
 # Fields by name, or by `Class.name` where a name stands for several things; `*` is the unit of the field in which the
 # object stands itself, as a profile does in `Scenario.rate`.
 _FIELDS = {
+    "Ω": "resistor",
+    "F/m": "CarrierReadout.gradient",
     "1": "fingers rejection excess ceiling cut relative gain gain_ratio drive_ratio quality quality_factor force_yx "
     "force_xy damping_change force_gain cross_damping adaptation unit realisation progress record rate_trusted share "
-    "softness rounding static_gain",
+    "softness rounding static_gain ChargeStage.gain",
     "samples": "Blocks.length Blocks.start",
     "kg": "mass mass_x mass_y",
     "1/kg": "mobility",
@@ -35,16 +37,17 @@ _FIELDS = {
     "m, m/s": "motion motion_std start",
     "m/s²": "acceleration DampingCompensation.tones ReferenceModel.tones",
     "N": "OpenLoop.tones",
-    "V": "bias opamp_offset offset offset_std offset_drift limit reference_bias bias_voltage",
-    "V/√Hz": "noise_density",
+    "V": "bias opamp_offset offset offset_std offset_drift limit reference_bias bias_voltage "
+    "CarrierDetection.amplitude",
+    "V/√Hz": "noise_density ChargeStage.noise",
     "V/m or V·s/m": "scale",
-    "F": "feedback parasitic",
+    "F": "feedback parasitic sensor sampler CarrierReadout.mismatch",
     "K": "reference_temperature temperature",
     "rad": "phase phase_asymmetry drive_asymmetry AxisAngles.stiffness AxisAngles.damping AxisAngles.drive "
     "AxisAngles.sense",
     "rad/s": "rate cross_rate omega resonance LyapunovObserver.frequency tolerance",
     "rad/s²": "angular_acceleration",
-    "Hz": "frequency bandwidth low high",
+    "Hz": "gain_bandwidth corner sample_rate frequency bandwidth low high",
     "s": "at until time times delay duration decay window settle allowed",
     "SI per kg": "theta theta_std",
     "m²/s³": "ProcessNoise.acceleration",

@@ -117,9 +117,9 @@ class AbstractLinearReadout(AbstractReadout):
         return None if self.adc is None else "the read-out's converter rounds every sample"
 
 
-def pair_field() -> Pair:
+def pair_field(**options: Any) -> Pair:
     """A field for one number per axis; a single number serves both."""
-    return eqx.field(converter=_as_pair)
+    return eqx.field(converter=_as_pair, **options)
 
 
 def _as_pair(value: object) -> Pair:

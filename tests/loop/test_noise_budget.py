@@ -15,7 +15,7 @@ DEGREES = 180.0 / np.pi
 RATE = 100e3
 DECOUPLED = mg.SingleMassGyro(mass=1.8e-7, kxx=63.96, kyy=95.92, kxy=0.0, dxx=3.6e-6, dyy=4.5e-6, dxy=0.0)
 SPLIT = mg.SingleMassGyro.from_modes(2e-9, (10e3, 10.3e3), 1000.0, quadrature=np.radians(50.0))
-MATCHED = mg.SingleMassGyro.from_modes(2e-9, (10e3, 10.001e3), 150.0)
+MATCHED = mg.SingleMassGyro.from_modes(2e-9, (10e3, 10.001e3), 25.0)  # as fast as the others
 NEGATIVE = mg.SingleMassGyro.from_modes(3e-9, (12e3, 11.5e3), (800.0, 400.0), quadrature=np.radians(30.0))
 
 

@@ -8,6 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.device.electronics import CarrierDetection, ChargeStage, run_carrier
+from memsgyro_jax.loop.carrier_readout import CarrierReadout
 from memsgyro_jax.loop.readout import Adc, ChargeAmplifier, DirectReadout, snr_density
 
 
@@ -142,3 +144,23 @@ BAD = [
 def test_impossible_read_outs_are_refused(make, words):
     with pytest.raises(InputError, match=words):
         make()
+
+
+def test_a_carrier_reads_as_its_base_band_says():
+    """A motion at the frequency that the base band is taken at, against the carrier itself, within 1e-6; its noise."""
+    stage = ChargeStage(2e-12, 0.4e-12, 1e-12, resistor=50e6, gain_bandwidth=20e6, noise=10e-9, temperature=300.0)
+    detection = CarrierDetection(stage, 1.0, 300e3, 20e3, phase=0.1)
+    readout = CarrierReadout(detection, (5e-9, 4e-9), 3e3, (40e-15, 0.0), sampler=1e-12, sample_rate=1e5)
+    run = run_carrier(detection, ((0.0, 40e-15), (3e3, 2 * 5e-9 * 1e-6)), sample_rate=61.7e3, samples=1500)
+    time, motion = run.time[500:], 2 * np.pi * 3e3 * run.time[500:]
+    shown = readout.clean((1e-6 * np.cos(motion), 0.0, -1e-6 * 2 * np.pi * 3e3 * np.sin(motion), 0.0), (0.0, 0.0))[0]
+    waves = [wave(2 * np.pi * f * time) for f in (300e3, 600e3, 597e3, 603e3) for wave in (np.cos, np.sin)]
+    table = np.stack(waves, axis=1)  # what the low-pass leaves of the carrier
+    left = run.after[500:] - np.asarray(shown)
+    left = left - table @ np.linalg.lstsq(table, left, rcond=None)[0]
+    assert np.max(np.abs(left)) < 1e-6 * np.max(np.abs(shown))
+    powers = np.array([[float(d[0]) ** 2 for d in readout.noise_at(3e3, 1e-5).values()]])
+    assert float(readout.noise_density[0]) ** 2 == pytest.approx(powers.sum(), rel=1e-12)
+    assert powers[0, -1] == pytest.approx(2 * 1.380649e-23 * 300.0 / 1e-12 / 1e5)
+    with pytest.raises(InputError, match="pair"):
+        CarrierReadout((detection,), 5e-9, 3e3)

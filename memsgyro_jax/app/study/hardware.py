@@ -21,15 +21,15 @@ from memsgyro_jax.base.quantity import (
     Share,
     Stiffness,
     Volt,
-    Whole,
     field_unit,
 )
 from memsgyro_jax.device.gyro import VX, VY, AbstractGyro, DualMassGyro, SingleMassGyro, X, Y
 from memsgyro_jax.effects import Effect
-from memsgyro_jax.loop.readout import AbstractReadout, Adc, ChargeAmplifier, DirectReadout, snr_density
+from memsgyro_jax.loop.readout import AbstractReadout, ChargeAmplifier, DirectReadout, snr_density
 from memsgyro_jax.measurement.model import Model
 from memsgyro_jax.measurement.model_file import read_model
 
+from .carrier import Carrier, Converter
 from .paths import RelativePath
 
 
@@ -177,17 +177,6 @@ def unit_of_device(part: FileSection, name: str) -> str | None:
     return field_unit(masses, name)
 
 
-class Converter(FileSection):
-    """`adc = { limit = "1 V", bits = 16 }`: half the span and the word length."""
-
-    limit: Annotated[float, Field(gt=0.0), In("V")]
-    bits: Annotated[Whole, Field(ge=1, le=48)]
-
-    def build(self) -> Adc:
-        """The converter."""
-        return Adc(self.limit, self.bits)
-
-
 class Snr(FileSection):
     """Noise as the thesis states it: an amplitude ratio of `amplitude` to the noise of a sample at `sample_rate`."""
 
@@ -317,4 +306,4 @@ def _direct(part: Position | Velocity, signals: tuple[int, int]) -> DirectReadou
     return DirectReadout(part.scale, part.offset, part.noise_density, adc, signals)
 
 
-Readout = Annotated[Charge | Capacitive | Position | Velocity | FittedReadout, Field(discriminator="kind")]
+Readout = Annotated[Charge | Capacitive | Carrier | Position | Velocity | FittedReadout, Field(discriminator="kind")]

@@ -106,6 +106,33 @@ def test_two_masses_by_their_modes_and_a_readout_by_its_capacitance(tmp_path):
         study.with_numbers(study.loop, ("device.kxx",))
 
 
+CARRIER = """[readout]
+kind = "carrier"
+gradient = "5 nF/m"
+capacitance = "200 fF"
+capacitance_mismatch = "0.4 fF"
+carrier = "1 V"
+carrier_frequency = "1 MHz"
+frequency = "9 kHz"
+bandwidth = "100 kHz"
+feedback = "0.2 pF"
+parasitic = "12 pF"
+gain_bandwidth = "200 MHz"
+resistor = "50 Mohm"
+opamp_noise = "5 nV/sqrt(Hz)"
+opamp_corner = "10 kHz"
+temperature = "300 K"
+"""
+
+
+def test_a_readout_by_its_carrier(tmp_path):
+    study = loaded(tmp_path, DUAL + CARRIER)
+    readout = study.loop.readout
+    assert float(readout.scale[0]) == pytest.approx(-2.0 * 5e-9 / 0.2e-12, rel=0.15), "the op-amp loses some of it"
+    assert float(readout.noise_density[0]) > 5e-9 * 12.0 / 0.2, "its noise counts by the parasitics"
+    assert mg.load_study(study.write(tmp_path / "again.toml")).file == study.file
+
+
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
