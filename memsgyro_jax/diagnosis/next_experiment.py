@@ -21,12 +21,15 @@ from .joint_residual import WIDTH, Joint
 from .optimum import Optimum, optimise
 from .result import SIGMAS_SEEN, Prospect
 from .rounds import DECIDED
-from .score import basis, score
+from .score import RELATIVE, basis, score
 from .search import CONFUSED, Ranking, Search, always_free
 
 
 HALF = 0.5  # of what an experiment tells: how few rows hold it is said
 NOTHING = " from nothing"
+UNKNOWN = "not computed: the model does not follow it"
+SETTLES, STILL = 4, 0.1  # steps towards what a model records, and standard deviations that it may still be off
+CLEARLY = 100.0  # times what rounding leaves of an effect that the records cannot show
 MANY = 3  # labels that a sentence lists
 
 
@@ -77,12 +80,12 @@ def next_experiments(
         search.tell(f"predict: {plan.text}")
         found.append(weigh(plan))
     most = DECIDED if rivals else np.inf
-    return tuple(sorted(found, key=lambda p: (-p.shown, -min(p.chi2, most))))
+    return tuple(sorted(found, key=lambda p: (-p.shown, -min(np.nan_to_num(p.chi2, nan=-1.0), most))))
 
 
 def advice(prospects: Sequence[Prospect]) -> str | None:
     """A sentence on the best of them; `None` where nothing can be proposed."""
-    if not prospects:
+    if not prospects or np.isnan(prospects[0].chi2):
         return None
     best = prospects[0]
     if best.shown:
@@ -138,6 +141,8 @@ def _told_apart(joint: Joint, rivals: Sequence[Rivals]) -> Callable[[Proposal], 
 
     def weigh(plan: Proposal) -> Prospect:
         told = [(*expected(joint, pair, plan.readings), pair) for pair in rivals]
+        if any(np.isnan(chi2) for chi2, _, _ in told):
+            return Prospect(plan.text, UNKNOWN, np.nan)
         chi2, rows, pair = min(told, key=lambda one: one[0])
         return Prospect(plan.text, f"{pair.names[0]} from {pair.names[1]}", chi2, where=_where(plan.readings, rows))
 
@@ -145,8 +150,12 @@ def _told_apart(joint: Joint, rivals: Sequence[Rivals]) -> Callable[[Proposal], 
 
 
 def expected(joint: Joint, pair: Rivals, planned: Readings) -> tuple[float, np.ndarray]:
-    """Expected Δχ² between two models once an experiment is added, and what each of its rows (n,) adds to it."""
+    """Expected Δχ² between two models once an experiment is added, and what each of its rows (n,) adds to it; NaN where
+    what it would record cannot be predicted.
+    """
     recorded = as_recorded(joint, pair.truth, planned)
+    if recorded is None:
+        return np.nan, np.zeros(planned.record.size)
     units = np.eye(joint.start.size)[pair.other.free]
     value, slope = map(_finite, joint.linearise(pair.other.vector, units, [recorded]))
     value = value - _finite(joint.residual(pair.truth.vector, [recorded])[0])
@@ -157,15 +166,20 @@ def expected(joint: Joint, pair: Rivals, planned: Readings) -> tuple[float, np.n
     return max(0.0, float(left @ left) - pair.truth.chi2), rows
 
 
-def as_recorded(joint: Joint, truth: Optimum, planned: Readings) -> Readings:
-    """An experiment that recorded what a model predicts; as it stands where its noise has no `std`."""
-    measured, std = planned.experiment.measured, getattr(planned.experiment.noise, "std", None)
-    if std is None:
-        return planned
-    white = _finite(joint.residual(truth.vector, [planned])[0]).reshape(*measured.shape, -1)
-    error = _finite(np.broadcast_to(std, measured.shape)) * (white @ (1.0, 1.0j)[: white.shape[-1]])
-    experiment = eqx.tree_at(lambda e: e.measured, planned.experiment, measured - jnp.asarray(error))
-    return replace(planned, experiment=experiment)
+def as_recorded(joint: Joint, truth: Optimum, planned: Readings) -> Readings | None:
+    """An experiment that recorded what a model predicts; as it stands where its noise has no `std`, `None` where a
+    prediction that looks at what was measured (for its start) does not come to rest.
+    """
+    for _ in range(SETTLES):
+        measured, std = planned.experiment.measured, getattr(planned.experiment.noise, "std", None)
+        white = _finite(joint.residual(truth.vector, [planned])[0])
+        if std is None or np.sqrt(np.mean(white**2)) < STILL:
+            return planned
+        parts = white.reshape(*measured.shape, -1)
+        error = _finite(np.broadcast_to(std, measured.shape)) * (parts @ (1.0, 1.0j)[: parts.shape[-1]])
+        experiment = eqx.tree_at(lambda e: e.measured, planned.experiment, measured - jnp.asarray(error))
+        planned = replace(planned, experiment=experiment)
+    return None
 
 
 def _finite(values: np.ndarray) -> np.ndarray:
@@ -188,39 +202,46 @@ def _shown(search: Search, ranking: Ranking) -> Callable[[Proposal], Prospect]:
     """What a proposal is worth where no two models are left: effects that the records cannot show and it would, and
     else, of those that the records speak for most, the one that gains most, at the strength that would just show.
     """
-    joint, order = search.joint, ranking.order
-    blind = [i for i in range(len(order)) if not ranking.scores[i].size]
-    seen = [i for i in order if ranking.scores[i].size]
+    joint, here, known = search.joint, search.optimum.vector, search.optimum.jacobian
+    blind = [i for i, mine in enumerate(ranking.scores) if not mine.size]
+    seen = [i for i in ranking.order if ranking.scores[i].size]
+    rest = search.optimum.free.size
     columns = np.concatenate([search.optimum.free, *(joint.of_effect(ranking.places[i]) for i in (*blind, *seen))])
-    columns = columns[: WIDTH * (1 + (search.optimum.free.size + len(blind)) // WIDTH)]  # as many as cost no more
-    looked = [i for i in (*blind, *seen) if np.isin(joint.of_effect(ranking.places[i]), columns).all()]
+    columns = columns[: WIDTH * (1 + (rest + len(blind)) // WIDTH)]  # as many as cost no more
+    places = {i: np.isin(columns, joint.of_effect(ranking.places[i])) for i in (*blind, *seen)}
+    whole = {i: places[i].sum() == joint.of_effect(ranking.places[i]).size for i in places}
+    labels = {i: joint.model.effects[ranking.places[i]].label for i in places if whole[i]}
+    units, rounding = np.eye(joint.start.size)[columns], np.zeros(columns.size)
+    if blind:
+        rounding = _news(_finite(joint.linearise(here, units, joint.fitted)[1]), known)
 
     def weigh(plan: Proposal) -> Prospect:
         if seen and any(plan.readings.experiment is r.experiment for r in joint.fitted):  # twice the same tells twice
-            return Prospect(
-                plan.text, _news((), joint.model.effects[ranking.places[seen[0]]].label), 2 * SIGMAS_SEEN**2
-            )
-        slopes = search.sensitivities(columns, [plan.readings], sure=not blind)
-        part = {i: slopes[:, np.isin(columns, joint.of_effect(ranking.places[i]))] for i in looked}
-        free = slopes[:, : search.optimum.free.size]
-        alone, both = basis(free), basis(np.concatenate([search.optimum.jacobian, free]))
-        new, gains = [], [(0.0, "")]
-        for i in looked:
-            label = joint.model.effects[ranking.places[i]].label
-            if ranking.scores[i].size:
-                whole = np.concatenate([ranking.slopes[i], part[i]])
-                more = score(np.zeros(len(whole)), both, whole).information / ranking.scores[i].information
-                gains.append((float((SIGMAS_SEEN * more) ** 2), label))
-            elif score(np.zeros(len(free)), alone, part[i]).size:
-                new.append(label)
+            return Prospect(plan.text, f"{labels[seen[0]]}{NOTHING}", 2 * SIGMAS_SEEN**2)
+        planned = as_recorded(joint, search.optimum, plan.readings) if blind else plan.readings
+        if planned is None:
+            return Prospect(plan.text, UNKNOWN, np.nan)
+        slopes = _finite(joint.linearise(here, units, [planned])[1])
+        clear = _news(slopes, slopes[:, :rest]) > CLEARLY * rounding
+        new = [labels[i] for i in blind if i in labels and clear[places[i]].any()]
+        q, gains = basis(np.concatenate([known, slopes[:, :rest]])), [(0.0, "")]
+        for i in (i for i in seen if i in labels):
+            both = np.concatenate([ranking.slopes[i], slopes[:, places[i]]])
+            more = score(np.zeros(len(both)), q, both).information / ranking.scores[i].information
+            gains.append((float((SIGMAS_SEEN * more) ** 2), labels[i]))
         chi2, label = max(gains)
-        return Prospect(plan.text, _news(new, label), chi2, shown=len(new))
+        return Prospect(plan.text, _shows(new) if new else f"{label}{NOTHING}", chi2, shown=len(new))
 
     return weigh
 
 
-def _news(new: Sequence[str], label: str) -> str:
-    if not new:
-        return f"{label}{NOTHING}"
+def _news(slopes: np.ndarray, free: np.ndarray) -> np.ndarray:
+    """(k,) how large each sensitivity (r, k) is beside those of what is free; zero where next to nothing is left."""
+    q = basis(free)
+    news = np.linalg.norm(slopes - q @ (q.T @ slopes), axis=0)
+    return np.where(news > np.sqrt(RELATIVE) * np.linalg.norm(slopes, axis=0), news, 0.0)
+
+
+def _shows(new: Sequence[str]) -> str:
     more = f" and {len(new) - MANY} more" if len(new) > MANY else ""
     return f"show {', '.join(new[:MANY])}{more}, which these records cannot"

@@ -100,7 +100,8 @@ class Prospect:
     Args:
         experiment: what to do.
         decides: what it would tell, "A from B", or show.
-        chi2: expected Δχ² between the two once it is added to the records, everything free refitted.
+        chi2: expected Δχ² between the two once it is added to the records, everything free refitted; NaN where what it
+            would record cannot be predicted.
         shown: how many effects it would show that the records cannot.
         where: how few of its rows hold half of that, and the best of them.
     """
@@ -189,7 +190,7 @@ class Diagnosis(Shown):
         ]
         if self.next_experiment:
             lines += ["", f"  next experiment: {self.next_experiment}"]
-            lines += [f"    Δχ² {p.chi2:8.3g}  {p.experiment}" for p in self.next_experiments if not p.shown][:_PLANNED]
+            lines += [f"    Δχ² {p.chi2:8.3g}  {p.experiment}" for p in self.next_experiments if p.chi2 >= 0][:_PLANNED]
         if self.verdict in ("unknown_effect", "partly_explained"):
             lines += ["", f"  the law that is missing, drawn, written and fitted: {DRAW.format(self.case.folder)}"]
         return "\n".join(lines)

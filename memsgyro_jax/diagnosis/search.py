@@ -9,8 +9,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
-from memsgyro_jax.measurement.readings import Readings
-
 from .acceptance import judged_by_misfit, refusal, unsure_noise
 from .fit import CaseFit, beside_case
 from .joint_residual import Joint
@@ -87,36 +85,21 @@ class Search:
         return Ranking(tuple(places), tuple(scores), family_p_values(scores), tuple(parts))
 
     def _slopes(self, columns: np.ndarray) -> np.ndarray:
-        """Sensitivities (r, k) to some parameters. Which of them the fitted records cannot see at all does not change
-        in a search, so to look once is enough.
-        """
-        slopes, unseen = self._sensitivities(columns, self.joint.fitted, self.unseen)
-        self.unseen = unseen
-        return slopes
+        """Sensitivities (r, k) to some parameters; zero where they are rounding, which a fit would blow up to any size.
 
-    def sensitivities(self, columns: np.ndarray, chosen: Sequence[Readings], *, sure: bool = False) -> np.ndarray:
-        """Sensitivities (r, k) of any readings to some parameters at the present optimum; zero where they are rounding,
-        which a fit would blow up to any size, unless it is `sure` that none is.
-        """
-        return self._sensitivities(columns, chosen, frozenset() if sure else None)[0]
-
-    def _sensitivities(
-        self, columns: np.ndarray, chosen: Sequence[Readings], unseen: frozenset[int] | None
-    ) -> tuple[np.ndarray, frozenset[int]]:
-        """Those, and which of the parameters the readings cannot see.
-
-        Rounding is told by moving the base in its ninth digit: a true sensitivity stays what it was.
+        Rounding is told by moving the base in its ninth digit: a true sensitivity stays what it was. Which parameters
+        the records cannot see at all does not change in a search, so once is enough.
         """
         units = np.eye(self.joint.start.size)[columns]
-        _, slopes = self.joint.linearise(self.optimum.vector, units, chosen)
-        if unseen is None:
+        _, slopes = self.joint.linearise(self.optimum.vector, units, self.joint.fitted)
+        if self.unseen is None:
             moved = self.optimum.vector.copy()
             moved[self.joint.base()] *= 1.0 + NUDGE
-            _, again = self.joint.linearise(moved, units, chosen)
+            _, again = self.joint.linearise(moved, units, self.joint.fitted)
             rounding = np.linalg.norm(slopes - again, axis=0) > 0.1 * np.linalg.norm(slopes, axis=0)
-            unseen = frozenset(columns[rounding].tolist())
-        sure = ~np.isin(columns, list(unseen))
-        return np.where(np.isfinite(slopes) & sure, slopes, 0.0), unseen
+            self.unseen = frozenset(columns[rounding].tolist())
+        sure = ~np.isin(columns, list(self.unseen))
+        return np.where(np.isfinite(slopes) & sure, slopes, 0.0)
 
     def refit(
         self,

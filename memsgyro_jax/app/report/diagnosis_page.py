@@ -68,7 +68,10 @@ def _planned(out: Page, diagnosis: Diagnosis) -> None:
     if diagnosis.next_experiments:
         out.table(
             ["feasible experiment", "would tell or show", "expected Δχ²"],
-            [[p.experiment, p.decides + p.where, as_times(p.chi2)] for p in diagnosis.next_experiments],
+            [
+                [p.experiment, p.decides + p.where, as_times(p.chi2) if p.chi2 >= 0 else "–"]
+                for p in diagnosis.next_experiments
+            ],
             "Within what was recorded: conditions as they were varied, drives up to twice the largest. Expected Δχ² "
             "between the two once the experiment is added, with everything else refitted to first order.",
         )
