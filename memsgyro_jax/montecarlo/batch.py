@@ -284,10 +284,18 @@ def nees(
     """
     finite = np.all(np.isfinite(correlation), axis=(1, 2)) & np.all(np.isfinite(standardised), axis=1)
     safe = np.where(finite[:, None, None], correlation, np.eye(correlation.shape[-1]))
-    regular = finite & (np.linalg.eigvalsh(safe)[:, 0] > _SINGULAR)
-    safe = np.where(regular[:, None, None], safe, np.eye(correlation.shape[-1]))
-    solved = np.linalg.solve(safe, standardised[..., None])[..., 0]
-    return np.where(regular, np.sum(standardised * solved, axis=1), np.nan)
+    try:
+        # C = L Lᵀ: the trace of the inverse, at least one over the least eigenvalue, costs less than that.
+        root = np.linalg.inv(np.linalg.cholesky(safe))
+        regular = finite & (np.sum(root**2, axis=(1, 2)) < 1.0 / _SINGULAR)
+    except np.linalg.LinAlgError:
+        regular = np.zeros(len(safe), bool)
+    if not np.all(regular[finite]):
+        regular = finite & (np.linalg.eigvalsh(safe)[:, 0] > _SINGULAR)
+        safe = np.where(regular[:, None, None], safe, np.eye(correlation.shape[-1]))
+        root = np.linalg.inv(np.linalg.cholesky(safe))
+    white = (root @ standardised[..., None])[..., 0]
+    return np.where(regular, np.sum(white**2, axis=1), np.nan)
 
 
 def mesh_of(devices: list[jax.Device]) -> Mesh:

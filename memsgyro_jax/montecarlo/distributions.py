@@ -6,7 +6,7 @@ import math
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from scipy import stats
+from scipy import special
 
 from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.errors import InputError
@@ -54,7 +54,9 @@ class Normal(AbstractDistribution):
         return self.relative > 0.0 and self.std == 0.0 and self.mean is None
 
     def place(self, normal):
-        return stats.truncnorm.ppf(stats.norm.cdf(normal), -self.cut, self.cut)
+        # The inverse of the cut distribution, from its nearer end.
+        least = special.ndtr(-self.cut)
+        return np.copysign(special.ndtri(least + (1.0 - 2.0 * least) * special.ndtr(-np.abs(normal))), normal)
 
     def value(self, design, place):
         design = design if self.mean is None else self.mean
@@ -84,7 +86,7 @@ class Uniform(AbstractDistribution):
         return bool(self.relative)
 
     def place(self, normal):
-        return stats.norm.cdf(normal)
+        return special.ndtr(normal)
 
     def value(self, design, place):
         if self.relative is not None:

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
-from scipy import stats
+from scipy import special, stats
 
 from memsgyro_jax.base.display import UNITS, Shown
 from memsgyro_jax.base.errors import InputError
@@ -203,7 +203,7 @@ class Spread(Shown):
         """Dies at given normal numbers, one column per variation; differentiable by the design values in `loop`."""
         root, items = Root(loop, scenario), self.resolved(loop)
         values = [
-            jnp.asarray(item.distribution.value(_number(item.read(root)), item.distribution.place(column)))
+            item.distribution.value(_number(item.read(root)), item.distribution.place(column))
             for item, column in zip(items, np.asarray(normal).T, strict=True)
         ]
         if items:
@@ -220,7 +220,7 @@ class Spread(Shown):
         if count == 0:
             return np.empty((len(dies), 0))
         uniform = self._uniform(count, seed, np.asarray(dies, int))
-        normal = stats.norm.ppf(np.clip(uniform, 1e-12, 1.0 - 1e-12))
+        normal = special.ndtri(np.clip(uniform, 1e-12, 1.0 - 1e-12))
         if self.correlation is None:
             return normal
         matrix = np.asarray(self.correlation, float)
