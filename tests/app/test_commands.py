@@ -206,6 +206,8 @@ OPTIONS = [
     (["simulate", "--sample-rate", "6000"], ["sweep.sample_rate", "use at least"]),
     (["simulate", "--sample-rate", "nan"], ["sweep.sample_rate", "finite"]),
     (["sweep", "--dies", "0"], ["sweep.dies", "1"]),
+    (["sweep", "--block", "500"], ["loop.block", "power of two"]),
+    (["simulate", "--block", "512", "--case", "bench"], ["--block", "--case"]),
     (["sweep", "--dies", "many"], ["--dies", "many"]),
     (["sweep", "--seed", "-1"], ["sweep.seed", "0"]),
     (["simulate", "--duration", "0"], ["sweep.duration", "greater than 0"]),

@@ -127,9 +127,9 @@ def test_what_is_left_of_a_run_is_whole_blocks(samples):
 
 def test_maps_are_made_when_time_has_doubled():
     sizes = np.array([[128, 256, 0], *[[512] * 3] * 16])
-    found = renewals(sizes, always=False)
+    found = renewals(sizes, 2.0)
     assert np.flatnonzero(found).tolist() == [0, 1, 3, 4, 5, 7, 11, 19, 35]
-    assert renewals(sizes, always=True).sum() == 50
+    assert renewals(sizes, 1.0).sum() == 50
 
 
 def test_the_statistics_of_white_noise_are_white():

@@ -20,12 +20,12 @@ _SETTLE = 0.05  # s, as in the default study; the rest of a recorded rate counts
 
 
 def chosen_study(
-    path: Path | None, rate_record: Path | None, effects: Path | None, **sweep: Any
+    path: Path | None, rate_record: Path | None, effects: Path | None, *, block: int | None = None, **sweep: Any
 ) -> tuple[Study, list[str]]:
     """The study of a command line, and what a person should know about it.
 
-    `effects` is a file with effects of the user's own; `sweep` are entries of the section `[sweep]`, None leaves the
-    study's own.
+    `effects` is a file with effects of the user's own; `block` stands in section `[loop]`, `sweep` are entries of the
+    section `[sweep]`; None leaves the study's own.
     """
     own = load_effects(effects, 2) if effects else ()
     if own and path is None:
@@ -33,6 +33,8 @@ def chosen_study(
     study = default_study() if path is None else load_study(path, own)
     changes = {f"sweep.{name}": value for name, value in sweep.items() if value is not None}
     notes = study.notes
+    if block is not None:
+        changes["loop.block"] = block
     if rate_record is not None:
         record = read_rate_record(rate_record)
         more, about = _following(record, rate_record, own_study=path is not None)

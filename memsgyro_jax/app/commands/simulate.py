@@ -1,6 +1,7 @@
 """`memsgyro simulate`: read the study, run one die, print, write."""
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -26,6 +27,7 @@ def simulate_command(
     seed: int | None = None,
     sample_rate: float | None = None,
     duration: float | None = None,
+    block: int | None = None,
     out: Path | None = None,
     case: Path | None = None,
     record: str = "run",
@@ -42,6 +44,7 @@ def simulate_command(
         seed: of the dies and of their noise.
         sample_rate: in Hz.
         duration: of the run in s; a recorded rate's own without this option.
+        block: samples taken at a time, a power of two (512 at 100 kHz); a loop that cannot says why.
         out: folder for trace.zarr, summary.json and report.html.
         case: folder of a measurement case to which the run is added as raw signals, or that is made.
         record: name of the run in that case.
@@ -56,10 +59,12 @@ def simulate_command(
     from ..report.run_summary import run_figures, run_rows
     from .options import chosen_study, require_writable, with_unit, writing
 
+    if block is not None and case is not None:
+        raise InputError("Options `--block` and `--case` must not be given together: a case holds every sample.")
     if die is not None and die < 0:
         raise InputError(f"Option `--die` must be the number of a die, 0 or more, but {die} was given.")
     chosen, notes = chosen_study(
-        study, rate_record, effects, seed=seed,
+        study, rate_record, effects, block=block, seed=seed,
         sample_rate=with_unit(sample_rate, "Hz"), duration=with_unit(duration, "s"),
     )  # fmt: skip
     require_writable(out and out / "summary.json", json)
@@ -67,6 +72,8 @@ def simulate_command(
         print(note)
     plan = chosen.settings
     loop, scenario = chosen.die(die)
+    if case is not None:
+        loop = replace(loop, blocks=None)  # a case holds every sample
     decimation = 1 if case else max(1, count_steps(plan.sample_rate, plan.duration) // _ROWS)
     trace = simulate(
         loop, scenario, sample_rate=plan.sample_rate, duration=plan.duration, seed=plan.seed, die=die or 0,

@@ -28,6 +28,7 @@ def sweep_command(
     rate_record: Path | None = None,
     sample_rate: float | None = None,
     duration: float | None = None,
+    block: int | None = None,
     chunk: int | None = None,
     effects: Path | None = None,
     json: Path | None = None,
@@ -50,6 +51,7 @@ def sweep_command(
         rate_record: CSV with the header "t [s],rate [deg/s]" (any units), in place of the study's rate.
         sample_rate: in Hz.
         duration: of a run in s; a recorded rate's own without this option.
+        block: samples taken at a time, a power of two (512 at 100 kHz); a loop that cannot says why.
         chunk: dies per device and batch.
         effects: a Python file with effects of your own that the study names. It is run: trust it first.
         json: another place for a copy of summary.json.
@@ -62,7 +64,7 @@ def sweep_command(
     if part and dask:
         raise InputError("Options `--part` and `--dask` must not be given together: Dask shares the work itself.")
     chosen, notes = chosen_study(
-        study, rate_record, effects, dies=dies, seed=seed, chunk=chunk,
+        study, rate_record, effects, block=block, dies=dies, seed=seed, chunk=chunk,
         sample_rate=with_unit(sample_rate, "Hz"), duration=with_unit(duration, "s"),
     )  # fmt: skip
     require_writable(out / "summary.json", json)

@@ -272,10 +272,13 @@ def _build(given: StudyFile, source: Source, own: tuple[Effect, ...]) -> Study:
     plant = discretisation(file.loop.discretisation)
     filter_ = file.filter and file.filter.build()
     loop = ClosedLoop(gyro, readout, observer, controller, start, file.loop.travel, plant, filter_)
+    if file.loop.block is not None:
+        with source.section("loop", "block"):
+            loop = loop.in_blocks(file.loop.block)
     scenario = file.scenario.build()
     if filter_ is not None:
         with source.section("filter"):
-            check_fits(filter_, file.sweep.sample_rate)
+            check_fits(filter_, loop.output_rate(file.sweep.sample_rate))
     with source.section("sweep", "sample_rate"):
         loop.sampled_at(file.sweep.sample_rate)
     with source.section("sweep", "settle"):

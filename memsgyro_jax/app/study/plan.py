@@ -27,13 +27,15 @@ from .laws import Discretisation, Positive
 class Start(FileSection):
     """Section `[loop]`: where the mass starts, how far it may travel, and how the plant is computed.
 
-    Left out, the travel is the read-out's, and the mass starts at 2 % of it along x.
+    Left out, the travel is the read-out's, and the mass starts at 2 % of it along x. `block`, a power of two, is how
+    many samples are taken at a time (`ClosedLoop.in_blocks`); left out, one.
     """
 
     displacement: Pair[Metre] | None = None
     velocity: Pair[Speed] = (0.0, 0.0)
     travel: Annotated[float, Field(gt=0.0), In("m")] | None = None
     discretisation: Discretisation = "exact"
+    block: Annotated[Whole, Field(ge=2)] | None = None
 
 
 def _with_unit(given: Any) -> str:

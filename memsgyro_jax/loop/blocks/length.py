@@ -65,11 +65,14 @@ def lengths(start: int, lead: int, length: int, stride: int, windows: int) -> In
     return np.concatenate([np.reshape(np.array(growing, int), (-1, stride)), np.full((windows, stride), length)])
 
 
-def renewals(sizes: Int[np.ndarray, "windows stride"], always: bool) -> Bool[np.ndarray, "windows stride"]:
-    """Before which blocks maps are made: of growing blocks before each; then what is known of a constant sharpens as a
-    power of time, so that it moves as much from block 4 to 8 as from 8 to 16.
+def renewals(sizes: Int[np.ndarray, "windows stride"], factor: float) -> Bool[np.ndarray, "windows stride"]:
+    """Before which blocks maps are made: of growing blocks before each, then when the number of blocks has grown by
+    `factor` (1: before each). What is known of a constant sharpens as a power of time, so that it moves as much from
+    block 4 to 8 as from 8 to 16.
     """
     flat = sizes.ravel()
-    number = np.arange(flat.size) - (np.argmax(flat == flat.max()) if flat.size else 0)
-    made = always | (number <= 0) | (number & (number - 1) == 0) | (number % _RENEWED == 0)
-    return (made & (flat > 0)).reshape(sizes.shape)
+    even, last, made = int(np.argmax(flat == flat.max())) if flat.size else 0, 0, flat > 0
+    for number in range(1, flat.size - even):
+        made[even + number] = number >= min(factor * last, last + _RENEWED)
+        last = number if made[even + number] else last
+    return made.reshape(sizes.shape)

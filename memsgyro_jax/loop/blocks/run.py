@@ -26,6 +26,7 @@ from .length import renewals
 from .maps import Maps, maps_of
 
 
+_ONE_MASS, _TWO_MASSES = 2.0, 1.2
 BLOCK_STREAM = 2  # of `noise.normal_pair`
 
 
@@ -86,7 +87,7 @@ def run_in_blocks(
     before = (first + np.cumsum(flat) - flat).reshape(sizes.shape)
     numbers = np.arange(flat.size).reshape(sizes.shape)
     doublings = np.log2(np.maximum(sizes, 1)).astype(int)
-    entering = jax.tree.map(jnp.asarray, (Span(numbers, before, doublings), renewals(sizes, _moves(scenario))))
+    entering = jax.tree.map(jnp.asarray, (Span(numbers, before, doublings), renewals(sizes, _factor(loop, scenario))))
 
     def one(carry, span):
         state, memory, maps = carry
@@ -136,10 +137,15 @@ class Span(NamedTuple):
         return 1 << self.doublings
 
 
-def _moves(scenario: Scenario) -> bool:
-    """Whether what acts on the device may change from block to block, told by the kinds of its profiles."""
+def _factor(loop: ClosedLoop, scenario: Scenario) -> float:
+    """By how much blocks may grow in number until maps are made anew: not at all where what acts on the device may
+    change from block to block, told by the kinds of its profiles, and less for two masses, of which the read-out tells
+    the coefficients more slowly.
+    """
     acting = (scenario.rate, *scenario.damping_change, *scenario.cross_rate, *scenario.acceleration)
-    return not all(isinstance(profile, Constant) for profile in acting)
+    if not all(isinstance(profile, Constant) for profile in acting):
+        return 1.0
+    return _TWO_MASSES if isinstance(loop.device, DualMassGyro) else _ONE_MASS
 
 
 class _Course(eqx.Module):

@@ -259,6 +259,13 @@ def test_a_recorded_rate_lies_beside_its_study(write, tmp_path):
     assert same(mg.load_study(again), study)
 
 
+def test_a_loop_may_be_taken_in_blocks(tmp_path):
+    study = mg.default_study().changed({"loop.block": 256})
+    assert study.loop.blocks.length == 256
+    assert mg.load_study(study.write(tmp_path / "s.toml")).loop.blocks == study.loop.blocks
+    assert mg.default_study().loop.blocks is None
+
+
 def test_changes_are_checked_like_a_file():
     study = mg.default_study()
     assert study.changed({"sweep.dies": 3, "device.mass": "2e-7 kg"}).settings.dies == 3
