@@ -85,6 +85,9 @@ if TYPE_CHECKING:
     from .loop.trace import Trace as Trace
     from .loop.noise_budget import noise_budget as noise_budget
     from .loop.noise_budget import NoiseBudget as NoiseBudget
+    from .loop.lyapunov_function import lyapunov_function as lyapunov_function
+    from .loop.lyapunov_function import LyapunovFunction as LyapunovFunction
+    from .loop.lyapunov_function import least_gain as least_gain
     from .loop.bound import information_bound as information_bound
     from .loop.bound import InformationBound as InformationBound
     from .loop.bound import CROSS_DAMPING_ASYMMETRY as CROSS_DAMPING_ASYMMETRY
