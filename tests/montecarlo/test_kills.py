@@ -13,16 +13,12 @@ import pytest
 import xarray as xr
 
 
-# Starts a sweep in a process of its own for each line, the folder, that it reads: Python and its imports are there
-# already. What happens is told in lines: "start PROCESS", "wrote FOLDER BLOCK", "end PROCESS FOLDER"
-# or "failed PROCESS".
+# Runs what it is told to in a process of its own for each line, the folder and the part, that it reads: Python and its
+# imports are there already. What happens is told in lines: "start PROCESS PART", "wrote FOLDER BLOCK",
+# "end PROCESS FOLDER PART" or "failed PROCESS".
 NURSERY = """
-import os, signal, sys, traceback
-from memsgyro_jax import runtime
-runtime.configure(devices=1)
-import memsgyro_jax as mg
-import xarray, zarr
-from memsgyro_jax.montecarlo import sweep
+import os, signal, sys, time, traceback
+IMPORTS
 from memsgyro_jax.montecarlo.store import Store
 
 def tell(*words):
@@ -40,37 +36,69 @@ for line in sys.stdin:
 else:
     sys.exit()
 
-folder, write = line.strip(), Store.write
+(folder, part), write = line.split(), Store.write
 Store.write = told
-tell("start", os.getpid())
+tell("start", os.getpid(), part)
 try:
-    gyro, readout = mg.SingleMassGyro.chi2010(), mg.ChargeAmplifier.chi2010()
-    observer = mg.ExtendedKalmanFilter.for_device(gyro, readout, annealing=mg.Annealing())
-    loop = mg.ClosedLoop(gyro, readout, observer, mg.DampingCompensation(mg.Tone(600.0, 53.95)))
-    lot = mg.sweep(loop, mg.Spread.relative(0.15), dies=DIES, chunk=1, sample_rate=100e3, duration=5e-4, bound_dies=0,
-                   out=folder, resume=True)
-    assert lot.notes == (), lot.notes
-    tell("end", os.getpid(), folder)
+    RUN
+    tell("end", os.getpid(), folder, part)
 except BaseException:
     traceback.print_exc()
     tell("failed", os.getpid())
 os._exit(0)
 """
 
+IMPORTS = """
+from memsgyro_jax import runtime
+runtime.configure(devices=1)
+import memsgyro_jax as mg
+import xarray, zarr
+from memsgyro_jax.montecarlo import sweep
+"""
+
+SWEEP = """
+    gyro, readout = mg.SingleMassGyro.chi2010(), mg.ChargeAmplifier.chi2010()
+    observer = mg.ExtendedKalmanFilter.for_device(gyro, readout, annealing=mg.Annealing())
+    loop = mg.ClosedLoop(gyro, readout, observer, mg.DampingCompensation(mg.Tone(600.0, 53.95)))
+    lot = mg.sweep(loop, mg.Spread.relative(0.15), dies=1600, chunk=1, sample_rate=100e3, duration=5e-4, bound_dies=0,
+                   out=folder, resume=True)
+    assert lot.notes == (), lot.notes
+"""
+
+STAND_IN = """
+import numpy as np, zarr.storage, zarr.codecs
+from pathlib import Path
+from memsgyro_jax.montecarlo import layout
+from memsgyro_jax.montecarlo.layout import LABELS, DieArray, Layout
+from memsgyro_jax.montecarlo.store import opened
+layout.SHARD = 28
+LAYOUT = Layout({"value": DieArray((), (), "1")}, {}, {"fingerprint": "a" * 16, "versions": "jax 0", LABELS: {}})
+"""
+
+SHARE = """
+    number, count = map(int, part.split("/"))
+    share = range((number - 1) * BLOCKS // count, number * BLOCKS // count)
+    with opened(Path(folder) / "dies.zarr", LAYOUT, 4 * BLOCKS, 4, True, share) as store:
+        for block in store.unfinished():
+            time.sleep(0.01)
+            store.write(block, {"value": np.sin(np.arange(4 * block, 4 * block + 4)), "status": np.zeros(4, np.int8)})
+        assert store.notes == [], store.notes
+"""
+
 
 class Nursery:
-    """Starts and kills sweeps; knows which live, which blocks they wrote, and which folders are complete."""
+    """Starts and kills processes; knows which live, which blocks they wrote, and which (folder, part) are complete."""
 
-    def __init__(self, dies: int, errors):
-        script = NURSERY.replace("DIES", str(dies))
+    def __init__(self, imports: str, run: str, errors):
+        script = NURSERY.replace("IMPORTS", imports).replace("    RUN", run)
         clean = {n: v for n, v in os.environ.items() if not n.startswith(("XLA_FLAGS", "JAX_", "MEMSGYRO_"))}
         self.process = subprocess.Popen(
             [sys.executable, "-c", script], env=clean | {"PYTHONPATH": os.pathsep.join(sys.path)}, text=True,
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors,
         )  # fmt: skip
-        self.living: set[int] = set()
+        self.living: dict[int, str] = {}
         self.wrote: Counter[tuple[str, str]] = Counter()
-        self.complete: set[str] = set()
+        self.complete: set[tuple[str, ...]] = set()
         self.wanted = 0
         self.reader = threading.Thread(target=self._read)
         self.reader.start()
@@ -79,23 +107,26 @@ class Nursery:
         for line in self.process.stdout:
             kind, *words = line.split()
             if kind == "start":
-                self.living.add(int(words[0]))
+                self.living[int(words[0])] = words[1]
             elif kind == "wrote":
                 self.wrote[words[0], words[1]] += 1
             else:
-                self.living.discard(int(words[0]))
-                self.complete |= set(words[1:])
+                self.living.pop(int(words[0]), None)
+                self.complete |= {tuple(words[1:])} if words[1:] else set()
                 self.wanted -= 1
 
-    def start(self, folder) -> None:
+    def start(self, folder, part: str = "1/1") -> None:
         self.wanted += 1
-        self.process.stdin.write(f"{folder}\n")
+        self.process.stdin.write(f"{folder} {part}\n")
         self.process.stdin.flush()
 
-    def kill(self, process: int) -> None:
-        self.living.discard(process)
-        self.wanted -= 1
-        os.kill(process, signal.SIGKILL)
+    def kill(self, process: int) -> str | None:
+        """Gives its part; None if it has just ended."""
+        part = self.living.pop(process, None)
+        if part is not None:
+            self.wanted -= 1
+            os.kill(process, signal.SIGKILL)
+        return part
 
     def close(self) -> None:
         """Ends those that still live, and the nursery."""
@@ -112,17 +143,17 @@ def rows(folder) -> dict[str, bytes]:
         return {name: data[name].values.tobytes() for name in data.data_vars}
 
 
-def assert_kills_cost_nothing(tmp_path, kills: int, dies: int, pause: float) -> None:
+def assert_kills_cost_nothing(tmp_path, kills: int, pause: float) -> None:
     generator = np.random.default_rng(0)
     with (tmp_path / "errors").open("w") as errors:
-        nursery = Nursery(dies, errors)
+        nursery = Nursery(IMPORTS, SWEEP, errors)
         try:
             nursery.start(tmp_path / "alone")
             while nursery.wanted and nursery.process.poll() is None:
                 time.sleep(0.05)
             killed, folder = 0, None
             while killed < kills and nursery.process.poll() is None:
-                if folder is None or str(folder) in nursery.complete:
+                if folder is None or (str(folder), "1/1") in nursery.complete:
                     folder = tmp_path / f"shared{len(nursery.complete)}"
                 while nursery.wanted < 4:
                     nursery.start(folder)
@@ -146,4 +177,42 @@ def assert_kills_cost_nothing(tmp_path, kills: int, dies: int, pause: float) -> 
 
 @pytest.mark.slow
 def test_200_kills_of_four_at_once_cost_nothing(tmp_path):
-    assert_kills_cost_nothing(tmp_path, kills=200, dies=1600, pause=3.0)
+    assert_kills_cost_nothing(tmp_path, kills=200, pause=3.0)
+
+
+def assert_parts_are_the_whole(tmp_path, parts: int, blocks: int, kills: int, pause: float) -> None:
+    """Four processes at a time, each a part of a fresh folder; who is killed is started again."""
+    generator, folder = np.random.default_rng(1), tmp_path / "shared"
+    due, killed = [f"{number}/{parts}" for number in range(1, parts + 1)], 0
+    with (tmp_path / "errors").open("w") as errors:
+        nursery = Nursery(STAND_IN, SHARE.replace("BLOCKS", str(blocks)), errors)
+        try:
+            while (due or killed < kills) and nursery.process.poll() is None:
+                while due and nursery.wanted < 4:
+                    nursery.start(folder, due.pop(0))
+                time.sleep(generator.uniform(0.0, pause))
+                if killed < kills and (living := sorted(nursery.living)):
+                    part = nursery.kill(int(generator.choice(living)))
+                    if part is not None:
+                        killed += 1
+                        due.append(part)
+            while nursery.wanted > 0 and nursery.process.poll() is None:
+                time.sleep(0.02)
+        finally:
+            nursery.close()
+    assert (tmp_path / "errors").read_text() == ""
+    assert killed == kills
+    shared = {block: count for (place, block), count in nursery.wrote.items() if place == str(folder)}
+    assert len(shared) == blocks
+    assert sum(shared.values()) <= 1.02 * blocks
+    assert rows(folder) == {"value": np.sin(np.arange(4 * blocks)).tobytes(), "status": bytes(4 * blocks)}
+    assert [file.name for file in folder.iterdir()] == ["dies.zarr"]
+
+
+def test_parts_that_are_killed_and_started_again_are_the_whole(tmp_path):
+    assert_parts_are_the_whole(tmp_path, parts=12, blocks=60, kills=5, pause=0.1)
+
+
+@pytest.mark.slow
+def test_200_parts_with_60_kills_are_the_whole(tmp_path):
+    assert_parts_are_the_whole(tmp_path, parts=200, blocks=1000, kills=60, pause=0.2)
