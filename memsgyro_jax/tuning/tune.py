@@ -10,13 +10,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from memsgyro_jax.base import runtime
 from memsgyro_jax.base.arguments import quantity, whole
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.base.provenance import Settings
+from memsgyro_jax.base.provenance import Settings, fingerprint
 from memsgyro_jax.loop.loop import ClosedLoop, as_loop
 from memsgyro_jax.loop.scenario import AbstractProfile, Scenario, as_scenario
 from memsgyro_jax.loop.trace import count_steps
@@ -73,7 +74,8 @@ def tune(
     when the loss or the validation dies gain no more, or after `evaluations` gradients; the best on validation counts.
     A free number that `spread` varies is the design value its dies lie around (design centring). A lost die counts as a
     large finite loss and is reported. `progress` is told what happens, in sentences. With
-    `keep`, a folder, evaluations are kept there: the same call goes on where another was killed, to the same bits.
+    `keep`, a folder, evaluations and the dies of the report are kept there: the same call goes on where another
+    was killed, to the same bits.
 
     Raises `InputError` for what is free but unknown, for bounds that do not hold the start, for settings that cannot be
     run, for a loss that is no number at the start, and outside float64.
@@ -112,7 +114,10 @@ def tune(
     tuned = tunables.applied(loop, numbers)
     told("before and after on unseen dies")
     common = {"dies": report_dies, "sample_rate": sample_rate, "duration": duration, "settle": settle, "seed": seed}
-    lots = tuple(sweep(each, spread, scenario, bound_dies=0, **common) for each in (loop, tuned))
+    lots = tuple(
+        sweep(each, spread, scenario, bound_dies=0, **common, **_kept(keep, each, spread, scenario, common))
+        for each in (loop, tuned)
+    )
     before, after = (merit_of(lot, ran) for lot, ran in zip(lots, (loop, tuned), strict=True))
     settings = Settings.of(loop, scenario, spread, loss, tunables.paths, dies, sample_rate=sample_rate,
                            duration=duration, seed=seed)  # fmt: skip
@@ -127,6 +132,11 @@ def tune(
         settings=settings,
         lots=lots,
     )
+
+
+def _kept(keep: str | Path | None, *what: object) -> dict[str, Any]:
+    """Where a sweep goes that is never run again, several processes sharing its dies; nowhere without `keep`."""
+    return {} if keep is None else {"out": Path(keep) / fingerprint(*what), "resume": True}
 
 
 def _stages(loop: ClosedLoop, tunables: Tunables, loss: AbstractLoss | None, settle: float) -> tuple[TuningStage, ...]:

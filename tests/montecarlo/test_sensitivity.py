@@ -11,6 +11,7 @@ from scipy import stats
 import memsgyro_jax as mg
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.loop.scenario import as_scenario
+from memsgyro_jax.montecarlo.runner import Runner
 from memsgyro_jax.montecarlo.sensitivity.corners import signs_of
 from memsgyro_jax.montecarlo.sensitivity.sobol import designed_points, indices_of
 from memsgyro_jax.montecarlo.spread import Points
@@ -180,8 +181,13 @@ def test_the_gradient_of_a_tornado_is_that_of_the_runs(loop):
     assert np.all(found.lost == 0.0)
 
 
-def test_every_corner_is_run_and_the_worst_is_first(loop):
-    found = mg.corners(loop, PAIR, sigmas=2.0, repeats=2, of=(drawn(0),), **SHORT)
+def test_every_corner_is_run_and_the_worst_is_first(loop, tmp_path, monkeypatch):
+    settings = {"sigmas": 2.0, "repeats": 2, "of": (drawn(0),), **SHORT}
+    found = mg.corners(loop, PAIR, **settings, out=tmp_path)
+    with monkeypatch.context() as patch:
+        patch.setattr(Runner, "batches", None)  # what is in the store is not computed again
+        again = mg.corners(loop, PAIR, **settings, out=tmp_path, resume=True)
+    assert repr(again) == repr(found)
     assert found.complete
     assert len({tuple(row) for row in found.signs}) == 4
     assert found.signs[found.order(0)[0], 0] == 1.0

@@ -15,6 +15,7 @@ import memsgyro_jax as mg
 from memsgyro_jax import losses
 from memsgyro_jax.app import cli
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.montecarlo.runner import Runner
 from memsgyro_jax.tuning import objective
 from memsgyro_jax.tuning.objective import Objective, Timing
 from memsgyro_jax.tuning.tunable import resolved
@@ -95,6 +96,7 @@ def test_a_killed_call_goes_on_to_the_same_bits(tuned, study, folder, monkeypatc
         raise AssertionError("an evaluation that was kept was computed again")
 
     monkeypatch.setattr(objective.Objective, "_computed", never)
+    monkeypatch.setattr(Runner, "batches", never)
     again = mg.tune(**study.tune_arguments, keep=folder)
     assert [n.value for n in again.numbers] == [n.value for n in tuned[0].numbers]
     assert repr(again) == repr(tuned[0])
