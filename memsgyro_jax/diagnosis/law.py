@@ -81,6 +81,12 @@ class DrawnLaw(Shown):
             more = "" if term.threshold is None else f", threshold = {term.threshold:.4g}"
             lines.append(f"  {name}: {term.formula}, s = {term.strength:.4g}, exponent = {term.exponent:.3g}{more}")
         lines += [f"  {name}: straight lines with rounded corners" for name in self.names[len(self.terms) :]]
+        (low, high), (slow, fast) = self.seen
+        lines.append(
+            f"  seen from {low:.3g} to {high:.3g} m (V for a resonator) and {slow:.3g} to {fast:.3g} m/s; beyond, "
+            "the law extrapolates"
+        )
+        lines.append("  drawn the same for both signs: amplitude and phase at the drive do not tell them apart")
         return "\n".join(lines)
 
 

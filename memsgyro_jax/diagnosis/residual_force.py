@@ -1,13 +1,47 @@
 """Which force is missing, as data: what the fitted model would need to move as the device was seen to move."""
 
-from typing import TypeVar
+from typing import Any, TypeVar
+
+import numpy as np
 
 from memsgyro_jax.measurement.experiments.missing_force import MissingForce, RateResidual, SweepForce, TimeForce
 
-from .fit import CaseFit
+from .fit import CaseFit, beside_case
+from .optimum import optimise
+from .outlying import without_rows
+
+
+CLEAR = 20.0  # standard deviations from which a sweep tells the device
+ALIKE = 0.05  # of a drive: within it sweeps have the same
 
 
 Sort = TypeVar("Sort", bound=MissingForce)
+
+
+def beside_lowest_drive(fit: CaseFit) -> CaseFit:
+    """The base model of a fit, fitted to the sweeps of the lowest drive of each axis alone, beside all records.
+
+    There a device is the most linear, and what stronger drives make of it stands out as it is, a threshold as a kink: a
+    model fitted to all of them shares it out. The fit itself where its sweeps have but one drive.
+    """
+    left_out: dict[int, tuple[int, ...]] = {}
+    sweeps: list[tuple[int, Any]] = [(k, r) for k, r in enumerate(fit.case.records) if hasattr(r, "setting")]
+    for axis in range(fit.model.axes):
+        mine = [(k, r) for k, r in sweeps if r.axis == axis and r.role != "validation"]
+        clear = [
+            float(np.mean(r.setting[rows]))
+            for _, r in mine
+            for rows in r.sweeps
+            if np.max(np.abs(r.readings[rows, axis])) > CLEAR * r.noise_level
+        ]
+        if clear:
+            left_out |= {k: tuple(np.flatnonzero(r.setting > (1 + ALIKE) * min(clear)).tolist()) for k, r in mine}
+    if not any(left_out.values()):
+        return fit
+    joint, free = fit.joint, fit.joint.base()
+    calm = [r for r in without_rows(joint.fitted, left_out) if r.experiment.shows_modes]
+    lowest = optimise(joint, joint.start, free, calm)
+    return beside_case(fit.case, joint, optimise(joint, lowest.vector, free, joint.fitted, max_evaluations=0))
 
 
 def sweep_forces(fit: CaseFit) -> tuple[SweepForce, ...]:

@@ -6,10 +6,12 @@ from pathlib import Path
 import equinox as eqx
 import numpy as np
 import pytest
+from bench_case import ONE_AXIS, RESONATOR, bench
+from lab.die import Hidden, Outside
 
 import memsgyro_jax
 from memsgyro_jax.diagnosis.fit import fit_case
-from memsgyro_jax.diagnosis.residual_force import rate_residuals, sweep_forces, time_forces
+from memsgyro_jax.diagnosis.residual_force import beside_lowest_drive, rate_residuals, sweep_forces, time_forces
 from memsgyro_jax.effects import CubicStiffness, ParasiticMode
 from memsgyro_jax.measurement.case import load_case
 from memsgyro_jax.measurement.experiments.missing_force import above_noise, in_bins
@@ -45,6 +47,39 @@ def test_a_sweep_shows_the_describing_function_of_the_spring(lacking, strength):
     assert np.max(np.abs(x.stiffness[:, 0] / x.stiffness_std[:, 0])) > 100, (
         "far above the noise where the motion is large"
     )
+
+
+GAP, STOP = 0.05, 0.03 * RESONATOR.kxx
+
+
+def test_beside_the_lowest_drive_a_stop_shows_as_a_kink_at_its_gap():
+    """Nothing before it, then the describing function of a one-sided stop, s/π·(α − sin α·cos α), cos α = gap/A; beside
+    the model that is fitted to all drives neither.
+    """
+    hidden = Hidden(outside=Outside(stop_x=STOP, stop_gap=GAP))
+    every = fit_case(bench(hidden, 1, ONE_AXIS, RESONATOR).case)
+    lowest = beside_lowest_drive(every)
+    for fit, shared_out in ((every, True), (lowest, False)):
+        (found, _) = sweep_forces(fit)
+        free = found.amplitude < GAP
+        normal = found.stiffness[free, 0] / found.stiffness_std[free, 0]
+        assert (np.mean(normal**2) > 10) == shared_out
+    beyond = found.amplitude > 1.2 * GAP
+    alpha = np.arccos(GAP / found.amplitude[beyond])
+    stop = STOP / np.pi * (alpha - np.sin(alpha) * np.cos(alpha))
+    np.testing.assert_allclose(
+        found.stiffness[beyond, 0], stop, rtol=0.1, atol=4 * found.stiffness_std[beyond, 0].max()
+    )
+    assert np.max(stop / found.stiffness_std[beyond, 0]) > 50
+
+
+def test_a_single_drive_is_its_own_reference(right):
+    sweep = right.case.record("sweep_x")
+    alone = sweep.sweeps[0]
+    names = ("lines", "frequency", "drive", "temperature", "bias_voltage", "rate", "phasors")
+    alone = replace(sweep, **{name: getattr(sweep, name)[alone] for name in names})
+    fit = replace(right, case=replace(right.case, records=(alone,)))
+    assert beside_lowest_drive(fit) is fit
 
 
 def test_nothing_is_missing_from_the_right_model(right):

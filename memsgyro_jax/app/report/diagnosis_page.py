@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from memsgyro_jax.diagnosis.compare import as_times, judged
-from memsgyro_jax.diagnosis.residual_force import rate_residuals, sweep_forces, time_forces
+from memsgyro_jax.diagnosis.residual_force import beside_lowest_drive, rate_residuals, sweep_forces, time_forces
 from memsgyro_jax.diagnosis.result import DRAW, Accepted, Candidate, Diagnosis
 
 from . import diagnosis_figures as figures
@@ -181,7 +181,8 @@ def _blind(out: Page, diagnosis: Diagnosis) -> None:
 def _forces(out: Page, diagnosis: Diagnosis) -> None:
     """What the base model lacks, as forces: what wrong effects leave of a law is hard to read."""
     out.section("The force that is missing").text(
-        "What the base model would need to move as it was seen to move. A law that fits these points is an effect of "
+        "What the base model, fitted to the lowest drive where there are several, would need to move as it was seen to "
+        "move: a threshold shows as a kink. A law that fits these points is an effect of "
         "one's own in about ten lines; --effects takes its file."
     )
     drawn = list(_force_figures(diagnosis))
@@ -193,7 +194,7 @@ def _forces(out: Page, diagnosis: Diagnosis) -> None:
 
 def _force_figures(diagnosis: Diagnosis) -> Iterator[tuple[Figure, str]]:
     """Each picture of a force that stands out of the noise, and its caption."""
-    base, gyro = diagnosis.base, diagnosis.case.device == "single_mass"
+    base, gyro = beside_lowest_drive(diagnosis.base), diagnosis.case.device == "single_mass"
     motion, force = ((1e6, "µm"), (1e9, "nN")) if gyro else ((1.0, "V"), (1.0, "V"))
     units = ("N/m", "N s/m") if gyro else ("V/V", "V s/V")
     for sweep in sweep_forces(base):
@@ -210,8 +211,8 @@ def _force_figures(diagnosis: Diagnosis) -> Iterator[tuple[Figure, str]]:
             if course.force[:, axis].any():
                 figure = force_figures.time_figure(course, axis, motion, force)
                 yield figure, f"{course.record}: force on {'xy'[axis]} near the resonances."
-    unexplained = {e.name for e in base.errors if not e.explained}
-    for left in rate_residuals(base):
+    unexplained = {e.name for e in diagnosis.base.errors if not e.explained}
+    for left in rate_residuals(diagnosis.base):
         if left.record in unexplained:
             figure = force_figures.residual_rate_figure(left, diagnosis.case.readout.unit)
             yield figure, f"{left.record}: what is left, in phase with displacement and velocity of the driven axis."
