@@ -11,12 +11,13 @@ _JITTER = 1e-6  # of a period: what rounding in double precision may add where e
 _MISMATCH = 1e-3  # relative, between blocks and cycles: a drive frequency is declared with a few digits
 
 
-def check_period(table: Table, period: float | None) -> None:
+def check_period(table: Table, period: float | None, remedy: str = "") -> None:
     """Raises `InputError` with the line where column `t` leaves a straight line by more than its printed digits round.
 
     Args:
         table: the file.
         period: [s] that must pass from row to row; `None` takes that of the file.
+        remedy: a sentence on what else may be done, after a blank.
     """
     printed = table.columns["t"]
     unit = float(to_si(1.0, table.units["t"], "s", "column `t`"))
@@ -25,7 +26,7 @@ def check_period(table: Table, period: float | None) -> None:
     typical = float(np.median(steps))
     wrong = np.flatnonzero(np.abs(steps - typical) > 0.5 * typical)
     if wrong.size:
-        raise _uneven(table, int(wrong[0]) + 1, steps[wrong[0]] * unit, typical * unit)
+        raise _uneven(table, int(wrong[0]) + 1, steps[wrong[0]] * unit, typical * unit, remedy)
     rows = np.arange(len(printed)) - (len(printed) - 1) / 2
     slope = float(rows @ (printed - printed.mean()) / (rows @ rows))
     if period is not None and abs(slope * unit - period) > _MISMATCH * period + 2 * rounding.max() * unit:
@@ -38,13 +39,15 @@ def check_period(table: Table, period: float | None) -> None:
     excess = residual - (rounding + 0.5 * rounding.max() + _JITTER * slope * len(rows) ** 0.5)
     if np.any(excess > 0):
         row = int(np.argmax(excess))
-        raise table.at(row, "t", f"must lie on a clock of one period, {slope * unit:.9g} s, within its printed digits")
+        raise table.at(
+            row, "t", f"must lie on a clock of one period, {slope * unit:.9g} s, within its printed digits{remedy}"
+        )
 
 
-def _uneven(table: Table, row: int, step: float, typical: float) -> InputError:
+def _uneven(table: Table, row: int, step: float, typical: float, remedy: str) -> InputError:
     return InputError(
         f"{table.path}, line {table.lines[row]}, column `t`: the rows must follow each other every {typical:.6g} s, "
-        f"but this one is {step:.6g} s after the one before; is a row missing or a digit wrong?"
+        f"but this one is {step:.6g} s after the one before; is a row missing or a digit wrong?{remedy}"
     )
 
 

@@ -15,6 +15,7 @@ PARTS = 5  # complex coefficients of the local model
 # Degrees of freedom per row and channel, as found by simulation: of local models (without 6 rows a piece), of waveforms
 # and of phasors in time, and of the scatter among repeats per row that is one too many.
 _LOCAL, _WAVE, _PHASOR, _REPEATED = (0.75, 6), 0.15, 0.5, 1.2
+_RUN = 24  # rows over which a vibration keeps its frequency
 _BAND = 64  # spectral lines at least in a band
 _BANDS = 16  # at most
 _QUIET = 0.2  # share of the bands that no signal reaches
@@ -88,6 +89,27 @@ def _local_variance(place: np.ndarray, values: np.ndarray, width: int) -> np.nda
         denominator = 1 + powers[..., 1:] @ found[..., 3:, :]
     left = (columns @ found - seen) / denominator
     return np.sum(np.abs(left[..., 0]) ** 2, axis=-1) / 2 / (width - PARTS)
+
+
+def noise_beside_tone(time: np.ndarray, values: np.ndarray, omega: float) -> float:
+    """Standard deviation of each reading of waveforms (n, channels) at times (n,) [s] that vibrate at about ω [rad/s].
+
+    In every run of 24 rows a constant and a tone whose two amplitudes are quadratic in time explain the wave; infinite
+    where there are fewer rows. It needs no even clock, and no long record beside a large wave.
+    """
+    runs = len(time) // _RUN
+    if runs == 0:
+        return float("inf")
+    t = time[: runs * _RUN].reshape(runs, _RUN)
+    seen = values[: runs * _RUN].reshape(runs, _RUN, -1)
+    away = t - t.mean(axis=1, keepdims=True)
+    near = away / np.max(np.abs(away), axis=1, keepdims=True)
+    waves = np.exp(1j * omega * away)
+    columns = [np.ones_like(near), *(part * near**k for k in range(3) for part in (waves.real, waves.imag))]
+    basis = np.stack(columns, axis=-1)
+    left = seen - basis @ (np.linalg.pinv(basis) @ seen)
+    freedom = _RUN - basis.shape[-1]
+    return float(np.sqrt(np.median(np.sum(left**2, axis=1)) / stats.chi2.median(freedom)))
 
 
 def noise_over_time(values: np.ndarray) -> float:

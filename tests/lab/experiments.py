@@ -173,7 +173,11 @@ def _(experiment: RingDown, bench):
     plant, digits = bench.plant, bench.lab.digits
     f = bench.resonance(experiment.axis)
     cycles = int(np.floor(experiment.duration * f))
-    t = printed(np.arange(experiment.samples) * experiment.interval, digits)
+    ticks = np.arange(experiment.samples) * 1.0
+    if experiment.jitter:
+        ticks = np.delete(ticks, np.s_[len(ticks) // 2 : 6 * len(ticks) // 10])
+        ticks[1:] += experiment.jitter * bench.rng.uniform(-0.5, 0.5, len(ticks) - 1)
+    t = printed(ticks * experiment.interval, digits)
     driven = -np.arange(cycles, 0, -1) / f
     times = np.concatenate([driven, t])
     count = len(times) - 1
@@ -190,7 +194,7 @@ def _(experiment: RingDown, bench):
         "drive_duration": (experiment.duration, "s"),
         "note": "starts at rest, driven with F cos(w t) for a whole number of cycles nearest below the duration, "
         "force removed at t = 0",
-    }  # fmt: skip
+    } | ({"uneven": True} if experiment.jitter else {})  # fmt: skip
     return _record(bench, experiment, "ring_down", {"t [s]": t}, clean, settings)
 
 

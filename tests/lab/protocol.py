@@ -30,7 +30,9 @@ class Sweep:
 
 @dataclass(frozen=True)
 class RingDown:
-    """Driven from rest for a whole number of cycles within `duration`, then left alone."""
+    """Driven from rest for a whole number of cycles within `duration`, then left alone; stamps may jitter by so much of
+    an interval, and then a tenth of the rows is lost from the middle on.
+    """
 
     name: str
     axis: int
@@ -40,6 +42,7 @@ class RingDown:
     samples: int = 8000
     noise: float = 2e-3
     role: str = ""
+    jitter: float = 0.0
 
 
 @dataclass(frozen=True)

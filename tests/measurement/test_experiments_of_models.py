@@ -8,12 +8,15 @@ from dataclasses import replace
 import equinox as eqx
 import numpy as np
 import pytest
-from bench_case import DIE, EFFECTS, bench, strengths, truth
+from bench_case import DIE, EFFECTS, ONE_AXIS, RESONATOR, bench, strengths, truth
 from lab.die import Hidden
+from lab.protocol import RingDown as RingDownOfLab
 from lab.strengths import VISIBLE, visible
 
+from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.diagnosis.fit import CaseFit, fit_case
 from memsgyro_jax.effects import AdcSaturation, DampingStep, ParasiticMode
+from memsgyro_jax.measurement.case import load_case, write_case
 from memsgyro_jax.measurement.experiments import RingDown
 
 
@@ -117,6 +120,22 @@ def test_a_damping_step_is_predicted():
     number = [r.name for r in made.case.records].index("rate")
     model = made.model((DampingStep(time=0.06, record=float(number)),))
     assert_within(compared(made, fit_case(made.case, model=model, held=True)), LINEAR | {"rate": 1e-3})
+
+
+def test_a_ring_down_is_read_at_its_own_times(tmp_path):
+    """Stamps that jitter by half an interval, a tenth of the rows lost; the noise is told without a clock."""
+    ring = RingDownOfLab("ringdown", 0, 0.012, 0.2, 1 / 300, 200, 1e-4, "fit", jitter=0.5)
+    made = bench(Hidden(), 0, replace(ONE_AXIS, experiments=(ring,), declare_noise=False), RESONATOR)
+    (record,) = made.case.records
+    predicted = eqx.filter_jit(record.experiment(made.case, 0).predict)(made.model(()))
+    clean = made.records["ringdown"].clean
+    assert np.max(np.abs(predicted - clean)) < 1e-9 * np.max(np.abs(clean))
+    assert record.noise_level == pytest.approx(1e-4, rel=0.25)
+    write_case(made.case, tmp_path / "again")
+    toml = tmp_path / "again" / "case.toml"
+    toml.write_text(toml.read_text().replace("uneven = true", "uneven = false"))
+    with pytest.raises(InputError, match="say `uneven = true`"):
+        load_case(toml.parent)
 
 
 @pytest.mark.slow

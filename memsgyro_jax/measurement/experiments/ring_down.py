@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from pydantic import StrictBool
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.table import Table
@@ -18,6 +19,7 @@ from ..clock import check_period
 from ..declared import Declared
 from ..envelope import Driven
 from ..model import Model
+from ..noise import noise_beside_tone
 from ..section import Axis, ExperimentSection, Quantity
 from ..tracking import Track
 from .base import BEYOND, Experiment, Noise, RealNoise, surroundings
@@ -31,7 +33,7 @@ class RingDown(Experiment):
 
     Args:
         name: of the record.
-        time: of each sample since the drive was removed [s], evenly spaced, (n,).
+        time: of each sample since the drive was removed [s], (n,); evenly spaced where `nodes` is zero.
         measured: waveforms (n, axes) [V].
         noise: how far they may lie from the prediction.
         frequency: of the drive [rad/s].
@@ -40,6 +42,8 @@ class RingDown(Experiment):
         cycles: of the drive before it was removed.
         late: whether the first sample comes after the removal, rather than with it.
         step_cycles: at most so many drive cycles per step of the integration before the removal.
+        nodes: at which the decay is integrated, evenly spaced; from the last of them before it, a step leads to each
+            sample. Zero where the samples themselves are such.
     """
 
     name: str = eqx.field(static=True)
@@ -52,19 +56,29 @@ class RingDown(Experiment):
     cycles: int = eqx.field(static=True)
     late: bool = eqx.field(static=True, default=False)
     step_cycles: int = eqx.field(static=True, default=6)
+    nodes: int = eqx.field(static=True, default=0)
 
     def predict(self, bench: Model) -> Float[Array, "n axes"]:
         """Voltage of every channel at every sample."""
         driven = Driven.of(bench, self.frequency, self.force, self.surroundings)
         period = 2 * jnp.pi / self.frequency
         cycles = next(part for part in range(self.step_cycles, 0, -1) if self.cycles % part == 0)
-        step, none = (self.time[-1] - self.time[0]) / (self.time.size - 1), jnp.zeros_like(self.force)
-        legs = [(self.force, cycles * period, self.cycles // cycles), (none, step, self.time.size - 1)]
+        nodes, none = self.nodes or self.time.size, jnp.zeros_like(self.force)
+        step = (self.time[-1] - self.time[0]) / (nodes - 1)
+        legs = [(self.force, cycles * period, self.cycles // cycles), (none, step, nodes - 1)]
         if self.late:
             legs.insert(1, (none, self.time[0], 1))
         before = sum(count for _, _, count in legs[:-1])
         begin = driven.at_rest()
         states = jnp.concatenate([begin[None], driven.run_legs(begin, legs, self.surroundings)])[before:]
+        if self.nodes:
+            free, place = Driven.of(bench, self.frequency, none, self.surroundings), (self.time - self.time[0]) / step
+            below = jnp.clip(jnp.floor(place).astype(int), 0, nodes - 1)
+
+            def onwards(state: Array, span: Array) -> Array:
+                return free.propagator(span).advance(state, free.load, lambda s: free.rest(s, self.surroundings))[0]
+
+            states = jax.vmap(onwards)(states[below], (place - below) * step)
         quiet = jnp.zeros(bench.axes)
 
         def sample(state: Array, time: Array) -> Array:
@@ -83,12 +97,13 @@ class RingDown(Experiment):
 
 
 class RingDownSection(ExperimentSection):
-    """Ring-down."""
+    """Ring-down; `uneven` where its stamps are right though they follow no clock of one period, or rows are lost."""
 
     drive_axis: Axis | None = None
     drive_force: Quantity
     drive_frequency: Quantity
     drive_duration: Quantity
+    uneven: StrictBool = False
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -101,8 +116,9 @@ class RingDownRecord(WaveformRecord):
         drive_force: amplitude [N], of the input [V] for a resonator.
         drive_frequency: [rad/s].
         drive_duration: [s].
-        time: (n,) uniform [s].
+        time: (n,) uniform [s], unless `uneven`.
         signals: (n, channels) in the record unit.
+        uneven: whether the stamps jitter or have gaps.
     """
 
     kind: ClassVar[str] = "ring_down"
@@ -112,6 +128,7 @@ class RingDownRecord(WaveformRecord):
     drive_force: float
     drive_frequency: float
     drive_duration: float
+    uneven: bool = False
 
     @property
     def extent(self) -> str:
@@ -129,12 +146,14 @@ class RingDownRecord(WaveformRecord):
             drive_duration=sheet.amount("drive_duration", "s"),
             time=columns.time(),
             signals=columns.signals(),
+            uneven=sheet.entry.uneven,
         )
 
     def check(self, table: Table, declared: Declared) -> None:
         if self.time[0] < 0:
             raise table.at(0, "t", "must not be before the force is removed at t = 0")
-        check_period(table, None)
+        if not self.uneven:
+            check_period(table, None, " (where the stamps are right, say `uneven = true`)")
         check_sampling(self.period, self.rows, declared.resonances, table)
 
     def keys(self, declared: Declared) -> dict[str, Any]:
@@ -143,7 +162,12 @@ class RingDownRecord(WaveformRecord):
             "drive_force": {"value": self.drive_force, "unit": declared.words.force},
             "drive_frequency": {"value": self.drive_frequency, "unit": "rad/s"},
             "drive_duration": {"value": self.drive_duration, "unit": "s"},
+            **({"uneven": True} if self.uneven else {}),
         }
+
+    def estimated_noise(self) -> float:
+        beside = noise_beside_tone(self.time, self.signals, self.drive_frequency)
+        return beside if self.uneven else min(beside, super().estimated_noise())
 
     def experiment(self, declared: Declared, number: int) -> RingDown:
         driven = self.drive_duration * self.drive_frequency / (2 * np.pi)
@@ -163,7 +187,14 @@ class RingDownRecord(WaveformRecord):
             surroundings=jax.tree.map(lambda leaf: leaf[0], surroundings(declared, number, 1)),
             cycles=cycles,
             late=bool(self.time[0] > 0),
+            nodes=self._nodes if self.uneven else 0,
         )
+
+    @property
+    def _nodes(self) -> int:
+        """Nodes as far apart as most samples are, over all of the record."""
+        usual = float(np.median(np.diff(self.time)))
+        return max(2, 1 + int(np.ceil((self.time[-1] - self.time[0]) / usual)))
 
     def decay(self, declared: Declared, channel: int) -> Track:
         return self.track(declared, channel)
