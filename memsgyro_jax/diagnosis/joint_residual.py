@@ -38,8 +38,9 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     )
 
     def call(*arguments: Any) -> Any:
-        short = arguments[-1].measured.shape[0] <= SHORT and jax.default_backend() == "cpu"
-        return (plain if short else optimised)(*arguments)
+        *others, experiment = arguments
+        short = experiment.measured.shape[0] <= SHORT and jax.default_backend() == "cpu"
+        return (plain if short else optimised)(*others, strong(experiment))
 
     return call
 

@@ -127,6 +127,20 @@ def test_a_program_for_few_rows_says_the_same_as_one_for_many():
         np.testing.assert_allclose(program(here.measured, here), np.sin(here.measured) * here.measured, rtol=1e-14)
 
 
+def test_a_number_written_in_python_runs_through_the_program_of_a_computed_one():
+    traced = []
+
+    def readings(experiment):
+        traced.append(experiment.measured.weak_type)
+        return 2.0 * experiment.measured
+
+    program = joint_residual.compiled(readings)
+    for measured in (jnp.full(3, 1.5), jnp.ones(3), jnp.asarray(np.ones(3))):
+        program(Rows(measured))
+    assert jnp.full(3, 1.5).weak_type, "it was no case"
+    assert traced == [False]
+
+
 def test_sensitivities_add_up(joint):
     """Blocks of directions are padded to the width of the program; none may be lost or counted twice."""
     chosen = joint.readings[:1]
