@@ -1,12 +1,14 @@
-"""What can a gyro do without a control loop? Thesis 2.2.1 and 5.1, claim T6.
+"""What can a gyro do in open loop? Thesis 2.2.1 and 5.1, claim T6.
 
-One axis is held at 1 µm by a drive loop, the other is watched. A perfect gyro turns rate into amplitude, slowly; the
-two devices of Tables 5.1 and 5.2 are blind to rate, because stiffness coupling shakes the sense axis far more.
+From rest, a phase-locked loop with gain control brings one axis to 1 µm and the other is watched. A perfect gyro turns
+rate into amplitude, slowly; the two devices of Tables 5.1 and 5.2 are blind to rate, because stiffness coupling shakes
+the sense axis far more.
 """
 
 import dataclasses
 
 import equinox as eqx
+import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 from _common import Report
@@ -14,45 +16,14 @@ from scipy.optimize import brentq
 
 import memsgyro_jax as mg
 from memsgyro_jax.base import runtime
-from memsgyro_jax.device.gyro import SINGLE_MASS, Inertial, MotionModel
+from memsgyro_jax.device.gyro import Inertial
+from memsgyro_jax.measurement.datasheet_tests import first_half_power
 
 
 runtime.configure()
 
-AMPLITUDE, SAMPLE_RATE = 1e-6, 100e3
-
-
-class HeldDrive(mg.AbstractGyro):
-    """A gyro whose x axis swings at 1 µm and `frequency` [Hz] whatever y does: phase lock and gain control."""
-
-    gyro: mg.AbstractGyro
-    frequency: float
-    model: MotionModel = eqx.field(static=True, default=SINGLE_MASS)
-
-    def dynamics(self, inertial):
-        own, rest = self.gyro.dynamics(inertial), (0.0, 0.0)
-        spring = ((2.0 * np.pi * self.frequency) ** 2, 0.0)
-        return dataclasses.replace(
-            own, stiffness=(spring, own.stiffness[1]), damping=(rest, own.damping[1]), coriolis=(rest, own.coriolis[1])
-        )
-
-    def coefficients(self, rate, damping_change=(0.0, 0.0, 0.0)):
-        return (rate,) * len(self.model.names)
-
-
-class Blind(mg.AbstractObserver):
-    """Estimates nothing: an open loop needs no observer."""
-
-    model: MotionModel = eqx.field(static=True, default=SINGLE_MASS)
-
-    def init(self):
-        return ()
-
-    def update(self, state, measured, force, clock):
-        return ()
-
-    def estimate(self, state):
-        return mg.Estimate((0.0,) * 4, (0.0,) * len(self.model.names), (0.0, 0.0), self.model)
+AMPLITUDE, SAMPLE_RATE, START = 1e-6, 100e3, 0.15
+QUALITIES = (200.0, 400.0, 800.0, 1600.0)
 
 
 def perfect(frequency: float, quality: float) -> mg.SingleMassGyro:
@@ -61,18 +32,28 @@ def perfect(frequency: float, quality: float) -> mg.SingleMassGyro:
     return mg.SingleMassGyro(mass, stiffness, stiffness, 0.0, damping, damping, 0.0)
 
 
-def sense_amplitude(gyro: mg.AbstractGyro, frequency: float, rate: float, at: float, duration: float) -> tuple:
-    """Time and demodulated y amplitude [m], (5.3), with the drive held at `frequency` and a step of the rate."""
-    density = mg.snr_density(1000.0, AMPLITUDE, 1e5, SAMPLE_RATE)
-    start = (0.0, 0.0, AMPLITUDE * 2.0 * np.pi * frequency, 0.0)
-    readout = mg.DirectReadout(1e5, noise_density=density)
-    loop = mg.ClosedLoop(HeldDrive(gyro, frequency), readout, Blind(), mg.OpenLoop(), start=start)
-    run = mg.simulate(loop, mg.Step(at, rate), sample_rate=SAMPLE_RATE, duration=duration)
-    # Both quadratures: stiffness coupling answers in phase with x, a rate on a matched gyro a quarter period away.
-    carrier = np.exp(1j * 2.0 * np.pi * frequency * run.time)
-    parts = 2.0 * carrier * run.volts[:, 1] / 1e5
-    smooth = np.asarray(mg.Lowpass(100.0, 3).apply(np.stack([parts.real, parts.imag], axis=1), SAMPLE_RATE))
-    return run.time, np.hypot(*smooth.T)
+def sense_amplitude(gyro: mg.AbstractGyro, rate: float, turns: float, duration: float, *, held=False) -> tuple:
+    """Time and demodulated y amplitude [m], (5.3), for 1 µm along x, and the drive's frequency [Hz].
+
+    The rate steps `turns` [s] after the drive has had 0.15 s to start. `held` is without phase-locked loop, at the
+    frequency of x alone.
+    """
+    readout = mg.DirectReadout(1e5, noise_density=mg.snr_density(1000.0, AMPLITUDE, 1e5, SAMPLE_RATE))
+    control = mg.ClassicControl.open_loop(gyro, readout, amplitude=AMPLITUDE, bandwidth=100.0)
+    product = mg.ProductDemodulator(100.0, 3)
+    control = eqx.tree_at(lambda c: c.sense.demodulator, control, product)
+    if held:
+        alone, drive = float(jnp.sqrt(gyro.kxx / gyro.mass)) / (2.0 * np.pi), control.drive
+        drive = dataclasses.replace(
+            drive, frequency=alone, phase_gain=0.0, phase_integral=0.0, limit=20.0 * drive.limit
+        )
+        control = dataclasses.replace(control, drive=drive)
+    loop = mg.ClosedLoop(gyro, readout, mg.NoObserver.for_device(gyro, readout), control, start=(0.0,) * 4)
+    step = mg.Step(START + turns, rate)
+    run = mg.simulate(loop, step, sample_rate=SAMPLE_RATE, duration=START + duration, decimation=10)
+    size = np.hypot(run.rate_estimate, run.readings.quadrature) / np.hypot(*map(float, control.sense.conversion))
+    size, late = size * AMPLITUDE / run.readings.amplitude, run.time >= START
+    return run.time[late] - START, size[late], run.readings.frequency[late]
 
 
 def response(gyro: mg.AbstractGyro, frequency: np.ndarray) -> np.ndarray:
@@ -101,23 +82,36 @@ report = Report()
 single, dual, ideal = mg.SingleMassGyro.chi2010(), mg.DualMassGyro.chi2010(), perfect(3200.0, 804.0)
 
 omega, damping = 2.0 * np.pi * 3200.0, 2.0 * np.pi * 3200.0 / 804.0
-time, swing = sense_amplitude(ideal, 3200.0, 1.0, 0.02, 0.5 if report.quick else 0.9)
+time, swing, locked = sense_amplitude(ideal, 1.0, 0.02, 0.5 if report.quick else 0.9)
 final = 2.0 * AMPLITUDE * 804.0 / omega
 half = brentq(lambda b: rotation_swing(omega, damping, b) - np.sqrt(0.5), 1e-3, 100.0) / (2.0 * np.pi)
 report.row("time constant, 3.2 kHz, Q 804 [s]", 0.08, float(time[np.argmax(swing > 0.632 * final)] - 0.02),
            "simulated step of 1 rad/s, 100 Hz demodulator included (2Q/ω = 0.0800)")  # fmt: skip
 report.row("bandwidth [Hz]", "about 3", half, f"-3 dB; the claim is 1/(4τ) = {1 / (4 * 2 / damping):.2f}")
+after = swing[time > 0.02]
+shown = first_half_power(after / np.mean(after[-500:]), 10.0 / SAMPLE_RATE)
+report.row("  of the simulated step's answer [Hz]", "", shown, "100 Hz demodulator included")
+report.row("frequency of the lock [Hz]", 3200.0, float(locked[-1]), "from rest, SNR 1000")
 report.row("best resolution at SNR 100 [deg/s]", 7.16, float(np.degrees(omega / (2.0 * 804.0) / 100.0)), "(2.9)")
 
 matched = perfect(3000.0, 1000.0)
-_, reached = sense_amplitude(matched, 3000.0, 1.0, 0.0, 0.7)
-unit = float(np.mean(reached[-2000:]))
+_, reached, _ = sense_amplitude(matched, 1.0, 0.0, 0.7)
+unit = float(np.mean(reached[-200:]))
 report.row("y amplitude per rad/s, 3 kHz, Q 1000 [µm]", 0.106, 1e6 * unit, "simulated")
 tilted = eqx.tree_at(lambda g: g.kxy, matched, 0.01 * matched.kxx)
-_, swing = sense_amplitude(tilted, 3000.0, 0.0, 0.0, 0.7)
-coupled = float(np.mean(swing[-2000:]))
-report.row("1 % leg error: y amplitude at rest [µm]", 10.0, 1e6 * coupled, "kxy = 1 % of kxx")
+_, swing, _ = sense_amplitude(tilted, 0.0, 0.0, 0.7, held=True)
+coupled = float(np.mean(swing[-200:]))
+report.row("1 % leg error: y amplitude at rest [µm]", 10.0, 1e6 * coupled, "kxy = 1 % of kxx, driven at 3 kHz, (2.11)")
 report.row("  equivalent rate [rad/s]", 100.0, coupled / unit)
+_, swing, locked = sense_amplitude(tilted, 0.0, 0.0, 0.7)
+report.row("  where a phase-locked loop drives it [µm]", "-", 1e6 * float(np.mean(swing[-200:])),
+           f"it locks to a mode of both axes, {locked[-1]:.1f} Hz, and y swings as far as x")  # fmt: skip
+
+qualities = {q: sense_amplitude(perfect(3200.0, q), 1.0, 0.02, 0.4 if report.quick else 0.9)[:2] for q in QUALITIES}
+for q, (time, swing) in qualities.items():
+    at, tau = float(np.mean(swing[-500:])), 2.0 * q / omega
+    least = 2.0 * AMPLITUDE * q / omega * (1.0 - np.exp(-(time[-250] - 0.02) / tau))
+    report.row(f"y amplitude of 1 rad/s, Q {q:.0f} [µm]", 1e6 * least, 1e6 * at, "Fig 2.1 and (2.9), at the run's end")
 
 
 def capacitance(mismatch: float) -> float:
@@ -145,27 +139,33 @@ for name, gyro, claims in (("one mass", single, (2893.0, 3758.0, 942.0, 919.0, -
         report.row(f"  Q of mode {i + 1}", claims[2 + i], q[i], f"from the pole; uncoupled axis {alone[i]:.0f}")
         report.row(f"  transfer {'xy'[i]} to {'yx'[i]} there [dB]", claims[4 + i], float(across[i]))
 
-figure, (left, middle, right) = plt.subplots(1, 3, figsize=(14, 4), layout="constrained")
+figure, ((growth, middle, right), (left, across, empty)) = plt.subplots(2, 3, figsize=(14, 8), layout="constrained")
+empty.set_axis_off()
+for q, (time, swing) in qualities.items():
+    growth.plot(time, 1e6 * swing, label=f"Q {q:.0f}")
+growth.set(xlabel="time [s]", ylabel="demodulated y amplitude [µm]", title="Fig 2.1: 1 rad/s")
 band = np.linspace(2500.0, 4200.0, 3000)
 for name, gyro, style in (("one mass", single, "-"), ("two masses", dual, "--")):
     answers = 1e6 * np.abs(response(gyro, band))
     for i, axis in enumerate("xy"):
         left.semilogy(band, answers[:, i, 0], f"C{i}{style}", label=f"{axis}, {name}")
+        transfer = answers[:, 1 - i, i] / answers[:, i, i]
+        across.plot(band, 20.0 * np.log10(transfer), f"C{i}{style}", label=f"{axis} to {'yx'[i]}, {name}")
+across.set(xlabel="frequency [Hz]", ylabel="transfer [dB]", title="Figs 5.2 and 5.4")
 left.set(xlabel="frequency [Hz]", ylabel="displacement per acceleration along x [µm s²/m]", title="Figs 5.1 and 5.3")
 mismatch = np.linspace(0.0, 0.1, 400)
 middle.semilogy(100.0 * mismatch, [capacitance(x) for x in mismatch], label="signal of 1 rad/s")
 middle.axhline(4e-3 * np.sqrt(3000.0), color="k", ls="--", label="4 aF/√Hz in 3 kHz")
 middle.set(xlabel="frequency mismatch [%]", ylabel="capacitance [fF]", title="Fig 2.2")
 turn, end = (0.1, 0.3) if report.quick else (0.5, 1.0)
-for name, gyro, frequency, claim in (("perfect", ideal, 3200.0, 0.8), ("one mass", single, 2893.0, None),
-                                     ("two masses", dual, 3000.0, None)):  # fmt: skip
-    time, swing = sense_amplitude(gyro, frequency, 10.0, turn, end)
+for name, gyro, claim in (("perfect", ideal, 0.8), ("one mass", single, None), ("two masses", dual, None)):
+    time, swing, locked = sense_amplitude(gyro, 10.0, turn, end)
     before, after = (float(np.mean(swing[(time > t - 0.01) & (time < t)])) for t in (turn, end))
     report.row(f"{name}: y amplitude at rest and at 10 rad/s [µm]", claim or "equal",
                f"{1e6 * before:.4f}, {1e6 * after:.4f}", "Figs 5.5, 5.6; after 0.5 s (quick: 0.2 s)")  # fmt: skip
     right.semilogy(time, 1e6 * swing, label=name)
 right.set(xlabel="time [s]", ylabel="demodulated y amplitude [µm]", ylim=(1e-4, 3), title="Figs 5.5 and 5.6: 10 rad/s")
-for ax in (left, middle, right):
+for ax in (growth, left, across, middle, right):
     ax.legend(frameon=False, fontsize=8)
 report.picture(figure, "open_loop")
 report.finish()

@@ -36,6 +36,9 @@ def worker(options: argparse.Namespace) -> None:
 
     def loop(*effects) -> mg.ClosedLoop:
         gyro, readout = mg.SingleMassGyro.chi2010(), mg.ChargeAmplifier.chi2010()
+        if options.classic:
+            control = mg.ClassicControl.force_rebalance(gyro, readout, amplitude=1e-6)
+            return mg.ClosedLoop(gyro, readout, mg.NoObserver.for_device(gyro, readout), control, (0.0,) * 4)
         observer = mg.ExtendedKalmanFilter.for_device(gyro, readout, annealing=mg.Annealing())
         controller = mg.DampingCompensation(tones=mg.Tone(600.0, 53.95))
         return mg.ClosedLoop(gyro.with_effect(*effects), readout, observer, controller)
@@ -100,7 +103,7 @@ def measure(options: argparse.Namespace, cache: str) -> tuple[dict, dict]:
     """Our figures and the yardsticks' speeds."""
     job = ("--dies", str(options.dies), "--duration", str(options.duration), "--repeat", str(options.repeat))
     ours: dict = {"first_start": start(*job, cores=1, cache=cache)}
-    pinned, yardsticks, blocks = [], {}, {}  # type: list[dict], dict[str, list], dict[str, list]
+    pinned, yardsticks, blocks, classic = [], {}, {}, []  # type: list[dict], dict[str, list], dict[str, list], list[dict]
     for _ in range(options.turns):
         if options.yardstick:
             found = start(cores=1, cache=cache, program=(str(options.yardstick / "run.py"),))
@@ -108,11 +111,13 @@ def measure(options: argparse.Namespace, cache: str) -> tuple[dict, dict]:
                 if isinstance(value, dict) and "steps_per_s" in value:
                     yardsticks.setdefault(name, []).append(value["steps_per_s"])
         pinned.append(start(*job, cores=1, cache=cache))
+        classic.append(start(*job, "--classic", cores=1, cache=cache))
         for name, times in LENGTHS.items():
             longer = (*job[:2], "--duration", str(times * options.duration), *job[4:], "--blocks")
             blocks.setdefault(name, []).append(start(*longer, cores=1, cache=cache))
     ours |= {name: max(runs, key=lambda run: run["steps_per_s"]) for name, runs in blocks.items()}
     ours["one_core"] = max(pinned, key=lambda run: run["steps_per_s"])
+    ours["classic control"] = max(classic, key=lambda run: run["steps_per_s"])
     ours["second_start_s"] = min(run["first_call_s"] for run in pinned)
     ours["one_core_without_flags"] = start(*job, "--no-flags", cores=1, cache=cache)
     if len(os.sched_getaffinity(0)) > 1:
@@ -131,9 +136,9 @@ def table(ours: dict, yardsticks: dict, options: argparse.Namespace) -> list[tup
         ("one core", f"{one['steps_per_s'] / 1e6:.2f} million steps/s"),
         ("one core without compiler flags", f"{bare['steps_per_s'] / 1e6:.2f} million steps/s"),
     ]
-    for name in LENGTHS:
+    for name in (*LENGTHS, "classic control"):
         speed = ours[name]["steps_per_s"]
-        rows.append((name, f"{speed / 1e6:.2f} million samples/s, {speed / one['steps_per_s']:.2f} x one by one"))
+        rows.append((name, f"{speed / 1e6:.2f} million samples/s, {speed / one['steps_per_s']:.2f} x one core"))
     if "two_cores" in ours:
         both = ours["two_cores"]["steps_per_wall_s"]
         text = f"{both / 1e6:.2f} million steps/s, {both / one['steps_per_wall_s']:.2f} x one core"
@@ -161,7 +166,7 @@ def main() -> None:
     parser.add_argument("--repeat", type=int, default=5, help="timed sweeps per process; the fastest counts")
     parser.add_argument("--turns", type=int, default=3, help="times that yardstick and sweep take turns")
     parser.add_argument("--out", type=Path, default=Path(__file__).parents[1] / "out" / "closed_loop")
-    for hidden in ("--worker", "--no-flags", "--effects", "--blocks"):
+    for hidden in ("--worker", "--no-flags", "--effects", "--blocks", "--classic"):
         parser.add_argument(hidden, action="store_true", help=argparse.SUPPRESS)
     parser.add_argument("--cores", type=int, default=1, help=argparse.SUPPRESS)
     options = parser.parse_args()

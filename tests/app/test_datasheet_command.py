@@ -1,0 +1,62 @@
+"""`memsgyro datasheet` as a user runs it: a split-mode gyro whose sense axis is rebalanced by force."""
+
+import json
+
+import pytest
+
+from memsgyro_jax.app import cli
+
+
+STUDY = """
+schema = "memsgyro-study/1"
+[device]
+kind = "single_mass"
+mass = "1e-8 kg"
+kxx = "9.8696044 N/m"
+kyy = "11.0894875 N/m"
+kxy = "1e-4 N/m"
+dxx = "7.8e-7 N*s/m"
+dyy = "1.6e-6 N*s/m"
+dxy = "1e-9 N*s/m"
+rotating_frame = true
+[readout]
+kind = "displacement"
+scale = "0.1 V/um"
+noise_density = "0.1 uV/sqrt(Hz)"
+[controller]
+kind = "classic"
+sense = "rebalanced"
+amplitude = "1 um"
+[spread]
+relative = 0.002
+[sweep]
+sample_rate = "100 kHz"
+duration = "0.2 s"
+"""
+
+
+def run(*arguments):
+    with pytest.raises(SystemExit) as end:
+        cli.main([*map(str, arguments)])
+    return end.value.code
+
+
+def test_a_page_and_its_figures(tmp_path, capsys):
+    (tmp_path / "study.toml").write_text(STUDY)
+    page, told = tmp_path / "sheet.html", tmp_path / "sheet.json"
+    given = ("--dies", 3, "--trim", "--full-scale", 500, "--noise-duration", 0.2, "--out", page, "--json", told)
+    assert run("datasheet", tmp_path / "study.toml", *given) == 0
+    rows = {row["name"]: row for row in json.loads(told.read_text())["rows"]}
+    # Unequal cross damping and a rate are one force: (dxy/m)/2 is the zero-rate output, kxy/(2 m ω) the quadrature.
+    assert rows["zero-rate output"]["before_trim"]["typical"] == pytest.approx(2.865, rel=0.05)
+    assert abs(rows["zero-rate output"]["after_trim"]["typical"]) < 1e-3
+    assert rows["scale factor"]["before_trim"]["typical"] == pytest.approx(1.0, abs=0.02)
+    assert rows["quadrature"]["before_trim"]["dies"] == 3
+    assert abs(rows["sensitivity to acceleration, x"]["before_trim"]["typical"]) < 1.0
+    assert rows["full scale"]["before_trim"]["typical"] == pytest.approx(500.0)
+    assert rows["zero-rate output over temperature"]["reason"].startswith("not modelled")
+    assert "zero-rate output" in capsys.readouterr().out
+    text = page.read_text()
+    assert text.count("<h2") >= 4
+    assert text.count("<table") >= 3
+    assert run("datasheet", "--full-scale", 0) == 2
