@@ -25,7 +25,7 @@ from memsgyro_jax.device.gyro import (
 from memsgyro_jax.device.propagate import AbstractDiscretisation, Exact, State4, applied, fence
 from memsgyro_jax.device.small import Vector, plus
 
-from .blocks.length import START, Blocks
+from .blocks.length import Blocks
 from .controllers.base import AbstractController
 from .filters import AbstractFilter, check_fits
 from .observers.base import AbstractCovarianceObserver, AbstractObserver, Clock, Estimate
@@ -123,11 +123,12 @@ class ClosedLoop(Displayed):
         device = self.device.present
         return self if device is self.device else eqx.tree_at(lambda made: made.device, self, device)
 
-    def in_blocks(self, length: int = 512, *, start: int = START) -> "ClosedLoop":
+    def in_blocks(self, length: int = 512, *, start: int | None = None) -> "ClosedLoop":
         """The same loop advanced by blocks of `length` samples in closed form, after at least `start` samples one by
-        one and shorter blocks that grow: the same statistics, at a fraction of the work.
+        one (None: as many as suit the device) and shorter blocks that grow: the same statistics, at a fraction of the
+        work.
 
-        It needs a device of one mass without effects, and read-out, observer and controller that are linear within a
+        It needs a device without effects, and read-out, observer and controller that are linear within a
         block; a loop with another part runs sample by sample and tells which. Figures and traces then hold the ends of
         blocks; tuning and the information bound go through the samples all the same.
 

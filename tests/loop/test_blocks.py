@@ -96,12 +96,25 @@ def test_the_part_that_holds_a_loop_up_is_told(part, words):
     assert words in said[0]
 
 
-def test_two_masses_run_sample_by_sample():
-    dual = mg.DualMassGyro.chi2010()
-    observer = mg.ExtendedKalmanFilter.for_device(dual, READOUT)
-    plain, said = prepared(mg.ClosedLoop(dual, READOUT, observer, LOOP.controller).in_blocks())
-    assert plain.blocks is None
-    assert "two masses" in said[0]
+DUAL = mg.DualMassGyro.chi2010()
+TWO_MASSES = mg.ClosedLoop(DUAL, READOUT, mg.ExtendedKalmanFilter.for_device(DUAL, READOUT), LOOP.controller)
+
+
+def test_two_masses_start_later():
+    made, said = prepared(TWO_MASSES.in_blocks())
+    assert said == ()
+    assert made.blocks.start == 2048
+    assert prepared(LOOP.in_blocks())[0].blocks.start == 512
+    assert prepared(TWO_MASSES.in_blocks(start=600))[0].blocks.start == 600
+
+
+@pytest.mark.slow
+def test_the_same_noise_gives_the_same_rate_of_two_masses():
+    observer = mg.ExtendedKalmanFilter.for_device(DUAL, READOUT, annealing=mg.Annealing())
+    loop = replace(TWO_MASSES, observer=observer)
+    plain, found = lot(loop), lot(replace(loop, blocks=Blocks(512, projected=True)))
+    assert difference(found, plain) < 0.01
+    np.testing.assert_allclose(found["rate_std_end"], plain["rate_std_end"], rtol=2e-3)
 
 
 def test_a_length_is_a_power_of_two():

@@ -22,20 +22,16 @@ from . import basis
 from .advance import Facts, advanced
 from .algebra import over_lanes
 from .law import Lanes, same_frequency, tones_of
-from .length import renewals
+from .length import ONE_MASS, TWO_MASSES, Pace, renewals
 from .maps import Maps, maps_of
 
 
-_ONE_MASS, _TWO_MASSES = 2.0, 1.2
 BLOCK_STREAM = 2  # of `noise.normal_pair`
 
 
 def hindrances(loop: ClosedLoop) -> tuple[str, ...]:
     """What keeps `loop` from being advanced by blocks, in words; nothing where it can."""
     found = [f"the device has the effect {effect.label}" for effect in loop.device.effects]
-    if isinstance(loop.device, DualMassGyro):
-        # With the same noise its rate ended 6 % of the claimed deviation apart, where one mass comes within 1 %.
-        found.append("a device of two masses is not advanced by blocks to the accuracy of one mass")
     if loop.device.temperature is not None:
         found.append("the device's Brownian force acts between samples")
     for part, kind in (
@@ -59,9 +55,16 @@ def prepared(loop: ClosedLoop, apart: bool = False) -> tuple[ClosedLoop, tuple[s
     reasons = hindrances(loop)
     if reasons:
         return replace(loop, blocks=None), (f"the loop runs sample by sample, not in blocks: {'; '.join(reasons)}.",)
-    if loop.blocks.alike is not None:
-        return loop, ()
-    return replace(loop, blocks=replace(loop.blocks, alike=same_frequency(loop.controller, apart))), ()
+    blocks = loop.blocks
+    if blocks.start is None:
+        blocks = replace(blocks, start=_pace(loop).start)
+    if blocks.alike is None:
+        blocks = replace(blocks, alike=same_frequency(loop.controller, apart))
+    return replace(loop, blocks=blocks), ()
+
+
+def _pace(loop: ClosedLoop) -> Pace:
+    return TWO_MASSES if isinstance(loop.device, DualMassGyro) else ONE_MASS
 
 
 def statistics(loop: ClosedLoop) -> int:
@@ -139,13 +142,10 @@ class Span(NamedTuple):
 
 def _factor(loop: ClosedLoop, scenario: Scenario) -> float:
     """By how much blocks may grow in number until maps are made anew: not at all where what acts on the device may
-    change from block to block, told by the kinds of its profiles, and less for two masses, of which the read-out tells
-    the coefficients more slowly.
+    change from block to block, told by the kinds of its profiles.
     """
     acting = (scenario.rate, *scenario.damping_change, *scenario.cross_rate, *scenario.acceleration)
-    if not all(isinstance(profile, Constant) for profile in acting):
-        return 1.0
-    return _TWO_MASSES if isinstance(loop.device, DualMassGyro) else _ONE_MASS
+    return _pace(loop).factor if all(isinstance(profile, Constant) for profile in acting) else 1.0
 
 
 class _Course(eqx.Module):
