@@ -32,7 +32,8 @@ class Sketch:
         size = np.abs(numbers[~np.isnan(numbers)])
         self._kept.append(size)
         self.count, self._waiting = self.count + size.size, self._waiting + size.size
-        self.squares += float(np.sum(size**2))
+        with np.errstate(over="ignore"):  # infinity is what it then is
+            self.squares += float(np.sum(size**2))
         if self._waiting > EXACT:
             self._bin()
 
@@ -46,7 +47,8 @@ class Sketch:
         ranks = np.clip(np.ceil(np.asarray(shares) * self.count), 1, self.count)
         found = self._bins[np.searchsorted(np.cumsum(self._counts), ranks)]
         low, high = ((found + np.uint64(k) << np.uint64(_DROPPED)).view(np.float64) for k in (0, 1))
-        return [float(value) for value in np.where(np.isinf(low), low, 0.5 * (low + high))]
+        finite = np.isfinite(high)
+        return [float(value) for value in np.where(finite, 0.5 * (low + np.where(finite, high, low)), low)]
 
     @property
     def rms(self) -> float:
