@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.base.files import write_whole
 
 from .batch import MEANING, PENDING, STATUS
+from .folder import Folder, RemotePath
 
 
 if TYPE_CHECKING:
@@ -105,8 +105,13 @@ def blocks_per_shard(block: int) -> int:
     return max(1, SHARD // block)
 
 
-def create(path: Path, layout: Layout, dies: int, block: int) -> None:
+def create(path: Path | RemotePath, layout: Layout, dies: int, block: int) -> None:
     """An empty store; complete under `path` or not there at all. Nothing happens if another process was faster."""
+    if isinstance(path, RemotePath):  # a store is there when its own metadata are, which come last
+        files = files_of(layout, dies, block)
+        for name in sorted(files, key=lambda name: name == _METADATA):
+            Folder(path).write(name, files[name])
+        return
     draft = draft_path(path)
     try:
         for name, content in files_of(layout, dies, block).items():
@@ -120,7 +125,7 @@ def create(path: Path, layout: Layout, dies: int, block: int) -> None:
         shutil.rmtree(draft, ignore_errors=True)
 
 
-def adapt(path: Path, layout: Layout, dies: int, block: int) -> list[str]:
+def adapt(path: Path | RemotePath, layout: Layout, dies: int, block: int) -> list[str]:
     """Give the store at `path` room for all dies and metadata as they were when it was created; says what was amiss.
 
     Raises `InputError` unless it is a store of the same computation, of no more dies.
@@ -141,8 +146,7 @@ def adapt(path: Path, layout: Layout, dies: int, block: int) -> list[str]:
             continue
         if place.name != _METADATA or _grown(found, dies) != json.loads(wanted):
             notes.append(f"{place} was not as a sweep writes it, and was written anew.")
-        place.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(place, wanted)
+        Folder(path).write(name, wanted)
     return notes
 
 
@@ -151,7 +155,7 @@ def draft_path(path: Path) -> Path:
     return path.with_name(f".{path.name}.{uuid.uuid4().hex}.part")
 
 
-def _require(path: Path, layout: Layout, block: int) -> None:
+def _require(path: Path | RemotePath, layout: Layout, block: int) -> None:
     """Raise `InputError` unless the store holds the same computation, cut in the same blocks."""
     found, wanted = attributes_of(path), layout.attributes
     if not {"fingerprint", "schema"} <= set(found):
@@ -173,14 +177,14 @@ def _require(path: Path, layout: Layout, block: int) -> None:
         )
 
 
-def attributes_of(path: Path) -> dict[str, Any]:
+def attributes_of(path: Path | RemotePath) -> dict[str, Any]:
     """Attributes of a group; empty when it is none, or cannot be read."""
     document = _document(_read(path / _METADATA))
     attributes = document.get("attributes") if isinstance(document, dict) else None
     return attributes if isinstance(attributes, dict) else {}
 
 
-def held_by(path: Path) -> int | None:
+def held_by(path: Path | RemotePath) -> int | None:
     """For how many dies a store was made; None when its metadata do not tell."""
     document = _document(_read(path / STATUS / _METADATA))
     shape = document.get("shape") if isinstance(document, dict) else None
@@ -202,7 +206,7 @@ def _document(text: bytes | None) -> Any:
     return None
 
 
-def _read(place: Path) -> bytes | None:
+def _read(place: Path | RemotePath) -> bytes | None:
     with contextlib.suppress(OSError):
         return place.read_bytes()
     return None

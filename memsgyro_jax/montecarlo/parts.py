@@ -23,6 +23,7 @@ from memsgyro_jax.loop.trace import count_steps
 from .batch import Plan
 from .bounds import own_bounds
 from .divergence import divergence_of, unexpected
+from .folder import RemotePath, place_of
 from .layout import Layout
 from .runner import Runner, default_chunk, windows_of
 from .spread import DEVICE_PREFIX, Spread
@@ -75,7 +76,7 @@ class Computation:
 class StoredSweep(Shown):
     """A sweep whose dies go to the store at `path`, `out/dies.zarr`. It may be sent to other processes."""
 
-    path: Path
+    path: Path | RemotePath
     computation: Computation
 
     @property
@@ -130,14 +131,15 @@ def plan(
 ) -> StoredSweep:
     """The store of a sweep in the folder `out`, created at once or not at all, or joined where it is there already.
 
-    Arguments and errors are those of `sweep`. Any number of processes may plan the same sweep; what one of them gives
-    to `run_part` or `summarise` is good for any.
+    Arguments and errors are those of `sweep`; `out` may also be an address of fsspec (`s3://bucket/lot`), where nothing
+    can be leased: two processes with the same share compute it twice, to the same bits. Any number of processes may
+    plan the same sweep; what one of them gives to `run_part` or `summarise` is good for any.
     """
     computation = computation_of(
         loop, spread, scenario, dies=dies, sample_rate=sample_rate, duration=duration, settle=settle,
         tolerance=tolerance, seed=seed, chunk=chunk, bound_dies=bound_dies,
     )  # fmt: skip
-    made = StoredSweep(Path(out) / "dies.zarr", computation)
+    made = StoredSweep(place_of(out) / "dies.zarr", computation)
     with opened(made.path, computation.layout, made.dies, computation.runner.block, True, range(0)):
         return made
 

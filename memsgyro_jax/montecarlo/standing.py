@@ -11,7 +11,7 @@ from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.text import aligned
 
 from .batch import DIVERGED, LOST, OK, PENDING, STATUS
-from .folder import Folder
+from .folder import Folder, RemotePath, place_of
 from .layout import SCHEMA, attributes_of, blocks_per_shard, held_by
 from .lease import signed_in
 from .shards import unpacked
@@ -27,7 +27,7 @@ class Standing(Shown):
     Statuses are taken as they stand; `summarise` and going on verify them.
     """
 
-    path: Path
+    path: Path | RemotePath
     dies: int
     done: int
     lost: int
@@ -53,7 +53,7 @@ class Standing(Shown):
 
 def standing_of(out: str | Path) -> Standing:
     """How far the sweep in the folder `out` is. Raises `InputError` where there is no store."""
-    path = Path(out) / "dies.zarr"
+    path = place_of(out) / "dies.zarr"
     attributes, dies = attributes_of(path), held_by(path)
     block = attributes.get("block")
     if attributes.get("schema") != SCHEMA or not isinstance(block, int) or block < 1 or dies is None:
@@ -73,7 +73,7 @@ def standing_of(out: str | Path) -> Standing:
             mine[mine == PENDING] = found[mine == PENDING]
         counts += [np.count_nonzero(rows[: dies - first * block] == status) for status in (OK, LOST, DIVERGED)]
     ok, lost, diverged = (int(count) for count in counts)
-    at_work = signed_in(leases_of(path))
+    at_work = signed_in(leases_of(path)) if isinstance(path, Path) else (0, 0)
     return Standing(path, dies, ok + lost + diverged, lost, diverged, waiting, *at_work)
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from memsgyro_jax.base.errors import InputError
 
 from .batch import PENDING, STATUS
+from .folder import Folder, RemotePath
 from .layout import Layout, adapt, attributes_of, create, draft_path, held_by
 from .lease import Leases
 from .shards import holds
@@ -32,7 +33,13 @@ class Store:
     """
 
     def __init__(
-        self, path: Path, layout: Layout, dies: int, block: int, leases: Leases | None, share: range | None = None
+        self,
+        path: Path | RemotePath,
+        layout: Layout,
+        dies: int,
+        block: int,
+        leases: "Leases | Unleased | None",
+        share: range | None = None,
     ):
         self.stored = StoredRows(path, layout, dies, block)
         self.share = range(self.stored.blocks) if share is None else share
@@ -44,7 +51,7 @@ class Store:
         self.stored.tell(damaged, self.notes, "are computed again")
 
     @property
-    def path(self) -> Path:
+    def path(self) -> Path | RemotePath:
         """The zarr group."""
         return self.stored.path
 
@@ -179,6 +186,23 @@ class Store:
             self._leases.release(name)
 
 
+class Unleased:
+    """Stands for leases where none can be had: whoever asks gets a block, and two may compute the same one, to the same
+    bits. Parts do not, for each has its own.
+    """
+
+    def claim(self, block: int | str) -> bool:
+        """Always granted."""
+        return True
+
+    def holds(self, block: int | str) -> bool:
+        """Never lost."""
+        return True
+
+    def release(self, block: int | str) -> None:
+        """Nothing is held."""
+
+
 class Memory:
     """Where the dies of a sweep go that has no store: the columns, in memory."""
 
@@ -210,7 +234,7 @@ class Memory:
 
 @contextmanager
 def opened(
-    path: Path, layout: Layout, dies: int, block: int, resume: bool, share: range | None = None
+    path: Path | RemotePath, layout: Layout, dies: int, block: int, resume: bool, share: range | None = None
 ) -> Iterator[Store]:
     """The store at `path` for as long as this process works on it: created, or with `resume` gone on with.
 
@@ -218,6 +242,13 @@ def opened(
     is read. Raises `InputError` for a store that is there
     without `resume`, for one of another computation, version, block size or of more dies, and for what is no store.
     """
+    if isinstance(path, RemotePath):
+        if not attributes_of(path):
+            create(path, layout, dies, block)
+        elif not resume:
+            raise InputError(f"{path} exists already; add `--resume` to go on with it, or choose another folder.")
+        yield Store(path, layout, dies, block, Unleased(), share)
+        return
     path.parent.mkdir(parents=True, exist_ok=True)
     if resume and path.exists() and not _writable(path.parent):
         yield Store(path, layout, dies, block, None, share)
@@ -227,17 +258,20 @@ def opened(
             raise InputError(f"{path} exists already; add `--resume` to go on with it, or choose another folder.")
         if not path.exists():
             create(path, layout, dies, block)
-        store = Store(path, layout, dies, block, leases, share)
-        yield store
-        store.stored.waiting.tidy()
+        yield Store(path, layout, dies, block, leases, share)
+        waiting_of(path).tidy()
     if not leases.folder.exists():  # nobody else is at work, so what lies beside is of those who were killed
         for draft in path.parent.glob(f".{path.name}.*.part"):
             shutil.rmtree(draft, ignore_errors=True)
 
 
-def discard(path: Path) -> None:
-    """Remove a store, if there is one. Raises `InputError` while another process works on it."""
+def discard(path: Path | RemotePath) -> None:
+    """Remove a store, if there is one. Raises `InputError` while another process is seen to work on it."""
     if not path.exists():
+        return
+    if isinstance(path, RemotePath):
+        Folder(path).discard()
+        waiting_of(path).discard()
         return
     with Leases(leases_of(path)) as leases:
         if leases.shared():

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, UInt64
 
 from .batch import MEANING, PENDING, STATUS
-from .folder import Folder
+from .folder import Folder, RemotePath
 from .layout import SEAL, Layout, blocks_per_shard
 from .shards import packed, unpacked
 
@@ -25,7 +25,7 @@ _AT_ONCE = 256  # rows whose seals are made together: they stay in the cache
 _TOLD = 10  # damaged blocks that are named one by one
 
 
-def waiting_of(path: Path) -> Folder:
+def waiting_of(path: Path | RemotePath) -> Folder:
     """Where the blocks of a store are that are not yet in a shard."""
     return Folder(path.with_suffix(".blocks"))
 
@@ -34,7 +34,7 @@ def waiting_of(path: Path) -> Folder:
 class StoredRows:
     """The dies of the store at `path`, in blocks of `block`."""
 
-    path: Path
+    path: Path | RemotePath
     layout: Layout
     dies: int
     block: int

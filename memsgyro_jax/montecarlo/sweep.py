@@ -16,6 +16,7 @@ from memsgyro_jax.base.provenance import Settings
 from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.scenario import AbstractProfile, Scenario
 
+from .folder import place_of
 from .layout import Layout
 from .parts import DEFAULT_TOLERANCE, PartRun, StoredSweep, computation_of, run_on_dask, run_share, summarise
 from .spread import Spread
@@ -128,7 +129,7 @@ def sweep(
         speed = made.runner.work(memory, made.dies, progress)
         rows = memory.rows
         return Lot(made.settings, made.summary([(0, rows)], [], speed), rows, made.layout)
-    store = StoredSweep(Path(out) / "dies.zarr", made)
+    store = StoredSweep(place_of(out) / "dies.zarr", made)
     ran = run_share(store, None, resume, progress) if dask is None else run_on_dask(store, dask, resume, progress)
     return lot_of(store, ran)
 

@@ -12,8 +12,10 @@ import xarray as xr
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.montecarlo import layout as layouts
 from memsgyro_jax.montecarlo.batch import LOST, STATUS
+from memsgyro_jax.montecarlo.folder import place_of
 from memsgyro_jax.montecarlo.layout import LABELS, PROCESSOR, DieArray, Layout
-from memsgyro_jax.montecarlo.store import opened
+from memsgyro_jax.montecarlo.standing import standing_of
+from memsgyro_jax.montecarlo.store import discard, opened
 
 
 DIES, BLOCK = 40, 16
@@ -97,6 +99,33 @@ def test_a_finished_store_is_read_where_nothing_can_be_written(broken, monkeypat
     shard(broken, "left", 1).unlink()
     with pytest.raises(InputError, match="lacks 8 dies, but its folder cannot be written to"):
         gone_on(broken)
+
+
+def test_a_store_is_kept_wherever_fsspec_can_write(tmp_path):
+    """No leases there: each its own share. What lies there is what a local folder holds."""
+    fsspec = pytest.importorskip("fsspec")
+    path = place_of("memory://lot") / "dies.zarr"
+    for share, blocks in ((range(2), [0, 1]), (range(2), []), (range(2, 3), [2]), (range(3), [])):
+        with opened(path, LAYOUT, DIES, BLOCK, resume=True, share=share) as store:
+            computed = []
+            for number in store.unfinished():
+                computed.append(number)
+                store.write(number, rows_of(number))
+        assert (computed, store.notes) == (blocks, [])
+    assert_wanted(store.rows)
+    assert standing_of("memory://lot").finished
+    with opened(tmp_path / "dies.zarr", LAYOUT, DIES, BLOCK, resume=False) as local:
+        for number in local.unfinished():
+            local.write(number, rows_of(number))
+    system = fsspec.filesystem("memory")
+    there = {name.removeprefix("/lot/"): system.cat_file(name) for name in system.find("/lot")}
+    assert there == {str(f.relative_to(tmp_path)): f.read_bytes() for f in tmp_path.rglob("*") if f.is_file()}
+    with pytest.raises(InputError, match="--resume"), opened(path, LAYOUT, DIES, BLOCK, resume=False):
+        pass
+    discard(path)
+    assert system.find("/lot") == []
+    with pytest.raises(InputError, match=r"nowhere://lot.*cannot be reached"):
+        standing_of("nowhere://lot")
 
 
 def shard(path: Path, column: str, number: int) -> Path:

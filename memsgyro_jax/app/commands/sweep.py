@@ -1,5 +1,6 @@
 """`memsgyro sweep`: read the study, sweep, print, write."""
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -61,6 +62,10 @@ def sweep_command(
     if (resume or part) and overwrite:
         word = "--resume" if resume else "--part"
         raise InputError(f"Options `{word}` and `--overwrite` must not be given together; leave one of them out.")
+    if re.match(r"[a-z0-9+]+:/", str(out)):
+        raise InputError(
+            f"Option `--out` must be a folder, but is {out}; other places are for `plan` and `sweep` in Python."
+        )
     if part and dask:
         raise InputError("Options `--part` and `--dask` must not be given together: Dask shares the work itself.")
     chosen, notes = chosen_study(
