@@ -18,6 +18,7 @@ from jaxtyping import Array, Float, PyTree
 
 from memsgyro_jax.base.concrete import strong
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.plainly import plainly
 from memsgyro_jax.base.runtime import require_float64, usable_cores
 from memsgyro_jax.base.transforms import Free, Identity, fixed, from_vector, mark, to_vector
 from memsgyro_jax.effects import free_numbers
@@ -32,10 +33,7 @@ SHORT = 400  # rows up to which optimising a program takes longer than it will e
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     """A function whose last argument is an `Experiment` as a program; for few rows without optimising it."""
-    optimised = eqx.filter_jit(function)
-    plain = eqx.filter_jit(  # type: ignore[call-overload]  # which does not know the keywords of `jax.jit`
-        function, compiler_options={"xla_backend_optimization_level": 0}
-    )
+    optimised, plain = eqx.filter_jit(function), plainly(function)
 
     def call(*arguments: Any) -> Any:
         *others, experiment = arguments

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from memsgyro_jax.base.plainly import plainly
 from memsgyro_jax.device.normalised import NormalisedDevice
 
 from .base import DriveEffect, Effect, ForceEffect, LockInEffect, LockInRow, Moment, ReadoutEffect, SweepEffect
@@ -122,7 +123,7 @@ def _complaint(part: PortMethod, absent: Effect, now: Moment) -> str:
         # In reverse mode a branch that is not taken still counts: zero times infinity is no number.
         return value(strength), jax.jacfwd(value)(strength), jax.grad(lambda s: jnp.sum(value(s)))(strength)
 
-    given, forward, reverse = jax.jit(everything)(absent.strength)
+    given, forward, reverse = plainly(everything)(absent.strength)
     if not bool(jnp.all(jnp.isfinite(given))):
         return f"method `{part.method}` must be finite at strength zero, but is not"
     if part.exact and not bool(jnp.all(given == like)):
