@@ -15,6 +15,7 @@ PARTS = 5  # complex coefficients of the local model
 # Degrees of freedom per row and channel, as found by simulation: of local models (without 6 rows a piece), of waveforms
 # and of phasors in time, and of the scatter among repeats per row that is one too many.
 _LOCAL, _WAVE, _PHASOR, _REPEATED = (0.75, 6), 0.15, 0.5, 1.2
+_SURE = 1e-3  # chance of a jitter where there is none
 _RUN = 24  # rows over which a vibration keeps its frequency
 _BAND = 64  # spectral lines at least in a band
 _BANDS = 16  # at most
@@ -60,6 +61,41 @@ def _spare(place: np.ndarray) -> int:
     """Rows of frequencies that were read before; zero where these are hardly any."""
     spare = len(place) - len(np.unique(place))
     return spare if spare >= max(FEWEST, len(place) // 4) else 0
+
+
+def jitter_noise(frequency: np.ndarray, phasors: np.ndarray, repeats: Sequence[np.ndarray]) -> np.ndarray | None:
+    """Standard deviation (n, channels) that a jitter of the frequency adds to each real part; `None` where none shows.
+
+    It grows with the slope of the response, along which alone it acts. It shows where repeated rows on the steepest
+    quarter scatter more than those on the flatter half, and chance would make it so in one of a thousand records.
+    """
+    curves = [(rows, *_curve(frequency[rows], phasors[rows])) for rows in repeats if _spare(frequency[rows])]
+    if not curves:
+        return None
+    sums, freedom, steep = (np.concatenate([one[k].ravel() for one in curves]) for k in (2, 3, 4))
+    flat, most = steep <= np.quantile(steep, 0.5), steep >= np.quantile(steep, 0.75)
+    white = sums[flat].sum() / freedom[flat].sum()
+    over = sums[most].sum() / freedom[most].sum() / white
+    if stats.f.sf(over, freedom[most].sum(), freedom[flat].sum()) > _SURE:
+        return None
+    # Of two parts that scatter alike, one along the slope takes all of it.
+    square = 2.0 * (over - 1.0) * white * freedom[most].sum() / (freedom[most] @ steep[most] ** 2)
+    out = np.zeros(phasors.shape)
+    for rows, group, _, _, slope in curves:
+        out[rows] = np.sqrt(square) * slope[group]
+    return out
+
+
+def _curve(place: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """The number of each row's frequency, and per frequency and channel: squares about the mean of the repeats, their
+    degrees of freedom, and the modulus of the slope.
+    """
+    known, group, count = np.unique(place, return_inverse=True, return_counts=True)
+    each = (np.arange(known.size)[:, None] == group).astype(float)
+    mean = each @ values / count[:, None]
+    squares = each @ np.abs(values - mean[group]) ** 2
+    freedom = np.repeat(2.0 * (count - 1)[:, None], values.shape[1], axis=1)
+    return group, squares, freedom, np.abs(np.gradient(mean, known, axis=0))
 
 
 def _scatter(place: np.ndarray, values: np.ndarray) -> np.ndarray | None:

@@ -180,6 +180,19 @@ def test_dry_friction_takes_a_fixed_bite_per_half_cycle_and_then_holds():
     assert held[2] == 0.0
 
 
+def test_an_inner_mode_that_follows_is_a_softening_spring():
+    """Far above, z = −(s/m)·x²/(w² − (0 or 2ω)²), which pulls like k3 x³; the dip it leaves is second order in that."""
+    die, ratio = replace(DIE, kxy=0.0, dxy=0.0), 6.0
+    w = np.sqrt(die.kxx / die.mass)
+    s = 1e-2 * die.kxx / 1e-6
+    k3 = -4 / 3 * s**2 / die.mass / w**2 * (1 / ratio**2 + 0.5 / (ratio**2 - 4))
+    outside = Outside(internal_x=s, internal_ratio=ratio, internal_quality=1e6)
+    free, inner, spring = (
+        done(SWEEP, hidden, die).clean for hidden in (Hidden(), Hidden(outside=outside), Hidden(cubic_stiffness_x=k3))
+    )
+    assert np.max(np.abs(inner - spring)) < 0.02 * np.max(np.abs(spring - free))
+
+
 def test_hysteresis_loses_energy_in_every_loop():
     die = replace(DIE, dxx=0.0, dyy=0.0, dxy=0.0, kxy=0.0)
     plant = Plant(die, Hidden(outside=Outside(bouc_wen_x=0.5)))

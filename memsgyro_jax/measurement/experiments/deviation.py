@@ -19,6 +19,7 @@ from .base import Readings
 
 SEGMENTS = 8  # of the time of a record
 SETTINGS = 24  # at most, to judge each on its own
+_NEAR = 2.0  # full widths of a resonance that count as "at" it
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,3 +193,18 @@ def segments(time: np.ndarray) -> tuple[Subset, ...]:
     place = np.minimum(SEGMENTS * np.arange(len(time)) // max(len(time), 1), SEGMENTS - 1)
     span: Callable[[np.ndarray], str] = lambda t: f"{spoken(t[0], 's', 3)} to {spoken(t[-1], 's', 3)}"  # noqa: E731
     return tuple(Subset("time", span(time[place == k]), place == k) for k in range(SEGMENTS) if np.any(place == k))
+
+
+def around_modes(frequency: np.ndarray, deviation: Deviation) -> tuple[Subset, ...]:
+    """Rows below, at, between and above the resonances of the model."""
+    device = deviation.model.device
+    modes, width = device.resonances(), float(np.max(np.diag(np.asarray(device.damping_matrix))))
+    at = np.min(np.abs(frequency[:, None] - modes), axis=1) <= _NEAR * width
+    below, above = frequency < modes[0], frequency > modes[-1]
+    parts = (
+        ("below resonance", below & ~at),
+        ("at resonance", at),
+        ("between the resonances", ~(at | below | above)),
+        ("above resonance", above & ~at),
+    )
+    return tuple(Subset("frequency", label, rows) for label, rows in parts if rows.any() and not rows.all())

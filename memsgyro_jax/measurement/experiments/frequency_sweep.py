@@ -14,11 +14,11 @@ from memsgyro_jax.base.text import spoken
 
 from ..columns import amplitude_columns, phasor_columns
 from ..declared import Declared, design_device
-from ..noise import freedom_over_frequency, noise_over_frequency
+from ..noise import freedom_over_frequency, jitter_noise, noise_over_frequency
 from ..section import Axis, ExperimentSection, Quantity
 from .base import Phasors, Readings
 from .checks import exchanged, near_resonance
-from .deviation import Deviation, Known, Overlay, Series, Subset, Variable, View, by_setting, in_phase
+from .deviation import Deviation, Known, Overlay, Series, Variable, View, around_modes, by_setting, in_phase
 from .harmonic_sweep import HarmonicSweep
 from .missing_force import SweepForce
 from .record import AbstractRecord, Watched
@@ -28,7 +28,6 @@ from .sweep_rows import alike, check_order, check_phase, levels_set, refuse_copi
 
 
 _TWO_PI = 2 * np.pi
-_NEAR = 2.0  # full widths of a resonance that count as "at" it
 _CURVES = 7  # sweeps in one picture
 _ZOOM = 2.5  # full widths of the resonance to each side of a close-up
 _WEAK = 5.0  # standard deviations that the highest of some tens of rows of mere noise stays within
@@ -221,6 +220,11 @@ class FrequencySweepRecord(AbstractRecord):
     def estimated_noise(self) -> float | None:
         return noise_over_frequency(self.frequency, self.phasors, self.sweeps, self.courses)
 
+    @cached_property
+    def noise_of_rows(self) -> np.ndarray:  # type: ignore[override]
+        jitter = None if self.noise_std else jitter_noise(self.frequency, self.phasors, self.courses)
+        return super().noise_of_rows if jitter is None else np.hypot(self.noise_level, jitter)
+
     def estimated_freedom(self) -> float:
         return freedom_over_frequency(self.frequency, self.phasors.shape[1], self.sweeps, self.courses)
 
@@ -265,7 +269,7 @@ class FrequencySweepRecord(AbstractRecord):
         variables = [Variable("displacement", motion), *(Variable(one.name, one.values) for one in known)]
         return Series(
             self.name, deviation.channels, deviation.white, turned, self.sweeps,
-            (*parts, *_around_modes(self.frequency, deviation)), (), tuple(variables),
+            (*parts, *around_modes(self.frequency, deviation)), (), tuple(variables),
         )  # fmt: skip
 
     def at(self, row: int) -> str:
@@ -332,18 +336,3 @@ def _drive(sheet: Sheet, axis: int) -> np.ndarray:
     if drive is None:
         drive = np.full(len(columns.table.lines), sheet.amount("drive_force", sheet.force_unit))
     return drive
-
-
-def _around_modes(frequency: np.ndarray, deviation: Deviation) -> tuple[Subset, ...]:
-    """Rows below, at, between and above the resonances of the model."""
-    device = deviation.model.device
-    modes, width = device.resonances(), float(np.max(np.diag(np.asarray(device.damping_matrix))))
-    at = np.min(np.abs(frequency[:, None] - modes), axis=1) <= _NEAR * width
-    below, above = frequency < modes[0], frequency > modes[-1]
-    parts = (
-        ("below resonance", below & ~at),
-        ("at resonance", at),
-        ("between the resonances", ~(at | below | above)),
-        ("above resonance", above & ~at),
-    )
-    return tuple(Subset("frequency", label, rows) for label, rows in parts if rows.any() and not rows.all())

@@ -14,6 +14,7 @@ from memsgyro_jax.measurement.least_squares import gate
 from memsgyro_jax.measurement.noise import (
     freedom_over_frequency,
     freedom_over_time,
+    jitter_noise,
     noise_beside_misfit,
     noise_over_frequency,
     noise_over_time,
@@ -129,6 +130,21 @@ def test_an_estimate_from_repeats_scatters_as_its_degrees_of_freedom_say():
     said = freedom_over_frequency(place, 1, [slice(0, 80)], [rows])
     assert 0.7 * said < 2 * np.mean(squares) ** 2 / np.var(squares) < 2.0 * said
     assert np.mean(squares) == pytest.approx(1.0, abs=0.06)
+
+
+@pytest.mark.parametrize("jitter", [0.0, 3e-3])
+def test_a_jitter_shows_on_the_flanks_of_repeats(jitter):
+    """Six sweeps over a resonance, 60 times: what is added follows the slope, and hardly ever where there is none."""
+    rng, place, rows = np.random.default_rng(5), np.tile(np.linspace(-4, 4, 31), 6), np.arange(186)
+    slope, found = 1e3 / (1 + place**2), []
+    for _ in range(60):
+        moved = place + jitter * rng.normal(size=186)
+        seen = 1e3 / (1 + 1j * moved) + rng.normal(size=186) + 1j * rng.normal(size=186)
+        found.append(jitter_noise(place, seen[:, None], [rows]))
+    told = [one for one in found if one is not None]
+    assert len(told) == (60 if jitter else 0)
+    if jitter:
+        assert np.mean([one[:, 0] @ slope / (slope @ slope) for one in told]) == pytest.approx(jitter, rel=0.1)
 
 
 def test_the_noise_beside_a_smooth_misfit():
