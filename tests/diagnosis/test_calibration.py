@@ -1,4 +1,4 @@
-"""The stated rate of false alarms, on four devices far from the thesis'; `studies/diagnosis_calibration.py` asks more."""
+"""The stated rate of false alarms on four devices: `studies/diagnosis_calibration.py` asks more."""
 
 import numpy as np
 import pytest
