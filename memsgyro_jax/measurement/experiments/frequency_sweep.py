@@ -221,7 +221,7 @@ class FrequencySweepRecord(AbstractRecord):
         return noise_over_frequency(self.frequency, self.phasors, self.sweeps, self.courses)
 
     @cached_property
-    def noise_of_rows(self) -> np.ndarray:  # type: ignore[override]
+    def noise_of_rows(self) -> np.ndarray:
         jitter = None if self.noise_std else jitter_noise(self.frequency, self.phasors, self.courses)
         return super().noise_of_rows if jitter is None else np.hypot(self.noise_level, jitter)
 
