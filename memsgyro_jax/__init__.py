@@ -81,6 +81,8 @@ if TYPE_CHECKING:
     from .loop.loop import ClosedLoop as ClosedLoop
     from .loop.stability import loop_margins as loop_margins
     from .loop.stability import LoopMargins as LoopMargins
+    from .loop.mode_matching import matching_bias as matching_bias
+    from .loop.mode_matching import at_bias as at_bias
     from .loop.trace import simulate as simulate
     from .loop.trace import Trace as Trace
     from .loop.noise_budget import noise_budget as noise_budget

@@ -228,3 +228,23 @@ def test_products_give_the_steady_state_up_to_their_ripple(make):
     if not nulled:  # a second-order low-pass leaves (b/2f)² of the product, of either sign
         left = (widths[1] / 20e3) ** 2 * np.hypot(*wanted[2:])
         assert ripple[2] == pytest.approx(2.0 * left, rel=0.2)
+
+
+def test_a_bias_matches_the_modes_and_the_control_made_for_it_reads_the_rate():
+    split = 0.005
+    gyro = PLAIN.with_effect(mg.effects.ElectrostaticSoftening("y", 0.02))
+    bias = mg.matching_bias(gyro, split)
+    held = mg.at_bias(gyro, bias)
+    assert np.sqrt(held.kyy / held.kxx) == pytest.approx(1.0 + split, rel=1e-12)
+    assert float(bias) == pytest.approx(np.sqrt((PLAIN.kyy - PLAIN.kxx * 1.005**2) / 0.02), rel=1e-12)
+    control = mg.ClassicControl.open_loop(held, DISPLACEMENT, amplitude=1e-6)
+    unbiased = mg.ClassicControl.open_loop(PLAIN, DISPLACEMENT, amplitude=1e-6)
+    gain = np.hypot(*unbiased.sense.conversion) / np.hypot(*control.sense.conversion)
+    assert 5.0 < gain < 6.0  # 300 Hz of split have become 50
+    scenario = mg.Scenario(rate=mg.Constant(RATE), bias_voltage=mg.Constant(bias))
+    trace = mg.simulate(loop_of(gyro, DISPLACEMENT, control), scenario, sample_rate=1.0 / PERIOD, duration=0.15)
+    # Effects act as kicks, whose share of a frequency is of second order in the period.
+    assert float(trace.rate_estimate[-1]) == pytest.approx(RATE, rel=0.01)
+    for refused, words in ((PLAIN, "no such effect"), (gyro, "a bias can soften")):
+        with pytest.raises(mg.InputError, match=words):
+            mg.matching_bias(refused, 0.1)
