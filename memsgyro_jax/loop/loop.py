@@ -128,9 +128,10 @@ class ClosedLoop(Displayed):
         one (None: as many as suit the device) and shorter blocks that grow: the same statistics, at a fraction of the
         work.
 
-        It needs a device without effects, and read-out, observer and controller that are linear within a
-        block; a loop with another part runs sample by sample and tells which. Figures and traces then hold the ends of
-        blocks; tuning and the information bound go through the samples all the same.
+        It needs a device without effects, and read-out, observer and controller that are linear within a block; a loop
+        with another part runs sample by sample and tells which. A filter whose rate walks follows up to half a block
+        later (by 0.4 to 2.2 ms in blocks of 5.1 ms, sines of 1 to 30 Hz) and says so. Figures and traces then hold the
+        ends of blocks; tuning and the information bound go through the samples all the same.
 
         Raises `InputError` unless `length` is a power of two.
         """

@@ -96,6 +96,17 @@ def test_the_part_that_holds_a_loop_up_is_told(part, words):
     assert words in said[0]
 
 
+def test_what_walks_is_told_to_be_later():
+    walking = mg.ExtendedKalmanFilter.for_device(
+        GYRO, READOUT, process_noise=mg.ProcessNoise.of(GYRO.model, rate=1.0, kxy=0.0)
+    )
+    made, said = prepared(replace(LOOP, observer=walking).in_blocks(256))
+    assert made.blocks.length == 256
+    assert len(said) == 1
+    assert "(rate)" in said[0]
+    assert "128 samples later" in said[0]
+
+
 DUAL = mg.DualMassGyro.chi2010()
 TWO_MASSES = mg.ClosedLoop(DUAL, READOUT, mg.ExtendedKalmanFilter.for_device(DUAL, READOUT), LOOP.controller)
 

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int
 
+from memsgyro_jax.base.concrete import is_concrete
 from memsgyro_jax.device.gyro import DualMassGyro, Scalar
 
 from .. import engine, noise
@@ -22,7 +23,7 @@ from . import basis
 from .advance import Facts, advanced
 from .algebra import over_lanes
 from .law import Lanes, same_frequency, tones_of
-from .length import ONE_MASS, TWO_MASSES, Pace, renewals
+from .length import ONE_MASS, TWO_MASSES, Blocks, Pace, renewals
 from .maps import Maps, maps_of
 
 
@@ -47,8 +48,8 @@ def hindrances(loop: ClosedLoop) -> tuple[str, ...]:
 
 
 def prepared(loop: ClosedLoop, apart: bool = False) -> tuple[ClosedLoop, tuple[str, ...]]:
-    """The loop as it can be run, without blocks where a part cannot, and a sentence on that. Tones of one frequency are
-    taken as one, unless they are to be kept `apart`, since it will change.
+    """The loop as it can be run, without blocks where a part cannot, and a sentence on that, or on what blocks change.
+    Tones of one frequency are taken as one, unless they are to be kept `apart`, since it will change.
     """
     if loop.blocks is None:
         return loop, ()
@@ -60,7 +61,18 @@ def prepared(loop: ClosedLoop, apart: bool = False) -> tuple[ClosedLoop, tuple[s
         blocks = replace(blocks, start=_pace(loop).start)
     if blocks.alike is None:
         blocks = replace(blocks, alike=same_frequency(loop.controller, apart))
-    return replace(loop, blocks=blocks), ()
+    return replace(loop, blocks=blocks), _approximations(loop, blocks)
+
+
+def _approximations(loop: ClosedLoop, blocks: Blocks) -> tuple[str, ...]:
+    """What a filter in blocks takes otherwise than sample by sample, in words."""
+    observer: Any = loop.observer
+    pairs = zip(observer.states[4:], observer.walk()[4:], strict=True)
+    walking = [name for name, intensity in pairs if is_concrete(intensity) and np.any(np.asarray(intensity) > 0.0)]
+    if not walking:
+        return ()
+    constant = f"in blocks of {blocks.length} samples the filter takes what walks ({', '.join(walking)}) as constant"
+    return (f"{constant}: it follows up to {blocks.length // 2} samples later, and claims another deviation.",)
 
 
 def _pace(loop: ClosedLoop) -> Pace:
