@@ -28,7 +28,7 @@ from memsgyro_jax.measurement.readings import Readings
 
 
 WIDTH = 12  # directions that one pass of the compiled program differentiates
-SHORT = 400  # rows up to which optimising a program takes longer than it will ever save
+SHORT = 100  # rows up to which optimising a program takes longer than the calls of a whole diagnosis
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
