@@ -36,7 +36,7 @@ def proposed(readings):
 
 
 def _shapes(experiment):
-    return [np.shape(leaf) for leaf in jax.tree.leaves(experiment)]
+    return [(np.shape(leaf), leaf.dtype, jax.typeof(leaf).weak_type) for leaf in jax.tree.leaves(experiment)]
 
 
 @pytest.fixture(scope="module")

@@ -1,18 +1,22 @@
 """How good the records of a case are: noise, peak over noise, outliers, and what each kind has to say of itself."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from memsgyro_jax.base.display import Shown
-from memsgyro_jax.base.text import aligned
+from memsgyro_jax.base.text import aligned, spoken
 
 from ..experiments import AbstractRecord
+from ..experiments.base import Phasors
 from ..outliers import lone_rows
 from ..sign_conventions import disagreements
 from .content import Case
 
 
+_CLEAR, _STANDS_OUT = 20.0, 1.5  # standard deviations, and times the middle reading, of what counts as a resonance
+_APART = 1.1  # between two resonances that are not one: more than it moves with temperature, bias or amplitude
 _DISAGREE = 2.0  # factor between declared and estimated noise that is worth a sentence
 
 
@@ -46,7 +50,7 @@ class CaseQuality(Shown):
     Args:
         case: that was looked at.
         records: one by one.
-        signs: where records contradict each other in the sign of phase or voltage.
+        signs: where records contradict each other in the sign of phase or voltage, or in the device.
     """
 
     case: Case
@@ -77,8 +81,28 @@ class CaseQuality(Shown):
 
 def assess(case: Case) -> CaseQuality:
     """The quality of each record of a case."""
-    signs = disagreements([(record.name, record.starting_phasors(case)) for record in case.records])
-    return CaseQuality(case, tuple(_assess(record, case) for record in case.records), tuple(f"{s}." for s in signs))
+    phasors = [(record.name, record.starting_phasors(case)) for record in case.records]
+    said = [f"{sentence}." for sentence in disagreements(phasors)]
+    said += _resonances(phasors) if case.channels == 1 else []
+    return CaseQuality(case, tuple(_assess(record, case) for record in case.records), tuple(said))
+
+
+def _resonances(records: Sequence[tuple[str, Phasors | None]]) -> list[str]:
+    """A sentence where sweeps show resonances that no device of one axis has together."""
+    found = []
+    for name, one in records:
+        size = np.zeros(0) if one is None else np.abs(one.motion[:, 0])
+        if one is None or not size.any():
+            continue
+        top, omega = int(np.argmax(size)), one.omega
+        clear = size[top] > max(_CLEAR / one.weight[top], _STANDS_OUT * np.median(size))
+        if clear and omega.min() < omega[top] < omega.max():
+            found.append((float(omega[top]) / (2 * np.pi), name))
+    (low, first), (high, other) = min(found, default=(1.0, "")), max(found, default=(1.0, ""))
+    if high <= _APART * low:
+        return []
+    where = f"`{first}` resonates at {spoken(low, 'Hz')} and `{other}` at {spoken(high, 'Hz')}"
+    return [f"{where}, but a device of one axis has one resonance; are these records of one device?"]
 
 
 def _assess(record: AbstractRecord, case: Case) -> RecordQuality:

@@ -189,7 +189,7 @@ class RateTableRecord(ClockedRecord):
         around = eqx.tree_at(
             lambda c: (c.angular_acceleration, c.rate_trusted),
             surroundings(declared, number, self.rows, self.rate, time=self.time),
-            (jnp.asarray(self.slope), jnp.full(self.rows, float(self.rate_calibrated))),
+            (jnp.asarray(self.slope), jnp.asarray(np.full(self.rows, float(self.rate_calibrated)))),
         )
         return RateTable(
             name="rate tables",

@@ -10,6 +10,7 @@ from scipy import stats
 
 import memsgyro_jax
 from memsgyro_jax.measurement.case import assess, load_case
+from memsgyro_jax.measurement.import_case import import_case
 from memsgyro_jax.measurement.least_squares import gate
 from memsgyro_jax.measurement.noise import (
     freedom_over_frequency,
@@ -212,6 +213,22 @@ def test_noise_alone_has_no_outlier():
 def test_a_wrong_declared_noise_is_told(bench, factor):
     (warning,) = assess(with_record(bench, "ringdown", noise_std=factor * NOISE)).warnings
     assert "declared noise" in warning
+
+
+def test_records_of_two_devices_are_told(tmp_path):
+    """Two sweeps of one resonator, which was a little warmer in the second, and one of another."""
+    files = []
+    for number, centre in enumerate((4000.0, 4020.0, 9000.0)):
+        f = np.linspace(0.97, 1.03, 41) * centre
+        z = 1e-3 / (1 - (f / centre) ** 2 + 1j * f / centre / 150)
+        rows = [f"{a:.4f},{b.real:.9e},{b.imag:.9e}" for a, b in zip(f, z, strict=True)]
+        files.append(tmp_path / f"sweep_{number}.csv")
+        files[-1].write_text("\n".join(["f [Hz],X [V],Y [V]", *rows]) + "\n")
+    import_case(files[:2], tmp_path / "one")
+    import_case(files, tmp_path / "two")
+    assert not [w for w in assess(load_case(tmp_path / "one")).warnings if "one device" in w]
+    (told,) = [w for w in assess(load_case(tmp_path / "two")).warnings if "one device" in w]
+    assert told.startswith("`sweep_0` resonates at 4 kHz and `sweep_2` at 9 kHz")
 
 
 @pytest.mark.parametrize("name", ["sweep_x", "ringdown"])
