@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from memsgyro_jax.effects import Coverage, Scanned
+from memsgyro_jax.effects.base import SweepEffect
 from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.experiments import Readings
 from memsgyro_jax.measurement.least_squares import gate
@@ -17,6 +18,7 @@ from .score import Score, survival
 
 FEW = 0.05  # of the misfit above noise that is left: who explains less explains nothing
 MANY, THIRD = 2, 1.0 / 3.0  # effects from which a further one must explain a third of it
+FASTER = 1.5  # than the clock of a record: a sweep cannot have moved so
 PINNED = 0.01  # of the way from zero to a bound: a strength so near stands at it
 
 
@@ -64,6 +66,11 @@ def _impossible(joint: Joint, place: int, after: Optimum, coverage: Coverage) ->
         for bound in (low[i], high[i]):
             if np.isfinite(bound) and abs(after.vector[i] - bound) <= PINNED * abs(bound):
                 return "its strength ends at the bound that physics sets"
+    if (
+        isinstance(effect, SweepEffect)
+        and abs(float(np.max(after.vector[joint.of_effect(place)]))) > FASTER * coverage.sweep_rate
+    ):
+        return "the clock of the records says that sweeps move more slowly"
     if isinstance(effect, Scanned):
         grid = effect.grid(coverage)
         for i in joint.numbers_of(place):

@@ -86,13 +86,15 @@ def diagnose(
     if not all(explained) and all(_explained(final, accepted, level, wrong := wrong_noise(final))):
         explained, noise = [True] * len(explained), wrong
     terms = _accepted(search, {place: [] for place in terms_of(search)}, steps)
-    verdict = _verdict(base, final, accepted, all(explained), bool(terms))
+    apart = _of_device(search)
+    verdict = _verdict(steps[apart - 1].fit, final, accepted, all(explained), bool(terms))
     stages = tuple(Stage(s.added, s.fit.chi2_per_dof, validation_error(s.fit)) for s in steps)
-    if verdict == "unknown_effect":  # what was tried is no finding, and the model stays the base model
-        final, accepted, terms, stages, tried = base, (), (), stages[:1], stages[1 : 1 + NAMED]
-        explained = _explained(base, (), level)
+    if verdict == "unknown_effect":  # what was tried is no finding: the model stays the base model and its instrument
+        final, accepted, stages, tried = steps[apart - 1].fit, (), stages[:apart], stages[apart : apart + NAMED]
+        terms = _terms_in(final, search, steps[:apart])
+        explained = _explained(final, (), level)
         if all(explained):  # an effect of chance that spoils what was never fitted
-            verdict, tried = "nothing_missing", ()
+            verdict, tried = "instrument_only" if terms else "nothing_missing", ()
     else:
         tried = ()
     planned = next_experiments(search, ranking, confused, rival, explained=all(explained))
@@ -119,6 +121,19 @@ def diagnose(
         instrument=tuple(a.scaled(scale) for a in terms),
         scale=_scale(final),
     )
+
+
+def _of_device(search: Search) -> int:
+    """The first step of a search that added an effect of the device, or how many there are."""
+    labels = {e.label for e in search.joint.model.effects if not e.of_instrument}
+    return next((k for k, step in enumerate(search.steps) if step.added in labels), len(search.steps))
+
+
+def _terms_in(fit: CaseFit, search: Search, steps) -> tuple[Accepted, ...]:
+    """The terms of the instrument that a fit has."""
+    free = {fit.joint.parameters[i].effect for i in fit.optimum.free}
+    places = [i for i, effect in enumerate(fit.joint.model.effects) if effect.of_instrument and i in free]
+    return _accepted(Search(fit, search.level, places, search.tell), {place: [] for place in places}, steps)
 
 
 def _start(model, case: Case) -> Model:

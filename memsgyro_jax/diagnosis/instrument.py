@@ -19,15 +19,19 @@ from memsgyro_jax.effects.instrument import (
     FrequencyDrift,
     FrequencyOffset,
     GainDrift,
+    RecordGain,
+)
+from memsgyro_jax.effects.lock_in_terms import (
     LockInBackground,
     LockInFeedthrough,
     LockInMemory,
+    LockInTime,
     PhaseDrift,
-    RecordGain,
     ReferencePhase,
+    UnsettledRows,
 )
 from memsgyro_jax.measurement.case import AbstractRecord, Case
-from memsgyro_jax.measurement.experiments import Readings
+from memsgyro_jax.measurement.experiments import FrequencySweepRecord, Readings
 from memsgyro_jax.measurement.experiments.base import Experiment, Noise, RealNoise
 from memsgyro_jax.measurement.model import Model
 
@@ -66,10 +70,12 @@ def instrument_terms(case: Case) -> tuple[InstrumentTerm, ...]:
     """The terms that the records of a case can hold, each at zero; those of which they have but one group have none."""
     groups = _Groups.of(case)
     phasor, clocked = groups.phasor, groups.clocked
-    every, several = [set().union(*phasor)] if phasor else [], phasor if len(phasor) > 1 else []
+    every, several = _together(phasor), phasor if len(phasor) > 1 else []
     found = [
-        (LockInMemory, every, {}),
-        (LockInMemory, several, {"of": "by record"}),
+        (UnsettledRows, groups.hasty, {}),
+        (LockInTime, groups.unsettled, {}),
+        (LockInMemory, _together(groups.swept), {}),
+        (LockInMemory, groups.swept if len(groups.swept) > 1 else [], {"of": "by record"}),
         (ReferencePhase, every, {}),
         (ReferencePhase, several, {"of": "by record"}),
         (DriveLevel, groups.levels[1:], {}),
@@ -96,7 +102,10 @@ class _Groups:
     sweeps: list[set[Place]]
     levels: list[set[Place]]
     phasor: list[set[Place]]
+    swept: list[set[Place]]
     clocked: list[set[Place]]
+    hasty: list[set[Place]]
+    unsettled: list[set[Place]]
     clock: dict[str, np.ndarray]
 
     @classmethod
@@ -106,6 +115,12 @@ class _Groups:
         phasor = [np.iscomplexobj(record.readings) for record in case.records]
         times = [_time(record) for record in case.records]
         clocked = [t is not None and wave for t, wave in zip(times, phasor, strict=True)]
+        timed = [set(own) for own, mine in zip(places, clocked, strict=True) if mine]
+        stepped = [
+            (record.settled, set(own))
+            for record, own, mine in zip(case.records, places, clocked, strict=True)
+            if mine and isinstance(record, FrequencySweepRecord)
+        ]
         levels: dict[tuple, set[Place]] = {}
         for (record, rows), own in zip(zip(case.records, pieces, strict=True), places, strict=True):
             for piece, place in zip(rows, own, strict=True):
@@ -116,7 +131,14 @@ class _Groups:
             [{place} for own in places for place in own],
             list(levels.values()),
             [set(own) for own, wave in zip(places, phasor, strict=True) if wave],
-            [set(own) for own, timed in zip(places, clocked, strict=True) if timed],
+            [
+                set(own)
+                for own, wave, r in zip(places, phasor, case.records, strict=True)
+                if wave and isinstance(r, FrequencySweepRecord)
+            ],
+            timed,
+            _together([own for settled, own in stepped if settled]),
+            _together([own for settled, own in stepped if not settled]),
             {
                 "begin": np.array([0.0 if t is None else t[0] for t in times]),
                 "span": np.array([1.0 if t is None else t[-1] - t[0] for t in times]),
@@ -130,6 +152,11 @@ class _Groups:
             for place in group:
                 out[(*place, k)] = 1.0
         return out
+
+
+def _together(groups: Sequence[set[Place]]) -> list[set[Place]]:
+    """All places as one group; none where there is none."""
+    return [set().union(*groups)] if groups else []
 
 
 def _level(record: AbstractRecord, piece: slice) -> float:

@@ -17,7 +17,7 @@ from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.files import write_whole
 from memsgyro_jax.device.normalised import NormalisedDevice
 from memsgyro_jax.effects import load_effects
-from memsgyro_jax.effects.instrument import LockInBackground, ReferencePhase
+from memsgyro_jax.effects.lock_in_terms import LockInBackground, ReferencePhase
 from memsgyro_jax.effects.trial import at_strength
 from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.model import Model

@@ -7,21 +7,23 @@ from scipy import stats
 
 from memsgyro_jax.effects import Effect, InstrumentTerm
 from memsgyro_jax.measurement.least_squares import gate
-from memsgyro_jax.measurement.model import Model
 
+from .acceptance import excess
 from .fit import beside_case
 from .instrument import instrument_terms, knowledge
 from .joint_residual import Joint
 from .optimum import Optimum, optimise
+from .promise import Offer, Promise, offers_of, promised
 from .result import Accepted
-from .score import Score, basis, score
 from .search import GLANCE, LOOK_AHEAD, Ranking, Search, SearchStep, always_free
 
 
 SHARE = 0.2  # of the level for terms of the instrument
-# Of what the best effect of the device would explain: below it the instrument is not the cause, beside an effect that
-# does and beside one that leaves noise alone.
-FAINT, RIVAL = 0.5, 0.9
+FAINT, RIVAL = 0.5, 0.9  # of what effects of the device would explain: below it the instrument is not the cause
+# Of the misfit beyond noise: a term that explains less may stand beside effects, not before them; or not at all.
+MOSTLY, LITTLE = 0.5, 0.1
+ROUGHLY = 1e-3  # of what is promised: linear estimates differ by so much where two say the same
+AGAIN = 2  # times that terms are chosen, the second beside those found
 EVIDENT = 10.0  # of the Bayesian information criterion by which an effect must be better than the instrument
 PINNED = 0.98  # of a bound: a strength so near has been stopped by it
 
@@ -37,7 +39,8 @@ def instrument_first(
     records cannot tell from what the instrument does, empty where there is none.
 
     Where terms of the instrument explain every record, they do, unless one effect of the device says the same in fewer
-    numbers. Where they do not, effects are looked for both beside them and without them, and the less wins.
+    numbers. Where they do not, effects are looked for beside them or without them, as is better, and the other way only
+    if that leaves something: two searches at most.
 
     Args:
         search, first: at the base model, and the effects of the device beside it.
@@ -45,22 +48,28 @@ def instrument_first(
         go_on: the search for effects of the device, from a search and its ranking.
         done: whether a search leaves nothing to explain.
     """
-    best, ends = _best_effect(search, first), []
-    alone = instrument_alone(search, first, RIVAL if best is not None and _leaves_noise(best[1]) else FAINT)
-    rival, gain = ("", np.inf) if alone is None else _rival(alone, best)
-    if alone is not None and gain < EVIDENT:
-        ends.append(_beside(alone, search, effects, go_on))
-        whole, ranking = ends[0]
-        if done(whole) and not whole.accepted:
-            return whole, ranking, rival if gain > -EVIDENT else ""
-    bare, its_ranking = go_on(search, first)
-    ends.insert(0, (bare, its_ranking))
-    if alone is not None and gain >= EVIDENT and not done(bare):
-        ends.append(_beside(alone, search, effects, go_on))
-    if bare.accepted and not any(done(one) for one, _ in ends):
-        # An effect that stands out may have hidden what the instrument does.
-        later = instrument_alone(bare, its_ranking)
-        ends += [] if later is None else [_beside(later, search, effects, go_on)]
+    best = _best_effect(search, first)
+    alone = instrument_alone(search, first, best)
+    rival, gain = ("", -np.inf) if alone is None else _rival(alone, best)
+
+    def without() -> tuple[Search, Ranking]:
+        return go_on(search, first)
+
+    def beside() -> tuple[Search, Ranking]:
+        return without() if alone is None else _beside(alone, search, effects, go_on)
+
+    order = (beside, without) if gain < EVIDENT else (without, beside)
+    whole, ranking = order[0]()
+    if done(whole):
+        only = alone is not None and gain < EVIDENT and not whole.accepted
+        return whole, ranking, rival if only and gain > -EVIDENT else ""
+    ends = [(whole, ranking)]
+    # An effect that stands out may have hidden what the instrument does.
+    later = instrument_alone(whole, ranking, None) if whole.accepted else None
+    if later is not None:
+        ends.append(_beside(later, search, effects, go_on))
+    elif alone is not None:
+        ends.append(order[1]())
     return *min(ends, key=lambda end: (not done(end[0]), _cost(end[0].optimum))), ""
 
 
@@ -109,31 +118,69 @@ def _numbers_of(term: Accepted) -> str:
     return f"{term.label} {', '.join(held)} {term.unit}".removesuffix(" 1")
 
 
-def instrument_alone(search: Search, first: Ranking, share: float = FAINT) -> Search | None:
+def instrument_alone(search: Search, first: Ranking, best: tuple[str, Optimum] | None) -> Search | None:
     """The present model with the terms of the instrument that its records need; `None` where they need none, or where
-    an effect of the device explains far more.
+    the device explains more: by what both promise, before anything is fitted.
 
     Args:
         search: its effects are given to the one returned.
         first: the further effects of the device beside it.
-        share: of what the best of these would explain that a term must promise.
+        best: one of them and a fit with it.
     """
-    terms = instrument_terms(search.case)
+    held = _labels(search, search.given)
+    terms = [term for term in instrument_terms(search.case) if term.label not in held]
     if not terms or not _is_of_interest(search, first):
         return None
-    search.tell("try what the instrument may have done")
+    promise = promised(search.optimum, offers_of(search.steps[-1].fit, terms), SHARE * search.level)
+    if not _explains_more(search, first, promise, best):
+        return None
+    wanted = {terms[i].label for i in promise.worth_a_fit}
+    for _ in range(AGAIN):
+        search.tell("try what the instrument may have done: " + ", ".join(sorted(wanted)))
+        alone = _with_terms(search, [term for term in terms if term.label in wanted])
+        if not alone.accepted:
+            return None
+        others = [term for term in terms if term.label not in wanted]
+        more = promised(alone.optimum, offers_of(alone.steps[-1].fit, others), alone.level) if others else None
+        if more is None or not more.chosen:
+            break
+        wanted |= {others[i].label for i in more.worth_a_fit}
+    return alone
+
+
+def _with_terms(search: Search, terms: Sequence[InstrumentTerm]) -> Search:
+    """A search to which the effects of another are given, with those of some terms that help beyond chance."""
     model = search.joint.at(search.optimum.vector)
     present = [*search.given, *search.accepted]
     model = model.with_only((*(model.effects[i] for i in present), *terms))
-    if _promise(search, model, terms) < share * _most(first.scores):
-        return None
     joint = Joint(model, (*search.joint.readings, *knowledge(terms)))
     given = range(len(present))
     optimum = optimise(joint, joint.start, always_free(joint, given), joint.fitted, max_evaluations=0)
     alone = Search(beside_case(search.case, joint, optimum), SHARE * search.level, given, search.tell)
-    ranking = alone.rank()
-    add_terms(alone, ranking)
-    return alone if alone.accepted else None
+    add_terms(alone, alone.rank())
+    return alone
+
+
+def _explains_more(search: Search, first: Ranking, promise: Promise, best: tuple[str, Optimum] | None) -> bool:
+    """Whether terms of the instrument are worth a fit before the effects of the device.
+
+    Beside an effect that leaves noise alone they must be as good, number by number; beside effects that together
+    explain nearly all, nearly as good; else they must explain most of what is missing, and much of what effects would.
+    """
+    missing = excess(search.optimum)
+    if not promise.chosen or search.accepted:  # then effects have had their turn
+        return bool(promise.chosen) and promise.gain >= LITTLE * missing
+    low, high = search.joint.bounds
+    blocks = [search.joint.of_effect(i) for i in first.places]
+    offers = [Offer(s, low[b], high[b], np.full(b.size, np.inf)) for s, b in zip(first.slopes, blocks, strict=True)]
+    device = promised(search.optimum, offers, search.level) if offers else None
+    if device is None or not device.chosen:
+        return True
+    if best is not None and _leaves_noise(best[1]):
+        single = device.alone[first.order[0]]
+        return promise.worth >= single - np.log(search.optimum.residual.size) - EVIDENT - ROUGHLY * single
+    share = RIVAL if device.gain >= RIVAL * missing else FAINT
+    return promise.gain >= max(share * device.gain, MOSTLY * missing)
 
 
 def add_terms(search: Search, ranking: Ranking) -> None:
@@ -143,33 +190,10 @@ def add_terms(search: Search, ranking: Ranking) -> None:
         ranking = search.rank()
 
 
-def _promise(search: Search, model: Model, terms: Sequence[InstrumentTerm]) -> float:
-    """The best score of a term in the sweeps alone, where an instrument shows most and a program is soon compiled;
-    infinite where there are none.
-    """
-    fitted = search.joint.fitted
-    sweeps = [r for r in fitted if r.experiment.shows_modes]
-    if not sweeps:
-        return float("inf")
-    rows = np.concatenate([np.full(r.size, r.experiment.shows_modes) for r in fitted])
-    part = Joint(model, (*sweeps, *knowledge(terms)))
-    places = [i for i, effect in enumerate(model.effects) if effect.of_instrument]
-    blocks = [part.of_effect(i) for i in places]
-    value, slopes = part.linearise(part.start, np.eye(part.start.size)[np.concatenate(blocks)], part.fitted)
-    known = np.zeros((value.size, search.optimum.jacobian.shape[1]))
-    known[: rows.sum()] = search.optimum.jacobian[rows]
-    q, ends = basis(known), np.cumsum([block.size for block in blocks])[:-1]
-    return _most([score(value, q, one) for one in np.split(slopes, ends, axis=1)])
-
-
 def _is_of_interest(search: Search, first: Ranking) -> bool:
     """Whether an effect would be added, or a record is not explained."""
     tempted = bool(first.places) and first.p_values[first.order[0]] <= search.level
     return tempted or not all(e.explained for e in search.steps[-1].fit.errors)
-
-
-def _most(scores: Sequence[Score]) -> float:
-    return max((s.statistic for s in scores), default=0.0)
 
 
 def _best(search: Search, ranking: Ranking) -> tuple[int, Optimum] | None:

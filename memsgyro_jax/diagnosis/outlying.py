@@ -9,12 +9,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from memsgyro_jax.measurement.experiments import Readings
+from memsgyro_jax.measurement.least_squares import gate
 from memsgyro_jax.measurement.outliers import lone_residuals
 
 from .fit import CaseFit
+from .score import basis
 from .search import Search
 
 
+HOPELESS = 1.5  # of the χ² that noise may leave: rows without which a model leaves more are not what it misses
 FEW_ROWS = 0.05  # share of a record's rows from which they are no outliers but a part of it
 Rows = Mapping[int, tuple[int, ...]]
 
@@ -55,14 +58,25 @@ def search_beside_outlying(
         done: whether a search leaves nothing to explain.
     """
     search = begun({})
-    if not done(search) and (rows := outlying(search.base)) and done(fewer := begun(rows)):
+    if not done(search) and (rows := _to_leave_out(search.base)) and done(fewer := begun(rows)):
         return searched(fewer), rows
     found = searched(search)
-    if not done(found[0]) and (rows := outlying(found[0].steps[-1].fit)):
+    if not done(found[0]) and (rows := _to_leave_out(found[0].steps[-1].fit)):
         again = searched(begun(rows))
         if done(again[0]):
             return again, rows
     return found, {}
+
+
+def _to_leave_out(fit: CaseFit) -> Rows:
+    """Outlying rows, if without them the rest may be explained: by a refit to the first order, which costs nothing."""
+    rows, joint = outlying(fit), fit.joint
+    if not rows:
+        return rows
+    kept = np.concatenate([np.repeat(~_gone(r, rows), r.size // r.record.size) for r in joint.fitted])
+    q, residual = basis(fit.optimum.jacobian[kept]), fit.optimum.residual[kept]
+    left, dof = float(np.sum((residual - q @ (q.T @ residual)) ** 2)), fit.optimum.dof
+    return rows if left / dof <= HOPELESS * gate(dof) else {}
 
 
 def without_rows(readings: Sequence[Readings], left_out: Rows) -> tuple[Readings, ...]:
@@ -71,9 +85,7 @@ def without_rows(readings: Sequence[Readings], left_out: Rows) -> tuple[Readings
 
 
 def _without(readings: Readings, left_out: Rows) -> Readings:
-    gone = np.zeros(readings.record.size, bool)
-    for number, rows in left_out.items():
-        gone |= (readings.record == number) & np.isin(readings.row, rows)
+    gone = _gone(readings, left_out)
     if not gone.any():
         return readings
     noise = readings.experiment.noise
@@ -83,3 +95,11 @@ def _without(readings: Readings, left_out: Rows) -> Readings:
     wide = jnp.where(gone[:, None], jnp.inf, std)
     experiment = eqx.tree_at(lambda e: e.noise.std, readings.experiment, wide)
     return replace(readings, experiment=experiment, record=np.where(gone, -1, readings.record))
+
+
+def _gone(readings: Readings, left_out: Rows) -> np.ndarray:
+    """Which rows of an experiment are left out."""
+    gone = np.zeros(readings.record.size, bool)
+    for number, rows in left_out.items():
+        gone |= (readings.record == number) & np.isin(readings.row, rows)
+    return gone

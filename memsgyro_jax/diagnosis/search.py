@@ -63,6 +63,7 @@ class Search:
         self.own: tuple[int, ...] = ()
         self.accepted: list[int] = []
         self.unseen: frozenset[int] | None = None
+        self._refits: dict[tuple[int, ...], tuple[Joint, Optimum, int, Optimum]] = {}
         self.steps = [SearchStep("", base)]
 
     def candidates(self) -> list[int]:
@@ -72,6 +73,8 @@ class Search:
     def rank(self) -> Ranking:
         """Scores at the present optimum."""
         places = self.candidates()
+        if not places:
+            return Ranking((), (), np.zeros(0), ())
         blocks = [self.joint.of_effect(i) for i in places]
         columns = np.concatenate(blocks)
         slopes = self._slopes(columns)
@@ -110,8 +113,11 @@ class Search:
         evaluations: int = LONG,
     ) -> Optimum:
         """Base and the effects at `places` free, from the present optimum or the vector `start`; `slopes` are the
-        sensitivities of the last of them at the present optimum, if known.
+        sensitivities of the last of them at the present optimum, if known. One from the present optimum is made once.
         """
+        kept = self._refits.get(tuple(places))
+        if start is None and kept and kept[0] is self.joint and kept[1] is self.optimum and kept[2] >= evaluations:
+            return kept[3]
         free, known = always_free(self.joint, (*self.given, *places)), None
         if slopes is not None:
             jacobian = np.zeros((self.optimum.residual.size, self.joint.start.size))
@@ -119,7 +125,10 @@ class Search:
             jacobian[:, self.joint.of_effect(places[-1])] = slopes
             known = self.optimum.residual, jacobian[:, free]
         begin = self.optimum.vector if start is None else start
-        return optimise(self.joint, begin, free, self.joint.fitted, known=known, max_evaluations=evaluations)
+        found = optimise(self.joint, begin, free, self.joint.fitted, known=known, max_evaluations=evaluations)
+        if start is None:
+            self._refits[tuple(places)] = self.joint, self.optimum, LONG if found.converged else evaluations, found
+        return found
 
     def without(self, place: int) -> np.ndarray:
         """The present parameters with the strength of one effect zero."""

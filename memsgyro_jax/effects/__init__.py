@@ -32,8 +32,8 @@ from .electrical_feedthrough import ElectricalFeedthrough as ElectricalFeedthrou
 from .electrostatic_softening import ElectrostaticSoftening as ElectrostaticSoftening
 from .finite_sweep_rate import FiniteSweepRate as FiniteSweepRate
 from .force_misalignment import ForceMisalignment as ForceMisalignment
-from .instrument import TERMS as TERMS
 from .instrument import InstrumentTerm as InstrumentTerm
+from .lock_in_terms import TERMS as TERMS
 from .numbers import EffectNumber as EffectNumber
 from .numbers import free_numbers as free_numbers
 from .numbers import parameter as parameter

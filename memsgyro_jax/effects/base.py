@@ -196,6 +196,9 @@ class LockInRow(eqx.Module):
         force: complex amplitude of the command per axis [N].
         before: phasors that were read in the row before [V].
         record, sweep, time: as in a `Moment`.
+        dwell: time since the row before [s], zero where none is known.
+        decay: matrix B [1/s] by which what differs from the settled motion of the row dies away, e^{−Bt}.
+        left: e^{−Bt} after the dwell; it and B are zero where no dwell is known.
     """
 
     frequency: Array
@@ -204,12 +207,18 @@ class LockInRow(eqx.Module):
     record: Array
     sweep: Array
     time: Array
+    dwell: Array
+    decay: Complex[Array, "axes axes"]
+    left: Complex[Array, "axes axes"]
 
 
 class LockInEffect(Effect):
-    """Acts on the phasors that a lock-in makes of the voltages of a sweep; a `last` one behind all others."""
+    """Acts on the phasors that a lock-in makes of the voltages of a sweep; a `last` one behind all others. One that
+    `rings` asks what is left of the motion of the row before.
+    """
 
     last: ClassVar[bool] = False
+    rings: ClassVar[bool] = False
 
     @abc.abstractmethod
     def phasors(self, values: Complex[Array, " axes"], row: LockInRow) -> Complex[Array, " axes"]:

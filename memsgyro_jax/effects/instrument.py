@@ -5,15 +5,42 @@ Each has one number per group of rows, chosen by the record and by the single sw
 in the row of a group that serves as the reference.
 """
 
-from typing import Any, ClassVar
+import abc
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Complex, Float
+import numpy as np
+from jaxtyping import Array, Float
 
 from memsgyro_jax.base.fields import AbstractVar
 
-from .base import DriveEffect, Effect, ForceEffect, LockInEffect, LockInRow, Moment, ReadoutEffect, strength
+from .base import DriveEffect, Effect, ForceEffect, LockInRow, Moment, ReadoutEffect, strength
+
+
+class SeenRows(NamedTuple):
+    """What rows show and how it moves with the device, in numbers: enough to say what a term does to first order.
+
+    Args:
+        values: (n, axes) predicted readings [V].
+        by_frequency, by_damping: (n, axes) their derivatives by the logarithm of all frequencies and of all dampings.
+        force: (n,) command of the electrode that is driven [N].
+        record, sweep, time: (n,) as in a `Moment`.
+        ringing, turning: (n, axes) what is left of the row before, minus this one's readings, after its dwell, and the
+            rate at which that goes on changing [V/s], negated; zero where rows have settled.
+        before: (n, axes) readings of the row before.
+    """
+
+    values: np.ndarray
+    by_frequency: np.ndarray
+    by_damping: np.ndarray
+    force: np.ndarray
+    record: np.ndarray
+    sweep: np.ndarray
+    time: np.ndarray
+    ringing: np.ndarray
+    turning: np.ndarray
+    before: np.ndarray
 
 
 class InstrumentTerm(Effect):
@@ -41,8 +68,20 @@ class InstrumentTerm(Effect):
         table = self.entry[jnp.asarray(now.record, int), jnp.asarray(now.sweep, int)]
         return table @ self.strength
 
+    @abc.abstractmethod
+    def moved(self, seen: SeenRows) -> np.ndarray:
+        """(n, axes) how rows of a linear device move with the number that they take."""
 
-def _fixed(default: Any) -> Array:
+    def slopes(self, seen: SeenRows) -> np.ndarray:
+        """(n, axes, k) how rows of a linear device move with each number, at zero: what a program would derive."""
+        return self.moved(seen)[..., None] * self.taken(seen)[:, None, :]
+
+    def taken(self, seen: SeenRows) -> np.ndarray:
+        """(n, k) how much of each number a row takes."""
+        return np.asarray(self.entry)[np.asarray(seen.record, int), np.asarray(seen.sweep, int)]
+
+
+def row_field(default: Any) -> Array:
     """A field that says which number a row takes, or when a record was taken."""
     return eqx.field(converter=lambda value: jnp.asarray(value, float), default=default)
 
@@ -55,10 +94,13 @@ class DriveLevel(InstrumentTerm, DriveEffect):
     name, unit, law = "drive_level", "1", "u → (1 + s_k)·u"
     prior = 0.05
     strength: Array = strength((0.0,), low=-0.2, high=0.2)
-    entry: Array = _fixed((((0.0,),),))
+    entry: Array = row_field((((0.0,),),))
 
     def applied(self, command: Array, now: Moment) -> Array:
         return command + self.chosen(now) * command
+
+    def moved(self, seen: SeenRows) -> np.ndarray:
+        return seen.values
 
 
 class RecordGain(InstrumentTerm, ReadoutEffect):
@@ -67,10 +109,13 @@ class RecordGain(InstrumentTerm, ReadoutEffect):
     name, unit, law = "record_gain", "1", "V → (1 + s_k)·V"
     prior = 0.05
     strength: Array = strength((0.0,), low=-0.2, high=0.2)
-    entry: Array = _fixed((((0.0,),),))
+    entry: Array = row_field((((0.0,),),))
 
     def signal(self, volts: Array, now: Moment) -> Array:
         return volts + self.chosen(now) * volts
+
+    def moved(self, seen: SeenRows) -> np.ndarray:
+        return seen.values
 
 
 class FrequencyOffset(InstrumentTerm, ForceEffect):
@@ -79,10 +124,13 @@ class FrequencyOffset(InstrumentTerm, ForceEffect):
     name, unit, law = "frequency_offset", "1", "f0 → (1 + s_k)·f0"
     prior = 1e-6
     strength: Array = strength((0.0,), low=-4e-6, high=4e-6)
-    entry: Array = _fixed((((0.0,),),))
+    entry: Array = row_field((((0.0,),),))
 
     def force(self, now: Moment) -> Array:
         return _pulled(now, self.chosen(now))
+
+    def moved(self, seen: SeenRows) -> np.ndarray:
+        return seen.by_frequency
 
 
 class ClockedTerm(InstrumentTerm):
@@ -100,18 +148,26 @@ class ClockedTerm(InstrumentTerm):
         record = jnp.asarray(now.record, int)
         return self.chosen(now) * ((now.time - self.begin[record]) / self.span[record] - 0.5)
 
+    def taken(self, seen: SeenRows) -> np.ndarray:
+        record = np.asarray(seen.record, int)
+        return super().taken(seen) * ((seen.time - np.asarray(self.begin)[record]) / np.asarray(self.span)[record]
+                                       - 0.5)[:, None]  # fmt: skip
+
 
 class FrequencyDrift(ClockedTerm, ForceEffect):
     """The frequency of the device grows by s_k of itself over a record. Zero: it stays."""
 
     name, unit, law = "frequency_drift", "1", "f0 → (1 + s_k·(t/T − ½))·f0"
     strength: Array = strength((0.0,), low=-1e-2, high=1e-2)
-    entry: Array = _fixed((((0.0,),),))
-    begin: Array = _fixed((0.0,))
-    span: Array = _fixed((1.0,))
+    entry: Array = row_field((((0.0,),),))
+    begin: Array = row_field((0.0,))
+    span: Array = row_field((1.0,))
 
     def force(self, now: Moment) -> Array:
         return _pulled(now, self.grown(now))
+
+    def moved(self, seen: SeenRows) -> np.ndarray:
+        return seen.by_frequency
 
 
 class DampingDrift(ClockedTerm, ForceEffect):
@@ -119,12 +175,15 @@ class DampingDrift(ClockedTerm, ForceEffect):
 
     name, unit, law = "damping_drift", "1", "d → (1 + s_k·(t/T − ½))·d"
     strength: Array = strength((0.0,), low=-0.5, high=0.5)
-    entry: Array = _fixed((((0.0,),),))
-    begin: Array = _fixed((0.0,))
-    span: Array = _fixed((1.0,))
+    entry: Array = row_field((((0.0,),),))
+    begin: Array = row_field((0.0,))
+    span: Array = row_field((1.0,))
 
     def force(self, now: Moment) -> Array:
         return -self.grown(now) * (now.device.damping_matrix @ now.velocity) / now.device.mobility
+
+    def moved(self, seen: SeenRows) -> np.ndarray:
+        return seen.by_damping
 
 
 class GainDrift(ClockedTerm, ReadoutEffect):
@@ -132,93 +191,17 @@ class GainDrift(ClockedTerm, ReadoutEffect):
 
     name, unit, law = "gain_drift", "1", "V → (1 + s_k·(t/T − ½))·V"
     strength: Array = strength((0.0,), low=-0.2, high=0.2)
-    entry: Array = _fixed((((0.0,),),))
-    begin: Array = _fixed((0.0,))
-    span: Array = _fixed((1.0,))
+    entry: Array = row_field((((0.0,),),))
+    begin: Array = row_field((0.0,))
+    span: Array = row_field((1.0,))
 
     def signal(self, volts: Array, now: Moment) -> Array:
         return volts + self.grown(now) * volts
 
-
-class PhaseDrift(ClockedTerm, LockInEffect):
-    """The reference of the lock-in turns by s_k rad over a record. Zero: it stays."""
-
-    name, unit, law = "phase_drift", "rad", "V → V·exp(i·s_k·(t/T − ½))"
-    strength: Array = strength((0.0,), low=-1.0, high=1.0)
-    entry: Array = _fixed((((0.0,),),))
-    begin: Array = _fixed((0.0,))
-    span: Array = _fixed((1.0,))
-
-    def phasors(self, values: Complex[Array, " axes"], row: LockInRow) -> Complex[Array, " axes"]:
-        return values * jnp.exp(1j * self.grown(row))
-
-
-class ReferencePhase(InstrumentTerm, LockInEffect):
-    """The reference of the lock-in is turned by s_k rad, in all records or in each. Zero: it is the drive itself."""
-
-    name, unit, law = "reference_phase", "rad", "V → V·exp(i·s_k)"
-    strength: Array = strength((0.0,), low=-1.0, high=1.0)
-    entry: Array = _fixed((((0.0,),),))
-    of: str = eqx.field(static=True, default="")
-
-    def phasors(self, values: Complex[Array, " axes"], row: LockInRow) -> Complex[Array, " axes"]:
-        return values * jnp.exp(1j * self.chosen(row))
-
-
-class LockInBackground(InstrumentTerm, LockInEffect):
-    """A phasor that is there without a drive: V → V + s, real and imaginary part of each channel. Zero: none."""
-
-    name, unit, law = "lock_in_background", "V", "V → V + s_k"
-    strength: Array = strength((0.0,))
-    entry: Array = _fixed((((0.0,),),))
-
-    def phasors(self, values: Complex[Array, " axes"], row: LockInRow) -> Complex[Array, " axes"]:
-        return values + _pairs(self.strength)
-
-
-class LockInFeedthrough(InstrumentTerm, LockInEffect):
-    """A phasor in proportion to the drive: V → V + s·u, real and imaginary part of each channel, u the electrode that
-    is driven. Zero: none.
-    """
-
-    name, unit, law = "lock_in_feedthrough", "V/N", "V → V + s_k·u"
-    strength: Array = strength((0.0,))
-    entry: Array = _fixed((((0.0,),),))
-
-    def phasors(self, values: Complex[Array, " axes"], row: LockInRow) -> Complex[Array, " axes"]:
-        return values + _pairs(self.strength) * jnp.sum(row.force)
-
-
-class LockInMemory(InstrumentTerm, LockInEffect):
-    """The filter of the lock-in still shows the part s of the row before: V_n → V_n + s_k·(seen_{n−1} − V_n). Zero: it
-    has settled. A filter with one time constant τ, read a dwell D after the step, has s = exp(−D/τ).
-
-    Libbrecht, Black and Hirata, "A basic lock-in amplifier experiment for the undergraduate laboratory", Am. J. Phys.
-    71 (2003) 1208.
-    """
-
-    name, unit, law = "lock_in_memory", "1", "V_n → V_n + s_k·(V_{n−1} − V_n)"
-    reference = "Libbrecht, Black and Hirata, Am. J. Phys. 71 (2003) 1208"
-    last: ClassVar[bool] = True
-    strength: Array = strength((0.0,), low=0.0, high=0.9)
-    entry: Array = _fixed((((0.0,),),))
-    of: str = eqx.field(static=True, default="")
-
-    def phasors(self, values: Complex[Array, " axes"], row: LockInRow) -> Complex[Array, " axes"]:
-        return values + self.chosen(row) * (row.before - values)
-
-
-TERMS: tuple[type[InstrumentTerm], ...] = (
-    *(LockInMemory, ReferencePhase, LockInBackground, LockInFeedthrough),
-    *(DriveLevel, RecordGain, FrequencyOffset),
-    *(FrequencyDrift, DampingDrift, GainDrift, PhaseDrift),
-)
+    def moved(self, seen: SeenRows) -> np.ndarray:
+        return seen.values
 
 
 def _pulled(now: Moment, shift: Array) -> Float[Array, " axes"]:
     """The force [N] that moves the frequencies of the device by a small part of themselves."""
     return -2.0 * shift * (now.device.stiffness_matrix @ now.displacement) / now.device.mobility
-
-
-def _pairs(parts: Float[Array, " k"]) -> Complex[Array, " axes"]:
-    return parts[0::2] + 1j * parts[1::2]

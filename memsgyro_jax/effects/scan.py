@@ -17,11 +17,14 @@ class Coverage:
         band: lowest and highest frequency [rad/s] in the records.
         volts: largest amplitude [V] of any recorded voltage.
         durations: length [s] of each record in the case's order; zero for one without a clock, such as a sweep.
+        sweep_rate: fastest [rad/s²] at which the frequency of a sweep moves by the clocks of the records; infinite
+            where a sweep has none.
     """
 
     band: tuple[float, float]
     volts: float
     durations: tuple[float, ...] = ()
+    sweep_rate: float = float("inf")
 
 
 class Scanned(Effect):

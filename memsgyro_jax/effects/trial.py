@@ -72,7 +72,11 @@ class PortMethod(NamedTuple):
 def _read(now: Moment) -> tuple[Array, LockInRow]:
     """Phasors that a lock-in might make of a moment, and what it knows of the row."""
     values, force = now.scale * now.displacement * (1 + 0.5j), now.force + 0j
-    return values, LockInRow(jnp.asarray(1.0), force, 0.9j * values, now.record, now.sweep, now.time)
+    decay = (0.5 + 1j) * jnp.eye(values.size)
+    return values, LockInRow(
+        jnp.asarray(1.0), force, 0.9j * values, now.record, now.sweep, now.time,
+        dwell=jnp.asarray(1.0), decay=decay, left=jnp.exp(-0.5 - 1j) * jnp.eye(values.size),
+    )  # fmt: skip
 
 
 def _parts(values: Array) -> Array:

@@ -105,8 +105,12 @@ def _sweep(about: dict, table: SourceTable, rows: dict[str, SourceColumn], given
     for name, column in parts.items():
         columns[name] = _angle(column, assumed) if name == "Vx_phase" else _reading(column, assumed)
     quantity = _conventions(columns, table, assumed)
-    keys: dict[str, Any] = {"settled": True}
-    assumed.append("every row was read after its transient had died away (`settled`)")
+    keys: dict[str, Any] = {"settled": "t" not in columns}
+    assumed.append(
+        "a row begins where the row before ended and rings down from there, as the clock says (`settled = false`)"
+        if "t" in columns
+        else "every row was read after its transient had died away (`settled`)"
+    )
     if "drive" in rows:
         columns["F_x"] = _reading(rows["drive"], assumed, "drive")
     else:

@@ -1,9 +1,12 @@
 """What a lock-in makes of the phasors that a bench would show: the effects of the instrument, row by row."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Complex, Float
 
+from memsgyro_jax.base.linalg import exponential, inverse
 from memsgyro_jax.device.conditions import Conditions
 from memsgyro_jax.effects.base import LockInEffect, LockInRow
 
@@ -17,24 +20,56 @@ def through_lock_in(
     force: Complex[Array, "n axes"],
     before: Complex[Array, "n axes"],
     conditions: Conditions,
+    dwell: Float[Array, " n"] | None = None,
+    unsettled: Float[Array, " n"] | None = None,
 ) -> Complex[Array, "n axes"]:
-    """Phasors [V] as the lock-in gives them; `frequency`, `force` and `conditions` may hold for all rows."""
-    effects = sorted((e for e in bench.effects if isinstance(e, LockInEffect)), key=lambda effect: effect.last)
-    if not effects:
+    """Phasors [V] as the lock-in gives them; `frequency`, `force` and `conditions` may hold for all rows.
+
+    Args:
+        dwell: time since the row before [s], infinite where none is known; `None` where it is known of no row.
+        unsettled: one for rows that were read before they had settled, zero for the others; `None` where all had.
+    """
+    effects = [effect for effect in bench.effects if isinstance(effect, LockInEffect)]
+    clocked = dwell is not None and (unsettled is not None or any(effect.rings for effect in effects))
+    if not effects and not clocked:
         return phasors
     count, axes = phasors.shape
 
-    def one(values: Array, row: LockInRow) -> Array:
+    def one(values: Array, conditions: Conditions, apart: Array, row: LockInRow) -> Array:
+        if clocked:
+            known = jnp.isfinite(row.dwell)
+            decay, dwell = ring_down_matrix(bench, row.frequency, conditions) * known, jnp.where(known, row.dwell, 0.0)
+            left = (jnp.exp if axes == 1 else exponential)(-decay * dwell) * known
+            row = dataclasses.replace(row, dwell=dwell, decay=decay, left=left)
         for effect in effects:
-            values = effect.phasors(values, row)
+            values = values if effect.last else effect.phasors(values, row)
+        values = values + apart * (row.left @ (row.before - values)) if clocked else values
+        for effect in effects:
+            values = effect.phasors(values, row) if effect.last else values
         return values
 
+    surroundings = conditions.rows(count)
     rows = LockInRow(
         frequency=jnp.broadcast_to(frequency, (count,)),
         force=jnp.broadcast_to(force, (count, axes)),
         before=before,
-        record=jnp.broadcast_to(conditions.record, (count,)),
-        sweep=jnp.broadcast_to(conditions.sweep, (count,)),
-        time=jnp.broadcast_to(conditions.time, (count,)),
+        record=surroundings.record,
+        sweep=surroundings.sweep,
+        time=surroundings.time,
+        dwell=jnp.zeros(count) if dwell is None else dwell,
+        decay=jnp.zeros((count, axes, axes), complex),
+        left=jnp.zeros((count, axes, axes), complex),
     )
-    return jax.vmap(one)(phasors, rows)
+    return jax.vmap(one)(phasors, surroundings, jnp.zeros(count) if unsettled is None else unsettled, rows)
+
+
+def ring_down_matrix(bench: Model, omega: Array, conditions: Conditions) -> Complex[Array, "axes axes"]:
+    """B [1/s] such that a motion Re[(q + Δ)·e^{iωt}] away from the settled one, q, goes on as Δ' = −B·Δ.
+
+    Of a linear motion with stiffness K and damping D per mass, B = (2iω + D)⁻¹·(K − ω² + iωD): exact but for Δ'', a
+    part 1/(4Q) of it. The phase of a drive whose frequency is stepped goes on, and so does Δ + q.
+    """
+    axes, one = bench.axes, jnp.eye(bench.axes)
+    matrix, _ = bench.linear(conditions)
+    stiffness, damping = -matrix[axes : 2 * axes, :axes], -matrix[axes : 2 * axes, axes : 2 * axes]
+    return inverse(2j * omega * one + damping) @ (stiffness - omega**2 * one + 1j * omega * damping)

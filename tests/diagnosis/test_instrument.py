@@ -1,6 +1,7 @@
 """Terms of the instrument: the port's promises, which of them a case can hold, and faults of a bench that they take."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,12 +9,17 @@ from bench_case import ONE_AXIS, RESONATOR, bench
 from lab.die import Hidden
 from lab.faults import Faults
 
+from memsgyro_jax.diagnosis.acceptance import _impossible
 from memsgyro_jax.diagnosis.diagnose import diagnose
+from memsgyro_jax.diagnosis.fit import beside_case
 from memsgyro_jax.diagnosis.instrument import instrument_terms, knowledge
 from memsgyro_jax.diagnosis.joint_residual import Joint
 from memsgyro_jax.diagnosis.nuisances import add_terms
+from memsgyro_jax.diagnosis.optimum import Optimum
+from memsgyro_jax.diagnosis.promise import offers_of
+from memsgyro_jax.diagnosis.scans import coverage
 from memsgyro_jax.diagnosis.search import Search, start_search
-from memsgyro_jax.effects import TERMS
+from memsgyro_jax.effects import TERMS, FiniteSweepRate
 from memsgyro_jax.effects.trial import complaint
 from memsgyro_jax.measurement.linear_start import starting_device
 from memsgyro_jax.measurement.readings import model_of, readings_of
@@ -103,6 +109,27 @@ def test_levels_that_are_off_are_told_against_the_first():
     assert std[2] == pytest.approx(0.05)  # the level of the record that is not fitted is known as before
 
 
+@pytest.mark.parametrize("settled", [True, False])
+def test_what_a_term_promises_is_what_a_program_derives(settled):
+    """Of a linear device, of which 8 % is left of the row before after 0.5 s."""
+    whole = case_of(dwell=0.5)
+    case = replace(whole, records=tuple(replace(r, settled=settled) if r.kind == "frequency_sweep" else r
+                                        for r in whole.records))  # fmt: skip
+    terms = instrument_terms(case)
+    model = model_of(case, starting_device(case)).with_effect(*terms)
+    joint = Joint(model, readings_of(case))
+    free = np.arange(joint.start.size)
+    residual, slopes = joint.linearise(joint.start, np.eye(free.size), joint.fitted)
+    base = joint.base()
+    bare = Optimum(joint.start, base, residual, slopes[:, base], np.zeros((0, base.size)), True, 1)
+    offers = offers_of(beside_case(case, joint, bare), terms)
+    for place, (term, offer) in enumerate(zip(terms, offers, strict=True)):
+        derived = slopes[:, joint.of_effect(place)]
+        size = np.linalg.norm(derived, axis=0)
+        near = 0.05 if getattr(term, "last", False) else 1e-3  # these see the row before, here with its noise
+        assert np.all(np.linalg.norm(offer.slopes - derived, axis=0) <= near * size + 1e-9), term.label
+
+
 def test_sound_instruments_have_no_term():
     """Of five benches at a level of 1 %."""
     assert sum(bool(searched(case_of(seed)).accepted) for seed in range(5)) <= 1
@@ -148,3 +175,20 @@ def test_a_delay_that_is_a_phase_as_well_is_not_told_from_it():
     found = diagnosed(phase=-0.026)
     assert found.verdict == "instrument_only"
     assert "cannot tell it from readout_delay" in found.sentence
+
+
+def test_the_clock_of_a_record_rules_the_rate_of_its_sweeps():
+    """Without one any rate may be; by it none much faster, and none at all beside rows whose steps are predicted."""
+    free, clocked = case_of(), case_of(dwell=CLOCK)
+    assert coverage(free).sweep_rate == np.inf
+    (record, *_) = (r for r in clocked.records if r.kind == "frequency_sweep")
+    steps = max(np.max(np.abs(np.diff(record.frequency[rows]))) for rows in record.sweeps)
+    assert coverage(clocked).sweep_rate >= steps / CLOCK
+    rate = coverage(clocked).sweep_rate
+    unsettled = replace(clocked, records=tuple(replace(r, settled=False) if r.kind == "frequency_sweep" else r
+                                               for r in clocked.records))  # fmt: skip
+    for case, speed, impossible in ((free, 9 * rate, False), (clocked, rate, False), (clocked, 2 * rate, True),
+                                    (unsettled, 0.1 * rate, True)):  # fmt: skip
+        joint = Joint(model_of(case, starting_device(case)).with_effect(FiniteSweepRate(speed)), readings_of(case))
+        why = _impossible(joint, 0, SimpleNamespace(vector=joint.start), coverage(case))
+        assert ("clock" in why) == impossible

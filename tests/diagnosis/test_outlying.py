@@ -12,7 +12,7 @@ from lab.protocol import Laboratory, Sweep
 from memsgyro_jax.diagnosis.fit import beside_case, fit_case
 from memsgyro_jax.diagnosis.joint_residual import Joint
 from memsgyro_jax.diagnosis.optimum import optimise
-from memsgyro_jax.diagnosis.outlying import outlying, search_beside_outlying, without_rows
+from memsgyro_jax.diagnosis.outlying import _to_leave_out, outlying, search_beside_outlying, without_rows
 
 
 LONG = Laboratory((Sweep("sweep", 0, (0.002, 0.006), **BAND | {"points": 90}),), digits=17)
@@ -44,12 +44,15 @@ def test_wrong_rows_are_named_and_leave_the_fit_what_it_was(seed):
     assert np.all(moved < 1.0)
 
 
-def test_normal_noise_and_a_missing_law_name_nobody():
+def test_normal_noise_and_a_missing_law_name_nobody(monkeypatch):
     """One false row in a thousand records, and none where a spring leaves several times the noise."""
     assert all(outlying(fit_case(case_of(seed))) == {} for seed in range(8))
     missing = fit_case(case_of(0, Hidden(cubic_stiffness_x=3.9 * RESONATOR.kxx)))
     assert missing.chi2_per_dof > 20.0
     assert outlying(missing) == {}
+    # Had some been named: no fit without them is made, as they leave the law that is missing.
+    monkeypatch.setattr("memsgyro_jax.diagnosis.outlying.outlying", lambda fit: {0: WRONG})
+    assert _to_leave_out(missing) == {}
 
 
 def test_a_record_of_which_a_part_is_wrong_keeps_all_rows():
@@ -67,7 +70,7 @@ def test_a_record_of_which_a_part_is_wrong_keeps_all_rows():
     ],
 )
 def test_rows_are_left_out_where_the_rest_is_explained(monkeypatch, base, fewer, final, again, named):
-    monkeypatch.setattr("memsgyro_jax.diagnosis.outlying.outlying", lambda fit: {0: (3,)})
+    monkeypatch.setattr("memsgyro_jax.diagnosis.outlying._to_leave_out", lambda fit: {0: (3,)})
 
     def state(done):
         return SimpleNamespace(done=done, base=None, steps=[SimpleNamespace(fit=None)])

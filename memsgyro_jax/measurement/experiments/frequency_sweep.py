@@ -49,7 +49,7 @@ class FrequencySweepRecord(AbstractRecord):
 
     Args:
         axis: driven electrode, 0 = x, 1 = y.
-        settled: whether each row was recorded after the transient had died away.
+        settled: whether transients had died away; if not, and with times, each row begins where that before ended.
         frequency: (n,) angular frequency [rad/s].
         drive: (n,) amplitude of the force [N], of the input [V] for a resonator.
         temperature: (n,) [K].

@@ -43,6 +43,9 @@ class HarmonicSweep(Experiment):
         near: displacement phasors (n, axes) [m] that say which branch of a folded resonance is meant.
         direction: +1 where the frequency rose towards a row, −1 where it fell.
         before: phasors (n, axes) that were read in the row before [V]; `None` where each row stands alone.
+        dwell: (n,) time since the row before [s], infinite where it is unknown; `None` for all.
+        unsettled: (n,) one where a row was read before it had settled: it begins where the row before ended and rings
+            down to its own motion, as its mode does; zero elsewhere; `None` for all.
         fineness: of the harmonic balance; `finer` is the next.
     """
 
@@ -57,6 +60,8 @@ class HarmonicSweep(Experiment):
     near: Complex[Array, "n axes"]
     direction: Float[Array, " n"]
     before: Complex[Array, "n axes"] | None = None
+    dwell: Float[Array, " n"] | None = None
+    unsettled: Float[Array, " n"] | None = None
     fineness: Fineness = eqx.field(static=True, default=FINENESS[0])
 
     def predict(self, bench: Model) -> Complex[Array, "n axes"]:
@@ -72,7 +77,9 @@ class HarmonicSweep(Experiment):
 
         settled = jax.vmap(row)(self.frequency, self.force, self.surroundings, self.near, self.direction)
         before = self.measured if self.before is None else self.before
-        return through_lock_in(bench, settled, self.frequency, self.force, before, self.surroundings)
+        return through_lock_in(
+            bench, settled, self.frequency, self.force, before, self.surroundings, self.dwell, self.unsettled
+        )
 
     @eqx.filter_jit
     def followed(self, bench: Model) -> "HarmonicSweep":

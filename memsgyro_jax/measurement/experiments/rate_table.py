@@ -69,7 +69,7 @@ class RateTable(Experiment):
         _, course = driven.run(start[: HARMONICS + 1], step, self.surroundings)
         seen = driven.demodulated(course, step)
         given = jax.vmap(lambda s, c: fundamental(bench, self.frequency, s, driven.force, c))(seen, self.surroundings)
-        return through_lock_in(bench, given, self.frequency, driven.force, self.measured, self.surroundings)
+        return through_lock_in(bench, given, self.frequency, driven.force, given, self.surroundings)
 
     def proposals(self, name: str) -> Iterator[tuple[str, Experiment]]:
         """Again as it was; rates up to the largest, known from a calibrated reference; fast ones; a stronger drive."""

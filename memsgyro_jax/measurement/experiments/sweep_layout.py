@@ -28,6 +28,7 @@ def halves(declared: Declared, records: Sequence[tuple[int, Any]]) -> list[Readi
         if rows.size:
             padded = np.concatenate([rows, np.full(size - rows.size, rows[-1])])
             real = np.arange(size) < rows.size
+            real &= ~np.concatenate([_begins_unknown(r) for _, r in records])[padded]
             experiment = joined_rows(declared, records, padded, real)
             out.append(Readings(experiment, np.where(real, record[padded], -1), row[padded], fitted))
     return out
@@ -42,6 +43,7 @@ def joined_rows(
         return np.concatenate([np.asarray(values(number, r)) for number, r in records])[rows]
 
     measured = joined(lambda _, r: r.readings)
+    clocked = any(r.time is not None and r.phase_known for _, r in records)
     noise = joined(lambda _, r: r.noise_of_rows)
     return HarmonicSweep(
         name="frequency sweeps",
@@ -60,4 +62,18 @@ def joined_rows(
         near=jnp.asarray(joined(lambda _, r: r.motion(declared))),
         direction=jnp.asarray(joined(lambda _, r: r.directions)),
         before=jnp.asarray(joined(lambda _, r: r.phasors[np.maximum(np.arange(r.rows) - 1, 0)])),
+        dwell=jnp.asarray(joined(lambda _, r: _dwell(r))) if clocked else None,
+        unsettled=jnp.asarray(joined(lambda _, r: np.full(r.rows, float(not r.settled))))
+        if clocked and not all(r.settled for _, r in records)
+        else None,
     )
+
+
+def _dwell(record: Any) -> np.ndarray:
+    """(n,) time since the row before [s], infinite for the first and without a clock."""
+    return np.full(record.rows, np.inf) if record.time is None else np.diff(record.time, prepend=-np.inf)
+
+
+def _begins_unknown(record: Any) -> np.ndarray:
+    """(n,) rows that begin in a motion that was not recorded, and have not settled since."""
+    return (np.arange(record.rows) == 0) & (not record.settled and record.time is not None and record.phase_known)
