@@ -91,6 +91,29 @@ CASES = {
 
 
 @pytest.mark.slow
+def test_powers_add_in_a_filter_that_follows_the_rate():
+    """A swing that hardly decays, and a Kalman filter that knows everything but a walking rate."""
+    device = mg.SingleMassGyro.from_modes(1.8e-7, (3e3, 3.6e3), 1e6).at_temperature(300.0)
+    readout, start = mg.DirectReadout(1e6, noise_density=1e-10), (1e-6, 0.0, 0.0, 0.0)
+    usual = mg.design_prior(device)
+    prior = mg.Prior(start, (0.0,) * 4, usual.offset, usual.offset_std, usual.theta, usual.theta_std)
+    known = tuple(name for name in device.model.names if name != "rate")
+    walk = mg.ProcessNoise.of(device.model, rate=1e-6)
+    observer = mg.ExtendedKalmanFilter.for_device(
+        device, readout, known=known, with_offsets=False, prior=prior, process_noise=walk
+    )
+    loop, rows = mg.ClosedLoop(device, readout, observer, mg.OpenLoop(), start), []
+    budget = mg.noise_budget(loop, sample_rate=50e3)
+    for die in range(24):
+        trace = mg.simulate(loop, 0.0, sample_rate=50e3, duration=2.0, die=die, decimation=50)
+        rows.append(np.asarray(trace.rate_estimate)[200:])
+    factors = (40, 80)
+    deviation = mg.allan_deviation(np.array(rows), factors) * np.sqrt(np.array(factors) * 50.0 / 50e3)
+    assert np.sqrt(np.mean(deviation**2)) == pytest.approx(float(budget.total), rel=0.05)
+    assert min(float(part) for part in budget.walk) > 0.2 * float(budget.total)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_powers_add_to_the_simulated_walk(name):
     """Within 5 %: Allan deviation of 40 dies over 1.1 s of an open loop, at 20 and 40 ms."""
