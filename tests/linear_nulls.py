@@ -179,7 +179,8 @@ class Nulls:
                 within.append(chi2 / count <= gate(count, freedom=freedom[number]))
                 if not fit:
                     through = np.linalg.lstsq(root.T, slopes[mine][:, base].T)[0]
-                    chi2 = float(left[mine] @ np.linalg.solve(np.eye(count) + through.T @ through, left[mine]))
+                    inner = through @ left[mine]
+                    chi2 -= float(inner @ np.linalg.solve(np.eye(len(inner)) + through @ through.T, inner))
                 fine = fit and chi2 / count <= gate(count, FITTED, freedom[number])
                 p_values.append(1.0 if fine else above(chi2, count, freedom[number]))
         return within, p_values
