@@ -256,7 +256,7 @@ class FreeDecayRecord(WaveformRecord):
         """Of some rows, a whole number of pieces."""
         signals, time, rows = self.signals[part], self.time[part], self.piece_rows(declared)
         phasors = self.reference_frequency is not None
-        away = max(abs(omega - (self.reference_frequency or 0.0)) for omega in declared.resonances)
+        away = self._distance(declared)
         noise = self.noise_level
         return FreeDecay(
             name="free decays",
@@ -268,6 +268,18 @@ class FreeDecayRecord(WaveformRecord):
             frequency=jnp.asarray(self.reference_frequency or 0.0),
             substeps=max(1, int(np.ceil(away * self.period / PHASE_STEP))),
         )
+
+    def _distance(self, declared: Declared) -> float:
+        """How fast at most the vibration turns in the frame of the record [rad/s].
+
+        Phasors of one axis show it themselves; what a design leaves open may be a thousand times as wide.
+        """
+        reference = self.reference_frequency or 0.0
+        if reference and declared.channels == 1:
+            seen = self.track(declared, 0).seen
+            if seen.time.size:
+                return 2.0 * float(np.max(np.abs(seen.omega - reference)))
+        return max(abs(omega - reference) for omega in declared.resonances)
 
     def _starts(self, declared: Declared, part: slice, rows: int) -> np.ndarray:
         """Displacement and velocity at the beginning of each piece, as its strongest vibration has them."""

@@ -130,6 +130,8 @@ def test_phasors_of_a_lock_in_tell_the_same_as_the_waveform(tmp_path):
     case = written(
         tmp_path, time, columns, 14010.0, 'reference_frequency = { value = 13970, unit = "Hz" }\nrole = "fit"'
     )
+    turned = 2 * (omega - reference) * 2e-3  # as far as seen, whatever the design leaves open
+    assert readings_of(case)[0].experiment.substeps == pytest.approx(turned / 0.06, abs=2)
     fit = fit_case(case)
     std = {e.name: e.std for e in fit.estimates}
     assert abs(float(fit.model.device.damping[0]) - 2 * decay) < 4 * std["d/m"]
