@@ -23,13 +23,15 @@ def own_bounds(
     """Least standard deviation of the rate at the end, of each of the first dies, if there is one; NaN for a die whose
     data and prior say nothing.
 
-    The bound is that of a constant rate on a constant device, so there is none where anything varies.
+    The bound is that of a constant rate on a constant device that the read-out's noise hides, so there is none where
+    anything varies, or where a Brownian force shakes the device.
     """
     if dies == 0:
         return None
     conditions = jax.vmap(scenario.at)(jnp.linspace(0.0, duration, 1001))
     varies = any(float(jnp.ptp(value)) > 0.0 for value in jax.tree.leaves(conditions))
-    if varies or any(float(jnp.min(density)) == 0.0 for density in loop.readout.noise_density):
+    warm = loop.device.temperature is not None
+    if varies or warm or any(float(jnp.min(density)) == 0.0 for density in loop.readout.noise_density):
         return None
     observer = loop.observer
     if isinstance(observer, NoObserver):  # it takes the design's numbers for true, which no bound without a prior does
