@@ -31,7 +31,7 @@ from memsgyro_jax.effects.lock_in_terms import (
     UnsettledRows,
 )
 from memsgyro_jax.measurement.case import AbstractRecord, Case
-from memsgyro_jax.measurement.experiments import FrequencySweepRecord, Readings
+from memsgyro_jax.measurement.experiments import Readings
 from memsgyro_jax.measurement.experiments.base import Experiment, Noise, RealNoise
 from memsgyro_jax.measurement.model import Model
 
@@ -119,7 +119,7 @@ class _Groups:
         stepped = [
             (record.settled, set(own))
             for record, own, mine in zip(case.records, places, clocked, strict=True)
-            if mine and isinstance(record, FrequencySweepRecord)
+            if mine and record.stepped
         ]
         levels: dict[tuple, set[Place]] = {}
         for (record, rows), own in zip(zip(case.records, pieces, strict=True), places, strict=True):
@@ -131,11 +131,7 @@ class _Groups:
             [{place} for own in places for place in own],
             list(levels.values()),
             [set(own) for own, wave in zip(places, phasor, strict=True) if wave],
-            [
-                set(own)
-                for own, wave, r in zip(places, phasor, case.records, strict=True)
-                if wave and isinstance(r, FrequencySweepRecord)
-            ],
+            [set(own) for own, wave, r in zip(places, phasor, case.records, strict=True) if wave and r.stepped],
             timed,
             _together([own for settled, own in stepped if settled]),
             _together([own for settled, own in stepped if not settled]),

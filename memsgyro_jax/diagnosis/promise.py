@@ -13,7 +13,7 @@ from scipy import linalg, optimize, stats
 
 from memsgyro_jax.effects import InstrumentTerm, free_numbers
 from memsgyro_jax.effects.instrument import SeenRows
-from memsgyro_jax.measurement.experiments import HarmonicSweep, Readings
+from memsgyro_jax.measurement.experiments import Readings
 from memsgyro_jax.measurement.experiments.base import Experiment
 from memsgyro_jax.measurement.model import Model
 
@@ -191,9 +191,10 @@ def _ringing(
 ) -> tuple[np.ndarray, np.ndarray]:
     """What is left of the motion of the row before, and how fast it turns; zero where no clock says."""
     still = np.zeros_like(values)
-    if not isinstance(experiment, HarmonicSweep) or experiment.dwell is None:
+    dwell = getattr(experiment, "dwell", None)
+    if dwell is None:
         return still, still
-    dwell = np.asarray(experiment.dwell)
+    dwell = np.asarray(dwell)
     device = model.device
     one, omega = np.eye(values.shape[1]), np.asarray(experiment.frequency)[:, None, None]
     damping = np.asarray(device.damping_matrix)

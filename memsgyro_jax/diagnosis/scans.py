@@ -11,7 +11,7 @@ from jaxtyping import Array
 
 from memsgyro_jax.effects import Coverage, DampingStep, ParasiticMode, Scanned, catalogue, free_numbers
 from memsgyro_jax.measurement.case import Case
-from memsgyro_jax.measurement.experiments import FrequencySweepRecord, Readings
+from memsgyro_jax.measurement.experiments import Readings
 from memsgyro_jax.measurement.model import Model
 
 from .joint_residual import compiled
@@ -44,7 +44,7 @@ def coverage(case: Case) -> Coverage:
 def _sweep_rate(case: Case) -> float:
     """Fastest that a sweep moves by its clock; zero where rows had not settled: their steps are predicted."""
     rates = [0.0]
-    for record in (r for r in case.records if isinstance(r, FrequencySweepRecord)):
+    for record in (r for r in case.records if r.stepped):
         if record.time is None:
             return float("inf")
         for rows in record.sweeps if record.settled else ():

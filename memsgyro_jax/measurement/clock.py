@@ -47,7 +47,7 @@ def check_period(table: Table, period: float | None, remedy: str = "") -> None:
 def _uneven(table: Table, row: int, step: float, typical: float, remedy: str) -> InputError:
     return InputError(
         f"{table.path}, line {table.lines[row]}, column `t`: the rows must follow each other every {typical:.6g} s, "
-        f"but this one is {step:.6g} s after the one before; is a row missing or a digit wrong?{remedy}"
+        f"but this one is {step:.6g} s after the one before; is a row missing or a digit wrong{remedy}?"
     )
 
 

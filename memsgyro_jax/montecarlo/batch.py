@@ -294,7 +294,7 @@ def nees(
         regular = finite & (np.linalg.eigvalsh(safe)[:, 0] > _SINGULAR)
         safe = np.where(regular[:, None, None], safe, np.eye(correlation.shape[-1]))
         root = np.linalg.inv(np.linalg.cholesky(safe))
-    white = (root @ standardised[..., None])[..., 0]
+    white = (root @ np.where(regular[:, None], standardised, 0.0)[..., None])[..., 0]
     return np.where(regular, np.sum(white**2, axis=1), np.nan)
 
 

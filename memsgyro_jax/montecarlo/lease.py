@@ -136,8 +136,15 @@ class Leases:
         return now - self._seen[owner][1] < EXPIRY
 
     def _sign(self) -> None:
-        self.folder.mkdir(parents=True, exist_ok=True)
-        write_whole(self.folder / self.name, f"{_host()}\n{os.getpid()}")
+        for last in (False, False, False, True):
+            self.folder.mkdir(parents=True, exist_ok=True)
+            try:
+                write_whole(self.folder / self.name, f"{_host()}\n{os.getpid()}")
+            except FileNotFoundError:  # the last one to leave has tidied up in between
+                if last:
+                    raise
+            else:
+                return
 
     def _beat(self) -> None:
         while not self._left.wait(BEAT):

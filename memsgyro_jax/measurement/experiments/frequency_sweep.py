@@ -61,6 +61,7 @@ class FrequencySweepRecord(AbstractRecord):
     """
 
     kind: ClassVar[str] = "frequency_sweep"
+    stepped: ClassVar[bool] = True
     section: ClassVar[type[ExperimentSection]] = FrequencySweepSection
     axis: int
     settled: bool

@@ -64,6 +64,7 @@ class AbstractRecord(abc.ABC):
     kind: ClassVar[str]  # the word for it in `case.toml`
     section: ClassVar[type[ExperimentSection]] = ExperimentSection  # its keys there
     last_resort: ClassVar[bool] = False  # without a role, fitted only where no other kind is
+    stepped: ClassVar[bool] = False  # each row is a setting of its own, reached from that of the row before
     name: str
     file: str
     lines: np.ndarray
