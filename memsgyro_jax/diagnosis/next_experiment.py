@@ -217,7 +217,8 @@ def _shown(search: Search, ranking: Ranking) -> Callable[[Proposal], Prospect]:
 
     def weigh(plan: Proposal) -> Prospect:
         if seen and any(plan.readings.experiment is r.experiment for r in joint.fitted):  # twice the same tells twice
-            return Prospect(plan.text, f"{labels[seen[0]]}{NOTHING}", 2 * SIGMAS_SEEN**2)
+            weakest = joint.model.effects[ranking.places[seen[0]]].label  # whether or not it had a column
+            return Prospect(plan.text, f"{weakest}{NOTHING}", 2 * SIGMAS_SEEN**2)
         planned = as_recorded(joint, search.optimum, plan.readings) if blind else plan.readings
         if planned is None:
             return Prospect(plan.text, UNKNOWN, np.nan)
