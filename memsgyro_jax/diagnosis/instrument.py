@@ -117,7 +117,7 @@ class _Groups:
         clocked = [t is not None and wave for t, wave in zip(times, phasor, strict=True)]
         timed = [set(own) for own, mine in zip(places, clocked, strict=True) if mine]
         stepped = [
-            (record.settled, set(own))
+            (getattr(record, "settled", True), set(own))
             for record, own, mine in zip(case.records, places, clocked, strict=True)
             if mine and record.stepped
         ]

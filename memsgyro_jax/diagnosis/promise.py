@@ -7,6 +7,7 @@ either is refitted.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy import linalg, optimize, stats
@@ -14,7 +15,6 @@ from scipy import linalg, optimize, stats
 from memsgyro_jax.effects import InstrumentTerm, free_numbers
 from memsgyro_jax.effects.instrument import SeenRows
 from memsgyro_jax.measurement.experiments import Readings
-from memsgyro_jax.measurement.experiments.base import Experiment
 from memsgyro_jax.measurement.model import Model
 
 from .fit import CaseFit
@@ -186,10 +186,10 @@ def _before(fit: CaseFit, readings: Readings, values: np.ndarray) -> np.ndarray:
     return out
 
 
-def _ringing(
-    model: Model, experiment: Experiment, values: np.ndarray, before: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """What is left of the motion of the row before, and how fast it turns; zero where no clock says."""
+def _ringing(model: Model, experiment: Any, values: np.ndarray, before: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What is left of the motion of the row before, and how fast it turns; zero where no clock says, or no row follows
+    another.
+    """
     still = np.zeros_like(values)
     dwell = getattr(experiment, "dwell", None)
     if dwell is None:

@@ -38,19 +38,7 @@ def coverage(case: Case) -> Coverage:
     every = np.concatenate([*(r.frequencies for r in case.records), [0.8 * low, 1.2 * high]])
     volts = max(float(np.max(np.abs(r.readings))) for r in case.records)
     band = float(every.min()), float(every.max())
-    return Coverage(band, volts, tuple(r.duration for r in case.records), _sweep_rate(case))
-
-
-def _sweep_rate(case: Case) -> float:
-    """Fastest that a sweep moves by its clock; zero where rows had not settled: their steps are predicted."""
-    rates = [0.0]
-    for record in (r for r in case.records if r.stepped):
-        if record.time is None:
-            return float("inf")
-        for rows in record.sweeps if record.settled else ():
-            steps = np.diff(record.frequency[rows]) / np.diff(record.time[rows])
-            rates.append(float(np.max(np.abs(steps), initial=0.0)))
-    return max(rates)
+    return Coverage(band, volts, tuple(r.duration for r in case.records), max(r.sweep_rate for r in case.records))
 
 
 def scans(case: Case) -> tuple[tuple[Scanned, ...], ...]:

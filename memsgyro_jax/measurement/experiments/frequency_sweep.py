@@ -78,6 +78,16 @@ class FrequencySweepRecord(AbstractRecord):
     def readings(self) -> np.ndarray:
         return self.phasors if self.phase_known else self.phasors.real
 
+    @property
+    def sweep_rate(self) -> float:
+        """Of the quickest of its sweeps."""
+        if self.time is None:
+            return float("inf")
+        if not self.settled:
+            return 0.0
+        steps = [np.diff(self.frequency[rows]) / np.diff(self.time[rows]) for rows in self.sweeps]
+        return max((float(np.max(np.abs(step), initial=0.0)) for step in steps), default=0.0)
+
     @cached_property
     def sweeps(self) -> tuple[slice, ...]:
         """The rows of each single sweep: a new one begins where a condition is set anew or the frequency turns back."""

@@ -78,6 +78,13 @@ class AbstractRecord(abc.ABC):
     # ---- record
 
     @property
+    def sweep_rate(self) -> float:
+        """Fastest that the frequency of the drive moves by the file's own clock [rad/s²]; infinite where none says,
+        zero where it stands still or its steps are predicted.
+        """
+        return 0.0
+
+    @property
     def rows(self) -> int:
         """How many rows the record has."""
         return len(self.lines)
