@@ -78,7 +78,8 @@ class Store:
     def unfinished(self) -> Iterator[int]:
         """Numbers of the blocks that this process is to compute and `write`, until all of the share are done.
 
-        Blocks that other processes compute are waited for, and taken over from those that die.
+        Blocks that other processes compute are waited for, and taken over from those that die; so is the packing of the
+        shards, so that what ends here is a zarr group as anything reads it.
         """
         waiting, leases = self.missing, self._leases
         if leases is None:
@@ -103,7 +104,8 @@ class Store:
             adapt(self.path, stored.layout, stored.dies, stored.block)
         if self.share:
             for shard in range(self.share.start // stored.per_shard, (self.share.stop - 1) // stored.per_shard + 1):
-                self._pack(shard)
+                while not self._pack(shard):  # another is at it: should it die, its work is taken over here too
+                    time.sleep(_POLL)
 
     def write(self, number: int, rows: dict[str, np.ndarray]) -> None:
         """Write block `number`; rows beyond the number of dies are dropped.
@@ -152,8 +154,8 @@ class Store:
         self._seen |= stamps
         return damaged
 
-    def _pack(self, shard: int) -> None:
-        """Put the blocks of a shard into it, if all are there and wait: whoever comes first, the others leave it.
+    def _pack(self, shard: int) -> bool:
+        """Put the blocks of a shard into it, if all are there and wait; False while another process does it.
 
         What is missing on second look is found by the next who opens or reads the store.
         """
@@ -161,19 +163,21 @@ class Store:
         waiting = stored.waiting.names()
         mine = [number for number in numbers if stored.name_of(number) in waiting]
         if not mine or not self._leases:
-            return
+            return True
         if len(mine) < len(numbers):
             content = stored.shards.read(stored.place_of(STATUS, shard))
             inside = np.zeros(stored.per_shard, bool) if content is None else holds(content, stored.per_shard)
             if not all(inside[number - numbers.start] for number in numbers if number not in mine):
-                return
+                return True
         name = f"shard{shard}"
         if not self._leases.claim(name):
-            return
+            return False
         try:
             records, _ = stored.read(numbers)
             # Who goes on to more dies will pack theirs with these.
-            if np.all(records[STATUS] != PENDING) and held_by(self.path) == stored.dies and self._leases.holds(name):
+            if np.all(records[STATUS] != PENDING) and held_by(self.path) == stored.dies:
+                if not self._leases.holds(name):
+                    return False
                 for column, content in stored.shards_of(records):
                     place = stored.place_of(column, shard)
                     if content is None:
@@ -182,6 +186,7 @@ class Store:
                         stored.shards.write(place, content)
                 for number in mine:
                     stored.waiting.remove(stored.name_of(number))
+            return True
         finally:
             self._leases.release(name)
 

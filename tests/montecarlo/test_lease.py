@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.montecarlo import lease
@@ -137,6 +138,26 @@ def test_four_that_start_at_once_share_the_work(tmp_path):
     for found in rows:
         assert found["value"].tobytes() == np.sin(np.arange(BLOCK * blocks)).tobytes()
     assert [file.name for file in tmp_path.iterdir()] == ["s"]
+
+
+@pytest.mark.parametrize("share", [None, range(1), range(2, 4)])
+def test_whoever_ends_sees_the_shard_packed(tmp_path, monkeypatch, share):
+    """All blocks are there, and who packs them dies on another machine, which is seen after a while: a part that ends
+    leaves what anything reads as zarr.
+    """
+    with monkeypatch.context() as patch, opened(tmp_path / "s.zarr", LAYOUT, 14, BLOCK, resume=False) as store:
+        patch.setattr(Store, "_pack", lambda *_: True)
+        for number in store.unfinished():
+            store.write(number, rows_of(number))
+    assert len(list((tmp_path / "s.blocks").iterdir())) == 4
+    signed_by(tmp_path / ".s.zarr.leases", "elsewhere", 1)
+    (tmp_path / ".s.zarr.leases" / "0.0").rename(tmp_path / ".s.zarr.leases" / "shard0.0")
+    with opened(tmp_path / "s.zarr", LAYOUT, 14, BLOCK, resume=True, share=share) as store:
+        assert list(store.unfinished()) == []
+    with xr.open_zarr(tmp_path / "s.zarr", consolidated=False, mask_and_scale=False) as found:
+        assert found["value"].values.tobytes() == np.sin(np.arange(14)).tobytes()
+        assert not found[STATUS].values.any()
+    assert [file.name for file in tmp_path.iterdir()] == ["s.zarr"]
 
 
 def test_a_store_at_work_is_not_removed(tmp_path):
