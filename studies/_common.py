@@ -1,9 +1,22 @@
-"""What the studies share: options, runs over many noise seeds, and the table of claimed beside obtained."""
+"""What the studies share: options, runs over many noise seeds, and the table of claimed beside obtained.
+
+A study says at its top, in literals that `memsgyro studies` reads without running it, where it belongs, which rows of
+`rows.toml` it answers and which of its pictures shows which printed figure:
+
+    PLACE = "thesis 5.2"
+    ANSWERS = ("T14", "T15")
+    FIGURES = {"5.7": "motion", "5.8": "coefficients"}
+
+and calls `report.answer(...)` for each of these rows before `report.finish()`. Parts of a row may be answered by
+several studies. Nothing is to be registered elsewhere.
+"""
 
 import argparse
 import inspect
 import json
 from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from datetime import date
 from pathlib import Path
 from typing import NamedTuple
 
@@ -23,6 +36,35 @@ from memsgyro_jax.loop.scenario import as_scenario
 
 matplotlib.use("agg")
 
+HOLDS, PARTLY, FAILS = "holds", "holds in part", "does not hold"
+BEYOND = "left open there, shown here"
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What became of one row, in words with figures; none may be blank.
+
+    Args:
+        row: its name in `rows.toml`.
+        claimed: what is printed.
+        obtained: the same on the correct plant.
+        reading: what comes out under the reading that explains the claim; "not needed" where it holds as it stands.
+        verdict: `HOLDS`, `PARTLY`, `FAILS` or `BEYOND`.
+        why: one sentence.
+    """
+
+    row: str
+    claimed: str
+    obtained: str
+    reading: str
+    verdict: str
+    why: str
+
+    def __post_init__(self):
+        blank = [field.name for field in fields(self) if not getattr(self, field.name).strip()]
+        if blank or self.verdict not in (HOLDS, PARTLY, FAILS, BEYOND):
+            raise ValueError(f"row {self.row}: blank {blank}, verdict {self.verdict!r}")
+
 
 class Report:
     """Collects claims and pictures of one study under `studies/out/NAME`.
@@ -32,8 +74,9 @@ class Report:
     """
 
     def __init__(self, data: str | None = None, numbers: Mapping[str, tuple[int, str]] | None = None):
-        study = Path(inspect.stack()[1].filename)
-        parser = argparse.ArgumentParser(description=inspect.stack()[1].frame.f_globals["__doc__"])
+        caller = inspect.stack()[1]
+        study, told = Path(caller.filename), caller.frame.f_globals
+        parser = argparse.ArgumentParser(description=told["__doc__"])
         parser.add_argument("--quick", action="store_true", help="fewer seeds and shorter runs, under 30 s")
         parser.add_argument("--out", type=Path, default=study.parent / "out" / study.stem, help="folder for results")
         if data is not None:
@@ -44,15 +87,28 @@ class Report:
         self.numbers = {name: getattr(options, name) for name in numbers or {}}
         self.data = getattr(options, "data", None)
         self.quick, self.folder, self.title, self.rows = options.quick, options.out, study.stem, []
+        self.wanted, self.answers = tuple(told.get("ANSWERS", ())), []
+        self.figures = tuple(told.get("FIGURES", {}).values())
         self.folder.mkdir(parents=True, exist_ok=True)
 
     def row(self, what: str, claimed: object, obtained: object, remark: str = "") -> None:
         self.rows.append({"what": what, "claimed": claimed, "obtained": obtained, "remark": remark})
 
+    def answer(self, row: str, *, claimed: str, obtained: str, reading: str, verdict: str, why: str) -> None:
+        """The table of all rows shows it; see `Answer`."""
+        self.answers.append(Answer(row, claimed, obtained, reading, verdict, why))
+
     def picture(self, figure, name: str) -> None:
         figure.savefig(self.folder / f"{name}.png", dpi=130)
 
     def finish(self) -> None:
+        """Prints and writes the table, and the answers, of which none that was promised may be missing."""
+        told = {"quick": self.quick, "date": date.today().isoformat(), "answers": [asdict(a) for a in self.answers]}
+        missing = set(self.wanted) ^ {a.row for a in self.answers}
+        missing |= {name for name in self.figures if not (self.folder / f"{name}.png").exists()}
+        if missing:
+            raise ValueError(f"promised and not given, or given and not promised: {sorted(missing)}")
+        (self.folder / "answers.json").write_text(json.dumps(told, indent=1, ensure_ascii=False), encoding="utf-8")
         table = Table("what", "claimed", "obtained", "remark", title=self.title + (" (quick)" if self.quick else ""))
         for row in self.rows:
             table.add_row(*(escape(f"{v:.4g}" if isinstance(v, float) else str(v)) for v in row.values()))

@@ -30,6 +30,7 @@ from .commands.import_ import import_command
 from .commands.law import law_command
 from .commands.simulate import simulate_command
 from .commands.status import status_command
+from .commands.studies import studies_command
 from .commands.sweep import sweep_command
 from .commands.tune import tune_command
 
@@ -76,6 +77,7 @@ for _command in (
     fit_command,
     diagnose_command,
     law_command,
+    studies_command,
 ):
     app.command(_prepared(_command), name=_command.__name__.removesuffix("_command"))
 

@@ -1,0 +1,173 @@
+"""The studies, and what they say of every row and figure of the two documents behind this package.
+
+A study is a script of the folder `studies`, beside the package in a clone and inside it where it was installed. What it
+answers stands in literals at its top, which are read without running it; what it found in the `answers.json` of its
+last run.
+"""
+
+import ast
+import json
+import re
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import memsgyro_jax
+from memsgyro_jax.base.errors import InputError
+
+
+COLUMNS = ("claimed", "obtained", "reading", "verdict", "why")
+MISSING = "not obtained"
+
+
+@dataclass(frozen=True)
+class StudyScript:
+    """A script with its question, where it belongs, rows that it answers, and printed figure to picture."""
+
+    path: Path
+    question: str
+    place: str
+    answers: tuple[str, ...]
+    figures: dict[str, str]
+
+    @property
+    def name(self) -> str:
+        return self.path.stem
+
+
+def studies_folder() -> Path:
+    """Where the studies are: inside the installed package, or beside it in a clone."""
+    package = Path(memsgyro_jax.__file__).parent
+    for folder in (package / "studies", package.parent / "studies"):
+        if (folder / "rows.toml").is_file():
+            return folder
+    raise InputError("The studies are not installed: install the package from its wheel, or work in a clone.")
+
+
+def all_studies(folder: Path | None = None) -> list[StudyScript]:
+    """In the order of thesis, paper, and what is in neither."""
+    paths = sorted((folder or studies_folder()).glob("[!_]*.py"))
+    return sorted(map(_read, paths), key=lambda study: (_sections(study.place), study.name))
+
+
+def _read(path: Path) -> StudyScript:
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    found: dict[str, Any] = {"PLACE": "of its own", "ANSWERS": (), "FIGURES": {}}
+    for node in tree.body:
+        if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name) and node.targets[0].id in found:
+            found[node.targets[0].id] = ast.literal_eval(node.value)
+    question = " ".join((ast.get_docstring(tree) or "").split("\n\n")[0].split())
+    return StudyScript(path, question, found["PLACE"], tuple(found["ANSWERS"]), dict(found["FIGURES"]))
+
+
+def _sections(place: str) -> tuple:
+    order = [name for name in ("thesis", "paper") if place.lower().startswith(name)]
+    return (("thesis", "paper").index(order[0]) if order else 2, [int(n) for n in re.findall(r"\d+", place)], place)
+
+
+def claims(out: Path, studies: Sequence[StudyScript] | None = None) -> dict[str, Any]:
+    """Every row and figure with what the studies' last runs under `out` found, or why there is nothing.
+
+    Args:
+        out: the folder with one folder per study, as `memsgyro studies --out` writes it.
+        studies: `None` takes all.
+    """
+    studies = all_studies() if studies is None else studies
+    told = tomllib.loads((studies_folder() / "rows.toml").read_text(encoding="utf-8"))
+    runs = {study.name: _last_run(out / study.name) for study in studies}
+    rows = [
+        {"row": row, "where": where, "what": what, **found}
+        for row, (where, what) in told["rows"].items()
+        for found in _answers(row, studies, runs)
+    ]
+    figures = [
+        {"figure": figure, "what": what, **_picture(figure, studies, out)} for figure, what in told["figures"].items()
+    ]
+    dates = sorted({run["date"] for run in runs.values() if "date" in run})
+    return {"date": " to ".join(dict.fromkeys(dates[:1] + dates[-1:])), "rows": rows, "figures": figures}
+
+
+def _last_run(folder: Path) -> dict[str, Any]:
+    for name in ("failed.json", "answers.json"):
+        if (folder / name).is_file():
+            return json.loads((folder / name).read_text(encoding="utf-8"))
+    return {"failed": "its study has not been run"}
+
+
+def _answers(row: str, studies: Sequence[StudyScript], runs: dict[str, dict[str, Any]]) -> list[dict[str, str]]:
+    """What each study says of this row; one line that says why where none does."""
+    mine = [study for study in studies if row in study.answers]
+    if not mine:
+        return [_nothing("-", "no study answers this row yet")]
+    found = []
+    for study in mine:
+        run = runs[study.name]
+        given = [answer for answer in run.get("answers", ()) if answer["row"] == row]
+        size = "quick" if run.get("quick") else "full"
+        found += [{**answer, "study": study.name, "run": f"{size}, {run['date']}"} for answer in given]
+        if not given:
+            found.append(_nothing(study.name, run.get("failed", "its last run did not answer it")))
+    return found
+
+
+def _nothing(study: str, reason: str) -> dict[str, str]:
+    return {**dict.fromkeys(COLUMNS, MISSING), "why": reason, "study": study, "run": "-"}
+
+
+def _picture(figure: str, studies: Sequence[StudyScript], out: Path) -> dict[str, str]:
+    for study in studies:
+        if figure in study.figures:
+            path = Path(study.name) / f"{study.figures[figure]}.png"
+            if (out / path).is_file():
+                return {"study": study.name, "picture": path.as_posix(), "why": "drawn"}
+            return {"study": study.name, "picture": "-", "why": "its study has not been run, or failed"}
+    return {"study": "-", "picture": "-", "why": "no study draws it yet"}
+
+
+def markdown(found: dict[str, Any], pictures: str | None = "") -> str:
+    """The page of all rows and figures of `claims`.
+
+    Args:
+        found: what `claims` gave.
+        pictures: what stands before a picture's path in a link; `None` names the picture and links nothing.
+    """
+    rows = [
+        (row["row"], f"{row['what']} ({row['where']})", *(row[name] for name in COLUMNS), _source(row))
+        for row in found["rows"]
+    ]
+    names = ("row", "system", "claimed", "obtained on the correct plant", "under the reading that explains the claim",
+             "verdict", "why", "study")  # fmt: skip
+    drawn = [
+        (figure["figure"], figure["what"], figure["study"], _link(figure, pictures)) for figure in found["figures"]
+    ]
+    return "\n".join([
+        "# Every claim, beside what was obtained",
+        "",
+        "Rows T are of the thesis, rows P of the paper on coupling errors. `memsgyro studies all` makes this page.",
+        f"These are the runs of {found['date'] or 'no date'}, each full or quick as said.",
+        "",
+        *_table(names, rows),
+        "",
+        "## Figures",
+        "",
+        *_table(("figure", "shows", "study", "picture"), drawn),
+        "",
+    ])  # fmt: skip
+
+
+def _source(row: dict[str, str]) -> str:
+    return row["why"] if row["study"] == "-" else f"`{row['study']}` ({row['run']})"
+
+
+def _link(figure: dict[str, str], pictures: str | None) -> str:
+    if figure["picture"] == "-":
+        return f"not drawn: {figure['why']}"
+    name = Path(figure["picture"]).stem
+    return f"`{name}`" if pictures is None else f"[{name}]({pictures}{figure['picture']})"
+
+
+def _table(names: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    cell = lambda text: " ".join(str(text).split()).replace("|", "\\|")  # noqa: E731
+    return [f"| {' | '.join(map(cell, row))} |" for row in (names, ["---"] * len(names), *rows)]

@@ -1,0 +1,110 @@
+"""`memsgyro studies`: lists the studies, runs them, and writes the table of all rows."""
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+
+if TYPE_CHECKING:
+    from memsgyro_jax.app.claims import StudyScript
+
+FAILED = 1
+
+
+def studies_command(*names: str, quick: bool = False, out: Path = Path("studies/out"), jobs: int = 1) -> None:
+    """Lists the studies by section and figure of the thesis and the paper, or runs them and tabulates every row.
+
+    Without a name nothing runs. A study that fails is said and does not stop the others; the exit status is then 1.
+
+    Args:
+        names: the studies to run, or `all`.
+        quick: fewer seeds and shorter runs.
+        out: folder for one folder per study, `claims.md` and `claims.json`; the table keeps what earlier runs
+            left there.
+        jobs: how many studies run at a time.
+    """
+    from memsgyro_jax.app.claims import all_studies, claims, markdown
+    from memsgyro_jax.base.errors import InputError
+
+    studies = all_studies()
+    if not names:
+        _list(studies)
+        return
+    known = {study.name for study in studies}
+    for name in set(names) - known - {"all"}:
+        raise InputError(f"Argument `names` must hold studies or `all`, but `{name}` is none: see `memsgyro studies`.")
+    if jobs < 1:
+        raise InputError(f"Argument `jobs` must be at least 1, but is {jobs}.")
+    failed = _run([s for s in studies if "all" in names or s.name in names], quick=quick, out=out, jobs=jobs)
+    found = claims(out, studies)
+    (out / "claims.json").write_text(json.dumps(found, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    (out / "claims.md").write_text(markdown(found), encoding="utf-8")
+    print(f"All rows: {out / 'claims.md'}")
+    if failed:
+        print(f"Failed: {', '.join(sorted(failed))}. See log.txt in the study's folder.")
+        sys.exit(FAILED)
+
+
+def _list(studies: Sequence["StudyScript"]) -> None:
+    from rich import print as show
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table("section", "study", "rows", "figures", "question", title="studies")
+    for study in studies:
+        told = study.place, study.name, ", ".join(study.answers), ", ".join(study.figures), study.question
+        table.add_row(*map(escape, told))
+    show(table)
+    print("Run one with `memsgyro studies NAME`, all with `memsgyro studies all`; `--quick` takes minutes.")
+
+
+def _run(studies: Sequence["StudyScript"], *, quick: bool, out: Path, jobs: int) -> list[str]:
+    """Runs each in a process of its own, a line of progress for each; the names of those that failed."""
+    failed = []
+    with ThreadPoolExecutor(jobs) as pool, _ended(pool) as running:
+        waiting = {pool.submit(_run_one, study, quick, out / study.name, running): study for study in studies}
+        for count, future in enumerate(as_completed(waiting), 1):
+            study, (seconds, reason) = waiting[future], future.result()
+            print(f"[{count}/{len(studies)}] {study.name}: {reason or 'done'} ({seconds:.0f} s)", flush=True)
+            if reason:
+                failed.append(study.name)
+    return failed
+
+
+@contextmanager
+def _ended(pool: ThreadPoolExecutor) -> Iterator[list[subprocess.Popen]]:
+    """Processes that do not outlive an interruption; those that wait do not begin."""
+    running: list[subprocess.Popen] = []
+    try:
+        yield running
+    except BaseException:
+        pool.shutdown(wait=False, cancel_futures=True)
+        for process in running:
+            process.terminate()
+        raise
+
+
+def _run_one(study: "StudyScript", quick: bool, folder: Path, running: list[subprocess.Popen]) -> tuple[float, str]:
+    """Seconds, and why it failed, if it did."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in ("answers.json", "failed.json"):
+        (folder / name).unlink(missing_ok=True)
+    begun = time.monotonic()
+    command = [sys.executable, str(study.path), "--out", str(folder), *(["--quick"] if quick else [])]
+    with (folder / "log.txt").open("w", encoding="utf-8") as log:
+        process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL)
+        running.append(process)
+        status = process.wait()
+    if status == 0:
+        return time.monotonic() - begun, ""
+    lines = (folder / "log.txt").read_text(encoding="utf-8", errors="replace").split("\n")
+    reason = f"failed with status {status}: {next((line for line in reversed(lines) if line.strip()), 'no word')}"
+    told = json.dumps({"failed": f"its study {reason}"}, ensure_ascii=False)
+    (folder / "failed.json").write_text(told, encoding="utf-8")
+    return time.monotonic() - begun, reason
