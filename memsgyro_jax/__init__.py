@@ -85,6 +85,12 @@ if TYPE_CHECKING:
     from .loop.mode_matching import at_bias as at_bias
     from .loop.trace import simulate as simulate
     from .loop.trace import Trace as Trace
+    from .loop.angle import vibration_angle as vibration_angle
+    from .loop.angle import vibration_ellipse as vibration_ellipse
+    from .loop.angle import VibrationEllipse as VibrationEllipse
+    from .loop.angle import angle_by_lowpass as angle_by_lowpass
+    from .loop.angle import angle_by_bandpass as angle_by_bandpass
+    from .loop.angle import AngleRecord as AngleRecord
     from .loop.noise_budget import noise_budget as noise_budget
     from .loop.noise_budget import NoiseBudget as NoiseBudget
     from .loop.lyapunov_function import lyapunov_function as lyapunov_function

@@ -98,6 +98,17 @@ class Lowpass(AbstractFilter):
         """The bandwidth."""
         return (self.bandwidth,)
 
+    def delay(self, period: Scalar, frequency: float = 0.0) -> Scalar:
+        """Seconds by which a sine of `frequency` [Hz] comes out late, sampled every `period` [s]; zero: slowly."""
+        corner = jnp.tan(jnp.pi * self.bandwidth * period)
+        if frequency == 0.0:
+            return 0.5 * period * _slope(self.order) / corner
+        s = 1j * jnp.tan(jnp.pi * frequency * period) / corner
+        late = sum(
+            jnp.angle(s + 1.0 if damping is None else 1.0 + damping * s + s**2) for damping in _low_dampings(self.order)
+        )
+        return late / (2.0 * jnp.pi * frequency)
+
 
 class Bandpass(AbstractFilter):
     """Butterworth band-pass with 2·`order` poles, `order` 1 to 4, unity gain in the middle of the band.
@@ -132,6 +143,11 @@ class Bandpass(AbstractFilter):
     def edges(self) -> tuple[Scalar, ...]:
         """Both ends of the band."""
         return (self.low, self.high)
+
+    def delay(self, period: Scalar) -> Scalar:
+        """Seconds by which a slow envelope of the middle of the band comes out late, sampled every `period` [s]."""
+        low, high = (jnp.tan(jnp.pi * edge * period) for edge in (self.low, self.high))
+        return period * _slope(self.order) * (1.0 + low * high) / (high - low)
 
     def _sections(self, period: Scalar) -> tuple[Section, ...]:
         """Poles of s² - p·width·s + middle² for every pole p of the low-pass prototype, in warped frequency."""
@@ -175,6 +191,11 @@ def _low_dampings(order: int) -> tuple[float | None, ...]:
     """1/Q of each conjugate pair of the Butterworth prototype; None stands for the real pole of an odd order."""
     pairs = tuple(2.0 * math.sin(math.pi * (2 * k + 1) / (2 * order)) for k in range(order // 2))
     return ((None,) if order % 2 else ()) + pairs
+
+
+def _slope(order: int) -> float:
+    """The prototype's delay at rest in units of one over its corner: the sum of 1/Q, 1 for the real pole."""
+    return sum(1.0 if damping is None else damping for damping in _low_dampings(order))
 
 
 def _check_order(order: int) -> None:

@@ -95,3 +95,20 @@ def test_step_inside_a_scan_is_apply():
 def test_bad_filters_are_refused(make, says):
     with pytest.raises(InputError, match=says):
         make()
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_delays_are_those_of_scipys_phase(order):
+    """Phase over frequency of the low-pass, slope of the phase in the middle of the band."""
+    rate, step = 20e3, 1e-3
+    sections = scipy.signal.butter(order, 200.0, fs=rate, output="sos")
+    late = -np.angle(scipy.signal.sosfreqz(sections, [step, 10.0], fs=rate)[1]) / (2 * np.pi * np.array([step, 10.0]))
+    lowpass = Lowpass(200.0, order)
+    assert [float(lowpass.delay(1 / rate, f)) for f in (0.0, 10.0)] == pytest.approx(late, rel=1e-5)
+    sections = scipy.signal.butter(order, (3000.0, 3400.0), "band", fs=rate, output="sos")
+    low, high = np.tan(np.pi * np.array([3000.0, 3400.0]) / rate)
+    middle = rate / np.pi * np.arctan(np.sqrt(low * high))
+    phase = np.angle(scipy.signal.sosfreqz(sections, [middle - 0.1, middle + 0.1], fs=rate)[1])
+    assert float(Bandpass(3000.0, 3400.0, order).delay(1 / rate)) == pytest.approx(
+        -np.diff(phase)[0] / (0.2 * 2 * np.pi), rel=1e-5
+    )
