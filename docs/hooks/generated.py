@@ -1,0 +1,222 @@
+"""Pages that are made from the code: the catalogue, the API by room, the picture of the rooms, the gallery."""
+
+import importlib
+import inspect
+import pkgutil
+import re
+from collections import Counter
+from pathlib import Path
+
+import memsgyro_jax
+from memsgyro_jax.effects import Effect, catalogue
+
+
+PACKAGE = Path(memsgyro_jax.__file__).parent
+ROOMS = {
+    "base": "what any scientific program needs and no gyroscope",
+    "device": "the mass on its springs: parameters, equations of motion, exact propagation",
+    "effects": "physics beyond the base model",
+    "loop": "one die in operation: read-out, observer, controller, trace, information bound",
+    "montecarlo": "many dies: spread, sweep, store, sensitivities",
+    "motion": "the motion that tells the rate best",
+    "tuning": "numbers of the loop moved by gradient",
+    "measurement": "what a laboratory records, and how a device predicts it",
+    "couplings": "coupling errors from frequency sweeps",
+    "diagnosis": "a device beside its records: where the model fails, what is missing",
+    "app": "the command line, study files, report pages",
+}
+PORTS = (  # abstract class, what its members are
+    ("device.gyro.AbstractGyro", "devices"),
+    ("device.propagate.AbstractDiscretisation", "ways to advance the motion by a sample"),
+    ("loop.readout.AbstractReadout", "read-outs"),
+    ("loop.observers.base.AbstractObserver", "observers"),
+    ("loop.observers.fading.AbstractFading", "fading memories of a Kalman filter"),
+    ("loop.controllers.base.AbstractController", "controllers"),
+    ("loop.controllers.sense.AbstractSense", "sense axes of the classic loop"),
+    ("loop.controllers.demodulator.AbstractDemodulator", "demodulators of the classic loop"),
+    ("loop.filters.AbstractFilter", "filters of the estimated rate"),
+    ("loop.scenario.AbstractProfile", "courses of rate, temperature, damping over time"),
+    ("montecarlo.distributions.AbstractDistribution", "distributions of a spread"),
+    ("tuning.losses.base.AbstractLoss", "losses that tuning makes small"),
+    ("measurement.experiments.record.AbstractRecord", "kinds of measurement"),
+    ("measurement.formats.base.Format", "formats of files that instruments save"),
+)
+
+
+def everything(figures: list[tuple[str, str, str]]) -> dict[str, str]:
+    """Every generated file, by its path; `figures` are path, description and page of those of all pages."""
+    return {"catalogue.md": catalogue_page(), "gallery.md": gallery(figures), **api_pages()}
+
+
+def catalogue_page() -> str:
+    """Effects with law, unit, variants and reference; then the members of every port."""
+    lines = ["# Catalogue", "", "Made from the code of this version. `memsgyro effects` prints the first table.", ""]
+    lines += [
+        "## Effects",
+        "",
+        'Strength zero means absent, exactly. `mg.effects.CubicStiffness("x", 8e8)` is one with a strength.',
+        "",
+    ]
+    entries: dict[tuple[str, str], list[Effect]] = {}
+    for effect in catalogue(2):
+        entries.setdefault((effect.name, effect.law), []).append(effect)
+    lines += ["| effect | unit | variants | law | reference |", "|---|---|---|---|---|"]
+    for (name, law), group in entries.items():
+        kind = type(group[0]).__name__
+        where = ", ".join(effect.where for effect in group if effect.where)
+        cells = (f"[`{name}`][memsgyro_jax.effects.{kind}]", group[0].unit, where, law, group[0].reference)
+        lines.append(_row(cells))
+    for path, what in PORTS:
+        module, _, name = f"memsgyro_jax.{path}".rpartition(".")
+        port = getattr(importlib.import_module(module), name)
+        lines += ["", f"## {what[0].upper()}{what[1:]}", "", f"Subclasses of {_link(port)}: {_first(port)}", ""]
+        lines += ["| member | is |", "|---|---|"]
+        lines += [_row((_link(kind), _first(kind))) for kind in _members(port)]
+    return "\n".join(lines) + "\n"
+
+
+def api_pages() -> dict[str, str]:
+    """A page for each room that has public names, and one that lists all of them."""
+    pages = {}
+    overview = [
+        "# API",
+        "",
+        "`import memsgyro_jax as mg`; every name below is `mg.NAME`. The rooms are those of the",
+        "",
+    ]
+    overview[-2] += " [architecture](../architecture.md)."
+    rooms = by_room()
+    for room, names in rooms.items():
+        lines = [f"# {room}", "", f"{ROOMS[room][0].upper()}{ROOMS[room][1:]}.", ""]
+        overview += [f"## [{room}]({room}.md)", "", f"{ROOMS[room][0].upper()}{ROOMS[room][1:]}.", ""]
+        overview += [", ".join(f"[`{name}`][memsgyro_jax.{name}]" for name in names), ""]
+        for name in names:
+            lines += [f"::: memsgyro_jax.{name}", *_members_option(name), ""]
+        pages[f"api/{room}.md"] = "\n".join(lines)
+    overview += [
+        "## Version",
+        "",
+        f"`mg.__version__` is the version of the package, here {memsgyro_jax.__version__}.",
+        "",
+    ]
+    return {"api/index.md": "\n".join(overview), **pages}
+
+
+def by_room() -> dict[str, list[str]]:
+    """The public names of every room, in the order of the table of contents."""
+    where = {**memsgyro_jax._CONTENTS, **memsgyro_jax._FOLDERS}
+    names = {room: [name for name, place in where.items() if place.split(".")[0] == room] for room in ROOMS}
+    return {room: found for room, found in names.items() if found}
+
+
+def _members_option(name: str) -> list[str]:
+    """Modules that are used by name show what they offer."""
+    if name not in memsgyro_jax._FOLDERS:
+        return []
+    module = getattr(memsgyro_jax, name)
+    offered = [key for key, value in vars(module).items() if not key.startswith("_") and _offers(module, value)]
+    return ["    options:", "      members:", *(f"        - {key}" for key in offered)]
+
+
+def _offers(module: object, value: object) -> bool:
+    place = getattr(value, "__module__", "")
+    inside = place == module.__name__ or (hasattr(module, "__path__") and place.startswith(module.__name__ + "."))
+    return inside and (inspect.isclass(value) or inspect.isfunction(value))
+
+
+def gallery(figures: list[tuple[str, str, str]]) -> str:
+    """Every figure of every page, small, each a way to the code that made it."""
+    lines = [
+        "# Gallery",
+        "",
+        "Every picture was made when this site was built, by the code on the page it leads to.",
+        "",
+    ]
+    lines += ['<div class="gallery" markdown>', ""]
+    lines += [
+        f"[![{text}]({path}){{ loading=lazy }}<br>{text}]({page})" + "{ .thumbnail }\n" for path, text, page in figures
+    ]
+    return "\n".join([*lines, "</div>", ""])
+
+
+def room_imports() -> Counter[tuple[str, str]]:
+    """How often a file of one room imports from another."""
+    found: Counter[tuple[str, str]] = Counter()
+    for path in sorted(PACKAGE.rglob("*.py")):
+        room = path.relative_to(PACKAGE).parts[0]
+        if room not in ROOMS:
+            continue
+        others = re.findall(r"^\s*from memsgyro_jax\.(\w+)", path.read_text(), re.MULTILINE)
+        found.update((room, other) for other in others if other != room)
+    return found
+
+
+def rooms_picture() -> str:
+    """The rooms in their order, each with its files and its lines, and an arc for every room that it imports from."""
+    imports, order = room_imports(), list(ROOMS)
+    step, left, right = 46, 8, 168
+    parts = []
+    for (source, target), count in sorted(imports.items(), key=lambda entry: entry[1]):
+        top, bottom = (order.index(name) * step + 27 for name in (target, source))
+        bulge = right + 14 + 21 * (order.index(source) - order.index(target))
+        path = f"M{right},{bottom} C{bulge},{bottom} {bulge},{top} {right},{top}"
+        told = f"{source} imports from {target} {count} times"
+        parts.append(
+            f'<path class="arc" d="{path}" stroke-width="{0.6 + 0.35 * count**0.5:.2f}"><title>{told}</title></path>'
+        )
+    for number, room in enumerate(order):
+        files = list((PACKAGE / room).rglob("*.py"))
+        lines = sum(len(path.read_text().splitlines()) for path in files)
+        y = number * step + 8
+        parts.append(
+            f'<rect x="{left}" y="{y}" width="{right - left}" height="38" rx="6"/>'
+            f'<text x="{left + 10}" y="{y + 17}" class="room">{room}</text>'
+            f'<text x="{left + 10}" y="{y + 31}">{len(files)} files, {lines} lines</text>'
+        )
+    size = f"0 0 400 {len(order) * step + 8}"
+    return f'<svg class="rooms" viewBox="{size}" role="img" aria-label="rooms of the package">{"".join(parts)}</svg>'
+
+
+def rooms_table() -> str:
+    """The rooms, each with what it holds and the way to its public names."""
+    public = by_room()
+    names = ((f"[`{room}`](api/{room}.md)" if room in public else f"`{room}`", what) for room, what in ROOMS.items())
+    return "\n".join(_row(cells) for cells in names)
+
+
+PLACES = {"rooms": rooms_picture, "rooms table": rooms_table}  # comment in a page, what stands in its place
+
+
+def _members(port: type) -> list[type]:
+    """Final classes of the package that fill a port, whatever file they are in."""
+    for module in pkgutil.walk_packages(memsgyro_jax.__path__, "memsgyro_jax."):
+        importlib.import_module(module.name)
+    waiting, found = [port], {}
+    while waiting:
+        kind = waiting.pop()
+        waiting += kind.__subclasses__()
+        inside = kind.__module__.startswith("memsgyro_jax.") and not kind.__name__.startswith(("_", "Abstract"))
+        if kind is not port and inside and not inspect.isabstract(kind):
+            found[kind.__name__] = kind
+    return [found[name] for name in sorted(found)]
+
+
+def _link(kind: type) -> str:
+    """The name of a class, as a link where it is public."""
+    name = kind.__name__
+    if name in memsgyro_jax._CONTENTS:
+        return f"[`{name}`][memsgyro_jax.{name}]"
+    for folder in memsgyro_jax._FOLDERS:
+        if getattr(getattr(memsgyro_jax, folder), name, None) is kind:
+            return f"[`{folder}.{name}`][memsgyro_jax.{folder}.{name}]"
+    return f"`{name}`"
+
+
+def _first(kind: type) -> str:
+    """The first sentence of a docstring."""
+    text = " ".join((inspect.getdoc(kind) or "").split("\n\n")[0].split())
+    return re.split(r"(?<=\.) ", text)[0]
+
+
+def _row(cells) -> str:
+    return "| " + " | ".join(str(cell).replace("|", "\\|").replace("*", "\\*") for cell in cells) + " |"

@@ -1,0 +1,54 @@
+"""What mkdocs does here beyond its own: runs the blocks of every page and writes the pages that come from the code."""
+
+import logging
+import os
+import time
+
+import blocks
+import generated
+from mkdocs.exceptions import PluginError
+from mkdocs.structure.files import File
+
+
+log = logging.getLogger("mkdocs.hooks.memsgyro")
+_EXECUTED: dict[str, blocks.Executed] = {}
+
+
+def on_startup(**_):
+    """Sets JAX and matplotlib up before anything is computed."""
+    os.environ.setdefault("COLUMNS", "100")
+    from memsgyro_jax.base import runtime
+
+    runtime.configure()
+    import matplotlib as mpl
+
+    mpl.use("agg")
+    mpl.rcParams.update({"svg.hashsalt": "memsgyro", "figure.figsize": (7.2, 3.6), "figure.max_open_warning": 0})
+
+
+def on_files(files, config):
+    """Runs every page, adds its figures, and the pages that are made from the code."""
+    _EXECUTED.clear()
+    for file in [*files.documentation_pages()]:
+        began = time.process_time()
+        try:
+            page = blocks.execute(file.src_uri, file.content_string)
+        except blocks.BlockError as error:
+            raise PluginError(str(error)) from None
+        _EXECUTED[file.src_uri] = page
+        for path, text in page.files.items():
+            files.append(File.generated(config, path, content=text))
+        log.info("%s: %.1f s of processor", file.src_uri, time.process_time() - began)
+    figures = [(path, text, uri) for uri, page in _EXECUTED.items() for path, text in page.figures]
+    for path, text in generated.everything(figures).items():
+        files.append(File.generated(config, path, content=text))
+    return files
+
+
+def on_page_markdown(markdown, page, **_):
+    """The page as its blocks left it, with what is made from the code in place of its comment."""
+    done = _EXECUTED.get(page.file.src_uri)
+    text = done.text if done else markdown
+    for comment, made in generated.PLACES.items():
+        text = text.replace(f"<!-- {comment} -->", made()) if comment in text else text
+    return text

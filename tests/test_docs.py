@@ -1,0 +1,86 @@
+"""The documentation: its blocks are run in order, what fails names page and line, and no public name is left out."""
+
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+import memsgyro_jax as mg
+
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT / "docs/hooks"))
+
+import blocks  # noqa: E402
+import generated  # noqa: E402
+
+
+@pytest.fixture
+def page(tmp_path, monkeypatch):
+    """Runs the text of a page."""
+    monkeypatch.setattr(blocks, "KEPT", tmp_path / "kept")
+    return lambda text: blocks.execute("page.md", text)
+
+
+def test_blocks_share_names_and_files_and_show_what_they_print(page):
+    text = (
+        "# A\n\n```python\nfrom pathlib import Path\na = 6 * 7\n```\n\n"
+        '```toml title="a.toml"\nb = 1\n```\n\n'
+        '```python\nprint(a, Path("a.toml").read_text())\n```\n<!-- shows: 42 b = 1 -->\n\n'
+        "```sh\nls -A\n```\n<!-- shows: a.toml -->\n"
+    )
+    done = page(text).text
+    assert "\n42 b = 1\n" in done
+    assert "shows" not in done
+    assert page(text).text == done  # kept
+
+
+def test_figures_are_described_and_placed(page):
+    text = "```python\nimport matplotlib.pyplot as plt\nplt.figure()\n```\n<!-- figure: Nothing at all -->\n"
+    done = page(text)
+    assert done.figures == [("figures/page-1.svg", "Nothing at all")]
+    assert "![Nothing at all](figures/page-1.svg)" in done.text
+    assert "<svg" in done.files["figures/page-1.svg"]
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("a\n\n```python\nb = 1\nb / 0\n```\n", r"docs/page\.md:5: .*ZeroDivisionError"),
+        ("```python\nb = 1\n```\n\n```python\nprint(b\n```\n", r"docs/page\.md:6: .*SyntaxError"),
+        ("a\n```sh\ntrue\nls nowhere\n```\n", r"docs/page\.md:4: .*status 2: .*nowhere"),
+        ("a\n```sh\nmemsgyro check nowhere\n```\n", r"docs/page\.md:3: .*nowhere.*status 2"),
+        ("```python\nprint(1)\n```\n<!-- shows: 2 -->\n", r"docs/page\.md:2: must print '2', but prints\n1"),
+        ("```toml\na = 1\n```\n", r"docs/page\.md:1: .*title"),
+        ("```console\nmemsgyro nothing\n```\n", r"docs/page\.md:2: .*README.*memsgyro nothing"),
+        ("```python\n```\n<!-- figure: a -->\n", r"docs/page\.md:2: leaves 0 figures, but 1"),
+    ],
+)
+def test_what_fails_names_page_and_line(page, text, why):
+    with pytest.raises(blocks.BlockError, match=re.compile(why, re.DOTALL)):
+        page(text)
+
+
+def test_api_pages_show_the_public_names():
+    shown = re.findall(r"^::: memsgyro_jax\.(\w+)$", "\n".join(generated.api_pages().values()), re.MULTILINE)
+    assert len(shown) == len({*shown})
+    assert {*shown, "__version__"} == {*mg.__all__}
+    nav = (ROOT / "mkdocs.yml").read_text()
+    assert all(f"- {path}\n" in nav for path in generated.api_pages())
+
+
+def test_the_catalogue_holds_every_effect_and_every_public_member():
+    page = generated.catalogue_page()
+    assert all(f"`{kind.name}`" in page for kind in mg.effects.CATALOGUE)
+    finals = ("ExtendedKalmanFilter", "LyapunovObserver", "EnergyControl", "LayoutGyro", "FreeDecayRecord", "Tdms")
+    assert all(name in page for name in (*finals, "Chirp", "WorstDies", "ForceRebalance", "CarrierReadout"))
+    assert not re.search(r"^\| [^|]*Abstract", page, re.MULTILINE)
+
+
+def test_the_picture_is_that_of_the_real_imports():
+    imports = generated.room_imports()
+    assert imports["app", "diagnosis"] > 0
+    assert imports["diagnosis", "measurement"] > 0
+    assert not any(list(generated.ROOMS).index(a) < list(generated.ROOMS).index(b) for a, b in imports)
+    assert generated.rooms_picture().count("<path") == len(imports)
