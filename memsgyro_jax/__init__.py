@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     # The one list of public names: read by people, editors and type checkers, and below for what is imported on use.
     # isort: off
     from .base.errors import InputError as InputError
+    from .base.labelled import load as load
     from .device.gyro import SingleMassGyro as SingleMassGyro
     from .device.gyro import DualMassGyro as DualMassGyro
     from .device.gyro import AbstractGyro as AbstractGyro

@@ -6,6 +6,8 @@ metadata, `eqx.field(metadata={"unit": "kg"})`, or in the table below.
 
 import dataclasses
 import html
+import re
+from dataclasses import is_dataclass
 from typing import Any
 
 import equinox as eqx
@@ -96,6 +98,16 @@ def stated_unit(value: Any, field: dataclasses.Field, around: str = "") -> str |
         stated = getattr(value, "unit", None)
     unit = field.metadata.get("unit", stated)
     return unit if unit is None or "*" not in unit else unit.replace("*", around) if around else "1"
+
+
+def stated_at(root: Any, path: str) -> str:
+    """The unit of the number at a dotted path; empty where nobody stated it, or where an array holds several."""
+    here, unit = root, ""
+    for part in path.split("."):
+        field = next((f for f in dataclasses.fields(here) if f.name == part), None) if is_dataclass(here) else None
+        unit = unit if field is None else stated_unit(here, field, unit) or ""
+        here = here[int(part)] if part.isdigit() else getattr(here, part.replace(" ", "_"))
+    return "" if re.search(",| or |SI", unit) else unit
 
 
 def _field(value: Any, field: dataclasses.Field, around: str) -> str:

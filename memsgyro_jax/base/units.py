@@ -164,6 +164,11 @@ def to_si(value: Any, unit: str, expected: str, name: str) -> Any:
     return found
 
 
+def without_roots(unit: str) -> str:
+    """A unit as pint reads it, which reads a root as nothing: V/√Hz is V/(Hz)**0.5."""
+    return _ROOT.sub(lambda match: f"({next(filter(None, match.groups()))})**0.5", unit)
+
+
 @cache
 def _registry() -> Any:
     import pint
@@ -173,7 +178,7 @@ def _registry() -> Any:
 
 @cache
 def _parse(text: str, name: str) -> Any:
-    plain = _ROOT.sub(lambda match: f"({next(filter(None, match.groups()))})**0.5", text)
+    plain = without_roots(text)
     try:
         if _FOREIGN.search(text):
             raise ValueError("pint would pass over what it does not know")

@@ -4,14 +4,14 @@ picture.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.files import finite, json_text
 from memsgyro_jax.base.joint_normal import JointNormal
+from memsgyro_jax.base.labelled import Tabular, labelled
 from memsgyro_jax.base.provenance import versions
 from memsgyro_jax.base.transforms import from_vector, to_vector
 from memsgyro_jax.device.gyro import SingleMassGyro
@@ -21,6 +21,9 @@ from .frequency_sweep import FrequencySweep
 from .sense_view import SeenBench
 from .tree_fit import Fit
 
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 SCHEMA = "memsgyro-identify/1"
 
@@ -44,7 +47,7 @@ class CouplingCoefficient:
 
 
 @dataclass(frozen=True, repr=False)
-class Identification(Shown):
+class Identification(Tabular):
     """What a set of sweeps says about a gyroscope.
 
     Args:
@@ -76,6 +79,7 @@ class Identification(Shown):
     sweeps: tuple[FrequencySweep, ...] = ()
     mass: float | None = None
     versions: Mapping[str, str] = field(default_factory=lambda: dict(versions()))
+    along: ClassVar[str] = "coefficient"
 
     @property
     def device(self) -> SingleMassGyro:
@@ -156,24 +160,38 @@ class Identification(Shown):
         """`to_dict` as text; no NaN or infinity in it."""
         return json_text(self.to_dict())
 
-    def to_xarray(self):
-        """Value and standard deviation of every coefficient, labelled, with verdicts and units in the attributes."""
-        import xarray as xr
-
+    def to_xarray(self) -> "xr.Dataset":
+        """Value, standard deviation and verdict over `coefficient`; over `reading` what the sweeps measured and the fit
+        predicts, real and imaginary part.
+        """
         every = {**self.coefficients, **self.modal, **self.readout, **self.effect_values}
-        table = [[np.nan if v is None else v for v in (c.value, c.std)] for c in every.values()]
-        return xr.DataArray(
-            table,
-            dims=("coefficient", "statistic"),
-            coords={
-                "coefficient": list(every),
-                "statistic": ["value", "std"],
-                "unit": ("coefficient", [c.unit for c in every.values()]),
-                "verdict": ("coefficient", [c.verdict for c in every.values()]),
-            },
-            name="identification",
-            attrs={"method": self.method, "chi2_per_dof": self.chi2_per_dof, "schema": SCHEMA},
-        )
+        number = lambda part: [np.nan if (v := getattr(c, part)) is None else v for c in every.values()]  # noqa: E731
+        variables: dict[str, tuple] = {part: ("coefficient", number(part), None) for part in ("value", "std")}
+        coordinates: dict[str, Any] = {
+            "coefficient": list(every),
+            "unit": ("coefficient", [c.unit for c in every.values()], None),
+            "verdict": ("coefficient", [c.verdict for c in every.values()], None),
+            "part": ["real", "imaginary"],
+            "channel": ["x", "y"],
+        }
+        if self.sweeps:
+            held = lambda field: np.concatenate([np.asarray(getattr(s, field)) for s in self.sweeps])  # noqa: E731
+            seen = {"measured": held("measured")}
+            if self.fit is not None:
+                seen["predicted"] = np.concatenate([np.asarray(s.predict(self.fit.values)) for s in self.sweeps])
+            dimensions, about = ("reading", "channel", "part"), "phasor, in the unit of the record"
+            for name, phasors in seen.items():
+                parts = np.stack([phasors.real, phasors.imag], axis=-1)
+                variables[name] = dimensions, parts, None, f"{name} {about}"
+            names = np.concatenate([np.full(len(s.frequency), s.name) for s in self.sweeps])
+            coordinates |= {
+                "frequency": ("reading", held("frequency"), "rad/s"),
+                "drive": ("reading", held("drive"), None),
+                "sweep": ("reading", names, None),
+            }
+        told = self.to_dict()
+        kept = {name: told[name] for name in ("schema", "chi2_per_dof", "dof", "notes", "versions")}
+        return labelled(self, variables, coordinates, kept | {"method": self.method, "status": self.status})
 
     def plot(self, ax=None):
         """Measured points and fitted curves of every sweep, amplitude over frequency; returns the axes."""

@@ -20,7 +20,8 @@ from memsgyro_jax.measurement.experiments.deviation import Series
 from memsgyro_jax.measurement.model import Model
 from memsgyro_jax.measurement.readings import model_of
 
-from .fit import CaseFit, RecordError, fit_case
+from .fit import CaseFit, fit_case
+from .fitted import RecordError
 from .misfit import LEVEL, Check, check_all
 
 
@@ -144,25 +145,7 @@ class Comparison(Shown):
 
     def plot(self, ax: "Axes | None" = None) -> "Axes":
         """Deviation over noise of every record, fitted and not, on a logarithmic scale; returns the axes."""
-        from memsgyro_jax.base import axes as pictures
-
-        ax = pictures.axes(ax)
-        names = list(dict.fromkeys(e.name for e in self.errors))
-        for role, marker, colour in (("fit", "o", "C0"), ("validation", "s", "C1")):
-            chosen = [e for e in self.errors if e.role == role]
-            if chosen:
-                ax.plot(
-                    [e.rms for e in chosen], [names.index(e.name) for e in chosen], marker, color=colour, ms=6,
-                    label="fitted" if role == "fit" else "not fitted", alpha=0.8,
-                )  # fmt: skip
-        ax.axvline(1.0, color="k", lw=1.0, ls="--", label="noise")
-        ax.set_xscale("log")
-        ax.set_xlabel("rms of deviation over noise")
-        # A dollar would start a formula of matplotlib's.
-        ax.set_yticks(range(len(names)), [name.replace("$", r"\$") for name in names])
-        ax.invert_yaxis()
-        ax.legend(loc="best", frameon=False)
-        return ax
+        return self.fit.plot(ax)
 
 
 def compare(

@@ -1,17 +1,17 @@
 """A model fitted to all records of a measurement case at once, and how well it explains each of them."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, ClassVar
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.joint_normal import JointNormal
+from memsgyro_jax.base.labelled import Tabular
 from memsgyro_jax.base.text import combination, suggestion
 from memsgyro_jax.device.gyro import SingleMassGyro
 from memsgyro_jax.device.resonator import Resonator
@@ -19,84 +19,27 @@ from memsgyro_jax.effects.base import Effect
 from memsgyro_jax.measurement.case import AbstractRecord, Case
 from memsgyro_jax.measurement.experiments import Deviation
 from memsgyro_jax.measurement.experiments.missing_force import MissingForce
-from memsgyro_jax.measurement.least_squares import above, gate
+from memsgyro_jax.measurement.least_squares import above
 from memsgyro_jax.measurement.linear_start import starting_device
 from memsgyro_jax.measurement.model import Model, check_effect
 from memsgyro_jax.measurement.readings import Readings, model_of, readings_of
 
+from .fit_table import fit_table
+from .fitted import ParameterEstimate, RecordError, errors_figure
 from .joint_residual import Joint, Parameter
 from .optimum import Optimum, optimise
 from .resolved import sharpened
 
 
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.axes import Axes
+
 _BASE = {1: ("resonance", "quality_factor", "static_gain"), 2: ("mass", "kxx", "kyy", "kxy", "dxx", "dyy", "dxy")}
 
 
-@dataclass(frozen=True)
-class RecordError:
-    """How far a record, or the part of it with one role, lies from the model.
-
-    Args:
-        name: of the record.
-        role: "fit" or "validation".
-        count: real readings.
-        chi2: sum of their squared deviations over the noise.
-        freedom: degrees of freedom with which the noise is known; infinite where it is declared.
-    """
-
-    name: str
-    role: str
-    count: int
-    chi2: float
-    freedom: float = np.inf
-
-    @property
-    def rms(self) -> float:
-        """Root mean square of deviation over noise; 1 is the noise floor."""
-        return float(np.sqrt(self.chi2 / self.count))
-
-    @property
-    def gate(self) -> float:
-        """χ²/N up to which noise alone explains the record: 1 + 3·√(2/N), and more where the noise is an estimate."""
-        return gate(self.count, freedom=self.freedom)
-
-    @property
-    def explained(self) -> bool:
-        """Whether χ²/N is within the gate."""
-        return bool(self.chi2 / self.count <= self.gate)
-
-    def to_dict(self) -> dict[str, Any]:
-        """The entry of a JSON file."""
-        return {
-            "name": self.name,
-            "role": self.role,
-            "readings": self.count,
-            "error": self.rms,
-            "chi2_per_reading": self.chi2 / self.count,
-            "gate": float(self.gate),
-            "explained": self.explained,
-        }
-
-
-@dataclass(frozen=True)
-class ParameterEstimate:
-    """A parameter of the model with its standard deviation (infinite where the records do not hold it)."""
-
-    name: str
-    value: float
-    std: float
-    unit: str
-
-    def __str__(self) -> str:
-        return f"{self.name:<24} {self.value: .6g} ± {self.std:.2g} {self.unit}"
-
-    def to_dict(self) -> dict[str, Any]:
-        """The entry of a JSON file."""
-        return asdict(self)
-
-
 @dataclass(frozen=True, eq=False, repr=False)
-class CaseFit(Shown):
+class CaseFit(Tabular):
     """A model beside a case.
 
     Args:
@@ -116,6 +59,7 @@ class CaseFit(Shown):
     whitened: tuple[np.ndarray, ...]
     fitted: tuple[np.ndarray, ...]
     apart: float = 0.0
+    along: ClassVar[str] = "reading"
 
     @cached_property
     def model(self) -> Model:
@@ -244,6 +188,14 @@ class CaseFit(Shown):
         """The force that the model lacks, as each compared record shows it, in their order."""
         found = [record.missing_force(deviation) for record, deviation in self.deviations]
         return tuple(one for one in found if one is not None)
+
+    def to_xarray(self) -> "xr.Dataset":
+        """Over `reading` what was measured and predicted, over `entry` the errors, over `parameter` what was fitted."""
+        return fit_table(self)
+
+    def plot(self, ax: "Axes | None" = None) -> "Axes":
+        """Deviation over noise of every record, fitted and not, on a logarithmic scale; returns the axes."""
+        return errors_figure(self.errors, ax)
 
     def __str__(self) -> str:
         width = max(len(e.name) for e in self.errors)

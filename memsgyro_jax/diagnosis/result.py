@@ -2,13 +2,13 @@
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.files import finite, json_text
 from memsgyro_jax.base.joint_normal import JointNormal
+from memsgyro_jax.base.labelled import Labelled, columns_of, labelled
 from memsgyro_jax.base.provenance import versions
 from memsgyro_jax.device.gyro import SingleMassGyro
 from memsgyro_jax.device.resonator import Resonator
@@ -16,7 +16,13 @@ from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.model import Model
 
 from .fit import CaseFit
+from .fit_table import errors_table, parameters_table, readings_table
+from .fitted import errors_figure
 
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.axes import Axes
 
 Verdict = Literal["nothing_missing", "instrument_only", "found", "cannot_tell", "partly_explained", "unknown_effect"]
 DRAW = "memsgyro law {} --out my_law.py"
@@ -114,7 +120,7 @@ class Prospect:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Diagnosis(Shown):
+class Diagnosis(Labelled):
     """Outcome of `diagnose`; prints itself.
 
     Args:
@@ -221,9 +227,54 @@ class Diagnosis(Shown):
         }
         return finite(entries)
 
+    def to_xarray(self) -> "xr.Dataset":
+        """Over `reading` what was measured and what base and final model predict, over `entry` the errors of both, over
+        `effect` what was accepted, over `candidate` what was tried beside the final model, over `step` how it came.
+        """
+        fits = {"_base": self.base, "_final": self.final}
+        readings, settings = readings_table(self.case, fits)
+        units = {"score": "1", "p_value": "1", "explained_share": "1", "kept_share": "1", "smallest_visible": None}
+        tried = columns_of("candidate", self.candidates, **units, unit=None, excited="1")
+        variables = {
+            **readings,
+            **errors_table(fits),
+            **parameters_table(self.final),
+            **_effects_table(self),
+            **{f"candidate_{name}": held for name, held in tried.items()},
+            "candidate": ("candidate", [c.label for c in self.candidates], None),
+            "step": ("step", [s.added or "base model" for s in self.steps], None),
+            **columns_of("step", self.steps, chi2_per_dof="1", validation_error="1"),
+        }
+        about = self.to_dict()
+        names = ("schema", "case", "level", "verdict", "sentence", "groups", "next_experiment", "std_scale", "versions")
+        return labelled(self, variables, settings, {name: about[name] for name in names})
+
+    def plot(self, ax: "Axes | None" = None) -> "Axes":
+        """Deviation over noise of every record beside the base and the final model; returns the axes."""
+        return errors_figure(self.final.errors, ax, before=self.base.errors)
+
     def to_json(self) -> str:
         """The same as text."""
         return json_text(self.to_dict())
+
+
+def _effects_table(found: "Diagnosis") -> dict[str, tuple]:
+    """Accepted effects and terms of the instrument over `effect`, a row for each component of a strength."""
+    every = [(a, k) for a in (*found.accepted, *found.instrument) for k in range(len(a.estimate))]
+    parts = [f"{a.label}[{k}]" if len(a.estimate) > 1 else a.label for a, k in every]
+    out = columns_of("effect", [a for a, _ in every], p_value="1", error_before="1", error_after="1")
+    return {f"effect_{name}": held for name, held in out.items()} | {
+        "effect": ("effect", parts, None),
+        "estimate": ("effect", [a.estimate[k] for a, k in every], None, "strength"),
+        "estimate_std": (
+            "effect",
+            [found.scale * a.std[k] for a, k in every],
+            None,
+            "standard deviation of the strength",
+        ),
+        "effect_unit": ("effect", [a.unit for a, _ in every], None),
+        "of_instrument": ("effect", [a in found.instrument for a, _ in every], "1", "whether it is the instrument's"),
+    }
 
 
 def validation_error(fit: CaseFit) -> float:

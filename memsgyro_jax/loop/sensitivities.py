@@ -73,6 +73,15 @@ def dimensions_of(loop: ClosedLoop) -> Dimensions:
     return Dimensions(length, frequency, gain)
 
 
+def units_of(model: MotionModel) -> tuple[str, ...]:
+    """The unit of each coefficient of the equations of motion."""
+    by_signal = {**dict.fromkeys((X, Y), "1/s²"), **dict.fromkeys((VX, VY), "1/s"), **dict.fromkeys((UX, UY), "1/kg")}
+    return tuple(
+        "s" if c.delays is not None else "rad/s" if c.is_rate else by_signal[c.terms[0].signal]
+        for c in model.coefficients
+    )
+
+
 def unknowns_of(
     loop: ClosedLoop, prior: Prior | None, known: tuple[str, ...], also: tuple[Coefficient, ...]
 ) -> Unknowns:
@@ -82,11 +91,10 @@ def unknowns_of(
     """
     model = MotionModel(loop.device.model.coefficients + also)
     length, frequency, gain = dimensions_of(loop)
-    by_signal = {**dict.fromkeys((X, Y), (frequency**2, "1/s²")), **dict.fromkeys((VX, VY), (frequency, "1/s"))}
-    by_signal |= dict.fromkeys((UX, UY), (gain, "1/kg"))
+    by_unit = {"1/s²": frequency**2, "1/s": frequency, "1/kg": gain, "rad/s": 1.0, "s": 1.0 / frequency}
     table = dict.fromkeys(MOTION[:2], (length, "m")) | dict.fromkeys(MOTION[2:], (length * frequency, "m/s"))
     table |= dict.fromkeys(OFFSETS, (1e-3, "V"))
-    table |= {c.name: (1.0, "rad/s") if c.is_rate else by_signal[c.terms[0].signal] for c in model.coefficients}
+    table |= {name: (by_unit[unit], unit) for name, unit in zip(model.names, units_of(model), strict=True)}
     strange = set(known) - set(table)
     if strange:
         raise InputError(f"Argument `known` must name some of {', '.join(table)}, but holds `{sorted(strange)[0]}`.")

@@ -13,8 +13,8 @@ from memsgyro_jax.base import runtime
 from memsgyro_jax.base.arguments import quantity, whole
 from memsgyro_jax.base.axes import axes
 from memsgyro_jax.base.concrete import is_concrete
-from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.labelled import Tabular, labelled
 from memsgyro_jax.base.provenance import Settings
 from memsgyro_jax.device.propagate import State4
 
@@ -25,6 +25,7 @@ from .expectation import expectations, tell
 from .loop import ClosedLoop, Sample, as_loop
 from .observers.base import LockReadings
 from .scenario import AbstractProfile, Scenario, as_scenario
+from .sensitivities import units_of
 
 
 if TYPE_CHECKING:
@@ -32,17 +33,16 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-class Trace(Shown, eqx.Module):
+class Trace(Tabular, eqx.Module):
     """What a run recorded, one row per kept sample; SI units throughout.
 
     `theta` holds the true coefficients at the end of the run. `rate_estimate` is the loop's output, behind its filter
     where it has one, `rate_unfiltered` the observer's own estimate, of which alone `rate_std` and `nis` speak (NaN for
     an observer without a covariance). `intact_until` is the time in s at which the die was lost (out of its travel, or
     not finite, at a kept sample), infinite for one that was not: rows from then on repeat the last good one. `readings`
-    are those of electronics that lock to the drive axis, each over time; None without such.
+    are those of electronics that lock to the drive axis, each over time; None without such. `loop` is what ran.
 
-    Its numbers are the leaves of a pytree, so that a function of `simulate` can be differentiated, compiled and mapped:
-    `jax.vmap` gives a trace whose arrays have the runs along a leading axis. `loop` is what ran.
+    A pytree: functions of `simulate` can be differentiated and compiled; `jax.vmap` puts the runs along a leading axis.
     """
 
     time: Float[np.ndarray, " samples"]
@@ -60,6 +60,7 @@ class Trace(Shown, eqx.Module):
     force: Float[np.ndarray, "samples 2"]
     nis: Float[np.ndarray, " samples"]
     intact_until: Float[np.ndarray, ""]
+    along = "time"
     loop: ClosedLoop
     coefficients: tuple[str, ...] = eqx.field(static=True)
     settings: Settings = eqx.field(static=True)
@@ -72,7 +73,9 @@ class Trace(Shown, eqx.Module):
 
     @property
     def status(self) -> str:
-        """A sentence on how the run went."""
+        """A sentence on how the run went, or the runs of a map."""
+        if np.ndim(self.intact_until):
+            return f"{np.sum(np.isfinite(self.intact_until))} of {np.size(self.intact_until)} runs lost"
         return "completed" if self.lost_at is None else f"lost at {self.lost_at:.6g} s: out of travel or not finite"
 
     @property
@@ -97,31 +100,37 @@ class Trace(Shown, eqx.Module):
         )
 
     def to_xarray(self) -> "xr.Dataset":
-        """The trace as a Dataset over `time`, units in the attributes."""
-        import xarray as xr
-
-        states = ["x", "y", "vx", "vy"]
-        variables = {
-            "rate_true": ("time", self.rate_true, {"units": "rad/s"}),
-            "rate_estimate": ("time", self.rate_estimate, {"units": "rad/s"}),
-            "rate_unfiltered": ("time", self.rate_unfiltered, {"units": "rad/s"}),
-            "rate_std": ("time", self.rate_std, {"units": "rad/s"}),
-            "motion": (("time", "state"), self.motion, {"units": "m, m/s"}),
-            "motion_estimate": (("time", "state"), self.motion_estimate, {"units": "m, m/s"}),
-            "theta": ("coefficient", self.theta, {"units": "SI per kg"}),
-            "theta_estimate": (("time", "coefficient"), self.theta_estimate, {"units": "SI per kg"}),
-            "offset": (("time", "axis"), self.offset, {"units": "V"}),
-            "offset_estimate": (("time", "axis"), self.offset_estimate, {"units": "V"}),
-            "volts": (("time", "axis"), self.volts, {"units": "V"}),
-            "force": (("time", "axis"), self.force, {"units": "N"}),
-            "nis": ("time", self.nis, {"units": "1"}),
+        """The trace over `time`, and over `run` where it is a map of several."""
+        lead = ("run",) * (np.ndim(self.time) - 1)
+        over = {
+            "rate_true": ((), "rad/s", "true rate"),
+            "rate_estimate": ((), "rad/s", "estimated rate, the output of the loop"),
+            "rate_unfiltered": ((), "rad/s", "estimated rate before the output filter"),
+            "rate_std": ((), "rad/s", "claimed standard deviation before the output filter"),
+            "motion": (("state",), None, "displacement and velocity"),
+            "motion_estimate": (("state",), None, "estimated displacement and velocity"),
+            "theta_estimate": (("coefficient",), None, "estimated coefficients of the equations of motion"),
+            "offset": (("axis",), "V", "offset of the read-out"),
+            "offset_estimate": (("axis",), "V", "estimated offset of the read-out"),
+            "volts": (("axis",), "V", "voltage of the read-out"),
+            "force": (("axis",), "N", "commanded force"),
+            "nis": ((), "1", "normalised innovation squared of both channels"),
         }
+        variables: dict[str, tuple] = {n: ((*lead, "time", *d), getattr(self, n), *of) for n, (d, *of) in over.items()}
+        variables["theta"] = ((*lead, "coefficient"), self.theta, None, "true coefficients at the end")
+        variables["intact_until"] = (lead, self.intact_until, "s", "time at which the die was lost, infinite for none")
         if self.readings is not None:
-            units = LockReadings("rad/s", "Hz", "m", "N")._asdict()
-            told = self.readings._asdict()
-            variables |= {f"lock_{name}": ("time", told[name], {"units": unit}) for name, unit in units.items()}
-        coordinates = {"time": self.time, "axis": ["x", "y"], "state": states, "coefficient": list(self.coefficients)}
-        return xr.Dataset(variables, coordinates, {**self.settings.as_dict(), "status": self.status})
+            told = zip(LockReadings._fields, self.readings, ("rad/s", "Hz", "m", "N"), strict=True)
+            variables |= {f"lock_{name}": ((*lead, "time"), *held) for name, *held in told}
+        coordinates = {
+            "time": ("time", np.atleast_2d(self.time)[0], "s"),
+            "axis": ["x", "y"],
+            "state": ["x", "y", "vx", "vy"],
+            "state_unit": ("state", ["m", "m", "m/s", "m/s"], None),
+            "coefficient": list(self.coefficients),
+            "coefficient_unit": ("coefficient", list(units_of(self.loop.device.model)), None),
+        }
+        return labelled(self, variables, coordinates, {**self.settings.as_dict(), "status": self.status})
 
     def to_case(self, folder: str | Path, **about: Any) -> Path:
         """Write the run as a measurement case, or add it to the case in `folder`; `about` goes to `case_of_trace`.
@@ -140,9 +149,8 @@ class Trace(Shown, eqx.Module):
         ax, time = axes(ax), self.time * 1e3
         if quantity == "rate":
             estimate, spread = np.degrees(self.rate_unfiltered), np.degrees(self.rate_std)
-            ax.fill_between(
-                time, estimate - spread, estimate + spread, color="C0", alpha=0.25, lw=0, label="± claimed std"
-            )
+            band = estimate - spread, estimate + spread
+            ax.fill_between(time, *band, color="C0", alpha=0.25, lw=0, label="± claimed std")
             label = "estimate before the filter" if self.filtered else "estimate"
             ax.plot(time, estimate, color="C0", lw=1.0, alpha=0.4 if self.filtered else 1.0, label=label)
             if self.filtered:
@@ -153,10 +161,11 @@ class Trace(Shown, eqx.Module):
         elif quantity in ("motion", "offset"):
             factor, unit = (1e6, "displacement [µm]") if quantity == "motion" else (1e3, "offset [mV]")
             for axis, name in enumerate("xy"):
-                ax.plot(
-                    time, factor * getattr(self, f"{quantity}_estimate")[:, axis], color=f"C{axis}", lw=1.0, label=name
+                estimate, true = (
+                    factor * getattr(self, which)[:, axis] for which in (f"{quantity}_estimate", quantity)
                 )
-                ax.plot(time, factor * getattr(self, quantity)[:, axis], color="k", lw=0.8, ls="--")
+                ax.plot(time, estimate, color=f"C{axis}", lw=1.0, label=name)
+                ax.plot(time, true, color="k", lw=0.8, ls="--")
             ax.set_ylabel(unit)
         else:
             index = self.coefficients.index(quantity)
@@ -305,11 +314,8 @@ def _compiled(loop: ClosedLoop, scenario: Scenario, words: tuple, period: float,
 
 def _row(sample: Sample) -> _Row:
     drift, inertial = sample.conditions.offset_drift, sample.conditions.inertial
-    numbers = (
-        *(sample.clock.time, inertial.rate, sample.motion, drift, sample.volts, sample.force),
-        *(sample.estimate, sample.rate),
-    )
-    return _Row(*jax.tree.map(lambda x: jnp.asarray(x, float), numbers))
+    made = sample.clock.time, inertial.rate, sample.motion, drift, sample.volts, sample.force
+    return _Row(*jax.tree.map(lambda x: jnp.asarray(x, float), (*made, sample.estimate, sample.rate)))
 
 
 def _as_trace(done: engine.Run, loop: ClosedLoop, theta: tuple, settings: Settings, rows: _Rows) -> Trace:

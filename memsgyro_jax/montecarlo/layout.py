@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.labelled import LABELS as LABELS
+from memsgyro_jax.base.labelled import with_labels
 
 from .batch import MEANING, PENDING, STATUS
 from .folder import Folder, RemotePath
@@ -20,20 +22,25 @@ if TYPE_CHECKING:
     import xarray as xr
 
 SCHEMA = "memsgyro-dies/3"
-LABELS = "labels"  # attribute: names along dimensions; zarr has no settled type for text arrays
 PROCESSOR = "processor"  # attribute: what kind of processor began a store
 SEAL = "seal"
 SHARD = 16384  # dies in a file of a column, at least where the store has as many
 _METADATA = "zarr.json"
+_MEANING = ", ".join(f"{value} {words}" for value, words in MEANING.items())
 
 
 @dataclass(frozen=True)
 class DieArray:
-    """An array with one row per die: dimension names after `die`, their sizes, and the unit."""
+    """An array with one row per die: dimension names after `die`, their sizes, and the unit, None where they differ."""
 
     dimensions: tuple[str, ...]
     sizes: tuple[int, ...]
-    unit: str
+    unit: str | None
+
+    @property
+    def attributes(self) -> dict[str, str]:
+        """What a file says of it."""
+        return {} if self.unit is None else {"units": self.unit}
 
 
 @dataclass(frozen=True)
@@ -48,14 +55,12 @@ class Layout:
         """Rows and their status as a Dataset."""
         import xarray as xr
 
-        variables: dict[str, tuple] = {
-            name: (("die", *column.dimensions), rows[name], {"units": column.unit})
-            for name, column in self.columns.items()
+        held: dict[str, tuple] = {
+            name: (("die", *of.dimensions), rows[name], of.attributes) for name, of in self.columns.items()
         }
-        variables[STATUS] = ("die", rows[STATUS])
+        held[STATUS] = "die", rows[STATUS], {"meaning": _MEANING}
         coordinates = {name: (dim, values, {"units": unit}) for name, (dim, values, unit) in self.coordinates.items()}
-        data = xr.Dataset(variables, coordinates, self.attributes)
-        return data.assign_coords(self.attributes[LABELS])
+        return with_labels(xr.Dataset(held, coordinates, self.attributes))
 
 
 def files_of(layout: Layout, dies: int, block: int) -> dict[str, bytes]:
@@ -80,10 +85,9 @@ def files_of(layout: Layout, dies: int, block: int) -> dict[str, bytes]:
     for name, (dimension, values, unit) in layout.coordinates.items():
         about = {"dimension_names": (dimension,), "attributes": {"units": unit}}
         group.create_array(name, shape=np.shape(values), dtype=np.asarray(values).dtype, **about, **packed)[:] = values
-    meaning = ", ".join(f"{value} {words}" for value, words in MEANING.items())
-    columns = {name: (column, "float64", np.nan, {"units": column.unit}) for name, column in layout.columns.items()}
+    columns = {name: (column, "float64", np.nan, column.attributes) for name, column in layout.columns.items()}
     columns[SEAL] = (DieArray((), (), "1"), "uint64", 0, {"meaning": "checksum of the row"})
-    columns[STATUS] = (DieArray((), (), "1"), "int8", PENDING, {"meaning": meaning})
+    columns[STATUS] = (DieArray((), (), "1"), "int8", PENDING, {"meaning": _MEANING})
     for name, (column, dtype, fill, attributes) in columns.items():
         group.create_array(
             name,

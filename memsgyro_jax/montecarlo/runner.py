@@ -9,6 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from memsgyro_jax.base import runtime
+from memsgyro_jax.base.display import stated_at
+from memsgyro_jax.base.labelled import LABELS, UNITS_ALONG
 from memsgyro_jax.base.provenance import Settings
 from memsgyro_jax.device.propagate import fuses_many_outputs
 from memsgyro_jax.loop import noise
@@ -16,13 +18,14 @@ from memsgyro_jax.loop.blocks.run import statistics
 from memsgyro_jax.loop.filters import check_fits
 from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.scenario import Scenario
+from memsgyro_jax.loop.sensitivities import units_of
 from memsgyro_jax.loop.trace import count_steps
 
 from . import batch as lot
 from .batch import DIVERGED, OK, STATUS
 from .divergence import impossible
-from .layout import LABELS, PROCESSOR, DieArray, Layout
-from .spread import Draw, Spread
+from .layout import PROCESSOR, DieArray, Layout
+from .spread import Draw, Root, Spread
 from .store import Memory, Store
 
 
@@ -123,7 +126,7 @@ class Runner:
     def layout(self, settings: Settings) -> Layout:
         """The arrays of a lot, and what its Dataset and store say about how they were made."""
         names, windows = self.loop.device.model.names, self.plan.windows
-        parameters = [item.path for item in self.spread.resolved(self.loop)]
+        parameters, root = [v.path for v in self.spread.resolved(self.loop)], Root(self.loop, self.scenario)
         rate, time, one = (DieArray((), (), unit) for unit in ("rad/s", "s", "1"))
         columns = {
             "lost_at": time,
@@ -135,16 +138,18 @@ class Runner:
             "nis_mean": one,
             "nis_channel": DieArray(("channel",), (2,), "1"),
             "nees_end": one,
-            "coefficient_true": DieArray(("coefficient",), (len(names),), "SI"),
+            "coefficient_true": DieArray(("coefficient",), (len(names),), None),
             "coefficient_error": DieArray(("coefficient",), (len(names),), "1"),
             "rate_estimate": DieArray(("window",), (windows,), "rad/s"),
             "rate_true": DieArray(("window",), (windows,), "rad/s"),
-            "drawn": DieArray(("parameter",), (len(parameters),), "SI"),
+            "drawn": DieArray(("parameter",), (len(parameters),), None),
             "redrawn": one,
         }
         labels = {"coefficient": list(names), "parameter": parameters, "channel": ["x", "y"]}
+        units = {"coefficient": units_of(self.loop.device.model), "parameter": [stated_at(root, p) for p in parameters]}
         made_by = {PROCESSOR: f"{self.mesh.devices.flat[0].device_kind} {runtime.processor()}"}
-        attributes = {**settings.as_dict(), **made_by, **self.plan._asdict(), LABELS: labels}
+        attributes = {**settings.as_dict(), **made_by, **self.plan._asdict()}
+        attributes |= {LABELS: labels, UNITS_ALONG: units}
         return Layout(columns, {"time": ("window", self.plan.window_times, "s")}, attributes)
 
 

@@ -4,14 +4,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from scipy import stats
 
 from memsgyro_jax.base.axes import axes
-from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.labelled import MARK, Tabular
 from memsgyro_jax.base.provenance import Settings
 from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.scenario import AbstractProfile, Scenario
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Lot(Shown):
+class Lot(Tabular):
     """The dies of a sweep: `data` as a Dataset over (die, window, coefficient, parameter), SI units throughout.
 
     `notes` says what was amiss with the store it went on with, one sentence each.
@@ -42,13 +42,15 @@ class Lot(Shown):
     _rows: dict[str, np.ndarray] | StoredRows
     _layout: Layout
     notes: tuple[str, ...] = ()
+    along: ClassVar[str] = "die"
 
     @cached_property
     def data(self) -> "xr.Dataset":
         """The Dataset, made when first asked for: xarray takes half a second to import, and what is in a store is read
         and verified then.
         """
-        return self._layout.dataset(self._rows.all() if isinstance(self._rows, StoredRows) else self._rows)
+        rows = self._rows.all() if isinstance(self._rows, StoredRows) else self._rows
+        return self._layout.dataset(rows).assign_attrs({MARK: "Lot", "printed": str(self.summary)})
 
     def first(self, dies: int) -> "Lot":
         """The same with the data of the first dies alone, where there are more; the summary remains that of all."""

@@ -1,14 +1,15 @@
 """What tuning found: the tuned loop, each free number's fate, and how unseen dies fare before and after."""
 
-from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import asdict, astuple, dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float
 
 from memsgyro_jax.base.axes import axes
-from memsgyro_jax.base.display import Shown
+from memsgyro_jax.base.display import stated_at
 from memsgyro_jax.base.files import finite
+from memsgyro_jax.base.labelled import Tabular, columns_of, labelled
 from memsgyro_jax.base.provenance import Settings
 from memsgyro_jax.base.text import aligned
 from memsgyro_jax.loop.loop import ClosedLoop
@@ -114,7 +115,7 @@ class StageResult:
 
 
 @dataclass(frozen=True)
-class Tuning(Shown):
+class Tuning(Tabular):
     """Outcome of `tune`: the tuned `loop`, what moved, and figures on unseen dies with unseen noise.
 
     `ratio` is the mean squared error after over before, over the same dies; `warnings` are sentences that a user must
@@ -130,6 +131,7 @@ class Tuning(Shown):
     warnings: tuple[str, ...]
     settings: Settings
     lots: tuple[Lot, Lot]
+    along: ClassVar[str] = "number"
 
     @property
     def status(self) -> str:
@@ -185,16 +187,33 @@ class Tuning(Shown):
         return [*lines, *self.gains, *(f"WARNING: {warning}" for warning in self.warnings)]
 
     def to_xarray(self) -> "xr.Dataset":
-        """Squared errors of each unseen die before and after, and the free numbers."""
-        import xarray as xr
-
+        """The free numbers over `number`, squared errors of each unseen die before and after, their figures with the
+        interval, and the losses over the accepted `step`s of all stages.
+        """
         squared = np.stack([squared_errors(lot) for lot in self.lots], axis=1)
-        numbers = {name: ("number", [getattr(n, name) for n in self.numbers]) for name in ("start", "value")}
-        return xr.Dataset(
-            {"squared_error": (("die", "loop"), squared, {"units": "(rad/s)^2"}), **numbers},
-            {"loop": ["before", "after"], "number": [n.label for n in self.numbers]},
-            {"status": self.status, **self.settings.as_dict()},
-        )
+        names = ("mean", "median", "p95")
+        figures = [[astuple(getattr(merit, name)) for merit in (self.before, self.after)] for name in names]
+        steps = [
+            (s.loss, *each) for s in self.stages for each in zip(s.evaluations, s.training, s.validation, strict=True)
+        ]
+        variables = {
+            **columns_of("number", self.numbers, start=None, value=None, low=None, high=None, stage=None, fate=None),
+            "squared_error": (("die", "loop"), squared, "(rad/s)**2", "mean squared rate error of the settled part"),
+            "merit": (("figure", "loop", "end"), figures, "(rad/s)**2", "figure of the squared error over dies"),
+            "ratio": ("end", astuple(self.ratio), "1", "mean squared error after over before"),
+            "loss": ("step", [step[0] for step in steps], None),
+        }
+        units = {"evaluations": "1", "training": None, "validation": None}
+        variables |= {n: ("step", [s[k] for s in steps], unit) for k, (n, unit) in enumerate(units.items(), 1)}
+        coordinates = {
+            "loop": ["before", "after"],
+            "figure": list(names),
+            "end": ["value", "low", "high"],
+            "number": [n.label for n in self.numbers],
+            "number_unit": ("number", [stated_at(self.loop, n.path) for n in self.numbers], None),
+        }
+        about = {"status": self.status, "gains": self.gains, "warnings": self.warnings}
+        return labelled(self, variables, coordinates, {**about, **self.settings.as_dict()})
 
     def plot(self, ax: "Axes | None" = None) -> "Axes":
         """Share of the unseen dies below a rate error, before and after."""

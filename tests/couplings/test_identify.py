@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from kept import kept
 from lab import two_modes as lab
 
 from memsgyro_jax.base.errors import InputError
@@ -76,7 +77,7 @@ def test_wide_sweep_returns_every_coefficient(wide):
     assert wide.explained
 
 
-def test_result_as_json_and_xarray(wide):
+def test_result_as_json_and_xarray(wide, tmp_path):
     data = json.loads(wide.to_json())
     assert data["schema"] == "memsgyro-identify/1"
     assert set(data["coefficients"]) == {"lambda_yx", "lambda_xy", "c_xy", "k_xy"}
@@ -84,8 +85,11 @@ def test_result_as_json_and_xarray(wide):
     assert data["coefficients"]["c_xy"]["unit"] == "N*s/m"
     assert data["phase_asymmetry_deg"] == pytest.approx(2.4, abs=0.3)
     assert data["chi2_per_dof"] == pytest.approx(1.0, abs=0.08)
-    table = wide.to_xarray()
-    assert float(table.sel(coefficient="k_xy", statistic="value")) == data["coefficients"]["k_xy"]["value"]
+    table = kept(wide, tmp_path)
+    assert float(table["value"].sel(coefficient="k_xy")) == data["coefficients"]["k_xy"]["value"]
+    assert wide.to_pandas().loc["c_xy", "unit"] == "N*s/m"
+    left = table["measured"] - table["predicted"]
+    assert left.std() < 0.05 * table["measured"].std()
 
 
 def test_what_was_identified_is_a_device_with_a_joint_uncertainty(wide):

@@ -6,6 +6,7 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
+from kept import kept
 from lab.die import Die
 from lab.laboratory import make_case
 
@@ -94,6 +95,17 @@ def test_xarray_has_units_and_adds_up(base):
     np.testing.assert_allclose(error.values.real, node["whitened"].values[..., 0], rtol=1e-6, atol=1e-9)
     fitted = node["whitened"].values[node["fitted"].values]
     assert np.sqrt(np.mean(fitted**2)) == pytest.approx(base.errors[0].rms)
+
+
+def test_a_fit_is_a_table_of_all_readings(base, tmp_path):
+    data = kept(base.fit, tmp_path)
+    assert set(data["record"].values) == {record.name for record in base.case.records}
+    left = ((data["measured"] - data["predicted"]) / data["noise"] - data["whitened"])[data["whitened"].notnull()]
+    assert np.max(np.abs(left)) < 1e-6
+    table = base.fit.to_pandas()
+    fitted = table[table["fitted"] & (table["record"] == "sweep_x")]["whitened"].dropna()
+    assert np.sqrt(np.mean(fitted**2)) == pytest.approx(base.errors[0].rms)
+    assert list(data["parameter"].values) == [p.name for p in base.fit.estimates]
 
 
 def test_plot_shows_every_record(base):

@@ -3,8 +3,10 @@
 import json
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from bench_case import ONE_AXIS, RESONATOR, bench
+from kept import kept
 from lab.die import Hidden, Outside
 from lab.strengths import VISIBLE, visible
 
@@ -50,6 +52,15 @@ def test_the_error_falls_to_the_noise_on_records_that_were_not_fitted(cubic):
     (found,) = cubic.accepted
     assert found.error_before > 5.0 > 1.2 > found.error_after
     assert [s.added for s in cubic.steps] == ["", "cubic_stiffness y"]
+
+
+def test_a_diagnosis_goes_into_a_file(cubic, tmp_path):
+    data = kept(cubic, tmp_path)
+    assert data.attrs["verdict"] == "found"
+    assert list(data["effect"].values) == ["cubic_stiffness y"]
+    assert float(data["estimate"][0]) == cubic.accepted[0].estimate[0]
+    assert np.all(data["rms_final"] <= data["rms_base"] * 1.1)
+    assert len(cubic.plot().get_yticklabels()) == len(cubic.case.records)
 
 
 def test_the_answer_is_readable_by_machines(cubic):

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import matplotlib as mpl
 import numpy as np
 import pytest
+from kept import kept
 
 import memsgyro_jax as mg
 from memsgyro_jax.base.errors import InputError
@@ -66,8 +67,10 @@ def test_the_voltage_is_the_motion_with_offset_and_noise(loop, trace):
     assert np.std(noise, axis=0) == pytest.approx([expected, expected], rel=0.08)
 
 
-def test_a_trace_becomes_a_dataset_and_pictures(trace):
-    data = trace.to_xarray()
+def test_a_trace_becomes_a_dataset_and_pictures(trace, tmp_path):
+    data = kept(trace, tmp_path)
+    assert data["volts"].attrs == {"units": "V", "long_name": "voltage of the read-out"}
+    assert trace.to_pandas()["motion vy"].iloc[-1] == trace.motion[-1, 3]
     assert data["rate_estimate"].attrs["units"] == "rad/s"
     assert data.attrs["seed"] == 3
     for quantity in ("rate", "motion", "offset", "kxx"):

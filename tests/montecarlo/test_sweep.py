@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from harness import PERCENTILES
+from kept import kept
 
 import memsgyro_jax as mg
 from memsgyro_jax.base.errors import InputError
@@ -208,7 +209,11 @@ def test_a_store_is_what_the_sweep_returns(loop, reference, tmp_path):
     assert_same_bits(stored(tmp_path), reference, 40)
     assert not np.any(stored(tmp_path)["status"])
     assert list(lot.to_xarray()["coefficient"].values) == list(loop.device.model.names)
-    xr.testing.assert_identical(pickle.loads(pickle.dumps(lot)).to_xarray(), lot.to_xarray())
+    xr.testing.assert_identical(pickle.loads(pickle.dumps(lot)).to_xarray(), kept(lot, tmp_path))
+    assert_same_bits(mg.load(tmp_path), reference, 40)
+    drawn = mg.load(tmp_path)["drawn"].sel(parameter="device.kxx")
+    assert drawn["parameter_unit"] == "N/m"
+    assert np.array_equal(lot.to_pandas()["drawn device.kxx"], drawn)
     (tmp_path / "dies.zarr" / "nis_mean" / "c" / "0").unlink()
     mended = mg.sweep(loop, SPREAD, dies=40, chunk=8, out=tmp_path, resume=True, **SHORT)
     assert_same_bits(mended.to_xarray(), reference, 40)

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from kept import kept
 from tuning_study import STUDY, small_study
 
 import memsgyro_jax as mg
@@ -78,13 +79,14 @@ def test_unseen_dies_fare_as_with_the_matched_filter(tuned, study):
     assert made.warnings == ()
 
 
-def test_the_result_says_what_it_is(tuned):
+def test_the_result_says_what_it_is(tuned, tmp_path):
     made, _ = tuned
     text = repr(made)
     for words in ("on 16 unseen dies", "after over before", "lost dies", "NIS of x and y", "moved x"):
         assert words in text
     assert "converged" in made.status
-    data = made.to_xarray()
+    data = kept(made, tmp_path)
+    assert list(made.to_pandas()["value"]) == [number.value for number in made.numbers]
     assert np.mean(data["squared_error"].sel(loop="after").values) == pytest.approx(made.after.mean.value)
     assert data.attrs["seed"] == 0
     assert json.loads(json.dumps(made.as_dict(), allow_nan=False))["schema"] == "memsgyro-tuning/1"

@@ -1,6 +1,5 @@
 """`memsgyro simulate`: read the study, run one die, print, write."""
 
-import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -112,23 +111,6 @@ def _write(trace: "Trace", study: "Study", figures: dict[str, Any], out: Path) -
 
     page = trace_page(trace, study, run_rows(figures)).html()
     out.mkdir(parents=True, exist_ok=True)
-    _write_store(trace, out / "trace.zarr")
+    trace.save(out / "trace.zarr")
     write_json(out / "summary.json", figures)
     write_whole(out / "report.html", page)
-
-
-def _write_store(trace: "Trace", path: Path) -> None:
-    """The trace as a zarr group, in place of an earlier one; text coordinates become attributes, as in `dies.zarr`."""
-    from memsgyro_jax.montecarlo.layout import LABELS
-
-    data = trace.to_xarray()
-    texts = {str(name): list(map(str, c.values)) for name, c in data.coords.items() if c.dtype.kind in "UO"}
-    draft = path.with_name(f".{path.name}.part")
-    shutil.rmtree(draft, ignore_errors=True)
-    try:
-        stored = data.drop_vars(list(texts)).assign_attrs({LABELS: texts})
-        stored.to_zarr(draft, zarr_format=3, consolidated=False)
-        shutil.rmtree(path, ignore_errors=True)
-        draft.rename(path)
-    finally:
-        shutil.rmtree(draft, ignore_errors=True)

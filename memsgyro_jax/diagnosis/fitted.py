@@ -1,0 +1,100 @@
+"""What a fit leaves of each record, and the parameters it found."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from memsgyro_jax.base.axes import axes
+from memsgyro_jax.measurement.least_squares import gate
+
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+@dataclass(frozen=True)
+class RecordError:
+    """How far a record, or the part of it with one role, lies from the model.
+
+    Args:
+        name: of the record.
+        role: "fit" or "validation".
+        count: real readings.
+        chi2: sum of their squared deviations over the noise.
+        freedom: degrees of freedom with which the noise is known; infinite where it is declared.
+    """
+
+    name: str
+    role: str
+    count: int
+    chi2: float
+    freedom: float = np.inf
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of deviation over noise; 1 is the noise floor."""
+        return float(np.sqrt(self.chi2 / self.count))
+
+    @property
+    def gate(self) -> float:
+        """χ²/N up to which noise alone explains the record: 1 + 3·√(2/N), and more where the noise is an estimate."""
+        return gate(self.count, freedom=self.freedom)
+
+    @property
+    def explained(self) -> bool:
+        """Whether χ²/N is within the gate."""
+        return bool(self.chi2 / self.count <= self.gate)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The entry of a JSON file."""
+        return {
+            "name": self.name,
+            "role": self.role,
+            "readings": self.count,
+            "error": self.rms,
+            "chi2_per_reading": self.chi2 / self.count,
+            "gate": float(self.gate),
+            "explained": self.explained,
+        }
+
+
+@dataclass(frozen=True)
+class ParameterEstimate:
+    """A parameter of the model with its standard deviation (infinite where the records do not hold it)."""
+
+    name: str
+    value: float
+    std: float
+    unit: str
+
+    def __str__(self) -> str:
+        return f"{self.name:<24} {self.value: .6g} ± {self.std:.2g} {self.unit}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """The entry of a JSON file."""
+        return asdict(self)
+
+
+def errors_figure(errors: Sequence[RecordError], ax: "Axes | None", before: Sequence[RecordError] = ()) -> "Axes":
+    """Deviation over noise of every record, fitted and not, on a logarithmic scale; lines lead there from `before`."""
+    ax = axes(ax)
+    names = list(dict.fromkeys(e.name for e in errors))
+    first = {(e.name, e.role): e.rms for e in before}
+    for role, marker, colour in (("fit", "o", "C0"), ("validation", "s", "C1")):
+        chosen = [e for e in errors if e.role == role]
+        if chosen:
+            places = [names.index(e.name) for e in chosen]
+            label = "fitted" if role == "fit" else "not fitted"
+            ax.plot([e.rms for e in chosen], places, marker, color=colour, ms=6, label=label, alpha=0.8)
+            from_ = [first.get((e.name, e.role), e.rms) for e in chosen]
+            ax.hlines(places, [e.rms for e in chosen], from_, color=colour, lw=1.0, alpha=0.6)
+    ax.axvline(1.0, color="k", lw=1.0, ls="--", label="noise")
+    ax.set_xscale("log")
+    ax.set_xlabel("rms of deviation over noise" + (", from the base model to the final one" if before else ""))
+    # A dollar would start a formula of matplotlib's.
+    ax.set_yticks(range(len(names)), [name.replace("$", r"\$") for name in names])
+    ax.invert_yaxis()
+    ax.legend(loc="best", frameon=False)
+    return ax
