@@ -158,6 +158,9 @@ if TYPE_CHECKING:
     from .measurement.datasheet import datasheet as datasheet
     from .measurement.datasheet_rows import Datasheet as Datasheet
     from .measurement.datasheet_rows import DatasheetRow as DatasheetRow
+    from .measurement.over_temperature import over_temperature as over_temperature
+    from .measurement.over_temperature import OverTemperature as OverTemperature
+    from .measurement.temperature_table import TemperatureTable as TemperatureTable
     from .measurement.case import load_case as load_case
     from .measurement.import_case import import_case as import_case
     from .measurement.import_case import ImportedCase as ImportedCase

@@ -1,6 +1,9 @@
 """Physics that a device may have beyond the base model. A sibling file here is a new effect; see `base`."""
 
 from .adc_saturation import AdcSaturation as AdcSaturation
+from .ageing import Ageing as Ageing
+from .ageing import AgeingOffset as AgeingOffset
+from .ageing import AgeingStiffness as AgeingStiffness
 from .angular_acceleration import AngularAcceleration as AngularAcceleration
 from .axes import Coupling as Coupling
 from .axes import Planar as Planar
@@ -16,11 +19,14 @@ from .base import LockInEffect as LockInEffect
 from .base import LockInRow as LockInRow
 from .base import Moment as Moment
 from .base import ReadoutEffect as ReadoutEffect
+from .base import SurroundingsEffect as SurroundingsEffect
 from .base import SweepEffect as SweepEffect
 from .base import strength as strength
 from .catalogue import CATALOGUE as CATALOGUE
+from .catalogue import OF_OPERATION as OF_OPERATION
 from .catalogue import by_name as by_name
 from .catalogue import catalogue as catalogue
+from .catalogue import every_effect as every_effect
 from .centrifugal import Centrifugal as Centrifugal
 from .cross_damping_asymmetry import CrossDampingAsymmetry as CrossDampingAsymmetry
 from .cross_stiffness import CrossStiffness as CrossStiffness
@@ -37,6 +43,7 @@ from .lock_in_terms import TERMS as TERMS
 from .numbers import EffectNumber as EffectNumber
 from .numbers import free_numbers as free_numbers
 from .numbers import parameter as parameter
+from .numbers import setting as setting
 from .parasitic_mode import ParasiticMode as ParasiticMode
 from .pickoff_crosstalk import PickoffCrosstalk as PickoffCrosstalk
 from .pickoff_cubic_nonlinearity import PickoffCubicNonlinearity as PickoffCubicNonlinearity
@@ -50,7 +57,12 @@ from .rate_scale_error import RateScaleError as RateScaleError
 from .readout_delay import ReadoutDelay as ReadoutDelay
 from .scan import Coverage as Coverage
 from .scan import Scanned as Scanned
+from .self_heating import SelfHeating as SelfHeating
 from .squeeze_film_damping import SqueezeFilmDamping as SqueezeFilmDamping
 from .thermal_drift import ThermalDamping as ThermalDamping
 from .thermal_drift import ThermalStiffness as ThermalStiffness
+from .thermal_electronics import ThermalBias as ThermalBias
+from .thermal_electronics import ThermalDelay as ThermalDelay
+from .thermal_electronics import ThermalDrive as ThermalDrive
+from .thermal_electronics import ThermalGain as ThermalGain
 from .user_file import load_effects as load_effects

@@ -152,6 +152,24 @@ class ForceEffect(Effect):
         return jnp.zeros_like(now.own)
 
 
+class SurroundingsEffect(ForceEffect):
+    """Changes what all other effects see of the surroundings, and acts on the mass only through them. First all that
+    warms is added up, then all that the bias voltage gains at that temperature.
+    """
+
+    def force(self, now: Moment) -> Float[Array, " axes"]:
+        """None."""
+        return jnp.zeros_like(now.displacement)
+
+    def warmer(self, now: Moment) -> Array:
+        """How much warmer than the surroundings the device is [K]."""
+        return jnp.zeros_like(now.warming)
+
+    def more_volts(self, now: Moment) -> Array:
+        """How much higher than asked for the bias voltage is [V]."""
+        return jnp.zeros_like(now.bias_voltage)
+
+
 class DriveEffect(Effect):
     """Acts between the command and the electrodes, or, a `last` one, between them and the mass: `now.force` is then
     what all electrodes give.

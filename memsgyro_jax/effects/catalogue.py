@@ -1,4 +1,4 @@
-"""The catalogue: every effect the package knows, in the order in which a gyro meets them."""
+"""The catalogue: every effect that a bench may show, in the order in which a gyro meets them."""
 
 from collections.abc import Sequence
 
@@ -6,6 +6,7 @@ from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.text import suggestion
 
 from .adc_saturation import AdcSaturation
+from .ageing import AgeingOffset, AgeingStiffness
 from .angular_acceleration import AngularAcceleration
 from .axes import variants
 from .base import Effect
@@ -31,8 +32,10 @@ from .rate_bias_drift import RateBiasDrift
 from .rate_offset import RateOffset
 from .rate_scale_error import RateScaleError
 from .readout_delay import ReadoutDelay
+from .self_heating import SelfHeating
 from .squeeze_film_damping import SqueezeFilmDamping
 from .thermal_drift import ThermalDamping, ThermalStiffness
+from .thermal_electronics import ThermalBias, ThermalDelay, ThermalDrive, ThermalGain
 
 
 CATALOGUE: tuple[type[Effect], ...] = (
@@ -46,6 +49,17 @@ CATALOGUE: tuple[type[Effect], ...] = (
 )
 
 
+OF_OPERATION: tuple[type[Effect], ...] = (
+    *(ThermalGain, ThermalDelay, ThermalDrive, ThermalBias, SelfHeating, AgeingStiffness, AgeingOffset),
+)
+"""Effects that a device may carry through temperature and years, and that no diagnosis of a bench asks for."""
+
+
+def every_effect(axes: int = 2) -> tuple[Effect, ...]:
+    """The catalogue and the effects of operation: all that a file may name."""
+    return *catalogue(axes), *(effect for kind in OF_OPERATION for effect in variants(kind, axes))
+
+
 def catalogue(axes: int = 2) -> tuple[Effect, ...]:
     """Every variant of every effect that a device with so many axes can have, at strength zero."""
     return tuple(effect for kind in CATALOGUE for effect in variants(kind, axes))
@@ -57,12 +71,12 @@ def by_name(name: str, where: str = "", among: Sequence[Effect] | None = None) -
     Args:
         name: as in the catalogue; `"cubic_stiffness x"`, an effect's `label`, may stand here as a whole.
         where: the variant; may be left out where there is one only.
-        among: the effects to choose from; `None` takes the catalogue for two axes.
+        among: the effects to choose from; `None` takes every one for two axes.
 
     Raises:
         InputError: if there is no such effect or variant, or if the variant is left open.
     """
-    known = catalogue(2) if among is None else tuple(among)
+    known = every_effect(2) if among is None else tuple(among)
     if not where and " " in name.strip():
         name, where = name.split(maxsplit=1)
     same = [effect for effect in known if effect.name == name]

@@ -12,7 +12,7 @@ from memsgyro_jax.device.conditions import Conditions
 from memsgyro_jax.device.gyro import is_concrete
 from memsgyro_jax.device.normalised import NormalisedDevice
 
-from .base import DriveEffect, Effect, ForceEffect, Moment, ReadoutEffect
+from .base import DriveEffect, Effect, ForceEffect, Moment, ReadoutEffect, SurroundingsEffect
 from .cross_damping_asymmetry import CrossDampingAsymmetry
 
 
@@ -37,6 +37,18 @@ class Acting(NamedTuple):
     def own_size(self) -> int:
         """How many numbers of own state the effects have together."""
         return sum(effect.own_size for effect in self.forces)
+
+    def around(self, now: Moment, own: Float[Array, " own"]) -> Moment:
+        """The same moment with surroundings as effects on them make them."""
+        for method, field in (("warmer", "warming"), ("more_volts", "bias_voltage")):
+            place, total = 0, getattr(now, field)
+            for effect in self.forces:
+                if isinstance(effect, SurroundingsEffect):
+                    mine = own[place : place + effect.own_size]
+                    total = total + getattr(effect, method)(eqx.tree_at(lambda m: m.own, now, mine))
+                place += effect.own_size
+            now = now if total is getattr(now, field) else eqx.tree_at(lambda m: getattr(m, field), now, total)  # noqa: B023
+        return now
 
     def driven(self, now: Moment) -> Moment:
         """The same moment with the force that the electrodes apply at its command."""

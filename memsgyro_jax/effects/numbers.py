@@ -31,6 +31,11 @@ def parameter(*, start: float, low: float = -np.inf, high: float = np.inf, unit:
     )
 
 
+def setting(default: float, unit: str) -> Any:
+    """The field of a number in `unit` that is only set, as the power that a device takes: no fit moves it."""
+    return eqx.field(converter=lambda value: jnp.asarray(value, float), default=default, metadata={"unit": unit})
+
+
 def free_numbers(effect: Effect) -> tuple[EffectNumber, ...]:
     """The strength and the declared numbers, in the order of the fields."""
     out = []

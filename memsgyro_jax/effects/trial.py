@@ -12,7 +12,17 @@ from jaxtyping import Array
 from memsgyro_jax.base.plainly import plainly
 from memsgyro_jax.device.normalised import NormalisedDevice
 
-from .base import DriveEffect, Effect, ForceEffect, LockInEffect, LockInRow, Moment, ReadoutEffect, SweepEffect
+from .base import (
+    DriveEffect,
+    Effect,
+    ForceEffect,
+    LockInEffect,
+    LockInRow,
+    Moment,
+    ReadoutEffect,
+    SurroundingsEffect,
+    SweepEffect,
+)
 
 
 def at_strength(effect: Effect, strength: Array) -> Effect:
@@ -95,6 +105,10 @@ PORT_METHODS: dict[type[Effect], tuple[PortMethod, ...]] = {
             "signal", lambda e, now: e.signal(now.scale * now.displacement, now), lambda n: n.scale * n.displacement
         ),
     ),
+    SurroundingsEffect: (
+        PortMethod("warmer", lambda e, now: e.warmer(now), lambda now: jnp.zeros_like(now.warming), exact=False),
+        PortMethod("more_volts", lambda e, now: e.more_volts(now), lambda now: jnp.zeros_like(now.warming)),
+    ),
     LockInEffect: (
         PortMethod("phasors", lambda e, now: _parts(e.phasors(*_read(now))), lambda now: _parts(_read(now)[0])),
     ),
@@ -105,6 +119,20 @@ PORT_METHODS: dict[type[Effect], tuple[PortMethod, ...]] = {
 def methods_of(effect: Effect) -> tuple[PortMethod, ...]:
     """The methods an effect answers for; none if it belongs to no port."""
     return tuple(part for port, found in PORT_METHODS.items() if isinstance(effect, port) for part in found)
+
+
+def feels_warmth(effect: Effect) -> bool:
+    """Whether anything of an effect changes with the temperature of the surroundings."""
+    now = moments(effect, 2)
+    for part in methods_of(effect):
+
+        def value(warming: Array, part: PortMethod = part) -> Array:
+            warmed = eqx.tree_at(lambda n: n.warming, now, warming)
+            return jax.vmap(lambda n: jnp.asarray(part.value(effect, n)))(warmed)
+
+        if bool(jnp.any(jax.jvp(value, (now.warming,), (jnp.ones_like(now.warming),))[1] != 0.0)):
+            return True
+    return False
 
 
 def complaint(effect: Effect, axes: int) -> str:

@@ -14,7 +14,7 @@ from memsgyro_jax.base.user_file import in_one_line, line_of, run_user_file
 
 from .axes import needed_axes, variants
 from .base import Effect
-from .catalogue import CATALOGUE
+from .catalogue import CATALOGUE, OF_OPERATION
 from .trial import PORT_METHODS, at_strength, complaint
 
 
@@ -106,7 +106,7 @@ def _checked(effect: Effect, axes: int, path: Path, place: str) -> Effect:
 
 
 def _check_names(effects: tuple[Effect, ...], at: Callable[[type], str]) -> None:
-    known = {kind.name for kind in CATALOGUE}
+    known = {kind.name for kind in (*CATALOGUE, *OF_OPERATION)}
     seen: set[tuple[str, str]] = set()
     for effect in effects:
         wanted = f"{at(type(effect))}: an effect must have a name of its own"

@@ -195,7 +195,7 @@ class ClosedLoop(Displayed):
             )
             return fence(clock.time, tuple(map(plus, motion, shaken))), (), {}
         plant = SampleEffects.of(self.device, dynamics, conditions, force, self.readout.scale, clock).driven(
-            state.motion
+            state.motion, state.own
         )
         push = applied(dynamics, plant.held)
         motion, own = self.discretisation.extended(

@@ -62,9 +62,9 @@ class SampleEffects(AbstractAddition):
             reference_bias=device.reference_bias,
         )
 
-    def driven(self, motion: State4) -> "SampleEffects":
+    def driven(self, motion: State4, own: Own) -> "SampleEffects":
         """The same with what the electrodes apply at the command, the mass being at `motion`."""
-        return eqx.tree_at(lambda sample: sample.held, self, each_die(_applied, self, motion))
+        return eqx.tree_at(lambda sample: sample.held, self, each_die(_applied, self, motion, own))
 
     def rates(self, motion: State4, own: Own) -> tuple[Pair, Own]:
         """Acceleration beside the base device's [m/s²], and the own states' derivative by time."""
@@ -168,13 +168,19 @@ def _moment(sample: SampleEffects, motion: State4, command: Pair) -> Moment:
     )
 
 
-def _applied(sample: SampleEffects, motion: State4) -> Pair:
-    return tuple(Acting.of(sample.effects).driven(_moment(sample, motion, sample.command)).force)
+def _driven(sample: SampleEffects, motion: State4, own: Own) -> Moment:
+    """The moment with its surroundings, and the force of the electrodes."""
+    acting = Acting.of(sample.effects)
+    return acting.driven(acting.around(_moment(sample, motion, sample.command), stacked(own)))
+
+
+def _applied(sample: SampleEffects, motion: State4, own: Own) -> Pair:
+    return tuple(_driven(sample, motion, own).force)
 
 
 def _rates(sample: SampleEffects, motion: State4, own: Own) -> tuple[Pair, Own]:
     acting = Acting.of(sample.effects)
-    now = acting.driven(_moment(sample, motion, sample.command))
+    now = _driven(sample, motion, own)
     force, rates = acting.force(now, stacked(own))
     beside = tuple(force)
     if acting.drives:  # electrodes whose force depends on the place change it within the sample
@@ -219,5 +225,5 @@ def _seen(sample: SampleEffects, motion: State4, own: Own) -> Moment:
     q, v, inner = stacked(motion[:2]), stacked(motion[2:]), stacked(own)
     (acceleration, rates) = slopes(q, v, inner)
     jerk = jax.jvp(slopes, (q, v, inner), (v, acceleration, rates))[1][0]
-    now = Acting.of(sample.effects).driven(_moment(sample, motion, sample.command))
+    now = _driven(sample, motion, own)
     return eqx.tree_at(lambda m: (m.acceleration, m.jerk), now, (acceleration, jerk), is_leaf=lambda leaf: leaf is None)

@@ -1,5 +1,6 @@
 """The tests behind a datasheet: each runs the lot and gives rows."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -12,9 +13,10 @@ from memsgyro_jax.loop.scenario import Constant
 from .allan import allan
 from .datasheet_rows import NOT_MODELLED, DatasheetRow
 from .lot_outputs import Outputs
+from .over_temperature import CELSIUS, depends_on_temperature, held_at
+from .rate_tests import Dies, RateTests, settled_mean
 
 
-Dies = Float[np.ndarray, " dies"]
 _GRAVITY = 9.80665  # m/s²
 _BAND = 0.01  # of the full scale: an output within it of its end has started
 _STEADY = 0.01  # of a step: how far the last two tenths of the answer may differ
@@ -36,18 +38,13 @@ class Answer(NamedTuple):
     bandwidth: Dies
 
 
-def settled_mean(run: Outputs, settle: float, what: str = "rate") -> Dies:
-    """Mean from `settle` [s] on."""
-    return np.mean(getattr(run, what)[:, round(settle / run.period) :], axis=1)
-
-
 def best_line(rates: np.ndarray, outputs: Float[np.ndarray, "rates dies"]) -> Float[np.ndarray, "two dies"]:
     """Offset and slope of the best straight line of each die."""
     return np.linalg.lstsq(np.stack([np.ones_like(rates), rates], axis=1), outputs)[0]
 
 
 def scale_and_bias(
-    bench: Any, rates: np.ndarray, table: list[Outputs]
+    bench: RateTests, rates: np.ndarray, table: list[Outputs]
 ) -> tuple[Float[np.ndarray, "rates dies"], tuple[DatasheetRow, ...]]:
     """The settled outputs at each rate, and zero-rate output, scale factor, non-linearity and quadrature."""
     outputs = np.array([settled_mean(run, bench.settle) for run in table])
@@ -109,7 +106,7 @@ def with_trim(
     )
 
 
-def start_up(bench: Any, turning: Outputs) -> DatasheetRow:
+def start_up(bench: RateTests, turning: Outputs) -> DatasheetRow:
     """Time from power-on until the output of a `turning` lot stays near its end."""
     late = settled_mean(turning, bench.duration - 10.0 * turning.period)
     away = np.abs(turning.rate - late[:, None]) > _BAND * bench.full_scale
@@ -124,7 +121,7 @@ def start_up(bench: Any, turning: Outputs) -> DatasheetRow:
     )  # fmt: skip
 
 
-def step_answer(bench: Any, still: Outputs) -> tuple[Answer, tuple[DatasheetRow, ...]]:
+def step_answer(bench: RateTests, still: Outputs) -> tuple[Answer, tuple[DatasheetRow, ...]]:
     """Bandwidth and group delay by a small step of the rate in the middle of a run."""
     size = 0.1 * bench.full_scale
     run = bench.run(bench.at(0.0, size))
@@ -181,7 +178,7 @@ def record_needed(bandwidth: Dies, duration: float) -> float:
     return float(np.clip(_RECORD / np.median(known) if known.size else 0.0, 10.0 * duration, 100.0 * duration))
 
 
-def noises(bench: Any, bandwidth: Dies, duration: float) -> tuple[DatasheetRow, ...]:
+def noises(bench: RateTests, bandwidth: Dies, duration: float) -> tuple[DatasheetRow, ...]:
     """Noise density, angle random walk and bias instability of the output at rest."""
     definitions = (
         ("noise density", "deg/s/√Hz", "One-sided density of the output where it is flat"),
@@ -237,7 +234,7 @@ def _noise_rows(
     )
 
 
-def around_the_axes(bench: Any, table: list[Outputs]) -> tuple[DatasheetRow, ...]:
+def around_the_axes(bench: RateTests, table: list[Outputs]) -> tuple[DatasheetRow, ...]:
     """Sensitivity to rates about the other axes and to acceleration of the frame."""
     zero = settled_mean(table[len(table) // 2], bench.settle)
     keeps = getattr(bench.loop.device, "rotating_frame", False)
@@ -263,24 +260,19 @@ def around_the_axes(bench: Any, table: list[Outputs]) -> tuple[DatasheetRow, ...
     return tuple(rows)
 
 
-def temperature_rows(bench: Any, temperatures: tuple[float, ...]) -> tuple[DatasheetRow, ...]:
+def temperature_rows(
+    bench: RateTests, temperatures: tuple[float, ...], told: Callable[[str], None]
+) -> tuple[DatasheetRow, ...]:
     """Zero-rate output and scale factor over temperature, half of greatest less least."""
     names = ("zero-rate output over temperature", "scale factor over temperature")
     definition = "(max - min)/2 over the temperatures"
-    degrees = ", ".join(f"{kelvin - 273.15:.4g}" for kelvin in temperatures)
-    depends = any("thermal" in str(effect.label) for effect in bench.loop.device.effects)
+    degrees = ", ".join(f"{kelvin - CELSIUS:.4g}" for kelvin in temperatures)
     found: list[Any] = [np.full(1, np.nan)] * 2
-    if depends:
-        swept = []
-        for kelvin in temperatures:
-            still, turning = (
-                settled_mean(bench.run(bench.at(rate, temperature=Constant(kelvin))), bench.settle)
-                for rate in (0.0, bench.full_scale)
-            )
-            swept.append((np.degrees(still), 100.0 * (turning - still) / bench.full_scale))
-        found = list(0.5 * np.ptp(np.array(swept), axis=0))
+    if depends := depends_on_temperature(bench.loop):
+        drifts = held_at(bench, temperatures, told)
+        found = [np.degrees(drifts.zero_rate_drift), 100.0 * drifts.scale_factor_drift]
     reason = "" if depends else f"{NOT_MODELLED}: nothing in the device depends on temperature"
     return tuple(
-        DatasheetRow(name, unit, definition, f"constant at {degrees} °C, no noise", values, reason)
+        DatasheetRow(name, unit, definition, f"constant at {degrees} °C, no noise", values, reason, positive=True)
         for name, unit, values in zip(names, ("deg/s", "%"), found, strict=True)
     )

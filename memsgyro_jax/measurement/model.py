@@ -106,7 +106,8 @@ class Model(Displayed):
 
     def state_of(self, motion: Float[Array, " m"], conditions: Conditions) -> Float[Array, " n"]:
         """The state of displacements and velocities, with the effects' own states as they begin there."""
-        now = self._moment(motion, jnp.zeros(self.axes), conditions)
+        cold = jnp.concatenate([motion, jnp.zeros(self._acting.own_size)])
+        now = self._moment(cold, jnp.zeros(self.axes), conditions)
         return jnp.concatenate([motion, *(effect.own_start(now) for effect in self._acting.forces)])
 
     # Compiled programs hold these many times over: under `jit` what every effect does is traced once for all of them.
@@ -173,16 +174,15 @@ class Model(Displayed):
 
     def _moment(self, state: Array, command: Array, conditions: Conditions) -> Moment:
         a = self.axes
-        return self._acting.driven(
-            moment(
-                state[:a],
-                state[a : 2 * a],
-                command,
-                conditions,
-                device=self.device,
-                scale=self.scale,
-                reference_temperature=self.reference_temperature,
-                reference_bias=self.reference_bias,
-                order=self.order,
-            )
+        now = moment(
+            state[:a],
+            state[a : 2 * a],
+            command,
+            conditions,
+            device=self.device,
+            scale=self.scale,
+            reference_temperature=self.reference_temperature,
+            reference_bias=self.reference_bias,
+            order=self.order,
         )
+        return self._acting.driven(self._acting.around(now, state[2 * a :]))

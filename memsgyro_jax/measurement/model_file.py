@@ -19,7 +19,7 @@ from memsgyro_jax.base.quantity import FileSection, Number
 from memsgyro_jax.base.toml import checked, read_toml, toml_table
 from memsgyro_jax.base.units import to_si
 from memsgyro_jax.device.normalised import NormalisedDevice
-from memsgyro_jax.effects import Effect, catalogue
+from memsgyro_jax.effects import Effect, every_effect
 from memsgyro_jax.effects.section import EffectSection, entries_of_effect, written
 
 from .declared import check_temperature
@@ -137,7 +137,7 @@ def _model(file: _File, source: Source, own: Sequence[Effect]) -> Model:
         temperature = check_temperature(_si(file.reference.temperature, "K"))
     with source.section("reference", "bias_voltage"):
         bias = _si(file.reference.bias_voltage, "V")
-    known = (*catalogue(axes), *own)
+    known = (*every_effect(axes), *own)
     effects = []
     for number, entry in enumerate(file.effects):
         with source.section("effects", number, "name"):

@@ -51,7 +51,7 @@ def state_of(of: Model, seed: int = 0) -> np.ndarray:
     """Micrometres and 0.1 m/s; own states are displacements."""
     scales = np.full(of.size, 1e-6)
     scales[of.axes : 2 * of.axes] = 0.1
-    return scales * np.random.default_rng(seed).uniform(0.3, 1.0, of.size) * np.array([1, -1] * (of.size // 2))
+    return scales * np.random.default_rng(seed).uniform(0.3, 1.0, of.size) * np.resize([1.0, -1.0], of.size)
 
 
 def seen(of: Model, state, conditions=CONDITIONS):

@@ -160,7 +160,7 @@ def test_the_command_lists_every_effect(capsys, tmp_path):
     (tmp_path / "mine.py").write_text(GOOD, encoding="utf-8")
     assert command(tmp_path / "mine.py", "--json", tmp_path / "effects.json") == 0
     text = capsys.readouterr().out
-    for effect in fx.catalogue(2):
+    for effect in fx.every_effect(2):
         assert effect.name in text
         assert effect.law in text
         assert effect.reference in text
@@ -168,7 +168,7 @@ def test_the_command_lists_every_effect(capsys, tmp_path):
     written = json.loads((tmp_path / "effects.json").read_text(encoding="utf-8"))
     assert written["schema"] == "memsgyro-effects/1"
     labels = {f"{e['name']} {w}".rstrip() for e in written["effects"] for w in e["variants"] or [""]}
-    assert labels == {e.label for e in fx.catalogue(2)} | {"creep x", "creep y"}
+    assert labels == {e.label for e in fx.every_effect(2)} | {"creep x", "creep y"}
 
 
 def test_the_command_refuses_a_broken_file(capsys, tmp_path):

@@ -179,8 +179,9 @@ def test_strength_zero_is_absence_bit_for_bit():
     assert all(np.all(np.asarray(effect.strength) == 0.0) for effect in absent.effects)
     clock, motion, push = Clock(0.0, 0, PERIOD), (1e-6, -2e-7, 1e-3, 2e-3), (3e-9, -2e-9)
     around = AROUND.at(0.0)
-    sample = SampleEffects.of(absent, absent.dynamics(around.inertial), around, push, (1e5, 1e5), clock).driven(motion)
+    sample = SampleEffects.of(absent, absent.dynamics(around.inertial), around, push, (1e5, 1e5), clock)
     own = (3e-7,) * Acting.of(absent.effects).own_size
+    sample = sample.driven(motion, own)
     assert tuple(sample.held) == push
     assert tuple(sample.rates(motion, own)[0]) == (0.0, 0.0)
     for shown in sample.shown_at(motion, own):

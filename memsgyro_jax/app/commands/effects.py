@@ -20,12 +20,12 @@ def effects_command(own: Path | None = None, /, *, json: Path | None = None) -> 
         json: file for the machine-readable list.
     """
     from memsgyro_jax.base.files import write_json
-    from memsgyro_jax.effects import catalogue, load_effects
+    from memsgyro_jax.effects import every_effect, load_effects
 
     from .options import require_writable
 
     require_writable(json)
-    entries = _described((*catalogue(2), *(load_effects(own) if own else ())))
+    entries = _described((*every_effect(2), *(load_effects(own) if own else ())))
     print(_listing(entries))
     if json is not None:
         write_json(json, {"schema": SCHEMA, "effects": entries})

@@ -18,7 +18,7 @@ from memsgyro_jax.base.quantity import FileSection, field_unit
 from memsgyro_jax.base.toml import checked, toml_table, toml_text
 from memsgyro_jax.device.gyro import AbstractGyro
 from memsgyro_jax.device.propagate import Exact
-from memsgyro_jax.effects import Effect, catalogue
+from memsgyro_jax.effects import Effect, every_effect
 from memsgyro_jax.effects.section import EffectSection
 from memsgyro_jax.loop.filters import check_fits
 from memsgyro_jax.loop.loop import ClosedLoop
@@ -305,7 +305,7 @@ def _device_of(file: StudyFile, source: Source, own: tuple[Effect, ...]) -> tupl
     labels = [effect.label for effect in gyro.effects]
     for number, entry in enumerate(file.effects):
         with source.section("effects", number, "name"):
-            effect = entry.build((*catalogue(2), *own))
+            effect = entry.build((*every_effect(2), *own))
             if effect.label in labels:
                 raise InputError(f"`{effect.label}` must be given once, but stands twice; add up the strengths")
             labels.append(effect.label)

@@ -22,7 +22,7 @@ from memsgyro_jax.base.quantity import (
 from memsgyro_jax.loop.scenario import AbstractProfile, Chirp, Constant, Ramp, RandomWalk, Scenario, Sine, Step
 
 from .paths import RelativePath
-from .record import read_rate_record
+from .record import read_rate_record, read_temperature_record
 
 
 Value = TypeVar("Value")
@@ -128,6 +128,23 @@ class Record(FileSection):
         return read_rate_record(self.file)
 
 
+class WarmthRecord(FileSection):
+    """`{ kind = "record", file }`: a recorded temperature; the file name starts at the folder of the study file."""
+
+    kind: Literal["record"]
+    file: RelativePath
+
+    @field_validator("file")
+    @classmethod
+    def _readable(cls, file: Path) -> Path:
+        read_temperature_record(file)
+        return file
+
+    def build(self) -> AbstractProfile:
+        """The profile."""
+        return read_temperature_record(self.file)
+
+
 def _spelled_out(given: Any) -> Any:
     """A level alone stands for a constant; a single profile for a list of one."""
     many = given if isinstance(given, list | tuple) else [given]
@@ -163,7 +180,7 @@ _ByKind, _Spelled = Field(discriminator="kind"), BeforeValidator(_spelled_out)
 MainRate = Annotated[tuple[Annotated[_Turn | Record, _ByKind], ...], _Spelled]
 CrossRate = Annotated[tuple[Annotated[_Turn, _ByKind], ...], _Spelled]
 Drift = Annotated[tuple[Annotated[_Drift, _ByKind], ...], _Spelled]
-Warmth = Annotated[tuple[Annotated[_Warmth, _ByKind], ...], _Spelled]
+Warmth = Annotated[tuple[Annotated[_Warmth | WarmthRecord, _ByKind], ...], _Spelled]
 Change = Annotated[tuple[Annotated[_Change, _ByKind], ...], _Spelled]
 Shaking = Annotated[tuple[Annotated[_Shake, _ByKind], ...], _Spelled]
 

@@ -1,0 +1,82 @@
+"""What the tests of a lot on a rate table share."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from memsgyro_jax.base import runtime
+from memsgyro_jax.base.arguments import quantity, whole
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.loop.loop import ClosedLoop, as_loop
+from memsgyro_jax.loop.scenario import Scenario, Step, as_scenario
+from memsgyro_jax.loop.trace import count_steps
+from memsgyro_jax.montecarlo.spread import Spread
+
+from .lot_outputs import Outputs, lot_outputs
+
+
+_WINDOWS = 400  # of a run
+
+Dies = Float[np.ndarray, " dies"]
+
+
+@dataclass(frozen=True)
+class RateTests:
+    """A lot on a rate table: `run(scenario)` without read-out noise, `noisy(scenario, time)`; means count from `settle`
+    to `duration` [s].
+    """
+
+    run: Callable[[Scenario], Outputs]
+    noisy: Callable[[Scenario, float], Outputs]
+    loop: ClosedLoop
+    surroundings: Scenario
+    full_scale: float
+    settle: float
+    duration: float
+    sample_rate: float
+
+    @classmethod
+    def of(
+        cls, what: str, loop: ClosedLoop, spread: Spread, scenario: Any, *, full_scale: float | str, dies: int,
+        sample_rate: float | str, duration: float | str, settle: float | str | None, seed: int,
+    ) -> "RateTests":  # fmt: skip
+        """From the arguments of a test, which is called `what`; `settle` is half the duration when left out.
+
+        **Raises:** `InputError` for settings that cannot be run, and outside float64.
+        """
+        runtime.require_float64(what)
+        loop, seed, dies = as_loop(loop), whole("seed", seed), whole("dies", dies, 3)
+        sample_rate, duration = quantity("sample_rate", sample_rate, "Hz"), quantity("duration", duration, "s")
+        full_scale = quantity("full_scale", full_scale, "rad/s")
+        if not full_scale > 0.0:
+            raise InputError(f"Argument `full_scale` must be positive, but {full_scale:g} rad/s was given.")
+        settle = 0.5 * duration if settle is None else quantity("settle", settle, "s")
+        if not 0.0 <= settle < duration:
+            raise InputError(f"Argument `settle` must lie within the duration of {duration:g} s, but is {settle:g} s.")
+        loop = replace(loop, blocks=None).sampled_at(sample_rate, duration=duration)
+        quiet = eqx.tree_at(lambda made: made.readout.noise_density, loop, (jnp.zeros(()), jnp.zeros(())))
+        window = max(1, count_steps(sample_rate, duration) // _WINDOWS)
+        many = partial(lot_outputs, spread=spread, dies=dies, seed=seed, sample_rate=sample_rate, window=window)
+        windows = round(sample_rate * duration) // window
+        return cls(
+            run=lambda scenario: many(quiet, scenario=scenario, windows=windows),
+            noisy=lambda scenario, time: many(loop, scenario=scenario, windows=round(sample_rate * time) // window),
+            loop=loop, surroundings=as_scenario(scenario), full_scale=full_scale, settle=settle, duration=duration,
+            sample_rate=sample_rate,
+        )  # fmt: skip
+
+    def at(self, rate: float, after: float | None = None, **changes: Any) -> Scenario:
+        """The surroundings at a constant rate [rad/s], or with a step to `after` in the middle of a run."""
+        step = Step(0.5 * self.duration, rate if after is None else after, rate)
+        return replace(self.surroundings, rate=step, **changes)
+
+
+def settled_mean(run: Outputs, settle: float, what: str = "rate") -> Dies:
+    """Mean from `settle` [s] on."""
+    return np.mean(getattr(run, what)[:, round(settle / run.period) :], axis=1)
