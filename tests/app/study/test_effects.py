@@ -82,6 +82,32 @@ temperature = "40 degC"
     assert temperature.max() < 300.0
 
 
+def test_effects_of_operation_along_a_recorded_temperature(written, tmp_path):
+    (tmp_path / "oven.csv").write_text("t [min],T [degC]\n2,20\n3,80\n")
+    text = """[[effects]]
+name = "thermal_drift"
+variant = "drive_gain"
+strength = "300 1/MK"
+[[effects]]
+name = "self_heating"
+strength = "4e3 K/W"
+settings = { power = 2e-3 }
+[scenario]
+temperature = { kind = "record", file = "oven.csv" }
+"""
+    study = mg.load_study(written(text))
+    drive, heating = study.loop.device.effects
+    assert float(drive.strength) == pytest.approx(3e-4)
+    assert (drive.label, float(heating.power)) == ("thermal_drift drive_gain", 2e-3)
+    assert float(study.scenario.at(30.0).temperature) == pytest.approx(323.15)
+    again = study.write(tmp_path / "again.toml")
+    assert 'file = "oven.csv"' in again.read_text()
+    assert mg.load_study(again).to_toml(tmp_path) == study.to_toml(tmp_path)
+    (tmp_path / "oven.csv").write_text("t [min],rate [deg/s]\n2,20\n3,80\n")
+    with pytest.raises(mg.InputError, match=r'must have the columns "t \[s\],T \[degC\]"'):
+        mg.load_study(again)
+
+
 def test_a_filter_knows_the_curves_of_the_pickoff_when_told_so(written):
     curve = '[[effects]]\nname = "pickoff_nonlinearity"\naxis = "x"\nstrength = "1e4 1/m"\n'
     told, plain = (
