@@ -24,6 +24,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import matplotlib
+import matplotlib.pyplot as plt
 import numpy as np
 from rich.console import Console
 from rich.markup import escape
@@ -94,6 +95,10 @@ class Report:
     def row(self, what: str, claimed: object, obtained: object, remark: str = "") -> None:
         self.rows.append({"what": what, "claimed": claimed, "obtained": obtained, "remark": remark})
 
+    def found(self, what: str) -> object:
+        """What a row of this table obtained."""
+        return next(row["obtained"] for row in self.rows if row["what"] == what)
+
     def answer(self, row: str, *, claimed: str, obtained: str, reading: str, verdict: str, why: str) -> None:
         """The table of all rows shows it; see `Answer`."""
         self.answers.append(Answer(row, claimed, obtained, reading, verdict, why))
@@ -129,6 +134,7 @@ class Seeds(NamedTuple):
     theta: np.ndarray  # (points, coefficients, dies)
     offset: np.ndarray  # V, (points, 2, dies)
     motion: np.ndarray  # m and m/s, (points, 4, dies)
+    lost: int  # dies
 
 
 class _Keep(engine.AbstractRecorder):
@@ -162,10 +168,53 @@ def seeds(loop, scenario, *, count, sample_rate, duration, points=200, bandwidth
         print(f"{lost} of {count} runs were lost")
     stacked = [np.stack([np.asarray(a) for a in part], axis=1) if isinstance(part, tuple) else np.asarray(part)
                for part in done.outputs]  # fmt: skip
-    return Seeds(np.arange(1, points + 1) * block / sample_rate, *stacked)
+    return Seeds(np.arange(1, points + 1) * block / sample_rate, *stacked, lost)
 
 
 _run = eqx.filter_jit(engine.run)
+
+
+def draw_motion(trace):
+    """A figure of one `mg.Trace`: the read-out's volts, and the estimated beside the true displacements."""
+    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 3.6), layout="constrained")
+    for i, axis in enumerate("xy"):
+        left.plot(1e3 * trace.time, 1e3 * trace.volts[:, i], f"C{i}", lw=0.8, label=axis)
+        right.plot(1e3 * trace.time, 1e6 * trace.motion_estimate[:, i], f"C{i}", lw=0.8, label=f"{axis}, estimated")
+        right.plot(1e3 * trace.time, 1e6 * trace.motion[:, i], "k--", lw=0.5, label="true" if i else None)
+    left.set(xlabel="time [ms]", ylabel="read-out [mV]")
+    right.set(xlabel="time [ms]", ylabel="displacement [µm]")
+    for ax in (left, right):
+        ax.legend(frameon=False, fontsize=8)
+    return figure
+
+
+def draw_coefficients(loop, time, theta, true_rate, offset=None):
+    """A figure of estimates over time, each over its true value: `theta` (samples, coefficients), the rate in deg/s."""
+    names, truth = loop.device.model.names, np.asarray(loop.device.coefficients(0.0))
+    shown = [(name, theta[:, i] / truth[i], 1.0) for i, name in enumerate(names) if truth[i] != 0.0]
+    shown += [(f"{name} [deg/s]", dps(theta[:, names.index(name)]), dps(true_rate)) for name in names if "rate" in name]
+    if offset is not None:
+        shown += [(f"offset {a} [mV]", 1e3 * offset[:, i], None) for i, a in enumerate("xy")]
+    figure, axes = plt.subplots(-(-len(shown) // 4), 4, figsize=(12, 2.2 * -(-len(shown) // 4)), layout="constrained")
+    for ax in axes.flat[len(shown) :]:
+        ax.set_axis_off()
+    for ax, (name, value, true) in zip(axes.flat, shown, strict=False):
+        ax.plot(1e3 * time, value, lw=0.8)
+        if true is not None:
+            ax.plot(1e3 * time, np.broadcast_to(true, time.shape), "k--", lw=0.6)
+        settled = value[len(value) // 4 :]
+        ends = np.append(settled, [] if true is None else true)
+        room = 0.5 * np.ptp(ends) + 1e-12
+        ax.set(title=name if "[" in name else f"{name} / true", ylim=(ends.min() - room, ends.max() + room))
+    for ax in axes[-1]:
+        ax.set_xlabel("time [ms]")
+    return figure
+
+
+def draw_path(ax, trace):
+    """The path of the mass over the axes that turn with it."""
+    ax.plot(1e6 * trace.motion[:, 0], 1e6 * trace.motion[:, 1], lw=0.4)
+    ax.set(xlabel="x [µm]", ylabel="y [µm]", aspect="equal")
 
 
 def dps(rate):

@@ -7,7 +7,7 @@ each at 3 kHz, 1 pF of parasitics, 2 pF of feedback; the op-amp's offset is 20 m
 
 import matplotlib.pyplot as plt
 import numpy as np
-from _common import Report
+from _common import PARTLY, Report
 
 import memsgyro_jax as mg
 from memsgyro_jax.base import runtime
@@ -16,6 +16,9 @@ from memsgyro_jax.device.gyro import Inertial
 
 runtime.configure()
 
+PLACE = "thesis 3.3"
+ANSWERS = ("T5",)
+FIGURES = {"3.4": "fig_3_4_3_5", "3.5": "fig_3_4_3_5"}
 STAGE = {"feedback": 2e-12, "sensor": 0.4e-12, "parasitic": 1e-12}
 CARRIER, SLOW, OFFSET = 300e3, 3e3, 20e-3
 TONES = ((0.0, 40e-15), (SLOW, 100e-15 * np.exp(-0.5j * np.pi)))
@@ -145,4 +148,15 @@ noise(report)
 slow_op_amp(report)
 open_loop_numbers(report)
 split_modes(report)
+leftover, decayed = (report.found(f"offset 0.55 ms after it began, Rf {name} [mV]") for name in ("infinite", "50 MΩ"))
+report.answer(
+    "T5",
+    claimed="before demodulation 50 mV of signal, 20 mV of mismatch, 34 mV of offset; behind it only the mismatch",
+    obtained=f"before it 50, 20 and {leftover:.3g} mV falling to {decayed:.3g} mV with a 50 MΩ resistor; behind it "
+    f"{report.found('behind the low-pass, Rf 50 MΩ: constant part [mV]'):.3g} mV of constant part",
+    reading=f"{leftover:.3g} mV with an infinite feedback resistor",
+    verdict=PARTLY,
+    why="(3.9) and (3.12) leave out Rf and the op-amp's bandwidth: the offset decays with Rf·Cf to the op-amp's own, "
+    f"and a 200 MHz op-amp passes {report.found('200 MHz op-amp, 16 pF at the node, gain over ideal')} at 1 MHz.",
+)
 report.finish()

@@ -8,7 +8,7 @@ to the rate.
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
-from _common import Report, dps
+from _common import PARTLY, Report, dps
 
 import memsgyro_jax as mg
 from memsgyro_jax.base import runtime
@@ -17,6 +17,9 @@ from memsgyro_jax.device.gyro import DUAL_MASS, SINGLE_MASS
 
 runtime.configure()
 
+PLACE = "thesis 4.1.1, 4.1.2"
+ANSWERS = ("T7", "T8", "T20")
+FIGURES = {"4.1": "fig_4_1_to_4_3", "4.2": "fig_4_1_to_4_3", "4.3": "fig_4_1_to_4_3", "5.32": "fig_5_32"}
 SIZE = 1e-6  # m
 GYRO = mg.SingleMassGyro.chi2010()
 STIFF = float(GYRO.mass) * (2.0 * np.pi * 3000.0) ** 2  # N/m, unit of a feedback gain
@@ -139,4 +142,36 @@ report = Report()
 figures(report)
 controls(report)
 unequal_damping(report)
+
+ranks = {name: report.found(f"Fig {name}: rank of {7 if name in ('4.1(a)', '4.1(b)') else 10 if name[2] == '3' else 8}")
+         for name, *_ in CASES}  # fmt: skip
+report.answer(
+    "T7",
+    claimed="ranks 4, 7 of 7, deficient (Fig 4.1); 4, 7, 8 of 8 (Fig 4.2); 4, 8, 10 of 10 (Fig 4.3)",
+    obtained=", ".join(f"{name} {rank}" for name, rank in ranks.items()),
+    reading=f"Fig 4.2(b) has {ranks['4.2(b), symmetric']} where the feedback is symmetric, a change of the springs; "
+    "the printed u_x = u_y is not",
+    verdict=PARTLY,
+    why="All ranks but Fig 4.2(b) are right: feedback that is not symmetric makes the mass observable without a tone.",
+)
+report.answer(
+    "T8",
+    claimed="dxy < 3.96e-9 N·s/m keeps the rate within ±0.029 deg/s, and 0.1 deg/s follows from it",
+    obtained=f"{report.found('bias of dxy, dyx = 3.6e-9, 3.96e-9 N·s/m [deg/s]'):.4f} deg/s at 3.6e-9, 3.96e-9 N·s/m",
+    reading=f"0.1 deg/s at 10 % mismatch allows {report.found('dxy for 0.1 deg/s at 10 % mismatch [N·s/m]'):.3g} N·s/m",
+    verdict=PARTLY,
+    why="The bias (dyx - dxy)/(4 m) holds; the printed limit for 0.1 deg/s is three times tighter than it gives.",
+)
+condition = "Fig 5.32, {}: condition number, median"
+sampled = [report.found(condition.format(name)) for name in
+           ("damping compensation", "reference model 3 / 3.674 kHz", "reference model 3 / 3 kHz")]  # fmt: skip
+report.answer(
+    "T20",
+    claimed="spread of the singular values < 1e2, about 1e3, > 1e15 (Fig 5.32)",
+    obtained=", ".join(f"{value:.3g}" for value in sampled) + " (medians, sampled loop with a 600 Hz tone)",
+    reading=f"equal frequencies without the tone: rank "
+    f"{report.found('Fig 5.32, 3 / 3 kHz, motion without the tone: rank of 8')} of 8, a spread without limit",
+    verdict=PARTLY,
+    why="The order of the three is right; about 1e3 is reached at instants only, and the tone itself tells a little.",
+)
 report.finish()

@@ -6,7 +6,7 @@ equations, differentiated, beside the quadratic form that theory gives for it, a
 
 import matplotlib.pyplot as plt
 import numpy as np
-from _common import Report
+from _common import HOLDS, PARTLY, Report
 
 import memsgyro_jax as mg
 from memsgyro_jax.base import runtime
@@ -14,6 +14,8 @@ from memsgyro_jax.base import runtime
 
 runtime.configure()
 
+PLACE = "thesis 4.3"
+ANSWERS = ("T9", "T13")
 READOUT = mg.DirectReadout.of_velocity(1.0)
 START = (1e-6, 1e-6, 0.0, 0.0)
 DEVICES = {"one mass": mg.SingleMassGyro.chi2010(), "two masses": mg.DualMassGyro.chi2010()}
@@ -65,4 +67,25 @@ for ax, (name, gyro) in zip(axes, DEVICES.items(), strict=True):
                    "the term ½ e₁ᵀ(K - Kᵀ)e₂ of either sign is left out")  # fmt: skip
         report.row(f"{name}: least gain, per |Ω|", 1.0, float(mg.least_gain(gyro, 1.0)), "|r Ω - Ωr|/√r, r = kxy/kyx")
 report.picture(figure, "lyapunov_function")
+end = f"V left after {1e3 * duration:g} ms, of its start"
+told = ("|slope - theory|, of the largest slope", "largest slope, of the largest fall", end)
+off, falls, share = ([report.found(f"{name}: {what}") for name in DEVICES] for what in told)
+report.answer(
+    "T9",
+    claimed="the observer converges from anywhere, by Lyapunov's direct method",
+    obtained=f"V never rises from 20 % wrong coefficients (largest slope {max(falls):.1e} of the largest fall); after "
+    f"{1e3 * duration:g} ms {share[0]:.2g} (one mass) and {share[1]:.2g} (two) of it are left",
+    reading="not needed",
+    verdict=HOLDS,
+    why="With rich motion, and for two masses with V weighted by R = diag(1, kxy/kyx).",
+)
+report.answer(
+    "T13",
+    claimed="dV/dt <= 0 on runs, (4.33) and (4.42); a gain above |Ω| is enough for two masses",
+    obtained=f"slope equals theory within {max(off):.1e}; two masses need "
+    f"{report.found('two masses: least gain, per |Ω|'):.4g}·|Ω|",
+    reading=f"(4.42) as printed, R = 1, is {report.found('two masses: |slope - (4.42)| as printed (R = 1)'):.1e} off",
+    verdict=PARTLY,
+    why="(4.33) is right; (4.42) leaves out ½ e₁ᵀ(K - Kᵀ)e₂, of either sign where kxy and kyx differ.",
+)
 report.finish()
