@@ -52,6 +52,7 @@ if TYPE_CHECKING:
     from .loop.controllers import ReferenceModel as ReferenceModel
     from .loop.controllers import DesignedMotion as DesignedMotion
     from .loop.controllers import EnergyControl as EnergyControl
+    from .loop.controllers import WholeAngle as WholeAngle
     from .loop.controllers import OpenLoop as OpenLoop
     from .loop.controllers import ClassicControl as ClassicControl
     from .loop.controllers import PhaseLockedDrive as PhaseLockedDrive

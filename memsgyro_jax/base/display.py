@@ -37,7 +37,7 @@ _FIELDS = {
     "m": "width gap overlap mismatch DesignedMotion.tones length travel",
     "m/s": "creep",
     "m, m/s": "motion motion_std start",
-    "m/s²": "acceleration DampingCompensation.tones ReferenceModel.tones",
+    "m/s²": "acceleration DampingCompensation.tones ReferenceModel.tones WholeAngle.tones",
     "N": "OpenLoop.tones",
     "V": "bias opamp_offset offset offset_std offset_drift limit reference_bias bias_voltage "
     "CarrierDetection.amplitude",
@@ -46,7 +46,7 @@ _FIELDS = {
     "F": "feedback parasitic sensor sampler CarrierReadout.mismatch",
     "K": "reference_temperature temperature",
     "rad": "phase phase_asymmetry drive_asymmetry AxisAngles.stiffness AxisAngles.damping AxisAngles.drive "
-    "AxisAngles.sense",
+    "AxisAngles.sense WholeAngle.rocking",
     "rad/s": "rate cross_rate omega resonance LyapunovObserver.frequency tolerance",
     "rad/s²": "angular_acceleration",
     "Hz": "gain_bandwidth corner sample_rate frequency bandwidth low high",

@@ -32,6 +32,7 @@ from memsgyro_jax.loop.controllers import (
     OpenLoop,
     ReferenceModel,
     Tone,
+    WholeAngle,
 )
 from memsgyro_jax.loop.controllers.base import Tones
 from memsgyro_jax.loop.observers import AbstractObserver, ExtendedKalmanFilter, LyapunovObserver, curves_of
@@ -268,6 +269,30 @@ class Reference(FileSection):
         return law if self.energy is None else self.energy.beside(law)
 
 
+class Rocking(FileSection):
+    """`rocking = { frequency, amplitude, phase }`: the known angle by which a whole-angle law turns the vibration."""
+
+    frequency: Hertz
+    amplitude: Radian
+    phase: Radian = 0.0
+
+
+class FreeVibration(FileSection):
+    """`kind = "whole_angle"`: thesis (6.1), (6.2); one `frequency` for both axes."""
+
+    kind: Literal["whole_angle"]
+    frequency: Hertz
+    tones: tuple[Added, ...] = ()
+    rocking: Rocking | None = None
+    energy: Energy | None = None
+
+    def build(self, gyro: AbstractGyro, readout: AbstractReadout) -> AbstractController:
+        """The controller."""
+        rocking = self.rocking and Tone(**self.rocking.numbers())
+        law = WholeAngle(self.frequency, _tones(self.tones), rocking)
+        return law if self.energy is None else self.energy.beside(law)
+
+
 class Open(FileSection):
     """`kind = "open_loop"`: forces that ignore the estimate."""
 
@@ -279,4 +304,4 @@ class Open(FileSection):
         return OpenLoop(_tones(self.tones))
 
 
-Controller = Annotated[Compensation | Reference | Open | Classic, Field(discriminator="kind")]
+Controller = Annotated[Compensation | Reference | FreeVibration | Open | Classic, Field(discriminator="kind")]

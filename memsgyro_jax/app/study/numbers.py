@@ -21,8 +21,8 @@ class NumberEntry(NamedTuple):
     paths: tuple[str, ...]
 
 
-_PLAIN = ("device", "readout", "filter", "observer")
-_NESTED = ("observer.fading", "observer.annealing", "controller.energy")
+_PLAIN = ("device", "readout", "filter", "observer", "controller")
+_NESTED = ("observer.fading", "observer.annealing", "controller.energy", "controller.rocking")
 
 
 def entry_of(file: Any, names: tuple[str, ...], path: str) -> NumberEntry | None:
@@ -39,11 +39,12 @@ def entry_of(file: Any, names: tuple[str, ...], path: str) -> NumberEntry | None
         pair = tuple(f"{head}.{i}" for i in range(len(names) if field == "adaptation" else 2))
     else:
         section, field, pair = head, last, (path,)
-    section = "controller.energy" if section == "controller" else section
+    if section == "controller" and getattr(file.controller, "energy", None) is not None:
+        section = "controller.energy"  # which then stands around the law
     if section in _PLAIN or section in _NESTED:
         part = file
         for name in section.split("."):
-            part = getattr(part, name, None)  # a law without energy control has no such part
+            part = getattr(part, name, None)  # a law may do without
         unit = field_unit(type(part), field) if isinstance(part, FileSection) else None
         return None if unit is None else NumberEntry(f"{section}.{field}", unit, pair)
     return None

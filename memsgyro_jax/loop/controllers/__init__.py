@@ -16,3 +16,4 @@ from .reference_model import ReferenceModel as ReferenceModel
 from .sense import AbstractSense as AbstractSense
 from .sense import ForceRebalance as ForceRebalance
 from .sense import OpenSense as OpenSense
+from .whole_angle import WholeAngle as WholeAngle

@@ -28,7 +28,15 @@ FADING = {
     },
 }  # fmt: skip
 CLASSIC = {"controller": {"kind": "classic", "sense": "rebalanced", "amplitude": "1 um"}, "observer": {"kind": "none"}}
+WHOLE_ANGLE = {
+    "controller": {
+        "kind": "whole_angle", "frequency": "3.2 kHz", "tones": [{"frequency": "500 Hz", "amplitude": "40 m/s^2"}],
+        "rocking": {"frequency": "120 Hz", "amplitude": "1.2024 rad"},
+    },
+}  # fmt: skip
 PATHS = {
+    "whole angle": (WHOLE_ANGLE, ("controller.frequency", "controller.rocking.amplitude", "controller.rocking.phase",
+                                  "controller.tones.1.0.amplitude")),
     "classic": (CLASSIC, ("controller.drive.phase_gain", "controller.drive.demodulator.bandwidth",
                           "controller.sense.integral", "controller.rate_offset")),
     "kalman": (FADING, ("observer.noise_density.1", "observer.process_noise.theta.0", "observer.process_noise.theta.3",
