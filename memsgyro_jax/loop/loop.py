@@ -137,6 +137,12 @@ class ClosedLoop(Displayed):
         """
         return replace(self, blocks=Blocks(length, start))
 
+    def linearise(self, *arguments: Any, **options: Any) -> Any:
+        """The matrices A, B, C, D where a run has come to, by name; the arguments are those of `mg.linearise`."""
+        import memsgyro_jax as mg  # by its public name: what describes a loop stands on the loop
+
+        return mg.linearise(self, *arguments, **options)
+
     def output_rate(self, sample_rate: float) -> float:
         """How often in a second the loop gives out a rate: for every sample, or for every block."""
         return sample_rate if self.blocks is None else sample_rate / self.blocks.length
