@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from .loop.readout import snr_density as snr_density
     from .loop.observers import ExtendedKalmanFilter as ExtendedKalmanFilter
     from .loop.observers import LyapunovObserver as LyapunovObserver
+    from .loop.observers import EnergyObserver as EnergyObserver
     from .loop.observers import AbstractObserver as AbstractObserver
     from .loop.observers import AbstractCovarianceObserver as AbstractCovarianceObserver
     from .loop.observers import AbstractBlockObserver as AbstractBlockObserver
@@ -53,6 +54,7 @@ if TYPE_CHECKING:
     from .loop.controllers import DesignedMotion as DesignedMotion
     from .loop.controllers import EnergyControl as EnergyControl
     from .loop.controllers import WholeAngle as WholeAngle
+    from .loop.controllers import SlidingMode as SlidingMode
     from .loop.controllers import OpenLoop as OpenLoop
     from .loop.controllers import ClassicControl as ClassicControl
     from .loop.controllers import PhaseLockedDrive as PhaseLockedDrive

@@ -26,7 +26,8 @@ _FIELDS = {
     "F/m": "CarrierReadout.gradient",
     "1": "fingers rejection excess ceiling cut relative gain gain_ratio drive_ratio quality quality_factor force_yx "
     "force_xy damping_change force_gain cross_damping adaptation unit realisation progress record rate_trusted share "
-    "softness rounding static_gain ChargeStage.gain",
+    "softness rounding static_gain ChargeStage.gain SlidingMode.slope "
+    "SlidingMode.forgetting layer",
     "samples": "Blocks.length Blocks.start",
     "kg": "mass mass_x mass_y",
     "1/kg": "mobility",
@@ -34,7 +35,7 @@ _FIELDS = {
     "N·s/m": "dxx dyy dxy cross_damping_asymmetry",
     "1/s²": "NormalisedDevice.stiffness CoupledModes.stiffness_coupling",
     "1/s": "NormalisedDevice.damping CoupledModes.damping_coupling forgetting settling",
-    "m": "width gap overlap mismatch DesignedMotion.tones length travel",
+    "m": "width gap overlap mismatch DesignedMotion.tones SlidingMode.tones length travel",
     "m/s": "creep",
     "m, m/s": "motion motion_std start",
     "m/s²": "acceleration DampingCompensation.tones ReferenceModel.tones WholeAngle.tones",
@@ -47,7 +48,7 @@ _FIELDS = {
     "K": "reference_temperature temperature",
     "rad": "phase phase_asymmetry drive_asymmetry AxisAngles.stiffness AxisAngles.damping AxisAngles.drive "
     "AxisAngles.sense WholeAngle.rocking",
-    "rad/s": "rate cross_rate omega resonance LyapunovObserver.frequency tolerance",
+    "rad/s": "rate cross_rate omega resonance LyapunovObserver.frequency SlidingMode.frequency tolerance",
     "rad/s²": "angular_acceleration",
     "Hz": "gain_bandwidth corner sample_rate frequency bandwidth low high",
     "s": "at until time times delay duration decay window settle allowed",

@@ -16,4 +16,5 @@ from .reference_model import ReferenceModel as ReferenceModel
 from .sense import AbstractSense as AbstractSense
 from .sense import ForceRebalance as ForceRebalance
 from .sense import OpenSense as OpenSense
+from .sliding_mode import SlidingMode as SlidingMode
 from .whole_angle import WholeAngle as WholeAngle

@@ -103,3 +103,16 @@ def _as_tones(given: GivenTones) -> Tones:
 def tone_values(tones: Tones, time: Scalar) -> Pair:
     """Sum of the tones of each axis at `time` [s]."""
     return once(time, tuple(sum((tone.value(time) for tone in axis), 0.0) for axis in tones))
+
+
+def swing(tones: Tones, time: Scalar) -> tuple[Pair, Pair, Pair]:
+    """Displacement, velocity and acceleration of both axes at `time` [s] when each is the sum of its tones, in m."""
+    parts = [[_moving(tone, time) for tone in axis] for axis in tones]
+    return once(time, tuple(tuple(sum((part[i] for part in axis), 0.0) for axis in parts) for i in range(3)))
+
+
+def _moving(tone: Tone, time: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+    omega = 2.0 * jnp.pi * tone.frequency
+    angle = omega * time + tone.phase
+    place = tone.amplitude * jnp.sin(angle)
+    return place, omega * tone.amplitude * jnp.cos(angle), -(omega**2) * place

@@ -6,7 +6,7 @@ from memsgyro_jax.device.gyro import Pair, Scalar, check_not_negative, number
 from memsgyro_jax.device.small import Vector
 
 from ..observers.base import Clock, Estimate
-from .base import AbstractLinearController, GivenTones, Tone, tones_field
+from .base import AbstractLinearController, GivenTones, Tone, swing, tones_field
 
 
 class DesignedMotion(AbstractLinearController):
@@ -29,17 +29,9 @@ class DesignedMotion(AbstractLinearController):
         time, dynamics = clock.time + 0.5 * clock.period, estimate.dynamics
         parts = [[_held(tone, time, clock.period) for tone in axis] for axis in self.tones]
         place, speed, push = (tuple(sum((p[i] for p in axis), 0.0) for axis in parts) for i in range(3))
-        now = Vector(_speed(axis, clock.time) for axis in self.tones)
+        now = Vector(swing(self.tones, clock.time)[1])
         behind = self.settling * (now - estimate.motion[2:])
         return tuple((dynamics.stiffness @ place + dynamics.velocity @ speed + push + behind) / dynamics.gain), state
-
-
-def _speed(axis: tuple[Tone, ...], time: Scalar) -> Scalar:
-    """Velocity of the sum of an axis' tones at `time`."""
-    parts = (
-        2.0 * jnp.pi * t.frequency * t.amplitude * jnp.cos(2.0 * jnp.pi * t.frequency * time + t.phase) for t in axis
-    )
-    return sum(parts, 0.0)
 
 
 def _held(tone: Tone, time: Scalar, period: Scalar) -> tuple[Scalar, Scalar, Scalar]:

@@ -2,13 +2,11 @@
 
 from typing import Any, ClassVar
 
-import jax.numpy as jnp
-
-from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.device.gyro import Pair, Scalar, check_not_negative, check_positive, number
+from memsgyro_jax.device.gyro import Pair, Scalar, check_not_negative, number
 from memsgyro_jax.device.small import Vector
 
 from ..observers.base import Clock, Estimate
+from ..observers.energy import check_swing, swing_energy
 from ..observers.settings import arrays
 from .base import AbstractController
 
@@ -24,21 +22,12 @@ class EnergyControl(AbstractController[Any]):
 
     inner: AbstractController[Any]
     frequency: Pair = arrays()
-    amplitude: Pair = arrays()
+    amplitude: Pair = arrays(metadata={"unit": "m"})
     gain: Scalar = number("1/s")
     usually_tuned: ClassVar[tuple[str, ...]] = ("gain",)
 
     def __check_init__(self):
-        for name in ("frequency", "amplitude"):
-            if len(getattr(self, name)) != 2:
-                raise InputError(
-                    f"Argument `{name}` must be a pair (x, y), but has {len(getattr(self, name))} entries."
-                )
-        for value in self.frequency:
-            check_positive("frequency", value)
-        for value in self.amplitude:
-            check_not_negative("amplitude", value)
-        check_positive("sum of `amplitude`", self.amplitude[0] + self.amplitude[1])
+        check_swing(self.frequency, self.amplitude)
         check_not_negative("gain", self.gain)
 
     def init(self) -> Any:
@@ -49,8 +38,8 @@ class EnergyControl(AbstractController[Any]):
         """The inner law's force, and that along the velocity."""
         force, state = self.inner.command(state, estimate, clock)
         velocity = Vector(estimate.motion[2:])
-        energy = self._energy(estimate.motion[:2], velocity)
-        missing = 1.0 - energy / self._energy(self.amplitude, (0.0, 0.0))
+        energy = swing_energy(self.frequency, estimate.motion[:2], velocity)
+        missing = 1.0 - energy / swing_energy(self.frequency, self.amplitude, (0.0, 0.0))
         return tuple(Vector(force) + (self.gain * missing) * velocity / estimate.dynamics.gain), state
 
     def measured(self, state: Any, volts: Pair, clock: Clock) -> Any:
@@ -60,9 +49,3 @@ class EnergyControl(AbstractController[Any]):
     def output(self, state: Any, estimate: Estimate) -> Estimate:
         """What the inner law gives out."""
         return self.inner.output(state, estimate)
-
-    def _energy(self, displacement: Pair, velocity: Pair) -> Scalar:
-        """(4.21) per mass [m²/s²], at the frequencies of the axes."""
-        return 0.5 * sum(
-            v**2 + (2.0 * jnp.pi * f * q) ** 2 for f, q, v in zip(self.frequency, displacement, velocity, strict=True)
-        )

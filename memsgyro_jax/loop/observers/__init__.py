@@ -6,6 +6,7 @@ from .base import AbstractObserver as AbstractObserver
 from .base import Clock as Clock
 from .base import Estimate as Estimate
 from .ekf import ExtendedKalmanFilter as ExtendedKalmanFilter
+from .energy import EnergyObserver as EnergyObserver
 from .fading import AdaptiveFading as AdaptiveFading
 from .fading import FixedFading as FixedFading
 from .lyapunov import LyapunovObserver as LyapunovObserver

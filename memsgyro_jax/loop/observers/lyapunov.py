@@ -7,11 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.device.gyro import UX, VX, AbstractGyro, MotionModel, Pair, Scalar, check_positive, number
+from memsgyro_jax.device.gyro import VX, AbstractGyro, MotionModel, Pair, Scalar, check_positive, number
 from memsgyro_jax.device.propagate import AbstractDiscretisation, Exact, State4, fence
 from memsgyro_jax.device.small import Vector
 
 from ..readout import AbstractReadout
+from .adaptation import adaptation_units, adapted, first_guess
 from .base import AbstractObserver, Clock, Estimate
 from .settings import arrays
 
@@ -72,17 +73,16 @@ class LyapunovObserver(AbstractObserver[LyapunovState]):
         """
         if readout.signals != (VX, VX + 1):
             raise InputError("The Lyapunov observer needs a velocity read-out; use `DirectReadout.of_velocity`.")
-        fixed = {gyro.model.index(name) for name in known}
         design = gyro.coefficients(0.0)
-        theta = tuple(value * (1.0 if i in fixed else start) for i, value in enumerate(design))
+        theta, adaptation = first_guess(gyro.model, design, known, start)
         return cls(
             motion=motion,
             theta=theta,
             gain=gain if isinstance(gain, tuple) else (gain, gain),
-            adaptation=tuple(0.0 if i in fixed else 1.0 for i in range(len(theta))),
+            adaptation=adaptation,
             scale=readout.scale,
             offset=readout.offset,
-            unit=_units(gyro.model, design, frequency),
+            unit=adaptation_units(gyro.model, design, frequency),
             length=length,
             frequency=frequency,
             discretisation=discretisation if discretisation is not None else Exact(),
@@ -106,38 +106,8 @@ class LyapunovObserver(AbstractObserver[LyapunovState]):
         # over l.
         closed = Vector(-jnp.expm1(-gain * self.frequency * clock.period) for gain in self.gain) * error
         velocity, driven = Vector(motion[2:]) + closed * speed, closed / self.gain
-        return LyapunovState((*motion[:2], *velocity), self._adapted(state.theta, (*motion, *force), driven))
+        return LyapunovState((*motion[:2], *velocity), adapted(self, state.theta, (*motion, *force), driven))
 
     def estimate(self, state: LyapunovState) -> Estimate:
         """Motion and coefficients; the read-out is taken as ideal, so the offsets are the declared ones."""
         return Estimate(state.motion, state.theta, self.offset, self.model)
-
-    def _adapted(self, theta: tuple[Scalar, ...], signals: tuple[Scalar, ...], driven: Pair) -> tuple[Scalar, ...]:
-        """Each coefficient moved by its signals times the integrated error of their axes: L2 of (4.11)."""
-        new = []
-        for value, unit, adaptation, coefficient in zip(
-            theta, self.unit, self.adaptation, self.model.coefficients, strict=True
-        ):
-            move = sum(
-                factor * self._scaled(signals[signal], signal, unit) * driven[axis]
-                for axis, signal, factor in coefficient.terms
-            )
-            new.append(value + adaptation * unit * move)
-        return tuple(new)
-
-    def _scaled(self, value: Scalar, signal: int, unit: Scalar) -> Scalar:
-        """A signal without units; a force is measured by the acceleration it gives the nominal mass."""
-        if signal >= UX:
-            return value * unit / (self.length * self.frequency**2)
-        return value / (self.length * self.frequency) if signal >= VX else value / self.length
-
-
-def _units(model: MotionModel, design: tuple[Scalar, ...], frequency: float) -> tuple[Scalar, ...]:
-    """The unit of each coefficient in scaled variables: ω² for stiffness, ω for damping and rate, the design value for
-    1/mass.
-    """
-    units = []
-    for value, coefficient in zip(design, model.coefficients, strict=True):
-        signal = coefficient.terms[0].signal
-        units.append(value if signal >= UX else frequency if signal >= VX else frequency**2)
-    return tuple(units)
