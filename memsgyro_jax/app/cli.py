@@ -33,6 +33,7 @@ from .commands.status import status_command
 from .commands.studies import studies_command
 from .commands.sweep import sweep_command
 from .commands.tune import tune_command
+from .kinds import kinds_text
 
 
 BAD_INPUT = 2
@@ -79,7 +80,8 @@ for _command in (
     law_command,
     studies_command,
 ):
-    app.command(_prepared(_command), name=_command.__name__.removesuffix("_command"))
+    _told = kinds_text() if _command in (sweep_command, simulate_command, tune_command) else None
+    app.command(_prepared(_command), name=_command.__name__.removesuffix("_command"), help_epilogue=_told)
 
 
 def main(tokens: Sequence[str] | None = None) -> None:

@@ -24,6 +24,11 @@ EXAMPLES = {
     "resonator": mg.Resonator(2e4, 1e3),
     "read-out": mg.DirectReadout(1e5, adc=mg.Adc(5.0, 16)),
     "Lyapunov": mg.LyapunovObserver.for_device(GYRO, mg.DirectReadout.of_velocity(1.0)),
+    "energy": mg.EnergyObserver(
+        mg.LyapunovObserver.for_device(GYRO, mg.DirectReadout.of_velocity(1.0)), (3e3, 5e3), (1e-6, 1e-6)
+    ),
+    "energy control": mg.EnergyControl(mg.OpenLoop(TONE), (3e3, 5e3), (1e-6, 1e-6), 9e3),
+    "sliding mode": mg.SlidingMode.for_device(GYRO, mg.DirectReadout.of_velocity(1.0), TONE),
     "delayed": mg.Delayed(READOUT, 1e-6),
     "reference model": mg.ReferenceModel((2.9e3, 3.7e3), TONE),
     "designed motion": mg.DesignedMotion(TONE),

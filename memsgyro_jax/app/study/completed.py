@@ -10,7 +10,8 @@ from memsgyro_jax.loop.operation import Operation
 from memsgyro_jax.loop.readout import AbstractReadout
 
 from .classic import Classic, Unobserved
-from .laws import Added, Compensation, Kalman, Lyapunov
+from .control import Added, Compensation, Sliding
+from .laws import Kalman, LyapunovGains
 
 
 USUAL_SPREAD = 0.15
@@ -23,28 +24,37 @@ def completed(file: File, gyro: AbstractGyro, readout: AbstractReadout) -> File:
     usual = Operation.of(gyro, readout, given.loop.travel)
     at_rest = isinstance(given.controller, Classic)
     start = 0.0 if at_rest else usual.amplitude
-    loop = _filled(given.loop, displacement=(start, 0.0), travel=usual.travel)
+    law = given.controller
+    place = law.displacement if isinstance(law, Sliding) else (start, 0.0)
+    loop = _filled(given.loop, displacement=place, travel=usual.travel)
     tone = Added(frequency=f"{float(usual.tone.frequency)!r} Hz", amplitude=f"{float(usual.tone.amplitude)!r} m/s^2")
     sections = {
         "loop": loop,
         "sweep": _filled(given.sweep, **usual.run),
         "observer": _observer(given.observer, usual, loop.displacement[0], given.spread.relative or USUAL_SPREAD),
-        "controller": _filled(given.controller, amplitude=usual.amplitude)
+        "controller": _filled(law, amplitude=usual.amplitude)
         if at_rest
-        else given.controller or Compensation(kind="damping_compensation", tones=(tone,)),
+        else _filled(law, **_units(usual))
+        if isinstance(law, Sliding)
+        else law or Compensation(kind="damping_compensation", tones=(tone,)),
     }
     return file.model_copy(update=sections)
 
 
 def _observer(part: FileSection, usual: Operation, amplitude: float, spread: float) -> FileSection:
-    if isinstance(part, Lyapunov):
-        return _filled(part, length=usual.amplitude, frequency=2.0 * np.pi * usual.frequency)
+    if isinstance(part, LyapunovGains):
+        return _filled(part, **_units(usual))
     if isinstance(part, Unobserved):
         return part
     assert isinstance(part, Kalman)
     annealing = part.annealing and _filled(part.annealing, decay=usual.decay)
     prior = _filled(part.prior, spread=spread, amplitude=amplitude)
     return part.model_copy(update={"annealing": annealing, "prior": prior})
+
+
+def _units(usual: Operation) -> dict[str, float]:
+    """What makes the gains of laws that adapt numbers."""
+    return {"length": usual.amplitude, "frequency": 2.0 * np.pi * usual.frequency}
 
 
 def _filled(part: File, **values: Any) -> File:

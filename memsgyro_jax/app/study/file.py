@@ -28,10 +28,11 @@ from memsgyro_jax.measurement.model import Model
 from memsgyro_jax.montecarlo.spread import Normal, Root, Spread, Vary
 from memsgyro_jax.tuning.tunable import Tunable, free
 
-from .classic import Classic, Unobserved
+from .classic import Unobserved
 from .completed import USUAL_SPREAD, completed, left_to_device
+from .control import MEASURING, Controller
 from .hardware import Charge, Device, Fitted, FittedReadout, Readout, SingleMass, unit_of_device
-from .laws import Anneal, Controller, Kalman, Observer, discretisation
+from .laws import Anneal, Kalman, Observer, discretisation
 from .numbers import entries_of, unit_at
 from .output import Filter
 from .paths import FOLDER
@@ -84,16 +85,20 @@ class StudyFile(FileSection):
 
     @model_validator(mode="before")
     @classmethod
-    def _classic_needs_no_observer(cls, data: Any) -> Any:
-        """Classic control measures by itself, unless an observer is asked for."""
-        if isinstance(data, dict) and "observer" not in data and "classic" in (data.get("controller") or {}).values():
+    def _who_measures_needs_no_observer(cls, data: Any) -> Any:
+        """Some controllers measure by themselves, unless an observer is asked for."""
+        kind = (data.get("controller") or {}).get("kind") if isinstance(data, dict) else None
+        if kind in MEASURING and "observer" not in data:
             return {**data, "observer": {"kind": "none"}}
         return data
 
     @model_validator(mode="after")
     def _someone_measures(self) -> "StudyFile":
-        if isinstance(self.observer, Unobserved) and not isinstance(self.controller, Classic):
-            raise ValueError('observer.kind must not be "none" with a controller that needs an estimate; use "classic"')
+        if isinstance(self.observer, Unobserved) and getattr(self.controller, "kind", None) not in MEASURING:
+            measuring = " or ".join(f'"{kind}"' for kind in MEASURING)
+            raise ValueError(
+                f'observer.kind must not be "none" with a controller that needs an estimate; use {measuring}'
+            )
         return self
 
     @model_validator(mode="before")

@@ -1,6 +1,6 @@
-"""Sections `[observer]` and `[controller]` of a study file."""
+"""Section `[observer]` of a study file."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -8,39 +8,33 @@ from pydantic import Field
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.quantity import (
-    Acceleration,
     Density,
     Duration,
     FileSection,
     Hertz,
     In,
     Metre,
-    Newton,
     Pair,
     PerSecond,
     Pure,
-    Radian,
     Share,
     Whole,
 )
 from memsgyro_jax.device.gyro import AbstractGyro
 from memsgyro_jax.device.propagate import AbstractDiscretisation, Exact, ForwardEuler
-from memsgyro_jax.loop.controllers import (
-    AbstractController,
-    DampingCompensation,
-    EnergyControl,
-    OpenLoop,
-    ReferenceModel,
-    Tone,
-    WholeAngle,
+from memsgyro_jax.loop.observers import (
+    AbstractObserver,
+    EnergyObserver,
+    ExtendedKalmanFilter,
+    LyapunovObserver,
+    curves_of,
 )
-from memsgyro_jax.loop.controllers.base import Tones
-from memsgyro_jax.loop.observers import AbstractObserver, ExtendedKalmanFilter, LyapunovObserver, curves_of
+from memsgyro_jax.loop.observers.adaptation import Adapting
 from memsgyro_jax.loop.observers.fading import AbstractFading, AdaptiveFading, FixedFading
 from memsgyro_jax.loop.observers.settings import Annealing, ProcessNoise, design_prior
 from memsgyro_jax.loop.readout import AbstractReadout
 
-from .classic import Classic, Unobserved
+from .classic import Unobserved
 
 
 Discretisation = Literal["exact", "euler"]
@@ -173,135 +167,74 @@ class Kalman(FileSection):
         return eqx.tree_at(lambda o: o.noise_density, made, tuple(map(jnp.asarray, self.noise_density)))
 
 
-class Lyapunov(FileSection):
-    """`kind = "lyapunov"`: the thesis' own observer; it needs a velocity read-out. `start` scales the first guess.
+Made = TypeVar("Made", bound=Adapting)
 
-    `adaptation` multiplies the unit gains of the coefficients, in the order of the device's model; left out, all are 1
-    but those of `known`, which are 0. `length` and `frequency` left out are the start and, nearly, the lower mode.
+
+def scaled(made: Made, adaptation: tuple[float, ...] | None) -> Made:
+    """The observer or controller with other factors of its unit gains; raises `InputError` for too few or many."""
+    if adaptation is None:
+        return made
+    if len(adaptation) != len(made.adaptation):
+        names = ", ".join(made.model.names)
+        raise InputError(f"adaptation must have one entry for each of {names}, but has {len(adaptation)}")
+    return eqx.tree_at(lambda o: o.adaptation, made, tuple(map(jnp.asarray, adaptation)))
+
+
+class AdaptiveGains(FileSection):
+    """What laws that adapt by velocity errors share. `start` scales the first guess of the coefficients.
+
+    `adaptation` multiplies their unit gains, in the order of the device's model; left out, all are 1 but those of
+    `known`, which are 0. `length` and `frequency` left out are the start and, nearly, the lower mode.
     """
 
-    kind: Literal["lyapunov"]
-    gain: Pair[Positive] = (100.0, 100.0)
     known: tuple[str, ...] = ()
     adaptation: tuple[Share, ...] | None = None
     start: Pure = 1.0
     length: Annotated[float, Field(gt=0.0), In("m")] | None = None
     frequency: Annotated[float, Field(gt=0.0), In("rad/s")] | None = None
+
+
+class LyapunovGains(AdaptiveGains):
+    """Those of the Lyapunov observer."""
+
+    gain: Pair[Positive] = (100.0, 100.0)
     discretisation: Discretisation = "exact"
 
-    def build(self, gyro: AbstractGyro, readout: AbstractReadout) -> AbstractObserver:
+    def observer(self, gyro: AbstractGyro, readout: AbstractReadout) -> LyapunovObserver:
         """The observer; raises `InputError` for another read-out or a coefficient that the device does not have."""
-        given = {**self.numbers(), "discretisation": discretisation(self.discretisation)}
-        adaptation = given.pop("adaptation")
-        made = LyapunovObserver.for_device(gyro, readout, **given)
-        if adaptation is None:
-            return made
-        if len(adaptation) != len(made.adaptation):
-            raise InputError(
-                f"adaptation must have one entry for each of {', '.join(gyro.model.names)}, but has {len(adaptation)}"
-            )
-        return eqx.tree_at(lambda o: o.adaptation, made, tuple(map(jnp.asarray, adaptation)))
+        names = ("gain", "known", "start", "length", "frequency")
+        given = {name: value for name, value in self.numbers().items() if name in names}
+        made = LyapunovObserver.for_device(gyro, readout, discretisation=discretisation(self.discretisation), **given)
+        return scaled(made, self.adaptation)
 
 
-Observer = Annotated[Kalman | Lyapunov | Unobserved, Field(discriminator="kind")]
+class Lyapunov(LyapunovGains):
+    """`kind = "lyapunov"`: the thesis' own observer; it needs a velocity read-out."""
+
+    kind: Literal["lyapunov"]
+
+    def build(self, gyro: AbstractGyro, readout: AbstractReadout) -> AbstractObserver:
+        """The observer."""
+        return self.observer(gyro, readout)
 
 
-class Added(FileSection):
-    """An auxiliary acceleration `{ frequency, amplitude, phase, axis }`; `axis` is "x", "y" or "both"."""
-
-    frequency: Hertz
-    amplitude: Acceleration
-    phase: Radian = 0.0
-    axis: Literal["x", "y", "both"] = "both"
-
-
-class Force(FileSection):
-    """A drive force `{ frequency, amplitude, phase, axis }` in N."""
-
-    frequency: Hertz
-    amplitude: Newton
-    phase: Radian = 0.0
-    axis: Literal["x", "y", "both"] = "both"
-
-
-def _tones(given: tuple[Added | Force, ...]) -> Tones:
-    made = [(tone.axis, Tone(tone.frequency, tone.amplitude, tone.phase)) for tone in given]
-    x, y = (tuple(tone for axis, tone in made if axis in (name, "both")) for name in "xy")
-    return x, y
-
-
-class Energy(FileSection):
-    """`energy = { frequency, amplitude, gain }` of a control law: energy control beside it, thesis (4.21), (4.25)."""
+class EnergyLevel(FileSection):
+    """`energy = { frequency, amplitude, gain }`: the energy that the observer expects, thesis (4.21)."""
 
     frequency: tuple[Hertz, Hertz]
     amplitude: tuple[Metre, Metre]
-    gain: PerSecond
-
-    def beside(self, law: AbstractController) -> AbstractController:
-        """The law with energy control."""
-        return EnergyControl(law, self.frequency, self.amplitude, self.gain)
+    gain: Share = 1.0
 
 
-class Compensation(FileSection):
-    """`kind = "damping_compensation"`: thesis (4.27), (4.28)."""
+class EnergyLyapunov(LyapunovGains):
+    """`kind = "energy_lyapunov"`: the Lyapunov observer with energy state, thesis (4.22) to (4.24)."""
 
-    kind: Literal["damping_compensation"]
-    tones: tuple[Added, ...] = ()
-    energy: Energy | None = None
+    kind: Literal["energy_lyapunov"]
+    energy: EnergyLevel
 
-    def build(self, gyro: AbstractGyro, readout: AbstractReadout) -> AbstractController:
-        """The controller."""
-        law = DampingCompensation(_tones(self.tones))
-        return law if self.energy is None else self.energy.beside(law)
+    def build(self, gyro: AbstractGyro, readout: AbstractReadout) -> AbstractObserver:
+        """The observer."""
+        return EnergyObserver(self.observer(gyro, readout), **self.energy.numbers())
 
 
-class Reference(FileSection):
-    """`kind = "reference_model"`: thesis (4.17), (4.18); `frequency` of x and y, which must differ."""
-
-    kind: Literal["reference_model"]
-    frequency: tuple[Hertz, Hertz]
-    tones: tuple[Added, ...] = ()
-    energy: Energy | None = None
-
-    def build(self, gyro: AbstractGyro, readout: AbstractReadout) -> AbstractController:
-        """The controller."""
-        law = ReferenceModel(self.frequency, _tones(self.tones))
-        return law if self.energy is None else self.energy.beside(law)
-
-
-class Rocking(FileSection):
-    """`rocking = { frequency, amplitude, phase }`: the known angle by which a whole-angle law turns the vibration."""
-
-    frequency: Hertz
-    amplitude: Radian
-    phase: Radian = 0.0
-
-
-class FreeVibration(FileSection):
-    """`kind = "whole_angle"`: thesis (6.1), (6.2); one `frequency` for both axes."""
-
-    kind: Literal["whole_angle"]
-    frequency: Hertz
-    tones: tuple[Added, ...] = ()
-    rocking: Rocking | None = None
-    energy: Energy | None = None
-
-    def build(self, gyro: AbstractGyro, readout: AbstractReadout) -> AbstractController:
-        """The controller."""
-        rocking = self.rocking and Tone(**self.rocking.numbers())
-        law = WholeAngle(self.frequency, _tones(self.tones), rocking)
-        return law if self.energy is None else self.energy.beside(law)
-
-
-class Open(FileSection):
-    """`kind = "open_loop"`: forces that ignore the estimate."""
-
-    kind: Literal["open_loop"]
-    tones: tuple[Force, ...] = ()
-
-    def build(self, gyro: AbstractGyro, readout: AbstractReadout) -> AbstractController:
-        """The controller."""
-        return OpenLoop(_tones(self.tones))
-
-
-Controller = Annotated[Compensation | Reference | FreeVibration | Open | Classic, Field(discriminator="kind")]
+Observer = Annotated[Kalman | Lyapunov | EnergyLyapunov | Unobserved, Field(discriminator="kind")]

@@ -1,6 +1,6 @@
 """Where the numbers of a loop stand in a study file: the way back from a tuned loop to text."""
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 
@@ -22,7 +22,7 @@ class NumberEntry(NamedTuple):
 
 
 _PLAIN = ("device", "readout", "filter", "observer", "controller")
-_NESTED = ("observer.fading", "observer.annealing", "controller.energy", "controller.rocking")
+_NESTED = ("observer.fading", "observer.annealing", "observer.energy", "controller.energy", "controller.rocking")
 
 
 def entry_of(file: Any, names: tuple[str, ...], path: str) -> NumberEntry | None:
@@ -35,12 +35,11 @@ def entry_of(file: Any, names: tuple[str, ...], path: str) -> NumberEntry | None
     if walk:
         return walk
     if last.isdigit():
-        section, _, field = head.rpartition(".")
+        section, _, field = _in_file(file, head).rpartition(".")
         pair = tuple(f"{head}.{i}" for i in range(len(names) if field == "adaptation" else 2))
     else:
-        section, field, pair = head, last, (path,)
-    if section == "controller" and getattr(file.controller, "energy", None) is not None:
-        section = "controller.energy"  # which then stands around the law
+        section, _, field = _in_file(file, path).rpartition(".")
+        pair = (path,)
     if section in _PLAIN or section in _NESTED:
         part = file
         for name in section.split("."):
@@ -48,6 +47,14 @@ def entry_of(file: Any, names: tuple[str, ...], path: str) -> NumberEntry | None
         unit = field_unit(type(part), field) if isinstance(part, FileSection) else None
         return None if unit is None else NumberEntry(f"{section}.{field}", unit, pair)
     return None
+
+
+def _in_file(file: Any, path: str) -> str:
+    """Where a path of the loop leads in the file: what keeps an energy stands around the part that it belongs to."""
+    part, _, rest = path.partition(".")
+    if part not in ("observer", "controller") or getattr(getattr(file, part, None), "energy", None) is None:
+        return path
+    return f"{part}.{rest.removeprefix('inner.')}" if rest.startswith("inner.") else f"{part}.energy.{rest}"
 
 
 def _walk_of(names: tuple[str, ...], head: str, last: str) -> NumberEntry | None:
@@ -74,7 +81,7 @@ def unit_at(file: Any, names: tuple[str, ...], path: str) -> str | None:
     name = path.removeprefix(f"{prefix}theta.") if path.startswith(f"{prefix}theta.") else path.removeprefix(prefix)
     if name != path and name in names:
         path = f"{prefix}theta.{names.index(name)}"
-    if path.startswith("controller.tones."):
+    if _in_file(file, path).startswith("controller.tones."):
         return _tone_units(file).get(path.rpartition(".")[2])
     if isinstance(file.controller, Classic) and unit_of_classic(path):
         return unit_of_classic(path)
@@ -93,7 +100,7 @@ def entries_of(file: Any, loop: ClosedLoop, paths: tuple[str, ...]) -> dict[str,
     names = loop.device.model.names
     changes: dict[str, Any] = {}
     for path in paths:
-        if path.startswith("controller.tones."):
+        if _in_file(file, path).startswith("controller.tones."):
             changes["controller.tones"] = _tones(file, loop)
             continue
         if isinstance(file.controller, Classic) and unit_of_classic(path):
@@ -112,17 +119,19 @@ def entries_of(file: Any, loop: ClosedLoop, paths: tuple[str, ...]) -> dict[str,
 
 
 def _tones(file: Any, loop: ClosedLoop) -> list[dict[str, Any]]:
-    units = _tone_units(file)
+    units, energy = _tone_units(file), getattr(file.controller, "energy", None)
+    law: Any = loop.controller if energy is None else loop.controller.inner  # type: ignore[attr-defined]
     return [
         {name: In(unit).write(float(np.asarray(getattr(tone, name)))) for name, unit in units.items()} | {"axis": axis}
-        for axis, tones in zip("xy", loop.controller.tones, strict=True)  # type: ignore[attr-defined]
+        for axis, tones in zip("xy", law.tones, strict=True)
         for tone in tones
     ]
 
 
 def _tone_units(file: Any) -> dict[str, str]:
-    force = getattr(file.controller, "kind", "") == "open_loop"
-    return {"frequency": "Hz", "amplitude": "N" if force else "m/s^2", "phase": "rad"}
+    field = type(file.controller).model_fields.get("tones")
+    kind = get_args(field.annotation)[0] if field else None
+    return {name: field_unit(kind, name) or "1" for name in ("frequency", "amplitude", "phase")} if kind else {}
 
 
 def _read(loop: ClosedLoop, path: str) -> float:

@@ -51,7 +51,8 @@ class SlidingMode(AbstractController[SlidingState]):
     k = gain/layer, which no layer makes unstable.
 
     The read-out must be of velocity; its error integrates to that of displacement, which is forgotten at `forgetting`:
-    without that the noise walks, and what has walked ripples on every coefficient. The rate is given out beside a `NoObserver`. Make one with `for_device`.
+    without that the noise walks, and what has walked ripples on every coefficient. The rate is given out beside a
+    `NoObserver`. Make one with `for_device`.
     """
 
     tones: GivenTones = tones_field()

@@ -23,7 +23,7 @@ class EnergyObserver(AbstractObserver[LyapunovState]):
 
     (4.24) follows from V + ½ (E0 - E)² where E changes by the wrong coefficients' work. That holds for 1/mass too, for
     which the thesis has zero; the work of tones and of the motion's own error stays, of either sign, so that V need not
-    fall (`studies/thesis_5_5.py`). (4.22) measures displacement and velocity: here the displacement is the estimate's.
+    fall (`studies/thesis_5_4_3.py`). (4.22) measures displacement and velocity; here the displacement is estimated.
     """
 
     inner: LyapunovObserver

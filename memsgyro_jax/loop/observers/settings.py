@@ -29,8 +29,13 @@ from .covariance import UPPER, diagonal
 
 
 def arrays(**options: object) -> tuple[Scalar, ...]:
-    """A field that holds a tuple of numbers, each as an array."""
-    return eqx.field(converter=lambda numbers: jax.tree.map(jnp.asarray, tuple(numbers)), **options)
+    """A field that holds a tuple of numbers, each as an array; whole numbers become real ones."""
+    return eqx.field(converter=lambda numbers: jax.tree.map(_real, tuple(numbers)), **options)
+
+
+def _real(given: object) -> Scalar:
+    array = jnp.asarray(given)
+    return array if jnp.issubdtype(array.dtype, jnp.inexact) else array.astype(float)
 
 
 class Prior(Displayed):
