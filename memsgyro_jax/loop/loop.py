@@ -23,7 +23,7 @@ from memsgyro_jax.device.gyro import (
     number,
 )
 from memsgyro_jax.device.propagate import AbstractDiscretisation, Exact, State4, applied, fence
-from memsgyro_jax.device.small import Vector, plus
+from memsgyro_jax.device.small import Matrix, Vector, plus
 
 from .blocks.length import Blocks
 from .controllers.base import AbstractController
@@ -211,14 +211,18 @@ class ClosedLoop(Displayed):
         return motion, own, {"effects": plant.shown_at(motion, own)} if plant.shows else {}
 
     def _shaken(self, conditions: Conditions, shaking: State4, clock: Clock) -> Vector:
-        """What the Brownian force adds to the motion in a sample. Its covariance is that of the frame at rest, from
-        which that of a turning one differs by twice its angle in a sample.
+        """What the Brownian force adds to the motion in a sample."""
+        return fence(clock.time, correlated(self.shaking(conditions, clock.period), shaking))
+
+    def shaking(self, conditions: Conditions, period: Scalar) -> Matrix:
+        """Covariance (x, y, vx, vy) that the Brownian force adds in a sample of `period` [s], of a device that knows
+        its temperature. It is that of the frame at rest, from which that of a turning one differs by twice its angle in
+        a sample.
         """
         at_rest = self.device.dynamics(Inertial(damping_change=conditions.damping_change))
         temperature = self.device.temperature if conditions.temperature is None else conditions.temperature
         density = thermal_acceleration(at_rest.damping, at_rest.gain, temperature)
-        covariance = self.discretisation.white(at_rest.stiffness, at_rest.damping, density, clock.period)
-        return fence(clock.time, correlated(covariance, shaking))
+        return self.discretisation.white(at_rest.stiffness, at_rest.damping, density, period)
 
     def sampled_at(self, sample_rate: float, design: "ClosedLoop | None" = None, duration: float = 0.1) -> "ClosedLoop":
         """This loop with its series long enough to be exact at `sample_rate` [Hz], and for a filter that runs for

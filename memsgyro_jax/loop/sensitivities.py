@@ -38,6 +38,7 @@ from .loop import ClosedLoop, LoopState
 from .observers.base import MOTION, OFFSETS, Clock
 from .observers.settings import Prior
 from .scenario import Conditions, Scenario
+from .whitening import Shaken
 
 
 class Unknowns(eqx.Module):
@@ -115,18 +116,24 @@ def lanes_of(loop: ClosedLoop, design: ClosedLoop, scenario: Scenario) -> tuple[
 
 
 class Sensitive(NamedTuple):
-    """State of the loop, and the motion's derivative by each quantity."""
+    """State of the loop, the motion's derivative by each quantity, and, where a force shakes the mass, what is known of
+    its part in the rows.
+    """
 
     loop: LoopState
     tangents: tuple[Float[Array, "quantities *lanes"], ...]
+    shaken: Shaken | None = None
 
 
-def begin(loop: ClosedLoop, design: ClosedLoop, unknown: Unknowns, lanes: tuple[int, ...]) -> Sensitive:
-    """The start of a run."""
+def begin(
+    loop: ClosedLoop, design: ClosedLoop, unknown: Unknowns, lanes: tuple[int, ...], warm: bool = False
+) -> Sensitive:
+    """The start of a run; a `warm` one makes rows independent of each other under the device's Brownian force."""
     state = jax.tree.map(
         lambda value, like: over_dies(value, jnp.ndim(like), lanes), loop.init(), jax.eval_shape(design.init)
     )
-    return Sensitive(state, fresh(unknown, lanes))
+    tangents = fresh(unknown, lanes)
+    return Sensitive(state, tangents, Shaken.still(tangents[0]) if warm else None)
 
 
 def fresh(unknown: Unknowns, lanes: tuple[int, ...]) -> tuple[Array, ...]:
@@ -147,7 +154,14 @@ def sampling(
         clock = Clock(index * period, index, period)
         state, taken = silent.step(carry.loop, conditions, (0.0, 0.0), clock)
         tangents = _propagated(silent, carry, conditions, taken.force, clock, unknown)
-        return Sensitive(state, tangents), _voltage_rows(silent, tangents, unit, unknown, lanes)
+        rows, shaken = _voltage_rows(silent, tangents, unit, unknown, lanes), carry.shaken
+        if shaken is not None:
+            dynamics = silent.device.dynamics(conditions.inertial)
+            step = silent.discretisation.transition(dynamics.stiffness, dynamics.velocity, period)
+            shaken, rows = _independent(
+                silent, shaken.carried(step.full, silent.shaking(conditions, period)), rows, unit
+            )
+        return Sensitive(state, tangents, shaken), rows
 
     def block(carry: Sensitive, index: Array) -> tuple[Sensitive, Array]:
         carry, rows = jax.lax.scan(sample, carry, (index, jax.vmap(scenario.at)((index + 0.5) * period)))
@@ -181,6 +195,15 @@ def _plus(true: Dynamics, change: Dynamics) -> Dynamics:
         gain=true.gain + change.gain,
         bias=true.bias,
     )
+
+
+def _independent(loop: ClosedLoop, shaken: Shaken, rows: Array, unit: Pair) -> tuple[Shaken, Array]:
+    """Rows without what the Brownian force makes them share, one channel after the other."""
+    left = []
+    for row, signal, scale, volts in zip(rows, loop.readout.signals, loop.readout.scale, unit, strict=True):
+        shaken, missed = shaken.whitened(row, signal, scale / volts)
+        left.append(missed)
+    return shaken, jnp.stack(left)
 
 
 def _voltage_rows(

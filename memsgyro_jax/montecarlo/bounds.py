@@ -24,14 +24,13 @@ def own_bounds(
     data and prior say nothing.
 
     The bound is that of a constant rate on a constant device that the read-out's noise hides, so there is none where
-    anything varies, or where a Brownian force shakes the device.
+    anything varies.
     """
     if dies == 0:
         return None
     conditions = jax.vmap(scenario.at)(jnp.linspace(0.0, duration, 1001))
     varies = any(float(jnp.ptp(value)) > 0.0 for value in jax.tree.leaves(conditions))
-    warm = loop.device.temperature is not None
-    if varies or warm or any(float(jnp.min(density)) == 0.0 for density in loop.readout.noise_density):
+    if varies or any(float(jnp.min(density)) == 0.0 for density in loop.readout.noise_density):
         return None
     observer = loop.observer
     if isinstance(observer, NoObserver):  # it takes the design's numbers for true, which no bound without a prior does

@@ -60,7 +60,29 @@ def record(theta: np.ndarray, start: np.ndarray, gyro, sample_rate: float, sampl
     return np.asarray(seen)
 
 
-def dense_bound(gyro, sample_rate: float, samples: int, prior_std: np.ndarray | None = None) -> np.ndarray:
+def shaken(temperature: float, sample_rate: float, samples: int) -> np.ndarray:
+    """Covariance of all displacements of SINGLE, (x, y) by sample, that its Brownian force makes (Van Loan, 1978)."""
+    a, q = np.zeros((4, 4)), np.zeros((4, 4))
+    mass, rate = float(SINGLE.mass), 1.0
+    damping = np.array([[SINGLE.dxx, SINGLE.dxy], [SINGLE.dxy, SINGLE.dyy]], float)
+    a[:2, 2:], a[2:, :2] = np.eye(2), -np.array([[SINGLE.kxx, SINGLE.kxy], [SINGLE.kxy, SINGLE.kyy]], float) / mass
+    a[2:, 2:] = -damping / mass - 2.0 * rate * np.array([[0.0, -1.0], [1.0, 0.0]])
+    q[2:, 2:] = 2.0 * 1.380649e-23 * temperature * damping / mass**2
+    both = scipy.linalg.expm(np.block([[-a, q], [np.zeros((4, 4)), a.T]]) / sample_rate)
+    step = both[4:, 4:].T
+    added, covariance, found = step @ both[:4, 4:], np.zeros((4, 4)), np.zeros((samples, 2, samples, 2))
+    for i in range(samples):
+        covariance = step @ covariance @ step.T + added
+        ahead = covariance
+        for j in range(i, samples):
+            found[j, :, i], found[i, :, j] = ahead[:2, :2], ahead[:2, :2].T
+            ahead = step @ ahead
+    return found.reshape(2 * samples, 2 * samples)
+
+
+def dense_bound(
+    gyro, sample_rate: float, samples: int, prior_std: np.ndarray | None = None, temperature: float = 0.0
+) -> np.ndarray:
     """Bound by central differences of `record` and a plain scaled inverse."""
     theta, start = np.asarray([float(t) for t in gyro.coefficients(1.0)]), np.asarray([1e-6, 0.0, 0.0, 0.0])
     names, readout = gyro.model.names, ChargeAmplifier.chi2010()
@@ -78,6 +100,10 @@ def dense_bound(gyro, sample_rate: float, samples: int, prior_std: np.ndarray | 
         columns.append((pair[0] - pair[1]).ravel() / 6e-5)
     sensitivity = np.asarray(columns).T / (1e-3 * np.sqrt(sample_rate / 10e6))
     information = sensitivity.T @ sensitivity
+    if temperature:
+        volts = float(readout.scale[0]) / (1e-3 * np.sqrt(sample_rate / 10e6))
+        noise_covariance = np.eye(2 * samples) + volts**2 * shaken(temperature, sample_rate, samples)
+        information = sensitivity.T @ np.linalg.solve(noise_covariance, sensitivity)
     if prior_std is not None:
         information += np.diag((np.asarray(size) / prior_std) ** 2)
     scale = 1.0 / np.sqrt(np.diag(information))
@@ -100,6 +126,19 @@ def test_bayesian_bound_adds_the_prior():
     np.testing.assert_allclose(got.std[-1], dense_bound(SINGLE, 50e3, 200, std), rtol=2e-4)
     assert np.all(got.std <= std * (1 + 1e-12))
     assert np.all(np.diff(got.std, axis=0) <= 1e-12 * got.std[:-1])
+
+
+def test_a_brownian_force_hides_what_it_shakes():
+    """By generalised least squares over the covariance of all samples, at a temperature that counts."""
+    hot, settings = 3e8, {"sample_rate": 50e3, "duration": 0.004, "windows": 2}
+    loop = forced(SINGLE.at_temperature(hot))
+    prior = loop.observer.prior
+    std = np.asarray([float(v) for v in (*prior.motion_std, *prior.offset_std, *prior.theta_std)])
+    got = information_bound(loop, 1.0, prior=prior, **settings)
+    np.testing.assert_allclose(got.std[-1], dense_bound(SINGLE, 50e3, 200, std, hot), rtol=2e-4)
+    cold = information_bound(forced(SINGLE.at_temperature(0.0)), 1.0, prior=prior, **settings)
+    np.testing.assert_allclose(cold.std[-1], dense_bound(SINGLE, 50e3, 200, std), rtol=2e-4)
+    assert got.rate_std[-1] > 1.5 * cold.rate_std[-1]
 
 
 def test_sensitivities_are_those_of_the_closed_loop_plant():

@@ -51,7 +51,7 @@ def theory(device, amplitude, given_along=False):
     return np.sqrt(KT * across) / (omega * amplitude)
 
 
-def matched_filter(device, amplitude, density, dies, duration=None, seed=0):
+def matched_filter(device, amplitude, density, dies, duration=None, seed=0, bounds=0):
     """A lot whose filter knows everything but the rate and the force; the motion starts in the first mode."""
     _, shape, _, _ = first_mode(device)
     rate = 26.6 * float(mg.mode_frequencies(device)[-1])
@@ -63,7 +63,9 @@ def matched_filter(device, amplitude, density, dies, duration=None, seed=0):
     observer = mg.ExtendedKalmanFilter.for_device(device, readout, known=known, with_offsets=False, prior=prior)
     loop = mg.ClosedLoop(device, readout, observer, mg.DampingCompensation(), start)
     duration = 1000 / rate if duration is None else duration
-    return mg.sweep(loop, mg.Spread(), 0.0, dies=dies, sample_rate=rate, duration=duration, bound_dies=0, seed=seed)
+    return mg.sweep(
+        loop, mg.Spread(), 0.0, dies=dies, sample_rate=rate, duration=duration, bound_dies=bounds, seed=seed
+    )
 
 
 def test_which_damping_belongs():
@@ -75,9 +77,15 @@ def test_which_damping_belongs():
 
 
 def test_a_filter_that_knows_the_force_is_consistent():
-    """At a read-out noise where the force is most of the error, and cross damping correlates the axes."""
+    """At a read-out noise where the force is most of the error, and cross damping correlates the axes: and it reaches
+    the bound, which counts that force.
+    """
     device = DEVICES["cross damping"].at_temperature(300.0)
-    figures = matched_filter(device, 1e-6, 1e-9, dies=1024).summary
+    lot = matched_filter(device, 1e-6, 1e-9, dies=1024, bounds=1024)
+    figures = lot.summary
+    error = lot.to_xarray()["rate_error_end"].values
+    low, high = np.sqrt(stats.chi2.ppf([0.005, 0.995], 1024) / 1024)
+    assert low <= np.sqrt(np.mean(error**2)) / figures.bound <= high
     low, high = stats.chi2.ppf([0.005, 0.995], 5 * 1024) / 1024
     assert (figures.failed, figures.states) == (0, 5)
     assert low <= figures.nees <= high
