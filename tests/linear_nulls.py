@@ -19,6 +19,7 @@ from memsgyro_jax.diagnosis.joint_residual import Joint
 from memsgyro_jax.diagnosis.nuisances import SHARE
 from memsgyro_jax.diagnosis.optimum import Optimum
 from memsgyro_jax.diagnosis.rounds import FITTED
+from memsgyro_jax.diagnosis.scans import coverage
 from memsgyro_jax.diagnosis.score import basis, best_by_noise, family_p_values, score, within_bounds
 from memsgyro_jax.effects import Scanned, catalogue
 from memsgyro_jax.measurement.least_squares import above, gate
@@ -140,7 +141,7 @@ class Nulls:
         effect = False
         if tempted:
             after = _fitted(joint, np.append(base, blocks[best]), value[fitted], slopes[fitted])
-            effect = not refusal(joint, best, before, after, others=0, coverage=None)
+            effect = not refusal(joint, best, before, after, others=0, coverage=coverage(case))
         tried = tempted or not all(within)
         term = tried and self._ranked_terms(before, unsure) <= SHARE * (1 - RECORDS) * LEVEL
         return Decision(

@@ -2,10 +2,11 @@
 
 `--yardstick DIR` names a folder whose `run.py` prints JSON of the form {"name": {"steps_per_s": ...}}; it is run pinned
 to the same core, turn by turn with ours, and the fastest turns of both are compared by processor time (by wall clock, a
-busy machine would decide). What differs in the work: the sweep draws its own noise by (die, sample), steps plant and
-filter by the exact exponential, anneals the measurement variance, and gathers NIS, convergence and window statistics of
-every die; a yardstick does what its own description says, typically a 4th-order Taylor step and fading instead of
-annealing.
+busy machine would decide). Where there is an accelerator, `--many` dies run on it too, sample by sample and in blocks,
+by wall clock; all else runs on processors. What differs in the work: the sweep draws its own noise by (die, sample),
+steps plant and filter by the exact exponential, anneals the measurement variance, and gathers NIS, convergence and
+window statistics of every die; a yardstick does what its own description says, typically a 4th-order Taylor step and
+fading instead of annealing.
 """
 
 import argparse
@@ -85,11 +86,13 @@ def costs(sweep: Callable[..., None], repeat: int) -> dict[str, float]:
     return {name: spent / best["none"] for name, spent in best.items() if name != "none"}
 
 
-def start(*arguments: str, cores: int, cache: str, program: tuple[str, ...] = (__file__, "--worker")) -> dict:
+def start(
+    *arguments: str, cores: int, cache: str, program: tuple[str, ...] = (__file__, "--worker"), platform: str = "cpu"
+) -> dict:
     """Runs Python on the first `cores` usable cores and reads the JSON that it prints last."""
     allowed = sorted(os.sched_getaffinity(0))[-cores:]
     environment = {k: v for k, v in os.environ.items() if not k.startswith(("XLA_FLAGS", "JAX_", "MEMSGYRO_"))}
-    environment |= {"XDG_CACHE_HOME": cache, "OMP_NUM_THREADS": "1"}
+    environment |= {"XDG_CACHE_HOME": cache, "OMP_NUM_THREADS": "1", "JAX_PLATFORMS": platform}
     done = subprocess.run(
         [sys.executable, *program, *arguments], env=environment, capture_output=True, text=True, check=False,
         preexec_fn=lambda: os.sched_setaffinity(0, allowed),
@@ -99,8 +102,8 @@ def start(*arguments: str, cores: int, cache: str, program: tuple[str, ...] = (_
     return json.loads(done.stdout[done.stdout.index("{") :])
 
 
-def measure(options: argparse.Namespace, cache: str) -> tuple[dict, dict]:
-    """Our figures and the yardsticks' speeds."""
+def measure(options: argparse.Namespace, cache: str, accelerator: str) -> tuple[dict, dict]:
+    """Our figures and the yardsticks' speeds; `accelerator` is JAX's name of it, empty where there is none."""
     job = ("--dies", str(options.dies), "--duration", str(options.duration), "--repeat", str(options.repeat))
     ours: dict = {"first_start": start(*job, cores=1, cache=cache)}
     pinned, yardsticks, blocks, classic = [], {}, {}, []  # type: list[dict], dict[str, list], dict[str, list], list[dict]
@@ -123,6 +126,10 @@ def measure(options: argparse.Namespace, cache: str) -> tuple[dict, dict]:
     if len(os.sched_getaffinity(0)) > 1:
         both = [start(*job, "--cores", "2", cores=2, cache=cache) for _ in range(options.turns)]
         ours["two_cores"] = max(both, key=lambda run: run["steps_per_wall_s"])
+    if accelerator:
+        many = ("--dies", str(options.many), *job[2:])
+        for name, extra in {"accelerator": (), "accelerator in blocks": ("--blocks",)}.items():
+            ours[name] = start(*many, *extra, cores=1, cache=cache, platform=accelerator)
     four = ("--dies", str(options.dies), "--duration", str(4.0 * options.duration), "--repeat", "0")
     ours["four_times_the_steps"] = start(*four, cores=1, cache=cache)
     ours["cost_of_effects"] = start(*job, "--effects", cores=1, cache=cache)
@@ -143,6 +150,10 @@ def table(ours: dict, yardsticks: dict, options: argparse.Namespace) -> list[tup
         both = ours["two_cores"]["steps_per_wall_s"]
         text = f"{both / 1e6:.2f} million steps/s, {both / one['steps_per_wall_s']:.2f} x one core"
         rows.append(("two cores, wall clock", text))
+    for name in [name for name in ours if name.startswith("accelerator")]:
+        speed = ours[name]["steps_per_wall_s"]
+        text = f"{speed / 1e6:.1f} million samples/s, {speed / one['steps_per_wall_s']:.1f} x one core"
+        rows.append((f"{name}, {options.many} dies, wall clock", text))
     more = ours["four_times_the_steps"]["peak_memory_mib"] - ours["first_start"]["peak_memory_mib"]
     rows += [
         ("first call, nothing compiled yet", f"{ours['first_start']['first_call_s']:.1f} s from the start of Python"),
@@ -158,11 +169,19 @@ def table(ours: dict, yardsticks: dict, options: argparse.Namespace) -> list[tup
     return rows
 
 
+def accelerator_of_jax() -> str:
+    """The platform that JAX prefers where it is no processor; asked in another process, which keeps it to itself."""
+    asked = [sys.executable, "-c", "import jax; print(jax.devices()[0].platform)"]
+    name = subprocess.run(asked, capture_output=True, text=True, check=True).stdout.split()[-1]
+    return "" if name == "cpu" else {"gpu": "cuda"}.get(name, name)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--yardstick", type=Path, help="folder with a run.py to compare with")
     parser.add_argument("--dies", type=int, default=256)
     parser.add_argument("--duration", type=float, default=0.1, help="of each die's run, in s")
+    parser.add_argument("--many", type=int, default=8192, help="dies on an accelerator")
     parser.add_argument("--repeat", type=int, default=5, help="timed sweeps per process; the fastest counts")
     parser.add_argument("--turns", type=int, default=3, help="times that yardstick and sweep take turns")
     parser.add_argument("--out", type=Path, default=Path(__file__).parents[1] / "out" / "closed_loop")
@@ -172,9 +191,9 @@ def main() -> None:
     options = parser.parse_args()
     if options.worker:
         return worker(options)
-    load = os.getloadavg()[0]
+    load, accelerator = os.getloadavg()[0], accelerator_of_jax()
     with tempfile.TemporaryDirectory() as cache:
-        ours, yardsticks = measure(options, cache)
+        ours, yardsticks = measure(options, cache, accelerator)
     rows = table(ours, yardsticks, options)
     width = max(len(name) for name, _ in rows)
     print(f"{options.dies} dies, {options.duration:g} s at 100 kHz; load of the machine before: {load:.1f}")
