@@ -51,6 +51,8 @@ def scans(case: Case) -> tuple[tuple[Scanned, ...], ...]:
 def scan(model: Model, optimum: Optimum, readings: Sequence[Readings], grid: Sequence[Scanned]) -> ScannedPoint | None:
     """Score of every point of a grid beside the fitted model; the best one, or `None` where no record would show it.
 
+    All points are tried with few harmonics, whatever the fit needs: the refit judges the best of them with as many.
+
     Args:
         model: at the optimum, without the effect.
         optimum: the residual and Jacobian of the fitted readings.
@@ -69,7 +71,7 @@ def scan(model: Model, optimum: Optimum, readings: Sequence[Readings], grid: Seq
         for begin in range(0, len(points), CHUNK):
             some = points[begin : begin + CHUNK]
             padded = some + [some[-1]] * (CHUNK - len(some))
-            columns = np.asarray(_slopes(model, _stacked(padded), chosen.experiment))
+            columns = np.asarray(_slopes(model, _stacked(padded), chosen.experiment.coarse))
             for effect, column in zip(some, columns, strict=False):
                 whole = np.zeros((optimum.residual.size, 1))
                 whole[span, 0] = np.where(np.isfinite(column), column, 0.0)

@@ -38,7 +38,15 @@ def test_a_step_that_is_not_there_is_not_significant():
     assert found.score.p_value * found.points > 0.01
 
 
-def test_a_mode_is_looked_for_in_sweeps_and_not_in_the_raw_capture():
-    found = best("parasitic_mode x", Hidden())
+def test_a_mode_is_looked_for_in_sweeps_and_not_in_the_raw_capture_at_the_first_resolution():
+    fit = fit_case(bench(Hidden()).case)
+    (grid,) = [g for g in scans(fit.case) if g[0].label == "parasitic_mode x"]
+    found = scan(fit.model, fit.optimum, fit.joint.fitted, grid)
     assert isinstance(found.effect, ParasiticMode)
     assert found.score.p_value * found.points > 0.01
+    finer = [replace(r, experiment=r.experiment.finer or r.experiment) for r in fit.joint.fitted]
+    assert any(
+        new is not old.experiment for new, old in zip([r.experiment for r in finer], fit.joint.fitted, strict=True)
+    )
+    again = scan(fit.model, fit.optimum, finer, grid)
+    assert again.score.statistic == found.score.statistic

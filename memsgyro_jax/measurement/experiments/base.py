@@ -126,6 +126,11 @@ class Experiment(eqx.Module):
         """The same, predicted with a finer resolution; `None` where there is none, as by default."""
         return None
 
+    @property
+    def coarse(self) -> "Experiment":
+        """The same at its first resolution, for a look at many candidates; itself, by default."""
+        return self
+
     def residual(self, bench: PyTree) -> Float[Array, " r"]:
         """Measured minus predicted in standard deviations of the noise, as one vector."""
         return self.noise.whiten(self.measured, self.predict(bench)).ravel()

@@ -106,6 +106,10 @@ class HarmonicSweep(Experiment):
         place = FINENESS.index(self.fineness) + 1
         return dataclasses.replace(self, fineness=FINENESS[place]) if place < len(FINENESS) else None
 
+    @property
+    def coarse(self) -> "HarmonicSweep":
+        return dataclasses.replace(self, fineness=FINENESS[0])
+
     def proposals(self, name: str) -> Iterator[tuple[str, Experiment]]:
         """All sweeps again: as they were, the first drive after the last, over other bands, at the ends of what was
         varied, on the other axis, at other drives.
