@@ -27,8 +27,8 @@ class LockIn:
         v = self._voltage(t, state[:n], rows)
         for j, (c, side, limit) in enumerate(self.clips):
             v[c] = np.where(mode[self.own + j] > 0, side * limit, v[c])
-        weight = v * (rows.frequency + rows.chirp * instrument)
-        out[n : n + 2], out[n + 2 :] = weight * np.cos(rows.phase(instrument)), weight * np.sin(rows.phase(instrument))
+        weight, phase = v * (rows.frequency + rows.chirp * instrument), rows.phase(instrument)
+        out[n : n + 2], out[n + 2 :] = weight * np.cos(phase), weight * np.sin(phase)
         return out
 
     def margin(self, t, state, rows, mode):

@@ -20,6 +20,17 @@ class Plant:
         self.switches: dict = {}
         self.terms: list = []
         self.rates: list = []
+        self.heated: list = []
+        self._matrices: tuple = (None, None)
+        h = self.hidden
+        self.amplifier = [(c, s) for c, s in enumerate(h.pair("drive_nonlinearity")) if s]
+        self.misalignment = (h.force_misalignment_y_to_x, h.force_misalignment_x_to_y)
+        self._bent = list(zip(h.pair("pickoff_nonlinearity"), h.pair("pickoff_cubic_nonlinearity"), strict=True))
+        self._gain = [1 + e for e in h.pair("pickoff_scale_error")]
+        self._leaks = [(c, d, s) for d, a in enumerate("xy") for c, b in enumerate("xy")
+                       if (s := getattr(h, f"electrical_feedthrough_{a}_to_{b}"))]  # fmt: skip
+        self._crosstalk = [(1, 0, h.pickoff_crosstalk_x_to_y), (0, 1, h.pickoff_crosstalk_y_to_x)]
+        self._compressed: list = []
         self.weights = [die.length] * 2 + [die.length * 2 * np.pi / die.period] * 2
         self._springs()
         self._dampers()
@@ -72,7 +83,8 @@ class Plant:
             if self.friction[c]:
                 self._speed_switch(c)
         if h.damping_step:
-            self.step_switch = self._watch("step", lambda t, s, r: t - r.step_time)
+            switch = self._watch("step", lambda t, s, r: t - r.step_time)
+            self.terms.append(partial(_stepped, h.damping_step, switch))
 
     def _speed_switch(self, c):
         return self._watch(f"v{c}", lambda t, s, r: s[2 + c])
@@ -106,54 +118,61 @@ class Plant:
                 self.terms.append(partial(_internal_pull, c, z, s, o.internal_order))
                 law = partial(_internal, c, z, v, s / self.die.mass, o.internal_order, w**2, w / o.internal_quality)
                 self.rates.append(law)
-            if getattr(o, f"drive_heating_{a}"):
+            if s := getattr(o, f"drive_heating_{a}"):
                 i = self._remember(f"heat{c}", 1.0)
+                self.heated.append((c, s, i))
                 self.rates.append(partial(_heating, c, i, o.drive_heating_force, o.drive_heating_time))
             if getattr(o, f"pickoff_compression_{a}"):
                 i = self._remember(f"level{c}", 1.0)
+                self._compressed.append((c, getattr(o, f"pickoff_compression_{a}"), i))
                 self.rates.append(partial(_level, c, i, o.pickoff_compression_length, o.pickoff_compression_time))
 
     # ---- motion
 
+    def _matrix(self, rows):
+        """Forces [N] by displacement and speed (2, 4, rows); those of the rows last asked for are kept."""
+        if self._matrices[0] is not rows:
+            kxx, kyy, kxy = rows.stiffness
+            dxx, dyy, dxy = rows.damping
+            skew = -0.5 * self.hidden.cross_damping_asymmetry + 2 * self.die.mass * rows.rate
+            matrix = -np.array([[kxx, kxy, dxx, dxy - skew], [kxy, kyy, dxy + skew, dyy]])
+            self._matrices = (rows, matrix)
+        return self._matrices[1]
+
     def applied(self, u, state):
         """Force on the axes from the commanded one (2, rows): amplifier, electrode law, misalignment."""
-        h, o = self.hidden, self.outside
         u = [u[0], u[1]]
-        for c, a in enumerate("xy"):
-            if s := getattr(o, f"drive_heating_{a}"):
-                u[c] = u[c] * (1 + s * state[self.memory[f"heat{c}"]])
-            if s := h.pair("drive_nonlinearity")[c]:
-                u[c] = u[c] + s * u[c] ** 2
-        return u[0] + h.force_misalignment_y_to_x * u[1], u[1] + h.force_misalignment_x_to_y * u[0]
+        for c, s, i in self.heated:
+            u[c] = u[c] * (1 + s * state[i])
+        for c, s in self.amplifier:
+            u[c] = u[c] + s * u[c] ** 2
+        to_x, to_y = self.misalignment
+        return (u[0] + to_x * u[1], u[1] + to_y * u[0]) if to_x or to_y else u
 
     def force(self, t, state, rows, mode):
         """Everything that acts on the mass [N], two rows of arrays, dry friction excepted."""
-        x, y, vx, vy = state[:4]
-        kxx, kyy, kxy = rows.stiffness
-        dxx, dyy, dxy = rows.damping
-        if self.hidden.damping_step:
-            factor = 1 + self.hidden.damping_step * (mode[self.step_switch] > 0)
-            dxx, dyy, dxy = dxx * factor, dyy * factor, dxy * factor
-        skew = -0.5 * self.hidden.cross_damping_asymmetry + 2 * self.die.mass * rows.rate
-        ux, uy = self.applied(rows.command(t), state)
-        f = [ux - kxx * x - kxy * y - dxx * vx, uy - kxy * x - kyy * y - dyy * vy]
-        f[0], f[1] = f[0] - (dxy - skew) * vy, f[1] - (dxy + skew) * vx
+        return self._force(state, rows, mode, rows.command(t))
+
+    def _force(self, state, rows, mode, command):
+        ux, uy = self.applied(command, state)
+        pull = np.einsum("cjr,jr->cr", self._matrix(rows), state[:4])
+        f = [ux + pull[0], uy + pull[1]]
         for term in self.terms:
             term(f, state, rows, mode)
         return f
 
     def slope(self, t, state, rows, mode):
-        out = np.empty_like(state)
-        force = self.force(t, state, rows, mode)
+        out, command = np.empty_like(state), rows.command(t)
+        force = self._force(state, rows, mode, command)
         out[:2] = state[2:4]
         for c in (0, 1):
             if s := self.friction[c]:
                 m = mode[self._speed_switch(c)]
                 out[2 + c] = np.where(m == 0, 0.0, (force[c] - s * m) / self.die.mass)
             else:
-                out[2 + c] = force[c] / self.die.mass
+                np.divide(force[c], self.die.mass, out=out[2 + c])
         for rate in self.rates:
-            rate(out, state, mode, rows.command(t))
+            rate(out, state, mode, command)
         return out
 
     # ---- switches
@@ -194,20 +213,21 @@ class Plant:
 
     def voltage(self, state, u):
         """Read-outs (2, rows) [V] before the converter clips, of a state and of the force commanded now."""
-        h, o, scale = self.hidden, self.outside, self.die.scale
-        out = []
-        for c, a in enumerate("xy"):
-            q = (1 + h.pair("pickoff_scale_error")[c]) * state[c]
-            q = q + h.pair("pickoff_nonlinearity")[c] * q**2 + h.pair("pickoff_cubic_nonlinearity")[c] * q**3
-            v = scale * q
-            if s := getattr(o, f"pickoff_compression_{a}"):
-                v = v * (1 - s * state[self.memory[f"level{c}"]])
-            out.append(v + self.die.offset[c])
-        out[0] = out[0] + scale * h.pickoff_crosstalk_y_to_x * state[1]
-        out[1] = out[1] + scale * h.pickoff_crosstalk_x_to_y * state[0]
-        out[0] = out[0] + h.electrical_feedthrough_x_to_x * u[0] + h.electrical_feedthrough_y_to_x * u[1]
-        out[1] = out[1] + h.electrical_feedthrough_x_to_y * u[0] + h.electrical_feedthrough_y_to_y * u[1]
-        return np.array(out)
+        scale, out = self.die.scale, np.empty((2, state.shape[1]))
+        for c, (square, cube) in enumerate(self._bent):
+            q = self._gain[c] * state[c]
+            if square or cube:
+                q = q + square * q**2 + cube * q**3
+            np.multiply(scale, q, out=out[c])
+        for c, s, i in self._compressed:
+            out[c] *= 1 - s * state[i]
+        out += self.die.offset[:, None]
+        for c, other, s in self._crosstalk:
+            if s:
+                out[c] += scale * s * state[other]
+        for c, d, s in self._leaks:
+            out[c] += s * u[d]
+        return out
 
     def limit(self):
         """Where the converter clips [V]."""
@@ -216,6 +236,11 @@ class Plant:
 
 
 # Forces: each adds itself to f, a list of two arrays [N].
+
+
+def _stepped(step, switch, f, state, rows, mode):
+    dxx, dyy, dxy = step * (mode[switch] > 0) * rows.damping
+    f[0], f[1] = f[0] - dxx * state[2] - dxy * state[3], f[1] - dyy * state[3] - dxy * state[2]
 
 
 def _cubic(c, s, f, state, rows, mode):

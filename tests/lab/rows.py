@@ -1,6 +1,7 @@
 """The conditions under which rows are simulated side by side: one value per row in every array, rows last."""
 
 from dataclasses import dataclass, fields
+from functools import cached_property
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -32,12 +33,21 @@ class Rows:
         """These rows alone, in this order."""
         return Rows(*(getattr(self, f.name)[..., index] for f in fields(self)))
 
+    @cached_property
+    def _chirped(self):
+        return bool(np.any(self.chirp))
+
+    @cached_property
+    def swinging(self):
+        """Whether any row is driven by a swing."""
+        return bool(np.any(self.swing))
+
     def phase(self, t):
-        return self.frequency * t + 0.5 * self.chirp * t**2
+        return self.frequency * t + 0.5 * self.chirp * t**2 if self._chirped else self.frequency * t
 
     def command(self, t):
         """Commanded force (2, rows) [N]."""
-        force = self.swing * np.cos(self.phase(t))
+        force = self.swing * np.cos(self.phase(t)) if self.swinging else np.zeros_like(self.swing)
         if len(self.held) == 1:
             return force + self.held[0]
         return force + chebyshev.chebval(2 * (t - self.origin) / self.span - 1, self.held, tensor=False)
