@@ -45,7 +45,7 @@ FOREIGN = (
 
 
 @pytest.mark.parametrize(
-    "skipped", [(*FOREIGN, "jax"), pytest.param(FOREIGN, marks=pytest.mark.slow)], ids=["quick", "jax"]
+    "skipped", [(*FOREIGN, "jax", "numpy"), pytest.param(FOREIGN, marks=pytest.mark.slow)], ids=["quick", "jax"]
 )
 def test_a_users_script_is_checked(skipped, tmp_path, pytestconfig):
     settings = ["[mypy]", *(f"[mypy-{name}.*]\nfollow_imports = skip" for name in skipped)]

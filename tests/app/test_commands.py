@@ -3,6 +3,7 @@
 import json
 import os
 import resource
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -39,6 +40,22 @@ def memsgyro(folder, capsys):
     return run
 
 
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory):
+    """Folder of a small sweep's results."""
+    place = tmp_path_factory.mktemp("swept") / "sweep-out"
+    with pytest.raises(SystemExit) as end:
+        cli.main(["sweep", *SMALL, "--out", str(place)])
+    assert end.value.code == 0
+    return place
+
+
+@pytest.fixture
+def started(swept, folder):
+    """The results lie where the next sweep would put its own."""
+    return shutil.copytree(swept, folder / "sweep-out")
+
+
 def load(path):
     return json.loads(Path(path).read_text())
 
@@ -48,15 +65,14 @@ def content(folder):
     return {path.relative_to(folder): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
-def test_a_sweep_in_parts_is_the_sweep(memsgyro, folder):
-    assert memsgyro("sweep", *SMALL, "--out", "whole")[0] == 0
+def test_a_sweep_in_parts_is_the_sweep(memsgyro, folder, swept):
     status, out, _ = memsgyro("sweep", *SMALL, "--part", "1/2")  # all five dies are in one block, the second part's
     assert (status, out.count("0 of 0 dies computed"), out.count("0 of 5 (0.0 %)")) == (0, 1, 1)
     assert {path.name for path in (folder / "sweep-out").iterdir()} == {"dies.zarr"}
     status, out, _ = memsgyro("sweep", *SMALL, "--part", "2/2")
     assert (status, out.count("5 of 5 dies computed"), out.count("yield (95 % interval)")) == (0, 1, 1)
-    assert content(folder / "sweep-out" / "dies.zarr") == content(folder / "whole" / "dies.zarr")
-    parts, whole = load("sweep-out/summary.json"), load("whole/summary.json")
+    assert content(folder / "sweep-out" / "dies.zarr") == content(swept / "dies.zarr")
+    parts, whole = load("sweep-out/summary.json"), load(swept / "summary.json")
     assert {**parts, "steps_per_s": None} == {**whole, "steps_per_s": None}
     status, out, _ = memsgyro("status")
     assert (status, " ".join(out.split())) == (0, "dies done 5 of 5 (100 %): 0 lost, 0 diverged at work nobody")
@@ -103,8 +119,8 @@ def test_a_sweep_is_that_of_its_study(memsgyro, folder):
     assert (folder / "copy.json").read_bytes() == (folder / "sweep-out" / "summary.json").read_bytes()
 
 
+@pytest.mark.usefixtures("started")
 def test_resume_goes_on_and_overwrite_starts_again(memsgyro):
-    assert memsgyro("sweep", *SMALL)[0] == 0
     status, _, said = memsgyro("sweep", *SMALL)
     assert status == 2
     assert "--resume" in said
@@ -114,9 +130,9 @@ def test_resume_goes_on_and_overwrite_starts_again(memsgyro):
     assert load("sweep-out/summary.json")["dies"] == 5
 
 
+@pytest.mark.usefixtures("started")
 @pytest.mark.parametrize("change", [["--seed", "1"], ["--duration", "0.02"], ["--chunk", "3"]])
 def test_a_store_of_another_configuration_is_kept_and_refused(memsgyro, folder, change):
-    assert memsgyro("sweep", *SMALL)[0] == 0
     before = content(folder)
     given = dict(zip(SMALL[::2], SMALL[1::2], strict=True)) | {change[0]: change[1]}
     status, _, said = memsgyro("sweep", *(word for pair in given.items() for word in pair), "--resume")
@@ -160,11 +176,9 @@ def test_a_run_prints_its_figures_and_leaves_its_results(memsgyro, folder):
     assert memsgyro("simulate", *RUN, "--out", "run")[0] == 0, "a second run takes the place of the first"
 
 
-def test_a_run_of_a_die_is_that_of_the_sweep(memsgyro):
-    fine = ["--sample-rate", "50e3", "--duration", "0.005"]
-    assert memsgyro("sweep", "--dies", 4, "--chunk", 2, *fine)[0] == 0
-    assert memsgyro("simulate", *fine, "--die", 3, "--json", "run.json")[0] == 0
-    with xr.open_zarr("sweep-out/dies.zarr", consolidated=False) as data:
+def test_a_run_of_a_die_is_that_of_the_sweep(memsgyro, swept):
+    assert memsgyro("simulate", *RUN, "--die", 3, "--json", "run.json")[0] == 0
+    with xr.open_zarr(swept / "dies.zarr", consolidated=False) as data:
         wanted = np.degrees(float(data["rate_error_end"][3]))
     assert load("run.json")["rate_error_dps"]["end"] == pytest.approx(wanted, rel=1e-6)
 

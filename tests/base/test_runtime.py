@@ -17,12 +17,13 @@ REPORT = """
 import json, os, sys
 from memsgyro_jax import runtime
 {before}
+before = os.environ.get("XLA_FLAGS", "").split()
 runtime.configure({arguments})
 lean = "jax" not in sys.modules
 import jax, jax.numpy as jnp
 print(json.dumps(dict(
-    lean=lean, flags=os.environ["XLA_FLAGS"].split(), devices=jax.device_count(), dtype=str(jnp.ones(1).dtype),
-    cache=jax.config.jax_compilation_cache_dir,
+    lean=lean, before=before, flags=os.environ["XLA_FLAGS"].split(), devices=jax.device_count(),
+    dtype=str(jnp.ones(1).dtype), cache=jax.config.jax_compilation_cache_dir,
 )))
 """
 
@@ -55,8 +56,8 @@ def test_jax_may_be_imported_before(report):
 
 
 def test_second_call_changes_nothing(report):
-    once, twice = report("devices=2"), report("devices=2", before="runtime.configure(devices=2)")
-    assert once["flags"] == twice["flags"]
+    seen = report("devices=2", before="runtime.configure(devices=2)")
+    assert seen["before"] == seen["flags"]
 
 
 def test_settings_of_the_user_stay(report, tmp_path):
@@ -78,20 +79,16 @@ def test_a_file_of_flags_is_left_alone(fresh_python, tmp_path):
 
 
 UNTRIED = "runtime._TRIED = {}"
+# One flag that every jaxlib knows and one that none does: each flag beside a wrong one costs the probe a process.
+WRONG = f'{UNTRIED}; runtime._CPU_FLAGS = ("--xla_cpu_prefer_vector_width=512", "--xla_no_such_flag=1")'
 
 
-def test_a_flag_this_jaxlib_does_not_know_is_left_out(report):
-    added = 'runtime._CPU_FLAGS = (*runtime._CPU_FLAGS, "--xla_no_such_flag=1")'
-    seen = report("devices=2", before=f"{UNTRIED}; {added}")
+def test_a_flag_this_jaxlib_does_not_know_is_left_out_and_not_asked_for_again(report):
+    """Nor by a second call, after JAX has started."""
+    seen = report("devices=2", before=f"{WRONG}\nruntime.configure(devices=2); import jax; jax.devices()")
     assert "--xla_cpu_prefer_vector_width=512" in seen["flags"]
     assert "--xla_no_such_flag=1" not in seen["flags"]
     assert seen["devices"] == 2
-
-
-def test_a_second_call_after_jax_started_does_not_ask_for_it_again(report):
-    added = 'runtime._CPU_FLAGS = (*runtime._CPU_FLAGS, "--xla_no_such_flag=1")'
-    started = "runtime.configure(devices=2); import jax; jax.devices()"
-    assert report("devices=2", before=f"{UNTRIED}; {added}\n{started}")["devices"] == 2
 
 
 def test_an_option_of_the_compiler_that_it_does_not_know_is_left_out(report):
@@ -107,16 +104,12 @@ def test_flags_of_the_cpu_are_for_the_cpu(monkeypatch, platforms, wanted):
     assert len(runtime._missing_flags("", devices=2)) == wanted
 
 
-def test_the_probe_runs_once(report):
+def test_the_probe_runs_once_and_not_for_a_jaxlib_that_was_tried(report):
     first = report("devices=2", before=UNTRIED)
-    again = report("devices=2", before=f"{UNTRIED}; runtime._starts_with = None")  # a second probe would fail on None
-    assert again["flags"] == first["flags"]
-
-
-@pytest.mark.skipif(version("jaxlib") not in runtime._TRIED, reason="another jaxlib is probed")
-def test_a_jaxlib_that_was_tried_needs_no_probe_and_takes_the_flags(report):
-    plain = report("devices=2", before="runtime._starts_with = None")
-    assert plain["flags"] == report("devices=2", before=UNTRIED)["flags"]
+    unasked = "runtime._starts_with = None"  # a probe would fail on None
+    assert report("devices=2", before=f"{UNTRIED}; {unasked}")["flags"] == first["flags"]
+    if version("jaxlib") in runtime._TRIED:
+        assert report("devices=2", before=unasked)["flags"] == first["flags"]
 
 
 def test_nothing_is_written_without_a_cache(report, tmp_path):
