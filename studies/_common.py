@@ -157,12 +157,14 @@ class _Keep(engine.AbstractRecorder):
         return memory, memory[1]
 
 
-def seeds(loop, scenario, *, count, sample_rate, duration, points=200, bandwidth=10.0, order=3) -> Seeds:
-    """`count` runs of `loop`; leaves of the scenario may have one value per run."""
-    loop, block = loop.sampled_at(sample_rate), round(sample_rate * duration) // points
+def seeds(loop, scenario, *, count, sample_rate, duration, points=200, bandwidth=10.0, order=3, design=None) -> Seeds:
+    """`count` runs of `loop`; leaves of the scenario may have one value per run, those of the loop too beside a
+    `design` that has one."""
+    loop, block = loop.sampled_at(sample_rate, design), round(sample_rate * duration) // points
+    design = design and design.sampled_at(sample_rate)
     words = noise.die_words(jax.random.key(2010), jnp.arange(count))
-    keep = _Keep(Lowpass(bandwidth, order), loop)
-    done = _run(loop, as_scenario(scenario), words, 1.0 / sample_rate, points, block, keep)
+    keep = _Keep(Lowpass(bandwidth, order), design or loop)
+    done = _run(loop, as_scenario(scenario), words, 1.0 / sample_rate, points, block, keep, design)
     lost = int(count - np.sum(done.alive))
     if lost:
         print(f"{lost} of {count} runs were lost")
@@ -223,3 +225,11 @@ def dps(rate):
 
 def rms(error, axis=None):
     return np.sqrt(np.mean(np.square(error), axis=axis))
+
+
+def interval(error, count=2000):
+    """Root mean square of `error` (points, runs), and the 95 % interval of it that the drawing of runs leaves."""
+    power = np.mean(np.square(error), axis=0)
+    drawn = np.random.default_rng(0).integers(len(power), size=(count, len(power)))
+    low, high = np.quantile(np.sqrt(np.mean(power[drawn], axis=1)), (0.025, 0.975))
+    return float(np.sqrt(np.mean(power))), float(low), float(high)
