@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from .loop.readout import AbstractLinearReadout as AbstractLinearReadout
     from .loop.readout import snr_density as snr_density
     from .loop.observers import ExtendedKalmanFilter as ExtendedKalmanFilter
+    from .loop.observers import JumpTest as JumpTest
     from .loop.observers import LyapunovObserver as LyapunovObserver
     from .loop.observers import EnergyObserver as EnergyObserver
     from .loop.observers import AbstractObserver as AbstractObserver

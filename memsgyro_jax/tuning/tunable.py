@@ -208,7 +208,8 @@ def _numbers_at(loop: ClosedLoop, path: str, known: Mapping[str, int]) -> list[s
         called = f"device.effects.{effect.label.replace(' ', '_')}"
         if path == called or path.startswith(f"{called}."):
             spelled = path.replace(called, f"device.effects.{number}", 1)
-    for prefix in ("observer.process_noise.theta.", "observer.process_noise.", "observer.prior.theta_std."):
+    tables = ("process_noise.theta.", "process_noise.", "prior.theta_std.")
+    for prefix in (f"{filter_}{table}" for filter_ in ("observer.inner.", "observer.") for table in tables):
         name = path.removeprefix(prefix)
         if name != path and name in names:
             table = prefix if "theta" in prefix else f"{prefix}theta."

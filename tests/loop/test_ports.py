@@ -46,8 +46,10 @@ STUDIES = {
     },
     ("none", "sliding_mode"): {"controller": {"kind": "sliding_mode", "start": 0.9, "tones": SWING}},
     ("ekf", "whole_angle"): {
-        "observer": {"kind": "ekf", "known": KNOWN, "with_offsets": False},
-        "controller": {"kind": "whole_angle", "frequency": "3 kHz"},
+        "observer": {"kind": "ekf", "known": KNOWN, "with_offsets": False, "jump": {"damping": "10 1/s"},
+                     "process_noise": {"rate": "1 rad^2/s^3"}},
+        "controller": {"kind": "whole_angle", "frequency": "3 kHz",
+                       "rocking": {"frequency": "100 Hz", "amplitude": "1.2 rad"}},
     },
     ("none", "classic"): {"controller": {"kind": "classic", "sense": "rebalanced", "amplitude": "1 um"}},
 }  # fmt: skip

@@ -26,6 +26,7 @@ from memsgyro_jax.loop.observers import (
     AbstractObserver,
     EnergyObserver,
     ExtendedKalmanFilter,
+    JumpTest,
     LyapunovObserver,
     curves_of,
 )
@@ -80,6 +81,16 @@ class Anneal(FileSection):
 
     excess: Share = 1000.0
     decay: Duration | None = None
+
+
+class JumpWatch(FileSection):
+    """`jump = { damping = "10 1/s" }`: a χ² test of the innovations over `window`, beyond whose `level`, in standard
+    deviations, the damping coefficients are open by that much again.
+    """
+
+    damping: PerSecond
+    window: Duration = 1e-3
+    level: Positive = 5.0
 
 
 class PriorSpread(FileSection):
@@ -144,6 +155,7 @@ class Kalman(FileSection):
     noise_density: Pair[Density] | None = None
     annealing: Anneal | None = None
     fading: Fading | None = None
+    jump: JumpWatch | None = None
     process_noise: Walks = Walks()
     prior: PriorSpread = PriorSpread()
 
@@ -162,9 +174,11 @@ class Kalman(FileSection):
             iterations=self.iterations,
             pickoff=curves_of(gyro) if self.knows_pickoff else (),
         )
-        if self.noise_density is None:
+        if self.noise_density is not None:
+            made = eqx.tree_at(lambda o: o.noise_density, made, tuple(map(jnp.asarray, self.noise_density)))
+        if self.jump is None:
             return made
-        return eqx.tree_at(lambda o: o.noise_density, made, tuple(map(jnp.asarray, self.noise_density)))
+        return JumpTest.of_damping(made, self.jump.damping, window=self.jump.window, level=self.jump.level)
 
 
 Made = TypeVar("Made", bound=Adapting)

@@ -22,7 +22,9 @@ class NumberEntry(NamedTuple):
 
 
 _PLAIN = ("device", "readout", "filter", "observer", "controller")
-_NESTED = ("observer.fading", "observer.annealing", "observer.energy", "controller.energy", "controller.rocking")
+_NESTED = ("observer.fading", "observer.annealing", "observer.energy", "controller.energy", "controller.rocking",
+           "observer.jump")  # fmt: skip
+_AROUND = ("energy", "jump")
 
 
 def entry_of(file: Any, names: tuple[str, ...], path: str) -> NumberEntry | None:
@@ -50,16 +52,22 @@ def entry_of(file: Any, names: tuple[str, ...], path: str) -> NumberEntry | None
 
 
 def _in_file(file: Any, path: str) -> str:
-    """Where a path of the loop leads in the file: what keeps an energy stands around the part that it belongs to."""
+    """Where a path of the loop leads in the file: what keeps an energy, or tests for jumps, stands around the part that
+    it belongs to.
+    """
     part, _, rest = path.partition(".")
-    if part not in ("observer", "controller") or getattr(getattr(file, part, None), "energy", None) is None:
+    section = getattr(file, part, None) if part in ("observer", "controller") else None
+    around = next((name for name in _AROUND if getattr(section, name, None) is not None), None)
+    if around is None:
         return path
-    return f"{part}.{rest.removeprefix('inner.')}" if rest.startswith("inner.") else f"{part}.energy.{rest}"
+    return f"{part}.{rest.removeprefix('inner.')}" if rest.startswith("inner.") else f"{part}.{around}.{rest}"
 
 
 def _walk_of(names: tuple[str, ...], head: str, last: str) -> NumberEntry | None:
     """Process noise: coefficients by name, motion as position and velocity."""
-    table = "observer.process_noise"
+    entry, table = "observer.process_noise", "observer.process_noise"
+    if head.startswith("observer.inner."):
+        table = "observer.inner.process_noise"
     if not head.startswith(f"{table}.") or not last.isdigit():
         return None
     kind, index = head.removeprefix(f"{table}."), int(last)
@@ -72,12 +80,13 @@ def _walk_of(names: tuple[str, ...], head: str, last: str) -> NumberEntry | None
     else:
         field, paths = "offset", tuple(f"{head}.{axis}" for axis in (0, 1))
     unit = field_unit(Walks, field)
-    return None if unit is None else NumberEntry(f"{table}.{field}", unit, paths)
+    return None if unit is None else NumberEntry(f"{entry}.{field}", unit, paths)
 
 
 def unit_at(file: Any, names: tuple[str, ...], path: str) -> str | None:
     """Unit of the number, or of all numbers, at `path` of a loop; coefficients may stand by their name."""
     prefix = "observer.process_noise."
+    path = path.replace("observer.inner.process_noise.", prefix)
     name = path.removeprefix(f"{prefix}theta.") if path.startswith(f"{prefix}theta.") else path.removeprefix(prefix)
     if name != path and name in names:
         path = f"{prefix}theta.{names.index(name)}"

@@ -9,6 +9,7 @@ from .ekf import ExtendedKalmanFilter as ExtendedKalmanFilter
 from .energy import EnergyObserver as EnergyObserver
 from .fading import AdaptiveFading as AdaptiveFading
 from .fading import FixedFading as FixedFading
+from .jump_test import JumpTest as JumpTest
 from .lyapunov import LyapunovObserver as LyapunovObserver
 from .no_observer import NoObserver as NoObserver
 from .pickoff import curves_of as curves_of

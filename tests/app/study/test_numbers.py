@@ -35,6 +35,9 @@ WHOLE_ANGLE = {
     },
 }  # fmt: skip
 PATHS = {
+    "jump": ({"observer": {"kind": "ekf", "jump": {"damping": "10 1/s", "window": "2 ms", "level": 4}}},
+             ("observer.inner.noise_density.1", "observer.inner.process_noise.theta.0", "observer.window",
+              "observer.level")),
     "whole angle": (WHOLE_ANGLE, ("controller.frequency", "controller.rocking.amplitude", "controller.rocking.phase",
                                   "controller.tones.1.0.amplitude")),
     "classic": (CLASSIC, ("controller.drive.phase_gain", "controller.drive.demodulator.bandwidth",

@@ -74,7 +74,9 @@ def test_a_device_that_is_known_becomes_an_ideal_one(gyro, frequency, amplitude)
         period = 1.0 / (samples * frequency)
         time = np.arange(1, COUNT + 1) * period
         begin = 2 * start - jnp.array(controller.unrocked(tuple(start), 0.0))  # still, in the frame that rocks
-        motion = controller.unrocked(tuple(driven(gyro, controller, rate, period, begin).T), time)
+        motion = controller.unrocked(
+            tuple(driven(gyro, controller, jnp.asarray(rate), jnp.asarray(period), begin).T), time
+        )
         ellipse = mg.vibration_ellipse(motion, frequency, rate)
         turned = np.degrees(np.unwrap(np.asarray(ellipse.angle), period=np.pi) + rate * time)
         whole = 30 * samples  # samples in a period of the rocking
