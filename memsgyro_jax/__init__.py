@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from .device.gyro import mode_frequencies as mode_frequencies
     from .loop.readout import ChargeAmplifier as ChargeAmplifier
     from .loop.readout import DirectReadout as DirectReadout
+    from .loop.flicker import Flicker as Flicker
     from .loop.readout import Delayed as Delayed
     from .loop.carrier_readout import CarrierReadout as CarrierReadout
     from .loop.readout import Adc as Adc

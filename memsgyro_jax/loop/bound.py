@@ -129,9 +129,9 @@ def information_bound(
     known exactly). `known` names quantities taken as known: x, y, vx, vy (at the start), offset_x, offset_y and the
     model's coefficients. `also` adds further coefficients as unknown, without prior. The rate that is bounded is a
     constant added to the scenario's. Effects of the device shape the run; what the quantities do to it is taken from
-    the linear part. Quantisation is not counted; the Brownian force of a device that knows its temperature is, as a
-    disturbance of the motion beside the run without it. `windows` is how many moments the bound is given for, at most.
-    For a batch of dies (trailing axis of leaves of `loop` and `scenario`) give the unbatched `design` too.
+    the linear part. Quantisation and flicker are not counted; the Brownian force of a device that knows its temperature
+    is, as a disturbance of the motion beside the run without it. `windows` is how many moments the bound is given for,
+    at most. For a batch of dies (trailing axis of leaves of `loop` and `scenario`) give the unbatched `design` too.
     Under `jax.grad` and `jax.jvp` first derivatives are exact; an infinite entry has none.
 
     Raises `InputError` for float32, an unknown name, a read-out without noise, or settings that make no sample.

@@ -9,6 +9,7 @@ from memsgyro_jax.device.brownian import BOLTZMANN
 from memsgyro_jax.device.electronics import CarrierDetection
 from memsgyro_jax.device.gyro import Pair, Scalar, X, Y, number
 
+from .flicker import Flicker
 from .readout import AbstractLinearReadout, Adc, pair_field
 
 
@@ -32,6 +33,7 @@ class CarrierReadout(AbstractLinearReadout):
     sample_rate: Scalar = number(default=jnp.inf)
     adc: Adc | None = None
     signals: tuple[int, int] = eqx.field(static=True, default=(X, Y))
+    flicker: Flicker | None = None
 
     def __check_init__(self):
         if len(self.detection) != 2:

@@ -27,6 +27,7 @@ Output = TypeVar("Output")
 
 MEASUREMENT_STREAM = 0  # streams of `noise.normal_pair`; 1 and 2 are those of random walks and of blocks
 FORCE_STREAMS = (3, 4)
+FLICKER_STREAM = 16  # and on, one for each state
 
 
 class AbstractRecorder(eqx.Module, Generic[Memory, Output]):
@@ -77,7 +78,7 @@ def run(
     def one_block(carry, number):
         state, memory, alive, survived = carry
         (new_state, new_memory), _ = jax.lax.scan(
-            sample, (state, memory), entering(scenario, words, period, block, number, samples=whole, warm=warm)
+            sample, (state, memory), entering(scenario, words, period, block, number, whole, warm, flickers)
         )
         new_memory, output = recorder.block(new_memory)
         alive = alive & healthy(loop, new_state)
@@ -87,6 +88,7 @@ def run(
 
     lanes, whole = words[0].shape, blocks * block if loop.device.effects else None
     warm = loop.device.temperature is not None
+    flickers = flickers_of(loop)
     start = (*beginning(loop, recorder, lanes, design), jnp.ones(lanes, bool), jnp.zeros(lanes, int))
     (state, memory, alive, survived), outputs = scan_in_groups(one_block, start, blocks)
     return Run(state, memory, outputs, alive, survived)
@@ -94,13 +96,15 @@ def run(
 
 class Entering(NamedTuple):
     """What enters the loop from outside at a sample: its number, the conditions, and standard normal numbers, those of
-    the read-out and, where the device knows its temperature, the four of the motion.
+    the read-out and, where the device knows its temperature, the four of the motion, and where the read-out flickers, a
+    pair for each state.
     """
 
     index: Int[Array, ""]
     conditions: Conditions
     draws: tuple[Array, Array]
     shaking: tuple[Array, ...] | None
+    flicker: tuple[tuple[Array, Array], ...] | None = None
 
 
 def entering(
@@ -111,9 +115,11 @@ def entering(
     number: Array,
     samples: int | None = None,
     warm: bool = False,
+    flickers: int = 0,
 ) -> Entering:
     """What enters at each of the `block` samples of block `number`, along a leading axis; `samples` are those of the
-    whole run, where effects must know what part of it has passed; `warm` is a device that knows its temperature.
+    whole run, where effects must know what part of it has passed; `warm` is a device that knows its temperature,
+    `flickers` are the states of the read-out's flicker.
     """
     index = number * block + jnp.arange(block)
     conditions = jax.vmap(scenario.at)((index + 0.5) * period)
@@ -126,7 +132,15 @@ def entering(
     if warm:
         pairs = [jax.vmap(lambda i, s=stream: noise.normal_pair(words, i, s))(index) for stream in FORCE_STREAMS]
         shaking = (*pairs[0], *pairs[1])
-    return Entering(index, conditions, draws, shaking)
+    states = range(FLICKER_STREAM, FLICKER_STREAM + flickers)
+    flicker = tuple(jax.vmap(lambda i, s=stream: noise.normal_pair(words, i, s))(index) for stream in states) or None
+    return Entering(index, conditions, draws, shaking, flicker)
+
+
+def flickers_of(loop: ClosedLoop) -> int:
+    """How many states the flicker of a loop's read-out has."""
+    flicker = loop.readout.flicker if hasattr(loop, "readout") else None  # a record that is run again has none
+    return 0 if flicker is None else len(flicker.corners)
 
 
 def one_sample(
@@ -135,7 +149,8 @@ def one_sample(
     """State and recorder's memory one sample later."""
     state, memory = carry
     clock = Clock(entering.index * period, entering.index, period)
-    state, taken = loop.step(state, entering.conditions, entering.draws, clock, entering.shaking)
+    flicker = () if entering.flicker is None else (entering.flicker,)
+    state, taken = loop.step(state, entering.conditions, entering.draws, clock, entering.shaking, *flicker)
     return state, recorder.sample(memory, taken)
 
 

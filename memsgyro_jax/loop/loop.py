@@ -30,7 +30,7 @@ from .controllers.base import AbstractController
 from .filters import AbstractFilter, check_fits
 from .observers.base import AbstractCovarianceObserver, AbstractObserver, Clock, Estimate
 from .observers.settings import arrays
-from .readout import AbstractReadout, Effected
+from .readout import AbstractReadout
 from .scenario import Conditions
 from .with_effects import SampleEffects, check_effects, check_own_states, own_start
 
@@ -44,7 +44,7 @@ class FilterState(NamedTuple):
 
 class LoopState(NamedTuple):
     """Everything that a sample hands to the next; `output` is None in a loop without an output filter, `own` are the
-    numbers of the effects' own states.
+    numbers of the effects' own states, `flicker` the states of the read-out's.
     """
 
     motion: State4
@@ -52,6 +52,7 @@ class LoopState(NamedTuple):
     controller: object
     output: FilterState | None = None
     own: tuple[Scalar, ...] = ()
+    flicker: tuple[Pair, ...] = ()
 
 
 class Sample(NamedTuple):
@@ -153,7 +154,8 @@ class ClosedLoop(Displayed):
         if self.filter is not None:
             level = jnp.asarray(self._given_out(observer, controller).rate, float)
             output = FilterState(level, self.filter.init(level))
-        return LoopState(self.start, observer, controller, output, own_start(self.device, self.start))
+        flicker = () if self.readout.flicker is None else self.readout.flicker.init()
+        return LoopState(self.start, observer, controller, output, own_start(self.device, self.start), flicker)
 
     def estimate(self, state: LoopState) -> Estimate:
         """What observer and controller say at a state, before the output filter."""
@@ -167,16 +169,25 @@ class ClosedLoop(Displayed):
         return self.estimate(state).rate if state.output is None else state.output.rate
 
     def step(
-        self, state: LoopState, conditions: Conditions, noise: Pair, clock: Clock, shaking: State4 | None = None
+        self,
+        state: LoopState,
+        conditions: Conditions,
+        noise: Pair,
+        clock: Clock,
+        shaking: State4 | None = None,
+        flicker: tuple[Pair, ...] | None = None,
     ) -> tuple[LoopState, Sample]:
         """One sample, from `clock` to one period later; `noise` is a pair of standard normal numbers, `shaking` four
-        for the device's Brownian force, None for none.
+        for the device's Brownian force, None for none, `flicker` a pair for each state of the read-out's flicker.
         """
         estimate = self.observer.estimate(state.observer)
         force, controller = self.controller.command(state.controller, estimate, clock)
 
         motion, own, shown = self._moved(state, conditions, force, clock, shaking)
         end = Clock(clock.time + clock.period, clock.sample + 1, clock.period)
+        held = state.flicker
+        if flicker is not None and self.readout.flicker is not None:
+            held, shown["late"] = self.readout.flicker.step(held, flicker, clock.sample, clock.period)
         volts = self.readout.measure(motion, noise, conditions.offset_drift, clock.period, **shown)
         observer = self.observer.update(state.observer, volts, force, end)
         controller = self.controller.measured(controller, volts, end)
@@ -185,12 +196,12 @@ class ClosedLoop(Displayed):
         if self.filter is not None and state.output is not None:
             output = FilterState(*self.filter.step(state.output.held, estimate.rate, clock.period))
         rate = estimate.rate if output is None else output.rate
-        new = LoopState(motion, observer, controller, output, own)
+        new = LoopState(motion, observer, controller, output, own, held)
         return new, Sample(end, conditions, motion, volts, force, estimate, rate)
 
     def _moved(
         self, state: LoopState, conditions: Conditions, force: Pair, clock: Clock, shaking: State4 | None
-    ) -> tuple[State4, tuple[Scalar, ...], dict[str, Effected]]:
+    ) -> tuple[State4, tuple[Scalar, ...], dict[str, Any]]:
         """True motion and own states at the end of a sample, and what the read-out must know of effects, if any."""
         dynamics = self.device.dynamics(conditions.inertial)
         shaken = (0.0,) * 4 if shaking is None else self._shaken(conditions, shaking, clock)

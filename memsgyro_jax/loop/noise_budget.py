@@ -44,7 +44,9 @@ class NoiseBudget(Shown, eqx.Module):
 
     `walk` [rad/√s] of each of the `sources`, `density` [rad/s/√Hz, one-sided] of each over `frequency` [Hz], referred
     to the rate that comes in: at low frequencies √2 times the walk. `split` [Hz] is how far the swing is from the sense
-    mode, `amplitude` [m] and `swing` [Hz] are those of the motion. `notes` say what is not counted.
+    mode, `amplitude` [m] and `swing` [Hz] are those of the motion. `instability` [rad/s] is the coefficient B of IEEE
+    952 that flicker of the read-out makes of the quadrature: where it rules, the Allan deviation is 0.664·B. `notes`
+    say what is not counted.
     """
 
     walk: Float[Array, " sources"]
@@ -53,6 +55,7 @@ class NoiseBudget(Shown, eqx.Module):
     amplitude: Scalar
     swing: Scalar
     split: Scalar
+    instability: Scalar
     sources: tuple[str, ...] = eqx.field(static=True)
     notes: tuple[str, ...] = eqx.field(static=True)
 
@@ -80,6 +83,8 @@ class NoiseBudget(Shown, eqx.Module):
         for name, walk in rows:
             share, low = 100.0 * (walk / total) ** 2, np.sqrt(2.0) * walk * _DEGREES
             lines.append(f"  {name:<22} {walk * _PER_ROOT_HOUR:>10.4g} {low:>10.4g} {share:>11.1f} %")
+        if float(self.instability) > 0.0:
+            lines.append(f"  {'bias instability B':<22} {float(self.instability) * _DEGREES * 3600.0:>10.4g} °/h")
         return "\n".join([*lines, *(f"  {note}" for note in self.notes)])
 
     def to_xarray(self) -> "xr.Dataset":
@@ -89,6 +94,7 @@ class NoiseBudget(Shown, eqx.Module):
         variables = {
             "walk": ("source", self.walk, {"units": "rad/sqrt(s)"}),
             "density": (("source", "frequency"), self.density, {"units": "rad/s/sqrt(Hz)"}),
+            "instability": ((), self.instability, {"units": "rad/s"}),
         }
         coordinates = {"source": list(self.sources), "frequency": ("frequency", self.frequency, {"units": "Hz"})}
         return xr.Dataset(variables, coordinates, {"notes": " ".join(self.notes)})
@@ -107,8 +113,8 @@ class NoiseBudget(Shown, eqx.Module):
 
 class _Sense(NamedTuple):
     """The sense coordinate along a swing: ω [rad/s], amplitude [m], square of its own frequency, damping, acceleration
-    per rate g, two-sided density of the Brownian acceleration, weights of the channels that show it, and acceleration
-    by stiffness across, of the swing.
+    per rate g, two-sided density of the Brownian acceleration, weights of the channels that show it, the swing's
+    shape, and its acceleration by stiffness across.
     """
 
     omega: Scalar
@@ -118,6 +124,7 @@ class _Sense(NamedTuple):
     per_rate: Scalar
     shaken: Scalar
     weights: tuple[Scalar, Scalar]
+    along: tuple[Scalar, Scalar]
     coupled: Scalar
 
     def resistance(self, omega: Scalar) -> Scalar:
@@ -163,9 +170,29 @@ def noise_budget(
         amplitude=sense.amplitude,
         swing=sense.omega / (2.0 * jnp.pi),
         split=jnp.abs(modes - sense.omega) / (2.0 * jnp.pi),
+        instability=_instability(loop, sense, phase_locked),
         sources=names,
         notes=_notes(loop, phase_locked, period),
     )
+
+
+def _instability(loop: ClosedLoop, sense: _Sense, phase_locked: bool) -> Scalar:
+    """B of the rate: a delay of a channel turns the part of the swing that it shows by ω times itself.
+
+    Behind a phase-locked loop a delay of x turns the reference, and with it the quadrature; one of y turns what is left
+    of y, the quadrature in open loop and nothing where a force nulls it.
+    """
+    flicker, control = loop.readout.flicker, loop.controller
+    if flicker is None:
+        return jnp.zeros(())
+    if phase_locked:
+        free = isinstance(control, ClassicControl) and not isinstance(control.sense, ForceRebalance)
+        shown = sense.coupled * jnp.asarray((1.0, float(free)))
+    else:
+        stiff = jnp.real(sense.resistance(sense.omega)) * sense.amplitude
+        shown = stiff * jnp.stack([w * a for w, a in zip(sense.weights, sense.along, strict=True)])
+    turned = sense.omega * jnp.stack(flicker.delay) * shown
+    return jnp.sqrt(jnp.sum(turned**2)) / jnp.abs(sense.per_rate)
 
 
 def _notes(loop: ClosedLoop, phase_locked: bool, period: float) -> tuple[str, ...]:
@@ -232,6 +259,7 @@ def _along(gyro: AbstractGyro, omega: Scalar, amplitude: Scalar, along: Array, a
         per_rate=(left @ coriolis @ along) * omega * amplitude,
         shaken=left @ shaken @ left,
         weights=(left[0], left[1]),
+        along=(along[0], along[1]),
         coupled=(left @ stiffness @ along) * amplitude,
     )
 

@@ -31,6 +31,8 @@ from memsgyro_jax.device.gyro import (
 from memsgyro_jax.effects.adc_saturation import saturated
 from memsgyro_jax.effects.readout_delay import lag
 
+from .flicker import Flicker, check_flicker
+
 
 PERMITTIVITY = 8.8541878128e-12  # F/m
 TRAVEL = 50e-6  # m, the overlap of the thesis' combs
@@ -72,6 +74,11 @@ class AbstractReadout(Displayed):
     signals: AbstractVar[tuple[int, int]]
 
     @property
+    def flicker(self) -> Flicker | None:
+        """Its flicker; None for none."""
+        return None
+
+    @property
     def travel(self) -> float:
         """How far in m a mass may move before the read-out no longer follows, 50 µm where nothing limits it."""
         return TRAVEL
@@ -90,11 +97,23 @@ class AbstractReadout(Displayed):
         return found
 
     def measure(
-        self, motion: tuple[Scalar, ...], noise: Pair, drift: Pair, period: Scalar, effects: Effected | None = None
+        self,
+        motion: tuple[Scalar, ...],
+        noise: Pair,
+        drift: Pair,
+        period: Scalar,
+        effects: Effected | None = None,
+        late: Pair | None = None,
     ) -> Pair:
         """One sample in volts; `noise` is a pair of standard normal numbers, `drift` changes the offsets [V]. `effects`
-        are what the device's effects make of the volts before the noise and behind it.
+        are what the device's effects make of the volts before the noise and behind it. `late` are the delays of both
+        channels [s], counted to first order, None for none.
         """
+        if late is not None:
+            moved = (
+                place - lag(delay, speed) for place, speed, delay in zip(motion[:2], motion[2:], late, strict=True)
+            )
+            motion = (*moved, *motion[2:])
         volts = self.clean(motion, drift) if effects is None else effects[0](self.clean(motion, drift))
         volts = tuple(v + n * std for v, n, std in zip(volts, noise, self.noise_std(period), strict=True))
         volts = volts if effects is None else effects[1](volts)
@@ -114,6 +133,8 @@ class AbstractLinearReadout(AbstractReadout):
     @property
     def hindrance(self) -> str | None:
         """What of it is not linear after all, in words; None for nothing."""
+        if self.flicker is not None:
+            return "the read-out flickers"
         return None if self.adc is None else "the read-out's converter rounds every sample"
 
 
@@ -138,7 +159,8 @@ class ChargeAmplifier(AbstractLinearReadout):
     `fingers` N; finger width `width` W, `gap` Z, initial overlap `overlap` x0 and its mismatch `mismatch` d in m;
     `bias` in V; `feedback` Cf and `parasitic` Cp in F; op-amp `opamp_offset` Vos in V. `rejection` ν in [0, 1] scales
     what the op-amp offset leaves (1: none rejected). The offset is the α + β of (3.10) with (3.12): mismatch and op-amp
-    parts add. `noise_density` in V/√Hz (one-sided), zero means noise-free; `adc` None means no converter.
+    parts add. `noise_density` in V/√Hz (one-sided), zero means noise-free; `adc` None means no converter, `flicker`
+    None no flicker.
     """
 
     fingers: Scalar | Pair = pair_field()
@@ -154,6 +176,7 @@ class ChargeAmplifier(AbstractLinearReadout):
     noise_density: Scalar | Pair = eqx.field(converter=_as_pair, default=0.0)
     adc: Adc | None = None
     signals: tuple[int, int] = eqx.field(static=True, default=(X, Y))
+    flicker: Flicker | None = None
 
     def __check_init__(self):
         for name in ("fingers", "width", "gap", "feedback"):
@@ -164,6 +187,7 @@ class ChargeAmplifier(AbstractLinearReadout):
         if is_concrete(self.rejection) and not all(0.0 <= value <= 1.0 for value in np.ravel(self.rejection)):
             raise InputError(f"Argument `rejection` must lie between 0 and 1, but {self.rejection} was given.")
         _check_density(self.noise_density)
+        check_flicker(self.flicker, self.signals)
 
     @classmethod
     def chi2010(cls, noise_density: float | Pair | None = None) -> "ChargeAmplifier":
@@ -226,7 +250,8 @@ class ChargeAmplifier(AbstractLinearReadout):
 class DirectReadout(AbstractLinearReadout):
     """A pick-off without circuit: `scale * signal + offset + noise`, on displacement or on velocity.
 
-    `scale` in V/m (or V·s/m), `offset` in V, `noise_density` in V/√Hz one-sided; zeros mean absent.
+    `scale` in V/m (or V·s/m), `offset` in V, `noise_density` in V/√Hz one-sided; zeros mean absent, as None for
+    `flicker`.
     """
 
     scale: Scalar | Pair = pair_field()
@@ -234,9 +259,11 @@ class DirectReadout(AbstractLinearReadout):
     noise_density: Scalar | Pair = eqx.field(converter=_as_pair, default=0.0)
     adc: Adc | None = None
     signals: tuple[int, int] = eqx.field(static=True, default=(X, Y))
+    flicker: Flicker | None = None
 
     def __check_init__(self):
         _check_density(self.noise_density)
+        check_flicker(self.flicker, self.signals)
 
     @classmethod
     def of_velocity(cls, scale: float | Pair, noise_density: float | Pair = 0.0) -> "DirectReadout":
@@ -274,6 +301,11 @@ class Delayed(AbstractLinearReadout):
     def travel(self) -> float:
         """Of the read-out itself."""
         return self.inner.travel
+
+    @property
+    def flicker(self) -> Flicker | None:
+        """Of the read-out itself."""
+        return self.inner.flicker
 
     @property
     def scale(self) -> Pair:  # type: ignore[override]  # an abstract field may be a property

@@ -186,7 +186,8 @@ def noises(bench: RateTests, bandwidth: Dies, duration: float) -> tuple[Datashee
         ("bias instability", "deg/h", "Least Allan deviation over 0.664"),
     )
     condition = f"no input rate, {duration - bench.settle:.4g} s from {bench.settle:.3g} s after power-on"
-    silent = all(float(np.max(np.asarray(d))) == 0.0 for d in bench.loop.readout.noise_density)
+    readout = bench.loop.readout
+    silent = readout.flicker is None and all(float(np.max(np.asarray(d))) == 0.0 for d in readout.noise_density)
     run = None if silent else bench.noisy(bench.at(0.0), duration)
     if run is None:
         reasons = (f"{NOT_MODELLED}: the read-out has no noise",) * 3

@@ -139,7 +139,8 @@ class Portion(eqx.Module):
     def _entering(self, number: Array) -> engine.Entering:
         device, timing = self.design[0].device, self.timing
         samples, warm = timing.blocks * timing.block if device.effects else None, device.temperature is not None
-        return engine.entering(self.scenario, self.words, timing.period, timing.block, number, samples, warm)
+        flickers = engine.flickers_of(self.design[0])
+        return engine.entering(self.scenario, self.words, timing.period, timing.block, number, samples, warm, flickers)
 
     def _sample(self, loop: ClosedLoop, carry: Carry, entering: engine.Entering) -> Carry:
         return engine.one_sample(loop, self.timing.period, self.loss, carry, entering)

@@ -7,6 +7,7 @@ from pydantic import Field, model_validator
 from memsgyro_jax.base.quantity import Density, Farad, FileSection, Hertz, In, Pair, Radian, Volt, Whole
 from memsgyro_jax.device.electronics import CarrierDetection, ChargeStage
 from memsgyro_jax.loop.carrier_readout import CarrierReadout
+from memsgyro_jax.loop.flicker import Flicker
 from memsgyro_jax.loop.readout import AbstractReadout, Adc
 
 
@@ -19,6 +20,18 @@ class Converter(FileSection):
     def build(self) -> Adc:
         """The converter."""
         return Adc(self.limit, self.bits)
+
+
+class Flickering(FileSection):
+    """`flicker = { delay = ["0 s", "1 ns"], lowest, decades }`: a delay of x and y that wanders as 1/f."""
+
+    delay: Pair[Annotated[float, Field(ge=0.0), In("s")]]
+    lowest: Annotated[float, Field(gt=0.0), In("Hz")] = 0.1
+    decades: Annotated[Whole, Field(ge=1, le=12)] = 5
+
+    def build(self) -> Flicker:
+        """The flicker."""
+        return Flicker(self.delay, self.lowest, self.decades)
 
 
 _Stage = Annotated[float, Field(gt=0.0), In("F")]
@@ -51,6 +64,7 @@ class Carrier(FileSection):
     opamp_corner: Annotated[float, Field(ge=0.0), In("Hz")] = 0.0
     temperature: Annotated[float, Field(ge=0.0), In("K")] = 0.0
     adc: Converter | None = None
+    flicker: Flickering | None = None
 
     @model_validator(mode="after")
     def _can_exist(self) -> "Carrier":
@@ -73,5 +87,10 @@ class Carrier(FileSection):
             )
         )  # fmt: skip
         return CarrierReadout(
-            detections, self.gradient, self.frequency, self.capacitance_mismatch, adc=self.adc and self.adc.build()
+            detections,
+            self.gradient,
+            self.frequency,
+            self.capacitance_mismatch,
+            adc=self.adc and self.adc.build(),
+            flicker=self.flicker and self.flicker.build(),
         )

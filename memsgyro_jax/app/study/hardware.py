@@ -29,7 +29,7 @@ from memsgyro_jax.loop.readout import AbstractReadout, ChargeAmplifier, DirectRe
 from memsgyro_jax.measurement.model import Model
 from memsgyro_jax.measurement.model_file import read_model
 
-from .carrier import Carrier, Converter
+from .carrier import Carrier, Converter, Flickering
 from .paths import RelativePath
 
 
@@ -205,6 +205,7 @@ class Charge(FileSection):
     noise_density: Pair[Density] | None = None
     snr: Snr | None = None
     adc: Converter | None = None
+    flicker: Flickering | None = None
 
     @model_validator(mode="after")
     def _can_exist(self) -> "Charge":
@@ -234,6 +235,7 @@ class Capacitive(FileSection):
     noise_density: Pair[Density] | None = None
     snr: Snr | None = None
     adc: Converter | None = None
+    flicker: Flickering | None = None
 
     @model_validator(mode="after")
     def _can_exist(self) -> "Capacitive":
@@ -249,6 +251,7 @@ def _amplifier(part: Charge | Capacitive, make: Callable[..., ChargeAmplifier]) 
     """What `make` gives of the section's numbers, with its noise."""
     given = part.numbers()
     noise, snr, adc = given.pop("noise_density"), given.pop("snr"), given.pop("adc")
+    given["flicker"] = part.flicker and part.flicker.build()
     if noise is not None and snr is not None:
         raise ValueError("must have either noise_density or snr, but has both")
     quiet = make(**given, noise_density=noise or 0.0, adc=adc and adc.build())
@@ -266,10 +269,11 @@ class Position(FileSection):
     offset: Pair[Volt] = (0.0, 0.0)
     noise_density: Pair[Density] = (0.0, 0.0)
     adc: Converter | None = None
+    flicker: Flickering | None = None
 
     def build(self) -> AbstractReadout:
         """The read-out."""
-        return _direct(self, (X, Y))
+        return _direct(self, (X, Y), self.flicker)
 
 
 class Velocity(FileSection):
@@ -301,9 +305,9 @@ class FittedReadout(FileSection):
         return DirectReadout(scale, offset, self.noise_density, self.adc and self.adc.build(), (X, Y))
 
 
-def _direct(part: Position | Velocity, signals: tuple[int, int]) -> DirectReadout:
+def _direct(part: Position | Velocity, signals: tuple[int, int], flicker: Flickering | None = None) -> DirectReadout:
     adc = part.adc and part.adc.build()
-    return DirectReadout(part.scale, part.offset, part.noise_density, adc, signals)
+    return DirectReadout(part.scale, part.offset, part.noise_density, adc, signals, flicker and flicker.build())
 
 
 Readout = Annotated[Charge | Capacitive | Carrier | Position | Velocity | FittedReadout, Field(discriminator="kind")]

@@ -249,6 +249,24 @@ def test_noise_as_the_thesis_states_it(write):
     assert float(study.loop.readout.noise_density[0]) == pytest.approx(float(wanted), rel=1e-3)
 
 
+@pytest.mark.parametrize(
+    "kind",
+    [
+        'kind = "displacement"\nscale = "1 V/um"',
+        'kind = "capacitive"\ngradient = "5 nF/m"\ncapacitance = "0.5 pF"\nbias = "10 V"\nfeedback = "1 pF"',
+    ],
+)
+def test_a_readout_may_flicker(write, tmp_path, kind):
+    density = 'noise_density = "1 uV/sqrt(Hz)"'
+    study = mg.load_study(
+        write(f'[readout]\n{kind}\n{density}\nflicker = {{ delay = ["0 s", "2 ns"], lowest = "10 mHz" }}\n')
+    )
+    flicker = study.loop.readout.flicker
+    assert [float(delay) for delay in flicker.delay] == pytest.approx([0.0, 2e-9])
+    assert (float(flicker.lowest), flicker.decades) == (0.01, 5)
+    assert same(mg.load_study(study.write(tmp_path / "again.toml")), study)
+
+
 def test_a_recorded_rate_lies_beside_its_study(write, tmp_path):
     (tmp_path / "records").mkdir()
     (tmp_path / "records" / "turn.csv").write_text("t [ms],rate [deg/s]\n5,0\n15,90\n25,90\n")
