@@ -38,6 +38,8 @@ if TYPE_CHECKING:
     from .loop.observers import JumpTest as JumpTest
     from .loop.observers import LyapunovObserver as LyapunovObserver
     from .loop.observers import EnergyObserver as EnergyObserver
+    from .loop.observers import ScaleRatioFilter as ScaleRatioFilter
+    from .loop.observers import KnownRateFilter as KnownRateFilter
     from .loop.observers import AbstractObserver as AbstractObserver
     from .loop.observers import AbstractCovarianceObserver as AbstractCovarianceObserver
     from .loop.observers import AbstractBlockObserver as AbstractBlockObserver
@@ -110,6 +112,7 @@ if TYPE_CHECKING:
     from .loop.lyapunov_function import least_gain as least_gain
     from .loop.bound import information_bound as information_bound
     from .loop.bound import InformationBound as InformationBound
+    from .loop.observers.scale_ratio import READOUT_SCALES as READOUT_SCALES
     from .loop.bound import CROSS_DAMPING_ASYMMETRY as CROSS_DAMPING_ASYMMETRY
     from .loop.observability import observability as observability
     from .loop.observability import observability_matrix as observability_matrix

@@ -3,6 +3,8 @@
 KINDS = {
     "observer": {
         "ekf": "extended Kalman filter, with a covariance",
+        "scale_ratio": "the same, finds the ratio of the read-out's scales too",
+        "known_rate": "the same, learns unequal cross damping while the rate is known",
         "lyapunov": "the thesis' own, of a velocity read-out",
         "energy_lyapunov": "the same with an energy state",
         "none": "for a controller that measures by itself",

@@ -34,9 +34,8 @@ from .modes import natural_frequencies as natural_frequencies
 from .small import Matrix, Vector, plus, times
 
 
-X, Y, VX, VY, UX, UY = range(
-    6
-)  # the signals an acceleration can be proportional to: displacement, velocity, applied force
+# The signals an acceleration can be proportional to: displacement, velocity, applied force.
+X, Y, VX, VY, UX, UY = range(6)
 
 
 class Term(NamedTuple):
@@ -51,14 +50,15 @@ class Term(NamedTuple):
 class Coefficient:
     """A mass-normalised coefficient of the equations of motion and the terms it multiplies.
 
-    `is_rate` marks Coriolis terms, which a controller must not mistake for damping. `delays` is the channel (0 for x, 1
-    for y) of a displacement read-out that the coefficient, a time in s, delays; such a one has no terms.
+    `is_rate` marks Coriolis terms, which a controller must not mistake for damping. A coefficient of a channel (0 for
+    x, 1 for y) has no terms: `delays` a displacement read-out by a time in s, `scales` it up by a share.
     """
 
     name: str
     terms: tuple[Term, ...]
     is_rate: bool = False
     delays: int | None = None
+    scales: int | None = None
 
 
 class Dynamics(eqx.Module):

@@ -19,18 +19,15 @@ from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.runtime import require_float64
 from memsgyro_jax.base.units import rate_to_dps
-from memsgyro_jax.device.gyro import VX, VY, Coefficient, Pair, Term, check_positive
+from memsgyro_jax.device.gyro import Coefficient, Pair, check_positive
 
 from .least_variance import least_variance, with_slopes
 from .loop import ClosedLoop, as_loop
+from .observers.known_rate import CROSS_DAMPING_ASYMMETRY as CROSS_DAMPING_ASYMMETRY
 from .observers.settings import Prior
 from .scenario import AbstractProfile, Scenario, as_scenario
 from .sensitivities import Unknowns, begin, lanes_of, sampling, unknowns_of
 
-
-CROSS_DAMPING_ASYMMETRY = Coefficient("cross_damping_asymmetry", (Term(0, VY, 0.5), Term(1, VX, -0.5)))
-"""(dyx - dxy)/m in 1/s, for `also` of `information_bound`: the force is that of a rate four times smaller, so without a
-prior neither can be known (thesis 4.1.2)."""
 
 _BLOCK = 200  # samples between two orthogonal updates, at most
 

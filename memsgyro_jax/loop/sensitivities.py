@@ -78,7 +78,13 @@ def units_of(model: MotionModel) -> tuple[str, ...]:
     """The unit of each coefficient of the equations of motion."""
     by_signal = {**dict.fromkeys((X, Y), "1/s²"), **dict.fromkeys((VX, VY), "1/s"), **dict.fromkeys((UX, UY), "1/kg")}
     return tuple(
-        "s" if c.delays is not None else "rad/s" if c.is_rate else by_signal[c.terms[0].signal]
+        "s"
+        if c.delays is not None
+        else "1"
+        if c.scales is not None
+        else "rad/s"
+        if c.is_rate
+        else by_signal[c.terms[0].signal]
         for c in model.coefficients
     )
 
@@ -92,7 +98,7 @@ def unknowns_of(
     """
     model = MotionModel(loop.device.model.coefficients + also)
     length, frequency, gain = dimensions_of(loop)
-    by_unit = {"1/s²": frequency**2, "1/s": frequency, "1/kg": gain, "rad/s": 1.0, "s": 1.0 / frequency}
+    by_unit = {"1/s²": frequency**2, "1/s": frequency, "1/kg": gain, "rad/s": 1.0, "s": 1.0 / frequency, "1": 1.0}
     table = dict.fromkeys(MOTION[:2], (length, "m")) | dict.fromkeys(MOTION[2:], (length * frequency, "m/s"))
     table |= dict.fromkeys(OFFSETS, (1e-3, "V"))
     table |= {name: (by_unit[unit], unit) for name, unit in zip(model.names, units_of(model), strict=True)}
@@ -154,7 +160,7 @@ def sampling(
         clock = Clock(index * period, index, period)
         state, taken = silent.step(carry.loop, conditions, (0.0, 0.0), clock)
         tangents = _propagated(silent, carry, conditions, taken.force, clock, unknown)
-        rows, shaken = _voltage_rows(silent, tangents, unit, unknown, lanes), carry.shaken
+        rows, shaken = _voltage_rows(silent, state.motion, tangents, unit, unknown, lanes), carry.shaken
         if shaken is not None:
             dynamics = silent.device.dynamics(conditions.inertial)
             step = silent.discretisation.transition(dynamics.stiffness, dynamics.velocity, period)
@@ -207,11 +213,14 @@ def _independent(loop: ClosedLoop, shaken: Shaken, rows: Array, unit: Pair) -> t
 
 
 def _voltage_rows(
-    loop: ClosedLoop, tangents: tuple[Array, ...], unit: Pair, unknown: Unknowns, lanes: tuple[int, ...]
+    loop: ClosedLoop, motion: State4, tangents: tuple[Array, ...], unit: Pair, unknown: Unknowns, lanes: tuple[int, ...]
 ) -> Float[Array, "2 quantities *lanes"]:
     """Derivative of both voltages by each quantity, in `unit` volts."""
     readout, rows = loop.readout, []
-    for signal, scale, volts, name in zip(readout.signals, readout.scale, unit, OFFSETS, strict=True):
-        offset = over_dies(unknown.tangent(name), 1, lanes)
-        rows.append((scale * tangents[signal] + offset) / volts)
+    for axis, (signal, scale, volts) in enumerate(zip(readout.signals, readout.scale, unit, strict=True)):
+        row = scale * tangents[signal] + over_dies(unknown.tangent(OFFSETS[axis]), 1, lanes)
+        for coefficient in unknown.model.coefficients:
+            if coefficient.scales == axis:
+                row = row + scale * motion[signal] * over_dies(unknown.tangent(coefficient.name), 1, lanes)
+        rows.append(row / volts)
     return jnp.stack(rows)

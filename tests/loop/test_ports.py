@@ -44,6 +44,14 @@ STUDIES = {
         "observer": {"kind": "ekf", "known": KNOWN, "with_offsets": False},
         "controller": {"kind": "designed_motion", "tones": SWING},
     },
+    ("scale_ratio", "damping_compensation"): {
+        "observer": {"kind": "scale_ratio", "known": KNOWN, "with_offsets": False},
+        "controller": {"kind": "damping_compensation", "tones": [{"frequency": "600 Hz", "amplitude": "5 m/s^2"}]},
+    },
+    ("known_rate", "damping_compensation"): {
+        "observer": {"kind": "known_rate", "until": "0.1 ms", "known": KNOWN, "with_offsets": False},
+        "controller": {"kind": "damping_compensation", "tones": [{"frequency": "600 Hz", "amplitude": "5 m/s^2"}]},
+    },
     ("none", "sliding_mode"): {"controller": {"kind": "sliding_mode", "start": 0.9, "tones": SWING}},
     ("ekf", "whole_angle"): {
         "observer": {"kind": "ekf", "known": KNOWN, "with_offsets": False, "jump": {"damping": "10 1/s"},

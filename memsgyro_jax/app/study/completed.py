@@ -11,7 +11,7 @@ from memsgyro_jax.loop.readout import AbstractReadout
 
 from .classic import Classic, Unobserved
 from .control import Added, Compensation, Sliding
-from .laws import Kalman, LyapunovGains
+from .laws import KalmanSettings, LyapunovGains
 
 
 USUAL_SPREAD = 0.15
@@ -46,7 +46,7 @@ def _observer(part: FileSection, usual: Operation, amplitude: float, spread: flo
         return _filled(part, **_units(usual))
     if isinstance(part, Unobserved):
         return part
-    assert isinstance(part, Kalman)
+    assert isinstance(part, KalmanSettings)
     annealing = part.annealing and _filled(part.annealing, decay=usual.decay)
     prior = _filled(part.prior, spread=spread, amplitude=amplitude)
     return part.model_copy(update={"annealing": annealing, "prior": prior})

@@ -1,6 +1,7 @@
 """Section `[observer]` of a study file."""
 
-from typing import Annotated, Literal, TypeVar
+from collections.abc import Callable
+from typing import Annotated, Any, Literal, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -27,7 +28,9 @@ from memsgyro_jax.loop.observers import (
     EnergyObserver,
     ExtendedKalmanFilter,
     JumpTest,
+    KnownRateFilter,
     LyapunovObserver,
+    ScaleRatioFilter,
     curves_of,
 )
 from memsgyro_jax.loop.observers.adaptation import Adapting
@@ -40,6 +43,7 @@ from .classic import Unobserved
 
 Discretisation = Literal["exact", "euler"]
 Positive = Annotated[float, Field(gt=0.0), In("1")]
+ObserverT = TypeVar("ObserverT", bound=AbstractObserver)
 
 
 def discretisation(name: Discretisation) -> AbstractDiscretisation:
@@ -141,12 +145,11 @@ class Walks(FileSection):
         return ProcessNoise(motion, offset, theta).shaken_as(gyro)
 
 
-class Kalman(FileSection):
-    """`kind = "ekf"`: extended Kalman filter. `noise_density` left out is that of the read-out; `knows_pickoff` tells
-    it the curves of the pick-off that the device has as effects.
+class KalmanSettings(FileSection):
+    """What every Kalman filter is told. `noise_density` left out is that of the read-out; `knows_pickoff` tells it the
+    curves of the pick-off that the device has as effects.
     """
 
-    kind: Literal["ekf"]
     known: tuple[str, ...] = ()
     with_offsets: bool = True
     iterations: Annotated[Whole, Field(ge=1)] = 1
@@ -155,30 +158,76 @@ class Kalman(FileSection):
     noise_density: Pair[Density] | None = None
     annealing: Anneal | None = None
     fading: Fading | None = None
-    jump: JumpWatch | None = None
     process_noise: Walks = Walks()
     prior: PriorSpread = PriorSpread()
 
+    def settings(self, gyro: AbstractGyro) -> dict[str, Any]:
+        """What `for_device` of the filter is given; raises `InputError` for a coefficient that the device does not
+        have.
+        """
+        return {
+            "known": self.known,
+            "with_offsets": self.with_offsets,
+            "prior": design_prior(gyro, **self.prior.numbers()),
+            "process_noise": self.process_noise.build(gyro),
+            "fading": self.fading and self.fading.build(),
+            "annealing": self.annealing and Annealing(**self.annealing.numbers()),
+            "discretisation": discretisation(self.discretisation),
+            "iterations": self.iterations,
+            "pickoff": curves_of(gyro) if self.knows_pickoff else (),
+        }
+
+    def told(self, made: ObserverT, density: Callable[[Any], Any]) -> ObserverT:
+        """`made` with the noise density of the section, which stands at `density`."""
+        if self.noise_density is None:
+            return made
+        return eqx.tree_at(density, made, tuple(map(jnp.asarray, self.noise_density)))
+
+
+class Kalman(KalmanSettings):
+    """`kind = "ekf"`: extended Kalman filter."""
+
+    kind: Literal["ekf"]
+    jump: JumpWatch | None = None
+
     def build(self, gyro: AbstractGyro, readout: AbstractReadout) -> AbstractObserver:
         """The filter; raises `InputError` for a coefficient that the device does not have."""
-        made = ExtendedKalmanFilter.for_device(
-            gyro,
-            readout,
-            known=self.known,
-            with_offsets=self.with_offsets,
-            prior=design_prior(gyro, **self.prior.numbers()),
-            process_noise=self.process_noise.build(gyro),
-            fading=self.fading and self.fading.build(),
-            annealing=self.annealing and Annealing(**self.annealing.numbers()),
-            discretisation=discretisation(self.discretisation),
-            iterations=self.iterations,
-            pickoff=curves_of(gyro) if self.knows_pickoff else (),
-        )
-        if self.noise_density is not None:
-            made = eqx.tree_at(lambda o: o.noise_density, made, tuple(map(jnp.asarray, self.noise_density)))
+        made = ExtendedKalmanFilter.for_device(gyro, readout, **self.settings(gyro))
+        made = self.told(made, lambda o: o.noise_density)
         if self.jump is None:
             return made
         return JumpTest.of_damping(made, self.jump.damping, window=self.jump.window, level=self.jump.level)
+
+
+class ScaleRatio(KalmanSettings):
+    """`kind = "scale_ratio"`: the filter that also finds by how much the scales of the two channels differ, known to
+    `ratio` at the start.
+    """
+
+    kind: Literal["scale_ratio"]
+    ratio: Share = 0.1
+
+    def build(self, gyro: AbstractGyro, readout: AbstractReadout) -> AbstractObserver:
+        """The filter; raises `InputError` for a device of two masses."""
+        made = ScaleRatioFilter.for_device(gyro, readout, ratio_std=self.ratio, **self.settings(gyro))
+        return self.told(made, lambda o: o.filter.noise_density)
+
+
+class KnownRate(KalmanSettings):
+    """`kind = "known_rate"`: the filter that learns unequal cross damping, known to the share `asymmetry`, while the
+    rate is known: `rate`, until `until`.
+    """
+
+    kind: Literal["known_rate"]
+    until: Annotated[float, Field(ge=0.0), In("s")]
+    rate: Annotated[float, In("rad/s")] = 0.0
+    asymmetry: Share = 0.1
+
+    def build(self, gyro: AbstractGyro, readout: AbstractReadout) -> AbstractObserver:
+        """The filter; raises `InputError` for a device of two masses."""
+        phase = {"until": self.until, "rate": self.rate, "asymmetry": self.asymmetry}
+        made = KnownRateFilter.for_device(gyro, readout, **phase, **self.settings(gyro))
+        return self.told(made, lambda o: o.filter.noise_density)
 
 
 Made = TypeVar("Made", bound=Adapting)
@@ -251,4 +300,6 @@ class EnergyLyapunov(LyapunovGains):
         return EnergyObserver(self.observer(gyro, readout), **self.energy.numbers())
 
 
-Observer = Annotated[Kalman | Lyapunov | EnergyLyapunov | Unobserved, Field(discriminator="kind")]
+Observer = Annotated[
+    Kalman | ScaleRatio | KnownRate | Lyapunov | EnergyLyapunov | Unobserved, Field(discriminator="kind")
+]

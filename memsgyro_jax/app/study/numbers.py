@@ -30,8 +30,13 @@ _AROUND = ("energy", "jump")
 def entry_of(file: Any, names: tuple[str, ...], path: str) -> NumberEntry | None:
     """The entry that holds the number at `path` of a loop whose coefficients have `names`; None where none does.
 
-    `file` is the `StudyFile`. Auxiliary tones are told apart by `tones_of`.
+    `file` is the `StudyFile`. Auxiliary tones are told apart by `tones_of`; numbers of a filter within an observer
+    stand as the observer's.
     """
+    if path.startswith("observer.filter."):
+        found = entry_of(file, names, path.replace(".filter.", ".", 1))
+        inside = [place.replace("observer.", "observer.filter.", 1) for place in found.paths] if found else []
+        return found and found._replace(paths=tuple(inside))
     head, _, last = path.rpartition(".")
     walk = _walk_of(names, head, last)
     if walk:

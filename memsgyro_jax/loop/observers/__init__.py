@@ -10,9 +10,11 @@ from .energy import EnergyObserver as EnergyObserver
 from .fading import AdaptiveFading as AdaptiveFading
 from .fading import FixedFading as FixedFading
 from .jump_test import JumpTest as JumpTest
+from .known_rate import KnownRateFilter as KnownRateFilter
 from .lyapunov import LyapunovObserver as LyapunovObserver
 from .no_observer import NoObserver as NoObserver
 from .pickoff import curves_of as curves_of
+from .scale_ratio import ScaleRatioFilter as ScaleRatioFilter
 from .settings import Annealing as Annealing
 from .settings import Prior as Prior
 from .settings import ProcessNoise as ProcessNoise

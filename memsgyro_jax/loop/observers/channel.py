@@ -10,42 +10,54 @@ from memsgyro_jax.device.small import Vector
 from .covariance import Gain, Prediction, beside, entries, square
 
 
-class EstimatedDelay(NamedTuple):
-    """What an estimated delay does to a channel, to first order volts = scale * (x - delay * vx): its volts, their
-    derivatives by velocity and by delay, and the delay's place among the constants.
+class ChannelPart(NamedTuple):
+    """What an estimated coefficient of the read-out does to a channel: its volts, their derivatives by the `entry` of
+    the motion that they follow and by the coefficient itself, and the coefficient's place among the constants.
     """
 
     volts: Scalar
-    by_velocity: Scalar
-    by_delay: Scalar
+    by_entry: Scalar
+    by_itself: Scalar
+    entry: int
     place: int
-
-    @classmethod
-    def of(cls, scale: Scalar, velocity: Scalar, constants: Array, place: int) -> "EstimatedDelay":
-        """The delay at `place`, of a channel with `scale`."""
-        by_velocity = -scale * constants[place]
-        return cls(by_velocity * velocity, by_velocity, -scale * velocity, place)
 
 
 class Channel(NamedTuple):
-    """`scale * signal + offset`, less what a `delay` takes away; h of the update, which P meets on both sides.
+    """`scale * signal + offset`, and what `parts` of the read-out add; h of the update, which P meets on both sides.
 
     `signal` is the measured entry of the motion, `offset` the place of the offset among the constants (None where it
-    is no state). `volts` are expected there, without offset and delay; of a curved pick-off `scale` is the slope.
+    is no state). `volts` are expected there, without offset and parts; of a curved pick-off `scale` is the slope.
     """
 
     signal: int
     scale: Scalar
     offset: int | None
     volts: Scalar
-    delay: EstimatedDelay | None = None
+    parts: tuple[ChannelPart, ...] = ()
+
+    def with_delay(self, velocity: Scalar, constants: Array, place: int) -> "Channel":
+        """A displacement late by the constant at `place`: to first order volts = scale * (x - delay * vx)."""
+        by_velocity = -self.scale * constants[place]
+        part = ChannelPart(by_velocity * velocity, by_velocity, -self.scale * velocity, self.signal + 2, place)
+        return self._replace(parts=(*self.parts, part))
+
+    def with_share(self, constants: Array, place: int) -> "Channel":
+        """A scale larger by the share at `place`."""
+        share = constants[place]
+        part = ChannelPart(share * self.volts, share * self.scale, self.volts, self.signal, place)
+        return self._replace(parts=(*self.parts, part))
+
+    def without_parts(self, volts: Scalar) -> Scalar:
+        """`volts` less those of the parts."""
+        for part in self.parts:
+            volts = volts - part.volts
+        return volts
 
     def of(self, motion: Vector, constants: Array) -> Scalar:
         """h · column."""
         value = self.scale * motion[self.signal]
-        if self.delay is not None:
-            delay = self.delay
-            value = value + delay.by_velocity * motion[self.signal + 2] + delay.by_delay * constants[delay.place]
+        for part in self.parts:
+            value = value + part.by_entry * motion[part.entry] + part.by_itself * constants[part.place]
         return value if self.offset is None else value + entries(constants)[self.offset]
 
     def covariance(self, prior: Prediction) -> tuple[Vector, Array]:
@@ -55,14 +67,13 @@ class Channel(NamedTuple):
         if self.offset is not None:
             motion = motion + Vector(entries(row)[self.offset] for row in cross)
             constants = constants + prior.row(self.offset)
-        if self.delay is not None:
-            velocity, delay, place = signal + 2, self.delay, self.delay.place
-            motion = motion + delay.by_velocity * block[velocity] + delay.by_delay * Vector(row[place] for row in cross)
-            constants = constants + delay.by_velocity * cross[velocity] + delay.by_delay * prior.row(place)
+        for _, by_entry, by_itself, entry, place in self.parts:
+            motion = motion + by_entry * block[entry] + by_itself * Vector(row[place] for row in cross)
+            constants = constants + by_entry * cross[entry] + by_itself * prior.row(place)
         return motion, constants
 
     def spread(self, motion: Vector, cross: Vector, constants: Array) -> Scalar:
-        """hᵀ P h without a delay."""
+        """hᵀ P h without parts."""
         value = self.scale**2 * square(motion)[self.signal][self.signal]
         if self.offset is None:
             return value

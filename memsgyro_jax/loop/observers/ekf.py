@@ -27,7 +27,7 @@ from memsgyro_jax.effects.base import ReadoutEffect
 
 from ..readout import AbstractReadout, ChargeAmplifier
 from .base import MOTION, OFFSETS, AbstractBlockObserver, Believed, Clock, Estimate, Innovation
-from .channel import Channel, EstimatedDelay
+from .channel import Channel
 from .covariance import (
     Columns,
     Covariance,
@@ -193,12 +193,14 @@ class ExtendedKalmanFilter(AbstractBlockObserver[KalmanState]):
     @property
     def hindrance(self) -> str | None:
         """Whatever is not a plain extended Kalman filter."""
-        delays = any(self.model.coefficients[i].delays is not None for i in self.estimated)
+        parts = any(
+            (c := self.model.coefficients[i]).delays is not None or c.scales is not None for i in self.estimated
+        )
         found = {
             "the filter's fading memory weighs samples": self.fading is not None,
             "the filter iterates every sample": self.iterations > 1,
             "the filter follows curves of the pick-off": bool(self.pickoff),
-            "the filter estimates delays": delays,
+            "the filter estimates delays or scales": parts,
             "the filter expects a Brownian force": self.process_noise.acceleration is not None,
         }
         return next((words for words, holds in found.items() if holds), None)
@@ -282,10 +284,11 @@ class ExtendedKalmanFilter(AbstractBlockObserver[KalmanState]):
             for axis in range(2)
         ]
         for order, index in enumerate(self.estimated):
-            axis = self.model.coefficients[index].delays
-            if axis is not None:
-                delay = EstimatedDelay.of(self.scale[axis], motion[2 + axis], constants, self._first + order)
-                channels[axis] = channels[axis]._replace(delay=delay)
+            place, coefficient = self._first + order, self.model.coefficients[index]
+            if (axis := coefficient.delays) is not None:
+                channels[axis] = channels[axis].with_delay(motion[2 + axis], constants, place)
+            if (axis := coefficient.scales) is not None:
+                channels[axis] = channels[axis].with_share(constants, place)
         return channels[0], channels[1]
 
     def variance(self, clock: Clock) -> Pair:
@@ -322,10 +325,7 @@ class ExtendedKalmanFilter(AbstractBlockObserver[KalmanState]):
     def _innovation(self, measured: Pair, constants: Array, channels: tuple[Channel, Channel]) -> Pair:
         """What was measured less what was expected."""
         parts = zip(measured, channels, self._offset(constants), strict=True)
-        found = tuple(z - (channel.volts + offset) for z, channel, offset in parts)
-        return tuple(
-            z if channel.delay is None else z - channel.delay.volts for z, channel in zip(found, channels, strict=True)
-        )
+        return tuple(channel.without_parts(z - (channel.volts + offset)) for z, channel, offset in parts)
 
     def _smoothed(self, state, predicted, weights, first, second, new, faded) -> tuple:
         """Start of the sample given its end: the point about which an iterated filter linearises again."""
