@@ -105,6 +105,8 @@ if TYPE_CHECKING:
     from .loop.angle import angle_by_lowpass as angle_by_lowpass
     from .loop.angle import angle_by_bandpass as angle_by_bandpass
     from .loop.angle import AngleRecord as AngleRecord
+    from .loop.turned_angle import turned_angle as turned_angle
+    from .loop.turned_angle import TurnedAngle as TurnedAngle
     from .loop.noise_budget import noise_budget as noise_budget
     from .loop.noise_budget import NoiseBudget as NoiseBudget
     from .loop.lyapunov_function import lyapunov_function as lyapunov_function

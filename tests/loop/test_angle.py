@@ -1,9 +1,11 @@
 """The angle of the vibration: exact solutions, the thesis' averaged equations, both methods on ideal motion."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from kept import kept
 from oracles import motion as oracle
 
 import memsgyro_jax as mg
@@ -163,3 +165,30 @@ def test_angles_have_gradients_and_map_over_runs():
 def test_a_band_above_half_the_sample_rate_is_refused():
     with pytest.raises(InputError, match=r"more than twice the filter's 3400 Hz"):
         mg.angle_by_bandpass(np.ones((10, 4)), FREQUENCY, 5e3)
+
+
+def test_a_trace_tells_the_angle_beside_the_integrated_rate(swaying, tmp_path):
+    """A short run whose rows are exchanged for ideal ones, under a law that rocks, and a rate that is 1 deg/s off."""
+    motion, frame_of = swaying
+    gyro, readout = mg.SingleMassGyro.chi2010(), mg.DirectReadout.of_velocity(1.0, 1e-9)
+    law = mg.WholeAngle(FREQUENCY, rocking=mg.Tone(120.0, 1.2))
+    law = mg.EnergyControl(law, (FREQUENCY, FREQUENCY), (1e-6, 0.0), 1.0)
+    loop = mg.ClosedLoop(gyro, readout, mg.LyapunovObserver.for_device(gyro, readout), law)
+    trace = mg.simulate(loop, sample_rate=1e6, duration=2e-5)
+    time = np.arange(len(motion)) / 20e3
+    rate = np.where(time < 0.05, 0.0, RATE_PEAK * np.sin(2 * np.pi * 10 * (time - 0.05)))
+    rocked = np.stack(eqx.tree_at(lambda w: w.rocking.amplitude, law.inner, -1.2).unrocked(tuple(motion.T), time), 1)
+    with pytest.raises(InputError, match=r"`start` must lie before the last angle"):
+        mg.turned_angle(trace, start=1.0)
+    fields = lambda t: (t.time, t.motion_estimate, t.rate_true, t.rate_unfiltered)  # noqa: E731
+    trace = eqx.tree_at(fields, trace, (time, rocked, rate, rate + np.radians(1.0)))
+    found = mg.turned_angle(trace, start=0.05)
+    assert np.degrees(np.max(np.abs(found.true - (frame_of(found.time) - frame_of(found.time[0]))))) < 1e-3
+    assert np.degrees(np.sqrt(np.mean(found.error**2))) < 2e-3
+    drift = np.degrees(found.integrated - found.true)
+    assert drift[-1] == pytest.approx(found.time[-1] - found.time[0], abs=2e-3)
+    assert "integrated rate: rms error" in repr(found)
+    assert kept(found, tmp_path).sizes["time"] == len(found.time)
+    assert len(found.plot().lines) == 2
+    with pytest.raises(InputError, match="must have a WholeAngle controller, but it has OpenLoop"):
+        mg.turned_angle(eqx.tree_at(lambda t: t.loop.controller, trace, mg.OpenLoop()))
