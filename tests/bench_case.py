@@ -16,8 +16,10 @@ from lab.experiments import Record
 from lab.laboratory import make_case
 from lab.protocol import Laboratory, Profile, RateTable, Raw, RingDown, Sweep
 
+import memsgyro_jax
 from memsgyro_jax.device.normalised import NormalisedDevice
-from memsgyro_jax.effects import Effect, Scanned, catalogue
+from memsgyro_jax.diagnosis.fit import CaseFit, fit_case
+from memsgyro_jax.effects import CubicStiffness, Effect, Scanned, catalogue
 from memsgyro_jax.measurement.case import Case, load_case
 from memsgyro_jax.measurement.model import Model
 from memsgyro_jax.measurement.readings import model_of
@@ -76,6 +78,12 @@ def _made(hidden: Hidden, seed: int, protocol: Laboratory, die: Die) -> Bench:
     with TemporaryDirectory() as folder:
         made = make_case(Path(folder) / "case", die, hidden, seed, protocol)
         return Bench(load_case(made.folder), die, made.effects, made.records)
+
+
+@cache
+def demonstration() -> CaseFit:
+    """The demonstration, fitted with the cubic spring that hides in it; made once per session."""
+    return fit_case(load_case(Path(memsgyro_jax.__file__).parent / "demo"), [CubicStiffness(axis=0)])
 
 
 def strengths(hidden: Hidden, effects: tuple[Effect, ...]) -> tuple[Effect, ...]:

@@ -121,6 +121,13 @@ def test_unknown_noise_is_estimated(wide):
     assert result.coefficients["c_xy"].std == pytest.approx(wide.coefficients["c_xy"].std, rel=0.15)
 
 
+@pytest.fixture(scope="module")
+def unspoilt():
+    """A record whose noise is to be estimated, and what is identified from it."""
+    right = replace(swept(lab.Gyro()), lines=np.arange(1001) + 2)
+    return right, identify([right], mass=3e-7)
+
+
 @pytest.mark.parametrize(
     ("row", "change", "column"),
     [
@@ -130,11 +137,11 @@ def test_unknown_noise_is_estimated(wide):
         (1000, lambda z: 1.1 * z, "Vy_amp"),
     ],
 )
-def test_a_row_with_a_wrong_digit_is_named_and_moves_nothing(row, change, column):
-    right = replace(swept(lab.Gyro()), lines=np.arange(1001) + 2)
+def test_a_row_with_a_wrong_digit_is_named_and_moves_nothing(row, change, column, unspoilt):
+    right, plain = unspoilt
     wrong = replace(right, phasors=right.phasors.copy())
     wrong.phasors[row, 1] = change(wrong.phasors[row, 1])
-    plain, found = identify([right], mass=3e-7), identify([wrong], mass=3e-7)
+    found = identify([wrong], mass=3e-7)
     assert not [note for note in plain.notes if "line" in note]
     assert found.notes[0].startswith(f"sweep.csv, line {row + 2}, column `{column}`: the row lies ")
     assert len([note for note in found.notes if "line" in note]) == 1

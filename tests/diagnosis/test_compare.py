@@ -6,6 +6,7 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
+from bench_case import demonstration
 from kept import kept
 from lab.die import Die
 from lab.laboratory import make_case
@@ -14,8 +15,6 @@ import memsgyro_jax
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.resonator import Resonator
 from memsgyro_jax.diagnosis.compare import compare, judged
-from memsgyro_jax.diagnosis.fit import fit_case
-from memsgyro_jax.effects import CubicStiffness
 from memsgyro_jax.measurement.case import load_case
 
 
@@ -30,9 +29,9 @@ def base(case):
 
 
 @pytest.fixture(scope="module")
-def right(case):
+def right():
     """The demonstration hides one cubic stiffness."""
-    return judged(fit_case(case, [CubicStiffness(axis=0)]))
+    return judged(demonstration())
 
 
 def test_the_base_model_fails_where_it_should(base):

@@ -12,7 +12,8 @@ from lab.strengths import VISIBLE, visible
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.diagnosis.diagnose import diagnose
-from memsgyro_jax.effects import load_effects
+from memsgyro_jax.diagnosis.scans import scan, scans
+from memsgyro_jax.effects import ParasiticMode, load_effects
 
 
 # ---- a gyro, all kinds of records, the whole catalogue
@@ -79,6 +80,18 @@ def test_candidates_say_what_would_have_been_seen(sound):
     (spring,) = [c for c in sound.first if c.label == "cubic_stiffness y"]
     assert spring.excited
     assert 0.01 * VISIBLE["cubic_stiffness_y"] < spring.smallest_visible < 0.1 * VISIBLE["cubic_stiffness_y"]
+
+
+def test_a_mode_is_looked_for_in_sweeps_and_not_in_the_raw_capture_at_the_first_resolution(sound):
+    base, readings = sound.base, sound.base.joint.fitted
+    (grid,) = [g for g in scans(sound.case) if g[0].label == "parasitic_mode x"]
+    found = scan(base.model, base.optimum, readings, grid)
+    assert isinstance(found.effect, ParasiticMode)
+    assert found.score.p_value * found.points > 0.01
+    finer = [replace(r, experiment=r.experiment.finer or r.experiment) for r in readings]
+    assert any(new.experiment is not old.experiment for new, old in zip(finer, readings, strict=True))
+    again = scan(base.model, base.optimum, finer, grid)
+    assert again.score.statistic == found.score.statistic
 
 
 def test_an_impossible_level_is_refused():

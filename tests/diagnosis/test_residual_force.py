@@ -1,26 +1,22 @@
 """The missing force is the one that was left out: a cubic spring, taken from the model of the demonstration."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import equinox as eqx
 import numpy as np
 import pytest
-from bench_case import ONE_AXIS, RESONATOR, bench
+from bench_case import ONE_AXIS, RESONATOR, bench, demonstration
 from lab.die import Hidden, Outside
 
-import memsgyro_jax
 from memsgyro_jax.diagnosis.fit import fit_case
 from memsgyro_jax.diagnosis.residual_force import beside_lowest_drive, rate_residuals, sweep_forces, time_forces
-from memsgyro_jax.effects import CubicStiffness, ParasiticMode
-from memsgyro_jax.measurement.case import load_case
+from memsgyro_jax.effects import ParasiticMode
 from memsgyro_jax.measurement.experiments.missing_force import above_noise, in_bins
 
 
 @pytest.fixture(scope="module")
 def right():
-    case = load_case(Path(memsgyro_jax.__file__).parent / "demo")
-    return fit_case(case, [CubicStiffness(axis=0)])
+    return demonstration()
 
 
 @pytest.fixture(scope="module")

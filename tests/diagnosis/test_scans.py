@@ -1,4 +1,4 @@
-"""Effects with a moment, a frequency or a limit are found on their grid, in the records that would show them."""
+"""Effects with a moment are found on their grid, in the record that shows them; `test_diagnose.py` scans for a mode."""
 
 from dataclasses import replace
 
@@ -9,7 +9,7 @@ from lab.strengths import visible
 
 from memsgyro_jax.diagnosis.fit import fit_case
 from memsgyro_jax.diagnosis.scans import scan, scans
-from memsgyro_jax.effects import DampingStep, ParasiticMode
+from memsgyro_jax.effects import DampingStep
 
 
 STEP = replace(visible("damping_step"), damping_step_record="rate", damping_step_time=0.08)
@@ -36,17 +36,3 @@ def test_a_damping_step_is_found_in_its_record_at_its_time():
 def test_a_step_that_is_not_there_is_not_significant():
     found = best("damping_step", Hidden())
     assert found.score.p_value * found.points > 0.01
-
-
-def test_a_mode_is_looked_for_in_sweeps_and_not_in_the_raw_capture_at_the_first_resolution():
-    fit = fit_case(bench(Hidden()).case)
-    (grid,) = [g for g in scans(fit.case) if g[0].label == "parasitic_mode x"]
-    found = scan(fit.model, fit.optimum, fit.joint.fitted, grid)
-    assert isinstance(found.effect, ParasiticMode)
-    assert found.score.p_value * found.points > 0.01
-    finer = [replace(r, experiment=r.experiment.finer or r.experiment) for r in fit.joint.fitted]
-    assert any(
-        new is not old.experiment for new, old in zip([r.experiment for r in finer], fit.joint.fitted, strict=True)
-    )
-    again = scan(fit.model, fit.optimum, finer, grid)
-    assert again.score.statistic == found.score.statistic

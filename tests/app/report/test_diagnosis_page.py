@@ -2,18 +2,15 @@
 
 from dataclasses import replace
 from html.parser import HTMLParser
-from pathlib import Path
 
 import numpy as np
 import pytest
+from bench_case import demonstration
 
-import memsgyro_jax
 from memsgyro_jax.app.report.diagnosis_page import diagnosis_page
-from memsgyro_jax.diagnosis.fit import beside_case, fit_case
+from memsgyro_jax.diagnosis.fit import beside_case
 from memsgyro_jax.diagnosis.optimum import optimise
 from memsgyro_jax.diagnosis.result import Accepted, Candidate, Diagnosis, Stage, validation_error
-from memsgyro_jax.effects import CubicStiffness
-from memsgyro_jax.measurement.case import load_case
 
 
 HOSTILE = '<script>alert("$x_1$")</script> & "quoted" 漢字 $\\frac$'
@@ -22,8 +19,8 @@ HOSTILE = '<script>alert("$x_1$")</script> & "quoted" 漢字 $\\frac$'
 @pytest.fixture(scope="module")
 def diagnosis():
     """Of the demonstration, put together by hand from two fits with one program."""
-    case = load_case(Path(memsgyro_jax.__file__).parent / "demo")
-    final = fit_case(case, [CubicStiffness(axis=0)])
+    final = demonstration()
+    case = final.case
     fitted = final.joint.fitted
     vector = np.where([p.effect is None for p in final.joint.parameters], final.optimum.vector, 0.0)
     base = beside_case(case, final.joint, optimise(final.joint, vector, final.joint.base(), fitted))
