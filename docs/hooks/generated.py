@@ -5,6 +5,7 @@ import inspect
 import pkgutil
 import re
 from collections import Counter
+from html import escape
 from pathlib import Path
 
 import memsgyro_jax
@@ -122,6 +123,39 @@ def _offers(module: object, value: object) -> bool:
     place = getattr(value, "__module__", "")
     inside = place == module.__name__ or (hasattr(module, "__path__") and place.startswith(module.__name__ + "."))
     return inside and (inspect.isclass(value) or inspect.isfunction(value))
+
+
+def with_calls(html: str) -> str:
+    """An API page with the call beneath the name of each class that shows none."""
+
+    def with_call(found: re.Match[str]) -> str:
+        kind = getattr(memsgyro_jax, found[1], None)
+        if not inspect.isclass(kind) or inspect.isabstract(kind):
+            return found[0]
+        arguments = "".join(f"\n    {argument}," for argument in _arguments(kind))
+        text = escape(f"{found[1]}({arguments}\n)" if arguments else f"{found[1]}()")
+        return f'{found[0]}<div class="doc-signature highlight"><pre><code>{text}</code></pre></div>'
+
+    return re.sub(
+        r'<h2 id="memsgyro_jax\.(\w+)".*?</h2>(?!\s*<div class="doc-signature)', with_call, html, flags=re.DOTALL
+    )
+
+
+def _arguments(kind: type) -> list[str]:
+    """The arguments of a class with their defaults, in the order of its call."""
+    told, only_named = [], False
+    for name, argument in inspect.signature(kind).parameters.items():
+        if argument.kind is argument.KEYWORD_ONLY and not only_named:
+            told, only_named = [*told, "*"], True
+        default = "" if argument.default is argument.empty else f"={_short(argument.default)}"
+        told.append(name + default)
+    return told
+
+
+def _short(value: object) -> str:
+    """A default that fits on a line; what is made anew each time has none."""
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 60 and "factory" not in text else "..."
 
 
 def gallery(figures: list[tuple[str, str, str]]) -> str:

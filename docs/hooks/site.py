@@ -52,3 +52,22 @@ def on_page_markdown(markdown, page, **_):
     for comment, made in generated.PLACES.items():
         text = text.replace(f"<!-- {comment} -->", made()) if comment in text else text
     return text
+
+
+def on_page_content(html, **_):
+    """Classes whose constructor is made by equinox get their call, as Python tells it, beneath their name."""
+    return generated.with_calls(html)
+
+
+def on_post_page(output, page, **_):
+    """The search on files from disk needs a script that the theme would fetch; here it is our own."""
+    return _without_requests(output, page.url.count("/"))
+
+
+def on_post_template(output_content, **_):
+    """Likewise for the page that says that there is no such page."""
+    return _without_requests(output_content, 0)
+
+
+def _without_requests(html, depth):
+    return html.replace("https://unpkg.com/iframe-worker/shim", "../" * depth + "assets/local_worker.js")

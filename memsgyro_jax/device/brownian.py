@@ -10,6 +10,7 @@ from typing import Self
 import equinox as eqx
 import jax.numpy as jnp
 
+from memsgyro_jax.base.arguments import in_unit
 from memsgyro_jax.base.concrete import check_not_negative
 
 from .carried import CarriesEffects
@@ -20,7 +21,7 @@ BOLTZMANN = 1.380649e-23  # J/K
 
 
 def _or_none(value: object) -> object:
-    return None if value is None else jnp.asarray(value)
+    return None if value is None else in_unit("K")(value)
 
 
 class HasTemperature(CarriesEffects):

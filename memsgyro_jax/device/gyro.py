@@ -241,8 +241,8 @@ class SingleMassGyro(AbstractGyro):
         check_positive("mass", mass)
         modes, damping = rates_of(frequency, quality_factor)
         if quadrature is not None:
-            angle = angle_of_quadrature(quadrature, modes)
-        angle = 0.0 if angle is None else angle
+            angle = angle_of_quadrature(quantity("quadrature", quadrature, "rad/s"), modes)
+        angle = 0.0 if angle is None else quantity("angle", angle, "rad")
         kxx, kyy, kxy = in_turned_axes(modes[0] ** 2, modes[1] ** 2, 0.0, angle)
         dxx, dyy, dxy = in_turned_axes(*damping, cross_damping * jnp.sqrt(damping[0] * damping[1]), angle)
         coefficients = (mass * value for value in (kxx, kyy, kxy, dxx, dyy, dxy))
@@ -310,12 +310,12 @@ class DualMassGyro(AbstractGyro):
     ) -> "DualMassGyro":  # fmt: skip
         """The device with masses as in its fields, modes at `frequency` [Hz] along x and y, and of `quality_factor`, a
         number for both or one each.
-
         `quadrature` [rad/s] is the rate whose force on y at the first mode has the amplitude of that of kyx (3.3):
         kxy = kyx = 2·mass_y·ω·quadrature; zero means no coupling. Raises `InputError` for numbers that no device has.
         """
+        mass_x, mass_y = quantity("mass_x", mass_x, "kg"), quantity("mass_y", mass_y, "kg")
         modes, damping = rates_of(frequency, quality_factor)
-        coupling = 2.0 * modes[0] * quadrature  # per inner mass
+        coupling = 2.0 * modes[0] * quantity("quadrature", quadrature, "rad/s")  # per inner mass
         first, second = coupled(modes, coupling**2 * mass_y / mass_x)
         kxy = mass_y * coupling
         return cls(

@@ -138,19 +138,25 @@ class AbstractLinearReadout(AbstractReadout):
         return None if self.adc is None else "the read-out's converter rounds every sample"
 
 
-def pair_field(**options: Any) -> Pair:
-    """A field for one number per axis; a single number serves both."""
-    return eqx.field(converter=_as_pair, **options)
+def pair_field(unit: str = "", **options: Any) -> Pair:
+    """A field for one number per axis; a single number serves both. With a `unit` also text such as "2 pF"."""
+    return eqx.field(converter=pair_in(unit), **options)
 
 
-def _as_pair(value: object) -> Pair:
-    if isinstance(value, tuple | list):
+def pair_in(unit: str) -> Callable[[object], Pair]:
+    """The converter of such a field."""
+    convert = in_unit(unit)
+
+    def as_pair(value: object) -> Pair:
+        if not isinstance(value, tuple | list):
+            return (convert(value),) * 2
         if len(value) != 2:
             raise InputError(
                 f"A pair of numbers for the axes x and y must have 2 entries, but {len(value)} were given."
             )
-        return tuple(map(in_unit(""), value))
-    return (in_unit("")(value),) * 2
+        return tuple(map(convert, value))
+
+    return as_pair
 
 
 class ChargeAmplifier(AbstractLinearReadout):
@@ -164,16 +170,16 @@ class ChargeAmplifier(AbstractLinearReadout):
     """
 
     fingers: Scalar | Pair = pair_field()
-    width: Scalar | Pair = pair_field()
-    gap: Scalar | Pair = pair_field()
-    overlap: Scalar | Pair = pair_field()
-    mismatch: Scalar | Pair = pair_field()
-    bias: Scalar = number()
-    feedback: Scalar | Pair = pair_field()
-    parasitic: Scalar | Pair = pair_field()
-    opamp_offset: Scalar | Pair = pair_field()
+    width: Scalar | Pair = pair_field("m")
+    gap: Scalar | Pair = pair_field("m")
+    overlap: Scalar | Pair = pair_field("m")
+    mismatch: Scalar | Pair = pair_field("m")
+    bias: Scalar = number("V")
+    feedback: Scalar | Pair = pair_field("F")
+    parasitic: Scalar | Pair = pair_field("F")
+    opamp_offset: Scalar | Pair = pair_field("V")
     rejection: Scalar = number(default=1.0)
-    noise_density: Scalar | Pair = eqx.field(converter=_as_pair, default=0.0)
+    noise_density: Scalar | Pair = pair_field("V/sqrt(Hz)", default=0.0)
     adc: Adc | None = None
     signals: tuple[int, int] = eqx.field(static=True, default=(X, Y))
     flicker: Flicker | None = None
@@ -211,7 +217,10 @@ class ChargeAmplifier(AbstractLinearReadout):
         The combs are one pair of fingers with that capacitance: the mass may travel until it is gone. Raises
         `InputError` unless gradient and capacitance are positive.
         """
-        gradient, capacitance, mismatch = map(_as_pair, (gradient, capacitance, capacitance_mismatch))
+        gradient, capacitance, mismatch = (
+            pair_in(unit)(value)
+            for unit, value in (("F/m", gradient), ("F", capacitance), ("F", capacitance_mismatch))
+        )  # fmt: skip
         for name, pair in (("gradient", gradient), ("capacitance", capacitance)):
             for value in pair:
                 check_positive(name, value)
@@ -255,8 +264,8 @@ class DirectReadout(AbstractLinearReadout):
     """
 
     scale: Scalar | Pair = pair_field()
-    offset: Scalar | Pair = eqx.field(converter=_as_pair, default=0.0)
-    noise_density: Scalar | Pair = eqx.field(converter=_as_pair, default=0.0)
+    offset: Scalar | Pair = pair_field("V", default=0.0)
+    noise_density: Scalar | Pair = pair_field("V/sqrt(Hz)", default=0.0)
     adc: Adc | None = None
     signals: tuple[int, int] = eqx.field(static=True, default=(X, Y))
     flicker: Flicker | None = None
@@ -279,7 +288,7 @@ class Delayed(AbstractLinearReadout):
     """
 
     inner: AbstractReadout
-    delay: Scalar | Pair = pair_field()
+    delay: Scalar | Pair = pair_field("s")
 
     @property
     def hindrance(self) -> str | None:

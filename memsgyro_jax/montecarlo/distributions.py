@@ -2,15 +2,22 @@
 
 import abc
 import math
+from typing import Any
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 from scipy import special
 
+from memsgyro_jax.base.arguments import quantity
 from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.gyro import Scalar
+
+
+def _share(given: Any) -> Any:
+    return None if given is None else quantity("relative", given, "1")
 
 
 class AbstractDistribution(Displayed):
@@ -37,7 +44,7 @@ class Normal(AbstractDistribution):
     `std` in its unit.
     """
 
-    relative: float = 0.0
+    relative: float = eqx.field(converter=_share, default=0.0)
     std: float = 0.0
     cut: float = 4.0
     mean: float | None = None
@@ -67,7 +74,7 @@ class Normal(AbstractDistribution):
 class Uniform(AbstractDistribution):
     """Uniform; `relative` half width about the design value, or from `low` to `high` in its unit."""
 
-    relative: float | None = None
+    relative: float | None = eqx.field(converter=_share, default=None)
     low: float = math.nan
     high: float = math.nan
 

@@ -97,6 +97,23 @@ def test_constructors_take_units_as_text():
     gyro = mg.SingleMassGyro.from_modes("180 ug", ("2.9 kHz", 3700.0), 1000.0)
     np.testing.assert_allclose(mg.mode_frequencies(gyro), [2900.0, 3700.0])
     np.testing.assert_allclose(gyro.mass, 1.8e-7)
+    for turned in ({"quadrature": "90 deg/s"}, {"quadrature": np.pi / 2}):
+        coupled = mg.SingleMassGyro.from_modes("180 ug", ("2.9 kHz", 3700.0), 1000.0, **turned).at_temperature(
+            "27 degC"
+        )
+        np.testing.assert_allclose(coupled.kxy, 1.8e-7 * 4 * np.pi * 2900.0 * np.pi / 2, rtol=1e-6)
+        np.testing.assert_allclose(coupled.temperature, 300.15)
+    assert mg.SingleMassGyro.from_modes(1e-8, (9e3, 8e3), 10.0, angle="45 deg").kxx == pytest.approx(
+        mg.SingleMassGyro.from_modes(1e-8, (9e3, 8e3), 10.0, angle=np.pi / 4).kyy
+    )
+    two = mg.DualMassGyro.from_modes("26 ug", "16 ug", ("9 kHz", 8.6e3), 900.0, quadrature="45 deg/s")
+    np.testing.assert_allclose([two.mass_x, two.kyx], [2.6e-8, 1.6e-8 * 4 * np.pi * 9e3 * np.pi / 4])
+    circuit = {"bias": "10 V", "feedback": "1 pF", "noise_density": "0.45 uV/sqrt(Hz)"}
+    readout = mg.ChargeAmplifier.from_gradient("5 nF/m", ("250 fF", 2e-13), **circuit)
+    np.testing.assert_allclose(readout.scale, 2 * [-1e5])
+    np.testing.assert_allclose([*readout.overlap, *readout.noise_density], [5e-5, 4e-5, 4.5e-7, 4.5e-7])
+    assert mg.Spread.relative("10 %") == mg.Spread.relative(0.1)
+    assert mg.Uniform(relative="5 %").relative == 0.05
     np.testing.assert_allclose(mg.Step("20 ms", 1.0).at, 0.02)
     np.testing.assert_allclose(mg.Chirp(1.0, "10 Hz", "1 kHz", "0.1 s").high, 1000.0)
     prior = mg.design_prior(gyro, rate_std="180 deg/s", amplitude="1 um")
@@ -106,5 +123,6 @@ def test_constructors_take_units_as_text():
 def test_text_that_no_constructor_takes():
     assert "A number" in refusal(mg.Tone, "600 kg", 1.0)
     assert "whose unit follows from its use" in refusal(mg.Tone, 600.0, "53.95 m/s^2")
+    assert "Argument `relative`" in refusal(mg.Spread.relative, "10 Hz")
     assert "Argument `mass`" in refusal(mg.SingleMassGyro.from_modes, "heavy", (2900.0, 3700.0), 1000.0)
     assert "whose unit follows from its use" in refusal(mg.DirectReadout, "100 mV/um")
