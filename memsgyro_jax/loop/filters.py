@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from memsgyro_jax.base.arguments import in_unit
 from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.gyro import Scalar, check_positive, is_concrete
@@ -30,7 +31,7 @@ class Section(NamedTuple):
 
 def _frequency() -> Scalar:
     """A field in Hz: a float even where a whole number is given, so that it has a gradient and may differ per die."""
-    return eqx.field(converter=lambda value: jnp.asarray(value, float))
+    return eqx.field(converter=lambda value: jnp.asarray(in_unit("Hz")(value), float))
 
 
 class AbstractFilter(Displayed):

@@ -112,6 +112,7 @@ def test_constructors_take_units_as_text():
     readout = mg.ChargeAmplifier.from_gradient("5 nF/m", ("250 fF", 2e-13), **circuit)
     np.testing.assert_allclose(readout.scale, 2 * [-1e5])
     np.testing.assert_allclose([*readout.overlap, *readout.noise_density], [5e-5, 4e-5, 4.5e-7, 4.5e-7])
+    assert mg.Lowpass("0.1 kHz").bandwidth == 100.0
     assert mg.Spread.relative("10 %") == mg.Spread.relative(0.1)
     assert mg.Uniform(relative="5 %").relative == 0.05
     np.testing.assert_allclose(mg.Step("20 ms", 1.0).at, 0.02)
