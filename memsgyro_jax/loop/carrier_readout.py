@@ -10,7 +10,8 @@ from memsgyro_jax.device.electronics import CarrierDetection
 from memsgyro_jax.device.gyro import Pair, Scalar, X, Y, number
 
 from .flicker import Flicker
-from .readout import AbstractLinearReadout, Adc, pair_field
+from .pairs import pair_field
+from .readout import AbstractLinearReadout, Adc
 
 
 class CarrierReadout(AbstractLinearReadout):
@@ -26,11 +27,11 @@ class CarrierReadout(AbstractLinearReadout):
     detection: tuple[CarrierDetection, CarrierDetection] = eqx.field(
         converter=lambda given: tuple(given) if isinstance(given, tuple | list) else (given, given)
     )
-    gradient: Scalar | Pair = pair_field()
-    frequency: Scalar = number()
-    mismatch: Scalar | Pair = pair_field(default=0.0)
-    sampler: Scalar = number(default=jnp.inf)
-    sample_rate: Scalar = number(default=jnp.inf)
+    gradient: Scalar | Pair = pair_field("F/m")
+    frequency: Scalar = number("Hz")
+    mismatch: Scalar | Pair = pair_field("F", default=0.0)
+    sampler: Scalar = number("F", default=jnp.inf)
+    sample_rate: Scalar = number("Hz", default=jnp.inf)
     adc: Adc | None = None
     signals: tuple[int, int] = eqx.field(static=True, default=(X, Y))
     flicker: Flicker | None = None

@@ -12,7 +12,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from memsgyro_jax.base.arguments import in_unit
 from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.fields import AbstractVar
@@ -32,6 +31,7 @@ from memsgyro_jax.effects.adc_saturation import saturated
 from memsgyro_jax.effects.readout_delay import lag
 
 from .flicker import Flicker, check_flicker
+from .pairs import pair_field, pair_in
 
 
 PERMITTIVITY = 8.8541878128e-12  # F/m
@@ -136,27 +136,6 @@ class AbstractLinearReadout(AbstractReadout):
         if self.flicker is not None:
             return "the read-out flickers"
         return None if self.adc is None else "the read-out's converter rounds every sample"
-
-
-def pair_field(unit: str = "", **options: Any) -> Pair:
-    """A field for one number per axis; a single number serves both. With a `unit` also text such as "2 pF"."""
-    return eqx.field(converter=pair_in(unit), **options)
-
-
-def pair_in(unit: str) -> Callable[[object], Pair]:
-    """The converter of such a field."""
-    convert = in_unit(unit)
-
-    def as_pair(value: object) -> Pair:
-        if not isinstance(value, tuple | list):
-            return (convert(value),) * 2
-        if len(value) != 2:
-            raise InputError(
-                f"A pair of numbers for the axes x and y must have 2 entries, but {len(value)} were given."
-            )
-        return tuple(map(convert, value))
-
-    return as_pair
 
 
 class ChargeAmplifier(AbstractLinearReadout):
