@@ -7,10 +7,12 @@ can mend is one sentence and exit status 2.
 
 import contextlib
 import functools
+import logging
 import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 
 import cyclopts
@@ -23,11 +25,14 @@ from .commands.check import check_command
 from .commands.compare import compare_command
 from .commands.datasheet import datasheet_command
 from .commands.diagnose import diagnose_command
+from .commands.diff import diff_command
 from .commands.effects import effects_command
 from .commands.fit import fit_command
 from .commands.identify import identify_command
 from .commands.import_ import import_command
 from .commands.law import law_command
+from .commands.new import new_command
+from .commands.schema import schema_command
 from .commands.simulate import simulate_command
 from .commands.status import status_command
 from .commands.studies import studies_command
@@ -41,9 +46,13 @@ INTERRUPTED = 130  # as shells count: 128 and the number of the signal
 TERMINATED = 143
 BROKEN_PIPE = 1  # as rich does
 
+VERBOSE = "--verbose"
+_LOG = logging.getLogger("memsgyro_jax")
+
 app = cyclopts.App(
     name="memsgyro",
-    help="Simulates vibratory gyroscopes in closed loop, one die or thousands, and lays them beside measurements.",
+    help="Simulates vibratory gyroscopes in closed loop, one die or thousands, and lays them beside measurements.\n\n"
+    "With `--verbose` any command says on standard error what it reads, writes and waits for.",
     version=__version__,
     help_format="plaintext",  # markdown would cost a third of the time that `--help` takes
     suppress_keyboard_interrupt=False,  # `main` answers it
@@ -58,7 +67,9 @@ def _prepared(command: Callable[..., None]) -> Callable[..., None]:
         from memsgyro_jax.base.runtime import configure
 
         configure()
+        started = time.monotonic()
         command(*arguments, **options)
+        _LOG.info("done in %.1f s", time.monotonic() - started)
 
     return run
 
@@ -78,10 +89,16 @@ for _command in (
     fit_command,
     diagnose_command,
     law_command,
+    diff_command,
+    new_command,
+    schema_command,
     studies_command,
 ):
     _told = kinds_text() if _command in (sweep_command, simulate_command, tune_command) else None
     app.command(_prepared(_command), name=_command.__name__.removesuffix("_command"), help_epilogue=_told)
+
+
+app.register_install_completion_command(help="Complete words of the command line in this shell (bash, zsh, fish).")
 
 
 def main(tokens: Sequence[str] | None = None) -> None:
@@ -97,7 +114,15 @@ def main(tokens: Sequence[str] | None = None) -> None:
         with contextlib.suppress(AttributeError, ValueError):  # not all that stands in for them is a stream of text
             stream.reconfigure(errors="replace")  # type: ignore[union-attr]  # `±` is no letter of every locale
     with _told_to_end():
-        sys.exit(_run(app, sys.argv[1:] if tokens is None else tokens))
+        sys.exit(_run(app, _told(sys.argv[1:] if tokens is None else tokens)))
+
+
+def _told(tokens: Sequence[str]) -> list[str]:
+    """The command line without `--verbose`, which sends what the package logs to standard error."""
+    if VERBOSE in tokens:
+        logging.basicConfig(format="%(asctime)s %(message)s", datefmt="%H:%M:%S", force=True)
+        _LOG.setLevel(logging.DEBUG)
+    return [token for token in tokens if token != VERBOSE]
 
 
 class _Terminated(BaseException):
@@ -128,7 +153,9 @@ def _run(application: cyclopts.App, tokens: Sequence[str]) -> int:
         )
         sys.stdout.flush()
     except InputError as error:
-        return _say(str(error), BAD_INPUT)
+        for line in error.each if len(error.each) > 1 else (str(error),):
+            _say(line, BAD_INPUT)
+        return BAD_INPUT
     except cyclopts.CycloptsError as error:
         return _say(f"{_one_line(str(error))} See `memsgyro --help`.", BAD_INPUT)
     except KeyboardInterrupt:

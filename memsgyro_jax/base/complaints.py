@@ -12,6 +12,7 @@ from typing import Any, get_args
 from pydantic import BaseModel
 
 from .errors import InputError
+from .quantity import field_unit
 from .text import FIRST, excerpt, first_of, printable, suggestion
 
 
@@ -50,7 +51,10 @@ class Source:
             own = [error for error in about[place] if error["type"] == "value_error"] or about[place]
             said = dict.fromkeys(_sentence(error, model).rstrip(".") for error in own)
             texts.append(f"{self._at(place)}: {' or '.join(said)}")
-        return InputError(f"{self.name}: {first_of(texts, 'entries', len(order))}.")
+        each = [f"{self.name}: {text}." for text in texts]
+        if len(order) > len(texts):
+            each.append(f"{self.name}: and {len(order) - len(texts)} more.")
+        return InputError(f"{self.name}: {first_of(texts, 'entries', len(order))}.", each)
 
     def _at(self, place: Place) -> str:
         line = self._line(place)
@@ -110,7 +114,7 @@ def _sentence(error: Any, model: type[BaseModel]) -> str:
     if kind == "value_error":
         return str(error["ctx"]["error"])
     if kind == "missing":
-        return "is missing"
+        return f"is missing: give it{_remedy(str(error['loc'][-1]), _models_at(error['loc'][:-1], model))}"
     if kind == "extra_forbidden":
         return _unknown(str(error["loc"][-1]), _models_at(error["loc"][:-1], model))
     if kind in ("union_tag_invalid", "union_tag_not_found"):
@@ -119,6 +123,15 @@ def _sentence(error: Any, model: type[BaseModel]) -> str:
         return f"must have a kind, {kinds}, but " + ("has none" if found is None else f"has {excerpt(found)}")
     wanted = error["msg"].replace("Input should be", "must be").replace("Field required", "is missing")
     return f"{wanted}, but is {excerpt(given)}"
+
+
+def _remedy(name: str, models: list[type[BaseModel]]) -> str:
+    """In which unit, or what else would do."""
+    part = next((each for each in models if name in each.model_fields), None)
+    if part is None:
+        return ""
+    unit, instead = field_unit(part, name), getattr(part, "instead", {}).get(name)
+    return (f" in {unit}" if unit not in (None, "1") else "") + (f", or {instead}" if instead else "")
 
 
 def _unknown(name: str, models: list[type[BaseModel]]) -> str:

@@ -1,6 +1,7 @@
 """Files read with care: regular ones of a bounded size only. Files that appear whole or not at all. JSON text."""
 
 import json
+import logging
 import math
 import os
 import stat
@@ -11,6 +12,7 @@ from .errors import InputError
 from .text import printable
 
 
+_LOG = logging.getLogger("memsgyro_jax")
 LARGEST_TEXT = 4 * 2**20  # bytes of a file that a person writes: TOML, Python
 LARGEST_TABLE = 512 * 2**20  # bytes of a file that an instrument writes
 
@@ -42,6 +44,7 @@ def read_whole(path: str | Path, what: str, *, most: int = LARGEST_TEXT, remedy:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{shown}: the {what} must have a name without a NUL character.") from error
+    _LOG.debug("reads %s", shown)
     if max(about.st_size, len(data)) > most:
         found = f"{max(about.st_size, len(data)) / 2**20:.4g}"
         raise InputError(f"{shown}: the {what} must have at most {most >> 20} MiB, but has {found} MiB.")
@@ -74,6 +77,7 @@ def write_whole(path: str | Path, content: str | bytes) -> Path:
         # A file name that is no text, such as a result may quote, reads "\\udcff" in it, as JSON has it.
         part.write_bytes(content.encode(errors="backslashreplace") if isinstance(content, str) else content)
         part.replace(path)
+        _LOG.debug("wrote %s", path)
     except BaseException:
         part.unlink(missing_ok=True)
         raise

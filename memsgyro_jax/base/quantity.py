@@ -4,7 +4,7 @@ import re
 from dataclasses import dataclass
 from typing import Annotated, Any, TypeVar
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, GetCoreSchemaHandler
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
 from .text import excerpt, printable
@@ -40,6 +40,10 @@ class In:
         serializer = core_schema.plain_serializer_function_ser_schema(self.write)
         return core_schema.no_info_before_validator_function(self.read, handler(source), serialization=serializer)
 
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        """The same for an editor."""
+        return quantity_schema(self.unit)
+
     def read(self, given: Any) -> float:
         """The number in `unit`; raises `ValueError` where text, unit or type is wrong."""
         number, unit = number_and_unit(given)
@@ -54,6 +58,30 @@ class In:
     def write(self, number: float) -> float | str:
         """The form in which a file is written."""
         return number if self.unit == "1" else f"{number!r} {self.unit}"
+
+
+def quantity_schema(unit: str = "") -> dict[str, Any]:
+    """JSON schema of a quantity in `unit`, or in any."""
+    pair = {"value": {"type": "number"}, "unit": {"type": "string"}}
+    table = {"type": "object", "properties": pair, "required": [*pair], "additionalProperties": False}
+    text = {"type": "string", "pattern": rf"^\s*{NUMBER}", "description": f"a number and a unit like {unit or 'V'}"}
+    return {"anyOf": [text, table, *([{"type": "number"}] if unit == "1" else [])]}
+
+
+@dataclass(frozen=True)
+class Also:
+    """For an editor: what a validator takes beside what it makes of it: one entry of a list alone, a quantity, text."""
+
+    one: bool = False
+    quantity: bool = False
+    text: bool = False
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        """What pydantic asks an annotation for."""
+        found = handler(schema)
+        entries = found.get("prefixItems", [found.get("items")])[:1] if self.one else []
+        more = [quantity_schema()] if self.quantity else [{"type": "string"}] if self.text else []
+        return {"anyOf": [found, *entries, *more]}
 
 
 def number_and_unit(given: Any) -> tuple[float, str]:
@@ -87,7 +115,7 @@ def _pair(given: Any) -> Any:
     return tuple(given) if is_sequence else (given, given)
 
 
-Pair = Annotated[tuple[Value, Value], BeforeValidator(_pair)]
+Pair = Annotated[tuple[Value, Value], BeforeValidator(_pair), Also(one=True)]
 """Two numbers for the axes x and y; one alone serves both."""
 
 Pure = Annotated[float, In("1")]

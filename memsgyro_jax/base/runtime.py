@@ -6,6 +6,7 @@ of JAX; what needs double precision says so through `require_float64`.
 
 import contextlib
 import hashlib
+import logging
 import os
 import platform
 import subprocess
@@ -35,6 +36,7 @@ _CPU_FLAGS = (
 )
 _TRIED = {"0.10.2": _CPU_FLAGS, "0.12.0.1": _CPU_FLAGS[:2]}  # what a jaxlib is known to take
 _DEVICES_FLAG = "--xla_force_host_platform_device_count"
+_LOG = logging.getLogger("memsgyro_jax")
 _PROBE = "import jax; jax.jit(abs)(1.0)"  # LLVM reads its options when it compiles
 
 
@@ -73,6 +75,7 @@ def configure(devices: int | None = None) -> None:
         os.environ["XLA_FLAGS"] = " ".join([present, *missing]).strip()
     _set("jax_enable_x64", True)
     _enable_cache()
+    _LOG.debug("float64, %d host devices, compiled programs kept in %s", count, cache_directory() or "no folder")
 
 
 def require_float64(who: str) -> None:

@@ -21,12 +21,16 @@ from .numbers import free_numbers
 Numbers = Number | list[Number]
 
 
+def _axis_or_variant(schema: dict[str, Any]) -> None:
+    schema["properties"]["variant"] = schema["properties"]["axis"]
+
+
 class EffectSection(FileSection):
     """`name = "cubic_stiffness"`, `axis = "x"` (`variant` where it is no axis) and `strength = "8e8 N/m^3"`, or a
     number with its `unit` beside it; `settings` holds further numbers, in SI.
     """
 
-    model_config = ConfigDict(validate_by_name=True, validate_by_alias=True)
+    model_config = ConfigDict(validate_by_name=True, validate_by_alias=True, json_schema_extra=_axis_or_variant)
     name: str
     where: str = Field(default="", validation_alias=AliasChoices("axis", "variant"))
     strength: Numbers | str | dict[str, Any]

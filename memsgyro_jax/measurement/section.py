@@ -3,9 +3,9 @@
 import math
 from typing import Annotated, Any, Literal, NamedTuple
 
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, WithJsonSchema
 
-from memsgyro_jax.base.quantity import FileSection, number_and_unit
+from memsgyro_jax.base.quantity import FileSection, number_and_unit, quantity_schema
 
 
 class Amount(NamedTuple):
@@ -32,7 +32,7 @@ def _name(given: Any) -> Any:
     return given
 
 
-Quantity = Annotated[Amount, BeforeValidator(_amount)]
+Quantity = Annotated[Amount, BeforeValidator(_amount), WithJsonSchema(quantity_schema())]
 Name = Annotated[str, BeforeValidator(_name)]
 Axis = Literal["x", "y"]
 

@@ -260,7 +260,10 @@ def opened(
         return
     with Leases(leases_of(path)) as leases:
         if path.exists() and not resume and not leases.shared():
-            raise InputError(f"{path} exists already; add `--resume` to go on with it, or choose another folder.")
+            raise InputError(
+                f"{path} exists already; add `--resume` to go on with it, `--overwrite` to replace it, or choose "
+                "another folder."
+            )
         if not path.exists():
             create(path, layout, dies, block)
         yield Store(path, layout, dies, block, leases, share)

@@ -6,10 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from bench_case import ONE_AXIS, RESONATOR, bench
+from json_schema import fits
 from kept import kept
 from lab.die import Hidden, Outside
 from lab.strengths import VISIBLE, visible
 
+from memsgyro_jax.app.commands.schema import schema_of
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.diagnosis.diagnose import diagnose
 from memsgyro_jax.diagnosis.scans import scan, scans
@@ -66,6 +68,7 @@ def test_a_diagnosis_goes_into_a_file(cubic, tmp_path):
 
 def test_the_answer_is_readable_by_machines(cubic):
     answer = json.loads(cubic.to_json())
+    assert fits(answer, schema_of("diagnosis"), schema_of("diagnosis"))
     assert answer["schema"] == "memsgyro-diagnosis/1"
     assert answer["verdict"] == "found"
     assert [(e["name"], e["axis"], e["unit"]) for e in answer["effects"]] == [("cubic_stiffness", "y", "N/m³")]

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from .flags import Flag
+from .quick import look_for_study
 
 
 def datasheet_command(
@@ -36,6 +37,7 @@ def datasheet_command(
         effects: a Python file with effects of your own that the study names. It is run: trust it first.
         json: file for the machine-readable result.
     """
+    look_for_study(study, effects)
     import numpy as np
 
     from memsgyro_jax.base.files import write_json, write_whole

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from memsgyro_jax.base.errors import InputError
 
+from .quick import look_for_study
+
 
 if TYPE_CHECKING:
     from memsgyro_jax.loop.trace import Trace
@@ -51,6 +53,11 @@ def simulate_command(
         effects: a Python file with effects of your own that the study names. It is run: trust it first.
         json: file for the machine-readable result.
     """
+    if block is not None and case is not None:
+        raise InputError("Options `--block` and `--case` must not be given together: a case holds every sample.")
+    if die is not None and die < 0:
+        raise InputError(f"Option `--die` must be the number of a die, 0 or more, but {die} was given.")
+    look_for_study(study, rate_record, effects)
     from memsgyro_jax.base.files import write_json
     from memsgyro_jax.base.text import aligned
     from memsgyro_jax.loop.trace import count_steps, simulate
@@ -58,10 +65,6 @@ def simulate_command(
     from ..report.run_summary import run_figures, run_rows
     from .options import chosen_study, require_writable, with_unit, writing
 
-    if block is not None and case is not None:
-        raise InputError("Options `--block` and `--case` must not be given together: a case holds every sample.")
-    if die is not None and die < 0:
-        raise InputError(f"Option `--die` must be the number of a die, 0 or more, but {die} was given.")
     chosen, notes = chosen_study(
         study, rate_record, effects, block=block, seed=seed,
         sample_rate=with_unit(sample_rate, "Hz"), duration=with_unit(duration, "s"),

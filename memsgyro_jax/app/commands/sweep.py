@@ -1,12 +1,14 @@
 """`memsgyro sweep`: read the study, sweep, print, write."""
 
 import re
+import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from memsgyro_jax.base.errors import InputError
 
 from .flags import Flag
+from .quick import look_for_study
 
 
 if TYPE_CHECKING:
@@ -57,8 +59,6 @@ def sweep_command(
         effects: a Python file with effects of your own that the study names. It is run: trust it first.
         json: another place for a copy of summary.json.
     """
-    from .options import chosen_study, require_writable, with_unit, writing
-
     if (resume or part) and overwrite:
         word = "--resume" if resume else "--part"
         raise InputError(f"Options `{word}` and `--overwrite` must not be given together; leave one of them out.")
@@ -68,6 +68,11 @@ def sweep_command(
         )
     if part and dask:
         raise InputError("Options `--part` and `--dask` must not be given together: Dask shares the work itself.")
+    share = None if part is None else _share(part)
+    look_for_study(study, rate_record, effects)
+
+    from .options import chosen_study, require_writable, with_unit, writing
+
     chosen, notes = chosen_study(
         study, rate_record, effects, block=block, dies=dies, seed=seed, chunk=chunk,
         sample_rate=with_unit(sample_rate, "Hz"), duration=with_unit(duration, "s"),
@@ -76,7 +81,7 @@ def sweep_command(
     for note in notes:
         print(note)
     with writing(out, "make room or choose another folder, then go on with `--resume`"):
-        lot = _swept(chosen, out, resume, overwrite, dask) if part is None else _part(chosen, out, _share(part))
+        lot = _swept(chosen, out, resume, overwrite, dask) if share is None else _part(chosen, out, share)
         if lot is None:
             return
         _write(lot, chosen, out, json)
@@ -128,6 +133,7 @@ def _write(lot: "Lot", study: "Study", out: Path, json: Path | None) -> None:
     from ..report.sweep_page import sweep_page
 
     page = sweep_page(lot, study).html()
+    figures = {**lot.summary.as_dict(), "study": tomllib.loads(study.to_toml())}
     for path in {out / "summary.json", json or out / "summary.json"}:
-        write_json(path, lot.summary.as_dict())
+        write_json(path, figures)
     write_whole(out / "report.html", page)

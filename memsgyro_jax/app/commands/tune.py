@@ -5,6 +5,8 @@ from pathlib import Path
 
 from memsgyro_jax.base.errors import InputError
 
+from .quick import look_for_study
+
 
 TUNED, RESULT = "tuned.toml", "tuning.json"
 
@@ -33,6 +35,7 @@ def tune_command(
         effects: a Python file with effects of your own that the study names. It is run: trust it first.
         json: another place for a copy of tuning.json.
     """
+    look_for_study(study, effects)
     from memsgyro_jax.base.files import write_json
     from memsgyro_jax.tuning.tune import tune
 

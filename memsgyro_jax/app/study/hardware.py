@@ -1,9 +1,9 @@
 """Sections `[device]` and `[readout]` of a study file."""
 
 from collections.abc import Callable, Sequence
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.quantity import (
@@ -42,6 +42,9 @@ class _Warm(FileSection):
     temperature: Warmth | None = None
 
 
+_MODES = "frequency = [x, y] and quality_factor in the place of all stiffnesses and dampings"
+
+
 class SingleMass(_Warm):
     """`kind = "single_mass"`: thesis (3.1). `dyx` left out equals `dxy`."""
 
@@ -55,6 +58,7 @@ class SingleMass(_Warm):
     dxy: Damping
     dyx: Damping | None = None
     rotating_frame: bool = False
+    instead: ClassVar[dict[str, str]] = dict.fromkeys(("kxx", "kyy", "kxy", "dxx", "dyy", "dxy"), _MODES)
 
     @model_validator(mode="after")
     def _can_exist(self) -> "SingleMass":
@@ -93,12 +97,21 @@ class DualMass(_Warm):
 Quality = Annotated[float, Field(gt=0.0), In("1")]
 
 
+def _as_written(schema: dict[str, Any]) -> None:
+    """For an editor: what a device given by its modes, or by a file, says of its kind."""
+    kind = schema["properties"]["kind"]
+    kind["const"] = kind["const"].removesuffix("_modes")
+    if kind["const"] == "fitted":
+        schema["required"].remove("kind")
+
+
 class SingleModes(_Warm):
     """`kind = "single_mass"` with `frequency`: a mass by its modes, see `SingleMassGyro.from_modes`.
 
     `angle` or `quadrature` says how the modes couple, with neither they do not.
     """
 
+    model_config = ConfigDict(json_schema_extra=_as_written)
     kind: Literal["single_mass_modes"]
     mass: Kilogram
     frequency: tuple[Hertz, Hertz]
@@ -118,6 +131,7 @@ class SingleModes(_Warm):
 class DualModes(_Warm):
     """`kind = "dual_mass"` with `frequency`: two masses by their modes, see `DualMassGyro.from_modes`."""
 
+    model_config = ConfigDict(json_schema_extra=_as_written)
     kind: Literal["dual_mass_modes"]
     mass_x: Kilogram
     mass_y: Kilogram
@@ -138,6 +152,7 @@ class Fitted(_Warm):
     file name starts at the folder of the study file.
     """
 
+    model_config = ConfigDict(json_schema_extra=_as_written)
     kind: Literal["fitted"]
     file: RelativePath
     rotating_frame: bool = False

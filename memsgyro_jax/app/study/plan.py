@@ -6,6 +6,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field
 
 from memsgyro_jax.base.quantity import (
+    Also,
     Duration,
     FileSection,
     Hertz,
@@ -44,7 +45,7 @@ def _with_unit(given: Any) -> str:
     return f"{number!r} {unit}".strip()
 
 
-Quantity = Annotated[str, BeforeValidator(_with_unit)]
+Quantity = Annotated[str, BeforeValidator(_with_unit), Also(quantity=True)]
 
 
 class Bell(FileSection):

@@ -7,6 +7,7 @@ from pydantic import BeforeValidator, Field, field_validator
 
 from memsgyro_jax.base.quantity import (
     Acceleration,
+    Also,
     Duration,
     FileSection,
     Hertz,
@@ -177,12 +178,13 @@ _Shake = (
 )
 
 _ByKind, _Spelled = Field(discriminator="kind"), BeforeValidator(_spelled_out)
-MainRate = Annotated[tuple[Annotated[_Turn | Record, _ByKind], ...], _Spelled]
-CrossRate = Annotated[tuple[Annotated[_Turn, _ByKind], ...], _Spelled]
-Drift = Annotated[tuple[Annotated[_Drift, _ByKind], ...], _Spelled]
-Warmth = Annotated[tuple[Annotated[_Warmth | WarmthRecord, _ByKind], ...], _Spelled]
-Change = Annotated[tuple[Annotated[_Change, _ByKind], ...], _Spelled]
-Shaking = Annotated[tuple[Annotated[_Shake, _ByKind], ...], _Spelled]
+_Else = Also(one=True, quantity=True)
+MainRate = Annotated[tuple[Annotated[_Turn | Record, _ByKind], ...], _Spelled, _Else]
+CrossRate = Annotated[tuple[Annotated[_Turn, _ByKind], ...], _Spelled, _Else]
+Drift = Annotated[tuple[Annotated[_Drift, _ByKind], ...], _Spelled, _Else]
+Warmth = Annotated[tuple[Annotated[_Warmth | WarmthRecord, _ByKind], ...], _Spelled, _Else]
+Change = Annotated[tuple[Annotated[_Change, _ByKind], ...], _Spelled, _Else]
+Shaking = Annotated[tuple[Annotated[_Shake, _ByKind], ...], _Spelled, _Else]
 
 
 class Offsets(FileSection):

@@ -4,7 +4,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field
 
-from memsgyro_jax.base.quantity import FileSection, Whole
+from memsgyro_jax.base.quantity import Also, FileSection, Whole
 from memsgyro_jax.tuning.losses import AbstractLoss, InnovationLikelihood, SquaredRateError
 from memsgyro_jax.tuning.tunable import Tunable
 
@@ -39,7 +39,7 @@ class Tune(FileSection):
     `evaluations` gradients. `loss` is "stages" (likelihood of the innovations, then the error), or one for all.
     """
 
-    free: tuple[Annotated[FreeNumber, BeforeValidator(_named)], ...] | None = None
+    free: tuple[Annotated[FreeNumber, BeforeValidator(_named), Also(text=True)], ...] | None = None
     loss: Literal["stages", "squared_rate_error", "innovation_likelihood"] = "stages"
     dies: Annotated[Whole, Field(ge=2)] = 128
     validation_dies: Annotated[Whole, Field(ge=1)] = 64

@@ -12,7 +12,7 @@ from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.quantity import FileSection, Number
 from memsgyro_jax.base.toml import checked, read_toml
 
-from ..experiments import AbstractRecord
+from ..experiments import KINDS, AbstractRecord
 from ..section import Amount, ExperimentSection, Name, Quantity
 
 
@@ -76,6 +76,11 @@ def read_file(path: Path, kinds: Sequence[type[AbstractRecord]]) -> tuple[CaseFi
     file = checked(_with_kinds(tuple(kinds)), data, source)
     _refuse_twins(file, source)
     return file, source
+
+
+def case_model() -> type[CaseFile]:
+    """All sections with the kinds that the package knows."""
+    return _with_kinds(tuple(KINDS))
 
 
 @cache

@@ -1,0 +1,134 @@
+"""`memsgyro diff`: what sets two studies or two results apart."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.text import aligned
+
+
+_SILENT = ("versions", "fingerprint", "schema", "notes", "steps_per_s", "study")
+_TWO_SIDED = 1.96
+
+
+class Figure(NamedTuple):
+    """A number with its 95 % interval, where the result tells one."""
+
+    value: float
+    low: float | None = None
+    high: float | None = None
+
+    def __str__(self) -> str:
+        between = "" if self.low is None or self.high is None else f" ({self.low:.4g} to {self.high:.4g})"
+        return f"{self.value:.4g}{between}"
+
+    def apart(self, other: "Figure") -> bool | None:
+        """Whether the intervals of both lie apart; None where one has none."""
+        if self.low is None or self.high is None or other.low is None or other.high is None:
+            return None
+        return self.high < other.low or other.high < self.low
+
+
+def diff_command(a: Path, b: Path, /) -> None:
+    """What sets two studies, or two results, apart: configuration and figures.
+
+    Of two figures with intervals of 95 % it is said whether these lie apart;
+    figures that agree to four digits are left out.
+
+    Args:
+        a: a study (TOML), a folder of `memsgyro sweep` or `simulate`, or a result (JSON).
+        b: another.
+    """
+    for path in (a, b):
+        path.stat()
+    (settings_a, figures_a), (settings_b, figures_b) = read(a), read(b)
+    lines = table("configuration", settings_a, settings_b) + table("figure", figures_a, figures_b)
+    same = "no difference" if settings_a or settings_b or figures_a or figures_b else "nothing to compare"
+    print("\n\n".join([f"A is {a}\nB is {b}", *lines]) if lines else f"{a} and {b}: {same}.")
+
+
+def read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Settings and figures, by dotted name; raises `InputError` for what is neither a study nor a result."""
+    if path.suffix == ".toml":
+        import tomllib
+
+        from ..study import load_study
+
+        return dict(entries(tomllib.loads(load_study(path).to_toml()))), {}
+    path = path / "summary.json" if path.is_dir() else path
+    try:
+        found = json.loads(path.read_bytes())
+    except ValueError as error:
+        raise InputError(
+            f"{path} must be a study (.toml), a folder with a summary.json, or a result in JSON."
+        ) from error
+    if not isinstance(found, dict):
+        raise InputError(f"{path} must hold a result, a JSON object, but holds a {type(found).__name__}.")
+    told = {name: value for name, value in found.items() if name not in _SILENT}
+    return dict(entries(found.get("study", {}))), dict(figures(told))
+
+
+def entries(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
+    """What a file says, by dotted name."""
+    if isinstance(value, dict):
+        for key, entry in value.items():
+            yield from entries(entry, f"{name}.{key}" if name else key)
+    else:
+        yield name, value
+
+
+def figures(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
+    """The numbers of a result with their intervals, and its words, by dotted name."""
+    if isinstance(value, dict):
+        number = value.get("value", value.get("estimate"))
+        if _is_number(number) and ("std" in value or "low" in value):
+            yield name, _with_interval(number, value)
+            return
+        for key, entry in value.items():
+            ends = [value.get(f"{key}_{end}") for end in ("low", "high")]
+            ends = value.get(f"{key}_interval") or (ends if None not in ends else [None, None])
+            if key.endswith(("_low", "_high", "_interval")):
+                continue
+            inner = f"{name}.{key}" if name else key
+            if _is_number(entry):
+                yield inner, Figure(entry, *ends)
+            else:
+                yield from figures(entry, inner)
+    elif isinstance(value, list):
+        for number, entry in enumerate(value):
+            label = entry.get("name", entry.get("label", number)) if isinstance(entry, dict) else number
+            yield from figures(entry, f"{name}.{label}" if name else str(label))
+    elif _is_number(value):
+        yield name, Figure(value)
+    elif value is not None:
+        yield name, value
+
+
+def _with_interval(number: float, value: dict[str, Any]) -> Figure:
+    if _is_number(value.get("low")) and _is_number(value.get("high")):
+        return Figure(number, value["low"], value["high"])
+    half = _TWO_SIDED * value["std"] if _is_number(value.get("std")) else None
+    return Figure(number) if half is None else Figure(number, number - half, number + half)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def table(what: str, left: dict[str, Any], right: dict[str, Any]) -> list[str]:
+    """Rows that differ, as text; none where nothing does."""
+    rows = [(what, "A", "B", "")]
+    for name in dict.fromkeys((*left, *right)):
+        pair = left.get(name), right.get(name)
+        shown = ["–" if one is None else str(one) for one in pair]
+        if shown[0] == shown[1]:
+            continue
+        said = ""
+        if isinstance(pair[0], Figure) and isinstance(pair[1], Figure):
+            change = f"{100.0 * (pair[1].value / pair[0].value - 1.0):+.3g} %" if pair[0].value else ""
+            apart = {True: "intervals apart", False: "within the intervals", None: ""}[pair[0].apart(pair[1])]
+            said = ", ".join(filter(None, (change, apart)))
+        rows.append((name, *shown, said))
+    return [aligned(rows)] if len(rows) > 1 else []

@@ -1,0 +1,100 @@
+"""Files to begin with, commented; they run as they are."""
+
+STUDY = """\
+#:schema {schema}
+# A study: run it with `memsgyro sweep {name}`, one die of it with `memsgyro simulate {name}`.
+# Every section may be left out, and is then that of the gyro of the thesis; any unit of the right kind will do.
+schema = "memsgyro-study/1"
+
+[device]                                  # by its modes; or by kxx, kyy, kxy, dxx, dyy, dxy
+kind = "single_mass"                      # or "dual_mass", with mass_x and mass_y
+mass = "0.2 mg"
+frequency = ["3.0 kHz", "3.6 kHz"]        # of the two modes, the lower one first
+quality_factor = [900, 700]
+quadrature = "50 deg/s"                   # how far the axes couple, as the rate that would look the same
+# temperature = "300 K"                   # brings the Brownian force
+
+[readout]
+kind = "displacement"                     # or "velocity", "capacitive", "charge_amplifier", "carrier"
+scale = "0.5 V/um"                        # one value for both axes, or [x, y]
+noise_density = "200 nV/sqrt(Hz)"
+
+[observer]
+kind = "ekf"                              # or "lyapunov", or "none" with a classic controller
+
+[scenario]
+rate = "100 deg/s"                        # or {{ kind = "sine", amplitude = "100 deg/s", frequency = "10 Hz" }}
+
+[spread]
+relative = "5 %"                          # standard deviation of every number of the device, from die to die
+
+[sweep]                                   # sample_rate and duration follow the device where they are left out
+dies = 64
+tolerance = "20 deg/s"                    # a die yields when its rate error at the end is within it
+seed = 0
+
+# [[effects]]                             # physics beyond the linear device: `memsgyro effects` lists it
+# name = "cubic_stiffness"
+# axis = "x"
+# strength = "1e9 N/m^3"
+"""
+
+CASE = """\
+#:schema {schema}
+# A measurement case: `memsgyro check {name}`, then `memsgyro compare {name}` and `memsgyro diagnose {name}`.
+# Put your own CSV files beside it; each header names its column with the unit, like "f [Hz],X [V],Y [V]".
+schema = "memsgyro-case/1"
+name = "{name}"
+device = "resonator"                      # or "single_mass", with two axes
+description = "a resonance, to be replaced by your own"
+
+[design]                                  # what you know; what is left out is found from the records
+resonance = {{ value = 3.0, unit = "kHz", tolerance = 0.02 }}
+quality_factor = {{ value = 900, unit = "1", tolerance = 0.3 }}
+
+[readout]
+quantity = "displacement"                 # or "velocity", "acceleration": what the volts are proportional to
+
+[[experiment]]
+name = "low"
+kind = "frequency_sweep"                  # or "ring_down", "free_decay", "rate_table", "time_record"
+file = "low.csv"
+settled = true                            # every row was read after the transient had died away
+# noise_std = {{ value = 50, unit = "uV" }}  # of I and Q; estimated from the rows where it is left out
+
+[[experiment]]
+name = "high"                             # a second drive level separates springs that stiffen from those that do not
+kind = "frequency_sweep"
+file = "high.csv"
+settled = true
+
+[[experiment]]
+name = "check"
+kind = "frequency_sweep"
+file = "check.csv"
+settled = true
+role = "validation"                       # never fitted: it judges
+"""
+
+EFFECT = '''\
+"""My effect: `memsgyro effects {name}` checks and lists it, `memsgyro diagnose CASE --effects {name}` tries it."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import Array
+
+import memsgyro_jax.effects as fx
+
+
+class SofteningStop(fx.ForceEffect):
+    # Name, unit of the strength, and the law as it is printed; strength zero must mean absent.
+    name, unit, law = "softening_stop", "N/m²", "F = −s·(|q| − g)²·sign(q) beyond a gap g of 1.6 µm"
+    reference = ""  # where the law is from
+    axis: int = eqx.field(static=True, default=0)  # 0 is x, 1 is y
+    strength: Array = fx.strength()  # fx.strength(sign=+1) where physics gives the sign
+
+    def force(self, now):
+        """The force on the mass; `now` has displacement and velocity [m, m/s] of both axes, rate, temperature, time."""
+        q = now.displacement[self.axis]
+        return self.along(now, -self.strength * jnp.maximum(jnp.abs(q) - 1.6e-6, 0.0) ** 2 * jnp.sign(q))
+'''
