@@ -114,10 +114,10 @@ def main(tokens: Sequence[str] | None = None) -> None:
         with contextlib.suppress(AttributeError, ValueError):  # not all that stands in for them is a stream of text
             stream.reconfigure(errors="replace")  # type: ignore[union-attr]  # `±` is no letter of every locale
     with _told_to_end():
-        sys.exit(_run(app, _told(sys.argv[1:] if tokens is None else tokens)))
+        sys.exit(_run(app, _without_verbose(sys.argv[1:] if tokens is None else tokens)))
 
 
-def _told(tokens: Sequence[str]) -> list[str]:
+def _without_verbose(tokens: Sequence[str]) -> list[str]:
     """The command line without `--verbose`, which sends what the package logs to standard error."""
     if VERBOSE in tokens:
         logging.basicConfig(format="%(asctime)s %(message)s", datefmt="%H:%M:%S", force=True)

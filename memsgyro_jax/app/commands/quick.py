@@ -9,7 +9,8 @@ from memsgyro_jax.base.files import read_text
 def look_for_study(study: Path | None, *others: Path | None) -> None:
     """Raises the error of a study that is not there or no TOML, and of another file that is not there."""
     for path in filter(None, others):
-        path.stat()
+        if not path.exists():
+            read_text(path, "file")
     if study is None:
         return
     text = read_text(study, "study file")
