@@ -19,6 +19,7 @@ import cyclopts
 
 from memsgyro_jax import __version__
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.made_by import called
 
 from .commands.allan import allan_command
 from .commands.check import check_command
@@ -118,10 +119,13 @@ def main(tokens: Sequence[str] | None = None) -> None:
 
 
 def _without_verbose(tokens: Sequence[str]) -> list[str]:
-    """The command line without `--verbose`, which sends what the package logs to standard error."""
+    """The command line, remembered for what it makes, without `--verbose`, which sends what the package logs to
+    standard error.
+    """
     if VERBOSE in tokens:
         logging.basicConfig(format="%(asctime)s %(message)s", datefmt="%H:%M:%S", force=True)
         _LOG.setLevel(logging.DEBUG)
+    called(tokens)
     return [token for token in tokens if token != VERBOSE]
 
 

@@ -5,7 +5,7 @@ from typing import Literal
 
 
 @dataclass(frozen=True)
-class Judged:
+class JudgedRecord:
     """An experiment beside a model: `error` is the rms of the deviation over the noise, explained up to `gate`."""
 
     name: str
@@ -33,7 +33,7 @@ class FittedModel:
 
     chi2_per_dof: float | None
     status: str
-    per_experiment: list[Judged]
+    per_experiment: list[JudgedRecord]
     parameters: list[FittedNumber]
 
 
@@ -88,7 +88,7 @@ class Feasible:
 
 
 @dataclass(frozen=True)
-class Added:
+class AddedEffect:
     """The fit after one more effect."""
 
     added: str
@@ -97,7 +97,7 @@ class Added:
 
 
 @dataclass(frozen=True)
-class Answer:
+class DiagnosisAnswer:
     """The whole file."""
 
     schema: Literal["memsgyro-diagnosis/1"]
@@ -115,8 +115,8 @@ class Answer:
     next_experiment: str | None
     next_experiments: list[Feasible]
     residual: dict[str, float | None]
-    steps: list[Added]
-    tried: list[Added]
+    steps: list[AddedEffect]
+    tried: list[AddedEffect]
     std_scale: float | None
     outlying: dict[str, list[int]]
     versions: dict[str, str]

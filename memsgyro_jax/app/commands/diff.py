@@ -56,7 +56,7 @@ def read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
 
         from ..study import load_study
 
-        return dict(entries(tomllib.loads(load_study(path).to_toml()))), {}
+        return dict(flat_entries(tomllib.loads(load_study(path).to_toml()))), {}
     path = path / "summary.json" if path.is_dir() else path
     try:
         found = json.loads(path.read_bytes())
@@ -67,14 +67,14 @@ def read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     if not isinstance(found, dict):
         raise InputError(f"{path} must hold a result, a JSON object, but holds a {type(found).__name__}.")
     told = {name: value for name, value in found.items() if name not in _SILENT}
-    return dict(entries(found.get("study", {}))), dict(figures(told))
+    return dict(flat_entries(found.get("study", {}))), dict(figures(told))
 
 
-def entries(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
+def flat_entries(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
     """What a file says, by dotted name."""
     if isinstance(value, dict):
         for key, entry in value.items():
-            yield from entries(entry, f"{name}.{key}" if name else key)
+            yield from flat_entries(entry, f"{name}.{key}" if name else key)
     else:
         yield name, value
 

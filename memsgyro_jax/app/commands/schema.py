@@ -33,9 +33,9 @@ def schema_of(kind: Kind) -> dict[str, Any]:
     else:
         from pydantic import TypeAdapter
 
-        from .answer import Answer
+        from .answer import DiagnosisAnswer
 
-        made = TypeAdapter(Answer).json_schema()
+        made = TypeAdapter(DiagnosisAnswer).json_schema()
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **_any_of(made), "title": f"memsgyro {kind}"}
 
 

@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from memsgyro_jax.diagnosis.compare import as_times, judged
+from memsgyro_jax.diagnosis.found_force import LawOverWaveform, found_forces
 from memsgyro_jax.diagnosis.residual_force import beside_lowest_drive, rate_residuals, sweep_forces, time_forces
 from memsgyro_jax.diagnosis.result import DRAW, Accepted, Candidate, Diagnosis
 
@@ -30,6 +31,8 @@ def diagnosis_page(diagnosis: Diagnosis) -> Page:
     out = Page(f"Diagnosis of {diagnosis.case.name}", diagnosis.case.description)
     out.section(f"Verdict: {VERDICTS[diagnosis.verdict]}").text(diagnosis.sentence)
     _effects(out, diagnosis)
+    for figure, caption in _found_figures(diagnosis):
+        out.figure(figure, caption)
     if diagnosis.next_experiment:
         out.text(f"What to measure next: {diagnosis.next_experiment}.")
     _planned(out, diagnosis)
@@ -94,7 +97,7 @@ def _effect(a: Accepted) -> list[str]:
     )
     return [
         a.label,
-        ", ".join(f"{e:.5g}" for e in a.estimate),
+        ", ".join(f"{e:.4g}" for e in a.estimate),
         "; ".join(spans),
         a.unit,
         as_times(a.error_before),
@@ -190,6 +193,23 @@ def _forces(out: Page, diagnosis: Diagnosis) -> None:
         out.figure(figure, caption)
     if not drawn:
         out.text("No record shows it as a force above its noise.")
+
+
+def _found_figures(diagnosis: Diagnosis) -> Iterator[tuple[Figure, str]]:
+    """Each accepted law beside what the records show of it."""
+    gyro = diagnosis.case.device == "single_mass"
+    length, force = ((1e6, "µm"), (1e9, "nN")) if gyro else ((1.0, "V"), (1.0, "V"))
+    for accepted, found in found_forces(diagnosis):
+        if isinstance(found, LawOverWaveform):
+            slow = found.over == "velocity"
+            across = f"velocity [{length[1]}/ms]" if slow else f"displacement [{length[1]}]"
+            factors = (1e-3 * length[0] if slow else length[0], force[0])
+            labels = (across, f"force beyond a straight line [{force[1]}]")
+        else:
+            unit = {"stiffness": "N/m", "damping": "N s/m"} if gyro else {"stiffness": "V/V", "damping": "V s/V"}
+            factors, labels = (length[0], 1.0), (f"amplitude [{length[1]}]", f"{found.part} [{unit[found.part]}]")
+        figure = force_figures.found_figure(found, factors, labels)
+        yield figure, f"{accepted.label}, as {found.record} shows it."
 
 
 def _force_figures(diagnosis: Diagnosis) -> Iterator[tuple[Figure, str]]:

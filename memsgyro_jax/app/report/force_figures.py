@@ -5,6 +5,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from memsgyro_jax.diagnosis.found_force import LawOverAmplitude, LawOverWaveform
 from memsgyro_jax.measurement.experiments.missing_force import Binned, RateResidual, SweepForce, TimeForce
 
 from .diagnosis_figures import BASE, FINAL, MEASURED, QUIET, colours, faint
@@ -75,6 +76,30 @@ def time_figure(found: TimeForce, axis: int, motion: tuple[float, str], force: t
     right.set_ylabel(f"rms force [{force[1]}]")
     for ax in (left, middle, right):
         ax.xaxis.set_major_locator(MaxNLocator(5))
+    return faint(figure)
+
+
+def found_figure(
+    found: LawOverWaveform | LawOverAmplitude, factors: tuple[float, float], labels: tuple[str, str]
+) -> Figure:
+    """The law with its band, and what the records show beyond the base model and beyond the final one."""
+    figure = blank(3.4)
+    ax = figure.subplots()
+    if isinstance(found, LawOverWaveform):
+        series = [(one.centre, one.mean, one.error) for one in (found.base, found.final)]
+    else:
+        sure = found.std <= _SHOWN * np.quantile(found.std, _SURE)
+        series = [(found.amplitude[sure], values[sure], found.std[sure]) for values in (found.base, found.final)]
+    keys = (("missing beside the base model", BASE, "x"), ("missing beside the final model", FINAL, "."))
+    for (across, values, std), (label, colour, marker) in zip(series, keys, strict=True):
+        bars = {"fmt": marker, "color": colour, "ecolor": QUIET, "ms": 5, "elinewidth": 0.7, "label": label}
+        ax.errorbar(factors[0] * across, factors[1] * values, factors[1] * std, **bars)
+    place, law, half = factors[0] * found.place, factors[1] * found.law, factors[1] * found.spread * np.abs(found.law)
+    ax.plot(place, law, color=MEASURED, lw=1.4, label="the law that was found, 95 % band")
+    ax.fill_between(place, law - half, law + half, color=MEASURED, alpha=0.2, lw=0)
+    ax.axhline(0.0, color=QUIET, lw=0.8, ls=":")
+    ax.set(xlabel=labels[0], ylabel=labels[1])
+    figure.legend(loc="outside lower center", ncols=3, frameon=False, fontsize="small")
     return faint(figure)
 
 

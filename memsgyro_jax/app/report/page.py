@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from markupsafe import Markup
 
-from memsgyro_jax import __version__
 from memsgyro_jax.base.files import write_whole
+from memsgyro_jax.base.made_by import made_by
 
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ class Page:
 
     def __init__(self, title: str, subtitle: str = "", footer: str | None = None):
         self.title, self.subtitle = title, subtitle
-        self.footer = f"memsgyro_jax {__version__}" if footer is None else footer
+        self.footer = made_by() if footer is None else f"{footer} {made_by()}"
         self._sections: list[dict] = []
 
     def section(self, title: str) -> "Page":

@@ -94,7 +94,10 @@ def test_every_experiment_has_its_error_and_its_picture(found, diagnosis):
         assert place
         assert f"{before.rms:#.3g}" in words
         assert f"{after.rms:#.3g}" in words
-    assert found.count("<svg") == len(diagnosis.case.records) + 1
+    assert found.count("<svg") == len(diagnosis.case.records) + 2
+    parts = (diagnosis.sentence, "the law that was found, 95 % band", "What to measure next")
+    places = [found.index(part) for part in parts]
+    assert places == sorted(places)
     assert len(found) < 2_000_000
 
 

@@ -1,6 +1,8 @@
 """A report page is one file that escapes what it is given, loads nothing and is written whole."""
 
 import re
+import shutil
+import subprocess
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -8,6 +10,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from memsgyro_jax.app.report.page import Page
+from memsgyro_jax.base import made_by
 from memsgyro_jax.base.files import write_whole
 
 
@@ -84,3 +87,33 @@ def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
         write_whole(path, "new and longer than ten letters")
     assert path.read_text() == before
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_page_says_when_by_what_and_how_it_was_made():
+    made_by.called(["sweep", "my study.toml"])
+    made = re.search("<footer>(.*)</footer>", Page("Title").html())[1]
+    made_by._COMMAND.set("")
+    stamp, command = made.split(" UTC, by ")
+    assert re.fullmatch(r"memsgyro_jax \S+, \d{4}-\d\d-\d\d \d\d:\d\d", stamp)
+    assert command == "memsgyro sweep &#39;my study.toml&#39;"
+    assert re.search(r"UTC</footer>", Page("Title").html()), "no command line where there was none"
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+def test_nothing_overflows_a_phone_or_a_screen(width, tmp_path):
+    """The page in a frame of that width, as a browser lays it out: only what is meant to scroll does."""
+    browser = shutil.which("chromium") or shutil.which("chromium-browser")
+    if browser is None:
+        pytest.skip("no Chromium on this machine")
+    page = Page("A title with a long_word_" + "x" * 20, "subtitle").section("A section").text("Words. " * 40)
+    page.table([f"column {k}" for k in range(12)], [["some words"] * 12] * 3, "A caption. " * 20)
+    page.figure(drawn(), "a figure").save(tmp_path / "page.html")
+    script = "const d = f.contentDocument.documentElement; document.title = d.scrollWidth + ' of ' + d.clientWidth"
+    frame = f'<iframe id="f" src="page.html" width="{width}" height="900" onload="{script}"></iframe>'
+    (tmp_path / "frame.html").write_text(frame)
+    flags = ["--headless", "--no-sandbox", "--disable-gpu", "--allow-file-access-from-files", "--window-size=1400,1000"]
+    command = [browser, *flags, f"--user-data-dir={tmp_path / 'profile'}", "--dump-dom", f"{tmp_path / 'frame.html'}"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    found = re.search(r"<title>(\d+) of (\d+)</title>", done.stdout)
+    assert found, done.stderr
+    assert int(found[1]) <= int(found[2]) <= width

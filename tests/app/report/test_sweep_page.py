@@ -85,6 +85,14 @@ def test_correlations_are_those_of_the_dies(lot):
     np.testing.assert_allclose(figures.ranks(values, error), by_hand, rtol=1e-12)
 
 
+def test_one_die_far_off_does_not_flatten_the_picture(lot):
+    errors = lot._rows["rate_error_end"].copy()
+    errors[0] = 1e3
+    ax = replace(lot, _rows={**lot._rows, "rate_error_end": errors}).plot()
+    assert ax.get_xlim()[1] < np.degrees(10.0 * np.nanmax(np.abs(lot._rows["rate_error_end"])))
+    assert f"{len(errors)} dies, 1 of them further off" in [text.get_text() for text in ax.get_legend().get_texts()]
+
+
 @pytest.mark.slow
 def test_a_sweep_without_spread_and_one_without_survivors(study):
     known = ["kxx", "kyy", "kxy", "dxx", "dyy", "dxy", "sigma"]  # a smaller filter compiles faster
