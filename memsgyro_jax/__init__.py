@@ -59,6 +59,8 @@ if TYPE_CHECKING:
     from .loop.controllers import EnergyControl as EnergyControl
     from .loop.controllers import WholeAngle as WholeAngle
     from .loop.controllers import SlidingMode as SlidingMode
+    from .loop.controllers import Saturated as Saturated
+    from .loop.controllers import Ahead as Ahead
     from .loop.controllers import OpenLoop as OpenLoop
     from .loop.controllers import ClassicControl as ClassicControl
     from .loop.controllers import PhaseLockedDrive as PhaseLockedDrive

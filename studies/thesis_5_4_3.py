@@ -101,6 +101,10 @@ laws = {
 found = {}
 for name, (claim, law, frequencies, options) in laws.items():
     found[name], _ = from_starts(report, name, claim, law, frequencies, count, duration, **options)
+for limit in (100e-6, 30e-6, 15e-6, 8e-6):  # right coefficients ask for 13 µN
+    law = mg.Saturated(reference(THESIS_GAIN), (limit, limit))
+    name = f"energy control and state, forces up to {1e6 * limit:g} µN"
+    found[name], _ = from_starts(report, name, "-", law, PAIR, count, duration, energy=1.0)
 bare = mg.DampingCompensation()
 for off in (0.8, 0.9, 0.95, 0.98):
     name = f"damping compensation, start {100 * (1 - off):.0f} % off"

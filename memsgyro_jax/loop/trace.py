@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from memsgyro_jax.base import runtime
 from memsgyro_jax.base.arguments import quantity, whole
-from memsgyro_jax.base.axes import axes
+from memsgyro_jax.base.axes import axes, settled_limits
 from memsgyro_jax.base.concrete import is_concrete
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.labelled import Tabular, labelled
@@ -21,6 +21,7 @@ from memsgyro_jax.device.propagate import State4
 from . import engine, noise
 from .blocks.length import Blocks, lengths
 from .blocks.run import prepared, run_in_blocks
+from .controllers import Saturated
 from .expectation import expectations, tell
 from .loop import ClosedLoop, Sample, as_loop
 from .observers.base import LockReadings
@@ -76,7 +77,12 @@ class Trace(Tabular, eqx.Module):
         """A sentence on how the run went, or the runs of a map."""
         if np.ndim(self.intact_until):
             return f"{np.sum(np.isfinite(self.intact_until))} of {np.size(self.intact_until)} runs lost"
-        return "completed" if self.lost_at is None else f"lost at {self.lost_at:.6g} s: out of travel or not finite"
+        law = self.loop.controller
+        share = law.reached(self.force) if isinstance(law, Saturated) else 0.0
+        limited = f", a force at its limit in {100.0 * share:.3g} % of the samples" if share else ""
+        if self.lost_at is None:
+            return f"completed{limited}"
+        return f"lost at {self.lost_at:.6g} s: out of travel or not finite{limited}"
 
     @property
     def rate_error(self) -> Float[np.ndarray, " samples"]:
@@ -157,7 +163,8 @@ class Trace(Tabular, eqx.Module):
                 ax.plot(time, np.degrees(self.rate_estimate), color="C1", lw=1.4, label="output")
             ax.plot(time, np.degrees(self.rate_true), color="k", lw=1.2, ls="--", label="true")
             ax.set_ylabel("rate [deg/s]")
-            ax.set_ylim(*_limits(np.degrees(np.concatenate([self.rate_true, self.rate_estimate[len(time) // 4 :]]))))
+            shown = np.concatenate([self.rate_true, self.rate_estimate[len(time) // 4 :]])
+            ax.set_ylim(*settled_limits(np.degrees(shown)))
         elif quantity in ("motion", "offset"):
             factor, unit = (1e6, "displacement [µm]") if quantity == "motion" else (1e3, "offset [mV]")
             for axis, name in enumerate("xy"):
@@ -175,13 +182,6 @@ class Trace(Tabular, eqx.Module):
         ax.set_xlabel("time [ms]")
         ax.legend(loc="best", frameon=False)
         return ax
-
-
-def _limits(values: np.ndarray) -> tuple[float, float]:
-    """Limits that show the settled part, whatever the first samples did."""
-    low, high = np.nanpercentile(values, [1.0, 99.0])
-    margin = 0.3 * (high - low) + 1e-9
-    return float(low - margin), float(high + margin)
 
 
 class _Row(NamedTuple):

@@ -28,6 +28,7 @@ EXAMPLES = {
         mg.LyapunovObserver.for_device(GYRO, mg.DirectReadout.of_velocity(1.0)), (3e3, 5e3), (1e-6, 1e-6)
     ),
     "energy control": mg.EnergyControl(mg.OpenLoop(TONE), (3e3, 5e3), (1e-6, 1e-6), 9e3),
+    "saturated": mg.Saturated(mg.Ahead(mg.DampingCompensation(TONE)), (1e-6, 1e-6)),
     "sliding mode": mg.SlidingMode.for_device(GYRO, mg.DirectReadout.of_velocity(1.0), TONE),
     "delayed": mg.Delayed(READOUT, 1e-6),
     "reference model": mg.ReferenceModel((2.9e3, 3.7e3), TONE),

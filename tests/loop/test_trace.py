@@ -1,5 +1,8 @@
 """One run kept sample by sample."""
 
+import re
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -35,6 +38,9 @@ def test_a_trace_holds_the_whole_run(trace):
     assert len(trace.time) == 1000
     assert trace.lost_at is None
     assert "completed" in repr(trace)
+    limited = mg.Saturated(trace.loop.controller, np.quantile(np.abs(trace.force), 0.9, axis=0))
+    ended = replace(trace, loop=replace(trace.loop, controller=limited))
+    assert re.search(r"completed, a force at its limit in 1\d(\.\d)? % of the samples", ended.status)
     middles = (np.arange(1000) + 0.5) * 1e-5
     np.testing.assert_array_equal(trace.rate_true, middles > 5.003e-3)
     assert np.max(np.abs(trace.motion[:, 0])) < 1.2e-6

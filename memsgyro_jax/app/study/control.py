@@ -4,15 +4,28 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from memsgyro_jax.base.quantity import Acceleration, FileSection, Hertz, Metre, Newton, PerSecond, Radian, Share
+from memsgyro_jax.base.quantity import (
+    Acceleration,
+    FileSection,
+    Hertz,
+    In,
+    Metre,
+    Newton,
+    Pair,
+    PerSecond,
+    Radian,
+    Share,
+)
 from memsgyro_jax.device.gyro import AbstractGyro
 from memsgyro_jax.loop.controllers import (
     AbstractController,
+    Ahead,
     DampingCompensation,
     DesignedMotion,
     EnergyControl,
     OpenLoop,
     ReferenceModel,
+    Saturated,
     SlidingMode,
     Tone,
     WholeAngle,
@@ -72,16 +85,28 @@ class Energy(FileSection):
         return EnergyControl(law, self.frequency, self.amplitude, self.gain)
 
 
+class Actuators(FileSection):
+    """Section `[actuators]`: no force goes beyond `limit`, one for both axes or a pair (x, y)."""
+
+    limit: Pair[Annotated[float, Field(gt=0.0), In("N")]]
+
+    def around(self, law: AbstractController) -> AbstractController:
+        """The law with these."""
+        return Saturated(law, self.limit)
+
+
 class Compensation(FileSection):
-    """`kind = "damping_compensation"`: thesis (4.27), (4.28)."""
+    """`kind = "damping_compensation"`: thesis (4.27), (4.28); `ahead` feeds back half a sample early."""
 
     kind: Literal["damping_compensation"]
     tones: tuple[Added, ...] = ()
     energy: Energy | None = None
+    ahead: bool = False
 
     def build(self, gyro: AbstractGyro, readout: AbstractReadout) -> AbstractController:
         """The controller."""
-        law = DampingCompensation(_tones(self.tones))
+        plain = DampingCompensation(_tones(self.tones))
+        law = Ahead(plain) if self.ahead else plain
         return law if self.energy is None else self.energy.beside(law)
 
 

@@ -30,7 +30,7 @@ from memsgyro_jax.tuning.tunable import Tunable, free
 
 from .classic import Unobserved
 from .completed import USUAL_SPREAD, completed, left_to_device
-from .control import MEASURING, Controller
+from .control import MEASURING, Actuators, Controller
 from .hardware import Charge, Device, Fitted, FittedReadout, Readout, SingleMass, unit_of_device
 from .laws import Anneal, Kalman, Observer, discretisation
 from .numbers import entries_of, unit_at
@@ -76,6 +76,7 @@ class StudyFile(FileSection):
     readout: Readout = Field(default_factory=_readout)
     observer: Observer = Field(default_factory=lambda: Kalman(kind="ekf", annealing=Anneal()))
     controller: Controller | None = None
+    actuators: Actuators | None = None
     filter: Filter | None = None
     loop: Start = Start()
     scenario: Surroundings = Field(default_factory=lambda: Surroundings(rate="1 rad/s"))
@@ -273,6 +274,7 @@ def _build(given: StudyFile, source: Source, own: tuple[Effect, ...]) -> Study:
         observer = file.observer.build(gyro, readout)
     with source.section("controller"):
         controller = file.controller.build(gyro, readout)  # type: ignore[union-attr]  # `completed` gives one
+    controller = controller if file.actuators is None else file.actuators.around(controller)
     start = (*file.loop.displacement, *file.loop.velocity)
     plant = discretisation(file.loop.discretisation)
     filter_ = file.filter and file.filter.build()

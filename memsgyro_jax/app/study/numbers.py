@@ -21,7 +21,7 @@ class NumberEntry(NamedTuple):
     paths: tuple[str, ...]
 
 
-_PLAIN = ("device", "readout", "filter", "observer", "controller")
+_PLAIN = ("device", "readout", "filter", "observer", "controller", "actuators")
 _NESTED = ("observer.fading", "observer.annealing", "observer.energy", "controller.energy", "controller.rocking",
            "observer.jump")  # fmt: skip
 _AROUND = ("energy", "jump")
@@ -57,15 +57,25 @@ def entry_of(file: Any, names: tuple[str, ...], path: str) -> NumberEntry | None
 
 
 def _in_file(file: Any, path: str) -> str:
-    """Where a path of the loop leads in the file: what keeps an energy, or tests for jumps, stands around the part that
-    it belongs to.
+    """Where a path of the loop leads in the file: what keeps an energy, tests for jumps, limits a force or looks ahead
+    stands around the part that it belongs to.
     """
     part, _, rest = path.partition(".")
-    section = getattr(file, part, None) if part in ("observer", "controller") else None
-    around = next((name for name in _AROUND if getattr(section, name, None) is not None), None)
-    if around is None:
+    if part not in ("observer", "controller"):
         return path
-    return f"{part}.{rest.removeprefix('inner.')}" if rest.startswith("inner.") else f"{part}.{around}.{rest}"
+    for section in around(file, part):
+        if not rest.startswith("inner."):
+            return f"{section}.{rest}"
+        rest = rest.removeprefix("inner.")
+    return f"{part}.{rest}"
+
+
+def around(file: Any, part: str) -> list[str]:
+    """Sections of what stands around the observer or the law of the file, from without."""
+    section = getattr(file, part, None)
+    limited = ["actuators"] if part == "controller" and file.actuators is not None else []
+    beside = [f"{part}.{name}" for name in _AROUND if getattr(section, name, None) is not None]
+    return limited + beside + ([part] if getattr(section, "ahead", False) else [])
 
 
 def _walk_of(names: tuple[str, ...], head: str, last: str) -> NumberEntry | None:
@@ -95,10 +105,11 @@ def unit_at(file: Any, names: tuple[str, ...], path: str) -> str | None:
     name = path.removeprefix(f"{prefix}theta.") if path.startswith(f"{prefix}theta.") else path.removeprefix(prefix)
     if name != path and name in names:
         path = f"{prefix}theta.{names.index(name)}"
-    if _in_file(file, path).startswith("controller.tones."):
+    inside = _in_file(file, path)
+    if inside.startswith("controller.tones."):
         return _tone_units(file).get(path.rpartition(".")[2])
-    if isinstance(file.controller, Classic) and unit_of_classic(path):
-        return unit_of_classic(path)
+    if isinstance(file.controller, Classic) and unit_of_classic(inside):
+        return unit_of_classic(inside)
     for candidate in (path, f"{path}.0"):
         entry = entry_of(file, names, candidate)
         if entry is not None:
@@ -114,11 +125,12 @@ def entries_of(file: Any, loop: ClosedLoop, paths: tuple[str, ...]) -> dict[str,
     names = loop.device.model.names
     changes: dict[str, Any] = {}
     for path in paths:
-        if _in_file(file, path).startswith("controller.tones."):
+        inside = _in_file(file, path)
+        if inside.startswith("controller.tones."):
             changes["controller.tones"] = _tones(file, loop)
             continue
-        if isinstance(file.controller, Classic) and unit_of_classic(path):
-            changes |= entries_of_classic(loop.controller)
+        if isinstance(file.controller, Classic) and unit_of_classic(inside):
+            changes |= entries_of_classic(_law(file, loop))
             continue
         added = loop.device.effects[len(loop.device.effects) - len(file.effects) :]
         if path.startswith("device.effects.") and int(path.split(".")[2]) >= len(loop.device.effects) - len(added):
@@ -132,9 +144,16 @@ def entries_of(file: Any, loop: ClosedLoop, paths: tuple[str, ...]) -> dict[str,
     return changes
 
 
+def _law(file: Any, loop: ClosedLoop) -> Any:
+    """The law of `[controller]` without what stands around it."""
+    law: Any = loop.controller
+    for _ in around(file, "controller"):
+        law = law.inner
+    return law
+
+
 def _tones(file: Any, loop: ClosedLoop) -> list[dict[str, Any]]:
-    units, energy = _tone_units(file), getattr(file.controller, "energy", None)
-    law: Any = loop.controller if energy is None else loop.controller.inner  # type: ignore[attr-defined]
+    units, law = _tone_units(file), _law(file, loop)
     return [
         {name: In(unit).write(float(np.asarray(getattr(tone, name)))) for name, unit in units.items()} | {"axis": axis}
         for axis, tones in zip("xy", law.tones, strict=True)
