@@ -67,7 +67,7 @@ def test_api_pages_show_the_public_names():
     assert len(shown) == len({*shown})
     assert {*shown, "__version__"} == {*mg.__all__}
     nav = (ROOT / "mkdocs.yml").read_text()
-    assert all(f"- {path}\n" in nav for path in generated.api_pages())
+    assert all(f" {path}\n" in nav for path in generated.api_pages())
 
 
 def test_the_catalogue_holds_every_effect_and_every_public_member():
