@@ -25,9 +25,11 @@ ROOT = Path(__file__).resolve().parent.parent
 SETTINGS = ("XLA_FLAGS", "JAX_", "MEMSGYRO_")
 # The files that take longest, most of it to compile. Workers begin with them: one begun last would leave others idle.
 LONGEST = (
-    "couplings/test_identify.py",
     "diagnosis/test_diagnose.py",
+    "app/report/test_diagnosis_page.py",
+    "loop/test_blocks.py",
     "montecarlo/test_sweep.py",
+    "couplings/test_identify.py",
     "app/test_commands.py",
     "loop/test_bound.py",
     "app/test_bench_to_loop.py",
@@ -36,13 +38,10 @@ LONGEST = (
     "tuning/test_tune.py",
     "effects/test_members.py",
     "measurement/test_experiments_of_models.py",
-    "diagnosis/test_scans.py",
     "loop/test_effects_in_loop.py",
     "measurement/experiments/test_a_kind_from_outside.py",
-    "app/report/test_diagnosis_page.py",
     "motion/test_design_motion.py",
     "lab/test_laboratory.py",
-    "diagnosis/test_residual_force.py",
     "app/report/test_sweep_page.py",
     "base/test_runtime.py",
     "loop/test_consistency.py",

@@ -228,7 +228,7 @@ def assert_draws_reach_the_bound(noise, level, draws, tolerance):
     assert float(jnp.rad2deg(bound[3])) < 0.06
 
 
-@pytest.mark.parametrize("count", [8, pytest.param(200, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [4, pytest.param(200, marks=pytest.mark.slow)])
 def test_naive_starts_reach_the_optimum_found_from_the_truth(count):
     rng = np.random.default_rng(17)
     reached = 0

@@ -149,10 +149,12 @@ def test_dry_friction_takes_four_strengths_times_the_amplitude_per_cycle():
     omega = np.sqrt(float(now.device.stiffness[0]))
     for amplitude in (1e-10, 1e-7, 1e-4):
         q, v = amplitude * np.sin(theta), amplitude * omega * np.cos(theta)
-        work = 0.0
-        for one_q, one_v in zip(q, v, strict=True):
-            there = SimpleNamespace(**vars(now) | {"displacement": jnp.array([one_q]), "velocity": jnp.array([one_v])})
-            work += float(fx.DryFriction(0, 3.0).force(there)[0]) * one_v / omega * 2 * np.pi / 512
+
+        def force(one_q, one_v):
+            there = SimpleNamespace(**vars(now) | {"displacement": one_q[None], "velocity": one_v[None]})
+            return fx.DryFriction(0, 3.0).force(there)[0]
+
+        work = float(jnp.sum(jax.vmap(force)(jnp.asarray(q), jnp.asarray(v)) * v / omega)) * 2 * np.pi / 512
         assert work == pytest.approx(-4 * 3.0 * amplitude * 0.98893, rel=1e-3 if amplitude > 1e-9 else 0.02)
 
 

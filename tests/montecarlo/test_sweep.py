@@ -286,7 +286,7 @@ def assert_kills_lose_nothing(loop, tmp_path, moments) -> None:
 
 
 def test_a_killed_sweep_resumes_to_the_same_bits(loop, tmp_path):
-    assert_kills_lose_nothing(loop, tmp_path, [0.05, 0.2])
+    assert_kills_lose_nothing(loop, tmp_path, [0.1])
 
 
 def test_the_default_lot_is_consistent_and_at_the_bound(loop):
