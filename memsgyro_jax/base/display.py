@@ -50,6 +50,7 @@ _FIELDS = {
     "AxisAngles.sense WholeAngle.rocking",
     "rad/s": "rate cross_rate omega resonance LyapunovObserver.frequency SlidingMode.frequency tolerance",
     "rad/s²": "angular_acceleration",
+    "rad²/s²": "rate_variance",
     "Hz": "gain_bandwidth corner sample_rate frequency bandwidth low high",
     "s": "at until time times delay duration decay window settle allowed",
     "SI per kg": "theta theta_std",
@@ -84,7 +85,10 @@ def shown(value: Any, unit: str = "") -> str:
     if dataclasses.is_dataclass(value) and not isinstance(value, type) and _is_plain(value):
         fields = (_field(value, field, unit) for field in dataclasses.fields(value))
         return _enclosed(type(value).__name__, [text for text in fields if text])
-    if isinstance(value, tuple | list) and not hasattr(value, "_fields"):
+    if isinstance(value, tuple) and hasattr(value, "_fields"):
+        parts = [f"{name}={shown(held)}" for name, held in zip(value._fields, value, strict=True) if held is not None]
+        return _enclosed(type(value).__name__, parts)
+    if isinstance(value, tuple | list):
         numbers = len(value) > 0 and all(_is_number(entry) and np.ndim(entry) == 0 for entry in value)
         text = _enclosed("", [shown(entry, "" if numbers else unit) for entry in value])
         return _with_unit(text, unit) if numbers else text

@@ -21,10 +21,11 @@ from jax.tree_util import PyTreeDef
 from jaxtyping import Array, Float, PyTree
 
 from .concrete import is_concrete
+from .display import Displayed
 from .errors import InputError
 
 
-class Transform(eqx.Module):
+class Transform(Displayed):
     """A smooth one-to-one map between the admissible interval of a value and the unbounded line."""
 
     @abc.abstractmethod
@@ -103,7 +104,7 @@ class LogLogit(Transform):
         return (value >= self.low) & (value <= self.high)
 
 
-class GaussianPrior(eqx.Module):
+class GaussianPrior(Displayed):
     """What is known before the data: a normal distribution of the *coordinate* (of ln(value) under `Log`), mean and
     standard deviation.
     """
@@ -112,7 +113,7 @@ class GaussianPrior(eqx.Module):
     std: Array = eqx.field(converter=jnp.asarray)
 
 
-class Free(eqx.Module):
+class Free(Displayed):
     """A leaf that may move, through `transform`, optionally held by `prior`."""
 
     transform: Transform = Identity()

@@ -4,13 +4,14 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Complex
 
+from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.device.gyro import SingleMassGyro
 from memsgyro_jax.effects import Effect, ElectricalFeedthrough, FiniteSweepRate
 
 from .modes import CoupledModes
 
 
-class LockIn(eqx.Module):
+class LockIn(Displayed):
     """Gains and phases between the force command and the recorded phasors. A sweep can tell only their products apart.
 
     | field | unit | zero means |
@@ -37,7 +38,7 @@ class LockIn(eqx.Module):
         return common * drive * jnp.stack([jnp.ones_like(common), self.gain_ratio * jnp.exp(1j * self.phase_asymmetry)])
 
 
-class LeakPhasors(eqx.Module):
+class LeakPhasors(Displayed):
     """What the effect `electrical_feedthrough` makes of a lock-in's record: a phasor in proportion to the command.
 
     `x_drive` and `y_drive` are (channel, (re, im)) in record units per drive, for the electrode driven. Zero or `None`:
@@ -53,7 +54,7 @@ class LeakPhasors(eqx.Module):
         return jnp.zeros(2) + 0j if leak is None else leak[:, 0] + 1j * leak[:, 1]
 
 
-class Bench(eqx.Module):
+class Bench(Displayed):
     """A device as a frequency sweep sees it; what is `None` is absent and costs nothing."""
 
     device: CoupledModes

@@ -13,10 +13,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Complex, Float
 
+from memsgyro_jax.base.display import Displayed
+
 from .modes import CoupledModes
 
 
-class SingleMode(eqx.Module):
+class SingleMode(Displayed):
     """Resonance frequency [rad/s] and quality factor of one mode."""
 
     omega: Array = eqx.field(converter=jnp.asarray)

@@ -146,7 +146,7 @@ class AxisAngles(Displayed):
         return cls(axis[0], axis[1], jnp.arctan(modes.force_yx), -jnp.arctan(modes.force_xy))
 
 
-class ErrorDisplacements(eqx.Module):
+class ErrorDisplacements(Displayed):
     """Sense displacement, as phasors [m], of each cause while the drive mode moves with phasor X: (5) to (9) of the
     paper.
 

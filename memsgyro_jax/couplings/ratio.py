@@ -18,10 +18,12 @@ import numpy as np
 from jaxtyping import Array, Complex, Float
 from scipy import signal
 
+from memsgyro_jax.base.display import Displayed
+
 from .modes import CoupledModes
 
 
-class RatioEstimate(eqx.Module):
+class RatioEstimate(Displayed):
     """λ [1], η = cxy/m [1/s] and α = kxy/m [1/s²] with standard deviations from the scatter about the fit."""
 
     force: Array
@@ -34,7 +36,7 @@ class RatioEstimate(eqx.Module):
         return jnp.stack([self.force, self.damping_coupling, self.stiffness_coupling])
 
 
-class RatioEstimator(eqx.Module):
+class RatioEstimator(Displayed):
     """From the ratio of responses and the uncoupled modes to the couplings."""
 
     @abc.abstractmethod

@@ -21,13 +21,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Complex, Float
 
+from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.fields import AbstractVar
 from memsgyro_jax.base.fields import Scalar as Scalar
 from memsgyro_jax.device.carried import AbstractEffect
 from memsgyro_jax.device.normalised import NormalisedDevice
 
 
-class Moment(eqx.Module):
+class Moment(Displayed):
     """Everything an effect may depend on, at one instant. Vectors have one entry per axis.
 
     | field | unit | holds |

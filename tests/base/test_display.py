@@ -191,3 +191,14 @@ def test_a_fingerprint_changes_with_the_versions_that_decide_bits(monkeypatch):
 def test_a_fingerprint_of_jax_and_sets_is_the_same_twice():
     values = (jnp.sin, jax.jit(lambda x: x), frozenset({1, "a", None}), jax.nn.relu)
     assert " at 0x" not in str(list(provenance._parts(values, set())))
+
+
+@pytest.mark.parametrize(
+    "value",
+    [OBSERVER.estimate(OBSERVER.init()), mg.PolarNoise(1e-3, 0.01), mg.geometry.Comb(100, 5e-6, 1e-6, 5e-5), mg.Free()],
+    ids=lambda value: type(value).__name__,
+)
+def test_nothing_prints_the_type_of_a_number_in_its_place(value):
+    assert "f64[" not in repr(value)
+    assert "Array(" not in repr(value)
+    assert value._repr_html_().startswith("<pre")

@@ -2,9 +2,8 @@
 
 from typing import NamedTuple
 
-import equinox as eqx
-
 from memsgyro_jax.base.concrete import check_positive
+from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.fields import Scalar
 
 from ..gyro import number
@@ -13,7 +12,7 @@ from ..gyro import number
 PERMITTIVITY_OF_VACUUM = 8.8541878128e-12  # F/m
 
 
-class ParallelPlate(eqx.Module):
+class ParallelPlate(Displayed):
     """Plates of `area` [m²] at a `gap` [m] that closes: thesis (1.10) to (1.12), fringe absent (for sides far beyond
     the gap).
     """
@@ -39,7 +38,7 @@ class ParallelPlate(eqx.Module):
         return -self.capacitance / self.gap**2 * voltage**2
 
 
-class Comb(eqx.Module):
+class Comb(Displayed):
     """`fingers` N gaps of `gap` Z, of fingers `thickness` W high that overlap by `overlap` x0 and `mismatch` d [m]: the
     overlap changes, the gap does not.
 

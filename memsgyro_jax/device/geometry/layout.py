@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from memsgyro_jax.base.concrete import check_positive
+from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.fields import Scalar
 
 from ..gyro import SINGLE_MASS, UNCHANGED, AbstractGyro, Change, Dynamics, Inertial, MotionModel, SingleMassGyro, number
@@ -16,7 +17,7 @@ from .springs import Beam
 _DRAWN_AT = 298.15  # K, of the layout's modulus and viscosity
 
 
-class Process(eqx.Module):
+class Process(Displayed):
     """What a process does to every part of a die alike; zeros are the drawing.
 
     Args:
@@ -40,7 +41,7 @@ class Process(eqx.Module):
     temperature: Scalar = number(default=0.0)
 
 
-class PlateLayout(eqx.Module):
+class PlateLayout(Displayed):
     """A square plate on guided legs, `legs` for either axis, above a substrate.
 
     Args:

@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 
 from memsgyro_jax.base.concrete import check_positive
+from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.fields import Scalar
 
 from ..gyro import number
@@ -20,7 +20,7 @@ class PlaneStiffness(NamedTuple):
     xy: Scalar
 
 
-class Beam(eqx.Module):
+class Beam(Displayed):
     """A straight beam along its `length` L, of `width` a in the plane and `thickness` b out of it [m], of Young's
     modulus `young` [Pa]; `stress` [Pa] pulls along it (zero: none).
 

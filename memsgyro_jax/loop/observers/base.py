@@ -56,7 +56,7 @@ class LockReadings(NamedTuple):
     force: Scalar
 
 
-class Estimate(eqx.Module):
+class Estimate(Displayed):
     """What an observer believes at a sample.
 
     `motion` is (x, y, vx, vy) in m and m/s, `theta` the coefficients of `model` in order (known ones at their known

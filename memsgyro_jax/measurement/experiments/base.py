@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float, PyTree
 
+from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.fields import AbstractVar
 from memsgyro_jax.device.conditions import Conditions
 
@@ -19,7 +20,7 @@ from ..declared import Declared
 BEYOND = 2.0  # times the largest drive or speed in a record: so far a next experiment may go
 
 
-class Noise(eqx.Module):
+class Noise(Displayed):
     """How far a record may lie from its prediction."""
 
     @abc.abstractmethod
