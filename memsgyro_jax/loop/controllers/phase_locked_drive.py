@@ -27,9 +27,11 @@ class PhaseLockedDrive(Displayed):
     """Holds the drive axis at `amplitude` [m] on its resonance: `x = A cos φ`, `force = -F sin φ`.
 
     Phase-locked loop: φ turns with `frequency` [Hz] corrected by `phase_gain` [1/s] times the sine of the phase by
-    which x leads, plus `phase_integral` [1/s²] times its integral, by at most the share `pull` of it. Gain control: F
-    is `force_gain` [N/m] times the missing amplitude plus `force_integral` [N/(m·s)] times its integral, between zero
-    and `limit` [N]. Zero gains hold the frequency, and leave the mass undriven. From rest it starts by itself.
+    which x leads, plus `phase_integral` [1/s²] times its integral, by at most the share `pull` of it. Beside the
+    resonance, where the swing is small and that sine large, the integral runs faster by `amplitude` over the swing, at
+    most `haste` times (1: never). Gain control: F is `force_gain` [N/m] times the missing amplitude plus
+    `force_integral` [N/(m·s)] times its integral, between zero and `limit` [N]. Zero gains hold the frequency, and
+    leave the mass undriven. From rest it starts by itself.
     """
 
     amplitude: Scalar = number()
@@ -41,10 +43,12 @@ class PhaseLockedDrive(Displayed):
     force_integral: Scalar = number()
     limit: Scalar = number()
     pull: Scalar = number(default=0.3)
+    haste: Scalar = number(default=16.0)
 
     def __check_init__(self):
         for name in ("amplitude", "frequency", "limit"):
             check_positive(name, getattr(self, name))
+        check_positive("haste", self.haste)
         for name in ("phase_gain", "phase_integral", "force_gain", "force_integral", "pull"):
             check_not_negative(name, getattr(self, name))
 
@@ -64,8 +68,9 @@ class PhaseLockedDrive(Displayed):
         size = jnp.sqrt(i**2 + q**2 + (_SILENCE * self.amplitude) ** 2)
         lead, missing = q / size, self.amplitude - size
         nominal = 2.0 * jnp.pi * self.frequency
+        faster = 1.0 + lead**2 * (jnp.clip(self.amplitude / size, 1.0, self.haste) - 1.0)
         most = self.pull * nominal
-        tuned = nominal + jnp.clip(state.tuned - nominal + self.phase_integral * lead * period, -most, most)
+        tuned = nominal + jnp.clip(state.tuned - nominal + self.phase_integral * faster * lead * period, -most, most)
         pushed = jnp.clip(state.pushed + self.force_integral * missing * period, 0.0, self.limit)
         return DriveState(
             phase=state.phase,
