@@ -78,6 +78,14 @@ def test_the_catalogue_holds_every_effect_and_every_public_member():
     assert not re.search(r"^\| [^|]*Abstract", page, re.MULTILINE)
 
 
+def test_every_row_and_study_stands_on_the_page_of_studies():
+    page = generated.studies_page()
+    assert re.findall(r"^\| ([TP]\d+) \|", page, re.MULTILINE) == [f"T{n}" for n in range(1, 25)] + [
+        f"P{n}" for n in range(1, 7)
+    ]
+    assert all(f"| `{path.stem}` |" in page for path in (ROOT / "studies").glob("[!_]*.py"))
+
+
 def test_the_picture_is_that_of_the_real_imports():
     imports = generated.room_imports()
     assert imports["app", "diagnosis"] > 0

@@ -4,11 +4,13 @@ import importlib
 import inspect
 import pkgutil
 import re
+import tomllib
 from collections import Counter
 from html import escape
 from pathlib import Path
 
 import memsgyro_jax
+from memsgyro_jax.app.claims import all_studies, studies_folder
 from memsgyro_jax.effects import Effect, catalogue
 
 
@@ -46,7 +48,12 @@ PORTS = (  # abstract class, what its members are
 
 def everything(figures: list[tuple[str, str, str]]) -> dict[str, str]:
     """Every generated file, by its path; `figures` are path, description and page of those of all pages."""
-    return {"catalogue.md": catalogue_page(), "gallery.md": gallery(figures), **api_pages()}
+    return {
+        "catalogue.md": catalogue_page(),
+        "studies.md": studies_page(),
+        "gallery.md": gallery(figures),
+        **api_pages(),
+    }
 
 
 def catalogue_page() -> str:
@@ -156,6 +163,27 @@ def _short(value: object) -> str:
     """A default that fits on a line; what is made anew each time has none."""
     text = " ".join(repr(value).split())
     return text if len(text) <= 60 and "factory" not in text else "..."
+
+
+def studies_page() -> str:
+    """The rows of the two documents and the studies that answer them, then all studies with their questions."""
+    studies = all_studies()
+    rows = tomllib.loads((studies_folder() / "rows.toml").read_text(encoding="utf-8"))["rows"]
+    lines = ["# The thesis and the paper, row by row", ""]
+    lines += [
+        "The package was written beside two documents, a thesis on estimation and control of gyroscopes (NCTU 2010)"
+    ]
+    lines += ["and a paper on their coupling errors. Each row of them is answered by a study, a script that prints"]
+    lines += ["*claimed* beside *obtained*: `memsgyro studies NAME` runs one, `--quick` in under half a minute.", ""]
+    if (Path(__file__).parents[1] / "claims.md").exists():
+        lines += ["What the last full runs found stands in the [table of claims](claims.md).", ""]
+    lines += ["| row | system | where | studies |", "|---|---|---|---|"]
+    for row, (where, what) in rows.items():
+        answered = ", ".join(f"`{study.name}`" for study in studies if row in study.answers)
+        lines.append(_row((row, what, where, answered or "none yet")))
+    lines += ["", "## All studies", "", "| study | question |", "|---|---|"]
+    lines += [_row((f"`{study.name}`", study.question)) for study in studies]
+    return "\n".join(lines) + "\n"
 
 
 def gallery(figures: list[tuple[str, str, str]]) -> str:
