@@ -231,12 +231,17 @@ def computation_of(
         loop = loop.present
     count_steps(sample_rate, duration)
     _check(settle, duration, tolerance, chunk)
-    loop, hindered = prepared(loop, apart=any(_CHIMES.search(item.path) for item in spread.resolved(loop)))
+    loop, hindered = prepared(loop, apart=parts_tones(item.path for item in spread.resolved(loop)))
     windows = windows_of(loop, sample_rate, duration, settle, tolerance)
     tell(notes := (*unexpected(loop, scenario, spread, seed, dies, sample_rate, duration), *hindered))
     settings = Settings.of(loop, scenario, spread, windows, sample_rate=sample_rate, duration=duration, seed=seed)
     runner = Runner(loop, scenario, spread, windows, seed, chunk or default_chunk())
     return Computation(runner, settings, dies, bound_dies, notes)
+
+
+def parts_tones(paths: Iterable[str]) -> bool:
+    """Whether tones may cease to share a frequency where numbers at these paths move."""
+    return any(_CHIMES.search(path) for path in paths)
 
 
 def _check(settle: float, duration: float, tolerance: float, chunk: int | None) -> None:

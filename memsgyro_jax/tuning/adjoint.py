@@ -38,6 +38,14 @@ class Timing(NamedTuple):
     blocks: int
     block: int
 
+    @classmethod
+    def of(cls, period: float, samples: int) -> "Timing":
+        """As many blocks as samples in each, as near as divides the samples: the way back keeps the start of each block
+        and each sample of one.
+        """
+        blocks = max(n for n in range(1, math.isqrt(samples) + 1) if samples % n == 0)
+        return cls(period, blocks, samples // blocks)
+
 
 class Kept(NamedTuple):
     """The states before every block, along a leading axis, and at the end."""
@@ -79,23 +87,39 @@ class Portion(eqx.Module):
 
         return jax.vmap(one, out_axes=(None, 0))(jnp.eye(len(self.paths)))
 
-    def keeping(self, numbers: Numbers) -> tuple[Judgement, Kept]:
+    def keeping(self, numbers: Numbers) -> tuple[Judgement, Any]:
         """Losses, and what the way back needs."""
         own = self._own(numbers)
+        alive, kept = self._kept(own)
+        return self._judgement(self._unflat(*kept.end)[1], alive, self._tuned(own)), kept
+
+    def back(self, numbers: Numbers, kept: Any) -> Numbers:
+        """The slopes, backwards; those of a lost die mean nothing."""
+        own, chain = jax.vjp(self._own, numbers)
+        return chain(self._back(own, kept, *self._pulled(own, kept.end)))[0]
+
+    def _kept(self, own: Numbers) -> tuple[Bool[Array, " dies"], Kept]:
+        """Which dies stay within their travel, and the states on the way."""
         loop = self._tuned(own)
 
         def forward(carry, number):
             before, alive = carry
             after, _ = jax.lax.scan(lambda *at: (self._sample(loop, *at), None), before, self._entering(number))
-            return (after, alive & engine.healthy(loop, after[0])), _flat(before)
+            return (after, alive & engine.healthy(loop, after[0])), flat_of(before)
 
         begin = (self._begin(own), jnp.ones(self.words[0].shape, bool))
         (end, alive), starts = jax.lax.scan(forward, begin, jnp.arange(self.timing.blocks))
-        return self._judgement(end[1], alive, loop), Kept(starts, _flat(end))
+        return alive, Kept(starts, flat_of(end))
 
-    def back(self, numbers: Numbers, kept: Kept) -> Numbers:
-        """The slopes, backwards; those of a lost die mean nothing."""
-        own, chain = jax.vjp(self._own, numbers)
+    def _pulled(self, own: Numbers, end: Flat) -> tuple[Array, Numbers]:
+        """The derivative of the losses by the real numbers of the state at the end, and by the numbers directly."""
+        real, rest = end
+        loss, judged = jax.vjp(lambda real, own: self._judged(self._unflat(real, rest)[1], self._tuned(own)), real, own)
+        pull, slopes = judged(jnp.ones_like(loss))
+        return pull, slopes
+
+    def _back(self, own: Numbers, kept: Kept, pull: Array, slopes: Numbers) -> Numbers:
+        """`slopes` and what the pull on the end's state adds to them."""
         loop = self._tuned(own)
 
         def one_back(carry, was):
@@ -103,7 +127,7 @@ class Portion(eqx.Module):
             pull, slopes = carry
 
             def sample(own, real):
-                return _flat(self._sample(self._tuned(own), self._unflat(real, rest), entering))
+                return flat_of(self._sample(self._tuned(own), self._unflat(real, rest), entering))
 
             _, back, _ = jax.vjp(sample, own, real, has_aux=True)
             more, pull = back(pull)
@@ -111,19 +135,16 @@ class Portion(eqx.Module):
 
         def block_back(carry, was):
             number, start = was
-            entering = self._entering(_apart(number))
+            entering = self._entering(apart(number))
             _, states = jax.lax.scan(
-                lambda state, at: (self._sample(loop, state, at), _flat(state)), self._unflat(*start), entering
+                lambda state, at: (self._sample(loop, state, at), flat_of(state)), self._unflat(*start), entering
             )
             return jax.lax.scan(one_back, carry, (states, entering), reverse=True)
 
-        real, rest = kept.end
-        loss, judged = jax.vjp(lambda real, own: self._judged(self._unflat(real, rest)[1], self._tuned(own)), real, own)
-        carry = judged(jnp.ones_like(loss))
         blocks = (jnp.arange(self.timing.blocks), kept.starts)
-        (pull, slopes), _ = jax.lax.scan(block_back, carry, blocks, reverse=True)
-        _, begun = jax.vjp(lambda own: _flat(self._begin(own))[0], own)
-        return chain(slopes + begun(pull)[0])[0]
+        (pull, slopes), _ = jax.lax.scan(block_back, (pull, slopes), blocks, reverse=True)
+        _, begun = jax.vjp(lambda own: flat_of(self._begin(own))[0], own)
+        return slopes + begun(pull)[0]
 
     def _own(self, numbers: Numbers) -> Numbers:
         """The value of each free number for each die: the design's or the die's place around it."""
@@ -161,12 +182,13 @@ class Portion(eqx.Module):
         return eqx.combine(jax.tree.unflatten(tree, parts), rest)
 
 
-def _apart(number: Int[Array, ""]) -> Int[Array, ""]:
+def apart(number: Int[Array, ""]) -> Int[Array, ""]:
     """`number`, through a sort. XLA on CPU makes a loop with all loops inside it one function, which takes time as the
     square of its length to compile; not a loop with a sort."""
     return jax.lax.sort(jnp.stack([number, number + 1]))[0]
 
 
-def _flat(state: Any) -> Flat:
+def flat_of(state: Any) -> Flat:
+    """A state's real numbers in one array, and the rest."""
     real, rest = eqx.partition(state, eqx.is_inexact_array)
     return jnp.concatenate([leaf.reshape(-1, leaf.shape[-1]) for leaf in jax.tree.leaves(real)]), rest

@@ -18,12 +18,14 @@ from jaxtyping import Array, Bool, Float
 
 from memsgyro_jax.base.provenance import fingerprint
 from memsgyro_jax.loop import noise
+from memsgyro_jax.loop.blocks.run import statistics
 from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.scenario import Scenario
 from memsgyro_jax.montecarlo import batch as lot
 from memsgyro_jax.montecarlo.spread import AbstractDistribution, Spread
 
 from .adjoint import Portion, Timing
+from .block_adjoint import PortionInBlocks, sizes_of
 from .descent import Judged
 from .losses import AbstractLoss
 from .tunable import Tunables
@@ -137,30 +139,55 @@ class Objective:
 
     def _rows(self, places: np.ndarray, each: np.ndarray, derivative: bool) -> tuple[Array, ...]:
         part, numbers = self._part(places), jnp.asarray(each[:, places])
-        if len(self.tunables.paths) < _MANY:
+        kind = type(part)
+        if self._forwards:
             if not derivative:
-                return _split(Portion.through, self.mesh, part, numbers)
-            judgement, slopes = _split(Portion.along, self.mesh, part, numbers)
+                return _split(kind.through, self.mesh, part, numbers)
+            judgement, slopes = _split(kind.along, self.mesh, part, numbers)
             return *judgement, slopes
-        judgement, kept = _split(Portion.keeping, self.mesh, part, numbers)
-        return (*judgement, _split(Portion.back, self.mesh, part, numbers, kept)) if derivative else judgement
+        judgement, kept = _split(kind.keeping, self.mesh, part, numbers)
+        return (*judgement, _split(kind.back, self.mesh, part, numbers, kept)) if derivative else judgement
+
+    @property
+    def _forwards(self) -> bool:
+        return len(self.tunables.paths) < _MANY and not self._sizes[1]
+
+    @property
+    def _sizes(self) -> tuple[int, tuple[int, ...]]:
+        return sizes_of(self.loop, self.timing.blocks * self.timing.block)
+
+    @property
+    def readings(self) -> float:
+        """How many the loss counts, of all dies: samples, or where the loop goes in blocks their statistics."""
+        begins, (start, sizes) = float(self.loss.begins()) / self.timing.period, self._sizes
+        if not sizes:
+            return self.dies * (self.timing.blocks * self.timing.block - begins)
+        late = int(np.sum(start + np.cumsum(sizes) >= begins))
+        return self.dies * (max(start - begins, 0.0) + late * statistics(self.loop))
 
     def _part(self, places: np.ndarray) -> Portion:
         part = self.some(places)
-        return Portion(part.loop, part.scenario, part.words, jnp.asarray(part.places), self.design, self.loss,
-                       self.around, self.tunables.paths, self.timing)  # fmt: skip
+        given = (part.loop, part.scenario, part.words, jnp.asarray(part.places), self.design, self.loss, self.around,
+                 self.tunables.paths)  # fmt: skip
+        start, sizes = self._sizes
+        return (
+            PortionInBlocks(*given, Timing.of(self.timing.period, start), sizes)
+            if sizes
+            else Portion(*given, self.timing)
+        )
 
     def memory(self, *, derivative: bool) -> float:
         """What the compiled programs allocate beside their arguments, in bytes per die; compiles them."""
         places = np.arange(self.lanes * self.mesh.size) % self.dies
         given = self._part(places), jnp.asarray(np.repeat(self.tunables.values[:, None], len(places), axis=1))
-        if len(self.tunables.paths) < _MANY:
-            return self._temporary(Portion.along if derivative else Portion.through, *given) / self.lanes
-        kept = _split(Portion.keeping, self.mesh, *given)[1]
+        kind = type(given[0])
+        if self._forwards:
+            return self._temporary(kind.along if derivative else kind.through, *given) / self.lanes
+        kept = _split(kind.keeping, self.mesh, *given)[1]
         passed = sum(leaf.nbytes for leaf in jax.tree.leaves(kept)) / self.mesh.size
-        programs = [self._temporary(Portion.keeping, *given)]
+        programs = [self._temporary(kind.keeping, *given)]
         if derivative:
-            programs.append(self._temporary(Portion.back, *given, kept))
+            programs.append(self._temporary(kind.back, *given, kept))
         return (passed + max(programs)) / self.lanes
 
     def _temporary(self, function: Callable, *given: Any) -> int:
@@ -195,7 +222,13 @@ def _combined(loss: AbstractLoss, values: Array) -> tuple[Array, Array]:
 
 
 _MANY = 6  # free numbers from which on it is cheaper to go backwards
-_RANKS = {Portion.through: (1, 1), Portion.along: ((1, 1), 2), Portion.back: 2}  # of what needs no tracing to know it
+_RANKS = {
+    Portion.through: (1, 1),
+    Portion.along: ((1, 1), 2),
+    Portion.back: 2,
+    PortionInBlocks.through: (1, 1),
+    PortionInBlocks.back: 2,
+}  # of what needs no tracing to know it
 
 
 @eqx.filter_jit

@@ -46,6 +46,7 @@ class Replay(eqx.Module):
     force: Float[Array, "samples 2"]
     travel: float = float("inf")
     filter: None = None
+    blocks: None = None
     device: CarriesEffects = CarriesEffects()  # unknown, so that it carries none
 
     def init(self) -> LoopState:

@@ -5,7 +5,6 @@ likelihood of the innovations fixes their scale but is blind to what follows the
 numbers by likelihood, then the rest by the error.
 """
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -18,9 +17,11 @@ from memsgyro_jax.base import runtime
 from memsgyro_jax.base.arguments import quantity, whole
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.provenance import Settings, fingerprint
+from memsgyro_jax.loop.blocks.run import prepared
 from memsgyro_jax.loop.loop import ClosedLoop, as_loop
 from memsgyro_jax.loop.scenario import AbstractProfile, Scenario, as_scenario
 from memsgyro_jax.loop.trace import count_steps
+from memsgyro_jax.montecarlo.parts import parts_tones
 from memsgyro_jax.montecarlo.spread import Spread
 from memsgyro_jax.montecarlo.sweep import sweep
 
@@ -72,6 +73,7 @@ def tune(
     all. Training, validation and report run on different dies, all of the lot `seed`: the report on dies 0 to
     `report_dies` - 1, as `sweep` runs them. Every setting is tried on the same dies with the same noise. A stage ends
     when the loss or the validation dies gain no more, or after `evaluations` gradients; the best on validation counts.
+    A loop in blocks is tuned in blocks: a loss then counts their ends, a likelihood their statistics.
     A free number that `spread` varies is the design value its dies lie around (design centring). A lost die counts as a
     large finite loss and is reported. `progress` is told what happens, in sentences. With
     `keep`, a folder, evaluations and the dies of the report are kept there: the same call goes on where another
@@ -89,11 +91,15 @@ def tune(
     spread = Spread.relative(0.15) if spread is None else spread
     settle = 0.5 * duration if settle is None else quantity("settle", settle, "s")
     tunables = resolved(loop, free, sample_rate, duration)
+    varied = (item.path for item in spread.resolved(loop))
+    loop, hindered = prepared(loop, apart=parts_tones((*tunables.paths, *varied)))
     _check(dies, validation_dies)
     stages = _stages(loop, tunables, loss, settle)
     _check_priors(stages, tunables)
     timing = timing_of(sample_rate, duration, max(float(stage.loss.begins()) for stage in stages))
     told = progress or (lambda sentence: None)
+    for sentence in hindered:
+        told(sentence)
     drawn = partial(
         Objective.of,
         scenario=scenario,
@@ -191,8 +197,7 @@ class _Work:
     def _sought(self, name: str, training: Objective, validation: Objective, penalty: float) -> Descent:
         """The way down from the best of coarse grids, with rescues."""
         tunables = training.tunables
-        timing = training.timing
-        readings = training.dies * (timing.blocks * timing.block - float(training.loss.begins()) / timing.period)
+        readings = training.readings
 
         def told(step: DescentStep) -> None:
             losses = f"training {step.training:.8g}, validation {step.validation:.8g}"
@@ -226,17 +231,12 @@ def _penalty(values: Values, name: str) -> float:
 
 
 def timing_of(sample_rate: float, duration: float, begins: float) -> Timing:
-    """As many blocks as samples in each, as near as divides the samples; a loss must have something to judge.
-
-    The way back of a derivative keeps the start of each block and each sample of one.
-    """
+    """That of a run whose derivative goes backwards; a loss must have something to judge."""
     if not 0.0 <= begins < duration:
         raise InputError(
             f"Argument `settle` must lie within the duration of {duration:g} s, but {begins:g} s was given."
         )
-    steps = count_steps(sample_rate, duration)
-    blocks = max(n for n in range(1, math.isqrt(steps) + 1) if steps % n == 0)
-    return Timing(1.0 / sample_rate, blocks, steps // blocks)
+    return Timing.of(1.0 / sample_rate, count_steps(sample_rate, duration))
 
 
 def _check_priors(stages: tuple[TuningStage, ...], tunables: Tunables) -> None:

@@ -3,13 +3,15 @@
 from dataclasses import replace
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import stats
 
 import memsgyro_jax as mg
-from memsgyro_jax.loop.blocks import basis
+from memsgyro_jax.loop.blocks import advance, basis
+from memsgyro_jax.loop.blocks.algebra import multiplied
 from memsgyro_jax.loop.blocks.length import Blocks, lengths, renewals
 from memsgyro_jax.loop.blocks.run import prepared
 
@@ -47,6 +49,42 @@ def test_a_die_is_the_same_in_any_company():
         np.testing.assert_array_equal(many[name][:20], values)
     assert np.all(many["status"] == 0)
     assert abs(np.mean(many["nis_mean"]) - 2.0) < 4.0 * np.sqrt(4.0 / (40 * 10 * 14))
+
+
+def test_slopes_of_a_product_and_of_what_statistics_told():
+    """Of a product by its definition, whatever stands in front; of all statistics at once as of one after the other."""
+    generator = np.random.default_rng(0)
+
+    def drawn(*shape):
+        return jnp.asarray(generator.normal(size=shape))
+
+    factors, pulled = (drawn(3, 1, 2, 4, 5), drawn(2, 4, 3, 5)), drawn(3, 2, 2, 3, 5)
+    made, turned = jax.vjp(multiplied, *factors)
+    wanted, meant = jax.vjp(lambda a, b: jnp.einsum("...rkl,...kcl->...rcl", a, b), *factors)
+    for one, other in zip((made, *turned(pulled)), (wanted, *meant(pulled)), strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-13)
+    mapped = jax.vmap(lambda a: multiplied(a, factors[1]), in_axes=0)(factors[0])
+    np.testing.assert_array_equal(mapped, made)
+
+    root, change = drawn(4, 4, 2), drawn(4, 4, 2)
+    covariance = jnp.einsum("ijl,kjl->ikl", root, root)
+    given = drawn(2, 3, 4, 2), drawn(2, 3, 2), jnp.exp(drawn(2, 2)), covariance
+    moved = (*(drawn(*part.shape) for part in given[:3]), change + jnp.swapaxes(change, 0, 1))
+    for one, other in zip(*(jax.jvp(f, given, moved)[1] for f in (advance._both, advance._both.fun)), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_sobol_in_blocks_is_that_of_samples():
+    """At the same points and with the same noise."""
+    ways = [
+        mg.sobol(loop, mg.Spread.relative(0.15), points=32, duration=0.05)
+        for loop in (LOOP, replace(LOOP, blocks=Blocks(512, projected=True)))
+    ]
+    for name in ("mean", "std"):
+        samples, blocks = (getattr(way, name) for way in ways)
+        np.testing.assert_allclose(blocks[0], samples[0], rtol=0.05)
+    np.testing.assert_allclose(ways[1].total[0], ways[0].total[0], atol=0.1)
 
 
 @pytest.mark.slow

@@ -8,6 +8,7 @@ from tuning_study import STUDY
 
 import memsgyro_jax as mg
 from memsgyro_jax import losses
+from memsgyro_jax.loop.blocks.run import prepared
 from memsgyro_jax.tuning import objective
 from memsgyro_jax.tuning.objective import Objective
 from memsgyro_jax.tuning.tunable import resolved
@@ -62,6 +63,25 @@ def lyapunov():
     free = mg.free(observer=("gain", *(f"adaptation.{n}" for n in range(7))), filter={"bandwidth": (10.0, 1e4)})
     return lot(loop, mg.Scenario(rate=mg.Sine(1.0, 300.0)), mg.Spread.relative(0.1), free,
                losses.SquaredRateError(SETTLE), sample_rate=100e3)  # fmt: skip
+
+
+@pytest.mark.slow
+def test_backwards_through_blocks_is_the_slope():
+    """One number along at a time, by central differences."""
+    readout = mg.ChargeAmplifier.chi2010()
+    observer = mg.ExtendedKalmanFilter.for_device(GYRO, readout, annealing=mg.Annealing())
+    loop = mg.ClosedLoop(GYRO, readout, observer, mg.DampingCompensation(tones=mg.Tone(600.0, 53.95)))
+    loop, _ = prepared(loop.sampled_at(100e3).in_blocks())
+    tunables = resolved(loop, mg.free(observer=("noise_density",)), 100e3, 0.03)
+    made = Objective.of(loop, mg.Scenario(rate=mg.Constant(1.0)), mg.Spread.relative(0.15), tunables,
+                        losses.SquaredRateError(0.015), dies=np.arange(4),
+                        timing=timing_of(100e3, 0.03, 0.015), seed=0, lanes=4)  # fmt: skip
+    at = tunables.values
+    slopes = made.slopes(at).slopes
+    for place in range(len(at)):
+        step = 1e-5 * at[place] * np.eye(len(at))[place]
+        difference = (made.values(at + step).loss - made.values(at - step).loss) / (2.0 * step[place])
+        np.testing.assert_allclose(slopes[place], difference, rtol=2e-3, atol=1e-3 * np.abs(difference).max())
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Int
+from jaxtyping import Array, Bool, Int
 
 from memsgyro_jax.base.concrete import is_concrete
 from memsgyro_jax.device.gyro import DualMassGyro, Scalar
@@ -93,16 +93,14 @@ def run_in_blocks(
     """Run `start` (windows, samples of each) sample by sample and then windows of blocks of `sizes` samples, powers of
     two, or none.
 
-    As `engine.run`, but that the recorder takes a block for a sample: at its end, with the clean volts, and with the
-    root mean square of the block's normalised innovations (of variance 1) for an innovation.
+    As `engine.run`, but that the recorder takes a block for a sample: at its end, with the clean volts, and with one
+    innovation for all of the block's, whose square and the logarithm of whose variance are their means; the period of
+    its clock is the block's length.
     """
     begun = engine.run(loop, scenario, words, period, *start, recorder, design)
-    first, flat = start[0] * start[1], sizes.ravel()
-    course = _Course(loop, scenario, words, period, int(flat.max(initial=1)))
-    before = (first + np.cumsum(flat) - flat).reshape(sizes.shape)
-    numbers = np.arange(flat.size).reshape(sizes.shape)
-    doublings = np.log2(np.maximum(sizes, 1)).astype(int)
-    entering = jax.tree.map(jnp.asarray, (Span(numbers, before, doublings), renewals(sizes, _factor(loop, scenario))))
+    flat = sizes.ravel()
+    course = BlockCourse(loop, scenario, words, period, int(flat.max(initial=1)))
+    entering = jax.tree.map(jnp.asarray, crossing(loop, scenario, start[0] * start[1], sizes))
 
     def one(carry, span):
         state, memory, maps = carry
@@ -129,11 +127,8 @@ def run_in_blocks(
         kept = jax.tree.map(keep, (new_state, new_memory), (state, memory))
         return (*kept, maps, alive, survived + alive), output
 
-    zero = Span(*(jnp.zeros((), int),) * 3)
-    shapes = jax.eval_shape(lambda: course.maps(begun.state, zero))
-    empty = jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), shapes)
     state = course.settled_in(begun.state)
-    carry = (state, begun.memory, empty, begun.alive, begun.blocks_alive)
+    carry = (state, begun.memory, course.no_maps(begun.state), begun.alive, begun.blocks_alive)
     (state, memory, _, alive, survived), outputs = engine.scan_in_groups(window, carry, len(sizes))
     joined = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), begun.outputs, outputs)
     return engine.Run(state, memory, joined, alive, survived)
@@ -142,14 +137,25 @@ def run_in_blocks(
 class Span(NamedTuple):
     """Where a block lies: its number, the samples before it, and how often one sample is doubled to it."""
 
-    number: Int[Array, ""]
-    before: Int[Array, ""]
-    doublings: Int[Array, ""]
+    number: Int[Array | np.ndarray, "*blocks"]
+    before: Int[Array | np.ndarray, "*blocks"]
+    doublings: Int[Array | np.ndarray, "*blocks"]
 
     @property
     def length(self) -> Int[Array, ""]:
         """Samples."""
         return 1 << self.doublings
+
+
+def crossing(
+    loop: ClosedLoop, scenario: Scenario, first: int, sizes: Int[np.ndarray, "windows stride"]
+) -> tuple["Span", Bool[np.ndarray, "windows stride"]]:
+    """Where blocks of `sizes` samples lie behind the `first` samples, and before which of them maps are made."""
+    flat = sizes.ravel()
+    before = (first + np.cumsum(flat) - flat).reshape(sizes.shape)
+    numbers = np.arange(flat.size).reshape(sizes.shape)
+    doublings = np.log2(np.maximum(sizes, 1)).astype(int)
+    return Span(numbers, before, doublings), renewals(sizes, _factor(loop, scenario))
 
 
 def _factor(loop: ClosedLoop, scenario: Scenario) -> float:
@@ -160,8 +166,8 @@ def _factor(loop: ClosedLoop, scenario: Scenario) -> float:
     return _pace(loop).factor if all(isinstance(profile, Constant) for profile in acting) else 1.0
 
 
-class _Course(eqx.Module):
-    """What does not change from block to block."""
+class BlockCourse(eqx.Module):
+    """What does not change from block to block, and how each is crossed."""
 
     loop: ClosedLoop
     scenario: Scenario
@@ -198,6 +204,11 @@ class _Course(eqx.Module):
         told = observer.believing(state.observer, believed, Innovation((one, one), (one, one)))
         return state._replace(observer=told)
 
+    def no_maps(self, state: LoopState) -> Maps:
+        """Zeros in their place before the first are made."""
+        shapes = jax.eval_shape(lambda: self.maps(state, Span(*(jnp.zeros((), int),) * 3)))
+        return jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), shapes)
+
     def maps(self, state: LoopState, span: Span) -> Maps:
         """Linearised where the filter is; the device in the middle of the block."""
         loop, blocks = self.loop, self.blocks
@@ -224,10 +235,8 @@ class _Course(eqx.Module):
             walk=over_lanes(observer.walk()[4:], lanes) * elapsed,
         )
         motion, believed = self._row((jnp.stack(state.motion), observer.believed(state.observer)))
-        motion, believed, squares = self._single(advanced(motion, believed, maps, facts, observer.with_offsets))
-        size = jnp.sqrt(jnp.mean(squares, axis=0))
-        one = jnp.ones_like(size[0])
-        told = observer.believing(state.observer, believed, Innovation(tuple(size), (one, one)))
+        motion, believed, read = self._single(advanced(motion, believed, maps, facts, observer.with_offsets))
+        told = observer.believing(state.observer, believed, read)
         return self._ended(state._replace(motion=tuple(motion), observer=told), span)
 
     def _ended(self, state: LoopState, span: Span) -> tuple[LoopState, Sample]:
@@ -240,8 +249,8 @@ class _Course(eqx.Module):
         conditions = self.scenario.at((count - 0.5) * period)
         force = loop.controller.command((), estimate, clock)[0]
         volts = loop.readout.clean(state.motion, conditions.offset_drift)
-        sample = Sample(clock, conditions, state.motion, volts, force, estimate, rate)
-        return state._replace(output=output), sample
+        taken = clock._replace(period=span.length * period)
+        return state._replace(output=output), Sample(taken, conditions, state.motion, volts, force, estimate, rate)
 
     def _tones(self, time: Scalar) -> Array:
         """Sines and cosines of the groups of tones at `time`."""
