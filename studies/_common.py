@@ -18,7 +18,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from datetime import date
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -135,6 +135,7 @@ class Seeds(NamedTuple):
     offset: np.ndarray  # V, (points, 2, dies)
     motion: np.ndarray  # m and m/s, (points, 4, dies)
     lost: int  # dies
+    state: Any  # of the loop at the end, dies on the last axis
 
 
 class _Keep(engine.AbstractRecorder):
@@ -170,7 +171,7 @@ def seeds(loop, scenario, *, count, sample_rate, duration, points=200, bandwidth
         print(f"{lost} of {count} runs were lost")
     stacked = [np.stack([np.asarray(a) for a in part], axis=1) if isinstance(part, tuple) else np.asarray(part)
                for part in done.outputs]  # fmt: skip
-    return Seeds(np.arange(1, points + 1) * block / sample_rate, *stacked, lost)
+    return Seeds(np.arange(1, points + 1) * block / sample_rate, *stacked, lost, done.state)
 
 
 _run = eqx.filter_jit(engine.run)
