@@ -314,7 +314,9 @@ def measured_pictures(key):
     for ax, phasors, name in zip(sweeps.subplots(1, 2), (x[:, 0], y[:, 1]), ("drive", "sense"), strict=True):
         ax.semilogy(hertz, jnp.abs(phasors), color=COLOURS[0])
         ax.set(xlabel="frequency [Hz]", ylabel="displacement per acceleration [s²]", title=f"{name} mode")
-        ax.twinx().plot(hertz, jnp.rad2deg(jnp.angle(phasors)), color=COLOURS[1], lw=0.6)
+        turned = ax.twinx()
+        turned.plot(hertz, np.degrees(np.unwrap(np.angle(phasors))), color=COLOURS[1], lw=0.6)
+        turned.set_ylabel("phase [deg]")
     records = Figure(figsize=(9, 5), layout="constrained")
     for row, (divisor, name) in zip(records.subplots(2, 2), ((1.0, "raw"), (LOW_PASS, "low-pass")), strict=True):
         record = draw(kn, jnp.ones(2000) + 0j, AMPLITUDE / divisor, PHASE / divisor)

@@ -20,6 +20,7 @@ from memsgyro_jax.base.errors import InputError
 
 COLUMNS = ("claimed", "obtained", "reading", "verdict", "why")
 MISSING = "not obtained"
+_WIDTH, _COLOURS = 1000, 48  # of a picture on the page: pixels, and enough for lines
 
 
 @dataclass(frozen=True)
@@ -155,6 +156,21 @@ def markdown(found: dict[str, Any], pictures: str | None = "") -> str:
         *_table(("figure", "shows", "study", "picture"), drawn),
         "",
     ])  # fmt: skip
+
+
+def write_page(found: dict[str, Any], out: Path, docs: Path) -> None:
+    """`claims.md`, `claims.json` and small pictures in `claims/`, under `docs`; `found` and `out` as of `claims`."""
+    from PIL import Image
+
+    for path in sorted({figure["picture"] for figure in found["figures"]} - {"-"}):
+        (docs / "claims" / path).parent.mkdir(parents=True, exist_ok=True)
+        with Image.open(out / path) as picture:
+            picture.thumbnail((_WIDTH, _WIDTH))
+            picture.convert("RGB").quantize(_COLOURS, dither=Image.Dither.NONE).save(
+                docs / "claims" / path, optimize=True
+            )
+    (docs / "claims.json").write_text(json.dumps(found, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    (docs / "claims.md").write_text(markdown(found, "claims/"), encoding="utf-8")
 
 
 def _source(row: dict[str, str]) -> str:

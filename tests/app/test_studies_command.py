@@ -2,6 +2,7 @@
 
 import json
 import tomllib
+from pathlib import Path
 
 import pytest
 
@@ -24,7 +25,9 @@ out = pathlib.Path(sys.argv[sys.argv.index("--out") + 1])
 answer = dict(row="T1", claimed="1", obtained="2 | 3", reading="none", verdict="does not hold", why="Because.")
 (out / "answers.json").write_text(
     json.dumps({"quick": "--quick" in sys.argv, "date": "2026-01-02", "answers": [answer]}))
-(out / "drawn.png").write_bytes(b"")
+from PIL import Image
+
+Image.new("RGB", (1500, 30)).save(out / "drawn.png")
 '''
 BAD = 'PLACE = "thesis 10.1"\nANSWERS = ("T3",)\nFIGURES = {"2.2": "never"}\nraise ValueError("no such thing")\n'
 
@@ -75,6 +78,11 @@ def test_a_failing_study_is_said_and_survived(folder, tmp_path, capsys):
     assert "2 \\| 3" in page
     assert all(f"\n| {row} | " in page for row in rows)
 
+    (tmp_path / "docs").mkdir()
+    studies_command(out=tmp_path / "out", page=tmp_path / "docs")
+    assert (tmp_path / "docs" / "claims" / "good" / "drawn.png").is_file()
+    assert "[drawn](claims/good/drawn.png)" in (tmp_path / "docs" / "claims.md").read_text()
+
     # A run of one study leaves the others' results in the table.
     studies_command("good", out=tmp_path / "out")
     rows = {row["row"]: row for row in json.loads((tmp_path / "out" / "claims.json").read_text())["rows"]}
@@ -100,3 +108,16 @@ def test_what_the_studies_promise_exists():
     assert {*drawn} <= told["figures"].keys()
     assert len(drawn) == len({*drawn}), "one picture per figure"
     assert all(study.question.endswith((".", "?", "`")) for study in studies)
+
+
+def test_the_page_of_all_rows_is_made_from_what_was_kept():
+    """`docs/claims.md` is that of `docs/claims.json`, holds every row and figure, and its pictures are there."""
+    docs = Path(__file__).resolve().parents[2] / "docs"
+    found = json.loads((docs / "claims.json").read_text(encoding="utf-8"))
+    assert (docs / "claims.md").read_text(encoding="utf-8") == claims.markdown(found, "claims/")
+    told = tomllib.loads((claims.studies_folder() / "rows.toml").read_text(encoding="utf-8"))
+    assert [*dict.fromkeys(row["row"] for row in found["rows"])] == [*told["rows"]]
+    assert [figure["figure"] for figure in found["figures"]] == [*told["figures"]]
+    assert all(str(cell).strip() for row in found["rows"] + found["figures"] for cell in row.values())
+    drawn = [figure["picture"] for figure in found["figures"] if figure["picture"] != "-"]
+    assert all((docs / "claims" / picture).is_file() for picture in drawn)

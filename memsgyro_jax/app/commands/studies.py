@@ -17,7 +17,9 @@ if TYPE_CHECKING:
 FAILED = 1
 
 
-def studies_command(*names: str, quick: bool = False, out: Path = Path("studies/out"), jobs: int = 1) -> None:
+def studies_command(
+    *names: str, quick: bool = False, out: Path = Path("studies/out"), jobs: int = 1, page: Path | None = None
+) -> None:
     """Lists the studies by section and figure of the thesis and the paper, or runs them and tabulates every row.
 
     Without a name nothing runs. A study that fails is said and does not stop the others; the exit status is then 1.
@@ -28,13 +30,18 @@ def studies_command(*names: str, quick: bool = False, out: Path = Path("studies/
         out: folder for one folder per study, `claims.md` and `claims.json`; the table keeps what earlier runs
             left there.
         jobs: how many studies run at a time.
+        page: folder of a documentation, `docs` of a clone: the table with small copies of the pictures goes there, from
+            the runs in `out` where no name is given.
     """
-    from memsgyro_jax.app.claims import all_studies, claims, markdown
+    from memsgyro_jax.app.claims import all_studies, claims, markdown, write_page
     from memsgyro_jax.base.errors import InputError
 
     studies = all_studies()
     if not names:
-        _list(studies)
+        if page is None:
+            _list(studies)
+        else:
+            write_page(claims(out, studies), out, page)
         return
     known = {study.name for study in studies}
     for name in set(names) - known - {"all"}:
@@ -44,6 +51,8 @@ def studies_command(*names: str, quick: bool = False, out: Path = Path("studies/
     failed = _run([s for s in studies if "all" in names or s.name in names], quick=quick, out=out, jobs=jobs)
     found = claims(out, studies)
     (out / "claims.json").write_text(json.dumps(found, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    if page is not None:
+        write_page(found, out, page)
     (out / "claims.md").write_text(markdown(found), encoding="utf-8")
     print(f"All rows: {out / 'claims.md'}")
     if failed:
