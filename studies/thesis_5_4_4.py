@@ -101,6 +101,7 @@ for snr, name in [(snr, name) for snr in (100.0, 10.0) for name in compared]:
         ax.plot(runs.time, dps(runs.filtered[:, 0]), "C0", label="behind 10 Hz")
         ax.axhline(np.degrees(1.0), color="k", ls="--")
         ax.set(ylabel="rate [deg/s]")
+        ax.set_yscale("symlog", linthresh=100.0)
         ax.legend(frameon=False, fontsize=8)
 axes[-1].set_xlabel("time [s]")
 report.picture(figure, "snr_10")
