@@ -7,7 +7,6 @@ if (location.protocol === "file:") {
       frame.hidden = true
       document.body.appendChild(frame)
       const inside = frame.contentWindow
-      this.ready = new Promise((done) => { inside.onload = done })
       const load = (...urls) => urls.reduce((before, src) => before.then(() => new Promise((done) => {
         const script = document.createElement("script")
         script.src = src
@@ -20,6 +19,7 @@ if (location.protocol === "file:") {
         `<script src="${url}"><\/script></body>`
       )
       inside.document.close()
+      this.ready = new Promise((done) => { inside.onload = done }) // opening a document forgets who listens
       addEventListener("message", (event) => {
         if (event.source === inside) this.dispatchEvent(new MessageEvent("message", { data: event.data }))
       })
