@@ -14,11 +14,11 @@ from memsgyro_jax.base import runtime
 from memsgyro_jax.base.arguments import quantity
 from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.device.carried import CarriesEffects
+from memsgyro_jax.device.brownian import HasTemperature
 from memsgyro_jax.device.gyro import Pair, Scalar, number
 from memsgyro_jax.loop.loop import LoopState, Sample
 from memsgyro_jax.loop.observers import AbstractObserver
-from memsgyro_jax.loop.observers.base import Clock
+from memsgyro_jax.loop.observers.base import Clock, Estimate
 from memsgyro_jax.loop.scenario import Conditions, Scenario
 from memsgyro_jax.montecarlo import batch as lot
 
@@ -47,18 +47,24 @@ class Replay(eqx.Module):
     travel: float = float("inf")
     filter: None = None
     blocks: None = None
-    device: CarriesEffects = CarriesEffects()  # unknown, so that it carries none
+    device: HasTemperature = HasTemperature()  # unknown: without effects, without a temperature
 
     def init(self) -> LoopState:
         """The observer's own start."""
         return LoopState((jnp.zeros(()),) * 4, self.observer.init(), ())
 
+    def estimate(self, state: LoopState) -> Estimate:
+        """The observer's own."""
+        return self.observer.estimate(state.observer)
+
     def rate(self, state: LoopState) -> Scalar:
         """The estimate in rad/s."""
-        return self.observer.estimate(state.observer).rate
+        return self.estimate(state).rate
 
-    def step(self, state: LoopState, conditions: Conditions, noise: Pair, clock: Clock) -> tuple[LoopState, Sample]:
-        """One row of the record; what is not in it (truth, conditions) is not a number."""
+    def step(
+        self, state: LoopState, conditions: Conditions, noise: Pair, clock: Clock, shaking: None = None
+    ) -> tuple[LoopState, Sample]:
+        """One row of the record; what is not in it (truth, conditions) is not a number, and nothing shakes it."""
         volts, force = (tuple(rows[clock.sample]) for rows in (self.volts, self.force))
         end = Clock(clock.time + clock.period, clock.sample + 1, clock.period)
         observer = self.observer.update(state.observer, volts, force, end)

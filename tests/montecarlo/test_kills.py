@@ -99,7 +99,7 @@ class Nursery:
         self.living: dict[int, str] = {}
         self.wrote: Counter[tuple[str, str]] = Counter()
         self.complete: set[tuple[str, ...]] = set()
-        self.wanted = 0
+        self.wanted, self.lock = 0, threading.Lock()
         self.reader = threading.Thread(target=self._read)
         self.reader.start()
 
@@ -111,20 +111,23 @@ class Nursery:
             elif kind == "wrote":
                 self.wrote[words[0], words[1]] += 1
             else:
-                self.living.pop(int(words[0]), None)
+                with self.lock:
+                    if self.living.pop(int(words[0]), None) is not None:  # else it ended while it was being killed
+                        self.wanted -= 1
                 self.complete |= {tuple(words[1:])} if words[1:] else set()
-                self.wanted -= 1
 
     def start(self, folder, part: str = "1/1") -> None:
-        self.wanted += 1
+        with self.lock:
+            self.wanted += 1
         self.process.stdin.write(f"{folder} {part}\n")
         self.process.stdin.flush()
 
     def kill(self, process: int) -> str | None:
         """Gives its part; None if it has just ended."""
-        part = self.living.pop(process, None)
+        with self.lock:
+            part = self.living.pop(process, None)
+            self.wanted -= part is not None
         if part is not None:
-            self.wanted -= 1
             os.kill(process, signal.SIGKILL)
         return part
 

@@ -51,7 +51,6 @@ def test_records_that_cannot_be_used(study, change, message):
         mg.tune_on_record(study.loop.observer, **given)
 
 
-@pytest.mark.slow
 def test_an_observer_that_loses_the_record_is_told(record):
     observer, volts, force = record
     broken = eqx.tree_at(lambda o: o.prior.theta[1], observer, jnp.asarray(np.inf))
