@@ -302,13 +302,14 @@ report.picture(figure, "spectra")
 for picture, names, start in (("beside_rate", ("Kalman, thesis", "Kalman, rocked, 2 µm"), BEGIN),
                               ("change", ("none", "jump test"), JUMP)):  # fmt: skip
     figure, both = plt.subplots(1, 2, figsize=(11, 3.8), layout="constrained")
+    figure.suptitle("direct (blue), integrated rate (orange)", fontsize=10)
     for ax, name in zip(both, names, strict=True):
         runs = kept[name]
         ax.plot(runs.at, runs.error, "C0", lw=0.4)
         ax.plot(runs.time, runs.drift, "C1", lw=0.2, alpha=0.6)
         ax.axvline(start, color="k", lw=0.5, ls=":")
         room = 1.2 * np.max(np.abs(runs.error[late(runs.at)])) + 1e-3
-        ax.set(title=f"{name}: direct (blue), integrated rate (orange)", xlim=(BEGIN, END), ylim=(-room, room),
+        ax.set(title=name, xlim=(BEGIN, END), ylim=(-room, room),
                xlabel="time [s]", ylabel="error of the angle [deg]")  # fmt: skip
     report.picture(figure, picture)
 axes[1].legend(frameon=False, fontsize=8)
