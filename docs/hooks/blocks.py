@@ -88,6 +88,9 @@ class _Page:
         self.done = Executed("")
 
     def run(self) -> Executed:
+        import matplotlib.pyplot as plt
+
+        plt.close("all")  # figures that were open before are not the page's
         place = 0
         while block := FENCE.search(self.text, place):
             line = self.text.count("\n", 0, block.start()) + 2  # of the first line inside the block

@@ -85,6 +85,7 @@ def test_candidates_say_what_would_have_been_seen(sound):
     assert 0.01 * VISIBLE["cubic_stiffness_y"] < spring.smallest_visible < 0.1 * VISIBLE["cubic_stiffness_y"]
 
 
+@pytest.mark.slow
 def test_a_mode_is_looked_for_in_sweeps_and_not_in_the_raw_capture_at_the_first_resolution(sound):
     base, readings = sound.base, sound.base.joint.fitted
     (grid,) = [g for g in scans(sound.case) if g[0].label == "parasitic_mode x"]

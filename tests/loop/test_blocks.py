@@ -43,6 +43,7 @@ def test_the_same_noise_gives_the_same_rate(samples):
     np.testing.assert_allclose(found["nees_end"], samples["nees_end"], atol=1.0)  # itself ± 5.3
 
 
+@pytest.mark.slow
 def test_a_die_is_the_same_in_any_company():
     many, few = lot(LOOP.in_blocks(), 40), lot(LOOP.in_blocks(), 20)
     for name, values in few.items():

@@ -76,6 +76,7 @@ def test_which_damping_belongs():
     assert theory(swapped, 1e-6) * per_root_hour == pytest.approx(0.1237, abs=5e-5)
 
 
+@pytest.mark.slow
 def test_a_filter_that_knows_the_force_is_consistent():
     """At a read-out noise where the force is most of the error, and cross damping correlates the axes: and it reaches
     the bound, which counts that force.

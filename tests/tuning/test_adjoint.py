@@ -88,7 +88,7 @@ def test_backwards_through_blocks_is_the_slope():
     "made",
     [
         lambda study: small(study, losses.SquaredRateError(SETTLE)),
-        lambda study: lyapunov(),
+        pytest.param(lambda study: lyapunov(), marks=pytest.mark.slow),
         pytest.param(lambda study: kalman(), marks=pytest.mark.slow),
     ],
     ids=["small", "lyapunov", "kalman"],

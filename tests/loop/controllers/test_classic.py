@@ -85,7 +85,11 @@ def response(control, frequencies):
 
 
 @pytest.mark.parametrize(
-    ("make", "bandwidth"), [(mg.ClassicControl.open_loop, 1000.0), (mg.ClassicControl.force_rebalance, 15.0)]
+    ("make", "bandwidth"),
+    [
+        (mg.ClassicControl.open_loop, 1000.0),
+        pytest.param(mg.ClassicControl.force_rebalance, 15.0, marks=pytest.mark.slow),
+    ],
 )
 def test_bandwidth_and_transfer_are_those_of_the_sampled_transfer_function(make, bandwidth):
     control = make(PLAIN, DISPLACEMENT, amplitude=1e-6, bandwidth=bandwidth)
