@@ -206,7 +206,8 @@ def assert_parts_are_the_whole(tmp_path, parts: int, blocks: int, kills: int, pa
     assert (tmp_path / "errors").read_text() == ""
     assert killed == kills
     shared = {block: count for (place, block), count in nursery.wrote.items() if place == str(folder)}
-    assert len(shared) == blocks
+    # Who was killed while it packed a shard has written its last block without a word; that all are there, rows tell.
+    assert blocks - kills <= len(shared) <= blocks
     assert sum(shared.values()) <= 1.02 * blocks
     assert rows(folder) == {"value": np.sin(np.arange(4 * blocks)).tobytes(), "status": bytes(4 * blocks)}
     # Who was killed while it wrote leaves a hidden draft.
