@@ -75,13 +75,6 @@ def test_the_branch_nearest_to_the_readings(rows, truth):
     np.testing.assert_allclose(found, truth, atol=3e-3 * np.abs(truth).max())
 
 
-@pytest.mark.slow
-def test_the_branch_that_continues_the_row_before(rows, truth):
-    sweep = swept(rows, jnp.zeros((42, 1), complex))
-    found = np.asarray(sweep.followed(MODEL).predict(MODEL))[:, 0]
-    np.testing.assert_allclose(found, truth, atol=3e-3 * np.abs(truth).max())
-
-
 def test_amplitudes_of_a_folded_resonance_tell_its_start(truth, rows):
     amplitude = np.abs(truth)[:, None] + 0j
     offered = Phasors(rows, amplitude, np.full((42, 1), F + 0j), np.full(42, 1e4), modulus=True)

@@ -81,25 +81,6 @@ class HarmonicSweep(Experiment):
             bench, settled, self.frequency, self.force, before, self.surroundings, self.dwell, self.unsettled
         )
 
-    @eqx.filter_jit
-    def followed(self, bench: Model) -> "HarmonicSweep":
-        """The same rows, each on the branch of a folded resonance that continues from the row before, as a sweep in
-        this direction goes through them: for what was not measured. Each sweep begins at rest.
-        """
-
-        def step(before: Array, row: tuple) -> tuple[Array, Array]:
-            new, omega, force, conditions = row
-            state = steady_state(bench, omega, force, conditions, jnp.where(new, 0.0, before), self.fineness)
-            near = state[1, : bench.axes]
-            return near, near
-
-        at = self.surroundings
-        label = jnp.stack([jnp.broadcast_to(part, self.frequency.shape) for part in (at.record, at.sweep)], axis=1)
-        new = jnp.concatenate([jnp.ones(1, bool), jnp.any(label[1:] != label[:-1], axis=1)])
-        rest = jnp.zeros(bench.axes, complex)
-        near = jax.lax.scan(step, rest, (new, self.frequency, self.force, at))[1]
-        return eqx.tree_at(lambda sweep: sweep.near, self, near)
-
     @property
     def finer(self) -> "HarmonicSweep | None":
         """The same with more harmonics and samples; `None` at the last."""
