@@ -71,12 +71,19 @@ class ClassicControl(AbstractController[ClassicState]):
     ) -> "ClassicControl":  # fmt: skip
         """For the design `gyro`, swinging at `amplitude` [m]: forces hold y still and are the rate and the quadrature.
 
+        Stiffness that couples the axes moves the drive's resonance as y is let go or held: drive loops slower than that
+        shift are unstable. `drive_bandwidth`, left out, is six times the shift, within a twentieth and a fifth of the
+        drive's frequency.
+
         `bandwidth` [Hz] is that of the loops' integral, the proportional gain cancels the sense axis' own decay as far
         as it is real. Left out it is a quarter of `demodulator_bandwidth` (a twentieth of the drive's frequency, unless
         given) where the axes match; where they are split, a good third of what the sense resonance, seen at the split,
         bears. Raises `InputError` for numbers that are not positive.
         """
         omega = locked_frequency(gyro, nulled=True)
+        if drive_bandwidth is None:
+            follow = jnp.clip(_FOLLOW * _shift_of_nulling(gyro), omega / _DRIVE_SHARE, omega / _FASTEST_SHARE)
+            drive_bandwidth = follow / (2.0 * jnp.pi)
         drive = _drive(gyro, readout, amplitude, omega, drive_bandwidth)
         width = omega / (40.0 * jnp.pi) if demodulator_bandwidth is None else jnp.asarray(demodulator_bandwidth)
         dynamics = gyro.dynamics(Inertial())
@@ -139,6 +146,8 @@ class ClassicControl(AbstractController[ClassicState]):
 _TINY = 1e-9  # of the amplitude: a size has a derivative at rest too
 _STEPS = 8  # of Newton's way to the locked frequency, which doubles its digits
 _DRIVE_SHARE = 20.0  # of the drive's frequency to the bandwidth of its demodulator
+_FASTEST_SHARE = 5.0  # the same where the loops must follow a resonance that moves
+_FOLLOW = 6.0  # times the shift of the resonance
 _LIMIT = 20.0  # times the force that holds the amplitude: how fast a start may be
 
 
@@ -160,6 +169,14 @@ def _conversion(gyro: AbstractGyro, omega: Scalar, amplitude: Scalar) -> Pair:
     """`j Δ / (2 ω A)`, 2 being the Coriolis factor."""
     found = 1j * _dynamic_stiffness(gyro.dynamics(Inertial()), omega) / (_coriolis(gyro) * omega * amplitude)
     return jnp.real(found), jnp.imag(found)
+
+
+def _shift_of_nulling(gyro: AbstractGyro) -> Scalar:
+    """By how much [rad/s] the stiffness between the axes keeps the free mode from the drive axis' own frequency."""
+    (kxx, kxy), (kyx, kyy) = gyro.dynamics(Inertial()).stiffness
+    half = 0.5 * (kyy - kxx)
+    apart = jnp.sqrt(half**2 + kxy * kyx + (_TINY * kxx) ** 2)  # a root has a slope where the axes match, too
+    return jnp.abs(apart - jnp.abs(half)) / (2.0 * jnp.sqrt(kxx))
 
 
 def locked_frequency(gyro: AbstractGyro, *, nulled: bool) -> Scalar:
