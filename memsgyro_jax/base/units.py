@@ -156,7 +156,8 @@ def to_si(value: Any, unit: str, expected: str, name: str) -> Any:
         raise InputError(f'Unit of {name} must measure the same as "{expected}", but is "{unit}".')
     try:
         with np.errstate(over="ignore", under="ignore"):
-            found = _registry().Quantity(value, source).to(target).magnitude
+            factor = _factor(source, target)
+            found = _registry().Quantity(value, source).to(target).magnitude if factor is None else value * factor
     except OverflowError:  # of the factor between the units
         found = np.inf
     if np.any(np.isfinite(value) & (~np.isfinite(found) | ((np.asarray(value) != 0) & (np.asarray(found) == 0)))):
@@ -201,6 +202,14 @@ def _is_power(exponent: str | None) -> bool:
     return abs(float(over.replace(" ", ""))) <= _HIGHEST and float(under or 1) != 0
 
 
+@cache
+def _factor(source: Any, target: Any) -> float | None:
+    """What a number of units `source` is multiplied with; `None` where that is not all, as between temperatures."""
+    zero, one = (_registry().Quantity(value, source).to(target).magnitude for value in (0.0, 1.0))
+    return one if zero == 0.0 else None
+
+
+@cache
 def _dimension(unit: Any) -> Any:
     """Product of base units, in which radian stays visible (pint's own dimensionality drops it)."""
     return _registry().get_root_units(unit)[1]

@@ -88,6 +88,8 @@ def effects(path: Path) -> Any:
 def borders(tmp_path_factory):
     folder = tmp_path_factory.mktemp("fuzz")
     bench = write_bench(folder / "bench")
+    for table in bench.glob("*.csv"):  # the case file is what changes here
+        table.write_text("".join(table.read_text().splitlines(keepends=True)[:60]))
     frequency = two_modes.WIDE[150:350:8]
     swept = two_modes.record(two_modes.Gyro(), two_modes.Instrument(), frequency)
     two_modes.write_cartesian(folder / "s.csv", frequency, swept)

@@ -32,14 +32,15 @@ def chosen_study(
         raise InputError("Option `--effects` must go with a study that names the effects, but no study was given.")
     study = default_study() if path is None else load_study(path, own)
     changes = {f"sweep.{name}": value for name, value in sweep.items() if value is not None}
-    notes = study.notes
+    about: list[str] = []
     if block is not None:
         changes["loop.block"] = block
     if rate_record is not None:
         record = read_rate_record(rate_record)
         more, about = _following(record, rate_record, own_study=path is not None)
-        changes, notes = {**more, **changes}, [*notes, *about]
-    return (study.changed(changes) if changes else study), notes
+        changes = {**more, **changes}
+    chosen = study.changed(changes) if changes else study
+    return chosen, [*chosen.notes, *about]
 
 
 def with_unit(number: float | None, unit: str) -> dict[str, object] | None:
