@@ -1,26 +1,32 @@
 """Whether the tests can fail: plants one fault after the other in a copy of the package and runs the tests on it.
 
-    python tests/seeded_faults.py                  # every fault; long
+    python tests/seeded_faults.py                  # every fault, a few seconds each where programs are compiled
     python tests/seeded_faults.py readout scenario # faults whose file has one of these words in its path
-    python tests/seeded_faults.py --all            # a fault that its room's tests miss meets the whole default suite
+    python tests/seeded_faults.py --all            # a fault that its own tests miss meets the whole default suite
 
 Each fault is one wrong line of physics, statistics or input: a sign, a factor, an index, an axis, a root. A fault that
 no test sees is a hole in the tests: write the test that sees it, do not drop the fault. The table of faults is
-`seeded_faults.toml`; `old` must stand exactly once in its file, so that a fault never goes stale unnoticed.
+`seeded_faults.toml`; `old` must stand exactly once in its file, so that a fault never goes stale unnoticed. It names for
+each the cheapest test of the default suite that sees it; who moves that test or marks it slow names another there. The
+tests run in a fork of this process, which has imported the libraries once.
 """
 
 import argparse
+import contextlib
+import multiprocessing
 import os
 import shutil
-import subprocess
+import signal
 import sys
 import tempfile
 import time
 import tomllib
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 
 
+LIBRARIES = ("jax.numpy", "equinox", "scipy.stats", "xarray", "pydantic", "pint", "matplotlib.pyplot", "pytest")
 ROOT = Path(__file__).resolve().parent.parent
 SEEN = 1  # exit status of pytest when tests failed
 LIMIT = 900.0  # seconds for the tests on one fault
@@ -66,6 +72,8 @@ def main() -> None:
     chosen, missed = faults(options.words), []
     for fault in chosen:
         fault.text(ROOT / "memsgyro_jax")
+    for library in LIBRARIES:
+        import_module(library)
     with tempfile.TemporaryDirectory() as place:
         copy = Path(place) / "project"
         shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns(".git", ".venv", "__pycache__", ".*_cache", "site"))
@@ -84,25 +92,41 @@ def seen_by(fault: Fault, copy: Path, everything: bool) -> str | None:
     """The first test that fails with the fault, or None."""
     right = fault.planted(copy / "memsgyro_jax")
     try:
-        return failing(copy, fault.tests) or (failing(copy, ("-n", "2")) if everything else None)
+        return failing(copy, ("-n", "0", *fault.tests)) or (failing(copy, ("-n", "2")) if everything else None)
     finally:
         (copy / "memsgyro_jax" / fault.file).write_text(right)
 
 
 def failing(copy: Path, arguments: tuple[str, ...]) -> str | None:
     """The first test that fails in the copy."""
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *arguments]
-    environment = {**os.environ, "PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1"}
-    try:
-        ran = subprocess.run(
-            command, cwd=copy, env=environment, capture_output=True, text=True, timeout=LIMIT, check=False
-        )
-    except subprocess.TimeoutExpired:
+    printed = copy.parent / "printed.txt"
+    ran = multiprocessing.get_context("fork").Process(target=tested, args=(copy, printed, arguments))
+    ran.start()
+    ran.join(LIMIT)
+    if ran.exitcode is None:
+        os.killpg(ran.pid, signal.SIGKILL)
+        ran.join()
         return f"no end after {LIMIT:.0f} s"
-    if ran.returncode == 0:
+    if ran.exitcode == 0:
         return None
-    named = [line for line in ran.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
-    return named[0].split(" - ")[0] if ran.returncode == SEEN and named else f"pytest ended with {ran.returncode}"
+    named = [line for line in printed.read_text().splitlines() if line.startswith(("FAILED", "ERROR"))]
+    if ran.exitcode != SEEN or not named:
+        raise SystemExit(f"pytest ended with {ran.exitcode}; are these default tests? {arguments}\n{printed.read_text()}")
+    return named[0].split(" - ")[0]
+
+
+def tested(copy: Path, printed: Path, arguments: tuple[str, ...]) -> None:
+    """Run pytest in the copy, as the process that this is, and end with its status."""
+    import pytest
+
+    os.setsid()
+    os.chdir(copy)
+    os.environ["PYTHONPATH"] = str(copy)
+    sys.path[0] = str(copy)
+    early = "ignore::pytest.PytestAssertRewriteWarning"  # of plugins that the libraries have imported
+    with printed.open("w") as file, contextlib.redirect_stdout(file), contextlib.redirect_stderr(file):
+        status = pytest.main(["-x", "-q", "-p", "no:cacheprovider", "-W", early, *arguments])
+    os._exit(status)
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ from oracles import kalman, motion
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.gyro import DUAL_MASS, SINGLE_MASS, DualMassGyro, Inertial, SingleMassGyro, mode_frequencies
+from memsgyro_jax.device.normalised import NormalisedDevice
 
 
 SINGLE = {"mass": 1.8e-7, "kxx": 63.96, "kyy": 95.92, "kxy": 12.78, "dxx": 3.6e-6, "dyy": 4.5e-6, "dxy": 3.6e-7}
@@ -180,3 +181,11 @@ def test_coefficients_follow_a_change_of_damping(gyro):
     found = gyro.model.assemble(gyro.coefficients(1.5, change))
     np.testing.assert_allclose(found.damping, true.damping, rtol=1e-14)
     assert gyro.coefficients(1.5, (0.0, 0.0, 0.0)) == gyro.coefficients(1.5)
+
+
+def test_a_device_per_mass_has_its_matrices():
+    gyro = SingleMassGyro.from_modes(3e-9, (9.4e3, 9.75e3), (2500.0, 4000.0), angle=0.2, cross_damping=-0.1)
+    bare, (mass, kxx, kyy, kxy, dxx, dyy, dxy) = NormalisedDevice.of(gyro), jax.tree.leaves(gyro)[:7]
+    np.testing.assert_allclose(bare.stiffness_matrix * mass, [[kxx, kxy], [kxy, kyy]], rtol=1e-14)
+    np.testing.assert_allclose(bare.damping_matrix * mass, [[dxx, dxy], [dxy, dyy]], rtol=1e-14)
+    np.testing.assert_allclose(bare.resonances(), 2.0 * np.pi * np.array([9.4e3, 9.75e3]), rtol=1e-12)

@@ -58,6 +58,7 @@ def test_a_filter_that_knows_the_device_is_a_plain_kalman_filter():
     low, high = stats.chi2.ppf([0.005, 0.995], 4 * 512) / 512
     assert (figures.failed, figures.states) == (0, 4)
     assert low <= figures.nees <= high
+    assert figures.nis == pytest.approx(2.0, abs=5 * 2.0 / (512 * 200) ** 0.5)
     assert figures.nis == pytest.approx(2.0, abs=0.02)
 
 
