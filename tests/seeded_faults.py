@@ -111,7 +111,9 @@ def failing(copy: Path, arguments: tuple[str, ...]) -> str | None:
         return None
     named = [line for line in printed.read_text().splitlines() if line.startswith(("FAILED", "ERROR"))]
     if ran.exitcode != SEEN or not named:
-        raise SystemExit(f"pytest ended with {ran.exitcode}; are these default tests? {arguments}\n{printed.read_text()}")
+        raise SystemExit(
+            f"pytest ended with {ran.exitcode}; are these default tests? {arguments}\n{printed.read_text()}"
+        )
     return named[0].split(" - ")[0]
 
 

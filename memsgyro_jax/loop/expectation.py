@@ -44,7 +44,7 @@ def expectations(
     device, rate = drawn or (loop.device, scenario.rate)
     rates = _rates(scenario, duration) if drawn is None else np.atleast_1d(np.asarray(rate.value(0.0)))
     said = (*moving(loop.observer, scenario, duration), *_far(loop.observer, rates, 1 if drawn is None else len(rates)))
-    return (*said, *_sampled(np.atleast_2d(mode_frequencies(device))[:, -1], sample_rate))
+    return (*said, *shifted(loop, duration), *_sampled(np.atleast_2d(mode_frequencies(device))[:, -1], sample_rate))
 
 
 def tell(sentences: tuple[str, ...]) -> None:
@@ -72,6 +72,27 @@ def moving(observer: AbstractObserver, scenario: Scenario, duration: float) -> t
         f"`ProcessNoise.of(gyro.model, rate={walk:.2g})` say, makes it follow."
     )
     return (said,)
+
+
+def shifted(loop: ClosedLoop, duration: float) -> tuple[str, ...]:
+    """A sentence for each offset of the read-out that lies `FAR` standard deviations from what the filter expects; one
+    that it takes as known may be off by what the noise hides for `duration` [s].
+    """
+    observer, offsets = loop.observer, getattr(loop.readout, "offset", None)
+    if not isinstance(observer, AbstractCovarianceObserver) or offsets is None:
+        return ()
+    found, prior = [], observer.prior
+    parts = zip("xy", offsets, prior.offset, prior.offset_std, loop.readout.noise_density, strict=True)
+    for axis, offset, mean, std, density in parts:
+        known = f"offset_{axis}" in observer.known or float(np.max(std)) == 0.0
+        hidden = float(np.max(density)) / (2.0 * duration) ** 0.5
+        told, away = f"{float(np.mean(mean)):.3g}", float(np.max(np.abs(np.asarray(offset) - mean)))
+        if away > FAR * (hidden if known else max(float(np.max(std)), hidden)):
+            takes = f"takes as known, {told} V" if known else f"expects at {told} ± {float(np.max(std)):.3g} V"
+            remedy = "estimate it, or tell the prior" if known else "tell the prior a wider `offset_std`"
+            value = float(np.mean(np.asarray(offset)))
+            found.append(f"the read-out's offset along {axis}, which the filter {takes}, is {value:.3g} V; {remedy}.")
+    return tuple(found)
 
 
 def unknown_to(loop: ClosedLoop) -> tuple[str, ...]:

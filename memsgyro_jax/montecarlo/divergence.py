@@ -17,7 +17,7 @@ from scipy import stats
 
 from memsgyro_jax.device.gyro import mode_frequencies, natural_frequencies
 from memsgyro_jax.device.propagate import Exact
-from memsgyro_jax.loop.expectation import FAR, expectations, folding, moving, unknown_to
+from memsgyro_jax.loop.expectation import FAR, expectations, folding, moving, shifted, unknown_to
 from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.observers import AbstractCovarianceObserver
 from memsgyro_jax.loop.scenario import Scenario
@@ -124,7 +124,7 @@ class _Cause(NamedTuple):
 
 def _causes(theta: np.ndarray, dies: np.ndarray, loop: ClosedLoop, scenario: Scenario, plan: Plan) -> tuple[str, ...]:
     found = [cause for cause in (*_sampling(theta, loop, plan), *_surprises(theta, loop)) if cause.holds.any()]
-    everywhere = unknown_to(loop)
+    everywhere = (*unknown_to(loop), *(words.rstrip(".") for words in shifted(loop, plan.samples * plan.period)))
     if moving(loop.observer, scenario, plan.samples * plan.period):
         everywhere = (*everywhere, "the rate moves, but the filter holds it constant")
     texts = [f"{_count(cause.holds, dies)} {cause.words}" for cause in found]

@@ -104,6 +104,18 @@ def test_a_rate_far_outside_the_prior_is_told(loop):
     assert "takes the rate as known, 0 deg/s, but it is 57.3 deg/s" in sentence
 
 
+def test_an_offset_that_the_filter_denies_is_told(loop):
+    assert said(loop, mg.Constant(1.0)) == ()
+    denied = mg.ExtendedKalmanFilter.for_device(loop.device, loop.readout, with_offsets=False)
+    x, y = said(replace(loop, observer=denied), mg.Constant(1.0))
+    assert "along x, which the filter takes as known, 0 V, is 0.015 V; estimate it" in x
+    assert "along y" in y
+    direct = mg.DirectReadout(loop.readout.scale, offset=(0.0, 0.1), noise_density=loop.readout.noise_density)
+    (sentence,) = said(replace(loop, readout=direct), mg.Constant(1.0))
+    assert "along y, which the filter expects at 0 ± 0.02 V, is 0.1 V" in sentence
+    assert said(replace(loop, observer=denied, readout=replace(direct, offset=0.0)), mg.Constant(1.0)) == ()
+
+
 def test_rates_drawn_from_the_prior_are_told_as_rarely_as_said(loop):
     """One lot of 256 dies in 10 000; in 100 lots none, or one by bad luck (1 %)."""
     rng = np.random.default_rng(0)
