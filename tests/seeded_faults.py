@@ -6,8 +6,8 @@
 
 Each fault is one wrong line of physics, statistics or input: a sign, a factor, an index, an axis, a root. A fault that
 no test sees is a hole in the tests: write the test that sees it, do not drop the fault. The table of faults is
-`seeded_faults.toml`; `old` must stand exactly once in its file, so that a fault never goes stale unnoticed. It names for
-each the cheapest test of the default suite that sees it; who moves that test or marks it slow names another there. The
+`seeded_faults.toml`; `old` must stand exactly once in its file, so that a fault never goes stale unnoticed. It names
+the cheapest test of the default suite that sees each; who moves that test or marks it slow names another there. The
 tests run in a fork of this process, which has imported the libraries once.
 """
 
