@@ -40,6 +40,8 @@ if TYPE_CHECKING:
     from .loop.observers import EnergyObserver as EnergyObserver
     from .loop.observers import ScaleRatioFilter as ScaleRatioFilter
     from .loop.observers import KnownRateFilter as KnownRateFilter
+    from .loop.blocks.block_filter import BlockFilter as BlockFilter
+    from .loop.record_filter import filter_record as filter_record
     from .loop.observers import AbstractObserver as AbstractObserver
     from .loop.observers import AbstractCovarianceObserver as AbstractCovarianceObserver
     from .loop.observers import AbstractBlockObserver as AbstractBlockObserver

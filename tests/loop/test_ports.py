@@ -49,6 +49,11 @@ STUDIES = {
         "observer": {"kind": "scale_ratio", "known": KNOWN, "with_offsets": False},
         "controller": {"kind": "damping_compensation", "tones": [{"frequency": "600 Hz", "amplitude": "5 m/s^2"}]},
     },
+    ("block_ekf", "damping_compensation"): {
+        "observer": {"kind": "block_ekf", "start": 8, "length": 8, "tones": ["600 Hz"], "known": KNOWN,
+                     "with_offsets": False},
+        "controller": {"kind": "damping_compensation", "tones": [{"frequency": "600 Hz", "amplitude": "5 m/s^2"}]},
+    },
     ("known_rate", "damping_compensation"): {
         "observer": {"kind": "known_rate", "until": "0.1 ms", "known": KNOWN, "with_offsets": False},
         "controller": {"kind": "damping_compensation", "tones": [{"frequency": "600 Hz", "amplitude": "5 m/s^2"}]},

@@ -23,6 +23,7 @@ from memsgyro_jax.base.quantity import (
 )
 from memsgyro_jax.device.gyro import AbstractGyro
 from memsgyro_jax.device.propagate import AbstractDiscretisation, Exact, ForwardEuler
+from memsgyro_jax.loop.blocks.block_filter import BlockFilter
 from memsgyro_jax.loop.observers import (
     AbstractObserver,
     EnergyObserver,
@@ -199,6 +200,23 @@ class Kalman(KalmanSettings):
         return JumpTest.of_damping(made, self.jump.damping, window=self.jump.window, level=self.jump.level)
 
 
+class BlockKalman(KalmanSettings):
+    """`kind = "block_ekf"`: the filter that takes `length` samples at a time by their projections on the modes and the
+    `tones` [Hz], behind the first `start`: 512 left out, 2048 for two masses.
+    """
+
+    kind: Literal["block_ekf"]
+    tones: tuple[Hertz, ...] = ()
+    length: Annotated[Whole, Field(ge=2)] = 1024
+    start: Annotated[Whole, Field(ge=1)] | None = None
+
+    def build(self, gyro: AbstractGyro, readout: AbstractReadout) -> AbstractObserver:
+        """The filter; raises `InputError` for a length that is no power of two, and what a block cannot hold."""
+        blocks = {"tones": self.tones, "length": self.length, "start": self.start}
+        made = BlockFilter.for_device(gyro, readout, **blocks, **self.settings(gyro))
+        return self.told(made, lambda o: o.filter.noise_density)
+
+
 class ScaleRatio(KalmanSettings):
     """`kind = "scale_ratio"`: the filter that also finds by how much the scales of the two channels differ, known to
     `ratio` at the start.
@@ -301,5 +319,5 @@ class EnergyLyapunov(LyapunovGains):
 
 
 Observer = Annotated[
-    Kalman | ScaleRatio | KnownRate | Lyapunov | EnergyLyapunov | Unobserved, Field(discriminator="kind")
+    Kalman | BlockKalman | ScaleRatio | KnownRate | Lyapunov | EnergyLyapunov | Unobserved, Field(discriminator="kind")
 ]

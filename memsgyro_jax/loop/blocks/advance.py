@@ -53,13 +53,13 @@ def advanced(
     rows = _rows(maps, seen, with_offsets)
     if len(away):
         innovation = innovation - weighted(away, jnp.swapaxes(seen, 0, 1))
-    shift, covariance, read = _corrected(rows, innovation, facts.expected, covariance)
+    shift, covariance, read = corrected(rows, innovation, facts.expected, covariance)
 
     moved = applied_to(maps.estimated, w)[:4] + applied_to(maps.free, shift[:4])
     if len(away):
         moved = moved + weighted(away + shift[first:], turned)
     mean = jnp.concatenate([moved, mean[4:] + shift[4:]])
-    covariance = _carried(covariance, maps, turned, facts.walk)
+    covariance = covariance_later(covariance, maps.free, maps.walked, turned, facts.walk)
     return applied_to(maps.true, u), Believed(mean, covariance), read
 
 
@@ -82,7 +82,7 @@ class _Read(NamedTuple):
     logarithms: Float[Array, "channels lanes"]
 
 
-def _corrected(
+def corrected(
     rows: Float[Array, "k 2 states lanes"], innovation: Array, variance: Array, covariance: Array
 ) -> tuple[Array, Array, Innovation]:
     """Shift of the mean at the start, its covariance, and a channel's innovations as one: the root of the mean of their
@@ -178,14 +178,16 @@ def _read_slopes(given: tuple, moved: tuple) -> tuple[_Read, _Read]:
     return found, _Read(d_shift, d_after, d_squares[None], (d_logarithms + trace * d_variance)[None])
 
 
-def _carried(covariance: Array, maps: Maps, turned: Float[Array, "p 4 lanes"], walk: Array) -> Array:
-    """J P Jᵀ and what walked meanwhile."""
+def covariance_later(
+    covariance: Array, free: Array, walked: Array, turned: Float[Array, "p 4 lanes"], walk: Array
+) -> Array:
+    """J P Jᵀ and what walked meanwhile: of the motion, which goes by `free`, and of the constants."""
     constants, count = covariance[4:, 4:], len(turned)
     columns = jnp.swapaxes(turned, 0, 1)  # (4, p)
     rest = jnp.zeros((4, len(constants) - count, *columns.shape[2:]))
-    jacobian = jnp.concatenate([maps.free, rest, columns], axis=1)
+    jacobian = jnp.concatenate([free, rest, columns], axis=1)
     rows = multiplied(jacobian, covariance)
-    motion, cross = multiplied(rows, jnp.swapaxes(jacobian, 0, 1)) + maps.walked, rows[:, 4:]
+    motion, cross = multiplied(rows, jnp.swapaxes(jacobian, 0, 1)) + walked, rows[:, 4:]
     motion = 0.5 * (motion + jnp.swapaxes(motion, 0, 1))
     constants = constants + jnp.eye(len(constants))[..., None] * walk
     top = jnp.concatenate([motion, cross], axis=1)

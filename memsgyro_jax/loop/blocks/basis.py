@@ -64,6 +64,17 @@ def at(angles: Angles) -> Float[Array, "basis lanes"]:
     return jnp.concatenate([jnp.ones_like(angles[:1]), jnp.cos(angles), jnp.sin(angles)])
 
 
+def along(angles: Float[Array, " frequencies"], samples: int) -> Float[Array, "basis samples"]:
+    """The basis of one die at samples 1 … `samples`, a power of two: from few sines, by the sum of two angles."""
+    step = 1 << (samples.bit_length() // 2)
+    coarse, fine = (
+        angles[:, None, None] * n for n in (jnp.arange(0.0, samples, step)[:, None], jnp.arange(1.0, step + 1.0))
+    )
+    (c, s), (d, t) = ((jnp.cos(phase), jnp.sin(phase)) for phase in (coarse, fine))
+    parts = (c * d - s * t).reshape(-1, samples), (s * d + c * t).reshape(-1, samples)
+    return jnp.concatenate([jnp.ones((1, samples)), *parts])
+
+
 def rotated(parts: Float[Array, "basis ... lanes"], turn: Turn) -> Float[Array, "basis ... lanes"]:
     """`Sums.turned` of sums in one array."""
     count = len(turn.cosine)
