@@ -102,7 +102,7 @@ if TYPE_CHECKING:
     from .loop.mode_matching import matching_bias as matching_bias
     from .loop.mode_matching import at_bias as at_bias
     from .loop.trace import simulate as simulate
-    from .loop.trace import Trace as Trace
+    from .loop.trace_result import Trace as Trace
     from .loop.angle import vibration_angle as vibration_angle
     from .loop.angle import vibration_ellipse as vibration_ellipse
     from .loop.angle import VibrationEllipse as VibrationEllipse

@@ -1,6 +1,8 @@
 """The documentation: its blocks are run in order, what fails names page and line, and no public name is left out."""
 
+import json
 import re
+import subprocess
 import sys
 from pathlib import Path
 
@@ -14,6 +16,9 @@ sys.path.insert(0, str(ROOT / "docs/hooks"))
 
 import blocks  # noqa: E402
 import generated  # noqa: E402
+import links  # noqa: E402
+import notebook  # noqa: E402
+import versions  # noqa: E402
 
 
 @pytest.fixture
@@ -92,3 +97,56 @@ def test_the_picture_is_that_of_the_real_imports():
     assert imports["diagnosis", "measurement"] > 0
     assert not any(list(generated.ROOMS).index(a) < list(generated.ROOMS).index(b) for a, b in imports)
     assert generated.rooms_picture().count("<path") == len(imports)
+
+
+def test_a_page_becomes_a_notebook(page, tmp_path):
+    text = (
+        '# A\n\n```toml title="a.toml"\nb = 1\n```\n\nThen\n\n```sh\n# said\ncat a.toml\n```\n\n```python\n'
+        "import matplotlib.pyplot as plt\nprint(2)\nplt.figure()\n```\n<!-- figure: Nothing -->\n\nEnd\n"
+    )
+    made = json.loads(json.dumps(notebook.notebook(page(text))))
+    assert (made["nbformat"], made["nbformat_minor"]) == (4, 5)
+    kinds = [cell["cell_type"] for cell in made["cells"]]
+    assert kinds == ["markdown", "code", "markdown", "code", "code", "markdown"]
+    file, shell, python = (cell for cell in made["cells"] if cell["cell_type"] == "code")
+    assert file["source"] == "%%writefile a.toml\nb = 1"
+    assert shell["source"] == "# said\n!cat a.toml"
+    assert shell["outputs"] == [{"output_type": "stream", "name": "stdout", "text": "b = 1\n"}]
+    printed, drawn = python["outputs"]
+    assert printed["text"] == "2\n"
+    assert "<svg" in drawn["data"]["image/svg+xml"]
+    assert made["cells"][-1]["source"] == "End"
+    assert len({cell["id"] for cell in made["cells"]}) == len(kinds)
+
+
+def test_links_that_lead_nowhere_are_found(tmp_path):
+    (tmp_path / "deep").mkdir()
+    (tmp_path / "index.html").write_text(
+        '<link rel="canonical" href="https://a.org/"><a href="deep/a.html#there">a</a><a href="deep/a.html#gone">b</a>'
+        '<a href="deep/b.html">c</a><a href="https://a.org">d</a><a href="#top">e</a><a href="http://a.org">f</a>'
+    )
+    (tmp_path / "deep/a.html").write_text('<h1 id="there">a</h1><img src="https://a.org/a.png"><a href="../">g</a>')
+    assert [told.split(" leads")[0] for told in links.broken(tmp_path)] == [
+        "deep/a.html: ../", "index.html: deep/a.html#gone", "index.html: deep/b.html", "index.html: #top",
+        "index.html: http://a.org is neither a file of the site nor an https address",
+    ]  # fmt: skip
+    assert links.requests(tmp_path) == ["deep/a.html: https://a.org/a.png"]
+
+
+def test_versions_stand_side_by_side(tmp_path, monkeypatch):
+    project = tmp_path / "project"
+    git = ("git", "-C", str(project), "-c", "user.name=a", "-c", "user.email=a@b.c")
+    subprocess.run(["git", "init", "--quiet", str(project)], check=True)
+    for version in ("v1", "v2"):
+        (project / "said").write_text(version)
+        subprocess.run([*git, "add", "said"], check=True)
+        subprocess.run([*git, "commit", "--quiet", "-m", version], check=True)
+        subprocess.run([*git, "tag", version], check=True)
+    monkeypatch.setattr(versions, "ROOT", project)
+    write = ("sh", "-c", 'mkdir -p "$0" && cp said "$0/index.html"')
+    versions.build(tmp_path / "all", ["v1"], write)
+    versions.build(tmp_path / "all", ["v2"], write)
+    assert [(tmp_path / "all" / name / "index.html").read_text() for name in ("v1", "v2")] == ["v1", "v2"]
+    front = (tmp_path / "all/index.html").read_text()
+    assert re.findall(r'href="([^"]+)"', front) == ["v2/index.html", "v1/index.html"]
+    assert not links.broken(tmp_path / "all")

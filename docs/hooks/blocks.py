@@ -36,6 +36,18 @@ class BlockError(Exception):
     """A block of a page did not do what the page says; the message begins with page and line."""
 
 
+def prepare() -> None:
+    """Sets JAX and matplotlib up, once, before a page is run."""
+    os.environ.setdefault("COLUMNS", "100")
+    from memsgyro_jax.base import runtime
+
+    runtime.configure()
+    import matplotlib as mpl
+
+    mpl.use("agg")
+    mpl.rcParams.update({"svg.hashsalt": "memsgyro", "figure.figsize": (7.2, 3.6), "figure.max_open_warning": 0})
+
+
 @dataclass
 class Executed:
     """A page whose blocks have been run: its text, and the files that it made, by path from the root of the site."""
@@ -165,7 +177,7 @@ class _Page:
             file, _, text = entry.partition(" ")
             if not Path(file).exists():
                 self.fail(line, f"must write {file}")
-            path = f"reports/{Path(self.name).stem}-{Path(file).name}"
+            path = f"reports/{Path(self.name).stem}-{file.replace('/', '-')}"
             self.done.files[path] = Path(file).read_text()
             self.done.text += f"\n[{text}]({path}){{ .report }}\n"
 

@@ -1,13 +1,16 @@
 """What mkdocs does here beyond its own: runs the blocks of every page and writes the pages that come from the code."""
 
 import logging
-import os
 import time
+from pathlib import Path
 
 import blocks
 import generated
+import links
 from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File
+
+import memsgyro_jax
 
 
 log = logging.getLogger("mkdocs.hooks.memsgyro")
@@ -16,14 +19,13 @@ _EXECUTED: dict[str, blocks.Executed] = {}
 
 def on_startup(**_):
     """Sets JAX and matplotlib up before anything is computed."""
-    os.environ.setdefault("COLUMNS", "100")
-    from memsgyro_jax.base import runtime
+    blocks.prepare()
 
-    runtime.configure()
-    import matplotlib as mpl
 
-    mpl.use("agg")
-    mpl.rcParams.update({"svg.hashsalt": "memsgyro", "figure.figsize": (7.2, 3.6), "figure.max_open_warning": 0})
+def on_config(config, **_):
+    """Every page says of which version it is."""
+    config.copyright = f"memsgyro_jax {memsgyro_jax.__version__}"
+    return config
 
 
 def on_files(files, config):
@@ -67,6 +69,14 @@ def on_post_page(output, page, **_):
 def on_post_template(output_content, **_):
     """Likewise for the page that says that there is no such page."""
     return _without_requests(output_content, 0)
+
+
+def on_post_build(config, **_):
+    """No link of the finished site leads nowhere, and no page asks for anything from elsewhere."""
+    site = Path(config.site_dir)
+    wrong = [*links.broken(site), *(f"{found} is fetched from elsewhere" for found in links.requests(site))]
+    if wrong:
+        raise PluginError("\n".join(wrong))
 
 
 def _without_requests(html, depth):

@@ -20,7 +20,7 @@ from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.gyro import UX, VX, AbstractGyro, Dynamics, Inertial, Scalar
 
 from .observers.lyapunov import LyapunovObserver
-from .trace import Trace
+from .trace_result import Trace
 
 
 class LyapunovFunction(NamedTuple):

@@ -77,14 +77,14 @@ class NoiseBudget(Shown, eqx.Module):
             f"Noise of the rate at a swing of {1e6 * float(self.amplitude):.4g} µm at {float(self.swing):.1f} Hz, "
             f"{float(self.split):.4g} Hz from the sense mode"
         )
-        lines = [head, f"  {'source':<22} {'°/√h':>10} {'°/s/√Hz':>10} {'of the power':>13}"]
+        lines = [head, f"  {'source':<26} {'°/√h':>10} {'°/s/√Hz':>10} {'of the power':>13}"]
         total = max(float(self.total), 1e-300)
         rows = [*zip(self.sources, np.asarray(self.walk).tolist(), strict=True), ("all", float(self.total))]
         for name, walk in rows:
             share, low = 100.0 * (walk / total) ** 2, np.sqrt(2.0) * walk * _DEGREES
-            lines.append(f"  {name:<22} {walk * _PER_ROOT_HOUR:>10.4g} {low:>10.4g} {share:>11.1f} %")
+            lines.append(f"  {name:<26} {walk * _PER_ROOT_HOUR:>10.4g} {low:>10.4g} {share:>11.1f} %")
         if float(self.instability) > 0.0:
-            lines.append(f"  {'bias instability B':<22} {float(self.instability) * _DEGREES * 3600.0:>10.4g} °/h")
+            lines.append(f"  {'bias instability B':<26} {float(self.instability) * _DEGREES * 3600.0:>10.4g} °/h")
         return "\n".join([*lines, *(f"  {note}" for note in self.notes)])
 
     def to_xarray(self) -> "xr.Dataset":

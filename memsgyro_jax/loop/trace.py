@@ -1,187 +1,26 @@
 """One closed-loop run of one die, kept sample by sample."""
 
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 
 from memsgyro_jax.base import runtime
 from memsgyro_jax.base.arguments import quantity, whole
-from memsgyro_jax.base.axes import axes, settled_limits
 from memsgyro_jax.base.concrete import is_concrete
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.base.labelled import Tabular, labelled
 from memsgyro_jax.base.provenance import Settings
 from memsgyro_jax.device.propagate import State4
 
 from . import engine, noise
 from .blocks.length import Blocks, lengths
 from .blocks.run import prepared, run_in_blocks
-from .controllers import Saturated
 from .expectation import expectations, tell
 from .loop import ClosedLoop, Sample, as_loop
-from .observers.base import LockReadings
 from .scenario import AbstractProfile, Scenario, as_scenario
-from .sensitivities import units_of
-
-
-if TYPE_CHECKING:
-    import xarray as xr
-    from matplotlib.axes import Axes
-
-
-class Trace(Tabular, eqx.Module):
-    """What a run recorded, one row per kept sample; SI units throughout.
-
-    `theta` holds the true coefficients at the end of the run. `rate_estimate` is the loop's output, behind its filter
-    where it has one, `rate_unfiltered` the observer's own estimate, of which alone `rate_std` and `nis` speak (NaN for
-    an observer without a covariance). `intact_until` is the time in s at which the die was lost (out of its travel, or
-    not finite, at a kept sample), infinite for one that was not: rows from then on repeat the last good one. `readings`
-    are those of electronics that lock to the drive axis, each over time; None without such. `loop` is what ran.
-
-    A pytree: functions of `simulate` can be differentiated and compiled; `jax.vmap` puts the runs along a leading axis.
-    """
-
-    time: Float[np.ndarray, " samples"]
-    rate_true: Float[np.ndarray, " samples"]
-    rate_estimate: Float[np.ndarray, " samples"]
-    rate_unfiltered: Float[np.ndarray, " samples"]
-    rate_std: Float[np.ndarray, " samples"]
-    motion: Float[np.ndarray, "samples 4"]
-    motion_estimate: Float[np.ndarray, "samples 4"]
-    theta: Float[np.ndarray, " coefficients"]
-    theta_estimate: Float[np.ndarray, "samples coefficients"]
-    offset: Float[np.ndarray, "samples 2"]
-    offset_estimate: Float[np.ndarray, "samples 2"]
-    volts: Float[np.ndarray, "samples 2"]
-    force: Float[np.ndarray, "samples 2"]
-    nis: Float[np.ndarray, " samples"]
-    intact_until: Float[np.ndarray, ""]
-    along = "time"
-    loop: ClosedLoop
-    coefficients: tuple[str, ...] = eqx.field(static=True)
-    settings: Settings = eqx.field(static=True)
-    readings: LockReadings | None = None
-
-    @property
-    def lost_at(self) -> float | None:
-        """The time in s at which the die was lost; None for one that was not."""
-        return None if np.isinf(self.intact_until) else float(self.intact_until)
-
-    @property
-    def status(self) -> str:
-        """A sentence on how the run went, or the runs of a map."""
-        if np.ndim(self.intact_until):
-            return f"{np.sum(np.isfinite(self.intact_until))} of {np.size(self.intact_until)} runs lost"
-        law = self.loop.controller
-        share = law.reached(self.force) if isinstance(law, Saturated) else 0.0
-        limited = f", a force at its limit in {100.0 * share:.3g} % of the samples" if share else ""
-        if self.lost_at is None:
-            return f"completed{limited}"
-        return f"lost at {self.lost_at:.6g} s: out of travel or not finite{limited}"
-
-    @property
-    def rate_error(self) -> Float[np.ndarray, " samples"]:
-        """Estimate minus truth in rad/s."""
-        return self.rate_estimate - self.rate_true
-
-    @property
-    def filtered(self) -> bool:
-        """Whether the output is another than the observer's own estimate."""
-        return not np.array_equal(self.rate_estimate, self.rate_unfiltered, equal_nan=True)
-
-    def __repr__(self) -> str:
-        if not is_concrete(self.time) or self.time.ndim > 1:
-            return f"Traces of {jnp.shape(self.time)} samples at {self.settings.sample_rate:g} Hz"
-        error = np.degrees(self.rate_error[len(self.time) // 2 :])
-        return (
-            f"Trace of {self.time[-1]:.4g} s, {len(self.time)} samples kept at {self.settings.sample_rate:g} Hz, "
-            f"{self.status}\n"
-            f"rate error over the second half: mean {np.mean(error):.3g}, "
-            f"standard deviation {np.std(error):.3g} deg/s"
-        )
-
-    def to_xarray(self) -> "xr.Dataset":
-        """The trace over `time`, and over `run` where it is a map of several."""
-        lead = ("run",) * (np.ndim(self.time) - 1)
-        over = {
-            "rate_true": ((), "rad/s", "true rate"),
-            "rate_estimate": ((), "rad/s", "estimated rate, the output of the loop"),
-            "rate_unfiltered": ((), "rad/s", "estimated rate before the output filter"),
-            "rate_std": ((), "rad/s", "claimed standard deviation before the output filter"),
-            "motion": (("state",), None, "displacement and velocity"),
-            "motion_estimate": (("state",), None, "estimated displacement and velocity"),
-            "theta_estimate": (("coefficient",), None, "estimated coefficients of the equations of motion"),
-            "offset": (("axis",), "V", "offset of the read-out"),
-            "offset_estimate": (("axis",), "V", "estimated offset of the read-out"),
-            "volts": (("axis",), "V", "voltage of the read-out"),
-            "force": (("axis",), "N", "commanded force"),
-            "nis": ((), "1", "normalised innovation squared of both channels"),
-        }
-        variables: dict[str, tuple] = {n: ((*lead, "time", *d), getattr(self, n), *of) for n, (d, *of) in over.items()}
-        variables["theta"] = ((*lead, "coefficient"), self.theta, None, "true coefficients at the end")
-        variables["intact_until"] = (lead, self.intact_until, "s", "time at which the die was lost, infinite for none")
-        if self.readings is not None:
-            told = zip(LockReadings._fields, self.readings, ("rad/s", "Hz", "m", "N"), strict=True)
-            variables |= {f"lock_{name}": ((*lead, "time"), *held) for name, *held in told}
-        coordinates = {
-            "time": ("time", np.atleast_2d(self.time)[0], "s"),
-            "axis": ["x", "y"],
-            "state": ["x", "y", "vx", "vy"],
-            "state_unit": ("state", ["m", "m", "m/s", "m/s"], None),
-            "coefficient": list(self.coefficients),
-            "coefficient_unit": ("coefficient", list(units_of(self.loop.device.model)), None),
-        }
-        return labelled(self, variables, coordinates, {**self.settings.as_dict(), "status": self.status})
-
-    def to_case(self, folder: str | Path, **about: Any) -> Path:
-        """Write the run as a measurement case, or add it to the case in `folder`; `about` goes to `case_of_trace`.
-
-        Raises `InputError` for a run that no case can hold.
-        """
-        import memsgyro_jax as mg  # by their public names: measurements stand on the loop, not the loop on them
-
-        return mg.append_to_case(mg.case_of_trace(self, **about), folder)
-
-    def plot(self, quantity: str = "rate", ax: "Axes | None" = None) -> "Axes":
-        """Estimate beside truth over time: `rate`, `motion`, `offset`, or the name of a coefficient."""
-        names = ("rate", "motion", "offset", *(n for n in self.coefficients if n != "rate"))
-        if quantity not in names:
-            raise InputError(f"Argument `quantity` must be one of {', '.join(names)}, but `{quantity}` was given.")
-        ax, time = axes(ax), self.time * 1e3
-        if quantity == "rate":
-            estimate, spread = np.degrees(self.rate_unfiltered), np.degrees(self.rate_std)
-            band = estimate - spread, estimate + spread
-            ax.fill_between(time, *band, color="C0", alpha=0.25, lw=0, label="± claimed std")
-            label = "estimate before the filter" if self.filtered else "estimate"
-            ax.plot(time, estimate, color="C0", lw=1.0, alpha=0.4 if self.filtered else 1.0, label=label)
-            if self.filtered:
-                ax.plot(time, np.degrees(self.rate_estimate), color="C1", lw=1.4, label="output")
-            ax.plot(time, np.degrees(self.rate_true), color="k", lw=1.2, ls="--", label="true")
-            ax.set_ylabel("rate [deg/s]")
-            shown = np.concatenate([self.rate_true, self.rate_estimate[len(time) // 4 :]])
-            ax.set_ylim(*settled_limits(np.degrees(shown)))
-        elif quantity in ("motion", "offset"):
-            factor, unit = (1e6, "displacement [µm]") if quantity == "motion" else (1e3, "offset [mV]")
-            for axis, name in enumerate("xy"):
-                estimate, true = (
-                    factor * getattr(self, which)[:, axis] for which in (f"{quantity}_estimate", quantity)
-                )
-                ax.plot(time, estimate, color=f"C{axis}", lw=1.0, label=name)
-                ax.plot(time, true, color="k", lw=0.8, ls="--")
-            ax.set_ylabel(unit)
-        else:
-            index = self.coefficients.index(quantity)
-            ax.plot(time, self.theta_estimate[:, index] / self.theta[index] - 1.0, color="C0", lw=1.0, label="estimate")
-            ax.axhline(0.0, color="k", lw=1.0, ls="--")
-            ax.set_ylabel(f"relative error of {quantity} [1]")
-        ax.set_xlabel("time [ms]")
-        ax.legend(loc="best", frameon=False)
-        return ax
+from .trace_result import Trace
 
 
 class _Row(NamedTuple):

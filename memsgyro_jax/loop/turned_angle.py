@@ -14,7 +14,7 @@ from memsgyro_jax.base.provenance import Settings
 from .angle import angle_by_lowpass
 from .controllers import AbstractController, WholeAngle
 from .filters import Lowpass
-from .trace import Trace
+from .trace_result import Trace
 
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from scipy import stats
 
 from memsgyro_jax.base.arguments import quantity
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.loop.trace import Trace
+from memsgyro_jax.loop.trace_result import Trace
 
 from .allan_result import MEANING, Allan, NoiseTerm
 from .allan_variance import TERMS, allan_deviation, shapes

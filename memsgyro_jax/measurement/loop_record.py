@@ -9,7 +9,7 @@ import numpy as np
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.files import write_whole
 from memsgyro_jax.device.gyro import AbstractGyro, SingleMassGyro, X, Y
-from memsgyro_jax.loop.trace import Trace
+from memsgyro_jax.loop.trace_result import Trace
 
 from .case import Case, DesignValue, Environment, TimeRecord, load_case, write_case
 from .case.file import FILE

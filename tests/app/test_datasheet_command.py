@@ -2,6 +2,7 @@
 
 import json
 
+import browser
 import pytest
 
 from memsgyro_jax.app import cli
@@ -59,4 +60,5 @@ def test_a_page_and_its_figures(tmp_path, capsys):
     text = page.read_text()
     assert text.count("<h2") >= 4
     assert text.count("<table") >= 3
+    browser.check(tmp_path, {"looked_at": text})
     assert run("datasheet", "--full-scale", 0) == 2

@@ -2,6 +2,7 @@
 
 import json
 
+import browser
 import numpy as np
 import pytest
 from lab import two_modes as lab
@@ -36,6 +37,7 @@ def test_it_prints_and_writes_what_was_asked_for(sweep, tmp_path, capsys):
     page = report.read_text()
     assert page.count("<svg") == 3
     assert len(page) < 1_000_000
+    browser.check(tmp_path, {"looked_at": page})
 
 
 def test_the_ratio_method_runs(sweep, capsys):

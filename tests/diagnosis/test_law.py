@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+import browser
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -191,6 +192,7 @@ def test_the_command_draws_writes_and_fits(tmp_path, capsys):
     assert f"memsgyro fit {tmp_path} --effects {law} --add drawn_stiffness" in out
     assert "Frequency and damping against amplitude" in page.read_text()
     assert load_effects(law, 1)
+    browser.check(tmp_path, {"looked_at": page.read_text()})
 
 
 def test_without_rows_of_an_axis_there_is_no_backbone(tmp_path):

@@ -31,7 +31,7 @@ class Figure(NamedTuple):
         return self.high < other.low or other.high < self.low
 
 
-def diff_command(a: Path, b: Path, /) -> None:
+def diff_command(a: Path, b: Path, /, *, report: Path | None = None) -> None:
     """What sets two studies, or two results, apart: configuration and figures.
 
     Of two figures with intervals of 95 % it is said whether these lie apart;
@@ -40,13 +40,23 @@ def diff_command(a: Path, b: Path, /) -> None:
     Args:
         a: a study (TOML), a folder of `memsgyro sweep` or `simulate`, or a result (JSON).
         b: another.
+        report: an HTML page of it, with both lots or runs in one picture where A and B are their folders.
     """
     for path in (a, b):
         path.stat()
     (settings_a, figures_a), (settings_b, figures_b) = read(a), read(b)
-    lines = table("configuration", settings_a, settings_b) + table("figure", figures_a, figures_b)
+    tables = {
+        "setting": table("configuration", settings_a, settings_b),
+        "figure": table("figure", figures_a, figures_b),
+    }
+    tables = {what: rows for what, rows in tables.items() if len(rows) > 1}
+    lines = [aligned(rows) for rows in tables.values()]
     same = "no difference" if settings_a or settings_b or figures_a or figures_b else "nothing to compare"
     print("\n\n".join([f"A is {a}\nB is {b}", *lines]) if lines else f"{a} and {b}: {same}.")
+    if report is not None:
+        from ..report.diff_page import diff_page
+
+        print(f"\n{diff_page((a, b), tables).save(report)} is the page of it.")
 
 
 def read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -117,9 +127,9 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def table(what: str, left: dict[str, Any], right: dict[str, Any]) -> list[str]:
-    """Rows that differ, as text; none where nothing does."""
-    rows = [(what, "A", "B", "")]
+def table(what: str, left: dict[str, Any], right: dict[str, Any]) -> list[tuple[str, ...]]:
+    """Header, and the rows that differ."""
+    rows: list[tuple[str, ...]] = [(what, "A", "B", "")]
     for name in dict.fromkeys((*left, *right)):
         pair = left.get(name), right.get(name)
         shown = ["–" if one is None else str(one) for one in pair]
@@ -131,4 +141,4 @@ def table(what: str, left: dict[str, Any], right: dict[str, Any]) -> list[str]:
             apart = {True: "intervals apart", False: "within the intervals", None: ""}[pair[0].apart(pair[1])]
             said = ", ".join(filter(None, (change, apart)))
         rows.append((name, *shown, said))
-    return [aligned(rows)] if len(rows) > 1 else []
+    return rows

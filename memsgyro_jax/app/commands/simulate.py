@@ -10,7 +10,7 @@ from .quick import look_for_study
 
 
 if TYPE_CHECKING:
-    from memsgyro_jax.loop.trace import Trace
+    from memsgyro_jax.loop.trace_result import Trace
     from memsgyro_jax.measurement.case import Environment
 
     from ..study import Study

@@ -10,11 +10,12 @@ from scipy import stats
 
 
 if TYPE_CHECKING:
-    from memsgyro_jax.loop.trace import Trace
+    from memsgyro_jax.loop.trace_result import Trace
     from memsgyro_jax.montecarlo.sweep import Lot
 
 WIDTH = 9.0  # inches; the page scales a figure to its own width
 _MANY = 12  # parameters at most in the grid of `parameter_figure`
+_ACROSS, _LINES = 7, 400  # parameters and dies at most in `parallel_figure`
 _POINTS = 1000  # rows of a trace in a picture
 _PERIODS, _FASTEST = 12.0, 4e3  # how many periods of motion are shown, of modes up to this many Hz
 _INK, _BAND, _WARN = "#1d2530", "#3b6fb6", "#c2502e"
@@ -100,6 +101,34 @@ def _scatter(ax: Axes, name: str, values: np.ndarray, error: np.ndarray) -> None
     ax.axhline(0.0, color="0.7", lw=0.8, zorder=0)
     ax.set_xlabel(f"{short(name)} [% of median]" if relative else f"{short(name)} [SI]", fontsize="small")
     ax.set_title(f"rank correlation {_rank(values, error):+.2f}", fontsize="small")
+
+
+def parallel_figure(lot: "Lot") -> Figure | None:
+    """Every die as a line across the parameters that matter most and its error; None where nothing was drawn.
+
+    A parameter is shown by its rank among the dies, the error as it is: lines of the worst tenth that meet on an axis
+    say where bad dies come from.
+    """
+    names, values, error = drawn(lot)
+    if not names or error.size < 10:
+        return None
+    order = np.argsort([-abs(rank) for rank in ranks(values, error)])[:_ACROSS]
+    places = np.stack([stats.rankdata(column) / len(column) for column in values[:, order].T], axis=1)
+    size = np.abs(error)
+    lines = np.column_stack([places, size / np.percentile(size, 99.0)]).clip(0.0, 1.0)
+    bad = size >= np.percentile(size, 90.0)
+    figure = blank(3.8)
+    ax = figure.subplots()
+    good = np.flatnonzero(~bad)[:_LINES]
+    ax.plot(lines[good].T, color=_BAND, lw=0.6, alpha=max(0.06, min(0.5, 20.0 / max(len(good), 1))))
+    ax.plot(lines[np.flatnonzero(bad)[:_LINES]].T, color=_WARN, lw=1.0, alpha=0.7)
+    ax.plot([], [], color=_WARN, label="the worst tenth")
+    ax.plot([], [], color=_BAND, label="all others")
+    ax.set_xticks(range(lines.shape[1]), [*(short(names[i]) for i in order), "size of\nthe error"], fontsize="small")
+    ax.vlines(range(lines.shape[1]), 0.0, 1.0, color="0.8", lw=0.8, zorder=0)
+    ax.set_yticks([0.0, 0.5, 1.0], ["smallest", "median", "largest"])
+    figure.legend(loc="outside lower center", frameon=False, ncols=2, fontsize="small")
+    return plain(figure)
 
 
 def short(path: str) -> str:

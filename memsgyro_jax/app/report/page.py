@@ -54,6 +54,10 @@ class Page:
         salt = f"figure-{sum(len(s['parts']) for s in self._sections)}"
         return self._add("figure", svg=_svg(figure, salt), caption=caption)
 
+    def drawing(self, svg: Markup, caption: str) -> "Page":
+        """A picture that is an SVG already."""
+        return self._add("figure", svg=svg, caption=caption)
+
     def html(self) -> str:
         """The page as text."""
         return _template().render(title=self.title, subtitle=self.subtitle, sections=self._sections, footer=self.footer)

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from memsgyro_jax.base.files import finite
-from memsgyro_jax.loop.trace import Trace
+from memsgyro_jax.loop.trace_result import Trace
 
 
 SCHEMA = "memsgyro-run/1"

@@ -72,6 +72,11 @@ def _add_parameters(page: Page, lot: "Lot") -> None:
         f"{2.0 / np.sqrt(max(lot.summary.dies - lot.summary.failed, 1)):.2f} are what chance gives."
     )
     page.figure(figure, "Each point is a die; parameters in falling order of rank correlation.")
+    across = figures.parallel_figure(lot)
+    if across is not None:
+        page.figure(
+            across, "Each line is a die: by rank in every parameter, then the size of its error (99 % at the top)."
+        )
 
 
 def _worst(lot: "Lot") -> tuple[list[str], list[list[str]]]:

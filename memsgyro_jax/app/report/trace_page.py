@@ -2,13 +2,16 @@
 
 from typing import TYPE_CHECKING
 
+from markupsafe import Markup
+
 from . import figures
+from .moving import orbit_of
 from .page import Page
 from .sweep_page import with_settings
 
 
 if TYPE_CHECKING:
-    from memsgyro_jax.loop.trace import Trace
+    from memsgyro_jax.loop.trace_result import Trace
 
     from ..study import Study
 
@@ -21,6 +24,12 @@ def trace_page(trace: "Trace", study: "Study", rows: list[tuple[str, str]]) -> P
     motion = figures.motion_figure(trace)
     if motion is not None:
         page.section("Motion").figure(motion, "Displacement over the last periods; estimated, and dashed the true one.")
+    orbit = orbit_of(trace)
+    page.section("Orbit and mode shapes")
+    if isinstance(orbit, Markup):
+        page.drawing(orbit, "The mass over its last vibrations, and the two ways in which it would swing by itself.")
+    else:
+        page.text(orbit)
     page.section("Coefficients")
     page.figure(figures.coefficients_figure(trace), "Size of estimate over truth minus one.")
     return with_settings(page.section("Settings"), study, trace.settings)

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from html.parser import HTMLParser
 
+import browser
 import numpy as np
 import pytest
 from bench_case import demonstration
@@ -132,6 +133,10 @@ def test_a_hostile_case_is_harmless(diagnosis, found):
     assert "script" not in outline.tags
     assert HOSTILE in "".join(outline.words)
     assert not [value for name, value in outline.attributes if name.startswith("on")]
+
+
+def test_a_browser_finds_nothing_wrong(found, tmp_path):
+    browser.check(tmp_path, {"found": found})
 
 
 def test_nothing_is_loaded_from_anywhere(found):

@@ -1,11 +1,10 @@
 """A report page is one file that escapes what it is given, loads nothing and is written whole."""
 
 import re
-import shutil
-import subprocess
 from html.parser import HTMLParser
 from pathlib import Path
 
+import browser
 import pytest
 from matplotlib.figure import Figure
 
@@ -99,21 +98,19 @@ def test_a_page_says_when_by_what_and_how_it_was_made():
     assert re.search(r"UTC</footer>", Page("Title").html()), "no command line where there was none"
 
 
-@pytest.mark.parametrize("width", [390, 1280])
-def test_nothing_overflows_a_phone_or_a_screen(width, tmp_path):
-    """The page in a frame of that width, as a browser lays it out: only what is meant to scroll does."""
-    browser = shutil.which("chromium") or shutil.which("chromium-browser")
-    if browser is None:
-        pytest.skip("no Chromium on this machine")
+def test_a_browser_finds_nothing_wrong_and_would_find_it(tmp_path):
+    """Nothing overflows a phone or a screen, is fetched or runs; and each of these is seen where it is so."""
     page = Page("A title with a long_word_" + "x" * 20, "subtitle").section("A section").text("Words. " * 40)
     page.table([f"column {k}" for k in range(12)], [["some words"] * 12] * 3, "A caption. " * 20)
-    page.figure(drawn(), "a figure").save(tmp_path / "page.html")
-    script = "const d = f.contentDocument.documentElement; document.title = d.scrollWidth + ' of ' + d.clientWidth"
-    frame = f'<iframe id="f" src="page.html" width="{width}" height="900" onload="{script}"></iframe>'
-    (tmp_path / "frame.html").write_text(frame)
-    flags = ["--headless", "--no-sandbox", "--disable-gpu", "--allow-file-access-from-files", "--window-size=1400,1000"]
-    command = [browser, *flags, f"--user-data-dir={tmp_path / 'profile'}", "--dump-dom", f"{tmp_path / 'frame.html'}"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
-    found = re.search(r"<title>(\d+) of (\d+)</title>", done.stdout)
-    assert found, done.stderr
-    assert int(found[1]) <= int(found[2]) <= width
+    browser.check(tmp_path, {"page": page.figure(drawn(), "a figure").html()})
+    bad = '<body><p style="width: 700px">wide</p><img src="https://nowhere.invalid/"><script></script></body>'
+    phone, screen = browser.seen(tmp_path, {"bad": bad}, dark=True)
+    assert phone.inside > phone.box
+    assert phone.beyond == ["p."]
+    assert not screen.beyond
+    assert screen.fetched == ["https://nowhere.invalid/"]
+    assert screen.scripts == 1
+    with pytest.raises(AssertionError, match="Content Security Policy"):
+        browser.seen(tmp_path, {"bad": page.html().replace("<main>", '<main><img src="https://nowhere.invalid/">')})
+    light, dark = (browser.seen(tmp_path, {"page": page.html()}, dark=dark, widths=(800,))[0].ink for dark in (0, 1))
+    assert (light, dark) == ("rgb(29, 37, 48)", "rgb(228, 232, 238)")

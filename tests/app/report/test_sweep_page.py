@@ -1,17 +1,19 @@
 """The pages of a sweep and of a run: complete, self-contained, and safe with hostile names."""
 
 import re
-import shutil
-import subprocess
 from dataclasses import replace
 
+import browser
 import numpy as np
 import pytest
 
 import memsgyro_jax as mg
-from memsgyro_jax.app.report import figures
+from memsgyro_jax.app.report import figures, moving
+from memsgyro_jax.app.report.diff_page import diff_page
+from memsgyro_jax.app.report.moving import mode_shapes
 from memsgyro_jax.app.report.sweep_page import settings, sweep_page
 from memsgyro_jax.app.report.trace_page import trace_page
+from memsgyro_jax.device.gyro import Inertial
 
 
 HOSTILE = "<script>alert(1)</script>.toml"
@@ -35,9 +37,13 @@ def page(lot, study):
 
 
 @pytest.fixture(scope="module")
-def run_page(study):
-    trace = mg.simulate(study.loop, study.scenario, sample_rate=50e3, duration=0.01)
-    return trace_page(trace, study, [("rate error", "1 deg/s")]).html()
+def run(study):
+    return mg.simulate(study.loop, study.scenario, sample_rate=50e3, duration=0.01)
+
+
+@pytest.fixture(scope="module")
+def run_page(run, study):
+    return trace_page(run, study, [("rate error", "1 deg/s")]).html()
 
 
 def test_the_page_says_what_the_summary_says(page, lot):
@@ -46,7 +52,7 @@ def test_the_page_says_what_the_summary_says(page, lot):
         assert value in page
     assert f"{100 * lot.summary.good.value:.1f} %" in page
     assert lot.settings.fingerprint in page
-    assert page.count("<svg") == 3
+    assert page.count("<svg") == 4
 
 
 def test_the_page_names_every_setting(page, study):
@@ -105,20 +111,38 @@ def test_a_sweep_without_spread_and_one_without_survivors(study):
     assert "lost at" in text
 
 
-@pytest.mark.parametrize("which", ["page", "run_page"])
-def test_a_browser_has_nothing_to_complain_about(which, request, tmp_path):
-    browser = shutil.which("chromium") or shutil.which("chromium-browser")
-    if browser is None:
-        pytest.skip("no Chromium on this machine")
-    (tmp_path / "page.html").write_text(request.getfixturevalue(which))
-    flags = [
-        "--headless",
-        "--no-sandbox",
-        "--disable-gpu",
-        "--disable-background-networking",
-        "--enable-logging=stderr",
-    ]
-    command = [browser, *flags, f"--user-data-dir={tmp_path / 'profile'}", "--dump-dom", f"{tmp_path / 'page.html'}"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
-    assert "<svg" in done.stdout
-    assert "CONSOLE" not in done.stderr, done.stderr
+def test_a_browser_has_nothing_to_complain_about(page, run_page, lot, tmp_path):
+    for name, errors in (("a", 1.0), ("b", 2.0)):
+        (tmp_path / name).mkdir()
+        moved = {**lot._rows, "rate_error_end": errors * lot._rows["rate_error_end"]}
+        replace(lot, _rows=moved).save(tmp_path / name / "dies.zarr")
+    tables = {"figure": [("figure", "A", "B", ""), ("bias", "1", "2", "intervals apart")]}
+    compared = diff_page((tmp_path / "a", tmp_path / "b"), tables).html()
+    assert compared.count("<svg") == 1
+    assert "intervals apart" in compared
+    browser.check(tmp_path, {"page": page, "run": run_page, "diff": compared})
+
+
+def test_the_mass_and_its_modes_move(run, run_page):
+    assert run_page.count("<animateMotion") == 3
+    path = run.last_vibrations()[:, :2]
+    first = re.search(r'<path d="(M[^"]+)" fill="none"', run_page)[1]
+    drawn = np.array([list(map(float, point.split(","))) for point in first[1:].split("L")])
+    across = np.ptp(drawn, axis=0) / np.ptp(path, axis=0)
+    np.testing.assert_allclose(across, across[0], rtol=0.02)  # both axes to one scale, rounded to a tenth of a unit
+    stiffness = [[float(k) for k in row] for row in run.loop.device.dynamics(Inertial()).stiffness]
+    for shape, frequency in zip(mode_shapes(run), mg.mode_frequencies(run.loop.device), strict=True):
+        np.testing.assert_allclose(stiffness @ shape, (2.0 * np.pi * frequency) ** 2 * shape, rtol=1e-6, atol=1.0)
+    few = replace(run, time=10.0 * run.time)
+    assert "The orbit is not shown: 5000 rows" in moving.orbit_of(few)
+    assert "the die was lost" in moving.orbit_of(replace(run, intact_until=np.array(0.001)))
+
+
+def test_a_line_for_every_die_whose_worst_tenth_is_told_apart(lot):
+    ax = figures.parallel_figure(lot).axes[0]
+    lines = [line.get_ydata() for line in ax.lines if len(line.get_ydata())]
+    assert len(lines) == lot.summary.dies
+    error = np.abs(lot.data["rate_error_end"].values)
+    ends = sorted(line[-1] for line in lines)
+    np.testing.assert_allclose(ends, np.sort(error / np.percentile(error, 99.0)).clip(max=1.0), rtol=1e-12)
+    assert len({*np.round([line[0] for line in lines], 9)}) == len(lines), "ranks, each once"
