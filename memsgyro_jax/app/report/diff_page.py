@@ -22,12 +22,15 @@ def diff_page(paths: tuple[Path, Path], tables: dict[str, list[tuple[str, ...]]]
     page = Page("What sets two results apart", f"A is {paths[0]}, B is {paths[1]}")
     if not tables:
         page.section("Result").text("Nothing: all settings and figures agree, to four digits.")
-    for what, (header, *rows) in tables.items():
-        page.section(f"{what[0].upper()}{what[1:]}s that differ")
-        page.table(header, rows)
     figure = _pictured(paths)
     if figure is not None:
         page.section("Rate").figure(*figure)
+    for what, (header, *rows) in tables.items():
+        page.section(f"{what[0].upper()}{what[1:]}s that differ")
+        split = [(*row[:-1], *f"{row[-1]}, ".split(", ")[:2]) for row in rows]
+        kept = [i for i in range(5) if any(row[i] for row in split)]
+        names = (*header[:-1], "change", "intervals of 95 %")
+        page.table([names[i] for i in kept], [[row[i] for i in kept] for row in split])
     return page
 
 

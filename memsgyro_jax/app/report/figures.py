@@ -95,7 +95,7 @@ def parameter_figure(lot: "Lot") -> Figure | None:
 
 def _scatter(ax: Axes, name: str, values: np.ndarray, error: np.ndarray) -> None:
     middle = np.median(values)
-    relative = abs(middle) > 1e-3 * np.ptp(values)
+    relative = abs(middle) > 0.1 * np.ptp(values)
     across = 100.0 * (values / middle - 1.0) if relative else values
     ax.scatter(across, error, s=7, color=_BAND, alpha=0.55, lw=0, rasterized=error.size > 3000)
     ax.axhline(0.0, color="0.7", lw=0.8, zorder=0)

@@ -86,7 +86,7 @@ def _worst(lot: "Lot") -> tuple[list[str], list[list[str]]]:
     astray = data[STATUS].values == DIVERGED
     order = np.lexsort((-np.abs(error), lost))[:_WORST]
     names = [str(name) for name in data.coords["parameter"].values] if data.sizes.get("parameter") else []
-    middle = np.median(data["drawn"].values, axis=0) if names else np.empty(0)
+    middle, spread = (of(data["drawn"].values, axis=0) if names else np.empty(0) for of in (np.median, np.std))
     header = ["die", "rate error [deg/s]", "claimed std [deg/s]", "converged after [ms]", "unusual in"]
     rows = []
     for die in order:
@@ -95,16 +95,16 @@ def _worst(lot: "Lot") -> tuple[list[str], list[list[str]]]:
         fate = f"lost at {1e3 * lost[die]:.3g} ms" if np.isfinite(lost[die]) else size
         claimed = np.degrees(float(data["rate_std_end"].values[die]))
         converged = 1e3 * float(data["convergence_time"].values[die])
-        rows.append([str(die), fate, _or_dash(claimed), _or_dash(converged, "never"), _unusual(names, values, middle)])
+        unusual = _unusual(names, values, middle, spread)
+        rows.append([str(die), fate, _or_dash(claimed), _or_dash(converged, "never"), unusual])
     return header, rows
 
 
-def _unusual(names: list[str], values: np.ndarray, middle: np.ndarray) -> str:
-    """The two parameters farthest from the median, relative to it."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        away = np.where(middle != 0.0, values / middle - 1.0, 0.0)
+def _unusual(names: list[str], values: np.ndarray, middle: np.ndarray, spread: np.ndarray) -> str:
+    """The two parameters farthest from the median, in standard deviations of the lot."""
+    away = (values - middle) / np.where(spread > 0.0, spread, np.inf)
     far = np.argsort(-np.abs(away))[:2]
-    return ", ".join(f"{figures.short(names[i])} {100.0 * away[i]:+.0f} %" for i in far) or "–"
+    return ", ".join(f"{figures.short(names[i])} {away[i]:+.1f} σ" for i in far) or "–"
 
 
 def _or_dash(value: float, otherwise: str = "–") -> str:
