@@ -3,10 +3,11 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.integrate import solve_ivp
 
 from memsgyro_jax.device.conditions import Conditions
 from memsgyro_jax.device.gyro import SingleMassGyro
-from memsgyro_jax.measurement.envelope import Driven
+from memsgyro_jax.measurement.envelope import Driven, Propagator
 from memsgyro_jax.measurement.model import Model
 
 
@@ -30,3 +31,21 @@ def test_a_block_of_a_lock_in_is_the_mean_of_the_turned_signal():
     wanted = 2 * np.trapezoid(turned, dx=1 / fine, axis=0)
     assert abs(block[0, 0]) > 1e-3 * abs(block[1, 0]), "the deflection must matter"
     np.testing.assert_allclose(block[1, :2], wanted[:2], rtol=2e-6)
+
+
+def test_a_step_is_of_second_order_in_what_the_linear_part_leaves_out():
+    matrix, load = np.array([[-0.3, 2.0], [-2.0, -0.5]]), np.array([0.4, -0.2])
+
+    def rest(state):
+        return jnp.stack([-0.3 * state[0] ** 3, state[0] * state[1]])
+
+    def end(count):
+        step, state = Propagator.of(jnp.asarray(matrix), jnp.asarray(1.0 / count), jnp.ones(2)), jnp.array([1.0, 0.5])
+        for _ in range(count):
+            state, *_ = step.advance(state, load, rest)
+        return state
+
+    course = solve_ivp(lambda t, s: matrix @ s + load + np.asarray(rest(s)), (0, 1), [1.0, 0.5], rtol=1e-9, atol=1e-12)
+    coarse, fine = (np.abs(end(count) - course.y[:, -1]) for count in (12, 24))
+    assert np.all(fine < 2e-3)
+    np.testing.assert_allclose(coarse / fine, 4.0, rtol=0.2)
