@@ -193,7 +193,7 @@ def test_many_parameters_meet_in_balanced_corners(count):
     assert len(signs) < 8 * count
 
 
-def test_the_gradient_of_a_tornado_is_that_of_the_runs_and_results_print_and_plot(loop):
+def test_the_gradient_of_a_tornado_is_that_of_the_runs_and_results_print(loop):
     found = mg.tornado(loop, PAIR, sigmas=1e-3, repeats=4, **SHORT)
     middle = 0.5 * (found.high - found.low)
     np.testing.assert_allclose(found.slope[:2], middle[:2], rtol=2e-3)  # small steps: the response is straight
