@@ -4,6 +4,7 @@ import ast
 import importlib
 import re
 from collections import defaultdict
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -187,11 +188,21 @@ def test_no_path_of_a_machine():
 
 
 def test_planted_faults_are_not_stale():
-    """The line that each of them makes wrong stands where the table says; whether tests see it takes hours."""
+    """The line that each of them makes wrong, and a default test that sees it, stand where the table says."""
     table = seeded_faults.faults([])
     assert len(table) >= 60
     for fault in table:
         assert fault.text(PACKAGE), fault.file
+        for file, _, name in (test.partition("::") for test in fault.tests):
+            assert "slow" not in marks_of(file)[name.partition("[")[0]], name
+
+
+@cache
+def marks_of(file: str) -> dict[str, set[str]]:
+    """The decorators of each test of a file, by the last part of their names."""
+    body = ast.parse((ROOT / file).read_text()).body
+    tests = [node for node in body if isinstance(node, ast.FunctionDef)]
+    return {test.name: {ast.unparse(mark).split(".")[-1] for mark in test.decorator_list} for test in tests}
 
 
 def test_every_public_name_can_be_imported():
