@@ -209,7 +209,7 @@ if TYPE_CHECKING:
     from .diagnosis.backbone import backbone as backbone
     from .diagnosis.backbone import Backbone as Backbone
     from .diagnosis.law import draw_law as draw_law
-    from .diagnosis.law import fit_law as fit_law
+    from .diagnosis.law_fit import fit_law as fit_law
     from .diagnosis.law import DrawnLaw as DrawnLaw
     from .diagnosis.diagnose import diagnose as diagnose
     from .diagnosis.result import Diagnosis as Diagnosis

@@ -283,9 +283,10 @@ def _of_decays(fit: CaseFit, axis: int) -> list[Equations]:
         shown = np.stack([track.omega**2, 2 * track.decay], axis=1)
         base = np.array([float(device.stiffness[axis]), float(device.damping[axis])])
         unit = np.eye(2)
+        moved = np.abs(fit.case.readout.motion(track.phasor[:, None], track.omega)[:, 0])
         out.append(
             Equations(
-                amplitude=track.amplitude / abs(fit.case.readout.scale), omega=track.omega,
+                amplitude=moved, omega=track.omega,
                 stiffness=unit[0] / spread, damping=unit[1] / spread, others=np.zeros((len(shown), 2, 0)),
                 target=(shown - base) / spread, record=np.repeat(record.name, len(shown)),
             )

@@ -7,6 +7,7 @@ is a spline: a stiffness and a damping between knots. The numbers start a fit; t
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import equinox as eqx
@@ -16,14 +17,13 @@ from scipy.optimize import minimize
 from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.files import write_whole
 from memsgyro_jax.device.normalised import NormalisedDevice
-from memsgyro_jax.effects import load_effects
 from memsgyro_jax.effects.lock_in_terms import LockInBackground, ReferencePhase
 from memsgyro_jax.effects.trial import at_strength
 from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.model import Model
 
 from .backbone import KNOTS, Equations, describing, equations
-from .fit import CaseFit, fit_case
+from .fit import CaseFit
 from .instrument import instrument_terms
 from .law_file import LawTerm, bends, law_text
 
@@ -32,6 +32,7 @@ TERMS = 3
 EXPONENTS = {"stiffness": (0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0), "damping": (-0.9, -0.5, 0.5, 1.0, 2.0, 3.0, 4.0)}
 BEYOND = (0.0, 1.0)  # exponents tried beyond a threshold
 THRESHOLDS = (0.15, 0.3, 0.45, 0.6, 0.75, 0.85)  # of the largest size
+STILL = 0.01  # of the damping that a linear fit finds, which a device at rest has at least
 WORTH = 0.05  # of what is left, which a further term must take
 
 
@@ -112,7 +113,7 @@ def draw_law(fit: CaseFit, axis: int = 0, *, terms: int = TERMS, spline: bool = 
     columns = given.columns(tables["stiffness"], tables["damping"])
     weight = given.robust(columns)
     found, _, rest = given.solve(columns, weight)
-    plain = _Trial(given, sizes, weight, ())
+    plain = _Trial(given, sizes, weight, (), -(1 - STILL) * float(fit.model.device.damping[axis]))
     chosen, left, places = plain, _rms(rest, weight), (0, KNOTS, 2 * KNOTS)
     if not spline:
         chosen = _grown(plain, terms)
@@ -123,36 +124,32 @@ def draw_law(fit: CaseFit, axis: int = 0, *, terms: int = TERMS, spline: bool = 
     return DrawnLaw(
         measured=fit.case, axis=axis, terms=() if spline else chosen.solved(mass),
         knots=tuple(grids.values()) if spline else (), values=values, seen=(seen[0], seen[1]),
-        left=(plain.left, left), beside=_beside(fit, axis, found[places[0]], found[places[1]], found[places[2] :]),
+        left=(plain.left, left),
+        beside=_beside(fit, axis, given, found[places[0]], found[places[1]], found[places[2] :]),
     )  # fmt: skip
 
 
-def _beside(fit: CaseFit, axis: int, stiffness: float, damping: float, nuisances: np.ndarray) -> Model:
+def _beside(
+    fit: CaseFit, axis: int, given: Equations, stiffness: float, damping: float, nuisances: np.ndarray
+) -> Model:
     """The fitted model with what the rows say of its linear part, its gain and its lock-in beside the law."""
     device = fit.model.device
     gain, phase, *constant = (*nuisances, 0.0, 0.0, 0.0, 0.0)[:4] if len(nuisances) else (0.0,) * 4
     stiff, damp = (np.array(values) for values in (device.stiffness, device.damping))
     stiff[axis] = max(stiff[axis] + stiffness, 0.25 * stiff[axis])
-    damp[axis] = max(damp[axis] + damping, 0.01 * damp[axis])
+    damp[axis] = max(damp[axis] + damping, STILL * damp[axis])
     mobility = device.mobility * max(float(np.hypot(1.0 + gain, phase)), 0.01)
     model = eqx.tree_at(lambda m: m.device, fit.model, NormalisedDevice(stiff, damp, mobility))
     if not len(nuisances):
         return model
     volts = np.zeros(2 * model.axes)
-    volts[2 * axis : 2 * axis + 2] = float(model.scale[axis]) * np.array(constant)
+    # A constant reading stands in the equations as a displacement, which a derivative's channel shows by (iω)ⁿ.
+    shown = complex(*constant) * float(model.scale[axis]) * (1j * np.median(given.omega)) ** model.order
+    volts[2 * axis : 2 * axis + 2] = shown.real, shown.imag
     starts = {ReferencePhase: np.arctan2(phase, 1.0 + gain), LockInBackground: volts}
     known = {effect.name for effect in model.effects}
     terms = [term for term in instrument_terms(fit.case) if type(term) in starts and term.name not in known]
     return model.with_effect(*(at_strength(t, np.zeros(t.strength.shape) + starts[type(t)]) for t in terms))
-
-
-def fit_law(law: DrawnLaw, path: str | Path) -> CaseFit:
-    """The fit of the case with the law of an effect file, as drawn or as edited, from where the drawing left off.
-
-    **Raises:** `InputError` where the file is no effect file.
-    """
-    effects = load_effects(path, law.beside.axes, as_written=True)
-    return fit_case(law.measured, effects, model=law.beside)
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,6 +160,7 @@ class _Trial:
     sizes: dict[str, np.ndarray]
     weight: np.ndarray
     terms: tuple[LawTerm, ...]
+    least: float  # linear damping beyond the fitted: below it, nothing would damp the device at rest
 
     def columns(self) -> np.ndarray:
         tables = {}
@@ -174,14 +172,26 @@ class _Trial:
     @property
     def left(self) -> float:
         """Root mean square of what is left; infinite where a force that falls with speed would feed the motion."""
-        found, _, rest = self.given.solve(self.columns(), self.weight)
+        found, rest = self._solution
         falling = [t.exponent < 0 > t.strength for t in self._with(found)]
         return np.inf if any(falling) else _rms(rest, self.weight)
 
     @property
     def found(self) -> np.ndarray:
         """The solution: linear stiffness and its terms, linear damping and its terms, nuisances."""
-        return self.given.solve(self.columns(), self.weight)[0]
+        return self._solution[0]
+
+    @cached_property
+    def _solution(self) -> tuple[np.ndarray, np.ndarray]:
+        """The numbers and what they leave (2n,)."""
+        columns, damping = self.columns(), 1 + sum(term.kind == "stiffness" for term in self.terms)
+        found, _, rest = self.given.solve(columns, self.weight)
+        if found[damping] >= self.least:
+            return found, rest
+        others = np.delete(columns, damping, axis=1)
+        held = replace(self.given, target=self.given.target - (self.least * columns[:, damping]).reshape(-1, 2))
+        found, _, rest = held.solve(others, self.weight)
+        return np.insert(found, damping, self.least), rest
 
     def solved(self, mass: float) -> tuple[LawTerm, ...]:
         """The terms with their strengths."""

@@ -13,7 +13,8 @@ from memsgyro_jax.measurement.model import Model
 from .joint_residual import compiled
 
 
-TOLERANCE = 0.1  # of a standard deviation: so far a finer resolution may move a fitted reading
+TOLERANCE = 0.1  # of a standard deviation, or of what is left of a reading that lies farther off: so far a finer
+# resolution may move it
 
 
 def sharpened(model: Model, readings: Sequence[Readings]) -> tuple[tuple[Readings, ...], float]:
@@ -21,8 +22,8 @@ def sharpened(model: Model, readings: Sequence[Readings]) -> tuple[tuple[Reading
     theirs.
 
     Every experiment that has a finer one (a sweep: 3, 7 and 15 harmonics at 32, 128 and 512 samples a period) is
-    predicted at both, and goes on until they agree within `TOLERANCE` of the noise. Also by how many standard
-    deviations the worst still differs from the step before; zero where all agree.
+    predicted at both, and goes on until they agree within `TOLERANCE` of the noise, or of what is left where the model
+    explains no better. Also by how many such units the worst still differs from the step before; zero where all agree.
     """
     bare, worst = model.present, 0.0
     chosen: dict[int, int] = {}
@@ -47,7 +48,10 @@ def _steps(model: Model, experiments: Sequence[Experiment]) -> tuple[int, float]
         again = [_residual(model, e) for e in finer if e is not None]
         before, apart = (
             apart or np.inf,
-            max(float(np.max(np.abs(a - b), initial=0.0)) for a, b in zip(values, again, strict=True)),
+            max(
+                float(np.max(np.abs(a - b) / np.maximum(np.abs(a), 1.0), initial=0.0))
+                for a, b in zip(values, again, strict=True)
+            ),
         )
         if apart <= TOLERANCE:
             break

@@ -1,5 +1,6 @@
 """Laws that no catalogue holds, drawn from sweeps whose rows obey closed describing functions."""
 
+import re
 from dataclasses import dataclass
 
 import browser
@@ -11,10 +12,12 @@ import pytest
 
 from memsgyro_jax.app.cli import main
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.diagnosis.backbone import backbone
+from memsgyro_jax.diagnosis.backbone import Equations, backbone, describing
 from memsgyro_jax.diagnosis.fit import fit_case
-from memsgyro_jax.diagnosis.law import draw_law, fit_law
+from memsgyro_jax.diagnosis.law import _grown as grown
+from memsgyro_jax.diagnosis.law import _Trial, draw_law
 from memsgyro_jax.diagnosis.law_file import LawTerm, bends, law_text
+from memsgyro_jax.diagnosis.law_fit import fit_law
 from memsgyro_jax.diagnosis.result import validation_error
 from memsgyro_jax.effects import by_name, catalogue, load_effects
 from memsgyro_jax.effects.trial import moments
@@ -30,14 +33,16 @@ resonance = {{ value = {hertz}, unit = "Hz", tolerance = 0.05 }}
 quality_factor = {{ value = {quality}, unit = "1", tolerance = 0.5 }}
 static_gain = {{ value = 1, unit = "1", tolerance = 0.9 }}
 [readout]
-scale = {{ value = 1, unit = "V/V" }}
+quantity = "{quantity}"
+scale = {{ value = 1, unit = "{scale}" }}
 [[experiment]]
 name = "sweep"
 kind = "frequency_sweep"
 file = "sweep.csv"
-settled = true
+settled = {settled}
 noise_std = {{ value = {noise}, unit = "V" }}
 """
+BACKGROUND = (0.02 - 0.05j) * 0.8  # V, in units of the displacement
 TOP = 0.8  # V, about the largest amplitude
 ROWS = 60  # of each sweep
 
@@ -79,8 +84,10 @@ LAWS = {"bowed": bowed, "contact": contact, "dragged": dragged}
 DEVICES = {"wire": Device(1650.0, 150.0), "fork": Device(32768.0, 20000.0)}
 
 
-def swept(folder, law, device, seed=0):
-    """Two sweeps over frequency, each row where its amplitude is one of a grid, below and above resonance."""
+def swept(folder, law, device, seed=0, *, raw=False):
+    """Two sweeps over frequency, each row where its amplitude is one of a grid, below and above resonance; `raw` as a
+    lock-in writes them: velocities beside a background, with a clock, from a row on that began nobody knows how.
+    """
     rng, rows = np.random.default_rng(seed), []
     linear = device.width * device.omega
     for drive in (0.45, 1.1):
@@ -102,12 +109,20 @@ def swept(folder, law, device, seed=0):
             at = lambda part, w=wanted[inside], o=omega[order], p=order: np.interp(w, o, part[p])  # noqa: E731
             rows += [(drive * TOP, w, p, q) for w, p, q in zip(wanted[inside], at(x.real), at(x.imag), strict=True)]
     table = np.array(sorted(rows))
-    noise = 1e-3 * TOP
+    unit = device.omega if raw else 1.0
+    noise = 1e-3 * TOP * unit
+    if raw:
+        turned = 1j * table[:, 1] * (table[:, 2] + 1j * table[:, 3]) + unit * BACKGROUND
+        table[:, 2:] = np.stack([turned.real, turned.imag], axis=1)
     table[:, 2:] += noise * rng.standard_normal(table[:, 2:].shape)
     table[:, 1] /= 2 * np.pi
-    header = "F [V],f [Hz],y_I [V],y_Q [V]"
+    table = np.column_stack([table, 60.0 * np.arange(len(table))])
+    header = f"F [V],f [Hz],y_I [V],y_Q [V],{'t' if raw else 'clock'} [s]"
     np.savetxt(folder / "sweep.csv", table, fmt="%.12g", delimiter=",", header=header, comments="")
-    text = CASE.format(hertz=device.hertz, quality=device.quality, noise=noise)
+    text = CASE.format(
+        hertz=device.hertz, quality=device.quality, noise=noise, settled="false" if raw else "true",
+        quantity="velocity" if raw else "displacement", scale="V*s/V" if raw else "V/V",
+    )  # fmt: skip
     (folder / "case.toml").write_text(text)
     return load_case(folder)
 
@@ -166,6 +181,20 @@ def test_the_file_holds_what_was_drawn(tmp_path):
     assert not any(np.any(e.strength) for e in load_effects(tmp_path / "law.py")), "a search starts at zero"
 
 
+def test_a_device_at_rest_is_damped():
+    """Of a damping that rises with the speed to the power 0.2 from nothing, no term is drawn beside a linear part that
+    would feed the motion.
+    """
+    omega, a = np.full(80, 1e4), np.geomspace(1e-2, 1.0, 80)
+    shown = np.stack([np.zeros(80), 5.0 * describing(lambda z: np.abs(z) ** 0.2, a) - 4.0], axis=1)
+    shown += 0.02 * np.random.default_rng(0).standard_normal((80, 2))
+    one = np.ones((80, 1)) * np.eye(2)[:, None] / 0.02
+    given = Equations(a, omega, one[0], one[1], np.zeros((80, 2, 0)), shown / 0.02, np.full(80, "decay"))
+    trial = grown(_Trial(given, {"stiffness": a, "damping": a}, np.ones(160), (), -3.9), 2)
+    assert trial.left < 1.2
+    assert trial.found[1 + sum(term.kind == "stiffness" for term in trial.terms)] >= -3.9
+
+
 def test_a_spline_is_written_too(tmp_path):
     knots, values = np.array([1e-7, 5e-7, 2e-6]), np.array([0.3, -2.0])
     (tmp_path / "law.py").write_text(law_text("case", 0, ("drawn_stiffness",), SEEN, (), ((knots, values),)))
@@ -182,7 +211,7 @@ def moments_one():
 
 
 def test_the_command_draws_writes_and_fits(tmp_path, capsys):
-    swept(tmp_path, bowed, DEVICES["fork"])
+    swept(tmp_path, bowed, DEVICES["fork"], raw=True)
     law, page = tmp_path / "law.py", tmp_path / "page.html"
     with pytest.raises(SystemExit) as ended:
         main(["law", str(tmp_path), "--out", str(law), "--terms", "1", "--report", str(page)])
@@ -193,6 +222,9 @@ def test_the_command_draws_writes_and_fits(tmp_path, capsys):
     assert "Frequency and damping against amplitude" in page.read_text()
     assert load_effects(law, 1)
     browser.check(tmp_path, {"looked_at": page.read_text()})
+    before, after = re.search(r"^sweep +validation +(\S+) +(\S+)", out, re.MULTILINE).groups()
+    assert float(before) > 4.0
+    assert float(after) < 1.3
 
 
 def test_without_rows_of_an_axis_there_is_no_backbone(tmp_path):

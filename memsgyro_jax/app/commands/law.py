@@ -40,7 +40,8 @@ def law_command(
     from memsgyro_jax.base.files import write_whole
     from memsgyro_jax.diagnosis.backbone import backbone
     from memsgyro_jax.diagnosis.fit import fit_case
-    from memsgyro_jax.diagnosis.law import draw_law, fit_law
+    from memsgyro_jax.diagnosis.law import draw_law
+    from memsgyro_jax.diagnosis.law_fit import fit_law
     from memsgyro_jax.measurement.model_file import write_model
     from memsgyro_jax.measurement.user_kinds import load_kinds
 

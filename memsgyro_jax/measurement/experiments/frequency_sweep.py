@@ -129,7 +129,7 @@ class FrequencySweepRecord(AbstractRecord):
             **sheet.common(),
             axis=axis,
             settled=sheet.entry.settled,
-            drive=_drive(sheet, axis),
+            drive=sheet.drive_levels(axis),
             frequency=columns.frequency(),
             temperature=columns.optional("T", "K", around.temperature),
             bias_voltage=columns.optional("V_bias", "V", around.bias_voltage),
@@ -323,27 +323,13 @@ class FrequencySweepRecord(AbstractRecord):
             mine = readings.record == deviation.number
             columns = readings.experiment.missing(model)  # type: ignore[attr-defined]
             pieces.append((readings.row[mine], *(np.asarray(part)[mine] for part in columns)))
-        order = np.argsort(np.concatenate([piece[0] for piece in pieces]))
+        seen = np.concatenate([piece[0] for piece in pieces])  # all but a first row that began nobody knows how
+        order = np.argsort(seen)
+        rows = seen[order]
         motion, force, gain = (np.concatenate([piece[k] for piece in pieces])[order] for k in (1, 2, 3))
-        noise = self.noise_level / np.abs(np.asarray(model.scale)) / self.frequency[:, None] ** model.order
+        omega = self.frequency[rows]
+        noise = self.noise_level / np.abs(np.asarray(model.scale)) / omega[:, None] ** model.order
         return SweepForce(
-            self.name, self.axis, self.frequency, self.drive, self.temperature, self.bias_voltage,
+            self.name, self.axis, omega, self.drive[rows], self.temperature[rows], self.bias_voltage[rows],
             motion[:, self.axis], force, np.sqrt(np.einsum("nij,nj->ni", gain**2, noise**2)),
         )  # fmt: skip
-
-
-def _drive(sheet: Sheet, axis: int) -> np.ndarray:
-    """Drive level of each row, from the column or the section."""
-    columns, entry = sheet.columns, sheet.entry
-    drive = columns.drive(axis)
-    with sheet.source.section("experiment", sheet.number, "drive_force"):
-        if drive is not None and entry.drive_force is not None:
-            raise InputError("must be left out where a column holds the drive level")
-        if drive is None and entry.drive_force is None and sheet.declared.channels == 1:
-            return np.ones(len(columns.table.lines))  # the same for all rows: part of the gain
-        if drive is None and entry.drive_force is None:
-            name = columns.words.drives[-1][axis]
-            raise InputError(f"is missing; give the drive level here or in a column `{name}` of {entry.file}")
-    if drive is None:
-        drive = np.full(len(columns.table.lines), sheet.amount("drive_force", sheet.force_unit))
-    return drive

@@ -73,6 +73,22 @@ class Sheet:
                 raise InputError('must be "x" for a device of one axis, but is "y"')
         return 1 if given == "y" else 0
 
+    def drive_levels(self, axis: int) -> np.ndarray:
+        """Drive level of each row, from the column or the section."""
+        columns, entry = self.columns, self.entry
+        drive = columns.drive(axis)
+        with self.source.section("experiment", self.number, "drive_force"):
+            if drive is not None and entry.drive_force is not None:
+                raise InputError("must be left out where a column holds the drive level")
+            if drive is None and entry.drive_force is None and self.declared.channels == 1:
+                return np.ones(len(columns.table.lines))  # the same for all rows: part of the gain
+            if drive is None and entry.drive_force is None:
+                name = columns.words.drives[-1][axis]
+                raise InputError(f"is missing; give the drive level here or in a column `{name}` of {entry.file}")
+        if drive is None:
+            drive = np.full(len(columns.table.lines), self.amount("drive_force", self.force_unit))
+        return drive
+
     @property
     def force_unit(self) -> str:
         """Unit of the drive."""

@@ -1,0 +1,89 @@
+"""A fit that starts where a law was drawn.
+
+The drawing knows no branches: each row is an equation. A fit does, and near a fold, where the drawn law is a little
+off, the model may stand on another branch than the device did. Such a row says nothing of how to move: it is judged
+with all others, but not fitted.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+import equinox as eqx
+import numpy as np
+
+from memsgyro_jax.effects import load_effects
+from memsgyro_jax.measurement.case import Case
+from memsgyro_jax.measurement.experiments import Readings
+from memsgyro_jax.measurement.readings import readings_of
+
+from .fit import CaseFit, beside_case
+from .joint_residual import Joint
+from .law import DrawnLaw
+from .optimum import optimise
+from .outlying import Rows, without_rows
+from .resolved import sharpened
+
+
+AWAY = 6.0  # times the median of what is left: from there on a row does not guide the fit
+MOST = 0.25  # share of a record's rows that may lie so far off
+ROUNDS = 4
+
+
+def fit_law(law: DrawnLaw, path: str | Path) -> CaseFit:
+    """The fit of the case with the law of an effect file, as drawn or as edited, from where the drawing left off.
+
+    Rows far off all others, as those are that the model has on another branch of a folded resonance, do not guide it.
+
+    **Raises:** `InputError` where the file is no effect file.
+    """
+    case, effects = law.measured, load_effects(path, law.beside.axes, as_written=True)
+    joint = Joint(law.beside.with_effect(*effects), readings_of(case))
+    fit = _guided(case, joint)
+    kept, apart = sharpened(fit.model, without_rows(joint.readings, _far_rows(fit)))
+    finer = tuple(_with_all_rows(fewer, whole) for fewer, whole in zip(kept, joint.readings, strict=True))
+    if any(_resolution(new) != _resolution(old) for new, old in zip(finer, joint.readings, strict=True)):
+        fit = _guided(case, Joint(fit.model, finer))
+    return replace(fit, apart=apart)
+
+
+def _guided(case: Case, joint: Joint) -> CaseFit:
+    """The optimum of the rows that are not far off, and all rows beside it."""
+    places = np.array([i for i in range(joint.start.size) if i not in joint.idle])
+    fit, left_out = _beside_all(case, joint, joint.start, places), None
+    for _ in range(ROUNDS):
+        away = _far_rows(fit)
+        if away == left_out:
+            break
+        left_out = away
+        found = optimise(joint, fit.optimum.vector, places, without_rows(joint.fitted, away))
+        fit = _beside_all(case, joint, found.vector, places)
+        fit = replace(fit, optimum=replace(fit.optimum, converged=found.converged, evaluations=found.evaluations))
+    return fit
+
+
+def _beside_all(case: Case, joint: Joint, vector: np.ndarray, places: np.ndarray) -> CaseFit:
+    return beside_case(case, joint, optimise(joint, vector, places, joint.fitted, max_evaluations=0))
+
+
+def _far_rows(fit: CaseFit) -> Rows:
+    """Rows of each record that lie far off, as few of the record do."""
+    out = {}
+    for number, white in enumerate(fit.whitened):
+        size = np.sqrt(np.mean(white**2, axis=(1, 2)))
+        seen = np.isfinite(size)
+        if not seen.any():
+            continue
+        far = np.flatnonzero(seen & (size > AWAY * max(1.0, float(np.median(size[seen])))))
+        if 0 < len(far) <= MOST * seen.sum():
+            out[number] = tuple(far.tolist())
+    return out
+
+
+def _with_all_rows(fewer: Readings, whole: Readings) -> Readings:
+    """Readings as finely resolved as those without some rows."""
+    experiment = eqx.tree_at(lambda e: e.noise, fewer.experiment, whole.experiment.noise)
+    return replace(whole, experiment=experiment)
+
+
+def _resolution(readings: Readings) -> object:
+    return getattr(readings.experiment, "fineness", None)
