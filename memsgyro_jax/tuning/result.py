@@ -67,6 +67,13 @@ class Merit:
         return None if self.nees is None else not self.inconsistency
 
     @property
+    def cautious(self) -> bool:
+        """Whether the filter claims more error than it makes, and nowhere less."""
+        pairs = [] if self.nis is None else list(zip(self.nis, self.nis_interval, strict=True))
+        pairs += [] if self.nees is None or self.nees_interval is None else [(self.nees, self.nees_interval)]
+        return any(value < low for value, (low, _) in pairs) and all(value <= high for value, (_, high) in pairs)
+
+    @property
     def inconsistency(self) -> str:
         """What is outside its interval, in words."""
         parts = []
@@ -272,10 +279,14 @@ def warnings_of(after: Merit, lost_before: int, ratio: Interval) -> tuple[str, .
     found = []
     if after.consistent is False:
         when = "the error falls while" if ratio.high < 1.0 else "after tuning"
-        found.append(
-            f"{when} {after.inconsistency}: the gains are absorbing an error of the model; find what is missing first "
-            "(`memsgyro compare`, `memsgyro diagnose`), add it or its process noise, and tune again."
+        why = (
+            "the filter claims more error than it makes; a prior wider than the dies vary, an annealing that has not "
+            "ended, or noises raised for an error of the model do that."
+            if after.cautious
+            else "the gains are absorbing an error of the model; find what is missing first (`memsgyro compare`, "
+            "`memsgyro diagnose`), add it or its process noise, and tune again."
         )
+        found.append(f"{when} {after.inconsistency}: {why}")
     if after.lost:
         found.append(f"{after.lost} of {after.dies} unseen dies are lost with the tuned loop ({lost_before} before).")
     if ratio.low > 1.0:
