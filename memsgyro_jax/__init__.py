@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from .loop.flicker import Flicker as Flicker
     from .loop.readout import Delayed as Delayed
     from .loop.carrier_readout import CarrierReadout as CarrierReadout
+    from .loop.layout_readout import LayoutReadout as LayoutReadout
     from .loop.readout import Adc as Adc
     from .loop.readout import AbstractReadout as AbstractReadout
     from .loop.readout import AbstractLinearReadout as AbstractLinearReadout

@@ -22,6 +22,7 @@ from .datasheet_tests import (
     temperature_rows,
     with_trim,
 )
+from .over_temperature import check_temperatures
 from .rate_tests import RateTests
 
 
@@ -62,6 +63,7 @@ def datasheet(
         "datasheet", loop, spread, scenario, full_scale=full_scale, dies=dies, sample_rate=sample_rate,
         duration=duration, settle=settle, seed=seed,
     )  # fmt: skip
+    check_temperatures(temperatures)
     noise_duration = noise_duration if noise_duration is None else quantity("noise_duration", noise_duration, "s")
     told = progress or (lambda sentence: None)
     told("constant rates")
@@ -73,10 +75,12 @@ def datasheet(
     noise_rows = noises(bench, answer.bandwidth, noise_duration or record_needed(answer.bandwidth, bench.duration))
     told("other axes, acceleration, temperature")
     outputs, static = scale_and_bias(bench, rates, table)
+    drifts, over_temperature = temperature_rows(bench, temperatures, told)
     rows = (*static, *noise_rows, *step_rows, start_up(bench, table[-1]), *around_the_axes(bench, table))
-    rows = (*rows, *temperature_rows(bench, temperatures, told))
+    rows = (*rows, *over_temperature)
     alive = np.all([run.alive for run in table], axis=0) & answer.alive
     rows = tuple(replace(row, values=np.where(alive, row.values, np.nan)) for row in rows)
+    outputs, answers = np.where(alive, outputs, np.nan), np.where(alive[:, None], answer.values, np.nan)
     return Datasheet(
         rows=with_trim(rows, rates, outputs, bench.full_scale) if trim else rows,
         dies=dies,
@@ -85,7 +89,7 @@ def datasheet(
         rates=rates,
         outputs=outputs,
         times=answer.times,
-        answers=answer.values,
+        answers=answers,
         settings=Settings.of(
             bench.loop,
             bench.surroundings,
@@ -96,6 +100,7 @@ def datasheet(
             seed=seed,
         ),
         notes=_notes(alive, rows),
+        over_temperature=drifts,
     )
 
 

@@ -12,6 +12,8 @@ from memsgyro_jax.base.files import finite
 from memsgyro_jax.base.provenance import Settings
 from memsgyro_jax.base.text import aligned
 
+from .over_temperature import CELSIUS, OverTemperature
+
 
 SCHEMA = "memsgyro-datasheet/1"
 NOT_MODELLED = "not modelled"
@@ -82,13 +84,13 @@ class DatasheetRow(Shown):
         """Why there is no figure; empty where there is one."""
         return self.missing or ("" if self.over_dies else f"fewer than {_FEWEST} dies tell it")
 
-    def cells(self, found: OverDies | None) -> tuple[str, str, str, str]:
-        """Minimum, typical with its interval, maximum and percentiles as text."""
+    def cells(self, found: OverDies | None) -> tuple[str, ...]:
+        """Minimum, typical with half its interval, maximum and percentiles as text; the reason alone without them."""
         if found is None:
-            return "", "", "", self.reason
+            return (self.reason,)
         return (
             f"{found.minimum:.4g}",
-            f"{found.typical:.4g} ({found.low:.4g} to {found.high:.4g})",
+            f"{found.typical:.4g} ± {float(f'{found.high - found.typical:.2g}'):.4g}",
             f"{found.maximum:.4g}",
             f"{found.p5:.4g} to {found.p95:.4g}",
         )
@@ -108,7 +110,8 @@ class Datasheet(Shown):
 
     `dies` were run, of which `lost` were lost in one of the runs and count nowhere. `rates` [rad/s] were applied in
     turn and gave `outputs` (rates, dies); `times` [s] and `answers` (dies, times) are the answer to a step of the rate,
-    over that step. `notes` say what a reader must know.
+    over that step; both NaN for lost dies. `notes` say what a reader must know. `over_temperature` is None if nothing
+    in the device depends on it.
     """
 
     rows: tuple[DatasheetRow, ...]
@@ -121,24 +124,31 @@ class Datasheet(Shown):
     answers: Float[np.ndarray, "dies times"]
     settings: Settings
     notes: tuple[str, ...] = field(default=())
+    over_temperature: OverTemperature | None = None
 
     def row(self, name: str) -> DatasheetRow:
         """The row called so."""
         return next(row for row in self.rows if row.name == name)
 
     def table(self) -> list[tuple[str, ...]]:
-        """Name, unit, minimum (-3 σ), typical, maximum (+3 σ), 5 to 95 %; a trimmed row stands below its own."""
+        """Name, unit, minimum (-3 σ), typical, maximum (+3 σ), 5 to 95 %, or the reason why there are none; a trimmed
+        row stands below its own.
+        """
         found: list[tuple[str, ...]] = []
         for row in self.rows:
             found.append((row.name, row.unit, *row.cells(row.over_dies)))
             if row.over_trimmed is not None:
-                found.append(("  trimmed", row.unit, *row.cells(row.over_trimmed)))
+                found.append((f"{row.name}, trimmed", row.unit, *row.cells(row.over_trimmed)))
         return found
 
     def __repr__(self) -> str:
         head = ("figure", "unit", "-3 σ", "typical (95 %)", "+3 σ", "5 to 95 % of the dies")
         lost = f", of which {self.lost} were lost and left out" if self.lost else ""
-        lines = [f"Datasheet of {self.dies} simulated dies{lost}", aligned([head, *self.table()])]
+        table = self.table()
+        lines = [f"Datasheet of {self.dies} simulated dies{lost}"]
+        lines.append(aligned([head, *(row for row in table if len(row) == len(head))]))
+        if missing := [row for row in table if len(row) < len(head)]:
+            lines += ["Without a figure", aligned([(name, reason) for name, _, reason in missing])]
         return "\n".join([*lines, *(f"  note: {note}" for note in self.notes)])
 
     def as_dict(self) -> dict[str, Any]:
@@ -150,6 +160,7 @@ class Datasheet(Shown):
                 "lost": self.lost,
                 "full_scale_dps": float(np.degrees(self.full_scale)),
                 "rows": [row.as_dict() for row in self.rows],
+                "over_temperature": _drifts(self.over_temperature),
                 "notes": list(self.notes),
                 "seed": self.settings.seed,
                 "sample_rate_hz": self.settings.sample_rate,
@@ -158,3 +169,13 @@ class Datasheet(Shown):
                 "versions": dict(asdict(self.settings)["versions"]),
             }
         )
+
+
+def _drifts(found: OverTemperature | None) -> dict[str, Any] | None:
+    if found is None:
+        return None
+    return {
+        "temperatures_c": (found.temperatures - CELSIUS).tolist(),
+        "zero_rate_dps": np.degrees(found.zero_rate).T.tolist(),
+        "scale_factor": found.scale_factor.T.tolist(),
+    }

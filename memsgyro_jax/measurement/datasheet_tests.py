@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -13,7 +13,7 @@ from memsgyro_jax.loop.scenario import Constant
 from .allan import allan
 from .datasheet_rows import NOT_MODELLED, DatasheetRow
 from .lot_outputs import Outputs
-from .over_temperature import CELSIUS, depends_on_temperature, held_at
+from .over_temperature import CELSIUS, OverTemperature, depends_on_temperature, held_at
 from .rate_tests import Dies, RateTests, settled_mean
 
 
@@ -40,7 +40,7 @@ class Answer(NamedTuple):
 
 def best_line(rates: np.ndarray, outputs: Float[np.ndarray, "rates dies"]) -> Float[np.ndarray, "two dies"]:
     """Offset and slope of the best straight line of each die."""
-    return np.linalg.lstsq(np.stack([np.ones_like(rates), rates], axis=1), outputs)[0]
+    return np.linalg.pinv(np.stack([np.ones_like(rates), rates], axis=1)) @ outputs  # each die by itself, lost ones too
 
 
 def scale_and_bias(
@@ -131,7 +131,11 @@ def step_answer(bench: RateTests, still: Outputs) -> tuple[Answer, tuple[Datashe
     tenth = max(1, answer.shape[1] // 10)
     end, before = np.mean(answer[:, -tenth:], axis=1), np.mean(answer[:, -2 * tenth : -tenth], axis=1)
     settled = (np.abs(end - before) < _STEADY * np.abs(end)) & (np.abs(end) > 0.1)
-    reason = "" if np.mean(settled) > 0.5 else f"the output does not settle at a new rate within {times[-1]:.3g} s"
+    reason = (
+        ""
+        if np.mean(settled) > 0.5
+        else f"the output does not settle at a new rate within {times[-1]:.3g} s: a longer run tells it"
+    )
     with np.errstate(divide="ignore", invalid="ignore"):
         over = np.where(settled[:, None], answer / end[:, None], np.nan)
     bandwidth = np.array([first_half_power(one, run.period) for one in over])
@@ -263,17 +267,16 @@ def around_the_axes(bench: RateTests, table: list[Outputs]) -> tuple[DatasheetRo
 
 def temperature_rows(
     bench: RateTests, temperatures: tuple[float, ...], told: Callable[[str], None]
-) -> tuple[DatasheetRow, ...]:
+) -> tuple[OverTemperature | None, tuple[DatasheetRow, ...]]:
     """Zero-rate output and scale factor over temperature, half of greatest less least."""
     names = ("zero-rate output over temperature", "scale factor over temperature")
     definition = "(max - min)/2 over the temperatures"
     degrees = ", ".join(f"{kelvin - CELSIUS:.4g}" for kelvin in temperatures)
-    found: list[Any] = [np.full(1, np.nan)] * 2
-    if depends := depends_on_temperature(bench.loop):
-        drifts = held_at(bench, temperatures, told)
-        found = [np.degrees(drifts.zero_rate_drift), 100.0 * drifts.scale_factor_drift]
-    reason = "" if depends else f"{NOT_MODELLED}: nothing in the device depends on temperature"
-    return tuple(
-        DatasheetRow(name, unit, definition, f"constant at {degrees} °C, no noise", values, reason, positive=True)
-        for name, unit, values in zip(names, ("deg/s", "%"), found, strict=True)
+    drifts = held_at(bench, temperatures, told) if depends_on_temperature(bench.loop) else None
+    values, reason = (np.full(1, np.nan),) * 2, f"{NOT_MODELLED}: nothing in the device depends on temperature"
+    if drifts is not None:
+        values, reason = (np.degrees(drifts.zero_rate_drift), 100.0 * drifts.scale_factor_drift), ""
+    return drifts, tuple(
+        DatasheetRow(name, unit, definition, f"constant at {degrees} °C, no noise", value, reason, positive=True)
+        for name, unit, value in zip(names, ("deg/s", "%"), values, strict=True)
     )

@@ -111,16 +111,22 @@ def over_temperature(
         "over_temperature", loop, spread, scenario, full_scale=full_scale, dies=dies, sample_rate=sample_rate,
         duration=duration, settle=settle, seed=seed,
     )  # fmt: skip
-    if len(temperatures) < 2 or min(temperatures) < 0.0:
-        raise InputError(
-            f"Argument `temperatures` must hold two or more temperatures in K, but holds {list(temperatures)}."
-        )
+    check_temperatures(temperatures)
     if not depends_on_temperature(bench.loop):
         raise InputError(
             "The device of `loop` must carry an effect that depends on temperature, such as "
             "`effects.ThermalStiffness(-6e-5)`, but nothing in it does."
         )
     return held_at(bench, temperatures)
+
+
+def check_temperatures(temperatures: Sequence[float]) -> None:
+    """Raises `InputError` unless there are two or more, in K, that are above absolute zero and finite."""
+    if len(temperatures) < 2 or not all(0.0 < kelvin < np.inf for kelvin in temperatures):
+        raise InputError(
+            "Argument `temperatures` must hold two or more temperatures above absolute zero, but holds "
+            f"{', '.join(f'{kelvin:g}' for kelvin in temperatures)} K."
+        )
 
 
 def depends_on_temperature(loop: ClosedLoop) -> bool:

@@ -30,6 +30,7 @@ from .distributions import Uniform as Uniform
 
 
 DEVICE_PREFIX = "device."
+_PROCESS, _MADE = "process", ("device", "readout")  # parts of a loop that a process makes
 _REDRAWS = 16  # of an impossible die
 Seed = int | tuple[int, int]  # of a first draw, and of a later one
 _ROUNDING = 1e-13  # smallest eigenvalue of a correlation that a Cholesky decomposition survives
@@ -57,6 +58,7 @@ class Vary(Shown):
 
     `path` names it from the loop, like `device.kxx`, `readout.opamp_offset.0`, `start.0`, an effect by number or label,
     like `device.effects.cubic_stiffness_x.strength`, or from the scenario, like `scenario.rate.level`.
+    `process.over_etch` is that of the process which makes device and read-out, wherever they are given by their layout.
     """
 
     path: str
@@ -75,9 +77,17 @@ class Vary(Shown):
         return here
 
     def find(self, root: "Root") -> Any:
-        """Whatever stands at the path."""
-        here: Any = root
-        for part in self.path.split("."):
+        """Whatever stands at the path, the first of `places`."""
+        return self.places(root)[0]
+
+    def places(self, root: "Root") -> list[Any]:
+        """Wherever the number stands: one that device and read-out share in both."""
+        shared = self.path.startswith(f"{_PROCESS}.") and isinstance(root, Root)
+        parts = [part for part in _MADE if hasattr(getattr(root.loop, part), _PROCESS)] if shared else []
+        return [self._at(root, f"{part}.{self.path}") for part in parts] or [self._at(root, self.path)]
+
+    def _at(self, here: Any, path: str) -> Any:
+        for part in path.split("."):
             try:
                 here = here[int(part)] if re.fullmatch(r"\d+", part) else getattr(here, part.replace(" ", "_"))
             except (AttributeError, IndexError, TypeError):
@@ -97,6 +107,11 @@ class Root(eqx.Module):
         if name.startswith("__"):
             raise AttributeError(name)
         return getattr(self.loop, name)
+
+    def moved(self, items: "tuple[Vary, ...]", values: list[Any]) -> "Root":
+        """With the value of each item wherever it stands."""
+        everywhere = [value for item, value in zip(items, values, strict=True) for _ in item.places(self)]
+        return eqx.tree_at(lambda root: [place for item in items for place in item.places(root)], self, everywhere)
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,7 +222,7 @@ class Spread(Shown):
             for item, column in zip(items, np.asarray(normal).T, strict=True)
         ]
         if items:
-            root = eqx.tree_at(lambda r: [item.find(r) for item in items], root, values)
+            root = root.moved(items, values)
         stack = np.stack if is_concrete(values) else jnp.stack
         table = stack(values, axis=1) if values else np.empty((len(normal), 0))
         none = np.zeros(len(normal), int)

@@ -24,6 +24,10 @@ rotating_frame = true
 kind = "displacement"
 scale = "0.1 V/um"
 noise_density = "0.1 uV/sqrt(Hz)"
+[[effects]]
+name = "thermal_drift"
+variant = "stiffness"
+strength = "-6e-5 1/K"
 [controller]
 kind = "classic"
 sense = "rebalanced"
@@ -46,6 +50,7 @@ def test_a_page_and_its_figures(tmp_path, capsys):
     (tmp_path / "study.toml").write_text(STUDY)
     page, told = tmp_path / "sheet.html", tmp_path / "sheet.json"
     given = ("--dies", 3, "--trim", "--full-scale", 500, "--noise-duration", 0.2, "--out", page, "--json", told)
+    given = (*given, "--temperatures", -20, 30, 80)
     assert run("datasheet", tmp_path / "study.toml", *given) == 0
     rows = {row["name"]: row for row in json.loads(told.read_text())["rows"]}
     # Unequal cross damping and a rate are one force: (dxy/m)/2 is the zero-rate output, kxy/(2 m ω) the quadrature.
@@ -55,10 +60,19 @@ def test_a_page_and_its_figures(tmp_path, capsys):
     assert rows["quadrature"]["before_trim"]["dies"] == 3
     assert abs(rows["sensitivity to acceleration, x"]["before_trim"]["typical"]) < 1.0
     assert rows["full scale"]["before_trim"]["typical"] == pytest.approx(500.0)
-    assert rows["zero-rate output over temperature"]["reason"].startswith("not modelled")
-    assert "zero-rate output" in capsys.readouterr().out
+    drift, over = rows["scale factor over temperature"], json.loads(told.read_text())["over_temperature"]
+    assert drift["condition"].startswith("constant at -20, 30, 80 °C")
+    # A rebalanced scale factor is 2 m ω A: ω falls by half of 6e-5 a kelvin, and with it the force for a rate.
+    assert drift["before_trim"]["typical"] == pytest.approx(100.0 * 3e-5 * 50.0, rel=0.1)
+    assert [len(die) for die in (over["temperatures_c"], *over["zero_rate_dps"])] == [3] * 4
+    said = capsys.readouterr().out
+    assert "zero-rate output" in said
+    assert "Without a figure" in said
     text = page.read_text()
     assert text.count("<h2") >= 4
     assert text.count("<table") >= 3
     browser.check(tmp_path, {"looked_at": text})
+    assert text.count("<svg") == 3
+    assert 'colspan="4"' in text
     assert run("datasheet", "--full-scale", 0) == 2
+    assert run("datasheet", "--temperatures", 25) == 2

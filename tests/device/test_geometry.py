@@ -210,6 +210,38 @@ def test_a_lot_varies_in_the_process_and_its_axes_together():
     assert slope == pytest.approx(-6.0 / 3e-6 * float(device.made.kxx), rel=1e-9)
 
 
+def shares(loop, device):
+    """The loop of a layout whose read-out the same process makes."""
+    readout = mg.LayoutReadout(mg.ChargeAmplifier.chi2010(0.0), device.process)
+    return eqx.tree_at(lambda each: (each.device, each.readout), loop, (device, readout))
+
+
+def test_the_readout_shares_the_process():
+    """Against a sum over the height of the fingers, 5 µm high and 1 µm apart, which overlap by 50 µm."""
+    device = geometry.LayoutGyro(LAYOUT)
+    loop = shares(mg.Operation.of(device.made).loop(), device)
+    laws = {"over_etch": 0.05e-6, "thickness": 0.2e-6, "sidewall": np.radians(0.5)}
+    spread = mg.Spread(tuple(mg.Vary(f"process.{name}", mg.Normal(std=std)) for name, std in laws.items()))
+    drawn = spread.draw(loop, mg.Scenario(), 0, np.arange(16)).loop
+    height = (np.arange(4000) + 0.5) / 4000
+    etch, thick, lean = (np.asarray(getattr(drawn.device.process, name)) for name in laws)
+    gap = 1e-6 + 2 * etch - 2 * (5e-6 + thick) * np.tan(lean) * height[:, None]
+    per_length = 113 * 8.8541878128e-12 * (5e-6 + thick) * np.mean(1.0 / gap, axis=0)
+    made = drawn.readout.made
+    np.testing.assert_allclose(made.gradient[1], per_length, rtol=1e-6)
+    np.testing.assert_allclose(drawn.readout.scale[0], -2.0 * 10.0 / 1e-12 * per_length, rtol=1e-6)
+    np.testing.assert_allclose(made.gradient[0] * made.overlap[0], per_length * (50e-6 - 2 * etch), rtol=1e-6)
+    narrow = spread.items[:1]
+    drawn = mg.Spread(narrow).draw(loop, mg.Scenario(), 0, np.arange(16)).loop
+    assert np.corrcoef(drawn.device.made.kxx, drawn.readout.scale[0])[0, 1] < -0.99  # of a scale below zero
+    none, sharp = loop.readout, mg.LayoutReadout(loop.readout.drawn, geometry.Process(sidewall=0.0))
+    assert none.scale == sharp.scale == pytest.approx(np.array(loop.readout.drawn.scale), rel=1e-14)
+    slope = jax.grad(lambda a: mg.LayoutReadout(none.drawn, geometry.Process(sidewall=a)).scale[0])(0.0)
+    assert slope == pytest.approx(5.0 * float(none.scale[0]), rel=1e-9)
+    with pytest.raises(InputError, match="gap"):
+        mg.LayoutReadout(none.drawn, geometry.Process(over_etch=-0.6e-6))
+
+
 @pytest.mark.slow
 def test_loop_sweep_and_tornado_take_a_layout():
     """It runs as the device that is made, and a lot and a tornado of it speak of the process."""
@@ -229,6 +261,10 @@ def test_loop_sweep_and_tornado_take_a_layout():
     lot = mg.sweep(loop, spread, 1.0, dies=8, **run)
     assert np.all(np.isfinite(lot.data["rate_error_end"]))
     assert "device.process.over_etch" in str(mg.tornado(loop, spread, 1.0, **run))
+    both = mg.Spread((mg.Vary("process.over_etch", mg.Normal(std=0.02e-6)),))
+    lot = mg.sweep(shares(loop, device), both, 1.0, dies=8, **run)
+    assert np.all(np.isfinite(lot.data["rate_error_end"]))
+    assert "process.over_etch" in str(mg.tornado(shares(loop, device), both, 1.0, **run))
 
 
 def test_a_layout_is_centred_by_gradient_for_yield():

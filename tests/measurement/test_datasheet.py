@@ -9,7 +9,8 @@ from oracles import classic
 
 import memsgyro_jax as mg
 from memsgyro_jax.app.report.datasheet_page import datasheet_page
-from memsgyro_jax.measurement.datasheet_rows import NOT_MODELLED
+from memsgyro_jax.measurement.datasheet_rows import NOT_MODELLED, DatasheetRow
+from memsgyro_jax.measurement.datasheet_tests import best_line, with_trim
 
 
 RATE, DIES, DENSITY = 100e3, 4, 1e-7
@@ -85,8 +86,16 @@ def test_what_a_model_cannot_give_says_so(sheet):
     assert written["schema"] == "memsgyro-datasheet/1"
     assert "not modelled" in repr(sheet)
     page = datasheet_page(sheet, mg.default_study()).html()
-    assert page.count("<svg") == 1
+    assert page.count("<svg") == 2
     assert all(row.definition in page for row in sheet.rows if "'" not in row.definition)
+
+
+def test_a_lost_die_spoils_no_other():
+    rates = np.linspace(-1.0, 1.0, 9)
+    outputs = np.stack([0.1 + 2.0 * rates, np.full(9, np.nan)], axis=1)
+    assert best_line(rates, outputs)[:, 0] == pytest.approx([0.1, 2.0])
+    trimmed = with_trim((DatasheetRow("scale factor", "1", "", "", np.array([2.0, np.nan])),), rates, outputs, 1.0)
+    np.testing.assert_allclose(trimmed[0].trimmed, [1.0, np.nan])
 
 
 def test_settings_that_cannot_be_run():
@@ -94,3 +103,6 @@ def test_settings_that_cannot_be_run():
         mg.datasheet(LOOP, SPREAD, full_scale=0.0)
     with pytest.raises(mg.InputError, match="`settle` must lie within"):
         mg.datasheet(LOOP, SPREAD, settle=3.0)
+    for held in ((298.15,), (0.0, 298.15)):
+        with pytest.raises(mg.InputError, match="`temperatures` must hold two or more"):
+            mg.datasheet(LOOP, SPREAD, temperatures=held)

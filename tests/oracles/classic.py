@@ -5,7 +5,7 @@ exponential, the tracking demodulator and the integrals by their z-transforms, b
 """
 
 import numpy as np
-from scipy import linalg, optimize
+from scipy import linalg, optimize, signal
 
 
 class Plant:
@@ -109,13 +109,15 @@ def _sideband(gyro, omega, period, control, delta):
     return 0.5 * upper * law(zeta) * y
 
 
-def rebalance_growth(gyro, omega, period, sense):
-    """Greatest size of an eigenvalue of the sampled rebalance loop, the drive turning with `omega`."""
+def _sampled_axis(gyro, omega, period, sense):
+    """The sense axis under its loops, (y, vy), the constant, the tracked and the summed phasor in the stationary frame,
+    over a sample; and the two rows whose product with it is the phasor given out."""
     transition, push = Plant(gyro).sampled(period)
     transition, push = transition[1::2, 1::2], push[1::2, 1]  # y alone: the axes must not couple
     share, turn = 2 * np.pi * float(sense.demodulator.bandwidth) * period, np.exp(1j * omega * period)
-    conversion, gain, integral = complex(*map(float, sense.conversion)), float(sense.gain), float(sense.integral)
-    force = 1j * float(sense.force_per_rate) * hold(omega, period)
+    conversion, shut = complex(*map(float, sense.conversion)), hasattr(sense, "gain")
+    gain, integral = (float(sense.gain), float(sense.integral)) if shut else (1.0, 0.0)
+    force = 1j * float(sense.force_per_rate) * hold(omega, period) if shut else 0.0
 
     def step(state):
         y, constant = state[:2], state[2]
@@ -127,4 +129,31 @@ def rebalance_growth(gyro, omega, period, sense):
         summed = summed + integral * period * conversion * tracked
         return [*y, constant + share * missed, tracked.real, tracked.imag, summed.real, summed.imag]
 
-    return np.abs(np.linalg.eigvals(np.array([step(column) for column in np.eye(7)]).T)).max()
+    given = np.array([0.0, 0.0, 0.0, gain * conversion, 1j * gain * conversion, 1.0, 1j])
+    return np.array([step(column) for column in np.eye(7)]).T, given
+
+
+def rebalance_growth(gyro, omega, period, sense):
+    """Greatest size of an eigenvalue of the sampled rebalance loop, the drive turning with `omega`."""
+    return np.abs(np.linalg.eigvals(_sampled_axis(gyro, omega, period, sense)[0])).max()
+
+
+def step_response(gyro, omega, period, control, count):
+    """The rate given out over `count` samples after a step of the rate, over it, without what turns at twice the drive:
+    the step response of `rate_response`, as of a linear system in phasors that turn with the drive (scipy).
+    """
+    plant, matrix = Plant(gyro), np.zeros((3, 3), complex)
+    matrix[:2, :2] = [[0.0, 1.0], [-plant.k[1, 1], -plant.d[1, 1]]]
+    matrix[1, 2], matrix[2, 2] = -2j * omega * float(control.drive.amplitude), 1j * omega  # of vx, e^{jωt}
+    pushed = np.zeros(7, complex)
+    pushed[:2] = linalg.expm(matrix * period)[:2, 2]
+    axis, given = _sampled_axis(gyro, omega, period, control.sense)
+    # The force enters y at the end of the sample, the demodulator sees it there: as `axis` sees a motion already moved.
+    seen = axis @ np.linalg.solve(linalg.block_diag(plant.sampled(period)[0][1::2, 1::2], np.eye(5)), pushed)
+    back = np.exp(-1j * omega * period)
+    real = lambda z: np.block([[z.real, -z.imag], [z.imag, z.real]])  # noqa: E731  # scipy simulates real numbers
+    moved, entering = back * axis, (back * seen)[:, None]
+    given = 0.5 * given[None]
+    system = [real(part) for part in (moved, entering, given @ moved, given @ entering)]
+    steps = np.column_stack([np.ones(count), np.zeros(count)])
+    return signal.dlsim(signal.dlti(*system), steps)[1][:, 0]

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from .flags import Flag
+from .flags import Flag, Numbers
 from .quick import look_for_study
 
 
@@ -15,6 +15,7 @@ def datasheet_command(
     seed: int | None = None,
     trim: Flag = False,
     noise_duration: float | None = None,
+    temperatures: Numbers = (-40.0, 25.0, 85.0),
     out: Path = Path("datasheet.html"),
     effects: Path | None = None,
     json: Path | None = None,
@@ -33,6 +34,7 @@ def datasheet_command(
         seed: of the dies and of their noise.
         trim: also tell the figures after each die got its own offset and scale.
         noise_duration: of the run with noise in s; without it what the bandwidth asks for.
+        temperatures: in °C, at each of which the lot is held, if anything in the device depends on it.
         out: the page, an HTML file.
         effects: a Python file with effects of your own that the study names. It is run: trust it first.
         json: file for the machine-readable result.
@@ -42,6 +44,7 @@ def datasheet_command(
 
     from memsgyro_jax.base.files import write_json, write_whole
     from memsgyro_jax.measurement.datasheet import datasheet
+    from memsgyro_jax.measurement.over_temperature import CELSIUS
 
     from ..report.datasheet_page import datasheet_page
     from .options import chosen_study, require_writable, writing
@@ -58,7 +61,7 @@ def datasheet_command(
     with told() as tell:
         found = datasheet(
             **arguments, full_scale=float(np.radians(full_scale)), dies=64 if dies is None else dies, trim=trim,
-            noise_duration=noise_duration, progress=tell,
+            noise_duration=noise_duration, temperatures=tuple(t + CELSIUS for t in temperatures), progress=tell,
         )  # fmt: skip
     with writing(out, "make room and run again"):
         write_whole(out, datasheet_page(found, chosen).html())

@@ -7,3 +7,4 @@ import cyclopts
 
 Flag = Annotated[bool, cyclopts.Parameter(negative=())]
 Words = Annotated[tuple[str, ...], cyclopts.Parameter(consume_multiple=True)]
+Numbers = Annotated[tuple[float, ...], cyclopts.Parameter(consume_multiple=True)]

@@ -4,6 +4,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from memsgyro_jax.measurement.over_temperature import CELSIUS
+
 from .figures import blank, plain
 from .page import Page
 from .sweep_page import with_settings
@@ -28,29 +30,40 @@ def datasheet_page(sheet: "Datasheet", study: "Study") -> Page:
         "Typical is the mean over dies with its 95 % interval; minimum and maximum are the mean less and plus three "
         "standard deviations of the lot."
     )
-    page.table(["figure", "unit", "minimum", "typical", "maximum", "5 to 95 % of the dies"], sheet.table())
+    columns = ["figure", "unit", "minimum", "typical", "maximum", "5 to 95 % of the dies"]
+    page.table(columns, sheet.table(), stacked=True)
     for note in sheet.notes:
         page.text(note)
-    page.section("Curves")
-    page.figure(_curves(sheet), "Left: output less the best line of each die. Right: answer to a step of the rate.")
+    page.section("Curves").figures(_curves(sheet))
     page.section("Definitions and conditions")
-    page.table(["figure", "definition", "condition"], [(row.name, row.definition, row.condition) for row in sheet.rows])
+    rows = [(row.name, row.definition, row.condition) for row in sheet.rows]
+    page.table(["figure", "definition", "condition"], rows, stacked=True)
     page.section("Settings")
     return with_settings(page, study, sheet.settings)
 
 
-def _curves(sheet: "Datasheet") -> "Figure":
+def _curves(sheet: "Datasheet") -> "list[tuple[Figure, str]]":
     from memsgyro_jax.measurement.datasheet_tests import best_line
 
-    figure = blank(3.4)
-    left, right = figure.subplots(1, 2)
     some = slice(0, _CURVES)
     offset, slope = best_line(sheet.rates, sheet.outputs)
     error = 100.0 * (sheet.outputs - offset - slope * sheet.rates[:, None]) / sheet.full_scale
-    left.plot(np.degrees(sheet.rates), error[:, some], color="C0", lw=0.8, alpha=0.5)
-    left.set_xlabel("rate [deg/s]")
-    left.set_ylabel("distance from the best line [% of full scale]")
-    right.plot(1e3 * sheet.times, sheet.answers[some].T, color="C0", lw=0.8, alpha=0.5)
-    right.set_xlabel("time after the step [ms]")
-    right.set_ylabel("output over step [1]")
+    curves = [
+        (np.degrees(sheet.rates), error[:, some], "rate [deg/s]", "distance from the line [% of full scale]",
+         "Output less the best line of each die."),
+        (1e3 * sheet.times, sheet.answers[some].T, "time after the step [ms]", "output over step [1]",
+         "Answer to a step of the rate."),
+    ]  # fmt: skip
+    if (held := sheet.over_temperature) is not None:
+        celsius, moved = held.temperatures - CELSIUS, held.zero_rate - np.mean(held.zero_rate, axis=0)
+        words = "zero-rate output less its mean [deg/s]", "Zero-rate output over temperature, of each die."
+        curves.append((celsius, np.degrees(moved)[:, some], "temperature [°C]", *words))
+    return [(_curve(*curve), caption) for *curve, caption in curves]
+
+
+def _curve(along: np.ndarray, values: np.ndarray, below: str, beside: str) -> "Figure":
+    figure = blank(3.4, 4.6)
+    ax = figure.subplots()
+    ax.plot(along, values, color="C0", lw=0.8, alpha=0.5)
+    ax.set(xlabel=below, ylabel=beside)
     return plain(figure)

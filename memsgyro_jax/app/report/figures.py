@@ -21,9 +21,9 @@ _PERIODS, _FASTEST = 12.0, 4e3  # how many periods of motion are shown, of modes
 _INK, _BAND, _WARN = "#1d2530", "#3b6fb6", "#c2502e"
 
 
-def blank(height: float) -> Figure:
-    """An empty figure, `height` inches high."""
-    return Figure(figsize=(WIDTH, height), layout="constrained")
+def blank(height: float, width: float = WIDTH) -> Figure:
+    """An empty figure, `height` and `width` in inches."""
+    return Figure(figsize=(width, height), layout="constrained")
 
 
 def error_figure(lot: "Lot") -> Figure:

@@ -43,16 +43,29 @@ class Page:
         """A paragraph of plain text."""
         return self._add("text", text=text)
 
-    def table(self, header: Sequence[str], rows: Sequence[Sequence[object]], caption: str = "") -> "Page":
-        """A table; every cell is shown as its text, columns that hold numbers only flush right."""
+    def table(
+        self, header: Sequence[str], rows: Sequence[Sequence[object]], caption: str = "", *, stacked: bool = False
+    ) -> "Page":
+        """A table; every cell is shown as its text, columns that hold numbers only flush right. The last cell of a row
+        that is short spans what is left. `stacked` rows stand one cell below the other where the page is narrow.
+        """
         cells = [[str(cell) for cell in row] for row in rows]
-        numeric = [bool(cells) and all(_is_number(row[i]) for row in cells) for i in range(len(header))]
-        return self._add("table", header=list(header), rows=cells, caption=caption, numeric=numeric)
+        whole = [row for row in cells if len(row) == len(header)]
+        numeric = [bool(whole) and all(_is_number(row[i]) for row in whole) for i in range(len(header))]
+        return self._add("table", header=list(header), rows=cells, caption=caption, numeric=numeric, stacked=stacked)
 
     def figure(self, figure: "Figure", caption: str) -> "Page":
         """A matplotlib figure, as SVG within the page."""
-        salt = f"figure-{sum(len(s['parts']) for s in self._sections)}"
-        return self._add("figure", svg=_svg(figure, salt), caption=caption)
+        return self._add("figure", svg=_svg(figure, self._salt), caption=caption)
+
+    def figures(self, figures: "Sequence[tuple[Figure, str]]") -> "Page":
+        """Small figures with their captions, side by side as far as the page is wide."""
+        drawn = [(_svg(figure, f"{self._salt}-{n}"), caption) for n, (figure, caption) in enumerate(figures)]
+        return self._add("figures", figures=drawn)
+
+    @property
+    def _salt(self) -> str:
+        return f"figure-{sum(len(s['parts']) for s in self._sections)}"
 
     def drawing(self, svg: Markup, caption: str) -> "Page":
         """A picture that is an SVG already."""

@@ -169,7 +169,7 @@ def _gradient(
 ) -> Float[Array, "outputs inputs"]:
     def means(shift: Array) -> Array:
         values = [item.read(root) + part for item, part in zip(items, shift * steps, strict=True)]
-        moved = eqx.tree_at(lambda r: [item.find(r) for item in items], root, values)
+        moved = root.moved(items, values)
         rows = rows_of(moved.loop, moved.scenario, root.loop, words, plan)
         return jnp.stack([output.factor * jnp.nanmean(output.of(rows)) for output in of])
 

@@ -102,6 +102,8 @@ def test_a_browser_finds_nothing_wrong_and_would_find_it(tmp_path):
     """Nothing overflows a phone or a screen, is fetched or runs; and each of these is seen where it is so."""
     page = Page("A title with a long_word_" + "x" * 20, "subtitle").section("A section").text("Words. " * 40)
     page.table([f"column {k}" for k in range(12)], [["some words"] * 12] * 3, "A caption. " * 20)
+    page.table([f"column {k}" for k in range(6)], [["some words"] * 6, ["name", "why not " * 9]], stacked=True)
+    page.figures([(drawn(), "one")] * 3)
     browser.check(tmp_path, {"page": page.figure(drawn(), "a figure").html()})
     bad = '<body><p style="width: 700px">wide</p><img src="https://nowhere.invalid/"><script></script></body>'
     phone, screen = browser.seen(tmp_path, {"bad": bad}, dark=True)

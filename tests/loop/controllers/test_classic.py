@@ -69,19 +69,40 @@ def test_the_steady_state_and_its_slope_are_those_of_linear_algebra(name):
 PLAIN = mg.SingleMassGyro.from_modes(1e-8, (10e3, 10.3e3), (2000.0, 300.0))  # no quadrature, no cross damping
 
 
-def response(control, frequencies):
-    """Phasor of the rate given out per rate at each frequency, to first order, over the last of ten periods or more."""
-    loop, steps = loop_of(PLAIN, DISPLACEMENT, control), 66_000
+STEPPED = (  # and a quarter of the drive's period in samples
+    (PLAIN, 5),
+    (mg.SingleMassGyro.from_modes(5e-9, (12.5e3, 12.1e3), (900.0, 120.0)), 4),
+    (mg.SingleMassGyro.from_modes(3e-8, (6.25e3, 6.25e3), (1500.0, 60.0)), 8),
+)
+BEFORE, AFTER = 24_000, 24_000  # samples
 
-    def run(frequency, size):
-        rate = mg.Sine(size, frequency, 0.5 * jnp.pi)
-        return mg.simulate(loop, rate, sample_rate=1.0 / PERIOD, duration=steps * PERIOD).rate_estimate
 
-    def found(frequency):
-        out = jax.jvp(lambda size: run(frequency, size), (0.0,), (1.0,))[1]
-        return 2.0 * jnp.mean((out * jnp.exp(-2j * jnp.pi * frequency * PERIOD * jnp.arange(1, steps + 1)))[-20_000:])
+def stack(trees):
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *trees)
 
-    return np.asarray(jax.vmap(found)(jnp.asarray(frequencies)))
+
+def steps(gyros, controls, quarters):
+    """What comes out after a step of the rate, per its size and to first order, one row for each device: the mean of
+    two steps a quarter of a period apart, in which what turns at twice the drive cancels.
+    """
+
+    def run(gyro, control, later, size):
+        rate = mg.Step((BEFORE + later) * PERIOD, size)
+        loop, duration = loop_of(gyro, DISPLACEMENT, control), (BEFORE + AFTER + 8) * PERIOD
+        return mg.simulate(loop, rate, sample_rate=1.0 / PERIOD, duration=duration).rate_estimate
+
+    def found(gyro, control, later):
+        out = jax.jvp(lambda size: run(gyro, control, later, size), (0.0,), (1.0,))[1]
+        return jax.lax.dynamic_slice(out, (BEFORE + later,), (AFTER,))
+
+    both = jax.vmap(lambda g, c, q: 0.5 * (found(g, c, 0 * q) + found(g, c, q)))
+    return np.asarray(both(stack(gyros), stack(controls), jnp.asarray(quarters)))
+
+
+def transfer(answer, frequency):
+    """Of a step's answer: the transform of its slope, the rate held over a sample."""
+    turns = np.exp(-2j * np.pi * frequency * PERIOD * (np.arange(len(answer)) + 0.5))
+    return turns @ np.diff(answer, prepend=0.0)
 
 
 @pytest.mark.parametrize(
@@ -91,23 +112,28 @@ def response(control, frequencies):
         pytest.param(mg.ClassicControl.force_rebalance, 15.0, marks=pytest.mark.slow),
     ],
 )
-def test_bandwidth_and_transfer_are_those_of_the_sampled_transfer_function(make, bandwidth):
-    control = make(PLAIN, DISPLACEMENT, amplitude=1e-6, bandwidth=bandwidth)
-    nulled = isinstance(control.sense, mg.ForceRebalance)
-    conversion = complex(*map(float, control.sense.conversion))
-    locked = classic.steady(PLAIN, 0.0, PERIOD, 1e-6, conversion, nulled, 10e3, velocity=False)[0]
+def test_step_bandwidth_and_transfer_are_those_of_the_sampled_transfer_function(make, bandwidth):
+    gyros, quarters = zip(*STEPPED, strict=True)
+    fast = {"drive_bandwidth": 1000.0}  # soon settled
+    controls = [make(gyro, DISPLACEMENT, amplitude=1e-6, bandwidth=bandwidth, **fast) for gyro in gyros]
+    nulled = isinstance(controls[0].sense, mg.ForceRebalance)
+    for gyro, control, answer in zip(gyros, controls, steps(gyros, controls, quarters), strict=True):
+        conversion, near = complex(*map(float, control.sense.conversion)), float(control.drive.frequency)
+        locked = 2 * np.pi * classic.steady(gyro, 0.0, PERIOD, 1e-6, conversion, nulled, near, velocity=False)[0]
 
-    def size(frequency):
-        return abs(classic.rate_response(PLAIN, 2 * np.pi * locked, PERIOD, control, frequency))
+        def wanted(frequency, gyro=gyro, control=control, locked=locked):
+            return classic.rate_response(gyro, locked, PERIOD, control, frequency)
 
-    half_power = optimize.brentq(lambda f: size(f) - size(1e-3) / np.sqrt(2.0), 1.0, 3000.0)
-    # Whole periods in the last 0.1 s: multiples of 10 Hz, two of them around the half power.
-    below = 10.0 * np.floor(half_power / 10.0)
-    frequencies = np.array([10.0, below, below + 10.0, 100.0])
-    found = response(control, frequencies)
-    wanted = [classic.rate_response(PLAIN, 2 * np.pi * locked, PERIOD, control, f) for f in frequencies]
-    assert found == pytest.approx(np.array(wanted), rel=1e-6, abs=1e-7)
-    assert abs(found[1]) > size(1e-3) / np.sqrt(2.0) > abs(found[2])
+        expected = classic.step_response(gyro, locked, PERIOD, control, 4 * AFTER if nulled else 2 * AFTER)
+        np.testing.assert_allclose(answer, expected[:AFTER], atol=1e-6)
+        answer = np.append(answer, expected[AFTER:])  # the slowest pole has some left
+        for frequency in (1e-3, 10.0, 100.0, 400.0):
+            assert transfer(answer, frequency) == pytest.approx(wanted(frequency), abs=1e-6)
+        edges = [
+            optimize.brentq(lambda f, of=of: abs(of(f)) - abs(of(1e-3)) / np.sqrt(2.0), 1.0, 3000.0, xtol=1e-9)
+            for of in (lambda f, answer=answer: transfer(answer, f), wanted)
+        ]
+        assert edges[0] == pytest.approx(edges[1], rel=1e-6)
 
 
 def designs(count, seed):
@@ -139,7 +165,6 @@ def restlessness(gyros, controls, rate):
     """Standard deviation of rate, frequency and amplitude over the last tenth of a run, over their sizes, die by die;
     infinite for one that was lost.
     """
-    stack = lambda trees: jax.tree.map(lambda *leaves: jnp.stack(leaves), *trees)  # noqa: E731
 
     def one(gyro, control):
         loop = mg.ClosedLoop(
