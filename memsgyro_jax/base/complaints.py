@@ -37,7 +37,7 @@ class Source:
         try:
             yield
         except ValueError as error:
-            raise InputError(f"{self.name}: {self._at(place)}: {str(error).rstrip('.')}.") from error
+            raise InputError(_ended(f"{self.name}: {self._at(place)}: {error}")) from error
 
     def complain(self, errors: Sequence[Any], model: type[BaseModel], data: dict[str, Any]) -> InputError:
         """The first ten of pydantic's `errors` about `data`, read as `model`, in the order of the file."""
@@ -51,10 +51,10 @@ class Source:
             own = [error for error in about[place] if error["type"] == "value_error"] or about[place]
             said = dict.fromkeys(_sentence(error, model).rstrip(".") for error in own)
             texts.append(f"{self._at(place)}: {' or '.join(said)}")
-        each = [f"{self.name}: {text}." for text in texts]
+        each = [_ended(f"{self.name}: {text}") for text in texts]
         if len(order) > len(texts):
             each.append(f"{self.name}: and {len(order) - len(texts)} more.")
-        return InputError(f"{self.name}: {first_of(texts, 'entries', len(order))}.", each)
+        return InputError(_ended(f"{self.name}: {first_of(texts, 'entries', len(order))}"), each)
 
     def _at(self, place: Place) -> str:
         line = self._line(place)
@@ -107,6 +107,11 @@ def _in_file(loc: Place, data: Any) -> Place:
             continue  # pydantic's own name for one of several kinds
         place.append(part)
     return tuple(place)
+
+
+def _ended(text: str) -> str:
+    """The text as a sentence; some end in a question."""
+    return text if text.endswith(("?", ".")) else f"{text}."
 
 
 def _sentence(error: Any, model: type[BaseModel]) -> str:

@@ -18,7 +18,7 @@ from memsgyro_jax.app import cli
 
 
 SMALL = ["--dies", "5", "--sample-rate", "20e3", "--duration", "0.01", "--chunk", "2"]
-RUN = ["--sample-rate", "20e3", "--duration", "0.01"]
+RUN = ["--sample-rate", "20 kHz", "--duration", "0.01"]
 RECORD = "t [s],rate [deg/s]\n0,0\n0.005,60\n0.01,-30\n"
 
 
@@ -225,6 +225,8 @@ OPTIONS = [
     (["sweep", "--dies", "many"], ["--dies", "many"]),
     (["sweep", "--seed", "-1"], ["sweep.seed", "0"]),
     (["simulate", "--duration", "0"], ["sweep.duration", "greater than 0"]),
+    (["simulate", "--duration", "1 kg"], ["sweep.duration", 'measure the same as "s"']),
+    (["simulate", "--sample-rate", "fast"], ["sweep.sample_rate", "must be a number with a unit"]),
     (["simulate", "--duration", "1e-9"], ["duration", "at least one sample"]),
     (["simulate", "--die", "-1"], ["--die", "-1"]),
     (["sweep", "--resume", "--overwrite"], ["--resume", "--overwrite"]),

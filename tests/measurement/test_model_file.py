@@ -145,6 +145,7 @@ def test_what_no_device_is(tmp_path, old, new, words):
     with pytest.raises(InputError, match=r"m\.toml: line \d+") as caught:
         read_model(tmp_path / "m.toml")
     assert words in str(caught.value)
+    assert "?." not in str(caught.value)
 
 
 def test_a_resonator_is_held_and_slowed(tmp_path):

@@ -40,12 +40,15 @@ def chosen_study(
         more, about = _following(record, rate_record, own_study=path is not None)
         changes = {**more, **changes}
     chosen = study.changed(changes) if changes else study
-    return chosen, [*chosen.notes, *about]
+    return chosen, [*(chosen.notes if study.notes else []), *about]
 
 
-def with_unit(number: float | None, unit: str) -> dict[str, object] | None:
-    """A number of the command line as a study file would hold it."""
-    return None if number is None else {"value": number, "unit": unit}
+def with_unit(given: str | None, unit: str) -> dict[str, object] | str | None:
+    """A quantity of the command line as a study file would hold it: text with a unit of its own, or a number."""
+    try:
+        return None if given is None else {"value": float(given), "unit": unit}
+    except ValueError:
+        return given
 
 
 def _following(record: Recorded, path: Path, own_study: bool) -> tuple[dict[str, Any], list[str]]:

@@ -26,8 +26,8 @@ def simulate_command(
     rate_record: Path | None = None,
     die: int | None = None,
     seed: int | None = None,
-    sample_rate: float | None = None,
-    duration: float | None = None,
+    sample_rate: str | None = None,
+    duration: str | None = None,
     block: int | None = None,
     out: Path | None = None,
     case: Path | None = None,
@@ -43,8 +43,8 @@ def simulate_command(
         rate_record: CSV with the header "t [s],rate [deg/s]" (any units), in place of the study's rate.
         die: number of a die of the study's sweep; without it the design itself runs.
         seed: of the dies and of their noise.
-        sample_rate: in Hz.
-        duration: of the run in s; a recorded rate's own without this option.
+        sample_rate: in Hz, or with a unit: `100 kHz`.
+        duration: of the run in s or with a unit; a recorded rate's own without this option.
         block: samples taken at a time, a power of two (512 at 100 kHz); a loop that cannot says why.
         out: folder for trace.zarr, summary.json and report.html.
         case: folder of a measurement case to which the run is added as raw signals, or that is made.

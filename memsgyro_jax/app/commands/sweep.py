@@ -29,8 +29,8 @@ def sweep_command(
     part: str | None = None,
     dask: str | None = None,
     rate_record: Path | None = None,
-    sample_rate: float | None = None,
-    duration: float | None = None,
+    sample_rate: str | None = None,
+    duration: str | None = None,
     block: int | None = None,
     chunk: int | None = None,
     effects: Path | None = None,
@@ -52,8 +52,8 @@ def sweep_command(
             all dies done writes the summary.
         dask: address of a Dask scheduler whose workers compute, a block at a time, and write into the folder.
         rate_record: CSV with the header "t [s],rate [deg/s]" (any units), in place of the study's rate.
-        sample_rate: in Hz.
-        duration: of a run in s; a recorded rate's own without this option.
+        sample_rate: in Hz, or with a unit: `100 kHz`.
+        duration: of a run in s or with a unit; a recorded rate's own without this option.
         block: samples taken at a time, a power of two (512 at 100 kHz); a loop that cannot says why.
         chunk: dies per device and batch.
         effects: a Python file with effects of your own that the study names. It is run: trust it first.

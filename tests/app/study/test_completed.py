@@ -39,7 +39,7 @@ def test_what_is_open_follows_the_device(tmp_path, low, high):
     (note,) = study.notes
     for words in ("follows the device", f"{study.settings.sample_rate:.3g} Hz", f"{float(tone.frequency):.4g} Hz"):
         assert words in note
-    _, (note,) = chosen_study(tmp_path / "study.toml", None, None, dies=3, duration=with_unit(0.01, "s"))
+    _, (note,) = chosen_study(tmp_path / "study.toml", None, None, dies=3, duration=with_unit("10 ms", "s"))
     assert "is sampled at" in note
     assert "runs" not in note, "an option of the command said it"
     again = mg.load_study(study.write(tmp_path / "again.toml"))
