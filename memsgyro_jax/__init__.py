@@ -2,18 +2,19 @@
 
 The names below are the table of contents, in the order of the two stories the package tells: a device in its closed
 loop and the sweep over fabricated dies, then measurements and what they say about the model. They are imported on first
-use, so that `memsgyro --help` answers without waiting for JAX.
+use, so that `memsgyro --help` answers without waiting for JAX. Modules used by name: `effects`, `losses`, `geometry`,
+`electronics`, `runtime`, `cli`.
 """
 
-import re
-from importlib import import_module
-from importlib.metadata import PackageNotFoundError, version
+import re as _re
+from importlib import import_module as _import_module
+from importlib import metadata as _metadata
 from typing import TYPE_CHECKING
 
 
 try:
-    __version__ = version("memsgyro-jax")
-except PackageNotFoundError:  # running from a source tree that was never installed
+    __version__ = _metadata.version("memsgyro-jax")
+except _metadata.PackageNotFoundError:  # running from a source tree that was never installed
     __version__ = "0+unknown"
 
 if TYPE_CHECKING:
@@ -235,7 +236,7 @@ _FOLDERS = {
 _SOURCE = __spec__.loader.get_source(__name__)  # type: ignore[union-attr]
 _CONTENTS = {  # name: module that defines it
     name: module
-    for module, name in re.findall(r"^    from \.(\S+) import (\w+) as", _SOURCE, re.MULTILINE)
+    for module, name in _re.findall(r"^    from \.(\S+) import (\w+) as", _SOURCE, _re.MULTILINE)
     if name not in _FOLDERS
 }
 
@@ -245,11 +246,11 @@ if not TYPE_CHECKING:  # for a type checker, what is not in the list does not ex
 
     def __getattr__(name: str) -> object:
         if name in _CONTENTS:
-            return getattr(import_module(f"{__name__}.{_CONTENTS[name]}"), name)
+            return getattr(_import_module(f"{__name__}.{_CONTENTS[name]}"), name)
         if name in _FOLDERS:
-            return import_module(f"{__name__}.{_FOLDERS[name]}")
+            return _import_module(f"{__name__}.{_FOLDERS[name]}")
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return sorted([*globals(), *_CONTENTS, *_FOLDERS])
+    return sorted([*__all__, *(name for name in globals() if name.startswith("__"))])

@@ -1,6 +1,7 @@
 """The documentation: its blocks are run in order, what fails names page and line, and no public name is left out."""
 
 import json
+import pydoc
 import re
 import subprocess
 import sys
@@ -71,6 +72,9 @@ def test_api_pages_show_the_public_names():
     shown = re.findall(r"^::: memsgyro_jax\.(\w+)$", "\n".join(generated.api_pages().values()), re.MULTILINE)
     assert len(shown) == len({*shown})
     assert {*shown, "__version__"} == {*mg.__all__}
+    assert {name for name in dir(mg) if not name.startswith("__")} == {*shown}, "what an editor offers"
+    helped = {*re.findall(r"\w+", pydoc.render_doc(mg, renderer=pydoc.plaintext))}
+    assert {*shown} <= helped, "what `help(mg)` shows"
     nav = (ROOT / "mkdocs.yml").read_text()
     assert all(f" {path}\n" in nav for path in generated.api_pages())
 

@@ -50,7 +50,8 @@ FOREIGN = (
 def test_a_users_script_is_checked(skipped, tmp_path, pytestconfig):
     settings = ["[mypy]", *(f"[mypy-{name}.*]\nfollow_imports = skip" for name in skipped)]
     (tmp_path / "mypy.ini").write_text("\n".join(settings))
-    (tmp_path / "right.py").write_text(SCRIPT)
+    names = sorted({*memsgyro_jax.__all__})
+    (tmp_path / "right.py").write_text(SCRIPT + f"print({', '.join(f'mg.{name}' for name in names)})\n")
     (tmp_path / "wrong.py").write_text(SCRIPT + "\n".join(MISSPELT))
     package = Path(memsgyro_jax.__file__).parent
     assert (package / "py.typed").exists()
