@@ -73,10 +73,12 @@ def seen(folder: Path, pages: dict[str, str], *, dark: bool = False, widths=(PHO
     return [Seen(**entry) for entry in json.loads(told[1].replace("&amp;", "&"))]
 
 
-def check(folder: Path, pages: dict[str, str]) -> None:
+def check(folder: Path, pages: dict[str, str]) -> list[Seen]:
     """Nothing overflows a phone or a screen but what is meant to scroll; nothing is fetched, no script is there."""
-    for one in seen(folder, pages):
+    found = seen(folder, pages)
+    for one in found:
         assert one.inside <= one.box, one
         assert not one.beyond, one
         assert not one.fetched, one
         assert not one.scripts, one
+    return found

@@ -104,15 +104,15 @@ def test_a_browser_finds_nothing_wrong_and_would_find_it(tmp_path):
     page.table([f"column {k}" for k in range(12)], [["some words"] * 12] * 3, "A caption. " * 20)
     page.table([f"column {k}" for k in range(6)], [["some words"] * 6, ["name", "why not " * 9]], stacked=True)
     page.figures([(drawn(), "one")] * 3)
-    browser.check(tmp_path, {"page": page.figure(drawn(), "a figure").html()})
+    html = page.figure(drawn(), "a figure").html()
+    light = browser.check(tmp_path, {"page": html})
     bad = '<body><p style="width: 700px">wide</p><img src="https://nowhere.invalid/"><script></script></body>'
-    phone, screen = browser.seen(tmp_path, {"bad": bad}, dark=True)
+    phone, screen, dark, _ = browser.seen(tmp_path, {"bad": bad, "page": html}, dark=True)
     assert phone.inside > phone.box
     assert phone.beyond == ["p."]
     assert not screen.beyond
     assert screen.fetched == ["https://nowhere.invalid/"]
     assert screen.scripts == 1
+    assert (light[0].ink, dark.ink) == ("rgb(29, 37, 48)", "rgb(228, 232, 238)")
     with pytest.raises(AssertionError, match="Content Security Policy"):
-        browser.seen(tmp_path, {"bad": page.html().replace("<main>", '<main><img src="https://nowhere.invalid/">')})
-    light, dark = (browser.seen(tmp_path, {"page": page.html()}, dark=dark, widths=(800,))[0].ink for dark in (0, 1))
-    assert (light, dark) == ("rgb(29, 37, 48)", "rgb(228, 232, 238)")
+        browser.seen(tmp_path, {"bad": html.replace("<main>", '<main><img src="https://nowhere.invalid/">')})
