@@ -1,14 +1,14 @@
 """All readings of a case as one whitened residual, and its exact sensitivities to any directions in parameter space.
 
-One program per kind of record is compiled for the model with *all* effects in question; which parameters move is then
-a matter of numbers: fits of any subset, scores of every candidate and refits all reuse it.
+A program runs the model that is asked for: the base, the effects that are present, and those that move. An effect of
+strength zero is exactly absent, so that leaving it out changes nothing but the time.
 """
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -23,11 +23,13 @@ from memsgyro_jax.base.runtime import require_float64, usable_cores
 from memsgyro_jax.base.transforms import Free, Identity, fixed, from_vector, mark, to_vector
 from memsgyro_jax.effects import free_numbers
 from memsgyro_jax.measurement.experiments.base import Experiment
+from memsgyro_jax.measurement.first_order import Absent, Contribution, Inquiry, contributions, of_first_order
 from memsgyro_jax.measurement.model import Model
 from memsgyro_jax.measurement.readings import Readings
 
 
 WIDTH = 12  # directions that one pass of the compiled program differentiates
+CARRIED = 3  # absent effects that are carried through a model: a fit goes on with them
 SHORT = 100  # rows up to which optimising a program takes longer than the calls of a whole diagnosis
 
 
@@ -123,6 +125,11 @@ class Joint:
         return np.concatenate([np.zeros(0, int), *(self.numbers_of(i) for i in range(len(self.model.effects)))])
 
     @cached_property
+    def owner(self) -> np.ndarray:
+        """The effect that each parameter belongs to; −1 for the base."""
+        return np.array([-1 if p.effect is None else p.effect for p in self.parameters])
+
+    @cached_property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Lowest and highest value of each parameter."""
         return np.array([p.low for p in self.parameters]), np.array([p.high for p in self.parameters])
@@ -130,39 +137,103 @@ class Joint:
     def residual(self, vector: np.ndarray, chosen: Sequence[Readings]) -> list[np.ndarray]:
         """Whitened residual of each of the chosen readings."""
         fitted = {_shape(r.experiment) for r in self.fitted}
+        part = self._part(vector, np.zeros((0, vector.size)))
+        at = jnp.asarray(vector[part.places])
 
         def one(r: Readings) -> np.ndarray:
-            at = jnp.asarray(vector)
             if _shape(r.experiment) in fitted:  # a program exists; to compile one without slopes takes longer
                 none = jnp.zeros((WIDTH, at.size))
-                return np.asarray(_linearise(at, none, self.model, self.spec, r.experiment)[0])
-            return np.asarray(_residual(at, self.model, self.spec, r.experiment))
+                return np.asarray(_linearise(at, none, part.model, part.spec, r.experiment)[0])
+            return np.asarray(_residual(at, part.model, part.spec, r.experiment))
 
         return self._each(chosen, one)
 
     def linearise(
         self, vector: np.ndarray, directions: np.ndarray, chosen: Sequence[Readings]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Residual (r,) of the chosen readings and its derivative (r, k) along the rows of `directions` (k, p)."""
-        count = directions.shape[0]
-        padded = np.zeros((max(1, -(-count // WIDTH)) * WIDTH, directions.shape[1]))
-        padded[:count] = directions
+        """Residual (r,) of the chosen readings and its derivative (r, k) along the rows of `directions` (k, p).
+
+        Effects that are absent and move are carried through the model where they are few; many are told by the linear
+        response of what is present to their forces, where an experiment says at which moments it asks for them.
+        """
+        owner = self.owner
+        moved = [i for i in np.unique(owner[np.any(directions != 0, axis=0)]) if i >= 0]
+        absent = [i for i in moved if not np.any(vector[self.of_effect(i)])]
+        if len(absent) <= CARRIED:
+            return self._carried(vector, directions, chosen)
+        values, slopes = [], []
+        for value, slope in self._each(chosen, lambda r: self._beside(vector, directions, absent, r)):
+            values.append(value)
+            slopes.append(slope)
+        return np.concatenate(values), np.concatenate(slopes)
+
+    def _beside(
+        self, vector: np.ndarray, directions: np.ndarray, absent: Sequence[int], readings: Readings
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Residual and derivatives of one of the readings, those by absent effects as responses where it tells them."""
+        part, whole = self._part(vector, np.zeros((0, vector.size))), self.at(vector)
+        quick = [i for i in absent if of_first_order(part.model, whole.effects[i])]
+        inquiry = _asked(jnp.asarray(vector[part.places]), part.model, part.spec, readings.experiment) if quick else None
+        if inquiry is None:
+            return self._carried(vector, directions, [readings])
+        model = from_vector(jnp.asarray(vector[part.places]), part.model, part.spec)
+        places = tuple(int(sum(k < i for k in part.effects)) for i in quick)
+        lacking = Absent(tuple(whole.effects[i] for i in quick), places)
+        columns = np.concatenate([self.of_effect(i) for i in quick])
+        added, value, responses = contributions(model, lacking, inquiry), None, []
+        for begin in range(0, columns.size, WIDTH):
+            lanes = jax.tree.map(lambda leaf: _lanes(leaf, begin), added)  # noqa: B023
+            value, slope = _respond(jnp.asarray(vector[part.places]), lanes, part.model, part.spec, readings.experiment)
+            responses.append(np.asarray(slope))
+        slopes = np.concatenate(responses)[: columns.size].T @ directions[:, columns].T
+        gone = np.isin(self.owner, quick)
+        others = np.where(gone, 0.0, directions)
+        rows = np.flatnonzero(np.any(others != 0, axis=1))
+        if rows.size:
+            slopes[:, rows] += self._carried(vector, others[rows], [readings])[1]
+        return np.asarray(value), slopes
+
+    def _carried(
+        self, vector: np.ndarray, directions: np.ndarray, chosen: Sequence[Readings]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Residual and its derivatives, all that moves carried through the model."""
+        count, part = directions.shape[0], self._part(vector, directions)
+        padded = np.zeros((max(1, -(-count // WIDTH)) * WIDTH, part.places.size))
+        padded[:count] = directions[:, part.places]
+        at = jnp.asarray(vector[part.places])
 
         def one(r: Readings) -> tuple[np.ndarray, np.ndarray]:
             parts = []
             for begin in range(0, len(padded), WIDTH):
                 block = jnp.asarray(padded[begin : begin + WIDTH])
-                value, slope = _linearise(jnp.asarray(vector), block, self.model, self.spec, r.experiment)
+                value, slope = _linearise(at, block, part.model, part.spec, r.experiment)
                 parts.append(np.asarray(slope))
             return np.asarray(value), np.concatenate(parts)[:count]
 
         values, slopes = zip(*self._each(chosen, one), strict=True)
         return np.concatenate(values), np.concatenate(slopes, axis=1).T
 
+    def _part(self, vector: np.ndarray, directions: np.ndarray) -> "_Part":
+        """The model of the effects that are present at a vector or move along one of the directions (k, p)."""
+        owner, strength = self.owner, np.array([p.field == "strength" for p in self.parameters])
+        acting = (strength & (vector != 0)) | np.any(directions != 0, axis=0)
+        chosen = tuple(i for i in range(len(self.model.effects)) if np.any(acting[owner == i]))
+        model = self.model.with_only(self.model.effects[i] for i in chosen)
+        return _Part(chosen, model, _all_free(model), np.flatnonzero(np.isin(owner, (-1, *chosen))))
+
     def _each(self, chosen: Sequence[Readings], function) -> list:
         """The function of each of the chosen, side by side on the cores."""
         with ThreadPoolExecutor(max(1, min(usable_cores(), len(chosen)))) as pool:
             return list(pool.map(function, chosen))
+
+
+class _Part(NamedTuple):
+    """A model with some of the effects, what is free in it, and where its parameters stand among those of all."""
+
+    effects: tuple[int, ...]
+    model: Model
+    spec: PyTree
+    places: np.ndarray
 
 
 def _shape(experiment: Experiment) -> tuple:
@@ -184,6 +255,28 @@ def _linearise(vector: Array, directions: Array, model: Model, spec: PyTree, exp
     none = jnp.zeros(directions.shape[0])
     # Forward mode with one primal and all directions side by side: nothing of the trajectory is stored.
     return jax.vmap(lambda e: jax.jvp(along, (none,), (e,)), out_axes=(None, 0))(jnp.eye(directions.shape[0]))
+
+
+@compiled
+def _asked(vector: Array, model: Model, spec: PyTree, experiment: Experiment) -> Inquiry | None:
+    return experiment.inquiry(from_vector(vector, model, spec))
+
+
+@compiled
+def _respond(vector: Array, added: Contribution, model: Model, spec: PyTree, experiment: Experiment):
+    bench = from_vector(vector, model, spec)
+    none = jax.tree.map(lambda leaf: jnp.zeros_like(leaf[0]), added)
+
+    def along(lane: Contribution) -> tuple[Array, Array]:
+        return jax.jvp(lambda more: experiment.residual_beside(bench, more), (none,), (lane,))
+
+    return jax.vmap(along, out_axes=(None, 0))(added)
+
+
+def _lanes(leaf: np.ndarray, begin: int) -> Array:
+    """`WIDTH` entries of the leading axis, zeros where there are no more."""
+    some = np.asarray(leaf)[begin : begin + WIDTH]
+    return jnp.asarray(np.concatenate([some, np.zeros((WIDTH - len(some), *some.shape[1:]), some.dtype)]))
 
 
 def _all_free(model: Model) -> PyTree:

@@ -51,13 +51,13 @@ class Propagator(eqx.Module):
             single = jax.vmap(single)
         return cls(*single(matrix))
 
-    def advance(self, state: Array, load: Array, rest) -> tuple[Array, Array, Array]:
-        """One step under a constant `load`: its end, and `rest(state)`, what the linear part leaves out, at both
-        ends.
+    def advance(self, state: Array, load: Array, rest, added=(0.0, 0.0)) -> tuple[Array, Array, Array]:
+        """One step under a constant `load`: its end, and `rest(state)`, what the linear part leaves out, with what is
+        `added` to it, at both ends.
         """
-        here = rest(state)
+        here = rest(state) + added[0]
         predicted = product(self.exponential, state) + product(self.first, load + here)
-        there = rest(predicted)
+        there = rest(predicted) + added[1]
         return predicted + product(self.second, there - here), here, there
 
 
@@ -125,20 +125,37 @@ class Driven(eqx.Module):
         """No motion."""
         return jnp.zeros((HARMONICS + 1, self.model.size), complex)
 
-    def run(self, start: Complex[Array, "h n"], step: Array, conditions: Conditions) -> "tuple[Array, Course]":
+    def run(
+        self,
+        start: Complex[Array, "h n"],
+        step: Array,
+        conditions: Conditions,
+        added: Complex[Array, "t 2 h axes"] | None = None,
+    ) -> "tuple[Array, Course]":
         """Through as many steps of `step` seconds as `conditions` has rows: the last state, and what happened on the
-        way.
+        way. `added` are accelerations that the model lacks, at both ends of each step.
         """
         propagate, load = self.propagator(step), self.load
 
-        def advance(state: Array, now: Conditions) -> tuple[Array, Array]:
-            end, here, there = propagate.advance(state, load, lambda s: self.rest(s, now))
+        def advance(state: Array, inputs: tuple[Conditions, Array | None]) -> tuple[Array, Array]:
+            now, more = inputs
+            extra = (0.0, 0.0) if more is None else among_velocities(more, self.model.size)
+            end, here, there = propagate.advance(state, load, lambda s: self.rest(s, now), extra)
             return end, jnp.stack([end, here, there])
 
         # One result per step: with several, XLA's fusion copies all of the steps before at every step.
-        last, passed = jax.lax.scan(advance, start, conditions)
+        last, passed = jax.lax.scan(advance, start, (conditions, added))
         end, here, there = jnp.moveaxis(passed, 1, 0)
         return last, Course(jnp.concatenate([start[None], end[:-1]]), end, here, there)
+
+    def visited(self, course: Course, step: Array) -> Complex[Array, "t 2 h n"]:
+        """The states at which a course asks what the linear part leaves out: at the start of each step, and where it
+        is predicted to end.
+        """
+        propagate = self.propagator(step)
+        load = self.load + course.here
+        predicted = product(propagate.exponential, course.start) + product(propagate.first, load)
+        return jnp.stack([course.start, predicted], axis=1)
 
     def run_legs(
         self, start: Complex[Array, "h n"], legs: Sequence[tuple[Array, Array, int]], conditions: Conditions
@@ -176,6 +193,44 @@ class Driven(eqx.Module):
         return jnp.real(turn @ state)
 
 
+def among_velocities(accelerations: Array, size: int) -> Array:
+    """Accelerations (..., axes) at their place in the derivative of a state of some `size`."""
+    axes = accelerations.shape[-1]
+    return jnp.pad(accelerations, [(0, 0)] * (accelerations.ndim - 1) + [(axes, size - 2 * axes)])
+
+
+class Sampled(eqx.Module):
+    """Steps of `step` seconds under forces that go linearly from one value to another within each.
+
+    Args:
+        model: whose state moves.
+        linear: its part that is propagated exactly, as `Model.linear` gives it.
+        step: [s].
+    """
+
+    model: Model
+    linear: tuple[Array, Array]
+    propagate: Propagator
+
+    @classmethod
+    def of(cls, model: Model, linear: tuple[Array, Array], step: Array) -> "Sampled":
+        """With the propagator of that part."""
+        return cls(model, linear, Propagator.of(linear[0], step, state_units(model)))
+
+    def rest(self, state: Array, force: Array, now: Conditions) -> Array:
+        """What the linear part leaves out."""
+        rows = np.asarray(self.model.nonlinear_rows)
+        matrix, gain = self.linear
+        left = self.model.derivative(state, force, now) - matrix @ state - gain @ force
+        return jnp.zeros_like(state).at[rows].set(left[rows])
+
+    def predicted(self, state: Array, force: Array, increment: Array, here: Array) -> Array:
+        """Where a step ends if what is left out stays as it is `here`."""
+        gain = self.linear[1]
+        end = self.propagate.exponential @ state + self.propagate.first @ (gain @ force + here)
+        return end + self.propagate.second @ (gain @ increment)
+
+
 def run_samples(
     model: Model,
     forces: Float[Array, "t axes"],
@@ -185,26 +240,39 @@ def run_samples(
     base: Conditions,
     *,
     start: Float[Array, " n"] | None = None,
+    linear: tuple[Array, Array] | None = None,
+    added: Float[Array, "t 2 axes"] | None = None,
 ) -> Float[Array, "t n"]:
     """State at the beginning of each step, from `start` (`None`: at rest), under forces that go linearly from `forces`
     to `forces + increments` within a step of `step` seconds: held ones with zero increments. `conditions` has a row per
     step.
+
+    `linear` is what is propagated exactly, by default the model's own part at `base`; `added` are accelerations that
+    the model lacks, at both ends of each step.
     """
-    matrix, gain = model.linear(base)
-    propagate = Propagator.of(matrix, step, state_units(model))
-    rows = np.asarray(model.nonlinear_rows)
+    steps = Sampled.of(model, model.linear(base) if linear is None else linear, step)
 
-    def rest(state: Array, force: Array, now: Conditions) -> Array:
-        left = model.derivative(state, force, now) - matrix @ state - gain @ force
-        return jnp.zeros_like(state).at[rows].set(left[rows])
-
-    def advance(state: Array, inputs: tuple[Array, Array, Conditions]) -> tuple[Array, Array]:
-        force, increment, now = inputs
-        here = rest(state, force, now)
-        predicted = propagate.exponential @ state + propagate.first @ (gain @ force + here)
-        predicted = predicted + propagate.second @ (gain @ increment)
-        end = predicted + propagate.second @ (rest(predicted, force + increment, now) - here)
-        return end, state
+    def advance(state: Array, inputs: tuple[Array, Array, Conditions, Array | None]) -> tuple[Array, Array]:
+        force, increment, now, more = inputs
+        extra = (0.0, 0.0) if more is None else among_velocities(more, model.size)
+        here = steps.rest(state, force, now) + extra[0]
+        predicted = steps.predicted(state, force, increment, here)
+        there = steps.rest(predicted, force + increment, now) + extra[1]
+        return predicted + steps.propagate.second @ (there - here), state
 
     begin = jnp.zeros(model.size) if start is None else start
-    return jax.lax.scan(advance, begin, (forces, increments, conditions))[1]
+    return jax.lax.scan(advance, begin, (forces, increments, conditions, added))[1]
+
+
+def visited_samples(
+    model: Model, states: Float[Array, "t n"], forces: Array, increments: Array, step: Array, conditions: Conditions,
+    base: Conditions,
+) -> Float[Array, "t 2 n"]:  # fmt: skip
+    """The states at which `run_samples` asks what the linear part leaves out, from those that it gave."""
+    steps = Sampled.of(model, model.linear(base), step)
+
+    def one(state: Array, force: Array, increment: Array, now: Conditions) -> Array:
+        here = steps.rest(state, force, now)
+        return jnp.stack([state, steps.predicted(state, force, increment, here)])
+
+    return jax.vmap(one)(states, forces, increments, conditions)

@@ -107,7 +107,7 @@ class Model(Displayed):
     def state_of(self, motion: Float[Array, " m"], conditions: Conditions) -> Float[Array, " n"]:
         """The state of displacements and velocities, with the effects' own states as they begin there."""
         cold = jnp.concatenate([motion, jnp.zeros(self._acting.own_size)])
-        now = self._moment(cold, jnp.zeros(self.axes), conditions)
+        now = self.at_moment(cold, jnp.zeros(self.axes), conditions)
         return jnp.concatenate([motion, *(effect.own_start(now) for effect in self._acting.forces)])
 
     # Compiled programs hold these many times over: under `jit` what every effect does is traced once for all of them.
@@ -117,7 +117,7 @@ class Model(Displayed):
         self, state: Float[Array, " n"], command: Float[Array, " axes"], conditions: Conditions
     ) -> Float[Array, " n"]:
         """Time derivative of the state under a commanded force [N]."""
-        now = self._moment(state, command, conditions)
+        now = self.at_moment(state, command, conditions)
         q, v = now.displacement, now.velocity
         extra, own = self._acting.force(now, state[2 * self.axes :])
         force = now.force + extra
@@ -136,16 +136,7 @@ class Model(Displayed):
         conditions: Conditions,
     ) -> Float[Array, " axes"]:
         """Voltage of each channel, without noise; `command_rate` [N/s] matters where a read-out effect looks back."""
-        slope, onward = jax.linearize(lambda s, u: self.derivative(s, u, conditions), state, command)
-        curvature = onward(slope, command_rate)
-        now = self._moment(state, command, conditions)
-        a = self.axes
-        now = eqx.tree_at(
-            lambda m: (m.acceleration, m.jerk),
-            now,
-            (slope[a : 2 * a], curvature[a : 2 * a]),
-            is_leaf=lambda leaf: leaf is None,
-        )
+        now = self.at_reading(state, command, command_rate, conditions)
         return self._acting.signal(self.scale * now.seen + self.offset, now)
 
     def motion(self, phasors: Array, omega: Array) -> Array:
@@ -172,7 +163,19 @@ class Model(Displayed):
             place += effect.own_size
         return tuple(rows)
 
-    def _moment(self, state: Array, command: Array, conditions: Conditions) -> Moment:
+    def at_reading(self, state: Array, command: Array, command_rate: Array, conditions: Conditions) -> Moment:
+        """What read-out effects see: with acceleration and jerk."""
+        slope, onward = jax.linearize(lambda s, u: self.derivative(s, u, conditions), state, command)
+        curvature, a = onward(slope, command_rate), self.axes
+        return eqx.tree_at(
+            lambda m: (m.acceleration, m.jerk),
+            self.at_moment(state, command, conditions),
+            (slope[a : 2 * a], curvature[a : 2 * a]),
+            is_leaf=lambda leaf: leaf is None,
+        )
+
+    def at_moment(self, state: Array, command: Array, conditions: Conditions) -> Moment:
+        """What effects that act on the mass see."""
         a = self.axes
         now = moment(
             state[:a],

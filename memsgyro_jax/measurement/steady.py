@@ -78,11 +78,13 @@ def steady_state(
     conditions: Conditions,
     guess: Complex[Array, " axes"],
     fineness: Fineness = FINENESS[0],
+    added: Complex[Array, "h axes"] | None = None,
 ) -> Complex[Array, "h n"]:
     """Fourier coefficients of the settled state under the force Re[F e^{iωt}] at one condition.
 
     Where several steady states exist (a hardening spring driven hard), the one nearest to `guess`, the phasor of the
-    displacement, is found. Derivatives are those of the exact solution (implicit function theorem).
+    displacement, is found. Derivatives are those of the exact solution (implicit function theorem). `added`, zero but
+    for its derivative, are accelerations that the model lacks.
     """
     rows, (harmonics, samples) = np.asarray(model.nonlinear_rows), fineness
 
@@ -101,8 +103,16 @@ def steady_state(
     rounding = 1e-15 * jax.lax.stop_gradient(omega**2 * jnp.max(jnp.abs(driven[1, : model.axes])))
     found, solve = _newton(lambda x: balance(x, *frozen), first, rounding)
     # One more step with everything differentiable but the Jacobian: value unchanged, derivative that of the solution.
-    found = found - solve @ balance(found, response, model, force, conditions)
+    left = balance(found, response, model, force, conditions)
+    if added is not None:
+        left = left - _flatten(_widened(added, rows.size))
+    found = found - solve @ left
     return driven + product(push[:, :, rows], _unflatten(found, model, harmonics))
+
+
+def _widened(added: Complex[Array, "h axes"], rows: int) -> Complex[Array, "h k"]:
+    """Accelerations, which come first, with zeros for the other rows that may be nonlinear."""
+    return jnp.pad(added, ((0, 0), (0, rows - added.shape[1])))
 
 
 def _linear_response(
@@ -151,12 +161,17 @@ def _unflatten(flat: Float[Array, " n"], model: Model, harmonics: int) -> Comple
     return (real + 1j * imaginary).reshape(harmonics + 1, width)
 
 
+def reading_samples(model: Model, fineness: Fineness) -> int:
+    """Samples a period of what is read: more where a waveform has corners."""
+    return max(SHARP_SAMPLES if model.is_sharp else 0, fineness.samples)
+
+
 @eqx.filter_jit
 def fundamental(
     model, omega, state: Complex[Array, "h n"], force, conditions, fineness: Fineness = FINENESS[0]
 ) -> Complex[Array, " axes"]:
     """Phasor of each channel's voltage at the drive frequency, all read-out effects included."""
-    samples = max(SHARP_SAMPLES if model.is_sharp else 0, fineness.samples)
+    samples = reading_samples(model, fineness)
     command, turn = drive_waveform(force, samples)
     states = waveform(state, samples)
     volts = jax.vmap(lambda s, u, du: model.observe(s, u, omega * du, conditions))(states, command, turn)

@@ -15,6 +15,7 @@ from memsgyro_jax.base.fields import AbstractVar
 from memsgyro_jax.device.conditions import Conditions
 
 from ..declared import Declared
+from ..first_order import Contribution, Inquiry
 
 
 BEYOND = 2.0  # times the largest drive or speed in a record: so far a next experiment may go
@@ -122,6 +123,16 @@ class Experiment(eqx.Module):
         """Where a row was or would be taken, for people: e.g. "near 3000 Hz"; empty by default."""
         return ""
 
+    def inquiry(self, bench: PyTree) -> Inquiry | None:
+        """All that a prediction asks of its model, from which the response to absent effects is told; `None`, as by
+        default, where they have to be carried through it.
+        """
+        return None
+
+    def predict_beside(self, bench: PyTree, added: Contribution) -> Array:
+        """The same with what is added on its way; only where there is an `inquiry`."""
+        return self.predict(bench)
+
     @property
     def finer(self) -> "Experiment | None":
         """The same, predicted with a finer resolution; `None` where there is none, as by default."""
@@ -135,6 +146,10 @@ class Experiment(eqx.Module):
     def residual(self, bench: PyTree) -> Float[Array, " r"]:
         """Measured minus predicted in standard deviations of the noise, as one vector."""
         return self.noise.whiten(self.measured, self.predict(bench)).ravel()
+
+    def residual_beside(self, bench: PyTree, added: Contribution) -> Float[Array, " r"]:
+        """The same of the prediction with what is added."""
+        return self.noise.whiten(self.measured, self.predict_beside(bench, added)).ravel()
 
 
 @dataclass(frozen=True)

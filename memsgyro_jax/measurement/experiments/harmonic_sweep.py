@@ -13,11 +13,21 @@ from jaxtyping import Array, Complex, Float
 from memsgyro_jax.base.linalg import inverse
 from memsgyro_jax.base.text import spoken
 from memsgyro_jax.device.conditions import Conditions
-from memsgyro_jax.effects.base import SweepEffect
+from memsgyro_jax.effects.base import LockInEffect, SweepEffect
 
+from ..first_order import Asked, Contribution, Inquiry
 from ..lock_in import through_lock_in
 from ..model import Model
-from ..steady import FINENESS, Fineness, drive_waveform, fundamental, spectrum, steady_state, waveform
+from ..steady import (
+    FINENESS,
+    Fineness,
+    drive_waveform,
+    fundamental,
+    reading_samples,
+    spectrum,
+    steady_state,
+    waveform,
+)
 from .base import BEYOND, Experiment, Noise
 from .missing_force import receptance
 
@@ -66,20 +76,40 @@ class HarmonicSweep(Experiment):
 
     def predict(self, bench: Model) -> Complex[Array, "n axes"]:
         """Phasors of all channels."""
+        return self.predict_beside(bench, None)
 
+    def predict_beside(self, bench: Model, added: Contribution | None) -> Complex[Array, "n axes"]:
         speeds = [effect.speed() for effect in bench.effects if isinstance(effect, SweepEffect)]
+        speeds += [] if added is None else [added.speed]
 
-        def row(omega: Array, force: Array, conditions: Conditions, near: Array, direction: Array) -> Array:
-            state = steady_state(bench, omega, force, conditions, near, self.fineness)
+        def row(
+            omega: Array, force: Array, conditions: Conditions, near: Array, direction: Array, forced: Array | None
+        ) -> Array:
+            state = steady_state(bench, omega, force, conditions, near, self.fineness, forced)
             for speed in speeds:
                 state = state.at[1].add(sweep_lag(bench, omega, force, conditions, direction * speed))
             return fundamental(bench, omega, state, force, conditions, self.fineness)
 
-        settled = jax.vmap(row)(self.frequency, self.force, self.surroundings, self.near, self.direction)
+        rows = self.frequency, self.force, self.surroundings, self.near, self.direction
+        settled = jax.vmap(row)(*rows, None if added is None else added.forced[0])
+        settled = settled if added is None else settled + added.seen
         before = self.measured if self.before is None else self.before
         return through_lock_in(
             bench, settled, self.frequency, self.force, before, self.surroundings, self.dwell, self.unsettled
         )
+
+    def inquiry(self, bench: Model) -> Inquiry | None:
+        swept = any(isinstance(effect, SweepEffect) for effect in bench.effects)
+        rings = any(isinstance(effect, LockInEffect) and effect.rings for effect in bench.effects)
+        if swept or (self.dwell is not None and (rings or self.unsettled is not None)):
+            return None  # what a row leaves to the next depends on the linear part, which absent effects change
+        rows = self.frequency, self.force, self.surroundings, self.near
+        states = jax.vmap(lambda *row: steady_state(bench, *row, self.fineness))(*rows)
+        forced, seen = (
+            Asked.over_periods(states, self.force, self.frequency, self.surroundings, samples, self.fineness.harmonics)
+            for samples in (self.fineness.samples, reading_samples(bench, self.fineness))
+        )
+        return Inquiry((forced,), seen, None)
 
     @property
     def finer(self) -> "HarmonicSweep | None":

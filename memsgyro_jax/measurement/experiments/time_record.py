@@ -18,7 +18,8 @@ from memsgyro_jax.device.conditions import Conditions
 from ..clock import check_period
 from ..columns import force_columns
 from ..declared import Declared
-from ..envelope import run_samples
+from ..envelope import run_samples, visited_samples
+from ..first_order import Asked, Contribution, Inquiry
 from ..model import Model
 from ..section import ExperimentSection
 from .base import BEYOND, Experiment, Noise, Phasors, RealNoise, surroundings
@@ -65,11 +66,41 @@ class RawCapture(Experiment):
 
     def predict(self, bench: Model) -> Float[Array, "n axes"]:
         """Voltage of every channel at every kept sample."""
-        base = jax.tree.map(lambda leaf: leaf[0], self.surroundings)
-        states = run_samples(bench, self.forces, self.increments, self.step, self.surroundings, base)
+        return self.predict_beside(bench, None)
+
+    def predict_beside(self, bench: Model, added: Contribution | None) -> Float[Array, "n axes"]:
+        states = self._states(bench, added)
+        seen = jax.vmap(bench.observe)(*self._kept(states))
+        return seen if added is None else seen + added.seen
+
+    @property
+    def _base(self) -> Conditions:
+        return jax.tree.map(lambda leaf: leaf[0], self.surroundings)
+
+    def _states(self, bench: Model, added: Contribution | None) -> Float[Array, "t n"]:
+        steps = self.forces, self.increments, self.step, self.surroundings, self._base
+        if added is None:
+            return run_samples(bench, *steps)
+        linear, ends = added.beside(bench.linear(self._base)), added.forced[0].reshape(-1, 2, bench.axes)
+        return run_samples(bench, *steps, linear=linear, added=ends)
+
+    def _kept(self, states: Array) -> tuple[Array, Array, Array, Conditions]:
+        """State, command, its rate and the conditions at every kept sample."""
         kept = slice(self.skipped * self.substeps, None, self.substeps)
         now = jax.tree.map(lambda leaf: leaf[kept], self.surroundings)
-        return jax.vmap(bench.observe)(states[kept], self.forces[kept], self.increments[kept] / self.step, now)
+        return states[kept], self.forces[kept], self.increments[kept] / self.step, now
+
+    def inquiry(self, bench: Model) -> Inquiry:
+        states, steps = self._states(bench, None), (self.forces, self.increments, self.step, self.surroundings)
+        visited = visited_samples(bench, states, *steps, self._base)
+        commands = jnp.stack([self.forces, self.forces + self.increments], axis=1)
+        pairs = (part.reshape(-1, 1, part.shape[-1]) for part in (visited, commands, jnp.zeros_like(commands)))
+        *seen, now = self._kept(states)
+        return Inquiry(
+            (Asked(*pairs, jax.tree.map(lambda leaf: jnp.repeat(leaf, 2), self.surroundings)),),
+            Asked(*(part[:, None] for part in seen), now),
+            self._base,
+        )
 
     def proposals(self, name: str) -> Iterator[tuple[str, Experiment]]:
         """Again as it was, and a stronger drive."""
