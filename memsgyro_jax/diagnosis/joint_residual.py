@@ -142,8 +142,8 @@ class Joint:
 
         def one(r: Readings) -> np.ndarray:
             if _shape(r.experiment) in fitted:  # a program exists; to compile one without slopes takes longer
-                none = jnp.zeros((WIDTH, at.size))
-                return np.asarray(_linearise(at, none, part.model, part.spec, r.experiment)[0])
+                none = jnp.zeros((WIDTH, at.size)), _no_lanes(r.experiment, part.model)
+                return np.asarray(_linearise(at, *none, part.model, part.spec, r.experiment)[0])
             return np.asarray(_residual(at, part.model, part.spec, r.experiment))
 
         return self._each(chosen, one)
@@ -172,22 +172,21 @@ class Joint:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Residual and derivatives of one of the readings, those by absent effects as responses where it tells them."""
         part, whole = self._part(vector, np.zeros((0, vector.size))), self.at(vector)
-        quick = [i for i in absent if of_first_order(part.model, whole.effects[i])]
-        inquiry = _asked(jnp.asarray(vector[part.places]), part.model, part.spec, readings.experiment) if quick else None
-        if inquiry is None:
+        at, model = jnp.asarray(vector[part.places]), whole.with_only(whole.effects[i] for i in part.effects)
+        quick = [i for i in absent if of_first_order(model, whole.effects[i])]
+        none = _no_lanes(readings.experiment, model)
+        if none is None or not quick:
             return self._carried(vector, directions, [readings])
-        model = from_vector(jnp.asarray(vector[part.places]), part.model, part.spec)
-        places = tuple(int(sum(k < i for k in part.effects)) for i in quick)
-        lacking = Absent(tuple(whole.effects[i] for i in quick), places)
-        columns = np.concatenate([self.of_effect(i) for i in quick])
-        added, value, responses = contributions(model, lacking, inquiry), None, []
+        still = jnp.zeros((WIDTH, at.size))
+        value, _, inquiry = _linearise(at, still, none, part.model, part.spec, readings.experiment)
+        places = tuple(sum(k < i for k in part.effects) for i in quick)
+        added = contributions(model, Absent(tuple(whole.effects[i] for i in quick), places), inquiry)
+        columns, responses = np.concatenate([self.of_effect(i) for i in quick]), []
         for begin in range(0, columns.size, WIDTH):
             lanes = jax.tree.map(lambda leaf: _lanes(leaf, begin), added)  # noqa: B023
-            value, slope = _respond(jnp.asarray(vector[part.places]), lanes, part.model, part.spec, readings.experiment)
-            responses.append(np.asarray(slope))
+            responses.append(_linearise(at, still, lanes, part.model, part.spec, readings.experiment)[1])
         slopes = np.concatenate(responses)[: columns.size].T @ directions[:, columns].T
-        gone = np.isin(self.owner, quick)
-        others = np.where(gone, 0.0, directions)
+        others = np.where(np.isin(self.owner, quick), 0.0, directions)
         rows = np.flatnonzero(np.any(others != 0, axis=1))
         if rows.size:
             slopes[:, rows] += self._carried(vector, others[rows], [readings])[1]
@@ -203,10 +202,10 @@ class Joint:
         at = jnp.asarray(vector[part.places])
 
         def one(r: Readings) -> tuple[np.ndarray, np.ndarray]:
-            parts = []
+            parts, none = [], _no_lanes(r.experiment, part.model)
             for begin in range(0, len(padded), WIDTH):
                 block = jnp.asarray(padded[begin : begin + WIDTH])
-                value, slope = _linearise(at, block, part.model, part.spec, r.experiment)
+                value, slope, _ = _linearise(at, block, none, part.model, part.spec, r.experiment)
                 parts.append(np.asarray(slope))
             return np.asarray(value), np.concatenate(parts)[:count]
 
@@ -248,29 +247,25 @@ def _residual(vector: Array, model: Model, spec: PyTree, experiment: Experiment)
 
 
 @compiled
-def _linearise(vector: Array, directions: Array, model: Model, spec: PyTree, experiment: Experiment):
-    def along(step: Array) -> Array:
-        return experiment.residual(from_vector(vector + step @ directions, model, spec))
+def _linearise(
+    vector: Array, directions: Array, added: Contribution | None, model: Model, spec: PyTree, experiment: Experiment
+) -> tuple[Array, Array, Inquiry | None]:
+    """Residual, its slope along each of the directions and of what is added beside it, and what was asked."""
 
-    none = jnp.zeros(directions.shape[0])
+    def along(step: Array, more: Contribution | None) -> tuple[Array, Inquiry | None]:
+        bench = from_vector(vector + step, model, spec)
+        return (experiment.residual(bench), None) if more is None else experiment.residual_beside(bench, more)
+
+    start = jnp.zeros_like(vector), jax.tree.map(lambda leaf: jnp.zeros_like(leaf[0]), added)
     # Forward mode with one primal and all directions side by side: nothing of the trajectory is stored.
-    return jax.vmap(lambda e: jax.jvp(along, (none,), (e,)), out_axes=(None, 0))(jnp.eye(directions.shape[0]))
+    return jax.vmap(lambda *lane: jax.jvp(along, start, lane, has_aux=True), out_axes=(None, 0, None))(
+        directions, added
+    )
 
 
-@compiled
-def _asked(vector: Array, model: Model, spec: PyTree, experiment: Experiment) -> Inquiry | None:
-    return experiment.inquiry(from_vector(vector, model, spec))
-
-
-@compiled
-def _respond(vector: Array, added: Contribution, model: Model, spec: PyTree, experiment: Experiment):
-    bench = from_vector(vector, model, spec)
-    none = jax.tree.map(lambda leaf: jnp.zeros_like(leaf[0]), added)
-
-    def along(lane: Contribution) -> tuple[Array, Array]:
-        return jax.jvp(lambda more: experiment.residual_beside(bench, more), (none,), (lane,))
-
-    return jax.vmap(along, out_axes=(None, 0))(added)
+def _no_lanes(experiment: Experiment, model: Model) -> Contribution | None:
+    """Nothing added, `WIDTH` times."""
+    return jax.tree.map(lambda leaf: jnp.zeros((WIDTH, *leaf.shape), leaf.dtype), experiment.nothing(model))
 
 
 def _lanes(leaf: np.ndarray, begin: int) -> Array:

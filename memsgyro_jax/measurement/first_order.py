@@ -5,6 +5,7 @@ derivative of an absent effect by its strength is an acceleration or a voltage, 
 does to the prediction is then the linear response of the *present* model to those. Exact at strength zero.
 """
 
+import abc
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -26,36 +27,70 @@ from memsgyro_jax.effects.base import (
 from memsgyro_jax.effects.evaluation import Acting
 
 from .model import Model
-from .steady import drive_waveform, waveform
+from .steady import drive_waveform, phases, waveform
 
 
-class Asked(eqx.Module):
-    """Moments at which a prediction asks its model, `r` rows of `m` each.
+CHUNK = 6144  # moments at a time: whole rows of 12, 32 and 128, and small enough to stay near the processor
 
-    Args:
-        state, command, turn: (r, m, n), (r, m, axes), (r, m, axes): of the device, the command [N] and its rate [N/s].
-        conditions: with a row each.
-        harmonics: of the Fourier series that stands for the m samples; `None` where one sample stands for itself.
-    """
+
+class Moments(eqx.Module):
+    """Moments at which a prediction asks its model, row by row."""
+
+    conditions: eqx.AbstractVar[Conditions]
+    samples: eqx.AbstractVar[int]
+
+    @abc.abstractmethod
+    def of(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """State (r, m, n), command (r, m, axes) [N] and its rate (r, m, axes) [N/s] of some rows, `samples` of each."""
+
+    @abc.abstractmethod
+    def summed(self, values: np.ndarray) -> np.ndarray:
+        """What stands for samples (r, m, K, axes) in a prediction."""
+
+
+class Instants(Moments):
+    """One moment per row: state (r, n), command and its rate (r, axes)."""
 
     state: Array
     command: Array
     turn: Array
     conditions: Conditions
-    harmonics: int | None = eqx.field(static=True, default=None)
+    samples: int = eqx.field(static=True, default=1)
 
-    @classmethod
-    def over_periods(
-        cls, states: Array, force: Array, frequency: Array, conditions: Conditions, samples: int, harmonics: int
-    ) -> "Asked":
-        """So many samples of a period of vibrations (r, h, n) under drives (r, axes) [N], each at its frequency; force
-        and frequency may hold for all rows.
-        """
-        rows = states.shape[0]
-        force, frequency = jnp.broadcast_to(force, (rows, force.shape[-1])), jnp.broadcast_to(frequency, (rows,))
-        command, turn = jax.vmap(lambda one: drive_waveform(one, samples))(force)
-        waves = jax.vmap(lambda one: waveform(one, samples))(states)
-        return cls(waves, command, frequency[:, None, None] * turn, conditions, harmonics)
+    def of(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        state, command, turn = (np.asarray(part)[rows][:, None] for part in (self.state, self.command, self.turn))
+        return state, command, turn
+
+    def summed(self, values: np.ndarray) -> np.ndarray:
+        return values[:, 0]
+
+
+class Periods(Moments):
+    """Vibrations (r, h, n) under drives (r, axes) [N] at their frequencies (r,), drive and frequency one for each row
+    or one for all; `samples` of a period, which `harmonics` stand for in the prediction.
+    """
+
+    state: Array
+    force: Array
+    frequency: Array
+    conditions: Conditions
+    samples: int = eqx.field(static=True)
+    harmonics: int = eqx.field(static=True)
+
+    def of(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        state = waveform(np.asarray(self.state)[rows], self.samples)
+        force, frequency = (
+            np.broadcast_to(part, (len(self.state), *part.shape[1:]))[rows]
+            for part in (np.asarray(self.force), np.asarray(self.frequency))
+        )
+        command, turn = drive_waveform(force[:, None], self.samples)
+        return state, command, frequency[:, None, None] * turn
+
+    def summed(self, values: np.ndarray) -> np.ndarray:
+        order = np.arange(self.harmonics + 1)
+        weight = np.where(order == 0, 1.0, 2.0)[:, None] / self.samples
+        kernel = weight * np.exp(-1j * np.outer(order, phases(self.samples)))
+        return np.tensordot(kernel, values, axes=(1, 1)).swapaxes(0, 1)
 
 
 class Inquiry(eqx.Module):
@@ -63,12 +98,12 @@ class Inquiry(eqx.Module):
 
     Args:
         forced: where forces act, group by group.
-        seen: where channels are read.
+        read: where channels are read.
         base: conditions at which its linear part is propagated; `None` where it is not propagated.
     """
 
-    forced: tuple[Asked, ...]
-    seen: Asked
+    forced: tuple[Moments, ...]
+    read: Moments
     base: Conditions | None
 
 
@@ -76,7 +111,7 @@ class Contribution(eqx.Module):
     """What is added to a prediction on its way.
 
     Args:
-        forced: per group of its inquiry accelerations (r, axes), or their Fourier coefficients (r, h + 1, axes).
+        forced: accelerations (r, axes) of each group of its inquiry, or their Fourier coefficients (r, h + 1, axes).
         seen: voltages (r, axes), or their phasors.
         linear: to the matrix (n, n) and gain (n, axes) that are propagated.
         speed: of a sweep [rad/s²].
@@ -86,6 +121,12 @@ class Contribution(eqx.Module):
     seen: Array
     linear: tuple[Array, Array]
     speed: Array
+
+    @classmethod
+    def none(cls, model: Model, forced: Sequence[tuple[int, ...]], seen: tuple[int, ...], kind: type) -> "Contribution":
+        """Zeros of these shapes, real or complex."""
+        linear = jnp.zeros((model.size, model.size)), jnp.zeros((model.size, model.axes))
+        return cls(tuple(jnp.zeros(shape, kind) for shape in forced), jnp.zeros(seen, kind), linear, jnp.zeros(()))
 
     def beside(self, linear: tuple[Array, Array]) -> tuple[Array, Array]:
         """The linear part of a model with what is added to it."""
@@ -205,43 +246,28 @@ def _speeds(absent: Absent) -> Array:
     return jnp.concatenate(parts)
 
 
-CHUNK = 6144  # moments at a time: whole rows of 12, 32 and 128, and small enough to stay near the processor
 
 
 def contributions(model: Model, absent: Absent, inquiry: Inquiry) -> Contribution:
     """What all strengths of absent effects add to a prediction per unit, side by side along a leading axis K."""
-    matrix, gain = np.zeros((model.size, model.size)), np.zeros((model.size, model.axes))
-    total = sum(absent.sizes)
-    linear = tuple(np.zeros((total, *part.shape)) for part in (matrix, gain))
+    total, size = sum(absent.sizes), model.size
+    linear = np.zeros((total, size, size)), np.zeros((total, size, model.axes))
     if inquiry.base is not None:
         linear = _propagated(model, absent, inquiry.base)
-    forced = tuple(
-        _summed(group, lambda s, u, _, c: _pushed(model, absent, s, u, c)) for group in inquiry.forced
-    )  # fmt: skip
-    seen = _summed(inquiry.seen, lambda *moments: _read(model, absent, *moments))
-    if inquiry.seen.harmonics is not None:
-        seen = seen[:, :, 1]
-    return Contribution(forced, seen, linear, _speeds(absent))
+    forced = tuple(_told(group, lambda s, u, _, c: _pushed(model, absent, s, u, c)) for group in inquiry.forced)
+    read = _told(inquiry.read, lambda *moments: _read(model, absent, *moments))
+    return Contribution(forced, read if read.ndim < 4 else read[:, :, 1], linear, _speeds(absent))
 
 
-def _summed(asked: Asked, function) -> np.ndarray:
-    """(K, r, axes) or (K, r, h + 1, axes): what a function of moments is in each row, chunk by chunk."""
-    rows, samples = asked.state.shape[:2]
-    size = max(1, CHUNK // samples)
-    parts = []
+def _told(moments: Moments, function) -> np.ndarray:
+    """(K, r, ...) what a function of moments makes of each row, chunk by chunk."""
+    rows, samples = moments.conditions.rate.shape[0], moments.samples
+    size, parts = max(1, CHUNK // samples), []
+    around = jax.tree.map(np.asarray, moments.conditions)
     for begin in range(0, rows, size):
         chosen = np.minimum(np.arange(begin, begin + size), rows - 1)
-        flat = lambda leaf: np.asarray(leaf)[chosen].reshape(size * samples, -1)  # noqa: E731, B023
-        now = jax.tree.map(lambda leaf: np.repeat(np.asarray(leaf)[chosen], samples), asked.conditions)  # noqa: B023
-        values = np.asarray(function(flat(asked.state), flat(asked.command), flat(asked.turn), now))
-        values = values.reshape(size, samples, *values.shape[1:])[: rows - begin]
-        parts.append(values[:, 0] if asked.harmonics is None else _series(values, asked.harmonics))
+        flat = (part.reshape(size * samples, -1) for part in moments.of(chosen))
+        now = jax.tree.map(lambda leaf: np.repeat(leaf[chosen], samples), around)  # noqa: B023
+        values = np.asarray(function(*flat, now))
+        parts.append(moments.summed(values.reshape(size, samples, *values.shape[1:])[: rows - begin]))
     return np.moveaxis(np.concatenate(parts), -2, 0)
-
-
-def _series(samples: np.ndarray, harmonics: int) -> np.ndarray:
-    """(r, h + 1, K, axes) Fourier coefficients of samples (r, m, K, axes), as `steady.spectrum` gives them."""
-    count, order = samples.shape[1], np.arange(harmonics + 1)
-    weight = np.where(order == 0, 1.0, 2.0)[:, None] / count
-    kernel = weight * np.exp(-2j * np.pi * np.outer(order, np.arange(count)) / count)
-    return np.tensordot(kernel, samples, axes=(1, 1)).swapaxes(0, 1)

@@ -36,10 +36,10 @@ def phases(samples: int = SAMPLES) -> Float[np.ndarray, " m"]:
     return 2 * np.pi * np.arange(samples) / samples
 
 
-def waveform(coefficients: Complex[Array, "h n"], samples: int = SAMPLES) -> Float[Array, "m n"]:
+def waveform(coefficients: Complex[Array, "*r h n"], samples: int = SAMPLES) -> Float[Array, "*r m n"]:
     """Samples over one period of S₀ + Re Σ S_h e^{ihθ}."""
-    angle = np.outer(phases(samples), np.arange(coefficients.shape[0]))
-    return jnp.cos(angle) @ coefficients.real - jnp.sin(angle) @ coefficients.imag
+    angle = np.outer(phases(samples), np.arange(coefficients.shape[-2]))
+    return np.cos(angle) @ coefficients.real - np.sin(angle) @ coefficients.imag
 
 
 def spectrum(samples: Float[Array, "m n"], harmonics: int = HARMONICS) -> Complex[Array, "h n"]:

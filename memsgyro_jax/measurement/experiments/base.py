@@ -123,15 +123,17 @@ class Experiment(eqx.Module):
         """Where a row was or would be taken, for people: e.g. "near 3000 Hz"; empty by default."""
         return ""
 
-    def inquiry(self, bench: PyTree) -> Inquiry | None:
-        """All that a prediction asks of its model, from which the response to absent effects is told; `None`, as by
-        default, where they have to be carried through it.
+    def nothing(self, bench: PyTree) -> Contribution | None:
+        """No contribution of effects that the model lacks, which `predict_beside` takes; `None`, as by default, where
+        they have to be carried through the model.
         """
         return None
 
-    def predict_beside(self, bench: PyTree, added: Contribution) -> Array:
-        """The same with what is added on its way; only where there is an `inquiry`."""
-        return self.predict(bench)
+    def predict_beside(self, bench: PyTree, added: Contribution) -> tuple[Array, Inquiry]:
+        """What `predict` gives, with something added on its way, and all that it asks of the model; only where
+        `nothing` is something.
+        """
+        raise TypeError(f"{type(self).__name__} carries every effect through its model.")
 
     @property
     def finer(self) -> "Experiment | None":
@@ -147,9 +149,10 @@ class Experiment(eqx.Module):
         """Measured minus predicted in standard deviations of the noise, as one vector."""
         return self.noise.whiten(self.measured, self.predict(bench)).ravel()
 
-    def residual_beside(self, bench: PyTree, added: Contribution) -> Float[Array, " r"]:
-        """The same of the prediction with what is added."""
-        return self.noise.whiten(self.measured, self.predict_beside(bench, added)).ravel()
+    def residual_beside(self, bench: PyTree, added: Contribution) -> tuple[Float[Array, " r"], Inquiry]:
+        """The same of the prediction with what is added, and all that it asks of the model."""
+        predicted, inquiry = self.predict_beside(bench, added)
+        return self.noise.whiten(self.measured, predicted).ravel(), inquiry
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from memsgyro_jax.base.text import spoken
 from memsgyro_jax.device.conditions import Conditions
 from memsgyro_jax.effects.base import LockInEffect, SweepEffect
 
-from ..first_order import Asked, Contribution, Inquiry
+from ..first_order import Contribution, Inquiry, Periods
 from ..lock_in import through_lock_in
 from ..model import Model
 from ..steady import (
@@ -76,40 +76,46 @@ class HarmonicSweep(Experiment):
 
     def predict(self, bench: Model) -> Complex[Array, "n axes"]:
         """Phasors of all channels."""
-        return self.predict_beside(bench, None)
+        return self._predicted(bench, None)[0]
 
-    def predict_beside(self, bench: Model, added: Contribution | None) -> Complex[Array, "n axes"]:
+    def predict_beside(self, bench: Model, added: Contribution) -> tuple[Complex[Array, "n axes"], Inquiry]:
+        seen, states = self._predicted(bench, added)
+        harmonics, samples = self.fineness
+        forced, read = (
+            Periods(states, self.force, self.frequency, self.surroundings, count, harmonics)
+            for count in (samples, reading_samples(bench, self.fineness))
+        )
+        return seen, Inquiry((forced,), read, None)
+
+    def nothing(self, bench: Model) -> Contribution | None:
+        swept = any(isinstance(effect, SweepEffect) for effect in bench.effects)
+        rings = any(isinstance(effect, LockInEffect) and effect.rings for effect in bench.effects)
+        if swept or (self.dwell is not None and (rings or self.unsettled is not None)):
+            return None  # what a row leaves to the next depends on the linear part, which absent effects change
+        rows, axes = self.measured.shape
+        return Contribution.none(bench, ((rows, self.fineness.harmonics + 1, axes),), (rows, axes), complex)
+
+    def _predicted(self, bench: Model, added: Contribution | None) -> tuple[Complex[Array, "n axes"], Array]:
+        """Phasors of all channels, and the settled states."""
         speeds = [effect.speed() for effect in bench.effects if isinstance(effect, SweepEffect)]
         speeds += [] if added is None else [added.speed]
 
         def row(
             omega: Array, force: Array, conditions: Conditions, near: Array, direction: Array, forced: Array | None
-        ) -> Array:
-            state = steady_state(bench, omega, force, conditions, near, self.fineness, forced)
+        ) -> tuple[Array, Array]:
+            state = settled = steady_state(bench, omega, force, conditions, near, self.fineness, forced)
             for speed in speeds:
                 state = state.at[1].add(sweep_lag(bench, omega, force, conditions, direction * speed))
-            return fundamental(bench, omega, state, force, conditions, self.fineness)
+            return fundamental(bench, omega, state, force, conditions, self.fineness), settled
 
         rows = self.frequency, self.force, self.surroundings, self.near, self.direction
-        settled = jax.vmap(row)(*rows, None if added is None else added.forced[0])
+        settled, states = jax.vmap(row)(*rows, None if added is None else added.forced[0])
         settled = settled if added is None else settled + added.seen
         before = self.measured if self.before is None else self.before
-        return through_lock_in(
+        seen = through_lock_in(
             bench, settled, self.frequency, self.force, before, self.surroundings, self.dwell, self.unsettled
         )
-
-    def inquiry(self, bench: Model) -> Inquiry | None:
-        swept = any(isinstance(effect, SweepEffect) for effect in bench.effects)
-        rings = any(isinstance(effect, LockInEffect) and effect.rings for effect in bench.effects)
-        if swept or (self.dwell is not None and (rings or self.unsettled is not None)):
-            return None  # what a row leaves to the next depends on the linear part, which absent effects change
-        rows = self.frequency, self.force, self.surroundings, self.near
-        states = jax.vmap(lambda *row: steady_state(bench, *row, self.fineness))(*rows)
-        forced, seen = (
-            Asked.over_periods(states, self.force, self.frequency, self.surroundings, samples, self.fineness.harmonics)
-            for samples in (self.fineness.samples, reading_samples(bench, self.fineness))
-        )
-        return Inquiry((forced,), seen, None)
+        return seen, states
 
     @property
     def finer(self) -> "HarmonicSweep | None":

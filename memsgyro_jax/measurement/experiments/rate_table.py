@@ -19,7 +19,7 @@ from ..clock import check_period
 from ..columns import phasor_columns
 from ..declared import Declared
 from ..envelope import HARMONICS, SAMPLES, Course, Driven
-from ..first_order import Asked, Contribution, Inquiry
+from ..first_order import Contribution, Inquiry, Periods
 from ..lock_in import through_lock_in
 from ..model import Model
 from ..section import Axis, ExperimentSection, Quantity
@@ -63,45 +63,48 @@ class RateTable(Experiment):
 
     def predict(self, bench: Model) -> Complex[Array, "n axes"]:
         """Phasors of all channels and blocks."""
-        return self.predict_beside(bench, None)
+        return self._predicted(bench, None)[0]
 
-    def predict_beside(self, bench: Model, added: Contribution | None) -> Complex[Array, "n axes"]:
-        driven, _, course = self._run(bench, added)
-        seen = driven.demodulated(course, self._step)
-        given = jax.vmap(lambda s, c: fundamental(bench, self.frequency, s, driven.force, c))(seen, self.surroundings)
-        given = given if added is None else given + added.seen
-        return through_lock_in(bench, given, self.frequency, driven.force, given, self.surroundings)
+    def predict_beside(self, bench: Model, added: Contribution) -> tuple[Complex[Array, "n axes"], Inquiry]:
+        seen, driven, start, course, means = self._predicted(bench, added)
+
+        def periods(states: Array, conditions: Conditions, samples: int, harmonics: int) -> Periods:
+            return Periods(states, driven.force[None], self.frequency[None], conditions, samples, harmonics)
+
+        first = jax.tree.map(lambda leaf: leaf[:1], self.surroundings)
+        twice = jax.tree.map(lambda leaf: jnp.repeat(leaf, 2), self.surroundings)
+        ends = driven.visited(course, self._step).reshape(2 * self.time.size, HARMONICS + 1, -1)
+        begin = periods(start[None], first, FINENESS[0].samples, FINENESS[0].harmonics)
+        read = periods(means, self.surroundings, reading_samples(bench, FINENESS[0]), 1)
+        return seen, Inquiry((begin, periods(ends, twice, SAMPLES, HARMONICS)), read, self._first)
+
+    def nothing(self, bench: Model) -> Contribution:
+        rows, axes = self.measured.shape
+        forced = (1, FINENESS[0].harmonics + 1, axes), (2 * rows, HARMONICS + 1, axes)
+        return Contribution.none(bench, forced, (rows, axes), complex)
+
+    @property
+    def _first(self) -> Conditions:
+        return jax.tree.map(lambda leaf: leaf[0], self.surroundings)
 
     @property
     def _step(self) -> Array:
         return 2 * jnp.pi * self.block_cycles / self.frequency
 
-    def _run(self, bench: Model, added: Contribution | None) -> tuple[Driven, Array, Course]:
-        """The model under the drive, the settled state that it begins in, and its course."""
-        first = jax.tree.map(lambda leaf: leaf[0], self.surroundings)
-        driven, (begin, ends) = Driven.of(bench, self.frequency, self.force, first), (None, None)
+    def _predicted(self, bench: Model, added: Contribution | None) -> tuple[Array, Driven, Array, Course, Array]:
+        """Phasors; the model under the drive, the state that it begins in, its course and the means of its blocks."""
+        driven, begin, ends = Driven.of(bench, self.frequency, self.force, self._first), None, None
         if added is not None:
             driven = eqx.tree_at(lambda d: d.linear, driven, added.beside(driven.linear))
             begin, ends = added.forced[0][0], added.forced[1].reshape(self.time.size, 2, HARMONICS + 1, bench.axes)
         near = bench.motion(self.measured[0], self.frequency)
-        start = steady_state(bench, self.frequency, driven.force, first, near, FINENESS[0], begin)
-        return driven, start, driven.run(start[: HARMONICS + 1], self._step, self.surroundings, ends)[1]
-
-    def inquiry(self, bench: Model) -> Inquiry:
-        driven, start, course = self._run(bench, None)
-
-        def asked(states: Array, conditions: Conditions, samples: int, harmonics: int) -> Asked:
-            return Asked.over_periods(states, driven.force, self.frequency, conditions, samples, harmonics)
-
-        first = jax.tree.map(lambda leaf: leaf[:1], self.surroundings)
-        twice = jax.tree.map(lambda leaf: jnp.repeat(leaf, 2), self.surroundings)
-        ends = driven.visited(course, self._step).reshape(2 * self.time.size, HARMONICS + 1, -1)
-        return Inquiry(
-            (asked(start[None], first, FINENESS[0].samples, FINENESS[0].harmonics),
-             asked(ends, twice, SAMPLES, HARMONICS)),
-            asked(driven.demodulated(course, self._step), self.surroundings, reading_samples(bench, FINENESS[0]), 1),
-            jax.tree.map(lambda leaf: leaf[0], self.surroundings),
-        )
+        start = steady_state(bench, self.frequency, driven.force, self._first, near, FINENESS[0], begin)
+        _, course = driven.run(start[: HARMONICS + 1], self._step, self.surroundings, ends)
+        means = driven.demodulated(course, self._step)
+        given = jax.vmap(lambda s, c: fundamental(bench, self.frequency, s, driven.force, c))(means, self.surroundings)
+        given = given if added is None else given + added.seen
+        seen = through_lock_in(bench, given, self.frequency, driven.force, given, self.surroundings)
+        return seen, driven, start, course, means
 
     def proposals(self, name: str) -> Iterator[tuple[str, Experiment]]:
         """Again as it was; rates up to the largest, known from a calibrated reference; fast ones; a stronger drive."""

@@ -19,7 +19,7 @@ from ..clock import check_period
 from ..columns import force_columns
 from ..declared import Declared
 from ..envelope import run_samples, visited_samples
-from ..first_order import Asked, Contribution, Inquiry
+from ..first_order import Contribution, Inquiry, Instants
 from ..model import Model
 from ..section import ExperimentSection
 from .base import BEYOND, Experiment, Noise, Phasors, RealNoise, surroundings
@@ -66,41 +66,43 @@ class RawCapture(Experiment):
 
     def predict(self, bench: Model) -> Float[Array, "n axes"]:
         """Voltage of every channel at every kept sample."""
-        return self.predict_beside(bench, None)
+        return self._predicted(bench, None)[0]
 
-    def predict_beside(self, bench: Model, added: Contribution | None) -> Float[Array, "n axes"]:
-        states = self._states(bench, added)
-        seen = jax.vmap(bench.observe)(*self._kept(states))
-        return seen if added is None else seen + added.seen
+    def predict_beside(self, bench: Model, added: Contribution) -> tuple[Float[Array, "n axes"], Inquiry]:
+        seen, states = self._predicted(bench, added)
+        *steps, now = self._steps
+        visited = visited_samples(bench, states, *steps, now, self._base)
+        commands = jnp.stack([self.forces, self.forces + self.increments], axis=1)
+        forced, turn = (part.reshape(-1, bench.axes) for part in (commands, jnp.zeros_like(commands)))
+        twice = jax.tree.map(lambda leaf: jnp.repeat(leaf, 2), now)
+        moments = Instants(visited.reshape(-1, bench.size), forced, turn, twice)
+        return seen, Inquiry((moments,), Instants(*self._kept(states)), self._base)
+
+    def nothing(self, bench: Model) -> Contribution:
+        return Contribution.none(bench, ((2 * len(self.forces), bench.axes),), self.measured.shape, float)
 
     @property
     def _base(self) -> Conditions:
         return jax.tree.map(lambda leaf: leaf[0], self.surroundings)
 
-    def _states(self, bench: Model, added: Contribution | None) -> Float[Array, "t n"]:
-        steps = self.forces, self.increments, self.step, self.surroundings, self._base
-        if added is None:
-            return run_samples(bench, *steps)
-        linear, ends = added.beside(bench.linear(self._base)), added.forced[0].reshape(-1, 2, bench.axes)
-        return run_samples(bench, *steps, linear=linear, added=ends)
+    @property
+    def _steps(self) -> tuple[Array, Array, Array, Conditions]:
+        return self.forces, self.increments, self.step, self.surroundings
+
+    def _predicted(self, bench: Model, added: Contribution | None) -> tuple[Float[Array, "n axes"], Array]:
+        """Voltages, and the state at the beginning of every step."""
+        linear, ends = None, None
+        if added is not None:
+            linear, ends = added.beside(bench.linear(self._base)), added.forced[0].reshape(-1, 2, bench.axes)
+        states = run_samples(bench, *self._steps, self._base, linear=linear, added=ends)
+        seen = jax.vmap(bench.observe)(*self._kept(states))
+        return seen if added is None else seen + added.seen, states
 
     def _kept(self, states: Array) -> tuple[Array, Array, Array, Conditions]:
         """State, command, its rate and the conditions at every kept sample."""
         kept = slice(self.skipped * self.substeps, None, self.substeps)
         now = jax.tree.map(lambda leaf: leaf[kept], self.surroundings)
         return states[kept], self.forces[kept], self.increments[kept] / self.step, now
-
-    def inquiry(self, bench: Model) -> Inquiry:
-        states, steps = self._states(bench, None), (self.forces, self.increments, self.step, self.surroundings)
-        visited = visited_samples(bench, states, *steps, self._base)
-        commands = jnp.stack([self.forces, self.forces + self.increments], axis=1)
-        pairs = (part.reshape(-1, 1, part.shape[-1]) for part in (visited, commands, jnp.zeros_like(commands)))
-        *seen, now = self._kept(states)
-        return Inquiry(
-            (Asked(*pairs, jax.tree.map(lambda leaf: jnp.repeat(leaf, 2), self.surroundings)),),
-            Asked(*(part[:, None] for part in seen), now),
-            self._base,
-        )
 
     def proposals(self, name: str) -> Iterator[tuple[str, Experiment]]:
         """Again as it was, and a stronger drive."""
