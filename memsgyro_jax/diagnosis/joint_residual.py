@@ -179,7 +179,7 @@ class Joint:
             return self._carried(vector, directions, [readings])
         still = jnp.zeros((WIDTH, at.size))
         value, _, inquiry = _linearise(at, still, none, part.model, part.spec, readings.experiment)
-        places = tuple(sum(k < i for k in part.effects) for i in quick)
+        places = tuple(int(sum(k < i for k in part.effects)) for i in quick)
         added = contributions(model, Absent(tuple(whole.effects[i] for i in quick), places), inquiry)
         columns, responses = np.concatenate([self.of_effect(i) for i in quick]), []
         for begin in range(0, columns.size, WIDTH):

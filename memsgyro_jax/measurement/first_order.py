@@ -246,8 +246,6 @@ def _speeds(absent: Absent) -> Array:
     return jnp.concatenate(parts)
 
 
-
-
 def contributions(model: Model, absent: Absent, inquiry: Inquiry) -> Contribution:
     """What all strengths of absent effects add to a prediction per unit, side by side along a leading axis K."""
     total, size = sum(absent.sizes), model.size

@@ -70,13 +70,15 @@ class RawCapture(Experiment):
 
     def predict_beside(self, bench: Model, added: Contribution) -> tuple[Float[Array, "n axes"], Inquiry]:
         seen, states = self._predicted(bench, added)
-        *steps, now = self._steps
-        visited = visited_samples(bench, states, *steps, now, self._base)
+        now = self.surroundings
+        visited = visited_samples(bench, states, self.forces, self.increments, self.step, now, self._base)
         commands = jnp.stack([self.forces, self.forces + self.increments], axis=1)
         forced, turn = (part.reshape(-1, bench.axes) for part in (commands, jnp.zeros_like(commands)))
         twice = jax.tree.map(lambda leaf: jnp.repeat(leaf, 2), now)
-        moments = Instants(visited.reshape(-1, bench.size), forced, turn, twice)
-        return seen, Inquiry((moments,), Instants(*self._kept(states)), self._base)
+        moments = Instants(state=visited.reshape(-1, bench.size), command=forced, turn=turn, conditions=twice)
+        state, command, turn, kept = self._kept(states)
+        read = Instants(state=state, command=command, turn=turn, conditions=kept)
+        return seen, Inquiry((moments,), read, self._base)
 
     def nothing(self, bench: Model) -> Contribution:
         return Contribution.none(bench, ((2 * len(self.forces), bench.axes),), self.measured.shape, float)
@@ -85,16 +87,14 @@ class RawCapture(Experiment):
     def _base(self) -> Conditions:
         return jax.tree.map(lambda leaf: leaf[0], self.surroundings)
 
-    @property
-    def _steps(self) -> tuple[Array, Array, Array, Conditions]:
-        return self.forces, self.increments, self.step, self.surroundings
-
     def _predicted(self, bench: Model, added: Contribution | None) -> tuple[Float[Array, "n axes"], Array]:
         """Voltages, and the state at the beginning of every step."""
         linear, ends = None, None
         if added is not None:
             linear, ends = added.beside(bench.linear(self._base)), added.forced[0].reshape(-1, 2, bench.axes)
-        states = run_samples(bench, *self._steps, self._base, linear=linear, added=ends)
+        states = run_samples(
+            bench, self.forces, self.increments, self.step, self.surroundings, self._base, linear=linear, added=ends
+        )
         seen = jax.vmap(bench.observe)(*self._kept(states))
         return seen if added is None else seen + added.seen, states
 

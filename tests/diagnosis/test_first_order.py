@@ -1,0 +1,105 @@
+"""Scores of absent effects from their forces alone, beside models that carry every effect through every sample."""
+
+import equinox as eqx
+import numpy as np
+import pytest
+from bench_case import DIE, EFFECTS, ONE_AXIS, RESONATOR, bench, truth
+from lab.devices import gyro
+from lab.die import Die, Hidden
+from numpy.testing import assert_allclose
+
+from memsgyro_jax.diagnosis import joint_residual
+from memsgyro_jax.diagnosis.joint_residual import Joint
+from memsgyro_jax.effects import AdcSaturation, CubicStiffness, Effect, ForceEffect, ReadoutDelay, Scanned, catalogue
+from memsgyro_jax.effects.base import SurroundingsEffect, strength
+from memsgyro_jax.effects.instrument import RecordGain
+from memsgyro_jax.effects.lock_in_terms import ReferencePhase
+from memsgyro_jax.effects.numbers import parameter
+from memsgyro_jax.measurement.first_order import of_first_order
+from memsgyro_jax.measurement.model import Model
+from memsgyro_jax.measurement.readings import readings_of
+
+
+GYROS = {"thesis": DIE, "4 kHz": gyro(4e3, 300.0, 2000.0, 2e-8, 0.03), "1.5 kHz": gyro(1.5e3, 60.0, 150.0, 1e-7, 0.05)}
+
+
+class Ledge(ForceEffect):
+    """A law of one's own with a number of its own, which says nothing of a derivative."""
+
+    name, unit = "ledge", "N"
+    strength: object = strength()
+    reach: object = parameter(start=3e-8, low=1e-9, unit="m")
+
+    def force(self, now):
+        return self.along(now, -self.strength * (now.displacement[0] / self.reach) ** 5)
+
+
+class Warming(SurroundingsEffect):
+    """Warms all that a temperature changes: not told by its own force."""
+
+    name, unit = "warming", "K"
+    strength: object = strength()
+
+    def warmer(self, now):
+        return self.strength
+
+
+def check_both_ways(model: Model, case, monkeypatch, *, unseen: tuple[str, ...] = ()) -> None:
+    """Sensitivities to all strengths that are zero: as responses, and carried through the model."""
+    joint = Joint(model, readings_of(case))
+    absent = [i for i in range(len(model.effects)) if not np.any(joint.start[joint.of_effect(i)])]
+    columns = np.concatenate([joint.of_effect(i) for i in absent])
+    units = np.eye(joint.start.size)[columns]
+    value, quick = joint.linearise(joint.start, units, joint.fitted)
+    monkeypatch.setattr(joint_residual, "CARRIED", len(model.effects))
+    same, carried = joint.linearise(joint.start, units, joint.fitted)
+    assert_allclose(value, same, atol=1e-7)
+    size, apart = (np.linalg.norm(part, axis=0) for part in (carried, quick - carried))
+    names = [joint.parameters[i].name for i in columns]
+    assert {name: a / s for name, a, s in zip(names, apart, size, strict=True) if a > 1e-6 * s + 1e-9} == {}
+    assert {name for name, s in zip(names, size, strict=True) if s < 1e-9} == set(unseen)
+
+
+@pytest.mark.parametrize("die", GYROS.values(), ids=GYROS)
+def test_responses_are_those_of_a_model_that_carries_every_effect(die: Die, monkeypatch):
+    """Sweeps, a rate table, a raw capture; and a ring-down, through which all are carried."""
+    case = bench(die=die).case
+    check_both_ways(truth(case, die, Hidden()), case, monkeypatch)
+
+
+def test_effects_that_act_through_others_are_carried():
+    model = truth(bench().case, DIE, Hidden(), EFFECTS[:1])
+    assert all(of_first_order(model, effect) for effect in (*EFFECTS, RecordGain(), Ledge()))
+    slow = *(e for e in catalogue(2) if isinstance(e, AdcSaturation) or e.own_size), Warming(), ReferencePhase()
+    assert len(slow) == 5
+    assert not any(of_first_order(model, effect) for effect in slow)
+
+
+def present(effect: Effect, value: float) -> Effect:
+    return eqx.tree_at(lambda e: e.strength, effect, np.full(effect.strength.shape, value))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "beside",
+    [
+        (CubicStiffness("x", 8e8), ReadoutDelay(3e-7)),
+        (CubicStiffness("y", -5e8), AdcSaturation(0.4)),
+        *((present(e, 0.02),) for e in EFFECTS if e.name in ("drive_nonlinearity", "pickoff_nonlinearity")),
+    ],
+    ids=lambda effects: " ".join(e.label for e in effects),
+)
+def test_responses_beside_effects_that_are_present(beside, monkeypatch):
+    case, labels = bench().case, {e.label for e in beside}
+    others = [e for e in (*EFFECTS, Ledge(), Warming()) if e.label not in labels]
+    model = truth(case, DIE, Hidden(), ()).with_effect(*others[:9], *beside, *others[9:])
+    check_both_ways(model, case, monkeypatch, unseen=("warming",))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("beside", [(), (CubicStiffness(0, 1e3),)], ids=["alone", "hardening"])
+def test_responses_of_a_resonator(beside, monkeypatch):
+    case = bench(protocol=ONE_AXIS, die=RESONATOR).case
+    effects = [e for e in catalogue(1) if not isinstance(e, Scanned) and e.label not in {b.label for b in beside}]
+    model = truth(case, RESONATOR, Hidden(), ()).with_effect(*effects, *beside)
+    check_both_ways(model, case, monkeypatch)
