@@ -20,7 +20,14 @@ from memsgyro_jax.measurement.model import Model
 from memsgyro_jax.measurement.readings import readings_of
 
 
-GYROS = {"thesis": DIE, "4 kHz": gyro(4e3, 300.0, 2000.0, 2e-8, 0.03), "1.5 kHz": gyro(1.5e3, 60.0, 150.0, 1e-7, 0.05)}
+GYROS = {
+    "thesis": DIE,
+    "4 kHz": gyro(4e3, 300.0, 2000.0, 2.2e-7, 0.03),
+    "1.5 kHz": gyro(1.5e3, 60.0, 150.0, 1.2e-7, 0.05),
+}
+
+
+ROUNDING = 1e-15  # of a residual per unit of a strength: the faintest that a bench sees is that of N/m³, about 1e-9
 
 
 class Ledge(ForceEffect):
@@ -56,8 +63,8 @@ def check_both_ways(model: Model, case, monkeypatch, *, unseen: tuple[str, ...] 
     assert_allclose(value, same, atol=1e-7)
     size, apart = (np.linalg.norm(part, axis=0) for part in (carried, quick - carried))
     names = [joint.parameters[i].name for i in columns]
-    assert {name: a / s for name, a, s in zip(names, apart, size, strict=True) if a > 1e-6 * s + 1e-9} == {}
-    assert {name for name, s in zip(names, size, strict=True) if s < 1e-9} == set(unseen)
+    assert {name: a / s for name, a, s in zip(names, apart, size, strict=True) if a > 1e-6 * s and s > ROUNDING} == {}
+    assert {name for name, s in zip(names, size, strict=True) if s <= ROUNDING} == set(unseen)
 
 
 @pytest.mark.parametrize("die", GYROS.values(), ids=GYROS)
