@@ -33,7 +33,7 @@ from .steady import drive_waveform, phases, waveform
 CHUNK = 6144  # moments at a time: whole rows of 12, 32 and 128, and small enough to stay near the processor
 
 
-class Moments(eqx.Module):
+class AskedRows(eqx.Module):
     """Moments at which a prediction asks its model, row by row."""
 
     conditions: eqx.AbstractVar[Conditions]
@@ -48,7 +48,7 @@ class Moments(eqx.Module):
         """What stands for samples (r, m, K, axes) in a prediction."""
 
 
-class Instants(Moments):
+class Instants(AskedRows):
     """One moment per row: state (r, n), command and its rate (r, axes)."""
 
     state: Array
@@ -65,7 +65,7 @@ class Instants(Moments):
         return values[:, 0]
 
 
-class Periods(Moments):
+class Periods(AskedRows):
     """Vibrations (r, h, n) under drives (r, axes) [N] at their frequencies (r,), drive and frequency one for each row
     or one for all; `samples` of a period, which `harmonics` stand for in the prediction.
     """
@@ -102,8 +102,8 @@ class Inquiry(eqx.Module):
         base: conditions at which its linear part is propagated; `None` where it is not propagated.
     """
 
-    forced: tuple[Moments, ...]
-    read: Moments
+    forced: tuple[AskedRows, ...]
+    read: AskedRows
     base: Conditions | None
 
 
@@ -257,7 +257,7 @@ def contributions(model: Model, absent: Absent, inquiry: Inquiry) -> Contributio
     return Contribution(forced, read if read.ndim < 4 else read[:, :, 1], linear, _speeds(absent))
 
 
-def _told(moments: Moments, function) -> np.ndarray:
+def _told(moments: AskedRows, function) -> np.ndarray:
     """(K, r, ...) what a function of moments makes of each row, chunk by chunk."""
     rows, samples = moments.conditions.rate.shape[0], moments.samples
     size, parts = max(1, CHUNK // samples), []
