@@ -3,7 +3,9 @@
 import ast
 import importlib
 import re
+import tomllib
 from collections import defaultdict
+from collections.abc import Sequence
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
@@ -193,8 +195,19 @@ def test_planted_faults_are_not_stale():
     assert len(table) >= 60
     for fault in table:
         assert fault.text(PACKAGE), fault.file
-        for file, _, name in (test.partition("::") for test in fault.tests):
-            assert "slow" not in marks_of(file)[name.partition("[")[0]], name
+        assert_default(fault.tests)
+
+
+def test_what_was_once_silent_is_held_by_tests():
+    for case in tomllib.loads((ROOT / "tests" / "never_silent.toml").read_text())["case"]:
+        assert_default(case["tests"])
+
+
+def assert_default(tests: Sequence[str]) -> None:
+    """They exist and belong to the default suite."""
+    assert tests
+    for file, _, name in (test.partition("::") for test in tests):
+        assert "slow" not in marks_of(file)[name.partition("[")[0]], name
 
 
 @cache
