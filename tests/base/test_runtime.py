@@ -91,6 +91,7 @@ def test_a_flag_this_jaxlib_does_not_know_is_left_out_and_not_asked_for_again(re
     assert seen["devices"] == 2
 
 
+@pytest.mark.slow
 def test_an_option_of_the_compiler_that_it_does_not_know_is_left_out(report):
     name = "--xla_backend_extra_options"
     listed = f'runtime._CPU_FLAGS = ("{name}=xla_cpu_disable_loop_unrolling=true,-no-such=1",)'
@@ -104,6 +105,7 @@ def test_flags_of_the_cpu_are_for_the_cpu(monkeypatch, platforms, wanted):
     assert len(runtime._missing_flags("", devices=2)) == wanted
 
 
+@pytest.mark.slow
 def test_the_probe_runs_once_and_not_for_a_jaxlib_that_was_tried(report):
     first = report("devices=2", before=UNTRIED)
     unasked = "runtime._starts_with = None"  # a probe would fail on None

@@ -132,9 +132,9 @@ def unspoilt():
     ("row", "change", "column"),
     [
         (240, lambda z: -z.conjugate(), "Vy_phase"),
-        (760, lambda z: 10 * z, "Vy_amp"),
+        pytest.param(760, lambda z: 10 * z, "Vy_amp", marks=pytest.mark.slow),
         (0, lambda z: 10 * z, "Vy_amp"),
-        (1000, lambda z: 1.1 * z, "Vy_amp"),
+        pytest.param(1000, lambda z: 1.1 * z, "Vy_amp", marks=pytest.mark.slow),
     ],
 )
 def test_a_row_with_a_wrong_digit_is_named_and_moves_nothing(row, change, column, unspoilt):
@@ -322,7 +322,7 @@ def test_ratio_method_needs_both_resonances():
         identify_by_ratio([swept(lab.Gyro(), lab.NARROW, noise=None)])
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 @pytest.mark.parametrize("wrong", [-1.0, 10.0, 0.1])
 def test_ratio_method_names_a_row_with_a_wrong_sign_or_digit(wrong, seed):
     right = swept(lab.Gyro(), noise=lab.FILTERED, seed=seed)

@@ -209,6 +209,7 @@ def relative_jacobian_error(nodes, rate):
     return np.array(errors)
 
 
+@pytest.mark.slow
 def test_derivatives_converge_with_the_number_of_nodes():
     """The Gauss rule of n nodes errs as h^(2n) beside the leading h; that of `covering` stays within a few percent."""
     coarse, fine = relative_jacobian_error(1, 50e3), relative_jacobian_error(1, 100e3)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bench_case import ONE_AXIS, RESONATOR, bench
+from bench_case import ONE_AXIS, RESONATOR, TINY, bench
 from json_schema import fits
 from kept import kept
 from lab.die import Hidden, Outside
@@ -18,7 +18,10 @@ from memsgyro_jax.diagnosis.scans import scan, scans
 from memsgyro_jax.effects import ParasiticMode, load_effects
 
 
-# ---- a gyro, all kinds of records, the whole catalogue
+SWEEPS = replace(TINY, experiments=TINY.experiments[:2])
+
+
+# ---- a gyro, the whole catalogue: all kinds of records where one hides nothing, sweeps of both axes where it does
 
 
 @pytest.fixture(scope="module")
@@ -28,9 +31,10 @@ def sound():
 
 @pytest.fixture(scope="module")
 def cubic():
-    return diagnose(None, bench(visible("cubic_stiffness_y")).case)
+    return diagnose(None, bench(visible("cubic_stiffness_y"), protocol=SWEEPS).case)
 
 
+@pytest.mark.slow
 def test_nothing_is_missing_from_a_sound_device(sound):
     assert sound.verdict == "nothing_missing"
     assert sound.accepted == ()
@@ -78,6 +82,7 @@ def test_the_answer_is_readable_by_machines(cubic):
     assert first["explained_share"] > 0.9
 
 
+@pytest.mark.slow
 def test_candidates_say_what_would_have_been_seen(sound):
     """A strength well above `smallest_visible` was found, and would not have been at a hundredth of it."""
     (spring,) = [c for c in sound.first if c.label == "cubic_stiffness y"]
@@ -127,6 +132,14 @@ def stopped():
     return bench(STOP, 1, ONE_AXIS, RESONATOR).case
 
 
+@pytest.fixture(scope="module")
+def own(tmp_path_factory):
+    """The user's effect; among the candidates of all diagnoses below, so that they share their programs."""
+    path = tmp_path_factory.mktemp("own") / "own.py"
+    path.write_text(OWN)
+    return load_effects(path, 1)
+
+
 @pytest.mark.slow
 def test_physics_outside_the_catalogue_is_not_called_found(stopped):
     """No strength is quoted of what is not the law: the model stays the base model; what was tried stands apart."""
@@ -143,32 +156,30 @@ def test_physics_outside_the_catalogue_is_not_called_found(stopped):
 
 
 @pytest.mark.parametrize("times", [3.0, 0.3])
-def test_a_noise_that_is_declared_wrong_is_called_that(times):
+def test_a_noise_that_is_declared_wrong_is_called_that(times, own):
     """White deviations of three times the declared noise are no effect, and those of a third are no alarm."""
     case = bench(Hidden(), 0, ONE_AXIS, RESONATOR).case
     case = replace(case, records=tuple(replace(r, noise_std=r.noise_std / times) for r in case.records))
-    outcome = diagnose(None, case)
+    outcome = diagnose(None, case, effects=own)
     assert (outcome.verdict, outcome.accepted) == ("nothing_missing", ())
     assert ("times what is declared in sweep" in outcome.sentence) == (times > 1)
     assert outcome.scale == pytest.approx(max(times, 1.0), rel=0.25)
 
 
-def test_a_user_s_own_effect_is_then_found(stopped, tmp_path):
-    path = tmp_path / "own.py"
-    path.write_text(OWN)
-    outcome = diagnose(None, stopped, effects=load_effects(path, 1))
+def test_a_user_s_own_effect_is_then_found(stopped, own):
+    outcome = diagnose(None, stopped, effects=own)
     assert [a.label for a in outcome.accepted] == ["stop x"]
     (found,) = outcome.accepted
     assert found.estimate[0] == pytest.approx(STOP.outside.stop_x, rel=0.05)
     assert outcome.verdict == "found"
 
 
-def test_a_change_of_units_is_no_rival():
+def test_a_change_of_units_is_no_rival(own):
     """A scale error of the only axis is another mass and another spring; where there is no spring it explains none
     of the misfit.
     """
     spring = Hidden(cubic_stiffness_x=3.9 * RESONATOR.kxx)
-    outcome = diagnose(None, bench(spring, 1, ONE_AXIS, RESONATOR).case)
+    outcome = diagnose(None, bench(spring, 1, ONE_AXIS, RESONATOR).case, effects=own)
     assert [a.label for a in outcome.accepted] == ["cubic_stiffness x"]
     assert outcome.accepted[0].confused_with == ()
     base = outcome.base  # its rows are filled up to the shape of those that are not fitted, which counts for nothing
@@ -176,9 +187,9 @@ def test_a_change_of_units_is_no_rival():
     assert base.optimum.chi2 / base.optimum.dof == pytest.approx(base.chi2_per_dof)
 
 
-def test_what_a_lock_in_cannot_see_is_not_excited():
+def test_what_a_lock_in_cannot_see_is_not_excited(own):
     case = bench(Hidden(), 1, ONE_AXIS, RESONATOR).case
-    outcome = diagnose(None, case)
+    outcome = diagnose(None, case, effects=own)
     assert outcome.verdict == "nothing_missing"
     excited = {c.label: c.excited for c in outcome.first}
     assert not excited["thermal_drift stiffness"]

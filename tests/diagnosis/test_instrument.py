@@ -144,8 +144,8 @@ def diagnosed(seed=0, hidden=HIDDEN, **faults):
     ("label", "faults"),
     [
         ("drive_level", {"levels": (0.03, -0.04, 0.035)}),
-        ("reference_phase", {"phase": 0.026}),
-        ("lock_in_memory", {"dwell": CLOCK, "filter_time": 2.0}),
+        pytest.param("reference_phase", {"phase": 0.026}, marks=pytest.mark.slow),
+        pytest.param("lock_in_memory", {"dwell": CLOCK, "filter_time": 2.0}, marks=pytest.mark.slow),
     ],
 )
 def test_a_fault_of_the_instrument_is_no_effect_of_the_device(label, faults):

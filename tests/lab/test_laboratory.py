@@ -145,7 +145,7 @@ def free(plant, state, seconds):
     return integrate(plant, state[:, None], np.zeros(1), np.full(1, seconds), own, plant.die.period)[:, 0]
 
 
-@pytest.mark.parametrize("stop", [0.0, 5.0])
+@pytest.mark.parametrize("stop", [0.0, pytest.param(5.0, marks=pytest.mark.slow)])
 def test_springs_and_rotation_keep_the_energy(stop):
     die = replace(DIE, dxx=0.0, dyy=0.0, dxy=0.0)
     outside = Outside(stop_x=stop, stop_gap=5e-7, stop_two_sided=True)
@@ -237,6 +237,7 @@ def test_every_effect_shows_somewhere(name, untouched):
     assert seen > 1e-5
 
 
+@pytest.mark.slow
 def test_many_effects_live_together():
     names = [
         "cubic_stiffness_x",

@@ -33,7 +33,9 @@ def plain() -> mg.Trace:
     return mg.simulate(closed(), 1.0, **RUN)
 
 
-@pytest.mark.parametrize("filter_", [mg.Lowpass(400.0), BAND], ids=["lowpass", "bandpass"])
+@pytest.mark.parametrize(
+    "filter_", [mg.Lowpass(400.0), pytest.param(BAND, marks=pytest.mark.slow)], ids=["lowpass", "bandpass"]
+)
 def test_the_output_is_the_filtered_estimate_and_nothing_feeds_back(plain, filter_):
     trace = mg.simulate(closed(filter_), 1.0, **RUN)
     want = np.asarray(filter_.apply(trace.rate_unfiltered, 100e3, start=0.5))

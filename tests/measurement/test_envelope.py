@@ -26,7 +26,7 @@ def test_a_block_of_a_lock_in_is_the_mean_of_the_turned_signal():
     states = jax.jit(lambda: course(length / fine, fine).start)()
     time = np.arange(fine) * length / fine
     signal = np.real(np.einsum("th,thn->tn", np.exp(1j * np.outer(time, np.arange(3)) * omega), np.asarray(states)))
-    last = np.asarray(driven.instant(driven.run(start, length, Conditions().rows(1))[0], length))
+    last = np.asarray(jax.jit(lambda: driven.instant(driven.run(start, length, Conditions().rows(1))[0], length))())
     turned = np.exp(-1j * omega * np.append(time, length))[:, None] * np.concatenate([signal, last[None]])
     wanted = 2 * np.trapezoid(turned, dx=1 / fine, axis=0)
     assert abs(block[0, 0]) > 1e-3 * abs(block[1, 0]), "the deflection must matter"

@@ -201,7 +201,7 @@ def test_the_gradient_of_a_tornado_is_that_of_the_runs_and_results_print(loop):
     assert np.all(found.lost == 0.0)
     assert "device.dxy" in repr(found)
     assert found.plot().get_xlabel().startswith("change of rate error at the end")
-    indices = mg.sobol(loop, PAIR, points=4, **SHORT)
+    indices = mg.sobol(loop, PAIR, points=32, **SHORT)
     assert [label.get_text() for label in indices.plot(output="rms rate error").get_yticklabels()].count("noise") == 1
     with pytest.raises(InputError, match=r"Argument `output` must be one of .*, but `x` was given"):
         indices.plot(output="x")

@@ -152,6 +152,7 @@ def test_a_lost_die_changes_nothing_for_the_others(tuned, study):
     assert slope == pytest.approx(np.sum(whole.slopes[:, others], axis=1) / 16)
 
 
+@pytest.mark.slow
 def test_what_is_switched_off_is_found_again(tuned, study):
     off = study.changed({"observer.process_noise.rate": "0 rad^2/s^3"})
     made = mg.tune(**{**off.tune_arguments, "free": off.tune_arguments["free"][:2]})
@@ -180,6 +181,7 @@ def test_what_cannot_be_tuned_is_one_sentence(study, change, message):
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.slow
 def test_a_design_value_moves_its_dies(study):
     """Free and varied at once: at a new design the dies are those drawn around it; slopes are those of differences."""
     given, spread = study.tune_arguments, mg.Spread((mg.Vary("start.0", mg.Normal(relative=0.2)),))

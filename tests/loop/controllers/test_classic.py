@@ -105,12 +105,9 @@ def transfer(answer, frequency):
     return turns @ np.diff(answer, prepend=0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("make", "bandwidth"),
-    [
-        (mg.ClassicControl.open_loop, 1000.0),
-        pytest.param(mg.ClassicControl.force_rebalance, 15.0, marks=pytest.mark.slow),
-    ],
+    ("make", "bandwidth"), [(mg.ClassicControl.open_loop, 1000.0), (mg.ClassicControl.force_rebalance, 15.0)]
 )
 def test_step_bandwidth_and_transfer_are_those_of_the_sampled_transfer_function(make, bandwidth):
     gyros, quarters = zip(*STEPPED, strict=True)
@@ -178,7 +175,7 @@ def restlessness(gyros, controls, rate):
     return np.asarray(jax.vmap(one)(stack(gyros), stack(controls))).T
 
 
-@pytest.mark.parametrize("count", [4, pytest.param(50, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [2, pytest.param(50, marks=pytest.mark.slow)])
 def test_gains_are_stable_in_the_simulation_where_they_are_by_formula_and_not_beyond(count):
     made = designs(count, seed=7)
     gyros, critical = [], []

@@ -91,6 +91,7 @@ def test_it_alone_shows_what_is_missing(case):
     assert abs(fitted.estimates[-1].value - SOFTENING) < 4 * fitted.estimates[-1].std < 0.2 * SOFTENING
 
 
+@pytest.mark.slow
 def test_it_is_diagnosed_and_drawn(case):
     diagnosis = diagnose(None, case)
     assert diagnosis.verdict == "found"

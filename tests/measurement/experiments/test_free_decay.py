@@ -114,9 +114,10 @@ def test_rows_that_are_left_out_have_no_say(hardening):
     (without,) = without_rows([readings], {0: (int(readings.row[40]),)})
     wrong = without.experiment.measured.at[40].add(5.0)
     model = model_of(hardening, NormalisedDevice([233.0**2], [2.2], 233.0**2), offset=np.zeros(1))
-    left = without.experiment.residual(model)
+    residual = eqx.filter_jit(lambda experiment: experiment.residual(model))
+    left = residual(without.experiment)
     assert left[40] == 0.0
-    np.testing.assert_array_equal(eqx.tree_at(lambda e: e.measured, without.experiment, wrong).residual(model), left)
+    np.testing.assert_array_equal(residual(eqx.tree_at(lambda e: e.measured, without.experiment, wrong)), left)
 
 
 def test_phasors_of_a_lock_in_tell_the_same_as_the_waveform(tmp_path):
