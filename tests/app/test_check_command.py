@@ -25,6 +25,7 @@ def test_it_prints_the_records_and_their_quality(bench, capsys):
     assert "Warning" not in printed
 
 
+@pytest.mark.slow
 def test_it_warns_of_a_wrong_digit(bench, capsys):
     path = bench / "ringdown.csv"
     lines = path.read_text().splitlines()
@@ -43,6 +44,7 @@ def test_a_broken_case_is_one_sentence(bench, capsys):
     assert "raw.csv" in error
 
 
+@pytest.mark.slow
 def test_the_demonstration_has_no_warning(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert run("check", "demo") == 0

@@ -228,7 +228,8 @@ def assert_draws_reach_the_bound(noise, level, draws, tolerance):
     assert float(jnp.rad2deg(bound[3])) < 0.06
 
 
-@pytest.mark.parametrize("count", [4, pytest.param(200, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [4, 200])
 def test_naive_starts_reach_the_optimum_found_from_the_truth(count):
     rng = np.random.default_rng(17)
     reached = 0
@@ -293,6 +294,7 @@ def test_the_estimate_is_differentiable_by_the_data():
     assert float(slope) == pytest.approx(float(difference), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_the_published_chain_runs_and_is_worse():
     records = [
         swept(lab.Gyro(), noise=lab.FILTERED, axis=axis, instrument=lab.replace(INSTRUMENT, drive_ratio=1.0))

@@ -73,6 +73,7 @@ def test_a_free_threshold_is_found_within_its_uncertainty():
     assert abs(found["stop x"].value - STOP) < 4.5 * found["stop x"].std
 
 
+@pytest.mark.slow
 def test_a_number_may_be_fixed():
     fit = fitted(Hidden(cubic_stiffness_x=SPRING), PowerSpring("x", exponent=3.0), fixed=["power_spring x exponent"])
     assert float(fit.model.effects[0].exponent) == 3.0
@@ -103,7 +104,7 @@ def test_a_fit_hands_on_its_device_and_its_joint_uncertainty(powered):
     assert np.all(np.linalg.eigvalsh(joint.covariance / np.outer(joint.std, joint.std)) > 0)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3))])
 def test_a_damping_never_gives_energy(seed):
     """On a sound device an estimate would be negative in every second draw; then it is zero, and the fit the base's."""
     case = bench(Hidden(), seed, ONE_AXIS, RESONATOR).case

@@ -48,6 +48,7 @@ def test_the_exact_law_with_a_kink_leaves_noise(touched):
     assert np.sqrt(np.mean(np.asarray(first) ** 2)) > 2.0
 
 
+@pytest.mark.slow
 def test_a_smooth_law_keeps_the_first_resolution():
     case = bench(Hidden(cubic_stiffness_x=3.9 * RESONATOR.kxx), 1, ONE_AXIS, RESONATOR).case
     fit = fit_case(case, [CubicStiffness("x")])

@@ -271,6 +271,7 @@ def test_a_table_of_as_many_rows_as_dies_is_not_one_number_per_die():
     assert np.max(np.abs(dies[..., 3] - dies[..., 0])) > 1e-12
 
 
+@pytest.mark.slow
 def test_the_reference_follows_the_exact_step_and_loses_a_die_alone():
     """A spring that turns over sends its die off to infinity within a sample; the die beside it goes on."""
     design = gyro(FEW[0])

@@ -89,6 +89,7 @@ def test_derivatives_of_the_kalman_loop():
     assert_gradients_agree(loop, 200, 1e-4, 1e-6, reverse=False)
 
 
+@pytest.mark.slow
 def test_gradients_pass_through_a_converter(small):
     """Rounding has no useful derivative; the straight line's is used, and tends to the loop without a converter."""
     converted = eqx.tree_at(lambda tree: tree.readout.adc, small, Adc(1.0, 36), is_leaf=lambda leaf: leaf is None)

@@ -49,6 +49,7 @@ def test_a_trace_of_many_devices_equals_theirs():
             np.testing.assert_allclose(getattr(many, name)[row], getattr(one, name), rtol=1e-6, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_trace_comes_out_of_a_compiled_function():
     trace = jax.jit(lambda kxx: mg.simulate(stiffened(kxx), 1.0, **RUN))(63.96)
     plain = mg.simulate(LOOP, 1.0, **RUN)

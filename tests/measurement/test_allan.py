@@ -47,6 +47,7 @@ def test_the_oracle_agrees(rate):
     np.testing.assert_allclose(allan_deviation(rate, factors)[: len(deviation)], deviation, rtol=1e-10)
 
 
+@pytest.mark.slow
 def test_it_can_be_differentiated_and_mapped():
     rates = np.stack([nist_1000()[:60], nist_1000()[60:120]])
     mapped = jax.jit(jax.vmap(lambda rate: allan_deviation(rate, (1, 8))))(rates)

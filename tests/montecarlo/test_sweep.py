@@ -162,6 +162,7 @@ def test_dies_drawn_again_and_a_filter_that_claims_too_little_are_told(loop):
     assert "the filter claims" not in repr(right)
 
 
+@pytest.mark.slow
 def test_without_claims_divergence_is_unknown(small):
     readout = mg.DirectReadout.of_velocity(1e5)
     observer = mg.LyapunovObserver.for_device(small.device, readout)

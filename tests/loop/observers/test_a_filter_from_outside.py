@@ -82,6 +82,7 @@ def loop() -> mg.ClosedLoop:
     return mg.ClosedLoop(gyro, readout, observer, mg.DampingCompensation(mg.Tone(600.0, 53.95)))
 
 
+@pytest.mark.slow
 def test_it_gets_nees_and_the_ratio_to_the_bound(loop):
     spread = mg.Spread((mg.Vary("start.1", mg.Normal(std=5e-8)),))
     summary = mg.sweep(loop, spread, 1.0, dies=32, sample_rate=100e3, duration=2e-3, bound_dies=2).summary

@@ -51,6 +51,7 @@ def test_an_update_of_the_ratio_is_that_of_dense_matrices():
     assert "scale_ratio" not in observer.model.names
 
 
+@pytest.mark.slow
 def test_a_mismatch_that_is_found_costs_no_rate():
     """5 % between the channels, nothing drawn: the ratio comes out, and the rate is right."""
     observer = mg.ScaleRatioFilter.for_device(GYRO, readout(), known=("dxx", "dyy", "dxy", "sigma"), with_offsets=False)

@@ -120,6 +120,7 @@ def test_rows_that_are_left_out_have_no_say(hardening):
     np.testing.assert_array_equal(residual(eqx.tree_at(lambda e: e.measured, without.experiment, wrong)), left)
 
 
+@pytest.mark.slow
 def test_phasors_of_a_lock_in_tell_the_same_as_the_waveform(tmp_path):
     """14 kHz, read 30 Hz beside the resonance at 500 readings a second."""
     omega, decay, reference = 2 * np.pi * 14000.0, 8.0, 2 * np.pi * 13970.0
