@@ -69,7 +69,7 @@ STUDIES = {
     ("none", "classic"): {"controller": {"kind": "classic", "sense": "rebalanced", "amplitude": "1 um"}},
 }  # fmt: skip
 SAMPLES, DIES = 40, np.array([0, 1, 2])
-NEW = [("energy_lyapunov", "reference_model"), ("none", "sliding_mode")]  # the others have these tests elsewhere too
+NEW = [("energy_lyapunov", "reference_model")]  # the others have these tests elsewhere too
 
 
 def kinds_of(union) -> list[str]:
