@@ -43,8 +43,7 @@ VARIANTS = {
         SINGLE, CIRCUIT, 100e3, FEW | {"fading": FixedFading(500.0)}, {"fading": lambda *_: np.exp(500.0 / 1e5)},
     ),
     "adaptive fading": (
-        SINGLE, CIRCUIT, 100e3, FEW | {"fading": AdaptiveFading(5e-4, 1.05)},
-        {"fading": kalman.Xia(5e-4, 1.05, 1e-5)},
+        SINGLE, CIRCUIT, 100e3, {"fading": AdaptiveFading(5e-4, 1.05)}, {"fading": kalman.Xia(5e-4, 1.05, 1e-5)},
     ),
     "annealing": (
         SINGLE, CIRCUIT, 100e3, FEW | {"annealing": Annealing(1000.0, 5e-4)},
