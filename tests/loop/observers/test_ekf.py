@@ -49,7 +49,7 @@ VARIANTS = {
         SINGLE, CIRCUIT, 100e3, FEW | {"annealing": Annealing(1000.0, 5e-4)},
         {"annealing": lambda time: 1 + 1000 * np.exp(-time / 5e-4)},
     ),
-    "two nodes": (SINGLE, CIRCUIT, 20e3, {"discretisation": Exact(24, 2)}, {"gauss": GAUSS2}),
+    "two nodes": (SINGLE, CIRCUIT, 20e3, FEW | {"discretisation": Exact(24, 2)}, {"gauss": GAUSS2}),
     "forward Euler": (SINGLE, CIRCUIT, 2e6, FEW | {"discretisation": ForwardEuler()}, {"euler": True}),
     "curved pick-off": (
         SINGLE, CIRCUIT, 100e3, FEW | {"pickoff": (PickoffNonlinearity("x", 1e5), PickoffNonlinearity("y", -4e4))},
@@ -129,7 +129,7 @@ def disagreement(oracle, places, mean, covariance):
     return np.max(np.abs(mean_error)), np.max(np.abs((covariance - exact) / np.outer(std, std)))
 
 
-LONG = ("mass known", "mass known, ideal circuit", "two nodes", "all at once")  # their parts stand alone beside them
+LONG = ("mass known", "mass known, ideal circuit", "all at once")  # their parts stand alone beside them
 
 
 @pytest.mark.parametrize(
