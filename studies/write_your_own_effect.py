@@ -44,7 +44,7 @@ class Stop(fx.ForceEffect):
         return self.along(now, -self.strength * jnp.maximum(jnp.abs(q) - 1.6e-6, 0.0) ** 2 * jnp.sign(q))
 """
 STRENGTH = 1e4  # N/m²
-QUICK = ("sweep_x",)
+QUICK = ("sweep_x", "sweep_y")
 
 
 def main() -> None:
