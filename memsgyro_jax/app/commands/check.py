@@ -2,10 +2,19 @@
 
 from pathlib import Path
 
+from .cases import cases_in, only_of_folders, over_cases
 from .diagnose import load_demo_or, look_for
 
 
-def check_command(case: Path, /, *, kinds: Path | None = None) -> None:
+def check_command(
+    case: Path,
+    /,
+    *,
+    kinds: Path | None = None,
+    out: Path | None = None,
+    jobs: int = 1,
+    dask: str | None = None,
+) -> None:
     """What a measurement case holds, how good it is, and what it can identify.
 
     Prints the experiments, their noise and their largest readings.
@@ -14,9 +23,16 @@ def check_command(case: Path, /, *, kinds: Path | None = None) -> None:
     each record would hold each parameter of the base model, and which not at all.
 
     Args:
-        case: folder with a case.toml and the CSV files that it names, or the word demo for the one that comes along.
+        case: folder with a case.toml and the CSV files that it names, the word demo for the one that comes along, or a
+            folder of such folders, each of which is checked.
         kinds: a Python file with kinds of measurement of your own. It is run: trust it first.
+        out: folder for what is said of many cases, `check-out` without this option. What is there is not done again.
+        jobs: how many of many cases are checked at a time.
+        dask: address of a Dask scheduler whose workers check many cases, one a task, and write into the folder.
     """
+    if cases_in(case):
+        return over_cases("check", case, out, options={"kinds": kinds}, made={}, jobs=jobs, dask=dask, table=None)
+    only_of_folders(out=out, jobs=jobs, dask=dask)
     look_for(case, kinds)
     from memsgyro_jax.diagnosis.identifiable import identifiable
     from memsgyro_jax.measurement.case import assess
@@ -28,3 +44,4 @@ def check_command(case: Path, /, *, kinds: Path | None = None) -> None:
     print("What the fitted records can identify of the base model, by the size of one standard deviation:")
     for line in identifiable(measured):
         print(f"  {line}")
+    return None

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from memsgyro_jax.base.errors import InputError
 
+from .cases import cases_in, only_of_folders, over_cases
 from .diagnose import load_demo_or, look_for
 
 
@@ -15,6 +16,9 @@ def compare_command(
     effects: Path | None = None,
     kinds: Path | None = None,
     json: Path | None = None,
+    out: Path | None = None,
+    jobs: int = 1,
+    dask: str | None = None,
 ) -> None:
     """Where a model fails to explain a measurement case.
 
@@ -22,14 +26,22 @@ def compare_command(
     experiment, drive level, temperature or time, frequency, channel.
 
     Args:
-        case: folder with a case.toml and the CSV files that it names, or the word demo for the one that comes along.
+        case: folder with a case.toml and the CSV files that it names, the word demo for the one that comes along, or a
+            folder of such folders, each of which is compared.
         model: a model file, taken as it is; without it the base model is fitted.
         effects: a Python file with effects of your own that the model has. It is run: trust it first.
         kinds: a Python file with kinds of measurement of your own. It is run: trust it first.
-        json: file for the machine-readable result.
+        json: file for the machine-readable result, of many cases for their table.
+        out: folder for the results of many cases, `compare-out` without this option. What is there is not done again.
+        jobs: how many of many cases are compared at a time.
+        dask: address of a Dask scheduler whose workers compare many cases, one a task, and write into the folder.
     """
     if effects is not None and model is None:
         raise InputError("Option `--effects` must go with `--model`, whose effects it defines; leave it out.")
+    if cases_in(case):
+        options, made = {"model": model, "effects": effects, "kinds": kinds}, {"--json": "comparison.json"}
+        return over_cases("compare", case, out, options=options, made=made, jobs=jobs, dask=dask, table=json)
+    only_of_folders(out=out, jobs=jobs, dask=dask)
     look_for(case, model, effects, kinds)
     from memsgyro_jax.base.files import write_json
     from memsgyro_jax.diagnosis.compare import compare
@@ -46,3 +58,4 @@ def compare_command(
     print(result)
     if json is not None:
         write_json(json, result.to_dict())
+    return None

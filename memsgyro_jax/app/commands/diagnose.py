@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 from memsgyro_jax.base.errors import InputError
 
+from .cases import cases_in, only_of_folders, over_cases
+
 
 if TYPE_CHECKING:
     from memsgyro_jax.effects import Effect
@@ -28,23 +30,38 @@ def diagnose_command(
     out: Path | None = None,
     json: Path | None = None,
     report: Path | None = None,
+    jobs: int = 1,
+    dask: str | None = None,
 ) -> None:
     """Which physics is missing from the model of a measurement case, or that none is.
 
     Prints a verdict, the effects that the model needs with their strengths,
     how far the error falls, also on records that are not fitted,
     and what to measure next where these records cannot tell.
+    Of a folder that holds folders of cases it diagnoses each, and tabulates their verdicts.
 
     Args:
-        case: folder with a case.toml and the CSV files that it names, or the word demo for the one that comes along.
+        case: folder with a case.toml and the CSV files that it names, the word demo for the one that comes along, or a
+            folder of such folders.
         model: a model file to start from, with the effects it has; without it the base model is fitted.
         effects: a Python file with effects of your own, tried beside the catalogue. It is run: trust it first.
         kinds: a Python file with kinds of measurement of your own. It is run: trust it first.
         level: probability that an effect is reported where none is missing.
-        out: file for the fitted model, for `memsgyro compare --model`.
-        json: file for the machine-readable result.
+        out: file for the fitted model, for `memsgyro compare --model`; of many cases the folder, `diagnose-out` without
+            this option, for the model, the result and the page of each and for the table. What is there is not done
+            again.
+        json: file for the machine-readable result, of many cases for their table.
         report: file for a page with the ranking, the curves and the residual.
+        jobs: how many of many cases are diagnosed at a time.
+        dask: address of a Dask scheduler whose workers diagnose many cases, one a task, and write into the folder.
     """
+    if cases_in(case):
+        if report is not None:
+            raise InputError("Option `--report` must go with a single case; of many each has its page in the folder.")
+        options = {"model": model, "effects": effects, "kinds": kinds, "level": level}
+        made = {"--out": "model.toml", "--json": "diagnosis.json", "--report": "report.html"}
+        return over_cases("diagnose", case, out, options=options, made=made, jobs=jobs, dask=dask, table=json)
+    only_of_folders(jobs=jobs, dask=dask)
     look_for(case, model, effects, kinds)
     from memsgyro_jax.base.files import json_text, write_whole
     from memsgyro_jax.diagnosis.diagnose import diagnose
@@ -73,6 +90,7 @@ def diagnose_command(
     for path, text in texts:
         write_whole(path, text)
     print(found)
+    return None
 
 
 def look_for(case: Path, *others: Path | None) -> None:

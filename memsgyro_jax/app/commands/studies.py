@@ -1,14 +1,14 @@
 """`memsgyro studies`: lists the studies, runs them, and writes the table of all rows."""
 
 import json
-import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
-from contextlib import contextmanager
+from collections.abc import Sequence
+from concurrent.futures import as_completed
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from .processes import Running, run_logged, side_by_side
 
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ def _list(studies: Sequence["StudyScript"]) -> None:
 def _run(studies: Sequence["StudyScript"], *, quick: bool, out: Path, jobs: int) -> list[str]:
     """Runs each in a process of its own, a line of progress for each; the names of those that failed."""
     failed = []
-    with ThreadPoolExecutor(jobs) as pool, _ended(pool) as running:
+    with side_by_side(jobs) as (pool, running):
         waiting = {pool.submit(_run_one, study, quick, out / study.name, running): study for study in studies}
         for count, future in enumerate(as_completed(waiting), 1):
             study, (seconds, reason) = waiting[future], future.result()
@@ -86,34 +86,16 @@ def _run(studies: Sequence["StudyScript"], *, quick: bool, out: Path, jobs: int)
     return failed
 
 
-@contextmanager
-def _ended(pool: ThreadPoolExecutor) -> Iterator[list[subprocess.Popen]]:
-    """Processes that do not outlive an interruption; those that wait do not begin."""
-    running: list[subprocess.Popen] = []
-    try:
-        yield running
-    except BaseException:
-        pool.shutdown(wait=False, cancel_futures=True)
-        for process in running:
-            process.terminate()
-        raise
-
-
-def _run_one(study: "StudyScript", quick: bool, folder: Path, running: list[subprocess.Popen]) -> tuple[float, str]:
+def _run_one(study: "StudyScript", quick: bool, folder: Path, running: Running) -> tuple[float, str]:
     """Seconds, and why it failed, if it did."""
     folder.mkdir(parents=True, exist_ok=True)
     for name in ("answers.json", "failed.json"):
         (folder / name).unlink(missing_ok=True)
     begun = time.monotonic()
-    command = [sys.executable, str(study.path), "--out", str(folder), *(["--quick"] if quick else [])]
-    with (folder / "log.txt").open("w", encoding="utf-8") as log:
-        process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL)
-        running.append(process)
-        status = process.wait()
-    if status == 0:
+    command = [str(study.path), "--out", str(folder), *(["--quick"] if quick else [])]
+    reason = run_logged(command, running, folder / "log.txt")
+    if not reason:
         return time.monotonic() - begun, ""
-    lines = (folder / "log.txt").read_text(encoding="utf-8", errors="replace").split("\n")
-    reason = f"failed with status {status}: {next((line for line in reversed(lines) if line.strip()), 'no word')}"
     told = json.dumps({"failed": f"its study {reason}"}, ensure_ascii=False)
     (folder / "failed.json").write_text(told, encoding="utf-8")
     return time.monotonic() - begun, reason
