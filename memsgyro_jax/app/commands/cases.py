@@ -14,7 +14,7 @@ from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.files import write_json, write_whole
 from memsgyro_jax.base.text import aligned, printable
 
-from .processes import Running, run_logged, side_by_side
+from .processes import Running, run_logged, pool_of_processes
 
 
 FILE, FAILED = "case.toml", 1
@@ -105,7 +105,7 @@ def _answers(run: Any, tasks: Sequence[tuple[str, str, str]], jobs: int, dask: s
         for _, answer in farmed(run, tasks, dask):
             yield answer
         return
-    with side_by_side(jobs) as (pool, running):
+    with pool_of_processes(jobs) as (pool, running):
         for future in as_completed([pool.submit(run, task, running=running) for task in tasks]):
             yield future.result()
 

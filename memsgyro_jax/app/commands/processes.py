@@ -13,7 +13,7 @@ Running = list[subprocess.Popen]
 
 
 @contextmanager
-def side_by_side(jobs: int) -> Iterator[tuple[ThreadPoolExecutor, Running]]:
+def pool_of_processes(jobs: int) -> Iterator[tuple[ThreadPoolExecutor, Running]]:
     """A pool of so many threads, and the list of their processes: where this one is interrupted, those end, and those
     that wait do not begin.
     """

@@ -8,7 +8,7 @@ from concurrent.futures import as_completed
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .processes import Running, run_logged, side_by_side
+from .processes import Running, run_logged, pool_of_processes
 
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ def _list(studies: Sequence["StudyScript"]) -> None:
 def _run(studies: Sequence["StudyScript"], *, quick: bool, out: Path, jobs: int) -> list[str]:
     """Runs each in a process of its own, a line of progress for each; the names of those that failed."""
     failed = []
-    with side_by_side(jobs) as (pool, running):
+    with pool_of_processes(jobs) as (pool, running):
         waiting = {pool.submit(_run_one, study, quick, out / study.name, running): study for study in studies}
         for count, future in enumerate(as_completed(waiting), 1):
             study, (seconds, reason) = waiting[future], future.result()
