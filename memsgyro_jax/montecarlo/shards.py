@@ -5,6 +5,7 @@ chunk is its numbers, compressed (Zstandard), and a CRC32C; one that holds nothi
 Behind the chunks come, for each, its place and length, and a CRC32C of these. Anything that reads zarr reads them.
 """
 
+from collections import Counter
 from functools import cache
 
 import google_crc32c
@@ -51,6 +52,23 @@ def unpacked(
                 if found is not None:
                     rows[place] = np.frombuffer(found, like.dtype).reshape(rows[place].shape)
     return rows.reshape(-1, *like.shape[1:]), np.repeat(whole, block)
+
+
+def tallied(content: bytes | None, block: int, count: int, fill: int) -> Counter[int]:
+    """How often each value stands in a shard of whole numbers of a byte; what cannot be read counts as `fill`.
+
+    Most chunks of statuses are alike: each kind of them is unpacked once.
+    """
+    index = None if content is None else _index(content, count)
+    if content is None or index is None:
+        return Counter({fill: block * count})
+    kinds = Counter(None if begin == _ABSENT else content[begin : begin + length] for begin, length in index.tolist())
+    found: Counter[int] = Counter()
+    for kind, times in kinds.items():
+        values = None if kind is None else _chunk(kind, 0, len(kind), block)
+        rows = Counter({fill: block} if values is None else np.frombuffer(values, "i1").tolist())
+        found.update({value: times * many for value, many in rows.items()})
+    return found
 
 
 def holds(content: bytes, count: int) -> Bool[np.ndarray, " count"]:

@@ -1,6 +1,7 @@
 """How far a store is, read from its statuses alone."""
 
 import io
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from .batch import DIVERGED, LOST, OK, PENDING, STATUS
 from .folder import Folder, RemotePath, place_of
 from .layout import SCHEMA, attributes_of, blocks_per_shard, held_by
 from .lease import signed_in
-from .shards import unpacked
+from .shards import tallied, unpacked
 from .store import leases_of
 from .stored import waiting_of
 
@@ -60,21 +61,29 @@ def standing_of(out: str | Path) -> Standing:
         found = attributes.get("schema", "no store")
         raise InputError(f"{path} must be the store of a sweep ({SCHEMA}), but is {found}.")
     per_shard, blocks, shards, files = blocks_per_shard(block), -(-dies // block), Folder(path), waiting_of(path)
-    counts, waiting = np.zeros(3, int), 0
+    counts, waiting, there = Counter[int](), 0, _numbers(files)  # looked for once: a listing may be long
     for first in range(0, blocks, per_shard):
-        numbers, there = range(first, min(first + per_shard, blocks)), files.names()
+        numbers = range(first, min(first + per_shard, blocks))
         # What waits first: it is removed when the shard is written.
-        own = {n: _status_in(files.read(f"{n}.npy")) for n in numbers if f"{n}.npy" in there}
+        own = {n: _status_in(files.read(f"{n}.npy")) for n in numbers if n in there}
         content = shards.read(f"{STATUS}/c/{first // per_shard}")
+        if not own and (first + per_shard) * block <= dies:
+            counts.update(tallied(content, block, per_shard, PENDING))
+            continue
         rows, _ = unpacked(content, range(len(numbers)), block, per_shard, np.empty(0, "i1"), PENDING)
         for number, found in own.items():
             mine = rows[(number - first) * block : (number - first) * block + len(found)]
             waiting += int(np.count_nonzero((mine == PENDING) & (found != PENDING)))
             mine[mine == PENDING] = found[mine == PENDING]
-        counts += [np.count_nonzero(rows[: dies - first * block] == status) for status in (OK, LOST, DIVERGED)]
-    ok, lost, diverged = (int(count) for count in counts)
+        counts.update(rows[: dies - first * block].tolist())
+    ok, lost, diverged = (counts[status] for status in (OK, LOST, DIVERGED))
     at_work = signed_in(leases_of(path)) if isinstance(path, Path) else (0, 0)
     return Standing(path, dies, ok + lost + diverged, lost, diverged, waiting, *at_work)
+
+
+def _numbers(files: Folder) -> set[int]:
+    """Of the blocks that are files of their own."""
+    return {int(name[:-4]) for name in files.names() if name.endswith(".npy") and name[:-4].isdecimal()}
 
 
 def _status_in(content: bytes | None) -> np.ndarray:

@@ -14,7 +14,7 @@ from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.files import write_json, write_whole
 from memsgyro_jax.base.text import aligned, printable
 
-from .processes import Running, run_logged, pool_of_processes
+from .processes import Running, pool_of_processes, run_logged
 
 
 FILE, FAILED = "case.toml", 1

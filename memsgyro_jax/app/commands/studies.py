@@ -8,7 +8,7 @@ from concurrent.futures import as_completed
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .processes import Running, run_logged, pool_of_processes
+from .processes import Running, pool_of_processes, run_logged
 
 
 if TYPE_CHECKING:
