@@ -127,7 +127,8 @@ def _answered(
         reason = run_logged(arguments, [] if running is None else running, place / "log.txt", text)
         verdict, sentence = ("failed", reason) if reason else _verdict(place, made)
     except (OSError, ValueError, KeyError) as error:
-        reason = verdict, sentence = "failed", str(error)
+        verdict, reason = "failed", repr(error)
+        sentence = reason
     status = "failed" if reason else "done"
     answer = CaseAnswer(name, status, verdict, sentence, round(time.monotonic() - begun, 1), key)
     if place.is_dir():
