@@ -177,8 +177,11 @@ class Joint:
         none = _no_lanes(readings.experiment, model)
         if none is None or not quick:
             return self._carried(vector, directions, [readings])
-        still = jnp.zeros((WIDTH, at.size))
-        value, _, inquiry = _linearise(at, still, none, part.model, part.spec, readings.experiment)
+        others = np.where(np.isin(self.owner, quick), 0.0, directions)
+        rows = np.flatnonzero(np.any(others != 0, axis=1))
+        along = rows if rows.size <= WIDTH and self._part(vector, others).effects == part.effects else rows[:0]
+        still, first = jnp.zeros((WIDTH, at.size)), _lanes(others[along][:, part.places], 0)
+        value, known, inquiry = _linearise(at, first, none, part.model, part.spec, readings.experiment)
         places = tuple(int(sum(k < i for k in part.effects)) for i in quick)
         added = contributions(model, Absent(tuple(whole.effects[i] for i in quick), places), inquiry)
         columns, responses = np.concatenate([self.of_effect(i) for i in quick]), []
@@ -186,9 +189,9 @@ class Joint:
             lanes = jax.tree.map(lambda leaf: _lanes(leaf, begin), added)  # noqa: B023
             responses.append(_linearise(at, still, lanes, part.model, part.spec, readings.experiment)[1])
         slopes = np.concatenate(responses)[: columns.size].T @ directions[:, columns].T
-        others = np.where(np.isin(self.owner, quick), 0.0, directions)
-        rows = np.flatnonzero(np.any(others != 0, axis=1))
-        if rows.size:
+        if along.size:
+            slopes[:, along] += np.asarray(known)[: along.size].T
+        elif rows.size:
             slopes[:, rows] += self._carried(vector, others[rows], [readings])[1]
         return np.asarray(value), slopes
 
