@@ -181,7 +181,7 @@ def compare(
 
 def judged(fit: CaseFit, *, level: float = LEVEL, fitted: bool = True) -> Comparison:
     """Every test on the residuals of a fit that was made already."""
-    series = tuple(r.series(d) for r, d in fit.deviations)
+    series = tuple(r.series(d).compared for r, d in fit.deviations)
     return Comparison(fit, series, check_all(series, level), level, fitted)
 
 

@@ -292,6 +292,9 @@ def beside_case(case: Case, joint: Joint, optimum: Optimum, apart: float = 0.0) 
 
 def _place(readings: Readings, values: np.ndarray, white: list[np.ndarray], fitted: list[np.ndarray]) -> None:
     rows = values.reshape(readings.record.size, readings.axes, -1)
+    std = getattr(readings.experiment.noise, "std", None)
+    if std is not None:  # a channel that was not recorded is not compared
+        rows = np.where(np.isinf(np.broadcast_to(std, rows.shape[:2]))[..., None], np.nan, rows)
     for record in np.unique(readings.record[readings.record >= 0]):
         mine = readings.record == record
         white[record][readings.row[mine]] = rows[mine]

@@ -31,7 +31,7 @@ def outlying(fit: CaseFit) -> Rows:
     """
     out = {}
     for record, deviation in fit.deviations:
-        series, found = record.series(deviation), []
+        series, found = record.series(deviation).compared, []
         for piece in series.pieces:
             white = series.white[piece].reshape(series.white[piece].shape[0], -1)
             seen = np.flatnonzero(np.isfinite(white).all(axis=1))

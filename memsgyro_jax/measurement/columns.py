@@ -2,7 +2,7 @@
 
 import difflib
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -92,21 +92,28 @@ class Columns:
         still = np.zeros(len(self.table.lines))
         return np.stack([self._force(name) if self.has(name) else still for name in names], axis=1)
 
+    @property
+    def recorded(self) -> tuple[bool, ...]:
+        """Which channels the file holds; all where it has none that is known, which is told when they are read."""
+        ends, names = ("", "_I", "_Q", "_amp", "_phase"), self.words.signals[0]
+        found = tuple(any(self.has(name + end) for end in ends) for name in names)
+        return found if any(found) else (True,) * len(names)
+
     def signals(self) -> np.ndarray:
-        """(n, channels) real readings."""
-        names = self._used(self.words.signals)
-        return self._signed(np.stack([self._reading(name) for name in names], axis=1))
+        """(n, channels) real readings; zero where a channel was not recorded."""
+        return self._signed(self._stacked([(name,) for name in self._used(self.words.signals)], self._reading))
 
     def phasors(self) -> np.ndarray:
-        """(n, channels) complex readings, from I and Q or from amplitude and phase."""
+        """(n, channels) complex readings, from I and Q or from amplitude and phase; zero where a channel was not
+        recorded.
+        """
         named, polar = (
             self._pairs(("_I", "_Q"), self.words.pairs),
             self._pairs(("_amp", "_phase"), self.words.amplitudes),
         )
         if (angled := any(map(self.has, sum(polar, ())))) and any(map(self.has, sum(named, ()))):
             raise self.refuse("must have either I and Q or amplitude and phase, but has some of both")
-        pairs = [self._polar(*pair) for pair in polar] if angled else [self._cartesian(*pair) for pair in named]
-        return self._signed(np.stack(pairs, axis=1))
+        return self._signed(self._stacked(*((polar, self._polar) if angled else (named, self._cartesian))))
 
     @property
     def has_phase(self) -> bool:
@@ -119,17 +126,19 @@ class Columns:
         return any(map(self.has, angled)) or not any(self.has(first) for first, _ in polar)
 
     def amplitudes(self) -> np.ndarray:
-        """(n, channels) amplitudes without a phase."""
-        names = [first for first, _ in self._pairs(("_amp", "_phase"), self.words.amplitudes)]
-        return np.stack([self._amplitude(name) for name in names], axis=1)
+        """(n, channels) amplitudes without a phase; zero where a channel was not recorded."""
+        names = [(first,) for first, _ in self._pairs(("_amp", "_phase"), self.words.amplitudes)]
+        return self._stacked(names, self._amplitude)
 
     def noise(self) -> np.ndarray | None:
         """(n, channels) standard deviation of each real reading, from columns `x_std` or `std`; `None` without one."""
         names = self._used((*(tuple(name + "_std" for name in group) for group in self.words.signals), ("std",)))
         if not any(map(self.has, names)):
             return None
-        found = [self._positive(name, self._reading(name)) for name in names]
-        return np.stack(found * (len(self.words.signals[0]) if len(found) == 1 else 1), axis=1)
+        channels, one = self.recorded, len(names) == 1
+        found = [self._positive(n, self._reading(n)) for n, seen in zip(names, channels, strict=False) if one or seen]
+        each = iter(found * len(channels) if one else found)
+        return np.stack([next(each) if seen else found[0] for seen in channels], axis=1)
 
     def refuse_others(self, known: Iterable[str]) -> None:
         """Keeps columns that this kind of experiment does not know in `others`, and refuses those that may be the
@@ -156,6 +165,13 @@ class Columns:
         groups = [tuple((name + ends[0], name + ends[1]) for name in group) for group in self.words.signals]
         names = self._used(tuple(sum(group, ()) for group in (*groups, *((pair,) for pair in further))))
         return tuple(zip(names[::2], names[1::2], strict=True))
+
+    def _stacked(self, names: Sequence[tuple[str, ...]], read: Callable[..., np.ndarray]) -> np.ndarray:
+        """What `read` makes of the columns of each channel (n, channels)."""
+        none = np.zeros(len(self.table.lines))
+        return np.stack(
+            [read(*some) if seen else none for some, seen in zip(names, self.recorded, strict=True)], axis=1
+        )
 
     def _signed(self, readings: np.ndarray) -> np.ndarray:
         readings = np.conj(readings) if self.conjugated else readings
@@ -218,10 +234,10 @@ def _listed(names: Iterable[str]) -> str:
     return " or ".join(f"`{name}`" for name in names)
 
 
-def signal_columns(signals: np.ndarray, declared: Declared) -> dict[str, np.ndarray]:
-    """Real readings (n, channels) as a file has them: header to column."""
+def signal_columns(signals: np.ndarray, declared: Declared, seen: Iterable[int] = (0, 1)) -> dict[str, np.ndarray]:
+    """Real readings (n, channels) as a file has them, those that were recorded: header to column."""
     names = declared.words.signals[0]
-    return {f"{name} [{declared.readout.unit}]": signals[:, c] for c, name in enumerate(names)}
+    return {f"{name} [{declared.readout.unit}]": signals[:, c] for c, name in enumerate(names) if c in seen}
 
 
 def force_columns(forces: np.ndarray, declared: Declared) -> dict[str, np.ndarray]:
@@ -230,17 +246,16 @@ def force_columns(forces: np.ndarray, declared: Declared) -> dict[str, np.ndarra
     return {f"{name} [{words.force}]": forces[:, axis] for axis, name in enumerate(words.forces[0])}
 
 
-def phasor_columns(phasors: np.ndarray, declared: Declared) -> dict[str, np.ndarray]:
-    """Complex readings (n, channels) as I and Q: header to column."""
+def phasor_columns(phasors: np.ndarray, declared: Declared, seen: Iterable[int] = (0, 1)) -> dict[str, np.ndarray]:
+    """Complex readings (n, channels) as I and Q, those that were recorded: header to column."""
     return {
         header.replace(" [", f"_{end} ["): part
-        for header, value in signal_columns(phasors, declared).items()
+        for header, value in signal_columns(phasors, declared, seen).items()
         for end, part in (("I", value.real), ("Q", value.imag))
     }
 
 
-def amplitude_columns(phasors: np.ndarray, declared: Declared) -> dict[str, np.ndarray]:
-    """Amplitudes (n, channels) without a phase: header to column."""
-    return {
-        header.replace(" [", "_amp ["): value for header, value in signal_columns(np.abs(phasors), declared).items()
-    }
+def amplitude_columns(phasors: np.ndarray, declared: Declared, seen: Iterable[int] = (0, 1)) -> dict[str, np.ndarray]:
+    """Amplitudes (n, channels) without a phase, those that were recorded: header to column."""
+    values = signal_columns(np.abs(phasors), declared, seen)
+    return {header.replace(" [", "_amp ["): value for header, value in values.items()}

@@ -6,6 +6,7 @@ from memsgyro_jax.device.normalised import NormalisedDevice
 
 from .case import Case
 from .declared import design_device as design_device
+from .experiments.base import Phasors
 from .phasor_fit import device_of_phasors
 
 
@@ -18,8 +19,25 @@ def starting_device(case: Case) -> NormalisedDevice:
     rows = [row for row in offered if row is not None]
     if not rows:
         return _as_heard(case)
-    found = device_of_phasors(rows)
-    return design_device(case) if found is None else found
+    whole = [row for row in rows if row.axis is None]
+    found = device_of_phasors(whole) if whole else None
+    device = design_device(case) if found is None else found
+    for axis in sorted({row.axis for row in rows if row.axis is not None}):
+        if not any(np.any(row.force[:, axis]) for row in whole):
+            device = _with_axis(device, axis, [row for row in rows if row.axis == axis], found is None)
+    return device
+
+
+def _with_axis(device: NormalisedDevice, axis: int, rows: list[Phasors], gain: bool) -> NormalisedDevice:
+    """The device with one axis, and its gain, as phasors of that axis alone show it."""
+    seen = device_of_phasors(rows)
+    if seen is None:
+        return device
+    stiffness, damping = np.array(device.stiffness), np.array(device.damping)
+    stiffness[axis], damping[axis] = float(seen.stiffness[0]), float(seen.damping[0])
+    mobility = abs(float(seen.mobility)) if gain else device.mobility
+    moved = NormalisedDevice(stiffness, damping, mobility)
+    return moved if np.all(np.linalg.eigvalsh(np.asarray(moved.stiffness_matrix)) > 0) else device
 
 
 def _as_heard(case: Case) -> NormalisedDevice:

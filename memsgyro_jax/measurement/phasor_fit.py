@@ -42,7 +42,7 @@ def is_seen(device: NormalisedDevice, offered: Sequence[Phasors]) -> bool:
     is added to a background.
     """
     gained = 0.0
-    for omega, motion, force, weight, modulus in offered:
+    for omega, motion, force, weight, modulus, _ in offered:
         if modulus or motion.shape[1] > 1:
             return True
         response = 1.0 / (device.stiffness[0] - omega**2 + 1j * omega * device.damping[0])

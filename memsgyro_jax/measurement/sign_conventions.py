@@ -34,7 +34,7 @@ def disagreements(records: Sequence[tuple[str, Phasors | None]]) -> list[str]:
 
     Of two records that contradict each other the later one is named, as nobody knows which is right.
     """
-    rows = [(name, one) for name, one in records if one is not None and not one.modulus]
+    rows = [(name, one) for name, one in records if one is not None and not one.modulus and one.axis is None]
     found: list[str] = []
     agreed: list[Phasors] = []
     for name, one in rows:

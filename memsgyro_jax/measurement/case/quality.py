@@ -113,6 +113,10 @@ def _assess(record: AbstractRecord, case: Case) -> RecordQuality:
             f"{record.file}: the declared noise of {declared:.2g} {case.readout.unit} is not that of the rows, about "
             f"{noise:.2g} {case.readout.unit}; estimates and their uncertainty follow the declared one."
         )
+    for channel in set(range(record.readings.shape[1])) - set(record.channels):
+        warnings.append(
+            f"{record.file}: channel {'xy'[channel]} was not recorded; what shows there alone this record cannot tell."
+        )
     for name in record.undeclared:
         warnings.append(f"{record.file}: nothing is made of column `{name}`; list it in `carried` if that is meant.")
     return RecordQuality(record, noise, float(np.max(np.abs(record.readings))), tuple(warnings))

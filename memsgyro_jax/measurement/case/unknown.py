@@ -69,7 +69,7 @@ def with_found_design(case: Case, file: CaseFile, path: Path) -> Case:
     if not open_:
         return case
     offered = [record.starting_phasors(case) for record in case.records if record.role != "validation"]
-    rows = [phasors for phasors in offered if phasors is not None]
+    rows = [phasors for phasors in offered if phasors is not None and phasors.axis is None]
     device = device_of_phasors(rows) if rows else _left_alone(case)
     if device is None or (rows and not is_seen(device, rows)):
         raise InputError(

@@ -185,6 +185,7 @@ class Phasors(NamedTuple):
         force: (n, axes) force phasors [N].
         weight: (n,) one over the standard deviation of the motion [1/m].
         modulus: whether the motion is known by its amplitude alone.
+        axis: the only one that was recorded, of which motion and force then have one column; `None` where all were.
     """
 
     omega: np.ndarray
@@ -192,6 +193,7 @@ class Phasors(NamedTuple):
     force: np.ndarray
     weight: np.ndarray
     modulus: bool = False
+    axis: int | None = None
 
 
 def surroundings(

@@ -43,15 +43,13 @@ class ClockedRecord(AbstractRecord):
         return f"{self.period * self.rows:.4g} s at {1 / self.period:.6g} Hz"
 
     def estimated_noise(self) -> float:
-        return noise_over_time(self.readings)
+        return noise_over_time(self.readings[:, self.channels])
 
     def estimated_freedom(self) -> float:
-        return freedom_over_time(self.readings)
+        return freedom_over_time(self.readings[:, self.channels])
 
     def watched(self, noise: float) -> list[Watched]:
-        return [
-            self.in_time(f"channel {name}", column, noise) for name, column in zip("xy", self.readings.T, strict=False)
-        ]
+        return [self.in_time(f"channel {'xy'[c]}", self.readings[:, c], noise) for c in self.channels]
 
     def in_time(self, name: str, values: np.ndarray, noise: float = 0.0) -> Watched:
         """A column of the record to be watched for wrong digits."""
@@ -63,7 +61,7 @@ class ClockedRecord(AbstractRecord):
     def overlay(self, base: Deviation, final: Deviation) -> Overlay:
         """The residual of every channel over time."""
         what = "lock-in phasors" if np.iscomplexobj(self.readings) else "waveforms"
-        views = tuple(View(c, "time [s]", self.time, slice(None)) for c in range(len(base.channels)))
+        views = tuple(View(c, "time [s]", self.time, slice(None)) for c in self.channels)
         return Overlay(f"residual of its {what} over time", views)
 
 
@@ -87,7 +85,7 @@ class WaveformRecord(ClockedRecord):
         return self.signals[self.rows // 2 :].mean(axis=0)
 
     def columns(self, declared: Declared) -> dict[str, np.ndarray]:
-        return {"t [s]": self.time, **signal_columns(self.signals, declared)}
+        return {"t [s]": self.time, **signal_columns(self.signals, declared, self.channels)}
 
     def track(self, declared: Declared, channel: int, rows: int = 0) -> Track:
         """Amplitude, frequency and decay rate of the strongest vibration of a channel, over windows of some rows."""
@@ -109,4 +107,6 @@ class WaveformRecord(ClockedRecord):
         )
 
     def missing_force(self, deviation: Deviation) -> TimeForce | None:
+        if len(self.channels) < self.readings.shape[1]:
+            return None
         return force_over_time(self.name, deviation, self.time, self.noise_level)

@@ -4,7 +4,7 @@ A kind of measurement says here which of its rows belong together and what a mis
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
@@ -45,7 +45,7 @@ class Deviation:
     @property
     def seen(self) -> np.ndarray:
         """Which rows are compared (n,)."""
-        return np.isfinite(self.white).all(axis=(1, 2))
+        return np.isfinite(self.white).any(axis=(1, 2))
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -139,6 +139,13 @@ class Series:
     parts: tuple[Subset, ...] = ()
     bands: tuple[Band, ...] = ()
     variables: tuple[Variable, ...] = ()
+
+    @property
+    def compared(self) -> "Series":
+        """The same without channels that were not recorded."""
+        seen = np.flatnonzero(np.isfinite(self.white).any(axis=(0, 2)))
+        names = tuple(self.channels[k] for k in seen)
+        return replace(self, channels=names, white=self.white[:, seen], turned=self.turned[:, seen])
 
 
 @dataclass(frozen=True, eq=False)

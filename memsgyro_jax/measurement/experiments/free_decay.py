@@ -202,6 +202,11 @@ class FreeDecayRecord(WaveformRecord):
         )
 
     def check(self, table: Table, declared: Declared) -> None:
+        if len(self.channels) < declared.channels:
+            raise InputError(
+                f"{table.path}, header: must have the readings of both axes, as a decay begins in an unknown motion of "
+                "each; with the drive before it, a ring-down may do without one."
+            )
         check_period(table, None)
         if self.reference_frequency is None:
             check_sampling(self.period, self.rows, declared.resonances, table)

@@ -147,7 +147,12 @@ class FrequencySweepRecord(AbstractRecord):
         check_order(table, self.frequency, self.sweeps)
         refuse_copies(table)
         noise = self.noise_std or self.estimated_noise() or 0.0
-        for rows in self.sweeps if self.phase_known else ():
+        if not self.settled and len(self.channels) < declared.channels:
+            raise InputError(
+                f"{table.path}, header: must have the readings of both axes where rows had not settled, as each begins "
+                "in the motion of the row before."
+            )
+        for rows in self.sweeps if self.phase_known and self.axis in self.channels else ():
             check_phase(table, rows, self.axis, self.frequency, self.phasors, noise)
 
     def keys(self, declared: Declared) -> dict[str, Any]:
@@ -162,7 +167,7 @@ class FrequencySweepRecord(AbstractRecord):
             "T [K]": self.temperature,
             "rate [rad/s]": self.rate,
             "f [rad/s]": self.frequency,
-            **(phasor_columns if self.phase_known else amplitude_columns)(self.phasors, declared),
+            **(phasor_columns if self.phase_known else amplitude_columns)(self.phasors, declared, self.channels),
         }
 
     # ---- predict
@@ -192,7 +197,10 @@ class FrequencySweepRecord(AbstractRecord):
 
     # ---- start
 
-    def starting_phasors(self, declared: Declared) -> Phasors:
+    def starting_phasors(self, declared: Declared) -> Phasors | None:
+        alone = len(self.channels) < declared.channels
+        if alone and self.axis not in self.channels:
+            return None
         # The lowest drive and the reference conditions are the most linear; others only where nothing else is there.
         around, readout = declared.environment, declared.readout
         calm = (self.rate == 0) & (np.abs(self.temperature - around.temperature) < 1)
@@ -205,7 +213,10 @@ class FrequencySweepRecord(AbstractRecord):
         force = np.outer(self.drive, np.eye(declared.channels)[self.axis])[calm]
         motion, omega = readout.motion(self.phasors, self.frequency)[calm], self.frequency[calm]
         weight = abs(readout.scale) * omega**readout.order / self.noise_level
-        return Phasors(omega, motion, force + 0j, weight, not self.phase_known)
+        own = [self.axis] if alone else self.channels
+        return Phasors(
+            omega, motion[:, own], force[:, own] + 0j, weight, not self.phase_known, self.axis if alone else None
+        )
 
     def motion(self, declared: Declared) -> np.ndarray:
         """(n, axes) displacement phasors that were seen; where no phase was, those of the device as designed."""
@@ -223,30 +234,30 @@ class FrequencySweepRecord(AbstractRecord):
         return np.exp(-1j * lag) * np.sign(float(device.mobility))
 
     def _peak(self, rows: slice) -> float:
-        """Highest reading of the driven channel within a sweep."""
-        return float(np.max(np.abs(self.phasors[rows, self.axis])))
+        """Highest reading of the driven channel within a sweep; of the other where it was not recorded."""
+        channel = self.axis if self.axis in self.channels else self.channels[0]
+        return float(np.max(np.abs(self.phasors[rows, channel])))
 
     # ---- noise and quality
 
     def estimated_noise(self) -> float | None:
-        return noise_over_frequency(self.frequency, self.phasors, self.sweeps, self.courses)
+        return noise_over_frequency(self.frequency, self.phasors[:, self.channels], self.sweeps, self.courses)
 
     @cached_property
     def noise_of_rows(self) -> np.ndarray:
         jitter = None if self.noise_std else jitter_noise(self.frequency, self.phasors, self.courses)
-        return super().noise_of_rows if jitter is None else np.hypot(self.noise_level, jitter)
+        return super().noise_of_rows if jitter is None else np.hypot(super().noise_of_rows, jitter)
 
     def estimated_freedom(self) -> float:
-        return freedom_over_frequency(self.frequency, self.phasors.shape[1], self.sweeps, self.courses)
+        return freedom_over_frequency(self.frequency, len(self.channels), self.sweeps, self.courses)
 
     def watched(self, noise: float) -> list[Watched]:
         return [
-            Watched(f"channel {name}", column, noise, self.frequency, self.sweeps)
-            for name, column in zip("xy", self.phasors.T, strict=False)
+            Watched(f"channel {'xy'[c]}", self.phasors[:, c], noise, self.frequency, self.sweeps) for c in self.channels
         ]
 
     def warnings(self, declared: Declared) -> list[str]:
-        found = exchanged(self.file, self.axis, self.phasors)
+        found = exchanged(self.file, self.axis, self.phasors[:, self.channels])
         for rows in self.sweeps:
             if self._peak(rows) < _WEAK * (self.noise_std or self.estimated_noise() or 0.0):
                 place = f"{self.file}, lines {self.lines[rows][0]} to {self.lines[rows][-1]}"
@@ -300,7 +311,7 @@ class FrequencySweepRecord(AbstractRecord):
             return tuple(piece[np.argsort(hertz[piece], kind="stable")] for piece in rows)
 
         drawn = curves(self.sweeps[:: -(-len(self.sweeps) // _CURVES)])
-        views = [View(c, "frequency [Hz]", hertz, slice(None), drawn) for c in range(len(base.channels))]
+        views = [View(c, "frequency [Hz]", hertz, slice(None), drawn) for c in self.channels]
         if near.sum() > 4:
             views.append(View(int(worst), "frequency [Hz]", hertz, near, curves((near,)), near=True))
         return Overlay(f"driven on {'xy'[self.axis]}{self._varied(base.declared)}", tuple(views))
@@ -315,8 +326,8 @@ class FrequencySweepRecord(AbstractRecord):
         return "".join(said)
 
     def missing_force(self, deviation: Deviation) -> SweepForce | None:
-        """The missing force of every row, fitted or not; none from amplitudes alone."""
-        if not self.phase_known:
+        """The missing force of every row, fitted or not; none from amplitudes alone, or without the driven channel."""
+        if not self.phase_known or self.axis not in self.channels:
             return None
         pieces, model = [], deviation.model
         for readings in deviation.readings:
@@ -329,7 +340,10 @@ class FrequencySweepRecord(AbstractRecord):
         motion, force, gain = (np.concatenate([piece[k] for piece in pieces])[order] for k in (1, 2, 3))
         omega = self.frequency[rows]
         noise = self.noise_level / np.abs(np.asarray(model.scale)) / omega[:, None] ** model.order
+        std = np.full(force.shape, np.inf)  # of a channel that was not recorded, which moves as the model has it
+        own = self.channels
+        std[:, own] = np.sqrt(np.einsum("nij,nj->ni", gain[:, own][:, :, own] ** 2, noise[:, own] ** 2))
         return SweepForce(
             self.name, self.axis, omega, self.drive[rows], self.temperature[rows], self.bias_voltage[rows],
-            motion[:, self.axis], force, np.sqrt(np.einsum("nij,nj->ni", gain**2, noise**2)),
+            motion[:, self.axis], force, std,
         )  # fmt: skip

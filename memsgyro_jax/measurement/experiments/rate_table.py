@@ -218,7 +218,7 @@ class RateTableRecord(ClockedRecord):
 
     def columns(self, declared: Declared) -> dict[str, np.ndarray]:
         rate = {"rate [rad/s]": self.rate} if self.has_rate else {}
-        return {"t [s]": self.time, **rate, **phasor_columns(self.phasors, declared)}
+        return {"t [s]": self.time, **rate, **phasor_columns(self.phasors, declared, self.channels)}
 
     def experiment(self, declared: Declared, number: int) -> RateTable:
         around = eqx.tree_at(
@@ -239,7 +239,7 @@ class RateTableRecord(ClockedRecord):
 
     def starting_phasors(self, declared: Declared) -> Phasors | None:
         still, readout = self.rate == 0, declared.readout
-        if not still.any():
+        if not still.any() or len(self.channels) < declared.channels:
             return None
         motion = readout.motion(self.phasors[still].mean(axis=0)[None], self.drive_frequency)
         force = self.drive_force * np.eye(declared.channels)[self.axis][None]
@@ -273,5 +273,7 @@ class RateTableRecord(ClockedRecord):
             variables,
         )
 
-    def missing_force(self, deviation: Deviation) -> RateResidual:
+    def missing_force(self, deviation: Deviation) -> RateResidual | None:
+        if self.axis not in self.channels:
+            return None
         return residual_over_rate(self.name, deviation, self.axis, self.rate, self.time, self.noise_level)

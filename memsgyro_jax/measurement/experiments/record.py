@@ -57,6 +57,8 @@ class AbstractRecord(abc.ABC):
         note: free text.
         noise_std: of each real reading (each of I and Q for phasors), in the record unit; `None` asks to estimate it.
         noise_rows: (n, channels) the same, where the file tells it row by row, of which `noise_std` is then the mean.
+        recorded: which channels the file holds; all where it is empty. The readings of others are zero, and their noise
+            is infinite.
         carried: columns that nothing depends on, header to values.
         undeclared: which of them the case does not say to carry along.
     """
@@ -72,6 +74,7 @@ class AbstractRecord(abc.ABC):
     note: str = ""
     noise_std: float | None = None
     noise_rows: np.ndarray | None = None
+    recorded: tuple[bool, ...] = ()
     carried: Mapping[str, np.ndarray] = field(default_factory=dict)
     undeclared: tuple[str, ...] = ()
 
@@ -93,6 +96,12 @@ class AbstractRecord(abc.ABC):
     @abc.abstractmethod
     def readings(self) -> np.ndarray:
         """(n, channels) what was read, real or complex, in the record unit."""
+
+    @property
+    def channels(self) -> list[int]:
+        """Numbers of those that were recorded."""
+        every = self.recorded or (True,) * self.readings.shape[1]
+        return [number for number, seen in enumerate(every) if seen]
 
     @property
     @abc.abstractmethod
@@ -189,9 +198,11 @@ class AbstractRecord(abc.ABC):
 
     @property
     def noise_of_rows(self) -> np.ndarray:
-        """(n, channels) standard deviation of each real reading."""
-        every = np.full(self.readings.shape, self.noise_level if self.noise_rows is None else 1.0)
-        return every if self.noise_rows is None else self.noise_rows
+        """(n, channels) standard deviation of each real reading; infinite in channels that were not recorded."""
+        every = np.full(self.readings.shape, np.inf)
+        seen = self.channels
+        every[:, seen] = self.noise_level if self.noise_rows is None else self.noise_rows[:, seen]
+        return every
 
     def watched(self, noise: float) -> list[Watched]:
         """Columns in which a row far off its neighbours is an error; none by default."""
@@ -233,7 +244,7 @@ class AbstractRecord(abc.ABC):
             (known[0].values, f"{known[0].name} [{known[0].unit}]") if known else (np.arange(self.rows), "row")
         )
         order = (np.argsort(across, kind="stable"),)
-        return Overlay("", tuple(View(c, heading, across, slice(None), order) for c in range(len(base.channels))))
+        return Overlay("", tuple(View(c, heading, across, slice(None), order) for c in self.channels))
 
     def missing_force(self, deviation: Deviation) -> MissingForce | None:
         """The force that the model lacks to move as it was seen to move, as one of three views; by default none."""

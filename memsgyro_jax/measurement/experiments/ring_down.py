@@ -166,7 +166,7 @@ class RingDownRecord(WaveformRecord):
         }
 
     def estimated_noise(self) -> float:
-        beside = noise_beside_tone(self.time, self.signals, self.drive_frequency)
+        beside = noise_beside_tone(self.time, self.signals[:, self.channels], self.drive_frequency)
         return beside if self.uneven else min(beside, super().estimated_noise())
 
     def experiment(self, declared: Declared, number: int) -> RingDown:
@@ -200,7 +200,7 @@ class RingDownRecord(WaveformRecord):
         return self.track(declared, channel)
 
     def warnings(self, declared: Declared) -> list[str]:
-        found, decay = exchanged(self.file, self.axis, self.signals), declared.shortest_decay
+        found, decay = exchanged(self.file, self.axis, self.signals[:, self.channels]), declared.shortest_decay
         if self.drive_duration < 5 * decay:
             found.append(
                 f"{self.file}: the drive of {self.drive_duration:.3g} s lasts less than 5 time constants of {decay:.3g}"

@@ -44,7 +44,7 @@ class Sheet:
             noise = float(np.sqrt(np.mean(rows**2)))
         return {
             "name": entry.name, "file": entry.file, "lines": self.columns.table.lines, "role": entry.role,
-            "note": entry.note, "noise_std": noise, "noise_rows": rows,
+            "note": entry.note, "noise_std": noise, "noise_rows": rows, "recorded": self.columns.recorded,
         }  # fmt: skip
 
     def amount(self, key: str, unit: str) -> float:

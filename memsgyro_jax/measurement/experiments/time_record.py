@@ -208,8 +208,12 @@ class TimeRecord(WaveformRecord):
             )
         return skipped
 
-    def starting_phasors(self, declared: Declared) -> Phasors:
-        """Spectral lines around the resonances, under a Hann window that hides start and end."""
+    def starting_phasors(self, declared: Declared) -> Phasors | None:
+        """Spectral lines around the resonances, under a Hann window that hides start and end; none where a channel was
+        not recorded.
+        """
+        if len(self.channels) < declared.channels:
+            return None
         (low, high), readout = declared.resonances, declared.readout
         window = np.hanning(self.rows)[:, None]
         lines = np.fft.rfft((self.signals - self.signals.mean(axis=0)) * window, axis=0)

@@ -171,7 +171,7 @@ def test_a_link_out_of_the_folder_is_refused(bench, tmp_path):
         ("raw.csv", 30, lambda r: "#" + r, ("line 31", "`t`", "row missing")),
         ("raw.csv", 1, lambda h: h.replace("u_x [nN],u_y", "u_x [nN],uy"), ("`uy`", "did you mean `u_y`")),
         ("raw.csv", 1, lambda h: h.replace("u_x [nN]", "u_x [V]"), ("`u_x`", '"N"')),
-        ("raw.csv", 1, lambda h: h.replace(",Vy [V]", ",rate [deg/s]"), ("header", "`Vy`")),
+        ("raw.csv", 1, lambda h: h.replace("Vx [V],Vy [V]", "rate [deg/s],T [degC]"), ("header", "`Vx`")),
     ],
 )
 def test_a_wrong_row_or_header_names_its_line_or_column(bench, file, line, change, words):
