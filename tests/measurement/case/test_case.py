@@ -133,7 +133,7 @@ def test_amplitude_and_phase_are_the_same_phasors(bench):
 
 
 @pytest.mark.skipif(not CASES.is_dir(), reason="the public cases lie beside the repository and are not there")
-@pytest.mark.parametrize("name", ["P1", "P2", "P3", "P4", "P5", "silverbox"])
+@pytest.mark.parametrize("name", ["P1", "P2", "P3", "P4", "P5", pytest.param("silverbox", marks=pytest.mark.slow)])
 def test_public_cases_are_read_and_written(name, tmp_path):
     case = load_case(CASES / name)
     write_case(case, tmp_path / "case")
