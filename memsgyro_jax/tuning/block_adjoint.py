@@ -1,8 +1,8 @@
 """The losses of dies in blocks and their derivatives: the first samples as sample by sample (`adjoint`), then the state
 before every block is kept, and the way back crosses one after the other.
 
-Blocks share maps. Behind the last block that takes them they are made again, what all these blocks pull at them adds
-up, and before the first it is handed on to the state that they were made of.
+Blocks share maps. These are made again from the state before the first block that takes them, and what all these
+blocks pull at them adds up, to be handed on to that state.
 """
 
 from typing import Any, NamedTuple
@@ -11,7 +11,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Int
+from jaxtyping import Bool
 
 from memsgyro_jax.loop import engine
 from memsgyro_jax.loop.blocks.length import lengths
@@ -27,17 +27,6 @@ class KeptInBlocks(NamedTuple):
     begun: Kept
     starts: Flat
     end: Flat
-
-
-class _Crossed(NamedTuple):
-    """Of each block: where it lies, whether maps are made before it, whether others are made after it, and before which
-    block its own were.
-    """
-
-    span: Span
-    renewed: Bool[Array | np.ndarray, "*blocks"]
-    last: Bool[Array | np.ndarray, "*blocks"]
-    source: Int[Array | np.ndarray, "*blocks"]
 
 
 class PortionInBlocks(Portion):
@@ -62,48 +51,49 @@ class PortionInBlocks(Portion):
         state = course.settled_in(state)
 
         def forward(carry, crossed):
-            before, maps, alive = carry
-            maps = jax.lax.cond(crossed.renewed, lambda: course.maps(before[0], crossed.span), lambda: maps)
-            after = self._block(course, before, maps, crossed.span)
+            (before, maps, alive), (span, renewed) = carry, crossed
+            maps = jax.lax.cond(renewed, lambda: course.maps(before[0], span), lambda: maps)
+            after = self._block(course, before, maps, span)
             return (after, maps, alive & engine.healthy(loop, after[0])), flat_of(before)
 
         begin = ((state, memory), course.no_maps(state), alive)
-        (end, _, alive), starts = jax.lax.scan(forward, begin, self._crossed())
+        (end, _, alive), starts = jax.lax.scan(forward, begin, jax.tree.map(jnp.asarray, self._crossed()))
         return self._judgement(end[1], alive, loop), KeptInBlocks(begun, starts, flat_of(end))
 
     def back(self, numbers: Numbers, kept: Any) -> Numbers:
         """The slopes, backwards; those of a lost die mean nothing."""
         own, chain = jax.vjp(self._own, numbers)
 
-        def made(own, real, rest, span):
-            return self._course(own).maps(self._unflat(real, rest)[0], span)
+        spans, renewed = self._crossed()
+        firsts = np.flatnonzero(renewed)
+        shared = jnp.asarray(firsts), jnp.asarray(np.diff(firsts, append=len(renewed)))
 
-        def back(carry, was):
-            pull, slopes, at_maps, maps = carry
-            crossed, (real, rest) = was
-            span = crossed.span._replace(number=apart(crossed.span.number))
-            source, before = jax.tree.map(lambda rows: rows[crossed.source], (self._crossed().span, kept.starts))
-            maps = jax.lax.cond(crossed.last, lambda: made(own, before[0], before[1], source), lambda: maps)
+        def before(place):
+            span, (real, rest) = jax.tree.map(lambda rows: jnp.asarray(rows)[place], (spans, kept.starts))
+            return span._replace(number=apart(span.number)), real, rest
 
-            def block(own, real, maps):
-                return flat_of(self._block(self._course(own), self._unflat(real, rest), maps, span))
+        def back(carry, taken):
+            first, count = taken
+            span, real, rest = before(first)
+            maps, made = jax.vjp(lambda own, real: self._course(own).maps(self._unflat(real, rest)[0], span), own, real)
 
-            _, turned, _ = jax.vjp(block, own, real, maps, has_aux=True)
-            more, pull, there = turned(pull)
-            slopes, at_maps = slopes + more, jax.tree.map(jnp.add, at_maps, there)
+            def one(number, pulls):
+                pull, slopes, at_maps = pulls
+                span, real, rest = before(first + count - 1 - number)
 
-            def handed_on():
-                _, turned = jax.vjp(lambda own, real: made(own, real, rest, span), own, real)
-                more, further = turned(at_maps)
-                return pull + further, slopes + more, jax.tree.map(jnp.zeros_like, at_maps)
+                def block(own, real, maps):
+                    return flat_of(self._block(self._course(own), self._unflat(real, rest), maps, span))
 
-            carry = jax.lax.cond(crossed.renewed, handed_on, lambda: (pull, slopes, at_maps))
-            return (*carry, maps), None
+                _, turned, _ = jax.vjp(block, own, real, maps, has_aux=True)
+                more, pull, there = turned(pull)
+                return pull, slopes + more, jax.tree.map(jnp.add, at_maps, there)
+
+            pull, slopes, at_maps = jax.lax.fori_loop(0, count, one, (*carry, jax.tree.map(jnp.zeros_like, maps)))
+            more, further = made(at_maps)
+            return (pull + further, slopes + more), None
 
         begun, (real, rest) = kept.begun, kept.begun.end
-        nothing = self._course(own).no_maps(self._unflat(real, rest)[0])
-        start = (*self._pulled(own, kept.end), nothing, nothing)
-        (pull, slopes, _, _), _ = jax.lax.scan(back, start, (self._crossed(), kept.starts), reverse=True)
+        (pull, slopes), _ = jax.lax.scan(back, self._pulled(own, kept.end), shared, reverse=True)
 
         def settled(own, real):
             state, memory = self._unflat(real, rest)
@@ -113,17 +103,15 @@ class PortionInBlocks(Portion):
         return chain(self._back(own, begun, pull, slopes + more))[0]
 
     def _course(self, own: Numbers) -> BlockCourse:
-        return BlockCourse(self._tuned(own), self.scenario, self.words, self.timing.period, max(self.sizes))
+        return BlockCourse(self._tuned(own), self.scenario, self.words, self.timing.period, max(self.sizes), True)
 
     def _block(self, course: BlockCourse, carry: Carry, maps: Any, span: Span) -> Carry:
         state, sample = course.block(carry[0], maps, span)
         return state, self.loss.sample(carry[1], sample)
 
-    def _crossed(self) -> _Crossed:
-        sizes = np.asarray(self.sizes)
-        span, renewed = crossing(*self.design, self.timing.blocks * self.timing.block, sizes)
-        source = np.maximum.accumulate(np.where(renewed, np.arange(len(renewed)), 0))
-        return jax.tree.map(jnp.asarray, _Crossed(span, renewed, np.append(renewed[1:], True), source))
+    def _crossed(self) -> tuple[Span, Bool[np.ndarray, " blocks"]]:
+        """Where the blocks lie, and before which of them maps are made."""
+        return crossing(*self.design, self.timing.blocks * self.timing.block, np.asarray(self.sizes))
 
 
 def sizes_of(loop: ClosedLoop, samples: int) -> tuple[int, tuple[int, ...]]:

@@ -119,6 +119,9 @@ def measure(options: argparse.Namespace, cache: str, accelerator: str) -> tuple[
             longer = (*job[:2], "--duration", str(times * options.duration), *job[4:], "--blocks")
             blocks.setdefault(name, []).append(start(*longer, cores=1, cache=cache))
     ours |= {name: max(runs, key=lambda run: run["steps_per_s"]) for name, runs in blocks.items()}
+    gradient = (str(Path(__file__).with_name("gradient.py")), "--worker", "--blocks", "--numbers", "10")
+    steps = str(round(options.duration * 100e3))
+    ours["gradient in blocks"] = start("--steps", steps, cores=1, cache=cache, program=gradient)
     ours["one_core"] = max(pinned, key=lambda run: run["steps_per_s"])
     ours["classic control"] = max(classic, key=lambda run: run["steps_per_s"])
     ours["second_start_s"] = min(run["first_call_s"] for run in pinned)
@@ -146,6 +149,9 @@ def table(ours: dict, yardsticks: dict, options: argparse.Namespace) -> list[tup
     for name in (*LENGTHS, "classic control"):
         speed = ours[name]["steps_per_s"]
         rows.append((name, f"{speed / 1e6:.2f} million samples/s, {speed / one['steps_per_s']:.2f} x one core"))
+    slope = ours["gradient in blocks"]
+    text = f"{slope['ratio']:.2f} x its primal by ten numbers, compiled in {slope['compile_gradient_s']:.1f} s"
+    rows.append(("gradient in blocks", text))
     if "two_cores" in ours:
         both = ours["two_cores"]["steps_per_wall_s"]
         text = f"{both / 1e6:.2f} million steps/s, {both / one['steps_per_wall_s']:.2f} x one core"

@@ -2,7 +2,7 @@
 
 By few numbers the derivatives go forwards: every sample carries one by each number along, nothing of the run is stored.
 By more they go backwards through kept states, one way back for all numbers. The primal is the plain
-run with the loss recorded, whichever way the derivatives go.
+run with the loss recorded, whichever way the derivatives go. With `--blocks` the loop goes in blocks, backwards always.
 """
 
 import argparse
@@ -27,6 +27,7 @@ def worker(options: argparse.Namespace) -> None:
 
     import memsgyro_jax as mg
     from memsgyro_jax import losses
+    from memsgyro_jax.loop.blocks.run import prepared
     from memsgyro_jax.tuning.objective import Objective
     from memsgyro_jax.tuning.tunable import resolved
     from memsgyro_jax.tuning.tune import timing_of
@@ -35,7 +36,10 @@ def worker(options: argparse.Namespace) -> None:
     noise = mg.ProcessNoise.of(gyro.model, rate=100.0)
     observer = mg.ExtendedKalmanFilter.for_device(gyro, readout, annealing=mg.Annealing(), process_noise=noise)
     loop = mg.ClosedLoop(gyro, readout, observer, mg.DampingCompensation(tones=mg.Tone(600.0, 53.95)))
-    loop, free = loop.sampled_at(100e3), ("noise_density", *(f"process_noise.{name}" for name in NAMES))
+    loop = loop.sampled_at(100e3)
+    if options.blocks:
+        loop, _ = prepared(loop.in_blocks())
+    free = ("noise_density", *(f"process_noise.{name}" for name in NAMES))
     duration = options.steps / 100e3
 
     def objective(count: int) -> Objective:
@@ -73,7 +77,8 @@ def start(numbers: int, options: argparse.Namespace) -> dict:
     with tempfile.TemporaryDirectory() as cache:
         done = subprocess.run(
             [sys.executable, __file__, "--worker", f"--numbers={numbers}", f"--dies={options.dies}",
-             f"--steps={options.steps}", f"--repeat={options.repeat}", f"--lanes={options.lanes}"],
+             f"--steps={options.steps}", f"--repeat={options.repeat}", f"--lanes={options.lanes}",
+             *(["--blocks"] if options.blocks else [])],
             env=environment | {"XDG_CACHE_HOME": cache, "OMP_NUM_THREADS": "1"}, capture_output=True, text=True,
             check=False, preexec_fn=lambda: os.sched_setaffinity(0, [core]),
         )  # fmt: skip
@@ -89,6 +94,7 @@ def main() -> None:
     parser.add_argument("--lanes", type=int, default=32, help="dies side by side")
     parser.add_argument("--repeat", type=int, default=4, help="timed calls; the fastest counts")
     parser.add_argument("--numbers", type=int, nargs="+", default=[3, 6, 10])
+    parser.add_argument("--blocks", action="store_true", help="the loop in blocks")
     parser.add_argument("--out", type=Path, default=Path(__file__).parents[1] / "out" / "gradient")
     parser.add_argument("--worker", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()

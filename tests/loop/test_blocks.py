@@ -10,7 +10,7 @@ import pytest
 from scipy import stats
 
 import memsgyro_jax as mg
-from memsgyro_jax.loop.blocks import advance, basis
+from memsgyro_jax.loop.blocks import basis, reading
 from memsgyro_jax.loop.blocks.algebra import multiplied
 from memsgyro_jax.loop.blocks.length import Blocks, lengths, renewals
 from memsgyro_jax.loop.blocks.run import prepared
@@ -53,26 +53,40 @@ def test_a_die_is_the_same_in_any_company():
 
 
 def test_slopes_of_a_product_and_of_what_statistics_told():
-    """Of a product by its definition, whatever stands in front; of all statistics at once as of one after the other."""
+    """Of a product by its definition; of all statistics forwards and backwards as of the recursion itself, for one and
+    for many dies more.
+    """
     generator = np.random.default_rng(0)
 
     def drawn(*shape):
         return jnp.asarray(generator.normal(size=shape))
 
-    factors, pulled = (drawn(3, 1, 2, 4, 5), drawn(2, 4, 3, 5)), drawn(3, 2, 2, 3, 5)
-    made, turned = jax.vjp(multiplied, *factors)
-    wanted, meant = jax.vjp(lambda a, b: jnp.einsum("...rkl,...kcl->...rcl", a, b), *factors)
-    for one, other in zip((made, *turned(pulled)), (wanted, *meant(pulled)), strict=True):
-        np.testing.assert_allclose(one, other, atol=1e-13)
-    mapped = jax.vmap(lambda a: multiplied(a, factors[1]), in_axes=0)(factors[0])
-    np.testing.assert_array_equal(mapped, made)
+    def alike(ones, others):
+        for one, other in zip(ones, others, strict=True):
+            np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9)
 
-    root, change = drawn(4, 4, 2), drawn(4, 4, 2)
-    covariance = jnp.einsum("ijl,kjl->ikl", root, root)
-    given = drawn(2, 3, 4, 2), drawn(2, 3, 2), jnp.exp(drawn(2, 2)), covariance
-    moved = (*(drawn(*part.shape) for part in given[:3]), change + jnp.swapaxes(change, 0, 1))
-    for one, other in zip(*(jax.jvp(f, given, moved)[1] for f in (advance._both, advance._both.fun)), strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9)
+    for rows, inner in (((3, 2), 4), ((2,), 34)):
+        factors, pulled = (drawn(*rows, inner, 5), drawn(inner, 3, 2, 5)), drawn(*rows, 3, 2, 5)
+        made, turned = jax.vjp(multiplied, *factors)
+        wanted, meant = jax.vjp(lambda a, b: jnp.einsum("...kl,kabl->...abl", a, b), *factors)
+        alike((made, *turned(pulled)), (wanted, *meant(pulled)))
+        changed = jnp.stack([factors[0], 2.0 * factors[0]])
+        np.testing.assert_array_equal(jax.vmap(multiplied, (0, None))(changed, factors[1])[1], 2.0 * made)
+
+    def even(matrix):
+        return matrix + jnp.swapaxes(matrix, 0, 1)
+
+    root = drawn(4, 4, 2)
+    given = reading.Scalars(drawn(6, 4, 2), drawn(6, 2), jnp.exp(drawn(6, 2)), jnp.einsum("ijl,kjl->ikl", root, root))
+    moved = reading.Scalars(drawn(6, 4, 2), drawn(6, 2), drawn(6, 2), even(drawn(4, 4, 2)))
+    pull = reading.Read(drawn(4, 2), even(drawn(4, 4, 2)), drawn(6, 2), drawn(6, 2))
+    ways = reading.read_off, reading.read_off.fun
+    forwards, meant = (jax.jvp(way, (given,), (moved,))[1] for way in ways)
+    alike(forwards, meant)
+    back, meant = (jax.vjp(way, given)[1](pull)[0] for way in ways)
+    alike((*back[:3], even(back.covariance)), (*meant[:3], even(meant.covariance)))
+    many = jax.vmap(lambda by: jax.jvp(ways[0], (given,), (jax.tree.map(lambda part: by * part, moved),))[1])
+    alike(*(jax.tree.map(lambda part, i=i: part[i] / (i + 1.0), many(jnp.array([1.0, 2.0]))) for i in range(2)))
 
 
 @pytest.mark.slow

@@ -2,8 +2,8 @@
 
 XLA vectorises those over the dies (12 GFlop/s of a core, where a reduction reached 3 and a batched product less). The
 product is a primitive of JAX's, whose derivative is made of products again: that of a sum written out is made of padded
-arrays, many times as long to run and to compile. A derivative goes row by row, in a loop: XLA would repeat a product in
-each that takes it in.
+arrays, many times as long to run and to compile. A derivative goes part by part, in a loop: XLA would repeat a product
+in each that takes it in.
 """
 
 from collections.abc import Iterable
@@ -26,48 +26,44 @@ def over_lanes(entries: Iterable[Any], lanes: tuple[int, ...]) -> Array:
 
 
 def multiplied(
-    a: Float[Array, "... rows inner lanes"], b: Float[Array, "... inner columns lanes"], looped: bool = False
-) -> Float[Array, "... rows columns lanes"]:
-    """a b, for what stands in front of the last three axes too; `looped` row by row, to the same bits."""
-    return _PRODUCT.bind(jnp.asarray(a), jnp.asarray(b), looped=looped)
-
-
-def applied_to(a: Float[Array, "... inner lanes"], vector: Float[Array, "inner lanes"]) -> Float[Array, "... lanes"]:
-    """a v."""
-    return multiplied(a.reshape(-1, *a.shape[-2:]), vector[:, None]).reshape(*a.shape[:-2], -1)
-
-
-def weighted(weights: Float[Array, "some lanes"], parts: Float[Array, "some ... lanes"]) -> Float[Array, "... lanes"]:
-    """The sum of `parts`, each times its weight."""
-    return weighted_by(weights[None], parts)[0]
-
-
-def weighted_by(
-    weights: Float[Array, "rows some lanes"], parts: Float[Array, "some ... lanes"]
-) -> Float[Array, "rows ... lanes"]:
-    """Sums of `parts`, one for each row of weights."""
-    flat = parts.reshape(len(parts), -1, parts.shape[-1])
-    return multiplied(weights, flat).reshape(len(weights), *parts.shape[1:-1], -1)
+    a: Float[Array, "... inner lanes"], b: Float[Array, "inner ... lanes"], looped: bool = False
+) -> Float[Array, "... lanes"]:
+    """The sum over the last of the axes of `a` and the first of `b`, dies apart; `looped` in parts."""
+    lanes = jnp.broadcast_shapes(a.shape[-1:], b.shape[-1:])
+    rows, columns = a.shape[:-2], b.shape[1:-1]
+    flat = a.reshape(-1, *a.shape[-2:]), b.reshape(b.shape[0], -1, b.shape[-1])
+    pair = (jnp.broadcast_to(part, (*part.shape[:2], *lanes)) for part in flat)
+    return _PRODUCT.bind(*pair, looped=looped).reshape(*rows, *columns, *lanes)
 
 
 def _made(a: Array, b: Array, *, looped: bool) -> Array:
-    """The product, as it is computed."""
-    if not looped or (a.ndim == b.ndim == 3 and len(a) == 1):
-        return reduce(add, (a[..., :, k, None, :] * b[..., k, None, :, :] for k in range(b.shape[-3])))
-    if a.ndim == b.ndim == 3:
-        return jax.lax.map(lambda row: _made(row[None], b, looped=False)[0], a)
-    if b.ndim == 3:
-        return _made(a.reshape(-1, *a.shape[-2:]), b, looped=True).reshape(*a.shape[:-2], *b.shape[-2:])
-    front = jnp.broadcast_shapes(a.shape[:-3], b.shape[:-3])
-    flat = tuple(jnp.broadcast_to(part, front + part.shape[-3:]).reshape(-1, *part.shape[-3:]) for part in (a, b))
-    found = jax.lax.map(lambda pair: _made(*pair, looped=True), flat)
-    return found.reshape(*front, *found.shape[1:])
+    """The product of two matrices, as it is computed."""
+    rows, inner = a.shape[:2]
+    if not looped or (rows == 1 and inner <= _AT_ONCE):
+        return reduce(add, (a[:, k, None] * b[k] for k in range(inner)))
+    if inner > _AT_ONCE:
+        some = _divisor(inner)
+
+        def more(place, total):
+            part = (jax.lax.dynamic_slice_in_dim(of, some * place, some, axis) for of, axis in ((a, 1), (b, 0)))
+            return total + _made(*part, looped=False)
+
+        return jax.lax.fori_loop(0, inner // some, more, jnp.zeros((rows, *b.shape[1:])))
+    some = _divisor(rows)
+    parts = a.reshape(-1, some, *a.shape[1:])
+    return jax.lax.map(lambda part: _made(part, b, looped=False), parts).reshape(rows, *b.shape[1:])
+
+
+_AT_ONCE = 16  # rows, or products of a sum, in a turn of a loop
+
+
+def _divisor(number: int) -> int:
+    """The largest part of a number that is done at once; not all, since XLA takes a loop of one turn apart."""
+    return max(part for part in range(1, min(number // 2, _AT_ONCE) + 1) if number % part == 0)
 
 
 def _shaped(a: Any, b: Any, *, looped: bool) -> jax.core.ShapedArray:
-    front = jnp.broadcast_shapes(a.shape[:-3], b.shape[:-3])
-    lanes = jnp.broadcast_shapes(a.shape[-1:], b.shape[-1:])
-    return jax.core.ShapedArray((*front, a.shape[-3], b.shape[-2], *lanes), jnp.result_type(a.dtype, b.dtype))
+    return jax.core.ShapedArray((a.shape[0], *b.shape[1:]), jnp.result_type(a.dtype, b.dtype))
 
 
 def _pulled(pull: Any, a: Any, b: Any, *, looped: bool) -> tuple[Any, Any]:
@@ -75,29 +71,25 @@ def _pulled(pull: Any, a: Any, b: Any, *, looped: bool) -> tuple[Any, Any]:
     if isinstance(pull, ad.Zero):
         return None, None
     if ad.is_undefined_primal(a):
-        return _summed_to(a.aval.shape, multiplied(pull, jnp.swapaxes(b, -3, -2), True)), None
-    return None, _summed_to(b.aval.shape, multiplied(jnp.swapaxes(a, -3, -2), pull, True))
-
-
-def _summed_to(shape: tuple[int, ...], pull: Array) -> Array:
-    """Of what was repeated along an axis the sum over it."""
-    pull = jnp.sum(pull, axis=tuple(range(pull.ndim - len(shape))))
-    repeated = tuple(axis for axis, size in enumerate(shape) if size != pull.shape[axis])
-    return jnp.sum(pull, axis=repeated, keepdims=True)
+        return multiplied(pull, jnp.swapaxes(b, 0, 1), True), None
+    return None, multiplied(jnp.swapaxes(a, 0, 1), pull, True)
 
 
 def _batched(pair: tuple[Array, Array], axes: tuple[Any, Any], *, looped: bool) -> tuple[Array, int]:
-    front = max(part.ndim - (axis is not None) for part, axis in zip(pair, axes, strict=True))
-    a, b = (_fronted(part, axis, front) for part, axis in zip(pair, axes, strict=True))
-    return multiplied(a, b, looped), 0
+    return among_dies(lambda *given: _PRODUCT.bind(*given, looped=looped), pair, axes)
 
 
-def _fronted(part: Array, axis: Any, rank: int) -> Array:
-    """With the batch as the first of `rank` + 1 axes."""
-    if axis is None:
-        return part
-    part = jnp.moveaxis(part, axis, 0)
-    return part.reshape(part.shape[:1] + (1,) * (rank + 1 - part.ndim) + part.shape[1:])
+def among_dies(bind: Any, given: Any, axes: Any) -> tuple[Any, Any]:
+    """A batch of what works on dies apart, as so many more dies."""
+    size = next(part.shape[axis] for part, axis in zip(given, axes, strict=True) if axis is not None)
+
+    def joined(part: Array, axis: int | None) -> Array:
+        beside = part[..., None, :] if axis is None else jnp.moveaxis(part, axis, -2)
+        return jnp.broadcast_to(beside, (*beside.shape[:-2], size, beside.shape[-1])).reshape(*beside.shape[:-2], -1)
+
+    made = bind(*map(joined, given, axes))
+    made = jax.tree.map(lambda part: part.reshape(*part.shape[:-1], size, -1), made)
+    return made, jax.tree.map(lambda part: part.ndim - 2, made)
 
 
 _PRODUCT = Primitive("small_matrix_product")

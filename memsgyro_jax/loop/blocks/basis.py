@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from memsgyro_jax.device.small import dot
+from .algebra import multiplied
 
 
 Angles = Float[Array, "frequencies lanes"]
@@ -115,4 +115,4 @@ def projected(
     """The whitened statistics of a block's samples."""
     turns = jnp.arange(1.0, len(samples) + 1.0)
     sums = jnp.sum(jax.vmap(lambda n, v: at(n * angles)[:, None] * v[None])(turns, samples), axis=0)
-    return jnp.stack([dot(row, sums) for row in whiten])
+    return multiplied(whiten, sums)

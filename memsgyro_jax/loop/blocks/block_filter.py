@@ -33,7 +33,7 @@ from ..observers.ekf import ExtendedKalmanFilter
 from ..readout import AbstractReadout
 from . import basis
 from .advance import corrected, covariance_later
-from .algebra import applied_to, multiplied, over_lanes, weighted, weighted_by
+from .algebra import multiplied, over_lanes
 from .basis import Turn
 from .length import ONE_MASS, TWO_MASSES, Blocks
 
@@ -163,8 +163,8 @@ class BlockFilter(AbstractObserver[BlockState]):
         row = course.now.shape[1:]
         lanes, volts, held = row or (1,), over_lanes(measured, row), over_lanes(force, row)
         flat = lambda part: part.reshape(*part.shape[: part.ndim - len(row)], *lanes)  # noqa: E731
-        motion = applied_to(flat(course.full), flat(jnp.stack(state.motion)))
-        motion = (motion + applied_to(flat(course.push), flat(held))).reshape(4, *row)
+        motion = multiplied(flat(course.full), flat(jnp.stack(state.motion)))
+        motion = (motion + multiplied(flat(course.push), flat(held))).reshape(4, *row)
         now = basis.rotated(course.now, course.turn)
         expected = [scale * motion[signal] for signal, scale in zip(alone.signals, alone.scale, strict=True)]
         left = volts - jnp.stack(expected)
@@ -207,9 +207,9 @@ class BlockFilter(AbstractObserver[BlockState]):
         lanes = motion.shape[1:]
         variance = over_lanes(self.filter.variance(middle), lanes)
         shift, covariance, read = corrected(told.rows, told.innovation, variance, believed.covariance)
-        motion = motion + applied_to(across.free, shift[:4])
-        if len(told.turned):
-            motion = motion + weighted(shift[len(shift) - len(told.turned) :], told.turned)
+        motion = motion + multiplied(across.free, shift[:4])
+        if count := told.turned.shape[1]:
+            motion = motion + multiplied(told.turned, shift[-count:])
         walk = over_lanes(self.filter.walk()[4:], lanes) * elapsed
         after = Believed(
             jnp.concatenate([motion, believed.mean[4:] + shift[4:]]),
@@ -220,7 +220,7 @@ class BlockFilter(AbstractObserver[BlockState]):
 
     def _told(self, course: BlockUnderWay, across: "_Across", whiten: Array, mean: Array, period: Scalar) -> "_Told":
         """The block's statistics, and what the errors of its start and of the coefficients make of them."""
-        white = partial(weighted_by, whiten)
+        white = partial(multiplied, whiten)
         ones = white(across.gram[:, 0])
         offset = mean[4:6] if self.filter.with_offsets else over_lanes(self.filter.prior.offset, mean.shape[1:])
         acting, lanes = self._acting(course, whiten, period), mean.shape[1:]
@@ -231,11 +231,11 @@ class BlockFilter(AbstractObserver[BlockState]):
         if self.filter.with_offsets:
             parts.insert(1, ones[:, None, None] * jnp.eye(2)[..., None])
         left = white(course.unexpected) - ones[:, None] * offset
-        return _Told(jnp.concatenate(parts, axis=2), left, jnp.swapaxes(turned, 0, 1))
+        return _Told(jnp.concatenate(parts, axis=2), left, turned)
 
     def _acting(self, course: BlockUnderWay, whiten: Array, period: Scalar) -> Float[Array, "2k p lanes"]:
         """What a unit of each coefficient accelerates each axis by, as shares of each b."""
-        fitted = lambda sums: weighted_by(jnp.swapaxes(whiten, 0, 1), weighted_by(whiten, sums))  # noqa: E731
+        fitted = lambda sums: multiplied(jnp.swapaxes(whiten, 0, 1), multiplied(whiten, sums))  # noqa: E731
         count = len(course.angles)
         half = Turn(jnp.cos(0.5 * course.angles), jnp.sin(0.5 * course.angles))
         places = basis.rotated(fitted(course.places), half)  # those of the middle of a sample, where they act
@@ -280,7 +280,7 @@ class _Told(NamedTuple):
 
     rows: Float[Array, "k 2 states lanes"]
     innovation: Float[Array, "k 2 lanes"]
-    turned: Float[Array, "p 4 lanes"]
+    turned: Float[Array, "4 p lanes"]
 
 
 class _Across(NamedTuple):
@@ -300,13 +300,15 @@ class _Across(NamedTuple):
 def _doubled(half: _Across) -> _Across:
     """Over 2m samples from over m."""
     turn, later = half.turn, jnp.swapaxes(half.seen_pushed, 0, 1)
-    later = multiplied(half.seen_free[:, None], half.pushed[None]) + jnp.swapaxes(basis.rotated(later, turn), 0, 1)
+    pushed = jnp.swapaxes(half.pushed, 0, 1)
+    through = jnp.swapaxes(multiplied(half.seen_free, pushed), 1, 2)
+    later = through + jnp.swapaxes(basis.rotated(later, turn), 0, 1)
     return _Across(
         turn.twice,
         basis.gram_twice(half.gram, turn),
         multiplied(half.free, half.free),
         half.walked + multiplied(multiplied(half.free, half.walked), jnp.swapaxes(half.free, 0, 1)),
-        multiplied(half.free, half.pushed) + basis.rotated(half.pushed, turn),
+        jnp.swapaxes(multiplied(half.free, pushed), 0, 1) + basis.rotated(half.pushed, turn),
         half.seen_free + basis.rotated(multiplied(half.seen_free, half.free), turn),
         half.seen_pushed + basis.rotated(later, turn),
     )

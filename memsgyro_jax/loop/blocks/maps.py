@@ -15,6 +15,7 @@ where O are the sums of C F^n and N those of C T_n; Q_2m = Q_m + F_m Q_m F_mᵀ 
 the motion gathers. At the end the sums are whitened (`basis`). ∂E/∂θ is the filter's own, by a rule of Gauss.
 """
 
+import math
 from functools import partial, reduce
 from operator import add
 from typing import Any, NamedTuple
@@ -29,7 +30,7 @@ from memsgyro_jax.device.gyro import Dynamics
 from ..loop import ClosedLoop
 from ..observers.base import AbstractBlockObserver
 from . import basis
-from .algebra import multiplied, over_lanes, weighted, weighted_by
+from .algebra import multiplied, over_lanes
 from .basis import Sums, Turn
 from .law import Groups, Lanes, law_of, pulsations, rows_of_readout
 
@@ -49,19 +50,21 @@ class Maps(NamedTuple):
     ones: Float[Array, "k lanes"]
     estimated: Float[Array, "w w lanes"]
     free: Float[Array, "4 4 lanes"]
-    turned: Float[Array, "p 4 w lanes"]
+    turned: Float[Array, "4 p w lanes"]
     walked: Float[Array, "4 4 lanes"]
     true: Float[Array, "4 u lanes"]
     seen_free: Float[Array, "k 2 4 lanes"]
-    seen_turned: Float[Array, "k p 2 w lanes"]
+    seen_turned: Float[Array, "k 2 p w lanes"]
     unexpected: Float[Array, "k 2 u lanes"]
 
 
 def maps_of(
     loop: ClosedLoop, dynamics: Dynamics, theta: tuple[Scalar, ...], groups: Groups, period: Scalar,
-    doublings: tuple[Array, int], lanes: Lanes,
+    doublings: tuple[Array, int], lanes: Lanes, backwards: bool = False,
 ) -> Maps:  # fmt: skip
-    """The maps over 2^p samples at linearisation `theta`, of a device with `dynamics`; `doublings`: p and its top."""
+    """The maps over 2^p samples at linearisation `theta`, of a device with `dynamics`; `doublings`: p and its top.
+    `backwards` is a run whose derivative goes so.
+    """
     observer: Any = loop.observer
     law = law_of(loop.controller, observer, theta, groups, period, lanes)
     pulsation, tonal = pulsations(loop.controller, observer.model.assemble(theta), groups, lanes)
@@ -93,24 +96,16 @@ def maps_of(
         ),
     )
 
-    def level(half: _Doubling, passed: Array) -> tuple[_Doubling, None]:
-        return jax.lax.cond(passed < doublings[0], _doubled, lambda whole: whole, half), None
-
-    _, gram, to, sums = jax.lax.scan(level, start, jnp.arange(doublings[1]))[0]
+    _, gram, to, sums = (_level_by_level if backwards else _at_once)(start, doublings)
     whiten = basis.whitening(gram)
-    white = partial(weighted_by, whiten)
+    white = partial(multiplied, whiten)
     unexpected = jnp.concatenate([white(part.joined) for part in (sums.own, sums.driven, sums.pushed)], axis=2)
     chosen = over_lanes([theta[i] for i in observer.estimated], lanes)
     return Maps(
-        chosen, angles, whiten, weighted_ones(whiten, gram), to.estimated, to.free, to.turned, to.walked,
+        chosen, angles, whiten, multiplied(whiten, gram[:, 0]), to.estimated, to.free, to.turned, to.walked,
         jnp.concatenate([to.own, to.driven, to.pushed], axis=1),
         white(sums.free.joined), white(sums.turned.joined), unexpected,
     )  # fmt: skip
-
-
-def weighted_ones(whiten: Float[Array, "k k lanes"], gram: Float[Array, "k k lanes"]) -> Float[Array, "k lanes"]:
-    """W Σ b_n: the basis holds the constant, so that the sum is a column of G."""
-    return jnp.stack([weighted(row, gram[:, 0]) for row in whiten])
 
 
 class _Ends(NamedTuple):
@@ -144,6 +139,38 @@ class _Doubling(NamedTuple):
     seen: _Seen
 
 
+def _at_once(start: _Doubling, doublings: tuple[Array, int]) -> _Doubling:
+    """Of a whole block."""
+
+    def level(half: _Doubling, passed: Array) -> tuple[_Doubling, None]:
+        return jax.lax.cond(passed < doublings[0], _doubled, lambda whole: whole, half), None
+
+    return jax.lax.scan(level, start, jnp.arange(doublings[1]))[0]
+
+
+def _level_by_level(start: _Doubling, doublings: tuple[Array, int]) -> _Doubling:
+    """The same. What has a derivative goes from level to level as one array, which is all that is kept of the way: XLA
+    on CPU writes a row of one array in place, but copies several anew at every level.
+    """
+    leaves, tree = jax.tree.flatten(start[2:])
+    sizes = [math.prod(leaf.shape[:-1]) for leaf in leaves]
+
+    def flat(half: _Doubling) -> tuple[Turn, Array, Array]:
+        parts = [leaf.reshape(-1, leaf.shape[-1]) for leaf in jax.tree.leaves(half[2:])]
+        return half.turn, half.gram, jnp.concatenate(parts)
+
+    def apart(turn: Turn, gram: Array, whole: Array) -> _Doubling:
+        parts = zip(jax.lax.split(whole, sizes), leaves, strict=True)
+        return _Doubling(turn, gram, *jax.tree.unflatten(tree, [part.reshape(leaf.shape) for part, leaf in parts]))
+
+    @jax.checkpoint
+    def level(half: tuple, passed: Array) -> tuple[tuple, None]:
+        doubled = lambda *half: flat(_doubled(apart(*half)))  # noqa: E731
+        return jax.lax.cond(passed < doublings[0], doubled, lambda *whole: whole, *half), None
+
+    return apart(*jax.lax.scan(level, flat(start), jnp.arange(doublings[1]))[0])
+
+
 def _doubled(half: _Doubling) -> _Doubling:
     """Over 2m samples from over m."""
     turn, gram, to, seen = half
@@ -157,10 +184,9 @@ def _doubled(half: _Doubling) -> _Doubling:
         pushed=multiplied(to.own, to.pushed) + to.pushed,
     )
 
-    alone = Sums(seen.free.one[None], seen.free.cosine[:, None], seen.free.sine[:, None])  # of no coefficient
     added = _Seen(
         free=_later(turn, seen.free, _through(seen.free, to.free)),
-        turned=_later(turn, seen.turned, _through(alone, to.turned), _through(seen.turned, to.estimated)),
+        turned=_later(turn, seen.turned, _through(seen.free, to.turned), _through(seen.turned, to.estimated)),
         own=_later(turn, seen.own, _through(seen.own, to.own)),
         driven=_later(turn, seen.driven, _through(seen.own, to.driven), _through(seen.driven, to.estimated)),
         pushed=_later(turn, seen.pushed, _through(seen.own, to.pushed), seen.pushed),
@@ -188,13 +214,13 @@ def _sample(
     pushed = over_lanes(dynamics.gain, lanes)[:, None] * law
     free = over_lanes(sample.full, lanes)
     step = multiplied(over_lanes(sample.push, lanes), pushed).at[:, :4].add(free)
-    slopes = jnp.zeros((len(observer.estimated), *step.shape))
+    slopes = jnp.zeros((4, len(observer.estimated), *step.shape[1:]))
     for node in sample.nodes:
         reached = multiplied(over_lanes(node.push, lanes), pushed).at[:, :4].add(over_lanes(node.reach, lanes))
         kick, signals = over_lanes(node.kick, lanes), jnp.concatenate([reached, law])
         terms = [observer.model.coefficients[index].terms for index in observer.estimated]
         each = [sum(f * kick[:, None, axis] * signals[None, signal] for axis, signal, f in term) for term in terms]
-        slopes = slopes + jnp.stack(each) if each else slopes
+        slopes = slopes + jnp.stack(each, axis=1) if each else slopes
     return free, step, slopes
 
 

@@ -167,13 +167,14 @@ def _factor(loop: ClosedLoop, scenario: Scenario) -> float:
 
 
 class BlockCourse(eqx.Module):
-    """What does not change from block to block, and how each is crossed."""
+    """What does not change from block to block, and how each is crossed; `backwards` where a derivative goes so."""
 
     loop: ClosedLoop
     scenario: Scenario
     words: tuple[Array, Array]
     period: Scalar
     longest: int = eqx.field(static=True)
+    backwards: bool = eqx.field(static=True, default=False)
 
     @property
     def lanes(self) -> Lanes:
@@ -216,7 +217,7 @@ class BlockCourse(eqx.Module):
         theta = loop.observer.estimate(state.observer).theta
         doublings = span.doublings, self.longest.bit_length() - 1
         dynamics = loop.device.dynamics(middle.inertial)
-        return maps_of(loop, dynamics, theta, blocks.alike, self.period, doublings, self.lanes)
+        return maps_of(loop, dynamics, theta, blocks.alike, self.period, doublings, self.lanes, self.backwards)
 
     def block(self, state: LoopState, maps: Maps, span: Span) -> tuple[LoopState, Sample]:
         """The state a block later, and what can be recorded there."""
