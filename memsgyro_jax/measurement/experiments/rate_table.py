@@ -1,7 +1,7 @@
 """Rate table: driven at one frequency, demodulated block by block by a lock-in while the table turns."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 import equinox as eqx
@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
-from pydantic import Field
+from pydantic import Field, StrictBool
 
 from memsgyro_jax.base.quantity import Whole
 from memsgyro_jax.base.table import Table
@@ -24,7 +24,7 @@ from ..lock_in import through_lock_in
 from ..model import Model
 from ..section import Axis, ExperimentSection, Quantity
 from ..steady import FINENESS, fundamental, reading_samples, steady_state
-from .base import BEYOND, CartesianNoise, Experiment, Noise, Phasors, surroundings
+from .base import BEYOND, CartesianNoise, Experiment, Noise, Phasors, Readings, surroundings
 from .clocked import ClockedRecord
 from .deviation import Deviation, Known, Series, Variable, by_setting, in_phase, segments
 from .missing_force import RateResidual, residual_over_rate
@@ -138,13 +138,14 @@ class RateTable(Experiment):
 
 
 class RateTableSection(ExperimentSection):
-    """Rate table."""
+    """Rate table; `uneven` where blocks are lost, or stamps jitter about those of their blocks."""
 
     drive_axis: Axis | None = None
     drive_force: Quantity
     drive_frequency: Quantity
     lock_in_cycles: Annotated[Whole, Field(gt=0, le=10**9)]
     rate_reference: Literal["table", "calibrated"] = "table"
+    uneven: StrictBool = False
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -161,6 +162,7 @@ class RateTableRecord(ClockedRecord):
         time: (n,) middle of each block [s].
         rate: (n,) angular rate [rad/s], zeros without the column.
         phasors: (n, channels) complex, in the record unit.
+        uneven: whether stamps jitter about those of their blocks, or blocks are lost; there the rate is interpolated.
     """
 
     kind: ClassVar[str] = "rate_table"
@@ -173,6 +175,22 @@ class RateTableRecord(ClockedRecord):
     has_rate: bool
     rate: np.ndarray
     phasors: np.ndarray
+    uneven: bool = False
+
+    @property
+    def block(self) -> float:
+        """Time that a block of the lock-in lasts [s]."""
+        return self.lock_in_cycles * 2 * np.pi / self.drive_frequency
+
+    @property
+    def blocks(self) -> np.ndarray:
+        """(n,) number of each row's block, from 0."""
+        if not self.uneven:
+            return np.arange(self.rows)
+        place = (self.time - self.time[0]) / self.block
+        late = float(np.median(place - np.round(place)))
+        number = np.round(place - late).astype(int)
+        return np.asarray(number - number[0])
 
     @property
     def readings(self) -> np.ndarray:
@@ -185,7 +203,8 @@ class RateTableRecord(ClockedRecord):
     @property
     def slope(self) -> np.ndarray:
         """(n,) angular acceleration [rad/s²]."""
-        return np.gradient(self.rate, self.period) if self.rows > 1 else np.zeros(1)
+        steps = self.time if self.uneven else self.period
+        return np.gradient(self.rate, steps) if self.rows > 1 else np.zeros(1)
 
     @classmethod
     def read(cls, sheet: Sheet) -> Self:
@@ -202,10 +221,20 @@ class RateTableRecord(ClockedRecord):
             time=columns.time(),
             rate=columns.optional("rate", "rad/s", 0.0),
             phasors=columns.phasors(),
+            uneven=sheet.entry.uneven,
         )
 
     def check(self, table: Table, declared: Declared) -> None:
-        check_period(table, self.lock_in_cycles * 2 * np.pi / self.drive_frequency)
+        if not self.uneven:
+            remedy = " (where blocks are lost, or stamps jitter about their blocks, say `uneven = true`)"
+            check_period(table, self.block, remedy)
+        again = np.flatnonzero(np.diff(self.blocks) < 1)
+        if again.size:
+            raise table.at(
+                int(again[0]) + 1,
+                "t",
+                f"must be that of a later block of the lock-in than the row before, of {self.block:.6g} s each",
+            )
 
     def keys(self, declared: Declared) -> dict[str, Any]:
         return {
@@ -214,6 +243,7 @@ class RateTableRecord(ClockedRecord):
             "drive_frequency": {"value": self.drive_frequency, "unit": "rad/s"},
             "lock_in_cycles": self.lock_in_cycles,
             "rate_reference": "calibrated" if self.rate_calibrated else "table",
+            **({"uneven": True} if self.uneven else {}),
         }
 
     def columns(self, declared: Declared) -> dict[str, np.ndarray]:
@@ -221,21 +251,45 @@ class RateTableRecord(ClockedRecord):
         return {"t [s]": self.time, **rate, **phasor_columns(self.phasors, declared, self.channels)}
 
     def experiment(self, declared: Declared, number: int) -> RateTable:
+        blocks, count = self.blocks, int(self.blocks[-1]) + 1
+
+        def every(values: np.ndarray, lost: float) -> np.ndarray:
+            """Values of rows at every block, `lost` where none was kept."""
+            out = np.full((count, *values.shape[1:]), lost, values.dtype)
+            out[blocks] = values
+            return out
+
+        between = np.arange(count)
+        rate = np.interp(between, blocks, self.rate)
         around = eqx.tree_at(
             lambda c: (c.angular_acceleration, c.rate_trusted),
-            surroundings(declared, number, self.rows, self.rate, time=self.time),
-            (jnp.asarray(self.slope), jnp.asarray(np.full(self.rows, float(self.rate_calibrated)))),
+            surroundings(declared, number, count, rate, time=np.interp(between, blocks, self.time)),
+            (
+                jnp.asarray(np.interp(between, blocks, self.slope)),
+                jnp.asarray(np.full(count, float(self.rate_calibrated))),
+            ),
         )
         return RateTable(
             name="rate tables",
-            time=jnp.asarray(self.time),
-            measured=jnp.asarray(self.phasors),
-            noise=CartesianNoise(self.noise_of_rows),
+            time=around.time,
+            measured=jnp.asarray(every(self.phasors, 0.0)),
+            noise=CartesianNoise(every(self.noise_of_rows, np.inf)),
             frequency=jnp.asarray(self.drive_frequency),
             force=jnp.asarray(self.drive_force * np.eye(declared.channels)[self.axis]),
             surroundings=around,
             block_cycles=self.lock_in_cycles,
         )
+
+    @classmethod
+    def laid_out(cls, declared: Declared, records: Sequence[tuple[int, Self]], alone: bool) -> list[Readings]:
+        out = []
+        for number, record in records:
+            (readings,) = super().laid_out(declared, [(number, record)], alone)
+            row = np.zeros(int(record.blocks[-1]) + 1, int)
+            whose = np.full(row.size, -1)
+            row[record.blocks], whose[record.blocks] = np.arange(record.rows), number
+            out.append(replace(readings, record=whose, row=row))
+        return out
 
     def starting_phasors(self, declared: Declared) -> Phasors | None:
         still, readout = self.rate == 0, declared.readout
