@@ -144,14 +144,14 @@ def filtered(observer, volts, force):
 
 def recorded(report: Report) -> str:
     """Raw volts of a loop, filtered from wrong starts sample by sample and a block at a time."""
-    devices = {
-        "thesis' device": GYRO,
-        "10 and 10.4 kHz, Q 5000": mg.SingleMassGyro.from_modes(1e-8, (10e3, 10.4e3), 5000.0),
-        "5 and 6 kHz, Q 200": mg.SingleMassGyro.from_modes(5e-8, (5e3, 6e3), 200.0),
+    devices = {  # and samples of a block: fewer where a motion decays in it
+        "thesis' device": (GYRO, 1024),
+        "10 and 10.4 kHz, Q 5000": (mg.SingleMassGyro.from_modes(1e-8, (10e3, 10.4e3), 5000.0), 1024),
+        "5 and 6 kHz, Q 200": (mg.SingleMassGyro.from_modes(5e-8, (5e3, 6e3), 200.0), 256),
     }
-    runs, starts, duration = (2, 5, 0.1) if report.quick else (10, 10, 0.5)
-    ratios, found, cost = [], 0, 1.0
-    for name, gyro in devices.items():
+    runs, starts, duration = (5, 3, 0.2) if report.quick else (20, 5, 0.5)
+    ratios, costs, found = [], [], 0
+    for name, (gyro, length) in devices.items():
         first = float(np.min(mg.mode_frequencies(gyro)))
         tone = mg.Tone(0.2 * first, 0.15 * (2.0 * np.pi * first) ** 2 * START[0])
         prior = eqx.tree_at(lambda p: p.motion, mg.design_prior(gyro, spread=0.2), tuple(map(jnp.asarray, START)))
@@ -165,20 +165,23 @@ def recorded(report: Report) -> str:
             for start in off[run]:
                 theta = tuple(value * (1.0 + share) for value, share in zip(prior.theta, start, strict=True))
                 wrong = eqx.tree_at(lambda o: o.prior.theta, loop.observer, theta)
-                both = wrong, mg.BlockFilter(wrong, (tone.frequency,))
+                both = wrong, mg.BlockFilter(wrong, (tone.frequency,), length)
                 rows.append([filtered(observer, trace.volts, trace.force) for observer in both])
         error, claim, spent = np.moveaxis(np.array(rows), 2, 0)  # each (starts, 2)
         there = int(np.sum(np.abs(error[:, 1]) < 5.0 * claim[:, 0]))
-        cost = share_of_operations(*both)
+        costs.append(share_of_operations(*both))
         ratios.append(float(rms(error[:, 1]) / rms(error[:, 0])))
         found += there
-        told = f"{rms(error[:, 0]):.3g} sample by sample; {there} of {len(error)} starts within 20 % arrive"
+        told = (
+            f"{rms(error[:, 0]):.3g} sample by sample, claim {np.mean(claim[:, 0]):.3g}; {there} of {len(error)} starts"
+        )
         report.row(f"volts of {name} in blocks: rate error [deg/s]", "<= 1.2 x", float(rms(error[:, 1])), told)
         least = np.min(spent, axis=0)
-        report.row("  operations in a second; processor time", "1/10", f"1/{1 / cost:.1f}; 1/{least[0] / least[1]:.1f}")
+        shares = f"1/{1.0 / costs[-1]:.1f}; 1/{least[0] / least[1]:.1f}"
+        report.row(f"  operations in 1 s; processor time of {duration:g} s", "1/10", shares)
     total = len(devices) * runs * starts
     return (
-        f"recorded volts a block at a time with 1/{1 / cost:.0f} of the operations, on three devices at most "
+        f"recorded volts a block at a time with 1/{1 / max(costs):.0f} of the operations, on three devices at most "
         f"{max(ratios):.2f} of the error, from {found} of {total} starts within 20 %"
     )
 
