@@ -61,8 +61,8 @@ def test_the_page_says_what_the_case_says():
     assert told["design"] == written["design"]
     (experiment,) = told["experiment"]
     assert experiment.items() <= written["experiment"][0].items()
-    commands = re.findall(r"^memsgyro (\S+)", PAGE, re.MULTILINE)
-    assert commands == ["import", "check", "compare", "diagnose", "law", "fit"]  # the site's build runs them
+    commands = dict.fromkeys(re.findall(r"^memsgyro (\S+)", PAGE, re.MULTILINE))
+    assert [*commands] == ["import", "check", "compare", "diagnose", "law", "fit"]  # the site's build runs them
 
 
 def test_the_check_finds_nothing_wrong(monkeypatch, capsys):
