@@ -174,6 +174,7 @@ def test_a_user_s_own_effect_is_then_found(stopped, own):
     assert outcome.verdict == "found"
 
 
+@pytest.mark.slow
 def test_a_change_of_units_is_no_rival(own):
     """A scale error of the only axis is another mass and another spring; where there is no spring it explains none
     of the misfit.

@@ -29,6 +29,10 @@ CLOCK = 5.0  # s from row to row
 HIDDEN = Hidden()
 
 
+def slow(*case):
+    return pytest.param(*case, marks=pytest.mark.slow)
+
+
 def case_of(seed=0, **faults):
     return bench(protocol=replace(ONE_AXIS, faults=Faults(**faults)), die=RESONATOR, seed=seed).case
 
@@ -83,11 +87,11 @@ def _only(record, rows):
     ("label", "true", "faults"),
     [
         ("reference_phase", 0.026, {"phase": 0.026}),
-        ("lock_in_background", (2e-3, 1e-3), {"background": 2e-3 + 1e-3j}),
-        ("lock_in_feedthrough", (0.0, 0.2), {"feedthrough": 0.2j}),
-        ("lock_in_memory", np.exp(-2.5), {"dwell": CLOCK, "filter_time": 2.0}),
+        slow("lock_in_background", (2e-3, 1e-3), {"background": 2e-3 + 1e-3j}),
+        slow("lock_in_feedthrough", (0.0, 0.2), {"feedthrough": 0.2j}),
+        slow("lock_in_memory", np.exp(-2.5), {"dwell": CLOCK, "filter_time": 2.0}),
         ("gain_drift", 0.03, {"dwell": CLOCK, "gain_drift": 0.03}),
-        ("phase_drift", 0.05, {"dwell": CLOCK, "phase_drift": 0.05}),
+        slow("phase_drift", 0.05, {"dwell": CLOCK, "phase_drift": 0.05}),
         ("frequency_drift", 2e-3, {"dwell": CLOCK, "pull": 2e-3}),
     ],
 )

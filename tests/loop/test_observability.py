@@ -160,6 +160,7 @@ def test_a_run_leaves_what_the_bound_calls_degenerate(loop):
     assert found.to_xarray()["singular_values"].shape == found.singular_values.shape
 
 
+@pytest.mark.slow
 def test_without_a_tone_a_state_feedback_hides_the_mass(loop):
     with_tone = observability(loop, duration=3e-3)
     silent = ClosedLoop(loop.device, loop.readout, loop.observer, DampingCompensation(tones=Tone(600.0, 0.0)))

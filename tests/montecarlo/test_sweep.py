@@ -92,7 +92,7 @@ def test_one_core_without_assertions_locale_or_home_gives_the_bits_of_two_device
     assert_same_bits(stored(tmp_path / "one"), two_devices, 40)
 
 
-@pytest.mark.parametrize("chunk", [1, 5, 64])
+@pytest.mark.parametrize("chunk", [1, pytest.param(5, marks=pytest.mark.slow), 64])
 def test_the_chunk_size_changes_nothing(small, reference, chunk):
     assert_same_bits(mg.sweep(small, SLIGHT, dies=6, chunk=chunk, **SHORT).to_xarray(), reference, 6)
 
