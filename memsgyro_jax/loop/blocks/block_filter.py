@@ -149,13 +149,14 @@ class BlockFilter(AbstractObserver[BlockState]):
 
     def _alone(self, state: BlockState, measured: Pair, force: Pair, clock: Clock) -> BlockState:
         held = self.filter.update(state.held, measured, force, clock)
-        return _as(state, BlockState(held, held.motion, state.course))
+        return _like(state, BlockState(held, held.motion, state.course))
 
     def _next(self, state: BlockState, clock: Clock) -> BlockState:
         """The block that begins, once what the one before told is believed; before the first there is none."""
-        told = self._ended(state, clock)
-        held = jax.tree.map(lambda new, old: jnp.where(clock.sample > self.start, new, old), told, state.held)
-        return _as(state, self.begun(held, clock.period))
+        told = lambda: _like(state.held, self._ended(state, clock))  # noqa: E731
+        # Not `where`: before the first block nothing was unexpected, and the root of nothing has no derivative.
+        held = jax.lax.cond(clock.sample > self.start, told, lambda: state.held)
+        return _like(state, self.begun(held, clock.period))
 
     def _followed(self, state: BlockState, measured: Pair, force: Pair, clock: Clock) -> BlockState:
         """A sample further in a block."""
@@ -175,7 +176,7 @@ class BlockFilter(AbstractObserver[BlockState]):
             places=add(course.places, motion[:2]),
             forces=add(course.forces, held),
         )
-        return _as(state, BlockState(state.held, tuple(motion), further))
+        return _like(state, BlockState(state.held, tuple(motion), further))
 
     def _course(self, held: Any, period: Scalar, nothing: Array) -> BlockUnderWay:
         """That of a block that begins with `held` believed."""
@@ -314,6 +315,6 @@ def _doubled(half: _Across) -> _Across:
     )
 
 
-def _as(like: BlockState, state: BlockState) -> BlockState:
+def _like(like: Any, state: Any) -> Any:
     """With the shapes and types of `like`."""
     return jax.tree.map(lambda new, old: jnp.broadcast_to(new, old.shape).astype(old.dtype), state, like)
