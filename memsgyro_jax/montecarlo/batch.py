@@ -1,5 +1,6 @@
 """What a sweep computes of each die, inside the compiled run."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -160,19 +161,6 @@ def run_batch(
     lanes: int,
 ) -> dict[str, Float[Array, "dies ..."]]:
     """The rows of a batch of dies, split evenly over the devices of `mesh` and run `lanes` at a time; dies lead."""
-    processors = mesh.devices.flat[0].platform == "cpu"
-    return (_on_processors if processors else _run)(loop, scenario, design, words, plan, mesh, lanes)
-
-
-def _batch(
-    loop: ClosedLoop,
-    scenario: Scenario,
-    design: tuple[ClosedLoop, Scenario],
-    words: tuple,
-    plan: Plan,
-    mesh: Mesh,
-    lanes: int,
-) -> dict[str, Float[Array, "dies ..."]]:
     dynamic, static = eqx.partition((loop, scenario, words), eqx.is_array)
     plain = (*design, jax.tree.map(lambda word: word[0], words))
     varies = differs(dynamic, eqx.filter(plain, eqx.is_array))
@@ -194,11 +182,16 @@ def _batch(
     )
 
 
-_run = eqx.filter_jit(_batch)
+_compiled = eqx.filter_jit(run_batch)
 # What XLA moves out of a loop depends on how many devices share the program, and how sums are rounded depends on that.
-_on_processors = eqx.filter_jit(  # type: ignore[call-overload]  # the stubs do not know the keywords of `jax.jit`
-    _batch, compiler_options={"xla_disable_hlo_passes": "while-loop-invariant-code-motion"}
+_compiled_for_processors = eqx.filter_jit(  # type: ignore[call-overload]  # the stubs do not know the keywords of `jax.jit`
+    run_batch, compiler_options={"xla_disable_hlo_passes": "while-loop-invariant-code-motion"}
 )
+
+
+def compiled_for(mesh: Mesh) -> Callable[..., dict[str, Float[Array, "dies ..."]]]:
+    """`run_batch` for the devices of a mesh."""
+    return _compiled_for_processors if mesh.devices.flat[0].platform == "cpu" else _compiled
 
 
 def differs(dies: PyTree, one: PyTree) -> PyTree[bool]:

@@ -115,7 +115,7 @@ class Runner:
         design = (self.loop, self.scenario)
         loop, scenario = lot.picked((drawn.loop, drawn.scenario), design, places)
         chosen = tuple(word[places] for word in words)
-        rows = lot.run_batch(loop, scenario, design, chosen, self.plan, self.mesh, self.lanes)
+        rows = lot.compiled_for(self.mesh)(loop, scenario, design, chosen, self.plan, self.mesh, self.lanes)
         found = jax.tree.map(np.asarray, rows)
         pair = [found.pop(name) for name in lot.COVARIANCE if name in found]
         found["nees_end"] = lot.nees(*pair) if pair else np.full(len(places), np.nan)

@@ -147,7 +147,7 @@ def test_a_hostile_case_is_harmless(diagnosis, found):
 
 
 def test_a_browser_finds_nothing_wrong(found, tmp_path):
-    browser.check(tmp_path, {"found": found})
+    assert browser.check(tmp_path, {"found": found})
 
 
 def test_nothing_is_loaded_from_anywhere(found):
