@@ -21,27 +21,45 @@ def check_period(table: Table, period: float | None, remedy: str = "") -> None:
     """
     printed = table.columns["t"]
     unit = float(to_si(1.0, table.units["t"], "s", "column `t`"))
-    rounding = _half_digit(printed)
     steps = np.diff(printed)
     typical = float(np.median(steps))
     wrong = np.flatnonzero(np.abs(steps - typical) > 0.5 * typical)
     if wrong.size:
         raise _uneven(table, int(wrong[0]) + 1, steps[wrong[0]] * unit, typical * unit, remedy)
-    rows = np.arange(len(printed)) - (len(printed) - 1) / 2
-    slope = float(rows @ (printed - printed.mean()) / (rows @ rows))
-    if period is not None and abs(slope * unit - period) > _MISMATCH * period + 2 * rounding.max() * unit:
+    slope, rounding, excess = _off_line(printed)
+    if period is not None and abs(slope * unit - period) > _MISMATCH * period + 2 * rounding * unit:
         raise InputError(
             f"{table.path}, column `t`: the rows must be as far apart as a lock-in block of `lock_in_cycles` drive "
             f"cycles lasts, {period:.6g} s, but are {slope * unit:.6g} s apart; is a unit or a number wrong?"
         )
-    # The line is known better than one row, but for few rows not much better: hence half a rounding more.
-    residual = np.abs(printed - printed.mean() - slope * rows)
-    excess = residual - (rounding + 0.5 * rounding.max() + _JITTER * slope * len(rows) ** 0.5)
     if np.any(excess > 0):
         row = int(np.argmax(excess))
         raise table.at(
             row, "t", f"must lie on a clock of one period, {slope * unit:.9g} s, within its printed digits{remedy}"
         )
+
+
+def is_even(printed: np.ndarray) -> bool:
+    """Whether times (n,) lie on a clock of one period within their printed digits."""
+    return not np.any(_off_line(printed)[2] > 0)
+
+
+def _off_line(printed: np.ndarray) -> tuple[float, float, np.ndarray]:
+    """Slope of the best line through times (n,) in print, their largest rounding, and by how much each leaves the line
+    more than it explains.
+    """
+    rows, rounding = np.arange(len(printed)) - (len(printed) - 1) / 2, _half_digit(printed)
+    slope = float(rows @ (printed - printed.mean()) / (rows @ rows))
+    # The line is known better than one row, but for few rows not much better: hence half a rounding more.
+    residual = np.abs(printed - printed.mean() - slope * rows)
+    most = float(rounding.max())
+    return slope, most, residual - (rounding + 0.5 * most + _JITTER * slope * len(rows) ** 0.5)
+
+
+def usual_period(time: np.ndarray) -> float:
+    """Period of the clock (n,) of which stamps jitter by less than a quarter and some are lost [s]."""
+    steps = np.diff(time)
+    return float(time[-1] - time[0]) / float(np.sum(np.maximum(np.round(steps / np.median(steps)), 1.0)))
 
 
 def _uneven(table: Table, row: int, step: float, typical: float, remedy: str) -> InputError:

@@ -10,10 +10,11 @@ import numpy as np
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.units import to_si
 
+from .clock import is_even, usual_period
 from .column_meaning import Meaning
 from .formats import SourceColumn, SourceTable
 from .formats.header import SPECIAL
-from .tracking import tracked
+from .tracking import rough_decay
 
 
 _ALTERNATE = {"rms": np.sqrt(2.0), "pp": 0.5, "pk": 1.0}
@@ -223,7 +224,7 @@ def _decay(about: dict, columns: dict[str, SourceColumn], assumed: list[str]) ->
     else:
         begin = 0
     design = rough_decay(to_si(time.values[begin:], time.unit, "s", "t"), signal[begin:])
-    keys = {"from": {"value": float(time.values[begin]), "unit": time.unit}} if begin else {}
+    keys = _stamps(time, said) | ({"from": {"value": float(time.values[begin]), "unit": time.unit}} if begin else {})
     return ImportedRecord(
         **about, kind="free_decay", columns=_headed(columns), keys=keys, assumed=tuple(said), design=design
     )
@@ -248,33 +249,25 @@ def _lock_in_decay(about, table, columns, rows, given: Given, assumed: list[str]
         phase = to_si(columns["Vx_phase"].values, columns["Vx_phase"].unit, "rad", "phase")
         phasors = columns["Vx_amp"].values * np.exp(1j * phase)
     design = rough_decay(to_si(columns["t"].values, columns["t"].unit, "s", "t"), phasors, to_si(*reference, "Hz", "f"))
-    keys = {"reference_frequency": {"value": reference[0], "unit": reference[1]}}
+    keys = _stamps(columns["t"], assumed) | {"reference_frequency": {"value": reference[0], "unit": reference[1]}}
     return ImportedRecord(
         **about, kind="free_decay", columns=_headed(columns), keys=keys, assumed=tuple(assumed), design=design
     )
+
+
+def _stamps(time: SourceColumn, assumed: list[str]) -> dict[str, Any]:
+    """`uneven` where rows are lost or stamps jitter, which are then taken for right."""
+    if is_even(time.values):
+        return {}
+    lost = round((time.values[-1] - time.values[0]) / usual_period(time.values)) + 1 - len(time.values)
+    assumed.append(f"the time of each row is right (`uneven`), though {'rows are lost' if lost > 0 else 'it jitters'}")
+    return {"uneven": True}
 
 
 def _envelope(signal: np.ndarray) -> np.ndarray:
     """Root mean square over a fiftieth of the record around each row."""
     width = max(len(signal) // 50, 3)
     return np.sqrt(np.convolve(signal**2, np.ones(width) / width, mode="same"))
-
-
-def rough_decay(time: np.ndarray, signal: np.ndarray, reference: float = 0.0) -> dict[str, tuple[float, str]]:
-    """Frequency and quality factor of the strongest vibration, means over the record weighted with its energy.
-
-    Args:
-        time: (n,) uniform [s].
-        signal: (n,) real, or phasors at `reference` [Hz].
-    """
-    period, omega = float(time[-1] - time[0]) / (len(time) - 1), 2 * np.pi * reference
-    slowest = 8 * np.pi / (period * len(time))
-    band = (omega - np.pi / period if np.iscomplexobj(signal) else slowest, omega + np.pi / period)
-    track = tracked(time, signal, band, reference=omega)
-    weight = track.amplitude**2 / np.sum(track.amplitude**2)
-    resonance, decay = float(weight @ track.omega), float(weight @ track.decay)
-    quality = resonance / (2 * max(decay, 1e-9 * resonance))
-    return {"resonance": (resonance / (2 * np.pi), "Hz"), "quality_factor": (max(quality, 1.0), "1")}
 
 
 # ---- columns

@@ -127,8 +127,9 @@ def _local_variance(place: np.ndarray, values: np.ndarray, width: int) -> np.nda
     return np.sum(np.abs(left[..., 0]) ** 2, axis=-1) / 2 / (width - PARTS)
 
 
-def noise_beside_tone(time: np.ndarray, values: np.ndarray, omega: float) -> float:
-    """Standard deviation of each reading of waveforms (n, channels) at times (n,) [s] that vibrate at about ω [rad/s].
+def noise_beside_tone(time: np.ndarray, values: np.ndarray, omega: float | np.ndarray) -> float:
+    """Standard deviation of each real reading of waveforms (n, channels), or of phasors, at times (n,) [s] that vibrate
+    at about ω [rad/s], of each row (n,) where it changes, for phasors beside their reference.
 
     In every run of 24 rows a constant and a tone whose two amplitudes are quadratic in time explain the wave; infinite
     where there are fewer rows. It needs no even clock, and no long record beside a large wave.
@@ -136,16 +137,18 @@ def noise_beside_tone(time: np.ndarray, values: np.ndarray, omega: float) -> flo
     runs = len(time) // _RUN
     if runs == 0:
         return float("inf")
-    t = time[: runs * _RUN].reshape(runs, _RUN)
+    t, at = (np.broadcast_to(v, time.shape)[: runs * _RUN].reshape(runs, _RUN) for v in (time, omega))
     seen = values[: runs * _RUN].reshape(runs, _RUN, -1)
     away = t - t.mean(axis=1, keepdims=True)
     near = away / np.max(np.abs(away), axis=1, keepdims=True)
-    waves = np.exp(1j * omega * away)
-    columns = [np.ones_like(near), *(part * near**k for k in range(3) for part in (waves.real, waves.imag))]
+    waves = np.exp(1j * at.mean(axis=1, keepdims=True) * away)
+    real = not np.iscomplexobj(values)
+    parts = (waves.real, waves.imag) if real else (waves,)
+    columns = [*([np.ones_like(near)] if real else []), *(part * near**k for k in range(3) for part in parts)]
     basis = np.stack(columns, axis=-1)
     left = seen - basis @ (np.linalg.pinv(basis) @ seen)
-    freedom = _RUN - basis.shape[-1]
-    return float(np.sqrt(np.median(np.sum(left**2, axis=1)) / stats.chi2.median(freedom)))
+    freedom = (_RUN - basis.shape[-1]) * (1 if real else 2)
+    return float(np.sqrt(np.median(np.sum(np.abs(left) ** 2, axis=1)) / stats.chi2.median(freedom)))
 
 
 def noise_over_time(values: np.ndarray) -> float:

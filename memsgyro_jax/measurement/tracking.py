@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from .clock import usual_period
+
 
 CYCLES = 6  # of the vibration in a window at least
 ROWS = 12  # in a window at least
@@ -60,21 +62,22 @@ def tracked(
     """The strongest vibration within a band of a record.
 
     Args:
-        time: (n,) uniform [s].
+        time: (n,) [s]; where it is not uniform, of one clock but for jitter and lost rows.
         values: (n,) a real signal, or complex phasors of e^{iωt} at the frequency `reference`.
         band: lowest and highest angular frequency [rad/s] at which it is looked for.
         reference: of phasors [rad/s].
         rows: of a window; 0 takes `CYCLES` cycles.
     """
-    period = float(time[-1] - time[0]) / (len(time) - 1)
+    period = usual_period(time)
     phasors = np.iscomplexobj(values)
-    omega = _strongest(values, period, band, reference)
+    omega = _strongest(time, values, period, band, reference)
     width = rows or max(ROWS, int(np.ceil(CYCLES * 2 * np.pi / omega / period)))
     width = min(width, len(time))
     found = []
     for begin in range(0, len(time) - width + 1, width):
-        one = _window(values[begin : begin + width], period, omega - reference, phasors)
-        found.append((time[begin : begin + width].mean(), *one))
+        middle = time[begin : begin + width].mean()
+        one = _window(values[begin : begin + width], time[begin : begin + width] - middle, omega - reference, phasors)
+        found.append((middle, *one))
         low, high = band
         if low < one[2] + reference < high:
             omega = one[2] + reference
@@ -83,9 +86,29 @@ def tracked(
     return Track(*columns)
 
 
-def _strongest(values: np.ndarray, period: float, band: tuple[float, float], reference: float) -> float:
+def rough_decay(time: np.ndarray, signal: np.ndarray, reference: float = 0.0) -> dict[str, tuple[float, str]]:
+    """Frequency and quality factor of the strongest vibration, means over the record weighted with its energy.
+
+    Args:
+        time: (n,) [s].
+        signal: (n,) real, or phasors at `reference` [Hz].
+    """
+    period, omega = usual_period(time), 2 * np.pi * reference
+    slowest = 8 * np.pi / (period * len(time))
+    band = (omega - np.pi / period if np.iscomplexobj(signal) else slowest, omega + np.pi / period)
+    track = tracked(time, signal, band, reference=omega)
+    weight = track.amplitude**2 / np.sum(track.amplitude**2)
+    resonance, decay = float(weight @ track.omega), float(weight @ track.decay)
+    quality = resonance / (2 * max(decay, 1e-9 * resonance))
+    return {"resonance": (resonance / (2 * np.pi), "Hz"), "quality_factor": (max(quality, 1.0), "1")}
+
+
+def _strongest(
+    time: np.ndarray, values: np.ndarray, period: float, band: tuple[float, float], reference: float
+) -> float:
     """The strongest line of the first part of a record within a band."""
-    some = values[: max(64, len(values) // 8)]
+    first = slice(max(64, len(values) // 8))
+    some = np.interp(np.arange(time[0], time[first][-1] + 0.5 * period, period), time[first], values[first])
     some = (some - (0.0 if np.iscomplexobj(some) else some.mean())) * np.hanning(len(some))
     count = 8 * len(some)
     omega = 2 * np.pi * np.fft.fftfreq(count, period) + reference
@@ -93,10 +116,11 @@ def _strongest(values: np.ndarray, period: float, band: tuple[float, float], ref
     return float(omega[np.argmax(size)])
 
 
-def _window(values: np.ndarray, period: float, omega: float, phasors: bool) -> tuple[Any, ...]:
-    """Phasor, its standard deviation, frequency, its, decay rate, its, and the constant beside it."""
-    tau = (np.arange(len(values)) - 0.5 * (len(values) - 1)) * period
-    half = max(float(tau[-1]), period)
+def _window(values: np.ndarray, tau: np.ndarray, omega: float, phasors: bool) -> tuple[Any, ...]:
+    """Phasor, its standard deviation, frequency, its, decay rate, its, and the constant beside it, from values at times
+    `tau` about the middle of their window [s].
+    """
+    half = max(float(tau[-1]), 1e-300)
     for _ in range(ROUNDS):
         turn = np.exp(1j * omega * tau)
         wave = np.stack([turn, 1j * turn, tau / half * turn, 1j * tau / half * turn], axis=1)

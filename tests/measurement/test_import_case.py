@@ -83,6 +83,12 @@ def test_phasors_over_time_need_their_reference(tmp_path):
         mg.import_case([tmp_path / "a.csv"], tmp_path / "case")
     case = mg.import_case([tmp_path / "a.csv"], tmp_path / "case", reference="4 kHz").case
     assert case.records[0].reference_frequency == pytest.approx(2 * np.pi * 4000.0)
+    assert not case.records[0].uneven
+    (tmp_path / "a.csv").write_text("\n".join(["t [s],X [mV],Y [mV]", *rows[:90], *rows[100:]]))
+    lost = mg.import_case([tmp_path / "a.csv"], tmp_path / "lost", reference="4 kHz")
+    assert lost.case.records[0].uneven
+    assert lost.case.design["resonance"].value == pytest.approx(2 * np.pi * 4000.7, rel=1e-4)
+    assert "Assumed: the time of each row is right (`uneven`), though rows are lost." in str(lost)
     assert case.design["resonance"].value == pytest.approx(2 * np.pi * 4000.7, rel=1e-4)
 
 

@@ -40,7 +40,7 @@ class ClockedRecord(AbstractRecord):
     @property
     def span(self) -> str:
         """How long and how fast, for people."""
-        return f"{self.period * self.rows:.4g} s at {1 / self.period:.6g} Hz"
+        return f"{self.time[-1] - self.time[0] + self.period:.4g} s at {1 / self.period:.6g} Hz"
 
     def estimated_noise(self) -> float:
         return noise_over_time(self.readings[:, self.channels])

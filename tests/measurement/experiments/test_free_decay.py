@@ -120,6 +120,30 @@ def test_rows_that_are_left_out_have_no_say(hardening):
     np.testing.assert_array_equal(residual(eqx.tree_at(lambda e: e.measured, without.experiment, wrong)), left)
 
 
+def test_stamps_that_jitter_and_rows_that_are_lost(tmp_path):
+    """Beside the law that made it, a decay of uneven stamps leaves its noise, which is told as it was added."""
+    rng = np.random.default_rng(8)
+    kept = np.setdiff1d(np.arange(1800), [*range(500, 700), *rng.choice(1800, 90, replace=False), 900, 901, 902])
+    time = 2e-3 * (kept + rng.uniform(-0.2, 0.2, kept.size))
+    volts = 2 * moved(37.0, 1.0, 0.4, (1.0, 50.0), time)[0] + 0.01 * rng.standard_normal(kept.size)
+    with pytest.raises(InputError, match="say `uneven = true`"):
+        written(tmp_path, 7.0 + time, {"y [V]": volts}, 38.0)
+    case = written(tmp_path, 7.0 + time, {"y [V]": volts}, 38.0, "uneven = true")
+    record = case.records[0]
+    assert record.noise_level == pytest.approx(0.01, rel=0.06)
+    assert record.period == pytest.approx(2e-3, rel=5e-3)
+    assert load_case(write_case(case, tmp_path / "again")).records[0].uneven
+    stiffness = (2 * np.pi * 37.0) ** 2
+    model = model_of(case, NormalisedDevice([stiffness], [2.0], stiffness), offset=np.zeros(1))
+    model = model.with_effect(eqx.tree_at(lambda effect: effect.strength, cubic(), jnp.asarray(0.4)))
+    one, _ = readings_of(case)
+    rows = one.experiment.start.shape[0], one.row.size // one.experiment.start.shape[0]
+    assert np.ptp(record.time[one.row].reshape(rows), axis=1).max() < 1.3 * rows[1] * 2e-3, "none reaches over a gap"
+    left = np.asarray(eqx.filter_jit(lambda one: one.residual(model))(one.experiment))
+    rms = np.sqrt(np.sum(left**2) / (left.size - 2 * rows[0]))
+    assert rms == pytest.approx(0.01 / record.noise_level, abs=0.08)
+
+
 @pytest.mark.slow
 def test_phasors_of_a_lock_in_tell_the_same_as_the_waveform(tmp_path):
     """14 kHz, read 30 Hz beside the resonance at 500 readings a second."""

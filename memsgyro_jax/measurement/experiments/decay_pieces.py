@@ -1,0 +1,164 @@
+"""Prediction of a free decay piece by piece, each from its own unknown start."""
+
+from collections.abc import Iterator
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from memsgyro_jax.base.linalg import inverse
+from memsgyro_jax.device.conditions import Conditions
+
+from ..envelope import HARMONICS, Driven, Sampled, run_samples
+from ..model import Model
+from ..steady import fundamental
+from .base import BEYOND, Experiment, Noise
+
+
+SOLVES = 4  # Gauss-Newton steps towards the start of a piece
+
+
+class FreeDecay(Experiment):
+    """Readings of a device left alone, in pieces of equal length, each of which begins in its own unknown motion.
+
+    The residual is that of the best start of every piece: starts are nuisances, eliminated where the model stands
+    (variable projection: Golub and Pereyra, Inverse Problems 19 (2003) R1), so that no fit carries them and slopes are
+    those beside them. Each piece therefore leaves 2·axes less than its number of readings in χ². Short pieces keep a
+    decay whose frequency changes by many cycles comparable with a model that does not know of it yet.
+
+    Args:
+        name: of the record.
+        measured: waveforms (pieces·m, axes), or phasors of e^{iωt}.
+        noise: how far they may lie from the prediction.
+        start: displacement and velocity at the beginning of each piece to begin with, (pieces, 2·axes).
+        period: between samples [s].
+        surroundings: conditions per sample, with its time.
+        frequency: of the reference of phasors [rad/s].
+        substeps: integration steps per sample.
+        nodes: at which a piece is integrated, evenly spaced from its first sample to its last; from the last of them
+            before it, a step leads to each sample. Zero where samples are `period` apart.
+    """
+
+    driven: ClassVar[bool] = False
+    slow: ClassVar[bool] = True
+
+    name: str = eqx.field(static=True)
+    measured: Array
+    noise: Noise
+    start: Float[Array, "pieces s"]
+    period: Array
+    surroundings: Conditions
+    frequency: Array
+    substeps: int = eqx.field(static=True, default=1)
+    nodes: int = eqx.field(static=True, default=0)
+
+    def predict(self, bench: Model) -> Array:
+        """Every reading, from the start of its piece that suits the readings best."""
+        starts, _ = self._solved(jax.lax.stop_gradient(bench))
+        seen = jax.vmap(lambda s, c: self._readings(bench, s, c))(starts, self._by_piece(self.surroundings))
+        return seen.reshape(self.measured.shape)
+
+    def residual(self, bench: Model) -> Float[Array, " r"]:
+        """Measured minus predicted in standard deviations, without what another start would change."""
+        starts, slopes = self._solved(jax.lax.stop_gradient(bench))
+
+        def one(start: Array, slope: Array, measured: Array, noise: Noise, now: Conditions) -> Array:
+            left = noise.whiten(measured, self._readings(bench, start, now)).ravel()
+            return left - slope.T @ (inverse(slope @ slope.T) @ (slope @ left))
+
+        return jax.vmap(one)(starts, slopes, *self._pieces()).ravel()
+
+    def proposals(self, name: str) -> Iterator[tuple[str, Experiment]]:
+        """Again as it was, and from a larger start."""
+        yield f"repeat `{name}`", self
+        larger = eqx.tree_at(lambda d: (d.measured, d.start), self, (BEYOND * self.measured, BEYOND * self.start))
+        yield f"repeat `{name}` from {BEYOND:g} times the amplitude", larger
+
+    def at(self, row: int) -> str:
+        return f"at {float(np.asarray(self.surroundings.time)[row]):.4g} s"
+
+    def _pieces(self) -> tuple[Array, Noise, Conditions]:
+        """Readings, their noise (each reading's own, as rows may be left out) and conditions of every piece."""
+        wide = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, self.measured.shape), self.noise)
+        return self._by_piece(self.measured), self._by_piece(wide), self._by_piece(self.surroundings)
+
+    def _by_piece(self, rows: Any) -> Any:
+        """Rows (n, ...) as (pieces, m, ...)."""
+        count = self.start.shape[0]
+        return jax.tree.map(lambda leaf: leaf.reshape(count, -1, *leaf.shape[1:]), rows)
+
+    def _solved(self, model: Model) -> tuple[Array, Array]:
+        """The best start of every piece (pieces, s), and the slopes there of its residual (pieces, s, r) by unit."""
+
+        def one(begin: Array, measured: Array, noise: Noise, now: Conditions) -> tuple[Array, Array]:
+            omega = jnp.sqrt(jnp.max(model.device.stiffness))
+            axes = model.axes
+            q, v = begin[:axes], begin[axes:]
+            size = jnp.sqrt(jnp.sum(q**2) + jnp.sum(v**2) / omega**2) + 1e-300
+            units = size * jnp.concatenate([jnp.ones(axes), jnp.full(axes, omega)])
+
+            def left(start: Array) -> Array:
+                return noise.whiten(measured, self._readings(model, start, now)).ravel()
+
+            def step(start: Array, _: None) -> tuple[Array, Array]:
+                value, slope = jax.vmap(lambda e: jax.jvp(left, (start,), (e,)), out_axes=(None, 0))(jnp.diag(units))
+                move = -inverse(slope @ slope.T) @ (slope @ value)
+                move = move * jnp.minimum(1.0, 1.0 / (jnp.sqrt(jnp.sum(move**2)) + 1e-30))
+                return start + units * move, slope
+
+            found, slopes = jax.lax.scan(step, begin, None, length=SOLVES)
+            return found, slopes[-1]
+
+        begin = jax.lax.stop_gradient(self.start)
+        return jax.vmap(one)(begin, *self._pieces())
+
+    def _readings(self, model: Model, start: Array, now: Conditions) -> Array:
+        """Readings (m, axes) of one piece."""
+        first, quiet = jax.tree.map(lambda leaf: leaf[0], now), jnp.zeros(model.axes)
+        step, fine = self._grid(now)
+        linear = model.linear(first)
+        if not jnp.iscomplexobj(self.measured):
+            none = jnp.zeros((jnp.asarray(fine.time).size, model.axes))
+            states = run_samples(
+                model, none, none, step, fine, first, start=model.state_of(start, first), linear=linear
+            )
+
+            def later(state: Array, span: Array, c: Conditions) -> Array:
+                free = Sampled.of(model, linear, span)
+                return free.propagate.advance(state, jnp.zeros(model.size), lambda s: free.rest(s, quiet, c))[0]
+
+            states = self._at_samples(states, step, now, later)
+            return jax.vmap(lambda s, c: model.observe(s, quiet, quiet, c))(states, now)
+        axes, omega = model.axes, jnp.sqrt(model.device.stiffness[: model.axes])
+        vector = start[:axes] - 1j * start[axes:] / omega  # the analytic signal of each axis' own vibration
+        vector = jnp.concatenate([vector, 1j * omega * vector])
+        turning = model.state_of(vector.real, first) + 1j * model.state_of(vector.imag, first)
+        free = Driven(model, self.frequency, quiet + 0j, linear)
+        begin = jnp.zeros((HARMONICS + 1, model.size), complex).at[1].set(turning)
+        _, course = free.run(begin, step, fine)
+
+        def onwards(state: Array, span: Array, c: Conditions) -> Array:
+            return free.propagator(span).advance(state, free.load, lambda s: free.rest(s, c))[0]
+
+        states = self._at_samples(course.start, step, now, onwards)
+        return jax.vmap(lambda s, c: fundamental(model, self.frequency, s, free.force, c))(states, now)
+
+    def _grid(self, now: Conditions) -> tuple[Array, Conditions]:
+        """Step of the integration of a piece [s], and the conditions of each."""
+        if not self.nodes:
+            return self.period / self.substeps, jax.tree.map(lambda leaf: jnp.repeat(leaf, self.substeps), now)
+        given = jnp.asarray(now.time)
+        times = jnp.linspace(given[0], given[-1], self.nodes)
+        return times[1] - times[0], jax.tree.map(lambda leaf: jnp.interp(times, given, leaf), now)
+
+    def _at_samples(self, states: Array, step: Array, now: Conditions, onwards: Any) -> Array:
+        """The states at the samples of a piece, from those of the integration."""
+        if not self.nodes:
+            return states[:: self.substeps]
+        time = jnp.asarray(now.time)
+        place = (time - time[0]) / step
+        below = jnp.clip(jnp.floor(place).astype(int), 0, self.nodes - 1)
+        return jax.vmap(onwards)(states[below], (place - below) * step, now)
