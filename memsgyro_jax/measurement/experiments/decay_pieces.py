@@ -1,6 +1,6 @@
 """Prediction of a free decay piece by piece, each from its own unknown start."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -9,10 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from memsgyro_jax.base.linalg import inverse
+from memsgyro_jax.base.linalg import inverse, product
 from memsgyro_jax.device.conditions import Conditions
 
-from ..envelope import HARMONICS, Driven, Sampled, run_samples
+from ..envelope import HARMONICS, Driven, run_samples
 from ..model import Model
 from ..steady import fundamental
 from .base import BEYOND, Experiment, Noise
@@ -38,8 +38,8 @@ class FreeDecay(Experiment):
         surroundings: conditions per sample, with its time.
         frequency: of the reference of phasors [rad/s].
         substeps: integration steps per sample.
-        nodes: at which a piece is integrated, evenly spaced from its first sample to its last; from the last of them
-            before it, a step leads to each sample. Zero where samples are `period` apart.
+        nodes: at which a piece is integrated, evenly spaced from its first sample to its last, between which samples
+            are interpolated; zero where samples are `period` apart.
     """
 
     driven: ClassVar[bool] = False
@@ -122,15 +122,9 @@ class FreeDecay(Experiment):
         linear = model.linear(first)
         if not jnp.iscomplexobj(self.measured):
             none = jnp.zeros((jnp.asarray(fine.time).size, model.axes))
-            states = run_samples(
-                model, none, none, step, fine, first, start=model.state_of(start, first), linear=linear
-            )
-
-            def later(state: Array, span: Array, c: Conditions) -> Array:
-                free = Sampled.of(model, linear, span)
-                return free.propagate.advance(state, jnp.zeros(model.size), lambda s: free.rest(s, quiet, c))[0]
-
-            states = self._at_samples(states, step, now, later)
+            begin = model.state_of(start, first)
+            states = run_samples(model, none, none, step, fine, first, start=begin, linear=linear)
+            states = self._at_samples(states, lambda: jax.vmap(model.derivative)(states, none, fine), step, now)
             return jax.vmap(lambda s, c: model.observe(s, quiet, quiet, c))(states, now)
         axes, omega = model.axes, jnp.sqrt(model.device.stiffness[: model.axes])
         vector = start[:axes] - 1j * start[axes:] / omega  # the analytic signal of each axis' own vibration
@@ -139,11 +133,8 @@ class FreeDecay(Experiment):
         free = Driven(model, self.frequency, quiet + 0j, linear)
         begin = jnp.zeros((HARMONICS + 1, model.size), complex).at[1].set(turning)
         _, course = free.run(begin, step, fine)
-
-        def onwards(state: Array, span: Array, c: Conditions) -> Array:
-            return free.propagator(span).advance(state, free.load, lambda s: free.rest(s, c))[0]
-
-        states = self._at_samples(course.start, step, now, onwards)
+        slopes = lambda: product(free.operator, course.start) + free.load + course.here  # noqa: E731
+        states = self._at_samples(course.start, slopes, step, now)
         return jax.vmap(lambda s, c: fundamental(model, self.frequency, s, free.force, c))(states, now)
 
     def _grid(self, now: Conditions) -> tuple[Array, Conditions]:
@@ -154,11 +145,16 @@ class FreeDecay(Experiment):
         times = jnp.linspace(given[0], given[-1], self.nodes)
         return times[1] - times[0], jax.tree.map(lambda leaf: jnp.interp(times, given, leaf), now)
 
-    def _at_samples(self, states: Array, step: Array, now: Conditions, onwards: Any) -> Array:
-        """The states at the samples of a piece, from those of the integration."""
+    def _at_samples(self, states: Array, slopes: Callable[[], Array], step: Array, now: Conditions) -> Array:
+        """The states at the samples of a piece, from those of the integration and their slopes (Hermite's cubics)."""
         if not self.nodes:
             return states[:: self.substeps]
-        time = jnp.asarray(now.time)
+        time, slope = jnp.asarray(now.time), step * slopes()
         place = (time - time[0]) / step
-        below = jnp.clip(jnp.floor(place).astype(int), 0, self.nodes - 1)
-        return jax.vmap(onwards)(states[below], (place - below) * step, now)
+        below = jnp.clip(jnp.floor(place).astype(int), 0, self.nodes - 2)
+
+        def one(k: Array, s: Array) -> Array:
+            ends = (1 + 2 * s) * (1 - s) ** 2 * states[k] + s**2 * (3 - 2 * s) * states[k + 1]
+            return ends + s * (1 - s) * ((1 - s) * slope[k] - s * slope[k + 1])
+
+        return jax.vmap(one)(below, place - below)

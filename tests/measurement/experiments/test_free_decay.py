@@ -145,18 +145,26 @@ def test_stamps_that_jitter_and_rows_that_are_lost(tmp_path):
 
 
 @pytest.mark.slow
-def test_phasors_of_a_lock_in_tell_the_same_as_the_waveform(tmp_path):
+@pytest.mark.parametrize("lost", [False, True])
+def test_phasors_of_a_lock_in_tell_the_same_as_the_waveform(lost, tmp_path):
     """14 kHz, read 30 Hz beside the resonance at 500 readings a second."""
     omega, decay, reference = 2 * np.pi * 14000.0, 8.0, 2 * np.pi * 13970.0
     time = np.arange(250) * 2e-3
+    if lost:
+        time = np.delete(time, [*range(100, 140), 7, 33]) + 3e-4 * np.random.default_rng(2).uniform(-1, 1, 208)
     phasor = 0.3 * np.exp(1.1j + (1j * (omega - reference) - decay) * time)
     rng = np.random.default_rng(1)
-    noisy = phasor + 1e-4 * (rng.standard_normal(250) + 1j * rng.standard_normal(250))
+    noisy = phasor + 1e-4 * (rng.standard_normal(time.size) + 1j * rng.standard_normal(time.size))
     columns = {"y_I [V]": noisy.real, "y_Q [V]": noisy.imag}
     case = written(
-        tmp_path, time, columns, 14010.0, 'reference_frequency = { value = 13970, unit = "Hz" }\nrole = "fit"'
+        tmp_path,
+        time,
+        columns,
+        14010.0,
+        'reference_frequency = { value = 13970, unit = "Hz" }\nrole = "fit"\nuneven = ' + str(lost).lower(),
     )
     turned = 2 * (omega - reference) * 2e-3  # as far as seen, whatever the design leaves open
+    assert case.records[0].noise_level == pytest.approx(1e-4, rel=0.1)
     assert readings_of(case)[0].experiment.substeps == pytest.approx(turned / 0.06, abs=2)
     fit = fit_case(case)
     std = {e.name: e.std for e in fit.estimates}
