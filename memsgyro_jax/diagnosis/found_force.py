@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from memsgyro_jax.device.conditions import Conditions
 from memsgyro_jax.effects.base import Effect, ForceEffect
 from memsgyro_jax.effects.evaluation import moment
-from memsgyro_jax.measurement.experiments.missing_force import Binned, SweepForce
+from memsgyro_jax.measurement.experiments.missing_force import BLOCKS, Binned, SweepForce, in_bins
 from memsgyro_jax.measurement.model import Model
 
 from .fit import CaseFit
@@ -98,21 +98,20 @@ def _over_waveform(diagnosis: Diagnosis, base: CaseFit, effect: Effect, spread: 
     for course in time_forces(base):
         if course.record not in left:
             continue
+        moved = left[course.record] if left[course.record].window.size == course.window.size else course
+        # What a waveform lacks is seen in a band alone, without its mean: so is the law, along the same motion.
+        force = course.as_seen(_force(model, effect, moved.motion, moved.speed))
         for axis in np.flatnonzero(course.force.any(axis=0)):
             for over in ("displacement", "velocity"):
                 points = getattr(course, f"against_{over}")(axis)
-                place = np.linspace(points.centre[0], points.centre[-1], _POINTS)
-                still = np.zeros((_POINTS, model.axes))
-                moved = _along(axis, model.axes, place)
-                law = _force(model, effect, *((moved, still) if over == "displacement" else (still, moved)))[:, axis]
-                size = float(np.max(np.abs(law - _line(place, law)(place))))
+                law = in_bins(force[:, axis], getattr(course, over)[:, axis], blocks=BLOCKS).mean
+                # The base model takes the straight line that fits best: from law and points alike.
+                bent, mean = (values - _line(points.centre, values)(points.centre) for values in (law, points.mean))
+                size = float(np.max(np.abs(bent)))
                 if size > 3.0 * float(np.median(points.error)) and (best is None or size > best[0]):
-                    # The base model takes the straight line that fits best where points are: from law and points alike.
-                    bent = law - _line(points.centre, np.interp(points.centre, place, law))(place)
-                    mean = points.mean - _line(points.centre, points.mean)(points.centre)
                     beside = getattr(left[course.record], f"against_{over}")(axis)
                     shown = Binned(points.centre, mean, points.error)
-                    best = size, LawOverWaveform(course.record, over, place, bent, spread, shown, beside)
+                    best = size, LawOverWaveform(course.record, over, points.centre, bent, spread, shown, beside)
     return None if best is None else best[1]
 
 

@@ -11,7 +11,7 @@ from lab.die import Hidden, Outside
 from memsgyro_jax.diagnosis.fit import fit_case
 from memsgyro_jax.diagnosis.residual_force import beside_lowest_drive, rate_residuals, sweep_forces, time_forces
 from memsgyro_jax.effects import ParasiticMode
-from memsgyro_jax.measurement.experiments.missing_force import above_noise, in_bins
+from memsgyro_jax.measurement.experiments.missing_force import in_bins, weight_above_noise
 
 
 @pytest.fixture(scope="module")
@@ -117,6 +117,11 @@ def test_a_quiet_ring_down_shows_the_force_over_time(right, lacking, strength):
     found = ring_down_force(fit)
     true = cubic_force(fit, strength, found)
     assert np.sqrt(np.mean((found.force[:, 0] - true) ** 2)) < 0.03 * np.sqrt(np.mean(true**2))
+    motion = (clean.signals - np.asarray(fit.model.offset)) / np.asarray(fit.model.scale)
+    law = found.as_seen(-strength * motion**3)[:, 0]
+    assert np.sqrt(np.mean((law - found.force[:, 0]) ** 2)) < 0.03 * np.sqrt(np.mean(true**2)), "as the law would be"
+    even = found.as_seen(motion**2)[:, 0]
+    assert abs(even.mean()) < 0.01 * np.mean(motion[:, 0] ** 2), "but for a mean"
     assert np.sqrt(np.mean(found.force[:, 1] ** 2)) < 0.03 * np.sqrt(np.mean(true**2))
     early, late = found.against_time().mean[[3, -3], 0]
     assert early > 5 * late, "the spring hardens with amplitude"
@@ -137,10 +142,10 @@ def test_a_measured_ring_down_shows_it_through_the_noise(lacking, strength):
 def test_noise_leaves_nothing_and_a_line_stays():
     rng = np.random.default_rng(0)
     noise = np.sqrt(250.0) * (rng.standard_normal((2000, 2)) + 1j * rng.standard_normal((2000, 2)))
-    assert not above_noise(noise, 500.0).any()
+    assert not weight_above_noise(noise, 500.0).any()
     lines = noise.copy()
     lines[1000:1009, 0] += 40 * np.sqrt(500.0)
-    kept = above_noise(lines, 500.0)
+    kept = lines * weight_above_noise(lines, 500.0)
     assert not kept[:, 1].any()
     assert np.flatnonzero(kept[:, 0]).min() > 990
     assert np.flatnonzero(kept[:, 0]).max() < 1018

@@ -30,7 +30,7 @@ LINES = 9  # of a spectrum, over which power is told from noise
 TAPER = 0.2  # of a record at each end, over which it is faded in and out
 SEEN = 0.25  # of full weight, from which the result is kept
 FEWEST = 64  # rows of a waveform below which no spectrum is told from noise
-REACH = (0.5, 2.0)  # times the lowest and the highest mode: where a force is looked for
+REACH = (0.5, 2.5)  # times the lowest and the highest mode: where a force is looked for; it holds second harmonics
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,19 +104,45 @@ class Binned:
 class TimeForce(MissingForce):
     """Missing force over the time of a raw capture or ring-down.
 
-    Only what lies between half the lowest and twice the highest mode and stands above the noise is seen; all is zero
-    where noise explains the record.
+    Only what lies in the band `REACH` around the modes and stands above the noise is seen; all is zero where noise
+    explains the record. The constant part of a force is not.
 
     Args:
         time: (n,) [s].
         force: on each axis (n, axes) [N].
-        displacement, velocity: of the model (n, axes) [m], [m/s].
+        motion, speed: displacement and velocity of the model in all rows that were compared (r, axes) [m], [m/s].
+        window: of these rows (r, 1); those above `SEEN` are the n.
+        weights: of their spectral lines (f, axes): the share that is seen.
     """
 
     time: np.ndarray
     force: np.ndarray
-    displacement: np.ndarray
-    velocity: np.ndarray
+    motion: np.ndarray
+    speed: np.ndarray
+    window: np.ndarray
+    weights: np.ndarray
+
+    @property
+    def kept(self) -> np.ndarray:
+        """Which of the rows that were compared are shown (r,)."""
+        return np.asarray(self.window[:, 0] > SEEN)
+
+    @property
+    def displacement(self) -> np.ndarray:
+        """Of the model (n, axes) [m]."""
+        return np.asarray(self.motion[self.kept])
+
+    @property
+    def velocity(self) -> np.ndarray:
+        """Of the model (n, axes) [m/s]."""
+        return np.asarray(self.speed[self.kept])
+
+    def as_seen(self, force: np.ndarray) -> np.ndarray:
+        """Of a force known in all rows (r, axes) what would be seen of it (n, axes): through the same window and
+        spectral lines.
+        """
+        lines = np.fft.rfft(force * self.window, axis=0) * self.weights
+        return np.asarray(np.fft.irfft(lines, len(force), axis=0)[self.kept] / self.window[self.kept])
 
     def against_displacement(self, axis: int, bins: int = BINS) -> Binned:
         """Mean force on an axis over its own displacement: what is like a spring."""
@@ -171,8 +197,10 @@ def force_over_time(record: str, deviation: Deviation, time: np.ndarray, noise_s
     omega = 2 * np.pi * np.fft.rfftfreq(count, period)
     near = (omega > REACH[0] * modes[0]) & (omega < REACH[1] * modes[-1])
     window, slope, bend = _window(count, period)
-    lines = np.zeros((omega.size, model.axes), complex)
-    lines[near] = above_noise(np.fft.rfft(error * window, axis=0)[near] / noise, float(np.sum(window**2))) * noise
+    lines = np.fft.rfft(error * window, axis=0)
+    weights = np.zeros(lines.shape)
+    weights[near] = weight_above_noise(lines[near] / noise, float(np.sum(window**2)))
+    lines = np.where(near[:, None], weights * lines, 0.0)
     lines[near] /= (1j * omega[near, None]) ** model.order
     force = np.zeros_like(lines)
     stiffness, matrix = _dynamic_stiffness(model, place, jnp.asarray(omega[near]))
@@ -186,12 +214,16 @@ def force_over_time(record: str, deviation: Deviation, time: np.ndarray, noise_s
     friction = np.asarray(matrix)[model.axes : 2 * model.axes, model.axes : 2 * model.axes]
     spurious = (2 * dw * speed + ddw * delta - dw * delta @ friction.T) / float(model.device.mobility)
     turning = np.fft.irfft(1j * omega[:, None] * np.fft.rfft(motion * window, axis=0), count, axis=0)[kept]
+    speeds = np.gradient(motion, period, axis=0)
+    speeds[kept] = (turning - dw * motion[kept]) / w
     return TimeForce(
         record,
         time[seen][kept],
         (whole[kept] - spurious) / w,
-        motion[kept],
-        (turning - dw * motion[kept]) / w,
+        motion,
+        speeds,
+        window,
+        weights,
     )
 
 
@@ -212,15 +244,15 @@ def _dynamic_stiffness(model: Model, conditions: Conditions, omega: Float[Array,
     return jax.vmap(lambda w: jnp.linalg.inv(receptance(model, matrix, w)))(omega), matrix
 
 
-def above_noise(lines: np.ndarray, power: float) -> np.ndarray:
-    """Wiener's filter: spectral lines (f, a) of a whitened record weighted with the share of their power, smoothed over
+def weight_above_noise(lines: np.ndarray, power: float) -> np.ndarray:
+    """Wiener's filter: for spectral lines (f, a) of a whitened record the share of their power, smoothed over
     neighbours, that is not noise; noise alone has E|line|² = `power`, and leaves nothing with a probability of 99 %.
     """
     smoothed = np.stack(
         [np.convolve(p, np.ones(LINES) / LINES, mode="same") for p in (np.abs(lines) ** 2 / power).T], 1
     )
     noise = float(stats.chi2.isf(0.01 / lines.size, 2 * LINES)) / (2 * LINES)
-    return lines * np.maximum(1.0 - noise / np.maximum(smoothed, noise), 0.0)
+    return np.asarray(np.maximum(1.0 - noise / np.maximum(smoothed, noise), 0.0))
 
 
 def receptance(model: Model, matrix: Array, omega: Array) -> Complex[Array, "a a"]:
