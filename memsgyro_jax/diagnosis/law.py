@@ -42,7 +42,7 @@ class DrawnLaw(Shown):
 
     Args:
         measured, axis: what it was drawn from, 0 = x, 1 = y.
-        terms: in the order in which they were found.
+        terms: in the order in which they were found; one of "even_stiffness", which no row tells, comes from a fit.
         knots, values: of the spline: where its slope changes and by how much, per kind; empty beside terms.
         seen: lowest and highest displacement and velocity amplitude [m], [m/s] that any row has.
         left: root mean square of what is left of the rows over their noise: without any law, and with it.
@@ -87,7 +87,8 @@ class DrawnLaw(Shown):
             f"  seen from {low:.3g} to {high:.3g} m (V for a resonator) and {slow:.3g} to {fast:.3g} m/s; beyond, "
             "the law extrapolates"
         )
-        lines.append("  drawn the same for both signs: amplitude and phase at the drive do not tell them apart")
+        if not any(term.kind == "even_stiffness" for term in self.terms):
+            lines.append("  drawn the same for both signs: amplitude and phase at the drive do not tell them apart")
         return "\n".join(lines)
 
 

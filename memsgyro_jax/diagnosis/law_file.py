@@ -14,10 +14,11 @@ ROUNDING = 1e-6  # of the square of the unit size, below which a power is a stra
 
 @dataclass(frozen=True)
 class LawTerm:
-    """F = −strength·z·(max(|z| − threshold, 0)/size)^exponent, without a threshold the power of |z| itself.
+    """F = −strength·z·(max(|z| − threshold, 0)/size)^exponent, without a threshold the power of |z| itself; an even
+    force has |z| for the first z.
 
     Args:
-        kind: "stiffness", z the displacement, or "damping", z the velocity.
+        kind: "stiffness", z the displacement, or "damping", z the velocity; "even_stiffness".
         strength: [N/m] or [N s/m], with `size` the force over z there.
         exponent: 0 is linear.
         threshold: [m] or [m/s]; `None` for none.
@@ -50,7 +51,9 @@ class LawTerm:
     @property
     def formula(self) -> str:
         """For people."""
-        z = "q" if self.kind == "stiffness" else "v"
+        z = "v" if self.kind == "damping" else "q"
+        if self.kind == "even_stiffness":
+            return f"F = −s·|q|·|q/{self.size:.4g}|^exponent"
         if self.threshold is None:
             return f"F = −s·{z}·|{z}/{self.size:.4g}|^exponent"
         return f"F = −s·sign({z})·(|{z}| − threshold)^(1 + exponent) / {self.size:.4g}^exponent beyond the threshold"
@@ -88,8 +91,8 @@ def law_text(
     (low, high), (slow, fast) = seen
     title = case.replace("\\", "/").replace('"', "'")
     head = (
-        f'"""What the records of {title} show beyond a linear device. Edit it, then add it to a fit:\n\n'
-        f"    memsgyro fit CASE --effects THIS_FILE --add {' '.join(names)}\n\n"
+        f'"""What the records of {title} show beyond a linear device. Edit it, then fit it:\n\n'
+        "    memsgyro law CASE --edited THIS_FILE\n\n"
         f"Seen at amplitudes from {low:.4g} to {high:.4g} m (V for a resonator)\n"
         f'and {slow:.4g} to {fast:.4g} m/s; elsewhere it extrapolates.\n"""\n\n'
         "import equinox as eqx\nimport jax.numpy as jnp\nfrom jax import Array\n\nimport memsgyro_jax.effects as fx\n"
@@ -137,6 +140,7 @@ def _term_text(name: str, term: LawTerm, axis: int) -> str:
         )
         over = f"jnp.maximum(jnp.abs(z) - self.threshold, 0.0) / {size}"
     factor = "z" if term.threshold is None else f"{size} * jnp.sign(z) * over"
+    factor = "jnp.abs(z)" if term.kind == "even_stiffness" else factor
     lines.append(
         "\n    def force(self, now):\n"
         f"        z = {_variable(name)}\n"

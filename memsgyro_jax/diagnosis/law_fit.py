@@ -11,7 +11,7 @@ from pathlib import Path
 import equinox as eqx
 import numpy as np
 
-from memsgyro_jax.effects import load_effects
+from memsgyro_jax.effects import QuadraticStiffness, load_effects
 from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.experiments import Readings
 from memsgyro_jax.measurement.readings import readings_of
@@ -19,14 +19,17 @@ from memsgyro_jax.measurement.readings import readings_of
 from .fit import CaseFit, beside_case
 from .joint_residual import Joint
 from .law import DrawnLaw
+from .law_file import LawTerm
 from .optimum import optimise
 from .outlying import Rows, without_rows
 from .resolved import sharpened
+from .result import validation_error
 
 
 AWAY = 6.0  # times the median of what is left: from there on a row does not guide the fit
 MOST = 0.25  # share of a record's rows that may lie so far off
 ROUNDS = 4
+EVEN = 12.0  # of χ², in units of what is left per reading, that an even part must take
 
 
 def fit_law(law: DrawnLaw, path: str | Path) -> CaseFit:
@@ -44,6 +47,26 @@ def fit_law(law: DrawnLaw, path: str | Path) -> CaseFit:
     if any(_resolution(new) != _resolution(old) for new, old in zip(finer, joint.readings, strict=True)):
         fit = _guided(case, Joint(fit.model, finer))
     return replace(fit, apart=apart)
+
+
+def with_even_part(law: DrawnLaw, fit: CaseFit) -> DrawnLaw:
+    """The law with an even stiffness, which shifts the mean and makes a second harmonic, where waveforms bear it out.
+
+    Rows of amplitude and phase do not tell it. Beside a fit with the law as it is, one that starts at no even part
+    keeps it if it is significant and lowers the error of what was not fitted; else the law itself is returned.
+    """
+    (low, high), waves = law.seen[0], [r for r in fit.joint.fitted if not np.iscomplexobj(r.experiment.measured)]
+    if not waves or law.knots:
+        return law
+    joint = Joint(fit.model.with_effect(QuadraticStiffness(law.axis)), fit.joint.readings)
+    places = np.array([i for i in range(joint.start.size) if i not in joint.idle])
+    found = optimise(joint, joint.start, places, joint.fitted)
+    more = _beside_all(fit.case, joint, found.vector, places)
+    strength = float(more.model.effects[-1].strength)
+    worth = more.optimum.chi2 < fit.optimum.chi2 - EVEN * max(1.0, fit.chi2_per_dof)
+    if not worth or validation_error(more) >= validation_error(fit):
+        return law
+    return replace(law, terms=(*law.terms, LawTerm("even_stiffness", high * strength, 1.0, None, high, low)))
 
 
 def _guided(case: Case, joint: Joint) -> CaseFit:

@@ -11,7 +11,8 @@ def law_command(
     case: Path,
     /,
     *,
-    out: Path,
+    out: Path | None = None,
+    edited: Path | None = None,
     axis: Literal["x", "y"] = "x",
     terms: int = 3,
     spline: Flag = False,
@@ -23,11 +24,12 @@ def law_command(
 
     Prints frequency and damping against amplitude, the law, and the error of every
     experiment without and with it, also of those that are not fitted.
-    Edit the file and add it again with `memsgyro fit CASE --effects FILE --add NAME`.
+    Edit the file and fit it again with `memsgyro law CASE --edited FILE`.
 
     Args:
         case: folder with a case.toml and the CSV files that it names, or the word demo for the one that comes along.
         out: file for the law, a Python file with one effect per term.
+        edited: instead of `--out`, such a file, edited, to fit from where the drawing leaves off. It is run.
         axis: that the law is drawn for.
         terms: at most so many terms.
         spline: forces between knots instead of terms with a free exponent and a threshold.
@@ -35,13 +37,13 @@ def law_command(
         model: file for the fitted model, for `memsgyro compare --model`.
         report: file for a page with the backbone, the law and the errors.
     """
-    look_for(case, kinds)
+    look_for(case, kinds, edited)
     from memsgyro_jax.base.errors import InputError
     from memsgyro_jax.base.files import write_whole
     from memsgyro_jax.diagnosis.backbone import backbone
     from memsgyro_jax.diagnosis.fit import fit_case
     from memsgyro_jax.diagnosis.law import draw_law
-    from memsgyro_jax.diagnosis.law_fit import fit_law
+    from memsgyro_jax.diagnosis.law_fit import fit_law, with_even_part
     from memsgyro_jax.measurement.model_file import write_model
     from memsgyro_jax.measurement.user_kinds import load_kinds
 
@@ -49,6 +51,8 @@ def law_command(
     from .options import require_writable
 
     require_writable(out, model, report)
+    if (out is None) == (edited is None):
+        raise InputError("Either option `--out`, for the law, or `--edited`, a law to fit, must be given.")
     if not 1 <= terms <= 9:
         raise InputError(f"Option `--terms` must be 1 to 9, but is {terms}.")
     measured, number = load_demo_or(case, load_kinds(kinds) if kinds else ()), "xy".index(axis)
@@ -56,11 +60,20 @@ def law_command(
         raise InputError(f"Option `--axis` must be x for a device of one axis, but is {axis}.")
     before = fit_case(measured)
     curve, law = backbone(before, number), draw_law(before, number, terms=terms, spline=spline)
-    print(curve, law, sep="\n\n")
-    after = fit_law(law, law.write(out)) if law.names else before
-    if law.names:
-        print("\n" + fit_text(before, after))
-        print(f"{out} is the law; edit it, then: memsgyro fit {case} --effects {out} --add {' '.join(law.names)}")
+    print(curve, end="\n\n", flush=True)
+    after, file = before, edited or out
+    if file is not None and edited is not None:
+        after = fit_law(law, file)
+    elif file is not None and law.names:
+        after = fit_law(law, law.write(file))
+        if (whole := with_even_part(law, after)) is not law:
+            law, after = whole, fit_law(whole, whole.write(file))
+    if edited is None:
+        print(law, end="\n\n" if law.names else "\n")
+    if after is not before:
+        print(fit_text(before, after))
+    if after is not before and edited is None:
+        print(f"{file} is the law; edit it, then: memsgyro law {case} --edited {file}")
     if model is not None:
         write_model(after.model, model)
     if report is not None:
