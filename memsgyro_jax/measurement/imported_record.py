@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -197,7 +197,11 @@ def _over_time(about: dict, table: SourceTable, rows: dict[str, SourceColumn], g
             *assumed,
             f"from {begin:.6g} {columns['t'].unit} on nothing drives, and the decay is a record of its own",
         ]
-        records.append(_decay({**about, "name": f"{about['name']}_free"}, after, said))
+        try:
+            records.append(_decay({**about, "name": f"{about['name']}_free"}, after, said))
+        except InputError:
+            left = f"what follows the drive from {begin:.6g} {columns['t'].unit} on is no clear decay, and is left out"
+            records = [replace(records[0], assumed=(*records[0].assumed, left))]
     return records
 
 
@@ -218,6 +222,8 @@ def _decay(about: dict, columns: dict[str, SourceColumn], assumed: list[str]) ->
     signal, time = columns["Vx"].values, columns["t"]
     envelope = _envelope(signal - np.mean(signal))
     begin = int(np.flatnonzero(envelope >= _LOUD * envelope.max())[-1])
+    if len(signal) - begin < _FEWEST:
+        raise _not_a_decay(about, "its envelope falls over fewer than 50 rows")
     said = list(assumed)
     if begin > 0.02 * len(signal):
         said.append(f"the free decay begins at {time.values[begin]:.6g} {time.unit}, where its envelope falls for good")
@@ -227,6 +233,13 @@ def _decay(about: dict, columns: dict[str, SourceColumn], assumed: list[str]) ->
     keys = _stamps(time, said) | ({"from": {"value": float(time.values[begin]), "unit": time.unit}} if begin else {})
     return ImportedRecord(
         **about, kind="free_decay", columns=_headed(columns), keys=keys, assumed=tuple(said), design=design
+    )
+
+
+def _not_a_decay(about: dict, what: str) -> InputError:
+    return InputError(
+        f"{about['source']}: a record over time without a drive must be a vibration that dies away, but {what}; "
+        "name the drive with --map, or leave the file out."
     )
 
 

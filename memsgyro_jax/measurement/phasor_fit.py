@@ -30,11 +30,18 @@ def device_of_phasors(offered: Sequence[Phasors]) -> NormalisedDevice | None:
     if any(found):
         return next(one for one in found if one is not None)
     device = _solve(omega, motion, force, weight / omega**2)
-    for _ in range(ROUNDS):
-        device = _solve(omega, motion, force, weight * _response_weight(device, omega, motion.shape[1]))
-    if motion.shape[1] == 1 and len(omega) >= _FEWEST:
-        device = _turned(device, omega, motion[:, 0], force[:, 0], weight)
-    return NormalisedDevice(*device) if _is_device(device) else None
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):
+            for _ in range(ROUNDS):
+                response = _response_weight(device, omega, motion.shape[1])
+                if not np.isfinite(response).all():
+                    return None
+                device = _solve(omega, motion, force, weight * response)
+        if motion.shape[1] == 1 and len(omega) >= _FEWEST:
+            device = _turned(device, omega, motion[:, 0], force[:, 0], weight)
+        return NormalisedDevice(*device) if _is_device(device) else None
+    except np.linalg.LinAlgError:  # nothing answers, or everything alike
+        return None
 
 
 def is_seen(device: NormalisedDevice, offered: Sequence[Phasors]) -> bool:

@@ -74,6 +74,21 @@ def test_what_is_forced_and_what_is_free_of_one_run_are_two_records(tmp_path):
     assert free.time[0] >= 0.1
 
 
+def test_what_is_no_vibration_is_refused_in_one_sentence(tmp_path):
+    rows = {
+        "levels.csv": [f"{n * 1e-3},{n // 40 % 2}" for n in range(90)],
+        "ramp.csv": [f"{n * 1e-3},{n * (-1) ** n}" for n in range(90)],
+        "still.csv": [f"{n * 1e-3},0" for n in range(90)],
+        "flat.csv": [f"{1000 + n},{x},{y}" for n, (x, y) in enumerate(np.random.default_rng(0).normal(size=(90, 2)))],
+    }
+    for name, lines in rows.items():
+        header = "f [Hz],X [V],Y [V]" if name == "flat.csv" else "time [s],line 0 [V]"
+        (tmp_path / name).write_text("\n".join([header, *lines]))
+        words = "no record that may be fitted shows a clear resonance" if name == "flat.csv" else "that dies away"
+        with pytest.raises(mg.InputError, match=words):
+            mg.import_case([tmp_path / name], tmp_path / "case")
+
+
 def test_phasors_over_time_need_their_reference(tmp_path):
     time = np.arange(400) / 1e3
     z = np.exp((-5 + 2j * np.pi * 0.7) * time)
