@@ -226,6 +226,7 @@ def _design(records: list[ImportedRecord]) -> str:
         for (key, (value, unit)), spread in zip(rough.items(), (1.2, 3.0), strict=True)
     }
     header = next(header for header in records[0].columns if header.startswith("Vx"))
-    gain = f"{parse_header(header).unit}/V"  # nothing drives, so that any number does
+    order = {"velocity": 1, "acceleration": 2}.get(records[0].quantity, 0)
+    gain = f"{parse_header(header).unit}{'*s' * order}/V"  # nothing drives, so that any number does
     entries["static_gain"] = {"value": 1.0, "low": 0.5, "high": 2.0, "unit": gain}
     return toml_table("design", entries)

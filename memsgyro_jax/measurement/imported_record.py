@@ -124,9 +124,7 @@ def _sweep(about: dict, table: SourceTable, rows: dict[str, SourceColumn], given
 
 def _conventions(columns: dict[str, SourceColumn], table: SourceTable, assumed: list[str]) -> str:
     """Turns the phasors to e^{+iωt} where they run the other way; what is read, as the phase at resonance has it."""
-    unit = columns["Vx_I" if "Vx_I" in columns else "Vx_amp"].unit
-    measured = {"m": "displacement", "m/s": "velocity", "m/s**2": "acceleration"}
-    known = next((what for base, what in measured.items() if _same_kind(unit, base)), table.attributes.get("reads", ""))
+    known = _read_as(columns["Vx_I" if "Vx_I" in columns else "Vx_amp"].unit) or table.attributes.get("reads", "")
     if "Vx_I" in columns:
         phasors = columns["Vx_I"].values + 1j * columns["Vx_Q"].values
     elif "Vx_phase" in columns:
@@ -156,6 +154,12 @@ def _conventions(columns: dict[str, SourceColumn], table: SourceTable, assumed: 
     return ""
 
 
+def _read_as(unit: str) -> str:
+    """What a reading in such a unit shows of the motion; empty where it does not tell."""
+    measured = {"m": "displacement", "m/s": "velocity", "m/s**2": "acceleration"}
+    return next((what for base, what in measured.items() if _same_kind(unit, base)), "")
+
+
 def _level(table: SourceTable, given: Given, assumed: list[str]) -> dict[str, Any]:
     """The drive level that no column holds."""
     if given.drive is not None:
@@ -180,6 +184,7 @@ def _over_time(about: dict, table: SourceTable, rows: dict[str, SourceColumn], g
     if "signal" not in rows:
         return [_lock_in_decay(about, table, columns, rows, given, assumed)]
     columns["Vx"] = _reading(rows["signal"], assumed)
+    about = {**about, "quantity": _read_as(columns["Vx"].unit)}
     drive = rows.get("drive")
     if drive is None or not np.ptp(drive.values) > 0:
         return [_decay(about, columns, assumed)]
@@ -223,7 +228,10 @@ def _decay(about: dict, columns: dict[str, SourceColumn], assumed: list[str]) ->
     envelope = _envelope(signal - np.mean(signal))
     begin = int(np.flatnonzero(envelope >= _LOUD * envelope.max())[-1])
     if len(signal) - begin < _FEWEST:
-        raise _not_a_decay(about, "its envelope falls over fewer than 50 rows")
+        raise InputError(
+            f"{about['source']}: a record over time without a drive must be a vibration that dies away, but its "
+            f"envelope falls over fewer than {_FEWEST} rows; name the drive with --map, or leave the file out."
+        )
     said = list(assumed)
     if begin > 0.02 * len(signal):
         said.append(f"the free decay begins at {time.values[begin]:.6g} {time.unit}, where its envelope falls for good")
@@ -233,13 +241,6 @@ def _decay(about: dict, columns: dict[str, SourceColumn], assumed: list[str]) ->
     keys = _stamps(time, said) | ({"from": {"value": float(time.values[begin]), "unit": time.unit}} if begin else {})
     return ImportedRecord(
         **about, kind="free_decay", columns=_headed(columns), keys=keys, assumed=tuple(said), design=design
-    )
-
-
-def _not_a_decay(about: dict, what: str) -> InputError:
-    return InputError(
-        f"{about['source']}: a record over time without a drive must be a vibration that dies away, but {what}; "
-        "name the drive with --map, or leave the file out."
     )
 
 
@@ -261,6 +262,7 @@ def _lock_in_decay(about, table, columns, rows, given: Given, assumed: list[str]
         columns |= {"Vx_amp": _reading(rows["amp"], assumed), "Vx_phase": _angle(rows["phase"], assumed)}
         phase = to_si(columns["Vx_phase"].values, columns["Vx_phase"].unit, "rad", "phase")
         phasors = columns["Vx_amp"].values * np.exp(1j * phase)
+    about = {**about, "quantity": _read_as(columns["Vx_I" if "I" in rows else "Vx_amp"].unit)}
     design = rough_decay(to_si(columns["t"].values, columns["t"].unit, "s", "t"), phasors, to_si(*reference, "Hz", "f"))
     keys = _stamps(columns["t"], assumed) | {"reference_frequency": {"value": reference[0], "unit": reference[1]}}
     return ImportedRecord(

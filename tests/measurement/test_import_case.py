@@ -74,6 +74,16 @@ def test_what_is_forced_and_what_is_free_of_one_run_are_two_records(tmp_path):
     assert free.time[0] >= 0.1
 
 
+@pytest.mark.parametrize(("unit", "order"), [("g_0", 2), ("mm/s", 1), ("um", 0)])
+def test_the_unit_of_a_decay_says_what_is_read(unit, order, tmp_path):
+    time = np.arange(400) / 4e3
+    rows = [f"{t:.6f},{v:.6f}" for t, v in zip(time, np.exp(-30 * time) * np.cos(400 * np.pi * time), strict=True)]
+    (tmp_path / "a.csv").write_text("\n".join([f"t [s],a [{unit}]", *rows]))
+    case = mg.import_case([tmp_path / "a.csv"], tmp_path / "case").case
+    assert case.readout.order == order
+    assert case.records[0].kind == "free_decay"
+
+
 def test_what_is_no_vibration_is_refused_in_one_sentence(tmp_path):
     rows = {
         "levels.csv": [f"{n * 1e-3},{n // 40 % 2}" for n in range(90)],
