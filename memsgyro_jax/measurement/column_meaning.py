@@ -8,10 +8,11 @@ import numpy as np
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.text import listed, printable
-from memsgyro_jax.base.units import NUMBER, to_si
+from memsgyro_jax.base.units import NUMBER
 
 from .formats import SourceColumn, SourceTable
 from .formats.header import split_header
+from .imported_columns import is_same_kind
 
 
 ROLES = ("t", "f", "I", "Q", "amp", "phase", "signal", "drive", "T", "V_bias", "rate")
@@ -98,11 +99,11 @@ def role_of(column: SourceColumn) -> str:
     if column.values.dtype.kind not in "iuf" or not np.isfinite(column.values).any() or _UNUSED.search(name):
         return ""
     for role in ("f", "t", "T", "phase"):
-        if column.unit and _measures(column.unit, _DIMENSIONS[role]) and not (role == "phase" and "rate" in name):
+        if column.unit and is_same_kind(column.unit, _DIMENSIONS[role]) and not (role == "phase" and "rate" in name):
             return role
     if column.unit == "ticks":
         return "t"
-    if column.unit and _measures(column.unit, "rad/s"):
+    if column.unit and is_same_kind(column.unit, "rad/s"):
         return "f" if re.search(_NAMED["f"], name) else "rate"
     tokens = [re.sub(r"\d+$", "", token) for token in name.split()]
     for role in ("f", "t", "T", "V_bias", "drive"):
@@ -116,14 +117,6 @@ def role_of(column: SourceColumn) -> str:
         if tokens and (tokens[-1] in words or tokens[0] in words):
             return role
     return "amp" if column.unit in ("dB", "dBV", "dBm") else "signal"
-
-
-def _measures(unit: str, expected: str) -> bool:
-    try:
-        to_si(1.0, unit, expected, "the column")
-    except InputError:
-        return False
-    return True
 
 
 def _as_waveforms(found: dict[str, list[SourceColumn]]) -> None:

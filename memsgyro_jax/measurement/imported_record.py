@@ -12,13 +12,21 @@ from memsgyro_jax.base.units import to_si
 
 from .clock import is_even, usual_period
 from .column_meaning import Meaning
+from .experiments.time_record import RING_TIMES
 from .formats import SourceColumn, SourceTable
-from .formats.header import SPECIAL
+from .imported_columns import (
+    add_surroundings,
+    angle_column,
+    cut_column,
+    headed,
+    is_same_kind,
+    reading_column,
+    time_column,
+    with_usual_unit,
+)
 from .tracking import rough_decay
 
 
-_ALTERNATE = {"rms": np.sqrt(2.0), "pp": 0.5, "pk": 1.0}
-_REFERENCE = {"dB": (1.0, "1"), "dBV": (np.sqrt(2.0), "V"), "dBm": (np.sqrt(2.0 * 1e-3 * 50.0), "V")}
 _SILENT = 0.01  # of the largest drive: nothing
 _QUIET_SHARE = 0.15  # of the rows at the end without drive: a free decay
 _FEWEST = 50  # rows of a record over time
@@ -92,11 +100,11 @@ def _finite(table: SourceTable, meaning: Meaning, assumed: list[str]) -> dict[st
 
 
 def _sweep(about: dict, table: SourceTable, rows: dict[str, SourceColumn], given: Given, assumed: list[str]):
-    columns = {"f": _with_unit(rows["f"], "Hz", "frequency", assumed)}
+    columns = {"f": with_usual_unit(rows["f"], "Hz", "frequency", assumed)}
     if "t" in rows and rows["t"].unit == "ticks":
         assumed.append(f"`{rows['t'].name}` is left out, as it counts ticks of a clock that is not named")
     elif "t" in rows and np.all(np.diff(rows["t"].values) > 0):
-        columns["t"] = _time(table, rows["t"], assumed)
+        columns["t"] = time_column(table, rows["t"], assumed)
     elif "t" in rows:
         assumed.append(f"`{rows['t'].name}` is left out, as it does not rise from row to row")
     if "I" in rows:
@@ -104,7 +112,7 @@ def _sweep(about: dict, table: SourceTable, rows: dict[str, SourceColumn], given
     else:
         parts = {"Vx_amp": rows["amp"]} | ({"Vx_phase": rows["phase"]} if "phase" in rows else {})
     for name, column in parts.items():
-        columns[name] = _angle(column, assumed) if name == "Vx_phase" else _reading(column, assumed)
+        columns[name] = angle_column(column, assumed) if name == "Vx_phase" else reading_column(column, assumed)
     quantity = _conventions(columns, table, assumed)
     keys: dict[str, Any] = {"settled": "t" not in columns}
     assumed.append(
@@ -113,12 +121,12 @@ def _sweep(about: dict, table: SourceTable, rows: dict[str, SourceColumn], given
         else "every row was read after its transient had died away (`settled`)"
     )
     if "drive" in rows:
-        columns["F_x"] = _reading(rows["drive"], assumed, "drive")
+        columns["F_x"] = reading_column(rows["drive"], assumed, "drive")
     else:
         keys["drive_force"] = _level(table, given, assumed)
-    _surroundings(columns, rows)
+    add_surroundings(columns, rows)
     return ImportedRecord(
-        **about, kind="frequency_sweep", columns=_headed(columns), keys=keys, assumed=tuple(assumed), quantity=quantity
+        **about, kind="frequency_sweep", columns=headed(columns), keys=keys, assumed=tuple(assumed), quantity=quantity
     )
 
 
@@ -157,7 +165,7 @@ def _conventions(columns: dict[str, SourceColumn], table: SourceTable, assumed: 
 def _read_as(unit: str) -> str:
     """What a reading in such a unit shows of the motion; empty where it does not tell."""
     measured = {"m": "displacement", "m/s": "velocity", "m/s**2": "acceleration"}
-    return next((what for base, what in measured.items() if _same_kind(unit, base)), "")
+    return next((what for base, what in measured.items() if is_same_kind(unit, base)), "")
 
 
 def _level(table: SourceTable, given: Given, assumed: list[str]) -> dict[str, Any]:
@@ -176,38 +184,51 @@ def _level(table: SourceTable, given: Given, assumed: list[str]) -> dict[str, An
 
 
 def _over_time(about: dict, table: SourceTable, rows: dict[str, SourceColumn], given: Given, assumed: list[str]):
-    columns = {"t": _time(table, rows["t"], assumed)}
+    columns = {"t": time_column(table, rows["t"], assumed)}
     if len(columns["t"].values) < _FEWEST:
         raise InputError(f"{table.path}: a record over time must have {_FEWEST} rows, but has {len(rows['t'].values)}.")
     if not np.all(np.diff(columns["t"].values) > 0):
         raise InputError(f"{table.path}: the time must rise from row to row, but does not.")
     if "signal" not in rows:
         return [_lock_in_decay(about, table, columns, rows, given, assumed)]
-    columns["Vx"] = _reading(rows["signal"], assumed)
+    columns["Vx"] = reading_column(rows["signal"], assumed)
     about = {**about, "quantity": _read_as(columns["Vx"].unit)}
     drive = rows.get("drive")
     if drive is None or not np.ptp(drive.values) > 0:
         return [_decay(about, columns, assumed)]
-    columns["u_x"] = _reading(drive, assumed, "drive")
+    columns["u_x"] = reading_column(drive, assumed, "drive")
     force = np.abs(columns["u_x"].values)
     last = int(np.flatnonzero(force > _SILENT * force.max())[-1]) + 1
     free = len(force) - last > max(_QUIET_SHARE * len(force), _FEWEST)
     records = []
-    forced = {name: _cut(column, slice(None, last if free else None)) for name, column in columns.items()}
+    forced = {name: cut_column(column, slice(None, last if free else None)) for name, column in columns.items()}
     records.append(_forced(about, forced, assumed))
     if free:
         begin = columns["t"].values[last]
-        after = {name: _cut(columns[name], slice(last, None)) for name in ("t", "Vx")}
+        after = {name: cut_column(columns[name], slice(last, None)) for name in ("t", "Vx")}
         said = [
             *assumed,
             f"from {begin:.6g} {columns['t'].unit} on nothing drives, and the decay is a record of its own",
         ]
         try:
-            records.append(_decay({**about, "name": f"{about['name']}_free"}, after, said))
+            decay = _decay({**about, "name": f"{about['name']}_free"}, after, said)
+            lasts = float(to_si(begin - columns["t"].values[0], columns["t"].unit, "s", "t"))
+            records = _with_decay(records[0], lasts, decay)
         except InputError:
             left = f"what follows the drive from {begin:.6g} {columns['t'].unit} on is no clear decay, and is left out"
             records = [replace(records[0], assumed=(*records[0].assumed, left))]
     return records
+
+
+def _with_decay(forced: ImportedRecord, lasts: float, decay: ImportedRecord) -> list[ImportedRecord]:
+    """The driven part of a run, which lasts so many seconds, and the decay after it; the decay alone where the driven
+    part is too short for an unknown start to die out.
+    """
+    resonance, quality = (value for value, _ in decay.design.values())
+    if forced.keys["start"] == "rest" or lasts > 2 * RING_TIMES * quality / (np.pi * resonance):
+        return [forced, decay]
+    left = "what is driven is left out, as its unknown start does not die out before the drive ends"
+    return [replace(decay, assumed=(*decay.assumed, left))]
 
 
 def _forced(about: dict, columns: dict[str, SourceColumn], assumed: list[str]) -> ImportedRecord:
@@ -219,7 +240,7 @@ def _forced(about: dict, columns: dict[str, SourceColumn], assumed: list[str]) -
     if rest and time.values[0] != 0:
         columns["t"] = SourceColumn("", time.unit, time.values - time.values[0])
     keys = {"hold": "band_limited", "start": "rest" if rest else "unknown"}
-    return ImportedRecord(**about, kind="time_record", columns=_headed(columns), keys=keys, assumed=tuple(said))
+    return ImportedRecord(**about, kind="time_record", columns=headed(columns), keys=keys, assumed=tuple(said))
 
 
 def _decay(about: dict, columns: dict[str, SourceColumn], assumed: list[str]) -> ImportedRecord:
@@ -240,7 +261,7 @@ def _decay(about: dict, columns: dict[str, SourceColumn], assumed: list[str]) ->
     design = rough_decay(to_si(time.values[begin:], time.unit, "s", "t"), signal[begin:])
     keys = _stamps(time, said) | ({"from": {"value": float(time.values[begin]), "unit": time.unit}} if begin else {})
     return ImportedRecord(
-        **about, kind="free_decay", columns=_headed(columns), keys=keys, assumed=tuple(said), design=design
+        **about, kind="free_decay", columns=headed(columns), keys=keys, assumed=tuple(said), design=design
     )
 
 
@@ -256,17 +277,17 @@ def _lock_in_decay(about, table, columns, rows, given: Given, assumed: list[str]
             '--reference "32.768 kHz".'
         )
     if "I" in rows:
-        columns |= {"Vx_I": _reading(rows["I"], assumed), "Vx_Q": _reading(rows["Q"], assumed)}
+        columns |= {"Vx_I": reading_column(rows["I"], assumed), "Vx_Q": reading_column(rows["Q"], assumed)}
         phasors = columns["Vx_I"].values + 1j * columns["Vx_Q"].values
     else:
-        columns |= {"Vx_amp": _reading(rows["amp"], assumed), "Vx_phase": _angle(rows["phase"], assumed)}
+        columns |= {"Vx_amp": reading_column(rows["amp"], assumed), "Vx_phase": angle_column(rows["phase"], assumed)}
         phase = to_si(columns["Vx_phase"].values, columns["Vx_phase"].unit, "rad", "phase")
         phasors = columns["Vx_amp"].values * np.exp(1j * phase)
     about = {**about, "quantity": _read_as(columns["Vx_I" if "I" in rows else "Vx_amp"].unit)}
     design = rough_decay(to_si(columns["t"].values, columns["t"].unit, "s", "t"), phasors, to_si(*reference, "Hz", "f"))
     keys = _stamps(columns["t"], assumed) | {"reference_frequency": {"value": reference[0], "unit": reference[1]}}
     return ImportedRecord(
-        **about, kind="free_decay", columns=_headed(columns), keys=keys, assumed=tuple(assumed), design=design
+        **about, kind="free_decay", columns=headed(columns), keys=keys, assumed=tuple(assumed), design=design
     )
 
 
@@ -283,65 +304,3 @@ def _envelope(signal: np.ndarray) -> np.ndarray:
     """Root mean square over a fiftieth of the record around each row."""
     width = max(len(signal) // 50, 3)
     return np.sqrt(np.convolve(signal**2, np.ones(width) / width, mode="same"))
-
-
-# ---- columns
-
-
-def _cut(column: SourceColumn, rows: slice) -> SourceColumn:
-    return SourceColumn(column.name, column.unit, column.values[rows])
-
-
-def _headed(columns: Mapping[str, SourceColumn]) -> dict[str, np.ndarray]:
-    return {f"{name} [{column.unit}]": column.values for name, column in columns.items()}
-
-
-def _with_unit(column: SourceColumn, unit: str, what: str, assumed: list[str]) -> SourceColumn:
-    """The column in its unit, or in the usual one."""
-    if not column.unit:
-        assumed.append(f"the {what} `{column.name}` is in {unit}, as the file does not say")
-    return SourceColumn(column.name, column.unit or unit, column.values)
-
-
-def _time(table: SourceTable, column: SourceColumn, assumed: list[str]) -> SourceColumn:
-    if column.unit == "ticks":
-        raise InputError(
-            f"{table.path}: `{column.name}` must be in seconds, but counts ticks of a clock that is not named; "
-            f'say it as in --map "t=1.6667e-8*{column.name} [s],..." for one of 60 MHz, with all columns to be used.'
-        )
-    return _with_unit(column, "s", "time", assumed)
-
-
-def _angle(column: SourceColumn, assumed: list[str]) -> SourceColumn:
-    if column.unit:
-        return column
-    unit = "deg" if np.ptp(column.values) > 7.0 else "rad"
-    return _with_unit(column, unit, "phase", assumed)
-
-
-def _reading(column: SourceColumn, assumed: list[str], what: str = "reading") -> SourceColumn:
-    """Peak amplitudes in a linear unit."""
-    if special := SPECIAL.fullmatch(column.unit):
-        if special["decibel"]:
-            factor, unit = _REFERENCE[special["decibel"]]
-            assumed.append(f"`{column.name}` in {column.unit} is turned to a peak amplitude in {unit}")
-            return SourceColumn(column.name, unit, factor * 10 ** (column.values / 20))
-        if special["how"] != "pk":
-            assumed.append(f"`{column.name}` in {column.unit} is turned to a peak amplitude")
-        return SourceColumn(column.name, special["base"], _ALTERNATE[special["how"]] * column.values)
-    return _with_unit(column, "V", what, assumed)
-
-
-def _surroundings(columns: dict[str, SourceColumn], rows: Mapping[str, SourceColumn]) -> None:
-    """Temperature, bias and rate, where their unit says that they are."""
-    for name, expected in (("T", "K"), ("V_bias", "V"), ("rate", "rad/s")):
-        if name in rows and rows[name].unit and _same_kind(rows[name].unit, expected):
-            columns[name] = rows[name]
-
-
-def _same_kind(unit: str, expected: str) -> bool:
-    try:
-        to_si(1.0, unit, expected, "the column")
-    except InputError:
-        return False
-    return True

@@ -72,6 +72,12 @@ def test_what_is_forced_and_what_is_free_of_one_run_are_two_records(tmp_path):
     assert (forced.kind, forced.start, forced.rows) == ("time_record", "rest", 2000)
     assert free.kind == "free_decay"
     assert free.time[0] >= 0.1
+    moving = np.cos(2 * np.pi * 3200 * time) * np.exp(-np.clip(time - 0.1, 0, None) / 0.03)
+    rows = [f"{t:.6f};{u:.6g};{y:.6g}" for t, u, y in zip(time, drive, moving, strict=True)]
+    (tmp_path / "run.csv").write_text("\n".join(["time/s;excitation/mV;velocity in volts [V]", *rows]))
+    again = mg.import_case([tmp_path / "run.csv"], tmp_path / "moving")
+    assert [record.kind for record in again.case.records] == ["free_decay"]
+    assert "its unknown start does not die out" in str(again)
 
 
 @pytest.mark.parametrize(("unit", "order"), [("g_0", 2), ("mm/s", 1), ("um", 0)])

@@ -1,0 +1,79 @@
+"""Columns of an instrument's table in the units and headers of a case."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.units import to_si
+
+from .formats import SourceColumn, SourceTable
+from .formats.header import SPECIAL
+
+
+_ALTERNATE = {"rms": np.sqrt(2.0), "pp": 0.5, "pk": 1.0}
+_REFERENCE = {"dB": (1.0, "1"), "dBV": (np.sqrt(2.0), "V"), "dBm": (np.sqrt(2.0 * 1e-3 * 50.0), "V")}
+
+
+def cut_column(column: SourceColumn, rows: slice) -> SourceColumn:
+    """Some rows of a column."""
+    return SourceColumn(column.name, column.unit, column.values[rows])
+
+
+def headed(columns: Mapping[str, SourceColumn]) -> dict[str, np.ndarray]:
+    """Columns under the headers of a case."""
+    return {f"{name} [{column.unit}]": column.values for name, column in columns.items()}
+
+
+def with_usual_unit(column: SourceColumn, unit: str, what: str, assumed: list[str]) -> SourceColumn:
+    """The column in its unit, or in the usual one."""
+    if not column.unit:
+        assumed.append(f"the {what} `{column.name}` is in {unit}, as the file does not say")
+    return SourceColumn(column.name, column.unit or unit, column.values)
+
+
+def time_column(table: SourceTable, column: SourceColumn, assumed: list[str]) -> SourceColumn:
+    """Times in their unit, or in seconds; raises `InputError` for ticks of a clock that nobody names."""
+    if column.unit == "ticks":
+        raise InputError(
+            f"{table.path}: `{column.name}` must be in seconds, but counts ticks of a clock that is not named; "
+            f'say it as in --map "t=1.6667e-8*{column.name} [s],..." for one of 60 MHz, with all columns to be used.'
+        )
+    return with_usual_unit(column, "s", "time", assumed)
+
+
+def angle_column(column: SourceColumn, assumed: list[str]) -> SourceColumn:
+    """Phases in their unit, or in that which their values suggest."""
+    if column.unit:
+        return column
+    unit = "deg" if np.ptp(column.values) > 7.0 else "rad"
+    return with_usual_unit(column, unit, "phase", assumed)
+
+
+def reading_column(column: SourceColumn, assumed: list[str], what: str = "reading") -> SourceColumn:
+    """Peak amplitudes in a linear unit."""
+    if special := SPECIAL.fullmatch(column.unit):
+        if special["decibel"]:
+            factor, unit = _REFERENCE[special["decibel"]]
+            assumed.append(f"`{column.name}` in {column.unit} is turned to a peak amplitude in {unit}")
+            return SourceColumn(column.name, unit, factor * 10 ** (column.values / 20))
+        if special["how"] != "pk":
+            assumed.append(f"`{column.name}` in {column.unit} is turned to a peak amplitude")
+        return SourceColumn(column.name, special["base"], _ALTERNATE[special["how"]] * column.values)
+    return with_usual_unit(column, "V", what, assumed)
+
+
+def add_surroundings(columns: dict[str, SourceColumn], rows: Mapping[str, SourceColumn]) -> None:
+    """Temperature, bias and rate, where their unit says that they are."""
+    for name, expected in (("T", "K"), ("V_bias", "V"), ("rate", "rad/s")):
+        if name in rows and rows[name].unit and is_same_kind(rows[name].unit, expected):
+            columns[name] = rows[name]
+
+
+def is_same_kind(unit: str, expected: str) -> bool:
+    """Whether one unit can be converted into the other."""
+    try:
+        to_si(1.0, unit, expected, "the column")
+    except InputError:
+        return False
+    return True
