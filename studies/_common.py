@@ -15,6 +15,7 @@ import argparse
 import inspect
 import json
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, fields
 from datetime import date
 from pathlib import Path
@@ -31,6 +32,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from memsgyro_jax import ClosedLoop, Lowpass
+from memsgyro_jax.base import runtime
 from memsgyro_jax.loop import engine, noise
 from memsgyro_jax.loop.scenario import as_scenario
 
@@ -175,6 +177,15 @@ def seeds(loop, scenario, *, count, sample_rate, duration, points=200, bandwidth
 
 
 _run = eqx.filter_jit(engine.run)
+
+
+def at_once(function, cases):
+    """`function` of each of `cases`, in their order: as many at a time as there are processors, threads of one process.
+
+    A run keeps one processor busy; JAX leaves the others to other threads while it compiles and computes.
+    """
+    with ThreadPoolExecutor(runtime.usable_cores()) as pool:
+        return list(pool.map(function, cases))
 
 
 def draw_motion(trace):

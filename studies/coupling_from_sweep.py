@@ -68,9 +68,14 @@ def draw(key, phasors, amplitude, phase):
     return phasors * (1 + amplitude * a) * jnp.exp(1j * phase * p)
 
 
-@eqx.filter_jit
 def errors(estimator, modes, frequency, keys, amplitude, phase, asymmetry=0.0):
     """|relative error| of the three coefficients over noise draws, (draws, 3)."""
+    levels = map(jnp.asarray, (amplitude, phase, asymmetry))  # as numbers of Python each would be compiled anew
+    return _errors(estimator, modes, frequency, keys, *levels)
+
+
+@eqx.filter_jit
+def _errors(estimator, modes, frequency, keys, amplitude, phase, asymmetry):
     clean = modes.response(frequency, 0)
 
     def one(key):
@@ -161,12 +166,15 @@ def figure_over(values, label, settings, keys):
     sweep.
     """
     limits = np.array([bound(device(), WIDE, *settings(v)[:2]) for v in values])
+    found = {
+        name: np.array([root_mean_square(errors(estimator, device(), NARROW, keys, *settings(v))) for v in values])
+        for name, estimator in ESTIMATORS.items()
+    }
     figure = Figure(figsize=(11, 3.6), layout="constrained")
     axes = figure.subplots(1, 3, sharey=True)
     for i, ax in enumerate(axes):
-        for (name, estimator), style in zip(ESTIMATORS.items(), ("-", "--", ":"), strict=True):
-            found = [root_mean_square(errors(estimator, device(), NARROW, keys, *settings(v)))[i] for v in values]
-            ax.loglog(values, found, style, color=COLOURS[i], label=name)
+        for (name, error), style in zip(found.items(), ("-", "--", ":"), strict=True):
+            ax.loglog(values, error[:, i], style, color=COLOURS[i], label=name)
         ax.loglog(values, limits[:, i], "-.", color="#1d2530", lw=1, label="likelihood on the wide sweep (bound)")
         ax.axhline(0.02, color="#8a94a0", lw=0.8)
         ax.set(xlabel=label, title=NAMES[i])

@@ -6,7 +6,9 @@ With the errors e₁ of displacement, e₂ of velocity and ρ of the coefficient
 
 For one mass R = 1, and C, antisymmetric, does no work: (4.33). For two masses with kxy ≠ kyx the thesis takes R = 1 as
 well, (4.41), and its slope (4.42) leaves out ½ e₁ᵀ (K - Kᵀ) e₂, of either sign. R = diag(1, kxy/kyx) makes R K
-symmetric; a coefficient is weighed by the axis whose equation it stands in.
+symmetric; a coefficient is weighed by the axis whose equation it stands in, and by the gain by which it is adapted.
+Where all are adapted faster at first, by a factor f(τ) that falls, the motion's part of V is f times what it is above,
+and dV/dτ has f'/f times that part more, which is never positive.
 """
 
 from typing import NamedTuple
@@ -46,13 +48,11 @@ def lyapunov_function(trace: Trace, *, weighted: bool = True) -> LyapunovFunctio
     `weighted=False` takes R = 1 for two masses too, as the thesis does: `expected` is then (4.42), which the slope is
     not. The identity is that of continuous time with noise-free volts; a run departs from it by its samples.
 
-    Raises `InputError` for another observer, one that adapts with other gains than 1 and 0, or a moving rate.
+    Raises `InputError` for another observer, or a moving rate.
     """
     observer, device = trace.loop.observer, trace.loop.device
     if not isinstance(observer, LyapunovObserver):
         raise InputError(f"The loop must have a LyapunovObserver, but its observer is {type(observer).__name__}.")
-    if any(float(gain) not in (0.0, 1.0) for gain in observer.adaptation):
-        raise InputError("Every coefficient must be adapted with a gain of 1 (or 0, if known) for V to exist.")
     if np.ptp(trace.rate_true) > 0.0:
         raise InputError("The rate must be constant along the trace, but it moves.")
     length, omega = float(observer.length), float(observer.frequency)
@@ -68,16 +68,23 @@ def lyapunov_function(trace: Trace, *, weighted: bool = True) -> LyapunovFunctio
     adaptation = jnp.asarray(observer.adaptation)
     gain, parts = jnp.asarray(observer.gain), _coefficient_weights(observer, weight)
 
-    def one(at: _Errors, row: Array) -> tuple[Array, Array, Array]:
+    def part_of_motion(at: _Errors, time: Array) -> Array:
+        return observer.haste(time / omega) * _value(at, true.stiffness, weight)
+
+    def one(at: _Errors, row: Array, time: Array) -> tuple[Array, Array, Array]:
+        haste, still = observer.haste(time / omega), jax.tree.map(jnp.zeros_like, at)
         moving = _Errors(
             at.velocity,
             row @ at.coefficients - true.stiffness @ at.displacement - (true.velocity + jnp.diag(gain)) @ at.velocity,
-            -adaptation * (row.T @ at.velocity),
+            -haste * adaptation * (row.T @ at.velocity),
         )
-        value, slope = jax.jvp(lambda e: _value(e, true.stiffness, weight, parts), (at,), (moving,))
-        return value, slope, -(at.velocity * weight) @ (true.velocity + jnp.diag(gain)) @ at.velocity
+        whole = lambda e, t: part_of_motion(e, t) + 0.5 * parts @ e.coefficients**2  # noqa: E731
+        value, slope = jax.jvp(whole, (at, time), (moving, jnp.ones_like(time)))
+        taken = haste * (at.velocity * weight) @ (true.velocity + jnp.diag(gain)) @ at.velocity
+        return value, slope, jax.jvp(part_of_motion, (at, time), (still, jnp.ones_like(time)))[1] - taken
 
-    return LyapunovFunction(*map(np.asarray, jax.jit(jax.vmap(one))(errors, rows)))
+    found = jax.jit(jax.vmap(one))(errors, rows, jnp.asarray(trace.time * omega))
+    return LyapunovFunction(*map(np.asarray, found))
 
 
 def least_gain(device: AbstractGyro, rate: Scalar) -> Scalar:
@@ -108,9 +115,10 @@ def _without_units(dynamics: Dynamics, omega: float) -> _Plain:
     return _Plain(jnp.asarray(dynamics.stiffness) / omega**2, jnp.asarray(dynamics.velocity) / omega)
 
 
-def _value(at: _Errors, stiffness: Array, weight: Array, parts: Array) -> Array:
+def _value(at: _Errors, stiffness: Array, weight: Array) -> Array:
+    """The motion's part of V."""
     spring = at.displacement @ (weight[:, None] * stiffness) @ at.displacement
-    return 0.5 * (spring + weight @ at.velocity**2 + parts @ at.coefficients**2)
+    return 0.5 * (spring + weight @ at.velocity**2)
 
 
 def _regressor(observer: LyapunovObserver, at: Array) -> Array:
@@ -125,5 +133,8 @@ def _regressor(observer: LyapunovObserver, at: Array) -> Array:
 
 
 def _coefficient_weights(observer: LyapunovObserver, weight: Array) -> Array:
-    """R of each coefficient: the weight of the (first) axis in whose equation it stands."""
-    return jnp.stack([weight[c.terms[0].axis] for c in observer.model.coefficients])
+    """R of each coefficient, the weight of the (first) axis in whose equation it stands, over its gain; one that is not
+    adapted has that of a gain of 1.
+    """
+    gains = [jnp.where(gain == 0.0, 1.0, gain) for gain in observer.adaptation]
+    return jnp.stack([weight[c.terms[0].axis] / g for c, g in zip(observer.model.coefficients, gains, strict=True)])

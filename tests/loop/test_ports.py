@@ -31,7 +31,7 @@ STUDIES = {
         "controller": {"kind": "open_loop", "tones": [{"frequency": "3 kHz", "amplitude": "1 nN", "axis": "x"}]},
     },
     ("lyapunov", "damping_compensation"): {
-        "observer": {"kind": "lyapunov", "gain": 20, "known": ["sigma"]},
+        "observer": {"kind": "lyapunov", "gain": 20, "known": ["sigma"], "annealing": {"excess": 9}},
         "controller": {"kind": "damping_compensation", "ahead": True,
                        "tones": [{"frequency": "600 Hz", "amplitude": "5 m/s^2"}]},
     },

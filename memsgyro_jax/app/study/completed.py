@@ -43,7 +43,8 @@ def completed(file: File, gyro: AbstractGyro, readout: AbstractReadout) -> File:
 
 def _observer(part: FileSection, usual: Operation, amplitude: float, spread: float) -> FileSection:
     if isinstance(part, LyapunovGains):
-        return _filled(part, **_units(usual))
+        haste = part.annealing and _filled(part.annealing, decay=100.0 * usual.decay)
+        return _filled(part.model_copy(update={"annealing": haste}), **_units(usual))
     if isinstance(part, Unobserved):
         return part
     assert isinstance(part, KalmanSettings)

@@ -276,16 +276,22 @@ class AdaptiveGains(FileSection):
 
 
 class LyapunovGains(AdaptiveGains):
-    """Those of the Lyapunov observer."""
+    """Those of the Lyapunov observer. With `annealing` the coefficients are adapted faster at first; its decay, left
+    out, is 150 periods of the lower mode.
+    """
 
     gain: Pair[Positive] = (100.0, 100.0)
+    annealing: Anneal | None = None
     discretisation: Discretisation = "exact"
 
     def observer(self, gyro: AbstractGyro, readout: AbstractReadout) -> LyapunovObserver:
         """The observer; raises `InputError` for another read-out or a coefficient that the device does not have."""
         names = ("gain", "known", "start", "length", "frequency")
         given = {name: value for name, value in self.numbers().items() if name in names}
-        made = LyapunovObserver.for_device(gyro, readout, discretisation=discretisation(self.discretisation), **given)
+        made = LyapunovObserver.for_device(
+            gyro, readout, discretisation=discretisation(self.discretisation),
+            annealing=self.annealing and Annealing(**self.annealing.numbers()), **given,
+        )  # fmt: skip
         return scaled(made, self.adaptation)
 
 

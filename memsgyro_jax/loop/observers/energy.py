@@ -58,7 +58,8 @@ class EnergyObserver(AbstractObserver[LyapunovState]):
         velocity = (Vector(measured) - inner.offset) / inner.scale
         level = swing_energy(self.frequency, self.amplitude, (0.0, 0.0))
         excess = (swing_energy(self.frequency, new.motion[:2], velocity) - level) / speed**2
-        driven = (self.gain * excess * inner.frequency * clock.period) * (Vector(new.motion[2:]) / speed)
+        pushed = self.gain * inner.haste(clock.time) * excess
+        driven = (pushed * inner.frequency * clock.period) * (Vector(new.motion[2:]) / speed)
         return LyapunovState(new.motion, adapted(inner, new.theta, (*new.motion, *force), driven))
 
     def estimate(self, state: LyapunovState) -> Estimate:

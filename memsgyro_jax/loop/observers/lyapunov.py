@@ -14,7 +14,7 @@ from memsgyro_jax.device.small import Vector
 from ..readout import AbstractReadout
 from .adaptation import adaptation_units, adapted, first_guess
 from .base import AbstractObserver, Clock, Estimate
-from .settings import arrays
+from .settings import Annealing, arrays
 
 
 class LyapunovState(NamedTuple):
@@ -31,6 +31,11 @@ class LyapunovObserver(AbstractObserver[LyapunovState]):
     `1/frequency` [rad/s] (findings of its figures: 1 µm and 1/(2π·3 kHz)). `gain` is l of (4.11), one per axis;
     `adaptation` multiplies the unit gains of the coefficients, in the model's order, zero freezing one at its start.
     Corrections integrate the error, held over a sample, exactly. The read-out must be of velocity.
+
+    With `annealing` every coefficient is adapted faster at first, by the factor that it gives; None is never. A control
+    law acts by the coefficients, and pushes the mass by their noise, which grows with the gains by which they are
+    adapted: fast ones at the start and slow ones later find the same values with less. The errors still fall: (4.31)
+    with the motion's part times a factor that falls does, see `lyapunov_function`.
     """
 
     motion: State4 = arrays()
@@ -44,6 +49,7 @@ class LyapunovObserver(AbstractObserver[LyapunovState]):
     frequency: Scalar = number()
     discretisation: AbstractDiscretisation
     model: MotionModel = eqx.field(static=True)
+    annealing: Annealing | None = None
     usually_tuned: ClassVar[tuple[str, ...]] = ("gain",)
 
     def __check_init__(self):
@@ -65,6 +71,7 @@ class LyapunovObserver(AbstractObserver[LyapunovState]):
         length: float = 1e-6,
         frequency: float = 2.0 * np.pi * 3000.0,
         discretisation: AbstractDiscretisation | None = None,
+        annealing: Annealing | None = None,
     ) -> "LyapunovObserver":
         """An observer whose coefficients start at `start` times those of `gyro` (thesis: 0.8), the rate at zero.
 
@@ -87,6 +94,7 @@ class LyapunovObserver(AbstractObserver[LyapunovState]):
             frequency=frequency,
             discretisation=discretisation if discretisation is not None else Exact(),
             model=gyro.model,
+            annealing=annealing,
         )
 
     def init(self) -> LyapunovState:
@@ -105,8 +113,12 @@ class LyapunovObserver(AbstractObserver[LyapunovState]):
         # A constant gain l closes 1 - exp(-l h) of the error in a sample of (scaled) length h; its integral is that
         # over l.
         closed = Vector(-jnp.expm1(-gain * self.frequency * clock.period) for gain in self.gain) * error
-        velocity, driven = Vector(motion[2:]) + closed * speed, closed / self.gain
+        velocity, driven = Vector(motion[2:]) + closed * speed, closed * self.haste(clock.time) / self.gain
         return LyapunovState((*motion[:2], *velocity), adapted(self, state.theta, (*motion, *force), driven))
+
+    def haste(self, time: Scalar) -> Scalar:
+        """By what all coefficients are adapted faster at `time` [s]: 1 without `annealing`."""
+        return 1.0 if self.annealing is None else self.annealing.factor(time)
 
     def estimate(self, state: LyapunovState) -> Estimate:
         """Motion and coefficients; the read-out is taken as ideal, so the offsets are the declared ones."""

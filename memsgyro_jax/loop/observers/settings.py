@@ -117,7 +117,8 @@ class ProcessNoise(Displayed):
 
 
 class Annealing(Displayed):
-    """Measurement variance times `1 + excess * exp(-time/decay)`: a cautious start where the prior is far from linear.
+    """A factor `1 + excess * exp(-time/decay)` by which a start differs: on the measurement variance of a Kalman
+    filter, cautious where the prior is far from linear; on the gains by which a Lyapunov observer adapts, hasty.
 
     `excess` zero means none; `decay` in s.
     """
