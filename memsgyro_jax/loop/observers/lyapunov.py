@@ -113,8 +113,9 @@ class LyapunovObserver(AbstractObserver[LyapunovState]):
         # A constant gain l closes 1 - exp(-l h) of the error in a sample of (scaled) length h; its integral is that
         # over l.
         closed = Vector(-jnp.expm1(-gain * self.frequency * clock.period) for gain in self.gain) * error
-        velocity, driven = Vector(motion[2:]) + closed * speed, closed * self.haste(clock.time) / self.gain
-        return LyapunovState((*motion[:2], *velocity), adapted(self, state.theta, (*motion, *force), driven))
+        velocity, driven = Vector(motion[2:]) + closed * speed, closed / self.gain
+        theta = adapted(self, state.theta, (*motion, *force), self.haste(clock.time) * driven)
+        return LyapunovState((*motion[:2], *velocity), theta)
 
     def haste(self, time: Scalar) -> Scalar:
         """By what all coefficients are adapted faster at `time` [s]: 1 without `annealing`."""
