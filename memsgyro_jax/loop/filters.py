@@ -95,6 +95,19 @@ class Lowpass(AbstractFilter):
                 new.append(held)
         return value, tuple(new)
 
+    def flow(self, state: Array, value: Scalar) -> tuple[Scalar, Array]:
+        """Output and slope [1/s] of the state, `order` numbers, of the analogue filter; complex where `value` is."""
+        pole, held, slopes = 2.0 * jnp.pi * self.bandwidth, list(state), []
+        for damping in _low_dampings(self.order):
+            if damping is None:
+                value, low = held.pop(0), value
+                slopes.append(pole * (low - value))
+            else:
+                band, low = held.pop(0), held.pop(0)
+                slopes += [pole * (value - low - damping * band), pole * band]
+                value = low
+        return value, jnp.stack(slopes)
+
     def edges(self) -> tuple[Scalar, ...]:
         """The bandwidth."""
         return (self.bandwidth,)

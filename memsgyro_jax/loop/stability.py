@@ -1,22 +1,27 @@
-"""How far the loops of classic control are from instability, by their transfer functions."""
+"""How far the loops of classic control are from instability, all of them closed around both axes."""
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Complex, Float
 
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.device.gyro import Inertial, Scalar
+from memsgyro_jax.device.gyro import VX, Inertial, Pair, Scalar
 
 from .controllers import ClassicControl, ForceRebalance
+from .controllers.classic import locked_frequency
+from .filters import Lowpass
 from .loop import ClosedLoop
 
 
 class LoopMargins(NamedTuple):
     """Least distance of the Nyquist curve from -1 of the phase-locked loop, the gain control and the rebalance loops of
-    rate and quadrature (1 where nothing is fed back); negative for an unstable loop.
+    rate and quadrature, opened where the output acts while the others are closed (1 where nothing is fed back);
+    negative where closing it makes the die unstable. Rate and quadrature, which share demodulator and force, are opened
+    together: the least singular value of their return difference.
     """
 
     phase: Scalar
@@ -31,14 +36,17 @@ class LoopMargins(NamedTuple):
 
 
 def loop_margins(loop: ClosedLoop) -> LoopMargins:
-    """Margins of the loops of `loop` around its device, averaged over a period of the drive:
+    """Margins of the loops of `loop` about the state in which its device is locked at rest.
+
+    Both axes with their coupling, the demodulators and the four loops are linearised in phasors that turn with the
+    drive, averaged over a period of it. Where the axes do not couple, with d the damping and Δ the dynamic stiffness
+    per mass and each with the demodulator's low-pass, what the distance |1 + L| is of is about
 
         phase      (k + i/s) / (s + d/2),   amplitude  (k + i/s) / (2 m ω (s + d/2)),
-        sense      (k + i/s) C 2 ω A / (j Δ(s + jω)),
+        sense      (k + i/s) C 2 ω A / (j Δ(s + jω)).
 
-    each with the demodulator's b/(s + b); d is the damping per mass, Δ the dynamic stiffness per mass, of the device,
-    while gains, ω, A and conversion C are the controller's. Averaging and sampling are left out: exact for demodulators
-    that are slow beside the drive, 5 % of gain at a twentieth of it. Coupling of the axes is left out, too.
+    Averaging and sampling are left out: exact for demodulators that are slow beside the drive, 5 % of gain at a
+    twentieth of it; so are effects, and what saturates.
     Differentiable by gains and device; a lot gives a margin for each die. Raises `InputError` for another controller.
     """
     control: Any = loop.controller
@@ -46,57 +54,196 @@ def loop_margins(loop: ClosedLoop) -> LoopMargins:
         raise InputError(
             f"Argument `loop` must be driven by `ClassicControl`, but its controller is a {type(control).__name__}."
         )
-    drive, dynamics = control.drive, loop.device.dynamics(Inertial())
-    omega, pole = 2.0 * jnp.pi * drive.frequency, 2.0 * jnp.pi * drive.demodulator.bandwidth
-    decay = 0.5 * dynamics.damping[0][0]
-    shown = [true / design for true, design in zip(loop.readout.scale, control.scale, strict=True)]
-
-    def swing(s: Array) -> Array:
-        return pole / (s + pole) / (s + decay)
-
-    grow = shown[0] * dynamics.gain[0] / (2.0 * omega)
-    along = _around(jnp.zeros_like(decay), decay, pole)
-    phase = _distance(swing, drive.phase_gain, drive.phase_integral, along, pole)
-    amplitude = _distance(lambda s: grow * swing(s), drive.force_gain, drive.force_integral, along, pole)
-    if not isinstance(control.sense, ForceRebalance):
-        one = jnp.ones_like(phase)
-        return LoopMargins(phase, amplitude, one, one)
-    sense, width = control.sense, 2.0 * jnp.pi * control.sense.demodulator.bandwidth
-    per_rate = -1j * (sense.conversion[0] + 1j * sense.conversion[1])
-    per_rate = per_rate * sense.force_per_rate * dynamics.gain[1] * shown[1]
-    stiffness, damping = dynamics.stiffness[1][1], dynamics.damping[1][1]
-
-    def still(s: Array) -> Array:
-        turning = s + 1j * omega
-        return per_rate * width / (s + width) / (stiffness + turning * (turning + damping))
-
-    split = jnp.sqrt(stiffness) - omega
-    across = _around(split, 0.5 * damping, width)
-    rate, quadrature = (
-        _distance(still, gain, integral, across, width)
-        for gain, integral in ((sense.gain, sense.integral), (sense.quadrature_gain, sense.quadrature_integral))
-    )
-    return LoopMargins(phase, amplitude, rate, quadrature)
+    shut = isinstance(control.sense, ForceRebalance)
+    dynamics = loop.device.dynamics(Inertial())
+    numbers = _Numbers(
+        tuple(tuple(row) for row in dynamics.stiffness), tuple(tuple(row) for row in dynamics.damping),
+        tuple(dynamics.gain), tuple(a / b for a, b in zip(loop.readout.scale, control.scale, strict=True)),
+        locked_frequency(loop.device, nulled=shut), control.drive, control.sense,
+    )  # fmt: skip
+    leaves, tree = jax.tree.flatten(numbers)
+    lot = jnp.broadcast_shapes(*(jnp.shape(leaf) for leaf in leaves))
+    table = jnp.stack([jnp.broadcast_to(leaf, lot).reshape(-1) for leaf in leaves], axis=1)
+    velocity = tuple(signal >= VX for signal in control.signals)
+    found = _margins(table, tree, velocity)
+    return LoopMargins(*(one.reshape(lot) for one in found.T))
 
 
-_POINTS = np.sinh(np.linspace(-14.0, 14.0, 281))
+class _Numbers(NamedTuple):
+    """All that decides the margins of a die; `shown` is what the read-out shows over what the control takes it for."""
+
+    stiffness: tuple[Pair, Pair]
+    damping: tuple[Pair, Pair]
+    gain: Pair
+    shown: Pair
+    omega: Scalar
+    drive: Any
+    sense: Any
 
 
-def _around(resonance: Scalar, decay: Scalar, pole: Scalar) -> Array:
-    """Angular frequencies (leading axis) that resolve a resonance and the middle, far beyond both."""
-    fine = jnp.reshape(jnp.asarray(_POINTS), (-1,) + (1,) * jnp.ndim(resonance + decay + pole))
-    return jnp.sort(jnp.concatenate(jnp.broadcast_arrays(resonance + decay * fine, 0.01 * pole * fine)), axis=0)
+@eqx.filter_jit
+def _margins(table: Float[Array, "dies numbers"], tree: Any, velocity: tuple[bool, bool]) -> Float[Array, "dies 4"]:
+    return jax.vmap(lambda row: _of_die(jax.tree.unflatten(tree, list(row)), velocity))(table)
 
 
-def _distance(plant: Callable[[Array], Array], gain: Scalar, integral: Scalar, along: Array, pole: Scalar) -> Scalar:
-    """Signed distance of (gain + integral/s) · plant(s) from -1.
+def _of_die(numbers: _Numbers, velocity: tuple[bool, bool]) -> Float[Array, " 4"]:
+    flow = _Flow(numbers, velocity)
 
-    s/(s + pole) · (1 + L) has its poles to the left and ends at 1: its turns about zero count the unstable poles.
+    def step(_: int, carry: tuple) -> tuple:
+        """Of Newton's way to where the state rests, which ends there."""
+        state = carry[0]
+        *matrices, slope = flow.linear(state)
+        within, push, out = matrices
+        return state - jnp.linalg.solve(within + push @ out, slope), *matrices
+
+    start = flow.start()
+    zeros = (jnp.zeros((len(start), size)) for size in (len(start), 4))
+    _, within, push, out = jax.lax.fori_loop(0, _STEPS, step, (start, *zeros, jnp.zeros((4, len(start)))))
+    closed = within + push @ out
+    without = closed - push.T[:, :, None] * out[:, None, :]
+    poles = jnp.linalg.eigvals(jax.lax.stop_gradient(jnp.concatenate([closed[None], without]))).real
+    rest = 1e-6 * numbers.drive.demodulator.bandwidth  # an integral's pole at zero, but for rounding
+    unstable, *others = jnp.sum(poles > rest, axis=1)
+    guilty = unstable > jnp.stack(others)
+    guilty = guilty | ((unstable > 0) & ~jnp.any(guilty))
+    return jnp.where(guilty, -1.0, 1.0) * _distances(closed, push, out)
+
+
+class _Flow:
+    """The slope [1/s] of the averaged state, a real vector: phasors of the displacements and of what both demodulators
+    hold, the drive's integrals of frequency and force, those of rate and quadrature. Units are the drive's amplitude
+    and ω.
+
+    The equations of motion are (s + D + S)(s - S) with a matrix S whose eigenvalues turn forwards. That factor is kept;
+    the other turns backwards, far from the drive, and is taken at the drive's frequency.
     """
-    s = 1j * along
-    beside = s + (gain * s + integral) * plant(s)  # s (1 + L)
-    turned = beside / (s + pole)
-    angle = jnp.sum(jnp.angle(turned[1:] / turned[:-1]), axis=0)
-    unstable = jnp.abs(angle) > jnp.pi
-    size = jnp.min(jnp.abs(beside) / jnp.maximum(jnp.abs(s), 1e-9 * pole), axis=0)
-    return jnp.where(unstable, -size, size)
+
+    def __init__(self, numbers: _Numbers, velocity: tuple[bool, bool]):
+        drive, sense = numbers.drive, numbers.sense
+        self.numbers, self.velocity = numbers, velocity
+        self.filters = [Lowpass(d.bandwidth, getattr(d, "order", 1)) for d in (drive.demodulator, sense.demodulator)]
+        stiffness, damping = (jnp.array(part) for part in (numbers.stiffness, numbers.damping))
+        self.turning = _forwards(stiffness, damping)
+        self.pushing = numbers.omega**2 * jnp.linalg.inv(1j * numbers.omega * jnp.eye(2) + damping + self.turning)
+
+    def start(self) -> Float[Array, " states"]:
+        """Locked, y at rest."""
+        size, zero = 1.0 / self.numbers.shown[0], jnp.zeros(())
+        held = [jnp.zeros(each.order, complex) for each in self.filters]
+        held[0] = held[0].at[-1].set(1j if self.velocity[0] else 1.0)
+        phasors = jnp.concatenate([jnp.stack([size, zero]), *held])
+        pushed = self.numbers.damping[0][0] / self.numbers.omega * size
+        return jnp.concatenate([phasors.real, phasors.imag, jnp.stack([1.0 + zero, pushed, zero, zero])])
+
+    def linear(self, state: Float[Array, " states"]) -> tuple[Array, Array, Array, Array]:
+        """Slopes of the slope by the state with all loops open and by what acts, of what the loops put out by the
+        state, and the slope with all closed.
+        """
+        acting = self._read(state)[0]
+        within, push = jax.jacfwd(self._slope, argnums=(0, 1))(state, acting)
+        return within, push, jax.jacfwd(lambda there: self._read(there)[0])(state), self._slope(state, acting)
+
+    def _slope(self, state: Float[Array, " states"], acting: Float[Array, " 4"]) -> Float[Array, " states"]:
+        """Where the phase turns with a speed, and a force, a rate and a quadrature are acted by."""
+        n, drive, sense = self.numbers, self.numbers.drive, self.numbers.sense
+        _, (missing, lead, left), place, held = self._read(state)
+        speed, force, *balance = acting
+        push = jnp.stack([1j * force, 0.0j])
+        nominal, pole = 2.0 * jnp.pi * drive.frequency / n.omega, 2.0 * jnp.pi * drive.demodulator.bandwidth
+        tuned, pushed, *integral = state[-4:]
+        slopes = [
+            _kept(drive.phase_integral, lead / n.omega, pole * (nominal - tuned)),
+            _kept(drive.force_integral, missing * n.gain[0] / n.omega**2, -pole * pushed),
+            *(-pole * part for part in integral),
+        ]
+        if isinstance(sense, ForceRebalance):
+            per_rate = sense.force_per_rate * n.gain[1] / (n.omega * drive.amplitude)
+            push = push.at[1].set(1j * per_rate * (balance[0] + 1j * balance[1]))
+            gains = (sense.integral, sense.quadrature_integral)
+            slopes[2:] = [_kept(k, part, -pole * held) for k, part, held in zip(gains, left, integral, strict=True)]
+        moving = self.turning @ place + self.pushing @ push
+        seen = [n.shown[i] * (moving[i] / n.omega if fast else place[i]) for i, fast in enumerate(self.velocity)]
+        smoothed = [each.flow(*pair)[1] for each, pair in zip(self.filters, zip(held, seen, strict=True), strict=True)]
+        phasors = jnp.concatenate([moving - 1j * n.omega * speed * place, *smoothed])
+        return jnp.concatenate([phasors.real, phasors.imag, jnp.stack(slopes)])
+
+    def _read(self, state: Float[Array, " states"]) -> tuple:
+        """The loops' outputs, what they miss, the displacements, and what the demodulators hold."""
+        n, drive, sense = self.numbers, self.numbers.drive, self.numbers.sense
+        count = (len(state) - 4) // 2
+        phasors, (tuned, pushed, *integral) = state[:count] + 1j * state[count:-4], state[-4:]
+        first = 2 + self.filters[0].order
+        held = (phasors[2:first], phasors[first:])
+        x, y = (each.flow(part, 0.0)[0] for each, part in zip(self.filters, held, strict=True))
+        x, y = (part / 1j if fast else part for part, fast in zip((x, y), self.velocity, strict=True))
+        lead = x.imag / jnp.abs(x)
+        speed = tuned + drive.phase_gain * lead / n.omega
+        x, y = (part / speed if fast else part for part, fast in zip((x, y), self.velocity, strict=True))
+        missing = 1.0 - jnp.abs(x)
+        rate = y * (sense.conversion[0] + 1j * sense.conversion[1]) * drive.amplitude / n.omega
+        left = (rate.real, rate.imag)
+        if isinstance(sense, ForceRebalance):
+            gains = (sense.gain, sense.quadrature_gain)
+            integral = [held + gain * part for held, gain, part in zip(integral, gains, left, strict=True)]
+        force = pushed + drive.force_gain * missing * n.gain[0] / n.omega**2
+        return jnp.stack([speed, force, *integral]), (missing, lead, left), phasors[:2], held
+
+
+def _forwards(stiffness: Float[Array, "2 2"], damping: Float[Array, "2 2"]) -> Complex[Array, "2 2"]:
+    """S with S² + D S + K = 0 and frequencies above zero."""
+
+    def better(_: int, turning: Array) -> Array:
+        square = stiffness + damping @ turning
+        root = jnp.sqrt(square[0, 0] * square[1, 1] - square[0, 1] * square[1, 0])
+        return 1j * (square + root * jnp.eye(2)) / jnp.sqrt(square[0, 0] + square[1, 1] + 2.0 * root)
+
+    return jax.lax.fori_loop(0, _TURNS, better, jnp.zeros((2, 2), complex))
+
+
+def _kept(gain: Scalar, part: Scalar, forgotten: Scalar) -> Scalar:
+    """The slope of an integral; one without a gain forgets what it held."""
+    return jnp.where(gain > 0.0, gain * part, forgotten)
+
+
+_TURNS = 10  # each leaves 1/(2 Q) of the error
+_STEPS = 6  # of Newton's way to the lock, whose start is a good one
+_LOG, _ROUNDS = np.geomspace(1e-6, 1e2, 49), 6
+_BESIDE = np.array([-3.0, -1.0, -0.3, 0.0, 0.3, 1.0, 3.0])  # of a pole, in units of its damping
+
+
+def _distances(closed: Float[Array, "n n"], push: Float[Array, "n 4"], out: Float[Array, "4 n"]) -> Float[Array, " 4"]:
+    """Least distances over frequency: found by the eigenvectors, and differentiable there by the matrices."""
+    poles, shapes = jnp.linalg.eig(jax.lax.stop_gradient(closed))
+    seen, moved = jax.lax.stop_gradient(out) @ shapes, jnp.linalg.solve(shapes, jax.lax.stop_gradient(push) + 0.0j)
+
+    def far(omega: Array) -> Array:
+        """By the modes, at (3, some) frequencies."""
+        each = jnp.einsum("ik,...k,kj->...ij", seen, 1.0 / (1j * omega[..., None] - poles), moved)
+        return jnp.stack([_apart(each[n])[..., n] for n in range(3)])
+
+    def nearest(tried: Array) -> Array:
+        """The nearest of frequencies and those on either side of it, (3, 3)."""
+        places = jnp.clip(jnp.argmin(far(tried), axis=1)[:, None] + np.arange(-1, 2), 0, tried.shape[1] - 1)
+        return jnp.take_along_axis(tried, places, axis=1)
+
+    beside = jnp.abs(poles.imag[:, None] + poles.real[:, None] * _BESIDE).reshape(-1)
+    tried = jnp.sort(jnp.concatenate([beside, jnp.max(jnp.abs(poles)) * _LOG]))
+    found = nearest(jnp.broadcast_to(tried, (3, len(tried))))
+    closer = lambda _, three: nearest(jnp.linspace(three[:, 0], three[:, 2], 21, axis=1))  # noqa: E731
+    best = jax.lax.fori_loop(0, _ROUNDS, closer, found)[:, 1]
+    answers = jnp.linalg.solve(1j * best[:, None, None] * jnp.eye(len(closed)) - closed, push + 0.0j)
+    phase, amplitude, sense = jnp.diagonal(_apart(out @ answers))
+    return jnp.stack([phase, amplitude, sense, sense])
+
+
+def _apart(answer: Complex[Array, "... 4 4"]) -> Float[Array, "... 3"]:
+    """One over what an injection at an output becomes there, by the closed loops' answer to it: of phase, of amplitude,
+    and the most of rate and quadrature together.
+    """
+    whole = jnp.eye(4) + answer
+    alone = 1.0 / jnp.abs(jnp.stack([whole[..., 0, 0], whole[..., 1, 1]], axis=-1))
+    pair = whole[..., 2:, 2:]
+    power = 0.5 * jnp.sum(jnp.abs(pair) ** 2, axis=(-2, -1))
+    product = jnp.abs(pair[..., 0, 0] * pair[..., 1, 1] - pair[..., 0, 1] * pair[..., 1, 0])
+    rest = jnp.sqrt(jnp.maximum(power**2 - product**2, 1e-24))  # its slope stays finite where both directions are alike
+    return jnp.concatenate([alone, 1.0 / jnp.sqrt(power + rest)[..., None]], axis=-1)

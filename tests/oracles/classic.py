@@ -157,3 +157,29 @@ def step_response(gyro, omega, period, control, count):
     system = [real(part) for part in (moved, entering, given @ moved, given @ entering)]
     steps = np.column_stack([np.ones(count), np.zeros(count)])
     return signal.dlsim(signal.dlti(*system), steps)[1][:, 0]
+
+
+def margins(gyro, control):
+    """Least |1 + L| of phase, amplitude, rate and quadrature on a grid, for axes that do not couple, averaged."""
+    plant, drive, sense = Plant(gyro), control.drive, control.sense
+    omega, pole, width = 2 * np.pi * np.array(
+        [drive.frequency, drive.demodulator.bandwidth, sense.demodulator.bandwidth], float
+    )  # fmt: skip
+    decay, split = 0.5 * plant.d[0, 0], np.sqrt(plant.k[1, 1]) - omega
+    fine = np.sinh(np.linspace(-14.0, 14.0, 20_000))
+    s = 1j * np.concatenate(
+        [0.01 * pole * fine, split + 0.5 * plant.d[1, 1] * fine, -split + 0.5 * plant.d[1, 1] * fine]
+    )
+    grow = plant.gain[0] / (2 * omega)
+
+    def least(gain, integral, after):
+        return np.abs(1.0 + (float(gain) + float(integral) / s) * after).min()
+
+    swing = pole / (s + pole) / (s + decay)
+    still = width / (s + width) * plant.sense(omega) / plant.sense(omega - 1j * s)
+    return [
+        least(drive.phase_gain, drive.phase_integral, swing),
+        least(drive.force_gain, drive.force_integral, grow * swing),
+        least(sense.gain, sense.integral, still),
+        least(sense.quadrature_gain, sense.quadrature_integral, still),
+    ]

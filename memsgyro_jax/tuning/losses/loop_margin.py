@@ -9,8 +9,8 @@ from .base import AbstractLoss
 
 
 class LoopMargin(AbstractLoss[tuple[()]]):
-    """The square of what the least Nyquist margin of `loop_margins` misses of `wanted`, as a share of it; zero where
-    all loops of the die keep it.
+    """Squares of what the Nyquist margins of `loop_margins` miss of `wanted`, as shares of it, summed over the loops;
+    zero where all loops of the die keep it.
 
     It looks at the gains and the die, not at the run, and stands beside a loss that does:
     `Weighted((SquaredRateError(0.05), 1.0), (LoopMargin(), 10.0))`.
@@ -31,4 +31,4 @@ class LoopMargin(AbstractLoss[tuple[()]]):
         return jnp.zeros(())
 
     def of_loop(self, loop):
-        return jnp.maximum(1.0 - loop_margins(loop).least / self.wanted, 0.0) ** 2
+        return sum(jnp.maximum(1.0 - margin / self.wanted, 0.0) ** 2 for margin in loop_margins(loop))
