@@ -26,7 +26,7 @@ _FIELDS = {
     "F/m": "CarrierReadout.gradient",
     "1": "fingers rejection excess ceiling cut relative gain gain_ratio drive_ratio quality quality_factor force_yx "
     "force_xy damping_change force_gain cross_damping adaptation unit realisation progress record rate_trusted share "
-    "softness rounding static_gain ChargeStage.gain SlidingMode.slope "
+    "softness rounding static_gain legs Process.pressure ChargeStage.gain SlidingMode.slope "
     "SlidingMode.forgetting layer",
     "samples": "Blocks.length Blocks.start",
     "kg": "mass mass_x mass_y",
@@ -35,7 +35,8 @@ _FIELDS = {
     "N·s/m": "dxx dyy dxy cross_damping_asymmetry",
     "1/s²": "NormalisedDevice.stiffness CoupledModes.stiffness_coupling",
     "1/s": "NormalisedDevice.damping CoupledModes.damping_coupling forgetting settling",
-    "m": "width gap overlap mismatch DesignedMotion.tones SlidingMode.tones length travel",
+    "m": "width gap overlap mismatch DesignedMotion.tones SlidingMode.tones length travel over_etch thickness side "
+    "length_x length_y",
     "m/s": "creep",
     "m, m/s": "motion motion_std start",
     "m/s²": "acceleration DampingCompensation.tones ReferenceModel.tones WholeAngle.tones",
@@ -46,8 +47,11 @@ _FIELDS = {
     "V/m or V·s/m": "scale",
     "F": "feedback parasitic sensor sampler CarrierReadout.mismatch",
     "K": "reference_temperature temperature",
+    "Pa": "stress young PlateLayout.pressure",
+    "kg/m³": "density",
+    "1/K": "softening",
     "rad": "phase phase_asymmetry drive_asymmetry AxisAngles.stiffness AxisAngles.damping AxisAngles.drive "
-    "AxisAngles.sense WholeAngle.rocking",
+    "AxisAngles.sense WholeAngle.rocking sidewall misalignment",
     "rad/s": "rate cross_rate omega resonance LyapunovObserver.frequency SlidingMode.frequency tolerance",
     "rad/s²": "angular_acceleration",
     "rad²/s²": "rate_variance",

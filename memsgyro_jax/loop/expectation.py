@@ -105,11 +105,10 @@ def unknown_to(loop: ClosedLoop) -> tuple[str, ...]:
     if loop.device.temperature is not None and process is not None and process.acceleration is None:
         found.append("the filter was not told of the device's Brownian force")
     if told is not None:
-        shares = [
-            float(np.min(np.asarray(a) / np.asarray(b))) for a, b in zip(told, loop.readout.noise_density, strict=True)
-        ]
-        if min(shares) < _TOO_SURE:
-            found.append(f"the filter was told {min(shares):.2g} of the read-out's noise density")
+        pairs = [np.broadcast_arrays(*pair) for pair in zip(told, loop.readout.noise_density, strict=True)]
+        share = min(float(np.min(a[b > 0.0] / b[b > 0.0], initial=np.inf)) for a, b in pairs)  # of a noise there is
+        if share < _TOO_SURE:
+            found.append(f"the filter was told {share:.2g} of the read-out's noise density")
     return tuple(found)
 
 

@@ -83,8 +83,8 @@ class Vary(Shown):
     def places(self, root: "Root") -> list[Any]:
         """Wherever the number stands: one that device and read-out share in both."""
         shared = self.path.startswith(f"{_PROCESS}.") and isinstance(root, Root)
-        parts = [part for part in _MADE if hasattr(getattr(root.loop, part), _PROCESS)] if shared else []
-        return [self._at(root, f"{part}.{self.path}") for part in parts] or [self._at(root, self.path)]
+        made = root.made_by_process() if shared else ()
+        return [self._at(part, self.path) for part in made] or [self._at(root, self.path)]
 
     def _at(self, here: Any, path: str) -> Any:
         for part in path.split("."):
@@ -98,7 +98,7 @@ class Vary(Shown):
 
 
 class Root(eqx.Module):
-    """Where paths start: the parts of the loop, and the scenario."""
+    """Where paths start: the parts of the loop, the process that makes some of them, and the scenario."""
 
     loop: ClosedLoop
     scenario: Scenario
@@ -106,7 +106,13 @@ class Root(eqx.Module):
     def __getattr__(self, name: str) -> object:
         if name.startswith("__"):
             raise AttributeError(name)
-        return getattr(self.loop, name)
+        shared = self.made_by_process() if name == _PROCESS else []
+        return getattr(shared[0] if shared else self.loop, name)
+
+    def made_by_process(self) -> list[Any]:
+        """The parts of the loop that are given by their layout."""
+        parts = [getattr(self.loop, name) for name in _MADE]
+        return [part for part in parts if hasattr(part, _PROCESS)]
 
     def moved(self, items: "tuple[Vary, ...]", values: list[Any]) -> "Root":
         """With the value of each item wherever it stands."""

@@ -12,6 +12,8 @@ from scipy import optimize
 
 import memsgyro_jax as mg
 from memsgyro_jax import InputError, geometry
+from memsgyro_jax.base.display import stated_at
+from memsgyro_jax.montecarlo.spread import Root
 
 
 YOUNG, THICK = 169e9, 20e-6
@@ -235,6 +237,7 @@ def test_the_readout_shares_the_process():
     drawn = mg.Spread(narrow).draw(loop, mg.Scenario(), 0, np.arange(16)).loop
     assert np.corrcoef(drawn.device.made.kxx, drawn.readout.scale[0])[0, 1] < -0.99  # of a scale below zero
     none, sharp = loop.readout, mg.LayoutReadout(loop.readout.drawn, geometry.Process(sidewall=0.0))
+    assert stated_at(Root(loop, mg.Scenario()), "process.over_etch") == "m"
     assert none.scale == sharp.scale == pytest.approx(np.array(loop.readout.drawn.scale), rel=1e-14)
     slope = jax.grad(lambda a: mg.LayoutReadout(none.drawn, geometry.Process(sidewall=a)).scale[0])(0.0)
     assert slope == pytest.approx(5.0 * float(none.scale[0]), rel=1e-9)
@@ -260,7 +263,11 @@ def test_loop_sweep_and_tornado_take_a_layout():
     )
     lot = mg.sweep(loop, spread, 1.0, dies=8, **run)
     assert np.all(np.isfinite(lot.data["rate_error_end"]))
-    assert "device.process.over_etch" in str(mg.tornado(loop, spread, 1.0, **run))
+    spread = mg.Spread((*spread.items, mg.Vary("device.process.thickness", mg.Normal(std=0.1 * 50e-6))))
+    stiffness = mg.Output("kxx", "N/m", lambda loop: loop.device.made.kxx, of_loop=True)
+    found = mg.tornado(loop, spread, 1.0, of=(stiffness,), repeats=2, **run)
+    assert found.high[0, 2] == pytest.approx(0.1 * float(device.made.kxx), rel=2e-4)  # a tenth thicker, thesis 1.2
+    assert "device.process.thickness" in str(found)
     both = mg.Spread((mg.Vary("process.over_etch", mg.Normal(std=0.02e-6)),))
     lot = mg.sweep(shares(loop, device), both, 1.0, dies=8, **run)
     assert np.all(np.isfinite(lot.data["rate_error_end"]))

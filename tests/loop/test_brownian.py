@@ -108,6 +108,9 @@ def test_a_device_without_temperature_keeps_its_bits():
     assert any("Brownian" in words for words in unknown_to(warm))
     told = mg.ExtendedKalmanFilter.for_device(warm.device, readout, **small)
     assert not any("Brownian" in words for words in unknown_to(dataclasses.replace(warm, observer=told)))
+    half = dataclasses.replace(loop, readout=mg.ChargeAmplifier.chi2010(2.0 * readout.noise_density[0]))
+    assert unknown_to(half) == ("the filter was told 0.5 of the read-out's noise density",)
+    assert unknown_to(dataclasses.replace(loop, readout=mg.ChargeAmplifier.chi2010(0.0))) == ()
 
 
 @pytest.mark.slow

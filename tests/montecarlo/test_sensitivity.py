@@ -13,6 +13,7 @@ from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.loop.scenario import as_scenario
 from memsgyro_jax.montecarlo.runner import Runner
 from memsgyro_jax.montecarlo.sensitivity.corners import signs_of
+from memsgyro_jax.montecarlo.sensitivity.outputs import outputs
 from memsgyro_jax.montecarlo.sensitivity.sobol import designed_points, indices_of
 from memsgyro_jax.montecarlo.spread import Points
 
@@ -194,10 +195,14 @@ def test_many_parameters_meet_in_balanced_corners(count):
 
 
 def test_the_gradient_of_a_tornado_is_that_of_the_runs_and_results_print(loop):
-    found = mg.tornado(loop, PAIR, sigmas=1e-3, repeats=4, **SHORT)
+    per_mass = mg.Output("kxx per mass", "1/s²", lambda rows: rows["coefficient_true"][:, 1])
+    stiffness = mg.Output("kxx", "N/m", lambda loop: loop.device.kxx, of_loop=True)
+    found = mg.tornado(loop, PAIR, sigmas=1e-3, repeats=4, of=(*outputs(1.0), per_mass, stiffness), **SHORT)
     middle = 0.5 * (found.high - found.low)
     np.testing.assert_allclose(found.slope[:2], middle[:2], rtol=2e-3)  # small steps: the response is straight
-    assert np.isnan(found.slope[2:]).all()
+    assert np.isnan(found.slope[2:4]).all()
+    np.testing.assert_allclose(found.slope[4:], middle[4:], rtol=1e-3)
+    np.testing.assert_allclose(found.slope[5], [0.0, 0.02e-3 * 63.96], rtol=1e-3)
     assert np.all(found.lost == 0.0)
     assert "device.dxy" in repr(found)
     assert found.plot().get_xlabel().startswith("change of rate error at the end")

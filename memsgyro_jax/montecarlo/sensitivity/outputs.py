@@ -21,17 +21,20 @@ class Output:
     Args:
         name: as it is printed.
         unit: in which it is printed.
-        of: makes it (dies,) of the rows of a sweep (`rate_error_end`, `rate_error_rms`... in SI; see `sweep`); NaN for
-            a die that has none.
+        of: makes it (dies,) of the rows of a sweep (`rate_error_end`, `rate_error_rms`... in SI, dies on the first
+            axis; see `sweep`); NaN for a die that has none.
         factor: from SI to `unit`.
         counts: whether it is 0 or 1, and lost dies have it too.
+        of_loop: whether `of` is given the dies' `ClosedLoop`, one value per die in what varies, and no rows: a
+            stiffness by the process, `Output("kxx", "N/m", lambda loop: loop.device.made.kxx, of_loop=True)`.
     """
 
     name: str
     unit: str
-    of: Callable[[Rows], Float[Array, " dies"]]
+    of: Callable[[Any], Float[Array, " dies"]]
     factor: float = 1.0
     counts: bool = False
+    of_loop: bool = False
 
 
 # Made once: a program is compiled for each set of functions that it differentiates.
@@ -51,9 +54,15 @@ def outputs(tolerance: float) -> tuple[Output, ...]:
     return END, SETTLED, LOST, Output("out of tolerance", "share", missed, counts=True)
 
 
-def values_of(rows: Rows, chosen: Sequence[Output]) -> Float[np.ndarray, "outputs dies"]:
-    """Every output of every die in its printed unit."""
-    return np.stack([output.factor * np.asarray(output.of(rows), float) for output in chosen])
+def values_of(rows: Rows, dies: Callable[[], Any], chosen: Sequence[Output]) -> Float[np.ndarray, "outputs dies"]:
+    """Every output of every die in its printed unit, by the rows or by the loop of the `dies`, made when asked for."""
+    found = [np.asarray(output.of(dies() if output.of_loop else rows), float) for output in chosen]
+    return np.stack(
+        [
+            output.factor * np.broadcast_to(each, rows[batch.STATUS].shape)
+            for output, each in zip(chosen, found, strict=True)
+        ]
+    )
 
 
 def mean(values: Float[np.ndarray, "... dies"]) -> Float[np.ndarray, "..."]:

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.loop.loop import ClosedLoop
-from memsgyro_jax.loop.scenario import AbstractProfile, Scenario
+from memsgyro_jax.loop.scenario import AbstractProfile, Scenario, as_scenario
 
 from ..batch import LOST
 from ..spread import Points, Spread
@@ -60,4 +60,5 @@ def run_at(
     chosen = tuple(of) if of is not None else outputs(settings.get("tolerance", DEFAULT_TOLERANCE))
     planned = replace(spread, points=points)
     lot = sweep(loop, planned, scenario, dies=len(points.noise), seed=seed, bound_dies=0, **settings)
-    return Evaluation(lot, chosen, values_of(lot.data, chosen))
+    drawn = lambda: planned.at(loop, as_scenario(scenario), points.normal).loop  # noqa: E731
+    return Evaluation(lot, chosen, values_of(lot.data, drawn, chosen))

@@ -171,7 +171,9 @@ def _gradient(
         values = [item.read(root) + part for item, part in zip(items, shift * steps, strict=True)]
         moved = root.moved(items, values)
         rows = rows_of(moved.loop, moved.scenario, root.loop, words, plan)
-        return jnp.stack([output.factor * jnp.nanmean(output.of(rows)) for output in of])
+        rows = {name: jnp.moveaxis(value, -1, 0) for name, value in rows.items()}  # as a lot has them
+        found = [output.of(moved.loop if output.of_loop else rows) for output in of]
+        return jnp.stack([output.factor * jnp.nanmean(each) for output, each in zip(of, found, strict=True)])
 
     none = jnp.zeros(len(items))
     # Forward mode, all parameters side by side: nothing of the trajectory is stored.
