@@ -6,6 +6,9 @@ from typing import Any
 import equinox as eqx
 
 
+PLAINLY = {"xla_backend_optimization_level": 0}  # for the compiler
+
+
 def plainly(function: Callable[..., Any]) -> Any:
     """`eqx.filter_jit` without the compiler's optimisations, which are half of its time: for what runs a few times.
 
@@ -13,4 +16,4 @@ def plainly(function: Callable[..., Any]) -> Any:
     takes a compiler's options for the whole alone.
     """
     # The stubs do not know the keywords of `jax.jit`.
-    return eqx.filter_jit(function, compiler_options={"xla_backend_optimization_level": 0})  # type: ignore[call-overload]
+    return eqx.filter_jit(function, compiler_options=PLAINLY)  # type: ignore[call-overload]

@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .errors import InputError
+from .runtime import cache_directory
 from .text import printable
 
 
@@ -174,7 +175,11 @@ def without_roots(unit: str) -> str:
 def _registry() -> Any:
     import pint
 
-    return pint.UnitRegistry()
+    cache = cache_directory()
+    try:
+        return pint.UnitRegistry(cache_folder=cache and cache / "units")  # its definitions, parsed
+    except Exception:  # a folder that cannot be written, a file there that is damaged
+        return pint.UnitRegistry()
 
 
 @cache

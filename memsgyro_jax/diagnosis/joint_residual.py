@@ -18,7 +18,8 @@ from jaxtyping import Array, Float, PyTree
 
 from memsgyro_jax.base.concrete import strong
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.base.plainly import plainly
+from memsgyro_jax.base.kept import kept
+from memsgyro_jax.base.plainly import PLAINLY
 from memsgyro_jax.base.runtime import require_float64, usable_cores
 from memsgyro_jax.base.transforms import Free, Identity, fixed, from_vector, mark, to_vector
 from memsgyro_jax.effects import free_numbers
@@ -35,7 +36,7 @@ SHORT = 100  # rows up to which optimising a program takes longer than the calls
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     """A function whose last argument is an `Experiment` as a program; for few rows without optimising it."""
-    optimised, plain = eqx.filter_jit(function), plainly(function)
+    optimised, plain = kept(function), kept(function, PLAINLY)
 
     def call(*arguments: Any) -> Any:
         *others, experiment = arguments

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from memsgyro_jax.measurement.experiments.deviation import Band, Series
 
@@ -108,7 +108,7 @@ def variance(white: np.ndarray) -> tuple[float, int, float]:
     """χ²/N of all numbers that are compared, how many, and the probability of more from noise alone."""
     values = white[np.isfinite(white)]
     chi2 = float(values @ values)
-    return chi2 / values.size, values.size, float(stats.chi2.sf(chi2, values.size))
+    return chi2 / values.size, values.size, float(special.chdtrc(values.size, chi2))
 
 
 def in_band(white: np.ndarray, band: Band) -> list[tuple[float, int, float]]:
@@ -121,7 +121,7 @@ def in_band(white: np.ndarray, band: Band) -> list[tuple[float, int, float]]:
     # Normalised to unit variance of every real and imaginary part.
     power = 2.0 / values.size * np.abs(np.fft.rfft(values)[inside]) ** 2
     count, chi2 = 2 * inside.size, float(power.sum())
-    return [(chi2 / count, count, float(stats.chi2.sf(chi2, count)))]
+    return [(chi2 / count, count, float(special.chdtrc(count, chi2)))]
 
 
 def whiteness(white: np.ndarray, pieces: Sequence[slice], lags: int = LAGS) -> list[tuple[float, int, float]]:
@@ -138,7 +138,7 @@ def whiteness(white: np.ndarray, pieces: Sequence[slice], lags: int = LAGS) -> l
         product = sum(float(run[lag:] @ run[:-lag]) for run in runs)
         q += (product / square) ** 2 * total * (total + 2) / pairs if square > 0 else 0.0
         used += 1
-    return [(q, total, float(stats.chi2.sf(q, used)))] if used >= FEWEST_LAGS else []
+    return [(q, total, float(special.chdtrc(used, q)))] if used >= FEWEST_LAGS else []
 
 
 def dependence(values: np.ndarray, variable: np.ndarray, bins: int = BINS) -> list[tuple[float, int, float]]:
@@ -156,7 +156,7 @@ def dependence(values: np.ndarray, variable: np.ndarray, bins: int = BINS) -> li
     if within <= 0:
         return []
     f = max(between, 0.0) / free / (within / left)
-    return [(f, values.size, float(stats.f.sf(f, free, left)))]
+    return [(f, values.size, float(special.fdtrc(free, left, f)))]
 
 
 def _binned(variable: np.ndarray, bins: int) -> np.ndarray:

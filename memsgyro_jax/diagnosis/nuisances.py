@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from memsgyro_jax.effects import Effect, InstrumentTerm
 from memsgyro_jax.measurement.least_squares import gate
@@ -250,7 +250,7 @@ def take_out(search: Search) -> None:
         size = search.joint.of_effect(place).size
         kept, search.given = search.given, tuple(i for i in search.given if i != place)
         fewer = search.refit(search.accepted, start=search.without(place))
-        if stats.chi2.sf(fewer.chi2 - search.optimum.chi2, size) <= SHARE * search.level:
+        if special.chdtrc(size, max(0.0, fewer.chi2 - search.optimum.chi2)) <= SHARE * search.level:
             search.given = kept
             continue
         search.optimum = fewer

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import linalg, optimize, stats
+from scipy import linalg, optimize, special
 
 from memsgyro_jax.effects import InstrumentTerm, free_numbers
 from memsgyro_jax.effects.instrument import SeenRows
@@ -88,7 +88,7 @@ def promised(optimum: Optimum, offers: Sequence[Offer], level: float) -> Promise
         if best is None:
             break
         scale = max(1.0, (optimum.chi2 - total - more[best]) / dof)
-        if stats.chi2.sf(more[best] / scale, count[best]) * len(offers) > level:
+        if special.chdtrc(count[best], more[best] / scale) * len(offers) > level:
             break
         chosen.append(best)
         total += more[best]

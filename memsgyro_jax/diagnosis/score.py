@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 
 RELATIVE = 1e-9  # kept share of a sensitivity below which it is a combination of what is free already
@@ -65,7 +65,7 @@ def score(residual: np.ndarray, q: np.ndarray, sensitivity: np.ndarray) -> Score
     statistic = float(np.sum((u.T @ residual) ** 2))
     excess = float(residual @ residual) - (np.count_nonzero(residual) - q.shape[1])  # padding is exactly zero
     share = float(np.clip(statistic / excess, 0.0, 1.0)) if excess > 0 else 0.0
-    p_value = float(stats.chi2.sf(statistic, size)) if size else 1.0
+    p_value = float(special.chdtrc(size, statistic)) if size else 1.0
     return Score(statistic, size, p_value, share, kept, u, float(s[held].min()) if size else 0.0)
 
 
@@ -109,12 +109,12 @@ def _survival(statistic: np.ndarray, found: Score, freedom: float = np.inf) -> n
     """The same for many statistics (n,)."""
     known, size = np.isinf(freedom), found.size
     if size != 1:
-        return np.asarray(stats.chi2.sf(statistic, size) if known else stats.f.sf(statistic / size, size, freedom))
+        return np.asarray(special.chdtrc(size, statistic) if known else special.fdtrc(size, freedom, statistic / size))
     out, root = np.zeros(statistic.shape), np.sqrt(np.maximum(statistic, 0.0))
     for bound in (-found.low, found.high):
         if bound > 0:
             beyond = root if np.isinf(bound) else np.where(root <= bound, root, (statistic / bound + bound) / 2.0)
-            out += stats.norm.sf(beyond) if known else stats.t.sf(beyond, freedom)
+            out += special.ndtr(-beyond) if known else special.stdtr(freedom, -beyond)
     return np.where(statistic > 0, out, 1.0)
 
 

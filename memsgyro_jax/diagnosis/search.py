@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from .acceptance import judged_by_misfit, refusal, unsure_noise
 from .fit import CaseFit, beside_case
@@ -247,7 +247,7 @@ class Search:
             if self.own_score(place).p_value <= alone:
                 continue
             fewer = self.refit([i for i in self.accepted if i != place], start=self.without(place))
-            if stats.chi2.sf(fewer.chi2 - self.optimum.chi2, max(1, mine.size)) <= alone:
+            if special.chdtrc(max(1, max(0.0, mine.size), fewer.chi2 - self.optimum.chi2)) <= alone:
                 continue
             self.optimum = fewer
             self.accepted.remove(place)

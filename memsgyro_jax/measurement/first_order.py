@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from memsgyro_jax.base.kept import kept
 from memsgyro_jax.device.conditions import Conditions
 from memsgyro_jax.effects.base import (
     DriveEffect,
@@ -216,17 +217,17 @@ def _voltages(model: Model, absent: Absent, state: Array, command: Array, turn: 
     return jnp.concatenate(parts)
 
 
-@eqx.filter_jit
+@kept
 def _pushed(model: Model, absent: Absent, state: Array, command: Array, now: Conditions) -> Float[Array, "N K axes"]:
     return jax.vmap(lambda s, u, c: _accelerations(model, absent, s, u, c))(state, command, now)
 
 
-@eqx.filter_jit
+@kept
 def _read(model: Model, absent: Absent, state: Array, command: Array, turn: Array, now: Conditions) -> Array:
     return jax.vmap(lambda s, u, du, c: _voltages(model, absent, s, u, du, c))(state, command, turn, now)
 
 
-@eqx.filter_jit
+@kept
 def _propagated(model: Model, absent: Absent, base: Conditions) -> tuple[Array, Array]:
     """(K, n, n) and (K, n, axes): what is added to the linear part."""
     axes, rest, still = model.axes, jnp.zeros(model.size), jnp.zeros(model.axes)
@@ -235,7 +236,7 @@ def _propagated(model: Model, absent: Absent, base: Conditions) -> tuple[Array, 
     return jnp.pad(parts[0], around), jnp.pad(parts[1], around)
 
 
-@eqx.filter_jit
+@kept
 def _speeds(absent: Absent) -> Array:
     """(K,) what all strengths add to the rate of a sweep per unit."""
     parts = []

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
-from scipy import stats
+from scipy import special
 
 from memsgyro_jax.base.text import combination
 
@@ -34,7 +34,7 @@ def above(chi2: float, count: int, freedom: float = np.inf) -> float:
     """Probability of a larger χ² of `count` readings by noise alone, which is known, or estimated with `freedom`
     degrees of freedom: then χ² per reading follows Fisher's distribution.
     """
-    return float(stats.chi2.sf(chi2, count) if np.isinf(freedom) else stats.f.sf(chi2 / count, count, freedom))
+    return float(special.chdtrc(count, chi2) if np.isinf(freedom) else special.fdtrc(count, freedom, chi2 / count))
 
 
 class NullDirection(NamedTuple):

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from .outliers import interpolation_misfit
 
@@ -41,7 +41,7 @@ def noise_over_frequency(
         width = min(WINDOW, piece.stop - piece.start)
         if width >= FEWEST:
             variance, freedom = _local_variance(frequency[piece], phasors[piece], width), 2 * (width - PARTS)
-            levels.append(variance.ravel() * freedom / stats.chi2.median(freedom))
+            levels.append(variance.ravel() * freedom / special.chdtri(freedom, 0.5))
     return float(np.sqrt(np.median(np.concatenate(levels)))) if levels else None
 
 
@@ -76,7 +76,7 @@ def jitter_noise(frequency: np.ndarray, phasors: np.ndarray, repeats: Sequence[n
     flat, most = steep <= np.quantile(steep, 0.5), steep >= np.quantile(steep, 0.75)
     white = sums[flat].sum() / freedom[flat].sum()
     over = sums[most].sum() / freedom[most].sum() / white
-    if stats.f.sf(over, freedom[most].sum(), freedom[flat].sum()) > _SURE:
+    if special.fdtrc(freedom[most].sum(), freedom[flat].sum(), over) > _SURE:
         return None
     # Of two parts that scatter alike, one along the slope takes all of it.
     square = 2.0 * (over - 1.0) * white * freedom[most].sum() / (freedom[most] @ steep[most] ** 2)
@@ -108,7 +108,7 @@ def _scatter(place: np.ndarray, values: np.ndarray) -> np.ndarray | None:
     means = np.stack([np.bincount(group, part) for part in (*values.real.T, *values.imag.T)], axis=1) / count[:, None]
     off = np.abs(values - (means[:, : values.shape[1]] + 1j * means[:, values.shape[1] :])[group]) ** 2
     sums = np.stack([np.bincount(group, part) for part in off.T], axis=1)[count > 1]
-    return (sums / stats.chi2.median(2 * (count[count > 1] - 1))[:, None]).ravel()
+    return (sums / special.chdtri(2 * (count[count > 1] - 1), 0.5)[:, None]).ravel()
 
 
 def _local_variance(place: np.ndarray, values: np.ndarray, width: int) -> np.ndarray:
@@ -148,7 +148,7 @@ def noise_beside_tone(time: np.ndarray, values: np.ndarray, omega: float | np.nd
     basis = np.stack(columns, axis=-1)
     left = seen - basis @ (np.linalg.pinv(basis) @ seen)
     freedom = (_RUN - basis.shape[-1]) * (1 if real else 2)
-    return float(np.sqrt(np.median(np.sum(np.abs(left) ** 2, axis=1)) / stats.chi2.median(freedom)))
+    return float(np.sqrt(np.median(np.sum(np.abs(left) ** 2, axis=1)) / special.chdtri(freedom, 0.5)))
 
 
 def noise_over_time(values: np.ndarray) -> float:
@@ -178,7 +178,7 @@ def _quiet_level(channel: np.ndarray) -> float:
     # The median of m exponential variables scatters by 1/√m over its mean times ln 2, and a low quantile lies below.
     scatter = 1.0 / np.log(2) / np.sqrt(len(power) / len(bands))
     levels = np.array([np.median(band) / np.log(2) for band in bands])
-    level = np.quantile(levels, _QUIET) / (1 + stats.norm.ppf(_QUIET) * scatter * (len(bands) > 1))
+    level = np.quantile(levels, _QUIET) / (1 + special.ndtri(_QUIET) * scatter * (len(bands) > 1))
     quiet_bands = [band for band, at in zip(bands, levels, strict=True) if at <= level * (1 + 3 * scatter)]
     quiet = float(np.sqrt(np.median(np.concatenate(quiet_bands)) / np.log(2)))
     return quiet / np.sqrt(2) if np.iscomplexobj(channel) else quiet

@@ -4,7 +4,7 @@ leaves of it.
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy import stats
+from scipy import special
 
 
 _SIGMAS = 12.0  # beyond this a row is reported
@@ -14,7 +14,7 @@ LEVEL = 1e-3  # share of records of normal noise in which `lone_residuals` finds
 _NEAR = 6  # rows on each side that say what a residual should be
 _FREEDOM = 0.3  # degrees of freedom per row of a robust standard deviation
 _AGREE = 0.7  # share of a row's excess that its neighbours may have once it is mended
-_MEDIAN, _QUARTILE = stats.norm.ppf([0.75, 0.875])  # of the modulus of a standard normal variable
+_MEDIAN, _QUARTILE = special.ndtri([0.75, 0.875])  # of the modulus of a standard normal variable
 
 
 def interpolation_misfit(place: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -130,7 +130,7 @@ def lone_residuals(residual: np.ndarray, size: np.ndarray) -> list[tuple[int, in
         return []
     apart = np.abs(_apart(residual))
     excess = np.minimum(_excess(apart), _excess(apart * size))
-    limit = stats.t.isf(LEVEL / (2 * rows * columns), _FREEDOM * rows)
+    limit = -special.stdtrit(_FREEDOM * rows, LEVEL / (2 * rows * columns))
     worst = np.max(excess, axis=1)
     lone = (worst > limit) & (worst == np.max(sliding_window_view(np.pad(worst, 2), 5), axis=1))
     found = [(int(row), int(np.argmax(excess[row])), float(worst[row])) for row in np.flatnonzero(lone)]

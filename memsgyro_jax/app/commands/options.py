@@ -4,16 +4,17 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.effects import load_effects
-from memsgyro_jax.loop.expectation import random_walk
-from memsgyro_jax.loop.scenario import Recorded
 
-from ..study import Study, default_study, load_study, read_rate_record
+
+if TYPE_CHECKING:  # most commands take no study, which is long to import
+    from memsgyro_jax.loop.scenario import Recorded
+
+    from ..study import Study
 
 
 _SETTLE = 0.05  # s, as in the default study; the rest of a recorded rate counts as settled
@@ -21,12 +22,16 @@ _SETTLE = 0.05  # s, as in the default study; the rest of a recorded rate counts
 
 def chosen_study(
     path: Path | None, rate_record: Path | None, effects: Path | None, *, block: int | None = None, **sweep: Any
-) -> tuple[Study, list[str]]:
+) -> "tuple[Study, list[str]]":
     """The study of a command line, and what a person should know about it.
 
     `effects` is a file with effects of the user's own; `block` stands in section `[loop]`, `sweep` are entries of the
     section `[sweep]`; None leaves the study's own.
     """
+    from memsgyro_jax.effects import load_effects
+
+    from ..study import default_study, load_study, read_rate_record
+
     own = load_effects(effects, 2) if effects else ()
     if own and path is None:
         raise InputError("Option `--effects` must go with a study that names the effects, but no study was given.")
@@ -51,8 +56,10 @@ def with_unit(given: str | None, unit: str) -> dict[str, object] | str | None:
         return given
 
 
-def _following(record: Recorded, path: Path, own_study: bool) -> tuple[dict[str, Any], list[str]]:
+def _following(record: "Recorded", path: Path, own_study: bool) -> tuple[dict[str, Any], list[str]]:
     """The run lasts as long as the record. The default study's filter, made for a constant rate, is told to follow."""
+    from memsgyro_jax.loop.expectation import random_walk
+
     span = float(record.times[-1])
     changes: dict[str, Any] = {
         "scenario.rate": [{"kind": "record", "file": str(path.resolve())}],

@@ -7,8 +7,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
-from scipy.signal import detrend
 
 from memsgyro_jax.base.text import spoken
 
@@ -57,6 +55,11 @@ class Deviation:
         integrated, and its mean and slope, which nothing shows, are left out.
         """
         seen = (self.predicted - np.asarray(self.model.offset)) / np.asarray(self.model.scale)
+        if self.model.order == 0:
+            return seen
+        from scipy.integrate import cumulative_trapezoid
+        from scipy.signal import detrend
+
         for _ in range(self.model.order):
             seen = detrend(cumulative_trapezoid(seen, dx=period, axis=0, initial=0), axis=0)
         return seen

@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
-from scipy import stats
+from scipy import special
 
 from memsgyro_jax.device.conditions import Conditions
 
@@ -251,7 +251,7 @@ def weight_above_noise(lines: np.ndarray, power: float) -> np.ndarray:
     smoothed = np.stack(
         [np.convolve(p, np.ones(LINES) / LINES, mode="same") for p in (np.abs(lines) ** 2 / power).T], 1
     )
-    noise = float(stats.chi2.isf(0.01 / lines.size, 2 * LINES)) / (2 * LINES)
+    noise = float(special.chdtri(2 * LINES, 0.01 / lines.size)) / (2 * LINES)
     return np.asarray(np.maximum(1.0 - noise / np.maximum(smoothed, noise), 0.0))
 
 

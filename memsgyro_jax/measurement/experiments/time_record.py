@@ -9,7 +9,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from scipy import signal
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.table import Table
@@ -248,6 +247,8 @@ def _between(forces: np.ndarray, substeps: int, hold: str) -> np.ndarray:
     if hold == "linear" or substeps == 1:
         place = np.arange(count * substeps) / substeps
         return np.stack([np.interp(place, np.arange(count), column) for column in forces.T], axis=1)
+    from scipy import signal
+
     fine = signal.resample_poly(forces, substeps, 1, axis=0, window=("kaiser", 12.0), padtype="line")
     curvature = np.zeros_like(fine)
     curvature[1:-1] = fine[2:] - 2 * fine[1:-1] + fine[:-2]
