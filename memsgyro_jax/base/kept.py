@@ -51,7 +51,8 @@ def kept(function: Callable[..., Any], options: dict[str, Any] | None = None) ->
         options: for the compiler.
     """
     more: Any = {"compiler_options": options} if options else {}
-    plain, programs, lock = eqx.filter_jit(function, **more), {}, threading.Lock()
+    plain, lock = eqx.filter_jit(function, **more), threading.Lock()
+    programs: dict[Any, tuple[threading.Lock, list[_Program | None]]] = {}
 
     @functools.wraps(function)
     def call(*arguments: Any) -> Any:
@@ -97,7 +98,7 @@ def _program(function: Callable[..., Any], options: dict[str, Any] | None, argum
 
 
 def _traced(function: Callable[..., Any], arguments: tuple) -> tuple[export.Exported, Any]:
-    """The text of a program from arrays to arrays, and what it makes of its arguments, a number in place of an array."""
+    """The text of a program from arrays to arrays, and what it makes of its arguments, a number for each array."""
     dynamic, static = eqx.partition(arguments, eqx.is_array)
     leaves, tree = jax.tree.flatten(dynamic)
     outcome = []

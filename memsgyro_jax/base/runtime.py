@@ -44,9 +44,10 @@ def configure(devices: int | None = None) -> None:
     """Prepares JAX for this package; call it first in an entry point, before JAX computes anything.
 
     Switches float64 on, adds compiler options to `XLA_FLAGS` and points JAX to a cache of compiled programs in the
-    user's cache directory. What the user has set in the environment stays: a flag already in `XLA_FLAGS`,
-    `JAX_COMPILATION_CACHE_DIR`, `JAX_PLATFORMS`. With `MEMSGYRO_NO_CACHE` set to anything but `0` nothing is written to
-    the cache directory. A second call with the same meaning does nothing.
+    user's cache directory; NumPy, unless it is imported already, computes on one thread. What the user has set in the
+    environment stays: a flag already in `XLA_FLAGS`, `JAX_COMPILATION_CACHE_DIR`, `JAX_PLATFORMS`,
+    `OPENBLAS_NUM_THREADS`. With `MEMSGYRO_NO_CACHE` set to anything but `0` nothing is written to the cache directory.
+    A second call with the same meaning does nothing.
 
     The CPU is divided into `devices` host devices, at least 1; `None` means one for each usable core.
 
@@ -65,6 +66,8 @@ def configure(devices: int | None = None) -> None:
             f"Argument `devices` must agree with {_DEVICES_FLAG} in the environment variable XLA_FLAGS where both are "
             f"given, but is {devices}; leave one of them out."
         )
+    # NumPy's products and decompositions here are small: its threads would mostly wait, which costs a core each.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     missing = _known(missing) if missing else []  # what this jaxlib does not know was left out by the first call too
     if missing and _backend_started():
         raise InputError(

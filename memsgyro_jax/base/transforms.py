@@ -154,13 +154,15 @@ def from_vector(vector: Float[Array, " n"], values: PyTree, spec: PyTree) -> PyT
     """The value tree with its free leaves taken from `vector`; fixed leaves are those of `values`."""
     position = 0
     leaves, treedef = jax.tree.flatten(values)
+    if is_concrete(vector):  # sliced in NumPy: a program for every slice takes longer
+        vector = np.asarray(vector)
     moved = []
     for leaf, free in zip(leaves, _spec_leaves(spec, treedef), strict=True):
         if free is None:
             moved.append(leaf)
             continue
         size = jnp.size(leaf)
-        moved.append(free.transform.inverse(vector[position : position + size].reshape(jnp.shape(leaf))))
+        moved.append(jnp.asarray(free.transform.inverse(vector[position : position + size].reshape(jnp.shape(leaf)))))
         position += size
     return jax.tree.unflatten(treedef, moved)
 

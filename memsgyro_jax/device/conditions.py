@@ -5,8 +5,10 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
 
+from memsgyro_jax.base.concrete import is_concrete
 from memsgyro_jax.base.display import Displayed
 
 from .gyro import UNCHANGED, Change, Inertial, Pair
@@ -58,4 +60,5 @@ class Conditions(Displayed):
 
     def rows(self, count: int) -> "Conditions":
         """The same with every field of shape (count,)."""
-        return jax.tree.map(lambda leaf: jnp.broadcast_to(jnp.asarray(leaf, float), (count,)), self)
+        xp = np if is_concrete(self) else jnp  # in NumPy where that can be: a program for every shape takes longer
+        return jax.tree.map(lambda leaf: jnp.asarray(xp.broadcast_to(xp.asarray(leaf, float), (count,))), self)

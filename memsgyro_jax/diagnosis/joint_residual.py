@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -139,11 +138,11 @@ class Joint:
         """Whitened residual of each of the chosen readings."""
         fitted = {_shape(r.experiment) for r in self.fitted}
         part = self._part(vector, np.zeros((0, vector.size)))
-        at = jnp.asarray(vector[part.places])
+        at = vector[part.places]
 
         def one(r: Readings) -> np.ndarray:
             if _shape(r.experiment) in fitted:  # a program exists; to compile one without slopes takes longer
-                none = jnp.zeros((WIDTH, at.size)), _no_lanes(r.experiment, part.model)
+                none = np.zeros((WIDTH, at.size)), _no_lanes(r.experiment, part.model)
                 return np.asarray(_linearise(at, *none, part.model, part.spec, r.experiment)[0])
             return np.asarray(_residual(at, part.model, part.spec, r.experiment))
 
@@ -173,7 +172,7 @@ class Joint:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Residual and derivatives of one of the readings, those by absent effects as responses where it tells them."""
         part, whole = self._part(vector, np.zeros((0, vector.size))), self.at(vector)
-        at, model = jnp.asarray(vector[part.places]), whole.with_only(whole.effects[i] for i in part.effects)
+        at, model = vector[part.places], whole.with_only(whole.effects[i] for i in part.effects)
         quick = [i for i in absent if of_first_order(model, whole.effects[i])]
         none = _no_lanes(readings.experiment, model)
         if none is None or not quick:
@@ -181,7 +180,7 @@ class Joint:
         others = np.where(np.isin(self.owner, quick), 0.0, directions)
         rows = np.flatnonzero(np.any(others != 0, axis=1))
         along = rows if rows.size <= WIDTH and self._part(vector, others).effects == part.effects else rows[:0]
-        still, first = jnp.zeros((WIDTH, at.size)), _lanes(others[along][:, part.places], 0)
+        still, first = np.zeros((WIDTH, at.size)), _lanes(others[along][:, part.places], 0)
         value, known, inquiry = _linearise(at, first, none, part.model, part.spec, readings.experiment)
         places = tuple(int(sum(k < i for k in part.effects)) for i in quick)
         added = contributions(model, Absent(tuple(whole.effects[i] for i in quick), places), inquiry)
@@ -203,12 +202,12 @@ class Joint:
         count, part = directions.shape[0], self._part(vector, directions)
         padded = np.zeros((max(1, -(-count // WIDTH)) * WIDTH, part.places.size))
         padded[:count] = directions[:, part.places]
-        at = jnp.asarray(vector[part.places])
+        at = vector[part.places]
 
         def one(r: Readings) -> tuple[np.ndarray, np.ndarray]:
             parts, none = [], _no_lanes(r.experiment, part.model)
             for begin in range(0, len(padded), WIDTH):
-                block = jnp.asarray(padded[begin : begin + WIDTH])
+                block = padded[begin : begin + WIDTH]
                 value, slope, _ = _linearise(at, block, none, part.model, part.spec, r.experiment)
                 parts.append(np.asarray(slope))
             return np.asarray(value), np.concatenate(parts)[:count]
@@ -269,13 +268,13 @@ def _linearise(
 
 def _no_lanes(experiment: Experiment, model: Model) -> Contribution | None:
     """Nothing added, `WIDTH` times."""
-    return jax.tree.map(lambda leaf: jnp.zeros((WIDTH, *leaf.shape), leaf.dtype), experiment.nothing(model))
+    return jax.tree.map(lambda leaf: np.zeros((WIDTH, *leaf.shape), leaf.dtype), experiment.nothing(model))
 
 
-def _lanes(leaf: np.ndarray, begin: int) -> Array:
+def _lanes(leaf: np.ndarray, begin: int) -> np.ndarray:
     """`WIDTH` entries of the leading axis, zeros where there are no more."""
     some = np.asarray(leaf)[begin : begin + WIDTH]
-    return jnp.asarray(np.concatenate([some, np.zeros((WIDTH - len(some), *some.shape[1:]), some.dtype)]))
+    return np.concatenate([some, np.zeros((WIDTH - len(some), *some.shape[1:]), some.dtype)])
 
 
 def _all_free(model: Model) -> PyTree:

@@ -126,8 +126,8 @@ class Contribution(eqx.Module):
     @classmethod
     def none(cls, model: Model, forced: Sequence[tuple[int, ...]], seen: tuple[int, ...], kind: type) -> "Contribution":
         """Zeros of these shapes, real or complex."""
-        linear = jnp.zeros((model.size, model.size)), jnp.zeros((model.size, model.axes))
-        return cls(tuple(jnp.zeros(shape, kind) for shape in forced), jnp.zeros(seen, kind), linear, jnp.zeros(()))
+        linear = np.zeros((model.size, model.size)), np.zeros((model.size, model.axes))
+        return cls(tuple(np.zeros(shape, kind) for shape in forced), np.zeros(seen, kind), linear, np.zeros(()))
 
     def beside(self, linear: tuple[Array, Array]) -> tuple[Array, Array]:
         """The linear part of a model with what is added to it."""
