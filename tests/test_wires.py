@@ -1,0 +1,43 @@
+"""Measured vibrating wires, which lie beside the repository: what sweeps end in, from the file as it was saved."""
+
+import numpy as np
+import pytest
+
+import memsgyro_jax as mg
+from memsgyro_jax.diagnosis.fit import fit_case
+from memsgyro_jax.diagnosis.law import draw_law
+from memsgyro_jax.diagnosis.law_fit import fit_law
+
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture
+def wire(shared, tmp_path):
+    def load(number):
+        return mg.import_case([shared / f"data/real/vibrating_wire/example{number}.csv"], tmp_path / "case").case
+
+    return load
+
+
+def test_of_a_linear_wire_the_instrument_alone_is_told(wire):
+    found = mg.diagnose(None, wire(1))
+    assert (found.verdict, found.accepted) == ("instrument_only", ())
+    device = found.final.model.device
+    assert np.sqrt(device.stiffness[0]) / (2 * np.pi) == pytest.approx(3966.73, abs=0.16)
+    assert device.damping[0] / (2 * np.pi) == pytest.approx(66.67, abs=0.32)
+    assert found.final.chi2_per_dof == pytest.approx(1.0, abs=0.1)
+
+
+def test_of_a_wire_that_drifts_no_mechanical_effect_is_named(wire):
+    found = mg.diagnose(None, wire(2))
+    assert found.verdict != "found"
+    assert not found.accepted
+
+
+def test_the_law_of_a_wire_with_hysteresis_leaves_less_than_a_cubic_spring(wire, tmp_path):
+    law = draw_law(fit_case(wire(3)))
+    assert len(law.terms) <= 3
+    after = fit_law(law, law.write(tmp_path / "law.py"))
+    left = after.case.records[0].readings - after.predicted(0)
+    assert np.sqrt(np.nanmean(np.abs(left) ** 2)) < 2.41e-7
