@@ -3,6 +3,7 @@ records cannot tell, or that it is none of those known.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from memsgyro_jax.measurement.linear_start import starting_device
 from memsgyro_jax.measurement.model import Model
 from memsgyro_jax.measurement.readings import model_of, readings_of
 
+from .drift_in_time import with_drift_alone
 from .fit import CaseFit
 from .joint_residual import Joint
 from .next_experiment import advice, next_experiments
@@ -30,6 +32,7 @@ from .wrong_noise import wrong_noise
 RECORDS = 0.1  # share of the level for records that no candidate explains; the rest is the candidates'
 PARTLY = 0.9  # share of the misfit above noise, in readings never fitted, that "partly explained" asks for
 NAMED = 2  # effects that are named as tried where none explains what is missing
+DRIFT = "frequency_drift"  # in time, which a lone decay may not tell from a law
 
 
 def diagnose(
@@ -85,6 +88,8 @@ def diagnose(
     noise: Mapping[str, float] = {}
     if not all(explained) and all(_explained(final, accepted, level, wrong := wrong_noise(final))):
         explained, noise = [True] * len(explained), wrong
+    if accepted and all(explained) and _drifts_as_well(steps[0].fit, final, accepted, level):
+        accepted = (replace(accepted[0], confused_with=(*accepted[0].confused_with, DRIFT)), *accepted[1:])
     terms = _accepted(search, {place: [] for place in terms_of(search)}, steps)
     apart = _of_device(search)
     verdict = _verdict(steps[apart - 1].fit, final, accepted, all(explained), bool(terms))
@@ -121,6 +126,14 @@ def diagnose(
         instrument=tuple(a.scaled(scale) for a in terms),
         scale=_scale(final),
     )
+
+
+def _drifts_as_well(base: CaseFit, final: CaseFit, accepted: Sequence[Accepted], level: float) -> bool:
+    """Whether a drift in time explains what is not driven as well as all effects together."""
+    drifting = with_drift_alone(base)
+    if drifting is None or drifting.optimum.chi2 > final.optimum.chi2 + CONFUSED:
+        return False
+    return all(_explained(drifting, accepted, level))
 
 
 def _of_device(search: Search) -> int:
@@ -263,7 +276,9 @@ def _sentence(verdict: Verdict, accepted: tuple[Accepted, ...], final: CaseFit, 
         "found": f"Missing was {names}; with it the model explains every record to its noise.",
         "cannot_tell": f"{names} would explain every record to its noise, but so would "
         + "; ".join(f"{' or '.join(a.confused_with)} in place of {a.label}" for a in accepted if a.confused_with)
-        + ".",
+        + "."
+        + " A decay from another amplitude tells a law from a drift in time."
+        * any(DRIFT in a.confused_with for a in accepted),
         "partly_explained": f"{names} explains most of the misfit, but something unknown is left in {left}.",
         "unknown_effect": f"Something is missing that no known effect explains: it shows in {left}.",
     }[verdict]

@@ -14,6 +14,7 @@ import pytest
 from memsgyro_jax.app.cli import main
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.diagnosis.backbone import Equations, backbone, describing
+from memsgyro_jax.diagnosis.drift_in_time import with_drift_alone
 from memsgyro_jax.diagnosis.fit import fit_case
 from memsgyro_jax.diagnosis.law import _grown as grown
 from memsgyro_jax.diagnosis.law import _Trial, draw_law
@@ -250,3 +251,4 @@ def test_without_rows_of_an_axis_there_is_no_backbone(tmp_path):
     before = fit_case(swept(tmp_path, bowed, DEVICES["fork"]))
     with pytest.raises(InputError, match="sweeps or decays of axis y"):
         backbone(before, 1)
+    assert with_drift_alone(before) is None, "of driven records drifts are terms of the instrument"

@@ -9,6 +9,7 @@ from scipy.optimize import least_squares
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.normalised import NormalisedDevice
+from memsgyro_jax.diagnosis.diagnose import diagnose
 from memsgyro_jax.diagnosis.fit import fit_case
 from memsgyro_jax.diagnosis.outlying import without_rows
 from memsgyro_jax.effects import by_name, catalogue
@@ -142,6 +143,19 @@ def test_stamps_that_jitter_and_rows_that_are_lost(tmp_path):
     left = np.asarray(eqx.filter_jit(lambda one: one.residual(model))(one.experiment))
     rms = np.sqrt(np.sum(left**2) / (left.size - 2 * rows[0]))
     assert rms == pytest.approx(0.01 / record.noise_level, abs=0.08)
+
+
+@pytest.mark.slow
+def test_a_frequency_that_walks_is_not_called_a_spring(tmp_path):
+    """0.01 Hz in a second looks like softening while the amplitude falls: a lone decay cannot tell them apart."""
+    time, rng = np.arange(4000) * 1e-3, np.random.default_rng(5)
+    walk = 0.01 * np.cumsum(rng.standard_normal(time.size)) * np.sqrt(1e-3)
+    turned = np.cumsum(2 * np.pi * (36.9 + walk)) * 1e-3
+    volts = 60 * np.exp(-1.1 * time) * np.cos(turned + 0.4) + 0.35 * rng.standard_normal(time.size)
+    found = diagnose(None, written(tmp_path, time, {"y [V]": volts}, 37.0))
+    assert found.verdict == "cannot_tell"
+    assert "frequency_drift" in found.accepted[0].confused_with
+    assert "from another amplitude" in found.sentence
 
 
 @pytest.mark.slow
