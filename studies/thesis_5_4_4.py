@@ -86,7 +86,7 @@ def told(name: str, snr: float) -> str:
 
 
 report = Report()
-count, duration, after = (4, 1.4, 0.9) if report.quick else (32, 4.0, 2.0)
+count, duration, after = (4, 1.4, 0.9) if report.quick else (32, 3.0, 1.5)
 quiet = [(name, motion, 1000.0) for motion in MOTIONS for name in list(ESTIMATORS)[:3]]
 compared = ("Lyapunov, gain 100", "Lyapunov, gain 12", "Kalman")
 loud = [(name, THESIS, snr) for snr in (100.0, 10.0) for name in compared]

@@ -324,9 +324,8 @@ axes[0].legend(frameon=False, fontsize=8)
 axes[1].set_xlabel("time [ms]")
 report.picture(figure, "motion")
 
-loop = mg.ClosedLoop(GYRO, READOUT, kalman(), mg.WholeAngle(3200.0))
 for name, picture in (("Lyapunov, thesis", "estimates"), ("near, jump test", "change_estimates")):
-    runs = kept[name]
+    runs, loop = kept[name], (LAYOUTS | CHANGES)[name].loop()
     report.picture(draw_coefficients(loop, runs.time, runs.theta[:, :, 0], Swaying(BEGIN).value(runs.time)), picture)
 
 figure, axes = plt.subplots(1, 2, figsize=(11, 3.8), layout="constrained")
@@ -341,7 +340,7 @@ axes[0].plot(at2, angle2 - angle2[np.searchsorted(at2, BEGIN)], "C1", label="met
 axes[0].plot(runs.at, runs.turned[:, 0], "k--", lw=0.8, label="true")
 axes[0].set(xlim=(BEGIN - 0.02, END), ylim=(-20, 30), xlabel="time [s]", ylabel="angle turned [deg]", title="one run")
 for name, runs in kept.items():
-    if name.startswith("Kalman"):
+    if name in LAYOUTS and ("Kalman" in name or "slower" in name):
         axes[1].plot(runs.at, np.sqrt(np.mean(runs.error**2, axis=1)), label=name)
 axes[1].set(xlim=(BEGIN, END), ylim=(1e-2, None), yscale="log", xlabel="time [s]", ylabel="rms over runs [deg]")
 report.picture(figure, "methods")
@@ -376,9 +375,14 @@ report.picture(axes[0].figure, "methods")
 best, plain, near, thesis = (report.found(f"{n}: rms of the angle [deg]") for n in (
     "Kalman, rocked, 2 µm", "Kalman, rocked", "Kalman, rocked, near", "Lyapunov, thesis"))  # fmt: skip
 straight = report.found("Kalman, thesis: rms of the angle [deg]")
-slower = "Lyapunov, rocked, slower later, near: rms of the angle [deg]"
+slower = "Lyapunov, rocked, slower later, {}: rms of the angle [deg]"
 observed = (
-    f", and {report.found(slower)} with the thesis' observer that adapts slower later" if not report.quick else ""
+    ""
+    if report.quick
+    else (
+        f"; thesis' observer that adapts slower later, rocked: {report.found(slower.format('2 µm'))} at 2 µm, "
+        f"{report.found(slower.format('near'))} with the near modes"
+    )
 )
 walks = report.found("Kalman, rocked, near: bound of the walk [deg/√s]")
 report.answer(

@@ -18,6 +18,7 @@ import memsgyro_jax
 from memsgyro_jax.base.errors import InputError
 
 
+NOT_RUN = "its study has not been run"
 COLUMNS = ("claimed", "obtained", "reading", "verdict", "why")
 MISSING = "not obtained"
 _WIDTH, _COLOURS = 1000, 48  # of a picture on the page: pixels, and enough for lines
@@ -94,7 +95,7 @@ def _last_run(folder: Path) -> dict[str, Any]:
     for name in ("failed.json", "answers.json"):
         if (folder / name).is_file():
             return json.loads((folder / name).read_text(encoding="utf-8"))
-    return {"failed": "its study has not been run"}
+    return {"failed": NOT_RUN}
 
 
 def _answers(row: str, studies: Sequence[StudyScript], runs: dict[str, dict[str, Any]]) -> list[dict[str, str]]:
@@ -159,10 +160,15 @@ def markdown(found: dict[str, Any], pictures: str | None = "") -> str:
 
 
 def write_page(found: dict[str, Any], out: Path, docs: Path) -> None:
-    """`claims.md`, `claims.json` and small pictures in `claims/`, under `docs`; `found` and `out` as of `claims`."""
+    """`claims.md`, `claims.json` and small pictures in `claims/`, under `docs`; `found` and `out` as of `claims`.
+
+    What is there of a study that has not been run since stays, and of a full run where the new one is quick.
+    """
     from PIL import Image
 
-    for path in sorted({figure["picture"] for figure in found["figures"]} - {"-"}):
+    page = docs / "claims.json"
+    found, kept = _beside(found, json.loads(page.read_text(encoding="utf-8")) if page.is_file() else None)
+    for path in sorted({figure["picture"] for figure in found["figures"] if figure["study"] not in kept} - {"-"}):
         (docs / "claims" / path).parent.mkdir(parents=True, exist_ok=True)
         with Image.open(out / path) as picture:
             picture.thumbnail((_WIDTH, _WIDTH))
@@ -171,6 +177,25 @@ def write_page(found: dict[str, Any], out: Path, docs: Path) -> None:
             )
     (docs / "claims.json").write_text(json.dumps(found, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     (docs / "claims.md").write_text(markdown(found, "claims/"), encoding="utf-8")
+
+
+def _beside(found: dict[str, Any], page: dict[str, Any] | None) -> tuple[dict[str, Any], set[str]]:
+    """`found` with what stays of a `page`, and the studies whose results stay."""
+    if page is None:
+        return found, set()
+    old = {(row["row"], row["study"]): row for row in page["rows"]}
+    before = {figure["figure"]: figure for figure in page["figures"]}
+    told = {row["study"]: row["run"] for row in page["rows"] if row["run"] != "-"}
+    told |= {f["study"]: "full" for f in page["figures"] if f["picture"] != "-" and f["study"] not in told}
+    again = {row["study"]: "failed" for row in found["rows"] if row["why"] != NOT_RUN}
+    again |= {row["study"]: row["run"] for row in found["rows"] if row["run"] != "-"}
+    again |= {f["study"]: "full" for f in found["figures"] if f["picture"] != "-" and f["study"] not in again}
+    kept = {study for study, run in told.items()
+            if study not in again or (again[study].startswith("quick") and run.startswith("full"))}  # fmt: skip
+    rows = [old.get((row["row"], row["study"]), row) if row["study"] in kept else row for row in found["rows"]]
+    figures = [before.get(f["figure"], f) if f["study"] in kept else f for f in found["figures"]]
+    dates = sorted(row["run"].split(", ")[-1] for row in rows if row["run"] != "-")
+    return {"date": " to ".join(dict.fromkeys(dates[:1] + dates[-1:])), "rows": rows, "figures": figures}, kept
 
 
 def _source(row: dict[str, str]) -> str:

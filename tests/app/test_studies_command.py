@@ -83,10 +83,21 @@ def test_a_failing_study_is_said_and_survived(folder, tmp_path, capsys):
     assert (tmp_path / "docs" / "claims" / "good" / "drawn.png").is_file()
     assert "[drawn](claims/good/drawn.png)" in (tmp_path / "docs" / "claims.md").read_text()
 
+    # On a page stays what has not been run since, and a full run where the new one is quick.
+    page = tmp_path / "docs" / "claims.json"
+    rows_of = lambda: {row["row"]: row["run"] for row in json.loads(page.read_text())["rows"]}  # noqa: E731
+    page.write_text(page.read_text().replace("quick, 2026-01-02", "full, 2026-01-01"))
+    for out in ("out", "empty"):
+        studies_command(out=tmp_path / out, page=tmp_path / "docs")
+        assert rows_of()["T1"] == "full, 2026-01-01"
+        assert "(claims/good/drawn.png)" in (tmp_path / "docs" / "claims.md").read_text()
+
     # A run of one study leaves the others' results in the table.
     studies_command("good", out=tmp_path / "out")
     rows = {row["row"]: row for row in json.loads((tmp_path / "out" / "claims.json").read_text())["rows"]}
     assert rows["T1"]["run"] == "full, 2026-01-02"
+    studies_command(out=tmp_path / "out", page=tmp_path / "docs")
+    assert rows_of()["T1"] == "full, 2026-01-02"
     assert "no such thing" in rows["T3"]["why"]
 
 

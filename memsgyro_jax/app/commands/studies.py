@@ -31,7 +31,8 @@ def studies_command(
             left there.
         jobs: how many studies run at a time.
         page: folder of a documentation, `docs` of a clone: the table with small copies of the pictures goes there, from
-            the runs in `out` where no name is given.
+            the runs in `out` where no name is given. It keeps what it tells of studies that `out` has no run of, and
+            of a full run where the new one is quick.
     """
     from memsgyro_jax.app.claims import all_studies, claims, markdown, write_page
     from memsgyro_jax.base.errors import InputError
