@@ -80,8 +80,7 @@ def sixty_digits(coefficients, motion, force, time, *, velocity, unit_of_time=40
                 derivative(parts, order) for parts in force
             ]
             row = [
-                sum(mpmath.mpf(t.factor) * signals[t.signal] for t in c.terms if t.axis == axis)
-                for c in coefficients
+                sum(mpmath.mpf(t.factor) * signals[t.signal] for t in c.terms if t.axis == axis) for c in coefficients
             ]
             rows.append(row)
         return decomposed(rows)
