@@ -28,12 +28,12 @@ _UNUSED = re.compile(
     r"count|index|\bno\b|coherence|direction|status|overload|\bdate\b|density|comment|set ?timestamp|\bsweep\b"
 )
 _NAMED = {
-    "f": r"^(f|freq|frequency|grid|fdrive|f drive|drive freq\w*|stimulus freq\w*|x frequency)$|frequency",
-    "t": r"^(t|time|times|timestamp|timestamps|elapsed( time)?|x value|relative time|time axis)$",
+    "f": r"^(f|freq|frequency|grid|fdrive|f drive|drive freq\w*|stimulus freq\w*|x frequency)$|fr[eé]quen[cz]",
+    "t": r"^(t|time|times|timestamp|timestamps|elapsed( time)?|x value|relative time|time axis|zeit|temps)$",
     "T": r"^(temp|temperature)\b|temperature",
     "V_bias": r"bias",
     "drive": r"drive|excit|force|stimul|generator|source|\binput\b|level|set ?point|control|sig(nal)? ?out|current|"
-    r"^(f x|u|u x|output)$|amplitude set",
+    r"^(f x|u|u x|output)$|amplitude set|anregung",
     "phase": r"\bphase|theta|\bphi\b|\barg\b|angle",
     "amp": r"^r$|\bamp\b|ampl\b|amplitude|magnitude|\bmag\b|\babs\b|modulus|\bgain\b|^s\d\d db$",
 }

@@ -20,6 +20,7 @@ from .header import split_header, tidy_unit
 _SAMPLE = 2000  # lines by which the dialect is told
 _COMMENT = re.compile(r"^\s*(?:#|%|//|!|\*)+\s?")
 _PAIR = re.compile(r"^\s*([^:=,;\t]{1,60}?)\s*[:=,;\t]\s*(\S.*?)[\s,;]*$")
+_UNIT_FIRST = re.compile(r"^\[\s*([^\[\]]+?)\s*\]\s*(\w*)$")  # a line of units with a part of the name behind each
 _POINT = re.compile(NUMBER)
 _COMMA = re.compile(NUMBER.replace(r"\.", ","))
 _MISSING = {"", "nan", "-nan", "1.#qnan", "nan(ind)", "-nan(ind)", "inf", "+inf", "-inf", "--", "n/a", "na", "1.#inf"}
@@ -70,7 +71,22 @@ class Delimited(Format):
     def read(self, path: Path) -> tuple[SourceTable, ...]:
         text, assumed = text_of(path)
         lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
-        return (table_of_lines(path, lines, assumed),)
+        return (table_of_lines(path, _without_settings(lines), assumed),)
+
+
+def _without_settings(lines: list[str]) -> list[str]:
+    """Lines of an oscilloscope that writes its settings in three columns beside time and signal, these two with the
+    units that the settings name; other lines as they are.
+    """
+    if not lines[0].startswith("Record Length,"):
+        return lines
+    cells = [line.rstrip(",").split(",") for line in lines if line.strip(",")]
+    if any(len(row) != 5 for row in cells):
+        return lines
+    told = {row[0].strip(): row[1].strip().strip('"') for row in cells}
+    across, up = (told.get(f"{axis} Units") or usual for axis, usual in (("Horizontal", "s"), ("Vertical", "V")))
+    head = f"time [{across}],{told.get('Source') or 'signal'} [{up}]"
+    return [head, *(",".join(row[3:]) for row in cells)]
 
 
 def decoded(data: bytes) -> tuple[str, str] | None:
@@ -116,6 +132,8 @@ def table_of_lines(path: Path, lines: list[str], assumed: list[str], first: int 
     for n in data[begin:]:
         if lines[n].strip() in repeated:
             continue
+        if lines[n].strip().upper() == "END":
+            break
         fields = dialect.fields(lines[n])
         if len(fields) != len(mask) or any(m and dialect.number(f) is None for m, f in zip(mask, fields, strict=True)):
             raise _broken(path, n + 1, fields, mask, last=n == data[-1])
@@ -162,7 +180,11 @@ def _above(lines: list[str], dialect: Dialect, width: int) -> tuple[dict[str, st
     if places:
         last = cut[places[-1]][1]
         units = [tidy_unit(field.strip("[]()")) for field in last]
-        if len(places) > 1 and all(u or not f.strip() for u, f in zip(units, last, strict=True)) and any(units):
+        if len(places) > 1 and all(parts := [_UNIT_FIRST.match(field) for field in last]):
+            names = [split_header(name)[0] for name in cut[places[-2]][1]]
+            found = [(name, *part.groups()) for name, part in zip(names, parts, strict=True) if part]
+            header, places = [(f"{name} {more}".strip(), tidy_unit(unit)) for name, unit, more in found], places[-2:]
+        elif len(places) > 1 and all(u or not f.strip() for u, f in zip(units, last, strict=True)) and any(units):
             names = cut[places[-2]][1]
             header = [(split_header(name)[0], unit) for name, unit in zip(names, units, strict=True)]
             places = places[-2:]

@@ -288,3 +288,30 @@ def test_a_recording_that_broke_off_is_read_as_far_as_it_goes_and_told(tmp_path,
     _, tables = read_instrument_file(tmp_path / "a.tdms")
     assert any("broke off" in sentence for table in tables for sentence in table.assumed)
     assert capfd.readouterr().err == ""
+
+
+def test_what_several_instruments_write_above_beside_and_below_their_rows(tmp_path):
+    rows = [f"{f:.3f}\t{z.real:.9e}\t{z.imag:.9e}" for f, z in zip(w.FREQUENCY, w.RESPONSE, strict=True)]
+    (tmp_path / "vibrometer.txt").write_text(
+        "Signal:\tFFT - Vib Velocity\n\nFrequency\tVelocity\tVelocity\n[ Hz ]\t[ m/s ] Real\t[ m/s ] Imag\n"
+        + "\n".join(rows)
+    )
+    (record,) = imported(tmp_path / "vibrometer.txt")
+    assert_is_the_sweep(record, "m/s")
+    assert record.quantity == "velocity"
+    body = "\n".join(rows).replace("\t", ",")
+    (tmp_path / "analyser.csv").write_text(
+        f"!CSV A.01.01\n\nBEGIN CH1_DATA\nFreq(Hz),S21(REAL),S21(IMAG)\n{body}\nEND\n"
+    )
+    assert_is_the_sweep(imported(tmp_path / "analyser.csv")[0])
+    time = np.arange(400) / 50e3
+    told = ["Record Length,400", "Sample Interval,2e-05", "Source,CH1", "Vertical Units,mV"] + [","] * 396
+    wave = np.exp(-300 * time) * np.cos(2 * np.pi * 4000 * time)
+    scope = [f"{a},,{t:.8f},{v:.6f}," for a, t, v in zip(told, time, wave, strict=True)]
+    (tmp_path / "scope.csv").write_text("\n".join(scope))
+    (record,) = imported(tmp_path / "scope.csv")
+    assert record.kind == "free_decay"
+    np.testing.assert_allclose(column(record, "Vx", "V"), 1e-3 * wave, atol=1e-9)
+    rows = [f"{t:.6f}\t{u:.3f}\t{v:.6f}" for t, u, v in zip(time, np.cos(2 * np.pi * 3900 * time), wave, strict=True)]
+    (tmp_path / "karte.txt").write_text("Zeit [s]\tAnregung [V]\tWeg [µm]\n" + "\n".join(rows).replace(".", ","))
+    assert imported(tmp_path / "karte.txt")[0].kind == "time_record"
