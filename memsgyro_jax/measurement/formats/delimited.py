@@ -21,6 +21,7 @@ _SAMPLE = 2000  # lines by which the dialect is told
 _COMMENT = re.compile(r"^\s*(?:#|%|//|!|\*)+\s?")
 _PAIR = re.compile(r"^\s*([^:=,;\t]{1,60}?)\s*[:=,;\t]\s*(\S.*?)[\s,;]*$")
 _UNIT_FIRST = re.compile(r"^\[\s*([^\[\]]+?)\s*\]\s*(\w*)$")  # a line of units with a part of the name behind each
+_MOMENT = re.compile(r"(?:(?P<day>\d{4}-\d\d-\d\d)[T ])?(?P<clock>\d{1,2}:\d\d:\d\d)(?P<part>[.,]\d+)?Z?")
 _POINT = re.compile(NUMBER)
 _COMMA = re.compile(NUMBER.replace(r"\.", ","))
 _MISSING = {"", "nan", "-nan", "1.#qnan", "nan(ind)", "-nan(ind)", "inf", "+inf", "-inf", "--", "n/a", "na", "1.#inf"}
@@ -149,16 +150,41 @@ def table_of_lines(path: Path, lines: list[str], assumed: list[str], first: int 
         name, unit = header[place] if header else (f"column {place + 1}", "")
         columns.append(SourceColumn(name or f"column {place + 1}", unit, values))
     said = assumed if dialect == DIALECTS[-1] else [*assumed, dialect.words]
-    return SourceTable(path, "", tuple(columns), above, tuple(said))
+    return SourceTable(path, "", tuple(_timed(columns)), above, tuple(said))
+
+
+def _timed(columns: list[SourceColumn]) -> list[SourceColumn]:
+    """Columns with the moments of a calendar or a clock as seconds since the first, where no other counts time."""
+    units = ("s", "ms", "us", "µs", "min", "ticks")
+    if any(c.unit in units or (c.name.lower() in ("t", "time") and c.values.dtype.kind == "f") for c in columns):
+        return columns
+    return [c if (t := _seconds(c.values)) is None else SourceColumn(c.name, "s", t) for c in columns]
+
+
+def _seconds(words: np.ndarray) -> np.ndarray | None:
+    """Seconds since the first of moments; `None` for other words."""
+    found = [_MOMENT.fullmatch(word) for word in words.tolist()] if words.dtype.kind == "U" else [None]
+    if not all(found):
+        return None
+    days = [one["day"] or "1970-01-01" for one in found if one]
+    clock = [one["clock"].rjust(8, "0") + (one["part"] or "").replace(",", ".") for one in found if one]
+    try:
+        moments = np.array([f"{day}T{time}" for day, time in zip(days, clock, strict=True)], "datetime64[ns]")
+    except ValueError:  # no such day or hour
+        return None
+    seconds = (moments - moments[0]) / np.timedelta64(1, "s")
+    night = 86400.0 * np.cumsum(np.diff(seconds, prepend=0.0) < 0) * (found[0]["day"] is None if found[0] else 0)
+    return np.asarray(seconds + night)
 
 
 def _dialect(path: Path, lines: list[str]) -> tuple[Dialect, tuple[bool, ...]]:
     """The dialect in which most fields of one run of rows are numbers, and which columns these are."""
     best: tuple[float, Dialect, tuple[bool, ...]] | None = None
     for dialect in DIALECTS:
-        masks = [dialect.mask(dialect.fields(line)) for line in lines]
-        for mask, group in itertools.groupby(masks):
-            score = len(list(group)) * (2 * sum(mask) - len(mask))
+        cells = [dialect.fields(line) for line in lines]
+        kinds = [(dialect.mask(row), sum(_MOMENT.fullmatch(field) is not None for field in row)) for row in cells]
+        for (mask, moments), group in itertools.groupby(kinds):
+            score = len(list(group)) * (2 * (sum(mask) + moments) - len(mask))
             if len(mask) > 1 and any(mask) and (best is None or score > best[0]):
                 best = score, dialect, mask
     if best is None or best[0] <= 0:

@@ -315,3 +315,14 @@ def test_what_several_instruments_write_above_beside_and_below_their_rows(tmp_pa
     rows = [f"{t:.6f}\t{u:.3f}\t{v:.6f}" for t, u, v in zip(time, np.cos(2 * np.pi * 3900 * time), wave, strict=True)]
     (tmp_path / "karte.txt").write_text("Zeit [s]\tAnregung [V]\tWeg [µm]\n" + "\n".join(rows).replace(".", ","))
     assert imported(tmp_path / "karte.txt")[0].kind == "time_record"
+
+
+@pytest.mark.parametrize("day", ["2024-03-01 ", "2024-03-01T", ""])
+def test_moments_of_a_clock_are_times(day, tmp_path):
+    time = np.round(np.arange(400) / 2000, 6)
+    wave = np.exp(-20 * time) * np.cos(2 * np.pi * 300 * time)
+    rows = [f"{day}23:59:59.{int(1e6 * t + 5e5):06d},{v:.6f}" for t, v in zip(time, wave, strict=True)]
+    (tmp_path / "logger.csv").write_text("\n".join(["Timestamp,displacement [um]", *rows]))
+    (record,) = imported(tmp_path / "logger.csv")
+    assert record.kind == "free_decay"
+    np.testing.assert_allclose(column(record, "t", "s"), time, atol=1e-9)
