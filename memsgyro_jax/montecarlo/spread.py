@@ -190,12 +190,17 @@ class Spread(Shown):
 
     def resolved(self, loop: ClosedLoop) -> tuple[Vary, ...]:
         """The variations, with `everywhere` written out over the device's numbers that `items` does not name: those
-        that are not zero, and couplings.
+        that are not zero, and couplings. Raises `InputError` for a device that has none.
         """
         if self.everywhere is None:
             return self.items
         named, device, sizes = {item.path for item in self.items}, loop.device, with_sizes(loop.device)
         found = [_sized(Vary(name, self.everywhere), device, sizes) for name in numbers_of(device)]
+        if not found:
+            raise InputError(
+                f"A relative spread must have numbers of the device to vary, but a {type(device).__name__} has none of "
+                "its own; vary the process of a layout, `process.over_etch`."
+            )
         return (*self.items, *(item for item in found if item.path not in named))
 
     def draw(self, loop: ClosedLoop, scenario: Scenario, seed: int, dies: np.ndarray) -> "Draw":

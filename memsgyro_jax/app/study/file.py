@@ -18,24 +18,26 @@ from memsgyro_jax.base.quantity import FileSection, field_unit
 from memsgyro_jax.base.toml import checked, toml_table, toml_text
 from memsgyro_jax.device.gyro import AbstractGyro
 from memsgyro_jax.device.propagate import Exact
-from memsgyro_jax.effects import Effect, every_effect
+from memsgyro_jax.effects import Effect
 from memsgyro_jax.effects.section import EffectSection
 from memsgyro_jax.loop.filters import check_fits
 from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.readout import THESIS_RATE, snr_density
 from memsgyro_jax.loop.scenario import Scenario
-from memsgyro_jax.measurement.model import Model
 from memsgyro_jax.montecarlo.spread import Normal, Root, Spread, Vary
 from memsgyro_jax.tuning.tunable import Tunable, free
 
 from .classic import Unobserved
 from .completed import USUAL_SPREAD, completed, left_to_device
 from .control import MEASURING, Actuators, Controller
-from .hardware import Charge, Device, Fitted, FittedReadout, Readout, SingleMass, unit_of_device
+from .hardware import Device, Readout, device_of, readout_of, unit_of_device
 from .laws import Anneal, Kalman, Observer, discretisation
+from .layout import DrawnComb, Layout, ProcessSection
+from .masses import Fitted, SingleMass
 from .numbers import entries_of, unit_at
 from .output import Filter
 from .paths import FOLDER
+from .pickoffs import Charge, FittedReadout
 from .plan import SpreadSection, Start, SweepSection
 from .surroundings import Surroundings
 from .tuning import Tune
@@ -72,6 +74,7 @@ class StudyFile(FileSection):
     model_config = ConfigDict(validate_by_name=True, validate_by_alias=True)
     format: Literal["memsgyro-study/1"] = Field(default=SCHEMA, alias="schema")
     device: Device = Field(default_factory=_device)
+    process: ProcessSection | None = None
     effects: tuple[EffectSection, ...] = ()
     readout: Readout = Field(default_factory=_readout)
     observer: Observer = Field(default_factory=lambda: Kalman(kind="ekf", annealing=Anneal()))
@@ -102,6 +105,12 @@ class StudyFile(FileSection):
             )
         return self
 
+    @model_validator(mode="after")
+    def _something_is_made(self) -> "StudyFile":
+        if self.process is not None and not isinstance(self.device, Layout) and not isinstance(self.readout, DrawnComb):
+            raise ValueError('process must make a device or a readout of kind = "layout", but neither is one')
+        return self
+
     @model_validator(mode="before")
     @classmethod
     def _readout_of_the_fit(cls, data: Any) -> Any:
@@ -112,7 +121,9 @@ class StudyFile(FileSection):
 
     def unit_of(self, path: str) -> str | None:
         """The unit of a number of the loop or scenario, where the sections know it."""
-        first, *rest = [part for part in path.split(".") if not part.isdigit()]
+        first, *rest = [part for part in path.split(".") if not part.isdigit() and part not in ("layout", "drawn")]
+        if "process" in (first, *rest[:-1]):
+            return field_unit(ProcessSection, rest[-1]) if rest else None
         if path == "device.cross_damping_asymmetry":
             return "N*s/m"
         if first == "start":
@@ -266,9 +277,9 @@ def read_study(data: dict[str, Any], source: Source, own: Sequence[Effect] = ())
 
 
 def _build(given: StudyFile, source: Source, own: tuple[Effect, ...]) -> Study:
-    gyro, model = _device_of(given, source, own)
+    gyro, model = device_of(given, source, own)
     with source.section("readout"):
-        readout = given.readout.build(model) if isinstance(given.readout, FittedReadout) else given.readout.build()
+        readout = readout_of(given, model)
     file = completed(given, gyro, readout)
     with source.section("observer"):
         observer = file.observer.build(gyro, readout)
@@ -299,25 +310,6 @@ def _build(given: StudyFile, source: Source, own: tuple[Effect, ...]) -> Study:
         for item in spread.items:
             item.read(Root(loop, scenario))
     return Study(loop, scenario, spread, file, given, source, own)
-
-
-def _device_of(file: StudyFile, source: Source, own: tuple[Effect, ...]) -> tuple[AbstractGyro, Model | None]:
-    """The device with its effects, and the fitted model that it comes from."""
-    if isinstance(file.device, Fitted):
-        with source.section("device", "file"):
-            gyro, model = file.device.read(own)
-    else:
-        with source.section("device"):
-            gyro, model = file.device.build(), None
-    labels = [effect.label for effect in gyro.effects]
-    for number, entry in enumerate(file.effects):
-        with source.section("effects", number, "name"):
-            effect = entry.build((*every_effect(2), *own))
-            if effect.label in labels:
-                raise InputError(f"`{effect.label}` must be given once, but stands twice; add up the strengths")
-            labels.append(effect.label)
-            gyro = gyro.with_effect(effect)
-    return gyro, model
 
 
 def _unit_of_effect(gyro: AbstractGyro, path: str) -> str | None:
