@@ -37,6 +37,7 @@ _FIELDS = {
     "1/s": "NormalisedDevice.damping CoupledModes.damping_coupling forgetting settling",
     "m": "width gap overlap mismatch DesignedMotion.tones SlidingMode.tones length travel over_etch thickness side "
     "length_x length_y",
+    "m²": "area",
     "m/s": "creep",
     "m, m/s": "motion motion_std start",
     "m/s²": "acceleration DampingCompensation.tones ReferenceModel.tones WholeAngle.tones",

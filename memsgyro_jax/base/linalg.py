@@ -6,7 +6,10 @@ written out vectorises over the batch. In the step of the loop even arrays cost 
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Shaped
+
+from .errors import InputError
 
 
 _SAME = 1e-11  # share of a squared length that is left of a column which depends on those before it
@@ -80,3 +83,17 @@ def exponential(matrix: Shaped[Array, "n n"]) -> Shaped[Array, "n n"]:
     one = jnp.eye(matrix.shape[-1], dtype=matrix.dtype)
     total = jax.lax.fori_loop(0, 18, lambda k, total: one + scaled @ total / (18 - k), one)
     return jax.lax.fori_loop(0, squarings, lambda _, m: m @ m, total)
+
+
+def semidefinite_root(name: str, matrix: np.ndarray) -> np.ndarray:
+    """R with R Rᵀ = `matrix`, symmetric; eigenvalues may be zero, or below it by rounding (1e-9 of the largest).
+
+    Raises `InputError` naming the argument `name` for one that is negative.
+    """
+    try:
+        return np.linalg.cholesky(matrix)
+    except np.linalg.LinAlgError:
+        values, vectors = np.linalg.eigh(matrix)
+    if values[0] < -1e-9 * values[-1]:
+        raise InputError(f"Argument `{name}` must have no negative eigenvalue; lower its off-diagonal entries.")
+    return vectors * np.sqrt(np.maximum(values, 0.0))

@@ -190,8 +190,9 @@ class ChargeAmplifier(AbstractLinearReadout):
         cls, gradient: Scalar | Pair, capacitance: Scalar | Pair, *, bias: Scalar, feedback: Scalar | Pair,
         capacitance_mismatch: Scalar | Pair = 0.0, **further: Any,
     ) -> "ChargeAmplifier":  # fmt: skip
-        """The pick-off whose capacitance changes by `gradient` [F/m], from `capacitance` [F] at rest, which its two
-        halves miss by `capacitance_mismatch` [F] in all; `further` are fields of the circuit.
+        """The pick-off of which each half's capacitance changes by `gradient` C' [F/m], the one up and the other down,
+        from `capacitance` [F] at rest, by which they differ by `capacitance_mismatch` [F]: 2·bias·C'/feedback volts per
+        metre. `further` are fields of the circuit.
 
         The combs are one pair of fingers with that capacitance: the mass may travel until it is gone. Raises
         `InputError` unless gradient and capacitance are positive.

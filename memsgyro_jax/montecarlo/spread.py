@@ -17,6 +17,7 @@ from scipy import special, stats
 
 from memsgyro_jax.base.display import UNITS, Shown
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.linalg import semidefinite_root
 from memsgyro_jax.device.gyro import AbstractGyro, Scalar, is_concrete
 from memsgyro_jax.device.sizes import numbers_of, with_sizes
 from memsgyro_jax.loop.loop import ClosedLoop
@@ -33,7 +34,6 @@ DEVICE_PREFIX = "device."
 _PROCESS, _MADE = "process", ("device", "readout")  # parts of a loop that a process makes
 _REDRAWS = 16  # of an impossible die
 Seed = int | tuple[int, int]  # of a first draw, and of a later one
-_ROUNDING = 1e-13  # smallest eigenvalue of a correlation that a Cholesky decomposition survives
 
 
 class Uncertain(Protocol):
@@ -182,10 +182,7 @@ class Spread(Shown):
             Vary(f"{DEVICE_PREFIX}{path}", Normal(std=float(size), mean=float(value)))
             for path, size, value in zip(found.paths, std, found.values, strict=True)
         )
-        # A mass and the stiffness over it are held to a million times different shares: rounding must not let the
-        # correlation lose its definiteness.
-        values, vectors = np.linalg.eigh(found.covariance / np.outer(std, std))
-        joint = (vectors * np.maximum(values, _ROUNDING)) @ vectors.T
+        joint = found.covariance / np.outer(std, std)
         return cls(items, tuple(map(tuple, joint.tolist())), quasi)
 
     def resolved(self, loop: ClosedLoop) -> tuple[Vary, ...]:
@@ -254,12 +251,7 @@ class Spread(Shown):
             raise InputError(
                 f"Argument `correlation` must be {count}x{count}, one row per item, but {matrix.shape} was given."
             )
-        try:
-            return normal @ np.linalg.cholesky(matrix).T
-        except np.linalg.LinAlgError:
-            raise InputError(
-                "Argument `correlation` must be positive definite; lower its off-diagonal entries."
-            ) from None
+        return normal @ semidefinite_root("correlation", matrix).T
 
     def _together(self, items: tuple[Vary, ...], seed: Seed, dies: np.ndarray) -> Float[np.ndarray, "dies items"]:
         """The standard normal numbers, numbers of one kind by their shared causes."""

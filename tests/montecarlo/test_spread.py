@@ -70,6 +70,11 @@ def test_correlation_is_kept(loop):
     items = (mg.Vary("device.kxx", mg.Normal(relative=0.1)), mg.Vary("device.kyy", mg.Normal(relative=0.1)))
     table = draw(loop, mg.Spread(items, correlation=((1.0, 0.8), (0.8, 1.0))), range(1024)).table
     assert np.corrcoef(table.T)[0, 1] == pytest.approx(0.8, abs=0.04)
+    for sign in (-1.0, 1.0):
+        table = draw(loop, mg.Spread(items, correlation=((1.0, sign), (sign, 1.0))), range(64)).table
+        x, y = (column / np.mean(column) - 1.0 for column in table.T)
+        np.testing.assert_allclose(y - np.mean(y), sign * (x - np.mean(x)), atol=1e-3)
+        assert np.std(x) == pytest.approx(0.1, rel=0.1)
 
 
 def test_a_named_parameter_keeps_its_own_distribution(loop):
@@ -109,7 +114,7 @@ def test_the_scenario_can_vary(loop):
                 (mg.Vary("device.kxx", mg.Normal(relative=0.1)), mg.Vary("device.kyy", mg.Normal(relative=0.1))),
                 correlation=((1.0, 2.0), (2.0, 1.0)),
             ),
-            "positive definite",
+            "no negative eigenvalue",
         ),
     ],
 )

@@ -7,7 +7,7 @@ STUDY = """\
 schema = "memsgyro-study/1"
 
 [device]                                  # by its modes; or by kxx, kyy, kxy, dxx, dyy, dxy
-kind = "single_mass"                      # or "dual_mass", with mass_x and mass_y
+kind = "single_mass"                      # or "dual_mass", with mass_x and mass_y; or "layout", by its dimensions
 mass = "0.2 mg"
 frequency = ["3.0 kHz", "3.6 kHz"]        # of the two modes, the lower one first
 quality_factor = [900, 700]
@@ -15,7 +15,7 @@ quadrature = "50 deg/s"                   # how far the axes couple, as the rate
 # temperature = "300 K"                   # brings the Brownian force
 
 [readout]
-kind = "displacement"                     # or "velocity", "capacitive", "charge_amplifier", "carrier"
+kind = "displacement"                     # or "velocity", "capacitive", "charge_amplifier", "layout", "carrier"
 scale = "0.5 V/um"                        # one value for both axes, or [x, y]
 noise_density = "200 nV/sqrt(Hz)"
 

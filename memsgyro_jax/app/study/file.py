@@ -309,6 +309,8 @@ def _build(given: StudyFile, source: Source, own: tuple[Effect, ...]) -> Study:
         spread = file.spread.build(lambda path: _unit_of_effect(gyro, path) or file.unit_of(path))
         for item in spread.items:
             item.read(Root(loop, scenario))
+        if "spread" in given.model_fields_set:
+            spread.resolved(loop)
     return Study(loop, scenario, spread, file, given, source, own)
 
 

@@ -55,7 +55,8 @@ class Charge(FileSection):
 
 
 class Capacitive(FileSection):
-    """`kind = "capacitive"`: a charge amplifier behind a pick-off of `gradient` in F/m and `capacitance` at rest.
+    """`kind = "capacitive"`: a charge amplifier behind a pick-off of two halves, each of `gradient` in F/m and
+    `capacitance` at rest: 2·bias·gradient/feedback volts per metre.
 
     Noise is given as `noise_density` or as `snr`; with neither there is none.
     """

@@ -17,8 +17,8 @@ class ParallelPlate(Displayed):
     the gap).
     """
 
-    area: Scalar = number()
-    gap: Scalar = number()
+    area: Scalar = number("m^2")
+    gap: Scalar = number("m")
 
     def __check_init__(self):
         check_positive("area", self.area)
@@ -46,10 +46,10 @@ class Comb(Displayed):
     """
 
     fingers: Scalar = number()
-    thickness: Scalar = number()
-    gap: Scalar = number()
-    overlap: Scalar = number()
-    mismatch: Scalar = number(default=0.0)
+    thickness: Scalar = number("m")
+    gap: Scalar = number("m")
+    overlap: Scalar = number("m")
+    mismatch: Scalar = number("m", default=0.0)
 
     def __check_init__(self):
         for name in ("fingers", "thickness", "gap", "overlap"):

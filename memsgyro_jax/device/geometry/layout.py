@@ -31,12 +31,12 @@ class Process(Displayed):
         temperature: above 298.15 K [K]: softer silicon, thicker gas.
     """
 
-    over_etch: Scalar = number(default=0.0)
-    thickness: Scalar = number(default=0.0)
-    sidewall: Scalar = number(default=0.0)
-    misalignment: Scalar = number(default=0.0)
-    stress: Scalar = number(default=0.0)
-    gap: Scalar = number(default=0.0)
+    over_etch: Scalar = number("m", default=0.0)
+    thickness: Scalar = number("m", default=0.0)
+    sidewall: Scalar = number("rad", default=0.0)
+    misalignment: Scalar = number("rad", default=0.0)
+    stress: Scalar = number("Pa", default=0.0)
+    gap: Scalar = number("m", default=0.0)
     pressure: Scalar = number(default=0.0)
     temperature: Scalar = number(default=0.0)
 
@@ -56,17 +56,17 @@ class PlateLayout(Displayed):
         softening: of the modulus, per K.
     """
 
-    side: Scalar = number()
-    thickness: Scalar = number()
-    length_x: Scalar = number()
-    length_y: Scalar = number()
-    width: Scalar = number()
-    gap: Scalar = number()
-    pressure: Scalar = number()
+    side: Scalar = number("m")
+    thickness: Scalar = number("m")
+    length_x: Scalar = number("m")
+    length_y: Scalar = number("m")
+    width: Scalar = number("m")
+    gap: Scalar = number("m")
+    pressure: Scalar = number("Pa")
     legs: Scalar = number(default=4.0)
-    young: Scalar = number(default=169e9)
-    density: Scalar = number(default=2330.0)
-    softening: Scalar = number(default=-6e-5)
+    young: Scalar = number("Pa", default=169e9)
+    density: Scalar = number("kg/m^3", default=2330.0)
+    softening: Scalar = number("1/K", default=-6e-5)
 
     def made(self, process: Process) -> SingleMassGyro:
         """The device that `process` makes of the drawing.

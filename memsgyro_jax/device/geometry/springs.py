@@ -28,11 +28,11 @@ class Beam(Displayed):
     modulus are positive.
     """
 
-    length: Scalar = number()
-    width: Scalar = number()
-    thickness: Scalar = number()
-    young: Scalar = number()
-    stress: Scalar = number(default=0.0)
+    length: Scalar = number("m")
+    width: Scalar = number("m")
+    thickness: Scalar = number("m")
+    young: Scalar = number("Pa")
+    stress: Scalar = number("Pa", default=0.0)
 
     def __check_init__(self):
         for name in ("length", "width", "thickness", "young"):

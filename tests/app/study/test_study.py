@@ -422,3 +422,65 @@ def test_a_uniform_spread_may_be_relative(tmp_path):
 )
 def test_classic_control_needs_its_loops(write, section, words):
     assert words in refusal(write(section))
+
+
+LAYOUT = """
+[device]
+kind = "layout"
+side = "1.2 mm"
+thickness = "50 um"
+length_x = "300 um"
+length_y = "290 um"
+width = "6 um"
+gap = "3 um"
+pressure = "10 Pa"
+temperature = "300 K"
+[process]
+over_etch = "0.1 um"
+[readout]
+kind = "layout"
+fingers = 113
+width = "50 um"
+gap = "2 um"
+overlap = "50 um"
+bias = "10 V"
+feedback = "1 pF"
+[controller]
+kind = "classic"
+[spread.parameters]
+"process.over_etch" = { kind = "normal", std = "50 nm" }
+"device.layout.width" = { kind = "normal", std = "0.02 um" }
+"readout.drawn.gap.0" = { kind = "uniform", low = "1.9 um", high = "2.1 um" }
+"""
+
+
+def test_a_layout_and_its_process(write, tmp_path):
+    """Device and read-out are what the process makes of both drawings, and vary with it together."""
+    study = mg.load_study(write(LAYOUT))
+    process, etched = study.loop.device.process, mg.geometry.Process(over_etch=1e-7)
+    drawn = mg.geometry.PlateLayout(
+        side=1.2e-3, thickness=50e-6, length_x=300e-6, length_y=290e-6, width=6e-6, gap=3e-6, pressure=10.0
+    )
+    assert process == study.loop.readout.process == etched
+    np.testing.assert_allclose(study.loop.device.made.kxx, drawn.made(etched).kxx, rtol=1e-12)
+    assert float(study.loop.device.temperature) == 300.0
+    assert abs(float(study.loop.readout.scale[0])) < abs(float(study.loop.readout.drawn.scale[0]))
+    assert mg.load_study(study.write(tmp_path / "again.toml")).to_toml() == study.to_toml()
+    dies = study.spread.draw(study.loop, study.scenario, 0, np.arange(16))
+    np.testing.assert_array_equal(dies.loop.device.process.over_etch, dies.loop.readout.process.over_etch)
+    assert np.std(dies.table[:, 0]) == pytest.approx(50e-9, rel=0.3)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("[spread.parameters]", "[spread]\nrelative = 0.1\n[spread.parameters]", "a LayoutGyro has none of its own"),
+        ('side = "1.2 mm"', 'side = "0.15 um"', "`layout.side`"),
+        (LAYOUT[LAYOUT.index("[device]") : LAYOUT.index("[process]")], "", "has no `layout`|has no `device`"),
+        (LAYOUT[: LAYOUT.index("[controller]")], "[process]\n", "process must make a device or a readout"),
+        ('std = "50 nm"', 'std = "50 nF"', "F"),
+    ],
+)
+def test_what_a_layout_refuses(write, old, new, words):
+    with pytest.raises(mg.InputError, match=words):
+        mg.load_study(write(LAYOUT.replace(old, new)))
