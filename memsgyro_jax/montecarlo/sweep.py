@@ -11,6 +11,7 @@ from scipy import stats
 
 from memsgyro_jax.base.axes import axes
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.files import write_json
 from memsgyro_jax.base.labelled import MARK, Tabular
 from memsgyro_jax.base.provenance import Settings
 from memsgyro_jax.loop.loop import ClosedLoop
@@ -111,11 +112,11 @@ def sweep(
     `scenario` as in `simulate`. Statistics over time start at `settle` [s] (default: half the duration); a die has
     converged when its rate error stays within `tolerance` [rad/s], and yields when it ends there. Die i depends on
     (`seed`, i) only: not a bit of it changes with `dies`, `chunk` (dies per device and batch), the number of CPU
-    devices or a resume. With `out`, a folder, the rows go to `out/dies.zarr` as they are computed; `resume=True` goes
-    on with a store of the same configuration and computes again what is damaged in it. Several processes, of several
-    machines too, may work on one store at a time: they share its blocks (`plan` and `run_part` give each its own).
-    With `dask`, the address of a scheduler, its workers compute and write to `out`, which they must see; only a killed
-    one's block is computed again. `progress(done, dies)` is called after each
+    devices or a resume. With `out`, a folder, the rows go to `out/dies.zarr` as they are computed, the figures to
+    `out/summary.json` at the end; `resume=True` goes on with a store of the same configuration and computes again what
+    is damaged in it. Several processes, of several machines too, may work on one store at a time: they share its blocks
+    (`plan` and `run_part` give each its own). With `dask`, the address of a scheduler, its workers compute and write to
+    `out`, which they must see; only a killed one's block is computed again. `progress(done, dies)` is called after each
     batch. The information bound is computed for each of the first `bound_dies` dies (0: not at all), which costs about
     as much as running them; the summary compares each die's error with its own bound.
 
@@ -144,6 +145,9 @@ def sweep(
 
 
 def lot_of(store: StoredSweep, ran: PartRun) -> Lot:
-    """The dies of a store, after `ran` has worked on them."""
+    """The dies of a store, after `ran` has worked on them; their figures lie beside it, in summary.json."""
     made = store.computation
-    return Lot(made.settings, summarise(store, ran.steps_per_s), store.rows, made.layout, ran.notes)
+    summary = summarise(store, ran.steps_per_s)
+    if isinstance(store.path, Path):
+        write_json(store.path.with_name("summary.json"), summary.as_dict())
+    return Lot(made.settings, summary, store.rows, made.layout, ran.notes)

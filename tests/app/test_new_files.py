@@ -105,6 +105,7 @@ def test_diff_tells_what_sets_two_apart(memsgyro, tmp_path):
     assert re.search(r"bias_dps +1 \(0.804 to 1.196\) +2 \(1.804 to 2.196\) +\+100 %, intervals apart", out)
     assert "\ndies " not in out.split("figure")[1]
     assert memsgyro("diff", "a.json", "nowhere.json")[::2] == (2, "nowhere.json: No such file or directory.\n")
+    assert "must hold a summary.json" in memsgyro("diff", ".", "a.json")[2]
 
 
 def test_verbose_says_what_is_done_and_changes_nothing_else(fresh_python, tmp_path):

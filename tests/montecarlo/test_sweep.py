@@ -208,6 +208,7 @@ class Planted(AbstractDistribution):
 
 def test_a_store_is_what_the_sweep_returns(small, reference, tmp_path):
     lot = mg.sweep(small, SLIGHT, dies=40, chunk=8, out=tmp_path, **SHORT)
+    assert json.loads((tmp_path / "summary.json").read_text()) == lot.summary.as_dict()
     assert_same_bits(lot.to_xarray(), reference, 40)
     assert_same_bits(stored(tmp_path), reference, 40)
     assert not np.any(stored(tmp_path)["status"])

@@ -67,7 +67,10 @@ def read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
         from ..study import load_study
 
         return dict(flat_entries(tomllib.loads(load_study(path).to_toml()))), {}
-    path = path / "summary.json" if path.is_dir() else path
+    if path.is_dir():
+        path = path / "summary.json"
+        if not path.exists():
+            raise InputError(f"{path.parent} must hold a summary.json, which a sweep or run writes at its end.")
     try:
         found = json.loads(path.read_bytes())
     except ValueError as error:

@@ -15,11 +15,11 @@ from .record import read_rate_record as read_rate_record
 def load_study(path: str | Path, own: Sequence[Effect] = ()) -> Study:
     """Reads a study file.
 
-    It has the sections `[device]`, `[process]`, `[readout]`, `[observer]`, `[controller]`, `[actuators]`, `[filter]`, `[loop]`,
-    `[scenario]`, `[spread]` and `[sweep]`; one that is left out is that of `default_study()` (which has no filter and
-    no limit of its actuators), one that is given replaces it as a whole. Start, tones, sampling, duration and prior
-    follow the device where they are left out (`Operation`). Quantities are text with a unit, `"1.8e-7 kg"`, or
-    `{ value = 1.8e-7, unit = "kg" }`. File names start at the study's folder.
+    It has the sections `[device]`, `[process]`, `[readout]`, `[observer]`, `[controller]`, `[actuators]`, `[filter]`,
+    `[loop]`, `[scenario]`, `[spread]` and `[sweep]`; one that is left out is that of `default_study()` (which has no
+    filter and no limit of its actuators), one that is given replaces it as a whole. Start, tones, sampling, duration
+    and prior follow the device where they are left out (`Operation`). Quantities are text with a unit,
+    `"1.8e-7 kg"`, or `{ value = 1.8e-7, unit = "kg" }`. File names start at the study's folder.
 
     `[device]` may name the file of a fit, `file = "device.toml"`, and every `[[effects]]` adds one to the device:
     `name`, `axis` (or `variant`), `strength`.

@@ -32,7 +32,7 @@ from .completed import USUAL_SPREAD, completed, left_to_device
 from .control import MEASURING, Actuators, Controller
 from .hardware import Device, Readout, device_of, readout_of, unit_of_device
 from .laws import Anneal, Kalman, Observer, discretisation
-from .layout import DrawnComb, Layout, ProcessSection
+from .layout import DrawnComb, LayoutDevice, ProcessSection
 from .masses import Fitted, SingleMass
 from .numbers import entries_of, unit_at
 from .output import Filter
@@ -107,7 +107,11 @@ class StudyFile(FileSection):
 
     @model_validator(mode="after")
     def _something_is_made(self) -> "StudyFile":
-        if self.process is not None and not isinstance(self.device, Layout) and not isinstance(self.readout, DrawnComb):
+        if (
+            self.process is not None
+            and not isinstance(self.device, LayoutDevice)
+            and not isinstance(self.readout, DrawnComb)
+        ):
             raise ValueError('process must make a device or a readout of kind = "layout", but neither is one')
         return self
 

@@ -14,7 +14,7 @@ from memsgyro_jax.loop.readout import AbstractReadout
 from memsgyro_jax.measurement.model import Model
 
 from .carrier import Carrier
-from .layout import DrawnComb, Layout, ProcessSection
+from .layout import DrawnComb, LayoutDevice, ProcessSection
 from .masses import DualMass, DualModes, Fitted, SingleMass, SingleModes
 from .pickoffs import Capacitive, Charge, FittedReadout, Position, Velocity
 
@@ -30,7 +30,7 @@ def _kind_by_keys(given: Any) -> Any:
 
 _BOTH = ("single_mass", "dual_mass")
 Device = Annotated[
-    SingleMass | DualMass | SingleModes | DualModes | Layout | Fitted,
+    SingleMass | DualMass | SingleModes | DualModes | LayoutDevice | Fitted,
     Field(discriminator="kind"),
     BeforeValidator(_kind_by_keys),
 ]
@@ -38,8 +38,8 @@ Device = Annotated[
 
 def unit_of_device(part: FileSection, name: str) -> str | None:
     """Unit of number `name` of the device that a section describes, by its modes or by a fit too."""
-    if isinstance(part, Layout):
-        return field_unit(Layout, name)
+    if isinstance(part, LayoutDevice):
+        return field_unit(LayoutDevice, name)
     return field_unit(SingleMass if isinstance(part, SingleMass | SingleModes | Fitted) else DualMass, name)
 
 
@@ -66,7 +66,9 @@ def device_of(file: Any, source: Source, own: tuple[Effect, ...]) -> tuple[Abstr
             gyro, model = file.device.read(own)
     else:
         with source.section("device"):
-            made = file.device.build(_process_of(file)) if isinstance(file.device, Layout) else file.device.build()
+            made = (
+                file.device.build(_process_of(file)) if isinstance(file.device, LayoutDevice) else file.device.build()
+            )
             gyro, model = made, None
     labels = [effect.label for effect in gyro.effects]
     for number, entry in enumerate(file.effects):

@@ -35,7 +35,7 @@ class ProcessSection(FileSection):
         return Process(**self.numbers())
 
 
-class Layout(Warm):
+class LayoutDevice(Warm):
     """`kind = "layout"`: a square plate on guided legs above a substrate (`PlateLayout`), made by `[process]`."""
 
     kind: Literal["layout"]
