@@ -103,10 +103,11 @@ def _over_waveform(diagnosis: Diagnosis, base: CaseFit, effect: Effect, spread: 
         force = course.as_seen(_force(model, effect, moved.motion, moved.speed))
         for axis in np.flatnonzero(course.force.any(axis=0)):
             for over in ("displacement", "velocity"):
-                points = getattr(course, f"against_{over}")(axis)
-                law = in_bins(force[:, axis], getattr(course, over)[:, axis], blocks=BLOCKS).mean
+                # Along the motion of the final model: beside it the base model falls out of step.
+                along = getattr(moved, over)[:, axis]
+                points, law = (in_bins(part[:, axis], along, blocks=BLOCKS) for part in (course.force, force))
                 # The base model takes the straight line that fits best: from law and points alike.
-                bent, mean = (values - _line(points.centre, values)(points.centre) for values in (law, points.mean))
+                bent, mean = (part.mean - _line(points.centre, part.mean)(points.centre) for part in (law, points))
                 size = float(np.max(np.abs(bent)))
                 if size > 3.0 * float(np.median(points.error)) and (best is None or size > best[0]):
                     beside = getattr(left[course.record], f"against_{over}")(axis)
