@@ -27,6 +27,8 @@ from memsgyro_jax.measurement.readings import model_of
 
 DIE = Die.drawn(np.random.default_rng(3))
 EFFECTS = tuple(effect for effect in catalogue(2) if not isinstance(effect, Scanned))
+# What acts on y is the same class again: without it the programs are half as large.
+OF_X = tuple(effect for effect in EFFECTS if effect.where not in ("y", "y_to_x", "y_to_y"))
 PROFILE = Profile((0.0, 90.0), 0.03, (90.0, 5.0, 20.0, 0.1), (-180.0, -160.0, 0.02))
 NARROW = {"points": 5, "dense": np.inf, "both": False}
 TINY = Laboratory(

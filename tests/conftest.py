@@ -1,12 +1,14 @@
 """Sets JAX up before any test module imports it, and offers what many tests share."""
 
+import os
+
 from memsgyro_jax.base import runtime
 
 
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # NumPy's threads would wait for work on the other workers' cores
 runtime.configure(devices=2)
 
 import gc  # noqa: E402
-import os  # noqa: E402
 import subprocess  # noqa: E402
 import sys  # noqa: E402
 from collections.abc import Callable  # noqa: E402
@@ -81,11 +83,13 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Longest files first. What was imported stays, so that no collection looks at it again and again: 5 % of a run."""
+    """Longest files first. What was imported and compiled stays, so that few collections look at it again: 5 % of a
+    run.
+    """
     order = {ROOT / "tests" / name: place for place, name in enumerate(LONGEST)}
     items.sort(key=lambda item: order.get(item.path, len(LONGEST)))
     gc.freeze()
-    gc.set_threshold(20_000)
+    gc.set_threshold(50_000, 20, 100)
 
 
 @pytest.fixture(scope="session")

@@ -287,6 +287,21 @@ def test_float32_by_accident(fresh_python, tmp_path):
     assert not (tmp_path / "sweep-out").exists()
 
 
+@pytest.mark.usefixtures("swept")  # which has compiled the programs
+def test_a_disk_that_fills_while_a_store_is_written(memsgyro, folder):
+    """No file may exceed 600 bytes: like a full disk, this fails in the middle of writing."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (600, hard))
+    try:
+        status, _, said = memsgyro("sweep", *SMALL)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert (status, "Traceback" in said) == (2, False), said
+    assert "File too large" in said
+    assert "make room" in said.splitlines()[-1]
+    assert {path.name for path in folder.rglob("*") if "dies.zarr" not in str(path)} <= {"sweep-out"}
+
+
 @pytest.mark.slow
 def test_a_full_disk(folder, root):
     """No file may exceed 600 bytes: like a full disk, this fails in the middle of writing."""

@@ -92,7 +92,7 @@ def _only(record, rows):
         slow("lock_in_memory", np.exp(-2.5), {"dwell": CLOCK, "filter_time": 2.0}),
         ("gain_drift", 0.03, {"dwell": CLOCK, "gain_drift": 0.03}),
         slow("phase_drift", 0.05, {"dwell": CLOCK, "phase_drift": 0.05}),
-        ("frequency_drift", 2e-3, {"dwell": CLOCK, "pull": 2e-3}),
+        slow("frequency_drift", 2e-3, {"dwell": CLOCK, "pull": 2e-3}),
     ],
 )
 def test_a_fault_of_the_instrument_is_found_with_its_size(label, true, faults):

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bench_case import DIE, EFFECTS, bench, truth
+from bench_case import DIE, OF_X, bench, truth
 from lab.die import Hidden
 from lab.strengths import VISIBLE, visible
 
@@ -32,9 +32,9 @@ EVERYTHING = replace(visible(*VISIBLE, times=0.2), rate_bias_drift=(0.02, -0.01,
 
 @pytest.fixture(scope="module")
 def joint() -> Joint:
-    """A case with nothing hidden; the model has every effect."""
+    """A case with nothing hidden; the model has an effect of every kind."""
     case = bench().case
-    return Joint(truth(case, DIE, EVERYTHING), readings_of(case))
+    return Joint(truth(case, DIE, EVERYTHING, OF_X), readings_of(case))
 
 
 def only(case, *names):
@@ -44,7 +44,7 @@ def only(case, *names):
 # ---- parameters
 
 
-@pytest.mark.parametrize("effects", [(), EFFECTS[:1], EFFECTS])
+@pytest.mark.parametrize("effects", [(), OF_X[:1], OF_X])
 def test_parameters_come_in_the_order_of_the_vector(effects):
     """`parameters` names by hand what the tree lays out: both must mean the same number."""
     made = bench()
@@ -72,7 +72,7 @@ def test_a_resonator_has_four_base_parameters():
 
 
 def test_places_of_effects_and_base_share_the_vector(joint):
-    every = np.concatenate([joint.base(), *(joint.of_effect(i) for i in range(len(EFFECTS)))])
+    every = np.concatenate([joint.base(), *(joint.of_effect(i) for i in range(len(OF_X)))])
     np.testing.assert_array_equal(np.sort(every), np.arange(joint.start.size))
 
 
@@ -89,10 +89,10 @@ def test_float32_is_refused():
 
 def scales(joint: Joint) -> np.ndarray:
     """A change of each parameter that matters: a part of it, or of a strength well above the noise."""
-    labels = {e.label: VISIBLE.get(e.label.replace(" ", "_"), 0.02) for e in EFFECTS}
+    labels = {e.label: VISIBLE.get(e.label.replace(" ", "_"), 0.02) for e in OF_X}
     base = 1e-5 * np.abs(joint.start)
     return np.array(
-        [b if p.effect is None else 0.01 * abs(labels[EFFECTS[p.effect].label])
+        [b if p.effect is None else 0.01 * abs(labels[OF_X[p.effect].label])
          for b, p in zip(base, joint.parameters, strict=True)]
     )  # fmt: skip
 
@@ -242,7 +242,7 @@ def test_a_fit_moves_only_what_the_records_hold(standing):
 def test_an_effect_without_a_trace_is_named():
     """No record of a sweep at one bias knows the softening."""
     case = only(bench().case, "sweep_x", "sweep_y")
-    softening = next(e for e in EFFECTS if e.name == "electrostatic_softening")
+    softening = next(e for e in OF_X if e.name == "electrostatic_softening")
     fit = fit_case(case, [softening, CubicStiffness("x")], model=truth(case, DIE, Hidden(), ()))
     assert "electrostatic_softening x" in " ".join(fit.null_directions)
     estimates = {e.name: e for e in fit.estimates}

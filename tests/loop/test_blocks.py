@@ -1,6 +1,7 @@
 """The loop in blocks: the same figures as sample by sample, and the algebra that leads there."""
 
 from dataclasses import replace
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -61,6 +62,14 @@ def test_slopes_of_a_product_and_of_what_statistics_told():
     def drawn(*shape):
         return jnp.asarray(generator.normal(size=shape))
 
+    @partial(jax.jit, static_argnums=0)
+    def along(way, given, moved):
+        return jax.jvp(way, (given,), (moved,))[1]
+
+    @partial(jax.jit, static_argnums=0)
+    def back(way, given, pull):
+        return jax.vjp(way, given)[1](pull)[0]
+
     def alike(ones, others):
         for one, other in zip(ones, others, strict=True):
             np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9)
@@ -81,11 +90,10 @@ def test_slopes_of_a_product_and_of_what_statistics_told():
     moved = reading.Scalars(drawn(6, 4, 2), drawn(6, 2), drawn(6, 2), even(drawn(4, 4, 2)))
     pull = reading.Read(drawn(4, 2), even(drawn(4, 4, 2)), drawn(6, 2), drawn(6, 2))
     ways = reading.read_off, reading.read_off.fun
-    forwards, meant = (jax.jvp(way, (given,), (moved,))[1] for way in ways)
-    alike(forwards, meant)
-    back, meant = (jax.vjp(way, given)[1](pull)[0] for way in ways)
-    alike((*back[:3], even(back.covariance)), (*meant[:3], even(meant.covariance)))
-    many = jax.vmap(lambda by: jax.jvp(ways[0], (given,), (jax.tree.map(lambda part: by * part, moved),))[1])
+    alike(*(along(way, given, moved) for way in ways))
+    pulled, meant = (back(way, given, pull) for way in ways)
+    alike((*pulled[:3], even(pulled.covariance)), (*meant[:3], even(meant.covariance)))
+    many = jax.jit(jax.vmap(lambda by: along(ways[0], given, jax.tree.map(lambda part: by * part, moved))))
     alike(*(jax.tree.map(lambda part, i=i: part[i] / (i + 1.0), many(jnp.array([1.0, 2.0]))) for i in range(2)))
 
 

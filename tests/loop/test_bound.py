@@ -215,9 +215,9 @@ def test_unequal_cross_damping_cannot_be_told_from_a_rate():
 
 
 def test_a_resting_device_says_nothing_of_its_dynamics():
-    still = eqx.tree_at(lambda loop: loop.start, forced(), (0.0, 0.0, 0.0, 0.0))
-    still = eqx.tree_at(lambda loop: loop.controller, still, OpenLoop())
-    got = information_bound(still, 1.0, duration=0.01)
+    still = eqx.tree_at(lambda loop: loop.start, forced(), tuple(0.0 * part for part in forced().start))
+    still = eqx.tree_at(lambda loop: loop.controller, still, OpenLoop(tones=(Tone(2900.0, 0.0), Tone(3600.0, 0.0))))
+    got = information_bound(still, 1.0, sample_rate=100e3, duration=0.004, windows=2)  # a program compiled above
     infinite = [name for name, std in zip(got.names, got.std[-1], strict=True) if np.isinf(std)]
     assert infinite == list(SINGLE.model.names)
 

@@ -18,15 +18,15 @@ VELOCITY = mg.DirectReadout.of_velocity(5.0, 1e-6)
 SWINGING = mg.ClosedLoop(GYRO, VELOCITY, mg.LyapunovObserver.for_device(GYRO, VELOCITY), mg.OpenLoop())
 
 
-def stiffened(kxx) -> mg.ClosedLoop:
-    return eqx.tree_at(lambda loop: loop.device.kxx, LOOP, jnp.asarray(kxx, float))
+def stiffened(kxx, loop=LOOP) -> mg.ClosedLoop:
+    return eqx.tree_at(lambda made: made.device.kxx, loop, jnp.asarray(kxx, float))
 
 
 def test_a_trace_is_differentiated_and_keeps_its_settings():
     seen = []
 
     def last(kxx):
-        trace = mg.simulate(stiffened(kxx), 1.0, **RUN)
+        trace = mg.simulate(stiffened(kxx, SWINGING), 1.0, **RUN)
         seen.append(trace.settings)
         return trace.rate_estimate[-1]
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import equinox as eqx
 import numpy as np
 import pytest
-from bench_case import DIE, EFFECTS, ONE_AXIS, RESONATOR, bench, strengths, truth
+from bench_case import DIE, EFFECTS, OF_X, ONE_AXIS, RESONATOR, bench, strengths, truth
 from lab.die import Hidden
 from lab.protocol import RingDown as RingDownOfLab
 from lab.strengths import VISIBLE, visible
@@ -67,11 +67,11 @@ def assert_within(found: dict[str, float], bound: dict[str, float]) -> None:
 
 
 def test_a_die_with_nothing_hidden():
-    assert_within(errors(Hidden()), LINEAR)
+    assert_within(errors(Hidden(), OF_X), LINEAR)
 
 
 def test_a_hidden_spring_is_predicted():
-    assert_within(errors(visible("cubic_stiffness_x")), ACCURACY["cubic_stiffness_x"])
+    assert_within(errors(visible("cubic_stiffness_x"), OF_X), ACCURACY["cubic_stiffness_x"])
 
 
 @pytest.mark.slow
@@ -87,7 +87,7 @@ def test_several_linear_effects_at_once_are_predicted():
 def test_the_comparison_would_see_a_wrong_strength():
     """A thousandth of a visible cubic stiffness is a thousand times what the tolerance allows."""
     made = bench(visible("cubic_stiffness_x"))
-    off = truth(made.case, DIE, visible("cubic_stiffness_x", times=1.001))
+    off = truth(made.case, DIE, visible("cubic_stiffness_x", times=1.001), OF_X)
     found = compared(made, fit_case(made.case, model=off, held=True))
     assert found["sweep_x"] > 1e3 * ACCURACY["cubic_stiffness_x"]["sweep_x"]
 

@@ -319,6 +319,7 @@ def test_a_varying_rate_is_followed_and_said_so(small):
     assert -1e-3 < found["delay_s"] < 10e-3
 
 
+@pytest.mark.slow
 def test_identical_dies_differ_by_noise_alone(small):
     lot = mg.sweep(small, mg.Spread(), dies=8, chunk=8, **SHORT).to_xarray()
     assert lot.sizes["parameter"] == 0
