@@ -259,7 +259,7 @@ def fit_case(
         vector = optimise(joint, vector, alone, joint.fitted).vector
     longest = 0 if held else 30
     optimum = optimise(joint, vector, places, joint.fitted, max_evaluations=longest)
-    readings, apart = sharpened(joint.at(optimum.vector), joint.readings)
+    readings, apart = sharpened(joint.at(optimum.vector), joint.readings, optimum.residual)
     if readings is not joint.readings:
         joint = Joint(joint.at(optimum.vector), readings)
         optimum = optimise(joint, joint.start, places, joint.fitted, max_evaluations=longest)

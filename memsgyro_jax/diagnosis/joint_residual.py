@@ -33,13 +33,13 @@ CARRIED = 3  # absent effects that are carried through a model: a fit goes on wi
 SHORT = 100  # rows up to which optimising a program takes longer than the calls of a whole diagnosis
 
 
-def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function whose last argument is an `Experiment` as a program; for few rows without optimising it."""
+def compiled(function: Callable[..., Any], most: float = SHORT) -> Callable[..., Any]:
+    """A function whose last argument is an `Experiment` as a program; for up to so many rows without optimising it."""
     optimised, plain = kept(function), kept(function, PLAINLY)
 
     def call(*arguments: Any) -> Any:
         *others, experiment = arguments
-        short = experiment.measured.shape[0] <= SHORT and jax.default_backend() == "cpu"
+        short = experiment.measured.shape[0] <= most and jax.default_backend() == "cpu"
         return (plain if short else optimised)(*others, strong(experiment))
 
     return call
@@ -244,9 +244,11 @@ def _shape(experiment: Experiment) -> tuple:
     return structure, *(jnp.shape(leaf) for leaf in leaves)
 
 
-@compiled
-def _residual(vector: Array, model: Model, spec: PyTree, experiment: Experiment) -> Float[Array, " r"]:
+def _predicted(vector: Array, model: Model, spec: PyTree, experiment: Experiment) -> Float[Array, " r"]:
     return experiment.residual(from_vector(vector, model, spec))
+
+
+_residual = compiled(_predicted, np.inf)  # runs once or twice
 
 
 @compiled

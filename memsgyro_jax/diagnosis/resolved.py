@@ -17,33 +17,46 @@ TOLERANCE = 0.1  # of a standard deviation, or of what is left of a reading that
 # resolution may move it
 
 
-def sharpened(model: Model, readings: Sequence[Readings]) -> tuple[tuple[Readings, ...], float]:
+def sharpened(
+    model: Model, readings: Sequence[Readings], residual: np.ndarray | None = None
+) -> tuple[tuple[Readings, ...], float]:
     """The readings at the first resolution that a finer one confirms, for a fitted model; `readings` itself if that is
     theirs.
 
     Every experiment that has a finer one (a sweep: 3, 7 and 15 harmonics at 32, 128 and 512 samples a period) is
     predicted at both, and goes on until they agree within `TOLERANCE` of the noise, or of what is left where the model
-    explains no better. Also by how many such units the worst still differs from the step before; zero where all agree.
+    explains no better. `residual` is that of the fitted ones as they are, where it is known. Also by how many such
+    units the worst still differs from the step before; zero where all agree.
     """
     bare, worst = model.present, 0.0
     chosen: dict[int, int] = {}
     if not bare.effects:  # a linear model needs the first harmonic alone
         return tuple(readings), 0.0
+    fitted = [r for r in readings if r.fitted]
+    known: dict[int, np.ndarray] = {}
+    if residual is not None:
+        parts = np.split(np.nan_to_num(residual), np.cumsum([r.size for r in fitted])[:-1])
+        known = {id(r): part for r, part in zip(fitted, parts, strict=True)}
     for kind in {type(r.experiment): None for r in readings if r.experiment.finer is not None}:
         mine = [r for r in readings if type(r.experiment) is kind]
-        steps, apart = _steps(bare, [r.experiment for r in mine if r.fitted])
+        steps, apart = _steps(bare, [(r.experiment, known.get(id(r))) for r in mine if r.fitted])
         worst = max(worst, apart if apart > TOLERANCE else 0.0)
         chosen |= {id(r): steps for r in mine}
     finer = tuple(_finer(r, chosen.get(id(r), 0)) for r in readings)
     return finer if any(chosen.values()) else tuple(readings), worst
 
 
-def _steps(model: Model, experiments: Sequence[Experiment]) -> tuple[int, float]:
+def _steps(model: Model, known: Sequence[tuple[Experiment, np.ndarray | None]]) -> tuple[int, float]:
     """How many times finer all of them must be, and by how much a reading may still be wrong: what the next step would
     move, if the steps go on as they shrink.
     """
-    values, steps, apart, before = [_residual(model, e) for e in experiments], 0, 0.0, np.inf
-    finer = [e.finer for e in experiments]
+    values, steps, apart, before = (
+        [_residual(model, e) if value is None else value for e, value in known],
+        0,
+        0.0,
+        np.inf,
+    )
+    finer = [e.finer for e, _ in known]
     while finer and all(e is not None for e in finer):
         again = [_residual(model, e) for e in finer if e is not None]
         before, apart = (
@@ -67,9 +80,11 @@ def _finer(readings: Readings, steps: int) -> Readings:
     return readings
 
 
-@compiled
-def _compiled(model: Model, experiment: Experiment) -> Array:
+def _predicted(model: Model, experiment: Experiment) -> Array:
     return experiment.residual(model)
+
+
+_compiled = compiled(_predicted, np.inf)  # runs once or twice
 
 
 def _residual(model: Model, experiment: Experiment) -> np.ndarray:

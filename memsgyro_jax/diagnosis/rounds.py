@@ -51,7 +51,7 @@ def search_on(search: Search, ranking: Ranking) -> tuple[Search, Ranking]:
 def _resolve(search: Search) -> None:
     """Predict more finely from here on, where the effect just taken needs it."""
     model = search.joint.at(search.optimum.vector)
-    readings, apart = sharpened(model, search.joint.readings)
+    readings, apart = sharpened(model, search.joint.readings, search.optimum.residual)
     if readings is not search.joint.readings:
         search.tell("predict with more harmonics")
         search.joint, search.unseen = Joint(model, readings), None

@@ -7,6 +7,7 @@ does to the prediction is then the linear response of the *present* model to tho
 
 import abc
 from collections.abc import Sequence
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -15,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from memsgyro_jax.base.kept import kept
+from memsgyro_jax.base.plainly import PLAINLY
 from memsgyro_jax.device.conditions import Conditions
 from memsgyro_jax.effects.base import (
     DriveEffect,
@@ -31,6 +33,7 @@ from .model import Model
 from .steady import drive_waveform, phases, waveform
 
 
+_seldom = partial(kept, options=PLAINLY)
 CHUNK = 6144  # moments at a time: whole rows of 12, 32 and 128, and small enough to stay near the processor
 
 
@@ -170,6 +173,10 @@ def _each(function, strength: Array) -> Array:
     return jnp.moveaxis(slopes.reshape(slopes.shape[0], -1), 0, 1)
 
 
+# Several programs hold these two: under `jit` what every effect does is traced once for all of them.
+
+
+@eqx.filter_jit
 def _accelerations(model: Model, absent: Absent, state: Array, command: Array, now: Conditions) -> Array:
     """(K, axes) what all strengths add to the acceleration per unit."""
     axes = model.axes
@@ -193,6 +200,7 @@ def _accelerations(model: Model, absent: Absent, state: Array, command: Array, n
     return jnp.concatenate(parts)
 
 
+@eqx.filter_jit
 def _voltages(model: Model, absent: Absent, state: Array, command: Array, turn: Array, now: Conditions) -> Array:
     """(K, axes) what all strengths add to the voltages per unit, the state being what it is."""
     moment = model.at_reading(state, command, turn, now)
@@ -217,17 +225,17 @@ def _voltages(model: Model, absent: Absent, state: Array, command: Array, turn: 
     return jnp.concatenate(parts)
 
 
-@kept
+@_seldom
 def _pushed(model: Model, absent: Absent, state: Array, command: Array, now: Conditions) -> Float[Array, "N K axes"]:
     return jax.vmap(lambda s, u, c: _accelerations(model, absent, s, u, c))(state, command, now)
 
 
-@kept
+@_seldom
 def _read(model: Model, absent: Absent, state: Array, command: Array, turn: Array, now: Conditions) -> Array:
     return jax.vmap(lambda s, u, du, c: _voltages(model, absent, s, u, du, c))(state, command, turn, now)
 
 
-@kept
+@_seldom
 def _propagated(model: Model, absent: Absent, base: Conditions) -> tuple[Array, Array]:
     """(K, n, n) and (K, n, axes): what is added to the linear part."""
     axes, rest, still = model.axes, jnp.zeros(model.size), jnp.zeros(model.axes)
@@ -236,7 +244,7 @@ def _propagated(model: Model, absent: Absent, base: Conditions) -> tuple[Array, 
     return jnp.pad(parts[0], around), jnp.pad(parts[1], around)
 
 
-@kept
+@_seldom
 def _speeds(absent: Absent) -> Array:
     """(K,) what all strengths add to the rate of a sweep per unit."""
     parts = []
