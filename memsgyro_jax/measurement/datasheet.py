@@ -72,11 +72,12 @@ def datasheet(
     told("step of the rate")
     answer, step_rows = step_answer(bench, table[_POINTS // 2])
     told("noise")
-    noise_rows = noises(bench, answer.bandwidth, noise_duration or record_needed(answer.bandwidth, bench.duration))
+    noise_rows = noises(bench, answer, noise_duration or record_needed(answer.bandwidth, bench.duration))
     told("other axes, acceleration, temperature")
     outputs, static = scale_and_bias(bench, rates, table)
     drifts, over_temperature = temperature_rows(bench, temperatures, told)
-    rows = (*static, *noise_rows, *step_rows, start_up(bench, table[-1]), *around_the_axes(bench, table))
+    started = start_up(bench, table[-1])
+    rows = (*static, *noise_rows, *step_rows, started, *around_the_axes(bench, table))
     rows = (*rows, *over_temperature)
     alive = np.all([run.alive for run in table], axis=0) & answer.alive
     rows = tuple(replace(row, values=np.where(alive, row.values, np.nan)) for row in rows)
@@ -99,12 +100,19 @@ def datasheet(
             duration=bench.duration,
             seed=seed,
         ),
-        notes=_notes(alive, rows),
+        notes=notes_of(alive, started, bench),
         over_temperature=drifts,
     )
 
 
-def _notes(alive: np.ndarray, rows: tuple[DatasheetRow, ...]) -> tuple[str, ...]:
+def notes_of(alive: np.ndarray, started: DatasheetRow, bench: RateTests) -> tuple[str, ...]:
+    """What is to be said of the lot beside its rows."""
     lost = int(np.sum(~alive))
     said = [f"{lost} of {len(alive)} dies were lost (out of travel or not finite) and count nowhere."] if lost else []
+    late = int(np.sum(alive & ~(started.values <= bench.settle)))
+    if late:
+        said.append(
+            f"{late} of {len(alive)} dies have not started by {bench.settle:.3g} s, from which on the figures at "
+            "constant rates count: they are of a start, too; let them count later (`settle`, `duration`)."
+        )
     return (*said, "Simulated, not measured: what the model leaves out is not in these figures.")

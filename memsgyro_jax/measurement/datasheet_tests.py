@@ -29,13 +29,14 @@ _FRAME = "the device leaves out the terms of its rotating frame (`rotating_frame
 
 class Answer(NamedTuple):
     """The answer to a step of the rate, over that step: `values` (dies, times) from `times` [s] after it on, which dies
-    were never lost, and their -3 dB `bandwidth` [Hz], NaN where not shown.
+    were never lost, their -3 dB `bandwidth` [Hz], NaN where not shown, and why it is not known, if so.
     """
 
     times: Float[np.ndarray, " times"]
     values: Float[np.ndarray, "dies times"]
     alive: Bool[np.ndarray, " dies"]
     bandwidth: Dies
+    unknown: str
 
 
 def best_line(rates: np.ndarray, outputs: Float[np.ndarray, "rates dies"]) -> Float[np.ndarray, "two dies"]:
@@ -144,7 +145,7 @@ def step_answer(bench: RateTests, still: Outputs) -> tuple[Answer, tuple[Datashe
         "" if np.isfinite(bandwidth).any() else f"it lies beyond {0.4 / run.period:.4g} Hz, which this run shows"
     )
     condition = f"step of {np.degrees(size):.3g} deg/s after {0.5 * bench.duration:.3g} s, no noise"
-    found = Answer(times, answer, run.alive & still.alive, bandwidth)
+    found = Answer(times, answer, run.alive & still.alive, bandwidth, reason)
     return found, (
         DatasheetRow(
             "bandwidth",
@@ -182,8 +183,9 @@ def record_needed(bandwidth: Dies, duration: float) -> float:
     return float(np.clip(_RECORD / np.median(known) if known.size else 0.0, 10.0 * duration, 100.0 * duration))
 
 
-def noises(bench: RateTests, bandwidth: Dies, duration: float) -> tuple[DatasheetRow, ...]:
+def noises(bench: RateTests, answer: Answer, duration: float) -> tuple[DatasheetRow, ...]:
     """Noise density, angle random walk and bias instability of the output at rest."""
+    bandwidth = answer.bandwidth
     definitions = (
         ("noise density", "deg/s/√Hz", "One-sided density of the output where it is flat"),
         ("angle random walk", "deg/√h", "Coefficient N of the Allan deviation"),
@@ -203,6 +205,9 @@ def noises(bench: RateTests, bandwidth: Dies, duration: float) -> tuple[Datashee
     if not 1.0 / _ALIKE < early / late < _ALIKE:
         learning = "the output is no stationary noise: its observer still learns, and steps less the longer it runs"
         return _noise_rows(definitions, condition, (nothing,) * 3, (f"{NOT_MODELLED}: {learning}",) * 3)
+    if answer.unknown:
+        unknown = f"nothing tells up to where the noise is flat: {answer.unknown}"
+        return _noise_rows(definitions, condition, (nothing,) * 3, (unknown,) * 3)
     widest = float(np.nanmedian(bandwidth)) if np.isfinite(bandwidth).any() else 0.4 / run.period
     density, walk, instability = nothing.copy(), nothing.copy(), nothing.copy()
     said = ["", "", ""]

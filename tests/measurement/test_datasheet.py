@@ -1,6 +1,7 @@
 """The figures of a datasheet against linear algebra of the same dies, and what it must not claim."""
 
 import json
+from dataclasses import replace
 
 import jax
 import numpy as np
@@ -9,8 +10,11 @@ from oracles import classic
 
 import memsgyro_jax as mg
 from memsgyro_jax.app.report.datasheet_page import datasheet_page
+from memsgyro_jax.measurement.datasheet import notes_of
 from memsgyro_jax.measurement.datasheet_rows import NOT_MODELLED, DatasheetRow
-from memsgyro_jax.measurement.datasheet_tests import best_line, with_trim
+from memsgyro_jax.measurement.datasheet_tests import Answer, best_line, noises, with_trim
+from memsgyro_jax.measurement.lot_outputs import Outputs
+from memsgyro_jax.measurement.rate_tests import RateTests
 
 
 RATE, DIES, DENSITY = 100e3, 4, 1e-7
@@ -88,6 +92,20 @@ def test_what_a_model_cannot_give_says_so(sheet):
     page = datasheet_page(sheet, mg.default_study()).html()
     assert page.count("<svg") == 2
     assert all(row.definition in page for row in sheet.rows if "'" not in row.definition)
+
+
+def test_figures_of_a_start_are_not_given_without_a_word(sheet):
+    assert not any("have not started" in note for note in sheet.notes)
+    bench = RateTests.of("sheet", LOOP, SPREAD, 0.0, full_scale=1.0, dies=3, sample_rate=RATE, duration=0.2,
+                         settle=0.1, seed=0)  # fmt: skip
+    row = DatasheetRow("start-up time", "s", "", "", np.array([0.02, 0.15, np.nan, np.nan]))
+    (lost, late, *_) = notes_of(np.array([True, True, True, False]), row, bench)
+    assert lost.startswith("1 of 4")
+    assert late.startswith("2 of 4 dies have not started by 0.1 s")
+    settled = Answer(np.zeros(1), np.zeros((2, 1)), np.ones(2, bool), np.full(2, np.nan), "it does not settle")
+    still = Outputs(*(np.random.default_rng(0).normal(size=(2, 400)),) * 2, np.ones(2, bool), 1e-3)
+    rows = noises(replace(bench, noisy=lambda *_: still), settled, 0.4)
+    assert [row.reason[-18:] for row in rows] == ["it does not settle"] * 3
 
 
 def test_a_lost_die_spoils_no_other():

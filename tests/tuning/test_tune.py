@@ -212,3 +212,23 @@ def test_a_loss_that_is_no_number_at_the_start_is_one_sentence(tuned, study):
     lost = study.changed({"loop.travel": "1e-9 m", "loop.displacement": ["1 um", "0 m"]})
     with pytest.raises(InputError, match="must be a finite number at the start, but it is for none of 16 dies"):
         mg.tune(**lost.tune_arguments)
+
+
+@pytest.mark.slow
+def test_gains_of_classic_loops_are_tuned_and_keep_their_margin():
+    """From loops three to five times too slow: of the drive's phase and force and of the rebalance."""
+    gyro = mg.SingleMassGyro.from_modes(1e-8, (10e3, 10.3e3), (2000.0, 300.0)).at_temperature(300.0)
+    readout = mg.ChargeAmplifier.chi2010()
+    control = mg.ClassicControl.force_rebalance(gyro, readout, amplitude=1e-6)
+    where = lambda c: (c.drive.phase_gain, c.drive.force_gain, c.sense.integral)  # noqa: E731
+    slow = [0.3 * where(control)[0], 0.3 * where(control)[1], 0.2 * where(control)[2]]
+    control = eqx.tree_at(where, control, slow)
+    loop = mg.ClosedLoop(gyro, readout, mg.NoObserver.for_device(gyro, readout), control, start=(0.0,) * 4)
+    names = ("drive.phase_gain", "drive.force_gain", "sense.integral")
+    made = mg.tune(
+        loop, mg.Step(0.05, np.radians(100.0)), free=mg.free(controller=names), spread=mg.Spread.relative(0.005),
+        loss=losses.Weighted((losses.SquaredRateError(0.06), 1.0), (losses.LoopMargin(0.6), 10.0)),
+        dies=4, validation_dies=4, report_dies=8, sample_rate=200e3, duration=0.08, settle=0.06, evaluations=10,
+    )  # fmt: skip
+    assert made.ratio.high < 0.8
+    assert float(mg.loop_margins(made.loop).least) > 0.55
