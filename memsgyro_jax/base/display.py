@@ -26,7 +26,7 @@ _FIELDS = {
     "F/m": "CarrierReadout.gradient",
     "1": "fingers rejection excess ceiling cut relative gain gain_ratio drive_ratio quality quality_factor force_yx "
     "force_xy damping_change force_gain cross_damping adaptation unit realisation progress record rate_trusted share "
-    "softness rounding static_gain legs Process.pressure ChargeStage.gain SlidingMode.slope "
+    "softness rounding static_gain legs Process.pressure PlateLayout.loss ChargeStage.gain SlidingMode.slope "
     "SlidingMode.forgetting layer",
     "samples": "Blocks.length Blocks.start",
     "kg": "mass mass_x mass_y",

@@ -203,7 +203,7 @@ def noises(bench: RateTests, answer: Answer, duration: float) -> tuple[Datasheet
     half = rate.shape[1] // 2
     early, late = (np.median(np.var(np.diff(part), axis=1)) for part in (rate[:, :half], rate[:, half:]))
     if not 1.0 / _ALIKE < early / late < _ALIKE:
-        learning = "the output is no stationary noise: its observer still learns, and steps less the longer it runs"
+        learning = "the output is no stationary noise: it is still starting, or its observer still learns"
         return _noise_rows(definitions, condition, (nothing,) * 3, (f"{NOT_MODELLED}: {learning}",) * 3)
     if answer.unknown:
         unknown = f"nothing tells up to where the noise is flat: {answer.unknown}"

@@ -193,6 +193,12 @@ def test_what_a_process_does():
     warm = LAYOUT.made(geometry.Process(temperature=60.0))
     assert warm.kxx / plain.kxx == pytest.approx(1 - 60 * 6e-5, rel=1e-12)
     assert warm.dxx > plain.dxx
+    lossy = eqx.tree_at(lambda made: made.loss, LAYOUT, 1.0 / 300.0).made(geometry.Process(misalignment=0.01))
+    added = np.array([lossy.dxx - plain.dxx, lossy.dyy - plain.dyy, lossy.dxy])
+    x, y = (np.sqrt(float(k * plain.mass)) / 300.0 for k in (plain.kxx, plain.kyy))
+    turn = np.array([[np.cos(0.01), -np.sin(0.01)], [np.sin(0.01), np.cos(0.01)]])
+    expected = turn @ np.diag([x, y]) @ turn.T
+    assert added == pytest.approx([expected[0, 0], expected[1, 1], expected[0, 1]], rel=1e-9)
     with pytest.raises(InputError, match="side"):
         geometry.LayoutGyro(LAYOUT, geometry.Process(over_etch=1e-3))
 

@@ -54,6 +54,7 @@ class PlateLayout(Displayed):
         legs: that hold each axis.
         young, density: of the layer [Pa, kg/m³].
         softening: of the modulus, per K.
+        loss: 1/Q of what springs and anchors lose beside the gas; zero: nothing.
     """
 
     side: Scalar = number("m")
@@ -67,12 +68,14 @@ class PlateLayout(Displayed):
     young: Scalar = number("Pa", default=169e9)
     density: Scalar = number("kg/m^3", default=2330.0)
     softening: Scalar = number("1/K", default=-6e-5)
+    loss: Scalar = number(default=0.0)
 
     def made(self, process: Process) -> SingleMassGyro:
         """The device that `process` makes of the drawing.
 
         Stiffness of guided legs, 12 E I/L³, with the area moment of the leaning section; the plate's mass alone; the
-        Couette film below it. Raises `InputError` where nothing is left of a part.
+        Couette film below it, and the `loss` of the springs, √(k m)/Q. Raises `InputError` where nothing is left of a
+        part.
         """
         return SingleMassGyro(*self.numbers(process))
 
@@ -95,8 +98,11 @@ class PlateLayout(Displayed):
         gap = self.gap + process.gap
         gas = AIR * (1.0 + process.temperature / _DRAWN_AT) ** 0.7
         viscosity = effective_viscosity(gap, self.pressure * (1.0 + process.pressure), gas)
-        damping = couette_damping(side**2, gap, viscosity)
-        return mass, kxx, kyy, (kx - ky) * cosine * sine, damping, damping, jnp.zeros_like(damping)
+        dx, dy = (
+            couette_damping(side**2, gap, viscosity) + self.loss * jnp.sqrt(stiffness * mass) for stiffness in (kx, ky)
+        )
+        dxx, dyy = dx * cosine**2 + dy * sine**2, dx * sine**2 + dy * cosine**2
+        return mass, kxx, kyy, (kx - ky) * cosine * sine, dxx, dyy, (dx - dy) * cosine * sine
 
 
 class LayoutGyro(AbstractGyro):
