@@ -50,6 +50,7 @@ class LayoutDevice(Warm):
     young: Annotated[float, Field(gt=0.0), In("Pa")] = 169e9
     density: Annotated[float, Field(gt=0.0), In("kg/m^3")] = 2330.0
     softening: Annotated[float, In("1/K")] = -6e-5
+    loss: Annotated[float, Field(ge=0.0), In("1")] = 0.0
 
     def build(self, process: Process) -> LayoutGyro:
         """The device; raises `InputError` where the process leaves nothing of a part."""

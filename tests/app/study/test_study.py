@@ -434,6 +434,7 @@ length_y = "290 um"
 width = "6 um"
 gap = "3 um"
 pressure = "10 Pa"
+loss = 1e-4
 temperature = "300 K"
 [process]
 over_etch = "0.1 um"
@@ -459,10 +460,12 @@ def test_a_layout_and_its_process(write, tmp_path):
     study = mg.load_study(write(LAYOUT))
     process, etched = study.loop.device.process, mg.geometry.Process(over_etch=1e-7)
     drawn = mg.geometry.PlateLayout(
-        side=1.2e-3, thickness=50e-6, length_x=300e-6, length_y=290e-6, width=6e-6, gap=3e-6, pressure=10.0
-    )
+        side=1.2e-3, thickness=50e-6, length_x=300e-6, length_y=290e-6, width=6e-6, gap=3e-6, pressure=10.0,
+        loss=1e-4,
+    )  # fmt: skip
     assert process == study.loop.readout.process == etched
-    np.testing.assert_allclose(study.loop.device.made.kxx, drawn.made(etched).kxx, rtol=1e-12)
+    for name in ("kxx", "dxx"):
+        np.testing.assert_allclose(getattr(study.loop.device.made, name), getattr(drawn.made(etched), name), rtol=1e-12)
     assert float(study.loop.device.temperature) == 300.0
     assert abs(float(study.loop.readout.scale[0])) < abs(float(study.loop.readout.drawn.scale[0]))
     assert mg.load_study(study.write(tmp_path / "again.toml")).to_toml() == study.to_toml()
