@@ -50,59 +50,9 @@ class Column(NamedTuple):
     unit: str
 
 
-def rate_from_dps(rate: Any) -> Any:
-    """Rate in deg/s to rad/s."""
-    return rate * _DEGREE
-
-
 def rate_to_dps(rate: Any) -> Any:
     """Rate in rad/s to deg/s."""
     return rate / _DEGREE
-
-
-def std_from_density(density: Any, sample_rate: Any) -> Any:
-    """One-sided white density, in unit/√Hz, to the standard deviation of one sample: ``density · √(sample_rate/2)``.
-
-    Args:
-        density: one-sided amplitude density, any unit per √Hz; zero means no noise.
-        sample_rate: samples per second.
-    """
-    return density * (sample_rate / 2.0) ** 0.5
-
-
-def density_from_std(std: Any, sample_rate: Any) -> Any:
-    """Standard deviation of one sample of white noise to its one-sided density, in unit/√Hz."""
-    return std / (sample_rate / 2.0) ** 0.5
-
-
-def arw_from_deg_per_sqrt_hour(arw: Any) -> Any:
-    """Angle random walk N in deg/√h to rad/√s."""
-    return arw * (_DEGREE / 60.0)
-
-
-def arw_to_deg_per_sqrt_hour(arw: Any) -> Any:
-    """Angle random walk N in rad/√s to deg/√h."""
-    return arw / (_DEGREE / 60.0)
-
-
-def rate_psd_from_arw(arw: Any, *, one_sided: bool) -> Any:
-    """Power density of the rate noise, in (rad/s)²/Hz, of an angle random walk N: N² two-sided, 2 N² one-sided.
-
-    Args:
-        arw: N in rad/√s.
-        one_sided: whether the density is over positive frequencies only; no default, as the factor 2 is easily missed.
-    """
-    return (2.0 if one_sided else 1.0) * arw**2
-
-
-def arw_from_rate_psd(psd: Any, *, one_sided: bool) -> Any:
-    """Angle random walk N, in rad/√s, of a rate power density in (rad/s)²/Hz; undoes `rate_psd_from_arw`."""
-    return (psd / (2.0 if one_sided else 1.0)) ** 0.5
-
-
-def arw_from_std(std: Any, sample_rate: Any) -> Any:
-    """Angle random walk N, in rad/√s, of white rate noise of `std` rad/s per sample: ``std/√sample_rate``."""
-    return std / sample_rate**0.5
 
 
 def decimal(text: str) -> float:
