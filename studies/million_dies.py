@@ -10,7 +10,7 @@ import resource
 import shutil
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,6 +23,7 @@ from memsgyro_jax.montecarlo.batch import STATUS
 from memsgyro_jax.montecarlo.layout import SHARD
 from memsgyro_jax.montecarlo.runner import Runner
 from memsgyro_jax.montecarlo.standing import standing_of
+from memsgyro_jax.montecarlo.store import Memory, Store
 
 
 PARTS = 16
@@ -31,12 +32,14 @@ PARTS = 16
 class StandIn(Runner):
     """Random rows in place of the loop's."""
 
-    def batches(self, block: int, dies: int) -> Iterator[dict[str, np.ndarray]]:
-        generator = np.random.default_rng(block)
-        rows = {name: np.full((self.block, *sizes), 0.01) for name, sizes in SIZES.items()}
-        for name in ("rate_error_end", "rate_estimate", "coefficient_true", "drawn"):
-            rows[name] = generator.standard_normal(rows[name].shape)
-        yield rows | {"lost_at": np.full(self.block, np.nan), STATUS: np.zeros(self.block, np.int8)}
+    def work(self, store: Store | Memory, dies: int, progress: Callable[[int, int], None] | None) -> None:
+        for block in store.unfinished():
+            generator = np.random.default_rng(block)
+            rows = {name: np.full((self.block, *sizes), 0.01) for name, sizes in SIZES.items()}
+            for name in ("rate_error_end", "rate_estimate", "coefficient_true", "drawn"):
+                rows[name] = generator.standard_normal(rows[name].shape)
+            sound = {"lost_at": np.full(self.block, np.nan), STATUS: np.zeros(self.block, np.int8)}
+            store.write(block, rows | sound)
 
 
 SIZES: dict[str, tuple[int, ...]] = {}

@@ -5,6 +5,7 @@ of the information, updated by orthogonal transformations, and columns are scale
 1e-9 m to 1e5 rad²/s² stand side by side in it.
 """
 
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -21,6 +22,8 @@ from memsgyro_jax.base.runtime import require_float64
 from memsgyro_jax.base.units import rate_to_dps
 from memsgyro_jax.device.gyro import Coefficient, Pair, check_positive
 
+from .block_bound import goes_by_blocks, roots_in_blocks
+from .blocks.run import prepared, sizes_of
 from .least_variance import least_variance, with_slopes
 from .loop import ClosedLoop, as_loop
 from .observers.known_rate import CROSS_DAMPING_ASYMMETRY as CROSS_DAMPING_ASYMMETRY
@@ -29,6 +32,7 @@ from .scenario import AbstractProfile, Scenario, as_scenario
 from .sensitivities import Unknowns, begin, lanes_of, sampling, unknowns_of
 
 
+_WORTH_BLOCKS = 30_000  # samples of a run from which on blocks save more than their longer program takes to compile
 _BLOCK = 200  # samples between two orthogonal updates, at most
 
 
@@ -127,8 +131,9 @@ def information_bound(
     model's coefficients. `also` adds further coefficients as unknown, without prior. The rate that is bounded is a
     constant added to the scenario's. Effects of the device shape the run; what the quantities do to it is taken from
     the linear part. Quantisation and flicker are not counted; the Brownian force of a device that knows its temperature
-    is, as a disturbance of the motion beside the run without it. `windows` is how many moments the bound is given for,
-    at most. For a batch of dies (trailing axis of leaves of `loop` and `scenario`) give the unbatched `design` too.
+    is, as a disturbance of the motion beside the run without it. A long run of a loop in blocks (from 30 000 samples
+    on) goes by blocks, where no derivative is asked for. `windows` is how many moments the bound is given for, at most.
+    For a batch of dies (trailing axis of leaves of `loop` and `scenario`) give the unbatched `design` too.
     Under `jax.grad` and `jax.jvp` first derivatives are exact; an infinite entry has none.
 
     Raises `InputError` for float32, an unknown name, a read-out without noise, or settings that make no sample.
@@ -145,14 +150,20 @@ def information_bound(
             "were given."
         )
     _check_noise(loop.readout.noise_density)
-    design = (loop if design is None else design).sampled_at(sample_rate, duration=duration)
-    loop = loop.sampled_at(sample_rate, design, duration)
+    design = prepared(loop if design is None else design)[0].sampled_at(sample_rate, duration=duration)
+    loop = replace(loop.sampled_at(sample_rate, design, duration), blocks=design.blocks)
     unknown = unknowns_of(design, prior, known, also)
-    block = max(size for size in range(1, min(samples, _BLOCK) + 1) if samples % size == 0)
-    lanes = lanes_of(loop, design, scenario)
-    slopes, blocks = not is_concrete(loop, scenario, prior), samples // block
-    roots, information = _roots(loop, design, scenario, unknown, period, blocks, block, lanes, slopes)
-    chosen = np.unique(np.linspace(blocks, 1, min(windows, blocks)).round().astype(int))
+    lanes, slopes = lanes_of(loop, design, scenario), not is_concrete(loop, scenario, prior)
+    start, sizes = sizes_of(loop, samples)
+    if sizes and samples >= _WORTH_BLOCKS and not slopes and goes_by_blocks(unknown):
+        way = (start, sizes, lanes, windows == 1)
+        roots, information = roots_in_blocks(loop, design, scenario, unknown, period, *way), None
+        ends = np.cumsum([start, *sizes])[-len(roots) :]
+    else:
+        block = max(size for size in range(1, min(samples, _BLOCK) + 1) if samples % size == 0)
+        ends = block * np.arange(1, samples // block + 1)
+        roots, information = _roots(loop, design, scenario, unknown, period, len(ends), block, lanes, slopes)
+    chosen = np.unique(np.linspace(len(ends), 1, min(windows, len(ends))).round().astype(int))
     solved = least_variance(settled(roots)[chosen - 1], unknown.scale, unknown.names)
     std, covariance = solved.std, solved.covariance
     if information is not None:
@@ -160,7 +171,7 @@ def information_bound(
     kind = "Cramér-Rao" if prior is None else "Bayesian"
     settings = {"kind": kind, "sample_rate": sample_rate, "duration": duration, "known": ", ".join(known)}
     return InformationBound(
-        chosen * block * period, std, covariance, unknown.names, unknown.units, solved.degenerate, settings
+        ends[chosen - 1] * period, std, covariance, unknown.names, unknown.units, solved.degenerate, settings
     )
 
 

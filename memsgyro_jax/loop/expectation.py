@@ -13,7 +13,7 @@ from memsgyro_jax.device.gyro import AbstractGyro, mode_frequencies
 
 from .loop import ClosedLoop
 from .observers import AbstractCovarianceObserver, AbstractObserver
-from .scenario import AbstractProfile, Recorded, Scenario
+from .scenario import AbstractProfile, Constant, Recorded, Scenario
 
 
 _LEVEL = 1e-4  # probability at which a rate within the prior is told as far outside of it
@@ -81,16 +81,17 @@ def shifted(loop: ClosedLoop, duration: float) -> tuple[str, ...]:
     observer, offsets = loop.observer, getattr(loop.readout, "offset", None)
     if not isinstance(observer, AbstractCovarianceObserver) or offsets is None:
         return ()
-    found, prior = [], observer.prior
-    parts = zip("xy", offsets, prior.offset, prior.offset_std, loop.readout.noise_density, strict=True)
-    for axis, offset, mean, std, density in parts:
-        known = f"offset_{axis}" in observer.known or float(np.max(std)) == 0.0
+    found, prior, exact = [], observer.prior, observer.known
+    numbers = (offsets, prior.offset, prior.offset_std, loop.readout.noise_density)
+    for axis, *of_axis in zip("xy", *numbers, strict=True):
+        offset, mean, std, density = map(np.asarray, of_axis)
+        known = f"offset_{axis}" in exact or float(np.max(std)) == 0.0
         hidden = float(np.max(density)) / (2.0 * duration) ** 0.5
-        told, away = f"{float(np.mean(mean)):.3g}", float(np.max(np.abs(np.asarray(offset) - mean)))
+        told, away = f"{float(np.mean(mean)):.3g}", float(np.max(np.abs(offset - mean)))
         if away > FAR * (hidden if known else max(float(np.max(std)), hidden)):
             takes = f"takes as known, {told} V" if known else f"expects at {told} ± {float(np.max(std)):.3g} V"
             remedy = "estimate it, or tell the prior" if known else "tell the prior a wider `offset_std`"
-            value = float(np.mean(np.asarray(offset)))
+            value = float(np.mean(offset))
             found.append(f"the read-out's offset along {axis}, which the filter {takes}, is {value:.3g} V; {remedy}.")
     return tuple(found)
 
@@ -168,5 +169,7 @@ def _far(observer: AbstractCovarianceObserver, rates: Float[np.ndarray, " rates"
 
 def _rates(scenario: Scenario, duration: float) -> Float[np.ndarray, " times"]:
     """The rate along the run; of dies with rates of their own, which trail, that of the first."""
+    if isinstance(scenario.rate, Constant):
+        return np.full(_GRID, np.ravel(scenario.rate.level)[0])
     rates = np.asarray(jax.vmap(scenario.rate.value)(jnp.linspace(0.0, duration, _GRID)))
     return rates.reshape(_GRID, -1)[:, 0]

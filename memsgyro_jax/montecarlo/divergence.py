@@ -108,7 +108,7 @@ def unexpected(
     tell more than the design's.
     """
     first, highest = np.arange(min(dies, _LOOKED_AT)), float(np.max(mode_frequencies(loop.device)))
-    own = any(item.path.startswith("scenario.") for item in spread.resolved(loop))
+    own = any(item.path.startswith("scenario.") for item in spread.items)
     if not (own or folding(np.array([_SPREAD * highest]), sample_rate).any()):
         return expectations(loop, scenario, sample_rate, duration)
     drawn = spread.draw(loop, scenario, seed, first)

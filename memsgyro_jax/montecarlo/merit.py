@@ -47,8 +47,11 @@ def percentiles(errors: Float[np.ndarray, " dies"]) -> Percentiles:
     if size.size == 0:
         return Percentiles(*(float("nan"),) * 5)
     median, high = np.percentile(size, [50.0, 95.0])
-    ends = stats.quantile_test(size, p=0.95).confidence_interval(0.95)
-    return Percentiles(float(np.sqrt(np.mean(size**2))), float(median), float(high), float(ends.low), float(ends.high))
+    # As SciPy's `quantile_test`, of which so much is made beside that it took a tenth of a sweep's fixed time.
+    ends = int(stats.binom.ppf(0.025, size.size, 0.95)) - 1, int(stats.binom.isf(0.025, size.size, 0.95))
+    ordered = np.sort(size)
+    low_end, high_end = (float(ordered[end]) if 0 <= end < size.size else float("nan") for end in ends)
+    return Percentiles(float(np.sqrt(np.mean(size**2))), float(median), float(high), low_end, high_end)
 
 
 def percentiles_of(rms: float, count: int, quantile: Callable[..., list[float]]) -> Percentiles:

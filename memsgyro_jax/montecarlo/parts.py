@@ -227,11 +227,12 @@ def computation_of(
     settle = 0.5 * duration if settle is None else quantity("settle", settle, "s")
     tolerance, chunk = quantity("tolerance", tolerance, "rad/s"), chunk and whole("chunk", chunk, 1)
     scenario, loop = as_scenario(scenario), loop.sampled_at(sample_rate, duration=duration)
-    if not any(item.path.startswith(f"{DEVICE_PREFIX}effects.") for item in spread.resolved(loop)):
+    paths = [item.path for item in spread.resolved(loop)]
+    if not any(path.startswith(f"{DEVICE_PREFIX}effects.") for path in paths):
         loop = loop.present
     count_steps(sample_rate, duration)
     _check(settle, duration, tolerance, chunk)
-    loop, hindered = prepared(loop, apart=parts_tones(item.path for item in spread.resolved(loop)))
+    loop, hindered = prepared(loop, apart=parts_tones(paths))
     windows = windows_of(loop, sample_rate, duration, settle, tolerance)
     tell(notes := (*unexpected(loop, scenario, spread, seed, dies, sample_rate, duration), *hindered))
     settings = Settings.of(loop, scenario, spread, windows, sample_rate=sample_rate, duration=duration, seed=seed)

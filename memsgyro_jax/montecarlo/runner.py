@@ -2,7 +2,9 @@
 
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -54,47 +56,33 @@ class Runner:
         """Dies side by side on each of them."""
         return side_by_side(self.mesh.devices.flat[0].platform)
 
-    def batches(self, block: int, dies: int) -> Iterator[dict[str, np.ndarray]]:
-        """The rows of one block, batch by batch, up to the block's end or `dies`.
-
-        A block is drawn and written as one: drawing for every batch took a sixth of the time, writing every chunk a
-        third.
-        """
-        numbers = np.arange(block * self.block, min((block + 1) * self.block, dies))
-        drawn = self.spread.draw(self.loop, self.scenario, self.seed, numbers)
-        if drawn.loop.filter is not None:
-            check_fits(drawn.loop.filter, self.loop.output_rate(1.0 / self.plan.period))
-        keyed = jnp.asarray(self.spread.noise(numbers))
-        words = jax.tree.map(np.asarray, noise.die_words(jax.random.key(self.seed), keyed))
-        chunks, together = -(-len(numbers) // self.chunk), self._together(dies)
-        for first in range(0, chunks, together):
-            count = min(chunks - first, together)
-            # A last batch that does not fill the devices repeats its last chunk: one shape, one compilation.
-            batch = [first + min(n, count - 1) for n in range(together)]
-            # A chunk that does not fill the lanes repeats its last die.
-            inside = np.minimum(np.arange(-(-self.chunk // self.lanes) * self.lanes), self.chunk - 1)
-            places = np.concatenate([n * self.chunk + inside for n in batch])
-            rows = self._run(drawn, words, np.minimum(places, len(numbers) - 1))
-            chosen = np.concatenate([n * len(inside) + np.arange(self.chunk) for n in range(count)])
-            yield {name: value[chosen] for name, value in rows.items()}
-
     def work(self, store: Store | Memory, dies: int, progress: Callable[[int, int], None] | None) -> float | None:
-        """Compute the blocks that a store wants; gives steps per second after the first batch."""
-        timed, busy = 0, None
-        for number in store.unfinished():
-            parts, done, began = [], store.done, time.perf_counter()
-            for rows in self.batches(number, dies):
-                parts.append(rows)
-                count = len(rows[STATUS])
-                done = min(done + count, store.wanted)
-                if progress:
-                    progress(done, store.wanted)
-                if busy is None:  # the first batch compiles
-                    busy, began = 0.0, time.perf_counter()
-                else:
-                    timed += count
-            store.write(number, {name: _joined([part[name] for part in parts]) for name in parts[0]})
-            busy = (busy or 0.0) + time.perf_counter() - began
+        """Compute the blocks that a store wants, while the devices are at one of them drawing the next; gives steps per
+        second after the first batch.
+        """
+        timed, busy, drawn, wanted = 0, None, dict[int, _Drawn](), set(store.missing)
+        # A compiled call waits for its end (Equinox looks for errors then), in a thread of its own.
+        devices = ThreadPoolExecutor(1)
+        try:
+            for number in store.unfinished():
+                parts, done, began = [], store.done, time.perf_counter()
+                given = drawn.pop(number, None) or self._drawn(number, dies)
+                batches = [(devices.submit(self._run, given, p), p, chosen) for p, chosen in self._batches(given, dies)]
+                drawn = {number + 1: self._drawn(number + 1, dies)} if number + 1 in wanted else {}
+                for found, places, chosen in batches:
+                    rows = self._judged(given, places, found.result())
+                    parts.append({name: value[chosen] for name, value in rows.items()})
+                    done = min(done + len(chosen), store.wanted)
+                    if progress:
+                        progress(done, store.wanted)
+                    if busy is None:  # the first batch compiles
+                        busy, began = 0.0, time.perf_counter()
+                    else:
+                        timed += len(chosen)
+                store.write(number, {name: _joined([part[name] for part in parts]) for name in parts[0]})
+                busy = (busy or 0.0) + time.perf_counter() - began
+        finally:
+            devices.shutdown(cancel_futures=True)
         return timed * self.plan.samples / busy if busy and timed else None
 
     @property
@@ -111,16 +99,43 @@ class Runner:
         chunks = -(-min(dies, self.block) // self.chunk)
         return self.mesh.size * -(-chunks // self.mesh.size)
 
-    def _run(self, drawn: Draw, words: tuple[np.ndarray, ...], places: np.ndarray) -> dict[str, np.ndarray]:
-        design = (self.loop, self.scenario)
+    def _drawn(self, block: int, dies: int) -> "_Drawn":
+        """The dies of a block, up to its end or `dies`: drawing for every batch took a sixth of the time."""
+        numbers = np.arange(block * self.block, min((block + 1) * self.block, dies))
+        drawn = self.spread.draw(self.loop, self.scenario, self.seed, numbers)
+        if drawn.loop.filter is not None:
+            check_fits(drawn.loop.filter, self.loop.output_rate(1.0 / self.plan.period))
+        keyed = jnp.asarray(self.spread.noise(numbers))
+        return _Drawn(drawn, jax.tree.map(np.asarray, noise.die_words(jax.random.key(self.seed), keyed)))
+
+    def _batches(self, given: "_Drawn", dies: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """The places of a batch's dies in their block, and which of these are wanted, batch by batch."""
+        count = len(given.words[0])
+        chunks, together = -(-count // self.chunk), self._together(dies)
+        for first in range(0, chunks, together):
+            some = min(chunks - first, together)
+            # A last batch that does not fill the devices repeats its last chunk: one shape, one compilation.
+            batch = [first + min(n, some - 1) for n in range(together)]
+            # A chunk that does not fill the lanes repeats its last die.
+            inside = np.minimum(np.arange(-(-self.chunk // self.lanes) * self.lanes), self.chunk - 1)
+            places = np.concatenate([n * self.chunk + inside for n in batch])
+            chosen = np.concatenate([n * len(inside) + np.arange(self.chunk) for n in range(some)])
+            yield np.minimum(places, count - 1), chosen
+
+    def _run(self, given: "_Drawn", places: np.ndarray) -> dict[str, np.ndarray]:
+        design, drawn = (self.loop, self.scenario), given.draw
         loop, scenario = lot.picked((drawn.loop, drawn.scenario), design, places)
-        chosen = tuple(word[places] for word in words)
+        chosen = tuple(word[places] for word in given.words)
         rows = lot.compiled_for(self.mesh)(loop, scenario, design, chosen, self.plan, self.mesh, self.lanes)
-        found = jax.tree.map(np.asarray, rows)
+        return jax.tree.map(np.asarray, rows)
+
+    def _judged(self, given: "_Drawn", places: np.ndarray, found: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """The rows of a batch that was run."""
         pair = [found.pop(name) for name in lot.COVARIANCE if name in found]
         found["nees_end"] = lot.nees(*pair) if pair else np.full(len(places), np.nan)
         astray = impossible(found, pair[0] if pair else None, self.plan, self.loop.filter is not None)
         found[STATUS] = np.where(astray & (found[STATUS] == OK), np.int8(DIVERGED), found[STATUS])
+        drawn = given.draw
         return {**found, "drawn": drawn.table[places], "redrawn": drawn.redrawn[places].astype(float)}
 
     def layout(self, settings: Settings) -> Layout:
@@ -151,6 +166,13 @@ class Runner:
         attributes = {**settings.as_dict(), **made_by, **self.plan._asdict()}
         attributes |= {LABELS: labels, UNITS_ALONG: units}
         return Layout(columns, {"time": ("window", self.plan.window_times, "s")}, attributes)
+
+
+class _Drawn(NamedTuple):
+    """The dies of a block, and the words that key their noise."""
+
+    draw: Draw
+    words: tuple[np.ndarray, ...]
 
 
 def _joined(parts: list[np.ndarray]) -> np.ndarray:

@@ -208,7 +208,7 @@ class Spread(Shown):
         """
         items, dies = self.resolved(loop), np.asarray(dies, int)
         normal, redrawn = np.array(self._together(items, seed, dies)), np.zeros(len(dies), int)
-        drawn = self.at(loop, scenario, normal)
+        drawn = _drawn(items, loop, scenario, normal)
         bad = cannot_be(drawn.loop, loop)
         for attempt in range(1, 1 + (0 if self.points is not None else _REDRAWS)):
             places = np.flatnonzero(bad)
@@ -216,25 +216,15 @@ class Spread(Shown):
                 break
             # By die and attempt alone, as the first draw is: the same die in any company.
             normal[places], redrawn[places] = self._together(items, (seed, attempt), dies[places]), attempt
-            bad[places] = cannot_be(self.at(loop, scenario, normal[places]).loop, loop)
+            bad[places] = cannot_be(_drawn(items, loop, scenario, normal[places]).loop, loop)
         if redrawn.any():
-            drawn = self.at(loop, scenario, normal)
+            drawn = _drawn(items, loop, scenario, normal)
         _require_possible(drawn.loop, dies, bad)
         return replace(drawn, normal=normal, redrawn=redrawn)
 
     def at(self, loop: ClosedLoop, scenario: Scenario, normal: Float[np.ndarray, "dies items"]) -> "Draw":
         """Dies at given normal numbers, one column per variation; differentiable by the design values in `loop`."""
-        root, items = Root(loop, scenario), self.resolved(loop)
-        values = [
-            item.distribution.value(_number(item.read(root)), item.distribution.place(column))
-            for item, column in zip(items, np.asarray(normal).T, strict=True)
-        ]
-        if items:
-            root = root.moved(items, values)
-        stack = np.stack if is_concrete(values) else jnp.stack
-        table = stack(values, axis=1) if values else np.empty((len(normal), 0))
-        none = np.zeros(len(normal), int)
-        return Draw(root.loop, root.scenario, tuple(item.path for item in items), table, np.asarray(normal), none)
+        return _drawn(self.resolved(loop), loop, scenario, normal)
 
     def normal(self, count: int, seed: Seed, dies: np.ndarray) -> Float[np.ndarray, "dies items"]:
         """The standard normal numbers, correlated where asked for, that define the dies with these numbers."""
@@ -291,6 +281,20 @@ class Draw:
     table: Float[np.ndarray, "dies parameters"]
     normal: Float[np.ndarray, "dies items"]
     redrawn: Int[np.ndarray, " dies"]
+
+
+def _drawn(items: tuple[Vary, ...], loop: ClosedLoop, scenario: Scenario, normal: np.ndarray) -> Draw:
+    root = Root(loop, scenario)
+    values = [
+        item.distribution.value(_number(item.read(root)), item.distribution.place(column))
+        for item, column in zip(items, np.asarray(normal).T, strict=True)
+    ]
+    if items:
+        root = root.moved(items, values)
+    stack = np.stack if is_concrete(values) else jnp.stack
+    table = stack(values, axis=1) if values else np.empty((len(normal), 0))
+    none = np.zeros(len(normal), int)
+    return Draw(root.loop, root.scenario, tuple(item.path for item in items), table, np.asarray(normal), none)
 
 
 def _sized(item: Vary, device: AbstractGyro, sizes: AbstractGyro) -> Vary:

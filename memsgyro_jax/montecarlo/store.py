@@ -228,9 +228,14 @@ class Memory:
             name: np.concatenate([part[name] for part in self._kept.values()])[: self.wanted] for name in self._kept[0]
         }
 
+    @property
+    def missing(self) -> list[int]:
+        """The blocks that are not there."""
+        return [number for number in range(-(-self.wanted // self._block)) if number not in self._kept]
+
     def unfinished(self) -> Iterator[int]:
         """Numbers of the blocks to be computed and written, one after another."""
-        yield from range(-(-self.wanted // self._block))
+        yield from self.missing
 
     def write(self, number: int, rows: dict[str, np.ndarray]) -> None:
         """Keep block `number`."""

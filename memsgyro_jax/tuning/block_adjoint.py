@@ -14,9 +14,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from memsgyro_jax.loop import engine
-from memsgyro_jax.loop.blocks.length import lengths
 from memsgyro_jax.loop.blocks.run import BlockCourse, Span, crossing, run_in_blocks
-from memsgyro_jax.loop.loop import ClosedLoop
 
 from .adjoint import Carry, Flat, Judgement, Kept, Numbers, Portion, apart, flat_of
 
@@ -112,13 +110,3 @@ class PortionInBlocks(Portion):
     def _crossed(self) -> tuple[Span, Bool[np.ndarray, " blocks"]]:
         """Where the blocks lie, and before which of them maps are made."""
         return crossing(*self.design, self.timing.blocks * self.timing.block, np.asarray(self.sizes))
-
-
-def sizes_of(loop: ClosedLoop, samples: int) -> tuple[int, tuple[int, ...]]:
-    """How many samples of a run go one by one, and the sizes of the blocks behind them."""
-    blocks = loop.blocks
-    if blocks is None:
-        return samples, ()
-    start, lead = blocks.first(samples)
-    rest = (samples - start - lead) // blocks.length
-    return start, tuple(lengths(start, lead, blocks.length, 1, rest).ravel().tolist())

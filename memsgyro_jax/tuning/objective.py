@@ -18,14 +18,14 @@ from jaxtyping import Array, Bool, Float
 
 from memsgyro_jax.base.provenance import fingerprint
 from memsgyro_jax.loop import noise
-from memsgyro_jax.loop.blocks.run import statistics
+from memsgyro_jax.loop.blocks.run import sizes_of, statistics
 from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.scenario import Scenario
 from memsgyro_jax.montecarlo import batch as lot
 from memsgyro_jax.montecarlo.spread import AbstractDistribution, Spread
 
 from .adjoint import Portion, Timing
-from .block_adjoint import PortionInBlocks, sizes_of
+from .block_adjoint import PortionInBlocks
 from .descent import Judged
 from .losses import AbstractLoss
 from .tunable import Tunables

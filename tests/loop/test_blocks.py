@@ -193,6 +193,36 @@ def test_the_same_noise_gives_the_same_rate_of_two_masses():
     np.testing.assert_allclose(found["rate_std_end"], plain["rate_std_end"], rtol=2e-3)
 
 
+# The force that holds 1 µm on each mode against its damping.
+ON_BOTH_MODES = mg.OpenLoop((mg.Tone(2893.0, 6.8e-8), mg.Tone(3758.8, 1.04e-7)))
+
+
+def test_tones_on_modes_ask_for_ramps():
+    for controller, ramps in ((ON_BOTH_MODES, True), (LOOP.controller, False), (mg.OpenLoop(), False)):
+        assert prepared(replace(LOOP, controller=controller).in_blocks())[0].blocks.ramps is ramps
+
+
+@pytest.mark.slow
+def test_the_same_noise_gives_the_same_rate_under_tones_on_both_modes():
+    loop = replace(LOOP, controller=ON_BOTH_MODES)
+    found = lot(replace(loop, blocks=Blocks(512, projected=True)))
+    assert difference(found, lot(loop)) < 0.005  # 0.011 without the ramps
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "loop", [LOOP, TWO_MASSES, replace(LOOP, controller=ON_BOTH_MODES)], ids=["one", "two", "tones"]
+)
+def test_the_bound_by_blocks_is_that_of_samples(loop):
+    settings = {"duration": 0.32, "prior": loop.observer.prior, "known": loop.observer.known}
+    plain = mg.information_bound(loop, 1.0, windows=1, **settings)
+    found, last = (mg.information_bound(loop.in_blocks(), 1.0, windows=windows, **settings) for windows in (8, 1))
+    assert (found.time.shape, found.time[-1]) == ((8,), pytest.approx(0.32))
+    np.testing.assert_allclose(last.std[-1], found.std[-1], rtol=1e-9)
+    np.testing.assert_allclose(last.rate_std, plain.rate_std, rtol=2e-3)
+    np.testing.assert_allclose(last.std, plain.std, rtol=2e-2)
+
+
 def test_a_length_is_a_power_of_two():
     with pytest.raises(mg.InputError, match="power of two, but 500"):
         LOOP.in_blocks(500)

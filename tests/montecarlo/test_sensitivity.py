@@ -175,7 +175,7 @@ def test_every_corner_is_run_and_the_worst_is_first(loop, tmp_path, monkeypatch)
     settings = {"sigmas": 2.0, "repeats": 2, "of": (drawn(0),), **SHORT}
     found = mg.corners(loop, PAIR, **settings, out=tmp_path)
     with monkeypatch.context() as patch:
-        patch.setattr(Runner, "batches", None)  # what is in the store is not computed again
+        patch.setattr(Runner, "_run", None)  # what is in the store is not computed again
         again = mg.corners(loop, PAIR, **settings, out=tmp_path, resume=True)
     assert repr(again) == repr(found)
     assert found.complete

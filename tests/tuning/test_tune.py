@@ -98,7 +98,7 @@ def test_a_killed_call_goes_on_to_the_same_bits(tuned, study, folder, monkeypatc
         raise AssertionError("an evaluation that was kept was computed again")
 
     monkeypatch.setattr(objective.Objective, "_computed", never)
-    monkeypatch.setattr(Runner, "batches", never)
+    monkeypatch.setattr(Runner, "_run", never)
     again = mg.tune(**study.tune_arguments, keep=folder)
     assert [n.value for n in again.numbers] == [n.value for n in tuned[0].numbers]
     assert repr(again) == repr(tuned[0])

@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from memsgyro_jax.base.concrete import is_concrete
+from memsgyro_jax.base.concrete import is_concrete, settled
 from memsgyro_jax.base.fields import Scalar
-from memsgyro_jax.device.gyro import Dynamics
+from memsgyro_jax.device.gyro import AbstractGyro, Dynamics, mode_frequencies
 
 from ..controllers.base import AbstractLinearController, Tone
 from ..observers.base import AbstractObserver, Clock, Estimate
@@ -65,10 +65,25 @@ def law_of(
     return jnp.stack(columns, axis=1)
 
 
+def strikes_modes(controller: AbstractLinearController, gyro: AbstractGyro) -> bool:
+    """Whether a tone lies so near a mode that the motion of some die grows from sample to sample; where that is not
+    known, too.
+    """
+    struck = settled([tone.frequency for tone in tones_of(controller)])
+    modes = mode_frequencies(settled(gyro))
+    if not is_concrete(struck, modes):
+        return bool(struck)
+    return any(np.any(np.abs(frequency / np.ravel(modes) - 1.0) < _NEAR) for frequency in np.hstack([*struck, []]))
+
+
+_NEAR = 0.3  # of a mode: three standard deviations of one whose stiffness and mass vary by 15 %
+
+
 def pulsations(
-    controller: AbstractLinearController, dynamics: Dynamics, groups: Groups, lanes: Lanes
+    controller: AbstractLinearController, dynamics: Dynamics, groups: Groups, lanes: Lanes, apart: Scalar | None
 ) -> tuple[Float[Array, "frequencies lanes"], Float[Array, "tones lanes"]]:
-    """ω [rad/s] of all that swings, and of the tones alone.
+    """ω [rad/s] of all that swings, and of the tones alone; with one more for each mode, by `apart` [rad/s] higher: the
+    difference of two such neighbours is a ramp times a sine, as a tone on a mode drives it.
 
     No derivative: any frequencies give consistent statistics, these the fullest.
     """
@@ -79,7 +94,8 @@ def pulsations(
     heard = [2.0 * jnp.pi * over_lanes(tones[group[0]].frequency, lanes) for group in groups]
     others = [2.0 * jnp.pi * over_lanes(frequency, lanes) for frequency in own]
     tonal = jnp.stack(heard) if heard else jnp.zeros((0, *lanes))
-    return jax.lax.stop_gradient(jnp.stack([*modes, *heard, *others])), tonal
+    beside = [] if apart is None else [mode + apart for mode in modes]
+    return jax.lax.stop_gradient(jnp.stack([*modes, *heard, *others, *beside])), tonal
 
 
 def rows_of_readout(readout: AbstractReadout, lanes: Lanes) -> Float[Array, "2 4 lanes"]:

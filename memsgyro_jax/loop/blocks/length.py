@@ -35,13 +35,17 @@ class Blocks(Displayed):
     None is 512 for one mass and 2048 for two, whose coefficients show themselves later. `projected`
     takes the noise of the very samples that the loop would draw one by one, instead of drawing a block's statistics: as
     dear as they are, for comparison. `alike` are the tones, counted along x and then y, that share a frequency; None
-    where that is not known. Raises `InputError` for a length that is no power of two, and a start below 1.
+    where that is not known. `ramps` projects the samples on the modes times a ramp too, which the motion holds where a
+    tone drives them; None adds them there.
+
+    Raises `InputError` for a length that is no power of two, and a start below 1.
     """
 
     length: int = eqx.field(static=True, default=512)
     start: int | None = eqx.field(static=True, default=None)
     projected: bool = eqx.field(static=True, default=False)
     alike: tuple[tuple[int, ...], ...] | None = eqx.field(static=True, default=None)
+    ramps: bool | None = eqx.field(static=True, default=None)
 
     def __check_init__(self):
         if self.length < 2 or self.length & (self.length - 1):

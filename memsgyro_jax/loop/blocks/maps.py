@@ -16,6 +16,7 @@ the motion gathers. At the end the sums are whitened (`basis`). ∂E/∂θ is th
 """
 
 import math
+from collections.abc import Callable
 from functools import partial, reduce
 from operator import add
 from typing import Any, NamedTuple
@@ -25,7 +26,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from memsgyro_jax.base.fields import Scalar
-from memsgyro_jax.device.gyro import Dynamics
+from memsgyro_jax.device.gyro import Dynamics, MotionModel
 
 from ..loop import ClosedLoop
 from ..observers.base import AbstractBlockObserver
@@ -58,6 +59,9 @@ class Maps(NamedTuple):
     unexpected: Float[Array, "k 2 u lanes"]
 
 
+_APART = 0.1  # rad over a whole block, by which neighbours differ: a ramp to a twentieth, told from rounding
+
+
 def maps_of(
     loop: ClosedLoop, dynamics: Dynamics, theta: tuple[Scalar, ...], groups: Groups, period: Scalar,
     doublings: tuple[Array, int], lanes: Lanes, backwards: bool = False,
@@ -67,7 +71,8 @@ def maps_of(
     """
     observer: Any = loop.observer
     law = law_of(loop.controller, observer, theta, groups, period, lanes)
-    pulsation, tonal = pulsations(loop.controller, observer.model.assemble(theta), groups, lanes)
+    apart = _APART / (2 ** doublings[1] * period) if loop.blocks and loop.blocks.ramps else None
+    pulsation, tonal = pulsations(loop.controller, observer.model.assemble(theta), groups, lanes, apart)
     angles = pulsation * period
     free, step, turned = _sample(observer, theta, law, period, lanes)
     estimated = jnp.concatenate([step, _turning(tonal * period, lanes)])
@@ -96,7 +101,7 @@ def maps_of(
         ),
     )
 
-    _, gram, to, sums = (_level_by_level if backwards else _at_once)(start, doublings)
+    _, gram, to, sums = _level_by_level(start, doublings) if backwards else _at_once(_doubled, start, doublings)
     whiten = basis.whitening(gram)
     white = partial(multiplied, whiten)
     unexpected = jnp.concatenate([white(part.joined) for part in (sums.own, sums.driven, sums.pushed)], axis=2)
@@ -106,6 +111,82 @@ def maps_of(
         jnp.concatenate([to.own, to.driven, to.pushed], axis=1),
         white(sums.free.joined), white(sums.turned.joined), unexpected,
     )  # fmt: skip
+
+
+class TrueMaps(NamedTuple):
+    """Of the truth alone, over a block and with all its p coefficients: how a change of its start goes on by `free` and
+    one of a coefficient by `turned`, and what the read-out shows of both, white; `ones` as of `Maps`.
+    """
+
+    ones: Float[Array, "k lanes"]
+    free: Float[Array, "4 4 lanes"]
+    turned: Float[Array, "4 p u lanes"]
+    seen_free: Float[Array, "k 2 4 lanes"]
+    seen_turned: Float[Array, "k 2 p u lanes"]
+
+
+def true_maps_of(
+    loop: ClosedLoop, model: MotionModel, dynamics: Dynamics, theta: tuple[Scalar, ...], period: Scalar,
+    doublings: tuple[Array, int], lanes: Lanes,
+) -> TrueMaps:  # fmt: skip
+    """How what is true of a device with `dynamics` could be otherwise by the coefficients of `model`, while the command
+    stays that of a filter which believes `theta`. By the same doubling, with u for w.
+    """
+    observer: Any = loop.observer
+    groups: Any = loop.blocks and loop.blocks.alike
+    law = law_of(loop.controller, observer, theta, groups, period, lanes)
+    pulsation, tonal = pulsations(loop.controller, dynamics, groups, lanes, None)
+    angles = pulsation * period
+    estimated = jnp.concatenate([_sample(observer, theta, law, period, lanes)[1], _turning(tonal * period, lanes)])
+    own, driven, pushed = _true_sample(loop, dynamics, law, period, lanes)
+    size = len(estimated)
+    nothing = lambda rows, columns: jnp.zeros((rows, columns, *lanes))  # noqa: E731
+    whole = jnp.concatenate([
+        jnp.concatenate([own, driven, pushed], axis=1),
+        jnp.concatenate([nothing(size, 4), estimated, nothing(size, 1)], axis=1),
+        nothing(1, size + 5).at[0, -1].set(1.0),
+    ])  # fmt: skip
+    sample = loop.discretisation.transition(dynamics.stiffness, dynamics.velocity, period)
+    commanded = jnp.concatenate([nothing(2, 4), law, nothing(2, 1)], axis=1)
+    acting = over_lanes(dynamics.gain, lanes)[:, None] * commanded
+    acting = acting.at[:, -1].set(over_lanes(dynamics.bias, lanes))
+    terms = [coefficient.terms for coefficient in model.coefficients]
+    turned = _turned_in_a_sample(sample.nodes, terms, acting, commanded, lanes)
+    shows, turn, one = rows_of_readout(loop.readout, lanes), Turn(jnp.cos(angles), jnp.sin(angles)), basis.at(angles)
+    start = _TrueDoubling(
+        turn, one[:, None] * one[None], own, whole, turned,
+        Sums.first(turn, multiplied(shows, own)), Sums.first(turn, multiplied(shows, turned)),
+    )  # fmt: skip
+    done = _at_once(_truly_doubled, start, doublings)
+    whiten = basis.whitening(done.gram)
+    seen = (multiplied(whiten, part.joined) for part in (done.seen_free, done.seen_turned))
+    return TrueMaps(multiplied(whiten, done.gram[:, 0]), done.free, done.turned, *seen)
+
+
+class _TrueDoubling(NamedTuple):
+    """b_m, G_m, F, B and T of m samples, O and N."""
+
+    turn: Turn
+    gram: Array
+    free: Array
+    whole: Array
+    turned: Array
+    seen_free: Sums
+    seen_turned: Sums
+
+
+def _truly_doubled(half: _TrueDoubling) -> _TrueDoubling:
+    """Over 2m samples from over m."""
+    turn, gram, free, whole, turned, seen, seen_turned = half
+    return _TrueDoubling(
+        turn.twice,
+        basis.gram_twice(gram, turn),
+        multiplied(free, free),
+        multiplied(whole, whole),
+        multiplied(free, turned) + multiplied(turned, whole),
+        _later(turn, seen, _through(seen, free)),
+        _later(turn, seen_turned, _through(seen, turned), _through(seen_turned, whole)),
+    )
 
 
 class _Ends(NamedTuple):
@@ -139,11 +220,11 @@ class _Doubling(NamedTuple):
     seen: _Seen
 
 
-def _at_once(start: _Doubling, doublings: tuple[Array, int]) -> _Doubling:
-    """Of a whole block."""
+def _at_once(double: Callable, start: Any, doublings: tuple[Array, int]) -> Any:
+    """Of a whole block, from what is `start` of a sample."""
 
-    def level(half: _Doubling, passed: Array) -> tuple[_Doubling, None]:
-        return jax.lax.cond(passed < doublings[0], _doubled, lambda whole: whole, half), None
+    def level(half: Any, passed: Array) -> tuple[Any, None]:
+        return jax.lax.cond(passed < doublings[0], double, lambda whole: whole, half), None
 
     return jax.lax.scan(level, start, jnp.arange(doublings[1]))[0]
 
@@ -214,14 +295,23 @@ def _sample(
     pushed = over_lanes(dynamics.gain, lanes)[:, None] * law
     free = over_lanes(sample.full, lanes)
     step = multiplied(over_lanes(sample.push, lanes), pushed).at[:, :4].add(free)
-    slopes = jnp.zeros((4, len(observer.estimated), *step.shape[1:]))
-    for node in sample.nodes:
+    terms = [observer.model.coefficients[index].terms for index in observer.estimated]
+    return free, step, _turned_in_a_sample(sample.nodes, terms, pushed, law, lanes)
+
+
+def _turned_in_a_sample(
+    nodes: Any, terms: list, pushed: Array, law: Array, lanes: Lanes
+) -> Float[Array, "4 p w lanes"]:
+    """∂E/∂θ of coefficients with these `terms`: where what acts accelerates by `pushed` w and is commanded by `law` w,
+    of which the motion is the first four.
+    """
+    slopes = jnp.zeros((4, len(terms), *pushed.shape[1:]))
+    for node in nodes:
         reached = multiplied(over_lanes(node.push, lanes), pushed).at[:, :4].add(over_lanes(node.reach, lanes))
         kick, signals = over_lanes(node.kick, lanes), jnp.concatenate([reached, law])
-        terms = [observer.model.coefficients[index].terms for index in observer.estimated]
         each = [sum(f * kick[:, None, axis] * signals[None, signal] for axis, signal, f in term) for term in terms]
         slopes = slopes + jnp.stack(each, axis=1) if each else slopes
-    return free, step, slopes
+    return slopes
 
 
 def _true_sample(

@@ -8,10 +8,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from memsgyro_jax.base.concrete import is_concrete
-from memsgyro_jax.device.gyro import DualMassGyro, Scalar
+from memsgyro_jax.device.gyro import DualMassGyro, MotionModel, Scalar
 
 from .. import engine, noise
 from ..controllers.base import AbstractLinearController
@@ -22,9 +22,9 @@ from ..scenario import Constant, Scenario
 from . import basis
 from .advance import Facts, advanced
 from .algebra import over_lanes
-from .law import Lanes, same_frequency, tones_of
-from .length import ONE_MASS, TWO_MASSES, Blocks, Pace, renewals
-from .maps import Maps, maps_of
+from .law import Lanes, same_frequency, strikes_modes, tones_of
+from .length import ONE_MASS, TWO_MASSES, Blocks, Pace, lengths, renewals
+from .maps import Maps, TrueMaps, maps_of, true_maps_of
 
 
 BLOCK_STREAM = 2  # of `noise.normal_pair`
@@ -61,6 +61,8 @@ def prepared(loop: ClosedLoop, apart: bool = False) -> tuple[ClosedLoop, tuple[s
         blocks = replace(blocks, start=_pace(loop).start)
     if blocks.alike is None:
         blocks = replace(blocks, alike=same_frequency(loop.controller, apart))
+    if blocks.ramps is None:
+        blocks = replace(blocks, ramps=strikes_modes(loop.controller, loop.device))
     return replace(loop, blocks=blocks), _approximations(loop, blocks)
 
 
@@ -83,7 +85,7 @@ def statistics(loop: ClosedLoop) -> int:
     """How many a block has of each channel."""
     controller: Any = loop.controller
     blocks: Any = loop.blocks
-    return 1 + 2 * (2 + len(blocks.alike) + len(controller.frequencies))
+    return 1 + 2 * (2 + len(blocks.alike) + len(controller.frequencies) + 2 * bool(blocks.ramps))
 
 
 def run_in_blocks(
@@ -132,6 +134,16 @@ def run_in_blocks(
     (state, memory, _, alive, survived), outputs = engine.scan_in_groups(window, carry, len(sizes))
     joined = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), begun.outputs, outputs)
     return engine.Run(state, memory, joined, alive, survived)
+
+
+def sizes_of(loop: ClosedLoop, samples: int) -> tuple[int, tuple[int, ...]]:
+    """How many samples of a run go one by one, and the sizes of the blocks behind them."""
+    blocks = loop.blocks
+    if blocks is None:
+        return samples, ()
+    start, lead = blocks.first(samples)
+    rest = (samples - start - lead) // blocks.length
+    return start, tuple(lengths(start, lead, blocks.length, 1, rest).ravel().tolist())
 
 
 class Span(NamedTuple):
@@ -219,6 +231,15 @@ class BlockCourse(eqx.Module):
         dynamics = loop.device.dynamics(middle.inertial)
         return maps_of(loop, dynamics, theta, blocks.alike, self.period, doublings, self.lanes, self.backwards)
 
+    def true_maps(self, state: LoopState, model: MotionModel, span: Span) -> TrueMaps:
+        """How the truth could be otherwise, in the coefficients of `model`."""
+        loop = self.loop
+        middle = self.scenario.at((span.before + 0.5 * span.length) * self.period)
+        theta = loop.observer.estimate(state.observer).theta
+        doublings = span.doublings, self.longest.bit_length() - 1
+        dynamics = loop.device.dynamics(middle.inertial)
+        return true_maps_of(loop, model, dynamics, theta, self.period, doublings, self.lanes)
+
     def block(self, state: LoopState, maps: Maps, span: Span) -> tuple[LoopState, Sample]:
         """The state a block later, and what can be recorded there."""
         loop, lanes = self.loop, self.lanes
@@ -227,7 +248,7 @@ class BlockCourse(eqx.Module):
         middle = before * self.period + 0.5 * elapsed
         drift = self.scenario.at(middle).offset_drift
         facts = Facts(
-            tones=self._tones(before * self.period),
+            tones=self.tones(before * self.period),
             offset=over_lanes(loop.readout.clean((0.0,) * 4, drift), lanes),
             fixed=over_lanes(observer.prior.offset, lanes),
             normal=self._normal(maps, span),
@@ -253,7 +274,7 @@ class BlockCourse(eqx.Module):
         taken = clock._replace(period=span.length * period)
         return state._replace(output=output), Sample(taken, conditions, state.motion, volts, force, estimate, rate)
 
-    def _tones(self, time: Scalar) -> Array:
+    def tones(self, time: Scalar) -> Float[Array, "2·tones lanes"]:
         """Sines and cosines of the groups of tones at `time`."""
         tones, entries = tones_of(self.loop.controller), []
         for group in self.blocks.alike:

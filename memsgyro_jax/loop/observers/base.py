@@ -152,7 +152,8 @@ class AbstractCovarianceObserver(AbstractObserver[State]):
     @property
     def known(self) -> tuple[str, ...]:
         """Names of what is taken as known."""
-        return tuple(name for name in (*MOTION, *self.model.names, *OFFSETS) if name not in self.states)
+        estimated = self.states
+        return tuple(name for name in (*MOTION, *self.model.names, *OFFSETS) if name not in estimated)
 
     def error(
         self, state: State, motion: State4, offset: Pair, theta: tuple[Scalar, ...]
