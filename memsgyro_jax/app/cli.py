@@ -7,6 +7,7 @@ can mend is one sentence and exit status 2.
 
 import contextlib
 import functools
+import gc
 import logging
 import os
 import signal
@@ -14,6 +15,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from types import FrameType
 
 import cyclopts
 
@@ -137,7 +139,11 @@ class _Terminated(BaseException):
 def _told_to_end() -> Iterator[None]:
     """SIGTERM ends this process as Ctrl-C does, so that it tidies up, and not where it stands."""
 
-    def end(*_: object) -> None:
+    def end(number: int, frame: FrameType | None) -> None:
+        if frame is not None and frame.f_code in {getattr(call, "__code__", None) for call in gc.callbacks}:
+            # Python would report what is raised there, and go on.
+            threading.Timer(0.01, os.kill, (os.getpid(), number)).start()
+            return
         raise _Terminated
 
     if threading.current_thread() is not threading.main_thread():  # only there Python takes signals

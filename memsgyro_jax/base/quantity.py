@@ -60,10 +60,10 @@ class In:
         return number if self.unit == "1" else f"{number!r} {self.unit}"
 
 
-def quantity_schema(unit: str = "") -> dict[str, Any]:
-    """JSON schema of a quantity in `unit`, or in any."""
+def quantity_schema(unit: str = "", **more: dict[str, Any]) -> dict[str, Any]:
+    """JSON schema of a quantity in `unit`, or in any; its table may have keys `more`."""
     pair = {"value": {"type": "number"}, "unit": {"type": "string"}}
-    table = {"type": "object", "properties": pair, "required": [*pair], "additionalProperties": False}
+    table = {"type": "object", "properties": pair | more, "required": [*pair], "additionalProperties": False}
     text = {"type": "string", "pattern": rf"^\s*{NUMBER}", "description": f"a number and a unit like {unit or 'V'}"}
     return {"anyOf": [text, table, *([{"type": "number"}] if unit == "1" else [])]}
 
@@ -88,7 +88,7 @@ def number_and_unit(given: Any) -> tuple[float, str]:
     """Number and unit (empty where there is none) of a quantity as a file holds it."""
     if isinstance(given, dict):
         if set(given) != {"value", "unit"} or not isinstance(given["unit"], str):
-            raise ValueError('must be a table of "value" and "unit", for example { value = 1.8e-7, unit = "kg" }')
+            raise ValueError(f'must be a table of "value" and "unit", for example {_example(given)}{_foreign(given)}')
         return _number(given["value"]), given["unit"]
     if isinstance(given, str):
         match = _TEXT.fullmatch(given)
@@ -96,6 +96,18 @@ def number_and_unit(given: Any) -> tuple[float, str]:
             raise ValueError(f'must be a number with a unit, for example "100 kHz", but is "{printable(given, 60)}"')
         return decimal(match["number"]), match["unit"].strip()
     return _number(given), ""
+
+
+def _example(given: dict[str, Any]) -> str:
+    """The table as it may stand, in the user's own numbers where they are there."""
+    number, unit = given.get("value", 1.8e-7), given.get("unit", "kg")
+    good = isinstance(number, int | float) and isinstance(unit, str)
+    return f'{{ value = {number:g}, unit = "{printable(unit, 20)}" }}' if good else '{ value = 1.8e-7, unit = "kg" }'
+
+
+def _foreign(given: dict[str, Any]) -> str:
+    others = sorted(set(given) - {"value", "unit"})
+    return f", without {printable(', '.join(others), 60)}" if others else ""
 
 
 def _number(given: Any, what: str = "a number with a unit") -> float:

@@ -116,6 +116,12 @@ def to_si(value: Any, unit: str, expected: str, name: str) -> Any:
     return found
 
 
+def base_powers(unit: str) -> dict[str, float]:
+    """Powers of the SI base units ("kilogram", "meter", "ampere", ...) in a unit; raises `InputError` for none."""
+    found = _registry().Quantity(1.0, _parse(unit, "the number")).to_base_units().units
+    return {str(name): float(power) for name, power in dict(found._units).items()}
+
+
 def without_roots(unit: str) -> str:
     """A unit as pint reads it, which reads a root as nothing: V/√Hz is V/(Hz)**0.5."""
     return _ROOT.sub(lambda match: f"({next(filter(None, match.groups()))})**0.5", unit)

@@ -9,6 +9,7 @@ import numpy as np
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.effects import Effect, Scanned, catalogue
+from memsgyro_jax.measurement.calibration import calibration_share
 from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.least_squares import gate
 from memsgyro_jax.measurement.linear_start import starting_device
@@ -17,6 +18,7 @@ from memsgyro_jax.measurement.readings import model_of, readings_of
 
 from .drift_in_time import with_drift_alone
 from .fit import CaseFit
+from .instrument import drive_levels
 from .joint_residual import Joint
 from .next_experiment import advice, next_experiments
 from .nuisances import instrument_first, of_instrument, terms_of
@@ -25,7 +27,7 @@ from .outlying import Rows, search_beside_outlying, without_rows
 from .result import SIGMAS_SEEN, Accepted, Candidate, Diagnosis, Stage, Verdict, validation_error
 from .rounds import FITTED, search_on
 from .score import basis, score, separation
-from .search import CONFUSED, Ranking, Search, start_search
+from .search import CONFUSED, Ranking, Search, SearchStep, start_search
 from .wrong_noise import wrong_noise
 
 
@@ -42,6 +44,7 @@ def diagnose(
     effects: Sequence[Effect] = (),
     level: float = 0.05,
     tell: Callable[[str], None] = lambda text: None,
+    keep: Callable[[CaseFit, Sequence[Stage]], None] = lambda fit, stages: None,
 ) -> Diagnosis:
     """Find what is missing from a model of a case.
 
@@ -51,6 +54,7 @@ def diagnose(
         effects: the user's own, beside the catalogue.
         level: probability that anything is reported where nothing is missing.
         tell: is called with a sentence as the search goes on.
+        keep: is called with the best fit so far and how it came, after every step that is a better one.
 
     Raises:
         InputError: in float32, for a level outside 0 to 1, or effects that do not suit the device.
@@ -68,6 +72,7 @@ def diagnose(
             tell("leave out " + _of_rows(case, left_out))
         kept = Joint(joint.model, without_rows(joint.readings, left_out))
         search = start_search(case, kept, (1 - RECORDS) * level, range(len(start.effects)), tell)
+        search.keep = _keep_better(search, keep)
         search.own = tuple(i for i, e in enumerate(joint.model.effects) if e.label in {own.label for own in effects})
         return search
 
@@ -83,7 +88,7 @@ def diagnose(
     final = search.steps[-1].fit
     tell("see what these records can tell apart")
     confused = _confusions(search, ranking)
-    accepted, scale = _accepted(search, confused, steps), _scale(final)
+    accepted, scale = _accepted(search, confused, steps), final.scale
     explained = _explained(final, accepted, level)
     noise: Mapping[str, float] = {}
     if not all(explained) and all(_explained(final, accepted, level, wrong := wrong_noise(final))):
@@ -93,7 +98,7 @@ def diagnose(
     terms = _accepted(search, {place: [] for place in terms_of(search)}, steps)
     apart = _of_device(search)
     verdict = _verdict(steps[apart - 1].fit, final, accepted, all(explained), bool(terms))
-    stages = tuple(Stage(s.added, s.fit.chi2_per_dof, validation_error(s.fit)) for s in steps)
+    stages = _stages(steps)
     if verdict == "unknown_effect":  # what was tried is no finding: the model stays the base model and its instrument
         final, accepted, stages, tried = steps[apart - 1].fit, (), stages[:apart], stages[apart : apart + NAMED]
         terms = _terms_in(final, search, steps[:apart])
@@ -109,7 +114,7 @@ def diagnose(
         final=final,
         verdict=verdict,
         sentence=_sentence(verdict, accepted, final, explained)
-        + of_instrument(terms, rival)
+        + of_instrument(terms, rival, drive_levels(case))
         + _of_noise(noise)
         + (f" Left out as outlying: {_of_rows(case, left_out)}." if left_out else ""),
         accepted=tuple(a.scaled(scale) for a in accepted),
@@ -124,7 +129,7 @@ def diagnose(
         tried=tried,
         outlying={case.records[number].name: rows for number, rows in left_out.items()},
         instrument=tuple(a.scaled(scale) for a in terms),
-        scale=_scale(final),
+        scale=final.scale,
     )
 
 
@@ -134,6 +139,24 @@ def _drifts_as_well(base: CaseFit, final: CaseFit, accepted: Sequence[Accepted],
     if drifting is None or drifting.optimum.chi2 > final.optimum.chi2 + CONFUSED:
         return False
     return all(_explained(drifting, accepted, level))
+
+
+def _stages(steps: Sequence[SearchStep]) -> tuple[Stage, ...]:
+    return tuple(Stage(s.added, s.fit.chi2_per_dof, validation_error(s.fit)) for s in steps)
+
+
+def _keep_better(begun: Search, keep: Callable[[CaseFit, Sequence[Stage]], None]) -> Callable[[Search], None]:
+    """Keeps the steps of a search that is better than all before it."""
+    least = [begun.base.chi2_per_dof]
+    keep(begun.base, _stages(begun.steps))
+
+    def better(search: Search) -> None:
+        fit = search.steps[-1].fit
+        if fit.chi2_per_dof < least[0]:
+            least[0] = fit.chi2_per_dof
+            keep(fit, _stages(search.steps))
+
+    return better
 
 
 def _of_device(search: Search) -> int:
@@ -153,12 +176,6 @@ def _start(model, case: Case) -> Model:
     if isinstance(model, Model):
         return model
     return model_of(case, starting_device(case) if model is None else model)
-
-
-def _scale(fit: CaseFit) -> float:
-    """Factor of standard deviations: what is left over the noise, where it is more than noise."""
-    dof = fit.optimum.dof
-    return float(np.sqrt(fit.chi2_per_dof)) if fit.chi2_per_dof > gate(dof) else 1.0
 
 
 def _of_noise(noise: Mapping[str, float]) -> str:
@@ -237,6 +254,7 @@ def _accepted(search: Search, confused: Mapping[int, Iterable[int]], steps) -> t
                     error_after=validation_error(steps[where].fit),
                     confused_with=tuple(search.joint.model.effects[i].label for i in confused[place]),
                     numbers=_numbers(search, place),
+                    calibration=calibration_share(search.case, effect.unit),
                 ),
             )
         )

@@ -15,17 +15,20 @@ from memsgyro_jax.base.labelled import Tabular
 from memsgyro_jax.base.text import combination, suggestion
 from memsgyro_jax.device.gyro import SingleMassGyro
 from memsgyro_jax.device.resonator import Resonator
+from memsgyro_jax.effects import InstrumentTerm
 from memsgyro_jax.effects.base import Effect
+from memsgyro_jax.measurement.calibration import calibration_share
 from memsgyro_jax.measurement.case import AbstractRecord, Case
 from memsgyro_jax.measurement.experiments import Deviation
 from memsgyro_jax.measurement.experiments.missing_force import MissingForce
-from memsgyro_jax.measurement.least_squares import above
+from memsgyro_jax.measurement.least_squares import above, gate
 from memsgyro_jax.measurement.linear_start import starting_device
 from memsgyro_jax.measurement.model import Model, check_effect
 from memsgyro_jax.measurement.readings import Readings, model_of, readings_of
 
 from .fit_table import fit_table
 from .fitted import ParameterEstimate, RecordError, errors_figure
+from .instrument import knowledge
 from .joint_residual import Joint, Parameter
 from .optimum import Optimum, optimise
 from .resolved import sharpened
@@ -144,13 +147,23 @@ class CaseFit(Tabular):
         return self.optimum.chi2 / (count - self.optimum.free.size)
 
     @property
+    def scale(self) -> float:
+        """Factor of standard deviations: what is left over the noise, where it is more than noise."""
+        return float(np.sqrt(self.chi2_per_dof)) if self.chi2_per_dof > gate(self.optimum.dof) else 1.0
+
+    @property
     def estimates(self) -> tuple[ParameterEstimate, ...]:
         """The parameters that were free."""
         names: tuple[Parameter, ...] = self.joint.parameters
         return tuple(
-            ParameterEstimate(names[i].name, float(self.optimum.vector[i]), float(std), names[i].unit)
+            ParameterEstimate(
+                names[i].name, float(self.optimum.vector[i]), float(std), names[i].unit, self._calibration(i)
+            )
             for i, std in zip(self.optimum.free, self.optimum.std, strict=True)
         )
+
+    def _calibration(self, place: int) -> float:
+        return calibration_share(self.case, self.joint.parameters[place].unit)
 
     @property
     def null_directions(self) -> tuple[str, ...]:
@@ -252,7 +265,9 @@ def fit_case(
     base = model if model is not None else model_of(case, starting_device(case))
     for effect in effects:
         check_effect(effect, base.axes)
-    joint = Joint(base.with_effect(*effects), readings_of(case))
+    whole = base.with_effect(*effects)
+    known = knowledge([effect for effect in whole.effects if isinstance(effect, InstrumentTerm)])
+    joint = Joint(whole, (*readings_of(case), *known))
     vector, places = joint.start, _free_places(joint, fixed)
     alone = np.intersect1d(joint.base(), places)
     if 0 < alone.size < places.size and not held:

@@ -60,17 +60,25 @@ class RecordError:
         }
 
 
+def with_calibration(share: float) -> str:
+    """What stands behind a number whose calibration is unsure by that share; empty for none."""
+    return f" (statistical), ± {100 * share:.2g} % with the calibration" if share else ""
+
+
 @dataclass(frozen=True)
 class ParameterEstimate:
-    """A parameter of the model with its standard deviation (infinite where the records do not hold it)."""
+    """A parameter of the model with its standard deviation (infinite where the records do not hold it), and the share
+    of it that the calibration of read-out and drive leaves unsure beside.
+    """
 
     name: str
     value: float
     std: float
     unit: str
+    calibration: float = 0.0
 
     def __str__(self) -> str:
-        return f"{self.name:<24} {self.value: .6g} ± {self.std:.2g} {self.unit}"
+        return f"{self.name:<24} {self.value: .6g} ± {self.std:.2g} {self.unit}{with_calibration(self.calibration)}"
 
     def to_dict(self) -> dict[str, Any]:
         """The entry of a JSON file."""

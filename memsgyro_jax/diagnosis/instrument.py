@@ -150,6 +150,12 @@ class _Groups:
         return out
 
 
+def drive_levels(case: Case) -> int:
+    """How many levels of the drive the records have."""
+    drives = [getattr(record, "setting", None) for record in case.records]
+    return len({float(level) for drive in drives if drive is not None for level in np.ravel(drive)})
+
+
 def _together(groups: Sequence[set[Place]]) -> list[set[Place]]:
     """All places as one group; none where there is none."""
     return [set().union(*groups)] if groups else []

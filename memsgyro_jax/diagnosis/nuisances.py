@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy import special
 
-from memsgyro_jax.effects import Effect, InstrumentTerm
+from memsgyro_jax.effects import TERMS, Effect, InstrumentTerm, Scanned
 from memsgyro_jax.measurement.least_squares import gate
 
 from .acceptance import excess
@@ -76,10 +76,7 @@ def instrument_first(
 def _beside(alone: Search, search: Search, effects: Sequence[Effect], go_on) -> tuple[Search, Ranking]:
     """The search for effects of the device beside terms of the instrument, those taken out that it makes needless."""
     beside = beside_terms(alone, search, effects)
-    whole, ranking = go_on(beside, beside.rank())
-    if whole.accepted:
-        take_out(whole)
-    return whole, ranking
+    return go_on(beside, beside.rank())
 
 
 def _best_effect(search: Search, first: Ranking) -> tuple[str, Optimum] | None:
@@ -105,11 +102,13 @@ def terms_of(search: Search) -> list[int]:
     return [i for i in search.given if search.joint.model.effects[i].of_instrument]
 
 
-def of_instrument(terms: Sequence[Accepted], rival: str) -> str:
-    """Sentences on what the instrument does; empty where it does nothing."""
+def of_instrument(terms: Sequence[Accepted], rival: str, levels: int) -> str:
+    """Sentences on what the instrument does, at how many levels of the drive; empty where it does nothing."""
     if not terms:
         return ""
     also = f" These records cannot tell it from {rival}." if rival else ""
+    if levels > 1 and {term.name for term in terms} <= {kind.name for kind in TERMS if kind.in_proportion}:
+        also += f" What that explains grows in proportion at all {levels} levels of the drive: it is not the device."
     return f" The instrument: {'; '.join(map(_numbers_of, terms))}.{also}"
 
 
@@ -134,6 +133,11 @@ def instrument_alone(search: Search, first: Ranking, best: tuple[str, Optimum] |
     promise = promised(search.optimum, offers_of(search.steps[-1].fit, terms), SHARE * search.level)
     if not _explains_more(search, first, promise, best):
         return None
+    return _chosen_terms(search, terms, promise)
+
+
+def _chosen_terms(search: Search, terms: Sequence[InstrumentTerm], promise: Promise) -> Search | None:
+    """The present model with those of some terms that a fit favours, of those that are promised; `None` where none."""
     wanted = {terms[i].label for i in promise.worth_a_fit}
     for _ in range(AGAIN):
         search.tell("try what the instrument may have done: " + ", ".join(sorted(wanted)))
@@ -148,6 +152,32 @@ def instrument_alone(search: Search, first: Ranking, best: tuple[str, Optimum] |
     return alone
 
 
+def instrument_between(search: Search, ranking: Ranking) -> Search | None:
+    """The same search beside terms of the instrument, where they are as good an answer to what the effects found so far
+    leave as any further effects; `None` where they are not.
+
+    An effect that stands out hides what the instrument does, and what imitates the instrument must not come before it.
+    """
+    held = _labels(search, search.given)
+    terms = [term for term in instrument_terms(search.case) if term.label not in held]
+    promise = promised(search.optimum, offers_of(search.steps[-1].fit, terms), SHARE * search.level) if terms else None
+    if promise is None or not promise.chosen or promise.gain < LITTLE * excess(search.optimum):
+        return None
+    device = _promised_by_effects(search, ranking)
+    roughly = EVIDENT + ROUGHLY * promise.gain
+    if device is not None and promise.worth < device.worth - roughly:
+        return None
+    alone = _chosen_terms(search, terms, promise)
+    if alone is None:
+        return None
+    if device is not None and device.chosen and device.worth > promise.worth - roughly:
+        rival = search.refit([*search.accepted, *(ranking.places[i] for i in device.chosen)])
+        if _cost(rival) + EVIDENT < _cost(alone.optimum):
+            return None
+    effects = [search.joint.model.effects[i] for i in search.candidates()]
+    return beside_terms(alone, search, [effect for effect in effects if not isinstance(effect, Scanned)])
+
+
 def _with_terms(search: Search, terms: Sequence[InstrumentTerm]) -> Search:
     """A search to which the effects of another are given, with those of some terms that help beyond chance."""
     model = search.joint.at(search.optimum.vector)
@@ -157,8 +187,22 @@ def _with_terms(search: Search, terms: Sequence[InstrumentTerm]) -> Search:
     given = range(len(present))
     optimum = optimise(joint, joint.start, always_free(joint, given), joint.fitted, max_evaluations=0)
     alone = Search(beside_case(search.case, joint, optimum), SHARE * search.level, given, search.tell)
+    alone.steps = list(search.steps)
     add_terms(alone, alone.rank())
+    _simplify(alone)
     return alone
+
+
+def _simplify(alone: Search) -> None:
+    """Give all records one number again where each got its own while more was missing, if that costs nothing now."""
+    effects = alone.joint.model.effects
+    for place in [i for i in alone.accepted if effects[i].where]:
+        same = [i for i in alone.candidates() if effects[i].name == effects[place].name and not effects[i].where]
+        for other in same:
+            instead = [other if i == place else i for i in alone.accepted]
+            fewer = alone.refit(instead, start=alone.without(place))
+            if _cost(fewer) <= _cost(alone.optimum):
+                alone.exchange(place, other, fewer)
 
 
 def _explains_more(search: Search, first: Ranking, promise: Promise, best: tuple[str, Optimum] | None) -> bool:
@@ -170,10 +214,7 @@ def _explains_more(search: Search, first: Ranking, promise: Promise, best: tuple
     missing = excess(search.optimum)
     if not promise.chosen or search.accepted:  # then effects have had their turn
         return bool(promise.chosen) and promise.gain >= LITTLE * missing
-    low, high = search.joint.bounds
-    blocks = [search.joint.of_effect(i) for i in first.places]
-    offers = [Offer(s, low[b], high[b], np.full(b.size, np.inf)) for s, b in zip(first.slopes, blocks, strict=True)]
-    device = promised(search.optimum, offers, search.level) if offers else None
+    device = _promised_by_effects(search, first)
     if device is None or not device.chosen:
         return True
     if best is not None and _leaves_noise(best[1]):
@@ -181,6 +222,14 @@ def _explains_more(search: Search, first: Ranking, promise: Promise, best: tuple
         return promise.worth >= single - np.log(search.optimum.residual.size) - EVIDENT - ROUGHLY * single
     share = RIVAL if device.gain >= RIVAL * missing else FAINT
     return promise.gain >= max(share * device.gain, MOSTLY * missing)
+
+
+def _promised_by_effects(search: Search, ranking: Ranking) -> Promise | None:
+    """What further effects of the device promise; `None` where there is none."""
+    low, high = search.joint.bounds
+    blocks = [search.joint.of_effect(i) for i in ranking.places]
+    offers = [Offer(s, low[b], high[b], np.full(b.size, np.inf)) for s, b in zip(ranking.slopes, blocks, strict=True)]
+    return promised(search.optimum, offers, search.level) if offers else None
 
 
 def add_terms(search: Search, ranking: Ranking) -> None:
@@ -233,10 +282,10 @@ def beside_terms(alone: Search, search: Search, effects: Sequence[Effect]) -> Se
     free = always_free(joint, range(len(given) + len(found)))
     optimum = optimise(joint, joint.start, free, joint.fitted, max_evaluations=0)
     out = Search(beside_case(alone.case, joint, optimum), search.level, range(len(given)), alone.tell)
-    out.base, out.accepted = search.base, accepted
-    out.steps = [search.steps[0], *alone.steps]
-    out.steps = [step for k, step in enumerate(out.steps) if k == 0 or step.added]
+    out.base, out.accepted, out.keep = search.base, accepted, search.keep
+    out.steps = list(alone.steps)
     out.own = tuple(i for i, e in enumerate(joint.model.effects) if e.label in _labels(search, search.own))
+    out.keep(out)
     return out
 
 

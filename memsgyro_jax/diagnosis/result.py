@@ -1,6 +1,6 @@
 """What a diagnosis found: verdict, effects, candidates, groups that cannot be told apart, and what to measure next."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Literal
 
@@ -17,7 +17,7 @@ from memsgyro_jax.measurement.model import Model
 
 from .fit import CaseFit
 from .fit_table import errors_table, parameters_table, readings_table
-from .fitted import errors_figure
+from .fitted import errors_figure, with_calibration
 
 
 if TYPE_CHECKING:
@@ -41,6 +41,7 @@ class Accepted:
         error_before, error_after: root mean square of validation residual over noise before and after it was added.
         confused_with: labels of effects that these records cannot tell from it.
         numbers: its further numbers by name: value, standard deviation and unit.
+        calibration: share of the strength that the declared tolerances of the scales leave unsure, beside `std`.
     """
 
     name: str
@@ -53,6 +54,7 @@ class Accepted:
     error_after: float
     confused_with: tuple[str, ...] = ()
     numbers: Mapping[str, tuple[float, float, str]] = field(default_factory=dict)
+    calibration: float = 0.0
 
     @property
     def label(self) -> str:
@@ -182,7 +184,7 @@ class Diagnosis(Labelled):
         for a in (*self.instrument, *self.accepted):
             value = ", ".join(f"{e:.5g} ± {s:.2g}" for e, s in zip(a.estimate, a.std, strict=True))
             more = "".join(f", {name} {v:.6g} ± {s:.2g} {unit}" for name, (v, s, unit) in a.numbers.items())
-            lines.append(f"  {a.label}: {value} {a.unit}{more}" + _confused(a))
+            lines.append(f"  {a.label}: {value} {a.unit}{with_calibration(a.calibration)}{more}" + _confused(a))
         if self.accepted and self.scale > 1.0:
             lines.append(f"  (standard deviations times {self.scale:.3g}, as the model leaves more than the noise)")
         if self.tried:
@@ -258,6 +260,21 @@ class Diagnosis(Labelled):
         return json_text(self.to_dict())
 
 
+def unfinished(fit: CaseFit, stages: Sequence[Stage]) -> dict:
+    """What is known of a case while its diagnosis goes on, in the schema of its result."""
+    added = ", ".join(stage.added for stage in stages if stage.added) or "nothing"
+    entries = {
+        "schema": "memsgyro-diagnosis/1",
+        "case": fit.case.name,
+        "verdict": "unfinished",
+        "sentence": f"The diagnosis has not ended; added so far: {added}.",
+        "final": _fit(fit),
+        "steps": [asdict(stage) for stage in stages],
+        "versions": dict(versions()),
+    }
+    return finite(entries)
+
+
 def _effects_table(found: "Diagnosis") -> dict[str, tuple]:
     """Accepted effects and terms of the instrument over `effect`, a row for each component of a strength."""
     every = [(a, k) for a in (*found.accepted, *found.instrument) for k in range(len(a.estimate))]
@@ -317,5 +334,6 @@ def _accepted(a: Accepted) -> dict:
         "validation_error_before": a.error_before,
         "validation_error_after": a.error_after,
         "confused_with": list(a.confused_with),
+        "calibration": a.calibration,
         "numbers": {name: {"value": v, "std": s, "unit": unit} for name, (v, s, unit) in a.numbers.items()},
     }

@@ -11,6 +11,7 @@ from memsgyro_jax.measurement.model import Model
 from .acceptance import excess
 from .fit import beside_case
 from .joint_residual import Joint
+from .nuisances import instrument_between, take_out
 from .optimum import Optimum
 from .resolved import sharpened
 from .scans import refined, scan, scans
@@ -27,6 +28,9 @@ def search_on(search: Search, ranking: Ranking) -> tuple[Search, Ranking]:
     """Rounds from a ranking of the present model until nothing more stays; returns the last search and its ranking."""
     scanned: set[tuple[int, ...]] = set()
     for _ in range(ROUNDS):
+        beside = instrument_between(search, ranking) if search.accepted and not _is_noise(search) else None
+        if beside is not None:
+            search, ranking = beside, beside.rank()
         found, model = search.best(ranking), tuple(search.accepted)
         open_ = not _is_noise(search) and model not in scanned
         if open_ and (found is None or not (model or _takes_most(search, found[1]))):
@@ -45,6 +49,8 @@ def search_on(search: Search, ranking: Ranking) -> tuple[Search, Ranking]:
         ranking = search.rank()
     before = list(search.accepted)
     search.prune()
+    if search.accepted:
+        take_out(search)
     return search, ranking if before == search.accepted else search.rank()
 
 

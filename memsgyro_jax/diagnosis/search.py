@@ -61,6 +61,7 @@ class Search:
         self.case, self.joint, self.level, self.tell, self.given = base.case, base.joint, level, tell, tuple(given)
         self.optimum, self.base = base.optimum, base
         self.own: tuple[int, ...] = ()
+        self.keep: Callable[[Search], None] = lambda search: None  # is told of every step
         self.accepted: list[int] = []
         self.unseen: frozenset[int] | None = None
         self._refits: dict[tuple[int, ...], tuple[Joint, Optimum, int, Optimum]] = {}
@@ -227,6 +228,7 @@ class Search:
             SearchStep(self.joint.model.effects[place].label, beside_case(self.case, self.joint, optimum))
         )
         self.tell(f"added {self.joint.model.effects[place].label}: χ²/dof {self.steps[-1].fit.chi2_per_dof:.4g}")
+        self.keep(self)
 
     def exchange(self, place: int, other: int, optimum: Optimum) -> None:
         """Put another effect in the place of one that was accepted."""
@@ -283,6 +285,7 @@ class Search:
         optimum = optimise(joint, optimum.vector, free, joint.fitted)
         out = Search(self.steps[-1].fit, self.level, self.given, self.tell)
         out.base, out.steps, out.optimum, out.own = self.base, list(self.steps), self.optimum, self.own
+        out.keep = self.keep
         out.joint, out.accepted = joint, list(self.accepted)
         if out.refuses(place, optimum):
             return None

@@ -51,10 +51,12 @@ class InstrumentTerm(Effect):
         entry: (records, sweeps, k) how much of each number a row takes.
 
     `prior` is the standard deviation that each number has before anything is measured, `None` where nothing is known.
+    `in_proportion` says whether what it adds grows as the drive or the readings do, at all levels by the same factor.
     `of` says which rows share a number where a term may have it both ways: empty for one number for all.
     """
 
     of_instrument: ClassVar[bool] = True
+    in_proportion: ClassVar[bool] = False
     prior: ClassVar[float | None] = None
     entry: AbstractVar[Array]
 

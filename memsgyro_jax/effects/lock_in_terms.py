@@ -44,6 +44,7 @@ class ReferencePhase(InstrumentTerm, LockInEffect):
     """The reference of the lock-in is turned by s_k rad, in all records or in each. Zero: it is the drive itself."""
 
     name, unit, law = "reference_phase", "rad", "V → V·exp(i·s_k)"
+    in_proportion: ClassVar[bool] = True
     strength: Array = strength((0.0,), low=-1.0, high=1.0)
     entry: Array = row_field((((0.0,),),))
     of: str = eqx.field(static=True, default="")
@@ -78,6 +79,7 @@ class LockInFeedthrough(InstrumentTerm, LockInEffect):
     """
 
     name, unit, law = "lock_in_feedthrough", "V/N", "V → V + s_k·u"
+    in_proportion: ClassVar[bool] = True
     strength: Array = strength((0.0,))
     entry: Array = row_field((((0.0,),),))
 

@@ -52,6 +52,7 @@ class Readout:
         unit: of the records, "V", or "1" (digital units), or any other that they are in.
         order: n, what is read: 0 displacement, 1 velocity, 2 acceleration.
         displacement: unit of the displacement; empty where it is the usual one of the device.
+        tolerance: relative standard deviation of the scale; zero where it is taken for exact.
     """
 
     scale: float
@@ -59,6 +60,7 @@ class Readout:
     unit: str = "V"
     order: int = 0
     displacement: str = ""
+    tolerance: float = 0.0
 
     def motion(self, phasors: np.ndarray, omega: np.ndarray | float) -> np.ndarray:
         """Displacement phasors that phasors (n, channels) of the record stand for at `omega` (n,) [rad/s]."""
@@ -72,10 +74,12 @@ class Drive:
     Args:
         unit: "N", "V" or "A"; records hold it in newtons once `scale` is known.
         scale: newtons per `unit`; `None` where it is not known, and then part of the gain that a fit finds.
+        tolerance: relative standard deviation of the scale; zero where it is taken for exact.
     """
 
     unit: str
     scale: float | None = None
+    tolerance: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,9 @@ from .imported_record import Given, ImportedRecord, records_of
 
 _LOCK_IN = "V(t) = Re[(I + i Q) exp(i w t)] for a drive F cos(w t); amplitudes are peak values"
 
+_PLURAL = {"frequency_sweep": "sweeps", "free_decay": "decays", "time_record": "records over time"}
+Level = tuple[float, str]
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ImportedCase(Shown):
@@ -34,18 +37,20 @@ class ImportedCase(Shown):
         case: as `load_case` reads it.
         formats: of each file.
         records: where each experiment comes from, and what was assumed of it.
+        unused: drive levels that no record needs, each with its file.
     """
 
     case: Case
     formats: tuple[str, ...]
     records: tuple[ImportedRecord, ...]
+    unused: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         lines = [f"{self.case.folder}: {len(self.records)} records from {', '.join(dict.fromkeys(self.formats))}"]
         lines.append(str(self.case))
         for sentence, names in _shared(self.records).items():
-            where = "" if len(names) == len(self.records) else f" ({listed(names)})"
-            lines.append(f"Assumed: {sentence}{where}.")
+            lines.append(f"Assumed: {sentence}{_of(names, self.records)}.")
+        lines += [f"Not used: {level}." for level in self.unused]
         return "\n".join(lines)
 
     def to_dict(self) -> dict[str, Any]:
@@ -85,7 +90,8 @@ def import_case(
         columns: ``"f=Frequency (Hz),x_I=X [V],..."``, role to column, where names do not tell. Roles: f, t, x_I, x_Q,
             x_amp, x_phase, x, F_x, u_x, T, V_bias, rate; a unit overrides the file's, and a factor may stand before the
             name, ``t=1e-3*count [s]``. Columns that are not named are not used.
-        drive: level with its unit where no column has it, like ``"20 mV"``: one for all files or one for each.
+        drive: level with its unit where no column has it, like ``"20 mV"``: one for all files, one for each, or one for
+            each that needs it; ``"-"`` stands for a file that needs none.
         reference: frequency of a lock-in that recorded over time, like ``"32.768 kHz"``.
         overwrite: writes over a case that is there.
 
@@ -100,25 +106,56 @@ def import_case(
         raise InputError("Argument `paths` must hold at least one file, but is empty.")
     if (folder.exists() and not folder.is_dir()) or (folder.is_dir() and any(folder.iterdir()) and not overwrite):
         raise InputError(f"{folder} must be a new or empty folder, but exists; choose another, or give `--overwrite`.")
-    if len(drive) not in (0, 1, len(paths)):
-        raise InputError(
-            f"Option `--drive` must be given once or for each of {len(paths)} files, but has {len(drive)}."
-        )
     said = parse_map(columns) if columns else {}
-    levels = [_amount(text, "--drive") for text in drive]
+    given = [None if text == "-" else _amount(text, "--drive") for text in drive]
     tuned = _amount(reference, "--reference") if reference else None
-    formats, records = [], []
-    for number, path in enumerate(map(Path, paths)):
-        form, tables = read_instrument_file(path)
-        level = levels[number if len(levels) > 1 else 0] if levels else None
-        formats.append(form)
-        records += _records(tables, said, Given(level, tuned))
-    records = _named(records)
-    case = _write(folder, records, [Path(path).name for path in paths])
-    return ImportedCase(case, tuple(formats), tuple(records))
+    read = [read_instrument_file(Path(path)) for path in paths]
+    found = [_records(tables, said, Given(None, tuned)) for _, tables in read]
+    swept = [
+        any(record.kind == "frequency_sweep" and "drive_force" in record.keys for record in some) for some in found
+    ]
+    levels = _levels(given, swept)
+    for k, level in enumerate(levels):
+        if level is not None and swept[k]:
+            found[k] = _records(read[k][1], said, Given(level, tuned))
+    names = [Path(path).name for path in paths]
+    unused = [
+        f"the drive of {level[0]:g} {level[1]}, as {name} does not need it"
+        for level, name, needs in zip(levels, names, swept, strict=True)
+        if level and not needs and len(given) > 1
+    ]
+    records = _named([record for some in found for record in some])
+    case = _write(folder, records, names)
+    return ImportedCase(case, tuple(form for form, _ in read), tuple(records), tuple(unused))
 
 
-def _amount(text: str, option: str) -> tuple[float, str]:
+def _levels(given: Sequence[Level | None], swept: Sequence[bool]) -> list[Level | None]:
+    """The level of each file, of which those that are `swept` without a column for it need one."""
+    if len(given) <= 1:
+        return [given[0] if given else None] * len(swept)
+    if len(given) == len(swept):
+        return list(given)
+    if len(given) == sum(swept):
+        left = iter(given)
+        return [next(left) if needs else None for needs in swept]
+    raise InputError(
+        f"Option `--drive` must be given once, for each of {len(swept)} files (`-` for one that needs no level), or "
+        f"for each of the {sum(swept)} that need one, but has {len(given)}."
+    )
+
+
+def _of(names: Sequence[str], records: Sequence[ImportedRecord]) -> str:
+    """Which records a sentence is about, in brackets; nothing where it is about all."""
+    if len(names) == len(records):
+        return ""
+    kinds = {record.kind for record in records if record.name in names}
+    every = [record.name for record in records if record.kind in kinds]
+    if len(kinds) == 1 and len(every) == len(names) > 1:
+        return f" (all {_PLURAL[kinds.pop()]})"
+    return f" ({listed(names)})"
+
+
+def _amount(text: str, option: str) -> Level:
     try:
         number, unit = number_and_unit(text)
     except ValueError as error:

@@ -31,6 +31,7 @@ _SILENT = 0.01  # of the largest drive: nothing
 _QUIET_SHARE = 0.15  # of the rows at the end without drive: a free decay
 _FEWEST = 50  # rows of a record over time
 _LOUD = 0.9  # of the largest envelope: the decay has not begun
+_EARLY = 0.88  # of the usual fall: an envelope that falls by so much in its first quarter falls from the start
 _CLEAR = 30.0  # degrees around which the phase at resonance tells what is read
 _LEVEL = re.compile(r"(?<![A-Za-z0-9.])(\d+(?:[.p]\d+)?)[ _]?([nuµm]?[VAN])(?:pk|p)?(?![A-Za-z])")
 
@@ -247,7 +248,7 @@ def _decay(about: dict, columns: dict[str, SourceColumn], assumed: list[str]) ->
     """A waveform that dies out, from where its envelope was last near its largest."""
     signal, time = columns["Vx"].values, columns["t"]
     envelope = _envelope(signal - np.mean(signal))
-    begin = int(np.flatnonzero(envelope >= _LOUD * envelope.max())[-1])
+    begin = 0 if _falls_from_the_start(envelope) else int(np.flatnonzero(envelope >= _LOUD * envelope.max())[-1])
     if len(signal) - begin < _FEWEST:
         raise InputError(
             f"{about['source']}: a record over time without a drive must be a vibration that dies away, but its "
@@ -302,5 +303,16 @@ def _stamps(time: SourceColumn, assumed: list[str]) -> dict[str, Any]:
 
 def _envelope(signal: np.ndarray) -> np.ndarray:
     """Root mean square over a fiftieth of the record around each row."""
-    width = max(len(signal) // 50, 3)
-    return np.sqrt(np.convolve(signal**2, np.ones(width) / width, mode="same"))
+    every = np.ones(max(len(signal) // 50, 3))
+    return np.sqrt(np.convolve(signal**2, every, mode="same") / np.convolve(np.ones(len(signal)), every, mode="same"))
+
+
+def _falls_from_the_start(envelope: np.ndarray) -> bool:
+    """Whether a free decay has begun before the first row: until it has halved it falls by nearly as much in the first
+    quarter as in the others, while one that is kept up first falls later.
+    """
+    half = int(np.argmax(envelope < 0.5 * envelope[0]))
+    quarter = half // 4
+    if quarter < max(len(envelope) // 50, 3):
+        return False
+    return bool(4.0 * np.log2(envelope[0] / envelope[quarter]) > _EARLY)

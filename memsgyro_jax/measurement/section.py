@@ -15,6 +15,13 @@ class Amount(NamedTuple):
     unit: str
 
 
+class Calibration(NamedTuple):
+    """A number with its unit and the relative standard deviation with which it is known, as written."""
+
+    amount: Amount
+    tolerance: float = 0.0
+
+
 def _amount(given: Any) -> Amount:
     if isinstance(given, Amount):
         return given
@@ -26,6 +33,18 @@ def _amount(given: Any) -> Amount:
     return Amount(number, unit)
 
 
+def _calibration(given: Any) -> Any:
+    if isinstance(given, Calibration):
+        return given
+    tolerance = 0.0
+    if isinstance(given, dict) and "tolerance" in given:
+        tolerance = given["tolerance"]
+        given = {key: value for key, value in given.items() if key != "tolerance"}
+        if isinstance(tolerance, bool) or not isinstance(tolerance, int | float) or not 0.0 <= tolerance < 1.0:
+            raise ValueError("must have a relative `tolerance` from 0 to 1, for example tolerance = 0.05")
+    return Calibration(_amount(given), float(tolerance))
+
+
 def _name(given: Any) -> Any:
     if isinstance(given, str) and (not given.isprintable() or given != given.strip() or not given):
         raise ValueError(f"must be printable text without blanks at its ends, but is {given!r}")
@@ -33,6 +52,9 @@ def _name(given: Any) -> Any:
 
 
 Quantity = Annotated[Amount, BeforeValidator(_amount), WithJsonSchema(quantity_schema())]
+Calibrated = Annotated[
+    Calibration, BeforeValidator(_calibration), WithJsonSchema(quantity_schema(tolerance={"type": "number"}))
+]
 Name = Annotated[str, BeforeValidator(_name)]
 Axis = Literal["x", "y"]
 

@@ -1,5 +1,6 @@
 """Surroundings that are not what one hopes for: a sentence and the documented exit status, or the same result."""
 
+import gc
 import os
 import signal
 import time
@@ -60,6 +61,24 @@ def test_a_sweep_that_is_told_to_end_tidies_up(tmp_path, capsys, monkeypatch, nu
     assert capsys.readouterr().err == sentence
     assert [file.name for file in (tmp_path / "out").iterdir()] == ["dies.zarr"]
     assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
+
+
+def test_an_end_asked_for_while_python_collects_waits_until_it_has():
+    """What a signal raises in a callback of the collector is reported and passed over."""
+
+    def collected(phase, info):
+        if phase == "start":
+            os.kill(os.getpid(), signal.SIGTERM)
+        else:
+            gc.callbacks.remove(collected)
+
+    def ended():
+        gc.callbacks.append(collected)
+        gc.collect()
+        time.sleep(5.0)
+
+    with pytest.raises(cli._Terminated), cli._told_to_end():
+        ended()
 
 
 def test_who_has_no_home_keeps_no_cache(monkeypatch):

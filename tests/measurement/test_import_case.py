@@ -170,3 +170,31 @@ def test_wrong_options_are_one_sentence(options, what, sweeps, tmp_path, capsys)
         cli.main(["import", *map(str, sweeps), "--out", str(tmp_path / "case"), *options])
     assert ended.value.code == 2
     assert what in capsys.readouterr().err
+
+
+def falling(path):
+    """A waveform of a scope that falls from its first row."""
+    time = np.arange(4000) / 20e3
+    values = np.exp(-20.0 * time) * np.cos(2 * np.pi * 3200.0 * time)
+    path.write_text(
+        "Time;Channel A\n(s);(V)\n\n" + "\n".join(f"{t:.6f};{v:.6f}" for t, v in zip(time, values, strict=True))
+    )
+    return path
+
+
+def test_levels_are_for_the_files_that_need_one(sweeps, tmp_path):
+    """Three levels for three sweeps and a decay, which keeps all of its rows: they tell most where it is strongest."""
+    plain = [path.rename(tmp_path / f"file{k}.csv") for k, path in enumerate(sweeps)]
+    files = [*plain, falling(tmp_path / "scope.txt")]
+    found = mg.import_case(files, tmp_path / "case", drive=("1 mV", "2 mV", "3 mV"))
+    *swept, decay = found.case.records
+    np.testing.assert_allclose([record.drive[0] for record in swept], np.repeat([1e-3, 2e-3, 3e-3], 2))
+    assert decay.time[0] == 0.0
+    assert len(decay.time) == 4000
+    assert "(all sweeps)" in str(found)
+    dashed = mg.import_case(files, tmp_path / "dashed", drive=("1 mV", "2 mV", "3 mV", "-"))
+    assert dashed.unused == ()
+    more = mg.import_case(files, tmp_path / "more", drive=("1 mV", "2 mV", "3 mV", "4 mV"))
+    assert "Not used: the drive of 4 mV, as scope.txt does not need it." in str(more)
+    with pytest.raises(mg.InputError, match="`-` for one that needs no level"):
+        mg.import_case(files, tmp_path / "two", drive=("1 mV", "2 mV"))

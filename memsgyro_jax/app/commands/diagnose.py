@@ -11,6 +11,8 @@ from .cases import cases_in, only_of_folders, over_cases
 
 
 if TYPE_CHECKING:
+    from memsgyro_jax.diagnosis.fit import CaseFit
+    from memsgyro_jax.diagnosis.result import Stage
     from memsgyro_jax.effects import Effect
     from memsgyro_jax.measurement.case import AbstractRecord, Case
     from memsgyro_jax.measurement.model import Model
@@ -49,8 +51,8 @@ def diagnose_command(
         level: probability that an effect is reported where none is missing.
         out: file for the fitted model, for `memsgyro compare --model`; of many cases the folder, `diagnose-out` without
             this option, for the model, the result and the page of each and for the table. What is there is not done
-            again.
-        json: file for the machine-readable result, of many cases for their table.
+            again. Of a single case the best model so far is there after each step.
+        json: file for the machine-readable result, unfinished after each step, of many cases for their table.
         report: file for a page with the ranking, the curves and the residual.
         jobs: how many of many cases are diagnosed at a time.
         dask: address of a Dask scheduler whose workers diagnose many cases, one a task, and write into the folder.
@@ -65,6 +67,7 @@ def diagnose_command(
     look_for(case, model, effects, kinds)
     from memsgyro_jax.base.files import json_text, write_whole
     from memsgyro_jax.diagnosis.diagnose import diagnose
+    from memsgyro_jax.diagnosis.result import unfinished
     from memsgyro_jax.effects import load_effects
     from memsgyro_jax.measurement.model_file import model_text
     from memsgyro_jax.measurement.user_kinds import load_kinds
@@ -76,8 +79,17 @@ def diagnose_command(
     measured = load_demo_or(case, load_kinds(kinds) if kinds else ())
     own = load_effects(effects, measured.channels) if effects else ()
     start = None if model is None else _start(model, measured, own)
+
+    def keep(fit: "CaseFit", stages: "Sequence[Stage]") -> None:
+        if out is not None:
+            model = fit.model.present
+            bare = model.with_only(effect for effect in model.effects if not effect.of_instrument)
+            write_whole(out, "# unfinished: the best model so far\n" + model_text(bare))
+        if json is not None:
+            write_whole(json, json_text(unfinished(fit, stages)) + "\n")
+
     with told() as tell:
-        found = diagnose(start, measured, effects=own, level=level, tell=tell)
+        found = diagnose(start, measured, effects=own, level=level, tell=tell, keep=keep)
     texts: list[tuple[Path, str]] = []
     if out is not None:
         texts.append((out, model_text(found.model)))

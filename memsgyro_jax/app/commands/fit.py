@@ -22,7 +22,8 @@ def fit_command(
 
     Args:
         case: folder with a case.toml and the CSV files that it names, or the word demo for the one that comes along.
-        add: names of effects, each with its variant ("cubic_stiffness x") or alone for all its variants.
+        add: names of effects, each with its variant ("cubic_stiffness x") or alone for all its variants, and of what
+            the instrument does: reference_phase, lock_in_feedthrough, lock_in_background, gain_drift and others.
         effects: a Python file with effects of your own, at the strengths to start from. It is run: trust it first.
         kinds: a Python file with kinds of measurement of your own. It is run: trust it first.
         out: file for the fitted model, for `memsgyro compare --model` and for the device of a study.
@@ -30,23 +31,29 @@ def fit_command(
     """
     look_for(case, effects, kinds)
     from memsgyro_jax.base.files import write_json
+    from memsgyro_jax.base.text import listed
     from memsgyro_jax.diagnosis.fit import fit_case
+    from memsgyro_jax.diagnosis.instrument import instrument_terms
     from memsgyro_jax.effects import catalogue, load_effects
     from memsgyro_jax.measurement.model_file import write_model
     from memsgyro_jax.measurement.user_kinds import load_kinds
 
     from ..report.fit_text import fit_entries, fit_text, named_effects, placed_by_scan
     from .options import require_writable
+    from .progress import told
 
     require_writable(out, json)
     measured = load_demo_or(case, load_kinds(kinds) if kinds else ())
     own = load_effects(effects, measured.channels, as_written=True) if effects else ()
-    chosen = named_effects(add, (*catalogue(measured.channels), *own))
-    before = fit_case(measured)
-    after = fit_case(measured, [placed_by_scan(effect, before) for effect in chosen])
+    chosen = named_effects(add, (*catalogue(measured.channels), *own, *instrument_terms(measured)))
+    with told() as tell:
+        tell("fit the base model")
+        before = fit_case(measured)
+        tell(f"base model: χ²/dof {before.chi2_per_dof:.4g}; fit it with {listed([e.label for e in chosen])}")
+        after = fit_case(measured, [placed_by_scan(effect, before) for effect in chosen])
     print(fit_text(before, after))
     if out is not None:
-        write_model(after.model, out)
+        write_model(after.model.with_only(e for e in after.model.effects if not e.of_instrument), out)
         print(f"{out} is the fitted device, for `compare --model` and for the section [device] of a study")
     if json is not None:
         write_json(json, fit_entries(before, after))

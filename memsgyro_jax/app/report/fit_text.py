@@ -1,6 +1,7 @@
 """What effects added to a fit have helped, for people and for machines."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -35,6 +36,7 @@ def named_effects(names: Sequence[str], known: Sequence[Effect]) -> tuple[Effect
         if word in places and number and words[number - 1] in labels:
             continue
         same = [effect for effect in known if effect.name == word]
+        same = [effect for effect in same if not effect.where] or same  # a term for all records, not one for each
         if following in places or not same:
             same = [by_name(word, following if following in places else "", among=known)]
         found += [effect for effect in same if effect.label not in {f.label for f in found}]
@@ -66,7 +68,10 @@ def fit_text(before: CaseFit, after: CaseFit) -> str:
     chi2 = f"χ²/dof of the fitted readings {as_times(before.chi2_per_dof)} -> {as_times(after.chi2_per_dof)}"
     lines = [f"{after.case.name}: {after.status}; {chi2}", "rms of deviation over noise:", aligned([head, *rows])]
     lines += [comparison.verdict, *(f"  {failure}" for failure in comparison.failures), "Fitted:"]
-    lines += [f"  {estimate}" for estimate in after.estimates]
+    scale = after.scale
+    lines += [f"  {replace(estimate, std=scale * estimate.std)}" for estimate in after.estimates]
+    if scale > 1.0:
+        lines.append(f"  (standard deviations times {scale:.3g}, as the model leaves more than the noise)")
     lines += [f"  {label}, held: {_listed(held)}" for label, held in _held(after).items()]
     return "\n".join(lines)
 
@@ -85,6 +90,7 @@ def fit_entries(before: CaseFit, after: CaseFit) -> dict[str, Any]:
         "explained": judged(after).explained,
         "effects": [estimates[name].to_dict() for name in of_effects],
         "held": _held(after),
+        "std_scale": after.scale,
         "parameters": [p.to_dict() for p in after.estimates if p.name not in of_effects],
         "versions": dict(versions()),
     }

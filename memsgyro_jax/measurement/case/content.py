@@ -6,6 +6,7 @@ from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.text import aligned
 
+from ..calibration import calibration_text
 from ..declared import Declared
 from ..experiments import AbstractRecord
 
@@ -35,7 +36,7 @@ class Case(Shown, Declared):
             (r.name, r.kind, r.role or "-", str(r.rows), _noise(r.noise_std, self.readout.unit), r.extent)
             for r in self.records
         ]
-        return f"{heading}\n{aligned([head, *rows])}"
+        return "\n".join(filter(None, (heading, calibration_text(self), aligned([head, *rows]))))
 
 
 def _noise(std: float | None, unit: str) -> str:

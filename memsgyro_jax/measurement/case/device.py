@@ -141,14 +141,15 @@ def readout(file: CaseFile, source: Source, recorded: str) -> Readout:
         unit, scale, length = recorded, 1.0, recorded + order * "*s"
     else:
         with source.section("readout", "scale"):
-            unit, scale, length = _record_unit(entry.scale, order, own, recorded)
+            unit, scale, length = _record_unit(entry.scale.amount, order, own, recorded)
             if scale == 0:
                 raise InputError("must not be zero")
     adc_range = None
     if entry.adc_range is not None:
         with source.section("readout", "adc_range"):
             adc_range = si(entry.adc_range, unit)
-    return Readout(scale, adc_range, unit, order, "" if (own or "V") == length else length)
+    tolerance = 0.0 if entry.scale is None else entry.scale.tolerance
+    return Readout(scale, adc_range, unit, order, "" if (own or "V") == length else length, tolerance)
 
 
 def _record_unit(scale: Amount, order: int, own: str, recorded: str) -> tuple[str, float, str]:
@@ -171,8 +172,10 @@ def drive(file: CaseFile, source: Source, recorded: str) -> Drive | None:
     if file.drive is None:
         return None if recorded in ("", usual) else Drive(recorded)
     with source.section("drive", "scale"):
-        scale = None if file.drive.scale is None else si(file.drive.scale, f"N/({file.drive.unit})", positive=False)
-    return Drive(file.drive.unit, scale)
+        scale = (
+            None if file.drive.scale is None else si(file.drive.scale.amount, f"N/({file.drive.unit})", positive=False)
+        )
+    return Drive(file.drive.unit, scale, 0.0 if file.drive.scale is None else file.drive.scale.tolerance)
 
 
 def environment(file: CaseFile, source: Source) -> Environment:

@@ -13,7 +13,7 @@ from memsgyro_jax.base.quantity import FileSection, Number
 from memsgyro_jax.base.toml import checked, read_toml
 
 from ..experiments import KINDS, AbstractRecord
-from ..section import Amount, ExperimentSection, Name, Quantity
+from ..section import Amount, Calibrated, ExperimentSection, Name, Quantity
 
 
 SCHEMA = "memsgyro-case/1"
@@ -37,7 +37,7 @@ class ReadoutEntry(FileSection):
     """Section `[readout]`."""
 
     quantity: Literal["displacement", "velocity", "acceleration"] = "displacement"
-    scale: Quantity | None = None
+    scale: Calibrated | None = None
     adc_range: Quantity | None = None
 
 
@@ -45,7 +45,7 @@ class DriveEntry(FileSection):
     """Section `[drive]`."""
 
     unit: str
-    scale: Quantity | None = None
+    scale: Calibrated | None = None
 
 
 class EnvironmentEntry(FileSection):

@@ -51,7 +51,11 @@ def write_case(case: Case, folder: str | Path) -> Path:
 def _head(case: Case) -> list[str]:
     words = case.words
     per, seen = words.displacement + case.readout.order * "/s", QUANTITIES[case.readout.order]
-    readout = {"quantity": _text(seen), "scale": _quantity(case.readout.scale, f"{case.readout.unit}/({per})")}
+    scale = _quantity(case.readout.scale, f"{case.readout.unit}/({per})", case.readout.tolerance)
+    readout = {"quantity": _text(seen), "scale": scale}
+    drive = {"unit": _text(words.force)}
+    if case.drive is not None and case.drive.tolerance:
+        drive["scale"] = _quantity(1.0, f"N/({words.force})", case.drive.tolerance)
     if case.readout.adc_range is not None:
         readout["adc_range"] = _quantity(case.readout.adc_range, case.readout.unit)
     top = {"schema": SCHEMA, "name": case.name, "description": case.description, "device": case.device}
@@ -69,7 +73,7 @@ def _head(case: Case) -> list[str]:
         "\n".join(f"{key} = {_text(value)}" for key, value in top.items()) + "\n",
         _table("design", design),
         _table("readout", readout),
-        *([_table("drive", {"unit": _text(words.force)})] if case.drive is not None else []),
+        *([_table("drive", drive)] if case.drive is not None else []),
         _table("environment", around),
         _table("conventions", {_text(key): _text(value) for key, value in case.conventions.items()}),
     ]
@@ -106,5 +110,6 @@ def _table(name: str, entries: dict[str, str]) -> str:
     return "\n".join([f"[{name}]", *(f"{key} = {value}" for key, value in entries.items())]) + "\n"
 
 
-def _quantity(value: float, unit: str) -> str:
-    return f"{{ value = {value!r}, unit = {_text(unit)} }}"
+def _quantity(value: float, unit: str, tolerance: float = 0.0) -> str:
+    known = f", tolerance = {tolerance!r}" if tolerance else ""
+    return f"{{ value = {value!r}, unit = {_text(unit)}{known} }}"
