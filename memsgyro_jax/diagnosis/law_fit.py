@@ -69,6 +69,14 @@ def with_even_part(law: DrawnLaw, fit: CaseFit) -> DrawnLaw:
     return replace(law, terms=(*law.terms, LawTerm("even_stiffness", high * strength, 1.0, None, high, low)))
 
 
+def with_held_terms(law: DrawnLaw, fit: CaseFit) -> DrawnLaw:
+    """The law without the terms whose strength a fit of it finds that the records do not hold."""
+    loose = {estimate.name.split(" ")[0] for estimate in fit.estimates if not np.isfinite(estimate.std)}
+    if law.knots or not loose & set(law.names):
+        return law
+    return replace(law, terms=tuple(t for name, t in zip(law.names, law.terms, strict=True) if name not in loose))
+
+
 def _guided(case: Case, joint: Joint) -> CaseFit:
     """The optimum of the rows that are not far off, and all rows beside it."""
     places = np.array([i for i in range(joint.start.size) if i not in joint.idle])

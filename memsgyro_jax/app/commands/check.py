@@ -35,12 +35,15 @@ def check_command(
     only_of_folders(out=out, jobs=jobs, dask=dask)
     look_for(case, kinds)
     from memsgyro_jax.diagnosis.identifiable import identifiable
+    from memsgyro_jax.measurement.beside_design import beside_design
     from memsgyro_jax.measurement.case import assess
     from memsgyro_jax.measurement.user_kinds import load_kinds
 
     measured = load_demo_or(case, load_kinds(kinds) if kinds else ())
     for part in (measured, assess(measured)):
         print(part, end="\n\n", flush=True)
+    for sentence in beside_design(measured):
+        print(sentence)
     print("What the fitted records can identify of the base model, by the size of one standard deviation:")
     for line in identifiable(measured):
         print(f"  {line}")

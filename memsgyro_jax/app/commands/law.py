@@ -43,7 +43,7 @@ def law_command(
     from memsgyro_jax.diagnosis.backbone import backbone
     from memsgyro_jax.diagnosis.fit import fit_case
     from memsgyro_jax.diagnosis.law import draw_law
-    from memsgyro_jax.diagnosis.law_fit import fit_law, with_even_part
+    from memsgyro_jax.diagnosis.law_fit import fit_law, with_even_part, with_held_terms
     from memsgyro_jax.measurement.model_file import write_model
     from memsgyro_jax.measurement.user_kinds import load_kinds
 
@@ -66,6 +66,8 @@ def law_command(
         after = fit_law(law, file)
     elif file is not None and law.names:
         after = fit_law(law, law.write(file))
+        if (held := with_held_terms(law, after)).terms and held is not law:
+            law, after = held, fit_law(held, held.write(file))
         if (whole := with_even_part(law, after)) is not law:
             law, after = whole, fit_law(whole, whole.write(file))
     if edited is None:

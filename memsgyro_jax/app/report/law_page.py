@@ -5,7 +5,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from memsgyro_jax.diagnosis.backbone import Backbone
-from memsgyro_jax.diagnosis.compare import as_times
+from memsgyro_jax.diagnosis.compare import as_times, judged
 from memsgyro_jax.diagnosis.fit import CaseFit
 from memsgyro_jax.diagnosis.law import DrawnLaw
 
@@ -20,17 +20,22 @@ _SURE = 6.0  # times the middle half of the points around the curve: those beyon
 def law_page(curve: Backbone, law: DrawnLaw, before: CaseFit, after: CaseFit) -> Page:
     """Build the page of a law."""
     out = Page(f"Law drawn from {law.measured.name}", law.measured.description)
+    comparison, words = judged(after), law.measured.words
+    out.text(comparison.verdict)
+    for line in str(law).splitlines():
+        out.text(line.strip())
     out.section("Frequency and damping against amplitude")
     out.figure(
-        backbone_figure(curve), "Points: each row or stretch of a record by itself. Band: two standard deviations."
+        backbone_figure(curve, words.displacement),
+        "Points: each row or stretch of a record by itself. Band: two standard deviations.",
     )
     out.section("Forces")
     out.figure(
-        force_figure(curve),
+        force_figure(curve, words.displacement, words.force),
         "Force beyond the straight line through the origin that fits best. Grey: below the smallest amplitude seen, "
         "where the curve extrapolates towards rest; beyond its end nothing was seen.",
     )
-    out.section("The law").text(str(law))
+    out.section("What the law helps")
     out.table(
         ["experiment", "role", "base model", "with the law"],
         [[b.name, b.role, as_times(b.rms), as_times(a.rms)] for b, a in zip(before.errors, after.errors, strict=True)],
@@ -43,8 +48,8 @@ def law_page(curve: Backbone, law: DrawnLaw, before: CaseFit, after: CaseFit) ->
     return out
 
 
-def backbone_figure(curve: Backbone) -> Figure:
-    """Frequency and damping over amplitude, a colour per record."""
+def backbone_figure(curve: Backbone, length: str) -> Figure:
+    """Frequency and damping over amplitude in its unit, a colour per record."""
     figure = blank(3.6)
     left, right = figure.subplots(1, 2)
     amplitude = curve.points[:, 0]
@@ -65,31 +70,32 @@ def backbone_figure(curve: Backbone) -> Figure:
             mine = near & (curve.records == record)
             ax.plot(amplitude[mine], points[mine], ".", ms=4, alpha=0.6, label=record)
         _curve(ax, curve.amplitude, values, std)
-        ax.set_xlabel("amplitude [m, V for a resonator]")
+        ax.set_xlabel(f"amplitude [{length}]")
         ax.set_ylabel(label)
         ax.ticklabel_format(axis="y", useOffset=False)
+        ax.ticklabel_format(axis="x", style="sci", scilimits=(-2, 4))
     if len(set(curve.records)) > 1:
         left.legend(frameon=False, fontsize="small")
     return faint(figure)
 
 
-def force_figure(curve: Backbone) -> Figure:
-    """What the restoring and the dissipative force have beyond a straight line, and where it was seen."""
+def force_figure(curve: Backbone, length: str, force_unit: str) -> Figure:
+    """What the restoring and the dissipative force have beyond a straight line, and where it was seen; in units."""
     figure = blank(3.4)
     parts = (
         (
             curve.displacement,
             curve.restoring,
             curve.restoring_std,
-            "displacement [m]",
-            "restoring force beyond k·q [N]",
+            f"displacement [{length}]",
+            f"restoring force beyond k·q [{force_unit}]",
         ),
         (
             curve.velocity,
             curve.dissipative,
             curve.dissipative_std,
-            "velocity [m/s]",
-            "dissipative force beyond d·v [N]",
+            f"velocity [{length}/s]",
+            f"dissipative force beyond d·v [{force_unit}]",
         ),
     )
     for ax, (place, force, std, name, label), least in zip(figure.subplots(1, 2), parts, curve.least, strict=True):
@@ -99,6 +105,7 @@ def force_figure(curve: Backbone) -> Figure:
         ax.axhline(0.0, color=BASE, lw=0.8, ls=":")
         ax.set_xlabel(name)
         ax.set_ylabel(label)
+        ax.ticklabel_format(axis="both", style="sci", scilimits=(-2, 4))
     return faint(figure)
 
 

@@ -1,0 +1,69 @@
+"""What the records of a device show at once beside what its design says, before anything is fitted."""
+
+import numpy as np
+
+from memsgyro_jax.base.text import spoken
+
+from .case import Case
+from .declared import QUANTITIES
+from .experiments.base import Phasors
+from .linear_start import starting_device
+from .phasor_fit import device_of_phasors
+
+
+_ALIKE = 1.01  # of the weakest drive: the same level
+_OFF = 2.0  # degrees of phase that are worth a sentence
+_FAR = 2.0  # half widths from the resonance, beyond which a bent peak counts for nothing
+
+
+def beside_design(case: Case) -> tuple[str, ...]:
+    """A sentence for each declared number of a resonator's design, with a warning where the records lie outside
+    its interval, and one where the phase far from resonance is none that a resonator has.
+    """
+    if case.device != "resonator":
+        return ()
+    rows = _weakest(case)
+    device = (device_of_phasors(rows) if rows else None) or starting_device(case)
+    omega = float(np.sqrt(device.stiffness[0]))
+    shown = {
+        "resonance": omega,
+        "quality_factor": omega / float(device.damping[0]),
+        "static_gain": float(device.mobility) / omega**2,
+    }
+    said = []
+    for key, value in shown.items():
+        design = case.design[key]
+        if design.unknown or (key == "static_gain" and not rows):
+            continue
+        outside = not design.low <= value <= design.high
+        text = f"{key}: the records show {_number(key, value)}, the design {_number(key, design.value)}"
+        said.append(text + (", which lies outside its tolerance." if outside else "."))
+    return (*said, *_phases(rows, QUANTITIES[case.readout.order], omega, float(device.damping[0])))
+
+
+def _number(key: str, value: float) -> str:
+    return spoken(value / (2.0 * np.pi), "Hz") if key == "resonance" else f"{value:.4g}"
+
+
+def _weakest(case: Case) -> list[Phasors]:
+    """The rows of the records that are driven least, which bend least."""
+    offered = [record.starting_phasors(case) for record in case.records]
+    rows = [one for one in offered if one is not None and np.any(one.force[:, 0])]
+    levels = [float(np.max(np.abs(one.force[:, 0]))) for one in rows]
+    return [one for one, level in zip(rows, levels, strict=True) if level <= _ALIKE * min(levels)]
+
+
+def _phases(rows: list[Phasors], read: str, omega: float, width: float) -> list[str]:
+    """A sentence where rows aside of the resonance are turned against those of a resonator."""
+    turned = 0.0 + 0.0j
+    for one in rows:
+        away = omega**2 - one.omega**2
+        far = (np.abs(away) > _FAR * omega * width) & (np.abs(one.force[:, 0]) > 0)
+        turned += np.sum(((away + 1j * one.omega * width) * one.motion[:, 0])[far] / one.force[far, 0])
+    angle = float(np.degrees(np.angle(turned)))
+    if turned == 0 or min(abs(angle), 180.0 - abs(angle)) < _OFF:
+        return []
+    angle -= 180.0 * np.sign(angle) * (abs(angle) > 90.0)
+    turn = f"turned by about {angle:+.2g}° against a {read}"
+    cause = "the reference, a delay, or what couples into the read-out; `memsgyro diagnose` tells which"
+    return [f"phase: aside of the resonance the weakest sweeps are {turn}: by {cause}."]
