@@ -12,6 +12,8 @@ from pathlib import Path
 import memsgyro_jax
 from memsgyro_jax.app.claims import all_studies, studies_folder
 from memsgyro_jax.effects import Effect, catalogue
+from memsgyro_jax.measurement.case.device import BY_MASS, BY_MODES
+from memsgyro_jax.measurement.declared import VOCABULARIES
 
 
 PACKAGE = Path(memsgyro_jax.__file__).parent
@@ -80,7 +82,22 @@ def catalogue_page() -> str:
         lines += ["", f"## {what[0].upper()}{what[1:]}", "", f"Subclasses of {_link(port)}: {_first(port)}", ""]
         lines += ["| member | is |", "|---|---|"]
         lines += [_row((_link(kind), _first(kind))) for kind in _members(port)]
-    return "\n".join(lines) + "\n"
+    return "\n".join([*lines, "", *_design_keys()]) + "\n"
+
+
+def _design_keys() -> list[str]:
+    """What `[design]` of a case may hold, per device."""
+    lines = ["## Keys of a case's design", ""]
+    said = "Each as `{ value, tolerance, unit }` or `{ low, high, unit }`, in any unit of the kind; "
+    said += "what is left out is found from the records."
+    lines += [said, "", "| device | key | unit | may be given instead |", "|---|---|---|---|"]
+    for device, words in VOCABULARIES.items():
+        other = BY_MODES if device == "single_mass" else BY_MASS
+        for key, unit in words.design.items():
+            si = "m/N once read-out and drive are calibrated, else readings per drive" if key == "static_gain" else unit
+            instead = f"`{other[key].key}` [{other[key].unit}]" if key in other else ""
+            lines.append(_row((f"`{device}`", f"`{key}`", si, instead)))
+    return lines
 
 
 def api_pages() -> dict[str, str]:

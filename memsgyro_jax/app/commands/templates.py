@@ -54,6 +54,11 @@ quality_factor = {{ value = 900, unit = "1", tolerance = 0.3 }}
 
 [readout]
 quantity = "displacement"                 # or "velocity", "acceleration": what the volts are proportional to
+# scale = {{ value = 0.31, unit = "V/um", tolerance = 0.03 }}  # lets strengths be in SI; the tolerance goes with them
+
+# [drive]
+# unit = "V"
+# scale = {{ value = 1.6, unit = "nN/V", tolerance = 0.05 }}   # force per unit of the drive, where it is known
 
 [[experiment]]
 name = "low"
