@@ -164,8 +164,10 @@ def instrument_between(search: Search, ranking: Ranking) -> Search | None:
     if promise is None or not promise.chosen or promise.gain < LITTLE * excess(search.optimum):
         return None
     device = _promised_by_effects(search, ranking)
-    roughly = EVIDENT + ROUGHLY * promise.gain
-    if device is not None and promise.worth < device.worth - roughly:
+    price, roughly = float(np.log(search.optimum.residual.size)), EVIDENT + ROUGHLY * promise.gain
+    single = max(device.alone) - price if device is not None else 0.0
+    # One by one, as the next effect would be taken: what several promise together is far from what they keep.
+    if max(g - price * t.strength.size for g, t in zip(promise.alone, terms, strict=True)) < single - roughly:
         return None
     alone = _chosen_terms(search, terms, promise)
     if alone is None:

@@ -31,3 +31,18 @@ def test_the_instrument_comes_before_what_imitates_it(tmp_path):
     (place,) = beside.accepted
     (strength,) = beside.optimum.vector[beside.joint.of_effect(place)]
     assert strength == pytest.approx(driven.CUBIC, rel=1e-3)
+
+
+@pytest.mark.slow
+def test_a_driven_bench_is_diagnosed(tmp_path):
+    """Effect, instrument and calibration; what is known is kept as it goes."""
+    kept = []
+    found = mg.diagnose(None, mg.load_case(driven.write(tmp_path)), keep=lambda fit, stages: kept.append(stages))
+    assert found.verdict == "found"
+    (spring,) = found.accepted
+    assert spring.label == "cubic_stiffness x"
+    assert abs(spring.estimate[0] - driven.CUBIC) < 4 * spring.std[0]
+    assert spring.calibration == pytest.approx(0.086, abs=0.002)
+    assert {term.label for term in found.instrument} == {"reference_phase", "lock_in_feedthrough"}
+    assert "it is not the device" in found.sentence
+    assert [len(stages) for stages in kept] == sorted(len(stages) for stages in kept)
