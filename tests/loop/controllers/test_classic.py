@@ -12,6 +12,7 @@ from scipy import optimize
 import memsgyro_jax as mg
 from memsgyro_jax.loop import noise
 from memsgyro_jax.loop.controllers.classic import locked_frequency
+from memsgyro_jax.loop.separate_loops import separate_margins
 
 
 RATE = np.radians(100.0)
@@ -230,12 +231,13 @@ def test_the_margin_is_a_loss_with_a_slope():
         return loop_of(gyro, DISPLACEMENT, with_rebalance(control, factor))
 
     found, slope = jax.jvp(lambda factor: loss.of_loop(loops(factor)), (1.2,), (1.0,))
-    margins = mg.loop_margins(loops(1.2))
+    margins = separate_margins(loops(1.2))
     assert float(found) == pytest.approx(2.0 * sum(max(0.0, 1.0 - float(m) / 0.9) ** 2 for m in margins), rel=1e-12)
     assert float(found) > 0.0
-    beside = mg.loop_margins(loops(np.array([1.2 + 1e-5, 1.2 - 1e-5])))
+    beside = separate_margins(loops(np.array([1.2 + 1e-5, 1.2 - 1e-5])))
     ends = 2.0 * sum(np.maximum(0.0, 1.0 - np.asarray(m) / 0.9) ** 2 for m in beside)
     assert float(slope) == pytest.approx((ends[0] - ends[1]) / 2e-5, rel=1e-4)
+    np.testing.assert_allclose(mg.loop_margins(loops(1.2)), margins, rtol=0.01)
     np.testing.assert_allclose(margins, classic.margins(gyro, with_rebalance(control, 1.2)), rtol=0.01)
     with pytest.raises(mg.InputError, match="driven by `ClassicControl`"):
         mg.loop_margins(mg.default_study().loop)
