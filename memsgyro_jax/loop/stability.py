@@ -48,7 +48,8 @@ def loop_margins(loop: ClosedLoop) -> LoopMargins:
     Averaging and sampling are left out: exact for demodulators that are slow beside the drive, 5 % of gain at a
     twentieth of it; so are effects, and what saturates.
     Differentiable by gains and device; a lot gives a margin for each die. Not for a program on several devices at once,
-    where linear algebra can wait for itself: the loss `LoopMargin` takes each loop by itself. Raises `InputError` for another controller.
+    where linear algebra can wait for itself: the loss `LoopMargin` takes each loop by itself. Raises
+    `InputError` for another controller.
     """
     control: Any = loop.controller
     if not isinstance(control, ClassicControl):
