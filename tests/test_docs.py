@@ -95,6 +95,18 @@ def test_every_row_and_study_stands_on_the_page_of_studies():
     assert all(f"| `{path.stem}` |" in page for path in (ROOT / "studies").glob("[!_]*.py"))
 
 
+def test_every_class_of_the_api_shows_its_call():
+    """Those of a module too; a method has its own."""
+    heads = [
+        f'<h{n} id="memsgyro_jax.{name}">-</h{n}>' for n, name in ((3, "geometry.PlateLayout"), (2, "LayoutReadout"))
+    ]
+    page = generated.with_calls("".join([*heads, '<h3 id="memsgyro_jax.geometry.Beam.guided">-</h3>']))
+    assert "PlateLayout(\n    side," in page
+    assert "legs=4.0," in page
+    assert "LayoutReadout(\n    drawn," in page
+    assert page.count("doc-signature") == 2
+
+
 def test_the_picture_is_that_of_the_real_imports():
     imports = generated.room_imports()
     assert imports["app", "diagnosis"] > 0

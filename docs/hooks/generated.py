@@ -153,16 +153,18 @@ def with_calls(html: str) -> str:
     """An API page with the call beneath the name of each class that shows none."""
 
     def with_call(found: re.Match[str]) -> str:
-        kind = getattr(memsgyro_jax, found[1], None)
+        kind: object = memsgyro_jax
+        for part in found[2].split("."):
+            kind = getattr(kind, part, None)
         if not inspect.isclass(kind) or inspect.isabstract(kind):
             return found[0]
         arguments = "".join(f"\n    {argument}," for argument in _arguments(kind))
-        text = escape(f"{found[1]}({arguments}\n)" if arguments else f"{found[1]}()")
+        name = found[2].rpartition(".")[2]
+        text = escape(f"{name}({arguments}\n)" if arguments else f"{name}()")
         return f'{found[0]}<div class="doc-signature highlight"><pre><code>{text}</code></pre></div>'
 
-    return re.sub(
-        r'<h2 id="memsgyro_jax\.(\w+)".*?</h2>(?!\s*<div class="doc-signature)', with_call, html, flags=re.DOTALL
-    )
+    heading = r'<h([23]) id="memsgyro_jax\.([\w.]+)".*?</h\1>(?!\s*<div class="doc-signature)'
+    return re.sub(heading, with_call, html, flags=re.DOTALL)
 
 
 def _arguments(kind: type) -> list[str]:

@@ -238,7 +238,8 @@ class FrequencyResponse(Tabular):
         return float(np.exp(np.log(self.frequency[k - 1]) + share * np.log(self.frequency[k] / self.frequency[k - 1])))
 
     def __str__(self) -> str:
-        lines = [f"Response of the rate to {self.disturbance} ({self._unit}), half power at {self.bandwidth:.4g} Hz"]
+        half = f"half the power of {self.frequency[0]:.4g} Hz at {self.bandwidth:.4g} Hz"
+        lines = [f"Response of the rate to {self.disturbance} ({self._unit}), {half}"]
         phase = np.degrees(np.unwrap(np.angle(self.response)))
         rows = zip(self.frequency, np.abs(self.response), phase, self.rest, strict=True)
         lines += [f"  {f:>10.4g} Hz  {gain:>10.4g}  {angle:>8.1f}°  rest {rest:.1e}" for f, gain, angle, rest in rows]

@@ -163,8 +163,9 @@ class Trace(Tabular, eqx.Module):
             return ax
         if quantity == "rate":
             estimate, spread = np.degrees(self.rate_unfiltered), np.degrees(self.rate_std)
-            band = estimate - spread, estimate + spread
-            ax.fill_between(time, *band, color="C0", alpha=0.25, lw=0, label="± claimed std")
+            if np.any(spread > 0.0):  # without an observer nobody claims one
+                band = estimate - spread, estimate + spread
+                ax.fill_between(time, *band, color="C0", alpha=0.25, lw=0, label="± claimed std")
             label = "estimate before the filter" if self.filtered else "estimate"
             ax.plot(time, estimate, color="C0", lw=1.0, alpha=0.4 if self.filtered else 1.0, label=label)
             if self.filtered:

@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from scipy import stats
 
 from memsgyro_jax.base.arguments import quantity
 from memsgyro_jax.base.provenance import Settings
@@ -26,6 +27,7 @@ from .over_temperature import check_temperatures
 from .rate_tests import RateTests
 
 
+_FEW = 30  # dies beyond which the spread is known to a third
 _POINTS = 9  # rates of the table, from minus to plus full scale
 
 
@@ -114,5 +116,12 @@ def notes_of(alive: np.ndarray, started: DatasheetRow, bench: RateTests) -> tupl
         said.append(
             f"{late} of {len(alive)} dies have not started by {bench.settle:.3g} s, from which on the figures at "
             "constant rates count: they are of a start, too; let them count later (`settle`, `duration`)."
+        )
+    told = len(alive) - lost
+    if 1 < told < _FEW:
+        low, high = np.sqrt((told - 1) / stats.chi2.ppf([0.975, 0.025], told - 1))
+        said.append(
+            f"{told} dies are few for a spread: σ is known within {low:.2g} to {high:.2g} times (95 %), and the ends "
+            f"at ±3 σ may be what no die can be; take {_FEW} dies or more."
         )
     return (*said, "Simulated, not measured: what the model leaves out is not in these figures.")

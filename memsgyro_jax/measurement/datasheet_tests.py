@@ -8,6 +8,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.loop.noise_budget import noise_budget
+from memsgyro_jax.loop.observers import NoObserver
 from memsgyro_jax.loop.scenario import Constant
 
 from .allan import allan
@@ -20,6 +22,7 @@ from .rate_tests import Dies, RateTests, settled_mean
 _GRAVITY = 9.80665  # m/s²
 _BAND = 0.01  # of the full scale: an output within it of its end has started
 _STEADY = 0.01  # of a step: how far the last two tenths of the answer may differ
+_SHOWN = 0.1  # of the rate: an output below it has not started
 _ALIKE = 1.5  # ratio of noise powers early and late that is still one noise
 _SHARE = 0.25  # of the bandwidth: up to where the noise counts as flat
 _LINES = 8  # fewest lines of a spectrum that make a density
@@ -115,10 +118,16 @@ def start_up(bench: RateTests, turning: Outputs) -> DatasheetRow:
     time = np.where(away.any(axis=1), (last + 1) * turning.period, 0.0)
     never = last >= turning.rate.shape[1] - 11
     reason = "the output has not come to rest within the run" if np.mean(away.any(axis=1) & never) > 0.5 else ""
+    shown = np.abs(late) / bench.full_scale
+    if not reason and np.mean(shown < _SHOWN) > 0.5:
+        reason = (
+            f"at full scale the output shows {100.0 * np.nanmedian(shown):.2g} % of the rate: a drive that has not "
+            "swung up within the run, or a scale factor to be repaired"
+        )
     return DatasheetRow(
         "start-up time", "s", "From power-on until the output stays within 1 % of full scale of its end",
         f"rate of full scale, run of {bench.duration:.3g} s, no noise",
-        np.where(never & away.any(axis=1), np.nan, time), reason, positive=True,
+        np.where((never & away.any(axis=1)) | (shown < _SHOWN), np.nan, time), reason, positive=True,
     )  # fmt: skip
 
 
@@ -196,18 +205,28 @@ def noises(bench: RateTests, answer: Answer, duration: float) -> tuple[Datasheet
     silent = readout.flicker is None and all(float(np.max(np.asarray(d))) == 0.0 for d in readout.noise_density)
     run = None if silent else bench.noisy(bench.at(0.0), duration)
     if run is None:
-        reasons = (f"{NOT_MODELLED}: the read-out has no noise",) * 3
+        reasons: tuple[str, ...] = (f"{NOT_MODELLED}: the read-out has no noise",) * 3
         return _noise_rows(definitions, condition, (np.full(len(bandwidth), np.nan),) * 3, reasons)
     rate = run.rate[:, round(bench.settle / run.period) :]
     nothing = np.full(len(rate), np.nan)
     half = rate.shape[1] // 2
     early, late = (np.median(np.var(np.diff(part), axis=1)) for part in (rate[:, :half], rate[:, half:]))
     if not 1.0 / _ALIKE < early / late < _ALIKE:
-        learning = "the output is no stationary noise: it is still starting, or its observer still learns"
-        return _noise_rows(definitions, condition, (nothing,) * 3, (f"{NOT_MODELLED}: {learning}",) * 3)
+        change = f"falls to 1/{early / late:.3g}" if early > late else f"rises to {late / early:.3g} times"
+        moving = f"the output is no stationary noise: from one half of the record to the other its power {change}, "
+        moving += (
+            "as the loop is still starting, or still rings from it: a longer `settle` leaves that out"
+            if isinstance(bench.loop.observer, NoObserver)
+            else "as its observer still learns"
+        )
+        beside = _by_formula(bench)
+        reasons = tuple(f"{NOT_MODELLED}: {moving}{more}" for more in (*beside, ""))
+        return _noise_rows(definitions, condition, (nothing,) * 3, reasons)
     if answer.unknown:
         unknown = f"nothing tells up to where the noise is flat: {answer.unknown}"
-        return _noise_rows(definitions, condition, (nothing,) * 3, (unknown,) * 3)
+        return _noise_rows(
+            definitions, condition, (nothing,) * 3, tuple(f"{unknown}{more}" for more in (*_by_formula(bench), ""))
+        )
     widest = float(np.nanmedian(bandwidth)) if np.isfinite(bandwidth).any() else 0.4 / run.period
     density, walk, instability = nothing.copy(), nothing.copy(), nothing.copy()
     said = ["", "", ""]
@@ -219,20 +238,29 @@ def noises(bench: RateTests, answer: Answer, duration: float) -> tuple[Datasheet
     else:
         said[0] = (
             f"the record is too short: {_LINES} lines below {_SHARE * widest:.3g} Hz take "
-            f"{_LINES / (_SHARE * widest):.3g} s"
+            f"{_LINES / (_SHARE * widest):.3g} s{_by_formula(bench)[0]}"
         )
     try:
         terms = allan(rate[run.alive], sample_rate=1.0 / run.period, band=(2.0 / widest, np.inf)).terms
     except InputError:
-        said[1] = said[2] = (
-            f"the record is too short: averaging times from {2.0 / widest:.3g} s on take {_RECORD / widest:.3g} s"
-        )
+        said[2] = f"the record is too short: averaging times from {2.0 / widest:.3g} s on take {_RECORD / widest:.3g} s"
+        said[1] = f"{said[2]}{_by_formula(bench)[1]}"
         return _noise_rows(definitions, condition, (density, walk, instability), tuple(said))
     for name, values in (("N", walk), ("bias_instability", instability)):
         values[run.alive] = [np.nan if term[name].value is None else term[name].value for term in terms]
     if np.mean(np.isfinite(instability)) < 0.5:
         said[2] = f"{NOT_MODELLED}: no flicker shows in {duration:.3g} s, the Allan deviation falls to its end"
     return _noise_rows(definitions, condition, (density, walk, instability), tuple(said))
+
+
+def _by_formula(bench: RateTests) -> tuple[str, str]:
+    """Density and walk of the design in closed form, to be told where no record tells them; empty without a swing."""
+    try:
+        walk = np.degrees(float(noise_budget(bench.loop, sample_rate=bench.sample_rate).total))
+    except InputError:
+        return "", ""
+    about = "of the design by the closed form (`noise_budget`)"
+    return f"; {np.sqrt(2.0) * walk:.4g} deg/s/√Hz {about}", f"; {60.0 * walk:.4g} deg/√h {about}"
 
 
 def _noise_rows(

@@ -58,6 +58,7 @@ def test_a_page_and_its_figures(tmp_path, capsys):
     assert abs(rows["zero-rate output"]["after_trim"]["typical"]) < 1e-3
     assert rows["scale factor"]["before_trim"]["typical"] == pytest.approx(1.0, abs=0.02)
     assert rows["quadrature"]["before_trim"]["dies"] == 3
+    assert any("3 dies are few for a spread" in note for note in json.loads(told.read_text())["notes"])
     assert abs(rows["sensitivity to acceleration, x"]["before_trim"]["typical"]) < 1.0
     assert rows["full scale"]["before_trim"]["typical"] == pytest.approx(500.0)
     drift, over = rows["scale factor over temperature"], json.loads(told.read_text())["over_temperature"]

@@ -1,6 +1,7 @@
 """The figures of a datasheet against linear algebra of the same dies, and what it must not claim."""
 
 import json
+import re
 from dataclasses import replace
 
 import jax
@@ -12,7 +13,7 @@ import memsgyro_jax as mg
 from memsgyro_jax.app.report.datasheet_page import datasheet_page
 from memsgyro_jax.measurement.datasheet import notes_of
 from memsgyro_jax.measurement.datasheet_rows import NOT_MODELLED, DatasheetRow
-from memsgyro_jax.measurement.datasheet_tests import Answer, best_line, noises, with_trim
+from memsgyro_jax.measurement.datasheet_tests import Answer, best_line, noises, start_up, with_trim
 from memsgyro_jax.measurement.lot_outputs import Outputs
 from memsgyro_jax.measurement.rate_tests import RateTests
 
@@ -105,7 +106,8 @@ def test_figures_of_a_start_are_not_given_without_a_word(sheet):
     settled = Answer(np.zeros(1), np.zeros((2, 1)), np.ones(2, bool), np.full(2, np.nan), "it does not settle")
     still = Outputs(*(np.random.default_rng(0).normal(size=(2, 400)),) * 2, np.ones(2, bool), 1e-3)
     rows = noises(replace(bench, noisy=lambda *_: still), settled, 0.4)
-    assert [row.reason[-18:] for row in rows] == ["it does not settle"] * 3
+    assert all("it does not settle" in row.reason for row in rows)
+    assert rows[1].reason.endswith("deg/√h of the design by the closed form (`noise_budget`)")
 
 
 def test_a_lost_die_spoils_no_other():
@@ -124,3 +126,33 @@ def test_settings_that_cannot_be_run():
     for held in ((298.15,), (0.0, 298.15)):
         with pytest.raises(mg.InputError, match="`temperatures` must hold two or more"):
             mg.datasheet(LOOP, SPREAD, temperatures=held)
+
+
+@pytest.mark.parametrize(
+    ("power", "settle", "words"),
+    [
+        (lambda t: np.exp(-8.0 * t), 0.0, "power falls to 1/.*still rings"),
+        (lambda t: np.exp(8.0 * t), 0.0, "power rises to .*still rings"),
+        (np.ones_like, 0.9, "too short.*of the design by the closed form"),
+    ],
+)
+def test_a_loop_without_observer_blames_none(power, settle, words):
+    """And where the record does not tell the walk, the closed form stands beside."""
+    time = np.linspace(0.0, 1.0, 400)
+    rate = np.sqrt(power(time)) * np.random.default_rng(0).standard_normal((DIES, 400))
+    run = Outputs(rate, np.full_like(rate, np.nan), np.ones(DIES, bool), 1.0 / 400)
+    bench = RateTests(lambda s: run, lambda s, t: run, LOOP, mg.Scenario(), 1.0, settle, 1.0, RATE)
+    _, walk, _ = noises(bench, Answer(time, rate, run.alive, np.full(DIES, 60.0), ""), 1.0)
+    assert "observer" not in walk.missing
+    assert not np.isfinite(walk.values).any()
+    reason = re.search(words, walk.missing)
+    assert reason
+    said = float(re.search(r"([\d.e-]+) deg/√h of the design", walk.missing)[1])
+    assert said == pytest.approx(60.0 * np.degrees(float(mg.noise_budget(LOOP, sample_rate=RATE).total)), rel=1e-3)
+
+
+def test_an_output_near_zero_has_not_started():
+    rate = np.full((DIES, 400), 1e-3)
+    run = Outputs(rate, rate, np.ones(DIES, bool), 1.0 / 400)
+    bench = RateTests(lambda s: run, lambda s, t: run, LOOP, mg.Scenario(), 1.0, 0.5, 1.0, RATE)
+    assert "shows 0.1 % of the rate" in start_up(bench, run).reason

@@ -30,7 +30,7 @@ def datasheet_command(
     Args:
         study: a study file (TOML).
         full_scale: greatest rate either way, in deg/s.
-        dies: how many dies.
+        dies: how many dies, at least 3; for a spread 30 or more.
         seed: of the dies and of their noise.
         trim: also tell the figures after each die got its own offset and scale.
         noise_duration: of the run with noise in s; without it what the bandwidth asks for.

@@ -53,7 +53,8 @@ class Classic(FileSection):
 
     `amplitude` of the drive, where left out 2 % of the travel; what else is left out follows the device
     (`ClassicControl`). `demodulator = "product"` multiplies and smooths (thesis (5.3)), "tracking" has no ripple.
-    `bandwidth` is that of the rebalance loops' integral.
+    `sense_bandwidth` is that of the sense axis' demodulator, and so of an open loop; `bandwidth` that of the rebalance
+    loops' integral.
     """
 
     kind: Literal["classic"]
@@ -82,7 +83,10 @@ class Classic(FileSection):
         if self.sense == "open":
             widths["bandwidth"] = self.sense_bandwidth
             if self.bandwidth is not None:
-                raise InputError('bandwidth is that of a rebalanced sense axis; give `sense = "rebalanced"`')
+                raise InputError(
+                    "bandwidth is that of a rebalanced sense axis; give `sense_bandwidth`, that of the open loop's "
+                    'demodulator, or `sense = "rebalanced"`'
+                )
         else:
             make = ClassicControl.force_rebalance
             widths |= {"bandwidth": self.bandwidth, "demodulator_bandwidth": self.sense_bandwidth}

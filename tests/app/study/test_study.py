@@ -416,7 +416,10 @@ def test_a_uniform_spread_may_be_relative(tmp_path):
     ("section", "words"),
     [
         ('[controller]\nkind = "classic"\ngain = 2\n', "gain is a gain of a rebalanced sense axis"),
-        ('[controller]\nkind = "classic"\nbandwidth = "2 Hz"\n', "bandwidth is that of a rebalanced sense axis"),
+        (
+            '[controller]\nkind = "classic"\nbandwidth = "2 Hz"\n',
+            "rebalanced sense axis; give `sense_bandwidth`",
+        ),
         ('[observer]\nkind = "none"\n', 'observer.kind must not be "none"'),
     ],
 )
