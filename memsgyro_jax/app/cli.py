@@ -7,7 +7,6 @@ can mend is one sentence and exit status 2.
 
 import contextlib
 import functools
-import gc
 import logging
 import os
 import signal
@@ -16,6 +15,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from types import FrameType
+from typing import Any
 
 import cyclopts
 
@@ -140,19 +140,25 @@ def _told_to_end() -> Iterator[None]:
     """SIGTERM ends this process as Ctrl-C does, so that it tidies up, and not where it stands."""
 
     def end(number: int, frame: FrameType | None) -> None:
-        if frame is not None and frame.f_code in {getattr(call, "__code__", None) for call in gc.callbacks}:
-            # Python would report what is raised there, and go on.
-            threading.Timer(0.01, os.kill, (os.getpid(), number)).start()
-            return
         raise _Terminated
+
+    def passed_over(what: Any) -> None:
+        """Python goes on where something is raised in a callback (of the collector, say): then it is asked again."""
+        number = {_Terminated: signal.SIGTERM, KeyboardInterrupt: signal.SIGINT}.get(what.exc_type)
+        if number is None:
+            report(what)
+        else:
+            threading.Timer(0.01, os.kill, (os.getpid(), number)).start()
 
     if threading.current_thread() is not threading.main_thread():  # only there Python takes signals
         yield
         return
-    before = signal.signal(signal.SIGTERM, end)
+    before, report = signal.signal(signal.SIGTERM, end), sys.unraisablehook
+    sys.unraisablehook = passed_over
     try:
         yield
     finally:
+        sys.unraisablehook = report
         signal.signal(signal.SIGTERM, before)
 
 

@@ -331,11 +331,12 @@ for tokens in ({["sweep", *SMALL]}, {["simulate", *RUN, "--out", "out"]}):
 
 
 def test_a_page_that_cannot_be_made_leaves_no_half_of_the_results(memsgyro, folder, monkeypatch):
-    """The page is made before the first of the small files is written."""
+    """The page is made before the command writes its files; the figures lie beside the store since it is whole."""
     monkeypatch.setattr("memsgyro_jax.app.report.sweep_page.sweep_page", _broken)
     with pytest.raises(ZeroDivisionError):
         cli._run(cli.app, ["sweep", *SMALL])
-    assert {path.name for path in (folder / "sweep-out").iterdir()} == {"dies.zarr"}
+    assert {path.name for path in (folder / "sweep-out").iterdir()} == {"dies.zarr", "summary.json"}
+    assert "study" not in json.loads((folder / "sweep-out" / "summary.json").read_text())
 
 
 def _broken(*_):

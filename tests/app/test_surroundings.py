@@ -3,7 +3,9 @@
 import gc
 import os
 import signal
+import sys
 import time
+import weakref
 
 import pytest
 
@@ -63,22 +65,31 @@ def test_a_sweep_that_is_told_to_end_tidies_up(tmp_path, capsys, monkeypatch, nu
     assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
 
 
-def test_an_end_asked_for_while_python_collects_waits_until_it_has():
-    """What a signal raises in a callback of the collector is reported and passed over."""
+@pytest.mark.parametrize("callback", ["of the collector", "of a weak reference"])
+def test_an_end_asked_for_in_a_callback_comes_after_it(callback):
+    """What a signal raises in a callback is reported and passed over."""
 
-    def collected(phase, info):
-        if phase == "start":
-            os.kill(os.getpid(), signal.SIGTERM)
-        else:
-            gc.callbacks.remove(collected)
+    def asked(*_):
+        gc.callbacks[:] = kept
+        os.kill(os.getpid(), signal.SIGTERM)
+        for _ in range(3):
+            pass
 
     def ended():
-        gc.callbacks.append(collected)
-        gc.collect()
+        if callback == "of the collector":
+            gc.callbacks.append(asked)
+            gc.collect()
+        else:
+            thing = type("Thing", (), {})()
+            reference = weakref.ref(thing, asked)
+            del thing
+            assert reference() is None
         time.sleep(5.0)
 
+    kept, hook = list(gc.callbacks), sys.unraisablehook
     with pytest.raises(cli._Terminated), cli._told_to_end():
         ended()
+    assert sys.unraisablehook is hook
 
 
 def test_who_has_no_home_keeps_no_cache(monkeypatch):

@@ -5,7 +5,9 @@ from typing import Any, ClassVar, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
+from memsgyro_jax.base.concrete import is_concrete
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.gyro import VX, AbstractGyro, Dynamics, Inertial, Pair, Scalar, X, check_positive, number
 
@@ -78,7 +80,8 @@ class ClassicControl(AbstractController[ClassicState]):
         `bandwidth` [Hz] is that of the loops' integral, the proportional gain cancels the sense axis' own decay as far
         as it is real. Left out it is a quarter of `demodulator_bandwidth` (a twentieth of the drive's frequency, unless
         given) where the axes match; where they are split, a good third of what the sense resonance, seen at the split,
-        bears. Raises `InputError` for numbers that are not positive.
+        bears: with a high quality factor next to nothing, so match the axes by bias then. Raises `InputError` for
+        numbers that are not positive, and for a `bandwidth` at which the sense axis of the design is not stable.
         """
         omega = locked_frequency(gyro, nulled=True)
         if drive_bandwidth is None:
@@ -96,6 +99,8 @@ class ClassicControl(AbstractController[ClassicState]):
             check_positive("bandwidth", bandwidth)
             integral = 2.0 * jnp.pi * jnp.asarray(bandwidth)
         gain = integral * jnp.real(1.0 / pole)
+        if bandwidth is not None:
+            _check_stable(bandwidth, gain, integral, 2.0 * jnp.pi * width, dynamics, omega)
         per_rate = _coriolis(gyro) * omega * amplitude / dynamics.gain[1]
         sense = ForceRebalance(
             TrackingDemodulator(width), _conversion(gyro, omega, amplitude), per_rate, gain, integral, gain, integral
@@ -163,6 +168,31 @@ def _coriolis(gyro: AbstractGyro) -> Scalar:
 def _dynamic_stiffness(dynamics: Dynamics, omega: Scalar) -> Scalar:
     """Δ(jω) of the sense axis, per mass."""
     return dynamics.stiffness[1][1] - omega**2 + 1j * omega * dynamics.damping[1][1]
+
+
+def _check_stable(
+    bandwidth: Scalar, gain: Scalar, integral: Scalar, roll_off: Scalar, dynamics: Dynamics, omega: Scalar
+) -> None:
+    """Raises `InputError` where the phasor of a rebalanced y grows: one of the roots of
+
+        s (s + b) (s² + (2jω + d) s + Δ) + b Δ (k s + i).
+
+    Looked at where all numbers are known: not while a program is traced.
+    """
+    parts = (gain, integral, roll_off, omega, dynamics.damping[1][1], _dynamic_stiffness(dynamics, omega))
+    if not is_concrete(parts):
+        return
+    for k, i, b, w, d, delta in zip(*(np.ravel(part) for part in np.broadcast_arrays(*parts)), strict=True):
+        turning = d + 2j * w
+        roots = np.roots([1.0, b + turning, b * turning + delta, b * delta * (1.0 + k), b * delta * i])
+        growth = roots.real.max()
+        if growth > 0.0:
+            apart = abs(np.sqrt(delta.real + w**2) - w) / (2.0 * np.pi)
+            raise InputError(
+                f"Argument `bandwidth` must leave the rebalanced sense axis stable, but at {np.max(bandwidth):.4g} Hz "
+                f"it grows by {growth:.3g} 1/s: the axes are {apart:.4g} Hz apart. Match them, damp the sense axis "
+                "more, or leave `bandwidth` out."
+            )
 
 
 def _conversion(gyro: AbstractGyro, omega: Scalar, amplitude: Scalar) -> Pair:

@@ -11,6 +11,7 @@ from scipy import optimize
 
 import memsgyro_jax as mg
 from memsgyro_jax.loop import noise
+from memsgyro_jax.loop.controllers import classic as classic_control
 from memsgyro_jax.loop.controllers.classic import locked_frequency
 from memsgyro_jax.loop.separate_loops import separate_margins
 
@@ -21,6 +22,7 @@ SPLIT = mg.SingleMassGyro.from_modes(
     1e-8, (10e3, 10.3e3), (2000.0, 300.0), quadrature=np.radians(200.0), cross_damping=0.01
 )
 MATCHED = mg.SingleMassGyro.from_modes(1e-8, (10e3, 10e3), (2000.0, 300.0), cross_damping=-0.02)
+SHARP = mg.SingleMassGyro.from_modes(1.8e-8, (15e3, 15.2e3), (5000.0, 5000.0))
 TWO_MASSES = mg.DualMassGyro.from_modes(3e-8, 2e-8, (9e3, 8.6e3), (900.0, 200.0), quadrature=0.5)
 DISPLACEMENT = mg.ChargeAmplifier.chi2010(0.0)
 VELOCITY = mg.DirectReadout.of_velocity((7.0, -5.0), 0.0)
@@ -220,6 +222,26 @@ def test_the_drive_loops_are_stable_where_their_characteristic_polynomials_are()
     margins = [mg.loop_margins(loop_of(gyro, DISPLACEMENT, tried)) for tried in controls]
     assert [float(margin.phase) > 0.0 for margin in margins] == [True, False, True, True]
     assert [float(margin.amplitude) > 0.0 for margin in margins] == [True, True, True, False]
+
+
+def test_a_bandwidth_that_the_sense_axis_does_not_bear_is_refused(monkeypatch):
+    def rebalanced(bandwidth):
+        return mg.ClassicControl.force_rebalance(SHARP, DISPLACEMENT, amplitude=1e-6, bandwidth=bandwidth)
+
+    with pytest.raises(mg.InputError, match=r"at 3 Hz it grows by .* 1/s: the axes are 200 Hz apart"):
+        rebalanced(3.0)
+    borne = optimize.brentq(lambda tried: 0.5 - refused(rebalanced, tried), 0.1, 3.0, xtol=0.01)
+    monkeypatch.setattr(classic_control, "_check_stable", lambda *numbers: None)
+    margins = [float(mg.loop_margins(loop_of(SHARP, DISPLACEMENT, rebalanced(s * borne))).rate) for s in (0.9, 1.1)]
+    assert margins[0] > 0.0 > margins[1]
+
+
+def refused(make, number):
+    try:
+        make(number)
+    except mg.InputError:
+        return True
+    return False
 
 
 def test_the_margin_is_a_loss_with_a_slope():
