@@ -1,6 +1,7 @@
 """What every result that people take along must keep in a file."""
 
 import pint
+import pytest
 import xarray as xr
 
 import memsgyro_jax as mg
@@ -16,6 +17,8 @@ def kept(result, folder) -> xr.Dataset:
         for _ in range(2):  # a second one takes the place of the first
             assert result.save(folder / name) == folder / name
         xr.testing.assert_identical(mg.load(folder / name), data)
+    with pytest.raises(mg.InputError, match=r"must end in .nc or .zarr"):
+        result.save(folder / "kept.json")
     assert {path.name for path in folder.glob("*kept*")} >= {"kept.nc", "kept.zarr"}
     assert not list(folder.glob(".*.part"))
     assert data.attrs["memsgyro"] == type(result).__name__

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 MARK = "memsgyro"  # attribute: the name of the class of a result
 _ZARR = ".zarr"
+_OTHERS = (".csv", ".h5", ".hdf5", ".html", ".json", ".mat", ".npz", ".parquet", ".pickle", ".pkl", ".toml", ".txt")
 LABELS, UNITS_ALONG = "labels", "units"  # attributes of a store: names, and units, along dimensions
 _LARGEST = 2**31 - 4  # bytes of a variable of NetCDF 3
 
@@ -42,9 +43,13 @@ class Labelled(Shown, abc.ABC):
 
         What an earlier `save` wrote there is replaced.
 
-        **Raises:** `InputError` where something else lies at the path, or for more than NetCDF 3 holds.
+        **Raises:** `InputError` where something else lies at the path, for the ending of another format, or for more
+        than NetCDF 3 holds.
         """
-        path, data = Path(path), self.to_xarray()
+        path = Path(path)
+        if path.suffix in _OTHERS:
+            raise InputError(f"{path} must end in .nc or .zarr, which results are kept in, not in {path.suffix}.")
+        data = self.to_xarray()
         if path.suffix == _ZARR:
             return _write_zarr(path, data)
         for name, variable in data.variables.items():
@@ -74,6 +79,11 @@ class Tabular(Labelled):
             elif others[0] in data.coords:
                 each = data[name].transpose(self.along, others[0]).values.T
                 columns |= {f"{name} {label}": one for label, one in zip(data[others[0]].values, each, strict=True)}
+        if not columns and data.variables:
+            raise InputError(
+                f"A table has one row for each {self.along}, but this {type(self).__name__} holds several runs; take "
+                "`to_xarray()`, or one run of it."
+            )
         import pandas as pd
 
         index = data[self.along].values if self.along in data.coords else range(data.sizes[self.along])

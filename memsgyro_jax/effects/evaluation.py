@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.conditions import Conditions
 from memsgyro_jax.device.gyro import is_concrete
 from memsgyro_jax.device.normalised import NormalisedDevice
@@ -57,7 +58,7 @@ class Acting(NamedTuple):
             electrodes = eqx.tree_at(lambda m: m.force, now, applied)
             for effect in self.drives:
                 if effect.last == last:
-                    applied = effect.applied(applied, electrodes)
+                    applied = _whole(effect, "applied", effect.applied(applied, electrodes), now)
         return eqx.tree_at(lambda m: m.force, now, applied)
 
     def force(self, now: Moment, own: Float[Array, " own"]) -> tuple[Float[Array, " axes"], Float[Array, " own"]]:
@@ -65,10 +66,10 @@ class Acting(NamedTuple):
         force, rates, place = jnp.zeros_like(now.displacement), [], 0
         for effect in self.forces:
             if not effect.own_size:
-                force = force + effect.force(now)
+                force = force + _whole(effect, "force", effect.force(now), now)
                 continue
             seen = eqx.tree_at(lambda m: m.own, now, own[place : place + effect.own_size])
-            force = force + effect.force(seen)
+            force = force + _whole(effect, "force", effect.force(seen), now)
             rates.append(effect.own_rate(seen))
             place += effect.own_size
         return force, jnp.concatenate(rates) if rates else own
@@ -76,8 +77,18 @@ class Acting(NamedTuple):
     def signal(self, volts: Float[Array, " axes"], now: Moment) -> Float[Array, " axes"]:
         """What the read-out effects make of the voltages [V]."""
         for effect in self.readouts:
-            volts = effect.signal(volts, now)
+            volts = _whole(effect, "signal", effect.signal(volts, now), now)
         return volts
+
+
+def _whole(effect: Effect, method: str, value: Array, now: Moment) -> Array:
+    """What a method returned, a number for each axis: one number for all would act on all of them, unseen."""
+    if jnp.shape(value) != now.displacement.shape:
+        raise InputError(
+            f"Method `{method}` of {type(effect).__name__} must return an array of shape {now.displacement.shape}, but "
+            f"returns one of {jnp.shape(value)}; `self.along(now, value)` makes it of a number along the effect's axis."
+        )
+    return value
 
 
 def moment(

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.axes import Axes
 
+_LAGS = 30.0  # degrees: beyond it the lowest frequency does not stand for a constant rate
 INPUTS = {"rate": "rad/s", "force x": "N", "force y": "N", "voltage x": "V", "voltage y": "V"}
 """What may disturb a loop: the rate, a force on the mass that the observer does not know, a voltage of the read-out."""
 OUTPUTS = {"rate": "rad/s", "force x": "N", "force y": "N", "voltage x": "V", "voltage y": "V"}
@@ -239,8 +240,10 @@ class FrequencyResponse(Tabular):
 
     def __str__(self) -> str:
         half = f"half the power of {self.frequency[0]:.4g} Hz at {self.bandwidth:.4g} Hz"
-        lines = [f"Response of the rate to {self.disturbance} ({self._unit}), {half}"]
         phase = np.degrees(np.unwrap(np.angle(self.response)))
+        if self.disturbance == "rate" and abs(phase[0]) > _LAGS:
+            half += f", where it lags by {-phase[0]:.0f}° already: ask for lower frequencies too"
+        lines = [f"Response of the rate to {self.disturbance} ({self._unit}), {half}"]
         rows = zip(self.frequency, np.abs(self.response), phase, self.rest, strict=True)
         lines += [f"  {f:>10.4g} Hz  {gain:>10.4g}  {angle:>8.1f}°  rest {rest:.1e}" for f, gain, angle, rest in rows]
         return "\n".join(lines)
@@ -264,6 +267,8 @@ class FrequencyResponse(Tabular):
         ax = axes(ax)
         ax.semilogx(self.frequency, 20.0 * np.log10(np.abs(self.response)), color="C0", marker=".")
         ax.set(xlabel="frequency [Hz]", ylabel=f"gain [dB of {self._unit}]")
+        ax.xaxis.set_major_formatter("{x:g}")
+        ax.xaxis.set_minor_formatter("")
         right = ax.twinx()
         phase = np.degrees(np.unwrap(np.angle(self.response)))
         right.semilogx(self.frequency, phase, color="C1", ls="--", marker=".", label="phase")

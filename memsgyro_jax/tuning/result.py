@@ -321,6 +321,5 @@ def _pair(nis: tuple[float, float] | None) -> str:
 def _nees(merit: Merit) -> str:
     if merit.nees is None or merit.nees_interval is None:
         return "-"
-    return (
-        f"{merit.nees:.3g} of {merit.nees_expected:.3g} ({merit.nees_interval[0]:.3g} to {merit.nees_interval[1]:.3g})"
-    )
+    low, high = merit.nees_interval
+    return f"{merit.nees:.3g} of {merit.nees_expected:.3g} (right ones: {max(low, 0.0):.3g} to {high:.3g})"

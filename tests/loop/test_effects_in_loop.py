@@ -329,6 +329,24 @@ def test_a_loop_refuses_effects_that_mean_nothing_in_it():
         ClosedLoop(fast, DirectReadout(1e5), Blind(), Held(1)).sampled_at(100e3)
 
 
+class _ForBoth(ForceEffect):
+    """What a newcomer writes: a number where one for each axis belongs."""
+
+    name, unit, law = "for_both", "N", "F = s"
+    strength: jax.Array = mg.effects.strength()
+
+    def force(self, now):
+        return -self.strength * now.displacement[0]
+
+
+def test_a_force_for_no_axis_is_refused_where_it_would_act_on_both():
+    loop = ClosedLoop(gyro(_ForBoth(1.0)), DirectReadout(1e5), Blind(), Held(1))
+    with pytest.raises(
+        InputError, match=r"`force` of _ForBoth must return an array of shape \(2,\), but returns one of \(\)"
+    ):
+        mg.simulate(loop, 1.0, sample_rate=100e3, duration=1e-4)
+
+
 def test_an_effect_is_reached_by_its_label_and_its_place():
     loop = thesis_loop(E.CubicStiffness("x", 8e11), E.ParasiticMode("x", 1e-3))
     named = mg.free({"device.effects.parasitic_mode_x.quality": (10.0, 1e3), "device.effects.0.strength": (0.0, 1e12)})

@@ -1,5 +1,7 @@
 """A loop over frequency and as matrices: against formulas of the device, and against the runs themselves."""
 
+from dataclasses import replace
+
 import jax
 import numpy as np
 import pytest
@@ -63,6 +65,9 @@ def test_it_prints_draws_and_goes_into_a_file(response, tmp_path):
     assert "150 Hz" in str(response)
     assert response.plot().get_ylabel() == "gain [dB of 1]"
     assert np.isnan(response.bandwidth)
+    assert "ask for lower" not in str(response)
+    late = replace(response, response=-1j * response.response)
+    assert "where it lags by" in str(late)
 
 
 def test_what_it_cannot_answer_it_says(loop):

@@ -42,6 +42,8 @@ def test_a_trace_of_many_devices_equals_theirs():
     stiffness = np.array([62.0, 63.96, 66.0])
     many = jax.vmap(lambda kxx: mg.simulate(stiffened(kxx), 1.0, **RUN))(stiffness)
     assert many.rate_estimate.shape == (3, 200)
+    with pytest.raises(mg.InputError, match="holds several runs"):
+        many.to_pandas()
     assert "(3, 200)" in repr(many)
     for row, kxx in enumerate(stiffness):
         one = mg.simulate(stiffened(kxx), 1.0, **RUN)

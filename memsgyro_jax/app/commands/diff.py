@@ -9,6 +9,7 @@ from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.text import aligned
 
 
+_WIDEST = 60  # letters of a setting or a sentence
 _SILENT = ("versions", "fingerprint", "schema", "notes", "steps_per_s", "study")
 _TWO_SIDED = 1.96
 
@@ -107,6 +108,8 @@ def figures(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
             inner = f"{name}.{key}" if name else key
             if _is_number(entry):
                 yield inner, Figure(entry, *ends)
+            elif key == "dies" and isinstance(entry, list):  # which they are is another lot's anyway
+                yield inner, Figure(len(entry))
             else:
                 yield from figures(entry, inner)
     elif isinstance(value, list):
@@ -138,6 +141,8 @@ def table(what: str, left: dict[str, Any], right: dict[str, Any]) -> list[tuple[
         shown = ["–" if one is None else str(one) for one in pair]
         if shown[0] == shown[1]:
             continue
+        if (cut := [text[:_WIDEST] + "…" if len(text) > _WIDEST else text for text in shown])[0] != cut[1]:
+            shown = cut
         said = ""
         if isinstance(pair[0], Figure) and isinstance(pair[1], Figure):
             change = f"{100.0 * (pair[1].value / pair[0].value - 1.0):+.3g} %" if pair[0].value else ""
