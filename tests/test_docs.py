@@ -100,11 +100,13 @@ def test_every_class_of_the_api_shows_its_call():
     heads = [
         f'<h{n} id="memsgyro_jax.{name}">-</h{n}>' for n, name in ((3, "geometry.PlateLayout"), (2, "LayoutReadout"))
     ]
-    page = generated.with_calls("".join([*heads, '<h3 id="memsgyro_jax.geometry.Beam.guided">-</h3>']))
+    has = '<h2 id="memsgyro_jax.SingleMassGyro">-</h2>\n<div class="doc-signature">SingleMassGyro(</div>'
+    page = generated.with_calls("".join([has, *heads, '<h3 id="memsgyro_jax.geometry.Beam.guided">-</h3>']))
     assert "PlateLayout(\n    side," in page
     assert "legs=4.0," in page
     assert "LayoutReadout(\n    drawn," in page
-    assert page.count("doc-signature") == 2
+    assert page.count("doc-signature") == 3
+    assert page.count("SingleMassGyro(") == 1  # which shows one already, and not another's
 
 
 def test_the_picture_is_that_of_the_real_imports():

@@ -163,7 +163,7 @@ def with_calls(html: str) -> str:
         text = escape(f"{name}({arguments}\n)" if arguments else f"{name}()")
         return f'{found[0]}<div class="doc-signature highlight"><pre><code>{text}</code></pre></div>'
 
-    heading = r'<h([23]) id="memsgyro_jax\.([\w.]+)".*?</h\1>(?!\s*<div class="doc-signature)'
+    heading = r'<h([23]) id="memsgyro_jax\.([\w.]+)"(?:(?!</h\1>).)*</h\1>(?!\s*<div class="doc-signature)'
     return re.sub(heading, with_call, html, flags=re.DOTALL)
 
 
