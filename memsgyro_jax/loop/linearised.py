@@ -267,14 +267,14 @@ class FrequencyResponse(Tabular):
         ax = axes(ax)
         ax.semilogx(self.frequency, 20.0 * np.log10(np.abs(self.response)), color="C0", marker=".")
         ax.set(xlabel="frequency [Hz]", ylabel=f"gain [dB of {self._unit}]")
-        ax.xaxis.set_major_formatter("{x:g}")
-        ax.xaxis.set_minor_formatter("")
         right = ax.twinx()
         phase = np.degrees(np.unwrap(np.angle(self.response)))
         right.semilogx(self.frequency, phase, color="C1", ls="--", marker=".", label="phase")
         right.set_ylabel("phase [°]")
         right.plot([], [], color="C0", marker=".", label="gain")
         right.legend(loc="best", frameon=False)
+        ax.xaxis.set_major_formatter("{x:g}")
+        ax.xaxis.set_minor_formatter("")
         return ax
 
 
