@@ -159,7 +159,7 @@ def table(ours: dict, yardsticks: dict, options: argparse.Namespace) -> list[tup
         if name in ours:
             both, limit = ours[name]["steps_per_wall_s"], 2.0 / (1.0 + ours[name]["serial_share"])
             text = f"{both / 1e6:.2f} million steps/s, {both / alone['steps_per_wall_s']:.2f} x one core"
-            text += f" (at most {limit:.2f} x for what one thread does alone)"
+            text += f" ({limit:.2f} x if nothing that one thread does alone overlapped)"
             rows.append((f"{name.replace('_', ' ')}, wall clock", text))
     for name in [name for name in ours if name.startswith("accelerator")]:
         speed = ours[name]["steps_per_wall_s"]
