@@ -23,7 +23,11 @@ def settled(tree: Tree) -> Tree:
     """`tree` without its derivatives: under `jax.grad` and `jax.jvp` the numbers themselves, known now; under `vmap`
     and `jit`, where they are not, as it was.
     """
-    return jax.tree.map(lambda leaf: leaf if is_concrete(leaf) else jnp.asarray(jax.lax.stop_gradient(leaf)), tree)
+
+    def one(leaf: object) -> object:
+        return jnp.asarray(jax.lax.stop_gradient(leaf)) if isinstance(leaf, jax.core.Tracer) else leaf
+
+    return tree if is_concrete(tree) else jax.tree.map(one, tree)
 
 
 def strong(tree: Tree) -> Tree:

@@ -37,11 +37,11 @@ def with_sizes(gyro: AbstractGyro) -> AbstractGyro:
     for name, value in vars(gyro).items():
         if isinstance(value, AbstractGyro):
             gyro = eqx.tree_at(lambda made, name=name: getattr(made, name), gyro, with_sizes(value))
+    sizes = []
     for name, (first, second) in gyro.couplings.items():
         value, main = getattr(gyro, name), (getattr(gyro, first), getattr(gyro, second))
-        xp = np if is_concrete(value, main) else jnp
-        gyro = eqx.tree_at(lambda made, name=name: getattr(made, name), gyro, _size(xp, value, main))
-    return gyro
+        sizes.append(_size(np if is_concrete(value, main) else jnp, value, main))
+    return eqx.tree_at(lambda made: [getattr(made, name) for name in gyro.couplings], gyro, sizes) if sizes else gyro
 
 
 def _size(xp: object, value: Scalar, main: tuple[Scalar, Scalar]) -> Scalar:

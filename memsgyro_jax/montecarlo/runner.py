@@ -33,6 +33,7 @@ from .store import Memory, Store
 
 WINDOWS = 100  # at most about this many window means of the rate are kept per die, however long the run
 CHUNKS_PER_BLOCK = 8
+STEPS_PER_CALL = 20_000_000  # of one device, sample by sample: some seconds on a core
 
 
 @dataclass(frozen=True)
@@ -91,13 +92,13 @@ class Runner:
         return self.chunk * CHUNKS_PER_BLOCK
 
     def _together(self, dies: int) -> int:
-        """Chunks in a batch: one for each device, in blocks of samples as many as a block of dies has, since a call
-        takes as long as some of those.
+        """Chunks in a batch: all of a block of dies, as what lies between two calls keeps the devices waiting; fewer
+        where a call would take long.
         """
-        if self.loop.blocks is None:
-            return self.mesh.size
-        chunks = -(-min(dies, self.block) // self.chunk)
-        return self.mesh.size * -(-chunks // self.mesh.size)
+        each = -(-min(dies, self.block) // (self.chunk * self.mesh.size))
+        steps = 0 if self.loop.blocks is not None else self.plan.samples * self.chunk
+        calls = min(each, -(-each * steps // STEPS_PER_CALL) or 1)
+        return self.mesh.size * -(-each // calls)
 
     def _drawn(self, block: int, dies: int) -> "_Drawn":
         """The dies of a block, up to its end or `dies`: drawing for every batch took a sixth of the time."""
