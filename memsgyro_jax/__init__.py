@@ -95,10 +95,12 @@ if TYPE_CHECKING:
     from .loop.loop import ClosedLoop as ClosedLoop
     from .loop.stability import loop_margins as loop_margins
     from .loop.stability import LoopMargins as LoopMargins
+    from .loop.gain_phase import gain_phase_margins as gain_phase_margins
+    from .loop.gain_phase import GainPhaseMargins as GainPhaseMargins
     from .loop.linearised import linearise as linearise
     from .loop.linearised import LinearisedLoop as LinearisedLoop
-    from .loop.linearised import frequency_response as frequency_response
-    from .loop.linearised import FrequencyResponse as FrequencyResponse
+    from .loop.frequency_response import frequency_response as frequency_response
+    from .loop.frequency_response import FrequencyResponse as FrequencyResponse
     from .loop.exported import export_loop as export_loop
     from .loop.exported import ExportedLoop as ExportedLoop
     from .loop.mode_matching import matching_bias as matching_bias

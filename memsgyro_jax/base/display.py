@@ -14,6 +14,7 @@ import equinox as eqx
 import numpy as np
 
 from .concrete import is_concrete
+from .errors import InputError
 
 
 WIDTH = 100  # characters of a line beyond which each field gets its own
@@ -74,7 +75,9 @@ class Shown:
     """An object that writes its text, or else its numbers with their units, in a notebook too."""
 
     def __repr__(self) -> str:
-        return shown(self) if type(self).__str__ is object.__str__ else str(self)
+        if type(self).__str__ is not object.__str__:
+            return str(self)
+        return shown(self) if _can_be(self) else f"{shown(self, bare=True)}  # no such thing: of a gradient, no units"
 
     def _repr_html_(self) -> str:
         return f'<pre style="line-height: 1.25">{html.escape(repr(self))}</pre>'
@@ -84,19 +87,21 @@ class Displayed(Shown, eqx.Module):
     """A module that writes its numbers with their units."""
 
 
-def shown(value: Any, unit: str = "") -> str:
-    """`value` as it would be written, its numbers in `unit`."""
+def shown(value: Any, unit: str = "", *, bare: bool = False) -> str:
+    """`value` as it would be written, its numbers in `unit`; without any unit where `bare`."""
+    unit = "" if bare else unit
     if _is_number(value):
         return _with_unit(_number(value), unit)
     if dataclasses.is_dataclass(value) and not isinstance(value, type) and _is_plain(value):
-        fields = (_field(value, field, unit) for field in dataclasses.fields(value))
+        fields = (_field(value, field, unit, bare) for field in dataclasses.fields(value))
         return _enclosed(type(value).__name__, [text for text in fields if text])
     if isinstance(value, tuple) and hasattr(value, "_fields"):
-        parts = [f"{name}={shown(held)}" for name, held in zip(value._fields, value, strict=True) if held is not None]
+        named = zip(value._fields, value, strict=True)
+        parts = [f"{name}={shown(held, bare=bare)}" for name, held in named if held is not None]
         return _enclosed(type(value).__name__, parts)
     if isinstance(value, tuple | list):
         numbers = len(value) > 0 and all(_is_number(entry) and np.ndim(entry) == 0 for entry in value)
-        text = _enclosed("", [shown(entry, "" if numbers else unit) for entry in value])
+        text = _enclosed("", [shown(entry, "" if numbers else unit, bare=bare) for entry in value])
         return _with_unit(text, unit) if numbers else text
     return repr(value)
 
@@ -121,13 +126,25 @@ def stated_at(root: Any, path: str) -> str:
     return "" if re.search(",| or |SI", unit) else unit
 
 
-def _field(value: Any, field: dataclasses.Field, around: str) -> str:
+def _field(value: Any, field: dataclasses.Field, around: str, bare: bool) -> str:
     held = getattr(value, field.name, None)  # None, too, in an object that is not yet made
     if not field.repr or (_is_empty(held) and _is_empty(field.default)):
         return ""
     if field.name in ("axis", "source", "target") and held in (0, 1):
         return f"{field.name}='{'xy'[held]}'"
-    return f"{field.name}={shown(held, stated_unit(value, field, around) or '')}"
+    return f"{field.name}={shown(held, stated_unit(value, field, around) or '', bare=bare)}"
+
+
+def _can_be(value: Any) -> bool:
+    """Whether it passes its own checks. The gradient by a device is an object of its class, in units per unit of each
+    number, and has a mass of zero or below, say.
+    """
+    try:
+        for kind in type(value).__mro__:
+            vars(kind).get("__check_init__", lambda _: None)(value)
+    except (InputError, AttributeError, TypeError, ValueError):
+        return False
+    return True
 
 
 def _is_empty(value: Any) -> bool:

@@ -71,8 +71,9 @@ def configure(devices: int | None = None) -> None:
     missing = _known(missing) if missing else []  # what this jaxlib does not know was left out by the first call too
     if missing and _backend_started():
         raise InputError(
-            "`memsgyro_jax.base.runtime.configure()` must be called before JAX computes anything, but JAX has started "
-            "already; move the call to the top of the script."
+            "`memsgyro_jax.runtime.configure()` must be called before JAX computes anything, but JAX has started "
+            "already; move the call to the top of the script. In a notebook restart the kernel, and run `from "
+            "memsgyro_jax import runtime; runtime.configure()` as its first cell."
         )
     if missing:
         os.environ["XLA_FLAGS"] = " ".join([present, *missing]).strip()
@@ -90,8 +91,9 @@ def require_float64(who: str) -> None:
 
     if not jax.config.read("jax_enable_x64"):
         raise InputError(
-            f"{who} must run in float64, but JAX is set to float32; call `memsgyro_jax.base.runtime.configure()` first "
-            'or `jax.config.update("jax_enable_x64", True)`.'
+            f"{who} must run in float64, but JAX is set to float32; run `from memsgyro_jax import runtime; "
+            "runtime.configure()` at the top of the script. In a notebook restart the kernel, and run it as the first "
+            'cell; or go on with `jax.config.update("jax_enable_x64", True)`, and make every object again.'
         )
 
 

@@ -249,7 +249,7 @@ class Search:
             if self.own_score(place).p_value <= alone:
                 continue
             fewer = self.refit([i for i in self.accepted if i != place], start=self.without(place))
-            if special.chdtrc(max(1, max(0.0, mine.size), fewer.chi2 - self.optimum.chi2)) <= alone:
+            if special.chdtrc(max(1, mine.size), max(0.0, fewer.chi2 - self.optimum.chi2)) <= alone:
                 continue
             self.optimum = fewer
             self.accepted.remove(place)

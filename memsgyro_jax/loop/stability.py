@@ -1,5 +1,6 @@
 """How far the loops of classic control are from instability, all of them closed around both axes."""
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -51,6 +52,12 @@ def loop_margins(loop: ClosedLoop) -> LoopMargins:
     where linear algebra can wait for itself: the loss `LoopMargin` takes each loop by itself. Raises
     `InputError` for another controller.
     """
+    table, tree, velocity, lot = _numbers(loop)
+    return LoopMargins(*(one.reshape(lot) for one in _margins(table, tree, velocity).T))
+
+
+def _numbers(loop: ClosedLoop) -> tuple[Array, Any, tuple[bool, bool], tuple[int, ...]]:
+    """The numbers of each die in a row, what puts them back, which axes show velocity, and the shape of the lot."""
     control: Any = loop.controller
     if not isinstance(control, ClassicControl):
         raise InputError(
@@ -67,8 +74,7 @@ def loop_margins(loop: ClosedLoop) -> LoopMargins:
     lot = jnp.broadcast_shapes(*(jnp.shape(leaf) for leaf in leaves))
     table = jnp.stack([jnp.broadcast_to(leaf, lot).reshape(-1) for leaf in leaves], axis=1)
     velocity = tuple(signal >= VX for signal in control.signals)
-    found = _margins(table, tree, velocity)
-    return LoopMargins(*(one.reshape(lot) for one in found.T))
+    return table, tree, velocity, lot
 
 
 class _Numbers(NamedTuple):
@@ -83,12 +89,45 @@ class _Numbers(NamedTuple):
     sense: Any
 
 
+def open_loops(loop: ClosedLoop) -> Callable[[Float[np.ndarray, " some"]], Complex[np.ndarray, "some 4"]]:
+    """Of one die: what each of the four loops, opened where its output acts while the others are closed, hands back
+    with the sign turned, at angular frequencies [rad/s]. Raises `InputError` for another controller, and for a lot.
+    """
+    table, tree, velocity, lot = _numbers(loop)
+    if lot:
+        raise InputError("Argument `loop` must be one die, but holds several; `loop_margins` takes a lot.")
+    closed, push, out = map(np.asarray, _matrices(table[0], tree, velocity))
+
+    def handed_back(omega: Float[np.ndarray, " some"]) -> Complex[np.ndarray, "some 4"]:
+        moved = np.linalg.solve(1j * omega[:, None, None] * np.eye(len(closed)) - closed, push + 0j)
+        return 1.0 / (1.0 + np.diagonal(out @ moved, axis1=1, axis2=2)) - 1.0
+
+    return handed_back
+
+
+@eqx.filter_jit
+def _matrices(row: Array, tree: Any, velocity: tuple[bool, bool]) -> tuple[Array, Array, Array]:
+    return _around_the_lock(jax.tree.unflatten(tree, list(row)), velocity)
+
+
 @eqx.filter_jit
 def _margins(table: Float[Array, "dies numbers"], tree: Any, velocity: tuple[bool, bool]) -> Float[Array, "dies 4"]:
     return jax.vmap(lambda row: _of_die(jax.tree.unflatten(tree, list(row)), velocity))(table)
 
 
 def _of_die(numbers: _Numbers, velocity: tuple[bool, bool]) -> Float[Array, " 4"]:
+    closed, push, out = _around_the_lock(numbers, velocity)
+    without = closed - push.T[:, :, None] * out[:, None, :]
+    poles = jnp.linalg.eigvals(jax.lax.stop_gradient(jnp.concatenate([closed[None], without]))).real
+    rest = 1e-6 * numbers.drive.demodulator.bandwidth  # an integral's pole at zero, but for rounding
+    unstable, *others = jnp.sum(poles > rest, axis=1)
+    guilty = unstable > jnp.stack(others)
+    guilty = guilty | ((unstable > 0) & ~jnp.any(guilty))
+    return jnp.where(guilty, -1.0, 1.0) * _distances(closed, push, out)
+
+
+def _around_the_lock(numbers: _Numbers, velocity: tuple[bool, bool]) -> tuple[Array, Array, Array]:
+    """The matrices of the closed loops, of what acts, and of what the loops put out, where the state rests."""
     flow = _Flow(numbers, velocity)
 
     def step(_: int, carry: tuple) -> tuple:
@@ -101,14 +140,7 @@ def _of_die(numbers: _Numbers, velocity: tuple[bool, bool]) -> Float[Array, " 4"
     start = flow.start()
     zeros = (jnp.zeros((len(start), size)) for size in (len(start), 4))
     _, within, push, out = jax.lax.fori_loop(0, _STEPS, step, (start, *zeros, jnp.zeros((4, len(start)))))
-    closed = within + push @ out
-    without = closed - push.T[:, :, None] * out[:, None, :]
-    poles = jnp.linalg.eigvals(jax.lax.stop_gradient(jnp.concatenate([closed[None], without]))).real
-    rest = 1e-6 * numbers.drive.demodulator.bandwidth  # an integral's pole at zero, but for rounding
-    unstable, *others = jnp.sum(poles > rest, axis=1)
-    guilty = unstable > jnp.stack(others)
-    guilty = guilty | ((unstable > 0) & ~jnp.any(guilty))
-    return jnp.where(guilty, -1.0, 1.0) * _distances(closed, push, out)
+    return within + push @ out, push, out
 
 
 class _Flow:

@@ -12,6 +12,7 @@ from memsgyro_jax.base.arguments import quantity, whole
 from memsgyro_jax.base.concrete import is_concrete
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.provenance import Settings
+from memsgyro_jax.device.gyro import Inertial
 from memsgyro_jax.device.propagate import State4
 
 from . import engine, noise
@@ -83,6 +84,7 @@ def simulate(
         raise InputError(
             f"Argument `decimation` must lie between 1 and the {steps} samples, but {decimation} was given."
         )
+    _require_one_die(loop)
     scenario, loop = as_scenario(scenario), loop.sampled_at(sample_rate, duration=duration)
     ran, hindered = prepared(loop.present)
     tell((*expectations(loop, scenario, sample_rate, duration), *hindered))
@@ -92,6 +94,17 @@ def simulate(
     settings = Settings.of(loop, scenario, sample_rate=sample_rate, duration=duration, seed=seed)
     end = scenario.at((rows.ends[-1] - 0.5) / sample_rate).inertial
     return _as_trace(done, loop, loop.device.coefficients(end.rate, end.damping_change), settings, rows)
+
+
+def _require_one_die(loop: ClosedLoop) -> None:
+    readout = loop.readout
+    numbers = (loop.device.dynamics(Inertial()), readout.scale, readout.offset, loop.start, loop.travel)
+    lot = max(map(jnp.shape, jax.tree.leaves(numbers)), key=len)
+    if lot:
+        raise InputError(
+            f"Argument `loop` must be one die, but holds {lot[-1]} along the last axis of its numbers, as `draw` gives "
+            "them; give the design and the spread to `sweep`, or map over that axis by `jax.vmap`."
+        )
 
 
 def count_steps(sample_rate: float, duration: float) -> int:

@@ -1,6 +1,6 @@
 """A datasheet of a simulated lot in the terms of IEEE Std 528 and 1431: the tests of a laboratory, run in the model."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -84,8 +84,9 @@ def datasheet(
     alive = np.all([run.alive for run in table], axis=0) & answer.alive
     rows = tuple(replace(row, values=np.where(alive, row.values, np.nan)) for row in rows)
     outputs, answers = np.where(alive, outputs, np.nan), np.where(alive[:, None], answer.values, np.nan)
+    rows = with_trim(rows, rates, outputs, bench.full_scale) if trim else rows
     return Datasheet(
-        rows=with_trim(rows, rates, outputs, bench.full_scale) if trim else rows,
+        rows=rows,
         dies=dies,
         lost=int(np.sum(~alive)),
         full_scale=bench.full_scale,
@@ -102,8 +103,19 @@ def datasheet(
             duration=bench.duration,
             seed=seed,
         ),
-        notes=notes_of(alive, started, bench),
+        notes=(*impossible_ends(rows), *notes_of(alive, started, bench)),
         over_temperature=drifts,
+    )
+
+
+def impossible_ends(rows: Iterable[DatasheetRow]) -> tuple[str, ...]:
+    """A sentence that names the figures whose interval passes what any die can be."""
+    both = ((row.name, found) for row in rows if row.positive for found in (row.over_dies, row.over_trimmed))
+    named = dict.fromkeys(name for name, found in both if found is not None and found.low < 0.0)
+    if not named:
+        return ()
+    return (
+        f"The 95 % interval of {', '.join(named)} passes zero, below which no die can be: so few dies do not tell it.",
     )
 
 

@@ -29,6 +29,7 @@ from .model import Model
 SCHEMA = "memsgyro-model/1"
 _UNITS = {"stiffness": "rad²/s²", "damping": "1/s", "mobility": "1/kg"}
 _PAIRS = {1: ("xx",), 2: ("xx", "yy", "xy")}
+_LARGEST = {"stiffness": 1e26, "damping": 1e13, "mobility": 1e30, "scale": 1e20, "offset": 1e20}  # of 1 THz, 1e-30 kg
 
 
 class _Matrix(FileSection):
@@ -121,9 +122,11 @@ def _model(file: _File, source: Source, own: Sequence[Effect]) -> Model:
                 raise InputError(f"must have the entries {', '.join(_PAIRS[axes])} as the stiffness has, but has not")
             values = np.array([value for value in given if value is not None], float)
             matrices[name] = to_si(values, entry.unit, _UNITS[name], "the value")
+            _check_size(name, matrices[name], _UNITS[name])
             _check_definite(name, matrices[name])
     with source.section("device", "mobility"):
         mobility = _si(file.device.mobility, "1/kg")
+        _check_size("mobility", mobility, "1/kg")
         if not (mobility > 0.0 or (axes == 1 and mobility < 0.0)):  # a resonator's pick-off may be turned round
             raise InputError(f"must be 1 / mass, positive, but is {mobility:g} 1/kg")
     for name in ("scale", "offset"):
@@ -133,6 +136,7 @@ def _model(file: _File, source: Source, own: Sequence[Effect]) -> Model:
                 raise InputError(f"must have one entry per axis, {axes}, but has {len(given)}")
             if name == "scale" and 0.0 in given:
                 raise InputError("must not be zero, which shows nothing")
+            _check_size(name, given, "V/m" if name == "scale" else "V")
     with source.section("reference", "temperature"):
         temperature = check_temperature(_si(file.reference.temperature, "K"))
     with source.section("reference", "bias_voltage"):
@@ -150,6 +154,13 @@ def _model(file: _File, source: Source, own: Sequence[Effect]) -> Model:
         reference_temperature=temperature,
         reference_bias=bias,
     )
+
+
+def _check_size(name: str, values: np.typing.ArrayLike, unit: str) -> None:
+    """Beyond are slips of the keyboard: a mode above 1 THz, say."""
+    size, most = float(np.max(np.abs(values))), _LARGEST[name]
+    if not size <= most:
+        raise InputError(f"must be of a size below {most:g} {unit}, beyond which no device is, but is {size:g}")
 
 
 def _check_definite(name: str, values: np.ndarray) -> None:

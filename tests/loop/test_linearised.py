@@ -66,8 +66,12 @@ def test_it_prints_draws_and_goes_into_a_file(response, tmp_path):
     assert response.plot().get_ylabel() == "gain [dB of 1]"
     assert np.isnan(response.bandwidth)
     assert "ask for lower" not in str(response)
-    late = replace(response, response=-1j * response.response)
-    assert "where it lags by" in str(late)
+    assert abs(response.static - 1.0) < 1e-3
+    late = replace(response, response=0.5 * response.response)
+    assert "below 40 Hz already: ask for lower" in str(late)
+    assert np.isnan(late.bandwidth)
+    falling = replace(response, frequency=np.array([40.0, 80.0]), response=np.array([0.8, 0.4j]))
+    assert abs(falling.bandwidth - 40.0 * 2.0 ** (np.log(0.8 * np.sqrt(2.0)) / np.log(2.0))) < 1e-2
 
 
 def test_what_it_cannot_answer_it_says(loop):

@@ -1,6 +1,7 @@
 """`memsgyro diff`: what sets two studies or two results apart."""
 
 import json
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,6 +13,7 @@ from memsgyro_jax.base.text import aligned
 _WIDEST = 60  # letters of a setting or a sentence
 _SILENT = ("versions", "fingerprint", "schema", "notes", "steps_per_s", "study")
 _TWO_SIDED = 1.96
+_LONG = re.compile(r"\d+\.\d{4,}(e[+-]?\d+)?")  # a number with all its digits
 
 
 class Figure(NamedTuple):
@@ -141,6 +143,7 @@ def table(what: str, left: dict[str, Any], right: dict[str, Any]) -> list[tuple[
         shown = ["–" if one is None else str(one) for one in pair]
         if shown[0] == shown[1]:
             continue
+        shown = _short(*shown)
         if (cut := [text[:_WIDEST] + "…" if len(text) > _WIDEST else text for text in shown])[0] != cut[1]:
             shown = cut
         said = ""
@@ -150,3 +153,12 @@ def table(what: str, left: dict[str, Any], right: dict[str, Any]) -> list[tuple[
             said = ", ".join(filter(None, (change, apart)))
         rows.append((name, *shown, said))
     return rows
+
+
+def _short(left: str, right: str) -> list[str]:
+    """Both texts with as many digits of their numbers as tell them apart, four at least."""
+    for digits in (4, 7, 12):
+        cut = [_LONG.sub(lambda found: f"{float(found[0]):.{digits}g}", text) for text in (left, right)]  # noqa: B023
+        if cut[0] != cut[1]:
+            return cut
+    return [left, right]

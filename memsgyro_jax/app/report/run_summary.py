@@ -28,7 +28,7 @@ def run_figures(trace: Trace, settle: float | None) -> dict[str, Any]:
         "coefficient_error": {
             name: float(trace.theta_estimate[-1, i] / trace.theta[i] - 1.0)
             for i, name in enumerate(trace.coefficients)
-            if not name.startswith("rate")
+            if not name.startswith("rate") and trace.readings is None  # who reads a lock estimates no coefficient
         },
         "settled_from_s": begin,
         "sample_rate_hz": given.sample_rate,
@@ -53,8 +53,8 @@ def run_rows(figures: dict[str, Any]) -> list[tuple[str, str]]:
     shown = lambda value: "–" if value is None else f"{value:.3g}"  # noqa: E731
     settled = lambda error: ", ".join(shown(error[name]) for name in ("rms", "mean", "std")) + " deg/s"  # noqa: E731
     error, raw, worst = (figures[n] for n in ("rate_error_dps", "rate_error_before_filter_dps", "coefficient_error"))
-    claimed = f" (claimed {shown(figures['claimed_std_end_dps'])})"
-    far = max(worst, key=lambda name: abs(worst[name] or 0.0))
+    std, nis = figures["claimed_std_end_dps"], figures["nis_mean"]
+    claimed = "" if std is None else f" (claimed {shown(std)})"
     rows = [
         ("run", f"{figures['duration_s']:g} s at {figures['sample_rate_hz']:g} Hz, {figures['status']}"),
         ("rate error at the end", f"{shown(error['end'])} deg/s{'' if raw else claimed}"),
@@ -63,6 +63,9 @@ def run_rows(figures: dict[str, Any]) -> list[tuple[str, str]]:
     if raw:
         rows.append(("rate error at the end before the filter", f"{shown(raw['end'])} deg/s{claimed}"))
         rows.append(("  from then on (rms, mean, std)", settled(raw)))
-    rows.append(("farthest coefficient at the end", f"{far}, off by {100.0 * (worst[far] or 0.0):.3g} %"))
-    rows.append(("consistency (NIS)", f"{shown(figures['nis_mean'])} of 2"))
+    if worst:
+        far = max(worst, key=lambda name: abs(worst[name] or 0.0))
+        rows.append(("farthest coefficient at the end", f"{far}, off by {100.0 * (worst[far] or 0.0):.3g} %"))
+    told = "unknown (the observer claims no innovations)" if nis is None else f"{shown(nis)} of 2"
+    rows.append(("consistency (NIS)", told))
     return rows

@@ -1,0 +1,181 @@
+"""The response of a loop over frequency: what a simulation of a small sine shows on average, taken exactly as the
+derivative of the run by the size of the sine.
+"""
+
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Complex, Float
+
+from memsgyro_jax.base import runtime
+from memsgyro_jax.base.arguments import quantity
+from memsgyro_jax.base.axes import axes
+from memsgyro_jax.base.concrete import is_concrete, settled
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.labelled import Tabular, labelled
+
+from .linearised import INPUTS, advanced, known
+from .loop import ClosedLoop, as_loop
+from .scenario import Scenario, as_scenario
+from .trace import count_steps
+
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.axes import Axes
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FrequencyResponse(Tabular):
+    """How the rate that a loop gives out answers a small sine of one of its `INPUTS`.
+
+    `response` is the complex ratio over `frequency` [Hz], in rad/s per unit of the input, a phase that lags negative;
+    `rest` the part of the answer, relative, that is no sine of that frequency: what had not settled, or beats with the
+    swing. `level` is the constant rate [rad/s] around which it was taken, `static` the response to a small change of it
+    that stays, None of another disturbance than the rate.
+    """
+
+    disturbance: str
+    frequency: Float[np.ndarray, " frequencies"]
+    response: Complex[np.ndarray, " frequencies"]
+    rest: Float[np.ndarray, " frequencies"]
+    level: float
+    static: complex | None = None
+    along: ClassVar[str] = "frequency"
+
+    @property
+    def bandwidth(self) -> float:
+        """The frequency in Hz at which the power has halved from that of a constant rate, or of the lowest frequency
+        where another disturbance was asked for; NaN where it does not, or has before the lowest frequency.
+        """
+        gain = jnp.abs(self.response) / jnp.abs(self.response[0] if self.static is None else self.static)
+        power = known(gain**2)
+        below = np.flatnonzero(np.asarray(settled(power)) < 0.5)
+        if not below.size or below[0] == 0:
+            return float("nan")
+        k = int(below[0])
+        xp, (before, behind) = np if is_concrete(power) else jnp, self.frequency[k - 1 : k + 1]
+        share = xp.log(power[k - 1] / 0.5) / xp.log(power[k - 1] / power[k])
+        return _number(before * (behind / before) ** share)
+
+    def __str__(self) -> str:
+        low, whole = self.frequency[0], "a constant rate" if self.static is not None else f"{self.frequency[0]:.4g} Hz"
+        half, first = f"half the power of {whole}", abs(self.response[0])
+        if np.isfinite(self.bandwidth):
+            half += f" at {self.bandwidth:.4g} Hz"
+        elif self.static is not None and first**2 < 0.5 * abs(self.static) ** 2:
+            half += f" below {low:.4g} Hz already: ask for lower frequencies too"
+        else:
+            half += f" nowhere up to {self.frequency[-1]:.4g} Hz"
+        phase = np.degrees(np.unwrap(np.angle(self.response)))
+        lines = [f"Response of the rate to {self.disturbance} ({self._unit}), {half}"]
+        rows = zip(self.frequency, np.abs(self.response), phase, self.rest, strict=True)
+        lines += [f"  {f:>10.4g} Hz  {gain:>10.4g}  {angle:>8.1f}°  rest {rest:.1e}" for f, gain, angle, rest in rows]
+        return "\n".join(lines)
+
+    @property
+    def _unit(self) -> str:
+        return "1" if self.disturbance == "rate" else f"rad/s/{INPUTS[self.disturbance]}"
+
+    def to_xarray(self) -> "xr.Dataset":
+        """Gain, phase and rest over `frequency`."""
+        variables = {
+            "gain": ("frequency", np.abs(self.response), self._unit),
+            "phase": ("frequency", np.unwrap(np.angle(self.response)), "rad"),
+            "rest": ("frequency", self.rest, "1", "part of the answer that is no sine of the frequency"),
+        }
+        about = {"disturbance": self.disturbance, "bandwidth": self.bandwidth, "rate": self.level}
+        return labelled(self, variables, {"frequency": ("frequency", self.frequency, "Hz")}, about)
+
+    def plot(self, ax: "Axes | None" = None) -> "Axes":
+        """Bode diagram: gain in dB, and the phase dashed on an axis at the right; returns the axes of the gain."""
+        ax = axes(ax)
+        ax.semilogx(self.frequency, 20.0 * np.log10(np.abs(self.response)), color="C0", marker=".")
+        ax.set(xlabel="frequency [Hz]", ylabel=f"gain [dB of {self._unit}]")
+        right = ax.twinx()
+        phase = np.degrees(np.unwrap(np.angle(self.response)))
+        right.semilogx(self.frequency, phase, color="C1", ls="--", marker=".", label="phase")
+        right.set_ylabel("phase [°]")
+        right.plot([], [], color="C0", marker=".", label="gain")
+        right.legend(loc="best", frameon=False)
+        ax.xaxis.set_major_formatter("{x:g}")
+        ax.xaxis.set_minor_formatter("")
+        return ax
+
+
+def frequency_response(
+    loop: ClosedLoop,
+    frequency: Float[np.ndarray, " frequencies"],
+    disturbance: str = "rate",
+    *,
+    sample_rate: float | str,
+    duration: float | str,
+    settle: float | str | None = None,
+    level: float | str = 0.0,
+) -> FrequencyResponse:
+    """The Bode diagram of any loop, linear or not: the derivative of a run without noise by the size of a small sine.
+
+    Args:
+        loop: whatever it is made of.
+        frequency: of the sines [Hz], rising; each has its own run, side by side.
+        disturbance: one of `INPUTS`.
+        sample_rate, duration: of the runs, Hz and s.
+        settle: from when on the answer is taken [s]; half the duration without.
+        level: the constant rate [rad/s] around which the rate is disturbed.
+
+    **Raises:** `InputError` for another name, for frequencies that do not rise between one in the settled part and half
+    the sample rate, and as `simulate` does.
+    """
+    runtime.require_float64("frequency_response")
+    loop, level = as_loop(loop), quantity("level", level, "rad/s")
+    sample_rate, duration = quantity("sample_rate", sample_rate, "Hz"), quantity("duration", duration, "s")
+    settle = 0.5 * duration if settle is None else quantity("settle", settle, "s")
+    steps, frequency = count_steps(sample_rate, duration), np.atleast_1d(np.asarray(frequency, float))
+    if disturbance not in INPUTS:
+        raise InputError(f"Argument `disturbance` must be one of {', '.join(INPUTS)}, but is `{disturbance}`.")
+    slowest, rising = 1.0 / max(duration - settle, 1e-300), np.all(np.diff(frequency) > 0.0)
+    if not (rising and slowest <= frequency[0] and frequency[-1] < 0.5 * sample_rate):
+        raise InputError(
+            f"Argument `frequency` must rise from at least {slowest:.4g} Hz (a period in the settled part) to below "
+            f"{0.5 * sample_rate:.4g} Hz, but goes from {frequency[0]:.4g} to {frequency[-1]:.4g} Hz."
+        )
+    loop = loop.sampled_at(sample_rate, duration=duration).present
+    place = list(INPUTS).index(disturbance)
+    start, omega = round(settle * sample_rate), jnp.asarray(2.0 * np.pi * np.append(frequency, 0.0))
+    found, rest = _answers(loop, as_scenario(level), 1.0 / sample_rate, steps, start, omega, place)
+    found, rest = known(found), known(rest)
+    static = found[-1] if disturbance == "rate" else None
+    return FrequencyResponse(disturbance, frequency, found[:-1], rest[:-1], level, static)
+
+
+def _number(value: Any) -> Any:
+    return float(value) if is_concrete(value) else value
+
+
+@eqx.filter_jit
+def _answers(
+    loop: ClosedLoop, scenario: Scenario, period: float, steps: int, start: int, omega: Array, place: int
+) -> tuple[Array, Array]:
+    def output(size: Array, omega: Array) -> Array:
+        def at(time: Array) -> Array:
+            return jnp.zeros(len(INPUTS)).at[place].set(size * jnp.where(omega > 0.0, jnp.sin(omega * time), 1.0))
+
+        return advanced(loop, scenario, loop.init(), 0, steps, period, at)[1][:, 0]
+
+    def answer(omega: Array) -> tuple[Array, Array]:
+        tangent = jax.jvp(partial(output, omega=omega), (jnp.zeros(()),), (jnp.ones(()),))[1][start:]
+        angle = omega * period * (start + 1.0 + jnp.arange(tangent.size))
+        # A slow drift is what has not settled, and no part of the sine.
+        basis = jnp.stack([jnp.sin(angle), jnp.cos(angle), jnp.ones_like(angle), angle - angle[0]], axis=1)
+        parts = jnp.linalg.lstsq(basis, tangent)[0]
+        left = tangent - basis[:, :2] @ parts[:2]
+        size = jnp.sqrt(jnp.mean((basis[:, :2] @ parts[:2]) ** 2))
+        gain = jnp.where(omega > 0.0, parts[0] + 1j * parts[1], jnp.mean(tangent) + 0.0j)
+        return gain, jnp.sqrt(jnp.mean(left**2)) / size
+
+    return jax.vmap(answer)(omega)

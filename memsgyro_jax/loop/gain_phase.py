@@ -1,0 +1,84 @@
+"""Gain and phase margins of the loops of classic control, in decibels and degrees."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from memsgyro_jax.base import runtime
+from memsgyro_jax.base.display import Shown
+from memsgyro_jax.base.text import aligned
+
+from .loop import ClosedLoop
+from .stability import LoopMargins, loop_margins, open_loops
+
+
+_SPAN = np.geomspace(1e-2, 1e6, 6001)  # rad/s, at which crossings are looked for
+_HALVINGS = 40
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class GainPhaseMargins(Shown):
+    """Margins of one die's four loops in the order of `LoopMargins`, each opened where its output acts while the others
+    are closed.
+
+    `crossover` [Hz] is where the loop's gain is 1 with the least `phase_margin` [degrees]; `increase` and `decrease`
+    [dB] are by how much its gain may grow, and fall, until it oscillates, infinite where no change of the gain does
+    that. NaN where the loop hands nothing back, where it is unstable as it is, and for a crossover that it has not.
+    `distance` are the least distances of the Nyquist curves from -1.
+    """
+
+    distance: LoopMargins
+    crossover: Float[np.ndarray, " 4"]
+    phase_margin: Float[np.ndarray, " 4"]
+    increase: Float[np.ndarray, " 4"]
+    decrease: Float[np.ndarray, " 4"]
+
+    def __str__(self) -> str:
+        head = ("loop", "distance from -1", "crossover", "phase margin", "gain margin up", "and down")
+        rows = [head]
+        for k, (name, distance) in enumerate(self.distance._asdict().items()):
+            cells = (self.crossover[k], self.phase_margin[k], self.increase[k], self.decrease[k])
+            shown = (_with_unit(value, unit) for value, unit in zip(cells, (" Hz", "°", " dB", " dB"), strict=True))
+            rows.append((name, f"{float(distance):.3g}", *shown))
+        return aligned(rows)
+
+
+def gain_phase_margins(loop: ClosedLoop) -> GainPhaseMargins:
+    """Gain and phase margins of the loops of a die in classic control, of the linearised loops of `loop_margins`.
+
+    Crossings are looked for between 0.0016 Hz and 160 kHz. Raises `InputError` for another controller, and for a lot.
+    """
+    runtime.require_float64("`gain_phase_margins`")
+    distance, curve = loop_margins(loop), open_loops(loop)
+    along = curve(_SPAN)
+    found = np.array([_of_loop(lambda w, k=k: curve(w)[:, k], along[:, k], float(distance[k])) for k in range(4)])
+    return GainPhaseMargins(distance, *found.T)
+
+
+def _of_loop(curve: Callable, along: np.ndarray, distance: float) -> tuple[float, float, float, float]:
+    """Crossover, phase margin, increase and decrease of a loop, whose curve is `along` at the frequencies looked at."""
+    if distance < 0.0 or np.max(np.abs(along)) < 1e-9:
+        return (np.nan,) * 4
+    unity = _crossings(lambda w: np.log(np.abs(curve(w))), np.log(np.abs(along)))
+    left = 180.0 - np.abs(np.degrees(np.angle(curve(unity))))
+    crossover, phase = (unity[np.argmin(left)] / (2.0 * np.pi), np.min(left)) if len(unity) else (np.nan, np.nan)
+    turned = curve(_crossings(lambda w: curve(w).imag, along.imag))
+    gains = -20.0 * np.log10(np.abs(turned[turned.real < 0.0]))
+    return crossover, phase, np.min(gains[gains > 0.0], initial=np.inf), np.max(gains[gains < 0.0], initial=-np.inf)
+
+
+def _crossings(height: Callable, along: np.ndarray) -> np.ndarray:
+    """Angular frequencies at which `height` changes its sign."""
+    places = np.flatnonzero(np.sign(along[1:]) != np.sign(along[:-1]))
+    low, high, sign = _SPAN[places], _SPAN[places + 1], np.sign(along[places])
+    for _ in range(_HALVINGS if len(places) else 0):
+        middle = np.sqrt(low * high)
+        same = np.sign(height(middle)) == sign
+        low, high = np.where(same, middle, low), np.where(same, high, middle)
+    return low
+
+
+def _with_unit(value: float, unit: str) -> str:
+    return "–" if np.isnan(value) else "any" if np.isinf(value) else f"{value:.3g}{unit}"
