@@ -19,7 +19,7 @@ from memsgyro_jax.base.concrete import is_concrete, settled
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.labelled import Tabular, labelled
 
-from .linearised import INPUTS, advanced, known
+from .linearised import INPUTS, disturbed, known_array
 from .loop import ClosedLoop, as_loop
 from .scenario import Scenario, as_scenario
 from .trace import count_steps
@@ -54,7 +54,7 @@ class FrequencyResponse(Tabular):
         where another disturbance was asked for; NaN where it does not, or has before the lowest frequency.
         """
         gain = jnp.abs(self.response) / jnp.abs(self.response[0] if self.static is None else self.static)
-        power = known(gain**2)
+        power = known_array(gain**2)
         below = np.flatnonzero(np.asarray(settled(power)) < 0.5)
         if not below.size or below[0] == 0:
             return float("nan")
@@ -148,7 +148,7 @@ def frequency_response(
     place = list(INPUTS).index(disturbance)
     start, omega = round(settle * sample_rate), jnp.asarray(2.0 * np.pi * np.append(frequency, 0.0))
     found, rest = _answers(loop, as_scenario(level), 1.0 / sample_rate, steps, start, omega, place)
-    found, rest = known(found), known(rest)
+    found, rest = known_array(found), known_array(rest)
     static = found[-1] if disturbance == "rate" else None
     return FrequencyResponse(disturbance, frequency, found[:-1], rest[:-1], level, static)
 
@@ -165,7 +165,7 @@ def _answers(
         def at(time: Array) -> Array:
             return jnp.zeros(len(INPUTS)).at[place].set(size * jnp.where(omega > 0.0, jnp.sin(omega * time), 1.0))
 
-        return advanced(loop, scenario, loop.init(), 0, steps, period, at)[1][:, 0]
+        return disturbed(loop, scenario, loop.init(), 0, steps, period, at)[1][:, 0]
 
     def answer(omega: Array) -> tuple[Array, Array]:
         tangent = jax.jvp(partial(output, omega=omega), (jnp.zeros(()),), (jnp.ones(()),))[1][start:]

@@ -59,7 +59,7 @@ def _step(
     return _Pushed(**parts, push=push).step(state, conditions, (0.0, 0.0), clock)
 
 
-def advanced(loop: ClosedLoop, scenario: Scenario, state: LoopState, first: Any, samples: int, period: float, at: Any):
+def disturbed(loop: ClosedLoop, scenario: Scenario, state: LoopState, first: Any, samples: int, period: float, at: Any):
     """State and last sample, `samples` later; `at` gives the disturbances at a time."""
 
     def one(carry, index):
@@ -171,19 +171,19 @@ def linearise(
     first = count_steps(sample_rate, after)
     loop = loop.sampled_at(sample_rate, duration=after).present
     point, matrices = _matrices(loop, scenario, 1.0 / sample_rate, first, samples)
-    a, b, c, d = map(known, matrices)
+    a, b, c, d = map(known_array, matrices)
     space = StateSpace(a, b, c, d, samples / sample_rate)
-    return LinearisedLoop(space, _names(loop), known(point), after)
+    return LinearisedLoop(space, _names(loop), known_array(point), after)
 
 
 @eqx.filter_jit
 def _matrices(loop: ClosedLoop, scenario: Scenario, period: float, first: int, samples: int) -> tuple[Array, tuple]:
     rest = jnp.zeros(len(INPUTS))
-    state, _ = advanced(loop, scenario, loop.init(), 0, first, period, lambda _: rest)
+    state, _ = disturbed(loop, scenario, loop.init(), 0, first, period, lambda _: rest)
     vector, shaped = _as_vector(state)
 
     def go_on(at: Array, disturbance: Array) -> tuple[Array, Array]:
-        end, outputs = advanced(loop, scenario, shaped(at), first, samples, period, lambda _: disturbance)
+        end, outputs = disturbed(loop, scenario, shaped(at), first, samples, period, lambda _: disturbance)
         return _as_vector(end)[0], outputs[-1]
 
     (a, b), (c, d) = jax.jacfwd(go_on, argnums=(0, 1))(vector, rest)
@@ -210,6 +210,6 @@ def _names(loop: ClosedLoop) -> tuple[str, ...]:
     return tuple(found)
 
 
-def known(value: Any) -> Any:
+def known_array(value: Any) -> Any:
     """Arrays of NumPy, but where a gradient is taken."""
     return np.asarray(value) if is_concrete(value) else value
