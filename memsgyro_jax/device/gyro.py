@@ -181,8 +181,7 @@ class SingleMassGyro(AbstractGyro):
     """One proof mass that moves along x and y (thesis (3.1)).
 
     Mass in kg, stiffness in N/m, damping in N·s/m. `dyx` is the damping force on y per velocity along x; left out it
-    equals `dxy`, and a difference, the `cross_damping_asymmetry` in N·s/m, is indistinguishable from a rate of
-    (dyx - dxy)/(4·mass) (thesis 4.1.2).
+    equals `dxy`; a difference (`cross_damping_asymmetry`) is the same as a rate of (dyx - dxy)/(4·mass) (thesis 4.1.2).
     `rotating_frame=True` keeps the terms in Ω², dΩ/dt, cross rates and frame acceleration of (2.4); False drops them as
     (2.6) does.
     """
@@ -202,15 +201,12 @@ class SingleMassGyro(AbstractGyro):
     def __init__(
         self, mass, kxx, kyy, kxy, dxx, dyy, dxy, *, dyx=None, rotating_frame: bool = False,
         effects: tuple[AbstractEffect, ...] = (), reference_temperature: float = 298.15, reference_bias: float = 0.0,
-        temperature: Scalar | None = None, cross_damping_asymmetry: Scalar | None = None,
+        temperature: Scalar | None = None, cross_damping_asymmetry: Scalar = 0.0,
     ):  # fmt: skip
-        if dyx is not None and cross_damping_asymmetry is not None:
-            raise InputError("A device must have either `dyx` or `cross_damping_asymmetry`, but both were given.")
         self.mass, self.kxx, self.kyy, self.kxy = mass, kxx, kyy, kxy
         self.dxx, self.dyy, self.dxy = dxx, dyy, dxy
         damping = in_unit("N*s/m")
-        given = 0.0 if cross_damping_asymmetry is None else cross_damping_asymmetry
-        self.cross_damping_asymmetry = given if dyx is None else damping(dyx) - damping(dxy)
+        self.cross_damping_asymmetry = cross_damping_asymmetry if dyx is None else damping(dyx) - damping(dxy)
         self.rotating_frame = rotating_frame
         self.effects = Effects.of(effects)
         self.reference_temperature, self.reference_bias = reference_temperature, reference_bias
