@@ -70,7 +70,7 @@ def diagnose(
     def begun(left_out: Rows) -> Search:
         if left_out:
             tell("leave out " + _of_rows(case, left_out))
-        kept = Joint(joint.model, without_rows(joint.readings, left_out))
+        kept = Joint(joint.model, without_rows(joint.readings, left_out), joint.programs)
         search = start_search(case, kept, (1 - RECORDS) * level, range(len(start.effects)), tell)
         search.keep = _keep_better(search, keep)
         search.own = tuple(i for i, e in enumerate(joint.model.effects) if e.label in {own.label for own in effects})

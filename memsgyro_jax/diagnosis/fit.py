@@ -29,8 +29,9 @@ from memsgyro_jax.measurement.readings import Readings, model_of, readings_of
 from .fit_table import fit_table
 from .fitted import ParameterEstimate, RecordError, errors_figure
 from .instrument import knowledge
-from .joint_residual import Joint, Parameter
+from .joint_residual import Joint
 from .optimum import Optimum, optimise
+from .parameters import Parameter
 from .resolved import sharpened
 
 

@@ -32,7 +32,7 @@ from memsgyro_jax.effects.lock_in_terms import (
 )
 from memsgyro_jax.measurement.case import AbstractRecord, Case
 from memsgyro_jax.measurement.experiments import Readings
-from memsgyro_jax.measurement.experiments.base import Experiment, Noise, RealNoise
+from memsgyro_jax.measurement.experiments.base import Experiment, RealNoise
 from memsgyro_jax.measurement.model import Model
 
 
@@ -47,7 +47,7 @@ class Knowledge(Experiment):
 
     name: str = eqx.field(static=True)
     measured: Float[Array, "k 1"]
-    noise: Noise
+    noise: RealNoise
 
     def predict(self, bench: Model) -> Float[Array, "k 1"]:
         """The strength; zero where the model lacks the effect."""

@@ -4,9 +4,8 @@ A program runs the model that is asked for: the base, the effects that are prese
 strength zero is exactly absent, so that leaving it out changes nothing but the time.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -27,6 +26,10 @@ from memsgyro_jax.measurement.first_order import Absent, Contribution, Inquiry, 
 from memsgyro_jax.measurement.model import Model
 from memsgyro_jax.measurement.readings import Readings
 
+from .instrument import Knowledge
+from .parameters import Parameter, parameters
+from .programs import Programs, is_idle, of_lock_in
+
 
 WIDTH = 12  # directions that one pass of the compiled program differentiates
 CARRIED = 3  # absent effects that are carried through a model: a fit goes on with them
@@ -45,36 +48,16 @@ def compiled(function: Callable[..., Any], most: float = SHORT) -> Callable[...,
     return call
 
 
-@dataclass(frozen=True)
-class Parameter:
-    """One number of the model.
-
-    Args:
-        name, unit: for people, and in SI.
-        effect: place of the effect it is a number of; `None` for the base.
-        field: of the effect, `strength` or a number that it declares.
-        index: `[k]` where that field has several entries.
-        low, high: bounds that no fit leaves.
-    """
-
-    name: str
-    unit: str
-    effect: int | None = None
-    field: str = ""
-    index: str = ""
-    low: float = -np.inf
-    high: float = np.inf
-
-
 class Joint:
     """The residual of a set of readings as a function of the parameter vector of a model.
 
     Args:
         model: base values, and every effect that may take part, at the strengths to start from.
         readings: from `readings_of`.
+        programs: those that another one of the same case has.
     """
 
-    def __init__(self, model: Model, readings: Sequence[Readings]):
+    def __init__(self, model: Model, readings: Sequence[Readings], programs: "Programs | None" = None):
         require_float64("Comparing a model with measurements")
         if not any(r.fitted for r in readings):
             raise InputError(
@@ -84,7 +67,8 @@ class Joint:
         self.model = strong(model)
         self.readings = tuple(readings)
         self.spec = _all_free(model)
-        self.parameters = parameters(model)
+        self.parameters: tuple[Parameter, ...] = parameters(model)
+        self.programs = Programs() if programs is None else programs
 
     @cached_property
     def start(self) -> np.ndarray:
@@ -141,6 +125,8 @@ class Joint:
         at = vector[part.places]
 
         def one(r: Readings) -> np.ndarray:
+            if isinstance(r.experiment, Knowledge):
+                return self._known(vector, np.zeros((0, vector.size)), r.experiment)[0]
             if _shape(r.experiment) in fitted:  # a program exists; to compile one without slopes takes longer
                 none = np.zeros((WIDTH, at.size)), _no_lanes(r.experiment, part.model)
                 return np.asarray(_linearise(at, *none, part.model, part.spec, r.experiment)[0])
@@ -171,29 +157,48 @@ class Joint:
         self, vector: np.ndarray, directions: np.ndarray, absent: Sequence[int], readings: Readings
     ) -> tuple[np.ndarray, np.ndarray]:
         """Residual and derivatives of one of the readings, those by absent effects as responses where it tells them."""
-        part, whole = self._part(vector, np.zeros((0, vector.size))), self.at(vector)
-        at, model = vector[part.places], whole.with_only(whole.effects[i] for i in part.effects)
+        whole, present = self.at(vector), sorted(self._acting(vector, np.zeros((0, vector.size))))
+        part = self._part(vector, np.zeros((0, vector.size)))
+        at, model = vector[part.places], whole.with_only(whole.effects[i] for i in present)
         quick = [i for i in absent if of_first_order(model, whole.effects[i])]
-        none = _no_lanes(readings.experiment, model)
+        none = _no_lanes(readings.experiment, part.model)
         if none is None or not quick:
             return self._carried(vector, directions, [readings])
         others = np.where(np.isin(self.owner, quick), 0.0, directions)
         rows = np.flatnonzero(np.any(others != 0, axis=1))
-        along = rows if rows.size <= WIDTH and self._part(vector, others).effects == part.effects else rows[:0]
-        still, first = np.zeros((WIDTH, at.size)), _lanes(others[along][:, part.places], 0)
+        along = rows if rows.size <= WIDTH and self._acting(vector, others) <= set(part.effects) else rows[:0]
+        first = _lanes(others[along][:, part.places], 0)
         value, known, inquiry = _linearise(at, first, none, part.model, part.spec, readings.experiment)
-        places = tuple(int(sum(k < i for k in part.effects)) for i in quick)
+        places = tuple(int(sum(k < i for k in present)) for i in quick)
         added = contributions(model, Absent(tuple(whole.effects[i] for i in quick), places), inquiry)
-        columns, responses = np.concatenate([self.of_effect(i) for i in quick]), []
-        for begin in range(0, columns.size, WIDTH):
-            lanes = jax.tree.map(lambda leaf: _lanes(leaf, begin), added)  # noqa: B023
-            responses.append(_linearise(at, still, lanes, part.model, part.spec, readings.experiment)[1])
-        slopes = np.concatenate(responses)[: columns.size].T @ directions[:, columns].T
+        columns = np.concatenate([self.of_effect(i) for i in quick])
+        responses = self._responses(part, at, added, readings.experiment)
+        slopes = responses[: columns.size].T @ directions[:, columns].T
         if along.size:
             slopes[:, along] += np.asarray(known)[: along.size].T
         elif rows.size:
             slopes[:, rows] += self._carried(vector, others[rows], [readings])[1]
         return np.asarray(value), slopes
+
+    def asked(self, vector: np.ndarray, readings: Readings) -> Inquiry | None:
+        """All that a prediction asks of the model at a vector; `None` where nothing can be added on its way."""
+        part = self._part(vector, np.zeros((0, vector.size)))
+        none, at = _no_lanes(readings.experiment, part.model), vector[part.places]
+        if none is None:
+            return None
+        return _linearise(at, np.zeros((WIDTH, at.size)), none, part.model, part.spec, readings.experiment)[2]
+
+    def responses(self, vector: np.ndarray, added: Contribution, readings: Readings) -> np.ndarray:
+        """(k or more, r) what each of k contributions, side by side, adds to a residual."""
+        part = self._part(vector, np.zeros((0, vector.size)))
+        return self._responses(part, vector[part.places], added, readings.experiment)
+
+    def _responses(self, part: "_Part", at: np.ndarray, added: Contribution, experiment: Experiment) -> np.ndarray:
+        found, still = [], np.zeros((WIDTH, at.size))
+        for begin in range(0, len(added.seen), WIDTH):
+            lanes = jax.tree.map(lambda leaf: _lanes(leaf, begin), added)  # noqa: B023
+            found.append(np.asarray(_linearise(at, still, lanes, part.model, part.spec, experiment)[1]))
+        return np.concatenate(found)
 
     def _carried(
         self, vector: np.ndarray, directions: np.ndarray, chosen: Sequence[Readings]
@@ -205,6 +210,8 @@ class Joint:
         at = vector[part.places]
 
         def one(r: Readings) -> tuple[np.ndarray, np.ndarray]:
+            if isinstance(r.experiment, Knowledge):
+                return self._known(vector, directions, r.experiment)
             parts, none = [], _no_lanes(r.experiment, part.model)
             for begin in range(0, len(padded), WIDTH):
                 block = padded[begin : begin + WIDTH]
@@ -215,13 +222,45 @@ class Joint:
         values, slopes = zip(*self._each(chosen, one), strict=True)
         return np.concatenate(values), np.concatenate(slopes, axis=1).T
 
+    def _known(self, vector: np.ndarray, directions: np.ndarray, knowledge: Knowledge) -> tuple[np.ndarray, np.ndarray]:
+        """The residual of what is known of a strength, and its derivatives: linear, so that no program is needed."""
+        mine = [self.of_effect(i) for i, effect in enumerate(self.model.effects) if effect.label == knowledge.name]
+        if not mine:
+            return np.zeros(len(knowledge.measured)), np.zeros((len(directions), len(knowledge.measured)))
+        std = np.asarray(knowledge.noise.std)
+        return -vector[mine[0]] / std, -directions[:, mine[0]] / std
+
+    def together(self, effects: Iterable[int]) -> None:
+        """One program for all models of some of these effects, which are going to be asked for one after the other."""
+        self.programs.announced = frozenset(self._names[i] for i in effects)
+
     def _part(self, vector: np.ndarray, directions: np.ndarray) -> "_Part":
-        """The model of the effects that are present at a vector or move along one of the directions (k, p)."""
-        owner, strength = self.owner, np.array([p.field == "strength" for p in self.parameters])
+        """The model of the effects that are present at a vector or move along one of the directions (k, p), and of
+        others that are absent where there is a program for all of them.
+        """
+        effects, names = self.model.effects, self._names
+        idle = {name for name, effect in zip(names, effects, strict=True) if is_idle(effect)}
+        chosen = self.programs.chosen(frozenset(names[i] for i in self._acting(vector, directions)), idle)
+        # What the lock-in does comes last, in whichever order effects and terms were found.
+        mine = sorted((i for i, name in enumerate(names) if name in chosen), key=lambda i: (of_lock_in(effects[i]), i))
+        model = self.model.with_only(effects[i] for i in mine)
+        return _Part(tuple(mine), model, _all_free(model), self._places(mine))
+
+    @cached_property
+    def _names(self) -> list[str]:
+        """What the effects are called, one like another by its number too."""
+        labels = [effect.label for effect in self.model.effects]
+        return [f"{label} {labels[:k].count(label)}" for k, label in enumerate(labels)]
+
+    def _places(self, effects: Sequence[int]) -> np.ndarray:
+        """Places of the parameters of the base and of some effects, one after the other, in the vector."""
+        return np.concatenate([np.flatnonzero(self.owner == i) for i in (-1, *effects)])
+
+    def _acting(self, vector: np.ndarray, directions: np.ndarray) -> frozenset[int]:
+        """Effects that are present or move."""
+        strength = np.array([p.field == "strength" for p in self.parameters])
         acting = (strength & (vector != 0)) | np.any(directions != 0, axis=0)
-        chosen = tuple(i for i in range(len(self.model.effects)) if np.any(acting[owner == i]))
-        model = self.model.with_only(self.model.effects[i] for i in chosen)
-        return _Part(chosen, model, _all_free(model), np.flatnonzero(np.isin(owner, (-1, *chosen))))
+        return frozenset(int(i) for i in np.unique(self.owner[acting]) if i >= 0)
 
     def _each(self, chosen: Sequence[Readings], function) -> list:
         """The function of each of the chosen, side by side on the cores."""
@@ -288,22 +327,3 @@ def _all_free(model: Model) -> PyTree:
         return spec
     places = [(i, number.field) for i, effect in enumerate(model.effects) for number in free_numbers(effect)]
     return mark(spec, lambda m: tuple(getattr(m.effects[i], field) for i, field in places), identity)
-
-
-def parameters(model: Model) -> tuple[Parameter, ...]:
-    """The parameters in the order of the vector."""
-    pairs = ("",) if model.axes == 1 else ("xx", "yy", "xy")
-    low = [-np.inf if pair == "xy" else 0.0 for pair in pairs]  # nothing but a coupling is negative
-    base = [Parameter(f"k{pair}/m", "rad²/s²", low=least) for pair, least in zip(pairs, low, strict=True)]
-    base += [Parameter(f"d{pair}/m", "1/s", low=least) for pair, least in zip(pairs, low, strict=True)]
-    base += [Parameter("1/m", "1/kg", low=-np.inf if model.axes == 1 else 0.0)]  # a channel may be turned round
-    base += [Parameter(f"offset {a}".strip(), "V") for a in ("x", "y")[: model.axes]]
-    others = []
-    for place, effect in enumerate(model.effects):
-        for number in free_numbers(effect):
-            size = getattr(effect, number.field).size
-            label = effect.label if number.field == "strength" else f"{effect.label} {number.field}"
-            for index in [""] if size == 1 else [f"[{k}]" for k in range(size)]:
-                more = place, number.field, index, number.low, number.high
-                others.append(Parameter(label + index, number.unit, *more))
-    return (*base, *others)

@@ -185,7 +185,7 @@ def _with_terms(search: Search, terms: Sequence[InstrumentTerm]) -> Search:
     model = search.joint.at(search.optimum.vector)
     present = [*search.given, *search.accepted]
     model = model.with_only((*(model.effects[i] for i in present), *terms))
-    joint = Joint(model, (*search.joint.readings, *knowledge(terms)))
+    joint = Joint(model, (*search.joint.readings, *knowledge(terms)), search.joint.programs)
     given = range(len(present))
     optimum = optimise(joint, joint.start, always_free(joint, given), joint.fitted, max_evaluations=0)
     alone = Search(beside_case(search.case, joint, optimum), SHARE * search.level, given, search.tell)
@@ -253,6 +253,7 @@ def _best(search: Search, ranking: Ranking) -> tuple[int, Optimum] | None:
     """
     promising = [i for i in ranking.order if ranking.p_values[i] <= search.level][:LOOK_AHEAD]
     refits = []
+    search.joint.together((*search.given, *search.accepted, *(ranking.places[i] for i in promising)))
     for i in promising:
         places = [*search.accepted, ranking.places[i]]
         glance = search.refit(places, slopes=ranking.slopes[i], evaluations=GLANCE)
@@ -272,14 +273,14 @@ def beside_terms(alone: Search, search: Search, effects: Sequence[Effect]) -> Se
     was not given, but those terms stand beside, count as found.
     """
     model = alone.joint.at(alone.optimum.vector)
-    kept = [model.effects[i] for i in (*alone.given, *alone.accepted)]
+    kept = [model.effects[i] for i in (*alone.given, *sorted(alone.accepted))]  # in the order of the signal
     own = len(search.given)
     found = [effect for effect in kept[own:] if not effect.of_instrument]
     terms = [effect for effect in kept if effect.of_instrument]
     others = [effect for effect in effects if effect.label not in {one.label for one in found}]
     plain = [r for r in alone.joint.readings if r.record.max(initial=-1) >= 0]
     given = [*kept[:own], *terms]
-    joint = Joint(model.with_only((*given, *found, *others)), (*plain, *knowledge(terms)))
+    joint = Joint(model.with_only((*given, *found, *others)), (*plain, *knowledge(terms)), search.joint.programs)
     accepted = list(range(len(given), len(given) + len(found)))
     free = always_free(joint, range(len(given) + len(found)))
     optimum = optimise(joint, joint.start, free, joint.fitted, max_evaluations=0)

@@ -60,7 +60,7 @@ def _resolve(search: Search) -> None:
     readings, apart = sharpened(model, search.joint.readings, search.optimum.residual)
     if readings is not search.joint.readings:
         search.tell("predict with more harmonics")
-        search.joint, search.unseen = Joint(model, readings), None
+        search.joint, search.unseen = Joint(model, readings, search.joint.programs), None
         search.optimum = search.refit(search.accepted)
         fit = beside_case(search.case, search.joint, search.optimum, apart)
         search.steps[-1] = replace(search.steps[-1], fit=fit)
@@ -91,7 +91,8 @@ def _with_scan(search: Search, rival: Optimum) -> Search | None:
         return None
     model = search.joint.at(search.optimum.vector).with_effect(best.effect)
     gain = max(DECIDED, search.optimum.chi2 - rival.chi2)
-    return search.grown(Joint(model, search.joint.readings), len(model.effects) - 1, gain)
+    joint = Joint(model, search.joint.readings, search.joint.programs)
+    return search.grown(joint, len(model.effects) - 1, gain)
 
 
 def _bare(search: Search) -> Model:
@@ -113,7 +114,9 @@ def _exchanged(search: Search, ranking: Ranking) -> bool:
             for other, slopes in zip(ranking.places, ranking.slopes, strict=True)
         }
         worth = [other for other in rivals if rivals[other] >= WORTH_A_LOOK * mine.statistic or other in search.own]
-        for other in sorted(worth, key=lambda i: -rivals[i])[:LOOK_AHEAD]:
+        tried = sorted(worth, key=lambda i: -rivals[i])[:LOOK_AHEAD]
+        search.joint.together((*search.given, *search.accepted, *tried))
+        for other in tried:
             instead = [other if i == place else i for i in search.accepted]
             refit = search.refit(instead, start=search.without(place))
             better = refit.chi2 + CONFUSED * (other not in search.own) < search.optimum.chi2

@@ -12,15 +12,17 @@ from jaxtyping import Array
 from memsgyro_jax.effects import Coverage, DampingStep, ParasiticMode, Scanned, catalogue, free_numbers
 from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.experiments import Readings
+from memsgyro_jax.measurement.first_order import Periods
 from memsgyro_jax.measurement.model import Model
 
-from .joint_residual import compiled
+from .joint_residual import Joint, compiled
 from .optimum import Optimum
 from .score import Score, basis, score, within_bounds
 
 
 COARSE = 32  # points at most that are tried where each takes long
 CHUNK = 8  # grid points evaluated side by side
+LOW = 4  # harmonics, the mean included, at which a scan looks
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +61,7 @@ def scan(model: Model, optimum: Optimum, readings: Sequence[Readings], grid: Seq
         readings: the fitted readings, in the order of that residual.
         grid: the effect at every point.
     """
-    q, best = basis(optimum.jacobian), None
+    q, best, joint = basis(optimum.jacobian), None, Joint(model, readings)
     starts = np.concatenate([[0], np.cumsum([r.size for r in readings])])
     for place, chosen in enumerate(readings):
         points = [e for e in grid if _shows(e, chosen, readings)]
@@ -68,22 +70,59 @@ def scan(model: Model, optimum: Optimum, readings: Sequence[Readings], grid: Seq
         if chosen.experiment.slow:
             points = points[:: -(-len(points) // COARSE)]
         span = slice(starts[place], starts[place + 1])
-        for begin in range(0, len(points), CHUNK):
-            some = points[begin : begin + CHUNK]
-            padded = some + [some[-1]] * (CHUNK - len(some))
-            columns = np.asarray(_slopes(model, _stacked(padded), chosen.experiment.coarse))
-            for effect, column in zip(some, columns, strict=False):
-                whole = np.zeros((optimum.residual.size, 1))
-                whole[span, 0] = np.where(np.isfinite(column), column, 0.0)
-                (number,) = [n for n in free_numbers(effect) if n.field == "strength"]
-                low, high = np.array([number.low]), np.array([number.high])
-                mine = score(optimum.residual, q, whole)
-                if "strength" not in effect.scanned:
-                    mine = within_bounds(mine, optimum.residual, whole, low, high)
-                found = ScannedPoint(effect, mine, len(grid))
-                if best is None or found.score.statistic > best.score.statistic:
-                    best = found
+        columns = _settled(joint, chosen, points)
+        columns = _run(joint.model, chosen, points) if columns is None else columns
+        for effect, column in zip(points, columns, strict=True):
+            whole = np.zeros((optimum.residual.size, 1))
+            whole[span, 0] = np.where(np.isfinite(column), column, 0.0)
+            (number,) = [n for n in free_numbers(effect) if n.field == "strength"]
+            low, high = np.array([number.low]), np.array([number.high])
+            mine = score(optimum.residual, q, whole)
+            if "strength" not in effect.scanned:
+                mine = within_bounds(mine, optimum.residual, whole, low, high)
+            found = ScannedPoint(effect, mine, len(grid))
+            if best is None or found.score.statistic > best.score.statistic:
+                best = found
     return best
+
+
+def _settled(joint: Joint, chosen: Readings, points: Sequence[Scanned]) -> np.ndarray | None:
+    """(points, r) what each effect adds to a residual per strength, in closed form beside how the model moves; `None`
+    where there is none.
+
+    Rows stand alone: what a unit of acceleration does to each of them, harmonic by harmonic, tells what any does. What
+    a read-out that looks back sees of the acceleration itself is left out, beside the motion that it makes.
+    """
+    inquiry = None if joint.model.order == 2 else joint.asked(joint.start, chosen)
+    if inquiry is None or len(inquiry.forced) != 1 or not isinstance(inquiry.forced[0], Periods):
+        return None
+    settled = inquiry.forced[0]
+    motion = np.asarray(settled.state)[..., : joint.model.axes]
+    added = [effect.carried(motion, np.asarray(settled.frequency)) for effect in points]
+    parts = [part for part in added if part is not None]
+    if len(parts) < len(added):
+        return None
+    waves = np.stack(parts)
+    acting = [(h, axis) for h, axis in np.argwhere(np.any(waves != 0, axis=(0, 1))) if h < LOW]
+    units = np.zeros((2 * len(acting), *motion.shape), complex)
+    for k, (h, axis) in enumerate(acting):
+        units[2 * k, :, h, axis], units[2 * k + 1, :, h, axis] = 1.0, 1j
+    nothing = chosen.experiment.nothing(joint.model.present)
+    lanes = jax.tree.map(lambda leaf: np.zeros((len(units), *leaf.shape), leaf.dtype), nothing)
+    known = joint.responses(joint.start, eqx.tree_at(lambda one: one.forced, lanes, (units,)), chosen)
+    rows = known[: len(units)].reshape(len(units), len(motion), -1)
+    sizes = [part for h, axis in acting for part in (waves[..., h, axis].real, waves[..., h, axis].imag)]
+    return np.einsum("kpr,krm->prm", np.stack(sizes), rows).reshape(len(points), -1)
+
+
+def _run(model: Model, chosen: Readings, points: Sequence[Scanned]) -> np.ndarray:
+    """The same through a program that carries the effects, some at a time."""
+    columns = []
+    for begin in range(0, len(points), CHUNK):
+        some = [*points[begin : begin + CHUNK]]
+        padded = some + [some[-1]] * (CHUNK - len(some))
+        columns += list(np.asarray(_slopes(model, _stacked(padded), chosen.experiment.coarse)))[: len(some)]
+    return np.stack(columns)
 
 
 def _shows(effect: Scanned, chosen: Readings, readings: Sequence[Readings]) -> bool:

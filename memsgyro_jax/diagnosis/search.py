@@ -154,6 +154,7 @@ class Search:
         while len(refused) < PATIENCE and (promising := self._promising(ranking, refused)):
             labels = [self.joint.model.effects[ranking.places[i]].label for i in promising]
             self.tell("look closer at " + ", ".join(labels))
+            self.joint.together((*self.given, *self.accepted, *(ranking.places[i] for i in promising)))
             refits: dict[int, Optimum] = {}
             for i in promising:
                 evaluations = GLANCE if len(promising) > 1 else LONG

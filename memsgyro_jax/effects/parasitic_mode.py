@@ -43,6 +43,12 @@ class ParasiticMode(Scanned, ForceEffect):
         back = z - now.displacement[self.axis] + swing / self.quality
         return self.omega * jnp.stack([swing, -back])
 
+    def carried(self, motion: np.ndarray, frequency: np.ndarray) -> np.ndarray:
+        """It follows the mass linearly, harmonic by harmonic."""
+        ratio = np.arange(motion.shape[1]) * frequency[:, None] / float(self.omega)
+        apart = 1.0 / (1.0 - ratio**2 + 1j * ratio / float(self.quality)) - 1.0
+        return float(self.omega) ** 2 * apart[..., None] * motion * np.eye(motion.shape[2])[int(self.axis)]
+
     def grid(self, coverage: Coverage) -> "tuple[ParasiticMode, ...]":
         """Frequencies through the band and a twentieth beyond, no farther apart than half the mode's width."""
         low, high = coverage.band[0] / 1.05, coverage.band[1] * 1.05

@@ -6,6 +6,8 @@ import abc
 from dataclasses import dataclass
 from typing import ClassVar
 
+import numpy as np
+
 from .base import Effect
 
 
@@ -38,3 +40,10 @@ class Scanned(Effect):
 
         All have the same structure and shapes, so that they can be stacked and evaluated side by side.
         """
+
+    def carried(self, motion: np.ndarray, frequency: np.ndarray) -> np.ndarray | None:
+        """Fourier coefficients (r, h + 1, axes) of the acceleration per unit of strength that it adds at zero to a
+        settled vibration `motion` (r, h + 1, axes) [m] at `frequency` (r,) [rad/s]; `None`, as by default, where there
+        is no closed form.
+        """
+        return None

@@ -16,8 +16,9 @@ from memsgyro_jax.base.transforms import names
 from memsgyro_jax.device.resonator import Resonator
 from memsgyro_jax.diagnosis import joint_residual
 from memsgyro_jax.diagnosis.fit import fit_case
-from memsgyro_jax.diagnosis.joint_residual import Joint, parameters
+from memsgyro_jax.diagnosis.joint_residual import Joint
 from memsgyro_jax.diagnosis.optimum import optimise
+from memsgyro_jax.diagnosis.parameters import parameters
 from memsgyro_jax.effects import CubicStiffness
 from memsgyro_jax.measurement.linear_start import starting_device
 from memsgyro_jax.measurement.model import Model

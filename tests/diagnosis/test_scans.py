@@ -2,14 +2,17 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
-from bench_case import bench
+from bench_case import ONE_AXIS, RESONATOR, bench
 from lab.die import Hidden
 from lab.strengths import visible
+from numpy.testing import assert_allclose
 
 from memsgyro_jax.diagnosis.fit import fit_case
-from memsgyro_jax.diagnosis.scans import scan, scans
-from memsgyro_jax.effects import DampingStep
+from memsgyro_jax.diagnosis.joint_residual import Joint
+from memsgyro_jax.diagnosis.scans import _settled, scan, scans
+from memsgyro_jax.effects import DampingStep, ParasiticMode
 
 
 STEP = replace(visible("damping_step"), damping_step_record="rate", damping_step_time=0.08)
@@ -36,3 +39,20 @@ def test_a_damping_step_is_found_in_its_record_at_its_time():
 def test_a_step_that_is_not_there_is_not_significant():
     found = best("damping_step", Hidden())
     assert found.score.p_value * found.points > 0.01
+
+
+def test_what_a_mode_adds_to_a_sweep_is_the_derivative_of_the_receptance():
+    """A mode within the band and one beside it, by the equation of two masses."""
+    fit = fit_case(bench(protocol=ONE_AXIS, die=RESONATOR).case)
+    joint, device = Joint(fit.model, fit.joint.readings), fit.model.device
+    (chosen,) = joint.fitted
+    omega = np.asarray(chosen.experiment.frequency)
+    own = np.array([omega.mean(), 1.2 * omega.max()])
+    found = _settled(joint, chosen, [ParasiticMode(0, 0.0, omega=w, quality=30.0) for w in own])
+    (k,), (d,), gain = (np.asarray(part) for part in (device.stiffness, device.damping, device.mobility))
+    push = 1.0 / (k - omega**2 + 1j * omega * d)
+    motion = gain * push * np.asarray(chosen.experiment.force)[:, 0]
+    for w, column in zip(own, found, strict=True):
+        apart = w**2 * (w**2 / (w**2 - omega**2 + 1j * omega * w / 30.0) - 1.0)
+        moved = -fit.model.scale * push * apart * motion / np.asarray(chosen.experiment.noise.std)[:, 0]
+        assert_allclose(column.reshape(-1, 2) @ [1.0, 1j], moved, rtol=1e-6, atol=1e-9 * np.abs(moved).max())
