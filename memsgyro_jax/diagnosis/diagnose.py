@@ -2,7 +2,7 @@
 records cannot tell, or that it is none of those known.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -77,7 +77,7 @@ def diagnose(
         return search
 
     def done(search: Search) -> bool:
-        return all(_explained(search.steps[-1].fit, search.accepted, level))
+        return all(_each_explained(search.steps[-1].fit, search.accepted, level))
 
     def searched(search: Search) -> tuple[Search, Ranking, str, Ranking]:
         first = search.rank()
@@ -91,7 +91,7 @@ def diagnose(
     accepted, scale = _accepted(search, confused, steps), final.scale
     explained = _explained(final, accepted, level)
     noise: Mapping[str, float] = {}
-    if not all(explained) and all(_explained(final, accepted, level, wrong := wrong_noise(final))):
+    if not all(explained) and all(_each_explained(final, accepted, level, wrong := wrong_noise(final))):
         explained, noise = [True] * len(explained), wrong
     if accepted and all(explained) and _drifts_as_well(steps[0].fit, final, accepted, level):
         accepted = (replace(accepted[0], confused_with=(*accepted[0].confused_with, DRIFT)), *accepted[1:])
@@ -138,7 +138,7 @@ def _drifts_as_well(base: CaseFit, final: CaseFit, accepted: Sequence[Accepted],
     drifting = with_drift_alone(base)
     if drifting is None or drifting.optimum.chi2 > final.optimum.chi2 + CONFUSED:
         return False
-    return all(_explained(drifting, accepted, level))
+    return all(_each_explained(drifting, accepted, level))
 
 
 def _stages(steps: Sequence[SearchStep]) -> tuple[Stage, ...]:
@@ -193,6 +193,13 @@ def _of_rows(case: Case, left_out: Rows) -> str:
 
 
 def _explained(fit: CaseFit, accepted: Sequence, level: float, noise: Mapping[str, float] | None = None) -> list[bool]:
+    """Per record and role, whether noise alone explains what is left."""
+    return list(_each_explained(fit, accepted, level, noise))
+
+
+def _each_explained(
+    fit: CaseFit, accepted: Sequence, level: float, noise: Mapping[str, float] | None = None
+) -> Iterator[bool]:
     """Per record and role, whether noise alone explains what is left; fitted readings, many and tested anyway, get a
     wider gate.
 
@@ -206,9 +213,11 @@ def _explained(fit: CaseFit, accepted: Sequence, level: float, noise: Mapping[st
         for width in (FITTED if e.role == "fit" else 3.0,)
     ]
     if (accepted and not any(effect.of_instrument for effect in fit.joint.model.effects)) or all(within):
-        return within
+        yield from within
+        return
     alone = RECORDS * level / len(within)
-    return [fine or p > alone for fine, p in zip(within, fit.p_values, strict=True)]
+    for fine, error in zip(within, fit.errors, strict=True):
+        yield fine or fit.p_value(error) > alone
 
 
 def _confusions(search: Search, ranking: Ranking) -> dict[int, dict[int, Optimum]]:

@@ -107,27 +107,25 @@ class CaseFit(Tabular):
                     )
         return tuple(out)
 
-    @cached_property
-    def p_values(self) -> tuple[float, ...]:
-        """Per entry of `errors`, the probability of so large a χ² by noise alone.
+    def p_value(self, error: RecordError) -> float:
+        """Of an entry of `errors`, the probability of so large a χ² by noise alone.
 
         What was not fitted also differs by the uncertainty of the fit: the sum of squares that a refit with these
         readings would leave, itself included, is χ²-distributed with as many degrees of freedom as there are readings.
         """
-        blocks = self._slopes_of_validation()
-        root = np.linalg.qr(self.optimum.jacobian, mode="r")
-        out = []
-        for error in self.errors:
-            chi2 = error.chi2
-            if error.role == "validation":
-                values, slopes = (np.concatenate(parts) for parts in zip(*blocks[error.name], strict=True))
-                whole, target = np.concatenate([root, slopes]), np.concatenate([np.zeros(len(root)), values])
-                size = np.linalg.norm(whole, axis=0)
-                whole = whole / np.where(size > 0, size, 1.0)
-                chi2 = float(np.sum((target - whole @ np.linalg.lstsq(whole, target)[0]) ** 2))
-            out.append(above(chi2, error.count, error.freedom))
-        return tuple(out)
+        chi2 = error.chi2
+        if error.role == "validation":
+            root = np.linalg.qr(self.optimum.jacobian, mode="r")
+            values, slopes = (
+                np.concatenate(parts) for parts in zip(*self._slopes_of_validation[error.name], strict=True)
+            )
+            whole, target = np.concatenate([root, slopes]), np.concatenate([np.zeros(len(root)), values])
+            size = np.linalg.norm(whole, axis=0)
+            whole = whole / np.where(size > 0, size, 1.0)
+            chi2 = float(np.sum((target - whole @ np.linalg.lstsq(whole, target)[0]) ** 2))
+        return above(chi2, error.count, error.freedom)
 
+    @cached_property
     def _slopes_of_validation(self) -> dict[str, list[tuple[np.ndarray, np.ndarray]]]:
         """Whitened residual and its sensitivity to the free parameters, of what was not fitted, by record."""
         units = np.eye(self.optimum.vector.size)[self.optimum.free]

@@ -160,7 +160,9 @@ class Joint:
         whole, present = self.at(vector), sorted(self._acting(vector, np.zeros((0, vector.size))))
         part = self._part(vector, np.zeros((0, vector.size)))
         at, model = vector[part.places], whole.with_only(whole.effects[i] for i in present)
-        quick = [i for i in absent if of_first_order(model, whole.effects[i])]
+        # All that could be asked for, so that one program tells whichever is.
+        lacking = [i for i in range(len(whole.effects)) if i not in present and of_first_order(model, whole.effects[i])]
+        quick = [i for i in absent if i in lacking]
         none = _no_lanes(readings.experiment, part.model)
         if none is None or not quick:
             return self._carried(vector, directions, [readings])
@@ -169,11 +171,13 @@ class Joint:
         along = rows if rows.size <= WIDTH and self._acting(vector, others) <= set(part.effects) else rows[:0]
         first = _lanes(others[along][:, part.places], 0)
         value, known, inquiry = _linearise(at, first, none, part.model, part.spec, readings.experiment)
-        places = tuple(int(sum(k < i for k in present)) for i in quick)
-        added = contributions(model, Absent(tuple(whole.effects[i] for i in quick), places), inquiry)
-        columns = np.concatenate([self.of_effect(i) for i in quick])
+        places = tuple(int(sum(k < i for k in present)) for i in lacking)
+        added = contributions(model, Absent(tuple(whole.effects[i] for i in lacking), places), inquiry)
+        every, columns = (np.concatenate([self.of_effect(i) for i in some]) for some in (lacking, quick))
+        wanted = np.flatnonzero(np.isin(every, columns))
+        added = jax.tree.map(lambda leaf: np.asarray(leaf)[wanted], added)
         responses = self._responses(part, at, added, readings.experiment)
-        slopes = responses[: columns.size].T @ directions[:, columns].T
+        slopes = responses[: columns.size].T @ directions[:, every[wanted]].T
         if along.size:
             slopes[:, along] += np.asarray(known)[: along.size].T
         elif rows.size:

@@ -213,7 +213,7 @@ def _shown(search: Search, ranking: Ranking) -> Callable[[Proposal], Prospect]:
     labels = {i: joint.model.effects[ranking.places[i]].label for i in places if whole[i]}
     units, rounding = np.eye(joint.start.size)[columns], np.zeros(columns.size)
     if blind:
-        rounding = _news(_finite(joint.linearise(here, units, joint.fitted)[1]), known)
+        rounding = _news(_finite(_here(search, columns)), known)
 
     def weigh(plan: Proposal) -> Prospect:
         if seen and any(plan.readings.experiment is r.experiment for r in joint.fitted):  # twice the same tells twice
@@ -234,6 +234,17 @@ def _shown(search: Search, ranking: Ranking) -> Callable[[Proposal], Prospect]:
         return Prospect(plan.text, _shows(new) if new else f"{label}{NOTHING}", chi2, shown=len(new))
 
     return weigh
+
+
+def _here(search: Search, columns: np.ndarray) -> np.ndarray:
+    """Sensitivities (r, k) to some parameters where a search stands, which mostly it knows."""
+    optimum, ranked = search.sensitivities
+    known = dict(zip(search.optimum.free.tolist(), search.optimum.jacobian.T, strict=True))
+    known |= ranked if optimum is search.optimum else {}
+    if all(place in known for place in columns.tolist()):
+        return np.stack([known[place] for place in columns.tolist()], axis=1)
+    units = np.eye(search.joint.start.size)[columns]
+    return search.joint.linearise(search.optimum.vector, units, search.joint.fitted)[1]
 
 
 def _news(slopes: np.ndarray, free: np.ndarray) -> np.ndarray:

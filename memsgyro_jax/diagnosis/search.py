@@ -64,6 +64,7 @@ class Search:
         self.keep: Callable[[Search], None] = lambda search: None  # is told of every step
         self.accepted: list[int] = []
         self.unseen: frozenset[int] | None = None
+        self.sensitivities: tuple[Optimum, dict[int, np.ndarray]] = base.optimum, {}  # by the parameters ranked last
         self._refits: dict[tuple[int, ...], tuple[Joint, Optimum, int, Optimum]] = {}
         self.steps = [SearchStep("", base)]
 
@@ -96,6 +97,7 @@ class Search:
         """
         units = np.eye(self.joint.start.size)[columns]
         _, slopes = self.joint.linearise(self.optimum.vector, units, self.joint.fitted)
+        self.sensitivities = self.optimum, dict(zip(columns.tolist(), slopes.T, strict=True))
         if self.unseen is None:
             moved = self.optimum.vector.copy()
             moved[self.joint.base()] *= 1.0 + NUDGE

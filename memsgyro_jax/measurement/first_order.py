@@ -244,15 +244,15 @@ def _propagated(model: Model, absent: Absent, base: Conditions) -> tuple[Array, 
     return jnp.pad(parts[0], around), jnp.pad(parts[1], around)
 
 
-@_seldom
-def _speeds(absent: Absent) -> Array:
+def _speeds(absent: Absent) -> np.ndarray:
     """(K,) what all strengths add to the rate of a sweep per unit."""
     parts = []
     for effect in absent.effects:
-        speed = jax.jacfwd(lambda s, e=effect: eqx.tree_at(lambda e: e.strength, e, s).speed()) if isinstance(
-            effect, SweepEffect) else jnp.zeros_like  # fmt: skip
-        parts.append(jnp.ravel(speed(jnp.zeros_like(effect.strength))))
-    return jnp.concatenate(parts)
+        still = np.zeros(np.shape(effect.strength))
+        if isinstance(effect, SweepEffect):
+            still = jax.jacfwd(lambda s, e=effect: eqx.tree_at(lambda e: e.strength, e, s).speed())(jnp.asarray(still))
+        parts.append(np.ravel(still))
+    return np.concatenate(parts)
 
 
 def contributions(model: Model, absent: Absent, inquiry: Inquiry) -> Contribution:
