@@ -96,6 +96,11 @@ def test_diff_tells_what_sets_two_apart(memsgyro, tmp_path):
     (tmp_path / "b.toml").write_text("[sweep]\ndies = 16\n")
     assert re.search(r"sweep\.dies +8 +16", memsgyro("diff", "a.toml", "b.toml")[1])
     assert "no difference" in memsgyro("diff", "a.toml", "a.toml")[1]
+    (tmp_path / "a.toml").write_text('[loop]\ndisplacement = "1.23456789123 um"\n')
+    (tmp_path / "b.toml").write_text('[loop]\ndisplacement = "1.23456781111 um"\n')
+    assert re.search(r"1\.23456789123e-06 m +1\.23456781111e-06 m", memsgyro("diff", "a.toml", "b.toml")[1])
+    (tmp_path / "b.toml").write_text('[loop]\ndisplacement = "0.87654321 um"\n')
+    assert re.search(r"1\.235e-06 m +8\.765e-07 m", memsgyro("diff", "a.toml", "b.toml")[1])
     many = lambda dies, letter: {"diverged": {"dies": dies}, "why": 99 * letter}  # noqa: E731
     run = {"dies": 8, "yield": {"value": 0.9, "low": 0.8, "high": 0.95}, "bias_dps": {"value": 1.0, "std": 0.1}}
     (tmp_path / "a.json").write_text(json.dumps(run | many([0, 3], "x") | {"study": {"sweep": {"dies": 8}}}))

@@ -1,6 +1,7 @@
 """Objects show their numbers with units, and what tells two of them apart are their numbers."""
 
 import dataclasses
+import re
 import types
 
 import equinox as eqx
@@ -88,6 +89,22 @@ def test_a_device_is_written_as_it_is_made():
     )
     assert repr(mg.Scenario(mg.Step(0.05, 1.0)).rate) == "Step(at=0.05 s, after=1, before=0)"
     assert "rate=Step(at=0.05 s, after=1 rad/s, before=0 rad/s)" in repr(mg.Scenario(mg.Step(0.05, 1.0)))
+
+
+def test_a_gradient_by_a_device_is_in_no_unit_of_the_device():
+    gyro = mg.SingleMassGyro.chi2010()
+    slope = jax.grad(lambda device: device.coefficients(0.0)[1])(gyro)
+    assert not re.search(r"\d kg|N/m|N·s/m", repr(slope))
+    assert "no units" in repr(slope)
+    assert "no units" not in repr(gyro)
+
+
+def test_numbers_of_a_gyro_are_exchanged_one_by_one():
+    gyro = mg.SingleMassGyro(1e-8, 1.0, 1.0, 0.0, 1e-6, 1e-6, 0.0, dyx=1e-8, temperature=300.0)
+    other = dataclasses.replace(gyro, kxx=2.0)
+    assert (float(other.kxx), float(other.kyy), float(other.temperature)) == (2.0, 1.0, 300.0)
+    assert float(other.cross_damping_asymmetry) == 1e-8
+    assert float(dataclasses.replace(gyro, dyx=3e-8).cross_damping_asymmetry) == 3e-8
 
 
 def test_many_dies_show_their_range_and_traced_numbers_that_they_are():

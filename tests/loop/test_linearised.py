@@ -2,7 +2,9 @@
 
 from dataclasses import replace
 
+import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from kept import kept
@@ -101,6 +103,16 @@ def test_the_matrices_are_those_of_the_device(loop, tmp_path):
     assert signal.StateSpace(*linear.space[:4], dt=dt).A.shape == a.shape
     assert c.shape == (5, len(a))
     kept(linear, tmp_path)
+
+
+def test_poles_have_slopes(loop):
+    def highest(factor):
+        stiffer = eqx.tree_at(lambda made: made.device.kyy, loop, factor * SPLIT.kyy)
+        return jnp.max(mg.linearise(stiffer, sample_rate=RATE, after=0.001).poles.imag)
+
+    slope = jax.jvp(highest, (1.0,), (1.0,))[1]
+    ends = [float(highest(1.0 + step)) for step in (1e-5, -1e-5)]
+    assert float(slope) == pytest.approx((ends[0] - ends[1]) / 2e-5, rel=1e-3)
 
 
 def test_a_program_of_one_sample_runs_without_the_loop(loop, trace):

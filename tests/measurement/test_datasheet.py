@@ -11,7 +11,7 @@ from oracles import classic
 
 import memsgyro_jax as mg
 from memsgyro_jax.app.report.datasheet_page import datasheet_page
-from memsgyro_jax.measurement.datasheet import notes_of
+from memsgyro_jax.measurement.datasheet import impossible_ends, notes_of
 from memsgyro_jax.measurement.datasheet_rows import NOT_MODELLED, DatasheetRow
 from memsgyro_jax.measurement.datasheet_tests import Answer, best_line, noises, start_up, with_trim
 from memsgyro_jax.measurement.lot_outputs import Outputs
@@ -108,6 +108,15 @@ def test_figures_of_a_start_are_not_given_without_a_word(sheet):
     rows = noises(replace(bench, noisy=lambda *_: still), settled, 0.4)
     assert all("it does not settle" in row.reason for row in rows)
     assert rows[1].reason.endswith("deg/√h of the design by the closed form (`noise_budget`)")
+
+
+def test_an_interval_that_passes_what_a_die_can_be_is_told():
+    def row(name, values, positive=True):
+        return DatasheetRow(name, "1", "", "", np.array(values), positive=positive)
+
+    told = impossible_ends((row("a", [0.1, 0.1, 5.0]), row("b", [3.0, 3.1, 3.2]), row("c", [-1.0, 1.0, 9.0], False)))
+    assert [sentence.startswith("The 95 % interval of a passes zero") for sentence in told] == [True]
+    assert impossible_ends((row("b", [3.0, 3.1, 3.2]),)) == ()
 
 
 def test_a_lost_die_spoils_no_other():

@@ -126,6 +126,12 @@ def test_no_file(tmp_path):
     ("old", "new", "words"),
     [
         ("xx = 356000000.0", "xx = 0.0", "`device.stiffness`: The stiffness matrix must be positive definite"),
+        (
+            "xx = 356000000.0",
+            "xx = 1e30",
+            "must be of a size below 1e+26 rad²/s², beyond which no device is",
+        ),
+        ("scale = [500000.0", "scale = [1e30", "must be of a size below 1e+20 V/m"),
         ("xy = -2100000.0", "xy = -3e8", "`device.stiffness`: The stiffness matrix must be positive definite"),
         ("xx = 22.1", "xx = -22.1", "`device.damping`: The damping matrix must be positive definite"),
         ("value = 5600000.0", "value = 0", "`device.mobility`: must be 1 / mass, positive, but is 0"),

@@ -265,6 +265,26 @@ def test_the_margin_is_a_loss_with_a_slope():
         mg.loop_margins(mg.default_study().loop)
 
 
+def test_a_gain_margin_is_where_a_loop_begins_to_oscillate():
+    gyro, control = designs(1, seed=3)[0]
+    found = mg.gain_phase_margins(loop_of(gyro, DISPLACEMENT, control))
+    assert np.isfinite(found.increase[2])
+    assert f"{found.phase_margin[0]:.3g}°" in str(found)
+    sense = control.sense
+    for share, stable in ((0.99, True), (1.01, False)):
+        times = share * 10.0 ** (found.increase[2] / 20.0)
+        louder = eqx.tree_at(
+            lambda c: (c.sense.gain, c.sense.integral), control, (times * sense.gain, times * sense.integral)
+        )
+        assert bool(mg.loop_margins(loop_of(gyro, DISPLACEMENT, louder)).rate > 0.0) is stable
+    drive, decay = control.drive, 0.5 * float(gyro.dxx / gyro.mass)
+    s = 2j * np.pi * found.crossover[0]
+    pole = 2.0 * np.pi * float(drive.demodulator.bandwidth)
+    loop = (float(drive.phase_gain) + float(drive.phase_integral) / s) / (s + decay) * pole / (s + pole)
+    assert abs(loop) == pytest.approx(1.0, rel=0.05)
+    assert 180.0 - abs(np.degrees(np.angle(loop))) == pytest.approx(found.phase_margin[0], abs=3.0)
+
+
 def test_coupled_axes_make_a_slow_drive_unstable():
     """Holding y still moves the resonance of the thesis' drive by 107 Hz."""
     gyro = mg.SingleMassGyro.chi2010()
