@@ -105,6 +105,7 @@ def test_the_matrices_are_those_of_the_device(loop, tmp_path):
     kept(linear, tmp_path)
 
 
+@pytest.mark.slow
 def test_poles_have_slopes(loop):
     def highest(factor):
         stiffer = eqx.tree_at(lambda made: made.device.kyy, loop, factor * SPLIT.kyy)
