@@ -167,7 +167,8 @@ def seeds(loop, scenario, *, count, sample_rate, duration, points=200, bandwidth
     design = design and design.sampled_at(sample_rate)
     words = noise.die_words(jax.random.key(2010), jnp.arange(count))
     keep = _Keep(Lowpass(bandwidth, order), design or loop)
-    done = _run(loop, as_scenario(scenario), words, 1.0 / sample_rate, points, block, keep, design)
+    period = jnp.asarray(1.0 / sample_rate)  # a number, for one program at every rate
+    done = _run(loop, as_scenario(scenario), words, period, points, block, keep, design)
     lost = int(count - np.sum(done.alive))
     if lost:
         print(f"{lost} of {count} runs were lost")
@@ -198,7 +199,7 @@ def draw_motion(trace):
     left.set(xlabel="time [ms]", ylabel="read-out [mV]")
     right.set(xlabel="time [ms]", ylabel="displacement [µm]")
     for ax in (left, right):
-        ax.legend(frameon=False, fontsize=8)
+        ax.legend(frameon=False, fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
     return figure
 
 
@@ -218,8 +219,9 @@ def draw_coefficients(loop, time, theta, true_rate, offset=None):
             ax.plot(1e3 * time, np.broadcast_to(true, time.shape), "k--", lw=0.6)
         settled = value[len(value) // 4 :]
         ends = np.append(settled, [] if true is None else true)
-        room = 0.5 * np.ptp(ends) + 1e-12
+        room = 0.5 * np.ptp(ends) or 0.1  # of one that is known
         ax.set(title=name if "[" in name else f"{name} / true", ylim=(ends.min() - room, ends.max() + room))
+        ax.ticklabel_format(axis="y", useOffset=False)
     for ax in axes[-1]:
         ax.set_xlabel("time [ms]")
     return figure

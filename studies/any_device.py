@@ -63,7 +63,9 @@ def main() -> None:
     figure, axes = plt.subplots(figsize=(6, 4), layout="constrained")
     low, high = stats.chi2.interval(0.99, STATES * dies)
     reached = silent = 0
-    for number, device in enumerate(devices(3 if report.quick else 24)):
+    count = 2 if report.quick else 24
+    report.row("devices", 24, count, "quick" if report.quick else "")
+    for number, device in enumerate(devices(count)):
         with tempfile.TemporaryDirectory() as folder:
             study = study_of(device, Path(folder)).changed({"sweep.dies": dies})
         summary = mg.sweep(**study.sweep_arguments, bound_dies=dies).summary

@@ -89,6 +89,8 @@ def figures(report: Report) -> None:
         found.plot(ax)
         ax.set(title=f"Fig {name}: rank {text} of {len(found.names)}", ylim=(1e-18, 1e2))
         ax.get_legend().remove()
+        ax.label_outer()
+    figure.suptitle("dotted: what counts as zero", fontsize=10)
     report.picture(figure, "fig_4_1_to_4_3")
     still = lambda time: tuple(u + STIFF * SIZE for u in fed_back(APART, SYMMETRIC)(time))  # noqa: E731
     for velocity, claimed in ((False, 8), (True, 7)):
@@ -119,6 +121,7 @@ def controls(report: Report) -> None:
                    + ", ".join(f"{n} {v:+.3g}" for n, v in found.weakest.items()))  # fmt: skip
         found.plot(ax)
         ax.set_title(name)
+        ax.label_outer()
     report.picture(figure, "fig_5_32")
     circle = motion(wave(3000.0), cosine(3000.0))
     found = mg.observability_matrix(SINGLE_MASS, circle, fed_back(circle, SYMMETRIC), TIME, frequency=4000.0)

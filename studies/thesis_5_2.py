@@ -72,12 +72,15 @@ def study(report: Report, name: str, loop: mg.ClosedLoop, claimed: dict[str, flo
     euler = seeds(by_euler(loop), RATE, count=fast, sample_rate=10e6, duration=0.11)
     bound = mg.information_bound(loop, RATE, sample_rate=100e3, duration=0.2, windows=100)
     error, end = dps(runs.rate - RATE), np.argmin(np.abs(runs.time - 0.1))
-    least = dps(bound.rate_std[np.argmin(np.abs(bound.time - 0.1))])
-    prior = mg.information_bound(loop, RATE, sample_rate=100e3, duration=0.1, prior=loop.observer.prior, windows=1)
+    half = np.argmin(np.abs(bound.time - 0.1))
+    least = dps(bound.rate_std[half])
+    prior = mg.information_bound(
+        loop, RATE, sample_rate=100e3, duration=0.2, windows=100, prior=loop.observer.prior
+    )  # the same program
 
     say = lambda what, *rest: report.row(f"{name}: {what}", *rest)  # noqa: E731
     say("rate, Cramér-Rao bound at 0.1 s [deg/s]", "-", least, "no unbiased estimator can do better")
-    say("rate, bound with the filter's prior [deg/s]", "-", dps(prior.rate_std[-1]))
+    say("rate, bound with the filter's prior [deg/s]", "-", dps(prior.rate_std[half]))
     spread = f"± {rms(error[end]) / np.sqrt(2 * count):.2f}, {count} seeds, correct plant: the honest figure"
     say("rate error at 0.1 s [deg/s]", claimed["rate"], rms(error[end]), spread)
     series = np.median(np.std(error[end:], axis=0))

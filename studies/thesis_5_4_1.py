@@ -74,7 +74,7 @@ for ax, (layer, claim) in zip(axes, LAYERS.items(), strict=True):
     swing = float(np.mean(np.max(np.abs(dps(long.filtered[first])), axis=0)))
     report.row(f"layer {layer}: largest filtered rate before 0.1 s [deg/s]",
                {0.1: "-", 0.01: 1160.0, 0.5: 600.0}[layer], swing, "noise drawn at 300 kHz")  # fmt: skip
-    ax.set(xlabel="time [s]", title=f"layer {layer}", xlim=(0.5, duration), ylim=(-20, 20))
+    ax.set(xlabel="time [s]", title=f"layer {layer}", xlim=(0.5, duration), ylim=(-25, 25))
     ax.legend(frameon=False, fontsize=8)
 axes[0].set_ylabel("filtered rate error [deg/s]")
 report.picture(figure, "layers")
@@ -94,9 +94,9 @@ report.picture(figure, "path")
 report.picture(draw_coefficients(sliding(0.1), run.time, run.theta[:, :, 0], run.rate_true[:, 0]), "estimates")
 
 figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4), layout="constrained")
-left.plot(run.time, dps(run.filtered[:, 0]), label="behind 10 Hz, third order")
+left.plot(run.time, dps(run.filtered[:, 0]), label="layer 0.1, behind 10 Hz, third order")
 left.plot(run.time, dps(run.rate_true[:, 0]), "k--", label="true rate")
-right.plot(long.time, dps(long.filtered[:, 0]), lw=0.8, label=f"layer {layer}")
+right.plot(long.time, dps(long.filtered[:, 0]), lw=0.8, label=f"layer {layer}, noise drawn at 300 kHz")
 right.plot(long.time, dps(long.rate_true[:, 0]), "k--")
 for ax in (left, right):
     ax.set(xlabel="time [s]", ylabel="rate [deg/s]")
@@ -111,7 +111,7 @@ figure, (left, right) = plt.subplots(1, 2, figsize=(10, 3.6), layout="constraine
 left.loglog(frequency, np.abs(response))
 right.semilogx(frequency, np.degrees(np.unwrap(np.angle(response))))
 left.set(xlabel="frequency [Hz]", ylabel="gain", xlim=(0.5, 1000.0), ylim=(1e-6, 2.0))
-right.set(xlabel="frequency [Hz]", ylabel="phase [deg]", xlim=(0.5, 1000.0))
+right.set(xlabel="frequency [Hz]", ylabel="phase [deg]", xlim=(0.5, 1000.0), ylim=(-280.0, 5.0))
 report.picture(figure, "lowpass")
 
 report.row("runs lost", "-", lost + other.lost, "in all of the above")

@@ -136,7 +136,7 @@ for name, frequencies, snr in loud:
         held = np.logical_and.accumulate(np.isfinite(runs.filtered[:, 0]))  # until it is lost
         ax.plot(runs.time[held], dps(runs.rate[held, 0]), "C7", lw=0.4, label=f"{name}: raw")
         ax.plot(runs.time[held], dps(runs.filtered[held, 0]), "C0", label="behind 10 Hz")
-        ax.axhline(np.degrees(1.0), color="k", ls="--")
+        ax.axhline(np.degrees(1.0), color="k", ls="--", label="true rate")
         ax.set(ylabel="rate [deg/s]")
         ax.set_yscale("symlog", linthresh=100.0)
         ax.legend(frameon=False, fontsize=8)

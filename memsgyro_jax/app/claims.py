@@ -21,7 +21,7 @@ from memsgyro_jax.base.errors import InputError
 NOT_RUN = "its study has not been run"
 COLUMNS = ("claimed", "obtained", "reading", "verdict", "why")
 MISSING = "not obtained"
-_WIDTH, _COLOURS = 1000, 48  # of a picture on the page: pixels, and enough for lines
+_WIDTH, _COLOURS = 1000, 128  # of a picture on the page: pixels, and enough for lines
 
 
 @dataclass(frozen=True)
@@ -172,7 +172,7 @@ def write_page(found: dict[str, Any], out: Path, docs: Path) -> None:
         (docs / "claims" / path).parent.mkdir(parents=True, exist_ok=True)
         with Image.open(out / path) as picture:
             picture.thumbnail((_WIDTH, _WIDTH))
-            picture.convert("RGB").quantize(_COLOURS, dither=Image.Dither.NONE).save(
+            picture.convert("RGB").quantize(_COLOURS, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE).save(
                 docs / "claims" / path, optimize=True
             )
     (docs / "claims.json").write_text(json.dumps(found, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")

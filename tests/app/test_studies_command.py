@@ -4,7 +4,9 @@ import json
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from memsgyro_jax import InputError
 from memsgyro_jax.app import claims
@@ -27,7 +29,11 @@ answer = dict(row="T1", claimed="1", obtained="2 | 3", reading="none", verdict="
     json.dumps({"quick": "--quick" in sys.argv, "date": "2026-01-02", "answers": [answer]}))
 from PIL import Image
 
-Image.new("RGB", (1500, 30)).save(out / "drawn.png")
+import numpy as np
+
+picture = np.random.default_rng(0).integers(0, 256, (30, 1500, 1)).repeat(3, axis=2)  # greys, and few pixels of blue
+picture[:, 600:630] = 31, 119, 180
+Image.fromarray(picture.astype(np.uint8)).save(out / "drawn.png")
 '''
 BAD = 'PLACE = "thesis 10.1"\nANSWERS = ("T3",)\nFIGURES = {"2.2": "never"}\nraise ValueError("no such thing")\n'
 
@@ -80,7 +86,8 @@ def test_a_failing_study_is_said_and_survived(folder, tmp_path, capsys):
 
     (tmp_path / "docs").mkdir()
     studies_command(out=tmp_path / "out", page=tmp_path / "docs")
-    assert (tmp_path / "docs" / "claims" / "good" / "drawn.png").is_file()
+    with Image.open(tmp_path / "docs" / "claims" / "good" / "drawn.png") as picture:
+        assert np.allclose(picture.convert("RGB").getpixel((410, 10)), (31, 119, 180), atol=10)
     assert "[drawn](claims/good/drawn.png)" in (tmp_path / "docs" / "claims.md").read_text()
 
     # On a page stays what has not been run since, and a full run where the new one is quick.

@@ -18,7 +18,7 @@ FAILED = 1
 
 
 def studies_command(
-    *names: str, quick: bool = False, out: Path = Path("studies/out"), jobs: int = 1, page: Path | None = None
+    *names: str, quick: bool = False, out: Path = Path("studies/out"), jobs: int | None = None, page: Path | None = None
 ) -> None:
     """Lists the studies by section and figure of the thesis and the paper, or runs them and tabulates every row.
 
@@ -29,13 +29,15 @@ def studies_command(
         quick: fewer seeds and shorter runs.
         out: folder for one folder per study, `claims.md` and `claims.json`; the table keeps what earlier runs
             left there.
-        jobs: how many studies run at a time.
+        jobs: how many studies run at a time. Without it one, of quick runs one per core up to four: they compile
+            more than they compute, which takes one core.
         page: folder of a documentation, `docs` of a clone: the table with small copies of the pictures goes there, from
             the runs in `out` where no name is given. It keeps what it tells of studies that `out` has no run of, and
             of a full run where the new one is quick.
     """
     from memsgyro_jax.app.claims import all_studies, claims, markdown, write_page
     from memsgyro_jax.base.errors import InputError
+    from memsgyro_jax.base.runtime import usable_cores
 
     studies = all_studies()
     if not names:
@@ -47,6 +49,7 @@ def studies_command(
     known = {study.name for study in studies}
     for name in set(names) - known - {"all"}:
         raise InputError(f"Argument `names` must hold studies or `all`, but `{name}` is none: see `memsgyro studies`.")
+    jobs = (min(usable_cores(), 4) if quick else 1) if jobs is None else jobs
     if jobs < 1:
         raise InputError(f"Argument `jobs` must be at least 1, but is {jobs}.")
     failed = _run([s for s in studies if "all" in names or s.name in names], quick=quick, out=out, jobs=jobs)
@@ -76,14 +79,16 @@ def _list(studies: Sequence["StudyScript"]) -> None:
 
 def _run(studies: Sequence["StudyScript"], *, quick: bool, out: Path, jobs: int) -> list[str]:
     """Runs each in a process of its own, a line of progress for each; the names of those that failed."""
-    failed = []
+    failed, spent, begun = [], 0.0, time.monotonic()
     with pool_of_processes(jobs) as (pool, running):
         waiting = {pool.submit(_run_one, study, quick, out / study.name, running): study for study in studies}
         for count, future in enumerate(as_completed(waiting), 1):
             study, (seconds, reason) = waiting[future], future.result()
             print(f"[{count}/{len(studies)}] {study.name}: {reason or 'done'} ({seconds:.0f} s)", flush=True)
+            spent += seconds
             if reason:
                 failed.append(study.name)
+    print(f"{len(studies)} studies in {time.monotonic() - begun:.0f} s; one after the other {spent:.0f} s", flush=True)
     return failed
 
 
