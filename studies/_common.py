@@ -167,8 +167,8 @@ def seeds(loop, scenario, *, count, sample_rate, duration, points=200, bandwidth
     design = design and design.sampled_at(sample_rate)
     words = noise.die_words(jax.random.key(2010), jnp.arange(count))
     keep = _Keep(Lowpass(bandwidth, order), design or loop)
-    period = jnp.asarray(1.0 / sample_rate)  # a number, for one program at every rate
-    done = _run(loop, as_scenario(scenario), words, period, points, block, keep, design)
+    given = alike((loop, as_scenario(scenario), words, jnp.asarray(1.0 / sample_rate)))
+    done = _run(*given, points, block, *alike((keep, design)))
     lost = int(count - np.sum(done.alive))
     if lost:
         print(f"{lost} of {count} runs were lost")
@@ -178,6 +178,11 @@ def seeds(loop, scenario, *, count, sample_rate, duration, points=200, bandwidth
 
 
 _run = eqx.filter_jit(engine.run)
+
+
+def alike(tree):
+    """Its numbers as arrays of NumPy make them: one that came from a number of Python would ask for another program."""
+    return jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)) if eqx.is_array(leaf) else leaf, tree)
 
 
 def at_once(function, cases):

@@ -54,6 +54,7 @@ WIDE = 2 * np.pi * np.linspace(8004.3, 8045.3, 1001)
 AMPLITUDE, PHASE, LOW_PASS = 1e-3, np.radians(3.0), 165.0
 ESTIMATORS = {"published": TruncatedRatio(), "complex": ComplexRatio(), "exact": ExactRatio()}
 NAMES = ("λyx", "cxy", "kxy")
+relative = eqx.filter_jit(relative_error)
 COLOURS = ("#1f5fa8", "#c2571a", "#3d8f4f")
 
 
@@ -70,7 +71,7 @@ def draw(key, phasors, amplitude, phase):
 
 def errors(estimator, modes, frequency, keys, amplitude, phase, asymmetry=0.0):
     """|relative error| of the three coefficients over noise draws, (draws, 3)."""
-    levels = map(jnp.asarray, (amplitude, phase, asymmetry))  # as numbers of Python each would be compiled anew
+    levels = (jnp.asarray(v, float) for v in (amplitude, phase, asymmetry))  # else each would be compiled anew
     return _errors(estimator, modes, frequency, keys, *levels)
 
 
@@ -89,13 +90,18 @@ def root_mean_square(values):
     return np.sqrt(np.mean(np.asarray(values) ** 2, axis=0))
 
 
-def bound(modes, frequency, amplitude, phase, asymmetry_known=False):
+def bound(modes, frequency, amplitude, phase):
     """Relative Cramér-Rao bound of (λ, c, k): modes, gains and phases unknown too."""
+    return np.asarray(_bound(modes, frequency, jnp.asarray(amplitude, float), jnp.asarray(phase, float)))
+
+
+@eqx.filter_jit
+def _bound(modes, frequency, amplitude, phase):
     noise = PolarNoise.from_peak_to_peak(amplitude, phase)
     seen = SeenBench.of(Bench(modes, LockIn(1e9)))
     sweep = FrequencySweep("bound", frequency, np.ones((len(frequency), 2)) + 0j, noise).simulate(seen)
     std = evaluate(seen, free_parameters(seen, [sweep]), [sweep]).std_of(couplings)
-    return np.abs(np.asarray(std[:3] / couplings(seen)[:3]))
+    return jnp.abs(std[:3] / couplings(seen)[:3])
 
 
 def couplings(seen):
@@ -107,7 +113,7 @@ def noise_free():
     """P6, Table 6: the theoretical relative error at the identified point is the truncation of (15)."""
     rows = []
     claimed = {"λyx": "0.542 ppm", "cxy": "6.09 %", "kxy": "0.205 ppm"}
-    found = {name: np.asarray(relative_error(e, device(), NARROW)) for name, e in ESTIMATORS.items()}
+    found = {name: np.asarray(relative(e, device(), NARROW)) for name, e in ESTIMATORS.items()}
     for i, name in enumerate(NAMES):
         cells = [_share(abs(found[e][i])) for e in ESTIMATORS]
         rows.append([f"theoretical error of {name}", claimed[name], *cells])
@@ -149,7 +155,7 @@ def figure_3(points):
             made = device(ratios["force"], ratios["damping"] * cxx, ratios["stiffness"] * kxx)
             return jnp.stack([jnp.abs(relative_error(e, made, NARROW)) for e in (TruncatedRatio(), ExactRatio())])
 
-        found = np.asarray(jax.vmap(one)(jnp.asarray(grid)))
+        found = np.asarray(jax.jit(jax.vmap(one))(grid))
         for i, colour in enumerate(COLOURS):
             ax.loglog(grid, found[:, 0, i], color=colour, label=f"{NAMES[i]}, published")
             ax.loglog(grid, found[:, 1, i], ":", color=colour, label=f"{NAMES[i]}, exact")
@@ -186,31 +192,35 @@ def figure_over(values, label, settings, keys):
 
 def end_to_end(key):
     """P4 to P6, nothing given: peaks and half-power points, −90° correction, conversion ratio, published estimator."""
-    out = {}
+    found = {label: _chain(key, jnp.asarray(AMPLITUDE / divisor), jnp.asarray(PHASE / divisor))
+             for label, divisor in (("raw", 1.0), ("filtered", LOW_PASS))}  # fmt: skip
+    return jax.tree.map(np.asarray, found)
+
+
+@eqx.filter_jit
+def _chain(key, amplitude, phase):
     modes, offset, ratio = device(), np.radians(2.4), 1.3
     readout = LockIn(1e9, 0.3, ratio, offset)
     channels = readout.channels(0)
-    for label, divisor in (("raw", 1.0), ("filtered", LOW_PASS)):
-        kx, ky = jax.random.split(key)
-        x = draw(kx, modes.response(WIDE, 0) * channels, AMPLITUDE / divisor, PHASE / divisor)
-        y = draw(ky, modes.response(WIDE, 1) * channels, AMPLITUDE / divisor, PHASE / divisor)
-        drive, sense = half_power(jnp.asarray(WIDE), jnp.abs(x[:, 0])), half_power(jnp.asarray(WIDE), jnp.abs(y[:, 1]))
-        taken = CoupledModes(jnp.stack([drive.omega, sense.omega]), jnp.stack([drive.quality, sense.quality]))
-        found_ratio = conversion_ratio(x, y, taken)
-        found_offset = phase_offset(WIDE, y[:, 1], sense.omega) - phase_offset(WIDE, x[:, 0], drive.omega)
-        corrected = x[:, 1] / x[:, 0] / found_ratio * jnp.exp(-1j * found_offset)
-        inside = (NARROW[0] <= WIDE) & (NARROW[-1] >= WIDE)
-        values = TruncatedRatio()(WIDE[inside], corrected[inside], taken).values()
-        truth = jnp.stack([modes.force_yx, modes.damping_coupling, modes.stiffness_coupling])
-        fitted = CoupledModes(taken.omega, taken.quality, values[1], values[2], values[0], 0.0).response(WIDE, 0)
-        sense_curve = jnp.abs(x[:, 1]) / found_ratio / jnp.abs(x[:, 0]).max()
-        out[label] = {
-            "error": np.asarray(values / truth - 1),
-            "phase": float(jnp.rad2deg(found_offset - offset)),
-            "ratio": float(found_ratio / ratio - 1),
-            "goodness": float(goodness_of_fit(sense_curve, jnp.abs(fitted[:, 1]) / jnp.abs(fitted[:, 0]).max())),
-        }
-    return out
+    kx, ky = jax.random.split(key)
+    x = draw(kx, modes.response(WIDE, 0) * channels, amplitude, phase)
+    y = draw(ky, modes.response(WIDE, 1) * channels, amplitude, phase)
+    drive, sense = half_power(jnp.asarray(WIDE), jnp.abs(x[:, 0])), half_power(jnp.asarray(WIDE), jnp.abs(y[:, 1]))
+    taken = CoupledModes(jnp.stack([drive.omega, sense.omega]), jnp.stack([drive.quality, sense.quality]))
+    found_ratio = conversion_ratio(x, y, taken)
+    found_offset = phase_offset(WIDE, y[:, 1], sense.omega) - phase_offset(WIDE, x[:, 0], drive.omega)
+    corrected = x[:, 1] / x[:, 0] / found_ratio * jnp.exp(-1j * found_offset)
+    inside = (NARROW[0] <= WIDE) & (NARROW[-1] >= WIDE)
+    values = TruncatedRatio()(WIDE[inside], corrected[inside], taken).values()
+    truth = jnp.stack([modes.force_yx, modes.damping_coupling, modes.stiffness_coupling])
+    fitted = CoupledModes(taken.omega, taken.quality, values[1], values[2], values[0], 0.0).response(WIDE, 0)
+    sense_curve = jnp.abs(x[:, 1]) / found_ratio / jnp.abs(x[:, 0]).max()
+    return {
+        "error": values / truth - 1,
+        "phase": jnp.rad2deg(found_offset - offset),
+        "ratio": found_ratio / ratio - 1,
+        "goodness": goodness_of_fit(sense_curve, jnp.abs(fitted[:, 1]) / jnp.abs(fitted[:, 0]).max()),
+    }
 
 
 def goodness_is_blind():
@@ -231,15 +241,10 @@ def likelihood(key, draws):
     rows, pictures = [], {}
     truth = SeenBench.of(Bench(device(), LockIn(1e9, 0.3, 1.3, np.radians(2.4))))
     for label, divisor in (("raw", 1.0), ("filtered", LOW_PASS)):
-        noise = PolarNoise.from_peak_to_peak(AMPLITUDE / divisor, PHASE / divisor)
-        sweep = FrequencySweep(label, WIDE, np.ones((len(WIDE), 2)) + 0j, noise).simulate(truth)
-        measured = jax.vmap(lambda k, s=sweep, d=divisor: draw(k, s.measured, AMPLITUDE / d, PHASE / d))(
-            jax.random.split(key, draws)
-        )
-        fits = eqx.filter_jit(refit_draws)(truth, sweep, measured)
-        value = np.asarray(jax.vmap(couplings)(fits.values))
-        std = np.asarray(jax.vmap(lambda f: f.std_of(couplings))(fits))
-        limit = np.asarray(evaluate(truth, free_parameters(truth, [sweep]), [sweep]).std_of(couplings))
+        each = jnp.asarray(AMPLITUDE / divisor), jnp.asarray(PHASE / divisor)
+        noise = PolarNoise.from_peak_to_peak(*each)
+        sweep = FrequencySweep("wide", WIDE, np.ones((len(WIDE), 2)) + 0j, noise).simulate(truth)
+        chi2, value, std, limit = map(np.asarray, _likelihood(truth, sweep, *each, jax.random.split(key, draws)))
         target = np.asarray(couplings(truth))
         cover = np.mean(np.abs(value - target) < 1.96 * std, axis=0)
         for i, name in enumerate((*NAMES, "phase asymmetry")):
@@ -254,9 +259,18 @@ def likelihood(key, draws):
                     f"{100 * cover[i]:.1f} %",
                 ]
             )
-        rows.append([f"χ²/dof, {label}", f"{float(fits.chi2_per_dof.mean()):.4f}", "1", "", ""])
+        rows.append([f"χ²/dof, {label}", f"{chi2.mean():.4f}", "1", "", ""])
         pictures[label] = (value[:, 1] * MASS, limit[1] * MASS)
     return rows, pictures
+
+
+@eqx.filter_jit
+def _likelihood(truth, sweep, amplitude, phase, keys):
+    """χ² per degree of freedom of the fit of each draw, its couplings, the deviations that it claims, and the bound."""
+    measured = jax.vmap(lambda key: draw(key, sweep.measured, amplitude, phase))(keys)
+    fits = refit_draws(truth, sweep, measured)
+    limit = evaluate(truth, free_parameters(truth, [sweep]), [sweep]).std_of(couplings)
+    return fits.chi2_per_dof, jax.vmap(couplings)(fits.values), jax.vmap(lambda f: f.std_of(couplings))(fits), limit
 
 
 def histogram(pictures):
@@ -273,7 +287,7 @@ def histogram(pictures):
 def phasor_picture():
     """P1: which error is in phase and which in quadrature with Coriolis, over the drive frequency."""
     frequency = jnp.asarray(2 * np.pi * np.linspace(8014.0, 8014.6, 301))
-    parts = sense_errors(device(), frequency, 1e-6, np.radians(1.0)).relative()
+    parts = eqx.filter_jit(lambda at: sense_errors(device(), at, 1e-6, np.radians(1.0)).relative())(frequency)
     figure = Figure(figsize=(9, 3.2), layout="constrained")
     for ax, (part, title) in zip(
         figure.subplots(1, 2), ((np.real, "in phase with Coriolis"), (np.imag, "in quadrature")), strict=True
@@ -308,7 +322,7 @@ def _print(title, header, rows):
 def mirror_error() -> float:
     """P2, the mirrored experiment: y driven, λxy from the exact ratio, relative error without noise."""
     modes = CoupledModes(device().omega, device().quality, C_XY / MASS, K_XY / MASS, LAMBDA, 2.5e-4)
-    return float(jnp.abs(relative_error(ExactRatio(), mirrored(modes), NARROW))[0])
+    return abs(float(relative(ExactRatio(), mirrored(modes), NARROW)[0]))
 
 
 def measured_pictures(key):

@@ -85,10 +85,11 @@ def rotation_swing(omega: float, damping: float, beat: float) -> float:
 
 
 report = Report()
+LONG, LAST = (0.7, 0.7) if report.quick else (0.9, 1.0)  # s; quick runs are all of one length, for one program
 single, dual, ideal = mg.SingleMassGyro.chi2010(), mg.DualMassGyro.chi2010(), perfect(3200.0, 804.0)
 
 omega, damping = 2.0 * np.pi * 3200.0, 2.0 * np.pi * 3200.0 / 804.0
-time, swing, locked = sense_amplitude(ideal, 1.0, 0.02, 0.5 if report.quick else 0.9)
+time, swing, locked = sense_amplitude(ideal, 1.0, 0.02, LONG)
 final = 2.0 * AMPLITUDE * 804.0 / omega
 half = brentq(lambda b: rotation_swing(omega, damping, b) - np.sqrt(0.5), 1e-3, 100.0) / (2.0 * np.pi)
 report.row("time constant, 3.2 kHz, Q 804 [s]", 0.08, float(time[np.argmax(swing > 0.632 * final)] - 0.02),
@@ -113,7 +114,7 @@ _, swing, locked = sense_amplitude(tilted, 0.0, 0.0, 0.7)
 report.row("  where a phase-locked loop drives it [µm]", "-", 1e6 * float(np.mean(swing[-200:])),
            f"it locks to a mode of both axes, {locked[-1]:.1f} Hz, and y swings as far as x")  # fmt: skip
 
-qualities = {q: sense_amplitude(perfect(3200.0, q), 1.0, 0.02, 0.4 if report.quick else 0.9)[:2] for q in QUALITIES}
+qualities = {q: sense_amplitude(perfect(3200.0, q), 1.0, 0.02, LONG)[:2] for q in QUALITIES}
 for q, (time, swing) in qualities.items():
     at, tau = float(np.mean(swing[-500:])), 2.0 * q / omega
     least = 2.0 * AMPLITUDE * q / omega * (1.0 - np.exp(-(time[-250] - 0.02) / tau))
@@ -163,12 +164,12 @@ mismatch = np.linspace(0.0, 0.1, 400)
 middle.semilogy(100.0 * mismatch, [capacitance(x) for x in mismatch], label="signal of 1 rad/s")
 middle.axhline(4e-3 * np.sqrt(3000.0), color="k", ls="--", label="4 aF/√Hz in 3 kHz")
 middle.set(xlabel="frequency mismatch [%]", ylabel="capacitance [fF]", title="Fig 2.2")
-turn, end = (0.1, 0.3) if report.quick else (0.5, 1.0)
+turn, end = (0.2 if report.quick else 0.5), LAST
 for name, gyro, claim in (("perfect", ideal, 0.8), ("one mass", single, None), ("two masses", dual, None)):
     time, swing, locked = sense_amplitude(gyro, 10.0, turn, end)
     before, after = (float(np.mean(swing[(time > t - 0.01) & (time < t)])) for t in (turn, end))
     report.row(f"{name}: y amplitude at rest and at 10 rad/s [µm]", claim or "equal",
-               f"{1e6 * before:.4f}, {1e6 * after:.4f}", "Figs 5.5, 5.6; after 0.5 s (quick: 0.2 s)")  # fmt: skip
+               f"{1e6 * before:.4f}, {1e6 * after:.4f}", f"Figs 5.5, 5.6; after {end - turn:g} s")  # fmt: skip
     right.semilogy(time, 1e6 * swing, label=name)
 right.set(xlabel="time [s]", ylabel="demodulated y amplitude [µm]", ylim=(1e-4, 3), title="Figs 5.5 and 5.6: 10 rad/s")
 for ax in (growth, left, across, middle, right):

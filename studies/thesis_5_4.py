@@ -55,8 +55,8 @@ def kalman(frequencies) -> mg.ClosedLoop:
 def steady(loop: mg.ClosedLoop, count: int, sample_rate: float, duration: float):
     """5 deg/s from 1 s on, as the thesis' long run: raw and filtered error about the truth after 2 s, root mean square
     in deg/s; the filtered one's own standard deviation; the runs."""
-    runs = seeds(loop, mg.Step(1.0, np.radians(5.0)), count=count, sample_rate=sample_rate, duration=duration,
-                 points=round(1000 * duration))  # fmt: skip
+    scenario = mg.Step(1.0, np.radians(5.0)) + mg.Step(1.0, 0.0)  # of the structure of the thesis' run
+    runs = seeds(loop, scenario, count=count, sample_rate=sample_rate, duration=duration, points=round(1000 * duration))
     late = runs.time > 2.0
     raw, filtered = (dps(rate - runs.rate_true)[late] for rate in (runs.rate, runs.filtered))
     return float(rms(raw)), float(rms(filtered)), float(np.mean(np.std(filtered, axis=0))), runs
@@ -75,12 +75,15 @@ figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4), layout="constrained"
 
 # The thesis' run: 1 rad/s from 0.2 s, -3 rad/s from 0.6 s.
 turning = mg.Step(0.2, 1.0) + mg.Step(0.6, -4.0)
-run = seeds(lyapunov(THESIS), turning, count=count, sample_rate=NOISE_RATE, duration=1.0, points=1000)
+whole, start = ((duration, round(1000 * duration)),) * 2 if report.quick else ((1.0, 1000), (0.2, 1000))
+given = {"count": count, "sample_rate": NOISE_RATE}  # the quick runs are all of one length, for one program
+run = seeds(lyapunov(THESIS), turning, duration=whole[0], points=whole[1], **given)
 truth = np.asarray(GYRO.coefficients(0.0))
 index = [GYRO.model.names.index(name) for name in CLAIMS]
 error = run.theta[:, index] / truth[index][:, None] - 1.0
 report.row("stiffnesses stay within 1 % from [s]", "< 0.02", settled(run), "gain 100")
-quick = seeds(lyapunov(THESIS, gain=12.0), 0.0, count=count, sample_rate=NOISE_RATE, duration=0.2, points=1000)
+still = mg.Step(0.2, 0.0) + mg.Step(0.6, 0.0)
+quick = seeds(lyapunov(THESIS, gain=12.0), still, duration=start[0], points=start[1], **given)
 report.row("  with gain 12 [s]", "slower", settled(quick), "adaptation goes as 1/gain: the claimed sign is wrong")
 largest = np.mean(np.max(np.abs(error[run.time > 0.8]), axis=0), axis=1)
 for (name, claim), found in zip(CLAIMS.items(), largest, strict=True):

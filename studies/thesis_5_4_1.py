@@ -42,8 +42,11 @@ def off_by_a_tenth(loop: mg.ClosedLoop) -> mg.ClosedLoop:
 
 
 report = Report()
-count, duration = (4, 2.4) if report.quick else (32, 5.0)
-run = seeds(sliding(0.1), TURNING, count=count, sample_rate=SAMPLE_RATE, duration=1.0, points=1000)
+count, duration, after = (4, 1.8, 1.4) if report.quick else (32, 5.0, 2.0)
+short = duration if report.quick else 1.0  # quick runs are all of one length, for one program
+given = {"count": count, "sample_rate": SAMPLE_RATE}
+brief = {"duration": short, "points": round(500 * short) if report.quick else 1000, **given}
+run = seeds(sliding(0.1), TURNING, **brief)
 truth = np.asarray(GYRO.coefficients(0.0))
 index = [GYRO.model.names.index(name) for name in CLAIMS]
 error = np.abs(run.theta[:, index] / truth[index][:, None] - 1.0)
@@ -61,15 +64,15 @@ lost, found = run.lost, {}
 figure, axes = plt.subplots(1, 3, figsize=(13, 3.8), layout="constrained", sharey=True)
 for ax, (layer, claim) in zip(axes, LAYERS.items(), strict=True):
     for noise_rate in (1e6, 3e5):
-        long = seeds(sliding(layer, noise_rate), mg.Step(1.0, np.radians(5.0)), count=count, sample_rate=SAMPLE_RATE,
-                     duration=duration, points=round(500 * duration))  # fmt: skip
+        scenario = mg.Step(1.0, np.radians(5.0)) + mg.Step(1.0, 0.0)  # of the structure of `TURNING`
+        long = seeds(sliding(layer, noise_rate), scenario, duration=duration, points=round(500 * duration), **given)
         lost += long.lost
         errors = dps(long.filtered - long.rate_true)
-        late, first = long.time > 2.0, long.time < 0.1
+        late, first = long.time > after, long.time < 0.1
         value, low, high = interval(errors[late])
         found[layer, noise_rate] = value
         report.row(f"layer {layer}: filtered [deg/s], noise drawn at {noise_rate / 1e3:g} kHz", claim, value,
-                   f"95 % {low:.3g} to {high:.3g}, {count} seeds, {long.lost} lost")  # fmt: skip
+                   f"after {after:g} s, 95 % {low:.3g} to {high:.3g}, {count} seeds, {long.lost} lost")  # fmt: skip
         ax.plot(long.time, errors[:, 0], lw=0.8, label=f"{noise_rate / 1e3:g} kHz: {value:.2g} deg/s")
     swing = float(np.mean(np.max(np.abs(dps(long.filtered[first])), axis=0)))
     report.row(f"layer {layer}: largest filtered rate before 0.1 s [deg/s]",
@@ -79,7 +82,8 @@ for ax, (layer, claim) in zip(axes, LAYERS.items(), strict=True):
 axes[0].set_ylabel("filtered rate error [deg/s]")
 report.picture(figure, "layers")
 
-other = seeds(off_by_a_tenth(sliding(0.1)), 1.0, count=count, sample_rate=SAMPLE_RATE, duration=1.0, points=1000)
+constant = mg.Step(0.0, 1.0) + mg.Step(0.6, 0.0)
+other = seeds(off_by_a_tenth(sliding(0.1)), constant, **brief)
 value, low, high = interval(dps(other.filtered - other.rate_true)[other.time > 0.3])
 report.row("device 10 % off, coupling halved and turned: filtered [deg/s]", "-", value,
            f"after 0.3 s, 95 % {low:.3g} to {high:.3g}, {other.lost} lost")  # fmt: skip
