@@ -17,6 +17,7 @@ import time
 import matplotlib.pyplot as plt
 import numpy as np
 from _common import Report
+from scipy import stats
 
 from memsgyro_jax.base import runtime
 
@@ -62,16 +63,14 @@ def centred(report: Report, run: dict) -> None:
     dies = 32 if report.quick else 256
     tuned = mg.tune(
         loop, free=mg.free(device=bounds), spread=spread, loss=mg.losses.ExpectedMisses(TOLERANCE), dies=dies,
-        validation_dies=dies, report_dies=dies, evaluations=4 if report.quick else 15, progress=print, **run,
+        validation_dies=dies, report_dies=4 * dies, evaluations=4 if report.quick else 15, progress=print, **run,
     )  # fmt: skip
     print(tuned)
-    yields = [
-        mg.sweep(each, spread, dies=4 * dies, tolerance=TOLERANCE, bound_dies=0, **run).summary.good
-        for each in (loop, tuned.loop)
-    ]
-    for when, good in zip(("before", "after"), yields, strict=True):
-        report.row(f"yield at {np.degrees(TOLERANCE):g} deg/s {when} centring", "-", good.value,
-                   f"{good.low:.2f} to {good.high:.2f}, {4 * dies} dies")  # fmt: skip
+    for when, lot in zip(("before", "after"), tuned.lots, strict=True):
+        good = int(np.sum(np.abs(lot.data["rate_error_end"].values) <= TOLERANCE))
+        low, high = stats.binomtest(good, 4 * dies).proportion_ci()
+        report.row(f"yield at {np.degrees(TOLERANCE):g} deg/s {when} centring", "-", good / (4 * dies),
+                   f"{low:.2f} to {high:.2f}, {4 * dies} unseen dies")  # fmt: skip
     moved = ", ".join(f"{number.path} x {number.value / number.start:.3f}" for number in tuned.numbers)
     report.row("design moved", "-", moved)
 
