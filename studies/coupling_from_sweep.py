@@ -146,16 +146,17 @@ def figure_3(points):
     base = {"force": 0.01, "damping": 0.1, "stiffness": 1e-3}
     figure = Figure(figsize=(11, 3.6), layout="constrained")
     axes = figure.subplots(1, 3, sharey=True)
+
+    @jax.jit
+    @jax.vmap
+    def each(force, damping, stiffness):
+        made = device(force, damping * cxx, stiffness * kxx)
+        return jnp.stack([jnp.abs(relative_error(e, made, NARROW)) for e in (TruncatedRatio(), ExactRatio())])
+
     for ax, (name, label) in zip(
         axes, {"force": "λyx", "damping": "k1 = cxy/cxx", "stiffness": "k2 = kxy/kxx"}.items(), strict=True
     ):
-
-        def one(value, name=name):
-            ratios = {**base, name: value}
-            made = device(ratios["force"], ratios["damping"] * cxx, ratios["stiffness"] * kxx)
-            return jnp.stack([jnp.abs(relative_error(e, made, NARROW)) for e in (TruncatedRatio(), ExactRatio())])
-
-        found = np.asarray(jax.jit(jax.vmap(one))(grid))
+        found = np.asarray(each(*(grid if of == name else np.full_like(grid, ratio) for of, ratio in base.items())))
         for i, colour in enumerate(COLOURS):
             ax.loglog(grid, found[:, 0, i], color=colour, label=f"{NAMES[i]}, published")
             ax.loglog(grid, found[:, 1, i], ":", color=colour, label=f"{NAMES[i]}, exact")
