@@ -1,6 +1,7 @@
 """Score tests: exact where the problem is linear, and with the stated rate of false alarms."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import optimize, stats
 
+from memsgyro_jax.diagnosis import search
 from memsgyro_jax.diagnosis.score import (
     Score,
     basis,
@@ -255,3 +257,17 @@ def test_separation_is_what_the_wrong_twin_leaves_of_chi_square(seed):
     first: Score = score(shown, q, mine)
     gap = misfit(shown, np.hstack([free, theirs])) - misfit(shown, np.hstack([free, mine]))
     assert separation(first.statistic, first, score(shown, q, theirs)) == pytest.approx(gap, rel=1e-8, abs=1e-9)
+
+
+@pytest.mark.parametrize(("worse", "kept"), [(30.0, [0]), (0.5, []), (-0.5, [])])
+def test_an_effect_that_a_refit_does_not_miss_is_dropped(monkeypatch, worse, kept):
+    """Wald's test proposes; the likelihood of the refit without it decides, also where that refit ended lower."""
+    monkeypatch.setattr(search, "beside_case", lambda *_: None)
+    begun = SimpleNamespace(
+        level=0.05, accepted=[0], optimum=SimpleNamespace(chi2=100.0), steps=[], tell=lambda _: None, case=None,
+        joint=SimpleNamespace(model=SimpleNamespace(effects=(SimpleNamespace(label="one"),))),
+        own_score=lambda _: SimpleNamespace(p_value=0.5, size=1), without=lambda _: None,
+        refit=lambda left, start: SimpleNamespace(chi2=100.0 + worse),
+    )  # fmt: skip
+    search.Search.prune(begun)
+    assert begun.accepted == kept
