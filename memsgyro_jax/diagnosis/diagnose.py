@@ -28,6 +28,7 @@ from .result import SIGMAS_SEEN, Accepted, Candidate, Diagnosis, Stage, Verdict,
 from .rounds import FITTED, search_on
 from .score import basis, score, separation
 from .search import CONFUSED, Ranking, Search, SearchStep, start_search
+from .slow_noise import is_slow_noise, slowly
 from .wrong_noise import wrong_noise
 
 
@@ -77,10 +78,12 @@ def diagnose(
         return search
 
     def done(search: Search) -> bool:
-        return all(_each_explained(search.steps[-1].fit, search.accepted, level))
+        return bool(search.slow) or all(_each_explained(search.steps[-1].fit, search.accepted, level))
 
     def searched(search: Search) -> tuple[Search, Ranking, str, Ranking]:
         first = search.rank()
+        if is_slow_noise(search, first):
+            return search, first, "", first
         return *instrument_first(search, first, smooth, search_on, done), first
 
     (search, ranking, rival, first), left_out = search_beside_outlying(begun, searched, done)
@@ -93,6 +96,7 @@ def diagnose(
     noise: Mapping[str, float] = {}
     if not all(explained) and all(_each_explained(final, accepted, level, wrong := wrong_noise(final))):
         explained, noise = [True] * len(explained), wrong
+    explained = [fine or bool(search.slow) for fine in explained]
     if accepted and all(explained) and _drifts_as_well(steps[0].fit, final, accepted, level):
         accepted = (replace(accepted[0], confused_with=(*accepted[0].confused_with, DRIFT)), *accepted[1:])
     terms = _accepted(search, {place: [] for place in terms_of(search)}, steps)
@@ -116,6 +120,7 @@ def diagnose(
         sentence=_sentence(verdict, accepted, final, explained)
         + of_instrument(terms, rival, drive_levels(case))
         + _of_noise(noise)
+        + slowly(search.slow)
         + (f" Left out as outlying: {_of_rows(case, left_out)}." if left_out else ""),
         accepted=tuple(a.scaled(scale) for a in accepted),
         first=_listed(joint.model, first),
@@ -130,6 +135,8 @@ def diagnose(
         outlying={case.records[number].name: rows for number, rows in left_out.items()},
         instrument=tuple(a.scaled(scale) for a in terms),
         scale=final.scale,
+        noise=dict.fromkeys(noise, "its noise is larger than declared")
+        | dict.fromkeys(search.slow, "its noise is slow"),
     )
 
 

@@ -141,6 +141,7 @@ class Diagnosis(Labelled):
         instrument: terms of the instrument that the records need, beside which everything else is judged.
         scale: factor of all standard deviations of effects: above one where the model leaves more than noise.
         outlying: rows of records, from zero, that stand alone and were left out.
+        noise: of records whose noise is not as declared and explains what is left, how it differs.
     """
 
     case: Case
@@ -161,6 +162,7 @@ class Diagnosis(Labelled):
     scale: float = 1.0
     outlying: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     next_experiments: tuple[Prospect, ...] = ()
+    noise: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def model(self) -> Model:
@@ -193,7 +195,7 @@ class Diagnosis(Labelled):
         lines += ["", "  error over noise, base -> final model"]
         lines += [
             f"  {e.name:<16} {e.role:<10} {before[e.name, e.role]:9.4g} -> {e.rms:.4g}"
-            + ("" if e.explained else "   not explained")
+            + ("" if e.explained else f"   {self.noise.get(e.name, 'not explained')}")
             for e in self.final.errors
         ]
         if self.next_experiment:
@@ -220,7 +222,7 @@ class Diagnosis(Labelled):
             "groups": [list(group) for group in self.groups],
             "next_experiment": self.next_experiment,
             "next_experiments": [asdict(p) for p in self.next_experiments],
-            "residual": {e.name: e.rms for e in self.final.errors if not e.explained},
+            "residual": {e.name: e.rms for e in self.final.errors if not (e.explained or e.name in self.noise)},
             "steps": [asdict(s) for s in self.steps],
             "tried": [asdict(s) for s in self.tried],
             "std_scale": self.scale,

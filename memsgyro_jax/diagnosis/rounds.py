@@ -17,6 +17,7 @@ from .resolved import sharpened
 from .scans import refined, scan, scans
 from .score import basis, score
 from .search import CONFUSED, LOOK_AHEAD, ROUNDS, WORTH_A_LOOK, Ranking, Search
+from .slow_noise import is_slow_noise
 
 
 DECIDED = 25.0  # expected Δχ² from which an experiment counts as deciding
@@ -28,11 +29,13 @@ def search_on(search: Search, ranking: Ranking) -> tuple[Search, Ranking]:
     """Rounds from a ranking of the present model until nothing more stays; returns the last search and its ranking."""
     scanned: set[tuple[int, ...]] = set()
     for _ in range(ROUNDS):
-        beside = instrument_between(search, ranking) if search.accepted and not _is_noise(search) else None
+        if is_slow_noise(search, ranking):
+            break
+        beside = instrument_between(search, ranking) if search.accepted and not is_noise(search) else None
         if beside is not None:
             search, ranking = beside, beside.rank()
         found, model = search.best(ranking), tuple(search.accepted)
-        open_ = not _is_noise(search) and model not in scanned
+        open_ = not is_noise(search) and model not in scanned
         if open_ and (found is None or not (model or _takes_most(search, found[1]))):
             scanned.add(model)
             grown = _with_scan(search, search.optimum if found is None else found[1])
@@ -43,7 +46,7 @@ def search_on(search: Search, ranking: Ranking) -> tuple[Search, Ranking]:
                 continue
         if found is not None:
             search.take(*found)
-        elif _is_noise(search) or not _exchanged(search, ranking):
+        elif is_noise(search) or not _exchanged(search, ranking):
             break
         _resolve(search)
         ranking = search.rank()
@@ -66,7 +69,7 @@ def _resolve(search: Search) -> None:
         search.steps[-1] = replace(search.steps[-1], fit=fit)
 
 
-def _is_noise(search: Search) -> bool:
+def is_noise(search: Search) -> bool:
     """Whether noise alone explains what the fit leaves of every record that it saw."""
     errors = [e for e in search.steps[-1].fit.errors if e.role == "fit"]
     return all(e.chi2 / e.count <= gate(e.count, FITTED, e.freedom) for e in errors)

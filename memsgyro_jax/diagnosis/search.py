@@ -3,7 +3,7 @@
 One model carries every candidate at strength zero, so that one set of compiled programs serves all scores and refits.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -63,6 +63,7 @@ class Search:
         self.own: tuple[int, ...] = ()
         self.keep: Callable[[Search], None] = lambda search: None  # is told of every step
         self.accepted: list[int] = []
+        self.slow: Mapping[str, str] = {}  # records of which nothing is left but slow noise
         self.unseen: frozenset[int] | None = None
         self.sensitivities: tuple[Optimum, dict[int, np.ndarray]] = base.optimum, {}  # by the parameters ranked last
         self._refits: dict[tuple[int, ...], tuple[Joint, Optimum, int, Optimum]] = {}

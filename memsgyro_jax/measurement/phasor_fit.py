@@ -18,6 +18,7 @@ PAIRS = {1: ((0, 0),), 2: ((0, 0), (1, 1), (0, 1))}
 _FEWEST = 8  # rows of one axis from which a gain that turns the phase, and a background, can be told too
 _BENT, _BENDS, _FINER = 1.5, 301, 41  # how far a resonance may bend over, in widths of the band; steps that are tried
 _STANDS_OUT = 40.0
+_SHOWN = 0.05  # of the squared motion, left by a device that the records show
 _BETTER = 0.5  # of the squared error of the plain resonance that this must come to
 
 
@@ -29,14 +30,20 @@ def device_of_phasors(offered: Sequence[Phasors]) -> NormalisedDevice | None:
     found = [_of_modulus(*rows[:4]) if rows.modulus else None for rows in offered]
     if any(found):
         return next(one for one in found if one is not None)
-    device = _solve(omega, motion, force, weight / omega**2)
+    device, best = _solve(omega, motion, force, weight / omega**2), None
     try:
         with np.errstate(over="ignore", invalid="ignore"):
-            for _ in range(ROUNDS):
-                response = _response_weight(device, omega, motion.shape[1])
+            for _ in range(ROUNDS + 1):
+                response = _responses(device, omega, motion.shape[1])
                 if not np.isfinite(response).all():
-                    return None
-                device = _solve(omega, motion, force, weight * response)
+                    break
+                left = weight[:, None] * (motion - device[2] * np.einsum("nij,nj->ni", response, force))
+                if _is_device(device) and (best is None or np.sum(np.abs(left) ** 2) < best[0]):
+                    best = float(np.sum(np.abs(left) ** 2)), device
+                device = _solve(omega, motion, force, weight * np.linalg.norm(response, axis=(1, 2)))
+        # Noise off the resonances, slow noise above all, may lead the rounds away from a device that was good.
+        if best is not None and best[0] <= _SHOWN * np.sum(np.abs(weight[:, None] * motion) ** 2):
+            device = best[1]
         if motion.shape[1] == 1 and len(omega) >= _FEWEST:
             device = _turned(device, omega, motion[:, 0], force[:, 0], weight)
         return NormalisedDevice(*device) if _is_device(device) else None
@@ -127,11 +134,11 @@ def _parabola(square, target, error):
     return misfit, NormalisedDevice([stiffness], [np.sqrt(dissipated / stiffness)], 1 / np.sqrt(bend))
 
 
-def _response_weight(device, omega: np.ndarray, axes: int) -> np.ndarray:
-    """Size of the displacement per equation error at each frequency."""
+def _responses(device, omega: np.ndarray, axes: int) -> np.ndarray:
+    """Displacement per equation error at each frequency (n, axes, axes)."""
     turn = 1j * omega[:, None, None]
     operator = _matrix(device[0]) + turn**2 * np.eye(axes) + turn * _matrix(device[1])
-    return np.linalg.norm(np.linalg.inv(operator), axis=(1, 2))
+    return np.linalg.inv(operator)
 
 
 def _solve(omega, motion, force, weight) -> tuple[np.ndarray, np.ndarray, float]:

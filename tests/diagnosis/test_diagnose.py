@@ -9,6 +9,7 @@ from bench_case import ONE_AXIS, RESONATOR, TINY, bench
 from json_schema import fits
 from kept import kept
 from lab.die import Hidden, Outside
+from lab.faults import Faults
 from lab.strengths import VISIBLE, visible
 
 from memsgyro_jax.app.commands.schema import schema_of
@@ -164,6 +165,26 @@ def test_a_noise_that_is_declared_wrong_is_called_that(times, own):
     assert (outcome.verdict, outcome.accepted) == ("nothing_missing", ())
     assert ("times what is declared in sweep" in outcome.sentence) == (times > 1)
     assert outcome.scale == pytest.approx(max(times, 1.0), rel=0.25)
+
+
+FLICKER = replace(ONE_AXIS, faults=Faults(corner=20.0))  # at twenty rows a second
+
+
+def test_a_noise_that_is_slow_is_called_that(own):
+    """1/f noise beside which a sound device leaves four times the declared, white noise is no effect."""
+    outcome = diagnose(None, bench(Hidden(), 0, FLICKER, RESONATOR).case, effects=own)
+    assert (outcome.verdict, outcome.accepted, outcome.instrument) == ("nothing_missing", (), ())
+    assert outcome.base.chi2_per_dof > 3.0
+    assert "The noise is not white but grows towards low frequencies, in sweep over" in outcome.sentence
+    assert "its noise is slow" in str(outcome)
+    assert json.loads(outcome.to_json())["residual"] == {}
+
+
+def test_a_spring_is_found_beside_slow_noise(own):
+    spring = Hidden(cubic_stiffness_x=3.9 * RESONATOR.kxx)
+    outcome = diagnose(None, bench(spring, 1, FLICKER, RESONATOR).case, effects=own)
+    assert [a.label for a in outcome.accepted] == ["cubic_stiffness x"]
+    assert outcome.verdict == "found"
 
 
 def test_a_user_s_own_effect_is_then_found(stopped, own):

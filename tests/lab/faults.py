@@ -25,6 +25,8 @@ class Faults:
         outliers: share of the rows that read anything up to the largest reading.
         mains: amplitude [V] of 50 Hz in waveforms, with a third of it at 150 Hz.
         quantum: step of the converter [V].
+        corner: frequency [Hz] below which the noise is 1/f: its spectrum is white times 1 + corner/f.
+        row_time: from row to row of a sweep, where no clock is written [s].
         declared: factor by which the noise that the case declares differs from the true one.
     """
 
@@ -47,6 +49,8 @@ class Faults:
     mains: float = 0.0
     quantum: float = 0.0
     declared: float = 1.0
+    corner: float = 0.0
+    row_time: float = 0.05
 
     def force(self, declared):
         """The true drive of each row."""
@@ -90,6 +94,17 @@ class Faults:
                         entering = at[stage]
             out[row] = at[-1]
         return out
+
+    def noise(self, count, time, rng):
+        """Noise of rows (n,) whose white part is one."""
+        white = rng.standard_normal(count)
+        if not self.corner:
+            return white
+        step = self.row_time if time is None else (time[-1] - time[0]) / (count - 1)
+        long = 8 * count  # a stretch of a longer record, which does not end where it begins
+        f = np.fft.rfftfreq(long, step)
+        size = np.sqrt(1 + self.corner / np.where(f > 0, f, np.inf)) * (f > 0)
+        return np.fft.irfft(size * np.fft.rfft(rng.standard_normal(long)), long)[:count]
 
     def spoiled(self, values, time, rng):
         """Real readings (n,) with mains, wrong rows and the steps of the converter."""

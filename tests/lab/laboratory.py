@@ -63,8 +63,9 @@ def _write_csv(path, record, protocol, rng):
     for c in range(record.clean.shape[1]):
         name = "y" if single else f"V{'xy'[c]}"
         for part, clean in parts.items():
-            noisy = clean[:, c] + record.noise * rng.standard_normal(len(clean))
-            noisy = protocol.faults.spoiled(noisy, record.columns.get("t [s]"), rng)
+            time = record.columns.get("t [s]")
+            noisy = clean[:, c] + record.noise * protocol.faults.noise(len(clean), time, rng)
+            noisy = protocol.faults.spoiled(noisy, time, rng)
             columns[f"{name}_{part} [V]" if part else f"{name} [V]"] = noisy
     known, decimals = len(record.columns), _decimals(record.noise)
     lines = [",".join(columns)]

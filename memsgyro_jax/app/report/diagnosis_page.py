@@ -121,7 +121,7 @@ def _errors(out: Page, diagnosis: Diagnosis) -> None:
             as_times(before[e.name, e.role].rms),
             as_times(e.rms),
             f"{np.sqrt(e.gate):.3g}",
-            "yes" if e.explained else "no",
+            "yes" if e.explained else diagnosis.noise.get(e.name, "no"),
         ]
         for e in diagnosis.final.errors
     ]

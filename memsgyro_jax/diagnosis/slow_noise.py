@@ -1,0 +1,225 @@
+"""Noise that is slow besides white, as 1/f noise is: told by what a fit leaves, and allowed for in every test.
+
+Of noise that does not change with time the cosines over a record are nearly independent, the j-th with a variance of
+level²·(1 + (corner/j)^slope); divided by it they are white again. Where that alone makes a remainder white, of one size
+everywhere and without dependence on anything known, nothing else is missing: a law leaves its misfit where the device
+moves, and an effect that is missing leaves one that its own score still sees.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.fft import dct, idct
+
+from memsgyro_jax.base.text import spoken
+from memsgyro_jax.measurement.case import AbstractRecord
+from memsgyro_jax.measurement.experiments import Deviation
+from memsgyro_jax.measurement.readings import Readings
+
+from .fit import CaseFit, beside_case
+from .instrument import instrument_terms
+from .misfit import check_all
+from .promise import offers_of, promised
+from .score import basis, family_p_values, score
+from .search import Ranking, Search
+
+
+SLOPES = (0.6, 0.8, 1.0, 1.25, 1.5, 2.0)
+CORNERS = 60
+FEWEST = 4  # rows
+SPENT = 3  # numbers of a spectrum
+MEAN = 0.25  # in place of zero for the mean, which slow noise leaves open
+EVIDENT = 12.0  # of twice the logarithm of a likelihood, from which noise counts as slow
+ROUNDS = 2  # of spectrum and fit
+
+
+class SlowNoise(NamedTuple):
+    """Spectrum of the noise of a record with so many rows, over what it was whitened with."""
+
+    level: float
+    corner: float
+    slope: float
+    rows: int
+
+    def std(self, count: int) -> np.ndarray:
+        """Standard deviation of the cosines (count,) over so many of its rows, spread over all of it."""
+        place = np.arange(self.rows)
+        power = 1.0 + (self.corner / np.maximum(place, MEAN)) ** self.slope
+        # Of fewer rows the quicker cosines are folded back.
+        folded = place % (2 * count)
+        folded = np.where(folded < count, folded, 2 * count - 1 - folded)
+        return self.level * np.sqrt(np.bincount(folded, power, count) / np.bincount(folded, minlength=count))
+
+    def whitened(self, values: np.ndarray) -> np.ndarray:
+        """Rows (n, k) of which slow noise is taken away."""
+        return idct(dct(values, axis=0, norm="ortho") / self.std(len(values))[:, None], axis=0, norm="ortho")
+
+    def spoken(self, record: AbstractRecord) -> str:
+        """From where on it is slow, for people."""
+        time = getattr(record, "time", None)
+        span = 2.0 * record.rows if time is None else 2.0 * float(time[-1] - time[0])
+        if time is not None:
+            return f"below about {spoken(self.corner / span, 'Hz', 2)}"
+        return f"over more than about {max(1.0, span / self.corner):.2g} rows"
+
+
+def slow_noise_of(values: np.ndarray) -> tuple[SlowNoise, float]:
+    """The likeliest spectrum of rows (n, k), and twice the logarithm of its likelihood over that of white noise."""
+    count, columns = values.shape
+    if count < FEWEST:
+        return SlowNoise(1.0, 0.0, 1.0, count), 0.0
+    power, place = np.mean(dct(values, axis=0, norm="ortho")[1:] ** 2, axis=1), np.arange(1, count)
+    corners = np.geomspace(0.3, 30.0 * count, CORNERS)
+    best = SlowNoise(float(np.sqrt(np.mean(power))), 0.0, 1.0, count), 0.0
+    plain = (count - 1) * np.log(np.mean(power))
+    for slope in SLOPES:
+        shape = 1.0 + (corners[:, None] / place) ** slope
+        square = np.mean(power / shape, axis=1)
+        gain = columns * (plain - (count - 1) * np.log(square) - np.sum(np.log(shape), axis=1))
+        k = int(np.argmax(gain))
+        if gain[k] > best[1]:
+            best = SlowNoise(float(np.sqrt(square[k])), float(corners[k]), slope, count), float(gain[k])
+    return best
+
+
+def slowly(slow: Mapping[str, str]) -> str:
+    """A sentence on noise that is slow; empty where none is."""
+    found = "; ".join(f"{record} {where}" for record, where in slow.items())
+    told = "beside which no test of what is left fails and no effect stands out"
+    return f" The noise is not white but grows towards low frequencies, in {found}: {told}." if found else ""
+
+
+def is_slow_noise(search: Search, ranking: Ranking) -> bool:
+    """Whether slow noise of some records is all that is missing, which the search is then told."""
+    search.slow = slow_noise(search, ranking)
+    return bool(search.slow)
+
+
+def slow_noise(search: Search, ranking: Ranking) -> Mapping[str, str]:
+    """Of the records whose noise is slow, from where on, in words; empty where something else is missing, or nothing.
+
+    It must be likelier than any effect and than what the instrument may do, by the Bayesian information criterion; with
+    it no effect may be left that stands out, and no test of any record may fail.
+    """
+    optimum, fit, case = search.optimum, search.steps[-1].fit, search.case
+    found = _spectra(fit)
+    if not found or fit.optimum is not optimum:
+        return {}
+    blocks = dict(_blocks(search.joint.fitted, fit))
+    for _ in range(ROUNDS):
+        moved = _moved(search, _whitener(found, blocks))
+        found = _spectra(moved)
+    # Rows that were not fitted tell of both alike, and are not counted twice.
+    price = float(np.log(optimum.residual.size)) * sum(place.size for place in blocks.values()) / _compared(fit)
+    cost = _cost(search, found, blocks) + SPENT * price * len(found.keys() & blocks.keys())
+    effects = max((s.statistic - price * s.size for s in ranking.scores), default=0.0)
+    if cost >= optimum.chi2 - effects or _stands_out(search, ranking, _whitener(found, blocks)):
+        return {}
+    present = {search.joint.model.effects[i].label for i in (*search.given, *search.accepted)}
+    terms = [term for term in instrument_terms(case) if term.label not in present]
+    if terms:
+        offered = promised(optimum, offers_of(fit, terms), search.level)
+        numbers = sum(terms[i].strength.size for i in offered.chosen)
+        if cost >= optimum.chi2 - offered.gain + price * numbers:
+            return {}
+    if not _passes(moved, found, search.level):
+        return {}
+    return {case.records[k].name: one.spoken(case.records[k]) for k, one in found.items()}
+
+
+def _cost(search: Search, found: Mapping[int, SlowNoise], blocks: Mapping[int, np.ndarray]) -> float:
+    """Twice the negative logarithm of the likelihood beside slow noise, as χ² is beside white."""
+    white, mine = _whitener(found, blocks), found.keys() & blocks.keys()
+    residual = _moved(search, white).optimum.residual
+    sizes = [blocks[k].shape[1] * 2.0 * float(np.sum(np.log(found[k].std(len(blocks[k]))))) for k in mine]
+    return float(residual @ residual) + sum(sizes)
+
+
+def _compared(fit: CaseFit) -> int:
+    return sum(error.count for error in fit.errors)
+
+
+def _moved(search: Search, white: Callable[[np.ndarray], np.ndarray]) -> CaseFit:
+    """The model where the likelihood beside slow noise is largest, by one step from where it is without."""
+    optimum, joint = search.optimum, search.joint
+    residual, slopes = white(optimum.residual[:, None])[:, 0], white(optimum.jacobian)
+    size = np.linalg.norm(slopes, axis=0)
+    size = np.where(size > 0, size, 1.0)
+    vector = optimum.vector.copy()
+    vector[optimum.free] -= np.linalg.lstsq(slopes / size, residual, rcond=1e-7)[0] / size
+    vector = np.clip(vector, *joint.bounds)
+    left = np.concatenate(joint.residual(vector, joint.fitted))
+    fit = beside_case(search.case, joint, replace(optimum, vector=vector, residual=left))
+    return replace(fit, optimum=replace(fit.optimum, residual=residual, jacobian=slopes))
+
+
+def _blocks(chosen: Sequence[Readings], fit: CaseFit) -> Iterator[tuple[int, np.ndarray]]:
+    """Of each record, where in the residual of some readings its rows stand (n, k), one column per channel and part."""
+    begin = 0
+    for r in chosen:
+        shape = r.record.size, r.axes, r.size // (r.record.size * r.axes)
+        place = begin + np.arange(r.size).reshape(shape)
+        begin += r.size
+        for record in np.unique(r.record[r.record >= 0]):
+            mine = np.flatnonzero(r.record == record)
+            mine = mine[np.argsort(r.row[mine], kind="stable")]
+            yield int(record), place[mine][:, fit.case.records[record].channels].reshape(mine.size, -1)
+
+
+def _rows(record: AbstractRecord, deviation: Deviation) -> tuple[np.ndarray, np.ndarray]:
+    """Which rows of a record are compared (n,), and their deviations (n, k)."""
+    white = deviation.white[:, record.channels]
+    seen = np.flatnonzero(np.isfinite(white).all(axis=(1, 2)))
+    return seen, white[seen].reshape(seen.size, -1)
+
+
+def _spectra(fit: CaseFit) -> dict[int, SlowNoise]:
+    """The spectra of records whose noise is evidently slow, and of others of their kinds, which share instruments."""
+    every = [(record, d.number, *slow_noise_of(_rows(record, d)[1])) for record, d in fit.deviations]
+    kinds = {record.kind for record, _, _, gain in every if gain > EVIDENT}
+    return {number: one for record, number, one, _ in every if record.kind in kinds}
+
+
+def _whitener(found: Mapping[int, SlowNoise], blocks: Mapping[int, np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:
+    """What makes residuals or slopes (r, k) white again."""
+
+    def white(values: np.ndarray) -> np.ndarray:
+        out = values.copy()
+        for record in found.keys() & blocks.keys():
+            one, place = found[record], blocks[record]
+            rows = values[place].reshape(len(place), -1)
+            out[place] = one.whitened(rows).reshape(values[place].shape)
+        return out
+
+    return white
+
+
+def _stands_out(search: Search, ranking: Ranking, white: Callable[[np.ndarray], np.ndarray]) -> bool:
+    """Whether an effect of the device does, beside all that is free and the slow noise."""
+    if not ranking.places:
+        return False
+    residual, q = white(search.optimum.residual[:, None])[:, 0], basis(white(search.optimum.jacobian))
+    scores = [score(residual, q, white(slopes)) for slopes in ranking.slopes]
+    return bool(np.min(family_p_values(scores)) <= search.level)
+
+
+def _passes(fit: CaseFit, found: Mapping[int, SlowNoise], alone: float) -> bool:
+    """Whether no test of a record of slow noise fails once that is taken away, and the others are of their noise's
+    size, or of the fit's uncertainty: at a probability `alone` of more by chance.
+    """
+    names = {fit.case.records[k].name for k in found}
+    others = [error for error in fit.errors if error.name not in names and not error.explained]
+    if any(fit.p_value(error) <= alone / len(fit.errors) for error in others):
+        return False
+    series = []
+    for record, deviation in fit.deviations:
+        if deviation.number in found:
+            seen, rows = _rows(record, deviation)
+            rows = found[deviation.number].whitened(rows)
+            white = np.full(deviation.white.shape, np.nan)
+            size = np.sqrt(np.mean(rows**2))
+            white[np.ix_(seen, record.channels)] = (rows / size).reshape(seen.size, len(record.channels), -1)
+            series.append(record.series(replace(deviation, white=white)).compared)
+    return not any(check.failed for check in check_all(series))
