@@ -43,7 +43,7 @@ class PortionInBlocks(Portion):
     def keeping(self, numbers: Numbers) -> tuple[Judgement, KeptInBlocks]:
         """Losses, and what the way back needs."""
         own = self._own(numbers)
-        loop, course = self._tuned(own), self._course(own)
+        loop, course = self._tuned(own), self._course(own, backwards=False)
         alive, begun = self._kept(own)
         state, memory = self._unflat(*begun.end)
         state = course.settled_in(state)
@@ -100,8 +100,8 @@ class PortionInBlocks(Portion):
         more, pull = jax.vjp(settled, own, real)[1](pull)
         return chain(self._back(own, begun, pull, slopes + more))[0]
 
-    def _course(self, own: Numbers) -> BlockCourse:
-        return BlockCourse(self._tuned(own), self.scenario, self.words, self.timing.period, max(self.sizes), True)
+    def _course(self, own: Numbers, backwards: bool = True) -> BlockCourse:
+        return BlockCourse(self._tuned(own), self.scenario, self.words, self.timing.period, max(self.sizes), backwards)
 
     def _block(self, course: BlockCourse, carry: Carry, maps: Any, span: Span) -> Carry:
         state, sample = course.block(carry[0], maps, span)
