@@ -18,6 +18,7 @@ from .score import Score, survival
 
 FEW = 0.05  # of the misfit above noise that is left: who explains less explains nothing
 MANY, THIRD = 2, 1.0 / 3.0  # effects from which a further one must explain a third of it
+BEYOND_LINEAR = 3.0  # times its linear estimate: so much a refit may find
 FASTER = 1.5  # than the clock of a record: a sweep cannot have moved so
 PINNED = 0.01  # of the way from zero to a bound: a strength so near stands at it
 
@@ -25,6 +26,19 @@ PINNED = 0.01  # of the way from zero to a bound: a strength so near stands at i
 def excess(optimum: Optimum) -> float:
     """Misfit of the fitted readings beyond what noise could leave, three standard deviations of χ²."""
     return max(0.0, optimum.chi2 - optimum.dof * gate(optimum.dof))
+
+
+def share_needed(others: int) -> float:
+    """Of the misfit beyond noise, what an effect beside `others` must explain."""
+    return THIRD if others >= MANY else FEW
+
+
+def hopeless(gain: float, before: Optimum, others: int) -> bool:
+    """Whether an effect beside `others` needs no refit to be refused, by the fall of χ² in its linear estimate.
+
+    The first effect always gets one: it may take far more than its estimate. Beside it, what is left is small enough.
+    """
+    return others > 0 and BEYOND_LINEAR * gain < share_needed(others) * excess(before)
 
 
 def refusal(joint: Joint, place: int, before: Optimum, after: Optimum, *, others: int, coverage: Coverage) -> str:
@@ -37,7 +51,7 @@ def refusal(joint: Joint, place: int, before: Optimum, after: Optimum, *, others
         others: how many effects were found before it.
         coverage: what the records cover, which a scanned effect stays within.
     """
-    gain, need = before.chi2 - after.chi2, THIRD if others >= MANY else FEW
+    gain, need = before.chi2 - after.chi2, share_needed(others)
     if gain <= 0 or per_freedom(after) >= per_freedom(before):
         return "the model with it fits no better"
     if impossible := _impossible(joint, place, after, coverage):

@@ -187,12 +187,25 @@ def _with_terms(search: Search, terms: Sequence[InstrumentTerm]) -> Search:
     model = model.with_only((*(model.effects[i] for i in present), *terms))
     joint = Joint(model, (*search.joint.readings, *knowledge(terms)), search.joint.programs)
     given = range(len(present))
-    optimum = optimise(joint, joint.start, always_free(joint, given), joint.fitted, max_evaluations=0)
+    free = always_free(joint, given)
+    optimum = optimise(joint, joint.start, free, joint.fitted, known=_as_before(search, joint, free), max_evaluations=0)
     alone = Search(beside_case(search.case, joint, optimum), SHARE * search.level, given, search.tell)
     alone.steps = list(search.steps)
     add_terms(alone, alone.rank())
     _simplify(alone)
     return alone
+
+
+def _as_before(search: Search, joint: Joint, free: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """Residual and Jacobian by `free` of a model that has further terms at zero, as a search knows them: no program is
+    needed. `None` where it has another set of parameters free.
+    """
+    before, more = search.optimum, sum(r.size for r in joint.fitted) - search.optimum.residual.size
+    names, known = [p.name for p in joint.parameters], [search.joint.parameters[i].name for i in before.free]
+    if sorted(names[i] for i in free) != sorted(known) or len(set(known)) < len(known):
+        return None
+    jacobian = before.jacobian[:, [known.index(names[i]) for i in free]]
+    return np.pad(before.residual, (0, more)), np.pad(jacobian, ((0, more), (0, 0)))
 
 
 def _simplify(alone: Search) -> None:

@@ -5,7 +5,7 @@ from collections.abc import Set
 from memsgyro_jax.effects.base import Effect, LockInEffect, ReadoutEffect, SweepEffect
 
 
-SPARE = 3  # absent effects that a program may have beside those asked for, before another is made
+SPARE = 4  # absent effects that a program may have beside those asked for, before another is made
 
 
 class Programs:

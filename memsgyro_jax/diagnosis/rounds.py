@@ -8,7 +8,7 @@ from dataclasses import replace
 from memsgyro_jax.measurement.least_squares import gate
 from memsgyro_jax.measurement.model import Model
 
-from .acceptance import excess
+from .acceptance import excess, hopeless
 from .fit import beside_case
 from .joint_residual import Joint
 from .nuisances import instrument_between, take_out
@@ -16,11 +16,12 @@ from .optimum import Optimum
 from .resolved import sharpened
 from .scans import refined, scan, scans
 from .score import basis, score
-from .search import CONFUSED, LOOK_AHEAD, ROUNDS, WORTH_A_LOOK, Ranking, Search
+from .search import CONFUSED, ROUNDS, WORTH_A_LOOK, Ranking, Search
 from .slow_noise import is_slow_noise
 
 
 DECIDED = 25.0  # expected Δχ² from which an experiment counts as deciding
+EXCHANGES = 4  # refits with one effect in the place of another, the most promising first
 MOST = 0.9  # of the misfit: an effect that takes so much needs no rival from a scan
 FITTED = 4.5  # standard deviations of χ² in a fitted record that count as noise: these are many, and tested anyway
 
@@ -92,6 +93,8 @@ def _with_scan(search: Search, rival: Optimum) -> Search | None:
                 best = found
     if best is None or best.score.statistic <= search.optimum.chi2 - rival.chi2:
         return None
+    if hopeless(best.score.statistic, search.optimum, len(search.accepted)):
+        return None
     model = search.joint.at(search.optimum.vector).with_effect(best.effect)
     gain = max(DECIDED, search.optimum.chi2 - rival.chi2)
     joint = Joint(model, search.joint.readings, search.joint.programs)
@@ -109,21 +112,21 @@ def _exchanged(search: Search, ranking: Ranking) -> bool:
 
     The first effect of a search takes what it can of all that is missing; the exact one, beside it, gains little.
     """
-    for place in sorted(search.accepted, key=lambda i: -search.own_score(i).statistic):
-        mine, taken = search.own_score(place), search.taken_by(place)
-        q = basis(search.jacobian_without(place))
-        rivals = {
-            other: score(taken, q, slopes).statistic
-            for other, slopes in zip(ranking.places, ranking.slopes, strict=True)
-        }
-        worth = [other for other in rivals if rivals[other] >= WORTH_A_LOOK * mine.statistic or other in search.own]
-        tried = sorted(worth, key=lambda i: -rivals[i])[:LOOK_AHEAD]
-        search.joint.together((*search.given, *search.accepted, *tried))
-        for other in tried:
-            instead = [other if i == place else i for i in search.accepted]
-            refit = search.refit(instead, start=search.without(place))
-            better = refit.chi2 + CONFUSED * (other not in search.own) < search.optimum.chi2
-            if better and not search.refuses(other, refit):
-                search.exchange(place, other, refit)
-                return True
+    pairs = []
+    for place in search.accepted:
+        mine, q = search.own_score(place), basis(search.jacobian_without(place))
+        left = search.optimum.residual + search.taken_by(place)  # without the effect, to the first order
+        for other, slopes in zip(ranking.places, ranking.slopes, strict=True):
+            theirs = score(left, q, slopes).statistic
+            if theirs >= WORTH_A_LOOK * mine.statistic or other in search.own:
+                pairs.append((other not in search.own, mine.statistic - theirs, place, other))
+    tried = sorted(pairs)[:EXCHANGES]
+    search.joint.together((*search.given, *search.accepted, *(other for *_, other in tried)))
+    for *_, place, other in tried:
+        instead = [other if i == place else i for i in search.accepted]
+        refit = search.refit(instead, start=search.without(place))
+        better = refit.chi2 + CONFUSED * (other not in search.own) < search.optimum.chi2
+        if better and not search.refuses(other, refit):
+            search.exchange(place, other, refit)
+            return True
     return False

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import special
 
-from .acceptance import judged_by_misfit, refusal, unsure_noise
+from .acceptance import hopeless, judged_by_misfit, refusal, unsure_noise
 from .fit import CaseFit, beside_case
 from .joint_residual import Joint
 from .optimum import Optimum, optimise
@@ -153,8 +153,9 @@ class Search:
 
         A user's own effect goes before others that explain as much.
         """
-        refused: set[int] = set()
-        while len(refused) < PATIENCE and (promising := self._promising(ranking, refused)):
+        weak = self._hopeless(ranking)
+        refused: set[int] = set(weak)
+        while len(refused) - len(weak) < PATIENCE and (promising := self._promising(ranking, refused)):
             labels = [self.joint.model.effects[ranking.places[i]].label for i in promising]
             self.tell("look closer at " + ", ".join(labels))
             self.joint.together((*self.given, *self.accepted, *(ranking.places[i] for i in promising)))
@@ -172,6 +173,22 @@ class Search:
                     return place, chosen
             refused |= set(refits)
         return None
+
+    def _hopeless(self, ranking: Ranking) -> list[int]:
+        """Positions of the significant candidates that explain too little to be worth a refit."""
+        others = len(self.accepted)
+        weak = [
+            i
+            for i in ranking.order
+            if ranking.p_values[i] <= self.level
+            and ranking.places[i] not in self.own
+            and hopeless(ranking.scores[i].statistic, self.optimum, others)
+        ]
+        if weak:
+            labels = ", ".join(self.joint.model.effects[ranking.places[i]].label for i in weak[:LOOK_AHEAD])
+            more = f" and {len(weak) - LOOK_AHEAD} more" if len(weak) > LOOK_AHEAD else ""
+            self.tell(f"left out {labels}{more}: too little of what is left, by the linear estimate")
+        return weak
 
     def refuses(self, place: int, chosen: Optimum) -> bool:
         """Whether an effect does not stay, though a refit with it was made; it is told why."""
