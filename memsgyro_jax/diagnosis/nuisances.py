@@ -8,7 +8,7 @@ from scipy import special
 from memsgyro_jax.effects import TERMS, Effect, InstrumentTerm, Scanned
 from memsgyro_jax.measurement.least_squares import gate
 
-from .acceptance import excess
+from .acceptance import BEYOND_LINEAR, excess, share_needed
 from .fit import beside_case
 from .instrument import instrument_terms, knowledge
 from .joint_residual import Joint
@@ -146,7 +146,7 @@ def _chosen_terms(search: Search, terms: Sequence[InstrumentTerm], promise: Prom
             return None
         others = [term for term in terms if term.label not in wanted]
         more = promised(alone.optimum, offers_of(alone.steps[-1].fit, others), alone.level) if others else None
-        if more is None or not more.chosen:
+        if more is None or not more.chosen or more.gain < LITTLE * excess(alone.optimum):
             break
         wanted |= {others[i].label for i in more.worth_a_fit}
     return alone
@@ -249,7 +249,8 @@ def _promised_by_effects(search: Search, ranking: Ranking) -> Promise | None:
 
 def add_terms(search: Search, ranking: Ranking) -> None:
     """Rounds over terms of the instrument, from a ranking of them, until none helps beyond chance."""
-    while (found := _best(search, ranking)) is not None:
+    stopped: set[int] = set()
+    while (found := _best(search, ranking, stopped)) is not None:
         search.take(*found)
         ranking = search.rank()
 
@@ -260,19 +261,30 @@ def _is_of_interest(search: Search, first: Ranking) -> bool:
     return tempted or not all(e.explained for e in search.steps[-1].fit.errors)
 
 
-def _best(search: Search, ranking: Ranking) -> tuple[int, Optimum] | None:
-    """The term that a refit favours of those that help beyond chance, and that refit; none whose strength its prior or
-    the instrument excludes.
+def _best(search: Search, ranking: Ranking, stopped: set[int]) -> tuple[int, Optimum] | None:
+    """The term that a refit favours of those that help beyond chance and explain part of what is left, and that refit;
+    none whose strength its prior or the instrument excludes, which `stopped` remembers.
     """
-    promising = [i for i in ranking.order if ranking.p_values[i] <= search.level][:LOOK_AHEAD]
-    refits = []
+    least = share_needed(0) * excess(search.optimum)
+    promising = [
+        i
+        for i in ranking.order
+        if ranking.p_values[i] <= search.level
+        and ranking.places[i] not in stopped
+        and BEYOND_LINEAR * ranking.scores[i].statistic >= least
+    ][:LOOK_AHEAD]
+    glances = {}
     search.joint.together((*search.given, *search.accepted, *(ranking.places[i] for i in promising)))
     for i in promising:
         places = [*search.accepted, ranking.places[i]]
-        glance = search.refit(places, slopes=ranking.slopes[i], evaluations=GLANCE)
-        refits.append((ranking.places[i], glance if glance.converged else search.refit(places, start=glance.vector)))
-    good = [(place, o) for place, o in refits if o.chi2 < search.optimum.chi2 and not _is_pinned(search, place, o)]
-    return min(good, key=lambda pair: pair[1].chi2 + 2.0 * pair[1].free.size, default=None)
+        glances[ranking.places[i]] = search.refit(places, slopes=ranking.slopes[i], evaluations=GLANCE)
+    for place, glance in sorted(glances.items(), key=lambda pair: pair[1].chi2 + 2.0 * pair[1].free.size):
+        refit = glance if glance.converged else search.refit([*search.accepted, place], start=glance.vector)
+        if _is_pinned(search, place, refit):
+            stopped.add(place)
+        elif refit.chi2 < search.optimum.chi2 - least:
+            return place, refit
+    return None
 
 
 def _is_pinned(search: Search, place: int, optimum: Optimum) -> bool:
