@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from memsgyro_jax.diagnosis.acceptance import excess, hopeless
 from memsgyro_jax.diagnosis.held_out import Support, left_out, record_folds, row_folds, support
 from memsgyro_jax.diagnosis.optimum import Optimum
 
@@ -106,3 +107,11 @@ def test_folds_are_runs_of_neighbours_and_of_about_one_size(rows):
         if count >= 20:
             assert sizes.max() - sizes.min() <= 4 * (1 + count // 200)
             assert np.count_nonzero(np.diff(mine)) == 19
+
+
+@pytest.mark.parametrize(("others", "gain", "refused"), [(0, 0.0, False), (1, 0.02, False), (1, 0.01, True),
+                                                         (2, 0.12, False), (2, 0.10, True)])  # fmt: skip
+def test_only_a_linear_estimate_far_below_the_least_share_spares_a_refit(others, gain, refused):
+    """The share is 5 % of the misfit beyond noise, a third beside two effects; a refit may find three times as much."""
+    before = Optimum(np.zeros(1), np.array([0]), np.full(400, 100.0), np.ones((400, 1)), np.zeros((0, 1)), True, 1)
+    assert hopeless(gain * excess(before), before, others) == refused

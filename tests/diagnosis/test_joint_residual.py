@@ -19,6 +19,7 @@ from memsgyro_jax.diagnosis.fit import fit_case
 from memsgyro_jax.diagnosis.joint_residual import Joint
 from memsgyro_jax.diagnosis.optimum import optimise
 from memsgyro_jax.diagnosis.parameters import parameters
+from memsgyro_jax.diagnosis.programs import Programs
 from memsgyro_jax.effects import CubicStiffness
 from memsgyro_jax.measurement.linear_start import starting_device
 from memsgyro_jax.measurement.model import Model
@@ -250,3 +251,20 @@ def test_an_effect_without_a_trace_is_named():
     assert estimates["electrostatic_softening x"].std == np.inf
     assert np.isfinite(estimates["cubic_stiffness x"].std)
     assert abs(estimates["cubic_stiffness x"].value) < 4.5 * estimates["cubic_stiffness x"].std
+
+
+# ---- programs
+
+
+def test_a_program_serves_models_with_fewer_effects():
+    """That of a round for each of its candidates; none with more than a few others, nor with one that costs more."""
+    programs, idle = Programs(), set("abcdef")
+    programs.announced = frozenset("abc")
+    assert programs.chosen(frozenset("ab"), idle) == frozenset("abc")
+    programs.announced = frozenset("ac")
+    assert programs.chosen(frozenset("ac"), idle) == frozenset("abc")  # it is there
+    assert programs.chosen(frozenset(), idle) == frozenset()  # the base model is linear
+    assert programs.chosen(frozenset("d"), idle) == frozenset("d")
+    assert programs.chosen(frozenset("b"), {"a"}) == frozenset("b")
+    programs.made = [frozenset("abcdefgh")]
+    assert programs.chosen(frozenset("ab"), set("abcdefgh")) == frozenset("ab")
