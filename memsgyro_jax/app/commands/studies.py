@@ -81,7 +81,8 @@ def _run(studies: Sequence["StudyScript"], *, quick: bool, out: Path, jobs: int)
     """Runs each in a process of its own, a line of progress for each; the names of those that failed."""
     failed, spent, begun = [], 0.0, time.monotonic()
     with pool_of_processes(jobs) as (pool, running):
-        waiting = {pool.submit(_run_one, study, quick, out / study.name, running): study for study in studies}
+        # From the end: studies that are in no document take longest, and a long one begun last would run alone.
+        waiting = {pool.submit(_run_one, each, quick, out / each.name, running): each for each in reversed(studies)}
         for count, future in enumerate(as_completed(waiting), 1):
             study, (seconds, reason) = waiting[future], future.result()
             print(f"[{count}/{len(studies)}] {study.name}: {reason or 'done'} ({seconds:.0f} s)", flush=True)
