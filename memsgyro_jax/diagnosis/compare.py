@@ -108,6 +108,19 @@ class Comparison(Shown):
             return f"The model does not explain the records: {failed} of {len(self.checks)} tests fail ({alarm}):"
         return f"The model explains the records: none of {len(self.checks)} tests fails ({alarm})."
 
+    @property
+    def beside_size(self) -> str:
+        """What the tests say where every record is left at the size of its noise, on which a diagnosis rests; empty
+        where they agree.
+        """
+        failed = sum(check.failed for check in self.checks)
+        if not (failed and all(error.explained for error in self.errors)):
+            return ""
+        return (
+            f"What is left has the size of the noise, on which the verdict rests, but is not noise alone: {failed} of "
+            f"{len(self.checks)} finer tests fail (with probability {self.level:g} noise alone fails any)."
+        )
+
     def to_dict(self) -> dict[str, Any]:
         """The machine-readable result, schema `memsgyro-comparison/1`; numbers that are not finite become null."""
         entries = {

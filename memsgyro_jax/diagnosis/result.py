@@ -15,6 +15,7 @@ from memsgyro_jax.device.resonator import Resonator
 from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.model import Model
 
+from .compare import judged
 from .fit import CaseFit
 from .fit_table import errors_table, parameters_table, readings_table
 from .fitted import errors_figure, with_calibration
@@ -198,6 +199,8 @@ class Diagnosis(Labelled):
             + ("" if e.explained else f"   {self.noise.get(e.name, 'not explained')}")
             for e in self.final.errors
         ]
+        if rest := judged(self.final).beside_size:
+            lines += ["", f"  {rest}"]
         if self.next_experiment:
             lines += ["", f"  next experiment: {self.next_experiment}"]
             lines += [f"    Δχ² {p.chi2:8.3g}  {p.experiment}" for p in self.next_experiments if p.chi2 >= 0][:_PLANNED]

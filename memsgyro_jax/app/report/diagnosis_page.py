@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 from matplotlib.figure import Figure
 
-from memsgyro_jax.diagnosis.compare import Comparison, as_times, judged
+from memsgyro_jax.diagnosis.compare import as_times, judged
 from memsgyro_jax.diagnosis.found_force import LawOverWaveform, found_forces
 from memsgyro_jax.diagnosis.residual_force import beside_lowest_drive, rate_residuals, sweep_forces, time_forces
 from memsgyro_jax.diagnosis.result import DRAW, Accepted, Candidate, Diagnosis
@@ -128,20 +128,9 @@ def _errors(out: Page, diagnosis: Diagnosis) -> None:
     header = ["experiment", "rows", "readings", "base model", "final model", "noise alone below", "explained"]
     out.table(header, rows, "Root mean square of the deviation over the noise; 1 is the noise floor.")
     comparison = judged(diagnosis.final)
-    out.text(_by_tests(comparison, all(e.explained for e in diagnosis.final.errors)))
+    out.text(comparison.beside_size or f"{comparison.verdict.rstrip(':.')}.")
     for failure in comparison.failures:
         out.text(failure)
-
-
-def _by_tests(comparison: Comparison, explained: bool) -> str:
-    """What tests of every record say, which see more than the size of the error that the verdict rests on."""
-    failed, every = sum(check.failed for check in comparison.checks), len(comparison.checks)
-    if not (failed and explained):
-        return f"{comparison.verdict.rstrip(':.')}."
-    return (
-        f"What is left has the size of the noise, on which the verdict rests, but is not noise alone: {failed} of "
-        f"{every} finer tests fail (with probability {comparison.level:g} noise alone fails any)."
-    )
 
 
 def _records(out: Page, diagnosis: Diagnosis) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from bench_case import demonstration
 
-from memsgyro_jax.app.report.diagnosis_page import _by_tests, diagnosis_page
+from memsgyro_jax.app.report.diagnosis_page import diagnosis_page
 from memsgyro_jax.diagnosis.compare import judged
 from memsgyro_jax.diagnosis.fit import beside_case
 from memsgyro_jax.diagnosis.optimum import optimise
@@ -103,14 +103,19 @@ def test_every_experiment_has_its_error_and_its_picture(found, diagnosis):
     assert len(found) < 2_000_000
 
 
-def test_finer_tests_do_not_contradict_the_verdict(diagnosis):
-    """A final model whose errors have the size of the noise is not said to fail, nor what is left to be noise alone."""
+def test_finer_tests_do_not_contradict_the_verdict(diagnosis, monkeypatch):
+    """A final model whose errors have the size of the noise is not said to fail, nor what is left to be noise alone: on
+    the page and in the terminal.
+    """
     right = judged(diagnosis.final)
     wrong = replace(right, checks=tuple(replace(c, p_value=0.0, threshold=0.1) for c in right.checks[:2]))
-    assert _by_tests(right, True) == right.verdict
-    assert _by_tests(wrong, False).startswith("The model does not explain the records: 2 of 2 tests fail")
-    assert _by_tests(wrong, True).startswith("What is left has the size of the noise")
-    assert "2 of 2 finer tests fail" in _by_tests(wrong, True)
+    assert right.beside_size == replace(wrong, fit=diagnosis.base).beside_size == ""
+    said = wrong.beside_size
+    assert said.startswith("What is left has the size of the noise")
+    assert "2 of 2 finer tests fail" in said
+    assert said not in str(diagnosis)
+    monkeypatch.setattr("memsgyro_jax.diagnosis.result.judged", lambda fit: wrong)
+    assert said in str(diagnosis)
 
 
 def test_what_is_unknown_is_shown_as_a_force(diagnosis):

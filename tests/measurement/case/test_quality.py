@@ -1,14 +1,17 @@
 """What the rows tell of noise, outliers and settling."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from lab import driven
 from measurement.case.bench import NOISE, write_bench
 from scipy import stats
 
 import memsgyro_jax
+from memsgyro_jax.measurement.beside_design import beside_design
 from memsgyro_jax.measurement.case import assess, load_case
 from memsgyro_jax.measurement.import_case import import_case
 from memsgyro_jax.measurement.least_squares import gate
@@ -253,3 +256,19 @@ def test_short_drives_dwells_and_records_are_told(bench):
 @pytest.mark.parametrize("name", ["P1", "P4", "silverbox"])
 def test_public_cases_have_the_noise_they_declare_and_no_outlier(name):
     assert assess(load_case(CASES / name)).warnings == ()
+
+
+def test_what_the_weakest_sweeps_show_stands_beside_the_design(tmp_path):
+    """A lock-in whose reference is 1.7° off and 0.4 µs late, at 41.3 kHz; and a design that is not this device's."""
+    case = load_case(driven.write(tmp_path))
+    said = beside_design(case)
+    assert said[0] == "resonance: the records show 41.3 kHz, the design 41.3 kHz."
+    assert said[1].startswith("quality_factor: the records show ")
+    assert not [sentence for sentence in said if "outside" in sentence]
+    (turn,) = [float(found) for sentence in said for found in re.findall(r"about ([+-].*?)°", sentence)]
+    assert turn == pytest.approx(-np.degrees(driven.PHASE + driven.RESONANCE * driven.DELAY), abs=1.5)
+    text = (tmp_path / "case.toml").read_text()
+    (tmp_path / "case.toml").write_text(text.replace("8000, unit", "2000, unit"))
+    (wrong,) = [sentence for sentence in beside_design(load_case(tmp_path)) if "outside" in sentence]
+    assert wrong.startswith("quality_factor: the records show ")
+    assert wrong.endswith("the design 2000, which lies outside its tolerance.")
