@@ -16,6 +16,7 @@ from pathlib import Path  # noqa: E402
 from typing import Any  # noqa: E402
 
 import hypothesis  # noqa: E402
+import jax  # noqa: E402
 import pytest  # noqa: E402
 
 
@@ -69,6 +70,31 @@ TOGETHER = (
 )
 
 
+# What promises bits is tested in the code that users run, and so are all slow tests and what starts a process of its own.
+# The others ask for figures: their programs run once, and compile in half the time without LLVM's optimiser.
+OPTIMISED = (
+    "montecarlo/",
+    "loop/test_effects_in_loop.py",
+    "loop/test_brownian.py",
+    "tuning/test_adjoint.py",
+)
+
+
+def _place(item: pytest.Item) -> str:
+    """A test's file within this folder; nothing for one of elsewhere."""
+    folder = ROOT / "tests"
+    return item.path.relative_to(folder).as_posix() if item.path.is_relative_to(folder) else ""
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Says how the programs of this test are compiled, and forgets those of other tests that are not like it."""
+    wanted = _place(item).startswith(OPTIMISED) or item.get_closest_marker("slow") is not None
+    if wanted and jax.config.read("jax_disable_most_optimizations"):
+        jax.clear_caches()
+    jax.config.update("jax_disable_most_optimizations", not wanted)
+
+
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     """A file stays with one worker, and so do the files of `TOGETHER`."""
@@ -83,11 +109,11 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Longest files first. What was imported and compiled stays, so that few collections look at it again: 5 % of a
-    run.
+    """Longest files first, behind those of optimised programs. What was imported and compiled stays, so that few
+    collections look at it again: 5 % of a run.
     """
-    order = {ROOT / "tests" / name: place for place, name in enumerate(LONGEST)}
-    items.sort(key=lambda item: order.get(item.path, len(LONGEST)))
+    order = {name: number for number, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: (not _place(item).startswith(OPTIMISED), order.get(_place(item), len(LONGEST))))
     gc.freeze()
     gc.set_threshold(50_000, 20, 100)
 
