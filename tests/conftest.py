@@ -70,8 +70,8 @@ TOGETHER = (
 )
 
 
-# What promises bits is tested in the code that users run, and so are all slow tests and what starts a process of its own.
-# The others ask for figures: their programs run once, and compile in half the time without LLVM's optimiser.
+# What promises bits is tested in the code that users run, and so are all slow tests and processes of their own. The
+# others ask for figures: their programs run once, and compile in half the time without LLVM's optimiser.
 OPTIMISED = (
     "montecarlo/",
     "loop/test_effects_in_loop.py",
