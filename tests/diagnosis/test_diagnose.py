@@ -44,6 +44,16 @@ def test_nothing_is_missing_from_a_sound_device(sound):
     assert [s.added for s in sound.steps] == [""]
 
 
+def test_nothing_is_missing_from_sweeps_of_a_sound_gyro(cubic):
+    """Through the programs that found the spring."""
+    found = diagnose(None, bench(protocol=SWEEPS).case)
+    assert found.verdict == "nothing_missing"
+    assert found.accepted == ()
+    assert 0.85 < found.base.chi2_per_dof < 1.15
+    assert {c.label for c in found.candidates} == {c.label for c in cubic.first}
+    assert all(c.p_value > 0.05 for c in found.candidates)
+
+
 def test_a_hidden_spring_is_found(cubic):
     assert cubic.verdict == "found"
     (found,) = cubic.accepted

@@ -1,7 +1,7 @@
 """Section `[readout]` of a study file, a read-out by its numbers."""
 
 from collections.abc import Callable
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -22,81 +22,67 @@ class Snr(FileSection):
     sample_rate: Hertz = 10e6
 
 
-class Charge(FileSection):
+class _Amplified(FileSection):
+    """What charge amplifiers share. Noise is given as `noise_density` or as `snr`; with neither there is none."""
+
+    make: ClassVar[Callable[..., ChargeAmplifier]]
+    kind: str
+    bias: Volt
+    feedback: Pair[Farad]
+    parasitic: Pair[Farad] = (0.0, 0.0)
+    opamp_offset: Pair[Volt] = (0.0, 0.0)
+    rejection: Annotated[float, Field(ge=0.0, le=1.0), In("1")] = 1.0
+    noise_density: Pair[Density] | None = None
+    snr: Snr | None = None
+    adc: Converter | None = None
+    flicker: Flickering | None = None
+
+    @model_validator(mode="after")
+    def _can_exist(self) -> Self:
+        self.build()
+        return self
+
+    def build(self) -> AbstractReadout:
+        """The read-out; raises `InputError` where it cannot exist."""
+        given, make = self.numbers(), type(self).make
+        noise, snr, adc = given.pop("noise_density"), given.pop("snr"), given.pop("adc")
+        given["flicker"] = self.flicker and self.flicker.build()
+        if noise is not None and snr is not None:
+            raise ValueError("must have either noise_density or snr, but has both")
+        quiet = make(**given, noise_density=noise or 0.0, adc=adc and adc.build())
+        if snr is None:
+            return quiet
+        density = tuple(snr_density(snr.ratio, snr.amplitude, float(s), snr.sample_rate) for s in quiet.scale)
+        return make(**given, noise_density=density, adc=quiet.adc)
+
+
+class Charge(_Amplified):
     """`kind = "charge_amplifier"`: comb pick-off and charge amplifier (thesis 3.2, 3.3.1).
 
     Noise is given as `noise_density` or as `snr`; with neither there is none.
     """
 
+    make = ChargeAmplifier
     kind: Literal["charge_amplifier"]
     fingers: Pair[Share]
     width: Pair[Metre]
     gap: Pair[Metre]
     overlap: Pair[Metre]
     mismatch: Pair[Metre] = (0.0, 0.0)
-    bias: Volt
-    feedback: Pair[Farad]
-    parasitic: Pair[Farad] = (0.0, 0.0)
-    opamp_offset: Pair[Volt] = (0.0, 0.0)
-    rejection: Annotated[float, Field(ge=0.0, le=1.0), In("1")] = 1.0
-    noise_density: Pair[Density] | None = None
-    snr: Snr | None = None
-    adc: Converter | None = None
-    flicker: Flickering | None = None
-
-    @model_validator(mode="after")
-    def _can_exist(self) -> "Charge":
-        self.build()
-        return self
-
-    def build(self) -> AbstractReadout:
-        """The read-out; raises `InputError` where it cannot exist."""
-        return _amplifier(self, ChargeAmplifier)
 
 
-class Capacitive(FileSection):
+class Capacitive(_Amplified):
     """`kind = "capacitive"`: a charge amplifier behind a pick-off of two halves, each of `gradient` in F/m and
     `capacitance` at rest: 2·bias·gradient/feedback volts per metre.
 
     Noise is given as `noise_density` or as `snr`; with neither there is none.
     """
 
+    make = ChargeAmplifier.from_gradient
     kind: Literal["capacitive"]
     gradient: Pair[Annotated[float, Field(gt=0.0), In("F/m")]]
     capacitance: Pair[Annotated[float, Field(gt=0.0), In("F")]]
     capacitance_mismatch: Pair[Farad] = (0.0, 0.0)
-    bias: Volt
-    feedback: Pair[Farad]
-    parasitic: Pair[Farad] = (0.0, 0.0)
-    opamp_offset: Pair[Volt] = (0.0, 0.0)
-    rejection: Annotated[float, Field(ge=0.0, le=1.0), In("1")] = 1.0
-    noise_density: Pair[Density] | None = None
-    snr: Snr | None = None
-    adc: Converter | None = None
-    flicker: Flickering | None = None
-
-    @model_validator(mode="after")
-    def _can_exist(self) -> "Capacitive":
-        self.build()
-        return self
-
-    def build(self) -> AbstractReadout:
-        """The read-out; raises `InputError` where it cannot exist."""
-        return _amplifier(self, ChargeAmplifier.from_gradient)
-
-
-def _amplifier(part: Charge | Capacitive, make: Callable[..., ChargeAmplifier]) -> ChargeAmplifier:
-    """What `make` gives of the section's numbers, with its noise."""
-    given = part.numbers()
-    noise, snr, adc = given.pop("noise_density"), given.pop("snr"), given.pop("adc")
-    given["flicker"] = part.flicker and part.flicker.build()
-    if noise is not None and snr is not None:
-        raise ValueError("must have either noise_density or snr, but has both")
-    quiet = make(**given, noise_density=noise or 0.0, adc=adc and adc.build())
-    if snr is None:
-        return quiet
-    density = tuple(snr_density(snr.ratio, snr.amplitude, float(s), snr.sample_rate) for s in quiet.scale)
-    return make(**given, noise_density=density, adc=quiet.adc)
 
 
 class Position(FileSection):

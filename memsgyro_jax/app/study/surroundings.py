@@ -1,7 +1,8 @@
 """Section `[scenario]` of a study file: what varies during a run."""
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, Generic, Literal, TypeVar
+from typing import Annotated, Any, ClassVar, Generic, Literal, TypeVar
 
 from pydantic import BeforeValidator, Field, field_validator
 
@@ -115,35 +116,25 @@ class Wander(FileSection, Generic[Value, Growth]):
 class Record(FileSection):
     """`{ kind = "record", file }`: a recorded rate; the file name starts at the folder of the study file."""
 
+    content: ClassVar[Callable[[Path], AbstractProfile]] = staticmethod(read_rate_record)
     kind: Literal["record"]
     file: RelativePath
 
     @field_validator("file")
     @classmethod
     def _readable(cls, file: Path) -> Path:
-        read_rate_record(file)
+        cls.content(file)
         return file
 
     def build(self) -> AbstractProfile:
         """The profile."""
-        return read_rate_record(self.file)
+        return type(self).content(self.file)
 
 
-class WarmthRecord(FileSection):
+class WarmthRecord(Record):
     """`{ kind = "record", file }`: a recorded temperature; the file name starts at the folder of the study file."""
 
-    kind: Literal["record"]
-    file: RelativePath
-
-    @field_validator("file")
-    @classmethod
-    def _readable(cls, file: Path) -> Path:
-        read_temperature_record(file)
-        return file
-
-    def build(self) -> AbstractProfile:
-        """The profile."""
-        return read_temperature_record(self.file)
+    content = staticmethod(read_temperature_record)
 
 
 def _spelled_out(given: Any) -> Any:
