@@ -1,8 +1,7 @@
 """Section `[scenario]` of a study file: what varies during a run."""
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Generic, Literal, TypeVar
+from typing import Annotated, Any, Generic, Literal, TypeVar
 
 from pydantic import BeforeValidator, Field, field_validator
 
@@ -116,9 +115,13 @@ class Wander(FileSection, Generic[Value, Growth]):
 class Record(FileSection):
     """`{ kind = "record", file }`: a recorded rate; the file name starts at the folder of the study file."""
 
-    content: ClassVar[Callable[[Path], AbstractProfile]] = staticmethod(read_rate_record)
     kind: Literal["record"]
     file: RelativePath
+
+    @classmethod
+    def content(cls, file: Path) -> AbstractProfile:
+        """What a file tells."""
+        return read_rate_record(file)
 
     @field_validator("file")
     @classmethod
@@ -128,13 +131,16 @@ class Record(FileSection):
 
     def build(self) -> AbstractProfile:
         """The profile."""
-        return type(self).content(self.file)
+        return self.content(self.file)
 
 
 class WarmthRecord(Record):
     """`{ kind = "record", file }`: a recorded temperature; the file name starts at the folder of the study file."""
 
-    content = staticmethod(read_temperature_record)
+    @classmethod
+    def content(cls, file: Path) -> AbstractProfile:
+        """What a file tells."""
+        return read_temperature_record(file)
 
 
 def _spelled_out(given: Any) -> Any:
