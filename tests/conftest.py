@@ -74,6 +74,8 @@ TOGETHER = (
 # others ask for figures: their programs run once, and compile in half the time without LLVM's optimiser.
 OPTIMISED = (
     "montecarlo/",
+    "effects/",
+    "couplings/test_frequency_sweep.py",
     "loop/test_effects_in_loop.py",
     "loop/test_brownian.py",
     "tuning/test_adjoint.py",
