@@ -70,7 +70,7 @@ TOGETHER = (
 )
 
 
-# What promises bits is tested in the code that users run, and so are all slow tests and processes of their own. The
+# What promises bits or nearly is tested in the code that users run, and so are all slow tests and processes of their own. The
 # others ask for figures: their programs run once, and compile in half the time without LLVM's optimiser.
 OPTIMISED = (
     "montecarlo/",
@@ -78,6 +78,8 @@ OPTIMISED = (
     "couplings/test_frequency_sweep.py",
     "loop/test_effects_in_loop.py",
     "loop/test_brownian.py",
+    "loop/test_flicker.py",
+    "loop/test_loop.py",
     "tuning/test_adjoint.py",
 )
 
