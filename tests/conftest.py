@@ -70,8 +70,8 @@ TOGETHER = (
 )
 
 
-# What promises bits or nearly is tested in the code that users run, and so are all slow tests and processes of their own. The
-# others ask for figures: their programs run once, and compile in half the time without LLVM's optimiser.
+# What promises bits, or almost, is tested in the code that users run, and so are slow tests and processes of their own.
+# The others ask for figures: their programs run once, and compile faster without LLVM's optimiser.
 OPTIMISED = (
     "montecarlo/",
     "effects/",
