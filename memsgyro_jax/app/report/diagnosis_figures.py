@@ -99,7 +99,8 @@ def log_scale(ax: Axes) -> None:
     ax.set_yscale("log")
     ax.yaxis.set_minor_formatter(NullFormatter())
     if low > 0 and high < 30 * low:
-        ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        near = (1.0, 1.2, 1.5, 2.0, 3.0, 5.0) if high < 4 * low else (1.0, 2.0, 5.0)
+        ax.yaxis.set_major_locator(LogLocator(subs=near))
         ax.yaxis.set_major_formatter(FormatStrFormatter("%g"))
 
 

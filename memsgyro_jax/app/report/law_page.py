@@ -21,7 +21,7 @@ def law_page(curve: Backbone, law: DrawnLaw, before: CaseFit, after: CaseFit) ->
     """Build the page of a law."""
     out = Page(f"Law drawn from {law.measured.name}", law.measured.description)
     comparison, words = judged(after), law.measured.words
-    out.text(comparison.verdict)
+    out.text(comparison.beside_size or f"{comparison.verdict.rstrip(':.')}.")
     for line in str(law).splitlines():
         out.text(line.strip())
     out.section("Frequency and damping against amplitude")

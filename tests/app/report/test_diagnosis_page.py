@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from bench_case import demonstration
 
+from memsgyro_jax.app.report.diagnosis_figures import steps_figure
 from memsgyro_jax.app.report.diagnosis_page import diagnosis_page
 from memsgyro_jax.diagnosis.compare import judged
 from memsgyro_jax.diagnosis.fit import beside_case
@@ -116,6 +117,15 @@ def test_finer_tests_do_not_contradict_the_verdict(diagnosis, monkeypatch):
     assert said not in str(diagnosis)
     monkeypatch.setattr("memsgyro_jax.diagnosis.result.judged", lambda fit: wrong)
     assert said in str(diagnosis)
+
+
+def test_a_fall_to_half_is_labelled():
+    """On a logarithmic axis from 1.8 to 1 one decade alone would be a label."""
+    figure = steps_figure([Stage("", 1.77**2, 1.16), Stage("a", 0.98**2, 0.99)])
+    figure.draw_without_rendering()
+    (ax,) = figure.axes
+    low, high = ax.get_ylim()
+    assert [f"{y:g}" for y in ax.get_yticks() if low <= y <= high] == ["1", "1.2", "1.5"]
 
 
 def test_what_is_unknown_is_shown_as_a_force(diagnosis):
