@@ -128,7 +128,9 @@ def _without_verbose(tokens: Sequence[str]) -> list[str]:
         logging.basicConfig(format="%(asctime)s %(message)s", datefmt="%H:%M:%S", force=True)
         _LOG.setLevel(logging.DEBUG)
     called(tokens)
-    return [token for token in tokens if token != VERBOSE]
+    words = [token for token in tokens if token != VERBOSE]
+    # A dash that stands alone is a word, but the library takes all that begins with one for an option.
+    return [" -" if token == "-" and words[0] == "import" else token for token in words]
 
 
 class _Terminated(BaseException):

@@ -1,6 +1,7 @@
 """Files as instruments save them, written as a measurement case that says what was assumed."""
 
 import re
+import shlex
 import shutil
 import tempfile
 from collections.abc import Sequence
@@ -20,7 +21,7 @@ from .case import Case, load_case
 from .case.file import FILE, SCHEMA
 from .column_meaning import meaning_of, parse_map
 from .formats import SourceTable, read_instrument_file
-from .imported_record import Given, ImportedRecord, records_of
+from .imported_record import NO_LEVEL, Given, ImportedRecord, records_of
 
 
 _LOCK_IN = "V(t) = Re[(I + i Q) exp(i w t)] for a drive F cos(w t); amplitudes are peak values"
@@ -38,12 +39,14 @@ class ImportedCase(Shown):
         formats: of each file.
         records: where each experiment comes from, and what was assumed of it.
         unused: drive levels that no record needs, each with its file.
+        warning: that several files were given one drive level, as none has its own, and what to do; empty otherwise.
     """
 
     case: Case
     formats: tuple[str, ...]
     records: tuple[ImportedRecord, ...]
     unused: tuple[str, ...] = ()
+    warning: str = ""
 
     def __str__(self) -> str:
         lines = [f"{self.case.folder}: {len(self.records)} records from {', '.join(dict.fromkeys(self.formats))}"]
@@ -51,6 +54,7 @@ class ImportedCase(Shown):
         for sentence, names in _shared(self.records).items():
             lines.append(f"Assumed: {sentence}{_of(names, self.records)}.")
         lines += [f"Not used: {level}." for level in self.unused]
+        lines += [f"WARNING: {self.warning}"] if self.warning else []
         return "\n".join(lines)
 
     def to_dict(self) -> dict[str, Any]:
@@ -59,6 +63,7 @@ class ImportedCase(Shown):
             "schema": "memsgyro-import/1",
             "case": str(self.case.folder),
             "formats": list(self.formats),
+            "warning": self.warning,
             "records": [
                 {
                     "name": r.name, "kind": r.kind, "source": r.source, "columns": list(r.columns),
@@ -107,7 +112,7 @@ def import_case(
     if (folder.exists() and not folder.is_dir()) or (folder.is_dir() and any(folder.iterdir()) and not overwrite):
         raise InputError(f"{folder} must be a new or empty folder, but exists; choose another, or give `--overwrite`.")
     said = parse_map(columns) if columns else {}
-    given = [None if text == "-" else _amount(text, "--drive") for text in drive]
+    given = [None if text.strip() == "-" else _amount(text, "--drive") for text in drive]
     tuned = _amount(reference, "--reference") if reference else None
     read = [read_instrument_file(Path(path)) for path in paths]
     found = [_records(tables, said, Given(None, tuned)) for _, tables in read]
@@ -126,7 +131,33 @@ def import_case(
     ]
     records = _named([record for some in found for record in some])
     case = _write(folder, records, names)
-    return ImportedCase(case, tuple(form for form, _ in read), tuple(records), tuple(unused))
+    warning = _warning(paths, [some if needs else None for some, needs in zip(found, swept, strict=True)], folder)
+    return ImportedCase(case, tuple(form for form, _ in read), tuple(records), tuple(unused), warning)
+
+
+def _warning(paths: Sequence[str | Path], found: Sequence[list[ImportedRecord] | None], folder: Path) -> str:
+    """That nothing tells the drive levels of several files, and the command to give them; empty where they are told.
+
+    Args:
+        paths: of all files.
+        found: the records of each, or `None` where it needs no level.
+        folder: of the case.
+    """
+    levels = []
+    for some in found:
+        known = next((record.keys["drive_force"] for record in some or () if "drive_force" in record.keys), None)
+        guessed = any(NO_LEVEL in record.assumed for record in some or ())
+        levels.append("..." if guessed else "-" if known is None else f"{known['value']:g} {known['unit']}")
+    if levels.count("...") < 2:
+        return ""
+    files = listed(Path(path).name for path, level in zip(paths, levels, strict=True) if level == "...")
+    command = shlex.join(["memsgyro", "import", *map(str, paths), "--out", str(folder), "--overwrite"])
+    shown = " ".join(level if level == "-" else f'"{level}"' for level in levels)
+    return (
+        f"{levels.count('...')} files do not say at which level they were driven, and each was taken for 1 V ({files}). "
+        f"Where the levels differed, strengths are wrong, as are ratios between files. Give each its own, in order:\n"
+        f"{command} --drive {shown}"
+    )
 
 
 def _levels(given: Sequence[Level | None], swept: Sequence[bool]) -> list[Level | None]:

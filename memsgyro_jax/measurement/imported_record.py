@@ -27,6 +27,7 @@ from .imported_columns import (
 from .tracking import rough_decay
 
 
+NO_LEVEL = "the drive is 1 V, as the file does not say (`--drive`)"
 _SILENT = 0.01  # of the largest drive: nothing
 _QUIET_SHARE = 0.15  # of the rows at the end without drive: a free decay
 _FEWEST = 50  # rows of a record over time
@@ -177,7 +178,7 @@ def _level(table: SourceTable, given: Given, assumed: list[str]) -> dict[str, An
         value, unit = float(found[1].replace("p", ".")), found[2]
         assumed.append(f"the drive is {value:g} {unit}, as the file's name says")
         return {"value": value, "unit": unit}
-    assumed.append("the drive is 1 V, as the file does not say (`--drive`): only ratios between files matter")
+    assumed.append(NO_LEVEL)
     return {"value": 1.0, "unit": "V"}
 
 

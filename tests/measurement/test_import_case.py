@@ -182,7 +182,7 @@ def falling(path):
     return path
 
 
-def test_levels_are_for_the_files_that_need_one(sweeps, tmp_path):
+def test_levels_are_for_the_files_that_need_one(sweeps, tmp_path, capsys):
     """Three levels for three sweeps and a decay, which keeps all of its rows: they tell most where it is strongest."""
     plain = [path.rename(tmp_path / f"file{k}.csv") for k, path in enumerate(sweeps)]
     files = [*plain, falling(tmp_path / "scope.txt")]
@@ -192,9 +192,18 @@ def test_levels_are_for_the_files_that_need_one(sweeps, tmp_path):
     assert decay.time[0] == 0.0
     assert len(decay.time) == 4000
     assert "(all sweeps)" in str(found)
-    dashed = mg.import_case(files, tmp_path / "dashed", drive=("1 mV", "2 mV", "3 mV", "-"))
-    assert dashed.unused == ()
+    assert "2 mV   -      1 sweeps of x" in str(found)
+    assert not found.warning
+    words = ["import", *map(str, files), "--drive", "1 mV", "2 mV", "3 mV", "-", "--out", str(tmp_path / "dashed")]
+    with pytest.raises(SystemExit) as ended:
+        cli.main(words)
+    assert ended.value.code == 0
+    assert "Not used" not in capsys.readouterr().out
     more = mg.import_case(files, tmp_path / "more", drive=("1 mV", "2 mV", "3 mV", "4 mV"))
     assert "Not used: the drive of 4 mV, as scope.txt does not need it." in str(more)
     with pytest.raises(mg.InputError, match="`-` for one that needs no level"):
         mg.import_case(files, tmp_path / "two", drive=("1 mV", "2 mV"))
+    silent = str(mg.import_case(files, tmp_path / "silent"))
+    assert "WARNING: 3 files do not say at which level" in silent
+    assert silent.endswith(f'--out {tmp_path / "silent"} --overwrite --drive "..." "..." "..." -')
+    assert "WARNING" not in str(mg.import_case([*files[:1], files[3]], tmp_path / "one"))

@@ -27,7 +27,8 @@ def import_command(
         files: one or several of one device.
         out: folder of the case.
         map_: what columns mean where names do not tell, like "f=Frequency (Hz),x_I=X [V],x_Q=Y [V],F_x=drive [A]".
-        drive: level where no column has it, like "20 mV"; one for all files or one for each.
+        drive: level where no column has it, like "20 mV"; one for all files or one for each, "-" for a file that needs
+            none, as a ring-down.
         reference: frequency of a lock-in that recorded over time, like "32.768 kHz".
         overwrite: write over a case that is there.
         json: file for the machine-readable result.
@@ -40,6 +41,7 @@ def import_command(
     require_writable(json)
     result = import_case(files, out, columns=map_, drive=drive, reference=reference, overwrite=overwrite)
     print(result)
-    print(f"Next: `memsgyro check {out}`, then `memsgyro diagnose {out}`.")
+    if not result.warning:
+        print(f"Next: `memsgyro check {out}`, then `memsgyro diagnose {out}`.")
     if json is not None:
         write_json(json, result.to_dict())

@@ -1,14 +1,18 @@
 """A measurement case as an immutable object in SI: what is declared of a device, and what was recorded of it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+
+import numpy as np
 
 from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.base.text import aligned
+from memsgyro_jax.base.text import aligned, spoken
 
 from ..calibration import calibration_text
 from ..declared import Declared
 from ..experiments import AbstractRecord
+from ..experiments.deviation import Known
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -31,12 +35,20 @@ class Case(Shown, Declared):
 
     def __str__(self) -> str:
         heading = f"{self.name}: {self.device}" + (f", {self.description}" if self.description else "")
-        head = ("experiment", "kind", "role", "rows", "noise", "extent")
+        head = ("experiment", "kind", "role", "rows", "drive", "noise", "extent")
         rows = [
-            (r.name, r.kind, r.role or "-", str(r.rows), _noise(r.noise_std, self.readout.unit), r.extent)
+            (r.name, r.kind, r.role or "-", str(r.rows), _drive(r.known(self)), _noise(r.noise_std, self.readout.unit))
+            + (r.extent,)
             for r in self.records
         ]
         return "\n".join(filter(None, (heading, calibration_text(self), aligned([head, *rows]))))
+
+
+def _drive(known: Sequence[Known]) -> str:
+    """The level, or the lowest and the highest, of what is known of rows; a dash where it is no level."""
+    levels = [np.abs([np.min(column.values), np.max(column.values)]) for column in known if column.name == "drive"]
+    units = [column.unit for column in known if column.name == "drive"]
+    return " to ".join(dict.fromkeys(spoken(float(level), units[0], 3) for level in levels[0])) if levels else "-"
 
 
 def _noise(std: float | None, unit: str) -> str:
