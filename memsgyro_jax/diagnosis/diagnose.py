@@ -9,7 +9,7 @@ import numpy as np
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.effects import Effect, Scanned, catalogue
-from memsgyro_jax.measurement.calibration import calibration_share
+from memsgyro_jax.measurement.calibration import calibration_share, unit_of_records
 from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.least_squares import gate
 from memsgyro_jax.measurement.linear_start import starting_device
@@ -123,8 +123,8 @@ def diagnose(
         + slowly(search.slow)
         + (f" Left out as outlying: {_of_rows(case, left_out)}." if left_out else ""),
         accepted=tuple(a.scaled(scale) for a in accepted),
-        first=_listed(joint.model, first),
-        candidates=_listed(search.joint.model, ranking),
+        first=_listed(case, joint.model, first),
+        candidates=_listed(case, search.joint.model, ranking),
         groups=tuple((a.label, *a.confused_with) for a in accepted if a.confused_with),
         next_experiment=advice(planned),
         next_experiments=planned,
@@ -264,7 +264,7 @@ def _accepted(search: Search, confused: Mapping[int, Iterable[int]], steps) -> t
                     where=effect.where,
                     estimate=tuple(search.optimum.vector[search.joint.of_effect(place)].tolist()),
                     std=tuple(search.optimum.std[at].tolist()),
-                    unit=effect.unit,
+                    unit=unit_of_records(search.case, effect.unit),
                     p_value=mine.p_value,
                     error_before=validation_error(steps[max(where - 1, 0)].fit),
                     error_after=validation_error(steps[where].fit),
@@ -283,7 +283,9 @@ def _numbers(search: Search, place: int) -> dict[str, tuple[float, float, str]]:
     found = {}
     for i in search.joint.numbers_of(place):
         number = search.joint.parameters[i]
-        found[number.field + number.index] = float(search.optimum.vector[i]), std[int(i)], number.unit
+        found[number.field + number.index] = (
+            float(search.optimum.vector[i]), std[int(i)], unit_of_records(search.case, number.unit),
+        )  # fmt: skip
     return found
 
 
@@ -318,14 +320,14 @@ def _sentence(verdict: Verdict, accepted: tuple[Accepted, ...], final: CaseFit, 
     }[verdict]
 
 
-def _listed(model: Model, ranking: Ranking) -> tuple[Candidate, ...]:
+def _listed(case: Case, model: Model, ranking: Ranking) -> tuple[Candidate, ...]:
     out = []
     for i in ranking.order:
         effect, mine = model.effects[ranking.places[i]], ranking.scores[i]
         out.append(
             Candidate(
                 label=effect.label,
-                unit=effect.unit,
+                unit=unit_of_records(case, effect.unit),
                 score=mine.statistic,
                 p_value=float(ranking.p_values[i]),
                 explained_share=mine.share,

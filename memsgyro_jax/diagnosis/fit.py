@@ -17,7 +17,7 @@ from memsgyro_jax.device.gyro import SingleMassGyro
 from memsgyro_jax.device.resonator import Resonator
 from memsgyro_jax.effects import InstrumentTerm
 from memsgyro_jax.effects.base import Effect
-from memsgyro_jax.measurement.calibration import calibration_share
+from memsgyro_jax.measurement.calibration import calibration_share, unit_of_records
 from memsgyro_jax.measurement.case import AbstractRecord, Case
 from memsgyro_jax.measurement.experiments import Deviation
 from memsgyro_jax.measurement.experiments.missing_force import MissingForce
@@ -156,13 +156,14 @@ class CaseFit(Tabular):
         names: tuple[Parameter, ...] = self.joint.parameters
         return tuple(
             ParameterEstimate(
-                names[i].name, float(self.optimum.vector[i]), float(std), names[i].unit, self._calibration(i)
+                names[i].name,
+                float(self.optimum.vector[i]),
+                float(std),
+                unit_of_records(self.case, names[i].unit),
+                calibration_share(self.case, names[i].unit),
             )
             for i, std in zip(self.optimum.free, self.optimum.std, strict=True)
         )
-
-    def _calibration(self, place: int) -> float:
-        return calibration_share(self.case, self.joint.parameters[place].unit)
 
     @property
     def null_directions(self) -> tuple[str, ...]:
@@ -176,7 +177,8 @@ class CaseFit(Tabular):
         text = "converged" if self.optimum.converged else f"not converged after {self.optimum.evaluations} evaluations"
         if self.apart > 0:
             text += f"; steady states are not resolved: a finer balance moves a reading by {self.apart:.2g} × noise"
-        return text + "".join(f"; the records do not hold {null}" for null in self.null_directions)
+        nulls = [null.removeprefix("+1.00·") for null in self.null_directions]
+        return text + "".join(f"; {null} is not determined by these records" for null in nulls)
 
     def predicted(self, record: int) -> np.ndarray:
         """What the model predicts for a record, in the shape and unit of its readings; NaN where not compared."""

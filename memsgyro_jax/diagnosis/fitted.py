@@ -78,6 +78,8 @@ class ParameterEstimate:
     calibration: float = 0.0
 
     def __str__(self) -> str:
+        if np.isinf(self.std):
+            return f"{self.name:<24} not determined by these records"
         return f"{self.name:<24} {self.value: .6g} ± {self.std:.2g} {self.unit}{with_calibration(self.calibration)}"
 
     def to_dict(self) -> dict[str, Any]:

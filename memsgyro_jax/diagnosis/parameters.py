@@ -42,7 +42,9 @@ def parameters(model: Model) -> tuple[Parameter, ...]:
         for number in free_numbers(effect):
             size = getattr(effect, number.field).size
             label = effect.label if number.field == "strength" else f"{effect.label} {number.field}"
-            for index in [""] if size == 1 else [f"[{k}]" for k in range(size)]:
+            parts = getattr(effect, "parts", ())
+            for k, index in enumerate([""] if size == 1 else [f"[{k}]" for k in range(size)]):
                 more = place, number.field, index, number.low, number.high
-                others.append(Parameter(label + index, number.unit, *more))
+                name = f"{label} {parts[k]}" if len(parts) == size else label + index
+                others.append(Parameter(name, number.unit, *more))
     return (*base, *others)

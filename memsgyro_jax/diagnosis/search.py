@@ -21,6 +21,7 @@ LOOK_AHEAD = 3  # candidates that are refitted before one is chosen
 WORTH_A_LOOK = 0.5  # of the best score: below it a candidate is not refitted
 TWINS = 0.999  # overlap from which two candidates cannot both be tried
 NOTHING = 0.01  # of what a candidate explains: if no more is left, the others need not be refitted
+LOOK = "look closer at "  # what is told before the names of the candidates that are refitted
 ROUNDS = 8
 NUDGE = 1e-9  # of the base parameters
 GLANCE, LONG = 5, 30  # evaluations to compare candidates, and to settle on one
@@ -157,7 +158,7 @@ class Search:
         refused: set[int] = set(weak)
         while len(refused) - len(weak) < PATIENCE and (promising := self._promising(ranking, refused)):
             labels = [self.joint.model.effects[ranking.places[i]].label for i in promising]
-            self.tell("look closer at " + ", ".join(labels))
+            self.tell(LOOK + ", ".join(labels))
             self.joint.together((*self.given, *self.accepted, *(ranking.places[i] for i in promising)))
             refits: dict[int, Optimum] = {}
             for i in promising:

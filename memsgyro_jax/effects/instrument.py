@@ -52,12 +52,14 @@ class InstrumentTerm(Effect):
 
     `prior` is the standard deviation that each number has before anything is measured, `None` where nothing is known.
     `in_proportion` says whether what it adds grows as the drive or the readings do, at all levels by the same factor.
-    `of` says which rows share a number where a term may have it both ways: empty for one number for all.
+    `parts` are the names of its numbers, where it has as many. `of` says which rows share a number where a term may
+    have it both ways: empty for one number for all.
     """
 
     of_instrument: ClassVar[bool] = True
     in_proportion: ClassVar[bool] = False
     prior: ClassVar[float | None] = None
+    parts: ClassVar[tuple[str, ...]] = ()
     entry: AbstractVar[Array]
 
     @property

@@ -24,6 +24,9 @@ from .instrument import (
 )
 
 
+_PARTS = ("in phase", "quadrature")
+
+
 class PhaseDrift(ClockedTerm, LockInEffect):
     """The reference of the lock-in turns by s_k rad over a record. Zero: it stays."""
 
@@ -60,6 +63,7 @@ class LockInBackground(InstrumentTerm, LockInEffect):
     """A phasor that is there without a drive: V → V + s, real and imaginary part of each channel. Zero: none."""
 
     name, unit, law = "lock_in_background", "V", "V → V + s_k"
+    parts: ClassVar[tuple[str, ...]] = _PARTS
     strength: Array = strength((0.0,))
     entry: Array = row_field((((0.0,),),))
 
@@ -80,6 +84,7 @@ class LockInFeedthrough(InstrumentTerm, LockInEffect):
 
     name, unit, law = "lock_in_feedthrough", "V/N", "V → V + s_k·u"
     in_proportion: ClassVar[bool] = True
+    parts: ClassVar[tuple[str, ...]] = _PARTS
     strength: Array = strength((0.0,))
     entry: Array = row_field((((0.0,),),))
 

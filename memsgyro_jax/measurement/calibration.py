@@ -5,6 +5,8 @@ all forces larger by b, while frequencies, damping rates and everything in volts
 p·b − r·a. A mass declared beside both scales holds a + b, as the gain of the records is their product over the mass.
 """
 
+import re
+
 import numpy as np
 
 from memsgyro_jax.base.text import listed
@@ -41,8 +43,22 @@ def calibration_text(declared: Declared) -> str:
     return f"Calibration: {listed(known)}." if known else ""
 
 
+def unit_of_records(declared: Declared, unit: str) -> str:
+    """What a number of that SI unit is in where a case does not say what its records are in metres and newtons: of a
+    resonator's spring, V/V³ for N/m³.
+    """
+    length, force = declared.words.displacement, declared.words.force
+    if (length, force) == ("m", "N"):
+        return unit
+    length, force = (_bracketed(name.replace("*", "·")) for name in (length, force))
+    if unit == "1/kg":
+        return f"{length}/({force}·s²)"
+    told = {"m": length, "N": force, "kg": f"({force}·s²/{length})", "W": f"({force}·{length}/s)"}
+    return re.sub(r"[A-Za-z]+", lambda word: told.get(word[0], word[0]), unit)
+
+
 def _bracketed(unit: str) -> str:
-    return f"({unit})" if "/" in unit else unit
+    return f"({unit})" if re.search("[/·]", unit) else unit
 
 
 def _within(tolerance: float) -> str:

@@ -154,8 +154,9 @@ def _warning(paths: Sequence[str | Path], found: Sequence[list[ImportedRecord] |
     command = shlex.join(["memsgyro", "import", *map(str, paths), "--out", str(folder), "--overwrite"])
     shown = " ".join(level if level == "-" else f'"{level}"' for level in levels)
     return (
-        f"{levels.count('...')} files do not say at which level they were driven, and each was taken for 1 V ({files}). "
-        f"Where the levels differed, strengths are wrong, as are ratios between files. Give each its own, in order:\n"
+        f"{levels.count('...')} files do not say at which level they were driven, and each was taken for 1 V "
+        f"({files}). Where the levels differed, strengths are wrong, as are ratios between files. Give each its own, "
+        "in order:\n"
         f"{command} --drive {shown}"
     )
 

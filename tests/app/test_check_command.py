@@ -20,7 +20,7 @@ def run(*tokens):
 def test_it_prints_the_records_and_their_quality(bench, capsys):
     assert run("check", bench) == 0
     printed = capsys.readouterr().out
-    for word in ("sweep_x", "validation", "2 sweeps of x", "peak/noise"):
+    for word in ("sweep_x", "validation", "2 sweeps of x", "peak/noise", "held out: "):
         assert word in printed
     assert "Warning" not in printed
 

@@ -2,12 +2,19 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
+import equinox as eqx
+import jax.numpy as jnp
 import pytest
 
 import memsgyro_jax
 from memsgyro_jax.app.cli import main
 from memsgyro_jax.app.commands.diagnose import load_demo_or
+from memsgyro_jax.diagnosis.result import Stage
+from memsgyro_jax.effects import by_name, catalogue
+from memsgyro_jax.measurement.linear_start import starting_device
+from memsgyro_jax.measurement.readings import model_of
 
 
 DEMO = Path(memsgyro_jax.__file__).parent / "demo"
@@ -68,6 +75,24 @@ def test_a_model_of_another_device_is_refused(tmp_path, capsys):
     (tmp_path / "model.toml").write_text(ONE_AXIS)
     assert run("diagnose", DEMO, "--model", tmp_path / "model.toml") == 2
     assert "model.toml: must have as many axes as the case demo has channels, 2, but has 1" in capsys.readouterr().err
+
+
+def test_what_is_known_is_said_where_it_is_told_to_end(monkeypatch, tmp_path, capsys):
+    cubic = eqx.tree_at(lambda e: e.strength, by_name("cubic_stiffness", "x", among=catalogue(2)), jnp.asarray(1e9))
+
+    def ended(start, case, *, tell, keep, **_):
+        model = model_of(case, starting_device(case)).with_effect(cubic)
+        tell("look closer at cross_stiffness, quadratic_damping x")
+        keep(SimpleNamespace(model=model, case=case), (Stage("", 90.0, 8.0), Stage("cubic_stiffness x", 1.0, 1.1)))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("memsgyro_jax.diagnosis.diagnose.diagnose", ended)
+    assert run("diagnose", DEMO, "--out", tmp_path / "model.toml") == 130
+    said = capsys.readouterr().err
+    assert "added so far: cubic_stiffness x; validation error 8 -> 1.1 × noise." in said
+    assert "Candidates in hand: cross_stiffness, quadratic_damping x." in said
+    assert f"Written so far: {tmp_path / 'model.toml'}." in said
+    assert said.endswith(f"To go on: memsgyro fit {DEMO} --add cubic_stiffness x\nInterrupted.\n")
 
 
 def test_help_names_every_option(capsys):

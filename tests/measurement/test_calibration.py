@@ -6,7 +6,8 @@ import pytest
 from lab import driven
 
 import memsgyro_jax as mg
-from memsgyro_jax.measurement.calibration import calibration_share, calibration_text
+from memsgyro_jax.measurement.calibration import calibration_share, calibration_text, unit_of_records
+from memsgyro_jax.measurement.declared import Readout
 
 
 @pytest.fixture(scope="module")
@@ -25,6 +26,14 @@ def test_scales_move_numbers_by_their_powers(case):
     assert calibration_share(free, "rad²/s²") == calibration_share(free, "V") == calibration_share(free, "s") == 0.0
 
 
+def test_without_scales_a_unit_is_that_of_the_records(case):
+    bare = replace(case, readout=Readout(1.0), drive=None)
+    shown = {unit: unit_of_records(bare, unit) for unit in ("N/m³", "N·s²/m²", "1/m", "rad²/s²", "1/kg", "N/(m·V²)")}
+    assert [*shown.values()] == ["V/V³", "V·s²/V²", "1/V", "rad²/s²", "V/(V·s²)", "V/(V·V²)"]
+    assert unit_of_records(replace(bare, readout=case.readout), "N/m³") == "V/m³"
+    assert unit_of_records(case, "N/m³") == "N/m³"
+
+
 def test_a_declared_mass_holds_the_product_of_the_scales(case):
     assert 0.0 < calibration_share(case, "1/kg") < (0.05**2 + 0.03**2) ** 0.5
     exact = replace(case, readout=replace(case.readout, tolerance=0.0), drive=replace(case.drive, tolerance=0.0))
@@ -32,6 +41,7 @@ def test_a_declared_mass_holds_the_product_of_the_scales(case):
 
 
 def test_tolerances_are_kept_in_files_and_said(case, tmp_path):
+    assert "down_500mV  frequency_sweep  -     11    500 mV  " in str(case), "the drive as it was set"
     assert calibration_text(case) == "Calibration: read-out 3.1e+05 V/m ± 3 %, drive 1.6e-09 N/V ± 5 %."
     mg.write_case(case, tmp_path / "again")
     again = mg.load_case(tmp_path / "again")

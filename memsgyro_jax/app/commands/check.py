@@ -34,6 +34,7 @@ def check_command(
         return over_cases("check", case, out, options={"kinds": kinds}, made={}, jobs=jobs, dask=dask, table=None)
     only_of_folders(out=out, jobs=jobs, dask=dask)
     look_for(case, kinds)
+    from memsgyro_jax.base.text import listed
     from memsgyro_jax.diagnosis.identifiable import identifiable
     from memsgyro_jax.measurement.beside_design import beside_design
     from memsgyro_jax.measurement.case import assess
@@ -45,6 +46,10 @@ def check_command(
     for sentence in beside_design(measured):
         print(sentence)
     print("What the fitted records can identify of the base model, by the size of one standard deviation:")
-    for line in identifiable(measured):
+    told = identifiable(measured)
+    for line in told:
         print(f"  {line}")
+    judges = [record.name for record in measured.records if record.name not in {line.name for line in told}]
+    if judges:
+        print(f"  held out: {listed(judges)}: not fitted, it judges the model")
     return None

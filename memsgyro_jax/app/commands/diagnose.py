@@ -1,6 +1,8 @@
 """`memsgyro diagnose`: read a case, find what is missing from its model, print, write."""
 
-from collections.abc import Sequence
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from importlib.resources import as_file, files
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -80,7 +82,10 @@ def diagnose_command(
     own = load_effects(effects, measured.channels) if effects else ()
     start = None if model is None else _start(model, measured, own)
 
+    so_far = _SoFar()
+
     def keep(fit: "CaseFit", stages: "Sequence[Stage]") -> None:
+        so_far.best = fit, stages
         if out is not None:
             model = fit.model.present
             bare = model.with_only(effect for effect in model.effects if not effect.of_instrument)
@@ -88,8 +93,9 @@ def diagnose_command(
         if json is not None:
             write_whole(json, json_text(unfinished(fit, stages)) + "\n")
 
-    with told() as tell:
-        found = diagnose(start, measured, effects=own, level=level, tell=tell, keep=keep)
+    more = {"--effects": effects, "--kinds": kinds}
+    with so_far.said_at_the_end(case, [path for path in (out, json) if path], more), told() as tell:
+        found = diagnose(start, measured, effects=own, level=level, tell=so_far.heard(tell), keep=keep)
     texts: list[tuple[Path, str]] = []
     if out is not None:
         texts.append((out, model_text(found.model)))
@@ -103,6 +109,53 @@ def diagnose_command(
         write_whole(path, text)
     print(found)
     return None
+
+
+class _SoFar:
+    """What is known while a diagnosis goes on: the best fit with how it came, and the candidates it looks at."""
+
+    def __init__(self) -> None:
+        self.best: tuple[CaseFit, Sequence[Stage]] | None = None
+        self.candidates = ""
+
+    def heard(self, tell: Callable[[str], None]) -> Callable[[str], None]:
+        """`tell`, of which the candidates are remembered."""
+        from memsgyro_jax.diagnosis.search import LOOK
+
+        def listening(text: str) -> None:
+            if text.startswith(LOOK):
+                self.candidates = text.removeprefix(LOOK)
+            tell(text)
+
+        return listening
+
+    @contextmanager
+    def said_at_the_end(self, case: Path, written: Sequence[Path], more: Mapping[str, Path | None]) -> Iterator[None]:
+        """Says on standard error what is known, where it stands and how to go on, if the work is told to end."""
+        try:
+            yield
+        except Exception:
+            raise
+        except BaseException:
+            print("\n".join(self._lines(case, written, more)), file=sys.stderr, flush=True)
+            raise
+
+    def _lines(self, case: Path, written: Sequence[Path], more: Mapping[str, Path | None]) -> Iterator[str]:
+        if self.best is None:
+            yield "Ended before the base model was fitted: nothing is known yet."
+            return
+        fit, stages = self.best
+        labels = [effect.label for effect in fit.model.present.effects]
+        errors = f"{stages[0].validation_error:.4g} -> {stages[-1].validation_error:.4g} × noise"
+        yield f"Unfinished; added so far: {', '.join(labels) or 'nothing'}; validation error {errors}."
+        if self.candidates:
+            yield f"Candidates in hand: {self.candidates}."
+        if written:
+            yield f"Written so far: {', '.join(map(str, written))}."
+        wanted = " ".join(labels) or self.candidates.partition(",")[0]
+        options = "".join(f" {option} {path}" for option, path in more.items() if path is not None)
+        if wanted:
+            yield f"To go on: memsgyro fit {case} --add {wanted}{options}"
 
 
 def look_for(case: Path, *others: Path | None) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 
-_SILENCE = 3.0  # s without a line, after which the last one is said again
+_SILENCE = 60.0  # s without a line in a log, after which the last one is said again
 _LINES = 10  # plain lines for a whole run, so that a log stays readable
 
 

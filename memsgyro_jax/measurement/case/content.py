@@ -10,7 +10,7 @@ from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.text import aligned, spoken
 
 from ..calibration import calibration_text
-from ..declared import Declared
+from ..declared import Declared, Drive
 from ..experiments import AbstractRecord
 from ..experiments.deviation import Known
 
@@ -36,19 +36,22 @@ class Case(Shown, Declared):
     def __str__(self) -> str:
         heading = f"{self.name}: {self.device}" + (f", {self.description}" if self.description else "")
         head = ("experiment", "kind", "role", "rows", "drive", "noise", "extent")
+        unit = self.readout.unit
         rows = [
-            (r.name, r.kind, r.role or "-", str(r.rows), _drive(r.known(self)), _noise(r.noise_std, self.readout.unit))
-            + (r.extent,)
+            (r.name, r.kind, r.role or "-", str(r.rows), _level(r.known(self), self.drive), _noise(r.noise_std, unit), r.extent)
             for r in self.records
         ]
         return "\n".join(filter(None, (heading, calibration_text(self), aligned([head, *rows]))))
 
 
-def _drive(known: Sequence[Known]) -> str:
-    """The level, or the lowest and the highest, of what is known of rows; a dash where it is no level."""
-    levels = [np.abs([np.min(column.values), np.max(column.values)]) for column in known if column.name == "drive"]
-    units = [column.unit for column in known if column.name == "drive"]
-    return " to ".join(dict.fromkeys(spoken(float(level), units[0], 3) for level in levels[0])) if levels else "-"
+def _level(known: Sequence[Known], drive: Drive | None) -> str:
+    """The level that was set, or the lowest and the highest; a dash where it is no level."""
+    column = next((column for column in known if column.name == "drive"), None)
+    if column is None:
+        return "-"
+    unit, scale = (column.unit, 1.0) if drive is None or drive.scale is None else (drive.unit, drive.scale)
+    ends = [float(value) / scale for value in (np.min(column.values), np.max(column.values))]
+    return " to ".join(dict.fromkeys(spoken(abs(end), unit, 3) for end in ends))
 
 
 def _noise(std: float | None, unit: str) -> str:
