@@ -15,7 +15,7 @@ from .joint_residual import Joint
 from .optimum import Optimum, optimise
 from .promise import Offer, Promise, offers_of, promised
 from .result import Accepted
-from .search import GLANCE, LOOK_AHEAD, Ranking, Search, SearchStep, always_free
+from .search import GLANCE, INSTRUMENT, LOOK_AHEAD, Ranking, Search, SearchStep, always_free
 
 
 SHARE = 0.2  # of the level for terms of the instrument
@@ -140,7 +140,7 @@ def _chosen_terms(search: Search, terms: Sequence[InstrumentTerm], promise: Prom
     """The present model with those of some terms that a fit favours, of those that are promised; `None` where none."""
     wanted = {terms[i].label for i in promise.worth_a_fit}
     for _ in range(AGAIN):
-        search.tell("try what the instrument may have done: " + ", ".join(sorted(wanted)))
+        search.tell(INSTRUMENT + ", ".join(sorted(wanted)))
         alone = _with_terms(search, [term for term in terms if term.label in wanted])
         if not alone.accepted:
             return None

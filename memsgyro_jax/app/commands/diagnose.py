@@ -116,15 +116,15 @@ class _SoFar:
 
     def __init__(self) -> None:
         self.best: tuple[CaseFit, Sequence[Stage]] | None = None
-        self.candidates = ""
+        self.candidates: list[str] = []
 
     def heard(self, tell: Callable[[str], None]) -> Callable[[str], None]:
         """`tell`, of which the candidates are remembered."""
-        from memsgyro_jax.diagnosis.search import LOOK
+        from memsgyro_jax.diagnosis.search import INSTRUMENT, LOOK
 
         def listening(text: str) -> None:
-            if text.startswith(LOOK):
-                self.candidates = text.removeprefix(LOOK)
+            if text.startswith((LOOK, INSTRUMENT)):
+                self.candidates = text.removeprefix(LOOK).removeprefix(INSTRUMENT).split(", ")
             tell(text)
 
         return listening
@@ -148,11 +148,12 @@ class _SoFar:
         labels = [effect.label for effect in fit.model.present.effects]
         errors = f"{stages[0].validation_error:.4g} -> {stages[-1].validation_error:.4g} × noise"
         yield f"Unfinished; added so far: {', '.join(labels) or 'nothing'}; validation error {errors}."
-        if self.candidates:
-            yield f"Candidates in hand: {self.candidates}."
+        candidates = [label for label in self.candidates if label not in labels]
+        if candidates:
+            yield f"Candidates in hand: {', '.join(candidates)}."
         if written:
             yield f"Written so far: {', '.join(map(str, written))}."
-        wanted = " ".join(labels) or self.candidates.partition(",")[0]
+        wanted = " ".join(labels or candidates[:1])
         options = "".join(f" {option} {path}" for option, path in more.items() if path is not None)
         if wanted:
             yield f"To go on: memsgyro fit {case} --add {wanted}{options}"

@@ -38,7 +38,15 @@ class Case(Shown, Declared):
         head = ("experiment", "kind", "role", "rows", "drive", "noise", "extent")
         unit = self.readout.unit
         rows = [
-            (r.name, r.kind, r.role or "-", str(r.rows), _level(r.known(self), self.drive), _noise(r.noise_std, unit), r.extent)
+            (
+                r.name,
+                r.kind,
+                r.role or "-",
+                str(r.rows),
+                _level(r.known(self), self.drive),
+                _noise(r.noise_std, unit),
+                r.extent,
+            )
             for r in self.records
         ]
         return "\n".join(filter(None, (heading, calibration_text(self), aligned([head, *rows]))))
