@@ -17,7 +17,8 @@ from memsgyro_jax.measurement.case import load_case
 
 ROOT = Path(__file__).resolve().parent.parent
 CASE = ROOT / "tests/data/cantilever"
-PAGE = (ROOT / "docs/cantilever.md").read_text()
+BENCH = (ROOT / "docs/cantilever.md").read_text()
+PAGE = (ROOT / "docs/free_decay.md").read_text()
 LAW = ("cubic_stiffness", "quadratic_stiffness", "quadratic_damping")
 
 
@@ -61,8 +62,19 @@ def test_the_page_says_what_the_case_says():
     assert told["design"] == written["design"]
     (experiment,) = told["experiment"]
     assert experiment.items() <= written["experiment"][0].items()
-    commands = dict.fromkeys(re.findall(r"^memsgyro (\S+) .*\bbench\b", PAGE, re.MULTILINE))
+    commands = dict.fromkeys(re.findall(r"^memsgyro (\S+)", PAGE, re.MULTILINE))
     assert [*commands] == ["import", "check", "compare", "diagnose", "law", "fit"]  # the site's build runs them
+
+
+def test_the_calibration_on_the_page_is_that_of_its_records():
+    """By hand: the gain 1/400 V/V of the script is scale · scale / (m·ω²), and 0.015·q² of the spring is ¾·k3·x²."""
+    (told,) = [tomllib.loads(block) for block in re.findall(r"```text\n(.*?)```", BENCH, re.DOTALL)]
+    assert (told["readout"]["scale"]["unit"], told["drive"]["scale"]["unit"]) == ("V/um", "uN/V")
+    pick_off, electrode = 1e6 * told["readout"]["scale"]["value"], 1e-6 * told["drive"]["scale"]["value"]
+    spring = told["design"]["mass"]["value"] * (2 * np.pi * 41.3e3) ** 2
+    assert pick_off * electrode / spring == pytest.approx(1 / 400, rel=0.01)
+    (said,) = re.findall(r"`(\S+) ± \S+ N/m³", BENCH)
+    assert float(said) == pytest.approx(4 / 3 * 0.015 * spring * pick_off**2, rel=0.01)
 
 
 def test_the_check_finds_nothing_wrong(monkeypatch, capsys):

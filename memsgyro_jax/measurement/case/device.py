@@ -44,6 +44,16 @@ BY_MODES = {
 factors. Intervals add up."""
 BY_MASS = {"static_gain": Instead("mass", "kg", True, lambda before, m: 1.0 / (m * before["resonance"] ** 2))}
 """Of a resonator whose displacement is a length and whose drive a force: its mass."""
+
+
+def gain_by_mass(file: CaseFile, resonance: float) -> DesignValue | None:
+    """Of a resonator whose mass is declared, the static gain at the resonance [rad/s] that the records show."""
+    given = file.design.get("mass")
+    if given is None or file.device != "resonator":
+        return None
+    return _instead(given, BY_MASS["static_gain"], {"resonance": DesignValue(resonance, resonance, resonance)})
+
+
 UNKNOWN = DesignValue(math.nan, -math.inf, math.inf, unknown=True)
 
 

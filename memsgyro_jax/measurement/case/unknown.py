@@ -13,6 +13,7 @@ from memsgyro_jax.device.normalised import NormalisedDevice
 from ..declared import VOCABULARIES, DesignValue
 from ..phasor_fit import device_of_phasors, is_seen
 from .content import Case
+from .device import gain_by_mass
 from .file import CaseFile
 
 
@@ -77,6 +78,9 @@ def with_found_design(case: Case, file: CaseFile, path: Path) -> Case:
         )
     found = _numbers(case, *(np.asarray(part) for part in (device.stiffness, device.damping, device.mobility)))
     told = {key: DesignValue.found(found[key]) for key in open_}
+    by_mass = gain_by_mass(file, found["resonance"]) if "static_gain" in told else None
+    if by_mass is not None and not by_mass.unknown:
+        told["static_gain"] = by_mass
     if "mass" in told:  # what was given by a frequency is per mass so far
         for key, value in case.design.items():
             if key not in open_ and key not in file.design:

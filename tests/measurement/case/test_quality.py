@@ -267,7 +267,14 @@ def test_what_the_weakest_sweeps_show_stands_beside_the_design(tmp_path):
     assert not [sentence for sentence in said if "outside" in sentence]
     (turn,) = [float(found) for sentence in said for found in re.findall(r"about ([+-].*?)°", sentence)]
     assert turn == pytest.approx(-np.degrees(driven.PHASE + driven.RESONANCE * driven.DELAY), abs=1.5)
+    gain = said[2]
+    assert gain.startswith("static_gain: the records show 0.00")
     text = (tmp_path / "case.toml").read_text()
+    open_ = re.sub(r"resonance = .*\n", "", text)
+    (tmp_path / "case.toml").write_text(open_)
+    assert gain.split(",")[0] == beside_design(load_case(tmp_path))[1].split(",")[0], "the mass alone tells the gain"
+    (tmp_path / "case.toml").write_text(open_.replace("1.6, unit", "3.2, unit"))
+    assert beside_design(load_case(tmp_path))[1].endswith("which lies outside its tolerance.")
     (tmp_path / "case.toml").write_text(text.replace("8000, unit", "2000, unit"))
     (wrong,) = [sentence for sentence in beside_design(load_case(tmp_path)) if "outside" in sentence]
     assert wrong.startswith("quality_factor: the records show ")
