@@ -50,11 +50,8 @@ class EffectSection(FileSection):
         **Raises:** `InputError` for an effect, variant or setting that is not known, and for a strength of another unit
         or shape.
         """
-        if self.name.split(" ")[0] not in {effect.name for effect in known}:
-            hint = "; a user's own effect needs its file, --effects FILE.py"
-            raise InputError(f'must be an effect that is known, but "{self.name}" is not{hint}')
-        effect = by_name(self.name, self.where, among=known)
-        for name, value in {"strength": self._strength(effect), **self.settings}.items():
+        effect = self.found(known)
+        for name, value in {"strength": self.strength_of(effect), **self.settings}.items():
             if name not in ("strength", *settings_of(effect)):
                 known_settings = ", ".join(settings_of(effect)) or "none"
                 raise InputError(f"has a setting `{name}` that is not known (known: {known_settings})")
@@ -66,7 +63,15 @@ class EffectSection(FileSection):
             effect = eqx.tree_at(lambda e, name=name: getattr(e, name), effect, jnp.asarray(value, float))
         return effect
 
-    def _strength(self, effect: Effect) -> Any:
+    def found(self, known: Sequence[Effect]) -> Effect:
+        """The one of `known` that is meant, as it is there. Raises `InputError` where none is."""
+        if self.name.split(" ")[0] not in {effect.name for effect in known}:
+            hint = "; a user's own effect needs its file, --effects FILE.py"
+            raise InputError(f'must be an effect that is known, but "{self.name}" is not{hint}')
+        return by_name(self.name, self.where, among=known)
+
+    def strength_of(self, effect: Effect) -> Any:
+        """The strength in the unit of `effect`, SI. Raises `InputError` for a unit of another kind, or none."""
         given, unit = self.strength, self.unit
         if isinstance(given, str | dict):
             given, unit = number_and_unit(given)

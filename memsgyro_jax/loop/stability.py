@@ -94,8 +94,7 @@ def open_loops(loop: ClosedLoop) -> Callable[[Float[np.ndarray, " some"]], Compl
     with the sign turned, at angular frequencies [rad/s]. Raises `InputError` for another controller, and for a lot.
     """
     table, tree, velocity, lot = _numbers(loop)
-    if lot:
-        raise InputError("Argument `loop` must be one die, but holds several; `loop_margins` takes a lot.")
+    _require_one(lot)
     closed, push, out = map(np.asarray, _matrices(table[0], tree, velocity))
 
     def handed_back(omega: Float[np.ndarray, " some"]) -> Complex[np.ndarray, "some 4"]:
@@ -103,6 +102,20 @@ def open_loops(loop: ClosedLoop) -> Callable[[Float[np.ndarray, " some"]], Compl
         return 1.0 / (1.0 + np.diagonal(out @ moved, axis1=1, axis2=2)) - 1.0
 
     return handed_back
+
+
+def closed_poles(loop: ClosedLoop) -> Complex[np.ndarray, " states"]:
+    """Poles [1/s] of the closed loops of one die where its device is locked at rest, in phasors that turn with the
+    drive. Raises `InputError` for another controller, and for a lot.
+    """
+    table, tree, velocity, lot = _numbers(loop)
+    _require_one(lot)
+    return np.linalg.eigvals(np.asarray(_matrices(table[0], tree, velocity)[0]))
+
+
+def _require_one(lot: tuple[int, ...]) -> None:
+    if lot:
+        raise InputError("Argument `loop` must be one die, but holds several; `loop_margins` takes a lot.")
 
 
 @eqx.filter_jit

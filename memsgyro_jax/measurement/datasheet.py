@@ -5,14 +5,16 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from jaxtyping import Bool
 from scipy import stats
 
 from memsgyro_jax.base.arguments import quantity
 from memsgyro_jax.base.provenance import Settings
 from memsgyro_jax.loop.loop import ClosedLoop
+from memsgyro_jax.loop.settling import duration_to_settle
 from memsgyro_jax.montecarlo.spread import Spread
 
-from .datasheet_rows import Datasheet, DatasheetRow
+from .datasheet_rows import FEWEST, Datasheet, DatasheetRow
 from .datasheet_tests import (
     around_the_axes,
     noises,
@@ -79,11 +81,17 @@ def datasheet(
     outputs, static = scale_and_bias(bench, rates, table)
     drifts, over_temperature = temperature_rows(bench, temperatures, told)
     started = start_up(bench, table[-1])
-    rows = (*static, *noise_rows, *step_rows, started, *around_the_axes(bench, table))
-    rows = (*rows, *over_temperature)
     alive = np.all([run.alive for run in table], axis=0) & answer.alive
+    rest = alive & (started.values <= bench.settle)
+    why = unsettled(alive, started, bench)
+    settled, around = static[1:], around_the_axes(bench, table)  # but the full scale, which is declared
+    settled, around, over_temperature = (at_rest(part, rest, why) for part in (settled, around, over_temperature))
+    rows = (static[0], *settled, *noise_rows, *step_rows, started, *around, *over_temperature)
     rows = tuple(replace(row, values=np.where(alive, row.values, np.nan)) for row in rows)
-    outputs, answers = np.where(alive, outputs, np.nan), np.where(alive[:, None], answer.values, np.nan)
+    outputs, answers = np.where(rest, outputs, np.nan), np.where(alive[:, None], answer.values, np.nan)
+    if drifts is not None:
+        known = {name: np.where(rest, getattr(drifts, name), np.nan) for name in ("zero_rate", "scale_factor")}
+        drifts = replace(drifts, **known)
     rows = with_trim(rows, rates, outputs, bench.full_scale) if trim else rows
     return Datasheet(
         rows=rows,
@@ -119,16 +127,33 @@ def impossible_ends(rows: Iterable[DatasheetRow]) -> tuple[str, ...]:
     )
 
 
+def at_rest(rows: Iterable[DatasheetRow], rest: Bool[np.ndarray, " dies"], why: str) -> tuple[DatasheetRow, ...]:
+    """The rows without the dies that are not at `rest`, and without figures where too few are, for the reason `why`."""
+    few = "" if np.sum(rest) >= FEWEST else why and f"not settled: {why}"
+    return tuple(replace(row, values=np.where(rest, row.values, np.nan), missing=row.missing or few) for row in rows)
+
+
+def unsettled(alive: np.ndarray, started: DatasheetRow, bench: RateTests) -> str:
+    """How many of the dies were still starting when the figures began to count, and what would do; empty for none."""
+    late = alive & ~(started.values <= bench.settle)
+    if not late.any():
+        return ""
+    seen = started.values[late & np.isfinite(started.values)]
+    enough = duration_to_settle(bench.loop, bench.settle, bench.duration, float(np.max(seen, initial=0.0)))
+    about = f", and {started.missing}" if started.missing else ""
+    return (
+        f"{int(np.sum(late))} of {len(alive)} dies have not started by {bench.settle:.3g} s, from which on figures "
+        f'count (`settle`, half the duration when left out){about}: `duration = "{enough:g} s"` in the study\'s '
+        "`[sweep]` should do"
+    )
+
+
 def notes_of(alive: np.ndarray, started: DatasheetRow, bench: RateTests) -> tuple[str, ...]:
     """What is to be said of the lot beside its rows."""
     lost = int(np.sum(~alive))
     said = [f"{lost} of {len(alive)} dies were lost (out of travel or not finite) and count nowhere."] if lost else []
-    late = int(np.sum(alive & ~(started.values <= bench.settle)))
-    if late:
-        said.append(
-            f"{late} of {len(alive)} dies have not started by {bench.settle:.3g} s, from which on the figures at "
-            "constant rates count: they are of a start, too; let them count later (`settle`, `duration`)."
-        )
+    if why := unsettled(alive, started, bench):
+        said.append(f"{why[0].upper()}{why[1:]}; they are left out of all figures at constant rates.")
     told = len(alive) - lost
     if 1 < told < _FEW:
         low, high = np.sqrt((told - 1) / stats.chi2.ppf([0.975, 0.025], told - 1))

@@ -17,7 +17,7 @@ from .over_temperature import CELSIUS, OverTemperature
 
 SCHEMA = "memsgyro-datasheet/1"
 NOT_MODELLED = "not modelled"
-_FEWEST = 3  # dies of which a spread is told
+FEWEST = 3  # dies of which a spread is told
 
 
 class OverDies(NamedTuple):
@@ -40,7 +40,7 @@ class OverDies(NamedTuple):
     def of(cls, values: Float[np.ndarray, " dies"], positive: bool = False) -> "OverDies | None":
         """Over the finite values; None with fewer than three."""
         known = values[np.isfinite(values)]
-        if len(known) < _FEWEST:
+        if len(known) < FEWEST:
             return None
         mean, std = float(np.mean(known)), float(np.std(known, ddof=1))
         reach = std / np.sqrt(len(known)) * float(stats.t.ppf(0.975, len(known) - 1))
@@ -82,7 +82,7 @@ class DatasheetRow(Shown):
     @property
     def reason(self) -> str:
         """Why there is no figure; empty where there is one."""
-        return self.missing or ("" if self.over_dies else f"fewer than {_FEWEST} dies tell it")
+        return self.missing or ("" if self.over_dies else f"fewer than {FEWEST} dies tell it")
 
     def cells(self, found: OverDies | None) -> tuple[str, ...]:
         """Minimum, typical with half its interval, maximum and percentiles as text; the reason alone without them."""

@@ -19,7 +19,7 @@ from memsgyro_jax.device.gyro import mode_frequencies, natural_frequencies
 from memsgyro_jax.device.propagate import Exact
 from memsgyro_jax.loop.expectation import FAR, expectations, folding, moving, shifted, unknown_to
 from memsgyro_jax.loop.loop import ClosedLoop
-from memsgyro_jax.loop.observers import AbstractCovarianceObserver
+from memsgyro_jax.loop.observers import AbstractCovarianceObserver, NoObserver
 from memsgyro_jax.loop.scenario import Scenario
 
 from .batch import Plan
@@ -30,6 +30,7 @@ LEVEL = 1e-12
 """Probability at which one of the three tests takes a die whose filter is right as diverged: far below one in 20 000
 dies, since the errors of a filter that linearises have longer tails than normal ones."""
 
+NO_OBSERVER = "the loop has no observer whose claims could judge its errors"
 _LOOKED_AT = 256  # dies drawn before a run
 _SPREAD = 2.0  # times the design's highest mode within which those of the dies are taken to lie
 _NAMED = 5  # dies named in a sentence
@@ -93,6 +94,8 @@ def divergence_of(
     plan: Plan,
 ) -> Divergence:
     """The diverged `dies`, and why; `theta` are the coefficients of the first of them, or of all."""
+    if isinstance(loop.observer, NoObserver):
+        return Divergence(unjudged=NO_OBSERVER)
     if not (isinstance(loop.observer, AbstractCovarianceObserver) or loop.observer.claims_innovation):
         return Divergence(unjudged="the observer claims no covariance and no innovations to judge its errors by")
     causes = _causes(theta, dies[: len(theta)], loop, scenario, plan) if dies.size else ()

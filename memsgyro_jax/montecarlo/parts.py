@@ -18,6 +18,7 @@ from memsgyro_jax.loop.blocks.run import prepared
 from memsgyro_jax.loop.expectation import tell
 from memsgyro_jax.loop.loop import ClosedLoop, as_loop
 from memsgyro_jax.loop.scenario import AbstractProfile, Scenario, as_scenario
+from memsgyro_jax.loop.settling import not_at_rest
 from memsgyro_jax.loop.trace import count_steps
 
 from .batch import Plan
@@ -234,7 +235,8 @@ def computation_of(
     _check(settle, duration, tolerance, chunk)
     loop, hindered = prepared(loop, apart=parts_tones(paths))
     windows = windows_of(loop, sample_rate, duration, settle, tolerance)
-    tell(notes := (*unexpected(loop, scenario, spread, seed, dies, sample_rate, duration), *hindered))
+    moving = not_at_rest(loop, settle, duration)
+    tell(notes := (*unexpected(loop, scenario, spread, seed, dies, sample_rate, duration), *hindered, *moving))
     settings = Settings.of(loop, scenario, spread, windows, sample_rate=sample_rate, duration=duration, seed=seed)
     runner = Runner(loop, scenario, spread, windows, seed, chunk or default_chunk())
     return Computation(runner, settings, dies, bound_dies, notes)

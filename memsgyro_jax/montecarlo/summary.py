@@ -13,7 +13,7 @@ from memsgyro_jax.base.text import aligned
 from memsgyro_jax.loop.loop import ClosedLoop, claim_error
 from memsgyro_jax.loop.observers import AbstractCovarianceObserver
 
-from .divergence import Divergence
+from .divergence import NO_OBSERVER, Divergence
 from .following import Following, following
 from .merit import (
     Percentiles,
@@ -129,10 +129,11 @@ class Summary(Shown):
         """Name and value as text, for a table."""
         diverged = len(self.divergence.dies)
         unknown = self.divergence.unjudged
+        watched = unknown != NO_OBSERVER
         rows = [
             ("dies", f"{self.dies}, of which {self.failed} lost" + ("" if unknown else f", {diverged} diverged")),
             *([("  drawn again, impossible at first", self._redrawn())] if self.redrawn else []),
-            *([("diverged dies", f"unknown, because {unknown}")] if unknown else []),
+            *([("diverged dies", f"unknown, because {unknown}")] if unknown and watched else []),
             *(("  diverged, likely because", cause) for cause in self.divergence.causes),
             ("rate error at the end (rms, median, 95 %)", _triple(self.end)),
             *([("  without the diverged dies", _triple(self.sound))] if diverged else []),
@@ -145,9 +146,12 @@ class Summary(Shown):
             rows.append(("error over own bound, die by die", _reached_text(self.reached, self.dies)))
             if diverged and self.reached_sound is not None:
                 rows.append(("  without the diverged dies", _reached_text(self.reached_sound, self.dies)))
-        rows.append(("consistency (NEES, NIS)", self._consistency()))
+        if watched:
+            rows.append(("consistency (NEES, NIS)", self._consistency()))
         if self.convergence_time is not None:
-            rows.append(("median time to converge", f"{1e3 * self.convergence_time:.3g} ms"))
+            within = "not shown: the median die is within the tolerance from the start"
+            shown = f"{1e3 * self.convergence_time:.3g} ms" if self.convergence_time else within
+            rows.append(("median time to converge", shown))
         share = "{:.1f} % ({:.1f} to {:.1f} %)".format(*(100.0 * v for v in astuple(self.good)[:3]))
         rows.append(("yield (95 % interval)", f"{share}: {self.good.criterion}"))
         if self.straight is not None:

@@ -11,11 +11,13 @@ from oracles import classic
 
 import memsgyro_jax as mg
 from memsgyro_jax.app.report.datasheet_page import datasheet_page
-from memsgyro_jax.measurement.datasheet import impossible_ends, notes_of
+from memsgyro_jax.loop.settling import settling_time_constant
+from memsgyro_jax.measurement.datasheet import at_rest, impossible_ends, notes_of, unsettled
 from memsgyro_jax.measurement.datasheet_rows import NOT_MODELLED, DatasheetRow
 from memsgyro_jax.measurement.datasheet_tests import Answer, best_line, noises, start_up, with_trim
 from memsgyro_jax.measurement.lot_outputs import Outputs
 from memsgyro_jax.measurement.rate_tests import RateTests
+from memsgyro_jax.montecarlo.parts import computation_of
 
 
 RATE, DIES, DENSITY = 100e3, 4, 1e-7
@@ -103,11 +105,36 @@ def test_figures_of_a_start_are_not_given_without_a_word(sheet):
     (lost, late, *_) = notes_of(np.array([True, True, True, False]), row, bench)
     assert lost.startswith("1 of 4")
     assert late.startswith("2 of 4 dies have not started by 0.1 s")
+    assert re.search(r'`duration = "0.\d+ s"` in the study\'s `\[sweep\]` should do; they are left out', late)
+    rest = np.array([True, False, False, False])
+    (held,) = at_rest((replace(row, missing=""),), rest, unsettled(np.ones(4, bool), row, bench))
+    assert held.reason.startswith("not settled: 3 of 4 dies have not started by 0.1 s")
+    assert np.isfinite(held.values).tolist() == rest.tolist()
+    (kept,) = at_rest((replace(row, values=np.ones(4)),), ~rest, "some have not")
+    assert not kept.missing, "three dies tell it"
+    assert (kept.over_dies.dies, np.isnan(kept.values).tolist()) == (3, rest.tolist())
     settled = Answer(np.zeros(1), np.zeros((2, 1)), np.ones(2, bool), np.full(2, np.nan), "it does not settle")
     still = Outputs(*(np.random.default_rng(0).normal(size=(2, 400)),) * 2, np.ones(2, bool), 1e-3)
     rows = noises(replace(bench, noisy=lambda *_: still), settled, 0.4)
     assert all("it does not settle" in row.reason for row in rows)
     assert rows[1].reason.endswith("deg/√h of the design by the closed form (`noise_budget`)")
+
+
+def test_a_sweep_of_a_loop_that_is_still_starting_says_so():
+    """The sense mode rings with 2 Q/ω behind an open loop, longer than any filter of it."""
+    ring = 2.0 * 200.0 / (2.0 * np.pi * 5.3e3)
+    assert settling_time_constant(LOOP) == pytest.approx(ring, rel=0.03)
+
+    def notes(loop, duration):
+        return computation_of(
+            loop, SPREAD, 0.0, dies=3, sample_rate=RATE, duration=duration, settle=None, tolerance=1.0, seed=0,
+            chunk=None, bound_dies=0,
+        ).notes  # fmt: skip
+
+    (note,) = notes(LOOP, 2.0 * ring)
+    assert "time constant of 0.012 s" in note
+    assert notes(LOOP, float(re.search(r"`duration` of ([\d.]+) s", note)[1])) == ()
+    assert not any("time constant" in note for note in notes(mg.default_study().loop, 1e-3)), "no classic control"
 
 
 def test_an_interval_that_passes_what_a_die_can_be_is_told():
@@ -158,6 +185,17 @@ def test_a_loop_without_observer_blames_none(power, settle, words):
     assert reason
     said = float(re.search(r"([\d.e-]+) deg/√h of the design", walk.missing)[1])
     assert said == pytest.approx(60.0 * np.degrees(float(mg.noise_budget(LOOP, sample_rate=RATE).total)), rel=1e-3)
+
+
+def test_an_output_that_still_creeps_at_the_end_has_no_start_up_time():
+    """Its distance to the end of the record falls below any band, whatever it creeps to."""
+    time = np.linspace(0.0, 1.0, 400)
+    rate = np.tile(1.0 - np.exp(-2.0 * time), (DIES, 1))
+    run = Outputs(rate, rate, np.ones(DIES, bool), 1.0 / 400)
+    bench = RateTests(lambda s: run, lambda s, t: run, LOOP, mg.Scenario(), 1.0, 0.5, 1.0, RATE)
+    row = start_up(bench, run)
+    assert not np.isfinite(row.values).any()
+    assert "not come to rest" in row.reason
 
 
 def test_an_output_near_zero_has_not_started():

@@ -21,7 +21,7 @@ from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.gyro import SINGLE_MASS, MotionModel
 from memsgyro_jax.montecarlo.batch import DIVERGED, OK, Plan
 from memsgyro_jax.montecarlo.bounds import own_bounds
-from memsgyro_jax.montecarlo.divergence import divergence_of
+from memsgyro_jax.montecarlo.divergence import NO_OBSERVER, Divergence, divergence_of
 from memsgyro_jax.montecarlo.spread import AbstractDistribution
 
 
@@ -129,6 +129,9 @@ def test_an_observer_from_outside_the_package_can_be_swept(small):
     assert lot.summary.nis is not None
     assert lot.summary.nees is None
     assert "NEES unknown (the observer claims no covariance), NIS" in repr(lot)
+    without = replace(lot.summary, divergence=Divergence(unjudged=NO_OBSERVER), convergence_time=0.0)
+    assert not any(word in repr(without) for word in ("NEES", "diverged"))
+    assert "not shown: the median die is within" in repr(without)
 
 
 def test_filters_that_take_as_known_what_varies_are_diverged_and_told_so(loop, reference, tmp_path):

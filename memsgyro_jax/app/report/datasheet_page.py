@@ -58,7 +58,7 @@ def _curves(sheet: "Datasheet") -> "list[tuple[Figure, str]]":
         celsius, moved = held.temperatures - CELSIUS, held.zero_rate - np.mean(held.zero_rate, axis=0)
         words = "zero-rate output less its mean [deg/s]", "Zero-rate output over temperature, of each die."
         curves.append((celsius, np.degrees(moved)[:, some], "temperature [°C]", *words))
-    return [(_curve(*curve), caption) for *curve, caption in curves]
+    return [(_curve(*curve), caption) for *curve, caption in curves if np.isfinite(curve[1]).any()]
 
 
 def _curve(along: np.ndarray, values: np.ndarray, below: str, beside: str) -> "Figure":

@@ -70,10 +70,14 @@ def device_of(file: Any, source: Source, own: tuple[Effect, ...]) -> tuple[Abstr
                 file.device.build(_process_of(file)) if isinstance(file.device, LayoutDevice) else file.device.build()
             )
             gyro, model = made, None
-    labels = [effect.label for effect in gyro.effects]
+    labels, known = [effect.label for effect in gyro.effects], (*every_effect(2), *own)
     for number, entry in enumerate(file.effects):
         with source.section("effects", number, "name"):
-            effect = entry.build((*every_effect(2), *own))
+            found = entry.found(known)
+        with source.section("effects", number, "strength"):
+            entry.strength_of(found)
+        with source.section("effects", number, "name"):
+            effect = entry.build(known)
             if effect.label in labels:
                 raise InputError(f"`{effect.label}` must be given once, but stands twice; add up the strengths")
             labels.append(effect.label)

@@ -140,7 +140,7 @@ def test_an_effect_of_ones_own_comes_with_its_file(written, tmp_path):
         ('"quadratic_damping"', '"quadratic_dampng"', ["effects.0", "quadratic_dampng"]),
         ('axis = "x"', 'axis = "z"', ["variant", "'z'"]),
         ('axis = "x"', 'axes = "x"', ["axes", "did you mean `axis`"]),
-        ('unit = "N*ms^2/mm^2"', 'unit = "N"', ["strength", '"N"']),
+        ('unit = "N*ms^2/mm^2"', 'unit = "N"', ["effects.0.strength", '"N"']),
         ('{ value = 3, unit = "N*ms^2/mm^2" }', "3.0", ["must carry a unit"]),
         ('strength = { value = 3, unit = "N*ms^2/mm^2" }', "", ["effects.0.strength", "missing"]),
         ("[[effects]]", f"{ADDED}\n[[effects]]", ["must be given once"]),

@@ -1,0 +1,58 @@
+"""How long the loops of classic control take to come to rest, by the slowest of their closed poles."""
+
+import math
+
+import numpy as np
+
+from memsgyro_jax.base.errors import InputError
+
+from .controllers import ClassicControl, ForceRebalance, OpenSense, PhaseLockedDrive
+from .loop import ClosedLoop
+from .stability import closed_poles
+
+
+_RESTED = 6.0  # time constants after which a start is over: 0.25 % is left, and swinging up took some
+_MOVING = 3.0  # within which 5 % and more are left
+
+
+def settling_time_constant(loop: ClosedLoop) -> float | None:
+    """Time constant [s] of the slowest closed pole of a loop in classic control at its design, linearised where the
+    device is locked at rest; None for another loop, a lot, and where no pole decays.
+    """
+    control = loop.controller
+    if not (isinstance(control, ClassicControl) and isinstance(control.drive, PhaseLockedDrive)):
+        return None
+    if not isinstance(control.sense, ForceRebalance | OpenSense):
+        return None
+    try:
+        decay = -closed_poles(loop).real
+    except InputError:
+        return None
+    rest = 1e-6 * float(np.max(np.asarray(control.drive.demodulator.bandwidth)))
+    return float(1.0 / decay.min()) if np.isfinite(decay).all() and decay.min() > rest else None
+
+
+def duration_to_settle(loop: ClosedLoop, settle: float, duration: float, seen: float = 0.0) -> float:
+    """A duration [s] after which the loop rests where the figures begin to count, at the same share of it as `settle`;
+    `seen` is the longest start-up that was seen [s].
+    """
+    time_constant = settling_time_constant(loop)
+    needed = max(_RESTED * (time_constant or 0.0), 1.2 * seen)
+    share = settle / duration if settle > 0.0 else 0.5
+    whole = max(needed if needed > settle else 2.0 * settle, 0.0) / share
+    digit = 10.0 ** (math.floor(math.log10(whole)) - 1) if whole > 0.0 else 1.0
+    return float(f"{math.ceil(whole / digit - 1e-9) * digit:.3g}") if whole > 0.0 else 2.0 * duration
+
+
+def not_at_rest(loop: ClosedLoop, settle: float, duration: float) -> tuple[str, ...]:
+    """A sentence where the figures from `settle` [s] on must be of a start, too; none where nothing is known."""
+    time_constant = settling_time_constant(loop)
+    if time_constant is None or settle >= _MOVING * time_constant:
+        return ()
+    enough = duration_to_settle(loop, settle, duration)
+    said = (
+        f"The closed loops come to rest with a time constant of {time_constant:.2g} s at the design, but the figures "
+        f"count from {settle:.3g} s on and may be of the start; a `duration` of {enough:g} s lets it die away before "
+        "(they count from its half on where `settle` is left out)."
+    )
+    return (said,)
