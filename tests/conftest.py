@@ -80,7 +80,10 @@ OPTIMISED = (
     "loop/test_brownian.py",
     "loop/test_flicker.py",
     "loop/test_loop.py",
+    "loop/test_trace.py",
     "tuning/test_adjoint.py",
+    "tuning/test_tune.py",  # this and the next run long enough to be worth it
+    "test_readme.py",
 )
 
 

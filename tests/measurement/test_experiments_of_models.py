@@ -70,6 +70,7 @@ def test_a_die_with_nothing_hidden():
     assert_within(errors(Hidden(), OF_X), LINEAR)
 
 
+@pytest.mark.slow
 def test_a_hidden_spring_is_predicted():
     assert_within(errors(visible("cubic_stiffness_x"), OF_X), ACCURACY["cubic_stiffness_x"])
 
