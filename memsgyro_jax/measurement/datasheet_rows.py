@@ -17,6 +17,7 @@ from .over_temperature import CELSIUS, OverTemperature
 
 SCHEMA = "memsgyro-datasheet/1"
 NOT_MODELLED = "not modelled"
+_LEAST = {"%": 1e-3}  # size by unit below which a figure is rounding or numerics, and says nothing of a device
 FEWEST = 3  # dies of which a spread is told
 
 
@@ -85,9 +86,14 @@ class DatasheetRow(Shown):
         return self.missing or ("" if self.over_dies else f"fewer than {FEWEST} dies tell it")
 
     def cells(self, found: OverDies | None) -> tuple[str, ...]:
-        """Minimum, typical with half its interval, maximum and percentiles as text; the reason alone without them."""
+        """Minimum, typical with half its interval, maximum and percentiles as text; the reason alone without them, and
+        one bound where all dies lie below what a figure in percent means.
+        """
         if found is None:
             return (self.reason,)
+        least = _LEAST.get(self.unit.split(" ")[0], 0.0)
+        if max(abs(found.minimum), abs(found.maximum), abs(found.least), abs(found.greatest)) < least:
+            return ("", f"< {least:g}", "", "")
         return (
             f"{found.minimum:.4g}",
             f"{found.typical:.4g} ± {float(f'{found.high - found.typical:.2g}'):.4g}",

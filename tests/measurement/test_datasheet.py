@@ -137,6 +137,14 @@ def test_a_sweep_of_a_loop_that_is_still_starting_says_so():
     assert not any("time constant" in note for note in notes(mg.default_study().loop, 1e-3)), "no classic control"
 
 
+def test_percents_below_any_meaning_are_told_as_a_bound():
+    tiny = DatasheetRow("cross-axis sensitivity, x", "%", "", "", np.array([-6e-9, 1e-9, 2e-9]))
+    assert "< 0.001" in tiny.cells(tiny.over_dies)
+    assert tiny.as_dict()["before_trim"]["least"] == -6e-9, "the file keeps the number"
+    shown = replace(tiny, values=np.array([0.0, 1e-9, 2e-3]))
+    assert "< 0.001" not in shown.cells(shown.over_dies)
+
+
 def test_an_interval_that_passes_what_a_die_can_be_is_told():
     def row(name, values, positive=True):
         return DatasheetRow(name, "1", "", "", np.array(values), positive=positive)

@@ -206,6 +206,13 @@ def test_the_gradient_of_a_tornado_is_that_of_the_runs_and_results_print(loop):
     assert np.all(found.lost == 0.0)
     assert "device.dxy" in repr(found)
     assert found.plot().get_xlabel().startswith("change of rate error at the end")
+    assert " *" not in repr(found)
+    odd = replace(found, slope=30.0 * found.slope, std=0.0 * found.std)
+    assert odd._text(0).count(" *") == 2 + 1, "and the sentence of what it means"
+    straight, steep = (figure.plot().get_xlim() for figure in (replace(found, std=0.0 * found.std), odd))
+    assert steep == pytest.approx(straight), "bars set the axis"
+    hidden = replace(found, std=1e9 + found.std).plot().patches
+    assert {bar.get_facecolor() for bar in hidden} == {(0.8, 0.8, 0.8, 1.0)}, "within their error"
     indices = mg.sobol(loop, PAIR, points=32, **SHORT)
     assert [label.get_text() for label in indices.plot(output="rms rate error").get_yticklabels()].count("noise") == 1
     with pytest.raises(InputError, match=r"Argument `output` must be one of .*, but `x` was given"):

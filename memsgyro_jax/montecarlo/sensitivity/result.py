@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _DIMENSIONS = {"outputs": "output", "inputs": "input", "corners": "corner", "2": "end"}  # of a shape, in a Dataset
+_HIDDEN = "0.8"  # grey of a bar that noise hides
+_BROAD = 24  # letters of a name beyond which it is broken at its dots
 Bars = tuple[np.ndarray, np.ndarray, str]  # length and error of each input's bar, and what they are
 
 
@@ -76,10 +78,25 @@ class Sensitivity(Shown, abc.ABC):
         return self.outputs.index(output)
 
     def _bars(self, ax: "Axes", order: Int[np.ndarray, " inputs"], pair: Iterable[Bars]) -> None:
-        """Two bars for each input, in this order from below; what is not a number has none."""
-        place = np.arange(len(order))
+        """Two bars for each input, in this order from below, grey where their error reaches zero; what is not a number
+        has none.
+        """
+        place, hidden = np.arange(len(order)), False
         for (length, error, label), colour, offset in zip(pair, ("C0", "C1"), (0.2, -0.2), strict=True):
             length, error = (np.nan_to_num(values[..., order]) for values in (length, error))
-            ax.barh(place + offset, length, 0.4, xerr=error, color=colour, ecolor="0.4", label=label)
+            within = (np.abs(length) <= np.atleast_2d(error)[0]) & (length != 0.0)
+            colours = [_HIDDEN if inside else colour for inside in within]
+            ax.barh(place + offset, length, 0.4, xerr=error, color=colours, ecolor="0.4")
+            ax.plot([], [], "s", color=colour, label=label)
+            hidden = hidden or bool(within.any())
+        if hidden:
+            ax.plot([], [], "s", color=_HIDDEN, label="within its error")
         ax.axvline(0.0, color="k", lw=0.8)
-        ax.set_yticks(place, [self.inputs[i] for i in order])
+        ax.set_yticks(place, [_broken(self.inputs[i]) for i in order])
+        if ax.figure.get_layout_engine() is None:
+            ax.figure.set_layout_engine("constrained")  # long names of inputs keep their room
+
+
+def _broken(path: str) -> str:
+    """A path over as many lines as a narrow margin needs."""
+    return path if len(path) <= _BROAD else path.replace(".", ".\n")

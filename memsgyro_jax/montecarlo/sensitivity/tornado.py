@@ -12,7 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from memsgyro_jax.base.axes import axes
 from memsgyro_jax.base.errors import InputError
@@ -30,6 +30,13 @@ from .result import Sensitivity
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+
+_SPARE = 0.1  # of the larger bar: how far a gradient may lie outside both before that is told
+_POINT = (
+    "gradient at the design alone, which a whole step does not follow: take the bars. The response turns within the "
+    "step, or the run still holds its start, whose lock changes with every small step."
+)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -68,31 +75,55 @@ class Tornado(Sensitivity):
         return np.argsort(-np.nan_to_num(size), kind="stable")
 
     def _title(self) -> str:
-        return f"Change by ∓{self.sigmas:g} standard deviations of one parameter"
+        alone = "one parameter alone, whatever correlation the spread has"
+        return f"Change by ∓{self.sigmas:g} standard deviations of {alone}"
+
+    def _apart(self, output: int) -> Bool[np.ndarray, " inputs"]:
+        """Where the gradient lies outside what both bars say, errors and a tenth of the larger one allowed for."""
+        ends = np.stack([-self.low[output], self.high[output]])
+        spare = 2.0 * self.std[output] + _SPARE * np.max(np.abs(ends), axis=0)
+        slope = self.slope[output]
+        return (slope < np.min(ends, axis=0) - spare) | (slope > np.max(ends, axis=0) + spare)
 
     def _text(self, output: int) -> str:
         columns = [values[output] for values in (self.low, self.high, self.std, self.slope)]
         design = f"{self.outputs[output]}: {self.design[output]:.4g} {self.units[output]}"
         if not np.any(np.nan_to_num(columns[:2])):
             return f"{design} everywhere"
-        rows = [("  input", "low", "high", "standard error", "gradient")]
+        rows, apart = [("  input", "low", "high", "standard error", "gradient")], self._apart(output)
         for i in self.order(output):
-            shown = ("-" if np.isnan(column[i]) else f"{column[i]:+.3g}" for column in columns)
-            rows.append((f"  {self.inputs[i]}", *shown))
-        return f"{design} at the design\n{aligned(rows)}"
+            *bars, slope = ("-" if np.isnan(column[i]) else f"{column[i]:+.3g}" for column in columns)
+            rows.append((f"  {self.inputs[i]}", *bars, f"{slope} *" if apart[i] else slope))
+        said = f"\n  * {_POINT}" if apart.any() else ""
+        return f"{design} at the design\n{aligned(rows)}{said}"
 
     def plot(self, ax: "Axes | None" = None, output: str | None = None) -> "Axes":
-        """Bars of one output, the largest on top, with the gradient's prediction; returns the axes."""
+        """Bars of one output, the largest on top, grey where the noise hides them, with the gradient's prediction, an
+        arrow where that lies beyond the bars' axis; returns the axes.
+        """
         ax, k = axes(ax), self._place(output)
         order = self.order(k)[::-1]
         ends = ((self.low, "-"), (self.high, "+"))
         self._bars(ax, order, [(values[k], self.std[k], f"{sign}{self.sigmas:g} σ") for values, sign in ends])
         if np.isfinite(self.slope[k]).all():
-            label = f"+{self.sigmas:g} σ by the gradient"
-            ax.plot(self.slope[k, order], np.arange(len(order)) - 0.2, "k|", ms=10, label=label)
+            label = f"+{self.sigmas:g} σ by gradient"
+            _ticks(ax, self.slope[k, order], label)
         ax.set_xlabel(f"change of {self.outputs[k]} [{self.units[k]}] from {self.design[k]:.3g}")
-        ax.legend(loc="best", frameon=False)
+        ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, frameon=False)  # where no bar lies
         return ax
+
+
+def _ticks(ax: "Axes", slopes: Float[np.ndarray, " inputs"], label: str) -> None:
+    """Gradients beside the bars, which alone set the axis: an arrow at its end for one beyond."""
+    (low, high), place = ax.get_xlim(), np.arange(len(slopes)) - 0.2
+    low, high = (end + 0.04 * sign * (high - low) for end, sign in ((low, -1.0), (high, 1.0)))
+    inside = (slopes > low) & (slopes < high)
+    ax.plot(slopes[inside], place[inside], "k|", ms=10, label=label)
+    for beyond, end, mark, said in ((slopes >= high, high, "k>", True), (slopes <= low, low, "k<", False)):
+        if beyond.any():
+            more = "gradient beyond the axis" if said or not (slopes >= high).any() else None
+            ax.plot(np.full(beyond.sum(), end), place[beyond], mark, ms=5, label=more, clip_on=False)
+    ax.set_xlim(low, high)
 
 
 def tornado(
