@@ -26,7 +26,8 @@ kind = "ekf"                              # or "lyapunov", or "none" with a clas
 rate = "100 deg/s"                        # or {{ kind = "sine", amplitude = "100 deg/s", frequency = "10 Hz" }}
 
 [spread]
-relative = "5 %"                          # standard deviation of every number of the device, from die to die
+relative = "5 %"                          # standard deviation of each number of the device, from die to die;
+                                          # of a coupling (kxy, dxy) of at least 1 % of the main ones
 
 [sweep]                                   # sample_rate and duration follow the device where they are left out
 dies = 64

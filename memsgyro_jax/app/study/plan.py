@@ -87,9 +87,9 @@ class SpreadSection(FileSection):
     """Section `[spread]`: what differs from die to die.
 
     `relative` holds for every physical parameter of the device (correlated by `shared` within stiffnesses, dampings and
-    masses), `parameters` names single ones (`"device.kxx"`,
-    `"readout.opamp_offset.0"`), which then follow their own law. `correlation` is over `parameters` in their order and
-    needs `relative = 0`.
+    masses; a coupling varies by it of itself or of 1 % of the main coefficients, whichever is more), `parameters` names
+    single ones (`"device.kxx"`, `"readout.opamp_offset.0"`), which then follow their own law. `correlation` is over
+    `parameters` in their order and needs `relative = 0`.
     """
 
     relative: Share = 0.0

@@ -81,6 +81,8 @@ class Sensitivity(Shown, abc.ABC):
         """Two bars for each input, in this order from below, grey where their error reaches zero; what is not a number
         has none.
         """
+        from matplotlib.figure import Figure
+
         place, hidden = np.arange(len(order)), False
         for (length, error, label), colour, offset in zip(pair, ("C0", "C1"), (0.2, -0.2), strict=True):
             length, error = (np.nan_to_num(values[..., order]) for values in (length, error))
@@ -93,7 +95,7 @@ class Sensitivity(Shown, abc.ABC):
             ax.plot([], [], "s", color=_HIDDEN, label="within its error")
         ax.axvline(0.0, color="k", lw=0.8)
         ax.set_yticks(place, [_broken(self.inputs[i]) for i in order])
-        if ax.figure.get_layout_engine() is None:
+        if isinstance(ax.figure, Figure) and ax.figure.get_layout_engine() is None:
             ax.figure.set_layout_engine("constrained")  # long names of inputs keep their room
 
 
