@@ -112,7 +112,7 @@ def _svg(figure: "Figure", salt: str) -> Markup:
 
 
 def _is_number(text: str) -> bool:
-    head = text.strip().split(" ")[0].rstrip("%").replace("−", "-")
+    head = text.strip().removeprefix("< ").split(" ")[0].rstrip("%").replace("−", "-")
     try:
         float(head)
     except ValueError:
