@@ -1,6 +1,7 @@
 """The search over terms of the instrument, before any effect of the device is looked for, and once more after it."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy import special
@@ -310,8 +311,9 @@ def beside_terms(alone: Search, search: Search, effects: Sequence[Effect]) -> Se
     free = always_free(joint, range(len(given) + len(found)))
     optimum = optimise(joint, joint.start, free, joint.fitted, max_evaluations=0)
     out = Search(beside_case(alone.case, joint, optimum), search.level, range(len(given)), alone.tell)
+    # The last step is of this model, which what is known beforehand of the terms left out is not part of.
+    out.steps = [*alone.steps[:-1], replace(alone.steps[-1], fit=out.base)]
     out.base, out.accepted, out.keep = search.base, accepted, search.keep
-    out.steps = list(alone.steps)
     out.own = tuple(i for i, e in enumerate(joint.model.effects) if e.label in _labels(search, search.own))
     out.keep(out)
     return out

@@ -28,6 +28,7 @@ def test_the_instrument_comes_before_what_imitates_it(tmp_path):
     found = {beside.joint.model.effects[i].label for i in beside.given}
     assert found == {"reference_phase", "lock_in_feedthrough"}
     assert beside.steps[-1].fit.chi2_per_dof < 1.2
+    assert beside.steps[-1].fit.joint is beside.joint  # what is known beforehand of other terms is no part of it
     (place,) = beside.accepted
     (strength,) = beside.optimum.vector[beside.joint.of_effect(place)]
     assert strength == pytest.approx(driven.CUBIC, rel=1e-3)
