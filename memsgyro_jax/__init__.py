@@ -8,14 +8,10 @@ use, so that `memsgyro --help` answers without waiting for JAX. Modules used by 
 
 import re as _re
 from importlib import import_module as _import_module
-from importlib import metadata as _metadata
 from typing import TYPE_CHECKING
 
 
-try:
-    __version__ = _metadata.version("memsgyro-jax")
-except _metadata.PackageNotFoundError:  # running from a source tree that was never installed
-    __version__ = "0+unknown"
+__version__ = "0.2.0"  # the one place: pyproject.toml takes it from here
 
 if TYPE_CHECKING:
     # The one list of public names: read by people, editors and type checkers, and below for what is imported on use.
@@ -150,6 +146,7 @@ if TYPE_CHECKING:
     from .montecarlo.sensitivity.corners import corners as corners
     from .montecarlo.sensitivity import Corners as Corners
     from .montecarlo.sensitivity import Output as Output
+    from .montecarlo.sensitivity import mean_error as mean_error
     from .tuning.tunable import free as free
     from .tuning.tunable import Tunable as Tunable
     from .tuning.tune import tune as tune

@@ -24,7 +24,7 @@ def on_startup(**_):
 
 def on_config(config, **_):
     """Every page says of which version it is."""
-    config.copyright = f"memsgyro_jax {memsgyro_jax.__version__}"
+    config.site_name = f"{config.site_name} {memsgyro_jax.__version__}"
     return config
 
 

@@ -34,12 +34,14 @@ from .commands.fit import fit_command
 from .commands.identify import identify_command
 from .commands.import_ import import_command
 from .commands.law import law_command
+from .commands.loop import loop_command
 from .commands.new import new_command
 from .commands.schema import schema_command
 from .commands.simulate import simulate_command
 from .commands.status import status_command
 from .commands.studies import studies_command
 from .commands.sweep import sweep_command
+from .commands.tornado import tornado_command
 from .commands.tune import tune_command
 from .kinds import kinds_text
 
@@ -81,6 +83,8 @@ for _command in (
     sweep_command,
     status_command,
     simulate_command,
+    tornado_command,
+    loop_command,
     tune_command,
     identify_command,
     allan_command,

@@ -17,6 +17,7 @@ from memsgyro_jax.base.arguments import quantity
 from memsgyro_jax.base.axes import axes
 from memsgyro_jax.base.concrete import is_concrete, settled
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.files import finite
 from memsgyro_jax.base.labelled import Tabular, labelled
 
 from .linearised import INPUTS, disturbed, known_array
@@ -36,8 +37,9 @@ class FrequencyResponse(Tabular):
 
     `response` is the complex ratio over `frequency` [Hz], in rad/s per unit of the input, a phase that lags negative;
     `rest` the part of the answer, relative, that is no sine of that frequency: what had not settled, or beats with the
-    swing. `level` is the constant rate [rad/s] around which it was taken, `static` the response to a small change of it
-    that stays, None of another disturbance than the rate.
+    swing. `level` is the constant rate [rad/s] around which it was taken. With a `carrier` [Hz] the sine is that of the
+    amplitude of an oscillation at this frequency, in the phase that the loop answers most. `static` is the response to
+    a small change that stays, of the rate or of that amplitude, None of another disturbance.
     """
 
     disturbance: str
@@ -46,6 +48,7 @@ class FrequencyResponse(Tabular):
     rest: Float[np.ndarray, " frequencies"]
     level: float
     static: complex | None = None
+    carrier: float | None = None
     along: ClassVar[str] = "frequency"
 
     @property
@@ -64,7 +67,9 @@ class FrequencyResponse(Tabular):
         return _number(before * (behind / before) ** share)
 
     def __str__(self) -> str:
-        low, whole = self.frequency[0], "a constant rate" if self.static is not None else f"{self.frequency[0]:.4g} Hz"
+        low, whole = self.frequency[0], f"{self.frequency[0]:.4g} Hz"
+        if self.static is not None:
+            whole = "a constant rate" if self.carrier is None else "a constant one"
         half, first = f"half the power of {whole}", abs(self.response[0])
         if np.isfinite(self.bandwidth):
             half += f" at {self.bandwidth:.4g} Hz"
@@ -73,10 +78,16 @@ class FrequencyResponse(Tabular):
         else:
             half += f" nowhere up to {self.frequency[-1]:.4g} Hz"
         phase = np.degrees(np.unwrap(np.angle(self.response)))
-        lines = [f"Response of the rate to {self.disturbance} ({self._unit}), {half}"]
+        lines = [f"Response of the rate to {self.disturbed} ({self._unit}), {half}"]
         rows = zip(self.frequency, np.abs(self.response), phase, self.rest, strict=True)
         lines += [f"  {f:>10.4g} Hz  {gain:>10.4g}  {angle:>8.1f}°  rest {rest:.1e}" for f, gain, angle, rest in rows]
         return "\n".join(lines)
+
+    @property
+    def disturbed(self) -> str:
+        """What the sine is of, in words."""
+        carried = "" if self.carrier is None else f" at {self.carrier:.5g} Hz, by its amplitude"
+        return f"{self.disturbance}{carried}"
 
     @property
     def _unit(self) -> str:
@@ -89,8 +100,15 @@ class FrequencyResponse(Tabular):
             "phase": ("frequency", np.unwrap(np.angle(self.response)), "rad"),
             "rest": ("frequency", self.rest, "1", "part of the answer that is no sine of the frequency"),
         }
-        about = {"disturbance": self.disturbance, "bandwidth": self.bandwidth, "rate": self.level}
+        about = {"disturbance": self.disturbed, "bandwidth": self.bandwidth, "rate": self.level}
         return labelled(self, variables, {"frequency": ("frequency", self.frequency, "Hz")}, about)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Entries for JSON, degrees and Hz; null where there is no number."""
+        phase = np.degrees(np.unwrap(np.angle(self.response)))
+        told = {"frequency_hz": self.frequency, "gain": np.abs(self.response), "phase_deg": phase, "rest": self.rest}
+        about = {"disturbance": self.disturbed, "unit": self._unit, "bandwidth_hz": float(self.bandwidth)}
+        return finite({**about, **{name: np.asarray(values).tolist() for name, values in told.items()}})
 
     def plot(self, ax: "Axes | None" = None) -> "Axes":
         """Bode diagram: gain in dB, and the phase dashed on an axis at the right; returns the axes of the gain."""
@@ -117,6 +135,7 @@ def frequency_response(
     duration: float | str,
     settle: float | str | None = None,
     level: float | str = 0.0,
+    carrier: float | str | None = None,
 ) -> FrequencyResponse:
     """The Bode diagram of any loop, linear or not: the derivative of a run without noise by the size of a small sine.
 
@@ -127,6 +146,9 @@ def frequency_response(
         sample_rate, duration: of the runs, Hz and s.
         settle: from when on the answer is taken [s]; half the duration without.
         level: the constant rate [rad/s] around which the rate is disturbed.
+        carrier: where given [Hz], the sine is that of the amplitude of an oscillation at this frequency, of the phase
+            that the loop answers most: a force or voltage beside the swing, which slow ones do not reach. That of the
+            swing is `noise_budget(loop).swing`.
 
     **Raises:** `InputError` for another name, for frequencies that do not rise between one in the settled part and half
     the sample rate, and as `simulate` does.
@@ -147,10 +169,25 @@ def frequency_response(
     loop = loop.sampled_at(sample_rate, duration=duration).present
     place = list(INPUTS).index(disturbance)
     start, omega = round(settle * sample_rate), jnp.asarray(2.0 * np.pi * np.append(frequency, 0.0))
-    found, rest = _answers(loop, as_scenario(level), 1.0 / sample_rate, steps, start, omega, place)
-    found, rest = known_array(found), known_array(rest)
-    static = found[-1] if disturbance == "rate" else None
-    return FrequencyResponse(disturbance, frequency, found[:-1], rest[:-1], level, static)
+    carrier = None if carrier is None else quantity("carrier", carrier, "Hz")
+    phases = jnp.zeros(1) if carrier is None else jnp.array([0.0, -0.5 * np.pi])
+    carried = jnp.asarray(2.0 * np.pi * (0.0 if carrier is None else carrier))
+    found, rest = _answers(loop, as_scenario(level), 1.0 / sample_rate, steps, start, omega, place, carried, phases)
+    found, rest = _strongest(known_array(found), known_array(rest))
+    static = found[-1] if disturbance == "rate" or carrier is not None else None
+    return FrequencyResponse(disturbance, frequency, found[:-1], rest[:-1], level, static, carrier)
+
+
+def _strongest(found: Any, rest: Any) -> tuple[Any, Any]:
+    """Answers and rests (phases, frequencies) of the phase of the carrier that a constant amplitude is answered most
+    in, the answer to it positive.
+    """
+    if len(found) == 1:
+        return found[0], rest[0]
+    xp = np if is_concrete(found) else jnp
+    parts = found[:, -1].real / xp.hypot(*found[:, -1].real)
+    whole = parts @ found
+    return whole, xp.hypot(*(parts[:, None] * rest * xp.abs(found))) / xp.abs(whole)
 
 
 def _number(value: Any) -> Any:
@@ -159,16 +196,18 @@ def _number(value: Any) -> Any:
 
 @eqx.filter_jit
 def _answers(
-    loop: ClosedLoop, scenario: Scenario, period: float, steps: int, start: int, omega: Array, place: int
-) -> tuple[Array, Array]:
-    def output(size: Array, omega: Array) -> Array:
+    loop: ClosedLoop, scenario: Scenario, period: float, steps: int, start: int, omega: Array, place: int,
+    carrier: Array, phases: Array,
+) -> tuple[Array, Array]:  # fmt: skip
+    def output(size: Array, omega: Array, phase: Array) -> Array:
         def at(time: Array) -> Array:
-            return jnp.zeros(len(INPUTS)).at[place].set(size * jnp.where(omega > 0.0, jnp.sin(omega * time), 1.0))
+            wave = jnp.where(omega > 0.0, jnp.sin(omega * time), 1.0) * jnp.cos(carrier * time + phase)
+            return jnp.zeros(len(INPUTS)).at[place].set(size * wave)
 
         return disturbed(loop, scenario, loop.init(), 0, steps, period, at)[1][:, 0]
 
-    def answer(omega: Array) -> tuple[Array, Array]:
-        tangent = jax.jvp(partial(output, omega=omega), (jnp.zeros(()),), (jnp.ones(()),))[1][start:]
+    def answer(omega: Array, phase: Array) -> tuple[Array, Array]:
+        tangent = jax.jvp(partial(output, omega=omega, phase=phase), (jnp.zeros(()),), (jnp.ones(()),))[1][start:]
         angle = omega * period * (start + 1.0 + jnp.arange(tangent.size))
         # A slow drift is what has not settled, and no part of the sine.
         basis = jnp.stack([jnp.sin(angle), jnp.cos(angle), jnp.ones_like(angle), angle - angle[0]], axis=1)
@@ -178,4 +217,4 @@ def _answers(
         gain = jnp.where(omega > 0.0, parts[0] + 1j * parts[1], jnp.mean(tangent) + 0.0j)
         return gain, jnp.sqrt(jnp.mean(left**2)) / size
 
-    return jax.vmap(answer)(omega)
+    return jax.vmap(lambda phase: jax.vmap(lambda each: answer(each, phase))(omega))(phases)

@@ -8,12 +8,14 @@ from jaxtyping import Float
 
 from memsgyro_jax.base import runtime
 from memsgyro_jax.base.display import Shown
+from memsgyro_jax.base.files import finite
 from memsgyro_jax.base.text import aligned
 
 from .loop import ClosedLoop
 from .stability import LoopMargins, loop_margins, open_loops
 
 
+HEAD = ("loop", "distance from -1", "crossover", "phase margin", "gain margin up", "and down")
 _SPAN = np.geomspace(1e-2, 1e6, 6001)  # rad/s, at which crossings are looked for
 _HALVINGS = 40
 
@@ -35,14 +37,26 @@ class GainPhaseMargins(Shown):
     increase: Float[np.ndarray, " 4"]
     decrease: Float[np.ndarray, " 4"]
 
-    def __str__(self) -> str:
-        head = ("loop", "distance from -1", "crossover", "phase margin", "gain margin up", "and down")
-        rows = [head]
+    def rows(self) -> list[tuple[str, ...]]:
+        """Of each loop its name and the figures as text, in the order of `HEAD`."""
+        rows = []
         for k, (name, distance) in enumerate(self.distance._asdict().items()):
             cells = (self.crossover[k], self.phase_margin[k], self.increase[k], self.decrease[k])
             shown = (_with_unit(value, unit) for value, unit in zip(cells, (" Hz", "°", " dB", " dB"), strict=True))
             rows.append((name, f"{float(distance):.3g}", *shown))
-        return aligned(rows)
+        return rows
+
+    def __str__(self) -> str:
+        return aligned([HEAD, *self.rows()])
+
+    def as_dict(self) -> dict[str, dict[str, float]]:
+        """Entries for JSON by loop; null where there is no number."""
+        names = ("crossover_hz", "phase_margin_deg", "gain_margin_up_db", "gain_margin_down_db")
+        columns = (self.crossover, self.phase_margin, self.increase, self.decrease)
+        return finite({
+            name: {"distance": float(distance), **{n: float(c[k]) for n, c in zip(names, columns, strict=True)}}
+            for k, (name, distance) in enumerate(self.distance._asdict().items())
+        })  # fmt: skip
 
 
 def gain_phase_margins(loop: ClosedLoop) -> GainPhaseMargins:

@@ -124,6 +124,12 @@ class ClosedLoop(Displayed):
         device = self.device.present
         return self if device is self.device else eqx.tree_at(lambda made: made.device, self, device)
 
+    @property
+    def silent(self) -> "ClosedLoop":
+        """The same loop with a read-out that makes no noise, of which its observer knows nothing."""
+        quiet = eqx.tree_at(lambda made: made.readout.noise_density, self, (jnp.zeros(()), jnp.zeros(())))
+        return quiet if quiet.readout.flicker is None else eqx.tree_at(lambda made: made.readout.flicker, quiet, None)
+
     def in_blocks(self, length: int = 512, *, start: int | None = None) -> "ClosedLoop":
         """The same loop advanced by blocks of `length` samples in closed form, after at least `start` samples one by
         one (None: as many as suit the device) and shorter blocks that grow: the same statistics, at a fraction of the

@@ -70,6 +70,11 @@ class NoiseBudget(Shown, eqx.Module):
             raise InputError(f"A source must be one of {', '.join(self.sources)}, but `{source}` was given.")
         return self.walk[self.sources.index(source)]
 
+    def as_dict(self) -> dict[str, Any]:
+        """Entries for JSON: angle random walk by source and of all, °/√h."""
+        walks = {name: float(walk) * _PER_ROOT_HOUR for name, walk in zip(self.sources, self.walk, strict=True)}
+        return {"walk_deg_per_root_hour": {**walks, "all": float(self.total) * _PER_ROOT_HOUR}}
+
     def __str__(self) -> str:
         if not is_concrete(self.walk):
             return f"Noise budget of {', '.join(self.sources)}"

@@ -36,7 +36,12 @@ def beside_design(case: Case) -> tuple[str, ...]:
         if design.unknown or (key == "static_gain" and not rows):
             continue
         outside = not design.low <= value <= design.high
-        text = f"{key}: the records show {_number(key, value)}, the design {_number(key, design.value)}"
+        seen, meant = _number(key, value), _number(key, design.value)
+        if key == "static_gain" and case.words.design[key] == "m/(N)":  # a length for a force: 1/(mass ω²)
+            own = omega if case.design["resonance"].unknown else case.design["resonance"].value
+            seen = f"{seen} m/N (a mass of {1.0 / (value * omega**2):.4g} kg)"
+            meant = f"{meant} ({1.0 / (design.value * own**2):.4g} kg)"
+        text = f"{key}: the records show {seen}, the design {meant}"
         said.append(text + (", which lies outside its tolerance." if outside else "."))
     return (*said, *_phases(rows, QUANTITIES[case.readout.order], omega, float(device.damping[0])))
 

@@ -30,6 +30,7 @@ from .rate_tests import RateTests
 
 
 _FEW = 30  # dies beyond which the spread is known to a third
+NOT_SETTLED = "not settled: a note says when it would be"
 _POINTS = 9  # rates of the table, from minus to plus full scale
 
 
@@ -128,8 +129,8 @@ def impossible_ends(rows: Iterable[DatasheetRow]) -> tuple[str, ...]:
 
 
 def at_rest(rows: Iterable[DatasheetRow], rest: Bool[np.ndarray, " dies"], why: str) -> tuple[DatasheetRow, ...]:
-    """The rows without the dies that are not at `rest`, and without figures where too few are, for the reason `why`."""
-    few = "" if np.sum(rest) >= FEWEST else why and f"not settled: {why}"
+    """The rows without the dies that are not at `rest`, and without figures where too few are; `why` is a note."""
+    few = "" if np.sum(rest) >= FEWEST else why and NOT_SETTLED
     return tuple(replace(row, values=np.where(rest, row.values, np.nan), missing=row.missing or few) for row in rows)
 
 

@@ -154,7 +154,10 @@ class Datasheet(Shown):
         lines = [f"Datasheet of {self.dies} simulated dies{lost}"]
         lines.append(aligned([head, *(row for row in table if len(row) == len(head))]))
         if missing := [row for row in table if len(row) < len(head)]:
-            lines += ["Without a figure", aligned([(name, reason) for name, _, reason in missing])]
+            named: dict[str, list[str]] = {}
+            for name, _, reason in missing:
+                named.setdefault(reason, []).append(name)
+            lines += ["Without a figure", *(f"  {', '.join(names)}: {reason}" for reason, names in named.items())]
         return "\n".join([*lines, *(f"  note: {note}" for note in self.notes)])
 
     def as_dict(self) -> dict[str, Any]:

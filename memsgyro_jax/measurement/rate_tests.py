@@ -5,8 +5,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -60,9 +58,7 @@ class RateTests:
         if not 0.0 <= settle < duration:
             raise InputError(f"Argument `settle` must lie within the duration of {duration:g} s, but is {settle:g} s.")
         loop = replace(loop, blocks=None).sampled_at(sample_rate, duration=duration)
-        quiet = eqx.tree_at(lambda made: made.readout.noise_density, loop, (jnp.zeros(()), jnp.zeros(())))
-        if quiet.readout.flicker is not None:
-            quiet = eqx.tree_at(lambda made: made.readout.flicker, quiet, None)
+        quiet = loop.silent
         window = max(1, count_steps(sample_rate, duration) // _WINDOWS)
         many = partial(lot_outputs, spread=spread, dies=dies, seed=seed, sample_rate=sample_rate, window=window)
         windows = round(sample_rate * duration) // window

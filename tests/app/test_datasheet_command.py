@@ -48,8 +48,8 @@ def run(*arguments):
 
 def test_a_page_and_its_figures(tmp_path, capsys):
     (tmp_path / "study.toml").write_text(STUDY)
-    page, told = tmp_path / "sheet.html", tmp_path / "sheet.json"
-    given = ("--dies", 3, "--trim", "--full-scale", 500, "--noise-duration", 0.2, "--out", page, "--json", told)
+    page, told = tmp_path / "made" / "datasheet.html", tmp_path / "sheet.json"
+    given = ("--dies", 3, "--trim", "--full-scale", 500, "--noise-duration", 0.2, "--out", page.parent, "--json", told)
     given = (*given, "--temperatures", -20, 30, 80)
     assert run("datasheet", tmp_path / "study.toml", *given) == 0
     rows = {row["name"]: row for row in json.loads(told.read_text())["rows"]}

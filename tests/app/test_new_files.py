@@ -75,6 +75,14 @@ def test_templates_run_as_they_are(memsgyro, schemas, tmp_path):
         assert path.read_text().startswith(f"#:schema {kind}.schema.json\n")
         assert json.loads((path.parent / f"{kind}.schema.json").read_text()) == json.loads(json.dumps(schemas[kind]))
         assert fits(tomllib.loads(path.read_text()), schemas[kind], schemas[kind])
+    for purpose in ("datasheet", "tune", "layout"):
+        assert (
+            f"memsgyro {purpose.replace('layout', 'sweep')} {purpose}.toml"
+            in memsgyro("new", "study", f"{purpose}.toml", "--for", purpose)[1]
+        )
+        assert fits(tomllib.loads((tmp_path / f"{purpose}.toml").read_text()), schemas["study"], schemas["study"])
+        assert mg.load_study(f"{purpose}.toml").settings.dies == 32
+    assert memsgyro("new", "case", "other", "--for", "tune")[0] == 2
     assert len(mg.load_case("case").records) == 3
     assert "low" in str(mg.assess(mg.load_case("case")))
     assert "softening_stop" in memsgyro("effects", "my_effect.py")[1]

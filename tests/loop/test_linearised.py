@@ -125,3 +125,14 @@ def test_a_program_of_one_sample_runs_without_the_loop(loop, trace):
         state, out = made.program.call(state, np.int64(number), 0.0, draws)
         np.testing.assert_allclose(out[3:], trace.volts[number], rtol=1e-12)
         np.testing.assert_allclose(out[1:3], trace.force[number], rtol=1e-9, atol=1e-18)
+
+
+def test_a_force_beside_the_swing_is_answered_as_the_rate_whose_force_it_is(loop, response):
+    """2 m ω A is the Coriolis force of a rate, here of an oscillation at the frequency of the swing."""
+    swing = float(mg.noise_budget(loop).swing)
+    answer = mg.frequency_response(loop, [40.0, 150.0], "force y", **SWUNG, settle=0.1, carrier=swing)
+    per_rate = 2.0 * float(SPLIT.mass) * 2.0 * np.pi * swing * 1e-6
+    np.testing.assert_allclose(answer.response * per_rate, response.response, rtol=0.02)
+    np.testing.assert_allclose(answer.static * per_rate, response.static, rtol=0.02)
+    assert max(answer.rest) < 0.05
+    assert f"force y at {swing:.5g} Hz, by its amplitude (rad/s/N)" in str(answer)

@@ -197,11 +197,18 @@ def test_many_parameters_meet_in_balanced_corners(count):
 def test_the_gradient_of_a_tornado_is_that_of_the_runs_and_results_print(loop):
     per_mass = mg.Output("kxx per mass", "1/s²", lambda rows: rows["coefficient_true"][:, 1])
     stiffness = mg.Output("kxx", "N/m", lambda loop: loop.device.kxx, of_loop=True)
-    found = mg.tornado(loop, PAIR, sigmas=1e-3, repeats=4, of=(*outputs(1.0), per_mass, stiffness), **SHORT)
+    off = mg.mean_error()
+    found = mg.tornado(loop, PAIR, sigmas=1e-3, repeats=4, of=(*outputs(1.0), per_mass, stiffness, off), **SHORT)
     middle = 0.5 * (found.high - found.low)
     np.testing.assert_allclose(found.slope[:2], middle[:2], rtol=2e-3)  # small steps: the response is straight
     assert np.isnan(found.slope[2:4]).all()
     np.testing.assert_allclose(found.slope[4:], middle[4:], rtol=1e-3)
+    # Unequal cross damping moves the mean as it moves the end, and told is what the rows of a run say.
+    assert found.high[6, 0] == pytest.approx(found.high[0, 0], rel=0.3)
+    rows = {"rate_true": np.ones((1, 4)), "rate_estimate": np.array([[9.0, 9.0, 2.0, 3.0]])}
+    assert [float(mg.mean_error(after).of(rows)[0]) for after in (0.5, 0.75)] == [1.5, 2.0]
+    told = found.as_dict()["outputs"][6]
+    assert (told["name"], told["inputs"][0]["high"]) == ("mean rate error", max(found.high[6], key=abs))
     np.testing.assert_allclose(found.slope[5], [0.0, 0.02e-3 * 63.96], rtol=1e-3)
     assert np.all(found.lost == 0.0)
     assert "device.dxy" in repr(found)
@@ -228,6 +235,7 @@ def test_the_gradient_of_a_tornado_is_that_of_the_runs_and_results_print(loop):
         ),
         (lambda loop: mg.sobol(loop, mg.Spread()), "must vary at least one parameter"),
         (lambda loop: mg.sobol(loop, replace(PAIR, correlation=((1.0, 0.5), (0.5, 1.0)))), "must be independent"),
+        (lambda loop: mg.mean_error(1.0), "`after` must be a share"),
         (lambda loop: mg.tornado(loop, mg.Spread()), "must vary at least one parameter"),
         (lambda loop: mg.tornado(loop, PAIR, sigmas=0.0), "`sigmas` and `repeats` must be positive"),
         (lambda loop: mg.corners(loop, PAIR, repeats=0), "`sigmas` and `repeats` must be positive"),

@@ -35,7 +35,7 @@ def datasheet_command(
         trim: also tell the figures after each die got its own offset and scale.
         noise_duration: of the run with noise in s; without it what the bandwidth asks for.
         temperatures: in °C, at each of which the lot is held, if anything in the device depends on it.
-        out: the page, an HTML file.
+        out: the page, an HTML file, or a folder for datasheet.html.
         effects: a Python file with effects of your own that the study names. It is run: trust it first.
         json: file for the machine-readable result.
     """
@@ -50,6 +50,7 @@ def datasheet_command(
     from .options import chosen_study, require_writable, writing
     from .progress import told
 
+    out = out if out.suffix and not out.is_dir() else out / "datasheet.html"
     chosen, notes = chosen_study(study, None, effects, seed=seed)
     require_writable(out, json)
     for note in notes:
@@ -64,6 +65,7 @@ def datasheet_command(
             noise_duration=noise_duration, temperatures=tuple(t + CELSIUS for t in temperatures), progress=tell,
         )  # fmt: skip
     with writing(out, "make room and run again"):
+        out.parent.mkdir(parents=True, exist_ok=True)
         write_whole(out, datasheet_page(found, chosen).html())
         if json is not None:
             write_json(json, found.as_dict())

@@ -1,12 +1,20 @@
 """`memsgyro new`: a commented file to begin with."""
 
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
+
+import cyclopts
 
 from memsgyro_jax.base.errors import InputError
 
 
-def new_command(kind: Literal["study", "case", "effect"], path: Path | None = None, /) -> None:
+def new_command(
+    kind: Literal["study", "case", "effect"],
+    path: Path | None = None,
+    /,
+    *,
+    purpose: Annotated[Literal["sweep", "datasheet", "tune", "layout"], cyclopts.Parameter(name="--for")] = "sweep",
+) -> None:
     """Writes a commented study file, measurement case or effect of one's own, which runs as it is.
 
     Beside a study or in a case lies the schema that an editor checks it against.
@@ -14,9 +22,13 @@ def new_command(kind: Literal["study", "case", "effect"], path: Path | None = No
     Args:
         kind: what to write.
         path: the file, or the folder of a case; study.toml, case or my_effect.py without it.
+        purpose: what a study is for: sweeps with a Kalman filter, the datasheet of a phase-locked gyro, tuning, or a
+            device by its drawing and process.
     """
     usual = {"study": "study.toml", "case": "case", "effect": "my_effect.py"}
     path = Path(usual[kind]) if path is None else path
+    if purpose != "sweep" and kind != "study":
+        raise InputError(f"Option `--for` must go with a study, but a new {kind} was asked for.")
     if path.exists():
         raise InputError(f"{path} exists already; choose another name, or remove it.")
     from memsgyro_jax.base.files import json_text, write_whole
@@ -32,8 +44,9 @@ def new_command(kind: Literal["study", "case", "effect"], path: Path | None = No
         return
     schema = write_whole(folder / f"{kind}.schema.json", json_text(schema_of(kind)) + "\n").name
     if kind == "study":
-        write_whole(path, templates.STUDY.format(name=path.name, schema=schema))
-        print(f"{path} is a study; `memsgyro sweep {path}` runs it.")
+        write_whole(path, templates.STUDIES[purpose].format(name=path.name, schema=schema))
+        runs = "sweep" if purpose == "layout" else purpose
+        print(f"{path} is a study; `memsgyro {runs} {path}` runs it.")
         return
     for name, (drive, seed) in {"low": (1.0, 0), "high": (3.0, 1), "check": (2.0, 2)}.items():
         write_whole(path / f"{name}.csv", _resonance(drive, seed))

@@ -40,6 +40,137 @@ seed = 0
 # strength = "1e9 N/m^3"
 """
 
+DATASHEET = """\
+#:schema {schema}
+# A study for `memsgyro datasheet {name}`: a phase-locked drive and a rebalanced sense axis, as such gyros are built.
+# `memsgyro tornado {name} --zero-rate` says which parameter matters, `memsgyro loop {name}` shows its loops.
+schema = "memsgyro-study/1"
+
+[device]
+kind = "single_mass"
+mass = "20 ug"
+frequency = ["9 kHz", "9.3 kHz"]          # of the modes, drive first
+quality_factor = [5_000, 400]
+quadrature = "100 deg/s"
+rotating_frame = true                     # keep what acceleration and other axes do: two lines of the datasheet
+# temperature = "300 K"                   # brings the Brownian force, without which the noise is the electronics' alone
+
+[readout]
+kind = "capacitive"
+gradient = "5 nF/m"                       # dC/dx of each of the two halves: V/x = 2 * bias * gradient / feedback
+capacitance = "250 fF"                    # of each half at rest
+bias = "10 V"
+feedback = "1 pF"
+noise_density = "50 nV/sqrt(Hz)"          # at the output, one-sided
+
+[controller]
+kind = "classic"                          # phase-locked drive, amplitude control
+sense = "rebalanced"                      # or "open"
+amplitude = "1 um"
+
+[spread]
+relative = "0.5 %"                        # of each number of the device; of couplings of 1 % of the main ones at least
+shared = 0.9                              # correlation among stiffnesses, among dampings: one etch makes both modes
+
+[sweep]
+dies = 32
+sample_rate = "100 kHz"                   # ten samples in a period of the drive
+duration = "0.4 s"                        # twice the start-up: figures count from half of it on, or from `settle`
+tolerance = "5 deg/s"
+
+# [[effects]]                             # what the datasheet is to count: drifts give the lines over temperature
+# name = "thermal_drift"
+# variant = "stiffness"
+# strength = "-6e-5 1/K"
+"""
+
+TUNE = """\
+#:schema {schema}
+# A study for `memsgyro tune {name}`: a filter that follows a rate that walks, told wrong noises to begin with.
+schema = "memsgyro-study/1"
+
+[device]
+kind = "single_mass"
+mass = "180 ug"
+frequency = ["3 kHz", "3.6 kHz"]
+quality_factor = [900, 900]
+
+[readout]
+kind = "displacement"
+scale = "0.1 V/um"
+noise_density = "0.1 uV/sqrt(Hz)"
+
+[observer]
+kind = "ekf"
+known = ["kxx", "kyy", "kxy", "dxx", "dyy", "dxy", "sigma"]  # without: a filter that finds them too
+with_offsets = false
+noise_density = "0.3 uV/sqrt(Hz)"         # three times too much
+process_noise = {{ rate = "0.3 rad^2/s^3" }}  # a hundredth of the walk below
+
+[controller]
+kind = "open_loop"
+
+[scenario]
+rate = {{ kind = "random_walk", intensity = "30 rad^2/s^3", duration = "40 ms" }}
+
+[spread.parameters]
+"scenario.rate.realisation" = {{ kind = "uniform", low = "0", high = "1" }}  # each die its own walk
+
+[sweep]
+dies = 32
+sample_rate = "100 kHz"
+duration = "40 ms"
+tolerance = "20 deg/s"
+
+[tune]
+free = ["observer.noise_density", "observer.process_noise.rate"]
+dies = 16                                 # that are tuned on, and
+validation_dies = 8                       # by which it is told when to stop
+"""
+
+LAYOUT = """\
+#:schema {schema}
+# A study by the drawing: `memsgyro sweep {name}`, `memsgyro tornado {name} --zero-rate`; the process varies, and moves
+# both axes and the read-out together.
+schema = "memsgyro-study/1"
+
+[device]
+kind = "layout"                           # a square plate on guided legs above a substrate
+side = "1.2 mm"
+thickness = "50 um"
+length_x = "300 um"                       # of the legs that bend along x
+length_y = "290 um"
+width = "6 um"
+gap = "3 um"
+pressure = "5 kPa"
+
+[readout]
+kind = "layout"                           # the comb as drawn
+fingers = 113
+width = "50 um"
+gap = "2 um"
+overlap = "50 um"
+bias = "10 V"
+feedback = "1 pF"
+noise_density = "0.45 uV/sqrt(Hz)"
+
+[process]
+sidewall = "0.2 deg"                      # of every die; what is left out is the drawing
+
+[controller]
+kind = "classic"
+
+[spread.parameters]
+"process.over_etch" = {{ kind = "normal", std = "30 nm" }}
+"process.misalignment" = {{ kind = "normal", std = "0.02 deg" }}
+
+[sweep]
+dies = 32
+duration = "50 ms"
+"""
+
+STUDIES = {"sweep": STUDY, "datasheet": DATASHEET, "tune": TUNE, "layout": LAYOUT}  # by what they are for
+
 CASE = """\
 #:schema {schema}
 # A measurement case: `memsgyro check {name}`, then `memsgyro compare {name}` and `memsgyro diagnose {name}`.

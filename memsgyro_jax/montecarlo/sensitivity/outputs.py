@@ -2,10 +2,13 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
 from jaxtyping import Array, Float
+
+from memsgyro_jax.base.errors import InputError
 
 from .. import batch
 
@@ -52,6 +55,22 @@ def outputs(tolerance: float) -> tuple[Output, ...]:
         return _share(~(abs(rows["rate_error_end"]) <= tolerance))
 
     return END, SETTLED, LOST, Output("out of tolerance", "share", missed, counts=True)
+
+
+@cache
+def mean_error(after: float = 0.5) -> Output:
+    """The mean of the rate given out less the true one, from the share `after` of the run on: what a die is off by, of
+    its noise only the mean. At a rate of zero it is the zero-rate output. Raises `InputError` for another share than
+    one from 0 to below 1.
+    """
+    if not 0.0 <= after < 1.0:
+        raise InputError(f"Argument `after` must be a share of the run, 0 to below 1, but is {after:g}.")
+
+    def mean(rows: Rows) -> Any:
+        off = rows["rate_estimate"] - rows["rate_true"]
+        return off[:, min(round(after * off.shape[1]), off.shape[1] - 1) :].mean(axis=1)
+
+    return Output("mean rate error", "deg/s", mean, DEGREES)
 
 
 def values_of(rows: Rows, dies: Callable[[], Any], chosen: Sequence[Output]) -> Float[np.ndarray, "outputs dies"]:

@@ -16,6 +16,7 @@ from jaxtyping import Array, Bool, Float
 
 from memsgyro_jax.base.axes import axes
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.files import finite
 from memsgyro_jax.base.text import aligned
 from memsgyro_jax.loop import noise
 from memsgyro_jax.loop.loop import ClosedLoop
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
+SCHEMA = "memsgyro-tornado/1"
+HEAD = ("input", "low", "high", "standard error", "gradient")  # of `Tornado.rows`
 _SPARE = 0.1  # of the larger bar: how far a gradient may lie outside both before that is told
 _POINT = (
     "gradient at the design alone, which a whole step does not follow: take the bars. The response turns within the "
@@ -74,6 +77,44 @@ class Tornado(Sensitivity):
         size = np.fmax(np.abs(self.low[output]), np.abs(self.high[output]))
         return np.argsort(-np.nan_to_num(size), kind="stable")
 
+    def as_dict(self) -> dict[str, Any]:
+        """Entries for JSON, the largest input of each output first; null where there is no number."""
+        columns = {"low": self.low, "high": self.high, "standard_error": self.std, "gradient": self.slope}
+
+        def inputs(k: int) -> list[dict[str, Any]]:
+            lost = ({"lost_low": float(a), "lost_high": float(b)} for a, b in self.lost)
+            rows = [
+                {"name": name, **{key: float(values[k, i]) for key, values in columns.items()}, **ends}
+                for i, (name, ends) in enumerate(zip(self.inputs, lost, strict=True))
+            ]
+            return [rows[i] for i in self.order(k)]
+
+        told = [
+            {"name": name, "unit": unit, "design": float(self.design[k]), "inputs": inputs(k)}
+            for k, (name, unit) in enumerate(zip(self.outputs, self.units, strict=True))
+        ]
+        made = {"sigmas": self.sigmas, "repeats": self.repeats, **self.settings.as_dict()}
+        return finite({"schema": SCHEMA, **made, "outputs": told})
+
+    def rows(self, output: int) -> list[tuple[str, ...]]:
+        """Input, low, high, standard error and gradient as text, the largest first, a star behind a gradient that a
+        whole step does not follow.
+        """
+        columns = [values[output] for values in (self.low, self.high, self.std, self.slope)]
+        apart, found = self._apart(output), []
+        for i in self.order(output):
+            *bars, slope = ("-" if np.isnan(column[i]) else f"{column[i]:+.3g}" for column in columns)
+            found.append((self.inputs[i], *bars, f"{slope} *" if apart[i] else slope))
+        return found
+
+    def note(self, output: int) -> str:
+        """What the stars say; empty without any."""
+        return f"* {_POINT}" if self._apart(output).any() else ""
+
+    def moved(self, output: int) -> bool:
+        """Whether any input moves the output at all."""
+        return bool(np.any(np.nan_to_num([self.low[output], self.high[output]])))
+
     def _title(self) -> str:
         alone = "one parameter alone, whatever correlation the spread has"
         return f"Change by ∓{self.sigmas:g} standard deviations of {alone}"
@@ -86,16 +127,12 @@ class Tornado(Sensitivity):
         return (slope < np.min(ends, axis=0) - spare) | (slope > np.max(ends, axis=0) + spare)
 
     def _text(self, output: int) -> str:
-        columns = [values[output] for values in (self.low, self.high, self.std, self.slope)]
         design = f"{self.outputs[output]}: {self.design[output]:.4g} {self.units[output]}"
-        if not np.any(np.nan_to_num(columns[:2])):
+        if not self.moved(output):
             return f"{design} everywhere"
-        rows, apart = [("  input", "low", "high", "standard error", "gradient")], self._apart(output)
-        for i in self.order(output):
-            *bars, slope = ("-" if np.isnan(column[i]) else f"{column[i]:+.3g}" for column in columns)
-            rows.append((f"  {self.inputs[i]}", *bars, f"{slope} *" if apart[i] else slope))
-        said = f"\n  * {_POINT}" if apart.any() else ""
-        return f"{design} at the design\n{aligned(rows)}{said}"
+        rows = [("  input", *HEAD[1:]), *((f"  {name}", *cells) for name, *cells in self.rows(output))]
+        note = self.note(output)
+        return f"{design} at the design\n{aligned(rows)}" + (f"\n  {note}" if note else "")
 
     def plot(self, ax: "Axes | None" = None, output: str | None = None) -> "Axes":
         """Bars of one output, the largest on top, grey where the noise hides them, with the gradient's prediction, an

@@ -10,10 +10,13 @@ import pytest
 import memsgyro_jax as mg
 from memsgyro_jax.app.report import figures, moving
 from memsgyro_jax.app.report.diff_page import diff_page
+from memsgyro_jax.app.report.loop_pages import loop_page, tornado_page
 from memsgyro_jax.app.report.moving import mode_shapes
 from memsgyro_jax.app.report.sweep_page import settings, sweep_page
 from memsgyro_jax.app.report.trace_page import trace_page
 from memsgyro_jax.device.gyro import Inertial
+from memsgyro_jax.loop.frequency_response import FrequencyResponse
+from memsgyro_jax.loop.stability import LoopMargins
 
 
 HOSTILE = "<script>alert(1)</script>.toml"
@@ -111,7 +114,7 @@ def test_a_sweep_without_spread_and_one_without_survivors(study):
     assert "lost at" in text
 
 
-def test_a_browser_has_nothing_to_complain_about(page, run_page, lot, tmp_path):
+def test_a_browser_has_nothing_to_complain_about(page, run_page, lot, study, tmp_path):
     for name, errors in (("a", 1.0), ("b", 2.0)):
         (tmp_path / name).mkdir()
         moved = {**lot._rows, "rate_error_end": errors * lot._rows["rate_error_end"]}
@@ -120,7 +123,28 @@ def test_a_browser_has_nothing_to_complain_about(page, run_page, lot, tmp_path):
     compared = diff_page((tmp_path / "a", tmp_path / "b"), tables).html()
     assert compared.count("<svg") == 1
     assert "intervals apart" in compared
-    browser.check(tmp_path, {"page": page, "run": run_page, "diff": compared})
+    browser.check(tmp_path, {"page": page, "run": run_page, "diff": compared, **of_a_loop(study, lot.settings)})
+
+
+def of_a_loop(study, made):
+    """The pages of a loop over frequency and of a tornado, of figures that nothing computed."""
+    at, two, none = np.array([1.0, 10.0]), np.array([[1.0, -0.2], [0.0, 0.0]]), np.zeros((2, 2))
+    answer = FrequencyResponse("force y", at, np.array([1.0, 0.5j]), 0.01 * at, 0.0, 1.0, 3e3)
+    margins = mg.GainPhaseMargins(
+        LoopMargins(*(0.5 * np.ones(4))), *(np.full(4, value) for value in (9.0, 60.0, 12.0, -9.0))
+    )
+    bars = mg.Tornado(
+        ("rate error", "lost"), ("deg/s", "share"), ("device.kxx", "device.dxy"), made, np.zeros(2), -two, two,
+        0.1 * abs(two), two, none, 1.0, 8,
+    )  # fmt: skip
+    pages = {
+        "loop": loop_page(study, [answer], margins, mg.noise_budget(study.loop)).html(),
+        "tornado": tornado_page(bars, study).html(),
+    }
+    assert (pages["loop"].count("<svg"), pages["tornado"].count("<svg")) == (2, 1)
+    assert "force y at 3000 Hz, by its amplitude" in pages["loop"]
+    assert "0 share, whatever parameter moves" in pages["tornado"]
+    return pages
 
 
 def test_the_mass_and_its_modes_move(run, run_page):

@@ -269,6 +269,8 @@ def test_what_the_weakest_sweeps_show_stands_beside_the_design(tmp_path):
     assert turn == pytest.approx(-np.degrees(driven.PHASE + driven.RESONANCE * driven.DELAY), abs=1.5)
     gain = said[2]
     assert gain.startswith("static_gain: the records show 0.00")
+    seen, meant = re.search(r"a mass of (\S+) kg\), the design \S+ \((\S+) kg\)", gain).groups()
+    assert (float(seen), float(meant)) == (pytest.approx(driven.MASS, rel=0.1), pytest.approx(driven.MASS, rel=0.01))
     text = (tmp_path / "case.toml").read_text()
     open_ = re.sub(r"resonance = .*\n", "", text)
     (tmp_path / "case.toml").write_text(open_)

@@ -1,0 +1,99 @@
+"""`memsgyro loop`: the loop of a study at its design, over frequency: Bode diagrams, margins, noise by source."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from memsgyro_jax.base.errors import InputError
+
+from .flags import Numbers, Words
+from .quick import look_for_study
+
+
+if TYPE_CHECKING:
+    from memsgyro_jax.loop.gain_phase import GainPhaseMargins
+    from memsgyro_jax.loop.loop import ClosedLoop
+
+SCHEMA = "memsgyro-loop/1"
+_POINTS, _SPAN = 24, 200.0  # frequencies of a Bode diagram where none are given, and their ratio
+
+
+def loop_command(
+    study: Path | None = None,
+    /,
+    *,
+    disturbance: Words = ("rate",),
+    frequencies: Numbers = (),
+    duration: str | None = None,
+    level: float = 0.0,
+    report: Path | None = None,
+    effects: Path | None = None,
+    json: Path | None = None,
+) -> None:
+    """A loop over frequency: Bode diagrams, margins, noise by source.
+
+    The response of the rate that is given out to a small sine of the rate, or of
+    the amplitude of a force or voltage beside the swing, with its bandwidth; gain
+    and phase margins of a classic loop; and what the noise of the rate comes
+    from. All of the design, without spread.
+
+    Args:
+        study: a study file (TOML); without it the loop of the thesis.
+        disturbance: what the sine is of: rate, "force x", "force y", "voltage x" or "voltage y"; one or several.
+        frequencies: of the sines in Hz, rising; without them 24 from a period of the settled part on.
+        duration: of the runs in s or with a unit; the study's own without it. A longer one allows lower frequencies.
+        level: the constant rate in deg/s around which the loop is looked at.
+        report: file for a page with the diagrams.
+        effects: a Python file with effects of your own that the study names. It is run: trust it first.
+        json: file for the machine-readable result.
+    """
+    look_for_study(study, effects)
+    import numpy as np
+
+    from memsgyro_jax.base.files import write_json
+    from memsgyro_jax.loop.frequency_response import frequency_response
+    from memsgyro_jax.loop.noise_budget import noise_budget
+
+    from .options import chosen_study, require_writable, with_unit, writing
+    from .progress import told
+
+    chosen, notes = chosen_study(study, None, effects, duration=with_unit(duration, "s"))
+    require_writable(report, json)
+    for note in notes:
+        print(note)
+    run = chosen.settings
+    settle = 0.5 * run.duration if run.settle is None else run.settle
+    low = 1.0 / (run.duration - settle)  # a period
+    at = frequencies or np.geomspace(low, min(_SPAN * low, 0.05 * run.sample_rate), _POINTS)
+    runs = {"sample_rate": run.sample_rate, "duration": run.duration, "settle": settle}
+    answers = []
+    with told() as tell:
+        tell("margins and noise")
+        margins, noise = _margins(chosen.loop), noise_budget(chosen.loop, sample_rate=run.sample_rate)
+        for name in disturbance:
+            tell(f"response to {name}")
+            carrier = None if name == "rate" else float(noise.swing)  # slow ones do not reach the rate
+            about = {"level": float(np.radians(level)), "carrier": carrier}
+            answers.append(frequency_response(chosen.loop, at, name, **runs, **about))
+    print("\n\n".join(str(part) for part in (*answers, margins, noise) if part is not None))
+    with writing(report or json or Path(), "make room and run again"):
+        if report is not None:
+            from ..report.loop_pages import loop_page
+
+            print(f"\n{loop_page(chosen, answers, margins, noise).save(report)} is the page.")
+        if json is not None:
+            told_margins = None if margins is None else margins.as_dict()
+            told_answers = {answer.disturbance: answer.as_dict() for answer in answers}
+            write_json(
+                json,
+                {"schema": SCHEMA, "responses": told_answers, "margins": told_margins, "noise": noise.as_dict()},
+            )
+
+
+def _margins(loop: "ClosedLoop") -> "GainPhaseMargins | None":
+    """Those of a loop in classic control; None of another."""
+    from memsgyro_jax.loop.gain_phase import gain_phase_margins
+
+    try:
+        return gain_phase_margins(loop)
+    except InputError:
+        return None

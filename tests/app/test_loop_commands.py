@@ -1,0 +1,86 @@
+"""`memsgyro tornado` and `memsgyro loop` as a user runs them, against the functions that they are made of."""
+
+import json
+
+import numpy as np
+import pytest
+
+import memsgyro_jax as mg
+from memsgyro_jax.app import cli
+
+
+STUDY = """
+schema = "memsgyro-study/1"
+[device]
+kind = "single_mass"
+mass = "180 ug"
+frequency = ["3 kHz", "3.6 kHz"]
+quality_factor = [900, 900]
+cross_damping = 0.1
+[readout]
+kind = "displacement"
+scale = "0.1 V/um"
+noise_density = "0.1 uV/sqrt(Hz)"
+[observer]
+kind = "ekf"
+known = ["kxx", "kyy", "kxy", "dxx", "dyy", "dxy", "sigma"]
+with_offsets = false
+[controller]
+kind = "open_loop"
+[spread.parameters]
+"device.dxy" = { kind = "normal", relative = 0.1 }
+"device.kxx" = { kind = "normal", relative = 0.001 }
+[sweep]
+sample_rate = "40 kHz"
+duration = "5 ms"
+"""
+
+
+@pytest.fixture
+def memsgyro(tmp_path, monkeypatch, capsys):
+    """Runs the command line beside the study: exit status and standard output."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "study.toml").write_text(STUDY)
+
+    def run(*tokens):
+        with pytest.raises(SystemExit) as end:
+            cli.main(list(map(str, tokens)))
+        return end.value.code, capsys.readouterr().out
+
+    return run
+
+
+@pytest.mark.slow
+def test_a_tornado_of_the_zero_rate_output(memsgyro, tmp_path):
+    """A filter that knows all but the rate takes what cross damping changes for a rate of it over 2 m."""
+    given = ("--zero-rate", "--repeats", 2, "--report", "bars.html", "--json", "bars.json")
+    status, out = memsgyro("tornado", "study.toml", *given)
+    assert (status, "zero-rate output" in out, "device.dxy" in out) == (0, True, True)
+    (told,) = json.loads((tmp_path / "bars.json").read_text())["outputs"]
+    largest = told["inputs"][0]
+    assert (largest["name"], told["name"]) == ("device.dxy", "zero-rate output")
+    sigma = 0.1 * float(mg.load_study("study.toml").loop.device.dxy)
+    assert abs(largest["high"]) == pytest.approx(np.degrees(sigma / (2.0 * 180e-9)), rel=0.1)
+    assert largest["gradient"] == pytest.approx(largest["high"], rel=0.01)
+    assert largest["standard_error"] == 0.0  # the read-out is silent
+    assert (tmp_path / "bars.html").read_text().count("<svg") == 1
+
+
+@pytest.mark.slow
+def test_a_loop_over_frequency(memsgyro, tmp_path):
+    status, out = memsgyro("loop", "study.toml", "--frequencies", 500, 900, "--report", "l.html", "--json", "l.json")
+    assert (status, "half the power" in out, "°/√h" in out) == (0, True, True)
+    told = json.loads((tmp_path / "l.json").read_text())
+    answer = mg.frequency_response(
+        mg.load_study("study.toml").loop, [500.0, 900.0], sample_rate=40e3, duration=5e-3, settle=2.5e-3
+    )
+    assert told["responses"]["rate"]["gain"] == pytest.approx(np.abs(answer.response).tolist())
+    assert told["margins"] is None
+    assert told["noise"]["walk_deg_per_root_hour"]["electronics"] > 0.0
+    assert (tmp_path / "l.html").read_text().count("<svg") == 2
+
+
+def test_what_they_refuse(memsgyro):
+    assert memsgyro("loop", "study.toml", "--disturbance", "heat")[0] == 2
+    assert memsgyro("tornado", "study.toml", "--sigmas", 0)[0] == 2
+    assert memsgyro("tornado", "nowhere.toml")[0] == 2
