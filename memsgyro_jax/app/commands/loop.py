@@ -60,15 +60,15 @@ def loop_command(
     require_writable(report, json)
     for note in notes:
         print(note)
-    run = chosen.settings
-    settle = 0.5 * run.duration if run.settle is None else run.settle
-    low = 1.0 / (run.duration - settle)  # a period
-    at = frequencies or np.geomspace(low, min(_SPAN * low, 0.05 * run.sample_rate), _POINTS)
-    runs = {"sample_rate": run.sample_rate, "duration": run.duration, "settle": settle}
+    run = chosen.settings.numbers()
+    runs = {name: run[name] for name in ("sample_rate", "duration")}
+    runs["settle"] = run.get("settle") or 0.5 * runs["duration"]
+    low = 1.0 / (runs["duration"] - runs["settle"])  # a period
+    at = frequencies or np.geomspace(low, min(_SPAN * low, 0.05 * runs["sample_rate"]), _POINTS)
     answers = []
     with told() as tell:
         tell("margins and noise")
-        margins, noise = _margins(chosen.loop), noise_budget(chosen.loop, sample_rate=run.sample_rate)
+        margins, noise = _margins(chosen.loop), noise_budget(chosen.loop, sample_rate=runs["sample_rate"])
         for name in disturbance:
             tell(f"response to {name}")
             carrier = None if name == "rate" else float(noise.swing)  # slow ones do not reach the rate

@@ -51,8 +51,8 @@ def tornado_command(
     settings = {name: run.get(name) for name in ("sample_rate", "duration", "settle", "tolerance", "seed")}
     loop, scenario, of = run["loop"], run["scenario"], None
     if zero_rate:
-        settle, duration = chosen.settings.settle, chosen.settings.duration
-        off = mean_error(0.5 if settle is None else settle / duration)
+        settle = settings["settle"]
+        off = mean_error(0.5 if settle is None else settle / settings["duration"])
         loop, scenario, of = loop.silent, replace(scenario, rate=Constant(0.0)), [replace(off, name="zero-rate output")]
     with progress("dies", "compiling") as show:
         bars = tornado(loop, run["spread"], scenario, sigmas=sigmas, repeats=repeats, of=of, progress=show, **settings)
