@@ -4,48 +4,32 @@ A program runs the model that is asked for: the base, the effects that are prese
 strength zero is exactly absent, so that leaving it out changes nothing but the time.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
-from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import PyTree
 
 from memsgyro_jax.base.concrete import strong
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.base.kept import kept
-from memsgyro_jax.base.plainly import PLAINLY
 from memsgyro_jax.base.runtime import require_float64, usable_cores
 from memsgyro_jax.base.transforms import Free, Identity, fixed, from_vector, mark, to_vector
 from memsgyro_jax.effects import free_numbers
-from memsgyro_jax.measurement.experiments.base import Experiment
 from memsgyro_jax.measurement.first_order import Absent, Contribution, Inquiry, contributions, of_first_order
 from memsgyro_jax.measurement.model import Model
 from memsgyro_jax.measurement.readings import Readings
 
 from .instrument import Knowledge
+from .linearised import WIDTH, Calls, Part, lanes, nothing
 from .parameters import Parameter, parameters
 from .programs import Programs, is_idle, of_lock_in
 
 
-WIDTH = 12  # directions that one pass of the compiled program differentiates
 CARRIED = 3  # absent effects that are carried through a model: a fit goes on with them
-SHORT = 100  # rows up to which optimising a program takes longer than the calls of a whole diagnosis
-
-
-def compiled(function: Callable[..., Any], most: float = SHORT) -> Callable[..., Any]:
-    """A function whose last argument is an `Experiment` as a program; for up to so many rows without optimising it."""
-    optimised, plain = kept(function), kept(function, PLAINLY)
-
-    def call(*arguments: Any) -> Any:
-        *others, experiment = arguments
-        short = experiment.measured.shape[0] <= most and jax.default_backend() == "cpu"
-        return (plain if short else optimised)(*others, strong(experiment))
-
-    return call
+CALLS = 2  # of each experiment that are kept: where a fit stands, and its last trial
 
 
 class Joint:
@@ -69,6 +53,7 @@ class Joint:
         self.spec = _all_free(model)
         self.parameters: tuple[Parameter, ...] = parameters(model)
         self.programs = Programs() if programs is None else programs
+        self.calls = Calls(CALLS * len(self.readings), [r.experiment for r in self.fitted])
 
     @cached_property
     def start(self) -> np.ndarray:
@@ -120,17 +105,12 @@ class Joint:
 
     def residual(self, vector: np.ndarray, chosen: Sequence[Readings]) -> list[np.ndarray]:
         """Whitened residual of each of the chosen readings."""
-        fitted = {_shape(r.experiment) for r in self.fitted}
         part = self._part(vector, np.zeros((0, vector.size)))
-        at = vector[part.places]
 
         def one(r: Readings) -> np.ndarray:
             if isinstance(r.experiment, Knowledge):
                 return self._known(vector, np.zeros((0, vector.size)), r.experiment)[0]
-            if _shape(r.experiment) in fitted:  # a program exists; to compile one without slopes takes longer
-                none = np.zeros((WIDTH, at.size)), _no_lanes(r.experiment, part.model)
-                return np.asarray(_linearise(at, *none, part.model, part.spec, r.experiment)[0])
-            return np.asarray(_residual(at, part.model, part.spec, r.experiment))
+            return self.calls.residual(part, vector, r.experiment)
 
         return self._each(chosen, one)
 
@@ -159,50 +139,39 @@ class Joint:
         """Residual and derivatives of one of the readings, those by absent effects as responses where it tells them."""
         whole, present = self.at(vector), sorted(self._acting(vector, np.zeros((0, vector.size))))
         part = self._part(vector, np.zeros((0, vector.size)))
-        at, model = vector[part.places], whole.with_only(whole.effects[i] for i in present)
+        model = whole.with_only(whole.effects[i] for i in present)
         # All that could be asked for, so that one program tells whichever is.
         lacking = [i for i in range(len(whole.effects)) if i not in present and of_first_order(model, whole.effects[i])]
         quick = [i for i in absent if i in lacking]
-        none = _no_lanes(readings.experiment, part.model)
-        if none is None or not quick:
+        if not quick or nothing(readings.experiment, part.model) is None:
             return self._carried(vector, directions, [readings])
         others = np.where(np.isin(self.owner, quick), 0.0, directions)
         rows = np.flatnonzero(np.any(others != 0, axis=1))
         along = rows if rows.size <= WIDTH and self._acting(vector, others) <= set(part.effects) else rows[:0]
-        first = _lanes(others[along][:, part.places], 0)
-        value, known, inquiry = _linearise(at, first, none, part.model, part.spec, readings.experiment)
+        first = lanes(others[along][:, part.places]) if along.size else None
+        here = self.calls.linear(part, vector, readings.experiment, first)
         places = tuple(int(sum(k < i for k in present)) for i in lacking)
-        added = contributions(model, Absent(tuple(whole.effects[i] for i in lacking), places), inquiry)
+        added = contributions(model, Absent(tuple(whole.effects[i] for i in lacking), places), here.inquiry)
         every, columns = (np.concatenate([self.of_effect(i) for i in some]) for some in (lacking, quick))
         wanted = np.flatnonzero(np.isin(every, columns))
         added = jax.tree.map(lambda leaf: np.asarray(leaf)[wanted], added)
-        responses = self._responses(part, at, added, readings.experiment)
-        slopes = responses[: columns.size].T @ directions[:, every[wanted]].T
+        slopes = self.calls.responses(part, vector, added, readings).T @ directions[:, every[wanted]].T
         if along.size:
-            slopes[:, along] += np.asarray(known)[: along.size].T
+            slopes[:, along] += here.slopes[: along.size].T
         elif rows.size:
             slopes[:, rows] += self._carried(vector, others[rows], [readings])[1]
-        return np.asarray(value), slopes
+        return here.value, slopes
 
     def asked(self, vector: np.ndarray, readings: Readings) -> Inquiry | None:
         """All that a prediction asks of the model at a vector; `None` where nothing can be added on its way."""
         part = self._part(vector, np.zeros((0, vector.size)))
-        none, at = _no_lanes(readings.experiment, part.model), vector[part.places]
-        if none is None:
+        if nothing(readings.experiment, part.model) is None:
             return None
-        return _linearise(at, np.zeros((WIDTH, at.size)), none, part.model, part.spec, readings.experiment)[2]
+        return self.calls.linear(part, vector, readings.experiment).inquiry
 
     def responses(self, vector: np.ndarray, added: Contribution, readings: Readings) -> np.ndarray:
-        """(k or more, r) what each of k contributions, side by side, adds to a residual."""
-        part = self._part(vector, np.zeros((0, vector.size)))
-        return self._responses(part, vector[part.places], added, readings.experiment)
-
-    def _responses(self, part: "_Part", at: np.ndarray, added: Contribution, experiment: Experiment) -> np.ndarray:
-        found, still = [], np.zeros((WIDTH, at.size))
-        for begin in range(0, len(added.seen), WIDTH):
-            lanes = jax.tree.map(lambda leaf: _lanes(leaf, begin), added)  # noqa: B023
-            found.append(np.asarray(_linearise(at, still, lanes, part.model, part.spec, experiment)[1]))
-        return np.concatenate(found)
+        """(k, r) what each of k contributions, side by side, adds to a residual."""
+        return self.calls.responses(self._part(vector, np.zeros((0, vector.size))), vector, added, readings)
 
     def _carried(
         self, vector: np.ndarray, directions: np.ndarray, chosen: Sequence[Readings]
@@ -211,17 +180,13 @@ class Joint:
         count, part = directions.shape[0], self._part(vector, directions)
         padded = np.zeros((max(1, -(-count // WIDTH)) * WIDTH, part.places.size))
         padded[:count] = directions[:, part.places]
-        at = vector[part.places]
 
         def one(r: Readings) -> tuple[np.ndarray, np.ndarray]:
             if isinstance(r.experiment, Knowledge):
                 return self._known(vector, directions, r.experiment)
-            parts, none = [], _no_lanes(r.experiment, part.model)
-            for begin in range(0, len(padded), WIDTH):
-                block = padded[begin : begin + WIDTH]
-                value, slope, _ = _linearise(at, block, none, part.model, part.spec, r.experiment)
-                parts.append(np.asarray(slope))
-            return np.asarray(value), np.concatenate(parts)[:count]
+            begins = range(0, len(padded), WIDTH)
+            parts = [self.calls.linear(part, vector, r.experiment, padded[i : i + WIDTH]) for i in begins]
+            return parts[0].value, np.concatenate([each.slopes for each in parts])[:count]
 
         values, slopes = zip(*self._each(chosen, one), strict=True)
         return np.concatenate(values), np.concatenate(slopes, axis=1).T
@@ -238,7 +203,7 @@ class Joint:
         """One program for all models of some of these effects, which are going to be asked for one after the other."""
         self.programs.announced = frozenset(self._names[i] for i in effects)
 
-    def _part(self, vector: np.ndarray, directions: np.ndarray) -> "_Part":
+    def _part(self, vector: np.ndarray, directions: np.ndarray) -> Part:
         """The model of the effects that are present at a vector or move along one of the directions (k, p), and of
         others that are absent where there is a program for all of them.
         """
@@ -248,7 +213,7 @@ class Joint:
         # What the lock-in does comes last, in whichever order effects and terms were found.
         mine = sorted((i for i, name in enumerate(names) if name in chosen), key=lambda i: (of_lock_in(effects[i]), i))
         model = self.model.with_only(effects[i] for i in mine)
-        return _Part(tuple(mine), model, _all_free(model), self._places(mine))
+        return Part(tuple(mine), model, _all_free(model), self._places(mine))
 
     @cached_property
     def _names(self) -> list[str]:
@@ -270,56 +235,6 @@ class Joint:
         """The function of each of the chosen, side by side on the cores."""
         with ThreadPoolExecutor(max(1, min(usable_cores(), len(chosen)))) as pool:
             return list(pool.map(function, chosen))
-
-
-class _Part(NamedTuple):
-    """A model with some of the effects, what is free in it, and where its parameters stand among those of all."""
-
-    effects: tuple[int, ...]
-    model: Model
-    spec: PyTree
-    places: np.ndarray
-
-
-def _shape(experiment: Experiment) -> tuple:
-    """What decides which compiled program an experiment runs through."""
-    leaves, structure = jax.tree.flatten(experiment)
-    return structure, *(jnp.shape(leaf) for leaf in leaves)
-
-
-def _predicted(vector: Array, model: Model, spec: PyTree, experiment: Experiment) -> Float[Array, " r"]:
-    return experiment.residual(from_vector(vector, model, spec))
-
-
-_residual = compiled(_predicted, np.inf)  # runs once or twice
-
-
-@compiled
-def _linearise(
-    vector: Array, directions: Array, added: Contribution | None, model: Model, spec: PyTree, experiment: Experiment
-) -> tuple[Array, Array, Inquiry | None]:
-    """Residual, its slope along each of the directions and of what is added beside it, and what was asked."""
-
-    def along(step: Array, more: Contribution | None) -> tuple[Array, Inquiry | None]:
-        bench = from_vector(vector + step, model, spec)
-        return (experiment.residual(bench), None) if more is None else experiment.residual_beside(bench, more)
-
-    start = jnp.zeros_like(vector), jax.tree.map(lambda leaf: jnp.zeros_like(leaf[0]), added)
-    # Forward mode with one primal and all directions side by side: nothing of the trajectory is stored.
-    return jax.vmap(lambda *lane: jax.jvp(along, start, lane, has_aux=True), out_axes=(None, 0, None))(
-        directions, added
-    )
-
-
-def _no_lanes(experiment: Experiment, model: Model) -> Contribution | None:
-    """Nothing added, `WIDTH` times."""
-    return jax.tree.map(lambda leaf: np.zeros((WIDTH, *leaf.shape), leaf.dtype), experiment.nothing(model))
-
-
-def _lanes(leaf: np.ndarray, begin: int) -> np.ndarray:
-    """`WIDTH` entries of the leading axis, zeros where there are no more."""
-    some = np.asarray(leaf)[begin : begin + WIDTH]
-    return np.concatenate([some, np.zeros((WIDTH - len(some), *some.shape[1:]), some.dtype)])
 
 
 def _all_free(model: Model) -> PyTree:

@@ -17,7 +17,8 @@ import numpy as np
 from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.experiments import Readings
 
-from .joint_residual import WIDTH, Joint
+from .joint_residual import Joint
+from .linearised import WIDTH
 from .optimum import Optimum, optimise
 from .result import SIGMAS_SEEN, Prospect
 from .rounds import DECIDED

@@ -10,7 +10,7 @@ from memsgyro_jax.measurement.experiments import Readings
 from memsgyro_jax.measurement.experiments.base import Experiment
 from memsgyro_jax.measurement.model import Model
 
-from .joint_residual import compiled
+from .linearised import compiled
 
 
 TOLERANCE = 0.1  # of a standard deviation, or of what is left of a reading that lies farther off: so far a finer

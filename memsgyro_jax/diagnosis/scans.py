@@ -15,7 +15,8 @@ from memsgyro_jax.measurement.experiments import Readings
 from memsgyro_jax.measurement.first_order import Periods
 from memsgyro_jax.measurement.model import Model
 
-from .joint_residual import Joint, compiled
+from .joint_residual import Joint
+from .linearised import compiled
 from .optimum import Optimum
 from .score import Score, basis, score, within_bounds
 

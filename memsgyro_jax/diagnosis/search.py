@@ -65,6 +65,7 @@ class Search:
         self.keep: Callable[[Search], None] = lambda search: None  # is told of every step
         self.accepted: list[int] = []
         self.slow: Mapping[str, str] = {}  # records of which nothing is left but slow noise
+        self.listened: CaseFit | None = None  # the fit at which that was looked for
         self.unseen: frozenset[int] | None = None
         self.sensitivities: tuple[Optimum, dict[int, np.ndarray]] = base.optimum, {}  # by the parameters ranked last
         self._refits: dict[tuple[int, ...], tuple[Joint, Optimum, int, Optimum]] = {}

@@ -92,8 +92,10 @@ def slowly(slow: Mapping[str, str]) -> str:
 
 
 def is_slow_noise(search: Search, ranking: Ranking) -> bool:
-    """Whether slow noise of some records is all that is missing, which the search is then told."""
-    search.slow = slow_noise(search, ranking)
+    """Whether slow noise of some records is all that is missing, which the search is then told; once of a fit."""
+    fit = search.steps[-1].fit
+    if fit is not search.listened or fit.optimum is not search.optimum:
+        search.slow, search.listened = slow_noise(search, ranking), fit
     return bool(search.slow)
 
 

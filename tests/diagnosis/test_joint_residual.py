@@ -14,7 +14,7 @@ from lab.strengths import VISIBLE, visible
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.transforms import names
 from memsgyro_jax.device.resonator import Resonator
-from memsgyro_jax.diagnosis import joint_residual
+from memsgyro_jax.diagnosis import linearised
 from memsgyro_jax.diagnosis.fit import fit_case
 from memsgyro_jax.diagnosis.joint_residual import Joint
 from memsgyro_jax.diagnosis.optimum import optimise
@@ -123,8 +123,8 @@ def test_a_program_for_few_rows_says_the_same_as_one_for_many():
     def readings(times, experiment):
         return jnp.sin(times) * experiment.measured
 
-    program = joint_residual.compiled(readings)
-    for rows in (3, joint_residual.SHORT, joint_residual.SHORT + 1):
+    program = linearised.compiled(readings)
+    for rows in (3, linearised.SHORT, linearised.SHORT + 1):
         here = Rows(np.linspace(1.0, 2.0, rows))
         np.testing.assert_allclose(program(here.measured, here), np.sin(here.measured) * here.measured, rtol=1e-14)
 
@@ -136,7 +136,7 @@ def test_a_number_written_in_python_runs_through_the_program_of_a_computed_one()
         traced.append(experiment.measured.weak_type)
         return 2.0 * experiment.measured
 
-    program = joint_residual.compiled(readings)
+    program = linearised.compiled(readings)
     for measured in (jnp.full(3, 1.5), jnp.ones(3), jnp.asarray(np.ones(3))):
         program(Rows(measured))
     assert jnp.full(3, 1.5).weak_type, "it was no case"

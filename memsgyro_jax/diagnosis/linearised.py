@@ -1,0 +1,152 @@
+"""The program behind every fit: residual, its slopes, and what is added on the way; of its calls the last are kept."""
+
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PyTree
+
+from memsgyro_jax.base.concrete import strong
+from memsgyro_jax.base.kept import kept
+from memsgyro_jax.base.plainly import PLAINLY
+from memsgyro_jax.base.transforms import from_vector
+from memsgyro_jax.measurement.experiments.base import Experiment, Readings
+from memsgyro_jax.measurement.first_order import Contribution, Inquiry
+from memsgyro_jax.measurement.model import Model
+
+
+WIDTH = 12  # directions that one pass of the compiled program differentiates
+SHORT = 100  # rows up to which optimising a program takes longer than the calls of a whole diagnosis
+
+
+class Part(NamedTuple):
+    """A model with some of the effects, what is free in it, and where its parameters stand among those of all."""
+
+    effects: tuple[int, ...]
+    model: Model
+    spec: PyTree
+    places: np.ndarray
+
+
+class Linear(NamedTuple):
+    """Residual (r,) of an experiment at a vector, its slopes (WIDTH, r) along a block of directions (WIDTH, p), without
+    one none, and what the prediction asked.
+    """
+
+    experiment: Experiment
+    block: np.ndarray | None
+    value: np.ndarray
+    slopes: np.ndarray
+    inquiry: Inquiry | None
+
+
+class Calls:
+    """Calls of the programs, of which the last are kept: a fit ends where a ranking, and what tests it, begin.
+
+    Args:
+        kept: so many.
+        fitted: experiments that there are programs with slopes for.
+    """
+
+    def __init__(self, kept: int, fitted: Sequence[Experiment]):
+        self._kept: OrderedDict[tuple, Linear] = OrderedDict()
+        self._most, self._fitted = kept, {_shape(e) for e in fitted}
+
+    def residual(self, part: Part, vector: np.ndarray, experiment: Experiment) -> np.ndarray:
+        """Residual (r,) at a vector of all parameters."""
+        at = vector[part.places]
+        if _shape(experiment) in self._fitted:  # a program exists; to compile one without slopes takes longer
+            return self.linear(part, vector, experiment).value
+        known = self._known(part, at, experiment)
+        if known is None:
+            value = np.asarray(_residual(at, part.model, part.spec, experiment))
+            known = self._keep(part, at, Linear(experiment, None, value, np.zeros((0, value.size)), None))
+        return known.value
+
+    def linear(self, part: Part, vector: np.ndarray, experiment: Experiment, block: np.ndarray | None = None) -> Linear:
+        """The same with slopes along a block of directions (WIDTH, p); any, where none is given."""
+        at = vector[part.places]
+        known = self._known(part, at, experiment)
+        if known is not None and known.block is not None and (block is None or np.array_equal(known.block, block)):
+            return known
+        block = np.zeros((WIDTH, at.size)) if block is None else block
+        none = nothing(experiment, part.model)
+        value, slopes, inquiry = _linearise(at, block, none, part.model, part.spec, experiment)
+        return self._keep(part, at, Linear(experiment, block, np.asarray(value), np.asarray(slopes), inquiry))
+
+    def responses(self, part: Part, vector: np.ndarray, added: Contribution, readings: Readings) -> np.ndarray:
+        """(k, r) what each of k contributions, side by side, adds to a residual."""
+        at, experiment = vector[part.places], readings.experiment
+        still, out = np.zeros((WIDTH, at.size)), np.zeros((len(added.seen), readings.size))
+        acting = [np.any(leaf != 0, axis=tuple(range(1, leaf.ndim))) for leaf in jax.tree.leaves(added)]
+        places = np.flatnonzero(np.any(acting, axis=0))
+        for begin in range(0, places.size, WIDTH):
+            mine = places[begin : begin + WIDTH]
+            some = jax.tree.map(lambda leaf: lanes(leaf[mine]), added)  # noqa: B023
+            out[mine] = np.asarray(_linearise(at, still, some, part.model, part.spec, experiment)[1])[: mine.size]
+        return out
+
+    def _known(self, part: Part, at: np.ndarray, experiment: Experiment) -> Linear | None:
+        return self._kept.get((id(experiment), part.effects, at.tobytes()))
+
+    def _keep(self, part: Part, at: np.ndarray, found: Linear) -> Linear:
+        self._kept[id(found.experiment), part.effects, at.tobytes()] = found
+        while len(self._kept) > self._most:
+            self._kept.popitem(last=False)
+        return found
+
+
+def compiled(function: Callable[..., Any], most: float = SHORT) -> Callable[..., Any]:
+    """A function whose last argument is an `Experiment` as a program; for up to so many rows without optimising it."""
+    optimised, plain = kept(function), kept(function, PLAINLY)
+
+    def call(*arguments: Any) -> Any:
+        *others, experiment = arguments
+        short = experiment.measured.shape[0] <= most and jax.default_backend() == "cpu"
+        return (plain if short else optimised)(*others, strong(experiment))
+
+    return call
+
+
+def _shape(experiment: Experiment) -> tuple:
+    """What decides which compiled program an experiment runs through."""
+    leaves, structure = jax.tree.flatten(experiment)
+    return structure, *(np.shape(leaf) for leaf in leaves)
+
+
+def _predicted(vector: Array, model: Model, spec: PyTree, experiment: Experiment) -> Float[Array, " r"]:
+    return experiment.residual(from_vector(vector, model, spec))
+
+
+_residual = compiled(_predicted, np.inf)  # runs once or twice
+
+
+@compiled
+def _linearise(
+    vector: Array, directions: Array, added: Contribution | None, model: Model, spec: PyTree, experiment: Experiment
+) -> tuple[Array, Array, Inquiry | None]:
+    """Residual, its slope along each of the directions and of what is added beside it, and what was asked."""
+
+    def along(step: Array, more: Contribution | None) -> tuple[Array, Inquiry | None]:
+        bench = from_vector(vector + step, model, spec)
+        return (experiment.residual(bench), None) if more is None else experiment.residual_beside(bench, more)
+
+    start = jnp.zeros_like(vector), jax.tree.map(lambda leaf: jnp.zeros_like(leaf[0]), added)
+    # Forward mode with one primal and all directions side by side: nothing of the trajectory is stored.
+    return jax.vmap(lambda *lane: jax.jvp(along, start, lane, has_aux=True), out_axes=(None, 0, None))(
+        directions, added
+    )
+
+
+def nothing(experiment: Experiment, model: Model) -> Contribution | None:
+    """Nothing added, `WIDTH` times."""
+    return jax.tree.map(lambda leaf: np.zeros((WIDTH, *leaf.shape), leaf.dtype), experiment.nothing(model))
+
+
+def lanes(leaf: np.ndarray) -> np.ndarray:
+    """Up to `WIDTH` entries of the leading axis, and zeros in place of those that lack."""
+    some = np.asarray(leaf)
+    return np.concatenate([some, np.zeros((WIDTH - len(some), *some.shape[1:]), some.dtype)])
