@@ -8,12 +8,14 @@ it free. What it leaves of χ² beyond the truth is the expected Δχ² (the T-o
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from memsgyro_jax.base.runtime import usable_cores
 from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.experiments import Readings
 
@@ -76,10 +78,11 @@ def next_experiments(
     """
     rivals = _rivals(search, twins, rival) or ([] if explained else _guesses(search, ranking))
     weigh = _told_apart(search.joint, rivals) if rivals else _shown(search, ranking)
-    found = []
-    for plan in plans(search.case, search.joint.readings):
-        search.tell(f"predict: {plan.text}")
-        found.append(weigh(plan))
+    found, proposed = [], plans(search.case, search.joint.readings)
+    with ThreadPoolExecutor(usable_cores()) as pool:
+        for plan, worth in zip(proposed, pool.map(weigh, proposed), strict=True):
+            search.tell(f"predicted: {plan.text}")
+            found.append(worth)
     most = DECIDED if rivals else np.inf
     return tuple(sorted(found, key=lambda p: (-p.shown, -min(np.nan_to_num(p.chi2, nan=-1.0), most))))
 
@@ -171,9 +174,10 @@ def as_recorded(joint: Joint, truth: Optimum, planned: Readings) -> Readings | N
     """An experiment that recorded what a model predicts; as it stands where its noise has no `std`, `None` where a
     prediction that looks at what was measured (for its start) does not come to rest.
     """
+    units = np.eye(joint.start.size)[truth.free[:WIDTH]]  # slopes that are asked for next, if they are no more
     for _ in range(SETTLES):
         measured, std = planned.experiment.measured, getattr(planned.experiment.noise, "std", None)
-        white = _finite(joint.residual(truth.vector, [planned])[0])
+        white = _finite(joint.linearise(truth.vector, units, [planned])[0])
         if std is None or np.sqrt(np.mean(white**2)) < STILL:
             return planned
         parts = white.reshape(*measured.shape, -1)

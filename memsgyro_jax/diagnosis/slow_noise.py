@@ -21,6 +21,7 @@ from memsgyro_jax.measurement.readings import Readings
 from .fit import CaseFit, beside_case
 from .instrument import instrument_terms
 from .misfit import check_all
+from .optimum import Optimum
 from .promise import offers_of, promised
 from .score import basis, family_p_values, score
 from .search import Ranking, Search
@@ -33,6 +34,7 @@ SPENT = 3  # numbers of a spectrum
 MEAN = 0.25  # in place of zero for the mean, which slow noise leaves open
 EVIDENT = 12.0  # of twice the logarithm of a likelihood, from which noise counts as slow
 ROUNDS = 2  # of spectrum and fit
+CLEARLY = 1.25  # times what an effect leaves: a first estimate that costs so much more is not followed up
 
 
 class SlowNoise(NamedTuple):
@@ -110,14 +112,19 @@ def slow_noise(search: Search, ranking: Ranking) -> Mapping[str, str]:
     if not found or fit.optimum is not optimum:
         return {}
     blocks = dict(_blocks(search.joint.fitted, fit))
+    # Rows that were not fitted tell of both alike, and are not counted twice.
+    price = float(np.log(optimum.residual.size)) * sum(place.size for place in blocks.values()) / _compared(fit)
+    least = optimum.chi2 - max((s.statistic - price * s.size for s in ranking.scores), default=0.0)
+    white = _whitener(found, blocks)
+    if _cost(_clean(optimum, white), found, blocks) > CLEARLY * least and _stands_out(search, ranking, white):
+        return {}
     for _ in range(ROUNDS):
         moved = _moved(search, _whitener(found, blocks))
         found = _spectra(moved)
-    # Rows that were not fitted tell of both alike, and are not counted twice.
-    price = float(np.log(optimum.residual.size)) * sum(place.size for place in blocks.values()) / _compared(fit)
-    cost = _cost(search, found, blocks) + SPENT * price * len(found.keys() & blocks.keys())
-    effects = max((s.statistic - price * s.size for s in ranking.scores), default=0.0)
-    if cost >= optimum.chi2 - effects or _stands_out(search, ranking, _whitener(found, blocks)):
+    white = _whitener(found, blocks)
+    left = white(_left(search, _step(search, white)[0])[:, None])[:, 0]
+    cost = _cost(left, found, blocks) + SPENT * price * len(found.keys() & blocks.keys())
+    if cost >= least or _stands_out(search, ranking, white):
         return {}
     present = {search.joint.model.effects[i].label for i in (*search.given, *search.accepted)}
     terms = [term for term in instrument_terms(case) if term.label not in present]
@@ -131,12 +138,17 @@ def slow_noise(search: Search, ranking: Ranking) -> Mapping[str, str]:
     return {case.records[k].name: one.spoken(case.records[k]) for k, one in found.items()}
 
 
-def _cost(search: Search, found: Mapping[int, SlowNoise], blocks: Mapping[int, np.ndarray]) -> float:
-    """Twice the negative logarithm of the likelihood beside slow noise, as χ² is beside white."""
-    white, mine = _whitener(found, blocks), found.keys() & blocks.keys()
-    residual = _moved(search, white).optimum.residual
+def _cost(left: np.ndarray, found: Mapping[int, SlowNoise], blocks: Mapping[int, np.ndarray]) -> float:
+    """Twice the negative logarithm of the likelihood beside slow noise, as χ² is beside white, of what is left (r,)."""
+    mine = found.keys() & blocks.keys()
     sizes = [blocks[k].shape[1] * 2.0 * float(np.sum(np.log(found[k].std(len(blocks[k]))))) for k in mine]
-    return float(residual @ residual) + sum(sizes)
+    return float(left @ left) + sum(sizes)
+
+
+def _clean(optimum: Optimum, white: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    """What a fit beside slow noise would leave (r,), to the first order, whitened."""
+    left, q = white(optimum.residual[:, None])[:, 0], basis(white(optimum.jacobian))
+    return np.asarray(left - q @ (q.T @ left))
 
 
 def _compared(fit: CaseFit) -> int:
@@ -144,17 +156,28 @@ def _compared(fit: CaseFit) -> int:
 
 
 def _moved(search: Search, white: Callable[[np.ndarray], np.ndarray]) -> CaseFit:
-    """The model where the likelihood beside slow noise is largest, by one step from where it is without."""
-    optimum, joint = search.optimum, search.joint
+    """The model where the likelihood beside slow noise is largest, by one step from where it is without, beside every
+    record; with what was whitened for it.
+    """
+    vector, residual, slopes = _step(search, white)
+    at = replace(search.optimum, vector=vector, residual=_left(search, vector))
+    fit = beside_case(search.case, search.joint, at)
+    return replace(fit, optimum=replace(fit.optimum, residual=residual, jacobian=slopes))
+
+
+def _left(search: Search, vector: np.ndarray) -> np.ndarray:
+    return np.concatenate(search.joint.residual(vector, search.joint.fitted))
+
+
+def _step(search: Search, white: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Where one step beside slow noise leads, and the residual and the slopes at its begin, whitened."""
+    optimum = search.optimum
     residual, slopes = white(optimum.residual[:, None])[:, 0], white(optimum.jacobian)
     size = np.linalg.norm(slopes, axis=0)
     size = np.where(size > 0, size, 1.0)
     vector = optimum.vector.copy()
     vector[optimum.free] -= np.linalg.lstsq(slopes / size, residual, rcond=1e-7)[0] / size
-    vector = np.clip(vector, *joint.bounds)
-    left = np.concatenate(joint.residual(vector, joint.fitted))
-    fit = beside_case(search.case, joint, replace(optimum, vector=vector, residual=left))
-    return replace(fit, optimum=replace(fit.optimum, residual=residual, jacobian=slopes))
+    return np.clip(vector, *search.joint.bounds), residual, slopes
 
 
 def _blocks(chosen: Sequence[Readings], fit: CaseFit) -> Iterator[tuple[int, np.ndarray]]:

@@ -104,11 +104,13 @@ class Inquiry(eqx.Module):
         forced: where forces act, group by group.
         read: where channels are read.
         base: conditions at which its linear part is propagated; `None` where it is not propagated.
+        swept: whether the rate of a sweep acts.
     """
 
     forced: tuple[AskedRows, ...]
     read: AskedRows
     base: Conditions | None
+    swept: bool = eqx.field(static=True, default=False)
 
 
 class Contribution(eqx.Module):
@@ -263,7 +265,8 @@ def contributions(model: Model, absent: Absent, inquiry: Inquiry) -> Contributio
         linear = _propagated(model, absent, inquiry.base)
     forced = tuple(_told(group, lambda s, u, _, c: _pushed(model, absent, s, u, c)) for group in inquiry.forced)
     read = _told(inquiry.read, lambda *moments: _read(model, absent, *moments))
-    return Contribution(forced, read if read.ndim < 4 else read[:, :, 1], linear, _speeds(absent))
+    speeds = _speeds(absent) if inquiry.swept else np.zeros(total)
+    return Contribution(forced, read if read.ndim < 4 else read[:, :, 1], linear, speeds)
 
 
 def _told(moments: AskedRows, function) -> np.ndarray:

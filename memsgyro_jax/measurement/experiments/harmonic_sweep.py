@@ -85,7 +85,7 @@ class HarmonicSweep(Experiment):
             Periods(states, self.force, self.frequency, self.surroundings, count, harmonics)
             for count in (samples, reading_samples(bench, self.fineness))
         )
-        return seen, Inquiry((forced,), read, None)
+        return seen, Inquiry((forced,), read, None, swept=True)
 
     def nothing(self, bench: Model) -> Contribution | None:
         swept = any(isinstance(effect, SweepEffect) for effect in bench.effects)
