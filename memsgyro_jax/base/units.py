@@ -11,14 +11,19 @@ Three conventions that are easily confused, for white noise (IEEE Std 952 and 14
   N²/τ and the one-sided density is √2 N.
 """
 
+import atexit
+import contextlib
+import json
 import math
 import re
 from functools import cache
+from importlib.metadata import version
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from .errors import InputError
+from .files import write_whole
 from .runtime import cache_directory
 from .text import printable
 
@@ -36,6 +41,7 @@ _POWER = re.compile(rf"(?:\*\*|\^)\s*(?P<exponent>{_EXPONENT})?")
 _FOREIGN = re.compile(r"[^\w\s*/^().+√·°%Ωµμ²³¹⁰⁴-⁹⁻⁺-]|[^ \S]")
 _HIGHEST = 20.0  # power of a unit
 _LONGEST = 80  # characters of a unit
+_APART, _SHIFTED = "apart", "shifted"  # two units without a common dimension, and without a common zero
 
 
 class Column(NamedTuple):
@@ -102,13 +108,15 @@ def to_si(value: Any, unit: str, expected: str, name: str) -> Any:
     Raises:
         InputError: if `unit` is unknown or measures something else than `expected`.
     """
-    source, target = _parse(unit, name), _parse(expected, name)
-    if _dimension(source) != _dimension(target):
-        raise InputError(f'Unit of {name} must measure the same as "{expected}", but is "{unit}".')
     try:
+        factor = _conversion(unit, expected, name)
+        if factor == _APART:
+            raise InputError(f'Unit of {name} must measure the same as "{expected}", but is "{unit}".')
         with np.errstate(over="ignore", under="ignore"):
-            factor = _factor(source, target)
-            found = _registry().Quantity(value, source).to(target).magnitude if factor is None else value * factor
+            if isinstance(factor, str):
+                found = _registry().Quantity(value, _parse(unit, name)).to(_parse(expected, name)).magnitude
+            else:
+                found = value * factor
     except OverflowError:  # of the factor between the units
         found = np.inf
     if np.any(np.isfinite(value) & (~np.isfinite(found) | ((np.asarray(value) != 0) & (np.asarray(found) == 0)))):
@@ -127,6 +135,42 @@ def without_roots(unit: str) -> str:
     return _ROOT.sub(lambda match: f"({next(filter(None, match.groups()))})**0.5", unit)
 
 
+def _conversion(unit: str, expected: str, name: str) -> float | str:
+    """What a number of `unit` is multiplied with to be one of `expected`, or a word where that is not all.
+
+    Answers stay on disk, for pint takes a second to be imported.
+    """
+    for text in (unit, expected):
+        _require_plain(text, name)
+    known, key = _answers(), f"{unit} -> {expected}"
+    if key not in known:
+        source, target = _parse(unit, name), _parse(expected, name)
+        same = _dimension(source) == _dimension(target)
+        known[key] = _factor(source, target) if same else _APART
+    return known[key]
+
+
+@cache
+def _answers() -> dict[str, float | str]:
+    """Conversions that were asked for before; written when the process ends, if there are more by then."""
+    folder, found = cache_directory(), dict[str, float | str]()
+    if folder is None:
+        return found
+    place = folder / "units" / f"pint-{version('pint')}.json"
+    with contextlib.suppress(OSError, ValueError):  # not there, or damaged: as if it had never been
+        found = json.loads(place.read_text())
+    before = len(found)
+
+    def keep() -> None:
+        if len(found) > before:
+            with contextlib.suppress(OSError):
+                place.parent.mkdir(parents=True, exist_ok=True)
+                write_whole(place, json.dumps(found))
+
+    atexit.register(keep)
+    return found
+
+
 @cache
 def _registry() -> Any:
     import pint
@@ -140,19 +184,30 @@ def _registry() -> Any:
 
 @cache
 def _parse(text: str, name: str) -> Any:
-    plain = without_roots(text)
+    _require_plain(text, name)
     try:
-        if _FOREIGN.search(text):
-            raise ValueError("pint would pass over what it does not know")
-        if len(text) > _LONGEST or any(not _is_power(found["exponent"]) for found in _POWER.finditer(plain)):
-            raise ValueError("pint would work out any power, however long that takes")
-        if not plain.strip():
-            raise ValueError("a pure number is written 1, so that a forgotten unit is noticed")
-        return _registry().parse_units(plain)
+        return _registry().parse_units(without_roots(text))
     except Exception as error:  # pint raises its own, tokenizer and assertion errors alike for text it cannot read
-        raise InputError(
-            f'Unit of {name} must be one that can be read, e.g. "um", "deg/s" or "1", but is "{printable(text, 60)}".'
-        ) from error
+        raise _unreadable(text, name) from error
+
+
+def _require_plain(text: str, name: str) -> None:
+    """Refuses what pint would pass over, any power, however long it would take, and an empty text for a pure number, so
+    that a forgotten unit is noticed.
+    """
+    if _FOREIGN.search(text) or len(text) > _LONGEST or not text.strip():
+        raise _unreadable(text, name)
+    try:
+        powers = [_is_power(found["exponent"]) for found in _POWER.finditer(without_roots(text))]
+    except ValueError:  # no number
+        powers = [False]
+    if not all(powers):
+        raise _unreadable(text, name)
+
+
+def _unreadable(text: str, name: str) -> InputError:
+    shown = printable(text, 60)
+    return InputError(f'Unit of {name} must be one that can be read, e.g. "um", "deg/s" or "1", but is "{shown}".')
 
 
 def _is_power(exponent: str | None) -> bool:
@@ -163,11 +218,10 @@ def _is_power(exponent: str | None) -> bool:
     return abs(float(over.replace(" ", ""))) <= _HIGHEST and float(under or 1) != 0
 
 
-@cache
-def _factor(source: Any, target: Any) -> float | None:
-    """What a number of units `source` is multiplied with; `None` where that is not all, as between temperatures."""
+def _factor(source: Any, target: Any) -> float | str:
+    """What a number of units `source` is multiplied with; a word where that is not all, as between temperatures."""
     zero, one = (_registry().Quantity(value, source).to(target).magnitude for value in (0.0, 1.0))
-    return one if zero == 0.0 else None
+    return float(one) if zero == 0.0 else _SHIFTED
 
 
 @cache
