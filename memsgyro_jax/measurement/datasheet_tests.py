@@ -9,7 +9,6 @@ from jaxtyping import Bool, Float
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.loop.noise_budget import noise_budget
-from memsgyro_jax.loop.observers import NoObserver
 from memsgyro_jax.loop.scenario import Constant
 
 from .allan import allan
@@ -216,9 +215,9 @@ def noises(bench: RateTests, answer: Answer, duration: float) -> tuple[Datasheet
         change = f"falls to 1/{early / late:.3g}" if early > late else f"rises to {late / early:.3g} times"
         moving = f"the output is no stationary noise: from one half of the record to the other its power {change}, "
         moving += (
-            "as the loop is still starting, or still rings from it: a longer `settle` leaves that out"
-            if isinstance(bench.loop.observer, NoObserver)
-            else "as its observer still learns"
+            "as its observer still learns"
+            if bench.loop.observer.learns
+            else "as the loop is still starting, or still rings from it: a longer `settle` leaves that out"
         )
         beside = _by_formula(bench)
         reasons = tuple(f"{NOT_MODELLED}: {moving}{more}" for more in (*beside, ""))

@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from memsgyro_jax.loop.bound import information_bound
 from memsgyro_jax.loop.loop import ClosedLoop
-from memsgyro_jax.loop.observers import AbstractCovarianceObserver, NoObserver
+from memsgyro_jax.loop.observers import AbstractCovarianceObserver
 from memsgyro_jax.loop.scenario import Scenario
 
 from .batch import picked
@@ -33,7 +33,7 @@ def own_bounds(
     if varies or any(float(jnp.min(density)) == 0.0 for density in loop.readout.noise_density):
         return None
     observer = loop.observer
-    if isinstance(observer, NoObserver):  # it takes the design's numbers for true, which no bound without a prior does
+    if not observer.learns:  # it takes the design's numbers for true, which no bound without a prior does
         return None
     known: tuple[str, ...] = ()
     prior = None

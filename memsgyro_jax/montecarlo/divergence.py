@@ -19,7 +19,7 @@ from memsgyro_jax.device.gyro import mode_frequencies, natural_frequencies
 from memsgyro_jax.device.propagate import Exact
 from memsgyro_jax.loop.expectation import FAR, expectations, folding, moving, shifted, unknown_to
 from memsgyro_jax.loop.loop import ClosedLoop
-from memsgyro_jax.loop.observers import AbstractCovarianceObserver, NoObserver
+from memsgyro_jax.loop.observers import AbstractCovarianceObserver
 from memsgyro_jax.loop.scenario import Scenario
 
 from .batch import Plan
@@ -94,7 +94,7 @@ def divergence_of(
     plan: Plan,
 ) -> Divergence:
     """The diverged `dies`, and why; `theta` are the coefficients of the first of them, or of all."""
-    if isinstance(loop.observer, NoObserver):
+    if not loop.observer.learns:
         return Divergence(unjudged=NO_OBSERVER)
     if not (isinstance(loop.observer, AbstractCovarianceObserver) or loop.observer.claims_innovation):
         return Divergence(unjudged="the observer claims no covariance and no innovations to judge its errors by")

@@ -98,11 +98,13 @@ class Estimate(Displayed):
 class AbstractObserver(Displayed, Generic[State]):
     """Estimates motion and coefficients from measurements and its own last command; it never sees the true state.
 
-    `usually_tuned` names the fields that tuning frees when nothing else is asked for.
+    `usually_tuned` names the fields that tuning frees when nothing else is asked for. One that `learns` nothing from
+    its measurements leaves the rate to a controller that measures.
     """
 
     model: AbstractVar[MotionModel]
     usually_tuned: ClassVar[tuple[str, ...]] = ()
+    learns: ClassVar[bool] = True
 
     @abc.abstractmethod
     def init(self) -> State:

@@ -1,5 +1,7 @@
 """No observer: for controllers that measure by themselves."""
 
+from typing import ClassVar
+
 import equinox as eqx
 
 from memsgyro_jax.device.gyro import AbstractGyro, MotionModel, Pair, Scalar
@@ -18,6 +20,7 @@ class NoObserver(AbstractObserver[tuple[()]]):
     theta: tuple[Scalar, ...] = arrays()
     offset: Pair = arrays()
     model: MotionModel = eqx.field(static=True)
+    learns: ClassVar[bool] = False
 
     @classmethod
     def for_device(cls, gyro: AbstractGyro, readout: AbstractReadout) -> "NoObserver":
