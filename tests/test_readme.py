@@ -88,7 +88,7 @@ def test_files_of_an_instrument_become_a_case_as_told(tmp_path, monkeypatch, cap
         cli.main(command)
     assert ended.value.code == 0
     out = " ".join(capsys.readouterr().out.split())
-    assumed = re.findall(r"^ *Assumed: (.*)$", README, re.MULTILINE)
+    assumed = re.findall(r"^ *(Assumed of .*)$", README, re.MULTILINE)
     assert len(assumed) == 4
     assert all(line.rstrip(".") in out for line in assumed)
     copied = re.search(r'--map "([^"]*)"', README)[1]

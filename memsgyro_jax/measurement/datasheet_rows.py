@@ -17,7 +17,8 @@ from .over_temperature import CELSIUS, OverTemperature
 
 SCHEMA = "memsgyro-datasheet/1"
 NOT_MODELLED = "not modelled"
-_LEAST = {"%": 1e-3}  # size by unit below which a figure is rounding or numerics, and says nothing of a device
+_LEAST = {"%": 1e-3, "deg/s": 1e-5}  # size by unit below which a figure is rounding or numerics, and tells of no device
+_EXACT = 1e-6  # of a figure: an interval within it is none
 FEWEST = 3  # dies of which a spread is told
 
 
@@ -94,9 +95,11 @@ class DatasheetRow(Shown):
         least = _LEAST.get(self.unit.split(" ")[0], 0.0)
         if max(abs(found.minimum), abs(found.maximum), abs(found.least), abs(found.greatest)) < least:
             return ("", f"< {least:g}", "", "")
+        half = found.high - found.typical
+        within = f" ± {float(f'{half:.2g}'):.4g}" if half > _EXACT * abs(found.typical) else ""
         return (
             f"{found.minimum:.4g}",
-            f"{found.typical:.4g} ± {float(f'{found.high - found.typical:.2g}'):.4g}",
+            f"{found.typical:.4g}{within}",
             f"{found.maximum:.4g}",
             f"{found.p5:.4g} to {found.p95:.4g}",
         )

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from memsgyro_jax.base.arguments import whole
 from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.files import write_whole
@@ -27,6 +28,11 @@ from .imported_record import NO_LEVEL, Given, ImportedRecord, records_of
 _LOCK_IN = "V(t) = Re[(I + i Q) exp(i w t)] for a drive F cos(w t); amplitudes are peak values"
 
 _PLURAL = {"frequency_sweep": "sweeps", "free_decay": "decays", "time_record": "records over time"}
+_ABOUT = {  # kinds of what is assumed, the one that strengths hang on first, by the first words that it has
+    "drive": re.compile(r"\bdriv|response to 1 N"),
+    "readings": re.compile(r"\bread-?(?:ing|out)|phase|amplitude|effective|response is in"),
+    "rows": re.compile(""),
+}
 Level = tuple[float, str]
 
 
@@ -51,8 +57,9 @@ class ImportedCase(Shown):
     def __str__(self) -> str:
         lines = [f"{self.case.folder}: {len(self.records)} records from {', '.join(dict.fromkeys(self.formats))}"]
         lines.append(str(self.case))
-        for sentence, names in _shared(self.records).items():
-            lines.append(f"Assumed: {sentence}{_of(names, self.records)}.")
+        shared = _shared(self.records)
+        for sentence, names in sorted(shared.items(), key=lambda one: [*_ABOUT].index(_about(one[0]))):
+            lines.append(f"Assumed of the {_about(sentence)}: {sentence}{_of(names, self.records)}.")
         lines += [f"Not used: {level}." for level in self.unused]
         lines += [f"WARNING: {self.warning}"] if self.warning else []
         return "\n".join(lines)
@@ -81,6 +88,7 @@ def import_case(
     columns: str = "",
     drive: Sequence[str] = (),
     reference: str = "",
+    every: int = 1,
     overwrite: bool = False,
 ) -> ImportedCase:
     """Reads what instruments save, and writes a case of it: one file or several, one record or more from each.
@@ -98,6 +106,7 @@ def import_case(
         drive: level with its unit where no column has it, like ``"20 mV"``: one for all files, one for each, or one for
             each that needs it; ``"-"`` stands for a file that needs none.
         reference: frequency of a lock-in that recorded over time, like ``"32.768 kHz"``.
+        every: keeps one row of so many, waveforms behind a low pass.
         overwrite: writes over a case that is there.
 
     Returns:
@@ -114,15 +123,16 @@ def import_case(
     said = parse_map(columns) if columns else {}
     given = [None if text.strip() == "-" else _amount(text, "--drive") for text in drive]
     tuned = _amount(reference, "--reference") if reference else None
+    every = whole("every", every, 1)
     read = [read_instrument_file(Path(path)) for path in paths]
-    found = [_records(tables, said, Given(None, tuned)) for _, tables in read]
+    found = [_records(tables, said, Given(None, tuned, every)) for _, tables in read]
     swept = [
         any(record.kind == "frequency_sweep" and "drive_force" in record.keys for record in some) for some in found
     ]
     levels = _levels(given, swept)
     for k, level in enumerate(levels):
         if level is not None and swept[k]:
-            found[k] = _records(read[k][1], said, Given(level, tuned))
+            found[k] = _records(read[k][1], said, Given(level, tuned, every))
     names = [Path(path).name for path in paths]
     unused = [
         f"the drive of {level[0]:g} {level[1]}, as {name} does not need it"
@@ -233,6 +243,11 @@ def _shared(records: Sequence[ImportedRecord]) -> dict[str, list[str]]:
         if record.unused:
             found.setdefault(f"{listed(record.unused, '`')} not needed", []).append(record.name)
     return found
+
+
+def _about(sentence: str) -> str:
+    """Of which kind an assumption is."""
+    return next(kind for kind, words in _ABOUT.items() if words.search(sentence))
 
 
 def _write(folder: Path, records: list[ImportedRecord], sources: list[str]) -> Case:

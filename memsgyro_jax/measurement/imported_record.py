@@ -24,6 +24,7 @@ from .imported_columns import (
     time_column,
     with_usual_unit,
 )
+from .thinning import thinned
 from .tracking import rough_decay
 
 
@@ -65,16 +66,20 @@ class ImportedRecord:
 
 
 class Given:
-    """What the user says beside the file: drive level and reference frequency with their units, or nothing."""
+    """What the user says beside the file: drive level and reference frequency with their units, or nothing, and that
+    one row of `every` is kept.
+    """
 
-    def __init__(self, drive: tuple[float, str] | None = None, reference: tuple[float, str] | None = None) -> None:
-        self.drive, self.reference = drive, reference
+    def __init__(
+        self, drive: tuple[float, str] | None = None, reference: tuple[float, str] | None = None, every: int = 1
+    ) -> None:
+        self.drive, self.reference, self.every = drive, reference, every
 
 
 def records_of(name: str, table: SourceTable, meaning: Meaning, given: Given) -> list[ImportedRecord]:
     """The records that a table holds: a sweep, or what was forced and what was free of a run over time."""
     assumed = [*table.assumed]
-    rows = _finite(table, meaning, assumed)
+    rows = thinned(table, meaning, _finite(table, meaning, assumed), given.every, assumed)
     source = f"{table.path.name}{', ' + table.name if table.name else ''}"
     about = {"name": name, "source": source, "unused": meaning.unused}
     with np.errstate(over="ignore", invalid="ignore"):  # of a damaged file; reading the case refuses them

@@ -119,8 +119,28 @@ def test_phasors_over_time_need_their_reference(tmp_path):
     lost = mg.import_case([tmp_path / "a.csv"], tmp_path / "lost", reference="4 kHz")
     assert lost.case.records[0].uneven
     assert lost.case.design["resonance"].value == pytest.approx(2 * np.pi * 4000.7, rel=1e-4)
-    assert "Assumed: the time of each row is right (`uneven`), though rows are lost." in str(lost)
+    assert "Assumed of the rows: the time of each row is right (`uneven`), though rows are lost." in str(lost)
     assert case.design["resonance"].value == pytest.approx(2 * np.pi * 4000.7, rel=1e-4)
+
+
+def test_a_long_record_is_thinned(tmp_path):
+    """Behind a low pass the noise falls with the rows, and the vibration stays as it is."""
+    path = ring_down(tmp_path / "decay.tdms", frequency=320.0, quality=100.0, rows=12_000)
+    whole, tenth = (mg.import_case([path], tmp_path / f"by_{n}", every=n) for n in (1, 10))
+    assert "one row of 10 is kept, behind a low pass" in str(tenth)
+    (long,), (short,) = whole.case.records, tenth.case.records
+    assert short.period == pytest.approx(10.0 * long.period)
+    assert len(short.time) == pytest.approx(len(long.time) / 10.0, abs=60)
+    assert tenth.case.design["resonance"].value == pytest.approx(2 * np.pi * 320.0, rel=1e-3)
+    rows = slice(20, -20)  # but where the record ends
+    at = np.searchsorted(long.time, short.time[rows] - 0.5 * long.period)
+    assert np.std(short.signals[rows] - long.signals[at]) < 1.5e-3
+    with pytest.raises(mg.InputError, match=r"keeps fewer than 5 rows in a period \(at most --every 12 leaves 5\)"):
+        mg.import_case([path], tmp_path / "no", every=20)
+    rows = ["t [s],f [Hz],X [V],Y [V]", *(f"{n},{1000 + n},{n % 7},1" for n in range(40))]
+    (tmp_path / "a.csv").write_text("\n".join(rows))
+    with pytest.raises(mg.InputError, match="must not thin a sweep with a clock"):
+        mg.import_case([tmp_path / "a.csv"], tmp_path / "no", every=2)
 
 
 def test_a_folder_that_is_there_is_kept_unless_told(sweeps, tmp_path):
@@ -149,7 +169,7 @@ def test_the_command_prints_what_it_assumed_and_what_to_do_next(sweeps, tmp_path
         )  # fmt: skip
     assert ended.value.code == 0
     out = capsys.readouterr().out
-    assert "Assumed: " in out
+    assert "Assumed of the readings: " in out
     assert "memsgyro check" in out
     entries = json.loads((tmp_path / "a.json").read_text())
     assert entries["schema"] == "memsgyro-import/1"

@@ -14,6 +14,7 @@ def import_command(
     map_: Annotated[str, cyclopts.Parameter(name="--map")] = "",
     drive: Words = (),
     reference: str = "",
+    every: int = 1,
     overwrite: Flag = False,
     json: Path | None = None,
 ) -> None:
@@ -30,6 +31,7 @@ def import_command(
         drive: level where no column has it, like "20 mV"; one for all files or one for each, "-" for a file that needs
             none, as a ring-down.
         reference: frequency of a lock-in that recorded over time, like "32.768 kHz".
+        every: keep one row of so many, waveforms behind a low pass: for records longer than they need to be.
         overwrite: write over a case that is there.
         json: file for the machine-readable result.
     """
@@ -39,7 +41,7 @@ def import_command(
     from .options import require_writable
 
     require_writable(json)
-    result = import_case(files, out, columns=map_, drive=drive, reference=reference, overwrite=overwrite)
+    result = import_case(files, out, columns=map_, drive=drive, reference=reference, every=every, overwrite=overwrite)
     print(result)
     if not result.warning:
         print(f"Next: `memsgyro check {out}`, then `memsgyro diagnose {out}`.")
