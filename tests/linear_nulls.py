@@ -14,6 +14,7 @@ from lab.die import Hidden
 
 from memsgyro_jax.diagnosis.acceptance import judged_by_misfit, refusal, unsure_noise
 from memsgyro_jax.diagnosis.diagnose import RECORDS
+from memsgyro_jax.diagnosis.fit import beside_case
 from memsgyro_jax.diagnosis.instrument import instrument_terms, knowledge
 from memsgyro_jax.diagnosis.joint_residual import Joint
 from memsgyro_jax.diagnosis.nuisances import SHARE
@@ -21,6 +22,8 @@ from memsgyro_jax.diagnosis.optimum import Optimum
 from memsgyro_jax.diagnosis.rounds import FITTED
 from memsgyro_jax.diagnosis.scans import coverage
 from memsgyro_jax.diagnosis.score import basis, best_by_noise, family_p_values, score, within_bounds
+from memsgyro_jax.diagnosis.search import Ranking, Search
+from memsgyro_jax.diagnosis.slow_noise import slow_noise
 from memsgyro_jax.effects import Scanned, catalogue
 from memsgyro_jax.measurement.least_squares import above, gate
 from memsgyro_jax.measurement.readings import readings_of
@@ -30,19 +33,38 @@ LEVEL = 0.05
 
 
 class Decision(NamedTuple):
-    """What is reported of a draw: an effect, a record that nothing explains, a term of the instrument; whether an
-    effect was tempting; the smallest p-value of all effects together.
+    """What is reported of a draw: an effect, a record that nothing explains, a term of the instrument, noise that is
+    slow; whether an effect was tempting; the smallest p-value of all effects together.
     """
 
     effect: bool
     record: bool
     term: bool
+    slow: bool
     tempted: bool
     p_value: float
 
     @property
     def alarm(self):
-        return self.effect or self.record or self.term
+        return self.effect or self.record or self.term or self.slow
+
+
+class LinearJoint(Joint):
+    """A joint residual that is linear: values and slopes at its start, of all readings in their order."""
+
+    def __init__(self, joint, every, value, slopes):
+        super().__init__(joint.model, joint.readings, joint.programs)
+        ends = np.cumsum([r.size for r in every])[:-1]
+        self.parts = {
+            id(r): part for r, *part in zip(every, np.split(value, ends), np.split(slopes, ends), strict=True)
+        }
+
+    def residual(self, vector, chosen):
+        return [value + slopes @ (vector - self.start) for value, slopes in (self.parts[id(r)] for r in chosen)]
+
+    def linearise(self, vector, directions, chosen):
+        slopes = np.concatenate([self.parts[id(r)][1] for r in chosen])
+        return np.concatenate(self.residual(vector, chosen)), slopes @ directions.T
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,6 +158,9 @@ class Nulls:
         blocks = [joint.of_effect(i) for i in range(len(joint.model.effects))]
         candidates = [slopes[fitted][:, block] for block in blocks]
         p_values, found = self._ranked(before, candidates, [_part(joint, block) for block in blocks], unsure)
+        ranking = Ranking(tuple(range(len(found))), tuple(found), p_values, tuple(candidates))
+        if self._slow(case, before, value, slopes, ranking):
+            return Decision(False, False, False, True, False, float(p_values.min()))
         best = int(np.argmin([s.p_value for s in found]))
         tempted = p_values[best] <= (1 - RECORDS) * LEVEL
         effect = False
@@ -145,8 +170,14 @@ class Nulls:
         tried = tempted or not all(within)
         term = tried and self._ranked_terms(before, unsure) <= SHARE * (1 - RECORDS) * LEVEL
         return Decision(
-            effect, min(p_records) <= RECORDS * LEVEL / len(p_records), term, tempted, float(p_values.min())
+            effect, min(p_records) <= RECORDS * LEVEL / len(p_records), term, False, tempted, float(p_values.min())
         )
+
+    def _slow(self, case, before, value, slopes, ranking):
+        """Whether the noise is called slow, which ends a diagnosis."""
+        joint = LinearJoint(self.joint, self.every, value, slopes)
+        search = Search(beside_case(case, joint, before), (1 - RECORDS) * LEVEL, (), lambda text: None)
+        return bool(slow_noise(search, ranking))
 
     def _ranked(self, before, slopes, bounds, unsure):
         q, residual = basis(before.jacobian), before.residual

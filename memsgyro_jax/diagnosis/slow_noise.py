@@ -23,7 +23,7 @@ from .instrument import instrument_terms
 from .misfit import check_all
 from .optimum import Optimum
 from .promise import offers_of, promised
-from .score import basis, family_p_values, score
+from .score import Score, basis, family_p_values, score, survival
 from .search import Ranking, Search
 
 
@@ -32,8 +32,10 @@ CORNERS = 60
 FEWEST = 4  # rows
 SPENT = 3  # numbers of a spectrum
 MEAN = 0.25  # in place of zero for the mean, which slow noise leaves open
-EVIDENT = 12.0  # of twice the logarithm of a likelihood, from which noise counts as slow
+# Of twice the logarithm of a likelihood, from which noise counts as slow; and from which beside records of slow noise.
+EVIDENT, LIKELY = 12.0, 4.0
 ROUNDS = 2  # of spectrum and fit
+STEPS = 4  # of a fit to all readings, also those that were not fitted
 CLEARLY = 1.25  # times what an effect leaves: a first estimate that costs so much more is not followed up
 
 
@@ -57,6 +59,18 @@ class SlowNoise(NamedTuple):
     def whitened(self, values: np.ndarray) -> np.ndarray:
         """Rows (n, k) of which slow noise is taken away."""
         return idct(dct(values, axis=0, norm="ortho") / self.std(len(values))[:, None], axis=0, norm="ortho")
+
+    def doubt(self, shares: np.ndarray) -> float:
+        """One over the degrees of freedom with which the spectrum tells the variance of a sum of cosines, of which some
+        rows (n, k) have these shares of one.
+        """
+        place = np.maximum(np.arange(self.rows), MEAN)
+        slow = 1.0 / (1.0 + (place / max(self.corner, MEAN)) ** self.slope) * (self.corner > 0)
+        # The logarithm of the power by those of level and corner, and by the slope, each as far as it may be off.
+        moved = np.stack([2.0 + 0.0 * place, self.slope * slow, slow * np.log(max(self.corner, MEAN) / place)], axis=1)
+        known = 0.5 * shares.shape[1] * moved[1:].T @ moved[1:] + np.diag([0.0, 0.0, np.var(SLOPES) ** -1])
+        seen = np.sum(shares, axis=1) @ moved[: len(shares)]
+        return float(seen @ np.linalg.pinv(known) @ seen) / 2.0
 
     def spoken(self, record: AbstractRecord) -> str:
         """From where on it is slow, for people."""
@@ -116,7 +130,7 @@ def slow_noise(search: Search, ranking: Ranking) -> Mapping[str, str]:
     price = float(np.log(optimum.residual.size)) * sum(place.size for place in blocks.values()) / _compared(fit)
     least = optimum.chi2 - max((s.statistic - price * s.size for s in ranking.scores), default=0.0)
     white = _whitener(found, blocks)
-    if _cost(_clean(optimum, white), found, blocks) > CLEARLY * least and _stands_out(search, ranking, white):
+    if _cost(_clean(optimum, white), found, blocks) > CLEARLY * least and _stands_out(search, ranking, found, blocks):
         return {}
     for _ in range(ROUNDS):
         moved = _moved(search, _whitener(found, blocks))
@@ -124,7 +138,7 @@ def slow_noise(search: Search, ranking: Ranking) -> Mapping[str, str]:
     white = _whitener(found, blocks)
     left = white(_left(search, _step(search, white)[0])[:, None])[:, 0]
     cost = _cost(left, found, blocks) + SPENT * price * len(found.keys() & blocks.keys())
-    if cost >= least or _stands_out(search, ranking, white):
+    if cost >= least or _stands_out(search, ranking, found, blocks):
         return {}
     present = {search.joint.model.effects[i].label for i in (*search.given, *search.accepted)}
     terms = [term for term in instrument_terms(case) if term.label not in present]
@@ -133,7 +147,7 @@ def slow_noise(search: Search, ranking: Ranking) -> Mapping[str, str]:
         numbers = sum(terms[i].strength.size for i in offered.chosen)
         if cost >= optimum.chi2 - offered.gain + price * numbers:
             return {}
-    if not _passes(moved, found, search.level):
+    if not (_passes(moved, found, search.level) or _passes(_moved_by_all(search, found), found, search.level)):
         return {}
     return {case.records[k].name: one.spoken(case.records[k]) for k, one in found.items()}
 
@@ -160,9 +174,31 @@ def _moved(search: Search, white: Callable[[np.ndarray], np.ndarray]) -> CaseFit
     record; with what was whitened for it.
     """
     vector, residual, slopes = _step(search, white)
-    at = replace(search.optimum, vector=vector, residual=_left(search, vector))
-    fit = beside_case(search.case, search.joint, at)
+    fit = _at(search, vector)
     return replace(fit, optimum=replace(fit.optimum, residual=residual, jacobian=slopes))
+
+
+def _moved_by_all(search: Search, found: Mapping[int, SlowNoise]) -> CaseFit:
+    """The same where readings count as well that were not fitted, which differ by the uncertainty of the fit."""
+    joint, vector, fit = search.joint, search.optimum.vector, search.steps[-1].fit
+    groups = [group for group in (joint.fitted, [r for r in joint.readings if not r.fitted]) if group]
+    whiteners = [_whitener(found, dict(_blocks(group, fit))) for group in groups]
+    for _ in range(STEPS):
+        parts = []
+        for group, white in zip(groups, whiteners, strict=True):
+            value, slopes = joint.linearise(vector, np.eye(vector.size)[search.optimum.free], group)
+            seen = np.concatenate([np.repeat(r.record >= 0, r.size // r.record.size) for r in group])
+            known = (seen & np.isfinite(value))[:, None]
+            parts.append(white(np.where(known, np.column_stack([slopes, value]), 0.0)))
+        every = np.concatenate(parts)
+        vector = _stepped(search, vector, every[:, -1], every[:, :-1])
+    return _at(search, vector)
+
+
+def _at(search: Search, vector: np.ndarray) -> CaseFit:
+    return beside_case(
+        search.case, search.joint, replace(search.optimum, vector=vector, residual=_left(search, vector))
+    )
 
 
 def _left(search: Search, vector: np.ndarray) -> np.ndarray:
@@ -173,11 +209,14 @@ def _step(search: Search, white: Callable[[np.ndarray], np.ndarray]) -> tuple[np
     """Where one step beside slow noise leads, and the residual and the slopes at its begin, whitened."""
     optimum = search.optimum
     residual, slopes = white(optimum.residual[:, None])[:, 0], white(optimum.jacobian)
+    return _stepped(search, optimum.vector, residual, slopes), residual, slopes
+
+
+def _stepped(search: Search, vector: np.ndarray, residual: np.ndarray, slopes: np.ndarray) -> np.ndarray:
     size = np.linalg.norm(slopes, axis=0)
-    size = np.where(size > 0, size, 1.0)
-    vector = optimum.vector.copy()
-    vector[optimum.free] -= np.linalg.lstsq(slopes / size, residual, rcond=1e-7)[0] / size
-    return np.clip(vector, *search.joint.bounds), residual, slopes
+    size, out = np.where(size > 0, size, 1.0), vector.copy()
+    out[search.optimum.free] -= np.linalg.lstsq(slopes / size, residual, rcond=1e-7)[0] / size
+    return np.clip(out, *search.joint.bounds)
 
 
 def _blocks(chosen: Sequence[Readings], fit: CaseFit) -> Iterator[tuple[int, np.ndarray]]:
@@ -201,10 +240,12 @@ def _rows(record: AbstractRecord, deviation: Deviation) -> tuple[np.ndarray, np.
 
 
 def _spectra(fit: CaseFit) -> dict[int, SlowNoise]:
-    """The spectra of records whose noise is evidently slow, and of others of their kinds, which share instruments."""
+    """The spectra of records whose noise is evidently slow, of others of their kinds, which share instruments, and of
+    those of which it is then likely.
+    """
     every = [(record, d.number, *slow_noise_of(_rows(record, d)[1])) for record, d in fit.deviations]
     kinds = {record.kind for record, _, _, gain in every if gain > EVIDENT}
-    return {number: one for record, number, one, _ in every if record.kind in kinds}
+    return {number: one for record, number, one, gain in every if record.kind in kinds or (kinds and gain > LIKELY)}
 
 
 def _whitener(found: Mapping[int, SlowNoise], blocks: Mapping[int, np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:
@@ -221,13 +262,29 @@ def _whitener(found: Mapping[int, SlowNoise], blocks: Mapping[int, np.ndarray]) 
     return white
 
 
-def _stands_out(search: Search, ranking: Ranking, white: Callable[[np.ndarray], np.ndarray]) -> bool:
-    """Whether an effect of the device does, beside all that is free and the slow noise."""
+def _stands_out(
+    search: Search, ranking: Ranking, found: Mapping[int, SlowNoise], blocks: Mapping[int, np.ndarray]
+) -> bool:
+    """Whether an effect of the device does, beside all that is free and the slow noise, as well as that is known."""
     if not ranking.places:
         return False
+    white = _whitener(found, blocks)
     residual, q = white(search.optimum.residual[:, None])[:, 0], basis(white(search.optimum.jacobian))
     scores = [score(residual, q, white(slopes)) for slopes in ranking.slopes]
+    mine = found.keys() & blocks.keys()
+    doubts = [sum(found[k].doubt(_shares(one, blocks[k])) for k in mine) if one.size else 0.0 for one in scores]
+    scores = [
+        replace(one, p_value=survival(one, 1.0 / doubt)) if doubt > 0 else one
+        for one, doubt in zip(scores, doubts, strict=True)
+    ]
     return bool(np.min(family_p_values(scores)) <= search.level)
+
+
+def _shares(found: Score, place: np.ndarray) -> np.ndarray:
+    """The shares of the cosines over some rows (n, k) in the directions of a score."""
+    rows = found.directions[place].reshape(len(place), -1)
+    power = dct(rows, axis=0, norm="ortho").reshape(*place.shape, found.size) ** 2
+    return np.asarray(np.sum(power, axis=2) / found.size)
 
 
 def _passes(fit: CaseFit, found: Mapping[int, SlowNoise], alone: float) -> bool:

@@ -5,9 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bench_case import ONE_AXIS, RESONATOR, TINY, bench
+from bench_case import DIE, ONE_AXIS, RESONATOR, TINY, bench
 from json_schema import fits
 from kept import kept
+from lab.devices import DEVICES
 from lab.die import Hidden, Outside
 from lab.faults import Faults
 from lab.strengths import VISIBLE, visible
@@ -111,7 +112,7 @@ def test_a_mode_is_looked_for_in_sweeps_and_not_in_the_raw_capture_at_the_first_
     finer = [replace(r, experiment=r.experiment.finer or r.experiment) for r in readings]
     assert any(new.experiment is not old.experiment for new, old in zip(finer, readings, strict=True))
     again = scan(base.model, base.optimum, finer, grid)
-    assert again.score.statistic == found.score.statistic
+    assert again.score.statistic == pytest.approx(found.score.statistic, rel=1e-9)
 
 
 def test_an_impossible_level_is_refused():
@@ -188,6 +189,17 @@ def test_a_noise_that_is_slow_is_called_that(own):
     assert "The noise is not white but grows towards low frequencies, in sweep over" in outcome.sentence
     assert "its noise is slow" in str(outcome)
     assert json.loads(outcome.to_json())["residual"] == {}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("corner", [20.0, 200.0])
+def test_slow_noise_is_called_that_where_few_rows_tell_its_spectrum(corner):
+    """Of a gyro; and of a sweep and a ring-down that the fit to the sweep foretells by its uncertainty only."""
+    few = DEVICES["8 kHz, one sweep and one ring-down"]
+    for protocol, die in ((TINY, DIE), (few.protocol, few.die)):
+        outcome = diagnose(None, bench(Hidden(), 1, replace(protocol, faults=Faults(corner=corner)), die).case)
+        assert (outcome.verdict, outcome.accepted, outcome.instrument) == ("nothing_missing", (), ())
+        assert "The noise is not white" in outcome.sentence
 
 
 def test_a_spring_is_found_beside_slow_noise(own):
