@@ -28,7 +28,7 @@ def loop_page(
         page.section(f"From {answer.disturbed} to the rate given out").text(f"{str(answer).splitlines()[0]}.")
         figure = blank(3.6)
         answer.plot(figure.subplots())
-        page.figure(plain(figure), "Gain and, dashed, phase of the rate given out over that of a small sine.")
+        page.figure(figure, "Gain and, dashed, phase of the rate given out over that of a small sine.")
     if margins is not None:
         from memsgyro_jax.loop.gain_phase import HEAD
 
@@ -56,7 +56,7 @@ def tornado_page(bars: "Tornado", study: "Study") -> Page:
         figure = blank(1.4 + 0.36 * len(bars.inputs))
         bars.plot(figure.subplots(), name)
         page.text(f"{design} at the design.").figure(
-            plain(figure), f"Change by {bars.sigmas:g} standard deviations of one parameter alone, the largest on top."
+            plain(figure), f"Change by ∓{bars.sigmas:g} σ of one parameter alone, the largest on top."
         )
         page.table(TORNADO_HEAD, bars.rows(k))
         if note := bars.note(k):
