@@ -61,12 +61,15 @@ LONGEST = (
 )
 
 
-# Files that one worker runs one after the other: they fit the demonstration, which is then done once.
+# Files that one worker runs one after the other, as what they share is then done once.
 TOGETHER = (
-    "app/report/test_diagnosis_page.py",
-    "diagnosis/test_residual_force.py",
-    "diagnosis/test_compare.py",
-    "app/test_fit_command.py",
+    ("montecarlo/test_sweep.py", "test_readme.py"),  # the default sweep
+    (  # the demonstration's fit
+        "app/report/test_diagnosis_page.py",
+        "diagnosis/test_residual_force.py",
+        "diagnosis/test_compare.py",
+        "app/test_fit_command.py",
+    ),
 )
 
 
@@ -110,7 +113,7 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     class Scheduling(LoadFileScheduling):
         def _split_scope(self, nodeid: str) -> str:
             file = super()._split_scope(nodeid)
-            return "together" if file.removeprefix("tests/") in TOGETHER else file
+            return next((" ".join(group) for group in TOGETHER if file.removeprefix("tests/") in group), file)
 
     return Scheduling(config, log)
 

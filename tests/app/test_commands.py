@@ -109,7 +109,7 @@ def test_a_sweep_prints_its_table_and_leaves_three_results(memsgyro, folder):
 
 
 def test_a_sweep_is_that_of_its_study(memsgyro, folder):
-    changes = {"sweep.sample_rate": "20 kHz", "sweep.duration": "10 ms", "sweep.dies": 3, "sweep.chunk": 2}
+    changes = {"sweep.sample_rate": "20 kHz", "sweep.duration": "10 ms", "sweep.dies": 5, "sweep.chunk": 2}
     mg.default_study().changed(changes).write("my.toml")
     assert memsgyro("sweep", "my.toml", "--seed", 4, "--json", "copy.json")[0] == 0
     study = mg.load_study("my.toml").changed({"sweep.seed": 4})

@@ -29,7 +29,7 @@ def lot(loop: mg.ClosedLoop, dies: int = 32, **settings) -> dict[str, np.ndarray
 
 @pytest.fixture(scope="module")
 def samples() -> dict[str, np.ndarray]:
-    return lot(LOOP, 128)  # the program that `test_the_default_lot_is_consistent_and_at_the_bound` compiles
+    return lot(LOOP, 128)
 
 
 def difference(a: dict, b: dict) -> float:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import equinox as eqx
 import numpy as np
 import pytest
-from bench_case import DIE, EFFECTS, OF_X, ONE_AXIS, RESONATOR, bench, strengths, truth
+from bench_case import DIE, EFFECTS, OF_X, ONE_AXIS, RESONATOR, TINY, bench, strengths, truth
 from lab.die import Hidden
 from lab.protocol import RingDown as RingDownOfLab
 from lab.strengths import VISIBLE, visible
@@ -87,7 +87,7 @@ def test_several_linear_effects_at_once_are_predicted():
 
 def test_the_comparison_would_see_a_wrong_strength():
     """A thousandth of a visible cubic stiffness is a thousand times what the tolerance allows."""
-    made = bench(visible("cubic_stiffness_x"))
+    made = bench(visible("cubic_stiffness_x"), protocol=replace(TINY, experiments=TINY.experiments[:1]))
     off = truth(made.case, DIE, visible("cubic_stiffness_x", times=1.001), OF_X)
     found = compared(made, fit_case(made.case, model=off, held=True))
     assert found["sweep_x"] > 1e3 * ACCURACY["cubic_stiffness_x"]["sweep_x"]

@@ -18,7 +18,7 @@ from memsgyro_jax.montecarlo.sensitivity.sobol import designed_points, indices_o
 from memsgyro_jax.montecarlo.spread import Points
 
 
-SHORT = {"sample_rate": 50e3, "duration": 2e-3, "tolerance": 1.0}
+SHORT = {"sample_rate": 50e3, "duration": 2e-3, "tolerance": 1.0, "chunk": 96}  # one program for 3 dies and for 160
 PAIR = mg.Spread((mg.Vary("device.dxy", mg.Normal(relative=0.1)), mg.Vary("device.kxx", mg.Normal(relative=0.02))))
 
 
