@@ -12,38 +12,48 @@ from memsgyro_jax.base.files import finite
 from memsgyro_jax.base.text import aligned
 
 from .loop import ClosedLoop
-from .stability import LoopMargins, loop_margins, open_loops
+from .stability import LoopMargins, loop_margins, open_loops, poles_with
 
 
 HEAD = ("loop", "distance from -1", "crossover", "phase margin", "gain margin up", "and down")
+TOGETHER = "rate and quadrature together"
 _SPAN = np.geomspace(1e-2, 1e6, 6001)  # rad/s, at which crossings are looked for
 _HALVINGS = 40
+_CHANGES = np.arange(0.5, 80.1, 0.5)  # dB, of a gain that two loops share
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class GainPhaseMargins(Shown):
     """Margins of one die's four loops in the order of `LoopMargins`, each opened where its output acts while the others
-    are closed.
+    are closed, and last of rate and quadrature `TOGETHER`, which share the gains of read-out and electrode of y.
 
     `crossover` [Hz] is where the loop's gain is 1 with the least `phase_margin` [degrees]; `increase` and `decrease`
     [dB] are by how much its gain may grow, and fall, until it oscillates, infinite where no change of the gain does
-    that. NaN where the loop hands nothing back, where it is unstable as it is, and for a crossover that it has not.
-    `distance` are the least distances of the Nyquist curves from -1.
+    that. NaN where the loop hands nothing back, where it is unstable as it is, for a crossover that it has not, and for
+    that of two loops. `distance` are the least distances of the Nyquist curves from -1, of rate and quadrature the one
+    of both.
     """
 
     distance: LoopMargins
-    crossover: Float[np.ndarray, " 4"]
-    phase_margin: Float[np.ndarray, " 4"]
-    increase: Float[np.ndarray, " 4"]
-    decrease: Float[np.ndarray, " 4"]
+    crossover: Float[np.ndarray, " 5"]
+    phase_margin: Float[np.ndarray, " 5"]
+    increase: Float[np.ndarray, " 5"]
+    decrease: Float[np.ndarray, " 5"]
+
+    @property
+    def _distances(self) -> dict[str, float]:
+        return {
+            **{name: float(each) for name, each in self.distance._asdict().items()},
+            TOGETHER: float(self.distance.rate),
+        }
 
     def rows(self) -> list[tuple[str, ...]]:
         """Of each loop its name and the figures as text, in the order of `HEAD`."""
         rows = []
-        for k, (name, distance) in enumerate(self.distance._asdict().items()):
+        for k, (name, distance) in enumerate(self._distances.items()):
             cells = (self.crossover[k], self.phase_margin[k], self.increase[k], self.decrease[k])
             shown = (_with_unit(value, unit) for value, unit in zip(cells, (" Hz", "°", " dB", " dB"), strict=True))
-            rows.append((name, f"{float(distance):.3g}", *shown))
+            rows.append((name, f"{distance:.3g}", *shown))
         return rows
 
     def __str__(self) -> str:
@@ -54,8 +64,8 @@ class GainPhaseMargins(Shown):
         names = ("crossover_hz", "phase_margin_deg", "gain_margin_up_db", "gain_margin_down_db")
         columns = (self.crossover, self.phase_margin, self.increase, self.decrease)
         return finite({
-            name: {"distance": float(distance), **{n: float(c[k]) for n, c in zip(names, columns, strict=True)}}
-            for k, (name, distance) in enumerate(self.distance._asdict().items())
+            name: {"distance": distance, **{n: float(c[k]) for n, c in zip(names, columns, strict=True)}}
+            for k, (name, distance) in enumerate(self._distances.items())
         })  # fmt: skip
 
 
@@ -67,8 +77,8 @@ def gain_phase_margins(loop: ClosedLoop) -> GainPhaseMargins:
     runtime.require_float64("`gain_phase_margins`")
     distance, curve = loop_margins(loop), open_loops(loop)
     along = curve(_SPAN)
-    found = np.array([_of_loop(lambda w, k=k: curve(w)[:, k], along[:, k], float(distance[k])) for k in range(4)])
-    return GainPhaseMargins(distance, *found.T)
+    found = [_of_loop(lambda w, k=k: curve(w)[:, k], along[:, k], float(distance[k])) for k in range(4)]
+    return GainPhaseMargins(distance, *np.array([*found, _of_both(loop, found[2:])]).T)
 
 
 def _of_loop(curve: Callable, along: np.ndarray, distance: float) -> tuple[float, float, float, float]:
@@ -81,6 +91,29 @@ def _of_loop(curve: Callable, along: np.ndarray, distance: float) -> tuple[float
     turned = curve(_crossings(lambda w: curve(w).imag, along.imag))
     gains = -20.0 * np.log10(np.abs(turned[turned.real < 0.0]))
     return crossover, phase, np.min(gains[gains > 0.0], initial=np.inf), np.max(gains[gains < 0.0], initial=-np.inf)
+
+
+def _of_both(loop: ClosedLoop, alone: list[tuple[float, ...]]) -> tuple[float, float, float, float]:
+    """As `_of_loop` of rate and quadrature when both gains change by the same factor."""
+    if np.isnan(alone).all():
+        return (np.nan,) * 4
+    poles = poles_with(loop)
+    rest = 1e-9 * np.max(np.abs(poles(1.0)))  # an integral's pole at zero, but for rounding
+
+    def oscillates(change: float) -> bool:
+        return bool(np.max(poles(10.0 ** (change / 20.0)).real) > rest)
+
+    def first(changes: np.ndarray) -> float:
+        far = next((k for k, change in enumerate(changes) if oscillates(change)), None)
+        if far is None:
+            return np.copysign(np.inf, changes[-1])
+        near, beyond = changes[far - 1] if far else 0.0, changes[far]
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (near + beyond)
+            near, beyond = (near, middle) if oscillates(middle) else (middle, beyond)
+        return float(beyond)
+
+    return np.nan, np.nan, first(_CHANGES), first(-_CHANGES)
 
 
 def _crossings(height: Callable, along: np.ndarray) -> np.ndarray:

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from memsgyro_jax.base.concrete import is_concrete
 from memsgyro_jax.base.errors import InputError
 
 from .controllers import ClassicControl, ForceRebalance, OpenSense, PhaseLockedDrive
@@ -26,7 +27,7 @@ def settling_time_constant(loop: ClosedLoop) -> float | None:
         return None
     try:
         decay = -closed_poles(loop).real
-    except InputError:
+    except (InputError, np.linalg.LinAlgError):  # a lot; a device without finite numbers
         return None
     rest = 1e-6 * float(np.max(np.asarray(control.drive.demodulator.bandwidth)))
     return float(1.0 / decay.min()) if np.isfinite(decay).all() and decay.min() > rest else None
@@ -55,4 +56,21 @@ def not_at_rest(loop: ClosedLoop, settle: float, duration: float) -> tuple[str, 
         f"count from {settle:.3g} s on and may be of the start; a `duration` of {enough:g} s lets it die away before "
         "(they count from its half on where `settle` is left out)."
     )
+    return (said,)
+
+
+def not_rested(loop: ClosedLoop, duration: float) -> tuple[str, ...]:
+    """A sentence where a run of `duration` [s] ends before its loops have come to rest; none of traced numbers."""
+    time_constant = settling_time_constant(loop) if is_concrete(loop) else None
+    if time_constant is None or duration >= _MOVING * time_constant:
+        return ()
+    said = (
+        f"The closed loops come to rest with a time constant of {time_constant:.2g} s, but the run ends after "
+        f"{duration:.3g} s: it shows their start."
+    )
+    if isinstance(loop.controller, ClassicControl) and isinstance(loop.controller.sense, ForceRebalance):
+        said += (
+            " What a rebalance loop can do is limited by the sense axis: less quality factor, matched modes "
+            "(`mg.matching_bias`) or an open sense axis are faster."
+        )
     return (said,)

@@ -108,9 +108,15 @@ def closed_poles(loop: ClosedLoop) -> Complex[np.ndarray, " states"]:
     """Poles [1/s] of the closed loops of one die where its device is locked at rest, in phasors that turn with the
     drive. Raises `InputError` for another controller, and for a lot.
     """
+    return poles_with(loop)(1.0)
+
+
+def poles_with(loop: ClosedLoop) -> Callable[[float], Complex[np.ndarray, " states"]]:
+    """`closed_poles` where the loops of rate and quadrature are both so many times as strong."""
     table, tree, velocity, lot = _numbers(loop)
     _require_one(lot)
-    return np.linalg.eigvals(np.asarray(_matrices(table[0], tree, velocity)[0]))
+    closed, push, out = map(np.asarray, _matrices(table[0], tree, velocity))
+    return lambda times: np.linalg.eigvals(closed + (times - 1.0) * push[:, 2:] @ out[2:])
 
 
 def _require_one(lot: tuple[int, ...]) -> None:

@@ -21,6 +21,7 @@ from .blocks.run import prepared, run_in_blocks
 from .expectation import expectations, tell
 from .loop import ClosedLoop, Sample, as_loop
 from .scenario import AbstractProfile, Scenario, as_scenario
+from .settling import not_rested
 from .trace_result import Trace
 
 
@@ -87,7 +88,7 @@ def simulate(
     _require_one_die(loop)
     scenario, loop = as_scenario(scenario), loop.sampled_at(sample_rate, duration=duration)
     ran, hindered = prepared(loop.present)
-    tell((*expectations(loop, scenario, sample_rate, duration), *hindered))
+    tell((*expectations(loop, scenario, sample_rate, duration), *not_rested(loop, duration), *hindered))
     words = noise.die_words(jax.random.key(seed), jnp.asarray(die))
     rows = _Rows.of(ran.blocks, steps, decimation)
     done = _compiled(ran, scenario, words, 1.0 / sample_rate, rows)

@@ -15,10 +15,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import stats
 
+from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.gyro import mode_frequencies, natural_frequencies
 from memsgyro_jax.device.propagate import Exact
 from memsgyro_jax.loop.expectation import FAR, expectations, folding, moving, shifted, unknown_to
 from memsgyro_jax.loop.loop import ClosedLoop
+from memsgyro_jax.loop.observability import PERIODS, observability
 from memsgyro_jax.loop.observers import AbstractCovarianceObserver
 from memsgyro_jax.loop.scenario import Scenario
 
@@ -34,6 +36,7 @@ NO_OBSERVER = "the loop has no observer whose claims could judge its errors"
 _LOOKED_AT = 256  # dies drawn before a run
 _SPREAD = 2.0  # times the design's highest mode within which those of the dies are taken to lie
 _NAMED = 5  # dies named in a sentence
+_STRETCHES = 8  # of the run that are asked what they tell
 _REMAINDER = 1e-6  # of a whole run, in rad, that a series may leave out
 _ROUNDING = 1e-6  # relative deviation of a known coefficient that is no rounding
 Rows = Mapping[str, np.ndarray]
@@ -134,11 +137,29 @@ def _causes(theta: np.ndarray, dies: np.ndarray, loop: ClosedLoop, scenario: Sce
     texts += [f"all dies: {words}" for words in everywhere]
     rest = ~np.any([cause.holds for cause in found], axis=0) if found else np.ones(len(dies), bool)
     if rest.any() and not everywhere:
-        texts.append(
-            f"{_count(rest, dies)} are within what the filter was told: it did not bear being linearised about its "
-            "prior (narrow the prior or the spread, or change the annealing)"
-        )
+        texts.append(f"{_count(rest, dies)} are within what the filter was told: {_astray(loop, scenario, plan)}")
     return tuple(texts)
+
+
+def _astray(loop: ClosedLoop, scenario: Scenario, plan: Plan) -> str:
+    """Why a filter that expects a die loses it: the run does not tell what it seeks, or its linearisation."""
+    untold = [quantity for direction in _untold(loop, scenario, plan) for quantity in direction]
+    if untold:
+        return (
+            f"the run tells nothing of {', '.join(untold)}, but linearising takes some of it for told (a tone beside "
+            "the drive tells it: `tones=mg.Tone(...)`; what is known exactly is named by `known`)"
+        )
+    return "it did not bear being linearised about its prior (narrow the prior or the spread, or change the annealing)"
+
+
+def _untold(loop: ClosedLoop, scenario: Scenario, plan: Plan) -> tuple[dict[str, float], ...]:
+    """Directions of what the filter seeks that the design's run never tells; none where that cannot be asked."""
+    known = getattr(loop.observer, "known", ())
+    duration = min(plan.samples * plan.period, _STRETCHES * PERIODS / float(np.min(mode_frequencies(loop.device))))
+    try:
+        return observability(loop, scenario, sample_rate=1.0 / plan.period, duration=duration, known=known).null
+    except InputError:
+        return ()
 
 
 def _count(holds: Bool[np.ndarray, " diverged"], dies: np.ndarray) -> str:

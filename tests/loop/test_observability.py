@@ -14,7 +14,10 @@ from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.observability import observability, observability_matrix
 from memsgyro_jax.loop.observers import ExtendedKalmanFilter
 from memsgyro_jax.loop.readout import DirectReadout
+from memsgyro_jax.loop.scenario import as_scenario
 from memsgyro_jax.loop.trace import simulate
+from memsgyro_jax.montecarlo.batch import Plan
+from memsgyro_jax.montecarlo.divergence import divergence_of
 
 
 LOW, HIGH, TONE = 3000.0, 5000.0, 500.0  # Hz, thesis 4.1.1
@@ -250,6 +253,15 @@ def test_without_a_tone_a_state_feedback_hides_the_mass(loop):
     assert "sigma" in without.null[0]
     unforced = ClosedLoop(loop.device, loop.readout, loop.observer, OpenLoop(tones=Tone(600.0, 0.0)))
     assert observability(unforced, duration=3e-3).null == ({"sigma": 1.0},)
+
+
+def test_a_filter_led_astray_by_what_no_run_tells_is_told_so(loop):
+    observer = ExtendedKalmanFilter.for_device(loop.device, loop.readout)
+    theta = np.array([[float(each) for each in observer.prior.theta]])
+    for force, said in ((0.0, "tells nothing of sigma"), (53.95, "did not bear being linearised")):
+        run = ClosedLoop(loop.device, loop.readout, observer, DampingCompensation(tones=Tone(600.0, force)))
+        found = divergence_of(np.arange(1), theta, run, as_scenario(1.0), Plan(1e-5, 1, 300, 0.0, 1.0))
+        assert [said in cause for cause in found.causes] == [True]
 
 
 def test_what_cannot_be_asked_is_one_sentence(loop):

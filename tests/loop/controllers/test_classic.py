@@ -1,5 +1,7 @@
 """Classic control against the sampled periodic steady state, transfer functions and stability by linear algebra."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -14,6 +16,7 @@ from memsgyro_jax.loop import noise
 from memsgyro_jax.loop.controllers import classic as classic_control
 from memsgyro_jax.loop.controllers.classic import locked_frequency
 from memsgyro_jax.loop.separate_loops import separate_margins
+from memsgyro_jax.loop.settling import not_rested
 
 
 RATE = np.radians(100.0)
@@ -270,19 +273,30 @@ def test_a_gain_margin_is_where_a_loop_begins_to_oscillate():
     found = mg.gain_phase_margins(loop_of(gyro, DISPLACEMENT, control))
     assert np.isfinite(found.increase[2])
     assert f"{found.phase_margin[0]:.3g}°" in str(found)
-    sense = control.sense
-    for share, stable in ((0.99, True), (1.01, False)):
-        times = share * 10.0 ** (found.increase[2] / 20.0)
-        louder = eqx.tree_at(
-            lambda c: (c.sense.gain, c.sense.integral), control, (times * sense.gain, times * sense.integral)
-        )
-        assert bool(mg.loop_margins(loop_of(gyro, DISPLACEMENT, louder)).rate > 0.0) is stable
+    rate, quadrature = ("gain", "integral"), ("quadrature_gain", "quadrature_integral")
+    for names, margin in ((rate, found.increase[2]), (rate + quadrature, found.increase[4])):
+        for share, stable in ((0.99, True), (1.01, False)):
+            times = share * 10.0 ** (margin / 20.0)
+            made = {name: times * getattr(control.sense, name) for name in names}
+            louder = dataclasses.replace(control, sense=dataclasses.replace(control.sense, **made))
+            assert bool(mg.loop_margins(loop_of(gyro, DISPLACEMENT, louder)).rate > 0.0) is stable
+    assert found.increase[4] < found.increase[2]
     drive, decay = control.drive, 0.5 * float(gyro.dxx / gyro.mass)
     s = 2j * np.pi * found.crossover[0]
     pole = 2.0 * np.pi * float(drive.demodulator.bandwidth)
     loop = (float(drive.phase_gain) + float(drive.phase_integral) / s) / (s + decay) * pole / (s + pole)
     assert abs(loop) == pytest.approx(1.0, rel=0.05)
     assert 180.0 - abs(np.degrees(np.angle(loop))) == pytest.approx(found.phase_margin[0], abs=3.0)
+
+
+def test_a_run_that_ends_before_its_loops_rest_says_so():
+    """A high-Q sense axis near the drive leaves the rebalance loops a time constant of a second."""
+    gyro = mg.SingleMassGyro.from_modes("8 ug", ("10 kHz", "10.06 kHz"), 8000, quadrature="200 deg/s")
+    loop = loop_of(gyro, DISPLACEMENT, mg.ClassicControl.force_rebalance(gyro, DISPLACEMENT, amplitude=1e-6))
+    assert "time constant of 0.9" in not_rested(loop, 0.5)[0]
+    assert not_rested(loop, 5.0) == ()
+    broken = eqx.tree_at(lambda one: one.device.kxx, loop, jnp.nan)
+    assert not_rested(broken, 0.5) == ()
 
 
 def test_coupled_axes_make_a_slow_drive_unstable():
