@@ -143,10 +143,10 @@ def _causes(theta: np.ndarray, dies: np.ndarray, loop: ClosedLoop, scenario: Sce
 
 def _astray(loop: ClosedLoop, scenario: Scenario, plan: Plan) -> str:
     """Why a filter that expects a die loses it: the run does not tell what it seeks, or its linearisation."""
-    untold = [quantity for direction in _untold(loop, scenario, plan) for quantity in direction]
+    untold = [" together with ".join(direction) for direction in _untold(loop, scenario, plan)]
     if untold:
         return (
-            f"the run tells nothing of {', '.join(untold)}, but linearising takes some of it for told (a tone beside "
+            f"the run tells nothing of {' and '.join(untold)}, but linearising takes some of it for told (a tone beside "
             "the drive tells it: `tones=mg.Tone(...)`; what is known exactly is named by `known`)"
         )
     return "it did not bear being linearised about its prior (narrow the prior or the spread, or change the annealing)"

@@ -258,7 +258,7 @@ def test_without_a_tone_a_state_feedback_hides_the_mass(loop):
 def test_a_filter_led_astray_by_what_no_run_tells_is_told_so(loop):
     observer = ExtendedKalmanFilter.for_device(loop.device, loop.readout)
     theta = np.array([[float(each) for each in observer.prior.theta]])
-    for force, said in ((0.0, "tells nothing of sigma"), (53.95, "did not bear being linearised")):
+    for force, said in ((0.0, "tells nothing of dyy together with sigma"), (53.95, "did not bear being linearised")):
         run = ClosedLoop(loop.device, loop.readout, observer, DampingCompensation(tones=Tone(600.0, force)))
         found = divergence_of(np.arange(1), theta, run, as_scenario(1.0), Plan(1e-5, 1, 300, 0.0, 1.0))
         assert [said in cause for cause in found.causes] == [True]
