@@ -146,8 +146,8 @@ def _astray(loop: ClosedLoop, scenario: Scenario, plan: Plan) -> str:
     untold = [" together with ".join(direction) for direction in _untold(loop, scenario, plan)]
     if untold:
         return (
-            f"the run tells nothing of {' and '.join(untold)}, but linearising takes some of it for told (a tone beside "
-            "the drive tells it: `tones=mg.Tone(...)`; what is known exactly is named by `known`)"
+            f"the run tells nothing of {' and '.join(untold)}, but linearising takes some of it for told (a tone "
+            "beside the drive tells it: `tones=mg.Tone(...)`; what is known exactly is named by `known`)"
         )
     return "it did not bear being linearised about its prior (narrow the prior or the spread, or change the annealing)"
 

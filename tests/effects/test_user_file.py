@@ -159,12 +159,16 @@ def command(*tokens):
 def test_the_command_lists_every_effect(capsys, tmp_path):
     (tmp_path / "mine.py").write_text(GOOD, encoding="utf-8")
     assert command(tmp_path / "mine.py", "--json", tmp_path / "effects.json") == 0
+    own = capsys.readouterr().out
+    assert own.startswith("creep")
+    assert "Checked: strength zero is absence" in own
+    assert "cubic_stiffness" not in own
+    assert command() == 0
     text = capsys.readouterr().out
     for effect in fx.every_effect(2):
         assert effect.name in text
         assert effect.law in text
         assert effect.reference in text
-    assert "creep" in text
     written = json.loads((tmp_path / "effects.json").read_text(encoding="utf-8"))
     assert written["schema"] == "memsgyro-effects/1"
     labels = {f"{e['name']} {w}".rstrip() for e in written["effects"] for w in e["variants"] or [""]}

@@ -16,8 +16,8 @@ def effects_command(own: Path | None = None, /, *, json: Path | None = None) -> 
     """The catalogue of physical effects: name, unit of the strength, variants, law and reference.
 
     Args:
-        own: a Python file with effects of your own, checked and listed behind the catalogue. It is run: trust it first.
-        json: file for the machine-readable list.
+        own: a Python file with effects of your own, which are checked and listed alone. It is run: trust it first.
+        json: file for the machine-readable list of the catalogue and your own.
     """
     from memsgyro_jax.base.files import write_json
     from memsgyro_jax.effects import every_effect, load_effects
@@ -25,10 +25,12 @@ def effects_command(own: Path | None = None, /, *, json: Path | None = None) -> 
     from .options import require_writable
 
     require_writable(json)
-    entries = _described((*every_effect(2), *(load_effects(own) if own else ())))
-    print(_listing(entries))
+    catalogue, added = every_effect(2), load_effects(own) if own else ()
+    print(_listing(_described(added or catalogue)))
+    if added:
+        print("Checked: strength zero is absence, forces and their slopes are finite there, no name of the catalogue.")
     if json is not None:
-        write_json(json, {"schema": SCHEMA, "effects": entries})
+        write_json(json, {"schema": SCHEMA, "effects": _described((*catalogue, *added))})
 
 
 def _described(effects: "Sequence[Effect]") -> list[dict[str, Any]]:
@@ -50,4 +52,5 @@ def _listing(entries: Sequence[dict[str, Any]]) -> str:
         lines.append(f"{entry['name']:{wide}}  {entry['unit']:{unit}}  {', '.join(entry['variants'])}".rstrip())
         lines += [f"    {entry[key]}" for key in ("law", "reference") if entry[key]]
     count = len({entry["name"] for entry in entries})
-    return "\n".join([*lines, f"{count} effects; name, unit of the strength s, variants. Strength zero means absent."])
+    counted = "1 effect" if count == 1 else f"{count} effects"
+    return "\n".join([*lines, f"{counted}; name, unit of the strength s, variants. Strength zero means absent."])
