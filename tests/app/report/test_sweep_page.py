@@ -24,7 +24,8 @@ HOSTILE = "<script>alert(1)</script>.toml"
 
 @pytest.fixture(scope="module")
 def study():
-    changes = {"sweep.dies": 12, "sweep.chunk": 2, "sweep.sample_rate": "20 kHz", "sweep.duration": "10 ms"}
+    # As many places as the sweeps of app/test_commands.py, and so their program.
+    changes = {"sweep.dies": 12, "sweep.chunk": 4, "sweep.sample_rate": "20 kHz", "sweep.duration": "10 ms"}
     made = mg.default_study().changed(changes)
     return replace(made, source=replace(made.source, name=HOSTILE))
 
