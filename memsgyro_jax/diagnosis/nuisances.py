@@ -302,11 +302,12 @@ def beside_terms(alone: Search, search: Search, effects: Sequence[Effect]) -> Se
     kept = [model.effects[i] for i in (*alone.given, *sorted(alone.accepted))]  # in the order of the signal
     own = len(search.given)
     found = [effect for effect in kept[own:] if not effect.of_instrument]
-    terms = [effect for effect in kept if effect.of_instrument]
+    terms = [effect for effect in kept[own:] if effect.of_instrument]
     others = [effect for effect in effects if effect.label not in {one.label for one in found}]
     plain = [r for r in alone.joint.readings if r.record.max(initial=-1) >= 0]
     given = [*kept[:own], *terms]
-    joint = Joint(model.with_only((*given, *found, *others)), (*plain, *knowledge(terms)), search.joint.programs)
+    known = knowledge([effect for effect in given if effect.of_instrument])
+    joint = Joint(model.with_only((*given, *found, *others)), (*plain, *known), search.joint.programs)
     accepted = list(range(len(given), len(given) + len(found)))
     free = always_free(joint, range(len(given) + len(found)))
     optimum = optimise(joint, joint.start, free, joint.fitted, max_evaluations=0)

@@ -14,7 +14,7 @@ from memsgyro_jax.diagnosis.diagnose import diagnose
 from memsgyro_jax.diagnosis.fit import beside_case
 from memsgyro_jax.diagnosis.instrument import instrument_terms, knowledge
 from memsgyro_jax.diagnosis.joint_residual import Joint
-from memsgyro_jax.diagnosis.nuisances import add_terms
+from memsgyro_jax.diagnosis.nuisances import _with_terms, add_terms, beside_terms
 from memsgyro_jax.diagnosis.optimum import Optimum
 from memsgyro_jax.diagnosis.promise import offers_of
 from memsgyro_jax.diagnosis.scans import coverage
@@ -111,6 +111,19 @@ def test_levels_that_are_off_are_told_against_the_first():
     true = np.array([0.96, 1.035]) / 1.03 - 1
     assert np.all(np.abs(estimate[:2] - true) < 4 * std[:2])
     assert std[2] == pytest.approx(0.05)  # the level of the record that is not fitted is known as before
+
+
+@pytest.mark.slow
+def test_what_the_instrument_does_is_there_once_where_more_of_it_is_found():
+    case = case_of(phase=0.026, levels=(0.03, -0.04, 0.035))
+    (phase, level) = (t for t in instrument_terms(case) if t.label in ("reference_phase", "drive_level"))
+    joint = Joint(model_of(case, starting_device(case)), readings_of(case))
+    search = start_search(case, joint, 0.05, (), lambda text: None)
+    for term in (phase, level):
+        search = beside_terms(_with_terms(search, [term]), search, ())
+    assert [effect.label for effect in search.joint.model.effects] == ["reference_phase", "drive_level"]
+    assert [r.experiment.name for r in search.joint.readings if np.all(r.record < 0)] == ["drive_level"]
+    assert search.optimum.chi2 / search.optimum.dof < 1.7
 
 
 @pytest.mark.parametrize("settled", [True, False])
