@@ -72,6 +72,7 @@ LONGEST = (
 TOGETHER = (
     ("montecarlo/test_sweep.py", "test_readme.py"),  # the default sweep
     ("app/test_commands.py", "app/report/test_sweep_page.py"),  # a small one
+    ("measurement/test_experiments_of_models.py", "diagnosis/test_joint_residual.py"),  # the default `bench`
     (  # the demonstration's fit
         "app/report/test_diagnosis_page.py",
         "diagnosis/test_residual_force.py",
