@@ -41,7 +41,8 @@ _POWER = re.compile(rf"(?:\*\*|\^)\s*(?P<exponent>{_EXPONENT})?")
 _FOREIGN = re.compile(r"[^\w\s*/^().+√·°%Ωµμ²³¹⁰⁴-⁹⁻⁺-]|[^ \S]")
 _HIGHEST = 20.0  # power of a unit
 _LONGEST = 80  # characters of a unit
-_APART, _SHIFTED = "apart", "shifted"  # two units without a common dimension, and without a common zero
+_APART: list[float] = []  # in place of a line: two units without a common dimension, and one that is a logarithm
+_CURVED = [0.0]
 
 
 class Column(NamedTuple):
@@ -109,14 +110,14 @@ def to_si(value: Any, unit: str, expected: str, name: str) -> Any:
         InputError: if `unit` is unknown or measures something else than `expected`.
     """
     try:
-        factor = _conversion(unit, expected, name)
-        if factor == _APART:
+        line = _conversion(unit, expected, name)
+        if line == _APART:
             raise InputError(f'Unit of {name} must measure the same as "{expected}", but is "{unit}".')
         with np.errstate(over="ignore", under="ignore"):
-            if isinstance(factor, str):
+            if line == _CURVED:
                 found = _registry().Quantity(value, _parse(unit, name)).to(_parse(expected, name)).magnitude
             else:
-                found = value * factor
+                found = value * line[0] + line[1] if line[1] else value * line[0]
     except OverflowError:  # of the factor between the units
         found = np.inf
     if np.any(np.isfinite(value) & (~np.isfinite(found) | ((np.asarray(value) != 0) & (np.asarray(found) == 0)))):
@@ -135,8 +136,8 @@ def without_roots(unit: str) -> str:
     return _ROOT.sub(lambda match: f"({next(filter(None, match.groups()))})**0.5", unit)
 
 
-def _conversion(unit: str, expected: str, name: str) -> float | str:
-    """What a number of `unit` is multiplied with to be one of `expected`, or a word where that is not all.
+def _conversion(unit: str, expected: str, name: str) -> list[float]:
+    """What a number of `unit` is multiplied with to be one of `expected`, and what is then added.
 
     Answers stay on disk, for pint takes a second to be imported.
     """
@@ -146,17 +147,17 @@ def _conversion(unit: str, expected: str, name: str) -> float | str:
     if key not in known:
         source, target = _parse(unit, name), _parse(expected, name)
         same = _dimension(source) == _dimension(target)
-        known[key] = _factor(source, target) if same else _APART
+        known[key] = _line(source, target) if same else _APART
     return known[key]
 
 
 @cache
-def _answers() -> dict[str, float | str]:
+def _answers() -> dict[str, list[float]]:
     """Conversions that were asked for before; written when the process ends, if there are more by then."""
-    folder, found = cache_directory(), dict[str, float | str]()
+    folder, found = cache_directory(), dict[str, list[float]]()
     if folder is None:
         return found
-    place = folder / "units" / f"pint-{version('pint')}.json"
+    place = folder / "units" / f"lines-{version('pint')}.json"
     with contextlib.suppress(OSError, ValueError):  # not there, or damaged: as if it had never been
         found = json.loads(place.read_text())
     before = len(found)
@@ -218,10 +219,13 @@ def _is_power(exponent: str | None) -> bool:
     return abs(float(over.replace(" ", ""))) <= _HIGHEST and float(under or 1) != 0
 
 
-def _factor(source: Any, target: Any) -> float | str:
-    """What a number of units `source` is multiplied with; a word where that is not all, as between temperatures."""
-    zero, one = (_registry().Quantity(value, source).to(target).magnitude for value in (0.0, 1.0))
-    return float(one) if zero == 0.0 else _SHIFTED
+def _line(source: Any, target: Any) -> list[float]:
+    """What a number of units `source` is multiplied with, and what is added, as between temperatures."""
+    zero, one, far = (float(_registry().Quantity(value, source).to(target).magnitude) for value in (0.0, 1.0, 1e3))
+    if zero == 0.0:
+        return [one, 0.0]
+    slope = (far - zero) / 1e3
+    return [slope, zero] if math.isclose(one, zero + slope, rel_tol=1e-12) else _CURVED
 
 
 @cache

@@ -81,8 +81,8 @@ def test_a_conversion_is_worked_out_once(tmp_path):
     """Importing pint takes a second: the next process multiplies with what the first found."""
     text = (
         "import sys; from memsgyro_jax.base import units; "
-        "print(units.to_si(3.0, 'um', 'm', 'x'), units.to_si(20.0, 'mm', 'm', 'x'), 'pint' in sys.modules)"
+        "print(units.to_si(3.0, 'um', 'm', 'x'), units.to_si(20.0, 'degC', 'K', 'x'), 'pint' in sys.modules)"
     )
     once = {**os.environ, "XDG_CACHE_HOME": str(tmp_path), "MEMSGYRO_NO_CACHE": "0"}
     told = [subprocess.run([sys.executable, "-c", text], env=once, capture_output=True, text=True) for _ in range(2)]
-    assert [each.stdout.split() for each in told] == [["3e-06", "0.02", seen] for seen in ("True", "False")]
+    assert [each.stdout.split() for each in told] == [["3e-06", "293.15", seen] for seen in ("True", "False")]
