@@ -154,8 +154,13 @@ class Joint:
         added = contributions(model, Absent(tuple(whole.effects[i] for i in lacking), places), here.inquiry)
         every, columns = (np.concatenate([self.of_effect(i) for i in some]) for some in (lacking, quick))
         wanted = np.flatnonzero(np.isin(every, columns))
+        ways, back = directions[:, every[wanted]], np.eye(len(directions))
         added = jax.tree.map(lambda leaf: np.asarray(leaf)[wanted], added)
-        slopes = self.calls.responses(part, vector, added, readings).T @ directions[:, every[wanted]].T
+        if len(ways) < wanted.size:  # a response is linear in what is added: sums are sent where they are fewer
+            added = jax.tree.map(lambda leaf: np.tensordot(ways, leaf, 1), added)
+        else:
+            back = ways
+        slopes = self.calls.responses(part, vector, added, readings).T @ back.T
         if along.size:
             slopes[:, along] += here.slopes[: along.size].T
         elif rows.size:
