@@ -29,6 +29,7 @@ from .programs import Programs, is_idle, of_lock_in
 
 
 CARRIED = 3  # absent effects that are carried through a model: a fit goes on with them
+NUDGE, LOOSE = 1e-9, 0.1  # of the base parameters; of a sensitivity, which then moves by so much of itself
 CALLS = 2  # of each experiment that are kept: where a fit stands, and its last trial
 
 
@@ -166,6 +167,29 @@ class Joint:
         elif rows.size:
             slopes[:, rows] += self._carried(vector, others[rows], [readings])[1]
         return here.value, slopes
+
+    def rounding(self, vector: np.ndarray, directions: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+        """Which of the sensitivities (r, k) of what is fitted, along the rows of `directions` (k, p), are rounding: a
+        true one stays what it was where the base moves in its ninth digit.
+
+        They are asked for in sums first, a program's `WIDTH` at a time, and one by one where a sum moved.
+        """
+        moved = vector.copy()
+        moved[self.base()] *= 1.0 + NUDGE
+        size = np.linalg.norm(slopes, axis=0)
+        seen = np.flatnonzero(np.isfinite(size) & (size > 0))
+        sums = np.zeros((min(WIDTH, seen.size), size.size))
+        sums[np.arange(seen.size) % WIDTH, seen] = 1.0 / size[seen]
+
+        def shifts(ways: np.ndarray) -> np.ndarray:
+            again = self.linearise(moved, ways @ directions, self.fitted)[1]
+            return np.linalg.norm(again - slopes[:, seen] @ ways[:, seen].T, axis=0)
+
+        out = np.zeros(size.size, bool)
+        loose = seen[np.any(sums[shifts(sums) > LOOSE][:, seen] > 0, axis=0)] if seen.size else seen
+        if loose.size:
+            out[loose] = shifts(np.eye(size.size)[loose] / size[loose, None]) > LOOSE
+        return out
 
     def asked(self, vector: np.ndarray, readings: Readings) -> Inquiry | None:
         """All that a prediction asks of the model at a vector; `None` where nothing can be added on its way."""

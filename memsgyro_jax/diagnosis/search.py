@@ -12,7 +12,6 @@ from scipy import special
 from .acceptance import hopeless, judged_by_misfit, refusal, unsure_noise
 from .fit import CaseFit, beside_case
 from .joint_residual import Joint
-from .linearised import WIDTH
 from .optimum import Optimum, optimise
 from .scans import coverage
 from .score import Score, basis, family_p_values, overlap, score, within_bounds
@@ -24,7 +23,6 @@ TWINS = 0.999  # overlap from which two candidates cannot both be tried
 NOTHING = 0.01  # of what a candidate explains: if no more is left, the others need not be refitted
 LOOK, INSTRUMENT = "look closer at ", "try what the instrument may have done: "  # told before names of candidates
 ROUNDS = 8
-NUDGE, LOOSE = 1e-9, 0.1  # of the base parameters; of a sensitivity that then moves by so much of itself
 GLANCE, LONG = 5, 30  # evaluations to compare candidates, and to settle on one
 PATIENCE = 6  # refits without one that stays after which a round ends
 RESTARTS = (0.3, 0.03)  # of the linear estimate of a strength
@@ -102,30 +100,9 @@ class Search:
         _, slopes = self.joint.linearise(self.optimum.vector, units, self.joint.fitted)
         self.sensitivities = self.optimum, dict(zip(columns.tolist(), slopes.T, strict=True))
         if self.unseen is None:
-            self.unseen = frozenset(columns[self._rounding(units, slopes)].tolist())
+            self.unseen = frozenset(columns[self.joint.rounding(self.optimum.vector, units, slopes)].tolist())
         sure = ~np.isin(columns, list(self.unseen))
         return np.where(np.isfinite(slopes) & sure, slopes, 0.0)
-
-    def _rounding(self, units: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-        """Which of some sensitivities (r, k) are rounding: a true one stays what it was where the base moves in its
-        ninth digit. They are asked for in sums first, a program's `WIDTH` at a time, and one by one where a sum moved.
-        """
-        moved = self.optimum.vector.copy()
-        moved[self.joint.base()] *= 1.0 + NUDGE
-        size = np.linalg.norm(slopes, axis=0)
-        seen = np.flatnonzero(np.isfinite(size) & (size > 0))
-        sums = np.zeros((min(WIDTH, seen.size), size.size))
-        sums[np.arange(seen.size) % WIDTH, seen] = 1.0 / size[seen]
-
-        def shifts(ways: np.ndarray) -> np.ndarray:
-            again = self.joint.linearise(moved, ways @ units, self.joint.fitted)[1]
-            return np.linalg.norm(again - slopes[:, seen] @ ways[:, seen].T, axis=0)
-
-        rounding = np.zeros(size.size, bool)
-        loose = seen[np.any(sums[shifts(sums) > LOOSE][:, seen] > 0, axis=0)] if seen.size else seen
-        if loose.size:
-            rounding[loose] = shifts(np.eye(size.size)[loose] / size[loose, None]) > LOOSE
-        return rounding
 
     def refit(
         self,
