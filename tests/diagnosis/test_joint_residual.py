@@ -1,6 +1,7 @@
 """All records as one residual: its order, its exact sensitivities, and where a fit with it ends."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import jax
@@ -218,6 +219,24 @@ def test_offsets_that_no_record_sees_stay_where_they_were():
     loose = ~np.isfinite(fit.optimum.std)
     np.testing.assert_array_equal(np.flatnonzero(loose), offsets)
     assert 0.8 < fit.chi2_per_dof < 1.3
+
+
+def test_rounding_is_told_by_sums_before_one_by_one():
+    """What is rounding comes out differently each time; sums ask for all that is true at once."""
+    random, asked, loose = np.random.default_rng(0), [], [3, 20]
+    true = random.normal(size=(50, 30)) * np.geomspace(1e-12, 1e6, 30)
+    true[:, 5] = 0.0
+
+    def linearise(vector, directions, chosen):
+        asked.append(len(directions))
+        seen = true.copy()
+        seen[:, loose] = true[:, loose] * random.normal(size=(50, 2))
+        return None, seen @ directions.T
+
+    joint = SimpleNamespace(base=lambda: [0], fitted=(), linearise=linearise)
+    slopes = linearise(None, np.eye(30), ())[1]
+    assert np.flatnonzero(Joint.rounding(joint, np.ones(30), np.eye(30), slopes)).tolist() == loose
+    assert asked == [30, linearised.WIDTH, 5], "all, sums of two or three, and the members of two sums"
 
 
 @pytest.fixture(scope="module")
