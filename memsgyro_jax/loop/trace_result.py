@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import ArrayLike, Complex, Float
 
 from memsgyro_jax.base.axes import axes, settled_limits
 from memsgyro_jax.base.concrete import is_concrete
@@ -17,7 +17,7 @@ from memsgyro_jax.device.gyro import mode_frequencies
 
 from .controllers import Saturated
 from .loop import ClosedLoop
-from .observers.base import LockReadings
+from .observers.base import AbstractBlockObserver, LockReadings
 from .sensitivities import units_of
 
 
@@ -82,6 +82,25 @@ class Trace(Tabular, eqx.Module):
     def rate_error(self) -> Float[np.ndarray, " samples"]:
         """Estimate minus truth in rad/s."""
         return self.rate_estimate - self.rate_true
+
+    def rate_response(self, frequency: Float[ArrayLike, "..."]) -> Complex[np.ndarray, "..."]:
+        """Complex ratio of the estimate before the output filter to a small sine of the rate, of `frequency` [Hz], as
+        the filter followed it at the end of the run: the size is the gain, a negative phase the lag. Zero for a filter
+        that holds the rate constant.
+
+        Of a sample or block of T seconds the filter takes the share K = q T / P of what is new, where the rate walks
+        with q (`ProcessNoise`) and P is the variance claimed; it takes the rate of the middle as that of the whole, as
+        does the loop: within a block a true sine would lose the share 1 - sinc(f T) more. Its other constants must be
+        known by then. Raises `InputError` for an observer that is no Kalman filter of the rate.
+        """
+        observer, period = self.loop.observer, 1.0 / self.loop.output_rate(self.settings.sample_rate)
+        if not isinstance(observer, AbstractBlockObserver) or "rate" not in observer.states:
+            raise InputError("A filter must estimate the rate to follow it; make one with `ExtendedKalmanFilter`.")
+        walked = period * observer.walk()[observer.states.index("rate")]
+        # What a block's end claims holds the walk already, what a sample's claims has been read since.
+        share = walked / (self.rate_std[-1] ** 2 + (walked if self.loop.blocks is None else 0.0))
+        back = np.exp(-1j * np.pi * np.asarray(frequency) * period)  # by half a period
+        return share * back / (1.0 - (1.0 - share) * back**2)
 
     @property
     def filtered(self) -> bool:

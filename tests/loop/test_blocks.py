@@ -129,6 +129,29 @@ def test_a_trace_holds_the_ends_of_blocks():
     assert trace.time[-1] == pytest.approx(0.1)
     assert trace.lost_at is None
     assert abs(trace.rate_error[-1]) < 4.0 * trace.rate_std[-1]
+    assert trace.rate_response(10.0) == 0.0, "a filter that holds the rate constant follows no sine"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("blocks", [None, Blocks(512), Blocks(2048)], ids=["samples", "512", "2048"])
+def test_a_trace_tells_how_the_rate_is_followed(blocks):
+    """What a sine adds to the estimate, beside the same noise without it."""
+    known, noise = ("kxy", "dxx", "dyy", "dxy", "sigma"), mg.ProcessNoise.of(GYRO.model, rate=100.0)
+    observer = mg.ExtendedKalmanFilter.for_device(
+        GYRO, READOUT, annealing=mg.Annealing(), known=known, process_noise=noise
+    )
+    loop = replace(LOOP, observer=observer, blocks=blocks)
+    settings = {"sample_rate": 100e3, "duration": 0.4, "seed": 1, "decimation": blocks.length if blocks else 50}
+    for frequency in (1.0, 10.0, 30.0):
+        moving, still = (mg.simulate(loop, mg.Sine(size, frequency), **settings) for size in (0.3, 0.0))
+        late = np.asarray(still.time) > 0.2
+        phase = 2.0 * np.pi * frequency * np.asarray(still.time)[late]
+        added = np.asarray(moving.rate_estimate - still.rate_estimate)[late] / 0.3
+        parts = np.linalg.lstsq(np.stack([np.sin(phase), np.cos(phase)], axis=1), added, rcond=None)[0]
+        told, seen = complex(still.rate_response(frequency)), complex(*parts)
+        assert abs(told) == pytest.approx(abs(seen), abs=0.02)
+        lag = np.angle(told / seen) / (2.0 * np.pi * frequency)
+        assert abs(lag) < 0.5e-3, "of 2.5 to 10.9 ms"
 
 
 @pytest.mark.parametrize(
