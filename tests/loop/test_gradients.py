@@ -77,6 +77,7 @@ def assert_gradients_agree(loop, count, epsilon, tolerance, reverse=True):
             assert float(sum(jnp.vdot(g, t) for g, t in pairs)) == pytest.approx(along, rel=1e-9), part
 
 
+@pytest.mark.slow
 def test_gradients_of_the_lyapunov_loop(small):
     assert_gradients_agree(small, 300, 1e-5, 1e-6)
 

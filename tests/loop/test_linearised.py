@@ -127,6 +127,7 @@ def test_a_program_of_one_sample_runs_without_the_loop(loop, trace):
         np.testing.assert_allclose(out[1:3], trace.force[number], rtol=1e-9, atol=1e-18)
 
 
+@pytest.mark.slow
 def test_a_force_beside_the_swing_is_answered_as_the_rate_whose_force_it_is(loop, response):
     """2 m ω A is the Coriolis force of a rate, here of an oscillation at the frequency of the swing."""
     swing = float(mg.noise_budget(loop).swing)

@@ -255,6 +255,7 @@ def test_without_a_tone_a_state_feedback_hides_the_mass(loop):
     assert observability(unforced, duration=3e-3).null == ({"sigma": 1.0},)
 
 
+@pytest.mark.slow
 def test_a_filter_led_astray_by_what_no_run_tells_is_told_so(loop):
     observer = ExtendedKalmanFilter.for_device(loop.device, loop.readout)
     theta = np.array([[float(each) for each in observer.prior.theta]])
