@@ -17,6 +17,7 @@ from scipy.optimize import minimize
 from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.files import write_whole
 from memsgyro_jax.device.normalised import NormalisedDevice
+from memsgyro_jax.effects.instrument import DriveLevel
 from memsgyro_jax.effects.lock_in_terms import LockInBackground, ReferencePhase
 from memsgyro_jax.effects.trial import at_strength
 from memsgyro_jax.measurement.case import Case
@@ -147,9 +148,10 @@ def _beside(
     # A constant reading stands in the equations as a displacement, which a derivative's channel shows by (iω)ⁿ.
     shown = complex(*constant) * float(model.scale[axis]) * (1j * np.median(given.omega)) ** model.order
     volts[2 * axis : 2 * axis + 2] = shown.real, shown.imag
-    starts = {ReferencePhase: np.arctan2(phase, 1.0 + gain), LockInBackground: volts}
+    starts = {ReferencePhase: np.arctan2(phase, 1.0 + gain), LockInBackground: volts, DriveLevel: 0.0}
     known = {effect.name for effect in model.effects}
-    terms = [term for term in instrument_terms(fit.case) if type(term) in starts and term.name not in known]
+    # Of a term for all rows and one for each record that which all share: both together are one number too many.
+    terms = [t for t in instrument_terms(fit.case) if type(t) in starts and not t.where and t.name not in known]
     return model.with_effect(*(at_strength(t, np.zeros(t.strength.shape) + starts[type(t)]) for t in terms))
 
 

@@ -11,12 +11,13 @@ from pathlib import Path
 import equinox as eqx
 import numpy as np
 
-from memsgyro_jax.effects import QuadraticStiffness, load_effects
+from memsgyro_jax.effects import InstrumentTerm, QuadraticStiffness, load_effects
 from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.experiments import Readings
 from memsgyro_jax.measurement.readings import readings_of
 
 from .fit import CaseFit, beside_case
+from .instrument import knowledge
 from .joint_residual import Joint
 from .law import DrawnLaw
 from .law_file import LawTerm
@@ -40,7 +41,8 @@ def fit_law(law: DrawnLaw, path: str | Path) -> CaseFit:
     **Raises:** `InputError` where the file is no effect file.
     """
     case, effects = law.measured, load_effects(path, law.beside.axes, as_written=True)
-    joint = Joint(law.beside.with_effect(*effects), readings_of(case))
+    terms = [effect for effect in law.beside.effects if isinstance(effect, InstrumentTerm)]
+    joint = Joint(law.beside.with_effect(*effects), (*readings_of(case), *knowledge(terms)))
     fit = _guided(case, joint)
     kept, apart = sharpened(fit.model, without_rows(joint.readings, _far_rows(fit)))
     finer = tuple(_with_all_rows(fewer, whole) for fewer, whole in zip(kept, joint.readings, strict=True))

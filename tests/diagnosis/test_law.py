@@ -1,7 +1,7 @@
 """Laws that no catalogue holds, drawn from sweeps whose rows obey closed describing functions."""
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import browser
@@ -10,6 +10,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from bench_case import ONE_AXIS, RESONATOR, bench
+from lab.die import Hidden
+from lab.faults import Faults
 
 from memsgyro_jax.app.cli import main
 from memsgyro_jax.base.errors import InputError
@@ -157,6 +160,23 @@ def test_a_law_is_drawn_written_and_helps_where_it_was_not_fitted(name, device, 
     if name == "contact":
         stop = after.model.effects[-1]
         assert [float(stop.threshold), float(stop.exponent)] == pytest.approx([0.3, 0.0], abs=0.02)
+
+
+@pytest.mark.slow
+def test_a_law_of_several_records_stands_beside_their_phase_and_the_levels_of_their_drive(tmp_path):
+    """All records turned alike, and drive levels 3 % off: each is one number, and the law is what it is without."""
+    faults = Faults(phase=-0.3, levels=(0.03, -0.03, 0.0))
+    spring = Hidden(cubic_stiffness_x=3.9 * RESONATOR.kxx)
+    case = bench(spring, 0, replace(ONE_AXIS, faults=faults), RESONATOR).case
+    law = draw_law(fit_case(case))
+    after = fit_law(law, law.write(tmp_path / "law.py"))
+    found = {e.name: np.asarray(e.strength) for e in after.model.effects}
+    labels = sorted(e.label for e in after.model.effects if e.of_instrument)
+    assert labels == ["drive_level", "lock_in_background", "reference_phase"]
+    assert found["reference_phase"] == pytest.approx(-0.3, abs=0.01)
+    assert found["drive_level"][:2] == pytest.approx([0.97 / 1.03 - 1, 1 / 1.03 - 1], abs=0.01)
+    assert float(after.model.effects[-1].exponent) == pytest.approx(2.0, abs=0.1)
+    assert after.chi2_per_dof < 1.7  # that of the case without a fault is 1.49
 
 
 SEEN = ((1e-9, 2e-6), (1e-3, 0.2))
