@@ -71,8 +71,9 @@ LONGEST = (
 # Files that one worker runs one after the other, as what they share is then done once.
 TOGETHER = (
     ("montecarlo/test_sweep.py", "test_readme.py"),  # the default sweep
-    ("app/test_commands.py", "app/report/test_sweep_page.py"),  # a small one
+    ("app/test_commands.py", "app/report/test_sweep_page.py", "app/test_surroundings.py"),  # a small one
     ("measurement/test_experiments_of_models.py", "diagnosis/test_joint_residual.py"),  # the default `bench`
+    ("couplings/test_identify.py", "app/test_identify_command.py"),  # the fit to a wide sweep
     (  # the demonstration's fit
         "app/report/test_diagnosis_page.py",
         "diagnosis/test_residual_force.py",

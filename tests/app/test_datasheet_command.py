@@ -35,7 +35,7 @@ amplitude = "1 um"
 [spread]
 relative = 0.002
 [sweep]
-sample_rate = "100 kHz"
+sample_rate = "50 kHz"
 duration = "0.2 s"
 """
 

@@ -14,6 +14,7 @@ from memsgyro_jax.base import runtime
 from memsgyro_jax.montecarlo.store import Store
 
 
+SMALL = ["--dies", "5", "--sample-rate", "20e3", "--duration", "0.01", "--chunk", "2"]  # as app/test_commands.py
 PROGRAM = """
 from memsgyro_jax import cli
 @cli.app.command
@@ -58,7 +59,7 @@ def test_a_sweep_that_is_told_to_end_tidies_up(tmp_path, capsys, monkeypatch, nu
 
     monkeypatch.setattr(Store, "unfinished", asked)
     with pytest.raises(SystemExit) as end:
-        cli.main(["sweep", "--sample-rate", "20e3", "--duration", "0.01", "--out", str(tmp_path / "out")])
+        cli.main(["sweep", *SMALL, "--out", str(tmp_path / "out")])
     assert end.value.code == status
     assert capsys.readouterr().err == sentence
     assert [file.name for file in (tmp_path / "out").iterdir()] == ["dies.zarr"]

@@ -18,6 +18,7 @@ from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.diagnosis.diagnose import diagnose
 from memsgyro_jax.diagnosis.scans import scan, scans
 from memsgyro_jax.effects import ParasiticMode, load_effects
+from memsgyro_jax.measurement.steady import FINENESS
 
 
 SWEEPS = replace(TINY, experiments=TINY.experiments[:2])
@@ -214,6 +215,7 @@ def test_a_user_s_own_effect_is_then_found(stopped, own):
     assert [a.label for a in outcome.accepted] == ["stop x"]
     (found,) = outcome.accepted
     assert found.estimate[0] == pytest.approx(STOP.outside.stop_x, rel=0.05)
+    assert {r.experiment.fineness for r in outcome.final.joint.readings} <= set(FINENESS[1:])
     assert outcome.verdict == "found"
 
 

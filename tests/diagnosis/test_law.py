@@ -132,15 +132,9 @@ def swept(folder, law, device, seed=0, *, raw=False):
     return load_case(folder)
 
 
-QUICK = {("bowed", "fork")}
-EACH = [
-    pytest.param(name, device, marks=() if (name, device) in QUICK else pytest.mark.slow)
-    for name in LAWS
-    for device in DEVICES
-]
-
-
-@pytest.mark.parametrize(("name", "device"), EACH)
+@pytest.mark.slow  # `test_the_command_draws_writes_and_fits` draws one of them too
+@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("name", LAWS)
 def test_a_law_is_drawn_written_and_helps_where_it_was_not_fitted(name, device, tmp_path):
     law, of = LAWS[name], DEVICES[device]
     before = fit_case(swept(tmp_path, law, of))
