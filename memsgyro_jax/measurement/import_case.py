@@ -4,6 +4,7 @@ import re
 import shlex
 import shutil
 import tempfile
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -139,7 +140,7 @@ def import_case(
         for level, name, needs in zip(levels, names, swept, strict=True)
         if level and not needs and len(given) > 1
     ]
-    records = _named([record for some in found for record in some])
+    records = _agreed(_named([record for some in found for record in some]))
     case = _write(folder, records, names)
     warning = _warning(paths, [some if needs else None for some, needs in zip(found, swept, strict=True)], folder)
     return ImportedCase(case, tuple(form for form, _ in read), tuple(records), tuple(unused), warning)
@@ -232,6 +233,19 @@ def _named(records: list[ImportedRecord]) -> list[ImportedRecord]:
         seen[name] = seen.get(name, 0) + 1
         named.append(replace(record, name=name if seen[name] == 1 else f"{name}_{seen[name]}"))
     return named
+
+
+def _agreed(records: list[ImportedRecord]) -> list[ImportedRecord]:
+    """Records of one read-out: what most of those that tell show is read, and said where one shows something else."""
+    told = Counter(record.quantity for record in records if record.quantity)
+    if len(told) < 2:
+        return records
+    (most, _), *_ = told.most_common()
+    said = f"most records show {most}, which is taken for all (`quantity` under `[readout]` says otherwise)"
+    return [
+        record if record.quantity in ("", most) else replace(record, quantity=most, assumed=(*record.assumed, said))
+        for record in records
+    ]
 
 
 def _shared(records: Sequence[ImportedRecord]) -> dict[str, list[str]]:

@@ -35,6 +35,7 @@ _FEWEST = 50  # rows of a record over time
 _LOUD = 0.9  # of the largest envelope: the decay has not begun
 _EARLY = 0.88  # of the usual fall: an envelope that falls by so much in its first quarter falls from the start
 _CLEAR = 30.0  # degrees around which the phase at resonance tells what is read
+_INSIDE = 0.01  # of the band, from its ends: where a largest reading is that of a resonance
 _LEVEL = re.compile(r"(?<![A-Za-z0-9.])(\d+(?:[.p]\d+)?)[ _]?([nuµm]?[VAN])(?:pk|p)?(?![A-Za-z])")
 
 
@@ -157,7 +158,11 @@ def _conventions(columns: dict[str, SourceColumn], table: SourceTable, assumed: 
         assumed.append("the phase rises across the resonance, so the file follows e^{-iωt}: it is negated")
     if known:
         return known
-    angle = np.degrees(np.angle(phasors[np.argmax(np.abs(phasors))]))
+    largest = int(np.argmax(np.abs(phasors)))
+    angle = np.degrees(np.angle(phasors[largest]))
+    if min(frequency[largest] - frequency.min(), frequency.max() - frequency[largest]) < _INSIDE * np.ptp(frequency):
+        assumed.append("the read-out is taken for displacement; the largest reading ends the band, so none tells")
+        return ""
     away = abs((angle + 90) % 180 - 90)  # from 0° or 180°
     if away < _CLEAR:
         assumed.append(f"the read-out shows velocity: at resonance its phase is {angle:+.0f}°, near 0° or 180°")

@@ -227,3 +227,24 @@ def test_levels_are_for_the_files_that_need_one(sweeps, tmp_path, capsys):
     assert "WARNING: 3 files do not say at which level" in silent
     assert silent.endswith(f'--out {tmp_path / "silent"} --overwrite --drive "..." "..." "..." -')
     assert "WARNING" not in str(mg.import_case([*files[:1], files[3]], tmp_path / "one"))
+
+
+def test_records_agree_on_what_is_read(tmp_path):
+    """A resonance bent beyond the band shows its largest reading at the band's end, where no phase tells."""
+    offset = np.linspace(-40.0, 60.0, 101)
+
+    def wrote(name, turn, bend=0.0):
+        phasors = turn / (offset - bend - 4j)
+        rows = [f"{3e3 + df},{v.real!r},{v.imag!r}" for df, v in zip(offset.tolist(), phasors.tolist(), strict=True)]
+        (tmp_path / name).write_text("\n".join(["frequency (Hz),x (V),y (V)", *rows]))
+        return tmp_path / name
+
+    bent, *others = wrote("a_20mV.csv", -1.0, 80.0), wrote("b_2mV.csv", -1.0), wrote("c_3mV.csv", -1.0)
+    made = mg.import_case([bent, *others], tmp_path / "case")
+    assert "largest reading ends the band" in " ".join(made.records[0].assumed)
+    assert 'quantity = "displacement"' in (tmp_path / "case" / "case.toml").read_text()
+    odd = wrote("0_1mV.csv", 1j)
+    assert "shows velocity" in " ".join(mg.import_case([odd], tmp_path / "odd").records[0].assumed)
+    both = mg.import_case([odd, *others], tmp_path / "both")
+    assert both.records[0].assumed[-1].startswith("most records show displacement")
+    assert 'quantity = "displacement"' in (tmp_path / "both" / "case.toml").read_text()
