@@ -210,6 +210,17 @@ def test_a_spring_is_found_beside_slow_noise(own):
     assert outcome.verdict == "found"
 
 
+def test_a_delay_that_is_a_phase_as_well_is_not_told_from_it(own):
+    turned = replace(ONE_AXIS, faults=Faults(phase=-0.026))
+    outcome = diagnose(None, bench(Hidden(), 0, turned, RESONATOR).case, effects=own)
+    assert outcome.verdict == "instrument_only"
+    assert [term.label for term in outcome.instrument] == ["reference_phase"]
+    assert (outcome.accepted, outcome.device.effects) == ((), ())
+    assert json.loads(outcome.to_json())["instrument"][0]["name"] == "reference_phase"
+    assert "cannot tell it from readout_delay" in outcome.sentence
+    assert "reference_phase" in str(outcome)
+
+
 def test_a_user_s_own_effect_is_then_found(stopped, own):
     outcome = diagnose(None, stopped, effects=own)
     assert [a.label for a in outcome.accepted] == ["stop x"]

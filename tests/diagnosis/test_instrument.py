@@ -157,16 +157,7 @@ def diagnosed(seed=0, hidden=HIDDEN, **faults):
     return diagnose(None, bench(hidden, protocol=protocol, die=RESONATOR, seed=seed).case)
 
 
-def assert_of_instrument(found, label):
-    assert found.verdict == "instrument_only"
-    assert [term.label for term in found.instrument] == [label]
-    assert found.accepted == ()
-    assert found.to_dict()["instrument"][0]["name"] == label
-    assert label in str(found)
-    assert found.device.effects == ()
-
-
-@pytest.mark.slow  # `test_a_delay_that_is_a_phase_as_well_is_not_told_from_it` says it of another fault
+@pytest.mark.slow  # `test_diagnose.py::test_a_delay_that_is_a_phase_as_well_is_not_told_from_it` says it of one more
 @pytest.mark.parametrize(
     ("label", "faults"),
     [
@@ -176,7 +167,13 @@ def assert_of_instrument(found, label):
     ],
 )
 def test_a_fault_of_the_instrument_is_no_effect_of_the_device(label, faults):
-    assert_of_instrument(diagnosed(**faults), label)
+    found = diagnosed(**faults)
+    assert found.verdict == "instrument_only"
+    assert [term.label for term in found.instrument] == [label]
+    assert found.accepted == ()
+    assert found.to_dict()["instrument"][0]["name"] == label
+    assert label in str(found)
+    assert found.device.effects == ()
 
 
 @pytest.mark.slow
@@ -190,12 +187,6 @@ def test_an_effect_is_found_beside_a_fault_and_without_one(terms, faults):
     assert [a.label for a in found.accepted] == ["cubic_stiffness x"]
     assert [term.label for term in found.instrument] == terms
     assert abs(found.accepted[0].estimate[0] - 1.0) < 4 * found.accepted[0].std[0]
-
-
-def test_a_delay_that_is_a_phase_as_well_is_not_told_from_it():
-    found = diagnosed(phase=-0.026)
-    assert_of_instrument(found, "reference_phase")
-    assert "cannot tell it from readout_delay" in found.sentence
 
 
 def test_the_clock_of_a_record_rules_the_rate_of_its_sweeps():

@@ -170,7 +170,7 @@ def test_writing_and_reading_gives_the_same_study(write, tmp_path, text):
     assert again.to_toml() == study.to_toml()
 
 
-@settings(max_examples=30)
+@settings(max_examples=12)
 @given(mass=st.floats(1e-9, 1e-3), decay=st.floats(1e-6, 1.0), seed=st.integers(0, 2**31))
 def test_numbers_survive_writing_to_the_last_bit(tmp_path_factory, mass, decay, seed):
     changes = {"device.mass": f"{mass!r} kg", "observer.annealing.decay": f"{decay!r} s", "sweep.seed": seed,
