@@ -54,7 +54,7 @@ LONGEST = (
     "loop/test_output_filter.py",
     "app/test_datasheet_command.py",
     "couplings/test_tree_fit.py",
-    "diagnosis/test_first_order.py",
+    "measurement/test_datasheet.py",
     "diagnosis/test_driven.py",
     "device/test_propagate.py",
     "base/test_runtime.py",

@@ -31,7 +31,9 @@ def only(case, *names):
     return replace(case, records=tuple(r for r in case.records if r.name in names))
 
 
-@pytest.mark.parametrize("hidden", [(), ("cubic_stiffness_x",), ("readout_delay",)])
+@pytest.mark.parametrize(
+    "hidden", [(), ("cubic_stiffness_x",), pytest.param(("readout_delay",), marks=pytest.mark.slow)]
+)
 def test_a_gyro_starts_from_its_sweeps(hidden):
     made = bench(visible(*hidden))
     true = truth(made.case, DIE, Hidden(), ()).device
