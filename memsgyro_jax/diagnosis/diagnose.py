@@ -16,6 +16,7 @@ from memsgyro_jax.measurement.linear_start import starting_device
 from memsgyro_jax.measurement.model import Model
 from memsgyro_jax.measurement.readings import model_of, readings_of
 
+from .climb import climbed
 from .drift_in_time import with_drift_alone
 from .fit import CaseFit
 from .instrument import drive_levels
@@ -84,7 +85,9 @@ def diagnose(
         first = search.rank()
         if is_slow_noise(search, first):
             return search, first, "", first
-        return *instrument_first(search, first, smooth, search_on, done), first
+        begin = climbed(search, first)
+        ranking = begin.rank() if begin.accepted else first
+        return *instrument_first(begin, ranking, smooth, search_on, done), first
 
     (search, ranking, rival, first), left_out = search_beside_outlying(begun, searched, done)
     base, steps = search.base, search.steps

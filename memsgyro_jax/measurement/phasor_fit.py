@@ -73,15 +73,29 @@ def _is_device(device) -> bool:
 
 
 def _turned(plain, omega, motion, force, weight):
-    """The device where gain and background are complex, as instruments have them, if that explains much more.
+    """The device where gain and background are complex, as instruments have them, and its resonance bends over, where
+    each explains much more.
 
-    (K − ω² + iωD)·X = n(ω)·F with a complex parabola n: a gain that turns the phase, and a background in proportion to
-    the drive, are of this form.
+    (K − ω² + iωD + c|X|²)·X = n(ω)·F with a complex parabola n: a gain that turns the phase, and a background in
+    proportion to the drive, are of this form.
     """
+    straight, misfit = _with_gain(plain, omega, motion, force, weight, bends=False)
+    bent, less = _with_gain(plain, omega, motion, force, weight, bends=True)
+    if bent is not None and (straight is None or less < _BETTER * misfit):
+        straight, misfit = bent, less
+    alone = plain[0][0] - omega**2 + 1j * omega * plain[1][0]
+    unturned = np.sum(np.abs((motion - plain[2] * force / alone) * weight) ** 2)
+    return plain if straight is None or (misfit > _BETTER * unturned and _is_device(plain)) else straight
+
+
+def _with_gain(plain, omega, motion, force, weight, *, bends: bool):
+    """The device with a gain that turns, `None` for what is none, and its squared misfit."""
     centre, span = omega.mean(), np.ptp(omega) or 1.0
     place, near, target = (omega - centre) / span, omega**2 - centre**2, (omega**2 - centre**2) * motion
     powers = -force[:, None] * place[:, None] ** np.arange(3)
     columns = np.concatenate([motion[:, None], 1j * omega[:, None] * motion[:, None], powers, 1j * powers], axis=1)
+    square = np.abs(motion) ** 2 / np.max(np.abs(motion) ** 2)
+    columns = np.concatenate([columns, (square * motion)[:, None]], axis=1) if bends else columns
     scale = np.abs(weight) / np.maximum(np.abs(near + 1j * omega * plain[1][0] - (plain[0][0] - centre**2)), 1e-300)
     for _ in range(ROUNDS):
         left, right = columns * scale[:, None], target * scale
@@ -89,17 +103,15 @@ def _turned(plain, omega, motion, force, weight):
         size = np.linalg.norm(left, axis=0)
         size = np.where(size > 0, size, 1.0)
         found = np.linalg.lstsq(left / size, right, rcond=1e-12)[0] / size
-        operator = found[0] - near + 1j * omega * found[1]
+        operator = found[0] - near + 1j * omega * found[1] + (found[8] * square if bends else 0.0)
         scale = weight / np.abs(operator)
     stiffness, damping = found[0] + centre**2, found[1]
-    rest = np.sum(np.abs((columns @ found - target) * scale) ** 2)
-    alone = plain[0][0] - omega**2 + 1j * omega * plain[1][0]
-    unturned = np.sum(np.abs((motion - plain[2] * force / alone) * weight) ** 2)
-    if not (stiffness > 0 and damping > 0) or (rest > _BETTER * unturned and _is_device(plain)):
-        return plain
+    rest = float(np.sum(np.abs((columns @ found - target) * scale) ** 2))
+    if not (stiffness > 0 and damping > 0):
+        return None, rest
     pole = (np.sqrt(stiffness) + 0.5j * damping - centre) / span
     gain = np.polyval((found[2:5] + 1j * found[5:8])[::-1], pole)
-    return np.array([stiffness]), np.array([damping]), float(np.abs(gain) * (1.0 if gain.real >= 0 else -1.0))
+    return (np.array([stiffness]), np.array([damping]), float(np.abs(gain) * (1.0 if gain.real >= 0 else -1.0))), rest
 
 
 def _of_modulus(omega, motion, force, weight):

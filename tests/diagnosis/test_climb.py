@@ -1,0 +1,28 @@
+"""Devices driven so hard that their resonance bends over by several widths, one record in a file for each drive."""
+
+import numpy as np
+import pytest
+from lab import bent
+
+import memsgyro_jax as mg
+from memsgyro_jax.measurement.linear_start import starting_device
+
+
+@pytest.mark.parametrize("levels", [(5, 20, 60), (60, 20)])
+def test_a_bent_resonance_tells_its_linear_device(tmp_path, levels):
+    device = starting_device(mg.load_case(bent.bent_sweeps(tmp_path / "case", levels)))
+    natural = np.sqrt(float(device.stiffness[0]))
+    assert natural / (2.0 * np.pi) == pytest.approx(bent.F0, abs=0.1 * bent.F0 / bent.Q)
+    assert natural / float(device.damping[0]) == pytest.approx(bent.Q, rel=0.05)
+    assert float(device.mobility) == pytest.approx(1.0 / bent.MASS, rel=0.05)
+
+
+@pytest.mark.slow
+def test_a_cubic_spring_is_found_by_a_climb_from_the_lowest_drive(tmp_path):
+    found = mg.diagnose(None, mg.load_case(bent.bent_sweeps(tmp_path / "case", (5, 20, 60))))
+    assert found.verdict == "found"
+    (spring,) = found.accepted
+    assert spring.label == "cubic_stiffness x"
+    assert spring.estimate[0] == pytest.approx(bent.CUBIC, abs=5.0 * spring.std[0] + 1e-3 * bent.CUBIC)
+    (turned,) = found.instrument
+    assert (turned.name, turned.estimate[0]) == ("reference_phase", pytest.approx(bent.PHASE, abs=1e-3))
