@@ -5,22 +5,18 @@ resonance, and what an effect would do to first order says nothing. At the lowes
 is found there starts a fit with the next drive.
 """
 
-from typing import Any
-
 import numpy as np
 
 from memsgyro_jax.effects import ForceEffect
 
 from .acceptance import excess
+from .drives import FAR, stages, up
 from .joint_residual import Joint
 from .optimum import Optimum, optimise
-from .outlying import without_rows
-from .residual_force import ALIKE, CLEAR
 from .score import basis, overlap, score, within_bounds
 from .search import LOOK_AHEAD, TWINS, Ranking, Search, always_free
 
 
-FAR = 100.0  # χ² per degree of freedom of the base model from which a climb is tried
 STRENGTHS = np.geomspace(1e-2, 1e2, 25)  # of the size of a strength, that are tried: a width of the resonance apart
 TENTH = 0.1  # of the misfit that the best single effect leaves: what a climb must come to
 
@@ -29,13 +25,13 @@ def climbed(search: Search, first: Ranking) -> Search:
     """The search with the effect that a climb over the drives finds, where the base model is far off and no effect in
     one step leaves less than ten times as much; the same search else. `first` ranks effects beside the base model.
     """
-    stages = _stages(search)
-    if len(stages) < 2 or search.optimum.chi2 < FAR * search.optimum.dof:
+    steps = stages(search.case, search.joint.fitted)
+    if len(steps) < 2 or search.optimum.chi2 < FAR * search.optimum.dof:
         return search
-    search.tell(f"climb from the lowest of {len(stages)} drives")
-    base = _lowest(search.joint, search.given, stages[0])
-    tempting = _tempting(search, base, stages[0])
-    ends = [(i, _up(search.joint, base, i, size, search.given, stages)) for i, size in tempting.items()]
+    search.tell(f"climb from the lowest of {len(steps)} drives")
+    base = _lowest(search.joint, search.given, steps[0])
+    tempting = _tempting(search, base, steps[0])
+    ends = [(i, _up(search.joint, base, i, size, search.given, steps)) for i, size in tempting.items()]
     if not ends:
         return search
     place, end = min(ends, key=lambda one: one[1].chi2)
@@ -45,31 +41,6 @@ def climbed(search: Search, first: Ranking) -> Search:
         return search
     search.take(place, end)
     return search
-
-
-def _stages(search: Search) -> list[tuple]:
-    """What is fitted, up to each drive of the sweeps of a known level in turn; the last is all."""
-    records: list[tuple[int, Any]] = list(enumerate(search.case.records))
-    sweeps = [(k, r) for k, r in records if hasattr(r, "setting") and r.role != "validation"]
-    clear = [
-        float(np.mean(r.setting[rows]))
-        for _, r in sweeps
-        for rows in r.sweeps
-        if np.max(np.abs(r.readings[rows, r.axis])) > CLEAR * r.noise_level
-    ]
-    levels: list[float] = []
-    for level in sorted(clear):
-        if not levels or level > (1 + ALIKE) * levels[-1]:
-            levels.append(level)
-    fitted = search.joint.fitted
-    return [
-        tuple(
-            without_rows(
-                fitted, {k: tuple(np.flatnonzero(r.setting > (1 + ALIKE) * level).tolist()) for k, r in sweeps}
-            )
-        )
-        for level in levels[:-1]
-    ] + [tuple(fitted)] * bool(levels)
 
 
 def _lowest(joint: Joint, given: tuple[int, ...], lowest: tuple) -> Optimum:
@@ -106,16 +77,14 @@ def _tempting(search: Search, base: Optimum, lowest: tuple) -> dict[int, float]:
     return {i: sizes[i] for i in sorted(forces, key=left.__getitem__)[:LOOK_AHEAD]}
 
 
-def _up(joint: Joint, base: Optimum, place: int, size: float, given: tuple[int, ...], stages: list[tuple]) -> Optimum:
+def _up(joint: Joint, base: Optimum, place: int, size: float, given: tuple[int, ...], steps: list[tuple]) -> Optimum:
     """A fit with one effect that starts at the lowest drive, without it or where some strength of it fits best."""
     free = always_free(joint, (*given, place))
-    end = optimise(joint, base.vector, free, stages[0])
+    end = optimise(joint, base.vector, free, steps[0])
     if end.chi2 > FAR * end.dof:
-        begin, _ = _best_strength(joint, base, place, size, stages[0])
-        end = min(end, optimise(joint, begin, free, stages[0]), key=_chi2)
-    for stage in stages[1:]:
-        end = optimise(joint, end.vector, free, stage)
-    return end
+        begin, _ = _best_strength(joint, base, place, size, steps[0])
+        end = min(end, optimise(joint, begin, free, steps[0]), key=_chi2)
+    return up(joint, end.vector, free, steps[1:])
 
 
 def _best_strength(joint: Joint, base: Optimum, place: int, size: float, lowest: tuple) -> tuple[np.ndarray, float]:

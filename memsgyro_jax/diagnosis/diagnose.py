@@ -18,13 +18,14 @@ from memsgyro_jax.measurement.readings import model_of, readings_of
 
 from .climb import climbed
 from .drift_in_time import with_drift_alone
+from .drives import Rows, without_rows
 from .fit import CaseFit
 from .instrument import drive_levels
 from .joint_residual import Joint
 from .next_experiment import advice, next_experiments
 from .nuisances import instrument_first, of_instrument, terms_of
 from .optimum import Optimum
-from .outlying import Rows, search_beside_outlying, without_rows
+from .outlying import search_beside_outlying
 from .result import SIGMAS_SEEN, Accepted, Candidate, Diagnosis, Stage, Verdict, validation_error
 from .rounds import FITTED, search_on
 from .score import basis, score, separation

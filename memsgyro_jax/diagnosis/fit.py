@@ -26,6 +26,7 @@ from memsgyro_jax.measurement.linear_start import starting_device
 from memsgyro_jax.measurement.model import Model, check_effect
 from memsgyro_jax.measurement.readings import Readings, model_of, readings_of
 
+from .drives import FAR, stages, up
 from .fit_table import fit_table
 from .fitted import ParameterEstimate, RecordError, errors_figure
 from .instrument import knowledge
@@ -275,6 +276,8 @@ def fit_case(
         vector = optimise(joint, vector, alone, joint.fitted).vector
     longest = 0 if held else 30
     optimum = optimise(joint, vector, places, joint.fitted, max_evaluations=longest)
+    if optimum.chi2 > FAR * optimum.dof and not held and len(steps := stages(case, joint.fitted)) > 1:
+        optimum = min(optimum, up(joint, joint.start, places, steps), key=lambda end: end.chi2)
     readings, apart = sharpened(joint.at(optimum.vector), joint.readings, optimum.residual)
     if readings is not joint.readings:
         joint = Joint(joint.at(optimum.vector), readings)

@@ -16,13 +16,13 @@ from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.experiments import Readings
 from memsgyro_jax.measurement.readings import readings_of
 
+from .drives import Rows, without_rows
 from .fit import CaseFit, beside_case
 from .instrument import knowledge
 from .joint_residual import Joint
 from .law import DrawnLaw
 from .law_file import LawTerm
 from .optimum import optimise
-from .outlying import Rows, without_rows
 from .resolved import sharpened
 from .result import validation_error
 

@@ -1,17 +1,14 @@
 """Rows that stand alone in what a fit leaves: named, and left out of every fit and every error from there on."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable
 from typing import Any
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
-from memsgyro_jax.measurement.experiments import Readings
 from memsgyro_jax.measurement.least_squares import gate
 from memsgyro_jax.measurement.outliers import lone_residuals
 
+from .drives import Rows, gone
 from .fit import CaseFit
 from .score import basis
 from .search import Search
@@ -19,7 +16,6 @@ from .search import Search
 
 HOPELESS = 1.5  # of the χ² that noise may leave: rows without which a model leaves more are not what it misses
 FEW_ROWS = 0.05  # share of a record's rows from which they are no outliers but a part of it
-Rows = Mapping[int, tuple[int, ...]]
 
 
 def outlying(fit: CaseFit) -> Rows:
@@ -73,33 +69,7 @@ def _to_leave_out(fit: CaseFit) -> Rows:
     rows, joint = outlying(fit), fit.joint
     if not rows:
         return rows
-    kept = np.concatenate([np.repeat(~_gone(r, rows), r.size // r.record.size) for r in joint.fitted])
+    kept = np.concatenate([np.repeat(~gone(r, rows), r.size // r.record.size) for r in joint.fitted])
     q, residual = basis(fit.optimum.jacobian[kept]), fit.optimum.residual[kept]
     left, dof = float(np.sum((residual - q @ (q.T @ residual)) ** 2)), fit.optimum.dof
     return rows if left / dof <= HOPELESS * gate(dof) else {}
-
-
-def without_rows(readings: Sequence[Readings], left_out: Rows) -> tuple[Readings, ...]:
-    """The same readings, in which some rows of some records belong to none and have no weight."""
-    return tuple(_without(one, left_out) for one in readings)
-
-
-def _without(readings: Readings, left_out: Rows) -> Readings:
-    gone = _gone(readings, left_out)
-    if not gone.any():
-        return readings
-    noise = readings.experiment.noise
-    std = getattr(noise, "std", None)
-    if std is None or gone.all():
-        return readings
-    wide = jnp.where(gone[:, None], jnp.inf, std)
-    experiment = eqx.tree_at(lambda e: e.noise.std, readings.experiment, wide)
-    return replace(readings, experiment=experiment, record=np.where(gone, -1, readings.record))
-
-
-def _gone(readings: Readings, left_out: Rows) -> np.ndarray:
-    """Which rows of an experiment are left out."""
-    gone = np.zeros(readings.record.size, bool)
-    for number, rows in left_out.items():
-        gone |= (readings.record == number) & np.isin(readings.row, rows)
-    return gone

@@ -6,13 +6,9 @@ import numpy as np
 
 from memsgyro_jax.measurement.experiments.missing_force import MissingForce, RateResidual, SweepForce, TimeForce
 
+from .drives import ALIKE, CLEAR, without_rows
 from .fit import CaseFit, beside_case
 from .optimum import optimise
-from .outlying import without_rows
-
-
-CLEAR = 20.0  # standard deviations from which a sweep tells the device
-ALIKE = 0.05  # of a drive: within it sweeps have the same
 
 
 Sort = TypeVar("Sort", bound=MissingForce)

@@ -9,10 +9,11 @@ from bench_case import BAND, RESONATOR, bench
 from lab.die import Hidden
 from lab.protocol import Laboratory, Sweep
 
+from memsgyro_jax.diagnosis.drives import without_rows
 from memsgyro_jax.diagnosis.fit import beside_case, fit_case
 from memsgyro_jax.diagnosis.joint_residual import Joint
 from memsgyro_jax.diagnosis.optimum import optimise
-from memsgyro_jax.diagnosis.outlying import _to_leave_out, outlying, search_beside_outlying, without_rows
+from memsgyro_jax.diagnosis.outlying import _to_leave_out, outlying, search_beside_outlying
 
 
 LONG = Laboratory((Sweep("sweep", 0, (0.002, 0.006), **BAND | {"points": 90}),), digits=17)

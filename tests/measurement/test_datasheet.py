@@ -32,7 +32,7 @@ SPREAD = mg.Spread.relative(0.002)
 def sheet():
     return mg.datasheet(
         LOOP, SPREAD, full_scale="200 deg/s", dies=DIES, sample_rate=RATE, duration=0.2, settle=0.15,
-        noise_duration=2.0, trim=True, seed=3,
+        noise_duration=4.0, trim=True, seed=3,
     )  # fmt: skip
 
 

@@ -11,8 +11,8 @@ from scipy.optimize import least_squares
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.normalised import NormalisedDevice
 from memsgyro_jax.diagnosis.diagnose import diagnose
+from memsgyro_jax.diagnosis.drives import without_rows
 from memsgyro_jax.diagnosis.fit import fit_case
-from memsgyro_jax.diagnosis.outlying import without_rows
 from memsgyro_jax.effects import by_name, catalogue
 from memsgyro_jax.measurement.case import load_case, write_case
 from memsgyro_jax.measurement.model import Model

@@ -1,0 +1,76 @@
+"""Rows of sweeps left out of what is fitted, and fits that follow a device from its lowest drive to its highest."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from memsgyro_jax.measurement.case import Case
+from memsgyro_jax.measurement.experiments import Readings
+
+from .joint_residual import Joint
+from .optimum import Optimum, optimise
+
+
+CLEAR = 20.0  # standard deviations from which a sweep tells the device
+ALIKE = 0.05  # of a drive: within it sweeps have the same
+FAR = 100.0  # χ² per degree of freedom from which a fit to all drives may have missed its valley
+Rows = Mapping[int, tuple[int, ...]]
+
+
+def without_rows(readings: Sequence[Readings], left_out: Rows) -> tuple[Readings, ...]:
+    """The same readings, in which some rows of some records belong to none and have no weight."""
+    return tuple(_without(one, left_out) for one in readings)
+
+
+def _without(readings: Readings, left_out: Rows) -> Readings:
+    absent = gone(readings, left_out)
+    if not absent.any():
+        return readings
+    noise = readings.experiment.noise
+    std = getattr(noise, "std", None)
+    if std is None or absent.all():
+        return readings
+    wide = jnp.where(absent[:, None], jnp.inf, std)
+    experiment = eqx.tree_at(lambda e: e.noise.std, readings.experiment, wide)
+    return replace(readings, experiment=experiment, record=np.where(absent, -1, readings.record))
+
+
+def gone(readings: Readings, left_out: Rows) -> np.ndarray:
+    """Which rows of an experiment are left out."""
+    out = np.zeros(readings.record.size, bool)
+    for number, rows in left_out.items():
+        out |= (readings.record == number) & np.isin(readings.row, rows)
+    return out
+
+
+def stages(case: Case, fitted: Sequence[Readings]) -> list[tuple[Readings, ...]]:
+    """What is fitted, up to each drive of clear sweeps in turn, the last all of it; none without a clear sweep."""
+    records: list[tuple[int, Any]] = list(enumerate(case.records))
+    sweeps = [(k, r) for k, r in records if hasattr(r, "setting") and r.role != "validation"]
+    clear = [
+        float(np.mean(r.setting[rows]))
+        for _, r in sweeps
+        for rows in r.sweeps
+        if np.max(np.abs(r.readings[rows, r.axis])) > CLEAR * r.noise_level
+    ]
+    levels: list[float] = []
+    for level in sorted(clear):
+        if not levels or level > (1 + ALIKE) * levels[-1]:
+            levels.append(level)
+    louder = [
+        {k: tuple(np.flatnonzero(r.setting > (1 + ALIKE) * level).tolist()) for k, r in sweeps} for level in levels[:-1]
+    ]
+    upto = [tuple(_without(r, rows) for r in fitted if not gone(r, rows).all()) for rows in louder]
+    return [*upto, *([tuple(fitted)] if levels else [])]
+
+
+def up(joint: Joint, vector: np.ndarray, places: np.ndarray, steps: Sequence[tuple[Readings, ...]]) -> Optimum:
+    """A fit to the first of `steps` from a vector, from its end to the next, and so on to the last."""
+    end = optimise(joint, vector, places, steps[0])
+    for step in steps[1:]:
+        end = optimise(joint, end.vector, places, step)
+    return end
