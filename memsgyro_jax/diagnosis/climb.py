@@ -26,7 +26,7 @@ def climbed(search: Search, first: Ranking) -> Search:
     one step leaves less than ten times as much; the same search else. `first` ranks effects beside the base model.
     """
     steps = stages(search.case, search.joint.fitted)
-    if len(steps) < 2 or search.optimum.chi2 < FAR * search.optimum.dof:
+    if len(steps) < 2 or not first.places or search.optimum.chi2 < FAR * search.optimum.dof:
         return search
     search.tell(f"climb from the lowest of {len(steps)} drives")
     base = _lowest(search.joint, search.given, steps[0])
@@ -55,6 +55,8 @@ def _tempting(search: Search, base: Optimum, lowest: tuple) -> dict[int, float]:
     that changes the readings as much as they are missed.
     """
     joint, places = search.joint, [i for i in search.candidates() if search.joint.of_effect(i).size == 1]
+    if not places:
+        return {}
     columns = np.concatenate([joint.of_effect(i) for i in places])
     _, slopes = joint.linearise(base.vector, np.eye(joint.start.size)[columns], lowest)
     slopes, q = np.where(np.isfinite(slopes), slopes, 0.0), basis(base.jacobian)

@@ -94,7 +94,7 @@ def _with_gain(plain, omega, motion, force, weight, *, bends: bool):
     place, near, target = (omega - centre) / span, omega**2 - centre**2, (omega**2 - centre**2) * motion
     powers = -force[:, None] * place[:, None] ** np.arange(3)
     columns = np.concatenate([motion[:, None], 1j * omega[:, None] * motion[:, None], powers, 1j * powers], axis=1)
-    square = np.abs(motion) ** 2 / np.max(np.abs(motion) ** 2)
+    square = np.abs(motion) ** 2 / (np.max(np.abs(motion) ** 2) or 1.0)
     columns = np.concatenate([columns, (square * motion)[:, None]], axis=1) if bends else columns
     scale = np.abs(weight) / np.maximum(np.abs(near + 1j * omega * plain[1][0] - (plain[0][0] - centre**2)), 1e-300)
     for _ in range(ROUNDS):
