@@ -2,6 +2,7 @@
 
 import difflib
 import math
+import re
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -10,6 +11,7 @@ _PREFIXES = ((1e9, "G"), (1e6, "M"), (1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, 
 FIRST = 10  # complaints that a sentence spells out
 _MANY = 20  # names in a sentence
 _LONG = 60  # characters of a name in a sentence
+_ALL_DIGITS = re.compile(r"\d+\.\d{4,}(e[+-]?\d+)?")  # a number with all its digits
 
 
 def aligned(rows: list[tuple[str, ...]]) -> str:
@@ -23,6 +25,11 @@ def printable(text: str, most: int | None = None) -> str:
     if most is not None and len(text) > most:
         text = f"{text[: most - 3]}..."
     return text if text.isprintable() else "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+
+
+def rounded(text: str, digits: int) -> str:
+    """The text, its numbers with four decimals or more cut to so many significant `digits`."""
+    return _ALL_DIGITS.sub(lambda found: f"{float(found[0]):.{digits}g}", text)
 
 
 def excerpt(value: Any) -> str:

@@ -111,10 +111,11 @@ def test_diff_tells_what_sets_two_apart(memsgyro, tmp_path):
     assert re.search(r"1\.235e-06 m +8\.765e-07 m", memsgyro("diff", "a.toml", "b.toml")[1])
     many = lambda dies, letter: {"diverged": {"dies": dies}, "why": 99 * letter}  # noqa: E731
     run = {"dies": 8, "yield": {"value": 0.9, "low": 0.8, "high": 0.95}, "bias_dps": {"value": 1.0, "std": 0.1}}
-    (tmp_path / "a.json").write_text(json.dumps(run | many([0, 3], "x") | {"study": {"sweep": {"dies": 8}}}))
+    (tmp_path / "a.json").write_text(json.dumps(run | many([0, 3], "x") | {"study": {"observer": {"kind": "ekf"}}}))
     other = {"dies": 8, "yield": {"value": 0.91, "low": 0.8, "high": 0.96}, "bias_dps": {"value": 2.0, "std": 0.1}}
     (tmp_path / "b.json").write_text(json.dumps(other | many([1], "y") | {"study": {"sweep": {"dies": 9}}}))
     out = memsgyro("diff", "a.json", "b.json")[1]
+    assert out.startswith("A is a.json (observer ekf)\nB is b.json\n")
     assert re.search(r"yield +0.9 \(0.8 to 0.95\) +0.91 \(0.8 to 0.96\) +\+1.11 %, within the intervals", out)
     assert re.search(r"bias_dps +1 \(0.804 to 1.196\) +2 \(1.804 to 2.196\) +\+100 %, intervals apart", out)
     assert re.search(r"diverged.dies +2 +1 ", out)

@@ -216,6 +216,9 @@ def test_the_gradient_of_a_tornado_is_that_of_the_runs_and_results_print(loop):
     assert " *" not in repr(found)
     odd = replace(found, slope=30.0 * found.slope, std=0.0 * found.std)
     assert odd._text(0).count(" *") == 2 + 1, "and the sentence of what it means"
+    labels = [label.get_text() for label in odd.plot().get_yticklabels()]
+    assert sorted(labels) == ["device.dxy *", "device.kxx *"]
+    assert "-" in replace(found, std=np.nan * found.std).rows(0)[0], "of one noise no error is told"
     straight, steep = (figure.plot().get_xlim() for figure in (replace(found, std=0.0 * found.std), odd))
     assert steep == pytest.approx(straight), "bars set the axis"
     hidden = replace(found, std=1e9 + found.std).plot().patches

@@ -1,19 +1,17 @@
 """`memsgyro diff`: what sets two studies or two results apart."""
 
 import json
-import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.base.text import aligned
+from memsgyro_jax.base.text import aligned, rounded
 
 
 _WIDEST = 60  # letters of a setting or a sentence
 _SILENT = ("versions", "fingerprint", "schema", "notes", "steps_per_s", "study")
 _TWO_SIDED = 1.96
-_LONG = re.compile(r"\d+\.\d{4,}(e[+-]?\d+)?")  # a number with all its digits
 
 
 class Figure(NamedTuple):
@@ -55,11 +53,12 @@ def diff_command(a: Path, b: Path, /, *, report: Path | None = None) -> None:
     tables = {what: rows for what, rows in tables.items() if len(rows) > 1}
     lines = [aligned(rows) for rows in tables.values()]
     same = "no difference" if settings_a or settings_b or figures_a or figures_b else "nothing to compare"
-    print("\n\n".join([f"A is {a}\nB is {b}", *lines]) if lines else f"{a} and {b}: {same}.")
+    names = named(a, settings_a), named(b, settings_b)
+    print("\n\n".join([f"A is {names[0]}\nB is {names[1]}", *lines]) if lines else f"{a} and {b}: {same}.")
     if report is not None:
         from ..report.diff_page import diff_page
 
-        print(f"\n{diff_page((a, b), tables).save(report)} is the page of it.")
+        print(f"\n{diff_page((a, b), names, tables).save(report)} is the page of it.")
 
 
 def read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -84,6 +83,12 @@ def read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
         raise InputError(f"{path} must hold a result, a JSON object, but holds a {type(found).__name__}.")
     told = {name: value for name, value in found.items() if name not in _SILENT}
     return dict(flat_entries(found.get("study", {}))), dict(figures(told))
+
+
+def named(path: Path, settings: dict[str, Any]) -> str:
+    """What was compared, by its path and by who measures and drives there."""
+    who = [f"{part} {settings[key]}" for part in ("observer", "controller") if (key := f"{part}.kind") in settings]
+    return f"{path} ({', '.join(who)})" if who else str(path)
 
 
 def flat_entries(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
@@ -158,7 +163,7 @@ def table(what: str, left: dict[str, Any], right: dict[str, Any]) -> list[tuple[
 def _short(left: str, right: str) -> list[str]:
     """Both texts with as many digits of their numbers as tell them apart, four at least."""
     for digits in (4, 7, 12):
-        cut = [_LONG.sub(lambda found: f"{float(found[0]):.{digits}g}", text) for text in (left, right)]  # noqa: B023
+        cut = [rounded(text, digits) for text in (left, right)]
         if cut[0] != cut[1]:
             return cut
     return [left, right]

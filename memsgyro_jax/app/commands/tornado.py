@@ -29,7 +29,7 @@ def tornado_command(
         study: a study file (TOML), whose [spread] is taken apart; without it that of the thesis.
         zero_rate: look at the zero-rate output instead: no rate, no noise of the read-out, mean of the settled part.
         sigmas: how many standard deviations a parameter is moved, either way.
-        repeats: runs at each point, each with a noise of its own.
+        repeats: runs at each point, each with a noise of its own; one gives no standard error.
         seed: of the noise.
         report: file for a page with the bars.
         effects: a Python file with effects of your own that the study names. It is run: trust it first.
@@ -54,6 +54,8 @@ def tornado_command(
         settle = settings["settle"]
         off = mean_error(0.5 if settle is None else settle / settings["duration"])
         loop, scenario, of = loop.silent, replace(scenario, rate=Constant(0.0)), [replace(off, name="zero-rate output")]
+    if repeats == 1:
+        print("One noise at each point: bars have no standard error; two or more `--repeats` give one.", flush=True)
     with progress("dies", "compiling") as show:
         bars = tornado(loop, run["spread"], scenario, sigmas=sigmas, repeats=repeats, of=of, progress=show, **settings)
     print(bars)

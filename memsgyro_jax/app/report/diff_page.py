@@ -17,9 +17,13 @@ if TYPE_CHECKING:
 _BINS, _LINES, _FAR = 30, 2000, 8.0
 
 
-def diff_page(paths: tuple[Path, Path], tables: dict[str, list[tuple[str, ...]]]) -> Page:
-    """The page of two studies or results; `tables` are rows that differ, the header first, by what they hold."""
-    page = Page("What sets two results apart", f"A is {paths[0]}, B is {paths[1]}")
+def diff_page(
+    paths: tuple[Path, Path], names: tuple[str, str], tables: dict[str, list[tuple[str, ...]]]
+) -> Page:
+    """The page of two studies or results, called `names`; `tables` are rows that differ, the header first, by what they
+    hold.
+    """
+    page = Page("What sets two results apart", f"A is {names[0]}, B is {names[1]}")
     if not tables:
         page.section("Result").text("Nothing: all settings and figures agree, to four digits.")
     figure = _pictured(paths)

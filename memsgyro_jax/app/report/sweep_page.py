@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from memsgyro_jax.base.text import rounded
 from memsgyro_jax.montecarlo.batch import DIVERGED, STATUS
 
 from . import figures
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from ..study import Study
 
 _WORST = 10
+_DIGITS = 6  # of a setting
 _SHOWN = 16384  # dies that are shown one by one; more are summarised
 
 
@@ -39,7 +41,9 @@ def sweep_page(lot: "Lot", study: "Study") -> Page:
     _add_parameters(page, lot)
     page.section(f"The {min(_WORST, summary.dies)} worst dies").table(*_worst(lot))
     page.section("Settings")
-    page.text("Written as a study file, these settings repeat the sweep; so does the seed on any number of cores.")
+    page.text(
+        "These settings repeat the sweep on any number of cores; summary.json beside this page holds them to all digits."
+    )
     return with_settings(page, study, summary.settings)
 
 
@@ -118,7 +122,7 @@ def with_settings(page: Page, study: "Study", made: "Settings") -> Page:
 
 
 def settings(value: Any, name: str = "") -> Iterator[tuple[str, str]]:
-    """Dotted name and text of every entry of nested settings; empty tables and lists are left out."""
+    """Dotted name and text of every entry of nested settings, numbers to six digits; empty ones are left out."""
     if isinstance(value, dict):
         for key, entry in value.items():
             yield from settings(entry, f"{name}.{key}" if name else key)
@@ -126,8 +130,8 @@ def settings(value: Any, name: str = "") -> Iterator[tuple[str, str]]:
         for number, entry in enumerate(value):
             yield from settings(entry, f"{name}.{number}" if len(value) > 1 else name)
     elif isinstance(value, list | tuple):
-        same = len(set(map(str, value))) == 1
         if value:
-            yield name, str(value[0]) if same else ", ".join(map(str, value))
+            told = [rounded(str(entry), _DIGITS) for entry in value]
+            yield name, told[0] if len(set(told)) == 1 else ", ".join(told)
     else:
-        yield name, str(value)
+        yield name, rounded(str(value), _DIGITS)

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
 SCHEMA = "memsgyro-tornado/1"
 HEAD = ("input", "low", "high", "standard error", "gradient")  # of `Tornado.rows`
+ONE_NOISE = "one noise at each point and so no standard error"
 _SPARE = 0.1  # of the larger bar: how far a gradient may lie outside both before that is told
 _POINT = (
     "gradient at the design alone, which a whole step does not follow: take the bars. The response turns within the "
@@ -50,7 +51,7 @@ class Tornado(Sensitivity):
         design: outputs at the design, mean over the repeats (outputs,).
         low, high: change of the output with the parameter `sigmas` standard deviations below and above its design
             (outputs, inputs), mean over the repeats in which neither die was lost; NaN where there is none.
-        std: standard error of the larger change (outputs, inputs).
+        std: standard error of the larger change (outputs, inputs); NaN of one repeat.
         slope: change by `sigmas` standard deviations as the gradient at the design has it (outputs, inputs); NaN for
             outputs that only count.
         lost: share of dies lost at the low and at the high end (inputs, 2).
@@ -70,7 +71,8 @@ class Tornado(Sensitivity):
     def status(self) -> str:
         dies = (2 * len(self.inputs) + 1) * self.repeats
         lost = round(float(np.sum(self.lost)) * self.repeats)
-        return f"{dies} dies, {self.repeats} noises at each point, {lost} lost"
+        noises = f"{self.repeats} noises at each point" if self.repeats > 1 else ONE_NOISE
+        return f"{dies} dies, {noises}, {lost} lost"
 
     def order(self, output: int) -> np.ndarray:
         """Inputs by the size of their effect on an output, the largest first."""
@@ -122,7 +124,7 @@ class Tornado(Sensitivity):
     def _apart(self, output: int) -> Bool[np.ndarray, " inputs"]:
         """Where the gradient lies outside what both bars say, errors and a tenth of the larger one allowed for."""
         ends = np.stack([-self.low[output], self.high[output]])
-        spare = 2.0 * self.std[output] + _SPARE * np.max(np.abs(ends), axis=0)
+        spare = 2.0 * np.nan_to_num(self.std[output]) + _SPARE * np.max(np.abs(ends), axis=0)
         slope = self.slope[output]
         return (slope < np.min(ends, axis=0) - spare) | (slope > np.max(ends, axis=0) + spare)
 
@@ -136,7 +138,8 @@ class Tornado(Sensitivity):
 
     def plot(self, ax: "Axes | None" = None, output: str | None = None) -> "Axes":
         """Bars of one output, the largest on top, grey where the noise hides them, with the gradient's prediction, an
-        arrow where that lies beyond the bars' axis; returns the axes.
+        arrow where that lies beyond the bars' axis, a star at the name where a whole step does not follow it; returns
+        the axes.
         """
         ax, k = axes(ax), self._place(output)
         order = self.order(k)[::-1]
@@ -145,6 +148,10 @@ class Tornado(Sensitivity):
         if np.isfinite(self.slope[k]).all():
             label = f"+{self.sigmas:g} σ by gradient"
             _ticks(ax, self.slope[k, order], label)
+        if (apart := self._apart(k)[order]).any():
+            names = [tick.get_text() for tick in ax.get_yticklabels()]
+            ax.set_yticks(ax.get_yticks(), [f"{n} *" if star else n for n, star in zip(names, apart, strict=True)])
+            ax.plot([], [], "k", marker="$*$", ls="", label="the step does not follow the gradient")
         ax.set_xlabel(f"change of {self.outputs[k]} [{self.units[k]}] from {self.design[k]:.3g}")
         ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, frameon=False)  # where no bar lies
         return ax
@@ -177,17 +184,15 @@ def tornado(
     """One parameter of the spread after the other at ∓`sigmas` standard deviations, the others at their design.
 
     `loop`, `spread` (correlations do not matter here), `scenario` and `settings` (`sample_rate`, `progress`...) are as
-    in `sweep`, which runs `repeats` dies at each point with the noise of `seed`. Looked at are the outputs `of` it:
-    without, errors of the rate, lost dies, and dies out of tolerance.
+    in `sweep`, which runs `repeats` dies at each point with the noise of `seed`; one has no standard error. Looked at
+    are the outputs `of` it: without, errors of the rate, lost dies, and dies out of tolerance.
 
     Raises `InputError` for a spread without variations, `sigmas` or `repeats` that are not positive, and settings that
     `sweep` refuses.
     """
     inputs = inputs_of(loop, spread)
-    if not (sigmas > 0.0 and repeats >= 2):
-        raise InputError(
-            f"Arguments `sigmas` and `repeats` must be positive and at least 2, but are {sigmas:g} and {repeats}."
-        )
+    if not (sigmas > 0.0 and repeats >= 1):
+        raise InputError(f"Arguments `sigmas` and `repeats` must be positive, but are {sigmas:g} and {repeats}.")
     away = sigmas * np.eye(len(inputs))
     places = np.concatenate([np.zeros((1, len(inputs))), -away, away])
     found = run_at(repeated(places, repeats), loop, spread, scenario, of, seed, settings)

@@ -64,6 +64,7 @@ def test_the_page_names_every_setting(page, study):
     assert entries["device.mass"] == "1.8e-07 kg"
     assert entries["controller.tones.amplitude"] == "53.95 m/s^2"
     assert entries["readout.mismatch"] == "1e-07 m, 8.5e-08 m"
+    assert entries["sweep.tolerance"] == "0.349066 rad/s"
     for name, value in entries.items():
         assert name in page
         assert value in page
@@ -121,7 +122,7 @@ def test_a_browser_has_nothing_to_complain_about(page, run_page, lot, study, tmp
         moved = {**lot._rows, "rate_error_end": errors * lot._rows["rate_error_end"]}
         replace(lot, _rows=moved).save(tmp_path / name / "dies.zarr")
     tables = {"figure": [("figure", "A", "B", ""), ("bias", "1", "2", "intervals apart")]}
-    compared = diff_page((tmp_path / "a", tmp_path / "b"), tables).html()
+    compared = diff_page((tmp_path / "a", tmp_path / "b"), ("a", "b"), tables).html()
     assert compared.count("<svg") == 1
     assert "intervals apart" in compared
     browser.check(tmp_path, {"page": page, "run": run_page, "diff": compared, **of_a_loop(study, lot.settings)})
@@ -136,7 +137,7 @@ def of_a_loop(study, made):
     )
     bars = mg.Tornado(
         ("rate error", "lost"), ("deg/s", "share"), ("device.kxx", "device.dxy"), made, np.zeros(2), -two, two,
-        0.1 * abs(two), two, none, 1.0, 8,
+        0.1 * abs(two), two * [1.0, 9.0], none, 1.0, 8,
     )  # fmt: skip
     pages = {
         "loop": loop_page(study, [answer], margins, mg.noise_budget(study.loop)).html(),
@@ -145,6 +146,8 @@ def of_a_loop(study, made):
     assert (pages["loop"].count("<svg"), pages["tornado"].count("<svg")) == (2, 1)
     assert "force y at 3000 Hz, by its amplitude" in pages["loop"]
     assert "0 share, whatever parameter moves" in pages["tornado"]
+    assert "device.dxy *" in pages["tornado"]
+    assert "the step does not follow the gradient" in pages["tornado"]
     return pages
 
 
