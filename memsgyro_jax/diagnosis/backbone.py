@@ -95,15 +95,16 @@ class Backbone(Shown):
 
     Args:
         case, axis: of which device, 0 = x, 1 = y.
-        amplitude: grid within what was seen (k,) [m], [V] for a resonator.
+        amplitude: grid within what was seen (k,) in `length`.
         omega, omega_std: angular frequency of its free vibration there (k,) [rad/s].
         damping, damping_std: damping per mass there, twice the decay rate of the amplitude (k,) [1/s].
-        displacement, restoring, restoring_std: the whole force of the spring over displacement (k,) [m], [N].
-        velocity, dissipative, dissipative_std: the whole force of the damper over velocity (k,) [m/s], [N].
+        displacement, restoring, restoring_std: the whole force of the spring over displacement (k,) in `length`.
+        velocity, dissipative, dissipative_std: the whole force of the damper over velocity (k,) in `length`/s.
         points: what each row shows by itself: amplitude, angular frequency and damping (n, 3).
         records: name of each point's record (n,).
         least: displacement and velocity below which the forces are not seen: they extrapolate towards rest.
         scatter: root mean square of what is left of the rows over their noise.
+        length, force: units of displacements and forces: those of the records where nothing calibrates them.
     """
 
     case: str
@@ -123,11 +124,13 @@ class Backbone(Shown):
     records: np.ndarray
     least: tuple[float, float]
     scatter: float
+    length: str = "m"
+    force: str = "N"
 
     @property
     def hardening(self) -> tuple[float, float]:
         """Slope of the squared frequency over the squared amplitude, over that at rest, times 4/3, and its standard
-        deviation [1/m²]: k3/k1 of a cubic spring, and what several terms amount to together.
+        deviation [1/`length`²]: k3/k1 of a cubic spring, and what several terms amount to together.
         """
         top, weight = self.amplitude[-1], 1.0 / np.maximum(2 * self.omega * self.omega_std, 1e-300)
         square = (self.amplitude / top) ** 2
@@ -163,21 +166,22 @@ class Backbone(Shown):
         ax.plot(self.points[:, 0], self.points[:, 1] / (2 * np.pi), ".", ms=3, color="0.6")
         ax.plot(self.amplitude, hertz)
         ax.fill_between(self.amplitude, hertz - 2 * std, hertz + 2 * std, alpha=0.3)
-        ax.set_xlabel("amplitude [m or V]")
+        ax.set_xlabel(f"amplitude [{self.length}]")
         ax.set_ylabel("frequency [Hz]")
         return ax
 
     def __str__(self) -> str:
         a, hertz = self.amplitude, self.omega / (2 * np.pi)
-        lines = [f"{self.case}, axis {'xy'[self.axis]}: amplitude, frequency [Hz], damping per mass [1/s]"]
+        what = f"amplitude [{self.length}], frequency [Hz], damping per mass [1/s]"
+        lines = [f"{self.case}, axis {'xy'[self.axis]}: {what}"]
         for i in np.unique(np.linspace(0, len(a) - 1, 8).astype(int)):
             lines.append(
                 f"  {a[i]:10.4g}   {hertz[i]:.6g} ± {self.omega_std[i] / (2 * np.pi):.2g}   "
                 f"{self.damping[i]:.4g} ± {self.damping_std[i]:.2g}"
             )
         slope, std = self.hardening
-        lines.append(f"  as a cubic spring over these amplitudes, k3/k1 = {slope:.4g} ± {std:.2g} 1/m² (1/V²)")
-        lines.append(f"  below {a[0]:.3g} and above {a[-1]:.3g} nothing was seen: there the forces extrapolate")
+        lines.append(f"  as a cubic spring over these amplitudes, k3/k1 = {slope:.4g} ± {std:.2g} 1/{self.length}²")
+        lines.append(f"  below {a[0]:.3g} and above {a[-1]:.3g} {self.length} nothing was seen: there the forces extrapolate")
         return "\n".join(lines)
 
 
@@ -229,6 +233,7 @@ def backbone(fit: CaseFit, axis: int = 0, *, knots: int = KNOTS) -> Backbone:
         velocity=curves[1][2], dissipative=curves[1][3], dissipative_std=curves[1][4],
         points=points, records=given.record, least=(float(a.min()), float(speed.min())),
         scatter=float(np.sqrt(np.average(rest**2, weights=weight))),
+        length=fit.case.words.displacement, force=fit.case.words.force,
     )  # fmt: skip
 
 

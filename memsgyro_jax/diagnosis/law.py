@@ -45,7 +45,7 @@ class DrawnLaw(Shown):
         measured, axis: what it was drawn from, 0 = x, 1 = y.
         terms: in the order in which they were found; one of "even_stiffness", which no row tells, comes from a fit.
         knots, values: of the spline: where its slope changes and by how much, per kind; empty beside terms.
-        seen: lowest and highest displacement and velocity amplitude [m], [m/s] that any row has.
+        seen: lowest and highest displacement and velocity amplitude that any row has, in what the records are in.
         left: root mean square of what is left of the rows over their noise: without any law, and with it.
         beside: the model with the linear part that goes with the law, from which a fit should start.
     """
@@ -71,7 +71,8 @@ class DrawnLaw(Shown):
     def write(self, path: str | Path) -> Path:
         """The effect file, whole or not at all."""
         splines = tuple(zip(self.knots, self.values, strict=True))
-        text = law_text(self.measured.name, self.axis, self.names, self.seen, self.terms, splines)
+        length = self.measured.words.displacement
+        text = law_text(self.measured.name, self.axis, self.names, self.seen, self.terms, splines, length)
         return write_whole(path, text)
 
     def __str__(self) -> str:
@@ -83,10 +84,10 @@ class DrawnLaw(Shown):
             more = "" if term.threshold is None else f", threshold = {term.threshold:.4g}"
             lines.append(f"  {name}: {term.formula}, s = {term.strength:.4g}, exponent = {term.exponent:.3g}{more}")
         lines += [f"  {name}: straight lines with rounded corners" for name in self.names[len(self.terms) :]]
-        (low, high), (slow, fast) = self.seen
+        (low, high), (slow, fast), length = *self.seen, self.measured.words.displacement
         lines.append(
-            f"  seen from {low:.3g} to {high:.3g} m (V for a resonator) and {slow:.3g} to {fast:.3g} m/s; beyond, "
-            "the law extrapolates"
+            f"  seen from {low:.3g} to {high:.3g} {length} and {slow:.3g} to {fast:.3g} {length}/s; beyond, the law "
+            "extrapolates"
         )
         if not any(term.kind == "even_stiffness" for term in self.terms):
             lines.append("  drawn the same for both signs: amplitude and phase at the drive do not tell them apart")

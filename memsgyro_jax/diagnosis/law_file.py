@@ -77,6 +77,7 @@ def law_text(
     seen: tuple[tuple[float, float], tuple[float, float]],
     terms: Sequence[LawTerm],
     splines: Sequence[tuple[np.ndarray, np.ndarray]],
+    length: str = "m",
 ) -> str:
     """The text of the file: the terms, or a spline per kind, each under its name.
 
@@ -87,14 +88,15 @@ def law_text(
         seen: lowest and highest displacement and velocity amplitude that any row has.
         terms: of the law.
         splines: knots and values of each, where there are no terms.
+        length: unit of a displacement.
     """
     (low, high), (slow, fast) = seen
     title = case.replace("\\", "/").replace('"', "'")
     head = (
         f'"""What the records of {title} show beyond a linear device. Edit it, then fit it:\n\n'
         "    memsgyro law CASE --edited THIS_FILE\n\n"
-        f"Seen at amplitudes from {low:.4g} to {high:.4g} m (V for a resonator)\n"
-        f'and {slow:.4g} to {fast:.4g} m/s; elsewhere it extrapolates.\n"""\n\n'
+        f"Seen at amplitudes from {low:.4g} to {high:.4g} {length}\n"
+        f'and {slow:.4g} to {fast:.4g} {length}/s; elsewhere it extrapolates.\n"""\n\n'
         "import equinox as eqx\nimport jax.numpy as jnp\nfrom jax import Array\n\nimport memsgyro_jax.effects as fx\n"
     )
     bodies = [_term_text(name, term, axis) for name, term in zip(names, terms, strict=False)]

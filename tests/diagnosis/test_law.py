@@ -236,6 +236,7 @@ def test_the_command_draws_writes_and_fits(tmp_path, capsys):
     assert ended.value.code == 0
     out = capsys.readouterr().out
     assert "drawn_stiffness" in out
+    assert all(text in out for text in ("amplitude [V]", " 1/V²", " V/s; beyond")), "in what the record is in"
     assert f"memsgyro law {tmp_path} --edited {law}" in out
     assert "Frequency and damping against amplitude" in page.read_text()
     assert load_effects(law, 1)

@@ -20,18 +20,17 @@ _SURE = 6.0  # times the middle half of the points around the curve: those beyon
 def law_page(curve: Backbone, law: DrawnLaw, before: CaseFit, after: CaseFit) -> Page:
     """Build the page of a law."""
     out = Page(f"Law drawn from {law.measured.name}", law.measured.description)
-    comparison, words = judged(after), law.measured.words
+    comparison = judged(after)
     out.text(comparison.beside_size or f"{comparison.verdict.rstrip(':.')}.")
     for line in str(law).splitlines():
         out.text(line.strip())
     out.section("Frequency and damping against amplitude")
     out.figure(
-        backbone_figure(curve, words.displacement),
-        "Points: each row or stretch of a record by itself. Band: two standard deviations.",
+        backbone_figure(curve), "Points: each row or stretch of a record by itself. Band: two standard deviations."
     )
     out.section("Forces")
     out.figure(
-        force_figure(curve, words.displacement, words.force),
+        force_figure(curve),
         "Force beyond the straight line through the origin that fits best. Grey: below the smallest amplitude seen, "
         "where the curve extrapolates towards rest; beyond its end nothing was seen.",
     )
@@ -48,8 +47,8 @@ def law_page(curve: Backbone, law: DrawnLaw, before: CaseFit, after: CaseFit) ->
     return out
 
 
-def backbone_figure(curve: Backbone, length: str) -> Figure:
-    """Frequency and damping over amplitude in its unit, a colour per record."""
+def backbone_figure(curve: Backbone) -> Figure:
+    """Frequency and damping over amplitude, a colour per record."""
     figure = blank(3.6)
     left, right = figure.subplots(1, 2)
     amplitude = curve.points[:, 0]
@@ -70,7 +69,7 @@ def backbone_figure(curve: Backbone, length: str) -> Figure:
             mine = near & (curve.records == record)
             ax.plot(amplitude[mine], points[mine], ".", ms=4, alpha=0.6, label=record)
         _curve(ax, curve.amplitude, values, std)
-        ax.set_xlabel(f"amplitude [{length}]")
+        ax.set_xlabel(f"amplitude [{curve.length}]")
         ax.set_ylabel(label)
         ax.ticklabel_format(axis="y", useOffset=False)
         ax.ticklabel_format(axis="x", style="sci", scilimits=(-2, 4))
@@ -79,23 +78,23 @@ def backbone_figure(curve: Backbone, length: str) -> Figure:
     return faint(figure)
 
 
-def force_figure(curve: Backbone, length: str, force_unit: str) -> Figure:
-    """What the restoring and the dissipative force have beyond a straight line, and where it was seen; in units."""
+def force_figure(curve: Backbone) -> Figure:
+    """What the restoring and the dissipative force have beyond a straight line, and where it was seen."""
     figure = blank(3.4)
     parts = (
         (
             curve.displacement,
             curve.restoring,
             curve.restoring_std,
-            f"displacement [{length}]",
-            f"restoring force beyond k·q [{force_unit}]",
+            f"displacement [{curve.length}]",
+            f"restoring force beyond k·q [{curve.force}]",
         ),
         (
             curve.velocity,
             curve.dissipative,
             curve.dissipative_std,
-            f"velocity [{length}/s]",
-            f"dissipative force beyond d·v [{force_unit}]",
+            f"velocity [{curve.length}/s]",
+            f"dissipative force beyond d·v [{curve.force}]",
         ),
     )
     for ax, (place, force, std, name, label), least in zip(figure.subplots(1, 2), parts, curve.least, strict=True):
