@@ -181,7 +181,8 @@ class Backbone(Shown):
             )
         slope, std = self.hardening
         lines.append(f"  as a cubic spring over these amplitudes, k3/k1 = {slope:.4g} ± {std:.2g} 1/{self.length}²")
-        lines.append(f"  below {a[0]:.3g} and above {a[-1]:.3g} {self.length} nothing was seen: there the forces extrapolate")
+        seen = f"below {a[0]:.3g} and above {a[-1]:.3g} {self.length}"
+        lines.append(f"  {seen} nothing was seen: there the forces extrapolate")
         return "\n".join(lines)
 
 

@@ -17,9 +17,7 @@ if TYPE_CHECKING:
 _BINS, _LINES, _FAR = 30, 2000, 8.0
 
 
-def diff_page(
-    paths: tuple[Path, Path], names: tuple[str, str], tables: dict[str, list[tuple[str, ...]]]
-) -> Page:
+def diff_page(paths: tuple[Path, Path], names: tuple[str, str], tables: dict[str, list[tuple[str, ...]]]) -> Page:
     """The page of two studies or results, called `names`; `tables` are rows that differ, the header first, by what they
     hold.
     """
@@ -33,8 +31,8 @@ def diff_page(
         page.section(f"{what[0].upper()}{what[1:]}s that differ")
         split = [(*row[:-1], *f"{row[-1]}, ".split(", ")[:2]) for row in rows]
         kept = [i for i in range(5) if any(row[i] for row in split)]
-        names = (*header[:-1], "change", "intervals of 95 %")
-        page.table([names[i] for i in kept], [[row[i] for i in kept] for row in split])
+        columns = (*header[:-1], "change", "intervals of 95 %")
+        page.table([columns[i] for i in kept], [[row[i] for i in kept] for row in split])
     return page
 
 

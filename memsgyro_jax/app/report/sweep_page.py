@@ -42,7 +42,7 @@ def sweep_page(lot: "Lot", study: "Study") -> Page:
     page.section(f"The {min(_WORST, summary.dies)} worst dies").table(*_worst(lot))
     page.section("Settings")
     page.text(
-        "These settings repeat the sweep on any number of cores; summary.json beside this page holds them to all digits."
+        "These settings repeat the sweep, on any number of cores; summary.json beside this page has all their digits."
     )
     return with_settings(page, study, summary.settings)
 
