@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -75,3 +76,10 @@ def whole(name: str, given: Any, least: int = 0) -> int:
             f"Argument `{name}` must be a whole number from {least} to {most}, but {excerpt(given)} was given."
         )
     return number
+
+
+def number(unit: str = "", **options: object) -> jax.Array:
+    """A field that holds a number, or one per die, as an array: traced, differentiable, no recompilation when it
+    changes. With a `unit` it may be given as text in another of the same kind, such as "2.9 kHz".
+    """
+    return eqx.field(converter=in_unit(unit), **options)

@@ -54,11 +54,12 @@ def first_of(complaints: Sequence[str], what: str, count: int | None = None) -> 
     return f"{head}{'; '.join(shown)}{f'; and {count - len(shown)} more' if count > len(shown) else ''}"
 
 
-def suggestion(name: str, known: Iterable[str]) -> str:
-    """What a name that is not known may have meant: "did you mean `kxy`?", or all that are known."""
+def suggestion(name: str, known: Iterable[str], *, every: bool = False) -> str:
+    """What a name that is not known may have meant: "did you mean `kxy`?", or `every` one that is known."""
     known = list(known)
     near = difflib.get_close_matches(name, known, n=1) if len(name) <= _LONG else []
-    return f"did you mean `{near[0]}`?" if near else f"known are {listed(known)}"
+    asked = f"did you mean `{near[0]}`?" if near else ""
+    return asked if near and not every else f"{asked} known are {listed(known)}".strip()
 
 
 def combination(weights: Sequence[float], names: Sequence[str], least: float = 0.1, most: int = 4) -> str:

@@ -12,9 +12,10 @@ from typing import ClassVar, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from memsgyro_jax.base.arguments import in_unit, quantity
+from memsgyro_jax.base.arguments import number as number
 from memsgyro_jax.base.concrete import check_not_negative as check_not_negative
 from memsgyro_jax.base.concrete import check_positive as check_positive
 from memsgyro_jax.base.concrete import check_positive_definite as check_positive_definite
@@ -31,6 +32,7 @@ from .inertial import Pair as Pair
 from .inertial import frame_stiffness as frame_stiffness
 from .modes import angle_of_quadrature, coupled, in_turned_axes, rates_of
 from .modes import natural_frequencies as natural_frequencies
+from .natural import AbstractNatural, NaturalDualMass, NaturalSingleMass
 from .small import Matrix, Vector, plus, times
 
 
@@ -153,11 +155,12 @@ DUAL_MASS = MotionModel(
 class AbstractGyro(HasTemperature):
     """A two-axis gyro. A new kind of device gives its `model` table and the two methods; `dynamics` is that of the base
     device, which the loop extends by the `effects`. `couplings` names the fields that couple the axes, which no maker
-    holds at zero, with the two main coefficients that each stands beside.
+    holds at zero, with the two main coefficients that each stands beside; `natural` are the names of a designer.
     """
 
     model: eqx.AbstractClassVar[MotionModel]
     couplings: ClassVar[Mapping[str, tuple[str, str]]] = {}
+    natural: ClassVar[AbstractNatural | None] = None
 
     @abc.abstractmethod
     def dynamics(self, inertial: Inertial) -> Dynamics:
@@ -168,13 +171,6 @@ class AbstractGyro(HasTemperature):
         """The values of `model.coefficients` nearest to this device at rate `rate` [rad/s] and under `damping_change`
         (as in `Inertial`): what an observer should find.
         """
-
-
-def number(unit: str = "", **options: object) -> Array:
-    """A field that holds a number, or one per die, as an array: traced, differentiable, no recompilation when it
-    changes. With a `unit` it may be given as text in another of the same kind, such as "2.9 kHz".
-    """
-    return eqx.field(converter=in_unit(unit), **options)
 
 
 class SingleMassGyro(AbstractGyro):
@@ -197,6 +193,7 @@ class SingleMassGyro(AbstractGyro):
     rotating_frame: bool = eqx.field(static=True)
     model: ClassVar[MotionModel] = SINGLE_MASS
     couplings: ClassVar[Mapping[str, tuple[str, str]]] = {"kxy": ("kxx", "kyy"), "dxy": ("dxx", "dyy")}
+    natural = NaturalSingleMass()
 
     def __init__(
         self, mass, kxx, kyy, kxy, dxx, dyy, dxy, *, dyx=None, rotating_frame: bool = False,
@@ -287,6 +284,7 @@ class DualMassGyro(AbstractGyro):
     rotating_frame: bool = eqx.field(static=True, default=False)
     model: ClassVar[MotionModel] = DUAL_MASS
     couplings: ClassVar[Mapping[str, tuple[str, str]]] = {"kxy": ("kxx", "kyy"), "kyx": ("kxx", "kyy")}
+    natural = NaturalDualMass()
 
     def __check_init__(self):
         check_positive("mass_y", self.mass_y)

@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from memsgyro_jax.base import runtime
-from memsgyro_jax.base.display import stated_at
 from memsgyro_jax.base.labelled import LABELS, UNITS_ALONG
 from memsgyro_jax.base.provenance import Settings
 from memsgyro_jax.device.propagate import fuses_many_outputs
@@ -162,7 +161,7 @@ class Runner:
             "redrawn": one,
         }
         labels = {"coefficient": list(names), "parameter": parameters, "channel": ["x", "y"]}
-        units = {"coefficient": units_of(self.loop.device.model), "parameter": [stated_at(root, p) for p in parameters]}
+        units = {"coefficient": units_of(self.loop.device.model), "parameter": [root.unit(p) for p in parameters]}
         made_by = {PROCESSOR: f"{self.mesh.devices.flat[0].device_kind} {runtime.processor()}"}
         attributes = {**settings.as_dict(), **made_by, **self.plan._asdict()}
         attributes |= {LABELS: labels, UNITS_ALONG: units}

@@ -4,11 +4,9 @@ Die `i` is defined by (seed, i) alone: its place in a scrambled Sobol sequence (
 on how many dies are drawn, in which order or on how many machines.
 """
 
-import re
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Protocol
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -28,10 +26,11 @@ from .distributions import AbstractDistribution as AbstractDistribution
 from .distributions import AtLeast
 from .distributions import Normal as Normal
 from .distributions import Uniform as Uniform
+from .vary import DEVICE_PREFIX
+from .vary import Root as Root
+from .vary import Vary as Vary
 
 
-DEVICE_PREFIX = "device."
-_PROCESS, _MADE = "process", ("device", "readout")  # parts of a loop that a process makes
 _REDRAWS = 16  # of an impossible die
 Seed = int | tuple[int, int]  # of a first draw, and of a later one
 
@@ -50,74 +49,6 @@ class HasUncertainty(Protocol):
     @property
     def uncertainty(self) -> Uncertain:
         """The numbers with their joint uncertainty."""
-
-
-@dataclass(frozen=True, repr=False)
-class Vary(Shown):
-    """A number of the loop or scenario and its distribution.
-
-    `path` names it from the loop, like `device.kxx`, `readout.opamp_offset.0`, `start.0`, an effect by number or label,
-    like `device.effects.cubic_stiffness_x.strength`, or from the scenario, like `scenario.rate.level`.
-    `process.over_etch` is that of the process which makes device and read-out, wherever they are given by their layout.
-    """
-
-    path: str
-    distribution: AbstractDistribution
-
-    def read(self, root: "Root") -> Array:
-        """The design value; raises `InputError` when the path does not lead to a number, or would not vary it."""
-        here = self.find(root)
-        if not (eqx.is_inexact_array(here) and here.ndim == 0):
-            raise InputError(f"A spread must name one number, but `{self.path}` is {type(here).__name__}.")
-        if self.distribution.of_itself and is_concrete(here) and float(here) == 0.0:
-            raise InputError(
-                f"The spread of `{self.path}` must be given in its unit (`std`, or `low` and `high`), but is relative "
-                "to a design value of zero, which would not vary."
-            )
-        return here
-
-    def find(self, root: "Root") -> Any:
-        """Whatever stands at the path, the first of `places`."""
-        return self.places(root)[0]
-
-    def places(self, root: "Root") -> list[Any]:
-        """Wherever the number stands: one that device and read-out share in both."""
-        shared = self.path.startswith(f"{_PROCESS}.") and isinstance(root, Root)
-        made = root.made_by_process() if shared else ()
-        return [self._at(part, self.path) for part in made] or [self._at(root, self.path)]
-
-    def _at(self, here: Any, path: str) -> Any:
-        for part in path.split("."):
-            try:
-                here = here[int(part)] if re.fullmatch(r"\d+", part) else getattr(here, part.replace(" ", "_"))
-            except (AttributeError, IndexError, TypeError):
-                raise InputError(
-                    f"A spread must name a number of the loop, but `{self.path}` has no `{part}`."
-                ) from None
-        return here
-
-
-class Root(eqx.Module):
-    """Where paths start: the parts of the loop, the process that makes some of them, and the scenario."""
-
-    loop: ClosedLoop
-    scenario: Scenario
-
-    def __getattr__(self, name: str) -> object:
-        if name.startswith("__"):
-            raise AttributeError(name)
-        shared = self.made_by_process() if name == _PROCESS else []
-        return getattr(shared[0] if shared else self.loop, name)
-
-    def made_by_process(self) -> list[Any]:
-        """The parts of the loop that are given by their layout."""
-        parts = [getattr(self.loop, name) for name in _MADE]
-        return [part for part in parts if hasattr(part, _PROCESS)]
-
-    def moved(self, items: "tuple[Vary, ...]", values: list[Any]) -> "Root":
-        """With the value of each item wherever it stands."""
-        everywhere = [value for item, value in zip(items, values, strict=True) for _ in item.places(self)]
-        return eqx.tree_at(lambda root: [place for item in items for place in item.places(root)], self, everywhere)
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,7 +122,8 @@ class Spread(Shown):
         """
         if self.everywhere is None:
             return self.items
-        named, device, sizes = {item.path for item in self.items}, loop.device, with_sizes(loop.device)
+        device, sizes = loop.device, with_sizes(loop.device)
+        named = {path for item in self.items for path in (item.path, *_instead(device, item.path))}
         found = [_sized(Vary(name, self.everywhere), device, sizes) for name in numbers_of(device)]
         if not found:
             raise InputError(
@@ -304,6 +236,12 @@ def _sized(item: Vary, device: AbstractGyro, sizes: AbstractGyro) -> Vary:
     if is_concrete(design, size):
         return Vary(path, law if float(size) <= abs(float(design)) else AtLeast(law, float(size)))
     return Vary(path, law if size is design else AtLeast(law, size))
+
+
+def _instead(device: AbstractGyro, path: str) -> list[str]:
+    """The paths of the coefficients that do not vary by themselves where `path`, a designer's name, does."""
+    names = device.natural.instead if device.natural else {}
+    return [f"{DEVICE_PREFIX}{name}" for name in names.get(path.removeprefix(DEVICE_PREFIX), "").split()]
 
 
 def _number(value: Array) -> Scalar:

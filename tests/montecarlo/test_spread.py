@@ -1,5 +1,6 @@
 """Fabrication spread: distributions, correlation, and the identity of a die."""
 
+import jax
 import numpy as np
 import pytest
 from scipy import stats
@@ -31,6 +32,50 @@ def test_every_device_parameter_varies_but_one_that_is_zero(loop):
     assert drawn.loop.device.kxx.shape == (4,)
     assert drawn.loop.device.cross_damping_asymmetry.shape == ()
     np.testing.assert_array_equal(drawn.table[:, 1], drawn.loop.device.kxx)
+
+
+NAMED = {"frequency": (9e3, 9.3e3), "quality_factor": (5e3, 400.0), "quadrature": 0.3}
+MADE = {
+    "single": lambda more: mg.SingleMassGyro.from_modes(2e-8, **more),
+    "dual": lambda more: mg.DualMassGyro.from_modes(3e-8, 2e-8, **more),
+}
+
+
+@pytest.mark.parametrize(
+    ("kind", "path", "to", "instead"),
+    [
+        ("single", "frequency.1", 8.7e3, ["kyy"]), ("single", "quality_factor.0", 800.0, ["dxx"]),
+        ("single", "quadrature", 0.7, ["kxy"]), ("single", "angle", 0.2, ["kxy"]),
+        ("single", "cross_damping", 0.1, ["dxy"]), ("dual", "frequency.0", 9.2e3, ["kxx"]),
+        ("dual", "quality_factor.1", 800.0, ["dyy"]), ("dual", "quadrature", 0.7, ["kxy", "kyx"]),
+    ],
+)  # fmt: skip
+def test_a_die_with_another_quadrature_is_what_from_modes_makes_of_it(kind, path, to, instead):
+    """By every name that `from_modes` has; the coefficient it stands for varies no more by itself."""
+    name, _, place = path.partition(".")
+    given = {**NAMED, name: to if not place else tuple(to if str(n) == place else v for n, v in enumerate(NAMED[name]))}
+    if name == "angle":
+        del given["quadrature"]
+    gyro = MADE[kind](NAMED)
+    own = mg.ClosedLoop(gyro, READOUT, mg.ExtendedKalmanFilter.for_device(gyro, READOUT), mg.OpenLoop())
+    vary = mg.Vary(f"device.{path}", mg.Normal(std=1e-12, mean=to))
+    drawn = draw(own, mg.Spread((vary,)), range(3)).loop.device
+    for one, wanted in zip(jax.tree.leaves(drawn), jax.tree.leaves(MADE[kind](given)), strict=True):
+        np.testing.assert_allclose(one, np.broadcast_to(wanted, one.shape), rtol=1e-8, atol=1e-18)
+    both = {item.path for item in mg.Spread((vary,), everywhere=mg.Normal(relative=0.01)).resolved(own)}
+    left = {f"device.{name}" for name in numbers_of(own.device)} - both
+    assert left == {f"device.{name}" for name in instead}
+
+
+def test_names_of_a_designer_that_cannot_be(loop):
+    both = tuple(mg.Vary(f"device.{name}", mg.Normal(std=0.1)) for name in ("angle", "quadrature"))
+    with pytest.raises(InputError, match=r"Of `angle` and `quadrature` of a device one"):
+        draw(loop, mg.Spread(both), range(2))
+    far = draw(loop, mg.Spread((mg.Vary("device.quadrature", mg.Normal(relative=1.0)),)), range(64))
+    assert np.any(far.redrawn), "modes this near do not couple as much"
+    assert np.all(np.isfinite(far.loop.device.kxy))
+    with pytest.raises(InputError, match=r"no `quadratur` \(did you mean `quadrature`\? known are mass, kxx.* angle"):
+        draw(loop, mg.Spread((mg.Vary("device.quadratur", mg.Normal(std=0.1)),)), range(2))
 
 
 @pytest.mark.parametrize("quasi", [True, False])

@@ -310,7 +310,7 @@ def _build(given: StudyFile, source: Source, own: tuple[Effect, ...]) -> Study:
     with source.section("spread"):
         for path in file.spread.parameters:
             Vary(path, Normal()).read(Root(loop, scenario))
-        spread = file.spread.build(lambda path: _unit_of_effect(gyro, path) or file.unit_of(path))
+        spread = file.spread.build(lambda path: _unit_of_gyro(gyro, path) or file.unit_of(path))
         for item in spread.items:
             item.read(Root(loop, scenario))
         if "spread" in given.model_fields_set:
@@ -318,9 +318,11 @@ def _build(given: StudyFile, source: Source, own: tuple[Effect, ...]) -> Study:
     return Study(loop, scenario, spread, file, given, source, own)
 
 
-def _unit_of_effect(gyro: AbstractGyro, path: str) -> str | None:
-    """The unit of `device.effects.0.strength` and of `device.effects.cubic_stiffness_x.strength`."""
+def _unit_of_gyro(gyro: AbstractGyro, path: str) -> str | None:
+    """The unit of `device.quadrature`, `device.effects.0.strength` and `device.effects.cubic_stiffness_x.strength`."""
     head, _, last = path.rpartition(".")
+    if gyro.natural and (unit := gyro.natural.units.get(path.removeprefix("device."))):
+        return unit
     if not head.startswith("device.effects.") or last != "strength":
         return None
     return Vary(head.removeprefix("device."), Normal()).find(gyro).unit

@@ -88,7 +88,8 @@ class SpreadSection(FileSection):
 
     `relative` holds for every physical parameter of the device (correlated by `shared` within stiffnesses, dampings and
     masses; a coupling varies by it of itself or of 1 % of the main coefficients, whichever is more), `parameters` names
-    single ones (`"device.kxx"`, `"readout.opamp_offset.0"`), which then follow their own law. `correlation` is over
+    single ones (`"device.kxx"`, `"device.quadrature"`, `"device.frequency.1"`, `"readout.opamp_offset.0"`), which then
+    follow their own law, as does the coefficient that a quadrature or frequency stands for. `correlation` is over
     `parameters` in their order and needs `relative = 0`.
     """
 

@@ -477,6 +477,16 @@ def test_a_layout_and_its_process(write, tmp_path):
     assert np.std(dies.table[:, 0]) == pytest.approx(50e-9, rel=0.3)
 
 
+def test_a_spread_by_the_names_of_a_designer(write):
+    """With the unit of each, beside the coefficients."""
+    text = '[spread.parameters]\n"device.quadrature" = { kind = "normal", std = "20 deg/s" }\n'
+    items = mg.load_study(write(f'{text}"device.frequency.1" = {{ kind = "normal", std = "1 kHz" }}\n')).spread.items
+    found = {item.path: item.distribution.std for item in items}
+    assert found == {"device.quadrature": pytest.approx(np.radians(20.0)), "device.frequency.1": 1e3}
+    with pytest.raises(mg.InputError, match=r"has no `quadratur` \(did you mean `quadrature`\? known are mass, kxx"):
+        mg.load_study(write(text.replace('quadrature"', 'quadratur"')))
+
+
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
