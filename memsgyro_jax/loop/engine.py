@@ -139,7 +139,7 @@ def entering(
 
 def flickers_of(loop: ClosedLoop) -> int:
     """How many states the flicker of a loop's read-out has."""
-    flicker = loop.readout.flicker if hasattr(loop, "readout") else None  # a record that is run again has none
+    flicker = loop.readout.flicker
     return 0 if flicker is None else len(flicker.corners)
 
 

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 from memsgyro_jax.base.arguments import quantity
 from memsgyro_jax.base.concrete import is_concrete
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.device.gyro import Scalar
 
 from .blocks.block_filter import BlockFilter
 from .observers.base import AbstractObserver, Clock, Estimate
@@ -53,9 +54,64 @@ def filter_record(
     return run(observer, volts, force, 1.0 / quantity("sample_rate", sample_rate, "Hz"))
 
 
+def readings_after_settling(observer: AbstractObserver, samples: int, settled: int = 0) -> tuple[int, int]:
+    """How many a record of so many samples has behind those that are `settled`, and of how many independent numbers of
+    a channel each is made: samples, or behind a start whole blocks of projections.
+    """
+    if isinstance(observer, BlockFilter):
+        before, whole = max(settled - observer.start, 0), max(samples - observer.start, 0) // observer.length
+        return max(whole + -before // observer.length, 0), observer.statistics
+    return samples - settled, 1
+
+
+def told_by_record(
+    observer: AbstractObserver, volts: Float[Array, "samples 2"], force: Float[Array, "samples 2"], period: Scalar,
+    pieces: int, every: int,
+) -> Float[Array, "pieces 3"]:  # fmt: skip
+    """What was not expected in the last `pieces` of a record, of `every` readings each: means of their nats and of the
+    squares, over the variance claimed, of both channels.
+
+    Raises `InputError` for an observer that claims nothing for its innovations.
+    """
+    first = readings_after_settling(observer, len(volts))[0] - pieces * every
+    if isinstance(observer, BlockFilter):
+        found = _in_blocks(observer, volts, force, period).estimate
+        told = _told(jax.tree.map(lambda leaf: leaf[1 + first :], found))
+        return jnp.mean(told.reshape(pieces, every, -1), axis=1)
+
+    def sample(carry: tuple[Any, Array], entering: tuple[Array, ...]) -> tuple[tuple[Any, Array], None]:
+        state, total = carry
+        state = _taken(observer, state, entering, period)
+        return (state, total + _told(observer.estimate(state))), None
+
+    def row(state: Any, entering: tuple[Array, ...]) -> tuple[Any, Array]:
+        (state, total), _ = jax.lax.scan(sample, (state, jnp.zeros(3)), entering)
+        return state, total / every
+
+    start = _through(observer, _begun(observer), volts[:first], force[:first], 0, period)
+    numbers = first + 1 + jnp.arange(pieces * every)
+    entering = jax.tree.map(
+        lambda part: part.reshape(pieces, every, *part.shape[1:]), (numbers, volts[first:], force[first:])
+    )
+    return jax.lax.scan(row, start, entering)[1]
+
+
+def _told(estimate: Estimate) -> Float[Array, "*rows 3"]:
+    innovation = estimate.innovation
+    if innovation is None:
+        raise InputError(
+            "The observer must claim a variance for its innovations, as an `ExtendedKalmanFilter` does, but this one "
+            "claims none."
+        )
+    return jnp.stack([innovation.nats, *innovation.squared], axis=-1)
+
+
+def _begun(observer: AbstractObserver) -> Any:
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, float), observer.init())
+
+
 @eqx.filter_jit
 def _one_by_one(observer: AbstractObserver, volts: Array, force: Array, period: float, every: int) -> FilteredRecord:
-    start = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), observer.init())
     ends, first = _rows((volts, force), 0, every)
 
     def row(state, entering):
@@ -63,14 +119,13 @@ def _one_by_one(observer: AbstractObserver, volts: Array, force: Array, period: 
         state = _through(observer, state, measured, held, end - every, period)
         return state, observer.estimate(state)
 
-    return FilteredRecord(period * ends, jax.lax.scan(row, start, (ends, *first))[1])
+    return FilteredRecord(period * ends, jax.lax.scan(row, _begun(observer), (ends, *first))[1])
 
 
 @eqx.filter_jit
 def _in_blocks(observer: BlockFilter, volts: Array, force: Array, period: float) -> FilteredRecord:
     start, alone = observer.start, observer.filter
-    begun = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), alone.init())
-    state = observer.begun(_through(alone, begun, volts[:start], force[:start], 0, period), period)
+    state = observer.begun(_through(alone, _begun(alone), volts[:start], force[:start], 0, period), period)
 
     def block(state, entering):
         end, measured, held = entering
@@ -95,9 +150,11 @@ def _through(
 ) -> Any:
     """The state after some samples, `before` which so many have passed."""
 
-    def sample(state, entering):
-        number, measured, held = entering
-        return observer.update(state, tuple(measured), tuple(held), Clock(number * period, number, period)), None
+    step = lambda state, at: (_taken(observer, state, at, period), None)  # noqa: E731
+    return jax.lax.scan(step, state, (before + jnp.arange(1, len(volts) + 1), volts, force))[0]
 
-    numbers = before + jnp.arange(1, len(volts) + 1)
-    return jax.lax.scan(sample, state, (numbers, volts, force))[0]
+
+def _taken(observer: AbstractObserver, state: Any, entering: tuple[Array, ...], period: Scalar) -> Any:
+    """The state after a sample: its number, volts and forces."""
+    number, measured, held = entering
+    return observer.update(state, tuple(measured), tuple(held), Clock(number * period, number, period))

@@ -8,7 +8,7 @@ what they do and not by luck.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import equinox as eqx
 import jax
@@ -202,15 +202,26 @@ def noise_of(values: Values) -> float:
     return spread if spread > 0.0 else max(float(np.max(np.abs(loss), initial=0.0)), np.finfo(float).tiny)
 
 
-def evaluated(objective: Objective, values: Values, coordinates: np.ndarray, penalty: float, readings: float) -> Judged:
+class Judge(Protocol):
+    """What sums up losses: an objective, or pieces of a record."""
+
+    @property
+    def tunables(self) -> Tunables:
+        """What is free."""
+
+    def total(self, values: Values, penalty: float) -> tuple[float, Float[np.ndarray, " n"] | None]:
+        """The loss of all, what is lost counting `penalty`, and its gradient."""
+
+
+def evaluated(judge: Judge, values: Values, coordinates: np.ndarray, penalty: float, readings: float) -> Judged:
     """Losses and slopes at some coordinates as a descent wants them; what is known beforehand counts once in
     `readings`.
     """
-    stretch = objective.tunables.stretch(coordinates)
-    whole, slope = objective.total(values, penalty)
+    stretch = judge.tunables.stretch(coordinates)
+    whole, slope = judge.total(values, penalty)
     assert slope is not None
     assert values.slopes is not None
-    known, pull = objective.tunables.prior(coordinates)
+    known, pull = judge.tunables.prior(coordinates)
     error = noise_of(values) / float(np.sqrt(max(1, np.sum(values.alive))))
     slopes = values.slopes[:, values.alive] * stretch[:, None]
     return Judged(whole + known / readings, slope * stretch + pull / readings, slopes, error)

@@ -1,8 +1,10 @@
 """Tunes an observer on recorded voltages and commands: no simulation, no truth, the likelihood of its innovations."""
 
+import functools
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -14,64 +16,29 @@ from memsgyro_jax.base import runtime
 from memsgyro_jax.base.arguments import quantity
 from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.plainly import plainly
 from memsgyro_jax.device.brownian import HasTemperature
-from memsgyro_jax.device.gyro import Pair, Scalar, number
-from memsgyro_jax.loop.loop import LoopState, Sample
 from memsgyro_jax.loop.observers import AbstractObserver
-from memsgyro_jax.loop.observers.base import Clock, Estimate
-from memsgyro_jax.loop.scenario import Conditions, Scenario
-from memsgyro_jax.montecarlo import batch as lot
+from memsgyro_jax.loop.record_filter import readings_after_settling, told_by_record
 
 from .descent import descend
 from .fates import null_directions, tuned_numbers
-from .losses import AbstractLoss, Consistency, InnovationLikelihood
-from .objective import Objective, Timing, Values, evaluated
+from .losses import Consistency
+from .objective import Values, evaluated
 from .result import TunedNumber
-from .tunable import Tunable, Tunables, resolved
+from .tunable import Tunable, Tunables, placed, resolved
 
 
+_FEW = 2000  # readings, below which a program is not worth optimising
 _SEGMENTS, _HELD_OUT = 16, 4  # pieces of a record, and those at its end that judge what the others taught
-_BLOCKS = 20
 _NEVER = 1e300  # what a lost copy would count; the start is checked, and a step that loses the record is not taken
 
 
 class Replay(eqx.Module):
-    """In the place of a closed loop: the observer alone, fed with `volts` and `force`, one row per sample.
-
-    `force` [N] is what was held during the sample at whose end `volts` [V] were read.
-    """
+    """In the place of a closed loop: the observer alone."""
 
     observer: AbstractObserver
-    volts: Float[Array, "samples 2"]
-    force: Float[Array, "samples 2"]
-    travel: float = float("inf")
-    filter: None = None
-    blocks: None = None
-    device: HasTemperature = HasTemperature()  # unknown: without effects, without a temperature
-
-    def init(self) -> LoopState:
-        """The observer's own start."""
-        return LoopState((jnp.zeros(()),) * 4, self.observer.init(), ())
-
-    def estimate(self, state: LoopState) -> Estimate:
-        """The observer's own."""
-        return self.observer.estimate(state.observer)
-
-    def rate(self, state: LoopState) -> Scalar:
-        """The estimate in rad/s."""
-        return self.estimate(state).rate
-
-    def step(
-        self, state: LoopState, conditions: Conditions, noise: Pair, clock: Clock, shaking: None = None
-    ) -> tuple[LoopState, Sample]:
-        """One row of the record; what is not in it (truth, conditions) is not a number, and nothing shakes it."""
-        volts, force = (tuple(rows[clock.sample]) for rows in (self.volts, self.force))
-        end = Clock(clock.time + clock.period, clock.sample + 1, clock.period)
-        observer = self.observer.update(state.observer, volts, force, end)
-        seen = self.observer.estimate(observer)
-        unknown = jax.tree.map(lambda value: jnp.full_like(jnp.asarray(value, float), jnp.nan), conditions)
-        truth = (jnp.nan,) * 4
-        return LoopState(state.motion, observer, ()), Sample(end, unknown, truth, volts, force, seen, seen.rate)
+    device: HasTemperature = HasTemperature()  # unknown: without effects
 
 
 @dataclass(frozen=True)
@@ -96,13 +63,68 @@ class RecordTuning(Shown):
         return "\n".join([*lines, self.status])
 
 
-class _Segment(InnovationLikelihood):
-    """The likelihood from `settle` up to `until` [s], one pair of times for each copy of the record."""
+@dataclass(frozen=True)
+class _Record:
+    """Pieces of a record of equal length, in the place of a lot of dies: losses and squares of each, and by how much
+    the free numbers change them, all from one run forwards.
+    """
 
-    until: Scalar = number(default=0.0)
+    replay: Replay
+    tunables: Tunables
+    volts: Array
+    force: Array
+    period: float
+    every: int
+    readings: float
 
-    def counts(self, sample):
-        return (sample.clock.time > self.settle) & (sample.clock.time <= self.until)
+    def told(self, numbers: np.ndarray) -> "_Told":
+        """What the record says at these numbers."""
+        run = _plainly if self.every * _SEGMENTS < _FEW else _slopes
+        given = self.replay, self.tunables.paths, self.volts, self.force, self.period, self.every
+        return _Told(*map(np.asarray, run(*given, jnp.asarray(numbers))))
+
+    def total(self, values: Values, penalty: float) -> tuple[float, Float[np.ndarray, " n"] | None]:
+        """The mean of the pieces, one that is lost counting `penalty`, and its gradient."""
+        slopes = None if values.slopes is None else np.mean(values.slopes, axis=1)
+        return float(np.mean(np.where(values.alive, values.loss, penalty))), slopes
+
+
+class _Told(NamedTuple):
+    """Of each piece its nats per reading and the mean squares of both channels, and their derivatives."""
+
+    values: Float[np.ndarray, "pieces 3"]
+    slopes: Float[np.ndarray, "n pieces 3"]
+
+    @property
+    def taught(self) -> Values:
+        """The losses of the pieces that are not held out; no piece is lost alone."""
+        finite = bool(np.isfinite(self.values).all() and np.isfinite(self.slopes).all())
+        slopes = self.slopes[:, :-_HELD_OUT, 0]
+        alive = np.full(slopes.shape[1], finite)
+        return Values(self.values[:-_HELD_OUT, 0], alive, np.where(alive, slopes, 0.0))
+
+    @property
+    def held_out(self) -> tuple[float, float]:
+        """Likelihood and inconsistency of the pieces at the end."""
+        nats, *squares = np.mean(self.values[-_HELD_OUT:], axis=0)
+        return float(nats), float(np.sqrt(Consistency().value((*squares, 1.0))))
+
+
+def _along(
+    replay: Replay, paths: tuple[str, ...], volts: Array, force: Array, period: float, every: int, numbers: Array
+) -> tuple[Array, Array]:
+    """Forwards, since many pieces are told and few numbers are free. The record is an argument, never a constant."""
+
+    def told(numbers: Array) -> Array:
+        return told_by_record(placed(replay, paths, list(numbers)).observer, volts, force, period, _SEGMENTS, every)
+
+    def one(unit: Array) -> tuple[Array, Array]:
+        return jax.jvp(told, (numbers,), (unit,))
+
+    return jax.vmap(one, out_axes=(None, 0))(jnp.eye(len(paths)))
+
+
+_slopes, _plainly = eqx.filter_jit(_along), plainly(_along)
 
 
 def tune_on_record(
@@ -126,52 +148,50 @@ def tune_on_record(
     runtime.require_float64("tune_on_record")
     sample_rate, settle = quantity("sample_rate", sample_rate, "Hz"), quantity("settle", settle, "s")
     volts, force = _checked(volts, force, settle, sample_rate)
-    loop = Replay(observer, jnp.asarray(volts), jnp.asarray(force))
-    tunables = resolved(loop, free, sample_rate, len(volts) / sample_rate)
-    edges = np.linspace(settle, len(volts) / sample_rate, _SEGMENTS + 1)
-    every = _objective(loop, tunables, _Segment(edges[:-1], until=edges[1:]), _SEGMENTS, sample_rate)
-    if not every.values(tunables.values).alive.all():
+    record = _record(observer, volts, force, free, sample_rate, settle)
+    tunables = record.tunables
+    told = functools.cache(lambda *numbers: record.told(np.array(numbers)))
+    at = lambda coordinates: told(*tunables.numbers(coordinates).tolist())  # noqa: E731
+    before = at(tunables.coordinates)
+    if not np.isfinite(before.values).all():
         raise InputError("The observer must follow the record at the start, but its numbers are not finite.")
-    readings = (len(volts) - settle * sample_rate) * (1.0 - _HELD_OUT / _SEGMENTS)
     descent = descend(
-        lambda at: evaluated(every, _taught(every, tunables.numbers(at)), at, _NEVER, readings),
+        lambda here: evaluated(record, at(here).taught, here, _NEVER, record.readings),
         # The held-out quarter of one record is too short to say when to stop, and few numbers do not overfit the rest.
-        lambda at: float(np.mean(every.values(tunables.numbers(at)).loss[:-_HELD_OUT])),
+        lambda here: float(np.mean(at(here).taught.loss)),
         tunables.coordinates,
         evaluations=evaluations,
         told=lambda step: progress(f"after {step.evaluations}: {step.training:.8g}") if progress else None,
     )
-    found = tunables.numbers(descent.coordinates)
-    values = _taught(every, found)
-    agreement = _objective(loop, tunables, Consistency(float(edges[-1 - _HELD_OUT])), 1, sample_rate)
-    both = tunables.values, found
+    found, after = tunables.numbers(descent.coordinates), at(descent.coordinates)
+    likelihood, inconsistency = zip(before.held_out, after.held_out, strict=True)
     return RecordTuning(
-        observer=tunables.applied(loop, found).observer,
-        numbers=tuned_numbers(tunables, found, values, "InnovationLikelihood"),
-        nulls=null_directions(tunables, found, values),
-        likelihood=tuple(float(np.mean(every.values(at).loss[-_HELD_OUT:])) for at in both),
-        inconsistency=tuple(float(np.sqrt(agreement.values(at).loss[0])) for at in both),
+        observer=tunables.applied(record.replay, found).observer,
+        numbers=tuned_numbers(tunables, found, after.taught, "InnovationLikelihood"),
+        nulls=null_directions(tunables, found, after.taught),
+        likelihood=likelihood,
+        inconsistency=inconsistency,
         status=descent.status,
-    )  # fmt: skip
+    )
 
 
-def _taught(every: Objective, numbers: np.ndarray) -> Values:
-    """The segments that are not held out, of an objective that computes all of them at once."""
-    found = every.slopes(numbers)
-    assert found.slopes is not None
-    return Values(found.loss[:-_HELD_OUT], found.alive[:-_HELD_OUT], found.slopes[:, :-_HELD_OUT])
-
-
-def _objective(loop: Replay, tunables: Tunables, loss: AbstractLoss, copies: int, sample_rate: float) -> Objective:
-    """The whole record for each copy of the loss, on one device."""
-    samples = loop.volts.shape[0]
-    blocks = max(n for n in range(1, _BLOCKS + 1) if samples % n == 0)
-    words = (np.zeros(copies, np.uint32),) * 2
-    mesh, timing = lot.mesh_of(jax.local_devices()[:1]), Timing(1.0 / sample_rate, blocks, samples // blocks)
-    count, nothing = len(tunables.paths), Scenario()
-    return Objective(
-        tunables, loss, loop, nothing, (loop, nothing), words, timing, mesh, copies,
-        around=(None,) * count, places=np.zeros((count, copies)),
+def _record(
+    observer: AbstractObserver, volts: np.ndarray, force: np.ndarray, free: Sequence[Tunable], sample_rate: float,
+    settle: float,
+) -> _Record:  # fmt: skip
+    """The record in pieces behind `settle` [s], of as many whole readings each."""
+    replay = Replay(observer)
+    tunables = resolved(replay, free, sample_rate, len(volts) / sample_rate)
+    readings, numbers = readings_after_settling(observer, len(volts), math.ceil(settle * sample_rate))
+    every = readings // _SEGMENTS
+    if not every:
+        raise InputError(
+            f"A record must have {_SEGMENTS} readings of the observer behind `settle`, samples or blocks, but has "
+            f"{readings}; record longer, or take shorter blocks."
+        )
+    return _Record(
+        replay, tunables, jnp.asarray(volts), jnp.asarray(force), 1.0 / sample_rate, every,
+        every * (_SEGMENTS - _HELD_OUT) * numbers,
     )  # fmt: skip
 
 

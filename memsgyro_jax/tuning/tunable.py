@@ -43,6 +43,8 @@ class Tunable:
     prior: tuple[float, float] | None = None
 
 
+_FILTERS = ("observer.inner.", "observer.filter.", "observer.")  # where a loop has one; the last begins all of them
+
 Named = str | Tunable
 Group = Named | Sequence[Named] | Mapping[str, Bounds | None]
 
@@ -209,7 +211,7 @@ def _numbers_at(loop: ClosedLoop, path: str, known: Mapping[str, int]) -> list[s
         if path == called or path.startswith(f"{called}."):
             spelled = path.replace(called, f"device.effects.{number}", 1)
     tables = ("process_noise.theta.", "process_noise.", "prior.theta_std.")
-    for prefix in (f"{filter_}{table}" for filter_ in ("observer.inner.", "observer.") for table in tables):
+    for prefix in (f"{filter_}{table}" for filter_ in _FILTERS for table in tables):
         name = path.removeprefix(prefix)
         if name != path and name in names:
             table = prefix if "theta" in prefix else f"{prefix}theta."

@@ -8,6 +8,7 @@ from tuning_study import small_study
 
 import memsgyro_jax as mg
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.loop.record_filter import told_by_record
 
 
 @pytest.fixture(scope="module")
@@ -35,12 +36,51 @@ def test_the_noise_of_a_record_is_found_without_a_truth(record):
     assert "moved x 0.3" in repr(found)
 
 
+@pytest.fixture(scope="module")
+def two_filters():
+    """One that takes samples and one that takes blocks, three times too shy, and a record of 60 ms."""
+    gyro, readout = mg.SingleMassGyro.chi2010(), mg.ChargeAmplifier.chi2010()
+    known = ("kxy", "dxx", "dyy", "dxy", "sigma")
+    plain = mg.ExtendedKalmanFilter.for_device(gyro, readout, known=known, annealing=mg.Annealing())
+    loop = mg.ClosedLoop(gyro, readout, plain, mg.DampingCompensation(tones=mg.Tone(600.0, 53.95)))
+    run = mg.simulate(loop, 1.0, sample_rate=100e3, duration=0.06, seed=5, decimation=1)
+    shy = eqx.tree_at(lambda o: o.noise_density, plain, tuple(3.0 * density for density in plain.noise_density))
+    return plain, shy, mg.BlockFilter(shy, (600.0,), 128, 512), np.asarray(run.volts), np.asarray(run.force)
+
+
+@pytest.mark.slow
+def test_a_filter_in_blocks_finds_what_one_of_samples_finds(two_filters):
+    truth, *shy, volts, force = two_filters
+    given = {"sample_rate": 1e5, "settle": 0.008}
+    plain, blocks = (
+        mg.tune_on_record(observer, volts, force, free=mg.free(observer=path), **given)
+        for observer, path in zip(shy, ("noise_density", "filter.noise_density"), strict=True)
+    )
+    assert len(blocks.numbers) == 2
+    for true, one, other in zip(truth.noise_density, plain.observer.noise_density, blocks.observer.filter.noise_density,
+                                strict=True):  # fmt: skip
+        assert float(one) == pytest.approx(float(true), rel=0.04)  # of 3840 samples; 1 standard deviation is 0.011
+        assert float(other) == pytest.approx(float(true), rel=0.2)  # of 210 statistics; 0.05
+    assert blocks.likelihood[1] < blocks.likelihood[0] - 0.5
+    assert blocks.inconsistency[1] < 0.5 < blocks.inconsistency[0]
+
+
+def test_the_pieces_of_a_record_are_its_last_samples(record):
+    observer, *rows = record
+    volts, force = (jnp.asarray(part[:23]) for part in rows)
+    told = told_by_record(observer, volts, force, 1e-6, 4, 5)
+    each = mg.filter_record(observer, volts, force, sample_rate=1e6, every=1).estimate.innovation
+    expected = np.stack([each.nats, *each.squared], axis=1)[3:].reshape(4, 5, 3).mean(axis=1)
+    np.testing.assert_allclose(told, expected, rtol=1e-9)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         ({"volts": np.zeros((5, 3))}, "Argument `volts` must have one row per sample and two columns"),
         ({"force": np.full((4000, 2), np.nan)}, "Argument `force` must hold finite numbers only, but row 0"),
         ({"settle": 1.0}, "must lie within the record of 0.004 s"),
+        ({"settle": 0.00399}, "must have 16 readings of the observer behind `settle`"),
         ({"free": mg.free("filter.bandwidth")}, "`filter.bandwidth` is none"),
     ],
 )

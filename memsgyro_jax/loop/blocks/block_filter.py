@@ -109,13 +109,18 @@ class BlockFilter(AbstractObserver[BlockState]):
     def model(self) -> MotionModel:  # type: ignore[override]  # an abstract field may be a property
         return self.filter.model
 
+    @property
+    def statistics(self) -> int:
+        """How many a block has of each channel."""
+        return 1 + 2 * (2 + len(self.tones))
+
     def init(self) -> BlockState:
         return self.begun(self.filter.init(), 1.0)
 
     def begun(self, held: Any, period: Scalar) -> BlockState:
         """A block that begins with a state of `filter`."""
         lanes = jnp.broadcast_shapes(*map(jnp.shape, self.filter.estimate(held).theta))
-        nothing = jnp.zeros((1 + 2 * (2 + len(self.tones)), 2, *lanes))
+        nothing = jnp.zeros((self.statistics, 2, *lanes))
         return BlockState(held, held.motion, self._course(held, period, nothing))
 
     def estimate(self, state: BlockState) -> Estimate:

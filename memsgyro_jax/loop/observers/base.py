@@ -43,6 +43,11 @@ class Innovation(NamedTuple):
         """Squared error over variance of each channel; 1 on average when the filter is consistent."""
         return tuple(e**2 / v for e, v in zip(self.error, self.variance, strict=True))
 
+    @property
+    def nats(self) -> Scalar:
+        """Negative log-likelihood of both, but for ln 2π: ½ Σ (ln S + e²/S)."""
+        return 0.5 * sum(s + jnp.log(v) for s, v in zip(self.squared, self.variance, strict=True))
+
 
 class LockReadings(NamedTuple):
     """What electronics that lock to the drive axis read beside the rate: `quadrature` as the rate [rad/s] whose force

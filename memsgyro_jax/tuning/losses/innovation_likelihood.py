@@ -2,8 +2,6 @@
 
 from typing import ClassVar
 
-import jax.numpy as jnp
-
 from .base import AbstractMean, innovation_of
 
 
@@ -19,5 +17,4 @@ class InnovationLikelihood(AbstractMean):
     sees_truth: ClassVar[bool] = False
 
     def of(self, sample):
-        innovation = innovation_of(sample, "InnovationLikelihood")
-        return 0.5 * sum(s + jnp.log(v) for s, v in zip(innovation.squared, innovation.variance, strict=True))
+        return innovation_of(sample, "InnovationLikelihood").nats

@@ -10,6 +10,7 @@ from scipy.linalg import expm
 import memsgyro_jax as mg
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.inertial import Inertial
+from memsgyro_jax.loop.record_filter import readings_after_settling, told_by_record
 
 
 GYRO, READOUT = mg.SingleMassGyro.chi2010(), mg.DirectReadout((1e5, 1e5), noise_density=1e-6)
@@ -55,6 +56,21 @@ def test_blocks_tell_what_their_samples_tell(record, found):
     away = jnp.stack(found.estimate.motion)[:, -1] - jnp.stack(plain.estimate.motion)[:, -1]
     assert np.all(np.abs(away) < 1e-4 * np.array([1e-6, 1e-6, 2e-2, 2e-2]))
     assert np.all(np.asarray(found.estimate.nis)[1:] < 6.0)
+
+
+def test_pieces_of_a_record_hold_its_last_readings(record, found):
+    """Blocks here; with the first block settled, two pieces of one block are left."""
+    assert readings_after_settling(BLOCKS, SAMPLES) == (3, 7)
+    assert [readings_after_settling(BLOCKS, SAMPLES, START + settled)[0] for settled in (0, 1, LENGTH, 9 * LENGTH)] == [
+        3,
+        2,
+        2,
+        0,
+    ]
+    volts, force = map(jnp.asarray, record)
+    told = told_by_record(BLOCKS, volts, force, PERIOD, 2, 1)
+    innovation = found.estimate.innovation
+    np.testing.assert_allclose(told, np.stack([innovation.nats, *innovation.squared], 1)[2:], rtol=1e-9)
 
 
 @pytest.mark.slow
