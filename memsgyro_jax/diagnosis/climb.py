@@ -5,13 +5,19 @@ resonance, and what an effect would do to first order says nothing. At the lowes
 is found there starts a fit with the next drive.
 """
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 
-from memsgyro_jax.effects import ForceEffect
+from memsgyro_jax.effects import Effect, ForceEffect
 
 from .acceptance import excess
 from .drives import FAR, stages, up
+from .fit import beside_case
+from .instrument import instrument_terms
 from .joint_residual import Joint
+from .nuisances import beside_terms, take_out, terms_of
 from .optimum import Optimum, optimise
 from .score import basis, overlap, score, within_bounds
 from .search import LOOK_AHEAD, TWINS, Ranking, Search, always_free
@@ -21,31 +27,58 @@ STRENGTHS = np.geomspace(1e-2, 1e2, 25)  # of the size of a strength, that are t
 TENTH = 0.1  # of the misfit that the best single effect leaves: what a climb must come to
 
 
-def climbed(search: Search, first: Ranking) -> Search:
-    """The search with the effect that a climb over the drives finds, where the base model is far off and no effect in
-    one step leaves less than ten times as much; the same search else. `first` ranks effects beside the base model.
+def climbed(search: Search, first: Ranking, effects: Sequence[Effect]) -> Search:
+    """The search with the effect that a climb over the drives finds, beside what the lock-in does to every phasor,
+    where the base model is far off and no effect in one step leaves less than ten times as much; the same search else.
+
+    Args:
+        search, first: at the base model, and the effects of the device beside it.
+        effects: those of the device that are candidates.
     """
     steps = stages(search.case, search.joint.fitted)
-    if len(steps) < 2 or not first.places or search.optimum.chi2 < FAR * search.optimum.dof:
+    if not steps or not first.places or search.optimum.chi2 < FAR * search.optimum.dof:
         return search
-    search.tell(f"climb from the lowest of {len(steps)} drives")
-    base = _lowest(search.joint, search.given, steps[0])
-    tempting = _tempting(search, base, steps[0])
-    ends = [(i, _up(search.joint, base, i, size, search.given, steps)) for i, size in tempting.items()]
+    search.tell(f"climb from the lowest of {len(steps)} drives" if len(steps) > 1 else "try strengths one by one")
+    beside = _beside_lock_in(search)
+    base = _lowest(beside, steps[0])
+    ends = [(i, _up(beside, base, i, size, steps)) for i, size in _tempting(beside, base, steps[0]).items()]
     if not ends:
         return search
     place, end = min(ends, key=lambda one: one[1].chi2)
     best = first.order[0]
     usual = search.refit([first.places[best]], slopes=first.slopes[best])
-    if excess(end) > TENTH * excess(usual) or search.refuses(place, end):
+    if excess(end) > TENTH * excess(usual) or beside.refuses(place, end):
         return search
-    search.take(place, end)
-    return search
+    beside.take(place, end)
+    return _as_found(beside, search, effects)
 
 
-def _lowest(joint: Joint, given: tuple[int, ...], lowest: tuple) -> Optimum:
+def _beside_lock_in(search: Search) -> Search:
+    """The same search, given what a lock-in does to every phasor: nothing fits a resonance that bends over before that
+    does.
+    """
+    held = {effect.label for effect in search.joint.model.effects}
+    terms = [t for t in instrument_terms(search.case) if t.of_every_phasor and not t.where and t.label not in held]
+    model = search.joint.model.with_effect(*terms)
+    places = range(len(model.effects) - len(terms), len(model.effects))
+    out = Search(search.base, search.level, (*search.given, *places), search.tell)
+    out.joint, out.own, out.keep = Joint(model, search.joint.readings, search.joint.programs), search.own, search.keep
+    return out
+
+
+def _as_found(beside: Search, search: Search, effects: Sequence[Effect]) -> Search:
+    """A search that was given terms of the lock-in as one that found those of them that the records ask for."""
+    found = list(beside.steps)
+    take_out(beside)
+    beside.accepted += [i for i in beside.given if i not in search.given]
+    beside.given = search.given
+    beside.steps = [*found[:-1], replace(found[-1], fit=beside_case(beside.case, beside.joint, beside.optimum))]
+    return beside_terms(beside, search, effects)
+
+
+def _lowest(search: Search, lowest: tuple) -> Optimum:
     """The base model at the lowest drive; where even that bends the resonance over, the linear device it started as."""
-    free = always_free(joint, given)
+    joint, free = search.joint, always_free(search.joint, search.given)
     fitted = optimise(joint, joint.start, free, lowest)
     return fitted if fitted.chi2 < FAR * fitted.dof else optimise(joint, joint.start, free, lowest, max_evaluations=0)
 
@@ -75,23 +108,27 @@ def _tempting(search: Search, base: Optimum, lowest: tuple) -> dict[int, float]:
     # What effects would do to first order says nothing here: each is tried at its best strength.
     forces = [i for i in sizes if isinstance(joint.model.effects[i], ForceEffect)]
     joint.together((*search.given, *forces))
-    left = {i: _best_strength(joint, base, i, sizes[i], lowest)[1] for i in forces}
+    left = {i: _best_strength(search, base, i, sizes[i], lowest)[1] for i in forces}
     return {i: sizes[i] for i in sorted(forces, key=left.__getitem__)[:LOOK_AHEAD]}
 
 
-def _up(joint: Joint, base: Optimum, place: int, size: float, given: tuple[int, ...], steps: list[tuple]) -> Optimum:
+def _up(search: Search, base: Optimum, place: int, size: float, steps: list[tuple]) -> Optimum:
     """A fit with one effect that starts at the lowest drive, without it or where some strength of it fits best."""
-    free = always_free(joint, (*given, place))
+    joint, free = search.joint, always_free(search.joint, (*search.given, place))
     end = optimise(joint, base.vector, free, steps[0])
     if end.chi2 > FAR * end.dof:
-        begin, _ = _best_strength(joint, base, place, size, steps[0])
+        begin, _ = _best_strength(search, base, place, size, steps[0])
         end = min(end, optimise(joint, begin, free, steps[0]), key=_chi2)
-    return up(joint, end.vector, free, steps[1:])
+    return up(joint, end.vector, free, steps[1:]) if len(steps) > 1 else end
 
 
-def _best_strength(joint: Joint, base: Optimum, place: int, size: float, lowest: tuple) -> tuple[np.ndarray, float]:
-    """Base parameters with the strength of one effect that leaves least of the lowest drive, and χ²."""
+def _best_strength(search: Search, base: Optimum, place: int, size: float, lowest: tuple) -> tuple[np.ndarray, float]:
+    """Base parameters with the strength of one effect that leaves least of the lowest drive, and χ², when what readings
+    are linear in has been taken off.
+    """
+    joint = search.joint
     low, high = (bound[joint.of_effect(place)] for bound in joint.bounds)
+    units = np.eye(joint.start.size)[[i for term in terms_of(search) for i in joint.of_effect(term)]]
 
     def with_strength(strength: float) -> np.ndarray:
         vector = base.vector.copy()
@@ -99,8 +136,11 @@ def _best_strength(joint: Joint, base: Optimum, place: int, size: float, lowest:
         return vector
 
     def misfit(vector: np.ndarray) -> float:
-        left = np.concatenate(joint.residual(vector, lowest))
-        return float(left @ left) if np.isfinite(left).all() else np.inf
+        left, slopes = joint.linearise(vector, units, lowest)
+        if not (np.isfinite(left).all() and np.isfinite(slopes).all()):
+            return np.inf
+        left = left - basis(slopes) @ (basis(slopes).T @ left)
+        return float(left @ left)
 
     tried = [with_strength(sign * size * part) for part in STRENGTHS for sign in (-1.0, 1.0)]
     left = [misfit(vector) for vector in tried]

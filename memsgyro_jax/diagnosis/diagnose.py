@@ -86,7 +86,7 @@ def diagnose(
         first = search.rank()
         if is_slow_noise(search, first):
             return search, first, "", first
-        begin = climbed(search, first)
+        begin = climbed(search, first, smooth)
         ranking = begin.rank() if begin.accepted else first
         return *instrument_first(begin, ranking, smooth, search_on, done), first
 

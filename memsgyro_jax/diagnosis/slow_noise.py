@@ -36,6 +36,7 @@ MEAN = 0.25  # in place of zero for the mean, which slow noise leaves open
 EVIDENT, LIKELY = 12.0, 4.0
 ROUNDS = 2  # of spectrum and fit
 STEPS = 4  # of a fit to all readings, also those that were not fitted
+RESPONSE = 0.1  # of the squared response to a drive: what leaves more is no noise, however slow
 CLEARLY = 1.25  # times what an effect leaves: a first estimate that costs so much more is not followed up
 
 
@@ -123,7 +124,7 @@ def slow_noise(search: Search, ranking: Ranking) -> Mapping[str, str]:
     """
     optimum, fit, case = search.optimum, search.steps[-1].fit, search.case
     found = _spectra(fit)
-    if not found or fit.optimum is not optimum:
+    if not found or fit.optimum is not optimum or any(_is_response(fit, number) for number in found):
         return {}
     blocks = dict(_blocks(search.joint.fitted, fit))
     # Rows that were not fitted tell of both alike, and are not counted twice.
@@ -150,6 +151,16 @@ def slow_noise(search: Search, ranking: Ranking) -> Mapping[str, str]:
     if not (_passes(moved, found, search.level) or _passes(_moved_by_all(search, found), found, search.level)):
         return {}
     return {case.records[k].name: one.spoken(case.records[k]) for k, one in found.items()}
+
+
+def _is_response(fit: CaseFit, number: int) -> bool:
+    """Whether what is left of a record is a good part of its response to a drive, which no noise is."""
+    record, deviation = next(pair for pair in fit.deviations if pair[1].number == number)
+    if not hasattr(record, "setting"):
+        return False
+    seen, rows = _rows(record, deviation)
+    response = np.abs(record.readings[seen][:, record.channels]) / record.noise_level
+    return float(np.sum(rows**2)) > RESPONSE * float(np.sum(response**2))
 
 
 def _cost(left: np.ndarray, found: Mapping[int, SlowNoise], blocks: Mapping[int, np.ndarray]) -> float:

@@ -51,13 +51,15 @@ class InstrumentTerm(Effect):
         entry: (records, sweeps, k) how much of each number a row takes.
 
     `prior` is the standard deviation that each number has before anything is measured, `None` where nothing is known.
-    `in_proportion` says whether what it adds grows as the drive or the readings do, at all levels by the same factor.
+    `in_proportion` says whether what it adds grows as the drive or the readings do, at all levels by the same factor;
+    `of_every_phasor` whether it does the same to each phasor, whichever came before.
     `parts` are the names of its numbers, where it has as many. `of` says which rows share a number where a term may
     have it both ways: empty for one number for all.
     """
 
     of_instrument: ClassVar[bool] = True
     in_proportion: ClassVar[bool] = False
+    of_every_phasor: ClassVar[bool] = False
     prior: ClassVar[float | None] = None
     parts: ClassVar[tuple[str, ...]] = ()
     entry: AbstractVar[Array]

@@ -48,6 +48,7 @@ class ReferencePhase(InstrumentTerm, LockInEffect):
 
     name, unit, law = "reference_phase", "rad", "V → V·exp(i·s_k)"
     in_proportion: ClassVar[bool] = True
+    of_every_phasor: ClassVar[bool] = True
     strength: Array = strength((0.0,), low=-1.0, high=1.0)
     entry: Array = row_field((((0.0,),),))
     of: str = eqx.field(static=True, default="")
@@ -64,6 +65,7 @@ class LockInBackground(InstrumentTerm, LockInEffect):
 
     name, unit, law = "lock_in_background", "V", "V → V + s_k"
     parts: ClassVar[tuple[str, ...]] = _PARTS
+    of_every_phasor: ClassVar[bool] = True
     strength: Array = strength((0.0,))
     entry: Array = row_field((((0.0,),),))
 
@@ -85,6 +87,7 @@ class LockInFeedthrough(InstrumentTerm, LockInEffect):
     name, unit, law = "lock_in_feedthrough", "V/N", "V → V + s_k·u"
     in_proportion: ClassVar[bool] = True
     parts: ClassVar[tuple[str, ...]] = _PARTS
+    of_every_phasor: ClassVar[bool] = True
     strength: Array = strength((0.0,))
     entry: Array = row_field((((0.0,),),))
 
