@@ -28,11 +28,13 @@ def without_rows(readings: Sequence[Readings], left_out: Rows) -> tuple[Readings
 
 def _without(readings: Readings, left_out: Rows) -> Readings:
     absent = gone(readings, left_out)
-    if not absent.any():
-        return readings
-    noise = readings.experiment.noise
-    std = getattr(noise, "std", None)
-    if std is None or absent.all():
+    return without_weight(readings, absent) if absent.any() and not absent.all() else readings
+
+
+def without_weight(readings: Readings, absent: np.ndarray) -> Readings:
+    """The same readings, of which some rows (n,) belong to no record and have no weight."""
+    std = getattr(readings.experiment.noise, "std", None)
+    if std is None:
         return readings
     wide = jnp.where(absent[:, None], jnp.inf, std)
     experiment = eqx.tree_at(lambda e: e.noise.std, readings.experiment, wide)

@@ -1,21 +1,28 @@
 """Rows that stand alone in what a fit leaves: named, and left out of every fit and every error from there on."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
 from memsgyro_jax.measurement.least_squares import gate
 from memsgyro_jax.measurement.outliers import lone_residuals
+from memsgyro_jax.measurement.readings import Readings
 
-from .drives import Rows, gone
-from .fit import CaseFit
+from .drives import Rows, gone, without_weight
+from .fit import CaseFit, beside_case
+from .optimum import optimise
 from .score import basis
 from .search import Search
 
 
 HOPELESS = 1.5  # of the χ² that noise may leave: rows without which a model leaves more are not what it misses
 FEW_ROWS = 0.05  # share of a record's rows from which they are no outliers but a part of it
+
+FAR, TRIMMED = 3.0, 0.1  # times what is usual from which rows are trimmed, and the largest share of them
+USUAL = 1.5  # standard deviations that most rows may be off a fit that nothing pulls
+NEARER = 0.5  # of what was usual: what a fit to the others must come to, each time
+ROUNDS, EVALUATIONS = 8, 8  # of such fits
 
 
 def outlying(fit: CaseFit) -> Rows:
@@ -65,7 +72,17 @@ def search_beside_outlying(
 
 
 def _to_leave_out(fit: CaseFit) -> Rows:
-    """Outlying rows, if without them the rest may be explained: by a refit to the first order, which costs nothing."""
+    """Outlying rows, if without them the rest may be explained; also those that one row, far off, has hidden by pulling
+    the fit away from all others.
+    """
+    if rows := _if_rest_is_noise(fit):
+        return rows
+    calmer = not_pulled(fit)
+    return {} if calmer is None else _if_rest_is_noise(calmer)
+
+
+def _if_rest_is_noise(fit: CaseFit) -> Rows:
+    """Outlying rows, if a refit without them may leave noise: to the first order, which costs nothing."""
     rows, joint = outlying(fit), fit.joint
     if not rows:
         return rows
@@ -73,3 +90,31 @@ def _to_leave_out(fit: CaseFit) -> Rows:
     q, residual = basis(fit.optimum.jacobian[kept]), fit.optimum.residual[kept]
     left, dof = float(np.sum((residual - q @ (q.T @ residual)) ** 2)), fit.optimum.dof
     return rows if left / dof <= HOPELESS * gate(dof) else {}
+
+
+def not_pulled(fit: CaseFit) -> CaseFit | None:
+    """The fit to all rows but those that are farthest from it, round by round (least trimmed squares), beside every
+    record; `None` where that brings most rows no nearer, as it does not where a law is missing.
+
+    Rousseeuw, "Least median of squares regression", J. Am. Stat. Assoc. 79 (1984) 871.
+    """
+    joint, vector, free = fit.joint, fit.optimum.vector, fit.optimum.free
+    sizes = _sizes(fit.optimum.residual, joint.fitted)
+    for _ in range(ROUNDS):
+        every = np.concatenate(sizes)
+        usual = float(np.median(every))
+        if usual <= USUAL:
+            return beside_case(fit.case, joint, optimise(joint, vector, free, joint.fitted, max_evaluations=0))
+        far = max(FAR * usual, float(np.quantile(every, 1.0 - TRIMMED)))
+        near = [without_weight(r, size > far) for r, size in zip(joint.fitted, sizes, strict=True)]
+        vector = optimise(joint, vector, free, near, max_evaluations=EVALUATIONS).vector
+        sizes = _sizes(np.concatenate(joint.residual(vector, joint.fitted)), joint.fitted)
+        if not np.median(np.concatenate(sizes)) <= NEARER * usual:
+            break
+    return None
+
+
+def _sizes(residual: np.ndarray, chosen: Sequence[Readings]) -> list[np.ndarray]:
+    """Of each of the readings, the size of what is left of each row, in standard deviations."""
+    parts = np.split(residual, np.cumsum([r.size for r in chosen])[:-1])
+    return [np.sqrt(np.mean(p.reshape(r.record.size, -1) ** 2, axis=1)) for p, r in zip(parts, chosen, strict=True)]
