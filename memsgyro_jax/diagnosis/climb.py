@@ -41,7 +41,7 @@ def climbed(search: Search, first: Ranking, effects: Sequence[Effect]) -> Search
     search.tell(f"climb from the lowest of {len(steps)} drives" if len(steps) > 1 else "try strengths one by one")
     beside = _beside_lock_in(search)
     base = _lowest(beside, steps[0])
-    ends = [(i, _up(beside, base, i, size, steps)) for i, size in _tempting(beside, base, steps[0]).items()]
+    ends = [(i, _up(beside, base, i, begin, steps)) for i, begin in _tempting(beside, base, steps[0]).items()]
     if not ends:
         return search
     place, end = min(ends, key=lambda one: one[1].chi2)
@@ -83,9 +83,9 @@ def _lowest(search: Search, lowest: tuple) -> Optimum:
     return fitted if fitted.chi2 < FAR * fitted.dof else optimise(joint, joint.start, free, lowest, max_evaluations=0)
 
 
-def _tempting(search: Search, base: Optimum, lowest: tuple) -> dict[int, float]:
-    """Effects that the lowest drive asks for most, no two of which say the same, and the size of a strength of each
-    that changes the readings as much as they are missed.
+def _tempting(search: Search, base: Optimum, lowest: tuple) -> dict[int, np.ndarray]:
+    """Effects that the lowest drive asks for most, no two of which say the same, and parameters with each from which a
+    fit may begin: its strength changes the readings as much as they are missed, or leaves least of them.
     """
     joint, places = search.joint, [i for i in search.candidates() if search.joint.of_effect(i).size == 1]
     if not places:
@@ -104,21 +104,20 @@ def _tempting(search: Search, base: Optimum, lowest: tuple) -> dict[int, float]:
     missed = float(np.linalg.norm(base.residual))
     sizes = {places[k]: missed / float(np.linalg.norm(slopes[:, k])) for k in range(len(places)) if scores[k].size}
     if base.chi2 < FAR * base.dof:
-        return {places[k]: sizes[places[k]] for k in chosen}
+        return {places[k]: base.vector for k in chosen}
     # What effects would do to first order says nothing here: each is tried at its best strength.
     forces = [i for i in sizes if isinstance(joint.model.effects[i], ForceEffect)]
     joint.together((*search.given, *forces))
-    left = {i: _best_strength(search, base, i, sizes[i], lowest)[1] for i in forces}
-    return {i: sizes[i] for i in sorted(forces, key=left.__getitem__)[:LOOK_AHEAD]}
+    best = {i: _best_strength(search, base, i, sizes[i], lowest) for i in forces}
+    return {i: best[i][0] for i in sorted(forces, key=lambda i: best[i][1])[:LOOK_AHEAD]}
 
 
-def _up(search: Search, base: Optimum, place: int, size: float, steps: list[tuple]) -> Optimum:
-    """A fit with one effect that starts at the lowest drive, without it or where some strength of it fits best."""
+def _up(search: Search, base: Optimum, place: int, begin: np.ndarray, steps: list[tuple]) -> Optimum:
+    """A fit with one effect that starts at the lowest drive, without it or where another fit may begin."""
     joint, free = search.joint, always_free(search.joint, (*search.given, place))
     end = optimise(joint, base.vector, free, steps[0])
-    if end.chi2 > FAR * end.dof:
-        begin, _ = _best_strength(search, base, place, size, steps[0])
-        end = min(end, optimise(joint, begin, free, steps[0]), key=_chi2)
+    if end.chi2 > FAR * end.dof and begin is not base.vector:
+        end = min(end, optimise(joint, begin, free, steps[0]), key=lambda one: one.chi2)
     return up(joint, end.vector, free, steps[1:]) if len(steps) > 1 else end
 
 
@@ -132,7 +131,7 @@ def _best_strength(search: Search, base: Optimum, place: int, size: float, lowes
 
     def with_strength(strength: float) -> np.ndarray:
         vector = base.vector.copy()
-        vector[joint.of_effect(place)] = np.clip(strength, low, high)
+        vector[joint.of_effect(place)] = strength
         return vector
 
     def misfit(vector: np.ndarray) -> float:
@@ -142,11 +141,8 @@ def _best_strength(search: Search, base: Optimum, place: int, size: float, lowes
         left = left - basis(slopes) @ (basis(slopes).T @ left)
         return float(left @ left)
 
-    tried = [with_strength(sign * size * part) for part in STRENGTHS for sign in (-1.0, 1.0)]
+    strengths = np.concatenate([-size * STRENGTHS[::-1], size * STRENGTHS])
+    tried = [with_strength(strength) for strength in np.unique(np.clip(strengths, low, high))]
     left = [misfit(vector) for vector in tried]
     best = int(np.argmin(left))
     return tried[best], left[best]
-
-
-def _chi2(optimum: Optimum) -> float:
-    return optimum.chi2

@@ -2,7 +2,7 @@
 records cannot tell, or that it is none of those known.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import replace
 
 import numpy as np
@@ -115,6 +115,7 @@ def diagnose(
             verdict, tried = "instrument_only" if terms else "nothing_missing", ()
     else:
         tried = ()
+    declared = {record.name for record in case.records if record.noise_std}
     planned = next_experiments(search, ranking, confused, rival, explained=all(explained))
     return Diagnosis(
         case=case,
@@ -123,7 +124,7 @@ def diagnose(
         verdict=verdict,
         sentence=_sentence(verdict, accepted, final, explained)
         + of_instrument(terms, rival, drive_levels(case))
-        + _of_noise(noise)
+        + _of_noise(noise, declared)
         + slowly(search.slow)
         + (f" Left out as outlying: {_of_rows(case, left_out)}." if left_out else ""),
         accepted=tuple(a.scaled(scale) for a in accepted),
@@ -139,7 +140,7 @@ def diagnose(
         outlying={case.records[number].name: rows for number, rows in left_out.items()},
         instrument=tuple(a.scaled(scale) for a in terms),
         scale=final.scale,
-        noise=dict.fromkeys(noise, "its noise is larger than declared")
+        noise={k: f"its noise is larger than {'declared' if k in declared else 'estimated'}" for k in noise}
         | dict.fromkeys(search.slow, "its noise is slow"),
     )
 
@@ -189,9 +190,12 @@ def _start(model, case: Case) -> Model:
     return model_of(case, starting_device(case) if model is None else model)
 
 
-def _of_noise(noise: Mapping[str, float]) -> str:
-    """A sentence on noise that is declared wrong; empty where none is."""
-    found = ", ".join(f"{size:.3g} times what is declared in {record}" for record, size in noise.items())
+def _of_noise(noise: Mapping[str, float], declared: Set[str]) -> str:
+    """A sentence on noise that is declared wrong, or was told wrong by the rows of a record; empty where none is."""
+    found = ", ".join(
+        f"{size:.3g} times what is {'declared in' if record in declared else 'estimated from the rows of'} {record}"
+        for record, size in noise.items()
+    )
     return f" The noise is {found}: what is left there is white and depends on nothing." if found else ""
 
 

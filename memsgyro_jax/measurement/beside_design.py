@@ -62,6 +62,8 @@ def _phases(rows: list[Phasors], read: str, omega: float, width: float) -> list[
     """A sentence where rows aside of the resonance are turned against those of a resonator."""
     turned = 0.0 + 0.0j
     for one in rows:
+        if one.modulus:  # a phase of zero stands there for none
+            continue
         away = omega**2 - one.omega**2
         far = (np.abs(away) > _FAR * omega * width) & (np.abs(one.force[:, 0]) > 0)
         turned += np.sum(((away + 1j * one.omega * width) * one.motion[:, 0])[far] / one.force[far, 0])

@@ -27,34 +27,42 @@ _RAYLEIGH = 1.1774  # median of the modulus of a complex normal variable over th
 def noise_over_frequency(
     frequency: np.ndarray, phasors: np.ndarray, pieces: Sequence[slice], repeats: Sequence[np.ndarray] = ()
 ) -> float | None:
-    """Standard deviation of each real part of phasors (n, channels) over a frequency (n,), or `None` for few rows.
+    """Standard deviation of each real part of phasors (n, channels), or of real amplitudes, over a frequency (n,);
+    `None` for few rows.
 
     Around every row a ratio of two quadratics in frequency is fitted to 11 rows and leaves noise alone: a resonance and
     what is smooth beside it are such a ratio (local rational method: McKelvey and Guérin, IFAC Proc. 45-16 (2012) 49),
-    while plain differences take a resonance of a few rows for noise. The median over all rows does not mind a jump.
-    Where frequencies are repeated, it is the scatter among their rows instead, which needs no model: among those of
-    each of `repeats`, rows that ought to lie on one curve.
+    and so are the squares of amplitudes alone, while plain differences take a resonance of a few rows for noise. The
+    median over all rows does not mind a jump. Where frequencies are repeated, it is the scatter among their rows
+    instead, which needs no model: among those of each of `repeats`, rows that ought to lie on one curve.
     """
     scatter = [_scatter(frequency[rows], phasors[rows]) for rows in repeats]
     levels = [level for level in scatter if level is not None]
     for piece in () if levels else pieces:
         width = min(WINDOW, piece.stop - piece.start)
         if width >= FEWEST:
-            variance, freedom = _local_variance(frequency[piece], phasors[piece], width), 2 * (width - PARTS)
+            variance = _local_variance(frequency[piece], *_ratio(phasors[piece]), width)
+            freedom = _parts(phasors) * (width - PARTS)
             levels.append(variance.ravel() * freedom / special.chdtri(freedom, 0.5))
     return float(np.sqrt(np.median(np.concatenate(levels)))) if levels else None
 
 
 def freedom_over_frequency(
-    frequency: np.ndarray, channels: int, pieces: Sequence[slice], repeats: Sequence[np.ndarray] = ()
+    frequency: np.ndarray, phasors: np.ndarray, pieces: Sequence[slice], repeats: Sequence[np.ndarray] = ()
 ) -> float:
     """Degrees of freedom of `noise_over_frequency`: its square scatters like that of so many normal numbers."""
+    numbers = phasors.shape[1] * _parts(phasors) / 2
     spare = [_spare(frequency[rows]) for rows in repeats]
     if any(spare):
-        return _REPEATED * channels * sum(spare)
+        return _REPEATED * numbers * sum(spare)
     share, lost = _LOCAL
     rows = [piece.stop - piece.start for piece in pieces]
-    return max(1.0, share * channels * sum(count - lost for count in rows if count >= FEWEST))
+    return max(1.0, share * numbers * sum(count - lost for count in rows if count >= FEWEST))
+
+
+def _parts(values: np.ndarray) -> int:
+    """How many real numbers a reading has: two of a phasor, one of an amplitude."""
+    return 2 if np.iscomplexobj(values) else 1
 
 
 def _spare(place: np.ndarray) -> int:
@@ -78,8 +86,8 @@ def jitter_noise(frequency: np.ndarray, phasors: np.ndarray, repeats: Sequence[n
     over = sums[most].sum() / freedom[most].sum() / white
     if special.fdtrc(freedom[most].sum(), freedom[flat].sum(), over) > _SURE:
         return None
-    # Of two parts that scatter alike, one along the slope takes all of it.
-    square = 2.0 * (over - 1.0) * white * freedom[most].sum() / (freedom[most] @ steep[most] ** 2)
+    # Of the parts of a reading, which scatter alike, one along the slope takes all of it.
+    square = _parts(phasors) * (over - 1.0) * white * freedom[most].sum() / (freedom[most] @ steep[most] ** 2)
     out = np.zeros(phasors.shape)
     for rows, group, _, _, slope in curves:
         out[rows] = np.sqrt(square) * slope[group]
@@ -94,7 +102,7 @@ def _curve(place: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarra
     each = (np.arange(known.size)[:, None] == group).astype(float)
     mean = each @ values / count[:, None]
     squares = each @ np.abs(values - mean[group]) ** 2
-    freedom = np.repeat(2.0 * (count - 1)[:, None], values.shape[1], axis=1)
+    freedom = np.repeat(float(_parts(values)) * (count - 1)[:, None], values.shape[1], axis=1)
     return group, squares, freedom, np.abs(np.gradient(mean, known, axis=0))
 
 
@@ -108,23 +116,35 @@ def _scatter(place: np.ndarray, values: np.ndarray) -> np.ndarray | None:
     means = np.stack([np.bincount(group, part) for part in (*values.real.T, *values.imag.T)], axis=1) / count[:, None]
     off = np.abs(values - (means[:, : values.shape[1]] + 1j * means[:, values.shape[1] :])[group]) ** 2
     sums = np.stack([np.bincount(group, part) for part in off.T], axis=1)[count > 1]
-    return (sums / special.chdtri(2 * (count[count > 1] - 1), 0.5)[:, None]).ravel()
+    return (sums / special.chdtri(_parts(values) * (count[count > 1] - 1), 0.5)[:, None]).ravel()
 
 
-def _local_variance(place: np.ndarray, values: np.ndarray, width: int) -> np.ndarray:
-    """Mean square per degree of freedom of what the local model leaves in every window (windows, channels)."""
+def _ratio(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What of phasors, or of amplitudes, is a ratio of quadratics over frequency, and its noise for a noise of 1."""
+    if np.iscomplexobj(values):
+        return values, np.ones(values.shape)
+    return values**2, 2.0 * np.maximum(np.abs(values), 1e-9 * np.max(np.abs(values), initial=1e-300))
+
+
+def _local_variance(place: np.ndarray, values: np.ndarray, noise: np.ndarray, width: int) -> np.ndarray:
+    """Mean square per degree of freedom of what the local model leaves in every window (windows, channels), over a
+    noise (n, channels) known but for its size.
+    """
     rows = np.arange(len(place) - width + 1)[:, None] + np.arange(width)
     near = place[rows] - place[rows].mean(axis=1, keepdims=True)
     near = near / np.max(np.abs(near), axis=1, keepdims=True)
     powers = np.stack([near**0, near, near**2], axis=-1)[:, None]  # (windows, 1, width, 3)
-    seen = np.moveaxis(values[rows], -1, 1)[..., None]  # (windows, channels, width, 1)
+    seen, usual = (
+        np.moveaxis(part[rows], -1, 1)[..., None] for part in (values, noise)
+    )  # (windows, channels, width, 1)
     columns = np.concatenate([powers + 0 * seen, -seen * powers[..., 1:]], axis=-1)
     denominator = np.ones_like(seen)
     for _ in range(ROUNDS):
-        found = np.linalg.pinv(columns / denominator, rcond=1e-12) @ (seen / denominator)
+        weight = denominator * usual
+        found = np.linalg.pinv(columns / weight, rcond=1e-12) @ (seen / weight)
         denominator = 1 + powers[..., 1:] @ found[..., 3:, :]
-    left = (columns @ found - seen) / denominator
-    return np.sum(np.abs(left[..., 0]) ** 2, axis=-1) / 2 / (width - PARTS)
+    left = (columns @ found - seen) / (denominator * usual)
+    return np.sum(np.abs(left[..., 0]) ** 2, axis=-1) / _parts(values) / (width - PARTS)
 
 
 def noise_beside_tone(time: np.ndarray, values: np.ndarray, omega: float | np.ndarray) -> float:

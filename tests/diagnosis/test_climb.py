@@ -26,6 +26,19 @@ def test_a_fit_climbs_too(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("levels", [(60,), (20, 60)])
+def test_a_reference_far_off_hides_no_spring(tmp_path, levels):
+    """Of one drive alone this was told as slow noise beside which nothing is missing."""
+    found = mg.diagnose(None, mg.load_case(bent.bent_sweeps(tmp_path / "case", levels, phase=0.66)))
+    assert found.verdict == "found", found.sentence
+    (spring,) = found.accepted
+    assert spring.label == "cubic_stiffness x"
+    assert spring.estimate[0] == pytest.approx(bent.CUBIC, abs=5.0 * spring.std[0] + 1e-3 * bent.CUBIC)
+    turned = next(term for term in found.instrument if term.name == "reference_phase")
+    assert turned.estimate[0] == pytest.approx(0.66, abs=2e-3)
+
+
+@pytest.mark.slow
 def test_a_cubic_spring_is_found_by_a_climb_from_the_lowest_drive(tmp_path):
     found = mg.diagnose(None, mg.load_case(bent.bent_sweeps(tmp_path / "case", (5, 20, 60))))
     assert found.verdict == "found"

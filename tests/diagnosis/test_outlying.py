@@ -13,7 +13,7 @@ from memsgyro_jax.diagnosis.drives import without_rows
 from memsgyro_jax.diagnosis.fit import beside_case, fit_case
 from memsgyro_jax.diagnosis.joint_residual import Joint
 from memsgyro_jax.diagnosis.optimum import optimise
-from memsgyro_jax.diagnosis.outlying import _to_leave_out, outlying, search_beside_outlying
+from memsgyro_jax.diagnosis.outlying import _to_leave_out, not_pulled, outlying, search_beside_outlying
 
 
 LONG = Laboratory((Sweep("sweep", 0, (0.002, 0.006), **BAND | {"points": 90}),), digits=17)
@@ -54,6 +54,16 @@ def test_normal_noise_and_a_missing_law_name_nobody(monkeypatch):
     # Had some been named: no fit without them is made, as they leave the law that is missing.
     monkeypatch.setattr("memsgyro_jax.diagnosis.outlying.outlying", lambda fit: {0: WRONG})
     assert _to_leave_out(missing) == {}
+
+
+def test_a_row_that_pulls_the_fit_away_from_all_others_is_named():
+    """The row of a fall from one branch of a bent resonance to another may be thousands of standard deviations off."""
+    fit = fit_case(case_of(1, rows=(44,), sigmas=3000.0))
+    rest = np.concatenate([d.white[:, 0].ravel() for _, d in fit.deviations])
+    assert np.nanmedian(np.abs(rest)) > 3.0, "so that the row hides behind its neighbours"
+    assert _to_leave_out(fit) == {0: (44,)}
+    missing = fit_case(case_of(0, Hidden(cubic_stiffness_x=3.9 * RESONATOR.kxx)))
+    assert not_pulled(missing) is None
 
 
 def test_a_record_of_which_a_part_is_wrong_keeps_all_rows():

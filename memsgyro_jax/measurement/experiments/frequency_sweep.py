@@ -241,15 +241,15 @@ class FrequencySweepRecord(AbstractRecord):
     # ---- noise and quality
 
     def estimated_noise(self) -> float | None:
-        return noise_over_frequency(self.frequency, self.phasors[:, self.channels], self.sweeps, self.courses)
+        return noise_over_frequency(self.frequency, self.readings[:, self.channels], self.sweeps, self.courses)
 
     @cached_property
     def noise_of_rows(self) -> np.ndarray:
-        jitter = None if self.noise_std else jitter_noise(self.frequency, self.phasors, self.courses)
+        jitter = None if self.noise_std else jitter_noise(self.frequency, self.readings, self.courses)
         return super().noise_of_rows if jitter is None else np.hypot(super().noise_of_rows, jitter)
 
     def estimated_freedom(self) -> float:
-        return freedom_over_frequency(self.frequency, len(self.channels), self.sweeps, self.courses)
+        return freedom_over_frequency(self.frequency, self.readings[:, self.channels], self.sweeps, self.courses)
 
     def watched(self, noise: float) -> list[Watched]:
         return [
