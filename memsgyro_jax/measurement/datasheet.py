@@ -14,6 +14,7 @@ from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.settling import duration_to_settle
 from memsgyro_jax.montecarlo.spread import Spread
 
+from .bandwidth_cause import limits
 from .datasheet_rows import FEWEST, Datasheet, DatasheetRow
 from .datasheet_tests import (
     around_the_axes,
@@ -76,6 +77,7 @@ def datasheet(
     table = [bench.run(bench.at(rate)) for rate in rates]
     told("step of the rate")
     answer, step_rows = step_answer(bench, table[_POINTS // 2])
+    limited = limits(bench, answer)
     told("noise")
     noise_rows = noises(bench, answer, noise_duration or record_needed(answer.bandwidth, bench.duration))
     told("other axes, acceleration, temperature")
@@ -112,7 +114,12 @@ def datasheet(
             duration=bench.duration,
             seed=seed,
         ),
-        notes=(*impossible_ends(rows), *notes_of(alive, started, bench)),
+        notes=(
+            *limited,
+            *(row.note for row in rows if row.note),
+            *impossible_ends(rows),
+            *notes_of(alive, started, bench),
+        ),
         over_temperature=drifts,
     )
 

@@ -59,7 +59,7 @@ class DatasheetRow(Shown):
 
     `missing` says why there are none: "not modelled" and what the model leaves out, or what the run did not show.
     `trimmed` are the values once every die has its own offset and scale, None without a trim or where it changes
-    nothing. `positive` figures cannot be below zero.
+    nothing. `positive` figures cannot be below zero. `note` is what the figure assumes beyond its definition.
     """
 
     name: str
@@ -70,6 +70,7 @@ class DatasheetRow(Shown):
     missing: str = ""
     trimmed: Float[np.ndarray, " dies"] | None = None
     positive: bool = False
+    note: str = ""
 
     @property
     def over_dies(self) -> OverDies | None:

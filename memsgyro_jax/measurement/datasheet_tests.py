@@ -26,6 +26,11 @@ _SHOWN = 0.1  # of the rate: an output below it has not started
 _ALIKE = 1.5  # ratio of noise powers early and late that is still one noise
 _SHARE = 0.25  # of the bandwidth: up to where the noise counts as flat
 _LINES = 8  # fewest lines of a spectrum that make a density
+_PER_ROOT_HOUR = 60.0 / np.sqrt(2.0)  # angle random walk [deg/√h] of a one-sided density [deg/s/√Hz]
+_FROM_DENSITY = (
+    "The angle random walk is that of the noise density, N = density/√2, as if the noise stayed white towards longer "
+    "averaging times: the record is too short for an Allan deviation, which would show drift beside it."
+)
 _RECORD = 200.0  # periods of the bandwidth that tell an Allan deviation
 _FRAME = "the device leaves out the terms of its rotating frame (`rotating_frame` brings them in)"
 
@@ -244,8 +249,10 @@ def noises(bench: RateTests, answer: Answer, duration: float) -> tuple[Datasheet
         terms = allan(rate[run.alive], sample_rate=1.0 / run.period, band=(2.0 / widest, np.inf)).terms
     except InputError:
         said[2] = f"the record is too short: averaging times from {2.0 / widest:.3g} s on take {_RECORD / widest:.3g} s"
-        said[1] = f"{said[2]}{_by_formula(bench)[1]}"
-        return _noise_rows(definitions, condition, (density, walk, instability), tuple(said))
+        known = np.isfinite(density).any()
+        said[1] = "" if known else f"{said[2]}{_by_formula(bench)[1]}"
+        rows = _noise_rows(definitions, condition, (density, _PER_ROOT_HOUR * density, instability), tuple(said))
+        return (rows[0], replace(rows[1], note=_FROM_DENSITY if known else ""), rows[2])
     for name, values in (("N", walk), ("bias_instability", instability)):
         values[run.alive] = [np.nan if term[name].value is None else term[name].value for term in terms]
     if np.mean(np.isfinite(instability)) < 0.5:

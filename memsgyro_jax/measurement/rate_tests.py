@@ -20,18 +20,20 @@ from .lot_outputs import Outputs, lot_outputs
 
 
 _WINDOWS = 400  # of a run
+FEWEST = 3  # dies
 
 Dies = Float[np.ndarray, " dies"]
 
 
 @dataclass(frozen=True)
 class RateTests:
-    """A lot on a rate table: `run(scenario)` without read-out noise, `noisy(scenario, time)`; means count from `settle`
-    to `duration` [s].
+    """A lot on a rate table: `run(scenario)` without read-out noise, `noisy(scenario, time)`; `few(loop, scenario)`
+    runs three dies around another loop, without noise. Means count from `settle` to `duration` [s].
     """
 
     run: Callable[[Scenario], Outputs]
     noisy: Callable[[Scenario, float], Outputs]
+    few: Callable[[ClosedLoop, Scenario], Outputs]
     loop: ClosedLoop
     surroundings: Scenario
     full_scale: float
@@ -49,7 +51,7 @@ class RateTests:
         **Raises:** `InputError` for settings that cannot be run, and outside float64.
         """
         runtime.require_float64(what)
-        loop, seed, dies = as_loop(loop), whole("seed", seed), whole("dies", dies, 3)
+        loop, seed, dies = as_loop(loop), whole("seed", seed), whole("dies", dies, FEWEST)
         sample_rate, duration = quantity("sample_rate", sample_rate, "Hz"), quantity("duration", duration, "s")
         full_scale = quantity("full_scale", full_scale, "rad/s")
         if not full_scale > 0.0:
@@ -65,6 +67,7 @@ class RateTests:
         return cls(
             run=lambda scenario: many(quiet, scenario=scenario, windows=windows),
             noisy=lambda scenario, time: many(loop, scenario=scenario, windows=round(sample_rate * time) // window),
+            few=lambda other, scenario: many(other.silent, scenario=scenario, windows=windows, dies=FEWEST),
             loop=loop, surroundings=as_scenario(scenario), full_scale=full_scale, settle=settle, duration=duration,
             sample_rate=sample_rate,
         )  # fmt: skip

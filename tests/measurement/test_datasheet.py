@@ -4,6 +4,7 @@ import json
 import re
 from dataclasses import replace
 
+import equinox as eqx
 import jax
 import numpy as np
 import pytest
@@ -61,17 +62,18 @@ def test_zero_rate_output_scale_factor_and_quadrature_are_those_of_the_dies(shee
     assert sheet.row("zero-rate output").trimmed == pytest.approx(0.0, abs=1e-4)
 
 
-def test_bandwidth_delay_and_noise_are_those_of_theory(sheet):
+def answer(frequency, control=CONTROL):
     plain = mg.SingleMassGyro.from_modes(1e-8, (5e3, 5.3e3), (400.0, 200.0))
-    omega = 2.0 * np.pi * float(CONTROL.drive.frequency)
+    return classic.rate_response(plain, 2.0 * np.pi * float(control.drive.frequency), 1.0 / RATE, control, frequency)
 
-    def answer(frequency):
-        return classic.rate_response(plain, omega, 1.0 / RATE, CONTROL, frequency)
 
-    at = np.linspace(20.0, 120.0, 2001)
-    sizes = np.abs([answer(f) for f in at]) / abs(answer(1e-2))
-    half_power = at[np.argmax(sizes < np.sqrt(0.5))]
-    assert np.median(sheet.row("bandwidth").values) == pytest.approx(half_power, rel=0.02)
+def half_power(control):
+    at = np.linspace(40.0, 120.0, 401)
+    return at[np.argmax(np.abs([answer(f, control) for f in at]) < np.sqrt(0.5) * abs(answer(1e-2, control)))]
+
+
+def test_bandwidth_delay_and_noise_are_those_of_theory(sheet):
+    assert np.median(sheet.row("bandwidth").values) == pytest.approx(half_power(CONTROL), rel=0.02)
     delay = -np.angle(answer(0.1) / answer(1e-2)) / (2.0 * np.pi * 0.09)
     assert np.median(sheet.row("group delay").values) == pytest.approx(1e3 * delay, rel=0.03)
     # Both products of the demodulation carry the noise: twice its power, turned into rate by the conversion.
@@ -81,6 +83,32 @@ def test_bandwidth_delay_and_noise_are_those_of_theory(sheet):
     assert np.mean(found) == pytest.approx(density, rel=0.1)
     walk = sheet.row("angle random walk").values
     assert np.nanmean(walk) == pytest.approx(60.0 * density / np.sqrt(2.0), rel=0.15)
+
+
+def test_the_cause_of_the_bandwidth_is_named_with_what_it_does(sheet):
+    """Against the theory of the same step."""
+    found = re.search(
+        r"set by `bandwidth` of the demodulator: a fifth more of it makes (\S+) Hz (\S+) Hz", sheet.notes[0]
+    )
+    before, after = map(float, found.groups())
+    assert before == pytest.approx(np.median(sheet.row("bandwidth").values[:3]), rel=1e-3)
+    more = eqx.tree_at(lambda c: c.sense.demodulator.bandwidth, CONTROL, 72.0)
+    assert after / before == pytest.approx(half_power(more) / half_power(CONTROL), rel=0.02)
+
+
+def test_a_walk_that_no_allan_deviation_tells_is_that_of_the_density(sheet):
+    """White noise of one rad/s at 400 Hz."""
+    rate = np.random.default_rng(0).standard_normal((DIES, 4000))
+    run = Outputs(rate, np.full_like(rate, np.nan), np.ones(DIES, bool), 1.0 / 400)
+    bench = RateTests(lambda s: run, lambda s, t: run, lambda _, s: run, LOOP, mg.Scenario(), 1.0, 0.0, 10.0, RATE)
+    answer = Answer(np.arange(4.0), rate, run.alive, np.full(DIES, 8.0), "")
+    density, walk, instability = noises(bench, answer, 10.0)
+    assert np.mean(walk.values) == pytest.approx(60.0 * np.degrees(np.sqrt(1.0 / 400)), rel=0.15)
+    np.testing.assert_allclose(walk.values, 60.0 / np.sqrt(2.0) * density.values)
+    assert "density/√2" in walk.note
+    assert not density.note
+    assert "too short" in instability.missing
+    assert not sheet.row("angle random walk").note, "an Allan deviation tells it there"
 
 
 def test_what_a_model_cannot_give_says_so(sheet):
@@ -185,7 +213,7 @@ def test_a_loop_without_observer_blames_none(power, settle, words):
     time = np.linspace(0.0, 1.0, 400)
     rate = np.sqrt(power(time)) * np.random.default_rng(0).standard_normal((DIES, 400))
     run = Outputs(rate, np.full_like(rate, np.nan), np.ones(DIES, bool), 1.0 / 400)
-    bench = RateTests(lambda s: run, lambda s, t: run, LOOP, mg.Scenario(), 1.0, settle, 1.0, RATE)
+    bench = RateTests(lambda s: run, lambda s, t: run, lambda _, s: run, LOOP, mg.Scenario(), 1.0, settle, 1.0, RATE)
     _, walk, _ = noises(bench, Answer(time, rate, run.alive, np.full(DIES, 60.0), ""), 1.0)
     assert "observer" not in walk.missing
     assert not np.isfinite(walk.values).any()
@@ -200,7 +228,7 @@ def test_an_output_that_still_creeps_at_the_end_has_no_start_up_time():
     time = np.linspace(0.0, 1.0, 400)
     rate = np.tile(1.0 - np.exp(-2.0 * time), (DIES, 1))
     run = Outputs(rate, rate, np.ones(DIES, bool), 1.0 / 400)
-    bench = RateTests(lambda s: run, lambda s, t: run, LOOP, mg.Scenario(), 1.0, 0.5, 1.0, RATE)
+    bench = RateTests(lambda s: run, lambda s, t: run, lambda _, s: run, LOOP, mg.Scenario(), 1.0, 0.5, 1.0, RATE)
     row = start_up(bench, run)
     assert not np.isfinite(row.values).any()
     assert "not come to rest" in row.reason
@@ -209,5 +237,5 @@ def test_an_output_that_still_creeps_at_the_end_has_no_start_up_time():
 def test_an_output_near_zero_has_not_started():
     rate = np.full((DIES, 400), 1e-3)
     run = Outputs(rate, rate, np.ones(DIES, bool), 1.0 / 400)
-    bench = RateTests(lambda s: run, lambda s, t: run, LOOP, mg.Scenario(), 1.0, 0.5, 1.0, RATE)
+    bench = RateTests(lambda s: run, lambda s, t: run, lambda _, s: run, LOOP, mg.Scenario(), 1.0, 0.5, 1.0, RATE)
     assert "shows 0.1 % of the rate" in start_up(bench, run).reason

@@ -1,6 +1,7 @@
 """The controller port, and the auxiliary tones that several controllers add."""
 
 import abc
+from collections.abc import Mapping
 from typing import Any, ClassVar, Generic, TypeAlias, TypeVar
 
 import equinox as eqx
@@ -23,10 +24,12 @@ class AbstractController(Displayed, Generic[State]):
 
     One that sees the read-out's volts as well, not only what an observer makes of them, takes them in `measured`; one
     that measures the rate by itself gives it out in `output`. `usually_tuned` names the fields that tuning frees when
-    nothing else is asked for and the observer names none.
+    nothing else is asked for and the observer names none, `sets_bandwidth` what may limit how fast a rate that it gives
+    out follows the true one: in words, with the fields that move together.
     """
 
     usually_tuned: ClassVar[tuple[str, ...]] = ()
+    sets_bandwidth: ClassVar[Mapping[str, tuple[str, ...]]] = {}
 
     @abc.abstractmethod
     def init(self) -> State:

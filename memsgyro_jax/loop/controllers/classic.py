@@ -1,5 +1,6 @@
 """Classic control: a phase-locked drive axis and a sense axis that is demodulated or rebalanced."""
 
+from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
@@ -46,6 +47,11 @@ class ClassicControl(AbstractController[ClassicState]):
     usually_tuned: ClassVar[tuple[str, ...]] = (
         "drive.phase_gain", "drive.phase_integral", "drive.force_gain", "drive.force_integral",
     )  # fmt: skip
+
+    @property
+    def sets_bandwidth(self) -> Mapping[str, tuple[str, ...]]:  # type: ignore[override]
+        """Of the sense axis."""
+        return {words: tuple(f"sense.{path}" for path in paths) for words, paths in self.sense.sets_bandwidth.items()}
 
     @classmethod
     def open_loop(

@@ -1,5 +1,6 @@
 """Actuators that end: forces beyond their limit are not made."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import jax.numpy as jnp
@@ -34,6 +35,11 @@ class Saturated(AbstractController[Any]):
     def usually_tuned(self) -> tuple[str, ...]:  # type: ignore[override]
         """What is tuned of the inner law."""
         return tuple(f"inner.{name}" for name in self.inner.usually_tuned)
+
+    @property
+    def sets_bandwidth(self) -> Mapping[str, tuple[str, ...]]:  # type: ignore[override]
+        """That of the inner law."""
+        return {w: tuple(f"inner.{path}" for path in paths) for w, paths in self.inner.sets_bandwidth.items()}
 
     def reached(self, force: Float[np.ndarray, "samples 2"]) -> float:
         """Share of samples with a force at its limit."""

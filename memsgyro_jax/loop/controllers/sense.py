@@ -1,7 +1,8 @@
 """The sense axis of a classic gyro: measured in open loop, or held still by a force that is the measurement."""
 
 import abc
-from typing import Any, Generic, NamedTuple, TypeVar
+from collections.abc import Mapping
+from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -18,6 +19,9 @@ from .phase_locked_drive import phasor_product
 State = TypeVar("State")
 
 
+_DEMODULATOR = {"`bandwidth` of the demodulator": ("demodulator.bandwidth",)}
+
+
 class AbstractSense(Displayed, Generic[State]):
     """What is done with the sense axis, whose demodulated displacement, times `conversion`, is a rate.
 
@@ -27,6 +31,7 @@ class AbstractSense(Displayed, Generic[State]):
 
     demodulator: AbstractVar[AbstractDemodulator]
     conversion: AbstractVar[Pair]
+    sets_bandwidth: ClassVar[Mapping[str, tuple[str, ...]]] = _DEMODULATOR
 
     @abc.abstractmethod
     def init(self) -> State:
@@ -96,6 +101,10 @@ class ForceRebalance(AbstractSense[RebalanceState]):
     integral: Scalar = eqx.field(converter=jnp.asarray, metadata={"unit": "1/s"})
     quadrature_gain: Scalar = number()
     quadrature_integral: Scalar = number()
+    sets_bandwidth: ClassVar[Mapping[str, tuple[str, ...]]] = {
+        **_DEMODULATOR,
+        "the rebalance loop's gains (`bandwidth` of the controller)": ("gain", "integral"),
+    }
 
     def __check_init__(self):
         for name in ("gain", "integral", "quadrature_gain", "quadrature_integral"):
