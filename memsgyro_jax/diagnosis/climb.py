@@ -29,7 +29,8 @@ TENTH = 0.1  # of the misfit that the best single effect leaves: what a climb mu
 
 def climbed(search: Search, first: Ranking, effects: Sequence[Effect]) -> Search:
     """The search with the effect that a climb over the drives finds, beside what the lock-in does to every phasor,
-    where the base model is far off and no effect in one step leaves less than ten times as much; the same search else.
+    where the base model is far off, as it is with the best effect in one step, which leaves ten times as much; the same
+    search else.
 
     Args:
         search, first: at the base model, and the effects of the device beside it.
@@ -38,15 +39,17 @@ def climbed(search: Search, first: Ranking, effects: Sequence[Effect]) -> Search
     steps = stages(search.case, search.joint.fitted)
     if not steps or not first.places or search.optimum.chi2 < FAR * search.optimum.dof:
         return search
-    search.tell(f"climb from the lowest of {len(steps)} drives" if len(steps) > 1 else "try strengths one by one")
+    best = first.order[0]
+    usual = search.refit([first.places[best]], slopes=first.slopes[best])
+    if usual.chi2 < FAR * usual.dof:
+        return search
+    search.tell("climb from the lowest drive, one effect after the other")
     beside = _beside_lock_in(search)
     base = _lowest(beside, steps[0])
     ends = [(i, _up(beside, base, i, begin, steps)) for i, begin in _tempting(beside, base, steps[0]).items()]
     if not ends:
         return search
     place, end = min(ends, key=lambda one: one[1].chi2)
-    best = first.order[0]
-    usual = search.refit([first.places[best]], slopes=first.slopes[best])
     if excess(end) > TENTH * excess(usual) or beside.refuses(place, end):
         return search
     beside.take(place, end)

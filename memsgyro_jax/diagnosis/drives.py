@@ -50,7 +50,9 @@ def gone(readings: Readings, left_out: Rows) -> np.ndarray:
 
 
 def stages(case: Case, fitted: Sequence[Readings]) -> list[tuple[Readings, ...]]:
-    """What is fitted, up to each drive of clear sweeps in turn, the last all of it; none without a clear sweep."""
+    """The sweeps that are fitted, up to each drive of clear ones in turn, and at last all that is; none without a clear
+    sweep.
+    """
     records: list[tuple[int, Any]] = list(enumerate(case.records))
     sweeps = [(k, r) for k, r in records if hasattr(r, "setting") and r.role != "validation"]
     clear = [
@@ -63,11 +65,14 @@ def stages(case: Case, fitted: Sequence[Readings]) -> list[tuple[Readings, ...]]
     for level in sorted(clear):
         if not levels or level > (1 + ALIKE) * levels[-1]:
             levels.append(level)
+    if not levels:
+        return []
+    swept = tuple(r for r in fitted if set(r.record.tolist()) <= {number for number, _ in sweeps})
     louder = [
         {k: tuple(np.flatnonzero(r.setting > (1 + ALIKE) * level).tolist()) for k, r in sweeps} for level in levels[:-1]
     ]
-    upto = [tuple(_without(r, rows) for r in fitted if not gone(r, rows).all()) for rows in louder]
-    return [*upto, *([tuple(fitted)] if levels else [])]
+    upto = [tuple(_without(r, rows) for r in swept if not gone(r, rows).all()) for rows in louder]
+    return [*upto, *([swept] if len(swept) < len(fitted) else []), tuple(fitted)]
 
 
 def up(joint: Joint, vector: np.ndarray, places: np.ndarray, steps: Sequence[tuple[Readings, ...]]) -> Optimum:
