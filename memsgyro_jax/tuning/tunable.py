@@ -7,7 +7,7 @@
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -181,6 +181,12 @@ def resolved(loop: ClosedLoop, tunables: Sequence[Tunable], sample_rate: float, 
     return Tunables(paths, tuple(_label(loop, path) for path in paths), values, low, high, np.stack(priors, axis=1))
 
 
+def numbers_at(loop: ClosedLoop, path: str) -> dict[str, float]:
+    """All numbers at or below a path as `free` takes it, by the path of each; raises `InputError` for none."""
+    known = [_dotted(at) for at, _ in jax.tree_util.tree_leaves_with_path(loop)]
+    return {name: float(_at(loop, name)) for name in _numbers_at(loop, path, known)}
+
+
 def placed(loop: ClosedLoop, paths: Sequence[str], values: Sequence[Array] | np.ndarray) -> ClosedLoop:
     """The loop with `values` at `paths`, each a number or one per die."""
     return eqx.tree_at(lambda tree: [_at(tree, path) for path in paths], loop, [jnp.asarray(v) for v in values])
@@ -203,7 +209,7 @@ def _at(tree: Any, path: str) -> Array:
     return here
 
 
-def _numbers_at(loop: ClosedLoop, path: str, known: Mapping[str, int]) -> list[str]:
+def _numbers_at(loop: ClosedLoop, path: str, known: Collection[str]) -> list[str]:
     """The paths of all numbers at or below `path`, coefficients by name or position, effects by label or position."""
     names, spelled = loop.observer.model.names, path
     for number, effect in enumerate(loop.device.effects):

@@ -13,6 +13,7 @@ from oracles import classic
 import memsgyro_jax as mg
 from memsgyro_jax.app.report.datasheet_page import datasheet_page
 from memsgyro_jax.loop.settling import settling_time_constant
+from memsgyro_jax.measurement.bandwidth_cause import knobs, limits
 from memsgyro_jax.measurement.datasheet import at_rest, impossible_ends, notes_of, unsettled
 from memsgyro_jax.measurement.datasheet_rows import NOT_MODELLED, DatasheetRow
 from memsgyro_jax.measurement.datasheet_tests import Answer, best_line, noises, start_up, with_trim
@@ -88,7 +89,7 @@ def test_bandwidth_delay_and_noise_are_those_of_theory(sheet):
 def test_the_cause_of_the_bandwidth_is_named_with_what_it_does(sheet):
     """Against the theory of the same step."""
     found = re.search(
-        r"set by `bandwidth` of the demodulator: a fifth more of it makes (\S+) Hz (\S+) Hz", sheet.notes[0]
+        r"set by `bandwidth` of the demodulator: a fifth more turns (\S+) Hz into (\S+) Hz", sheet.notes[0]
     )
     before, after = map(float, found.groups())
     assert before == pytest.approx(np.median(sheet.row("bandwidth").values[:3]), rel=1e-3)
@@ -239,3 +240,15 @@ def test_an_output_near_zero_has_not_started():
     run = Outputs(rate, rate, np.ones(DIES, bool), 1.0 / 400)
     bench = RateTests(lambda s: run, lambda s, t: run, lambda _, s: run, LOOP, mg.Scenario(), 1.0, 0.5, 1.0, RATE)
     assert "shows 0.1 % of the rate" in start_up(bench, run).reason
+
+
+def test_a_filter_that_takes_the_rate_for_constant_is_told_so():
+    """And every kind of number that may be a cause is found in its loop, coefficients by name."""
+    answer = Answer(
+        np.arange(4.0), np.zeros((DIES, 4)), np.ones(DIES, bool), np.full(DIES, np.nan), "it does not settle"
+    )
+    bench = RateTests(None, None, None, mg.default_study().loop, mg.Scenario(), 1.0, 0.0, 1.0, RATE)
+    (note,) = limits(bench, answer)
+    assert note.startswith("No bandwidth: `observer.process_noise.rate` is zero")
+    filtered = replace(LOOP, filter=mg.Lowpass(100.0))
+    assert list(knobs(filtered)) == ["`bandwidth` of the demodulator", "`bandwidth` of the output filter"]
