@@ -16,6 +16,7 @@ from memsgyro_jax.base.units import parse_header, to_si
 from memsgyro_jax.measurement.column_meaning import meaning_of, parse_map
 from memsgyro_jax.measurement.declared import angular
 from memsgyro_jax.measurement.formats import read_instrument_file
+from memsgyro_jax.measurement.formats.header import split_header
 from memsgyro_jax.measurement.imported_record import Given, records_of
 
 
@@ -50,6 +51,19 @@ def assert_is_the_sweep(record, unit="V", close=2e-8):
     np.testing.assert_allclose(frequency, 2 * np.pi * w.FREQUENCY, rtol=1e-9)
     readings = column(record, "Vx_I", unit) + 1j * column(record, "Vx_Q", unit)
     np.testing.assert_allclose(readings, w.RESPONSE, atol=close * np.abs(w.RESPONSE).max())
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("velocity_re_mm_s", ("velocity_re", "mm/s")),
+        ("acc_m_s2", ("acc", "m/s^2")),
+        ("t_s", ("t", "s")),
+        ("m_s", ("m", "s")),
+    ],
+)
+def test_a_header_without_a_slash_may_name_a_speed(text, found):
+    assert split_header(text) == found
 
 
 def complaint(path):
