@@ -18,6 +18,7 @@ from .optimum import Optimum, optimise
 CLEAR = 20.0  # standard deviations from which a sweep tells the device
 ALIKE = 0.05  # of a drive: within it sweeps have the same
 FAR = 100.0  # χ² per degree of freedom from which a fit to all drives may have missed its valley
+NOBODY = -1  # in place of a record: rows that belong to none
 Rows = Mapping[int, tuple[int, ...]]
 
 
@@ -38,7 +39,7 @@ def without_weight(readings: Readings, absent: np.ndarray) -> Readings:
         return readings
     wide = jnp.where(absent[:, None], jnp.inf, std)
     experiment = eqx.tree_at(lambda e: e.noise.std, readings.experiment, wide)
-    return replace(readings, experiment=experiment, record=np.where(absent, -1, readings.record))
+    return replace(readings, experiment=experiment, record=np.where(absent, NOBODY, readings.record))
 
 
 def gone(readings: Readings, left_out: Rows) -> np.ndarray:
@@ -67,12 +68,19 @@ def stages(case: Case, fitted: Sequence[Readings]) -> list[tuple[Readings, ...]]
             levels.append(level)
     if not levels:
         return []
-    swept = tuple(r for r in fitted if set(r.record.tolist()) <= {number for number, _ in sweeps})
+    theirs = {number for number, _ in sweeps}
+    swept = tuple(r for r in fitted if (known := {*r.record.tolist()} - {NOBODY}) and known <= theirs)
+    if not swept:  # sweeps that are fitted together with what is none
+        return [tuple(fitted)]
     louder = [
         {k: tuple(np.flatnonzero(r.setting > (1 + ALIKE) * level).tolist()) for k, r in sweeps} for level in levels[:-1]
     ]
-    upto = [tuple(_without(r, rows) for r in swept if not gone(r, rows).all()) for rows in louder]
+    upto = [some for rows in louder if (some := tuple(_without(r, rows) for r in swept if not _all_gone(r, rows)))]
     return [*upto, *([swept] if len(swept) < len(fitted) else []), tuple(fitted)]
+
+
+def _all_gone(readings: Readings, left_out: Rows) -> bool:
+    return bool(np.all(gone(readings, left_out) | (readings.record == NOBODY)))
 
 
 def up(joint: Joint, vector: np.ndarray, places: np.ndarray, steps: Sequence[tuple[Readings, ...]]) -> Optimum:

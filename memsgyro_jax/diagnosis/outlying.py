@@ -9,7 +9,7 @@ from memsgyro_jax.measurement.least_squares import gate
 from memsgyro_jax.measurement.outliers import lone_residuals
 from memsgyro_jax.measurement.readings import Readings
 
-from .drives import Rows, gone, without_weight
+from .drives import NOBODY, Rows, gone, without_weight
 from .fit import CaseFit, beside_case
 from .optimum import optimise
 from .score import basis
@@ -106,7 +106,10 @@ def not_pulled(fit: CaseFit) -> CaseFit | None:
         if usual <= USUAL:
             return beside_case(fit.case, joint, optimise(joint, vector, free, joint.fitted, max_evaluations=0))
         far = max(FAR * usual, float(np.quantile(every, 1.0 - TRIMMED)))
-        near = [without_weight(r, size > far) for r, size in zip(joint.fitted, sizes, strict=True)]
+        near = [
+            without_weight(r, size > far) if np.any(r.record != NOBODY) else r
+            for r, size in zip(joint.fitted, sizes, strict=True)
+        ]
         vector = optimise(joint, vector, free, near, max_evaluations=EVALUATIONS).vector
         sizes = _sizes(np.concatenate(joint.residual(vector, joint.fitted)), joint.fitted)
         if not np.median(np.concatenate(sizes)) <= NEARER * usual:

@@ -5,7 +5,9 @@ import pytest
 from lab import bent
 
 import memsgyro_jax as mg
+from memsgyro_jax.diagnosis.drives import stages, without_rows
 from memsgyro_jax.measurement.linear_start import starting_device
+from memsgyro_jax.measurement.readings import readings_of
 
 
 @pytest.mark.parametrize("levels", [(5, 20, 60), (60, 20)])
@@ -15,6 +17,17 @@ def test_a_bent_resonance_tells_its_linear_device(tmp_path, levels):
     assert natural / (2.0 * np.pi) == pytest.approx(bent.F0, abs=0.1 * bent.F0 / bent.Q)
     assert natural / float(device.damping[0]) == pytest.approx(bent.Q, rel=0.05)
     assert float(device.mobility) == pytest.approx(1.0 / bent.MASS, rel=0.05)
+
+
+def test_every_stage_has_readings_also_without_some_rows(tmp_path):
+    """A row that was left out belongs to no record, which once left no stage anything to fit."""
+    case = mg.load_case(bent.bent_sweeps(tmp_path / "case", (5, 20, 60), rows=41))
+    readings = tuple(r for r in readings_of(case) if r.fitted)
+    whole = stages(case, readings)
+    fewer = stages(case, without_rows(readings, {1: (10,)}))
+    assert [len(stage) for stage in fewer] == [len(stage) for stage in whole]
+    assert len(whole) == 3
+    assert all(whole)
 
 
 def test_a_fit_climbs_too(tmp_path):

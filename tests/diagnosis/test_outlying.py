@@ -11,6 +11,7 @@ from lab.protocol import Laboratory, Sweep
 
 from memsgyro_jax.diagnosis.drives import without_rows
 from memsgyro_jax.diagnosis.fit import beside_case, fit_case
+from memsgyro_jax.diagnosis.instrument import instrument_terms
 from memsgyro_jax.diagnosis.joint_residual import Joint
 from memsgyro_jax.diagnosis.optimum import optimise
 from memsgyro_jax.diagnosis.outlying import _to_leave_out, not_pulled, outlying, search_beside_outlying
@@ -64,6 +65,13 @@ def test_a_row_that_pulls_the_fit_away_from_all_others_is_named():
     assert _to_leave_out(fit) == {0: (44,)}
     missing = fit_case(case_of(0, Hidden(cubic_stiffness_x=3.9 * RESONATOR.kxx)))
     assert not_pulled(missing) is None
+
+
+@pytest.mark.slow
+def test_a_row_is_named_beside_what_is_known_of_the_instrument():
+    case = case_of(1, rows=(44,), sigmas=3000.0)
+    fit = fit_case(case, [term for term in instrument_terms(case) if term.prior])
+    assert _to_leave_out(fit) == {0: (44,)}
 
 
 def test_a_record_of_which_a_part_is_wrong_keeps_all_rows():
