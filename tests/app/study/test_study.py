@@ -367,6 +367,12 @@ def test_what_is_wrong_is_one_sentence_with_its_place(write, old, new, words):
         assert word in said, said
 
 
+def test_shared_causes_need_what_they_spread(write):
+    """Beside single parameters they were read and did nothing."""
+    text = FULL.replace("[spread]\n", "[spread]\nshared = 0.9\n").replace("relative = ", "# ")
+    assert "`spread`: shared is the correlation of what relative spreads" in refusal(write(text))
+
+
 def test_a_stiffness_matrix_that_cannot_stand(write):
     text = mg.default_study().to_toml().replace("12.78 N/m", "80 N/m")
     assert "`device`: The stiffness matrix must be positive definite" in refusal(write(text))
