@@ -119,7 +119,9 @@ def _names(here: Any) -> list[str]:
     if isinstance(here, tuple | list):
         return [str(n) for n in range(len(here))]
     names = getattr(here, "natural", None)
-    own = [name for name, value in vars(here).items() if eqx.is_inexact_array(value) or _is_part(value)]
+    own = [
+        name for name, value in getattr(here, "__dict__", {}).items() if eqx.is_inexact_array(value) or _is_part(value)
+    ]
     return [*own, *(names.units if names else ())]
 
 

@@ -105,8 +105,8 @@ class SpreadSection(FileSection):
             raise ValueError("correlation needs relative = 0, so that each row belongs to one of the parameters")
         if self.shared > 0.0 and self.relative == 0.0:
             raise ValueError(
-                "shared is the correlation of what relative spreads, which is zero; give relative, or the correlation of "
-                "the parameters"
+                "shared is the correlation of what relative spreads, which is zero; give relative, or the correlation "
+                "of the parameters"
             )
         items = []
         for path, law in self.parameters.items():
