@@ -63,7 +63,8 @@ class Vary(Shown):
             try:
                 here = here[int(part)] if re.fullmatch(r"\d+", part) else getattr(here, part.replace(" ", "_"))
             except (AttributeError, IndexError, TypeError):
-                known = suggestion(part, _names(here), every=True)
+                names = _names(here)
+                known = suggestion(part, names, every=True) if names else "there is nothing"
                 raise InputError(
                     f"A spread must name a number of the loop, but `{self.path}` has no `{part}` ({known})."
                 ) from None
