@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 MARK = "memsgyro"  # attribute: the name of the class of a result
 _ZARR = ".zarr"
 _OTHERS = (".csv", ".h5", ".hdf5", ".html", ".json", ".mat", ".npz", ".parquet", ".pickle", ".pkl", ".toml", ".txt")
-LABELS, UNITS_ALONG = "labels", "units"  # attributes of a store: names, and units, along dimensions
+LABELS, UNITS_ALONG = "labels", "units"  # attributes that become coordinates: names, and units, along dimensions
 _LARGEST = 2**31 - 4  # bytes of a variable of NetCDF 3
 
 
@@ -152,21 +152,29 @@ def load(path: str | Path) -> "xr.Dataset":
         raise InputError(f"{path} must be a result that was saved, but cannot be read as one.") from error
     if MARK not in data.attrs and "fingerprint" not in data.attrs:
         raise InputError(f"{path} must be a result that was saved, but says nothing of `{MARK}`; open it by xarray.")
-    return with_labels(data)
+    texts = {name: held for name, held in data.coords.items() if held.dtype.kind == "T"}  # which NetCDF does not know
+    return with_labels(
+        data.assign_coords({k: (held.dims, np.array(held.values.tolist())) for k, held in texts.items()})
+    )
 
 
 def with_labels(data: "xr.Dataset") -> "xr.Dataset":
-    """The Dataset with the names and units that its attributes hold as coordinates; zarr has no settled type for text
-    arrays, so that a store has them there.
-    """
-    attributes = dict(data.attrs)
-    labels, units = attributes.pop(LABELS, {}), attributes.pop(UNITS_ALONG, {})
-    along = {f"{name}_unit": (name, list(map(without_roots, each))) for name, each in units.items()}
-    data = data.assign_coords(labels | along)
+    """The Dataset with the names and units that its attributes hold as coordinates."""
+    attributes, names = labels_apart(data.attrs)
+    data = data.assign_coords(names)
     for name, variable in data.variables.items():
         variable.attrs.setdefault("long_name", str(name).replace("_", " "))
     data.attrs = plain_attributes(attributes)
     return data
+
+
+def labels_apart(attributes: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, tuple[str, list[str]]]]:
+    """The attributes without names and units along dimensions, and these as coordinates: dimension and texts."""
+    rest = dict(attributes)
+    labels, units = rest.pop(LABELS, {}), rest.pop(UNITS_ALONG, {})
+    names = {name: (name, list(texts)) for name, texts in labels.items() if texts}
+    along = {f"{name}_unit": (name, list(map(without_roots, each))) for name, each in units.items() if each}
+    return rest, names | along
 
 
 def _variable(name: str, dimensions: Any, values: Any, unit: str | None, long_name: str = "") -> tuple:

@@ -12,7 +12,7 @@ import numpy as np
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.labelled import LABELS as LABELS
-from memsgyro_jax.base.labelled import with_labels
+from memsgyro_jax.base.labelled import labels_apart, with_labels
 
 from .batch import MEANING, PENDING, STATUS
 from .folder import Folder, RemotePath
@@ -74,14 +74,18 @@ def files_of(layout: Layout, dies: int, block: int) -> dict[str, bytes]:
 
     packed = {"compressors": [ZstdCodec(), Crc32cCodec()]}
     files: dict[str, Any] = {}
+    attributes, names = labels_apart(layout.attributes)
     # The last entry tells xarray what is no variable.
     others = {
         "schema": SCHEMA,
         "block": block,
         "shard": blocks_per_shard(block),
-        "coordinates": " ".join((*layout.coordinates, SEAL)),
+        "coordinates": " ".join((*layout.coordinates, *names, SEAL)),
     }
-    group = zarr.create_group(MemoryStore(files), zarr_format=3, attributes=layout.attributes | others)
+    group = zarr.create_group(MemoryStore(files), zarr_format=3, attributes=attributes | others)
+    for name, (dimension, texts) in names.items():
+        written = np.array(texts, dtype=object)
+        group.create_array(name, shape=len(texts), dtype=str, dimension_names=(dimension,), **packed)[:] = written
     for name, (dimension, values, unit) in layout.coordinates.items():
         about = {"dimension_names": (dimension,), "attributes": {"units": unit}}
         group.create_array(name, shape=np.shape(values), dtype=np.asarray(values).dtype, **about, **packed)[:] = values

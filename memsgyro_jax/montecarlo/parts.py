@@ -70,7 +70,7 @@ class Computation:
             runner.loop, runner.scenario, runner.spread, runner.seed, bounded, settings.sample_rate, settings.duration
         )
         divergence = divergence_of(*tally.diverged, runner.loop, runner.scenario, self.plan)
-        return figures_of(tally, settings, runner.loop, bounds, divergence, (*self.notes, *amiss), speed)
+        return figures_of(tally, settings, runner.loop, bounds, divergence, self.notes, tuple(amiss), speed)
 
 
 @dataclass(frozen=True)

@@ -45,8 +45,8 @@ class Summary(Shown):
     each die's error with its own bound, `reached_sound` without the diverged dies; all are None without a bound.
     `prior_share` is the part of the information in the bound that the filter's prior of the rate brought along.
     `nees` is the mean over dies, `nees_median` their median, `states` the expectation of the mean; `straight` holds
-    bias and scale-factor error. `notes` were told before the run. `steps_per_s` is None when a single batch left
-    nothing to time after compiling.
+    bias and scale-factor error. `notes` were told before the run, `amiss` is what is wrong with its store.
+    `steps_per_s` is None when a single batch left nothing to time after compiling.
     """
 
     dies: int
@@ -71,6 +71,7 @@ class Summary(Shown):
     straight: StraightError | None
     claim_error: float | None
     notes: tuple[str, ...]
+    amiss: tuple[str, ...]
     steps_per_s: float | None
     settings: Settings
 
@@ -115,7 +116,7 @@ class Summary(Shown):
             "following": None if self.following is None else _following(self.following),
             **({} if self.straight is None else _straight(self.straight)),
             "claim_error": self.claim_error,
-            "notes": list(self.notes),
+            "notes": [*self.notes, *self.amiss],
             "steps_per_s": self.steps_per_s,
             "seed": self.settings.seed,
             "sample_rate_hz": self.settings.sample_rate,
@@ -125,8 +126,8 @@ class Summary(Shown):
         }
         return finite(entries)
 
-    def rows(self) -> list[tuple[str, str]]:
-        """Name and value as text, for a table."""
+    def rows(self, notes: bool = True) -> list[tuple[str, str]]:
+        """Name and value as text, for a table; without the `notes` where they have just been told."""
         diverged = len(self.divergence.dies)
         unknown = self.divergence.unjudged
         watched = unknown != NO_OBSERVER
@@ -158,7 +159,7 @@ class Summary(Shown):
             rows.append(("bias, scale-factor error", _straight_text(self.straight)))
         if self.following is not None:
             rows.append(("varying rate followed", _following_text(self.following)))
-        rows += [("note", note) for note in self.notes]
+        rows += [("note", note) for note in (*(self.notes if notes else ()), *self.amiss)]
         if self.steps_per_s is not None:
             rows.append(("speed after compiling", f"{self.steps_per_s / 1e6:.3g} million steps/s"))
         return rows
@@ -207,6 +208,7 @@ def figures_of(
     bounds: Float[np.ndarray, " dies"] | None,
     divergence: Divergence,
     notes: tuple[str, ...],
+    amiss: tuple[str, ...],
     speed: float | None,
 ) -> Summary:
     """The summary of the dies in `tally`; lost ones count as failed and never as numbers. `bounds` are those of the
@@ -244,6 +246,7 @@ def figures_of(
         straight=straight_error(tally.straight),
         claim_error=claim_error(loop, settings.sample_rate),
         notes=notes,
+        amiss=amiss,
         steps_per_s=speed,
         settings=settings,
     )

@@ -108,6 +108,15 @@ def test_a_sweep_prints_its_table_and_leaves_three_results(memsgyro, folder):
     assert summary["rate_error_dps"]["end"]["rms"] == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-12)
 
 
+def test_what_is_told_before_a_sweep_is_not_told_again(memsgyro, folder, monkeypatch, caplog):
+    monkeypatch.setattr("memsgyro_jax.montecarlo.parts.unexpected", lambda *given: ("The rate moves.",))
+    status, out, _ = memsgyro("sweep", *SMALL)
+    assert (status, [told.message for told in caplog.records]) == (0, ["The rate moves."])
+    assert "The rate moves." not in out
+    assert load("sweep-out/summary.json")["notes"] == ["The rate moves."]
+    assert "The rate moves." in (folder / "sweep-out" / "report.html").read_text()
+
+
 def test_a_sweep_is_that_of_its_study(memsgyro, folder):
     changes = {"sweep.sample_rate": "20 kHz", "sweep.duration": "10 ms", "sweep.dies": 5, "sweep.chunk": 2}
     mg.default_study().changed(changes).write("my.toml")

@@ -22,7 +22,12 @@ DIES, BLOCK = 40, 16
 LAYOUT = Layout(
     {"left": DieArray((), (), "1"), "right": DieArray(("window",), (3,), "rad/s"), "absent": DieArray((), (), "1")},
     {"time": ("window", np.arange(3.0), "s")},
-    {"fingerprint": "0123456789abcdef", "versions": "python 3, jax 0", PROCESSOR: "this", LABELS: {}},
+    {
+        "fingerprint": "0123456789abcdef",
+        "versions": "python 3, jax 0",
+        PROCESSOR: "this",
+        LABELS: {"window": ["a", "b", "c"]},
+    },
 )
 
 
@@ -83,6 +88,7 @@ def test_a_store_is_gone_on_with_and_grows(tmp_path):
     assert_wanted(rows)
     with xr.open_zarr(path, consolidated=False, mask_and_scale=False) as found:
         assert set(found.data_vars) == set(WANTED)
+        assert list(found["right"].sel(window=["c", "a"])["window"].values) == ["c", "a"], "names, without this package"
         assert_wanted(found.load())
     assert [file.name for file in tmp_path.iterdir()] == ["dies.zarr"], "no lease, no draft"
 

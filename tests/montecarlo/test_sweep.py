@@ -218,6 +218,9 @@ def test_a_store_is_what_the_sweep_returns(small, reference, tmp_path):
     assert_same_bits(stored(tmp_path), reference, 40)
     assert not np.any(stored(tmp_path)["status"])
     assert list(lot.to_xarray()["coefficient"].values) == list(small.device.model.names)
+    drawn = stored(tmp_path)["drawn"]
+    assert (drawn.sel(parameter="device.kxx") > 0.0).all()
+    assert drawn["parameter_unit"].sel(parameter="device.kxx") == "N/m"
     xr.testing.assert_identical(pickle.loads(pickle.dumps(lot)).to_xarray(), kept(lot, tmp_path))
     assert_same_bits(mg.load(tmp_path), reference, 40)
     drawn = mg.load(tmp_path)["drawn"].sel(parameter="device.kxx")

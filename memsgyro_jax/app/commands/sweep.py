@@ -71,6 +71,8 @@ def sweep_command(
     share = None if part is None else _share(part)
     look_for_study(study, rate_record, effects)
 
+    from memsgyro_jax.base.text import aligned
+
     from .options import chosen_study, require_writable, with_unit, writing
 
     chosen, notes = chosen_study(
@@ -85,7 +87,9 @@ def sweep_command(
         if lot is None:
             return
         _write(lot, chosen, out, json)
-    print(lot)
+    print(aligned(lot.summary.rows(notes=False)))  # which were told before it ran
+    for note in lot.notes:
+        print(f"  note: {note}")
     print(f"{out / 'report.html'}, summary.json and dies.zarr hold the details.")
 
 

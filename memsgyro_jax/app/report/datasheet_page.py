@@ -39,7 +39,8 @@ def datasheet_page(sheet: "Datasheet", study: "Study") -> Page:
     rows = [(row.name, row.definition, row.condition) for row in sheet.rows]
     page.table(["figure", "definition", "condition"], rows, stacked=True)
     page.section("Settings")
-    return with_settings(page, study, sheet.settings)
+    unused = "tune.", "sweep.dies", "sweep.tolerance", "sweep.chunk", "scenario.rate"  # it has its own dies and rates
+    return with_settings(page, study, sheet.settings, *unused)
 
 
 def _curves(sheet: "Datasheet") -> "list[tuple[Figure, str]]":

@@ -7,7 +7,7 @@ from memsgyro_jax.montecarlo.sensitivity.tornado import HEAD as TORNADO_HEAD
 
 from .figures import blank, plain
 from .page import Page
-from .sweep_page import settings, with_settings
+from .sweep_page import with_settings
 
 
 if TYPE_CHECKING:
@@ -41,7 +41,8 @@ def loop_page(
     for note in noise.notes:
         page.text(note)
     page.section("Settings")
-    return page.table(["entry", "value"], list(settings(study.file.model_dump(by_alias=True, exclude_none=True))))
+    unused = "tune.", "spread.", "scenario.", "sweep.dies", "sweep.tolerance", "sweep.chunk", "sweep.seed"
+    return with_settings(page, study, None, *unused)
 
 
 def tornado_page(bars: "Tornado", study: "Study") -> Page:
@@ -62,4 +63,4 @@ def tornado_page(bars: "Tornado", study: "Study") -> Page:
         if note := bars.note(k):
             page.text(note)
     page.section("Settings")
-    return with_settings(page, study, bars.settings)
+    return with_settings(page, study, bars.settings, "tune.", "sweep.dies", "sweep.chunk")

@@ -44,7 +44,7 @@ def sweep_page(lot: "Lot", study: "Study") -> Page:
     page.text(
         "These settings repeat the sweep, on any number of cores; summary.json beside this page has all their digits."
     )
-    return with_settings(page, study, summary.settings)
+    return with_settings(page, study, summary.settings, "tune.")
 
 
 def _headline(lot: "Lot") -> str:
@@ -115,9 +115,14 @@ def _or_dash(value: float, otherwise: str = "–") -> str:
     return f"{value:.3g}" if np.isfinite(value) else otherwise
 
 
-def with_settings(page: Page, study: "Study", made: "Settings") -> Page:
-    """The page and tables of the settings of a study, and of what computed it."""
-    page.table(["entry", "value"], list(settings(study.file.model_dump(by_alias=True, exclude_none=True))))
+def with_settings(page: Page, study: "Study", made: "Settings | None", *unused: str) -> Page:
+    """The page and tables of the settings of a study, without entries that begin as one of the `unused`, and of what
+    computed it.
+    """
+    entries = settings(study.file.model_dump(by_alias=True, exclude_none=True))
+    page.table(["entry", "value"], [(name, value) for name, value in entries if not name.startswith(unused)])
+    if made is None:
+        return page
     return page.table(["made with", "version"], [*made.versions, ("fingerprint", made.fingerprint)])
 
 

@@ -32,4 +32,5 @@ def trace_page(trace: "Trace", study: "Study", rows: list[tuple[str, str]]) -> P
         page.text(orbit)
     page.section("Coefficients")
     page.figure(figures.coefficients_figure(trace), "Size of estimate over truth minus one.")
-    return with_settings(page.section("Settings"), study, trace.settings)
+    unused = "tune.", "sweep.dies", "sweep.tolerance", "sweep.chunk"
+    return with_settings(page.section("Settings"), study, trace.settings, *unused)
