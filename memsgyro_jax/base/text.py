@@ -68,6 +68,12 @@ def combination(weights: Sequence[float], names: Sequence[str], least: float = 0
     return " ".join(f"{weight:+.2f}·{name}" for weight, name in pairs if abs(weight) > least)
 
 
+def beside(value: float, std: float, digits: int = 5) -> str:
+    """A value with the digits that its standard deviation leaves it, `digits` at least, and twelve at most."""
+    more = math.log10(abs(value) / std) if 0.0 < std < math.inf and value else 0.0
+    return f"{value:.{min(12, max(digits, math.ceil(more) + 2))}g}"
+
+
 def spoken(value: float, unit: str, digits: int = 4) -> str:
     """A quantity in SI for people: `spoken(1.5e-7, "N")` is "150 nN"; kelvin become °C, rad/s of rate deg/s."""
     if unit == "K":

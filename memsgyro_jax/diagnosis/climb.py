@@ -6,7 +6,7 @@ is found there starts a fit with the next drive.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from memsgyro_jax.effects import Effect, ForceEffect
 
 from .acceptance import excess
 from .drives import FAR, stages, up
-from .fit import beside_case
+from .fit import CaseFit, beside_case
 from .instrument import instrument_terms
 from .joint_residual import Joint
 from .nuisances import beside_terms, take_out, terms_of
@@ -27,10 +27,23 @@ STRENGTHS = np.geomspace(1e-2, 1e2, 25)  # of the size of a strength, that are t
 TENTH = 0.1  # of the misfit that the best single effect leaves: what a climb must come to
 
 
-def climbed(search: Search, first: Ranking, effects: Sequence[Effect]) -> Search:
+@dataclass(frozen=True, eq=False)
+class Climb:
+    """Where a climb began, and what it tried.
+
+    Args:
+        base: the base model at the lowest drive, beside every record.
+        ends: effects that were followed up to the highest drive, each with the χ² that is left there, the best first.
+    """
+
+    base: CaseFit
+    ends: tuple[tuple[Effect, float], ...]
+
+
+def climbed(search: Search, first: Ranking, effects: Sequence[Effect]) -> tuple[Search, Climb | None]:
     """The search with the effect that a climb over the drives finds, beside what the lock-in does to every phasor,
-    where the base model is far off, as it is with the best effect in one step, which leaves ten times as much; the same
-    search else.
+    where the base model is far off, as it is with the best effect in one step, which leaves ten times as much, and how
+    it went; the same search and `None` else.
 
     Args:
         search, first: at the base model, and the effects of the device beside it.
@@ -38,22 +51,26 @@ def climbed(search: Search, first: Ranking, effects: Sequence[Effect]) -> Search
     """
     steps = stages(search.case, search.joint.fitted)
     if not steps or not first.places or search.optimum.chi2 < FAR * search.optimum.dof:
-        return search
+        return search, None
     best = first.order[0]
     usual = search.refit([first.places[best]], slopes=first.slopes[best])
     if usual.chi2 < FAR * usual.dof:
-        return search
+        return search, None
     search.tell("climb from the lowest drive, one effect after the other")
     beside = _beside_lock_in(search)
     base = _lowest(beside, steps[0])
     ends = [(i, _up(beside, base, i, begin, steps)) for i, begin in _tempting(beside, base, steps[0]).items()]
     if not ends:
-        return search
+        return search, None
     place, end = min(ends, key=lambda one: one[1].chi2)
     if excess(end) > TENTH * excess(usual) or beside.refuses(place, end):
-        return search
+        return search, None
+    tried = sorted(((beside.joint.model.effects[i], one.chi2) for i, one in ends), key=lambda pair: pair[1])
+    straight = optimise(beside.joint, base.vector, base.free, beside.joint.fitted, max_evaluations=0)
+    straight = replace(straight, converged=base.converged)
+    climb = Climb(beside_case(search.case, beside.joint, straight), tuple(tried))
     beside.take(place, end)
-    return _as_found(beside, search, effects)
+    return _as_found(beside, search, effects), climb
 
 
 def _beside_lock_in(search: Search) -> Search:

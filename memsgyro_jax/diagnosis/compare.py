@@ -22,7 +22,9 @@ from memsgyro_jax.measurement.readings import model_of
 
 from .fit import CaseFit, fit_case
 from .fitted import RecordError
+from .instrument import beside_case_of
 from .misfit import LEVEL, Check, check_all
+from .outlying import of_rows, outlying
 
 
 if TYPE_CHECKING:
@@ -95,8 +97,10 @@ class Comparison(Shown):
         rows = [(e.name, e.role, str(e.count), as_times(e.rms), f"{np.sqrt(e.gate):.3g}") for e in self.errors]
         lines = [f"{self.case.name}: {self.status}", aligned([head, *rows]), self.verdict]
         lines += [f"  {text}" for text in self.failures]
+        if self.failures and (alone := outlying(self.fit)):
+            lines.append(f"  standing alone, as outlying rows do: {of_rows(self.case, alone)}")
         if self.fitted:
-            lines += ["Fitted:", *(f"  {estimate}" for estimate in self.fit.estimates)]
+            lines += ["Fitted:", *(f"  {estimate}" for estimate in (*self.fit.modes, *self.fit.estimates))]
         return "\n".join(lines)
 
     @property
@@ -189,6 +193,8 @@ def compare(
             f"Argument `model` must have as many axes as the case {case.name} has channels, {case.channels}, "
             f"but has {whole.axes}."
         )
+    if whole is not None:
+        whole = beside_case_of(case, whole)
     return judged(fit_case(case, model=whole, held=not fitted), level=level, fitted=fitted)
 
 

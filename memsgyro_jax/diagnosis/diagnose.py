@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import replace
 
 import numpy as np
+from scipy import special
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.effects import Effect, Scanned, catalogue
@@ -16,20 +17,22 @@ from memsgyro_jax.measurement.linear_start import starting_device
 from memsgyro_jax.measurement.model import Model
 from memsgyro_jax.measurement.readings import model_of, readings_of
 
-from .climb import climbed
+from .acceptance import excess
+from .climb import Climb, climbed
 from .drift_in_time import with_drift_alone
 from .drives import Rows, without_rows
 from .fit import CaseFit
-from .instrument import drive_levels
+from .instrument import beside_case_of, drive_levels, knowledge
 from .joint_residual import Joint
 from .next_experiment import advice, next_experiments
 from .nuisances import instrument_first, of_instrument, terms_of
 from .optimum import Optimum
-from .outlying import search_beside_outlying
+from .outlying import of_rows, search_beside_outlying
 from .result import SIGMAS_SEEN, Accepted, Candidate, Diagnosis, Stage, Verdict, validation_error
 from .rounds import FITTED, search_on
 from .score import basis, score, separation
 from .search import CONFUSED, Ranking, Search, SearchStep, start_search
+from .sentence import DRIFT, of_noise, sentence
 from .slow_noise import is_slow_noise, slowly
 from .wrong_noise import wrong_noise
 
@@ -37,7 +40,9 @@ from .wrong_noise import wrong_noise
 RECORDS = 0.1  # share of the level for records that no candidate explains; the rest is the candidates'
 PARTLY = 0.9  # share of the misfit above noise, in readings never fitted, that "partly explained" asks for
 NAMED = 2  # effects that are named as tried where none explains what is missing
-DRIFT = "frequency_drift"  # in time, which a lone decay may not tell from a law
+
+
+Begun = tuple[CaseFit, tuple[Candidate, ...]]  # the base model, and what was tried beside it
 
 
 def diagnose(
@@ -65,14 +70,15 @@ def diagnose(
     if not 0.0 < level < 1.0:
         raise InputError(f"Argument `level` must lie between 0 and 1, but is {level:g}.")
     start = _start(model, case)
-    known = {e.label for e in start.effects}
+    given = {e.label for e in start.effects}
     candidates = [*catalogue(case.channels), *effects]
-    smooth = [e for e in candidates if not isinstance(e, Scanned) and e.label not in known]
-    joint = Joint(start.with_effect(*smooth), readings_of(case))
+    smooth = [e for e in candidates if not isinstance(e, Scanned) and e.label not in given]
+    known_before = knowledge([effect for effect in start.effects if effect.of_instrument])
+    joint = Joint(start.with_effect(*smooth), (*readings_of(case), *known_before))
 
     def begun(left_out: Rows) -> Search:
         if left_out:
-            tell("leave out " + _of_rows(case, left_out))
+            tell("leave out " + of_rows(case, left_out))
         kept = Joint(joint.model, without_rows(joint.readings, left_out), joint.programs)
         search = start_search(case, kept, (1 - RECORDS) * level, range(len(start.effects)), tell)
         search.keep = _keep_better(search, keep)
@@ -82,16 +88,18 @@ def diagnose(
     def done(search: Search) -> bool:
         return bool(search.slow) or all(_each_explained(search.steps[-1].fit, search.accepted, level))
 
-    def searched(search: Search) -> tuple[Search, Ranking, str, Ranking]:
+    def searched(search: Search) -> tuple[Search, Ranking, str, Begun]:
         first = search.rank()
+        plain = search.base, _listed(case, search.joint.model, first)
         if is_slow_noise(search, first):
-            return search, first, "", first
-        begin = climbed(search, first, smooth)
+            return search, first, "", plain
+        begin, climb = climbed(search, first, smooth)
         ranking = begin.rank() if begin.accepted else first
-        return *instrument_first(begin, ranking, smooth, search_on, done), first
+        start = plain if climb is None else (climb.base, _followed(case, climb, len(first.places)))
+        return *instrument_first(begin, ranking, smooth, search_on, done), start
 
-    (search, ranking, rival, first), left_out = search_beside_outlying(begun, searched, done)
-    base, steps = search.base, search.steps
+    (search, ranking, rival, (base, first)), left_out = search_beside_outlying(begun, searched, done)
+    steps = search.steps
     final = search.steps[-1].fit
     tell("see what these records can tell apart")
     confused = _confusions(search, ranking)
@@ -105,14 +113,17 @@ def diagnose(
         accepted = (replace(accepted[0], confused_with=(*accepted[0].confused_with, DRIFT)), *accepted[1:])
     terms = _accepted(search, {place: [] for place in terms_of(search)}, steps)
     apart = _of_device(search)
-    verdict = _verdict(steps[apart - 1].fit, final, accepted, all(explained), bool(terms))
-    stages = _stages(steps)
+    verdict = _verdict(steps[apart - 1].fit, final, accepted, all(explained), _found_more(terms, given))
+    from_lowest = base is not search.base
+    stages = (Stage("", base.chi2_per_dof, validation_error(base)), *_stages(steps)[1:])
     if verdict == "unknown_effect":  # what was tried is no finding: the model stays the base model and its instrument
+        base, from_lowest = search.base, False
+        stages = _stages(steps)
         final, accepted, stages, tried = steps[apart - 1].fit, (), stages[:apart], stages[apart : apart + NAMED]
         terms = _terms_in(final, search, steps[:apart])
         explained = _explained(final, (), level)
         if all(explained):  # an effect of chance that spoils what was never fitted
-            verdict, tried = "instrument_only" if terms else "nothing_missing", ()
+            verdict, tried = "instrument_only" if _found_more(terms, given) else "nothing_missing", ()
     else:
         tried = ()
     declared = {record.name for record in case.records if record.noise_std}
@@ -122,13 +133,14 @@ def diagnose(
         base=base,
         final=final,
         verdict=verdict,
-        sentence=_sentence(verdict, accepted, final, explained)
+        sentence=sentence(verdict, accepted, final, explained)
         + of_instrument(terms, rival, drive_levels(case))
-        + _of_noise(noise, declared)
+        + of_noise(noise, declared)
         + slowly(search.slow)
-        + (f" Left out as outlying: {_of_rows(case, left_out)}." if left_out else ""),
+        + (f" Left out as outlying: {of_rows(case, left_out)}." if left_out else ""),
         accepted=tuple(a.scaled(scale) for a in accepted),
-        first=_listed(case, joint.model, first),
+        first=first,
+        from_lowest=from_lowest,
         candidates=_listed(case, search.joint.model, ranking),
         groups=tuple((a.label, *a.confused_with) for a in accepted if a.confused_with),
         next_experiment=advice(planned),
@@ -143,6 +155,11 @@ def diagnose(
         noise={k: f"its noise is larger than {'declared' if k in declared else 'estimated'}" for k in noise}
         | dict.fromkeys(search.slow, "its noise is slow"),
     )
+
+
+def _found_more(terms: Sequence[Accepted], given: Set[str]) -> bool:
+    """Whether a term of the instrument is not of the model that was given."""
+    return not {term.label for term in terms} <= given
 
 
 def _drifts_as_well(base: CaseFit, final: CaseFit, accepted: Sequence[Accepted], level: float) -> bool:
@@ -186,25 +203,8 @@ def _terms_in(fit: CaseFit, search: Search, steps) -> tuple[Accepted, ...]:
 
 def _start(model, case: Case) -> Model:
     if isinstance(model, Model):
-        return model
+        return beside_case_of(case, model)
     return model_of(case, starting_device(case) if model is None else model)
-
-
-def _of_noise(noise: Mapping[str, float], declared: Set[str]) -> str:
-    """A sentence on noise that is declared wrong, or was told wrong by the rows of a record; empty where none is."""
-    found = ", ".join(
-        f"{size:.3g} times what is {'declared in' if record in declared else 'estimated from the rows of'} {record}"
-        for record, size in noise.items()
-    )
-    return f" The noise is {found}: what is left there is white and depends on nothing." if found else ""
-
-
-def _of_rows(case: Case, left_out: Rows) -> str:
-    """Rows by number, from one, of each record."""
-    return "; ".join(
-        f"row{'s' * (len(rows) > 1)} {', '.join(str(row + 1) for row in rows)} of {case.records[number].name}"
-        for number, rows in left_out.items()
-    )
 
 
 def _explained(fit: CaseFit, accepted: Sequence, level: float, noise: Mapping[str, float] | None = None) -> list[bool]:
@@ -308,24 +308,22 @@ def _verdict(base: CaseFit, final: CaseFit, accepted: tuple[Accepted, ...], expl
     return "partly_explained" if after < (1 - PARTLY) * before else "unknown_effect"
 
 
-def _sentence(verdict: Verdict, accepted: tuple[Accepted, ...], final: CaseFit, explained: list[bool]) -> str:
-    names = ", ".join(a.label for a in accepted)
-    left = ", ".join(
-        f"{e.name} ({e.role}, {e.rms:.3g} × noise)" for e, fine in zip(final.errors, explained, strict=True) if not fine
+def _followed(case: Case, climb: Climb, count: int) -> tuple[Candidate, ...]:
+    """What a climb tried, out of so many candidates, beside the base model of the lowest drive."""
+    chi2, missing = climb.base.optimum.chi2, excess(climb.base.optimum)
+    return tuple(
+        Candidate(
+            label=effect.label,
+            unit=unit_of_records(case, effect.unit),
+            score=chi2 - left,
+            p_value=min(1.0, count * float(special.chdtrc(effect.strength.size, max(0.0, chi2 - left)))),
+            explained_share=(chi2 - left) / missing,
+            kept_share=np.nan,
+            smallest_visible=np.nan,
+            excited=True,
+        )
+        for effect, left in climb.ends
     )
-    return {
-        "nothing_missing": "The base model explains every record to its noise; no effect is missing.",
-        "instrument_only": "With what the instrument does, the base model explains every record to its noise; no "
-        "mechanical effect is missing.",
-        "found": f"Missing was {names}; with it the model explains every record to its noise.",
-        "cannot_tell": f"{names} would explain every record to its noise, but so would "
-        + "; ".join(f"{' or '.join(a.confused_with)} in place of {a.label}" for a in accepted if a.confused_with)
-        + "."
-        + " A decay from another amplitude tells a law from a drift in time."
-        * any(DRIFT in a.confused_with for a in accepted),
-        "partly_explained": f"{names} explains most of the misfit, but something unknown is left in {left}.",
-        "unknown_effect": f"Something is missing that no known effect explains: it shows in {left}.",
-    }[verdict]
 
 
 def _listed(case: Case, model: Model, ranking: Ranking) -> tuple[Candidate, ...]:

@@ -29,8 +29,9 @@ from memsgyro_jax.measurement.readings import Readings, model_of, readings_of
 from .drives import FAR, stages, up
 from .fit_table import fit_table
 from .fitted import ParameterEstimate, RecordError, errors_figure
-from .instrument import knowledge
+from .instrument import beside_case_of, knowledge
 from .joint_residual import Joint
+from .modes import mode_estimates
 from .optimum import Optimum, optimise
 from .parameters import Parameter
 from .resolved import sharpened
@@ -166,6 +167,11 @@ class CaseFit(Tabular):
             for i, std in zip(self.optimum.free, self.optimum.std, strict=True)
         )
 
+    @cached_property
+    def modes(self) -> tuple[ParameterEstimate, ...]:
+        """Resonance frequency [Hz] and quality factor of each mode of the base device."""
+        return mode_estimates(self.optimum, self.model.axes)
+
     @property
     def null_directions(self) -> tuple[str, ...]:
         """Combinations of parameters that the records do not hold, by name."""
@@ -219,7 +225,7 @@ class CaseFit(Tabular):
             f"  {e.name:<{width}}  {e.role:<10}  {e.rms:10.4g} × noise{'' if e.explained else '  not explained'}"
             for e in self.errors
         ]
-        lines += [f"  {estimate}" for estimate in self.estimates]
+        lines += [f"  {estimate}" for estimate in (*self.modes, *self.estimates)]
         return "\n".join(lines)
 
 
@@ -242,6 +248,8 @@ def fit(
     parameter.
     """
     whole = model if isinstance(model, Model) or model is None else model_of(case, model)
+    if whole is not None:
+        whole = beside_case_of(case, whole)
     return fit_case(case, effects, model=whole, fixed=fixed)
 
 

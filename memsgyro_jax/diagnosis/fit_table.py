@@ -53,6 +53,25 @@ def parameters_table(fit: Any) -> dict[str, tuple]:
     return {"parameter" if name == "name" else f"parameter_{name}": column for name, column in held.items()}
 
 
+def effects_table(found: Any) -> dict[str, tuple]:
+    """Accepted effects and terms of the instrument over `effect`, a row for each component of a strength."""
+    every = [(a, k) for a in (*found.accepted, *found.instrument) for k in range(len(a.estimate))]
+    parts = [f"{a.label}[{k}]" if len(a.estimate) > 1 else a.label for a, k in every]
+    out = columns_of("effect", [a for a, _ in every], p_value="1", error_before="1", error_after="1")
+    return {f"effect_{name}": held for name, held in out.items()} | {
+        "effect": ("effect", parts, None),
+        "estimate": ("effect", [a.estimate[k] for a, k in every], None, "strength"),
+        "estimate_std": (
+            "effect",
+            [found.scale * a.std[k] for a, k in every],
+            None,
+            "standard deviation of the strength",
+        ),
+        "effect_unit": ("effect", [a.unit for a, _ in every], None),
+        "of_instrument": ("effect", [a in found.instrument for a, _ in every], "1", "whether it is the instrument's"),
+    }
+
+
 class _Columns:
     """Columns of a record, one entry for each real reading."""
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from memsgyro_jax.base.axes import axes
+from memsgyro_jax.base.text import beside
 from memsgyro_jax.measurement.least_squares import gate
 
 
@@ -80,7 +81,8 @@ class ParameterEstimate:
     def __str__(self) -> str:
         if np.isinf(self.std):
             return f"{self.name:<24} not determined by these records"
-        return f"{self.name:<24} {self.value: .6g} ± {self.std:.2g} {self.unit}{with_calibration(self.calibration)}"
+        told = f"{beside(self.value, self.std):>7} ± {self.std:.2g} {self.unit}"
+        return f"{self.name:<24} {told}{with_calibration(self.calibration)}"
 
     def to_dict(self) -> dict[str, Any]:
         """The entry of a JSON file."""

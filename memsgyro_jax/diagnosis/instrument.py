@@ -12,7 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from memsgyro_jax.effects import TERMS, InstrumentTerm
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.effects import BY_RECORD, TERMS, Effect, InstrumentTerm
 from memsgyro_jax.effects.instrument import (
     DampingDrift,
     DriveLevel,
@@ -31,6 +32,7 @@ from memsgyro_jax.effects.lock_in_terms import (
     UnsettledRows,
 )
 from memsgyro_jax.measurement.case import AbstractRecord, Case
+from memsgyro_jax.measurement.declared import QUANTITIES
 from memsgyro_jax.measurement.experiments import Readings
 from memsgyro_jax.measurement.experiments.base import Experiment, RealNoise
 from memsgyro_jax.measurement.model import Model
@@ -75,9 +77,9 @@ def instrument_terms(case: Case) -> tuple[InstrumentTerm, ...]:
         (UnsettledRows, groups.hasty, {}),
         (LockInTime, groups.unsettled, {}),
         (LockInMemory, _together(groups.swept), {}),
-        (LockInMemory, groups.swept if len(groups.swept) > 1 else [], {"of": "by record"}),
+        (LockInMemory, groups.swept if len(groups.swept) > 1 else [], {"of": BY_RECORD}),
         (ReferencePhase, every, {}),
-        (ReferencePhase, several, {"of": "by record"}),
+        (ReferencePhase, several, {"of": BY_RECORD}),
         (DriveLevel, groups.levels[1:], {}),
         (RecordGain, groups.records[1:], {}),
         (FrequencyOffset, groups.sweeps[1:], {}),
@@ -88,6 +90,34 @@ def instrument_terms(case: Case) -> tuple[InstrumentTerm, ...]:
         both = np.zeros(2 * case.channels)
         terms += [LockInBackground(both), LockInFeedthrough(both)]
     return tuple(sorted(terms, key=lambda term: TERMS.index(type(term))))
+
+
+def beside_case_of(case: Case, model: Model) -> Model:
+    """The model, each of whose terms of the instrument says which rows of the case take which of its numbers.
+
+    **Raises:** `InputError` where the case cannot hold such a term, has other groups of rows for it, or reads another
+    quantity.
+    """
+    if model.order != case.readout.order:
+        theirs, ours = (QUANTITIES[order] for order in (model.order, case.readout.order))
+        raise InputError(
+            f"Model: its read-out shows {theirs}, that of the case {case.name} {ours}; they must show the same."
+        )
+    offered = {term.label: term for term in instrument_terms(case)}
+
+    def placed(effect: Effect) -> Effect:
+        if not isinstance(effect, TERMS):
+            return effect
+        mine = offered.get(effect.label)
+        if mine is None or mine.strength.shape != effect.strength.shape:
+            has = "has no rows for it" if mine is None else f"has {mine.strength.size}"
+            raise InputError(
+                f"Model: its `{effect.label}` of the instrument, with {effect.strength.size} numbers, must be of the "
+                f"case {case.name}, which {has}: leave it out of the model file, or fit this case."
+            )
+        return eqx.tree_at(lambda term: term.strength, mine, effect.strength)
+
+    return model.with_only(placed(effect) for effect in model.effects)
 
 
 Place = tuple[int, int]  # record, and single sweep within it

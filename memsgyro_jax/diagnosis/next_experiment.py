@@ -33,6 +33,8 @@ NOTHING = " from nothing"
 UNKNOWN = "not computed: the model does not follow it"
 SETTLES, STILL = 4, 0.1  # steps towards what a model records, and standard deviations that it may still be off
 CLEARLY = 100.0  # times what rounding leaves of an effect that the records cannot show
+OTHER = 1e-6  # of the largest sensitivity: below it a row says what the records say
+FEW_ROWS = 0.02  # of the readings
 MANY = 3  # labels that a sentence lists
 
 
@@ -217,8 +219,10 @@ def _shown(search: Search, ranking: Ranking) -> Callable[[Proposal], Prospect]:
     whole = {i: places[i].sum() == joint.of_effect(ranking.places[i]).size for i in places}
     labels = {i: joint.model.effects[ranking.places[i]].label for i in places if whole[i]}
     units, rounding = np.eye(joint.start.size)[columns], np.zeros(columns.size)
+    imitated = np.zeros((rest, columns.size))
     if blind:
-        rounding = _news(_finite(_here(search, columns)), known)
+        slopes_here = _finite(_here(search, columns))
+        rounding, imitated = _news(slopes_here, known), _imitation(slopes_here, known)
 
     def weigh(plan: Proposal) -> Prospect:
         if seen and any(plan.readings.experiment is r.experiment for r in joint.fitted):  # twice the same tells twice
@@ -229,6 +233,7 @@ def _shown(search: Search, ranking: Ranking) -> Callable[[Proposal], Prospect]:
             return Prospect(plan.text, UNKNOWN, np.nan)
         slopes = _finite(joint.linearise(here, units, [planned])[1])
         clear = _news(slopes, slopes[:, :rest]) > CLEARLY * rounding
+        clear &= _share_of_rows(slopes, slopes[:, :rest] @ imitated) > FEW_ROWS
         new = [labels[i] for i in blind if i in labels and clear[places[i]].any()]
         q, gains = basis(np.concatenate([known, slopes[:, :rest]])), [(0.0, "")]
         for i in (i for i in seen if i in labels):
@@ -257,6 +262,21 @@ def _news(slopes: np.ndarray, free: np.ndarray) -> np.ndarray:
     q = basis(free)
     news = np.linalg.norm(slopes - q @ (q.T @ slopes), axis=0)
     return np.where(news > np.sqrt(RELATIVE) * np.linalg.norm(slopes, axis=0), news, 0.0)
+
+
+def _imitation(slopes: np.ndarray, free: np.ndarray) -> np.ndarray:
+    """Coefficients (f, k) with which the columns of what is free (r, f) come nearest to each sensitivity (r, k)."""
+    size = np.linalg.norm(free, axis=0)
+    size = np.where(size > 0, size, 1.0)
+    return np.linalg.lstsq(free / size, slopes)[0] / size[:, None]
+
+
+def _share_of_rows(slopes: np.ndarray, imitated: np.ndarray) -> np.ndarray:
+    """(k,) in how many of the readings, as a share, a sensitivity (r, k) is other than what imitates it in the records:
+    a row beside a fall from branch to branch, whose prediction is steep or unsettled, shows nothing that others do not.
+    """
+    other = np.abs(slopes - imitated) > OTHER * np.abs(slopes).max(axis=0, initial=0.0)
+    return other.mean(axis=0)
 
 
 def _shows(new: Sequence[str]) -> str:

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import special
 
+from memsgyro_jax.base.text import beside
 from memsgyro_jax.effects import TERMS, Effect, InstrumentTerm, Scanned
 from memsgyro_jax.measurement.least_squares import gate
 
@@ -114,8 +115,9 @@ def of_instrument(terms: Sequence[Accepted], rival: str, levels: int) -> str:
 
 
 def _numbers_of(term: Accepted) -> str:
-    held = [f"{e:.4g} ± {s:.2g}" for e, s in zip(term.estimate, term.std, strict=True) if abs(e) > 1e-6 * s]
-    return f"{term.label} {', '.join(held)} {term.unit}".removesuffix(" 1")
+    held = [f"{beside(e, s, 4)} ± {s:.2g}" for e, s in zip(term.estimate, term.std, strict=True) if abs(e) > 1e-6 * s]
+    turned = f" ({np.degrees(term.estimate[0]):.4g}°)" if term.unit == "rad" and len(term.estimate) == 1 else ""
+    return f"{term.label} {', '.join(held)} {term.unit}".removesuffix(" 1") + turned
 
 
 def instrument_alone(search: Search, first: Ranking, best: tuple[str, Optimum] | None) -> Search | None:

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.least_squares import gate
 from memsgyro_jax.measurement.outliers import lone_residuals
 from memsgyro_jax.measurement.readings import Readings
@@ -43,6 +44,14 @@ def outlying(fit: CaseFit) -> Rows:
         if 0 < len(found) <= FEW_ROWS * record.rows:
             out[deviation.number] = tuple(sorted(found))
     return out
+
+
+def of_rows(case: Case, left_out: Rows) -> str:
+    """Rows by number, from one, of each record."""
+    return "; ".join(
+        f"row{'s' * (len(rows) > 1)} {', '.join(str(row + 1) for row in rows)} of {case.records[number].name}"
+        for number, rows in left_out.items()
+    )
 
 
 def search_beside_outlying(

@@ -10,6 +10,7 @@ from memsgyro_jax.base.files import finite, json_text
 from memsgyro_jax.base.joint_normal import JointNormal
 from memsgyro_jax.base.labelled import Labelled, columns_of, labelled
 from memsgyro_jax.base.provenance import versions
+from memsgyro_jax.base.text import beside
 from memsgyro_jax.device.gyro import SingleMassGyro
 from memsgyro_jax.device.resonator import Resonator
 from memsgyro_jax.measurement.case import Case
@@ -17,8 +18,8 @@ from memsgyro_jax.measurement.model import Model
 
 from .compare import judged
 from .fit import CaseFit
-from .fit_table import errors_table, parameters_table, readings_table
-from .fitted import errors_figure, with_calibration
+from .fit_table import effects_table, errors_table, parameters_table, readings_table
+from .fitted import ParameterEstimate, errors_figure, with_calibration
 
 
 if TYPE_CHECKING:
@@ -142,6 +143,8 @@ class Diagnosis(Labelled):
         instrument: terms of the instrument that the records need, beside which everything else is judged.
         scale: factor of all standard deviations of effects: above one where the model leaves more than noise.
         outlying: rows of records, from zero, that stand alone and were left out.
+        from_lowest: whether the base model is that of the lowest drive, as the device bends over at higher ones; then
+            `first` holds what was followed up to the highest.
         noise: of records whose noise is not as declared and explains what is left, how it differs.
     """
 
@@ -164,11 +167,12 @@ class Diagnosis(Labelled):
     outlying: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     next_experiments: tuple[Prospect, ...] = ()
     noise: Mapping[str, str] = field(default_factory=dict)
+    from_lowest: bool = False
 
     @property
     def model(self) -> Model:
-        """The final model with the effects it was given and those accepted."""
-        whole, labels = self.final.model, {*self.given, *(a.label for a in self.accepted)}
+        """The final model with the effects it was given, those accepted and what the instrument does."""
+        whole, labels = self.final.model, {*self.given, *(a.label for a in (*self.accepted, *self.instrument))}
         return whole.with_only(effect for effect in whole.effects if effect.label in labels)
 
     @property
@@ -181,14 +185,23 @@ class Diagnosis(Labelled):
         """Numbers of `device` that were fitted, by their paths there, with their joint uncertainty."""
         return self.final.uncertainty
 
+    @property
+    def modes(self) -> tuple[ParameterEstimate, ...]:
+        """Resonance frequency [Hz] and quality factor of each mode of the final base device."""
+        return tuple(replace(mode, std=self.scale * mode.std) for mode in self.final.modes)
+
     def __str__(self) -> str:
         lines = [f"{self.case.name}: {self.verdict.replace('_', ' ')}", self.sentence, ""]
         lines += map(_line, self.steps)
+        lines += [
+            "  (the base model is fitted to the lowest drive: the resonance bends with the drive)"
+        ] * self.from_lowest
+        lines += [f"  {m.name}: {beside(m.value, m.std)} ± {m.std:.2g} {m.unit}".removesuffix(" 1") for m in self.modes]
         for a in (*self.instrument, *self.accepted):
-            value = ", ".join(f"{e:.5g} ± {s:.2g}" for e, s in zip(a.estimate, a.std, strict=True))
-            more = "".join(f", {name} {v:.6g} ± {s:.2g} {unit}" for name, (v, s, unit) in a.numbers.items())
+            value = ", ".join(f"{beside(e, s)} ± {s:.2g}" for e, s in zip(a.estimate, a.std, strict=True))
+            more = "".join(f", {name} {beside(v, s)} ± {s:.2g} {unit}" for name, (v, s, unit) in a.numbers.items())
             lines.append(f"  {a.label}: {value} {a.unit}{with_calibration(a.calibration)}{more}" + _confused(a))
-        if self.accepted and self.scale > 1.0:
+        if self.scale > 1.0:
             lines.append(f"  (standard deviations times {self.scale:.3g}, as the model leaves more than the noise)")
         if self.tried:
             lines += ["", "  tried, and not enough", *map(_line, self.tried)]
@@ -228,8 +241,10 @@ class Diagnosis(Labelled):
             "residual": {e.name: e.rms for e in self.final.errors if not (e.explained or e.name in self.noise)},
             "steps": [asdict(s) for s in self.steps],
             "tried": [asdict(s) for s in self.tried],
+            "modes": [mode.to_dict() for mode in self.modes],
             "std_scale": self.scale,
             "outlying": {name: list(rows) for name, rows in self.outlying.items()},
+            "base_of_lowest_drive": self.from_lowest,
             "versions": dict(versions()),
         }
         return finite(entries)
@@ -246,7 +261,7 @@ class Diagnosis(Labelled):
             **readings,
             **errors_table(fits),
             **parameters_table(self.final),
-            **_effects_table(self),
+            **effects_table(self),
             **{f"candidate_{name}": held for name, held in tried.items()},
             "candidate": ("candidate", [c.label for c in self.candidates], None),
             "step": ("step", [s.added or "base model" for s in self.steps], None),
@@ -278,25 +293,6 @@ def unfinished(fit: CaseFit, stages: Sequence[Stage]) -> dict:
         "versions": dict(versions()),
     }
     return finite(entries)
-
-
-def _effects_table(found: "Diagnosis") -> dict[str, tuple]:
-    """Accepted effects and terms of the instrument over `effect`, a row for each component of a strength."""
-    every = [(a, k) for a in (*found.accepted, *found.instrument) for k in range(len(a.estimate))]
-    parts = [f"{a.label}[{k}]" if len(a.estimate) > 1 else a.label for a, k in every]
-    out = columns_of("effect", [a for a, _ in every], p_value="1", error_before="1", error_after="1")
-    return {f"effect_{name}": held for name, held in out.items()} | {
-        "effect": ("effect", parts, None),
-        "estimate": ("effect", [a.estimate[k] for a, k in every], None, "strength"),
-        "estimate_std": (
-            "effect",
-            [found.scale * a.std[k] for a, k in every],
-            None,
-            "standard deviation of the strength",
-        ),
-        "effect_unit": ("effect", [a.unit for a, _ in every], None),
-        "of_instrument": ("effect", [a in found.instrument for a, _ in every], "1", "whether it is the instrument's"),
-    }
 
 
 def validation_error(fit: CaseFit) -> float:

@@ -38,6 +38,7 @@ from .electrical_feedthrough import ElectricalFeedthrough as ElectricalFeedthrou
 from .electrostatic_softening import ElectrostaticSoftening as ElectrostaticSoftening
 from .finite_sweep_rate import FiniteSweepRate as FiniteSweepRate
 from .force_misalignment import ForceMisalignment as ForceMisalignment
+from .instrument import BY_RECORD as BY_RECORD
 from .instrument import InstrumentTerm as InstrumentTerm
 from .lock_in_terms import TERMS as TERMS
 from .numbers import EffectNumber as EffectNumber

@@ -18,6 +18,9 @@ from memsgyro_jax.base.fields import AbstractVar
 from .base import DriveEffect, Effect, ForceEffect, LockInRow, Moment, ReadoutEffect, strength
 
 
+BY_RECORD = "by record"  # of a term that each record has for itself
+
+
 class SeenRows(NamedTuple):
     """What rows show and how it moves with the device, in numbers: enough to say what a term does to first order.
 

@@ -85,16 +85,16 @@ class EffectSection(FileSection):
         return to_si(np.asarray(given, float), unit, effect.unit, "the strength")
 
 
-def entries_of_effect(effect: Effect) -> dict[str, Any]:
-    """The table that `EffectSection` reads back, numbers in SI with every digit.
+def entries_of_effect(effect: Effect, *, settings: bool = True) -> dict[str, Any]:
+    """The table that `EffectSection` reads back, in SI with every digit; its settings too, or its strength alone.
 
     **Raises:** `InputError` where a number is not finite.
     """
-    settings = {name: written(getattr(effect, name), name) for name in settings_of(effect)}
+    held = {name: written(getattr(effect, name), name) for name in settings_of(effect) * settings}
     strength = written(effect.strength, effect.label)
     unit = effect.unit if effect.unit != "1" else None
     return EffectSection(
-        name=effect.name, where=effect.where, strength=strength, unit=unit, settings=settings
+        name=effect.name, where=effect.where, strength=strength, unit=unit, settings=held
     ).model_dump()  # fmt: skip
 
 

@@ -57,6 +57,14 @@ def unit_of_records(declared: Declared, unit: str) -> str:
     return re.sub(r"[A-Za-z]+", lambda word: told.get(word[0], word[0]), unit)
 
 
+def units_of_records(declared: Declared) -> str:
+    """A line on what m and N stand for in numbers of a case that does not say its records in them; else empty."""
+    length, force = declared.words.displacement, declared.words.force
+    if (length, force) == ("m", "N"):
+        return ""
+    return f"lengths are in {length} and forces in {force}, as the records are: m stands for {length}, N for {force}"
+
+
 def _bracketed(unit: str) -> str:
     return f"({unit})" if re.search("[/·]", unit) else unit
 

@@ -29,6 +29,7 @@ from .tracking import rough_decay
 
 
 NO_LEVEL = "the drive is 1 V, as the file does not say (`--drive`)"
+PEAK = "amplitudes of the readings are peak values, as those of the drive are (`Vrms` in a header says otherwise)"
 _SILENT = 0.01  # of the largest drive: nothing
 _QUIET_SHARE = 0.15  # of the rows at the end without drive: a free decay
 _FEWEST = 50  # rows of a record over time
@@ -121,6 +122,8 @@ def _sweep(about: dict, table: SourceTable, rows: dict[str, SourceColumn], given
         parts = {"Vx_amp": rows["amp"]} | ({"Vx_phase": rows["phase"]} if "phase" in rows else {})
     for name, column in parts.items():
         columns[name] = angle_column(column, assumed) if name == "Vx_phase" else reading_column(column, assumed)
+    if not any("peak amplitude" in sentence for sentence in assumed):
+        assumed.append(PEAK)
     quantity = _conventions(columns, table, assumed)
     keys: dict[str, Any] = {"settled": "t" not in columns}
     assumed.append(

@@ -1,11 +1,13 @@
-"""A fitted model as a TOML file: base device per mass, read-out, reference conditions, and effects by name.
+"""A fitted model as a TOML file: base device per mass, read-out, reference conditions, effects by name, and what the
+instrument does to the records.
 
 Numbers are written with all their digits, so that reading gives back the very same model.
 """
 
+import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
@@ -19,10 +21,10 @@ from memsgyro_jax.base.quantity import FileSection, Number
 from memsgyro_jax.base.toml import checked, read_toml, toml_table
 from memsgyro_jax.base.units import to_si
 from memsgyro_jax.device.normalised import NormalisedDevice
-from memsgyro_jax.effects import Effect, every_effect
+from memsgyro_jax.effects import BY_RECORD, TERMS, Effect, every_effect
 from memsgyro_jax.effects.section import EffectSection, entries_of_effect, written
 
-from .declared import check_temperature
+from .declared import QUANTITIES, check_temperature
 from .model import Model
 
 
@@ -51,6 +53,7 @@ class _Device(FileSection):
 
 
 class _Readout(FileSection):
+    quantity: Literal["displacement", "velocity", "acceleration"] = "displacement"
     scale: list[Number]
     offset: list[Number]
 
@@ -66,17 +69,23 @@ class _File(FileSection):
     readout: _Readout
     reference: _Reference
     effects: list[EffectSection] = Field(default_factory=list)
+    instrument: list[EffectSection] = Field(default_factory=list)
 
 
-def write_model(model: Model, path: str | Path) -> Path:
+def write_model(model: Model, path: str | Path, *, note: str = "") -> Path:
     """Write a model whole or not at all; effects of strength zero are absent and left out.
+
+    Args:
+        model: its terms of an instrument are written without the rows that they belong to, which a case tells.
+        path: of the file.
+        note: a comment at its head.
 
     **Raises:** `InputError` where a number is not finite.
     """
-    return write_whole(path, model_text(model))
+    return write_whole(path, model_text(model, note=note))
 
 
-def model_text(model: Model) -> str:
+def model_text(model: Model, *, note: str = "") -> str:
     """The text of a model file."""
     device, pairs = model.device, _PAIRS[model.axes]
     matrices = {
@@ -89,17 +98,26 @@ def model_text(model: Model) -> str:
         ("bias_voltage", model.reference_bias, "V"),
     )
     mobility, *reference = ({name: {"value": written(value, name), "unit": unit}} for name, value, unit in scalars)
+    quantity = {"quantity": QUANTITIES[model.order]} if model.order else {}
+    readout: dict[str, Any] = quantity | {name: written(getattr(model, name), name) for name in ("scale", "offset")}
     sections = [
         toml_table("device", matrices | mobility),
-        toml_table("readout", {name: written(getattr(model, name), name) for name in ("scale", "offset")}),
+        toml_table("readout", readout),
         toml_table("reference", reference[0] | reference[1]),
-        *(toml_table("[effects]", entries_of_effect(effect)) for effect in model.present.effects),
+        *(toml_table("[effects]", entries_of_effect(e)) for e in model.present.effects if not e.of_instrument),
+        *(toml_table("[instrument]", entries_of_effect(e, settings=False)) for e in _terms(model.present)),
     ]
-    return "\n".join([f'schema = "{SCHEMA}"\n', *sections])
+    head = "".join(f"# {line}\n" for line in note.splitlines())
+    return "\n".join([f'{head}schema = "{SCHEMA}"\n', *sections])
+
+
+def _terms(model: Model) -> list[Effect]:
+    return [effect for effect in model.effects if effect.of_instrument]
 
 
 def read_model(path: str | Path, own: Sequence[Effect] = ()) -> Model:
-    """A model from its file.
+    """A model from its file. What the instrument does is beside its effects, for `compare`, `diagnose` and `fit`, which
+    see from a case which rows it belongs to.
 
     Args:
         path: as `write_model` writes it; strengths may be in any unit of the same kind.
@@ -146,6 +164,9 @@ def _model(file: _File, source: Source, own: Sequence[Effect]) -> Model:
     for number, entry in enumerate(file.effects):
         with source.section("effects", number, "name"):
             effects.append(entry.build(known))
+    for number, entry in enumerate(file.instrument):
+        with source.section("instrument", number, "name"):
+            effects.append(entry.build(_every_term(entry)))
     return Model(
         NormalisedDevice(matrices["stiffness"], matrices["damping"], mobility),
         scale=jnp.asarray(file.readout.scale, float),
@@ -153,7 +174,15 @@ def _model(file: _File, source: Source, own: Sequence[Effect]) -> Model:
         effects=tuple(effects),
         reference_temperature=temperature,
         reference_bias=bias,
+        order=QUANTITIES.index(file.readout.quantity),
     )
+
+
+def _every_term(entry: EffectSection) -> list[Effect]:
+    """Every term of an instrument at zero, of as many numbers as an entry gives."""
+    size = len(entry.strength) if isinstance(entry.strength, list) else 1
+    ways = {kind: [{"of": BY_RECORD}] for kind in TERMS if "of" in {f.name for f in dataclasses.fields(kind)}}
+    return [kind(np.zeros(size), np.zeros((1, 1, size)), **way) for kind in TERMS for way in ({}, *ways.get(kind, []))]
 
 
 def _check_size(name: str, values: np.typing.ArrayLike, unit: str) -> None:

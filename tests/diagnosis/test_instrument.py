@@ -9,9 +9,11 @@ from bench_case import ONE_AXIS, RESONATOR, bench
 from lab.die import Hidden
 from lab.faults import Faults
 
+from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.diagnosis.acceptance import _impossible
+from memsgyro_jax.diagnosis.compare import compare
 from memsgyro_jax.diagnosis.diagnose import diagnose
-from memsgyro_jax.diagnosis.fit import beside_case
+from memsgyro_jax.diagnosis.fit import beside_case, fit_case
 from memsgyro_jax.diagnosis.instrument import instrument_terms, knowledge
 from memsgyro_jax.diagnosis.joint_residual import Joint
 from memsgyro_jax.diagnosis.nuisances import _with_terms, add_terms, beside_terms
@@ -20,8 +22,11 @@ from memsgyro_jax.diagnosis.promise import offers_of
 from memsgyro_jax.diagnosis.scans import coverage
 from memsgyro_jax.diagnosis.search import Search, start_search
 from memsgyro_jax.effects import TERMS, FiniteSweepRate
+from memsgyro_jax.effects.lock_in_terms import ReferencePhase
 from memsgyro_jax.effects.trial import complaint
 from memsgyro_jax.measurement.linear_start import starting_device
+from memsgyro_jax.measurement.model import Model
+from memsgyro_jax.measurement.model_file import read_model, write_model
 from memsgyro_jax.measurement.readings import model_of, readings_of
 
 
@@ -124,6 +129,20 @@ def test_what_the_instrument_does_is_there_once_where_more_of_it_is_found():
     assert [effect.label for effect in search.joint.model.effects] == ["reference_phase", "drive_level"]
     assert [r.experiment.name for r in search.joint.readings if np.all(r.record < 0)] == ["drive_level"]
     assert search.optimum.chi2 / search.optimum.dof < 1.7
+
+
+def test_a_model_that_was_found_explains_its_case_from_its_file(tmp_path):
+    """With what the instrument does; beside a case with other rows it is refused."""
+    case = case_of(phase=0.026)
+    (term,) = [t for t in instrument_terms(case) if t.label == "reference_phase"]
+    found = fit_case(case, [term])
+    again = read_model(write_model(found.model, tmp_path / "m.toml"))
+    assert compare(again, case, fitted=False).fit.optimum.chi2 == pytest.approx(found.optimum.chi2, rel=1e-9)
+    several = ReferencePhase(np.ones(3), np.ones((1, 1, 3)))
+    with pytest.raises(InputError, match=r"reference_phase.*with 3 numbers.*has 1"):
+        compare(again.with_only([several]), case, fitted=False)
+    with pytest.raises(InputError, match=r"shows velocity, that of the case .* displacement"):
+        compare(Model(found.model.device, order=1), case, fitted=False)
 
 
 @pytest.mark.parametrize("settled", [True, slow(False)])

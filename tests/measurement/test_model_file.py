@@ -8,7 +8,17 @@ import pytest
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.normalised import NormalisedDevice
 from memsgyro_jax.device.resonator import Resonator
-from memsgyro_jax.effects import CubicStiffness, ParasiticMode, RateBiasDrift, ReadoutDelay, catalogue, load_effects
+from memsgyro_jax.effects import (
+    BY_RECORD,
+    CubicStiffness,
+    ParasiticMode,
+    RateBiasDrift,
+    ReadoutDelay,
+    catalogue,
+    load_effects,
+)  # fmt: skip
+from memsgyro_jax.effects.instrument import FrequencyDrift
+from memsgyro_jax.effects.lock_in_terms import LockInFeedthrough, ReferencePhase
 from memsgyro_jax.measurement.model import Model
 from memsgyro_jax.measurement.model_file import model_text, read_model, write_model
 
@@ -160,3 +170,28 @@ def test_a_resonator_is_held_and_slowed(tmp_path):
         (tmp_path / "m.toml").write_text(text.replace(old, "xx = 0.0"))
         with pytest.raises(InputError, match=r"m\.toml: line \d+, `device\.(stiffness|damping)`: .* positive"):
             read_model(tmp_path / "m.toml")
+
+
+def test_what_the_instrument_does_comes_back_without_the_rows_it_belongs_to(tmp_path):
+    """Its numbers are the file's; which rows take them, a case tells."""
+    terms = (
+        LockInFeedthrough(strength=[1e-3, -7e-4], entry=np.ones((3, 2, 2))),
+        ReferencePhase(strength=[0.1, 0.2], entry=np.ones((3, 1, 2)), of=BY_RECORD),
+        FrequencyDrift(strength=[1e-6], entry=np.ones((1, 1, 1)), begin=[0.0], span=[5.0]),
+    )
+    before = Model(Resonator(400.0, 20.0, 1.5), effects=(CubicStiffness(strength=1e3), *terms), order=1)
+    path = write_model(before, tmp_path / "m.toml", note="of one case")
+    after = read_model(path)
+    assert path.read_text().startswith("# of one case\n")
+    assert after.order == 1
+    assert [e.label for e in after.effects] == [e.label for e in before.effects]
+    for theirs, mine in zip(after.effects, before.effects, strict=True):
+        np.testing.assert_array_equal(theirs.strength, mine.strength)
+    assert [type(e) for e in after.physical().effects] == [CubicStiffness]
+
+
+def test_a_term_of_the_instrument_that_is_not_known(tmp_path):
+    text = model_text(Model(Resonator(400.0, 20.0, 1.5), effects=(ReferencePhase(strength=[0.1]),)))
+    (tmp_path / "m.toml").write_text(text.replace("reference_phase", "reference_face"))
+    with pytest.raises(InputError, match=r"m\.toml: line \d+.*reference_face"):
+        read_model(tmp_path / "m.toml")

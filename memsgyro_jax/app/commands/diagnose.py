@@ -71,6 +71,7 @@ def diagnose_command(
     from memsgyro_jax.diagnosis.diagnose import diagnose
     from memsgyro_jax.diagnosis.result import unfinished
     from memsgyro_jax.effects import load_effects
+    from memsgyro_jax.measurement.calibration import units_of_records
     from memsgyro_jax.measurement.model_file import model_text
     from memsgyro_jax.measurement.user_kinds import load_kinds
 
@@ -87,9 +88,8 @@ def diagnose_command(
     def keep(fit: "CaseFit", stages: "Sequence[Stage]") -> None:
         so_far.best = fit, stages
         if out is not None:
-            model = fit.model.present
-            bare = model.with_only(effect for effect in model.effects if not effect.of_instrument)
-            write_whole(out, "# unfinished: the best model so far\n" + model_text(bare))
+            note = "unfinished: the best model so far\n" + units_of_records(measured)
+            write_whole(out, model_text(fit.model, note=note))
         if json is not None:
             write_whole(json, json_text(unfinished(fit, stages)) + "\n")
 
@@ -98,7 +98,7 @@ def diagnose_command(
         found = diagnose(start, measured, effects=own, level=level, tell=so_far.heard(tell), keep=keep)
     texts: list[tuple[Path, str]] = []
     if out is not None:
-        texts.append((out, model_text(found.model)))
+        texts.append((out, model_text(found.model, note=units_of_records(measured))))
     if json is not None:
         texts.append((json, json_text(found.to_dict()) + "\n"))
     if report is not None:

@@ -35,6 +35,7 @@ def fit_command(
     from memsgyro_jax.diagnosis.fit import fit_case
     from memsgyro_jax.diagnosis.instrument import instrument_terms
     from memsgyro_jax.effects import catalogue, load_effects
+    from memsgyro_jax.measurement.calibration import units_of_records
     from memsgyro_jax.measurement.model_file import write_model
     from memsgyro_jax.measurement.user_kinds import load_kinds
 
@@ -53,7 +54,7 @@ def fit_command(
         after = fit_case(measured, [placed_by_scan(effect, before) for effect in chosen])
     print(fit_text(before, after))
     if out is not None:
-        write_model(after.model.with_only(e for e in after.model.effects if not e.of_instrument), out)
+        write_model(after.model, out, note=units_of_records(measured))
         print(f"{out} is the fitted device, for `compare --model` and for the section [device] of a study")
     if json is not None:
         write_json(json, fit_entries(before, after))

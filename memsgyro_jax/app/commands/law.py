@@ -44,6 +44,7 @@ def law_command(
     from memsgyro_jax.diagnosis.fit import fit_case
     from memsgyro_jax.diagnosis.law import draw_law
     from memsgyro_jax.diagnosis.law_fit import fit_law, with_even_part, with_held_terms
+    from memsgyro_jax.measurement.calibration import units_of_records
     from memsgyro_jax.measurement.model_file import write_model
     from memsgyro_jax.measurement.user_kinds import load_kinds
 
@@ -77,7 +78,7 @@ def law_command(
     if after is not before and edited is None:
         print(f"{file} is the law; edit it, then: memsgyro law {case} --edited {file}")
     if model is not None:
-        write_model(after.model, model)
+        write_model(after.model, model, note=units_of_records(measured))
     if report is not None:
         from ..report.law_page import law_page
 

@@ -1,6 +1,7 @@
 """Pictures of a diagnosis. No text of a case enters them: names stand in captions, which the page escapes."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
@@ -8,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FormatStrFormatter, LogLocator, MaxNLocator, NullFormatter
 
+from memsgyro_jax.base.text import spoken
 from memsgyro_jax.diagnosis.result import Stage
 from memsgyro_jax.measurement.experiments import AbstractRecord, Deviation
 from memsgyro_jax.measurement.experiments.deviation import View
@@ -17,6 +19,7 @@ from .figures import blank, plain
 
 MEASURED, BASE, FINAL, QUIET = "#1d2530", "#c2571a", "#1f5fa8", "#8a94a0"
 _POINTS = 250  # of a long record in a picture
+_SEVERAL = 1.1  # times the least drive: from there on there are several
 
 
 def steps_figure(steps: Sequence[Stage]) -> Figure:
@@ -59,6 +62,33 @@ def overlay_figure(record: AbstractRecord, base: Deviation, final: Deviation, vi
     grid[0, 0].set_ylabel(f"{'amplitude' if phasors else 'reading'} [{base.declared.readout.unit}]")
     grid[1, 0].set_ylabel("residual / noise")
     _keys(figure)
+    return faint(figure)
+
+
+def per_drive_figure(found: Sequence[tuple[Any, Deviation]], unit: str) -> Figure | None:
+    """Sweeps at several drives on one axis, each over its drive: what is linear falls on one curve; points are
+    measured, lines the model. `None` where there are no two drives.
+    """
+    curves = [
+        (float(np.mean(record.setting[rows])), record.frequency[rows] / (2 * np.pi), record.readings[rows, record.axis],
+         deviation.predicted[rows, record.axis])
+        for record, deviation in found if hasattr(record, "setting") for rows in record.courses
+    ]  # fmt: skip
+    levels = np.array([level for level, *_ in curves])
+    if not curves or levels.max() < _SEVERAL * levels.min():
+        return None
+    figure = blank(3.2)
+    ax, seen = figure.subplots(), set[str]()
+    for (level, hertz, measured, predicted), shade in zip(curves, colours(levels), strict=True):
+        label = spoken(level, unit, 3)
+        ax.plot(hertz, np.abs(measured) / level, ".", color=shade, ms=3.5, mew=0, label="_" * (label in seen) + label)
+        ax.plot(hertz, np.abs(predicted) / level, "-", color=shade, lw=0.9)
+        seen.add(label)
+    ax.ticklabel_format(axis="x", useOffset=False)
+    ax.xaxis.set_major_locator(MaxNLocator(5))
+    ax.set_xlabel("frequency [Hz]")
+    ax.set_ylabel("amplitude / drive")
+    ax.legend(frameon=False, fontsize="small", title="drive", markerscale=2.0)
     return faint(figure)
 
 

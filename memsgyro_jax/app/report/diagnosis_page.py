@@ -1,10 +1,12 @@
 """The page of a diagnosis: what is missing from the model, how much it helps, and what the records cannot tell."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from memsgyro_jax.base.text import beside, listed
 from memsgyro_jax.diagnosis.compare import as_times, judged
 from memsgyro_jax.diagnosis.found_force import LawOverWaveform, found_forces
 from memsgyro_jax.diagnosis.residual_force import beside_lowest_drive, rate_residuals, sweep_forces, time_forces
@@ -47,11 +49,18 @@ def diagnosis_page(diagnosis: Diagnosis) -> Page:
     _tried(out, diagnosis)
     _ranking(out, diagnosis)
     _blind(out, diagnosis)
+    held = [replace(p, std=diagnosis.scale * p.std) for p in diagnosis.final.estimates]
     out.section("Parameters of the final model")
     out.table(
         ["parameter", "value", "± 1 σ", "unit"],
-        [[p.name, f"{p.value:.7g}", f"{diagnosis.scale * p.std:.2g}", p.unit] for p in diagnosis.final.estimates],
+        [
+            [p.name, beside(p.value, p.std), f"{p.std:.2g}", p.unit]
+            for p in (*diagnosis.modes, *held)
+            if np.isfinite(p.std)
+        ],
     )
+    if loose := [p.name for p in held if not np.isfinite(p.std)]:
+        out.text(f"Not held by these records: {listed(loose)}.")
     out.text(f"Fit: {diagnosis.final.status}. Probability of a false alarm that was allowed: {diagnosis.level:g}.")
     return out
 
@@ -93,11 +102,12 @@ def _tried(out: Page, diagnosis: Diagnosis) -> None:
 def _effect(a: Accepted) -> list[str]:
     half = [1.96 * s for s in a.std]
     spans = (
-        f"{e - h:.4g} to {e + h:.4g}" if np.isfinite(h) else "not held" for e, h in zip(a.estimate, half, strict=True)
+        f"{beside(e - h, h, 4)} to {beside(e + h, h, 4)}" if np.isfinite(h) else "not held"
+        for e, h in zip(a.estimate, half, strict=True)
     )
     return [
         a.label,
-        ", ".join(f"{e:.4g}" for e in a.estimate),
+        ", ".join(beside(e, s, 4) for e, s in zip(a.estimate, a.std, strict=True)),
         "; ".join(spans),
         a.unit,
         as_times(a.error_before),
@@ -135,6 +145,10 @@ def _errors(out: Page, diagnosis: Diagnosis) -> None:
 
 def _records(out: Page, diagnosis: Diagnosis) -> None:
     out.section("Measured and predicted")
+    together = figures.per_drive_figure(diagnosis.final.deviations, diagnosis.case.words.force)
+    if together is not None:
+        out.figure(together, "All sweeps over their drive, points measured and lines the final model: what is linear "
+                   "falls on one curve.")  # fmt: skip
     for (record, base), (_, final) in zip(diagnosis.base.deviations, diagnosis.final.deviations, strict=True):
         overlay = record.overlay(base, final)
         if any(view.curves for view in overlay.views):
@@ -149,7 +163,9 @@ def _ranking(out: Page, diagnosis: Diagnosis) -> None:
     out.table(
         ["candidate beside the base model", "χ² it explains", "share of the misfit", "p-value", "own part"],
         [_candidate(c) for c in diagnosis.first if c.excited][:_BEST],
-        "Best first. The p-value takes all candidates into account; the own part is what no free parameter imitates.",
+        "Best first. The p-value takes all candidates into account; the own part is what no free parameter imitates."
+        + " Each was followed, refitted, from the lowest drive to the highest; the others bring less at the lowest."
+        * diagnosis.from_lowest,
     )
     left = [c for c in diagnosis.candidates if c.p_value <= diagnosis.level and c.excited][:_BEST]
     if left:
@@ -162,7 +178,8 @@ def _ranking(out: Page, diagnosis: Diagnosis) -> None:
 
 def _candidate(c: Candidate) -> list[str]:
     p = f"{c.p_value:.2g}" if c.p_value >= 1e-12 else "< 1e-12"
-    return [c.label, as_times(c.score), f"{100 * c.explained_share:.3g} %", p, f"{100 * c.kept_share:.3g} %"]
+    kept = f"{100 * c.kept_share:.3g} %" if np.isfinite(c.kept_share) else "–"
+    return [c.label, as_times(c.score), f"{100 * c.explained_share:.3g} %", p, kept]
 
 
 def _blind(out: Page, diagnosis: Diagnosis) -> None:

@@ -69,7 +69,7 @@ def fit_text(before: CaseFit, after: CaseFit) -> str:
     lines = [f"{after.case.name}: {after.status}; {chi2}", "rms of deviation over noise:", aligned([head, *rows])]
     lines += [comparison.verdict, *(f"  {failure}" for failure in comparison.failures), "Fitted:"]
     scale = after.scale
-    lines += [f"  {replace(estimate, std=scale * estimate.std)}" for estimate in after.estimates]
+    lines += [f"  {replace(estimate, std=scale * estimate.std)}" for estimate in (*after.modes, *after.estimates)]
     if scale > 1.0:
         lines.append(f"  (standard deviations times {scale:.3g}, as the model leaves more than the noise)")
     lines += [f"  {label}, held: {_listed(held)}" for label, held in _held(after).items()]

@@ -1,0 +1,49 @@
+"""Resonances and quality factors of a fitted device, and what the records leave unsure of them."""
+
+import numpy as np
+
+from .fitted import ParameterEstimate
+from .optimum import Optimum
+
+
+_SIDES = {1: ("",), 2: ("lower ", "upper ")}
+_STEP = 1e-3  # of a standard deviation, for differences
+_PAIRS = {1: 1, 2: 3}
+
+
+def mode_estimates(optimum: Optimum, axes: int) -> tuple[ParameterEstimate, ...]:
+    """Frequency [Hz] and quality factor of each undamped mode of the base device that a fit found, to first order in
+    the joint uncertainty of its numbers; the standard deviation is infinite where the records do not hold one of them.
+    """
+    held, size = optimum.information, 2 * _PAIRS[axes]
+    values = _modes(optimum.vector, axes)
+    variance = np.zeros_like(values)
+    moved = np.zeros_like(optimum.vector)
+    for column in np.asarray(held.root).T:
+        moved[optimum.free] = _STEP * column
+        variance += ((_modes(optimum.vector + moved, axes) - _modes(optimum.vector - moved, axes)) / (2 * _STEP)) ** 2
+    if np.any(np.asarray(held.loose) & (optimum.free < size)):
+        variance[:] = np.inf
+    names = [f"{side}{what}" for what in ("resonance frequency", "quality factor") for side in _SIDES[axes]]
+    units = ["Hz"] * axes + ["1"] * axes
+    return tuple(
+        ParameterEstimate(name, float(value), float(std), unit)
+        for name, value, std, unit in zip(names, values, np.sqrt(variance), units, strict=True)
+    )
+
+
+def _modes(vector: np.ndarray, axes: int) -> np.ndarray:
+    """Frequencies [Hz], then quality factors."""
+    stiffness, damping = (_matrix(part) for part in np.split(vector[: 2 * _PAIRS[axes]], 2))
+    squares, shapes = np.linalg.eigh(stiffness)
+    omega = np.sqrt(np.maximum(squares, 0.0))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        quality = omega / np.einsum("ai,ab,bi->i", shapes, damping, shapes)
+    return np.concatenate([omega / (2 * np.pi), quality])
+
+
+def _matrix(entries: np.ndarray) -> np.ndarray:
+    if entries.size == 1:
+        return entries[:, None]
+    xx, yy, xy = entries
+    return np.array([[xx, xy], [xy, yy]])

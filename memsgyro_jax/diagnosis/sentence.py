@@ -1,0 +1,39 @@
+"""What a diagnosis says in sentences."""
+
+from collections.abc import Mapping, Set
+
+from .fit import CaseFit
+from .result import Accepted, Verdict
+
+
+DRIFT = "frequency_drift"  # in time, which a lone decay may not tell from a law
+
+
+def sentence(verdict: Verdict, accepted: tuple[Accepted, ...], final: CaseFit, explained: list[bool]) -> str:
+    """What was found, and what is left where something is."""
+    names = ", ".join(a.label for a in accepted)
+    left = ", ".join(
+        f"{e.name} ({e.role}, {e.rms:.3g} × noise)" for e, fine in zip(final.errors, explained, strict=True) if not fine
+    )
+    return {
+        "nothing_missing": "The base model explains every record to its noise; no effect is missing.",
+        "instrument_only": "With what the instrument does, the base model explains every record to its noise; no "
+        "mechanical effect is missing.",
+        "found": f"Missing was {names}; with it the model explains every record to its noise.",
+        "cannot_tell": f"{names} would explain every record to its noise, but so would "
+        + "; ".join(f"{' or '.join(a.confused_with)} in place of {a.label}" for a in accepted if a.confused_with)
+        + "."
+        + " A decay from another amplitude tells a law from a drift in time."
+        * any(DRIFT in a.confused_with for a in accepted),
+        "partly_explained": f"{names} explains most of the misfit, but something unknown is left in {left}.",
+        "unknown_effect": f"Something is missing that no known effect explains: it shows in {left}.",
+    }[verdict]
+
+
+def of_noise(noise: Mapping[str, float], declared: Set[str]) -> str:
+    """A sentence on noise that is declared wrong, or was told wrong by the rows of a record; empty where none is."""
+    found = ", ".join(
+        f"{size:.3g} times what is {'declared in' if record in declared else 'estimated from the rows of'} {record}"
+        for record, size in noise.items()
+    )
+    return f" The noise is {found}: what is left there is white and depends on nothing." if found else ""
