@@ -56,6 +56,25 @@ class Run(NamedTuple):
     blocks_alive: Int[Array, "*lanes"]
 
 
+class Since(NamedTuple):
+    """Where a run goes on: the end of what was run so far, its blocks, and the samples of the whole."""
+
+    end: Run
+    blocks: Int[Array, ""] | int
+    samples: Int[Array, ""] | int
+
+
+def begin(
+    loop: ClosedLoop,
+    recorder: AbstractRecorder,
+    lanes: tuple[int, ...],
+    design: ClosedLoop | None = None,
+) -> Run:
+    """A run of no blocks yet."""
+    state, memory = beginning(loop, recorder, lanes, design)
+    return Run(state, memory, None, jnp.ones(lanes, bool), jnp.zeros(lanes, int))
+
+
 def run(
     loop: ClosedLoop,
     scenario: Scenario,
@@ -65,11 +84,13 @@ def run(
     block: int,
     recorder: AbstractRecorder,
     design: ClosedLoop | None = None,
+    since: "Since | None" = None,
 ) -> Run:
     """Run `blocks` blocks of `block` samples with noise keyed by `words` (see `noise.die_words`).
 
     The shape of `words` is that of the batch of dies; leaves of `loop` and `scenario` may have it as trailing axes. A
-    batched loop needs its unbatched `design` beside it, which tells component axes from dies.
+    batched loop needs its unbatched `design` beside it, which tells component axes from dies. With `since` the run goes
+    on where another has ended.
     """
 
     def sample(carry, entering):
@@ -77,6 +98,7 @@ def run(
 
     def one_block(carry, number):
         state, memory, alive, survived = carry
+        number = number + first
         (new_state, new_memory), _ = jax.lax.scan(
             sample, (state, memory), entering(scenario, words, period, block, number, whole, warm, flickers)
         )
@@ -86,10 +108,11 @@ def run(
         kept = jax.tree.map(keep, (new_state, new_memory), (state, memory))
         return (*kept, alive, survived + alive), output
 
-    lanes, whole = words[0].shape, blocks * block if loop.device.effects else None
+    begun, first, samples = since or Since(begin(loop, recorder, words[0].shape, design), 0, blocks * block)
+    whole = samples if loop.device.effects else None
     warm = loop.device.temperature is not None
     flickers = flickers_of(loop)
-    start = (*beginning(loop, recorder, lanes, design), jnp.ones(lanes, bool), jnp.zeros(lanes, int))
+    start = (begun.state, begun.memory, begun.alive, begun.blocks_alive)
     (state, memory, alive, survived), outputs = scan_in_groups(one_block, start, blocks)
     return Run(state, memory, outputs, alive, survived)
 

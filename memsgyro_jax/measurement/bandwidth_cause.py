@@ -1,19 +1,14 @@
-"""What limits the bandwidth of a loop, by experiment: each number that may be the cause is raised, one by one."""
+"""What limits the bandwidth of a loop, by experiment: each number that may be the cause is raised, all side by side."""
 
-from dataclasses import replace
-from functools import partial
-
-import jax.numpy as jnp
 import numpy as np
 
 from memsgyro_jax.loop.loop import ClosedLoop
-from memsgyro_jax.tuning.tunable import numbers_at, placed
+from memsgyro_jax.tuning.tunable import numbers_at
 
-from .datasheet_tests import Answer, step_answer
-from .rate_tests import FEWEST, RateTests
+from .datasheet_tests import Answer, step_answer, step_size
+from .rate_tests import FEWEST, MORE, RateTests
 
 
-_MORE = 1.2  # times as much of a number
 _MOVES = 0.1  # of its own change: how far a number must move the bandwidth to be its cause
 
 
@@ -39,8 +34,8 @@ def limits(bench: RateTests, answer: Answer) -> tuple[str, ...]:
         constant = next((words for words in zero if "process_noise.rate" in words), None)
         return (f"No bandwidth: {constant} is zero, which takes the rate for constant; give one.",) if constant else ()
     before = float(np.nanmedian(answer.bandwidth[:FEWEST]))
-    found = {words: _raised(bench, numbers) for words, numbers in offered.items() if words not in zero}
-    moved = {words: abs(np.log(after / before) / np.log(_MORE)) for words, after in found.items() if after > 0.0}
+    found = _raised(bench, {words: numbers for words, numbers in offered.items() if words not in zero})
+    moved = {words: abs(np.log(after / before) / np.log(MORE)) for words, after in found.items() if after > 0.0}
     if not moved:
         return ()
     words = max(moved, key=lambda name: moved[name])
@@ -49,9 +44,11 @@ def limits(bench: RateTests, answer: Answer) -> tuple[str, ...]:
     return (f"The bandwidth is set by {words}: a fifth more turns {before:.4g} Hz into {found[words]:.4g} Hz.",)
 
 
-def _raised(bench: RateTests, numbers: dict[str, float]) -> float:
-    """Median bandwidth [Hz] of a few dies with more of these numbers."""
-    loop = placed(bench.loop, list(numbers), [jnp.asarray(_MORE * value) for value in numbers.values()])
-    bench = replace(bench, run=partial(bench.few, loop))
-    found = step_answer(bench, bench.run(bench.at(0.0)))[0].bandwidth
-    return float(np.nanmedian(found)) if np.isfinite(found).any() else float("nan")
+def _raised(bench: RateTests, knobs: dict[str, dict[str, float]]) -> dict[str, float]:
+    """Median bandwidth [Hz] of a few dies with more of each of these numbers, all side by side."""
+    if not knobs:
+        return {}
+    raised = [tuple(numbers) for numbers in knobs.values()]
+    runs = zip(*(bench.few(raised, bench.at(0.0, after)) for after in (0.0, step_size(bench))), strict=True)
+    found = {name: step_answer(bench, *pair)[0].bandwidth for name, pair in zip(knobs, runs, strict=True)}
+    return {name: float(np.nanmedian(of)) if np.isfinite(of).any() else float("nan") for name, of in found.items()}

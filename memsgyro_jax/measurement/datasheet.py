@@ -1,5 +1,6 @@
 """A datasheet of a simulated lot in the terms of IEEE Std 528 and 1431: the tests of a laboratory, run in the model."""
 
+import time
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any
@@ -23,9 +24,12 @@ from .datasheet_tests import (
     scale_and_bias,
     start_up,
     step_answer,
+    step_size,
+    stopped_noise,
     temperature_rows,
     with_trim,
 )
+from .lot_outputs import Outputs
 from .over_temperature import check_temperatures
 from .rate_tests import RateTests
 
@@ -33,6 +37,8 @@ from .rate_tests import RateTests
 _FEW = 30  # dies beyond which the spread is known to a third
 NOT_SETTLED = "not settled: a note says when it would be"
 _POINTS = 9  # rates of the table, from minus to plus full scale
+_SILENCE = 5.0  # s between two sentences about one run
+_OTHERS = 10  # runs about as long as one of the table
 
 
 def datasheet(
@@ -50,18 +56,20 @@ def datasheet(
     trim: bool = False,
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
+    draft: Callable[[Datasheet], None] | None = None,
 ) -> Datasheet:
     """Test `dies` dies of `spread` around `loop` as a laboratory would, and tell every figure over the lot.
 
     The rate of `scenario` is replaced, all else of it stays. Nine constant rates from minus to plus `full_scale`
     [rad/s] without read-out noise give zero-rate output, scale factor and non-linearity, each from `settle` [s] (half
     the duration when left out) to `duration` [s]; a step of a tenth of the full scale gives bandwidth and delay; a run
-    with noise of `noise_duration` [s] (left out: 200 periods of the bandwidth, ten to a hundred times the duration)
+    with noise of `noise_duration` [s] (left out: 192 to 384 periods of the bandwidth, ten to a hundred durations)
     densities and Allan deviation. Frame acceleration and cross rates act where the device keeps its frame terms,
     `temperatures` [K] where an effect of it depends on them; a figure that the model cannot give says "not modelled"
     and why. With `trim` each die gets the offset and scale that its outputs at half the full scale, both ways, ask for,
     and figures are told before and after.
-    `progress` is told what happens.
+    `progress` is told what happens and about how long it takes, `draft` is given all figures but those of the noise
+    before the run with noise, which is the longest.
 
     Raises `InputError` for settings that cannot be run, and outside float64.
     """
@@ -72,56 +80,76 @@ def datasheet(
     check_temperatures(temperatures)
     noise_duration = noise_duration if noise_duration is None else quantity("noise_duration", noise_duration, "s")
     told = progress or (lambda sentence: None)
-    told("constant rates")
     rates = np.linspace(-bench.full_scale, bench.full_scale, _POINTS)
-    table = [bench.run(bench.at(rate)) for rate in rates]
-    told("step of the rate")
-    answer, step_rows = step_answer(bench, table[_POINTS // 2])
+    told(f"{dies} dies at {_POINTS} constant rates, {bench.duration:g} s each; the first compiles, some seconds")
+    table, pace = _timed(bench, rates, told)
+    told("step of the rate, and what sets the bandwidth")
+    answer, step_rows = step_answer(bench, table[_POINTS // 2], bench.run(bench.at(0.0, step_size(bench))))
     limited = limits(bench, answer)
-    told("noise")
-    noise_rows = noises(bench, answer, noise_duration or record_needed(answer.bandwidth, bench.duration))
     told("other axes, acceleration, temperature")
     outputs, static = scale_and_bias(bench, rates, table)
     drifts, over_temperature = temperature_rows(bench, temperatures, told)
-    started = start_up(bench, table[-1])
+    started, around = start_up(bench, table[-1]), around_the_axes(bench, table)
     alive = np.all([run.alive for run in table], axis=0) & answer.alive
     rest = alive & (started.values <= bench.settle)
     why = unsettled(alive, started, bench)
-    settled, around = static[1:], around_the_axes(bench, table)  # but the full scale, which is declared
+    full, settled = static[0], static[1:]  # the full scale is declared
     settled, around, over_temperature = (at_rest(part, rest, why) for part in (settled, around, over_temperature))
-    rows = (static[0], *settled, *noise_rows, *step_rows, started, *around, *over_temperature)
-    rows = tuple(replace(row, values=np.where(alive, row.values, np.nan)) for row in rows)
     outputs, answers = np.where(rest, outputs, np.nan), np.where(alive[:, None], answer.values, np.nan)
     if drifts is not None:
         known = {name: np.where(rest, getattr(drifts, name), np.nan) for name in ("zero_rate", "scale_factor")}
         drifts = replace(drifts, **known)
-    rows = with_trim(rows, rates, outputs, bench.full_scale) if trim else rows
-    return Datasheet(
-        rows=rows,
-        dies=dies,
-        lost=int(np.sum(~alive)),
-        full_scale=bench.full_scale,
-        rates=rates,
-        outputs=outputs,
-        times=answer.times,
-        answers=answers,
-        settings=Settings.of(
-            bench.loop,
-            bench.surroundings,
-            spread,
-            bench.full_scale,
-            sample_rate=bench.sample_rate,
-            duration=bench.duration,
-            seed=seed,
-        ),
-        notes=(
-            *limited,
-            *(row.note for row in rows if row.note),
-            *impossible_ends(rows),
-            *notes_of(alive, started, bench),
-        ),
-        over_temperature=drifts,
-    )
+    settings = Settings.of(
+        bench.loop, bench.surroundings, spread, bench.full_scale, sample_rate=bench.sample_rate,
+        duration=bench.duration, seed=seed,
+    )  # fmt: skip
+
+    def sheet(noise_rows: tuple[DatasheetRow, ...]) -> Datasheet:
+        rows = (full, *settled, *noise_rows, *step_rows, started, *around, *over_temperature)
+        rows = tuple(replace(row, values=np.where(alive, row.values, np.nan)) for row in rows)
+        rows = with_trim(rows, rates, outputs, bench.full_scale) if trim else rows
+        said = (*limited, *(row.note for row in rows if row.note), *impossible_ends(rows))
+        return Datasheet(
+            rows, dies, int(np.sum(~alive)), bench.full_scale, rates, outputs, answer.times, answers, settings,
+            (*said, *notes_of(alive, started, bench)), drifts,
+        )  # fmt: skip
+
+    record = noise_duration or record_needed(bench, answer.bandwidth, table[0].period)
+    if draft is not None:
+        draft(sheet(stopped_noise(bench, record)))
+    return sheet(noises(bench, answer, record, _shares(record, pace * record / bench.duration, told)))
+
+
+def _timed(bench: RateTests, rates: np.ndarray, told: Callable[[str], None]) -> tuple[list[Outputs], float]:
+    """The lot at each rate, and how long one run takes [s] once it is compiled, which is told."""
+    table, took = [], []
+    for rate in rates:
+        began = time.perf_counter()
+        table.append(bench.run(bench.at(rate)))
+        took.append(time.perf_counter() - began)
+        if len(took) == 2:
+            rest = (len(rates) + _OTHERS) * took[1] + max(0.0, took[0] - took[1])
+            told(f"about {_about(rest)} for all but the noise, which takes {_about(took[1] / bench.duration)} a second")
+    return table, min(took)
+
+
+def _shares(record: float, seconds: float, told: Callable[[str], None]) -> Callable[[float], None]:
+    """Tells that a record with noise [s] will take some `seconds`, and returns what tells how far it is."""
+    told(f"a record of {record:.3g} s with noise, about {_about(seconds)}; what is known so far is kept")
+    began = time.perf_counter()
+    last = [began]
+
+    def share(done: float) -> None:
+        now = time.perf_counter()
+        if now - last[0] > _SILENCE and done < 1.0:
+            last[0], left = now, (now - began) * (1.0 - done) / done
+            told(f"{100.0 * done:.0f} % of the record with noise, about {_about(left)} left")
+
+    return share
+
+
+def _about(seconds: float) -> str:
+    return f"{float(f'{seconds:.1g}') if seconds < 10.0 else round(seconds):g} s"
 
 
 def impossible_ends(rows: Iterable[DatasheetRow]) -> tuple[str, ...]:

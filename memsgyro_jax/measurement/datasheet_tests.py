@@ -12,7 +12,7 @@ from memsgyro_jax.loop.noise_budget import noise_budget
 from memsgyro_jax.loop.scenario import Constant
 
 from .allan import allan
-from .datasheet_rows import NOT_MODELLED, DatasheetRow
+from .datasheet_rows import FEWEST, NOT_MODELLED, DatasheetRow
 from .lot_outputs import Outputs
 from .over_temperature import CELSIUS, OverTemperature, depends_on_temperature, held_at
 from .rate_tests import Dies, RateTests, settled_mean
@@ -31,7 +31,12 @@ _FROM_DENSITY = (
     "The angle random walk is that of the noise density, N = density/√2, as if the noise stayed white towards longer "
     "averaging times: the record is too short for an Allan deviation, which would show drift beside it."
 )
-_RECORD = 200.0  # periods of the bandwidth that tell an Allan deviation
+_RECORD = 3.0 * 2.0**5  # times the first of six octaves of averaging times: a record that tells an Allan deviation
+_NOISES = (
+    ("noise density", "deg/s/√Hz", "One-sided density of the output where it is flat"),
+    ("angle random walk", "deg/√h", "Coefficient N of the Allan deviation"),
+    ("bias instability", "deg/h", "Least Allan deviation over 0.664"),
+)
 _FRAME = "the device leaves out the terms of its rotating frame (`rotating_frame` brings them in)"
 
 
@@ -136,10 +141,14 @@ def start_up(bench: RateTests, turning: Outputs) -> DatasheetRow:
     )  # fmt: skip
 
 
-def step_answer(bench: RateTests, still: Outputs) -> tuple[Answer, tuple[DatasheetRow, ...]]:
-    """Bandwidth and group delay by a small step of the rate in the middle of a run."""
-    size = 0.1 * bench.full_scale
-    run = bench.run(bench.at(0.0, size))
+def step_size(bench: RateTests) -> float:
+    """A small step of the rate [rad/s]."""
+    return 0.1 * bench.full_scale
+
+
+def step_answer(bench: RateTests, still: Outputs, run: Outputs) -> tuple[Answer, tuple[DatasheetRow, ...]]:
+    """Bandwidth and group delay by a small step of the rate in the middle of a `run`, beside one that stays `still`."""
+    size = step_size(bench)
     first = round(0.5 * bench.duration / run.period)
     answer = (run.rate - still.rate)[:, first:] / size
     times = (np.arange(answer.shape[1]) + 0.5) * run.period
@@ -191,27 +200,43 @@ def first_half_power(answer: Float[np.ndarray, " times"], period: float) -> floa
     return float(np.exp(np.interp(-np.sqrt(0.5), -size[place], np.log(frequencies[place]))))
 
 
-def record_needed(bandwidth: Dies, duration: float) -> float:
-    """How long a run with noise should last [s]: until an Allan deviation is told, from ten to a hundred `duration`."""
+def allan_record(bandwidth: float, period: float) -> float:
+    """The record [s] of means over a `period` [s] that tells an Allan deviation from two periods of `bandwidth` on."""
+    return float(_RECORD * period * 2.0 ** np.ceil(np.log2(max(1.0, 2.0 / (bandwidth * period)))))
+
+
+def record_needed(bench: RateTests, bandwidth: Dies, period: float) -> float:
+    """How long a run with noise should last [s]: until an Allan deviation is told, from ten to a hundred durations."""
     known = bandwidth[np.isfinite(bandwidth)]
-    return float(np.clip(_RECORD / np.median(known) if known.size else 0.0, 10.0 * duration, 100.0 * duration))
+    whole = bench.settle + 1.01 * allan_record(float(np.median(known)), period) if known.size else 0.0
+    return float(np.clip(whole, 10.0 * bench.duration, 100.0 * bench.duration))
 
 
-def noises(bench: RateTests, answer: Answer, duration: float) -> tuple[DatasheetRow, ...]:
-    """Noise density, angle random walk and bias instability of the output at rest."""
-    bandwidth = answer.bandwidth
-    definitions = (
-        ("noise density", "deg/s/√Hz", "One-sided density of the output where it is flat"),
-        ("angle random walk", "deg/√h", "Coefficient N of the Allan deviation"),
-        ("bias instability", "deg/h", "Least Allan deviation over 0.664"),
-    )
-    condition = f"no input rate, {duration - bench.settle:.4g} s from {bench.settle:.3g} s after power-on"
+def no_noise(bench: RateTests, answer: Answer, duration: float) -> tuple[DatasheetRow, ...]:
+    """The rows of the noise where a record of `duration` [s] can tell nothing of it; none where it is to be run."""
     readout = bench.loop.readout
-    silent = readout.flicker is None and all(float(np.max(np.asarray(d))) == 0.0 for d in readout.noise_density)
-    run = None if silent else bench.noisy(bench.at(0.0), duration)
-    if run is None:
-        reasons: tuple[str, ...] = (f"{NOT_MODELLED}: the read-out has no noise",) * 3
-        return _noise_rows(definitions, condition, (np.full(len(bandwidth), np.nan),) * 3, reasons)
+    if readout.flicker is None and all(float(np.max(np.asarray(d))) == 0.0 for d in readout.noise_density):
+        return _noise_rows(bench, duration, (f"{NOT_MODELLED}: the read-out has no noise",) * 3)
+    if answer.unknown:
+        unknown = f"nothing tells up to where the noise is flat: {answer.unknown}"
+        return _noise_rows(bench, duration, tuple(f"{unknown}{more}" for more in (*_by_formula(bench), "")))
+    return ()
+
+
+def stopped_noise(bench: RateTests, duration: float) -> tuple[DatasheetRow, ...]:
+    """The rows of the noise before its record is there."""
+    why = f"stopped before the record of {duration:.3g} s with noise was there: a shorter `noise_duration` takes less"
+    return _noise_rows(bench, duration, tuple(f"{why}{more}" for more in (*_by_formula(bench), "")))
+
+
+def noises(
+    bench: RateTests, answer: Answer, duration: float, progress: Callable[[float], None] | None = None
+) -> tuple[DatasheetRow, ...]:
+    """Noise density, angle random walk and bias instability of the output at rest; `progress` is told the share."""
+    if rows := no_noise(bench, answer, duration):
+        return rows
+    bandwidth = answer.bandwidth
+    run = bench.noisy(bench.at(0.0), duration, progress)
     rate = run.rate[:, round(bench.settle / run.period) :]
     nothing = np.full(len(rate), np.nan)
     half = rate.shape[1] // 2
@@ -226,12 +251,7 @@ def noises(bench: RateTests, answer: Answer, duration: float) -> tuple[Datasheet
         )
         beside = _by_formula(bench)
         reasons = tuple(f"{NOT_MODELLED}: {moving}{more}" for more in (*beside, ""))
-        return _noise_rows(definitions, condition, (nothing,) * 3, reasons)
-    if answer.unknown:
-        unknown = f"nothing tells up to where the noise is flat: {answer.unknown}"
-        return _noise_rows(
-            definitions, condition, (nothing,) * 3, tuple(f"{unknown}{more}" for more in (*_by_formula(bench), ""))
-        )
+        return _noise_rows(bench, duration, reasons)
     widest = float(np.nanmedian(bandwidth)) if np.isfinite(bandwidth).any() else 0.4 / run.period
     density, walk, instability = nothing.copy(), nothing.copy(), nothing.copy()
     said = ["", "", ""]
@@ -248,16 +268,21 @@ def noises(bench: RateTests, answer: Answer, duration: float) -> tuple[Datasheet
     try:
         terms = allan(rate[run.alive], sample_rate=1.0 / run.period, band=(2.0 / widest, np.inf)).terms
     except InputError:
-        said[2] = f"the record is too short: averaging times from {2.0 / widest:.3g} s on take {_RECORD / widest:.3g} s"
+        said[2] = (
+            f"the record is too short: averaging times from {2.0 / widest:.3g} s on take "
+            f"{allan_record(widest, run.period):.3g} s"
+        )
         known = np.isfinite(density).any()
         said[1] = "" if known else f"{said[2]}{_by_formula(bench)[1]}"
-        rows = _noise_rows(definitions, condition, (density, _PER_ROOT_HOUR * density, instability), tuple(said))
+        rows = _noise_rows(bench, duration, tuple(said), (density, _PER_ROOT_HOUR * density, instability))
         return (rows[0], replace(rows[1], note=_FROM_DENSITY if known else ""), rows[2])
     for name, values in (("N", walk), ("bias_instability", instability)):
         values[run.alive] = [np.nan if term[name].value is None else term[name].value for term in terms]
+    if np.sum(np.isfinite(walk)) < FEWEST:
+        said[1] = f"the Allan deviation tells no white part on {FEWEST} dies or more{_by_formula(bench)[1]}"
     if np.mean(np.isfinite(instability)) < 0.5:
         said[2] = f"{NOT_MODELLED}: no flicker shows in {duration:.3g} s, the Allan deviation falls to its end"
-    return _noise_rows(definitions, condition, (density, walk, instability), tuple(said))
+    return _noise_rows(bench, duration, tuple(said), (density, walk, instability))
 
 
 def _by_formula(bench: RateTests) -> tuple[str, str]:
@@ -271,11 +296,12 @@ def _by_formula(bench: RateTests) -> tuple[str, str]:
 
 
 def _noise_rows(
-    definitions: tuple[tuple[str, str, str], ...], condition: str, values: tuple[Dies, ...], reasons: tuple[str, ...]
+    bench: RateTests, duration: float, reasons: tuple[str, ...], values: tuple[Dies, ...] = (np.full(1, np.nan),) * 3
 ) -> tuple[DatasheetRow, ...]:
+    condition = f"no input rate, {duration - bench.settle:.4g} s from {bench.settle:.3g} s after power-on"
     return tuple(
         DatasheetRow(name, unit, definition, condition, value, reason, positive=True)
-        for (name, unit, definition), value, reason in zip(definitions, values, reasons, strict=True)
+        for (name, unit, definition), value, reason in zip(_NOISES, values, reasons, strict=True)
     )
 
 

@@ -1,6 +1,6 @@
 """What the tests of a lot on a rate table share."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -21,19 +21,21 @@ from .lot_outputs import Outputs, lot_outputs
 
 _WINDOWS = 400  # of a run
 FEWEST = 3  # dies
+MORE = 1.2  # times as much of a number
 
 Dies = Float[np.ndarray, " dies"]
 
 
 @dataclass(frozen=True)
 class RateTests:
-    """A lot on a rate table: `run(scenario)` without read-out noise, `noisy(scenario, time)`; `few(loop, scenario)`
-    runs three dies around another loop, without noise. Means count from `settle` to `duration` [s].
+    """A lot on a rate table: `run(scenario)` without read-out noise, `noisy(scenario, time, progress)` with it;
+    `few(raised, scenario)` runs three dies without noise for each group of paths, with the numbers there `MORE` times
+    as large. Means count from `settle` to `duration` [s].
     """
 
     run: Callable[[Scenario], Outputs]
-    noisy: Callable[[Scenario, float], Outputs]
-    few: Callable[[ClosedLoop, Scenario], Outputs]
+    noisy: Callable[[Scenario, float, Callable[[float], None] | None], Outputs]
+    few: Callable[[Sequence[Collection[str]], Scenario], list[Outputs]]
     loop: ClosedLoop
     surroundings: Scenario
     full_scale: float
@@ -66,8 +68,12 @@ class RateTests:
         windows = round(sample_rate * duration) // window
         return cls(
             run=lambda scenario: many(quiet, scenario=scenario, windows=windows),
-            noisy=lambda scenario, time: many(loop, scenario=scenario, windows=round(sample_rate * time) // window),
-            few=lambda other, scenario: many(other.silent, scenario=scenario, windows=windows, dies=FEWEST),
+            noisy=lambda scenario, time, progress: many(
+                loop, scenario=scenario, windows=round(sample_rate * time) // window, stretch=windows, progress=progress
+            ),
+            few=lambda raised, scenario: many(
+                quiet, scenario=scenario, windows=windows, dies=FEWEST, raised=raised, by=MORE
+            ).apart(len(raised)),
             loop=loop, surroundings=as_scenario(scenario), full_scale=full_scale, settle=settle, duration=duration,
             sample_rate=sample_rate,
         )  # fmt: skip

@@ -6,6 +6,7 @@ import browser
 import pytest
 
 from memsgyro_jax.app import cli
+from memsgyro_jax.measurement import datasheet as sheets
 
 
 STUDY = """
@@ -46,12 +47,25 @@ def run(*arguments):
     return end.value.code
 
 
-def test_a_page_and_its_figures(tmp_path, capsys):
+def interrupted(*given):
+    raise KeyboardInterrupt
+
+
+def test_a_page_and_its_figures(tmp_path, capsys, monkeypatch):
+    """There before the noise too, so that Ctrl-C leaves it."""
     (tmp_path / "study.toml").write_text(STUDY)
     page, told = tmp_path / "made" / "datasheet.html", tmp_path / "sheet.json"
     given = ("--dies", 3, "--trim", "--full-scale", 500, "--noise-duration", 0.2, "--out", page.parent, "--json", told)
     given = (*given, "--temperatures", -20, 30, 80)
+    with monkeypatch.context() as patch:
+        patch.setattr(sheets, "noises", interrupted)
+        assert run("datasheet", tmp_path / "study.toml", *given) == 130
+    assert page.read_text().count("stopped before the record of 0.2 s with noise was there") == 3
+    said = capsys.readouterr().err
+    assert "0 s  3 dies at 9 constant rates, 0.2 s each" in said.splitlines()[0]
+    assert "about" in said
     assert run("datasheet", tmp_path / "study.toml", *given) == 0
+    assert "stopped before" not in page.read_text()
     rows = {row["name"]: row for row in json.loads(told.read_text())["rows"]}
     # Unequal cross damping and a rate are one force: (dxy/m)/2 is the zero-rate output, kxy/(2 m ω) the quadrature.
     assert rows["zero-rate output"]["before_trim"]["typical"] == pytest.approx(2.865, rel=0.05)

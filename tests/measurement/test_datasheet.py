@@ -101,7 +101,7 @@ def test_a_walk_that_no_allan_deviation_tells_is_that_of_the_density(sheet):
     """White noise of one rad/s at 400 Hz."""
     rate = np.random.default_rng(0).standard_normal((DIES, 4000))
     run = Outputs(rate, np.full_like(rate, np.nan), np.ones(DIES, bool), 1.0 / 400)
-    bench = RateTests(lambda s: run, lambda s, t: run, lambda _, s: run, LOOP, mg.Scenario(), 1.0, 0.0, 10.0, RATE)
+    bench = RateTests(lambda s: run, lambda *_: run, lambda *_: [run], LOOP, mg.Scenario(), 1.0, 0.0, 10.0, RATE)
     answer = Answer(np.arange(4.0), rate, run.alive, np.full(DIES, 8.0), "")
     density, walk, instability = noises(bench, answer, 10.0)
     assert np.mean(walk.values) == pytest.approx(60.0 * np.degrees(np.sqrt(1.0 / 400)), rel=0.15)
@@ -214,7 +214,7 @@ def test_a_loop_without_observer_blames_none(power, settle, words):
     time = np.linspace(0.0, 1.0, 400)
     rate = np.sqrt(power(time)) * np.random.default_rng(0).standard_normal((DIES, 400))
     run = Outputs(rate, np.full_like(rate, np.nan), np.ones(DIES, bool), 1.0 / 400)
-    bench = RateTests(lambda s: run, lambda s, t: run, lambda _, s: run, LOOP, mg.Scenario(), 1.0, settle, 1.0, RATE)
+    bench = RateTests(lambda s: run, lambda *_: run, lambda *_: [run], LOOP, mg.Scenario(), 1.0, settle, 1.0, RATE)
     _, walk, _ = noises(bench, Answer(time, rate, run.alive, np.full(DIES, 60.0), ""), 1.0)
     assert "observer" not in walk.missing
     assert not np.isfinite(walk.values).any()
@@ -229,7 +229,7 @@ def test_an_output_that_still_creeps_at_the_end_has_no_start_up_time():
     time = np.linspace(0.0, 1.0, 400)
     rate = np.tile(1.0 - np.exp(-2.0 * time), (DIES, 1))
     run = Outputs(rate, rate, np.ones(DIES, bool), 1.0 / 400)
-    bench = RateTests(lambda s: run, lambda s, t: run, lambda _, s: run, LOOP, mg.Scenario(), 1.0, 0.5, 1.0, RATE)
+    bench = RateTests(lambda s: run, lambda *_: run, lambda *_: [run], LOOP, mg.Scenario(), 1.0, 0.5, 1.0, RATE)
     row = start_up(bench, run)
     assert not np.isfinite(row.values).any()
     assert "not come to rest" in row.reason
@@ -238,7 +238,7 @@ def test_an_output_that_still_creeps_at_the_end_has_no_start_up_time():
 def test_an_output_near_zero_has_not_started():
     rate = np.full((DIES, 400), 1e-3)
     run = Outputs(rate, rate, np.ones(DIES, bool), 1.0 / 400)
-    bench = RateTests(lambda s: run, lambda s, t: run, lambda _, s: run, LOOP, mg.Scenario(), 1.0, 0.5, 1.0, RATE)
+    bench = RateTests(lambda s: run, lambda *_: run, lambda *_: [run], LOOP, mg.Scenario(), 1.0, 0.5, 1.0, RATE)
     assert "shows 0.1 % of the rate" in start_up(bench, run).reason
 
 

@@ -1,9 +1,14 @@
 """`memsgyro datasheet`: read the study, test its lot as a laboratory would, print, write."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from .flags import Flag, Numbers
 from .quick import look_for_study
+
+
+if TYPE_CHECKING:
+    from memsgyro_jax.measurement.datasheet_rows import Datasheet
 
 
 def datasheet_command(
@@ -25,7 +30,8 @@ def datasheet_command(
     Zero-rate output, scale factor and non-linearity, noise density, angle
     random walk, bandwidth, start-up time, cross-axis and acceleration
     sensitivity, quadrature: minimum, typical and maximum over dies, in the
-    terms of IEEE 528 and 1431. What the model cannot give says so.
+    terms of IEEE 528 and 1431. What the model cannot give says so. The page is
+    there before the long run with noise, and again with it.
 
     Args:
         study: a study file (TOML).
@@ -55,19 +61,29 @@ def datasheet_command(
     require_writable(out, json)
     for note in notes:
         print(note)
+
+    def write(sheet: "Datasheet") -> None:
+        write_whole(out, datasheet_page(sheet, chosen).html())
+        if json is not None:
+            write_json(json, sheet.as_dict())
+
     run = chosen.sweep_arguments
     arguments = {
         name: run[name] for name in ("loop", "spread", "scenario", "sample_rate", "duration", "settle", "seed")
     }
-    with told() as tell:
-        found = datasheet(
-            **arguments, full_scale=float(np.radians(full_scale)), dies=64 if dies is None else dies, trim=trim,
-            noise_duration=noise_duration, temperatures=tuple(t + CELSIUS for t in temperatures), progress=tell,
-        )  # fmt: skip
     with writing(out, "make room and run again"):
         out.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(out, datasheet_page(found, chosen).html())
-        if json is not None:
-            write_json(json, found.as_dict())
+        with told() as tell:
+
+            def keep(sheet: "Datasheet") -> None:
+                write(sheet)
+                tell(f"{out} is the page without the noise; Ctrl-C leaves it")
+
+            found = datasheet(
+                **arguments, full_scale=float(np.radians(full_scale)), dies=64 if dies is None else dies, trim=trim,
+                noise_duration=noise_duration, temperatures=tuple(t + CELSIUS for t in temperatures), progress=tell,
+                draft=keep,
+            )  # fmt: skip
+        write(found)
     print(found)
     print(f"{out} is the page.")
