@@ -64,7 +64,7 @@ class Since(NamedTuple):
     samples: Int[Array, ""] | int
 
 
-def begin(
+def unbegun(
     loop: ClosedLoop,
     recorder: AbstractRecorder,
     lanes: tuple[int, ...],
@@ -108,7 +108,7 @@ def run(
         kept = jax.tree.map(keep, (new_state, new_memory), (state, memory))
         return (*kept, alive, survived + alive), output
 
-    begun, first, samples = since or Since(begin(loop, recorder, words[0].shape, design), 0, blocks * block)
+    begun, first, samples = since or Since(unbegun(loop, recorder, words[0].shape, design), 0, blocks * block)
     whole = samples if loop.device.effects else None
     warm = loop.device.temperature is not None
     flickers = flickers_of(loop)

@@ -17,7 +17,7 @@ from memsgyro_jax.loop.loop import ClosedLoop, Sample
 from memsgyro_jax.loop.scenario import Scenario
 from memsgyro_jax.montecarlo import batch as lot
 from memsgyro_jax.montecarlo.spread import Spread
-from memsgyro_jax.tuning.tunable import at, placed
+from memsgyro_jax.tuning.tunable import number_at, placed
 
 
 _LANES, _FEWEST = 32, 4  # dies side by side, at most and at least
@@ -125,7 +125,7 @@ def _larger(loop: ClosedLoop, raised: Sequence[Collection[str]], which: np.ndarr
     """Each lane's loop with the numbers that are raised there."""
     paths = sorted({path for some in raised for path in some})
     factors = [np.where([path in some for some in raised], by, 1.0)[which] for path in paths]
-    return placed(loop, paths, [at(loop, path) * factor for path, factor in zip(paths, factors, strict=True)])
+    return placed(loop, paths, [number_at(loop, path) * factor for path, factor in zip(paths, factors, strict=True)])
 
 
 def _plain(tree: PyTree) -> PyTree:
@@ -139,7 +139,7 @@ _Given = tuple[ClosedLoop, Scenario, tuple[ClosedLoop, Scenario], tuple[np.ndarr
 @eqx.filter_jit
 def _begun(given: _Given) -> engine.Run:
     loop, _, design, words, _ = given
-    begun = engine.begin(loop, _Recorder(), words[0].shape, design[0])
+    begun = engine.unbegun(loop, _Recorder(), words[0].shape, design[0])
     return jax.tree.map(lambda leaf: jax.lax.convert_element_type(leaf, leaf.dtype), begun)  # strong, as at the end
 
 
