@@ -17,7 +17,7 @@ from memsgyro_jax.loop.loop import ClosedLoop, Sample
 from memsgyro_jax.loop.scenario import Scenario
 from memsgyro_jax.montecarlo import batch as lot
 from memsgyro_jax.montecarlo.spread import Spread
-from memsgyro_jax.tuning.tunable import number_at, placed
+from memsgyro_jax.tuning.tunable import leaf_at, placed
 
 
 _LANES, _FEWEST = 32, 4  # dies side by side, at most and at least
@@ -125,7 +125,7 @@ def _larger(loop: ClosedLoop, raised: Sequence[Collection[str]], which: np.ndarr
     """Each lane's loop with the numbers that are raised there."""
     paths = sorted({path for some in raised for path in some})
     factors = [np.where([path in some for some in raised], by, 1.0)[which] for path in paths]
-    return placed(loop, paths, [number_at(loop, path) * factor for path, factor in zip(paths, factors, strict=True)])
+    return placed(loop, paths, [leaf_at(loop, path) * factor for path, factor in zip(paths, factors, strict=True)])
 
 
 def _plain(tree: PyTree) -> PyTree:

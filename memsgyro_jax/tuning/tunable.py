@@ -141,7 +141,7 @@ class Tunables:
 
     def applied(self, loop: ClosedLoop, values: Sequence[float] | np.ndarray) -> ClosedLoop:
         """The loop with these values."""
-        alike = [_alike(number_at(loop, path), value) for path, value in zip(self.paths, values, strict=True)]
+        alike = [_alike(leaf_at(loop, path), value) for path, value in zip(self.paths, values, strict=True)]
         return placed(loop, self.paths, alike)
 
     def starting(self, values: Float[np.ndarray, " n"]) -> "Tunables":
@@ -168,7 +168,7 @@ def resolved(loop: ClosedLoop, tunables: Sequence[Tunable], sample_rate: float, 
         for path in _numbers_at(loop, tunable.path, place):
             if path in found:
                 raise InputError(f"A number must be freed once, but `{tunable.path}` is freed twice.")
-            value = float(number_at(loop, path))
+            value = float(leaf_at(loop, path))
             low, high = _bounds(loop, path, value, tunable, sample_rate, duration)
             start = low if value == 0.0 and low > 0.0 else value  # "off": as good as its lower bound
             if not low <= start <= high:
@@ -184,12 +184,12 @@ def resolved(loop: ClosedLoop, tunables: Sequence[Tunable], sample_rate: float, 
 def numbers_at(loop: ClosedLoop, path: str) -> dict[str, float]:
     """All numbers at or below a path as `free` takes it, by the path of each; raises `InputError` for none."""
     known = [_dotted(at) for at, _ in jax.tree_util.tree_leaves_with_path(loop)]
-    return {name: float(number_at(loop, name)) for name in _numbers_at(loop, path, known)}
+    return {name: float(leaf_at(loop, name)) for name in _numbers_at(loop, path, known)}
 
 
 def placed(loop: ClosedLoop, paths: Sequence[str], values: Sequence[Array] | np.ndarray) -> ClosedLoop:
     """The loop with `values` at `paths`, each a number or one per die."""
-    return eqx.tree_at(lambda tree: [number_at(tree, path) for path in paths], loop, [jnp.asarray(v) for v in values])
+    return eqx.tree_at(lambda tree: [leaf_at(tree, path) for path in paths], loop, [jnp.asarray(v) for v in values])
 
 
 def _alike(leaf: Array, value: float) -> Array:
@@ -202,7 +202,7 @@ def _dotted(path: tuple) -> str:
     return ".".join(parts)
 
 
-def number_at(tree: Any, path: str) -> Array:
+def leaf_at(tree: Any, path: str) -> Array:
     """What stands at a dotted path."""
     here = tree
     for part in path.split("."):
@@ -225,9 +225,7 @@ def _numbers_at(loop: ClosedLoop, path: str, known: Collection[str]) -> list[str
             spelled = f"{table}{names.index(name)}"
             break
     found = [name for name in known if name == spelled or name.startswith(f"{spelled}.")]
-    found = [
-        name for name in found if eqx.is_inexact_array(number_at(loop, name)) and jnp.ndim(number_at(loop, name)) == 0
-    ]
+    found = [name for name in found if eqx.is_inexact_array(leaf_at(loop, name)) and jnp.ndim(leaf_at(loop, name)) == 0]
     if found:
         return found
     short = [*known, *(f"observer.process_noise.{name}" for name in names)]

@@ -7,7 +7,7 @@ from jaxtyping import Array
 from memsgyro_jax.device.gyro import Scalar
 from memsgyro_jax.device.small import Vector
 
-from .covariance import Gain, Prediction, beside, entries, square
+from .covariance import Gain, Prediction, entries, per_constant, square
 
 
 class ChannelPart(NamedTuple):
@@ -86,7 +86,7 @@ class Channel(NamedTuple):
         if earlier is not None:
             shared = self.of(earlier.motion, earlier.constants)
             motion = motion - earlier.motion_gain * shared
-            constants = constants - earlier.constant_gain * beside(shared, constants)
+            constants = constants - earlier.constant_gain * per_constant(shared, constants)
         spread = self.of(motion, constants) + variance
         inverse = 1.0 / spread
-        return Gain(motion, constants, motion * inverse, constants * beside(inverse, constants), spread)
+        return Gain(motion, constants, motion * inverse, constants * per_constant(inverse, constants), spread)

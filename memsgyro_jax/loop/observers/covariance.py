@@ -109,12 +109,14 @@ def entries(vector: Array) -> tuple[Array, ...]:
 def gathered(columns: Columns, vector: tuple[Array, ...]) -> Vector:
     """Acceleration of both axes by the constants `vector`; its entries may themselves be vectors."""
     return Vector(
-        reduce(plus, (_signed(factor, beside(signal, vector[m]) * vector[m]) for m, factor, signal in column), 0.0)
+        reduce(
+            plus, (_signed(factor, per_constant(signal, vector[m]) * vector[m]) for m, factor, signal in column), 0.0
+        )
         for column in columns
     )
 
 
-def beside(number: Scalar, constants: Array) -> Array:
+def per_constant(number: Scalar, constants: Array) -> Array:
     """`number` of a die, repeated for each of its `constants`; as it is beside a number, or where dies share it.
 
     Its derivative is a sum of slices, which XLA vectorises over the dies; that of a broadcast is a reduction, which it
@@ -133,7 +135,7 @@ def _signed(factor: float, product: Array) -> Array:
 def combine(weights: Matrix, vectors: tuple[Array, ...]) -> Vector:
     """`weights @ vectors` for vectors of constants; weights are scalars of one die."""
     return Vector(
-        Vector(w if isinstance(w, float) else beside(w, v) for w, v in zip(row, vectors, strict=True)) @ vectors
+        Vector(w if isinstance(w, float) else per_constant(w, v) for w, v in zip(row, vectors, strict=True)) @ vectors
         for row in weights
     )
 
@@ -160,7 +162,7 @@ def diagonal(entries: Vector) -> Vector:
 def correct_mean(motion: Vector, constants: Array, first: Gain, second: Gain, weights: Pair) -> tuple[State4, Array]:
     """Motion and constants moved by the two (decorrelated) innovations `weights` through their gains."""
     moved = motion + first.motion_gain * weights[0] + second.motion_gain * weights[1]
-    steps = (beside(w, constants) * gain.constant_gain for w, gain in zip(weights, (first, second), strict=True))
+    steps = (per_constant(w, constants) * gain.constant_gain for w, gain in zip(weights, (first, second), strict=True))
     return tuple(moved), sum(steps, constants)
 
 
@@ -199,13 +201,13 @@ def downdate(prior: Prediction, first: Gain, second: Gain) -> Covariance:
     motion = prior.motion - first_part - second_part
     cross = tuple(
         row
-        - beside(first.motion_gain[i], row) * first.constants
-        - beside(second.motion_gain[i], row) * second.constants
+        - per_constant(first.motion_gain[i], row) * first.constants
+        - per_constant(second.motion_gain[i], row) * second.constants
         for i, row in enumerate(prior.cross)
     )
     # Products of one vector with itself are symmetric to the last bit. They must be: a difference between (i, j) and
     # (j, i) is never corrected by a measurement, and fading multiplies it by λ at every sample.
-    first_root, second_root = (g.constants / beside(jnp.sqrt(g.spread), g.constants) for g in (first, second))
+    first_root, second_root = (g.constants / per_constant(jnp.sqrt(g.spread), g.constants) for g in (first, second))
     constants = (
         _faded(prior.faded, prior.constants)
         + _diagonal(prior.walk, prior.constants)
