@@ -70,8 +70,9 @@ def combination(weights: Sequence[float], names: Sequence[str], least: float = 0
 
 def beside(value: float, std: float, digits: int = 5) -> str:
     """A value with the digits that its standard deviation leaves it, `digits` at least, and twelve at most."""
-    more = math.log10(abs(value) / std) if 0.0 < std < math.inf and value else 0.0
-    return f"{value:.{min(12, max(digits, math.ceil(more) + 2))}g}"
+    told = 0.0 < std < math.inf and value
+    places = math.floor(math.log10(abs(value))) - math.floor(math.log10(std)) + 2 if told else 0
+    return f"{value:.{min(12, max(digits, places))}g}"
 
 
 def spoken(value: float, unit: str, digits: int = 4) -> str:

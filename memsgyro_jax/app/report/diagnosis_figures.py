@@ -65,14 +65,15 @@ def overlay_figure(record: AbstractRecord, base: Deviation, final: Deviation, vi
     return faint(figure)
 
 
-def per_drive_figure(found: Sequence[tuple[Any, Deviation]], unit: str) -> Figure | None:
-    """Sweeps at several drives on one axis, each over its drive: what is linear falls on one curve; points are
+def per_drive_figure(found: Sequence[tuple[Any, Deviation]], axis: int, unit: str) -> Figure | None:
+    """Sweeps of one axis at several drives, each over its drive: what is linear falls on one curve; points are
     measured, lines the model. `None` where there are no two drives.
     """
     curves = [
-        (float(np.mean(record.setting[rows])), record.frequency[rows] / (2 * np.pi), record.readings[rows, record.axis],
-         deviation.predicted[rows, record.axis])
-        for record, deviation in found if hasattr(record, "setting") for rows in record.courses
+        (float(np.mean(record.setting[rows])), record.frequency[rows] / (2 * np.pi), record.readings[rows, axis],
+         deviation.predicted[rows, axis])
+        for record, deviation in found if hasattr(record, "setting") and record.axis == axis
+        for rows in record.courses
     ]  # fmt: skip
     levels = np.array([level for level, *_ in curves])
     if not curves or levels.max() < _SEVERAL * levels.min():

@@ -145,10 +145,12 @@ def _errors(out: Page, diagnosis: Diagnosis) -> None:
 
 def _records(out: Page, diagnosis: Diagnosis) -> None:
     out.section("Measured and predicted")
-    together = figures.per_drive_figure(diagnosis.final.deviations, diagnosis.case.words.force)
-    if together is not None:
-        out.figure(together, "All sweeps over their drive, points measured and lines the final model: what is linear "
-                   "falls on one curve.")  # fmt: skip
+    for axis in range(diagnosis.case.channels):
+        together = figures.per_drive_figure(diagnosis.final.deviations, axis, diagnosis.case.words.force)
+        if together is None:
+            continue
+        caption = f"All sweeps of {'xy'[axis]} over their drive: points measured, lines the final model."
+        out.figure(together, f"{caption} What is linear falls on one curve.")
     for (record, base), (_, final) in zip(diagnosis.base.deviations, diagnosis.final.deviations, strict=True):
         overlay = record.overlay(base, final)
         if any(view.curves for view in overlay.views):

@@ -10,6 +10,7 @@ from bench_case import demonstration
 
 from memsgyro_jax.app.report.diagnosis_figures import steps_figure
 from memsgyro_jax.app.report.diagnosis_page import diagnosis_page
+from memsgyro_jax.base.text import beside
 from memsgyro_jax.diagnosis.compare import judged
 from memsgyro_jax.diagnosis.fit import beside_case
 from memsgyro_jax.diagnosis.optimum import optimise
@@ -85,8 +86,8 @@ def test_it_says_what_a_colleague_looks_for(found, diagnosis):
         "The model explains the records",
     ):
         assert text in words
-    estimate, std = diagnosis.accepted[0].estimate[0], diagnosis.accepted[0].std[0]
-    assert f"{estimate - 1.96 * std:.4g} to {estimate + 1.96 * std:.4g}" in words
+    estimate, half = diagnosis.accepted[0].estimate[0], 1.96 * diagnosis.accepted[0].std[0]
+    assert f"{beside(estimate - half, half, 4)} to {beside(estimate + half, half, 4)}" in words
     assert "The force that is missing" not in words
 
 
@@ -97,7 +98,7 @@ def test_every_experiment_has_its_error_and_its_picture(found, diagnosis):
         assert place
         assert f"{before.rms:#.3g}" in words
         assert f"{after.rms:#.3g}" in words
-    assert found.count("<svg") == len(diagnosis.case.records) + 2
+    assert found.count("<svg") == len(diagnosis.case.records) + 4  # the law, the steps, all drives of each axis
     parts = (diagnosis.sentence, "the law that was found, 95 % band", "What to measure next")
     places = [found.index(part) for part in parts]
     assert places == sorted(places)

@@ -1,0 +1,22 @@
+"""Numbers as people read them."""
+
+import math
+
+import pytest
+
+from memsgyro_jax.base.text import beside
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "told"),
+    [
+        (1.498234e9, 1.2e6, "1.4982e+09"),
+        (1041200.00061, 0.0019, "1041200.0006"),
+        (-9.987654, 0.1, "-9.9877"),
+        (2.0 / 3.0, math.inf, "0.66667"),
+        (0.0, 1.0, "0"),
+        (math.pi, 0.0, "3.1416"),
+    ],
+)
+def test_a_value_has_the_digits_that_its_uncertainty_leaves_it(value, std, told):
+    assert beside(value, std) == told
