@@ -6,7 +6,7 @@ from .fitted import ParameterEstimate
 from .optimum import Optimum
 
 
-_MODES = {1: ("resonance",), 2: ("lower mode", "upper mode")}
+_MODES = {1: ("",), 2: ("lower mode ", "upper mode ")}
 _STEP = 1e-3  # of a standard deviation, for differences
 _PAIRS = {1: 1, 2: 3}
 
@@ -24,7 +24,11 @@ def mode_estimates(optimum: Optimum, axes: int) -> tuple[ParameterEstimate, ...]
         variance += ((_modes(optimum.vector + moved, axes) - _modes(optimum.vector - moved, axes)) / (2 * _STEP)) ** 2
     if np.any(np.asarray(held.loose) & (optimum.free < size)):
         variance[:] = np.inf
-    names = [f"{mode} {what}" for what in ("frequency", "quality factor") for mode in _MODES[axes]]
+    names = [
+        (f"{mode}{what}" if mode or what != "frequency" else "resonance frequency")
+        for what in ("frequency", "quality factor")
+        for mode in _MODES[axes]
+    ]
     units = ["Hz"] * axes + ["1"] * axes
     return tuple(
         ParameterEstimate(name, float(value), float(std), unit)

@@ -36,7 +36,7 @@ def calibration_text(declared: Declared) -> str:
     readout, drive = declared.readout, declared.drive
     length = declared.words.displacement + readout.order * "/s"
     known = []
-    if length.startswith("m"):
+    if length.startswith("m") and (readout.scale, readout.unit) != (1.0, length):
         known.append(f"read-out {readout.scale:.5g} {readout.unit}/{_bracketed(length)}{_within(readout.tolerance)}")
     if drive is not None and drive.scale is not None:
         known.append(f"drive {drive.scale:.5g} N/{drive.unit}{_within(drive.tolerance)}")

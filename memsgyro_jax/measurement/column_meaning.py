@@ -80,6 +80,7 @@ def meaning_of(table: SourceTable, said: Mapping[str, str]) -> Meaning:
     found: dict[str, list[SourceColumn]] = {}
     for column in table.columns:
         found.setdefault(role_of(column), []).append(column)
+    _as_amplitudes(found)
     if "f" not in found or not ({"I", "amp"} & {*found}):
         _as_waveforms(found)
     _settled(table, found)
@@ -117,6 +118,14 @@ def role_of(column: SourceColumn) -> str:
         if tokens and (tokens[-1] in words or tokens[0] in words):
             return role
     return "amp" if column.unit in ("dB", "dBV", "dBm") else "signal"
+
+
+def _as_amplitudes(found: dict[str, list[SourceColumn]]) -> None:
+    """Over a frequency that runs, the one reading that never is negative is an amplitude, whatever it is called."""
+    swept = any(np.unique(column.values).size > 2 for column in found.get("f", []))
+    signals = found.get("signal", [])
+    if swept and not ({"I", "Q", "amp"} & {*found}) and len(signals) == 1 and np.nanmin(signals[0].values) >= 0:
+        found["amp"] = found.pop("signal")
 
 
 def _as_waveforms(found: dict[str, list[SourceColumn]]) -> None:

@@ -29,7 +29,7 @@ from .tracking import rough_decay
 
 
 NO_LEVEL = "the drive is 1 V, as the file does not say (`--drive`)"
-PEAK = "amplitudes of the readings are peak values, as those of the drive are (`Vrms` in a header says otherwise)"
+PEAK = "amplitudes are peak values, not rms (`Vrms` in a header says so)"
 _SILENT = 0.01  # of the largest drive: nothing
 _QUIET_SHARE = 0.15  # of the rows at the end without drive: a free decay
 _FEWEST = 50  # rows of a record over time

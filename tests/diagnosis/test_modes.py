@@ -16,7 +16,7 @@ def optimum(vector, std):
 def test_one_axis():
     w, q = 2 * np.pi * 1.04e6, 8200.0
     f0, quality = mode_estimates(optimum([w**2, w / q, 1.0, 0.0], [1e-7 * w**2, 1e-4 * w / q]), 1)
-    assert (f0.name, f0.unit, quality.name) == ("resonance frequency", "Hz", "resonance quality factor")
+    assert (f0.name, f0.unit, quality.name) == ("resonance frequency", "Hz", "quality factor")
     np.testing.assert_allclose([f0.value, f0.std], [1.04e6, 0.5e-7 * 1.04e6], rtol=1e-6)
     np.testing.assert_allclose([quality.value, quality.std], [q, q * np.hypot(1e-4, 0.5e-7)], rtol=1e-6)
 

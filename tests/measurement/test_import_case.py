@@ -161,6 +161,19 @@ def test_nothing_is_left_of_an_import_that_fails(sweeps, tmp_path):
     assert set(tmp_path.iterdir()) == before
 
 
+def test_one_reading_over_frequency_is_an_amplitude_in_its_own_unit(tmp_path):
+    """A vibrometer's velocity with a phase beside it: displacements are then in metres, and so are strengths."""
+    answer = w.RESPONSE * 2j * np.pi * w.FREQUENCY
+    rows = [f"{f:.3f},{abs(v):.6g},{np.degrees(np.angle(v)):.3f}" for f, v in zip(w.FREQUENCY, answer, strict=True)]
+    (tmp_path / "v_2V.csv").write_text("\n".join(["frequency_Hz,velocity_mm_s,phase_deg", *rows]))
+    found = mg.import_case([tmp_path / "v_2V.csv"], tmp_path / "case")
+    (record,) = found.case.records
+    np.testing.assert_allclose(record.phasors[:, 0], 1e-3 * answer, rtol=1e-4)
+    assert (found.case.readout.order, found.case.words.displacement) == (1, "m")
+    assert "amplitudes are peak values" in str(found)
+    assert "Calibration" not in str(found)
+
+
 def test_the_command_prints_what_it_assumed_and_what_to_do_next(sweeps, tmp_path, capsys):
     with pytest.raises(SystemExit) as ended:
         cli.main(

@@ -148,7 +148,7 @@ def readout(file: CaseFile, source: Source, recorded: str) -> Readout:
     entry: ReadoutEntry = file.readout
     order, own = QUANTITIES.index(entry.quantity), "m" if file.device == "single_mass" else ""
     if entry.scale is None:
-        unit, scale, length = recorded, 1.0, recorded + order * "*s"
+        unit, scale, length = recorded, 1.0, _length(recorded, order)
     else:
         with source.section("readout", "scale"):
             unit, scale, length = _record_unit(entry.scale.amount, order, own, recorded)
@@ -162,10 +162,17 @@ def readout(file: CaseFile, source: Source, recorded: str) -> Readout:
     return Readout(scale, adc_range, unit, order, "" if (own or "V") == length else length, tolerance)
 
 
+def _length(recorded: str, order: int) -> str:
+    """Unit of the displacement of which records show a derivative."""
+    per = ("", "/s", "/s**2")[order]
+    whole = recorded.replace("^2", "**2")
+    return whole.removesuffix(per) if per and whole.endswith(per) else recorded + order * "*s"
+
+
 def _record_unit(scale: Amount, order: int, own: str, recorded: str) -> tuple[str, float, str]:
     """Unit of the records, the scale in it, and the unit of the displacement that fit a scale per derivative."""
     per, first = ("", "/s", "/s**2")[order], None
-    for length in (own,) if own else dict.fromkeys((recorded + order * "*s", "V", "m", "1")):
+    for length in (own,) if own else dict.fromkeys((_length(recorded, order), "V", "m", "1")):
         for unit in dict.fromkeys(("V", *("1",) * (length == "m"), recorded)):
             try:
                 return unit, si(scale, f"{unit}/({length}{per})" if per else f"{unit}/{length}", positive=False), length
