@@ -88,15 +88,18 @@ def diagnose(
     def done(search: Search) -> bool:
         return bool(search.slow) or all(_each_explained(search.steps[-1].fit, search.accepted, level))
 
-    def searched(search: Search) -> tuple[Search, Ranking, str, Begun]:
+    def searched(search: Search) -> Iterator[tuple[Search, Ranking, str, Begun]]:
         first = search.rank()
         plain = search.base, _listed(case, search.joint.model, first)
         if is_slow_noise(search, first):
-            return search, first, "", plain
+            yield search, first, "", plain
+            return
         begin, climb = climbed(search, first, smooth)
         ranking = begin.rank() if begin.accepted else first
         start = plain if climb is None else (climb.base, _followed(case, climb, len(first.places)))
-        return *instrument_first(begin, ranking, smooth, search_on, done), start
+        if climb is not None:
+            yield begin, ranking, "", start
+        yield *instrument_first(begin, ranking, smooth, search_on, done), start
 
     (search, ranking, rival, (base, first)), left_out = search_beside_outlying(begun, searched, done)
     steps = search.steps

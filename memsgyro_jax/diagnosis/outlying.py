@@ -1,6 +1,6 @@
 """Rows that stand alone in what a fit leaves: named, and left out of every fit and every error from there on."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -55,28 +55,32 @@ def of_rows(case: Case, left_out: Rows) -> str:
 
 
 def search_beside_outlying(
-    begun: Callable[[Rows], Search], searched: Callable[[Search], tuple[Search, Any, Any, Any]],
+    begun: Callable[[Rows], Search], searched: Callable[[Search], Iterator[tuple[Search, Any, Any, Any]]],
     done: Callable[[Search], bool],
 ) -> tuple[tuple[Search, Any, Any, Any], Rows]:  # fmt: skip
     """The end of a search, and the rows that it leaves out, if any.
 
     Rows are outlying only beside a model that explains all others: beside another they may be its misfit, as the one
     row at the top of a narrow resonance is. So they are left out at the beginning where the base model then explains
-    the case, or at the end where the model that was found does.
+    the case, or where a model that was found on the way, or at the end, does.
 
     Args:
         begun: a search without some rows.
-        searched: the end of a search, and what else is told of it.
+        searched: where a search stands on its way and at its end, and what else is told of it.
         done: whether a search leaves nothing to explain.
     """
     search = begun({})
     if not done(search) and (rows := _to_leave_out(search.base)) and done(fewer := begun(rows)):
-        return searched(fewer), rows
-    found = searched(search)
-    if not done(found[0]) and (rows := _to_leave_out(found[0].steps[-1].fit)):
-        again = searched(begun(rows))
+        *_, found = searched(fewer)
+        return found, rows
+    tried: list[Rows] = []
+    for found in searched(search):
+        if done(found[0]) or not (rows := _to_leave_out(found[0].steps[-1].fit)) or rows in tried:
+            continue
+        *_, again = searched(begun(rows))
         if done(again[0]):
             return again, rows
+        tried.append(rows)
     return found, {}
 
 

@@ -95,7 +95,7 @@ def test_rows_are_left_out_where_the_rest_is_explained(monkeypatch, base, fewer,
         return SimpleNamespace(done=done, base=None, steps=[SimpleNamespace(fit=None)])
 
     def searched(search):
-        return state(again if search is without else final), None, "", None
+        yield state(again if search is without else final), None, "", None
 
     whole, without = state(base), state(fewer)
     found, rows = search_beside_outlying(lambda rows: without if rows else whole, searched, lambda one: one.done)
