@@ -9,9 +9,11 @@ from jaxtyping import Bool, Float
 from scipy import stats
 
 from memsgyro_jax.base.concrete import is_concrete
+from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.gyro import AbstractGyro, mode_frequencies
 
 from .loop import ClosedLoop
+from .noise_budget import noise_budget
 from .observers import AbstractCovarianceObserver, AbstractObserver
 from .scenario import AbstractProfile, Constant, Recorded, Scenario
 
@@ -43,7 +45,8 @@ def expectations(
         return ()
     device, rate = drawn or (loop.device, scenario.rate)
     rates = _rates(scenario, duration) if drawn is None else np.atleast_1d(np.asarray(rate.value(0.0)))
-    said = (*moving(loop.observer, scenario, duration), *_far(loop.observer, rates, 1 if drawn is None else len(rates)))
+    said = (*moving(loop.observer, scenario, duration), *slow(loop, sample_rate, duration))
+    said = (*said, *_far(loop.observer, rates, 1 if drawn is None else len(rates)))
     return (*said, *shifted(loop, duration), *_sampled(np.atleast_2d(mode_frequencies(device))[:, -1], sample_rate))
 
 
@@ -70,6 +73,30 @@ def moving(observer: AbstractObserver, scenario: Scenario, duration: float) -> t
         f"the rate moves by {np.degrees(moved):.3g} deg/s during the run, but the filter holds it constant: its "
         "estimate lags and its claims leave that out; a process noise of the rate, "
         f"`ProcessNoise.of(gyro.model, rate={walk:.2g})` say, makes it follow."
+    )
+    return (said,)
+
+
+def slow(loop: ClosedLoop, sample_rate: float, duration: float) -> tuple[str, ...]:
+    """A sentence where the filter follows a rate more slowly than a run of `duration` [s] shows: its bandwidth is the
+    root of its process noise of the rate [rad²/s³] over the density of the rate's noise [rad/√s], over 2π, as of a
+    scalar Kalman filter of a random walk.
+    """
+    process = getattr(loop.observer, "process_noise", None)
+    if process is None or "rate" not in loop.observer.model.names:
+        return ()
+    walk = float(np.max(np.asarray(process.theta[loop.observer.model.index("rate")]))) ** 0.5
+    try:
+        noise = float(noise_budget(loop, sample_rate=sample_rate).total) if walk > 0.0 else 0.0
+    except InputError:  # a loop without a swing to tell the rate by
+        return ()
+    bandwidth = walk / noise / (2.0 * np.pi) if noise > 0.0 else np.inf
+    if bandwidth * duration > 1.0:
+        return ()
+    said = (
+        f"the filter follows the rate up to about {bandwidth:.2g} Hz, slower than a run of {duration:.3g} s shows: its "
+        "process noise of the rate is small beside the noise; more `observer.process_noise.rate` makes it faster, and "
+        "its rate noisier."
     )
     return (said,)
 

@@ -164,7 +164,8 @@ def frequency_response(
     if not (rising and slowest <= frequency[0] and frequency[-1] < 0.5 * sample_rate):
         raise InputError(
             f"Argument `frequency` must rise from at least {slowest:.4g} Hz (a period in the settled part) to below "
-            f"{0.5 * sample_rate:.4g} Hz, but goes from {frequency[0]:.4g} to {frequency[-1]:.4g} Hz."
+            f"{0.5 * sample_rate:.4g} Hz, but goes from {frequency[0]:.4g} to {frequency[-1]:.4g} Hz; a longer "
+            "`duration` allows lower ones."
         )
     loop = loop.sampled_at(sample_rate, duration=duration).present
     place = list(INPUTS).index(disturbance)

@@ -23,6 +23,7 @@ from memsgyro_jax.loop.trace import count_steps
 
 from .batch import Plan
 from .bounds import own_bounds
+from .caveats import Order
 from .divergence import divergence_of, unexpected
 from .folder import RemotePath, place_of
 from .layout import Layout
@@ -63,7 +64,7 @@ class Computation:
     ) -> Summary:
         """Of columns that come part by part, with the first die of each; `amiss` is what is told of them by then."""
         runner, settings, bounded = self.runner, self.settings, min(self.dies, self.bound_dies)
-        tally = Tally(self.plan, bounded)
+        tally = Tally(self.plan, bounded, Order.of(runner.loop))
         for first, rows in groups:
             tally.add(rows, first)
         bounds = own_bounds(
@@ -152,7 +153,7 @@ def run_part(
 
     A share is its own: a part computes no other's blocks, so that its time is known before. Blocks that another process
     works on are waited for, and taken over if that dies: at the end the share is done, and running a part again is
-    going on with it. `progress(done, dies)` is called after each batch.
+    going on with it. `progress(done, dies)` is called at first and after each batch.
 
     Raises `InputError` for a part that is none, and for what `sweep` refuses of a store.
     """
@@ -182,6 +183,8 @@ def run_on_dask(
     with opened(store.path, made.layout, made.dies, made.runner.block, resume) as work:
         before, notes, missing = work.done, tuple(work.notes), work.missing
     done = before
+    if progress and missing:
+        progress(done, store.dies)
     for _, ran in farmed(partial(_block, store), missing, scheduler):
         done += ran
         if progress:
@@ -200,7 +203,7 @@ def summarise(store: StoredSweep, speed: float | None = None) -> Summary:
     which `notes` tells.
 
     Counts, yield and root mean squares are exact, medians and percentiles too up to 65 536 dies; beyond they lie within
-    1 part in 8192 (`tally.Sketch`). `speed` in steps per second is passed on.
+    1 part in 8192 (`sketch.Sketch`). `speed` in steps per second is passed on.
     """
     amiss: list[str] = []
     return store.computation.summary(store.rows.groups(amiss), amiss, speed)

@@ -63,6 +63,8 @@ class Runner:
         timed, busy, drawn, wanted = 0, None, dict[int, _Drawn](), set(store.missing)
         # A compiled call waits for its end (Equinox looks for errors then), in a thread of its own.
         devices = ThreadPoolExecutor(1)
+        if progress and wanted:
+            progress(store.done, store.wanted)
         try:
             for number in store.unfinished():
                 parts, done, began = [], store.done, time.perf_counter()

@@ -45,7 +45,9 @@ class Summary(Shown):
     each die's error with its own bound, `reached_sound` without the diverged dies; all are None without a bound.
     `prior_share` is the part of the information in the bound that the filter's prior of the rate brought along.
     `nees` is the mean over dies, `nees_median` their median, `states` the expectation of the mean; `straight` holds
-    bias and scale-factor error. `notes` were told before the run, `amiss` is what is wrong with its store.
+    bias and scale-factor error. `unsettled` says how errors still
+    move when the runs end, so that the yield is of a start; `crossing` that of `crossed` dies the modes stand the other
+    way round. `notes` were told before the run, `amiss` is what is wrong with its store.
     `steps_per_s` is None when a single batch left nothing to time after compiling.
     """
 
@@ -67,6 +69,9 @@ class Summary(Shown):
     nis: float | None
     convergence_time: float | None
     good: Proportion
+    unsettled: str | None
+    crossed: int
+    crossing: str | None
     following: Following | None
     straight: StraightError | None
     claim_error: float | None
@@ -113,6 +118,8 @@ class Summary(Shown):
             "nis": self.nis,
             "convergence_time_s": self.convergence_time,
             "yield": asdict(self.good),
+            "unsettled": self.unsettled,
+            "crossed": self.crossed,
             "following": None if self.following is None else _following(self.following),
             **({} if self.straight is None else _straight(self.straight)),
             "claim_error": self.claim_error,
@@ -154,7 +161,10 @@ class Summary(Shown):
             shown = f"{1e3 * self.convergence_time:.3g} ms" if self.convergence_time else within
             rows.append(("median time to converge", shown))
         share = "{:.1f} % ({:.1f} to {:.1f} %)".format(*(100.0 * v for v in astuple(self.good)[:3]))
-        rows.append(("yield (95 % interval)", f"{share}: {self.good.criterion}"))
+        trusted = "" if self.unsettled is None else "; not to be trusted"
+        rows.append(("yield (95 % interval)", f"{share}: {self.good.criterion}{trusted}"))
+        rows += [("  not settled", self.unsettled)] if self.unsettled else []
+        rows += [("modes crossed", self.crossing)] if self.crossing else []
         if self.straight is not None:
             rows.append(("bias, scale-factor error", _straight_text(self.straight)))
         if self.following is not None:
@@ -242,6 +252,9 @@ def figures_of(
         nis=tally.mean("nis_mean"),
         convergence_time=converged if np.isfinite(converged) else None,
         good=proportion(tally.good, tally.computed, within),
+        unsettled=tally.movement.sentence(loop),
+        crossed=tally.crossed,
+        crossing=tally.crossing,
         following=None if over_time is None else following(plan.window_times, *over_time, plan.settle),
         straight=straight_error(tally.straight),
         claim_error=claim_error(loop, settings.sample_rate),

@@ -116,9 +116,9 @@ def sweep(
     `out/summary.json` at the end; `resume=True` goes on with a store of the same configuration and computes again what
     is damaged in it. Several processes, of several machines too, may work on one store at a time: they share its blocks
     (`plan` and `run_part` give each its own). With `dask`, the address of a scheduler, its workers compute and write to
-    `out`, which they must see; only a killed one's block is computed again. `progress(done, dies)` is called after each
-    batch. The information bound is computed for each of the first `bound_dies` dies (0: not at all), which costs about
-    as much as running them; the summary compares each die's error with its own bound.
+    `out`, which they must see; only a killed one's block is computed again. `progress(done, dies)` is called at first
+    and after each batch. The information bound is computed for each of the first `bound_dies` dies (0: not at all),
+    which costs about as much as running them; the summary compares each die's error with its own bound.
 
     Errors, convergence and window means are those of the loop's output, behind its filter where it has one; claimed
     standard deviation, NIS and NEES those of the observer's estimate before the filter, which alone they speak of. The

@@ -6,69 +6,12 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from .batch import DIVERGED, LOST, OK, STATUS, Plan
-from .merit import Moments, Percentiles, percentiles, percentiles_of
+from .caveats import NAMED, Movement, Order
+from .merit import Moments
+from .sketch import EXACT, Sketch
 
 
-EXACT = 65536  # sizes that are kept as they are
 FOLLOWED = 8192  # dies whose rate and estimate over time are kept, where the rate varies
-_DROPPED = 40  # of the 52 digits of a number: what is left tells it to one part in 8192
-
-
-class Sketch:
-    """Sizes of numbers, for quantiles: `EXACT` of them as they are, beyond that counts in bins.
-
-    A bin holds the numbers that agree in all but their last 40 binary digits. Its middle is within 1 part in 8192 of
-    each of them, which is the error of a quantile; how many lie below a bin is counted exactly. The counts of two
-    sketches add up, in any order to the same.
-    """
-
-    def __init__(self) -> None:
-        self._kept: list[np.ndarray] = []
-        self._bins, self._counts = np.empty(0, np.uint64), np.empty(0, np.int64)
-        self._waiting, self.count, self.squares = 0, 0, 0.0
-
-    def add(self, numbers: Float[np.ndarray, " n"]) -> None:
-        """Take numbers in; what is none is left out, and infinity counts as the largest."""
-        size = np.abs(numbers[~np.isnan(numbers)])
-        self._kept.append(size)
-        self.count, self._waiting = self.count + size.size, self._waiting + size.size
-        with np.errstate(over="ignore"):  # infinity is what it then is
-            self.squares += float(np.sum(size**2))
-        if self._waiting > EXACT:
-            self._bin()
-
-    def quantile(self, *shares: float) -> list[float]:
-        """Each the least size that so large a share of the numbers does not exceed; exact ones are interpolated."""
-        if self.count == 0:
-            return [float("nan")] * len(shares)
-        if not self._bins.size:
-            return [_interpolated(np.sort(self._sizes()), share) for share in shares]
-        self._bin()
-        ranks = np.clip(np.ceil(np.asarray(shares) * self.count), 1, self.count)
-        found = self._bins[np.searchsorted(np.cumsum(self._counts), ranks)]
-        low, high = ((found + np.uint64(k) << np.uint64(_DROPPED)).view(np.float64) for k in (0, 1))
-        finite = np.isfinite(high)
-        return [float(value) for value in np.where(finite, 0.5 * (low + np.where(finite, high, low)), low)]
-
-    @property
-    def rms(self) -> float:
-        """Root mean square, exactly."""
-        return float(np.sqrt(self.squares / self.count)) if self.count else float("nan")
-
-    @property
-    def percentiles(self) -> Percentiles:
-        """What is printed of errors."""
-        return percentiles_of(self.rms, self.count, self.quantile) if self._bins.size else percentiles(self._sizes())
-
-    def _sizes(self) -> np.ndarray:
-        return np.concatenate([*self._kept, np.empty(0)])
-
-    def _bin(self) -> None:
-        found = self._sizes().view(np.uint64) >> np.uint64(_DROPPED)
-        self._bins, place = np.unique(np.concatenate([self._bins, found]), return_inverse=True)
-        counts = np.concatenate([self._counts, np.ones(found.size, np.int64)])
-        self._counts = np.bincount(place, counts).astype(np.int64)
-        self._kept, self._waiting = [], 0
 
 
 class Tally:
@@ -76,10 +19,12 @@ class Tally:
 
     Sums, counts and root mean squares are exact, quantiles as a `Sketch` has them. Of the first `bounded` dies the
     error at the end is kept, to be compared with their bounds; of diverged ones all numbers and the first `EXACT`
-    coefficients; of the first `FOLLOWED` ones the rate over time, where it varies.
+    coefficients; of the first `FOLLOWED` ones the rate over time, where it varies. Dies whose modes stand in another
+    `order` are counted.
     """
 
-    def __init__(self, plan: Plan, bounded: int):
+    def __init__(self, plan: Plan, bounded: int, order: Order | None = None):
+        self.movement, self.order, self.crossed, self.first_crossed = Movement(plan), order, 0, list[int]()
         self.plan, self.settled = plan, plan.window_times >= plan.settle
         self.computed = self.lost = self.redrawn = self.good = 0
         self.end, self.sound, self.run, self.nees, self.converged = (Sketch() for _ in range(5))
@@ -117,6 +62,10 @@ class Tally:
             self.sums[name] = count + finite.size, total + float(np.sum(finite))
         if (few := min(len(status), self.first.shape[1] - first)) > 0:
             self.first[:, first : first + few] = np.where(alive, end, np.nan)[:few], np.where(sound, end, np.nan)[:few]
+        if self.order is not None:
+            places = np.flatnonzero(self.order.crossed(rows["coefficient_true"]) & (alive | lost))
+            self.crossed += len(places)
+            self.first_crossed += (first + places[: NAMED - len(self.first_crossed)]).tolist()
         self._diverge(rows, first, np.flatnonzero(astray))
         self._over_time(rows, alive)
 
@@ -130,6 +79,13 @@ class Tally:
         """Rate and estimate of the first dies; None where no rate varies."""
         rates, estimates = zip(*self._followed, strict=True) if self._followed else ((), ())
         return (np.concatenate(rates), np.concatenate(estimates)) if rates else None
+
+    @property
+    def crossing(self) -> str | None:
+        """What is to be said of the dies whose modes have changed places; None without any."""
+        if self.order is None or not self.crossed:
+            return None
+        return self.order.sentence(self.first_crossed, self.crossed, self.computed)
 
     def mean(self, name: str) -> float | None:
         """Of NEES or NIS, over the dies that have one."""
@@ -146,18 +102,12 @@ class Tally:
         true, estimate = rows["rate_true"][alive], rows["rate_estimate"][alive]
         if not alive.any():
             return
+        self.movement.add(true, estimate)
         mean = np.mean(true[:, self.settled], axis=1)
         self.straight.add(np.stack([mean, np.mean(estimate[:, self.settled], axis=1) - mean], axis=1))
         room = FOLLOWED - sum(len(rates) for rates, _ in self._followed)
         if room > 0 and np.ptp(true[:, self.settled], axis=1).any():
             self._followed.append((true[:room].copy(), estimate[:room].copy()))
-
-
-def _interpolated(ordered: Float[np.ndarray, " n"], share: float) -> float:
-    """As `numpy.quantile`, which does not bear infinite numbers."""
-    place = share * (len(ordered) - 1)
-    low, high = ordered[int(place)], ordered[int(np.ceil(place))]
-    return float(low if high == low else low + (place - int(place)) * (high - low))
 
 
 def _finite(values: np.ndarray) -> np.ndarray:

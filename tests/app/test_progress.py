@@ -16,13 +16,14 @@ def test_plain_lines_are_few_and_tell_the_time_left(capsys, monkeypatch):
     clock = iter(range(0, 10_000, 2))
     monkeypatch.setattr(module.time, "monotonic", lambda: next(clock))
     with progress("dies", "compiling") as show:
-        for done in range(1, 201):
+        for done in range(201):
             show(done, 200)
     out, said = capsys.readouterr()
     lines = said.splitlines()
     assert out == ""
-    assert len(lines) <= 12
-    assert lines[0] == "1 of 200 dies"
+    assert len(lines) <= 14
+    assert lines[:2] == ["0 of 200 dies: compiling, some seconds", "1 of 200 dies"]
+    assert lines[2].startswith("2 of 200 dies, about "), "how long it takes is told as soon as it is known"
     assert "100 of 200 dies, about 200 s left" in lines
     assert lines[-1] == "200 of 200 dies"
 
@@ -46,6 +47,7 @@ def shown_on_a_terminal(monkeypatch, action):
 def test_a_terminal_gets_a_bar(monkeypatch):
     def show_half():
         with progress("dies", "compiling") as show:
+            show(0, 100)
             show(50, 100)
 
     written = shown_on_a_terminal(monkeypatch, show_half)

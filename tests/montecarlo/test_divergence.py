@@ -104,6 +104,16 @@ def test_a_rate_far_outside_the_prior_is_told(loop):
     assert "takes the rate as known, 0 deg/s, but it is 57.3 deg/s" in sentence
 
 
+def test_a_filter_that_follows_more_slowly_than_the_run_shows_is_told(loop):
+    """By the gain of a scalar filter: the root of the walk of the rate over the noise of the rate."""
+    still = float(mg.noise_budget(loop, sample_rate=100e3).total)
+    for bandwidth, told in ((2.0, 1), (20.0, 0)):
+        walk = mg.ProcessNoise.of(loop.device.model, rate=(2.0 * np.pi * bandwidth * still) ** 2)
+        made = mg.ExtendedKalmanFilter.for_device(loop.device, loop.readout, process_noise=walk)
+        found = said(replace(loop, observer=made), mg.Constant(1.0))
+        assert [sentence[:53] for sentence in found] == ["the filter follows the rate up to about 2 Hz, slower "] * told
+
+
 def test_an_offset_that_the_filter_denies_is_told(loop):
     assert said(loop, mg.Constant(1.0)) == ()
     denied = mg.ExtendedKalmanFilter.for_device(loop.device, loop.readout, with_offsets=False)

@@ -277,6 +277,7 @@ def test_a_killed_sweep_resumes_to_the_same_bits(small, tmp_path):
     command = [sys.executable, "-c", SCRIPT.format(devices=2, dies=400), str(tmp_path)]
     environment = clean | {"PYTHONPATH": os.pathsep.join(sys.path)}
     with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as process:
+        process.stdout.readline()  # before the first batch
         process.stdout.readline()  # of the first batch
         process.kill()
     whole = mg.sweep(small, SLIGHT, dies=400, chunk=8, **SHORT).to_xarray()

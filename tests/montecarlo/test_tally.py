@@ -7,10 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from memsgyro_jax.montecarlo import tally
+from memsgyro_jax.montecarlo import sketch
 from memsgyro_jax.montecarlo.batch import DIVERGED, LOST, OK, PENDING, STATUS, Plan
 from memsgyro_jax.montecarlo.merit import percentiles
-from memsgyro_jax.montecarlo.tally import Sketch, Tally
+from memsgyro_jax.montecarlo.sketch import Sketch
+from memsgyro_jax.montecarlo.tally import Tally
 
 
 ERROR = 1.0 / 8192.0
@@ -26,7 +27,7 @@ def sketch_of(*parts) -> Sketch:
 @pytest.mark.parametrize("law", ["normal", "lognormal", "few", "cauchy"])
 def test_percentiles_of_many_are_within_their_error(law):
     rng = np.random.default_rng(0)
-    count = 3 * tally.EXACT + 17
+    count = 3 * sketch.EXACT + 17
     numbers = {
         "normal": rng.standard_normal(count), "lognormal": np.exp(8.0 * rng.standard_normal(count)),
         "few": rng.integers(0, 3, count).astype(float), "cauchy": rng.standard_cauchy(count),
@@ -44,7 +45,7 @@ def test_few_numbers_are_exact_and_many_add_up_in_any_order():
     rng = np.random.default_rng(1)
     few = rng.standard_normal(1000)
     assert astuple(sketch_of(few[:300], few[300:]).percentiles) == pytest.approx(astuple(percentiles(few)), rel=1e-12)
-    parts = np.array_split(rng.standard_normal(2 * tally.EXACT), 7)
+    parts = np.array_split(rng.standard_normal(2 * sketch.EXACT), 7)
     there, back = sketch_of(*parts), sketch_of(*parts[::-1])
     assert there.quantile(0.1, 0.5, 0.999) == back.quantile(0.1, 0.5, 0.999)
 
@@ -62,7 +63,7 @@ def test_any_numbers_give_a_quantile(numbers, share):
         return
     assert size[0] <= exact <= size[-1]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(tally, "EXACT", 0)
+        patch.setattr(sketch, "EXACT", 0)
         (binned,) = sketch_of(numbers).quantile(share)
     wanted = size[max(int(np.ceil(share * size.size)), 1) - 1]
     assert binned == pytest.approx(wanted, rel=ERROR, abs=1e-300)

@@ -39,7 +39,8 @@ def loop_command(
     Args:
         study: a study file (TOML); without it the loop of the thesis.
         disturbance: what the sine is of: rate, "force x", "force y", "voltage x" or "voltage y"; one or several.
-        frequencies: of the sines in Hz, rising; without them 24 from a period of the settled part on.
+        frequencies: of the sines in Hz, rising, from one period of the settled part on: `--duration` sets this lowest
+            one (2/duration, without `settle`). Without them 24 from there on.
         duration: of the runs in s or with a unit; the study's own without it. A longer one allows lower frequencies.
         level: the constant rate in deg/s around which the loop is looked at.
         report: file for a page with the diagrams.

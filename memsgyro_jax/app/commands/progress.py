@@ -13,7 +13,8 @@ _LINES = 10  # plain lines for a whole run, so that a log stays readable
 
 @contextmanager
 def progress(what: str, first: str) -> Iterator[Callable[[int, int], None]]:
-    """Gives a function of (done, total) that shows how far `what` is, on standard error.
+    """Gives a function of (done, total) that shows how far `what` is, on standard error; the first call is before any
+    is done.
 
     Args:
         what: counted things, for example "dies".
@@ -22,7 +23,7 @@ def progress(what: str, first: str) -> Iterator[Callable[[int, int], None]]:
     if sys.stderr.isatty():
         yield from _bar(what, first)
     else:
-        yield _Lines(what)
+        yield _Lines(what, first)
 
 
 def _bar(what: str, first: str) -> Iterator[Callable[[int, int], None]]:
@@ -42,26 +43,32 @@ def _bar(what: str, first: str) -> Iterator[Callable[[int, int], None]]:
     )  # fmt: skip
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(first, total=None)
+        said = iter((first,))
 
         def show(done: int, total: int) -> None:
-            bar.update(task, description=what, completed=done, total=total)
+            bar.update(task, description=next(said, what), completed=done, total=total)
 
         yield show
 
 
 class _Lines:
-    """About ten lines per run; the remaining time from the second call on, as the first has waited for the compiler."""
+    """About ten lines per run: one at once, and the remaining time from the third call on, as the second has waited for
+    the compiler.
+    """
 
-    def __init__(self, what: str):
-        self.what, self.shown = what, -1
+    def __init__(self, what: str, first: str):
+        self.what, self.first, self.shown, self.calls = what, first, -1, 0
         self.start: tuple[float, int] | None = None
 
     def __call__(self, done: int, total: int) -> None:
-        now = time.monotonic()
+        now, self.calls = time.monotonic(), self.calls + 1
+        if self.calls == 1:
+            print(f"{done} of {total} {self.what}: {self.first}, some seconds", file=sys.stderr, flush=True)
+            return
         if self.start is None:
             self.start = now, done
         tenth = _LINES * done // total
-        if tenth == self.shown and done < total:
+        if tenth == self.shown and done < total and self.calls != 3:  # the first that tells how long it takes
             return
         self.shown = tenth
         passed, since = now - self.start[0], done - self.start[1]

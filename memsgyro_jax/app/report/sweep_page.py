@@ -55,6 +55,8 @@ def _headline(lot: "Lot") -> str:
         lost += f", and the filters of {len(summary.divergence.dies)} diverged (impossible under their claims)"
     text = f"Of {summary.dies} dies {lost}; {share:.1f} % ({low:.1f} to {high:.1f} % with 95 % confidence) are good: "
     text += f"{summary.good.criterion}. "
+    if summary.unsettled:
+        text += f"The yield is not to be trusted: {summary.unsettled}. "
     text += f"The rate error is {np.degrees(summary.end.rms):.3g} deg/s rms."
     if summary.reached is not None:
         text += (
