@@ -143,8 +143,8 @@ class Diagnosis(Labelled):
         instrument: terms of the instrument that the records need, beside which everything else is judged.
         scale: factor of all standard deviations of effects: above one where the model leaves more than noise.
         outlying: rows of records, from zero, that stand alone and were left out.
-        from_lowest: whether the base model is that of the lowest drive, as the device bends over at higher ones; then
-            `first` holds what was followed up to the highest.
+        from_lowest: whether the base model is that of the lowest drive, as it is far off at higher ones; then `first`
+            holds what was followed up to the highest.
         noise: of records whose noise is not as declared and explains what is left, how it differs.
     """
 
@@ -193,9 +193,8 @@ class Diagnosis(Labelled):
     def __str__(self) -> str:
         lines = [f"{self.case.name}: {self.verdict.replace('_', ' ')}", self.sentence, ""]
         lines += map(_line, self.steps)
-        lines += [
-            "  (the base model is fitted to the lowest drive: the resonance bends with the drive)"
-        ] * self.from_lowest
+        if self.from_lowest:
+            lines.append("  (the base model is that of the lowest drive, as what is missing grows with the drive)")
         lines += [f"  {m.name}: {beside(m.value, m.std)} ± {m.std:.2g} {m.unit}".removesuffix(" 1") for m in self.modes]
         for a in (*self.instrument, *self.accepted):
             value = ", ".join(f"{beside(e, s)} ± {s:.2g}" for e, s in zip(a.estimate, a.std, strict=True))
