@@ -86,6 +86,6 @@ class Order(NamedTuple):
         below, above = ("y", "x") if self.rising else ("x", "y")
         named = ", ".join(map(str, dies[:NAMED])) + (", ..." if count > NAMED else "")
         return (
-            f"{count} of {of} ({named}): mode {below} below mode {above}, unlike the design; their figures are of "
-            "another device, so spread the frequencies less or set them further apart"
+            f"{count} of {of} ({named}): mode {below} below mode {above}, unlike the design, so devices of another "
+            "kind: spread the frequencies less"
         )

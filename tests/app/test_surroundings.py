@@ -61,7 +61,7 @@ def test_a_sweep_that_is_told_to_end_tidies_up(tmp_path, capsys, monkeypatch, nu
     with pytest.raises(SystemExit) as end:
         cli.main(["sweep", *SMALL, "--out", str(tmp_path / "out")])
     assert end.value.code == status
-    assert capsys.readouterr().err == sentence
+    assert capsys.readouterr().err == "0 of 5 dies: compiling, some seconds\n" + sentence
     assert [file.name for file in (tmp_path / "out").iterdir()] == ["dies.zarr"]
     assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
 
