@@ -1,7 +1,7 @@
 """A model beside measurements: how far apart, and where."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -20,11 +20,12 @@ from memsgyro_jax.measurement.experiments.deviation import Series
 from memsgyro_jax.measurement.model import Model
 from memsgyro_jax.measurement.readings import model_of
 
+from .drives import Rows
 from .fit import CaseFit, fit_case
 from .fitted import RecordError
 from .instrument import beside_case_of
 from .misfit import LEVEL, Check, check_all
-from .outlying import of_rows, outlying
+from .outlying import of_rows, outlying, outlying_in_noise
 
 
 if TYPE_CHECKING:
@@ -46,6 +47,7 @@ class Comparison(Shown):
         checks: every test made.
         level: probability that a right model fails any of them.
         fitted: whether the model was fitted to the case, or only evaluated.
+        left_out: rows of records, by number, that stand alone and without which the model explains the case.
         versions: of what computed it.
     """
 
@@ -54,6 +56,7 @@ class Comparison(Shown):
     checks: tuple[Check, ...]
     level: float
     fitted: bool
+    left_out: Rows = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=lambda: dict(versions()))
 
     @property
@@ -110,7 +113,10 @@ class Comparison(Shown):
         alarm = f"with probability {self.level:g} noise alone fails any"
         if failed:
             return f"The model does not explain the records: {failed} of {len(self.checks)} tests fail ({alarm}):"
-        return f"The model explains the records: none of {len(self.checks)} tests fails ({alarm})."
+        alone = ""
+        if self.left_out:
+            alone = f", but for {of_rows(self.case, self.left_out)}, which is outlying and left out"
+        return f"The model explains the records{alone}: none of {len(self.checks)} tests fails ({alarm})."
 
     @property
     def beside_size(self) -> str:
@@ -137,6 +143,7 @@ class Comparison(Shown):
             "chi2_per_dof": self.fit.chi2_per_dof if self.fitted else None,
             "experiments": [e.to_dict() for e in self.errors],
             "failures": list(self.failures),
+            "outlying": {self.case.records[number].name: list(rows) for number, rows in self.left_out.items()},
             "tests": [_check_dict(c) for c in self.checks],
             "parameters": [p.to_dict() for p in (self.fit.estimates if self.fitted else ())],
             "effects": [e.label for e in self.model.present.effects],
@@ -195,7 +202,11 @@ def compare(
         )
     if whole is not None:
         whole = beside_case_of(case, whole)
-    return judged(fit_case(case, model=whole, held=not fitted), level=level, fitted=fitted)
+    result = judged(fit_case(case, model=whole, held=not fitted), level=level, fitted=fitted)
+    if result.explained or not (rows := outlying_in_noise(result.fit)):
+        return result
+    fewer = judged(fit_case(case, model=whole, held=not fitted, left_out=rows), level=level, fitted=fitted)
+    return replace(fewer, left_out=rows) if fewer.explained else result
 
 
 def judged(fit: CaseFit, *, level: float = LEVEL, fitted: bool = True) -> Comparison:

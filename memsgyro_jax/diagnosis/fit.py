@@ -26,7 +26,7 @@ from memsgyro_jax.measurement.linear_start import starting_device
 from memsgyro_jax.measurement.model import Model, check_effect
 from memsgyro_jax.measurement.readings import Readings, model_of, readings_of
 
-from .drives import FAR, stages, up
+from .drives import FAR, Rows, stages, up, without_rows
 from .fit_table import fit_table
 from .fitted import ParameterEstimate, RecordError, errors_figure
 from .instrument import beside_case_of, knowledge
@@ -260,6 +260,7 @@ def fit_case(
     model: Model | None = None,
     held: bool = False,
     fixed: Sequence[str] = (),
+    left_out: Rows | None = None,
 ) -> CaseFit:
     """The maximum-likelihood fit of the base model with `effects` to a case.
 
@@ -269,6 +270,7 @@ def fit_case(
         model: start from this model (with its effects) instead of one found from the data.
         held: leave the model as it is and only evaluate it.
         fixed: names of parameters that keep their value.
+        left_out: rows that are neither fitted nor compared.
 
     **Raises:** `InputError` in float32, where an effect does not suit the device, or for a name that is no parameter.
     """
@@ -277,7 +279,7 @@ def fit_case(
         check_effect(effect, base.axes)
     whole = base.with_effect(*effects)
     known = knowledge([effect for effect in whole.effects if isinstance(effect, InstrumentTerm)])
-    joint = Joint(whole, (*readings_of(case), *known))
+    joint = Joint(whole, (*without_rows(readings_of(case), left_out or {}), *known))
     vector, places = joint.start, _free_places(joint, fixed)
     alone = np.intersect1d(joint.base(), places)
     if 0 < alone.size < places.size and not held:

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from memsgyro_jax.measurement.case import Case
+from memsgyro_jax.measurement.case import AbstractRecord, Case
 from memsgyro_jax.measurement.least_squares import gate
 from memsgyro_jax.measurement.outliers import lone_residuals
 from memsgyro_jax.measurement.readings import Readings
@@ -24,6 +24,8 @@ FAR, TRIMMED = 3.0, 0.1  # times what is usual from which rows are trimmed, and 
 USUAL = 1.5  # standard deviations that most rows may be off a fit that nothing pulls
 NEARER = 0.5  # of what was usual: what a fit to the others must come to, each time
 ROUNDS, EVALUATIONS = 8, 8  # of such fits
+FALL = 0.3  # of the largest reading: a change across one row that may be a fall from branch to branch
+SUDDEN = 3.0  # times the changes beside it
 
 
 def outlying(fit: CaseFit) -> Rows:
@@ -47,11 +49,28 @@ def outlying(fit: CaseFit) -> Rows:
 
 
 def of_rows(case: Case, left_out: Rows) -> str:
-    """Rows by number, from one, of each record."""
+    """Rows by number, from one, of each record, where each was taken and why it may be outlying."""
     return "; ".join(
-        f"row{'s' * (len(rows) > 1)} {', '.join(str(row + 1) for row in rows)} of {case.records[number].name}"
+        f"row{'s' * (len(rows) > 1)} {', '.join(_of_row(case.records[number], row) for row in rows)} of "
+        f"{case.records[number].name}"
         for number, rows in left_out.items()
     )
+
+
+def _of_row(record: AbstractRecord, row: int) -> str:
+    said = [record.at(row), "read while the response fell from branch to branch" * _amid_a_fall(record, row)]
+    told = ", ".join(filter(None, said))
+    return f"{row + 1} ({told})" if told else str(row + 1)
+
+
+def _amid_a_fall(record: AbstractRecord, row: int) -> bool:
+    """Whether the reading changes at once across a row of a sweep, and hardly beside it."""
+    if not (np.iscomplexobj(record.readings) and 1 < row < record.rows - 2):
+        return False
+    size = np.max(np.abs(record.readings), axis=1)
+    before, *across, after = np.abs(np.diff(size[row - 2 : row + 3]))
+    fall = sum(across)
+    return bool(fall > FALL * np.nanmax(size) and fall > SUDDEN * max(before, after))
 
 
 def search_beside_outlying(
@@ -88,13 +107,13 @@ def _to_leave_out(fit: CaseFit) -> Rows:
     """Outlying rows, if without them the rest may be explained; also those that one row, far off, has hidden by pulling
     the fit away from all others.
     """
-    if rows := _if_rest_is_noise(fit):
+    if rows := outlying_in_noise(fit):
         return rows
     calmer = not_pulled(fit)
-    return {} if calmer is None else _if_rest_is_noise(calmer)
+    return {} if calmer is None else outlying_in_noise(calmer)
 
 
-def _if_rest_is_noise(fit: CaseFit) -> Rows:
+def outlying_in_noise(fit: CaseFit) -> Rows:
     """Outlying rows, if a refit without them may leave noise: to the first order, which costs nothing."""
     rows, joint = outlying(fit), fit.joint
     if not rows:

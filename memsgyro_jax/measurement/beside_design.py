@@ -17,8 +17,9 @@ _FAR = 2.0  # half widths from the resonance, beyond which a bent peak counts fo
 
 
 def beside_design(case: Case) -> tuple[str, ...]:
-    """A sentence for each declared number of a resonator's design, with a warning where the records lie outside
-    its interval, and one where the phase far from resonance is none that a resonator has.
+    """A sentence for each number of a resonator as the records show it, beside that of its design where one is
+    declared, with a warning where they lie outside its interval; and one where the phase far from resonance is none
+    that a resonator has.
     """
     if case.device != "resonator":
         return ()
@@ -33,10 +34,14 @@ def beside_design(case: Case) -> tuple[str, ...]:
     said = []
     for key, value in shown.items():
         design = case.design[key]
-        if design.unknown or (key == "static_gain" and not rows):
+        if key == "static_gain" and (design.unknown or not rows):
+            continue
+        seen = _number(key, value, shown["quality_factor"])
+        if design.unknown:
+            said.append(f"{key}: the records show {seen}.")
             continue
         outside = not design.low <= value <= design.high
-        seen, meant = _number(key, value), _number(key, design.value)
+        meant = _number(key, design.value, shown["quality_factor"])
         if key == "static_gain" and case.words.design[key] == "m/(N)":  # a length for a force: 1/(mass ω²)
             own = omega if case.design["resonance"].unknown else case.design["resonance"].value
             seen = f"{seen} m/N (a mass of {1.0 / (value * omega**2):.4g} kg)"
@@ -46,8 +51,10 @@ def beside_design(case: Case) -> tuple[str, ...]:
     return (*said, *_phases(rows, QUANTITIES[case.readout.order], omega, float(device.damping[0])))
 
 
-def _number(key: str, value: float) -> str:
-    return spoken(value / (2.0 * np.pi), "Hz") if key == "resonance" else f"{value:.4g}"
+def _number(key: str, value: float, quality_factor: float) -> str:
+    """A resonance to a hundredth of its width."""
+    digits = max(4, int(np.ceil(np.log10(max(quality_factor, 1.0)))) + 2)
+    return spoken(value / (2.0 * np.pi), "Hz", digits) if key == "resonance" else f"{value:.4g}"
 
 
 def _weakest(case: Case) -> list[Phasors]:

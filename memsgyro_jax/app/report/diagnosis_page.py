@@ -11,6 +11,8 @@ from memsgyro_jax.diagnosis.compare import as_times, judged
 from memsgyro_jax.diagnosis.found_force import LawOverWaveform, found_forces
 from memsgyro_jax.diagnosis.residual_force import beside_lowest_drive, rate_residuals, sweep_forces, time_forces
 from memsgyro_jax.diagnosis.result import DRAW, Accepted, Candidate, Diagnosis
+from memsgyro_jax.measurement.calibration import unit_of_records
+from memsgyro_jax.measurement.case import Case
 
 from . import diagnosis_figures as figures
 from . import force_figures
@@ -216,8 +218,7 @@ def _forces(out: Page, diagnosis: Diagnosis) -> None:
 
 def _found_figures(diagnosis: Diagnosis) -> Iterator[tuple[Figure, str]]:
     """Each accepted law beside what the records show of it."""
-    gyro = diagnosis.case.device == "single_mass"
-    length, force = ((1e6, "µm"), (1e9, "nN")) if gyro else ((1.0, "V"), (1.0, "V"))
+    length, force, stiffness, damping = _units(diagnosis.case)
     for accepted, found in found_forces(diagnosis):
         if isinstance(found, LawOverWaveform):
             slow = found.over == "velocity"
@@ -225,17 +226,22 @@ def _found_figures(diagnosis: Diagnosis) -> Iterator[tuple[Figure, str]]:
             factors = (1e-3 * length[0] if slow else length[0], force[0])
             labels = (across, f"force beyond a straight line [{force[1]}]")
         else:
-            unit = {"stiffness": "N/m", "damping": "N s/m"} if gyro else {"stiffness": "V/V", "damping": "V s/V"}
-            factors, labels = (length[0], 1.0), (f"amplitude [{length[1]}]", f"{found.part} [{unit[found.part]}]")
+            unit = {"stiffness": stiffness, "damping": damping}[found.part]
+            factors, labels = (length[0], 1.0), (f"amplitude [{length[1]}]", f"{found.part} [{unit}]")
         figure = force_figures.found_figure(found, factors, labels)
         yield figure, f"{accepted.label}, as {found.record} shows it."
 
 
+def _units(case: Case) -> tuple[tuple[float, str], tuple[float, str], str, str]:
+    """In which a picture shows displacement and force, each as factor and unit, stiffness and damping."""
+    told = [unit_of_records(case, unit) for unit in ("m", "N", "N/m", "N s/m")]
+    length = (1e6, "µm") if told[0] == "m" else (1.0, told[0])
+    return length, ((1e9, "nN") if told[1] == "N" else (1.0, told[1])), told[2], told[3]
+
+
 def _force_figures(diagnosis: Diagnosis) -> Iterator[tuple[Figure, str]]:
     """Each picture of a force that stands out of the noise, and its caption."""
-    base, gyro = beside_lowest_drive(diagnosis.base), diagnosis.case.device == "single_mass"
-    motion, force = ((1e6, "µm"), (1e9, "nN")) if gyro else ((1.0, "V"), (1.0, "V"))
-    units = ("N/m", "N s/m") if gyro else ("V/V", "V s/V")
+    base, (motion, force, *units) = beside_lowest_drive(diagnosis.base), _units(diagnosis.case)
     for sweep in sweep_forces(base):
         for axis in force_figures.shown_axes(sweep):
             along = "xy"[sweep.axis]

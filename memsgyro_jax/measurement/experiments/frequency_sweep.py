@@ -23,6 +23,7 @@ from .harmonic_sweep import HarmonicSweep
 from .missing_force import SweepForce
 from .record import AbstractRecord, Watched
 from .sheet import Sheet
+from .sweep_coverage import hasty, peaks_not_seen, place_in_band
 from .sweep_layout import halves, joined_rows
 from .sweep_rows import alike, check_order, check_phase, levels_set, refuse_copies, single_sweeps
 
@@ -257,18 +258,15 @@ class FrequencySweepRecord(AbstractRecord):
         ]
 
     def warnings(self, declared: Declared) -> list[str]:
-        found = exchanged(self.file, self.axis, self.phasors[:, self.channels])
+        read, hertz = self.phasors[:, self.channels], self.frequency / _TWO_PI
+        found = exchanged(self.file, self.axis, read)
+        found += peaks_not_seen(self.file, hertz, np.abs(read).max(axis=1), self.setting, self.sweeps)
         for rows in self.sweeps:
             if self._peak(rows) < _WEAK * (self.noise_std or self.estimated_noise() or 0.0):
-                place = f"{self.file}, lines {self.lines[rows][0]} to {self.lines[rows][-1]}"
-                found.append(f"{place}: the sweep hardly rises above its noise, so that it tells little; it is used.")
+                place = f"{self.file}, lines {self.lines[rows][0]} to {self.lines[rows][-1]}: the sweep"
+                found.append(f"{place} hardly rises above its noise, so that it tells little; it is used.")
         if self.time is not None and self.settled:
-            dwell, needed = float(np.median(np.diff(self.time))), 5 * declared.shortest_decay
-            if dwell < needed:
-                found.append(
-                    f"{self.file}: rows are declared settled, but follow each other after {dwell:.3g} s, less than the "
-                    f"{needed:.3g} s that are 5 time constants of the most damped device within the design."
-                )
+            found += hasty(self.file, self.time, declared.shortest_decay)
         return found
 
     # ---- misfit and overlay
@@ -295,7 +293,7 @@ class FrequencySweepRecord(AbstractRecord):
         )  # fmt: skip
 
     def at(self, row: int) -> str:
-        return f"near {spoken(self.frequency[row] / _TWO_PI, 'Hz')}"
+        return f"near {place_in_band(self.frequency / _TWO_PI, row)}"
 
     def overlay(self, base: Deviation, final: Deviation) -> Overlay:
         """Every channel over frequency, and the neighbourhood in which the base model is worst."""

@@ -1,0 +1,65 @@
+"""What single frequency sweeps do not show of their resonance, for warnings."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from memsgyro_jax.base.text import spoken
+
+
+_FALL = 0.3  # of the largest reading: a change from row to row that may be a fall from branch to branch
+_SUDDEN = 3.0  # times the changes beside it
+_SETTLED = 5.0  # time constants between rows
+
+
+def place_in_band(hertz: np.ndarray, row: int) -> str:
+    """The frequency of a row with as many digits as tell it from the next."""
+    step = float(np.median(np.abs(np.diff(hertz)))) or hertz[row]
+    return spoken(hertz[row], "Hz", max(4, int(np.ceil(np.log10(hertz[row] / step))) + 1))
+
+
+def peaks_not_seen(
+    file: str, hertz: np.ndarray, size: np.ndarray, setting: np.ndarray, sweeps: Sequence[slice]
+) -> list[str]:
+    """A sentence for each sweep that ends before its peak, and for each that falls from branch to branch and is not
+    taken in both directions.
+    """
+    said = []
+    ways = {(f"{setting[rows][0]:.3g}", hertz[rows][-1] > hertz[rows][0]) for rows in sweeps}
+    for rows in sweeps:
+        values, places = size[rows], hertz[rows]
+        rising, end = places[-1] > places[0], int(np.argmax(values))
+        if end in (0, len(values) - 1) and np.all(np.isfinite(values)):
+            higher = places[end] == places.max()
+            beyond = "higher" if higher else "lower"
+            said.append(
+                f"{file}: the largest reading of a sweep is at the end of its band, {place_in_band(places, end)}: a "
+                f"sweep on to {beyond} frequencies shows its peak."
+            )
+        elif (row := sudden_fall(values)) is not None and (f"{setting[rows][0]:.3g}", not rising) not in ways:
+            back = "down" if rising else "up"
+            said.append(
+                f"{file}: the reading changes at once near {place_in_band(places, row)}, as a bent resonance does from "
+                f"branch to branch: a sweep {back} at this drive shows the other branch."
+            )
+    return said
+
+
+def sudden_fall(size: np.ndarray) -> int | None:
+    """The row after which readings (n,) of a sweep change at once: by a third of the largest, and by several times the
+    changes beside it; `None` where none does.
+    """
+    steps = np.abs(np.diff(size))
+    beside = np.maximum(steps[:-2], steps[2:])
+    falls = np.flatnonzero((steps[1:-1] > _FALL * np.nanmax(size)) & (steps[1:-1] > _SUDDEN * beside))
+    return int(falls[0]) + 1 if falls.size else None
+
+
+def hasty(file: str, time: np.ndarray, decay: float) -> list[str]:
+    """A sentence where rows that are declared settled follow each other sooner than a device comes to rest."""
+    dwell, needed = float(np.median(np.diff(time))), _SETTLED * decay
+    said = (
+        f"{file}: rows are declared settled, but follow each other after {dwell:.3g} s, less than the {needed:.3g} s "
+        f"that are {_SETTLED:g} time constants of the most damped device within the design."
+    )
+    return [said] if dwell < needed else []
