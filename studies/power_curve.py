@@ -21,9 +21,9 @@ from memsgyro_jax.base import runtime
 
 runtime.configure()
 
+from memsgyro_jax.diagnosis.findings import SIGMAS_SEEN  # noqa: E402
 from memsgyro_jax.diagnosis.fit import fit_case  # noqa: E402
 from memsgyro_jax.diagnosis.joint_residual import Joint  # noqa: E402
-from memsgyro_jax.diagnosis.result import SIGMAS_SEEN  # noqa: E402
 from memsgyro_jax.diagnosis.score import Score, basis, family_p_values, score  # noqa: E402
 from memsgyro_jax.effects import CubicStiffness, Scanned, catalogue  # noqa: E402
 from memsgyro_jax.measurement.case import load_case  # noqa: E402

@@ -21,6 +21,7 @@ from .acceptance import excess
 from .climb import Climb, climbed
 from .drift_in_time import with_drift_alone
 from .drives import Rows, without_rows
+from .findings import SIGMAS_SEEN, Accepted, Candidate, Stage
 from .fit import CaseFit
 from .instrument import beside_case_of, drive_levels, knowledge
 from .joint_residual import Joint
@@ -28,7 +29,7 @@ from .next_experiment import advice, next_experiments
 from .nuisances import instrument_first, of_instrument, terms_of
 from .optimum import Optimum
 from .outlying import of_rows, search_beside_outlying
-from .result import SIGMAS_SEEN, Accepted, Candidate, Diagnosis, Stage, Verdict, validation_error
+from .result import Diagnosis, Verdict, validation_error
 from .rounds import FITTED, search_on
 from .score import basis, score, separation
 from .search import CONFUSED, Ranking, Search, SearchStep, start_search
@@ -268,24 +269,22 @@ def _accepted(search: Search, confused: Mapping[int, Iterable[int]], steps) -> t
         at = np.isin(search.optimum.free, search.joint.of_effect(place))
         where = labels.index(effect.label) if effect.label in labels else len(steps) - 1
         out.append(
-            (
-                mine.statistic,
-                Accepted(
-                    name=effect.name,
-                    where=effect.where,
-                    estimate=tuple(search.optimum.vector[search.joint.of_effect(place)].tolist()),
-                    std=tuple(search.optimum.std[at].tolist()),
-                    unit=unit_of_records(search.case, effect.unit),
-                    p_value=mine.p_value,
-                    error_before=validation_error(steps[max(where - 1, 0)].fit),
-                    error_after=validation_error(steps[where].fit),
-                    confused_with=tuple(search.joint.model.effects[i].label for i in confused[place]),
-                    numbers=_numbers(search, place),
-                    calibration=calibration_share(search.case, effect.unit),
-                ),
+            Accepted(
+                name=effect.name,
+                where=effect.where,
+                estimate=tuple(search.optimum.vector[search.joint.of_effect(place)].tolist()),
+                std=tuple(search.optimum.std[at].tolist()),
+                unit=unit_of_records(search.case, effect.unit),
+                p_value=mine.p_value,
+                error_before=validation_error(steps[max(where - 1, 0)].fit),
+                error_after=validation_error(steps[where].fit),
+                confused_with=tuple(search.joint.model.effects[i].label for i in confused[place]),
+                numbers=_numbers(search, place),
+                calibration=calibration_share(search.case, effect.unit),
+                chi2=mine.statistic,
             )
         )
-    return tuple(a for _, a in sorted(out, key=lambda pair: -pair[0]))
+    return tuple(sorted(out, key=lambda a: -a.chi2))
 
 
 def _numbers(search: Search, place: int) -> dict[str, tuple[float, float, str]]:

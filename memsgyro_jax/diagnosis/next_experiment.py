@@ -19,17 +19,16 @@ from memsgyro_jax.base.runtime import usable_cores
 from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.experiments import Readings
 
+from .findings import NOTHING, SIGMAS_SEEN, Prospect
 from .joint_residual import Joint
 from .linearised import WIDTH
 from .optimum import Optimum, optimise
-from .result import SIGMAS_SEEN, Prospect
 from .rounds import DECIDED
 from .score import RELATIVE, basis, score
 from .search import CONFUSED, Ranking, Search, always_free
 
 
 HALF = 0.5  # of what an experiment tells: how few rows hold it is said
-NOTHING = " from nothing"
 UNKNOWN = "not computed: the model does not follow it"
 SETTLES, STILL = 4, 0.1  # steps towards what a model records, and standard deviations that it may still be off
 CLEARLY = 100.0  # times what rounding leaves of an effect that the records cannot show
@@ -97,9 +96,8 @@ def advice(prospects: Sequence[Prospect]) -> str | None:
     if best.shown:
         return f"{best.experiment}; it would {best.decides}"
     by = f"{np.sqrt(best.chi2):.3g} standard deviations"
-    if best.decides.endswith(NOTHING):
-        effect = best.decides.removesuffix(NOTHING)
-        return f"{best.experiment}; {effect} as weak as these records would just show it would stand out by {by}"
+    if best.weaker is not None:
+        return f"nothing is left to decide; to see weaker effects, {best.experiment}: {best.told}, for one, would show"
     if best.chi2 <= CONFUSED:
         return f"none of the feasible experiments would tell {best.decides}"
     return f"{best.experiment}; it would tell {best.decides} by {by}{best.where}"

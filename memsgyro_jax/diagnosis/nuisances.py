@@ -11,12 +11,12 @@ from memsgyro_jax.effects import TERMS, Effect, InstrumentTerm, Scanned
 from memsgyro_jax.measurement.least_squares import gate
 
 from .acceptance import BEYOND_LINEAR, excess, share_needed
+from .findings import Accepted
 from .fit import beside_case
 from .instrument import instrument_terms, knowledge
 from .joint_residual import Joint
 from .optimum import Optimum, optimise
 from .promise import Offer, Promise, offers_of, promised
-from .result import Accepted
 from .search import GLANCE, INSTRUMENT, LOOK_AHEAD, Ranking, Search, SearchStep, always_free
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -17,6 +18,8 @@ from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.model import Model
 
 from .compare import judged
+from .describing import consequence
+from .findings import Accepted, Candidate, Prospect, Stage
 from .fit import CaseFit
 from .fit_table import effects_table, errors_table, parameters_table, readings_table
 from .fitted import ParameterEstimate, errors_figure, with_calibration
@@ -29,98 +32,6 @@ if TYPE_CHECKING:
 Verdict = Literal["nothing_missing", "instrument_only", "found", "cannot_tell", "partly_explained", "unknown_effect"]
 DRAW = "memsgyro law {} --out my_law.py"
 _PLANNED = 5  # next experiments that are printed
-SIGMAS_SEEN = 4.3  # strength over its standard deviation that is found nine times in ten among some forty candidates
-
-
-@dataclass(frozen=True)
-class Accepted:
-    """An effect that the model needs.
-
-    Args:
-        name, where: as in the catalogue.
-        estimate, std: strength and standard deviation, one number each or one per component, in `unit`.
-        p_value: of the final model without it.
-        error_before, error_after: root mean square of validation residual over noise before and after it was added.
-        confused_with: labels of effects that these records cannot tell from it.
-        numbers: its further numbers by name: value, standard deviation and unit.
-        calibration: share of the strength that the declared tolerances of the scales leave unsure, beside `std`.
-    """
-
-    name: str
-    where: str
-    estimate: tuple[float, ...]
-    std: tuple[float, ...]
-    unit: str
-    p_value: float
-    error_before: float
-    error_after: float
-    confused_with: tuple[str, ...] = ()
-    numbers: Mapping[str, tuple[float, float, str]] = field(default_factory=dict)
-    calibration: float = 0.0
-
-    @property
-    def label(self) -> str:
-        """Name and variant."""
-        return f"{self.name} {self.where}".rstrip()
-
-    def scaled(self, factor: float) -> "Accepted":
-        """The same with all standard deviations multiplied."""
-        numbers = {name: (value, factor * std, unit) for name, (value, std, unit) in self.numbers.items()}
-        return replace(self, std=tuple(factor * s for s in self.std), numbers=numbers)
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """An effect that was tried beside the final model (in the first round: the base model).
-
-    Args:
-        label, unit: of the effect.
-        score: χ² it would explain.
-        p_value: family-wise.
-        explained_share: part of the misfit above noise that it explains.
-        kept_share: part of its sensitivity that no other free parameter can take over.
-        smallest_visible: strength that would have been found about nine times in ten; infinite where nothing
-            shows it.
-        excited: whether the records can show it at all.
-    """
-
-    label: str
-    unit: str
-    score: float
-    p_value: float
-    explained_share: float
-    kept_share: float
-    smallest_visible: float
-    excited: bool
-
-
-@dataclass(frozen=True)
-class Stage:
-    """The fit after one more effect: χ² per degree of freedom of the fitted readings and error of the validation."""
-
-    added: str
-    chi2_per_dof: float
-    validation_error: float
-
-
-@dataclass(frozen=True)
-class Prospect:
-    """A feasible experiment and what it would decide.
-
-    Args:
-        experiment: what to do.
-        decides: what it would tell, "A from B", or show.
-        chi2: expected Δχ² between the two once it is added to the records, everything free refitted; NaN where what it
-            would record cannot be predicted.
-        shown: how many effects it would show that the records cannot.
-        where: how few of its rows hold half of that, and the best of them.
-    """
-
-    experiment: str
-    decides: str
-    chi2: float
-    shown: int = 0
-    where: str = ""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -185,6 +96,18 @@ class Diagnosis(Labelled):
         """Numbers of `device` that were fitted, by their paths there, with their joint uncertainty."""
         return self.final.uncertainty
 
+    @cached_property
+    def consequences(self) -> dict[str, str]:
+        """By label of an accepted force, what it does to resonance and quality factor at the largest swing."""
+        effects = {effect.label: effect for effect in self.final.model.effects}
+        told = {a.label: consequence(self.final, effects[a.label]) for a in self.accepted if a.label in effects}
+        return {label: text for label, text in told.items() if text}
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the records themselves warn of, as `memsgyro check` prints it."""
+        return tuple(warning for record in self.case.records for warning in record.warnings(self.case))
+
     @property
     def modes(self) -> tuple[ParameterEstimate, ...]:
         """Resonance frequency [Hz] and quality factor of each mode of the final base device."""
@@ -200,6 +123,8 @@ class Diagnosis(Labelled):
             value = ", ".join(f"{beside(e, s)} ± {s:.2g}" for e, s in zip(a.estimate, a.std, strict=True))
             more = "".join(f", {name} {beside(v, s)} ± {s:.2g} {unit}" for name, (v, s, unit) in a.numbers.items())
             lines.append(f"  {a.label}: {value} {a.unit}{with_calibration(a.calibration)}{more}" + _confused(a))
+            if a.label in self.consequences:
+                lines.append(f"    {self.consequences[a.label]}")
         if self.scale > 1.0:
             lines.append(f"  (standard deviations times {self.scale:.3g}, as the model leaves more than the noise)")
         if self.tried:
@@ -230,7 +155,7 @@ class Diagnosis(Labelled):
             "sentence": self.sentence,
             "base": _fit(self.base),
             "final": _fit(self.final),
-            "effects": [_accepted(a) for a in self.accepted],
+            "effects": [_accepted(a) | {"at_largest": self.consequences.get(a.label)} for a in self.accepted],
             "instrument": [_accepted(a) for a in self.instrument],
             "candidates": [asdict(c) for c in self.candidates],
             "candidates_of_base": [asdict(c) for c in self.first],
@@ -335,5 +260,6 @@ def _accepted(a: Accepted) -> dict:
         "validation_error_after": a.error_after,
         "confused_with": list(a.confused_with),
         "calibration": a.calibration,
+        "chi2": a.chi2,
         "numbers": {name: {"value": v, "std": s, "unit": unit} for name, (v, s, unit) in a.numbers.items()},
     }

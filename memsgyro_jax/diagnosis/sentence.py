@@ -2,16 +2,18 @@
 
 from collections.abc import Mapping, Set
 
+from .findings import Accepted
 from .fit import CaseFit
-from .result import Accepted, Verdict
+from .result import Verdict
 
 
+SLIGHT = 0.01  # of the χ² that the strongest effect takes: less is told apart from it
 DRIFT = "frequency_drift"  # in time, which a lone decay may not tell from a law
 
 
 def sentence(verdict: Verdict, accepted: tuple[Accepted, ...], final: CaseFit, explained: list[bool]) -> str:
     """What was found, and what is left where something is."""
-    names = ", ".join(a.label for a in accepted)
+    names = _by_weight(accepted)
     left = ", ".join(
         f"{e.name} ({e.role}, {e.rms:.3g} × noise)" for e, fine in zip(final.errors, explained, strict=True) if not fine
     )
@@ -19,7 +21,8 @@ def sentence(verdict: Verdict, accepted: tuple[Accepted, ...], final: CaseFit, e
         "nothing_missing": "The base model explains every record to its noise; no effect is missing.",
         "instrument_only": "With what the instrument does, the base model explains every record to its noise; no "
         "mechanical effect is missing.",
-        "found": f"Missing was {names}; with it the model explains every record to its noise.",
+        "found": f"Missing was {names}; with {'it' if len(accepted) == 1 else 'them'} the model explains every record "
+        "to its noise.",
         "cannot_tell": f"{names} would explain every record to its noise, but so would "
         + "; ".join(f"{' or '.join(a.confused_with)} in place of {a.label}" for a in accepted if a.confused_with)
         + "."
@@ -28,6 +31,14 @@ def sentence(verdict: Verdict, accepted: tuple[Accepted, ...], final: CaseFit, e
         "partly_explained": f"{names} explains most of the misfit, but something unknown is left in {left}.",
         "unknown_effect": f"Something is missing that no known effect explains: it shows in {left}.",
     }[verdict]
+
+
+def _by_weight(accepted: tuple[Accepted, ...]) -> str:
+    """The labels of effects, and apart those that explain next to nothing beside the strongest."""
+    most = max((a.chi2 for a in accepted), default=0.0)
+    slight = [a.label for a in accepted if a.chi2 < SLIGHT * most]
+    main = ", ".join(a.label for a in accepted if a.label not in slight)
+    return main + (f", and with less than {100 * SLIGHT:g} % of its weight {', '.join(slight)}" if slight else "")
 
 
 def of_noise(noise: Mapping[str, float], declared: Set[str]) -> str:

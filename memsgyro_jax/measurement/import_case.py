@@ -90,6 +90,7 @@ def import_case(
     drive: Sequence[str] = (),
     reference: str = "",
     every: int = 1,
+    rms: bool = False,
     overwrite: bool = False,
 ) -> ImportedCase:
     """Reads what instruments save, and writes a case of it: one file or several, one record or more from each.
@@ -108,6 +109,7 @@ def import_case(
             each that needs it; ``"-"`` stands for a file that needs none.
         reference: frequency of a lock-in that recorded over time, like ``"32.768 kHz"``.
         every: keeps one row of so many, waveforms behind a low pass.
+        rms: takes a lock-in's readings for effective values, where their unit does not say; the drive stays as it is.
         overwrite: writes over a case that is there.
 
     Returns:
@@ -126,14 +128,14 @@ def import_case(
     tuned = _amount(reference, "--reference") if reference else None
     every = whole("every", every, 1)
     read = [read_instrument_file(Path(path)) for path in paths]
-    found = [_records(tables, said, Given(None, tuned, every)) for _, tables in read]
+    found = [_records(tables, said, Given(None, tuned, every, rms)) for _, tables in read]
     swept = [
         any(record.kind == "frequency_sweep" and "drive_force" in record.keys for record in some) for some in found
     ]
     levels = _levels(given, swept)
     for k, level in enumerate(levels):
         if level is not None and swept[k]:
-            found[k] = _records(read[k][1], said, Given(level, tuned, every))
+            found[k] = _records(read[k][1], said, Given(level, tuned, every, rms))
     names = [Path(path).name for path in paths]
     unused = [
         f"the drive of {level[0]:g} {level[1]}, as {name} does not need it"

@@ -63,6 +63,19 @@ def reading_column(column: SourceColumn, assumed: list[str], what: str = "readin
     return with_usual_unit(column, "V", what, assumed)
 
 
+def from_effective(rows: Mapping[str, SourceColumn], assumed: list[str]) -> dict[str, SourceColumn]:
+    """Readings of a lock-in that are effective values, as the user says, as peak amplitudes; not those whose unit says
+    how they are meant.
+    """
+    turned = dict(rows)
+    for name in {"I", "Q", "amp"} & rows.keys():
+        column = rows[name]
+        if not SPECIAL.fullmatch(column.unit):
+            turned[name] = SourceColumn(column.name, column.unit, _ALTERNATE["rms"] * column.values)
+            assumed.append(f"`{column.name}`, rms as was given, is turned to a peak amplitude")
+    return turned
+
+
 def add_surroundings(columns: dict[str, SourceColumn], rows: Mapping[str, SourceColumn]) -> None:
     """Temperature, bias and rate, where their unit says that they are."""
     for name, expected in (("T", "K"), ("V_bias", "V"), ("rate", "rad/s")):

@@ -18,6 +18,7 @@ from .imported_columns import (
     add_surroundings,
     angle_column,
     cut_column,
+    from_effective,
     headed,
     is_same_kind,
     reading_column,
@@ -29,7 +30,7 @@ from .tracking import rough_decay
 
 
 NO_LEVEL = "the drive is 1 V, as the file does not say (`--drive`)"
-PEAK = "amplitudes are peak values, not rms (`Vrms` in a header says so)"
+PEAK = "amplitudes are peak values, not rms (`Vrms` in a header, or `--rms`, says so)"
 _SILENT = 0.01  # of the largest drive: nothing
 _QUIET_SHARE = 0.15  # of the rows at the end without drive: a free decay
 _FEWEST = 50  # rows of a record over time
@@ -67,21 +68,23 @@ class ImportedRecord:
     design: Mapping[str, tuple[float, str]] = field(default_factory=dict)
 
 
+@dataclass(frozen=True)
 class Given:
-    """What the user says beside the file: drive level and reference frequency with their units, or nothing, and that
-    one row of `every` is kept.
+    """What the user says beside the file: drive level and reference frequency with their units, or nothing; that one
+    row of `every` is kept; and whether a lock-in's readings are effective values (`rms`).
     """
 
-    def __init__(
-        self, drive: tuple[float, str] | None = None, reference: tuple[float, str] | None = None, every: int = 1
-    ) -> None:
-        self.drive, self.reference, self.every = drive, reference, every
+    drive: tuple[float, str] | None = None
+    reference: tuple[float, str] | None = None
+    every: int = 1
+    rms: bool = False
 
 
 def records_of(name: str, table: SourceTable, meaning: Meaning, given: Given) -> list[ImportedRecord]:
     """The records that a table holds: a sweep, or what was forced and what was free of a run over time."""
     assumed = [*table.assumed]
     rows = thinned(table, meaning, _finite(table, meaning, assumed), given.every, assumed)
+    rows = from_effective(rows, assumed) if given.rms else rows
     source = f"{table.path.name}{', ' + table.name if table.name else ''}"
     about = {"name": name, "source": source, "unused": meaning.unused}
     with np.errstate(over="ignore", invalid="ignore"):  # of a damaged file; reading the case refuses them

@@ -11,7 +11,7 @@ import pytest
 import memsgyro_jax
 from memsgyro_jax.app.cli import main
 from memsgyro_jax.app.commands.diagnose import load_demo_or
-from memsgyro_jax.diagnosis.result import Stage
+from memsgyro_jax.diagnosis.findings import Stage
 from memsgyro_jax.effects import by_name, catalogue
 from memsgyro_jax.measurement.linear_start import starting_device
 from memsgyro_jax.measurement.readings import model_of

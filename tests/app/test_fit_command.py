@@ -48,7 +48,7 @@ def test_a_fitted_model_is_written_and_compared(tmp_path, capsys):
     assert before["ringdown_x", "validation"] > 3
     assert after["ringdown_x", "validation"] < 1.1
 
-    assert run("compare", DEMO, "--model", model, "--json", report) == 0
+    assert run("compare", DEMO, "--model", model, "--json", report, "--exit-code") == 0
     assert "taken as it is" in capsys.readouterr().out
     held = json.loads(report.read_text())
     assert held["explained"]
@@ -75,7 +75,7 @@ def test_an_effect_of_ones_own_and_one_that_is_scanned(tmp_path, capsys):
 
 
 def test_the_base_model_is_compared(capsys):
-    assert run("compare", DEMO) == 0
+    assert run("compare", DEMO, "--exit-code") == 1
     assert "sweep_x fails at drive 150 nN" in capsys.readouterr().out
 
 

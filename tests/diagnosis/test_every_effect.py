@@ -11,9 +11,9 @@ from power import Linear
 from scipy import stats
 
 from memsgyro_jax.diagnosis.diagnose import RECORDS, diagnose
+from memsgyro_jax.diagnosis.findings import SIGMAS_SEEN
 from memsgyro_jax.diagnosis.fit import fit_case
 from memsgyro_jax.diagnosis.joint_residual import Joint
-from memsgyro_jax.diagnosis.result import SIGMAS_SEEN
 from memsgyro_jax.diagnosis.search import CONFUSED
 from memsgyro_jax.measurement.readings import readings_of
 

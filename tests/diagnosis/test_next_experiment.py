@@ -11,11 +11,11 @@ from bench_case import ONE_AXIS, RESONATOR, bench
 from lab.faults import Faults
 
 from memsgyro_jax.diagnosis.diagnose import diagnose
+from memsgyro_jax.diagnosis.findings import Prospect
 from memsgyro_jax.diagnosis.instrument import instrument_terms
 from memsgyro_jax.diagnosis.joint_residual import Joint
 from memsgyro_jax.diagnosis.next_experiment import Rivals, advice, as_recorded, expected, plans
 from memsgyro_jax.diagnosis.optimum import optimise
-from memsgyro_jax.diagnosis.result import Prospect
 from memsgyro_jax.diagnosis.search import CONFUSED, always_free
 from memsgyro_jax.effects import catalogue
 from memsgyro_jax.measurement.experiments.base import BEYOND

@@ -9,12 +9,13 @@ from bench_case import BAND, RESONATOR, bench
 from lab.die import Hidden
 from lab.protocol import Laboratory, Sweep
 
+from memsgyro_jax.diagnosis.compare import compare
 from memsgyro_jax.diagnosis.drives import without_rows
 from memsgyro_jax.diagnosis.fit import beside_case, fit_case
 from memsgyro_jax.diagnosis.instrument import instrument_terms
 from memsgyro_jax.diagnosis.joint_residual import Joint
 from memsgyro_jax.diagnosis.optimum import optimise
-from memsgyro_jax.diagnosis.outlying import _to_leave_out, not_pulled, outlying, search_beside_outlying
+from memsgyro_jax.diagnosis.outlying import _to_leave_out, not_pulled, of_rows, outlying, search_beside_outlying
 
 
 LONG = Laboratory((Sweep("sweep", 0, (0.002, 0.006), **BAND | {"points": 90}),), digits=17)
@@ -44,6 +45,28 @@ def test_wrong_rows_are_named_and_leave_the_fit_what_it_was(seed):
     free = again.optimum.free
     moved = np.abs(again.optimum.vector[free] - clean.optimum.vector[free]) / clean.optimum.std
     assert np.all(moved < 1.0)
+
+
+def test_a_comparison_leaves_out_what_stands_alone_and_names_it():
+    """As the diagnosis does whose model is compared, else that model would fail by the very rows it left out."""
+    model = fit_case(case_of(1)).model
+    case = case_of(1, rows=(44,), sigmas=40.0)
+    result = compare(model, case, fitted=False)
+    assert result.explained
+    assert result.left_out == {0: (44,)}
+    assert "but for row 45 (near " in result.verdict
+    assert result.to_dict()["outlying"] == {"sweep": [44]}
+    part = compare(model, case_of(1, rows=range(5, 175, 12), sigmas=40.0), fitted=False)
+    assert not part.explained
+    assert part.left_out == {}
+
+
+def test_a_row_of_a_fall_is_told():
+    size = np.array([0.1, 0.2, 0.4, 0.6, 0.8, 0.5, 0.15, 0.14, 0.13, 0.12])
+    record = SimpleNamespace(readings=size[:, None] * 1j, rows=10, name="up", at=lambda row: "near 1 Hz")
+    case = SimpleNamespace(records=[record])
+    assert of_rows(case, {0: (5,)}) == "row 6 (near 1 Hz, read while the response fell from branch to branch) of up"
+    assert of_rows(case, {0: (2,)}) == "row 3 (near 1 Hz) of up"
 
 
 def test_normal_noise_and_a_missing_law_name_nobody(monkeypatch):

@@ -6,6 +6,7 @@ from memsgyro_jax.base.errors import InputError
 
 from .cases import cases_in, only_of_folders, over_cases
 from .diagnose import load_demo_or, look_for
+from .flags import Flag
 
 
 def compare_command(
@@ -15,6 +16,7 @@ def compare_command(
     model: Path | None = None,
     effects: Path | None = None,
     kinds: Path | None = None,
+    exit_code: Flag = False,
     json: Path | None = None,
     out: Path | None = None,
     jobs: int = 1,
@@ -24,6 +26,8 @@ def compare_command(
 
     Prints the error of every experiment over its noise, then each failure:
     experiment, drive level, temperature or time, frequency, channel.
+    A few rows that stand alone, without which the model explains the case,
+    are named and left out.
 
     Args:
         case: folder with a case.toml and the CSV files that it names, the word demo for the one that comes along, or a
@@ -31,6 +35,7 @@ def compare_command(
         model: a model file, taken as it is; without it the base model is fitted.
         effects: a Python file with effects of your own that the model has. It is run: trust it first.
         kinds: a Python file with kinds of measurement of your own. It is run: trust it first.
+        exit_code: end with status 1 where the model does not explain the case, for scripts.
         json: file for the machine-readable result, of many cases for their table.
         out: folder for the results of many cases, `compare-out` without this option. What is there is not done again.
         jobs: how many of many cases are compared at a time.
@@ -58,4 +63,6 @@ def compare_command(
     print(result)
     if json is not None:
         write_json(json, result.to_dict())
+    if exit_code and not result.explained:
+        raise SystemExit(1)
     return None

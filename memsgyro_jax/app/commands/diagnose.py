@@ -13,8 +13,8 @@ from .cases import cases_in, only_of_folders, over_cases
 
 
 if TYPE_CHECKING:
+    from memsgyro_jax.diagnosis.findings import Stage
     from memsgyro_jax.diagnosis.fit import CaseFit
-    from memsgyro_jax.diagnosis.result import Stage
     from memsgyro_jax.effects import Effect
     from memsgyro_jax.measurement.case import AbstractRecord, Case
     from memsgyro_jax.measurement.model import Model

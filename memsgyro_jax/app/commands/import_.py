@@ -15,6 +15,7 @@ def import_command(
     drive: Words = (),
     reference: str = "",
     every: int = 1,
+    rms: Flag = False,
     overwrite: Flag = False,
     json: Path | None = None,
 ) -> None:
@@ -32,6 +33,8 @@ def import_command(
             none, as a ring-down.
         reference: frequency of a lock-in that recorded over time, like "32.768 kHz".
         every: keep one row of so many, waveforms behind a low pass: for records longer than they need to be.
+        rms: the readings of a lock-in are effective values, not peak ones, where their unit does not say; the drive
+            stays as it is.
         overwrite: write over a case that is there.
         json: file for the machine-readable result.
     """
@@ -41,7 +44,9 @@ def import_command(
     from .options import require_writable
 
     require_writable(json)
-    result = import_case(files, out, columns=map_, drive=drive, reference=reference, every=every, overwrite=overwrite)
+    result = import_case(
+        files, out, columns=map_, drive=drive, reference=reference, every=every, rms=rms, overwrite=overwrite
+    )
     print(result)
     if not result.warning:
         print(f"Next: `memsgyro check {out}`, then `memsgyro diagnose {out}`.")

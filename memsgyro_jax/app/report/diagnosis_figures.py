@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FormatStrFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from memsgyro_jax.base.text import spoken
-from memsgyro_jax.diagnosis.result import Stage
+from memsgyro_jax.diagnosis.findings import Stage
 from memsgyro_jax.measurement.experiments import AbstractRecord, Deviation
 from memsgyro_jax.measurement.experiments.deviation import View
 

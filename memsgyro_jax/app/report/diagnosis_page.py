@@ -8,9 +8,10 @@ from matplotlib.figure import Figure
 
 from memsgyro_jax.base.text import beside, listed
 from memsgyro_jax.diagnosis.compare import as_times, judged
+from memsgyro_jax.diagnosis.findings import Accepted, Candidate
 from memsgyro_jax.diagnosis.found_force import LawOverWaveform, found_forces
 from memsgyro_jax.diagnosis.residual_force import beside_lowest_drive, rate_residuals, sweep_forces, time_forces
-from memsgyro_jax.diagnosis.result import DRAW, Accepted, Candidate, Diagnosis
+from memsgyro_jax.diagnosis.result import DRAW, Diagnosis
 from memsgyro_jax.measurement.calibration import unit_of_records
 from memsgyro_jax.measurement.case import Case
 
@@ -27,6 +28,7 @@ VERDICTS = {
     "partly_explained": "partly explained",
     "unknown_effect": "an unknown law is missing",
 }
+_FEW = 2  # steps, whose errors the table of effects tells
 _BEST = 12  # candidates of the base model that are listed
 
 
@@ -34,13 +36,18 @@ def diagnosis_page(diagnosis: Diagnosis) -> Page:
     """Build the page of a diagnosis."""
     out = Page(f"Diagnosis of {diagnosis.case.name}", diagnosis.case.description)
     out.section(f"Verdict: {VERDICTS[diagnosis.verdict]}").text(diagnosis.sentence)
+    if diagnosis.modes:
+        told = (f"{m.name} {beside(m.value, m.std)} ± {m.std:.2g} {m.unit}".removesuffix(" 1") for m in diagnosis.modes)
+        out.text(f"Of the linear device: {'; '.join(told)}.")
     _effects(out, diagnosis)
     for figure, caption in _found_figures(diagnosis):
         out.figure(figure, caption)
     if diagnosis.next_experiment:
         out.text(f"What to measure next: {diagnosis.next_experiment}.")
+    for warning in diagnosis.warnings:
+        out.text(f"Warning: {warning}")
     _planned(out, diagnosis)
-    if len(diagnosis.steps) > 1:
+    if len(diagnosis.steps) > _FEW:
         names = "; ".join(f"step {k}: {_added(s.added)}" for k, s in enumerate(diagnosis.steps) if k)
         out.figure(figures.steps_figure(diagnosis.steps), f"How the error fell. {names}.")
     _errors(out, diagnosis)
@@ -76,6 +83,11 @@ def _effects(out: Page, diagnosis: Diagnosis) -> None:
             + (f" Intervals are {diagnosis.scale:.3g} times those of the noise, as the model leaves more."
                if diagnosis.scale > 1.0 else ""),
         )  # fmt: skip
+    for label, text in diagnosis.consequences.items():
+        out.text(f"{label}: {text}.")
+    if len(diagnosis.accepted) > 1:
+        weights = (f"{a.label} {as_times(a.chi2)}" for a in diagnosis.accepted)
+        out.text(f"χ² that the final model would leave more without each: {'; '.join(weights)}.")
 
 
 def _planned(out: Page, diagnosis: Diagnosis) -> None:
@@ -83,7 +95,7 @@ def _planned(out: Page, diagnosis: Diagnosis) -> None:
         out.table(
             ["feasible experiment", "would tell or show", "expected Δχ²"],
             [
-                [p.experiment, p.decides + p.where, as_times(p.chi2) if p.chi2 >= 0 else "–"]
+                [p.experiment, p.told + p.where, as_times(p.chi2) if p.chi2 >= 0 else "–"]
                 for p in diagnosis.next_experiments
             ],
             "Within what was recorded: conditions as they were varied, drives up to twice the largest. Expected Δχ² "

@@ -14,6 +14,7 @@ from .figures import blank
 
 _SURE = 0.2  # part of the points that is known best
 _SHOWN = 3.0  # times the uncertainty of the worst of these: points that are less certain would hide the others
+_SMALL = 0.1  # of a law: points that are less certain are not shown beside it
 _NORMAL = 2.0  # mean square over noise from which a force is worth a picture
 
 
@@ -86,11 +87,12 @@ def found_figure(
     figure = blank(3.4)
     ax = figure.subplots()
     if isinstance(found, LawOverWaveform):
-        series = [(one.centre, one.mean, one.error) for one in (found.base, found.final)]
+        series, seen = [(one.centre, one.mean, one.error) for one in (found.base, found.final)], "beside the base model"
     else:
-        sure = found.std <= _SHOWN * np.quantile(found.std, _SURE)
-        series = [(found.amplitude[sure], values[sure], found.std[sure]) for values in (found.base, found.final)]
-    keys = (("missing beside the base model", BASE, "x"), ("missing beside the final model", FINAL, "."))
+        sure = found.std <= _SMALL * np.max(np.abs(found.law))
+        series = [(found.amplitude[sure], values[sure], found.std[sure]) for values in (found.seen, found.left)]
+        seen = "beside the final model without it"
+    keys = ((f"missing {seen}", BASE, "x"), ("missing beside the final model", FINAL, "."))
     for (across, values, std), (label, colour, marker) in zip(series, keys, strict=True):
         bars = {"fmt": marker, "color": colour, "ecolor": QUIET, "ms": 5, "elinewidth": 0.7, "label": label}
         ax.errorbar(factors[0] * across, factors[1] * values, factors[1] * std, **bars)

@@ -12,9 +12,10 @@ from memsgyro_jax.app.report.diagnosis_figures import steps_figure
 from memsgyro_jax.app.report.diagnosis_page import diagnosis_page
 from memsgyro_jax.base.text import beside
 from memsgyro_jax.diagnosis.compare import judged
+from memsgyro_jax.diagnosis.findings import Accepted, Candidate, Stage
 from memsgyro_jax.diagnosis.fit import beside_case
 from memsgyro_jax.diagnosis.optimum import optimise
-from memsgyro_jax.diagnosis.result import Accepted, Candidate, Diagnosis, Stage, validation_error
+from memsgyro_jax.diagnosis.result import Diagnosis, validation_error
 
 
 HOSTILE = '<script>alert("$x_1$")</script> & "quoted" 漢字 $\\frac$'
@@ -80,7 +81,7 @@ def test_it_says_what_a_colleague_looks_for(found, diagnosis):
         "twin_of_it",
         "Cannot be told apart: cubic_stiffness x, twin_of_it",
         "Cannot be seen at all, because nothing that was varied excites them: thermal_drift damping",
-        "step 1: with cubic_stiffness x",
+        "Of the linear device: resonance frequency",
         "1.1e+09",
         "< 1e-12",
         "The model explains the records",
@@ -98,7 +99,7 @@ def test_every_experiment_has_its_error_and_its_picture(found, diagnosis):
         assert place
         assert f"{before.rms:#.3g}" in words
         assert f"{after.rms:#.3g}" in words
-    assert found.count("<svg") == len(diagnosis.case.records) + 4  # the law, the steps, all drives of each axis
+    assert found.count("<svg") == len(diagnosis.case.records) + 3  # the law, all drives of each axis
     parts = (diagnosis.sentence, "the law that was found, 95 % band", "What to measure next")
     places = [found.index(part) for part in parts]
     assert places == sorted(places)

@@ -17,6 +17,7 @@ from memsgyro_jax.measurement.column_meaning import meaning_of, parse_map
 from memsgyro_jax.measurement.declared import angular
 from memsgyro_jax.measurement.formats import read_instrument_file
 from memsgyro_jax.measurement.formats.header import split_header
+from memsgyro_jax.measurement.import_case import import_case
 from memsgyro_jax.measurement.imported_record import Given, records_of
 
 
@@ -142,6 +143,23 @@ def test_amplitude_in_decibels_and_phase(header, turn, tmp_path):
     np.testing.assert_allclose(column(record, "Vx_amp", "V" if "dBV" in header else "1"), np.abs(w.RESPONSE), rtol=1e-9)
     np.testing.assert_allclose(column(record, "Vx_phase", "rad"), np.angle(w.RESPONSE), atol=1e-12)
     assert any("peak amplitude" in sentence for sentence in record.assumed)
+
+
+def test_readings_that_the_user_says_are_effective_values(tmp_path):
+    """Many lock-ins save rms without saying so; a unit that says how it is meant is not turned twice."""
+    for unit, factor in (("mm/s", 1.0), ("Vrms", 1.0 / w.PEAK)):
+        (tmp_path / "a.csv").write_text(
+            "\n".join([f"f [Hz],R [{unit}],Theta [deg]"] + [
+                f"{f},{abs(z) * factor!r},{np.degrees(np.angle(z))!r}"
+                for f, z in zip(w.FREQUENCY.tolist(), w.RESPONSE.tolist(), strict=True)
+            ])
+        )  # fmt: skip
+        case = import_case([tmp_path / "a.csv"], tmp_path / unit.replace("/", "-"), drive=["1 V"], rms=True)
+        plain = import_case([tmp_path / "a.csv"], tmp_path / f"plain {unit.replace('/', '-')}", drive=["1 V"])
+        ratio = np.abs(case.case.records[0].phasors / plain.case.records[0].phasors)
+        np.testing.assert_allclose(ratio, w.PEAK if unit == "mm/s" else 1.0, rtol=1e-9)
+        assert "is turned to a peak amplitude" in str(case)
+        assert "not rms" not in str(case)
 
 
 def test_the_other_sign_of_the_phase_is_turned_and_told(tmp_path, monkeypatch):

@@ -1,0 +1,87 @@
+"""What a law amounts to in a swing of one amplitude: a stiffness and a damping (its describing function), and with them
+a resonance and a quality factor.
+
+Gelb and Vander Velde, Multiple-Input Describing Functions and Nonlinear System Design, McGraw-Hill 1968.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from memsgyro_jax.base.text import spoken
+from memsgyro_jax.device.conditions import Conditions
+from memsgyro_jax.effects.base import Effect, ForceEffect
+from memsgyro_jax.effects.evaluation import moment
+from memsgyro_jax.measurement.calibration import unit_of_records
+from memsgyro_jax.measurement.model import Model
+
+from .fit import CaseFit
+from .residual_force import sweep_forces
+
+
+_PHASES = 64  # of a period, over which a force is averaged
+_MATTERS = 1e-3  # of the larger part of a law, below which the other is left out
+_SEEN = 0.01  # of a resonance's width, and of its quality factor: a smaller change is not told
+
+
+def force_of(model: Model, effect: Effect, displacement: Array, velocity: Array) -> np.ndarray:
+    """Force (rows, axes) [N] at displacements and velocities (rows, axes), at the reference conditions."""
+
+    def one(q: Array, v: Array) -> Array:
+        conditions = Conditions(temperature=None, bias_voltage=None)
+        now = moment(
+            q, v, jnp.zeros_like(q), conditions, device=model.device, scale=model.scale,
+            reference_temperature=model.reference_temperature, reference_bias=model.reference_bias, order=model.order,
+        )  # fmt: skip
+        return effect.force(now)  # type: ignore[attr-defined]
+
+    return np.asarray(jax.vmap(one)(jnp.asarray(displacement), jnp.asarray(velocity)))
+
+
+def _along(axis: int, axes: int, values: np.ndarray) -> np.ndarray:
+    out = np.zeros((len(values), axes))
+    out[:, axis] = values
+    return out
+
+
+def describing_function(
+    model: Model, effect: Effect, axis: int, omega: float, place: Float[np.ndarray, " amplitudes"]
+) -> list[dict[str, Float[np.ndarray, " amplitudes"]]]:
+    """Per axis of the force, the stiffness [N/m] and the damping [N s/m] that the law amounts to in a swing along an
+    axis at `omega`, of each amplitude `place` [m]; a part that is next to nothing beside the other is left out.
+    """
+    angle = 2.0 * np.pi * np.arange(_PHASES) / _PHASES
+    turned, rate = np.outer(place, np.cos(angle)), -omega * np.outer(place, np.sin(angle))
+    motion = [_along(axis, model.axes, values.ravel()) for values in (turned, rate)]
+    force = force_of(model, effect, *motion).reshape(len(place), _PHASES, model.axes)
+    stiffness = -2.0 * np.mean(force * np.cos(angle)[:, None], axis=1) / place[:, None]
+    damping = 2.0 * np.mean(force * np.sin(angle)[:, None], axis=1) / (omega * place[:, None])
+    out = []
+    for along in range(model.axes):
+        parts = {"stiffness": stiffness[:, along], "damping": damping[:, along]}
+        sizes = {"stiffness": np.ptp(stiffness[:, along]), "damping": omega * np.ptp(damping[:, along])}
+        out.append({name: parts[name] for name, size in sizes.items() if size > _MATTERS * max(sizes.values()) > 0.0})
+    return out
+
+
+def consequence(fit: CaseFit, effect: Effect) -> str:
+    """A sentence on what an effect does to resonance and quality factor at the largest swing of the sweeps; empty where
+    it is no force that follows the motion of one axis, or none was swept.
+    """
+    if not isinstance(effect, ForceEffect) or effect.own_size or not (sweeps := sweep_forces(fit)):
+        return ""
+    largest = max(sweeps, key=lambda sweep: float(np.max(sweep.amplitude)))
+    device, axis = fit.model.device, largest.axis
+    stiffness, damping = np.asarray(device.stiffness_matrix)[axis, axis], np.asarray(device.damping_matrix)[axis, axis]
+    amplitude, omega = float(np.max(largest.amplitude)), float(np.sqrt(stiffness))
+    parts = describing_function(fit.model, effect, axis, omega, np.array([0.5, 1.0]) * amplitude)[axis]
+    added = {name: float(device.mobility) * values[-1] for name, values in parts.items()}
+    higher = float(np.sqrt(max(0.0, stiffness + added.get("stiffness", 0.0)))) - omega
+    before, after = omega / damping, (omega + higher) / (damping + added.get("damping", 0.0))
+    said = [f"the resonance is {spoken(abs(higher) / (2 * np.pi), 'Hz', 3)} {'higher' if higher > 0 else 'lower'}"]
+    said = said if abs(higher) > _SEEN * damping else []
+    if "damping" in added and abs(after / before - 1.0) > _SEEN:
+        said.append(f"the quality factor is {after:.0f} in place of {before:.0f}")
+    swing = spoken(amplitude, unit_of_records(fit.case, "m"), 3)
+    return f"at {swing}, the largest amplitude, {' and '.join(said)}" if said else ""

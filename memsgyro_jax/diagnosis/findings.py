@@ -1,0 +1,115 @@
+"""What a diagnosis finds: effects that are needed, candidates that were tried, how the error fell, what to measure."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+
+NOTHING = " from nothing"  # ends what an experiment decides where no two models are left to be told apart
+SIGMAS_SEEN = 4.3  # strength over its standard deviation that is found nine times in ten among some forty candidates
+
+
+@dataclass(frozen=True)
+class Accepted:
+    """An effect that the model needs.
+
+    Args:
+        name, where: as in the catalogue.
+        estimate, std: strength and standard deviation, one number each or one per component, in `unit`.
+        p_value: of the final model without it.
+        error_before, error_after: root mean square of validation residual over noise before and after it was added.
+        confused_with: labels of effects that these records cannot tell from it.
+        numbers: its further numbers by name: value, standard deviation and unit.
+        calibration: share of the strength that the declared tolerances of the scales leave unsure, beside `std`.
+        chi2: that the final model would leave more without it, to first order.
+    """
+
+    name: str
+    where: str
+    estimate: tuple[float, ...]
+    std: tuple[float, ...]
+    unit: str
+    p_value: float
+    error_before: float
+    error_after: float
+    confused_with: tuple[str, ...] = ()
+    numbers: Mapping[str, tuple[float, float, str]] = field(default_factory=dict)
+    calibration: float = 0.0
+    chi2: float = np.nan
+
+    @property
+    def label(self) -> str:
+        """Name and variant."""
+        return f"{self.name} {self.where}".rstrip()
+
+    def scaled(self, factor: float) -> "Accepted":
+        """The same with all standard deviations multiplied."""
+        numbers = {name: (value, factor * std, unit) for name, (value, std, unit) in self.numbers.items()}
+        return replace(self, std=tuple(factor * s for s in self.std), numbers=numbers)
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect that was tried beside the final model (in the first round: the base model).
+
+    Args:
+        label, unit: of the effect.
+        score: χ² it would explain.
+        p_value: family-wise.
+        explained_share: part of the misfit above noise that it explains.
+        kept_share: part of its sensitivity that no other free parameter can take over.
+        smallest_visible: strength that would have been found about nine times in ten; infinite where nothing
+            shows it.
+        excited: whether the records can show it at all.
+    """
+
+    label: str
+    unit: str
+    score: float
+    p_value: float
+    explained_share: float
+    kept_share: float
+    smallest_visible: float
+    excited: bool
+
+
+@dataclass(frozen=True)
+class Stage:
+    """The fit after one more effect: χ² per degree of freedom of the fitted readings and error of the validation."""
+
+    added: str
+    chi2_per_dof: float
+    validation_error: float
+
+
+@dataclass(frozen=True)
+class Prospect:
+    """A feasible experiment and what it would decide.
+
+    Args:
+        experiment: what to do.
+        decides: what it would tell, "A from B", or show.
+        chi2: expected Δχ² between the two once it is added to the records, everything free refitted; NaN where what it
+            would record cannot be predicted.
+        shown: how many effects it would show that the records cannot.
+        where: how few of its rows hold half of that, and the best of them.
+    """
+
+    experiment: str
+    decides: str
+    chi2: float
+    shown: int = 0
+    where: str = ""
+
+    @property
+    def weaker(self) -> tuple[str, float] | None:
+        """Where there is nothing to tell apart: the effect that gains most, and how many times weaker it would show."""
+        if not self.decides.endswith(NOTHING):
+            return None
+        return self.decides.removesuffix(NOTHING), float(np.sqrt(self.chi2)) / SIGMAS_SEEN
+
+    @property
+    def told(self) -> str:
+        """What it decides, in words."""
+        return self.decides if self.weaker is None else f"{self.weaker[0]}, {self.weaker[1]:.2g} times weaker"

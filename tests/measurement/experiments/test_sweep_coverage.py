@@ -1,0 +1,49 @@
+"""What a sweep does not show of its resonance is said; a sweep that shows it is not complained of."""
+
+import numpy as np
+import pytest
+
+from memsgyro_jax.measurement.experiments.sweep_coverage import peaks_not_seen, place_in_band, sudden_fall
+
+
+HERTZ = np.linspace(1000.0, 1020.0, 81)
+WHOLE = slice(0, 81)
+
+
+def response(resonance, quality_factor, hertz=HERTZ):
+    return 1.0 / np.abs(resonance**2 - hertz**2 + 1j * hertz * resonance / quality_factor)
+
+
+def said(size, sweeps=(WHOLE,), hertz=HERTZ, setting=None):
+    return peaks_not_seen("up.csv", hertz, size, np.ones(len(hertz)) if setting is None else setting, sweeps)
+
+
+@pytest.mark.parametrize("quality_factor", [20.0, 50.0, 1000.0, 3e4])
+def test_a_peak_within_the_band_needs_no_word(quality_factor):
+    assert said(response(1009.3, quality_factor)) == []
+
+
+@pytest.mark.parametrize(("resonance", "beyond", "end"), [(1030.0, "higher", "1.02 kHz"), (990.0, "lower", "1 kHz")])
+def test_a_peak_beyond_the_band_is_asked_for(resonance, beyond, end):
+    (sentence,) = said(response(resonance, 200.0))
+    assert f"end of its band, {end}:" in sentence
+    assert f"a sweep on to {beyond} frequencies" in sentence
+    (back,) = said(response(resonance, 200.0)[::-1], hertz=HERTZ[::-1])
+    assert f"a sweep on to {beyond} frequencies" in back
+
+
+def test_a_fall_asks_for_the_other_direction_unless_it_was_taken():
+    bent = np.where(HERTZ < 1012.0, 0.1 + (HERTZ - 1000.0) / 12.0, 0.08)
+    row = sudden_fall(bent)
+    assert HERTZ[row] < 1012.0 <= HERTZ[row + 1]
+    (sentence,) = said(bent)
+    assert "a sweep down at this drive shows the other branch" in sentence
+    both = np.concatenate([HERTZ, HERTZ[::-1]])
+    assert said(np.concatenate([bent, bent[::-1]]), (WHOLE, slice(81, 162)), both) == []
+    other = np.repeat([1.0, 2.0], 81)
+    assert len(said(np.concatenate([bent, bent[::-1]]), (WHOLE, slice(81, 162)), both, other)) == 2
+
+
+def test_a_frequency_has_the_digits_that_tell_rows_apart():
+    assert place_in_band(np.linspace(1.0406e6, 1.0421e6, 151), 114) == "1.04174 MHz"
+    assert place_in_band(np.array([100.0, 200.0, 300.0]), 1) == "200 Hz"
