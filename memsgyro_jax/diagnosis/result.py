@@ -118,7 +118,8 @@ class Diagnosis(Labelled):
         lines += map(_line, self.steps)
         if self.from_lowest:
             lines.append("  (the base model is that of the lowest drive, as what is missing grows with the drive)")
-        lines += [f"  {m.name}: {beside(m.value, m.std)} ± {m.std:.2g} {m.unit}".removesuffix(" 1") for m in self.modes]
+        known = [mode for mode in self.modes if np.isfinite(mode.std)]
+        lines += [f"  {m.name}: {beside(m.value, m.std)} ± {m.std:.2g} {m.unit}".removesuffix(" 1") for m in known]
         for a in (*self.instrument, *self.accepted):
             value = ", ".join(f"{beside(e, s)} ± {s:.2g}" for e, s in zip(a.estimate, a.std, strict=True))
             more = "".join(f", {name} {beside(v, s)} ± {s:.2g} {unit}" for name, (v, s, unit) in a.numbers.items())

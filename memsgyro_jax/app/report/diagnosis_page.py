@@ -36,8 +36,8 @@ def diagnosis_page(diagnosis: Diagnosis) -> Page:
     """Build the page of a diagnosis."""
     out = Page(f"Diagnosis of {diagnosis.case.name}", diagnosis.case.description)
     out.section(f"Verdict: {VERDICTS[diagnosis.verdict]}").text(diagnosis.sentence)
-    if diagnosis.modes:
-        told = (f"{m.name} {beside(m.value, m.std)} ± {m.std:.2g} {m.unit}".removesuffix(" 1") for m in diagnosis.modes)
+    if known := [mode for mode in diagnosis.modes if np.isfinite(mode.std)]:
+        told = (f"{m.name} {beside(m.value, m.std)} ± {m.std:.2g} {m.unit}".removesuffix(" 1") for m in known)
         out.text(f"Of the linear device: {'; '.join(told)}.")
     _effects(out, diagnosis)
     for figure, caption in _found_figures(diagnosis):
