@@ -14,10 +14,10 @@ from lab.die import Hidden
 
 from memsgyro_jax.diagnosis.acceptance import judged_by_misfit, refusal, unsure_noise
 from memsgyro_jax.diagnosis.diagnose import RECORDS
+from memsgyro_jax.diagnosis.fewer import SHARE
 from memsgyro_jax.diagnosis.fit import beside_case
 from memsgyro_jax.diagnosis.instrument import instrument_terms, knowledge
 from memsgyro_jax.diagnosis.joint_residual import Joint
-from memsgyro_jax.diagnosis.nuisances import SHARE
 from memsgyro_jax.diagnosis.optimum import Optimum
 from memsgyro_jax.diagnosis.rounds import FITTED
 from memsgyro_jax.diagnosis.scans import coverage

@@ -14,10 +14,11 @@ from memsgyro_jax.effects import Effect, ForceEffect
 
 from .acceptance import excess
 from .drives import FAR, stages, up
+from .fewer import take_out, terms_of
 from .fit import CaseFit, beside_case
 from .instrument import instrument_terms
 from .joint_residual import Joint
-from .nuisances import beside_terms, take_out, terms_of
+from .nuisances import beside_terms
 from .optimum import Optimum, optimise
 from .score import basis, overlap, score, within_bounds
 from .search import LOOK_AHEAD, TWINS, Ranking, Search, always_free

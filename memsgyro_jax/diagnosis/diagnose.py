@@ -21,12 +21,13 @@ from .acceptance import excess
 from .climb import Climb, climbed
 from .drift_in_time import with_drift_alone
 from .drives import Rows, without_rows
+from .fewer import terms_of
 from .findings import SIGMAS_SEEN, Accepted, Candidate, Stage
 from .fit import CaseFit
 from .instrument import beside_case_of, drive_levels, knowledge
 from .joint_residual import Joint
 from .next_experiment import advice, next_experiments
-from .nuisances import instrument_first, of_instrument, terms_of
+from .nuisances import instrument_first, of_instrument
 from .optimum import Optimum
 from .outlying import of_rows, search_beside_outlying
 from .result import Diagnosis, Verdict, validation_error

@@ -4,23 +4,22 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy import special
 
 from memsgyro_jax.base.text import beside
 from memsgyro_jax.effects import TERMS, Effect, InstrumentTerm, Scanned
 from memsgyro_jax.measurement.least_squares import gate
 
 from .acceptance import BEYOND_LINEAR, excess, share_needed
+from .fewer import SHARE, cost, imitated
 from .findings import Accepted
 from .fit import beside_case
 from .instrument import instrument_terms, knowledge
 from .joint_residual import Joint
 from .optimum import Optimum, optimise
 from .promise import Offer, Promise, offers_of, promised
-from .search import GLANCE, INSTRUMENT, LOOK_AHEAD, Ranking, Search, SearchStep, always_free
+from .search import GLANCE, INSTRUMENT, LOOK_AHEAD, Ranking, Search, always_free
 
 
-SHARE = 0.2  # of the level for terms of the instrument
 FAINT, RIVAL = 0.5, 0.9  # of what effects of the device would explain: below it the instrument is not the cause
 # Of the misfit beyond noise: a term that explains less may stand beside effects, not before them; or not at all.
 MOSTLY, LITTLE = 0.5, 0.1
@@ -72,7 +71,7 @@ def instrument_first(
         ends.append(_beside(later, search, effects, go_on))
     elif alone is not None:
         ends.append(order[1]())
-    return *min(ends, key=lambda end: (not done(end[0]), _cost(end[0].optimum))), ""
+    return *min(ends, key=lambda end: (not done(end[0]), cost(end[0].optimum))), ""
 
 
 def _beside(alone: Search, search: Search, effects: Sequence[Effect], go_on) -> tuple[Search, Ranking]:
@@ -96,12 +95,7 @@ def _leaves_noise(optimum: Optimum) -> bool:
 
 def _rival(alone: Search, best: tuple[str, Optimum] | None) -> tuple[str, float]:
     """The best single effect of the device, and by how much it is better than the instrument."""
-    return ("", -np.inf) if best is None else (best[0], _cost(alone.optimum) - _cost(best[1]))
-
-
-def terms_of(search: Search) -> list[int]:
-    """Places of the terms of the instrument that a search was given."""
-    return [i for i in search.given if search.joint.model.effects[i].of_instrument]
+    return ("", -np.inf) if best is None else (best[0], cost(alone.optimum) - cost(best[1]))
 
 
 def of_instrument(terms: Sequence[Accepted], rival: str, levels: int) -> str:
@@ -177,7 +171,7 @@ def instrument_between(search: Search, ranking: Ranking) -> Search | None:
         return None
     if device is not None and device.chosen and device.worth > promise.worth - roughly:
         rival = search.refit([*search.accepted, *(ranking.places[i] for i in device.chosen)])
-        if _cost(rival) + EVIDENT < _cost(alone.optimum):
+        if cost(rival) + EVIDENT < cost(alone.optimum):
             return None
     effects = [search.joint.model.effects[i] for i in search.candidates()]
     return beside_terms(alone, search, [effect for effect in effects if not isinstance(effect, Scanned)])
@@ -219,7 +213,7 @@ def _simplify(alone: Search) -> None:
         for other in same:
             instead = [other if i == place else i for i in alone.accepted]
             fewer = alone.refit(instead, start=alone.without(place))
-            if _cost(fewer) <= _cost(alone.optimum):
+            if cost(fewer) <= cost(alone.optimum):
                 alone.exchange(place, other, fewer)
 
 
@@ -319,29 +313,9 @@ def beside_terms(alone: Search, search: Search, effects: Sequence[Effect]) -> Se
     out.base, out.accepted, out.keep = search.base, accepted, search.keep
     out.own = tuple(i for i, e in enumerate(joint.model.effects) if e.label in _labels(search, search.own))
     out.keep(out)
+    imitated(out)
     return out
 
 
 def _labels(search: Search, places: Sequence[int]) -> set[str]:
     return {search.joint.model.effects[i].label for i in places}
-
-
-def take_out(search: Search) -> None:
-    """Take terms of the instrument out again that the effects found since explain as well."""
-    for place in terms_of(search):
-        size = search.joint.of_effect(place).size
-        kept, search.given = search.given, tuple(i for i in search.given if i != place)
-        fewer = search.refit(search.accepted, start=search.without(place))
-        if special.chdtrc(size, max(0.0, fewer.chi2 - search.optimum.chi2)) <= SHARE * search.level:
-            search.given = kept
-            continue
-        search.optimum = fewer
-        label = search.joint.model.effects[place].label
-        search.tell(f"dropped {label}, which the others explain")
-        search.steps.append(SearchStep(f"without {label}", beside_case(search.case, search.joint, fewer)))
-
-
-def _cost(optimum: Optimum) -> float:
-    """χ² and what each free number that the records hold must gain: the Bayesian information criterion."""
-    held = optimum.free.size - len(optimum.frozen)
-    return optimum.chi2 + held * float(np.log(optimum.residual.size))

@@ -9,9 +9,10 @@ from memsgyro_jax.measurement.least_squares import gate
 from memsgyro_jax.measurement.model import Model
 
 from .acceptance import excess, hopeless
+from .fewer import take_out
 from .fit import beside_case
 from .joint_residual import Joint
-from .nuisances import instrument_between, take_out
+from .nuisances import instrument_between
 from .optimum import Optimum
 from .resolved import sharpened
 from .scans import refined, scan, scans
@@ -29,6 +30,10 @@ FITTED = 4.5  # standard deviations of χ² in a fitted record that count as noi
 def search_on(search: Search, ranking: Ranking) -> tuple[Search, Ranking]:
     """Rounds from a ranking of the present model until nothing more stays; returns the last search and its ranking."""
     scanned: set[tuple[int, ...]] = set()
+    if search.accepted:  # by a climb, which predicts at the first resolution
+        coarse = search.joint
+        _resolve(search)
+        ranking = ranking if search.joint is coarse else search.rank()
     for _ in range(ROUNDS):
         if is_slow_noise(search, ranking):
             break

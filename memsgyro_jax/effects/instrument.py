@@ -56,7 +56,9 @@ class InstrumentTerm(Effect):
     `prior` is the standard deviation that each number has before anything is measured, `None` where nothing is known.
     `in_proportion` says whether what it adds grows as the drive or the readings do, at all levels by the same factor;
     `of_every_phasor` whether it does the same to each phasor, whichever came before.
-    `parts` are the names of its numbers, where it has as many. `of` says which rows share a number where a term may
+    `parts` are the names of its numbers, where it has as many. `turns` says whether these are angles of readings, of
+    which whole turns are not seen. `imitates` names an effect of fewer numbers that over a narrow band looks the same.
+    `of` says which rows share a number where a term may
     have it both ways: empty for one number for all.
     """
 
@@ -65,6 +67,8 @@ class InstrumentTerm(Effect):
     of_every_phasor: ClassVar[bool] = False
     prior: ClassVar[float | None] = None
     parts: ClassVar[tuple[str, ...]] = ()
+    turns: ClassVar[bool] = False
+    imitates: ClassVar[str] = ""
     entry: AbstractVar[Array]
 
     @property

@@ -49,7 +49,8 @@ class ReferencePhase(InstrumentTerm, LockInEffect):
     name, unit, law = "reference_phase", "rad", "V → V·exp(i·s_k)"
     in_proportion: ClassVar[bool] = True
     of_every_phasor: ClassVar[bool] = True
-    strength: Array = strength((0.0,), low=-1.0, high=1.0)
+    turns: ClassVar[bool] = True
+    strength: Array = strength((0.0,))
     entry: Array = row_field((((0.0,),),))
     of: str = eqx.field(static=True, default="")
 
@@ -66,6 +67,7 @@ class LockInBackground(InstrumentTerm, LockInEffect):
     name, unit, law = "lock_in_background", "V", "V → V + s_k"
     parts: ClassVar[tuple[str, ...]] = _PARTS
     of_every_phasor: ClassVar[bool] = True
+    imitates: ClassVar[str] = "readout_delay"
     strength: Array = strength((0.0,))
     entry: Array = row_field((((0.0,),),))
 
@@ -88,6 +90,7 @@ class LockInFeedthrough(InstrumentTerm, LockInEffect):
     in_proportion: ClassVar[bool] = True
     parts: ClassVar[tuple[str, ...]] = _PARTS
     of_every_phasor: ClassVar[bool] = True
+    imitates: ClassVar[str] = "readout_delay"
     strength: Array = strength((0.0,))
     entry: Array = row_field((((0.0,),),))
 

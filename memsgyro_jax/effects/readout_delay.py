@@ -1,15 +1,30 @@
-"""A read-out that answers late."""
+"""Read-outs that answer late."""
+
+import abc
 
 from jaxtyping import Array
 
 from .base import Moment, ReadoutEffect, Scalar, strength
 
 
-class ReadoutDelay(ReadoutEffect):
+class LateEffect(ReadoutEffect):
+    """Shows the motion as it was some time ago: exactly, harmonic by harmonic, to a lock-in that knows its frequency;
+    over time by Taylor's series to the third order, whose error (ω·delay)⁴/24 is 1e-5 at a ninth of a radian.
+    """
+
+    @abc.abstractmethod
+    def late(self, now: Moment) -> Array:
+        """By how much the read-out lags behind the motion [s]."""
+
+    def signal(self, volts: Array, now: Moment) -> Array:
+        return volts - now.scale * lag(self.late(now), *now.derivatives[1:])
+
+
+class ReadoutDelay(LateEffect):
     """V(t) of q(t − s) on every channel, with s in s. Zero: no delay.
 
-    By Taylor's series to the third order, exact to (ω·s)⁴/24: 1e-5 at a ninth of a radian. Shows as the same phase in
-    every channel, growing with the frequency; it turns stiffness into damping for whoever closes a loop.
+    Shows as the same phase in every channel, growing with the frequency, and in a phasor as exp(−iω·s); it turns
+    stiffness into damping for whoever closes a loop.
 
     Saukoski, Aaltonen and Halonen, "Zero-rate output and quadrature compensation in vibratory MEMS gyroscopes", IEEE
     Sensors J. 7 (2007) 1639.
@@ -19,8 +34,8 @@ class ReadoutDelay(ReadoutEffect):
     reference = "Saukoski, Aaltonen and Halonen, IEEE Sensors J. 7 (2007) 1639"
     strength: Scalar = strength(sign=+1)
 
-    def signal(self, volts: Array, now: Moment) -> Array:
-        return volts - now.scale * lag(self.strength, *now.derivatives[1:])
+    def late(self, now: Moment) -> Array:
+        return self.strength
 
 
 def lag(delay: Array, *derivatives: Array) -> Array:

@@ -3,7 +3,7 @@
 from jaxtyping import Array
 
 from .base import DriveEffect, Moment, ReadoutEffect, Scalar, SurroundingsEffect, strength
-from .readout_delay import lag
+from .readout_delay import LateEffect
 
 
 class ThermalGain(ReadoutEffect):
@@ -28,7 +28,7 @@ class ThermalGain(ReadoutEffect):
         return volts * (1.0 + self.strength * now.warming)
 
 
-class ThermalDelay(ReadoutEffect):
+class ThermalDelay(LateEffect):
     """V(t) of q(t − s·ΔT) on every channel, with s in s/K. Zero: the delay stays.
 
     Shows as a phase of the demodulation that turns with the temperature, and so as quadrature that leaks into the
@@ -47,8 +47,8 @@ class ThermalDelay(ReadoutEffect):
         """What drifts."""
         return "pickoff_delay"
 
-    def signal(self, volts: Array, now: Moment) -> Array:
-        return volts - now.scale * lag(self.strength * now.warming, *now.derivatives[1:])
+    def late(self, now: Moment) -> Array:
+        return self.strength * now.warming
 
 
 class ThermalDrive(DriveEffect):

@@ -51,6 +51,10 @@ class AskedRows(eqx.Module):
     def summed(self, values: np.ndarray) -> np.ndarray:
         """What stands for samples (r, m, K, axes) in a prediction."""
 
+    def reader(self, model: Model) -> Model:
+        """The model whose read-out is asked; by default the whole."""
+        return model
+
 
 class Instants(AskedRows):
     """One moment per row: state (r, n), command and its rate (r, axes)."""
@@ -70,8 +74,8 @@ class Instants(AskedRows):
 
 
 class Periods(AskedRows):
-    """Vibrations (r, h, n) under drives (r, axes) [N] at their frequencies (r,), drive and frequency one for each row
-    or one for all; `samples` of a period, which `harmonics` stand for in the prediction.
+    """Vibrations (r, h, n), as they are seen, under drives (r, axes) [N] at their frequencies (r,), drive and frequency
+    one for each row or one for all; `samples` of a period, which `harmonics` stand for in the prediction.
     """
 
     state: Array
@@ -95,6 +99,9 @@ class Periods(AskedRows):
         weight = np.where(order == 0, 1.0, 2.0)[:, None] / self.samples
         kernel = weight * np.exp(-1j * np.outer(order, phases(self.samples)))
         return np.tensordot(kernel, values, axes=(1, 1)).swapaxes(0, 1)
+
+    def reader(self, model: Model) -> Model:
+        return model.prompt
 
 
 class Inquiry(eqx.Module):
@@ -264,7 +271,8 @@ def contributions(model: Model, absent: Absent, inquiry: Inquiry) -> Contributio
     if inquiry.base is not None:
         linear = _propagated(model, absent, inquiry.base)
     forced = tuple(_told(group, lambda s, u, _, c: _pushed(model, absent, s, u, c)) for group in inquiry.forced)
-    read = _told(inquiry.read, lambda *moments: _read(model, absent, *moments))
+    reader = inquiry.read.reader(model)
+    read = _told(inquiry.read, lambda *moments: _read(reader, absent, *moments))
     speeds = _speeds(absent) if inquiry.swept else np.zeros(total)
     return Contribution(forced, read if read.ndim < 4 else read[:, :, 1], linear, speeds)
 

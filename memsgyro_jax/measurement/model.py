@@ -20,6 +20,7 @@ from memsgyro_jax.device.normalised import NormalisedDevice
 from memsgyro_jax.device.resonator import Resonator
 from memsgyro_jax.effects.base import Effect, Moment, ReadoutEffect
 from memsgyro_jax.effects.evaluation import Acting, carried, moment
+from memsgyro_jax.effects.readout_delay import LateEffect
 
 
 class Model(Displayed):
@@ -134,10 +135,35 @@ class Model(Displayed):
         command: Float[Array, " axes"],
         command_rate: Float[Array, " axes"],
         conditions: Conditions,
+        leaking: Float[Array, " axes"] | None = None,
     ) -> Float[Array, " axes"]:
-        """Voltage of each channel, without noise; `command_rate` [N/s] matters where a read-out effect looks back."""
+        """Voltage of each channel, without noise; `command_rate` [N/s] matters where a read-out effect looks back.
+
+        `leaking` is the command that couples into the read-out [N], where the motion is seen as it was at another time.
+        """
         now = self.at_reading(state, command, command_rate, conditions)
+        now = now if leaking is None else eqx.tree_at(lambda m: m.command, now, leaking)
         return self._acting.signal(self.scale * now.seen + self.offset, now)
+
+    def behind(self, omega: Array, conditions: Conditions, state: Array | None = None) -> Array:
+        """exp(−iω·delay), by which a phasor is seen late; `state` (n,) is the mean one, by default rest."""
+        late = [effect for effect in self.effects if isinstance(effect, LateEffect)]
+        if not late:
+            return jnp.ones(())
+        rest = jnp.zeros(self.size) if state is None else state
+        now = self.at_moment(rest, jnp.zeros(self.axes), conditions)
+        return jnp.exp(-1j * omega * sum(effect.late(now) for effect in late))
+
+    @property
+    def prompt(self) -> "Model":
+        """The same model with a read-out that is not late."""
+        effects = (
+            eqx.tree_at(lambda e: e.strength, effect, jnp.zeros_like(effect.strength))
+            if isinstance(effect, LateEffect)
+            else effect
+            for effect in self.effects
+        )
+        return self.with_only(effects)
 
     def motion(self, phasors: Array, omega: Array) -> Array:
         """Displacement phasors that phasors (n, axes) of the channels stand for at `omega` (n,) [rad/s]."""

@@ -166,14 +166,22 @@ def reading_samples(model: Model, fineness: Fineness) -> int:
     return max(SHARP_SAMPLES if model.is_sharp else 0, fineness.samples)
 
 
+def as_seen(state: Complex[Array, "h n"], earlier: Array) -> Complex[Array, "h n"]:
+    """A vibration as it was when its fundamental was turned by the factor `earlier` of modulus 1."""
+    return state * earlier ** jnp.arange(state.shape[-2])[:, None]
+
+
 @eqx.filter_jit
 def fundamental(
     model, omega, state: Complex[Array, "h n"], force, conditions, fineness: Fineness = FINENESS[0]
 ) -> Complex[Array, " axes"]:
-    """Phasor of each channel's voltage at the drive frequency, all read-out effects included."""
-    samples = reading_samples(model, fineness)
-    command, turn = drive_waveform(force, samples)
-    states = waveform(state, samples)
-    volts = jax.vmap(lambda s, u, du: model.observe(s, u, omega * du, conditions))(states, command, turn)
+    """Phasor of each channel's voltage at the drive frequency, all read-out effects included; a late read-out sees the
+    vibration as it was, exactly where it is settled.
+    """
+    samples, prompt = reading_samples(model, fineness), model.prompt
+    earlier = model.behind(omega, conditions, state[0].real)
+    command, turn = drive_waveform(force * earlier, samples)
+    rows = waveform(as_seen(state, earlier), samples), command, turn, drive_waveform(force, samples)[0]
+    volts = jax.vmap(lambda s, u, du, now: prompt.observe(s, u, omega * du, conditions, now))(*rows)
     # Without its mean: a constant must leave exactly nothing, for what rounding leaves passes for a sensitivity.
     return spectrum(volts - jnp.mean(volts, axis=0), 1)[1]

@@ -93,7 +93,7 @@ def test_effects_that_act_through_others_are_carried():
 @pytest.mark.parametrize(
     "beside",
     [
-        (CubicStiffness("x", 8e8), ReadoutDelay(3e-7)),
+        (CubicStiffness("x", 8e8), ReadoutDelay(2e-5)),
         (CubicStiffness("y", -5e8), AdcSaturation(0.4)),
     ],
     ids=lambda effects: " ".join(e.label for e in effects),

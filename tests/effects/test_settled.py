@@ -56,8 +56,8 @@ CASES = [
         tolerance=2e-3,  # the corners of the clipped wave fall between the samples; 256 of them would give 2e-5
     ),
     case(
-        fx.ReadoutDelay(0.05 / OMEGA),
-        read=lambda q: np.real(first_harmonic(q)[:, None] * np.exp(1j * (THETA - 0.05))),
+        fx.ReadoutDelay(2.6 / OMEGA),
+        read=lambda q: np.real(first_harmonic(q)[:, None] * np.exp(1j * (THETA - 2.6))),
         tolerance=5e-7,
     ),
 ]

@@ -45,13 +45,16 @@ def response(frequency: np.ndarray, force: float) -> np.ndarray:
     return np.array(found)
 
 
-def bent_sweeps(folder: Path, levels: tuple[int, ...], rows: int = 161, phase: float = PHASE) -> Path:
-    """A case of one sweep in a file at each drive level in mV, the strongest first."""
+def bent_sweeps(
+    folder: Path, levels: tuple[int, ...], rows: int = 161, phase: float = PHASE, delay: float = 0.0
+) -> Path:
+    """A case of one sweep in a file at each drive level in mV, the strongest first, read late by `delay` [s]."""
     generator, frequency = np.random.default_rng(77), F0 + np.linspace(-40.0, 60.0, rows)
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "case.toml").write_text(CASE + "".join(RECORD.format(level=level) for level in sorted(levels)[::-1]))
     for level in levels:
-        volts = SCALE * response(frequency, FORCE * 1e-3 * level) * np.exp(1j * phase) + BACKGROUND * 1e-3 * level
+        turn = np.exp(1j * (phase - 2.0 * np.pi * frequency * delay))
+        volts = SCALE * response(frequency, FORCE * 1e-3 * level) * turn + BACKGROUND * 1e-3 * level
         volts = volts + NOISE * (generator.standard_normal(rows) + 1j * generator.standard_normal(rows))
         lines = [f"{f!r},{v.real!r},{v.imag!r}" for f, v in zip(frequency.tolist(), volts.tolist(), strict=True)]
         (folder / f"at_{level}mV.csv").write_text("\n".join(["f [Hz],Vx_I [V],Vx_Q [V]", *lines]))

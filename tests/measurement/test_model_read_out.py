@@ -33,8 +33,9 @@ def test_sweeps_of_each_quantity(order):
         "sweep", jnp.asarray(omega), jnp.asarray(force), jnp.zeros((9, 1), complex), CartesianNoise(1.0),
         AROUND.rows(9), jnp.zeros((9, 1), complex), jnp.ones(9),
     )  # fmt: skip
-    model = Model(DEVICE, scale=2.0, order=order)
-    shown = np.asarray(sweep.predict(model))[:, 0]
+    delay = 2.6 / W
+    model = Model(DEVICE, scale=2.0, order=order, effects=(ReadoutDelay(delay),))
+    shown = np.asarray(sweep.predict(model))[:, 0] * np.exp(1j * omega * delay)
     response = 3.0 * 5.0 / (W**2 - omega**2 + 1j * omega * D)
     np.testing.assert_allclose(shown, 2.0 * (1j * omega) ** order * response, rtol=1e-10)
     np.testing.assert_allclose(model.motion(shown[:, None], omega)[:, 0], response, rtol=1e-10)

@@ -21,6 +21,7 @@ from ..model import Model
 from ..steady import (
     FINENESS,
     Fineness,
+    as_seen,
     drive_waveform,
     fundamental,
     reading_samples,
@@ -81,9 +82,11 @@ class HarmonicSweep(Experiment):
     def predict_beside(self, bench: Model, added: Contribution) -> tuple[Complex[Array, "n axes"], Inquiry]:
         seen, states = self._predicted(bench, added)
         harmonics, samples = self.fineness
+        earlier = jax.vmap(lambda w, s, c: as_seen(s, bench.behind(w, c, s[0].real)))
+        late = earlier(self.frequency, states, self.surroundings)
         forced, read = (
-            Periods(states, self.force, self.frequency, self.surroundings, count, harmonics)
-            for count in (samples, reading_samples(bench, self.fineness))
+            Periods(part, self.force, self.frequency, self.surroundings, count, harmonics)
+            for part, count in ((states, samples), (late, reading_samples(bench, self.fineness)))
         )
         return seen, Inquiry((forced,), read, None, swept=True)
 
@@ -103,7 +106,8 @@ class HarmonicSweep(Experiment):
         def row(
             omega: Array, force: Array, conditions: Conditions, near: Array, direction: Array, forced: Array | None
         ) -> tuple[Array, Array]:
-            state = settled = steady_state(bench, omega, force, conditions, near, self.fineness, forced)
+            guess = near / bench.behind(omega, conditions)
+            state = settled = steady_state(bench, omega, force, conditions, guess, self.fineness, forced)
             for speed in speeds:
                 state = state.at[1].add(sweep_lag(bench, omega, force, conditions, direction * speed))
             return fundamental(bench, omega, state, force, conditions, self.fineness), settled
@@ -211,9 +215,10 @@ class HarmonicSweep(Experiment):
         errors = jnp.where(jnp.isfinite(std), errors, 0.0)  # what was not recorded moves as the model has it
 
         def row(omega: Array, force: Array, conditions: Conditions, near: Array, error: Array):
-            state = steady_state(model, omega, force, conditions, near, self.fineness)
+            earlier = model.behind(omega, conditions)
+            state = steady_state(model, omega, force, conditions, near / earlier, self.fineness)
             matrix, _ = model.linear(conditions)
-            moved = state.at[1].add(_carried(matrix, omega, error))
+            moved = state.at[1].add(_carried(matrix, omega, error / earlier))
             samples = self.fineness.samples
             command, states = drive_waveform(force, samples)[0], waveform(moved, samples)
             rates = jax.vmap(lambda s, u: model.derivative(s, u, conditions))(states, command)

@@ -23,7 +23,7 @@ from ..first_order import Contribution, Inquiry, Periods
 from ..lock_in import through_lock_in
 from ..model import Model
 from ..section import Axis, ExperimentSection, Quantity
-from ..steady import FINENESS, fundamental, reading_samples, steady_state
+from ..steady import FINENESS, as_seen, fundamental, reading_samples, steady_state
 from .base import BEYOND, CartesianNoise, Experiment, Noise, Phasors, Readings, surroundings
 from .clocked import ClockedRecord
 from .deviation import Deviation, Known, Series, Variable, by_setting, in_phase, segments
@@ -75,7 +75,8 @@ class RateTable(Experiment):
         twice = jax.tree.map(lambda leaf: jnp.repeat(leaf, 2), self.surroundings)
         ends = driven.visited(course, self._step).reshape(2 * self.time.size, HARMONICS + 1, -1)
         begin = periods(start[None], first, FINENESS[0].samples, FINENESS[0].harmonics)
-        read = periods(means, self.surroundings, reading_samples(bench, FINENESS[0]), 1)
+        late = jax.vmap(lambda s, c: as_seen(s, bench.behind(self.frequency, c, s[0].real)))(means, self.surroundings)
+        read = periods(late, self.surroundings, reading_samples(bench, FINENESS[0]), 1)
         return seen, Inquiry((begin, periods(ends, twice, SAMPLES, HARMONICS)), read, self._first)
 
     def nothing(self, bench: Model) -> Contribution:

@@ -1,0 +1,85 @@
+"""Terms of the instrument that a model can do without, or with fewer numbers."""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy import special
+
+from memsgyro_jax.effects import InstrumentTerm
+
+from .fit import beside_case
+from .optimum import Optimum
+from .search import Search, SearchStep
+
+
+SHARE = 0.2  # of the level for terms of the instrument
+SAME = 0.1  # of χ²: two fits that differ by less are one
+
+
+def terms_of(search: Search) -> list[int]:
+    """Places of the terms of the instrument that a search was given."""
+    return [i for i, _ in _terms(search)]
+
+
+def _terms(search: Search) -> list[tuple[int, InstrumentTerm]]:
+    effects = search.joint.model.effects
+    return [(i, effect) for i in search.given if isinstance(effect := effects[i], InstrumentTerm)]
+
+
+def take_out(search: Search) -> None:
+    """Take terms of the instrument out again that the effects found since explain as well."""
+    upright(search)
+    for place in terms_of(search):
+        size = search.joint.of_effect(place).size
+        kept, search.given = search.given, tuple(i for i in search.given if i != place)
+        fewer = search.refit(search.accepted, start=search.without(place))
+        if special.chdtrc(size, max(0.0, fewer.chi2 - search.optimum.chi2)) <= SHARE * search.level:
+            search.given = kept
+            continue
+        search.optimum = fewer
+        label = search.joint.model.effects[place].label
+        search.tell(f"dropped {label}, which the others explain")
+        search.steps.append(SearchStep(f"without {label}", beside_case(search.case, search.joint, fewer)))
+
+
+def imitated(search: Search) -> None:
+    """Put what a term of the instrument imitates over a narrow band in its place, where that explains as much in fewer
+    numbers: a phase that grows with the frequency looks like a part in proportion to the drive.
+    """
+    effects = search.joint.model.effects
+    for place, term in _terms(search):
+        for other in [i for i in search.candidates() if effects[i].label == term.imitates]:
+            kept, search.given = search.given, tuple(i for i in search.given if i != place)
+            start = search.without(place)
+            fewer, none = (search.refit([*search.accepted, *more], start=start) for more in ([other], []))
+            if cost(fewer) > min(cost(search.optimum), cost(none)):
+                search.given = kept
+                continue
+            search.tell(f"dropped {term.label} for what it imitates")
+            search.take(other, fewer)
+
+
+def upright(search: Search) -> None:
+    """Take whole turns off angles of the instrument, and half ones where a channel may be turned round instead."""
+    joint, vector = search.joint, search.optimum.vector.copy()
+    (gain,) = [i for i, parameter in enumerate(joint.parameters) if parameter.name == "1/m"]
+    for angles in [joint.of_effect(i) for i, term in _terms(search) if term.turns]:
+        halves = np.round(vector[angles] / np.pi)
+        if joint.bounds[0][gain] < 0 and np.all(halves % 2 == 1):
+            vector[gain] = -vector[gain]
+        else:
+            halves = 2.0 * np.round(vector[angles] / (2.0 * np.pi))
+        vector[angles] -= np.pi * halves
+    if np.array_equal(vector, search.optimum.vector):
+        return
+    turned = search.refit(search.accepted, start=vector)
+    if turned.chi2 <= search.optimum.chi2 + SAME:
+        search.optimum = turned
+        last = replace(search.steps[-1], fit=beside_case(search.case, joint, turned))
+        search.steps = [*search.steps[:-1], last]
+
+
+def cost(optimum: Optimum) -> float:
+    """χ² and what each free number that the records hold must gain: the Bayesian information criterion."""
+    held = optimum.free.size - len(optimum.frozen)
+    return optimum.chi2 + held * float(np.log(optimum.residual.size))

@@ -1,0 +1,90 @@
+"""A lock-in that sees the read-out late: of a linear device, made by other code, and of one that bends over."""
+
+import numpy as np
+import pytest
+from lab import bent
+
+import memsgyro_jax as mg
+from memsgyro_jax.diagnosis.fewer import imitated, take_out
+from memsgyro_jax.diagnosis.instrument import instrument_terms
+from memsgyro_jax.diagnosis.joint_residual import Joint
+from memsgyro_jax.diagnosis.search import start_search
+from memsgyro_jax.effects import by_name, catalogue
+from memsgyro_jax.measurement.linear_start import starting_device
+from memsgyro_jax.measurement.readings import model_of, readings_of
+
+
+F0, Q, MASS, SCALE, FORCE, NOISE = 41.3e3, 700.0, 3e-9, 2e5, 1e-7, 2e-6  # Hz, 1, kg, V/m, N, V
+CASE = f"""schema = "memsgyro-case/1"
+name = "late"
+device = "resonator"
+[readout]
+scale = {{ value = {SCALE}, unit = "V/m" }}
+[design]
+mass = {{ value = {MASS}, unit = "kg", tolerance = 0.1 }}
+resonance = {{ value = 41.2, unit = "kHz", tolerance = 0.01 }}
+[[experiment]]
+name = "sweep"
+kind = "frequency_sweep"
+file = "sweep.csv"
+settled = true
+drive_force = {{ value = {FORCE}, unit = "N" }}
+drive_axis = "x"
+noise_std = "{NOISE} V"
+"""
+
+
+def swept(folder, delay, phase=0.0, leak=0.0):
+    """The case of one sweep over 600 Hz."""
+    rng, frequency = np.random.default_rng(5), F0 + np.linspace(-300.0, 300.0, 61)
+    omega, natural = 2.0 * np.pi * frequency, 2.0 * np.pi * F0
+    moved = FORCE / MASS / (natural**2 - omega**2 + 1j * omega * natural / Q)
+    volts = (SCALE * moved + leak * FORCE) * np.exp(1j * phase - 1j * omega * delay)
+    volts += NOISE * (rng.standard_normal(61) + 1j * rng.standard_normal(61))
+    np.savetxt(folder / "sweep.csv", np.column_stack([frequency, volts.real, volts.imag]), "%.15g", ",",
+               header="f [Hz],Vx_I [V],Vx_Q [V]", comments="")  # fmt: skip
+    (folder / "case.toml").write_text(CASE)
+    return mg.load_case(folder)
+
+
+@pytest.mark.parametrize(
+    ("delay", "phase", "leak", "kept"),
+    [
+        (9e-6, 0.0, 0.0, {"readout_delay"}),
+        (9e-6, 0.4, 0.0, {"readout_delay", "reference_phase"}),
+        (0.0, 0.4, 0.0, {"reference_phase"}),
+        (0.0, 0.4, 900.0 + 900.0j, {"reference_phase", "lock_in_feedthrough"}),
+    ],
+)
+def test_a_delay_is_told_from_a_phase_and_a_part_of_the_drive(tmp_path, delay, phase, leak, kept):
+    """Of 2.3 rad at the resonance and 0.034 rad over the band, which looks like a part of the drive."""
+    case = swept(tmp_path, delay, phase, leak)
+    terms = [t for t in instrument_terms(case) if t.label in ("reference_phase", "lock_in_feedthrough")]
+    late = by_name("readout_delay", among=catalogue(1))
+    joint = Joint(model_of(case, starting_device(case)).with_effect(*terms, late), readings_of(case))
+    search = start_search(case, joint, 0.045, (0, 1), lambda text: None)
+    imitated(search)
+    take_out(search)
+    found = [*search.given, *search.accepted]
+    assert {joint.model.effects[i].label for i in found} == kept
+    assert search.optimum.chi2 < 1.6 * search.optimum.dof
+    (told,) = search.optimum.vector[joint.of_effect(2)]
+    std = dict(zip(search.optimum.free.tolist(), search.optimum.std, strict=True)).get(joint.of_effect(2)[0], 0.0)
+    assert abs(told - delay) <= 4.0 * std
+    if "reference_phase" in kept:
+        assert search.optimum.vector[joint.of_effect(0)] == pytest.approx(phase, abs=0.03)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("delay", "phase"), [(18e-6, 0.0), (18e-6, 0.5), (0.0, 0.5)])
+def test_a_spring_is_found_beside_a_late_lock_in(tmp_path, delay, phase):
+    """Of 2.6 rad at the resonance: it was taken for a phase and a part in proportion to the drive."""
+    folder = bent.bent_sweeps(tmp_path / "case", (5, 20, 60), phase=phase, delay=delay)
+    found = mg.diagnose(None, mg.load_case(folder))
+    assert found.verdict == "found", found.sentence
+    strengths = {effect.label: (effect.estimate[0], effect.std[0]) for effect in found.accepted}
+    assert set(strengths) == {"cubic_stiffness x"} | ({"readout_delay"} if delay else set())
+    assert strengths["cubic_stiffness x"][0] == pytest.approx(bent.CUBIC, rel=1e-3)
+    told, std = strengths.get("readout_delay", (0.0, 0.0))
+    assert abs(told - delay) <= 4.0 * std
+    assert [term.label for term in found.instrument] == (["reference_phase"] if phase else [])
