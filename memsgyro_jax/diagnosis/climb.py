@@ -60,6 +60,9 @@ def climbed(search: Search, first: Ranking, effects: Sequence[Effect]) -> tuple[
     search.tell("climb from the lowest drive, one effect after the other")
     beside = _beside_lock_in(search)
     base = _lowest(beside, steps[0])
+    straight = optimise(beside.joint, base.vector, base.free, beside.joint.fitted, max_evaluations=0)
+    if straight.chi2 < FAR * straight.dof:  # the lock-in alone was off
+        return search, None
     ends = [(i, _up(beside, base, i, begin, steps)) for i, begin in _tempting(beside, base, steps[0]).items()]
     if not ends:
         return search, None
@@ -67,7 +70,6 @@ def climbed(search: Search, first: Ranking, effects: Sequence[Effect]) -> tuple[
     if excess(end) > TENTH * excess(usual) or beside.refuses(place, end):
         return search, None
     tried = sorted(((beside.joint.model.effects[i], one.chi2) for i, one in ends), key=lambda pair: pair[1])
-    straight = optimise(beside.joint, base.vector, base.free, beside.joint.fitted, max_evaluations=0)
     straight = replace(straight, converged=base.converged)
     climb = Climb(beside_case(search.case, beside.joint, straight), tuple(tried))
     beside.take(place, end)

@@ -76,6 +76,23 @@ def test_a_delay_is_told_from_a_phase_and_a_part_of_the_drive(tmp_path, delay, p
 
 
 @pytest.mark.slow
+def test_a_phase_alone_is_no_climb(tmp_path):
+    """A linear device at two drives: nothing was left beside the lock-in, and a share of it was asked for."""
+    swept(tmp_path, 0.0, 0.4)
+    table = np.loadtxt(tmp_path / "sweep.csv", delimiter=",", skiprows=1)
+    rng = np.random.default_rng(6)
+    table[:, 1:] = 3.0 * table[:, 1:] + 3.0 * NOISE * rng.standard_normal((61, 2))
+    np.savetxt(tmp_path / "more.csv", table, "%.15g", ",", header="f [Hz],Vx_I [V],Vx_Q [V]", comments="")
+    (_, sweep), new = CASE.split("[[experiment]]"), {'"sweep': '"more', f"value = {FORCE}": f"value = {3.0 * FORCE}"}
+    for old, more in (*new.items(), (f"{NOISE} V", f"{np.sqrt(18.0) * NOISE} V")):
+        sweep = sweep.replace(old, more)
+    (tmp_path / "case.toml").write_text(f"{CASE}[[experiment]]{sweep}")
+    found = mg.diagnose(None, mg.load_case(tmp_path))
+    assert (found.verdict, [term.label for term in found.instrument]) == ("instrument_only", ["reference_phase"])
+    assert found.instrument[0].estimate[0] == pytest.approx(0.4, abs=1e-3)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(("delay", "phase"), [(18e-6, 0.0), (18e-6, 0.5), (0.0, 0.5)])
 def test_a_spring_is_found_beside_a_late_lock_in(tmp_path, delay, phase):
     """Of 2.6 rad at the resonance: it was taken for a phase and a part in proportion to the drive."""

@@ -53,8 +53,8 @@ ACCURACY = dict.fromkeys(VISIBLE, LINEAR)
 ACCURACY |= dict.fromkeys([n for n in VISIBLE if "stiffness" in n or "squeeze" in n], SMOOTH)
 ACCURACY |= {n: CORNERED for n in VISIBLE if n.startswith("quadratic_damping")}
 ACCURACY |= {n: STICKING for n in VISIBLE if n.startswith("dry_friction")}
-# The first derivatives of the motion stand for the delay: (ωτ)⁴/24 of the amplitude is left of a quarter microsecond.
-ACCURACY |= {"readout_delay": bounds(1e-9, 2e-6, 2e-6, 2e-6)}
+# Over time the first derivatives of the motion stand for the delay: (ωτ)⁴/24 of the amplitude is left.
+ACCURACY |= {"readout_delay": bounds(1e-10, 2e-6, 2e-6, 2e-6)}
 ACCURACY |= {"thermal_drift_stiffness": LINEAR, "cross_stiffness": bounds(1e-10, 2e-6, 4e-5, 1e-7)}
 # Three terms of an asymptotic series in the speed over the square of the half width.
 ACCURACY |= {"finite_sweep_rate": bounds(1e-5, 3e-11, 2e-6, 1e-11)}
