@@ -96,6 +96,12 @@ class Diagnosis(Labelled):
         """Numbers of `device` that were fitted, by their paths there, with their joint uncertainty."""
         return self.final.uncertainty
 
+    @property
+    def laws(self) -> dict[str, str]:
+        """By label of an accepted effect or term of the instrument, what it does, as the catalogue says."""
+        told = {effect.label: effect.law for effect in self.final.model.effects}
+        return {a.label: told.get(a.label, "") for a in (*self.instrument, *self.accepted)}
+
     @cached_property
     def consequences(self) -> dict[str, str]:
         """By label of an accepted force, what it does to resonance and quality factor at the largest swing."""
@@ -124,8 +130,8 @@ class Diagnosis(Labelled):
             value = ", ".join(f"{beside(e, s)} ± {s:.2g}" for e, s in zip(a.estimate, a.std, strict=True))
             more = "".join(f", {name} {beside(v, s)} ± {s:.2g} {unit}" for name, (v, s, unit) in a.numbers.items())
             lines.append(f"  {a.label}: {value} {a.unit}{with_calibration(a.calibration)}{more}" + _confused(a))
-            if a.label in self.consequences:
-                lines.append(f"    {self.consequences[a.label]}")
+            if about := "; ".join(filter(None, (self.laws.get(a.label), self.consequences.get(a.label)))):
+                lines.append(f"    {about}")
         if self.scale > 1.0:
             lines.append(f"  (standard deviations times {self.scale:.3g}, as the model leaves more than the noise)")
         if self.tried:

@@ -83,8 +83,9 @@ def _effects(out: Page, diagnosis: Diagnosis) -> None:
             + (f" Intervals are {diagnosis.scale:.3g} times those of the noise, as the model leaves more."
                if diagnosis.scale > 1.0 else ""),
         )  # fmt: skip
-    for label, text in diagnosis.consequences.items():
-        out.text(f"{label}: {text}.")
+    for label, law in diagnosis.laws.items():
+        if about := "; ".join(filter(None, (law, diagnosis.consequences.get(label)))):
+            out.text(f"{label}: {about}.")
     if len(diagnosis.accepted) > 1:
         weights = (f"{a.label} {as_times(a.chi2)}" for a in diagnosis.accepted)
         out.text(f"χ² that the final model would leave more without each: {'; '.join(weights)}.")

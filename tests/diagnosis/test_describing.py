@@ -1,0 +1,52 @@
+"""Describing functions of textbook laws, and the resonance and quality factor that they make."""
+
+from types import SimpleNamespace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import memsgyro_jax as mg
+from memsgyro_jax.device.normalised import NormalisedDevice
+from memsgyro_jax.diagnosis import describing
+from memsgyro_jax.diagnosis.describing import consequence, describing_function
+from memsgyro_jax.measurement.model import Model
+
+
+OMEGA, QUALITY, MASS = 2 * np.pi * 20e3, 500.0, 2e-9
+PLACE = np.array([1e-7, 5e-7, 2e-6])
+
+
+@pytest.fixture
+def model():
+    device = NormalisedDevice(jnp.array([OMEGA**2]), jnp.array([OMEGA / QUALITY]), 1.0 / MASS)
+    return Model(device, scale=jnp.ones(1), offset=jnp.zeros(1))
+
+
+def test_a_cubic_spring_and_a_quadratic_damper(model):
+    (spring,) = describing_function(model, mg.effects.CubicStiffness("x", 3e9), 0, OMEGA, PLACE)
+    assert list(spring) == ["stiffness"]
+    np.testing.assert_allclose(spring["stiffness"], 0.75 * 3e9 * PLACE**2, rtol=1e-10)
+    (damper,) = describing_function(model, mg.effects.QuadraticDamping("x", 2e-6), 0, OMEGA, PLACE)
+    assert list(damper) == ["damping"]
+    np.testing.assert_allclose(damper["damping"], 8.0 / (3.0 * np.pi) * 2e-6 * OMEGA * PLACE, rtol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("effect", "told"),
+    [
+        (mg.effects.CubicStiffness("x", 3e9), "at 2 µm, the largest amplitude, the resonance is 2.85 Hz higher"),
+        (mg.effects.CubicStiffness("x", -3e9), "at 2 µm, the largest amplitude, the resonance is 2.85 Hz lower"),
+        (
+            mg.effects.QuadraticDamping("x", 2e-6),
+            "at 2 µm, the largest amplitude, the quality factor is 270 in place of 500",
+        ),
+        (mg.effects.CubicStiffness("x", 1e5), ""),
+        (mg.effects.PickoffNonlinearity("x", 1e3), ""),
+    ],
+)
+def test_what_a_law_does_at_the_largest_swing(model, monkeypatch, effect, told):
+    sweep = SimpleNamespace(amplitude=np.array([1e-6, 2e-6]), axis=0)
+    monkeypatch.setattr(describing, "sweep_forces", lambda fit: (sweep,))
+    words = SimpleNamespace(displacement="m", force="N")
+    assert consequence(SimpleNamespace(model=model, case=SimpleNamespace(words=words)), effect) == told
