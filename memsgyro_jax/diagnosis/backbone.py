@@ -209,7 +209,7 @@ def backbone(fit: CaseFit, axis: int = 0, *, knots: int = KNOTS) -> Backbone:
     found, covariance, rest = given.solve(columns, weight)
     device, count = fit.model.device, knots
     base = float(device.stiffness[axis]), float(device.damping[axis])
-    mass = 1.0 / float(device.mobility)
+    mass = 1.0 / abs(float(device.mobility))
     amplitude = np.geomspace(a.min(), a.max(), 60)
     typical = float(np.exp(np.mean(np.log(given.omega))))
     curves = []
@@ -262,9 +262,9 @@ def _of_sweeps(fit: CaseFit, axis: int) -> list[Equations]:
         if not good.any():
             continue
         x, u, omega = found.motion[good], mobility * found.drive[good], found.frequency[good]
-        missing = mobility * found.force[good, axis]
+        missing = abs(mobility) * found.force[good, axis]
         operator = (missing + u) / x
-        noise = mobility * found.std[good, axis] / np.maximum(np.abs(operator), 1e-300)  # of the displacement
+        noise = abs(mobility) * found.std[good, axis] / np.maximum(np.abs(operator), 1e-300)  # of the displacement
         weight = 1.0 / (u * np.hypot(noise / np.abs(x), FLOOR))
         two = lambda values: np.stack([values.real, values.imag], axis=1)  # noqa: E731
         columns = [u + 0j, 1j * u, operator, 1j * operator]

@@ -76,7 +76,7 @@ def consequence(fit: CaseFit, effect: Effect) -> str:
     stiffness, damping = np.asarray(device.stiffness_matrix)[axis, axis], np.asarray(device.damping_matrix)[axis, axis]
     amplitude, omega = float(np.max(largest.amplitude)), float(np.sqrt(stiffness))
     parts = describing_function(fit.model, effect, axis, omega, np.array([0.5, 1.0]) * amplitude)[axis]
-    added = {name: float(device.mobility) * values[-1] for name, values in parts.items()}
+    added = {name: abs(float(device.mobility)) * values[-1] for name, values in parts.items()}
     higher = float(np.sqrt(max(0.0, stiffness + added.get("stiffness", 0.0)))) - omega
     before, after = omega / damping, (omega + higher) / (damping + added.get("damping", 0.0))
     said = [f"the resonance is {spoken(abs(higher) / (2 * np.pi), 'Hz', 3)} {'higher' if higher > 0 else 'lower'}"]

@@ -106,7 +106,7 @@ def draw_law(fit: CaseFit, axis: int = 0, *, terms: int = TERMS, spline: bool = 
     Raises:
         InputError: where too few rows show the axis.
     """
-    given, mass = equations(fit, axis), 1.0 / float(fit.model.device.mobility)
+    given, mass = equations(fit, axis), 1.0 / abs(float(fit.model.device.mobility))
     sizes = {"stiffness": given.amplitude, "damping": given.amplitude * given.omega}
     grids = {kind: np.geomspace(max(z.min(), z.max() / 30.0), z.max(), KNOTS) for kind, z in sizes.items()}
     tables = {

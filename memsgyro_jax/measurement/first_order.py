@@ -195,7 +195,9 @@ def _accelerations(model: Model, absent: Absent, state: Array, command: Array, n
         if isinstance(effect, ForceEffect):
 
             def added(strength: Array, effect=effect) -> Array:
-                return model.device.mobility * eqx.tree_at(lambda e: e.strength, effect, strength).force(moment)
+                return jnp.abs(model.device.mobility) * eqx.tree_at(lambda e: e.strength, effect, strength).force(
+                    moment
+                )
 
         elif isinstance(effect, DriveEffect):
 

@@ -27,7 +27,8 @@ class Model(Displayed):
     """Base device, read-out and effects.
 
     Args:
-        device: a `SingleMassGyro`, a `Resonator`, or either per mass; effects that it carries become the model's.
+        device: a `SingleMassGyro`, a `Resonator`, or either per mass; effects that it carries become the model's. One
+            axis may have a negative mobility, where drive or pick-off are turned round: its mass is positive.
         scale: volts per displacement of each channel [V/m], or one number for all.
         offset: constant voltage of each channel [V]; lock-in records do not see it.
         order: of the derivative that channels show and `scale` is per: 0 displacement, 1 velocity, 2 acceleration.
@@ -121,8 +122,8 @@ class Model(Displayed):
         now = self.at_moment(state, command, conditions)
         q, v = now.displacement, now.velocity
         extra, own = self._acting.force(now, state[2 * self.axes :])
-        force = now.force + extra
         device = self.device
+        force = now.force + jnp.sign(device.mobility) * extra  # what is turned round is the drive
         acceleration = device.mobility * force - device.stiffness_matrix @ q - device.damping_matrix @ v
         if self.axes == 2:
             acceleration = acceleration + 2.0 * conditions.rate * jnp.stack([v[1], -v[0]])
@@ -208,7 +209,7 @@ class Model(Displayed):
             state[a : 2 * a],
             command,
             conditions,
-            device=self.device,
+            device=eqx.tree_at(lambda device: device.mobility, self.device, jnp.abs(self.device.mobility)),
             scale=self.scale,
             reference_temperature=self.reference_temperature,
             reference_bias=self.reference_bias,

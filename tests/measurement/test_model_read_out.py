@@ -6,7 +6,7 @@ import pytest
 
 from memsgyro_jax.device.conditions import Conditions
 from memsgyro_jax.device.normalised import NormalisedDevice
-from memsgyro_jax.effects import CubicStiffness, PickoffNonlinearity, ReadoutDelay
+from memsgyro_jax.effects import CubicStiffness, PickoffNonlinearity, QuadraticDamping, ReadoutDelay
 from memsgyro_jax.measurement.experiments import CartesianNoise, HarmonicSweep
 from memsgyro_jax.measurement.model import Model
 
@@ -41,6 +41,16 @@ def test_sweeps_of_each_quantity(order):
     np.testing.assert_allclose(model.motion(shown[:, None], omega)[:, 0], response, rtol=1e-10)
     force = np.asarray(sweep.missing(model)[1])
     assert force.shape == (9, 1)
+
+
+def test_a_channel_that_is_turned_round_shows_the_same_device():
+    """Springs and dampers act on the mass; only what drives it, or shows it, has its sign the other way round."""
+    odd = CubicStiffness("x", 1e11), QuadraticDamping("x", 3.0)
+    plain, turned = (Model(NormalisedDevice([W**2], [D], sign * 3.0), effects=odd) for sign in (1.0, -1.0))
+    state, push = jnp.array([1e-3, 4.0]), jnp.array([20.0])
+    np.testing.assert_allclose(
+        turned.derivative(-state, push, AROUND), -plain.derivative(state, push, AROUND), rtol=1e-12
+    )
 
 
 def test_read_out_effects_act_on_what_is_read():

@@ -223,7 +223,7 @@ class HarmonicSweep(Experiment):
             command, states = drive_waveform(force, samples)[0], waveform(moved, samples)
             rates = jax.vmap(lambda s, u: model.derivative(s, u, conditions))(states, command)
             given = spectrum(rates, 1)[1, axes : 2 * axes]
-            missing = (1j * omega * moved[1, axes : 2 * axes] - given) / model.device.mobility
+            missing = (1j * omega * moved[1, axes : 2 * axes] - given) / jnp.abs(model.device.mobility)
             return moved[1, :axes], missing, jnp.abs(jnp.linalg.inv(receptance(model, matrix, omega)))
 
         return jax.vmap(row)(self.frequency, self.force, self.surroundings, self.near, errors)

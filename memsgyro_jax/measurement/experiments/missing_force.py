@@ -212,7 +212,7 @@ def force_over_time(record: str, deviation: Deviation, time: np.ndarray, noise_s
     delta = clean[kept] / w
     speed = (moving[kept] - dw * delta) / w
     friction = np.asarray(matrix)[model.axes : 2 * model.axes, model.axes : 2 * model.axes]
-    spurious = (2 * dw * speed + ddw * delta - dw * delta @ friction.T) / float(model.device.mobility)
+    spurious = (2 * dw * speed + ddw * delta - dw * delta @ friction.T) / abs(float(model.device.mobility))
     turning = np.fft.irfft(1j * omega[:, None] * np.fft.rfft(motion * window, axis=0), count, axis=0)[kept]
     speeds = np.gradient(motion, period, axis=0)
     speeds[kept] = (turning - dw * motion[kept]) / w
@@ -259,7 +259,7 @@ def receptance(model: Model, matrix: Array, omega: Array) -> Complex[Array, "a a
     """Displacement per force [m/N] of the linear part."""
     a = model.axes
     response = jnp.linalg.inv(1j * omega * jnp.eye(model.size) - matrix)
-    return response[:a, a : 2 * a] * model.device.mobility
+    return response[:a, a : 2 * a] * jnp.abs(model.device.mobility)
 
 
 def residual_over_rate(
