@@ -44,8 +44,8 @@ class Replay(eqx.Module):
 @dataclass(frozen=True)
 class RecordTuning(Shown):
     """An observer tuned on a record: `observer`, the fate of each free number, and the figures of the part of the
-    record that was held out, before and after: mean negative log-likelihood in nats per sample, and (Σ ln² NIS)½ over
-    the two channels, zero when both are consistent.
+    record that was held out, before and after: mean negative log-likelihood in nats per reading (a sample, or of a
+    filter in blocks a projection), and (Σ ln² NIS)½ over the two channels, zero when both are consistent.
     """
 
     observer: AbstractObserver
@@ -58,7 +58,7 @@ class RecordTuning(Shown):
     def __repr__(self) -> str:
         lines = [f"{n.label:<32} {n.start:10.4g} -> {n.value:10.4g}  {n.fate}" for n in self.numbers]
         lines += [f"no effect along {null}" for null in self.nulls]
-        lines.append("held out: -ln likelihood {:.6g} -> {:.6g} nats per sample".format(*self.likelihood))
+        lines.append("held out: -ln likelihood {:.6g} -> {:.6g} nats per reading".format(*self.likelihood))
         lines.append("held out: inconsistency {:.3g} -> {:.3g} (0 is consistent)".format(*self.inconsistency))
         return "\n".join([*lines, self.status])
 
