@@ -50,6 +50,7 @@ def imitated(search: Search) -> None:
     for place, term in _terms(search):
         for other in [i for i in search.candidates() if effects[i].label == term.imitates]:
             kept, search.given = search.given, tuple(i for i in search.given if i != place)
+            search.joint.together((*search.given, *search.accepted, other))
             start = search.without(place)
             fewer, none = (search.refit([*search.accepted, *more], start=start) for more in ([other], []))
             if cost(fewer) > min(cost(search.optimum), cost(none)):

@@ -62,6 +62,7 @@ def test_a_delay_is_told_from_a_phase_and_a_part_of_the_drive(tmp_path, delay, p
     terms = [t for t in instrument_terms(case) if t.label in ("reference_phase", "lock_in_feedthrough")]
     late = by_name("readout_delay", among=catalogue(1))
     joint = Joint(model_of(case, starting_device(case)).with_effect(*terms, late), readings_of(case))
+    joint.together(range(3))
     search = start_search(case, joint, 0.045, (0, 1), lambda text: None)
     imitated(search)
     take_out(search)
