@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.effects import BY_RECORD, TERMS, Effect, InstrumentTerm
+from memsgyro_jax.effects import BY_RECORD, TERMS, THROUGHOUT, Effect, InstrumentTerm
 from memsgyro_jax.effects.instrument import (
     DampingDrift,
     DriveLevel,
@@ -83,6 +83,7 @@ def instrument_terms(case: Case) -> tuple[InstrumentTerm, ...]:
         (DriveLevel, groups.levels[1:], {}),
         (RecordGain, groups.records[1:], {}),
         (FrequencyOffset, groups.sweeps[1:], {}),
+        (FrequencyDrift, groups.one_clock, groups.whole | {"of": THROUGHOUT}),
         *((kind, clocked, groups.clock) for kind in (FrequencyDrift, DampingDrift, GainDrift, PhaseDrift)),
     ]
     terms = [kind(np.zeros(len(g)), groups.table(g), **more) for kind, g, more in found if g]
@@ -170,6 +171,24 @@ class _Groups:
                 "span": np.array([1.0 if t is None else t[-1] - t[0] for t in times]),
             },
         )
+
+    @property
+    def one_clock(self) -> list[set[Place]]:
+        """All places with a clock as one group, where there are several records and each begins after another ended."""
+        timed = [{place[0] for place in group}.pop() for group in self.clocked]
+        begin, span = (self.clock[of][timed] for of in ("begin", "span"))
+        order = np.argsort(begin)
+        follow = np.all(begin[order][1:] >= (begin + span)[order][:-1])
+        return _together(self.clocked) if len(timed) > 1 and follow else []
+
+    @property
+    def whole(self) -> dict[str, np.ndarray]:
+        """The clock of all records together."""
+        timed = [{place[0] for place in group}.pop() for group in self.clocked]
+        begin, span = (self.clock[of] for of in ("begin", "span"))
+        first = min(begin[timed], default=0.0)
+        last = max((begin + span)[timed], default=1.0)
+        return {"begin": np.full(begin.shape, first), "span": np.full(begin.shape, last - first)}
 
     def table(self, groups: Sequence[set[Place]]) -> np.ndarray:
         """Which number a row takes (records, sweeps, k)."""

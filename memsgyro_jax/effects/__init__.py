@@ -39,6 +39,7 @@ from .electrostatic_softening import ElectrostaticSoftening as ElectrostaticSoft
 from .finite_sweep_rate import FiniteSweepRate as FiniteSweepRate
 from .force_misalignment import ForceMisalignment as ForceMisalignment
 from .instrument import BY_RECORD as BY_RECORD
+from .instrument import THROUGHOUT as THROUGHOUT
 from .instrument import InstrumentTerm as InstrumentTerm
 from .lock_in_terms import TERMS as TERMS
 from .numbers import EffectNumber as EffectNumber

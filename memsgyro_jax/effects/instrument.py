@@ -19,6 +19,7 @@ from .base import DriveEffect, Effect, ForceEffect, LockInRow, Moment, ReadoutEf
 
 
 BY_RECORD = "by record"  # of a term that each record has for itself
+THROUGHOUT = "throughout"  # of a term that goes on from record to record, by one clock
 
 
 class SeenRows(NamedTuple):
@@ -58,8 +59,7 @@ class InstrumentTerm(Effect):
     `of_every_phasor` whether it does the same to each phasor, whichever came before.
     `parts` are the names of its numbers, where it has as many. `turns` says whether these are angles of readings, of
     which whole turns are not seen. `imitates` names an effect of fewer numbers that over a narrow band looks the same.
-    `of` says which rows share a number where a term may
-    have it both ways: empty for one number for all.
+    `of` says which rows share a number where a term may have it both ways: empty, or one of `ways`.
     """
 
     of_instrument: ClassVar[bool] = True
@@ -69,6 +69,7 @@ class InstrumentTerm(Effect):
     parts: ClassVar[tuple[str, ...]] = ()
     turns: ClassVar[bool] = False
     imitates: ClassVar[str] = ""
+    ways: ClassVar[tuple[str, ...]] = ()
     entry: AbstractVar[Array]
 
     @property
@@ -168,13 +169,17 @@ class ClockedTerm(InstrumentTerm):
 
 
 class FrequencyDrift(ClockedTerm, ForceEffect):
-    """The frequency of the device grows by s_k of itself over a record. Zero: it stays."""
+    """The frequency of the device grows by s_k of itself over a record, or by one s over all of them that follow each
+    other by one clock (`throughout`). Zero: it stays.
+    """
 
     name, unit, law = "frequency_drift", "1", "f0 → (1 + s_k·(t/T − ½))·f0"
+    ways: ClassVar[tuple[str, ...]] = (THROUGHOUT,)
     strength: Array = strength((0.0,), low=-1e-2, high=1e-2)
     entry: Array = row_field((((0.0,),),))
     begin: Array = row_field((0.0,))
     span: Array = row_field((1.0,))
+    of: str = eqx.field(static=True, default="")
 
     def force(self, now: Moment) -> Array:
         return _pulled(now, self.grown(now))

@@ -11,6 +11,7 @@ from memsgyro_jax.base.linalg import inverse
 
 from .base import LockInEffect, LockInRow, strength
 from .instrument import (
+    BY_RECORD,
     ClockedTerm,
     DampingDrift,
     DriveLevel,
@@ -47,6 +48,7 @@ class ReferencePhase(InstrumentTerm, LockInEffect):
     """The reference of the lock-in is turned by s_k rad, in all records or in each. Zero: it is the drive itself."""
 
     name, unit, law = "reference_phase", "rad", "V → V·exp(i·s_k)"
+    ways: ClassVar[tuple[str, ...]] = (BY_RECORD,)
     in_proportion: ClassVar[bool] = True
     of_every_phasor: ClassVar[bool] = True
     turns: ClassVar[bool] = True
@@ -113,6 +115,7 @@ class LockInMemory(InstrumentTerm, LockInEffect):
     """
 
     name, unit, law = "lock_in_memory", "1", "V_n → V_n + s_k·(V_{n−1} − V_n)"
+    ways: ClassVar[tuple[str, ...]] = (BY_RECORD,)
     reference = "Libbrecht, Black and Hirata, Am. J. Phys. 71 (2003) 1208"
     last: ClassVar[bool] = True
     strength: Array = strength((0.0,), low=0.0, high=0.5)

@@ -4,7 +4,6 @@ instrument does to the records.
 Numbers are written with all their digits, so that reading gives back the very same model.
 """
 
-import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -21,7 +20,7 @@ from memsgyro_jax.base.quantity import FileSection, Number
 from memsgyro_jax.base.toml import checked, read_toml, toml_table
 from memsgyro_jax.base.units import to_si
 from memsgyro_jax.device.normalised import NormalisedDevice
-from memsgyro_jax.effects import BY_RECORD, TERMS, Effect, every_effect
+from memsgyro_jax.effects import TERMS, Effect, every_effect
 from memsgyro_jax.effects.section import EffectSection, entries_of_effect, written
 
 from .declared import QUANTITIES, check_temperature
@@ -181,8 +180,11 @@ def _model(file: _File, source: Source, own: Sequence[Effect]) -> Model:
 def _every_term(entry: EffectSection) -> list[Effect]:
     """Every term of an instrument at zero, of as many numbers as an entry gives."""
     size = len(entry.strength) if isinstance(entry.strength, list) else 1
-    ways = {kind: [{"of": BY_RECORD}] for kind in TERMS if "of" in {f.name for f in dataclasses.fields(kind)}}
-    return [kind(np.zeros(size), np.zeros((1, 1, size)), **way) for kind in TERMS for way in ({}, *ways.get(kind, []))]
+    return [
+        kind(np.zeros(size), np.zeros((1, 1, size)), **way)
+        for kind in TERMS
+        for way in ({}, *({"of": of} for of in kind.ways))
+    ]
 
 
 def _check_size(name: str, values: np.typing.ArrayLike, unit: str) -> None:
