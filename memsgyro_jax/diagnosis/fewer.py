@@ -2,14 +2,20 @@
 
 from dataclasses import replace
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from scipy import special
 
 from memsgyro_jax.effects import InstrumentTerm
+from memsgyro_jax.effects.lock_in_terms import ReferencePhase
+from memsgyro_jax.effects.readout_delay import ReadoutDelay
 
 from .fit import beside_case
-from .optimum import Optimum
-from .search import Search, SearchStep
+from .instrument import instrument_terms
+from .joint_residual import Joint
+from .optimum import Optimum, optimise
+from .search import CONFUSED, Search, SearchStep, always_free
 
 
 SHARE = 0.2  # of the level for terms of the instrument
@@ -58,6 +64,33 @@ def imitated(search: Search) -> None:
                 continue
             search.tell(f"dropped {term.label} for what it imitates")
             search.take(other, fewer)
+
+
+def as_a_phase(search: Search) -> Search:
+    """The search with a turned reference of the lock-in in the place of a late read-out, where the records cannot tell
+    them apart: over a narrow band a delay is a phase, which says less of the device. Else the same search.
+    """
+    joint, effects = search.joint, search.joint.model.effects
+    late = [i for i in search.accepted if isinstance(effects[i], ReadoutDelay)]
+    turned = [t for t in instrument_terms(search.case) if isinstance(t, ReferencePhase) and not t.where]
+    if not late or not turned or any(isinstance(effects[i], ReferencePhase) for i in search.given):
+        return search
+    model = joint.at(search.optimum.vector)
+    angle = -float(np.sqrt(model.device.stiffness[0]) * model.effects[late[0]].strength)
+    prompt = model.prompt.with_effect(eqx.tree_at(lambda term: term.strength, turned[0], jnp.array([angle])))
+    given = (*search.given, len(prompt.effects) - 1)
+    accepted = [i for i in search.accepted if i not in late]
+    whole = Joint(prompt, joint.readings, joint.programs)
+    optimum = optimise(whole, whole.start, always_free(whole, (*given, *accepted)), whole.fitted)
+    if optimum.chi2 > search.optimum.chi2 + CONFUSED:
+        return search
+    said = f"{turned[0].label} in place of {effects[late[0]].label}"
+    search.tell(f"put {said}, which these records cannot tell apart")
+    out = Search(search.base, search.level, given, search.tell)
+    out.joint, out.optimum, out.accepted, out.own, out.keep = whole, optimum, accepted, search.own, search.keep
+    out.steps = [*search.steps, SearchStep(said, beside_case(search.case, whole, optimum))]
+    upright(out)
+    return out
 
 
 def upright(search: Search) -> None:

@@ -129,7 +129,8 @@ class Diagnosis(Labelled):
         for a in (*self.instrument, *self.accepted):
             value = ", ".join(f"{beside(e, s)} ± {s:.2g}" for e, s in zip(a.estimate, a.std, strict=True))
             more = "".join(f", {name} {beside(v, s)} ± {s:.2g} {unit}" for name, (v, s, unit) in a.numbers.items())
-            lines.append(f"  {a.label}: {value} {a.unit}{with_calibration(a.calibration)}{more}" + _confused(a))
+            unit = "" if a.unit == "1" else f" {a.unit}"
+            lines.append(f"  {a.label}: {value}{unit}{with_calibration(a.calibration)}{more}" + _confused(a))
             if about := "; ".join(filter(None, (self.laws.get(a.label), self.consequences.get(a.label)))):
                 lines.append(f"    {about}")
         if self.scale > 1.0:
@@ -233,7 +234,8 @@ def validation_error(fit: CaseFit) -> float:
 
 
 def _line(stage: Stage) -> str:
-    label = f"+ {stage.added}" if stage.added else "base model"
+    kept = stage.added.startswith("without") or " in place of " in stage.added
+    label = stage.added if kept else f"+ {stage.added}" if stage.added else "base model"
     return f"  {label:<36} χ²/dof {stage.chi2_per_dof:10.4g}   validation error {stage.validation_error:9.4g} × noise"
 
 

@@ -9,7 +9,7 @@ from memsgyro_jax.measurement.least_squares import gate
 from memsgyro_jax.measurement.model import Model
 
 from .acceptance import excess, hopeless
-from .fewer import take_out
+from .fewer import as_a_phase, take_out
 from .fit import beside_case
 from .joint_residual import Joint
 from .nuisances import instrument_between
@@ -60,6 +60,7 @@ def search_on(search: Search, ranking: Ranking) -> tuple[Search, Ranking]:
     search.prune()
     if search.accepted:
         take_out(search)
+    search = as_a_phase(search)
     return search, ranking if before == search.accepted else search.rank()
 
 

@@ -7,13 +7,13 @@ from .fit import CaseFit
 from .result import Verdict
 
 
-SLIGHT = 0.01  # of the χ² that the strongest effect takes: less is told apart from it
+SLIGHT, NEAR = 0.01, 5.0  # of the χ² that the strongest effect takes, and times the noise: less is told apart from it
 DRIFT = "frequency_drift"  # in time, which a lone decay may not tell from a law
 
 
 def sentence(verdict: Verdict, accepted: tuple[Accepted, ...], final: CaseFit, explained: list[bool]) -> str:
     """What was found, and what is left where something is."""
-    names = _by_weight(accepted)
+    names = _by_weight(accepted, final)
     left = ", ".join(
         f"{e.name} ({e.role}, {e.rms:.3g} × noise)" for e, fine in zip(final.errors, explained, strict=True) if not fine
     )
@@ -33,12 +33,13 @@ def sentence(verdict: Verdict, accepted: tuple[Accepted, ...], final: CaseFit, e
     }[verdict]
 
 
-def _by_weight(accepted: tuple[Accepted, ...]) -> str:
-    """The labels of effects, and apart those that explain next to nothing beside the strongest."""
-    most = max((a.chi2 for a in accepted), default=0.0)
-    slight = [a.label for a in accepted if a.chi2 < SLIGHT * most]
-    main = ", ".join(a.label for a in accepted if a.label not in slight)
-    return main + (f", and with less than {100 * SLIGHT:g} % of its weight {', '.join(slight)}" if slight else "")
+def _by_weight(accepted: tuple[Accepted, ...], final: CaseFit) -> str:
+    """The labels of effects, and apart those that explain next to nothing beside the strongest, and little of noise."""
+    count = sum(error.count for error in final.errors if error.role == "fit")
+    least = min(SLIGHT * max((a.chi2 for a in accepted), default=0.0), NEAR**2 * count)
+    slight = ", ".join(a.label for a in accepted if a.chi2 < least)
+    main = ", ".join(a.label for a in accepted if not a.chi2 < least)
+    return main + f", and far weaker, within {NEAR:g} times the noise, {slight}" * bool(slight)
 
 
 def of_noise(noise: Mapping[str, float], declared: Set[str]) -> str:

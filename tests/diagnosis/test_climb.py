@@ -39,6 +39,20 @@ def test_a_fit_climbs_too(tmp_path):
 
 
 @pytest.mark.slow
+def test_a_spring_is_found_beside_a_drift_that_goes_on_from_record_to_record(tmp_path):
+    """Of 29 parts in a million over three sweeps, a tenth of a width."""
+    folder = bent.bent_sweeps(tmp_path / "case", (5, 20, 60), drift=1.4e-8)
+    found = mg.diagnose(None, mg.load_case(folder))
+    assert found.verdict == "found", found.sentence
+    (spring,) = found.accepted
+    assert spring.label == "cubic_stiffness x"
+    assert spring.estimate[0] == pytest.approx(bent.CUBIC, abs=5.0 * spring.std[0] + 1e-3 * bent.CUBIC)
+    (drift,) = [term for term in found.instrument if term.label == "frequency_drift throughout"]
+    whole = 1.4e-8 * bent.DWELL * (3 * 161 + 2 * 10 - 1)
+    assert drift.estimate[0] == pytest.approx(whole, abs=5.0 * drift.std[0])
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("levels", [(20,), (20, 60)])
 def test_a_reference_far_off_hides_no_spring(tmp_path, levels):
     """Of one drive alone this was told as slow noise beside which nothing is missing."""

@@ -3,9 +3,12 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from bench_case import ONE_AXIS, RESONATOR, bench
+from lab.bent import bent_sweeps
 from lab.die import Hidden
 from lab.faults import Faults
 
@@ -24,6 +27,7 @@ from memsgyro_jax.diagnosis.search import Search, start_search
 from memsgyro_jax.effects import TERMS, FiniteSweepRate
 from memsgyro_jax.effects.lock_in_terms import ReferencePhase
 from memsgyro_jax.effects.trial import complaint
+from memsgyro_jax.measurement.case import load_case
 from memsgyro_jax.measurement.linear_start import starting_device
 from memsgyro_jax.measurement.model import Model
 from memsgyro_jax.measurement.model_file import read_model, write_model
@@ -81,6 +85,22 @@ def test_a_case_holds_no_term_of_which_it_has_one_group_alone():
     (alone,) = [replace(r, **_only(r, r.sweeps[0])) for r in whole.records if r.name == "sweep"]
     labels = [term.label for term in instrument_terms(replace(whole, records=(alone,)))]
     assert labels == ["lock_in_memory", "reference_phase", "lock_in_background", "lock_in_feedthrough"]
+
+
+def test_one_drift_goes_on_from_record_to_record_by_one_clock(tmp_path):
+    """Records that begin at zero have each a clock of their own."""
+    case = load_case(bent_sweeps(tmp_path / "one", (5, 20), rows=21, drift=1e-8))
+    (term,) = [t for t in instrument_terms(case) if t.label == "frequency_drift throughout"]
+    assert term.strength.size == 1
+    first, last = min(r.time[0] for r in case.records), max(r.time[-1] for r in case.records)
+    np.testing.assert_allclose(np.asarray([term.begin, term.span]), [[first] * 2, [last - first] * 2])
+    model = model_of(case, starting_device(case)).with_effect(
+        eqx.tree_at(lambda t: t.strength, term, jnp.array([3e-6]))
+    )
+    kept = read_model(write_model(model, tmp_path / "m.toml")).effects
+    assert [(effect.label, float(effect.strength[0])) for effect in kept] == [("frequency_drift throughout", 3e-6)]
+    apart = replace(case, records=tuple(replace(r, time=r.time - r.time[0]) for r in case.records))
+    assert "frequency_drift throughout" not in {t.label for t in instrument_terms(apart)}
 
 
 def _only(record, rows):

@@ -1,11 +1,13 @@
 """A lock-in that sees the read-out late: of a linear device, made by other code, and of one that bends over."""
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from lab import bent
 
 import memsgyro_jax as mg
-from memsgyro_jax.diagnosis.fewer import imitated, take_out
+from memsgyro_jax.diagnosis.fewer import as_a_phase, imitated, take_out
 from memsgyro_jax.diagnosis.instrument import instrument_terms
 from memsgyro_jax.diagnosis.joint_residual import Joint
 from memsgyro_jax.diagnosis.search import start_search
@@ -74,6 +76,24 @@ def test_a_delay_is_told_from_a_phase_and_a_part_of_the_drive(tmp_path, delay, p
     assert abs(told - delay) <= 4.0 * std
     if "reference_phase" in kept:
         assert search.optimum.vector[joint.of_effect(0)] == pytest.approx(phase, abs=0.03)
+
+
+@pytest.mark.parametrize(("delay", "phase", "kept"), [(0.0, -0.4, "reference_phase"), (9e-6, 0.0, "readout_delay")])
+def test_a_delay_that_may_be_a_phase_is_called_one(tmp_path, delay, phase, kept):
+    """Found as an effect of the device, it would be quoted with the precision of a phase."""
+    case = swept(tmp_path, delay, phase)
+    late = by_name("readout_delay", among=catalogue(1))
+    start = eqx.tree_at(lambda effect: effect.strength, late, jnp.array(delay or 0.4 / (2 * np.pi * F0)))
+    joint = Joint(model_of(case, starting_device(case)).with_effect(start), readings_of(case))
+    search = start_search(case, joint, 0.045, (0,), lambda text: None)
+    search.given, search.accepted = (), [0]
+    found = as_a_phase(search)
+    assert [found.joint.model.effects[i].label for i in (*found.given, *found.accepted)] == [kept]
+    assert found.optimum.chi2 < 1.6 * found.optimum.dof
+    if phase:
+        (place,) = found.joint.of_effect(found.given[0])
+        assert found.optimum.vector[place] == pytest.approx(phase, abs=3e-3)
+        assert found.steps[-1].added == "reference_phase in place of readout_delay"
 
 
 @pytest.mark.slow

@@ -8,6 +8,7 @@ import numpy as np
 F0, Q, MASS, CUBIC = 23417.6, 3100.0, 3.2e-9, 6.5e12  # Hz, 1, kg, N/m³
 SCALE, FORCE = 1.8e5, 2.4e-7  # V/m, N/V
 PHASE, BACKGROUND, NOISE = -0.06, 3e-5 + 2e-5j, 3e-5  # rad, V/V, V
+DWELL = 4.0  # s from row to row
 CASE = """schema = "memsgyro-case/1"
 name = "bent"
 device = "resonator"
@@ -31,11 +32,13 @@ drive_axis = "x"
 """
 
 
-def response(frequency: np.ndarray, force: float) -> np.ndarray:
-    """Displacement phasors [m] of a Duffing resonator by its first harmonic, along the branch that a sweep follows."""
-    natural = 2.0 * np.pi * F0
-    stiffness, damping, before, found = MASS * natural**2, MASS * natural / Q, None, []
-    for omega in 2.0 * np.pi * frequency:
+def response(frequency: np.ndarray, force: float, shift: np.ndarray) -> np.ndarray:
+    """Displacement phasors [m] of a Duffing resonator by its first harmonic, along the branch that a sweep follows; the
+    linear resonance moves by `shift` of itself from row to row.
+    """
+    damping, before, found = MASS * 2.0 * np.pi * F0 / Q, None, []
+    for omega, natural in zip(2.0 * np.pi * frequency, 2.0 * np.pi * F0 * (1.0 + shift), strict=True):
+        stiffness = MASS * natural**2
         away, bend, lost = stiffness - MASS * omega**2, 0.75 * CUBIC, damping * omega
         roots = np.roots([bend**2, 2.0 * away * bend, away**2 + lost**2, -(force**2)])
         squares = roots.real[(np.abs(roots.imag) < 1e-9 * np.abs(roots)) & (roots.real > 0.0)]
@@ -46,16 +49,25 @@ def response(frequency: np.ndarray, force: float) -> np.ndarray:
 
 
 def bent_sweeps(
-    folder: Path, levels: tuple[int, ...], rows: int = 161, phase: float = PHASE, delay: float = 0.0
-) -> Path:
-    """A case of one sweep in a file at each drive level in mV, the strongest first, read late by `delay` [s]."""
+    folder: Path, levels: tuple[int, ...], rows: int = 161, phase: float = PHASE, delay: float = 0.0,
+    drift: float = 0.0,
+) -> Path:  # fmt: skip
+    """A case of one sweep in a file at each drive level in mV, the strongest first, read late by `delay` [s]; with a
+    `drift` [1/s] of the resonance, relative, they follow each other in time as their levels do.
+    """
+    clock = DWELL * np.arange(rows)
     generator, frequency = np.random.default_rng(77), F0 + np.linspace(-40.0, 60.0, rows)
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "case.toml").write_text(CASE + "".join(RECORD.format(level=level) for level in sorted(levels)[::-1]))
     for level in levels:
         turn = np.exp(1j * (phase - 2.0 * np.pi * frequency * delay))
-        volts = SCALE * response(frequency, FORCE * 1e-3 * level) * turn + BACKGROUND * 1e-3 * level
+        volts = SCALE * response(frequency, FORCE * 1e-3 * level, drift * clock) * turn + BACKGROUND * 1e-3 * level
         volts = volts + NOISE * (generator.standard_normal(rows) + 1j * generator.standard_normal(rows))
-        lines = [f"{f!r},{v.real!r},{v.imag!r}" for f, v in zip(frequency.tolist(), volts.tolist(), strict=True)]
-        (folder / f"at_{level}mV.csv").write_text("\n".join(["f [Hz],Vx_I [V],Vx_Q [V]", *lines]))
+        columns = {"f [Hz]": frequency, "Vx_I [V]": volts.real, "Vx_Q [V]": volts.imag}
+        columns |= {"t [s]": clock} if drift else {}
+        lines = [
+            ",".join(map(repr, row)) for row in zip(*(column.tolist() for column in columns.values()), strict=True)
+        ]
+        (folder / f"at_{level}mV.csv").write_text("\n".join([",".join(columns), *lines]))
+        clock = clock + DWELL * (rows + 10)
     return folder

@@ -1,0 +1,29 @@
+"""What the sentence of a verdict says of effects of unlike weight."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from memsgyro_jax.diagnosis.findings import Accepted
+from memsgyro_jax.diagnosis.sentence import sentence
+
+
+FINAL = SimpleNamespace(errors=[SimpleNamespace(role="fit", count=100, name="a", rms=1.0)])
+
+
+def effect(name, chi2):
+    return Accepted(name, "x", (1.0,), (0.1,), "1", 0.0, 9.0, 1.0, chi2=chi2)
+
+
+@pytest.mark.parametrize(
+    ("weights", "names"),
+    [
+        ((1e6,), "spring x; with it"),
+        ((1e6, 4e5), "spring x, damper x; with them"),
+        ((1e6, 900.0), "spring x, and far weaker, within 5 times the noise, damper x; with them"),
+        ((1e9, 1e5), "spring x, damper x; with them"),  # of a delay, say, that dwarfs a spring of 30 times the noise
+    ],
+)
+def test_effects_of_little_weight_stand_apart(weights, names):
+    accepted = tuple(map(effect, ("spring", "damper"), weights))
+    assert sentence("found", accepted, FINAL, [True]).startswith(f"Missing was {names} the model")
