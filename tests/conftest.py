@@ -1,5 +1,6 @@
 """Sets JAX up before any test module imports it, and offers what many tests share."""
 
+import gc
 import os
 
 from memsgyro_jax.base import runtime
@@ -7,8 +8,8 @@ from memsgyro_jax.base import runtime
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # NumPy's threads would wait for work on the other workers' cores
 runtime.configure(devices=2)
+gc.set_threshold(50_000, 20, 100)  # what is imported and compiled stays: few collections need to look at it
 
-import gc  # noqa: E402
 import subprocess  # noqa: E402
 import sys  # noqa: E402
 from collections.abc import Callable  # noqa: E402
@@ -87,7 +88,8 @@ TOGETHER = (
 # The others ask for figures: their programs run once, and compile faster without LLVM's optimiser.
 OPTIMISED = (
     "montecarlo/",
-    "effects/",
+    "effects/test_members.py",
+    "effects/test_of_operation.py",
     "couplings/test_frequency_sweep.py",
     "loop/test_effects_in_loop.py",
     "loop/test_brownian.py",
@@ -129,13 +131,10 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Longest files first, behind those of optimised programs. What was imported and compiled stays, so that few
-    collections look at it again: 5 % of a run.
-    """
+    """Longest files first, behind those of optimised programs. What was imported is not looked at again."""
     order = {name: number for number, name in enumerate(LONGEST)}
     items.sort(key=lambda item: (not _place(item).startswith(OPTIMISED), order.get(_place(item), len(LONGEST))))
     gc.freeze()
-    gc.set_threshold(50_000, 20, 100)
 
 
 @pytest.fixture(scope="session")
