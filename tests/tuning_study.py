@@ -33,7 +33,7 @@ order = 1
 discretisation = "euler"
 
 [scenario]
-rate = { kind = "random_walk", intensity = "1e7 rad^2/s^3", duration = "2 ms" }
+rate = { kind = "random_walk", intensity = "1e7 rad^2/s^3", duration = "2 ms", rows = 1000 }  # one for each sample
 
 [spread.parameters]
 "scenario.rate.realisation" = { kind = "uniform", low = "0", high = "1" }
@@ -41,7 +41,7 @@ rate = { kind = "random_walk", intensity = "1e7 rad^2/s^3", duration = "2 ms" }
 
 [sweep]
 dies = 16
-sample_rate = "1 MHz"
+sample_rate = "500 kHz"
 duration = "2 ms"
 
 [tune]

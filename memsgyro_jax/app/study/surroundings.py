@@ -19,6 +19,7 @@ from memsgyro_jax.base.quantity import (
     Rate,
     Second,
     Volt,
+    Whole,
 )
 from memsgyro_jax.loop.scenario import AbstractProfile, Chirp, Constant, Ramp, RandomWalk, Scenario, Sine, Step
 
@@ -96,9 +97,10 @@ class Swept(FileSection, Generic[Value]):
 
 
 class Wander(FileSection, Generic[Value, Growth]):
-    """`{ kind = "random_walk", intensity, duration, start, realisation }`: variance grows by `intensity` per second.
+    """`{ kind = "random_walk", intensity, duration, start, realisation, rows }`: variance grows by `intensity` per second.
 
-    A spread over `scenario.rate.realisation`, uniform from 0 to 1, gives each die a walk of its own.
+    A spread over `scenario.rate.realisation`, uniform from 0 to 1, gives each die a walk of its own, straight between
+    its `rows` points; more of them than samples only cost time.
     """
 
     kind: Literal["random_walk"]
@@ -106,10 +108,11 @@ class Wander(FileSection, Generic[Value, Growth]):
     duration: Duration
     start: Value | None = None
     realisation: Annotated[float, Field(ge=0.0, lt=1.0), In("1")] = 0.5
+    rows: Annotated[Whole, Field(ge=2)] = RandomWalk.rows
 
     def build(self) -> AbstractProfile:
         """The profile."""
-        return RandomWalk(self.intensity, self.duration, self.start or 0.0, self.realisation)
+        return RandomWalk(self.intensity, self.duration, self.start or 0.0, self.realisation, self.rows)
 
 
 class Record(FileSection):
