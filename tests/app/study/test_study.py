@@ -217,6 +217,10 @@ def test_numbers_survive_writing_to_the_last_bit(tmp_path_factory, mass, decay, 
             lambda s: isinstance(s.scenario.rate, mg.Chirp),
         ),
         (
+            '[scenario]\nrate = { kind = "random_walk", intensity = "1 rad^2/s^3", duration = "1 s", rows = 500 }\n',
+            lambda s: s.scenario.rate == mg.RandomWalk(1.0, 1.0, rows=500),
+        ),
+        (
             """[filter]
 kind = "lowpass"
 bandwidth = "20 Hz"
