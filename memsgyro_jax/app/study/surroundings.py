@@ -97,7 +97,7 @@ class Swept(FileSection, Generic[Value]):
 
 
 class Wander(FileSection, Generic[Value, Growth]):
-    """`{ kind = "random_walk", intensity, duration, start, realisation, rows }`: variance grows by `intensity` per second.
+    """`{ kind = "random_walk", intensity, duration, start, realisation, rows }`; variance grows by `intensity` per s.
 
     A spread over `scenario.rate.realisation`, uniform from 0 to 1, gives each die a walk of its own, straight between
     its `rows` points; more of them than samples only cost time.
