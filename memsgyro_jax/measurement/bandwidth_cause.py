@@ -40,7 +40,8 @@ def limits(bench: RateTests, answer: Answer) -> tuple[str, ...]:
         return ()
     words = max(moved, key=lambda name: moved[name])
     if moved[words] < _MOVES:
-        return (f"The bandwidth is the device's own, by its decay and mode split: {', '.join(moved)} do not move it.",)
+        others = f"{', '.join(moved)} {'does' if len(moved) == 1 else 'do'} not move it"
+        return (f"The bandwidth is the device's own, by its decay and mode split: {others}.",)
     return (f"The bandwidth is set by {words}: a fifth more turns {before:.4g} Hz into {found[words]:.4g} Hz.",)
 
 
