@@ -126,8 +126,10 @@ class ClosedLoop(Displayed):
 
     @property
     def silent(self) -> "ClosedLoop":
-        """The same loop with a read-out that makes no noise, of which its observer knows nothing."""
+        """The same loop without noise, of which its observer knows nothing: none of the read-out, no Brownian force."""
         quiet = eqx.tree_at(lambda made: made.readout.noise_density, self, (jnp.zeros(()), jnp.zeros(())))
+        if quiet.device.temperature is not None:
+            quiet = eqx.tree_at(lambda made: made.device, quiet, quiet.device.at_temperature(None))
         return quiet if quiet.readout.flicker is None else eqx.tree_at(lambda made: made.readout.flicker, quiet, None)
 
     def in_blocks(self, length: int = 512, *, start: int | None = None) -> "ClosedLoop":

@@ -181,6 +181,29 @@ def noise_budget(
     )
 
 
+def thermal_left_out(loop: ClosedLoop, *, sample_rate: float | str | None = None, least: float = 0.0) -> str:
+    """A sentence on what the Brownian force would add at 300 K to a loop whose device knows no temperature; empty for
+    one that does, where no closed form tells, and below `least` times the density that is counted.
+    """
+    if loop.device.temperature is not None or not is_concrete(loop):
+        return ""
+    warm = eqx.tree_at(lambda made: made.device, loop, loop.device.at_temperature(300.0))
+    try:
+        budget = noise_budget(warm, sample_rate=sample_rate)
+    except InputError:
+        return ""
+    thermal = float(budget.of("Brownian force"))
+    rest = max(0.0, float(budget.total) ** 2 - thermal**2) ** 0.5
+    if not np.isfinite(thermal + rest) or thermal < least * rest:
+        return ""
+    density = _DEGREES * np.sqrt(2.0)
+    return (
+        "The device knows no temperature, so no thermomechanical (Brownian) noise is counted: at 300 K it would be "
+        f"{density * thermal:.3g} deg/s/√Hz beside {density * rest:.3g} of the read-out (closed form); "
+        '`temperature = "300 K"` in `[device]` brings it'
+    )
+
+
 def _instability(loop: ClosedLoop, sense: _Sense, phase_locked: bool) -> Scalar:
     """B of the rate: a delay of a channel turns the part of the swing that it shows by ω times itself.
 

@@ -10,8 +10,10 @@ from jaxtyping import Bool
 from scipy import stats
 
 from memsgyro_jax.base.arguments import quantity
+from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.provenance import Settings
 from memsgyro_jax.loop.loop import ClosedLoop
+from memsgyro_jax.loop.noise_budget import thermal_left_out
 from memsgyro_jax.loop.settling import duration_to_settle
 from memsgyro_jax.montecarlo.spread import Spread
 
@@ -38,6 +40,7 @@ _FEW = 30  # dies beyond which the spread is known to a third
 NOT_SETTLED = "not settled: a note says when it would be"
 _POINTS = 9  # rates of the table, from minus to plus full scale
 _SILENCE = 5.0  # s between two sentences about one run
+_LEAST = 0.1  # of the part of a run that counts: the shortest record with noise
 _OTHERS = 10  # runs about as long as one of the table
 
 
@@ -79,6 +82,7 @@ def datasheet(
     )  # fmt: skip
     check_temperatures(temperatures)
     noise_duration = noise_duration if noise_duration is None else quantity("noise_duration", noise_duration, "s")
+    check_noise_duration(bench, noise_duration)
     told = progress or (lambda sentence: None)
     rates = np.linspace(-bench.full_scale, bench.full_scale, _POINTS)
     told(f"{dies} dies at {_POINTS} constant rates, {bench.duration:g} s each; the first compiles, some seconds")
@@ -105,6 +109,7 @@ def datasheet(
     )  # fmt: skip
 
     def sheet(noise_rows: tuple[DatasheetRow, ...]) -> Datasheet:
+        noise_rows = at_rest(noise_rows, rest, why)
         rows = (full, *settled, *noise_rows, *step_rows, started, *around, *over_temperature)
         rows = tuple(replace(row, values=np.where(alive, row.values, np.nan)) for row in rows)
         rows = with_trim(rows, rates, outputs, bench.full_scale) if trim else rows
@@ -118,6 +123,17 @@ def datasheet(
     if draft is not None:
         draft(sheet(stopped_noise(bench, record)))
     return sheet(noises(bench, answer, record, _shares(record, pace * record / bench.duration, told)))
+
+
+def check_noise_duration(bench: RateTests, noise_duration: float | None) -> None:
+    """Raises `InputError` for a record with noise that ends before its figures count."""
+    least = bench.settle + _LEAST * (bench.duration - bench.settle)
+    if noise_duration is not None and noise_duration < least:
+        raise InputError(
+            f"Argument `noise_duration` must be {least:.3g} s or more, as its figures count from {bench.settle:.3g} s "
+            f"on (`settle`, half the duration when left out), but is {noise_duration:.3g} s; left out, it is as long "
+            "as the bandwidth asks for."
+        )
 
 
 def _timed(bench: RateTests, rates: np.ndarray, told: Callable[[str], None]) -> tuple[list[Outputs], float]:
@@ -197,4 +213,6 @@ def notes_of(alive: np.ndarray, started: DatasheetRow, bench: RateTests) -> tupl
             f"{told} dies are few for a spread: σ is known within {low:.2g} to {high:.2g} times (95 %), and the ends "
             f"at ±3 σ may be what no die can be; take {_FEW} dies or more."
         )
+    if left_out := thermal_left_out(bench.loop, sample_rate=bench.sample_rate):
+        said.append(f"{left_out}.")
     return (*said, "Simulated, not measured: what the model leaves out is not in these figures.")

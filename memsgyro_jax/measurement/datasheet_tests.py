@@ -164,9 +164,7 @@ def step_answer(bench: RateTests, still: Outputs, run: Outputs) -> tuple[Answer,
         over = np.where(settled[:, None], answer / end[:, None], np.nan)
     bandwidth = np.array([first_half_power(one, run.period) for one in over])
     delay = 1e3 * np.sum(1.0 - over, axis=1) * run.period
-    beyond = reason or (
-        "" if np.isfinite(bandwidth).any() else f"it lies beyond {0.4 / run.period:.4g} Hz, which this run shows"
-    )
+    past = "" if np.isfinite(bandwidth).any() else f"it lies beyond {0.4 / run.period:.4g} Hz, which this run shows"
     condition = f"step of {np.degrees(size):.3g} deg/s after {0.5 * bench.duration:.3g} s, no noise"
     found = Answer(times, answer, run.alive & still.alive, bandwidth, reason)
     return found, (
@@ -176,11 +174,11 @@ def step_answer(bench: RateTests, still: Outputs, run: Outputs) -> tuple[Answer,
             "Frequency of the rate at which the output has lost 3 dB",
             condition,
             bandwidth,
-            beyond,
+            reason or past,
             positive=True,
         ),
         DatasheetRow("group delay", "ms", "Delay of a slowly varying rate", condition, delay, reason),
-    )
+    )  # fmt: skip
 
 
 def first_half_power(answer: Float[np.ndarray, " times"], period: float) -> float:
@@ -214,8 +212,8 @@ def record_needed(bench: RateTests, bandwidth: Dies, period: float) -> float:
 
 def no_noise(bench: RateTests, answer: Answer, duration: float) -> tuple[DatasheetRow, ...]:
     """The rows of the noise where a record of `duration` [s] can tell nothing of it; none where it is to be run."""
-    readout = bench.loop.readout
-    if readout.flicker is None and all(float(np.max(np.asarray(d))) == 0.0 for d in readout.noise_density):
+    readout, still = bench.loop.readout, bench.loop.device.temperature is None
+    if still and readout.flicker is None and all(float(np.max(np.asarray(d))) == 0.0 for d in readout.noise_density):
         return _noise_rows(bench, duration, (f"{NOT_MODELLED}: the read-out has no noise",) * 3)
     if answer.unknown:
         unknown = f"nothing tells up to where the noise is flat: {answer.unknown}"
@@ -239,8 +237,10 @@ def noises(
     run = bench.noisy(bench.at(0.0), duration, progress)
     rate = run.rate[:, round(bench.settle / run.period) :]
     nothing = np.full(len(rate), np.nan)
+    if not run.alive.any():
+        return _noise_rows(bench, duration, ("every die was lost",) * 3)
     half = rate.shape[1] // 2
-    early, late = (np.median(np.var(np.diff(part), axis=1)) for part in (rate[:, :half], rate[:, half:]))
+    early, late = (np.median(np.var(np.diff(part[run.alive]), axis=1)) for part in (rate[:, :half], rate[:, half:]))
     if not 1.0 / _ALIKE < early / late < _ALIKE:
         change = f"falls to 1/{early / late:.3g}" if early > late else f"rises to {late / early:.3g} times"
         moving = f"the output is no stationary noise: from one half of the record to the other its power {change}, "

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
@@ -60,18 +61,22 @@ class _Recorder(engine.AbstractRecorder[_Sums, _Sums]):
 
 def lot_outputs(
     loop: ClosedLoop, spread: Spread, scenario: Scenario, *, dies: int, seed: int, sample_rate: float, windows: int,
-    window: int, raised: Sequence[Collection[str]] = ((),), by: float = 1.0,
+    window: int, raised: Sequence[Collection[str]] = ((),), by: float = 1.0, silent: bool = False,
     stretch: int | None = None, progress: Callable[[float], None] | None = None,
 ) -> Outputs:  # fmt: skip
     """Run `dies` dies of `spread` around `loop` for `windows` windows of `window` samples each; a die is that of a
     sweep with the same seed. `loop` must have been `sampled_at` the sample rate.
 
     The lot is run once, or once for each of `raised`, one after the other in the outputs: with the numbers at these
-    paths of the loop `by` times as large. A long run may be made of stretches of so many windows, by the program of a
-    shorter one; `progress` is told the share that is done.
+    paths of the loop `by` times as large; `silent` takes the noise from the dies once they are drawn. A long
+    run may be made of stretches of so many windows, by the program of a shorter one; `progress` is told
+    the share that is done.
     """
     numbers = np.tile(np.arange(dies), len(raised))
-    drawn, design = spread.draw(loop, scenario, seed, np.arange(dies)), (loop, scenario)
+    drawn = spread.draw(loop, scenario, seed, np.arange(dies))
+    if silent:
+        loop, drawn = loop.silent, replace(drawn, loop=drawn.loop.silent)
+    design = (loop, scenario)
     words = jax.tree.map(np.asarray, noise.die_words(jax.random.key(seed), jnp.asarray(spread.noise(np.arange(dies)))))
     devices = jax.local_devices()
     lanes, stretch = _lanes(len(numbers), len(devices)), stretch or windows

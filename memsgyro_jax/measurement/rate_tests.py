@@ -28,7 +28,7 @@ Dies = Float[np.ndarray, " dies"]
 
 @dataclass(frozen=True)
 class RateTests:
-    """A lot on a rate table: `run(scenario)` without read-out noise, `noisy(scenario, time, progress)` with it;
+    """A lot on a rate table: `run(scenario)` without noise, `noisy(scenario, time, progress)` with it;
     `few(raised, scenario)` runs three dies without noise for each group of paths, with the numbers there `MORE` times
     as large. Means count from `settle` to `duration` [s].
     """
@@ -62,17 +62,16 @@ class RateTests:
         if not 0.0 <= settle < duration:
             raise InputError(f"Argument `settle` must lie within the duration of {duration:g} s, but is {settle:g} s.")
         loop = replace(loop, blocks=None).sampled_at(sample_rate, duration=duration)
-        quiet = loop.silent
         window = max(1, count_steps(sample_rate, duration) // _WINDOWS)
-        many = partial(lot_outputs, spread=spread, dies=dies, seed=seed, sample_rate=sample_rate, window=window)
+        many = partial(lot_outputs, loop, spread=spread, dies=dies, seed=seed, sample_rate=sample_rate, window=window)
         windows = round(sample_rate * duration) // window
         return cls(
-            run=lambda scenario: many(quiet, scenario=scenario, windows=windows),
+            run=lambda scenario: many(scenario=scenario, windows=windows, silent=True),
             noisy=lambda scenario, time, progress: many(
-                loop, scenario=scenario, windows=round(sample_rate * time) // window, stretch=windows, progress=progress
+                scenario=scenario, windows=round(sample_rate * time) // window, stretch=windows, progress=progress
             ),
             few=lambda raised, scenario: many(
-                quiet, scenario=scenario, windows=windows, dies=FEWEST, raised=raised, by=MORE
+                scenario=scenario, windows=windows, dies=FEWEST, raised=raised, by=MORE, silent=True
             ).apart(len(raised)),
             loop=loop, surroundings=as_scenario(scenario), full_scale=full_scale, settle=settle, duration=duration,
             sample_rate=sample_rate,

@@ -31,6 +31,7 @@ from .vary import Root as Root
 from .vary import Vary as Vary
 
 
+_NOISES = ("readout.noise_density", "readout.flicker", "device.temperature")  # paths of what a silent loop has not
 _REDRAWS = 16  # of an impossible die
 Seed = int | tuple[int, int]  # of a first draw, and of a later one
 
@@ -115,6 +116,13 @@ class Spread(Shown):
         )
         joint = found.covariance / np.outer(std, std)
         return cls(items, tuple(map(tuple, joint.tolist())), quasi)
+
+    @property
+    def of_silent(self) -> "Spread":
+        """What of it varies in a loop that is `silent`."""
+        kept = [n for n, item in enumerate(self.items) if not item.path.startswith(_NOISES)]
+        joint = None if self.correlation is None else np.asarray(self.correlation)[np.ix_(kept, kept)].tolist()
+        return replace(self, items=tuple(self.items[n] for n in kept), correlation=joint and tuple(map(tuple, joint)))
 
     def resolved(self, loop: ClosedLoop) -> tuple[Vary, ...]:
         """The variations, with `everywhere` written out over the device's numbers that `items` does not name: those

@@ -311,5 +311,5 @@ def _straight(error: StraightError) -> dict[str, object]:
 def _straight_text(error: StraightError) -> str:
     bias = f"{np.degrees(error.bias):.3g} ± {np.degrees(error.bias_std):.2g} deg/s"
     if error.scale is None or error.scale_std is None:
-        return f"{bias}, unknown (all dies turn alike)"
+        return f"{bias}, unknown (all dies turn alike: spread `scenario.rate.level`)"
     return f"{bias}, {100.0 * error.scale:.3g} ± {100.0 * error.scale_std:.2g} %"

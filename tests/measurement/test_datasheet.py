@@ -12,12 +12,13 @@ from oracles import classic
 
 import memsgyro_jax as mg
 from memsgyro_jax.app.report.datasheet_page import datasheet_page
+from memsgyro_jax.loop.noise_budget import thermal_left_out
 from memsgyro_jax.loop.settling import settling_time_constant
 from memsgyro_jax.measurement.bandwidth_cause import knobs, limits
 from memsgyro_jax.measurement.datasheet import at_rest, impossible_ends, notes_of, unsettled
 from memsgyro_jax.measurement.datasheet_rows import NOT_MODELLED, DatasheetRow
 from memsgyro_jax.measurement.datasheet_tests import Answer, best_line, noises, start_up, with_trim
-from memsgyro_jax.measurement.lot_outputs import Outputs
+from memsgyro_jax.measurement.lot_outputs import Outputs, lot_outputs
 from memsgyro_jax.measurement.rate_tests import RateTests
 from memsgyro_jax.montecarlo.parts import computation_of
 
@@ -252,3 +253,39 @@ def test_a_filter_that_takes_the_rate_for_constant_is_told_so():
     assert note.startswith("No bandwidth: `observer.process_noise.rate` is zero")
     filtered = replace(LOOP, filter=mg.Lowpass(100.0))
     assert list(knobs(filtered)) == ["`bandwidth` of the demodulator", "`bandwidth` of the output filter"]
+
+
+def test_a_record_of_noise_that_ends_before_it_counts_is_refused():
+    """It was "stationary noise: its power rises to nan times", below three warnings of NumPy."""
+    with pytest.raises(mg.InputError, match=r"^Argument `noise_duration` must be 0\.055 s or more, .* but is 0\.05 s"):
+        mg.datasheet(LOOP, SPREAD, dies=3, sample_rate=RATE, duration=0.1, noise_duration=0.05)
+
+
+def test_no_noise_is_none_of_the_mass_either():
+    """The thermomechanical force shook the runs "without noise", and a spread of a noise was refused there."""
+    loop = LOOP.sampled_at(RATE, duration=2e-3)
+    warm = replace(loop, device=GYRO.at_temperature(300.0))
+    noise = (
+        mg.Vary("readout.noise_density.0", mg.Normal(relative=0.1)), mg.Vary("device.temperature", mg.Normal(std=5.0))
+    )  # fmt: skip
+    still = tuple(mg.Vary(f"device.{name}", mg.Normal()) for name in ("mass", "kyy"))  # as many numbers, none moved
+    own, joint = (mg.Vary("device.kxx", mg.Normal(relative=1e-3)),), ((1.0, 0.5, 0.2), (0.5, 1.0, 0.0), (0.2, 0.0, 1.0))
+    settings = {"dies": 3, "seed": 0, "sample_rate": RATE, "windows": 4, "window": 50}
+    scenario = mg.Scenario(rate=mg.Constant(1.0))
+    quiet = lot_outputs(warm, mg.Spread(noise + own, joint), scenario, silent=True, **settings)
+    cold = lot_outputs(loop.silent, mg.Spread(still + own, joint), scenario, **settings)
+    assert np.array_equal(quiet.rate, cold.rate)
+    kept = mg.Spread(noise + own, joint).of_silent
+    assert [item.path for item in kept.items] == ["device.kxx"]
+    assert kept.correlation == ((1.0,),)
+
+
+def test_a_device_without_temperature_is_told_what_its_datasheet_leaves_out(sheet):
+    said = [note for note in sheet.notes if "thermomechanical" in note]
+    assert len(said) == 1
+    density = float(re.search(r"at 300 K it would be ([0-9.e-]+) deg/s/√Hz", said[0])[1])
+    gyro = GYRO.at_temperature(300.0)
+    warm = mg.noise_budget(replace(LOOP, device=gyro), sample_rate=RATE).of("Brownian force")
+    assert density == pytest.approx(np.degrees(np.sqrt(2.0) * float(warm)), rel=5e-3)
+    assert thermal_left_out(replace(LOOP, device=gyro)) == ""
+    assert thermal_left_out(LOOP, least=100.0) == ""

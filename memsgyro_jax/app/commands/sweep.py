@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
     from ..study import Study
 
+_SHOWS = 0.1  # of the density that is counted: half a percent of the noise
+
 
 def sweep_command(
     study: Path | None = None,
@@ -80,7 +82,7 @@ def sweep_command(
         sample_rate=with_unit(sample_rate, "Hz"), duration=with_unit(duration, "s"),
     )  # fmt: skip
     require_writable(out / "summary.json", json)
-    for note in notes:
+    for note in [*notes, *_without_temperature(chosen if study else None)]:
         print(note)
     with writing(out, "make room or choose another folder, then go on with `--resume`"):
         lot = _swept(chosen, out, resume, overwrite, dask) if share is None else _part(chosen, out, share)
@@ -91,6 +93,16 @@ def sweep_command(
     for note in lot.notes:
         print(f"  note: {note}")
     print(f"{out / 'report.html'}, summary.json and dies.zarr hold the details.")
+
+
+def _without_temperature(study: "Study | None") -> list[str]:
+    """What the Brownian force would add to a study that gives no temperature, where that is not small."""
+    if study is None or study.loop.device.temperature is not None:
+        return []
+    from memsgyro_jax.loop.noise_budget import thermal_left_out
+
+    said = thermal_left_out(study.loop, sample_rate=study.sweep_arguments["sample_rate"], least=_SHOWS)
+    return [f"{said}."] if said else []
 
 
 def _share(part: str) -> tuple[int, int]:

@@ -12,7 +12,7 @@ mass = "0.2 mg"
 frequency = ["3.0 kHz", "3.6 kHz"]        # of the two modes, the lower one first
 quality_factor = [900, 700]
 quadrature = "50 deg/s"                   # how far the axes couple, as the rate that would look the same
-# temperature = "300 K"                   # brings the Brownian force
+temperature = "300 K"                     # brings the Brownian force; without it the noise is the electronics' alone
 
 [readout]
 kind = "displacement"                     # or "velocity", "capacitive", "charge_amplifier", "layout", "carrier"
@@ -53,7 +53,7 @@ frequency = ["9 kHz", "9.3 kHz"]          # of the modes, drive first
 quality_factor = [5_000, 400]
 quadrature = "100 deg/s"
 rotating_frame = true                     # keep what acceleration and other axes do: two lines of the datasheet
-# temperature = "300 K"                   # brings the Brownian force, without which the noise is the electronics' alone
+temperature = "300 K"                     # brings the Brownian force, without which the noise is the electronics' alone
 
 [readout]
 kind = "capacitive"

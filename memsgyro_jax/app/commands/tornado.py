@@ -49,15 +49,16 @@ def tornado_command(
         print(note)
     run = chosen.sweep_arguments
     settings = {name: run.get(name) for name in ("sample_rate", "duration", "settle", "tolerance", "seed")}
-    loop, scenario, of = run["loop"], run["scenario"], None
+    loop, spread, scenario, of = run["loop"], run["spread"], run["scenario"], None
     if zero_rate:
         settle = settings["settle"]
         off = mean_error(0.5 if settle is None else settle / settings["duration"])
-        loop, scenario, of = loop.silent, replace(scenario, rate=Constant(0.0)), [replace(off, name="zero-rate output")]
+        loop, spread, scenario = loop.silent, spread.of_silent, replace(scenario, rate=Constant(0.0))
+        of = [replace(off, name="zero-rate output")]
     if repeats == 1:
         print("One noise at each point: bars have no standard error; two or more `--repeats` give one.", flush=True)
     with progress("dies", "compiling") as show:
-        bars = tornado(loop, run["spread"], scenario, sigmas=sigmas, repeats=repeats, of=of, progress=show, **settings)
+        bars = tornado(loop, spread, scenario, sigmas=sigmas, repeats=repeats, of=of, progress=show, **settings)
     print(bars)
     with writing(report or json or Path(), "make room and run again"):
         if report is not None:
