@@ -84,4 +84,4 @@ def consequence(fit: CaseFit, effect: Effect) -> str:
     if "damping" in added and abs(after / before - 1.0) > _SEEN:
         said.append(f"the quality factor is {after:.0f} in place of {before:.0f}")
     swing = spoken(amplitude, unit_of_records(fit.case, "m"), 3)
-    return f"at {swing}, the largest amplitude, {' and '.join(said)}" if said else ""
+    return f"at {swing}, the largest amplitude of the sweeps, {' and '.join(said)}" if said else ""

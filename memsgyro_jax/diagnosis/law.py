@@ -79,7 +79,7 @@ class DrawnLaw(Shown):
         where = f"{self.measured.name}, axis {'xy'[self.axis]}: what is left of the rows"
         if not self.names:
             return f"{where}, {self.left[0]:.4g} × noise, holds no law beyond a linear device"
-        lines = [f"{where} falls from {self.left[0]:.4g} to {self.left[1]:.4g} × noise with"]
+        lines = [f"{where}, each by itself, falls from {self.left[0]:.4g} to {self.left[1]:.4g} × noise with"]
         for name, term in zip(self.names, self.terms, strict=False):
             more = "" if term.threshold is None else f", threshold = {term.threshold:.4g}"
             lines.append(f"  {name}: {term.formula}, s = {term.strength:.4g}, exponent = {term.exponent:.3g}{more}")

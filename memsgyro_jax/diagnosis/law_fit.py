@@ -30,6 +30,7 @@ from .result import validation_error
 AWAY = 6.0  # times the median of what is left: from there on a row does not guide the fit
 MOST = 0.25  # share of a record's rows that may lie so far off
 ROUNDS = 4
+SHAPE = ("exponent", "threshold")  # what makes the shape of a term, beside its strength
 EVEN = 12.0  # of χ², in units of what is left per reading, that an even part must take
 
 
@@ -43,7 +44,7 @@ def fit_law(law: DrawnLaw, path: str | Path) -> CaseFit:
     case, effects = law.measured, load_effects(path, law.beside.axes, as_written=True)
     terms = [effect for effect in law.beside.effects if isinstance(effect, InstrumentTerm)]
     joint = Joint(law.beside.with_effect(*effects), (*readings_of(case), *knowledge(terms)))
-    fit = _guided(case, joint)
+    fit = _guided(case, _with_shape_held(joint))
     kept, apart = sharpened(fit.model, without_rows(joint.readings, _far_rows(fit)))
     finer = tuple(_with_all_rows(fewer, whole) for fewer, whole in zip(kept, joint.readings, strict=True))
     if any(_resolution(new) != _resolution(old) for new, old in zip(finer, joint.readings, strict=True)):
@@ -77,6 +78,15 @@ def with_held_terms(law: DrawnLaw, fit: CaseFit) -> DrawnLaw:
     if law.knots or not loose & set(law.names):
         return law
     return replace(law, terms=tuple(t for name, t in zip(law.names, law.terms, strict=True) if name not in loose))
+
+
+def _with_shape_held(joint: Joint) -> Joint:
+    """The same from the optimum at the exponents and thresholds as they are: while all else is off, they would run
+    away to where nothing leads back.
+    """
+    held = [i for i, p in enumerate(joint.parameters) if p.name.endswith(SHAPE)]
+    places = np.array([i for i in range(joint.start.size) if i not in joint.idle and i not in held])
+    return Joint(joint.at(optimise(joint, joint.start, places, joint.fitted).vector), joint.readings)
 
 
 def _guided(case: Case, joint: Joint) -> CaseFit:

@@ -35,11 +35,11 @@ def test_a_cubic_spring_and_a_quadratic_damper(model):
 @pytest.mark.parametrize(
     ("effect", "told"),
     [
-        (mg.effects.CubicStiffness("x", 3e9), "at 2 µm, the largest amplitude, the resonance is 2.85 Hz higher"),
-        (mg.effects.CubicStiffness("x", -3e9), "at 2 µm, the largest amplitude, the resonance is 2.85 Hz lower"),
+        (mg.effects.CubicStiffness("x", 3e9), "at 2 µm, the largest amplitude of the sweeps, the resonance is 2.85 Hz higher"),
+        (mg.effects.CubicStiffness("x", -3e9), "at 2 µm, the largest amplitude of the sweeps, the resonance is 2.85 Hz lower"),
         (
             mg.effects.QuadraticDamping("x", 2e-6),
-            "at 2 µm, the largest amplitude, the quality factor is 270 in place of 500",
+            "at 2 µm, the largest amplitude of the sweeps, the quality factor is 270 in place of 500",
         ),
         (mg.effects.CubicStiffness("x", 1e5), ""),
         (mg.effects.PickoffNonlinearity("x", 1e3), ""),
