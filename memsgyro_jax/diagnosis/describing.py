@@ -13,6 +13,7 @@ from memsgyro_jax.base.text import spoken
 from memsgyro_jax.device.conditions import Conditions
 from memsgyro_jax.effects.base import Effect, ForceEffect
 from memsgyro_jax.effects.evaluation import moment
+from memsgyro_jax.effects.instrument import THROUGHOUT, ClockedTerm, FrequencyDrift
 from memsgyro_jax.measurement.calibration import unit_of_records
 from memsgyro_jax.measurement.model import Model
 
@@ -85,3 +86,18 @@ def consequence(fit: CaseFit, effect: Effect) -> str:
         said.append(f"the quality factor is {after:.0f} in place of {before:.0f}")
     swing = spoken(amplitude, unit_of_records(fit.case, "m"), 3)
     return f"at {swing}, the largest amplitude of the sweeps, {' and '.join(said)}" if said else ""
+
+
+def drift_over(fit: CaseFit, term: Effect) -> str:
+    """A sentence on the time over which a drift goes on, and on how fast the resonance moves; empty for all else."""
+    if not isinstance(term, ClockedTerm):
+        return ""
+    spans, shares = np.unique(np.asarray(term.span)), np.asarray(term.strength)
+    if term.where == THROUGHOUT:
+        said = f"T = {spans[0]:.4g} s, from the first row of all records to the last, by one clock"
+    else:
+        said = f"T = {' to '.join(f'{s:.4g}' for s in spans[[0, -1][: len(spans)]])} s, of each record by itself"
+    if not isinstance(term, FrequencyDrift) or shares.size > 1 or len(spans) > 1:
+        return said
+    moved = float(shares[0]) * float(fit.modes[0].value)
+    return f"{said}: {moved:+.3g} Hz in all, {60.0 * moved / spans[0]:+.3g} Hz per minute"

@@ -18,7 +18,7 @@ from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.model import Model
 
 from .compare import judged
-from .describing import consequence
+from .describing import consequence, drift_over
 from .findings import Accepted, Candidate, Prospect, Stage
 from .fit import CaseFit
 from .fit_table import effects_table, errors_table, parameters_table, readings_table
@@ -104,9 +104,12 @@ class Diagnosis(Labelled):
 
     @cached_property
     def consequences(self) -> dict[str, str]:
-        """By label of an accepted force, what it does to resonance and quality factor at the largest swing."""
+        """By label of an accepted force, what it does to resonance and quality factor at the largest swing of the
+        sweeps; of a drift, how long it goes on.
+        """
         effects = {effect.label: effect for effect in self.final.model.effects}
         told = {a.label: consequence(self.final, effects[a.label]) for a in self.accepted if a.label in effects}
+        told |= {a.label: drift_over(self.final, effects[a.label]) for a in self.instrument if a.label in effects}
         return {label: text for label, text in told.items() if text}
 
     @property

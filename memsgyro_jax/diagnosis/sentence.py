@@ -17,6 +17,7 @@ def sentence(verdict: Verdict, accepted: tuple[Accepted, ...], final: CaseFit, e
     left = ", ".join(
         f"{e.name} ({e.role}, {e.rms:.3g} × noise)" for e, fine in zip(final.errors, explained, strict=True) if not fine
     )
+    unused = _judged_only(final, explained)
     return {
         "nothing_missing": "The base model explains every record to its noise; no effect is missing.",
         "instrument_only": "With what the instrument does, the base model explains every record to its noise; no "
@@ -28,9 +29,19 @@ def sentence(verdict: Verdict, accepted: tuple[Accepted, ...], final: CaseFit, e
         + "."
         + " A decay from another amplitude tells a law from a drift in time."
         * any(DRIFT in a.confused_with for a in accepted),
-        "partly_explained": f"{names} explains most of the misfit, but something unknown is left in {left}.",
-        "unknown_effect": f"Something is missing that no known effect explains: it shows in {left}.",
+        "partly_explained": f"{names} explains most of the misfit, but something unknown is left in {left}.{unused}",
+        "unknown_effect": f"Something is missing that no known effect explains: it shows in {left}.{unused}",
     }[verdict]
+
+
+def _judged_only(final: CaseFit, explained: list[bool]) -> str:
+    """What would help where all that is left lies in records none of whose readings were fitted; else empty."""
+    fitted = {e.name for e in final.errors if e.role == "fit"}
+    left = [e.name for e, fine in zip(final.errors, explained, strict=True) if not fine]
+    if not left or fitted & set(left):
+        return ""
+    which, have = ("It was", "it has") if len(left) == 1 else ("They were", "they have")
+    return f' {which} judged only: where {have} role = "fit" in the case, what is there counts for the verdict, too.'
 
 
 def _by_weight(accepted: tuple[Accepted, ...], final: CaseFit) -> str:

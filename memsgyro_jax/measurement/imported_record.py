@@ -171,10 +171,14 @@ def _conventions(columns: dict[str, SourceColumn], table: SourceTable, assumed: 
         return ""
     away = abs((angle + 90) % 180 - 90)  # from 0° or 180°
     if away < _CLEAR:
-        assumed.append(f"the read-out shows velocity: at resonance its phase is {angle:+.0f}°, nearer 0° or 180° than ±90°")
+        assumed.append(
+            f"the read-out shows velocity: at resonance its phase is {angle:+.0f}°, nearer 0° or 180° than ±90°"
+        )
         return "velocity"
     if away > 90 - _CLEAR:
-        assumed.append(f"the read-out shows displacement: at resonance its phase is {angle:+.0f}°, nearer ±90° than 0° or 180°")
+        assumed.append(
+            f"the read-out shows displacement: at resonance its phase is {angle:+.0f}°, nearer ±90° than 0° or 180°"
+        )
         return "displacement"
     assumed.append(f"the read-out is taken for displacement; its phase at resonance, {angle:+.0f}°, does not tell")
     return ""

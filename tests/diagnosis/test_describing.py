@@ -9,11 +9,13 @@ import pytest
 import memsgyro_jax as mg
 from memsgyro_jax.device.normalised import NormalisedDevice
 from memsgyro_jax.diagnosis import describing
-from memsgyro_jax.diagnosis.describing import consequence, describing_function
+from memsgyro_jax.diagnosis.describing import consequence, describing_function, drift_over
+from memsgyro_jax.effects.instrument import DampingDrift, FrequencyDrift, RecordGain
 from memsgyro_jax.measurement.model import Model
 
 
 OMEGA, QUALITY, MASS = 2 * np.pi * 20e3, 500.0, 2e-9
+LARGEST = "at 2 µm, the largest amplitude of the sweeps"
 PLACE = np.array([1e-7, 5e-7, 2e-6])
 
 
@@ -35,12 +37,9 @@ def test_a_cubic_spring_and_a_quadratic_damper(model):
 @pytest.mark.parametrize(
     ("effect", "told"),
     [
-        (mg.effects.CubicStiffness("x", 3e9), "at 2 µm, the largest amplitude of the sweeps, the resonance is 2.85 Hz higher"),
-        (mg.effects.CubicStiffness("x", -3e9), "at 2 µm, the largest amplitude of the sweeps, the resonance is 2.85 Hz lower"),
-        (
-            mg.effects.QuadraticDamping("x", 2e-6),
-            "at 2 µm, the largest amplitude of the sweeps, the quality factor is 270 in place of 500",
-        ),
+        (mg.effects.CubicStiffness("x", 3e9), f"{LARGEST}, the resonance is 2.85 Hz higher"),
+        (mg.effects.CubicStiffness("x", -3e9), f"{LARGEST}, the resonance is 2.85 Hz lower"),
+        (mg.effects.QuadraticDamping("x", 2e-6), f"{LARGEST}, the quality factor is 270 in place of 500"),
         (mg.effects.CubicStiffness("x", 1e5), ""),
         (mg.effects.PickoffNonlinearity("x", 1e3), ""),
     ],
@@ -50,3 +49,15 @@ def test_what_a_law_does_at_the_largest_swing(model, monkeypatch, effect, told):
     monkeypatch.setattr(describing, "sweep_forces", lambda fit: (sweep,))
     words = SimpleNamespace(displacement="m", force="N")
     assert consequence(SimpleNamespace(model=model, case=SimpleNamespace(words=words)), effect) == told
+
+
+def test_a_drift_says_over_which_time_it_goes_on():
+    fit = SimpleNamespace(modes=(SimpleNamespace(value=30e3),))
+    both = {"strength": (-2e-5,), "begin": (0.0, 0.0), "span": (600.0, 600.0)}
+    said = drift_over(fit, FrequencyDrift(**both, of="throughout"))
+    assert said == (
+        "T = 600 s, from the first row of all records to the last, by one clock: -0.6 Hz in all, -0.06 Hz per minute"
+    )
+    each = {"strength": (1e-3, 2e-3), "begin": (0.0, 600.0), "span": (500.0, 300.0)}
+    assert drift_over(fit, DampingDrift(**each)) == "T = 300 to 500 s, of each record by itself"
+    assert drift_over(fit, RecordGain((0.1,))) == ""

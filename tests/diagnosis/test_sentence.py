@@ -27,3 +27,18 @@ def effect(name, chi2):
 def test_effects_of_little_weight_stand_apart(weights, names):
     accepted = tuple(map(effect, ("spring", "damper"), weights))
     assert sentence("found", accepted, FINAL, [True]).startswith(f"Missing was {names} the model")
+
+
+@pytest.mark.parametrize(
+    ("roles", "words"),
+    [
+        ((("sweep", "fit", True), ("decay", "validation", False)), ' It was judged only: where it has role = "fit" in'),
+        ((("sweep", "fit", False), ("decay", "validation", False)), ""),
+        ((("sweep", "fit", True), ("sweep", "validation", False)), ""),
+    ],
+)
+def test_a_record_that_was_only_judged_is_said_to_help_where_all_that_is_left_lies_there(roles, words):
+    errors = [SimpleNamespace(role=role, count=100, name=name, rms=1.0) for name, role, _ in roles]
+    said = sentence("unknown_effect", (), SimpleNamespace(errors=errors), [fine for *_, fine in roles])
+    assert words in said
+    assert ("judged only" in said) == bool(words)
