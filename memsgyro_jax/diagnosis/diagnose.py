@@ -19,6 +19,7 @@ from memsgyro_jax.measurement.readings import model_of, readings_of
 
 from .acceptance import excess
 from .climb import Climb, climbed
+from .confusions import confusions
 from .drift_in_time import with_drift_alone
 from .drives import Rows, without_rows
 from .fewer import terms_of
@@ -28,11 +29,9 @@ from .instrument import beside_case_of, drive_levels, knowledge
 from .joint_residual import Joint
 from .next_experiment import advice, next_experiments
 from .nuisances import instrument_first, of_instrument
-from .optimum import Optimum
 from .outlying import of_rows, search_beside_outlying
 from .result import Diagnosis, Verdict, validation_error
 from .rounds import FITTED, search_on
-from .score import basis, score, separation
 from .search import CONFUSED, Ranking, Search, SearchStep, start_search
 from .sentence import DRIFT, of_noise, sentence
 from .slow_noise import is_slow_noise, slowly
@@ -107,7 +106,7 @@ def diagnose(
     steps = search.steps
     final = search.steps[-1].fit
     tell("see what these records can tell apart")
-    confused = _confusions(search, ranking)
+    confused = confusions(search, ranking)
     accepted, scale = _accepted(search, confused, steps), final.scale
     explained = _explained(final, accepted, level)
     noise: Mapping[str, float] = {}
@@ -238,27 +237,6 @@ def _each_explained(
     alone = RECORDS * level / len(within)
     for fine, error in zip(within, fit.errors, strict=True):
         yield fine or fit.p_value(error) > alone
-
-
-def _confusions(search: Search, ranking: Ranking) -> dict[int, dict[int, Optimum]]:
-    """Per accepted effect the candidates that could stand in its place, and fits with them.
-
-    Sensitivities only propose: taken with the effect present, they hold some for alike that are not (a change of the
-    pick-off's scale on one axis changes the strength of a nonlinearity). A fit with the candidate instead decides.
-    """
-    out: dict[int, dict[int, Optimum]] = {}
-    for place in search.accepted:
-        mine = search.own_score(place)
-        q = basis(search.jacobian_without(place))
-        out[place] = {}
-        for other, block in zip(ranking.places, ranking.slopes, strict=True):
-            theirs = score(search.optimum.residual, q, block)
-            if separation(mine.statistic, mine, theirs) < CONFUSED:
-                instead = [other if i == place else i for i in search.accepted]
-                fit = search.refit(instead, start=search.without(place))
-                if fit.chi2 < search.optimum.chi2 + CONFUSED:
-                    out[place][other] = fit
-    return out
 
 
 def _accepted(search: Search, confused: Mapping[int, Iterable[int]], steps) -> tuple[Accepted, ...]:
