@@ -151,11 +151,11 @@ def noise_budget(
     """
     loop = as_loop(loop)
     sense, phase_locked = _sense(loop, amplitude)
-    if sample_rate is None:
-        sample_rate = Operation.of(loop.device, loop.readout).sample_rate
-    period = 1.0 / quantity("sample_rate", sample_rate, "Hz")
+    period = _period(loop, sample_rate)
     check_positive("amplitude", sense.amplitude)
-    parts = {"Brownian force": jnp.sqrt(2.0 * sense.shaken) + 0.0 * sense.omega}
+    shaken = sense.shaken > 0.0  # the root of nothing has no slope
+    brownian = jnp.where(shaken, jnp.sqrt(jnp.where(shaken, 2.0 * sense.shaken, 1.0)), 0.0)
+    parts = {"Brownian force": brownian + 0.0 * sense.omega}
     for name, density in loop.readout.noise_at(sense.omega / (2.0 * jnp.pi), period).items():
         moved = _displacement(loop, density, sense.omega)
         parts[name] = jnp.abs(sense.resistance(sense.omega)) * jnp.hypot(
@@ -179,6 +179,19 @@ def noise_budget(
         sources=names,
         notes=_notes(loop, phase_locked, period),
     )
+
+
+def _period(loop: ClosedLoop, sample_rate: float | str | None) -> float:
+    """Between samples [s], over which rounding spreads: any will do without a converter."""
+    if sample_rate is None and loop.readout.adc is None:
+        return 1.0
+    if sample_rate is None and not is_concrete(loop.device):
+        raise InputError(
+            "Argument `sample_rate` must be given for a device that is traced and a read-out with a converter: its "
+            "rounding spreads over it, and what is usual is not known of a traced device."
+        )
+    usual = Operation.of(loop.device, loop.readout).sample_rate if sample_rate is None else sample_rate
+    return 1.0 / quantity("sample_rate", usual, "Hz")
 
 
 def thermal_left_out(loop: ClosedLoop, *, sample_rate: float | str | None = None, least: float = 0.0) -> str:
@@ -265,9 +278,9 @@ def _sense(loop: ClosedLoop, amplitude: float | None) -> tuple[_Sense, bool]:
     left = jnp.linalg.inv(shapes.T)  # rows that single out one mode
     squares = jnp.stack([mean + turned, mean - turned])
     place, speed = (left @ jnp.stack(jnp.broadcast_arrays(*pair)) for pair in (loop.start[:2], loop.start[2:]))
-    sizes = jnp.sqrt(place**2 + speed**2 / squares)
+    sizes = place**2 + speed**2 / squares
     first = jnp.argmax(sizes)
-    size = sizes[first] if amplitude is None else amplitude
+    size = jnp.sqrt(sizes[first]) if amplitude is None else amplitude  # a root of the mode at rest has no slope
     found = _along(loop.device, jnp.sqrt(squares[first]), size, shapes[first], shapes[1 - first], left[1 - first])
     return found, False
 

@@ -82,6 +82,21 @@ def test_derivatives_and_what_is_said():
     assert float(slope(300.0)) == pytest.approx(float(warm.of("Brownian force")) / 600.0, rel=1e-9)
 
 
+def test_the_budget_is_differentiated_by_the_device_and_asks_for_what_it_misses():
+    """It asked the traced device what sample rate is usual, and its mode at rest made the gradient NaN."""
+
+    def walk(frequency, adc=None):
+        device = mg.SingleMassGyro.from_modes(1e-9, (frequency, 10.3e3), (400.0, 200.0))
+        readout = mg.DirectReadout(1e5, noise_density=1e-7, adc=adc)
+        observer = mg.ExtendedKalmanFilter.for_device(DECOUPLED, readout)
+        return mg.noise_budget(mg.ClosedLoop(device, readout, observer, mg.DampingCompensation())).total
+
+    around = (walk(1e4 + 0.5) - walk(1e4 - 0.5)) / 1.0
+    assert float(jax.grad(walk)(1e4)) == pytest.approx(float(around), rel=1e-5)
+    with pytest.raises(mg.InputError, match=r"^Argument `sample_rate` must be given for a device that is traced"):
+        jax.grad(lambda frequency: walk(frequency, mg.Adc(2.0, 12)))(1e4)
+
+
 CASES = {
     "split": (SPLIT, mg.DirectReadout(1e6, noise_density=(1e-6, 3e-7), adc=mg.Adc(2.0, 16))),
     "matched": (MATCHED, mg.DirectReadout(1e6, noise_density=(1e-6, 1e-6))),
