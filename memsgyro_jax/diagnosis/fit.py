@@ -187,8 +187,12 @@ class CaseFit(Tabular):
         nulls = [null.removeprefix("+1.00·") for null in self.null_directions]
         return text + "".join(f"; {null} is not determined by these records" for null in nulls)
 
-    def predicted(self, record: int) -> np.ndarray:
-        """What the model predicts for a record, in the shape and unit of its readings; NaN where not compared."""
+    def predicted(self, record: int | str) -> np.ndarray:
+        """What the model predicts for a record, by number or name, in the shape and unit of its readings; NaN where not
+        compared.
+        """
+        if isinstance(record, str):
+            record = self.case.number(record)
         white, entry = self.whitened[record], self.case.records[record]
         error = white[..., 0] + 1j * white[..., 1] if white.shape[-1] == 2 else white[..., 0]
         return entry.readings - error * entry.noise_of_rows

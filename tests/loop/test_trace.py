@@ -47,6 +47,16 @@ def test_a_trace_holds_the_whole_run(trace):
     assert np.max(np.abs(trace.motion[:, 0])) < 1.2e-6
 
 
+def test_half_of_a_run_is_half_of_its_time_however_the_rows_stand(trace):
+    """A run in blocks has most of its rows in the first blocks, whose start was told as the second half."""
+    early = np.r_[np.arange(0, 400), np.arange(500, 1000, 50)]
+    rows = replace(trace, **{
+        name: getattr(trace, name)[early] for name in ("time", "rate_true", "rate_estimate", "rate_unfiltered")
+    })  # fmt: skip
+    late = np.degrees(trace.rate_error[500::50])
+    assert f"mean {np.mean(late):.3g}, standard deviation {np.std(late):.3g}" in repr(rows)
+
+
 def test_a_device_from_a_file_runs_through_the_program_of_one_written_in_python(loop):
     read = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)), loop)
     kinds = [[leaf.aval for leaf in jax.tree.leaves(made.sampled_at(100e3))] for made in (loop, read)]

@@ -27,11 +27,14 @@ class Case(Shown, Declared):
 
     def record(self, name: str) -> AbstractRecord:
         """The experiment of that name; raises `InputError` where there is none."""
-        for record in self.records:
-            if record.name == name:
-                return record
-        names = ", ".join(record.name for record in self.records)
-        raise InputError(f"Argument `name` must be one of the experiments {names}, but is {name!r}.")
+        return self.records[self.number(name)]
+
+    def number(self, name: str) -> int:
+        """The place of the experiment of that name; raises `InputError` where there is none."""
+        names = [record.name for record in self.records]
+        if name not in names:
+            raise InputError(f"Argument `name` must be one of the experiments {', '.join(names)}, but is {name!r}.")
+        return names.index(name)
 
     def __str__(self) -> str:
         heading = f"{self.name}: {self.device}" + (f", {self.description}" if self.description else "")
