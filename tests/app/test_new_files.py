@@ -85,7 +85,7 @@ def test_templates_run_as_they_are(memsgyro, schemas, tmp_path):
     assert memsgyro("new", "case", "other", "--for", "tune")[0] == 2
     assert len(mg.load_case("case").records) == 3
     assert "low" in str(mg.assess(mg.load_case("case")))
-    assert "softening_stop" in memsgyro("effects", "my_effect.py")[1]
+    assert "soft_stop" in memsgyro("effects", "my_effect.py")[1]
     assert memsgyro("new", "study")[::2] == (2, "study.toml exists already; choose another name, or remove it.\n")
 
 

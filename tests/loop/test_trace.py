@@ -12,6 +12,7 @@ import pytest
 from kept import kept
 
 import memsgyro_jax as mg
+from memsgyro_jax.app.report.run_summary import run_figures
 from memsgyro_jax.base.errors import InputError
 
 
@@ -51,10 +52,12 @@ def test_half_of_a_run_is_half_of_its_time_however_the_rows_stand(trace):
     """A run in blocks has most of its rows in the first blocks, whose start was told as the second half."""
     early = np.r_[np.arange(0, 400), np.arange(500, 1000, 50)]
     rows = replace(trace, **{
-        name: getattr(trace, name)[early] for name in ("time", "rate_true", "rate_estimate", "rate_unfiltered")
+        name: getattr(trace, name)[early] for name in ("time", "rate_true", "rate_estimate", "rate_unfiltered", "nis")
     })  # fmt: skip
     late = np.degrees(trace.rate_error[500::50])
     assert f"mean {np.mean(late):.3g}, standard deviation {np.std(late):.3g}" in repr(rows)
+    mean = np.average(trace.nis[early], weights=np.diff(trace.time[early], prepend=0.0))
+    assert run_figures(rows, None)["nis_mean"] == pytest.approx(float(mean))
 
 
 def test_a_device_from_a_file_runs_through_the_program_of_one_written_in_python(loop):

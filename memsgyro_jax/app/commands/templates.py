@@ -223,9 +223,9 @@ from jax import Array
 import memsgyro_jax.effects as fx
 
 
-class SofteningStop(fx.ForceEffect):
+class SoftStop(fx.ForceEffect):
     # Name, unit of the strength, and the law as it is printed; strength zero must mean absent.
-    name, unit, law = "softening_stop", "N/m²", "F = −s·(|q| − g)²·sign(q) beyond a gap g of 1.6 µm"
+    name, unit, law = "soft_stop", "N/m²", "F = −s·(|q| − g)²·sign(q) beyond a gap g of 1.6 µm"
     reference = ""  # where the law is from
     axis: int = eqx.field(static=True, default=0)  # 0 is x, 1 is y
     strength: Array = fx.strength()  # fx.strength(sign=+1) where physics gives the sign

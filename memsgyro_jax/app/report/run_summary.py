@@ -24,7 +24,7 @@ def run_figures(trace: Trace, settle: float | None) -> dict[str, Any]:
         if trace.filtered
         else None,
         "claimed_std_end_dps": float(np.degrees(trace.rate_std[-1])),
-        "nis_mean": float(np.mean(trace.nis)),
+        "nis_mean": float(np.average(trace.nis, weights=np.diff(trace.time, prepend=0.0))),  # over time: blocks grow
         "coefficient_error": {
             name: float(trace.theta_estimate[-1, i] / trace.theta[i] - 1.0)
             for i, name in enumerate(trace.coefficients)
