@@ -112,7 +112,7 @@ def to_si(value: Any, unit: str, expected: str, name: str) -> Any:
     try:
         line = _conversion(unit, expected, name)
         if line == _APART:
-            raise InputError(f'Unit of {name} must measure the same as "{expected}", but is "{unit}".{_share(unit)}')
+            raise InputError(f'Unit of {name} must measure the same as "{expected}", but is "{unit}".')
         with np.errstate(over="ignore", under="ignore"):
             if line == _CURVED:
                 found = _registry().Quantity(value, _parse(unit, name)).to(_parse(expected, name)).magnitude
@@ -123,11 +123,6 @@ def to_si(value: Any, unit: str, expected: str, name: str) -> Any:
     if np.any(np.isfinite(value) & (~np.isfinite(found) | ((np.asarray(value) != 0) & (np.asarray(found) == 0)))):
         raise InputError(f'Unit of {name} must leave a finite number in "{expected}", but "{unit}" does not.')
     return found
-
-
-def _share(unit: str) -> str:
-    """Where a share may be given; empty for a unit that is none."""
-    return " A share of the design value is given as `relative`." if unit in ("%", "percent") else ""
 
 
 def base_powers(unit: str) -> dict[str, float]:

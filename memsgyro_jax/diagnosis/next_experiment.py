@@ -192,7 +192,7 @@ def as_recorded(joint: Joint, truth: Optimum, planned: Readings) -> Readings | N
 
 def _beside_a_fall(off: np.ndarray) -> np.ndarray:
     """Which rows (n, k) stand where one of two models is on another branch, or unsettled: few, and off beyond measure.
-    Where exactly a resonance falls tells nothing that counts on.
+    Where exactly a resonance falls is nothing to decide by.
     """
     size = np.sqrt(np.mean(off**2, axis=1))
     far = size > JUMP * max(1.0, float(np.median(size)))

@@ -178,7 +178,7 @@ def step_answer(bench: RateTests, still: Outputs, run: Outputs) -> tuple[Answer,
             positive=True,
         ),
         DatasheetRow("group delay", "ms", "Delay of a slowly varying rate", condition, delay, reason),
-    )  # fmt: skip
+    )
 
 
 def first_half_power(answer: Float[np.ndarray, " times"], period: float) -> float:

@@ -58,11 +58,6 @@ def test_another_dimension_is_refused(unit, expected):
         units.to_si(1.0, unit, expected, "column 3")
 
 
-def test_a_share_in_place_of_a_unit_is_told_where_it_goes():
-    with pytest.raises(InputError, match=r'as "Hz", but is "%"\. A share of the design value is given as `relative`\.'):
-        units.to_si(1.0, "%", "Hz", "std")
-
-
 @pytest.mark.parametrize("unit", ["", " ", "furlongs_of_noise", "kg*/", "m )", "3 kg", "[V]", "m^", "import os"])
 def test_a_unit_that_cannot_be_read_is_refused(unit):
     with pytest.raises(InputError, match=r"^Unit of key `mass` must be one that can be read"):

@@ -80,7 +80,12 @@ def within(given: str, unit: str | None, name: str) -> float:
     """A quantity in `unit`; raises `ValueError` where that is not known or of another kind."""
     if unit is None:
         raise ValueError(f"the unit of this parameter is not known, so `{name}` cannot be given")
-    return In(unit).read(given)
+    try:
+        return In(unit).read(given)
+    except ValueError as error:
+        if number_and_unit(given)[1] != "%":
+            raise
+        raise ValueError(f"{str(error).rstrip('.')}; a share of the design value is given as `relative`") from error
 
 
 class SpreadSection(FileSection):

@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import memsgyro_jax as mg
+from memsgyro_jax.app.study.plan import within
 from memsgyro_jax.base.complaints import _lines
 from memsgyro_jax.base.provenance import fingerprint
 
@@ -510,3 +511,11 @@ def test_a_spread_by_the_names_of_a_designer(write):
 def test_what_a_layout_refuses(write, old, new, words):
     with pytest.raises(mg.InputError, match=words):
         mg.load_study(write(LAYOUT.replace(old, new)))
+
+
+def test_a_share_in_place_of_a_unit_is_told_where_it_goes():
+    with pytest.raises(ValueError, match=r'as "Hz", but is "%"; a share of the design value is given as `relative`'):
+        within("1.0 %", "Hz", "std")
+    assert within("1.0 %", "1", "std") == pytest.approx(0.01)
+    with pytest.raises(ValueError, match=r'as "Hz", but is "kg"\.?$'):
+        within("1.0 kg", "Hz", "std")
