@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .concrete import is_concrete
 from .errors import InputError
 from .text import excerpt
 
@@ -29,6 +30,18 @@ def quantity(name: str, given: Any, unit: str) -> float:
             f"{excerpt(given)} of type {type(given).__name__}."
         )
     return given  # type: ignore[return-value]
+
+
+def fixed(name: str, given: Any, unit: str) -> float:
+    """`quantity` of what decides the structure of a program (how many samples it runs): no traced number."""
+    refuse_traced(f"Argument `{name}` decides how many samples the program runs, so it", "a plain number", given)
+    return quantity(name, given, unit)
+
+
+def refuse_traced(what: str, instead: str, *given: Any) -> None:
+    """Raise `InputError` where a transformation of JAX traces a number of `given`."""
+    if not is_concrete(*given):
+        raise InputError(f"{what} cannot go through jax.grad, jax.jvp, jax.vmap or jax.jit: give {instead}.")
 
 
 def _read(what: str, given: str, unit: str) -> float:
