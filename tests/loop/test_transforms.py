@@ -100,10 +100,10 @@ def test_a_bound_without_prior_has_slopes_where_it_is_finite_and_is_mapped():
 
 def test_what_no_transformation_goes_through_is_said():
     """The number of samples is structure, and a sweep keeps a table of its dies."""
-    with pytest.raises(mg.InputError, match="`duration` decides how many samples .* cannot go through jax.grad"):
+    with pytest.raises(mg.InputError, match=r"`duration` decides how many samples .* cannot go through jax.grad"):
         jax.grad(lambda duration: mg.simulate(SWINGING, 1.0, **RUN | {"duration": duration}).rate_estimate[-1])(2e-3)
     with pytest.raises(mg.InputError, match="`sample_rate` decides how many samples"):
         jax.vmap(lambda rate: mg.information_bound(SWINGING, 1.0, sample_rate=rate).rate_std)(jnp.array([1e5, 2e5]))
     sweep = lambda kxx: mg.sweep(stiffened(kxx), mg.Spread.relative(0.1), dies=2, sample_rate=1e5, duration=1e-3)  # noqa: E731
-    with pytest.raises(mg.InputError, match="A sweep keeps a table of its dies .*`Spread.draw`"):
+    with pytest.raises(mg.InputError, match=r"A sweep keeps a table of its dies .*`Spread.draw`"):
         jax.jvp(lambda kxx: sweep(kxx).rate_error, (63.96,), (1.0,))
