@@ -32,7 +32,7 @@ def quantity(name: str, given: Any, unit: str) -> float:
     return given  # type: ignore[return-value]
 
 
-def fixed(name: str, given: Any, unit: str) -> float:
+def plain_quantity(name: str, given: Any, unit: str) -> float:
     """`quantity` of what decides the structure of a program (how many samples it runs): no traced number."""
     refuse_traced(f"Argument `{name}` decides how many samples the program runs, so it", "a plain number", given)
     return quantity(name, given, unit)

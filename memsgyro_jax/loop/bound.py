@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from memsgyro_jax.base.arguments import fixed
+from memsgyro_jax.base.arguments import plain_quantity
 from memsgyro_jax.base.concrete import is_concrete, settled
 from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
@@ -140,7 +140,7 @@ def information_bound(
     """
     require_float64("`information_bound`")
     loop = as_loop(loop)
-    sample_rate, duration = fixed("sample_rate", sample_rate, "Hz"), fixed("duration", duration, "s")
+    sample_rate, duration = plain_quantity("sample_rate", sample_rate, "Hz"), plain_quantity("duration", duration, "s")
     check_positive("sample_rate", sample_rate)
     check_positive("duration", duration)
     scenario, samples, period = as_scenario(scenario), round(sample_rate * duration), 1.0 / sample_rate

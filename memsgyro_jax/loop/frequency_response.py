@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Complex, Float
 
 from memsgyro_jax.base import runtime
-from memsgyro_jax.base.arguments import fixed, quantity
+from memsgyro_jax.base.arguments import plain_quantity, quantity
 from memsgyro_jax.base.axes import axes
 from memsgyro_jax.base.concrete import is_concrete, settled
 from memsgyro_jax.base.errors import InputError
@@ -155,7 +155,7 @@ def frequency_response(
     """
     runtime.require_float64("frequency_response")
     loop, level = as_loop(loop), quantity("level", level, "rad/s")
-    sample_rate, duration = fixed("sample_rate", sample_rate, "Hz"), fixed("duration", duration, "s")
+    sample_rate, duration = plain_quantity("sample_rate", sample_rate, "Hz"), plain_quantity("duration", duration, "s")
     settle = 0.5 * duration if settle is None else quantity("settle", settle, "s")
     steps, frequency = count_steps(sample_rate, duration), np.atleast_1d(np.asarray(frequency, float))
     if disturbance not in INPUTS:

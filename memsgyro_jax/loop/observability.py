@@ -17,7 +17,7 @@ import scipy.linalg
 from jax.experimental.jet import jet
 from jaxtyping import Array, Float
 
-from memsgyro_jax.base.arguments import fixed, quantity
+from memsgyro_jax.base.arguments import plain_quantity, quantity
 from memsgyro_jax.base.concrete import settled
 from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
@@ -164,7 +164,7 @@ def observability(
     """
     require_float64("`observability`")
     loop, scenario = as_loop(loop), as_scenario(scenario)
-    sample_rate, duration = fixed("sample_rate", sample_rate, "Hz"), fixed("duration", duration, "s")
+    sample_rate, duration = plain_quantity("sample_rate", sample_rate, "Hz"), plain_quantity("duration", duration, "s")
     check_positive("sample_rate", sample_rate)
     check_positive("duration", duration)
     period, samples = 1.0 / sample_rate, round(sample_rate * duration)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from memsgyro_jax.base import runtime
-from memsgyro_jax.base.arguments import fixed, whole
+from memsgyro_jax.base.arguments import plain_quantity, whole
 from memsgyro_jax.base.concrete import is_concrete
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.provenance import Settings
@@ -79,7 +79,7 @@ def simulate(
     """
     runtime.require_float64("simulate")
     loop, seed, die, decimation = as_loop(loop), whole("seed", seed), whole("die", die), whole("decimation", decimation)
-    sample_rate, duration = fixed("sample_rate", sample_rate, "Hz"), fixed("duration", duration, "s")
+    sample_rate, duration = plain_quantity("sample_rate", sample_rate, "Hz"), plain_quantity("duration", duration, "s")
     steps = count_steps(sample_rate, duration)
     if not 1 <= decimation <= steps:
         raise InputError(

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from memsgyro_jax.base import runtime
-from memsgyro_jax.base.arguments import fixed, quantity, whole
+from memsgyro_jax.base.arguments import plain_quantity, quantity, whole
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.loop.loop import ClosedLoop, as_loop
 from memsgyro_jax.loop.scenario import Scenario, Step, as_scenario
@@ -54,7 +54,10 @@ class RateTests:
         """
         runtime.require_float64(what)
         loop, seed, dies = as_loop(loop), whole("seed", seed), whole("dies", dies, FEWEST)
-        sample_rate, duration = fixed("sample_rate", sample_rate, "Hz"), fixed("duration", duration, "s")
+        sample_rate, duration = (
+            plain_quantity("sample_rate", sample_rate, "Hz"),
+            plain_quantity("duration", duration, "s"),
+        )
         full_scale = quantity("full_scale", full_scale, "rad/s")
         if not full_scale > 0.0:
             raise InputError(f"Argument `full_scale` must be positive, but {full_scale:g} rad/s was given.")

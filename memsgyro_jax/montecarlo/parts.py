@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from memsgyro_jax.base import runtime
-from memsgyro_jax.base.arguments import fixed, quantity, refuse_traced, whole
+from memsgyro_jax.base.arguments import plain_quantity, quantity, refuse_traced, whole
 from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.farm import farmed
@@ -229,7 +229,7 @@ def computation_of(
     refuse_traced("A sweep keeps a table of its dies and", plain, loop, spread, scenario)
     loop, seed = as_loop(loop), whole("seed", seed)
     dies, bound_dies = whole("dies", dies, 1), whole("bound_dies", bound_dies)
-    sample_rate, duration = fixed("sample_rate", sample_rate, "Hz"), fixed("duration", duration, "s")
+    sample_rate, duration = plain_quantity("sample_rate", sample_rate, "Hz"), plain_quantity("duration", duration, "s")
     settle = 0.5 * duration if settle is None else quantity("settle", settle, "s")
     tolerance, chunk = quantity("tolerance", tolerance, "rad/s"), chunk and whole("chunk", chunk, 1)
     scenario, loop = as_scenario(scenario), loop.sampled_at(sample_rate, duration=duration)

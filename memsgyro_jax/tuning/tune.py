@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from memsgyro_jax.base import runtime
-from memsgyro_jax.base.arguments import fixed, quantity, whole
+from memsgyro_jax.base.arguments import plain_quantity, quantity, whole
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.provenance import Settings, fingerprint
 from memsgyro_jax.loop.blocks.run import prepared
@@ -86,7 +86,7 @@ def tune(
     loop, seed = as_loop(loop), whole("seed", seed)
     dies, validation_dies = whole("dies", dies, 2), whole("validation_dies", validation_dies, 1)
     report_dies, evaluations = whole("report_dies", report_dies, 1), whole("evaluations", evaluations, 1)
-    sample_rate, duration = fixed("sample_rate", sample_rate, "Hz"), fixed("duration", duration, "s")
+    sample_rate, duration = plain_quantity("sample_rate", sample_rate, "Hz"), plain_quantity("duration", duration, "s")
     scenario, loop = as_scenario(scenario), loop.sampled_at(sample_rate, duration=duration)
     spread = Spread.relative(0.15) if spread is None else spread
     settle = 0.5 * duration if settle is None else quantity("settle", settle, "s")
