@@ -1,5 +1,6 @@
 """Numbers with units in a study file, and the base class of its sections."""
 
+import inspect
 import re
 from dataclasses import dataclass
 from typing import Annotated, Any, TypeVar
@@ -16,9 +17,21 @@ Value = TypeVar("Value")
 
 
 class FileSection(BaseModel):
-    """A section of a study file: immutable, unknown keys and infinite numbers refused."""
+    """A section of a study file: immutable, unknown keys and infinite numbers refused.
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, protected_namespaces=())
+    What a key means stands beneath its field; an editor shows it, with the unit of the field's annotation.
+    """
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, allow_inf_nan=False, protected_namespaces=(), use_attribute_docstrings=True
+    )
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        """What pydantic asks a class for; those that it makes itself are described as their base is."""
+        made = handler(schema)
+        handler.resolve_ref_schema(made).setdefault("description", inspect.getdoc(cls))
+        return made
 
     def numbers(self) -> dict[str, Any]:
         """The fields by name, in SI and without `kind`: arguments for the object that the section describes."""
@@ -61,27 +74,32 @@ class In:
 
 
 def quantity_schema(unit: str = "", **more: dict[str, Any]) -> dict[str, Any]:
-    """JSON schema of a quantity in `unit`, or in any; its table may have keys `more`."""
-    pair = {"value": {"type": "number"}, "unit": {"type": "string"}}
+    """JSON schema of a quantity in `unit`, or in any; its table may have keys `more`. `x-unit` tells it to programs."""
+    pair = {
+        "value": {"type": "number", "description": "The number."},
+        "unit": {"type": "string", "description": "Its unit."},
+    }
     table = {"type": "object", "properties": pair | more, "required": [*pair], "additionalProperties": False}
     text = {"type": "string", "pattern": rf"^\s*{NUMBER}", "description": f"a number and a unit like {unit or 'V'}"}
-    return {"anyOf": [text, table, *([{"type": "number"}] if unit == "1" else [])]}
+    return {"anyOf": [text, table, *([{"type": "number"}] if unit == "1" else [])], "x-unit": unit}
 
 
 @dataclass(frozen=True)
 class Also:
-    """For an editor: what a validator takes beside what it makes of it: one entry of a list alone, a quantity, text."""
+    """For an editor: what a validator takes beside what it makes of it: one entry of a list alone, a quantity in the
+    unit `quantity` ("" for any), text.
+    """
 
     one: bool = False
-    quantity: bool = False
+    quantity: str | None = None
     text: bool = False
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         """What pydantic asks an annotation for."""
         found = handler(schema)
         entries = found.get("prefixItems", [found.get("items")])[:1] if self.one else []
-        more = [quantity_schema()] if self.quantity else [{"type": "string"}] if self.text else []
-        return {"anyOf": [found, *entries, *more]}
+        alone = [] if self.quantity is None else [quantity_schema(self.quantity)]
+        return {"anyOf": [found, *entries, *alone, *([{"type": "string"}] if self.text else [])]}
 
 
 def number_and_unit(given: Any) -> tuple[float, str]:

@@ -32,10 +32,15 @@ class EffectSection(FileSection):
 
     model_config = ConfigDict(validate_by_name=True, validate_by_alias=True, json_schema_extra=_axis_or_variant)
     name: str
+    """Name of the effect, as `memsgyro effects` lists it, or of one of your own (`--effects FILE.py`)."""
     where: str = Field(default="", validation_alias=AliasChoices("axis", "variant"))
+    """Axis on which it acts, "x" or "y", or its variant where it is no axis; left out where there is one only."""
     strength: Numbers | str | dict[str, Any]
+    """Strength, with its unit as text, or a number (or list of them) whose `unit` stands beside it; zero is absent."""
     unit: str | None = None
+    """Unit of a strength that is given as a number; left out, of one without unit."""
     settings: dict[str, Numbers] = Field(default_factory=dict)
+    """Further numbers of the effect by name, in SI; what is left out has its usual value."""
 
     @model_serializer
     def _entries(self) -> dict[str, Any]:

@@ -22,6 +22,9 @@ class Calibration(NamedTuple):
     tolerance: float = 0.0
 
 
+_TOLERANCE = "Standard deviation (1σ) as a share of the value; left out, exact."
+
+
 def _amount(given: Any) -> Amount:
     if isinstance(given, Amount):
         return given
@@ -52,8 +55,14 @@ def _name(given: Any) -> Any:
 
 
 Quantity = Annotated[Amount, BeforeValidator(_amount), WithJsonSchema(quantity_schema())]
+Seconds = Annotated[Quantity, WithJsonSchema(quantity_schema("s"))]
+Frequency = Annotated[Quantity, WithJsonSchema(quantity_schema("Hz"))]
+Temperature = Annotated[Quantity, WithJsonSchema(quantity_schema("K"))]
+Voltage = Annotated[Quantity, WithJsonSchema(quantity_schema("V"))]
 Calibrated = Annotated[
-    Calibration, BeforeValidator(_calibration), WithJsonSchema(quantity_schema(tolerance={"type": "number"}))
+    Calibration,
+    BeforeValidator(_calibration),
+    WithJsonSchema(quantity_schema(tolerance={"type": "number", "description": _TOLERANCE})),
 ]
 Name = Annotated[str, BeforeValidator(_name)]
 Axis = Literal["x", "y"]
@@ -63,11 +72,37 @@ class ExperimentSection(FileSection):
     """What every `[[experiment]]` may say; a kind adds its own keys in a subclass."""
 
     name: Name
+    """Name of the record, one for each."""
     file: Name
+    """The CSV file, below the folder of the case, one for each record."""
     role: Literal["fit", "validation"] | None = None
+    """Whether all of it may be fitted, or none of it, so that it judges; left out, as is usual for its kind."""
     note: str = ""
+    """Free text."""
     noise_std: Quantity | None = None
+    """Standard deviation (1σ) of the noise of a single reading, of I and Q each, in a unit of the readings. Left out,
+    that of columns `std`, or estimated from the record."""
     convention: Literal["exp(+iwt)", "exp(-iwt)"] = "exp(+iwt)"
+    """Time factor of the phasors: the sign with which their phase runs."""
     inverted: bool = False
+    """Whether the readings have the other sign."""
     carried: tuple[str, ...] = ()
+    """Names of columns that are meant to be there though nothing depends on them."""
     sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = None
+    """Checksum that the file must have; left out, it is not checked."""
+
+
+class DrivenSection(ExperimentSection):
+    """What records of one driven axis say."""
+
+    drive_axis: Axis | None = None
+    """The driven electrode; needed of two axes."""
+
+
+class ToneSection(DrivenSection):
+    """What records of a drive at one frequency say."""
+
+    drive_force: Quantity
+    """Amplitude (peak) of the drive, a force, or in the unit that `[drive]` has for it."""
+    drive_frequency: Frequency
+    """Frequency of the drive."""

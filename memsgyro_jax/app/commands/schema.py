@@ -1,5 +1,6 @@
 """`memsgyro schema`: what editors check study files, cases and results against."""
 
+import re
 from typing import Any, Literal
 
 
@@ -36,14 +37,58 @@ def schema_of(kind: Kind) -> dict[str, Any]:
         from .answer import DiagnosisAnswer
 
         made = TypeAdapter(DiagnosisAnswer).json_schema()
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **_any_of(made), "title": f"memsgyro {kind}"}
+    parts = made.get("$defs", {})
+    for part in (made, *parts.values()):
+        _describe(part)
+    names = {name: re.sub(r"\W+", "_", part["title"]).strip("_") for name, part in parts.items()}
+    made = _for_editors(made, names)
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **made, "title": f"memsgyro {kind}"}
 
 
-def _any_of(part: Any) -> Any:
-    """The schema without discriminators, which a device given by its modes has not."""
+def _describe(section: dict[str, Any]) -> None:
+    """Every key with its unit, `kind` with what it chooses, and what stands for a key that is left out as a file has
+    it: a quantity with its unit, and nothing where another section or the device decides.
+    """
+    for key, entry in section.get("properties", {}).items():
+        unit, told = unit_in(entry), entry.get("description") or (key == "kind" and section.get("description"))
+        if told:
+            entry["description"] = " ".join(told.split("\n\n")[0].split()) + (f" [{unit}]" if unit else "")
+        default = entry.get("default")
+        if default is None or isinstance(default, dict):
+            entry.pop("default", None)
+        elif unit not in (None, "", "1"):
+            entry["default"] = _with_unit(default, unit)
+
+
+def unit_in(entry: Any) -> str | None:
+    """The unit of the quantity that a key holds, alone or in a list: "" for any, None for none."""
+    inner = entry.values() if isinstance(entry, dict) else entry if isinstance(entry, list) else ()
+    if isinstance(entry, dict) and "x-unit" in entry:
+        return entry["x-unit"]
+    return next((unit for unit in map(unit_in, inner) if unit is not None), None)
+
+
+def _with_unit(number: Any, unit: str) -> Any:
+    if isinstance(number, list):
+        return [_with_unit(one, unit) for one in number]
+    return number if isinstance(number, str) else f"{number!r} {unit}"
+
+
+def _for_editors(part: Any, names: dict[str, str]) -> Any:
+    """The schema without discriminators, which a device given by its modes has not, and its parts by other `names`:
+    those that pydantic gives to profiles tell all that they are made of.
+    """
     if isinstance(part, list):
-        return [_any_of(entry) for entry in part]
+        return [_for_editors(entry, names) for entry in part]
     if not isinstance(part, dict):
         return part
-    kept = {key: entry for key, entry in part.items() if key != "discriminator" or not isinstance(entry, dict)}
-    return {"anyOf" if key == "oneOf" else key: _any_of(entry) for key, entry in kept.items()}
+    out: dict[str, Any] = {}
+    for key, entry in part.items():
+        if key == "$ref":
+            head, _, name = entry.rpartition("/")
+            out[key] = f"{head}/{names[name]}"
+        elif key == "$defs":
+            out[key] = {names[name]: _for_editors(inner, names) for name, inner in entry.items()}
+        elif key != "discriminator" or not isinstance(entry, dict):
+            out["anyOf" if key == "oneOf" else key] = _for_editors(entry, names)
+    return out

@@ -49,32 +49,48 @@ class Unobserved(FileSection):
 
 
 class Classic(FileSection):
-    """`kind = "classic"`: phase-locked loop and gain control on the drive axis; `sense = "open"` or `"rebalanced"`.
-
-    `amplitude` of the drive, where left out 2 % of the travel; what else is left out follows the device
-    (`ClassicControl`). `demodulator = "product"` multiplies and smooths (thesis (5.3)), "tracking" has no ripple.
-    `sense_bandwidth` is that of the sense axis' demodulator, and so of an open loop; `bandwidth` that of the rebalance
-    loops' integral.
+    """`kind = "classic"`: phase-locked loop and gain control on the drive axis, the sense axis open or rebalanced.
+    Gains that are left out follow the device (`ClassicControl`).
     """
 
     kind: Literal["classic"]
     sense: Literal["open", "rebalanced"] = "open"
+    """Whether the motion of the sense axis is measured (open loop) or held at zero by forces (force-to-rebalance)."""
     demodulator: Literal["tracking", "product"] = "tracking"
+    """Of both axes: "tracking" follows the oscillation without ripple, "product" multiplies and smooths (thesis
+    (5.3))."""
     amplitude: _Length | None = None
+    """Amplitude of the drive axis that the gain control holds; left out, 2 % of the travel."""
     bandwidth: Hertz | None = None
+    """Bandwidth of the integral of the rebalance loops; left out, what the device bears. Not of an open loop."""
     drive_bandwidth: Hertz | None = None
+    """Bandwidth (-3 dB) of the drive axis' demodulator, which sets the gains of both drive loops; left out, a twentieth
+    of the drive frequency, rebalanced up to a fifth."""
     sense_bandwidth: Hertz | None = None
+    """Bandwidth (-3 dB) of the sense axis' demodulator, and so of an open loop; left out, a tenth of the drive
+    frequency, rebalanced a twentieth."""
     phase_gain: PerSecond | None = None
+    """Proportional gain of the phase-locked loop: angular frequency per sine of the phase error."""
     phase_integral: _Integral | None = None
+    """Integral gain of the phase-locked loop."""
     force_gain: _ForceGain | None = None
+    """Proportional gain of the amplitude control: force per missing amplitude."""
     force_integral: _ForceIntegral | None = None
+    """Integral gain of the amplitude control."""
     limit: Newton | None = None
+    """Largest drive force; left out, 20 times the one that holds the amplitude."""
     gain: Share | None = None
+    """Proportional gain of the rebalance loop."""
     integral: PerSecond | None = None
+    """Integral gain of the rebalance loop."""
     quadrature_gain: Share | None = None
+    """Proportional gain of the quadrature loop; zero, with its integral, leaves the quadrature alone."""
     quadrature_integral: PerSecond | None = None
+    """Integral gain of the quadrature loop."""
     rate_offset: Rate = 0.0
+    """Trim of the bias: what is taken off the rate that the design's scale factor gives."""
     rate_scale: Pure = 1.0
+    """Trim of the scale factor: what the rate, less `rate_offset`, is multiplied by."""
 
     def build(self, gyro: AbstractGyro, readout: AbstractReadout) -> AbstractController:
         """The controller; raises `InputError` for gains of a loop that there is not."""

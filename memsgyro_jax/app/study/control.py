@@ -40,31 +40,37 @@ from .laws import AdaptiveGains, Positive, scaled
 Axis = Literal["x", "y", "both"]
 
 
-class Added(FileSection):
-    """An auxiliary acceleration `{ frequency, amplitude, phase, axis }`; `axis` is "x", "y" or "both"."""
+class Oscillation(FileSection):
+    """What every tone says."""
 
     frequency: Hertz
+    """Frequency of the sine."""
+    amplitude: float
+    phase: Radian = 0.0
+    """Phase of the sine at time zero; 90 degrees start at its height."""
+    axis: Axis = "both"
+    """Axis along which it acts; "both" is the same tone on both."""
+
+
+class Added(Oscillation):
+    """An auxiliary acceleration `{ frequency, amplitude, phase, axis }`."""
+
     amplitude: Acceleration
-    phase: Radian = 0.0
-    axis: Axis = "both"
+    """Amplitude (peak) of the acceleration."""
 
 
-class Force(FileSection):
-    """A drive force `{ frequency, amplitude, phase, axis }` in N."""
+class Force(Oscillation):
+    """A drive force `{ frequency, amplitude, phase, axis }`."""
 
-    frequency: Hertz
     amplitude: Newton
-    phase: Radian = 0.0
-    axis: Axis = "both"
+    """Amplitude (peak) of the force."""
 
 
-class Swing(FileSection):
-    """A part of a motion `{ frequency, amplitude, phase, axis }` in m; a phase of 90 degrees starts at its height."""
+class Swing(Oscillation):
+    """A part of a motion `{ frequency, amplitude, phase, axis }`."""
 
-    frequency: Hertz
     amplitude: Metre
-    phase: Radian = 0.0
-    axis: Axis = "both"
+    """Amplitude (peak) of the displacement."""
 
 
 def _tones(given: tuple[Added | Force | Swing, ...]) -> Tones:
@@ -77,8 +83,11 @@ class Energy(FileSection):
     """`energy = { frequency, amplitude, gain }` of a control law: energy control beside it, thesis (4.21), (4.25)."""
 
     frequency: tuple[Hertz, Hertz]
+    """Frequencies (x, y) at which the axes swing under the law, by which the energy is reckoned."""
     amplitude: tuple[Metre, Metre]
+    """Displacement amplitudes (x, y) of which the energy is held."""
     gain: PerSecond
+    """How fast a small error of the energy dies away: as exp(-gain·t). Zero leaves the law alone."""
 
     def beside(self, law: AbstractController) -> AbstractController:
         """The law with energy control."""
@@ -86,9 +95,10 @@ class Energy(FileSection):
 
 
 class Actuators(FileSection):
-    """Section `[actuators]`: no force goes beyond `limit`, one for both axes or a pair (x, y)."""
+    """Section `[actuators]`: forces that end."""
 
     limit: Pair[Annotated[float, Field(gt=0.0), In("N")]]
+    """Largest force of each axis: the command is cut at ± this, and the observer is told."""
 
     def around(self, law: AbstractController) -> AbstractController:
         """The law with these."""
@@ -96,12 +106,15 @@ class Actuators(FileSection):
 
 
 class Compensation(FileSection):
-    """`kind = "damping_compensation"`: thesis (4.27), (4.28); `ahead` feeds back half a sample early."""
+    """`kind = "damping_compensation"`: cancels the estimated damping, thesis (4.27), (4.28)."""
 
     kind: Literal["damping_compensation"]
     tones: tuple[Added, ...] = ()
+    """Auxiliary accelerations, which make the coefficients observable."""
     energy: Energy | None = None
+    """Energy control beside the law; left out, none."""
     ahead: bool = False
+    """Whether the motion is fed back as it will be in the middle of the sample over which the force is held."""
 
     def build(self, gyro: AbstractGyro, readout: AbstractReadout) -> AbstractController:
         """The controller."""
@@ -111,12 +124,15 @@ class Compensation(FileSection):
 
 
 class Reference(FileSection):
-    """`kind = "reference_model"`: thesis (4.17), (4.18); `frequency` of x and y, which must differ."""
+    """`kind = "reference_model"`: makes each axis an oscillator of its own frequency, thesis (4.17), (4.18)."""
 
     kind: Literal["reference_model"]
     frequency: tuple[Hertz, Hertz]
+    """Frequencies (x, y) of the oscillators; they must differ for the coefficients to be observable."""
     tones: tuple[Added, ...] = ()
+    """Auxiliary accelerations, which make the coefficients observable."""
     energy: Energy | None = None
+    """Energy control beside the law; left out, none."""
 
     def build(self, gyro: AbstractGyro, readout: AbstractReadout) -> AbstractController:
         """The controller."""
@@ -128,18 +144,27 @@ class Rocking(FileSection):
     """`rocking = { frequency, amplitude, phase }`: the known angle by which a whole-angle law turns the vibration."""
 
     frequency: Hertz
+    """Frequency of the rocking."""
     amplitude: Radian
+    """Angle to either side; at 1.2024 rad the mean effect of wrong coefficients on the angle vanishes. Zero is none."""
     phase: Radian = 0.0
+    """Phase of the sine at time zero."""
 
 
 class FreeVibration(FileSection):
-    """`kind = "whole_angle"`: thesis (6.1), (6.2); one `frequency` for both axes."""
+    """`kind = "whole_angle"`: lets the mass vibrate freely, so that the angle of the vibration is that of the frame,
+    thesis (6.1), (6.2).
+    """
 
     kind: Literal["whole_angle"]
     frequency: Hertz
+    """Frequency that both axes are given."""
     tones: tuple[Added, ...] = ()
+    """Auxiliary accelerations, which make the coefficients observable."""
     rocking: Rocking | None = None
+    """Turning the vibration to and fro by a known angle, against what wrong damping does; left out, none."""
     energy: Energy | None = None
+    """Energy control beside the law; left out, none."""
 
     def build(self, gyro: AbstractGyro, readout: AbstractReadout) -> AbstractController:
         """The controller."""
@@ -153,6 +178,7 @@ class Open(FileSection):
 
     kind: Literal["open_loop"]
     tones: tuple[Force, ...] = ()
+    """Drive forces; left out, the mass swings down freely."""
 
     def build(self, gyro: AbstractGyro, readout: AbstractReadout) -> AbstractController:
         """The controller."""
@@ -160,11 +186,13 @@ class Open(FileSection):
 
 
 class Designed(FileSection):
-    """`kind = "designed_motion"`: holds the mass on a sum of tones in m."""
+    """`kind = "designed_motion"`: holds the mass on a sum of tones."""
 
     kind: Literal["designed_motion"]
     tones: tuple[Swing, ...]
+    """Displacement that each axis is held on, a sum of sines."""
     settling: PerSecond = 1000.0
+    """How fast any other motion dies away: as exp(-settling·t/2). Zero feeds nothing of the motion back."""
 
     def build(self, gyro: AbstractGyro, readout: AbstractReadout) -> AbstractController:
         """The controller."""
@@ -177,10 +205,16 @@ class Sliding(AdaptiveGains):
     kind: Literal["sliding_mode"]
     measures: ClassVar[bool] = True
     tones: tuple[Swing, ...]
+    """Displacement that each axis is held on, a sum of sines."""
     layer: Positive = 0.1
+    """Boundary layer of the sliding variable s: within it the switching is linear. A thin one holds the motion
+    better."""
     gain: Positive = 1.0
+    """Gain of the switching, gain·sat(s/layer)."""
     slope: Share = 1.0
+    """λ of the sliding variable s = e' + λ·e, of the error e of the motion."""
     forgetting: Share = 0.25
+    """How fast the integrated error of the displacement is forgotten, in units of `frequency`; zero never."""
 
     @property
     def displacement(self) -> tuple[float, float]:

@@ -22,7 +22,6 @@ from memsgyro_jax.effects import Effect
 from memsgyro_jax.effects.section import EffectSection
 from memsgyro_jax.loop.filters import check_fits
 from memsgyro_jax.loop.loop import ClosedLoop
-from memsgyro_jax.loop.readout import THESIS_RATE, snr_density
 from memsgyro_jax.loop.scenario import Scenario
 from memsgyro_jax.montecarlo.spread import Normal, Root, Spread, Vary
 from memsgyro_jax.tuning.tunable import Tunable, free
@@ -33,36 +32,18 @@ from .control import MEASURING, Actuators, Controller
 from .hardware import Device, Readout, device_of, readout_of, unit_of_device
 from .laws import Anneal, Kalman, Observer, discretisation
 from .layout import DrawnComb, LayoutDevice, ProcessSection
-from .masses import Fitted, SingleMass
+from .masses import Fitted
 from .numbers import entries_of, unit_at
 from .output import Filter
 from .paths import FOLDER
-from .pickoffs import Charge, FittedReadout
+from .pickoffs import FittedReadout
 from .plan import SpreadSection, Start, SweepSection
 from .surroundings import Surroundings
+from .thesis import DENSITY, thesis_device, thesis_readout
 from .tuning import Tune
 
 
 SCHEMA = "memsgyro-study/1"
-_DENSITY = f"{snr_density(100.0, 1e-6, 1e5, THESIS_RATE)!r} V/sqrt(Hz)"
-
-
-def _device() -> SingleMass:
-    """Thesis Table 5.1."""
-    return SingleMass(
-        kind="single_mass", mass="1.8e-7 kg", kxx="63.96 N/m", kyy="95.92 N/m", kxy="12.78 N/m",
-        dxx="3.6e-6 N*s/m", dyy="4.5e-6 N*s/m", dxy="3.6e-7 N*s/m",
-    )  # fmt: skip
-
-
-def _readout() -> Charge:
-    """Thesis Table 5.3, with the noise density of 1 mV per sample at 10 MHz."""
-    return Charge(
-        kind="charge_amplifier", fingers=113, width="5e-6 m", gap="1e-6 m", overlap="50e-6 m",
-        mismatch=["0.1e-6 m", "0.085e-6 m"], bias="10 V", feedback="1e-12 F", parasitic="1e-12 F",
-        opamp_offset=["2e-3 V", "1e-3 V"],
-        noise_density=_DENSITY,
-    )  # fmt: skip
 
 
 class StudyFile(FileSection):
@@ -73,19 +54,34 @@ class StudyFile(FileSection):
 
     model_config = ConfigDict(validate_by_name=True, validate_by_alias=True)
     format: Literal["memsgyro-study/1"] = Field(default=SCHEMA, alias="schema")
-    device: Device = Field(default_factory=_device)
+    """What the file is, for later versions."""
+    device: Device = Field(default_factory=thesis_device)
+    """The gyro; left out, that of thesis Table 5.1."""
     process: ProcessSection | None = None
+    """What the process makes of a device or a read-out of `kind = "layout"`; left out, the drawing."""
     effects: tuple[EffectSection, ...] = ()
-    readout: Readout = Field(default_factory=_readout)
+    """Effects beyond the base device, each a table `[[effects]]`; left out, none."""
+    readout: Readout = Field(default_factory=thesis_readout)
+    """What turns motion into volts; left out, that of thesis Table 5.3, or of the fit that `[device]` names."""
     observer: Observer = Field(default_factory=lambda: Kalman(kind="ekf", annealing=Anneal()))
+    """What estimates the rate; left out, "ekf" with a cautious start, "none" where the controller measures by
+    itself."""
     controller: Controller | None = None
+    """What drives the mass; left out, "damping_compensation" with a tone on both axes at a fifth of the lower mode."""
     actuators: Actuators | None = None
+    """How large forces may be; left out, without a limit."""
     filter: Filter | None = None
+    """What smooths the estimated rate into the output of the loop; left out, none."""
     loop: Start = Start()
+    """Where the mass starts, how far it may travel, and how the device is computed."""
     scenario: Surroundings = Field(default_factory=lambda: Surroundings(rate="1 rad/s"))
+    """What varies during a run; left out, a constant rate of 1 rad/s."""
     spread: SpreadSection = SpreadSection(relative=USUAL_SPREAD)
+    """What differs from die to die; left out, every number of the device, by 15 %."""
     sweep: SweepSection = SweepSection()
+    """How many dies, how long and how finely."""
     tune: Tune = Tune()
+    """What `memsgyro tune` may move, and what it makes small."""
 
     @model_validator(mode="before")
     @classmethod
@@ -120,7 +116,7 @@ class StudyFile(FileSection):
     def _readout_of_the_fit(cls, data: Any) -> Any:
         """A fitted device brings its read-out along, all but the noise."""
         if isinstance(data, dict) and "readout" not in data and "file" in (data.get("device") or ()):
-            return {**data, "readout": {"kind": "fitted", "noise_density": _DENSITY}}
+            return {**data, "readout": {"kind": "fitted", "noise_density": DENSITY}}
         return data
 
     def unit_of(self, path: str) -> str | None:

@@ -36,9 +36,10 @@ from memsgyro_jax.loop.observers import (
 )
 from memsgyro_jax.loop.observers.adaptation import Adapting
 from memsgyro_jax.loop.observers.fading import AbstractFading, AdaptiveFading, FixedFading
-from memsgyro_jax.loop.observers.settings import Annealing, ProcessNoise, design_prior
+from memsgyro_jax.loop.observers.settings import Annealing, design_prior
 from memsgyro_jax.loop.readout import AbstractReadout
 
+from .beliefs import PriorSpread, Walks
 from .classic import Unobserved
 
 
@@ -53,10 +54,11 @@ def discretisation(name: Discretisation) -> AbstractDiscretisation:
 
 
 class Fixed(FileSection):
-    """`fading = { kind = "fixed", forgetting = "1400 1/s" }`; zero never forgets."""
+    """`fading = { kind = "fixed", forgetting = "1400 1/s" }`: forget at one pace; zero never forgets."""
 
     kind: Literal["fixed"]
     forgetting: PerSecond
+    """How fast the filter forgets: its memory is 1/forgetting, λ = exp(forgetting·period) in a sample."""
 
     def build(self) -> AbstractFading:
         """The law."""
@@ -68,7 +70,9 @@ class Adaptive(FileSection):
 
     kind: Literal["adaptive"]
     window: Duration = 1e-3
+    """Time constant over which the innovations are averaged."""
     ceiling: Annotated[float, Field(ge=1.0), In("1")] = 1.01
+    """Largest factor λ of the covariance in a sample."""
 
     def build(self) -> AbstractFading:
         """The law."""
@@ -79,88 +83,52 @@ Fading = Annotated[Fixed | Adaptive, Field(discriminator="kind")]
 
 
 class Anneal(FileSection):
-    """`annealing = { excess = 1000, decay = "0.5 ms" }`: a cautious start; `excess = 0` is none.
-
-    The decay is one and a half periods of the lower mode when left out.
+    """`annealing = { excess = 1000, decay = "0.5 ms" }`: a start by the factor 1 + excess·exp(-t/decay), on the
+    variance of the measurement of a Kalman filter (cautious), on the gains by which a Lyapunov observer adapts (hasty).
     """
 
     excess: Share = 1000.0
+    """What the factor exceeds 1 by at time zero; zero is none."""
     decay: Duration | None = None
+    """Time constant with which that fades; left out, 1.447 periods of the lower mode, of a Lyapunov observer 100 times
+    that."""
 
 
 class JumpWatch(FileSection):
-    """`jump = { damping = "10 1/s" }`: a χ² test of the innovations over `window`, beyond whose `level`, in standard
-    deviations, the damping coefficients are open by that much again.
-    """
+    """`jump = { damping = "10 1/s" }`: a χ² test of the innovations, beyond whose level the damping is open again."""
 
     damping: PerSecond
+    """Standard deviation (1σ) by which the damping coefficients per mass are open again when the test is met."""
     window: Duration = 1e-3
+    """Time constant over which the normalised innovations squared are averaged."""
     level: Positive = 5.0
-
-
-class PriorSpread(FileSection):
-    """Standard deviations of what the filter believes at the start; zero means known exactly.
-
-    `spread` of each coefficient relative to its design value (left out: that of `[spread]`, or 15 % where it has none);
-    `motion_error` relative to `amplitude`, the displacement along x at which the filter starts (left out: the true
-    one).
-    """
-
-    spread: Share | None = None
-    rate_std: Annotated[float, Field(ge=0.0), In("rad/s")] = 3.0
-    offset_std: Annotated[float, Field(ge=0.0), In("V")] = 20e-3
-    amplitude: Metre | None = None
-    motion_error: Share = 0.05
-
-
-_Walk = Annotated[float, Field(ge=0.0), In("rad^2/s^3")]
-_StiffnessWalk = Annotated[float, Field(ge=0.0), In("1/s^5")]
-_DampingWalk = Annotated[float, Field(ge=0.0), In("1/s^3")]
-_MassWalk = Annotated[float, Field(ge=0.0), In("1/(kg^2*s)")]
-
-
-class Walks(FileSection):
-    """Random-walk intensities in (unit of the entry)²/s; what is not named does not walk."""
-
-    rate: _Walk | None = None
-    rate_x: _Walk | None = None
-    kxx: _StiffnessWalk | None = None
-    kyy: _StiffnessWalk | None = None
-    kxy: _StiffnessWalk | None = None
-    kyx: _StiffnessWalk | None = None
-    dxx: _DampingWalk | None = None
-    dyy: _DampingWalk | None = None
-    dxy: _DampingWalk | None = None
-    sigma: _MassWalk | None = None
-    sigma_x: _MassWalk | None = None
-    sigma_y: _MassWalk | None = None
-    offset: Pair[Annotated[float, Field(ge=0.0), In("V^2/s")]] = (0.0, 0.0)
-    position: Pair[Annotated[float, Field(ge=0.0), In("m^2/s")]] = (0.0, 0.0)
-    velocity: Pair[Annotated[float, Field(ge=0.0), In("m^2/s^3")]] = (0.0, 0.0)
-
-    def build(self, gyro: AbstractGyro) -> ProcessNoise:
-        """The process noise; raises `InputError` for a coefficient that the device does not have."""
-        given = self.numbers()
-        offset, motion = given.pop("offset"), (*given.pop("position"), *given.pop("velocity"))
-        theta = ProcessNoise.of(gyro.model, **{name: value for name, value in given.items() if value is not None}).theta
-        return ProcessNoise(motion, offset, theta).shaken_as(gyro)
+    """What their mean must exceed, in standard deviations of what a consistent filter has."""
 
 
 class KalmanSettings(FileSection):
-    """What every Kalman filter is told. `noise_density` left out is that of the read-out; `knows_pickoff` tells it the
-    curves of the pick-off that the device has as effects.
-    """
+    """What every Kalman filter is told."""
 
     known: tuple[str, ...] = ()
+    """Coefficients that are taken as known and not estimated, by name: "rate", "kxx", "kyy", "kxy", "dxx", "dyy",
+    "dxy", "sigma" (1/mass) of one mass; "rate_x", "kyx", "sigma_x", "sigma_y" are those of two."""
     with_offsets: bool = True
+    """Whether the two offsets of the read-out are estimated; false expects none (the thesis' ideal circuit)."""
     iterations: Annotated[Whole, Field(ge=1)] = 1
+    """How often each sample is linearised: more than once about its smoothed start (iterated filter-smoother)."""
     knows_pickoff: bool = False
+    """Whether the filter is told the curves of the pick-off that the device has as effects."""
     discretisation: Discretisation = "exact"
+    """How the filter computes a sample: exactly, or by the thesis' forward Euler."""
     noise_density: Pair[Density] | None = None
+    """White noise that the filter expects of the read-out, one-sided density; left out, that of the read-out."""
     annealing: Anneal | None = None
+    """A cautious start; left out, none."""
     fading: Fading | None = None
+    """A memory that fades; left out, one that lasts."""
     process_noise: Walks = Walks()
+    """What the filter expects to change: random-walk intensities; what is left out stays as it is."""
     prior: PriorSpread = PriorSpread()
+    """What the filter believes at the start."""
 
     def settings(self, gyro: AbstractGyro) -> dict[str, Any]:
         """What `for_device` of the filter is given; raises `InputError` for a coefficient that the device does not
@@ -190,6 +158,7 @@ class Kalman(KalmanSettings):
 
     kind: Literal["ekf"]
     jump: JumpWatch | None = None
+    """A test for jumps of the damping; left out, none."""
 
     def build(self, gyro: AbstractGyro, readout: AbstractReadout) -> AbstractObserver:
         """The filter; raises `InputError` for a coefficient that the device does not have."""
@@ -201,14 +170,17 @@ class Kalman(KalmanSettings):
 
 
 class BlockKalman(KalmanSettings):
-    """`kind = "block_ekf"`: the filter that takes `length` samples at a time by their projections on the modes and the
-    `tones` [Hz], behind the first `start`: 512 left out, 2048 for two masses.
+    """`kind = "block_ekf"`: the filter that takes a block of samples at a time, by their projections on the modes and
+    the tones.
     """
 
     kind: Literal["block_ekf"]
     tones: tuple[Hertz, ...] = ()
+    """Frequencies of auxiliary signals that the motion holds beside its modes; what is left out tells nothing."""
     length: Annotated[Whole, Field(ge=2)] = 1024
+    """Number of samples in a block, a power of two."""
     start: Annotated[Whole, Field(ge=1)] | None = None
+    """Number of samples that are taken one by one before the first block; left out, 512, for two masses 2048."""
 
     def build(self, gyro: AbstractGyro, readout: AbstractReadout) -> AbstractObserver:
         """The filter; raises `InputError` for a length that is no power of two, and what a block cannot hold."""
@@ -218,12 +190,11 @@ class BlockKalman(KalmanSettings):
 
 
 class ScaleRatio(KalmanSettings):
-    """`kind = "scale_ratio"`: the filter that also finds by how much the scales of the two channels differ, known to
-    `ratio` at the start.
-    """
+    """`kind = "scale_ratio"`: the filter that also finds by how much the scales of the two channels differ."""
 
     kind: Literal["scale_ratio"]
     ratio: Share = 0.1
+    """Standard deviation (1σ) of that difference at the start, as a share of the scale; zero is no difference."""
 
     def build(self, gyro: AbstractGyro, readout: AbstractReadout) -> AbstractObserver:
         """The filter; raises `InputError` for a device of two masses."""
@@ -232,14 +203,15 @@ class ScaleRatio(KalmanSettings):
 
 
 class KnownRate(KalmanSettings):
-    """`kind = "known_rate"`: the filter that learns unequal cross damping, known to the share `asymmetry`, while the
-    rate is known: `rate`, until `until`.
-    """
+    """`kind = "known_rate"`: the filter that learns unequal cross damping while the rate is known."""
 
     kind: Literal["known_rate"]
     until: Annotated[float, Field(ge=0.0), In("s")]
+    """Time until which the rate is known; zero means never."""
     rate: Annotated[float, In("rad/s")] = 0.0
+    """The rate until then."""
     asymmetry: Share = 0.1
+    """Standard deviation (1σ) of dyx - dxy at the start, as a share of the design's dxy; zero means equal."""
 
     def build(self, gyro: AbstractGyro, readout: AbstractReadout) -> AbstractObserver:
         """The filter; raises `InputError` for a device of two masses."""
@@ -262,27 +234,33 @@ def scaled(made: Made, adaptation: tuple[float, ...] | None) -> Made:
 
 
 class AdaptiveGains(FileSection):
-    """What laws that adapt by velocity errors share. `start` scales the first guess of the coefficients.
-
-    `adaptation` multiplies their unit gains, in the order of the device's model; left out, all are 1 but those of
-    `known`, which are 0. `length` and `frequency` left out are the start and, nearly, the lower mode.
+    """What laws that adapt by velocity errors share. Their gains have no units: they hold for motion in units of
+    `length` and time in units of 1/`frequency`.
     """
 
     known: tuple[str, ...] = ()
+    """Coefficients that are taken as known and not adapted, by name: "sigma" (1/mass), "kxx", ..."""
     adaptation: tuple[Share, ...] | None = None
+    """Factors of the unit gains by which the coefficients are adapted, in the order of the device's model; left out, 1,
+    and 0 for those of `known`."""
     start: Pure = 1.0
+    """First guess of the coefficients, as a share of those of the design; the rate starts at zero."""
     length: Annotated[float, Field(gt=0.0), In("m")] | None = None
+    """Unit of length of the gains; left out, 2 % of the travel, at which a mass usually starts."""
     frequency: Annotated[float, Field(gt=0.0), In("rad/s")] | None = None
+    """Angular frequency whose inverse is the unit of time of the gains; left out, 1.037 times that of the lower
+    mode."""
 
 
 class LyapunovGains(AdaptiveGains):
-    """Those of the Lyapunov observer. With `annealing` the coefficients are adapted faster at first; its decay, left
-    out, is 150 periods of the lower mode.
-    """
+    """Those of the Lyapunov observer."""
 
     gain: Pair[Positive] = (100.0, 100.0)
+    """Gain l by which the error of the velocity corrects the motion, of x and y, thesis (4.11)."""
     annealing: Anneal | None = None
+    """A start at which the coefficients are adapted faster; left out, none."""
     discretisation: Discretisation = "exact"
+    """How the observer computes a sample: exactly, or by the thesis' forward Euler."""
 
     def observer(self, gyro: AbstractGyro, readout: AbstractReadout) -> LyapunovObserver:
         """The observer; raises `InputError` for another read-out or a coefficient that the device does not have."""
@@ -309,8 +287,12 @@ class EnergyLevel(FileSection):
     """`energy = { frequency, amplitude, gain }`: the energy that the observer expects, thesis (4.21)."""
 
     frequency: tuple[Hertz, Hertz]
+    """Frequencies (x, y) at which the axes swing under energy control, by which the energy is reckoned."""
     amplitude: tuple[Metre, Metre]
+    """Displacement amplitudes (x, y) of which the energy is expected."""
     gain: Share = 1.0
+    """Factor of the thesis' unit gain by which missing energy moves the coefficients; zero leaves them to the
+    velocity."""
 
 
 class EnergyLyapunov(LyapunovGains):
@@ -318,6 +300,7 @@ class EnergyLyapunov(LyapunovGains):
 
     kind: Literal["energy_lyapunov"]
     energy: EnergyLevel
+    """The energy that the observer expects."""
 
     def build(self, gyro: AbstractGyro, readout: AbstractReadout) -> AbstractObserver:
         """The observer."""

@@ -9,8 +9,8 @@ from memsgyro_jax.base.quantity import FileSection, In, field_unit
 from memsgyro_jax.effects.section import entries_of_effect
 from memsgyro_jax.loop.loop import ClosedLoop
 
+from .beliefs import Walks
 from .classic import Classic, entries_of_classic, unit_of_classic
-from .laws import Walks
 
 
 class NumberEntry(NamedTuple):

@@ -12,11 +12,13 @@ Order = Annotated[Whole, Field(ge=1, le=4)]
 
 
 class LowpassFilter(FileSection):
-    """`kind = "lowpass"`: Butterworth; `bandwidth` is where the power has halved."""
+    """`kind = "lowpass"`: a Butterworth low-pass."""
 
     kind: Literal["lowpass"]
     bandwidth: Hertz
+    """Bandwidth (-3 dB): where the power has halved."""
     order: Order = 3
+    """Order, the number of poles."""
 
     def build(self) -> AbstractFilter:
         """The filter."""
@@ -24,12 +26,15 @@ class LowpassFilter(FileSection):
 
 
 class BandpassFilter(FileSection):
-    """`kind = "bandpass"`: Butterworth with 2·`order` poles; the power has halved at `low` and at `high`."""
+    """`kind = "bandpass"`: a Butterworth band-pass."""
 
     kind: Literal["bandpass"]
     low: Hertz
+    """Lower end of the band (-3 dB)."""
     high: Hertz
+    """Upper end of the band (-3 dB)."""
     order: Order = 1
+    """Half the number of poles."""
 
     @model_validator(mode="after")
     def _has_a_band(self) -> "BandpassFilter":

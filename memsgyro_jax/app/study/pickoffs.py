@@ -15,11 +15,14 @@ from .carrier import Converter, Flickering
 
 
 class Snr(FileSection):
-    """Noise as the thesis states it: an amplitude ratio of `amplitude` to the noise of a sample at `sample_rate`."""
+    """Noise as the thesis states it, by what it is in a sample."""
 
     ratio: Annotated[float, Field(gt=0.0), In("1")]
+    """Amplitude of the signal over the standard deviation of the noise of a sample, no ratio of powers."""
     amplitude: Annotated[float, Field(gt=0.0), In("m")] = 1e-6
+    """Displacement amplitude of that signal."""
     sample_rate: Hertz = 10e6
+    """Sample rate at which the ratio holds, whatever that of the loop."""
 
 
 class _Amplified(FileSection):
@@ -28,14 +31,23 @@ class _Amplified(FileSection):
     make: ClassVar[Callable[..., ChargeAmplifier]]
     kind: str
     bias: Volt
+    """Bias voltage of the sensor's capacitors."""
     feedback: Pair[Farad]
+    """Feedback capacitance Cf of the charge amplifier."""
     parasitic: Pair[Farad] = (0.0, 0.0)
+    """Parasitic capacitance Cp from the amplifier's input to ground."""
     opamp_offset: Pair[Volt] = (0.0, 0.0)
+    """Input offset voltage of the op-amp."""
     rejection: Annotated[float, Field(ge=0.0, le=1.0), In("1")] = 1.0
+    """Share of the op-amp's offset that is left at the output: 1 rejects nothing of it, zero all."""
     noise_density: Pair[Density] | None = None
+    """White noise at the output, one-sided density; instead of `snr`."""
     snr: Snr | None = None
+    """White noise by a signal-to-noise ratio of a sample; instead of `noise_density`."""
     adc: Converter | None = None
+    """Analogue-to-digital converter behind the output; left out, nothing is rounded or clipped."""
     flicker: Flickering | None = None
+    """Flicker (1/f) of the phase, as a delay that wanders; left out, none."""
 
     @model_validator(mode="after")
     def _can_exist(self) -> Self:
@@ -65,15 +77,20 @@ class Charge(_Amplified):
     make = ChargeAmplifier
     kind: Literal["charge_amplifier"]
     fingers: Pair[Share]
+    """Number N of capacitors between fingers, of each half: dC/dx = N·ε·width/gap."""
     width: Pair[Metre]
+    """Width W of the fingers across their overlap: the layer's thickness."""
     gap: Pair[Metre]
+    """Gap Z between two fingers."""
     overlap: Pair[Metre]
+    """Overlap x0 of the fingers at rest, which is also how far the mass may travel."""
     mismatch: Pair[Metre] = (0.0, 0.0)
+    """Error d of the overlap, more in one half and less in the other, which makes an offset."""
 
 
 class Capacitive(_Amplified):
-    """`kind = "capacitive"`: a charge amplifier behind a pick-off of two halves, each of `gradient` in F/m and
-    `capacitance` at rest: 2·bias·gradient/feedback volts per metre.
+    """`kind = "capacitive"`: a charge amplifier behind a pick-off of two halves, of which only the capacitance and its
+    slope are known: 2·bias·gradient/feedback volts per metre.
 
     Noise is given as `noise_density` or as `snr`; with neither there is none.
     """
@@ -81,19 +98,27 @@ class Capacitive(_Amplified):
     make = ChargeAmplifier.from_gradient
     kind: Literal["capacitive"]
     gradient: Pair[Annotated[float, Field(gt=0.0), In("F/m")]]
+    """Change of each half's capacitance per displacement, dC/dx."""
     capacitance: Pair[Annotated[float, Field(gt=0.0), In("F")]]
+    """Capacitance of each half at rest; the mass may travel until it is gone."""
     capacitance_mismatch: Pair[Farad] = (0.0, 0.0)
+    """Difference of the two halves at rest, which makes an offset."""
 
 
 class Position(FileSection):
-    """`kind = "displacement"`: a pick-off of displacement without circuit, `scale` in V/m."""
+    """`kind = "displacement"`: a pick-off of displacement without circuit."""
 
     kind: Literal["displacement"]
     scale: Pair[Annotated[float, In("V/m")]]
+    """Output voltage per displacement."""
     offset: Pair[Volt] = (0.0, 0.0)
+    """Output voltage at rest."""
     noise_density: Pair[Density] = (0.0, 0.0)
+    """White noise at the output, one-sided density; zero is none."""
     adc: Converter | None = None
+    """Analogue-to-digital converter behind the output; left out, nothing is rounded or clipped."""
     flicker: Flickering | None = None
+    """Flicker (1/f) of the phase, as a delay that wanders; left out, none."""
 
     def build(self) -> AbstractReadout:
         """The read-out."""
@@ -101,13 +126,17 @@ class Position(FileSection):
 
 
 class Velocity(FileSection):
-    """`kind = "velocity"`: a pick-off of velocity, as the thesis' own observer needs; `scale` in V·s/m."""
+    """`kind = "velocity"`: a pick-off of velocity, as the thesis' own observer needs."""
 
     kind: Literal["velocity"]
     scale: Pair[Annotated[float, In("V*s/m")]]
+    """Output voltage per velocity."""
     offset: Pair[Volt] = (0.0, 0.0)
+    """Output voltage at rest."""
     noise_density: Pair[Density] = (0.0, 0.0)
+    """White noise at the output, one-sided density; zero is none."""
     adc: Converter | None = None
+    """Analogue-to-digital converter behind the output; left out, nothing is rounded or clipped."""
 
     def build(self) -> AbstractReadout:
         """The read-out."""
@@ -119,7 +148,9 @@ class FittedReadout(FileSection):
 
     kind: Literal["fitted"]
     noise_density: Pair[Density] = (0.0, 0.0)
+    """White noise at the output, one-sided density; zero is none."""
     adc: Converter | None = None
+    """Analogue-to-digital converter behind the output; left out, nothing is rounded or clipped."""
 
     def build(self, model: Model | None) -> AbstractReadout:
         """The read-out; raises `InputError` without a fitted device."""

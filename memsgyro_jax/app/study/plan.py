@@ -26,17 +26,20 @@ from .laws import Discretisation, Positive
 
 
 class Start(FileSection):
-    """Section `[loop]`: where the mass starts, how far it may travel, and how the plant is computed.
-
-    Left out, the travel is the read-out's, and the mass starts at 2 % of it along x. `block`, a power of two, is how
-    many samples are taken at a time (`ClosedLoop.in_blocks`); left out, one.
-    """
+    """Section `[loop]`: where the mass starts, how far it may travel, and how the plant is computed."""
 
     displacement: Pair[Metre] | None = None
+    """Displacement (x, y) at time zero. Left out, 2 % of `travel` along x; at rest under a classic controller, on its
+    reference motion under sliding mode."""
     velocity: Pair[Speed] = (0.0, 0.0)
+    """Velocity (x, y) at time zero."""
     travel: Annotated[float, Field(gt=0.0), In("m")] | None = None
+    """How far the mass may move: a die beyond it is lost. Left out, as far as the read-out follows."""
     discretisation: Discretisation = "exact"
+    """How the device is computed over a sample: exactly, or by the thesis' forward Euler."""
     block: Annotated[Whole, Field(ge=2)] | None = None
+    """Number of samples, a power of two, by which a linear loop is advanced at once (`ClosedLoop.in_blocks`); left out,
+    sample by sample."""
 
 
 def _with_unit(given: Any) -> str:
@@ -45,16 +48,19 @@ def _with_unit(given: Any) -> str:
     return f"{number!r} {unit}".strip()
 
 
-Quantity = Annotated[str, BeforeValidator(_with_unit), Also(quantity=True)]
+Quantity = Annotated[str, BeforeValidator(_with_unit), Also(quantity="")]
 
 
 class Bell(FileSection):
-    """`{ kind = "normal", relative = "10 %" }` or `std` in the parameter's unit, cut at `cut` standard deviations."""
+    """`{ kind = "normal", relative = "10 %" }` or with `std`: a normal distribution about the design value."""
 
     kind: Literal["normal"]
     relative: Share = 0.0
+    """Standard deviation (1σ) as a share of the design value."""
     std: Quantity | None = None
+    """Standard deviation (1σ) in the unit of the number that varies; beside `relative`, added as squares."""
     cut: Positive = 4.0
+    """Number of standard deviations at which the distribution ends."""
 
     def build(self, unit: str | None) -> AbstractDistribution:
         """The distribution of a parameter measured in `unit`."""
@@ -62,12 +68,15 @@ class Bell(FileSection):
 
 
 class Box(FileSection):
-    """`{ kind = "uniform", relative = "10 %" }`, the half width, or `low` and `high` in the parameter's unit."""
+    """`{ kind = "uniform", relative = "10 %" }` or with `low` and `high`: a uniform distribution."""
 
     kind: Literal["uniform"]
     relative: Share | None = None
+    """Half width as a share of the design value; instead of `low` and `high`."""
     low: Quantity | None = None
+    """Least value, in the unit of the number that varies."""
     high: Quantity | None = None
+    """Largest value, in the unit of the number that varies."""
 
     def build(self, unit: str | None) -> AbstractDistribution:
         """The distribution of a parameter measured in `unit`."""
@@ -89,20 +98,20 @@ def within(given: str, unit: str | None, name: str) -> float:
 
 
 class SpreadSection(FileSection):
-    """Section `[spread]`: what differs from die to die.
-
-    `relative` holds for every physical parameter of the device (correlated by `shared` within stiffnesses, dampings and
-    masses; a coupling varies by it of itself or of 1 % of the main coefficients, whichever is more), `parameters` names
-    single ones (`"device.kxx"`, `"device.quadrature"`, `"device.frequency.1"`, `"readout.opamp_offset.0"`), which then
-    follow their own law, as does the coefficient that a quadrature or frequency stands for. `correlation` is over
-    `parameters` in their order and needs `relative = 0`.
-    """
+    """Section `[spread]`: what differs from die to die."""
 
     relative: Share = 0.0
+    """Standard deviation (1σ) of every physical number of the device as a share of it; of a coupling, of itself or of 1
+    % of the main coefficients, whichever is more. Zero leaves all but `parameters` at the design."""
     shared: Annotated[float, Field(ge=0.0, lt=1.0), In("1")] = 0.0
+    """Correlation, from 0 to below 1, of what `relative` spreads within stiffnesses, within dampings, within masses."""
     quasi: bool = True
+    """Whether dies follow a scrambled Sobol sequence, by which percentiles converge faster, or are pseudo-random."""
     parameters: dict[str, Annotated[Bell | Box, Field(discriminator="kind")]] = Field(default_factory=dict)
+    """Single numbers that follow their own law, by name: "device.kxx", "device.quadrature", "device.frequency.1",
+    "readout.opamp_offset.0". A quadrature or frequency takes the place of the coefficient that it stands for."""
     correlation: tuple[tuple[float, ...], ...] | None = None
+    """Correlation matrix over `parameters` in their order, with `relative = 0`; left out, they are independent."""
 
     def build(self, unit_of: Any) -> Spread:
         """The spread; `unit_of` gives the unit of a path. Raises `ValueError` for a unit of another kind."""
@@ -124,18 +133,20 @@ class SpreadSection(FileSection):
 
 
 class SweepSection(FileSection):
-    """Section `[sweep]`: how many dies, how long and how finely.
-
-    Left out, the higher mode is sampled 26.6 times per period, for 10 000 samples of that rate.
-    Statistics over time start at `settle` (half the duration when left out). A die yields when its rate error at the
-    end is within `tolerance`, and has converged when it stays there. `chunk` is the number of dies per device and
-    batch.
-    """
+    """Section `[sweep]`: how many dies, how long and how finely."""
 
     dies: Annotated[Whole, Field(ge=1)] = 256
+    """Number of dies."""
     sample_rate: Hertz | None = None
+    """Sample rate of the loop; left out, 26.6 samples in a period of the higher mode."""
     duration: Duration | None = None
+    """Simulated time of a run; left out, 10 000 samples of the sample rate that is usual for the device."""
     settle: Annotated[float, Field(ge=0.0), In("s")] | None = None
+    """Time from which statistics over time count; left out, half the duration."""
     tolerance: Annotated[Rate, Field(gt=0.0)] = float(np.radians(20.0))
+    """Rate error within which a die yields at the end of its run, and has converged once it stays there; left out,
+    20 °/s."""
     seed: Seed = 0
+    """Number of the lot: a die is defined by it and by its own number, whatever else is asked for."""
     chunk: Annotated[Whole, Field(ge=1)] | None = None
+    """Number of dies in a batch on one processor or card; changes no result. Left out, as suits the machine."""

@@ -20,6 +20,7 @@ from memsgyro_jax.base.quantity import (
     Second,
     Volt,
     Whole,
+    unit_of,
 )
 from memsgyro_jax.loop.scenario import AbstractProfile, Chirp, Constant, Ramp, RandomWalk, Scenario, Sine, Step
 
@@ -32,83 +33,109 @@ Slope = TypeVar("Slope")
 Growth = TypeVar("Growth")
 
 
-class Steady(FileSection, Generic[Value]):
+class OverTime(FileSection):
+    """A profile over time, called by its kind and the unit of its values: `Jump[rad/s]`."""
+
+    @classmethod
+    def model_parametrized_name(cls, params: tuple[Any, ...]) -> str:
+        """The name of the class for one kind of values."""
+        return f"{cls.__name__}[{unit_of(params[0])}]"
+
+
+class Steady(OverTime, Generic[Value]):
     """`{ kind = "constant", level }`, or the level alone."""
 
     kind: Literal["constant"]
     level: Value
+    """The value at all times."""
 
     def build(self) -> AbstractProfile:
         """The profile."""
         return Constant(self.level)
 
 
-class Jump(FileSection, Generic[Value]):
-    """`{ kind = "step", at, after, before }`; `before` is zero when left out."""
+class Jump(OverTime, Generic[Value]):
+    """`{ kind = "step", at, after, before }`: a step."""
 
     kind: Literal["step"]
     at: Second
+    """Time of the step."""
     after: Value
+    """Value from then on."""
     before: Value | None = None
+    """Value until then; left out, zero."""
 
     def build(self) -> AbstractProfile:
         """The profile."""
         return Step(self.at, self.after, self.before or 0.0)
 
 
-class Slide(FileSection, Generic[Value, Slope]):
-    """`{ kind = "ramp", at, slope, start }`; `at` and `start` are zero when left out."""
+class Slide(OverTime, Generic[Value, Slope]):
+    """`{ kind = "ramp", at, slope, start }`: a ramp without an end."""
 
     kind: Literal["ramp"]
     at: Second = 0.0
+    """Time at which the ramp begins."""
     slope: Slope
+    """Change per second from then on."""
     start: Value | None = None
+    """Value until then; left out, zero."""
 
     def build(self) -> AbstractProfile:
         """The profile."""
         return Ramp(self.at, self.slope, self.start or 0.0)
 
 
-class Wave(FileSection, Generic[Value]):
-    """`{ kind = "sine", amplitude, frequency, phase }`."""
+class Wave(OverTime, Generic[Value]):
+    """`{ kind = "sine", amplitude, frequency, phase }`: a sine."""
 
     kind: Literal["sine"]
     amplitude: Value
+    """Amplitude (peak)."""
     frequency: Hertz
+    """Frequency."""
     phase: Radian = 0.0
+    """Phase of the sine at time zero."""
 
     def build(self) -> AbstractProfile:
         """The profile."""
         return Sine(self.amplitude, self.frequency, self.phase)
 
 
-class Swept(FileSection, Generic[Value]):
-    """`{ kind = "chirp", amplitude, low, high, duration }`."""
+class Swept(OverTime, Generic[Value]):
+    """`{ kind = "chirp", amplitude, low, high, duration }`: a sine whose frequency rises linearly."""
 
     kind: Literal["chirp"]
     amplitude: Value
+    """Amplitude (peak)."""
     low: Annotated[float, Field(ge=0.0), In("Hz")]
+    """Frequency at time zero."""
     high: Hertz
+    """Frequency at the end of the rise, and from then on."""
     duration: Duration
+    """Time of the rise."""
 
     def build(self) -> AbstractProfile:
         """The profile."""
         return Chirp(self.amplitude, self.low, self.high, self.duration)
 
 
-class Wander(FileSection, Generic[Value, Growth]):
-    """`{ kind = "random_walk", intensity, duration, start, realisation, rows }`; variance grows by `intensity` per s.
-
-    A spread over `scenario.rate.realisation`, uniform from 0 to 1, gives each die a walk of its own, straight between
-    its `rows` points; more of them than samples only cost time.
-    """
+class Wander(OverTime, Generic[Value, Growth]):
+    """`{ kind = "random_walk", intensity, duration, start, realisation, rows }`: a random walk."""
 
     kind: Literal["random_walk"]
     intensity: Annotated[Growth, Field(ge=0.0)]
+    """What the variance grows by per second; of a rate, K² of the rate random walk (IEEE 952)."""
     duration: Duration
+    """Time of the walk, level afterwards."""
     start: Value | None = None
+    """Value at time zero; left out, zero."""
     realisation: Annotated[float, Field(ge=0.0, lt=1.0), In("1")] = 0.5
+    """Which walk out of all, from 0 to below 1. A spread over "scenario.rate.realisation", uniform from 0 to 1, gives
+    each die a walk of its own."""
     rows: Annotated[Whole, Field(ge=2)] = RandomWalk.rows
+    """Number of points between which the walk is straight: with fewer than samples it is smoother than a walk, more
+    only cost time."""
 
     def build(self) -> AbstractProfile:
         """The profile."""
@@ -116,10 +143,12 @@ class Wander(FileSection, Generic[Value, Growth]):
 
 
 class Record(FileSection):
-    """`{ kind = "record", file }`: a recorded rate; the file name starts at the folder of the study file."""
+    """`{ kind = "record", file }`: a recorded rate."""
 
     kind: Literal["record"]
     file: RelativePath
+    """A CSV file with the columns `t [s]` and `rate [deg/s]`, of a temperature `T [degC]`, in any units, by its name
+    from the folder of the study file."""
 
     @classmethod
     def content(cls, file: Path) -> AbstractProfile:
@@ -138,7 +167,7 @@ class Record(FileSection):
 
 
 class WarmthRecord(Record):
-    """`{ kind = "record", file }`: a recorded temperature; the file name starts at the folder of the study file."""
+    """`{ kind = "record", file }`: a recorded temperature."""
 
     @classmethod
     def content(cls, file: Path) -> AbstractProfile:
@@ -177,57 +206,79 @@ _Shake = (
     Steady[Acceleration] | Jump[Acceleration] | Slide[Acceleration, _Jerk] | Wave[Acceleration] | Swept[Acceleration]
 )
 
+
+def _or(level: Any) -> Also:
+    """A profile, or a level, alone."""
+    return Also(one=True, quantity=unit_of(level))
+
+
 _ByKind, _Spelled = Field(discriminator="kind"), BeforeValidator(_spelled_out)
-_Else = Also(one=True, quantity=True)
-MainRate = Annotated[tuple[Annotated[_Turn | Record, _ByKind], ...], _Spelled, _Else]
-CrossRate = Annotated[tuple[Annotated[_Turn, _ByKind], ...], _Spelled, _Else]
-Drift = Annotated[tuple[Annotated[_Drift, _ByKind], ...], _Spelled, _Else]
-Warmth = Annotated[tuple[Annotated[_Warmth | WarmthRecord, _ByKind], ...], _Spelled, _Else]
-Change = Annotated[tuple[Annotated[_Change, _ByKind], ...], _Spelled, _Else]
-Shaking = Annotated[tuple[Annotated[_Shake, _ByKind], ...], _Spelled, _Else]
+MainRate = Annotated[tuple[Annotated[_Turn | Record, _ByKind], ...], _Spelled, _or(Rate)]
+CrossRate = Annotated[tuple[Annotated[_Turn, _ByKind], ...], _Spelled, _or(Rate)]
+Drift = Annotated[tuple[Annotated[_Drift, _ByKind], ...], _Spelled, _or(Volt)]
+Warmth = Annotated[tuple[Annotated[_Warmth | WarmthRecord, _ByKind], ...], _Spelled, _or(Kelvin)]
+Change = Annotated[tuple[Annotated[_Change, _ByKind], ...], _Spelled, _or(Pure)]
+Shaking = Annotated[tuple[Annotated[_Shake, _ByKind], ...], _Spelled, _or(Acceleration)]
 
 
 class Offsets(FileSection):
     """Change of the read-out offsets of x and y."""
 
     x: Drift = ()
+    """What is added to the output voltage of the x channel."""
     y: Drift = ()
+    """What is added to the output voltage of the y channel."""
 
 
 class DampingChange(FileSection):
-    """Relative change of the damping coefficients."""
+    """Relative change of each damping coefficient."""
 
     dxx: Change = ()
+    """Relative change of dxx: 0.1 is a tenth more."""
     dyy: Change = ()
+    """Relative change of dyy."""
     dxy: Change = ()
+    """Relative change of the cross damping, dxy and dyx; two masses have none."""
 
 
 class CrossRates(FileSection):
     """Rates about x and y; they act on devices with `rotating_frame = true`."""
 
     x: CrossRate = ()
+    """Rate about the x axis."""
     y: CrossRate = ()
+    """Rate about the y axis."""
 
 
 class Shake(FileSection):
     """Acceleration of the frame along x and y; it acts on devices with `rotating_frame = true`."""
 
     x: Shaking = ()
+    """Acceleration of the frame along x."""
     y: Shaking = ()
+    """Acceleration of the frame along y."""
 
 
 class Surroundings(FileSection):
-    """Section `[scenario]`; what is left out is zero, and temperature and bias voltage those at which the numbers of
-    the device hold. Several profiles in a list add.
+    """Section `[scenario]`: what varies during a run. Each is a level, a profile, or a list of profiles, which add;
+    what is left out is zero.
     """
 
     rate: MainRate = ()
+    """Input rate Ω about z, the input axis: what the gyro measures."""
     offset_drift: Offsets = Offsets()
+    """Change of the offsets of the read-out, x and y."""
     damping_change: DampingChange = DampingChange()
+    """Relative change of the damping coefficients."""
     cross_rate: CrossRates = CrossRates()
+    """Rates about the cross axes x and y, for a device with `rotating_frame = true`."""
     acceleration: Shake = Shake()
+    """Acceleration of the frame along x and y, for a device with `rotating_frame = true`."""
     temperature: Warmth = ()
+    """Temperature that the effects of the device and its Brownian force see. Left out, the effects see that at which
+    the numbers of the device hold, the force that of `[device]`."""
     bias_voltage: Drift = ()
+    """Bias voltage of the electrodes that the effects of the device see; left out, that at which its numbers hold."""
 
     def build(self) -> Scenario:
         """The scenario."""

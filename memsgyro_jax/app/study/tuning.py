@@ -12,12 +12,16 @@ from .plan import Quantity, within
 
 
 class FreeNumber(FileSection):
-    """`"filter.bandwidth"`, or `{ path = "filter.bandwidth", low = "5 Hz", high = "5 kHz" }`; a bound left out is the
-    default one."""
+    """`"filter.bandwidth"`, or `{ path = "filter.bandwidth", low = "5 Hz", high = "5 kHz" }`."""
 
     path: str
+    """Name of a number of the loop, "filter.bandwidth", or of several, "observer.noise_density"."""
     low: Quantity | None = None
+    """Least value that it may take, in its unit; left out, a thousandth of a positive number, or what suits it
+    better."""
     high: Quantity | None = None
+    """Largest value that it may take, in its unit; left out, a thousand times a positive number, or what suits it
+    better."""
 
     def build(self, unit: str | None) -> Tunable:
         """The number; raises `ValueError` for a bound in another unit."""
@@ -32,18 +36,20 @@ def _named(given: Any) -> Any:
 
 
 class Tune(FileSection):
-    """Section `[tune]`. Without `free`: the noises of a Kalman filter or the gains of a Lyapunov observer, and the
-    filter's frequencies.
-
-    `dies` train, `validation_dies` say when to stop, those of `[sweep]` are reported; a stage takes at most
-    `evaluations` gradients. `loss` is "stages" (likelihood of the innovations, then the error), or one for all.
-    """
+    """Section `[tune]`: what `memsgyro tune` may move, and what it makes small. The dies of `[sweep]` are reported."""
 
     free: tuple[Annotated[FreeNumber, BeforeValidator(_named), Also(text=True)], ...] | None = None
+    """Numbers of the loop that may move. Left out: the noises of a Kalman filter, or the gains of a Lyapunov observer
+    or of a controller that measures by itself, and the frequencies of the output filter."""
     loss: Literal["stages", "squared_rate_error", "innovation_likelihood"] = "stages"
+    """What is made small: "stages" for the likelihood of the innovations by the filter's own numbers and then the
+    squared rate error by the rest, or one of the two by all."""
     dies: Annotated[Whole, Field(ge=2)] = 128
+    """Number of dies whose gradients are followed (training)."""
     validation_dies: Annotated[Whole, Field(ge=1)] = 64
+    """Number of further dies that say when to stop and which step was best."""
     evaluations: Annotated[Whole, Field(ge=1)] = 40
+    """Number of gradients that a stage takes at most."""
 
     def chosen_loss(self, settle: float) -> AbstractLoss | None:
         """The loss from `settle` [s] on; None for the two stages."""

@@ -13,7 +13,7 @@ from memsgyro_jax.base.quantity import FileSection, Number
 from memsgyro_jax.base.toml import checked, read_toml
 
 from ..experiments import KINDS, AbstractRecord
-from ..section import Amount, Calibrated, ExperimentSection, Name, Quantity
+from ..section import Calibrated, ExperimentSection, Name, Quantity, Temperature, Voltage
 
 
 SCHEMA = "memsgyro-case/1"
@@ -26,48 +26,73 @@ class DesignEntry(FileSection):
     """
 
     unit: str | None = None
+    """Unit of `value`, `low` and `high`."""
     unknown: bool = False
+    """Whether the number is left to the records, as one that is left out is."""
     value: Number | None = None
+    """What the maker meant, in `unit`."""
     tolerance: Number | None = Field(default=None, ge=0.0, lt=1.0)
+    """Half width of the interval in which the die lies, as a share of `value`."""
     low: Number | None = None
+    """Lower end of that interval, in `unit`."""
     high: Number | None = None
+    """Upper end of that interval, in `unit`."""
 
 
 class ReadoutEntry(FileSection):
     """Section `[readout]`."""
 
     quantity: Literal["displacement", "velocity", "acceleration"] = "displacement"
+    """What the read-out shows."""
     scale: Calibrated | None = None
+    """Reading per displacement, velocity or acceleration, in a unit like V/m, and how well it is known; left out, the
+    readings are taken for that quantity itself."""
     adc_range: Quantity | None = None
+    """Largest reading of the converter, to either side, in a unit of the readings; left out, none is checked."""
 
 
 class DriveEntry(FileSection):
     """Section `[drive]`."""
 
     unit: str
+    """Unit of the drive in the records: "N", "V" or "A"."""
     scale: Calibrated | None = None
+    """Force per drive, in a unit like N/V, and how well it is known; left out, it is part of the gain that a fit
+    finds."""
 
 
 class EnvironmentEntry(FileSection):
     """Section `[environment]`."""
 
-    temperature: Quantity = Amount(25.0, "degC")
-    bias_voltage: Quantity = Amount(0.0, "V")
+    temperature: Temperature = Field(default="25 degC", validate_default=True)
+    """Temperature where a record has no column `T`."""
+    bias_voltage: Voltage = Field(default="0 V", validate_default=True)
+    """Bias voltage of the electrodes where a record has no column `V_bias`."""
 
 
 class CaseFile(FileSection):
     """All sections; those of the experiments as far as every kind has them."""
 
     format: Literal["memsgyro-case/1"] = Field(alias="schema")
+    """What the file is, for later versions."""
     name: Name
+    """Name of the case."""
     description: str = ""
+    """Free text."""
     device: Literal["single_mass", "resonator"]
+    """A mass with two axes, or a resonator with one."""
     design: dict[str, DesignEntry] = Field(default_factory=dict)
+    """What the maker meant, by name ("mass", "kxx", "quality_factor"); what is left out is found from the records."""
     readout: ReadoutEntry = ReadoutEntry()
+    """What the readings are of."""
     drive: DriveEntry | None = None
+    """What drives the device, where files do not tell: left out, a force on two axes, volts on a resonator."""
     environment: EnvironmentEntry = EnvironmentEntry()
+    """What holds where records do not say otherwise."""
     conventions: dict[str, str] = Field(default_factory=dict)
+    """Free text by topic."""
     experiment: tuple[ExperimentSection, ...] = Field(min_length=1)
+    """The records, each a table `[[experiment]]`."""
 
 
 def read_file(path: Path, kinds: Sequence[type[AbstractRecord]]) -> tuple[CaseFile, Source]:
@@ -88,7 +113,8 @@ def _with_kinds(kinds: tuple[type[AbstractRecord], ...]) -> type[CaseFile]:
     """All sections, each experiment with the keys of its kind."""
     tagged = [create_model(k.__name__, __base__=k.section, kind=(Literal[k.kind], ...)) for k in kinds]
     section: Any = Annotated[Union[tuple(tagged)], Field(discriminator="kind")]  # noqa: UP007
-    return create_model("CaseFile", __base__=CaseFile, experiment=(tuple[section, ...], Field(min_length=1)))
+    records = Field(min_length=1, description=CaseFile.model_fields["experiment"].description)
+    return create_model("CaseFile", __base__=CaseFile, experiment=(tuple[section, ...], records))
 
 
 def _refuse_twins(file: CaseFile, source: Source) -> None:

@@ -15,7 +15,7 @@ from ..clock import check_period, usual_period
 from ..columns import phasor_columns
 from ..declared import Declared, si
 from ..noise import noise_beside_tone
-from ..section import ExperimentSection, Quantity
+from ..section import ExperimentSection, Frequency, Seconds
 from ..tracking import Track, tracked
 from .base import CartesianNoise, Readings, RealNoise, surroundings
 from .checks import check_sampling
@@ -33,12 +33,16 @@ GAP = 0.25  # of a piece without a row, over which none reaches
 
 
 class FreeDecaySection(ExperimentSection):
-    """Free decay; `uneven` where its stamps are right though they follow no clock of one period, or rows are lost."""
+    """`kind = "free_decay"`: a vibration left alone, however it began."""
 
-    begin: Quantity | None = Field(default=None, alias="from")
-    end: Quantity | None = Field(default=None, alias="to")
-    reference_frequency: Quantity | None = None
+    begin: Seconds | None = Field(default=None, alias="from")
+    """Time in the file from which rows count; left out, the first."""
+    end: Seconds | None = Field(default=None, alias="to")
+    """Time in the file until which rows count; left out, the last."""
+    reference_frequency: Frequency | None = None
+    """Frequency of the lock-in's reference, whose phasors the rows are; left out, they are waveforms."""
     uneven: StrictBool = False
+    """Whether its stamps are right though they follow no clock of one period, or rows are lost."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -15,7 +15,7 @@ from memsgyro_jax.base.text import spoken
 from ..columns import amplitude_columns, phasor_columns
 from ..declared import Declared, design_device
 from ..noise import freedom_over_frequency, jitter_noise, noise_over_frequency
-from ..section import Axis, ExperimentSection, Quantity
+from ..section import DrivenSection, ExperimentSection, Quantity
 from .base import Phasors, Readings
 from .checks import exchanged, near_resonance
 from .deviation import Deviation, Known, Overlay, Series, Variable, View, around_modes, by_setting, in_phase
@@ -36,12 +36,14 @@ _CLEAR = 20.0  # standard deviations from which a sweep shows its resonance clea
 _SCATTER = 0.02  # of the drive that is a reading of one setting, and not another
 
 
-class FrequencySweepSection(ExperimentSection):
-    """Frequency sweep; the drive level stands here or in a column `F_x` or `F_y`."""
+class FrequencySweepSection(DrivenSection):
+    """`kind = "frequency_sweep"`: settled lock-in phasors over the drive's frequency, of one or more sweeps."""
 
     settled: StrictBool = True
-    drive_axis: Axis | None = None
+    """Whether transients had died away; if not, with a column `t`, each row begins where the one before ended."""
     drive_force: Quantity | None = None
+    """Amplitude (peak) of the drive, a force, or in the unit that `[drive]` has for it; left out where a column has it,
+    or where it is part of a resonator's gain."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -22,7 +22,7 @@ from ..envelope import HARMONICS, SAMPLES, Course, Driven
 from ..first_order import Contribution, Inquiry, Periods
 from ..lock_in import through_lock_in
 from ..model import Model
-from ..section import Axis, ExperimentSection, Quantity
+from ..section import ExperimentSection, ToneSection
 from ..steady import FINENESS, as_seen, fundamental, reading_samples, steady_state
 from .base import BEYOND, CartesianNoise, Experiment, Noise, Phasors, Readings, surroundings
 from .clocked import ClockedRecord
@@ -138,15 +138,15 @@ class RateTable(Experiment):
         return eqx.tree_at(where, self, (jnp.asarray(rate), jnp.asarray(slope)))
 
 
-class RateTableSection(ExperimentSection):
-    """Rate table; `uneven` where blocks are lost, or stamps jitter about those of their blocks."""
+class RateTableSection(ToneSection):
+    """`kind = "rate_table"`: lock-in phasors over time on a rate table, open loop, settled before t = 0."""
 
-    drive_axis: Axis | None = None
-    drive_force: Quantity
-    drive_frequency: Quantity
     lock_in_cycles: Annotated[Whole, Field(gt=0, le=10**9)]
+    """Number of drive cycles over which each row averages."""
     rate_reference: Literal["table", "calibrated"] = "table"
+    """Whether the column `rate` is the setting of the table, or that of a calibrated reference."""
     uneven: StrictBool = False
+    """Whether blocks of the lock-in are lost, or stamps jitter about those of their blocks."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -20,7 +20,7 @@ from ..declared import Declared
 from ..envelope import Driven
 from ..model import Model
 from ..noise import noise_beside_tone
-from ..section import Axis, ExperimentSection, Quantity
+from ..section import ExperimentSection, Seconds, ToneSection
 from ..tracking import Track
 from .base import BEYOND, Experiment, Noise, RealNoise, surroundings
 from .checks import check_sampling, exchanged
@@ -96,14 +96,13 @@ class RingDown(Experiment):
         return f"at {float(self.time[row]):.4g} s"
 
 
-class RingDownSection(ExperimentSection):
-    """Ring-down; `uneven` where its stamps are right though they follow no clock of one period, or rows are lost."""
+class RingDownSection(ToneSection):
+    """`kind = "ring_down"`: driven from rest for a while, then left alone from t = 0 on."""
 
-    drive_axis: Axis | None = None
-    drive_force: Quantity
-    drive_frequency: Quantity
-    drive_duration: Quantity
+    drive_duration: Seconds
+    """Time for which the drive acted before t = 0; the whole number of its cycles nearest below counts."""
     uneven: StrictBool = False
+    """Whether its stamps are right though they follow no clock of one period, or rows are lost."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -115,10 +115,12 @@ class RawCapture(Experiment):
 
 
 class TimeSection(ExperimentSection):
-    """Raw signals under held forces."""
+    """`kind = "time_record"`: waveforms under known forces, sample by sample."""
 
     hold: Hold
+    """How the force runs between rows: held from each to the next, on straight lines, or as a band-limited signal."""
     start: Literal["rest", "unknown"]
+    """Motion at the first row: at rest, or unknown, so that rows are left out until it has died away."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
