@@ -10,12 +10,14 @@ from pathlib import Path
 import pytest
 
 import memsgyro_jax as mg
+from memsgyro_jax.app.commands.schema import schema_of
 
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "docs/hooks"))
 
 import blocks  # noqa: E402
+import file_keys  # noqa: E402
 import generated  # noqa: E402
 import links  # noqa: E402
 import notebook  # noqa: E402
@@ -85,6 +87,30 @@ def test_the_catalogue_holds_every_effect_and_every_public_member():
     finals = ("ExtendedKalmanFilter", "LyapunovObserver", "EnergyControl", "LayoutGyro", "FreeDecayRecord", "Tdms")
     assert all(name in page for name in (*finals, "Chirp", "WorstDies", "ForceRebalance", "CarrierReadout"))
     assert not re.search(r"^\| [^|]*Abstract", page, re.MULTILINE)
+
+
+@pytest.mark.parametrize("kind", ["study", "case"])
+def test_the_pages_of_keys_hold_every_key_and_lead_to_every_part(kind):
+    schema, page = schema_of(kind), file_keys.pages()[f"{kind}_keys.md"]
+    for part in (schema, *schema["$defs"].values()):
+        for key, entry in part.get("properties", {}).items():
+            if key == "kind":
+                assert f'`kind = "{entry["const"]}"' in page or f'{{ kind = "{entry["const"]}"' in page
+            else:
+                assert re.search(rf"^\| (\[?)`{key}`", page, re.MULTILINE), key
+    places = re.findall(r"\{ #(\w+) \}$", page, re.MULTILINE)
+    assert len(places) == len({*places})
+    assert {*re.findall(r"\(#(\w+)\)", page)} <= {*places}
+    assert f" {kind}_keys.md\n" in (ROOT / "mkdocs.yml").read_text()
+
+
+def test_a_row_of_the_page_of_keys_tells_unit_default_and_meaning():
+    page = file_keys.pages()["study_keys.md"]
+    assert "| `kxx` | N/m | required | Stiffness along x. |" in page
+    assert "| `settling` | 1/s | `1000 1/s` | How fast any other motion dies away" in page
+    assert "| `x` | rad/s |  | Rate about the x axis. Kinds: [`constant`](#steady), " in page
+    assert "| `after` | rad/s, V, 1, m/s^2, K | required | Value from then on. |" in page, "profiles of all units"
+    assert page.count("### `adc = ") == 1
 
 
 def test_every_row_and_study_stands_on_the_page_of_studies():

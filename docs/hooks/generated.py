@@ -75,13 +75,13 @@ def catalogue_page() -> str:
         kind = type(group[0]).__name__
         where = ", ".join(effect.where for effect in group if effect.where)
         cells = (f"[`{name}`][memsgyro_jax.effects.{kind}]", group[0].unit, where, law, group[0].reference)
-        lines.append(_row(cells))
+        lines.append(table_row(cells))
     for path, what in PORTS:
         module, _, name = f"memsgyro_jax.{path}".rpartition(".")
         port = getattr(importlib.import_module(module), name)
         lines += ["", f"## {what[0].upper()}{what[1:]}", "", f"Subclasses of {_link(port)}: {_first(port)}", ""]
         lines += ["| member | is |", "|---|---|"]
-        lines += [_row((_link(kind), _first(kind))) for kind in _members(port)]
+        lines += [table_row((_link(kind), _first(kind))) for kind in _members(port)]
     return "\n".join([*lines, "", *_design_keys()]) + "\n"
 
 
@@ -96,7 +96,7 @@ def _design_keys() -> list[str]:
         for key, unit in words.design.items():
             si = "m/N once read-out and drive are calibrated, else readings per drive" if key == "static_gain" else unit
             instead = f"`{other[key].key}` [{other[key].unit}]" if key in other else ""
-            lines.append(_row((f"`{device}`", f"`{key}`", si, instead)))
+            lines.append(table_row((f"`{device}`", f"`{key}`", si, instead)))
     return lines
 
 
@@ -199,9 +199,9 @@ def studies_page() -> str:
     lines += ["| row | system | where | studies |", "|---|---|---|---|"]
     for row, (where, what) in rows.items():
         answered = ", ".join(f"`{study.name}`" for study in studies if row in study.answers)
-        lines.append(_row((row, what, where, answered or "none yet")))
+        lines.append(table_row((row, what, where, answered or "none yet")))
     lines += ["", "## All studies", "", "| study | question |", "|---|---|"]
-    lines += [_row((f"`{study.name}`", study.question)) for study in studies]
+    lines += [table_row((f"`{study.name}`", study.question)) for study in studies]
     return "\n".join(lines) + "\n"
 
 
@@ -262,7 +262,7 @@ def rooms_table() -> str:
     """The rooms, each with what it holds and the way to its public names."""
     public = by_room()
     names = ((f"[`{room}`](api/{room}.md)" if room in public else f"`{room}`", what) for room, what in ROOMS.items())
-    return "\n".join(_row(cells) for cells in names)
+    return "\n".join(table_row(cells) for cells in names)
 
 
 PLACES = {"rooms": rooms_picture, "rooms table": rooms_table}  # comment in a page, what stands in its place
@@ -299,5 +299,6 @@ def _first(kind: type) -> str:
     return re.split(r"(?<=\.) ", text)[0]
 
 
-def _row(cells) -> str:
+def table_row(cells) -> str:
+    """A row of a table."""
     return "| " + " | ".join(str(cell).replace("|", "\\|").replace("*", "\\*") for cell in cells) + " |"

@@ -5,6 +5,7 @@ import time
 from pathlib import Path
 
 import blocks
+import file_keys
 import generated
 import links
 from mkdocs.exceptions import PluginError
@@ -42,7 +43,7 @@ def on_files(files, config):
             files.append(File.generated(config, path, content=text))
         log.info("%s: %.1f s of processor", file.src_uri, time.process_time() - began)
     figures = [(path, text, uri) for uri, page in _EXECUTED.items() for path, text in page.figures]
-    for path, text in generated.everything(figures).items():
+    for path, text in {**generated.everything(figures), **file_keys.pages()}.items():
         files.append(File.generated(config, path, content=text))
     return files
 

@@ -80,7 +80,8 @@ def quantity_schema(unit: str = "", **more: dict[str, Any]) -> dict[str, Any]:
         "unit": {"type": "string", "description": "Its unit."},
     }
     table = {"type": "object", "properties": pair | more, "required": [*pair], "additionalProperties": False}
-    text = {"type": "string", "pattern": rf"^\s*{NUMBER}", "description": f"a number and a unit like {unit or 'V'}"}
+    told = f"a number and a unit like {unit}" if unit else "a number and its unit"
+    text = {"type": "string", "pattern": rf"^\s*{NUMBER}", "description": told}
     return {"anyOf": [text, table, *([{"type": "number"}] if unit == "1" else [])], "x-unit": unit}
 
 

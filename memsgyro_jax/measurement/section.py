@@ -76,7 +76,8 @@ class ExperimentSection(FileSection):
     file: Name
     """The CSV file, below the folder of the case, one for each record."""
     role: Literal["fit", "validation"] | None = None
-    """Whether all of it may be fitted, or none of it, so that it judges; left out, as is usual for its kind."""
+    """What it is for: "fit" lets a fit see all of it, "validation" none of it, so that it judges; left out, its kind
+    decides which rows are fitted and which judge."""
     note: str = ""
     """Free text."""
     noise_std: Quantity | None = None

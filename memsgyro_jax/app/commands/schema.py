@@ -37,12 +37,16 @@ def schema_of(kind: Kind) -> dict[str, Any]:
         from .answer import DiagnosisAnswer
 
         made = TypeAdapter(DiagnosisAnswer).json_schema()
+    head = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
+    return {**head, **for_editors(made), "title": f"memsgyro {kind}"}
+
+
+def for_editors(made: dict[str, Any]) -> dict[str, Any]:
+    """The schema that pydantic made, as an editor shows it best."""
     parts = made.get("$defs", {})
     for part in (made, *parts.values()):
         _describe(part)
-    names = {name: re.sub(r"\W+", "_", part["title"]).strip("_") for name, part in parts.items()}
-    made = _for_editors(made, names)
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **made, "title": f"memsgyro {kind}"}
+    return _called(made, {name: re.sub(r"\W+", "_", part["title"]).strip("_") for name, part in parts.items()})
 
 
 def _describe(section: dict[str, Any]) -> None:
@@ -74,12 +78,12 @@ def _with_unit(number: Any, unit: str) -> Any:
     return number if isinstance(number, str) else f"{number!r} {unit}"
 
 
-def _for_editors(part: Any, names: dict[str, str]) -> Any:
+def _called(part: Any, names: dict[str, str]) -> Any:
     """The schema without discriminators, which a device given by its modes has not, and its parts by other `names`:
     those that pydantic gives to profiles tell all that they are made of.
     """
     if isinstance(part, list):
-        return [_for_editors(entry, names) for entry in part]
+        return [_called(entry, names) for entry in part]
     if not isinstance(part, dict):
         return part
     out: dict[str, Any] = {}
@@ -88,7 +92,7 @@ def _for_editors(part: Any, names: dict[str, str]) -> Any:
             head, _, name = entry.rpartition("/")
             out[key] = f"{head}/{names[name]}"
         elif key == "$defs":
-            out[key] = {names[name]: _for_editors(inner, names) for name, inner in entry.items()}
+            out[key] = {names[name]: _called(inner, names) for name, inner in entry.items()}
         elif key != "discriminator" or not isinstance(entry, dict):
-            out["anyOf" if key == "oneOf" else key] = _for_editors(entry, names)
+            out["anyOf" if key == "oneOf" else key] = _called(entry, names)
     return out

@@ -53,21 +53,21 @@ class Oscillation(FileSection):
 
 
 class Added(Oscillation):
-    """An auxiliary acceleration `{ frequency, amplitude, phase, axis }`."""
+    """`tones = [{ frequency, amplitude, phase, axis }]` that are accelerations: auxiliary signals."""
 
     amplitude: Acceleration
     """Amplitude (peak) of the acceleration."""
 
 
 class Force(Oscillation):
-    """A drive force `{ frequency, amplitude, phase, axis }`."""
+    """`tones = [{ frequency, amplitude, phase, axis }]` that are forces: those of the drive."""
 
     amplitude: Newton
     """Amplitude (peak) of the force."""
 
 
 class Swing(Oscillation):
-    """A part of a motion `{ frequency, amplitude, phase, axis }`."""
+    """`tones = [{ frequency, amplitude, phase, axis }]` that are displacements: parts of a motion."""
 
     amplitude: Metre
     """Amplitude (peak) of the displacement."""

@@ -54,7 +54,7 @@ class StudyFile(FileSection):
 
     model_config = ConfigDict(validate_by_name=True, validate_by_alias=True)
     format: Literal["memsgyro-study/1"] = Field(default=SCHEMA, alias="schema")
-    """What the file is, for later versions."""
+    """Format of the file, and its version."""
     device: Device = Field(default_factory=thesis_device)
     """The gyro; left out, that of thesis Table 5.1."""
     process: ProcessSection | None = None

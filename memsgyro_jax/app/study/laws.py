@@ -171,7 +171,7 @@ class Kalman(KalmanSettings):
 
 class BlockKalman(KalmanSettings):
     """`kind = "block_ekf"`: the filter that takes a block of samples at a time, by their projections on the modes and
-    the tones.
+    the tones. It can neither fade nor iterate, nor know curves of the pick-off or the device's Brownian force.
     """
 
     kind: Literal["block_ekf"]
@@ -284,7 +284,7 @@ class Lyapunov(LyapunovGains):
 
 
 class EnergyLevel(FileSection):
-    """`energy = { frequency, amplitude, gain }`: the energy that the observer expects, thesis (4.21)."""
+    """`energy = { frequency, amplitude, gain }` of an observer: the energy that it expects, thesis (4.21)."""
 
     frequency: tuple[Hertz, Hertz]
     """Frequencies (x, y) at which the axes swing under energy control, by which the energy is reckoned."""

@@ -43,7 +43,7 @@ class OverTime(FileSection):
 
 
 class Steady(OverTime, Generic[Value]):
-    """`{ kind = "constant", level }`, or the level alone."""
+    """`{ kind = "constant", level }`, or the level alone: a constant."""
 
     kind: Literal["constant"]
     level: Value

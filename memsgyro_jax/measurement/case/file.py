@@ -40,7 +40,7 @@ class DesignEntry(FileSection):
 
 
 class ReadoutEntry(FileSection):
-    """Section `[readout]`."""
+    """Section `[readout]`: what the readings are of."""
 
     quantity: Literal["displacement", "velocity", "acceleration"] = "displacement"
     """What the read-out shows."""
@@ -52,7 +52,7 @@ class ReadoutEntry(FileSection):
 
 
 class DriveEntry(FileSection):
-    """Section `[drive]`."""
+    """Section `[drive]`: what drives the device."""
 
     unit: str
     """Unit of the drive in the records: "N", "V" or "A"."""
@@ -62,7 +62,7 @@ class DriveEntry(FileSection):
 
 
 class EnvironmentEntry(FileSection):
-    """Section `[environment]`."""
+    """Section `[environment]`: what holds where records do not say otherwise."""
 
     temperature: Temperature = Field(default="25 degC", validate_default=True)
     """Temperature where a record has no column `T`."""
@@ -74,7 +74,7 @@ class CaseFile(FileSection):
     """All sections; those of the experiments as far as every kind has them."""
 
     format: Literal["memsgyro-case/1"] = Field(alias="schema")
-    """What the file is, for later versions."""
+    """Format of the file, and its version."""
     name: Name
     """Name of the case."""
     description: str = ""
@@ -86,7 +86,7 @@ class CaseFile(FileSection):
     readout: ReadoutEntry = ReadoutEntry()
     """What the readings are of."""
     drive: DriveEntry | None = None
-    """What drives the device, where files do not tell: left out, a force on two axes, volts on a resonator."""
+    """What drives the device; left out, what the units of the files say, else a force on two axes, volts on one."""
     environment: EnvironmentEntry = EnvironmentEntry()
     """What holds where records do not say otherwise."""
     conventions: dict[str, str] = Field(default_factory=dict)
