@@ -173,6 +173,8 @@ if TYPE_CHECKING:
     from .base.transforms import Free as Free
     from .device.resonator import Resonator as Resonator
     from .measurement.model import Model as Model
+    from .measurement.predicted_sweep import predict_sweep as predict_sweep
+    from .measurement.predicted_sweep import PredictedSweep as PredictedSweep
     from .measurement.allan import allan as allan
     from .measurement.allan_result import Allan as Allan
     from .measurement.allan_variance import allan_deviation as allan_deviation

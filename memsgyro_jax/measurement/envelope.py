@@ -86,18 +86,19 @@ class Driven(eqx.Module):
     """The model under a drive Re[F e^{iωt}], its state as slowly varying harmonics (HARMONICS + 1, n).
 
     The linear part is taken at the conditions `base`; what later conditions change is part of what is left out, and so
-    exact to second order in the step.
+    exact to second order in the step. `samples` are those of a cycle.
     """
 
     model: Model
     omega: Array
     force: Array
     linear: tuple[Array, Array]
+    samples: int = eqx.field(static=True, default=SAMPLES)
 
     @classmethod
-    def of(cls, model: Model, omega: Array, force: Array, base: Conditions) -> "Driven":
+    def of(cls, model: Model, omega: Array, force: Array, base: Conditions, samples: int = SAMPLES) -> "Driven":
         """At a drive frequency [rad/s] and complex force [N] per axis."""
-        return cls(model, omega, force + 0j, model.linear(base))
+        return cls(model, omega, force + 0j, model.linear(base), samples)
 
     @property
     def operator(self) -> Complex[Array, "h n n"]:
@@ -117,7 +118,7 @@ class Driven(eqx.Module):
     def rest(self, state: Complex[Array, "h n"], conditions: Conditions) -> Complex[Array, "h n"]:
         """What the linear part leaves out."""
         left = nonlinear_spectrum(
-            self.model, self.linear, state, self.force, conditions, samples=SAMPLES, harmonics=HARMONICS
+            self.model, self.linear, state, self.force, conditions, samples=self.samples, harmonics=HARMONICS
         )
         return jnp.zeros_like(state).at[:, np.asarray(self.model.nonlinear_rows)].set(left)
 
