@@ -3,10 +3,12 @@
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+import scipy.linalg
 from jaxtyping import Float
 from markupsafe import Markup, escape
 
 from memsgyro_jax.device.gyro import Inertial, mode_frequencies
+from memsgyro_jax.loop.trace_result import ORBIT
 
 
 if TYPE_CHECKING:
@@ -33,24 +35,34 @@ def orbit_of(trace: "Trace") -> Markup | str:
     frequency = np.ravel(mode_frequencies(trace.loop.device))
     if trace.lost_at is not None:
         return "The orbit is not shown: the die was lost."
-    path = trace.last_vibrations()[:, :2]
+    path, title = trace.last_vibrations()[:, :2], "orbit"
     kept = (len(trace.time) - 1) / max(float(trace.time[-1] - trace.time[0]), 1e-300)
-    if kept < _PER_PERIOD * frequency[-1]:
-        return (
-            f"The orbit is not shown: {kept:.4g} rows a second were kept, of which a vibration at {frequency[-1]:.4g} "
-            f"Hz needs {_PER_PERIOD * frequency[-1]:.4g}; a shorter run keeps all."
-        )
+    if kept < _PER_PERIOD * frequency[-1]:  # too few rows to see a vibration
+        kept, title = 4.0 * _PER_PERIOD * frequency[-1], "orbit, going on from the last row"
+        path = _going_on(trace, 1.0 / kept, int(ORBIT * kept / frequency[0]))
     largest = float(np.max(np.abs(path)))
     if not largest > 0.0:
         return "The orbit is not shown: the mass did not move."
     span = float(len(path) / kept) * frequency[0]
-    panels = [_Panel("orbit", path / largest, f"largest displacement {1e6 * largest:.4g} µm", _SLOW * span)]
+    panels = [_Panel(title, path / largest, f"largest displacement {1e6 * largest:.4g} µm", _SLOW * span)]
     phase = np.linspace(0.0, 2.0 * np.pi, 41)
     for number, shape in enumerate(mode_shapes(trace)):
         title = f"mode {number + 1}, {frequency[number]:.5g} Hz"
         turn = frequency[0] / frequency[number]
         panels.append(_Panel(title, np.outer(np.cos(phase), shape), f"{_angle(shape):.3g}° from x", _SLOW * turn))
     return picture(panels)
+
+
+def _going_on(trace: "Trace", step: float, count: int) -> Float[np.ndarray, "count 2"]:
+    """Where the mass would swing from the last row on in steps of `step` [s]: its linear part, without a force."""
+    dynamics, eye = trace.loop.device.dynamics(Inertial()), np.eye(2)
+    stiffness, velocity = (np.array([[float(c) for c in row] for row in part])
+                           for part in (dynamics.stiffness, dynamics.velocity))  # fmt: skip
+    onward = scipy.linalg.expm(step * np.block([[0.0 * eye, eye], [-stiffness, -velocity]]))
+    motion = [np.asarray(trace.motion[-1], float)]
+    for _ in range(count - 1):
+        motion.append(onward @ motion[-1])
+    return np.array(motion)[:, :2]
 
 
 def mode_shapes(trace: "Trace") -> Float[np.ndarray, "modes 2"]:

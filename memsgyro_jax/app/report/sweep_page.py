@@ -122,10 +122,11 @@ def with_settings(page: Page, study: "Study", made: "Settings | None", *unused: 
     computed it.
     """
     entries = settings(study.file.model_dump(by_alias=True, exclude_none=True))
-    page.table(["entry", "value"], [(name, value) for name, value in entries if not name.startswith(unused)])
+    page.table(["entry", "value"], [(name, value) for name, value in entries if not name.startswith(unused)],
+               stacked=True)  # fmt: skip
     if made is None:
         return page
-    return page.table(["made with", "version"], [*made.versions, ("fingerprint", made.fingerprint)])
+    return page.table(["made with", "version"], [*made.versions, ("fingerprint", made.fingerprint)], stacked=True)
 
 
 def settings(value: Any, name: str = "") -> Iterator[tuple[str, str]]:

@@ -163,9 +163,17 @@ def test_the_mass_and_its_modes_move(run, run_page):
     stiffness = [[float(k) for k in row] for row in run.loop.device.dynamics(Inertial()).stiffness]
     for shape, frequency in zip(mode_shapes(run), mg.mode_frequencies(run.loop.device), strict=True):
         np.testing.assert_allclose(stiffness @ shape, (2.0 * np.pi * frequency) ** 2 * shape, rtol=1e-6, atol=1.0)
-    few = replace(run, time=10.0 * run.time)
-    assert "The orbit is not shown: 5000 rows" in moving.orbit_of(few)
+    assert "going on" not in run_page
     assert "the die was lost" in moving.orbit_of(replace(run, intact_until=np.array(0.001)))
+
+
+def test_a_run_of_which_few_rows_were_kept_swings_on_from_the_last(run):
+    few, dynamics = replace(run, time=10.0 * run.time), run.loop.device.dynamics(Inertial())
+    assert "orbit, going on from the last row" in moving.orbit_of(few)
+    path = moving._going_on(few, 1e-5, 40)
+    np.testing.assert_array_equal(path[0], run.motion[-1, :2])
+    at = mg.Exact().advance(tuple(run.motion[-1]), (0.0, 0.0), dynamics.stiffness, dynamics.velocity, 1e-5)
+    np.testing.assert_allclose(path[1], at[:2], rtol=1e-9)
 
 
 def test_a_line_for_every_die_whose_worst_tenth_is_told_apart(lot):
