@@ -15,10 +15,10 @@ from memsgyro_jax.effects.base import Effect, ForceEffect
 from memsgyro_jax.effects.evaluation import moment
 from memsgyro_jax.effects.instrument import THROUGHOUT, ClockedTerm, FrequencyDrift
 from memsgyro_jax.measurement.calibration import unit_of_records
+from memsgyro_jax.measurement.experiments.missing_force import SweepForce
 from memsgyro_jax.measurement.model import Model
 
 from .fit import CaseFit
-from .residual_force import sweep_forces
 
 
 _PHASES = 64  # of a period, over which a force is averaged
@@ -70,7 +70,7 @@ def consequence(fit: CaseFit, effect: Effect) -> str:
     """A sentence on what an effect does to resonance and quality factor at the largest swing of the sweeps; empty where
     it is no force that follows the motion of one axis, or none was swept.
     """
-    if not isinstance(effect, ForceEffect) or effect.own_size or not (sweeps := sweep_forces(fit)):
+    if not isinstance(effect, ForceEffect) or effect.own_size or not (sweeps := _sweeps(fit)):
         return ""
     largest = max(sweeps, key=lambda sweep: float(np.max(sweep.amplitude)))
     device, axis = fit.model.device, largest.axis
@@ -86,6 +86,12 @@ def consequence(fit: CaseFit, effect: Effect) -> str:
         said.append(f"the quality factor is {after:.0f} in place of {before:.0f}")
     swing = spoken(amplitude, unit_of_records(fit.case, "m"), 3)
     return f"at {swing}, the largest amplitude of the sweeps, {' and '.join(said)}" if said else ""
+
+
+def _sweeps(fit: CaseFit) -> list[SweepForce]:
+    """What the records over frequency show of their motion; those over time are not asked, which takes longer."""
+    shown = [record.missing_force(deviation) for record, deviation in fit.deviations if record.stepped]
+    return [one for one in shown if isinstance(one, SweepForce)]
 
 
 def drift_over(fit: CaseFit, term: Effect) -> str:

@@ -332,7 +332,10 @@ class FrequencySweepRecord(AbstractRecord):
         pieces, model = [], deviation.model
         for readings in deviation.readings:
             mine = readings.record == deviation.number
-            columns = readings.experiment.missing(model)  # type: ignore[attr-defined]
+            sweep: Any = readings.experiment
+            predicted = np.array(sweep.measured)
+            predicted[mine] = deviation.predicted[readings.row[mine]]
+            columns = sweep.missing(model, predicted)
             pieces.append((readings.row[mine], *(np.asarray(part)[mine] for part in columns)))
         seen = np.concatenate([piece[0] for piece in pieces])  # all but a first row that began nobody knows how
         order = np.argsort(seen)

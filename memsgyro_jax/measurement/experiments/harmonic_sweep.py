@@ -10,7 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
+from memsgyro_jax.base.kept import kept
 from memsgyro_jax.base.linalg import inverse
+from memsgyro_jax.base.plainly import PLAINLY
 from memsgyro_jax.base.text import spoken
 from memsgyro_jax.device.conditions import Conditions
 from memsgyro_jax.effects.base import LockInEffect, SweepEffect
@@ -207,26 +209,36 @@ class HarmonicSweep(Experiment):
                 return eqx.tree_at(lambda s: s.noise.std, again, again.noise.std * silent)
         return None
 
-    @eqx.filter_jit
-    def missing(self, model: Model) -> tuple[Complex[Array, "n a"], Complex[Array, "n a"], Float[Array, "n a a"]]:
-        """Per row: the motion seen, the force [N] it takes beyond the model, and |force per displacement|."""
-        axes, errors = model.axes, model.motion(self.measured - self.predict(model), self.frequency)
-        std = getattr(self.noise, "std", 1.0)
-        errors = jnp.where(jnp.isfinite(std), errors, 0.0)  # what was not recorded moves as the model has it
+    def missing(
+        self, model: Model, predicted: Complex[Array, "n a"]
+    ) -> tuple[Complex[Array, "n a"], Complex[Array, "n a"], Float[Array, "n a a"]]:
+        """Per row: the motion seen, the force [N] it takes beyond the model, which has `predicted` the readings, and
+        |force per displacement|.
+        """
+        return _missing(self, model, predicted)
 
-        def row(omega: Array, force: Array, conditions: Conditions, near: Array, error: Array):
-            earlier = model.behind(omega, conditions)
-            state = steady_state(model, omega, force, conditions, near / earlier, self.fineness)
-            matrix, _ = model.linear(conditions)
-            moved = state.at[1].add(_carried(matrix, omega, error / earlier))
-            samples = self.fineness.samples
-            command, states = drive_waveform(force, samples)[0], waveform(moved, samples)
-            rates = jax.vmap(lambda s, u: model.derivative(s, u, conditions))(states, command)
-            given = spectrum(rates, 1)[1, axes : 2 * axes]
-            missing = (1j * omega * moved[1, axes : 2 * axes] - given) / jnp.abs(model.device.mobility)
-            return moved[1, :axes], missing, jnp.abs(jnp.linalg.inv(receptance(model, matrix, omega)))
 
-        return jax.vmap(row)(self.frequency, self.force, self.surroundings, self.near, errors)
+def _missing_of(sweep: HarmonicSweep, model: Model, predicted: Array) -> tuple[Array, Array, Array]:
+    axes, errors = model.axes, model.motion(sweep.measured - predicted, sweep.frequency)
+    std = getattr(sweep.noise, "std", 1.0)
+    errors = jnp.where(jnp.isfinite(std), errors, 0.0)  # what was not recorded moves as the model has it
+
+    def row(omega: Array, force: Array, conditions: Conditions, near: Array, error: Array):
+        earlier = model.behind(omega, conditions)
+        state = steady_state(model, omega, force, conditions, near / earlier, sweep.fineness)
+        matrix, _ = model.linear(conditions)
+        moved = state.at[1].add(_carried(matrix, omega, error / earlier))
+        samples = sweep.fineness.samples
+        command, states = drive_waveform(force, samples)[0], waveform(moved, samples)
+        rates = jax.vmap(lambda s, u: model.derivative(s, u, conditions))(states, command)
+        given = spectrum(rates, 1)[1, axes : 2 * axes]
+        missing = (1j * omega * moved[1, axes : 2 * axes] - given) / jnp.abs(model.device.mobility)
+        return moved[1, :axes], missing, jnp.abs(jnp.linalg.inv(receptance(model, matrix, omega)))
+
+    return jax.vmap(row)(sweep.frequency, sweep.force, sweep.surroundings, sweep.near, errors)
+
+
+_missing = kept(_missing_of, PLAINLY)  # once or twice for a case
 
 
 def _carried(matrix: Array, omega: Array, error: Complex[Array, " a"]) -> Complex[Array, " n"]:
