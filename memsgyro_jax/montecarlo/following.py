@@ -27,6 +27,7 @@ class Following:
 
 _FINE = 4  # points per window at which the response is computed
 _WORSE = 1.2  # times the squared misfit by which the simpler law must be worse to be given up
+_EVEN = 1e-6  # relative difference of two spacings that are alike
 _UNCAUSED = 1e-4  # squared noise over what the start may add, in units of the rate's own size
 _INSIDE = 0.1  # of a window, in time, that stays unknown because only its mean is kept
 _KNOWN = 2.0  # factor within which a bandwidth must be known, up and down, to be told
@@ -49,12 +50,16 @@ def following(
     estimate: Float[np.ndarray, "dies windows"],
     settle: float = 0.0,
 ) -> Following | None:
-    """Fit of the dies' mean over the given windows, evenly spaced, from `settle` [s] on; the rate before drives it.
+    """Fit of the dies' mean over the given windows from `settle` [s] on; the rate before drives it, as far back as the
+    windows are evenly spaced: those of the growing blocks at the start of a run in blocks are not.
 
     `rates` are the true rates in rad/s, of each die or of all; None for a rate that does not vary.
     """
-    late = time >= settle
     rates = np.broadcast_to(rates, estimate.shape)
+    uneven = np.flatnonzero(np.abs(np.diff(time) / np.diff(time[-2:]) - 1.0) > _EVEN)
+    even = slice(int(uneven[-1]) + 1 if uneven.size else 0, None)
+    time, rates, estimate = time[even], rates[:, even], estimate[:, even]
+    late = time >= settle
     true = np.mean(rates, axis=0) if len(estimate) else np.zeros(len(time))
     spread = np.std(true[late]) if late.any() else 0.0
     if late.sum() < 8 or not spread > 1e-3 * np.max(np.abs(true) + 1e-12):
@@ -73,10 +78,19 @@ def following(
     # Where another law does as well and says something else, the record does not tell.
     doubtful = other.misfit < _WORSE * chosen.misfit and abs(other.values[1] - chosen.values[1]) > max(width, _ALIKE)
     if doubtful or not width < np.log(_KNOWN):
-        return Following(rms, float(shift.values[0]), _ends(shift, 0, len(estimate)), None, None)
+        usual = float(np.std(np.gradient(true, time)[late])) / spread  # rad/s: exact for a sine
+        return Following(rms, *_of_a_shift(shift, first, usual, len(estimate)), None, None)
     low, high = np.exp(_ends(chosen, 1, len(estimate)))
     delay = float(chosen.values[0]), _ends(chosen, 0, len(estimate))
     return Following(rms, *delay, float(np.exp(chosen.values[1])), (float(low), float(high)))
+
+
+def _of_a_shift(shift: _Fit, first: _Fit, usual: float, dies: int) -> tuple[float, tuple[float, float]]:
+    """The delay of a mere shift, known no better than it agrees with a lag at the `usual` frequency of the rate."""
+    (delay, band), (low, high) = first.values, _ends(shift, 0, dies)
+    late = delay + np.arctan(usual / (2.0 * np.pi * np.exp(band))) / usual
+    found, half = float(shift.values[0]), float(np.hypot(0.5 * (high - low), late - shift.values[0]))
+    return found, (found - half, found + half)
 
 
 class _Record(NamedTuple):

@@ -296,7 +296,9 @@ def _following(result: Following) -> dict[str, object]:
 
 
 def _following_text(result: Following) -> str:
-    delay = "{:.3g} ms ({:.3g} to {:.3g})".format(*(1e3 * t for t in (result.delay, *result.delay_interval)))
+    told, low, high = (1e3 * t for t in (result.delay, *result.delay_interval))
+    # An output that is not late, or early, is told by how late it is at most.
+    delay = f"{told:.3g} ms ({low:.3g} to {high:.3g})" if low > 0.0 or high < 0.0 else f"below {high:.3g} ms"
     band = "not shown by this rate"
     if result.bandwidth is not None and result.bandwidth_interval is not None:
         band = "{:.3g} Hz ({:.3g} to {:.3g})".format(result.bandwidth, *result.bandwidth_interval)

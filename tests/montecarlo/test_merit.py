@@ -77,6 +77,22 @@ def test_a_single_frequency_shows_a_shift_and_no_bandwidth():
     phase = -np.angle(signal.freqs(*signal.butter(2, 60 * np.pi, analog=True), worN=[40 * np.pi])[1][0])
     assert found.delay == pytest.approx(phase / (40 * np.pi), rel=0.02)
     assert found.delay_interval[0] < found.delay < found.delay_interval[1]
+    assert np.ptp(found.delay_interval) < 1e-3
+
+
+@pytest.mark.parametrize("length", [0.64e-3, 5.12e-3])
+def test_windows_of_blocks_that_grow_tell_no_other_delay(length):
+    """Of the windows of a run in blocks the first are closer together; their spacing was taken for that of all."""
+    fine = np.arange(40_000) * 1e-5
+    rate = signal.chirp(fine, 1.0, 0.4, 50.0)
+    slow = signal.lfilter(*signal.butter(1, 30.0, fs=1e5), rate)
+    growing = [2.6e-3, 2.64e-3 + 0.5e-3, 2.64e-3 + 0.5e-3 + 0.25 * length]
+    time = np.concatenate([growing, np.arange(growing[-1] + length, 0.4, length)])
+    true, mean = (np.interp(time, fine, values) for values in (rate, slow))
+    dies = mean + 0.02 * np.std(true) * np.random.default_rng(0).standard_normal((50, len(time)))
+    found = following(time, true, dies, settle=0.1)
+    assert found.bandwidth == pytest.approx(30.0, rel=0.08)
+    assert found.delay == pytest.approx(0.0, abs=5e-4)
 
 
 def test_the_ratio_to_the_bound_has_the_interval_it_says():
