@@ -223,14 +223,15 @@ class SingleMassGyro(AbstractGyro):
     def from_modes(
         cls, mass: Scalar, frequency: Pair, quality_factor: Scalar | Pair, *, angle: Scalar | None = None,
         quadrature: Scalar | None = None, cross_damping: Scalar = 0.0, rotating_frame: bool = False,
+        temperature: Scalar | None = None,
     ) -> "SingleMassGyro":  # fmt: skip
         """The device of `mass` [kg] with modes at `frequency` [Hz], in either order, and of `quality_factor`, a number
         for both or one each.
 
         The first mode moves along x, or at `angle` [rad] from x to y. Instead of the angle, `quadrature` [rad/s] is the
         rate whose force at the first mode has the amplitude of that of kxy (3.1): kxy = 2·mass·ω·quadrature.
-        `cross_damping`, between -1 and 1, couples the modes by that share of the root of both dampings. Zeros mean no
-        coupling. Raises `InputError` for numbers that no device has.
+        `cross_damping`, between -1 and 1, couples the modes by that share of the root of both dampings. Zeros: none. A
+        `temperature` [K] adds the damping's Brownian force. Raises `InputError` for numbers that no device has.
         """
         if angle is not None and quadrature is not None:
             raise InputError("A device must have either `angle` or `quadrature`, but both were given.")
@@ -243,7 +244,7 @@ class SingleMassGyro(AbstractGyro):
         kxx, kyy, kxy = in_turned_axes(modes[0] ** 2, modes[1] ** 2, 0.0, angle)
         dxx, dyy, dxy = in_turned_axes(*damping, cross_damping * jnp.sqrt(damping[0] * damping[1]), angle)
         coefficients = (mass * value for value in (kxx, kyy, kxy, dxx, dyy, dxy))
-        return cls(mass, *coefficients, rotating_frame=rotating_frame)
+        return cls(mass, *coefficients, rotating_frame=rotating_frame).at_temperature(temperature)
 
     def dynamics(self, inertial: Inertial) -> Dynamics:
         """Thesis (3.1), with the frame terms of (2.4) when `rotating_frame` is set."""
@@ -304,12 +305,13 @@ class DualMassGyro(AbstractGyro):
     @classmethod
     def from_modes(
         cls, mass_x: Scalar, mass_y: Scalar, frequency: Pair, quality_factor: Scalar | Pair, *,
-        quadrature: Scalar = 0.0, rotating_frame: bool = False,
+        quadrature: Scalar = 0.0, rotating_frame: bool = False, temperature: Scalar | None = None,
     ) -> "DualMassGyro":  # fmt: skip
         """The device with masses as in its fields, modes at `frequency` [Hz] along x and y, and of `quality_factor`, a
         number for both or one each.
         `quadrature` [rad/s] is the rate whose force on y at the first mode has the amplitude of that of kyx (3.3):
-        kxy = kyx = 2·mass_y·ω·quadrature; zero means no coupling. Raises `InputError` for numbers that no device has.
+        kxy = kyx = 2·mass_y·ω·quadrature; zero means no coupling. With a `temperature` [K] the damping makes a Brownian
+        force. Raises `InputError` for numbers that no device has.
         """
         mass_x, mass_y = quantity("mass_x", mass_x, "kg"), quantity("mass_y", mass_y, "kg")
         modes, damping = rates_of(frequency, quality_factor)
@@ -319,7 +321,7 @@ class DualMassGyro(AbstractGyro):
         return cls(
             mass_x, mass_y, mass_x * first, mass_y * second, kxy, kxy, mass_x * damping[0], mass_y * damping[1],
             rotating_frame=rotating_frame,
-        )  # fmt: skip
+        ).at_temperature(temperature)  # fmt: skip
 
     def dynamics(self, inertial: Inertial) -> Dynamics:
         """Thesis (3.3); the frame terms follow (2.4) with the inner mass alone carrying the y motion."""

@@ -31,6 +31,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
+_RESTLESS = 0.01  # of an answer, from which the rest of it is told
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class FrequencyResponse(Tabular):
     """How the rate that a loop gives out answers a small sine of one of its `INPUTS`.
@@ -81,6 +84,11 @@ class FrequencyResponse(Tabular):
         lines = [f"Response of the rate to {self.disturbed} ({self._unit}), {half}"]
         rows = zip(self.frequency, np.abs(self.response), phase, self.rest, strict=True)
         lines += [f"  {f:>10.4g} Hz  {gain:>10.4g}  {angle:>8.1f}°  rest {rest:.1e}" for f, gain, angle, rest in rows]
+        if np.max(self.rest) > _RESTLESS:
+            lines.append(
+                f"  up to {np.max(self.rest):.2g} of the answer is no such sine: what the start or the swing left "
+                "there; a longer `duration` or a later `settle` shows whether it dies away"
+            )
         return "\n".join(lines)
 
     @property
@@ -148,7 +156,8 @@ def frequency_response(
         level: the constant rate [rad/s] around which the rate is disturbed.
         carrier: where given [Hz], the sine is that of the amplitude of an oscillation at this frequency, of the phase
             that the loop answers most: a force or voltage beside the swing, which slow ones do not reach. That of the
-            swing is `noise_budget(loop).swing`.
+            swing is `noise_budget(loop).swing`. It is held over each sample, which makes it weaker by sin(z)/z, z = π
+            times carrier over sample rate.
 
     **Raises:** `InputError` for another name, for frequencies that do not rise between one in the settled part and half
     the sample rate, and as `simulate` does.

@@ -35,6 +35,8 @@ INPUTS = {"rate": "rad/s", "force x": "N", "force y": "N", "voltage x": "V", "vo
 """What may disturb a loop: the rate, a force on the mass that the observer does not know, a voltage of the read-out."""
 OUTPUTS = {"rate": "rad/s", "force x": "N", "force y": "N", "voltage x": "V", "voltage y": "V"}
 
+_LOOK = 512  # samples within which the swing is looked for again
+_BACK = 0.01  # of its size, within which it has come back
 _UNITS = {f"motion {name}": unit for name, unit in zip(MOTION, ("m", "m", "m/s", "m/s"), strict=True)}
 
 
@@ -94,12 +96,17 @@ class LinearisedLoop(Labelled):
     `control.ss(*space)`; the step is a sample, or so many as were asked for, over which inputs are held. `states` are
     named by where they stand in the loop and have the values of `point` there. `inputs` are the rate, a force that the
     observer does not know and a voltage of the read-out, `outputs` the rate given out, the command and the volts.
+    `apart` is how far the swing ends the step from where it began, in its own size, and `recurs` after how many samples
+    it first comes back to a hundredth: poles, and responses over many steps, need a step of that length. It is 0 where
+    that was not seen within 512 samples, or inside a transformation of JAX.
     """
 
     space: StateSpace
     states: tuple[str, ...]
     point: Float[np.ndarray, " states"]
     time: float
+    apart: float = 0.0
+    recurs: int = 0
     inputs: ClassVar[tuple[str, ...]] = tuple(INPUTS)
     outputs: ClassVar[tuple[str, ...]] = tuple(OUTPUTS)
 
@@ -115,6 +122,17 @@ class LinearisedLoop(Labelled):
         return (
             f"Loop at {self.time:.6g} s over {1e6 * self.space.dt:.6g} µs: {len(self.states)} states ({kinds}), inputs "
             f"{', '.join(self.inputs)}; outputs {', '.join(self.outputs)}; largest pole {abs(self.poles[0]):.9g}"
+            f"{self._not_whole}"
+        )
+
+    @property
+    def _not_whole(self) -> str:
+        if self.apart <= _BACK:
+            return ""
+        instead = f"`samples={self.recurs}` is one" if self.recurs else "none is near up to 512 samples"
+        return (
+            f"\nThe swing ends the step {self.apart:.2g} of its size from where it began: poles, and responses over "
+            f"many steps, mean something for a step of whole periods alone ({instead})."
         )
 
     def to_xarray(self) -> "xr.Dataset":
@@ -170,14 +188,25 @@ def linearise(
     sample_rate, after = quantity("sample_rate", sample_rate, "Hz"), quantity("after", after, "s")
     first = count_steps(sample_rate, after)
     loop = loop.sampled_at(sample_rate, duration=after).present
-    point, matrices = _matrices(loop, scenario, 1.0 / sample_rate, first, samples)
+    point, matrices, volts = _matrices(loop, scenario, 1.0 / sample_rate, first, samples)
     a, b, c, d = map(known_array, matrices)
     space = StateSpace(a, b, c, d, samples / sample_rate)
-    return LinearisedLoop(space, _names(loop), known_array(point), after)
+    swing = _recurrence(np.asarray(volts), samples) if is_concrete(volts) else ()
+    return LinearisedLoop(space, _names(loop), known_array(point), after, *swing)
+
+
+def _recurrence(volts: Float[np.ndarray, "n 2"], samples: int) -> tuple[float, int]:
+    """How far the two readings `samples` later are from the first two, in the size of all, and the first near them."""
+    both = np.concatenate([volts[:-1], volts[1:]], axis=1)
+    apart = np.linalg.norm(both - both[0], axis=1) / max(float(np.max(np.ptp(both, axis=0))), 1e-300)
+    back = np.flatnonzero(apart[1:] <= _BACK)
+    return float(apart[samples]), int(back[0]) + 1 if back.size else 0
 
 
 @eqx.filter_jit
-def _matrices(loop: ClosedLoop, scenario: Scenario, period: float, first: int, samples: int) -> tuple[Array, tuple]:
+def _matrices(
+    loop: ClosedLoop, scenario: Scenario, period: float, first: int, samples: int
+) -> tuple[Array, tuple, Float[Array, "n 2"]]:
     rest = jnp.zeros(len(INPUTS))
     state, _ = disturbed(loop, scenario, loop.init(), 0, first, period, lambda _: rest)
     vector, shaped = _as_vector(state)
@@ -187,7 +216,8 @@ def _matrices(loop: ClosedLoop, scenario: Scenario, period: float, first: int, s
         return _as_vector(end)[0], outputs[-1]
 
     (a, b), (c, d) = jax.jacfwd(go_on, argnums=(0, 1))(vector, rest)
-    return vector, (a, b, c, d)
+    onward = disturbed(loop, scenario, state, first, max(samples, _LOOK) + 2, period, lambda _: rest)[1]
+    return vector, (a, b, c, d), jax.lax.stop_gradient(onward[:, 3:])
 
 
 def _as_vector(state: LoopState) -> tuple[Array, Any]:

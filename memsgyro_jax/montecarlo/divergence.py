@@ -18,6 +18,7 @@ from scipy import stats
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.gyro import mode_frequencies, natural_frequencies
 from memsgyro_jax.device.propagate import Exact
+from memsgyro_jax.loop.blocks.run import taken_as_constant
 from memsgyro_jax.loop.expectation import FAR, expectations, folding, moving, shifted, unknown_to
 from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.observability import PERIODS, observability
@@ -149,6 +150,8 @@ def _astray(loop: ClosedLoop, scenario: Scenario, plan: Plan) -> str:
             f"the run tells nothing of {' and '.join(untold)}, but linearising takes some of it for told (a tone "
             "beside the drive tells it: `tones=mg.Tone(...)`; what is known exactly is named by `known`)"
         )
+    if constant := taken_as_constant(loop):
+        return f"{constant}, which they do not bear (shorter blocks, or sample by sample)"
     return "it did not bear being linearised about its prior (narrow the prior or the spread, or change the annealing)"
 
 

@@ -2,7 +2,7 @@
 
 import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -26,7 +26,7 @@ from .fates import null_directions, tuned_numbers
 from .losses import Consistency
 from .objective import Values, evaluated
 from .result import TunedNumber
-from .tunable import Tunable, Tunables, placed, resolved
+from .tunable import Group, Tunables, placed, resolved
 
 
 _FEW = 2000  # readings, below which a program is not worth optimising
@@ -132,7 +132,7 @@ def tune_on_record(
     volts: Float[np.ndarray, "samples 2"],
     force: Float[np.ndarray, "samples 2"],
     *,
-    free: Sequence[Tunable],
+    free: Group,
     sample_rate: float | str,
     settle: float | str = 0.0,
     evaluations: int = 40,
@@ -176,7 +176,7 @@ def tune_on_record(
 
 
 def _record(
-    observer: AbstractObserver, volts: np.ndarray, force: np.ndarray, free: Sequence[Tunable], sample_rate: float,
+    observer: AbstractObserver, volts: np.ndarray, force: np.ndarray, free: Group, sample_rate: float,
     settle: float,
 ) -> _Record:  # fmt: skip
     """The record in pieces behind `settle` [s], of as many whole readings each."""

@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, Float
 from scipy import special
 
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.base.text import suggestion
+from memsgyro_jax.base.text import excerpt, suggestion
 from memsgyro_jax.base.transforms import Free, GaussianPrior, Logit, LogLogit, to_vector
 from memsgyro_jax.loop.loop import ClosedLoop
 
@@ -66,6 +66,11 @@ def free(*items: Group, **parts: Group) -> tuple[Tunable, ...]:
 
 
 def _spelled(group: Group, prefix: str) -> list[Tunable]:
+    if not isinstance(group, str | Tunable | Mapping | Sequence):
+        raise InputError(
+            'Argument `free` must hold paths such as "observer.noise_density", lists of them, or {path: (low, high)}, '
+            f"but holds {excerpt(group)}."
+        )
     if isinstance(group, str):
         return [Tunable(prefix + group)]
     if isinstance(group, Tunable):
@@ -155,8 +160,9 @@ class Tunables:
         return Tunables(paths, labels, *rows)
 
 
-def resolved(loop: ClosedLoop, tunables: Sequence[Tunable], sample_rate: float, duration: float) -> Tunables:
-    """The named numbers of `loop` with their bounds; a run has `duration` [s] at `sample_rate` [Hz].
+def resolved(loop: ClosedLoop, named: Group, sample_rate: float, duration: float) -> Tunables:
+    """The named numbers of `loop` with their bounds, as `free` takes them; a run has `duration` [s] at `sample_rate`
+    [Hz].
 
     Raises `InputError` for a path that leads nowhere or twice to a number, inverted bounds, a start outside them, or a
     number that needs bounds and has none.
@@ -164,7 +170,7 @@ def resolved(loop: ClosedLoop, tunables: Sequence[Tunable], sample_rate: float, 
     leaves = jax.tree_util.tree_leaves_with_path(loop)
     place = {_dotted(path): order for order, (path, _) in enumerate(leaves)}
     found: dict[str, tuple[float, ...]] = {}
-    for tunable in tunables:
+    for tunable in free(named):
         for path in _numbers_at(loop, tunable.path, place):
             if path in found:
                 raise InputError(f"A number must be freed once, but `{tunable.path}` is freed twice.")

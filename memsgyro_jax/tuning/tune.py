@@ -5,7 +5,7 @@ likelihood of the innovations fixes their scale but is blind to what follows the
 numbers by likelihood, then the rest by the error.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -32,7 +32,7 @@ from .losses import AbstractLoss, InnovationLikelihood, SquaredRateError
 from .objective import Objective, Timing, Values, evaluated, noise_of
 from .result import StageResult, TunedNumber, Tuning, merit_of, ratio_of, warnings_of
 from .right import LEVEL
-from .tunable import Tunable, Tunables, resolved
+from .tunable import Group, Tunables, resolved
 
 
 TRAINING, VALIDATION = 2**20, 2**21  # numbers of the first dies; those of a report or a sweep begin at 0
@@ -52,7 +52,7 @@ def tune(
     loop: ClosedLoop,
     scenario: Scenario | AbstractProfile | float = 1.0,
     *,
-    free: Sequence[Tunable],
+    free: Group,
     spread: Spread | None = None,
     loss: AbstractLoss | None = None,
     dies: int = 128,

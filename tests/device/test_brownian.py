@@ -105,3 +105,11 @@ def test_a_step_of_euler_puts_it_all_into_the_velocities():
         found[2:, 2:], 1e-7 * 2.0 * BOLTZMANN * 300.0 * matrix(rest.damping) / 1.8e-7, rtol=1e-12
     )
     assert correlated(found.tolist(), (1.0, 1.0, 1.0, 1.0))[0] == 0.0
+
+
+def test_a_device_by_its_modes_may_know_its_temperature():
+    by_modes = {"frequency": ("17.6 kHz", "18.05 kHz"), "quality_factor": (6000, 1500)}
+    warm = mg.SingleMassGyro.from_modes("9 ug", **by_modes, temperature="27 degC")
+    assert float(warm.temperature) == pytest.approx(300.15)
+    assert float(mg.DualMassGyro.from_modes("9 ug", "5 ug", **by_modes, temperature=250.0).temperature) == 250.0
+    assert mg.SingleMassGyro.from_modes("9 ug", **by_modes).temperature is None

@@ -73,6 +73,8 @@ def test_it_prints_draws_and_goes_into_a_file(response, tmp_path):
     assert "below 40 Hz already: ask for lower" in str(late)
     assert np.isnan(late.bandwidth)
     falling = replace(response, frequency=np.array([40.0, 80.0]), response=np.array([0.8, 0.4j]))
+    assert "no such sine" not in str(response)
+    assert "0.077 of the answer is no such sine" in str(replace(response, rest=np.array([0.077, 0.001])))
     assert abs(falling.bandwidth - 40.0 * 2.0 ** (np.log(0.8 * np.sqrt(2.0)) / np.log(2.0))) < 1e-2
 
 
@@ -103,6 +105,16 @@ def test_the_matrices_are_those_of_the_device(loop, tmp_path):
     assert signal.StateSpace(*linear.space[:4], dt=dt).A.shape == a.shape
     assert c.shape == (5, len(a))
     kept(linear, tmp_path)
+
+
+def test_a_step_that_is_no_whole_period_of_the_swing_is_told(loop):
+    """10 kHz at 100 kHz: ten samples are a period, seven are none, and their poles say nothing."""
+    linear = loop.linearise(sample_rate=RATE, after=0.02, samples=7)
+    assert linear.recurs == 10
+    assert linear.apart > 0.3
+    assert "`samples=10` is one" in str(linear)
+    whole = replace(linear, apart=0.004)
+    assert "whole periods" not in str(whole)
 
 
 @pytest.mark.slow

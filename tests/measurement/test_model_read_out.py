@@ -39,7 +39,7 @@ def test_sweeps_of_each_quantity(order):
     response = 3.0 * 5.0 / (W**2 - omega**2 + 1j * omega * D)
     np.testing.assert_allclose(shown, 2.0 * (1j * omega) ** order * response, rtol=1e-10)
     np.testing.assert_allclose(model.motion(shown[:, None], omega)[:, 0], response, rtol=1e-10)
-    force = np.asarray(sweep.missing(model, sweep.predict(model))[1])
+    force = np.asarray(sweep.missing(model, slice(None), sweep.predict(model))[1])
     assert force.shape == (9, 1)
 
 

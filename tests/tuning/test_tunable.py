@@ -40,6 +40,17 @@ def test_names_lead_to_numbers_in_the_order_of_the_tree(made):
     assert made.values[2:].tolist() == [100.0, 0.1, 100.0]
 
 
+@pytest.mark.parametrize(
+    "spelled", ["observer.noise_density", ["observer.noise_density"], mg.free(observer="noise_density"),
+                {"observer.noise_density": None}],
+)  # fmt: skip
+def test_what_is_free_may_be_spelled_in_any_way(spelled):
+    paths = resolved(LOOP, spelled, 100e3, 0.1).paths
+    assert paths == ("observer.noise_density.0", "observer.noise_density.1")
+    with pytest.raises(mg.InputError, match=r"must hold paths .* but holds 3"):
+        resolved(LOOP, 3, 100e3, 0.1)
+
+
 def test_default_bounds(made):
     assert made.high[0] / made.low[0] == pytest.approx(1e6)
     assert made.high[2] == pytest.approx((10.0 * 3.0) ** 2 / 0.1)  # a walk of ten prior deviations in the run

@@ -68,13 +68,22 @@ def prepared(loop: ClosedLoop, apart: bool = False) -> tuple[ClosedLoop, tuple[s
 
 def _approximations(loop: ClosedLoop, blocks: Blocks) -> tuple[str, ...]:
     """What a filter in blocks takes otherwise than sample by sample, in words."""
+    constant = taken_as_constant(replace(loop, blocks=blocks))
+    if not constant:
+        return ()
+    late = f"it follows up to {blocks.length // 2} samples later, and claims too little where the walk is fast"
+    return (f"{constant}: {late} (shorter blocks, or samples, do not).",)
+
+
+def taken_as_constant(loop: ClosedLoop) -> str:
+    """What a filter in blocks holds constant within them although it walks, in words; empty where there is nothing."""
     observer: Any = loop.observer
+    if loop.blocks is None:
+        return ""
     pairs = zip(observer.states[4:], observer.walk()[4:], strict=True)
     walking = [name for name, intensity in pairs if is_concrete(intensity) and np.any(np.asarray(intensity) > 0.0)]
-    if not walking:
-        return ()
-    constant = f"in blocks of {blocks.length} samples the filter takes what walks ({', '.join(walking)}) as constant"
-    return (f"{constant}: it follows up to {blocks.length // 2} samples later, and claims another deviation.",)
+    of = f"in blocks of {loop.blocks.length} samples the filter takes what walks ({', '.join(walking)}) as constant"
+    return of if walking else ""
 
 
 def _pace(loop: ClosedLoop) -> Pace:

@@ -86,7 +86,8 @@ class ClassicControl(AbstractController[ClassicState]):
         `bandwidth` [Hz] is that of the loops' integral, the proportional gain cancels the sense axis' own decay as far
         as it is real. Left out it is a quarter of `demodulator_bandwidth` (a twentieth of the drive's frequency, unless
         given) where the axes match; where they are split, a good third of what the sense resonance, seen at the split,
-        bears: with a high quality factor next to nothing, so match the axes by bias then. Raises `InputError` for
+        bears: with a high quality factor next to nothing, so match the axes by bias then, or lower
+        `demodulator_bandwidth`, which filters that resonance. Raises `InputError` for
         numbers that are not positive, and for a `bandwidth` at which the sense axis of the design is not stable.
         """
         omega = locked_frequency(gyro, nulled=True)
@@ -196,8 +197,8 @@ def _check_stable(
             apart = abs(np.sqrt(delta.real + w**2) - w) / (2.0 * np.pi)
             raise InputError(
                 f"Argument `bandwidth` must leave the rebalanced sense axis stable, but at {np.max(bandwidth):.4g} Hz "
-                f"it grows by {growth:.3g} 1/s: the axes are {apart:.4g} Hz apart. Match them, damp the sense axis "
-                "more, or leave `bandwidth` out."
+                f"it grows by {growth:.3g} 1/s: the axes are {apart:.4g} Hz apart. Lower "
+                "`demodulator_bandwidth`, match them, damp the sense axis more, or leave `bandwidth` out."
             )
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Self, cast
 
 import numpy as np
 from pydantic import StrictBool
@@ -332,14 +332,11 @@ class FrequencySweepRecord(AbstractRecord):
         pieces, model = [], deviation.model
         for readings in deviation.readings:
             mine = readings.record == deviation.number
-            sweep: Any = readings.experiment
-            predicted = np.array(sweep.measured)
-            predicted[mine] = deviation.predicted[readings.row[mine]]
-            columns = sweep.missing(model, predicted)
-            pieces.append((readings.row[mine], *(np.asarray(part)[mine] for part in columns)))
+            rows, sweep = readings.row[mine], cast(HarmonicSweep, readings.experiment)
+            columns = sweep.missing(model, mine, deviation.predicted[rows])
+            pieces.append((rows, *(np.asarray(part)[mine] for part in columns)))
         seen = np.concatenate([piece[0] for piece in pieces])  # all but a first row that began nobody knows how
-        order = np.argsort(seen)
-        rows = seen[order]
+        rows = seen[order := np.argsort(seen)]
         motion, force, gain = (np.concatenate([piece[k] for piece in pieces])[order] for k in (1, 2, 3))
         omega = self.frequency[rows]
         noise = self.noise_level / np.abs(np.asarray(model.scale)) / omega[:, None] ** model.order

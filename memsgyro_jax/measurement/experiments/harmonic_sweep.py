@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Complex, Float
+from jaxtyping import Array, Bool, Complex, Float
 
 from memsgyro_jax.base.kept import kept
 from memsgyro_jax.base.linalg import inverse
@@ -210,12 +210,14 @@ class HarmonicSweep(Experiment):
         return None
 
     def missing(
-        self, model: Model, predicted: Complex[Array, "n a"]
+        self, model: Model, mine: Bool[np.ndarray, " n"], predicted: Complex[np.ndarray, "m a"]
     ) -> tuple[Complex[Array, "n a"], Complex[Array, "n a"], Float[Array, "n a a"]]:
-        """Per row: the motion seen, the force [N] it takes beyond the model, which has `predicted` the readings, and
-        |force per displacement|.
+        """Per row: the motion seen, the force [N] it takes beyond the model, which has `predicted` the rows that are
+        `mine`, and |force per displacement|.
         """
-        return _missing(self, model, predicted)
+        readings = np.array(self.measured)
+        readings[mine] = predicted
+        return _missing(self, model, jnp.asarray(readings))
 
 
 def _missing_of(sweep: HarmonicSweep, model: Model, predicted: Array) -> tuple[Array, Array, Array]:
