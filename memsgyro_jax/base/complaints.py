@@ -23,6 +23,14 @@ _ENTRY = re.compile(rf"\s*(?P<keys>{_KEYS})\s*=")
 Place = tuple[str | int, ...]
 
 
+class Misplaced(ValueError):
+    """What is wrong deeper within a section, at a `place` that counts from there."""
+
+    def __init__(self, place: Place, error: Exception) -> None:
+        super().__init__(str(error))
+        self.place = place
+
+
 @dataclass(frozen=True)
 class Source:
     """Where a study comes from: its name in messages, its folder, and its text (empty for one that is no file)."""
@@ -37,7 +45,8 @@ class Source:
         try:
             yield
         except ValueError as error:
-            raise InputError(_ended(f"{self.name}: {self._at(place)}: {error}")) from error
+            deeper = error.place if isinstance(error, Misplaced) else ()
+            raise InputError(_ended(f"{self.name}: {self._at((*place, *deeper))}: {error}")) from error
 
     def complain(self, errors: Sequence[Any], model: type[BaseModel], data: dict[str, Any]) -> InputError:
         """The first ten of pydantic's `errors` about `data`, read as `model`, in the order of the file."""
@@ -63,7 +72,9 @@ class Source:
     def _line(self, place: Place) -> int | None:
         """The line of the longest part of `place` that the file spells out."""
         lines = self._places
-        return next((lines[place[:size]] for size in range(len(place), 0, -1) if place[:size] in lines), None)
+        whole = next((lines[place[:size]] for size in range(len(place), 0, -1) if place[:size] in lines), None)
+        # A section may be there by its parts alone: `[spread.parameters]` without a `[spread]`.
+        return whole or next((line for part, line in lines.items() if place and part[: len(place)] == place), None)
 
     @cached_property
     def _places(self) -> dict[Place, int]:

@@ -5,6 +5,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BeforeValidator, Field
 
+from memsgyro_jax.base.complaints import Misplaced
 from memsgyro_jax.base.quantity import (
     Also,
     Duration,
@@ -127,7 +128,7 @@ class SpreadSection(FileSection):
             try:
                 items.append(Vary(path, law.build(unit_of(path))))
             except ValueError as error:
-                raise ValueError(f'parameters."{path}": {error}') from error
+                raise Misplaced(("parameters", path), error) from error
         everywhere = Normal(relative=self.relative) if self.relative > 0.0 else None
         return Spread(tuple(items), self.correlation, self.quasi, everywhere, shared=self.shared)
 
