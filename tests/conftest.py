@@ -87,7 +87,7 @@ TOGETHER = (
 # What promises bits, or almost, is tested in the code that users run, and so are slow tests and processes of their own.
 # The others ask for figures: their programs run once, and compile faster without LLVM's optimiser.
 OPTIMISED = (
-    "montecarlo/",
+    "montecarlo/test_sweep.py",
     "effects/test_members.py",
     "effects/test_of_operation.py",
     "couplings/test_frequency_sweep.py",
@@ -97,8 +97,7 @@ OPTIMISED = (
     "loop/test_loop.py",
     "loop/test_trace.py",
     "tuning/test_adjoint.py",
-    "tuning/test_tune.py",  # this and the next run long enough to be worth it
-    "test_readme.py",
+    "test_readme.py",  # runs long enough to be worth it
 )
 
 
