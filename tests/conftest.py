@@ -21,6 +21,8 @@ import jax  # noqa: E402
 import pytest  # noqa: E402
 
 
+jax.config.update("jax_traceback_in_locations_limit", 1)  # whence an operation is called: no test asks, and it costs
+
 # The first example of a property compiles, the others do not: a deadline per example would measure the compiler.
 hypothesis.settings.register_profile("memsgyro", deadline=None, derandomize=True, print_blob=True)
 hypothesis.settings.load_profile("memsgyro")
