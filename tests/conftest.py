@@ -50,6 +50,7 @@ LONGEST = (
     "loop/test_blocks.py",
     "loop/test_effects_in_loop.py",
     "montecarlo/test_sensitivity.py",
+    "montecarlo/test_lots.py",
     "tuning/test_adjoint.py",
     "loop/test_transforms.py",
     "couplings/test_modal.py",
