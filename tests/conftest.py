@@ -21,6 +21,8 @@ import jax  # noqa: E402
 import pytest  # noqa: E402
 
 
+jax.config.update("jax_traceback_in_locations_limit", 1)  # whence an operation is called: no test asks, and it costs
+
 # The first example of a property compiles, the others do not: a deadline per example would measure the compiler.
 hypothesis.settings.register_profile("memsgyro", deadline=None, derandomize=True, print_blob=True)
 hypothesis.settings.load_profile("memsgyro")
@@ -48,6 +50,7 @@ LONGEST = (
     "loop/test_blocks.py",
     "loop/test_effects_in_loop.py",
     "montecarlo/test_sensitivity.py",
+    "montecarlo/test_lots.py",
     "tuning/test_adjoint.py",
     "loop/test_transforms.py",
     "couplings/test_modal.py",
@@ -87,7 +90,7 @@ TOGETHER = (
 # What promises bits, or almost, is tested in the code that users run, and so are slow tests and processes of their own.
 # The others ask for figures: their programs run once, and compile faster without LLVM's optimiser.
 OPTIMISED = (
-    "montecarlo/",
+    "montecarlo/test_sweep.py",
     "effects/test_members.py",
     "effects/test_of_operation.py",
     "couplings/test_frequency_sweep.py",
@@ -97,8 +100,7 @@ OPTIMISED = (
     "loop/test_loop.py",
     "loop/test_trace.py",
     "tuning/test_adjoint.py",
-    "tuning/test_tune.py",  # this and the next run long enough to be worth it
-    "test_readme.py",
+    "test_readme.py",  # runs long enough to be worth it
 )
 
 

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Complex
 
 from memsgyro_jax.base.display import Displayed
+from memsgyro_jax.base.plainly import at_once
 from memsgyro_jax.device.gyro import SingleMassGyro
 from memsgyro_jax.effects import Effect, ElectricalFeedthrough, FiniteSweepRate
 
@@ -31,6 +32,7 @@ class LockIn(Displayed):
     drive_ratio: Array = eqx.field(converter=jnp.asarray, default=1.0)
     drive_asymmetry: Array = eqx.field(converter=jnp.asarray, default=0.0)
 
+    @at_once
     def channels(self, axis: int) -> Complex[Array, " 2"]:
         """Complex gain of both channels when electrode `axis` is driven."""
         common = self.gain * jnp.exp(1j * self.phase)

@@ -9,6 +9,7 @@ import numpy as np
 from jax.scipy.special import wofz
 from jaxtyping import Array, Complex, Float
 
+from memsgyro_jax.base.plainly import at_once
 from memsgyro_jax.measurement.experiments.base import Experiment, Noise
 
 from .bench import Bench
@@ -74,6 +75,7 @@ class FrequencySweep(Experiment):
         return self.with_measured(self.predict(bench))
 
 
+@at_once
 def chirp_excess(device, frequency: Array, start: Array, speed: Array, axis: int, rate: Array) -> Complex[Array, "n 2"]:
     """How a sweep at `speed` [rad/s²] differs from the settled response [m per m/s²]; exactly zero at zero speed.
 

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Complex, Float
 
 from memsgyro_jax.base.display import Displayed
+from memsgyro_jax.base.plainly import at_once
 
 from .modes import CoupledModes
 
@@ -39,6 +40,7 @@ class PartialFractions(NamedTuple):
     residues: Complex[Array, "4 2"]
 
 
+@at_once
 def coupled_poles(modes: CoupledModes, rate: float = 0.0) -> Complex[Array, " 2"]:
     """The two poles in the upper half plane [rad/s], the one that tends to x first; exactly the uncoupled ones without
     coupling.
@@ -63,6 +65,7 @@ def coupled_poles(modes: CoupledModes, rate: float = 0.0) -> Complex[Array, " 2"
     return jax.vmap(lambda s: s - _implicit_step(modes, frozen, s, rate))(jax.lax.stop_gradient(poles))
 
 
+@at_once
 def partial_fractions(modes: CoupledModes, axis: int, rate: float = 0.0) -> PartialFractions:
     """Poles and residues of `CoupledModes.response` for a force on electrode `axis`."""
     upper = coupled_poles(modes, rate)
@@ -74,6 +77,7 @@ def partial_fractions(modes: CoupledModes, axis: int, rate: float = 0.0) -> Part
     return PartialFractions(poles, numerator / jnp.prod(gaps, axis=1)[:, None])
 
 
+@at_once
 def half_power(frequency: Float[Array, " n"], amplitude: Float[Array, " n"]) -> SingleMode:
     """Mode from the peak and the half-power points of an amplitude curve, as the paper does (section 3.1).
 
@@ -105,6 +109,7 @@ def circle(
     return SingleMode.of_pole(circle_pole(frequency, response, weight))
 
 
+@at_once
 def circle_pole(
     frequency: Float[Array, " n"], response: Complex[Array, " n"], weight: Float[Array, " n"] | None = None
 ) -> Array:

@@ -16,6 +16,7 @@ from jaxtyping import Array, Complex, Float
 
 from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.plainly import at_once
 from memsgyro_jax.device.gyro import SingleMassGyro
 from memsgyro_jax.effects import ForceMisalignment
 from memsgyro_jax.effects.evaluation import carried
@@ -42,6 +43,7 @@ class CoupledModes(Displayed):
     force_xy: Array = eqx.field(converter=jnp.asarray, default=0.0)
 
     @classmethod
+    @at_once
     def from_coefficients(
         cls,
         mass: float,
@@ -93,6 +95,7 @@ class CoupledModes(Displayed):
         one = jnp.ones_like(self.force_yx)
         return jnp.stack([jnp.stack([one, self.force_xy]), jnp.stack([self.force_yx, one])])
 
+    @at_once
     def dynamic_stiffness(self, frequency: Float[Array, " n"], rate: float = 0.0) -> tuple[Array, Array, Array, Array]:
         """Dx, Dy, Cxy, Cyx at angular frequencies [rad/s]: the matrix [[Dx, Cxy], [Cyx, Dy]] takes phasors (X, Y) [m]
         to acceleration [m/s²].
@@ -108,6 +111,7 @@ class CoupledModes(Displayed):
         coupling = self.stiffness_coupling + s * self.damping_coupling
         return diagonal[0], diagonal[1], coupling - 2 * s * rate, coupling + 2 * s * rate
 
+    @at_once
     def response(self, frequency: Float[Array, " n"], axis: int, rate: float = 0.0) -> Complex[Array, "n 2"]:
         """Phasors (X, Y) in steady state for a unit acceleration on electrode `axis` (0 = x, 1 = y) [m per m/s²]."""
         dx, dy, cxy, cyx = self.dynamic_stiffness(frequency, rate)

@@ -19,6 +19,7 @@ from jaxtyping import Array, Complex, Float
 from scipy import signal
 
 from memsgyro_jax.base.display import Displayed
+from memsgyro_jax.base.plainly import at_once
 
 from .modes import CoupledModes
 
@@ -49,6 +50,7 @@ class RatioEstimator(Displayed):
 class TruncatedRatio(RatioEstimator):
     """The paper's estimator exactly as published: real part of (15), unweighted least squares (18)."""
 
+    @at_once
     def __call__(
         self, frequency: Float[Array, " n"], ratio: Complex[Array, " n"], modes: CoupledModes
     ) -> RatioEstimate:
@@ -60,6 +62,7 @@ class TruncatedRatio(RatioEstimator):
 class ComplexRatio(RatioEstimator):
     """Real and imaginary part of the truncated ratio: the same approximation, none of the data thrown away."""
 
+    @at_once
     def __call__(
         self, frequency: Float[Array, " n"], ratio: Complex[Array, " n"], modes: CoupledModes
     ) -> RatioEstimate:
@@ -108,6 +111,7 @@ class ExactRatio(RatioEstimator):
         return _estimate(ends[best], rests.std[best])
 
 
+@at_once
 def relative_error(
     estimator: RatioEstimator, modes: CoupledModes, frequency: Array, ratio: Array | None = None
 ) -> Float[Array, " 3"]:
@@ -118,6 +122,7 @@ def relative_error(
     return estimator(frequency, ratio, modes).values() / truth - 1
 
 
+@at_once
 def conversion_ratio(x_driven: Complex[Array, "n 2"], y_driven: Complex[Array, "n 2"], modes: CoupledModes) -> Array:
     """kSF = SFy/SFx from the two resonance peaks at equal drive voltage (25): amplitude × ω²/Q of each mode's own
     response, as a ratio.
@@ -126,6 +131,7 @@ def conversion_ratio(x_driven: Complex[Array, "n 2"], y_driven: Complex[Array, "
     return own[1] / own[0]
 
 
+@at_once
 def phase_offset(frequency: Float[Array, " n"], response: Complex[Array, " n"], resonance: Array) -> Array:
     """Phase to subtract from a channel [rad] so that it reads −90° at resonance (26), (27): exact only without
     coupling.
@@ -134,6 +140,7 @@ def phase_offset(frequency: Float[Array, " n"], response: Complex[Array, " n"], 
     return jnp.interp(resonance, frequency, jnp.unwrap(jnp.angle(response))) + jnp.pi / 2
 
 
+@at_once
 def peak_to_peak(amplitude: Float[Array, " n"], phase: Float[Array, " n"]) -> tuple[Array, Array]:
     """Noise NA (relative) and Nφ [unit of `phase`] at fixed frequency (28): largest less smallest reading."""
     return jnp.ptp(amplitude) / jnp.mean(amplitude), jnp.ptp(phase)
@@ -146,6 +153,7 @@ def low_pass(record: Float[np.ndarray, " n"], cutoff: float, sample_rate: float)
     return signal.sosfiltfilt(signal.butter(4, cutoff, fs=sample_rate, output="sos"), record)
 
 
+@at_once
 def goodness_of_fit(measured: Float[Array, "..."], fitted: Float[Array, "..."]) -> Array:
     """R_NL of (29): 1 − √(Σ(measured − fitted)²/Σ measured²). It says nothing about a coefficient that the curve hardly
     shows.

@@ -7,6 +7,7 @@ from jaxtyping import Array, Float
 from memsgyro_jax.base.arguments import quantity
 from memsgyro_jax.base.concrete import check_positive, is_concrete
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.plainly import at_once
 
 from .inertial import Pair
 from .small import Matrix, Scalar
@@ -32,6 +33,7 @@ def rates_of(frequency: Pair, quality_factor: Scalar | Pair) -> tuple[Pair, Pair
     return (first, second), (first / quality[0], second / quality[1])
 
 
+@at_once
 def in_turned_axes(first: Scalar, second: Scalar, cross: Scalar, angle: Scalar) -> Symmetric:
     """The symmetric matrix that is [[first, cross], [cross, second]] in axes turned by `angle` [rad] from x to y."""
     c, s = jnp.cos(angle), jnp.sin(angle)

@@ -143,23 +143,25 @@ def complaint(effect: Effect, axes: int) -> str:
 
 def _complaint(part: PortMethod, absent: Effect, now: Moment) -> str:
     # Everything under tracing, as fits do: a branch on a number shows here and not in the middle of a fit.
-    like = jax.vmap(part.like)(now)
-    shape = jax.eval_shape(lambda n: jnp.asarray(part.value(absent, n)), jax.tree.map(lambda leaf: leaf[0], now)).shape
-    if shape != like.shape[1:]:
-        return f"method `{part.method}` must return an array of shape {like.shape[1:]}, but returns one of {shape}"
+    first = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), now)
+    wanted = jax.eval_shape(part.like, first).shape
+    shape = jax.eval_shape(lambda n: jnp.asarray(part.value(absent, n)), first).shape
+    if shape != wanted:
+        return f"method `{part.method}` must return an array of shape {wanted}, but returns one of {shape}"
 
     def value(strength: Array) -> Array:
         return jax.vmap(lambda n: jnp.asarray(part.value(at_strength(absent, strength), n)))(now)
 
-    def everything(strength: Array) -> tuple[Array, Array, Array]:
+    def everything(strength: Array) -> tuple[Array, ...]:
         # In reverse mode a branch that is not taken still counts: zero times infinity is no number.
-        return value(strength), jax.jacfwd(value)(strength), jax.grad(lambda s: jnp.sum(value(s)))(strength)
+        reverse = jax.grad(lambda s: jnp.sum(value(s)))(strength)
+        return value(strength), jax.jacfwd(value)(strength), reverse, jax.vmap(part.like)(now)
 
-    given, forward, reverse = plainly(everything)(absent.strength)
-    if not bool(jnp.all(jnp.isfinite(given))):
+    given, forward, reverse, like = map(np.asarray, plainly(everything)(absent.strength))
+    if not np.all(np.isfinite(given)):
         return f"method `{part.method}` must be finite at strength zero, but is not"
-    if part.exact and not bool(jnp.all(given == like)):
+    if part.exact and not np.all(given == like):
         return f"method `{part.method}` must do exactly nothing at strength zero, but does something"
-    if not all(bool(jnp.all(jnp.isfinite(slope))) for slope in (forward, reverse)):
+    if not all(np.all(np.isfinite(slope)) for slope in (forward, reverse)):
         return f"method `{part.method}` must have a finite derivative by the strength at zero, but has none"
     return ""

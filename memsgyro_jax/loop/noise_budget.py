@@ -20,6 +20,7 @@ from memsgyro_jax.base.axes import axes
 from memsgyro_jax.base.concrete import check_positive, is_concrete
 from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.plainly import at_once
 from memsgyro_jax.device.brownian import thermal_acceleration
 from memsgyro_jax.device.gyro import VX, AbstractGyro, Inertial, Scalar
 
@@ -150,9 +151,17 @@ def noise_budget(
     **Raises:** `InputError` for what is no loop, and for a motion or sample rate that is not positive.
     """
     loop = as_loop(loop)
-    sense, phase_locked = _sense(loop, amplitude)
     period = _period(loop, sample_rate)
-    check_positive("amplitude", sense.amplitude)
+    phase_locked = isinstance(loop.controller, ClassicControl)
+    numbers = _numbers(loop, amplitude, period)
+    check_positive("amplitude", numbers["amplitude"])
+    return NoiseBudget(**numbers, notes=_notes(loop, phase_locked, period))
+
+
+@at_once
+def _numbers(loop: ClosedLoop, amplitude: Scalar | None, period: Scalar) -> dict[str, Any]:
+    """All of a budget but its notes."""
+    sense, phase_locked = _sense(loop, amplitude)
     shaken = sense.shaken > 0.0  # the root of nothing has no slope
     brownian = jnp.where(shaken, jnp.sqrt(jnp.where(shaken, 2.0 * sense.shaken, 1.0)), 0.0)
     parts = {"Brownian force": brownian + 0.0 * sense.omega}
@@ -168,17 +177,16 @@ def noise_budget(
     frequency, shapes = _over_frequency(sense)
     bent = jnp.stack([shapes[0] if name == names[0] else shapes[1] for name in names])
     modes = jnp.sqrt(sense.square)
-    return NoiseBudget(
-        walk=walk,
-        frequency=frequency,
-        density=jnp.sqrt(2.0) * walk[:, None] * bent,
-        amplitude=sense.amplitude,
-        swing=sense.omega / (2.0 * jnp.pi),
-        split=jnp.abs(modes - sense.omega) / (2.0 * jnp.pi),
-        instability=_instability(loop, sense, phase_locked),
-        sources=names,
-        notes=_notes(loop, phase_locked, period),
-    )
+    return {
+        "walk": walk,
+        "frequency": frequency,
+        "density": jnp.sqrt(2.0) * walk[:, None] * bent,
+        "amplitude": sense.amplitude,
+        "swing": sense.omega / (2.0 * jnp.pi),
+        "split": jnp.abs(modes - sense.omega) / (2.0 * jnp.pi),
+        "instability": _instability(loop, sense, phase_locked),
+        "sources": names,
+    }
 
 
 def _period(loop: ClosedLoop, sample_rate: float | str | None) -> float:

@@ -15,6 +15,7 @@ from memsgyro_jax.base.arguments import quantity
 from memsgyro_jax.base.concrete import is_concrete
 from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.plainly import at_once
 from memsgyro_jax.device.conditions import Conditions
 from memsgyro_jax.device.gyro import Scalar, check_not_negative, check_positive, number
 
@@ -148,6 +149,7 @@ class RandomWalk(AbstractProfile):
         if self.rows < 2:
             raise InputError(f"Argument `rows` must be at least 2, but {self.rows} was given.")
 
+    @at_once
     def value(self, time: Scalar) -> Scalar:
         """Linear between the points of the walk."""
         spacing = self.duration / self.rows

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array
 
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.plainly import at_once
 from memsgyro_jax.device.gyro import Inertial, Scalar
 
 from .controllers import ClassicControl, ForceRebalance
@@ -35,6 +36,12 @@ def separate_margins(loop: ClosedLoop) -> LoopMargins:
         raise InputError(
             f"Argument `loop` must be driven by `ClassicControl`, but its controller is a {type(control).__name__}."
         )
+    return _separate(loop)
+
+
+@at_once
+def _separate(loop: ClosedLoop) -> LoopMargins:
+    control: Any = loop.controller
     drive, dynamics = control.drive, loop.device.dynamics(Inertial())
     omega, pole = 2.0 * jnp.pi * drive.frequency, 2.0 * jnp.pi * drive.demodulator.bandwidth
     decay = 0.5 * dynamics.damping[0][0]

@@ -11,6 +11,7 @@ from memsgyro_jax.base import runtime
 from memsgyro_jax.base.arguments import plain_quantity, whole
 from memsgyro_jax.base.concrete import is_concrete
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.plainly import at_once
 from memsgyro_jax.base.provenance import Settings
 from memsgyro_jax.device.gyro import Inertial
 from memsgyro_jax.device.propagate import State4
@@ -174,8 +175,12 @@ def _row(sample: Sample) -> _Row:
 def _as_trace(done: engine.Run, loop: ClosedLoop, theta: tuple, settings: Settings, rows: _Rows) -> Trace:
     nominal = loop.readout.offset
     xp = np if is_concrete(done, theta, nominal) else jnp
-    columns = lambda entries: xp.stack(xp.broadcast_arrays(*map(xp.asarray, entries)), axis=-1)  # noqa: E731
     row: _Row = jax.tree.map(xp.asarray, done.outputs)
+    parts = (row.motion, row.estimate.motion, theta, row.estimate.theta, nominal, row.offset, row.estimate.offset)
+    columns = _columns if xp is np else _traced_columns
+    motion, motion_estimate, theta, theta_estimate, nominal, offset, offset_estimate, volts, force = columns(
+        (*parts, row.volts, row.force), xp
+    )
     estimate, missing = row.estimate, xp.full(row.time.shape, np.nan)
     with np.errstate(invalid="ignore"):  # the variance of a lost die may be negative
         std = missing if estimate.rate_variance is None else xp.sqrt(estimate.rate_variance)
@@ -185,14 +190,14 @@ def _as_trace(done: engine.Run, loop: ClosedLoop, theta: tuple, settings: Settin
         rate_estimate=row.output,
         rate_unfiltered=estimate.rate,
         rate_std=std,
-        motion=columns(row.motion),
-        motion_estimate=columns(estimate.motion),
-        theta=columns(theta),
-        theta_estimate=columns(estimate.theta),
-        offset=columns(nominal) + columns(row.offset),
-        offset_estimate=columns(estimate.offset),
-        volts=columns(row.volts),
-        force=columns(row.force),
+        motion=motion,
+        motion_estimate=motion_estimate,
+        theta=theta,
+        theta_estimate=theta_estimate,
+        offset=nominal + offset,
+        offset_estimate=offset_estimate,
+        volts=volts,
+        force=force,
         nis=missing if estimate.nis is None else estimate.nis,
         intact_until=xp.where(done.alive, np.inf, xp.asarray(rows.ends)[done.blocks_alive] / settings.sample_rate),
         loop=loop,
@@ -200,3 +205,11 @@ def _as_trace(done: engine.Run, loop: ClosedLoop, theta: tuple, settings: Settin
         settings=settings,
         readings=estimate.readings,
     )
+
+
+def _columns(parts: tuple, xp: Any) -> list[Any]:
+    """Of each part its entries side by side, along the last axis."""
+    return [xp.stack(xp.broadcast_arrays(*map(xp.asarray, entries)), axis=-1) for entries in parts]
+
+
+_traced_columns = at_once(_columns)

@@ -59,8 +59,9 @@ def is_seen(device: NormalisedDevice, offered: Sequence[Phasors]) -> bool:
     for omega, motion, force, weight, modulus, _ in offered:
         if modulus or motion.shape[1] > 1:
             return True
-        response = 1.0 / (device.stiffness[0] - omega**2 + 1j * omega * device.damping[0])
-        columns = force[:, 0, None] * weight[:, None] * np.stack([np.ones(len(omega)), np.asarray(response)], axis=1)
+        stiffness, damping = np.asarray(device.stiffness)[0], np.asarray(device.damping)[0]
+        response = 1.0 / (stiffness - omega**2 + 1j * omega * damping)
+        columns = force[:, 0, None] * weight[:, None] * np.stack([np.ones(len(omega)), response], axis=1)
         seen = motion[:, 0] * weight
         for part, sign in ((columns[:, :1], 1.0), (columns, -1.0)):
             part = part / np.linalg.norm(part, axis=0)

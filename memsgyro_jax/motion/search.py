@@ -102,14 +102,15 @@ def search(
     """
     pool = _pool(problem, modes, 128 * starts, np.random.default_rng(seed))
     chosen = pool[np.argsort(np.asarray(_losses(pool, problem)))[:starts]]
-    vectors = _descents(chosen, problem, steps)
+    vectors = np.asarray(_descents(chosen, problem, steps))
     # A slack that is not needed comes near zero but stays; without it the limit is met exactly.
-    both = jnp.stack([vectors, vectors.at[:, -2:].set(0.0)])
-    padded = jnp.resize(both.reshape(-1, problem.size), pool.shape)  # the pool's program serves again
-    losses = _losses(padded, problem)[: 2 * starts].reshape(2, starts)
-    best = jnp.argmin(losses, axis=0), jnp.arange(len(vectors))
-    order = np.argsort(np.asarray(losses[best]))
-    return BestTones(jax.vmap(lambda v: tones(v, problem))(both[best][order]), np.asarray(losses[best])[order])
+    exact = np.where(np.arange(problem.size) < problem.size - 2, vectors, 0.0)
+    both = np.stack([vectors, exact])
+    padded = np.resize(both.reshape(-1, problem.size), pool.shape)  # the pool's program serves again
+    losses = np.asarray(_losses(padded, problem))[: 2 * starts].reshape(2, starts)
+    best = np.argmin(losses, axis=0), np.arange(len(vectors))
+    order = np.argsort(losses[best])
+    return BestTones(_tones(both[best][order], problem), losses[best][order])
 
 
 def _pool(problem: Problem, modes: tuple, count: int, rng: np.random.Generator) -> Float[np.ndarray, "count n"]:
@@ -128,6 +129,11 @@ def _pool(problem: Problem, modes: tuple, count: int, rng: np.random.Generator) 
     slack = rng.normal(0.0, 0.1, (count, 2))
     place = np.log(share / (1.0 - share)) / float(_scale(problem))
     return np.concatenate([place, *(part.reshape(count, -1) for part in amplitude), slack], axis=1)
+
+
+@eqx.filter_jit
+def _tones(vectors: Float[Array, "n size"], problem: Problem) -> Tones:
+    return jax.vmap(lambda vector: tones(vector, problem))(vectors)
 
 
 @eqx.filter_jit

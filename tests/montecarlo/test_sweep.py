@@ -18,17 +18,16 @@ from kept import kept
 
 import memsgyro_jax as mg
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.device.gyro import SINGLE_MASS, MotionModel
-from memsgyro_jax.montecarlo.batch import DIVERGED, OK, Plan
+from memsgyro_jax.montecarlo.batch import Plan
 from memsgyro_jax.montecarlo.bounds import own_bounds
-from memsgyro_jax.montecarlo.divergence import NO_OBSERVER, Divergence, divergence_of
+from memsgyro_jax.montecarlo.divergence import divergence_of
 from memsgyro_jax.montecarlo.spread import AbstractDistribution
 
 
 SHORT = {"sample_rate": 100e3, "duration": 0.002, "bound_dies": 0}
 SPREAD = mg.Spread.relative(0.15)
 SLIGHT = mg.Spread.relative(1e-5)  # what the filter of `small` takes as known hardly differs
-FEWER = 20  # by eights on two devices, as many places as 6 in chunks of 64: two programs do for most of this file
+FEWER = 36  # by eights on two devices as many places as 40, and as 6 in chunks of 96: one program does for most
 
 SCRIPT = """
 import sys
@@ -93,7 +92,7 @@ def test_one_core_without_assertions_locale_or_home_gives_the_bits_of_two_device
     assert_same_bits(stored(tmp_path / "one"), reference, 40)
 
 
-@pytest.mark.parametrize("chunk", [1, pytest.param(5, marks=pytest.mark.slow), 64])
+@pytest.mark.parametrize("chunk", [1, pytest.param(5, marks=pytest.mark.slow), 96])
 def test_the_chunk_size_changes_nothing(small, reference, chunk):
     assert_same_bits(mg.sweep(small, SLIGHT, dies=6, chunk=chunk, **SHORT).to_xarray(), reference, 6)
 
@@ -107,63 +106,6 @@ def test_what_is_known_and_does_not_vary_needs_no_axis_of_dies(loop):
     error = lot.to_xarray()["coefficient_error"]
     assert np.all(error.sel(coefficient="sigma") == 0.0)
     assert lot.summary.bound is None
-
-
-class Wrapped(mg.AbstractObserver):
-    """Somebody's own observer, which gives an innovation but no full covariance."""
-
-    inner: mg.ExtendedKalmanFilter
-    model: MotionModel = eqx.field(static=True, default=SINGLE_MASS)
-
-    def init(self):
-        return self.inner.init()
-
-    def update(self, state, measured, force, clock):
-        return self.inner.update(state, measured, force, clock)
-
-    def estimate(self, state):
-        return self.inner.estimate(state)
-
-
-def test_an_observer_from_outside_the_package_can_be_swept(small):
-    lot = mg.sweep(replace(small, observer=Wrapped(small.observer)), SPREAD, dies=2, **SHORT)
-    assert lot.summary.nis is not None
-    assert lot.summary.nees is None
-    assert "NEES unknown (the observer claims no covariance), NIS" in repr(lot)
-    without = replace(lot.summary, divergence=Divergence(unjudged=NO_OBSERVER), convergence_time=0.0)
-    assert not any(word in repr(without) for word in ("NEES", "diverged"))
-    assert "not shown: the median die is within" in repr(without)
-
-
-def test_filters_that_take_as_known_what_varies_are_diverged_and_told_so(loop, reference, tmp_path):
-    """What varies by 15 % makes the claims of a filter that is sure of it impossible, within travel or not."""
-    sure = eqx.tree_at(lambda made: made.observer.prior, loop, mg.design_prior(loop.device, spread=0.0))
-    lot = mg.sweep(sure, SPREAD, dies=40, chunk=8, out=tmp_path, **SHORT)
-    assert lot.summary.divergence.dies == tuple(range(40))
-    assert lot.summary.failed == 0
-    (cause,) = lot.summary.divergence.causes
-    assert cause.startswith("40 of them (0, 1, 2, 3, 4, ...) differ in what the filter takes as known exactly: kxx")
-    assert np.all(stored(tmp_path)["status"].values == DIVERGED)
-    assert np.isnan(lot.summary.sound.rms)
-    assert np.isfinite(lot.summary.end.rms)
-    text = repr(lot)
-    assert "0 lost, 40 diverged" in text
-    assert "NEES unknown (the claimed covariance is singular" in text
-    assert np.all(reference["status"].values == OK)
-
-
-def test_dies_drawn_again_and_a_filter_that_claims_too_little_are_told(loop):
-    narrow = eqx.tree_at(lambda made: made.observer.prior, loop, mg.design_prior(loop.device, spread=0.05))
-    lot = mg.sweep(narrow, mg.Spread.relative(0.8), dies=40, chunk=8, **SHORT)
-    again = int(np.sum(lot.to_xarray()["redrawn"].values > 0))
-    assert lot.summary.redrawn == lot.summary.as_dict()["redrawn"] == again > 0
-    assert f"{again} of 40 dies" in repr(lot)
-    assert "the filter claims too little error" in repr(lot)
-    right = mg.sweep(loop, SPREAD, dies=40, chunk=8, **SHORT)
-    low, high = right.summary.nees_interval
-    assert (low, high) == pytest.approx((11.96, 16.25), abs=0.3), "χ² of 14, mean over 40 dies"
-    assert "drawn again" not in repr(right)
-    assert "the filter claims" not in repr(right)
 
 
 @pytest.mark.slow
@@ -250,8 +192,8 @@ def test_a_store_of_something_else_is_refused(small, tmp_path):
         mg.sweep(small, SLIGHT, dies=FEWER, chunk=8, seed=1, out=tmp_path, resume=True, **SHORT)
     with pytest.raises(InputError, match="blocks of 64"):
         mg.sweep(small, SLIGHT, dies=FEWER, chunk=4, out=tmp_path, resume=True, **SHORT)
-    with pytest.raises(InputError, match="holds 20 dies"):
-        mg.sweep(small, SLIGHT, dies=19, chunk=8, out=tmp_path, resume=True, **SHORT)
+    with pytest.raises(InputError, match="holds 36 dies"):
+        mg.sweep(small, SLIGHT, dies=35, chunk=8, out=tmp_path, resume=True, **SHORT)
 
 
 @pytest.mark.parametrize(
@@ -339,12 +281,6 @@ def test_identical_dies_differ_by_noise_alone(small):
 def test_results_do_not_depend_on_a_rebuilt_loop(small, reference):
     rebuilt = eqx.tree_at(lambda made: made.device.mass, small, jnp.asarray(1.8e-7))
     assert_same_bits(mg.sweep(rebuilt, SLIGHT, dies=FEWER, chunk=8, **SHORT).to_xarray(), reference, FEWER)
-
-
-def test_a_singular_covariance_has_no_nees(loop):
-    known = mg.design_prior(loop.device, motion_error=0.0)
-    sure = eqx.tree_at(lambda made: made.observer.prior, loop, known)
-    assert mg.sweep(sure, SPREAD, dies=40, chunk=8, **SHORT).summary.nees is None
 
 
 def test_a_filter_refuses_what_it_cannot_use(loop):

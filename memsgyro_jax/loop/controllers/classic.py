@@ -10,6 +10,7 @@ import numpy as np
 
 from memsgyro_jax.base.concrete import is_concrete
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.plainly import at_once
 from memsgyro_jax.device.gyro import VX, AbstractGyro, Dynamics, Inertial, Pair, Scalar, X, check_positive, number
 
 from ..observers.base import Clock, Estimate, LockReadings
@@ -216,6 +217,7 @@ def _shift_of_nulling(gyro: AbstractGyro) -> Scalar:
     return jnp.abs(apart - jnp.abs(half)) / (2.0 * jnp.sqrt(kxx))
 
 
+@at_once
 def locked_frequency(gyro: AbstractGyro, *, nulled: bool) -> Scalar:
     """The ω [rad/s] at which a force along x in phase with its velocity swings it, with y free, or `nulled` by a force
     on y: there a phase-locked loop locks.
