@@ -154,10 +154,17 @@ def _stages(loop: ClosedLoop, tunables: Tunables, loss: AbstractLoss | None, set
     if not loop.observer.claims_innovation:
         return (TuningStage(error, everything, "this observer claims no variance, so there is no likelihood"),)
     stages = (
-        TuningStage(InnovationLikelihood(settle), own, "it fixes the scale of the noises, which the error leaves open"),
+        TuningStage(InnovationLikelihood(settle), own, _scale_of(tunables)),
         TuningStage(error, tuple(not o for o in own), "the likelihood does not see what follows the filter"),
     )
     return tuple(stage for stage in stages if any(stage.which))
+
+
+def _scale_of(tunables: Tunables) -> str:
+    """Why a filter's numbers are judged by the likelihood."""
+    told = "it weighs what the filter claims against what it sees"
+    noise = any("noise" in path for path in tunables.paths)
+    return f"{told}, and so fixes the scale of the noises, which the error leaves open" if noise else told
 
 
 @dataclass(frozen=True)
