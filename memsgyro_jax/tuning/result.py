@@ -280,8 +280,8 @@ def warnings_of(after: Merit, lost_before: int, ratio: Interval) -> tuple[str, .
     if after.consistent is False:
         when = "the error falls while" if ratio.high < 1.0 else "after tuning"
         why = (
-            "the filter claims more error than it makes; a noise of the read-out that it is told too large and that is "
-            "not free (`observer.noise_density`), a prior wider than the dies vary, an annealing that has not ended, or "
+            "the filter claims more error than it makes; a read-out noise that it is told too large and that is not "
+            "free (`observer.noise_density`), a prior wider than the dies vary, an annealing that has not ended, or "
             "noises raised for an error of the model do that."
             if after.cautious
             else "the gains are absorbing an error of the model; find what is missing first (`memsgyro compare`, "

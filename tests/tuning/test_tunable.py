@@ -170,7 +170,11 @@ def merit(mean, nis=(1.0, 1.0), nees=14.0, lost=0):
             ["absorbing an error of the model", "NIS is 1.3, 1 instead of 1"],
         ),
         (merit(0.5, nees=30.0), 0.4, ["absorbing an error of the model", "NEES is 30 instead of 14"]),
-        (merit(0.5, nees=10.0), 0.4, ["NEES is 10 instead of 14", "claims more error than it makes; a prior wider"]),
+        (
+            merit(0.5, nees=10.0),
+            0.4,
+            ["NEES is 10 instead of 14", "claims more error than it makes; a read-out noise", "a prior wider"],
+        ),
         (merit(0.5, nis=(0.7, 1.3)), 0.4, ["absorbing an error of the model"]),
         (merit(0.5, lost=2), 0.4, ["2 of 256 unseen dies are lost"]),
         (merit(1.05), 0.9, []),
