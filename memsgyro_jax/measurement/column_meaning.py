@@ -122,8 +122,7 @@ def role_of(column: SourceColumn) -> str:
     for role in ("phase", "amp"):
         if re.search(_NAMED[role], name):
             return role
-    channel, part = channel_and_part(column.name)
-    if channel in ("x", "y"):
+    if part := channel_and_part(column.name)[1]:
         return part
     for role, words in PARTS.items():
         if tokens and (tokens[-1] in words or tokens[0] in words):

@@ -44,8 +44,8 @@ def require_axes(paths: Sequence[str | Path], found: Sequence[Sequence[ImportedR
     if silent:
         words = " ".join(some[0].axis or _louder(some[0]) for some in found)
         raise InputError(
-            f"{listed(silent)}: with two channels the driven axis must be known, but neither a column F_x or F_y nor the "
-            f"file's name says it; give it for each file, as in --axis {words} (by the larger channel)."
+            f"{listed(map(str, silent))}: with two channels the driven axis must be known, but neither a column F_x or F_y nor "
+            f"the file's name says it; give it for each file, as in --axis {words} (by the larger channel)."
         )
 
 
