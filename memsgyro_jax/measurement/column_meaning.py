@@ -212,7 +212,9 @@ def _whole(table: SourceTable, columns: dict[str, SourceColumn], unused: tuple[s
 def _unclear(table: SourceTable, found: Mapping[str, Sequence[SourceColumn]], what: str) -> InputError:
     """The names, and the words to copy."""
     over_time = "f" not in found
-    roles = ("t", "signal") if over_time else ("f", "I", "Q") if "amp" not in found else ("f", "amp", "phase")
+    roles: tuple[str, ...] = (
+        ("t", "signal") if over_time else ("f", "I", "Q") if "amp" not in found else ("f", "amp", "phase")
+    )
     if not over_time and any(_repeated(table, found, role) for role in roles[1:]):
         roles += tuple(f"y_{role}" for role in roles[1:])
     words = {"I": "x_I", "Q": "x_Q", "amp": "x_amp", "phase": "x_phase", "signal": "x"}

@@ -43,9 +43,10 @@ def require_axes(paths: Sequence[str | Path], found: Sequence[Sequence[ImportedR
     silent = [path for path, some in zip(paths, found, strict=True) if any(r.two_axes and not r.axis for r in some)]
     if silent:
         words = " ".join(some[0].axis or _louder(some[0]) for some in found)
+        names = listed(Path(path).name for path in silent)
         raise InputError(
-            f"{listed(map(str, silent))}: with two channels the driven axis must be known, but neither a column F_x or F_y nor "
-            f"the file's name says it; give it for each file, as in --axis {words} (by the larger channel)."
+            f"{names}: with two channels the driven axis must be known, but neither a column F_x or F_y nor the file's "
+            f"name says it; give it for each file, as in --axis {words} (by the larger channel)."
         )
 
 

@@ -151,17 +151,22 @@ def import_case(
     ]
     records = _agreed(_named([record for some in found for record in some]))
     case = _write(folder, records, names)
-    warning = _warning(paths, [some if needs else None for some, needs in zip(found, swept, strict=True)], folder)
+    warning = _warning(paths, [some if needs else None for some, needs in zip(found, swept, strict=True)], folder, [
+        *(["--map", columns] if columns else []), *(["--axis", *axis] if axis else [])
+    ])  # fmt: skip
     return ImportedCase(case, tuple(form for form, _ in read), tuple(records), tuple(unused), warning)
 
 
-def _warning(paths: Sequence[str | Path], found: Sequence[list[ImportedRecord] | None], folder: Path) -> str:
+def _warning(
+    paths: Sequence[str | Path], found: Sequence[list[ImportedRecord] | None], folder: Path, options: Sequence[str]
+) -> str:
     """That nothing tells the drive levels of several files, and the command to give them; empty where they are told.
 
     Args:
         paths: of all files.
         found: the records of each, or `None` where it needs no level.
         folder: of the case.
+        options: of the command that say what the files are.
     """
     levels = []
     for some in found:
@@ -171,7 +176,7 @@ def _warning(paths: Sequence[str | Path], found: Sequence[list[ImportedRecord] |
     if levels.count("...") < 2:
         return ""
     files = listed(Path(path).name for path, level in zip(paths, levels, strict=True) if level == "...")
-    command = shlex.join(["memsgyro", "import", *map(str, paths), "--out", str(folder), "--overwrite"])
+    command = shlex.join(["memsgyro", "import", *map(str, paths), "--out", str(folder), "--overwrite", *options])
     shown = " ".join(level if level == "-" else f'"{level}"' for level in levels)
     return (
         f"{levels.count('...')} files do not say at which level they were driven, and each was taken for 1 V "

@@ -21,7 +21,7 @@ from .imported_columns import (
     reading_column,
     time_column,
 )
-from .imported_sweep import read_as, sweep_of
+from .imported_sweep import columns_of_sweep, read_as
 from .thinning import thinned
 from .tracking import rough_decay
 from .two_channels import axis_in_name
@@ -115,7 +115,7 @@ def _sweep(about: dict, table: SourceTable, meaning: Meaning, rows: dict, given:
             assumed.append(f"{axis} is driven, as `{rows['drive'].name}` says")
         elif axis != given.axis:
             assumed.append(f"{axis} is driven, as the file's name says")
-    columns, keys, quantity = sweep_of(table, rows, given.drive, axis, assumed)
+    columns, keys, quantity = columns_of_sweep(table, rows, given.drive, axis, assumed)
     return ImportedRecord(
         **about, kind="frequency_sweep", columns=headed(columns), keys=keys, assumed=tuple(assumed), quantity=quantity,
         two_axes=meaning.two_axes, axis=axis,

@@ -27,7 +27,7 @@ _INSIDE = 0.01  # of the band, from its ends: where a largest reading is that of
 _LEVEL = re.compile(r"(?<![A-Za-z0-9.])(\d+(?:[.p]\d+)?)[ _]?([nuµm]?[VAN])(?:pk|p)?(?![A-Za-z])")
 
 
-def sweep_of(
+def columns_of_sweep(
     table: SourceTable,
     rows: Mapping[str, SourceColumn],
     drive: tuple[float, str] | None,

@@ -33,7 +33,8 @@ def plain_words(name: str) -> str:
 
 def channel_and_part(name: str) -> tuple[str, str]:
     """Of which channel a column is, "x" and "y" or a number, and which part of its phasor; empty where no word says."""
-    words, numbers = [], []
+    words: list[str] = []
+    numbers: list[str] = []
     for word in plain_words(name).split():
         if joined := _JOINED.fullmatch(word):
             words += joined.groups()
