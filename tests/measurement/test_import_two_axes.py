@@ -121,7 +121,9 @@ def test_an_axis_that_nothing_tells_is_asked_for_in_words_to_copy(tmp_path):
         mg.import_case(paths, tmp_path / "case")
     assert not (tmp_path / "case").exists()
     axes = re.search(r"--axis ((?:[xy] )+)", str(told.value))[1].split()
-    assert [record.axis for record in mg.import_case(paths, tmp_path / "case", axis=axes).case.records] == [0, 1]
+    found = mg.import_case(paths, tmp_path / "case", axis=axes)
+    assert [record.axis for record in found.case.records] == [0, 1]
+    assert found.warning.endswith('--overwrite --axis x y --drive "..." "..."')
 
 
 def test_columns_that_may_be_more_than_two_channels_are_named_with_a_map_to_copy(tmp_path):
