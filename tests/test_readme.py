@@ -92,4 +92,4 @@ def test_files_of_an_instrument_become_a_case_as_told(tmp_path, monkeypatch, cap
     assert len(assumed) == 4
     assert all(line.rstrip(".") in out for line in assumed)
     copied = re.search(r'--map "([^"]*)"', README)[1]
-    assert [*parse_map(copied)] == ["f", "I", "Q", "drive"]
+    assert [*parse_map(copied)] == ["f", "I", "Q", "drive_x"]

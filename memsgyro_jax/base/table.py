@@ -80,7 +80,8 @@ def _lines(path: Path, text: str) -> list[_Line]:
     if kept and re.search(r"[;\t]", kept[0][1]):
         raise InputError(
             f"{path}, line {kept[0][0]}: columns must be separated by commas and decimals written with a point, "
-            "but the header has semicolons or tabs; export it again as comma-separated."
+            "but the header has semicolons or tabs; export it again as comma-separated, or let `memsgyro import` "
+            "read the files of an instrument as they are."
         )
     return [_Line(number, _fields(path, number, line)) for number, line in kept]
 

@@ -13,14 +13,18 @@ from memsgyro_jax.base.units import NUMBER
 from .formats import SourceColumn, SourceTable
 from .formats.header import split_header
 from .imported_columns import is_same_kind
+from .two_channels import PARTS, axis_of_drive, channel_and_part, plain_words, two_channels
 
 
 ROLES = ("t", "f", "I", "Q", "amp", "phase", "signal", "drive", "T", "V_bias", "rate")
 """Time, frequency, parts of a phasor, amplitude and phase of it, a waveform, what drives, conditions."""
+SECOND = ("y_I", "y_Q", "y_amp", "y_phase")
+"""Parts of the phasor of a second channel."""
 SHORT = {
     "x_I": "I", "Vx_I": "I", "X": "I", "x_Q": "Q", "Vx_Q": "Q", "Y": "Q", "x_amp": "amp", "Vx_amp": "amp", "R": "amp",
     "x_phase": "phase", "Vx_phase": "phase", "theta": "phase", "x": "signal", "y": "signal", "Vx": "signal",
-    "F": "drive", "F_x": "drive", "u": "drive", "u_x": "drive",
+    "F": "drive", "F_x": "drive_x", "u": "drive", "u_x": "drive_x", "F_y": "drive_y", "u_y": "drive_y",
+    **{role: role for role in SECOND}, **{f"V{role}": role for role in SECOND},
 }  # fmt: skip
 """Other words for the roles on the left of `--map`."""
 _UNUSED = re.compile(
@@ -33,13 +37,9 @@ _NAMED = {
     "T": r"^(temp|temperature)\b|temperature",
     "V_bias": r"bias",
     "drive": r"drive|excit|force|stimul|generator|source|\binput\b|level|set ?point|control|sig(nal)? ?out|current|"
-    r"^(f x|u|u x|output)$|amplitude set|anregung",
+    r"^(f [xy]|u|u [xy]|output)$|amplitude set|anregung",
     "phase": r"\bphase|theta|\bphi\b|\barg\b|angle",
     "amp": r"^r$|\bamp\b|ampl\b|amplitude|magnitude|\bmag\b|\babs\b|modulus|\bgain\b|^s\d\d db$",
-}
-_PARTS = {
-    "I": {"x", "i", "re", "real", "inphase", "realz"},
-    "Q": {"y", "q", "im", "imag", "imaginary", "quadrature", "quad", "imagz"},
 }
 _DIMENSIONS = {"f": "Hz", "t": "s", "T": "K", "phase": "rad"}
 
@@ -51,10 +51,17 @@ class Meaning:
     Args:
         columns: role to column.
         unused: names of those that are left out.
+        driven: axis of the drive, where its column says.
     """
 
     columns: Mapping[str, SourceColumn]
     unused: tuple[str, ...]
+    driven: str = ""
+
+    @property
+    def two_axes(self) -> bool:
+        """Whether there are the readings of two channels."""
+        return bool({*SECOND} & {*self.columns})
 
     @property
     def swept(self) -> bool:
@@ -73,13 +80,15 @@ def meaning_of(table: SourceTable, said: Mapping[str, str]) -> Meaning:
         InputError: the names and units do not tell; the sentence has a `--map` to copy.
     """
     if said:
-        columns = {role: _chosen(table, role, text) for role, text in said.items()}
+        columns = {role.partition("drive_")[0] or "drive": _chosen(table, role, text) for role, text in said.items()}
+        driven = next((role[-1] for role in said if role.startswith("drive_")), "")
         names = {column.name for column in columns.values()}
         unused = tuple(column.header for column in table.columns if column.name not in names)
-        return _whole(table, columns, unused)
+        return _whole(table, columns, unused, driven)
     found: dict[str, list[SourceColumn]] = {}
     for column in table.columns:
         found.setdefault(role_of(column), []).append(column)
+    _as_channels(found)
     _as_amplitudes(found)
     if "f" not in found or not ({"I", "amp"} & {*found}):
         _as_waveforms(found)
@@ -90,13 +99,12 @@ def meaning_of(table: SourceTable, said: Mapping[str, str]) -> Meaning:
     columns.pop("", None)
     used = {id(column) for column in columns.values()}
     unused = tuple(column.header for column in table.columns if id(column) not in used)
-    return _whole(table, columns, unused)
+    return _whole(table, columns, unused, axis_of_drive(columns["drive"].name) if "drive" in columns else "")
 
 
 def role_of(column: SourceColumn) -> str:
     """What a column is by its unit and name; empty for what no record needs."""
-    name = " ".join(re.sub(r"[_\-/.:|()]+", " ", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", column.name)).lower().split())
-    name = re.sub(r"\bin ?phase\b", "inphase", name)
+    name = plain_words(column.name)
     if column.values.dtype.kind not in "iuf" or not np.isfinite(column.values).any() or _UNUSED.search(name):
         return ""
     for role in ("f", "t", "T", "phase"):
@@ -114,10 +122,25 @@ def role_of(column: SourceColumn) -> str:
     for role in ("phase", "amp"):
         if re.search(_NAMED[role], name):
             return role
-    for role, words in _PARTS.items():
+    if part := channel_and_part(column.name)[1]:
+        return part
+    for role, words in PARTS.items():
         if tokens and (tokens[-1] in words or tokens[0] in words):
             return role
     return "amp" if column.unit in ("dB", "dBV", "dBm") else "signal"
+
+
+def _as_channels(found: dict[str, list[SourceColumn]]) -> None:
+    """Over a frequency that runs, readings whose names are those of two channels; a drive of nothing drives none."""
+    if not any(np.unique(column.values).size > 2 for column in found.get("f", [])):
+        return
+    parts = two_channels(column for role in ("I", "Q", "amp", "phase") for column in found.get(role, []))
+    if parts:
+        for role in ("I", "Q", "amp", "phase"):
+            found.pop(role, None)
+        found.update({role: [column] for role, column in parts.items()})
+    if "drive" in found and any(np.any(column.values) for column in found["drive"]):
+        found["drive"] = [column for column in found["drive"] if np.any(column.values)]
 
 
 def _as_amplitudes(found: dict[str, list[SourceColumn]]) -> None:
@@ -165,14 +188,20 @@ _SPOKEN = {
 }  # fmt: skip
 
 
-def _whole(table: SourceTable, columns: dict[str, SourceColumn], unused: tuple[str, ...]) -> Meaning:
+def _whole(table: SourceTable, columns: dict[str, SourceColumn], unused: tuple[str, ...], driven: str) -> Meaning:
     """The meaning, if it is that of a record."""
-    meaning = Meaning(columns, unused)
+    meaning = Meaning(columns, unused, driven)
     pair = {"I", "Q"} <= {*columns}
     if meaning.swept and not (pair or "amp" in columns):
         raise _unclear(
             table, {k: [v] for k, v in columns.items()}, "no columns are in-phase and quadrature, or amplitude"
         )
+    parts = {f"y_{role}" for role in ("I", "Q", "amp", "phase") if role in columns}
+    if meaning.two_axes and (not meaning.swept or parts != {*SECOND} & {*columns}):
+        what = (
+            "the two channels do not have the same parts" if meaning.swept else "two channels are read of sweeps only"
+        )
+        raise _unclear(table, {k: [v] for k, v in columns.items()}, what)
     if not meaning.swept and "t" not in columns:
         raise _unclear(table, {k: [v] for k, v in columns.items()}, "no column is a frequency that runs, or time")
     if not meaning.swept and not (pair or {"amp", "phase"} <= {*columns} or "signal" in columns):
@@ -183,18 +212,30 @@ def _whole(table: SourceTable, columns: dict[str, SourceColumn], unused: tuple[s
 def _unclear(table: SourceTable, found: Mapping[str, Sequence[SourceColumn]], what: str) -> InputError:
     """The names, and the words to copy."""
     over_time = "f" not in found
-    roles = ("t", "signal") if over_time else ("f", "I", "Q") if "amp" not in found else ("f", "amp", "phase")
+    roles: tuple[str, ...] = (
+        ("t", "signal") if over_time else ("f", "I", "Q") if "amp" not in found else ("f", "amp", "phase")
+    )
+    if not over_time and any(_repeated(table, found, role) for role in roles[1:]):
+        roles += tuple(f"y_{role}" for role in roles[1:])
     words = {"I": "x_I", "Q": "x_Q", "amp": "x_amp", "phase": "x_phase", "signal": "x"}
     rest = [c for c in table.columns if c.values.dtype.kind in "iuf"]
     pairs = []
     for role in roles:
-        candidates = found.get(role) or [c for c in rest if role_of(c) in ("", "signal")]
-        if candidates or role not in ("phase",):
+        part = role.removeprefix("y_")
+        meant = [*found.get(role, []), *found.get(part, [])]
+        candidates = [c for c in meant if c.name in [left.name for left in rest]]
+        candidates = candidates or [c for c in rest if role_of(c) in ("", "signal", part)]
+        if candidates or part != "phase":
             pairs.append(f"{words.get(role, role)}={candidates[0].header if candidates else 'COLUMN'}")
-            rest = [c for c in rest if not candidates or c is not candidates[0]]
+            rest = [c for c in rest if not candidates or c.name != candidates[0].name]
     names = listed([column.header for column in table.columns], "`")
     where = f"{printable(str(table.path))}{', ' + table.name if table.name else ''}"
     return InputError(f'{where}: {what}; the columns are {names}; say which is which, as in --map "{",".join(pairs)}".')
+
+
+def _repeated(table: SourceTable, found: Mapping[str, Sequence[SourceColumn]], role: str) -> bool:
+    """Whether more than one column may be this part of a phasor, so that there may be two channels."""
+    return "y_" + role in found or len(found.get(role, [])) > 1 or sum(role_of(c) == role for c in table.columns) > 1
 
 
 def parse_map(text: str) -> dict[str, str]:
@@ -203,12 +244,13 @@ def parse_map(text: str) -> dict[str, str]:
     for part in re.split(r",(?=\s*\w+\s*=)", text):
         left, equals, right = part.partition("=")
         role = SHORT.get(left.strip(), left.strip())
-        if not equals or not right.strip() or role not in ROLES:
+        if not equals or not right.strip() or role not in (*ROLES, *SHORT.values()):
             raise InputError(
                 f'Option `--map` must read "role=column,..." with roles among {", ".join(ROLES)} (or x_I, x_Q, x_amp, '
-                f"x_phase, x, u_x, F_x), but has `{printable(part, 60)}`."
+                f"x_phase, x, u_x, F_x; of a second channel y_I, y_Q, y_amp, y_phase, F_y), "
+                f"but has `{printable(part, 60)}`."
             )
-        if role in pairs:
+        if role in pairs or (role.startswith("drive") and any(one.startswith("drive") for one in pairs)):
             raise InputError(f"Option `--map` must name each role once, but {left.strip()} stands twice.")
         pairs[role] = right.strip()
     return pairs

@@ -15,18 +15,17 @@ from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.files import write_whole
 from memsgyro_jax.base.quantity import number_and_unit
-from memsgyro_jax.base.text import listed, printable
-from memsgyro_jax.base.toml import toml_table, toml_text
-from memsgyro_jax.base.units import parse_header
+from memsgyro_jax.base.text import listed
 
 from .case import Case, load_case
-from .case.file import FILE, SCHEMA
+from .case.file import FILE
+from .case_of_records import csv_of_record, toml_of_records
 from .column_meaning import meaning_of, parse_map
+from .driven_axes import axes_of_files, require_axes
 from .formats import SourceTable, read_instrument_file
-from .imported_record import NO_LEVEL, Given, ImportedRecord, records_of
+from .imported_record import Given, ImportedRecord, records_of
+from .imported_sweep import NO_LEVEL
 
-
-_LOCK_IN = "V(t) = Re[(I + i Q) exp(i w t)] for a drive F cos(w t); amplitudes are peak values"
 
 _PLURAL = {"frequency_sweep": "sweeps", "free_decay": "decays", "time_record": "records over time"}
 _ABOUT = {  # kinds of what is assumed, the one that strengths hang on first, by the first words that it has
@@ -88,6 +87,7 @@ def import_case(
     *,
     columns: str = "",
     drive: Sequence[str] = (),
+    axis: Sequence[str] = (),
     reference: str = "",
     every: int = 1,
     rms: bool = False,
@@ -97,16 +97,19 @@ def import_case(
 
     Text tables with any delimiter, LabOne's CSV, HDF5 and MAT, touchstone, LabVIEW's lvm and TDMS, and universal files
     are read; what a column means is told by its name and unit. A running frequency makes a frequency sweep, time and a
-    drive a time record, time alone a free decay.
+    drive a time record, time alone a free decay. Two channels of a lock-in make the case one of two axes.
 
     Args:
         paths: of the files.
         folder: of the case; made where it does not exist.
         columns: ``"f=Frequency (Hz),x_I=X [V],..."``, role to column, where names do not tell. Roles: f, t, x_I, x_Q,
-            x_amp, x_phase, x, F_x, u_x, T, V_bias, rate; a unit overrides the file's, and a factor may stand before the
-            name, ``t=1e-3*count [s]``. Columns that are not named are not used.
+            x_amp, x_phase, x, F_x, u_x, T, V_bias, rate, and of a second channel y_I, y_Q, y_amp, y_phase, F_y; a unit
+            overrides the file's, and a factor may stand before the name, ``t=1e-3*count [s]``. Columns that are not
+            named are not used.
         drive: level with its unit where no column has it, like ``"20 mV"``: one for all files, one for each, or one for
             each that needs it; ``"-"`` stands for a file that needs none.
+        axis: ``"x"`` or ``"y"``, which of two axes was driven, one for all files or one for each, where neither a
+            column F_x or F_y nor the file's name (``drive_x_10mV.csv``) says it, or says it wrongly.
         reference: frequency of a lock-in that recorded over time, like ``"32.768 kHz"``.
         every: keeps one row of so many, waveforms behind a low pass.
         rms: takes a lock-in's readings for effective values, where their unit does not say; the drive stays as it is.
@@ -127,15 +130,19 @@ def import_case(
     given = [None if text.strip() == "-" else _amount(text, "--drive") for text in drive]
     tuned = _amount(reference, "--reference") if reference else None
     every = whole("every", every, 1)
+    axes = axes_of_files(axis, len(paths))
     read = [read_instrument_file(Path(path)) for path in paths]
-    found = [_records(tables, said, Given(None, tuned, every, rms)) for _, tables in read]
+    found = [
+        _records(tables, said, Given(None, tuned, every, rms, own)) for (_, tables), own in zip(read, axes, strict=True)
+    ]
     swept = [
         any(record.kind == "frequency_sweep" and "drive_force" in record.keys for record in some) for some in found
     ]
     levels = _levels(given, swept)
     for k, level in enumerate(levels):
         if level is not None and swept[k]:
-            found[k] = _records(read[k][1], said, Given(level, tuned, every, rms))
+            found[k] = _records(read[k][1], said, Given(level, tuned, every, rms, axes[k]))
+    require_axes(paths, found, axis)
     names = [Path(path).name for path in paths]
     unused = [
         f"the drive of {level[0]:g} {level[1]}, as {name} does not need it"
@@ -144,17 +151,22 @@ def import_case(
     ]
     records = _agreed(_named([record for some in found for record in some]))
     case = _write(folder, records, names)
-    warning = _warning(paths, [some if needs else None for some, needs in zip(found, swept, strict=True)], folder)
+    warning = _warning(paths, [some if needs else None for some, needs in zip(found, swept, strict=True)], folder, [
+        *(["--map", columns] if columns else []), *(["--axis", *axis] if axis else [])
+    ])  # fmt: skip
     return ImportedCase(case, tuple(form for form, _ in read), tuple(records), tuple(unused), warning)
 
 
-def _warning(paths: Sequence[str | Path], found: Sequence[list[ImportedRecord] | None], folder: Path) -> str:
+def _warning(
+    paths: Sequence[str | Path], found: Sequence[list[ImportedRecord] | None], folder: Path, options: Sequence[str]
+) -> str:
     """That nothing tells the drive levels of several files, and the command to give them; empty where they are told.
 
     Args:
         paths: of all files.
         found: the records of each, or `None` where it needs no level.
         folder: of the case.
+        options: of the command that say what the files are.
     """
     levels = []
     for some in found:
@@ -164,7 +176,7 @@ def _warning(paths: Sequence[str | Path], found: Sequence[list[ImportedRecord] |
     if levels.count("...") < 2:
         return ""
     files = listed(Path(path).name for path, level in zip(paths, levels, strict=True) if level == "...")
-    command = shlex.join(["memsgyro", "import", *map(str, paths), "--out", str(folder), "--overwrite"])
+    command = shlex.join(["memsgyro", "import", *map(str, paths), "--out", str(folder), "--overwrite", *options])
     shown = " ".join(level if level == "-" else f'"{level}"' for level in levels)
     return (
         f"{levels.count('...')} files do not say at which level they were driven, and each was taken for 1 V "
@@ -273,8 +285,8 @@ def _write(folder: Path, records: list[ImportedRecord], sources: list[str]) -> C
     beside = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=parent))
     try:
         for record in records:
-            write_whole(beside / f"{record.name}.csv", _csv(record))
-        write_whole(beside / FILE, _toml(folder.absolute().name, records, sources))
+            write_whole(beside / f"{record.name}.csv", csv_of_record(record))
+        write_whole(beside / FILE, toml_of_records(folder.absolute().name, records, sources))
         try:
             load_case(beside)
         except InputError as error:
@@ -285,48 +297,3 @@ def _write(folder: Path, records: list[ImportedRecord], sources: list[str]) -> C
     finally:
         shutil.rmtree(beside, ignore_errors=True)
     return load_case(folder)
-
-
-def _csv(record: ImportedRecord) -> str:
-    rows = zip(*(map(repr, column.astype(float).tolist()) for column in record.columns.values()), strict=True)
-    return "\n".join([",".join(record.columns), *map(",".join, rows)]) + "\n"
-
-
-def _toml(name: str, records: list[ImportedRecord], sources: list[str]) -> str:
-    """`case.toml`: what is not known of the device is left out, to be told by the records."""
-    top = {"schema": SCHEMA, "name": printable(name, 60), "description": f"imported from {listed(sources)}"}
-    parts = ["\n".join(f"{k} = {toml_text(v)}" for k, v in {**top, "device": "resonator"}.items()) + "\n"]
-    quantity = next((record.quantity for record in records if record.quantity), "displacement")
-    parts.append(
-        '# displacement, velocity or acceleration; add scale = { value = 1.0, unit = "V/um" } if it is known\n'
-        + toml_table("readout", {"quantity": quantity})
-    )
-    parts.append(
-        "# what is known beforehand: resonance, quality_factor, static_gain, as { value, tolerance, unit }\n"
-        + _design(records)
-    )
-    parts.append(toml_table("conventions", {"lock_in": _LOCK_IN}))
-    for record in records:
-        entry = {"name": record.name, "kind": record.kind, "file": f"{record.name}.csv", **record.keys}
-        if record.kind == "frequency_sweep":
-            entry["drive_axis"] = "x"
-        said = [f"# from {record.source}", *(f"# assumed: {sentence}" for sentence in record.assumed)]
-        said += [f"# not needed: {listed(record.unused)}"] if record.unused else []
-        parts.append("\n".join(map(printable, said)) + "\n" + toml_table("[experiment]", entry))
-    return "\n".join(parts)
-
-
-def _design(records: list[ImportedRecord]) -> str:
-    """Design values where no record is driven in a known way, roughly from the decays themselves."""
-    if any(not record.design for record in records):
-        return "[design]\n"
-    rough = records[0].design
-    entries = {
-        key: {"value": value, "low": value / spread, "high": value * spread, "unit": unit}
-        for (key, (value, unit)), spread in zip(rough.items(), (1.2, 3.0), strict=True)
-    }
-    header = next(header for header in records[0].columns if header.startswith("Vx"))
-    order = {"velocity": 1, "acceleration": 2}.get(records[0].quantity, 0)
-    gain = f"{parse_header(header).unit}{'*s' * order}/V"  # nothing drives, so that any number does
-    entries["static_gain"] = {"value": 1.0, "low": 0.5, "high": 2.0, "unit": gain}
-    return toml_table("design", entries)

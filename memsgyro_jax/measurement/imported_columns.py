@@ -68,7 +68,7 @@ def from_effective(rows: Mapping[str, SourceColumn], assumed: list[str]) -> dict
     how they are meant.
     """
     turned = dict(rows)
-    for name in {"I", "Q", "amp"} & rows.keys():
+    for name in {"I", "Q", "amp", "y_I", "y_Q", "y_amp"} & rows.keys():
         column = rows[name]
         if not SPECIAL.fullmatch(column.unit):
             turned[name] = SourceColumn(column.name, column.unit, _ALTERNATE["rms"] * column.values)

@@ -1,6 +1,5 @@
 """From the columns of an instrument's table to records of a case: kind, columns in the words of a case, sections."""
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -15,30 +14,24 @@ from .column_meaning import Meaning
 from .experiments.time_record import RING_TIMES
 from .formats import SourceColumn, SourceTable
 from .imported_columns import (
-    add_surroundings,
     angle_column,
     cut_column,
     from_effective,
     headed,
-    is_same_kind,
     reading_column,
     time_column,
-    with_usual_unit,
 )
+from .imported_sweep import columns_of_sweep, read_as
 from .thinning import thinned
 from .tracking import rough_decay
+from .two_channels import axis_in_name
 
 
-NO_LEVEL = "the drive is 1 V, as the file does not say (`--drive`)"
-PEAK = "amplitudes are peak values, not rms (`Vrms` in a header, or `--rms`, says so)"
 _SILENT = 0.01  # of the largest drive: nothing
 _QUIET_SHARE = 0.15  # of the rows at the end without drive: a free decay
 _FEWEST = 50  # rows of a record over time
 _LOUD = 0.9  # of the largest envelope: the decay has not begun
 _EARLY = 0.88  # of the usual fall: an envelope that falls by so much in its first quarter falls from the start
-_CLEAR = 30.0  # degrees around which the phase at resonance tells what is read
-_INSIDE = 0.01  # of the band, from its ends: where a largest reading is that of a resonance
-_LEVEL = re.compile(r"(?<![A-Za-z0-9.])(\d+(?:[.p]\d+)?)[ _]?([nuµm]?[VAN])(?:pk|p)?(?![A-Za-z])")
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +48,8 @@ class ImportedRecord:
         unused: columns of the source that are left out.
         quantity: what is read, where the record shows it: "displacement", "velocity" or "acceleration".
         design: values that no other record can tell, in SI.
+        two_axes: whether two channels were read.
+        axis: that was driven, of two: "x" or "y"; empty where nothing says.
     """
 
     name: str
@@ -66,18 +61,22 @@ class ImportedRecord:
     unused: tuple[str, ...] = ()
     quantity: str = ""
     design: Mapping[str, tuple[float, str]] = field(default_factory=dict)
+    two_axes: bool = False
+    axis: str = ""
 
 
 @dataclass(frozen=True)
 class Given:
     """What the user says beside the file: drive level and reference frequency with their units, or nothing; that one
-    row of `every` is kept; and whether a lock-in's readings are effective values (`rms`).
+    row of `every` is kept; whether a lock-in's readings are effective values (`rms`); and which `axis` of two was
+    driven.
     """
 
     drive: tuple[float, str] | None = None
     reference: tuple[float, str] | None = None
     every: int = 1
     rms: bool = False
+    axis: str = ""
 
 
 def records_of(name: str, table: SourceTable, meaning: Meaning, given: Given) -> list[ImportedRecord]:
@@ -89,7 +88,7 @@ def records_of(name: str, table: SourceTable, meaning: Meaning, given: Given) ->
     about = {"name": name, "source": source, "unused": meaning.unused}
     with np.errstate(over="ignore", invalid="ignore"):  # of a damaged file; reading the case refuses them
         if meaning.swept:
-            return [_sweep(about, table, rows, given, assumed)]
+            return [_sweep(about, table, meaning, rows, given, assumed)]
         return _over_time(about, table, rows, given, assumed)
 
 
@@ -108,98 +107,19 @@ def _finite(table: SourceTable, meaning: Meaning, assumed: list[str]) -> dict[st
     return {role: SourceColumn(c.name, c.unit, c.values[places]) for role, c in meaning.columns.items()}
 
 
-# ---- sweeps
-
-
-def _sweep(about: dict, table: SourceTable, rows: dict[str, SourceColumn], given: Given, assumed: list[str]):
-    columns = {"f": with_usual_unit(rows["f"], "Hz", "frequency", assumed)}
-    if "t" in rows and rows["t"].unit == "ticks":
-        assumed.append(f"`{rows['t'].name}` is left out, as it counts ticks of a clock that is not named")
-    elif "t" in rows and np.all(np.diff(rows["t"].values) > 0):
-        columns["t"] = time_column(table, rows["t"], assumed)
-    elif "t" in rows:
-        assumed.append(f"`{rows['t'].name}` is left out, as it does not rise from row to row")
-    if "I" in rows:
-        parts = {"Vx_I": rows["I"], "Vx_Q": rows["Q"]}
-    else:
-        parts = {"Vx_amp": rows["amp"]} | ({"Vx_phase": rows["phase"]} if "phase" in rows else {})
-    for name, column in parts.items():
-        columns[name] = angle_column(column, assumed) if name == "Vx_phase" else reading_column(column, assumed)
-    if not any("peak amplitude" in sentence for sentence in assumed):
-        assumed.append(PEAK)
-    quantity = _conventions(columns, table, assumed)
-    keys: dict[str, Any] = {"settled": "t" not in columns}
-    assumed.append(
-        "a row begins where the row before ended and rings down from there, as the clock says (`settled = false`)"
-        if "t" in columns
-        else "every row was read after its transient had died away (`settled`)"
-    )
-    if "drive" in rows:
-        columns["F_x"] = reading_column(rows["drive"], assumed, "drive")
-    else:
-        keys["drive_force"] = _level(table, given, assumed)
-    add_surroundings(columns, rows)
+def _sweep(about: dict, table: SourceTable, meaning: Meaning, rows: dict, given: Given, assumed: list[str]):
+    axis = ""
+    if meaning.two_axes:
+        axis = given.axis or meaning.driven or axis_in_name(about["name"])
+        if meaning.driven == axis != given.axis:
+            assumed.append(f"{axis} is driven, as `{rows['drive'].name}` says")
+        elif axis != given.axis:
+            assumed.append(f"{axis} is driven, as the file's name says")
+    columns, keys, quantity = columns_of_sweep(table, rows, given.drive, axis, assumed)
     return ImportedRecord(
-        **about, kind="frequency_sweep", columns=headed(columns), keys=keys, assumed=tuple(assumed), quantity=quantity
-    )
-
-
-def _conventions(columns: dict[str, SourceColumn], table: SourceTable, assumed: list[str]) -> str:
-    """Turns the phasors to e^{+iωt} where they run the other way; what is read, as the phase at resonance has it."""
-    known = _read_as(columns["Vx_I" if "Vx_I" in columns else "Vx_amp"].unit) or table.attributes.get("reads", "")
-    if "Vx_I" in columns:
-        phasors = columns["Vx_I"].values + 1j * columns["Vx_Q"].values
-    elif "Vx_phase" in columns:
-        phasors = columns["Vx_amp"].values * np.exp(
-            1j * to_si(columns["Vx_phase"].values, columns["Vx_phase"].unit, "rad", "")
-        )
-    else:
-        return known
-    frequency = columns["f"].values
-    turn = phasors[1:] * phasors[:-1].conj()
-    if np.sum(np.sign(np.diff(frequency)) * turn.imag) > 0.2 * np.sum(np.abs(turn.imag)):
-        second = "Vx_Q" if "Vx_I" in columns else "Vx_phase"
-        columns[second] = SourceColumn("", columns[second].unit, -columns[second].values)
-        phasors = phasors.conj()
-        assumed.append("the phase rises across the resonance, so the file follows e^{-iωt}: it is negated")
-    if known:
-        return known
-    largest = int(np.argmax(np.abs(phasors)))
-    angle = np.degrees(np.angle(phasors[largest]))
-    if min(frequency[largest] - frequency.min(), frequency.max() - frequency[largest]) < _INSIDE * np.ptp(frequency):
-        assumed.append("the read-out is taken for displacement; the largest reading ends the band, so none tells")
-        return ""
-    away = abs((angle + 90) % 180 - 90)  # from 0° or 180°
-    if away < _CLEAR:
-        assumed.append(
-            f"the read-out shows velocity: at resonance its phase is {angle:+.0f}°, nearer 0° or 180° than ±90°"
-        )
-        return "velocity"
-    if away > 90 - _CLEAR:
-        assumed.append(
-            f"the read-out shows displacement: at resonance its phase is {angle:+.0f}°, nearer ±90° than 0° or 180°"
-        )
-        return "displacement"
-    assumed.append(f"the read-out is taken for displacement; its phase at resonance, {angle:+.0f}°, does not tell")
-    return ""
-
-
-def _read_as(unit: str) -> str:
-    """What a reading in such a unit shows of the motion; empty where it does not tell."""
-    measured = {"m": "displacement", "m/s": "velocity", "m/s**2": "acceleration"}
-    return next((what for base, what in measured.items() if is_same_kind(unit, base)), "")
-
-
-def _level(table: SourceTable, given: Given, assumed: list[str]) -> dict[str, Any]:
-    """The drive level that no column holds."""
-    if given.drive is not None:
-        return {"value": given.drive[0], "unit": given.drive[1]}
-    if found := _LEVEL.search(table.path.stem):
-        value, unit = float(found[1].replace("p", ".")), found[2]
-        assumed.append(f"the drive is {value:g} {unit}, as the file's name says")
-        return {"value": value, "unit": unit}
-    assumed.append(NO_LEVEL)
-    return {"value": 1.0, "unit": "V"}
+        **about, kind="frequency_sweep", columns=headed(columns), keys=keys, assumed=tuple(assumed), quantity=quantity,
+        two_axes=meaning.two_axes, axis=axis,
+    )  # fmt: skip
 
 
 # ---- time
@@ -214,7 +134,7 @@ def _over_time(about: dict, table: SourceTable, rows: dict[str, SourceColumn], g
     if "signal" not in rows:
         return [_lock_in_decay(about, table, columns, rows, given, assumed)]
     columns["Vx"] = reading_column(rows["signal"], assumed)
-    about = {**about, "quantity": _read_as(columns["Vx"].unit)}
+    about = {**about, "quantity": read_as(columns["Vx"].unit)}
     drive = rows.get("drive")
     if drive is None or not np.ptp(drive.values) > 0:
         return [_decay(about, columns, assumed)]
@@ -305,7 +225,7 @@ def _lock_in_decay(about, table, columns, rows, given: Given, assumed: list[str]
         columns |= {"Vx_amp": reading_column(rows["amp"], assumed), "Vx_phase": angle_column(rows["phase"], assumed)}
         phase = to_si(columns["Vx_phase"].values, columns["Vx_phase"].unit, "rad", "phase")
         phasors = columns["Vx_amp"].values * np.exp(1j * phase)
-    about = {**about, "quantity": _read_as(columns["Vx_I" if "I" in rows else "Vx_amp"].unit)}
+    about = {**about, "quantity": read_as(columns["Vx_I" if "I" in rows else "Vx_amp"].unit)}
     design = rough_decay(to_si(columns["t"].values, columns["t"].unit, "s", "t"), phasors, to_si(*reference, "Hz", "f"))
     keys = _stamps(columns["t"], assumed) | {"reference_frequency": {"value": reference[0], "unit": reference[1]}}
     return ImportedRecord(

@@ -13,6 +13,7 @@ def import_command(
     out: Path,
     map_: Annotated[str, cyclopts.Parameter(name="--map")] = "",
     drive: Words = (),
+    axis: Words = (),
     reference: str = "",
     every: int = 1,
     rms: Flag = False,
@@ -31,6 +32,8 @@ def import_command(
         map_: what columns mean where names do not tell, like "f=Frequency (Hz),x_I=X [V],x_Q=Y [V],F_x=drive [A]".
         drive: level where no column has it, like "20 mV"; one for all files or one for each, "-" for a file that needs
             none, as a ring-down.
+        axis: which axis was driven, x or y, where two channels were read and neither a column F_x, F_y nor the file's
+            name (drive_x) says it; one for all files or one for each.
         reference: frequency of a lock-in that recorded over time, like "32.768 kHz".
         every: keep one row of so many, waveforms behind a low pass: for records longer than they need to be.
         rms: the readings of a lock-in are effective values, not peak ones, where their unit does not say; the drive
@@ -45,7 +48,7 @@ def import_command(
 
     require_writable(json)
     result = import_case(
-        files, out, columns=map_, drive=drive, reference=reference, every=every, rms=rms, overwrite=overwrite
+        files, out, columns=map_, drive=drive, axis=axis, reference=reference, every=every, rms=rms, overwrite=overwrite
     )
     print(result)
     if not result.warning:

@@ -1,0 +1,62 @@
+"""The files of a case, written from the records that were imported."""
+
+from memsgyro_jax.base.text import listed, printable
+from memsgyro_jax.base.toml import toml_table, toml_text
+from memsgyro_jax.base.units import parse_header
+
+from .case.file import SCHEMA
+from .imported_record import ImportedRecord
+
+
+_LOCK_IN = "V(t) = Re[(I + i Q) exp(i w t)] for a drive F cos(w t); amplitudes are peak values"
+_KNOWN = {  # beforehand, of a device of one axis and of two
+    False: "resonance, quality_factor, static_gain",
+    True: "mass, frequency_x, frequency_y, quality_factor_x, quality_factor_y",
+}
+
+
+def csv_of_record(record: ImportedRecord) -> str:
+    """The file of one record."""
+    rows = zip(*(map(repr, column.astype(float).tolist()) for column in record.columns.values()), strict=True)
+    return "\n".join([",".join(record.columns), *map(",".join, rows)]) + "\n"
+
+
+def toml_of_records(name: str, records: list[ImportedRecord], sources: list[str]) -> str:
+    """`case.toml`: what is not known of the device is left out, to be told by the records."""
+    two = any(record.two_axes for record in records)
+    top = {"schema": SCHEMA, "name": printable(name, 60), "description": f"imported from {listed(sources)}"}
+    parts = [
+        "\n".join(f"{k} = {toml_text(v)}" for k, v in {**top, "device": "single_mass" if two else "resonator"}.items())
+        + "\n"
+    ]
+    quantity = next((record.quantity for record in records if record.quantity), "displacement")
+    parts.append(
+        '# displacement, velocity or acceleration; add scale = { value = 1.0, unit = "V/um" } if it is known\n'
+        + toml_table("readout", {"quantity": quantity})
+    )
+    parts.append(f"# what is known beforehand: {_KNOWN[two]}, as {{ value, tolerance, unit }}\n" + _design(records))
+    parts.append(toml_table("conventions", {"lock_in": _LOCK_IN}))
+    for record in records:
+        entry = {"name": record.name, "kind": record.kind, "file": f"{record.name}.csv", **record.keys}
+        if record.kind == "frequency_sweep":
+            entry["drive_axis"] = record.axis or "x"
+        said = [f"# from {record.source}", *(f"# assumed: {sentence}" for sentence in record.assumed)]
+        said += [f"# not needed: {listed(record.unused)}"] if record.unused else []
+        parts.append("\n".join(map(printable, said)) + "\n" + toml_table("[experiment]", entry))
+    return "\n".join(parts)
+
+
+def _design(records: list[ImportedRecord]) -> str:
+    """Design values where no record is driven in a known way, roughly from the decays themselves."""
+    if any(not record.design for record in records):
+        return "[design]\n"
+    rough = records[0].design
+    entries = {
+        key: {"value": value, "low": value / spread, "high": value * spread, "unit": unit}
+        for (key, (value, unit)), spread in zip(rough.items(), (1.2, 3.0), strict=True)
+    }
+    header = next(header for header in records[0].columns if header.startswith("Vx"))
+    order = {"velocity": 1, "acceleration": 2}.get(records[0].quantity, 0)
+    gain = f"{parse_header(header).unit}{'*s' * order}/V"  # nothing drives, so that any number does
+    entries["static_gain"] = {"value": 1.0, "low": 0.5, "high": 2.0, "unit": gain}
+    return toml_table("design", entries)

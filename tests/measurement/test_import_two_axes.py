@@ -1,0 +1,181 @@
+"""Two channels of a lock-in, read while one electrode was driven, become a case of two axes."""
+
+import re
+import shlex
+
+import numpy as np
+import pytest
+
+import memsgyro_jax as mg
+from memsgyro_jax.app import cli
+from memsgyro_jax.measurement.formats import SourceColumn
+from memsgyro_jax.measurement.linear_start import starting_device
+from memsgyro_jax.measurement.two_channels import axis_in_name, two_channels
+
+
+FREQUENCY = np.linspace(7900.0, 8300.0, 81)
+STIFFNESS = np.array([[8000.0**2, 4e5], [4e5, 8200.0**2]])
+WIDTHS = np.array([[20.0, 0.0], [0.0, 25.0]])
+PARTS = {"x": lambda z: z.real, "y": lambda z: z.imag, "r": abs, "theta": lambda z: np.angle(z, deg=True)}
+
+
+def moved(axis, level=1.0):
+    """(rows, 2) phasors of both channels while one axis is driven; all in cycles."""
+    f = FREQUENCY[:, None, None]
+    answer = np.linalg.inv(STIFFNESS - f**2 * np.eye(2) + 1j * f * WIDTHS)[:, :, "xy".index(axis)]
+    noise = np.random.default_rng(3).normal(size=(2, *answer.shape))
+    return 1e6 * level * answer + 1e-3 * (noise[0] + 1j * noise[1])
+
+
+def wrote(path, axis, level=1.0, header="Frequency (Hz)\tX1 (V)\tY1 (V)\tX2 (V)\tY2 (V)", parts="xy", further=()):
+    """A file as a lock-in saves it, with more columns of one number each."""
+    z = moved(axis, level)
+    columns = [FREQUENCY, *(PARTS[p](z[:, c]) for c in (0, 1) for p in re.findall("theta|.", parts))]
+    columns += [np.full(len(z), number) for number in further]
+    mark = "\t" if "\t" in header else ";"
+    rows = (mark.join(f"{value:.9g}" for value in row) for row in np.column_stack(columns))
+    path.write_text("\n".join([header, *rows]) + "\n")
+    return path
+
+
+@pytest.fixture
+def files(tmp_path):
+    """As the maker of a bench names them."""
+    names = ("drive_x_10mV", "drive_x_30mV", "drive_y_10mV")
+    return [wrote(tmp_path / f"{name}.txt", name[6], float(name[8:10])) for name in names]
+
+
+@pytest.mark.parametrize(
+    ("header", "parts"),
+    [
+        ("Frequency (Hz)\tDemod 1 X (V)\tDemod 1 Y (V)\tDemod 2 X (V)\tDemod 2 Y (V)", "xy"),
+        ("Frequency\tDemod1 X (V)\tDemod1 Y (V)\tDemod2 X (V)\tDemod2 Y (V)", "xy"),
+        ("f [Hz];Vx_I [V];Vx_Q [V];Vy_I [V];Vy_Q [V]", "xy"),
+        ("f [Hz];x_I [V];x_Q [V];y_I [V];y_Q [V]", "xy"),
+        ("f [Hz];x in-phase [V];x quadrature [V];y in-phase [V];y quadrature [V]", "xy"),
+        ("freq;X1;Y1;X2;Y2", "xy"),
+        ("f [Hz];I_x [V];Q_x [V];I_y [V];Q_y [V]", "xy"),
+        ("f [Hz];R1 [V];Theta1 [deg];R2 [V];Theta2 [deg]", "rtheta"),
+        ("f [Hz];CH1 amplitude (V);CH1 phase (deg);CH2 amplitude (V);CH2 phase (deg)", "rtheta"),
+        ("f [Hz];Vx_amp [V];Vx_phase [deg];Vy_amp [V];Vy_phase [deg]", "rtheta"),
+        ("f [Hz];X1 [V];Y1 [V];R1 [V];X2 [V];Y2 [V];R2 [V]", "xyr"),
+    ],
+)
+def test_headers_of_two_channels_are_understood(header, parts, tmp_path):
+    path = wrote(tmp_path / "drive_y_10mV.txt", "y", header=header, parts=parts)
+    found = mg.import_case([path], tmp_path / "case")
+    (record,) = found.case.records
+    assert (found.case.device, record.axis) == ("single_mass", 1)
+    np.testing.assert_allclose(record.phasors, moved("y"), rtol=1e-6)
+    np.testing.assert_allclose(record.drive, 10e-3)
+    assert "Assumed of the readings: the readings of two channels make it a device of two axes" in str(found)
+
+
+def test_files_named_by_axis_and_level_become_a_case(files, tmp_path, capsys):
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["import", *map(str, files), "--out", str(tmp_path / "bench")])
+    assert ended.value.code == 0
+    out = capsys.readouterr().out
+    assert "Assumed of the drive: x is driven, as the file's name says (drive_x_10mV, drive_x_30mV)." in out
+    assert "Assumed of the drive: y is driven, as the file's name says (drive_y_10mV)." in out
+    case = mg.load_case(tmp_path / "bench")
+    assert [record.axis for record in case.records] == [0, 0, 1]
+    assert case.words.force == "V"
+    hertz = np.sqrt(np.linalg.eigvalsh(starting_device(case).stiffness_matrix)) / (2 * np.pi)
+    np.testing.assert_allclose(hertz, np.sqrt(np.linalg.eigvalsh(STIFFNESS)), rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("name", "axis"),
+    [
+        ("drive_x_20mV_up", "x"), ("drivey", "y"), ("driveY-10mV", "y"), ("Drive-X", "x"), ("y_driven_30mV", "y"),
+        ("xdrive", "x"), ("sweep_x", "x"), ("y60", "y"), ("drive_x_read_y", "x"), ("gyro_xy", ""), ("run2x", ""),
+        ("max_drive", ""), ("x_to_y", ""), ("level_10mV", ""), ("drive_on_y", "y"), ("extra_drive", ""),
+    ],
+)  # fmt: skip
+def test_the_axis_that_a_name_tells(name, axis):
+    assert axis_in_name(name) == axis
+
+
+def test_a_column_of_the_drive_or_an_option_says_which_axis(tmp_path):
+    head = "f [Hz];Vx_I [V];Vx_Q [V];Vy_I [V];Vy_Q [V]"
+    both = wrote(tmp_path / "a.csv", "y", header=f"{head};F_x [mV];F_y [mV]", further=(0.0, 5.0))
+    found = mg.import_case([both], tmp_path / "column")
+    assert found.case.records[0].axis == 1
+    np.testing.assert_allclose(found.case.records[0].drive, 5e-3)
+    assert "y is driven, as `F_y` says" in str(found)
+    said = "f=f,x_I=Vx_I,x_Q=Vx_Q,y_I=Vy_I,y_Q=Vy_Q,F_y=level [mV]"
+    mapped = wrote(tmp_path / "b.csv", "y", header=f"{head};level", further=(7.0,))
+    (record,) = mg.import_case([mapped], tmp_path / "map", columns=said).case.records
+    assert record.axis == 1
+    np.testing.assert_allclose(record.drive, 7e-3)
+    plain = [wrote(tmp_path / f"{axis}_named_wrongly.csv", "yx"["xy".index(axis)]) for axis in "xy"]
+    given = mg.import_case(plain, tmp_path / "given", axis=["y", "x"], drive=["1 mV"])
+    assert [record.axis for record in given.case.records] == [1, 0]
+    assert "is driven, as" not in str(given)
+
+
+def test_an_axis_that_nothing_tells_is_asked_for_in_words_to_copy(tmp_path):
+    paths = [wrote(tmp_path / f"run{k}.csv", axis) for k, axis in enumerate("xy")]
+    with pytest.raises(mg.InputError, match=r"run0\.csv.*run1\.csv.*driven axis must be known.*--axis x y ") as told:
+        mg.import_case(paths, tmp_path / "case")
+    assert not (tmp_path / "case").exists()
+    axes = re.search(r"--axis ((?:[xy] )+)", str(told.value))[1].split()
+    found = mg.import_case(paths, tmp_path / "case", axis=axes)
+    assert [record.axis for record in found.case.records] == [0, 1]
+    assert found.warning.endswith('--overwrite --axis x y --drive "..." "..."')
+
+
+def test_columns_that_may_be_more_than_two_channels_are_named_with_a_map_to_copy(tmp_path):
+    head = "f [Hz];Demod 1 X [V];Demod 1 Y [V];Demod 2 X [V];Demod 2 Y [V];Demod 3 X [V];Demod 3 Y [V]"
+    path = wrote(tmp_path / "drive_x.csv", "x", header=head, further=(1.0, 2.0))
+    with pytest.raises(mg.InputError, match="more than one column may be the in-phase part") as told:
+        mg.import_case([path], tmp_path / "case")
+    copied = shlex.split(str(told.value).split("--map ")[1])[0].rstrip(".")
+    assert copied == "f=f [Hz],x_I=Demod 1 X [V],x_Q=Demod 1 Y [V],y_I=Demod 2 X [V],y_Q=Demod 2 Y [V]"
+    (record,) = mg.import_case([path], tmp_path / "case", columns=copied).case.records
+    np.testing.assert_allclose(record.phasors, moved("x"), rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("options", "what"),
+    [
+        ({"axis": ["z"]}, "`--axis` must be x or y, but is `z`"),
+        ({"axis": ["x", "y"]}, "`--axis` must be given once or for each of 3 files, but has 2"),
+        ({"columns": "f=Frequency,x_I=X1,x_Q=Y1", "axis": ["x"]}, "`--axis` must be left out"),
+        ({"columns": "f=Frequency,x_I=X1,x_Q=Y1,y_I=X2"}, "the two channels do not have the same parts.*y_Q=Y2"),
+        ({"columns": "f=Frequency,x_I=X1,x_Q=Y1,F_x=X2,F_y=Y2"}, "must name each role once"),
+    ],
+)
+def test_what_does_not_fit_two_channels_is_one_sentence(options, what, files, tmp_path):
+    with pytest.raises(mg.InputError, match=what) as told:
+        mg.import_case(files, tmp_path / "case", **options)
+    assert "\n" not in str(told.value)
+
+
+def test_files_of_one_channel_and_of_two_are_no_case(files, tmp_path):
+    single = tmp_path / "drive_x_50mV.csv"
+    rows = np.column_stack([FREQUENCY, moved("x")[:, 0].real, moved("x")[:, 0].imag])
+    np.savetxt(single, rows, delimiter=",", header="f,X,Y", comments="")
+    with pytest.raises(mg.InputError, match=r"drive_x_50mV\.csv: must have two channels, as drive_x_10mV\.txt has"):
+        mg.import_case([*files, single], tmp_path / "case")
+    case = mg.import_case([single], tmp_path / "case").case
+    assert (case.device, case.channels) == ("resonator", 1)
+    header = "Frequency\tx_I [V]\tx_Q [V]\tS21 a [V]\tS21 b [V]"
+    assert mg.import_case([wrote(tmp_path / "a_1V.txt", "x", header=header)], tmp_path / "one").case.channels == 1
+
+
+def test_both_channels_are_turned_and_both_are_effective_values(tmp_path):
+    header = "f [Hz];R1 [V];Theta1 [deg];R2 [V];Theta2 [deg]"
+    path = wrote(tmp_path / "drive_y_1V.csv", "y", header=header, parts="rtheta")
+    lines = [line.split(";") for line in path.read_text().splitlines()]
+    turned = [[f, a, str(-float(p)), b, str(-float(q))] for f, a, p, b, q in lines[1:]]
+    path.write_text("\n".join(map(";".join, [lines[0], *turned])))
+    found = mg.import_case([path], tmp_path / "case", rms=True)
+    np.testing.assert_allclose(found.case.records[0].phasors, 2**0.5 * moved("y"), rtol=1e-6)
+    assert "e^{-iωt}" in str(found)
+
+
+def test_scattering_of_two_ports_is_not_taken_for_two_channels():
+    names = ("S11 REAL", "S11 IMAG", "S21 REAL", "S21 IMAG")
+    assert two_channels(SourceColumn(name, "", np.zeros(3)) for name in names) == {}
