@@ -60,7 +60,7 @@ class Candidate:
         explained_share: part of the misfit above noise that it explains.
         kept_share: part of its sensitivity that no other free parameter can take over.
         smallest_visible: strength that would have been found about nine times in ten; infinite where nothing
-            shows it.
+            shows it, NaN where that model does not explain the records, as only one that does can tell.
         excited: whether the records can show it at all.
     """
 

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Verdict = Literal["nothing_missing", "instrument_only", "found", "cannot_tell", "partly_explained", "unknown_effect"]
+UNEXPLAINED: tuple[Verdict, ...] = ("partly_explained", "unknown_effect")
 DRAW = "memsgyro law {} --out my_law.py"
 _PLANNED = 5  # next experiments that are printed
 
@@ -79,6 +80,11 @@ class Diagnosis(Labelled):
     next_experiments: tuple[Prospect, ...] = ()
     noise: Mapping[str, str] = field(default_factory=dict)
     from_lowest: bool = False
+
+    @property
+    def unexplained(self) -> bool:
+        """Whether the final model leaves more than noise: then no power, no promise and no ± that rests on it holds."""
+        return self.verdict in UNEXPLAINED
 
     @property
     def model(self) -> Model:
@@ -152,7 +158,7 @@ class Diagnosis(Labelled):
         if self.next_experiment:
             lines += ["", f"  next experiment: {self.next_experiment}"]
             lines += [f"    Δχ² {p.chi2:8.3g}  {p.experiment}" for p in self.next_experiments if p.chi2 >= 0][:_PLANNED]
-        if self.verdict in ("unknown_effect", "partly_explained"):
+        if self.unexplained:
             lines += ["", f"  the law that is missing, drawn, written and fitted: {DRAW.format(self.case.folder)}"]
         return "\n".join(lines)
 

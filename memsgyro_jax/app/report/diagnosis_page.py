@@ -52,7 +52,7 @@ def diagnosis_page(diagnosis: Diagnosis) -> Page:
         out.figure(figures.steps_figure(diagnosis.steps), f"How the error fell. {names}.")
     _errors(out, diagnosis)
     _records(out, diagnosis)
-    if diagnosis.verdict in ("partly_explained", "unknown_effect"):
+    if diagnosis.unexplained:
         out.text(f"The law that is missing is drawn, written and fitted by `{DRAW.format(diagnosis.case.folder)}`.")
         _forces(out, diagnosis)
     _tried(out, diagnosis)
@@ -207,7 +207,12 @@ def _blind(out: Page, diagnosis: Diagnosis) -> None:
     if blind:
         out.text(f"Cannot be seen at all, because nothing that was varied excites them: {', '.join(blind)}.")
     seen = [[c.label, f"{c.smallest_visible:.2g}", c.unit] for c in diagnosis.candidates if c.excited]
-    if seen:
+    if seen and diagnosis.unexplained:
+        out.text(
+            "How strong an effect must be to be found is not told: only a model that explains the records could tell, "
+            "and beside what is missing here even a strong effect may stay unseen."
+        )
+    elif seen:
         out.table(
             ["effect absent from the final model", "smallest visible strength", "unit"],
             sorted(seen),

@@ -85,6 +85,7 @@ def test_it_says_what_a_colleague_looks_for(found, diagnosis):
         "1.1e+09",
         "< 1e-12",
         "The model explains the records",
+        "Each would have been found with a probability of 90 % if it were this strong.",
     ):
         assert text in words
     estimate, half = diagnosis.accepted[0].estimate[0], 1.96 * diagnosis.accepted[0].std[0]
@@ -142,6 +143,8 @@ def test_what_is_unknown_is_shown_as_a_force(diagnosis):
     assert "ringdown_x: force on x near the resonances" in words
     assert "rate: what is left" in words
     assert "sweep_x fails at drive 150 nN" in words
+    assert "must be to be found is not told" in words
+    assert "with a probability of 90 %" not in words
 
 
 @pytest.mark.slow
