@@ -1,7 +1,7 @@
 """What a diagnosis found: verdict, effects, candidates, groups that cannot be told apart, and what to measure next."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
@@ -23,6 +23,7 @@ from .findings import Accepted, Candidate, Prospect, Stage
 from .fit import CaseFit
 from .fit_table import effects_table, errors_table, parameters_table, readings_table
 from .fitted import ParameterEstimate, errors_figure, with_calibration
+from .linear_device import LinearDevice, linear_device
 
 
 if TYPE_CHECKING:
@@ -123,18 +124,26 @@ class Diagnosis(Labelled):
         """What the records themselves warn of, as `memsgyro check` prints it."""
         return tuple(warning for record in self.case.records for warning in record.warnings(self.case))
 
+    @cached_property
+    def linear(self) -> LinearDevice:
+        """The modes of the final base device; where the final model does not explain the records, which drag it, of the
+        base device of the lowest drive.
+        """
+        return linear_device(self.final, self.base, explained=not self.unexplained)
+
     @property
     def modes(self) -> tuple[ParameterEstimate, ...]:
-        """Resonance frequency [Hz] and quality factor of each mode of the final base device."""
-        return tuple(replace(mode, std=self.scale * mode.std) for mode in self.final.modes)
+        """Resonance frequency [Hz] and quality factor of each mode of `linear`."""
+        return self.linear.estimates
 
     def __str__(self) -> str:
         lines = [f"{self.case.name}: {self.verdict.replace('_', ' ')}", self.sentence, ""]
         lines += map(_line, self.steps)
         if self.from_lowest:
             lines.append("  (the base model is that of the lowest drive, as what is missing grows with the drive)")
-        known = [mode for mode in self.modes if np.isfinite(mode.std)]
-        lines += [f"  {m.name}: {beside(m.value, m.std)} ± {m.std:.2g} {m.unit}".removesuffix(" 1") for m in known]
+        lines += [f"  {mode}" for mode in self.linear.told]
+        if self.linear.about:
+            lines.append(f"  (resonance and quality factor: {self.linear.about})")
         for a in (*self.instrument, *self.accepted):
             value = ", ".join(f"{beside(e, s)} ± {s:.2g}" for e, s in zip(a.estimate, a.std, strict=True))
             more = "".join(f", {name} {beside(v, s)} ± {s:.2g} {unit}" for name, (v, s, unit) in a.numbers.items())
@@ -183,6 +192,7 @@ class Diagnosis(Labelled):
             "steps": [asdict(s) for s in self.steps],
             "tried": [asdict(s) for s in self.tried],
             "modes": [mode.to_dict() for mode in self.modes],
+            "modes_are": self.linear.about,
             "std_scale": self.scale,
             "outlying": {name: list(rows) for name, rows in self.outlying.items()},
             "base_of_lowest_drive": self.from_lowest,

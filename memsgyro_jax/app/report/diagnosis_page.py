@@ -36,9 +36,9 @@ def diagnosis_page(diagnosis: Diagnosis) -> Page:
     """Build the page of a diagnosis."""
     out = Page(f"Diagnosis of {diagnosis.case.name}", diagnosis.case.description)
     out.section(f"Verdict: {VERDICTS[diagnosis.verdict]}").text(diagnosis.sentence)
-    if known := [mode for mode in diagnosis.modes if np.isfinite(mode.std)]:
-        told = (f"{m.name} {beside(m.value, m.std)} ± {m.std:.2g} {m.unit}".removesuffix(" 1") for m in known)
-        out.text(f"Of the linear device: {'; '.join(told)}.")
+    if told := diagnosis.linear.told:
+        about = f" ({diagnosis.linear.about})" if diagnosis.linear.about else ""
+        out.text(f"Of the linear device{about}: {'; '.join(told)}.")
     _effects(out, diagnosis)
     for figure, caption in _found_figures(diagnosis):
         out.figure(figure, caption)
