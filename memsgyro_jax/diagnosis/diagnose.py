@@ -107,7 +107,7 @@ def diagnose(
     final = search.steps[-1].fit
     tell("see what these records can tell apart")
     confused = confusions(search, ranking)
-    accepted, scale = _accepted(search, confused, steps), final.scale
+    accepted = _accepted(search, confused, steps)
     explained = _explained(final, accepted, level)
     noise: Mapping[str, float] = {}
     if not all(explained) and all(_each_explained(final, accepted, level, wrong := wrong_noise(final))):
@@ -132,6 +132,8 @@ def diagnose(
         tried = ()
     declared = {record.name for record in case.records if record.noise_std}
     unexplained = verdict in UNEXPLAINED
+    scale = np.nan if unexplained else final.scale  # what is left that nobody knows is in no standard deviation
+    accepted, terms = (tuple(a.scaled(scale) for a in every) for every in (accepted, terms))
     planned = () if unexplained else next_experiments(search, ranking, confused, rival)
     return Diagnosis(
         case=case,
@@ -143,7 +145,7 @@ def diagnose(
         + of_noise(noise, declared)
         + slowly(search.slow)
         + (f" Left out as outlying: {of_rows(case, left_out)}." if left_out else ""),
-        accepted=tuple(a.scaled(scale) for a in accepted),
+        accepted=accepted,
         first=first,
         from_lowest=from_lowest,
         candidates=_listed(case, search.joint.model, ranking, powers=not unexplained),
@@ -155,7 +157,7 @@ def diagnose(
         level=level,
         tried=tried,
         outlying={case.records[number].name: rows for number, rows in left_out.items()},
-        instrument=tuple(a.scaled(scale) for a in terms),
+        instrument=terms,
         scale=final.scale,
         noise={k: f"its noise is larger than {'declared' if k in declared else 'estimated'}" for k in noise}
         | dict.fromkeys(search.slow, "its noise is slow"),

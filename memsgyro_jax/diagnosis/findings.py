@@ -5,6 +5,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from memsgyro_jax.base.text import beside
+
 
 NOTHING = " from nothing"  # ends what an experiment decides where no two models are left to be told apart
 SIGMAS_SEEN = 4.3  # strength over its standard deviation that is found nine times in ten among some forty candidates
@@ -16,7 +18,8 @@ class Accepted:
 
     Args:
         name, where: as in the catalogue.
-        estimate, std: strength and standard deviation, one number each or one per component, in `unit`.
+        estimate, std: strength and standard deviation, one number each or one per component, in `unit`; NaN in place of
+            a standard deviation that is not told, as the model leaves more than noise.
         p_value: of the final model without it.
         error_before, error_after: root mean square of validation residual over noise before and after it was added.
         confused_with: labels of effects that these records cannot tell from it.
@@ -47,6 +50,11 @@ class Accepted:
         """The same with all standard deviations multiplied."""
         numbers = {name: (value, factor * std, unit) for name, (value, std, unit) in self.numbers.items()}
         return replace(self, std=tuple(factor * s for s in self.std), numbers=numbers)
+
+
+def told_with(value: float, std: float, digits: int = 5) -> str:
+    """A number with its standard deviation, as many digits as that leaves it; a number alone with few."""
+    return f"{value:.3g}" if np.isnan(std) else f"{beside(value, std, digits)} ± {std:.2g}"
 
 
 @dataclass(frozen=True)

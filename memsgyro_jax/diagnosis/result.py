@@ -11,7 +11,6 @@ from memsgyro_jax.base.files import finite, json_text
 from memsgyro_jax.base.joint_normal import JointNormal
 from memsgyro_jax.base.labelled import Labelled, columns_of, labelled
 from memsgyro_jax.base.provenance import versions
-from memsgyro_jax.base.text import beside
 from memsgyro_jax.device.gyro import SingleMassGyro
 from memsgyro_jax.device.resonator import Resonator
 from memsgyro_jax.measurement.case import Case
@@ -19,7 +18,7 @@ from memsgyro_jax.measurement.model import Model
 
 from .compare import judged
 from .describing import consequence, drift_over
-from .findings import Accepted, Candidate, Prospect, Stage
+from .findings import Accepted, Candidate, Prospect, Stage, told_with
 from .fit import CaseFit
 from .fit_table import effects_table, errors_table, parameters_table, readings_table
 from .fitted import ParameterEstimate, errors_figure, with_calibration
@@ -32,6 +31,10 @@ if TYPE_CHECKING:
 
 Verdict = Literal["nothing_missing", "instrument_only", "found", "cannot_tell", "partly_explained", "unknown_effect"]
 UNEXPLAINED: tuple[Verdict, ...] = ("partly_explained", "unknown_effect")
+ONLY_IF = (
+    "without ±: these numbers would hold only if the model explained the records, which they deny; what is missing may "
+    "have gone into any of them, and two may cancel"
+)
 DRAW = "memsgyro law {} --out my_law.py"
 _PLANNED = 5  # next experiments that are printed
 
@@ -54,7 +57,8 @@ class Diagnosis(Labelled):
         given: labels of the effects that the model had from the beginning.
         tried: where an unknown effect is missing, what was tried and is not enough.
         instrument: terms of the instrument that the records need, beside which everything else is judged.
-        scale: factor of all standard deviations of effects: above one where the model leaves more than noise.
+        scale: factor of all standard deviations of effects: above one where the model leaves more than noise. Where it
+            leaves more than any noise explains, none is told.
         outlying: rows of records, from zero, that stand alone and were left out.
         from_lowest: whether the base model is that of the lowest drive, as it is far off at higher ones; then `first`
             holds what was followed up to the highest.
@@ -112,8 +116,10 @@ class Diagnosis(Labelled):
     @cached_property
     def consequences(self) -> dict[str, str]:
         """By label of an accepted force, what it does to resonance and quality factor at the largest swing of the
-        sweeps; of a drift, how long it goes on.
+        sweeps; of a drift, how long it goes on. Of a model that does not explain the records, nothing.
         """
+        if self.unexplained:
+            return {}
         effects = {effect.label: effect for effect in self.final.model.effects}
         told = {a.label: consequence(self.final, effects[a.label]) for a in self.accepted if a.label in effects}
         told |= {a.label: drift_over(self.final, effects[a.label]) for a in self.instrument if a.label in effects}
@@ -145,13 +151,15 @@ class Diagnosis(Labelled):
         if self.linear.about:
             lines.append(f"  (resonance and quality factor: {self.linear.about})")
         for a in (*self.instrument, *self.accepted):
-            value = ", ".join(f"{beside(e, s)} ± {s:.2g}" for e, s in zip(a.estimate, a.std, strict=True))
-            more = "".join(f", {name} {beside(v, s)} ± {s:.2g} {unit}" for name, (v, s, unit) in a.numbers.items())
+            value = ", ".join(told_with(e, s) for e, s in zip(a.estimate, a.std, strict=True))
+            more = "".join(f", {name} {told_with(v, s)} {unit}" for name, (v, s, unit) in a.numbers.items())
             unit = "" if a.unit == "1" else f" {a.unit}"
             lines.append(f"  {a.label}: {value}{unit}{with_calibration(a.calibration)}{more}" + _confused(a))
             if about := "; ".join(filter(None, (self.laws.get(a.label), self.consequences.get(a.label)))):
                 lines.append(f"    {about}")
-        if self.scale > 1.0:
+        if self.unexplained and (self.instrument or self.accepted):
+            lines.append(f"  ({ONLY_IF})")
+        elif self.scale > 1.0 and not self.unexplained:
             lines.append(f"  (standard deviations times {self.scale:.3g}, as the model leaves more than the noise)")
         if self.tried:
             lines += ["", "  tried, and not enough", *map(_line, self.tried)]
@@ -179,8 +187,8 @@ class Diagnosis(Labelled):
             "level": self.level,
             "verdict": self.verdict,
             "sentence": self.sentence,
-            "base": _fit(self.base),
-            "final": _fit(self.final),
+            "base": _fit(self.base, with_std=not self.unexplained),
+            "final": _fit(self.final, with_std=not self.unexplained),
             "effects": [_accepted(a) | {"at_largest": self.consequences.get(a.label)} for a in self.accepted],
             "instrument": [_accepted(a) for a in self.instrument],
             "candidates": [asdict(c) for c in self.candidates],
@@ -211,7 +219,7 @@ class Diagnosis(Labelled):
         variables = {
             **readings,
             **errors_table(fits),
-            **parameters_table(self.final),
+            **parameters_table(self.final, with_std=not self.unexplained),
             **effects_table(self),
             **{f"candidate_{name}": held for name, held in tried.items()},
             "candidate": ("candidate", [c.label for c in self.candidates], None),
@@ -262,7 +270,7 @@ def _confused(a: Accepted) -> str:
     return f"; these records cannot tell it from {' or '.join(a.confused_with)}" if a.confused_with else ""
 
 
-def _fit(fit: CaseFit) -> dict:
+def _fit(fit: CaseFit, *, with_std: bool = True) -> dict:
     return {
         "chi2_per_dof": fit.chi2_per_dof,
         "status": fit.status,
@@ -271,7 +279,7 @@ def _fit(fit: CaseFit) -> dict:
             | {"gate": e.gate, "explained": e.explained}
             for e in fit.errors
         ],
-        "parameters": [p.to_dict() for p in fit.estimates],
+        "parameters": [p.to_dict() | ({} if with_std else {"std": None}) for p in fit.estimates],
     }
 
 

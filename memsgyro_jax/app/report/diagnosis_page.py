@@ -8,10 +8,10 @@ from matplotlib.figure import Figure
 
 from memsgyro_jax.base.text import beside, listed
 from memsgyro_jax.diagnosis.compare import as_times, judged
-from memsgyro_jax.diagnosis.findings import Accepted, Candidate
+from memsgyro_jax.diagnosis.findings import Accepted, Candidate, told_with
 from memsgyro_jax.diagnosis.found_force import LawOverWaveform, found_forces
 from memsgyro_jax.diagnosis.residual_force import beside_lowest_drive, rate_residuals, sweep_forces, time_forces
-from memsgyro_jax.diagnosis.result import DRAW, Diagnosis
+from memsgyro_jax.diagnosis.result import DRAW, ONLY_IF, Diagnosis
 from memsgyro_jax.measurement.calibration import unit_of_records
 from memsgyro_jax.measurement.case import Case
 
@@ -58,20 +58,23 @@ def diagnosis_page(diagnosis: Diagnosis) -> Page:
     _tried(out, diagnosis)
     _ranking(out, diagnosis)
     _blind(out, diagnosis)
-    held = [replace(p, std=diagnosis.scale * p.std) for p in diagnosis.final.estimates]
-    out.section("Parameters of the final model")
-    out.table(
-        ["parameter", "value", "± 1 σ", "unit"],
-        [
-            [p.name, beside(p.value, p.std), f"{p.std:.2g}", p.unit]
-            for p in (*diagnosis.modes, *held)
-            if np.isfinite(p.std)
-        ],
-    )
-    if loose := [p.name for p in held if not np.isfinite(p.std)]:
-        out.text(f"Not held by these records: {listed(loose)}.")
+    _parameters(out, diagnosis)
     out.text(f"Fit: {diagnosis.final.status}. Probability of a false alarm that was allowed: {diagnosis.level:g}.")
     return out
+
+
+def _parameters(out: Page, diagnosis: Diagnosis) -> None:
+    held = [replace(p, std=diagnosis.scale * p.std) for p in diagnosis.final.estimates]
+    known = [p for p in (*(() if diagnosis.unexplained else diagnosis.modes), *held) if np.isfinite(p.std)]
+    out.section("Parameters of the final model")
+    if diagnosis.unexplained:
+        rows = [[p.name, told_with(p.value, np.nan), p.unit] for p in known]
+        out.table(["parameter", "value", "unit"], rows, f"They are told {ONLY_IF}.")
+    else:
+        rows = [[p.name, beside(p.value, p.std), f"{p.std:.2g}", p.unit] for p in known]
+        out.table(["parameter", "value", "± 1 σ", "unit"], rows)
+    if loose := [p.name for p in held if not np.isfinite(p.std)]:
+        out.text(f"Not held by these records: {listed(loose)}.")
 
 
 def _effects(out: Page, diagnosis: Diagnosis) -> None:
@@ -81,8 +84,10 @@ def _effects(out: Page, diagnosis: Diagnosis) -> None:
             [_effect(a) for a in diagnosis.accepted],
             "Effects of the final model; errors are those of readings that were not fitted, over the noise."
             + (f" Intervals are {diagnosis.scale:.3g} times those of the noise, as the model leaves more."
-               if diagnosis.scale > 1.0 else ""),
+               if diagnosis.scale > 1.0 and not diagnosis.unexplained else ""),
         )  # fmt: skip
+    if diagnosis.unexplained and (diagnosis.accepted or diagnosis.instrument):
+        out.text(f"The strengths of effects and terms of the instrument are told {ONLY_IF}.")
     for label, law in diagnosis.laws.items():
         if about := "; ".join(filter(None, (law, diagnosis.consequences.get(label)))):
             out.text(f"{label}: {about}.")
@@ -117,12 +122,12 @@ def _tried(out: Page, diagnosis: Diagnosis) -> None:
 def _effect(a: Accepted) -> list[str]:
     half = [1.96 * s for s in a.std]
     spans = (
-        f"{beside(e - h, h, 4)} to {beside(e + h, h, 4)}" if np.isfinite(h) else "not held"
+        "not told" if np.isnan(h) else f"{beside(e - h, h, 4)} to {beside(e + h, h, 4)}" if np.isfinite(h) else "not held"
         for e, h in zip(a.estimate, half, strict=True)
     )
     return [
         a.label,
-        ", ".join(beside(e, s, 4) for e, s in zip(a.estimate, a.std, strict=True)),
+        ", ".join(told_with(e, s, 4).partition(" ±")[0] for e, s in zip(a.estimate, a.std, strict=True)),
         "; ".join(spans),
         a.unit,
         as_times(a.error_before),
