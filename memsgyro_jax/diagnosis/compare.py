@@ -76,8 +76,8 @@ class Comparison(Shown):
 
     @property
     def explained(self) -> bool:
-        """Whether no test fails: noise alone explains the difference."""
-        return not any(check.failed for check in self.checks)
+        """Whether no test fails, of predictions that are resolved: noise alone explains the difference."""
+        return not (self.fit.unsure or any(check.failed for check in self.checks))
 
     @property
     def status(self) -> str:
@@ -113,6 +113,11 @@ class Comparison(Shown):
         alarm = f"with probability {self.level:g} noise alone fails any"
         if failed:
             return f"The model does not explain the records: {failed} of {len(self.checks)} tests fail ({alarm}):"
+        if self.fit.unsure:
+            return (
+                f"Whether the model explains the records is not sure: none of {len(self.checks)} tests fails, but "
+                f"{self.fit.resolution}."
+            )
         alone = ""
         if self.left_out:
             alone = f", but for {of_rows(self.case, self.left_out)}, which is outlying and left out"

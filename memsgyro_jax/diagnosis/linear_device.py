@@ -42,7 +42,7 @@ class LinearDevice:
         """A line for each mode that the records hold."""
         out = []
         for m in (mode for mode in self.modes if np.isfinite(mode.std)):
-            rough = f"about {beside(m.value, ROUGHLY * m.std, 3)}"
+            rough = f"about {beside(m.value, ROUGHLY * m.std, 4)}"
             value = f"{beside(m.value, m.std)} ± {m.std:.2g}" if self.held else rough
             out.append(f"{m.name}: {value} {m.unit}".removesuffix(" 1"))
         return tuple(out)
