@@ -1,6 +1,6 @@
 """A model beside measurements: how far apart, and where."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -76,8 +76,8 @@ class Comparison(Shown):
 
     @property
     def explained(self) -> bool:
-        """Whether no test fails: noise alone explains the difference."""
-        return not any(check.failed for check in self.checks)
+        """Whether no test fails, of predictions that are resolved: noise alone explains the difference."""
+        return not (self.fit.unsure or any(check.failed for check in self.checks))
 
     @property
     def status(self) -> str:
@@ -95,13 +95,19 @@ class Comparison(Shown):
                     found.append((-mine[0].statistic, _sentence(self.case.record(series.record), series, mine)))
         return tuple(text for _, text in sorted(found))
 
+    @property
+    def alone(self) -> str:
+        """Rows that stand alone in what a model leaves that fails, in words; empty where none do."""
+        rows = outlying(self.fit) if self.failures else {}
+        return f"standing alone, as outlying rows do: {of_rows(self.case, rows)}" if rows else ""
+
     def __str__(self) -> str:
         head = ("experiment", "role", "readings", "rms/noise", "noise alone below")
         rows = [(e.name, e.role, str(e.count), as_times(e.rms), f"{np.sqrt(e.gate):.3g}") for e in self.errors]
         lines = [f"{self.case.name}: {self.status}", aligned([head, *rows]), self.verdict]
         lines += [f"  {text}" for text in self.failures]
-        if self.failures and (alone := outlying(self.fit)):
-            lines.append(f"  standing alone, as outlying rows do: {of_rows(self.case, alone)}")
+        if self.alone:
+            lines.append(f"  {self.alone}")
         if self.fitted:
             lines += ["Fitted:", *(f"  {estimate}" for estimate in (*self.fit.modes, *self.fit.estimates))]
         return "\n".join(lines)
@@ -113,6 +119,11 @@ class Comparison(Shown):
         alarm = f"with probability {self.level:g} noise alone fails any"
         if failed:
             return f"The model does not explain the records: {failed} of {len(self.checks)} tests fail ({alarm}):"
+        if self.fit.unsure:
+            return (
+                f"Whether the model explains the records is not sure: none of {len(self.checks)} tests fails, but "
+                f"{self.fit.resolution}."
+            )
         alone = ""
         if self.left_out:
             alone = f", but for {of_rows(self.case, self.left_out)}, which is outlying and left out"
@@ -203,9 +214,19 @@ def compare(
     if whole is not None:
         whole = beside_case_of(case, whole)
     result = judged(fit_case(case, model=whole, held=not fitted), level=level, fitted=fitted)
+    return beside_outlying(result, lambda rows: fit_case(case, model=whole, held=not fitted, left_out=rows))
+
+
+def beside_outlying(result: Comparison, again: Callable[[Rows], CaseFit]) -> Comparison:
+    """The same without the few rows that stand alone, where the model then explains the case; else as it is.
+
+    Args:
+        result: of all rows.
+        again: the fit without some.
+    """
     if result.explained or not (rows := outlying_in_noise(result.fit)):
         return result
-    fewer = judged(fit_case(case, model=whole, held=not fitted, left_out=rows), level=level, fitted=fitted)
+    fewer = judged(again(rows), level=result.level, fitted=result.fitted)
     return replace(fewer, left_out=rows) if fewer.explained else result
 
 

@@ -27,10 +27,10 @@ from .findings import SIGMAS_SEEN, Accepted, Candidate, Stage
 from .fit import CaseFit
 from .instrument import beside_case_of, drive_levels, knowledge
 from .joint_residual import Joint
-from .next_experiment import advice, next_experiments
+from .next_experiment import advice, next_experiments, of_the_unknown
 from .nuisances import instrument_first, of_instrument
 from .outlying import of_rows, search_beside_outlying
-from .result import Diagnosis, Verdict, validation_error
+from .result import UNEXPLAINED, Diagnosis, Verdict, validation_error
 from .rounds import FITTED, search_on
 from .search import CONFUSED, Ranking, Search, SearchStep, start_search
 from .sentence import DRIFT, of_noise, sentence
@@ -91,7 +91,7 @@ def diagnose(
 
     def searched(search: Search) -> Iterator[tuple[Search, Ranking, str, Begun]]:
         first = search.rank()
-        plain = search.base, _listed(case, search.joint.model, first)
+        plain = search.base, _listed(case, search.joint.model, first, powers=done(search))
         if is_slow_noise(search, first):
             yield search, first, "", plain
             return
@@ -107,7 +107,7 @@ def diagnose(
     final = search.steps[-1].fit
     tell("see what these records can tell apart")
     confused = confusions(search, ranking)
-    accepted, scale = _accepted(search, confused, steps), final.scale
+    accepted = _accepted(search, confused, steps)
     explained = _explained(final, accepted, level)
     noise: Mapping[str, float] = {}
     if not all(explained) and all(_each_explained(final, accepted, level, wrong := wrong_noise(final))):
@@ -131,7 +131,10 @@ def diagnose(
     else:
         tried = ()
     declared = {record.name for record in case.records if record.noise_std}
-    planned = next_experiments(search, ranking, confused, rival, explained=all(explained))
+    unexplained = verdict in UNEXPLAINED
+    scale = np.nan if unexplained else final.scale  # what is left that nobody knows is in no standard deviation
+    accepted, terms = (tuple(a.scaled(scale) for a in every) for every in (accepted, terms))
+    planned = () if unexplained else next_experiments(search, ranking, confused, rival)
     return Diagnosis(
         case=case,
         base=base,
@@ -142,19 +145,19 @@ def diagnose(
         + of_noise(noise, declared)
         + slowly(search.slow)
         + (f" Left out as outlying: {of_rows(case, left_out)}." if left_out else ""),
-        accepted=tuple(a.scaled(scale) for a in accepted),
+        accepted=accepted,
         first=first,
         from_lowest=from_lowest,
-        candidates=_listed(case, search.joint.model, ranking),
+        candidates=_listed(case, search.joint.model, ranking, powers=not unexplained),
         groups=tuple((a.label, *a.confused_with) for a in accepted if a.confused_with),
-        next_experiment=advice(planned),
+        next_experiment=of_the_unknown(case) if unexplained else advice(planned),
         next_experiments=planned,
         given=tuple(effect.label for effect in start.effects),
         steps=stages,
         level=level,
         tried=tried,
         outlying={case.records[number].name: rows for number, rows in left_out.items()},
-        instrument=tuple(a.scaled(scale) for a in terms),
+        instrument=terms,
         scale=final.scale,
         noise={k: f"its noise is larger than {'declared' if k in declared else 'estimated'}" for k in noise}
         | dict.fromkeys(search.slow, "its noise is slow"),
@@ -307,7 +310,10 @@ def _followed(case: Case, climb: Climb, count: int) -> tuple[Candidate, ...]:
     )
 
 
-def _listed(case: Case, model: Model, ranking: Ranking) -> tuple[Candidate, ...]:
+def _listed(case: Case, model: Model, ranking: Ranking, *, powers: bool = True) -> tuple[Candidate, ...]:
+    """The candidates, best first; what each would have to be to be found, `powers`, is told by a model that explains
+    the records alone.
+    """
     out = []
     for i in ranking.order:
         effect, mine = model.effects[ranking.places[i]], ranking.scores[i]
@@ -319,7 +325,7 @@ def _listed(case: Case, model: Model, ranking: Ranking) -> tuple[Candidate, ...]
                 p_value=float(ranking.p_values[i]),
                 explained_share=mine.share,
                 kept_share=mine.kept,
-                smallest_visible=mine.visible(SIGMAS_SEEN),
+                smallest_visible=mine.visible(SIGMAS_SEEN) if powers else np.nan,
                 excited=mine.size > 0,
             )
         )

@@ -5,6 +5,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from memsgyro_jax.base.text import beside
+
 
 NOTHING = " from nothing"  # ends what an experiment decides where no two models are left to be told apart
 SIGMAS_SEEN = 4.3  # strength over its standard deviation that is found nine times in ten among some forty candidates
@@ -16,7 +18,8 @@ class Accepted:
 
     Args:
         name, where: as in the catalogue.
-        estimate, std: strength and standard deviation, one number each or one per component, in `unit`.
+        estimate, std: strength and standard deviation, one number each or one per component, in `unit`; NaN in place of
+            a standard deviation that is not told, as the model leaves more than noise.
         p_value: of the final model without it.
         error_before, error_after: root mean square of validation residual over noise before and after it was added.
         confused_with: labels of effects that these records cannot tell from it.
@@ -49,6 +52,11 @@ class Accepted:
         return replace(self, std=tuple(factor * s for s in self.std), numbers=numbers)
 
 
+def told_with(value: float, std: float, digits: int = 5) -> str:
+    """A number with its standard deviation, as many digits as that leaves it; a number alone with few."""
+    return f"{value:.3g}" if np.isnan(std) else f"{beside(value, std, digits)} ± {std:.2g}"
+
+
 @dataclass(frozen=True)
 class Candidate:
     """An effect that was tried beside the final model (in the first round: the base model).
@@ -60,7 +68,7 @@ class Candidate:
         explained_share: part of the misfit above noise that it explains.
         kept_share: part of its sensitivity that no other free parameter can take over.
         smallest_visible: strength that would have been found about nine times in ten; infinite where nothing
-            shows it.
+            shows it, NaN where that model does not explain the records, as only one that does can tell.
         excited: whether the records can show it at all.
     """
 

@@ -34,7 +34,7 @@ from .joint_residual import Joint
 from .modes import mode_estimates
 from .optimum import Optimum, optimise
 from .parameters import Parameter
-from .resolved import sharpened
+from .resolved import UNSURE, in_words, sharpened, still_apart
 
 
 if TYPE_CHECKING:
@@ -55,8 +55,8 @@ class CaseFit(Tabular):
         whitened: per record of the case (rows, channels, parts): deviation over noise, I and Q or one real part; NaN
             for rows that are not compared.
         fitted: per record, which rows were fitted (rows,).
-        apart: standard deviations by which the last, finer resolution of steady states still moved a reading; zero
-            where they are resolved.
+        apart: standard deviations by which a resolution of steady states beyond the last may still move a reading;
+            zero where they are resolved.
     """
 
     case: Case
@@ -182,10 +182,19 @@ class CaseFit(Tabular):
     def status(self) -> str:
         """A sentence for humans."""
         text = "converged" if self.optimum.converged else f"not converged after {self.optimum.evaluations} evaluations"
-        if self.apart > 0:
-            text += f"; steady states are not resolved: a finer balance moves a reading by {self.apart:.2g} × noise"
+        text += f"; {self.resolution}" if self.resolution else ""
         nulls = [null.removeprefix("+1.00·") for null in self.null_directions]
         return text + "".join(f"; {null} is not determined by these records" for null in nulls)
+
+    @property
+    def unsure(self) -> bool:
+        """Whether steady states are resolved so badly that no reading is surely explained."""
+        return self.apart > UNSURE
+
+    @property
+    def resolution(self) -> str:
+        """How far steady states are resolved, in words; empty where they are."""
+        return in_words(self.apart)
 
     def predicted(self, record: int | str) -> np.ndarray:
         """What the model predicts for a record, by number or name, in the shape and unit of its readings; NaN where not
@@ -296,6 +305,7 @@ def fit_case(
     if readings is not joint.readings:
         joint = Joint(joint.at(optimum.vector), readings)
         optimum = optimise(joint, joint.start, places, joint.fitted, max_evaluations=longest)
+        apart = still_apart(joint.at(optimum.vector), readings) if apart else apart
     return beside_case(case, joint, optimum, apart)
 
 

@@ -1,5 +1,6 @@
 """A fitted case as labelled arrays: every reading beside its prediction, the errors, the parameters."""
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -47,9 +48,10 @@ def errors_table(fits: dict[str, Any]) -> dict[str, tuple]:
     return out | {"gate": ("entry", [e.gate for e in entries], "1", "χ²/N up to which noise alone explains a record")}
 
 
-def parameters_table(fit: Any) -> dict[str, tuple]:
-    """Estimates over `parameter`."""
-    held = columns_of("parameter", fit.estimates, name=None, value=None, std=None, unit=None)
+def parameters_table(fit: Any, *, with_std: bool = True) -> dict[str, tuple]:
+    """Estimates over `parameter`; NaN in place of standard deviations that are not told."""
+    told = fit.estimates if with_std else [replace(estimate, std=np.nan) for estimate in fit.estimates]
+    held = columns_of("parameter", told, name=None, value=None, std=None, unit=None)
     return {"parameter" if name == "name" else f"parameter_{name}": column for name, column in held.items()}
 
 
@@ -61,12 +63,7 @@ def effects_table(found: Any) -> dict[str, tuple]:
     return {f"effect_{name}": held for name, held in out.items()} | {
         "effect": ("effect", parts, None),
         "estimate": ("effect", [a.estimate[k] for a, k in every], None, "strength"),
-        "estimate_std": (
-            "effect",
-            [found.scale * a.std[k] for a, k in every],
-            None,
-            "standard deviation of the strength",
-        ),
+        "estimate_std": ("effect", [a.std[k] for a, k in every], None, "standard deviation of the strength"),
         "effect_unit": ("effect", [a.unit for a, _ in every], None),
         "of_instrument": ("effect", [a in found.instrument for a, _ in every], "1", "whether it is the instrument's"),
     }

@@ -23,7 +23,7 @@ from .joint_residual import Joint
 from .law import DrawnLaw
 from .law_file import LawTerm
 from .optimum import optimise
-from .resolved import sharpened
+from .resolved import sharpened, still_apart
 from .result import validation_error
 
 
@@ -49,6 +49,7 @@ def fit_law(law: DrawnLaw, path: str | Path) -> CaseFit:
     finer = tuple(_with_all_rows(fewer, whole) for fewer, whole in zip(kept, joint.readings, strict=True))
     if any(_resolution(new) != _resolution(old) for new, old in zip(finer, joint.readings, strict=True)):
         fit = _guided(case, Joint(fit.model, finer))
+        apart = still_apart(fit.model, without_rows(finer, _far_rows(fit))) if apart else apart
     return replace(fit, apart=apart)
 
 

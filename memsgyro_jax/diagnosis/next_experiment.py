@@ -66,9 +66,9 @@ def plans(case: Case, readings: Sequence[Readings]) -> tuple[Proposal, ...]:
 
 
 def next_experiments(
-    search: Search, ranking: Ranking, twins: Mapping[int, Mapping[int, Optimum]], rival: str, *, explained: bool
+    search: Search, ranking: Ranking, twins: Mapping[int, Mapping[int, Optimum]], rival: str
 ) -> tuple[Prospect, ...]:
-    """What each feasible experiment would decide, the best first.
+    """What each feasible experiment would decide beside a model that explains the records, the best first.
 
     Best are those that decide beyond doubt, the least effort first among them; the others follow by their expected Δχ².
 
@@ -76,9 +76,8 @@ def next_experiments(
         search, ranking: at its end, and the candidates that are left.
         twins: per accepted effect, those that could stand in its place, and fits with them.
         rival: label of an effect of the device that explains as much as the instrument; empty where there is none.
-        explained: whether nothing but noise is left; else the two best guesses are to be told apart.
     """
-    rivals = _rivals(search, twins, rival) or ([] if explained else _guesses(search, ranking))
+    rivals = _rivals(search, twins, rival)
     weigh = _told_apart(search.joint, rivals) if rivals else _shown(search, ranking)
     found, proposed = [], plans(search.case, search.joint.readings)
     with ThreadPoolExecutor(usable_cores()) as pool:
@@ -104,6 +103,14 @@ def advice(prospects: Sequence[Prospect]) -> str | None:
     return f"{best.experiment}; it would tell {best.decides} by {by}{best.where}"
 
 
+def of_the_unknown(case: Case) -> str:
+    """What helps where no candidate explains the records: none then predicts what an experiment would show."""
+    more = ""
+    if any(hasattr(record, "setting") for record in case.records):
+        more = "; sweeps at further drives, and at a lower one, show the law that is missing at more amplitudes"
+    return f"none is predicted, as nothing that was tried explains these records{more}"
+
+
 # ---- two models that explain the same records
 
 
@@ -123,22 +130,6 @@ def _rivals(search: Search, twins: Mapping[int, Mapping[int, Optimum]], rival: s
         fit = optimise(joint, start, always_free(joint, [*kept, labels.index(rival)]), joint.fitted)
         out.append(Rivals((" and ".join(labels[i] for i in terms), rival), search.optimum, fit))
     return out
-
-
-def _guesses(search: Search, ranking: Ranking) -> list[Rivals]:
-    """The two models that come nearest to an unknown law: that of the search, or one with its best candidate, and the
-    same with the next candidate in place of the last.
-    """
-    places = [ranking.places[i] for i in ranking.order if ranking.scores[i].size]
-    labels = [effect.label for effect in search.joint.model.effects]
-    if search.accepted and places:
-        *kept, last = search.accepted
-        fit = search.refit([*kept, places[0]], start=search.without(last))
-        return [Rivals((labels[last], labels[places[0]]), search.optimum, fit)]
-    if len(places) < 2:
-        return []
-    first, second = (search.refit([place]) for place in places[:2])
-    return [Rivals((labels[places[0]], labels[places[1]]), first, second)]
 
 
 def _told_apart(joint: Joint, rivals: Sequence[Rivals]) -> Callable[[Proposal], Prospect]:

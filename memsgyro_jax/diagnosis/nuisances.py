@@ -5,13 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from memsgyro_jax.base.text import beside
 from memsgyro_jax.effects import TERMS, Effect, InstrumentTerm, Scanned
 from memsgyro_jax.measurement.least_squares import gate
 
 from .acceptance import BEYOND_LINEAR, excess, share_needed
 from .fewer import SHARE, cost, imitated
-from .findings import Accepted
+from .findings import Accepted, told_with
 from .fit import beside_case
 from .instrument import instrument_terms, knowledge
 from .joint_residual import Joint
@@ -109,7 +108,7 @@ def of_instrument(terms: Sequence[Accepted], rival: str, levels: int) -> str:
 
 
 def _numbers_of(term: Accepted) -> str:
-    held = [f"{beside(e, s, 4)} ± {s:.2g}" for e, s in zip(term.estimate, term.std, strict=True) if abs(e) > 1e-6 * s]
+    held = [told_with(e, s, 4) for e, s in zip(term.estimate, term.std, strict=True) if not abs(e) <= 1e-6 * s]
     turned = f" ({np.degrees(term.estimate[0]):.4g}°)" if term.unit == "rad" and len(term.estimate) == 1 else ""
     return f"{term.label} {', '.join(held)} {term.unit}".removesuffix(" 1") + turned
 

@@ -10,8 +10,9 @@ from memsgyro_jax.measurement.least_squares import gate
 from memsgyro_jax.measurement.outliers import lone_residuals
 from memsgyro_jax.measurement.readings import Readings
 
-from .drives import NOBODY, Rows, gone, without_weight
+from .drives import NOBODY, Rows, gone, without_rows, without_weight
 from .fit import CaseFit, beside_case
+from .joint_residual import Joint
 from .optimum import optimise
 from .score import basis
 from .search import Search
@@ -111,6 +112,12 @@ def _to_leave_out(fit: CaseFit) -> Rows:
         return rows
     calmer = not_pulled(fit)
     return {} if calmer is None else outlying_in_noise(calmer)
+
+
+def fit_without(fit: CaseFit, rows: Rows) -> CaseFit:
+    """A fit again from where it ended, without some rows, which are then not compared either."""
+    joint = Joint(fit.model, without_rows(fit.joint.readings, rows), fit.joint.programs)
+    return beside_case(fit.case, joint, optimise(joint, joint.start, fit.optimum.free, joint.fitted), fit.apart)
 
 
 def outlying_in_noise(fit: CaseFit) -> Rows:

@@ -8,7 +8,7 @@ from memsgyro_jax.measurement.experiments.missing_force import MissingForce, Rat
 
 from .drives import ALIKE, CLEAR, without_rows
 from .fit import CaseFit, beside_case
-from .optimum import optimise
+from .optimum import Optimum, optimise
 
 
 Sort = TypeVar("Sort", bound=MissingForce)
@@ -19,6 +19,16 @@ def beside_lowest_drive(fit: CaseFit) -> CaseFit:
 
     There a device is the most linear, and what stronger drives make of it stands out as it is, a threshold as a kink: a
     model fitted to all of them shares it out. The fit itself where its sweeps have but one drive.
+    """
+    lowest, joint = lowest_drive(fit), fit.joint
+    if lowest is None:
+        return fit
+    return beside_case(fit.case, joint, optimise(joint, lowest.vector, joint.base(), joint.fitted, max_evaluations=0))
+
+
+def lowest_drive(fit: CaseFit) -> Optimum | None:
+    """The base model of a fit, fitted to the sweeps of the lowest drive of each axis alone; `None` where its sweeps
+    have but one drive.
     """
     left_out: dict[int, tuple[int, ...]] = {}
     sweeps: list[tuple[int, Any]] = [(k, r) for k, r in enumerate(fit.case.records) if hasattr(r, "setting")]
@@ -33,11 +43,10 @@ def beside_lowest_drive(fit: CaseFit) -> CaseFit:
         if clear:
             left_out |= {k: tuple(np.flatnonzero(r.setting > (1 + ALIKE) * min(clear)).tolist()) for k, r in mine}
     if not any(left_out.values()):
-        return fit
-    joint, free = fit.joint, fit.joint.base()
+        return None
+    joint = fit.joint
     calm = [r for r in without_rows(joint.fitted, left_out) if r.experiment.shows_modes]
-    lowest = optimise(joint, joint.start, free, calm)
-    return beside_case(fit.case, joint, optimise(joint, lowest.vector, free, joint.fitted, max_evaluations=0))
+    return optimise(joint, joint.start, joint.base(), calm)
 
 
 def sweep_forces(fit: CaseFit) -> tuple[SweepForce, ...]:

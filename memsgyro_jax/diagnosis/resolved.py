@@ -15,6 +15,7 @@ from .linearised import compiled
 
 TOLERANCE = 0.1  # of a standard deviation, or of what is left of a reading that lies farther off: so far a finer
 # resolution may move it
+UNSURE = 3.0  # of the same: so far noise moves no reading but a few, and a finer resolution might change what is said
 
 
 def sharpened(
@@ -44,6 +45,26 @@ def sharpened(
         chosen |= {id(r): steps for r in mine}
     finer = tuple(_finer(r, chosen.get(id(r), 0)) for r in readings)
     return finer if any(chosen.values()) else tuple(readings), worst
+
+
+def still_apart(model: Model, readings: Sequence[Readings]) -> float:
+    """By how much a resolution beyond the last may move a reading of a model that was fitted with the finest, in units
+    of `sharpened`; zero where all agree.
+
+    What was seen before that fit is no measure of it: a model that fits badly swings otherwise, and then differs more.
+    """
+    return sharpened(model, [replace(r, experiment=r.experiment.coarse) for r in readings])[1]
+
+
+def in_words(apart: float) -> str:
+    """What `still_apart` says; empty where all agree."""
+    if apart <= 0:
+        return ""
+    head = "steady states are not resolved: " if apart > UNSURE else ""
+    return (
+        f"{head}sweeps are predicted with the most harmonics that there are; still more would move a reading by up to "
+        f"about {apart:.2g} × noise"
+    )
 
 
 def _steps(model: Model, known: Sequence[tuple[Experiment, np.ndarray | None]]) -> tuple[int, float]:

@@ -1,7 +1,7 @@
 """What a diagnosis found: verdict, effects, candidates, groups that cannot be told apart, and what to measure next."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
@@ -11,7 +11,6 @@ from memsgyro_jax.base.files import finite, json_text
 from memsgyro_jax.base.joint_normal import JointNormal
 from memsgyro_jax.base.labelled import Labelled, columns_of, labelled
 from memsgyro_jax.base.provenance import versions
-from memsgyro_jax.base.text import beside
 from memsgyro_jax.device.gyro import SingleMassGyro
 from memsgyro_jax.device.resonator import Resonator
 from memsgyro_jax.measurement.case import Case
@@ -19,10 +18,11 @@ from memsgyro_jax.measurement.model import Model
 
 from .compare import judged
 from .describing import consequence, drift_over
-from .findings import Accepted, Candidate, Prospect, Stage
+from .findings import Accepted, Candidate, Prospect, Stage, told_with
 from .fit import CaseFit
 from .fit_table import effects_table, errors_table, parameters_table, readings_table
 from .fitted import ParameterEstimate, errors_figure, with_calibration
+from .linear_device import LinearDevice, linear_device
 
 
 if TYPE_CHECKING:
@@ -30,6 +30,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Verdict = Literal["nothing_missing", "instrument_only", "found", "cannot_tell", "partly_explained", "unknown_effect"]
+UNEXPLAINED: tuple[Verdict, ...] = ("partly_explained", "unknown_effect")
+ONLY_IF = (
+    "without ±: these numbers would hold only if the model explained the records, which they deny; what is missing may "
+    "have gone into any of them, and two may cancel"
+)
 DRAW = "memsgyro law {} --out my_law.py"
 _PLANNED = 5  # next experiments that are printed
 
@@ -52,7 +57,8 @@ class Diagnosis(Labelled):
         given: labels of the effects that the model had from the beginning.
         tried: where an unknown effect is missing, what was tried and is not enough.
         instrument: terms of the instrument that the records need, beside which everything else is judged.
-        scale: factor of all standard deviations of effects: above one where the model leaves more than noise.
+        scale: factor of all standard deviations of effects: above one where the model leaves more than noise. Where it
+            leaves more than any noise explains, none is told.
         outlying: rows of records, from zero, that stand alone and were left out.
         from_lowest: whether the base model is that of the lowest drive, as it is far off at higher ones; then `first`
             holds what was followed up to the highest.
@@ -81,6 +87,11 @@ class Diagnosis(Labelled):
     from_lowest: bool = False
 
     @property
+    def unexplained(self) -> bool:
+        """Whether the final model leaves more than noise: then no power, no promise and no ± that rests on it holds."""
+        return self.verdict in UNEXPLAINED
+
+    @property
     def model(self) -> Model:
         """The final model with the effects it was given, those accepted and what the instrument does."""
         whole, labels = self.final.model, {*self.given, *(a.label for a in (*self.accepted, *self.instrument))}
@@ -105,8 +116,10 @@ class Diagnosis(Labelled):
     @cached_property
     def consequences(self) -> dict[str, str]:
         """By label of an accepted force, what it does to resonance and quality factor at the largest swing of the
-        sweeps; of a drift, how long it goes on.
+        sweeps; of a drift, how long it goes on. Of a model that does not explain the records, nothing.
         """
+        if self.unexplained:
+            return {}
         effects = {effect.label: effect for effect in self.final.model.effects}
         told = {a.label: consequence(self.final, effects[a.label]) for a in self.accepted if a.label in effects}
         told |= {a.label: drift_over(self.final, effects[a.label]) for a in self.instrument if a.label in effects}
@@ -117,26 +130,36 @@ class Diagnosis(Labelled):
         """What the records themselves warn of, as `memsgyro check` prints it."""
         return tuple(warning for record in self.case.records for warning in record.warnings(self.case))
 
+    @cached_property
+    def linear(self) -> LinearDevice:
+        """The modes of the final base device; where the final model does not explain the records, which drag it, of the
+        base device of the lowest drive.
+        """
+        return linear_device(self.final, self.base, explained=not self.unexplained)
+
     @property
     def modes(self) -> tuple[ParameterEstimate, ...]:
-        """Resonance frequency [Hz] and quality factor of each mode of the final base device."""
-        return tuple(replace(mode, std=self.scale * mode.std) for mode in self.final.modes)
+        """Resonance frequency [Hz] and quality factor of each mode of `linear`."""
+        return self.linear.estimates
 
     def __str__(self) -> str:
         lines = [f"{self.case.name}: {self.verdict.replace('_', ' ')}", self.sentence, ""]
         lines += map(_line, self.steps)
         if self.from_lowest:
             lines.append("  (the base model is that of the lowest drive, as what is missing grows with the drive)")
-        known = [mode for mode in self.modes if np.isfinite(mode.std)]
-        lines += [f"  {m.name}: {beside(m.value, m.std)} ± {m.std:.2g} {m.unit}".removesuffix(" 1") for m in known]
+        lines += [f"  {mode}" for mode in self.linear.told]
+        if self.linear.about:
+            lines.append(f"  (resonance and quality factor: {self.linear.about})")
         for a in (*self.instrument, *self.accepted):
-            value = ", ".join(f"{beside(e, s)} ± {s:.2g}" for e, s in zip(a.estimate, a.std, strict=True))
-            more = "".join(f", {name} {beside(v, s)} ± {s:.2g} {unit}" for name, (v, s, unit) in a.numbers.items())
+            value = ", ".join(told_with(e, s) for e, s in zip(a.estimate, a.std, strict=True))
+            more = "".join(f", {name} {told_with(v, s)} {unit}" for name, (v, s, unit) in a.numbers.items())
             unit = "" if a.unit == "1" else f" {a.unit}"
             lines.append(f"  {a.label}: {value}{unit}{with_calibration(a.calibration)}{more}" + _confused(a))
             if about := "; ".join(filter(None, (self.laws.get(a.label), self.consequences.get(a.label)))):
                 lines.append(f"    {about}")
-        if self.scale > 1.0:
+        if self.unexplained and (self.instrument or self.accepted):
+            lines.append(f"  ({ONLY_IF})")
+        elif self.scale > 1.0 and not self.unexplained:
             lines.append(f"  (standard deviations times {self.scale:.3g}, as the model leaves more than the noise)")
         if self.tried:
             lines += ["", "  tried, and not enough", *map(_line, self.tried)]
@@ -152,7 +175,7 @@ class Diagnosis(Labelled):
         if self.next_experiment:
             lines += ["", f"  next experiment: {self.next_experiment}"]
             lines += [f"    Δχ² {p.chi2:8.3g}  {p.experiment}" for p in self.next_experiments if p.chi2 >= 0][:_PLANNED]
-        if self.verdict in ("unknown_effect", "partly_explained"):
+        if self.unexplained:
             lines += ["", f"  the law that is missing, drawn, written and fitted: {DRAW.format(self.case.folder)}"]
         return "\n".join(lines)
 
@@ -164,8 +187,8 @@ class Diagnosis(Labelled):
             "level": self.level,
             "verdict": self.verdict,
             "sentence": self.sentence,
-            "base": _fit(self.base),
-            "final": _fit(self.final),
+            "base": _fit(self.base, with_std=not self.unexplained),
+            "final": _fit(self.final, with_std=not self.unexplained),
             "effects": [_accepted(a) | {"at_largest": self.consequences.get(a.label)} for a in self.accepted],
             "instrument": [_accepted(a) for a in self.instrument],
             "candidates": [asdict(c) for c in self.candidates],
@@ -177,6 +200,7 @@ class Diagnosis(Labelled):
             "steps": [asdict(s) for s in self.steps],
             "tried": [asdict(s) for s in self.tried],
             "modes": [mode.to_dict() for mode in self.modes],
+            "modes_are": self.linear.about,
             "std_scale": self.scale,
             "outlying": {name: list(rows) for name, rows in self.outlying.items()},
             "base_of_lowest_drive": self.from_lowest,
@@ -195,7 +219,7 @@ class Diagnosis(Labelled):
         variables = {
             **readings,
             **errors_table(fits),
-            **parameters_table(self.final),
+            **parameters_table(self.final, with_std=not self.unexplained),
             **effects_table(self),
             **{f"candidate_{name}": held for name, held in tried.items()},
             "candidate": ("candidate", [c.label for c in self.candidates], None),
@@ -246,7 +270,7 @@ def _confused(a: Accepted) -> str:
     return f"; these records cannot tell it from {' or '.join(a.confused_with)}" if a.confused_with else ""
 
 
-def _fit(fit: CaseFit) -> dict:
+def _fit(fit: CaseFit, *, with_std: bool = True) -> dict:
     return {
         "chi2_per_dof": fit.chi2_per_dof,
         "status": fit.status,
@@ -255,7 +279,7 @@ def _fit(fit: CaseFit) -> dict:
             | {"gate": e.gate, "explained": e.explained}
             for e in fit.errors
         ],
-        "parameters": [p.to_dict() for p in fit.estimates],
+        "parameters": [p.to_dict() | ({} if with_std else {"std": None}) for p in fit.estimates],
     }
 
 

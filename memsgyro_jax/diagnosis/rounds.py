@@ -14,7 +14,7 @@ from .fit import beside_case
 from .joint_residual import Joint
 from .nuisances import instrument_between
 from .optimum import Optimum
-from .resolved import sharpened
+from .resolved import sharpened, still_apart
 from .scans import refined, scan, scans
 from .score import basis, score
 from .search import CONFUSED, ROUNDS, WORTH_A_LOOK, Ranking, Search
@@ -72,6 +72,7 @@ def _resolve(search: Search) -> None:
         search.tell("predict with more harmonics")
         search.joint, search.unseen = Joint(model, readings, search.joint.programs), None
         search.optimum = search.refit(search.accepted)
+        apart = still_apart(search.joint.at(search.optimum.vector), readings) if apart else apart
         fit = beside_case(search.case, search.joint, search.optimum, apart)
         search.steps[-1] = replace(search.steps[-1], fit=fit)
 

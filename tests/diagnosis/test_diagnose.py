@@ -166,6 +166,9 @@ def test_physics_outside_the_catalogue_is_not_called_found(stopped):
     assert outcome.tried[-1].chi2_per_dof < outcome.base.chi2_per_dof
     answer = json.loads(outcome.to_json())
     assert (answer["effects"], len(answer["tried"]), len(answer["steps"])) == ([], len(outcome.tried), 1)
+    assert {c["smallest_visible"] for c in answer["candidates"] + answer["candidates_of_base"]} == {None}
+    assert answer["next_experiments"] == []
+    assert "none is predicted" in answer["next_experiment"]
 
 
 @pytest.mark.parametrize("times", [3.0, 0.3])

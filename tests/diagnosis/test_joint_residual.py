@@ -16,6 +16,7 @@ from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.transforms import names
 from memsgyro_jax.device.resonator import Resonator
 from memsgyro_jax.diagnosis import linearised
+from memsgyro_jax.diagnosis.compare import judged
 from memsgyro_jax.diagnosis.fit import fit_case
 from memsgyro_jax.diagnosis.joint_residual import Joint
 from memsgyro_jax.diagnosis.optimum import optimise
@@ -269,7 +270,25 @@ def test_a_fit_moves_only_what_the_records_hold(standing):
 
 
 def test_what_is_not_resolved_is_said(standing):
-    assert "not resolved: a finer balance moves a reading by 0.4 × noise" in replace(standing, apart=0.4).status
+    """In words that agree with what is said of the records: what is not resolved to the noise explains nothing."""
+    assert "harmonics" not in standing.status
+    fine, unsure = replace(standing, apart=0.4), replace(standing, apart=12.0)
+    assert "still more would move a reading by up to about 0.4 × noise" in fine.status
+    assert "not resolved" not in fine.status
+    assert "not resolved: sweeps are predicted with the most harmonics" in unsure.status
+    right = judged(standing)
+    assert right.explained
+    assert judged(fine).explained
+    assert judged(fine).verdict == right.verdict
+    assert not judged(unsure).explained
+    assert "is not sure: none of" in judged(unsure).verdict
+    assert "about 12 × noise" in judged(unsure).verdict
+
+
+def test_how_far_it_is_resolved_is_told_of_the_model_that_was_fitted(monkeypatch):
+    """Not of the one before the last fit, which swings otherwise."""
+    monkeypatch.setattr("memsgyro_jax.diagnosis.fit.sharpened", lambda model, readings, residual: ((*readings,), 12.0))
+    assert fit_case(bench().case).apart == 0.0
 
 
 def test_an_effect_without_a_trace_is_named():

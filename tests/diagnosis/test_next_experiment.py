@@ -14,7 +14,7 @@ from memsgyro_jax.diagnosis.diagnose import diagnose
 from memsgyro_jax.diagnosis.findings import Prospect
 from memsgyro_jax.diagnosis.instrument import instrument_terms
 from memsgyro_jax.diagnosis.joint_residual import Joint
-from memsgyro_jax.diagnosis.next_experiment import Rivals, advice, as_recorded, expected, plans
+from memsgyro_jax.diagnosis.next_experiment import Rivals, advice, as_recorded, expected, of_the_unknown, plans
 from memsgyro_jax.diagnosis.optimum import optimise
 from memsgyro_jax.diagnosis.search import CONFUSED, always_free
 from memsgyro_jax.effects import catalogue
@@ -140,6 +140,16 @@ def test_the_advice_is_the_best_or_says_that_none_decides():
     assert advice([replace(one, decides="show a, which these records cannot", shown=1)]) == (
         "repeat it; it would show a, which these records cannot"
     )
+
+
+def test_where_nothing_explains_the_records_no_standard_deviations_are_promised():
+    """What an experiment would show is predicted by models that explain what was recorded, or not at all."""
+    case = case_of()
+    said = of_the_unknown(case)
+    assert "none is predicted" in said
+    assert "at a lower one" in said
+    assert "standard deviations" not in said
+    assert "drives" not in of_the_unknown(replace(case, records=()))
 
 
 @pytest.mark.slow

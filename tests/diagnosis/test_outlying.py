@@ -9,13 +9,21 @@ from bench_case import BAND, RESONATOR, bench
 from lab.die import Hidden
 from lab.protocol import Laboratory, Sweep
 
-from memsgyro_jax.diagnosis.compare import compare
+from memsgyro_jax.app.report.fit_text import fit_entries, fit_text
+from memsgyro_jax.diagnosis.compare import beside_outlying, compare, judged
 from memsgyro_jax.diagnosis.drives import without_rows
 from memsgyro_jax.diagnosis.fit import beside_case, fit_case
 from memsgyro_jax.diagnosis.instrument import instrument_terms
 from memsgyro_jax.diagnosis.joint_residual import Joint
 from memsgyro_jax.diagnosis.optimum import optimise
-from memsgyro_jax.diagnosis.outlying import _to_leave_out, not_pulled, of_rows, outlying, search_beside_outlying
+from memsgyro_jax.diagnosis.outlying import (
+    _to_leave_out,
+    fit_without,
+    not_pulled,
+    of_rows,
+    outlying,
+    search_beside_outlying,
+)
 
 
 LONG = Laboratory((Sweep("sweep", 0, (0.002, 0.006), **BAND | {"points": 90}),), digits=17)
@@ -59,6 +67,22 @@ def test_a_comparison_leaves_out_what_stands_alone_and_names_it():
     part = compare(model, case_of(1, rows=range(5, 175, 12), sigmas=40.0), fitted=False)
     assert not part.explained
     assert part.left_out == {}
+
+
+def test_a_fit_leaves_out_and_names_the_same_rows():
+    """`memsgyro fit` printed one row as 33 times the noise of a whole record, and did not say which."""
+    case = case_of(1, rows=(44,), sigmas=40.0)
+    fit = fit_case(case)
+    found = beside_outlying(judged(fit), lambda rows: fit_without(fit, rows))
+    assert found.left_out == {0: (44,)}
+    whole = compare(None, case)
+    np.testing.assert_allclose(found.fit.optimum.vector, whole.fit.optimum.vector, rtol=1e-6, atol=1e-12)
+    assert "but for row 45 (near " in fit_text(fit, found)
+    assert fit_entries(fit, found)["outlying"] == {"sweep": [44]}
+    assert fit_entries(fit, found)["explained"]
+    part = fit_case(case_of(1, Hidden(cubic_stiffness_x=3.9 * RESONATOR.kxx), rows=(44,), sigmas=4000.0))
+    kept = beside_outlying(judged(part), lambda rows: fit_without(part, rows))
+    assert kept.left_out == {}, "a law is missing"
 
 
 def test_a_row_of_a_fall_is_told():

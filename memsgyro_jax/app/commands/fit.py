@@ -19,6 +19,8 @@ def fit_command(
     """Fit a model with named effects to a measurement case.
 
     Prints the error of every experiment before and after, also of those that are not fitted.
+    A few rows that stand alone, without which the model explains the case,
+    are named and left out.
 
     Args:
         case: folder with a case.toml and the CSV files that it names, or the word demo for the one that comes along.
@@ -32,8 +34,10 @@ def fit_command(
     look_for(case, effects, kinds)
     from memsgyro_jax.base.files import write_json
     from memsgyro_jax.base.text import listed
+    from memsgyro_jax.diagnosis.compare import beside_outlying, judged
     from memsgyro_jax.diagnosis.fit import fit_case
     from memsgyro_jax.diagnosis.instrument import instrument_terms
+    from memsgyro_jax.diagnosis.outlying import fit_without
     from memsgyro_jax.effects import catalogue, load_effects
     from memsgyro_jax.measurement.calibration import units_of_records
     from memsgyro_jax.measurement.model_file import write_model
@@ -52,9 +56,10 @@ def fit_command(
         before = fit_case(measured)
         tell(f"base model: χ²/dof {before.chi2_per_dof:.4g}; fit it with {listed([e.label for e in chosen])}")
         after = fit_case(measured, [placed_by_scan(effect, before) for effect in chosen])
-    print(fit_text(before, after))
+        found = beside_outlying(judged(after), lambda rows: fit_without(after, rows))
+    print(fit_text(before, found))
     if out is not None:
-        write_model(after.model, out, note=units_of_records(measured))
+        write_model(found.model, out, note=units_of_records(measured))
         print(f"{out} is the fitted device, for `compare --model` and for the section [device] of a study")
     if json is not None:
-        write_json(json, fit_entries(before, after))
+        write_json(json, fit_entries(before, found))

@@ -41,6 +41,7 @@ def law_command(
     from memsgyro_jax.base.errors import InputError
     from memsgyro_jax.base.files import write_whole
     from memsgyro_jax.diagnosis.backbone import backbone
+    from memsgyro_jax.diagnosis.compare import judged
     from memsgyro_jax.diagnosis.fit import fit_case
     from memsgyro_jax.diagnosis.law import draw_law
     from memsgyro_jax.diagnosis.law_fit import fit_law, with_even_part, with_held_terms
@@ -74,7 +75,7 @@ def law_command(
     if edited is None:
         print(law, end="\n\n" if law.names else "\n")
     if after is not before:
-        print(fit_text(before, after))
+        print(fit_text(before, judged(after)))
     if after is not before and edited is None:
         print(f"{file} is the law; edit it, then: memsgyro law {case} --edited {file}")
     if model is not None:

@@ -8,10 +8,10 @@ from matplotlib.figure import Figure
 
 from memsgyro_jax.base.text import beside, listed
 from memsgyro_jax.diagnosis.compare import as_times, judged
-from memsgyro_jax.diagnosis.findings import Accepted, Candidate
+from memsgyro_jax.diagnosis.findings import Accepted, Candidate, told_with
 from memsgyro_jax.diagnosis.found_force import LawOverWaveform, found_forces
 from memsgyro_jax.diagnosis.residual_force import beside_lowest_drive, rate_residuals, sweep_forces, time_forces
-from memsgyro_jax.diagnosis.result import DRAW, Diagnosis
+from memsgyro_jax.diagnosis.result import DRAW, ONLY_IF, Diagnosis
 from memsgyro_jax.measurement.calibration import unit_of_records
 from memsgyro_jax.measurement.case import Case
 
@@ -36,9 +36,9 @@ def diagnosis_page(diagnosis: Diagnosis) -> Page:
     """Build the page of a diagnosis."""
     out = Page(f"Diagnosis of {diagnosis.case.name}", diagnosis.case.description)
     out.section(f"Verdict: {VERDICTS[diagnosis.verdict]}").text(diagnosis.sentence)
-    if known := [mode for mode in diagnosis.modes if np.isfinite(mode.std)]:
-        told = (f"{m.name} {beside(m.value, m.std)} ± {m.std:.2g} {m.unit}".removesuffix(" 1") for m in known)
-        out.text(f"Of the linear device: {'; '.join(told)}.")
+    if told := diagnosis.linear.told:
+        about = f" ({diagnosis.linear.about})" if diagnosis.linear.about else ""
+        out.text(f"Of the linear device{about}: {'; '.join(told)}.")
     _effects(out, diagnosis)
     for figure, caption in _found_figures(diagnosis):
         out.figure(figure, caption)
@@ -52,26 +52,29 @@ def diagnosis_page(diagnosis: Diagnosis) -> Page:
         out.figure(figures.steps_figure(diagnosis.steps), f"How the error fell. {names}.")
     _errors(out, diagnosis)
     _records(out, diagnosis)
-    if diagnosis.verdict in ("partly_explained", "unknown_effect"):
+    if diagnosis.unexplained:
         out.text(f"The law that is missing is drawn, written and fitted by `{DRAW.format(diagnosis.case.folder)}`.")
         _forces(out, diagnosis)
     _tried(out, diagnosis)
     _ranking(out, diagnosis)
     _blind(out, diagnosis)
-    held = [replace(p, std=diagnosis.scale * p.std) for p in diagnosis.final.estimates]
-    out.section("Parameters of the final model")
-    out.table(
-        ["parameter", "value", "± 1 σ", "unit"],
-        [
-            [p.name, beside(p.value, p.std), f"{p.std:.2g}", p.unit]
-            for p in (*diagnosis.modes, *held)
-            if np.isfinite(p.std)
-        ],
-    )
-    if loose := [p.name for p in held if not np.isfinite(p.std)]:
-        out.text(f"Not held by these records: {listed(loose)}.")
+    _parameters(out, diagnosis)
     out.text(f"Fit: {diagnosis.final.status}. Probability of a false alarm that was allowed: {diagnosis.level:g}.")
     return out
+
+
+def _parameters(out: Page, diagnosis: Diagnosis) -> None:
+    held = [replace(p, std=diagnosis.scale * p.std) for p in diagnosis.final.estimates]
+    known = [p for p in (*(() if diagnosis.unexplained else diagnosis.modes), *held) if np.isfinite(p.std)]
+    out.section("Parameters of the final model")
+    if diagnosis.unexplained:
+        rows = [[p.name, told_with(p.value, np.nan), p.unit] for p in known]
+        out.table(["parameter", "value", "unit"], rows, f"They are told {ONLY_IF}.")
+    else:
+        rows = [[p.name, beside(p.value, p.std), f"{p.std:.2g}", p.unit] for p in known]
+        out.table(["parameter", "value", "± 1 σ", "unit"], rows)
+    if loose := [p.name for p in held if not np.isfinite(p.std)]:
+        out.text(f"Not held by these records: {listed(loose)}.")
 
 
 def _effects(out: Page, diagnosis: Diagnosis) -> None:
@@ -81,8 +84,10 @@ def _effects(out: Page, diagnosis: Diagnosis) -> None:
             [_effect(a) for a in diagnosis.accepted],
             "Effects of the final model; errors are those of readings that were not fitted, over the noise."
             + (f" Intervals are {diagnosis.scale:.3g} times those of the noise, as the model leaves more."
-               if diagnosis.scale > 1.0 else ""),
+               if diagnosis.scale > 1.0 and not diagnosis.unexplained else ""),
         )  # fmt: skip
+    if diagnosis.unexplained and (diagnosis.accepted or diagnosis.instrument):
+        out.text(f"The strengths of effects and terms of the instrument are told {ONLY_IF}.")
     for label, law in diagnosis.laws.items():
         if about := "; ".join(filter(None, (law, diagnosis.consequences.get(label)))):
             out.text(f"{label}: {about}.")
@@ -117,12 +122,12 @@ def _tried(out: Page, diagnosis: Diagnosis) -> None:
 def _effect(a: Accepted) -> list[str]:
     half = [1.96 * s for s in a.std]
     spans = (
-        f"{beside(e - h, h, 4)} to {beside(e + h, h, 4)}" if np.isfinite(h) else "not held"
+        "not told" if np.isnan(h) else f"{beside(e - h, h, 4)} to {beside(e + h, h, 4)}" if np.isfinite(h) else "not held"
         for e, h in zip(a.estimate, half, strict=True)
     )
     return [
         a.label,
-        ", ".join(beside(e, s, 4) for e, s in zip(a.estimate, a.std, strict=True)),
+        ", ".join(told_with(e, s, 4).partition(" ±")[0] for e, s in zip(a.estimate, a.std, strict=True)),
         "; ".join(spans),
         a.unit,
         as_times(a.error_before),
@@ -207,7 +212,12 @@ def _blind(out: Page, diagnosis: Diagnosis) -> None:
     if blind:
         out.text(f"Cannot be seen at all, because nothing that was varied excites them: {', '.join(blind)}.")
     seen = [[c.label, f"{c.smallest_visible:.2g}", c.unit] for c in diagnosis.candidates if c.excited]
-    if seen:
+    if seen and diagnosis.unexplained:
+        out.text(
+            "How strong an effect must be to be found is not told: only a model that explains the records could tell, "
+            "and beside what is missing here even a strong effect may stay unseen."
+        )
+    elif seen:
         out.table(
             ["effect absent from the final model", "smallest visible strength", "unit"],
             sorted(seen),

@@ -10,7 +10,7 @@ from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.files import finite
 from memsgyro_jax.base.provenance import versions
 from memsgyro_jax.base.text import aligned
-from memsgyro_jax.diagnosis.compare import as_times, judged
+from memsgyro_jax.diagnosis.compare import Comparison, as_times
 from memsgyro_jax.diagnosis.fit import CaseFit
 from memsgyro_jax.diagnosis.scans import coverage, scan
 from memsgyro_jax.effects import Effect, Scanned, by_name
@@ -56,18 +56,19 @@ def placed_by_scan(effect: Effect, base: CaseFit) -> Effect:
     return best.effect
 
 
-def fit_text(before: CaseFit, after: CaseFit) -> str:
-    """Both fits side by side."""
+def fit_text(before: CaseFit, found: Comparison) -> str:
+    """A fit without effects and one with them, as it was judged, side by side."""
+    after = found.fit
     names = [e.label for e in after.model.effects]
     head = ("experiment", "role", "base", f"with {', '.join(names)}", "noise alone below")
     rows = [
         (b.name, b.role, as_times(b.rms), as_times(a.rms), f"{np.sqrt(a.gate):.3g}")
         for b, a in zip(before.errors, after.errors, strict=True)
     ]
-    comparison = judged(after)
     chi2 = f"χ²/dof of the fitted readings {as_times(before.chi2_per_dof)} -> {as_times(after.chi2_per_dof)}"
     lines = [f"{after.case.name}: {after.status}; {chi2}", "rms of deviation over noise:", aligned([head, *rows])]
-    lines += [comparison.verdict, *(f"  {failure}" for failure in comparison.failures), "Fitted:"]
+    lines += [found.verdict, *(f"  {failure}" for failure in found.failures)]
+    lines += [*([f"  {found.alone}"] if found.alone else []), "Fitted:"]
     scale = after.scale
     lines += [f"  {replace(estimate, std=scale * estimate.std)}" for estimate in (*after.modes, *after.estimates)]
     if scale > 1.0:
@@ -76,8 +77,9 @@ def fit_text(before: CaseFit, after: CaseFit) -> str:
     return "\n".join(lines)
 
 
-def fit_entries(before: CaseFit, after: CaseFit) -> dict[str, Any]:
+def fit_entries(before: CaseFit, found: Comparison) -> dict[str, Any]:
     """The machine-readable result, schema `memsgyro-fit/1`; numbers that are not finite become null."""
+    after = found.fit
     estimates = {p.name: p for p in after.estimates}
     of_effects = [p.name for p in after.joint.parameters if p.effect is not None]
     entries = {
@@ -87,7 +89,8 @@ def fit_entries(before: CaseFit, after: CaseFit) -> dict[str, Any]:
         "added": [e.label for e in after.model.effects],
         "before": _fit(before),
         "after": _fit(after),
-        "explained": judged(after).explained,
+        "explained": found.explained,
+        "outlying": {after.case.records[number].name: list(rows) for number, rows in found.left_out.items()},
         "effects": [estimates[name].to_dict() for name in of_effects],
         "held": _held(after),
         "std_scale": after.scale,

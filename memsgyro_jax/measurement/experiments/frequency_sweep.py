@@ -23,7 +23,7 @@ from .harmonic_sweep import HarmonicSweep
 from .missing_force import SweepForce
 from .record import AbstractRecord, Watched
 from .sheet import Sheet
-from .sweep_coverage import hasty, peaks_not_seen, place_in_band
+from .sweep_coverage import hasty, peaks_not_seen, place_in_band, swept_elsewhere
 from .sweep_layout import halves, joined_rows
 from .sweep_rows import alike, check_order, check_phase, levels_set, refuse_copies, single_sweeps
 
@@ -262,7 +262,8 @@ class FrequencySweepRecord(AbstractRecord):
     def warnings(self, declared: Declared) -> list[str]:
         read, hertz = self.phasors[:, self.channels], self.frequency / _TWO_PI
         found = exchanged(self.file, self.axis, read)
-        found += peaks_not_seen(self.file, hertz, np.abs(read).max(axis=1), self.setting, self.sweeps)
+        size, others = np.abs(read).max(axis=1), swept_elsewhere(self, declared)
+        found += peaks_not_seen(self.file, hertz, size, self.setting, self.sweeps, others)
         for rows in self.sweeps:
             if self._peak(rows) < _WEAK * (self.noise_std or self.estimated_noise() or 0.0):
                 place = f"{self.file}, lines {self.lines[rows][0]} to {self.lines[rows][-1]}: the sweep"

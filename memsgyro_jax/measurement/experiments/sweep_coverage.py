@@ -1,6 +1,8 @@
 """What single frequency sweeps do not show of their resonance, for warnings."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -9,6 +11,7 @@ from memsgyro_jax.base.text import spoken
 
 _FALL = 0.3  # of the largest reading: a change from row to row that may be a fall from branch to branch
 _SUDDEN = 3.0  # times the changes beside it
+_ALIKE = 0.02  # of a drive: within it sweeps have the same
 _SETTLED = 5.0  # time constants between rows
 
 
@@ -18,14 +21,50 @@ def place_in_band(hertz: np.ndarray, row: int) -> str:
     return spoken(hertz[row], "Hz", max(4, int(np.ceil(np.log10(hertz[row] / step))) + 1))
 
 
+@dataclass(frozen=True)
+class Way:
+    """A sweep that was taken: at which level of the drive, up or down, and over which band [Hz]."""
+
+    level: float
+    rising: bool
+    band: tuple[float, float]
+
+    def passes(self, level: float, rising: bool, place: float) -> bool:
+        """Whether it goes that way over a frequency, at a level of the drive."""
+        return (
+            abs(self.level - level) <= _ALIKE * abs(level)
+            and self.rising == rising
+            and self.band[0] <= place <= self.band[1]
+        )
+
+
+def ways_swept(hertz: np.ndarray, setting: np.ndarray, sweeps: Sequence[slice]) -> list[Way]:
+    """The sweeps of a record."""
+    return [
+        Way(float(setting[rows][0]), bool(hertz[rows][-1] > hertz[rows][0]), (hertz[rows].min(), hertz[rows].max()))
+        for rows in sweeps
+    ]
+
+
+def swept_elsewhere(record: Any, declared: Any) -> list[Way]:
+    """The sweeps along the same axis in all records of its kind, where what is `declared` is a whole case."""
+    same = [r for r in getattr(declared, "records", ()) if isinstance(r, type(record)) and r.axis == record.axis]
+    return [way for r in same for way in ways_swept(r.frequency / (2 * np.pi), r.setting, r.sweeps)]
+
+
 def peaks_not_seen(
-    file: str, hertz: np.ndarray, size: np.ndarray, setting: np.ndarray, sweeps: Sequence[slice]
+    file: str,
+    hertz: np.ndarray,
+    size: np.ndarray,
+    setting: np.ndarray,
+    sweeps: Sequence[slice],
+    elsewhere: Sequence[Way] = (),
 ) -> list[str]:
     """A sentence for each sweep that ends before its peak, and for each that falls from branch to branch and is not
-    taken in both directions.
+    taken in both directions, neither in this record nor `elsewhere` in the case.
     """
     said = []
-    ways = {(f"{setting[rows][0]:.3g}", hertz[rows][-1] > hertz[rows][0]) for rows in sweeps}
+    ways = [*ways_swept(hertz, setting, sweeps), *elsewhere]
     for rows in sweeps:
         values, places = size[rows], hertz[rows]
         rising, end = places[-1] > places[0], int(np.argmax(values))
@@ -36,7 +75,9 @@ def peaks_not_seen(
                 f"{file}: the largest reading of a sweep is at the end of its band, {place_in_band(places, end)}: a "
                 f"sweep on to {beyond} frequencies shows its peak."
             )
-        elif (row := sudden_fall(values)) is not None and (f"{setting[rows][0]:.3g}", not rising) not in ways:
+        elif (row := sudden_fall(values)) is not None and not any(
+            way.passes(setting[rows][0], not rising, places[row]) for way in ways
+        ):
             back = "down" if rising else "up"
             said.append(
                 f"{file}: the reading changes at once near {place_in_band(places, row)}, as a bent resonance does from "

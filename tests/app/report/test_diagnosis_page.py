@@ -14,8 +14,9 @@ from memsgyro_jax.base.text import beside
 from memsgyro_jax.diagnosis.compare import judged
 from memsgyro_jax.diagnosis.findings import Accepted, Candidate, Stage
 from memsgyro_jax.diagnosis.fit import beside_case
+from memsgyro_jax.diagnosis.nuisances import of_instrument
 from memsgyro_jax.diagnosis.optimum import optimise
-from memsgyro_jax.diagnosis.result import Diagnosis, validation_error
+from memsgyro_jax.diagnosis.result import ONLY_IF, Diagnosis, validation_error
 
 
 HOSTILE = '<script>alert("$x_1$")</script> & "quoted" 漢字 $\\frac$'
@@ -85,6 +86,7 @@ def test_it_says_what_a_colleague_looks_for(found, diagnosis):
         "1.1e+09",
         "< 1e-12",
         "The model explains the records",
+        "Each would have been found with a probability of 90 % if it were this strong.",
     ):
         assert text in words
     estimate, half = diagnosis.accepted[0].estimate[0], 1.96 * diagnosis.accepted[0].std[0]
@@ -142,6 +144,33 @@ def test_what_is_unknown_is_shown_as_a_force(diagnosis):
     assert "ringdown_x: force on x near the resonances" in words
     assert "rate: what is left" in words
     assert "sweep_x fails at drive 150 nN" in words
+    assert "must be to be found is not told" in words
+    assert "with a probability of 90 %" not in words
+
+
+def test_a_strength_beside_something_unknown_is_told_without_its_error(diagnosis):
+    """On the page, in the terminal and in the files: it would hold only if the model did."""
+    (found,) = diagnosis.accepted
+    assert ONLY_IF not in str(diagnosis)
+    term = Accepted("drive_level", "", (0.0624, -0.0637), (0.001, 0.002), "1", 0.0, 9.0, 1.0)
+    held, shown = found.scaled(np.nan), term.scaled(np.nan)
+    partly = replace(diagnosis, verdict="partly_explained", accepted=(held,), instrument=(shown,), scale=2.45)
+    words = " ".join(Outline(diagnosis_page(partly).html()).words)
+    for text in (words, str(partly)):
+        assert ONLY_IF in text
+        assert " nan" not in text
+        assert " times, as" not in text
+    assert f"{found.label}: {found.estimate[0]:.3g} N/m³" in str(partly)
+    assert "standard deviations times" not in str(partly)
+    assert of_instrument((shown,), "", 1).startswith(" The instrument: drive_level 0.0624, -0.0637.")
+    assert "± 0.001, -0.0637 ± 0.002" in of_instrument((term,), "", 1)
+    answer = partly.to_dict()
+    assert {p["std"] for p in answer["final"]["parameters"]} == {None}
+    assert [a["std"] for a in answer["effects"]] == [None]
+    assert np.isnan(partly.to_xarray()["estimate_std"]).all()
+    assert np.isnan(partly.to_xarray()["parameter_std"]).all()
+    scaled = replace(diagnosis, scale=2.0).to_xarray()["estimate_std"].values
+    assert scaled == pytest.approx([found.std[0]]), "they are scaled already"
 
 
 @pytest.mark.slow

@@ -1,9 +1,12 @@
 """What a sweep does not show of its resonance is said; a sweep that shows it is not complained of."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from bench_case import ONE_AXIS, RESONATOR, bench
 
-from memsgyro_jax.measurement.experiments.sweep_coverage import peaks_not_seen, place_in_band, sudden_fall
+from memsgyro_jax.measurement.experiments.sweep_coverage import peaks_not_seen, place_in_band, sudden_fall, ways_swept
 
 
 HERTZ = np.linspace(1000.0, 1020.0, 81)
@@ -42,6 +45,32 @@ def test_a_fall_asks_for_the_other_direction_unless_it_was_taken():
     assert said(np.concatenate([bent, bent[::-1]]), (WHOLE, slice(81, 162)), both) == []
     other = np.repeat([1.0, 2.0], 81)
     assert len(said(np.concatenate([bent, bent[::-1]]), (WHOLE, slice(81, 162)), both, other)) == 2
+
+
+def test_the_other_direction_may_be_in_another_record():
+    """At the same drive, over the place of the fall."""
+    bent = np.where(HERTZ < 1012.0, 0.1 + (HERTZ - 1000.0) / 12.0, 0.08)
+    whole, far = HERTZ[::-1], np.linspace(1020.0, 1013.0, 81)
+    for hertz, level, left in ((whole, 1.01, 0), (whole, 2.0, 1), (HERTZ, 1.0, 1), (far, 1.0, 1)):
+        elsewhere = ways_swept(hertz, np.full(81, level), (WHOLE,))
+        assert len(peaks_not_seen("up.csv", HERTZ, bent, np.ones(81), (WHOLE,), elsewhere)) == left
+
+
+def test_a_record_asks_its_case_for_the_other_direction():
+    """A file for each direction is what instruments save."""
+    case = bench(die=RESONATOR, protocol=ONE_AXIS).case
+    record = case.records[0]
+    rows = record.sweeps[0]
+    hertz, bent = record.frequency[rows], np.where(np.arange(rows.stop) < 9, 0.2 + 0.1 * np.arange(rows.stop), 0.08)
+    order = np.argsort(hertz)
+    kept = {
+        name: getattr(record, name)[rows][order] for name in ("drive", "temperature", "bias_voltage", "rate", "frequency")
+    }
+    up = replace(record, **kept, phasors=bent[:, None] + 0j, time=None, file="up.csv")
+    turned = {name: values[::-1] for name, values in kept.items()}
+    down = replace(record, **turned, phasors=bent[::-1, None] + 0j, time=None, file="down.csv")
+    assert any("a sweep down" in said for said in up.warnings(replace(case, records=(up,))))
+    assert not any("other branch" in said for said in up.warnings(replace(case, records=(up, down))))
 
 
 def test_a_frequency_has_the_digits_that_tell_rows_apart():

@@ -1,0 +1,74 @@
+"""Resonance and quality factor of a device, also where the model of it leaves more than noise."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from memsgyro_jax.base.text import beside
+from memsgyro_jax.measurement.least_squares import gate
+
+from .fit import CaseFit
+from .fitted import ParameterEstimate
+from .modes import mode_estimates
+from .residual_force import lowest_drive
+
+
+ROUGHLY = 30.0  # standard deviations that a value without them may be off, for its digits
+LOWEST = "of the lowest drive alone"  # where an unknown law shows least
+
+
+@dataclass(frozen=True)
+class LinearDevice:
+    """The modes of a base device.
+
+    Args:
+        modes: frequencies [Hz], then quality factors; with standard deviations as what is left makes them.
+        whence: of which records, in words; empty for all.
+        held: whether the model leaves noise alone of them, so that the standard deviations say how sure they are.
+    """
+
+    modes: tuple[ParameterEstimate, ...]
+    whence: str
+    held: bool
+
+    @property
+    def estimates(self) -> tuple[ParameterEstimate, ...]:
+        """The modes, with NaN in place of standard deviations that would say nothing."""
+        return self.modes if self.held else tuple(replace(mode, std=np.nan) for mode in self.modes)
+
+    @property
+    def told(self) -> tuple[str, ...]:
+        """A line for each mode that the records hold."""
+        out = []
+        for m in (mode for mode in self.modes if np.isfinite(mode.std)):
+            rough = f"about {beside(m.value, ROUGHLY * m.std, 4)}"
+            value = f"{beside(m.value, m.std)} ± {m.std:.2g}" if self.held else rough
+            out.append(f"{m.name}: {value} {m.unit}".removesuffix(" 1"))
+        return tuple(out)
+
+    @property
+    def about(self) -> str:
+        """Of what they are and why they have no ±, in words; empty where nothing needs to be said."""
+        why = "" if self.held else "without ±, as a linear device leaves more than the noise there too"
+        return ", ".join(filter(None, (self.whence, why)))
+
+
+def linear_device(fit: CaseFit, base: CaseFit, *, explained: bool) -> LinearDevice:
+    """That of a fit that explains the records; else that of the lowest drive, fitted to it alone as the base model.
+
+    A model that lacks something is dragged by the drives that show it most.
+    """
+    if explained:
+        return LinearDevice(_scaled(fit.modes, fit.scale), "", True)
+    lowest = lowest_drive(base)
+    if lowest is None:
+        return LinearDevice(_scaled(fit.modes, fit.scale), "", False)
+    left = lowest.chi2 / lowest.dof
+    held = left <= gate(lowest.dof)
+    modes = mode_estimates(lowest, base.model.axes)
+    return LinearDevice(_scaled(modes, 1.0 if held else float(np.sqrt(left))), LOWEST, held)
+
+
+def _scaled(modes: Sequence[ParameterEstimate], scale: float) -> tuple[ParameterEstimate, ...]:
+    return tuple(replace(mode, std=scale * mode.std) for mode in modes)
