@@ -5,6 +5,7 @@ off, the model may stand on another branch than the device did. Such a row says 
 with all others, but not fitted.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,17 +13,19 @@ import equinox as eqx
 import numpy as np
 
 from memsgyro_jax.effects import InstrumentTerm, QuadraticStiffness, load_effects
+from memsgyro_jax.effects.base import Effect
 from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.experiments import Readings
 from memsgyro_jax.measurement.readings import readings_of
 
 from .drives import Rows, without_rows
-from .fit import CaseFit, beside_case
+from .fit import CaseFit, beside_case, fit_case
 from .instrument import knowledge
 from .joint_residual import Joint
 from .law import DrawnLaw
 from .law_file import LawTerm
 from .optimum import optimise
+from .residual_force import lowest_drive
 from .resolved import sharpened, still_apart
 from .result import validation_error
 
@@ -32,6 +35,16 @@ MOST = 0.25  # share of a record's rows that may lie so far off
 ROUNDS = 4
 SHAPE = ("exponent", "threshold")  # what makes the shape of a term, beside its strength
 EVEN = 12.0  # of χ², in units of what is left per reading, that an even part must take
+
+
+def beside_known(case: Case, effects: Sequence[Effect]) -> CaseFit:
+    """The base model with effects that are known to be there, as a law is drawn beside it: fitted to the sweeps of the
+    lowest drive alone, where the law shows least and takes nothing from their strengths, and laid beside all records.
+    """
+    fit = fit_case(case, effects, held=True)
+    places = np.array([i for i in range(fit.joint.start.size) if i not in fit.joint.idle])
+    lowest = lowest_drive(fit, places)
+    return fit_case(case, effects) if lowest is None else _beside_all(case, fit.joint, lowest.vector, places)
 
 
 def fit_law(law: DrawnLaw, path: str | Path) -> CaseFit:

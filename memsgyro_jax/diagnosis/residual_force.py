@@ -26,9 +26,9 @@ def beside_lowest_drive(fit: CaseFit) -> CaseFit:
     return beside_case(fit.case, joint, optimise(joint, lowest.vector, joint.base(), joint.fitted, max_evaluations=0))
 
 
-def lowest_drive(fit: CaseFit) -> Optimum | None:
-    """The base model of a fit, fitted to the sweeps of the lowest drive of each axis alone; `None` where its sweeps
-    have but one drive.
+def lowest_drive(fit: CaseFit, free: np.ndarray | None = None) -> Optimum | None:
+    """The base model of a fit, or what is `free` of it, fitted to the sweeps of the lowest drive of each axis alone;
+    `None` where its sweeps have but one drive.
     """
     left_out: dict[int, tuple[int, ...]] = {}
     sweeps: list[tuple[int, Any]] = [(k, r) for k, r in enumerate(fit.case.records) if hasattr(r, "setting")]
@@ -46,7 +46,7 @@ def lowest_drive(fit: CaseFit) -> Optimum | None:
         return None
     joint = fit.joint
     calm = [r for r in without_rows(joint.fitted, left_out) if r.experiment.shows_modes]
-    return optimise(joint, joint.start, joint.base(), calm)
+    return optimise(joint, joint.start, joint.base() if free is None else free, calm)
 
 
 def sweep_forces(fit: CaseFit) -> tuple[SweepForce, ...]:

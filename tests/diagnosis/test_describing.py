@@ -46,7 +46,7 @@ def test_a_cubic_spring_and_a_quadratic_damper(model):
 )
 def test_what_a_law_does_at_the_largest_swing(model, monkeypatch, effect, told):
     sweep = SimpleNamespace(amplitude=np.array([1e-6, 2e-6]), axis=0)
-    monkeypatch.setattr(describing, "sweep_forces", lambda fit: (sweep,))
+    monkeypatch.setattr(describing, "_sweeps", lambda fit: [sweep])
     words = SimpleNamespace(displacement="m", force="N")
     assert consequence(SimpleNamespace(model=model, case=SimpleNamespace(words=words)), effect) == told
 

@@ -22,7 +22,7 @@ from memsgyro_jax.diagnosis.fit import fit_case
 from memsgyro_jax.diagnosis.law import _grown as grown
 from memsgyro_jax.diagnosis.law import _Trial, draw_law
 from memsgyro_jax.diagnosis.law_file import LawTerm, bends, law_text
-from memsgyro_jax.diagnosis.law_fit import fit_law
+from memsgyro_jax.diagnosis.law_fit import beside_known, fit_law
 from memsgyro_jax.diagnosis.result import validation_error
 from memsgyro_jax.effects import by_name, catalogue, load_effects
 from memsgyro_jax.effects.trial import moments
@@ -89,20 +89,22 @@ LAWS = {"bowed": bowed, "contact": contact, "dragged": dragged}
 DEVICES = {"wire": Device(1650.0, 150.0), "fork": Device(32768.0, 20000.0)}
 
 
-def swept(folder, law, device, seed=0, *, raw=False):
+def swept(folder, law, device, seed=0, *, raw=False, warmed=0.0):
     """Two sweeps over frequency, each row where its amplitude is one of a grid, below and above resonance; `raw` as a
-    lock-in writes them: velocities beside a background, with a clock, from a row on that began nobody knows how.
+    lock-in writes them: velocities beside a background, with a clock, from a row on that began nobody knows how. With
+    `warmed` [1/K] the stiffness follows a temperature of 20 °C below and 30 °C above resonance.
     """
-    rng, rows = np.random.default_rng(seed), []
+    rng, rows, warm = np.random.default_rng(seed), [], []
     linear = device.width * device.omega
-    for drive in (0.45, 1.1):
+    for drive in (0.3 if warmed else 0.45, 1.1):  # the lower one, with a drift beside it, does not reach the spring
         force = drive * TOP * linear
         a = np.geomspace(0.03 * TOP, 6 * TOP, 4000)
         stiffness, damping = law(a, device)
-        k, d = device.omega**2 + stiffness, device.width + damping
+        linear_k, d = device.omega**2 + stiffness, device.width + damping
         # |(K − ω²) + iωD| = F/a, solved for ω² on both sides
-        half, rest = k - d**2 / 2, (force / a) ** 2 - d**2 * (k - d**2 / 4)
         for side in (-1, 1):
+            k = linear_k + 5.0 * side * warmed * device.omega**2
+            half, rest = k - d**2 / 2, (force / a) ** 2 - d**2 * (k - d**2 / 4)
             real = rest > 0
             square = half[real] + side * np.sqrt(rest[real])
             omega = np.sqrt(square)
@@ -113,7 +115,9 @@ def swept(folder, law, device, seed=0, *, raw=False):
             inside = (wanted > omega.min()) & (wanted < omega.max())
             at = lambda part, w=wanted[inside], o=omega[order], p=order: np.interp(w, o, part[p])  # noqa: E731
             rows += [(drive * TOP, w, p, q) for w, p, q in zip(wanted[inside], at(x.real), at(x.imag), strict=True)]
-    table = np.array(sorted(rows))
+            warm += [25.0 + 5.0 * side] * int(inside.sum())
+    order = sorted(range(len(rows)), key=rows.__getitem__)
+    table, warm = np.array(rows)[order], np.array(warm)[order]
     unit = device.omega if raw else 1.0
     noise = 1e-3 * TOP * unit
     if raw:
@@ -123,6 +127,8 @@ def swept(folder, law, device, seed=0, *, raw=False):
     table[:, 1] /= 2 * np.pi
     table = np.column_stack([table, 60.0 * np.arange(len(table))])
     header = f"F [V],f [Hz],y_I [V],y_Q [V],{'t' if raw else 'clock'} [s]"
+    if warmed:
+        table, header = np.column_stack([table, warm]), f"{header},T [degC]"
     np.savetxt(folder / "sweep.csv", table, fmt="%.12g", delimiter=",", header=header, comments="")
     text = CASE.format(
         hertz=device.hertz, quality=device.quality, noise=noise, settled="false" if raw else "true",
@@ -154,6 +160,20 @@ def test_a_law_is_drawn_written_and_helps_where_it_was_not_fitted(name, device, 
     if name == "contact":
         stop = after.model.effects[-1]
         assert [float(stop.threshold), float(stop.exponent)] == pytest.approx([0.3, 0.0], abs=0.02)
+
+
+def test_a_law_is_drawn_beside_what_is_known_to_be_there(tmp_path):
+    """A spring that is touched while the stiffness drifts by 0.8 widths, which took the place of the law."""
+    device = DEVICES["wire"]
+    drift = 0.08 / device.quality  # of the stiffness, per kelvin
+    case = swept(tmp_path, contact, device, warmed=drift)
+    fit = beside_known(case, [by_name("thermal_drift", "stiffness", among=catalogue(1))])
+    found = next(e for e in fit.estimates if e.name == "thermal_drift stiffness")
+    assert found.value == pytest.approx(drift, abs=max(5.0 * found.std, 0.02 * drift))
+    law = draw_law(fit)
+    assert [t.kind for t in law.terms] == ["stiffness"]
+    assert law.terms[0].threshold == pytest.approx(0.3, abs=0.02)
+    assert law.left[1] < 1.3
 
 
 @pytest.mark.slow

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Literal
 
 from .diagnose import load_demo_or, look_for
-from .flags import Flag
+from .flags import Flag, Words
 
 
 def law_command(
@@ -14,6 +14,7 @@ def law_command(
     out: Path | None = None,
     edited: Path | None = None,
     axis: Literal["x", "y"] = "x",
+    add: Words = (),
     terms: int = 3,
     spline: Flag = False,
     kinds: Path | None = None,
@@ -31,6 +32,8 @@ def law_command(
         out: file for the law, a Python file with one effect per term.
         edited: instead of `--out`, such a file, edited, to fit from where the drawing leaves off. It is run.
         axis: that the law is drawn for.
+        add: names of effects that are known to be there too, as `memsgyro fit --add` takes them ("thermal_drift
+            stiffness", say): they are fitted to the lowest drive, and the law is drawn beside them.
         terms: at most so many terms.
         spline: forces between knots instead of terms with a free exponent and a threshold.
         kinds: a Python file with kinds of measurement of your own. It is run: trust it first.
@@ -43,13 +46,15 @@ def law_command(
     from memsgyro_jax.diagnosis.backbone import backbone
     from memsgyro_jax.diagnosis.compare import judged
     from memsgyro_jax.diagnosis.fit import fit_case
+    from memsgyro_jax.diagnosis.instrument import instrument_terms
     from memsgyro_jax.diagnosis.law import draw_law
-    from memsgyro_jax.diagnosis.law_fit import fit_law, with_even_part, with_held_terms
+    from memsgyro_jax.diagnosis.law_fit import beside_known, fit_law, with_even_part, with_held_terms
+    from memsgyro_jax.effects import catalogue
     from memsgyro_jax.measurement.calibration import units_of_records
     from memsgyro_jax.measurement.model_file import write_model
     from memsgyro_jax.measurement.user_kinds import load_kinds
 
-    from ..report.fit_text import fit_text
+    from ..report.fit_text import fit_text, named_effects
     from .options import require_writable
 
     require_writable(out, model, report)
@@ -60,8 +65,10 @@ def law_command(
     measured, number = load_demo_or(case, load_kinds(kinds) if kinds else ()), "xy".index(axis)
     if number >= measured.channels:
         raise InputError(f"Option `--axis` must be x for a device of one axis, but is {axis}.")
+    chosen = named_effects(add, (*catalogue(measured.channels), *instrument_terms(measured))) if add else ()
     before = fit_case(measured)
-    curve, law = backbone(before, number), draw_law(before, number, terms=terms, spline=spline)
+    beside = beside_known(measured, chosen) if chosen else before
+    curve, law = backbone(beside, number), draw_law(beside, number, terms=terms, spline=spline)
     print(curve, end="\n\n", flush=True)
     after, file = before, edited or out
     if file is not None and edited is not None:
@@ -77,7 +84,8 @@ def law_command(
     if after is not before:
         print(fit_text(before, judged(after)))
     if after is not before and edited is None:
-        print(f"{file} is the law; edit it, then: memsgyro law {case} --edited {file}")
+        more = "".join(f' --add "{effect.label}"' for effect in chosen)
+        print(f"{file} is the law; edit it, then: memsgyro law {case} --edited {file}{more}")
     if model is not None:
         write_model(after.model, model, note=units_of_records(measured))
     if report is not None:

@@ -64,7 +64,8 @@ def test_a_record_asks_its_case_for_the_other_direction():
     hertz, bent = record.frequency[rows], np.where(np.arange(rows.stop) < 9, 0.2 + 0.1 * np.arange(rows.stop), 0.08)
     order = np.argsort(hertz)
     kept = {
-        name: getattr(record, name)[rows][order] for name in ("drive", "temperature", "bias_voltage", "rate", "frequency")
+        name: getattr(record, name)[rows][order]
+        for name in ("drive", "temperature", "bias_voltage", "rate", "frequency")
     }
     up = replace(record, **kept, phasors=bent[:, None] + 0j, time=None, file="up.csv")
     turned = {name: values[::-1] for name, values in kept.items()}
