@@ -126,8 +126,8 @@ class Comparison(Shown):
             )
         alone = ""
         if self.left_out:
-            several = sum(map(len, self.left_out.values())) > 1
-            alone = f", but for {of_rows(self.case, self.left_out)}, which {'are' if several else 'is'} outlying and left out"
+            are = "are" if sum(map(len, self.left_out.values())) > 1 else "is"
+            alone = f", but for {of_rows(self.case, self.left_out)}, which {are} outlying and left out"
         return f"The model explains the records{alone}: none of {len(self.checks)} tests fails ({alarm})."
 
     @property

@@ -101,8 +101,8 @@ def weak_sweeps(file: str, lines: Sequence[np.ndarray], peaks: Sequence[float], 
     """A sentence on each sweep, of the lines of its file, whose largest reading is next to its noise."""
     weak = [rows for rows, peak in zip(lines, peaks, strict=True) if peak < _WEAK * (noise or 0.0)]
     return [
-        f"{file}, lines {rows[0]} to {rows[-1]}: the sweep hardly rises above its noise, so that it tells little; it is "
-        "used."
+        f"{file}, lines {rows[0]} to {rows[-1]}: the sweep hardly rises above its noise, so that it tells little; it "
+        "is used."
         for rows in weak
     ]
 
