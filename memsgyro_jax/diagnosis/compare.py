@@ -126,7 +126,8 @@ class Comparison(Shown):
             )
         alone = ""
         if self.left_out:
-            alone = f", but for {of_rows(self.case, self.left_out)}, which is outlying and left out"
+            are = "are" if sum(map(len, self.left_out.values())) > 1 else "is"
+            alone = f", but for {of_rows(self.case, self.left_out)}, which {are} outlying and left out"
         return f"The model explains the records{alone}: none of {len(self.checks)} tests fails ({alarm})."
 
     @property

@@ -78,6 +78,8 @@ def test_a_fit_leaves_out_and_names_the_same_rows():
     whole = compare(None, case)
     np.testing.assert_allclose(found.fit.optimum.vector, whole.fit.optimum.vector, rtol=1e-6, atol=1e-12)
     assert "but for row 45 (near " in fit_text(fit, found)
+    assert "which is outlying" in found.verdict
+    assert "which are outlying" in replace(found, left_out={0: (44, 90)}).verdict
     assert fit_entries(fit, found)["outlying"] == {"sweep": [44]}
     assert fit_entries(fit, found)["explained"]
     part = fit_case(case_of(1, Hidden(cubic_stiffness_x=3.9 * RESONATOR.kxx), rows=(44,), sigmas=4000.0))

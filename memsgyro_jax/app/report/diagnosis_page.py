@@ -120,11 +120,7 @@ def _tried(out: Page, diagnosis: Diagnosis) -> None:
 
 
 def _effect(a: Accepted) -> list[str]:
-    half = [1.96 * s for s in a.std]
-    spans = (
-        "not told" if np.isnan(h) else f"{beside(e - h, h, 4)} to {beside(e + h, h, 4)}" if np.isfinite(h) else "not held"
-        for e, h in zip(a.estimate, half, strict=True)
-    )
+    spans = (_interval(e, 1.96 * s) for e, s in zip(a.estimate, a.std, strict=True))
     return [
         a.label,
         ", ".join(told_with(e, s, 4).partition(" ±")[0] for e, s in zip(a.estimate, a.std, strict=True)),
@@ -134,6 +130,12 @@ def _effect(a: Accepted) -> list[str]:
         as_times(a.error_after),
         ", ".join(a.confused_with) or "–",
     ]
+
+
+def _interval(middle: float, half: float) -> str:
+    if np.isnan(half):
+        return "not told"
+    return f"{beside(middle - half, half, 4)} to {beside(middle + half, half, 4)}" if np.isfinite(half) else "not held"
 
 
 def _added(label: str) -> str:

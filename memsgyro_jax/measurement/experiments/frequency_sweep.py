@@ -23,7 +23,7 @@ from .harmonic_sweep import HarmonicSweep
 from .missing_force import SweepForce
 from .record import AbstractRecord, Watched
 from .sheet import Sheet
-from .sweep_coverage import hasty, peaks_not_seen, place_in_band, swept_elsewhere
+from .sweep_coverage import hasty, peaks_not_seen, place_in_band, swept_elsewhere, weak_sweeps
 from .sweep_layout import halves, joined_rows
 from .sweep_rows import alike, check_order, check_phase, levels_set, refuse_copies, single_sweeps
 
@@ -31,7 +31,6 @@ from .sweep_rows import alike, check_order, check_phase, levels_set, refuse_copi
 _TWO_PI = 2 * np.pi
 _CURVES = 7  # sweeps in one picture
 _ZOOM = 2.5  # full widths of the resonance to each side of a close-up
-_WEAK = 5.0  # standard deviations that the highest of some tens of rows of mere noise stays within
 _CLEAR = 20.0  # standard deviations from which a sweep shows its resonance clearly
 _SCATTER = 0.02  # of the drive that is a reading of one setting, and not another
 
@@ -264,13 +263,9 @@ class FrequencySweepRecord(AbstractRecord):
         found = exchanged(self.file, self.axis, read)
         size, others = np.abs(read).max(axis=1), swept_elsewhere(self, declared)
         found += peaks_not_seen(self.file, hertz, size, self.setting, self.sweeps, others)
-        for rows in self.sweeps:
-            if self._peak(rows) < _WEAK * (self.noise_std or self.estimated_noise() or 0.0):
-                place = f"{self.file}, lines {self.lines[rows][0]} to {self.lines[rows][-1]}: the sweep"
-                found.append(f"{place} hardly rises above its noise, so that it tells little; it is used.")
-        if self.time is not None and self.settled:
-            found += hasty(self.file, self.time, declared.shortest_decay)
-        return found
+        peaks, noise = [self._peak(rows) for rows in self.sweeps], self.noise_std or self.estimated_noise()
+        found += weak_sweeps(self.file, [self.lines[rows] for rows in self.sweeps], peaks, noise)
+        return found + hasty(self.file, self.time if self.settled else None, declared.shortest_decay)
 
     # ---- misfit and overlay
 

@@ -12,6 +12,7 @@ from memsgyro_jax.base.text import spoken
 _FALL = 0.3  # of the largest reading: a change from row to row that may be a fall from branch to branch
 _SUDDEN = 3.0  # times the changes beside it
 _ALIKE = 0.02  # of a drive: within it sweeps have the same
+_WEAK = 5.0  # standard deviations that the highest of some tens of rows of mere noise stays within
 _SETTLED = 5.0  # time constants between rows
 
 
@@ -96,8 +97,22 @@ def sudden_fall(size: np.ndarray) -> int | None:
     return int(falls[0]) + 1 if falls.size else None
 
 
-def hasty(file: str, time: np.ndarray, decay: float) -> list[str]:
-    """A sentence where rows that are declared settled follow each other sooner than a device comes to rest."""
+def weak_sweeps(file: str, lines: Sequence[np.ndarray], peaks: Sequence[float], noise: float | None) -> list[str]:
+    """A sentence on each sweep, of the lines of its file, whose largest reading is next to its noise."""
+    weak = [rows for rows, peak in zip(lines, peaks, strict=True) if peak < _WEAK * (noise or 0.0)]
+    return [
+        f"{file}, lines {rows[0]} to {rows[-1]}: the sweep hardly rises above its noise, so that it tells little; it "
+        "is used."
+        for rows in weak
+    ]
+
+
+def hasty(file: str, time: np.ndarray | None, decay: float) -> list[str]:
+    """A sentence where rows that are declared settled, if times are given, follow each other sooner than a device comes
+    to rest.
+    """
+    if time is None:
+        return []
     dwell, needed = float(np.median(np.diff(time))), _SETTLED * decay
     said = (
         f"{file}: rows are declared settled, but follow each other after {dwell:.3g} s, less than the {needed:.3g} s "

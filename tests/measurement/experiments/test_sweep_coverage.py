@@ -63,10 +63,8 @@ def test_a_record_asks_its_case_for_the_other_direction():
     rows = record.sweeps[0]
     hertz, bent = record.frequency[rows], np.where(np.arange(rows.stop) < 9, 0.2 + 0.1 * np.arange(rows.stop), 0.08)
     order = np.argsort(hertz)
-    kept = {
-        name: getattr(record, name)[rows][order]
-        for name in ("drive", "temperature", "bias_voltage", "rate", "frequency")
-    }
+    names = ("drive", "temperature", "bias_voltage", "rate", "frequency")
+    kept = {name: getattr(record, name)[rows][order] for name in names}
     up = replace(record, **kept, phasors=bent[:, None] + 0j, time=None, file="up.csv")
     turned = {name: values[::-1] for name, values in kept.items()}
     down = replace(record, **turned, phasors=bent[::-1, None] + 0j, time=None, file="down.csv")
