@@ -5,7 +5,6 @@ strength zero is exactly absent, so that leaving it out changes nothing but the 
 """
 
 from collections.abc import Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
 
 import jax
@@ -16,6 +15,7 @@ from jaxtyping import PyTree
 from memsgyro_jax.base.concrete import strong
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.runtime import require_float64, usable_cores
+from memsgyro_jax.base.threads import in_threads
 from memsgyro_jax.base.transforms import Free, Identity, fixed, from_vector, mark, to_vector
 from memsgyro_jax.effects import free_numbers
 from memsgyro_jax.measurement.first_order import Absent, Contribution, Inquiry, contributions, of_first_order
@@ -262,8 +262,8 @@ class Joint:
 
     def _each(self, chosen: Sequence[Readings], function) -> list:
         """The function of each of the chosen, side by side on the cores."""
-        with ThreadPoolExecutor(max(1, min(usable_cores(), len(chosen)))) as pool:
-            return list(pool.map(function, chosen))
+        with in_threads(min(usable_cores(), len(chosen))) as over:
+            return list(over(function, chosen))
 
 
 def _all_free(model: Model) -> PyTree:

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float, PyTree
 from memsgyro_jax.base.concrete import strong
 from memsgyro_jax.base.kept import kept
 from memsgyro_jax.base.plainly import PLAINLY
+from memsgyro_jax.base.threads import go_on
 from memsgyro_jax.base.transforms import from_vector
 from memsgyro_jax.measurement.experiments.base import Experiment, Readings
 from memsgyro_jax.measurement.first_order import Contribution, Inquiry
@@ -62,6 +63,7 @@ class Calls:
             return self.linear(part, vector, experiment).value
         known = self._known(part, at, experiment)
         if known is None:
+            go_on()
             value = np.asarray(_residual(at, part.model, part.spec, experiment))
             known = self._keep(part, at, Linear(experiment, None, value, np.zeros((0, value.size)), None))
         return known.value
@@ -72,6 +74,7 @@ class Calls:
         known = self._known(part, at, experiment)
         if known is not None and known.block is not None and (block is None or np.array_equal(known.block, block)):
             return known
+        go_on()
         block = np.zeros((WIDTH, at.size)) if block is None else block
         none = nothing(experiment, part.model)
         value, slopes, inquiry = _linearise(at, block, none, part.model, part.spec, experiment)
@@ -84,6 +87,7 @@ class Calls:
         acting = [np.any(leaf != 0, axis=tuple(range(1, leaf.ndim))) for leaf in jax.tree.leaves(added)]
         places = np.flatnonzero(np.any(acting, axis=0))
         for begin in range(0, places.size, WIDTH):
+            go_on()
             mine = places[begin : begin + WIDTH]
             some = jax.tree.map(lambda leaf: lanes(leaf[mine]), added)  # noqa: B023
             out[mine] = np.asarray(_linearise(at, still, some, part.model, part.spec, experiment)[1])[: mine.size]

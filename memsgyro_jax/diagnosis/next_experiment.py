@@ -8,7 +8,6 @@ it free. What it leaves of χ² beyond the truth is the expected Δχ² (the T-o
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import equinox as eqx
@@ -16,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from memsgyro_jax.base.runtime import usable_cores
+from memsgyro_jax.base.threads import in_threads
 from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.experiments import Readings
 
@@ -80,8 +80,8 @@ def next_experiments(
     rivals = _rivals(search, twins, rival)
     weigh = _told_apart(search.joint, rivals) if rivals else _shown(search, ranking)
     found, proposed = [], plans(search.case, search.joint.readings)
-    with ThreadPoolExecutor(usable_cores()) as pool:
-        for plan, worth in zip(proposed, pool.map(weigh, proposed), strict=True):
+    with in_threads(usable_cores()) as over:
+        for plan, worth in zip(proposed, over(weigh, proposed), strict=True):
             search.tell(f"predicted: {plan.text}")
             found.append(worth)
     most = DECIDED if rivals else np.inf
