@@ -163,7 +163,7 @@ def test_a_law_is_drawn_written_and_helps_where_it_was_not_fitted(name, device, 
 
 
 def test_a_law_is_drawn_beside_what_is_known_to_be_there(tmp_path):
-    """A spring that is touched while the stiffness drifts by 0.8 widths, which took the place of the law."""
+    """A spring that is touched while the resonance drifts by 0.4 widths, which took the place of the law."""
     device = DEVICES["wire"]
     drift = 0.08 / device.quality  # of the stiffness, per kelvin
     case = swept(tmp_path, contact, device, warmed=drift)
