@@ -13,7 +13,7 @@ import numpy as np
 from memsgyro_jax.effects import Effect, ForceEffect
 
 from .acceptance import excess
-from .drives import FAR, stages, up
+from .drives import FAR, calm, stages, up
 from .fewer import take_out, terms_of
 from .fit import CaseFit, beside_case
 from .instrument import instrument_terms
@@ -55,7 +55,7 @@ def climbed(search: Search, first: Ranking, effects: Sequence[Effect]) -> tuple[
         return search, None
     best = first.order[0]
     usual = search.refit([first.places[best]], slopes=first.slopes[best])
-    if usual.chi2 < FAR * usual.dof:
+    if usual.chi2 < FAR * usual.dof or _by_surroundings(search, steps):
         return search, None
     search.tell("climb from the lowest drive, one effect after the other")
     beside = _beside_lock_in(search)
@@ -74,6 +74,22 @@ def climbed(search: Search, first: Ranking, effects: Sequence[Effect]) -> tuple[
     climb = Climb(beside_case(search.case, beside.joint, straight), tuple(tried))
     beside.take(place, end)
     return _as_found(beside, search, effects), climb
+
+
+def _by_surroundings(search: Search, steps: Sequence[tuple]) -> bool:
+    """Whether the base model is far off for the temperature, bias voltage and rate of some rows alone: beside all others
+    it is near at every drive, also as the lowest drive tells it.
+    """
+    joint, free = search.joint, search.optimum.free
+    others = calm(search.case, joint.fitted)
+    if not others or all(one is other for one, other in zip(others, joint.fitted, strict=False)):
+        return False
+    lowest = calm(search.case, steps[0])
+    if not lowest:
+        return False
+    told = optimise(joint, joint.start, free, lowest)
+    beside = optimise(joint, told.vector, free, others, max_evaluations=0)
+    return beside.chi2 < FAR * beside.dof
 
 
 def _beside_lock_in(search: Search) -> Search:

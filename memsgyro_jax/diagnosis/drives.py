@@ -50,6 +50,18 @@ def gone(readings: Readings, left_out: Rows) -> np.ndarray:
     return out
 
 
+def calm(case: Case, readings: Sequence[Readings]) -> tuple[Readings, ...]:
+    """The same readings without rows of sweeps at another temperature or bias voltage than the case's, or on a table
+    that turns.
+    """
+    apart = {
+        k: tuple(np.flatnonzero(~r.calm(case.environment)).tolist())
+        for k, r in enumerate(case.records)
+        if hasattr(r, "calm")
+    }
+    return tuple(_without(r, apart) for r in readings if not _all_gone(r, apart))
+
+
 def stages(case: Case, fitted: Sequence[Readings]) -> list[tuple[Readings, ...]]:
     """The sweeps that are fitted, up to each drive of clear ones in turn, and at last all that is; none without a clear
     sweep.

@@ -13,7 +13,7 @@ from memsgyro_jax.base.table import Table
 from memsgyro_jax.base.text import spoken
 
 from ..columns import amplitude_columns, phasor_columns
-from ..declared import Declared, design_device
+from ..declared import Declared, Environment, design_device
 from ..noise import freedom_over_frequency, jitter_noise, noise_over_frequency
 from ..section import DrivenSection, ExperimentSection, Quantity
 from .base import Phasors, Readings
@@ -197,6 +197,11 @@ class FrequencySweepRecord(AbstractRecord):
         falls = [self.frequency[rows][-1] < self.frequency[rows][0] for rows in self.sweeps]
         return np.repeat(np.where(falls, -1.0, 1.0), [rows.stop - rows.start for rows in self.sweeps])
 
+    def calm(self, around: Environment) -> np.ndarray:
+        """(n,) which rows were measured at rest and in the surroundings that the case declares."""
+        near = np.abs(self.temperature - around.temperature) < 1
+        return (self.rate == 0) & near & (np.abs(self.bias_voltage - around.bias_voltage) < 1e-6)
+
     # ---- start
 
     def starting_phasors(self, declared: Declared) -> Phasors | None:
@@ -204,9 +209,7 @@ class FrequencySweepRecord(AbstractRecord):
         if alone and self.axis not in self.channels:
             return None
         # The lowest drive and the reference conditions are the most linear; others only where nothing else is there.
-        around, readout = declared.environment, declared.readout
-        calm = (self.rate == 0) & (np.abs(self.temperature - around.temperature) < 1)
-        calm &= np.abs(self.bias_voltage - around.bias_voltage) < 1e-6
+        readout, calm = declared.readout, self.calm(declared.environment)
         clear = [rows for rows in self.sweeps if self._peak(rows) > _CLEAR * self.noise_level] or self.sweeps
         lowest = min(self.setting[rows][0] for rows in clear)
         lowest = lowest if clear is not self.sweeps else self.setting.max()
