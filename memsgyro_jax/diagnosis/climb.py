@@ -53,9 +53,11 @@ def climbed(search: Search, first: Ranking, effects: Sequence[Effect]) -> tuple[
     steps = stages(search.case, search.joint.fitted)
     if not steps or not first.places or search.optimum.chi2 < FAR * search.optimum.dof:
         return search, None
+    if _by_surroundings(search, steps):
+        return search, None
     best = first.order[0]
     usual = search.refit([first.places[best]], slopes=first.slopes[best])
-    if usual.chi2 < FAR * usual.dof or _by_surroundings(search, steps):
+    if usual.chi2 < FAR * usual.dof:
         return search, None
     search.tell("climb from the lowest drive, one effect after the other")
     beside = _beside_lock_in(search)

@@ -89,9 +89,8 @@ def consequence(fit: CaseFit, effect: Effect) -> str:
 
 
 def _sweeps(fit: CaseFit) -> list[SweepForce]:
-    """What the records over frequency show of their motion; those over time are not asked, which takes longer."""
-    shown = [record.missing_force(deviation) for record, deviation in fit.deviations if record.stepped]
-    return [one for one in shown if isinstance(one, SweepForce)]
+    """What the records over frequency show of their motion."""
+    return [one for one in fit.stepped_forces.values() if isinstance(one, SweepForce)]
 
 
 def drift_over(fit: CaseFit, term: Effect) -> str:

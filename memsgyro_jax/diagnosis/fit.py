@@ -220,8 +220,14 @@ class CaseFit(Tabular):
     @cached_property
     def missing_forces(self) -> tuple[MissingForce, ...]:
         """The force that the model lacks, as each compared record shows it, in their order."""
-        found = [record.missing_force(deviation) for record, deviation in self.deviations]
+        waves = {d.number: record.missing_force(d) for record, d in self.deviations if not record.stepped}
+        found = [{**waves, **self.stepped_forces}[d.number] for _, d in self.deviations]
         return tuple(one for one in found if one is not None)
+
+    @cached_property
+    def stepped_forces(self) -> dict[int, MissingForce | None]:
+        """The same of records over frequency, by their number: those over time take longer."""
+        return {d.number: record.missing_force(d) for record, d in self.deviations if record.stepped}
 
     def to_xarray(self) -> "xr.Dataset":
         """Over `reading` what was measured and predicted, over `entry` the errors, over `parameter` what was fitted."""

@@ -332,8 +332,7 @@ class FrequencySweepRecord(AbstractRecord):
         for readings in deviation.readings:
             mine = readings.record == deviation.number
             rows, sweep = readings.row[mine], cast(HarmonicSweep, readings.experiment)
-            columns = sweep.missing(model, mine, deviation.predicted[rows])
-            pieces.append((rows, *(np.asarray(part)[mine] for part in columns)))
+            pieces.append((rows, *sweep.missing(model, mine, deviation.predicted[rows])))
         seen = np.concatenate([piece[0] for piece in pieces])  # all but a first row that began nobody knows how
         rows = seen[order := np.argsort(seen)]
         motion, force, gain = (np.concatenate([piece[k] for piece in pieces])[order] for k in (1, 2, 3))

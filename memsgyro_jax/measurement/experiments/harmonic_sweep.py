@@ -35,6 +35,7 @@ from .base import BEYOND, Experiment, Noise
 from .missing_force import receptance
 
 
+AT_ONCE = 128  # rows of which the missing force is asked: as many for records of any length
 _VARIED = 3e-3  # of the largest value: below it a condition was held
 _COLD = 200.0  # K: below it nobody counts in °C
 _LEVELS = 0.05  # of the largest drive: below it a drive is that of the others, as it was read
@@ -211,36 +212,47 @@ class HarmonicSweep(Experiment):
 
     def missing(
         self, model: Model, mine: Bool[np.ndarray, " n"], predicted: Complex[np.ndarray, "m a"]
-    ) -> tuple[Complex[Array, "n a"], Complex[Array, "n a"], Float[Array, "n a a"]]:
-        """Per row: the motion seen, the force [N] it takes beyond the model, which has `predicted` the rows that are
-        `mine`, and |force per displacement|.
+    ) -> tuple[Complex[np.ndarray, "m a"], Complex[np.ndarray, "m a"], Float[np.ndarray, "m a a"]]:
+        """Of the rows that are `mine`, of which the model has `predicted` the phasors: the motion seen, the force [N] it
+        takes beyond the model, and |force per displacement|.
         """
-        readings = np.array(self.measured)
-        readings[mine] = predicted
-        return _missing(self, model, jnp.asarray(readings))
+        rows, count = np.arange(self.frequency.shape[0])[mine], self.frequency.shape[0]
+        seen = np.array(self.measured)
+        seen[mine] = predicted
+        errors = model.motion(self.measured - seen, self.frequency)
+        # What was not recorded moves as the model has it.
+        errors = np.where(np.isfinite(getattr(self.noise, "std", 1.0)), errors, 0.0)
+        whole = jax.tree.map(np.asarray, (self.frequency, self.force, self.surroundings, self.near, errors))
+        parts = []
+        for first in range(0, rows.size, AT_ONCE):
+            some = np.resize(rows[first : first + AT_ONCE], min(AT_ONCE, count))
+            asked = _missing(model, self.fineness, *jax.tree.map(lambda leaf, some=some: leaf[some], whole))
+            parts.append(jax.tree.map(np.asarray, asked))
+        return tuple(np.concatenate(part)[: rows.size] for part in zip(*parts, strict=True))
 
 
-def _missing_of(sweep: HarmonicSweep, model: Model, predicted: Array) -> tuple[Array, Array, Array]:
-    axes, errors = model.axes, model.motion(sweep.measured - predicted, sweep.frequency)
-    std = getattr(sweep.noise, "std", 1.0)
-    errors = jnp.where(jnp.isfinite(std), errors, 0.0)  # what was not recorded moves as the model has it
+def _missing_of(
+    model: Model, fineness: Fineness, frequency: Array, force: Array, surroundings: Conditions, near: Array,
+    errors: Array,
+) -> tuple[Array, Array, Array]:  # fmt: skip
+    axes = model.axes
 
     def row(omega: Array, force: Array, conditions: Conditions, near: Array, error: Array):
         earlier = model.behind(omega, conditions)
-        state = steady_state(model, omega, force, conditions, near / earlier, sweep.fineness)
+        state = steady_state(model, omega, force, conditions, near / earlier, fineness)
         matrix, _ = model.linear(conditions)
         moved = state.at[1].add(_carried(matrix, omega, error / earlier))
-        samples = sweep.fineness.samples
+        samples = fineness.samples
         command, states = drive_waveform(force, samples)[0], waveform(moved, samples)
         rates = jax.vmap(lambda s, u: model.derivative(s, u, conditions))(states, command)
         given = spectrum(rates, 1)[1, axes : 2 * axes]
         missing = (1j * omega * moved[1, axes : 2 * axes] - given) / jnp.abs(model.device.mobility)
         return moved[1, :axes], missing, jnp.abs(jnp.linalg.inv(receptance(model, matrix, omega)))
 
-    return jax.vmap(row)(sweep.frequency, sweep.force, sweep.surroundings, sweep.near, errors)
+    return jax.vmap(row)(frequency, force, surroundings, near, errors)
 
 
-_missing = kept(_missing_of, PLAINLY)  # once or twice for a case
+_missing = kept(_missing_of, PLAINLY)  # a few times for a case
 
 
 def _carried(matrix: Array, omega: Array, error: Complex[Array, " a"]) -> Complex[Array, " n"]:
