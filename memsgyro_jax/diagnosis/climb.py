@@ -53,7 +53,7 @@ def climbed(search: Search, first: Ranking, effects: Sequence[Effect]) -> tuple[
     steps = stages(search.case, search.joint.fitted)
     if not steps or not first.places or search.optimum.chi2 < FAR * search.optimum.dof:
         return search, None
-    if _by_surroundings(search, steps):
+    if by_surroundings(search, steps):
         return search, None
     best = first.order[0]
     usual = search.refit([first.places[best]], slopes=first.slopes[best])
@@ -78,7 +78,7 @@ def climbed(search: Search, first: Ranking, effects: Sequence[Effect]) -> tuple[
     return _as_found(beside, search, effects), climb
 
 
-def _by_surroundings(search: Search, steps: Sequence[tuple]) -> bool:
+def by_surroundings(search: Search, steps: Sequence[tuple]) -> bool:
     """Whether the base model is far off for the temperature, bias voltage and rate of some rows alone: beside all others
     it is near at every drive, also as the lowest drive tells it.
     """

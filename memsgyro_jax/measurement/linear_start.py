@@ -7,12 +7,7 @@ from memsgyro_jax.device.normalised import NormalisedDevice
 from .case import Case
 from .declared import design_device as design_device
 from .experiments.base import Phasors
-from .phasor_fit import device_of_phasors
-
-
-_CLEAR = 100.0  # standard deviations of the largest reading of a record that tells a device by itself
-_BENT = 0.1  # of the squared motion, left by a device that several drives do not share
-_SAME = 0.01  # of a drive level: repeats of it
+from .phasor_fit import device_of_phasors, most_linear
 
 
 def starting_device(case: Case) -> NormalisedDevice:
@@ -25,9 +20,7 @@ def starting_device(case: Case) -> NormalisedDevice:
     if not rows:
         return _as_heard(case)
     device = _of_rows(case, rows)
-    return (
-        _of_rows(case, calm) if _left(device, rows) > _BENT and len(calm := _most_linear(rows)) < len(rows) else device
-    )
+    return device if (calm := most_linear(rows, device)) is rows else _of_rows(case, calm)
 
 
 def _of_rows(case: Case, rows: list[Phasors]) -> NormalisedDevice:
@@ -38,37 +31,6 @@ def _of_rows(case: Case, rows: list[Phasors]) -> NormalisedDevice:
         if not any(np.any(row.force[:, axis]) for row in whole):
             device = _with_axis(device, axis, [row for row in rows if row.axis == axis], found is None)
     return device
-
-
-def _left(device: NormalisedDevice, rows: list[Phasors]) -> float:
-    """The share of the squared motion, weighted with its noise, that a device leaves of records of all axes."""
-    stiffness, damping = np.asarray(device.stiffness_matrix), np.asarray(device.damping_matrix)
-    left = whole = 0.0
-    for row in rows:
-        if row.modulus or row.axis is not None:
-            continue
-        omega = row.omega[:, None, None]
-        operator = stiffness - omega**2 * np.eye(len(stiffness)) + 1j * omega * damping
-        moved = float(device.mobility) * np.linalg.solve(operator, row.force[..., None])[..., 0]
-        left += float(np.sum(row.weight[:, None] ** 2 * np.abs(row.motion - moved) ** 2))
-        whole += float(np.sum(row.weight[:, None] ** 2 * np.abs(row.motion) ** 2))
-    return left / whole if whole > 0.0 else 0.0
-
-
-def _most_linear(rows: list[Phasors]) -> list[Phasors]:
-    """Of the records that drive the same axes those driven least, if their resonance stands clear of its noise: where
-    others bend over, these are the most linear.
-    """
-    levels: dict[tuple, list[tuple[float, Phasors]]] = {}
-    for row in rows:
-        strengths = np.max(np.abs(row.force), axis=0)
-        levels.setdefault((row.axis, *(strengths > 0.0)), []).append((float(np.max(strengths)), row))
-    kept = []
-    for offered in levels.values():
-        clear = [level for level, row in offered if np.max(row.weight[:, None] * np.abs(row.motion)) > _CLEAR]
-        lowest = min(clear, default=np.inf)
-        kept += [row for level, row in offered if level <= (1.0 + _SAME) * lowest]
-    return kept
 
 
 def _with_axis(device: NormalisedDevice, axis: int, rows: list[Phasors], gain: bool) -> NormalisedDevice:

@@ -19,6 +19,10 @@ _FEWEST = 8  # rows of one axis from which a gain that turns the phase, and a ba
 _BENT, _BENDS, _FINER = 1.5, 301, 41  # how far a resonance may bend over, in widths of the band; steps that are tried
 _STANDS_OUT = 40.0
 _SHOWN = 0.05  # of the squared motion, left by a device that the records show
+_CLEAR = 100.0  # standard deviations of the largest reading of a record that tells a device by itself
+_UNSHARED = 0.1  # of the squared motion, left by a device that several drives do not share
+_SAME = 0.01  # of a drive level: repeats of it
+_NARROW = 1e-3  # of the distance from row to row: a resonance within it is one row's own
 _BETTER = 0.5  # of the squared error of the plain resonance that this must come to
 
 
@@ -69,6 +73,40 @@ def is_seen(device: NormalisedDevice, offered: Sequence[Phasors]) -> bool:
     return bool(gained > _STANDS_OUT)
 
 
+def most_linear(rows: list[Phasors], device: NormalisedDevice | None) -> list[Phasors]:
+    """The records, all of them where a device leaves little of their motion; where it leaves more, or there is none, of
+    those that drive the same axes the ones driven least, if their resonance stands clear of its noise: where others
+    bend over, these are the most linear.
+    """
+    if device is not None and _left(device, rows) <= _UNSHARED:
+        return rows
+    levels: dict[tuple, list[tuple[float, Phasors]]] = {}
+    for row in rows:
+        strengths = np.max(np.abs(row.force), axis=0)
+        levels.setdefault((row.axis, *(strengths > 0.0)), []).append((float(np.max(strengths)), row))
+    kept = []
+    for offered in levels.values():
+        clear = [level for level, row in offered if np.max(row.weight[:, None] * np.abs(row.motion)) > _CLEAR]
+        lowest = min(clear, default=np.inf)
+        kept += [row for level, row in offered if level <= (1.0 + _SAME) * lowest]
+    return kept if 0 < len(kept) < len(rows) else rows
+
+
+def _left(device: NormalisedDevice, rows: list[Phasors]) -> float:
+    """The share of the squared motion, weighted with its noise, that a device leaves of records of all axes."""
+    stiffness, damping = np.asarray(device.stiffness_matrix), np.asarray(device.damping_matrix)
+    left = whole = 0.0
+    for row in rows:
+        if row.modulus or row.axis is not None:
+            continue
+        omega = row.omega[:, None, None]
+        operator = stiffness - omega**2 * np.eye(len(stiffness)) + 1j * omega * damping
+        moved = float(device.mobility) * np.linalg.solve(operator, row.force[..., None])[..., 0]
+        left += float(np.sum(row.weight[:, None] ** 2 * np.abs(row.motion - moved) ** 2))
+        whole += float(np.sum(row.weight[:, None] ** 2 * np.abs(row.motion) ** 2))
+    return left / whole if whole > 0.0 else 0.0
+
+
 def _is_device(device) -> bool:
     return bool(np.all(np.linalg.eigvalsh(_matrix(device[0])) > 0) and np.all(np.diag(_matrix(device[1])) > 0))
 
@@ -108,7 +146,7 @@ def _with_gain(plain, omega, motion, force, weight, *, bends: bool):
         scale = weight / np.abs(operator)
     stiffness, damping = found[0] + centre**2, found[1]
     rest = float(np.sum(np.abs((columns @ found - target) * scale) ** 2))
-    if not (stiffness > 0 and damping > 0):
+    if not (stiffness > 0 and damping > _NARROW * span / len(omega)):
         return None, rest
     pole = (np.sqrt(stiffness) + 0.5j * damping - centre) / span
     gain = np.polyval((found[2:5] + 1j * found[5:8])[::-1], pole)

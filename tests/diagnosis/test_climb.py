@@ -5,9 +5,12 @@ import pytest
 from lab import bent
 
 import memsgyro_jax as mg
-from memsgyro_jax.diagnosis.drives import stages, without_rows
+from memsgyro_jax.diagnosis.climb import by_surroundings
+from memsgyro_jax.diagnosis.drives import FAR, stages, without_rows
+from memsgyro_jax.diagnosis.joint_residual import Joint
+from memsgyro_jax.diagnosis.search import start_search
 from memsgyro_jax.measurement.linear_start import starting_device
-from memsgyro_jax.measurement.readings import readings_of
+from memsgyro_jax.measurement.readings import model_of, readings_of
 
 
 @pytest.mark.parametrize("levels", [(5, 20, 60), (60, 20)])
@@ -17,6 +20,27 @@ def test_a_bent_resonance_tells_its_linear_device(tmp_path, levels):
     assert natural / (2.0 * np.pi) == pytest.approx(bent.F0, abs=0.1 * bent.F0 / bent.Q)
     assert natural / float(device.damping[0]) == pytest.approx(bent.Q, rel=0.05)
     assert float(device.mobility) == pytest.approx(1.0 / bent.MASS, rel=0.05)
+
+
+@pytest.mark.parametrize("rows", [61, 81, 161])
+def test_a_quality_factor_that_is_left_to_the_records_is_that_of_the_least_driven(tmp_path, rows):
+    """Of all drives together a resonance as narrow as a rounding was told, on one row alone."""
+    case = mg.load_case(bent.bent_sweeps(tmp_path / "case", (5, 20, 60), rows))
+    assert case.design["quality_factor"].value == pytest.approx(bent.Q, rel=0.02)
+
+
+@pytest.mark.parametrize(("levels", "alone"), [((1, 2), True), ((1, 20, 60), False)])
+def test_a_misfit_of_the_surroundings_alone_is_no_reason_to_climb(tmp_path, levels, alone):
+    """A device two widths lower at another temperature, which leaves the lowest drive as far off as a bent resonance;
+    one that bends over as well is climbed.
+    """
+    folder = bent.bent_sweeps(tmp_path / "case", levels, rows=61)
+    bent.add_soak(folder, level=1, rows=61, shift=-2.0 / bent.Q)
+    case = mg.load_case(folder)
+    joint = Joint(model_of(case, starting_device(case)), readings_of(case))
+    search = start_search(case, joint, 0.045, (), lambda text: None)
+    assert search.optimum.chi2 > FAR * search.optimum.dof
+    assert by_surroundings(search, stages(case, joint.fitted)) == alone
 
 
 def test_every_stage_has_readings_also_without_some_rows(tmp_path):

@@ -71,3 +71,17 @@ def bent_sweeps(
         (folder / f"at_{level}mV.csv").write_text("\n".join([",".join(columns), *lines]))
         clock = clock + DWELL * (rows + 10)
     return folder
+
+
+def add_soak(folder: Path, level: int, rows: int, shift: float) -> None:
+    """Adds to such a case sweeps at 25 °C and at 65 °C, where the resonance has moved by `shift` of itself."""
+    generator, frequency, lines = np.random.default_rng(78), F0 + np.linspace(-40.0, 60.0, rows), []
+    for temperature, moved in ((25.0, 0.0), (65.0, shift)):
+        seen = response(frequency, FORCE * 1e-3 * level, np.full(rows, moved)) * np.exp(1j * PHASE)
+        volts = SCALE * seen + BACKGROUND * 1e-3 * level
+        volts = volts + NOISE * (generator.standard_normal(rows) + 1j * generator.standard_normal(rows))
+        rows_of = zip(frequency.tolist(), volts.tolist(), strict=True)
+        lines += [f"{temperature},{f!r},{v.real!r},{v.imag!r}" for f, v in rows_of]
+    (folder / "soak.csv").write_text("\n".join(["T [degC],f [Hz],Vx_I [V],Vx_Q [V]", *lines]))
+    record = RECORD.format(level=level).replace(f"at_{level}mV", "soak")
+    (folder / "case.toml").write_text((folder / "case.toml").read_text() + record)

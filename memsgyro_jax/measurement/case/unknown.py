@@ -11,7 +11,7 @@ from memsgyro_jax.base.units import parse_header, to_si
 from memsgyro_jax.device.normalised import NormalisedDevice
 
 from ..declared import VOCABULARIES, DesignValue
-from ..phasor_fit import device_of_phasors, is_seen
+from ..phasor_fit import device_of_phasors, is_seen, most_linear
 from .content import Case
 from .device import gain_by_mass
 from .file import CaseFile
@@ -72,6 +72,8 @@ def with_found_design(case: Case, file: CaseFile, path: Path) -> Case:
     offered = [record.starting_phasors(case) for record in case.records if record.role != "validation"]
     rows = [phasors for phasors in offered if phasors is not None and phasors.axis is None]
     device = device_of_phasors(rows) if rows else _left_alone(case)
+    if rows and (calm := most_linear(rows, device)) is not rows:
+        rows, device = calm, device_of_phasors(calm)
     if device is None or (rows and not is_seen(device, rows)):
         raise InputError(
             f"{path}, `design`: must give {', '.join(open_)}, as no record that may be fitted shows a clear resonance."

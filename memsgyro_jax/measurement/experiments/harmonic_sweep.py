@@ -213,8 +213,8 @@ class HarmonicSweep(Experiment):
     def missing(
         self, model: Model, mine: Bool[np.ndarray, " n"], predicted: Complex[np.ndarray, "m a"]
     ) -> tuple[Complex[np.ndarray, "m a"], Complex[np.ndarray, "m a"], Float[np.ndarray, "m a a"]]:
-        """Of the rows that are `mine`, of which the model has `predicted` the phasors: the motion seen, the force [N] it
-        takes beyond the model, and |force per displacement|.
+        """Of the rows that are `mine`, of which the model has `predicted` the phasors: the motion seen, the force [N]
+        that it takes beyond the model, and |force per displacement|.
         """
         rows, count = np.arange(self.frequency.shape[0])[mine], self.frequency.shape[0]
         seen = np.array(self.measured)
@@ -228,7 +228,8 @@ class HarmonicSweep(Experiment):
             some = np.resize(rows[first : first + AT_ONCE], min(AT_ONCE, count))
             asked = _missing(model, self.fineness, *jax.tree.map(lambda leaf, some=some: leaf[some], whole))
             parts.append(jax.tree.map(np.asarray, asked))
-        return tuple(np.concatenate(part)[: rows.size] for part in zip(*parts, strict=True))
+        motion, force, gain = (np.concatenate(part)[: rows.size] for part in zip(*parts, strict=True))
+        return motion, force, gain
 
 
 def _missing_of(
