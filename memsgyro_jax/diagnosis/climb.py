@@ -79,8 +79,8 @@ def climbed(search: Search, first: Ranking, effects: Sequence[Effect]) -> tuple[
 
 
 def by_surroundings(search: Search, steps: Sequence[tuple]) -> bool:
-    """Whether the base model is far off for the temperature, bias voltage and rate of some rows alone: beside all others
-    it is near at every drive, also as the lowest drive tells it.
+    """Whether the base model is far off for the temperature, bias voltage and rate of some rows alone: all others it is
+    near at every drive, also as the lowest drive tells it.
     """
     joint, free = search.joint, search.optimum.free
     others = calm(search.case, joint.fitted)

@@ -220,8 +220,7 @@ class CaseFit(Tabular):
     @cached_property
     def missing_forces(self) -> tuple[MissingForce, ...]:
         """The force that the model lacks, as each compared record shows it, in their order."""
-        waves = {d.number: record.missing_force(d) for record, d in self.deviations if not record.stepped}
-        found = [{**waves, **self.stepped_forces}[d.number] for _, d in self.deviations]
+        found = (self.stepped_forces[d.number] if r.stepped else r.missing_force(d) for r, d in self.deviations)
         return tuple(one for one in found if one is not None)
 
     @cached_property
