@@ -185,6 +185,7 @@ if TYPE_CHECKING:
     from .measurement.over_temperature import OverTemperature as OverTemperature
     from .measurement.temperature_table import TemperatureTable as TemperatureTable
     from .measurement.case import load_case as load_case
+    from .measurement.drive_levels import lowest_drives as lowest_drives
     from .measurement.import_case import import_case as import_case
     from .measurement.import_case import ImportedCase as ImportedCase
     from .measurement.user_kinds import load_kinds as load_kinds

@@ -9,14 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from memsgyro_jax.measurement.case import Case
+from memsgyro_jax.measurement.drive_levels import ALIKE, clear_drives
 from memsgyro_jax.measurement.experiments import Readings
 
 from .joint_residual import Joint
 from .optimum import Optimum, optimise
 
 
-CLEAR = 20.0  # standard deviations from which a sweep tells the device
-ALIKE = 0.05  # of a drive: within it sweeps have the same
 FAR = 100.0  # χ² per degree of freedom from which a fit to all drives may have missed its valley
 NOBODY = -1  # in place of a record: rows that belong to none
 Rows = Mapping[int, tuple[int, ...]]
@@ -68,16 +67,7 @@ def stages(case: Case, fitted: Sequence[Readings]) -> list[tuple[Readings, ...]]
     """
     records: list[tuple[int, Any]] = list(enumerate(case.records))
     sweeps = [(k, r) for k, r in records if hasattr(r, "setting") and r.role != "validation"]
-    clear = [
-        float(np.mean(r.setting[rows]))
-        for _, r in sweeps
-        for rows in r.sweeps
-        if np.max(np.abs(r.readings[rows, r.axis])) > CLEAR * r.noise_level
-    ]
-    levels: list[float] = []
-    for level in sorted(clear):
-        if not levels or level > (1 + ALIKE) * levels[-1]:
-            levels.append(level)
+    levels = clear_drives(case)
     if not levels:
         return []
     theirs = {number for number, _ in sweeps}

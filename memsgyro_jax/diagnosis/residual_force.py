@@ -4,9 +4,10 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from memsgyro_jax.measurement.drive_levels import ALIKE, CLEAR
 from memsgyro_jax.measurement.experiments.missing_force import MissingForce, RateResidual, SweepForce, TimeForce
 
-from .drives import ALIKE, CLEAR, without_rows
+from .drives import without_rows
 from .fit import CaseFit, beside_case
 from .optimum import Optimum, optimise
 

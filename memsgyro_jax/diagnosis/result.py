@@ -14,6 +14,7 @@ from memsgyro_jax.base.provenance import versions
 from memsgyro_jax.device.gyro import SingleMassGyro
 from memsgyro_jax.device.resonator import Resonator
 from memsgyro_jax.measurement.case import Case
+from memsgyro_jax.measurement.drive_levels import clear_drives
 from memsgyro_jax.measurement.model import Model
 
 from .compare import judged
@@ -35,7 +36,6 @@ ONLY_IF = (
     "without ±: these numbers would hold only if the model explained the records, which they deny; what is missing may "
     "have gone into any of them, and two may cancel"
 )
-DRAW = "memsgyro law {} --out my_law.py"
 _PLANNED = 5  # next experiments that are printed
 
 
@@ -142,6 +142,17 @@ class Diagnosis(Labelled):
         """Resonance frequency [Hz] and quality factor of each mode of `linear`."""
         return self.linear.estimates
 
+    @property
+    def onwards(self) -> tuple[tuple[str, str], ...]:
+        """What to look at next where something is left unexplained, each with the command that does; else none."""
+        if not self.unexplained:
+            return ()
+        drawn = "the law that is missing, drawn, written and fitted", f"memsgyro law {self.case.folder} --out my_law.py"
+        if (levels := len(clear_drives(self.case))) < 2:
+            return (drawn,)
+        fewer = f"memsgyro diagnose {self.case.folder} --drives {(levels + 1) // 2}"
+        return drawn, ("what is missing at the lowest drives by themselves", fewer)
+
     def __str__(self) -> str:
         lines = [f"{self.case.name}: {self.verdict.replace('_', ' ')}", self.sentence, ""]
         lines += map(_line, self.steps)
@@ -175,8 +186,7 @@ class Diagnosis(Labelled):
         if self.next_experiment:
             lines += ["", f"  next experiment: {self.next_experiment}"]
             lines += [f"    Δχ² {p.chi2:8.3g}  {p.experiment}" for p in self.next_experiments if p.chi2 >= 0][:_PLANNED]
-        if self.unexplained:
-            lines += ["", f"  the law that is missing, drawn, written and fitted: {DRAW.format(self.case.folder)}"]
+        lines += ["", *(f"  {what}: {command}" for what, command in self.onwards)] if self.onwards else []
         return "\n".join(lines)
 
     def to_dict(self) -> dict:

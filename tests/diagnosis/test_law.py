@@ -1,5 +1,6 @@
 """Laws that no catalogue holds, drawn from sweeps whose rows obey closed describing functions."""
 
+import json
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -174,6 +175,26 @@ def test_a_law_is_drawn_beside_what_is_known_to_be_there(tmp_path):
     assert [t.kind for t in law.terms] == ["stiffness"]
     assert law.terms[0].threshold == pytest.approx(0.3, abs=0.02)
     assert law.left[1] < 1.3
+
+
+@pytest.mark.slow
+def test_the_lowest_drives_name_what_a_law_is_drawn_beside(tmp_path, capsys):
+    """No effect explains a drift and a spring that is touched; of the lowest drive alone the drift is found."""
+    drift = 0.08 / DEVICES["wire"].quality
+    swept(tmp_path, contact, DEVICES["wire"], warmed=drift)
+    with pytest.raises(SystemExit, match="0"):
+        main(["diagnose", str(tmp_path)])
+    said = capsys.readouterr().out
+    assert said.startswith("stranger: unknown effect")
+    (command,) = [line.split(": ")[1] for line in said.splitlines() if "--drives" in line]
+    assert command == f"memsgyro diagnose {tmp_path} --drives 1"
+    with pytest.raises(SystemExit, match="0"):
+        main([*command.split()[1:], "--json", str(tmp_path / "found.json")])
+    said = capsys.readouterr().out
+    assert said.startswith("stranger: found")
+    assert said.splitlines()[-1].endswith(f'memsgyro law {tmp_path} --out my_law.py --add "thermal_drift stiffness"')
+    (effect,) = json.loads((tmp_path / "found.json").read_text())["effects"]
+    assert effect["estimate"] == pytest.approx(drift, rel=0.03)
 
 
 @pytest.mark.slow

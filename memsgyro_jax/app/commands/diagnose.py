@@ -30,6 +30,7 @@ def diagnose_command(
     model: Path | None = None,
     effects: Path | None = None,
     kinds: Path | None = None,
+    drives: int | None = None,
     level: float = 0.05,
     out: Path | None = None,
     json: Path | None = None,
@@ -50,6 +51,8 @@ def diagnose_command(
         model: a model file to start from, with the effects it has; without it the base model is fitted.
         effects: a Python file with effects of your own, tried beside the catalogue. It is run: trust it first.
         kinds: a Python file with kinds of measurement of your own. It is run: trust it first.
+        drives: how many of the lowest drive levels are looked at, and no record that is driven harder: what is missing
+            there is told by itself where another law sets in above it.
         level: probability that an effect is reported where none is missing.
         out: file for the fitted model, for `memsgyro compare --model`; of many cases the folder, `diagnose-out` without
             this option, for the model, the result and the page of each and for the table. What is there is not done
@@ -62,7 +65,7 @@ def diagnose_command(
     if cases_in(case):
         if report is not None:
             raise InputError("Option `--report` must go with a single case; of many each has its page in the folder.")
-        options = {"model": model, "effects": effects, "kinds": kinds, "level": level}
+        options = {"model": model, "effects": effects, "kinds": kinds, "drives": drives, "level": level}
         made = {"--out": "model.toml", "--json": "diagnosis.json", "--report": "report.html"}
         return over_cases("diagnose", case, out, options=options, made=made, jobs=jobs, dask=dask, table=json)
     only_of_folders(jobs=jobs, dask=dask)
@@ -72,6 +75,7 @@ def diagnose_command(
     from memsgyro_jax.diagnosis.result import unfinished
     from memsgyro_jax.effects import load_effects
     from memsgyro_jax.measurement.calibration import units_of_records
+    from memsgyro_jax.measurement.drive_levels import lowest_drives
     from memsgyro_jax.measurement.model_file import model_text
     from memsgyro_jax.measurement.user_kinds import load_kinds
 
@@ -80,6 +84,7 @@ def diagnose_command(
 
     require_writable(out, json, report)
     measured = load_demo_or(case, load_kinds(kinds) if kinds else ())
+    measured = measured if drives is None else lowest_drives(measured, drives)
     own = load_effects(effects, measured.channels) if effects else ()
     start = None if model is None else _start(model, measured, own)
 
@@ -108,6 +113,9 @@ def diagnose_command(
     for path, text in texts:
         write_whole(path, text)
     print(found)
+    if drives is not None and found.accepted and not found.unexplained:
+        known = "".join(f' --add "{effect.label}"' for effect in found.accepted)
+        print(f"  beside it, the law that is missing at the other drives: memsgyro law {case} --out my_law.py{known}")
     return None
 
 

@@ -11,7 +11,7 @@ from memsgyro_jax.diagnosis.compare import as_times, judged
 from memsgyro_jax.diagnosis.findings import Accepted, Candidate, told_with
 from memsgyro_jax.diagnosis.found_force import LawOverWaveform, found_forces
 from memsgyro_jax.diagnosis.residual_force import beside_lowest_drive, rate_residuals, sweep_forces, time_forces
-from memsgyro_jax.diagnosis.result import DRAW, ONLY_IF, Diagnosis
+from memsgyro_jax.diagnosis.result import ONLY_IF, Diagnosis
 from memsgyro_jax.measurement.calibration import unit_of_records
 from memsgyro_jax.measurement.case import Case
 
@@ -53,7 +53,8 @@ def diagnosis_page(diagnosis: Diagnosis) -> Page:
     _errors(out, diagnosis)
     _records(out, diagnosis)
     if diagnosis.unexplained:
-        out.text(f"The law that is missing is drawn, written and fitted by `{DRAW.format(diagnosis.case.folder)}`.")
+        for what, command in diagnosis.onwards:
+            out.text(f"{what[0].upper()}{what[1:]}: `{command}`.")
         _forces(out, diagnosis)
     _tried(out, diagnosis)
     _ranking(out, diagnosis)

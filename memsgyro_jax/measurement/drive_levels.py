@@ -1,0 +1,67 @@
+"""The drives of a case: which levels its sweeps show, and the case of the lowest of them alone."""
+
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+
+from memsgyro_jax.base.errors import InputError
+
+from .case import Case
+from .experiments import AbstractRecord
+
+
+CLEAR = 20.0  # standard deviations from which a sweep tells the device
+ALIKE = 0.05  # of a drive: within it sweeps have the same
+
+
+def clear_drives(case: Case) -> list[float]:
+    """The drive levels [N], of a resonator [V], of sweeps that may be fitted and stand clear of their noise, from the
+    lowest; one of several that are alike.
+    """
+    sweeps: list[Any] = [r for r in case.records if hasattr(r, "setting") and r.role != "validation"]
+    clear = [
+        float(np.mean(r.setting[rows]))
+        for r in sweeps
+        for rows in r.sweeps
+        if np.max(np.abs(r.readings[rows, r.axis])) > CLEAR * r.noise_level
+    ]
+    levels: list[float] = []
+    for level in sorted(clear):
+        if not levels or level > (1 + ALIKE) * levels[-1]:
+            levels.append(level)
+    return levels
+
+
+def lowest_drives(case: Case, count: int) -> Case:
+    """The case as it was measured with so many of its lowest drive levels: without sweeps that are driven harder, and
+    without other records that are. What is driven sample by sample stays.
+
+    Raises `InputError` unless there are more levels than that, and at least one is asked for.
+    """
+    levels = clear_drives(case)
+    if not 1 <= count < len(levels):
+        told = f"{len(levels)} clear drive level" + "s" * (len(levels) != 1)
+        remedy = f"choose 1 to {len(levels) - 1}" if len(levels) > 1 else "none can be left out"
+        raise InputError(f"The {count} lowest drives cannot be taken by themselves: the sweeps have {told}; {remedy}.")
+    kept = [_up_to(record, (1 + ALIKE) * levels[count - 1]) for record in case.records]
+    return replace(case, records=tuple(record for record in kept if record is not None))
+
+
+def _up_to(record: AbstractRecord, level: float) -> AbstractRecord | None:
+    """The rows of a record that are driven no harder; `None` where none is."""
+    drive = getattr(record, "setting", getattr(record, "drive_force", None))  # of each row, or of all
+    if drive is None:
+        return record
+    keep = np.broadcast_to(np.abs(drive) <= level, record.rows)
+    if keep.all() or not record.stepped:
+        return record if keep.all() else None
+    return _with_rows(record, keep) if keep.any() else None
+
+
+def _with_rows(record: AbstractRecord, keep: np.ndarray) -> AbstractRecord:
+    """A record of some rows of another (n,)."""
+    values = {field.name: getattr(record, field.name) for field in fields(record)}
+    rows = {n: v[keep] for n, v in values.items() if isinstance(v, np.ndarray) and v.shape[:1] == keep.shape}
+    carried = {name: column[keep] for name, column in record.carried.items()}
+    return replace(record, **rows, carried=carried)
