@@ -57,6 +57,9 @@ def fit_law(law: DrawnLaw, path: str | Path) -> CaseFit:
     case, effects = law.measured, load_effects(path, law.beside.axes, as_written=True)
     terms = [effect for effect in law.beside.effects if isinstance(effect, InstrumentTerm)]
     joint = Joint(law.beside.with_effect(*effects), (*readings_of(case), *knowledge(terms)))
+    # A corner near a fold asks for many harmonics: with fewer the fit would leave the law that was drawn.
+    begin = np.concatenate(joint.residual(joint.start, joint.fitted))
+    joint = Joint(joint.model, sharpened(joint.model, joint.readings, begin)[0])
     fit = _guided(case, _with_shape_held(joint))
     kept, apart = sharpened(fit.model, without_rows(joint.readings, _far_rows(fit)))
     finer = tuple(_with_all_rows(fewer, whole) for fewer, whole in zip(kept, joint.readings, strict=True))

@@ -67,7 +67,7 @@ def law_command(
         raise InputError(f"Option `--axis` must be x for a device of one axis, but is {axis}.")
     chosen = named_effects(add, (*catalogue(measured.channels), *instrument_terms(measured))) if add else ()
     before = fit_case(measured)
-    beside = beside_known(measured, chosen) if chosen else before
+    beside = beside_known(measured, chosen)
     curve, law = backbone(beside, number), draw_law(beside, number, terms=terms, spline=spline)
     print(curve, end="\n\n", flush=True)
     after, file = before, edited or out

@@ -11,6 +11,7 @@ from memsgyro_jax.base.files import finite
 from memsgyro_jax.base.provenance import versions
 from memsgyro_jax.base.text import aligned
 from memsgyro_jax.diagnosis.compare import Comparison, as_times
+from memsgyro_jax.diagnosis.drives import FAR
 from memsgyro_jax.diagnosis.fit import CaseFit
 from memsgyro_jax.diagnosis.scans import coverage, scan
 from memsgyro_jax.effects import Effect, Scanned, by_name
@@ -18,6 +19,7 @@ from memsgyro_jax.effects.section import settings_of
 
 
 SCHEMA = "memsgyro-fit/1"
+WORSE = 1.01  # times the χ² without what was added: more than another resolution of the same model makes
 
 
 def named_effects(names: Sequence[str], known: Sequence[Effect]) -> tuple[Effect, ...]:
@@ -68,13 +70,31 @@ def fit_text(before: CaseFit, found: Comparison) -> str:
     chi2 = f"χ²/dof of the fitted readings {as_times(before.chi2_per_dof)} -> {as_times(after.chi2_per_dof)}"
     lines = [f"{after.case.name}: {after.status}; {chi2}", "rms of deviation over noise:", aligned([head, *rows])]
     lines += [found.verdict, *(f"  {failure}" for failure in found.failures)]
-    lines += [*([f"  {found.alone}"] if found.alone else []), "Fitted:"]
+    lines += [f"  {line}" for line in (found.alone, short_of_its_valley(before, after)) if line] + ["Fitted:"]
     scale = after.scale
     lines += [f"  {replace(estimate, std=scale * estimate.std)}" for estimate in (*after.modes, *after.estimates)]
     if scale > 1.0:
         lines.append(f"  (standard deviations times {scale:.3g}, as the model leaves more than the noise)")
     lines += [f"  {label}, held: {_listed(held)}" for label, held in _held(after).items()]
     return "\n".join(lines)
+
+
+def short_of_its_valley(before: CaseFit, after: CaseFit) -> str:
+    """A sentence where a fit with effects has surely, or may have, stopped short of where it fits best; else empty.
+
+    A law with a corner or an exponent has a narrow valley, beside which no strength is right.
+    """
+    joint = after.joint
+    shaped = [p.name for i, p in enumerate(joint.parameters) if i in joint.numbers and i in after.optimum.free]
+    nearer = f"start {', '.join(shaped)} nearer"
+    if not any(name.startswith("drawn_") for name in shaped):
+        nearer += f"; `memsgyro law {after.case.folder} --out my_law.py` draws thresholds and exponents to start from"
+    remedy = nearer if shaped else "start its strength from another value"
+    if after.optimum.chi2 > WORSE * before.optimum.chi2 and joint.model.effects:
+        return f"It fits worse than without what was added, as no larger model does at its best: {remedy}."
+    if shaped and after.chi2_per_dof > FAR:
+        return f"It may have stopped beside the valley of {', '.join(shaped)}, which is narrow: {remedy}."
+    return ""
 
 
 def fit_entries(before: CaseFit, found: Comparison) -> dict[str, Any]:
@@ -90,6 +110,7 @@ def fit_entries(before: CaseFit, found: Comparison) -> dict[str, Any]:
         "before": _fit(before),
         "after": _fit(after),
         "explained": found.explained,
+        "short_of_its_valley": short_of_its_valley(before, after),
         "outlying": {after.case.records[number].name: list(rows) for number, rows in found.left_out.items()},
         "effects": [estimates[name].to_dict() for name in of_effects],
         "held": _held(after),
