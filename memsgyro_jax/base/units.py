@@ -112,7 +112,8 @@ def to_si(value: Any, unit: str, expected: str, name: str) -> Any:
     try:
         line = _conversion(unit, expected, name)
         if line == _APART:
-            raise InputError(f'Unit of {name} must measure the same as "{expected}", but is "{unit}".')
+            celsius = '; degrees Celsius are "degC"' if expected == "K" and unit == "C" else ""  # which is coulomb
+            raise InputError(f'Unit of {name} must measure the same as "{expected}", but is "{unit}"{celsius}.')
         with np.errstate(over="ignore", under="ignore"):
             if line == _CURVED:
                 found = _registry().Quantity(value, _parse(unit, name)).to(_parse(expected, name)).magnitude

@@ -19,6 +19,9 @@ from .observers.base import Clock
 from .scenario import Constant, Scenario
 
 
+_EVER = 1e12  # s
+
+
 class ExportedLoop(NamedTuple):
     """A loop sampled every `period` [s].
 
@@ -33,14 +36,18 @@ class ExportedLoop(NamedTuple):
     period: float
 
 
-def export_loop(loop: ClosedLoop, *, sample_rate: float | str) -> ExportedLoop:
+def export_loop(loop: ClosedLoop, *, sample_rate: float | str, duration: float | str | None = None) -> ExportedLoop:
     """A sample of `loop`, undisturbed but for its rate, compiled for the processor at hand.
+
+    `duration` is that of the run of `simulate` to be met to rounding: the longer a filter runs, the more exact `Exact`
+    takes its derivative. Left out, it runs for ever.
 
     **Raises:** `InputError` for a loop whose numbers are traced, and as `simulate` does.
     """
     runtime.require_float64("export_loop")
     rate = quantity("sample_rate", sample_rate, "Hz")
-    ready = as_loop(loop).sampled_at(rate).present
+    until = _EVER if duration is None else quantity("duration", duration, "s")
+    ready = as_loop(loop).sampled_at(rate, duration=until).present
     if not is_concrete(ready):
         raise InputError("Argument `loop` must be of numbers to be exported, but is traced; call this outside of jit.")
     start, shaped = ravel_pytree(jax.tree.map(jnp.asarray, ready.init()))

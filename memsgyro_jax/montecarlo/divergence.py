@@ -204,6 +204,6 @@ def _surprises(theta: Float[np.ndarray, "dies coefficients"], loop: ClosedLoop) 
     far = ~known & (away > FAR * std)
     told = [
         (off, "differ in what the filter takes as known exactly"),
-        (far, f"lie farther than {FAR:g} standard deviations from the filter's prior"),
+        (far, f"lie farther than {FAR:g} standard deviations from the filter's prior, which could be wider"),
     ]
     return [_Cause(which.any(axis=1), f"{words}: {', '.join(names[which.any(axis=0)])}") for which, words in told]

@@ -67,6 +67,8 @@ class Computation:
         tally = Tally(self.plan, bounded, Order.of(runner.loop))
         for first, rows in groups:
             tally.add(rows, first)
+        if tally.computed < self.dies:
+            amiss = [f"{tally.computed} of {self.dies} dies are there: figures are of those alone", *amiss]
         bounds = own_bounds(
             runner.loop, runner.scenario, runner.spread, runner.seed, bounded, settings.sample_rate, settings.duration
         )

@@ -83,6 +83,13 @@ class Spread(Shown):
     shared: float = 0.0
 
     def __post_init__(self):
+        if self.everywhere is not None and not isinstance(self.everywhere, AbstractDistribution):
+            raise InputError(
+                f"Argument `everywhere` must be a distribution, but is {self.everywhere!r}; for a relative standard "
+                "deviation write `Normal(relative=...)`, or `Spread.relative(...)`."
+            )
+        if not isinstance(self.items, tuple | list) or not all(isinstance(item, Vary) for item in self.items):
+            raise InputError("Argument `items` must be a tuple of `Vary(path, distribution)`.")
         if not 0.0 <= self.shared < 1.0:
             raise InputError(f"Argument `shared` must lie from 0 to below 1, but {self.shared:g} was given.")
 

@@ -31,6 +31,7 @@ from .tally import Tally
 SCHEMA = "memsgyro-sweep/1"
 _LIKELY = 0.99
 _HIDDEN = 0.2  # share of the prior from which errors about one rate fall a tenth below the bound
+_WIDE = 0.9  # of the bound, below which errors are told to be small for it
 _MATTERS = 0.05  # share by which a mean NEES must exceed its interval to be remarked: linearising costs some percent
 
 
@@ -152,6 +153,7 @@ class Summary(Shown):
             rows.append(("information bound at the end (rms)", f"{np.degrees(self.bound):.3g} deg/s"))
             rows += [("  mostly known before", self.hidden)] if self.hidden else []
             rows.append(("error over own bound, die by die", _reached_text(self.reached, self.dies)))
+            rows += [("  less than the bound", self.wide)] if self.wide else []
             if diverged and self.reached_sound is not None:
                 rows.append(("  without the diverged dies", _reached_text(self.reached_sound, self.dies)))
         if watched:
@@ -182,6 +184,16 @@ class Summary(Shown):
         return (
             f"{100.0 * self.prior_share:.0f} % of what can be known of the rate is the filter's prior, because the "
             "read-out's noise hides it; swing wider, run longer or lower the noise"
+        )
+
+    @property
+    def wide(self) -> str | None:
+        """A sentence where the errors of the lot are surely smaller than what the bound allows; else None."""
+        if self.reached is None or self.hidden or self.reached.high > _WIDE:
+            return None
+        return (
+            "the bound counts on dies as different as the filter's prior says; those of this lot differ less, and what "
+            "the filter claims of them is too wide by as much"
         )
 
     def _redrawn(self) -> str:

@@ -109,6 +109,13 @@ def test_diff_tells_what_sets_two_apart(memsgyro, tmp_path):
     assert re.search(r"1\.23456789123e-06 m +1\.23456781111e-06 m", memsgyro("diff", "a.toml", "b.toml")[1])
     (tmp_path / "b.toml").write_text('[loop]\ndisplacement = "0.87654321 um"\n')
     assert re.search(r"1\.235e-06 m +8\.765e-07 m", memsgyro("diff", "a.toml", "b.toml")[1])
+    leak = '[[effects]]\nname = "electrical_feedthrough"\naxis = "x_to_y"\nstrength = "5e2 V/N"\n'
+    spring = '[[effects]]\nname = "cubic_stiffness"\naxis = "x"\nstrength = "1e12 N/m^3"\n'
+    (tmp_path / "a.toml").write_text(spring)
+    (tmp_path / "b.toml").write_text(leak + spring.replace("1e12", "2e12"))
+    out = memsgyro("diff", "a.toml", "b.toml")[1]
+    assert re.search(r"effects\.cubic_stiffness x\.strength +1e\+?12 \S+ +2e\+?12 ", out)
+    assert re.search(r"effects\.electrical_feedthrough x_to_y\.strength +– +5e2 V/N", out)
     many = lambda dies, letter: {"diverged": {"dies": dies}, "why": 99 * letter}  # noqa: E731
     run = {"dies": 8, "yield": {"value": 0.9, "low": 0.8, "high": 0.95}, "bias_dps": {"value": 1.0, "std": 0.1}}
     (tmp_path / "a.json").write_text(json.dumps(run | many([0, 3], "x") | {"study": {"observer": {"kind": "ekf"}}}))

@@ -139,6 +139,23 @@ def test_a_program_of_one_sample_runs_without_the_loop(loop, trace):
         np.testing.assert_allclose(out[1:3], trace.force[number], rtol=1e-9, atol=1e-18)
 
 
+def test_an_exported_filter_is_as_exact_as_that_of_a_run():
+    """The longer a filter runs, the more exactly it takes its derivative: what is exported meets a run whose duration
+    it is told to rounding, and any other by less than the filter claims.
+    """
+    gyro = mg.SingleMassGyro.from_modes("6 ug", ("21 kHz", "21.4 kHz"), (8000, 2500))
+    kalman = mg.ExtendedKalmanFilter.for_device(gyro, READOUT)
+    loop = mg.ClosedLoop(gyro, READOUT, kalman, mg.DampingCompensation(tones=mg.Tone(4360.0, 50.0)))
+    run = {"sample_rate": 4e5, "duration": 0.02}
+    trace = mg.simulate(loop, **run, seed=1)
+    for made, within in ((mg.export_loop(loop, **run), 1e-6), (mg.export_loop(loop, sample_rate=4e5), 0.3)):
+        state, words = made.start, noise.die_words(jax.random.key(1), np.asarray(0))
+        for number in range(200):
+            draws = np.stack(noise.normal_pair(words, number, 0))
+            state, out = made.program.call(state, np.int64(number), 0.0, draws)
+            assert abs(out[0] - trace.rate_estimate[number]) < within * trace.rate_std[number], number
+
+
 @pytest.mark.slow
 def test_a_force_beside_the_swing_is_answered_as_the_rate_whose_force_it_is(loop, response):
     """2 m ω A is the Coriolis force of a rate, here of an oscillation at the frequency of the swing."""

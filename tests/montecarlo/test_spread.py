@@ -142,6 +142,8 @@ def test_the_scenario_can_vary(loop):
         (lambda: mg.Spread((mg.Vary("readout.opamp_offset.5", mg.Normal(relative=0.1)),)), "`5`"),
         (lambda: mg.Spread((mg.Vary("start.1", mg.Normal(relative=0.1)),)), "relative to a design value of zero"),
         (lambda: mg.Spread((mg.Vary("start.1", mg.Uniform(relative=0.1)),)), "`start.1` must be given in its unit"),
+        (lambda: mg.Spread(everywhere=0.005), r"must be a distribution, but is 0.005; .*`Spread.relative\(...\)`"),
+        (lambda: mg.Spread(items=mg.Vary("device.kxx", mg.Normal(relative=0.1))), "`items` must be a tuple of `Vary"),
         (lambda: mg.Spread.relative(-0.1), "negative"),
         (lambda: mg.Spread.relative(0.1, shared=1.0), "`shared` must lie from 0"),
         (lambda: mg.Spread.relative(float("nan")), "negative"),

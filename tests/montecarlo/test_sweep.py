@@ -239,6 +239,10 @@ def test_the_default_lot_is_consistent_and_at_the_bound(loop):
     assert figures.reached.low < figures.ratio_to_bound < figures.reached.high
     assert figures.prior_share == pytest.approx((figures.bound / 3.0) ** 2, rel=1e-12), "3 rad/s are the prior's"
     assert figures.hidden is None
+    assert figures.wide is None
+    narrow = replace(figures, reached=figures.reached._replace(high=0.6))
+    assert "less than the bound" in repr(narrow)
+    assert "as different as the filter's prior says" in repr(narrow)
     assert "51 % of what can be known of the rate is the filter's prior" in repr(replace(figures, prior_share=0.51))
     assert figures.ratio_to_bound == pytest.approx(1.0, abs=3.0 / np.sqrt(2 * dies))
     assert figures.reached.median == pytest.approx(1.0, abs=4.0 * 1.17 / np.sqrt(dies))

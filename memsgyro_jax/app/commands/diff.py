@@ -11,6 +11,7 @@ from memsgyro_jax.base.text import aligned, rounded
 
 _WIDEST = 60  # letters of a setting or a sentence
 _SILENT = ("versions", "fingerprint", "schema", "notes", "steps_per_s", "study")
+_WHICH = "name", "axis", "variant"  # of a table of an effect: which it is
 _TWO_SIDED = 1.96
 
 
@@ -96,6 +97,11 @@ def flat_entries(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
     if isinstance(value, dict):
         for key, entry in value.items():
             yield from flat_entries(entry, f"{name}.{key}" if name else key)
+    elif isinstance(value, list) and value and all(isinstance(entry, dict) for entry in value):
+        for number, entry in enumerate(value):  # tables of effects: each by what it is, not by its place
+            label = " ".join(str(entry[key]) for key in _WHICH if key in entry) or str(number)
+            rest = {key: part for key, part in entry.items() if key not in _WHICH}
+            yield from flat_entries(rest or "there", f"{name}.{label}" if name else label)
     else:
         yield name, value
 

@@ -107,6 +107,8 @@ def _environment(study: "Study") -> "Environment":
 
 
 def _write(trace: "Trace", study: "Study", figures: dict[str, Any], out: Path) -> None:
+    import tomllib
+
     from memsgyro_jax.base.files import write_json, write_whole
 
     from ..report.run_summary import run_rows
@@ -115,5 +117,5 @@ def _write(trace: "Trace", study: "Study", figures: dict[str, Any], out: Path) -
     page = trace_page(trace, study, run_rows(figures)).html()
     out.mkdir(parents=True, exist_ok=True)
     trace.save(out / "trace.zarr")
-    write_json(out / "summary.json", figures)
+    write_json(out / "summary.json", {**figures, "study": tomllib.loads(study.to_toml())})
     write_whole(out / "report.html", page)

@@ -75,9 +75,9 @@ class Tornado(Sensitivity):
         return f"{dies} dies, {noises}, {lost} lost"
 
     def order(self, output: int) -> np.ndarray:
-        """Inputs by the size of their effect on an output, the largest first."""
-        size = np.fmax(np.abs(self.low[output]), np.abs(self.high[output]))
-        return np.argsort(-np.nan_to_num(size), kind="stable")
+        """Inputs by the size of their effect on an output, the largest first, those within a standard error last."""
+        size = np.nan_to_num(np.fmax(np.abs(self.low[output]), np.abs(self.high[output])))
+        return np.lexsort((-size, size < self.std[output]))
 
     def as_dict(self) -> dict[str, Any]:
         """Entries for JSON, the largest input of each output first; null where there is no number."""
