@@ -77,11 +77,7 @@ class Shown:
     def __repr__(self) -> str:
         if type(self).__str__ is not object.__str__:
             return str(self)
-        return (
-            shown(self)
-            if _can_be(self)
-            else f"{shown(self, bare=True)}  # a derivative by one: no units"
-        )
+        return shown(self) if _can_be(self) else f"{shown(self, bare=True)}  # a derivative by one: no units"
 
     def _repr_html_(self) -> str:
         return f'<pre style="line-height: 1.25">{html.escape(repr(self))}</pre>'

@@ -16,6 +16,7 @@ from .datasheet_rows import FEWEST, NOT_MODELLED, DatasheetRow
 from .lot_outputs import Outputs
 from .over_temperature import CELSIUS, OverTemperature, depends_on_temperature, held_at
 from .rate_tests import Dies, RateTests, settled_mean
+from .step_spectrum import first_half_power, resonance_in_band
 
 
 _GRAVITY = 9.80665  # m/s²
@@ -175,27 +176,11 @@ def step_answer(bench: RateTests, still: Outputs, run: Outputs) -> tuple[Answer,
             condition,
             bandwidth,
             reason or past,
+            note=resonance_in_band(over, run.period),
             positive=True,
         ),
         DatasheetRow("group delay", "ms", "Delay of a slowly varying rate", condition, delay, reason),
     )
-
-
-def first_half_power(answer: Float[np.ndarray, " times"], period: float) -> float:
-    """The first frequency [Hz] at which the spectrum of the slope of a step's `answer`, means over windows of `period`
-    [s], is 3 dB down; NaN where it is not, up to 0.4 of a window's frequency.
-    """
-    if not np.all(np.isfinite(answer)):
-        return float("nan")
-    slope = np.diff(answer, prepend=0.0)
-    frequencies = np.geomspace(0.02 / (len(answer) * period), 0.4 / period, 600)
-    turns = np.exp(-2j * np.pi * frequencies[:, None] * period * np.arange(len(answer)))
-    size = np.abs(turns @ slope) / np.sinc(frequencies * period)
-    below = np.flatnonzero(size < np.sqrt(0.5))
-    if not below.size or below[0] == 0:
-        return float("nan")
-    place = slice(below[0] - 1, below[0] + 1)
-    return float(np.exp(np.interp(-np.sqrt(0.5), -size[place], np.log(frequencies[place]))))
 
 
 def allan_record(bandwidth: float, period: float) -> float:

@@ -1,0 +1,57 @@
+"""The response over frequency that the answer to a step tells: where it falls, and where it rises before."""
+
+import numpy as np
+from jaxtyping import Float
+
+
+HALF = np.sqrt(0.5)  # 3 dB down
+_EVERY = 600  # frequencies that are looked at
+
+
+def first_half_power(answer: Float[np.ndarray, " times"], period: float) -> float:
+    """The first frequency [Hz] at which the spectrum of the slope of a step's `answer`, means over windows of `period`
+    [s], is 3 dB down; NaN where it is not, up to 0.4 of a window's frequency.
+    """
+    if not np.all(np.isfinite(answer)):
+        return float("nan")
+    frequencies, size = spectrum_of_step(answer, period)
+    below = np.flatnonzero(size < HALF)
+    if not below.size or below[0] == 0:
+        return float("nan")
+    place = slice(below[0] - 1, below[0] + 1)
+    return float(np.exp(np.interp(-HALF, -size[place], np.log(frequencies[place]))))
+
+
+def resonance_in_band(answers: Float[np.ndarray, "dies times"], period: float) -> str:
+    """A sentence where the response of most dies rises by 3 dB or more before it falls by as much, as that of an open
+    sense axis does at the mode split; else empty.
+    """
+    found = [_rise(one, period) for one in answers if np.all(np.isfinite(one))]
+    high = [rise for rise in found if rise is not None]
+    if 2 * len(high) <= len(found) or not high:
+        return ""
+    gain, at, flat = np.median(np.array(high), axis=0)
+    return (
+        f"The bandwidth lies beyond a resonance of the response, {gain:.3g} times the static one at {at:.3g} Hz; it is "
+        f"flat within 3 dB up to {flat:.3g} Hz alone."
+    )
+
+
+def spectrum_of_step(answer: Float[np.ndarray, " times"], period: float) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies [Hz] and the size of the spectrum of an answer's slope there, means over windows of `period` [s]."""
+    slope = np.diff(answer, prepend=0.0)
+    frequencies = np.geomspace(0.02 / (len(answer) * period), 0.4 / period, _EVERY)
+    turns = np.exp(-2j * np.pi * frequencies[:, None] * period * np.arange(len(answer)))
+    return frequencies, np.abs(turns @ slope) / np.sinc(frequencies * period)
+
+
+def _rise(answer: Float[np.ndarray, " times"], period: float) -> tuple[float, float, float] | None:
+    """The highest gain before the response falls by 3 dB, where it is [Hz], and up to where it has risen by no more
+    than 3 dB; `None` where it never does.
+    """
+    frequencies, size = spectrum_of_step(answer, period)
+    below = np.flatnonzero(size < HALF)
+    size = size[: below[0]] if below.size else size
+    if not size.size or np.max(size) < 1.0 / HALF:
+        return None
+    return float(np.max(size)), float(frequencies[np.argmax(size)]), float(frequencies[np.argmax(size > 1.0 / HALF)])

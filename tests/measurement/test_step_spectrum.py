@@ -1,0 +1,45 @@
+"""The response over frequency behind the answer to a step, of systems whose response is known."""
+
+import numpy as np
+import pytest
+
+from memsgyro_jax.measurement.step_spectrum import first_half_power, resonance_in_band
+
+
+PERIOD = 1e-4  # s
+EDGES = PERIOD * np.arange(4001)
+
+
+def means(integral):
+    """What means over windows are of an answer whose integral is known at their edges."""
+    return np.diff(integral(EDGES)) / PERIOD
+
+
+def second_order(natural, ratio):
+    """The answer of 1/(1 + 2ζs/ω + s²/ω²) to a step."""
+    omega, decay = 2 * np.pi * natural, 2 * np.pi * natural * ratio
+    pole = -decay + 1j * omega * np.sqrt(1 - ratio**2)
+    share = 1.0 / (1.0 - pole / np.conj(pole))  # of e^{pole·t}, beside its conjugate
+
+    def integral(t):
+        return t - 2.0 * np.real(share * (np.exp(pole * t) - 1.0) / pole)
+
+    return means(integral)
+
+
+def test_a_low_pass_is_flat_up_to_where_it_falls():
+    rate = 2 * np.pi * 40.0
+    answer = means(lambda t: t + np.expm1(-rate * t) / rate)
+    assert first_half_power(answer, PERIOD) == pytest.approx(40.0, rel=0.02)
+    assert resonance_in_band(answer[None], PERIOD) == ""
+
+
+def test_a_resonance_before_the_fall_is_told():
+    """An open sense axis: 3 dB up at 0.54 of the split, 3 dB down at 1.55 of it."""
+    answer = second_order(100.0, 0.1)
+    assert first_half_power(answer, PERIOD) == pytest.approx(154.0, rel=0.02)
+    said = resonance_in_band(np.stack([answer, answer, np.full_like(answer, np.nan)]), PERIOD)
+    assert "5.0" in said
+    assert "times the static one at 9" in said or "times the static one at 1" in said
+    assert "flat within 3 dB up to 54" in said or "flat within 3 dB up to 55" in said
+    assert resonance_in_band(np.full((2, 50), np.nan), PERIOD) == ""
