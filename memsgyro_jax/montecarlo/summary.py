@@ -45,8 +45,9 @@ class Summary(Shown):
     the least standard deviation any unbiased use of the same data and prior could reach at the end, `reached` compares
     each die's error with its own bound, `reached_sound` without the diverged dies; all are None without a bound.
     `prior_share` is the part of the information in the bound that the filter's prior of the rate brought along.
-    `nees` is the mean over dies, `nees_median` their median, `states` the expectation of the mean; `straight` holds
-    bias and scale-factor error. `unsettled` says how errors still
+    `nees` is the mean over dies, `nees_median` their median, `states` the expectation of the mean; `claim` the root
+    mean square of the rate's error at the end over the standard deviation that is claimed of it; `straight` holds bias
+    and scale-factor error. `unsettled` says how errors still
     move when the runs end, so that the yield is of a start; `crossing` that of `crossed` dies the modes stand the other
     way round. `notes` were told before the run, `amiss` is what is wrong with its store.
     `steps_per_s` is None when a single batch left nothing to time after compiling.
@@ -68,6 +69,7 @@ class Summary(Shown):
     nees_median: float | None
     states: int | None
     nis: float | None
+    claim: float | None
     convergence_time: float | None
     good: Proportion
     unsettled: str | None
@@ -117,6 +119,7 @@ class Summary(Shown):
             "nees_median": self.nees_median,
             "nees_expected": self.states,
             "nis": self.nis,
+            "rate_error_over_claim": self.claim,
             "convergence_time_s": self.convergence_time,
             "yield": asdict(self.good),
             "unsettled": self.unsettled,
@@ -158,6 +161,7 @@ class Summary(Shown):
                 rows.append(("  without the diverged dies", _reached_text(self.reached_sound, self.dies)))
         if watched:
             rows.append(("consistency (NEES, NIS)", self._consistency()))
+            rows += [("  rate error over its claim (rms)", f"{self.claim:.3g} of 1")] if self.claim is not None else []
         if self.convergence_time is not None:
             within = "not shown: the median die is within the tolerance from the start"
             shown = f"{1e3 * self.convergence_time:.3g} ms" if self.convergence_time else within
@@ -262,6 +266,7 @@ def figures_of(
         nees_median=None if tally.mean("nees_end") is None else tally.nees.quantile(0.5)[0],
         states=_states(loop),
         nis=tally.mean("nis_mean"),
+        claim=None if (square := tally.mean("claim")) is None else float(np.sqrt(square)),
         convergence_time=converged if np.isfinite(converged) else None,
         good=proportion(tally.good, tally.computed, within),
         unsettled=tally.movement.sentence(loop),

@@ -30,7 +30,7 @@ class Tally:
         self.end, self.sound, self.run, self.nees, self.converged = (Sketch() for _ in range(5))
         self.series_squares = 0.0
         self.series_count = 0
-        self.sums = dict.fromkeys(("nees_end", "nis_mean"), (0, 0.0))
+        self.sums = dict.fromkeys(("nees_end", "nis_mean", "claim"), (0, 0.0))
         self.straight = Moments(2)
         self.first = np.full((2, bounded), np.nan)  # errors at the end: all, and those of sound dies
         self._diverged: list[np.ndarray] = []
@@ -57,8 +57,10 @@ class Tally:
         self.nees.add(rows["nees_end"][alive])
         late = rows["convergence_time"][alive]
         self.converged.add(np.where(np.isfinite(late), late, np.inf))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            claim = (end / rows["rate_std_end"]) ** 2
         for name, (count, total) in self.sums.items():
-            finite = _finite(rows[name][alive])
+            finite = _finite((claim if name == "claim" else rows[name])[alive])
             self.sums[name] = count + finite.size, total + float(np.sum(finite))
         if (few := min(len(status), self.first.shape[1] - first)) > 0:
             self.first[:, first : first + few] = np.where(alive, end, np.nan)[:few], np.where(sound, end, np.nan)[:few]
@@ -88,7 +90,7 @@ class Tally:
         return self.order.sentence(self.first_crossed, self.crossed, self.computed)
 
     def mean(self, name: str) -> float | None:
-        """Of NEES or NIS, over the dies that have one."""
+        """Of NEES, NIS or the squared error of the rate over what is claimed of it, over the dies that have one."""
         count, total = self.sums[name]
         return total / count if count else None
 

@@ -72,7 +72,7 @@ def test_any_numbers_give_a_quantile(numbers, share):
 def rows_of(dies: int) -> dict[str, np.ndarray]:
     rng = np.random.default_rng(2)
     rows = {name: rng.standard_normal(dies) for name in ("rate_error_end", "rate_error_rms", "rate_series_std")}
-    rows |= {name: rng.uniform(size=dies) for name in ("nees_end", "nis_mean", "redrawn")}
+    rows |= {name: rng.uniform(size=dies) for name in ("nees_end", "nis_mean", "redrawn", "rate_std_end")}
     rows["convergence_time"] = np.where(rng.uniform(size=dies) < 0.2, np.nan, rng.uniform(size=dies))
     rows["rate_true"] = np.sin(np.arange(8.0)) + rng.standard_normal((dies, 1))
     rows["rate_estimate"] = rows["rate_true"] * 1.01 + 0.1 * rng.standard_normal((dies, 8))
@@ -95,6 +95,8 @@ def test_parts_add_up_to_the_whole():
     assert parts.lost == np.sum(status == LOST)
     assert parts.good == np.sum(np.abs(rows["rate_error_end"][alive]) <= 1.0)
     assert parts.mean("nis_mean") == pytest.approx(np.mean(rows["nis_mean"][alive]), rel=1e-12)
+    squares = (rows["rate_error_end"][alive] / rows["rate_std_end"][alive]) ** 2
+    assert parts.mean("claim") == pytest.approx(np.mean(squares), rel=1e-12)
     late = np.where(np.isnan(rows["convergence_time"][alive]), np.inf, rows["convergence_time"][alive])
     assert parts.converged.quantile(0.5) == [pytest.approx(np.median(late))]
     for name in ("end", "sound", "run", "nees"):
