@@ -169,13 +169,7 @@ def frequency_response(
     steps, frequency = count_steps(sample_rate, duration), np.atleast_1d(np.asarray(frequency, float))
     if disturbance not in INPUTS:
         raise InputError(f"Argument `disturbance` must be one of {', '.join(INPUTS)}, but is `{disturbance}`.")
-    slowest, rising = 1.0 / max(duration - settle, 1e-300), np.all(np.diff(frequency) > 0.0)
-    if not (rising and slowest <= frequency[0] and frequency[-1] < 0.5 * sample_rate):
-        raise InputError(
-            f"Argument `frequency` must rise from at least {slowest:.4g} Hz (a period in the settled part) to below "
-            f"{0.5 * sample_rate:.4g} Hz, but goes from {frequency[0]:.4g} to {frequency[-1]:.4g} Hz; a longer "
-            "`duration` allows lower ones."
-        )
+    check_frequencies(frequency, sample_rate, duration - settle)
     loop = loop.sampled_at(sample_rate, duration=duration).present
     place = list(INPUTS).index(disturbance)
     start, omega = round(settle * sample_rate), jnp.asarray(2.0 * np.pi * np.append(frequency, 0.0))
@@ -186,6 +180,17 @@ def frequency_response(
     found, rest = _strongest(known_array(found), known_array(rest))
     static = found[-1] if disturbance == "rate" or carrier is not None else None
     return FrequencyResponse(disturbance, frequency, found[:-1], rest[:-1], level, static, carrier)
+
+
+def check_frequencies(frequency: Float[np.ndarray, " f"], sample_rate: float, settled: float) -> None:
+    """Raises `InputError` unless frequencies [Hz] rise from a period of `settled` seconds to half a sample rate."""
+    slowest, rising = 1.0 / max(settled, 1e-300), np.all(np.diff(frequency) > 0.0)
+    if not (rising and slowest <= frequency[0] and frequency[-1] < 0.5 * sample_rate):
+        raise InputError(
+            f"Argument `frequency` must rise from at least {slowest:.4g} Hz (a period in the settled part) to below "
+            f"{0.5 * sample_rate:.4g} Hz, but goes from {frequency[0]:.4g} to {frequency[-1]:.4g} Hz; a longer "
+            "`duration` allows lower ones."
+        )
 
 
 def _strongest(found: Any, rest: Any) -> tuple[Any, Any]:

@@ -87,5 +87,5 @@ class Order(NamedTuple):
         named = ", ".join(map(str, dies[:NAMED])) + (", ..." if count > NAMED else "")
         return (
             f"{count} of {of} ({named}): mode {below} below mode {above}, unlike the design, so devices of another "
-            "kind: spread the frequencies less"
+            "kind: spread the frequencies less, or together (`shared`)"
         )

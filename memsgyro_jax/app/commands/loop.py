@@ -51,7 +51,7 @@ def loop_command(
     import numpy as np
 
     from memsgyro_jax.base.files import write_json
-    from memsgyro_jax.loop.frequency_response import frequency_response
+    from memsgyro_jax.loop.frequency_response import check_frequencies, frequency_response
     from memsgyro_jax.loop.noise_budget import noise_budget
 
     from .options import chosen_study, require_writable, with_unit, writing
@@ -66,6 +66,7 @@ def loop_command(
     runs["settle"] = run.get("settle") or 0.5 * runs["duration"]
     low = 1.0 / (runs["duration"] - runs["settle"])  # a period
     at = frequencies or np.geomspace(low, min(_SPAN * low, 0.05 * runs["sample_rate"]), _POINTS)
+    check_frequencies(np.asarray(at, float), runs["sample_rate"], runs["duration"] - runs["settle"])
     answers = []
     with told() as tell:
         tell("margins and noise")
