@@ -84,7 +84,7 @@ def by_surroundings(search: Search, steps: Sequence[tuple]) -> bool:
     """
     joint, free = search.joint, search.optimum.free
     others = calm(search.case, joint.fitted)
-    if not others or all(one is other for one, other in zip(others, joint.fitted, strict=False)):
+    if not others or [*map(id, others)] == [*map(id, joint.fitted)]:
         return False
     lowest = calm(search.case, steps[0])
     if not lowest:

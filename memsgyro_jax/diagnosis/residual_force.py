@@ -4,7 +4,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from memsgyro_jax.measurement.drive_levels import ALIKE, CLEAR
+from memsgyro_jax.measurement.drive_levels import ALIKE, clear_drives
 from memsgyro_jax.measurement.experiments.missing_force import MissingForce, RateResidual, SweepForce, TimeForce
 
 from .drives import without_rows
@@ -35,14 +35,8 @@ def lowest_drive(fit: CaseFit, free: np.ndarray | None = None) -> Optimum | None
     sweeps: list[tuple[int, Any]] = [(k, r) for k, r in enumerate(fit.case.records) if hasattr(r, "setting")]
     for axis in range(fit.model.axes):
         mine = [(k, r) for k, r in sweeps if r.axis == axis and r.role != "validation"]
-        clear = [
-            float(np.mean(r.setting[rows]))
-            for _, r in mine
-            for rows in r.sweeps
-            if np.max(np.abs(r.readings[rows, axis])) > CLEAR * r.noise_level
-        ]
-        if clear:
-            left_out |= {k: tuple(np.flatnonzero(r.setting > (1 + ALIKE) * min(clear)).tolist()) for k, r in mine}
+        if clear := clear_drives(fit.case, axis):
+            left_out |= {k: tuple(np.flatnonzero(r.setting > (1 + ALIKE) * clear[0]).tolist()) for k, r in mine}
     if not any(left_out.values()):
         return None
     joint = fit.joint

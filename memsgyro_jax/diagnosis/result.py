@@ -36,6 +36,7 @@ ONLY_IF = (
     "without ±: these numbers would hold only if the model explained the records, which they deny; what is missing may "
     "have gone into any of them, and two may cancel"
 )
+DRAW = "memsgyro law {} --out my_law.py"
 _PLANNED = 5  # next experiments that are printed
 
 
@@ -147,7 +148,7 @@ class Diagnosis(Labelled):
         """What to look at next where something is left unexplained, each with the command that does; else none."""
         if not self.unexplained:
             return ()
-        drawn = "the law that is missing, drawn, written and fitted", f"memsgyro law {self.case.folder} --out my_law.py"
+        drawn = "the law that is missing, drawn, written and fitted", DRAW.format(self.case.folder)
         if (levels := len(clear_drives(self.case))) < 2:
             return (drawn,)
         fewer = f"memsgyro diagnose {self.case.folder} --drives {(levels + 1) // 2}"

@@ -15,11 +15,12 @@ CLEAR = 20.0  # standard deviations from which a sweep tells the device
 ALIKE = 0.05  # of a drive: within it sweeps have the same
 
 
-def clear_drives(case: Case) -> list[float]:
+def clear_drives(case: Case, axis: int | None = None) -> list[float]:
     """The drive levels [N], of a resonator [V], of sweeps that may be fitted and stand clear of their noise, from the
-    lowest; one of several that are alike.
+    lowest; one of several that are alike. Of one driven `axis`, or of all.
     """
     sweeps: list[Any] = [r for r in case.records if hasattr(r, "setting") and r.role != "validation"]
+    sweeps = [r for r in sweeps if axis in (None, r.axis)]
     clear = [
         float(np.mean(r.setting[rows]))
         for r in sweeps

@@ -76,7 +76,7 @@ def is_seen(device: NormalisedDevice, offered: Sequence[Phasors]) -> bool:
 def most_linear(rows: list[Phasors], device: NormalisedDevice | None) -> list[Phasors]:
     """The records, all of them where a device leaves little of their motion; where it leaves more, or there is none, of
     those that drive the same axes the ones driven least, if their resonance stands clear of its noise: where others
-    bend over, these are the most linear.
+    bend over, these are the most linear. None of them where none stands clear.
     """
     if device is not None and _left(device, rows) <= _UNSHARED:
         return rows
@@ -89,7 +89,7 @@ def most_linear(rows: list[Phasors], device: NormalisedDevice | None) -> list[Ph
         clear = [level for level, row in offered if np.max(row.weight[:, None] * np.abs(row.motion)) > _CLEAR]
         lowest = min(clear, default=np.inf)
         kept += [row for level, row in offered if level <= (1.0 + _SAME) * lowest]
-    return kept if 0 < len(kept) < len(rows) else rows
+    return kept if len(kept) < len(rows) else rows
 
 
 def _left(device: NormalisedDevice, rows: list[Phasors]) -> float:

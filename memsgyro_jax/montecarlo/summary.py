@@ -192,12 +192,12 @@ class Summary(Shown):
 
     @property
     def wide(self) -> str | None:
-        """A sentence where the errors of the lot are surely smaller than what the bound allows; else None."""
-        if self.reached is None or self.hidden or self.reached.high > _WIDE:
+        """A sentence where errors are smaller than what the bound allows and the filter claims; else None."""
+        if self.reached is None or self.claim is None or self.hidden or max(self.reached.high, self.claim) > _WIDE:
             return None
         return (
-            "the bound counts on dies as different as the filter's prior says; those of this lot differ less, and what "
-            "the filter claims of them is too wide by as much"
+            "the bound counts on dies as different as the filter's prior says; those of this lot likely differ less, "
+            "for what the filter claims is too wide as well"
         )
 
     def _redrawn(self) -> str:

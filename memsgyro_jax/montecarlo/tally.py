@@ -58,9 +58,9 @@ class Tally:
         late = rows["convergence_time"][alive]
         self.converged.add(np.where(np.isfinite(late), late, np.inf))
         with np.errstate(divide="ignore", invalid="ignore"):
-            claim = (end / rows["rate_std_end"]) ** 2
+            judged = {**rows, "claim": (end / rows["rate_std_end"]) ** 2}
         for name, (count, total) in self.sums.items():
-            finite = _finite((claim if name == "claim" else rows[name])[alive])
+            finite = _finite(judged[name][alive])
             self.sums[name] = count + finite.size, total + float(np.sum(finite))
         if (few := min(len(status), self.first.shape[1] - first)) > 0:
             self.first[:, first : first + few] = np.where(alive, end, np.nan)[:few], np.where(sound, end, np.nan)[:few]

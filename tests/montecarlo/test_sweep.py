@@ -240,7 +240,8 @@ def test_the_default_lot_is_consistent_and_at_the_bound(loop):
     assert figures.prior_share == pytest.approx((figures.bound / 3.0) ** 2, rel=1e-12), "3 rad/s are the prior's"
     assert figures.hidden is None
     assert figures.wide is None
-    narrow = replace(figures, reached=figures.reached._replace(high=0.6))
+    narrow = replace(figures, reached=figures.reached._replace(high=0.6), claim=0.5)
+    assert replace(narrow, claim=1.0).wide is None, "what is claimed is right"
     assert "less than the bound" in repr(narrow)
     assert "as different as the filter's prior says" in repr(narrow)
     assert "51 % of what can be known of the rate is the filter's prior" in repr(replace(figures, prior_share=0.51))

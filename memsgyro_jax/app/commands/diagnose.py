@@ -72,7 +72,7 @@ def diagnose_command(
     look_for(case, model, effects, kinds)
     from memsgyro_jax.base.files import json_text, write_whole
     from memsgyro_jax.diagnosis.diagnose import diagnose
-    from memsgyro_jax.diagnosis.result import unfinished
+    from memsgyro_jax.diagnosis.result import DRAW, unfinished
     from memsgyro_jax.effects import load_effects
     from memsgyro_jax.measurement.calibration import units_of_records
     from memsgyro_jax.measurement.drive_levels import lowest_drives
@@ -115,7 +115,7 @@ def diagnose_command(
     print(found)
     if drives is not None and found.accepted and not found.unexplained:
         known = "".join(f' --add "{effect.label}"' for effect in found.accepted)
-        print(f"  beside it, the law that is missing at the other drives: memsgyro law {case} --out my_law.py{known}")
+        print(f"  beside it, the law that is missing at the other drives: {DRAW.format(case)}{known}")
     return None
 
 

@@ -98,8 +98,10 @@ def flat_entries(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
         for key, entry in value.items():
             yield from flat_entries(entry, f"{name}.{key}" if name else key)
     elif isinstance(value, list) and value and all(isinstance(entry, dict) for entry in value):
+        labels = [" ".join(str(entry[key]) for key in _WHICH if key in entry) for entry in value]
         for number, entry in enumerate(value):  # tables of effects: each by what it is, not by its place
-            label = " ".join(str(entry[key]) for key in _WHICH if key in entry) or str(number)
+            same = labels[:number].count(labels[number])
+            label = f"{labels[number]} {same + 1}".strip() if same or not labels[number] else labels[number]
             rest = {key: part for key, part in entry.items() if key not in _WHICH}
             yield from flat_entries(rest or "there", f"{name}.{label}" if name else label)
     else:

@@ -51,6 +51,7 @@ def law_command(
     from memsgyro_jax.diagnosis.law_fit import beside_known, fit_law, with_even_part, with_held_terms
     from memsgyro_jax.effects import catalogue
     from memsgyro_jax.measurement.calibration import units_of_records
+    from memsgyro_jax.measurement.drive_levels import clear_drives
     from memsgyro_jax.measurement.model_file import write_model
     from memsgyro_jax.measurement.user_kinds import load_kinds
 
@@ -67,7 +68,7 @@ def law_command(
         raise InputError(f"Option `--axis` must be x for a device of one axis, but is {axis}.")
     chosen = named_effects(add, (*catalogue(measured.channels), *instrument_terms(measured))) if add else ()
     before = fit_case(measured)
-    beside = beside_known(measured, chosen)
+    beside = beside_known(measured, chosen) if chosen or len(clear_drives(measured)) > 1 else before
     curve, law = backbone(beside, number), draw_law(beside, number, terms=terms, spline=spline)
     print(curve, end="\n\n", flush=True)
     after, file = before, edited or out

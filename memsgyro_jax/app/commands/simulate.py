@@ -58,6 +58,8 @@ def simulate_command(
     if die is not None and die < 0:
         raise InputError(f"Option `--die` must be the number of a die, 0 or more, but {die} was given.")
     look_for_study(study, rate_record, effects)
+    import tomllib
+
     from memsgyro_jax.base.files import write_json
     from memsgyro_jax.base.text import aligned
     from memsgyro_jax.loop.trace import count_steps, simulate
@@ -83,6 +85,7 @@ def simulate_command(
     )  # fmt: skip
     figures = run_figures(trace, plan.settle)
     print(aligned(run_rows(figures)))
+    figures = {**figures, "study": tomllib.loads(chosen.to_toml())}
     with writing(out or json or Path(), "make room or choose another folder"):
         if out is not None:
             _write(trace, chosen, figures, out)
@@ -107,8 +110,6 @@ def _environment(study: "Study") -> "Environment":
 
 
 def _write(trace: "Trace", study: "Study", figures: dict[str, Any], out: Path) -> None:
-    import tomllib
-
     from memsgyro_jax.base.files import write_json, write_whole
 
     from ..report.run_summary import run_rows
@@ -117,5 +118,5 @@ def _write(trace: "Trace", study: "Study", figures: dict[str, Any], out: Path) -
     page = trace_page(trace, study, run_rows(figures)).html()
     out.mkdir(parents=True, exist_ok=True)
     trace.save(out / "trace.zarr")
-    write_json(out / "summary.json", {**figures, "study": tomllib.loads(study.to_toml())})
+    write_json(out / "summary.json", figures)
     write_whole(out / "report.html", page)

@@ -13,6 +13,7 @@ from memsgyro_jax.base.text import aligned
 from memsgyro_jax.diagnosis.compare import Comparison, as_times
 from memsgyro_jax.diagnosis.drives import FAR
 from memsgyro_jax.diagnosis.fit import CaseFit
+from memsgyro_jax.diagnosis.result import DRAW
 from memsgyro_jax.diagnosis.scans import coverage, scan
 from memsgyro_jax.effects import Effect, Scanned, by_name
 from memsgyro_jax.effects.section import settings_of
@@ -88,7 +89,7 @@ def short_of_its_valley(before: CaseFit, after: CaseFit) -> str:
     shaped = [p.name for i, p in enumerate(joint.parameters) if i in joint.numbers and i in after.optimum.free]
     nearer = f"start {', '.join(shaped)} nearer"
     if not any(name.startswith("drawn_") for name in shaped):
-        nearer += f"; `memsgyro law {after.case.folder} --out my_law.py` draws thresholds and exponents to start from"
+        nearer += f"; `{DRAW.format(after.case.folder)}` draws thresholds and exponents to start from"
     remedy = nearer if shaped else "start its strength from another value"
     if after.optimum.chi2 > WORSE * before.optimum.chi2 and joint.model.effects:
         return f"It fits worse than without what was added, as no larger model does at its best: {remedy}."

@@ -72,7 +72,7 @@ def with_found_design(case: Case, file: CaseFile, path: Path) -> Case:
     offered = [record.starting_phasors(case) for record in case.records if record.role != "validation"]
     rows = [phasors for phasors in offered if phasors is not None and phasors.axis is None]
     device = device_of_phasors(rows) if rows else _left_alone(case)
-    if rows and (calm := most_linear(rows, device)) is not rows:
+    if rows and (calm := most_linear(rows, device)) and calm is not rows:
         rows, device = calm, device_of_phasors(calm)
     if device is None or (rows and not is_seen(device, rows)):
         raise InputError(
