@@ -12,6 +12,7 @@ from jaxtyping import Array, Float, Shaped
 from .errors import InputError
 
 
+_FEW = 36  # entries of a matrix that is written out; one of 128 is faster as a call of a library
 _SAME = 1e-11  # share of a squared length that is left of a column which depends on those before it
 
 
@@ -26,26 +27,38 @@ def inverse(matrix: Shaped[Array, "n n"]) -> Shaped[Array, "n n"]:
 
 
 def _gauss_jordan(matrix: Array) -> Array:
+    """In the place of the matrix itself: of a column that is done, that of the inverse takes the room."""
     size = matrix.shape[0]
-    scale = 1.0 / jnp.max(jnp.abs(matrix), axis=1, keepdims=True)
-    table = jnp.concatenate([matrix * scale, jnp.eye(size, dtype=matrix.dtype) * scale], axis=1)
+    scale = 1.0 / jnp.max(jnp.abs(matrix), axis=1)
     rows = jnp.arange(size)
 
-    def step(table: Array, column: Array) -> tuple[Array, None]:
+    def step(carry: tuple[Array, Array], column: Array) -> tuple[tuple[Array, Array], None]:
+        table, order = carry
         entries = jax.lax.dynamic_index_in_dim(table, column, axis=1, keepdims=False)
         pivot = jnp.argmax(jnp.where(rows >= column, jnp.abs(entries), -1.0))
-        swapped = jnp.where(rows == column, pivot, jnp.where(rows == pivot, column, rows))
-        table, entries = table[swapped], entries[swapped]
-        row = table[column] / entries[column]
-        table = table - jnp.where(rows == column, 0.0, entries)[:, None] * row
-        return jnp.where((rows == column)[:, None], row, table), None
+        here, there = jax.lax.dynamic_index_in_dim(table, column, axis=0, keepdims=False), table[pivot]
+        is_column, is_pivot = rows == column, rows == pivot
+        # Rows change places as they are eliminated: to move them first would pass through the whole table once more.
+        row = jnp.where(is_column, 1.0, there) / there[column]
+        swapped = jnp.where(is_column, 0.0, jnp.where(is_pivot[:, None], here, table))
+        swapped = swapped - jnp.where(is_pivot, here[column], entries)[:, None] * row
+        order = jnp.where(is_column, order[pivot], jnp.where(is_pivot, order[column], order))
+        return (jnp.where(is_column[:, None], row, swapped), order), None
 
-    return jax.lax.scan(step, table, rows)[0][:, size:]
+    table, order = jax.lax.scan(step, (matrix * scale[:, None], rows), rows)[0]
+    return table[:, jnp.argsort(order)] * scale
 
 
 def product(matrix: Shaped[Array, "*batch n m"], vector: Shaped[Array, "*batch m"]) -> Shaped[Array, "*batch n"]:
-    """Matrix times vector, batch by batch."""
-    return jnp.einsum("...ij,...j->...i", matrix, vector)
+    """Matrix times vector, batch by batch; written out, as a call of a library for each small one takes longer."""
+    return jnp.sum(matrix * vector[..., None, :], axis=-1)
+
+
+def of_few(matrix: Float[np.ndarray, "m h"], columns: Shaped[Array, "*batch h n"]) -> Shaped[Array, "*batch m n"]:
+    """Constant matrix times matrices; one of few entries written out, as `product` is."""
+    if matrix.size > _FEW:
+        return matrix @ columns
+    return jnp.sum(matrix[:, :, None] * columns[..., None, :, :], axis=-2)
 
 
 def solve_pairs(matrix: Shaped[Array, "*batch 2 2"], right: Shaped[Array, "*batch 2"]) -> Shaped[Array, "*batch 2"]:

@@ -31,7 +31,7 @@ def sharpened(
     """
     bare, worst = model.present, 0.0
     chosen: dict[int, int] = {}
-    if not bare.effects:  # a linear model needs the first harmonic alone
+    if bare.is_linear and bare.is_read_linearly:  # it needs the first harmonic alone
         return tuple(readings), 0.0
     fitted = [r for r in readings if r.fitted]
     known: dict[int, np.ndarray] = {}
@@ -105,7 +105,7 @@ def _predicted(model: Model, experiment: Experiment) -> Array:
     return experiment.residual(model)
 
 
-_compiled = compiled(_predicted, np.inf)  # runs once or twice
+_compiled = compiled(_predicted)
 
 
 def _residual(model: Model, experiment: Experiment) -> np.ndarray:

@@ -28,7 +28,7 @@ from .search import Ranking, Search
 
 
 SLOPES = (0.6, 0.8, 1.0, 1.25, 1.5, 2.0)
-CORNERS = 60
+CORNERS, BINS = 60, 400
 FEWEST = 4  # rows
 SPENT = 3  # numbers of a spectrum
 MEAN = 0.25  # in place of zero for the mean, which slow noise leaves open
@@ -87,14 +87,18 @@ def slow_noise_of(values: np.ndarray) -> tuple[SlowNoise, float]:
     count, columns = values.shape
     if count < FEWEST:
         return SlowNoise(1.0, 0.0, 1.0, count), 0.0
-    power, place = np.mean(dct(values, axis=0, norm="ortho")[1:] ** 2, axis=1), np.arange(1, count)
-    corners = np.geomspace(0.3, 30.0 * count, CORNERS)
-    best = SlowNoise(float(np.sqrt(np.mean(power))), 0.0, 1.0, count), 0.0
-    plain = (count - 1) * np.log(np.mean(power))
+    power = np.mean(dct(values, axis=0, norm="ortho")[1:] ** 2, axis=1)
+    # Neighbours, over which no spectrum changes, are taken together.
+    begin = np.unique(np.round(np.geomspace(1, count, BINS)).astype(int))[:-1] - 1
+    many = np.diff(np.append(begin, count - 1))
+    power, place = (np.add.reduceat(values, begin) / many for values in (power, np.arange(1.0, count)))
+    corners, share = np.geomspace(0.3, 30.0 * count, CORNERS), many / (count - 1)
+    best = SlowNoise(float(np.sqrt(power @ share)), 0.0, 1.0, count), 0.0
+    plain = np.log(power @ share)
     for slope in SLOPES:
         shape = 1.0 + (corners[:, None] / place) ** slope
-        square = np.mean(power / shape, axis=1)
-        gain = columns * (plain - (count - 1) * np.log(square) - np.sum(np.log(shape), axis=1))
+        square = (power / shape) @ share
+        gain = columns * (count - 1) * (plain - np.log(square) - np.log(shape) @ share)
         k = int(np.argmax(gain))
         if gain[k] > best[1]:
             best = SlowNoise(float(np.sqrt(square[k])), float(corners[k]), slope, count), float(gain[k])

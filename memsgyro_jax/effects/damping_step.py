@@ -5,6 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from memsgyro_jax.base.linalg import product
+
 from .base import ForceEffect, Moment, Scalar, strength
 from .scan import Coverage, Scanned
 
@@ -30,7 +32,7 @@ class DampingStep(Scanned, ForceEffect):
     def force(self, now: Moment) -> Array:
         since = (now.time >= self.time) & (now.record == self.record)
         device = now.device
-        return -self.strength * since * (device.damping_matrix @ now.velocity) / device.mobility
+        return -self.strength * since * product(device.damping_matrix, now.velocity) / device.mobility
 
     def grid(self, coverage: Coverage) -> "tuple[DampingStep, ...]":
         """Twenty-three moments inside each record that has a clock."""

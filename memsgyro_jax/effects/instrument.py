@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from memsgyro_jax.base.fields import AbstractVar
+from memsgyro_jax.base.linalg import product
 
 from .base import DriveEffect, Effect, ForceEffect, LockInRow, Moment, ReadoutEffect, strength
 
@@ -198,7 +199,7 @@ class DampingDrift(ClockedTerm, ForceEffect):
     span: Array = row_field((1.0,))
 
     def force(self, now: Moment) -> Array:
-        return -self.grown(now) * (now.device.damping_matrix @ now.velocity) / now.device.mobility
+        return -self.grown(now) * product(now.device.damping_matrix, now.velocity) / now.device.mobility
 
     def moved(self, seen: SeenRows) -> np.ndarray:
         return seen.by_damping
@@ -222,4 +223,4 @@ class GainDrift(ClockedTerm, ReadoutEffect):
 
 def _pulled(now: Moment, shift: Array) -> Float[Array, " axes"]:
     """The force [N] that moves the frequencies of the device by a small part of themselves."""
-    return -2.0 * shift * (now.device.stiffness_matrix @ now.displacement) / now.device.mobility
+    return -2.0 * shift * product(now.device.stiffness_matrix, now.displacement) / now.device.mobility

@@ -17,7 +17,7 @@ from jaxtyping import Array, Complex, Float
 from memsgyro_jax.base.linalg import exponential, inverse, product
 
 from .model import Conditions, Model
-from .steady import nonlinear_spectrum
+from .steady import Remainder, nonlinear_spectrum
 
 
 HARMONICS = 2  # a step in time carries no more: the third is a millionth of the first, and feeds back as its square
@@ -115,12 +115,20 @@ class Driven(eqx.Module):
         """Of one step [s]."""
         return Propagator.of(self.operator, step, state_units(self.model))
 
-    def rest(self, state: Complex[Array, "h n"], conditions: Conditions) -> Complex[Array, "h n"]:
-        """What the linear part leaves out."""
-        left = nonlinear_spectrum(
-            self.model, self.linear, state, self.force, conditions, samples=self.samples, harmonics=HARMONICS
-        )
-        return jnp.zeros_like(state).at[:, np.asarray(self.model.nonlinear_rows)].set(left)
+    def around(self, conditions: Conditions) -> Conditions | Remainder:
+        """What `rest` asks for at some conditions, made once for all of its states where the model is affine."""
+        return Remainder.of(self.model, self.linear, conditions) if self.model.is_linear else conditions
+
+    def rest(self, state: Complex[Array, "h n"], now: Conditions | Remainder) -> Complex[Array, "h n"]:
+        """What the linear part leaves out, `now` being what is `around`."""
+        rows = np.asarray(self.model.nonlinear_rows)
+        if isinstance(now, Remainder):
+            left = now.spectrum(state, self.force)[:, rows]
+        else:
+            left = nonlinear_spectrum(
+                self.model, self.linear, state, self.force, now, samples=self.samples, harmonics=HARMONICS
+            )
+        return jnp.zeros_like(state).at[:, rows].set(left)
 
     def at_rest(self) -> Complex[Array, "h n"]:
         """No motion."""
@@ -138,14 +146,14 @@ class Driven(eqx.Module):
         """
         propagate, load = self.propagator(step), self.load
 
-        def advance(state: Array, inputs: tuple[Conditions, Array | None]) -> tuple[Array, Array]:
+        def advance(state: Array, inputs: tuple[Conditions | Remainder, Array | None]) -> tuple[Array, Array]:
             now, more = inputs
             extra = (0.0, 0.0) if more is None else among_velocities(more, self.model.size)
             end, here, there = propagate.advance(state, load, lambda s: self.rest(s, now), extra)
             return end, jnp.stack([end, here, there])
 
         # One result per step: with several, XLA's fusion copies all of the steps before at every step.
-        last, passed = jax.lax.scan(advance, start, (conditions, added))
+        last, passed = jax.lax.scan(advance, start, (jax.vmap(self.around)(conditions), added))
         end, here, there = jnp.moveaxis(passed, 1, 0)
         return last, Course(jnp.concatenate([start[None], end[:-1]]), end, here, there)
 
@@ -166,11 +174,12 @@ class Driven(eqx.Module):
         """
         forces, steps, counts = zip(*legs, strict=True)
         propagators, pushes = jax.vmap(self.propagator)(jnp.stack(steps)), jnp.stack(forces) + 0j
+        now = self.around(conditions)
 
         def advance(state: Array, leg: Array) -> tuple[Array, Array]:
             propagate, force = jax.tree.map(lambda leaf: leaf[leg], (propagators, pushes))
             under = eqx.tree_at(lambda driven: driven.force, self, force)
-            end, _, _ = propagate.advance(state, under.load, lambda s: under.rest(s, conditions))
+            end, _, _ = propagate.advance(state, under.load, lambda s: under.rest(s, now))
             return end, end
 
         return jax.lax.scan(advance, start, np.repeat(np.arange(len(legs)), counts))[1]
@@ -222,14 +231,14 @@ class Sampled(eqx.Module):
         """What the linear part leaves out."""
         rows = np.asarray(self.model.nonlinear_rows)
         matrix, gain = self.linear
-        left = self.model.derivative(state, force, now) - matrix @ state - gain @ force
+        left = self.model.derivative(state, force, now) - product(matrix, state) - product(gain, force)
         return jnp.zeros_like(state).at[rows].set(left[rows])
 
     def predicted(self, state: Array, force: Array, increment: Array, here: Array) -> Array:
         """Where a step ends if what is left out stays as it is `here`."""
-        gain = self.linear[1]
-        end = self.propagate.exponential @ state + self.propagate.first @ (gain @ force + here)
-        return end + self.propagate.second @ (gain @ increment)
+        gain, propagate = self.linear[1], self.propagate
+        end = product(propagate.exponential, state) + product(propagate.first, product(gain, force) + here)
+        return end + product(propagate.second, product(gain, increment))
 
 
 def run_samples(
@@ -259,7 +268,7 @@ def run_samples(
         here = steps.rest(state, force, now) + extra[0]
         predicted = steps.predicted(state, force, increment, here)
         there = steps.rest(predicted, force + increment, now) + extra[1]
-        return predicted + steps.propagate.second @ (there - here), state
+        return predicted + product(steps.propagate.second, there - here), state
 
     begin = jnp.zeros(model.size) if start is None else start
     return jax.lax.scan(advance, begin, (forces, increments, conditions, added))[1]

@@ -12,7 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from memsgyro_jax.base.affine import is_affine
 from memsgyro_jax.base.display import Displayed
+from memsgyro_jax.base.linalg import product
 from memsgyro_jax.device.carried import check_effect
 from memsgyro_jax.device.conditions import Conditions
 from memsgyro_jax.device.gyro import SingleMassGyro
@@ -124,7 +126,8 @@ class Model(Displayed):
         extra, own = self._acting.force(now, state[2 * self.axes :])
         device = self.device
         force = now.force + jnp.sign(device.mobility) * extra  # what is turned round is the drive
-        acceleration = device.mobility * force - device.stiffness_matrix @ q - device.damping_matrix @ v
+        held = product(device.stiffness_matrix, q) + product(device.damping_matrix, v)
+        acceleration = device.mobility * force - held
         if self.axes == 2:
             acceleration = acceleration + 2.0 * conditions.rate * jnp.stack([v[1], -v[0]])
         return jnp.concatenate([v, acceleration, own])
@@ -175,6 +178,18 @@ class Model(Displayed):
         """The derivative by state and command at rest: the part that is propagated exactly."""
         rest, still = jnp.zeros(self.size), jnp.zeros(self.axes)
         return jax.jacfwd(self.derivative, argnums=(0, 1))(rest, still, conditions)
+
+    @property
+    def is_linear(self) -> bool:
+        """Whether the derivative is affine in state and command, whatever the conditions are."""
+        rest, still = jnp.zeros(self.size), jnp.zeros(self.axes)
+        return is_affine(lambda s, u: self.derivative(s, u, Conditions()), rest, still)
+
+    @property
+    def is_read_linearly(self) -> bool:
+        """Whether the voltages are affine in state and command, whatever the conditions are."""
+        rest, still = jnp.zeros(self.size), jnp.zeros(self.axes)
+        return is_affine(lambda s, u, du, now: self.observe(s, u, du, Conditions(), now), rest, still, still, still)
 
     @property
     def is_sharp(self) -> bool:

@@ -184,10 +184,10 @@ def _followed(
 
     def row(state: Array, at: tuple[Array, Array]) -> tuple[Array, Array]:
         driven = Driven.of(model, *at, around, samples)
-        propagate, load = driven.propagator(step), driven.load
+        propagate, load, now = driven.propagator(step), driven.load, driven.around(around)
 
         def advance(_: int, state: Array) -> Array:
-            return propagate.advance(state, load, lambda s: driven.rest(s, around))[0]
+            return propagate.advance(state, load, lambda s: driven.rest(s, now))[0]
 
         state = jax.lax.fori_loop(0, steps, advance, state)
         return state, state[1, : model.axes]

@@ -2,7 +2,7 @@
 
 The state is s(θ) = S₀ + Re Σ S_h e^{ihθ}, θ = ωt. The linear part of the model is inverted exactly per harmonic; the
 unknowns of the balance are the Fourier coefficients of the *nonlinear* accelerations alone, so their number does not
-grow with the effects' own linear states, and a linear model is solved by the first step.
+grow with the effects' own linear states. Of a model that is affine nothing is sampled and nothing balanced.
 """
 
 from typing import NamedTuple
@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from memsgyro_jax.base.linalg import inverse, product
+from memsgyro_jax.base.linalg import inverse, of_few, product
 
 from .model import Conditions, Model
 
@@ -39,7 +39,7 @@ def phases(samples: int = SAMPLES) -> Float[np.ndarray, " m"]:
 def waveform(coefficients: Complex[Array, "*r h n"], samples: int = SAMPLES) -> Float[Array, "*r m n"]:
     """Samples over one period of S₀ + Re Σ S_h e^{ihθ}."""
     angle = np.outer(phases(samples), np.arange(coefficients.shape[-2]))
-    return np.cos(angle) @ coefficients.real - np.sin(angle) @ coefficients.imag
+    return of_few(np.cos(angle), coefficients.real) - of_few(np.sin(angle), coefficients.imag)
 
 
 def spectrum(samples: Float[Array, "m n"], harmonics: int = HARMONICS) -> Complex[Array, "h n"]:
@@ -47,7 +47,7 @@ def spectrum(samples: Float[Array, "m n"], harmonics: int = HARMONICS) -> Comple
     count = samples.shape[0]
     angle = np.outer(np.arange(harmonics + 1), phases(count))
     weight = np.where(np.arange(harmonics + 1) == 0, 1.0, 2.0)[:, None] / count
-    return (weight * np.cos(angle)) @ samples - 1j * ((weight * np.sin(angle)) @ samples)
+    return of_few(weight * np.cos(angle), samples) - 1j * of_few(weight * np.sin(angle), samples)
 
 
 def drive_waveform(force: Complex[Array, " axes"], samples: int = SAMPLES) -> tuple[Array, Array]:
@@ -56,18 +56,45 @@ def drive_waveform(force: Complex[Array, " axes"], samples: int = SAMPLES) -> tu
     return turning.real, (1j * turning).real
 
 
+class Remainder(eqx.Module):
+    """What a linear part leaves out of a model that is affine: other conditions, and constant accelerations.
+
+    Args:
+        matrix: (n, n) per state.
+        gain: (n, axes) per command.
+        constant: (n,) at rest.
+    """
+
+    matrix: Array
+    gain: Array
+    constant: Array
+
+    @classmethod
+    def of(cls, model: Model, linear: tuple[Array, Array], conditions: Conditions) -> "Remainder":
+        """Beside the matrix and the gain of the linear part."""
+        matrix, gain = model.linear(conditions)
+        at_rest = model.derivative(jnp.zeros(model.size), jnp.zeros(model.axes), conditions)
+        return cls(matrix - linear[0], gain - linear[1], at_rest)
+
+    def spectrum(self, state: Complex[Array, "h n"], force: Complex[Array, " axes"]) -> Complex[Array, "h n"]:
+        """Its Fourier coefficients."""
+        return product(self.matrix, state).at[0].add(self.constant).at[1].add(self.gain @ force)
+
+
 def nonlinear_spectrum(
     model, linear, state: Complex[Array, "h n"], force, conditions, samples: int = SAMPLES, harmonics: int = HARMONICS
 ) -> Complex[Array, "h k"]:
     """Fourier coefficients of what the linear part leaves out, in the rows that may be nonlinear."""
-    rows = np.asarray(model.nonlinear_rows)
-    matrix, gain = linear
     command, _ = drive_waveform(force, samples)
+    left = jax.vmap(lambda s, u: _left(model, linear, s, u, conditions))(waveform(state, samples), command)
+    return spectrum(left, harmonics)
 
-    def rest(s: Array, u: Array) -> Array:
-        return (model.derivative(s, u, conditions) - matrix @ s - gain @ u)[rows]
 
-    return spectrum(jax.vmap(rest)(waveform(state, samples), command), harmonics)
+def _left(model: Model, linear: tuple[Array, Array], s: Array, u: Array, conditions: Conditions) -> Float[Array, " k"]:
+    """What the linear part leaves out at one moment, in the rows that may be nonlinear."""
+    matrix, gain = linear
+    left = model.derivative(s, u, conditions) - product(matrix, s) - product(gain, u)
+    return left[np.asarray(model.nonlinear_rows)]
 
 
 @eqx.filter_jit
@@ -93,20 +120,27 @@ def steady_state(
         state = driven + product(push, _unflatten(flat, model, harmonics))
         return flat - _flatten(nonlinear_spectrum(model, linear, state, force, conditions, samples, harmonics))
 
+    def slopes(flat: Array, response: tuple, model: Model, force: Array, conditions: Conditions) -> Array:
+        linear, driven, push = response
+        moments = waveform(driven + product(push, _unflatten(flat, model, harmonics)), samples)
+        at_once = jax.vmap(jax.jacfwd(lambda s, u: _left(model, linear, s, u, conditions)))
+        return jnp.eye(flat.size) - _harmonic_slopes(at_once(moments, drive_waveform(force, samples)[0]), push)
+
     linear = model.linear(conditions)
     driven, push = _linear_response(model, omega, force, linear, harmonics)
+    more = jnp.zeros((harmonics + 1, rows.size), complex) if added is None else _widened(added, rows.size)
+    if model.is_linear:
+        constant = model.derivative(jnp.zeros(model.size), jnp.zeros(model.axes), conditions)[rows]
+        return driven + product(push[:, :, rows], more.at[0].add(constant))
     response = linear, driven, push[:, :, rows]
     frozen = jax.lax.stop_gradient((response, model, force, conditions))
     start = _displacement_only(model, jax.lax.stop_gradient(omega), guess, harmonics)
     first = _flatten(nonlinear_spectrum(frozen[1], frozen[0][0], start, frozen[2], frozen[3], samples, harmonics))
     # What is left out is a difference of accelerations ω²·q: steps below their rounding are noise.
     rounding = 1e-15 * jax.lax.stop_gradient(omega**2 * jnp.max(jnp.abs(driven[1, : model.axes])))
-    found, solve = _newton(lambda x: balance(x, *frozen), first, rounding)
+    found, solve = _newton(lambda x: balance(x, *frozen), lambda x: slopes(x, *frozen), first, rounding)
     # One more step with everything differentiable but the Jacobian: value unchanged, derivative that of the solution.
-    left = balance(found, response, model, force, conditions)
-    if added is not None:
-        left = left - _flatten(_widened(added, rows.size))
-    found = found - solve @ left
+    found = found - solve @ (balance(found, response, model, force, conditions) - _flatten(more))
     return driven + product(push[:, :, rows], _unflatten(found, model, harmonics))
 
 
@@ -132,14 +166,36 @@ def _displacement_only(model, omega, guess, harmonics: int):
     return state.at[1, : 2 * model.axes].set(jnp.concatenate([guess, 1j * omega * guess]))
 
 
-def _newton(function, start: Float[Array, " n"], rounding: Array) -> tuple[Float[Array, " n"], Float[Array, "n n"]]:
+def _harmonic_slopes(local: Float[Array, "m k n"], push: Complex[Array, "h n k"]) -> Float[Array, "f f"]:
+    """Derivative of the coefficients of what is left out by those of what acts, both flat, from how it depends on the
+    state at every sample of a period.
+
+    Harmonic h of the state, ½(S e^{ihθ} + S̄ e^{−ihθ}), shows in harmonic j by the Fourier coefficients j − h and j + h
+    of that dependence: no harmonic is carried through the law by itself.
+    """
+    highest = push.shape[0] - 1
+    order, count = np.arange(highest + 1), local.shape[0]
+    angle = np.outer(np.arange(-highest, 2 * highest + 1), phases(count))
+    columns = local.reshape(count, -1)
+    series = (np.cos(angle) / count) @ columns - 1j * ((np.sin(angle) / count) @ columns)
+    series = series.reshape(-1, *local.shape[1:])
+    direct, mirrored = (
+        jnp.einsum("jhkn,hnl->jkhl", series[highest + order[:, None] + sign * order], some)
+        for sign, some in ((-1, push), (1, jnp.conj(push)))
+    )
+    half = np.where(order == 0, 0.5, 1.0)[:, None, None, None]
+    real, imaginary = half * (direct + mirrored), 1j * half * (direct - mirrored)[:, :, 1:]
+    both = jnp.concatenate([part.reshape(*part.shape[:2], -1) for part in (real, imaginary)], axis=2)
+    return jnp.concatenate([both.real.reshape(-1, both.shape[2]), both.imag[1:].reshape(-1, both.shape[2])])
+
+
+def _newton(function, slopes, start: Float[Array, " n"], rounding: Array) -> tuple[Array, Float[Array, "n n"]]:
     """Newton's method until the step is lost in rounding, at most `STEPS` steps; also the last inverse Jacobian."""
 
     def step(carry):
         x, _, _, count = carry
-        value, along = jax.linearize(function, x)
-        solve = inverse(jax.vmap(along, out_axes=1)(jnp.eye(x.size)))
-        change = solve @ value
+        solve = inverse(slopes(x))
+        change = solve @ function(x)
         small = jnp.max(jnp.abs(change)) <= 1e-13 * jnp.max(jnp.abs(x)) + rounding
         return x - change, solve, small | ~jnp.all(jnp.isfinite(change)), count + 1
 
@@ -180,8 +236,18 @@ def fundamental(
     """
     samples, prompt = reading_samples(model, fineness), model.prompt
     earlier = model.behind(omega, conditions, state[0].real)
+    if prompt.is_read_linearly:
+        leaking = force * earlier
+        return _read_linearly(prompt, (state[1] * earlier, leaking, 1j * omega * leaking, force), conditions)
     command, turn = drive_waveform(force * earlier, samples)
     rows = waveform(as_seen(state, earlier), samples), command, turn, drive_waveform(force, samples)[0]
     volts = jax.vmap(lambda s, u, du, now: prompt.observe(s, u, omega * du, conditions, now))(*rows)
     # Without its mean: a constant must leave exactly nothing, for what rounding leaves passes for a sensitivity.
     return spectrum(volts - jnp.mean(volts, axis=0), 1)[1]
+
+
+def _read_linearly(prompt: Model, phasors: tuple[Array, ...], conditions: Conditions) -> Complex[Array, " axes"]:
+    """Phasor of each channel that goes with those of state, command, its rate and the command that leaks."""
+    still = tuple(jnp.zeros(part.shape) for part in phasors)
+    _, along = jax.linearize(lambda s, u, du, now: prompt.observe(s, u, du, conditions, now), *still)
+    return along(*(part.real for part in phasors)) + 1j * along(*(part.imag for part in phasors))

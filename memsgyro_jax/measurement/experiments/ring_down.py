@@ -75,8 +75,10 @@ class RingDown(Experiment):
             free, place = Driven.of(bench, self.frequency, none, self.surroundings), (self.time - self.time[0]) / step
             below = jnp.clip(jnp.floor(place).astype(int), 0, nodes - 1)
 
+            now = free.around(self.surroundings)
+
             def onwards(state: Array, span: Array) -> Array:
-                return free.propagator(span).advance(state, free.load, lambda s: free.rest(s, self.surroundings))[0]
+                return free.propagator(span).advance(state, free.load, lambda s: free.rest(s, now))[0]
 
             states = jax.vmap(onwards)(states[below], (place - below) * step)
         quiet = jnp.zeros(bench.axes)
