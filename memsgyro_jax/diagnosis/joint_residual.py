@@ -229,20 +229,35 @@ class Joint:
         return -vector[mine[0]] / std, -directions[:, mine[0]] / std
 
     def together(self, effects: Iterable[int]) -> None:
-        """One program for all models of some of these effects, which are going to be asked for one after the other."""
-        self.programs.announced = frozenset(self._names[i] for i in effects)
+        """One program for all models of some of these effects, which are going to be asked for one after the other, the
+        likeliest first.
+        """
+        self.programs.announced = tuple(self._names[i] for i in effects)
 
     def _part(self, vector: np.ndarray, directions: np.ndarray) -> Part:
         """The model of the effects that are present at a vector or move along one of the directions (k, p), and of
-        others that are absent where there is a program for all of them.
+        others that are absent where there is a program for all of them. What is linear stays so: it is quick.
         """
         effects, names = self.model.effects, self._names
-        idle = {name for name, effect in zip(names, effects, strict=True) if is_idle(effect)}
-        chosen = self.programs.chosen(frozenset(names[i] for i in self._acting(vector, directions)), idle)
+        acting = frozenset(names[i] for i in self._acting(vector, directions))
+
+        def idle(name: str) -> bool:
+            cheap = self._is_linear(name) or not all(map(self._is_linear, acting))
+            return is_idle(effects[names.index(name)]) and cheap
+
+        chosen = self.programs.chosen(acting, idle)
         # What the lock-in does comes last, in whichever order effects and terms were found.
         mine = sorted((i for i, name in enumerate(names) if name in chosen), key=lambda i: (of_lock_in(effects[i]), i))
         model = self.model.with_only(effects[i] for i in mine)
         return Part(tuple(mine), model, _all_free(model), self._places(mine))
+
+    def _is_linear(self, name: str) -> bool:
+        """Whether an effect by itself leaves the model, and what is read of it, linear."""
+        known = self.programs.linear
+        if name not in known:
+            alone = self.model.with_only([self.model.effects[self._names.index(name)]])
+            known[name] = alone.is_linear and alone.is_read_linearly
+        return known[name]
 
     @cached_property
     def _names(self) -> list[str]:

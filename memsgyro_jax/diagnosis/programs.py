@@ -1,6 +1,6 @@
 """Which effects a compiled program carries: an absent one beside those asked for costs less than another program."""
 
-from collections.abc import Set
+from collections.abc import Callable
 
 from memsgyro_jax.effects.base import Effect, LockInEffect, ReadoutEffect, SweepEffect
 
@@ -9,24 +9,29 @@ SPARE = 4  # absent effects that a program may have beside those asked for, befo
 
 
 class Programs:
-    """The sets of effects, by name, that there are programs for, and one that is going to be asked for in parts."""
+    """The sets of effects, by name, that there are programs for; those that are going to be asked for in parts, the
+    likeliest first; and which effects are known to be linear, or not.
+    """
 
     def __init__(self) -> None:
         self.made: list[frozenset[str]] = []
-        self.announced: frozenset[str] = frozenset()
+        self.announced: tuple[str, ...] = ()
+        self.linear: dict[str, bool] = {}
 
-    def chosen(self, acting: frozenset[str], idle: Set[str]) -> frozenset[str]:
+    def chosen(self, acting: frozenset[str], idle: Callable[[str], bool]) -> frozenset[str]:
         """The fewest effects, those `acting` among them, that there is a program for, or is going to be; the others
         must be `idle`, and few. The base model, which is linear and quick, has its own.
         """
         if acting in self.made or not acting:
             return acting
-        for known in (self.made, [self.announced]):
-            wide = [one for one in known if acting <= one and one - acting <= idle and len(one - acting) <= SPARE]
-            if wide:
-                break
-        best = min(wide, key=len, default=acting)
-        self.made += [] if best in self.made else [best]
+        wide = [one for one in self.made if acting <= one and len(one - acting) <= SPARE]
+        wide = [one for one in wide if all(map(idle, one - acting))]
+        if wide:
+            return min(wide, key=len)
+        together = self.announced if acting <= set(self.announced) else ()
+        others = [name for name in together if name not in acting and idle(name)]
+        best = acting | frozenset(others[:SPARE])
+        self.made.append(best)
         return best
 
 

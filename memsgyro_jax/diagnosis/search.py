@@ -154,7 +154,9 @@ class Search:
         while len(refused) - len(weak) < PATIENCE and (promising := self._promising(ranking, refused)):
             labels = [self.joint.model.effects[ranking.places[i]].label for i in promising]
             self.tell(LOOK + ", ".join(labels))
-            self.joint.together((*self.given, *self.accepted, *(ranking.places[i] for i in promising)))
+            later = [i for i in ranking.order if ranking.p_values[i] <= self.level and i not in (*promising, *refused)]
+            soon = [ranking.places[i] for i in (*promising, *later)]
+            self.joint.together((*self.given, *self.accepted, *soon))
             refits: dict[int, Optimum] = {}
             for i in promising:
                 evaluations = GLANCE if len(promising) > 1 else LONG

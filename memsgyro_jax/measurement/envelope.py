@@ -61,12 +61,6 @@ class Propagator(eqx.Module):
         return predicted + product(self.second, there - here), here, there
 
 
-def _solve(matrix: Array, vector: Array) -> Array:
-    """Solve with one matrix for many vectors along the leading axis."""
-    invert = inverse if matrix.ndim == 2 else jax.vmap(inverse)
-    return product(invert(matrix), vector)
-
-
 def state_units(model: Model) -> Float[Array, " n"]:
     """Typical sizes of the state's entries next to each other: velocities are ω times displacements."""
     omega = jnp.sqrt(jax.lax.stop_gradient(jnp.max(model.device.stiffness)))
@@ -191,10 +185,11 @@ class Driven(eqx.Module):
         Means of S·e^{ikωt} follow from the equation of motion: L times the mean is the change of S less the load.
         """
         change, drift = (course.end - course.start) / step, (course.there - course.here) / step
-        means = _solve(self.operator, change - self.load - 0.5 * (course.here + course.there))
         matrix, turn = self.linear[0], 1j * self.omega * jnp.eye(self.model.size)
-        conjugate = _solve(matrix + turn, change[:, 1] - drift[:, 1] / (2j * self.omega))
-        constant = _solve(matrix - turn, change[:, 0] + drift[:, 0] / (1j * self.omega))
+        solve = jax.vmap(inverse)(jnp.concatenate([self.operator, jnp.stack([matrix + turn, matrix - turn])]))
+        means = product(solve[:-2], change - self.load - 0.5 * (course.here + course.there))
+        conjugate = product(solve[-2], change[:, 1] - drift[:, 1] / (2j * self.omega))
+        constant = product(solve[-1], change[:, 0] + drift[:, 0] / (1j * self.omega))
         return means.at[:, 1].add(jnp.conj(conjugate) + 2 * constant)
 
     def instant(self, state: Complex[Array, "h n"], time: Array) -> Float[Array, " n"]:

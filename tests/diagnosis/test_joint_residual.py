@@ -308,13 +308,30 @@ def test_an_effect_without_a_trace_is_named():
 
 def test_a_program_serves_models_with_fewer_effects():
     """That of a round for each of its candidates; none with more than a few others, nor with one that costs more."""
-    programs, idle = Programs(), set("abcdef")
-    programs.announced = frozenset("abc")
+    programs, idle = Programs(), "abcdef".__contains__
+    programs.announced = ("a", "b", "c")
     assert programs.chosen(frozenset("ab"), idle) == frozenset("abc")
-    programs.announced = frozenset("ac")
+    programs.announced = ("a", "c")
     assert programs.chosen(frozenset("ac"), idle) == frozenset("abc")  # it is there
     assert programs.chosen(frozenset(), idle) == frozenset()  # the base model is linear
     assert programs.chosen(frozenset("d"), idle) == frozenset("d")
-    assert programs.chosen(frozenset("b"), {"a"}) == frozenset("b")
-    programs.made = [frozenset("abcdefgh")]
-    assert programs.chosen(frozenset("ab"), set("abcdefgh")) == frozenset("ab")
+    assert programs.chosen(frozenset("b"), "a".__contains__) == frozenset("b")
+    programs.made, programs.announced = [frozenset("abcdefgh")], tuple("bhgfedca")
+    assert programs.chosen(frozenset("ab"), "abcdefgh".__contains__) == frozenset("abhgfe")  # the likeliest, and few
+
+
+def test_a_linear_model_is_not_given_a_program_that_is_not():
+    case = bench().case
+    joint = Joint(model_of(case, starting_device(case)).with_effect(*OF_X), readings_of(case))
+    places = {effect.label: i for i, effect in enumerate(joint.model.effects)}
+    cubic, linear, other = (places[name] for name in ("cubic_stiffness x", "rate_offset", "centrifugal"))
+
+    def program(*effects):
+        vector = np.zeros_like(joint.start)
+        for i in effects:
+            vector[joint.of_effect(i)] = 1.0
+        return set(joint._part(vector, np.zeros((0, vector.size))).effects)
+
+    joint.together((linear, cubic, other))
+    assert program(linear) == {linear, other}
+    assert program(cubic) == {linear, cubic, other}
