@@ -1,4 +1,4 @@
-"""Whether a function is affine in its arguments, told from what it computes and not from values that were tried."""
+"""Whether a function is affine in its arguments, or constant, by what it computes and not by values that were tried."""
 
 from collections.abc import Callable, Sequence
 from enum import IntEnum
@@ -41,8 +41,17 @@ def is_affine(function: Callable[..., Any], *arguments: Any) -> bool:
     A yes is certain. A no may mean that it is affine by an operation that is not known here, or by what its numbers
     are.
     """
-    traced = jax.make_jaxpr(function)(*(jnp.zeros_like(argument) for argument in arguments))
-    return max(_kinds(traced.jaxpr, [_Kind.AFFINE] * len(traced.jaxpr.invars)), default=_Kind.CONSTANT) < _Kind.OTHER
+    return _kind_of(function, arguments) < _Kind.OTHER
+
+
+def is_constant(function: Callable[..., Any], *arguments: Any) -> bool:
+    """Whether `function` takes no notice of any of its arguments; as certain as `is_affine`."""
+    return _kind_of(function, arguments) == _Kind.CONSTANT
+
+
+def _kind_of(function: Callable[..., Any], arguments: Sequence[Any]) -> _Kind:
+    program = jax.make_jaxpr(function)(*(jnp.zeros_like(argument) for argument in arguments)).jaxpr
+    return max(_kinds(program, [_Kind.AFFINE] * len(program.invars)), default=_Kind.CONSTANT)
 
 
 def _kinds(program: Jaxpr, given: Sequence[_Kind]) -> list[_Kind]:

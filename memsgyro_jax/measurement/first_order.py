@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from memsgyro_jax.base.affine import is_constant
 from memsgyro_jax.base.kept import kept
 from memsgyro_jax.base.plainly import PLAINLY
 from memsgyro_jax.device.conditions import Conditions
@@ -23,6 +24,7 @@ from memsgyro_jax.effects.base import (
     Effect,
     ForceEffect,
     LockInEffect,
+    Moment,
     ReadoutEffect,
     SurroundingsEffect,
     SweepEffect,
@@ -216,7 +218,7 @@ def _voltages(model: Model, absent: Absent, state: Array, command: Array, turn: 
     """(K, axes) what all strengths add to the voltages per unit, the state being what it is."""
     moment = model.at_reading(state, command, turn, now)
     volts = model.scale * moment.seen + model.offset
-    looks_back = model.order == 2 or any(isinstance(effect, ReadoutEffect) for effect in model.effects)
+    looks_back = model.order == 2 or _looks_back(model, volts, moment)
     parts = []
     for effect, place in zip(absent.effects, absent.places, strict=True):
         if isinstance(effect, ReadoutEffect):
@@ -253,6 +255,16 @@ def _propagated(model: Model, absent: Absent, base: Conditions) -> tuple[Array, 
     parts = jax.jacfwd(lambda s, u: _accelerations(model, absent, s, u, base), argnums=(0, 1))(rest, still)
     around = (0, 0), (axes, model.size - 2 * axes), (0, 0)
     return jnp.pad(parts[0], around), jnp.pad(parts[1], around)
+
+
+def _looks_back(model: Model, volts: Array, moment: Moment) -> bool:
+    """Whether the read-out shows more of the motion than what it sees of it: acceleration or jerk."""
+
+    def signal(acceleration: Array, jerk: Array) -> Array:
+        seen = eqx.tree_at(lambda m: (m.acceleration, m.jerk), moment, (acceleration, jerk))
+        return Acting.of(model.effects).signal(volts, seen)
+
+    return not is_constant(signal, moment.acceleration, moment.jerk)
 
 
 def _speeds(absent: Absent) -> np.ndarray:

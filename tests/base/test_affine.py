@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import pytest
 
-from memsgyro_jax.base.affine import is_affine
+from memsgyro_jax.base.affine import is_affine, is_constant
 
 
 TABLE = jnp.arange(6.0).reshape(2, 3)
@@ -55,6 +55,13 @@ def test_what_is_not(law):
 def test_all_arguments_count():
     assert is_affine(lambda x, y: x + 2.0 * y, jnp.zeros(2), jnp.zeros(2))
     assert not is_affine(lambda x, y: x * y, jnp.zeros(2), jnp.zeros(2))
+
+
+def test_what_takes_no_notice_is_constant():
+    assert is_constant(lambda x, y: TABLE, jnp.zeros(2), jnp.zeros(2))
+    assert is_constant(lambda x: jnp.zeros_like(x), jnp.zeros(2))
+    assert not is_constant(lambda x, y: TABLE + y[0], jnp.zeros(2), jnp.zeros(2))
+    assert not is_constant(lambda x: jnp.sign(x), jnp.zeros(2))
 
 
 @jax.jit
