@@ -242,6 +242,8 @@ class Joint:
         acting = frozenset(names[i] for i in self._acting(vector, directions))
 
         def idle(name: str) -> bool:
+            if name not in names:  # an effect of another model of the case
+                return False
             cheap = self._is_linear(name) or not all(map(self._is_linear, acting))
             return is_idle(effects[names.index(name)]) and cheap
 
