@@ -32,6 +32,12 @@ def quantity(name: str, given: Any, unit: str) -> float:
     return given  # type: ignore[return-value]
 
 
+def quantities(name: str, given: Any, unit: str) -> np.ndarray:
+    """`quantity` of one or several, (n,)."""
+    many = given if isinstance(given, list | tuple) else [given] if isinstance(given, str) else np.atleast_1d(given)
+    return np.asarray([quantity(name, one, unit) for one in many], float)
+
+
 def plain_quantity(name: str, given: Any, unit: str) -> float:
     """`quantity` of what decides the structure of a program (how many samples it runs): no traced number."""
     refuse_traced(f"Argument `{name}` decides how many samples the program runs, so it", "a plain number", given)

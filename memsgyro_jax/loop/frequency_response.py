@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Complex, Float
 
 from memsgyro_jax.base import runtime
-from memsgyro_jax.base.arguments import plain_quantity, quantity
+from memsgyro_jax.base.arguments import plain_quantity, quantities, quantity
 from memsgyro_jax.base.axes import axes
 from memsgyro_jax.base.concrete import is_concrete, settled
 from memsgyro_jax.base.errors import InputError
@@ -149,7 +149,7 @@ def frequency_response(
 
     Args:
         loop: whatever it is made of.
-        frequency: of the sines [Hz], rising; each has its own run, side by side.
+        frequency: of the sines [Hz, or texts], rising; each has its own run, side by side.
         disturbance: one of `INPUTS`.
         sample_rate, duration: of the runs, Hz and s.
         settle: from when on the answer is taken [s]; half the duration without.
@@ -166,7 +166,7 @@ def frequency_response(
     loop, level = as_loop(loop), quantity("level", level, "rad/s")
     sample_rate, duration = plain_quantity("sample_rate", sample_rate, "Hz"), plain_quantity("duration", duration, "s")
     settle = 0.5 * duration if settle is None else quantity("settle", settle, "s")
-    steps, frequency = count_steps(sample_rate, duration), np.atleast_1d(np.asarray(frequency, float))
+    steps, frequency = count_steps(sample_rate, duration), quantities("frequency", frequency, "Hz")
     if disturbance not in INPUTS:
         raise InputError(f"Argument `disturbance` must be one of {', '.join(INPUTS)}, but is `{disturbance}`.")
     check_frequencies(frequency, sample_rate, duration - settle)

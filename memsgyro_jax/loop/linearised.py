@@ -15,7 +15,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Complex, Float
 
 from memsgyro_jax.base import runtime
-from memsgyro_jax.base.arguments import quantity, whole
+from memsgyro_jax.base.arguments import quantities, quantity, whole
 from memsgyro_jax.base.axes import axes
 from memsgyro_jax.base.concrete import is_concrete
 from memsgyro_jax.base.labelled import Labelled, labelled
@@ -37,6 +37,7 @@ OUTPUTS = {"rate": "rad/s", "force x": "N", "force y": "N", "voltage x": "V", "v
 
 _LOOK = 512  # samples within which the swing is looked for again
 _BACK = 0.01  # of its size, within which it has come back
+_EXACT = 1e-3  # of it, from which on an answer is off by what a reader may care for
 _UNITS = {f"motion {name}": unit for name, unit in zip(MOTION, ("m", "m", "m/s", "m/s"), strict=True)}
 
 
@@ -98,7 +99,8 @@ class LinearisedLoop(Labelled):
     observer does not know and a voltage of the read-out, `outputs` the rate given out, the command and the volts.
     `apart` is how far the swing ends the step from where it began, in its own size, and `recurs` after how many samples
     it first comes back to a hundredth: poles, and responses over many steps, need a step of that length. It is 0 where
-    that was not seen within 512 samples, or inside a transformation of JAX.
+    that was not seen within 512 samples, or inside a transformation of JAX. `nearest` is after how many it comes
+    nearest, of `samples` and all within 512: what is left of `apart` is an error of every answer.
     """
 
     space: StateSpace
@@ -107,6 +109,7 @@ class LinearisedLoop(Labelled):
     time: float
     apart: float = 0.0
     recurs: int = 0
+    nearest: int = 0
     inputs: ClassVar[tuple[str, ...]] = tuple(INPUTS)
     outputs: ClassVar[tuple[str, ...]] = tuple(OUTPUTS)
 
@@ -116,6 +119,17 @@ class LinearisedLoop(Labelled):
         xp = np if is_concrete(self.space.a) else jnp
         found = xp.linalg.eigvals(self.space.a)
         return found[xp.argsort(-xp.abs(found))]
+
+    def response(self, frequency: Any) -> Complex[np.ndarray, "frequencies outputs inputs"]:
+        """Answer of every output to a small sine [Hz, or text] at every input, held over a step: c (z − a)⁻¹ b + d.
+
+        Solved as it stands. What makes polynomials of the matrices first (`dfreqresp`, `dbode` and transfer functions
+        of SciPy) loses all digits, as the poles of a step stand close together at 1.
+        """
+        a, b, c, d, dt = self.space
+        turn = np.exp(2j * np.pi * quantities("frequency", frequency, "Hz") * dt)[:, None, None]
+        xp = np if is_concrete(a) else jnp
+        return c @ xp.linalg.solve(turn * np.eye(len(a)) - a, xp.broadcast_to(b, (len(turn), *b.shape))) + d
 
     def __str__(self) -> str:
         kinds = ", ".join(f"{sum(s.startswith(f'{k} ') for s in self.states)} of the {k}" for k in _kinds(self.states))
@@ -128,8 +142,10 @@ class LinearisedLoop(Labelled):
     @property
     def _not_whole(self) -> str:
         if self.apart <= _BACK:
-            return ""
+            small = f"\nThe swing ends the step {self.apart:.2g} of its size from where it began"
+            return f"{small}: `samples={self.nearest}` brings it nearest." if self.apart > _EXACT else ""
         instead = f"`samples={self.recurs}` is one" if self.recurs else "none is near up to 512 samples"
+        instead += f", {self.nearest} is nearest" if self.nearest not in (0, self.recurs) else ""
         return (
             f"\nThe swing ends the step {self.apart:.2g} of its size from where it began: poles, and responses over "
             f"many steps, mean something for a step of whole periods alone ({instead})."
@@ -195,12 +211,14 @@ def linearise(
     return LinearisedLoop(space, _names(loop), known_array(point), after, *swing)
 
 
-def _recurrence(volts: Float[np.ndarray, "n 2"], samples: int) -> tuple[float, int]:
-    """How far the two readings `samples` later are from the first two, in the size of all, and the first near them."""
+def _recurrence(volts: Float[np.ndarray, "n 2"], samples: int) -> tuple[float, int, int]:
+    """How far the two readings `samples` later are from the first two, in the size of all, the first near them, and the
+    nearest.
+    """
     both = np.concatenate([volts[:-1], volts[1:]], axis=1)
     apart = np.linalg.norm(both - both[0], axis=1) / max(float(np.max(np.ptp(both, axis=0))), 1e-300)
     back = np.flatnonzero(apart[1:] <= _BACK)
-    return float(apart[samples]), int(back[0]) + 1 if back.size else 0
+    return float(apart[samples]), int(back[0]) + 1 if back.size else 0, int(np.argmin(apart[1:])) + 1
 
 
 @eqx.filter_jit

@@ -84,3 +84,37 @@ def test_what_they_refuse(memsgyro):
     assert memsgyro("loop", "study.toml", "--disturbance", "heat")[0] == 2
     assert memsgyro("tornado", "study.toml", "--sigmas", 0)[0] == 2
     assert memsgyro("tornado", "nowhere.toml")[0] == 2
+
+
+CLASSIC = """
+schema = "memsgyro-study/1"
+[device]
+kind = "single_mass"
+mass = "15 ug"
+frequency = ["17.2 kHz", "17.65 kHz"]
+quality_factor = [300, 150]
+[readout]
+kind = "displacement"
+scale = "0.1 V/um"
+noise_density = "0.1 uV/sqrt(Hz)"
+[controller]
+kind = "classic"
+sense = "open"
+[sweep]
+sample_rate = "172 kHz"
+duration = "2 ms"
+"""
+
+
+def test_a_classic_loop_is_looked_at_once_it_rests(memsgyro, tmp_path):
+    """The study's own runs would show the start, from a frequency on that is none of slow rates."""
+    (tmp_path / "classic.toml").write_text(CLASSIC)
+    status, out = memsgyro("loop", "classic.toml", "--json", "rested.json")
+    assert status == 0
+    assert "in which the loop comes to rest: the 0.002 s of the study would show its start" in out
+    told = json.loads((tmp_path / "rested.json").read_text())["responses"]["rate"]
+    at, rest = np.array(told["frequency_hz"]), np.array(told["rest"])
+    assert at[0] < 150.0
+    assert at[-1] <= 0.5 * 17.3e3
+    assert np.max(rest[at < 450.0]) < 0.02
+    assert "comes to rest" not in memsgyro("loop", "classic.toml", "--duration", "3 ms", "--frequencies", 1000, 2000)[1]

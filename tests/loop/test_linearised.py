@@ -115,6 +115,28 @@ def test_a_step_that_is_no_whole_period_of_the_swing_is_told(loop):
     assert "`samples=10` is one" in str(linear)
     whole = replace(linear, apart=0.004)
     assert "whole periods" not in str(whole)
+    assert f"`samples={linear.nearest}` brings it nearest" in str(whole)
+    assert "swing ends" not in str(replace(linear, apart=1e-5))
+    assert linear.nearest % 10 == 0
+
+
+def test_the_response_is_solved_and_not_made_of_polynomials(loop, response):
+    """As runs have it, where a step is a period; and as the matrices by themselves go on in time."""
+    linear = loop.linearise(sample_rate=RATE, after=0.1, samples=10)
+    found = linear.response(["40 Hz", 150.0])
+    np.testing.assert_allclose(found, linear.response(np.array([40.0, 150.0])))
+    # A run's answer is a mean over the swing, the matrices are those of one moment of it: `rest` tells by how much.
+    apart = np.abs(np.abs(found[:, 0, 0]) - np.abs(response.response))
+    assert np.all(apart < 2.0 * response.rest)
+    assert np.all(response.rest < 0.005)
+    a, b, c, d, dt = linear.space
+    space = signal.StateSpace(a, b[:, :1], c[:1], d[:1, :1], dt=dt)
+    time = np.arange(6000) * dt
+    _, moved, _ = signal.dlsim(space, np.sin(2.0 * np.pi * 150.0 * time))
+    late = time > 0.3
+    basis = np.stack([np.sin(2.0 * np.pi * 150.0 * time), np.cos(2.0 * np.pi * 150.0 * time)], axis=1)[late]
+    sine, cosine = np.linalg.lstsq(basis, moved[late, 0])[0]
+    np.testing.assert_allclose(found[1, 0, 0], sine + 1j * cosine, rtol=1e-3)
 
 
 @pytest.mark.slow

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from memsgyro_jax.loop.loop import ClosedLoop
 
 SCHEMA = "memsgyro-loop/1"
+_SHARE = 0.05  # of the sample rate, the highest of them
 _POINTS, _SPAN = 24, 200.0  # frequencies of a Bode diagram where none are given, and their ratio
 
 
@@ -41,7 +42,8 @@ def loop_command(
         disturbance: what the sine is of: rate, "force x", "force y", "voltage x" or "voltage y"; one or several.
         frequencies: of the sines in Hz, rising, from one period of the settled part on: `--duration` sets this lowest
             one (2/duration, without `settle`). Without them 24 from there on.
-        duration: of the runs in s or with a unit; the study's own without it. A longer one allows lower frequencies.
+        duration: of the runs in s or with a unit; without it the study's own, or as long as a classic loop takes to
+            come to rest. A longer one allows lower frequencies.
         level: the constant rate in deg/s around which the loop is looked at.
         report: file for a page with the diagrams.
         effects: a Python file with effects of your own that the study names. It is run: trust it first.
@@ -53,6 +55,7 @@ def loop_command(
     from memsgyro_jax.base.files import write_json
     from memsgyro_jax.loop.frequency_response import check_frequencies, frequency_response
     from memsgyro_jax.loop.noise_budget import noise_budget
+    from memsgyro_jax.loop.settling import not_at_rest
 
     from .options import chosen_study, require_writable, with_unit, writing
     from .progress import told
@@ -64,13 +67,17 @@ def loop_command(
     run = chosen.settings.numbers()
     runs = {name: run[name] for name in ("sample_rate", "duration")}
     runs["settle"] = run.get("settle") or 0.5 * runs["duration"]
+    if duration is None and not_at_rest(chosen.loop, runs["settle"], runs["duration"]):
+        runs = _rested(chosen.loop, runs)
     low = 1.0 / (runs["duration"] - runs["settle"])  # a period
-    at = frequencies or np.geomspace(low, min(_SPAN * low, 0.05 * runs["sample_rate"]), _POINTS)
-    check_frequencies(np.asarray(at, float), runs["sample_rate"], runs["duration"] - runs["settle"])
+    if frequencies:
+        check_frequencies(np.asarray(frequencies, float), runs["sample_rate"], runs["duration"] - runs["settle"])
     answers = []
     with told() as tell:
         tell("margins and noise")
         margins, noise = _margins(chosen.loop), noise_budget(chosen.loop, sample_rate=runs["sample_rate"])
+        high = min(_SPAN * low, _SHARE * runs["sample_rate"], 0.5 * float(noise.swing))
+        at = frequencies or np.geomspace(low, high, _POINTS)
         for name in disturbance:
             tell(f"response to {name}")
             carrier = None if name == "rate" else float(noise.swing)  # slow ones do not reach the rate
@@ -89,6 +96,18 @@ def loop_command(
                 json,
                 {"schema": SCHEMA, "responses": told_answers, "margins": told_margins, "noise": noise.as_dict()},
             )
+
+
+def _rested(loop: "ClosedLoop", runs: dict[str, float]) -> dict[str, float]:
+    """The numbers of runs whose loop has come to rest where they begin to count, which is said."""
+    from memsgyro_jax.loop.settling import duration_to_settle
+
+    enough = duration_to_settle(loop, runs["settle"], runs["duration"])
+    print(
+        f"Runs of {enough:g} s, in which the loop comes to rest: the {runs['duration']:.3g} s of the study would show "
+        "its start (`--duration` sets another)."
+    )
+    return {**runs, "duration": enough, "settle": enough * runs["settle"] / runs["duration"]}
 
 
 def _margins(loop: "ClosedLoop") -> "GainPhaseMargins | None":

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from memsgyro_jax.base.arguments import quantity
 from memsgyro_jax.base.concrete import is_concrete
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.plainly import at_once
@@ -59,12 +60,13 @@ class ClassicControl(AbstractController[ClassicState]):
         cls, gyro: AbstractGyro, readout: AbstractReadout, *, amplitude: Scalar, bandwidth: Scalar | None = None,
         drive_bandwidth: Scalar | None = None,
     ) -> "ClassicControl":  # fmt: skip
-        """For the design `gyro`, swinging at `amplitude` [m]: y is free, and its displacement is the rate.
+        """For the design `gyro`, swinging at `amplitude` [m, or text]: y is free, and its displacement is the rate.
 
         `bandwidth` [Hz] of the sense axis' demodulator is a tenth of the drive's frequency, `drive_bandwidth` of the
         drive's, which sets the gains of both drive loops, a twentieth, unless given. Raises `InputError` for numbers
         that are not positive.
         """
+        amplitude, bandwidth, drive_bandwidth = _in_si(amplitude, bandwidth=bandwidth, drive_bandwidth=drive_bandwidth)
         omega = locked_frequency(gyro, nulled=False)
         drive = _drive(gyro, readout, amplitude, omega, drive_bandwidth)
         sense = OpenSense(
@@ -78,7 +80,8 @@ class ClassicControl(AbstractController[ClassicState]):
         cls, gyro: AbstractGyro, readout: AbstractReadout, *, amplitude: Scalar, bandwidth: Scalar | None = None,
         demodulator_bandwidth: Scalar | None = None, drive_bandwidth: Scalar | None = None,
     ) -> "ClassicControl":  # fmt: skip
-        """For the design `gyro`, swinging at `amplitude` [m]: forces hold y still and are the rate and the quadrature.
+        """For the design `gyro`, swinging at `amplitude` [m, or text]: forces hold y still and are the rate and the
+        quadrature.
 
         Stiffness that couples the axes moves the drive's resonance as y is let go or held: drive loops slower than that
         shift are unstable. `drive_bandwidth`, left out, is six times the shift, within a twentieth and a fifth of the
@@ -91,6 +94,9 @@ class ClassicControl(AbstractController[ClassicState]):
         `demodulator_bandwidth`, which filters that resonance. Raises `InputError` for
         numbers that are not positive, and for a `bandwidth` at which the sense axis of the design is not stable.
         """
+        amplitude, bandwidth, demodulator_bandwidth, drive_bandwidth = _in_si(
+            amplitude, bandwidth=bandwidth, demodulator_bandwidth=demodulator_bandwidth, drive_bandwidth=drive_bandwidth
+        )
         omega = locked_frequency(gyro, nulled=True)
         if drive_bandwidth is None:
             follow = jnp.clip(_FOLLOW * _shift_of_nulling(gyro), omega / _DRIVE_SHARE, omega / _FASTEST_SHARE)
@@ -162,6 +168,12 @@ _DRIVE_SHARE = 20.0  # of the drive's frequency to the bandwidth of its demodula
 _FASTEST_SHARE = 5.0  # the same where the loops must follow a resonance that moves
 _FOLLOW = 6.0  # times the shift of the resonance
 _LIMIT = 20.0  # times the force that holds the amplitude: how fast a start may be
+
+
+def _in_si(amplitude: Any, **widths: Any) -> tuple[Any, ...]:
+    """An amplitude in m and bandwidths in Hz from numbers or text; None, where one is left out, passes."""
+    read = (None if given is None else quantity(name, given, "Hz") for name, given in widths.items())
+    return quantity("amplitude", amplitude, "m"), *read
 
 
 def _turn(phase: Scalar) -> Pair:

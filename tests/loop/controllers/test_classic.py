@@ -39,6 +39,17 @@ LOOPS = {
 }
 
 
+def test_amplitudes_and_bandwidths_are_read_with_their_units():
+    kinds = mg.ClassicControl.open_loop, mg.ClassicControl.force_rebalance
+    for make, name in zip(kinds, ("bandwidth", "demodulator_bandwidth"), strict=True):
+        text = make(SPLIT, DISPLACEMENT, amplitude="1 um", drive_bandwidth="0.4 kHz", **{name: "100 Hz"})
+        plain = make(SPLIT, DISPLACEMENT, amplitude=1e-6, drive_bandwidth=400.0, **{name: 100.0})
+        for one, other in zip(jax.tree.leaves(text), jax.tree.leaves(plain), strict=True):
+            np.testing.assert_allclose(one, other, rtol=1e-12)
+    with pytest.raises(mg.InputError, match="Argument `demodulator_bandwidth`"):
+        mg.ClassicControl.force_rebalance(SPLIT, DISPLACEMENT, amplitude=1e-6, demodulator_bandwidth="3 V")
+
+
 def loop_of(gyro, readout, control):
     return mg.ClosedLoop(gyro, readout, mg.NoObserver.for_device(gyro, readout), control, start=(0.0,) * 4)
 
