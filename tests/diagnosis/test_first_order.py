@@ -28,6 +28,9 @@ GYROS = {
 }
 
 
+LATE = "readout_delay"
+
+
 class Ledge(ForceEffect):
     """A law of one's own with a number of its own, which says nothing of a derivative."""
 
@@ -61,7 +64,10 @@ def not_the_same(model: Model, case, monkeypatch) -> set[str]:
     assert_allclose(value, same, atol=1e-7)
     size, apart = (np.linalg.norm(part, axis=0) for part in (carried, quick - carried))
     names = [joint.parameters[i].name for i in columns]
-    return {name for name, a, s in zip(names, apart, size, strict=True) if not s or a > 1e-6 * s}
+    # A read-out that is late turns a phasor as one that rests, where its response is that to the velocity: they differ
+    # in a rate table by how much the phasor changes within a block.
+    most = [1e-4 if name == LATE else 1e-6 for name in names]
+    return {name for name, a, s, m in zip(names, apart, size, most, strict=True) if not s or a > m * s}
 
 
 @pytest.mark.slow
