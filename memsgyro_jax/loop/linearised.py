@@ -124,7 +124,7 @@ class LinearisedLoop(Labelled):
         """Answer of every output to a small sine [Hz, or text] at every input, held over a step: c (z − a)⁻¹ b + d.
 
         Solved as it stands. What makes polynomials of the matrices first (`dfreqresp`, `dbode` and transfer functions
-        of SciPy) loses all digits, as the poles of a step stand close together at 1.
+        of SciPy) loses its digits, as the poles of a step stand close together at 1.
         """
         a, b, c, d, dt = self.space
         turn = np.exp(2j * np.pi * quantities("frequency", frequency, "Hz") * dt)[:, None, None]

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from memsgyro_jax.loop.loop import ClosedLoop
 
 SCHEMA = "memsgyro-loop/1"
-_SHARE = 0.05  # of the sample rate, the highest of them
 _POINTS, _SPAN = 24, 200.0  # frequencies of a Bode diagram where none are given, and their ratio
+_SHARE = 0.05  # of the sample rate, which none of these exceeds
 
 
 def loop_command(
@@ -55,7 +55,6 @@ def loop_command(
     from memsgyro_jax.base.files import write_json
     from memsgyro_jax.loop.frequency_response import check_frequencies, frequency_response
     from memsgyro_jax.loop.noise_budget import noise_budget
-    from memsgyro_jax.loop.settling import not_at_rest
 
     from .options import chosen_study, require_writable, with_unit, writing
     from .progress import told
@@ -67,8 +66,7 @@ def loop_command(
     run = chosen.settings.numbers()
     runs = {name: run[name] for name in ("sample_rate", "duration")}
     runs["settle"] = run.get("settle") or 0.5 * runs["duration"]
-    if duration is None and not_at_rest(chosen.loop, runs["settle"], runs["duration"]):
-        runs = _rested(chosen.loop, runs)
+    runs = runs if duration else _rested(chosen.loop, runs)
     low = 1.0 / (runs["duration"] - runs["settle"])  # a period
     if frequencies:
         check_frequencies(np.asarray(frequencies, float), runs["sample_rate"], runs["duration"] - runs["settle"])
@@ -99,9 +97,11 @@ def loop_command(
 
 
 def _rested(loop: "ClosedLoop", runs: dict[str, float]) -> dict[str, float]:
-    """The numbers of runs whose loop has come to rest where they begin to count, which is said."""
-    from memsgyro_jax.loop.settling import duration_to_settle
+    """The numbers of runs whose loop has come to rest where they begin to count; where they change, it is said."""
+    from memsgyro_jax.loop.settling import duration_to_settle, not_at_rest
 
+    if not not_at_rest(loop, runs["settle"], runs["duration"]):
+        return runs
     enough = duration_to_settle(loop, runs["settle"], runs["duration"])
     print(
         f"Runs of {enough:g} s, in which the loop comes to rest: the {runs['duration']:.3g} s of the study would show "
