@@ -14,7 +14,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from memsgyro_jax.base.arguments import plain_quantity
 from memsgyro_jax.base.concrete import is_concrete, settled
 from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
@@ -28,6 +27,7 @@ from .least_variance import least_variance, with_slopes
 from .loop import ClosedLoop, as_loop
 from .observers.known_rate import CROSS_DAMPING_ASYMMETRY as CROSS_DAMPING_ASYMMETRY
 from .observers.settings import Prior
+from .operation import run_of
 from .scenario import AbstractProfile, Scenario, as_scenario
 from .sensitivities import Unknowns, begin, lanes_of, sampling, unknowns_of
 
@@ -116,8 +116,8 @@ def information_bound(
     loop: ClosedLoop,
     scenario: Scenario | AbstractProfile | float = 1.0,
     *,
-    sample_rate: float | str = 100e3,
-    duration: float | str = 0.1,
+    sample_rate: float | str | None = None,
+    duration: float | str | None = None,
     prior: Prior | None = None,
     known: tuple[str, ...] = (),
     also: tuple[Coefficient, ...] = (),
@@ -133,6 +133,7 @@ def information_bound(
     the linear part. Quantisation and flicker are not counted; the Brownian force of a device that knows its temperature
     is, as a disturbance of the motion beside the run without it. A long run of a loop in blocks (from 30 000 samples
     on) goes by blocks, where no derivative is asked for. `windows` is how many moments the bound is given for, at most.
+    `sample_rate` and `duration` follow the device where they are left out (`Operation`).
     For a batch of dies (trailing axis of leaves of `loop` and `scenario`) give the unbatched `design` too.
     Under `jax.grad` and `jax.jvp` first derivatives are exact; an infinite entry has none.
 
@@ -140,7 +141,7 @@ def information_bound(
     """
     require_float64("`information_bound`")
     loop = as_loop(loop)
-    sample_rate, duration = plain_quantity("sample_rate", sample_rate, "Hz"), plain_quantity("duration", duration, "s")
+    sample_rate, duration = run_of((loop if design is None else design).device, sample_rate, duration)
     check_positive("sample_rate", sample_rate)
     check_positive("duration", duration)
     scenario, samples, period = as_scenario(scenario), round(sample_rate * duration), 1.0 / sample_rate

@@ -7,8 +7,9 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from memsgyro_jax.device.carried import each_die
-from memsgyro_jax.device.gyro import Matrix, Pair, Scalar
+from memsgyro_jax.device.gyro import Pair, Scalar
 from memsgyro_jax.device.propagate import AbstractAddition, AbstractDiscretisation, Exact, State4, Transition
+from memsgyro_jax.device.small import Matrix
 
 from .own_states import Own, stacked
 

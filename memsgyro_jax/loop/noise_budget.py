@@ -15,7 +15,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from memsgyro_jax.base.arguments import quantity
 from memsgyro_jax.base.axes import axes
 from memsgyro_jax.base.concrete import check_positive, is_concrete
 from memsgyro_jax.base.display import Shown
@@ -27,7 +26,7 @@ from memsgyro_jax.device.gyro import VX, AbstractGyro, Inertial, Scalar
 from .controllers.classic import ClassicControl, locked_frequency
 from .controllers.sense import ForceRebalance
 from .loop import ClosedLoop, as_loop
-from .operation import Operation
+from .operation import sample_rate_of
 
 
 if TYPE_CHECKING:
@@ -193,13 +192,7 @@ def _period(loop: ClosedLoop, sample_rate: float | str | None) -> float:
     """Between samples [s], over which rounding spreads: any will do without a converter."""
     if sample_rate is None and loop.readout.adc is None:
         return 1.0
-    if sample_rate is None and not is_concrete(loop.device):
-        raise InputError(
-            "Argument `sample_rate` must be given for a device that is traced and a read-out with a converter: its "
-            "rounding spreads over it, and what is usual is not known of a traced device."
-        )
-    usual = Operation.of(loop.device, loop.readout).sample_rate if sample_rate is None else sample_rate
-    return 1.0 / quantity("sample_rate", usual, "Hz")
+    return 1.0 / sample_rate_of(loop.device, sample_rate)
 
 
 def thermal_left_out(loop: ClosedLoop, *, sample_rate: float | str | None = None, least: float = 0.0) -> str:

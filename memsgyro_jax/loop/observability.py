@@ -17,7 +17,7 @@ import scipy.linalg
 from jax.experimental.jet import jet
 from jaxtyping import Array, Float
 
-from memsgyro_jax.base.arguments import plain_quantity, quantity
+from memsgyro_jax.base.arguments import quantity
 from memsgyro_jax.base.concrete import settled
 from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
@@ -26,6 +26,7 @@ from memsgyro_jax.device.gyro import UX, VX, Coefficient, MotionModel, Pair, Sca
 
 from .loop import ClosedLoop, as_loop
 from .observers.base import OFFSETS
+from .operation import run_of
 from .scenario import AbstractProfile, Scenario, as_scenario
 from .sensitivities import Dimensions, Unknowns, begin, dimensions_of, fresh, lanes_of, sampling, unknowns_of
 
@@ -146,8 +147,8 @@ def observability(
     loop: ClosedLoop,
     scenario: Scenario | AbstractProfile | float = 1.0,
     *,
-    sample_rate: float | str = 100e3,
-    duration: float | str = 0.1,
+    sample_rate: float | str | None = None,
+    duration: float | str | None = None,
     window: float | str | None = None,
     known: tuple[str, ...] = (),
     also: tuple[Coefficient, ...] = (),
@@ -157,14 +158,15 @@ def observability(
 
     Unknown are the motion at the beginning of the stretch, the read-out's offsets, the coefficients of the device's
     model and `also` further ones, but what is `known` (names as in `information_bound`). Commands are held, as one who
-    gave them knows them. `window` None takes four periods of the slower mode. Effects of the device shape the run; what
+    gave them knows them. `window` None takes four periods of the slower mode; `sample_rate` and `duration` follow the
+    device where they are left out (`Operation`). Effects of the device shape the run; what
     the quantities do to it is taken from the linear part. One die at a time.
 
     Raises `InputError` for float32, an unknown name, a batch of dies, or a window that a run does not have.
     """
     require_float64("`observability`")
     loop, scenario = as_loop(loop), as_scenario(scenario)
-    sample_rate, duration = plain_quantity("sample_rate", sample_rate, "Hz"), plain_quantity("duration", duration, "s")
+    sample_rate, duration = run_of(loop.device, sample_rate, duration)
     check_positive("sample_rate", sample_rate)
     check_positive("duration", duration)
     period, samples = 1.0 / sample_rate, round(sample_rate * duration)

@@ -7,9 +7,13 @@ The ratios are those of the thesis' runs (5.2), so that its device starts at 1 Â
 from dataclasses import dataclass
 from typing import Any
 
+import jax
 import numpy as np
 
+from memsgyro_jax.base.arguments import plain_quantity
+from memsgyro_jax.base.concrete import is_concrete
 from memsgyro_jax.base.display import Shown
+from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.gyro import AbstractGyro, mode_frequencies
 
 from .controllers import DampingCompensation, Tone
@@ -55,8 +59,8 @@ class Operation(Shown):
         """
         readout = ChargeAmplifier.chi2010() if readout is None else readout
         travel = readout.travel if travel is None else travel
-        low, high = (float(mode) for mode in mode_frequencies(gyro))
-        frequency, sample_rate = _rounded(_TONE * low, 3), _rounded(_SAMPLES * high, 2)
+        low = float(mode_frequencies(gyro)[0])
+        frequency, sample_rate = _rounded(_TONE * low, 3), _usual_sample_rate(gyro)
         push = _RESPONSE * travel * (2.0 * np.pi) ** 2 * (low**2 - frequency**2)
         return cls(
             gyro=gyro,
@@ -86,6 +90,35 @@ class Operation(Shown):
         )
         start = (self.amplitude, 0.0, 0.0, 0.0)
         return ClosedLoop(self.gyro, self.readout, observer, DampingCompensation(self.tone), start, self.travel)
+
+
+def sample_rate_of(gyro: AbstractGyro, given: float | str | None) -> float:
+    """`sample_rate` [Hz] as a plain number; left out, the higher mode of `gyro` is sampled as `Operation` does.
+
+    **Raises:** `InputError` for text without a unit, for a traced one, and where a traced device is to tell it.
+    """
+    return plain_quantity("sample_rate", _usual_sample_rate(gyro) if given is None else given, "Hz")
+
+
+def run_of(gyro: AbstractGyro, sample_rate: float | str | None, duration: float | str | None) -> tuple[float, float]:
+    """`sample_rate` [Hz] and `duration` [s] of a run as plain numbers; what is left out follows the modes of `gyro`, as
+    in `Operation`: a default that suits one device samples another twice a period.
+
+    **Raises:** `InputError` for text without a unit, for traced ones, and where a traced device is to tell them.
+    """
+    usual = _LENGTH / _usual_sample_rate(gyro) if duration is None else duration
+    return sample_rate_of(gyro, sample_rate), plain_quantity("duration", usual, "s")
+
+
+def _usual_sample_rate(gyro: AbstractGyro) -> float:
+    if not is_concrete(gyro):
+        raise InputError(
+            "Arguments `sample_rate` and `duration` must be given for a device whose numbers jax.grad, jax.jvp, "
+            "jax.vmap or jax.jit traces: what is usual follows its modes, which are not known before the program runs."
+        )
+    with jax.ensure_compile_time_eval():
+        highest = float(np.max(np.asarray(mode_frequencies(gyro))))
+    return _rounded(_SAMPLES * highest, 2)
 
 
 def _rounded(number: float, digits: int) -> float:

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from memsgyro_jax.base import runtime
-from memsgyro_jax.base.arguments import plain_quantity, whole
+from memsgyro_jax.base.arguments import whole
 from memsgyro_jax.base.concrete import is_concrete
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.plainly import at_once
@@ -21,6 +21,7 @@ from .blocks.length import Blocks, lengths
 from .blocks.run import prepared, run_in_blocks
 from .expectation import expectations, tell
 from .loop import ClosedLoop, Sample, as_loop
+from .operation import run_of
 from .scenario import AbstractProfile, Scenario, as_scenario
 from .settling import not_rested
 from .trace_result import Trace
@@ -61,13 +62,14 @@ def simulate(
     loop: ClosedLoop,
     scenario: Scenario | AbstractProfile | float = 0.0,
     *,
-    sample_rate: float | str,
-    duration: float | str,
+    sample_rate: float | str | None = None,
+    duration: float | str | None = None,
     seed: int = 0,
     die: int = 0,
     decimation: int = 1,
 ) -> Trace:
-    """Run one die of `loop` for `duration` [s] at `sample_rate` [Hz] and keep every `decimation`-th sample.
+    """Run one die of `loop` for `duration` [s] at `sample_rate` [Hz] and keep every `decimation`-th sample. Both follow
+    the device where they are left out, as in `Operation`: its higher mode is sampled 26.6 times per period.
 
     `scenario` is a `Scenario`, a profile of the rate, or a constant rate in rad/s. Noise depends on (`seed`, `die`)
     only. Every number of `loop` and `scenario` may be differentiated and mapped from outside (`jax.grad`, `jax.vmap`);
@@ -80,7 +82,7 @@ def simulate(
     """
     runtime.require_float64("simulate")
     loop, seed, die, decimation = as_loop(loop), whole("seed", seed), whole("die", die), whole("decimation", decimation)
-    sample_rate, duration = plain_quantity("sample_rate", sample_rate, "Hz"), plain_quantity("duration", duration, "s")
+    sample_rate, duration = run_of(loop.device, sample_rate, duration)
     steps = count_steps(sample_rate, duration)
     if not 1 <= decimation <= steps:
         raise InputError(

@@ -51,8 +51,8 @@ def datasheet(
     *,
     full_scale: float | str = "300 deg/s",
     dies: int = 64,
-    sample_rate: float | str = 100e3,
-    duration: float | str = 0.1,
+    sample_rate: float | str | None = None,
+    duration: float | str | None = None,
     settle: float | str | None = None,
     noise_duration: float | str | None = None,
     temperatures: tuple[float, ...] = (233.15, 298.15, 358.15),
@@ -63,7 +63,8 @@ def datasheet(
 ) -> Datasheet:
     """Test `dies` dies of `spread` around `loop` as a laboratory would, and tell every figure over the lot.
 
-    The rate of `scenario` is replaced, all else of it stays. Nine constant rates from minus to plus `full_scale`
+    The rate of `scenario` is replaced, all else of it stays; `sample_rate` and `duration` follow the device where they
+    are left out (`Operation`). Nine constant rates from minus to plus `full_scale`
     [rad/s] without read-out noise give zero-rate output, scale factor and non-linearity, each from `settle` [s] (half
     the duration when left out) to `duration` [s]; a step of a tenth of the full scale gives bandwidth and delay; a run
     with noise of `noise_duration` [s] (left out: 192 to 384 periods of the bandwidth, ten to a hundred durations)

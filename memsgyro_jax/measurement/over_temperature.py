@@ -93,15 +93,16 @@ def over_temperature(
     temperatures: Sequence[float] = (233.15, 298.15, 358.15),
     full_scale: float | str = "300 deg/s",
     dies: int = 64,
-    sample_rate: float | str = 100e3,
-    duration: float | str = 0.1,
+    sample_rate: float | str | None = None,
+    duration: float | str | None = None,
     settle: float | str | None = None,
     seed: int = 0,
 ) -> OverTemperature:
     """Hold `dies` dies of `spread` around `loop` at each of `temperatures` [K], at rest and at `full_scale` [rad/s],
     without read-out noise, and take the mean output from `settle` [s] (half the duration when left out) to `duration`.
 
-    Rate and temperature of `scenario` are replaced, all else of it stays. Self-heating begins cold at power-on: give it
+    Rate and temperature of `scenario` are replaced, all else of it stays. Left out, `sample_rate` and `duration` follow
+    the device (`Operation`). Self-heating begins cold at power-on: give it
     the time it takes.
 
     **Raises:** `InputError` for settings that cannot be run, for fewer than two temperatures, for a device in which

@@ -9,9 +9,10 @@ import numpy as np
 from jaxtyping import Float
 
 from memsgyro_jax.base import runtime
-from memsgyro_jax.base.arguments import plain_quantity, quantity, whole
+from memsgyro_jax.base.arguments import quantity, whole
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.loop.loop import ClosedLoop, as_loop
+from memsgyro_jax.loop.operation import run_of
 from memsgyro_jax.loop.scenario import Scenario, Step, as_scenario
 from memsgyro_jax.loop.trace import count_steps
 from memsgyro_jax.montecarlo.spread import Spread
@@ -46,7 +47,7 @@ class RateTests:
     @classmethod
     def of(
         cls, what: str, loop: ClosedLoop, spread: Spread, scenario: Any, *, full_scale: float | str, dies: int,
-        sample_rate: float | str, duration: float | str, settle: float | str | None, seed: int,
+        sample_rate: float | str | None, duration: float | str | None, settle: float | str | None, seed: int,
     ) -> "RateTests":  # fmt: skip
         """From the arguments of a test, which is called `what`; `settle` is half the duration when left out.
 
@@ -54,10 +55,7 @@ class RateTests:
         """
         runtime.require_float64(what)
         loop, seed, dies = as_loop(loop), whole("seed", seed), whole("dies", dies, FEWEST)
-        sample_rate, duration = (
-            plain_quantity("sample_rate", sample_rate, "Hz"),
-            plain_quantity("duration", duration, "s"),
-        )
+        sample_rate, duration = run_of(loop.device, sample_rate, duration)
         full_scale = quantity("full_scale", full_scale, "rad/s")
         if not full_scale > 0.0:
             raise InputError(f"Argument `full_scale` must be positive, but {full_scale:g} rad/s was given.")

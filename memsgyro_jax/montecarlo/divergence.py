@@ -36,6 +36,7 @@ dies, since the errors of a filter that linearises have longer tails than normal
 NO_OBSERVER = "the loop has no observer whose claims could judge its errors"
 _LOOKED_AT = 256  # dies drawn before a run
 _SPREAD = 2.0  # times the design's highest mode within which those of the dies are taken to lie
+_FEW = 15.0  # samples per period of the higher mode; `Operation` takes 26.6
 _NAMED = 5  # dies named in a sentence
 _STRETCHES = 8  # of the run that are asked what they tell
 _REMAINDER = 1e-6  # of a whole run, in rad, that a series may leave out
@@ -152,7 +153,10 @@ def _astray(loop: ClosedLoop, scenario: Scenario, plan: Plan) -> str:
         )
     if constant := taken_as_constant(loop):
         return f"{constant}, which they do not bear (shorter blocks, or sample by sample)"
-    return "it did not bear being linearised about its prior (narrow the prior or the spread, or change the annealing)"
+    samples = 1.0 / plan.period / float(np.max(mode_frequencies(loop.device)))
+    often = f"take more than {samples:.2g} samples per period, " if samples < _FEW else ""
+    remedy = f"{often}narrow the prior or the spread, or change the annealing"
+    return f"it did not bear being linearised about its prior ({remedy})"
 
 
 def _untold(loop: ClosedLoop, scenario: Scenario, plan: Plan) -> tuple[dict[str, float], ...]:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from memsgyro_jax.base import runtime
-from memsgyro_jax.base.arguments import plain_quantity, quantity, refuse_traced, whole
+from memsgyro_jax.base.arguments import quantity, refuse_traced, whole
 from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.farm import farmed
@@ -17,6 +17,7 @@ from memsgyro_jax.base.provenance import Settings
 from memsgyro_jax.loop.blocks.run import prepared
 from memsgyro_jax.loop.expectation import tell
 from memsgyro_jax.loop.loop import ClosedLoop, as_loop
+from memsgyro_jax.loop.operation import run_of
 from memsgyro_jax.loop.scenario import AbstractProfile, Scenario, as_scenario
 from memsgyro_jax.loop.settling import not_at_rest
 from memsgyro_jax.loop.trace import count_steps
@@ -125,8 +126,8 @@ def plan(
     *,
     out: str | Path,
     dies: int = 256,
-    sample_rate: float | str = 100e3,
-    duration: float | str = 0.1,
+    sample_rate: float | str | None = None,
+    duration: float | str | None = None,
     settle: float | str | None = None,
     tolerance: float | str = DEFAULT_TOLERANCE,
     seed: int = 0,
@@ -217,8 +218,8 @@ def computation_of(
     scenario: Scenario | AbstractProfile | float,
     *,
     dies: int,
-    sample_rate: float | str,
-    duration: float | str,
+    sample_rate: float | str | None,
+    duration: float | str | None,
     settle: float | str | None,
     tolerance: float | str,
     seed: int,
@@ -231,7 +232,7 @@ def computation_of(
     refuse_traced("A sweep keeps a table of its dies and", plain, loop, spread, scenario)
     loop, seed = as_loop(loop), whole("seed", seed)
     dies, bound_dies = whole("dies", dies, 1), whole("bound_dies", bound_dies)
-    sample_rate, duration = plain_quantity("sample_rate", sample_rate, "Hz"), plain_quantity("duration", duration, "s")
+    sample_rate, duration = run_of(loop.device, sample_rate, duration)
     settle = 0.5 * duration if settle is None else quantity("settle", settle, "s")
     tolerance, chunk = quantity("tolerance", tolerance, "rad/s"), chunk and whole("chunk", chunk, 1)
     scenario, loop = as_scenario(scenario), loop.sampled_at(sample_rate, duration=duration)

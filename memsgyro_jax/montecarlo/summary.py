@@ -33,6 +33,7 @@ _LIKELY = 0.99
 _HIDDEN = 0.2  # share of the prior from which errors about one rate fall a tenth below the bound
 _WIDE = 0.9  # of the bound, below which errors are told to be small for it
 _MATTERS = 0.05  # share by which a mean NEES must exceed its interval to be remarked: linearising costs some percent
+_CLAIMS_MATTER = 0.01  # share of its claims that coarse steps of a filter must cost for a remedy to be named
 
 
 @dataclass(frozen=True)
@@ -221,7 +222,8 @@ class Summary(Shown):
         """What the filter's own steps do to what it claims, where it is more than a rounded figure shows."""
         if self.claim_error is None or self.claim_error < 1e-3:
             return ""
-        return f"; claims to {100.0 * self.claim_error:.1g} %, more nodes make them exact"
+        remedy = ", more nodes make them exact" if self.claim_error > _CLAIMS_MATTER else ""
+        return f"; claims to {100.0 * self.claim_error:.1g} %{remedy}"
 
     def __repr__(self) -> str:
         return aligned(self.rows())

@@ -95,8 +95,8 @@ def sweep(
     scenario: Scenario | AbstractProfile | float = 1.0,
     *,
     dies: int = 256,
-    sample_rate: float | str = 100e3,
-    duration: float | str = 0.1,
+    sample_rate: float | str | None = None,
+    duration: float | str | None = None,
     settle: float | str | None = None,
     tolerance: float | str = DEFAULT_TOLERANCE,
     seed: int = 0,
@@ -109,13 +109,14 @@ def sweep(
 ) -> Lot:
     """Run `dies` dies drawn from `spread` around `loop` and gather their figures of merit.
 
-    `scenario` as in `simulate`. Statistics over time start at `settle` [s] (default: half the duration); a die has
-    converged when its rate error stays within `tolerance` [rad/s], and yields when it ends there. Die i depends on
-    (`seed`, i) only: not a bit of it changes with `dies`, `chunk` (dies per device and batch), the number of CPU
-    devices or a resume. With `out`, a folder, the rows go to `out/dies.zarr` as they are computed, the figures to
-    `out/summary.json` at the end; `resume=True` goes on with a store of the same configuration and computes again what
-    is damaged in it. Several processes, of several machines too, may work on one store at a time: they share its blocks
-    (`plan` and `run_part` give each its own). With `dask`, the address of a scheduler, its workers compute and write to
+    `scenario` as in `simulate`; `sample_rate` and `duration` follow the device where they are left out, as in
+    `Operation`. Statistics over time start at `settle` [s] (default: half the duration); a die has converged when its
+    rate error stays within `tolerance` [rad/s], and yields when it ends there. Die i depends on (`seed`, i) only: not a
+    bit of it changes with `dies`, `chunk` (dies per device and batch), the number of CPU devices or a resume. With
+    `out`, a folder, the rows go to `out/dies.zarr` as they are computed, the figures to `out/summary.json` at the end;
+    `resume=True` goes on with a store of the same configuration and computes again what is damaged in it. Several
+    processes, of several machines too, may work on one store at a time: they share its blocks (`plan` and `run_part`
+    give each its own). With `dask`, the address of a scheduler, its workers compute and write to
     `out`, which they must see; only a killed one's block is computed again. `progress(done, dies)` is called at first
     and after each batch. The information bound is computed for each of the first `bound_dies` dies (0: not at all),
     which costs about as much as running them; the summary compares each die's error with its own bound.

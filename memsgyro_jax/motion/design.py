@@ -15,6 +15,7 @@ from memsgyro_jax.device.gyro import AbstractGyro, check_positive, mode_frequenc
 from memsgyro_jax.loop.controllers import OpenLoop
 from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.observers import ExtendedKalmanFilter
+from memsgyro_jax.loop.operation import run_of
 from memsgyro_jax.loop.readout import AbstractReadout, ChargeAmplifier
 from memsgyro_jax.loop.scenario import as_scenario
 from memsgyro_jax.loop.trace import count_steps
@@ -46,8 +47,8 @@ def design_motion(
     aiming: bool = True,
     band: tuple[float, float] | None = None,
     rate: float | str = 1.0,
-    sample_rate: float | str = 100e3,
-    duration: float | str = 0.1,
+    sample_rate: float | str | None = None,
+    duration: float | str | None = None,
     starts: int = 16,
     steps: int = 200,
     seed: int = 0,
@@ -63,6 +64,7 @@ def design_motion(
     (`MotionDesign.aimed_at`), or, `aiming=False`, like the design device. The search descends from the `starts` best of
     many random designs, `steps` steps each.
 
+    Left out, `sample_rate` and `duration` follow the device (`Operation`).
     The bound is local: it takes the observer to be near the truth. A mass, say, that a tone of a picometre would tell
     in principle is then as good as unknown to a filter; count with errors, or name what is `known`.
 
@@ -74,8 +76,8 @@ def design_motion(
         whole(name, number, least)
         for name, number, least in (("tones", tones, 1), ("dies", dies, 1), ("starts", starts, 1), ("seed", seed, 0))
     )
-    rate, sample_rate = quantity("rate", rate, "rad/s"), quantity("sample_rate", sample_rate, "Hz")
-    duration, displacement = quantity("duration", duration, "s"), quantity("displacement", displacement, "m")
+    sample_rate, duration = run_of(gyro, sample_rate, duration)
+    rate, displacement = quantity("rate", rate, "rad/s"), quantity("displacement", displacement, "m")
     force = quantity("force", force, "N")
     readout = ChargeAmplifier.chi2010() if readout is None else readout
     lower, upper = mode_frequencies(gyro)

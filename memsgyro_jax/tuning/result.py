@@ -272,31 +272,6 @@ def ratio_of(before: Lot, after: Lot, level: float = 0.95) -> Interval:
     )
 
 
-def warnings_of(after: Merit, lost_before: int, ratio: Interval) -> tuple[str, ...]:
-    """What a user must know before believing the gain; of right loops that are no worse than before a share of `LEVEL`
-    is warned of. `ratio` of the errors has an interval that a share of half of that exceeds.
-    """
-    found = []
-    if after.consistent is False:
-        when = "the error falls while" if ratio.high < 1.0 else "after tuning"
-        why = (
-            "the filter claims more error than it makes; a read-out noise that it is told too large and that is not "
-            "free (`observer.noise_density`), a prior wider than the dies vary, an annealing that has not ended, or "
-            "noises raised for an error of the model do that."
-            if after.cautious
-            else "the gains are absorbing an error of the model; find what is missing first (`memsgyro compare`, "
-            "`memsgyro diagnose`), add it or its process noise, and tune again."
-        )
-        found.append(f"{when} {after.inconsistency}: {why}")
-    if after.lost:
-        found.append(f"{after.lost} of {after.dies} unseen dies are lost with the tuned loop ({lost_before} before).")
-    if ratio.low > 1.0:
-        found.append(
-            f"the mean squared error on unseen dies has risen to {ratio} of that before; the start was better."
-        )
-    return tuple(found)
-
-
 def _interval(values: np.ndarray, figure: Any, level: float = 0.95) -> Interval:
     if len(values) == 0:
         return Interval(float("nan"), float("nan"), float("nan"))

@@ -18,13 +18,16 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 from scipy import special
 
+from memsgyro_jax.base.arguments import quantity
+from memsgyro_jax.base.display import stated_at
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.text import excerpt, suggestion
 from memsgyro_jax.base.transforms import Free, GaussianPrior, Logit, LogLogit, to_vector
 from memsgyro_jax.loop.loop import ClosedLoop
+from memsgyro_jax.loop.operation import run_of
 
 
-Bounds = tuple[float, float]
+Bounds = tuple[float | str, float | str]
 _DECADES = 1e3  # default bounds of a positive number: this factor to both sides
 _EDGE = 1e-12  # of the range: nearer to a bound the coordinate stays finite, to go on from there
 _NYQUIST = 0.45  # of the sample rate: the most that a filter's bandwidth gets by default
@@ -32,15 +35,15 @@ _NYQUIST = 0.45  # of the sample rate: the most that a filter's bandwidth gets b
 
 @dataclass(frozen=True)
 class Tunable:
-    """A number of the loop that may move, or all numbers below a path, within `low`..`high`.
+    """A number of the loop that may move, or all numbers below a path, within `low`..`high`, SI or text with a unit.
 
     None leaves a bound to a default. `prior` is (value, factor): what is known beforehand, ln(value) ± ln(factor).
     """
 
     path: str
-    low: float | None = None
-    high: float | None = None
-    prior: tuple[float, float] | None = None
+    low: float | str | None = None
+    high: float | str | None = None
+    prior: tuple[float | str, float] | None = None
 
 
 _FILTERS = ("observer.inner.", "observer.filter.", "observer.")  # where a loop has one; the last begins all of them
@@ -54,8 +57,8 @@ def free(*items: Group, **parts: Group) -> tuple[Tunable, ...]:
 
     A keyword names the part of the loop where its paths begin: `filter="bandwidth"` is `"filter.bandwidth"`. A path to
     several numbers, `"observer.noise_density"`, frees each of them; a coefficient may stand by its name,
-    `"observer.process_noise.rate"`. Bounds are in SI; without them a positive number may move by a factor of 1000, a
-    process noise from next to nothing to a walk of ten prior deviations in a run.
+    `"observer.process_noise.rate"`. Bounds are in SI or text with a unit; without them a positive number may move by a
+    factor of 1000, a process noise from next to nothing to a walk of ten prior deviations in a run.
     """
     found = [tunable for group in items for tunable in _spelled(group, "")]
     for part, group in parts.items():
@@ -181,7 +184,7 @@ def resolved(loop: ClosedLoop, named: Group, sample_rate: float, duration: float
                 raise InputError(
                     f"The start of `{path}` must lie within its bounds {low:g} to {high:g}, but is {value:g}."
                 )
-            found[path] = (start, low, high, *_prior(low, high, tunable, path))
+            found[path] = (start, low, high, *_prior(loop, low, high, tunable, path))
     paths = tuple(sorted(found, key=place.__getitem__))
     values, low, high, *priors = np.array([found[path] for path in paths]).T
     return Tunables(paths, tuple(_label(loop, path) for path in paths), values, low, high, np.stack(priors, axis=1))
@@ -242,7 +245,8 @@ def _bounds(
     loop: ClosedLoop, path: str, value: float, tunable: Tunable, sample_rate: float, duration: float
 ) -> tuple[float, float]:
     low, high = _default_bounds(loop, path, value, sample_rate, duration)
-    low, high = (low if tunable.low is None else tunable.low), (high if tunable.high is None else tunable.high)
+    given = zip((low, high), (tunable.low, tunable.high), strict=True)
+    low, high = (usual if bound is None else _in_si(loop, path, bound) for usual, bound in given)
     if math.isnan(low) or math.isnan(high):
         raise InputError(f"`{path}` must be given bounds, because it is {value:g} and none follow from that.")
     if not (math.isfinite(low) and math.isfinite(high) and low < high):
@@ -250,7 +254,19 @@ def _bounds(
     return float(low), float(high)
 
 
-def _default_bounds(loop: ClosedLoop, path: str, value: float, sample_rate: float, duration: float) -> Bounds:
+def _in_si(loop: ClosedLoop, path: str, given: float | str) -> float:
+    """What `free` was given for the number at `path`, by its own unit where that is text."""
+    unit = stated_at(loop, path)
+    if isinstance(given, str) and not unit:
+        raise InputError(
+            f"`{path}` has no unit that text could name; give it as a number, but {excerpt(given)} was given."
+        )
+    return quantity(path, given, unit)
+
+
+def _default_bounds(
+    loop: ClosedLoop, path: str, value: float, sample_rate: float, duration: float
+) -> tuple[float, float]:
     own = loop.observer.bounds(path.removeprefix("observer."), duration) if path.startswith("observer.") else None
     if own is not None:
         return (own[0] if value == 0.0 else min(own[0], value)), max(own[1], value)
@@ -260,10 +276,10 @@ def _default_bounds(loop: ClosedLoop, path: str, value: float, sample_rate: floa
     return value / _DECADES, max(value, min(high, _NYQUIST * sample_rate)) if path.startswith("filter.") else high
 
 
-def _prior(low: float, high: float, tunable: Tunable, path: str) -> tuple[float, float]:
+def _prior(loop: ClosedLoop, low: float, high: float, tunable: Tunable, path: str) -> tuple[float, float]:
     if tunable.prior is None:
         return math.nan, math.nan
-    value, factor = tunable.prior
+    value, factor = _in_si(loop, path, tunable.prior[0]), tunable.prior[1]
     if not (low > 0.0 and low < value < high and factor > 1.0):
         raise InputError(
             f"The prior of `{path}` must be a value within its positive bounds and a factor above 1, "
@@ -278,9 +294,15 @@ def _label(loop: ClosedLoop, path: str) -> str:
     return f"{head}.{loop.observer.model.names[int(last)]}" if head and last.isdigit() else path
 
 
-def tree(loop: ClosedLoop, tunables: Sequence[Tunable], *, sample_rate: float = 100e3, duration: float = 0.1):
+def tree(
+    loop: ClosedLoop,
+    tunables: Sequence[Tunable],
+    *,
+    sample_rate: float | str | None = None,
+    duration: float | str | None = None,
+):
     """The tree (`base.transforms`) beside `loop` in which the named numbers are free; arguments as of `resolved`."""
-    found = resolved(loop, tunables, sample_rate, duration)
+    found = resolved(loop, tunables, *run_of(loop.device, sample_rate, duration))
     rows = zip(found.low, found.high, *found.priors.T, strict=True)
     free_numbers = dict(zip(found.paths, (_free(*row) for row in rows), strict=True))
     spec = jax.tree_util.tree_map_with_path(lambda path, _: free_numbers.get(_dotted(path)), loop)

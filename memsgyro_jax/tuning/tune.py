@@ -6,7 +6,7 @@ numbers by likelihood, then the rest by the error.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,28 +14,31 @@ from typing import Any
 import numpy as np
 
 from memsgyro_jax.base import runtime
-from memsgyro_jax.base.arguments import plain_quantity, quantity, whole
+from memsgyro_jax.base.arguments import quantity, whole
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.provenance import Settings, fingerprint
 from memsgyro_jax.loop.blocks.run import prepared
 from memsgyro_jax.loop.loop import ClosedLoop, as_loop
+from memsgyro_jax.loop.operation import run_of
 from memsgyro_jax.loop.scenario import AbstractProfile, Scenario, as_scenario
 from memsgyro_jax.loop.trace import count_steps
 from memsgyro_jax.montecarlo.parts import parts_tones
 from memsgyro_jax.montecarlo.spread import Spread
 from memsgyro_jax.montecarlo.sweep import sweep
 
+from .caveats import margin_eaten, warnings_of
 from .descent import Descent, DescentStep, Judged, descend, sought
 from .fates import null_directions, tuned_numbers
 from .grid import rescued, scanned
 from .losses import AbstractLoss, InnovationLikelihood, SquaredRateError
 from .objective import Objective, Timing, Values, evaluated, noise_of
-from .result import StageResult, TunedNumber, Tuning, merit_of, ratio_of, warnings_of
+from .result import StageResult, TunedNumber, Tuning, merit_of, ratio_of
 from .right import LEVEL
 from .tunable import Group, Tunables, resolved
 
 
 TRAINING, VALIDATION = 2**20, 2**21  # numbers of the first dies; those of a report or a sweep begin at 0
+_COARSE = "what stands is the best of a coarse grid, from which no step made the validation dies fare better"
 _LOST = 10.0  # a lost die counts like the worst die at the start and this many times its size
 
 
@@ -58,8 +61,8 @@ def tune(
     dies: int = 128,
     validation_dies: int = 64,
     report_dies: int = 256,
-    sample_rate: float | str = 100e3,
-    duration: float | str = 0.1,
+    sample_rate: float | str | None = None,
+    duration: float | str | None = None,
     settle: float | str | None = None,
     seed: int = 0,
     evaluations: int = 40,
@@ -69,10 +72,11 @@ def tune(
     """Move what is `free` (see `free`) of `loop` until the dies of `spread` (15 % by default) fare best.
 
     Without a `loss` there are two stages: numbers of a Kalman filter by the likelihood of its innovations, what is left
-    by the squared rate error, both over the time from `settle` [s] on (default: half the duration). With one it judges
-    all. Training, validation and report run on different dies, all of the lot `seed`: the report on dies 0 to
-    `report_dies` - 1, as `sweep` runs them. Every setting is tried on the same dies with the same noise. A stage ends
-    when the loss or the validation dies gain no more, or after `evaluations` gradients; the best on validation counts.
+    by the squared rate error, both over the time from `settle` [s] on (default: half the duration; `sample_rate` and
+    `duration` follow the device where they are left out, as in `Operation`). With one it judges all. Training,
+    validation and report run on different dies, all of the lot `seed`: the report on dies 0 to `report_dies` - 1, as
+    `sweep` runs them. Every setting is tried on the same dies with the same noise. A stage ends when the loss or the
+    validation dies gain no more, or after `evaluations` gradients; the best on validation counts.
     A loop in blocks is tuned in blocks: a loss then counts their ends, a likelihood their statistics.
     A free number that `spread` varies is the design value its dies lie around (design centring). A lost die counts as a
     large finite loss and is reported. `progress` is told what happens, in sentences. With
@@ -86,7 +90,7 @@ def tune(
     loop, seed = as_loop(loop), whole("seed", seed)
     dies, validation_dies = whole("dies", dies, 2), whole("validation_dies", validation_dies, 1)
     report_dies, evaluations = whole("report_dies", report_dies, 1), whole("evaluations", evaluations, 1)
-    sample_rate, duration = plain_quantity("sample_rate", sample_rate, "Hz"), plain_quantity("duration", duration, "s")
+    sample_rate, duration = run_of(loop.device, sample_rate, duration)
     scenario, loop = as_scenario(scenario), loop.sampled_at(sample_rate, duration=duration)
     spread = Spread.relative(0.15) if spread is None else spread
     settle = 0.5 * duration if settle is None else quantity("settle", settle, "s")
@@ -134,7 +138,10 @@ def tune(
         before=before,
         after=after,
         ratio=ratio_of(*lots),
-        warnings=warnings_of(after, before.lost, ratio_of(*lots, level=1.0 - 0.5 * LEVEL)),
+        warnings=(
+            *warnings_of(after, before.lost, ratio_of(*lots, level=1.0 - 0.5 * LEVEL)),
+            *margin_eaten(loop, tuned),
+        ),
         settings=settings,
         lots=lots,
     )
@@ -219,12 +226,20 @@ class _Work:
         def down(start: np.ndarray, left: int) -> Descent:
             return descend(loss, judged, start, evaluations=left, told=told)
 
+        grid: list[np.ndarray] = []  # places that are as fine as that
+
         def moved(end: np.ndarray) -> np.ndarray | None:
             found = rescued(training, tunables.numbers(end), penalty, self.told)
-            return None if found is None else tunables.starting(found).coordinates
+            if found is not None:
+                grid.append(tunables.starting(found).coordinates)
+            return None if found is None else grid[-1]
 
         first = scanned(training, tunables.values, penalty, self.told)
-        return sought(down, moved, tunables.starting(first).coordinates, self.evaluations)
+        start = tunables.starting(first).coordinates
+        grid += [start] if np.any(first != tunables.values) else []
+        found = sought(down, moved, start, self.evaluations)
+        coarse = any(np.array_equal(found.coordinates, place) for place in grid)
+        return replace(found, status=f"{found.status}; {_COARSE}") if coarse else found
 
 
 def _penalty(values: Values, name: str) -> float:

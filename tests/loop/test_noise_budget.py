@@ -94,7 +94,7 @@ def test_the_budget_is_differentiated_by_the_device_and_asks_for_what_it_misses(
     at, slope = jax.jit(walk), jax.jit(jax.grad(walk))  # a program each in place of one for every operation
     around = (at(1e4 + 0.5) - at(1e4 - 0.5)) / 1.0
     assert float(slope(1e4)) == pytest.approx(float(around), rel=1e-5)
-    with pytest.raises(mg.InputError, match=r"^Argument `sample_rate` must be given for a device that is traced"):
+    with pytest.raises(mg.InputError, match=r"must be given for a device whose numbers jax.grad"):
         jax.grad(lambda frequency: walk(frequency, mg.Adc(2.0, 12)))(1e4)
 
 

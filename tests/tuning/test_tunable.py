@@ -1,5 +1,6 @@
 """What is free by name: bounds, coordinates, the tree of `memsgyro_jax.free`, and what became of each number."""
 
+import equinox as eqx
 import jax
 import numpy as np
 import pytest
@@ -8,10 +9,11 @@ import xarray as xr
 import memsgyro_jax as mg
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.transforms import from_vector, names, to_vector
+from memsgyro_jax.tuning.caveats import margin_eaten, warnings_of
 from memsgyro_jax.tuning.descent import Descent, DescentStep, Judged, descend, sought
 from memsgyro_jax.tuning.fates import fates, null_directions
 from memsgyro_jax.tuning.objective import Values
-from memsgyro_jax.tuning.result import Interval, Merit, ratio_of, warnings_of
+from memsgyro_jax.tuning.result import Interval, Merit, ratio_of
 from memsgyro_jax.tuning.right import LEVEL, nees_interval, nis_interval
 from memsgyro_jax.tuning.tunable import resolved, tree
 
@@ -81,6 +83,33 @@ def test_what_is_off_starts_at_its_lower_bound():
     off = resolved(LOOP, mg.free("observer.process_noise.kxx"), 100e3, 0.1)
     assert off.values[0] == off.low[0] > 0.0
     assert np.isfinite(off.coordinates[0])
+
+
+def test_bounds_and_priors_are_read_with_their_units():
+    plain = resolved(LOOP, mg.free(mg.Tunable("filter.bandwidth", 5.0, 2e3, (50.0, 1.1))), 100e3, 0.1)
+    text = resolved(LOOP, mg.free(mg.Tunable("filter.bandwidth", "5 Hz", "2 kHz", ("0.05 kHz", 1.1))), 100e3, 0.1)
+    assert [*text.low, *text.high, *text.priors[0]] == pytest.approx([*plain.low, *plain.high, *plain.priors[0]])
+    density = resolved(LOOP, {"observer.noise_density.0": ("0.01 uV/sqrt(Hz)", "1 mV/sqrt(Hz)")}, 100e3, 0.1)
+    assert [*density.low, *density.high] == pytest.approx([1e-8, 1e-3])
+    with pytest.raises(InputError, match=r"Argument `filter.bandwidth`: .*"):
+        resolved(LOOP, {"filter.bandwidth": ("5 V", "2 kHz")}, 100e3, 0.1)
+
+
+def test_a_loop_brought_near_oscillation_is_told():
+    gyro = mg.SingleMassGyro.from_modes(1e-8, (10e3, 10.3e3), (2000.0, 300.0))
+
+    def loop(faster):
+        control = mg.ClassicControl.force_rebalance(gyro, READOUT, amplitude=1e-6)
+        control = eqx.tree_at(lambda c: c.sense.integral, control, faster * control.sense.integral)
+        return mg.ClosedLoop(gyro, READOUT, mg.NoObserver.for_device(gyro, READOUT), control, start=(0.0,) * 4)
+
+    assert margin_eaten(loop(1.0), loop(1.5)) == ()
+    (said,) = margin_eaten(loop(1.0), loop(6.0))
+    least = float(mg.loop_margins(loop(6.0)).rate)
+    assert 0.0 < least < 0.5
+    assert said.startswith(f"the rate loop comes as near as {least:.2g} to -1")
+    assert margin_eaten(loop(6.0), loop(6.0)) == (), "it was as near before"
+    assert margin_eaten(LOOP, LOOP) == ()
 
 
 def test_a_prior_needs_to_lie_within_the_bounds():

@@ -68,7 +68,7 @@ class Classic(FileSection):
     of the drive frequency, rebalanced up to a fifth."""
     sense_bandwidth: Hertz | None = None
     """Bandwidth (-3 dB) of the sense axis' demodulator, and so of an open loop; left out, a tenth of the drive
-    frequency, rebalanced a twentieth."""
+    frequency, rebalanced a twentieth, or less where the axes are split."""
     phase_gain: PerSecond | None = None
     """Proportional gain of the phase-locked loop: angular frequency per sine of the phase error."""
     phase_integral: _Integral | None = None

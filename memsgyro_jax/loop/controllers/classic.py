@@ -88,24 +88,29 @@ class ClassicControl(AbstractController[ClassicState]):
         drive's frequency.
 
         `bandwidth` [Hz] is that of the loops' integral, the proportional gain cancels the sense axis' own decay as far
-        as it is real. Left out it is a quarter of `demodulator_bandwidth` (a twentieth of the drive's frequency, unless
-        given) where the axes match; where they are split, a good third of what the sense resonance, seen at the split,
-        bears: with a high quality factor next to nothing, so match the axes by bias then, or lower
-        `demodulator_bandwidth`, which filters that resonance. Raises `InputError` for
-        numbers that are not positive, and for a `bandwidth` at which the sense axis of the design is not stable.
+        as it is real. Left out it is a quarter of `demodulator_bandwidth` where the axes match; where they are split, a
+        good third of what the sense resonance, seen at the split, bears. `demodulator_bandwidth`, left out, is a
+        twentieth of the drive's frequency; where the axes are split it filters that resonance, as narrow as a loop of
+        four times less bears, but no narrower than four times the given `bandwidth`, and than the drive is where that
+        must follow the shift. Raises `InputError` for numbers that are not
+        positive, and for a `bandwidth` at which the sense axis of the design is not stable.
         """
         amplitude, bandwidth, demodulator_bandwidth, drive_bandwidth = _in_si(
             amplitude, bandwidth=bandwidth, demodulator_bandwidth=demodulator_bandwidth, drive_bandwidth=drive_bandwidth
         )
         omega = locked_frequency(gyro, nulled=True)
+        follow = _FOLLOW * _shift_of_nulling(gyro)
         if drive_bandwidth is None:
-            follow = jnp.clip(_FOLLOW * _shift_of_nulling(gyro), omega / _DRIVE_SHARE, omega / _FASTEST_SHARE)
-            drive_bandwidth = follow / (2.0 * jnp.pi)
+            drive_bandwidth = jnp.clip(follow, omega / _DRIVE_SHARE, omega / _FASTEST_SHARE) / (2.0 * jnp.pi)
         drive = _drive(gyro, readout, amplitude, omega, drive_bandwidth)
-        width = omega / (40.0 * jnp.pi) if demodulator_bandwidth is None else jnp.asarray(demodulator_bandwidth)
         dynamics = gyro.dynamics(Inertial())
         pole = _dynamic_stiffness(dynamics, omega) / (dynamics.damping[1][1] + 2j * omega)
         decay, split = 0.5 * dynamics.damping[1][1], jnp.abs(jnp.imag(pole))
+        if demodulator_bandwidth is None:
+            least = jnp.maximum(_OF_INTEGRAL * 2.0 * jnp.pi * jnp.asarray(bandwidth or 0.0), follow)
+            width = _filtering(decay, split, omega, least) / (2.0 * jnp.pi)
+        else:
+            width = jnp.asarray(demodulator_bandwidth)
         if bandwidth is None:
             roll_off = 2.0 * jnp.pi * width
             integral = jnp.where(split > 2.0 * decay, 0.25 * decay * (1.0 + split / roll_off), 0.25 * roll_off)
@@ -167,6 +172,7 @@ _STEPS = 8  # of Newton's way to the locked frequency, which doubles its digits
 _DRIVE_SHARE = 20.0  # of the drive's frequency to the bandwidth of its demodulator
 _FASTEST_SHARE = 5.0  # the same where the loops must follow a resonance that moves
 _FOLLOW = 6.0  # times the shift of the resonance
+_OF_INTEGRAL = 4.0  # times the bandwidth of the integral to that of the demodulator
 _LIMIT = 20.0  # times the force that holds the amplitude: how fast a start may be
 
 
@@ -213,6 +219,15 @@ def _check_stable(
                 f"it grows by {growth:.3g} 1/s: the axes are {apart:.4g} Hz apart. Lower "
                 "`demodulator_bandwidth`, match them, damp the sense axis more, or leave `bandwidth` out."
             )
+
+
+def _filtering(decay: Scalar, split: Scalar, omega: Scalar, least: Scalar) -> Scalar:
+    """Pole b [1/s] of the demodulator of a rebalanced axis, at `least` that: a quarter of it is the integral that the
+    axis' resonance bears, d (1 + Δω/b) / 4, where the axes are Δω apart.
+    """
+    widest = omega / _DRIVE_SHARE
+    bears = 0.5 * decay + jnp.sqrt(0.25 * decay**2 + decay * split)
+    return jnp.where(split > 2.0 * decay, jnp.minimum(jnp.maximum(bears, least), widest), widest)
 
 
 def _conversion(gyro: AbstractGyro, omega: Scalar, amplitude: Scalar) -> Pair:

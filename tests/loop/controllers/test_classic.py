@@ -50,6 +50,24 @@ def test_amplitudes_and_bandwidths_are_read_with_their_units():
         mg.ClassicControl.force_rebalance(SPLIT, DISPLACEMENT, amplitude=1e-6, demodulator_bandwidth="3 V")
 
 
+@pytest.mark.parametrize(
+    ("modes", "quality"),
+    [((17.2e3, 17.65e3), (6000, 1500)), ((25e3, 24.2e3), (2000, 20_000)), ((3e3, 3.2e3), (90, 40))],
+)
+def test_the_demodulator_left_out_filters_the_split(modes, quality):
+    gyro = mg.SingleMassGyro.from_modes(1.5e-8, modes, quality, quadrature=np.radians(50.0))
+    ways = [{}, {"demodulator_bandwidth": 0.05 * modes[0]}]
+    chosen, wide = (
+        mg.gain_phase_margins(
+            loop_of(gyro, DISPLACEMENT, mg.ClassicControl.force_rebalance(gyro, DISPLACEMENT, amplitude=1e-6, **way))
+        )
+        for way in ways
+    )
+    assert chosen.crossover[2] > 1.1 * wide.crossover[2]
+    assert min(float(chosen.distance.rate), float(wide.distance.rate) + 0.1) > 0.6
+    assert chosen.phase_margin[2] > 70.0
+
+
 def loop_of(gyro, readout, control):
     return mg.ClosedLoop(gyro, readout, mg.NoObserver.for_device(gyro, readout), control, start=(0.0,) * 4)
 
@@ -240,7 +258,8 @@ def test_the_drive_loops_are_stable_where_their_characteristic_polynomials_are()
 
 def test_a_bandwidth_that_the_sense_axis_does_not_bear_is_refused(monkeypatch):
     def rebalanced(bandwidth):
-        return mg.ClassicControl.force_rebalance(SHARP, DISPLACEMENT, amplitude=1e-6, bandwidth=bandwidth)
+        widths = {"bandwidth": bandwidth, "demodulator_bandwidth": 750.0}
+        return mg.ClassicControl.force_rebalance(SHARP, DISPLACEMENT, amplitude=1e-6, **widths)
 
     with pytest.raises(mg.InputError, match=r"at 3 Hz it grows by .* 1/s: the axes are 200 Hz apart"):
         rebalanced(3.0)
@@ -301,9 +320,10 @@ def test_a_gain_margin_is_where_a_loop_begins_to_oscillate():
 
 
 def test_a_run_that_ends_before_its_loops_rest_says_so():
-    """A high-Q sense axis near the drive leaves the rebalance loops a time constant of a second."""
+    """A high-Q sense axis near the drive leaves rebalance loops of a wide demodulator a time constant of a second."""
     gyro = mg.SingleMassGyro.from_modes("8 ug", ("10 kHz", "10.06 kHz"), 8000, quadrature="200 deg/s")
-    loop = loop_of(gyro, DISPLACEMENT, mg.ClassicControl.force_rebalance(gyro, DISPLACEMENT, amplitude=1e-6))
+    control = mg.ClassicControl.force_rebalance(gyro, DISPLACEMENT, amplitude=1e-6, demodulator_bandwidth="500 Hz")
+    loop = loop_of(gyro, DISPLACEMENT, control)
     assert "time constant of 0.9" in not_rested(loop, 0.5)[0]
     assert not_rested(loop, 5.0) == ()
     broken = eqx.tree_at(lambda one: one.device.kxx, loop, jnp.nan)
