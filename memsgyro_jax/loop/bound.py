@@ -141,7 +141,7 @@ def information_bound(
     """
     require_float64("`information_bound`")
     loop = as_loop(loop)
-    sample_rate, duration = run_of((loop if design is None else design).device, sample_rate, duration)
+    sample_rate, duration = run_of(loop if design is None else design, sample_rate, duration)
     check_positive("sample_rate", sample_rate)
     check_positive("duration", duration)
     scenario, samples, period = as_scenario(scenario), round(sample_rate * duration), 1.0 / sample_rate

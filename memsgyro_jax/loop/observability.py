@@ -166,7 +166,7 @@ def observability(
     """
     require_float64("`observability`")
     loop, scenario = as_loop(loop), as_scenario(scenario)
-    sample_rate, duration = run_of(loop.device, sample_rate, duration)
+    sample_rate, duration = run_of(loop, sample_rate, duration)
     check_positive("sample_rate", sample_rate)
     check_positive("duration", duration)
     period, samples = 1.0 / sample_rate, round(sample_rate * duration)

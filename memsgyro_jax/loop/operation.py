@@ -20,6 +20,7 @@ from .controllers import DampingCompensation, Tone
 from .loop import ClosedLoop
 from .observers import Annealing, ExtendedKalmanFilter, design_prior
 from .readout import AbstractReadout, ChargeAmplifier
+from .settling import duration_to_settle, settling_time_constant
 
 
 _START = 0.02  # of the travel
@@ -29,6 +30,7 @@ _DECAY = 1.447  # periods of the lower mode: the start's caution lasts until a p
 _SCALE = 1.037  # of the lower mode: the frequency that makes the Lyapunov observer's gains numbers
 _SAMPLES = 26.6  # per period of the higher mode
 _LENGTH = 10_000  # samples: 376 periods of the higher mode
+_LONGEST = 20.0  # times that, for loops that take long to rest
 
 
 @dataclass(frozen=True, repr=False)
@@ -100,14 +102,25 @@ def sample_rate_of(gyro: AbstractGyro, given: float | str | None) -> float:
     return plain_quantity("sample_rate", _usual_sample_rate(gyro) if given is None else given, "Hz")
 
 
-def run_of(gyro: AbstractGyro, sample_rate: float | str | None, duration: float | str | None) -> tuple[float, float]:
-    """`sample_rate` [Hz] and `duration` [s] of a run as plain numbers; what is left out follows the modes of `gyro`, as
-    in `Operation`: a default that suits one device samples another twice a period.
+def run_of(loop: ClosedLoop, sample_rate: float | str | None, duration: float | str | None) -> tuple[float, float]:
+    """`sample_rate` [Hz] and `duration` [s] of a run as plain numbers; what is left out follows the device of `loop`,
+    as in `Operation` (a default that suits one device samples another twice a period), and `usual_duration`.
 
     **Raises:** `InputError` for text without a unit, for traced ones, and where a traced device is to tell them.
     """
-    usual = _LENGTH / _usual_sample_rate(gyro) if duration is None else duration
-    return sample_rate_of(gyro, sample_rate), plain_quantity("duration", usual, "s")
+    usual = usual_duration(loop) if duration is None else duration
+    return sample_rate_of(loop.device, sample_rate), plain_quantity("duration", usual, "s")
+
+
+def usual_duration(loop: ClosedLoop) -> float:
+    """A duration [s] that shows what `loop` does: 376 periods of the higher mode, or as long as a loop of classic
+    control takes to have come to rest for half of it, up to twenty times that.
+
+    **Raises:** `InputError` for a traced device.
+    """
+    usual = _LENGTH / _usual_sample_rate(loop.device)
+    rested = 0.0 if settling_time_constant(loop) is None else duration_to_settle(loop, 0.0, usual)
+    return min(max(usual, rested), _LONGEST * usual)
 
 
 def _usual_sample_rate(gyro: AbstractGyro) -> float:

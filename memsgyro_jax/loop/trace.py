@@ -82,7 +82,7 @@ def simulate(
     """
     runtime.require_float64("simulate")
     loop, seed, die, decimation = as_loop(loop), whole("seed", seed), whole("die", die), whole("decimation", decimation)
-    sample_rate, duration = run_of(loop.device, sample_rate, duration)
+    sample_rate, duration = run_of(loop, sample_rate, duration)
     steps = count_steps(sample_rate, duration)
     if not 1 <= decimation <= steps:
         raise InputError(

@@ -55,7 +55,7 @@ class RateTests:
         """
         runtime.require_float64(what)
         loop, seed, dies = as_loop(loop), whole("seed", seed), whole("dies", dies, FEWEST)
-        sample_rate, duration = run_of(loop.device, sample_rate, duration)
+        sample_rate, duration = run_of(loop, sample_rate, duration)
         full_scale = quantity("full_scale", full_scale, "rad/s")
         if not full_scale > 0.0:
             raise InputError(f"Argument `full_scale` must be positive, but {full_scale:g} rad/s was given.")

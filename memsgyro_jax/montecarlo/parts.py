@@ -232,7 +232,7 @@ def computation_of(
     refuse_traced("A sweep keeps a table of its dies and", plain, loop, spread, scenario)
     loop, seed = as_loop(loop), whole("seed", seed)
     dies, bound_dies = whole("dies", dies, 1), whole("bound_dies", bound_dies)
-    sample_rate, duration = run_of(loop.device, sample_rate, duration)
+    sample_rate, duration = run_of(loop, sample_rate, duration)
     settle = 0.5 * duration if settle is None else quantity("settle", settle, "s")
     tolerance, chunk = quantity("tolerance", tolerance, "rad/s"), chunk and whole("chunk", chunk, 1)
     scenario, loop = as_scenario(scenario), loop.sampled_at(sample_rate, duration=duration)

@@ -15,7 +15,7 @@ from memsgyro_jax.device.gyro import AbstractGyro, check_positive, mode_frequenc
 from memsgyro_jax.loop.controllers import OpenLoop
 from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.observers import ExtendedKalmanFilter
-from memsgyro_jax.loop.operation import run_of
+from memsgyro_jax.loop.operation import Operation
 from memsgyro_jax.loop.readout import AbstractReadout, ChargeAmplifier
 from memsgyro_jax.loop.scenario import as_scenario
 from memsgyro_jax.loop.trace import count_steps
@@ -76,10 +76,14 @@ def design_motion(
         whole(name, number, least)
         for name, number, least in (("tones", tones, 1), ("dies", dies, 1), ("starts", starts, 1), ("seed", seed, 0))
     )
-    sample_rate, duration = run_of(gyro, sample_rate, duration)
     rate, displacement = quantity("rate", rate, "rad/s"), quantity("displacement", displacement, "m")
     force = quantity("force", force, "N")
     readout = ChargeAmplifier.chi2010() if readout is None else readout
+    if sample_rate is None or duration is None:
+        usual = Operation.of(gyro, readout)
+        sample_rate = usual.sample_rate if sample_rate is None else sample_rate
+        duration = usual.duration if duration is None else duration
+    sample_rate, duration = quantity("sample_rate", sample_rate, "Hz"), quantity("duration", duration, "s")
     lower, upper = mode_frequencies(gyro)
     band = (0.5 * float(lower), 1.5 * float(upper)) if band is None else band
     setting = Setting(gyro, readout, tuple(known), rate, sample_rate, duration, displacement, force)

@@ -302,7 +302,7 @@ def tree(
     duration: float | str | None = None,
 ):
     """The tree (`base.transforms`) beside `loop` in which the named numbers are free; arguments as of `resolved`."""
-    found = resolved(loop, tunables, *run_of(loop.device, sample_rate, duration))
+    found = resolved(loop, tunables, *run_of(loop, sample_rate, duration))
     rows = zip(found.low, found.high, *found.priors.T, strict=True)
     free_numbers = dict(zip(found.paths, (_free(*row) for row in rows), strict=True))
     spec = jax.tree_util.tree_map_with_path(lambda path, _: free_numbers.get(_dotted(path)), loop)

@@ -90,7 +90,7 @@ def tune(
     loop, seed = as_loop(loop), whole("seed", seed)
     dies, validation_dies = whole("dies", dies, 2), whole("validation_dies", validation_dies, 1)
     report_dies, evaluations = whole("report_dies", report_dies, 1), whole("evaluations", evaluations, 1)
-    sample_rate, duration = run_of(loop.device, sample_rate, duration)
+    sample_rate, duration = run_of(loop, sample_rate, duration)
     scenario, loop = as_scenario(scenario), loop.sampled_at(sample_rate, duration=duration)
     spread = Spread.relative(0.15) if spread is None else spread
     settle = 0.5 * duration if settle is None else quantity("settle", settle, "s")

@@ -118,13 +118,17 @@ def test_diff_tells_what_sets_two_apart(memsgyro, tmp_path):
     assert re.search(r"effects\.electrical_feedthrough x_to_y\.strength +– +5e2 V/N", out)
     many = lambda dies, letter: {"diverged": {"dies": dies}, "why": 99 * letter}  # noqa: E731
     run = {"dies": 8, "yield": {"value": 0.9, "low": 0.8, "high": 0.95}, "bias_dps": {"value": 1.0, "std": 0.1}}
+    run["offset"] = {"value": 1e-5, "std": 0.01}
     (tmp_path / "a.json").write_text(json.dumps(run | many([0, 3], "x") | {"study": {"observer": {"kind": "ekf"}}}))
     other = {"dies": 8, "yield": {"value": 0.91, "low": 0.8, "high": 0.96}, "bias_dps": {"value": 2.0, "std": 0.1}}
+    other["offset"] = {"value": 3e-3, "std": 0.01}
     (tmp_path / "b.json").write_text(json.dumps(other | many([1], "y") | {"study": {"sweep": {"dies": 9}}}))
     out = memsgyro("diff", "a.json", "b.json")[1]
     assert out.startswith("A is a.json (observer ekf)\nB is b.json\n")
     assert re.search(r"yield +0.9 \(0.8 to 0.95\) +0.91 \(0.8 to 0.96\) +\+1.11 %, within the intervals", out)
     assert re.search(r"bias_dps +1 \(0.804 to 1.196\) +2 \(1.804 to 2.196\) +\+100 %, intervals apart", out)
+    assert re.search(r"offset .* within the intervals", out)
+    assert not re.search(r"offset .* %", out), "a share of what may be zero"
     assert re.search(r"diverged.dies +2 +1 ", out)
     assert max(map(len, out.splitlines())) < 180
     assert "\ndies " not in out.split("figure")[1]

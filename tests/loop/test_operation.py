@@ -1,11 +1,13 @@
 """Where neither sample rate nor duration is given, a run follows its device, whatever function makes it."""
 
+import equinox as eqx
 import jax
 import numpy as np
 import pytest
 
 import memsgyro_jax as mg
 from memsgyro_jax.loop.operation import run_of
+from memsgyro_jax.loop.settling import not_at_rest, settling_time_constant
 
 
 DEVICES = {
@@ -19,15 +21,15 @@ DEVICES = {
 def test_a_run_follows_its_device(name):
     gyro = DEVICES[name]
     made = mg.Operation.of(gyro)
-    assert run_of(gyro, None, None) == (made.sample_rate, made.duration)
-    assert run_of(gyro, "30 kHz", None) == (30e3, made.duration)
-    assert run_of(gyro, None, "2 ms") == (made.sample_rate, 2e-3)
+    assert run_of(made.loop(), None, None) == (made.sample_rate, made.duration)
+    assert run_of(made.loop(), "30 kHz", None) == (30e3, made.duration)
+    assert run_of(made.loop(), None, "2 ms") == (made.sample_rate, 2e-3)
     samples = made.sample_rate / float(np.max(mg.mode_frequencies(gyro)))
     assert 25.0 < samples < 28.0
 
 
 def test_the_thesis_device_runs_as_it_always_did():
-    assert run_of(DEVICES["thesis"], None, None) == (100e3, 0.1)
+    assert run_of(mg.Operation.of(DEVICES["thesis"]).loop(), None, None) == (100e3, 0.1)
 
 
 def test_every_function_that_runs_a_loop_follows_the_device():
@@ -42,5 +44,40 @@ def test_every_function_that_runs_a_loop_follows_the_device():
 
 
 def test_a_traced_device_is_asked_for_both():
+    loop = mg.Operation.of(DEVICES["thesis"]).loop()
+
+    def period(mass):
+        traced = eqx.tree_at(lambda made: made.device.mass, loop, mass)
+        return run_of(traced, None, 0.1)[0]
+
     with pytest.raises(mg.InputError, match="must be given for a device"):
-        jax.grad(lambda scale: run_of(mg.SingleMassGyro(1e-8, scale, 40.0, 0.0, 1e-7, 1e-7, 0.0), None, 0.1)[0])(39.0)
+        jax.grad(period)(1e-8)
+
+
+def test_a_classic_loop_gets_the_time_it_takes_to_rest():
+    gyro, readout = DEVICES["17 kHz"], mg.ChargeAmplifier.chi2010()
+    usual = mg.Operation.of(gyro, readout).duration
+
+    def loop(**widths):
+        control = mg.ClassicControl.force_rebalance(gyro, readout, amplitude="1 um", **widths)
+        return mg.ClosedLoop(gyro, readout, mg.NoObserver.for_device(gyro, readout), control, start=(0.0,) * 4)
+
+    quick, slow = loop(), loop(demodulator_bandwidth="800 Hz")
+    for each in (quick, slow):
+        _, duration = run_of(each, None, None)
+        enough = 12.0 * settling_time_constant(each)
+        assert min(enough, 20.0 * usual) <= duration <= 1.11 * min(enough, 20.0 * usual)
+        assert duration > 5.0 * usual
+        assert not_at_rest(each, 0.5 * duration, duration) == ()
+
+
+def test_a_study_of_a_classic_loop_gets_that_time_too(tmp_path):
+    (tmp_path / "study.toml").write_text(
+        '[device]\nkind = "single_mass"\nmass = "15 ug"\nfrequency = ["17.2 kHz", "17.65 kHz"]\n'
+        'quality_factor = [6000, 1500]\n[controller]\nkind = "classic"\nsense = "rebalanced"\n'
+    )
+    study = mg.load_study(tmp_path / "study.toml")
+    assert (
+        study.settings.duration == run_of(study.loop, None, None)[1] > 5.0 * mg.Operation.of(study.loop.device).duration
+    )
+    assert f"runs {study.settings.duration:.3g} s" in " ".join(study.notes)

@@ -26,6 +26,11 @@ class Figure(NamedTuple):
         between = "" if self.low is None or self.high is None else f" ({self.low:.4g} to {self.high:.4g})"
         return f"{self.value:.4g}{between}"
 
+    @property
+    def may_be_zero(self) -> bool:
+        """Whether it is zero, or as good as that by its interval: a share of it means nothing."""
+        return self.value == 0.0 or (self.low is not None and self.high is not None and self.low <= 0.0 <= self.high)
+
     def apart(self, other: "Figure") -> bool | None:
         """Whether the intervals of both lie apart; None where one has none."""
         if self.low is None or self.high is None or other.low is None or other.high is None:
@@ -161,7 +166,7 @@ def table(what: str, left: dict[str, Any], right: dict[str, Any]) -> list[tuple[
             shown = cut
         said = ""
         if isinstance(pair[0], Figure) and isinstance(pair[1], Figure):
-            change = f"{100.0 * (pair[1].value / pair[0].value - 1.0):+.3g} %" if pair[0].value else ""
+            change = "" if pair[0].may_be_zero else f"{100.0 * (pair[1].value / pair[0].value - 1.0):+.3g} %"
             apart = {True: "intervals apart", False: "within the intervals", None: ""}[pair[0].apart(pair[1])]
             said = ", ".join(filter(None, (change, apart)))
         rows.append((name, *shown, said))

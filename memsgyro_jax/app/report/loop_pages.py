@@ -48,6 +48,8 @@ def loop_page(
 def tornado_page(bars: "Tornado", study: "Study") -> Page:
     """The page of a tornado of the spread of `study`: of each output that moves its bars and their table."""
     page = Page("What each parameter changes", f"{study.source.name}: {bars.status}")
+    for note in bars.notes:
+        page.text(note)
     for k, name in enumerate(bars.outputs):
         design = f"{bars.design[k]:.4g} {bars.units[k]}"
         page.section(name[0].upper() + name[1:])

@@ -6,7 +6,8 @@ import numpy as np
 
 from memsgyro_jax.base.quantity import FileSection
 from memsgyro_jax.device.gyro import AbstractGyro
-from memsgyro_jax.loop.operation import Operation
+from memsgyro_jax.loop.loop import ClosedLoop
+from memsgyro_jax.loop.operation import Operation, usual_duration
 from memsgyro_jax.loop.readout import AbstractReadout
 
 from .classic import Classic, Unobserved
@@ -39,6 +40,14 @@ def completed(file: File, gyro: AbstractGyro, readout: AbstractReadout) -> File:
         else law or Compensation(kind="damping_compensation", tones=(tone,)),
     }
     return file.model_copy(update=sections)
+
+
+def rested(given: File, file: File, loop: ClosedLoop) -> File:
+    """`file` with the duration that `loop` takes to come to rest, where `given` leaves it open."""
+    if given.sweep.duration is not None:  # type: ignore[attr-defined]
+        return file
+    sweep = file.sweep.model_copy(update={"duration": usual_duration(loop)})  # type: ignore[attr-defined]
+    return file.model_copy(update={"sweep": sweep})
 
 
 def _observer(part: FileSection, usual: Operation, amplitude: float, spread: float) -> FileSection:

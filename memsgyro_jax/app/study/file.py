@@ -27,7 +27,7 @@ from memsgyro_jax.montecarlo.spread import Normal, Root, Spread, Vary
 from memsgyro_jax.tuning.tunable import Tunable, free
 
 from .classic import Unobserved
-from .completed import USUAL_SPREAD, completed, left_to_device
+from .completed import USUAL_SPREAD, completed, left_to_device, rested
 from .control import MEASURING, Actuators, Controller
 from .hardware import Device, Readout, device_of, readout_of, unit_of_device
 from .laws import Anneal, Kalman, Observer, discretisation
@@ -290,6 +290,7 @@ def _build(given: StudyFile, source: Source, own: tuple[Effect, ...]) -> Study:
     plant = discretisation(file.loop.discretisation)
     filter_ = file.filter and file.filter.build()
     loop = ClosedLoop(gyro, readout, observer, controller, start, file.loop.travel, plant, filter_)
+    file = rested(given, file, loop)
     if file.loop.block is not None:
         with source.section("loop", "block"):
             loop = loop.in_blocks(file.loop.block)

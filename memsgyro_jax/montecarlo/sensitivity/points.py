@@ -34,9 +34,10 @@ class Evaluation(NamedTuple):
 
     @property
     def told(self) -> dict[str, Any]:
-        """What every result says: names and units of its outputs, and settings."""
+        """What every result says: names and units of its outputs, settings and notes."""
         names, units = (tuple(getattr(output, part) for output in self.chosen) for part in ("name", "unit"))
-        return {"outputs": names, "units": units, "settings": self.lot.settings}
+        notes = (*self.lot.summary.notes, *self.lot.notes)
+        return {"outputs": names, "units": units, "settings": self.lot.settings, "notes": notes}
 
 
 def repeated(places: Float[np.ndarray, "places inputs"], repeats: int) -> Points:

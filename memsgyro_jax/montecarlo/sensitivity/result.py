@@ -2,7 +2,7 @@
 
 import abc
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, get_type_hints
 
 import numpy as np
@@ -31,12 +31,14 @@ class Sensitivity(Shown, abc.ABC):
         outputs, units: names of the outputs, and units of their figures.
         inputs: paths of the varied parameters.
         settings: of the sweep.
+        notes: what should be known of the runs, a sentence each: that they have not come to rest, say.
     """
 
     outputs: tuple[str, ...]
     units: tuple[str, ...]
     inputs: tuple[str, ...]
     settings: Settings
+    notes: tuple[str, ...] = field(default=(), kw_only=True)
 
     @property
     @abc.abstractmethod
@@ -52,19 +54,21 @@ class Sensitivity(Shown, abc.ABC):
         """The figures of an output."""
 
     def __repr__(self) -> str:
-        return "\n".join([f"{self._title()}: {self.status}", *map(self._text, range(len(self.outputs)))])
+        notes = [f"note: {note}" for note in self.notes]
+        return "\n".join([f"{self._title()}: {self.status}", *map(self._text, range(len(self.outputs))), *notes])
 
     def to_xarray(self) -> "xr.Dataset":
         """Dataset over output, input, and where there is one, corner or end (of a range or interval)."""
         import xarray as xr
 
-        arrays, attributes, shapes = {}, self.settings.as_dict(), get_type_hints(type(self))
-        for field in fields(self):
-            value = getattr(self, field.name)
+        arrays, shapes = {}, get_type_hints(type(self))
+        attributes = self.settings.as_dict() | ({"notes": "\n".join(self.notes)} if self.notes else {})
+        for part in fields(self):
+            value = getattr(self, part.name)
             if isinstance(value, np.ndarray):
-                arrays[field.name] = tuple(_DIMENSIONS[name] for name in shapes[field.name].dim_str.split()), value
+                arrays[part.name] = tuple(_DIMENSIONS[name] for name in shapes[part.name].dim_str.split()), value
             elif isinstance(value, int | float):
-                attributes[field.name] = value + 0  # netCDF knows no truth values
+                attributes[part.name] = value + 0  # netCDF knows no truth values
         found = xr.Dataset(arrays, {"output": list(self.outputs), "input": list(self.inputs)}, attributes)
         found = found.assign_coords(unit=("output", list(self.units)))
         return found.assign_coords(end=["low", "high"]) if "end" in found.dims else found

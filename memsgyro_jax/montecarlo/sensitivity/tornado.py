@@ -95,7 +95,7 @@ class Tornado(Sensitivity):
             {"name": name, "unit": unit, "design": float(self.design[k]), "inputs": inputs(k)}
             for k, (name, unit) in enumerate(zip(self.outputs, self.units, strict=True))
         ]
-        made = {"sigmas": self.sigmas, "repeats": self.repeats, **self.settings.as_dict()}
+        made = {"sigmas": self.sigmas, "repeats": self.repeats, "notes": list(self.notes), **self.settings.as_dict()}
         return finite({"schema": SCHEMA, **made, "outputs": told})
 
     def rows(self, output: int) -> list[tuple[str, ...]]:

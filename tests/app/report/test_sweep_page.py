@@ -139,8 +139,11 @@ def of_a_loop(study, made):
     )
     bars = mg.Tornado(
         ("rate error", "lost"), ("deg/s", "share"), ("device.kxx", "device.dxy"), made, np.zeros(2), -two, two,
-        0.1 * abs(two), two * [1.0, 9.0], none, 1.0, 8,
+        0.1 * abs(two), two * [1.0, 9.0], none, 1.0, 8, notes=("The loops come to rest later.",),
     )  # fmt: skip
+    assert repr(bars).endswith("note: The loops come to rest later.")
+    assert bars.as_dict()["notes"] == ["The loops come to rest later."]
+    assert bars.to_xarray().attrs["notes"] == "The loops come to rest later."
     pages = {
         "loop": loop_page(study, [answer], margins, mg.noise_budget(study.loop)).html(),
         "tornado": tornado_page(bars, study).html(),
@@ -149,6 +152,7 @@ def of_a_loop(study, made):
     assert "force y at 3000 Hz, by its amplitude" in pages["loop"]
     assert "0 share, whatever parameter moves" in pages["tornado"]
     assert "device.dxy *" in pages["tornado"]
+    assert "The loops come to rest later." in pages["tornado"]
     assert "the step does not follow the gradient" in pages["tornado"]
     return pages
 
