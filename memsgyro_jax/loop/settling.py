@@ -1,18 +1,20 @@
 """How long the loops of classic control take to come to rest, by the slowest of their closed poles."""
 
 import math
+from typing import Any
 
 import numpy as np
 
 from memsgyro_jax.base.concrete import is_concrete
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.device.gyro import Inertial
 
 from .controllers import ClassicControl, ForceRebalance, OpenSense, PhaseLockedDrive
 from .loop import ClosedLoop
 from .stability import closed_poles
 
 
-_RESTED = 6.0  # time constants after which a start is over: 0.25 % is left, and swinging up took some
+_RESTED = 6.0  # time constants after which a start is over: 0.25 % is left
 _MOVING = 3.0  # within which 5 % and more are left
 
 
@@ -33,12 +35,26 @@ def settling_time_constant(loop: ClosedLoop) -> float | None:
     return float(1.0 / decay.min()) if np.isfinite(decay).all() and decay.min() > rest else None
 
 
+def swing_up_time(loop: ClosedLoop) -> float:
+    """How long [s] the largest force of a phase-locked drive takes to swing the design up from rest; zero for another
+    loop, for numbers that are traced, and for a force that never does.
+    """
+    drive: Any = getattr(loop.controller, "drive", None)
+    if not isinstance(drive, PhaseLockedDrive) or not is_concrete(loop.device, drive):
+        return 0.0
+    dynamics = loop.device.dynamics(Inertial())
+    damping, gain = (float(np.max(np.asarray(part))) for part in (dynamics.damping[0][0], dynamics.gain[0]))
+    holding = damping * 2.0 * np.pi * float(np.max(np.asarray(drive.frequency))) * float(np.max(drive.amplitude)) / gain
+    share = holding / float(np.min(np.asarray(drive.limit)))
+    return -2.0 / damping * math.log1p(-share) if damping > 0.0 and share < 1.0 else 0.0
+
+
 def duration_to_settle(loop: ClosedLoop, settle: float, duration: float, seen: float = 0.0) -> float:
     """A duration [s] after which the loop rests where the figures begin to count, at the same share of it as `settle`;
     `seen` is the longest start-up that was seen [s].
     """
     time_constant = settling_time_constant(loop)
-    needed = max(_RESTED * (time_constant or 0.0), 1.2 * seen)
+    needed = max(swing_up_time(loop) + _RESTED * (time_constant or 0.0), 1.2 * seen)
     share = settle / duration if settle > 0.0 else 0.5
     whole = max(needed if needed > settle else 2.0 * settle, 0.0) / share
     digit = 10.0 ** (math.floor(math.log10(whole)) - 1) if whole > 0.0 else 1.0
@@ -48,11 +64,12 @@ def duration_to_settle(loop: ClosedLoop, settle: float, duration: float, seen: f
 def not_at_rest(loop: ClosedLoop, settle: float, duration: float) -> tuple[str, ...]:
     """A sentence where the figures from `settle` [s] on must be of a start, too; none where nothing is known."""
     time_constant = settling_time_constant(loop)
-    if time_constant is None or settle >= _MOVING * time_constant:
+    if time_constant is None or settle >= swing_up_time(loop) + _MOVING * time_constant:
         return ()
     enough = duration_to_settle(loop, settle, duration)
     said = (
-        f"The closed loops come to rest with a time constant of {time_constant:.2g} s at the design, but the figures "
+        f"The closed loops come to rest with a time constant of {time_constant:.2g} s at the design"
+        f"{_after(loop, time_constant)}, but the figures "
         f"count from {settle:.3g} s on and may be of the start; a `duration` of {enough:g} s lets it die away before "
         "(they count from its half on where `settle` is left out)."
     )
@@ -62,15 +79,23 @@ def not_at_rest(loop: ClosedLoop, settle: float, duration: float) -> tuple[str, 
 def not_rested(loop: ClosedLoop, duration: float) -> tuple[str, ...]:
     """A sentence where a run of `duration` [s] ends before its loops have come to rest; none of traced numbers."""
     time_constant = settling_time_constant(loop) if is_concrete(loop) else None
-    if time_constant is None or duration >= _MOVING * time_constant:
+    if time_constant is None or duration >= swing_up_time(loop) + _MOVING * time_constant:
         return ()
     said = (
-        f"The closed loops come to rest with a time constant of {time_constant:.2g} s, but the run ends after "
-        f"{duration:.3g} s: it shows their start."
+        f"The closed loops come to rest with a time constant of {time_constant:.2g} s{_after(loop, time_constant)}, "
+        f"but the run ends after {duration:.3g} s: it shows their start."
     )
+    if duration < swing_up_time(loop):
+        return (said,)
     if isinstance(loop.controller, ClassicControl) and isinstance(loop.controller.sense, ForceRebalance):
         said += (
             " What a rebalance loop can do is limited by the sense axis: less quality factor, matched modes "
             "(`mg.matching_bias`) or an open sense axis are faster."
         )
     return (said,)
+
+
+def _after(loop: ClosedLoop, time_constant: float) -> str:
+    """Words for a drive that takes longer than that to swing up."""
+    up = swing_up_time(loop)
+    return f" after the {up:.2g} s in which the drive swings up" if up > time_constant else ""

@@ -20,6 +20,7 @@ from memsgyro_jax.montecarlo.spread import Spread
 from .bandwidth_cause import limits
 from .datasheet_rows import FEWEST, Datasheet, DatasheetRow
 from .datasheet_tests import (
+    Answer,
     around_the_axes,
     noises,
     record_needed,
@@ -41,6 +42,7 @@ NOT_SETTLED = "not settled: a note says when it would be"
 _POINTS = 9  # rates of the table, from minus to plus full scale
 _SILENCE = 5.0  # s between two sentences about one run
 _LEAST = 0.1  # of the part of a run that counts: the shortest record with noise
+_COARSE = 0.05  # of a window's frequency: a bandwidth up to there is told to a percent in spite of what folds back
 _OTHERS = 10  # runs about as long as one of the table
 
 
@@ -89,18 +91,19 @@ def datasheet(
     told(f"{dies} dies at {_POINTS} constant rates, {bench.duration:g} s each; the first compiles, some seconds")
     table, pace = _timed(bench, rates, told)
     told("step of the rate, and what sets the bandwidth")
-    answer, step_rows = step_answer(bench, table[_POINTS // 2], bench.run(bench.at(0.0, step_size(bench))))
-    limited = limits(bench, answer)
+    stepped, answer, step_rows = step_told(bench, table[_POINTS // 2])
     told("other axes, acceleration, temperature")
     outputs, static = scale_and_bias(bench, rates, table)
     drifts, over_temperature = temperature_rows(bench, temperatures, told)
     started, around = start_up(bench, table[-1]), around_the_axes(bench, table)
     alive = np.all([run.alive for run in table], axis=0) & answer.alive
-    rest = alive & (started.values <= bench.settle)
+    rest, begun = (alive & (started.values <= begin) for begin in (bench.settle, 0.5 * bench.duration))
     why = unsettled(alive, started, bench)
+    limited = limits(stepped, answer) if np.sum(begun) >= FEWEST else ()
+    step_rows = at_rest(step_rows, begun, why)
     full, settled = static[0], static[1:]  # the full scale is declared
     settled, around, over_temperature = (at_rest(part, rest, why) for part in (settled, around, over_temperature))
-    outputs, answers = np.where(rest, outputs, np.nan), np.where(alive[:, None], answer.values, np.nan)
+    outputs, answers = np.where(rest, outputs, np.nan), np.where(begun[:, None], answer.values, np.nan)
     if drifts is not None:
         known = {name: np.where(rest, getattr(drifts, name), np.nan) for name in ("zero_rate", "scale_factor")}
         drifts = replace(drifts, **known)
@@ -124,6 +127,19 @@ def datasheet(
     if draft is not None:
         draft(sheet(stopped_noise(bench, record)))
     return sheet(noises(bench, answer, record, _shares(record, pace * record / bench.duration, told)))
+
+
+def step_told(bench: RateTests, still: Outputs) -> tuple[RateTests, Answer, tuple[DatasheetRow, ...]]:
+    """What a step of the rate tells, and the tests that told it: finer ones where windows hide how fast it is."""
+    found, period = step_answer(bench, still, bench.run(bench.at(0.0, step_size(bench)))), still.period
+    while bench.finer and not found[0].unknown and period * bench.sample_rate > 1.5:
+        fast = np.nan_to_num(found[0].bandwidth, nan=np.inf) * period > _COARSE
+        if np.mean(fast) <= 0.5:
+            break
+        bench = bench.finer()
+        still = bench.run(bench.at(0.0))
+        found, period = step_answer(bench, still, bench.run(bench.at(0.0, step_size(bench)))), still.period
+    return bench, *found
 
 
 def check_noise_duration(bench: RateTests, noise_duration: float | None) -> None:

@@ -21,6 +21,7 @@ from .lot_outputs import Outputs, lot_outputs
 
 
 _WINDOWS = 400  # of a run
+_FINER = 10  # times as many, to look at what is fast in it
 FEWEST = 3  # dies
 MORE = 1.2  # times as much of a number
 
@@ -31,7 +32,7 @@ Dies = Float[np.ndarray, " dies"]
 class RateTests:
     """A lot on a rate table: `run(scenario)` without noise, `noisy(scenario, time, progress)` with it;
     `few(raised, scenario)` runs three dies without noise for each group of paths, with the numbers there `MORE` times
-    as large. Means count from `settle` to `duration` [s].
+    as large. Means count from `settle` to `duration` [s]. `finer()` are the same tests in windows a tenth as long.
     """
 
     run: Callable[[Scenario], Outputs]
@@ -43,11 +44,13 @@ class RateTests:
     settle: float
     duration: float
     sample_rate: float
+    finer: "Callable[[], RateTests] | None" = None
 
     @classmethod
     def of(
         cls, what: str, loop: ClosedLoop, spread: Spread, scenario: Any, *, full_scale: float | str, dies: int,
         sample_rate: float | str | None, duration: float | str | None, settle: float | str | None, seed: int,
+        windows: int = _WINDOWS,
     ) -> "RateTests":  # fmt: skip
         """From the arguments of a test, which is called `what`; `settle` is half the duration when left out.
 
@@ -63,19 +66,23 @@ class RateTests:
         if not 0.0 <= settle < duration:
             raise InputError(f"Argument `settle` must lie within the duration of {duration:g} s, but is {settle:g} s.")
         loop = replace(loop, blocks=None).sampled_at(sample_rate, duration=duration)
-        window = max(1, count_steps(sample_rate, duration) // _WINDOWS)
+        window = max(1, count_steps(sample_rate, duration) // windows)
         many = partial(lot_outputs, loop, spread=spread, dies=dies, seed=seed, sample_rate=sample_rate, window=window)
-        windows = round(sample_rate * duration) // window
+        count = round(sample_rate * duration) // window
+        finer = partial(
+            cls.of, what, loop, spread, scenario, full_scale=full_scale, dies=dies, sample_rate=sample_rate,
+            duration=duration, settle=settle, seed=seed, windows=_FINER * windows,
+        )  # fmt: skip
         return cls(
-            run=lambda scenario: many(scenario=scenario, windows=windows, silent=True),
+            run=lambda scenario: many(scenario=scenario, windows=count, silent=True),
             noisy=lambda scenario, time, progress: many(
-                scenario=scenario, windows=round(sample_rate * time) // window, stretch=windows, progress=progress
+                scenario=scenario, windows=round(sample_rate * time) // window, stretch=count, progress=progress
             ),
             few=lambda raised, scenario: many(
-                scenario=scenario, windows=windows, dies=FEWEST, raised=raised, by=MORE, silent=True
+                scenario=scenario, windows=count, dies=FEWEST, raised=raised, by=MORE, silent=True
             ).apart(len(raised)),
             loop=loop, surroundings=as_scenario(scenario), full_scale=full_scale, settle=settle, duration=duration,
-            sample_rate=sample_rate,
+            sample_rate=sample_rate, finer=finer,
         )  # fmt: skip
 
     def at(self, rate: float, after: float | None = None, **changes: Any) -> Scenario:

@@ -15,7 +15,7 @@ from memsgyro_jax.app.report.datasheet_page import datasheet_page
 from memsgyro_jax.loop.noise_budget import thermal_left_out
 from memsgyro_jax.loop.settling import settling_time_constant
 from memsgyro_jax.measurement.bandwidth_cause import knobs, limits
-from memsgyro_jax.measurement.datasheet import at_rest, impossible_ends, notes_of, unsettled
+from memsgyro_jax.measurement.datasheet import at_rest, impossible_ends, notes_of, step_told, unsettled
 from memsgyro_jax.measurement.datasheet_rows import NOT_MODELLED, DatasheetRow
 from memsgyro_jax.measurement.datasheet_tests import Answer, best_line, noises, start_up, with_trim
 from memsgyro_jax.measurement.lot_outputs import Outputs, lot_outputs
@@ -234,6 +234,35 @@ def test_an_output_that_still_creeps_at_the_end_has_no_start_up_time():
     row = start_up(bench, run)
     assert not np.isfinite(row.values).any()
     assert "not come to rest" in row.reason
+
+
+@pytest.mark.parametrize("bandwidth", [20.0, 90.0, 700.0])
+def test_a_bandwidth_is_that_of_the_output_whatever_the_windows(bandwidth):
+    """In 400 windows of a second, in which what is fast folds back, and finer ones where it must be looked at."""
+    decay, finest = 2.0 * np.pi * bandwidth, []
+
+    def tests(windows):
+        edges = np.linspace(0.0, 1.0, windows + 1)
+        since = np.maximum(edges - 0.5, 0.0)
+        risen = windows * np.diff(since + np.expm1(-decay * since) / decay)
+
+        def run(scenario):
+            finest.append(windows)
+            turned = float(scenario.rate.value(1.0) - scenario.rate.value(0.0))
+            rate = np.tile(turned * risen, (DIES, 1))
+            return Outputs(rate, rate, np.ones(DIES, bool), 1.0 / windows)
+
+        few = lambda *_: [run(mg.Scenario())]  # noqa: E731
+        return RateTests(
+            run, lambda *_: run, few, LOOP, mg.Scenario(), 1.0, 0.5, 1.0, RATE, finer=lambda: tests(10 * windows)
+        )
+
+    bench = tests(400)
+    used, _, (row, delay) = step_told(bench, bench.run(bench.at(0.0)))
+    np.testing.assert_allclose(row.values, bandwidth, rtol=0.015)
+    np.testing.assert_allclose(delay.values, 1e3 / decay, rtol=0.01)
+    assert max(finest) == {20.0: 400, 90.0: 4000, 700.0: 40_000}[bandwidth]
+    assert (used is bench) is (bandwidth == 20.0)
 
 
 def test_an_output_near_zero_has_not_started():

@@ -176,7 +176,8 @@ def margins(gyro, control):
         return np.abs(1.0 + (float(gain) + float(integral) / s) * after).min()
 
     swing = pole / (s + pole) / (s + decay)
-    still = width / (s + width) * plant.sense(omega) / plant.sense(omega - 1j * s)
+    per_rate = -2j * omega * float(drive.amplitude)  # y times Δ per rate
+    still = width / (s + width) * per_rate * complex(*map(float, sense.conversion)) / plant.sense(omega - 1j * s)
     return [
         least(drive.phase_gain, drive.phase_integral, swing),
         least(drive.force_gain, drive.force_integral, grow * swing),

@@ -6,13 +6,11 @@ from typing import Any, ClassVar, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from memsgyro_jax.base.arguments import quantity
-from memsgyro_jax.base.concrete import is_concrete
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.plainly import at_once
-from memsgyro_jax.device.gyro import VX, AbstractGyro, Dynamics, Inertial, Pair, Scalar, X, check_positive, number
+from memsgyro_jax.device.gyro import VX, AbstractGyro, Inertial, Pair, Scalar, X, check_positive, number
 
 from ..observers.base import Clock, Estimate, LockReadings
 from ..observers.settings import arrays
@@ -20,6 +18,7 @@ from ..readout import AbstractReadout
 from .base import AbstractController
 from .demodulator import TrackingDemodulator
 from .phase_locked_drive import DriveState, PhaseLockedDrive
+from .rebalance_design import dynamic_stiffness, rebalance_design
 from .sense import AbstractSense, ForceRebalance, OpenSense
 
 
@@ -87,12 +86,11 @@ class ClassicControl(AbstractController[ClassicState]):
         shift are unstable. `drive_bandwidth`, left out, is six times the shift, within a twentieth and a fifth of the
         drive's frequency.
 
-        `bandwidth` [Hz] is that of the loops' integral, the proportional gain cancels the sense axis' own decay as far
-        as it is real. Left out it is a quarter of `demodulator_bandwidth` where the axes match; where they are split, a
-        good third of what the sense resonance, seen at the split, bears. `demodulator_bandwidth`, left out, is a
-        twentieth of the drive's frequency; where the axes are split it filters that resonance, as narrow as a loop of
-        four times less bears, but no narrower than four times the given `bandwidth`, and than the drive is where that
-        must follow the shift. Raises `InputError` for numbers that are not
+        `bandwidth` [Hz] is where the loops cross. Where `demodulator_bandwidth` is 3.3 times as wide as the axes are
+        apart, or wider, they close around both, and cross at a quarter of it when left out; else it is a good third of
+        what the sense resonance, seen at the split, bears (`rebalance_design`). `demodulator_bandwidth`, left out, is a
+        twentieth of the drive's frequency, or where the axes are farther apart than that closes around, as narrow as
+        filters the resonance. Raises `InputError` for numbers that are not
         positive, and for a `bandwidth` at which the sense axis of the design is not stable.
         """
         amplitude, bandwidth, demodulator_bandwidth, drive_bandwidth = _in_si(
@@ -104,26 +102,13 @@ class ClassicControl(AbstractController[ClassicState]):
             drive_bandwidth = jnp.clip(follow, omega / _DRIVE_SHARE, omega / _FASTEST_SHARE) / (2.0 * jnp.pi)
         drive = _drive(gyro, readout, amplitude, omega, drive_bandwidth)
         dynamics = gyro.dynamics(Inertial())
-        pole = _dynamic_stiffness(dynamics, omega) / (dynamics.damping[1][1] + 2j * omega)
-        decay, split = 0.5 * dynamics.damping[1][1], jnp.abs(jnp.imag(pole))
-        if demodulator_bandwidth is None:
-            least = jnp.maximum(_OF_INTEGRAL * 2.0 * jnp.pi * jnp.asarray(bandwidth or 0.0), follow)
-            width = _filtering(decay, split, omega, least) / (2.0 * jnp.pi)
-        else:
-            width = jnp.asarray(demodulator_bandwidth)
-        if bandwidth is None:
-            roll_off = 2.0 * jnp.pi * width
-            integral = jnp.where(split > 2.0 * decay, 0.25 * decay * (1.0 + split / roll_off), 0.25 * roll_off)
-        else:
-            check_positive("bandwidth", bandwidth)
-            integral = 2.0 * jnp.pi * jnp.asarray(bandwidth)
-        gain = integral * jnp.real(1.0 / pole)
         if bandwidth is not None:
-            _check_stable(bandwidth, gain, integral, 2.0 * jnp.pi * width, dynamics, omega)
+            check_positive("bandwidth", bandwidth)
+        made = rebalance_design(dynamics, omega, bandwidth, demodulator_bandwidth, follow)
+        conversion = _conversion(gyro, omega, amplitude, made.turn)
         per_rate = _coriolis(gyro) * omega * amplitude / dynamics.gain[1]
-        sense = ForceRebalance(
-            TrackingDemodulator(width), _conversion(gyro, omega, amplitude), per_rate, gain, integral, gain, integral
-        )
+        gains = (made.gain, made.integral)
+        sense = ForceRebalance(TrackingDemodulator(made.width), conversion, per_rate, *gains, *gains)
         return cls(drive, sense, readout.scale, readout.offset, signals=readout.signals)
 
     def init(self) -> ClassicState:
@@ -191,48 +176,9 @@ def _coriolis(gyro: AbstractGyro) -> Scalar:
     return gyro.dynamics(Inertial(rate=jnp.ones(()))).coriolis[1][0] - gyro.dynamics(Inertial()).coriolis[1][0]
 
 
-def _dynamic_stiffness(dynamics: Dynamics, omega: Scalar) -> Scalar:
-    """Δ(jω) of the sense axis, per mass."""
-    return dynamics.stiffness[1][1] - omega**2 + 1j * omega * dynamics.damping[1][1]
-
-
-def _check_stable(
-    bandwidth: Scalar, gain: Scalar, integral: Scalar, roll_off: Scalar, dynamics: Dynamics, omega: Scalar
-) -> None:
-    """Raises `InputError` where the phasor of a rebalanced y grows: one of the roots of
-
-        s (s + b) (s² + (2jω + d) s + Δ) + b Δ (k s + i).
-
-    Looked at where all numbers are known: not while a program is traced.
-    """
-    parts = (gain, integral, roll_off, omega, dynamics.damping[1][1], _dynamic_stiffness(dynamics, omega))
-    if not is_concrete(parts):
-        return
-    for k, i, b, w, d, delta in zip(*(np.ravel(part) for part in np.broadcast_arrays(*parts)), strict=True):
-        turning = d + 2j * w
-        roots = np.roots([1.0, b + turning, b * turning + delta, b * delta * (1.0 + k), b * delta * i])
-        growth = roots.real.max()
-        if growth > 0.0:
-            apart = abs(np.sqrt(delta.real + w**2) - w) / (2.0 * np.pi)
-            raise InputError(
-                f"Argument `bandwidth` must leave the rebalanced sense axis stable, but at {np.max(bandwidth):.4g} Hz "
-                f"it grows by {growth:.3g} 1/s: the axes are {apart:.4g} Hz apart. Lower "
-                "`demodulator_bandwidth`, match them, damp the sense axis more, or leave `bandwidth` out."
-            )
-
-
-def _filtering(decay: Scalar, split: Scalar, omega: Scalar, least: Scalar) -> Scalar:
-    """Pole b [1/s] of the demodulator of a rebalanced axis, at `least` that: a quarter of it is the integral that the
-    axis' resonance bears, d (1 + Δω/b) / 4, where the axes are Δω apart.
-    """
-    widest = omega / _DRIVE_SHARE
-    bears = 0.5 * decay + jnp.sqrt(0.25 * decay**2 + decay * split)
-    return jnp.where(split > 2.0 * decay, jnp.minimum(jnp.maximum(bears, least), widest), widest)
-
-
-def _conversion(gyro: AbstractGyro, omega: Scalar, amplitude: Scalar) -> Pair:
-    """`j Δ / (2 ω A)`, 2 being the Coriolis factor."""
-    found = 1j * _dynamic_stiffness(gyro.dynamics(Inertial()), omega) / (_coriolis(gyro) * omega * amplitude)
+def _conversion(gyro: AbstractGyro, omega: Scalar, amplitude: Scalar, turn: Scalar = 1.0) -> Pair:
+    """`j Δ / (2 ω A)`, 2 being the Coriolis factor, times `turn`."""
+    found = 1j * turn * dynamic_stiffness(gyro.dynamics(Inertial()), omega) / (_coriolis(gyro) * omega * amplitude)
     return jnp.real(found), jnp.imag(found)
 
 
@@ -259,7 +205,7 @@ def locked_frequency(gyro: AbstractGyro, *, nulled: bool) -> Scalar:
 
     def out_of_phase(omega: Scalar) -> Scalar:
         across = (kxy + 1j * omega * dxy) * (kyx + 1j * omega * dyx)
-        return kxx - omega**2 - jnp.real(across / _dynamic_stiffness(dynamics, omega))
+        return kxx - omega**2 - jnp.real(across / dynamic_stiffness(dynamics, omega))
 
     mean, half = 0.5 * (kxx + kyy), jnp.sqrt(0.25 * (kxx - kyy) ** 2 + kxy * kyx)
     omega = jnp.sqrt(jnp.where(kxx > kyy, mean + half, mean - half))

@@ -89,9 +89,10 @@ class ForceRebalance(AbstractSense[RebalanceState]):
 
     Each is `gain` times what is left of the rate (or quadrature) plus `integral` [1/s] times its integral; zero
     `quadrature_gain` and `quadrature_integral` leave the quadrature alone. `force_per_rate` [N per rad/s], 2 m ω A,
-    holds a rate of one. At the design the loops open are, ω the drive's and Δ the sense axis' dynamic stiffness,
+    holds a rate of one. At the design the loops open are, ω the drive's, Δ the sense axis' dynamic stiffness, and κ the
+    `conversion` over that of an open loop, of size one (`rebalance_design`),
 
-        L(s) = (gain + integral/s) · b/(s + b) · Δ(jω)/Δ(s + jω).
+        L(s) = κ · (gain + integral/s) · b/(s + b) · Δ(jω)/Δ(s + jω).
     """
 
     demodulator: AbstractDemodulator
