@@ -86,7 +86,7 @@ class ClassicControl(AbstractController[ClassicState]):
         shift are unstable. `drive_bandwidth`, left out, is six times the shift, within a twentieth and a fifth of the
         drive's frequency.
 
-        `bandwidth` [Hz] is where the loops cross. Where `demodulator_bandwidth` is 3.3 times as wide as the axes are
+        `bandwidth` [Hz] is where the loops cross. Where `demodulator_bandwidth` is five times as wide as the axes are
         apart, or wider, they close around both, and cross at a quarter of it when left out; else it is a good third of
         what the sense resonance, seen at the split, bears (`rebalance_design`). `demodulator_bandwidth`, left out, is a
         twentieth of the drive's frequency, or where the axes are farther apart than that closes around, as narrow as

@@ -21,8 +21,8 @@ from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.gyro import Dynamics, Scalar
 
 
-_AROUND = 0.3  # Δω over b up to which loops close around both: -1 is 0.8 away, 0.5 for a die half as far again
-_FLAT = 0.2  # the same where their answer to a rate is within a tenth flat
+_AROUND = 0.2  # Δω over b up to which loops close around both: -1 is 0.8 away, 0.6 for a die twice as far apart
+_FLAT = 0.15  # the same where their answer to a rate is flat within a tenth
 _OF_POLE = 0.25  # of the demodulator's pole: what a loop crosses at
 _LEAST = 0.8  # of Δω: what loops that close around it cross at
 _BELOW = 0.99  # of the pole that would close around: the widest that does not

@@ -183,7 +183,7 @@ def designs(count, seed):
     return made
 
 
-@pytest.mark.parametrize("split", [0.0, 1e-4, -0.005, 0.02, -0.035])
+@pytest.mark.parametrize("split", [0.0, 1e-4, -0.005, 0.012, -0.024])
 @pytest.mark.parametrize("quality", [200.0, 50_000.0])
 def test_loops_that_close_around_a_split_bear_dies_whose_modes_cross(split, quality):
     """By eigenvalues of the sampled loop, and by the margins of the averaged one."""
@@ -197,13 +197,13 @@ def test_loops_that_close_around_a_split_bear_dies_whose_modes_cross(split, qual
         slowest = -np.log(classic.rebalance_growth(die, omega, PERIOD, control.sense)) / PERIOD
         assert slowest > 20.0, "comes to rest within a twentieth of a second"
         assert float(mg.loop_margins(loop_of(die, DISPLACEMENT, control)).rate) > 0.5
-    assert float(control.sense.demodulator.bandwidth) * 2.0 * np.pi > away / 0.3
+    assert float(control.sense.demodulator.bandwidth) * 2.0 * np.pi > away / 0.2
 
 
 def test_a_bandwidth_below_the_split_wants_a_narrow_demodulator():
     near = mg.SingleMassGyro.from_modes(1e-8, (12e3, 12.1e3), (3000.0, 800.0))
     slow = mg.ClassicControl.force_rebalance(near, DISPLACEMENT, amplitude=1e-6, bandwidth="5 Hz")
-    assert float(slow.sense.demodulator.bandwidth) < 100.0 / 0.3
+    assert float(slow.sense.demodulator.bandwidth) < 100.0 / 0.2
     found = mg.gain_phase_margins(loop_of(near, DISPLACEMENT, slow))
     assert (found.crossover[2], found.distance.rate > 0.5) == (pytest.approx(5.0, rel=0.1), True)
     with pytest.raises(mg.InputError, match=r"80.3 Hz or more .* 100.4 Hz apart"):
@@ -354,9 +354,9 @@ def test_a_gain_margin_is_where_a_loop_begins_to_oscillate():
 def test_a_run_that_ends_before_its_loops_rest_says_so():
     """A high-Q sense axis near the drive leaves rebalance loops of a wide demodulator a time constant of a second."""
     gyro = mg.SingleMassGyro.from_modes("8 ug", ("10 kHz", "10.06 kHz"), 8000, quadrature="200 deg/s")
-    control = mg.ClassicControl.force_rebalance(gyro, DISPLACEMENT, amplitude=1e-6, demodulator_bandwidth="150 Hz")
+    control = mg.ClassicControl.force_rebalance(gyro, DISPLACEMENT, amplitude=1e-6, demodulator_bandwidth="250 Hz")
     loop = loop_of(gyro, DISPLACEMENT, control)
-    assert "time constant of 0.7" in not_rested(loop, 0.5)[0]
+    assert "time constant of 0.8" in not_rested(loop, 0.5)[0]
     assert not_rested(loop, 5.0) == ()
     broken = eqx.tree_at(lambda one: one.device.kxx, loop, jnp.nan)
     assert not_rested(broken, 0.5) == ()
