@@ -28,8 +28,8 @@ def separate_margins(loop: ClosedLoop) -> LoopMargins:
         sense      (k + i/s) C 2 ω A / (j Δ(s + jω)),
 
     each with the demodulator's b/(s + b); d is the damping per mass, Δ the dynamic stiffness per mass, of the device,
-    while gains, ω, A and conversion C are the controller's. Differentiable, a lot gives a margin for each die. Raises
-    `InputError` for another controller.
+    while gains, ω, A and conversion C (turned) are the controller's. Differentiable, a lot gives a margin for each die.
+    Raises `InputError` for another controller.
     """
     control: Any = loop.controller
     if not isinstance(control, ClassicControl):
@@ -58,7 +58,7 @@ def _separate(loop: ClosedLoop) -> LoopMargins:
         one = jnp.ones_like(phase)
         return LoopMargins(phase, amplitude, one, one)
     sense, width = control.sense, 2.0 * jnp.pi * control.sense.demodulator.bandwidth
-    per_rate = -1j * (sense.conversion[0] + 1j * sense.conversion[1])
+    per_rate = -1j * (sense.balanced[0] + 1j * sense.balanced[1])
     per_rate = per_rate * sense.force_per_rate * dynamics.gain[1] * shown[1]
     stiffness, damping = dynamics.stiffness[1][1], dynamics.damping[1][1]
 

@@ -15,6 +15,7 @@ from .stability import closed_poles
 
 
 _RESTED = 6.0  # time constants after which a start is over: 0.25 % is left
+_SWINGS = 0.5  # of the amplitude at the start: a loop that begins with its swing
 _MOVING = 3.0  # within which 5 % and more are left
 
 
@@ -37,14 +38,16 @@ def settling_time_constant(loop: ClosedLoop) -> float | None:
 
 def swing_up_time(loop: ClosedLoop) -> float:
     """How long [s] the largest force of a phase-locked drive takes to swing the design up from rest; zero for another
-    loop, for numbers that are traced, and for a force that never does.
+    loop, one that starts swinging, for numbers that are traced, and for a force that never does.
     """
     drive: Any = getattr(loop.controller, "drive", None)
-    if not isinstance(drive, PhaseLockedDrive) or not is_concrete(loop.device, drive):
+    if not isinstance(drive, PhaseLockedDrive) or not is_concrete(loop.device, loop.start, drive):
         return 0.0
     dynamics = loop.device.dynamics(Inertial())
     damping, gain = (float(np.max(np.asarray(part))) for part in (dynamics.damping[0][0], dynamics.gain[0]))
     holding = damping * 2.0 * np.pi * float(np.max(np.asarray(drive.frequency))) * float(np.max(drive.amplitude)) / gain
+    if float(np.max(np.abs(loop.start[0]))) >= _SWINGS * float(np.max(drive.amplitude)):
+        return 0.0
     share = holding / float(np.min(np.asarray(drive.limit)))
     return -2.0 / damping * math.log1p(-share) if damping > 0.0 and share < 1.0 else 0.0
 

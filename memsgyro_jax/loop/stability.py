@@ -233,7 +233,7 @@ class _Flow:
         speed = tuned + drive.phase_gain * lead / n.omega
         x, y = (part / speed if fast else part for part, fast in zip((x, y), self.velocity, strict=True))
         missing = 1.0 - jnp.abs(x)
-        rate = y * (sense.conversion[0] + 1j * sense.conversion[1]) * drive.amplitude / n.omega
+        rate = y * (sense.balanced[0] + 1j * sense.balanced[1]) * drive.amplitude / n.omega
         left = (rate.real, rate.imag)
         if isinstance(sense, ForceRebalance):
             gains = (sense.gain, sense.quadrature_gain)

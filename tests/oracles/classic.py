@@ -89,7 +89,7 @@ def rate_response(gyro, omega, period, control, frequency):
 def _sideband(gyro, omega, period, control, delta):
     plant, sense = Plant(gyro), control.sense
     amplitude, share = float(control.drive.amplitude), 2 * np.pi * float(sense.demodulator.bandwidth) * period
-    conversion = complex(*map(float, sense.conversion))
+    conversion = complex(*map(float, sense.balanced))
     turn, zeta = np.exp(1j * omega * period), np.exp(1j * (omega + delta) * period)
     coriolis = -2j * omega * amplitude / plant.sense(omega + delta)  # y per rate, as a phasor of the upper sideband
     upper, lower = demodulated(zeta, turn, share), demodulated(zeta.conjugate(), turn, share)
@@ -115,7 +115,7 @@ def _sampled_axis(gyro, omega, period, sense):
     transition, push = Plant(gyro).sampled(period)
     transition, push = transition[1::2, 1::2], push[1::2, 1]  # y alone: the axes must not couple
     share, turn = 2 * np.pi * float(sense.demodulator.bandwidth) * period, np.exp(1j * omega * period)
-    conversion, shut = complex(*map(float, sense.conversion)), hasattr(sense, "gain")
+    conversion, shut = complex(*map(float, sense.balanced)), hasattr(sense, "gain")
     gain, integral = (float(sense.gain), float(sense.integral)) if shut else (1.0, 0.0)
     force = 1j * float(sense.force_per_rate) * hold(omega, period) if shut else 0.0
 
@@ -177,7 +177,7 @@ def margins(gyro, control):
 
     swing = pole / (s + pole) / (s + decay)
     per_rate = -2j * omega * float(drive.amplitude)  # y times Δ per rate
-    still = width / (s + width) * per_rate * complex(*map(float, sense.conversion)) / plant.sense(omega - 1j * s)
+    still = width / (s + width) * per_rate * complex(*map(float, sense.balanced)) / plant.sense(omega - 1j * s)
     return [
         least(drive.phase_gain, drive.phase_integral, swing),
         least(drive.force_gain, drive.force_integral, grow * swing),

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.base.quantity import FileSection, Hertz, In, Newton, PerSecond, Pure, Rate, Share, field_unit
+from memsgyro_jax.base.quantity import FileSection, Hertz, In, Newton, PerSecond, Pure, Radian, Rate, Share, field_unit
 from memsgyro_jax.device.gyro import AbstractGyro
 from memsgyro_jax.loop.controllers import AbstractController, ClassicControl, ProductDemodulator
 from memsgyro_jax.loop.observers import AbstractObserver, NoObserver
@@ -33,6 +33,7 @@ _PLACES = {  # entry of the section: path of the number in the controller
     "integral": "sense.integral",
     "quadrature_gain": "sense.quadrature_gain",
     "quadrature_integral": "sense.quadrature_integral",
+    "turn": "sense.turn",
     "rate_offset": "rate_offset",
     "rate_scale": "rate_scale",
 }
@@ -87,6 +88,9 @@ class Classic(FileSection):
     """Proportional gain of the quadrature loop; zero, with its integral, leaves the quadrature alone."""
     quadrature_integral: PerSecond | None = None
     """Integral gain of the quadrature loop."""
+    turn: Radian | None = None
+    """Angle by which what is left of rate and quadrature is turned before it is balanced: zero is the phase of the
+    displacement, nearly a right angle that of the velocity; left out, what the demodulator's bandwidth asks for."""
     rate_offset: Rate = 0.0
     """Trim of the bias: what is taken off the rate that the design's scale factor gives."""
     rate_scale: Pure = 1.0

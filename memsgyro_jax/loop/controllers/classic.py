@@ -105,10 +105,10 @@ class ClassicControl(AbstractController[ClassicState]):
         if bandwidth is not None:
             check_positive("bandwidth", bandwidth)
         made = rebalance_design(dynamics, omega, bandwidth, demodulator_bandwidth, follow)
-        conversion = _conversion(gyro, omega, amplitude, made.turn)
+        conversion = _conversion(gyro, omega, amplitude)
         per_rate = _coriolis(gyro) * omega * amplitude / dynamics.gain[1]
         gains = (made.gain, made.integral)
-        sense = ForceRebalance(TrackingDemodulator(made.width), conversion, per_rate, *gains, *gains)
+        sense = ForceRebalance(TrackingDemodulator(made.width), conversion, per_rate, *gains, *gains, made.turn)
         return cls(drive, sense, readout.scale, readout.offset, signals=readout.signals)
 
     def init(self) -> ClassicState:
@@ -176,9 +176,9 @@ def _coriolis(gyro: AbstractGyro) -> Scalar:
     return gyro.dynamics(Inertial(rate=jnp.ones(()))).coriolis[1][0] - gyro.dynamics(Inertial()).coriolis[1][0]
 
 
-def _conversion(gyro: AbstractGyro, omega: Scalar, amplitude: Scalar, turn: Scalar = 1.0) -> Pair:
-    """`j Δ / (2 ω A)`, 2 being the Coriolis factor, times `turn`."""
-    found = 1j * turn * dynamic_stiffness(gyro.dynamics(Inertial()), omega) / (_coriolis(gyro) * omega * amplitude)
+def _conversion(gyro: AbstractGyro, omega: Scalar, amplitude: Scalar) -> Pair:
+    """`j Δ / (2 ω A)`, 2 being the Coriolis factor."""
+    found = 1j * dynamic_stiffness(gyro.dynamics(Inertial()), omega) / (_coriolis(gyro) * omega * amplitude)
     return jnp.real(found), jnp.imag(found)
 
 

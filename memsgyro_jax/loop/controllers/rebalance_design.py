@@ -31,7 +31,7 @@ _DRIVE_SHARE, _WIDEST_SHARE = 20.0, 8.0  # of the drive's frequency to the usual
 
 
 class RebalanceDesign(NamedTuple):
-    """Bandwidth of the demodulator [Hz]; by what the conversion of an open loop is turned, of size one; both gains."""
+    """Bandwidth of the demodulator [Hz], angle [rad] by which what is left is turned, and both gains."""
 
     width: Scalar
     turn: Scalar
@@ -58,7 +58,7 @@ def rebalance_design(
         borne = 0.25 * decay * (1.0 + away / roll_off)
         wanted = jnp.where(around, _OF_POLE * roll_off, borne)
     size = jnp.abs(pole)
-    turn = jnp.where(around, size / pole, 1.0 + 0.0j)
+    turn = jnp.where(around, -jnp.arctan2(jnp.imag(pole), jnp.real(pole)), 0.0)
     gain = wanted * jnp.where(around, 1.0 / size, jnp.real(1.0 / pole))
     integral = wanted * jnp.where(around, jnp.maximum(_ZERO * wanted, decay) / size, 1.0)
     found = RebalanceDesign(roll_off / (2.0 * jnp.pi), turn, gain, integral)
@@ -98,7 +98,7 @@ def dynamic_stiffness(dynamics: Dynamics, omega: Scalar) -> Scalar:
 def _check_stable(made: RebalanceDesign, dynamics: Dynamics, omega: Scalar, bandwidth: Any) -> None:
     """Raises `InputError` where the phasor of a rebalanced y grows: one of the roots of
 
-        s (s + b) (s² + (2jω + d) s + Δ) + b Δ turn (k s + i).
+        s (s + b) (s² + (2jω + d) s + Δ) + b Δ e^(j turn) (k s + i).
 
     Looked at where all numbers are known: not while a program is traced.
     """
@@ -108,7 +108,7 @@ def _check_stable(made: RebalanceDesign, dynamics: Dynamics, omega: Scalar, band
         return
     for k, i, b, w, d, held, turn in zip(*(np.ravel(part) for part in np.broadcast_arrays(*parts)), strict=True):
         turning = d + 2j * w
-        pushed = b * held * turn
+        pushed = b * held * np.exp(1j * turn)
         roots = np.roots([1.0, b + turning, b * turning + held, b * held + pushed * k, pushed * i])
         growth = roots.real.max()
         if growth > 0.0:

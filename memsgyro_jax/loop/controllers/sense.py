@@ -33,6 +33,11 @@ class AbstractSense(Displayed, Generic[State]):
     conversion: AbstractVar[Pair]
     sets_bandwidth: ClassVar[Mapping[str, tuple[str, ...]]] = _DEMODULATOR
 
+    @property
+    def balanced(self) -> Pair:
+        """What a demodulated displacement is times before it is used: `conversion`, or that in another phase."""
+        return self.conversion
+
     @abc.abstractmethod
     def init(self) -> State:
         """At rest."""
@@ -89,10 +94,11 @@ class ForceRebalance(AbstractSense[RebalanceState]):
 
     Each is `gain` times what is left of the rate (or quadrature) plus `integral` [1/s] times its integral; zero
     `quadrature_gain` and `quadrature_integral` leave the quadrature alone. `force_per_rate` [N per rad/s], 2 m ω A,
-    holds a rate of one. At the design the loops open are, ω the drive's, Δ the sense axis' dynamic stiffness, and κ the
-    `conversion` over that of an open loop, of size one (`rebalance_design`),
+    holds a rate of one. What is left is turned by `turn` [rad] first: by none, loops work in the phase of the
+    displacement, by less than a right angle in that of the velocity (`rebalance_design`). At the design the loops open
+    are, ω the drive's and Δ the sense axis' dynamic stiffness,
 
-        L(s) = κ · (gain + integral/s) · b/(s + b) · Δ(jω)/Δ(s + jω).
+        L(s) = e^(j turn) · (gain + integral/s) · b/(s + b) · Δ(jω)/Δ(s + jω).
     """
 
     demodulator: AbstractDemodulator
@@ -102,6 +108,7 @@ class ForceRebalance(AbstractSense[RebalanceState]):
     integral: Scalar = eqx.field(converter=jnp.asarray, metadata={"unit": "1/s"})
     quadrature_gain: Scalar = number()
     quadrature_integral: Scalar = number()
+    turn: Scalar = number("rad", default=0.0)
     sets_bandwidth: ClassVar[Mapping[str, tuple[str, ...]]] = {
         **_DEMODULATOR,
         "the rebalance loop's gains (`bandwidth` of the controller)": ("gain", "integral"),
@@ -111,6 +118,11 @@ class ForceRebalance(AbstractSense[RebalanceState]):
         for name in ("gain", "integral", "quadrature_gain", "quadrature_integral"):
             check_not_negative(name, getattr(self, name))
 
+    @property
+    def balanced(self) -> Pair:
+        """The conversion, turned."""
+        return phasor_product(self.conversion, (jnp.cos(self.turn), jnp.sin(self.turn)))
+
     def init(self) -> RebalanceState:
         """No force."""
         zero = (jnp.zeros(()), jnp.zeros(()))
@@ -119,7 +131,7 @@ class ForceRebalance(AbstractSense[RebalanceState]):
     def step(self, state: RebalanceState, volts: Scalar, turn: Pair, per_volt: Pair, period: Scalar) -> RebalanceState:
         """Both loops one sample on."""
         held = self.demodulator.step(state.held, volts, turn, period)
-        left = phasor_product(phasor_product(self.demodulator.phasor(held), per_volt), self.conversion)
+        left = phasor_product(phasor_product(self.demodulator.phasor(held), per_volt), self.balanced)
         rates, gains = (self.integral, self.quadrature_integral), (self.gain, self.quadrature_gain)
         integral = tuple(i + k * period * e for i, k, e in zip(state.integral, rates, left, strict=True))
         output = tuple(i + k * e for i, k, e in zip(integral, gains, left, strict=True))

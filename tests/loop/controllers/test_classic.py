@@ -12,6 +12,7 @@ from oracles import classic
 from scipy import optimize
 
 import memsgyro_jax as mg
+from memsgyro_jax.app.study.classic import entries_of_classic
 from memsgyro_jax.loop import noise
 from memsgyro_jax.loop.controllers import rebalance_design
 from memsgyro_jax.loop.controllers.classic import locked_frequency
@@ -198,6 +199,21 @@ def test_loops_that_close_around_a_split_bear_dies_whose_modes_cross(split, qual
         assert slowest > 20.0, "comes to rest within a twentieth of a second"
         assert float(mg.loop_margins(loop_of(die, DISPLACEMENT, control)).rate) > 0.5
     assert float(control.sense.demodulator.bandwidth) * 2.0 * np.pi > away / 0.2
+
+
+def test_a_tuned_demodulator_keeps_the_phase_that_its_gains_were_made_for(tmp_path):
+    """Written to a study and read again, though the narrower one would have asked for another phase."""
+    (tmp_path / "study.toml").write_text(
+        '[device]\nkind = "single_mass"\nmass = "10 ug"\nfrequency = ["12 kHz", "12.1 kHz"]\n'
+        'quality_factor = [3000, 800]\n[controller]\nkind = "classic"\nsense = "rebalanced"\n'
+    )
+    study = mg.load_study(tmp_path / "study.toml")
+    control = study.loop.controller
+    assert 1.0 < float(control.sense.turn) < 0.5 * np.pi
+    narrow = eqx.tree_at(lambda made: made.sense.demodulator.bandwidth, control, jnp.asarray(300.0))
+    again = study.changed(entries_of_classic(narrow)).loop.controller
+    for one, other in zip(jax.tree.leaves(narrow), jax.tree.leaves(again), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-9)
 
 
 def test_a_bandwidth_below_the_split_wants_a_narrow_demodulator():
