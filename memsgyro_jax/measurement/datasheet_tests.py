@@ -16,7 +16,7 @@ from .datasheet_rows import FEWEST, NOT_MODELLED, DatasheetRow
 from .lot_outputs import Outputs
 from .over_temperature import CELSIUS, OverTemperature, depends_on_temperature, held_at
 from .rate_tests import Dies, RateTests, settled_mean
-from .step_spectrum import first_half_power, resonance_in_band
+from .step_spectrum import first_half_power, flat_up_to, resonance_in_band, spectrum_of
 
 
 _GRAVITY = 9.80665  # m/s²
@@ -240,15 +240,16 @@ def noises(
     widest = float(np.nanmedian(bandwidth)) if np.isfinite(bandwidth).any() else 0.4 / run.period
     density, walk, instability = nothing.copy(), nothing.copy(), nothing.copy()
     said = ["", "", ""]
-    frequencies = np.fft.rfftfreq(rate.shape[1], run.period)
-    flat = (frequencies > 0.0) & (frequencies <= _SHARE * widest)
+    frequencies, power = spectrum_of(rate, run.period)
+    top = flat_up_to(frequencies, power[run.alive], _SHARE * widest)
+    flat = (frequencies > 0.0) & (frequencies <= top)
     if flat.sum() >= _LINES:
-        power = 2.0 * run.period / rate.shape[1] * np.abs(np.fft.rfft(rate - rate.mean(axis=1, keepdims=True))) ** 2
         density = np.degrees(np.sqrt(np.mean(power[:, flat], axis=1)))
     else:
+        rises = "" if top == _SHARE * widest else f"the noise rises above {top:.3g} Hz, and "
         said[0] = (
-            f"the record is too short: {_LINES} lines below {_SHARE * widest:.3g} Hz take "
-            f"{_LINES / (_SHARE * widest):.3g} s{_by_formula(bench)[0]}"
+            f"{rises}the record is too short: {_LINES} lines below {top:.3g} Hz take {_LINES / top:.3g} s"
+            f"{_by_formula(bench)[0]}"
         )
     try:
         terms = allan(rate[run.alive], sample_rate=1.0 / run.period, band=(2.0 / widest, np.inf)).terms

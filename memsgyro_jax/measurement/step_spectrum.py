@@ -5,6 +5,7 @@ from jaxtyping import Float
 
 
 HALF = np.sqrt(0.5)  # 3 dB down
+_RISES, _SURE = 1.3, 3.0  # share by which power must rise to count, and standard deviations beyond
 _EVERY = 600  # frequencies that are looked at
 
 
@@ -43,6 +44,29 @@ def spectrum_of_step(answer: Float[np.ndarray, " times"], period: float) -> tupl
     frequencies = np.geomspace(0.02 / (len(answer) * period), 0.4 / period, _EVERY)
     turns = np.exp(-2j * np.pi * frequencies[:, None] * period * np.arange(len(answer)))
     return frequencies, np.abs(turns @ slope) / np.sinc(frequencies * period)
+
+
+def spectrum_of(rate: Float[np.ndarray, "dies times"], period: float) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies [Hz] and one-sided power of each die there, per Hz, of means over a `period` [s] less their own."""
+    moving = rate - rate.mean(axis=1, keepdims=True)
+    power = 2.0 * period / rate.shape[1] * np.abs(np.fft.rfft(moving)) ** 2
+    return np.fft.rfftfreq(rate.shape[1], period), power
+
+
+def flat_up_to(frequencies: np.ndarray, power: Float[np.ndarray, "dies lines"], top: float) -> float:
+    """The frequency [Hz] up to which noise does not rise, `top` at most: halved while the upper half of what is below
+    has more power than the lower one. A rate from a displacement rises so beyond the mode split.
+    """
+    while True:
+        halves = [(frequencies > low * top) & (frequencies <= high * top) for low, high in ((0.0, 0.5), (0.5, 1.0))]
+        lines = min(int(half.sum()) for half in halves)
+        if lines < 2:
+            return top
+        lower, upper = (float(np.mean(power[:, half])) for half in halves)
+        chance = _SURE * np.sqrt(2.0 / (lines * len(power)))  # of two means of so many exponential numbers
+        if upper <= lower * (_RISES + chance):
+            return top
+        top *= 0.5
 
 
 def _rise(answer: Float[np.ndarray, " times"], period: float) -> tuple[float, float, float] | None:

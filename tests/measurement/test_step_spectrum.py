@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from memsgyro_jax.measurement.step_spectrum import first_half_power, resonance_in_band
+from memsgyro_jax.measurement.step_spectrum import first_half_power, flat_up_to, resonance_in_band, spectrum_of
 
 
 PERIOD = 1e-4  # s
@@ -44,3 +44,23 @@ def test_a_resonance_before_the_fall_is_told():
     numbers = [float(number) for number in re.findall(r"([\d.]+) (?:times|Hz)", said)]
     assert numbers == pytest.approx([5.03, 99.0, 54.9], rel=0.02)
     assert resonance_in_band(np.full((2, 50), np.nan), PERIOD) == ""
+
+
+@pytest.mark.parametrize(("corner", "low", "high"), [(np.inf, 100.0, 100.0), (30.0, 12.0, 60.0), (4.0, 1.5, 8.0)])
+def test_noise_is_flat_up_to_where_it_rises(corner, low, high):
+    """White noise, and white noise whose power grows with the square of the frequency beyond a corner."""
+    rng, times = np.random.default_rng(5), PERIOD * np.arange(80_000)
+    white = rng.standard_normal((3, len(times))) / np.sqrt(2.0 * PERIOD)
+    grown = np.fft.irfft(np.fft.rfft(white) * (1.0 + 1j * np.fft.rfftfreq(len(times), PERIOD) / corner), len(times))
+    frequencies, power = spectrum_of(grown, PERIOD)
+    top = flat_up_to(frequencies, power, 100.0)
+    assert low <= top <= high
+    below = (frequencies > 0.0) & (frequencies <= top)
+    assert np.mean(power[:, below]) == pytest.approx(1.0, rel=0.6), "in place of up to 200"
+    assert flat_up_to(frequencies[:3], power[:, :3], 100.0) == 100.0, "too few lines to tell"
+
+
+def test_noise_that_is_flat_is_rarely_taken_to_rise():
+    frequencies = np.arange(41.0)
+    lots = np.random.default_rng(1).exponential(size=(2000, 4, 41))
+    assert np.mean([flat_up_to(frequencies, lot, 40.0) < 40.0 for lot in lots]) < 0.005
