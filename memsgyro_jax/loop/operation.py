@@ -126,8 +126,8 @@ def usual_duration(loop: ClosedLoop) -> float:
 def _usual_sample_rate(gyro: AbstractGyro) -> float:
     if not is_concrete(gyro):
         raise InputError(
-            "Arguments `sample_rate` and `duration` must be given for a device whose numbers jax.grad, jax.jvp, "
-            "jax.vmap or jax.jit traces: what is usual follows its modes, which are not known before the program runs."
+            "Argument `sample_rate`, and `duration` where there is one, must be given for a device whose numbers "
+            "jax.grad, jax.jvp, jax.vmap or jax.jit traces: what is usual follows its modes, which are not known then."
         )
     with jax.ensure_compile_time_eval():
         highest = float(np.max(np.asarray(mode_frequencies(gyro))))

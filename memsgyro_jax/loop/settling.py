@@ -66,14 +66,14 @@ def duration_to_settle(loop: ClosedLoop, settle: float, duration: float, seen: f
 
 def not_at_rest(loop: ClosedLoop, settle: float, duration: float) -> tuple[str, ...]:
     """A sentence where the figures from `settle` [s] on must be of a start, too; none where nothing is known."""
-    time_constant = settling_time_constant(loop)
-    if time_constant is None or settle >= swing_up_time(loop) + _MOVING * time_constant:
+    time_constant, up = settling_time_constant(loop), swing_up_time(loop)
+    if time_constant is None or settle >= up + _MOVING * time_constant:
         return ()
     enough = duration_to_settle(loop, settle, duration)
     said = (
         f"The closed loops come to rest with a time constant of {time_constant:.2g} s at the design"
-        f"{_after(loop, time_constant)}, but the figures "
-        f"count from {settle:.3g} s on and may be of the start; a `duration` of {enough:g} s lets it die away before "
+        f"{_after(up, time_constant)}, but the figures count from {settle:.3g} s on and may be of the start; a "
+        f"`duration` of {enough:g} s lets it die away before "
         "(they count from its half on where `settle` is left out)."
     )
     return (said,)
@@ -81,24 +81,23 @@ def not_at_rest(loop: ClosedLoop, settle: float, duration: float) -> tuple[str, 
 
 def not_rested(loop: ClosedLoop, duration: float) -> tuple[str, ...]:
     """A sentence where a run of `duration` [s] ends before its loops have come to rest; none of traced numbers."""
-    time_constant = settling_time_constant(loop) if is_concrete(loop) else None
-    if time_constant is None or duration >= swing_up_time(loop) + _MOVING * time_constant:
+    time_constant, up = settling_time_constant(loop) if is_concrete(loop) else None, swing_up_time(loop)
+    if time_constant is None or duration >= up + _MOVING * time_constant:
         return ()
     said = (
-        f"The closed loops come to rest with a time constant of {time_constant:.2g} s{_after(loop, time_constant)}, "
+        f"The closed loops come to rest with a time constant of {time_constant:.2g} s{_after(up, time_constant)}, "
         f"but the run ends after {duration:.3g} s: it shows their start."
     )
-    if duration < swing_up_time(loop):
+    if duration < up:
         return (said,)
     if isinstance(loop.controller, ClassicControl) and isinstance(loop.controller.sense, ForceRebalance):
         said += (
-            " What a rebalance loop can do is limited by the sense axis: less quality factor, matched modes "
-            "(`mg.matching_bias`) or an open sense axis are faster."
+            " What a rebalance loop can do is limited by the sense axis: a demodulator of five times the mode split, "
+            "less quality factor, matched modes (`mg.matching_bias`) or an open sense axis are faster."
         )
     return (said,)
 
 
-def _after(loop: ClosedLoop, time_constant: float) -> str:
-    """Words for a drive that takes longer than that to swing up."""
-    up = swing_up_time(loop)
+def _after(up: float, time_constant: float) -> str:
+    """Words for a drive that takes longer than that to swing `up`."""
     return f" after the {up:.2g} s in which the drive swings up" if up > time_constant else ""

@@ -99,7 +99,9 @@ def datasheet(
     alive = np.all([run.alive for run in table], axis=0) & answer.alive
     rest, begun = (alive & (started.values <= begin) for begin in (bench.settle, 0.5 * bench.duration))
     why = unsettled(alive, started, bench)
-    limited = limits(stepped, answer) if np.sum(begun) >= FEWEST else ()
+    if np.sum(begun) < FEWEST:  # what the step shows is of a start
+        answer = answer._replace(unknown=answer.unknown or NOT_SETTLED)
+    limited = limits(stepped, answer)
     step_rows = at_rest(step_rows, begun, why)
     full, settled = static[0], static[1:]  # the full scale is declared
     settled, around, over_temperature = (at_rest(part, rest, why) for part in (settled, around, over_temperature))
@@ -131,15 +133,13 @@ def datasheet(
 
 def step_told(bench: RateTests, still: Outputs) -> tuple[RateTests, Answer, tuple[DatasheetRow, ...]]:
     """What a step of the rate tells, and the tests that told it: finer ones where windows hide how fast it is."""
-    found, period = step_answer(bench, still, bench.run(bench.at(0.0, step_size(bench)))), still.period
-    while bench.finer and not found[0].unknown and period * bench.sample_rate > 1.5:
-        fast = np.nan_to_num(found[0].bandwidth, nan=np.inf) * period > _COARSE
-        if np.mean(fast) <= 0.5:
-            break
-        bench = bench.finer()
-        still = bench.run(bench.at(0.0))
-        found, period = step_answer(bench, still, bench.run(bench.at(0.0, step_size(bench)))), still.period
-    return bench, *found
+    found = step_answer(bench, still, bench.run(bench.at(0.0, step_size(bench))))
+    fast = np.nan_to_num(found[0].bandwidth, nan=np.inf) * still.period > _COARSE
+    single = still.period * bench.sample_rate < 1.5  # samples in a window
+    if bench.finer is None or single or found[0].unknown or np.mean(fast) <= 0.5:
+        return bench, *found
+    finer = bench.finer()
+    return step_told(finer, finer.run(finer.at(0.0)))
 
 
 def check_noise_duration(bench: RateTests, noise_duration: float | None) -> None:

@@ -16,6 +16,7 @@ _LONGEST = 2.0  # the longest step in coordinates, a factor e² of a number
 _SHORTEST = 1e-4  # the shortest step worth an evaluation
 _ARMIJO = 0.1  # of the fall that the slope promises: what a step must bring to be accepted
 _FLATTEST = 1e-6  # of the steepest direction's squared slope: less counts as this
+_COARSE = "what stands is the best of a coarse grid, from which no step made the validation dies fare better"
 _PATIENCE = 3  # accepted steps that may bring next to nothing, or no gain on the validation dies
 _WORTH = 0.02  # of the standard error of the loss: what these steps together must bring
 _RENEWED = 0.2  # of the standard error where the metric was taken: from there on it is taken anew
@@ -97,21 +98,26 @@ def descend(
 
 
 def sought(
-    down: Callable[[Vector, int], Descent], moved: Callable[[Vector], Vector | None], start: Vector, evaluations: int
-) -> Descent:
-    """`down` from `start`, then again from where `moved` (a rescue) puts its end, until that finds nothing to move.
+    down: Callable[[Vector, int], Descent], moved: Callable[[Vector], Vector | None], start: Vector, evaluations: int,
+    *, of_grid: bool = False,
+) -> Descent:  # fmt: skip
+    """`down` from `start` (`of_grid`: found by one), then again from where `moved` (a rescue by a grid) puts its end,
+    until that finds nothing to move.
 
-    All steps in a row; `down` is told where to begin and how many evaluations are left.
+    All steps in a row; `down` is told where to begin and how many evaluations are left. A best place that no step has
+    bettered since a grid found it is said to be that.
     """
     steps: list[DescentStep] = []
+    coarse: set[int] = set()  # steps at which a grid stands
     while True:
         spent = steps[-1].evaluations if steps else 0
         found = down(start, evaluations - spent)
+        coarse |= {len(steps)} if steps or of_grid else set()
         steps += [replace(step, evaluations=spent + step.evaluations) for step in found.steps]
         best = _finished(steps, found.status)
         further = moved(best.coordinates) if steps[-1].evaluations < evaluations else None
         if further is None:
-            return best
+            return replace(best, status=f"{best.status}; {_COARSE}") if best.best in coarse else best
         start = further
 
 

@@ -6,7 +6,7 @@ numbers by likelihood, then the rest by the error.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -38,7 +38,6 @@ from .tunable import Group, Tunables, resolved
 
 
 TRAINING, VALIDATION = 2**20, 2**21  # numbers of the first dies; those of a report or a sweep begin at 0
-_COARSE = "what stands is the best of a coarse grid, from which no step made the validation dies fare better"
 _LOST = 10.0  # a lost die counts like the worst die at the start and this many times its size
 
 
@@ -226,20 +225,13 @@ class _Work:
         def down(start: np.ndarray, left: int) -> Descent:
             return descend(loss, judged, start, evaluations=left, told=told)
 
-        grid: list[np.ndarray] = []  # places that are as fine as that
-
         def moved(end: np.ndarray) -> np.ndarray | None:
             found = rescued(training, tunables.numbers(end), penalty, self.told)
-            if found is not None:
-                grid.append(tunables.starting(found).coordinates)
-            return None if found is None else grid[-1]
+            return None if found is None else tunables.starting(found).coordinates
 
         first = scanned(training, tunables.values, penalty, self.told)
-        start = tunables.starting(first).coordinates
-        grid += [start] if np.any(first != tunables.values) else []
-        found = sought(down, moved, start, self.evaluations)
-        coarse = any(np.array_equal(found.coordinates, place) for place in grid)
-        return replace(found, status=f"{found.status}; {_COARSE}") if coarse else found
+        start, of_grid = tunables.starting(first).coordinates, bool(np.any(first != tunables.values))
+        return sought(down, moved, start, self.evaluations, of_grid=of_grid)
 
 
 def _penalty(values: Values, name: str) -> float:

@@ -241,7 +241,7 @@ def test_a_bandwidth_is_that_of_the_output_whatever_the_windows(bandwidth):
     """In 400 windows of a second, in which what is fast folds back, and finer ones where it must be looked at."""
     decay, finest = 2.0 * np.pi * bandwidth, []
 
-    def tests(windows):
+    def bench_of(windows):
         edges = np.linspace(0.0, 1.0, windows + 1)
         since = np.maximum(edges - 0.5, 0.0)
         risen = windows * np.diff(since + np.expm1(-decay * since) / decay)
@@ -252,12 +252,10 @@ def test_a_bandwidth_is_that_of_the_output_whatever_the_windows(bandwidth):
             rate = np.tile(turned * risen, (DIES, 1))
             return Outputs(rate, rate, np.ones(DIES, bool), 1.0 / windows)
 
-        few = lambda *_: [run(mg.Scenario())]  # noqa: E731
-        return RateTests(
-            run, lambda *_: run, few, LOOP, mg.Scenario(), 1.0, 0.5, 1.0, RATE, finer=lambda: tests(10 * windows)
-        )
+        finer = lambda: bench_of(10 * windows)  # noqa: E731
+        return RateTests(run, None, None, LOOP, mg.Scenario(), 1.0, 0.5, 1.0, RATE, finer)
 
-    bench = tests(400)
+    bench = bench_of(400)
     used, _, (row, delay) = step_told(bench, bench.run(bench.at(0.0)))
     np.testing.assert_allclose(row.values, bandwidth, rtol=0.015)
     np.testing.assert_allclose(delay.values, 1e3 / decay, rtol=0.01)

@@ -165,7 +165,22 @@ def test_a_rescue_goes_down_again():
     found = sought(down, lambda end: next(starts), np.array([3.0]), 10)
     assert [step.evaluations for step in found.steps] == [1, 2, 3]
     assert found.coordinates.tolist() == [1.0]
-    assert found.status == "8 left"
+    assert found.status.startswith("8 left; what stands is the best of a coarse grid")
+
+
+@pytest.mark.parametrize("of_grid", [False, True])
+@pytest.mark.parametrize(("bettered", "rescue"), [(False, None), (True, None), (False, 2.0), (True, 2.0)])
+def test_a_best_place_of_a_grid_says_so(of_grid, bettered, rescue):
+    def down(start, left):
+        places = [start, 0.5 * start] if bettered else [start]
+        steps = (DescentStep(n + 1, float(at[0]), float(at[0]), at) for n, at in enumerate(places))
+        return Descent(tuple(steps), len(places) - 1, "converged")
+
+    moved = iter([None if rescue is None else np.array([rescue]), None])
+    found = sought(down, lambda end: next(moved), np.array([3.0]), 10, of_grid=of_grid)
+    coarse = not bettered and (of_grid or rescue is not None)
+    assert found.status.startswith("converged")
+    assert ("coarse grid" in found.status) is coarse
 
 
 def test_each_number_has_a_fate(made):

@@ -63,13 +63,14 @@ class Classic(FileSection):
     amplitude: _Length | None = None
     """Amplitude of the drive axis that the gain control holds; left out, 2 % of the travel."""
     bandwidth: Hertz | None = None
-    """Bandwidth of the integral of the rebalance loops; left out, what the device bears. Not of an open loop."""
+    """Where the rebalance loops cross; left out, what the device bears. Not of an open loop."""
     drive_bandwidth: Hertz | None = None
     """Bandwidth (-3 dB) of the drive axis' demodulator, which sets the gains of both drive loops; left out, a twentieth
     of the drive frequency, rebalanced up to a fifth."""
     sense_bandwidth: Hertz | None = None
     """Bandwidth (-3 dB) of the sense axis' demodulator, and so of an open loop; left out, a tenth of the drive
-    frequency, rebalanced a twentieth, or less where the axes are split."""
+    frequency, rebalanced a twentieth, or what the split of the axes asks for. From five splits on, rebalance loops
+    close around both axes."""
     phase_gain: PerSecond | None = None
     """Proportional gain of the phase-locked loop: angular frequency per sine of the phase error."""
     phase_integral: _Integral | None = None

@@ -20,7 +20,9 @@ File = TypeVar("File", bound=FileSection)
 
 
 def completed(file: File, gyro: AbstractGyro, readout: AbstractReadout) -> File:
-    """The `StudyFile` with what it leaves open: how `gyro` behind `readout` is usually operated."""
+    """The `StudyFile` with what it leaves open but for the duration, which the loop tells (`rested`): how `gyro` behind
+    `readout` is usually operated.
+    """
     given: Any = file
     usual = Operation.of(gyro, readout, given.loop.travel)
     at_rest = isinstance(given.controller, Classic)
@@ -31,7 +33,7 @@ def completed(file: File, gyro: AbstractGyro, readout: AbstractReadout) -> File:
     tone = Added(frequency=f"{float(usual.tone.frequency)!r} Hz", amplitude=f"{float(usual.tone.amplitude)!r} m/s^2")
     sections = {
         "loop": loop,
-        "sweep": _filled(given.sweep, **usual.run),
+        "sweep": _filled(given.sweep, sample_rate=usual.sample_rate),
         "observer": _observer(given.observer, usual, loop.displacement[0], given.spread.relative or USUAL_SPREAD),
         "controller": _filled(law, amplitude=usual.amplitude)
         if at_rest
@@ -42,12 +44,10 @@ def completed(file: File, gyro: AbstractGyro, readout: AbstractReadout) -> File:
     return file.model_copy(update=sections)
 
 
-def rested(given: File, file: File, loop: ClosedLoop) -> File:
-    """`file` with the duration that `loop` takes to come to rest, where `given` leaves it open."""
-    if given.sweep.duration is not None:  # type: ignore[attr-defined]
-        return file
-    sweep = file.sweep.model_copy(update={"duration": usual_duration(loop)})  # type: ignore[attr-defined]
-    return file.model_copy(update={"sweep": sweep})
+def rested(file: File, loop: ClosedLoop) -> File:
+    """`file` with the duration that `loop` asks for, where it is left open."""
+    given: Any = file
+    return file.model_copy(update={"sweep": _filled(given.sweep, duration=usual_duration(loop))})
 
 
 def _observer(part: FileSection, usual: Operation, amplitude: float, spread: float) -> FileSection:

@@ -290,7 +290,7 @@ def _build(given: StudyFile, source: Source, own: tuple[Effect, ...]) -> Study:
     plant = discretisation(file.loop.discretisation)
     filter_ = file.filter and file.filter.build()
     loop = ClosedLoop(gyro, readout, observer, controller, start, file.loop.travel, plant, filter_)
-    file = rested(given, file, loop)
+    file = rested(file, loop)
     if file.loop.block is not None:
         with source.section("loop", "block"):
             loop = loop.in_blocks(file.loop.block)

@@ -18,7 +18,7 @@ from ..readout import AbstractReadout
 from .base import AbstractController
 from .demodulator import TrackingDemodulator
 from .phase_locked_drive import DriveState, PhaseLockedDrive
-from .rebalance_design import dynamic_stiffness, rebalance_design
+from .rebalance_design import DRIVE_SHARE, dynamic_stiffness, rebalance_design
 from .sense import AbstractSense, ForceRebalance, OpenSense
 
 
@@ -99,7 +99,7 @@ class ClassicControl(AbstractController[ClassicState]):
         omega = locked_frequency(gyro, nulled=True)
         follow = _FOLLOW * _shift_of_nulling(gyro)
         if drive_bandwidth is None:
-            drive_bandwidth = jnp.clip(follow, omega / _DRIVE_SHARE, omega / _FASTEST_SHARE) / (2.0 * jnp.pi)
+            drive_bandwidth = jnp.clip(follow, omega / DRIVE_SHARE, omega / _FASTEST_SHARE) / (2.0 * jnp.pi)
         drive = _drive(gyro, readout, amplitude, omega, drive_bandwidth)
         dynamics = gyro.dynamics(Inertial())
         if bandwidth is not None:
@@ -154,10 +154,8 @@ class ClassicControl(AbstractController[ClassicState]):
 
 _TINY = 1e-9  # of the amplitude: a size has a derivative at rest too
 _STEPS = 8  # of Newton's way to the locked frequency, which doubles its digits
-_DRIVE_SHARE = 20.0  # of the drive's frequency to the bandwidth of its demodulator
 _FASTEST_SHARE = 5.0  # the same where the loops must follow a resonance that moves
 _FOLLOW = 6.0  # times the shift of the resonance
-_OF_INTEGRAL = 4.0  # times the bandwidth of the integral to that of the demodulator
 _LIMIT = 20.0  # times the force that holds the amplitude: how fast a start may be
 
 
@@ -222,7 +220,7 @@ def _drive(
     check_positive("amplitude", amplitude)
     if readout.signals[0] not in (X, VX):
         raise InputError("A read-out for a phase-locked drive must measure x first, its displacement or its velocity.")
-    width = omega / (2.0 * jnp.pi * _DRIVE_SHARE) if bandwidth is None else jnp.asarray(bandwidth)
+    width = omega / (2.0 * jnp.pi * DRIVE_SHARE) if bandwidth is None else jnp.asarray(bandwidth)
     dynamics = gyro.dynamics(Inertial())
     pole, decay, gain = 2.0 * jnp.pi * width, 0.5 * dynamics.damping[0][0], dynamics.gain[0]
     per_force = gain / (2.0 * omega)  # growth of the amplitude

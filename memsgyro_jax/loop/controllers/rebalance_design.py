@@ -21,13 +21,13 @@ from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.gyro import Dynamics, Scalar
 
 
-_AROUND = 0.2  # Δω over b up to which loops close around both: -1 is 0.8 away, 0.6 for a die twice as far apart
-_FLAT = 0.15  # the same where their answer to a rate is flat within a tenth
+_AROUND = 0.2  # Δω over b up to which loops close around both: -1 is 0.8 away, 0.55 for a die twice as far apart
+_FLAT = 0.15  # the same where their answer to a rate is flat within a fifth
 _OF_POLE = 0.25  # of the demodulator's pole: what a loop crosses at
 _LEAST = 0.8  # of Δω: what loops that close around it cross at
 _BELOW = 0.99  # of the pole that would close around: the widest that does not
 _ZERO = 0.2  # of the crossing: where its integral ends
-_DRIVE_SHARE, _WIDEST_SHARE = 20.0, 8.0  # of the drive's frequency to the usual pole, and to the widest
+DRIVE_SHARE, _WIDEST_SHARE = 20.0, 8.0  # of the drive's frequency to the usual pole, and to the widest
 
 
 class RebalanceDesign(NamedTuple):
@@ -72,7 +72,7 @@ def _pole(decay: Scalar, away: Scalar, omega: Scalar, wanted: Any, least: Scalar
     around the split then; else the quarter of it is the integral that the resonance bears. It is four times a bandwidth
     that is `wanted` where that is more.
     """
-    usual, asked = omega / _DRIVE_SHARE, 0.0 if wanted is None else wanted / _OF_POLE
+    usual, asked = omega / DRIVE_SHARE, 0.0 if wanted is None else wanted / _OF_POLE
     wide = jnp.clip(jnp.maximum(away / _FLAT, asked), usual, omega / _WIDEST_SHARE)
     bears = 0.5 * decay + jnp.sqrt(0.25 * decay**2 + decay * away)
     narrow = jnp.minimum(jnp.maximum(jnp.maximum(bears, asked), least), jnp.minimum(usual, _BELOW * away / _AROUND))

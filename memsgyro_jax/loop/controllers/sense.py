@@ -94,8 +94,8 @@ class ForceRebalance(AbstractSense[RebalanceState]):
 
     Each is `gain` times what is left of the rate (or quadrature) plus `integral` [1/s] times its integral; zero
     `quadrature_gain` and `quadrature_integral` leave the quadrature alone. `force_per_rate` [N per rad/s], 2 m ω A,
-    holds a rate of one. What is left is turned by `turn` [rad] first: by none, loops work in the phase of the
-    displacement, by less than a right angle in that of the velocity (`rebalance_design`). At the design the loops open
+    holds a rate of one. What is left is turned by `turn` [rad] first: by zero, loops work in the phase of the
+    displacement, by nearly a right angle in that of the velocity (`rebalance_design`). At the design the loops open
     are, ω the drive's and Δ the sense axis' dynamic stiffness,
 
         L(s) = e^(j turn) · (gain + integral/s) · b/(s + b) · Δ(jω)/Δ(s + jω).
