@@ -8,7 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from memsgyro_jax.measurement.case import Case
+from memsgyro_jax.measurement.case import AbstractRecord, Case
 from memsgyro_jax.measurement.drive_levels import ALIKE, clear_drives
 from memsgyro_jax.measurement.experiments import Readings
 
@@ -17,6 +17,9 @@ from .optimum import Optimum, optimise
 
 
 FAR = 100.0  # χ² per degree of freedom from which a fit to all drives may have missed its valley
+FALL = 0.3  # of the largest reading: a change across one row that may be a fall from branch to branch
+SUDDEN = 3.0  # times the changes beside it
+BRINK = 3  # rows to each side of a fall: nearer to a fold than that a little change of the device ends the branch
 NOBODY = -1  # in place of a record: rows that belong to none
 Rows = Mapping[int, tuple[int, ...]]
 
@@ -63,7 +66,8 @@ def calm(case: Case, readings: Sequence[Readings]) -> tuple[Readings, ...]:
 
 def stages(case: Case, fitted: Sequence[Readings]) -> list[tuple[Readings, ...]]:
     """The sweeps that are fitted, up to each drive of clear ones in turn, and at last all that is; none without a clear
-    sweep.
+    sweep. Rows on the brink of a fall from branch to branch wait for the end: a fit that is not yet right cannot pass
+    them, as beyond there is no such branch.
     """
     records: list[tuple[int, Any]] = list(enumerate(case.records))
     sweeps = [(k, r) for k, r in records if hasattr(r, "setting") and r.role != "validation"]
@@ -78,7 +82,26 @@ def stages(case: Case, fitted: Sequence[Readings]) -> list[tuple[Readings, ...]]
         {k: tuple(np.flatnonzero(r.setting > (1 + ALIKE) * level).tolist()) for k, r in sweeps} for level in levels[:-1]
     ]
     upto = [some for rows in louder if (some := tuple(_without(r, rows) for r in swept if not _all_gone(r, rows)))]
-    return [*upto, *([swept] if len(swept) < len(fitted) else []), tuple(fitted)]
+    steps = [*upto, *([swept] if len(swept) < len(fitted) else []), tuple(fitted)]
+    brink = {k: rows for k, r in sweeps if (rows := _on_the_brink(r))}
+    return [*(tuple(_without(r, brink) for r in step) for step in steps), tuple(fitted)] if brink else steps
+
+
+def _on_the_brink(record: AbstractRecord) -> tuple[int, ...]:
+    """Rows near a fall from one branch of a bent resonance to another."""
+    rows = np.arange(record.rows)
+    falls = np.array([row for row in rows if amid_a_fall(record, row)])
+    return tuple(rows[np.any(np.abs(rows[:, None] - falls) <= BRINK, axis=1)].tolist()) if falls.size else ()
+
+
+def amid_a_fall(record: AbstractRecord, row: int) -> bool:
+    """Whether the reading changes at once across a row of a sweep, and hardly beside it."""
+    if not (np.iscomplexobj(record.readings) and 1 < row < record.rows - 2):
+        return False
+    size = np.max(np.abs(record.readings), axis=1)
+    before, after = np.abs(np.diff(size[row - 2 : row + 3]))[[0, -1]]
+    fall = abs(size[row + 1] - size[row - 1])  # a row that stands alone comes back
+    return bool(fall > FALL * np.nanmax(size) and fall > SUDDEN * max(before, after))
 
 
 def _all_gone(readings: Readings, left_out: Rows) -> bool:

@@ -200,9 +200,9 @@ class _Groups:
 
 
 def drive_levels(case: Case) -> int:
-    """How many levels of the drive the records have."""
+    """How many levels of the drive the records have, but for rounding."""
     drives = [getattr(record, "setting", None) for record in case.records]
-    return len({float(level) for drive in drives if drive is not None for level in np.ravel(drive)})
+    return len({f"{level:.6g}" for drive in drives if drive is not None for level in np.ravel(drive)})
 
 
 def _together(groups: Sequence[set[Place]]) -> list[set[Place]]:

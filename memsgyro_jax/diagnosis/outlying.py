@@ -10,7 +10,7 @@ from memsgyro_jax.measurement.least_squares import gate
 from memsgyro_jax.measurement.outliers import lone_residuals
 from memsgyro_jax.measurement.readings import Readings
 
-from .drives import NOBODY, Rows, gone, without_rows, without_weight
+from .drives import NOBODY, Rows, amid_a_fall, gone, without_rows, without_weight
 from .fit import CaseFit, beside_case
 from .joint_residual import Joint
 from .optimum import optimise
@@ -25,8 +25,6 @@ FAR, TRIMMED = 3.0, 0.1  # times what is usual from which rows are trimmed, and 
 USUAL = 1.5  # standard deviations that most rows may be off a fit that nothing pulls
 NEARER = 0.5  # of what was usual: what a fit to the others must come to, each time
 ROUNDS, EVALUATIONS = 8, 8  # of such fits
-FALL = 0.3  # of the largest reading: a change across one row that may be a fall from branch to branch
-SUDDEN = 3.0  # times the changes beside it
 
 
 def outlying(fit: CaseFit) -> Rows:
@@ -59,19 +57,9 @@ def of_rows(case: Case, left_out: Rows) -> str:
 
 
 def _of_row(record: AbstractRecord, row: int) -> str:
-    said = [record.at(row), "read while the response fell from branch to branch" * _amid_a_fall(record, row)]
+    said = [record.at(row), "read while the response fell from branch to branch" * amid_a_fall(record, row)]
     told = ", ".join(filter(None, said))
     return f"{row + 1} ({told})" if told else str(row + 1)
-
-
-def _amid_a_fall(record: AbstractRecord, row: int) -> bool:
-    """Whether the reading changes at once across a row of a sweep, and hardly beside it."""
-    if not (np.iscomplexobj(record.readings) and 1 < row < record.rows - 2):
-        return False
-    size = np.max(np.abs(record.readings), axis=1)
-    before, *across, after = np.abs(np.diff(size[row - 2 : row + 3]))
-    fall = sum(across)
-    return bool(fall > FALL * np.nanmax(size) and fall > SUDDEN * max(before, after))
 
 
 def search_beside_outlying(

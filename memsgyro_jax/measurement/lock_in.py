@@ -33,7 +33,6 @@ def through_lock_in(
     clocked = dwell is not None and (unsettled is not None or any(effect.rings for effect in effects))
     if not effects and not clocked:
         return phasors
-    count, axes = phasors.shape
 
     def one(values: Array, conditions: Conditions, apart: Array, row: LockInRow) -> Array:
         if clocked:
@@ -48,8 +47,43 @@ def through_lock_in(
             values = effect.phasors(values, row) if effect.last else values
         return values
 
-    surroundings = conditions.rows(count)
-    rows = LockInRow(
+    rows = _rows(frequency, force, before, conditions, dwell)
+    apart = jnp.zeros(len(phasors)) if unsettled is None else unsettled
+    return jax.vmap(one)(phasors, conditions.rows(len(phasors)), apart, rows)
+
+
+def before_lock_in(
+    bench: Model,
+    phasors: Complex[Array, "n axes"],
+    frequency: Float[Array, " n"],
+    force: Complex[Array, "n axes"],
+    conditions: Conditions,
+) -> Complex[Array, "n axes"]:
+    """What a bench shows where the lock-in gives these phasors [V]: turned, scaled and shifted back row by row, as
+    those terms of an instrument have it that ask no other row.
+    """
+    effects = [e for e in bench.effects if isinstance(e, LockInEffect) and not (e.last or e.rings)]
+    if not effects:
+        return phasors
+
+    def given(values: Array, row: LockInRow) -> Array:
+        for effect in effects:
+            values = effect.phasors(values, row)
+        return values
+
+    def one(values: Array, row: LockInRow) -> Array:
+        shift = given(jnp.zeros_like(values), row)
+        return (values - shift) / (given(jnp.ones_like(values), row) - shift)
+
+    return jax.vmap(one)(phasors, _rows(frequency, force, phasors, conditions, None))
+
+
+def _rows(
+    frequency: Array, force: Array, before: Complex[Array, "n axes"], conditions: Conditions, dwell: Array | None
+) -> LockInRow:
+    """What the lock-in knows of every row."""
+    (count, axes), surroundings = before.shape, conditions.rows(len(before))
+    return LockInRow(
         frequency=jnp.broadcast_to(frequency, (count,)),
         force=jnp.broadcast_to(force, (count, axes)),
         before=before,
@@ -60,7 +94,6 @@ def through_lock_in(
         decay=jnp.zeros((count, axes, axes), complex),
         left=jnp.zeros((count, axes, axes), complex),
     )
-    return jax.vmap(one)(phasors, surroundings, jnp.zeros(count) if unsettled is None else unsettled, rows)
 
 
 def ring_down_matrix(bench: Model, omega: Array, conditions: Conditions) -> Complex[Array, "axes axes"]:

@@ -34,7 +34,7 @@ def device_of_phasors(offered: Sequence[Phasors]) -> NormalisedDevice | None:
     found = [_of_modulus(*rows[:4]) if rows.modulus else None for rows in offered]
     if any(found):
         return next(one for one in found if one is not None)
-    device, best = _solve(omega, motion, force, weight / omega**2), None
+    device, best = _solve(omega, motion, force, np.outer(weight / omega**2, np.ones(motion.shape[1]))), None
     try:
         with np.errstate(over="ignore", invalid="ignore"):
             for _ in range(ROUNDS + 1):
@@ -44,7 +44,8 @@ def device_of_phasors(offered: Sequence[Phasors]) -> NormalisedDevice | None:
                 left = weight[:, None] * (motion - device[2] * np.einsum("nij,nj->ni", response, force))
                 if _is_device(device) and (best is None or np.sum(np.abs(left) ** 2) < best[0]):
                     best = float(np.sum(np.abs(left) ** 2)), device
-                device = _solve(omega, motion, force, weight * np.linalg.norm(response, axis=(1, 2)))
+                # What an error of one axis' equation does to both channels: at a resonance of x that of y does little.
+                device = _solve(omega, motion, force, weight[:, None] * np.linalg.norm(response, axis=1))
         # Noise off the resonances, slow noise above all, may lead the rounds away from a device that was good.
         if best is not None and best[0] <= _SHOWN * np.sum(np.abs(weight[:, None] * motion) ** 2):
             device = best[1]
@@ -108,7 +109,8 @@ def _left(device: NormalisedDevice, rows: list[Phasors]) -> float:
 
 
 def _is_device(device) -> bool:
-    return bool(np.all(np.linalg.eigvalsh(_matrix(device[0])) > 0) and np.all(np.diag(_matrix(device[1])) > 0))
+    """Whether it is pushed back and slowed down whichever way it moves."""
+    return all(np.all(np.linalg.eigvalsh(_matrix(part)) > 0) for part in device[:2])
 
 
 def _turned(plain, omega, motion, force, weight):
@@ -193,7 +195,7 @@ def _responses(device, omega: np.ndarray, axes: int) -> np.ndarray:
 
 
 def _solve(omega, motion, force, weight) -> tuple[np.ndarray, np.ndarray, float]:
-    """Weighted least squares for (stiffness, damping, mobility) per mass."""
+    """Least squares for (stiffness, damping, mobility) per mass; `weight` (n, axes) is that of each equation."""
     axes = motion.shape[1]
     pairs = PAIRS[axes]
     columns = np.zeros((omega.size, axes, 2 * len(pairs) + 1), complex)
@@ -203,8 +205,8 @@ def _solve(omega, motion, force, weight) -> tuple[np.ndarray, np.ndarray, float]
             columns[:, row, len(pairs) + place] = 1j * omega * motion[:, column]
     columns[:, :, -1] = -force
     target = omega[:, None] ** 2 * motion
-    left = (columns * weight[:, None, None]).reshape(-1, columns.shape[-1])
-    right = (target * weight[:, None]).ravel()
+    left = (columns * weight[:, :, None]).reshape(-1, columns.shape[-1])
+    right = (target * weight).ravel()
     left, right = np.concatenate([left.real, left.imag]), np.concatenate([right.real, right.imag])
     size = np.linalg.norm(left, axis=0)
     size = np.where(size > 0, size, 1.0)

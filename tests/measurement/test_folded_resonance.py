@@ -8,6 +8,7 @@ import pytest
 from memsgyro_jax.device.conditions import Conditions
 from memsgyro_jax.device.normalised import NormalisedDevice
 from memsgyro_jax.effects import CubicStiffness
+from memsgyro_jax.effects.lock_in_terms import LockInBackground, ReferencePhase
 from memsgyro_jax.measurement.experiments import CartesianNoise, HarmonicSweep, Phasors
 from memsgyro_jax.measurement.model import Model
 from memsgyro_jax.measurement.phasor_fit import device_of_phasors
@@ -73,6 +74,14 @@ def test_each_direction_has_its_own_branch(truth):
 def test_the_branch_nearest_to_the_readings(rows, truth):
     found = np.asarray(swept(rows, jnp.asarray(truth)[:, None]).predict(MODEL))[:, 0]
     np.testing.assert_allclose(found, truth, atol=3e-3 * np.abs(truth).max())
+
+
+def test_the_branch_of_readings_that_the_lock_in_turned(rows, truth):
+    """And shifted by a background, as the model knows: as they were read they led to the other branch in three rows."""
+    turn, background = ReferencePhase([1.2], np.ones((1, 1, 1))), LockInBackground([0.1, -0.2])
+    read = truth * np.exp(1.2j) + (0.1 - 0.2j)
+    found = np.asarray(swept(rows, jnp.asarray(read)[:, None]).predict(MODEL.with_effect(turn, background)))[:, 0]
+    np.testing.assert_allclose(found, read, atol=3e-3 * np.abs(truth).max())
 
 
 def test_amplitudes_of_a_folded_resonance_tell_its_start(truth, rows):

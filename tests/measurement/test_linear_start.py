@@ -9,7 +9,9 @@ from lab.die import Hidden
 from lab.protocol import Laboratory, Multisine, Sweep
 from lab.strengths import visible
 
+from memsgyro_jax.measurement.experiments import Phasors
 from memsgyro_jax.measurement.linear_start import design_device, starting_device
+from memsgyro_jax.measurement.phasor_fit import device_of_phasors
 
 
 SWEPT = Sweep("sweep", 0, (0.002, 0.006), points=15, span=25.0, dense=4.0, both=False, noise=1e-4)
@@ -54,6 +56,26 @@ def test_one_driven_axis_is_enough(name):
     assert stiffness < 1e-3
     assert damping < 0.1
     assert mobility < 0.05
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_an_axis_that_hardly_moves_is_seen_at_its_own_resonance(seed):
+    """Its readings at the resonance of the other axis are thousands of times larger than its noise, and say little of
+    it: weighed like those of the driven axis they led to a resonance half way to that, 55 widths off.
+    """
+    omega = 2.0 * np.pi * np.arange(12060.0, 12440.1, 0.5)
+    stiffness = (2.0 * np.pi) ** 2 * np.array([[12100.0**2, 1.2e5], [1.2e5, 12400.0**2]])
+    damping = 2.0 * np.pi * np.diag([12100.0 / 4000.0, 12400.0 / 2500.0])
+    turn = 1j * omega[:, None, None]
+    force = np.outer(np.full(omega.size, 0.02), [1.0, 0.0]) + 0j
+    moved = np.linalg.solve(stiffness + turn**2 * np.eye(2) + turn * damping, 7.9e7 * force[..., None])[..., 0]
+    noise = np.random.default_rng(seed).normal(size=(2, *moved.shape))
+    read = moved + 4e-4 * (noise[0] + 1j * noise[1])
+    found = device_of_phasors([Phasors(omega, read, force, np.full(omega.size, 1 / 4e-4))])
+    frequency = np.sqrt(np.asarray(found.stiffness)[:2]) / (2.0 * np.pi)
+    assert np.all(np.abs(frequency - [12100.0, 12400.0]) < [0.1, 1.0]), frequency
+    np.testing.assert_allclose(np.asarray(found.damping)[:2], np.diag(damping), rtol=0.15)
+    assert float(found.stiffness[2]) == pytest.approx(stiffness[0, 1], rel=0.1)
 
 
 @pytest.mark.parametrize("experiment", [Multisine("multisine", samples=1024), SWEPT])

@@ -18,7 +18,7 @@ from memsgyro_jax.device.conditions import Conditions
 from memsgyro_jax.effects.base import LockInEffect, SweepEffect
 
 from ..first_order import Contribution, Inquiry, Periods
-from ..lock_in import through_lock_in
+from ..lock_in import before_lock_in, through_lock_in
 from ..model import Model
 from ..steady import (
     FINENESS,
@@ -54,7 +54,8 @@ class HarmonicSweep(Experiment):
         measured: phasors (n, axes) [V].
         noise: how far they may lie from the prediction.
         surroundings: conditions per row.
-        near: displacement phasors (n, axes) [m] that say which branch of a folded resonance is meant.
+        near: displacement phasors (n, axes) [m], as they were read, that say which branch of a folded resonance is
+            meant.
         direction: +1 where the frequency rose towards a row, −1 where it fell.
         before: phasors (n, axes) that were read in the row before [V]; `None` where each row stands alone.
         dwell: (n,) time since the row before [s], infinite where it is unknown; `None` for all.
@@ -115,7 +116,7 @@ class HarmonicSweep(Experiment):
                 state = state.at[1].add(sweep_lag(bench, omega, force, conditions, direction * speed))
             return fundamental(bench, omega, state, force, conditions, self.fineness), settled
 
-        rows = self.frequency, self.force, self.surroundings, self.near, self.direction
+        rows = self.frequency, self.force, self.surroundings, self._shown(bench), self.direction
         settled, states = jax.vmap(row)(*rows, None if added is None else added.forced[0])
         settled = settled if added is None else settled + added.seen
         before = self.measured if self.before is None else self.before
@@ -123,6 +124,14 @@ class HarmonicSweep(Experiment):
             bench, settled, self.frequency, self.force, before, self.surroundings, self.dwell, self.unsettled
         )
         return seen, states
+
+    def _shown(self, bench: Model) -> Complex[Array, "n axes"]:
+        """`near` as the bench shows it, before what a lock-in does; amplitudes were never turned by one."""
+        if not jnp.iscomplexobj(self.measured):
+            return self.near
+        volts = bench.scale * (1j * self.frequency[:, None]) ** bench.order
+        shown = before_lock_in(bench, self.near * volts, self.frequency, self.force, self.surroundings)
+        return jax.lax.stop_gradient(shown / volts)
 
     @property
     def finer(self) -> "HarmonicSweep | None":
@@ -222,7 +231,8 @@ class HarmonicSweep(Experiment):
         errors = model.motion(self.measured - seen, self.frequency)
         # What was not recorded moves as the model has it.
         errors = np.where(np.isfinite(getattr(self.noise, "std", 1.0)), errors, 0.0)
-        whole = jax.tree.map(np.asarray, (self.frequency, self.force, self.surroundings, self.near, errors))
+        shown = self._shown(model)
+        whole = jax.tree.map(np.asarray, (self.frequency, self.force, self.surroundings, shown, errors))
         parts = []
         for first in range(0, rows.size, AT_ONCE):
             some = np.resize(rows[first : first + AT_ONCE], min(AT_ONCE, count))

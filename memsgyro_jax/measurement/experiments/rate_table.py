@@ -20,7 +20,7 @@ from ..columns import phasor_columns
 from ..declared import Declared
 from ..envelope import HARMONICS, SAMPLES, Course, Driven
 from ..first_order import Contribution, Inquiry, Periods
-from ..lock_in import through_lock_in
+from ..lock_in import before_lock_in, through_lock_in
 from ..model import Model
 from ..section import ExperimentSection, ToneSection
 from ..steady import FINENESS, as_seen, fundamental, reading_samples, steady_state
@@ -98,7 +98,8 @@ class RateTable(Experiment):
         if added is not None:
             driven = eqx.tree_at(lambda d: d.linear, driven, added.beside(driven.linear))
             begin, ends = added.forced[0][0], added.forced[1].reshape(self.time.size, 2, HARMONICS + 1, bench.axes)
-        near = bench.motion(self.measured[0], self.frequency)
+        shown = before_lock_in(bench, self.measured[:1], self.frequency, driven.force, self._first)[0]
+        near = jax.lax.stop_gradient(bench.motion(shown, self.frequency))
         start = steady_state(bench, self.frequency, driven.force, self._first, near, FINENESS[0], begin)
         _, course = driven.run(start[: HARMONICS + 1], self._step, self.surroundings, ends)
         means = driven.demodulated(course, self._step)
