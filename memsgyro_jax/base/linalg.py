@@ -101,8 +101,12 @@ def exponential(matrix: Shaped[Array, "n n"]) -> Shaped[Array, "n n"]:
 def semidefinite_root(name: str, matrix: np.ndarray) -> np.ndarray:
     """R with R Rᵀ = `matrix`, symmetric; eigenvalues may be zero, or below it by rounding (1e-9 of the largest).
 
-    Raises `InputError` naming the argument `name` for one that is negative.
+    Raises `InputError` naming the argument `name` for one that is negative, and for a matrix that is not symmetric.
     """
+    if not np.allclose(matrix, matrix.T, rtol=1e-9, atol=1e-12 * np.max(np.abs(matrix), initial=0.0)):
+        i, j = np.argwhere(~np.isclose(matrix, matrix.T, rtol=1e-9, atol=0.0))[0]
+        differ = f"entry [{i}][{j}] is {matrix[i, j]:g} and [{j}][{i}] {matrix[j, i]:g}"
+        raise InputError(f"Argument `{name}` must be symmetric, but {differ}.")
     try:
         return np.linalg.cholesky(matrix)
     except np.linalg.LinAlgError:

@@ -13,7 +13,7 @@ import numpy as np
 from memsgyro_jax.effects import Effect, ForceEffect
 
 from .acceptance import excess
-from .drives import FAR, calm, stages, up
+from .drives import FAR, calm, past_the_brink, stages, up
 from .fewer import take_out, terms_of
 from .fit import CaseFit, beside_case
 from .instrument import instrument_terms
@@ -159,7 +159,7 @@ def _up(search: Search, base: Optimum, place: int, begin: np.ndarray, steps: lis
     end = optimise(joint, base.vector, free, steps[0])
     if end.chi2 > FAR * end.dof and begin is not base.vector:
         end = min(end, optimise(joint, begin, free, steps[0]), key=lambda one: one.chi2)
-    return up(joint, end.vector, free, steps[1:]) if len(steps) > 1 else end
+    return past_the_brink(search.case, joint, up(joint, end.vector, free, steps[1:]) if len(steps) > 1 else end)
 
 
 def _best_strength(search: Search, base: Optimum, place: int, size: float, lowest: tuple) -> tuple[np.ndarray, float]:

@@ -11,6 +11,7 @@ import numpy as np
 from memsgyro_jax.measurement.case import AbstractRecord, Case
 from memsgyro_jax.measurement.drive_levels import ALIKE, clear_drives
 from memsgyro_jax.measurement.experiments import Readings
+from memsgyro_jax.measurement.least_squares import gate
 
 from .joint_residual import Joint
 from .optimum import Optimum, optimise
@@ -66,8 +67,7 @@ def calm(case: Case, readings: Sequence[Readings]) -> tuple[Readings, ...]:
 
 def stages(case: Case, fitted: Sequence[Readings]) -> list[tuple[Readings, ...]]:
     """The sweeps that are fitted, up to each drive of clear ones in turn, and at last all that is; none without a clear
-    sweep. Rows on the brink of a fall from branch to branch wait for the end: a fit that is not yet right cannot pass
-    them, as beyond there is no such branch.
+    sweep.
     """
     records: list[tuple[int, Any]] = list(enumerate(case.records))
     sweeps = [(k, r) for k, r in records if hasattr(r, "setting") and r.role != "validation"]
@@ -82,9 +82,19 @@ def stages(case: Case, fitted: Sequence[Readings]) -> list[tuple[Readings, ...]]
         {k: tuple(np.flatnonzero(r.setting > (1 + ALIKE) * level).tolist()) for k, r in sweeps} for level in levels[:-1]
     ]
     upto = [some for rows in louder if (some := tuple(_without(r, rows) for r in swept if not _all_gone(r, rows)))]
-    steps = [*upto, *([swept] if len(swept) < len(fitted) else []), tuple(fitted)]
-    brink = {k: rows for k, r in sweeps if (rows := _on_the_brink(r))}
-    return [*(tuple(_without(r, brink) for r in step) for step in steps), tuple(fitted)] if brink else steps
+    return [*upto, *([swept] if len(swept) < len(fitted) else []), tuple(fitted)]
+
+
+def past_the_brink(case: Case, joint: Joint, end: Optimum) -> Optimum:
+    """A fit that goes on without the rows on the brink of a fall from branch to branch, and then with all of them; the
+    same where that leaves more, or noise was left alone. What is not yet right cannot pass such rows: beyond there is
+    no such branch.
+    """
+    brink = {k: rows for k, r in enumerate(case.records) if hasattr(r, "setting") and (rows := _on_the_brink(r))}
+    if not brink or end.chi2 <= gate(end.dof) * end.dof:
+        return end
+    near = optimise(joint, end.vector, end.free, without_rows(joint.fitted, brink))
+    return min(end, optimise(joint, near.vector, end.free, joint.fitted), key=lambda one: one.chi2)
 
 
 def _on_the_brink(record: AbstractRecord) -> tuple[int, ...]:

@@ -26,7 +26,7 @@ from memsgyro_jax.measurement.linear_start import starting_device
 from memsgyro_jax.measurement.model import Model, check_effect
 from memsgyro_jax.measurement.readings import Readings, model_of, readings_of
 
-from .drives import FAR, Rows, stages, up, without_rows
+from .drives import FAR, Rows, past_the_brink, stages, up, without_rows
 from .fit_table import fit_table
 from .fitted import ParameterEstimate, RecordError, errors_figure
 from .instrument import beside_case_of, knowledge
@@ -305,7 +305,7 @@ def fit_case(
     longest = 0 if held else 30
     optimum = optimise(joint, vector, places, joint.fitted, max_evaluations=longest)
     if optimum.chi2 > FAR * optimum.dof and not held and len(steps := stages(case, joint.fitted)) > 1:
-        optimum = min(optimum, up(joint, joint.start, places, steps), key=lambda end: end.chi2)
+        optimum = past_the_brink(case, joint, min(optimum, up(joint, joint.start, places, steps), key=lambda o: o.chi2))
     readings, apart = sharpened(joint.at(optimum.vector), joint.readings, optimum.residual)
     if readings is not joint.readings:
         joint = Joint(joint.at(optimum.vector), readings)

@@ -251,6 +251,9 @@ class DirectReadout(AbstractLinearReadout):
     flicker: Flicker | None = None
 
     def __check_init__(self):
+        for value in self.scale:
+            if is_concrete(value) and not np.all((np.asarray(value) != 0.0) & np.isfinite(value)):
+                raise InputError(f"Argument `scale` must be finite and not zero, but {np.asarray(value)} was given.")
         _check_density(self.noise_density)
         check_flicker(self.flicker, self.signals)
 

@@ -23,6 +23,7 @@ from .two_channels import said_of_channels
 NO_LEVEL = "the drive is 1 V, as the file does not say (`--drive`)"
 PEAK = "amplitudes are peak values, not rms (`Vrms` in a header, or `--rms`, says so)"
 _CLEAR = 30.0  # degrees around which the phase at resonance tells what is read
+_UNTOLD = "the read-out is taken for what other files show, for displacement where none does"
 _INSIDE = 0.01  # of the band, from its ends: where a largest reading is that of a resonance
 _LEVEL = re.compile(r"(?<![A-Za-z0-9.])(\d+(?:[.p]\d+)?)[ _]?([nuµm]?[VAN])(?:pk|p)?(?![A-Za-z])")
 
@@ -99,7 +100,7 @@ def _conventions(columns: dict[str, SourceColumn], table: SourceTable, axis: str
     largest = int(np.argmax(np.abs(phasors)))
     angle = np.degrees(np.angle(phasors[largest]))
     if min(frequency[largest] - frequency.min(), frequency.max() - frequency[largest]) < _INSIDE * np.ptp(frequency):
-        assumed.append("the read-out is taken for displacement; the largest reading ends the band, so none tells")
+        assumed.append(f"{_UNTOLD}; the largest reading ends the band, so its phase does not tell")
         return ""
     away = abs((angle + 90) % 180 - 90)  # from 0° or 180°
     if away < _CLEAR:
@@ -112,7 +113,7 @@ def _conventions(columns: dict[str, SourceColumn], table: SourceTable, axis: str
             f"the read-out shows displacement: at resonance its phase is {angle:+.0f}°, nearer ±90° than 0° or 180°"
         )
         return "displacement"
-    assumed.append(f"the read-out is taken for displacement; its phase at resonance, {angle:+.0f}°, does not tell")
+    assumed.append(f"{_UNTOLD}; its phase at resonance, {angle:+.0f}°, does not tell")
     return ""
 
 

@@ -38,7 +38,7 @@ def through_lock_in(
         if clocked:
             known = jnp.isfinite(row.dwell)
             decay, dwell = ring_down_matrix(bench, row.frequency, conditions) * known, jnp.where(known, row.dwell, 0.0)
-            left = (jnp.exp if axes == 1 else exponential)(-decay * dwell) * known
+            left = (jnp.exp if bench.axes == 1 else exponential)(-decay * dwell) * known
             row = dataclasses.replace(row, dwell=dwell, decay=decay, left=left)
         for effect in effects:
             values = values if effect.last else effect.phasors(values, row)

@@ -11,11 +11,12 @@ from .outliers import interpolation_misfit
 WINDOW = 11  # neighbouring rows that a local model explains
 FEWEST = 7  # rows below which it would explain anything
 ROUNDS = 3  # of weighting with the denominator found before
-PARTS = 5  # complex coefficients of the local model
+PARTS, PLAIN = 5, 3  # complex coefficients of the local model, and of its numerator alone
 # Degrees of freedom per row and channel, as found by simulation: of local models (without 6 rows a piece), of waveforms
 # and of phasors in time, and of the scatter among repeats per row that is one too many.
 _LOCAL, _WAVE, _PHASOR, _REPEATED = (0.75, 6), 0.15, 0.5, 1.2
 _SURE = 1e-3  # chance of a jitter where there is none
+_BENT = 3e-3  # chance that a window of which a parabola leaves noise alone asks for a denominator
 _RUN = 24  # rows over which a vibration keeps its frequency
 _BAND = 64  # spectral lines at least in a band
 _BANDS = 16  # at most
@@ -32,18 +33,17 @@ def noise_over_frequency(
 
     Around every row a ratio of two quadratics in frequency is fitted to 11 rows and leaves noise alone: a resonance and
     what is smooth beside it are such a ratio (local rational method: McKelvey and Guérin, IFAC Proc. 45-16 (2012) 49),
-    and so are the squares of amplitudes alone, while plain differences take a resonance of a few rows for noise. The
-    median over all rows does not mind a jump. Where frequencies are repeated, it is the scatter among their rows
-    instead, which needs no model: among those of each of `repeats`, rows that ought to lie on one curve.
+    and so are the squares of amplitudes alone, while plain differences take a resonance of a few rows for noise. Away
+    from a resonance a parabola does as well, and there it is taken, since a ratio finds a pole of its own beside some
+    row of noise. The median over all rows does not mind a jump. Where frequencies are repeated, it is the scatter among
+    their rows instead, which needs no model: among those of each of `repeats`, rows that ought to lie on one curve.
     """
     scatter = [_scatter(frequency[rows], phasors[rows]) for rows in repeats]
     levels = [level for level in scatter if level is not None]
     for piece in () if levels else pieces:
         width = min(WINDOW, piece.stop - piece.start)
         if width >= FEWEST:
-            variance = _local_variance(frequency[piece], *_ratio(phasors[piece]), width)
-            freedom = _parts(phasors) * (width - PARTS)
-            levels.append(variance.ravel() * freedom / special.chdtri(freedom, 0.5))
+            levels.append(_local_levels(frequency[piece], *_ratio(phasors[piece]), width).ravel())
     return float(np.sqrt(np.median(np.concatenate(levels)))) if levels else None
 
 
@@ -126,9 +126,10 @@ def _ratio(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return values**2, 2.0 * np.maximum(np.abs(values), 1e-9 * np.max(np.abs(values), initial=1e-300))
 
 
-def _local_variance(place: np.ndarray, values: np.ndarray, noise: np.ndarray, width: int) -> np.ndarray:
-    """Mean square per degree of freedom of what the local model leaves in every window (windows, channels), over a
-    noise (n, channels) known but for its size.
+def _local_levels(place: np.ndarray, values: np.ndarray, noise: np.ndarray, width: int) -> np.ndarray:
+    """Squares that the local model leaves in every window (windows, channels), over their median for a noise of 1,
+    where the noise (n, channels) is known but for its size: of a parabola where that leaves no more than by chance,
+    else of the ratio.
     """
     rows = np.arange(len(place) - width + 1)[:, None] + np.arange(width)
     near = place[rows] - place[rows].mean(axis=1, keepdims=True)
@@ -137,6 +138,15 @@ def _local_variance(place: np.ndarray, values: np.ndarray, noise: np.ndarray, wi
     seen, usual = (
         np.moveaxis(part[rows], -1, 1)[..., None] for part in (values, noise)
     )  # (windows, channels, width, 1)
+    parabola, ratio = _squares_left(powers + 0 * seen, seen, usual), _of_ratio(powers, seen, usual)
+    parts = _parts(values)
+    more, spare, free = parts * (PARTS - PLAIN), parts * (width - PARTS), parts * (width - PLAIN)
+    straight = (parabola - ratio) / more <= special.fdtri(more, spare, 1.0 - _BENT) * ratio / spare
+    return np.where(straight, parabola / special.chdtri(free, 0.5), ratio / special.chdtri(spare, 0.5))
+
+
+def _of_ratio(powers: np.ndarray, seen: np.ndarray, usual: np.ndarray) -> np.ndarray:
+    """Squares that a ratio of quadratics leaves in every window, its denominator found in rounds."""
     columns = np.concatenate([powers + 0 * seen, -seen * powers[..., 1:]], axis=-1)
     denominator = np.ones_like(seen)
     for _ in range(ROUNDS):
@@ -144,7 +154,14 @@ def _local_variance(place: np.ndarray, values: np.ndarray, noise: np.ndarray, wi
         found = np.linalg.pinv(columns / weight, rcond=1e-12) @ (seen / weight)
         denominator = 1 + powers[..., 1:] @ found[..., 3:, :]
     left = (columns @ found - seen) / (denominator * usual)
-    return np.sum(np.abs(left[..., 0]) ** 2, axis=-1) / _parts(values) / (width - PARTS)
+    return np.sum(np.abs(left[..., 0]) ** 2, axis=-1)
+
+
+def _squares_left(columns: np.ndarray, seen: np.ndarray, usual: np.ndarray) -> np.ndarray:
+    """Squares that least squares by `columns` leave in every window."""
+    columns, seen = columns / usual, seen / usual
+    left = seen - columns @ (np.linalg.pinv(columns, rcond=1e-12) @ seen)
+    return np.sum(np.abs(left[..., 0]) ** 2, axis=-1)
 
 
 def noise_beside_tone(time: np.ndarray, values: np.ndarray, omega: float | np.ndarray) -> float:

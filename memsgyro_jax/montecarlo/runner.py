@@ -197,14 +197,15 @@ def default_chunk() -> int:
 
 def windows_of(loop: ClosedLoop, sample_rate: float, duration: float, settle: float, tolerance: float) -> lot.Plan:
     """Windows as near to `WINDOWS` as divide the number of samples; a rest is dropped when none does. In blocks as many
-    of them in a window.
+    of them in a window, unless the run is too short for one.
     """
     steps = count_steps(sample_rate, duration)
     if loop.blocks is not None:
         stride = loop.blocks.stride(steps, WINDOWS)
         (start, lead), window = loop.blocks.first(steps, stride), loop.blocks.length * stride
-        numbers = (start, lead, stride, statistics(loop))
-        return lot.Plan(1.0 / sample_rate, (steps - start - lead) // window, window, settle, tolerance, *numbers)
+        blocks, numbers = (steps - start - lead) // window, (start, lead, stride, statistics(loop))
+        if lead or blocks:
+            return lot.Plan(1.0 / sample_rate, blocks, window, settle, tolerance, *numbers)
     fits = [n for n in range(1, min(2 * WINDOWS, steps) + 1) if steps % n == 0]
     best = min(fits, key=lambda n: abs(np.log(n / WINDOWS)))
     blocks = best if best >= WINDOWS // 4 or steps < WINDOWS else WINDOWS

@@ -151,7 +151,7 @@ class Summary(Shown):
             ("rate error at the end (rms, median, 95 %)", _triple(self.end)),
             *([("  without the diverged dies", _triple(self.sound))] if diverged else []),
             ("rate error over the settled part", _triple(self.settled)),
-            ("standard deviation within one run", f"{np.degrees(self.series_std):.3g} deg/s"),
+            ("standard deviation within one run", self._scatter()),
         ]
         if self.bound is not None and self.reached is not None:
             rows.append(("information bound at the end (rms)", f"{np.degrees(self.bound):.3g} deg/s"))
@@ -200,6 +200,11 @@ class Summary(Shown):
             "the bound counts on dies as different as the filter's prior says; those of this lot likely differ less, "
             "for what the filter claims is too wide as well"
         )
+
+    def _scatter(self) -> str:
+        alone = np.isnan(self.series_std) and self.failed < self.dies
+        told = "unknown (the settled part holds one estimate, at the end of a block)"
+        return told if alone else f"{np.degrees(self.series_std):.3g} deg/s"
 
     def _redrawn(self) -> str:
         share = 100.0 * self.redrawn / self.dies

@@ -57,9 +57,9 @@ def test_every_stage_has_readings_also_without_some_rows(tmp_path):
 def test_a_fit_climbs_too(tmp_path):
     case = mg.load_case(bent.bent_sweeps(tmp_path / "case", (5, 20, 60), rows=81))
     made = mg.fit(None, case, effects=[mg.effects.CubicStiffness("x")])
-    assert made.chi2_per_dof < 2000.0, "the phase of the reference is left; 1e5 where the resonance is missed"
+    assert made.chi2_per_dof < 700.0, "the phase of the reference is left; 900 at the brink, 1e5 off the resonance"
     found = {estimate.name: estimate.value for estimate in made.estimates}
-    assert found["cubic_stiffness x"] == pytest.approx(bent.CUBIC, rel=0.01)
+    assert found["cubic_stiffness x"] == pytest.approx(bent.CUBIC, rel=0.06), "what the phase makes of it"
 
 
 @pytest.mark.slow

@@ -132,6 +132,24 @@ def test_a_trace_holds_the_ends_of_blocks():
     assert trace.rate_response(10.0) == 0.0, "a filter that holds the rate constant follows no sine"
 
 
+def test_a_run_too_short_for_a_block_goes_by_samples():
+    """And one with a single block in its settled part has no scatter to tell."""
+    few = ("kxy", "dxx", "dyy", "dxy", "sigma")
+    loop = replace(LOOP, observer=mg.ExtendedKalmanFilter.for_device(GYRO, READOUT, known=few))
+    run = {"sample_rate": 100e3, "duration": 2e-3}
+    np.testing.assert_array_equal(
+        mg.simulate(loop.in_blocks(), 1.0, **run).rate_estimate, mg.simulate(loop, 1.0, **run).rate_estimate
+    )
+    lots = {"spread": mg.Spread.relative(0.01), "dies": 2, "sample_rate": 100e3, "bound_dies": 0}
+    short = mg.sweep(loop.in_blocks(), duration=2e-3, **lots)
+    np.testing.assert_array_equal(
+        short.data["rate_error_end"], mg.sweep(loop, duration=2e-3, **lots).data["rate_error_end"]
+    )
+    single = mg.sweep(loop.in_blocks(), duration=0.018, **lots)
+    assert np.isnan(single.data["rate_series_std"]).all()
+    assert "unknown (the settled part holds one estimate, at the end of a block)" in str(single)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("blocks", [None, Blocks(512), Blocks(2048)], ids=["samples", "512", "2048"])
 def test_a_trace_tells_how_the_rate_is_followed(blocks):

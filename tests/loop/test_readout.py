@@ -164,3 +164,9 @@ def test_a_carrier_reads_as_its_base_band_says():
     assert powers[0, -1] == pytest.approx(2 * 1.380649e-23 * 300.0 / 1e-12 / 1e5)
     with pytest.raises(InputError, match="pair"):
         CarrierReadout((detection,), 5e-9, 3e3)
+
+
+@pytest.mark.parametrize("scale", [0.0, float("nan"), (1e5, 0.0)])
+def test_a_scale_that_shows_nothing_is_refused(scale):
+    with pytest.raises(InputError, match="`scale` must be finite and not zero"):
+        DirectReadout(scale)

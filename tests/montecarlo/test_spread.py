@@ -122,6 +122,9 @@ def test_correlation_is_kept(loop):
         assert np.std(x) == pytest.approx(0.1, rel=0.1)
 
 
+PAIR = tuple(mg.Vary(f"device.{name}", mg.Normal(relative=0.1)) for name in ("kxx", "kyy"))
+
+
 def test_a_named_parameter_keeps_its_own_distribution(loop):
     spread = mg.Spread((mg.Vary("device.kxy", mg.Uniform(relative=0.01)),), everywhere=mg.Normal(relative=0.15))
     drawn = draw(loop, spread, range(64))
@@ -145,6 +148,7 @@ def test_the_scenario_can_vary(loop):
         (lambda: mg.Spread(everywhere=0.005), r"must be a distribution, but is 0.005; .*`Spread.relative\(...\)`"),
         (lambda: mg.Spread(items=mg.Vary("device.kxx", mg.Normal(relative=0.1))), "`items` must be a tuple of `Vary"),
         (lambda: mg.Spread.relative(-0.1), "negative"),
+        (lambda: mg.Spread(PAIR, correlation=((1.0, 0.9), (-0.9, 1.0))), r"symmetric, but entry \[0\]\[1\] is 0.9"),
         (lambda: mg.Spread.relative(0.1, shared=1.0), "`shared` must lie from 0"),
         (lambda: mg.Spread.relative(float("nan")), "negative"),
         (lambda: mg.Spread((mg.Vary("device.kxx", mg.Uniform(relative=-0.1)),)), "negative"),

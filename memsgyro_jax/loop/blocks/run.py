@@ -109,6 +109,8 @@ def run_in_blocks(
     its clock is the block's length.
     """
     begun = engine.run(loop, scenario, words, period, *start, recorder, design)
+    if not sizes.size:
+        return begun
     flat = sizes.ravel()
     course = BlockCourse(loop, scenario, words, period, int(flat.max(initial=1)))
     entering = jax.tree.map(jnp.asarray, crossing(loop, scenario, start[0] * start[1], sizes))
