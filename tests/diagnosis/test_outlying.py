@@ -93,6 +93,8 @@ def test_a_row_of_a_fall_is_told():
     case = SimpleNamespace(records=[record])
     assert of_rows(case, {0: (5,)}) == "row 6 (near 1 Hz, read while the response fell from branch to branch) of up"
     assert of_rows(case, {0: (2,)}) == "row 3 (near 1 Hz) of up"
+    size[3] = 0.05  # a row that stands alone comes back
+    assert of_rows(case, {0: (3,)}) == "row 4 (near 1 Hz) of up"
 
 
 def test_normal_noise_and_a_missing_law_name_nobody(monkeypatch):
