@@ -103,8 +103,7 @@ def semidefinite_root(name: str, matrix: np.ndarray) -> np.ndarray:
 
     Raises `InputError` naming the argument `name` for one that is negative, and for a matrix that is not symmetric.
     """
-    if not np.allclose(matrix, matrix.T, rtol=1e-9, atol=1e-12 * np.max(np.abs(matrix), initial=0.0)):
-        i, j = np.argwhere(~np.isclose(matrix, matrix.T, rtol=1e-9, atol=0.0))[0]
+    for i, j in np.argwhere(~np.isclose(matrix, matrix.T, rtol=1e-9, atol=1e-12 * np.max(np.abs(matrix), initial=0.0))):
         differ = f"entry [{i}][{j}] is {matrix[i, j]:g} and [{j}][{i}] {matrix[j, i]:g}"
         raise InputError(f"Argument `{name}` must be symmetric, but {differ}.")
     try:

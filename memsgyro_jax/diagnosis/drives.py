@@ -90,8 +90,10 @@ def past_the_brink(case: Case, joint: Joint, end: Optimum) -> Optimum:
     same where that leaves more, or noise was left alone. What is not yet right cannot pass such rows: beyond there is
     no such branch.
     """
+    if end.chi2 <= gate(end.dof) * end.dof:
+        return end
     brink = {k: rows for k, r in enumerate(case.records) if hasattr(r, "setting") and (rows := _on_the_brink(r))}
-    if not brink or end.chi2 <= gate(end.dof) * end.dof:
+    if not brink:
         return end
     near = optimise(joint, end.vector, end.free, without_rows(joint.fitted, brink))
     return min(end, optimise(joint, near.vector, end.free, joint.fitted), key=lambda one: one.chi2)
@@ -99,19 +101,18 @@ def past_the_brink(case: Case, joint: Joint, end: Optimum) -> Optimum:
 
 def _on_the_brink(record: AbstractRecord) -> tuple[int, ...]:
     """Rows near a fall from one branch of a bent resonance to another."""
-    rows = np.arange(record.rows)
-    falls = np.array([row for row in rows if amid_a_fall(record, row)])
-    return tuple(rows[np.any(np.abs(rows[:, None] - falls) <= BRINK, axis=1)].tolist()) if falls.size else ()
+    near = np.add.outer(falls(record), np.arange(-BRINK, BRINK + 1))
+    return tuple(np.unique(near[(near >= 0) & (near < record.rows)]).tolist())
 
 
-def amid_a_fall(record: AbstractRecord, row: int) -> bool:
-    """Whether the reading changes at once across a row of a sweep, and hardly beside it."""
-    if not (np.iscomplexobj(record.readings) and 1 < row < record.rows - 2):
-        return False
+def falls(record: AbstractRecord) -> np.ndarray:
+    """Rows of a sweep across which the reading changes at once, and hardly beside them."""
+    if not np.iscomplexobj(record.readings):
+        return np.empty(0, int)
     size = np.max(np.abs(record.readings), axis=1)
-    before, after = np.abs(np.diff(size[row - 2 : row + 3]))[[0, -1]]
-    fall = abs(size[row + 1] - size[row - 1])  # a row that stands alone comes back
-    return bool(fall > FALL * np.nanmax(size) and fall > SUDDEN * max(before, after))
+    steps, across = np.abs(np.diff(size)), np.abs(size[2:] - size[:-2])[1:-1]  # a row that stands alone comes back
+    sudden = across > SUDDEN * np.maximum(steps[:-3], steps[3:])
+    return 2 + np.flatnonzero(sudden & (across > FALL * np.nanmax(size)))
 
 
 def _all_gone(readings: Readings, left_out: Rows) -> bool:

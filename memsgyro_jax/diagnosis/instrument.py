@@ -33,6 +33,7 @@ from memsgyro_jax.effects.lock_in_terms import (
 )
 from memsgyro_jax.measurement.case import AbstractRecord, Case
 from memsgyro_jax.measurement.declared import QUANTITIES
+from memsgyro_jax.measurement.drive_levels import levels_apart
 from memsgyro_jax.measurement.experiments import Readings
 from memsgyro_jax.measurement.experiments.base import Experiment, RealNoise
 from memsgyro_jax.measurement.model import Model
@@ -200,9 +201,9 @@ class _Groups:
 
 
 def drive_levels(case: Case) -> int:
-    """How many levels of the drive the records have, but for rounding."""
+    """How many levels of the drive the records have."""
     drives = [getattr(record, "setting", None) for record in case.records]
-    return len({f"{level:.6g}" for drive in drives if drive is not None for level in np.ravel(drive)})
+    return len(levels_apart(float(level) for drive in drives if drive is not None for level in np.ravel(drive)))
 
 
 def _together(groups: Sequence[set[Place]]) -> list[set[Place]]:

@@ -10,7 +10,7 @@ from memsgyro_jax.measurement.least_squares import gate
 from memsgyro_jax.measurement.outliers import lone_residuals
 from memsgyro_jax.measurement.readings import Readings
 
-from .drives import NOBODY, Rows, amid_a_fall, gone, without_rows, without_weight
+from .drives import NOBODY, Rows, falls, gone, without_rows, without_weight
 from .fit import CaseFit, beside_case
 from .joint_residual import Joint
 from .optimum import optimise
@@ -57,7 +57,7 @@ def of_rows(case: Case, left_out: Rows) -> str:
 
 
 def _of_row(record: AbstractRecord, row: int) -> str:
-    said = [record.at(row), "read while the response fell from branch to branch" * amid_a_fall(record, row)]
+    said = [record.at(row), "read while the response fell from branch to branch" * (row in falls(record))]
     told = ", ".join(filter(None, said))
     return f"{row + 1} ({told})" if told else str(row + 1)
 

@@ -1,5 +1,6 @@
 """The drives of a case: which levels its sweeps show, and the case of the lowest of them alone."""
 
+from collections.abc import Iterable
 from dataclasses import fields, replace
 from typing import Any
 
@@ -27,8 +28,13 @@ def clear_drives(case: Case, axis: int | None = None) -> list[float]:
         for rows in r.sweeps
         if np.max(np.abs(r.readings[rows, r.axis])) > CLEAR * r.noise_level
     ]
+    return levels_apart(clear)
+
+
+def levels_apart(drives: Iterable[float]) -> list[float]:
+    """From the lowest, one of several that are alike."""
     levels: list[float] = []
-    for level in sorted(clear):
+    for level in sorted(drives):
         if not levels or level > (1 + ALIKE) * levels[-1]:
             levels.append(level)
     return levels

@@ -138,7 +138,7 @@ def _local_levels(place: np.ndarray, values: np.ndarray, noise: np.ndarray, widt
     seen, usual = (
         np.moveaxis(part[rows], -1, 1)[..., None] for part in (values, noise)
     )  # (windows, channels, width, 1)
-    parabola, ratio = _squares_left(powers + 0 * seen, seen, usual), _of_ratio(powers, seen, usual)
+    parabola, ratio = _squares_left(powers, seen, usual), _of_ratio(powers, seen, usual)
     parts = _parts(values)
     more, spare, free = parts * (PARTS - PLAIN), parts * (width - PARTS), parts * (width - PLAIN)
     straight = (parabola - ratio) / more <= special.fdtri(more, spare, 1.0 - _BENT) * ratio / spare

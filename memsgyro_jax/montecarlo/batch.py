@@ -240,7 +240,7 @@ def rows_of(loop: ClosedLoop, scenario: Scenario, design: ClosedLoop, words: tup
         "lost_at": jnp.where(done.alive, jnp.nan, jnp.asarray(plan.ends)[done.blocks_alive] * plan.period),
         "rate_error_end": loop.rate(done.state) - conditions.inertial.rate,
         "rate_error_rms": jnp.sqrt(mean_square),
-        "rate_series_std": nothing  # one estimate, at the end of a block, does not scatter
+        "rate_series_std": nothing  # one estimate, as at the end of a block, does not scatter
         if np.sum(plan.counts[settled]) < 2
         else jnp.sqrt(jnp.maximum(mean_square - jnp.mean(error[settled], axis=0) ** 2, 0.0)),
         "rate_std_end": nothing if estimate.rate_variance is None else jnp.sqrt(estimate.rate_variance),

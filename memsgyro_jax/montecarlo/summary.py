@@ -203,7 +203,7 @@ class Summary(Shown):
 
     def _scatter(self) -> str:
         alone = np.isnan(self.series_std) and self.failed < self.dies
-        told = "unknown (the settled part holds one estimate, at the end of a block)"
+        told = "unknown (the settled part holds one estimate)"
         return told if alone else f"{np.degrees(self.series_std):.3g} deg/s"
 
     def _redrawn(self) -> str:

@@ -61,7 +61,7 @@ def test_one_driven_axis_is_enough(name):
 @pytest.mark.parametrize("seed", range(6))
 def test_an_axis_that_hardly_moves_is_seen_at_its_own_resonance(seed):
     """Its readings at the resonance of the other axis are thousands of times larger than its noise, and say little of
-    it: weighed like those of the driven axis they led to a resonance half way to that, 55 widths off.
+    it: weighed like those of the driven axis they led to resonances up to 57 widths off.
     """
     omega = 2.0 * np.pi * np.arange(12060.0, 12440.1, 0.5)
     stiffness = (2.0 * np.pi) ** 2 * np.array([[12100.0**2, 1.2e5], [1.2e5, 12400.0**2]])

@@ -111,18 +111,17 @@ def test_values_of_a_distribution_by_hand():
     np.testing.assert_allclose(mg.Normal(std=2.0, mean=1.0).value(-5.0, ends[1:]), [2.0, 3.0], rtol=1e-14)
 
 
+PAIR = tuple(mg.Vary(f"device.{name}", mg.Normal(relative=0.1)) for name in ("kxx", "kyy"))
+
+
 def test_correlation_is_kept(loop):
-    items = (mg.Vary("device.kxx", mg.Normal(relative=0.1)), mg.Vary("device.kyy", mg.Normal(relative=0.1)))
-    table = draw(loop, mg.Spread(items, correlation=((1.0, 0.8), (0.8, 1.0))), range(1024)).table
+    table = draw(loop, mg.Spread(PAIR, correlation=((1.0, 0.8), (0.8, 1.0))), range(1024)).table
     assert np.corrcoef(table.T)[0, 1] == pytest.approx(0.8, abs=0.04)
     for sign in (-1.0, 1.0):
-        table = draw(loop, mg.Spread(items, correlation=((1.0, sign), (sign, 1.0))), range(64)).table
+        table = draw(loop, mg.Spread(PAIR, correlation=((1.0, sign), (sign, 1.0))), range(64)).table
         x, y = (column / np.mean(column) - 1.0 for column in table.T)
         np.testing.assert_allclose(y - np.mean(y), sign * (x - np.mean(x)), atol=1e-3)
         assert np.std(x) == pytest.approx(0.1, rel=0.1)
-
-
-PAIR = tuple(mg.Vary(f"device.{name}", mg.Normal(relative=0.1)) for name in ("kxx", "kyy"))
 
 
 def test_a_named_parameter_keeps_its_own_distribution(loop):
