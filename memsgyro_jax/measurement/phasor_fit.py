@@ -1,10 +1,13 @@
 """The linear device behind phasors, without a guess: its equation of motion is linear in its parameters.
 
 Every phasor obeys (K − ω² + iωD)·X = σ·F. Least squares on this equation, weighted with the response it implies
-(Sanathanan and Koerner, IEEE Trans. Autom. Control 8 (1963) 56), lands near the optimum from any distance.
+(Sanathanan and Koerner, IEEE Trans. Autom. Control 8 (1963) 56), lands near the optimum from any distance. The noise of
+X, which stands in the columns too, leads an axis astray that hardly moves. Further rounds ask that what is left is
+orthogonal to the columns as the device of the round before predicts them: these are free of noise (instrumental
+variables: Young and Jakeman, Int. J. Control 29 (1979) 1).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -34,21 +37,13 @@ def device_of_phasors(offered: Sequence[Phasors]) -> NormalisedDevice | None:
     found = [_of_modulus(*rows[:4]) if rows.modulus else None for rows in offered]
     if any(found):
         return next(one for one in found if one is not None)
-    device, best = _solve(omega, motion, force, np.outer(weight / omega**2, np.ones(motion.shape[1]))), None
     try:
-        with np.errstate(over="ignore", invalid="ignore"):
-            for _ in range(ROUNDS + 1):
-                response = _responses(device, omega, motion.shape[1])
-                if not np.isfinite(response).all():
-                    break
-                left = weight[:, None] * (motion - device[2] * np.einsum("nij,nj->ni", response, force))
-                if _is_device(device) and (best is None or np.sum(np.abs(left) ** 2) < best[0]):
-                    best = float(np.sum(np.abs(left) ** 2)), device
-                # What an error of one axis' equation does to both channels: at a resonance of x that of y does little.
-                device = _solve(omega, motion, force, weight[:, None] * np.linalg.norm(response, axis=1))
+        rounds = list(_rounds(omega, motion, force, weight))
+        device, (_, best) = rounds[min(ROUNDS, len(rounds) - 1)][1], min(rounds, key=lambda one: one[0])
+        least, whole = min(left for left, _ in rounds), np.sum(np.abs(weight[:, None] * motion) ** 2)
         # Noise off the resonances, slow noise above all, may lead the rounds away from a device that was good.
-        if best is not None and best[0] <= _SHOWN * np.sum(np.abs(weight[:, None] * motion) ** 2):
-            device = best[1]
+        if least <= _SHOWN * whole or least < min(left for left, _ in rounds[: ROUNDS + 1]):
+            device = best
         if motion.shape[1] == 1 and len(omega) >= _FEWEST:
             device = _turned(device, omega, motion[:, 0], force[:, 0], weight)
         return NormalisedDevice(*device) if _is_device(device) else None
@@ -194,8 +189,45 @@ def _responses(device, omega: np.ndarray, axes: int) -> np.ndarray:
     return np.linalg.inv(operator)
 
 
-def _solve(omega, motion, force, weight) -> tuple[np.ndarray, np.ndarray, float]:
-    """Least squares for (stiffness, damping, mobility) per mass; `weight` (n, axes) is that of each equation."""
+Coefficients = tuple[np.ndarray, np.ndarray, float]  # stiffness, damping, mobility per mass
+
+
+def _rounds(omega, motion, force, weight) -> Iterator[tuple[float, Coefficients]]:
+    """Device after device, and the squared motion that each leaves, infinite for what is none: `ROUNDS` of least
+    squares behind the first, then as many of instrumental variables.
+    """
+    device = _solve(omega, motion, force, np.outer(weight / omega**2, np.ones(motion.shape[1])))
+    with np.errstate(over="ignore", invalid="ignore"):
+        for turn in range(2 * ROUNDS + 1):
+            response = _responses(device, omega, motion.shape[1])
+            moved = device[2] * np.einsum("nij,nj->ni", response, force)
+            left = float(np.sum(np.abs(weight[:, None] * (motion - moved)) ** 2))
+            yield (left if np.isfinite(left) and _is_device(device) else np.inf), device
+            if not np.isfinite(response).all():
+                return
+            # What an error of one axis' equation does to both channels: at a resonance of x that of y does little.
+            weights = weight[:, None] * np.linalg.norm(response, axis=1)
+            device = _solve(omega, motion, force, weights, moved if turn >= ROUNDS else None)
+
+
+def _solve(omega, motion, force, weight, instrument=None) -> Coefficients:
+    """The device whose equation leaves what is orthogonal to its columns with `instrument`, itself a motion, in them:
+    least squares with `None`; `weight` (n, axes) is that of each equation.
+    """
+    left, right = _equation(omega, motion, force, weight)
+    size = np.linalg.norm(left, axis=0)
+    size = np.where(size > 0, size, 1.0)
+    left = left / size
+    if instrument is not None:
+        free = _equation(omega, instrument, force, weight)[0] / size
+        left, right = free.T @ left, free.T @ right
+    found = np.linalg.lstsq(left, right, rcond=1e-12)[0] / size
+    pairs = len(PAIRS[motion.shape[1]])
+    return found[:pairs], found[pairs:-1], float(found[-1])
+
+
+def _equation(omega, motion, force, weight) -> tuple[np.ndarray, np.ndarray]:
+    """Columns and right-hand side of the equation of motion, linear in stiffness, damping and mobility."""
     axes = motion.shape[1]
     pairs = PAIRS[axes]
     columns = np.zeros((omega.size, axes, 2 * len(pairs) + 1), complex)
@@ -204,14 +236,9 @@ def _solve(omega, motion, force, weight) -> tuple[np.ndarray, np.ndarray, float]
             columns[:, row, place] = motion[:, column]
             columns[:, row, len(pairs) + place] = 1j * omega * motion[:, column]
     columns[:, :, -1] = -force
-    target = omega[:, None] ** 2 * motion
     left = (columns * weight[:, :, None]).reshape(-1, columns.shape[-1])
-    right = (target * weight).ravel()
-    left, right = np.concatenate([left.real, left.imag]), np.concatenate([right.real, right.imag])
-    size = np.linalg.norm(left, axis=0)
-    size = np.where(size > 0, size, 1.0)
-    found = np.linalg.lstsq(left / size, right, rcond=1e-12)[0] / size
-    return found[: len(pairs)], found[len(pairs) : -1], float(found[-1])
+    right = (omega[:, None] ** 2 * motion * weight).ravel()
+    return np.concatenate([left.real, left.imag]), np.concatenate([right.real, right.imag])
 
 
 def _matrix(entries: np.ndarray) -> np.ndarray:
