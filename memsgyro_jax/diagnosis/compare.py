@@ -25,6 +25,7 @@ from .fit import CaseFit, fit_case
 from .fitted import RecordError
 from .instrument import beside_case_of
 from .misfit import LEVEL, Check, check_all
+from .offset_left import with_offset_left
 from .outlying import of_rows, outlying, outlying_in_noise
 
 
@@ -197,7 +198,8 @@ def compare(
         model: with its effects, or a device, which gets the declared read-out of the case; `None` takes the base model
             and finds its start in the records.
         case: from `load_case`.
-        fitted: fit it to the records first, starting from its values; `False` takes it as it is.
+        fitted: fit it to the records first, starting from its values; `False` takes it as it is. The constant voltage
+            of waveforms, of which a device says nothing, is then what a device leaves of them in the mean.
         level: probability that a right model fails any of the tests; 0 < level < 1.
 
     **Raises:** `InputError` if the model does not suit the case, if `level` is out of range, or in float32.
@@ -214,6 +216,8 @@ def compare(
         )
     if whole is not None:
         whole = beside_case_of(case, whole)
+    if whole is not None and not (fitted or isinstance(model, Model)):
+        whole = with_offset_left(fit_case(case, model=whole, held=True))
     result = judged(fit_case(case, model=whole, held=not fitted), level=level, fitted=fitted)
     return beside_outlying(result, lambda rows: fit_case(case, model=whole, held=not fitted, left_out=rows))
 

@@ -156,6 +156,8 @@ class Diagnosis(Labelled):
 
     def __str__(self) -> str:
         lines = [f"{self.case.name}: {self.verdict.replace('_', ' ')}", self.sentence, ""]
+        if not self.final.optimum.converged:
+            lines[2:] = [f"The fit is {self.final.status}: what it says may still move.", ""]
         lines += map(_line, self.steps)
         if self.from_lowest:
             lines.append("  (the base model is that of the lowest drive, as what is missing grows with the drive)")

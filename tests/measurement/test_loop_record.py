@@ -56,6 +56,9 @@ def test_what_ran_explains_the_record(trace, tmp_path):
     np.testing.assert_array_equal(record.signals[1:], trace.volts[:-1])
     comparison = mg.compare(true_model(trace), case, fitted=False)
     assert comparison.explained
+    device = mg.compare(trace.loop.device, case, fitted=False)
+    assert device.explained, "of the read-out's constant a device says nothing, and a run from rest has another mean"
+    np.testing.assert_allclose(device.model.offset, trace.loop.readout.offset, atol=2e-5)
     late = replace(record, forces=np.roll(record.forces, 1, axis=0))
     still = replace(record, rate=0.0 * record.rate)
     for wrong in (late, still):
