@@ -9,6 +9,7 @@ import numpy as np
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.files import write_whole
 from memsgyro_jax.device.gyro import AbstractGyro, SingleMassGyro, X, Y
+from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.trace_result import Trace
 
 from .case import Case, DesignValue, Environment, TimeRecord, load_case, write_case
@@ -47,15 +48,12 @@ def case_of_trace(
     """
     loop, period = trace.loop, 1.0 / trace.settings.sample_rate
     device, readout = design or loop.device, loop.readout
-    if not (isinstance(device, SingleMassGyro) and readout.signals == (X, Y)):
-        raise InputError("A case must hold a single-mass gyro with a displacement read-out, but the loop has another.")
+    require_recordable(loop)
     if len(trace.time) < 2 or not np.isclose(trace.time[1] - trace.time[0], period, rtol=1e-6):
         raise InputError("A case needs every sample of the run, but some were left out; simulate with `decimation=1`.")
     if trace.lost_at is not None:
         raise InputError(f"A case needs a run to its end, but this one was {trace.status}.")
     scale, std = (np.asarray(pair, float) for pair in (readout.scale, readout.noise_std(period)))
-    if scale[0] != scale[1]:
-        raise InputError(f"A case declares one scale for both channels, but the read-out has {scale} V/m.")
     start = np.asarray(loop.start, float)
     noise = np.random.default_rng(trace.settings.seed).standard_normal(2)
     drift = trace.offset[0] - np.asarray(readout.offset, float)
@@ -65,7 +63,8 @@ def case_of_trace(
         lines=np.arange(len(trace.time)) + 2,
         role=role,
         note=f"closed loop at {trace.settings.sample_rate:g} Hz, seed {trace.settings.seed}",
-        noise_std=float(std.max()) or None,
+        noise_std=float(np.sqrt(np.mean(std**2))) or None,
+        noise_rows=np.tile(std, (len(trace.time), 1)) if std.all() and std[0] != std[1] else None,
         hold="zero_order",
         start="unknown" if start.any() else "rest",
         time=np.arange(len(trace.time)) * period,
@@ -85,6 +84,18 @@ def case_of_trace(
         conventions={"forces": "held from each row to the next"},
         records=(record,),
     )
+
+
+def require_recordable(loop: ClosedLoop) -> None:
+    """Raises `InputError` for a loop whose signals no case can hold, with the reason."""
+    if not (isinstance(loop.device, SingleMassGyro) and loop.readout.signals == (X, Y)):
+        raise InputError("A case must hold a single-mass gyro with a displacement read-out, but the loop has another.")
+    scale = np.asarray(loop.readout.scale, float)
+    if scale[0] != scale[1]:
+        raise InputError(
+            f"A case declares one scale for both channels, but the read-out has {scale[0]:g} and {scale[1]:g} V/m; "
+            "give both electrodes the same."
+        )
 
 
 def _design(device: SingleMassGyro, tolerance: float) -> dict[str, DesignValue]:

@@ -88,6 +88,40 @@ def test_the_command_adds_runs_to_a_case(study, tmp_path, capsys):
     assert sorted(p.name for p in case.iterdir()) == ["case.toml", "check.csv", "run.csv"]
 
 
+def test_a_record_that_begins_in_an_unknown_motion_is_solved_for_it(trace, tmp_path):
+    """As a recorder beside a running loop has it: long before the motion of its first row would have died out."""
+    case = mg.load_case(trace.to_case(tmp_path / "case").parent)
+    (whole,) = case.records
+    rows = slice(200, None)
+    cut = replace(
+        whole, start="unknown", lines=whole.lines[rows], time=whole.time[rows], forces=whole.forces[rows],
+        signals=whole.signals[rows], rate=whole.rate[rows],
+    )  # fmt: skip
+    from_rest = mg.compare(trace.loop.device, replace(case, records=(replace(cut, start="rest"),)), fitted=False)
+    assert not from_rest.explained
+    case = replace(case, records=(cut,))
+    assert mg.compare(trace.loop.device, case, fitted=False).explained
+    found = mg.compare(trace.loop.device, case)
+    assert found.explained
+    assert found.fit.optimum.converged
+    stiffness = next(p for p in found.fit.estimates if p.name == "kxx/m")
+    assert abs(stiffness.value - float(trace.loop.device.kxx / trace.loop.device.mass)) < 4 * stiffness.std
+    wrong = eqx.tree_at(lambda d: d.kxx, trace.loop.device, 1.001 * trace.loop.device.kxx)
+    assert not mg.compare(wrong, case, fitted=False).explained
+
+
+def test_each_channel_keeps_its_noise(study, trace, tmp_path):
+    loop = trace.loop
+    uneven = eqx.tree_at(lambda r: r.noise_density, loop.readout, (4.5e-7, 1.8e-6))
+    run = mg.simulate(replace(loop, readout=uneven), study[1].die(None)[1], sample_rate=RATE, duration=DURATION, seed=4)
+    case = mg.load_case(run.to_case(tmp_path / "case").parent)
+    (record,) = case.records
+    np.testing.assert_allclose(record.noise_of_rows, np.tile(uneven.noise_std(1 / RATE), (record.rows, 1)), rtol=1e-12)
+    found = mg.compare(run.loop.device, case, fitted=False)
+    assert found.explained
+    np.testing.assert_allclose(np.std(found.fit.whitened[0], axis=0).ravel(), 1.0, atol=0.1)
+
+
 def test_what_a_case_cannot_hold_is_refused(trace, tmp_path):
     loop = trace.loop
     coarse = eqx.tree_at(lambda t: t.time, trace, trace.time[9::10])  # what `decimation=10` keeps

@@ -77,6 +77,9 @@ def simulate_command(
     plan = chosen.settings
     loop, scenario = chosen.die(die)
     if case is not None:
+        from memsgyro_jax.measurement.loop_record import require_recordable
+
+        require_recordable(loop)
         loop = replace(loop, blocks=None)  # a case holds every sample
     decimation = 1 if case else max(1, count_steps(plan.sample_rate, plan.duration) // _ROWS)
     trace = simulate(

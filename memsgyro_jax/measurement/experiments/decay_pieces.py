@@ -9,13 +9,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from memsgyro_jax.base.linalg import inverse, product
+from memsgyro_jax.base.linalg import product
 from memsgyro_jax.device.conditions import Conditions
 
 from ..envelope import HARMONICS, Driven, run_samples
 from ..model import Model
 from ..steady import fundamental
 from .base import BEYOND, Experiment, Noise
+from .unknown_start import beside_start, start_that_leaves_least
 
 
 SOLVES = 4  # Gauss-Newton steps towards the start of a piece
@@ -24,10 +25,9 @@ SOLVES = 4  # Gauss-Newton steps towards the start of a piece
 class FreeDecay(Experiment):
     """Readings of a device left alone, in pieces of equal length, each of which begins in its own unknown motion.
 
-    The residual is that of the best start of every piece: starts are nuisances, eliminated where the model stands
-    (variable projection: Golub and Pereyra, Inverse Problems 19 (2003) R1), so that no fit carries them and slopes are
-    those beside them. Each piece therefore leaves 2·axes less than its number of readings in χ². Short pieces keep a
-    decay whose frequency changes by many cycles comparable with a model that does not know of it yet.
+    The residual is that of the best start of every piece, and slopes are those beside it. Each piece therefore leaves
+    2·axes less than its number of readings in χ². Short pieces keep a decay whose frequency changes by many cycles
+    comparable with a model that does not know of it yet.
 
     Args:
         name: of the record.
@@ -66,8 +66,7 @@ class FreeDecay(Experiment):
         starts, slopes = self._solved(jax.lax.stop_gradient(bench))
 
         def one(start: Array, slope: Array, measured: Array, noise: Noise, now: Conditions) -> Array:
-            left = noise.whiten(measured, self._readings(bench, start, now)).ravel()
-            return left - slope.T @ (inverse(slope @ slope.T) @ (slope @ left))
+            return beside_start(noise.whiten(measured, self._readings(bench, start, now)).ravel(), slope)
 
         return jax.vmap(one)(starts, slopes, *self._pieces()).ravel()
 
@@ -103,14 +102,7 @@ class FreeDecay(Experiment):
             def left(start: Array) -> Array:
                 return noise.whiten(measured, self._readings(model, start, now)).ravel()
 
-            def step(start: Array, _: None) -> tuple[Array, Array]:
-                value, slope = jax.vmap(lambda e: jax.jvp(left, (start,), (e,)), out_axes=(None, 0))(jnp.diag(units))
-                move = -inverse(slope @ slope.T) @ (slope @ value)
-                move = move * jnp.minimum(1.0, 1.0 / (jnp.sqrt(jnp.sum(move**2)) + 1e-30))
-                return start + units * move, slope
-
-            found, slopes = jax.lax.scan(step, begin, None, length=SOLVES)
-            return found, slopes[-1]
+            return start_that_leaves_least(left, begin, units, steps=SOLVES, far=1.0)
 
         begin = jax.lax.stop_gradient(self.start)
         return jax.vmap(one)(begin, *self._pieces())

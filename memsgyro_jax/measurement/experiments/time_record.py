@@ -10,7 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.table import Table
 from memsgyro_jax.device.conditions import Conditions
 
@@ -27,15 +26,19 @@ from .clocked import WaveformRecord
 from .deviation import Known
 from .record import Watched
 from .sheet import Sheet
+from .unknown_start import beside_start, start_that_leaves_least
 
 
 PHASE_STEP = 0.1  # of the highest mode per integration step where a nonlinear part is integrated [rad]
 RING_TIMES = 12  # amplitude time constants after which an unknown start has died out
+SOLVES = 3  # Gauss-Newton steps towards a start; a linear device needs one
 Hold = Literal["zero_order", "linear", "band_limited"]
 
 
 class RawCapture(Experiment):
-    """Waveforms under known forces, from rest.
+    """Waveforms under known forces, from rest, or from an unknown motion.
+
+    Of an unknown one that has not died out the residual is that of the best start, and slopes are those beside it.
 
     Args:
         name: of the record.
@@ -48,6 +51,7 @@ class RawCapture(Experiment):
         surroundings: conditions per integration step.
         substeps: integration steps per sample.
         skipped: samples at the beginning that are simulated but not compared, while an unknown start dies out.
+        solved: whether an unknown start is solved for.
     """
 
     slow: ClassVar[bool] = True
@@ -62,13 +66,24 @@ class RawCapture(Experiment):
     surroundings: Conditions
     substeps: int = eqx.field(static=True, default=1)
     skipped: int = eqx.field(static=True, default=0)
+    solved: bool = eqx.field(static=True, default=False)
 
     def predict(self, bench: Model) -> Float[Array, "n axes"]:
         """Voltage of every channel at every kept sample."""
-        return self._predicted(bench, None)[0]
+        return self._predicted(bench, None, self._start(bench)[0])[0]
+
+    def residual(self, bench: Model) -> Float[Array, " r"]:
+        """Measured minus predicted in standard deviations, without what another start would change."""
+        start, slopes = self._start(bench)
+        left = self.noise.whiten(self.measured, self._predicted(bench, None, start)[0]).ravel()
+        return beside_start(left, slopes) if self.solved else left
+
+    def residual_beside(self, bench: Model, added: Contribution) -> tuple[Float[Array, " r"], Inquiry]:
+        left, inquiry = super().residual_beside(bench, added)
+        return (beside_start(left, self._start(bench)[1]) if self.solved else left), inquiry
 
     def predict_beside(self, bench: Model, added: Contribution) -> tuple[Float[Array, "n axes"], Inquiry]:
-        seen, states = self._predicted(bench, added)
+        seen, states = self._predicted(bench, added, self._start(bench)[0])
         now = self.surroundings
         visited = visited_samples(bench, states, self.forces, self.increments, self.step, now, self._base)
         commands = jnp.stack([self.forces, self.forces + self.increments], axis=1)
@@ -86,14 +101,31 @@ class RawCapture(Experiment):
     def _base(self) -> Conditions:
         return jax.tree.map(lambda leaf: leaf[0], self.surroundings)
 
-    def _predicted(self, bench: Model, added: Contribution | None) -> tuple[Float[Array, "n axes"], Array]:
+    def _start(self, bench: Model) -> tuple[Array | None, Array]:
+        """The best start of a model as it stands, displacement and velocity, and the slopes by it; `None` at rest."""
+        if not self.solved:
+            return None, jnp.zeros((0, self.measured.size))
+        bench, axes = jax.lax.stop_gradient(bench), bench.axes
+        omega = jnp.sqrt(bench.device.stiffness[:axes])
+
+        def left(start: Array) -> Array:
+            return self.noise.whiten(self.measured, self._predicted(bench, None, start)[0]).ravel()
+
+        units = jnp.concatenate([jnp.ones(axes), omega])
+        return start_that_leaves_least(left, jnp.zeros(2 * axes), units, steps=SOLVES, far=jnp.inf)
+
+    def _predicted(
+        self, bench: Model, added: Contribution | None, start: Array | None
+    ) -> tuple[Float[Array, "n axes"], Array]:
         """Voltages, and the state at the beginning of every step."""
         linear, ends = None, None
         if added is not None:
             linear, ends = added.beside(bench.linear(self._base)), added.forced[0].reshape(-1, 2, bench.axes)
+        begin = None if start is None else bench.state_of(start, self._base)
         states = run_samples(
-            bench, self.forces, self.increments, self.step, self.surroundings, self._base, linear=linear, added=ends
-        )
+            bench, self.forces, self.increments, self.step, self.surroundings, self._base, start=begin, linear=linear,
+            added=ends,
+        )  # fmt: skip
         seen = jax.vmap(bench.observe)(*self._kept(states))
         return seen if added is None else seen + added.seen, states
 
@@ -120,7 +152,8 @@ class TimeSection(ExperimentSection):
     hold: Hold
     """How the force runs between rows: held from each to the next, on straight lines, or as a band-limited signal."""
     start: Literal["rest", "unknown"]
-    """Motion at the first row: at rest, or unknown, so that rows are left out until it has died away."""
+    """Motion at the first row: at rest, or unknown: rows are left out until it has died away where that leaves half of
+    them, else it is solved for."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -182,6 +215,8 @@ class TimeRecord(WaveformRecord):
         following = np.concatenate([fine[1:], fine[-1:]])
         rate, time = (np.repeat(values, substeps) for values in (self.rate, self.time))
         skipped = self._unknown_start(declared)
+        solved = skipped > self.rows // 2
+        skipped = 0 if solved else skipped
         return RawCapture(
             name="raw captures",
             time=jnp.asarray(self.time[skipped:]),
@@ -193,6 +228,7 @@ class TimeRecord(WaveformRecord):
             surroundings=surroundings(declared, number, fine.shape[0], rate, time=time),
             substeps=substeps,
             skipped=skipped,
+            solved=solved,
         )
 
     def _unknown_start(self, declared: Declared) -> int:
@@ -200,14 +236,7 @@ class TimeRecord(WaveformRecord):
         if self.start == "rest":
             return 0
         waiting = RING_TIMES * 2 * declared.largest_quality / declared.resonances[0]
-        skipped = int(np.ceil(waiting / self.period))
-        if skipped > self.rows // 2:
-            raise InputError(
-                f"{declared.folder}, experiment `{self.name}`: a record with an unknown start must be longer than "
-                f"twice the {waiting:.3g} s in which the start dies out, but lasts {self.period * self.rows:.3g} s; "
-                'begin it at rest and write `start = "rest"`.'
-            )
-        return skipped
+        return int(np.ceil(waiting / self.period))
 
     def starting_phasors(self, declared: Declared) -> Phasors | None:
         """Spectral lines around the resonances, under a Hann window that hides start and end; none where a channel was
