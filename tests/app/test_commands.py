@@ -151,6 +151,7 @@ def test_a_store_of_another_configuration_is_kept_and_refused(memsgyro, folder, 
     assert content(folder) == before
 
 
+@pytest.mark.slow
 def test_a_recorded_rate_is_followed(memsgyro, folder):
     time = np.linspace(0.0, 0.06, 121)
     rows = [f"{t:.6f},{3.0 * np.sin(2 * np.pi * 30.0 * t):.6f}" for t in time]

@@ -51,6 +51,7 @@ def interrupted(*given):
     raise KeyboardInterrupt
 
 
+@pytest.mark.slow
 def test_a_page_and_its_figures(tmp_path, capsys, monkeypatch):
     """There before the noise too, so that Ctrl-C leaves it."""
     (tmp_path / "study.toml").write_text(STUDY)

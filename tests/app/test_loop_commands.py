@@ -106,6 +106,7 @@ duration = "2 ms"
 """
 
 
+@pytest.mark.slow
 def test_a_classic_loop_is_looked_at_once_it_rests(memsgyro, tmp_path):
     """The study's own runs would show the start, from a frequency on that is none of slow rates."""
     (tmp_path / "classic.toml").write_text(CLASSIC)

@@ -83,6 +83,7 @@ UNTRIED = "runtime._TRIED = {}"
 WRONG = f'{UNTRIED}; runtime._CPU_FLAGS = ("--xla_cpu_prefer_vector_width=512", "--xla_no_such_flag=1")'
 
 
+@pytest.mark.slow
 def test_a_flag_this_jaxlib_does_not_know_is_left_out_and_not_asked_for_again(report):
     """Nor by a second call, after JAX has started."""
     seen = report("devices=2", before=f"{WRONG}\nruntime.configure(devices=2); import jax; jax.devices()")

@@ -51,6 +51,7 @@ def test_settled_sweep_equals_the_laboratory(axis, rate):
 SLOW = lab.Gyro(mass=1e-6, fx=60.0, fy=63.0, qx=150.0, qy=90.0, cxy=4e-7, kxy=3e-3, lam_yx=0.03, lam_xy=-0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("frequency", "axis"),
     [(np.linspace(69, 55, 141), 1), pytest.param(np.linspace(55, 69, 141), 0, marks=pytest.mark.slow)],

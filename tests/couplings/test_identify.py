@@ -153,6 +153,7 @@ def test_a_row_with_a_wrong_digit_is_named_and_moves_nothing(row, change, column
         assert after.std == pytest.approx(before.std, rel=0.1)
 
 
+@pytest.mark.slow
 def test_narrow_sweep_is_refused_a_verdict():
     result = identify([swept(lab.Gyro(), lab.NARROW)], noise=RAW, mass=3e-7)
     assert result.explained

@@ -103,6 +103,7 @@ def test_published_noise_errors(noise, low, high):
     assert low < float(jnp.sqrt(jnp.mean(error**2))) < high
 
 
+@pytest.mark.slow
 @given(
     force=st.floats(-0.5, 0.5),
     damping=st.floats(-1.0, 1.0),

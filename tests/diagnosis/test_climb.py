@@ -54,6 +54,7 @@ def test_every_stage_has_readings_also_without_some_rows(tmp_path):
     assert all(whole)
 
 
+@pytest.mark.slow
 def test_a_fit_climbs_too(tmp_path):
     case = mg.load_case(bent.bent_sweeps(tmp_path / "case", (5, 20, 60), rows=81))
     made = mg.fit(None, case, effects=[mg.effects.CubicStiffness("x")])

@@ -14,6 +14,7 @@ from memsgyro_jax.diagnosis.search import CONFUSED
 from memsgyro_jax.effects import CubicStiffness, QuadraticStiffness
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("share", "softens"), [(-2.0, True), (2.0, False)])
 def test_an_uneven_spring_explains_what_softens_and_nothing_that_hardens(share, softens):
     """A softening fork was "found: cubic_stiffness", though an uneven spring explained each of its sweeps as well."""

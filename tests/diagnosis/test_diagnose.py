@@ -171,7 +171,7 @@ def test_physics_outside_the_catalogue_is_not_called_found(stopped):
     assert "none is predicted" in answer["next_experiment"]
 
 
-@pytest.mark.parametrize("times", [3.0, 0.3])
+@pytest.mark.parametrize("times", [pytest.param(3.0, marks=pytest.mark.slow), 0.3])
 def test_a_noise_that_is_declared_wrong_is_called_that(times, own):
     """White deviations of three times the declared noise are no effect, and those of a third are no alarm."""
     case = bench(Hidden(), 0, ONE_AXIS, RESONATOR).case
@@ -206,6 +206,7 @@ def test_slow_noise_is_called_that_where_few_rows_tell_its_spectrum(corner):
         assert "The noise is not white" in outcome.sentence
 
 
+@pytest.mark.slow
 def test_a_spring_is_found_beside_slow_noise(own):
     spring = Hidden(cubic_stiffness_x=3.9 * RESONATOR.kxx)
     outcome = diagnose(None, bench(spring, 1, FLICKER, RESONATOR).case, effects=own)
@@ -213,6 +214,7 @@ def test_a_spring_is_found_beside_slow_noise(own):
     assert outcome.verdict == "found"
 
 
+@pytest.mark.slow
 def test_a_delay_that_is_a_phase_as_well_is_not_told_from_it(own):
     turned = replace(ONE_AXIS, faults=Faults(phase=-0.026))
     outcome = diagnose(None, bench(Hidden(), 0, turned, RESONATOR).case, effects=own)
@@ -224,6 +226,7 @@ def test_a_delay_that_is_a_phase_as_well_is_not_told_from_it(own):
     assert "reference_phase" in str(outcome)
 
 
+@pytest.mark.slow
 def test_a_user_s_own_effect_is_then_found(stopped, own):
     outcome = diagnose(None, stopped, effects=own)
     assert [a.label for a in outcome.accepted] == ["stop x"]

@@ -12,6 +12,7 @@ from memsgyro_jax.measurement.linear_start import starting_device
 from memsgyro_jax.measurement.readings import model_of, readings_of
 
 
+@pytest.mark.slow
 def test_the_instrument_comes_before_what_imitates_it(tmp_path):
     """Once the spring hardens, the phase of the reference and a complex background are left: no delay, no real part."""
     case = mg.load_case(driven.write(tmp_path))

@@ -78,6 +78,7 @@ def test_responses_are_those_of_a_model_that_carries_every_effect(die: Die, monk
     assert not_the_same(truth(case, die, Hidden()), case, monkeypatch) == set()
 
 
+@pytest.mark.slow
 def test_responses_are_those_of_a_model_that_carries_every_fifth_effect(monkeypatch):
     """In a sweep at one bias and temperature and without rate, which leaves three of them unseen."""
     die = GYROS["1.5 kHz"]

@@ -126,6 +126,7 @@ def test_a_step_towards_a_bound_never_reaches_it():
     np.testing.assert_array_equal(bent(start, np.zeros(3), low, high)[0], start)
 
 
+@pytest.mark.slow
 def test_a_device_with_an_effect_goes_into_compare_fit_and_diagnose(powered):
     """The effect is free in a fit, part of what is compared, and given to a diagnosis; and what comes out goes on."""
     case = bench(Hidden(cubic_stiffness_x=SPRING), 1, ONE_AXIS, RESONATOR).case

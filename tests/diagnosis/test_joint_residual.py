@@ -30,8 +30,8 @@ from memsgyro_jax.measurement.readings import model_of, readings_of
 
 KINDS = (
     "HarmonicSweep",
-    "RingDown",
-    # These are integrated as a ring-down is, and take three times as long to compile.
+    # These are integrated, and take long to compile.
+    pytest.param("RingDown", marks=pytest.mark.slow),
     pytest.param("RateTable", marks=pytest.mark.slow),
     pytest.param("RawCapture", marks=pytest.mark.slow),
 )
@@ -291,6 +291,7 @@ def test_how_far_it_is_resolved_is_told_of_the_model_that_was_fitted(monkeypatch
     assert fit_case(bench().case).apart == 0.0
 
 
+@pytest.mark.slow
 def test_an_effect_without_a_trace_is_named():
     """No record of a sweep at one bias knows the softening."""
     case = only(bench().case, "sweep_x", "sweep_y")

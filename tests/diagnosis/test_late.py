@@ -78,6 +78,7 @@ def test_a_delay_is_told_from_a_phase_and_a_part_of_the_drive(tmp_path, delay, p
         assert search.optimum.vector[joint.of_effect(0)] == pytest.approx(phase, abs=0.03)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("delay", "phase", "kept"), [(0.0, -0.4, "reference_phase"), (9e-6, 0.0, "readout_delay")])
 def test_a_delay_that_may_be_a_phase_is_called_one(tmp_path, delay, phase, kept):
     """Found as an effect of the device, it would be quoted with the precision of a phase."""

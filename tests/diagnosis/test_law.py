@@ -269,6 +269,7 @@ def moments_one():
     return jax.tree.map(lambda leaf: leaf[0], moments(by_name("cubic_stiffness", among=catalogue(1)), 1))
 
 
+@pytest.mark.slow
 def test_the_command_draws_writes_and_fits(tmp_path, capsys):
     swept(tmp_path, bowed, DEVICES["fork"], raw=True)
     law, page = tmp_path / "law.py", tmp_path / "page.html"

@@ -110,6 +110,7 @@ def carried_out(joint, rivals, planned, seed):
     return fits[1].chi2 - fits[0].chi2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("first", "second", "faults"),
     [

@@ -97,6 +97,7 @@ def test_a_row_of_a_fall_is_told():
     assert of_rows(case, {0: (3,)}) == "row 4 (near 1 Hz) of up"
 
 
+@pytest.mark.slow
 def test_normal_noise_and_a_missing_law_name_nobody(monkeypatch):
     """One false row in a thousand records, and none where a spring leaves several times the noise."""
     assert all(outlying(fit_case(case_of(seed))) == {} for seed in range(8))

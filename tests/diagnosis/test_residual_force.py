@@ -48,6 +48,7 @@ def test_a_sweep_shows_the_describing_function_of_the_spring(lacking, strength):
 GAP, STOP = 0.05, 0.03 * RESONATOR.kxx
 
 
+@pytest.mark.slow
 def test_beside_the_lowest_drive_a_stop_shows_as_a_kink_at_its_gap():
     """Nothing before it, then the describing function of a one-sided stop, s/π·(α − sin α·cos α), cos α = gap/A; beside
     the model that is fitted to all drives neither.

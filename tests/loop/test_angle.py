@@ -167,6 +167,7 @@ def test_a_band_above_half_the_sample_rate_is_refused():
         mg.angle_by_bandpass(np.ones((10, 4)), FREQUENCY, 5e3)
 
 
+@pytest.mark.slow
 def test_a_trace_tells_the_angle_beside_the_integrated_rate(swaying, tmp_path):
     """A short run whose rows are exchanged for ideal ones, under a law that rocks, and a rate that is 1 deg/s off."""
     motion, frame_of = swaying

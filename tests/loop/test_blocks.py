@@ -119,6 +119,7 @@ def test_drawn_statistics_are_those_of_drawn_samples():
     assert low < np.mean(found["nees_end"]) < high
 
 
+@pytest.mark.slow
 def test_a_trace_holds_the_ends_of_blocks():
     few = ("kxy", "dxx", "dyy", "dxy", "sigma")  # a smaller filter compiles faster
     observer = mg.ExtendedKalmanFilter.for_device(GYRO, READOUT, annealing=mg.Annealing(), known=few)
@@ -132,6 +133,7 @@ def test_a_trace_holds_the_ends_of_blocks():
     assert trace.rate_response(10.0) == 0.0, "a filter that holds the rate constant follows no sine"
 
 
+@pytest.mark.slow
 def test_a_run_too_short_for_a_block_goes_by_samples():
     """And one with a single block in its settled part has no scatter to tell."""
     few = ("kxy", "dxx", "dyy", "dxy", "sigma")

@@ -110,7 +110,7 @@ def dense_bound(
     return np.asarray(size) * scale * np.sqrt(np.diag(np.linalg.inv(scale[:, None] * information * scale)))
 
 
-@pytest.mark.parametrize("gyro", [SINGLE, DUAL], ids=["single", "dual"])
+@pytest.mark.parametrize("gyro", [SINGLE, pytest.param(DUAL, marks=pytest.mark.slow)], ids=["single", "dual"])
 def test_cramer_rao_is_that_of_an_independent_computation(gyro):
     got = information_bound(forced(gyro), 1.0, sample_rate=100e3, duration=0.004, windows=2)
     np.testing.assert_allclose(got.std[-1], dense_bound(gyro, 100e3, 400), rtol=2e-4)
@@ -129,6 +129,7 @@ def test_bayesian_bound_adds_the_prior():
     assert np.all(np.diff(got.std, axis=0) <= 1e-12 * got.std[:-1])
 
 
+@pytest.mark.slow
 def test_a_brownian_force_hides_what_it_shakes():
     """By generalised least squares over the covariance of all samples, at a temperature that counts."""
     hot, settings = 3e8, {"sample_rate": 50e3, "duration": 0.004, "windows": 2}

@@ -93,6 +93,7 @@ def test_a_filter_that_knows_the_force_is_consistent():
     assert figures.nis == pytest.approx(2.0, abs=0.02)
 
 
+@pytest.mark.slow
 def test_a_device_without_temperature_keeps_its_bits():
     """The same numbers, at 0 K too; and a warm one says what its filter was not told, and why it goes by samples."""
     gyro, readout = mg.SingleMassGyro.chi2010(), mg.ChargeAmplifier.chi2010()

@@ -56,6 +56,7 @@ def test_a_steady_start_has_no_transient(order):
     np.testing.assert_allclose(Bandpass(5.0, 9.0, order).apply(steady, 1e3, start=3.7), 0.0, atol=1e-14)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", ORDERS)
 def test_gradient_by_the_edges(order):
     signal = noise(300, 1)[:, 0]

@@ -61,6 +61,7 @@ def test_the_allan_deviation_is_flat_at_its_coefficient():
     np.testing.assert_allclose(found, np.sqrt(2.0 * np.log(2.0) / np.pi), rtol=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["open_loop", "force_rebalance"])
 def test_the_budget_knows_what_a_delay_makes_of_the_quadrature(kind):
     """A constant delay, simulated: what flicker of that size would make of the rate."""
@@ -79,6 +80,7 @@ def test_the_budget_knows_what_a_delay_makes_of_the_quadrature(kind):
         assert ("bias instability" in str(budget)) == (float(budget.instability) > 0.0)
 
 
+@pytest.mark.slow
 def test_no_flicker_is_none_to_the_last_bit():
     settings = {"sample_rate": RATE, "duration": 2e-3}
     plain, still = (

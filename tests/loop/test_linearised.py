@@ -107,6 +107,7 @@ def test_the_matrices_are_those_of_the_device(loop, tmp_path):
     kept(linear, tmp_path)
 
 
+@pytest.mark.slow
 def test_a_step_that_is_no_whole_period_of_the_swing_is_told(loop):
     """10 kHz at 100 kHz: ten samples are a period, seven are none, and their poles say nothing."""
     linear = loop.linearise(sample_rate=RATE, after=0.02, samples=7)
@@ -150,6 +151,7 @@ def test_poles_have_slopes(loop):
     assert float(slope) == pytest.approx((ends[0] - ends[1]) / 2e-5, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_program_of_one_sample_runs_without_the_loop(loop, trace):
     made = mg.export_loop(loop, sample_rate=RATE)
     assert "stablehlo" in made.program.mlir_module()
@@ -161,6 +163,7 @@ def test_a_program_of_one_sample_runs_without_the_loop(loop, trace):
         np.testing.assert_allclose(out[1:3], trace.force[number], rtol=1e-9, atol=1e-18)
 
 
+@pytest.mark.slow
 def test_an_exported_filter_is_as_exact_as_that_of_a_run():
     """The longer a filter runs, the more exactly it takes its derivative: what is exported meets a run whose duration
     it is told to rounding, and any other by less than the filter claims.

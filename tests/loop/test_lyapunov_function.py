@@ -62,6 +62,7 @@ def test_the_least_gain():
     assert least_gain(DEVICES["two masses"], -2.0) == pytest.approx(2.0 * 1.096, abs=2e-3)
 
 
+@pytest.mark.slow
 def test_what_has_no_such_function():
     gyro, readout = DEVICES["one mass"], mg.ChargeAmplifier.chi2010()
     loop = mg.ClosedLoop(gyro, readout, mg.ExtendedKalmanFilter.for_device(gyro, readout), mg.OpenLoop())

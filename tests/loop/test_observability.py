@@ -125,6 +125,7 @@ def test_singular_values_are_those_of_sixty_digits(model, velocity):
         np.testing.assert_allclose(found.singular_values[place], exact, rtol=1e-9, atol=1e-12 * exact[0])
 
 
+@pytest.mark.slow
 def test_ranks_of_thesis_4_1_to_4_3():
     known, both = {"known": ("sigma",)}, {"known": ("sigma",), "also": (CROSS_DAMPING_ASYMMETRY,)}
     assert set(matrix(SINGLE_MASS, ONE, **known).rank) == {4}
@@ -182,6 +183,7 @@ def loop() -> ClosedLoop:
     return ClosedLoop(gyro, readout, observer, DampingCompensation(tones=Tone(600.0, 53.95)))
 
 
+@pytest.mark.slow
 def test_a_run_leaves_what_the_bound_calls_degenerate(loop):
     found = observability(loop, duration=3e-3, also=(CROSS_DAMPING_ASYMMETRY,))
     bound = information_bound(loop, duration=3e-3, also=(CROSS_DAMPING_ASYMMETRY,))

@@ -32,6 +32,7 @@ def test_the_thesis_device_runs_as_it_always_did():
     assert run_of(mg.Operation.of(DEVICES["thesis"]).loop(), None, None) == (100e3, 0.1)
 
 
+@pytest.mark.slow
 def test_every_function_that_runs_a_loop_follows_the_device():
     made = mg.Operation.of(DEVICES["17 kHz"])
     loop, run = made.loop(), {"sample_rate": made.sample_rate, "duration": 2e-4}

@@ -69,6 +69,7 @@ def test_a_trace_shows_output_and_estimate():
     ax.figure.clear()
 
 
+@pytest.mark.slow
 def test_each_die_of_a_sweep_has_its_own_bandwidth():
     """Errors, windows and convergence are those of the output of each die, as a run of that die alone gives them."""
     settings = {"sample_rate": 100e3, "duration": 0.004, "seed": 3}
@@ -146,6 +147,7 @@ def test_the_gradient_by_the_bandwidth_is_that_of_finite_differences():
     assert slope == pytest.approx(finite, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_the_command_prints_the_error_before_and_behind_the_filter(tmp_path, capsys):
     study = tmp_path / "study.toml"
     study.write_text('[filter]\nkind = "lowpass"\nbandwidth = "400 Hz"\n\n[sweep]\nduration = "4 ms"\nseed = 3\n')

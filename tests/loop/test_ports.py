@@ -153,6 +153,7 @@ def end(loop):
     return jnp.stack([*state.motion, *estimate.motion, *estimate.theta])
 
 
+@pytest.mark.slow
 def test_the_gradient_is_finite(loop):
     arrays, static = eqx.partition(loop, eqx.is_inexact_array)
 

@@ -38,6 +38,7 @@ def test_a_trace_is_differentiated_and_keeps_its_settings():
     assert seen[0] == seen[-1] != seen[1]
 
 
+@pytest.mark.slow
 def test_a_trace_of_many_devices_equals_theirs():
     stiffness = np.array([62.0, 63.96, 66.0])
     many = jax.vmap(lambda kxx: mg.simulate(stiffened(kxx), 1.0, **RUN))(stiffness)

@@ -188,6 +188,7 @@ def write(path, header, *columns):
     return path
 
 
+@pytest.mark.slow
 def test_a_log_in_degrees_per_hour(tmp_path):
     rate = draw(np.random.default_rng(8), 1200, 3, n=1e-3)
     time = np.arange(1200) / 20.0

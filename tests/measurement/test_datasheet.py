@@ -236,7 +236,7 @@ def test_an_output_that_still_creeps_at_the_end_has_no_start_up_time():
     assert "not come to rest" in row.reason
 
 
-@pytest.mark.parametrize("bandwidth", [20.0, 90.0, 700.0])
+@pytest.mark.parametrize("bandwidth", [20.0, 90.0, pytest.param(700.0, marks=pytest.mark.slow)])
 def test_a_bandwidth_is_that_of_the_output_whatever_the_windows(bandwidth):
     """In 400 windows of a second, in which what is fast folds back, and finer ones where it must be looked at."""
     decay, finest = 2.0 * np.pi * bandwidth, []
@@ -288,6 +288,7 @@ def test_a_record_of_noise_that_ends_before_it_counts_is_refused():
         mg.datasheet(LOOP, SPREAD, dies=3, sample_rate=RATE, duration=0.1, noise_duration=0.05)
 
 
+@pytest.mark.slow
 def test_no_noise_is_none_of_the_mass_either():
     """The thermomechanical force shook the runs "without noise", and a spread of a noise was refused there."""
     loop = LOOP.sampled_at(RATE, duration=2e-3)

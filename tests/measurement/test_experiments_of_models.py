@@ -85,6 +85,7 @@ def test_several_linear_effects_at_once_are_predicted():
     assert_within(errors(hidden), LINEAR)
 
 
+@pytest.mark.slow
 def test_the_comparison_would_see_a_wrong_strength():
     """A thousandth of a visible cubic stiffness is a thousand times what the tolerance allows."""
     made = bench(visible("cubic_stiffness_x"), protocol=replace(TINY, experiments=TINY.experiments[:1]))

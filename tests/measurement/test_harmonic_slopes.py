@@ -9,7 +9,7 @@ from memsgyro_jax.base.linalg import inverse, product
 from memsgyro_jax.measurement import steady
 
 
-@pytest.mark.parametrize("fineness", steady.FINENESS[:2])
+@pytest.mark.parametrize("fineness", [steady.FINENESS[0], pytest.param(steady.FINENESS[1], marks=pytest.mark.slow)])
 def test_slopes_are_those_of_the_law(fineness):
     """For a law of three of four entries of a state that has kinks, even and odd powers, and entries that mix."""
     harmonics, samples = fineness
@@ -34,7 +34,7 @@ def test_slopes_are_those_of_the_law(fineness):
     np.testing.assert_allclose(steady._harmonic_slopes(local, push), wanted, atol=1e-11 * np.abs(wanted).max())
 
 
-@pytest.mark.parametrize("size", [1, 2, 5, 31])
+@pytest.mark.parametrize("size", [1, 5, *(pytest.param(n, marks=pytest.mark.slow) for n in (2, 31))])
 @pytest.mark.parametrize("kind", [float, complex])
 def test_inverses_are_those_of_lapack(size, kind):
     """Also where rows must change places, and where they are of very different size."""

@@ -56,7 +56,10 @@ def test_which_effects_are_linear(taken, effect):
     assert model.is_read_linearly == (effect.name not in CURVED)
 
 
-@pytest.mark.parametrize("kind", ["HarmonicSweep", "RateTable", "RawCapture", "RingDown"])
+@pytest.mark.parametrize(
+    "kind",
+    ["HarmonicSweep", *(pytest.param(k, marks=pytest.mark.slow) for k in ("RateTable", "RawCapture", "RingDown"))],
+)
 def test_predictions_are_those_of_sampled_waveforms(taken, kind):
     """And so are their derivatives by every number of the model."""
     model, experiment = taken[0].with_effect(*ACTING), taken[1][kind]
@@ -78,6 +81,7 @@ def test_predictions_are_those_of_sampled_waveforms(taken, kind):
         np.testing.assert_allclose(plain / size, whole / size, rtol=0, atol=3e-9)
 
 
+@pytest.mark.slow
 def test_constant_accelerations_deflect_the_settled_state():
     """An affine model keeps its constant: the mean deflection that it causes is seen in harmonic zero alone."""
     made = bench()

@@ -39,6 +39,7 @@ def expected(gyro, kelvin, rate):
     return found * per_rate / ((1.0 + GAIN * warmer) * (1.0 + DRIVE * warmer))
 
 
+@pytest.mark.slow
 def test_a_lot_over_temperature():
     lot = mg.over_temperature(
         LOOP,

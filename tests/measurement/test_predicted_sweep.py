@@ -23,6 +23,7 @@ def branches(hertz: float, force: float, cubic: float) -> np.ndarray:
     return np.sort(np.sqrt(real[real > 0.0]))
 
 
+@pytest.mark.slow
 def test_linear_modes_are_exact():
     """Those of the closed form, also turning, and of the other electrode."""
     hertz = np.linspace(7.15e3, 7.4e3, 11)
@@ -34,7 +35,7 @@ def test_linear_modes_are_exact():
         assert np.all(predicted.settled)
 
 
-@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("sign", [1.0, pytest.param(-1.0, marks=pytest.mark.slow)])
 def test_a_bent_resonance_is_climbed_and_fallen_from(sign):
     """By six half widths: where three motions are possible, the way there shows the high one and back the low one."""
     peak = 1e-6
@@ -50,6 +51,7 @@ def test_a_bent_resonance_is_climbed_and_fallen_from(sign):
     np.testing.assert_allclose(np.abs(back.readings[::-1, 0]), low, rtol=2e-3)
 
 
+@pytest.mark.slow
 def test_it_is_differentiated_and_mapped():
     hertz = HERTZ + np.linspace(-20.0, 20.0, 9)
 

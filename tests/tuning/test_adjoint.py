@@ -84,6 +84,7 @@ def test_backwards_through_blocks_is_the_slope():
         np.testing.assert_allclose(slopes[place], difference, rtol=2e-3, atol=1e-3 * np.abs(difference).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "made",
     [

@@ -65,6 +65,7 @@ def test_a_filter_in_blocks_finds_what_one_of_samples_finds(two_filters):
     assert blocks.inconsistency[1] < 0.5 < blocks.inconsistency[0]
 
 
+@pytest.mark.slow
 def test_the_pieces_of_a_record_are_its_last_samples(record):
     observer, *rows = record
     volts, force = (jnp.asarray(part[:23]) for part in rows)
@@ -91,6 +92,7 @@ def test_records_that_cannot_be_used(study, change, message):
         mg.tune_on_record(study.loop.observer, **given)
 
 
+@pytest.mark.slow
 def test_an_observer_that_loses_the_record_is_told(record):
     observer, volts, force = record
     broken = eqx.tree_at(lambda o: o.prior.theta[1], observer, jnp.asarray(np.inf))

@@ -51,6 +51,7 @@ def test_amplitudes_and_bandwidths_are_read_with_their_units():
         mg.ClassicControl.force_rebalance(SPLIT, DISPLACEMENT, amplitude=1e-6, demodulator_bandwidth="3 V")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("modes", "quality"),
     [((17.2e3, 17.65e3), (6000, 1500)), ((25e3, 24.2e3), (2000, 20_000)), ((3e3, 3.2e3), (90, 40))],
@@ -81,7 +82,7 @@ def settled(loop, rate, duration=0.3):
 
 
 @pytest.mark.parametrize(
-    "name", [name if n in (0, 4, 5) else pytest.param(name, marks=pytest.mark.slow) for n, name in enumerate(LOOPS)]
+    "name", [name if n in (0, 5) else pytest.param(name, marks=pytest.mark.slow) for n, name in enumerate(LOOPS)]
 )
 def test_the_steady_state_and_its_slope_are_those_of_linear_algebra(name):
     gyro, readout, make = LOOPS[name]
@@ -258,6 +259,7 @@ def restlessness(gyros, controls, rate):
     return np.asarray(jax.vmap(one)(stack(gyros), stack(controls))).T
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [2, pytest.param(50, marks=pytest.mark.slow)])
 def test_gains_are_stable_in_the_simulation_where_they_are_by_formula_and_not_beyond(count):
     made = designs(count, seed=7)
@@ -285,6 +287,7 @@ def test_gains_are_stable_in_the_simulation_where_they_are_by_formula_and_not_be
         assert float(mg.loop_margins(loop_of(gyro, DISPLACEMENT, unstable)).rate) < 0.0
 
 
+@pytest.mark.slow
 def test_the_drive_loops_are_stable_where_their_characteristic_polynomials_are():
     """s (s + d/2)(s + b) + b (k s + i) is stable where i < (b + d/2)(k + d/2), the amplitude's gains per force."""
     gyro, control = designs(1, seed=3)[0]
@@ -429,6 +432,7 @@ def test_products_give_the_steady_state_up_to_their_ripple(make):
         assert ripple[2] == pytest.approx(2.0 * left, rel=0.2)
 
 
+@pytest.mark.slow
 def test_a_bias_matches_the_modes_and_the_control_made_for_it_reads_the_rate():
     split = 0.005
     gyro = PLAIN.with_effect(mg.effects.ElectrostaticSoftening("y", 0.02))
@@ -449,7 +453,9 @@ def test_a_bias_matches_the_modes_and_the_control_made_for_it_reads_the_rate():
             mg.matching_bias(refused, 0.1)
 
 
-@pytest.mark.parametrize(("make", "seconds"), [("open_loop", 0.2), ("force_rebalance", 0.6)])
+@pytest.mark.parametrize(
+    ("make", "seconds"), [pytest.param("open_loop", 0.2, marks=pytest.mark.slow), ("force_rebalance", 0.6)]
+)
 def test_a_lot_far_from_its_design_starts(make, seconds):
     """The thesis' device at 15 %: each of 32 dies within the reach of the phase-locked loop holds its own resonance.
 

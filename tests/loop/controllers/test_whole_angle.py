@@ -62,6 +62,7 @@ def driven(gyro, controller, rate, period, start):
     return jax.lax.scan(one, start, jnp.arange(COUNT))[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("amplitude", [0.0, 1.2024], ids=["still", "rocking"])
 @pytest.mark.parametrize(("gyro", "frequency"), [(SINGLE, 3200.0), (OTHER, 10.3e3)], ids=["thesis", "10 kHz"])
 def test_a_device_that_is_known_becomes_an_ideal_one(gyro, frequency, amplitude):

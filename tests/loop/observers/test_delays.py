@@ -23,6 +23,7 @@ def prior() -> mg.Prior:
     return eqx.tree_at(lambda made: made.motion, late, tuple(map(jnp.asarray, (8e-7, -5e-7, 1.2e-2, 9e-3))))
 
 
+@pytest.mark.slow
 def test_an_update_is_that_of_dense_matrices():
     observer = mg.ExtendedKalmanFilter.for_device(EXPECTED, READOUT, prior=prior())
     deaf = dataclasses.replace(observer, noise_density=tuple(1e9 * d for d in observer.noise_density))

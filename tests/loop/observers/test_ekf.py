@@ -129,7 +129,17 @@ def disagreement(oracle, places, mean, covariance):
     return np.max(np.abs(mean_error)), np.max(np.abs((covariance - exact) / np.outer(std, std)))
 
 
-LONG = ("mass known", "mass known, ideal circuit", "all at once")  # their parts stand alone beside them
+# Their parts stand alone beside them, or another of their kind does.
+LONG = (
+    "mass known",
+    "mass known, ideal circuit",
+    "all at once",
+    "two nodes",
+    "adaptive fading",
+    "fixed fading",
+    "iterated",
+    "16 states",
+)
 
 
 @pytest.mark.parametrize(

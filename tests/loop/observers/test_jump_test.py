@@ -45,6 +45,7 @@ def test_it_is_the_filter_until_something_jumps():
     assert np.array_equal(watched.covariance(watched.init()), FILTER.covariance(FILTER.init()))
 
 
+@pytest.mark.slow
 def test_damping_that_jumps_is_found_again():
     """+50, +40 and +400 % at 15 ms; three dies, one of which does not jump and keeps what it knows."""
     change = tuple(mg.Step(0.015, np.array([v, v, 0.0])) for v in (0.5, 0.4, 4.0))

@@ -42,7 +42,11 @@ def volts_of(states):
 
 @pytest.mark.parametrize(
     ("device", "options"),
-    [(SINGLE, {}), (SINGLE, {"known": ("sigma",), "gain": (12.0, 40.0)}), (DUAL, {"start": 0.9, "gain": 20.0})],
+    [
+        (SINGLE, {}),
+        pytest.param(SINGLE, {"known": ("sigma",), "gain": (12.0, 40.0)}, marks=pytest.mark.slow),
+        pytest.param(DUAL, {"start": 0.9, "gain": 20.0}, marks=pytest.mark.slow),
+    ],
     ids=["mass unknown", "mass known", "dual mass"],
 )
 def test_equals_its_twin(device, options):
@@ -96,6 +100,7 @@ def test_tends_to_the_continuous_observer(sampled):
     assert norms[1] / norms[2] == pytest.approx(2.0, rel=0.1)
 
 
+@pytest.mark.slow
 def test_lyapunov_function_falls_by_what_the_damping_takes():
     """V̇ = -e₂ᵀ(D + L)e₂ without noise (thesis (4.33), with V as a symmetric form): never rising, and accounted for."""
     observer = LyapunovObserver.for_device(SINGLE, READOUT, start=0.85, gain=2.0, motion=(0.9e-6, 0.1e-6, 0.0, 0.0))

@@ -24,6 +24,7 @@ def moving(observer):
     return eqx.tree_at(prior, observer, tuple(map(jnp.asarray, START)))
 
 
+@pytest.mark.slow
 def test_an_update_of_the_ratio_is_that_of_dense_matrices():
     observer = moving(mg.ScaleRatioFilter.for_device(GYRO, readout(), ratio_std=0.2))
     observer = eqx.tree_at(lambda made: made.filter.prior.theta[-1], observer, jnp.asarray(0.05))
