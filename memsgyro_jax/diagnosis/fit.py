@@ -28,7 +28,7 @@ from memsgyro_jax.measurement.readings import Readings, model_of, readings_of
 
 from .drives import FAR, Rows, past_the_brink, stages, up, without_rows
 from .fit_table import fit_table
-from .fitted import ParameterEstimate, RecordError, errors_figure
+from .fitted import ParameterEstimate, RecordError, errors_figure, of_energy
 from .instrument import beside_case_of, knowledge
 from .joint_residual import Joint
 from .modes import mode_estimates
@@ -182,7 +182,7 @@ class CaseFit(Tabular):
     def status(self) -> str:
         """A sentence for humans."""
         text = "converged" if self.optimum.converged else f"not converged after {self.optimum.evaluations} evaluations"
-        text += f"; {self.resolution}" if self.resolution else ""
+        text += "".join(f"; {more}" for more in (self.resolution, of_energy(self.model.device)) if more)
         nulls = [null.removeprefix("+1.00·") for null in self.null_directions]
         return text + "".join(f"; {null} is not determined by these records" for null in nulls)
 

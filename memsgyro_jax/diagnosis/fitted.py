@@ -8,6 +8,7 @@ import numpy as np
 
 from memsgyro_jax.base.axes import axes
 from memsgyro_jax.base.text import beside
+from memsgyro_jax.device.normalised import NormalisedDevice
 from memsgyro_jax.measurement.least_squares import gate
 
 
@@ -87,6 +88,16 @@ class ParameterEstimate:
     def to_dict(self) -> dict[str, Any]:
         """The entry of a JSON file."""
         return asdict(self)
+
+
+def of_energy(device: NormalisedDevice) -> str:
+    """What is said of a damping that feeds some motion, as no device does; empty where it slows them all."""
+    if np.all(np.linalg.eigvalsh(np.asarray(device.damping_matrix)) > 0.0):
+        return ""
+    return (
+        "the damping feeds a motion of both axes, as no device does, and no study takes it: these records do not hold "
+        "it, or something is missing"
+    )
 
 
 def errors_figure(errors: Sequence[RecordError], ax: "Axes | None", before: Sequence[RecordError] = ()) -> "Axes":
