@@ -9,13 +9,9 @@ import contextlib
 import functools
 import logging
 import os
-import signal
 import sys
-import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from types import FrameType
-from typing import Any
+from collections.abc import Callable, Sequence
 
 import cyclopts
 
@@ -43,12 +39,12 @@ from .commands.studies import studies_command
 from .commands.sweep import sweep_command
 from .commands.tornado import tornado_command
 from .commands.tune import tune_command
+from .ending import TERMINATED, Terminated, told_to_end
 from .kinds import kinds_text
 
 
 BAD_INPUT = 2
 INTERRUPTED = 130  # as shells count: 128 and the number of the signal
-TERMINATED = 143
 BROKEN_PIPE = 1  # as rich does
 
 VERBOSE = "--verbose"
@@ -120,7 +116,7 @@ def main(tokens: Sequence[str] | None = None) -> None:
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(AttributeError, ValueError):  # not all that stands in for them is a stream of text
             stream.reconfigure(errors="replace")  # type: ignore[union-attr]  # `±` is no letter of every locale
-    with _told_to_end():
+    with told_to_end(at_last=tokens is None):
         sys.exit(_run(app, _without_verbose(sys.argv[1:] if tokens is None else tokens)))
 
 
@@ -137,37 +133,6 @@ def _without_verbose(tokens: Sequence[str]) -> list[str]:
     return [" -" if token == "-" and words[0] == "import" else token for token in words]
 
 
-class _Terminated(BaseException):
-    """Somebody asked this process to end."""
-
-
-@contextlib.contextmanager
-def _told_to_end() -> Iterator[None]:
-    """SIGTERM ends this process as Ctrl-C does, so that it tidies up, and not where it stands."""
-
-    def end(number: int, frame: FrameType | None) -> None:
-        raise _Terminated
-
-    def passed_over(what: Any) -> None:
-        """Python goes on where something is raised in a callback (of the collector, say): then it is asked again."""
-        number = {_Terminated: signal.SIGTERM, KeyboardInterrupt: signal.SIGINT}.get(what.exc_type)
-        if number is None:
-            report(what)
-        else:
-            threading.Timer(0.01, os.kill, (os.getpid(), number)).start()
-
-    if threading.current_thread() is not threading.main_thread():  # only there Python takes signals
-        yield
-        return
-    before, report = signal.signal(signal.SIGTERM, end), sys.unraisablehook
-    sys.unraisablehook = passed_over
-    try:
-        yield
-    finally:
-        sys.unraisablehook = report
-        signal.signal(signal.SIGTERM, before)
-
-
 def _run(application: cyclopts.App, tokens: Sequence[str]) -> int:
     try:
         application(
@@ -182,7 +147,7 @@ def _run(application: cyclopts.App, tokens: Sequence[str]) -> int:
         return _say(f"{_one_line(str(error))} See `memsgyro --help`.", BAD_INPUT)
     except KeyboardInterrupt:
         return _say("Interrupted.", INTERRUPTED)
-    except _Terminated:
+    except Terminated:
         return _say("Terminated.", TERMINATED)
     except BrokenPipeError:
         # The reader of the pipe has left (`memsgyro ... | head`); Python would complain when it closes the stream.

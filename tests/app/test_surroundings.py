@@ -3,13 +3,14 @@
 import gc
 import os
 import signal
+import subprocess
 import sys
 import time
 import weakref
 
 import pytest
 
-from memsgyro_jax.app import cli
+from memsgyro_jax.app import cli, ending
 from memsgyro_jax.base import runtime
 from memsgyro_jax.montecarlo.store import Store
 
@@ -66,6 +67,28 @@ def test_a_sweep_that_is_told_to_end_tidies_up(tmp_path, capsys, monkeypatch, nu
     assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
 
 
+def test_what_is_not_interrupted_ends_where_it_stands():
+    """As a program of XLA's that runs for minutes, in the main thread, or in one that is waited for at the end."""
+    code = """
+import hashlib, os, signal, sys, threading
+from memsgyro_jax.app import cli, ending
+ending.GRACE = 0.5
+def long(*_):
+    hashlib.pbkdf2_hmac("sha256", b"", b"", 2**30)
+if sys.argv[1] == "beside":
+    threading.Thread(target=long).start()
+    cli._run = lambda *_: threading.Event().wait(60)
+else:
+    cli._run = long
+threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGTERM)).start()
+cli.main()
+"""
+    for where in ("main", "beside"):
+        done = subprocess.run([sys.executable, "-c", code, where], capture_output=True, text=True, timeout=60)
+        assert done.returncode == 143, done.stderr
+        assert where == "beside" or done.stderr == "Terminated.\n"
+
+
 @pytest.mark.parametrize("callback", ["of the collector", "of a weak reference"])
 def test_an_end_asked_for_in_a_callback_comes_after_it(callback):
     """What a signal raises in a callback is reported and passed over."""
@@ -88,7 +111,7 @@ def test_an_end_asked_for_in_a_callback_comes_after_it(callback):
         time.sleep(5.0)
 
     kept, hook = list(gc.callbacks), sys.unraisablehook
-    with pytest.raises(cli._Terminated), cli._told_to_end():
+    with pytest.raises(ending.Terminated), ending.told_to_end(at_last=False):
         ended()
     assert sys.unraisablehook is hook
 
