@@ -4,6 +4,7 @@ Die `i` is defined by (seed, i) alone: its place in a scrambled Sobol sequence (
 on how many dies are drawn, in which order or on how many machines.
 """
 
+from collections import Counter
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -16,6 +17,7 @@ from scipy import special, stats
 from memsgyro_jax.base.display import UNITS, Shown
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.linalg import semidefinite_root
+from memsgyro_jax.base.text import listed
 from memsgyro_jax.device.gyro import AbstractGyro, Scalar, is_concrete
 from memsgyro_jax.device.sizes import numbers_of, with_sizes
 from memsgyro_jax.loop.loop import ClosedLoop
@@ -73,6 +75,8 @@ class Spread(Shown):
     `quasi=True` draws a scrambled Sobol sequence (percentiles converge faster), False pseudo-random numbers. With
     `points` nothing is drawn: die i is the i-th of them. `shared`, from 0 to below 1, is the correlation that
     `everywhere` has between numbers of one kind (stiffnesses, dampings, masses), which share their causes on a die.
+
+    **Raises:** `InputError` for what is no variation or distribution, and for a number that two of `items` name.
     """
 
     items: tuple[Vary, ...] = ()
@@ -90,6 +94,7 @@ class Spread(Shown):
             )
         if not isinstance(self.items, tuple | list) or not all(isinstance(item, Vary) for item in self.items):
             raise InputError("Argument `items` must be a tuple of `Vary(path, distribution)`.")
+        _require_once([(item.path, item.path) for item in self.items])
         if not 0.0 <= self.shared < 1.0:
             raise InputError(f"Argument `shared` must lie from 0 to below 1, but {self.shared:g} was given.")
 
@@ -133,8 +138,10 @@ class Spread(Shown):
 
     def resolved(self, loop: ClosedLoop) -> tuple[Vary, ...]:
         """The variations, with `everywhere` written out over the device's numbers that `items` does not name: those
-        that are not zero, and couplings. Raises `InputError` for a device that has none.
+        that are not zero, and couplings. Raises `InputError` for a device that has none, and for a number of an effect
+        that two of `items` name, by label and by number.
         """
+        _require_once([(item.spelled_out(loop.device), item.path) for item in self.items])
         if self.everywhere is None:
             return self.items
         device, sizes = loop.device, with_sizes(loop.device)
@@ -228,6 +235,16 @@ class Draw:
     table: Float[np.ndarray, "dies parameters"]
     normal: Float[np.ndarray, "dies items"]
     redrawn: Int[np.ndarray, " dies"]
+
+
+def _require_once(named: list[tuple[str, str]]) -> None:
+    """Raise `InputError` where two of these numbers are one; each comes with the path by which it was called."""
+    count = Counter(number for number, _ in named)
+    twice = dict.fromkeys(path for number, path in named if count[number] > 1)
+    if twice:
+        raise InputError(
+            f"Argument `items` must name each number once, but names one twice: {listed(twice, '`')}; keep one of them."
+        )
 
 
 def _drawn(items: tuple[Vary, ...], loop: ClosedLoop, scenario: Scenario, normal: np.ndarray) -> Draw:

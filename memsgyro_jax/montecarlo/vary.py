@@ -12,6 +12,8 @@ from memsgyro_jax.base.display import Shown, stated_at
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.fields import Scalar
 from memsgyro_jax.base.text import suggestion
+from memsgyro_jax.device.carried import Effects
+from memsgyro_jax.device.gyro import AbstractGyro
 from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.scenario import Scenario
 
@@ -57,6 +59,14 @@ class Vary(Shown):
         shared = self.path.startswith(f"{_PROCESS}.") and isinstance(root, Root)
         made = root.made_by_process() if shared else ()
         return [self._at(part, self.path) for part in made] or [self._at(root, self.path)]
+
+    def spelled_out(self, device: AbstractGyro) -> str:
+        """The path with an effect of `device` by its number, however it was called."""
+        first, _, rest = self.path.partition(f"{DEVICE_PREFIX}effects.")
+        called, dot, last = rest.partition(".")
+        labels = [effect.label.replace(" ", "_") for effect in device.effects]
+        found = [str(n) for n, label in enumerate(labels) if label == called.replace(" ", "_")]
+        return f"{DEVICE_PREFIX}effects.{found[0]}{dot}{last}" if not first and found else self.path
 
     def _at(self, here: Any, path: str) -> Any:
         for part in path.split("."):
@@ -117,6 +127,9 @@ def _names(here: Any) -> list[str]:
     """What a part has that may be named: its numbers and its parts, and what a designer calls them."""
     if isinstance(here, Root):
         return [*_names(here.loop), *([_PROCESS] if here.made_by_process() else []), "scenario"]
+    if isinstance(here, Effects):  # by their labels, and by number where several share one
+        labels = [effect.label.replace(" ", "_") for effect in here]
+        return [label if labels.count(label) == 1 else str(n) for n, label in enumerate(labels)]
     if isinstance(here, tuple | list):
         return [str(n) for n in range(len(here))]
     names = getattr(here, "natural", None)

@@ -284,3 +284,29 @@ def test_dies_of_a_fit_that_does_not_hold_a_number_are_refused():
     loose.covariance[1, 1] = np.inf
     with pytest.raises(mg.InputError, match="do not hold kxx"):
         mg.Spread.from_fit(loose)
+
+
+def _softened(loop):
+    gyro = loop.device.with_effect(mg.effects.CubicStiffness("x", 1e8), mg.effects.CubicStiffness("y", 1e8))
+    return mg.ClosedLoop(gyro, READOUT, loop.observer, mg.OpenLoop())
+
+
+def test_a_number_varies_once(loop):
+    one = mg.Vary("device.kxx", mg.Normal(relative=0.1))
+    with pytest.raises(InputError, match=r"must name each number once, but names one twice: `device.kxx`; keep one"):
+        mg.Spread((one, mg.Vary("device.kyy", mg.Normal(relative=0.1)), one))
+    numbered, called = (
+        mg.Vary(f"device.effects.{name}.strength", mg.Normal(relative=0.1)) for name in ("0", "cubic_stiffness_x")
+    )
+    both = mg.Spread((numbered, called))
+    with pytest.raises(InputError, match=r"twice: `device.effects.0.strength`, `device.effects.cubic_stiffness_x.str"):
+        draw(_softened(loop), both, range(3))
+    other = mg.Vary("device.effects.cubic_stiffness_y.strength", mg.Normal(relative=0.1))
+    assert draw(_softened(loop), mg.Spread((numbered, other)), range(3)).table.shape == (3, 2)
+
+
+def test_effects_that_are_known_by_their_labels(loop):
+    wrong = mg.Spread((mg.Vary("device.effects.cubic_stiffnes_x.strength", mg.Normal(relative=0.1)),))
+    known = r"\(did you mean `cubic_stiffness_x`\? known are cubic_stiffness_x, cubic_stiffness_y\)"
+    with pytest.raises(InputError, match=known):
+        draw(_softened(loop), wrong, range(3))
