@@ -52,7 +52,7 @@ class Source:
         """The first ten of pydantic's `errors` about `data`, read as `model`, in the order of the file."""
         about: dict[Place, list[Any]] = {}
         for error in errors:
-            about.setdefault(_in_file(error["loc"], data), []).append(error)
+            about.setdefault((*_in_file(error["loc"], data), *_deeper(error)), []).append(error)
         order = sorted(about, key=lambda place: self._line(place) or 0)
         texts: list[str] = []
         for place in order[:FIRST]:
@@ -118,6 +118,12 @@ def _in_file(loc: Place, data: Any) -> Place:
             continue  # pydantic's own name for one of several kinds
         place.append(part)
     return tuple(place)
+
+
+def _deeper(error: Any) -> Place:
+    """Where within what it checked a check of our own puts the fault."""
+    cause = error.get("ctx", {}).get("error")
+    return cause.place if isinstance(cause, Misplaced) else ()
 
 
 def _ended(text: str) -> str:

@@ -9,8 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from pydantic import AliasChoices, ConfigDict, Field, model_serializer
 
+from memsgyro_jax.base.display import stated_at
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.base.quantity import FileSection, Number, number_and_unit
+from memsgyro_jax.base.quantity import FileSection, In, Number, number_and_unit
+from memsgyro_jax.base.text import excerpt
 from memsgyro_jax.base.units import to_si
 
 from .base import Effect
@@ -27,7 +29,7 @@ def _axis_or_variant(schema: dict[str, Any]) -> None:
 
 class EffectSection(FileSection):
     """`name = "cubic_stiffness"`, `axis = "x"` (`variant` where it is no axis) and `strength = "8e8 N/m^3"`, or a
-    number with its `unit` beside it; `settings` holds further numbers, in SI.
+    number with its `unit` beside it; `settings` holds further numbers, in SI or as text with a unit.
     """
 
     model_config = ConfigDict(validate_by_name=True, validate_by_alias=True, json_schema_extra=_axis_or_variant)
@@ -39,8 +41,9 @@ class EffectSection(FileSection):
     """Strength, with its unit as text, or a number (or list of them) whose `unit` stands beside it; zero is absent."""
     unit: str | None = None
     """Unit of a strength that is given as a number; left out, of one without unit."""
-    settings: dict[str, Numbers] = Field(default_factory=dict)
-    """Further numbers of the effect by name, in SI; what is left out has its usual value."""
+    settings: dict[str, Numbers | str | dict[str, Any]] = Field(default_factory=dict)
+    """Further numbers of the effect by name, with their unit as text, or numbers in SI; what is left out has its usual
+    value."""
 
     @model_serializer
     def _entries(self) -> dict[str, Any]:
@@ -56,10 +59,8 @@ class EffectSection(FileSection):
         or shape.
         """
         effect = self.found(known)
-        for name, value in {"strength": self.strength_of(effect), **self.settings}.items():
-            if name not in ("strength", *settings_of(effect)):
-                known_settings = ", ".join(settings_of(effect)) or "none"
-                raise InputError(f"has a setting `{name}` that is not known (known: {known_settings})")
+        held = {name: self.setting_of(effect, name) for name in self.settings}
+        for name, value in {"strength": self.strength_of(effect), **held}.items():
             if np.shape(value) != np.shape(getattr(effect, name)):
                 raise InputError(
                     f"`{name}` must have the shape {np.shape(getattr(effect, name))}, but has {np.shape(value)}"
@@ -88,6 +89,29 @@ class EffectSection(FileSection):
                 raise InputError(f'a strength of `{effect.label}` must carry a unit, for example "{effect.unit}"')
             unit = "1"
         return to_si(np.asarray(given, float), unit, effect.unit, "the strength")
+
+    def setting_of(self, effect: Effect, name: str) -> Any:
+        """Setting `name` in SI. Raises `InputError` for one that is not known, and `ValueError` for a unit of another
+        kind, or none where the effect states one.
+        """
+        if name not in settings_of(effect):
+            known_settings = ", ".join(settings_of(effect)) or "none"
+            raise InputError(f"has a setting `{name}` that is not known (known: {known_settings})")
+        given = self.settings[name]
+        if not isinstance(given, str | dict):
+            return given
+        unit = unit_of_setting(effect, name)
+        if not unit:
+            raise InputError(
+                f"must be a plain number in SI, as `{effect.label}` states no unit of `{name}`, but is {excerpt(given)}"
+            )
+        return In(unit).read(given)
+
+
+def unit_of_setting(effect: Effect, name: str) -> str:
+    """The SI unit of a number of an effect beside its strength; empty where the effect states none."""
+    declared = {number.field: number.unit for number in free_numbers(effect)}
+    return declared.get(name) or stated_at(effect, name)
 
 
 def entries_of_effect(effect: Effect, *, settings: bool = True) -> dict[str, Any]:

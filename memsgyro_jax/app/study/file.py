@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from pydantic import ConfigDict, Field, model_validator
 
-from memsgyro_jax.base.complaints import Source
+from memsgyro_jax.base.complaints import Misplaced, Source
 from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.files import write_whole
@@ -96,9 +96,8 @@ class StudyFile(FileSection):
     def _someone_measures(self) -> "StudyFile":
         if isinstance(self.observer, Unobserved) and getattr(self.controller, "kind", None) not in MEASURING:
             measuring = " or ".join(f'"{kind}"' for kind in MEASURING)
-            raise ValueError(
-                f'observer.kind must not be "none" with a controller that needs an estimate; use {measuring}'
-            )
+            wrong = f'must not be "none" with a controller that needs an estimate; use {measuring}'
+            raise Misplaced(("observer", "kind"), ValueError(wrong))
         return self
 
     @model_validator(mode="after")
@@ -108,7 +107,8 @@ class StudyFile(FileSection):
             and not isinstance(self.device, LayoutDevice)
             and not isinstance(self.readout, DrawnComb)
         ):
-            raise ValueError('process must make a device or a readout of kind = "layout", but neither is one')
+            wrong = 'must make a device or a readout of kind = "layout", but neither is one'
+            raise Misplaced(("process",), ValueError(wrong))
         return self
 
     @model_validator(mode="before")

@@ -76,6 +76,9 @@ def device_of(file: Any, source: Source, own: tuple[Effect, ...]) -> tuple[Abstr
             found = entry.found(known)
         with source.section("effects", number, "strength"):
             entry.strength_of(found)
+        for name in entry.settings:
+            with source.section("effects", number, "settings", name):
+                entry.setting_of(found, name)
         with source.section("effects", number, "name"):
             effect = entry.build(known)
             if effect.label in labels:

@@ -159,3 +159,55 @@ def test_what_is_wrong_is_one_sentence(written, old, new, words):
     for word in words:
         assert word in str(error.value)
     assert "\n" not in str(error.value)
+
+
+MODE = '[[effects]]\nname = "parasitic_mode"\naxis = "x"\nstrength = "0.1 %"\nsettings = {{ {} }}\n'
+
+
+def test_settings_carry_their_unit(written, tmp_path):
+    study = mg.load_study(written(MODE.format('omega = "18 krad/s", quality = "200"')))
+    mode = study.loop.device.effects[0]
+    np.testing.assert_allclose([mode.strength, mode.omega, mode.quality], [1e-3, 18e3, 200.0])
+    table = mg.load_study(written(MODE.format('omega = { value = 18e3, unit = "rad/s" }, quality = 200')))
+    assert float(table.loop.device.effects[0].omega) == 18e3
+    again = mg.load_study(study.write(tmp_path / "again.toml"))
+    assert again.loop.device.effects[0].omega == mode.omega
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ('omega = "18e3"', 'must carry a unit, for example "18000 rad/s"'),
+        ('omega = "3 kHz"', 'Unit of the value must measure the same as "rad/s", but is "kHz"'),
+        ('omega = "fast"', "must be a number with a unit"),
+        ('omega = "-1 rad/s"', "must be at least 0 rad/s"),
+        ('omgea = "1 rad/s"', "`omgea` that is not known"),
+    ],
+)
+def test_settings_that_are_none(written, settings, words):
+    with pytest.raises(mg.InputError, match=r"effects\.0") as caught:
+        mg.load_study(written(MODE.format(settings)))
+    assert words in str(caught.value)
+
+
+def test_a_setting_without_a_unit_of_its_own_is_a_plain_number(written, tmp_path):
+    own = tmp_path / "own.py"
+    own.write_text("""import equinox as eqx
+import jax.numpy as jnp
+
+import memsgyro_jax as mg
+
+
+class Creep(mg.effects.ForceEffect):
+    name, unit, law = "creep", "N·s³/m³", "F = −s·k·v³"
+    strength: object = mg.effects.strength()
+    knob: object = eqx.field(converter=jnp.asarray, default=1.0)
+
+    def force(self, now):
+        return -self.strength * self.knob * now.velocity**3
+""")
+    text = '[[effects]]\nname = "creep"\nstrength = "1 N*s^3/m^3"\nsettings = {{ knob = {} }}\n'
+    study = mg.load_study(written(text.format("2.0")), mg.load_effects(own))
+    assert float(study.loop.device.effects[0].knob) == 2.0
+    with pytest.raises(mg.InputError, match=r"effects\.0\.settings\.knob.*plain number in SI.*no unit of `knob`"):
+        mg.load_study(written(text.format('"2 m"')), mg.load_effects(own))

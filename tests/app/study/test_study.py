@@ -432,7 +432,7 @@ def test_a_uniform_spread_may_be_relative(tmp_path):
             '[controller]\nkind = "classic"\nbandwidth = "2 Hz"\n',
             "rebalanced sense axis; give `sense_bandwidth`",
         ),
-        ('[observer]\nkind = "none"\n', 'observer.kind must not be "none"'),
+        ('[observer]\nkind = "none"\n', 'line 2, `observer.kind`: must not be "none" with a controller'),
     ],
 )
 def test_classic_control_needs_its_loops(write, section, words):
@@ -505,7 +505,7 @@ def test_a_spread_by_the_names_of_a_designer(write):
         ("[spread.parameters]", "[spread]\nrelative = 0.1\n[spread.parameters]", "a LayoutGyro has none of its own"),
         ('side = "1.2 mm"', 'side = "0.15 um"', "`layout.side`"),
         (LAYOUT[LAYOUT.index("[device]") : LAYOUT.index("[process]")], "", "has no `layout`|has no `device`"),
-        (LAYOUT[: LAYOUT.index("[controller]")], "[process]\n", "process must make a device or a readout"),
+        (LAYOUT[: LAYOUT.index("[controller]")], "[process]\n", "`process`: must make a device or a readout"),
         ('std = "50 nm"', 'std = "50 nF"', "F"),
     ],
 )
