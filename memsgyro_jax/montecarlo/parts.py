@@ -17,6 +17,7 @@ from memsgyro_jax.base.provenance import Settings
 from memsgyro_jax.loop.blocks.run import prepared
 from memsgyro_jax.loop.expectation import tell
 from memsgyro_jax.loop.loop import ClosedLoop, as_loop
+from memsgyro_jax.loop.observers.base import check_claims
 from memsgyro_jax.loop.operation import run_of
 from memsgyro_jax.loop.scenario import AbstractProfile, Scenario, as_scenario
 from memsgyro_jax.loop.settling import not_at_rest
@@ -226,7 +227,9 @@ def computation_of(
     chunk: int | None,
     bound_dies: int,
 ) -> Computation:
-    """What `sweep` was asked for. Raises `InputError` for settings that cannot be run, and outside float64."""
+    """What `sweep` was asked for. Raises `InputError` for settings that cannot be run, for an observer whose covariance
+    is of another shape than its states, and outside float64.
+    """
     runtime.require_float64("sweep")
     plain = "plain numbers, or map `simulate` over a lot that `Spread.draw` has drawn"
     refuse_traced("A sweep keeps a table of its dies and", plain, loop, spread, scenario)
@@ -235,6 +238,7 @@ def computation_of(
     sample_rate, duration = run_of(loop, sample_rate, duration)
     settle = 0.5 * duration if settle is None else quantity("settle", settle, "s")
     tolerance, chunk = quantity("tolerance", tolerance, "rad/s"), chunk and whole("chunk", chunk, 1)
+    check_claims(loop.observer)
     scenario, loop = as_scenario(scenario), loop.sampled_at(sample_rate, duration=duration)
     paths = [item.path for item in spread.resolved(loop)]
     if not any(path.startswith(f"{DEVICE_PREFIX}effects.") for path in paths):

@@ -19,6 +19,7 @@ from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.provenance import Settings, fingerprint
 from memsgyro_jax.loop.blocks.run import prepared
 from memsgyro_jax.loop.loop import ClosedLoop, as_loop
+from memsgyro_jax.loop.observers.base import check_claims
 from memsgyro_jax.loop.operation import run_of
 from memsgyro_jax.loop.scenario import AbstractProfile, Scenario, as_scenario
 from memsgyro_jax.loop.trace import count_steps
@@ -97,6 +98,7 @@ def tune(
     varied = (item.path for item in spread.resolved(loop))
     loop, hindered = prepared(loop, apart=parts_tones((*tunables.paths, *varied)))
     _check(dies, validation_dies)
+    check_claims(loop.observer)
     stages = _stages(loop, tunables, loss, settle)
     _check_priors(stages, tunables)
     timing = timing_of(sample_rate, duration, max(float(stage.loss.begins()) for stage in stages))

@@ -1,7 +1,7 @@
 """The observer port."""
 
 import abc
-from typing import ClassVar, Generic, NamedTuple, TypeVar
+from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from memsgyro_jax.base.display import Displayed
+from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.fields import AbstractVar
 from memsgyro_jax.device.gyro import Dynamics, MotionModel, Pair, Scalar
 from memsgyro_jax.device.propagate import AbstractDiscretisation, State4
@@ -182,6 +183,19 @@ class AbstractCovarianceObserver(AbstractObserver[State]):
         std = float(prior[int(index)])
         least, most = _WALKS
         return ((least * std) ** 2 / duration, (most * std) ** 2 / duration) if std > 0.0 else None
+
+
+def check_claims(observer: AbstractObserver[Any]) -> None:
+    """Raise `InputError` where an observer's covariance has another shape than its `states` say; it is not run."""
+    if not isinstance(observer, AbstractCovarianceObserver):
+        return
+    found = jax.eval_shape(lambda: jnp.asarray(observer.covariance(observer.init()))).shape
+    count = len(observer.states)
+    if found[:2] != (count, count):
+        raise InputError(
+            f"The covariance of {type(observer).__name__} must have the shape ({count}, {count}), a row and a column "
+            f"for each of its `states` {', '.join(observer.states)}, but has {found}."
+        )
 
 
 class Believed(NamedTuple):

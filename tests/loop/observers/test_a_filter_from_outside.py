@@ -1,5 +1,6 @@
 """Somebody's own filter, written as its equations, gets what the package gives to a filter with a covariance."""
 
+import dataclasses
 from typing import NamedTuple
 
 import equinox as eqx
@@ -101,3 +102,30 @@ def test_it_gets_tuning_in_two_stages_within_bounds_that_its_prior_tells(loop):
     prior_std, duration = 3.0, 0.1
     place = tunables.labels.index("observer.process_noise.rate")
     assert tunables.high[place] == pytest.approx((10.0 * prior_std) ** 2 / duration)
+
+
+class Narrow(RateFilter):
+    """One that forgets the row of the rate."""
+
+    def covariance(self, state):
+        return super().covariance(state)[:4, :4]
+
+
+class Listed(RateFilter):
+    """One that gives variances alone."""
+
+    def covariance(self, state):
+        return jnp.diagonal(super().covariance(state))
+
+
+@pytest.mark.parametrize(("kind", "shape"), [(Narrow, r"\(4, 4\)"), (Listed, r"\(5,\)")])
+def test_a_covariance_of_another_shape_is_refused_before_a_run(loop, kind, shape):
+    observer = kind(**{field.name: getattr(loop.observer, field.name) for field in dataclasses.fields(loop.observer)})
+    wrong, spread = eqx.tree_at(lambda made: made.observer, loop, observer), mg.Spread.relative(0.1)
+    words = rf"covariance of {kind.__name__} must have the shape \(5, 5\).*x, y, vx, vy, rate, but has {shape}"
+    for run in (
+        lambda: mg.sweep(wrong, spread, 1.0, dies=2, sample_rate=100e3, duration=1e-3),
+        lambda: mg.tune(wrong, free=mg.free(observer=wrong.observer.usually_tuned), sample_rate=1e5, duration=1e-3),
+    ):
+        with pytest.raises(mg.InputError, match=words):
+            run()
