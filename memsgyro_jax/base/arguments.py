@@ -1,14 +1,15 @@
 """What a person passes to a public function: quantities as numbers or as text with a unit, counts and seeds."""
 
-from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import DTypeLike
 
 from .concrete import is_concrete
+from .converter import FieldConverter, as_array
 from .errors import InputError
 from .text import excerpt
 
@@ -38,6 +39,12 @@ def quantities(name: str, given: Any, unit: str) -> np.ndarray:
     return np.asarray([quantity(name, one, unit) for one in many], float)
 
 
+def check_kind(name: str, given: object, kind: type, what: str) -> None:
+    """Raise `InputError` unless argument `name` is an instance of `kind`, in words `what`."""
+    if not isinstance(given, kind):
+        raise InputError(f"Argument `{name}` must be {what}, but is of type {type(given).__name__}.")
+
+
 def plain_quantity(name: str, given: Any, unit: str) -> float:
     """`quantity` of what decides the structure of a program (how many samples it runs): no traced number."""
     refuse_traced(f"Argument `{name}` decides how many samples the program runs, so it", "a plain number", given)
@@ -59,20 +66,26 @@ def _read(what: str, given: str, unit: str) -> float:
         raise InputError(f"{what} {str(error).rstrip('.')}.") from error
 
 
-def in_unit(unit: str) -> Callable[[Any], Any]:
-    """The converter of a field that is held as an array in the SI unit `unit` ("" where that follows from its use).
+def in_unit(unit: str, dtype: DTypeLike | None = None, *, optional: bool = False) -> FieldConverter:
+    """The converter of a field that is held as an array in the SI unit `unit` ("" where that follows from its use), or,
+    if `optional`, None.
 
-    Numbers pass, text such as "100 kHz" is converted. It raises `InputError` for other text.
+    Numbers pass, text such as "100 kHz" is converted. It raises `InputError` for other text, and for what is no number.
     """
 
-    def convert(given: Any) -> Any:
-        if not isinstance(given, str):
-            return jnp.asarray(given)
-        if not unit:
-            raise InputError(f"A number whose unit follows from its use must be given in SI, but is {excerpt(given)}.")
-        return jnp.asarray(_read("A number", given, unit))
+    def convert(field: FieldConverter, given: Any) -> Any:
+        return None if optional and given is None else number_in(field.what, given, unit, dtype)
 
-    return convert
+    return FieldConverter(convert)
+
+
+def number_in(what: str, given: Any, unit: str, dtype: DTypeLike | None = None) -> jax.Array:
+    """`given` as an array in the SI unit `unit` ("" where that follows from its use), as `in_unit` takes it; `what` is
+    its name in a message.
+    """
+    if isinstance(given, str) and not unit:
+        raise InputError(f"{what}, whose unit follows from its use, must be a number in SI, but is {excerpt(given)}.")
+    return as_array(what, _read(f"{what}:", given, unit) if isinstance(given, str) else given, unit, dtype)
 
 
 def whole(name: str, given: Any, least: int = 0) -> int:
@@ -95,6 +108,27 @@ def whole(name: str, given: Any, least: int = 0) -> int:
             f"Argument `{name}` must be a whole number from {least} to {most}, but {excerpt(given)} was given."
         )
     return number
+
+
+def arrays(unit: str = "", **options: object) -> tuple[jax.Array, ...]:
+    """A field that holds a tuple of numbers, each as an array; whole numbers become real ones. With a `unit` they may
+    be text such as "3 kHz".
+    """
+    return eqx.field(converter=FieldConverter(lambda field, given: several(field, given, unit)), **options)
+
+
+def several(field: FieldConverter, given: Any, unit: str = "") -> tuple[jax.Array, ...]:
+    """`given` as such a field holds it; raises `InputError` where it is no tuple of numbers."""
+    if isinstance(given, str) or not np.iterable(given):
+        raise InputError(
+            f"{field.what} must be a tuple of numbers, `(1.0, 2.0)` say, but is {excerpt(given)} of type "
+            f"{type(given).__name__}."
+        )
+    return jax.tree.map(lambda entry: _real(number_in(field.each, entry, unit)), tuple(given))
+
+
+def _real(array: jax.Array) -> jax.Array:
+    return array if jnp.issubdtype(array.dtype, jnp.inexact) else array.astype(float)
 
 
 def number(unit: str = "", **options: object) -> jax.Array:

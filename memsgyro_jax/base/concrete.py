@@ -51,6 +51,12 @@ def check_not_negative(name: str, value: Number) -> None:
         raise InputError(f"Argument `{name}` must be finite and not negative, but {_worst(value)} was given.")
 
 
+def check_finite(name: str, value: Number) -> None:
+    """Raise `InputError` where an entry is NaN or infinite; traced values pass."""
+    if is_concrete(value) and not np.all(np.isfinite(value)):
+        raise InputError(f"Argument `{name}` must be finite, but {_worst(value)} was given.")
+
+
 def check_positive_definite(name: str, xx: Number, yy: Number, xy: Number) -> None:
     """Raise `InputError` unless the symmetric matrix [[xx, xy], [xy, yy]] is positive definite; traced values pass."""
     if not is_concrete(xx, yy, xy):

@@ -14,6 +14,7 @@ import equinox as eqx
 import numpy as np
 
 from .concrete import is_concrete
+from .converter import FieldConverter
 from .errors import InputError
 
 
@@ -84,7 +85,14 @@ class Shown:
 
 
 class Displayed(Shown, eqx.Module):
-    """A module that writes its numbers with their units."""
+    """A module that writes its numbers with their units. The converters of its fields learn the names of these."""
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        for name, field in vars(cls).items():
+            converter = field.metadata.get("converter") if isinstance(field, dataclasses.Field) else None
+            if isinstance(converter, FieldConverter):
+                converter.called(name, cls)
 
 
 def shown(value: Any, unit: str = "", *, bare: bool = False) -> str:

@@ -10,7 +10,7 @@ from typing import Self
 import equinox as eqx
 import jax.numpy as jnp
 
-from memsgyro_jax.base.arguments import in_unit
+from memsgyro_jax.base.arguments import in_unit, number_in
 from memsgyro_jax.base.concrete import check_not_negative
 
 from .carried import CarriesEffects
@@ -20,17 +20,13 @@ from .small import Matrix, Scalar, Vector
 BOLTZMANN = 1.380649e-23  # J/K
 
 
-def _or_none(value: object) -> object:
-    return None if value is None else in_unit("K")(value)
-
-
 class HasTemperature(CarriesEffects):
     """A device that may know its `temperature` [K]: then its damping shakes it. None, or 0 K, is no Brownian force.
 
     Scenarios with a temperature of their own are followed.
     """
 
-    temperature: Scalar | None = eqx.field(kw_only=True, default=None, converter=_or_none)
+    temperature: Scalar | None = eqx.field(kw_only=True, default=None, converter=in_unit("K", optional=True))
 
     def __check_init__(self):
         if self.temperature is not None:
@@ -41,8 +37,9 @@ class HasTemperature(CarriesEffects):
 
         **Raises:** `InputError` for a negative temperature.
         """
+        temperature = None if temperature is None else number_in("Argument `temperature`", temperature, "K")
         made = eqx.tree_at(
-            lambda d: d.temperature, self, _or_none(temperature), is_leaf=lambda part: part is None
+            lambda d: d.temperature, self, temperature, is_leaf=lambda part: part is None
         )  # fmt: skip
         HasTemperature.__check_init__(made)
         return made

@@ -60,6 +60,8 @@ class Effects(tuple):
         """
         if isinstance(effects, cls):
             return effects
+        if isinstance(effects, str | AbstractEffect) or not isinstance(effects, Iterable):
+            raise InputError(f"Effects must be a tuple of them, but a {type(effects).__name__} was given.")
         members = tuple(effects)
         for member in members:
             check_effect(member, 2)

@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from memsgyro_jax.base.arguments import in_unit, quantity
 from memsgyro_jax.base.arguments import number as number
+from memsgyro_jax.base.arguments import number_in, quantity
 from memsgyro_jax.base.concrete import check_not_negative as check_not_negative
 from memsgyro_jax.base.concrete import check_positive as check_positive
 from memsgyro_jax.base.concrete import check_positive_definite as check_positive_definite
@@ -96,8 +96,10 @@ class SingleMassGyro(AbstractGyro):
     ):  # fmt: skip
         self.mass, self.kxx, self.kyy, self.kxy = mass, kxx, kyy, kxy
         self.dxx, self.dyy, self.dxy = dxx, dyy, dxy
-        damping = in_unit("N*s/m")
-        self.cross_damping_asymmetry = cross_damping_asymmetry if dyx is None else damping(dyx) - damping(dxy)
+        if dyx is not None:
+            one, other = (number_in(f"Argument `{n}`", v, "N*s/m") for n, v in (("dyx", dyx), ("dxy", dxy)))
+            cross_damping_asymmetry = one - other
+        self.cross_damping_asymmetry = cross_damping_asymmetry
         self.rotating_frame = rotating_frame
         self.effects = Effects.of(effects)
         self.reference_temperature, self.reference_bias = reference_temperature, reference_bias
@@ -141,6 +143,7 @@ class SingleMassGyro(AbstractGyro):
             angle = angle_of_quadrature(quantity("quadrature", quadrature, "rad/s"), modes)
         angle = 0.0 if angle is None else quantity("angle", angle, "rad")
         kxx, kyy, kxy = in_turned_axes(modes[0] ** 2, modes[1] ** 2, 0.0, angle)
+        cross_damping = quantity("cross_damping", cross_damping, "1")
         dxx, dyy, dxy = in_turned_axes(*damping, cross_damping * jnp.sqrt(damping[0] * damping[1]), angle)
         coefficients = (mass * value for value in (kxx, kyy, kxy, dxx, dyy, dxy))
         return cls(mass, *coefficients, rotating_frame=rotating_frame).at_temperature(temperature)
@@ -244,5 +247,8 @@ class DualMassGyro(AbstractGyro):
 
 
 def mode_frequencies(gyro: AbstractGyro) -> Float[np.ndarray, "*dies two"]:
-    """Undamped mode frequencies in Hz, ascending, of a gyro at rest; inside a transformation JAX arrays."""
+    """Undamped mode frequencies in Hz, ascending, of a gyro at rest; inside a transformation JAX arrays.
+
+    Two equal modes have no derivative but that of their mean, which each of them is given.
+    """
     return natural_frequencies(gyro.dynamics(Inertial()).stiffness)

@@ -1,5 +1,7 @@
 """A two-axis device from what an engineer knows of it: mode frequencies, quality factors, mass, coupling."""
 
+from typing import Any
+
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -8,6 +10,7 @@ from memsgyro_jax.base.arguments import quantity
 from memsgyro_jax.base.concrete import check_positive, is_concrete
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.plainly import at_once
+from memsgyro_jax.base.text import excerpt
 
 from .inertial import Pair
 from .small import Matrix, Scalar
@@ -22,15 +25,24 @@ def rates_of(frequency: Pair, quality_factor: Scalar | Pair) -> tuple[Pair, Pair
     Raises `InputError` unless all are positive.
     """
     quality = quality_factor if isinstance(quality_factor, tuple | list) else (quality_factor,) * 2
-    for name, pair in (("frequency", frequency), ("quality_factor", quality)):
-        if len(pair) != 2:
-            raise InputError(f"Argument `{name}` must be a pair, one number for each mode, but {len(pair)} were given.")
-    frequency = tuple(quantity("frequency", value, "Hz") for value in frequency)
-    for name, pair in (("frequency", frequency), ("quality_factor", quality)):
-        for value in pair:
-            check_positive(name, value)
+    frequency, quality = _both("frequency", frequency, "Hz"), _both("quality_factor", quality, "1")
     first, second = (2.0 * jnp.pi * jnp.asarray(value) for value in frequency)
     return (first, second), (first / quality[0], second / quality[1])
+
+
+def _both(name: str, given: Any, unit: str) -> Pair:
+    """One positive number in `unit` for each mode."""
+    if isinstance(given, str) or not np.iterable(given):
+        raise InputError(
+            f"Argument `{name}` must be a pair, one number for each mode, but is {excerpt(given)} of type "
+            f"{type(given).__name__}; write `({excerpt(given)}, {excerpt(given)})` where both modes have the same."
+        )
+    if len(given) != 2:
+        raise InputError(f"Argument `{name}` must be a pair, one number for each mode, but {len(given)} were given.")
+    first, second = (quantity(name, value, unit) for value in given)
+    for value in (first, second):
+        check_positive(name, value)
+    return first, second
 
 
 @at_once
@@ -82,5 +94,7 @@ def natural_frequencies(stiffness: Matrix) -> Float[np.ndarray, "*dies two"]:
     """Undamped mode frequencies in Hz, ascending, of a `stiffness` per mass in rad²/s²."""
     xp = np if is_concrete(stiffness) else jnp
     (a, b), (c, d) = (xp.broadcast_arrays(*map(xp.asarray, row)) for row in stiffness)
-    mean, split = 0.5 * (a + d), xp.sqrt(0.25 * (a - d) ** 2 + b * c)
+    # The root has no derivative where both modes are one: there each is given that of their mean, which has one.
+    apart = 0.25 * (a - d) ** 2 + b * c
+    mean, split = 0.5 * (a + d), xp.where(apart == 0.0, 0.0, xp.sqrt(xp.where(apart == 0.0, 1.0, apart)))
     return xp.sqrt(xp.stack([mean - split, mean + split], axis=-1)) / (2.0 * np.pi)

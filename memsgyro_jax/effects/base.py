@@ -21,6 +21,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Complex, Float
 
+from memsgyro_jax.base.arguments import number_in
+from memsgyro_jax.base.concrete import check_finite
+from memsgyro_jax.base.converter import FieldConverter
 from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.fields import AbstractVar
 from memsgyro_jax.base.fields import Scalar as Scalar
@@ -86,11 +89,14 @@ class Moment(Displayed):
 
 def strength(default: float = 0.0, *, sign: int = 0, low: float = -math.inf, high: float = math.inf) -> Array:
     """The field that holds the strength of an effect; `sign` is +1 or −1 where physics allows but one, `low` and `high`
-    are further ends of what it allows. No fit leaves them, and a strength that ends there is no finding.
+    are further ends of what it allows. No fit leaves them, and a strength that ends there is no finding. It is given as
+    a number in the effect's `unit`, or as text with a unit of that kind.
     """
     low, high = max(low, 0.0) if sign > 0 else low, min(high, 0.0) if sign < 0 else high
     return eqx.field(
-        converter=lambda value: jnp.asarray(value, float), default=default, metadata={"range": (low, high)}
+        converter=FieldConverter(lambda field, given: number_in(field.what, given, field.unit, float)),
+        default=default,
+        metadata={"range": (low, high)},
     )
 
 
@@ -104,7 +110,10 @@ def on_one_axis(now: Moment, axis: int, value: Array) -> Float[Array, " axes"]:
 
 
 class Effect(AbstractEffect):
-    """A named physical effect: `name`, `unit` of its strength in SI, `law` as a formula, `reference`."""
+    """A named physical effect: `name`, `unit` of its strength in SI, `law` as a formula, `reference`.
+
+    **Raises:** `InputError` for a strength that is no number, or not finite; a traced one passes.
+    """
 
     name: ClassVar[str] = ""
     unit: ClassVar[str] = "1"
@@ -115,6 +124,9 @@ class Effect(AbstractEffect):
     of_instrument: ClassVar[bool] = False  # belongs to a record, not to the device
 
     strength: AbstractVar[Array]
+
+    def __check_init__(self):
+        check_finite("strength", self.strength)
 
     @property
     def where(self) -> str:

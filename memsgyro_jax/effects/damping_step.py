@@ -1,10 +1,9 @@
 """Damping that changes at once: a leak, a particle, a valve."""
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from memsgyro_jax.base.arguments import number
 from memsgyro_jax.base.linalg import product
 
 from .base import ForceEffect, Moment, Scalar, strength
@@ -26,8 +25,8 @@ class DampingStep(Scanned, ForceEffect):
     reference = "Candler et al., J. Microelectromech. Syst. 15 (2006) 1446"
     scanned = ("record", "time")
     strength: Scalar = strength(low=-1.0)
-    time: Scalar = eqx.field(converter=jnp.asarray, default=0.0)
-    record: Scalar = eqx.field(converter=jnp.asarray, default=0.0)
+    time: Scalar = number("s", default=0.0)
+    record: Scalar = number("1", default=0.0)
 
     def force(self, now: Moment) -> Array:
         since = (now.time >= self.time) & (now.record == self.record)

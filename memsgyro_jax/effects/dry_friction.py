@@ -1,8 +1,9 @@
 """Friction that does not depend on the speed."""
 
-import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
+
+from memsgyro_jax.base.arguments import number
 
 from .axes import on_axis
 from .base import ForceEffect, Moment, Scalar, strength
@@ -26,8 +27,8 @@ class DryFriction(ForceEffect):
     reference = "Den Hartog, Trans. ASME APM-53-9 (1931) 107"
     axis: int | str = on_axis()
     strength: Scalar = strength(sign=+1)
-    creep: Scalar = eqx.field(converter=jnp.asarray, default=1e-7)
-    rounding: Scalar = eqx.field(converter=jnp.asarray, default=0.1)
+    creep: Scalar = number("m/s", default=1e-7)
+    rounding: Scalar = number("1", default=0.1)
 
     def force(self, now: Moment) -> Array:
         q, v = now.displacement[self.axis], now.velocity[self.axis]

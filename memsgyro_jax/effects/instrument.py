@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from memsgyro_jax.base.arguments import in_unit
 from memsgyro_jax.base.fields import AbstractVar
 from memsgyro_jax.base.linalg import product
 
@@ -98,7 +99,7 @@ class InstrumentTerm(Effect):
 
 def row_field(default: Any) -> Array:
     """A field that says which number a row takes, or when a record was taken."""
-    return eqx.field(converter=lambda value: jnp.asarray(value, float), default=default)
+    return eqx.field(converter=in_unit("", float), default=default)
 
 
 class DriveLevel(InstrumentTerm, DriveEffect):

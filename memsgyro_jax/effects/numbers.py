@@ -4,8 +4,9 @@ import dataclasses
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
+
+from memsgyro_jax.base.arguments import in_unit
 
 from .base import Effect
 
@@ -26,14 +27,12 @@ def parameter(*, start: float, low: float = -np.inf, high: float = np.inf, unit:
     strength has left zero, and keeps it strictly between `low` and `high`. `unit` is its SI unit. A plain array field
     is a setting, which no fit moves.
     """
-    return eqx.field(
-        converter=lambda value: jnp.asarray(value, float), default=start, metadata={"number": (unit, low, high)}
-    )
+    return eqx.field(converter=in_unit(unit, float), default=start, metadata={"number": (unit, low, high)})
 
 
 def setting(default: float, unit: str) -> Any:
     """The field of a number in `unit` that is only set, as the power that a device takes: no fit moves it."""
-    return eqx.field(converter=lambda value: jnp.asarray(value, float), default=default, metadata={"unit": unit})
+    return eqx.field(converter=in_unit(unit, float), default=default, metadata={"unit": unit})
 
 
 def free_numbers(effect: Effect) -> tuple[EffectNumber, ...]:

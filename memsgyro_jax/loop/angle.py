@@ -16,6 +16,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from memsgyro_jax.base.arguments import quantity
 from memsgyro_jax.device.gyro import Scalar
 from memsgyro_jax.device.propagate import State4
 
@@ -51,8 +52,11 @@ def vibration_ellipse(
     A `rate` [rad/s] of the frame of zero takes the velocities as they are, as the thesis does. With the rate the angle
     is exact: under a constant rate of the thesis' equations, or with `rotating_frame`, as of a device that keeps all
     terms of the frame, under any. A circle has no angle, and no derivative.
+
+    **Raises:** `InputError` for a frequency or rate that is neither a number nor text with its unit.
     """
     x, y, vx, vy = motion
+    frequency, rate = quantity("frequency", frequency, "Hz"), quantity("rate", rate, "rad/s")
     stiffness = (2.0 * jnp.pi * frequency) ** 2
     omega = jnp.sqrt(stiffness if rotating_frame else stiffness + rate**2)
     u, v = (vx - rate * y) / omega, (vy + rate * x) / omega
@@ -69,6 +73,7 @@ def vibration_ellipse(
 def vibration_angle(motion: State4, frequency: Scalar, rate: Scalar = 0.0, *, rotating_frame: bool = False) -> Scalar:
     """The angle φ of `vibration_ellipse` alone [rad], from -π/2 to π/2: (2.13) and (6.9) at rate zero."""
     x, y, vx, vy = motion
+    frequency, rate = quantity("frequency", frequency, "Hz"), quantity("rate", rate, "rad/s")
     omega = 2.0 * jnp.pi * frequency
     stiffness = omega**2 if rotating_frame else omega**2 + rate**2
     vx, vy = vx - rate * y, vy + rate * x
@@ -102,6 +107,7 @@ def angle_by_bandpass(
     """Method 2 (6.10): the angle of the motion behind a band-pass, of `frequency` ± 200 Hz and order 4 as in Fig 7.4
     unless another is given. The band-pass starts empty: the first hundredth of a second tells little.
     """
+    frequency = quantity("frequency", frequency, "Hz")
     band = bandpass if bandpass is not None else Bandpass(frequency - 200.0, frequency + 200.0, 4)
     filtered = band.apply(jnp.asarray(motion), sample_rate)
     found = _continuous(vibration_angle(tuple(filtered.T), frequency))

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from memsgyro_jax.base.arguments import in_unit
+from memsgyro_jax.base.arguments import in_unit, quantity
 from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.gyro import Scalar, check_positive, is_concrete
@@ -31,7 +31,7 @@ class Section(NamedTuple):
 
 def _frequency() -> Scalar:
     """A field in Hz: a float even where a whole number is given, so that it has a gradient and may differ per die."""
-    return eqx.field(converter=lambda value: jnp.asarray(in_unit("Hz")(value), float))
+    return eqx.field(converter=in_unit("Hz", float))
 
 
 class AbstractFilter(Displayed):
@@ -114,7 +114,7 @@ class Lowpass(AbstractFilter):
 
     def delay(self, period: Scalar, frequency: float = 0.0) -> Scalar:
         """Seconds by which a sine of `frequency` [Hz] comes out late, sampled every `period` [s]; zero: slowly."""
-        corner = jnp.tan(jnp.pi * self.bandwidth * period)
+        corner, frequency = jnp.tan(jnp.pi * self.bandwidth * period), quantity("frequency", frequency, "Hz")
         if frequency == 0.0:
             return 0.5 * period * _slope(self.order) / corner
         s = 1j * jnp.tan(jnp.pi * frequency * period) / corner

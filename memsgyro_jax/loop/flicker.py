@@ -10,6 +10,7 @@ import math
 import equinox as eqx
 import jax.numpy as jnp
 
+from memsgyro_jax.base.arguments import arrays
 from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.gyro import Pair, Scalar, X, Y, check_positive, number
@@ -28,7 +29,7 @@ class Flicker(Displayed):
     density ripples by 5.5 %. It begins in its stationary state. Zero is no flicker.
     """
 
-    delay: Pair = eqx.field(converter=lambda given: tuple(map(jnp.asarray, given)), metadata={"unit": "s"})
+    delay: Pair = arrays("s", metadata={"unit": "s"})
     lowest: Scalar = number("Hz", default=0.1)
     decades: int = eqx.field(static=True, default=5)
 

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from memsgyro_jax.base.arguments import check_kind
 from memsgyro_jax.base.concrete import is_concrete, settled, strong
 from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.errors import InputError
@@ -79,6 +80,8 @@ class ClosedLoop(Displayed):
     `filter` smooths the estimated rate into the loop's output, from the observer's first estimate on; None gives out
     the estimate itself. Nothing feeds back from it.
 
+    **Raises:** `InputError` for a part in the place of another, and for parts that do not fit each other.
+
     `blocks` advances a linear loop many samples at a time (see `in_blocks`), None sample by sample.
     """
 
@@ -93,6 +96,8 @@ class ClosedLoop(Displayed):
     blocks: Blocks | None = None
 
     def __check_init__(self):
+        _check_parts(self)
+        check_kind("discretisation", self.discretisation, AbstractDiscretisation, "a discretisation, `Exact()` say")
         if self.device.model != self.observer.model:
             raise InputError(
                 "The observer must expect the kind of device it watches; make it with `for_device(gyro, readout)`."
@@ -283,6 +288,33 @@ def claim_error(loop: ClosedLoop, sample_rate: float) -> float | None:
     if not is_concrete(stiffness):
         return None
     return steps.claim_error(float(np.max(natural_frequencies(stiffness))), sample_rate)
+
+
+_PARTS = {
+    "device": (AbstractGyro, "a device"),
+    "readout": (AbstractReadout, "a read-out"),
+    "observer": (AbstractObserver, "an observer"),
+    "controller": (AbstractController, "a controller"),
+}
+
+
+def _check_parts(loop: ClosedLoop) -> None:
+    """Refuse a part in the place of another, and say what each place got."""
+    wrong = [
+        f"`{name}` must be {what}, but is {_called(getattr(loop, name))}"
+        for name, (kind, what) in _PARTS.items()
+        if not isinstance(getattr(loop, name), kind)
+    ]
+    if wrong:
+        raise InputError(
+            f"Argument {', and '.join(wrong)}; the order is ClosedLoop(device, readout, observer, controller)."
+        )
+
+
+def _called(part: object) -> str:
+    """What a part is, and of which class."""
+    kinds = [f"{what}, " for kind, what in _PARTS.values() if isinstance(part, kind)]
+    return f"{''.join(kinds)}of type {type(part).__name__}"
 
 
 _MARGIN = 1.3  # estimates and spread dies may lie above the design's mode frequencies

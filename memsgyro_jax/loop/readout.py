@@ -198,8 +198,11 @@ class ChargeAmplifier(AbstractLinearReadout):
         `InputError` unless gradient and capacitance are positive.
         """
         gradient, capacitance, mismatch = (
-            pair_in(unit)(value)
-            for unit, value in (("F/m", gradient), ("F", capacitance), ("F", capacitance_mismatch))
+            pair_in(f"Argument `{name}`", value, unit)
+            for name, unit, value in (
+                ("gradient", "F/m", gradient), ("capacitance", "F", capacitance),
+                ("capacitance_mismatch", "F", capacitance_mismatch),
+            )
         )  # fmt: skip
         for name, pair in (("gradient", gradient), ("capacitance", capacitance)):
             for value in pair:

@@ -11,11 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from memsgyro_jax.base.arguments import quantity
+from memsgyro_jax.base.arguments import quantity, whole
 from memsgyro_jax.base.concrete import is_concrete
 from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.plainly import at_once
+from memsgyro_jax.base.text import excerpt
 from memsgyro_jax.device.conditions import Conditions
 from memsgyro_jax.device.gyro import Scalar, check_not_negative, check_positive, number
 
@@ -26,7 +27,15 @@ WALK_STREAM = 1  # stream of `noise.normal_pair`; the measurement noise of a run
 
 
 class AbstractProfile(Displayed):
-    """A scalar quantity over time. A new kind gives `value`."""
+    """A scalar quantity over time. A new kind gives `value`.
+
+    **Raises:** `InputError` where one of its numbers is NaN; traced ones pass.
+    """
+
+    def __check_init__(self):
+        for name, value in vars(self).items():
+            if eqx.is_inexact_array(value) and is_concrete(value) and np.any(np.isnan(value)):
+                raise InputError(f"Argument `{name}` of a {type(self).__name__} must be a number, but is NaN.")
 
     @abc.abstractmethod
     def value(self, time: Scalar) -> Scalar:
@@ -141,13 +150,11 @@ class RandomWalk(AbstractProfile):
     duration: Scalar = number("s")
     start: Scalar = number(default=0.0)
     realisation: Scalar = number(default=0.5)
-    rows: int = eqx.field(static=True, default=10_000)
+    rows: int = eqx.field(static=True, default=10_000, converter=lambda given: whole("rows", given, 2))
 
     def __check_init__(self):
         check_not_negative("intensity", self.intensity)
         check_positive("duration", self.duration)
-        if self.rows < 2:
-            raise InputError(f"Argument `rows` must be at least 2, but {self.rows} was given.")
 
     @at_once
     def value(self, time: Scalar) -> Scalar:
@@ -182,6 +189,8 @@ class Scenario(Displayed):
     dxy); `cross_rate` (Ωx, Ωy) in rad/s and `acceleration` of the frame in m/s² act on devices with
     `rotating_frame=True`. Effects of the device see `temperature` in K and `bias_voltage` of the electrodes in V; None
     is that at which the device's numbers hold.
+
+    **Raises:** `InputError` for what is no profile where one belongs, a plain number say.
     """
 
     rate: AbstractProfile = eqx.field(default_factory=Constant)
@@ -193,6 +202,13 @@ class Scenario(Displayed):
     acceleration: tuple[AbstractProfile, AbstractProfile] = eqx.field(default_factory=lambda: _constants(2))
     temperature: AbstractProfile | None = None
     bias_voltage: AbstractProfile | None = None
+
+    def __check_init__(self):
+        for name in ("rate", "temperature", "bias_voltage"):
+            if name == "rate" or getattr(self, name) is not None:
+                _check_profiles(f"Argument `{name}`", (getattr(self, name),), 1)
+        for name, count in _SEVERAL.items():
+            _check_profiles(f"Argument `{name}`", getattr(self, name), count)
 
     def at(self, time: Scalar) -> Conditions:
         """Everything at `time` [s]; the angular acceleration is the slope of the rate. The true rate of a run is no
@@ -216,6 +232,22 @@ class Scenario(Displayed):
             damping_change=_values(self.damping_change, time),
             offset_drift=_values(self.offset_drift, time),
         )
+
+
+_SEVERAL = {"offset_drift": 2, "damping_change": 3, "cross_rate": 2, "acceleration": 2}  # profiles of each
+
+
+def _check_profiles(what: str, given: object, count: int) -> None:
+    """Raise `InputError` unless these are so many profiles."""
+    if count > 1 and not (isinstance(given, tuple | list) and len(given) == count):
+        found = f"has {len(given)}" if isinstance(given, tuple | list) else f"is of type {type(given).__name__}"
+        raise InputError(f"{what} must be a tuple of {count} profiles, but {found}.")
+    for profile in given if isinstance(given, tuple | list) else ():
+        if not isinstance(profile, AbstractProfile):
+            raise InputError(
+                f"{what} must be a profile over time, `Constant(1.0)` say, but is {excerpt(profile)} of type "
+                f"{type(profile).__name__}."
+            )
 
 
 def _constants(count: int) -> tuple[Constant, ...]:

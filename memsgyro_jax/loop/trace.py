@@ -9,7 +9,7 @@ import numpy as np
 
 from memsgyro_jax.base import runtime
 from memsgyro_jax.base.arguments import whole
-from memsgyro_jax.base.concrete import is_concrete
+from memsgyro_jax.base.concrete import check_positive, is_concrete
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.plainly import at_once
 from memsgyro_jax.base.provenance import Settings
@@ -112,10 +112,11 @@ def _require_one_die(loop: ClosedLoop) -> None:
 
 
 def count_steps(sample_rate: float, duration: float) -> int:
-    """Samples in `duration`; raises `InputError` unless there is at least one."""
+    """Samples in `duration`; raises `InputError` unless both are positive, and there is at least one."""
+    check_positive("sample_rate", sample_rate)
     if not (np.isfinite(duration) and duration > 0.0):
         raise InputError(f"Argument `duration` must be a positive number of seconds, but {duration} was given.")
-    steps = round(sample_rate * duration) if np.isfinite(sample_rate) else 0
+    steps = round(sample_rate * duration)
     if steps < 1:
         raise InputError(
             f"Argument `duration` must hold at least one sample at {sample_rate:g} Hz, but {duration:g} s was given."

@@ -122,8 +122,79 @@ def test_constructors_take_units_as_text():
 
 
 def test_text_that_no_constructor_takes():
-    assert "A number" in refusal(mg.Tone, "600 kg", 1.0)
+    assert "Argument `frequency`" in refusal(mg.Tone, "600 kg", 1.0)
     assert "whose unit follows from its use" in refusal(mg.Tone, 600.0, "53.95 m/s^2")
     assert "Argument `relative`" in refusal(mg.Spread.relative, "10 Hz")
     assert "Argument `mass`" in refusal(mg.SingleMassGyro.from_modes, "heavy", (2900.0, 3700.0), 1000.0)
     assert "whose unit follows from its use" in refusal(mg.DirectReadout, "100 mV/um")
+
+
+FIRST = mg.OpenLoop()
+NEEDS_SEVERAL = {
+    "reference model": lambda given: mg.ReferenceModel(given),
+    "energy control": lambda given: mg.EnergyControl(FIRST, given, (1e-6, 1e-6), 1.0),
+    "energy observer": lambda given: mg.EnergyObserver(None, given, (1e-6, 1e-6)),
+    "modes": lambda given: mg.SingleMassGyro.from_modes(1e-8, given, 1000.0),
+}
+
+
+@pytest.mark.parametrize("make", NEEDS_SEVERAL.values(), ids=NEEDS_SEVERAL)
+def test_a_frequency_alone_where_there_must_be_two(make):
+    for given in (21.9e3, "21.9 kHz", None, jnp.asarray(21.9e3)):
+        assert refusal(make, given).startswith("Argument `frequency` must be ")
+    assert "`frequency`" in refusal(make, ("fast", 3e3))
+    assert "`frequency`" in refusal(make, ("3 kg", 3e3))
+
+
+def test_several_numbers_are_read_as_one_is():
+    np.testing.assert_allclose(mg.ReferenceModel(("3 kHz", 5000)).frequency, [3000.0, 5000.0])
+    np.testing.assert_allclose(mg.EnergyControl(FIRST, (3e3, 5e3), ("1 um", 2e-6), 1.0).amplitude, [1e-6, 2e-6])
+    np.testing.assert_allclose(mg.Saturated(FIRST, ("200 uN", 1e-4)).limit, [2e-4, 1e-4])
+
+
+def test_what_is_no_tone():
+    for given in (21.9e3, "600 Hz", (21.9e3, 600.0), ((mg.Tone(600.0, 1.0), 3.0), ())):
+        assert refusal(mg.OpenLoop, given).startswith("Argument `tones` must be a `Tone(frequency, amplitude)`")
+
+
+def test_an_angle_is_asked_for_at_a_frequency_with_its_unit():
+    motion = (1e-6, 2e-6, 0.01, -0.02)
+    assert mg.vibration_angle(motion, "3 kHz") == mg.vibration_angle(motion, 3000.0)
+    for ask in (mg.vibration_angle, mg.vibration_ellipse):
+        assert "Argument `frequency`" in refusal(ask, motion, "fast")
+    rows = np.ones((10, 4))
+    for ask in (mg.angle_by_lowpass, mg.angle_by_bandpass):
+        assert "Argument `frequency`" in refusal(ask, rows, "3 kg", 1e5)
+
+
+def test_numbers_that_a_constructor_makes_numbers_of():
+    gyro, readout = mg.SingleMassGyro.chi2010(), mg.DirectReadout.of_velocity(5.0)
+    tone = mg.Tone(600.0, 1.0)
+    assert "`frequency`" in refusal(mg.SlidingMode.for_device, gyro, readout, tone, frequency="3 kHz")
+    assert "`frequency`" in refusal(mg.LyapunovObserver.for_device, gyro, readout, frequency="fast")
+    assert "`spread`" in refusal(mg.design_prior, gyro, spread="much")
+    assert "`prior`" in refusal(mg.ExtendedKalmanFilter.for_device, gyro, prior=21.9e3)
+    assert "`rows`" in refusal(mg.RandomWalk, 1.0, 1.0, rows="many")
+    assert "`length`" in refusal(mg.BlockFilter.for_device, gyro, length=21.9e3)
+
+
+def test_parts_of_a_loop_in_the_wrong_order(loop):
+    device, readout, observer, controller = loop.device, loop.readout, loop.observer, loop.controller
+    said = refusal(mg.ClosedLoop, device, observer, readout, controller)
+    assert said.startswith(
+        "Argument `readout` must be a read-out, but is an observer, of type ExtendedKalmanFilter, and"
+    )
+    assert "`observer` must be an observer, but is a read-out, of type ChargeAmplifier" in said
+    assert "`device` must be a device" in refusal(mg.ClosedLoop, readout, device, observer, controller)
+    assert "`controller` must be a controller" in refusal(mg.ClosedLoop, device, readout, observer, observer)
+    assert "`observer`" in refusal(mg.ClosedLoop, device, readout, None, controller)
+    assert "`discretisation`" in refusal(mg.ClosedLoop, device, readout, observer, controller, discretisation=3)
+
+
+@pytest.mark.parametrize("given", [-1e5, 0.0, float("nan"), float("inf"), "-100 kHz"])
+def test_a_sample_rate_that_is_not_positive_is_what_is_blamed(loop, given):
+    for run in (mg.simulate, mg.information_bound):
+        assert refusal(run, loop, 1.0, sample_rate=given, duration="1 ms").startswith("Argument `sample_rate` must be ")
+    asked = {"sample_rate": given, "duration": "1 ms"}
+    assert refusal(mg.frequency_response, loop, [1e4], **asked).startswith("Argument `sample_rate` must be ")
+    assert refusal(mg.sweep, loop, mg.Spread.relative(0.1), **asked).startswith("Argument `sample_rate` must be ")

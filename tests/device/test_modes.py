@@ -100,3 +100,30 @@ def test_what_no_device_has_is_told(changes, words):
 def test_two_masses_couple_no_more_than_their_modes_allow():
     with pytest.raises(mg.InputError, match="`quadrature` must be smaller"):
         mg.DualMassGyro.from_modes(3e-9, 2e-9, (1e4, 1.0005e4), 1e3, quadrature=200.0)
+
+
+def _gyro(numbers):
+    kxx, kyy, kxy = numbers
+    return mg.SingleMassGyro(1.8e-7, kxx, kyy, kxy, 3.6e-6, 4.5e-6, 0.0)
+
+
+def test_equal_modes_have_the_derivative_of_their_mean():
+    equal = np.array([64.0, 64.0, 0.0])
+    asked = lambda numbers: mg.mode_frequencies(_gyro(numbers))  # noqa: E731
+    mean = asked(equal)[0] / (4.0 * 64.0)  # of each by either stiffness: f is the root of it, and the mean half of both
+    for derive in (jax.jacrev, jax.jacfwd):
+        np.testing.assert_allclose(derive(asked)(equal), [[mean, mean, 0.0]] * 2, rtol=1e-12)
+    # What does not ask which is which has that derivative indeed.
+    np.testing.assert_allclose(jax.grad(lambda n: asked(n).sum())(equal)[0], 2 * mean, rtol=1e-12)
+    shift = np.array([1e-4, 0.0, 0.0])
+    differences = (asked(equal + shift).sum() - asked(equal - shift).sum()) / 2e-4
+    np.testing.assert_allclose(differences, 2 * mean, rtol=1e-6)
+
+
+@pytest.mark.parametrize("numbers", [(64.0, 96.0, 12.8), (64.0, 64.0, 0.1), (96.0, 64.0, 0.0), (64.0, 64.001, 0.0)])
+def test_modes_apart_have_their_own_derivatives(numbers):
+    asked, numbers = lambda given: mg.mode_frequencies(_gyro(given)), np.array(numbers)
+    step = 1e-6 * np.eye(3)
+    wanted = np.stack([(asked(numbers + h) - asked(numbers - h)) / 2e-6 for h in step], axis=1)
+    for derive in (jax.jacrev, jax.jacfwd):
+        np.testing.assert_allclose(derive(asked)(numbers), wanted, rtol=1e-5, atol=1e-4)

@@ -1,5 +1,6 @@
 """Promises that every member of the catalogue keeps."""
 
+import dataclasses
 import inspect
 
 import equinox as eqx
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 from effects.members import AXES_AND_MEMBERS, CONDITIONS, LABELS, MEMBERS, STRENGTHS, model, present, seen, state_of
 
+import memsgyro_jax as mg
 from memsgyro_jax import effects as fx
 from memsgyro_jax.effects.trial import PORT_METHODS, at_strength, complaint, methods_of, moments
 
@@ -161,3 +163,35 @@ def test_declared_linear_own_states_are_linear():
         state = state_of(of)
         slope = of.derivative(state, FORCE := np.array([1e-8, -2e-8]), CONDITIONS)
         np.testing.assert_allclose(slope[4:], (matrix @ state + gain @ FORCE)[4:], rtol=1e-12)
+
+
+@every
+def test_a_strength_is_a_finite_number(effect):
+    shape = np.shape(effect.strength)
+    for given, words in (
+        (np.full(shape, np.nan), "finite, but nan"), (np.full(shape, -np.inf), "finite, but -inf"),
+        ("3 furlongs", "Unit of the value"), ("fast", "number with a unit"), (None, "must be a number in"),
+    ):  # fmt: skip
+        with pytest.raises(mg.InputError, match=rf"^Argument `strength`.*{words}"):
+            dataclasses.replace(effect, strength=given)
+
+
+def test_a_strength_in_its_unit_and_in_another_one():
+    assert fx.CubicStiffness("x", "800 N/m/mm^2").strength == pytest.approx(8e8)
+    assert fx.PickoffScaleError("x", "1 %").strength == pytest.approx(0.01)
+    assert fx.ParasiticMode("x", 1e-3, omega="180e3 rad/s").omega == 180e3
+    assert fx.SelfHeating(1.0, power="2 mW").power == pytest.approx(2e-3)
+    with pytest.raises(mg.InputError, match=r'^Argument `strength`: .*"N/m³", but is "N/m"'):
+        fx.CubicStiffness("x", "3 N/m")
+    with pytest.raises(mg.InputError, match=r"^Argument `omega`"):
+        fx.ParasiticMode("x", 1e-3, omega="fast")
+
+
+def test_a_strength_may_be_traced():
+    def square(strength):
+        return fx.CubicStiffness("x", strength).strength ** 2
+
+    assert jax.jit(square)(3.0) == 9.0
+    assert jax.grad(square)(3.0) == 6.0
+    np.testing.assert_array_equal(jax.vmap(square)(jnp.array([1.0, 2.0])), [1.0, 4.0])
+    assert np.isnan(jax.jit(square)(np.nan))

@@ -123,8 +123,8 @@ BAD = [
         "`parasitic` must be finite and not negative, but -1e-12",
     ),
     (lambda: ChargeAmplifier(**COMB | {"rejection": 1.5}), "`rejection` must lie between 0 and 1, but 1.5"),
-    (lambda: ChargeAmplifier(**COMB | {"width": (5e-6,)}), "must have 2 entries, but 1"),
-    (lambda: ChargeAmplifier(**COMB | {"overlap": (1.0, 2.0, 3.0)}), "must have 2 entries, but 3"),
+    (lambda: ChargeAmplifier(**COMB | {"width": (5e-6,)}), "for the axes x and y, but 1"),
+    (lambda: ChargeAmplifier(**COMB | {"overlap": (1.0, 2.0, 3.0)}), "for the axes x and y, but 3"),
     (
         lambda: ChargeAmplifier.chi2010(noise_density=-1e-6),
         "`noise_density` must be finite and not negative, but -1e-06",

@@ -109,3 +109,49 @@ def test_bad_records_are_refused(columns, words):
 def test_a_chirp_must_take_time(duration):
     with pytest.raises(InputError, match="`duration` must be positive"):
         Chirp(1.0, 1.0, 10.0, duration)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda bad: Constant(bad), lambda bad: Step(0.5, bad), lambda bad: Step(bad, 1.0), lambda bad: Ramp(0.0, bad),
+        lambda bad: Sine(1.0, bad), lambda bad: Constant(bad) + Constant(1.0), lambda bad: RandomWalk(1.0, 1.0, bad),
+        lambda bad: Scenario(rate=Constant(bad)), lambda bad: Scenario(temperature=Constant(bad)), as_scenario,
+    ],
+)  # fmt: skip
+def test_a_number_that_is_none_is_refused(make):
+    with pytest.raises(InputError, match=r"^Argument `\w+` of a \w+ must be a number, but is NaN\.$"):
+        make(float("nan"))
+    make(1.0)
+
+
+def test_a_step_may_never_come():
+    assert Step(np.inf, 2.0, -1.0).value(1e9) == -1.0
+
+
+def test_numbers_of_profiles_may_be_traced():
+    def rate(level):
+        return Scenario(rate=Constant(level) + Sine(level, 10.0)).at(0.3).inertial.rate
+
+    assert jax.jit(rate)(2.0) == pytest.approx(float(rate(2.0)))
+    assert jax.grad(rate)(2.0) == pytest.approx(float(rate(1.0)))
+    assert np.isnan(jax.jit(rate)(np.nan))
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"rate": 1.0}, "Argument `rate` must be a profile over time"),
+        ({"rate": None}, "Argument `rate` must be a profile over time"),
+        ({"temperature": 300.0}, "Argument `temperature` must be a profile over time"),
+        ({"offset_drift": (1.0, 2.0)}, "Argument `offset_drift` must be a profile over time"),
+        ({"offset_drift": Constant(1.0)}, "Argument `offset_drift` must be a tuple of 2 profiles"),
+        (
+            {"damping_change": (Constant(1.0),) * 2},
+            "Argument `damping_change` must be a tuple of 3 profiles, but has 2",
+        ),
+    ],
+)
+def test_what_is_no_profile_is_refused(given, words):
+    with pytest.raises(InputError, match=words):
+        Scenario(**given)

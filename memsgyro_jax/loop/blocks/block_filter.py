@@ -24,6 +24,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from memsgyro_jax.base.arguments import arrays, check_kind
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.gyro import AbstractGyro, DualMassGyro, Dynamics, MotionModel, Pair, Scalar, check_positive
 from memsgyro_jax.device.propagate import State4
@@ -73,12 +74,13 @@ class BlockFilter(AbstractObserver[BlockState]):
     """
 
     filter: ExtendedKalmanFilter
-    tones: tuple[Scalar, ...] = eqx.field(converter=lambda tones: tuple(map(jnp.asarray, tones)), default=())
+    tones: tuple[Scalar, ...] = arrays("Hz", default=())
     length: int = eqx.field(static=True, default=1024)
     start: int = eqx.field(static=True, default=ONE_MASS.start)
     usually_tuned: ClassVar[tuple[str, ...]] = ("filter.noise_density",)
 
     def __check_init__(self):
+        check_kind("filter", self.filter, ExtendedKalmanFilter, "an ExtendedKalmanFilter")
         Blocks(self.length, self.start)
         for tone in self.tones:
             check_positive("tones", tone)

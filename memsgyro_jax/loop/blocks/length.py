@@ -8,6 +8,7 @@ from jaxtyping import Bool, Int
 
 from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.text import excerpt
 
 
 _SHORTEST = 128  # samples of a block that is worth its maps
@@ -48,10 +49,12 @@ class Blocks(Displayed):
     ramps: bool | None = eqx.field(static=True, default=None)
 
     def __check_init__(self):
-        if self.length < 2 or self.length & (self.length - 1):
-            raise InputError(f"Argument `length` of blocks must be a power of two, but {self.length} was given.")
-        if self.start is not None and self.start < 1:
-            raise InputError(f"Argument `start` of blocks must be at least 1, but {self.start} was given.")
+        if not isinstance(self.length, int | np.integer) or self.length < 2 or self.length & (self.length - 1):
+            raise InputError(
+                f"Argument `length` of blocks must be a power of two, but {excerpt(self.length)} was given."
+            )
+        if self.start is not None and not (isinstance(self.start, int | np.integer) and self.start >= 1):
+            raise InputError(f"Argument `start` of blocks must be at least 1, but {excerpt(self.start)} was given.")
 
     def first(self, samples: int, stride: int = 1) -> tuple[int, int]:
         """The samples run one by one and those in growing blocks, so that of `samples` a whole number of `stride`

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.fields import AbstractVar
+from memsgyro_jax.base.text import excerpt
 from memsgyro_jax.device.gyro import Pair, Scalar, number
 from memsgyro_jax.device.propagate import once
 
@@ -93,14 +94,26 @@ def tones_field() -> GivenTones:
 
 
 def _as_tones(given: GivenTones) -> Tones:
-    pair = (given, given) if isinstance(given, Tone) else tuple(given)
+    pair = (given, given) if isinstance(given, Tone) else given
+    if not isinstance(pair, tuple | list):
+        raise _no_tone(pair)
     if len(pair) != 2:
         raise InputError(
             f"Argument `tones` must be one tone for both axes or a pair (x, y), but has {len(pair)} entries; put "
             "several tones of an axis into a tuple of their own."
         )
-    x, y = pair
-    return tuple((axis,) if isinstance(axis, Tone) else tuple(axis) for axis in (x, y))
+    axes = tuple(tuple(axis) if isinstance(axis, tuple | list) else (axis,) for axis in pair)
+    for tone in (*axes[0], *axes[1]):
+        if not isinstance(tone, Tone):
+            raise _no_tone(tone)
+    return axes[0], axes[1]
+
+
+def _no_tone(given: object) -> InputError:
+    return InputError(
+        "Argument `tones` must be a `Tone(frequency, amplitude)`, or a pair (x, y) of tones or of tuples of them, but "
+        f"holds {excerpt(given)} of type {type(given).__name__}."
+    )
 
 
 def tone_values(tones: Tones, time: Scalar) -> Pair:

@@ -42,7 +42,7 @@ class ClassicControl(AbstractController[ClassicState]):
     sense: AbstractSense
     scale: Pair = arrays()
     offset: Pair = arrays()
-    rate_offset: Scalar = eqx.field(converter=jnp.asarray, default=0.0, metadata={"unit": "rad/s"})
+    rate_offset: Scalar = number("rad/s", default=0.0, metadata={"unit": "rad/s"})
     rate_scale: Scalar = number(default=1.0)
     signals: tuple[int, int] = eqx.field(static=True, default=(X, X + 1))
     usually_tuned: ClassVar[tuple[str, ...]] = (

@@ -21,8 +21,8 @@ class EnergyControl(AbstractController[Any]):
     """
 
     inner: AbstractController[Any]
-    frequency: Pair = arrays()
-    amplitude: Pair = arrays(metadata={"unit": "m"})
+    frequency: Pair = arrays("Hz")
+    amplitude: Pair = arrays("m", metadata={"unit": "m"})
     gain: Scalar = number("1/s")
     usually_tuned: ClassVar[tuple[str, ...]] = ("gain",)
 

@@ -21,7 +21,7 @@ class ReferenceModel(AbstractLinearController):
     where the reference model itself will have carried it: a stiffness fed back one sample late is unstable at 100 kHz.
     """
 
-    frequency: Pair = arrays()
+    frequency: Pair = arrays("Hz")
     tones: GivenTones = tones_field()
 
     def __check_init__(self):

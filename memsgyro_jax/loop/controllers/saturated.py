@@ -23,7 +23,7 @@ class Saturated(AbstractController[Any]):
     """
 
     inner: AbstractController[Any]
-    limit: Pair = arrays(metadata={"unit": "N"})
+    limit: Pair = arrays("N", metadata={"unit": "N"})
 
     def __check_init__(self):
         if len(self.limit) != 2:

@@ -4,7 +4,6 @@ import abc
 from collections.abc import Mapping
 from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
-import equinox as eqx
 import jax.numpy as jnp
 
 from memsgyro_jax.base.display import Displayed
@@ -103,9 +102,9 @@ class ForceRebalance(AbstractSense[RebalanceState]):
 
     demodulator: AbstractDemodulator
     conversion: Pair = arrays()
-    force_per_rate: Scalar = eqx.field(converter=jnp.asarray, metadata={"unit": "N·s/rad"})
+    force_per_rate: Scalar = number("N*s/rad", metadata={"unit": "N·s/rad"})
     gain: Scalar = number()
-    integral: Scalar = eqx.field(converter=jnp.asarray, metadata={"unit": "1/s"})
+    integral: Scalar = number("1/s", metadata={"unit": "1/s"})
     quadrature_gain: Scalar = number()
     quadrature_integral: Scalar = number()
     turn: Scalar = number("rad", default=0.0)

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from memsgyro_jax.base.arguments import quantity
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.gyro import (
     VX,
@@ -85,10 +86,12 @@ class SlidingMode(AbstractController[SlidingState]):
         """A law whose coefficients start at `start` times those of `gyro` (thesis: 0.8), the rate at zero.
 
         `known` names coefficients that are not adapted: `("sigma",)` is the thesis' "mass known"; they start at the
-        full value. Raises `InputError` for a displacement read-out.
+        full value. Raises `InputError` for a displacement read-out, and for a `frequency` or `length` that is no
+        quantity.
         """
         if readout.signals != (VX, VX + 1):
             raise InputError("Sliding-mode control needs a velocity read-out; use `DirectReadout.of_velocity`.")
+        frequency, length = quantity("frequency", frequency, "rad/s"), quantity("length", length, "m")
         design = gyro.coefficients(0.0)
         theta, adaptation = first_guess(gyro.model, design, known, start)
         return cls(

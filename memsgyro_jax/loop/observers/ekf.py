@@ -18,6 +18,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from memsgyro_jax.base.arguments import arrays
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.carried import Effects, each_die
 from memsgyro_jax.device.gyro import AbstractGyro, MotionModel, Pair, Scalar, X, Y, check_positive
@@ -45,7 +46,7 @@ from .covariance import (
 )
 from .fading import AbstractFading
 from .pickoff import check_curves, curved
-from .settings import Annealing, Prior, ProcessNoise, design_prior
+from .settings import Annealing, Prior, ProcessNoise, check_lengths, check_told, design_prior
 
 
 class KalmanState(NamedTuple):
@@ -72,8 +73,8 @@ class ExtendedKalmanFilter(AbstractBlockObserver[KalmanState]):
     """
 
     prior: Prior
-    scale: Pair
-    noise_density: Pair
+    scale: Pair = arrays()
+    noise_density: Pair = arrays("V/sqrt(Hz)")
     process_noise: ProcessNoise
     fading: AbstractFading | None
     annealing: Annealing | None
@@ -87,6 +88,8 @@ class ExtendedKalmanFilter(AbstractBlockObserver[KalmanState]):
     usually_tuned: ClassVar[tuple[str, ...]] = ("noise_density", "process_noise.rate")
 
     def __check_init__(self):
+        check_told(self.prior, self.process_noise, self.model)
+        check_lengths(self, scale=2, noise_density=2)
         for density in self.noise_density:
             check_positive("noise_density", density)
         if any(self.model.coefficients[i].delays is not None for i in self.estimated) and (
@@ -96,17 +99,6 @@ class ExtendedKalmanFilter(AbstractBlockObserver[KalmanState]):
                 "A filter that estimates delays must have a displacement read-out, one iteration and no fading memory."
             )
         check_curves(self.pickoff, self.signals)
-        count = len(self.model.names)
-        sizes = {
-            "prior": (len(self.prior.theta), len(self.prior.theta_std)),
-            "process_noise": (len(self.process_noise.theta),),
-        }
-        for name, found in sizes.items():
-            if set(found) != {count}:
-                raise InputError(
-                    f"Argument `{name}` of the filter must hold one number for each of the {count} coefficients "
-                    f"{', '.join(self.model.names)}, but {' and '.join(map(str, found))} were given."
-                )
 
     @classmethod
     def for_device(

@@ -27,8 +27,8 @@ class EnergyObserver(AbstractObserver[LyapunovState]):
     """
 
     inner: LyapunovObserver
-    frequency: Pair = arrays()
-    amplitude: Pair = arrays(metadata={"unit": "m"})
+    frequency: Pair = arrays("Hz")
+    amplitude: Pair = arrays("m", metadata={"unit": "m"})
     gain: Scalar = number(default=1.0)
     usually_tuned: ClassVar[tuple[str, ...]] = ("inner.gain", "gain")
 

@@ -5,6 +5,7 @@ from typing import Any, ClassVar, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from memsgyro_jax.base.arguments import check_kind
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.gyro import MotionModel, Pair, Scalar, check_not_negative, check_positive, number
 from memsgyro_jax.device.propagate import AbstractDiscretisation
@@ -51,6 +52,7 @@ class JumpTest(AbstractCovarianceObserver[JumpState]):
     usually_tuned: ClassVar[tuple[str, ...]] = ("inner.noise_density", "inner.process_noise.rate")
 
     def __check_init__(self):
+        check_kind("inner", self.inner, AbstractBlockObserver, "a Kalman filter")
         check_positive("window", self.window)
         check_positive("level", self.level)
         names = self.inner.model.names

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from memsgyro_jax.base.arguments import quantity
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.gyro import VX, AbstractGyro, MotionModel, Pair, Scalar, check_positive, number
 from memsgyro_jax.device.propagate import AbstractDiscretisation, Exact, State4, fence
@@ -76,10 +77,12 @@ class LyapunovObserver(AbstractObserver[LyapunovState]):
         """An observer whose coefficients start at `start` times those of `gyro` (thesis: 0.8), the rate at zero.
 
         `known` names coefficients that are not adapted: `("sigma",)` is the thesis' "mass known"; they start at the
-        full value. Raises `InputError` for a displacement read-out.
+        full value. Raises `InputError` for a displacement read-out, and for a `frequency` or `length` that is no
+        quantity.
         """
         if readout.signals != (VX, VX + 1):
             raise InputError("The Lyapunov observer needs a velocity read-out; use `DirectReadout.of_velocity`.")
+        frequency, length = quantity("frequency", frequency, "rad/s"), quantity("length", length, "m")
         design = gyro.coefficients(0.0)
         theta, adaptation = first_guess(gyro.model, design, known, start)
         return cls(

@@ -6,7 +6,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from memsgyro_jax.base.arguments import quantity
+from memsgyro_jax.base.arguments import arrays, check_kind, quantity, several
+from memsgyro_jax.base.converter import FieldConverter
 from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.brownian import thermal_acceleration
@@ -28,16 +29,6 @@ from memsgyro_jax.device.small import Vector
 from .covariance import UPPER, diagonal
 
 
-def arrays(**options: object) -> tuple[Scalar, ...]:
-    """A field that holds a tuple of numbers, each as an array; whole numbers become real ones."""
-    return eqx.field(converter=lambda numbers: jax.tree.map(_real, tuple(numbers)), **options)
-
-
-def _real(given: object) -> Scalar:
-    array = jnp.asarray(given)
-    return array if jnp.issubdtype(array.dtype, jnp.inexact) else array.astype(float)
-
-
 class Prior(Displayed):
     """Mean and standard deviation of everything the filter estimates, at the start.
 
@@ -53,7 +44,7 @@ class Prior(Displayed):
     theta_std: tuple[Scalar, ...] = arrays()
 
     def __check_init__(self):
-        _check_lengths(self, motion=4, motion_std=4, offset=2, offset_std=2, theta_std=len(self.theta))
+        check_lengths(self, motion=4, motion_std=4, offset=2, offset_std=2, theta_std=len(self.theta))
         for name in ("motion_std", "offset_std", "theta_std"):
             for value in getattr(self, name):
                 check_not_negative(name, value)
@@ -70,16 +61,16 @@ class ProcessNoise(Displayed):
     offset: Pair = arrays()
     theta: tuple[Scalar, ...] = arrays()
     acceleration: tuple[Scalar, Scalar, Scalar] | None = eqx.field(
-        converter=lambda given: None if given is None else jax.tree.map(jnp.asarray, tuple(given)), default=None
+        converter=FieldConverter(lambda field, given: None if given is None else several(field, given)), default=None
     )
 
     def __check_init__(self):
-        _check_lengths(self, motion=4, offset=2)
+        check_lengths(self, motion=4, offset=2)
         for name in ("motion", "offset", "theta"):
             for value in getattr(self, name):
                 check_not_negative(name, value)
         if self.acceleration is not None:
-            _check_lengths(self, acceleration=3)
+            check_lengths(self, acceleration=3)
             for value in self.acceleration[:2]:
                 check_not_negative("acceleration", value)
 
@@ -135,11 +126,26 @@ class Annealing(Displayed):
         return 1.0 + self.excess * jnp.exp(-time / self.decay)
 
 
-def _check_lengths(settings: eqx.Module, **lengths: int) -> None:
+def check_lengths(settings: eqx.Module, **lengths: int) -> None:
+    """Raise `InputError` unless the fields named have so many entries."""
     for name, length in lengths.items():
         if len(getattr(settings, name)) != length:
             raise InputError(
                 f"Argument `{name}` must have {length} entries, but {len(getattr(settings, name))} were given."
+            )
+
+
+def check_told(prior: Prior, process_noise: ProcessNoise, model: MotionModel) -> None:
+    """Raise `InputError` unless these tell a filter of every coefficient of `model`."""
+    check_kind("prior", prior, Prior, "a `Prior`, `design_prior(gyro)` say")
+    check_kind("process_noise", process_noise, ProcessNoise, "a `ProcessNoise`, `ProcessNoise.of(model, rate=1.0)` say")
+    count = len(model.names)
+    sizes = {"prior": (len(prior.theta), len(prior.theta_std)), "process_noise": (len(process_noise.theta),)}
+    for name, found in sizes.items():
+        if set(found) != {count}:
+            raise InputError(
+                f"Argument `{name}` of the filter must hold one number for each of the {count} coefficients "
+                f"{', '.join(model.names)}, but {' and '.join(map(str, found))} were given."
             )
 
 
@@ -161,7 +167,8 @@ def design_prior(
     times the mode frequency). Zero standard deviations mean known exactly.
     """
     rate_std, offset_std = quantity("rate_std", rate_std, "rad/s"), quantity("offset_std", offset_std, "V")
-    amplitude = quantity("amplitude", amplitude, "m")
+    amplitude, spread = quantity("amplitude", amplitude, "m"), quantity("spread", spread, "1")
+    motion_error = quantity("motion_error", motion_error, "1")
     theta, theta_std, frequency = _theta(gyro, spread, rate_std)
     position = motion_error * amplitude
     return Prior(

@@ -6,6 +6,7 @@ from typing import Any, ClassVar, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from memsgyro_jax.base.arguments import check_kind
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.fields import AbstractVar
 from memsgyro_jax.device.gyro import (
@@ -42,6 +43,7 @@ class AbstractWiderFilter(AbstractCovarianceObserver[KalmanState]):
     usually_tuned: ClassVar[tuple[str, ...]] = ("filter.noise_density",)
 
     def __check_init__(self):
+        check_kind("filter", self.filter, ExtendedKalmanFilter, "an ExtendedKalmanFilter")
         if self.filter.iterations > 1 or self.filter.fading is not None:
             raise InputError(f"The filter of a {type(self).__name__} must have one iteration and no fading memory.")
 
