@@ -16,6 +16,7 @@ from .clock import usual_period
 CYCLES = 6  # of the vibration in a window at least
 ROWS = 12  # in a window at least
 ROUNDS = 8  # of moving the frequency
+SURE = 2.0  # standard deviations by which a frequency must differ
 SEEN = 10.0  # standard deviations of its own from which an amplitude counts
 
 
@@ -55,6 +56,25 @@ class Track:
         """The windows in which the vibration stands clear of the noise."""
         return self.where(self.amplitude > SEEN * self.amplitude_std)
 
+    def turned(self, span: float, reference: float = 0.0) -> float:
+        """Phase [rad] by which its highest frequency surely turns it farther than its lowest in a `span` of seconds.
+
+        Frequencies are slopes of the phase over sixteenths of the span: from window to window noise does not add up.
+        `reference` is that of the record's phasors [rad/s].
+        """
+        if self.time.size < 2:
+            return 0.0
+        mean = float(np.average(self.omega, weights=self.amplitude**2))
+        turn = np.exp(1j * (reference - mean) * (self.time - self.time[0]))
+        phase, noise = np.unwrap(np.angle(self.phasor * turn)), self.amplitude_std / self.amplitude
+        count = min(self.time.size, int(np.ceil(16.0 * np.ptp(self.time) / span)))
+        told = []
+        for part in np.array_split(np.arange(self.time.size), count):
+            alone = self.omega[part[0]] - mean, self.omega_std[part[0]]
+            told.append(alone if part.size == 1 else _slope(self.time[part], phase[part], noise[part]))
+        slopes, std = np.transpose(told)
+        return span * max(0.0, float(np.max(slopes - SURE * std) - np.min(slopes + SURE * std)))
+
 
 def tracked(
     time: np.ndarray, values: np.ndarray, band: tuple[float, float], *, reference: float = 0.0, rows: int = 0
@@ -84,6 +104,14 @@ def tracked(
     columns = [np.array(column) for column in zip(*found, strict=True)]
     columns[3] = columns[3] + reference
     return Track(*columns)
+
+
+def _slope(time: np.ndarray, phase: np.ndarray, noise: np.ndarray) -> tuple[float, float]:
+    """Slope of the straight line through phases with some noise, and its standard deviation."""
+    weight = 1.0 / noise**2
+    away = time - np.average(time, weights=weight)
+    size = np.sum(weight * away**2)
+    return float(np.sum(weight * away * phase) / size), float(1.0 / np.sqrt(size))
 
 
 def rough_decay(time: np.ndarray, signal: np.ndarray, reference: float = 0.0) -> dict[str, tuple[float, str]]:

@@ -27,7 +27,7 @@ from .sheet import Sheet
 
 
 PHASE_STEP = 0.06  # of the highest mode per integration step [rad]
-TURN = 4.0  # phase by which a vibration may turn within a piece, between its lowest and highest frequency [rad]
+TURN = 2.0  # phase by which a vibration may turn in the time of a piece, between its lowest and highest frequency [rad]
 CYCLES, ROWS = 4, 24  # in a piece at least
 GAP = 0.25  # of a piece without a row, over which none reaches
 
@@ -121,19 +121,16 @@ class FreeDecayRecord(WaveformRecord):
     # ---- pieces
 
     def piece_rows(self, declared: Declared) -> int:
-        """Rows of a piece: so few that between the lowest and the highest frequency seen the vibration turns little,
-        and at most half of the record, or of its longest run without a long gap.
+        """Rows of a piece: so few that the frequency, where it changes with the amplitude or in time, turns the
+        vibration little within one; at most half of the record. Longer pieces tell more, as each loses its start.
         """
-        cycle, most = 2 * np.pi / declared.resonances[0] / self.period, self.rows // 2
-        least = max(ROWS, int(np.ceil(CYCLES * cycle)))
-        span = 0.0
-        for channel in range(declared.channels):
-            seen = self.track(declared, channel).seen
-            if seen.time.size > 1:
-                sure = seen.where(seen.omega_std * self.period * least < 0.1 * TURN)
-                span = max(span, float(np.ptp(sure.omega)) if sure.time.size > 1 else 0.0)
-        turned = TURN / (span * self.period) if span > 0.0 else np.inf
-        return max(1, int(min(most, max(least, turned))))
+        cycle = 2 * np.pi / declared.resonances[0] / self.period
+        least, rows = max(ROWS, int(np.ceil(CYCLES * cycle))), self.rows // 2
+        tracks = [self.track(declared, channel).seen for channel in range(declared.channels)]
+        reference = self.reference_frequency or 0.0
+        while rows > least and max(track.turned(rows * self.period, reference) for track in tracks) > TURN:
+            rows //= 2
+        return max(1, min(self.rows // 2, max(least, rows)))
 
     def _whole(self, rows: int) -> np.ndarray:
         """Numbers of the rows that whole pieces of `rows` hold, none of which reaches over a long gap."""
