@@ -206,7 +206,6 @@ def test_slow_noise_is_called_that_where_few_rows_tell_its_spectrum(corner):
         assert "The noise is not white" in outcome.sentence
 
 
-@pytest.mark.slow
 def test_a_spring_is_found_beside_slow_noise(own):
     spring = Hidden(cubic_stiffness_x=3.9 * RESONATOR.kxx)
     outcome = diagnose(None, bench(spring, 1, FLICKER, RESONATOR).case, effects=own)

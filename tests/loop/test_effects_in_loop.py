@@ -154,7 +154,6 @@ def judge(effects, splits):
 FEW = (E.CubicStiffness("x", 8e11), E.SqueezeFilmDamping("y", 1e7), E.ParasiticMode("x", 1e-3, quality=30.0))
 
 
-@pytest.mark.slow
 def test_effects_in_the_loop_follow_the_equations_of_the_bench():
     """20 ms at 100 kHz beside diffrax: a stiffness, a damping, and a state of its own at 20 kHz."""
     shift, errors = judge(FEW, (1, 2))

@@ -107,7 +107,6 @@ def test_the_matrices_are_those_of_the_device(loop, tmp_path):
     kept(linear, tmp_path)
 
 
-@pytest.mark.slow
 def test_a_step_that_is_no_whole_period_of_the_swing_is_told(loop):
     """10 kHz at 100 kHz: ten samples are a period, seven are none, and their poles say nothing."""
     linear = loop.linearise(sample_rate=RATE, after=0.02, samples=7)

@@ -12,7 +12,6 @@ from memsgyro_jax.measurement.envelope import Driven, Propagator
 from memsgyro_jax.measurement.model import Model
 
 
-@pytest.mark.slow
 def test_a_block_of_a_lock_in_is_the_mean_of_the_turned_signal():
     """Six cycles in which the drive sets in while a deflection decays: harmonics 0 and 1 both change within it."""
     device = SingleMassGyro(mass=1e-7, kxx=60.0, kyy=80.0, kxy=3.0, dxx=2e-4, dyy=3e-4, dxy=1e-5)

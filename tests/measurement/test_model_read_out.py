@@ -25,7 +25,6 @@ def test_waveforms_of_each_quantity_are_derivatives_of_the_one_before():
     np.testing.assert_allclose(seen, 2.0 * np.array([1e-3, 4.0, float(slope[1])]), rtol=1e-12)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("order", [1, *(pytest.param(order, marks=pytest.mark.slow) for order in (0, 2))])
 def test_sweeps_of_each_quantity(order):
     omega = W * np.linspace(0.97, 1.03, 9)

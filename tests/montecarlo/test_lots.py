@@ -51,7 +51,6 @@ def test_an_observer_from_outside_the_package_can_be_swept(loop):
     assert "not shown: the median die is within" in repr(without)
 
 
-@pytest.mark.slow
 def test_filters_that_take_as_known_what_varies_are_diverged_and_told_so(loop, tmp_path):
     """What varies by 15 % makes the claims of a filter that is sure of it impossible, within travel or not."""
     sure = eqx.tree_at(lambda made: made.observer.prior, loop, mg.design_prior(loop.device, spread=0.0))

@@ -45,7 +45,6 @@ def test_delay_and_bandwidth_of_a_known_lag_are_found(bandwidth, delay):
     assert found.delay_interval[0] <= delay <= found.delay_interval[1]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("order", [1, 2, 3])
 @pytest.mark.parametrize("kind", ["chirp", "step", "walk"])
 def test_a_bandwidth_of_thirty_hertz_is_found_whatever_the_law(order, kind):

@@ -194,7 +194,6 @@ def test_many_parameters_meet_in_balanced_corners(count):
     assert len(signs) < 8 * count
 
 
-@pytest.mark.slow
 def test_the_gradient_of_a_tornado_is_that_of_the_runs_and_results_print(loop):
     per_mass = mg.Output("kxx per mass", "1/s²", lambda rows: rows["coefficient_true"][:, 1])
     stiffness = mg.Output("kxx", "N/m", lambda loop: loop.device.kxx, of_loop=True)

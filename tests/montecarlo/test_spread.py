@@ -192,7 +192,6 @@ def test_an_impossible_die_is_drawn_again_and_stays_the_same_die(loop):
     assert abs(np.mean(good) / 1.8e-7 - 1.0) < 5.0 * 0.5 / np.sqrt(len(good))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("std", [0.15, 0.3])
 def test_a_wide_spread_of_either_device_is_drawn(std):
     crossed = stats.norm.cdf(-1.0 / (std * np.hypot(2.6, 1.6)))  # the inner mass above the whole of Table 5.2

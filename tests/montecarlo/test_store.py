@@ -348,7 +348,6 @@ def planned(monkeypatch):
     monkeypatch.setattr(Layout, "__hash__", object.__hash__)
 
 
-@pytest.mark.slow
 def test_no_mutation_gives_a_traceback_or_another_row(whole, tmp_path, planned):
     assert_mutations_are_seen(whole, tmp_path, range(200))
 

@@ -82,7 +82,6 @@ def test_fewer_dies_are_the_beginning_of_more(small, reference):
     assert_same_bits(mg.sweep(small, SLIGHT, dies=FEWER, chunk=8, **SHORT).to_xarray(), reference, FEWER)
 
 
-@pytest.mark.slow
 def test_one_core_without_assertions_locale_or_home_gives_the_bits_of_two_devices(reference, fresh_python, tmp_path):
     kept = os.environ.get("XDG_CACHE_HOME", str(Path.home() / ".cache"))  # what does not differ need not be compiled
     one_core = "import os; os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})\n"

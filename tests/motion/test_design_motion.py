@@ -97,7 +97,6 @@ def test_two_frequencies_of_their_own_axis_reach_the_known_optimum(own_axis):
     assert np.all(np.count_nonzero(np.abs(own_axis.amplitude) > 1e-12, axis=1) == 1)
 
 
-@pytest.mark.slow
 def test_the_design_counts_with_what_the_model_omits(design, own_axis):
     """10 % of unequal cross damping are 2.86 deg/s by themselves; a delay shows in a design that omits it only."""
     assert np.degrees(design.nominal.bound()) < 0.03

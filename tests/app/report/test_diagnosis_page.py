@@ -132,7 +132,6 @@ def test_a_fall_to_half_is_labelled():
     assert [f"{y:g}" for y in ax.get_yticks() if low <= y <= high] == ["1", "1.2", "1.5"]
 
 
-@pytest.mark.slow
 def test_what_is_unknown_is_shown_as_a_force(diagnosis):
     first, then = diagnosis.steps[:1], diagnosis.steps[1:]
     unknown = replace(diagnosis, verdict="unknown_effect", final=diagnosis.base, accepted=(), steps=first, tried=then)
@@ -149,7 +148,6 @@ def test_what_is_unknown_is_shown_as_a_force(diagnosis):
     assert "with a probability of 90 %" not in words
 
 
-@pytest.mark.slow
 def test_a_strength_beside_something_unknown_is_told_without_its_error(diagnosis):
     """On the page, in the terminal and in the files: it would hold only if the model did."""
     (found,) = diagnosis.accepted
