@@ -79,7 +79,7 @@ class CaseFit(Tabular):
 
     @cached_property
     def uncertainty(self) -> JointNormal:
-        """Numbers of `device` that were fitted, by their paths there, with their joint uncertainty."""
+        """Numbers of `device` that were fitted, by their paths there, with their joint uncertainty, times `scale`."""
         joint, free = self.joint, self.optimum.free
         present = {effect.label for effect in self.model.present.effects if not effect.of_instrument}
         paths = list(_BASE[self.model.axes])
@@ -93,7 +93,8 @@ class CaseFit(Tabular):
             return model.with_only(effect for effect in model.effects if effect.label in present).physical()
 
         held = self.optimum.information
-        return JointNormal.of(paths, device, self.optimum.vector[free], np.asarray(held.root), np.asarray(held.loose))
+        root, loose = self.scale * np.asarray(held.root), np.asarray(held.loose)
+        return JointNormal.of(paths, device, self.optimum.vector[free], root, loose)
 
     @property
     def errors(self) -> tuple[RecordError, ...]:
@@ -200,8 +201,7 @@ class CaseFit(Tabular):
         """What the model predicts for a record, by number or name, in the shape and unit of its readings; NaN where not
         compared.
         """
-        if isinstance(record, str):
-            record = self.case.number(record)
+        record = self.case.number(record) if isinstance(record, str) else record
         white, entry = self.whitened[record], self.case.records[record]
         error = white[..., 0] + 1j * white[..., 1] if white.shape[-1] == 2 else white[..., 0]
         return entry.readings - error * entry.noise_of_rows

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.files import finite, json_text
 from memsgyro_jax.base.joint_normal import JointNormal
 from memsgyro_jax.base.labelled import Labelled, columns_of, labelled
@@ -106,7 +107,15 @@ class Diagnosis(Labelled):
 
     @property
     def uncertainty(self) -> JointNormal:
-        """Numbers of `device` that were fitted, by their paths there, with their joint uncertainty."""
+        """Numbers of `device` that were fitted, by their paths there, with their joint uncertainty.
+
+        **Raises:** `InputError` where something is left unexplained, which may have gone into any of them.
+        """
+        if self.unexplained:
+            raise InputError(
+                f"A diagnosis that ends with {self.verdict.replace('_', ' ')} has no uncertainty: what is missing may "
+                "have gone into any number; that of a fit, `diagnosis.final.uncertainty`, holds only if nothing has."
+            )
         return self.final.uncertainty
 
     @property

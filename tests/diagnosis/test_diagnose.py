@@ -83,6 +83,15 @@ def test_a_diagnosis_goes_into_a_file(cubic, tmp_path):
     assert len(cubic.plot().get_yticklabels()) == len(cubic.case.records)
 
 
+def test_what_is_unexplained_hands_on_no_uncertainty_and_what_has_not_converged_says_so(cubic):
+    assert np.all(np.isfinite(cubic.uncertainty.std))
+    with pytest.raises(InputError, match="ends with unknown effect has no uncertainty"):
+        _ = replace(cubic, verdict="unknown_effect").uncertainty
+    assert "not converged" not in str(cubic)
+    optimum = replace(cubic.final.optimum, converged=False)
+    assert "The fit is not converged after" in str(replace(cubic, final=replace(cubic.final, optimum=optimum)))
+
+
 def test_the_answer_is_readable_by_machines(cubic):
     answer = json.loads(cubic.to_json())
     assert fits(answer, schema_of("diagnosis"), schema_of("diagnosis"))
