@@ -31,6 +31,7 @@ _SILENT = 0.01  # of the largest drive: nothing
 _QUIET_SHARE = 0.15  # of the rows at the end without drive: a free decay
 _FEWEST = 50  # rows of a record over time
 _LOUD = 0.9  # of the largest envelope: the decay has not begun
+_FALLEN = 0.02  # in natural logarithms: an envelope that falls by less is kept up
 _EARLY = 0.88  # of the usual fall: an envelope that falls by so much in its first quarter falls from the start
 
 
@@ -249,11 +250,12 @@ def _envelope(signal: np.ndarray) -> np.ndarray:
 
 
 def _falls_from_the_start(envelope: np.ndarray) -> bool:
-    """Whether a free decay has begun before the first row: until it has halved it falls by nearly as much in the first
-    quarter as in the others, while one that is kept up first falls later.
+    """Whether a free decay has begun before the first row: until it has halved, or the record ends, it falls by nearly
+    as much in the first quarter as in the others, while one that is kept up first falls later.
     """
-    half = int(np.argmax(envelope < 0.5 * envelope[0]))
-    quarter = half // 4
-    if quarter < max(len(envelope) // 50, 3):
+    halved = envelope < 0.5 * envelope[0]
+    end = int(np.argmax(halved)) if halved.any() else len(envelope) - 1
+    quarter, fall = end // 4, float(np.log(envelope[0] / envelope[end]))
+    if quarter < max(len(envelope) // 50, 3) or fall < _FALLEN:
         return False
-    return bool(4.0 * np.log2(envelope[0] / envelope[quarter]) > _EARLY)
+    return bool(4.0 * np.log(envelope[0] / envelope[quarter]) > _EARLY * fall)

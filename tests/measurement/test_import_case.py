@@ -61,6 +61,17 @@ def test_a_decay_begins_where_its_envelope_falls(tmp_path):
     assert case.design["quality_factor"].value == pytest.approx(2000.0, rel=0.2)
 
 
+@pytest.mark.parametrize(("quality", "noise"), [(1e5, 1e-3), (3e4, 0.03), (3e3, 0.003)])
+def test_a_decay_that_hardly_falls_begins_at_its_first_row(tmp_path, quality, noise):
+    time = np.arange(30000) / 100e3
+    signal = np.exp(-np.pi * 14e3 / quality * time) * np.cos(2 * np.pi * 14e3 * time)
+    signal = signal + noise * np.random.default_rng(1).standard_normal(time.size)
+    rows = [f"{t:.6f},{v:.7g}" for t, v in zip(time, signal, strict=True)]
+    (tmp_path / "slow.csv").write_text("\n".join(["t [s],y [V]", *rows]))
+    (record,) = mg.import_case([tmp_path / "slow.csv"], tmp_path / "case").case.records
+    assert (record.kind, record.rows) == ("free_decay", 30000)
+
+
 def test_what_is_forced_and_what_is_free_of_one_run_are_two_records(tmp_path):
     time = np.arange(4000) / 20e3
     drive = np.where(time < 0.1, np.cos(2 * np.pi * 3200 * time), 0.0)
