@@ -1,7 +1,7 @@
 """The maximum of the likelihood of readings: which parameters can move, within their bounds, and where they end."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -16,6 +16,9 @@ GAUSS_NEWTON = 1e-12  # damping to begin with: none, in units of a standard devi
 STATIONARY = 0.02  # standard deviations by which the residual may miss the optimum
 NEAR = 0.1  # of the way to a bound: before that a step is straight
 FAR = 20.0  # in natural logarithms: no strength moves by a larger factor at once
+WHOLE = 30  # evaluations of a fit that is to end; fewer are a glance
+POOR = 20.0  # χ² per degree of freedom, above which what a fit leaves is no noise
+ALIKE = 9.0  # of χ²: so much worse a device may fit than what is none
 FLAT = 1e-6  # of the slope by a parameter: below it, it stands at its bound
 
 
@@ -75,12 +78,14 @@ def optimise(
     chosen: Sequence[Readings],
     *,
     known: tuple[np.ndarray, np.ndarray] | None = None,
-    max_evaluations: int = 30,
+    max_evaluations: int = WHOLE,
 ) -> Optimum:
     """Move the parameters at `places` to the maximum of the likelihood of the chosen readings, within their bounds.
 
     Directions that the data do not hold are frozen where they are, for a drifting nuisance destroys every later test.
     What depends on a strength that was zero, or would leave its bound at first, is tried again where the others end.
+    Of two axes the one that hardly moves takes what the model of the other lacks, and is led astray: where a fit ends
+    at no device, the other axis goes first, and what that leads to is taken if it fits as well, or the fit was poor.
 
     Args:
         joint: residual and sensitivities.
@@ -90,6 +95,45 @@ def optimise(
         known: residual and Jacobian by those parameters at the start, where they are known already.
         max_evaluations: bound on evaluations; 0 only evaluates.
     """
+    found = _descended(joint, vector, places, chosen, known, max_evaluations)
+    if max_evaluations < WHOLE or _is_device(joint, found.vector):
+        return found
+    first = np.setdiff1d(places, _of_weaker_axis(joint, vector, places, chosen))
+    if first.size == places.size:
+        return found
+    own = _descended(joint, vector, first, chosen, None, max_evaluations)
+    again = _descended(joint, own.vector, places, chosen, None, max_evaluations)
+    poor = found.chi2 > POOR * found.dof
+    if _is_device(joint, again.vector) and (poor or again.chi2 < found.chi2 + ALIKE):
+        return again
+    if poor and _is_device(joint, own.vector):
+        return replace(_descended(joint, own.vector, places, chosen, None, 0), converged=False)
+    return found
+
+
+def _is_device(joint: Joint, vector: np.ndarray) -> bool:
+    """Whether the device is pushed back and slowed down whichever way it moves."""
+    device = joint.at(vector).device
+    return all(np.all(np.linalg.eigvalsh(m) > 0) for m in (device.stiffness_matrix, device.damping_matrix))
+
+
+def _of_weaker_axis(joint: Joint, vector: np.ndarray, places: np.ndarray, chosen: Sequence[Readings]) -> np.ndarray:
+    """Places of what belongs to the axis that the readings show less of, and of what couples it to the other."""
+    names = [parameter.name for parameter in joint.parameters]
+    own = [names.index(name) for name in ("kxx/m", "kyy/m") if name in names]
+    if len(own) < 2 or not np.isin(own, places).all():
+        return places[:0]
+    slopes = joint.linearise(vector, np.eye(vector.size)[own], chosen)[1]
+    weaker = "xy"[int(np.argmin(np.linalg.norm(slopes, axis=0) * vector[own]))]
+    mine = {f"{kind}{weaker}{weaker}/m" for kind in "kd"} | {"kxy/m", "dxy/m"}
+    return np.array([i for i in places if names[i] in mine], dtype=int)
+
+
+def _descended(
+    joint: Joint, vector: np.ndarray, places: np.ndarray, chosen: Sequence[Readings],
+    known: tuple[np.ndarray, np.ndarray] | None, max_evaluations: int,
+) -> Optimum:  # fmt: skip
+    """`optimise` from where it begins."""
     units = np.eye(vector.size)[places]
     value, slope = joint.linearise(vector, units, chosen) if known is None else known
     first, count, done, tried = slope, 1, True, np.zeros(places.size, bool)
