@@ -126,7 +126,7 @@ def test_bad_settings_are_one_sentence(loop, arguments, words):
 
 @pytest.mark.slow
 def test_a_drawn_lot_is_not_one_die(loop):
-    lot = mg.Spread.relative("1 %").draw(loop, mg.Scenario(1.0), 0, np.arange(3)).loop
+    lot = mg.Spread.relative("1 %").draw(loop, mg.Scenario(mg.Constant(1.0)), 0, np.arange(3)).loop
     with pytest.raises(InputError, match=r"one die, but holds 3 .* `sweep`, or map over that axis by `jax.vmap`"):
         mg.simulate(lot, 0.0, sample_rate=100e3, duration=0.01)
 
