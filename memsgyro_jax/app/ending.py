@@ -25,7 +25,6 @@ def told_to_end(*, at_last: bool) -> Iterator[None]:
     A program that XLA compiles or runs is not interrupted, and may take minutes: where `at_last` the process ends
     `GRACE` seconds after the signal, whatever it does then. What it has written is whole at any time.
     """
-
     heard = threading.Event()
 
     def end(number: int, frame: FrameType | None) -> None:

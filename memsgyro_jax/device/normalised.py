@@ -71,6 +71,16 @@ class NormalisedDevice(Displayed):
         """Damping per mass [1/s]."""
         return _symmetric(self.damping)
 
+    @property
+    def is_held(self) -> bool:
+        """Whether it is pushed back whichever way it moves: its stiffness is positive definite."""
+        return bool(np.all(np.linalg.eigvalsh(np.asarray(self.stiffness_matrix)) > 0.0))
+
+    @property
+    def is_slowed(self) -> bool:
+        """Whether its damping takes energy from every motion: it is positive definite."""
+        return bool(np.all(np.linalg.eigvalsh(np.asarray(self.damping_matrix)) > 0.0))
+
     def mass(self, axis: int) -> Float[Array, ""]:
         """The mass that moves along an axis [kg]."""
         return 1.0 / (self.mobility if self.mobility.ndim == 0 else self.mobility[axis])

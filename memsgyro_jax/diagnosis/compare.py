@@ -216,7 +216,8 @@ def compare(
         )
     if whole is not None:
         whole = beside_case_of(case, whole)
-    if whole is not None and not (fitted or isinstance(model, Model)):
+    tells_offset = any(record.offset is not None for record in case.records)
+    if whole is not None and tells_offset and not (fitted or isinstance(model, Model)):
         whole = with_offset_left(fit_case(case, model=whole, held=True))
     result = judged(fit_case(case, model=whole, held=not fitted), level=level, fitted=fitted)
     return beside_outlying(result, lambda rows: fit_case(case, model=whole, held=not fitted, left_out=rows))

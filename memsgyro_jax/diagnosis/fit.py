@@ -32,7 +32,7 @@ from .fitted import ParameterEstimate, RecordError, errors_figure, of_energy
 from .instrument import beside_case_of, knowledge
 from .joint_residual import Joint
 from .modes import mode_estimates
-from .optimum import Optimum, optimise
+from .optimum import WHOLE, Optimum, optimise
 from .parameters import Parameter
 from .resolved import UNSURE, in_words, sharpened, still_apart
 
@@ -302,7 +302,7 @@ def fit_case(
     alone = np.intersect1d(joint.base(), places)
     if 0 < alone.size < places.size and not held:
         vector = optimise(joint, vector, alone, joint.fitted).vector
-    longest = 0 if held else 30
+    longest = 0 if held else WHOLE
     optimum = optimise(joint, vector, places, joint.fitted, max_evaluations=longest)
     if optimum.chi2 > FAR * optimum.dof and not held and len(steps := stages(case, joint.fitted)) > 1:
         optimum = past_the_brink(case, joint, min(optimum, up(joint, joint.start, places, steps), key=lambda o: o.chi2))

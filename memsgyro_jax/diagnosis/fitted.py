@@ -92,7 +92,7 @@ class ParameterEstimate:
 
 def of_energy(device: NormalisedDevice) -> str:
     """What is said of a damping that feeds some motion, as no device does; empty where it slows them all."""
-    if np.all(np.linalg.eigvalsh(np.asarray(device.damping_matrix)) > 0.0):
+    if device.is_slowed:
         return ""
     return (
         "the damping feeds a motion of both axes, as no device does, and no study takes it: these records do not hold "

@@ -15,7 +15,7 @@ def with_offset_left(held: CaseFit) -> Model:
     """
     total = weight = np.zeros(held.model.axes)
     for number, record in enumerate(held.case.records):
-        if record.offset is None or np.iscomplexobj(record.readings):
+        if record.offset is None:
             continue
         left = record.readings - held.predicted(number)
         std = np.broadcast_to(record.noise_of_rows, left.shape)

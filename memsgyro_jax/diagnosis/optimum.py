@@ -114,7 +114,7 @@ def optimise(
 def _is_device(joint: Joint, vector: np.ndarray) -> bool:
     """Whether the device is pushed back and slowed down whichever way it moves."""
     device = joint.at(vector).device
-    return all(np.all(np.linalg.eigvalsh(m) > 0) for m in (device.stiffness_matrix, device.damping_matrix))
+    return device.is_held and device.is_slowed
 
 
 def _of_weaker_axis(joint: Joint, vector: np.ndarray, places: np.ndarray, chosen: Sequence[Readings]) -> np.ndarray:

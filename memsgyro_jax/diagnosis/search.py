@@ -12,7 +12,7 @@ from scipy import special
 from .acceptance import hopeless, judged_by_misfit, refusal, unsure_noise
 from .fit import CaseFit, beside_case
 from .joint_residual import Joint
-from .optimum import Optimum, optimise
+from .optimum import WHOLE, Optimum, optimise
 from .scans import coverage
 from .score import Score, basis, family_p_values, overlap, score, within_bounds
 
@@ -23,7 +23,7 @@ TWINS = 0.999  # overlap from which two candidates cannot both be tried
 NOTHING = 0.01  # of what a candidate explains: if no more is left, the others need not be refitted
 LOOK, INSTRUMENT = "look closer at ", "try what the instrument may have done: "  # told before names of candidates
 ROUNDS = 8
-GLANCE, LONG = 5, 30  # evaluations to compare candidates, and to settle on one
+GLANCE = 5  # evaluations to compare candidates
 PATIENCE = 6  # refits without one that stays after which a round ends
 RESTARTS = (0.3, 0.03)  # of the linear estimate of a strength
 CONFUSED = 10.8  # expected Δχ² below which noise puts the wrong one of two effects first in one case of twenty
@@ -110,7 +110,7 @@ class Search:
         *,
         start: np.ndarray | None = None,
         slopes: np.ndarray | None = None,
-        evaluations: int = LONG,
+        evaluations: int = WHOLE,
     ) -> Optimum:
         """Base and the effects at `places` free, from the present optimum or the vector `start`; `slopes` are the
         sensitivities of the last of them at the present optimum, if known. One from the present optimum is made once.
@@ -127,7 +127,7 @@ class Search:
         begin = self.optimum.vector if start is None else start
         found = optimise(self.joint, begin, free, self.joint.fitted, known=known, max_evaluations=evaluations)
         if start is None:
-            self._refits[tuple(places)] = self.joint, self.optimum, LONG if found.converged else evaluations, found
+            self._refits[tuple(places)] = self.joint, self.optimum, WHOLE if found.converged else evaluations, found
         return found
 
     def without(self, place: int) -> np.ndarray:
@@ -159,7 +159,7 @@ class Search:
             self.joint.together((*self.given, *self.accepted, *soon))
             refits: dict[int, Optimum] = {}
             for i in promising:
-                evaluations = GLANCE if len(promising) > 1 else LONG
+                evaluations = GLANCE if len(promising) > 1 else WHOLE
                 refits[i] = self.with_one_more(ranking.places[i], ranking.slopes[i], evaluations)
                 if self._explains_all(refits[i]):  # no other can do much better
                     break
@@ -210,7 +210,7 @@ class Search:
             mine = self.joint.of_effect(place)
             step = -np.linalg.lstsq(self._clean(slopes), self.optimum.residual)[0]
             start[mine] = np.clip(part * step, *(bound[mine] for bound in self.joint.bounds))
-            again = self.refit(places, start=start, evaluations=LONG)
+            again = self.refit(places, start=start, evaluations=WHOLE)
             found = again if again.chi2 < found.chi2 else found
         return found
 

@@ -42,7 +42,7 @@ def _with_axis(device: NormalisedDevice, axis: int, rows: list[Phasors], gain: b
     stiffness[axis], damping[axis] = float(seen.stiffness[0]), float(seen.damping[0])
     mobility = abs(float(seen.mobility)) if gain else device.mobility
     moved = NormalisedDevice(stiffness, damping, mobility)
-    return moved if np.all(np.linalg.eigvalsh(np.asarray(moved.stiffness_matrix)) > 0) else device
+    return moved if moved.is_held else device
 
 
 def _as_heard(case: Case) -> NormalisedDevice:
@@ -54,4 +54,4 @@ def _as_heard(case: Case) -> NormalisedDevice:
         stiffness[axis] = omega**2
         damping[axis] = 2.0 * decay if decay > 0.0 else damping[axis]
     moved = NormalisedDevice(stiffness, damping, device.mobility)
-    return moved if np.all(np.linalg.eigvalsh(np.asarray(moved.stiffness_matrix)) > 0) else device
+    return moved if moved.is_held else device

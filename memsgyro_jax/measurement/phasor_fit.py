@@ -39,8 +39,8 @@ def device_of_phasors(offered: Sequence[Phasors]) -> NormalisedDevice | None:
         return next(one for one in found if one is not None)
     try:
         rounds = list(_rounds(omega, motion, force, weight))
-        device, (_, best) = rounds[min(ROUNDS, len(rounds) - 1)][1], min(rounds, key=lambda one: one[0])
-        least, whole = min(left for left, _ in rounds), np.sum(np.abs(weight[:, None] * motion) ** 2)
+        device, whole = rounds[min(ROUNDS, len(rounds) - 1)][1], np.sum(np.abs(weight[:, None] * motion) ** 2)
+        least, best = min(rounds, key=lambda one: one[0])
         # Noise off the resonances, slow noise above all, may lead the rounds away from a device that was good.
         if least <= _SHOWN * whole or least < min(left for left, _ in rounds[: ROUNDS + 1]):
             device = best
@@ -105,7 +105,8 @@ def _left(device: NormalisedDevice, rows: list[Phasors]) -> float:
 
 def _is_device(device) -> bool:
     """Whether it is pushed back and slowed down whichever way it moves."""
-    return all(np.all(np.linalg.eigvalsh(_matrix(part)) > 0) for part in device[:2])
+    made = NormalisedDevice(*device)
+    return made.is_held and made.is_slowed
 
 
 def _turned(plain, omega, motion, force, weight):

@@ -49,7 +49,7 @@ def recorded(tmp_path, request):
 
 @pytest.mark.parametrize("recorded", ["15 ms"], indirect=True)
 def test_a_fit_ends_at_a_device(recorded):
-    """The stiffness of y went to a fifth of itself, 32 standard deviations, and its damping fed the motion of x."""
+    """The stiffness of y went to a fifth of itself, 34 standard deviations off, and its damping fed the motion of x."""
     found = mg.fit(None, recorded, effects=[mg.effects.CubicStiffness("x", 1e9)])
     assert found.optimum.converged
     assert found.chi2_per_dof < 1.1

@@ -81,7 +81,7 @@ class WaveformRecord(ClockedRecord):
         return self.signals
 
     @property
-    def offset(self) -> np.ndarray:
+    def offset(self) -> np.ndarray | None:
         return self.signals[self.rows // 2 :].mean(axis=0)
 
     def columns(self, declared: Declared) -> dict[str, np.ndarray]:

@@ -215,8 +215,8 @@ class FreeDecayRecord(WaveformRecord):
         return found
 
     @property
-    def offset(self) -> np.ndarray:
-        return super().offset if self.reference_frequency is None else np.zeros(self.signals.shape[1])
+    def offset(self) -> np.ndarray | None:
+        return super().offset if self.reference_frequency is None else None  # a lock-in sees no constant
 
     def estimated_noise(self) -> float:
         if not self.uneven:

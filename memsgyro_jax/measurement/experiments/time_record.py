@@ -79,11 +79,17 @@ class RawCapture(Experiment):
         return beside_start(left, slopes) if self.solved else left
 
     def residual_beside(self, bench: Model, added: Contribution) -> tuple[Float[Array, " r"], Inquiry]:
-        left, inquiry = super().residual_beside(bench, added)
-        return (beside_start(left, self._start(bench)[1]) if self.solved else left), inquiry
+        start, slopes = self._start(bench)
+        predicted, inquiry = self._asked(bench, added, start)
+        left = self.noise.whiten(self.measured, predicted).ravel()
+        return (beside_start(left, slopes) if self.solved else left), inquiry
 
     def predict_beside(self, bench: Model, added: Contribution) -> tuple[Float[Array, "n axes"], Inquiry]:
-        seen, states = self._predicted(bench, added, self._start(bench)[0])
+        return self._asked(bench, added, self._start(bench)[0])
+
+    def _asked(self, bench: Model, added: Contribution, start: Array | None) -> tuple[Float[Array, "n axes"], Inquiry]:
+        """`predict_beside` from a start."""
+        seen, states = self._predicted(bench, added, start)
         now = self.surroundings
         visited = visited_samples(bench, states, self.forces, self.increments, self.step, now, self._base)
         commands = jnp.stack([self.forces, self.forces + self.increments], axis=1)

@@ -10,6 +10,7 @@ from scipy.optimize import least_squares
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.normalised import NormalisedDevice
+from memsgyro_jax.diagnosis.compare import compare
 from memsgyro_jax.diagnosis.diagnose import diagnose
 from memsgyro_jax.diagnosis.drives import without_rows
 from memsgyro_jax.diagnosis.fit import fit_case
@@ -86,6 +87,30 @@ def test_a_hardening_decay_is_found_from_the_design_alone(hardening):
     for error in fit.errors:
         assert error.rms == pytest.approx(1.0, abs=0.1)
     assert {e.role for e in fit.errors} == {"fit", "validation"}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_linear_decay_tells_all_there_is(tmp_path, seed):
+    """Standard deviations are the bound of Cramér and Rao, for amplitude, phase, frequency and decay, of the rows that
+    are fitted; pieces of a few hundred rows lost most of it.
+    """
+    rate, noise, true = 64e3, 2 / 300, np.array([2.0, 0.3, 8e3, 1500.0])
+    time = np.arange(6400) / rate
+
+    def seen(number, time):
+        amplitude, phase, hertz, quality = number
+        return amplitude * np.exp(-np.pi * hertz / quality * time) * np.cos(2 * np.pi * hertz * time + phase)
+
+    volts = seen(true, time) + noise * np.random.default_rng(seed).standard_normal(time.size)
+    more = f'noise_std = {{ value = {noise}, unit = "V" }}'
+    found = compare(None, written(tmp_path, time, {"y [V]": volts}, 8100.0, more))
+    half, steps = time[:3200], np.diag([1e-6, 1e-6, 1e-4, 1e-2])
+    slopes = [(seen(true + step, half) - seen(true - step, half)) / 2 / max(step) for step in steps]
+    bound = noise * np.sqrt(np.diag(np.linalg.inv(np.array(slopes) @ np.transpose(slopes))))[2:]
+    hertz, quality = found.fit.modes
+    np.testing.assert_allclose([hertz.std, quality.std], bound, rtol=0.1)
+    assert found.explained
+    assert np.all(np.abs(np.array([hertz.value, quality.value]) - true[2:]) < 4 * bound)
 
 
 @pytest.mark.slow
