@@ -55,8 +55,8 @@ class CaseFit(Tabular):
         whitened: per record of the case (rows, channels, parts): deviation over noise, I and Q or one real part; NaN
             for rows that are not compared.
         fitted: per record, which rows were fitted (rows,).
-        apart: standard deviations by which a resolution of steady states beyond the last may still move a reading;
-            zero where they are resolved.
+        apart: standard deviations by which a resolution beyond the last may still move a reading;
+            zero where all are resolved.
     """
 
     case: Case
@@ -189,12 +189,12 @@ class CaseFit(Tabular):
 
     @property
     def unsure(self) -> bool:
-        """Whether steady states are resolved so badly that no reading is surely explained."""
+        """Whether predictions are resolved so badly that no reading is surely explained."""
         return self.apart > UNSURE
 
     @property
     def resolution(self) -> str:
-        """How far steady states are resolved, in words; empty where they are."""
+        """How far predictions are resolved, in words; empty where they are."""
         return in_words(self.apart)
 
     def predicted(self, record: int | str) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Predictions that are resolved: a law with a kink needs more harmonics and samples than a smooth one."""
+"""Predictions that are resolved: a kink needs more harmonics than a smooth law, a strong law shorter steps in time."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -24,10 +24,11 @@ def sharpened(
     """The readings at the first resolution that a finer one confirms, for a fitted model; `readings` itself if that is
     theirs.
 
-    Every experiment that has a finer one (a sweep: 3, 7 and 15 harmonics at 32, 128 and 512 samples a period) is
-    predicted at both, and goes on until they agree within `TOLERANCE` of the noise, or of what is left where the model
-    explains no better. `residual` is that of the fitted ones as they are, where it is known. Also by how many such
-    units the worst still differs from the step before; zero where all agree.
+    Every experiment that has a finer one (a sweep: 3, 7 and 15 harmonics at 32, 128 and 512 samples a period; a record
+    in time: steps of 0.1 rad, and halves of them) is predicted at both, and goes on until they agree within `TOLERANCE`
+    of the noise, or of what is left where the model explains no better. `residual` is that of the fitted ones as they
+    are, where it is known. Also by how many such units the worst still differs from the step before; zero where all
+    agree.
     """
     bare, worst = model.present, 0.0
     chosen: dict[int, int] = {}
@@ -60,10 +61,10 @@ def in_words(apart: float) -> str:
     """What `still_apart` says; empty where all agree."""
     if apart <= 0:
         return ""
-    head = "steady states are not resolved: " if apart > UNSURE else ""
+    head = "predictions are not resolved: " if apart > UNSURE else ""
     return (
-        f"{head}sweeps are predicted with the most harmonics that there are; still more would move a reading by up to "
-        f"about {apart:.2g} × noise"
+        f"{head}they have the most harmonics and the shortest steps that there are; still more would move a reading by "
+        f"up to about {apart:.2g} × noise"
     )
 
 

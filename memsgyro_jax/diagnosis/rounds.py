@@ -69,7 +69,7 @@ def _resolve(search: Search) -> None:
     model = search.joint.at(search.optimum.vector)
     readings, apart = sharpened(model, search.joint.readings, search.optimum.residual)
     if readings is not search.joint.readings:
-        search.tell("predict with more harmonics")
+        search.tell("predict more finely")
         search.joint, search.unseen = Joint(model, readings, search.joint.programs), None
         search.optimum = search.refit(search.accepted)
         apart = still_apart(search.joint.at(search.optimum.vector), readings) if apart else apart

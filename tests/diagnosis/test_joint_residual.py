@@ -275,7 +275,7 @@ def test_what_is_not_resolved_is_said(standing):
     fine, unsure = replace(standing, apart=0.4), replace(standing, apart=12.0)
     assert "still more would move a reading by up to about 0.4 × noise" in fine.status
     assert "not resolved" not in fine.status
-    assert "not resolved: sweeps are predicted with the most harmonics" in unsure.status
+    assert "not resolved: they have the most harmonics" in unsure.status
     right = judged(standing)
     assert right.explained
     assert judged(fine).explained

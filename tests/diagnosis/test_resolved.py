@@ -1,4 +1,5 @@
-"""A law with a kink is predicted with as many harmonics and samples as it needs, a smooth one with the first few."""
+"""A law with a kink is predicted with as many harmonics and samples as it needs, a smooth one with the first few; a
+record in time with steps as short as its law and its noise need."""
 
 from dataclasses import replace
 
@@ -7,10 +8,12 @@ import numpy as np
 import pytest
 from bench_case import ONE_AXIS, RESONATOR, bench
 from lab.die import Hidden, Outside
-from lab.protocol import Laboratory
+from lab.protocol import Laboratory, Raw
 
 from memsgyro_jax.diagnosis.fit import fit_case
+from memsgyro_jax.diagnosis.resolved import UNSURE, sharpened
 from memsgyro_jax.effects import CubicStiffness, ForceEffect, on_axis, strength
+from memsgyro_jax.measurement.readings import readings_of
 from memsgyro_jax.measurement.steady import FINENESS
 
 
@@ -50,3 +53,33 @@ def test_a_smooth_law_keeps_the_first_resolution():
     fit = fit_case(case, [CubicStiffness("x")])
     assert {r.experiment.fineness for r in fit.joint.readings} == {FINENESS[0]}
     assert "resolved" not in fit.status
+
+
+CLEAN = Laboratory((Raw("raw", interval=2e-5, samples=1000, force=3e-6, noise=2e-5),), digits=17)
+
+
+def test_a_strong_law_in_a_clean_record_is_integrated_in_shorter_steps():
+    """Steps of 0.1 rad left several times the noise of what the true device leaves nothing of."""
+    made = bench(Hidden(cubic_stiffness_x=1e11), 1, CLEAN)
+    model = made.model((CubicStiffness("x"),))
+    (first,) = readings = readings_of(made.case)
+    (finer,), apart = sharpened(model, readings)
+    coarse, fine = (np.mean(np.asarray(r.experiment.residual(model)) ** 2) for r in (first, finer))
+    assert coarse > 2.0
+    assert fine == pytest.approx(1.0, abs=0.1)
+    assert finer.experiment.parts > 1
+    assert apart < UNSURE
+
+
+def test_shorter_steps_change_nothing_but_the_steps():
+    made = bench(Hidden(), 1, CLEAN)
+    (first,) = readings_of(made.case)
+    linear = made.model(())
+    assert sharpened(linear, [first]) == ((first,), 0.0)
+    finer = first.experiment.finer
+    once, twice = (np.asarray(e.residual(linear)) for e in (first.experiment, finer))
+    assert twice == pytest.approx(once, abs=1e-6)
+    again, once = finer.finer.coarse, first.experiment
+    assert again.parts == 1
+    for name in ("forces", "increments", "step"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(once, name))

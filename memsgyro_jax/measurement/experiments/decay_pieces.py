@@ -1,5 +1,6 @@
 """Prediction of a free decay piece by piece, each from its own unknown start."""
 
+import dataclasses
 from collections.abc import Callable, Iterator
 from typing import Any, ClassVar
 
@@ -12,7 +13,7 @@ from jaxtyping import Array, Float
 from memsgyro_jax.base.linalg import product
 from memsgyro_jax.device.conditions import Conditions
 
-from ..envelope import HARMONICS, Driven, run_samples
+from ..envelope import FINEST, HARMONICS, Driven, run_samples
 from ..model import Model
 from ..steady import fundamental
 from .base import BEYOND, Experiment, Noise
@@ -40,6 +41,7 @@ class FreeDecay(Experiment):
         substeps: integration steps per sample.
         nodes: at which a piece is integrated, evenly spaced from its first sample to its last, between which samples
             are interpolated; zero where samples are `period` apart.
+        parts: of a first step that a step is one of.
     """
 
     driven: ClassVar[bool] = False
@@ -54,6 +56,7 @@ class FreeDecay(Experiment):
     frequency: Array
     substeps: int = eqx.field(static=True, default=1)
     nodes: int = eqx.field(static=True, default=0)
+    parts: int = eqx.field(static=True, default=1)
 
     def predict(self, bench: Model) -> Array:
         """Every reading, from the start of its piece that suits the readings best."""
@@ -69,6 +72,20 @@ class FreeDecay(Experiment):
             return beside_start(noise.whiten(measured, self._readings(bench, start, now)).ravel(), slope)
 
         return jax.vmap(one)(starts, slopes, *self._pieces()).ravel()
+
+    @property
+    def finer(self) -> "FreeDecay | None":
+        """The same in steps half as long; `None` at the last."""
+        return self._divided(2 * self.parts) if self.parts < FINEST else None
+
+    @property
+    def coarse(self) -> "FreeDecay":
+        return self._divided(1)
+
+    def _divided(self, parts: int) -> "FreeDecay":
+        """The same with every first step in so many parts."""
+        nodes = 1 + (self.nodes - 1) // self.parts * parts if self.nodes else 0
+        return dataclasses.replace(self, substeps=self.substeps // self.parts * parts, nodes=nodes, parts=parts)
 
     def proposals(self, name: str) -> Iterator[tuple[str, Experiment]]:
         """Again as it was, and from a larger start."""

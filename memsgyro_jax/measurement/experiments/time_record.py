@@ -1,5 +1,6 @@
 """Raw capture: forces and waveforms sample by sample."""
 
+import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, Self
@@ -16,7 +17,7 @@ from memsgyro_jax.device.conditions import Conditions
 from ..clock import check_period
 from ..columns import force_columns
 from ..declared import Declared
-from ..envelope import run_samples, visited_samples
+from ..envelope import FINEST, run_samples, visited_samples
 from ..first_order import Contribution, Inquiry, Instants
 from ..model import Model
 from ..section import ExperimentSection
@@ -52,6 +53,7 @@ class RawCapture(Experiment):
         substeps: integration steps per sample.
         skipped: samples at the beginning that are simulated but not compared, while an unknown start dies out.
         solved: whether an unknown start is solved for.
+        parts: of a first step that a step is one of; the force runs as it did.
     """
 
     slow: ClassVar[bool] = True
@@ -67,6 +69,7 @@ class RawCapture(Experiment):
     substeps: int = eqx.field(static=True, default=1)
     skipped: int = eqx.field(static=True, default=0)
     solved: bool = eqx.field(static=True, default=False)
+    parts: int = eqx.field(static=True, default=1)
 
     def predict(self, bench: Model) -> Float[Array, "n axes"]:
         """Voltage of every channel at every kept sample."""
@@ -140,6 +143,30 @@ class RawCapture(Experiment):
         kept = slice(self.skipped * self.substeps, None, self.substeps)
         now = jax.tree.map(lambda leaf: leaf[kept], self.surroundings)
         return states[kept], self.forces[kept], self.increments[kept] / self.step, now
+
+    @property
+    def finer(self) -> "RawCapture | None":
+        """The same in steps half as long; `None` at the last."""
+        return self._divided(2 * self.parts) if self.parts < FINEST else None
+
+    @property
+    def coarse(self) -> "RawCapture":
+        return self._divided(1)
+
+    def _divided(self, parts: int) -> "RawCapture":
+        """The same with every first step in so many parts."""
+        first = slice(None, None, self.parts)
+        begun, change = self.forces[first], self.parts * self.increments[first] / parts
+        now = jax.tree.map(lambda leaf: jnp.repeat(leaf[first], parts, axis=0), self.surroundings)
+        return dataclasses.replace(
+            self,
+            forces=(begun[:, None] + jnp.arange(parts)[:, None] * change[:, None]).reshape(-1, begun.shape[-1]),
+            increments=jnp.repeat(change, parts, axis=0),
+            step=self.step * self.parts / parts,
+            surroundings=now,
+            substeps=self.substeps // self.parts * parts,
+            parts=parts,
+        )
 
     def proposals(self, name: str) -> Iterator[tuple[str, Experiment]]:
         """Again as it was, and a stronger drive."""
