@@ -21,6 +21,7 @@ from .case import Case, load_case
 from .case.file import FILE
 from .case_of_records import csv_of_record, toml_of_records
 from .column_meaning import meaning_of, parse_map
+from .demodulators import demodulators_joined
 from .driven_axes import axes_of_files, require_axes
 from .formats import SourceTable, read_instrument_file
 from .imported_record import Given, ImportedRecord, records_of
@@ -130,8 +131,11 @@ def import_case(
     given = [None if text.strip() == "-" else _amount(text, "--drive") for text in drive]
     tuned = _amount(reference, "--reference") if reference else None
     every = whole("every", every, 1)
-    axes = axes_of_files(axis, len(paths))
-    read = [read_instrument_file(Path(path)) for path in paths]
+    sources = [Path(path).name for path in paths]
+    files, read = [Path(path) for path in paths], [read_instrument_file(path) for path in paths]
+    if not said:  # which columns are used was not said for tables made here
+        files, read = demodulators_joined(files, read)
+    axes = axes_of_files(axis, len(files))
     found = [
         _records(tables, said, Given(None, tuned, every, rms, own)) for (_, tables), own in zip(read, axes, strict=True)
     ]
@@ -142,31 +146,29 @@ def import_case(
     for k, level in enumerate(levels):
         if level is not None and swept[k]:
             found[k] = _records(read[k][1], said, Given(level, tuned, every, rms, axes[k]))
-    require_axes(paths, found, axis)
-    names = [Path(path).name for path in paths]
+    require_axes(files, found, axis)
+    names = [path.name for path in files]
     unused = [
         f"the drive of {level[0]:g} {level[1]}, as {name} does not need it"
         for level, name, needs in zip(levels, names, swept, strict=True)
         if level and not needs and len(given) > 1
     ]
     records = _agreed(_named([record for some in found for record in some]))
-    case = _write(folder, records, names)
-    warning = _warning(paths, [some if needs else None for some, needs in zip(found, swept, strict=True)], folder, [
-        *(["--map", columns] if columns else []), *(["--axis", *axis] if axis else [])
-    ])  # fmt: skip
+    case = _write(folder, records, sources)
+    again = ["memsgyro", "import", *map(str, paths), "--out", str(folder), "--overwrite"]
+    again += [*(["--map", columns] if columns else []), *(["--axis", *axis] if axis else [])]
+    needing = [some if needs else None for some, needs in zip(found, swept, strict=True)]
+    warning = _warning(names, needing, shlex.join(again))
     return ImportedCase(case, tuple(form for form, _ in read), tuple(records), tuple(unused), warning)
 
 
-def _warning(
-    paths: Sequence[str | Path], found: Sequence[list[ImportedRecord] | None], folder: Path, options: Sequence[str]
-) -> str:
+def _warning(names: Sequence[str], found: Sequence[list[ImportedRecord] | None], command: str) -> str:
     """That nothing tells the drive levels of several files, and the command to give them; empty where they are told.
 
     Args:
-        paths: of all files.
+        names: of all files.
         found: the records of each, or `None` where it needs no level.
-        folder: of the case.
-        options: of the command that say what the files are.
+        command: that was given.
     """
     levels = []
     for some in found:
@@ -175,8 +177,7 @@ def _warning(
         levels.append("..." if guessed else "-" if known is None else f"{known['value']:g} {known['unit']}")
     if levels.count("...") < 2:
         return ""
-    files = listed(Path(path).name for path, level in zip(paths, levels, strict=True) if level == "...")
-    command = shlex.join(["memsgyro", "import", *map(str, paths), "--out", str(folder), "--overwrite", *options])
+    files = listed(name for name, level in zip(names, levels, strict=True) if level == "...")
     shown = " ".join(level if level == "-" else f'"{level}"' for level in levels)
     return (
         f"{levels.count('...')} files do not say at which level they were driven, and each was taken for 1 V "

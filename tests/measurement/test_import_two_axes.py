@@ -179,3 +179,54 @@ def test_both_channels_are_turned_and_both_are_effective_values(tmp_path):
 def test_scattering_of_two_ports_is_not_taken_for_two_channels():
     names = ("S11 REAL", "S11 IMAG", "S21 REAL", "S21 IMAG")
     assert two_channels(SourceColumn(name, "", np.zeros(3)) for name in names) == {}
+
+
+def demodulator(path, number, z, frequency=FREQUENCY):
+    """As LabOne's sweeper saves one demodulator of a lock-in: a row per field."""
+    fields = {
+        "frequency": frequency,
+        "x": z.real,
+        "y": z.imag,
+        "r": abs(z),
+        "phase": np.angle(z),
+        "settling": 0 * z.real,
+    }
+    rows = [f"0;0;{len(frequency)};{name};" + ";".join(f"{v:.12g}" for v in row) for name, row in fields.items()]
+    path = path / f"dev1234_demods_{number}_sample_00000.csv"
+    path.write_text("\n".join(["chunk;timestamp;size;fieldname", *rows]) + "\n")
+    return path
+
+
+def test_two_demodulators_of_one_sweep_are_two_channels(tmp_path):
+    z = moved("x") / np.sqrt(2)
+    files = [demodulator(tmp_path, number, z[:, k]) for k, number in enumerate((3, 10))]
+    found = mg.import_case(files[::-1], tmp_path / "case", axis=["x"], drive=["20 mV"])
+    (record,) = found.case.records
+    assert found.case.device == "single_mass"
+    np.testing.assert_allclose(record.phasors, moved("x"), rtol=1e-9)
+    assert f"{files[0].name} and {files[1].name} are x and y of one record" in str(found)
+    assert all(file.name in (tmp_path / "case" / "case.toml").read_text() for file in files)
+
+
+@pytest.mark.parametrize(("count", "step"), [(3, 0.0), (2, 1.0)])
+def test_tables_that_are_no_pair_stay_apart(count, step, tmp_path):
+    """Three of one name, or two of other frequencies, are records of one axis each."""
+    z = moved("x")[:, 0]
+    files = [demodulator(tmp_path, k, z, FREQUENCY + k * step) for k in range(count)]
+    found = mg.import_case(files, tmp_path / "case", drive=["20 mV"])
+    assert found.case.device == "resonator"
+    assert len(found.case.records) == len(files)
+
+
+def test_two_demodulators_in_one_file_are_two_channels(tmp_path):
+    import h5py
+
+    z = moved("y") / np.sqrt(2)
+    with h5py.File(tmp_path / "drive_y.h5", "w") as file:
+        for k in (0, 1):
+            group = file.create_group(f"000/dev1234/demods/{k}/sample")
+            for name, values in (("frequency", FREQUENCY), ("x", z[:, k].real), ("y", z[:, k].imag)):
+                group[name] = values
+    (record,) = mg.import_case([tmp_path / "drive_y.h5"], tmp_path / "case", drive=["20 mV"]).case.records
+    np.testing.assert_allclose(record.phasors, moved("y"), rtol=1e-9)
+    assert record.axis == 1
