@@ -27,6 +27,7 @@ from memsgyro_jax.measurement.model import Model, check_effect
 from memsgyro_jax.measurement.readings import Readings, model_of, readings_of
 
 from .drives import FAR, Rows, past_the_brink, stages, up, without_rows
+from .first_numbers import with_numbers_that_show
 from .fit_table import fit_table
 from .fitted import ParameterEstimate, RecordError, errors_figure, of_energy
 from .instrument import beside_case_of, knowledge
@@ -301,7 +302,7 @@ def fit_case(
     vector, places = joint.start, _free_places(joint, fixed)
     alone = np.intersect1d(joint.base(), places)
     if 0 < alone.size < places.size and not held:
-        vector = optimise(joint, vector, alone, joint.fitted).vector
+        vector = with_numbers_that_show(joint, optimise(joint, vector, alone, joint.fitted), places)
     longest = 0 if held else WHOLE
     optimum = optimise(joint, vector, places, joint.fitted, max_evaluations=longest)
     if optimum.chi2 > FAR * optimum.dof and not held and len(steps := stages(case, joint.fitted)) > 1:

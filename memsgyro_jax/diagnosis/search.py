@@ -10,6 +10,7 @@ import numpy as np
 from scipy import special
 
 from .acceptance import hopeless, judged_by_misfit, refusal, unsure_noise
+from .first_numbers import with_numbers_that_show
 from .fit import CaseFit, beside_case
 from .joint_residual import Joint
 from .optimum import WHOLE, Optimum, optimise
@@ -334,6 +335,7 @@ def start_search(case, joint: Joint, level: float, given: Sequence[int], tell: C
     """Fit the base model with the effects it was given, and begin."""
     tell("fit the base model")
     optimum = optimise(joint, joint.start, always_free(joint, given), joint.fitted)
+    optimum = replace(optimum, vector=with_numbers_that_show(joint, optimum, joint.numbers))
     base = beside_case(case, joint, optimum)
     tell(f"base model: χ²/dof {base.chi2_per_dof:.4g}")
     return Search(base, level, given, tell)

@@ -63,14 +63,24 @@ def test_a_free_exponent_is_found_within_its_uncertainty(powered):
 
 
 @pytest.mark.slow
-def test_a_free_threshold_is_found_within_its_uncertainty():
-    fit = fitted(Hidden(outside=Outside(stop_x=STOP, stop_gap=GAP)), Stop("x"))
+@pytest.mark.parametrize("start", [0.035, 0.18])
+def test_a_free_threshold_is_found_within_its_uncertainty(start):
+    """From beyond the largest swing too, where nothing would show the effect."""
+    fit = fitted(Hidden(outside=Outside(stop_x=STOP, stop_gap=GAP)), Stop("x", gap=start))
     found = {e.name: e for e in fit.estimates}
     gap = found["stop x gap"]
     assert gap.unit == "V", "of a record whose scale nobody knows"
     assert abs(gap.value - GAP) < 4.5 * gap.std
     assert gap.std < 0.01
     assert abs(found["stop x"].value - STOP) < 4.5 * found["stop x"].std
+
+
+@pytest.mark.slow
+def test_a_threshold_beyond_the_swing_is_found_by_a_diagnosis():
+    case = bench(Hidden(outside=Outside(stop_x=STOP, stop_gap=GAP)), 1, ONE_AXIS, RESONATOR).case
+    outcome = mg.diagnose(None, case, effects=[Stop("x", gap=0.18)])
+    assert outcome.verdict == "found"
+    assert [one.label for one in outcome.accepted] == ["stop x"]
 
 
 @pytest.mark.slow
