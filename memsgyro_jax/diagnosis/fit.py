@@ -300,8 +300,7 @@ def fit_case(
     known = knowledge([effect for effect in whole.effects if isinstance(effect, InstrumentTerm)])
     joint = Joint(whole, (*without_rows(readings_of(case), left_out or {}), *known))
     vector, places = joint.start, _free_places(joint, fixed)
-    alone = np.intersect1d(joint.base(), places)
-    if 0 < alone.size < places.size and not held:
+    if 0 < (alone := np.intersect1d(joint.base(), places)).size < places.size and not held:
         vector = with_numbers_that_show(joint, optimise(joint, vector, alone, joint.fitted), places)
     longest = 0 if held else WHOLE
     optimum = optimise(joint, vector, places, joint.fitted, max_evaluations=longest)
