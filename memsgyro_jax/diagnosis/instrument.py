@@ -6,6 +6,7 @@ What is known beforehand of a strength enters as readings of it.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -47,6 +48,8 @@ class Knowledge(Experiment):
         measured: zeros (k, 1).
         noise: with the standard deviation of each number.
     """
+
+    driven: ClassVar[bool] = False
 
     name: str = eqx.field(static=True)
     measured: Float[Array, "k 1"]
