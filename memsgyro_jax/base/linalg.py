@@ -83,6 +83,15 @@ def cholesky(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
     return jax.lax.scan(column, matrix, jnp.arange(len(matrix)))[1].T
 
 
+def small_root(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """Square root of a matrix of one or two rows whose eigenvalues are positive (Cayley and Hamilton)."""
+    if len(matrix) == 1:
+        return jnp.sqrt(matrix)
+    product_of_roots = jnp.sqrt(matrix[0, 0] * matrix[1, 1] - matrix[0, 1] * matrix[1, 0])
+    sum_of_roots = jnp.sqrt(jnp.trace(matrix) + 2 * product_of_roots)
+    return (matrix + product_of_roots * jnp.eye(2)) / sum_of_roots
+
+
 def exponential(matrix: Shaped[Array, "n n"]) -> Shaped[Array, "n n"]:
     """Matrix exponential by scaling and squaring of a Taylor series of order 18; no decomposition, cheap to
     differentiate.

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from memsgyro_jax.base.linalg import product
+from memsgyro_jax.base.linalg import inverse, product, small_root
 from memsgyro_jax.device.conditions import Conditions
 
 from ..envelope import FINEST, HARMONICS, Driven, run_samples
@@ -135,9 +135,7 @@ class FreeDecay(Experiment):
             states = run_samples(model, none, none, step, fine, first, start=begin, linear=linear)
             states = self._at_samples(states, lambda: jax.vmap(model.derivative)(states, none, fine), step, now)
             return jax.vmap(lambda s, c: model.observe(s, quiet, quiet, c))(states, now)
-        axes, omega = model.axes, jnp.sqrt(model.device.stiffness[: model.axes])
-        vector = start[:axes] - 1j * start[axes:] / omega  # the analytic signal of each axis' own vibration
-        vector = jnp.concatenate([vector, 1j * omega * vector])
+        vector = _turning_one_way(linear[0], start)
         turning = model.state_of(vector.real, first) + 1j * model.state_of(vector.imag, first)
         free = Driven(model, self.frequency, quiet + 0j, linear)
         begin = jnp.zeros((HARMONICS + 1, model.size), complex).at[1].set(turning)
@@ -167,3 +165,16 @@ class FreeDecay(Experiment):
             return ends + s * (1 - s) * ((1 - s) * slope[k] - s * slope[k + 1])
 
         return jax.vmap(one)(below, place - below)
+
+
+def _turning_one_way(matrix: Float[Array, "n n"], start: Float[Array, " s"]) -> Array:
+    """The analytic signal (s,) of a free motion s' = matrix·s from displacements and velocities: what of each mode turns
+    in the sense of e^{iωt}, which is all that a lock-in shows, and whose real part is that motion.
+
+    Its velocities are L = −Γ/2 + i·√(K − Γ²/4) times its displacements, where ΓK is KΓ but for what joins the dampings.
+    """
+    axes = start.size // 2
+    stiffness, damping = -matrix[axes : 2 * axes, :axes], -matrix[axes : 2 * axes, axes : 2 * axes]
+    turn, (q, v) = small_root(stiffness - damping @ damping / 4), (start[:axes], start[axes:])
+    turned = q - 1j * (inverse(turn) @ (v + damping @ q / 2))
+    return jnp.concatenate([turned, 1j * (turn @ turned) - damping @ turned / 2])

@@ -180,13 +180,13 @@ class FreeDecayRecord(WaveformRecord):
     def _distance(self, declared: Declared) -> float:
         """How fast at most the vibration turns in the frame of the record [rad/s].
 
-        Phasors of one axis show it themselves; what a design leaves open may be a thousand times as wide.
+        Phasors show it themselves; what a design leaves open may be a thousand times as wide.
         """
         reference = self.reference_frequency or 0.0
-        if reference and declared.channels == 1:
-            seen = self.track(declared, 0).seen
-            if seen.time.size:
-                return 2.0 * float(np.max(np.abs(seen.omega - reference)))
+        if reference:
+            seen = [self.track(declared, channel).seen for channel in range(declared.channels)]
+            if away := [float(np.max(np.abs(track.omega - reference))) for track in seen if track.time.size]:
+                return 2.0 * max(away)
         return max(abs(omega - reference) for omega in declared.resonances)
 
     def _starts(self, declared: Declared, rows: int) -> np.ndarray:
