@@ -168,8 +168,8 @@ class FreeDecay(Experiment):
 
 
 def _turning_one_way(matrix: Float[Array, "n n"], start: Float[Array, " s"]) -> Array:
-    """The analytic signal (s,) of a free motion s' = matrix·s from displacements and velocities: what of each mode turns
-    in the sense of e^{iωt}, which is all that a lock-in shows, and whose real part is that motion.
+    """The analytic signal (s,) of a free motion s' = matrix·s from displacements and velocities: of each mode
+    what turns in the sense of e^{iωt}, which is all that a lock-in shows, and whose real part is that motion.
 
     Its velocities are L = −Γ/2 + i·√(K − Γ²/4) times its displacements, where ΓK is KΓ but for what joins the dampings.
     """
