@@ -23,20 +23,27 @@ def told_to_end(*, at_last: bool) -> Iterator[None]:
     """SIGTERM ends this process as Ctrl-C does, so that it tidies up, and not where it stands.
 
     A program that XLA compiles or runs is not interrupted, and may take minutes: where `at_last` the process ends
-    `GRACE` seconds after the signal, whatever it does then. What it has written is whole at any time.
+    `GRACE` seconds after the signal, whatever it does then. What it has written is whole at any time. Asked again while
+    it ends, as `timeout` does, it goes on ending, and where `at_last` until there is no more process.
     """
-    heard = threading.Event()
+    heard, ending = threading.Event(), False
 
     def end(number: int, frame: FrameType | None) -> None:
+        nonlocal ending
+        if ending:
+            return
+        ending = True  # before the event, whose lock a signal that comes within `set` would wait for
         heard.set()
         raise Terminated
 
     def passed_over(what: Any) -> None:
         """Python goes on where something is raised in a callback (of the collector, say): then it is asked again."""
+        nonlocal ending
         number = {Terminated: signal.SIGTERM, KeyboardInterrupt: signal.SIGINT}.get(what.exc_type)
         if number is None:
             report(what)
         else:
+            ending = ending and number != signal.SIGTERM
             threading.Timer(0.01, os.kill, (os.getpid(), number)).start()
 
     if threading.current_thread() is not threading.main_thread():  # only there Python takes signals
@@ -50,7 +57,8 @@ def told_to_end(*, at_last: bool) -> Iterator[None]:
         yield
     finally:
         sys.unraisablehook = report
-        signal.signal(signal.SIGTERM, before)
+        if not (at_last and ending):
+            signal.signal(signal.SIGTERM, before)
 
 
 def _watch(heard: threading.Event) -> None:

@@ -89,6 +89,36 @@ cli.main()
         assert where == "beside" or done.stderr == "Terminated.\n"
 
 
+def test_a_second_wish_to_end_changes_nothing():
+    """`timeout` asks its child and then the group that the child is in: while the first is answered, and at the end."""
+    code = """
+import os, signal, time
+from memsgyro_jax.app import cli
+@cli.app.command
+def patient() -> None:
+    try:
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(10.0)
+    finally:
+        os.kill(os.getpid(), signal.SIGTERM)
+        print("tidied up")
+said = cli._say
+def say(*words):
+    os.kill(os.getpid(), signal.SIGTERM)
+    return said(*words)
+cli._say = say
+try:
+    cli.main(None if LAST else ["patient"])
+finally:
+    if LAST:
+        os.kill(os.getpid(), signal.SIGTERM)
+"""
+    for last in (True, False):
+        command = [sys.executable, "-c", code.replace("LAST", str(last)), "patient"]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+        assert (done.returncode, done.stdout, done.stderr) == (143, "tidied up\n", "Terminated.\n")
+
+
 @pytest.mark.parametrize("callback", ["of the collector", "of a weak reference"])
 def test_an_end_asked_for_in_a_callback_comes_after_it(callback):
     """What a signal raises in a callback is reported and passed over."""
