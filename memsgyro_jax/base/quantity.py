@@ -8,8 +8,9 @@ from typing import Annotated, Any, TypeVar
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
+from .errors import InputError
 from .text import excerpt, printable
-from .units import NUMBER, decimal, to_si
+from .units import NUMBER, decimal, to_peak, to_si
 
 
 _TEXT = re.compile(rf"\s*(?P<number>{NUMBER})(?P<unit>\s.*|[^\d.,].*|)")  # 10%, 1400 1/s, but not 1,5 mm
@@ -115,6 +116,33 @@ def number_and_unit(given: Any) -> tuple[float, str]:
             raise ValueError(f'must be a number with a unit, for example "100 kHz", but is "{printable(given, 60)}"')
         return decimal(match["number"]), match["unit"].strip()
     return _number(given), ""
+
+
+def amount_of_option(text: str, option: str, like: str, measures: str = "") -> tuple[float, str]:
+    """Positive number and unit that an option of the command line holds; effective and peak-to-peak amplitudes
+    ("10 mVrms", "20 Vpp") as peak ones.
+
+    Args:
+        text: as given.
+        option: its name, for messages.
+        like: an example.
+        measures: a unit of what it measures; empty where that is known elsewhere.
+
+    Raises:
+        InputError: no positive number, no unit, or none that can be read.
+    """
+    try:
+        number, unit = number_and_unit(text)
+    except ValueError as error:
+        raise InputError(f"Option `{option}` {error}.") from error
+    must = f'Option `{option}` must be a positive number with its unit, like "{like}"'
+    if not unit or not number > 0:
+        raise InputError(f'{must}, but is "{printable(text.strip(), 60)}".')
+    if unit.startswith("dB"):
+        raise InputError(f'{must}, but is "{printable(text.strip(), 60)}", in decibels; convert it to a linear unit.')
+    factor, unit = to_peak(unit)
+    to_si(1.0, unit, measures or unit, f"option `{option}`")
+    return factor * number, unit
 
 
 def _example(given: dict[str, Any]) -> str:

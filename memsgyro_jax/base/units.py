@@ -33,12 +33,19 @@ _HEADER = re.compile(r"\s*(?P<name>[^\[\]]*?)\s*\[\s*(?P<unit>[^\[\]]*?)\s*\]\s*
 _ROOT = re.compile(r"sqrt\(([^()]+)\)|√\(([^()]+)\)|√([^\W\d_]+)")
 
 
+TO_PEAK = {"rms": math.sqrt(2.0), "pp": 0.5, "pk": 1.0}
+"""What a sine's effective, peak-to-peak or peak value is multiplied with to be its peak amplitude."""
+
 NUMBER = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
 """A number in a file; Python's float() would also take nan, inf, 1_000 and digits of other scripts."""
 _NUMBER = re.compile(NUMBER)
 _EXPONENT = r"\(?\s*[+-]?\s*[0-9.]+\s*(?:/\s*[0-9]+\s*)?\)?(?![\w.]|\s*(?:\*\*|\^))"
 _POWER = re.compile(rf"(?:\*\*|\^)\s*(?P<exponent>{_EXPONENT})?")
 _FOREIGN = re.compile(r"[^\w\s*/^().+√·°%Ωµμ²³¹⁰⁴-⁹⁻⁺-]|[^ \S]")
+_COINED = re.compile(r"\b(?:(?P<prefix>[munµ]?)dps|Grad)\b")  # of data sheets; German, which pint takes for 1e9 rad
+_COMMON = "V A N Hz m s g K F W Pa rad deg degC rpm ppm percent"
+_WORD = re.compile(r"[^\W\d_]+")
+_HOW = re.compile(r"(?P<base>[^\W\d_]+?)_?(?P<how>rms|pp|pk)", re.IGNORECASE)
 _HIGHEST = 20.0  # power of a unit
 _LONGEST = 80  # characters of a unit
 _APART: list[float] = []  # in place of a line: two units without a common dimension, and one that is a logarithm
@@ -137,6 +144,19 @@ def without_roots(unit: str) -> str:
     return _ROOT.sub(lambda match: f"({next(filter(None, match.groups()))})**0.5", unit)
 
 
+def to_peak(unit: str) -> tuple[float, str]:
+    """What a number of a unit like "mVrms", "Vpp" or "Vpk" is multiplied with to be a peak amplitude, and the unit of
+    that; 1 and the unit itself where it does not say how an amplitude is meant.
+    """
+    found = _HOW.fullmatch(unit.replace(" ", ""))
+    return (TO_PEAK[found["how"].lower()], found["base"]) if found and _is_known(found["base"]) else (1.0, unit)
+
+
+def _in_full(unit: str) -> str:
+    """The unit with what pint calls degrees per second, `dps`, and degrees, `Grad`."""
+    return _COINED.sub(lambda found: "deg" if found[0] == "Grad" else f"({found['prefix']}deg/s)", unit)
+
+
 def _conversion(unit: str, expected: str, name: str) -> list[float]:
     """What a number of `unit` is multiplied with to be one of `expected`, and what is then added.
 
@@ -144,7 +164,7 @@ def _conversion(unit: str, expected: str, name: str) -> list[float]:
     """
     for text in (unit, expected):
         _require_plain(text, name)
-    known, key = _answers(), f"{unit} -> {expected}"
+    known, key = _answers(), f"{_in_full(unit)} -> {_in_full(expected)}"
     if key not in known:
         source, target = _parse(unit, name), _parse(expected, name)
         same = _dimension(source) == _dimension(target)
@@ -188,9 +208,9 @@ def _registry() -> Any:
 def _parse(text: str, name: str) -> Any:
     _require_plain(text, name)
     try:
-        return _registry().parse_units(without_roots(text))
+        return _registry().parse_units(without_roots(_in_full(text)))
     except Exception as error:  # pint raises its own, tokenizer and assertion errors alike for text it cannot read
-        raise _unreadable(text, name) from error
+        raise _unreadable(text, name, _meant(text)) from error
 
 
 def _require_plain(text: str, name: str) -> None:
@@ -207,9 +227,41 @@ def _require_plain(text: str, name: str) -> None:
         raise _unreadable(text, name)
 
 
-def _unreadable(text: str, name: str) -> InputError:
+def _unreadable(text: str, name: str, remedy: str = ".") -> InputError:
     shown = printable(text, 60)
-    return InputError(f'Unit of {name} must be one that can be read, e.g. "um", "deg/s" or "1", but is "{shown}".')
+    return InputError(
+        f'Unit of {name} must be one that can be read, e.g. "um", "deg/s" or "1", but is "{shown}"{remedy}'
+    )
+
+
+def _meant(text: str) -> str:
+    """The end of a sentence about a unit that is plain, but none: what it may mean."""
+    factor, base = to_peak(text)
+    if base != text:
+        turned = f", {factor:.4g} times the number" if factor != 1 else ""
+        return f'; write "{base}", and of an amplitude its peak value{turned}.'
+    meant = _WORD.sub(lambda found: _usual(found[0]), text)
+    return f'; did you mean "{meant}"?' if meant != text and _is_known(meant) else "."
+
+
+def _usual(word: str) -> str:
+    """The unit that a word in capitals and small letters of its own may mean, of the prefix that it has if there is
+    one; the word itself where it is a unit, or none is like it.
+    """
+    if _is_known(word):
+        return word
+    usual = [prefix + unit for unit in _COMMON.split() for prefix in ("", *"pnuµmkMG")]
+    near = [unit for unit in usual if unit.casefold() == word.casefold()]
+    return min(near, key=lambda unit: unit[0] != word[0], default=word.lower() if _is_known(word.lower()) else word)
+
+
+def _is_known(unit: str) -> bool:
+    """Whether pint knows the unit."""
+    try:
+        _registry().parse_units(without_roots(_in_full(unit)))
+    except Exception:  # as above
+        return False
+    return True
 
 
 def _is_power(exponent: str | None) -> bool:

@@ -5,13 +5,12 @@ from collections.abc import Mapping
 import numpy as np
 
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.base.units import to_si
+from memsgyro_jax.base.units import TO_PEAK, to_si
 
 from .formats import SourceColumn, SourceTable
 from .formats.header import SPECIAL
 
 
-_ALTERNATE = {"rms": np.sqrt(2.0), "pp": 0.5, "pk": 1.0}
 _REFERENCE = {"dB": (1.0, "1"), "dBV": (np.sqrt(2.0), "V"), "dBm": (np.sqrt(2.0 * 1e-3 * 50.0), "V")}
 
 
@@ -59,7 +58,7 @@ def reading_column(column: SourceColumn, assumed: list[str], what: str = "readin
             return SourceColumn(column.name, unit, factor * 10 ** (column.values / 20))
         if special["how"] != "pk":
             assumed.append(f"`{column.name}` in {column.unit} is turned to a peak amplitude")
-        return SourceColumn(column.name, special["base"], _ALTERNATE[special["how"]] * column.values)
+        return SourceColumn(column.name, special["base"], TO_PEAK[special["how"]] * column.values)
     return with_usual_unit(column, "V", what, assumed)
 
 
@@ -71,7 +70,7 @@ def from_effective(rows: Mapping[str, SourceColumn], assumed: list[str]) -> dict
     for name in {"I", "Q", "amp", "y_I", "y_Q", "y_amp"} & rows.keys():
         column = rows[name]
         if not SPECIAL.fullmatch(column.unit):
-            turned[name] = SourceColumn(column.name, column.unit, _ALTERNATE["rms"] * column.values)
+            turned[name] = SourceColumn(column.name, column.unit, TO_PEAK["rms"] * column.values)
             assumed.append(f"`{column.name}`, rms as was given, is turned to a peak amplitude")
     return turned
 

@@ -26,6 +26,12 @@ def test_a_rate_in_degrees():
     [
         (3.0, "deg/s", "rad/s", math.radians(3.0)),
         (3.0, "°/s", "rad/s", math.radians(3.0)),
+        (3.0, "dps", "rad/s", math.radians(3.0)),
+        (3.0, "mdps/√Hz", "rad/s/sqrt(Hz)", math.radians(3e-3)),
+        (3.0, "mV/dps", "V*s/rad", 3e-3 / math.radians(1.0)),
+        (3.0, "Grad", "rad", math.radians(3.0)),  # and not 3e9 rad
+        (3.0, "Grad/s", "rad/s", math.radians(3.0)),
+        (100.0, "grad", "rad", math.pi / 2.0),
         (60.0, "rpm", "rad/s", 2.0 * math.pi),
         (2.5, "kHz", "Hz", 2500.0),
         (20.0, "degC", "K", 293.15),
@@ -62,6 +68,26 @@ def test_another_dimension_is_refused(unit, expected):
 def test_a_unit_that_cannot_be_read_is_refused(unit):
     with pytest.raises(InputError, match=r"^Unit of key `mass` must be one that can be read"):
         units.to_si(1.0, unit, "kg", "key `mass`")
+
+
+@pytest.mark.parametrize(
+    ("unit", "end"),
+    [
+        ("mv", '"mv"; did you mean "mV"?'),
+        ("MHZ", '"MHZ"; did you mean "MHz"?'),
+        ("KHz", '"KHz"; did you mean "kHz"?'),
+        ("uv/√hz", '"uv/√hz"; did you mean "uV/√Hz"?'),
+        ("Degrees", '"Degrees"; did you mean "degrees"?'),
+        ("mVrms", '"mVrms"; write "mV", and of an amplitude its peak value, 1.414 times the number.'),
+        ("V_pk", '"V_pk"; write "V", and of an amplitude its peak value.'),
+        ("foo", '"foo".'),
+        ("mv**9**9**9", '"mv**9**9**9".'),
+    ],
+)
+def test_a_unit_that_is_nearly_one_is_told_which(unit, end):
+    with pytest.raises(InputError) as caught:
+        units.to_si(1.0, unit, "V", "it")
+    assert str(caught.value) == f'Unit of it must be one that can be read, e.g. "um", "deg/s" or "1", but is {end}'
 
 
 @given(st.from_regex(r"[A-Za-z_]\w{0,9}", fullmatch=True), st.sampled_from(["V", "deg/s", "1", "uV/sqrt(Hz)"]))

@@ -13,7 +13,7 @@ _BARE = {
     "Hz", "kHz", "MHz", "GHz", "s", "ms", "us", "µs", "ns", "V", "mV", "uV", "µV", "nV", "A", "mA", "uA", "µA", "nA",
     "Vrms", "mVrms", "Vpp", "Vpk", "dB", "dBV", "dBm", "deg", "°", "rad", "degC", "°C", "K", "mK", "N", "mN", "nN",
     "m", "mm", "um", "µm", "nm", "m/s", "m/s^2", "sec", "second", "seconds", "Volt", "Volts", "degrees", "rad/s",
-    "deg/s",
+    "deg/s", "dps", "mdps", "Grad",
 }  # fmt: skip
 _SAME = {
     "°": "deg", "degree": "deg", "degrees": "deg", "sec": "s", "second": "s", "seconds": "s", "secs": "s",

@@ -61,9 +61,12 @@ def assert_is_the_sweep(record, unit="V", close=2e-8):
         ("acc_m_s2", ("acc", "m/s^2")),
         ("t_s", ("t", "s")),
         ("m_s", ("m", "s")),
+        ("rate_dps", ("rate", "dps")),
+        ("gyro [mdps]", ("gyro", "mdps")),
+        ("Winkel_Grad", ("Winkel", "Grad")),
     ],
 )
-def test_a_header_without_a_slash_may_name_a_speed(text, found):
+def test_a_header_without_a_slash_may_name_its_unit(text, found):
     assert split_header(text) == found
 
 
