@@ -131,15 +131,16 @@ def role_of(column: SourceColumn) -> str:
 
 
 def _as_channels(found: dict[str, list[SourceColumn]]) -> None:
-    """Over a frequency that runs, readings whose names are those of two channels; a drive of nothing drives none."""
-    if not any(np.unique(column.values).size > 2 for column in found.get("f", [])):
-        return
+    """Readings whose names are those of two channels, phasors where no frequency runs; a drive of nothing, of two that
+    stand beside each other, drives none.
+    """
+    swept = any(np.unique(column.values).size > 2 for column in found.get("f", []))
     parts = two_channels(column for role in ("I", "Q", "amp", "phase") for column in found.get(role, []))
-    if parts:
+    if parts and (swept or {"I", "Q"} <= {*parts} or {"amp", "phase"} <= {*parts}):
         for role in ("I", "Q", "amp", "phase"):
             found.pop(role, None)
         found.update({role: [column] for role, column in parts.items()})
-    if "drive" in found and any(np.any(column.values) for column in found["drive"]):
+    if swept and "drive" in found and any(np.any(column.values) for column in found["drive"]):
         found["drive"] = [column for column in found["drive"] if np.any(column.values)]
 
 
@@ -197,11 +198,8 @@ def _whole(table: SourceTable, columns: dict[str, SourceColumn], unused: tuple[s
             table, {k: [v] for k, v in columns.items()}, "no columns are in-phase and quadrature, or amplitude"
         )
     parts = {f"y_{role}" for role in ("I", "Q", "amp", "phase") if role in columns}
-    if meaning.two_axes and (not meaning.swept or parts != {*SECOND} & {*columns}):
-        what = (
-            "the two channels do not have the same parts" if meaning.swept else "two channels are read of sweeps only"
-        )
-        raise _unclear(table, {k: [v] for k, v in columns.items()}, what)
+    if meaning.two_axes and parts != {*SECOND} & {*columns}:
+        raise _unclear(table, {k: [v] for k, v in columns.items()}, "the two channels do not have the same parts")
     if not meaning.swept and "t" not in columns:
         raise _unclear(table, {k: [v] for k, v in columns.items()}, "no column is a frequency that runs, or time")
     if not meaning.swept and not (pair or {"amp", "phase"} <= {*columns} or "signal" in columns):

@@ -70,7 +70,7 @@ def _joined(first: SourceTable, second: SourceTable) -> SourceTable:
         return [replace(column, name=name) for name, column in pairs if channel_and_part(name)[1]]
 
     others = [c for c in first.columns if not channel_and_part(f"{c.name} {_number(first)}")[1]]
-    one, other = (table.path.name if first.path != second.path else table.name for table in (first, second))
-    said = f"{one} and {other} are x and y of one record, as their rows agree (import one alone where they are not)"
+    numbers = f"{_number(first)} and {_number(second)}"
+    said = f"the readings of demodulators {numbers}, saved apart, are x and y of one record, as their rows agree"
     columns = (*others, *numbered(first), *numbered(second))
     return replace(first, columns=columns, assumed=tuple(dict.fromkeys((*first.assumed, *second.assumed, said))))

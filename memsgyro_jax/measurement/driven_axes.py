@@ -40,7 +40,11 @@ def require_axes(paths: Sequence[str | Path], found: Sequence[Sequence[ImportedR
             f"{one[0]}: must have two channels, as {Path(two[0]).name} has, but has one; import it alone, or name the "
             "columns that all files have with --map."
         )
-    silent = [path for path, some in zip(paths, found, strict=True) if any(r.two_axes and not r.axis for r in some)]
+    silent = [
+        path
+        for path, some in zip(paths, found, strict=True)
+        if any(r.two_axes and not r.axis and r.kind != "free_decay" for r in some)
+    ]
     if silent:
         words = " ".join(some[0].axis or _louder(some[0]) for some in found)
         names = listed(Path(path).name for path in silent)

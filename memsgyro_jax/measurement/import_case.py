@@ -25,10 +25,13 @@ from .demodulators import demodulators_joined
 from .driven_axes import axes_of_files, require_axes
 from .formats import SourceTable, read_instrument_file
 from .imported_record import Given, ImportedRecord, records_of
-from .imported_sweep import NO_LEVEL
+from .imported_sweep import NO_LEVEL, TURNED
 
 
-_PLURAL = {"frequency_sweep": "sweeps", "free_decay": "decays", "time_record": "records over time"}
+_PLURAL = {
+    "frequency_sweep": "sweeps", "free_decay": "decays", "time_record": "records over time",
+    "rate_table": "rate tables",
+}  # fmt: skip
 _ABOUT = {  # kinds of what is assumed, the one that strengths hang on first, by the first words that it has
     "drive": re.compile(r"\bdriv|response to 1 N"),
     "readings": re.compile(r"\bread-?(?:ing|out)|phase|amplitude|effective|response is in"),
@@ -98,7 +101,8 @@ def import_case(
 
     Text tables with any delimiter, LabOne's CSV, HDF5 and MAT, touchstone, LabVIEW's lvm and TDMS, and universal files
     are read; what a column means is told by its name and unit. A running frequency makes a frequency sweep, time and a
-    drive a time record, time alone a free decay. Two channels of a lock-in make the case one of two axes.
+    drive a time record, time alone a free decay, a rate beside the phasors of a lock-in a rate table. Two channels of
+    a lock-in make the case one of two axes.
 
     Args:
         paths: of the files.
@@ -139,9 +143,7 @@ def import_case(
     found = [
         _records(tables, said, Given(None, tuned, every, rms, own)) for (_, tables), own in zip(read, axes, strict=True)
     ]
-    swept = [
-        any(record.kind == "frequency_sweep" and "drive_force" in record.keys for record in some) for some in found
-    ]
+    swept = [any("drive_force" in record.keys for record in some) for some in found]
     levels = _levels(given, swept)
     for k, level in enumerate(levels):
         if level is not None and swept[k]:
@@ -153,7 +155,7 @@ def import_case(
         for level, name, needs in zip(levels, names, swept, strict=True)
         if level and not needs and len(given) > 1
     ]
-    records = _agreed(_named([record for some in found for record in some]))
+    records = _turned_alike(_agreed(_named([record for some in found for record in some])))
     case = _write(folder, records, sources)
     again = ["memsgyro", "import", *map(str, paths), "--out", str(folder), "--overwrite"]
     again += [*(["--map", columns] if columns else []), *(["--axis", *axis] if axis else [])]
@@ -261,6 +263,23 @@ def _agreed(records: list[ImportedRecord]) -> list[ImportedRecord]:
         record if record.quantity in ("", most) else replace(record, quantity=most, assumed=(*record.assumed, said))
         for record in records
     ]
+
+
+def _turned_alike(records: list[ImportedRecord]) -> list[ImportedRecord]:
+    """Phasors over time, which do not tell which way they turn, negated where every sweep was."""
+    sweeps = [record for record in records if record.kind == "frequency_sweep"]
+    if not sweeps or not all(TURNED in record.assumed for record in sweeps):
+        return records
+    said = "its phase is negated, as that of the sweeps, which show that the files follow e^{-iωt}"
+
+    def turned(record: ImportedRecord) -> ImportedRecord:
+        parts = [name for name in record.columns if re.match(r"V[xy]_(?:Q|phase) ", name)]
+        if record in sweeps or not parts:
+            return record
+        negated = {name: -values if name in parts else values for name, values in record.columns.items()}
+        return replace(record, columns=negated, assumed=(*record.assumed, said))
+
+    return [turned(record) for record in records]
 
 
 def _shared(records: Sequence[ImportedRecord]) -> dict[str, list[str]]:

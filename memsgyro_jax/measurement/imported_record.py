@@ -14,14 +14,13 @@ from .column_meaning import Meaning
 from .experiments.time_record import RING_TIMES
 from .formats import SourceColumn, SourceTable
 from .imported_columns import (
-    angle_column,
     cut_column,
     from_effective,
     headed,
     reading_column,
     time_column,
 )
-from .imported_sweep import columns_of_sweep, read_as
+from .imported_sweep import columns_of_sweep, level_of, phasor_columns_of, phasors_of, read_as
 from .thinning import thinned
 from .tracking import rough_decay
 from .two_channels import axis_in_name
@@ -32,6 +31,7 @@ _QUIET_SHARE = 0.15  # of the rows at the end without drive: a free decay
 _FEWEST = 50  # rows of a record over time
 _LOUD = 0.9  # of the largest envelope: the decay has not begun
 _FALLEN = 0.02  # in natural logarithms: an envelope that falls by less is kept up
+_WHOLE = 1e-3  # of a number of cycles: so far from a whole one it is none
 _EARLY = 0.88  # of the usual fall: an envelope that falls by so much in its first quarter falls from the start
 
 
@@ -90,6 +90,8 @@ def records_of(name: str, table: SourceTable, meaning: Meaning, given: Given) ->
     with np.errstate(over="ignore", invalid="ignore"):  # of a damaged file; reading the case refuses them
         if meaning.swept:
             return [_sweep(about, table, meaning, rows, given, assumed)]
+        if "rate" in rows and "signal" not in rows:
+            return [_rate_table(about, table, rows, given, meaning, assumed)]
         return _over_time(about, table, rows, given, assumed)
 
 
@@ -109,18 +111,24 @@ def _finite(table: SourceTable, meaning: Meaning, assumed: list[str]) -> dict[st
 
 
 def _sweep(about: dict, table: SourceTable, meaning: Meaning, rows: dict, given: Given, assumed: list[str]):
-    axis = ""
-    if meaning.two_axes:
-        axis = given.axis or meaning.driven or axis_in_name(about["name"])
-        if meaning.driven == axis != given.axis:
-            assumed.append(f"{axis} is driven, as `{rows['drive'].name}` says")
-        elif axis != given.axis:
-            assumed.append(f"{axis} is driven, as the file's name says")
+    axis = _driven_axis(about, rows, given, meaning, assumed)
     columns, keys, quantity = columns_of_sweep(table, rows, given.drive, axis, assumed)
     return ImportedRecord(
         **about, kind="frequency_sweep", columns=headed(columns), keys=keys, assumed=tuple(assumed), quantity=quantity,
         two_axes=meaning.two_axes, axis=axis,
     )  # fmt: skip
+
+
+def _driven_axis(about: dict, rows: dict, given: Given, meaning: Meaning, assumed: list[str]) -> str:
+    """Of two axes, which was driven; empty for a device of one, and where nothing says."""
+    if not meaning.two_axes:
+        return ""
+    axis = given.axis or meaning.driven or axis_in_name(about["name"])
+    if meaning.driven == axis != given.axis:
+        assumed.append(f"{axis} is driven, as `{rows['drive'].name}` says")
+    elif axis != given.axis:
+        assumed.append(f"{axis} is driven, as the file's name says")
+    return axis
 
 
 # ---- time
@@ -210,27 +218,55 @@ def _decay(about: dict, columns: dict[str, SourceColumn], assumed: list[str]) ->
 
 def _lock_in_decay(about, table, columns, rows, given: Given, assumed: list[str]) -> ImportedRecord:
     """Phasors over time."""
-    if given.reference is not None:
-        reference = given.reference
-    elif "f" in rows:
-        reference = float(rows["f"].values[0]), rows["f"].unit or "Hz"
-    else:
-        raise InputError(
-            f"{table.path}: the reference frequency of the lock-in must be known, but no column has it; give it as in "
-            '--reference "32.768 kHz".'
-        )
-    if "I" in rows:
-        columns |= {"Vx_I": reading_column(rows["I"], assumed), "Vx_Q": reading_column(rows["Q"], assumed)}
-        phasors = columns["Vx_I"].values + 1j * columns["Vx_Q"].values
-    else:
-        columns |= {"Vx_amp": reading_column(rows["amp"], assumed), "Vx_phase": angle_column(rows["phase"], assumed)}
-        phase = to_si(columns["Vx_phase"].values, columns["Vx_phase"].unit, "rad", "phase")
-        phasors = columns["Vx_amp"].values * np.exp(1j * phase)
+    reference = _reference(table, rows, given)
+    columns |= phasor_columns_of(rows, assumed)
     about = {**about, "quantity": read_as(columns["Vx_I" if "I" in rows else "Vx_amp"].unit)}
-    design = rough_decay(to_si(columns["t"].values, columns["t"].unit, "s", "t"), phasors, to_si(*reference, "Hz", "f"))
+    if "y_I" in rows or "y_amp" in rows:
+        about, design = {**about, "two_axes": True}, {}
+    else:
+        seconds = to_si(columns["t"].values, columns["t"].unit, "s", "t")
+        design = rough_decay(seconds, phasors_of(columns, "x"), to_si(*reference, "Hz", "f"))
     keys = _stamps(columns["t"], assumed) | {"reference_frequency": {"value": reference[0], "unit": reference[1]}}
     return ImportedRecord(
         **about, kind="free_decay", columns=headed(columns), keys=keys, assumed=tuple(assumed), design=design
+    )
+
+
+def _rate_table(about, table, rows, given: Given, meaning: Meaning, assumed: list[str]) -> ImportedRecord:
+    """Phasors over time beside the rate of a table: means over whole cycles of the drive, block after block."""
+    columns = {"t": time_column(table, rows["t"], assumed), "rate": rows["rate"], **phasor_columns_of(rows, assumed)}
+    value, unit = _reference(table, rows, given)
+    period = usual_period(to_si(columns["t"].values, columns["t"].unit, "s", "t"))
+    cycles = float(to_si(value, unit, "Hz", "f")) * period
+    if round(cycles) < 1 or abs(cycles - round(cycles)) > _WHOLE * cycles:
+        raise InputError(
+            f"{table.path}: the rows of a rate table must be as far apart as whole cycles of the drive last, each the "
+            f"mean over them, but {period:.6g} s are {cycles:.6g} cycles of {value:g} {unit}; is --reference right?"
+        )
+    assumed.append(f"each row is the mean over the {round(cycles)} cycles of the drive from row to row")
+    assumed.append("the rate is the setting of the table (`rate_reference`), and the device had settled before")
+    axis = _driven_axis(about, rows, given, meaning, assumed)
+    keys = {
+        "drive_force": level_of(table, given.drive, assumed),
+        "drive_frequency": {"value": value, "unit": unit},
+        "lock_in_cycles": round(cycles),
+        **_stamps(columns["t"], assumed),
+    }
+    return ImportedRecord(
+        **about, kind="rate_table", columns=headed(columns), keys=keys, assumed=tuple(assumed), axis=axis,
+        two_axes=meaning.two_axes,
+    )  # fmt: skip
+
+
+def _reference(table: SourceTable, rows: Mapping[str, SourceColumn], given: Given) -> tuple[float, str]:
+    """Frequency of the lock-in's reference, and its unit."""
+    if given.reference is not None:
+        return given.reference
+    if "f" in rows:
+        return float(rows["f"].values[0]), rows["f"].unit or "Hz"
+    raise InputError(
+        f"{table.path}: the reference frequency of the lock-in must be known, but no column has it; give it as in "
+        '--reference "32.768 kHz".'
     )
 
 

@@ -21,8 +21,10 @@ from .two_channels import said_of_channels
 
 
 NO_LEVEL = "the drive is 1 V, as the file does not say (`--drive`)"
+TURNED = "the phase rises across the resonance, so the file follows e^{-iωt}: it is negated"
 PEAK = "amplitudes are peak values, not rms (`Vrms` in a header, or `--rms`, says so)"
 _CLEAR = 30.0  # degrees around which the phase at resonance tells what is read
+_NEAR = 10.0  # degrees that need no number of their own
 _UNTOLD = "the read-out is taken for what other files show, for displacement where none does"
 _INSIDE = 0.01  # of the band, from its ends: where a largest reading is that of a resonance
 _LEVEL = re.compile(r"(?<![A-Za-z0-9.])(\d+(?:[.p]\d+)?)[ _]?([nuµm]?[VAN])(?:pk|p)?(?![A-Za-z])")
@@ -51,12 +53,7 @@ def columns_of_sweep(
         columns["t"] = time_column(table, rows["t"], assumed)
     elif "t" in rows:
         assumed.append(f"`{rows['t'].name}` is left out, as it does not rise from row to row")
-    form = ("I", "Q") if "I" in rows else ("amp", "phase")
-    parts = {f"V{a}_{p}": rows[own + p] for a, own in (("x", ""), ("y", "y_")) for p in form if own + p in rows}
-    if len({name[:2] for name in parts}) == 2:
-        assumed.append(said_of_channels(rows))
-    for name, column in parts.items():
-        columns[name] = angle_column(column, assumed) if "phase" in name else reading_column(column, assumed)
+    columns |= phasor_columns_of(rows, assumed)
     if not any("peak amplitude" in sentence for sentence in assumed):
         assumed.append(PEAK)
     quantity = _conventions(columns, table, axis or "x", assumed)
@@ -69,9 +66,45 @@ def columns_of_sweep(
     if "drive" in rows:
         columns[f"F_{axis or 'x'}"] = reading_column(rows["drive"], assumed, "drive")
     else:
-        keys["drive_force"] = _level(table, drive, assumed)
+        keys["drive_force"] = level_of(table, drive, assumed)
+    _by_drive(columns, keys, rows, assumed)
     add_surroundings(columns, rows)
     return columns, keys, quantity
+
+
+def _by_drive(
+    columns: dict[str, SourceColumn], keys: Mapping[str, Any], rows: Mapping[str, SourceColumn], assumed: list[str]
+) -> None:
+    """Makes readings of the gains of a network analyser, which are ratios to the drive."""
+    owners = {"amp": "Vx_amp", "y_amp": "Vy_amp"}
+    gains = [name for role, name in owners.items() if role in rows and rows[role].unit == "dB"]
+    drive = next((column for name, column in columns.items() if name.startswith("F_")), None)
+    told = keys.get("drive_force", {})
+    level, unit = (told["value"], told["unit"]) if drive is None else (drive.values, drive.unit)
+    if gains and is_same_kind(unit, "V"):
+        columns |= {name: SourceColumn("", unit, columns[name].values * level) for name in gains}
+        assumed.append("the readings in dB are ratios to the drive, with which they are multiplied")
+
+
+def phasor_columns_of(rows: Mapping[str, SourceColumn], assumed: list[str]) -> dict[str, SourceColumn]:
+    """The parts of a phasor, of one channel or two, in the words of a case."""
+    form = ("I", "Q") if "I" in rows else ("amp", "phase")
+    parts = {f"V{a}_{p}": rows[own + p] for a, own in (("x", ""), ("y", "y_")) for p in form if own + p in rows}
+    if len({name[:2] for name in parts}) == 2:
+        assumed.append(said_of_channels(rows))
+    return {
+        name: angle_column(column, assumed) if "phase" in name else reading_column(column, assumed)
+        for name, column in parts.items()
+    }
+
+
+def phasors_of(columns: Mapping[str, SourceColumn], axis: str) -> np.ndarray:
+    """(n,) complex, of the channel of an axis."""
+    own = f"V{axis}"
+    if f"{own}_I" in columns:
+        return columns[f"{own}_I"].values + 1j * columns[f"{own}_Q"].values
+    phase = columns[f"{own}_phase"]
+    return columns[f"{own}_amp"].values * np.exp(1j * to_si(phase.values, phase.unit, "rad", "phase"))
 
 
 def _conventions(columns: dict[str, SourceColumn], table: SourceTable, axis: str, assumed: list[str]) -> str:
@@ -81,20 +114,16 @@ def _conventions(columns: dict[str, SourceColumn], table: SourceTable, axis: str
     own = f"V{axis}"
     known = read_as(columns[f"{own}_I" if f"{own}_I" in columns else f"{own}_amp"].unit)
     known = known or table.attributes.get("reads", "")
-    if f"{own}_I" in columns:
-        phasors = columns[f"{own}_I"].values + 1j * columns[f"{own}_Q"].values
-    elif f"{own}_phase" in columns:
-        phase = columns[f"{own}_phase"]
-        phasors = columns[f"{own}_amp"].values * np.exp(1j * to_si(phase.values, phase.unit, "rad", ""))
-    else:
+    if f"{own}_I" not in columns and f"{own}_phase" not in columns:
         return known
+    phasors = phasors_of(columns, axis)
     frequency = columns["f"].values
     turn = phasors[1:] * phasors[:-1].conj()
     if np.sum(np.sign(np.diff(frequency)) * turn.imag) > 0.2 * np.sum(np.abs(turn.imag)):
         for second in [name for name in columns if name.endswith(("_Q", "_phase"))]:
             columns[second] = SourceColumn("", columns[second].unit, -columns[second].values)
         phasors = phasors.conj()
-        assumed.append("the phase rises across the resonance, so the file follows e^{-iωt}: it is negated")
+        assumed.append(TURNED)
     if known:
         return known
     largest = int(np.argmax(np.abs(phasors)))
@@ -103,18 +132,14 @@ def _conventions(columns: dict[str, SourceColumn], table: SourceTable, axis: str
         assumed.append(f"{_UNTOLD}; the largest reading ends the band, so its phase does not tell")
         return ""
     away = abs((angle + 90) % 180 - 90)  # from 0° or 180°
-    if away < _CLEAR:
-        assumed.append(
-            f"the read-out shows velocity: at resonance its phase is {angle:+.0f}°, nearer 0° or 180° than ±90°"
-        )
-        return "velocity"
-    if away > 90 - _CLEAR:
-        assumed.append(
-            f"the read-out shows displacement: at resonance its phase is {angle:+.0f}°, nearer ±90° than 0° or 180°"
-        )
-        return "displacement"
-    assumed.append(f"{_UNTOLD}; its phase at resonance, {angle:+.0f}°, does not tell")
-    return ""
+    if _CLEAR <= away <= 90 - _CLEAR:
+        assumed.append(f"{_UNTOLD}; its phase at resonance, {angle:+.0f}°, does not tell")
+        return ""
+    quantity, nearest = ("velocity", "0° or 180°") if away < _CLEAR else ("displacement", "-90° or 90°")
+    whole = 90 * round(angle / 90)
+    about = f"about {whole}°" if abs(angle - whole) <= _NEAR else f"{angle:.0f}°, nearest to {nearest}"
+    assumed.append(f"the read-out shows {quantity}: at resonance its phase is {about}")
+    return quantity
 
 
 def read_as(unit: str) -> str:
@@ -123,7 +148,7 @@ def read_as(unit: str) -> str:
     return next((what for base, what in measured.items() if is_same_kind(unit, base)), "")
 
 
-def _level(table: SourceTable, drive: tuple[float, str] | None, assumed: list[str]) -> dict[str, Any]:
+def level_of(table: SourceTable, drive: tuple[float, str] | None, assumed: list[str]) -> dict[str, Any]:
     """The drive level that no column holds."""
     if drive is not None:
         return {"value": drive[0], "unit": drive[1]}

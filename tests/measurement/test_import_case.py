@@ -272,3 +272,21 @@ def test_records_agree_on_what_is_read(tmp_path):
     both = mg.import_case([odd, *others], tmp_path / "both")
     assert both.records[0].assumed[-1].startswith("most records show displacement")
     assert 'quantity = "displacement"' in (tmp_path / "both" / "case.toml").read_text()
+
+
+def test_gains_in_decibels_are_ratios_to_the_drive(tmp_path):
+    """The gain of a linear device is the same at every level; taken for readings it denied all but one."""
+    f = np.linspace(9900.0, 10100.0, 41)
+    gain = 1e5 / (10000.0**2 - f**2 + 2j * f * 10.0)
+    files = []
+    for level in (10, 40):
+        lines = [
+            f"{a},{20 * np.log10(abs(z)):.15g},{np.degrees(np.angle(z)):.15g}" for a, z in zip(f, gain, strict=True)
+        ]
+        files.append(tmp_path / f"gain_{level}mV.csv")
+        files[-1].write_text("\n".join(["Frequency (Hz),Gain (dB),Phase (deg)", *lines]) + "\n")
+    found = mg.import_case(files, tmp_path / "case")
+    for record, level in zip(found.case.records, (0.010, 0.040), strict=True):
+        np.testing.assert_allclose(record.phasors[:, 0], level * gain, rtol=1e-9)
+        np.testing.assert_allclose(record.drive, level)
+    assert "the readings in dB are ratios to the drive" in str(found)

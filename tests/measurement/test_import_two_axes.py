@@ -204,7 +204,7 @@ def test_two_demodulators_of_one_sweep_are_two_channels(tmp_path):
     (record,) = found.case.records
     assert found.case.device == "single_mass"
     np.testing.assert_allclose(record.phasors, moved("x"), rtol=1e-9)
-    assert f"{files[0].name} and {files[1].name} are x and y of one record" in str(found)
+    assert "the readings of demodulators 3 and 10, saved apart, are x and y of one record" in str(found)
     assert all(file.name in (tmp_path / "case" / "case.toml").read_text() for file in files)
 
 

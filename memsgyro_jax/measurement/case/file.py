@@ -9,8 +9,8 @@ from pydantic import Field, create_model
 
 from memsgyro_jax.base.complaints import Source
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.base.quantity import FileSection, Number
-from memsgyro_jax.base.toml import checked, read_toml
+from memsgyro_jax.base.quantity import FileSection, Number, number_and_unit
+from memsgyro_jax.base.toml import checked, read_toml, toml_text
 
 from ..experiments import KINDS, AbstractRecord
 from ..section import Calibrated, ExperimentSection, Name, Quantity, Temperature, Voltage
@@ -37,6 +37,17 @@ class DesignEntry(FileSection):
     """Lower end of that interval, in `unit`."""
     high: Number | None = None
     """Upper end of that interval, in `unit`."""
+
+    @classmethod
+    def alone(cls, given: Any) -> str:
+        """The number or the interval that was `given` as an entry is written; any where it is neither."""
+        if isinstance(given, list) and len(given) == 2 and all(type(end) in (int, float) for end in given):
+            return f"{{ low = {given[0]:g}, high = {given[1]:g} }}"
+        try:
+            number, unit = number_and_unit(given)
+        except ValueError:
+            number, unit = 100.0, ""
+        return f"{{ value = {number:g}, {f'unit = {toml_text(unit)}, ' if unit else ''}tolerance = 0.1 }}"
 
 
 class ReadoutEntry(FileSection):

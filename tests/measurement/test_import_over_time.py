@@ -1,0 +1,75 @@
+"""What a lock-in with two demodulators records over time becomes a free decay of two axes, or a rate table."""
+
+import numpy as np
+import pytest
+
+import memsgyro_jax as mg
+from memsgyro_jax.base.errors import InputError
+
+
+REFERENCE = 8050.0
+HEADER = "Time (s);{}Demod 1 X (V);Demod 1 Y (V);Demod 2 X (V);Demod 2 Y (V)"
+
+
+def wrote(path, time, phasors, rate=None):
+    """As a lock-in that streams its samples saves them."""
+    between = [] if rate is None else [rate]
+    table = np.column_stack(
+        [time, *between, phasors[:, 0].real, phasors[:, 0].imag, phasors[:, 1].real, phasors[:, 1].imag]
+    )
+    header = HEADER.format("" if rate is None else "Rate (deg/s);")
+    path.write_text("\n".join([header, *(";".join(f"{v:.12g}" for v in row) for row in table)]) + "\n")
+    return path
+
+
+def swept(path, sign=1):
+    """A sweep of x, whose phase falls across the resonance, or rises."""
+    f = np.linspace(7950.0, 8150.0, 81)
+    answer = 1e6 / (8050.0**2 - f**2 + 1j * f * 20.0)
+    noise = 1e-4 * np.random.default_rng(1).normal(size=(4, f.size))
+    x, y = answer + noise[0] + 1j * noise[1], 0.02 * answer + noise[2] + 1j * noise[3]
+    lines = np.column_stack([f, x.real, sign * x.imag, y.real, sign * y.imag])
+    header = HEADER.format("").replace("Time (s)", "Frequency (Hz)")
+    path.write_text("\n".join([header, *(";".join(f"{v:.12g}" for v in row) for row in lines)]) + "\n")
+    return path
+
+
+def decayed(time):
+    turning = np.exp((2j * np.pi * 3.0 - 60.0) * time)[:, None] * np.array([0.05 + 0.02j, 0.004j])
+    return turning + 1e-5 * np.random.default_rng(2).normal(size=turning.shape)
+
+
+def test_two_demodulators_over_time_are_a_free_decay_of_two_axes(tmp_path):
+    time = np.arange(200) * 5e-4
+    files = [swept(tmp_path / "drive_x_10mV.csv"), wrote(tmp_path / "ringdown.csv", time, decayed(time))]
+    found = mg.import_case(files, tmp_path / "case", reference=f"{REFERENCE} Hz")
+    sweep, decay = found.case.records
+    assert (found.case.device, sweep.kind, decay.kind) == ("single_mass", "frequency_sweep", "free_decay")
+    np.testing.assert_allclose(decay.signals, decayed(time), rtol=1e-9)
+    assert decay.reference_frequency == pytest.approx(2 * np.pi * REFERENCE)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_rates_beside_two_demodulators_are_a_rate_table(sign, tmp_path):
+    """Phasors of files that follow e^{-iωt}, as their sweeps show, are negated in both."""
+    block = 80 / REFERENCE
+    time, rate = (np.arange(120) + 0.5) * block, np.repeat([0.0, 50.0, -50.0], 40)
+    phasors = np.stack([np.full(120, 0.05 + 0.01j), (2e-3 + 1e-5 * rate) * 1j], axis=1)
+    seen = phasors if sign > 0 else phasors.conj()
+    files = [swept(tmp_path / "drive_x_10mV.csv", sign), wrote(tmp_path / "table_drive_x.csv", time, seen, rate)]
+    found = mg.import_case(files, tmp_path / "case", reference=f"{REFERENCE} Hz", drive=["-", "20 mV"])
+    table = found.case.records[1]
+    assert (table.kind, table.lock_in_cycles, table.axis) == ("rate_table", 80, 0)
+    np.testing.assert_allclose(table.phasors, phasors, rtol=1e-9)
+    np.testing.assert_allclose(table.rate, np.radians(rate), rtol=1e-12)
+    assert table.drive_force / found.case.records[0].drive[0] == pytest.approx(2.0)
+    assert "each row is the mean over the 80 cycles of the drive" in str(found)
+
+
+def test_rows_of_no_whole_cycles_are_no_rate_table(tmp_path):
+    time = np.arange(120) * 80.4 / REFERENCE
+    path = wrote(tmp_path / "table_drive_x.csv", time, np.ones((120, 2)) * (1 + 1j), np.repeat([0.0, 50.0], 60))
+    with pytest.raises(InputError, match=r"0\.00998758 s are 80\.4 cycles of 8050 Hz; is --reference right\?"):
+        mg.import_case([path], tmp_path / "case", reference="8050 Hz", drive=["20 mV"])
+    with pytest.raises(InputError, match=r'give it as in --reference "32.768 kHz"'):
+        mg.import_case([path], tmp_path / "case", drive=["20 mV"])
