@@ -12,7 +12,7 @@ from typing import Any, get_args
 from pydantic import BaseModel
 
 from .errors import InputError
-from .quantity import field_unit
+from .quantity import FileSection, field_unit
 from .text import FIRST, excerpt, first_of, printable, suggestion
 
 
@@ -20,6 +20,13 @@ _WORD = r"""(?:[\w-]+|"[^"]*"|'[^']*')"""
 _KEYS = rf"{_WORD}(?:\s*\.\s*{_WORD})*"
 _TABLE = re.compile(rf"\s*(?P<open>\[\[?)\s*(?P<keys>{_KEYS})\s*\]")
 _ENTRY = re.compile(rf"\s*(?P<keys>{_KEYS})\s*=")
+_TABLE_FORM = "must be a table"
+_FORMS = {  # of what a file may hold, by pydantic's name of the fault
+    **dict.fromkeys(("model_type", "model_attributes_type", "dict_type"), _TABLE_FORM),
+    **dict.fromkeys(("bool_type", "bool_parsing"), "must be true or false"),
+    "tuple_type": "must be a list",
+    "string_type": "must be text in quotes",
+}
 Place = tuple[str | int, ...]
 
 
@@ -51,14 +58,14 @@ class Source:
     def complain(self, errors: Sequence[Any], model: type[BaseModel], data: dict[str, Any]) -> InputError:
         """The first ten of pydantic's `errors` about `data`, read as `model`, in the order of the file."""
         about: dict[Place, list[Any]] = {}
-        for error in errors:
+        for error in filter(lambda error: not _follows(error, errors), errors):
             about.setdefault((*_in_file(error["loc"], data), *_deeper(error)), []).append(error)
         order = sorted(about, key=lambda place: self._line(place) or 0)
         texts: list[str] = []
         for place in order[:FIRST]:
             # Of an entry that may be one of several kinds, our own sentence says more than that it is none of them.
             own = [error for error in about[place] if error["type"] == "value_error"] or about[place]
-            said = dict.fromkeys(_sentence(error, model).rstrip(".") for error in own)
+            said = dict.fromkeys(_sentence(error, model, place).rstrip(".") for error in own)
             texts.append(f"{self._at(place)}: {' or '.join(said)}")
         each = [_ended(f"{self.name}: {text}") for text in texts]
         if len(order) > len(texts):
@@ -131,7 +138,14 @@ def _ended(text: str) -> str:
     return text if text.endswith(("?", ".")) else f"{text}."
 
 
-def _sentence(error: Any, model: type[BaseModel]) -> str:
+def _follows(error: Any, errors: Sequence[Any]) -> bool:
+    """Whether a list is called too short only because its entries are wrong, each of which is told."""
+    place = error["loc"]
+    within = (other["loc"] for other in errors if len(other["loc"]) > len(place))
+    return error["type"] == "too_short" and any(other[: len(place)] == place for other in within)
+
+
+def _sentence(error: Any, model: type[BaseModel], place: Place) -> str:
     kind, given = error["type"], error["input"]
     if kind == "value_error":
         return str(error["ctx"]["error"])
@@ -143,8 +157,26 @@ def _sentence(error: Any, model: type[BaseModel]) -> str:
         kinds = " or ".join(f'"{name}"' for name in map(_kind, _models_at(error["loc"], model)) if name)
         found = given.get("kind") if isinstance(given, dict) else given
         return f"must have a kind, {kinds}, but " + ("has none" if found is None else f"has {excerpt(found)}")
-    wanted = error["msg"].replace("Input should be", "must be").replace("Field required", "is missing")
+    if kind == "too_short":
+        least, count = error["ctx"]["min_length"], error["ctx"]["actual_length"]
+        return f"must have at least {least} {'entry' if least == 1 else 'entries'}, but has {count}"
+    wanted = error["msg"].replace("Input should be", "must be").replace("String should", "must")
+    wanted = _FORMS.get(kind, wanted) + _example(kind, given, place, _models_at(error["loc"], model))
     return f"{wanted}, but is {excerpt(given)}"
+
+
+def _example(kind: str, given: Any, place: Place, models: list[type[BaseModel]]) -> str:
+    """How a list or a table is written, in the user's own words; empty for what is neither."""
+    name = ".".join(part for part in place if isinstance(part, str))
+    if kind == "tuple_type":
+        one = excerpt(given) if isinstance(given, str | int | float) else '"a"'
+        return f" of tables, each under `[[{name}]]`" if models else f", like `[{one}]`"
+    if _FORMS.get(kind) != _TABLE_FORM or not place:
+        return ""
+    sections = [each for each in models if issubclass(each, FileSection) and kind != "dict_type"]
+    alone = next(filter(None, (each.alone(given) for each in sections)), "")
+    under = f"[[{name}]]" if isinstance(place[-1], int) else f"[{name}]"
+    return f", like `{place[-1]} = {alone}`" if alone else f", as under `{under}`"
 
 
 def _remedy(name: str, models: list[type[BaseModel]]) -> str:

@@ -34,6 +34,11 @@ class FileSection(BaseModel):
         handler.resolve_ref_schema(made).setdefault("description", inspect.getdoc(cls))
         return made
 
+    @classmethod
+    def alone(cls, given: Any) -> str:
+        """The section on one line, for a message where something else was `given`; empty where that is not usual."""
+        return ""
+
     def numbers(self) -> dict[str, Any]:
         """The fields by name, in SI and without `kind`: arguments for the object that the section describes."""
         return {name: value for name, value in self if name != "kind"}

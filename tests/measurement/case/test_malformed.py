@@ -73,7 +73,7 @@ def assert_refused(folder, *words):
         ('kind = "frequency_sweep"', 'kind = "frequency_swep"', ("must have a kind", "frequency_swep")),
         ('kind = "frequency_sweep"\n', "", ("must have a kind", "has none")),
         ("settled = true", "setled = true", ("setled", "did you mean `settled`")),
-        ("settled = true", 'settled = "yes"', ("settled", "boolean")),
+        ("settled = true", 'settled = "yes"', ("settled", "must be true or false")),
         ('drive_axis = "x"', 'drive_axis = "z"', ("drive_axis", "'x' or 'y'")),
         ('drive_axis = "x"\n', "", ("experiment.0.drive_axis", "missing")),
         ('drive_axis = "x"', 'drive_axis = "y"', ("sweep_x.csv", "`F_x`", "one electrode")),
@@ -110,6 +110,45 @@ def assert_refused(folder, *words):
 def test_a_wrong_entry_names_its_line_and_key(bench, old, new, words):
     swap(bench / "case.toml", old, new)
     assert_refused(bench, *words)
+
+
+HEAD = 'schema = "memsgyro-case/1"\nname = "a"\ndevice = "resonator"\n'
+SWEEP = '[[experiment]]\nname = "a"\nkind = "frequency_sweep"\nfile = "a.csv"\n'
+KINDS = '"frequency_sweep" or "ring_down" or "free_decay" or "rate_table" or "time_record"'
+LIKE = "must be a table, like `quality_factor ="
+USUAL = LIKE + " { value = 100, tolerance = 0.1 }`"
+
+
+@pytest.mark.parametrize(
+    ("text", "place", "sentence"),
+    [
+        (SWEEP.replace("_sweep", "_swep"), "experiment.0", f'must have a kind, {KINDS}, but has "frequency_swep"'),
+        (SWEEP + "setled = true", "experiment.0.setled", "is not known (did you mean `settled`?)"),
+        ("experiment = []", "experiment", "must have at least 1 entry, but has 0"),
+        ("experiment = 3", "experiment", "must be a list of tables, each under `[[experiment]]`, but is 3"),
+        ("experiment = [3]", "experiment.0", "must be a table, as under `[[experiment]]`, but is 3"),
+        ("design.quality_factor = 100", "design.quality_factor", USUAL + ", but is 100"),
+        ("design.quality_factor = true", "design.quality_factor", USUAL + ", but is True"),
+        ("design.quality_factor = [9, 11]", "design.quality_factor", LIKE + " { low = 9, high = 11 }`, but is [9, 11]"),
+        (
+            'design.quality_factor = "3 kHz"',
+            "design.quality_factor",
+            LIKE + ' { value = 3, unit = "kHz", tolerance = 0.1 }`, but is "3 kHz"',
+        ),
+        ("design = 3", "design", "must be a table, as under `[design]`, but is 3"),
+        ("readout = 3", "readout", "must be a table, as under `[readout]`, but is 3"),
+        (SWEEP.replace('"a.csv"', "3"), "experiment.0.file", "must be text in quotes, but is 3"),
+        (SWEEP + 'carried = "p"', "experiment.0.carried", 'must be a list, like `["p"]`, but is "p"'),
+        (SWEEP + "settled = 3", "experiment.0.settled", "must be true or false, but is 3"),
+        (SWEEP + 'sha256 = "0"', "experiment.0.sha256", "must match pattern '^[0-9a-f]{64}$', but is \"0\""),
+    ],
+)
+def test_what_is_of_another_form_is_told_in_plain_words(tmp_path, text, place, sentence):
+    path = tmp_path / "case.toml"
+    path.write_text(HEAD + text + "\n" + ("" if "experiment" in text else SWEEP))
+    with pytest.raises(InputError) as caught:
+        load_case(tmp_path)
+    assert re.sub(r"line \d+, ", "", str(caught.value)) == f"{path}: `{place}`: {sentence}."
 
 
 def test_no_experiment_is_no_case(bench):
