@@ -9,6 +9,7 @@ import contextlib
 import functools
 import logging
 import os
+import re
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -48,6 +49,7 @@ INTERRUPTED = 130  # as shells count: 128 and the number of the signal
 BROKEN_PIPE = 1  # as rich does
 
 VERBOSE = "--verbose"
+_WORD = re.compile(r"-(\.?\d.*)?")
 _LOG = logging.getLogger("memsgyro_jax")
 
 app = cyclopts.App(
@@ -129,8 +131,8 @@ def _without_verbose(tokens: Sequence[str]) -> list[str]:
         _LOG.setLevel(logging.DEBUG)
     called(tokens)
     words = [token for token in tokens if token != VERBOSE]
-    # A dash that stands alone is a word, but the library takes all that begins with one for an option.
-    return [" -" if token == "-" and words[0] == "import" else token for token in words]
+    # A dash alone, and a number below zero with a unit, are words; the library takes what begins with one for options.
+    return [f" {token}" if words[0] == "import" and _WORD.fullmatch(token) else token for token in words]
 
 
 def _run(application: cyclopts.App, tokens: Sequence[str]) -> int:

@@ -89,6 +89,25 @@ def test_templates_run_as_they_are(memsgyro, schemas, tmp_path):
     assert memsgyro("new", "study")[::2] == (2, "study.toml exists already; choose another name, or remove it.\n")
 
 
+def test_where_a_new_file_goes_is_told_as_to_every_command(memsgyro, tmp_path):
+    assert memsgyro("new", "case", "--out", "bench")[0] == 0
+    assert (tmp_path / "bench" / "case.toml").is_file()
+    assert memsgyro("new", "study", "--out", "mine.toml")[0] == 0
+    assert (tmp_path / "mine.toml").is_file()
+    refused = "Option `--out` must not be given beside a path, but is `b` beside `a`.\n"
+    assert memsgyro("new", "case", "a", "--out", "b")[::2] == (2, refused)
+    assert not (tmp_path / "a").exists()
+
+
+@pytest.mark.parametrize(("option", "text"), [("--drive", "-10 mV"), ("--drive", "-.5V"), ("--reference", "-3 kHz")])
+def test_a_level_below_zero_is_refused_and_no_unknown_option(memsgyro, tmp_path, option, text):
+    assert memsgyro("new", "case")[0] == 0
+    status, _, said = memsgyro("import", "case/low.csv", "--out", "imported", option, text)
+    assert status == 2
+    assert said.startswith(f"Option `{option}` must be a positive number with its unit, like ")
+    assert said.endswith(f'but is "{text}".\n')
+
+
 def test_every_error_has_its_line_and_remedy(memsgyro, tmp_path):
     (tmp_path / "wrong.toml").write_text("[device]\nkind = 'single_mass'\nmass = '1e-7 kg'\n[sweep]\ndice = 3\n")
     status, _, said = memsgyro("sweep", "wrong.toml")

@@ -47,8 +47,9 @@ def import_command(
     from .options import require_writable
 
     require_writable(json)
+    levels, tuned = [level.strip() for level in drive], reference.strip()  # without what kept a dash from an option
     result = import_case(
-        files, out, columns=map_, drive=drive, axis=axis, reference=reference, every=every, rms=rms, overwrite=overwrite
+        files, out, columns=map_, drive=levels, axis=axis, reference=tuned, every=every, rms=rms, overwrite=overwrite
     )
     print(result)
     if not result.warning:

@@ -13,6 +13,7 @@ def new_command(
     path: Path | None = None,
     /,
     *,
+    out: Path | None = None,
     purpose: Annotated[Literal["sweep", "datasheet", "tune", "layout"], cyclopts.Parameter(name="--for")] = "sweep",
 ) -> None:
     """Writes a commented study file, measurement case or effect of one's own, which runs as it is.
@@ -22,11 +23,14 @@ def new_command(
     Args:
         kind: what to write.
         path: the file, or the folder of a case; study.toml, case or my_effect.py without it.
+        out: the same, as other commands take it.
         purpose: what a study is for: sweeps with a Kalman filter, the datasheet of a phase-locked gyro, tuning, or a
             device by its drawing and process.
     """
     usual = {"study": "study.toml", "case": "case", "effect": "my_effect.py"}
-    path = Path(usual[kind]) if path is None else path
+    if path is not None and out is not None:
+        raise InputError(f"Option `--out` must not be given beside a path, but is `{out}` beside `{path}`.")
+    path = path or out or Path(usual[kind])
     if purpose != "sweep" and kind != "study":
         raise InputError(f"Option `--for` must go with a study, but a new {kind} was asked for.")
     if path.exists():
