@@ -13,7 +13,7 @@ from pydantic import BaseModel
 
 from .errors import InputError
 from .quantity import FileSection, field_unit
-from .text import FIRST, excerpt, first_of, printable, suggestion
+from .text import FIRST, ended, excerpt, first_of, printable, suggestion
 
 
 _WORD = r"""(?:[\w-]+|"[^"]*"|'[^']*')"""
@@ -53,7 +53,7 @@ class Source:
             yield
         except ValueError as error:
             deeper = error.place if isinstance(error, Misplaced) else ()
-            raise InputError(_ended(f"{self.name}: {self._at((*place, *deeper))}: {error}")) from error
+            raise InputError(ended(f"{self.name}: {self._at((*place, *deeper))}: {error}")) from error
 
     def complain(self, errors: Sequence[Any], model: type[BaseModel], data: dict[str, Any]) -> InputError:
         """The first ten of pydantic's `errors` about `data`, read as `model`, in the order of the file."""
@@ -67,10 +67,10 @@ class Source:
             own = [error for error in about[place] if error["type"] == "value_error"] or about[place]
             said = dict.fromkeys(_sentence(error, model, place).rstrip(".") for error in own)
             texts.append(f"{self._at(place)}: {' or '.join(said)}")
-        each = [_ended(f"{self.name}: {text}") for text in texts]
+        each = [ended(f"{self.name}: {text}") for text in texts]
         if len(order) > len(texts):
             each.append(f"{self.name}: and {len(order) - len(texts)} more.")
-        return InputError(_ended(f"{self.name}: {first_of(texts, 'entries', len(order))}"), each)
+        return InputError(ended(f"{self.name}: {first_of(texts, 'entries', len(order))}"), each)
 
     def _at(self, place: Place) -> str:
         line = self._line(place)
@@ -131,11 +131,6 @@ def _deeper(error: Any) -> Place:
     """Where within what it checked a check of our own puts the fault."""
     cause = error.get("ctx", {}).get("error")
     return cause.place if isinstance(cause, Misplaced) else ()
-
-
-def _ended(text: str) -> str:
-    """The text as a sentence; some end in a question."""
-    return text if text.endswith(("?", ".")) else f"{text}."
 
 
 def _follows(error: Any, errors: Sequence[Any]) -> bool:

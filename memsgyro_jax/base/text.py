@@ -27,6 +27,11 @@ def printable(text: str, most: int | None = None) -> str:
     return text if text.isprintable() else "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
+def ended(text: str) -> str:
+    """The text as a sentence; some end in a question."""
+    return text if text.endswith(("?", ".")) else f"{text}."
+
+
 def rounded(text: str, digits: int) -> str:
     """The text, its numbers with four decimals or more cut to so many significant `digits`."""
     return _ALL_DIGITS.sub(lambda found: f"{float(found[0]):.{digits}g}", text)

@@ -9,7 +9,7 @@ import numpy as np
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.table import Table
-from memsgyro_jax.base.text import suggestion
+from memsgyro_jax.base.text import ended, suggestion
 
 from .declared import Declared, Drive, Vocabulary, angular
 
@@ -45,7 +45,7 @@ class Columns:
     def refuse(self, what: str, column: str | None = None) -> InputError:
         """The error about the header, or about a column as a whole."""
         where = f"column `{column}`" if column else "header"
-        return InputError(f"{self.table.path}, {where}: {what}.")
+        return InputError(ended(f"{self.table.path}, {where}: {what}"))
 
     def si(self, name: str, unit: str) -> np.ndarray:
         """A column in the SI unit `unit`, or in rad/s for "rad/s" whether written in cycles or in angle per time."""

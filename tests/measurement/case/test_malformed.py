@@ -151,6 +151,13 @@ def test_what_is_of_another_form_is_told_in_plain_words(tmp_path, text, place, s
     assert re.sub(r"line \d+, ", "", str(caught.value)) == f"{path}: `{place}`: {sentence}."
 
 
+def test_a_question_ends_its_sentence(tmp_path):
+    (tmp_path / "case.toml").write_text(HEAD + SWEEP + "settled = true\n")
+    rows = [f"{1000 + k},1,{10 * k}" for k in range(9)]
+    (tmp_path / "a.csv").write_text("\n".join(["f [Hz],Vx_amp [V],Vx_phase [rad]", *rows]) + "\n")
+    assert_refused(tmp_path, "a.csv, column `Vx_phase`: must turn by a few half turns", "is it in degrees?")
+
+
 def test_no_experiment_is_no_case(bench):
     path = bench / "case.toml"
     path.write_text(path.read_text().split("[[experiment]]")[0])
