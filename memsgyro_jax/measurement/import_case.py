@@ -10,6 +10,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from memsgyro_jax.base.arguments import whole
 from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
@@ -48,7 +50,7 @@ class ImportedCase(Shown):
         case: as `load_case` reads it.
         formats: of each file.
         records: where each experiment comes from, and what was assumed of it.
-        unused: drive levels that no record needs, each with its file.
+        unused: drive levels that no record needs, each with its file, and files whose rows another has.
         warning: that several files were given one drive level, as none has its own, and what to do; empty otherwise.
     """
 
@@ -155,7 +157,8 @@ def import_case(
         for level, name, needs in zip(levels, names, swept, strict=True)
         if level and not needs and len(given) > 1
     ]
-    records = _turned_alike(_agreed(_named([record for some in found for record in some])))
+    own, copies = _without_copies([record for some in found for record in some])
+    records, unused = _turned_alike(_agreed(_named(own))), [*unused, *copies]
     case = _write(folder, records, sources)
     again = ["memsgyro", "import", *map(str, paths), "--out", str(folder), "--overwrite"]
     again += [*(["--map", columns] if columns else []), *(["--axis", *axis] if axis else [])]
@@ -250,6 +253,21 @@ def _named(records: list[ImportedRecord]) -> list[ImportedRecord]:
         seen[name] = seen.get(name, 0) + 1
         named.append(replace(record, name=name if seen[name] == 1 else f"{name}_{seen[name]}"))
     return named
+
+
+def _without_copies(records: list[ImportedRecord]) -> tuple[list[ImportedRecord], list[str]]:
+    """Those that are no copies of an earlier one, which would count as measured twice, and a sentence for each copy."""
+    seen: dict[tuple[bytes, str], str] = {}
+    kept, copies = [], []
+    for record in records:
+        rows = b"".join(np.ascontiguousarray(values, float).tobytes() for values in record.columns.values())
+        what = rows, repr(sorted(record.keys.items(), key=lambda pair: pair[0]))
+        if what in seen:
+            copies.append(f"{record.source}, as its rows are those of {seen[what]}")
+        else:
+            seen[what] = record.source
+            kept.append(record)
+    return kept, copies
 
 
 def _agreed(records: list[ImportedRecord]) -> list[ImportedRecord]:

@@ -290,3 +290,16 @@ def test_gains_in_decibels_are_ratios_to_the_drive(tmp_path):
         np.testing.assert_allclose(record.phasors[:, 0], level * gain, rtol=1e-9)
         np.testing.assert_allclose(record.drive, level)
     assert "the readings in dB are ratios to the drive" in str(found)
+
+
+def test_a_copy_of_a_file_is_not_used(tmp_path):
+    """Counted twice, noise that repeats to the last digit looks like an effect."""
+    f, noise = np.linspace(9900.0, 10100.0, 41), 1e-5 * np.random.default_rng(0).normal(size=(2, 41))
+    z = 1e5 / (10000.0**2 - f**2 + 2j * f * 10.0) + noise[0] + 1j * noise[1]
+    lines = "\n".join(f"{a},{b.real:.9e},{b.imag:.9e}" for a, b in zip(f, z, strict=True))
+    files = [tmp_path / "first.csv", tmp_path / "copy.csv"]
+    for file, header in zip(files, ("f [Hz],X [V],Y [V]", "Frequency (Hz),X (V),Y (V)"), strict=True):
+        file.write_text(f"{header}\n{lines}\n")
+    found = mg.import_case(files, tmp_path / "case", drive=["10 mV"])
+    assert [record.name for record in found.case.records] == ["first"]
+    assert "Not used: copy.csv, as its rows are those of first.csv." in str(found)

@@ -11,6 +11,7 @@ from memsgyro_jax.base.text import aligned, spoken
 from ..experiments import AbstractRecord
 from ..experiments.base import Phasors
 from ..outliers import lone_rows
+from ..phasor_fit import device_of_phasors
 from ..sign_conventions import disagreements
 from .content import Case
 
@@ -84,6 +85,10 @@ def assess(case: Case) -> CaseQuality:
     phasors = [(record.name, record.starting_phasors(case)) for record in case.records]
     said = [f"{sentence}." for sentence in disagreements(phasors)]
     said += _resonances(phasors) if case.channels == 1 else []
+    told = [one for _, one in phasors if one is not None]
+    if told and np.any([np.any(one.force, axis=0) for one in told], axis=0).all():  # the answer of each axis is known
+        device = device_of_phasors(told)
+        said += [f"{each}." for record in case.records if device for each in record.beside_device(device, case)]
     return CaseQuality(case, tuple(_assess(record, case) for record in case.records), tuple(said))
 
 

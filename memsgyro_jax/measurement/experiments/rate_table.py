@@ -14,6 +14,7 @@ from pydantic import Field, StrictBool
 from memsgyro_jax.base.quantity import Whole
 from memsgyro_jax.base.table import Table
 from memsgyro_jax.device.conditions import Conditions
+from memsgyro_jax.device.normalised import NormalisedDevice
 
 from ..clock import check_period
 from ..columns import phasor_columns
@@ -22,6 +23,7 @@ from ..envelope import HARMONICS, SAMPLES, Course, Driven
 from ..first_order import Contribution, Inquiry, Periods
 from ..lock_in import before_lock_in, through_lock_in
 from ..model import Model
+from ..rate_signs import fast_rates, turned_rate
 from ..section import ExperimentSection, ToneSection
 from ..steady import FINENESS, as_seen, fundamental, reading_samples, steady_state
 from .base import BEYOND, CartesianNoise, Experiment, Noise, Phasors, Readings, surroundings
@@ -301,6 +303,15 @@ class RateTableRecord(ClockedRecord):
         force = self.drive_force * np.eye(declared.channels)[self.axis][None]
         weight = np.sqrt(np.sum(still)) * abs(readout.scale) * self.drive_frequency**readout.order / self.noise_level
         return Phasors(np.array([self.drive_frequency]), motion, force + 0j, np.array([weight]))
+
+    def warnings(self, declared: Declared) -> list[str]:
+        return fast_rates(self.name, self.rate)
+
+    def beside_device(self, device: NormalisedDevice, declared: Declared) -> list[str]:
+        if declared.channels < 2 or len(self.channels) < 2:
+            return []
+        motion = declared.readout.motion(self.phasors, self.drive_frequency)
+        return turned_rate(self.name, device, self.drive_frequency, self.axis, motion, self.rate)
 
     def watched(self, noise: float) -> list[Watched]:
         return [*super().watched(noise), self.in_time("the rate", self.rate)]

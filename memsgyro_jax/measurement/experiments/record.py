@@ -14,6 +14,7 @@ import numpy as np
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.table import Table
+from memsgyro_jax.device.normalised import NormalisedDevice
 
 from ..declared import Declared
 from ..section import ExperimentSection
@@ -210,6 +211,10 @@ class AbstractRecord(abc.ABC):
 
     def warnings(self, declared: Declared) -> list[str]:
         """A sentence for everything about the rows that a colleague should know; none by default."""
+        return []
+
+    def beside_device(self, device: NormalisedDevice, declared: Declared) -> list[str]:
+        """The same of what they contradict in the device that the phasors of all records show."""
         return []
 
     # ---- misfit and overlay

@@ -207,6 +207,14 @@ def test_a_wrong_rate_is_told_with_its_line(bench):
     assert "rate.csv, line 22: the rate lies far off" in warning
 
 
+@pytest.mark.parametrize(("factor", "said"), [(-1.0, "has the other sign"), (180 / np.pi, "labelled rad/s")])
+def test_a_rate_of_another_sign_or_unit_is_told(demo, factor, said):
+    """Else a device mounted upside down has an "unknown effect", and degrees for radians an error of scale."""
+    rate = factor * demo.record("rate").rate
+    (warning,) = assess(with_record(demo, "rate", rate=rate)).warnings
+    assert said in warning
+
+
 @pytest.mark.parametrize("jump", [1.0, 1.0j])
 def test_a_step_is_no_outlier_and_a_spike_is(jump):
     place = np.arange(60.0)
