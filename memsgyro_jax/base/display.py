@@ -16,6 +16,7 @@ import numpy as np
 from .concrete import is_concrete
 from .converter import FieldConverter
 from .errors import InputError
+from .text import in_unit
 
 
 WIDTH = 100  # characters of a line beyond which each field gets its own
@@ -99,7 +100,7 @@ def shown(value: Any, unit: str = "", *, bare: bool = False) -> str:
     """`value` as it would be written, its numbers in `unit`; without any unit where `bare`."""
     unit = "" if bare else unit
     if _is_number(value):
-        return _with_unit(_number(value), unit)
+        return in_unit(_number(value), unit)
     if dataclasses.is_dataclass(value) and not isinstance(value, type) and _is_plain(value):
         fields = (_field(value, field, unit, bare) for field in dataclasses.fields(value))
         return _enclosed(type(value).__name__, [text for text in fields if text])
@@ -110,7 +111,7 @@ def shown(value: Any, unit: str = "", *, bare: bool = False) -> str:
     if isinstance(value, tuple | list):
         numbers = len(value) > 0 and all(_is_number(entry) and np.ndim(entry) == 0 for entry in value)
         text = _enclosed("", [shown(entry, "" if numbers else unit, bare=bare) for entry in value])
-        return _with_unit(text, unit) if numbers else text
+        return in_unit(text, unit) if numbers else text
     return repr(value)
 
 
@@ -181,10 +182,6 @@ def _number(value: Any) -> str:
     if not entries.size or np.iscomplexobj(entries):
         return kind
     return f"{kind} from {np.min(entries):.6g} to {np.max(entries):.6g}"
-
-
-def _with_unit(text: str, unit: str) -> str:
-    return text if unit in ("", "1") else f"{text} {unit}"
 
 
 def _enclosed(head: str, parts: list[str]) -> str:

@@ -80,6 +80,11 @@ def beside(value: float, std: float, digits: int = 5) -> str:
     return f"{value:.{min(12, max(digits, places))}g}"
 
 
+def in_unit(number: str, unit: str) -> str:
+    """A number with its unit; a pure one has none."""
+    return number if unit in ("", "1") else f"{number} {unit}"
+
+
 def spoken(value: float, unit: str, digits: int = 4) -> str:
     """A quantity in SI for people: `spoken(1.5e-7, "N")` is "150 nN"; kelvin become °C, rad/s of rate deg/s."""
     if unit == "K":

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from memsgyro_jax.base.text import beside
+from memsgyro_jax.base.text import beside, in_unit
 
 
 @pytest.mark.parametrize(
@@ -20,3 +20,8 @@ from memsgyro_jax.base.text import beside
 )
 def test_a_value_has_the_digits_that_its_uncertainty_leaves_it(value, std, told):
     assert beside(value, std) == told
+
+
+@pytest.mark.parametrize(("unit", "told"), [("Hz", "3 ± 1 Hz"), ("1", "3 ± 1"), ("", "3 ± 1"), ("1/s", "3 ± 1 1/s")])
+def test_a_pure_number_has_no_unit(unit, told):
+    assert in_unit("3 ± 1", unit) == told
