@@ -16,7 +16,7 @@ import numpy as np
 from .concrete import is_concrete
 from .converter import FieldConverter
 from .errors import InputError
-from .text import in_unit
+from .text import said_in
 
 
 WIDTH = 100  # characters of a line beyond which each field gets its own
@@ -100,7 +100,7 @@ def shown(value: Any, unit: str = "", *, bare: bool = False) -> str:
     """`value` as it would be written, its numbers in `unit`; without any unit where `bare`."""
     unit = "" if bare else unit
     if _is_number(value):
-        return in_unit(_number(value), unit)
+        return said_in(_number(value), unit)
     if dataclasses.is_dataclass(value) and not isinstance(value, type) and _is_plain(value):
         fields = (_field(value, field, unit, bare) for field in dataclasses.fields(value))
         return _enclosed(type(value).__name__, [text for text in fields if text])
@@ -111,7 +111,7 @@ def shown(value: Any, unit: str = "", *, bare: bool = False) -> str:
     if isinstance(value, tuple | list):
         numbers = len(value) > 0 and all(_is_number(entry) and np.ndim(entry) == 0 for entry in value)
         text = _enclosed("", [shown(entry, "" if numbers else unit, bare=bare) for entry in value])
-        return in_unit(text, unit) if numbers else text
+        return said_in(text, unit) if numbers else text
     return repr(value)
 
 

@@ -80,7 +80,7 @@ def beside(value: float, std: float, digits: int = 5) -> str:
     return f"{value:.{min(12, max(digits, places))}g}"
 
 
-def in_unit(number: str, unit: str) -> str:
+def said_in(number: str, unit: str) -> str:
     """A number with its unit; a pure one has none."""
     return number if unit in ("", "1") else f"{number} {unit}"
 

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from memsgyro_jax.base.text import beside, in_unit
+from memsgyro_jax.base.text import beside, said_in
 
 
 @pytest.mark.parametrize(
@@ -24,4 +24,4 @@ def test_a_value_has_the_digits_that_its_uncertainty_leaves_it(value, std, told)
 
 @pytest.mark.parametrize(("unit", "told"), [("Hz", "3 ± 1 Hz"), ("1", "3 ± 1"), ("", "3 ± 1"), ("1/s", "3 ± 1 1/s")])
 def test_a_pure_number_has_no_unit(unit, told):
-    assert in_unit("3 ± 1", unit) == told
+    assert said_in("3 ± 1", unit) == told
