@@ -59,13 +59,17 @@ def climbed(search: Search, first: Ranking, effects: Sequence[Effect]) -> tuple[
     usual = search.refit([first.places[best]], slopes=first.slopes[best])
     if usual.chi2 < FAR * usual.dof:
         return search, None
-    search.tell("climb from the lowest drive, one effect after the other")
     beside = _beside_lock_in(search)
+    terms = ", ".join(beside.joint.model.effects[i].label for i in beside.given if i not in search.given)
+    search.tell("climb from the lowest drive, one effect after the other" + (f", beside {terms}" if terms else ""))
     base = _lowest(beside, steps[0])
     straight = optimise(beside.joint, base.vector, base.free, beside.joint.fitted, max_evaluations=0)
     if straight.chi2 < FAR * straight.dof:  # the lock-in alone was off
         return search, None
-    ends = [(i, _up(beside, base, i, begin, steps)) for i, begin in _tempting(beside, base, steps[0]).items()]
+    ends = []
+    for i, begin in _tempting(beside, base, steps[0]).items():
+        search.tell(f"climb with {beside.joint.model.effects[i].label}")
+        ends.append((i, _up(beside, base, i, begin, steps)))
     if not ends:
         return search, None
     place, end = min(ends, key=lambda one: one[1].chi2)

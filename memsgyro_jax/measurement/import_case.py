@@ -327,8 +327,11 @@ def _write(folder: Path, records: list[ImportedRecord], sources: list[str]) -> C
         write_whole(beside / FILE, toml_of_records(folder.absolute().name, records, sources))
         try:
             load_case(beside)
-        except InputError as error:
-            raise InputError(str(error).replace(str(beside), str(folder))) from error
+        except InputError as error:  # of files that the user never sees: named as what they were made from
+            said = str(error)
+            for record in records:
+                said = said.replace(str(beside / f"{record.name}.csv"), f"{record.source} (as a record)")
+            raise InputError(said.replace(str(beside), str(folder))) from error
         folder.mkdir(parents=True, exist_ok=True)
         for path in sorted(beside.iterdir(), key=lambda path: path.name == FILE):
             path.replace(folder / path.name)
