@@ -66,10 +66,7 @@ def climbed(search: Search, first: Ranking, effects: Sequence[Effect]) -> tuple[
     straight = optimise(beside.joint, base.vector, base.free, beside.joint.fitted, max_evaluations=0)
     if straight.chi2 < FAR * straight.dof:  # the lock-in alone was off
         return search, None
-    ends = []
-    for i, begin in _tempting(beside, base, steps[0]).items():
-        search.tell(f"climb with {beside.joint.model.effects[i].label}")
-        ends.append((i, _up(beside, base, i, begin, steps)))
+    ends = _ends(beside, base, steps)
     if not ends:
         return search, None
     place, end = min(ends, key=lambda one: one[1].chi2)
@@ -155,6 +152,20 @@ def _tempting(search: Search, base: Optimum, lowest: tuple) -> dict[int, np.ndar
     joint.together((*search.given, *forces))
     best = {i: _best_strength(search, base, i, sizes[i], lowest) for i in forces}
     return {i: best[i][0] for i in sorted(forces, key=lambda i: best[i][1])[:LOOK_AHEAD]}
+
+
+def _ends(search: Search, base: Optimum, steps: list[tuple]) -> list[tuple[int, Optimum]]:
+    """Where each of the tempting effects ends; others are not tried once one leaves nothing but noise, unless they are
+    the user's own.
+    """
+    tempting = _tempting(search, base, steps[0])
+    ends: list[tuple[int, Optimum]] = []
+    for i in sorted(tempting, key=lambda i: i not in search.own):
+        if i not in search.own and any(excess(end) == 0.0 for _, end in ends):
+            break
+        search.tell(f"climb with {search.joint.model.effects[i].label}")
+        ends.append((i, _up(search, base, i, tempting[i], steps)))
+    return ends
 
 
 def _up(search: Search, base: Optimum, place: int, begin: np.ndarray, steps: list[tuple]) -> Optimum:
