@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from memsgyro_jax.base.axes import axes
-from memsgyro_jax.base.text import beside
+from memsgyro_jax.base.text import beside, said_in
 from memsgyro_jax.device.normalised import NormalisedDevice
 from memsgyro_jax.measurement.least_squares import gate
 
@@ -82,7 +82,7 @@ class ParameterEstimate:
     def __str__(self) -> str:
         if np.isinf(self.std):
             return f"{self.name:<24} not determined by these records"
-        told = f"{beside(self.value, self.std):>7} ± {self.std:.2g} {self.unit}"
+        told = said_in(f"{beside(self.value, self.std):>7} ± {self.std:.2g}", self.unit)
         return f"{self.name:<24} {told}{with_calibration(self.calibration)}"
 
     def to_dict(self) -> dict[str, Any]:

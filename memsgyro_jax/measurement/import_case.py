@@ -16,7 +16,7 @@ from memsgyro_jax.base.arguments import whole
 from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.files import write_whole
-from memsgyro_jax.base.quantity import number_and_unit
+from memsgyro_jax.base.quantity import amount_of_option
 from memsgyro_jax.base.text import listed
 
 from .case import Case, load_case
@@ -134,8 +134,8 @@ def import_case(
     if (folder.exists() and not folder.is_dir()) or (folder.is_dir() and any(folder.iterdir()) and not overwrite):
         raise InputError(f"{folder} must be a new or empty folder, but exists; choose another, or give `--overwrite`.")
     said = parse_map(columns) if columns else {}
-    given = [None if text.strip() == "-" else _amount(text, "--drive") for text in drive]
-    tuned = _amount(reference, "--reference") if reference else None
+    given = [None if text.strip() == "-" else amount_of_option(text, "--drive", "20 mV") for text in drive]
+    tuned = amount_of_option(reference, "--reference", "32.768 kHz", "Hz") if reference else None
     every = whole("every", every, 1)
     sources = [Path(path).name for path in paths]
     files, read = [Path(path) for path in paths], [read_instrument_file(path) for path in paths]
@@ -216,16 +216,6 @@ def _of(names: Sequence[str], records: Sequence[ImportedRecord]) -> str:
     if len(kinds) == 1 and len(every) == len(names) > 1:
         return f" (all {_PLURAL[kinds.pop()]})"
     return f" ({listed(names)})"
-
-
-def _amount(text: str, option: str) -> Level:
-    try:
-        number, unit = number_and_unit(text)
-    except ValueError as error:
-        raise InputError(f"Option `{option}` {error}.") from error
-    if not unit or not number > 0:
-        raise InputError(f'Option `{option}` must be a positive number with its unit, like "20 mV", but is "{text}".')
-    return number, unit
 
 
 def _records(tables: tuple[SourceTable, ...], said: dict[str, str], given: Given) -> list[ImportedRecord]:

@@ -205,6 +205,10 @@ def test_the_command_prints_what_it_assumed_and_what_to_do_next(sweeps, tmp_path
     [
         (["--drive", "1 mV", "2 mV"], "--drive"),
         (["--drive", "much"], "--drive"),
+        (["--drive", "10 mv"], "Unit of option `--drive` must be one that can be read"),
+        (["--drive", "10 mv"], 'but is "mv"; did you mean "mV"?'),
+        (["--drive", "-10 dBm"], '"-10 dBm"'),
+        (["--reference", "3 khz"], 'did you mean "kHz"?'),
         (["--map", "f=nothing"], "--map"),
         (["--reference", "-3 Hz"], "--reference"),
     ],
@@ -214,6 +218,12 @@ def test_wrong_options_are_one_sentence(options, what, sweeps, tmp_path, capsys)
         cli.main(["import", *map(str, sweeps), "--out", str(tmp_path / "case"), *options])
     assert ended.value.code == 2
     assert what in capsys.readouterr().err
+
+
+def test_a_level_may_be_an_effective_value(sweeps, tmp_path):
+    for level, peak in (("10 mVrms", 10e-3 * np.sqrt(2.0)), ("10 mVpp", 5e-3), ("10 mVpk", 10e-3)):
+        case = mg.import_case(sweeps[:1], tmp_path / level, drive=(level,)).case
+        np.testing.assert_allclose(case.records[0].drive, peak)
 
 
 def falling(path):

@@ -68,7 +68,16 @@ def alike(frequency: np.ndarray, held: np.ndarray, sweeps: Sequence[slice]) -> t
 
 
 def check_order(table: Table, frequency: np.ndarray, sweeps: Sequence[slice]) -> None:
-    """Each sweep has some rows, and its frequency turns back for good: not for one row, which is a wrong digit."""
+    """The rows have an order; each sweep has some, and its frequency turns back for good: not for one row, which is a
+    wrong digit.
+    """
+    short = sum(rows.stop - rows.start < _FEWEST for rows in sweeps)
+    if short > 1 and 2 * short >= len(sweeps):  # some wrong levels alone leave longer sweeps between them
+        raise InputError(
+            f"{table.path}, column `f`: the rows must run up or down in frequency, one setting of drive, bias, "
+            f"temperature and rate after the other, but change course {len(sweeps) - 1} times in "
+            f"{len(frequency)} rows; sort them by setting and then by `f`, and leave out `t` if there is one."
+        )
     for before, after in pairwise(sweeps):
         row = _astray(frequency, before, after)
         if row is not None:
@@ -125,7 +134,7 @@ def check_phase(table: Table, rows: slice, axis: int, frequency: np.ndarray, pha
     raise InputError(
         f"{where}: the phase of channel {'xy'[axis]} must fall by about 90° across the resonance, as "
         f"V(t) = Re[(I + iQ) e^{{iωt}}] does, but changes by {turns[0]:+.0f}°; "
-        f"{conjugated if turns[0] > 30 else 'are these readings as labelled?'}."
+        f"{conjugated + '.' if turns[0] > 30 else 'are these readings as labelled?'}"
     )
 
 

@@ -2,6 +2,7 @@
 
 import re
 
+import numpy as np
 import pytest
 from measurement.case.bench import write_bench
 
@@ -156,6 +157,18 @@ def test_a_question_ends_its_sentence(tmp_path):
     rows = [f"{1000 + k},1,{10 * k}" for k in range(9)]
     (tmp_path / "a.csv").write_text("\n".join(["f [Hz],Vx_amp [V],Vx_phase [rad]", *rows]) + "\n")
     assert_refused(tmp_path, "a.csv, column `Vx_phase`: must turn by a few half turns", "is it in degrees?")
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_rows_in_no_order_are_told_so(bench, seed):
+    header, *rows = (bench / "sweep_x.csv").read_text().splitlines()
+    np.random.default_rng(seed).shuffle(rows)
+    (bench / "sweep_x.csv").write_text("\n".join([header, *rows]) + "\n")
+    assert_refused(
+        bench,
+        "sweep_x.csv, column `f`: the rows must run up or down in frequency",
+        "sort them by setting and then by `f`",
+    )
 
 
 def test_no_experiment_is_no_case(bench):
