@@ -212,7 +212,7 @@ def test_two_demodulators_of_one_sweep_are_two_channels(tmp_path):
 def test_tables_that_are_no_pair_stay_apart(count, step, tmp_path):
     """Three of one name, or two of other frequencies, are records of one axis each."""
     z = moved("x")[:, 0]
-    files = [demodulator(tmp_path, k, z, FREQUENCY + k * step) for k in range(count)]
+    files = [demodulator(tmp_path, k, (1 + k) * z, FREQUENCY + k * step) for k in range(count)]
     found = mg.import_case(files, tmp_path / "case", drive=["20 mV"])
     assert found.case.device == "resonator"
     assert len(found.case.records) == len(files)
