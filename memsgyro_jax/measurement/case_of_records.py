@@ -48,7 +48,7 @@ def toml_of_records(name: str, records: list[ImportedRecord], sources: list[str]
 
 def _design(records: list[ImportedRecord]) -> str:
     """Design values where no record is driven in a known way, roughly from the decays themselves."""
-    if any(not record.design for record in records):
+    if any(not record.design or record.two_axes for record in records):
         return "[design]\n"
     rough = records[0].design
     entries = {

@@ -13,18 +13,18 @@ from memsgyro_jax.base.units import NUMBER
 from .formats import SourceColumn, SourceTable
 from .formats.header import split_header
 from .imported_columns import is_same_kind
-from .two_channels import PARTS, axis_of_drive, channel_and_part, plain_words, two_channels
+from .two_channels import PARTS, axis_of_drive, channel_and_part, plain_words, two_channels, two_waveforms
 
 
 ROLES = ("t", "f", "I", "Q", "amp", "phase", "signal", "drive", "T", "V_bias", "rate")
 """Time, frequency, parts of a phasor, amplitude and phase of it, a waveform, what drives, conditions."""
-SECOND = ("y_I", "y_Q", "y_amp", "y_phase")
-"""Parts of the phasor of a second channel."""
+SECOND = ("y_I", "y_Q", "y_amp", "y_phase", "y_signal")
+"""Parts of the phasor of a second channel, and its waveform."""
 SHORT = {
     "x_I": "I", "Vx_I": "I", "X": "I", "x_Q": "Q", "Vx_Q": "Q", "Y": "Q", "x_amp": "amp", "Vx_amp": "amp", "R": "amp",
     "x_phase": "phase", "Vx_phase": "phase", "theta": "phase", "x": "signal", "y": "signal", "Vx": "signal",
     "F": "drive", "F_x": "drive_x", "u": "drive", "u_x": "drive_x", "F_y": "drive_y", "u_y": "drive_y",
-    **{role: role for role in SECOND}, **{f"V{role}": role for role in SECOND},
+    **{role: role for role in SECOND}, **{f"V{role}": role for role in SECOND}, "Vy": "y_signal",
 }  # fmt: skip
 """Other words for the roles on the left of `--map`."""
 _UNUSED = re.compile(
@@ -160,6 +160,8 @@ def _as_waveforms(found: dict[str, list[SourceColumn]]) -> None:
             found.setdefault("signal", []).extend(found.pop(role, []))
     if "amp" in found and "phase" not in found and all(np.min(c.values) < 0 < np.max(c.values) for c in found["amp"]):
         found.setdefault("signal", []).extend(found.pop("amp"))
+    if pair := two_waveforms(found.get("signal", [])):
+        found["signal"], found["y_signal"] = [pair[0]], [pair[1]]
 
 
 def _settled(table: SourceTable, found: dict[str, list[SourceColumn]]) -> None:
@@ -197,7 +199,7 @@ def _whole(table: SourceTable, columns: dict[str, SourceColumn], unused: tuple[s
         raise _unclear(
             table, {k: [v] for k, v in columns.items()}, "no columns are in-phase and quadrature, or amplitude"
         )
-    parts = {f"y_{role}" for role in ("I", "Q", "amp", "phase") if role in columns}
+    parts = {f"y_{role}" for role in ("I", "Q", "amp", "phase", "signal") if role in columns}
     if meaning.two_axes and parts != {*SECOND} & {*columns}:
         raise _unclear(table, {k: [v] for k, v in columns.items()}, "the two channels do not have the same parts")
     if not meaning.swept and "t" not in columns:
@@ -228,7 +230,10 @@ def _unclear(table: SourceTable, found: Mapping[str, Sequence[SourceColumn]], wh
             rest = [c for c in rest if not candidates or c.name != candidates[0].name]
     names = listed([column.header for column in table.columns], "`")
     where = f"{printable(str(table.path))}{', ' + table.name if table.name else ''}"
-    return InputError(f'{where}: {what}; the columns are {names}; say which is which, as in --map "{",".join(pairs)}".')
+    second = " (`y=` for that of a second axis)" if roles == ("t", "signal") and "signal" in found else ""
+    return InputError(
+        f'{where}: {what}; the columns are {names}; say which is which, as in --map "{",".join(pairs)}"{second}.'
+    )
 
 
 def _repeated(table: SourceTable, found: Mapping[str, Sequence[SourceColumn]], role: str) -> bool:
@@ -248,6 +253,8 @@ def parse_map(text: str) -> dict[str, str]:
                 f"x_phase, x, u_x, F_x; of a second channel y_I, y_Q, y_amp, y_phase, F_y), "
                 f"but has `{printable(part, 60)}`."
             )
+        if left.strip() == "y" and "signal" in pairs:  # beside x
+            role = "y_signal"
         if role in pairs or (role.startswith("drive") and any(one.startswith("drive") for one in pairs)):
             raise InputError(f"Option `--map` must name each role once, but {left.strip()} stands twice.")
         pairs[role] = right.strip()

@@ -23,7 +23,7 @@ from .imported_columns import (
 from .imported_sweep import columns_of_sweep, level_of, phasor_columns_of, phasors_of, read_as
 from .thinning import thinned
 from .tracking import rough_decay
-from .two_channels import axis_in_name
+from .two_channels import axis_in_name, said_of_channels
 
 
 _SILENT = 0.01  # of the largest drive: nothing
@@ -92,7 +92,7 @@ def records_of(name: str, table: SourceTable, meaning: Meaning, given: Given) ->
             return [_sweep(about, table, meaning, rows, given, assumed)]
         if "rate" in rows and "signal" not in rows:
             return [_rate_table(about, table, rows, given, meaning, assumed)]
-        return _over_time(about, table, rows, given, assumed)
+        return _over_time({**about, "two_axes": meaning.two_axes}, table, rows, given, meaning, assumed)
 
 
 def _finite(table: SourceTable, meaning: Meaning, assumed: list[str]) -> dict[str, SourceColumn]:
@@ -134,7 +134,9 @@ def _driven_axis(about: dict, rows: dict, given: Given, meaning: Meaning, assume
 # ---- time
 
 
-def _over_time(about: dict, table: SourceTable, rows: dict[str, SourceColumn], given: Given, assumed: list[str]):
+def _over_time(
+    about: dict, table: SourceTable, rows: dict[str, SourceColumn], given: Given, meaning: Meaning, assumed: list[str]
+) -> list[ImportedRecord]:
     columns = {"t": time_column(table, rows["t"], assumed)}
     if len(columns["t"].values) < _FEWEST:
         raise InputError(f"{table.path}: a record over time must have {_FEWEST} rows, but has {len(rows['t'].values)}.")
@@ -143,12 +145,17 @@ def _over_time(about: dict, table: SourceTable, rows: dict[str, SourceColumn], g
     if "signal" not in rows:
         return [_lock_in_decay(about, table, columns, rows, given, assumed)]
     columns["Vx"] = reading_column(rows["signal"], assumed)
+    if "y_signal" in rows:
+        columns["Vy"] = reading_column(rows["y_signal"], assumed)
+        assumed.append(said_of_channels(rows))
     about = {**about, "quantity": read_as(columns["Vx"].unit)}
     drive = rows.get("drive")
     if drive is None or not np.ptp(drive.values) > 0:
         return [_decay(about, columns, assumed)]
-    columns["u_x"] = reading_column(drive, assumed, "drive")
-    force = np.abs(columns["u_x"].values)
+    axis = _driven_axis(about, rows, given, meaning, assumed)
+    about, driven = {**about, "axis": axis}, f"u_{axis or 'x'}"
+    columns[driven] = reading_column(drive, assumed, "drive")
+    force = np.abs(columns[driven].values)
     last = int(np.flatnonzero(force > _SILENT * force.max())[-1]) + 1
     free = len(force) - last > max(_QUIET_SHARE * len(force), _FEWEST)
     records = []
@@ -156,7 +163,7 @@ def _over_time(about: dict, table: SourceTable, rows: dict[str, SourceColumn], g
     records.append(_forced(about, forced, assumed))
     if free:
         begin = columns["t"].values[last]
-        after = {name: cut_column(columns[name], slice(last, None)) for name in ("t", "Vx")}
+        after = {name: cut_column(columns[name], slice(last, None)) for name in columns if name != driven}
         said = [
             *assumed,
             f"from {begin:.6g} {columns['t'].unit} on nothing drives, and the decay is a record of its own",
@@ -183,7 +190,7 @@ def _with_decay(forced: ImportedRecord, lasts: float, decay: ImportedRecord) -> 
 
 
 def _forced(about: dict, columns: dict[str, SourceColumn], assumed: list[str]) -> ImportedRecord:
-    signal, time = columns["Vx"].values - np.median(columns["Vx"].values), columns["t"]
+    signal, time = _louder(columns) - np.median(_louder(columns)), columns["t"]
     calm = max(2, len(signal) // 200)
     rest = bool(np.max(np.abs(signal[:calm])) < 0.05 * np.max(np.abs(signal)))
     said = [*assumed, "the drive was sampled as it ran (`hold` is band_limited), not held from row to row"]
@@ -196,7 +203,7 @@ def _forced(about: dict, columns: dict[str, SourceColumn], assumed: list[str]) -
 
 def _decay(about: dict, columns: dict[str, SourceColumn], assumed: list[str]) -> ImportedRecord:
     """A waveform that dies out, from where its envelope was last near its largest."""
-    signal, time = columns["Vx"].values, columns["t"]
+    signal, time = _louder(columns), columns["t"]
     envelope = _envelope(signal - np.mean(signal))
     begin = 0 if _falls_from_the_start(envelope) else int(np.flatnonzero(envelope >= _LOUD * envelope.max())[-1])
     if len(signal) - begin < _FEWEST:
@@ -216,16 +223,18 @@ def _decay(about: dict, columns: dict[str, SourceColumn], assumed: list[str]) ->
     )
 
 
+def _louder(columns: Mapping[str, SourceColumn]) -> np.ndarray:
+    """The waveform that moves most, of one or two."""
+    return max((columns[name].values for name in ("Vx", "Vy") if name in columns), key=np.std)
+
+
 def _lock_in_decay(about, table, columns, rows, given: Given, assumed: list[str]) -> ImportedRecord:
     """Phasors over time."""
     reference = _reference(table, rows, given)
     columns |= phasor_columns_of(rows, assumed)
     about = {**about, "quantity": read_as(columns["Vx_I" if "I" in rows else "Vx_amp"].unit)}
-    if "y_I" in rows or "y_amp" in rows:
-        about, design = {**about, "two_axes": True}, {}
-    else:
-        seconds = to_si(columns["t"].values, columns["t"].unit, "s", "t")
-        design = rough_decay(seconds, phasors_of(columns, "x"), to_si(*reference, "Hz", "f"))
+    seconds = to_si(columns["t"].values, columns["t"].unit, "s", "t")
+    design = rough_decay(seconds, phasors_of(columns, "x"), to_si(*reference, "Hz", "f"))
     keys = _stamps(columns["t"], assumed) | {"reference_frequency": {"value": reference[0], "unit": reference[1]}}
     return ImportedRecord(
         **about, kind="free_decay", columns=headed(columns), keys=keys, assumed=tuple(assumed), design=design

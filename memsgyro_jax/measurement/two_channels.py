@@ -1,7 +1,7 @@
 """Which columns of a table are the readings of two channels, and which axis was driven, as their names say."""
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 from .formats import SourceColumn
 
@@ -72,6 +72,12 @@ def two_channels(columns: Iterable[SourceColumn]) -> dict[str, SourceColumn]:
     return {part: first[part] for part in sorted(form)} | {f"y_{part}": second[part] for part in sorted(form)}
 
 
+def two_waveforms(columns: Sequence[SourceColumn]) -> tuple[SourceColumn, SourceColumn] | None:
+    """The waveforms of x and y of two columns, where their names say so, like ``Vx`` and ``Vy``."""
+    found = {_AXES[name]: column for column in columns if (name := plain_words(column.name)) in _AXES}
+    return (found["x"], found["y"]) if len(columns) == len(found) == 2 else None
+
+
 def said_of_channels(columns: Mapping[str, SourceColumn]) -> str:
     """The sentence on what two channels were taken for."""
     named = [
@@ -80,6 +86,7 @@ def said_of_channels(columns: Mapping[str, SourceColumn]) -> str:
         )
         for prefix in ("", "y_")
     ]
+    named = [columns["signal"].name, columns["y_signal"].name] if "y_signal" in columns else named
     made = "the readings of two channels make it a device of two axes (`single_mass`)"
     return f"{made}, x read by {named[0]}, y by {named[1]}"
 

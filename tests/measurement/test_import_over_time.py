@@ -73,3 +73,24 @@ def test_rows_of_no_whole_cycles_are_no_rate_table(tmp_path):
         mg.import_case([path], tmp_path / "case", reference="8050 Hz", drive=["20 mV"])
     with pytest.raises(InputError, match=r'give it as in --reference "32.768 kHz"'):
         mg.import_case([path], tmp_path / "case", drive=["20 mV"])
+
+
+@pytest.mark.parametrize(
+    ("names", "columns"), [(("Vx [V]", "Vy [V]"), ""), (("CH1 [V]", "CH2 [V]"), "t=Time (s),x=CH1,y=CH2")]
+)
+def test_two_waveforms_that_die_out_are_a_free_decay_of_two_axes(names, columns, tmp_path):
+    time = np.arange(4000) * 2e-5
+    waves = np.exp(-40.0 * time)[:, None] * np.cos(2 * np.pi * REFERENCE * time[:, None] + np.array([0.0, 1.0]))
+    waves = waves * np.array([0.2, 0.01]) + 1e-5 * np.random.default_rng(3).normal(size=(4000, 2))
+    path, case = tmp_path / "scope.csv", tmp_path / "case"
+    rows = (f"{t:.9g},{x:.12g},{y:.12g}" for t, (x, y) in zip(time, waves, strict=True))
+    path.write_text("\n".join([",".join(["Time (s)", *names]), *rows]) + "\n")
+    if columns:
+        with pytest.raises(InputError, match=r"`CH1 \[V\]`, `CH2 \[V\]`.*`y=` for that of a second axis"):
+            mg.import_case([path], case)
+        with pytest.raises(InputError, match="no record that may be fitted shows a clear resonance"):
+            mg.import_case([path], case, columns=columns)
+        return
+    sweep, decay = mg.import_case([swept(tmp_path / "drive_x_10mV.csv"), path], case).case.records
+    assert (sweep.kind, decay.kind) == ("frequency_sweep", "free_decay")
+    np.testing.assert_allclose(decay.signals, waves, rtol=1e-9)
