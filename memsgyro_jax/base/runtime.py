@@ -122,6 +122,26 @@ def cache_directory() -> Path | None:
     return cache / f"jaxlib-{version('jaxlib')}-{processor()}" if cache.is_absolute() else None
 
 
+def make_room(most: float = 0.5) -> bool:
+    """Lets go of compiled programs where they take more than a part `most` of the memory maps that Linux allows a
+    process; returns whether it did.
+
+    Each of them stays mapped, and a diagnosis makes some hundred: past the limit LLVM ends the process, after some
+    twenty-five cases. Those that are asked for again come from the cache on disk, where there is one.
+    """
+    try:
+        allowed = int(Path("/proc/sys/vm/max_map_count").read_text())
+        taken = Path("/proc/self/maps").read_bytes().count(b"\n")
+    except (OSError, ValueError):  # another system
+        return False
+    if taken <= most * allowed:
+        return False
+    import jax
+
+    jax.clear_caches()
+    return True
+
+
 def _missing_flags(present: str, devices: int) -> list[str]:
     """The flags this package wants and the user has not set, to any value."""
     if not _cpu_may_be_used() or (present and not present.startswith("-")):  # XLA_FLAGS may also name a file of flags

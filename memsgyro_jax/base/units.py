@@ -252,6 +252,7 @@ def _usual(word: str) -> str:
         return word
     usual = [prefix + unit for unit in _COMMON.split() for prefix in ("", *"pnuµmkMG")]
     near = [unit for unit in usual if unit.casefold() == word.casefold()]
+    near = [unit for unit in near if not unit.startswith("mH") or unit == "mH"] or near  # no resonator is so slow
     return min(near, key=lambda unit: unit[0] != word[0], default=word.lower() if _is_known(word.lower()) else word)
 
 

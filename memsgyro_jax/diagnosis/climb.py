@@ -105,6 +105,7 @@ def _beside_lock_in(search: Search) -> Search:
     places = range(len(model.effects) - len(terms), len(model.effects))
     out = Search(search.base, search.level, (*search.given, *places), search.tell)
     out.joint, out.own, out.keep = Joint(model, search.joint.readings, search.joint.programs), search.own, search.keep
+    out.looked = search.looked
     return out
 
 

@@ -11,6 +11,7 @@ from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.files import finite, json_text
 from memsgyro_jax.base.provenance import versions
+from memsgyro_jax.base.runtime import make_room
 from memsgyro_jax.base.text import aligned
 from memsgyro_jax.device.gyro import SingleMassGyro
 from memsgyro_jax.device.normalised import NormalisedDevice
@@ -204,6 +205,7 @@ def compare(
 
     **Raises:** `InputError` if the model does not suit the case, if `level` is out of range, or in float32.
     """
+    make_room()
     if not 0.0 < level < 1.0:
         raise InputError(f"Argument `level` must lie between 0 and 1, but is {level:g}.")
     if model is None and not fitted:

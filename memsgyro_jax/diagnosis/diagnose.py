@@ -9,6 +9,7 @@ import numpy as np
 from scipy import special
 
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.runtime import make_room
 from memsgyro_jax.effects import Effect, Scanned, catalogue
 from memsgyro_jax.measurement.calibration import calibration_share, unit_of_records
 from memsgyro_jax.measurement.case import Case
@@ -70,6 +71,7 @@ def diagnose(
     """
     if not 0.0 < level < 1.0:
         raise InputError(f"Argument `level` must lie between 0 and 1, but is {level:g}.")
+    make_room()
     start = _start(model, case)
     given = {e.label for e in start.effects}
     candidates = [*catalogue(case.channels), *effects]

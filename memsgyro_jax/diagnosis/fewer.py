@@ -88,6 +88,7 @@ def as_a_phase(search: Search) -> Search:
     search.tell(f"put {said}, which these records cannot tell apart")
     out = Search(search.base, search.level, given, search.tell)
     out.joint, out.optimum, out.accepted, out.own, out.keep = whole, optimum, accepted, search.own, search.keep
+    out.looked = search.looked
     out.steps = [*search.steps, SearchStep(said, beside_case(search.case, whole, optimum))]
     upright(out)
     return out

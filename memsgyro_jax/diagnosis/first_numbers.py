@@ -13,33 +13,38 @@ from .score import basis, score, within_bounds
 POINTS = 9  # of each number between its bounds
 
 
-def with_numbers_that_show(joint: Joint, optimum: Optimum, places: np.ndarray) -> np.ndarray:
+def with_numbers_that_show(joint: Joint, optimum: Optimum, places: np.ndarray) -> tuple[np.ndarray, dict[int, int]]:
     """The vector of an optimum in which effects that are absent, and that the fitted readings would not show with the
-    numbers that they have, have those of a grid between their bounds with which they would explain most.
+    numbers that they have, have those of a grid between their bounds with which they would explain most; and, by the
+    places of those effects, how many points were looked at, which chance had as well.
 
     Strength zero leaves the model as it is whatever those numbers are. None but those at `places` move.
     """
     vector, q, (low, high) = optimum.vector.copy(), basis(optimum.jacobian), joint.bounds
+    looked: dict[int, int] = {}
     for effect in range(len(joint.model.effects)):
         mine, numbers = joint.of_effect(effect), np.intersect1d(joint.numbers_of(effect), places)
         if not numbers.size or np.any(vector[mine]):
             continue
 
-        def told(point: Iterable[float], mine=mine, numbers=numbers) -> float:
+        def seen(point: Iterable[float], mine=mine, numbers=numbers) -> np.ndarray:
             at = vector.copy()
             at[numbers] = [*point]
             slopes = joint.linearise(at, np.eye(at.size)[mine], joint.fitted)[1]
-            slopes = np.where(np.isfinite(slopes), slopes, 0.0)
+            return np.where(np.isfinite(slopes), slopes, 0.0)
+
+        def told(point: Iterable[float], mine=mine, seen=seen) -> float:
+            slopes = seen(point)
             if not np.any(slopes):
                 return 0.0
             alone = score(optimum.residual, q, slopes)
             return within_bounds(alone, optimum.residual, slopes, low[mine], high[mine]).statistic
 
-        if told(vector[numbers]) > 0.0:
+        if np.any(seen(vector[numbers])):
             continue
-        best = max(product(*(_between(low[k], high[k], vector[k]) for k in numbers)), key=told)
-        vector[numbers] = best
-    return vector
+        points = [*product(*(_between(low[k], high[k], vector[k]) for k in numbers))]
+        vector[numbers], looked[effect] = max(points, key=told), len(points)
+    return vector, looked
 
 
 def _between(low: float, high: float, start: float) -> np.ndarray:

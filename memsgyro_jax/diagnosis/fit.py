@@ -301,7 +301,7 @@ def fit_case(
     joint = Joint(whole, (*without_rows(readings_of(case), left_out or {}), *known))
     vector, places = joint.start, _free_places(joint, fixed)
     if 0 < (alone := np.intersect1d(joint.base(), places)).size < places.size and not held:
-        vector = with_numbers_that_show(joint, optimise(joint, vector, alone, joint.fitted), places)
+        vector, _ = with_numbers_that_show(joint, optimise(joint, vector, alone, joint.fitted), places)
     longest = 0 if held else WHOLE
     optimum = optimise(joint, vector, places, joint.fitted, max_evaluations=longest)
     if optimum.chi2 > FAR * optimum.dof and not held and len(steps := stages(case, joint.fitted)) > 1:

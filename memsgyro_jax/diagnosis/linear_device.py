@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from memsgyro_jax.base.text import beside
+from memsgyro_jax.base.text import beside, said_in
 from memsgyro_jax.measurement.least_squares import gate
 
 from .fit import CaseFit
@@ -44,7 +44,7 @@ class LinearDevice:
         for m in (mode for mode in self.modes if np.isfinite(mode.std)):
             rough = f"about {beside(m.value, ROUGHLY * m.std, 4)}"
             value = f"{beside(m.value, m.std)} ± {m.std:.2g}" if self.held else rough
-            out.append(f"{m.name}: {value} {m.unit}".removesuffix(" 1"))
+            out.append(f"{m.name}: {said_in(value, m.unit)}")
         return tuple(out)
 
     @property

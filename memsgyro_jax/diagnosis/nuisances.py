@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from memsgyro_jax.base.text import said_in
 from memsgyro_jax.effects import TERMS, Effect, InstrumentTerm, Scanned
 from memsgyro_jax.measurement.least_squares import gate
 
@@ -110,7 +111,7 @@ def of_instrument(terms: Sequence[Accepted], rival: str, levels: int) -> str:
 def _numbers_of(term: Accepted) -> str:
     held = [told_with(e, s, 4) for e, s in zip(term.estimate, term.std, strict=True) if not abs(e) <= 1e-6 * s]
     turned = f" ({np.degrees(term.estimate[0]):.4g}°)" if term.unit == "rad" and len(term.estimate) == 1 else ""
-    return f"{term.label} {', '.join(held)} {term.unit}".removesuffix(" 1") + turned
+    return f"{term.label} {said_in(', '.join(held), term.unit)}{turned}"
 
 
 def instrument_alone(search: Search, first: Ranking, best: tuple[str, Optimum] | None) -> Search | None:
@@ -310,6 +311,7 @@ def beside_terms(alone: Search, search: Search, effects: Sequence[Effect]) -> Se
     # The last step is of this model, which what is known beforehand of the terms left out is not part of.
     out.steps = [*alone.steps[:-1], replace(alone.steps[-1], fit=out.base)]
     out.base, out.accepted, out.keep = search.base, accepted, search.keep
+    out.looked = search.looked
     out.own = tuple(i for i, e in enumerate(joint.model.effects) if e.label in _labels(search, search.own))
     out.keep(out)
     imitated(out)

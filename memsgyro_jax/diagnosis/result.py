@@ -12,6 +12,7 @@ from memsgyro_jax.base.files import finite, json_text
 from memsgyro_jax.base.joint_normal import JointNormal
 from memsgyro_jax.base.labelled import Labelled, columns_of, labelled
 from memsgyro_jax.base.provenance import versions
+from memsgyro_jax.base.text import said_in
 from memsgyro_jax.device.gyro import SingleMassGyro
 from memsgyro_jax.device.resonator import Resonator
 from memsgyro_jax.measurement.case import Case
@@ -176,9 +177,9 @@ class Diagnosis(Labelled):
             lines.append(f"  (resonance and quality factor: {self.linear.about})")
         for a in (*self.instrument, *self.accepted):
             value = ", ".join(told_with(e, s) for e, s in zip(a.estimate, a.std, strict=True))
-            more = "".join(f", {name} {told_with(v, s)} {unit}" for name, (v, s, unit) in a.numbers.items())
-            unit = "" if a.unit == "1" else f" {a.unit}"
-            lines.append(f"  {a.label}: {value}{unit}{with_calibration(a.calibration)}{more}" + _confused(a))
+            more = "".join(f", {name} {said_in(told_with(v, s), unit)}" for name, (v, s, unit) in a.numbers.items())
+            value = said_in(value, a.unit)
+            lines.append(f"  {a.label}: {value}{with_calibration(a.calibration)}{more}" + _confused(a))
             if about := "; ".join(filter(None, (self.laws.get(a.label), self.consequences.get(a.label)))):
                 lines.append(f"    {about}")
         if self.unexplained and (self.instrument or self.accepted):

@@ -62,6 +62,7 @@ class Search:
         self.case, self.joint, self.level, self.tell, self.given = base.case, base.joint, level, tell, tuple(given)
         self.optimum, self.base = base.optimum, base
         self.own: tuple[int, ...] = ()
+        self.looked: Mapping[str, int] = {}  # points among which the numbers of an effect were chosen
         self.keep: Callable[[Search], None] = lambda search: None  # is told of every step
         self.accepted: list[int] = []
         self.slow: Mapping[str, str] = {}  # records of which nothing is left but slow noise
@@ -89,7 +90,11 @@ class Search:
         residual, bounds = self.optimum.residual, [(low[block], high[block]) for block in blocks]
         scores = [within_bounds(score(residual, q, s), residual, s, *b) for s, b in zip(parts, bounds, strict=True)]
         chi2, dof, unsure = self.optimum.chi2, self.optimum.dof, unsure_noise(self.case, self.joint.fitted)
-        scores = [replace(s, p_value=judged_by_misfit(s, chi2, dof, unsure)) for s in scores]
+        chances = [self.looked.get(self.joint.model.effects[i].label, 1) for i in places]
+        scores = [
+            replace(s, p_value=min(1.0, n * judged_by_misfit(s, chi2, dof, unsure)))
+            for s, n in zip(scores, chances, strict=True)
+        ]
         return Ranking(tuple(places), tuple(scores), family_p_values(scores), tuple(parts))
 
     def _slopes(self, columns: np.ndarray) -> np.ndarray:
@@ -305,7 +310,7 @@ class Search:
         optimum = optimise(joint, optimum.vector, free, joint.fitted)
         out = Search(self.steps[-1].fit, self.level, self.given, self.tell)
         out.base, out.steps, out.optimum, out.own = self.base, list(self.steps), self.optimum, self.own
-        out.keep = self.keep
+        out.keep, out.looked = self.keep, self.looked
         out.joint, out.accepted = joint, list(self.accepted)
         if out.refuses(place, optimum):
             return None
@@ -335,7 +340,10 @@ def start_search(case, joint: Joint, level: float, given: Sequence[int], tell: C
     """Fit the base model with the effects it was given, and begin."""
     tell("fit the base model")
     optimum = optimise(joint, joint.start, always_free(joint, given), joint.fitted)
-    optimum = replace(optimum, vector=with_numbers_that_show(joint, optimum, joint.numbers))
+    vector, looked = with_numbers_that_show(joint, optimum, joint.numbers)
+    optimum = replace(optimum, vector=vector)
     base = beside_case(case, joint, optimum)
     tell(f"base model: χ²/dof {base.chi2_per_dof:.4g}")
-    return Search(base, level, given, tell)
+    out = Search(base, level, given, tell)
+    out.looked = {joint.model.effects[i].label: count for i, count in looked.items()}
+    return out

@@ -41,6 +41,7 @@ _NAMED = {
     "phase": r"\bphase|theta|\bphi\b|\barg\b|angle",
     "amp": r"^r$|\bamp\b|ampl\b|amplitude|magnitude|\bmag\b|\babs\b|modulus|\bgain\b|^s\d\d db$",
 }
+_TURN_RATE = re.compile(r"^(rate|angular rate|turn rate|table rate|rate table|omega z?|ω)$")
 _DIMENSIONS = {"f": "Hz", "t": "s", "T": "K", "phase": "rad"}
 
 
@@ -114,6 +115,8 @@ def role_of(column: SourceColumn) -> str:
         return "t"
     if column.unit and is_same_kind(column.unit, "rad/s"):
         return "f" if re.search(_NAMED["f"], name) else "rate"
+    if not column.unit and _TURN_RATE.search(name):
+        return "rate"
     tokens = [re.sub(r"\d+$", "", token) for token in name.split()]
     for role in ("f", "t", "T", "V_bias", "drive"):
         unlike = column.unit and role in _DIMENSIONS

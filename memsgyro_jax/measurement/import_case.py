@@ -4,13 +4,10 @@ import re
 import shlex
 import shutil
 import tempfile
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from memsgyro_jax.base.arguments import whole
 from memsgyro_jax.base.display import Shown
@@ -27,7 +24,8 @@ from .demodulators import demodulators_joined
 from .driven_axes import axes_of_files, require_axes
 from .formats import SourceTable, read_instrument_file
 from .imported_record import Given, ImportedRecord, records_of
-from .imported_sweep import NO_LEVEL, TURNED
+from .imported_sweep import NO_LEVEL
+from .records_together import agreed, turned_alike, without_copies
 
 
 _PLURAL = {
@@ -134,51 +132,64 @@ def import_case(
     if (folder.exists() and not folder.is_dir()) or (folder.is_dir() and any(folder.iterdir()) and not overwrite):
         raise InputError(f"{folder} must be a new or empty folder, but exists; choose another, or give `--overwrite`.")
     said = parse_map(columns) if columns else {}
-    given = [None if text.strip() == "-" else amount_of_option(text, "--drive", "20 mV") for text in drive]
     tuned = amount_of_option(reference, "--reference", "32.768 kHz", "Hz") if reference else None
     every = whole("every", every, 1)
     sources = [Path(path).name for path in paths]
     files, read = [Path(path) for path in paths], [read_instrument_file(path) for path in paths]
+    parts = [[k] for k in range(len(files))]
     if not said:  # which columns are used was not said for tables made here
-        files, read = demodulators_joined(files, read)
+        files, read, parts = demodulators_joined(files, read)
+    axis, drive = (_of_joined(option, parts, name) for option, name in ((axis, "--axis"), (drive, "--drive")))
+    given = [None if text.strip() == "-" else amount_of_option(text, "--drive", "20 mV") for text in drive]
     axes = axes_of_files(axis, len(files))
     found = [
         _records(tables, said, Given(None, tuned, every, rms, own)) for (_, tables), own in zip(read, axes, strict=True)
     ]
-    swept = [any("drive_force" in record.keys for record in some) for some in found]
-    levels = _levels(given, swept)
+    needing = [any("drive_force" in record.keys for record in some) for some in found]
+    levels = _levels(given, needing)
     for k, level in enumerate(levels):
-        if level is not None and swept[k]:
+        if level is not None and needing[k]:
             found[k] = _records(read[k][1], said, Given(level, tuned, every, rms, axes[k]))
     require_axes(files, found, axis)
     names = [path.name for path in files]
     unused = [
         f"the drive of {level[0]:g} {level[1]}, as {name} does not need it"
-        for level, name, needs in zip(levels, names, swept, strict=True)
+        for level, name, needs in zip(levels, names, needing, strict=True)
         if level and not needs and len(given) > 1
     ]
-    own, copies = _without_copies([record for some in found for record in some])
-    records, unused = _turned_alike(_agreed(_named(own))), [*unused, *copies]
+    found, copies = without_copies(found)
+    records = turned_alike(agreed(_named([record for some in found for record in some])))
     case = _write(folder, records, sources)
     again = ["memsgyro", "import", *map(str, paths), "--out", str(folder), "--overwrite"]
     again += [*(["--map", columns] if columns else []), *(["--axis", *axis] if axis else [])]
-    needing = [some if needs else None for some, needs in zip(found, swept, strict=True)]
-    warning = _warning(names, needing, shlex.join(again))
-    return ImportedCase(case, tuple(form for form, _ in read), tuple(records), tuple(unused), warning)
+    left = [some if needs else [] for some, needs in zip(found, needing, strict=True)]
+    warning = _warning(names, left, shlex.join(again))
+    return ImportedCase(case, tuple(form for form, _ in read), tuple(records), (*unused, *copies), warning)
 
 
-def _warning(names: Sequence[str], found: Sequence[list[ImportedRecord] | None], command: str) -> str:
+def _of_joined(given: Sequence[str], parts: Sequence[Sequence[int]], option: str) -> Sequence[str]:
+    """What was said of each file, of those of which a record was made of two once; as it is where it was said
+    otherwise.
+    """
+    if len(given) != sum(map(len, parts)) or all(len(some) == 1 for some in parts):
+        return given
+    if any(given[k] != given[some[0]] for some in parts for k in some):
+        raise InputError(f"Option `{option}` must say the same of two files that are the two channels of one record.")
+    return [given[some[0]] for some in parts]
+
+
+def _warning(names: Sequence[str], found: Sequence[list[ImportedRecord]], command: str) -> str:
     """That nothing tells the drive levels of several files, and the command to give them; empty where they are told.
 
     Args:
         names: of all files.
-        found: the records of each, or `None` where it needs no level.
+        found: the records of each; none where it needs no level.
         command: that was given.
     """
     levels = []
     for some in found:
-        known = next((record.keys["drive_force"] for record in some or () if "drive_force" in record.keys), None)
-        guessed = any(NO_LEVEL in record.assumed for record in some or ())
+        known = next((record.keys["drive_force"] for record in some if "drive_force" in record.keys), None)
+        guessed = any(NO_LEVEL in record.assumed for record in some)
         levels.append("..." if guessed else "-" if known is None else f"{known['value']:g} {known['unit']}")
     if levels.count("...") < 2:
         return ""
@@ -243,51 +254,6 @@ def _named(records: list[ImportedRecord]) -> list[ImportedRecord]:
         seen[name] = seen.get(name, 0) + 1
         named.append(replace(record, name=name if seen[name] == 1 else f"{name}_{seen[name]}"))
     return named
-
-
-def _without_copies(records: list[ImportedRecord]) -> tuple[list[ImportedRecord], list[str]]:
-    """Those that are no copies of an earlier one, which would count as measured twice, and a sentence for each copy."""
-    seen: dict[tuple[bytes, str], str] = {}
-    kept, copies = [], []
-    for record in records:
-        rows = b"".join(np.ascontiguousarray(values, float).tobytes() for values in record.columns.values())
-        what = rows, repr(sorted(record.keys.items(), key=lambda pair: pair[0]))
-        if what in seen:
-            copies.append(f"{record.source}, as its rows are those of {seen[what]}")
-        else:
-            seen[what] = record.source
-            kept.append(record)
-    return kept, copies
-
-
-def _agreed(records: list[ImportedRecord]) -> list[ImportedRecord]:
-    """Records of one read-out: what most of those that tell show is read, and said where one shows something else."""
-    told = Counter(record.quantity for record in records if record.quantity)
-    if len(told) < 2:
-        return records
-    (most, _), *_ = told.most_common()
-    said = f"most records show {most}, which is taken for all (`quantity` under `[readout]` says otherwise)"
-    return [
-        record if record.quantity in ("", most) else replace(record, quantity=most, assumed=(*record.assumed, said))
-        for record in records
-    ]
-
-
-def _turned_alike(records: list[ImportedRecord]) -> list[ImportedRecord]:
-    """Phasors over time, which do not tell which way they turn, negated where every sweep was."""
-    sweeps = [record for record in records if record.kind == "frequency_sweep"]
-    if not sweeps or not all(TURNED in record.assumed for record in sweeps):
-        return records
-    said = "its phase is negated, as that of the sweeps, which show that the files follow e^{-iωt}"
-
-    def turned(record: ImportedRecord) -> ImportedRecord:
-        parts = [name for name in record.columns if re.match(r"V[xy]_(?:Q|phase) ", name)]
-        if record in sweeps or not parts:
-            return record
-        negated = {name: -values if name in parts else values for name, values in record.columns.items()}
-        return replace(record, columns=negated, assumed=(*record.assumed, said))
-
-    return [turned(record) for record in records]
 
 
 def _shared(records: Sequence[ImportedRecord]) -> dict[str, list[str]]:

@@ -20,7 +20,7 @@ from .imported_columns import (
     reading_column,
     time_column,
 )
-from .imported_sweep import columns_of_sweep, level_of, phasor_columns_of, phasors_of, read_as
+from .imported_sweep import PEAK, columns_of_sweep, level_of, phasor_columns_of, phasors_of, read_as
 from .thinning import thinned
 from .tracking import rough_decay
 from .two_channels import axis_in_name, said_of_channels
@@ -90,7 +90,7 @@ def records_of(name: str, table: SourceTable, meaning: Meaning, given: Given) ->
     with np.errstate(over="ignore", invalid="ignore"):  # of a damaged file; reading the case refuses them
         if meaning.swept:
             return [_sweep(about, table, meaning, rows, given, assumed)]
-        if "rate" in rows and "signal" not in rows:
+        if "rate" in rows and "signal" not in rows and np.ptp(rows["rate"].values) > 0:
             return [_rate_table(about, table, rows, given, meaning, assumed)]
         return _over_time({**about, "two_axes": meaning.two_axes}, table, rows, given, meaning, assumed)
 
@@ -243,7 +243,14 @@ def _lock_in_decay(about, table, columns, rows, given: Given, assumed: list[str]
 
 def _rate_table(about, table, rows, given: Given, meaning: Meaning, assumed: list[str]) -> ImportedRecord:
     """Phasors over time beside the rate of a table: means over whole cycles of the drive, block after block."""
+    if not rows["rate"].unit:
+        remedy = 'as in --map "rate=... [deg/s],..."'
+        raise InputError(
+            f"{table.path}: `{rows['rate'].name}` must have its unit, {remedy} with all columns to be used."
+        )
     columns = {"t": time_column(table, rows["t"], assumed), "rate": rows["rate"], **phasor_columns_of(rows, assumed)}
+    if not any("peak amplitude" in sentence for sentence in assumed):
+        assumed.append(PEAK)
     value, unit = _reference(table, rows, given)
     period = usual_period(to_si(columns["t"].values, columns["t"].unit, "s", "t"))
     cycles = float(to_si(value, unit, "Hz", "f")) * period
@@ -256,15 +263,29 @@ def _rate_table(about, table, rows, given: Given, meaning: Meaning, assumed: lis
     assumed.append("the rate is the setting of the table (`rate_reference`), and the device had settled before")
     axis = _driven_axis(about, rows, given, meaning, assumed)
     keys = {
-        "drive_force": level_of(table, given.drive, assumed),
+        "drive_force": _steady_level(table, rows, given, assumed),
         "drive_frequency": {"value": value, "unit": unit},
         "lock_in_cycles": round(cycles),
         **_stamps(columns["t"], assumed),
     }
+    beside = tuple(rows[role].header for role in ("T", "V_bias") if role in rows)
+    about = {**about, "unused": (*about["unused"], *beside)}
+    about["quantity"] = read_as(columns["Vx_I" if "I" in rows else "Vx_amp"].unit)
     return ImportedRecord(
         **about, kind="rate_table", columns=headed(columns), keys=keys, assumed=tuple(assumed), axis=axis,
         two_axes=meaning.two_axes,
     )  # fmt: skip
+
+
+def _steady_level(table, rows, given: Given, assumed: list[str]) -> Mapping[str, Any]:
+    """The level of a drive that stays as it is: that of its column, or as given."""
+    if "drive" not in rows:
+        return level_of(table, given.drive, assumed)
+    drive = reading_column(rows["drive"], assumed, "drive")
+    if np.ptp(drive.values) > _WHOLE * np.max(np.abs(drive.values)):
+        name = rows["drive"].name
+        raise InputError(f"{table.path}: the drive of a rate table must stay as it is, but `{name}` moves.")
+    return {"value": float(np.median(drive.values)), "unit": drive.unit}
 
 
 def _reference(table: SourceTable, rows: Mapping[str, SourceColumn], given: Given) -> tuple[float, str]:

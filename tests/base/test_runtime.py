@@ -3,6 +3,7 @@
 import json
 import os
 from importlib.metadata import version
+from pathlib import Path
 
 import jax
 import pytest
@@ -174,3 +175,15 @@ def test_float32_is_refused_where_float64_is_needed():
     runtime.require_float64("`simulate`")
     with jax.enable_x64(False), pytest.raises(InputError, match=r"^`simulate` must run in float64, but .*float32"):
         runtime.require_float64("`simulate`")
+
+
+@pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="Linux alone counts memory maps")
+def test_room_is_made_for_programs():
+    """A process that diagnosed case after case ended in the thirty-fifth, as its compiled programs filled all maps."""
+    once = jax.jit(lambda x: x + 1.0)
+    once(1.0)
+    assert not runtime.make_room(most=1.0)
+    assert once._cache_size() == 1
+    assert runtime.make_room(most=0.0)
+    assert once._cache_size() == 0
+    assert once(1.0) == 2.0

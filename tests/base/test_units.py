@@ -75,6 +75,7 @@ def test_a_unit_that_cannot_be_read_is_refused(unit):
     [
         ("mv", '"mv"; did you mean "mV"?'),
         ("MHZ", '"MHZ"; did you mean "MHz"?'),
+        ("mhz", '"mhz"; did you mean "MHz"?'),
         ("KHz", '"KHz"; did you mean "kHz"?'),
         ("uv/√hz", '"uv/√hz"; did you mean "uV/√Hz"?'),
         ("Degrees", '"Degrees"; did you mean "degrees"?'),

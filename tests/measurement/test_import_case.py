@@ -310,6 +310,12 @@ def test_a_copy_of_a_file_is_not_used(tmp_path):
     files = [tmp_path / "first.csv", tmp_path / "copy.csv"]
     for file, header in zip(files, ("f [Hz],X [V],Y [V]", "Frequency (Hz),X (V),Y (V)"), strict=True):
         file.write_text(f"{header}\n{lines}\n")
-    found = mg.import_case(files, tmp_path / "case", drive=["10 mV"])
-    assert [record.name for record in found.case.records] == ["first"]
-    assert "Not used: copy.csv, as its rows are those of first.csv." in str(found)
+    lone = mg.import_case(files, tmp_path / "lone")
+    assert "Not used: copy.csv, as its rows are those of first.csv." in str(lone)
+    assert not lone.warning, "one file is left, whose level scales all"
+    said = tmp_path / "first_10mV.csv"
+    said.write_text(files[0].read_text())
+    found = mg.import_case([files[1], said], tmp_path / "case")
+    assert [record.name for record in found.case.records] == ["first_10mV"], "the one whose level is told"
+    levels = mg.import_case(files, tmp_path / "both", drive=["10 mV", "20 mV"])
+    assert len(levels.case.records) == 2

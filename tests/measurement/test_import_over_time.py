@@ -11,13 +11,13 @@ REFERENCE = 8050.0
 HEADER = "Time (s);{}Demod 1 X (V);Demod 1 Y (V);Demod 2 X (V);Demod 2 Y (V)"
 
 
-def wrote(path, time, phasors, rate=None):
+def wrote(path, time, phasors, rate=None, drive=None):
     """As a lock-in that streams its samples saves them."""
-    between = [] if rate is None else [rate]
+    between = [column for column in (rate, drive) if column is not None]
     table = np.column_stack(
         [time, *between, phasors[:, 0].real, phasors[:, 0].imag, phasors[:, 1].real, phasors[:, 1].imag]
     )
-    header = HEADER.format("" if rate is None else "Rate (deg/s);")
+    header = HEADER.format(("" if rate is None else "Rate (deg/s);") + ("" if drive is None else "Drive (mV);"))
     path.write_text("\n".join([header, *(";".join(f"{v:.12g}" for v in row) for row in table)]) + "\n")
     return path
 
@@ -94,3 +94,33 @@ def test_two_waveforms_that_die_out_are_a_free_decay_of_two_axes(names, columns,
     sweep, decay = mg.import_case([swept(tmp_path / "drive_x_10mV.csv"), path], case).case.records
     assert (sweep.kind, decay.kind) == ("frequency_sweep", "free_decay")
     np.testing.assert_allclose(decay.signals, waves, rtol=1e-9)
+
+
+def test_the_drive_beside_a_rate_is_its_level(tmp_path):
+    time, rate = np.arange(120) * 80 / REFERENCE, np.repeat([0.0, 50.0], 60)
+    phasors, level = np.full((120, 2), 0.05 + 0.01j), np.full(120, 20.0)
+    files = [swept(tmp_path / "drive_x_10mV.csv"), wrote(tmp_path / "table_drive_x.csv", time, phasors, rate, level)]
+    found = mg.import_case(files, tmp_path / "case", reference="8050 Hz")
+    assert found.case.records[1].drive_force / found.case.records[0].drive[0] == pytest.approx(2.0)
+    assert "as the file does not say" not in str(found)
+    level[70:] = 30.0
+    files[1] = wrote(tmp_path / "table_drive_x.csv", time, phasors, rate, level)
+    with pytest.raises(InputError, match="the drive of a rate table must stay as it is, but `Drive` moves"):
+        mg.import_case(files, tmp_path / "other", reference="8050 Hz")
+
+
+def test_a_decay_on_a_table_that_stands_still_is_a_decay(tmp_path):
+    time = np.arange(200) * 5e-4
+    files = [swept(tmp_path / "drive_x_10mV.csv"), wrote(tmp_path / "ring.csv", time, decayed(time), 0.0 * time)]
+    assert mg.import_case(files, tmp_path / "case", reference="8050 Hz").case.records[1].kind == "free_decay"
+
+
+@pytest.mark.parametrize(("sign", "beat"), [(-1, 30.0), (1, 30.0), (-1, -30.0)])
+def test_a_decay_turns_as_its_resonance_says(sign, beat, tmp_path):
+    """Of a lock-in 30 Hz beside the resonance of sweeps that follow e^{-iωt}, or not."""
+    time = np.arange(200) * 5e-4
+    turning = np.exp((2j * np.pi * beat - 60.0) * time)[:, None] * np.array([0.05 + 0.02j, 0.004j])
+    files = [swept(tmp_path / "drive_x_10mV.csv", sign), wrote(tmp_path / "ring.csv", time, turning)]
+    decay = mg.import_case(files, tmp_path / "case", reference="8020 Hz").case.records[1]
+    right = turning if beat > 0 else turning.conj()  # the resonance is at 8050 Hz
+    np.testing.assert_allclose(decay.signals, right, rtol=1e-9)

@@ -8,6 +8,7 @@ import pytest
 
 import memsgyro_jax as mg
 from memsgyro_jax.app import cli
+from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.measurement.formats import SourceColumn
 from memsgyro_jax.measurement.linear_start import starting_device
 from memsgyro_jax.measurement.two_channels import axis_in_name, two_channels
@@ -230,3 +231,26 @@ def test_two_demodulators_in_one_file_are_two_channels(tmp_path):
     (record,) = mg.import_case([tmp_path / "drive_y.h5"], tmp_path / "case", drive=["20 mV"]).case.records
     np.testing.assert_allclose(record.phasors, moved("y"), rtol=1e-9)
     assert record.axis == 1
+
+
+def test_demodulators_of_one_signal_or_of_waveforms_stay_apart(tmp_path):
+    """Two filters behind one input are no two axes, and what is no phasor is lost in no pair."""
+    z = moved("x")[:, 0]
+    files = [demodulator(tmp_path, k, gain * z) for k, gain in enumerate((1.0, 0.97))]
+    assert len(mg.import_case(files, tmp_path / "case", drive=["20 mV"]).case.records) == 2
+    time = np.arange(400) * 2e-5
+    for k in (0, 1):
+        wave = np.exp(-100.0 * time) * np.cos(2 * np.pi * 8e3 * time + k)
+        lines = [f"{t:.9g},{v:.9g}" for t, v in zip(time, wave, strict=True)]
+        (tmp_path / f"run_demod{k}.csv").write_text("\n".join(["Time (s),Voltage (V)", *lines]) + "\n")
+    found = mg.import_case([tmp_path / "run_demod0.csv", tmp_path / "run_demod1.csv"], tmp_path / "decays")
+    assert [record.name for record in found.case.records] == ["run_demod0", "run_demod1"]
+
+
+def test_options_for_each_file_hold_for_the_pair(tmp_path):
+    z = moved("x") / np.sqrt(2)
+    files = [demodulator(tmp_path, k, z[:, k]) for k in (0, 1)]
+    found = mg.import_case(files, tmp_path / "case", axis=["x", "x"], drive=["20 mV", "20 mV"])
+    assert len(found.case.records) == 1
+    with pytest.raises(InputError, match="`--axis` must say the same of two files"):
+        mg.import_case(files, tmp_path / "other", axis=["x", "y"], drive=["20 mV"])
