@@ -179,9 +179,9 @@ class Driven(eqx.Module):
 
         return jax.lax.scan(advance, start, np.repeat(np.arange(len(legs)), counts))[1]
 
-    def demodulated(self, course: "Course", step: Array) -> Complex[Array, "t h n"]:
-        """What a boxcar lock-in over each step (a whole number of cycles) makes of the state: harmonic by harmonic the
-        mean, and in harmonic 1 also what passes from harmonic 0 and from the conjugate while they change.
+    def demodulated(self, course: "Course", step: Array, boxcar: bool = True) -> Complex[Array, "t h n"]:
+        """What a lock-in over each step makes of the state: harmonic by harmonic the mean, and with a `boxcar` (over a
+        whole number of cycles) in harmonic 1 also what passes from harmonic 0 and from the conjugate while they change.
 
         Means of S·e^{ikωt} follow from the equation of motion: L times the mean is the change of S less the load.
         """
@@ -189,6 +189,8 @@ class Driven(eqx.Module):
         matrix, turn = self.linear[0], 1j * self.omega * jnp.eye(self.model.size)
         solve = jax.vmap(inverse)(jnp.concatenate([self.operator, jnp.stack([matrix + turn, matrix - turn])]))
         means = product(solve[:-2], change - self.load - 0.5 * (course.here + course.there))
+        if not boxcar:
+            return means
         conjugate = product(solve[-2], change[:, 1] - drift[:, 1] / (2j * self.omega))
         constant = product(solve[-1], change[:, 0] + drift[:, 0] / (1j * self.omega))
         return means.at[:, 1].add(jnp.conj(conjugate) + 2 * constant)

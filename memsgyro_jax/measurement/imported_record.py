@@ -31,7 +31,8 @@ _QUIET_SHARE = 0.15  # of the rows at the end without drive: a free decay
 _FEWEST = 50  # rows of a record over time
 _LOUD = 0.9  # of the largest envelope: the decay has not begun
 _FALLEN = 0.02  # in natural logarithms: an envelope that falls by less is kept up
-_WHOLE = 1e-3  # of a number of cycles: so far from a whole one it is none
+_WHOLE = 0.02  # cycles beside a whole number, from row to row, of a mean over so many
+_STEADY = 1e-3  # of a drive: by less it stays as it is
 _EARLY = 0.88  # of the usual fall: an envelope that falls by so much in its first quarter falls from the start
 
 
@@ -254,18 +255,17 @@ def _rate_table(about, table, rows, given: Given, meaning: Meaning, assumed: lis
     value, unit = _reference(table, rows, given)
     period = usual_period(to_si(columns["t"].values, columns["t"].unit, "s", "t"))
     cycles = float(to_si(value, unit, "Hz", "f")) * period
-    if round(cycles) < 1 or abs(cycles - round(cycles)) > _WHOLE * cycles:
-        raise InputError(
-            f"{table.path}: the rows of a rate table must be as far apart as whole cycles of the drive last, each the "
-            f"mean over them, but {period:.6g} s are {cycles:.6g} cycles of {value:g} {unit}; is --reference right?"
-        )
-    assumed.append(f"each row is the mean over the {round(cycles)} cycles of the drive from row to row")
+    whole = abs(cycles - round(cycles)) <= _WHOLE and cycles > 0.5
+    if whole:
+        assumed.append(f"each row is the mean over the {round(cycles)} cycles of the drive from row to row")
+    else:
+        assumed.append("each row is what the lock-in's low pass makes of the time from row to row")
     assumed.append("the rate is the setting of the table (`rate_reference`), and the device had settled before")
     axis = _driven_axis(about, rows, given, meaning, assumed)
     keys = {
         "drive_force": _steady_level(table, rows, given, assumed),
         "drive_frequency": {"value": value, "unit": unit},
-        "lock_in_cycles": round(cycles),
+        **({"lock_in_cycles": round(cycles)} if whole else {}),
         **_stamps(columns["t"], assumed),
     }
     beside = tuple(rows[role].header for role in ("T", "V_bias") if role in rows)
@@ -282,7 +282,7 @@ def _steady_level(table, rows, given: Given, assumed: list[str]) -> Mapping[str,
     if "drive" not in rows:
         return level_of(table, given.drive, assumed)
     drive = reading_column(rows["drive"], assumed, "drive")
-    if np.ptp(drive.values) > _WHOLE * np.max(np.abs(drive.values)):
+    if np.ptp(drive.values) > _STEADY * np.max(np.abs(drive.values)):
         name = rows["drive"].name
         raise InputError(f"{table.path}: the drive of a rate table must stay as it is, but `{name}` moves.")
     return {"value": float(np.median(drive.values)), "unit": drive.unit}

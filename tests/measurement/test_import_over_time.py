@@ -5,6 +5,9 @@ import pytest
 
 import memsgyro_jax as mg
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.device.normalised import NormalisedDevice
+from memsgyro_jax.measurement.case import load_case, write_case
+from memsgyro_jax.measurement.readings import model_of, readings_of
 
 
 REFERENCE = 8050.0
@@ -66,13 +69,32 @@ def test_rates_beside_two_demodulators_are_a_rate_table(sign, tmp_path):
     assert "each row is the mean over the 80 cycles of the drive" in str(found)
 
 
-def test_rows_of_no_whole_cycles_are_no_rate_table(tmp_path):
-    time = np.arange(120) * 80.4 / REFERENCE
-    path = wrote(tmp_path / "table_drive_x.csv", time, np.ones((120, 2)) * (1 + 1j), np.repeat([0.0, 50.0], 60))
-    with pytest.raises(InputError, match=r"0\.00998758 s are 80\.4 cycles of 8050 Hz; is --reference right\?"):
-        mg.import_case([path], tmp_path / "case", reference="8050 Hz", drive=["20 mV"])
+def test_rows_at_a_rate_of_their_own_are_those_of_a_low_pass(tmp_path):
+    """The prediction at a steady rate is that of linear algebra, whatever the time from row to row."""
+    time, rate = np.arange(120) * 80.4 / REFERENCE, np.full(120, 300.0)
+    stiffness, damping, omega = (
+        (2 * np.pi * np.array([8050.0, 8700.0])) ** 2,
+        np.array([20.0, 30.0]),
+        2 * np.pi * REFERENCE,
+    )
+    gyration = 2j * omega * np.radians(300.0) * np.array([[0.0, 1.0], [-1.0, 0.0]])
+    held = np.diag(stiffness - omega**2 + 1j * omega * damping) - gyration
+    phasors = np.tile(1e5 * np.linalg.inv(held)[:, 0], (120, 1))
+    rate[0] = 299.0  # a column that never moves is that of a table that stands still
+    path = wrote(tmp_path / "table_drive_x.csv", time, phasors, rate)
     with pytest.raises(InputError, match=r'give it as in --reference "32.768 kHz"'):
         mg.import_case([path], tmp_path / "case", drive=["20 mV"])
+    files = [swept(tmp_path / "drive_x_10mV.csv"), path]
+    found = mg.import_case(files, tmp_path / "case", reference="8050 Hz", drive=["-", "20 mV"])
+    table = found.case.records[1]
+    assert table.lock_in_cycles is None
+    assert table.block == pytest.approx(80.4 / REFERENCE)
+    assert "the lock-in's low pass" in str(found)
+    (experiment,) = [r.experiment for r in readings_of(found.case) if r.experiment.name == "rate tables"]
+    device = NormalisedDevice([*stiffness, 0.0], [*damping, 0.0], 1e5 / table.drive_force)
+    seen = np.asarray(experiment.predict(model_of(found.case, device, offset=np.zeros(2))))
+    np.testing.assert_allclose(seen[20:], phasors[20:], rtol=1e-3)
+    assert load_case(write_case(found.case, tmp_path / "again")).records[1].lock_in_cycles is None
 
 
 @pytest.mark.parametrize(

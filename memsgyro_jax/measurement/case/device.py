@@ -80,7 +80,7 @@ def design(file: CaseFile, source: Source, words: Vocabulary) -> dict[str, Desig
         with source.section("design", key):
             given = file.design.get(key)
             _check_unit(given, key, unit, source)
-            if given is not None:
+            if given is not None and not given.unknown:
                 values[key] = _design_value(given, unit, key in words.positive)
             elif key == "mass":  # part of the gain: all else is per mass until the records tell
                 values[key] = DesignValue(1.0, 1.0, 1.0, unknown=True)

@@ -52,7 +52,11 @@ def _head(case: Case) -> list[str]:
     words = case.words
     per, seen = words.displacement + case.readout.order * "/s", QUANTITIES[case.readout.order]
     scale = _quantity(case.readout.scale, f"{case.readout.unit}/({per})", case.readout.tolerance)
-    readout = {"quantity": _text(seen), "scale": scale}
+    readout = {"quantity": _text(seen)}
+    if (
+        case.device != "single_mass" or not case.readout.displacement
+    ):  # else nobody told it, and records are as they are
+        readout["scale"] = scale
     drive = {"unit": _text(words.force)}
     if case.drive is not None and case.drive.tolerance:
         drive["scale"] = _quantity(1.0, f"N/({words.force})", case.drive.tolerance)

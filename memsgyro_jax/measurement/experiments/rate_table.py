@@ -16,7 +16,7 @@ from memsgyro_jax.base.table import Table
 from memsgyro_jax.device.conditions import Conditions
 from memsgyro_jax.device.normalised import NormalisedDevice
 
-from ..clock import check_period
+from ..clock import check_period, usual_period
 from ..columns import phasor_columns
 from ..declared import Declared
 from ..envelope import HARMONICS, SAMPLES, Course, Driven
@@ -38,7 +38,8 @@ _SELDOM = 0.95  # of the rows turn more slowly than the fastest that a table is 
 
 
 class RateTable(Experiment):
-    """Phasors of consecutive lock-in blocks, each the mean over a whole number of drive cycles.
+    """Phasors of consecutive lock-in blocks, each the mean over a whole number of drive cycles, or what a low pass that
+    lets nothing of other harmonics through makes of it.
 
     The device has settled at the conditions of the first block when the record begins. Conditions are constant within a
     block.
@@ -51,7 +52,8 @@ class RateTable(Experiment):
         frequency: of the drive [rad/s].
         force: amplitude per axis [N], (axes,).
         surroundings: conditions per block, the rate among them.
-        block_cycles: drive cycles per block.
+        step: time from block to block [s].
+        boxcar: whether each is a mean over whole cycles.
     """
 
     name: str = eqx.field(static=True)
@@ -61,7 +63,8 @@ class RateTable(Experiment):
     frequency: Array
     force: Float[Array, " axes"]
     surroundings: Conditions
-    block_cycles: int = eqx.field(static=True)
+    step: Array
+    boxcar: bool = eqx.field(static=True, default=True)
 
     def predict(self, bench: Model) -> Complex[Array, "n axes"]:
         """Phasors of all channels and blocks."""
@@ -75,7 +78,7 @@ class RateTable(Experiment):
 
         first = jax.tree.map(lambda leaf: leaf[:1], self.surroundings)
         twice = jax.tree.map(lambda leaf: jnp.repeat(leaf, 2), self.surroundings)
-        ends = driven.visited(course, self._step).reshape(2 * self.time.size, HARMONICS + 1, -1)
+        ends = driven.visited(course, self.step).reshape(2 * self.time.size, HARMONICS + 1, -1)
         begin = periods(start[None], first, FINENESS[0].samples, FINENESS[0].harmonics)
         late = jax.vmap(lambda s, c: as_seen(s, bench.behind(self.frequency, c, s[0].real)))(means, self.surroundings)
         read = periods(late, self.surroundings, reading_samples(bench, FINENESS[0]), 1)
@@ -90,10 +93,6 @@ class RateTable(Experiment):
     def _first(self) -> Conditions:
         return jax.tree.map(lambda leaf: leaf[0], self.surroundings)
 
-    @property
-    def _step(self) -> Array:
-        return 2 * jnp.pi * self.block_cycles / self.frequency
-
     def _predicted(self, bench: Model, added: Contribution | None) -> tuple[Array, Driven, Array, Course, Array]:
         """Phasors; the model under the drive, the state that it begins in, its course and the means of its blocks."""
         driven, begin, ends = Driven.of(bench, self.frequency, self.force, self._first), None, None
@@ -103,8 +102,8 @@ class RateTable(Experiment):
         shown = before_lock_in(bench, self.measured[:1], self.frequency, driven.force, self._first)[0]
         near = jax.lax.stop_gradient(bench.motion(shown, self.frequency))
         start = steady_state(bench, self.frequency, driven.force, self._first, near, FINENESS[0], begin)
-        _, course = driven.run(start[: HARMONICS + 1], self._step, self.surroundings, ends)
-        means = driven.demodulated(course, self._step)
+        _, course = driven.run(start[: HARMONICS + 1], self.step, self.surroundings, ends)
+        means = driven.demodulated(course, self.step, self.boxcar)
         given = jax.vmap(lambda s, c: fundamental(bench, self.frequency, s, driven.force, c))(means, self.surroundings)
         given = given if added is None else given + added.seen
         seen = through_lock_in(bench, given, self.frequency, driven.force, given, self.surroundings)
@@ -144,8 +143,8 @@ class RateTable(Experiment):
 class RateTableSection(ToneSection):
     """`kind = "rate_table"`: lock-in phasors over time on a rate table, open loop, settled before t = 0."""
 
-    lock_in_cycles: Annotated[Whole, Field(gt=0, le=10**9)]
-    """Number of drive cycles over which each row averages."""
+    lock_in_cycles: Annotated[Whole, Field(gt=0, le=10**9)] | None = None
+    """Drive cycles over which each row averages; left out, a low pass makes rows at a rate of their own."""
     rate_reference: Literal["table", "calibrated"] = "table"
     """Whether the column `rate` is the setting of the table, or that of a calibrated reference."""
     uneven: StrictBool = False
@@ -160,7 +159,7 @@ class RateTableRecord(ClockedRecord):
         axis: driven electrode, 0 = x, 1 = y.
         drive_force: amplitude [N], of the input [V] for a resonator.
         drive_frequency: [rad/s].
-        lock_in_cycles: drive cycles over which each row averages; rows follow each other without a gap.
+        lock_in_cycles: drive cycles over which each row averages, without a gap; `None` where a low pass makes them.
         rate_calibrated: the rate comes from a calibrated reference, not from the setting of the table.
         has_rate: the file has a rate column; without it the table stands still.
         time: (n,) middle of each block [s].
@@ -174,7 +173,7 @@ class RateTableRecord(ClockedRecord):
     axis: int
     drive_force: float
     drive_frequency: float
-    lock_in_cycles: int
+    lock_in_cycles: int | None
     rate_calibrated: bool
     has_rate: bool
     rate: np.ndarray
@@ -184,6 +183,8 @@ class RateTableRecord(ClockedRecord):
     @property
     def block(self) -> float:
         """Time that a block of the lock-in lasts [s]."""
+        if self.lock_in_cycles is None:
+            return usual_period(self.time)
         return self.lock_in_cycles * 2 * np.pi / self.drive_frequency
 
     @property
@@ -231,7 +232,7 @@ class RateTableRecord(ClockedRecord):
     def check(self, table: Table, declared: Declared) -> None:
         if not self.uneven:
             remedy = " (where blocks are lost, or stamps jitter about their blocks, say `uneven = true`)"
-            check_period(table, self.block, remedy)
+            check_period(table, None if self.lock_in_cycles is None else self.block, remedy)
         again = np.flatnonzero(np.diff(self.blocks) < 1)
         if again.size:
             raise table.at(
@@ -245,7 +246,7 @@ class RateTableRecord(ClockedRecord):
             "drive_axis": "xy"[self.axis],
             "drive_force": {"value": self.drive_force, "unit": declared.words.force},
             "drive_frequency": {"value": self.drive_frequency, "unit": "rad/s"},
-            "lock_in_cycles": self.lock_in_cycles,
+            **({} if self.lock_in_cycles is None else {"lock_in_cycles": self.lock_in_cycles}),
             "rate_reference": "calibrated" if self.rate_calibrated else "table",
             **({"uneven": True} if self.uneven else {}),
         }
@@ -281,7 +282,8 @@ class RateTableRecord(ClockedRecord):
             frequency=jnp.asarray(self.drive_frequency),
             force=jnp.asarray(self.drive_force * np.eye(declared.channels)[self.axis]),
             surroundings=around,
-            block_cycles=self.lock_in_cycles,
+            step=jnp.asarray(self.block),
+            boxcar=self.lock_in_cycles is not None,
         )
 
     @classmethod
