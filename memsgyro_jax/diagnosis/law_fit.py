@@ -34,6 +34,7 @@ AWAY = 6.0  # times the median of what is left: from there on a row does not gui
 MOST = 0.25  # share of a record's rows that may lie so far off
 ROUNDS = 4
 SHAPE = ("exponent", "threshold")  # what makes the shape of a term, beside its strength
+FALLEN = 100.0  # times the χ² of a few harmonics, beyond which more of them stand on another branch
 EVEN = 12.0  # of χ², in units of what is left per reading, that an even part must take
 
 
@@ -59,8 +60,8 @@ def fit_law(law: DrawnLaw, path: str | Path) -> CaseFit:
     joint = Joint(law.beside.with_effect(*effects), (*readings_of(case), *knowledge(terms)))
     # A corner near a fold asks for many harmonics: with fewer the fit would leave the law that was drawn.
     begin = np.concatenate(joint.residual(joint.start, joint.fitted))
-    joint = Joint(joint.model, sharpened(joint.model, joint.readings, begin)[0])
-    fit = _guided(case, _with_shape_held(joint))
+    finest = sharpened(joint.model, joint.readings, begin)[0]
+    fit = _guided(case, _with_shape_held(_at_resolution(joint, finest, float(begin @ begin))))
     kept, apart = sharpened(fit.model, without_rows(joint.readings, _far_rows(fit)))
     finer = tuple(_with_all_rows(fewer, whole) for fewer, whole in zip(kept, joint.readings, strict=True))
     if any(_resolution(new) != _resolution(old) for new, old in zip(finer, joint.readings, strict=True)):
@@ -95,6 +96,25 @@ def with_held_terms(law: DrawnLaw, fit: CaseFit) -> DrawnLaw:
     if law.knots or not loose & set(law.names):
         return law
     return replace(law, terms=tuple(t for name, t in zip(law.names, law.terms, strict=True) if name not in loose))
+
+
+def _at_resolution(joint: Joint, finest: Sequence[Readings], chi2: float) -> Joint:
+    """The same at a finer resolution, which is led to step by step, the shape held, where the law as drawn falls to
+    another branch there: where it leaves far more than `chi2`, which it leaves with a few harmonics.
+    """
+    fine = Joint(joint.model, finest)
+    left = np.concatenate(fine.residual(fine.start, fine.fitted))
+    if left @ left <= FALLEN * chi2:
+        return fine
+    while any(_resolution(one) != _resolution(last) for one, last in zip(joint.readings, finest, strict=True)):
+        held = _with_shape_held(joint)
+        steps = [
+            one if one.experiment.finer is None or _resolution(one) == _resolution(last)
+            else replace(one, experiment=one.experiment.finer)
+            for one, last in zip(held.readings, finest, strict=True)
+        ]  # fmt: skip
+        joint = Joint(held.model, steps)
+    return joint
 
 
 def _with_shape_held(joint: Joint) -> Joint:
@@ -146,4 +166,4 @@ def _with_all_rows(fewer: Readings, whole: Readings) -> Readings:
 
 
 def _resolution(readings: Readings) -> object:
-    return getattr(readings.experiment, "fineness", None)
+    return getattr(readings.experiment, "fineness", None), getattr(readings.experiment, "parts", None)
