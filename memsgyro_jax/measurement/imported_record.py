@@ -234,8 +234,10 @@ def _lock_in_decay(about, table, columns, rows, given: Given, assumed: list[str]
     reference = _reference(table, rows, given)
     columns |= phasor_columns_of(rows, assumed)
     about = {**about, "quantity": read_as(columns["Vx_I" if "I" in rows else "Vx_amp"].unit)}
-    seconds = to_si(columns["t"].values, columns["t"].unit, "s", "t")
-    design = rough_decay(seconds, phasors_of(columns, "x"), to_si(*reference, "Hz", "f"))
+    design = {}  # of two axes, which sweeps or the user tell
+    if not about["two_axes"]:
+        seconds = to_si(columns["t"].values, columns["t"].unit, "s", "t")
+        design = rough_decay(seconds, phasors_of(columns, "x"), to_si(*reference, "Hz", "f"))
     keys = _stamps(columns["t"], assumed) | {"reference_frequency": {"value": reference[0], "unit": reference[1]}}
     return ImportedRecord(
         **about, kind="free_decay", columns=headed(columns), keys=keys, assumed=tuple(assumed), design=design
@@ -243,7 +245,7 @@ def _lock_in_decay(about, table, columns, rows, given: Given, assumed: list[str]
 
 
 def _rate_table(about, table, rows, given: Given, meaning: Meaning, assumed: list[str]) -> ImportedRecord:
-    """Phasors over time beside the rate of a table: means over whole cycles of the drive, block after block."""
+    """Phasors over time beside the rate of a table: means over whole cycles of the drive, or of a low pass."""
     if not rows["rate"].unit:
         remedy = 'as in --map "rate=... [deg/s],..."'
         raise InputError(

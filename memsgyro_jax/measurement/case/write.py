@@ -53,9 +53,8 @@ def _head(case: Case) -> list[str]:
     per, seen = words.displacement + case.readout.order * "/s", QUANTITIES[case.readout.order]
     scale = _quantity(case.readout.scale, f"{case.readout.unit}/({per})", case.readout.tolerance)
     readout = {"quantity": _text(seen)}
-    if (
-        case.device != "single_mass" or not case.readout.displacement
-    ):  # else nobody told it, and records are as they are
+    # Of two axes in volts nobody told a scale: records are as they are.
+    if case.device != "single_mass" or not case.readout.displacement:
         readout["scale"] = scale
     drive = {"unit": _text(words.force)}
     if case.drive is not None and case.drive.tolerance:
