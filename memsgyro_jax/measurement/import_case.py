@@ -109,8 +109,8 @@ def import_case(
         folder: of the case; made where it does not exist.
         columns: ``"f=Frequency (Hz),x_I=X [V],..."``, role to column, where names do not tell. Roles: f, t, x_I, x_Q,
             x_amp, x_phase, x, F_x, u_x, T, V_bias, rate, and of a second channel y_I, y_Q, y_amp, y_phase, y, F_y; a
-            unit overrides the file's, and a factor may stand before the name, ``t=1e-3*count [s]``. Columns that are not
-            named are not used.
+            unit overrides the file's, and a factor may stand before the name, ``t=1e-3*count [s]``. Columns that are
+            not named are not used.
         drive: level with its unit where no column has it, like ``"20 mV"``: one for all files, one for each, or one for
             each that needs it; ``"-"`` stands for a file that needs none.
         axis: ``"x"`` or ``"y"``, which of two axes was driven, one for all files or one for each, where neither a
