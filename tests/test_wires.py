@@ -35,10 +35,20 @@ def test_of_a_linear_wire_the_instrument_alone_is_told(wire):
         assert device.damping[0] / (2 * np.pi) == pytest.approx(width, abs=0.32)
 
 
-def test_of_a_wire_that_drifts_no_mechanical_effect_is_named(wire):
-    found = mg.diagnose(None, wire(2))
-    assert found.verdict != "found"
-    assert not found.accepted
+def test_of_a_wire_whose_drives_rise_in_time_none_is_found_and_the_first_is_to_be_repeated(wire):
+    """Drifts of frequency, width, gain and phase from one sweep to the next are no explanation: a sweep bends within
+    itself, alike at every drive that is twice as high by four times as much. What bends it, the catalogue does not
+    explain to the noise either.
+    """
+    case = wire(2)
+    found = mg.diagnose(None, case)
+    assert found.verdict in ("unknown_effect", "partly_explained")
+    assert "repeat the first drive at the end" in str(found)
+    assert not any(np.isfinite(a.std).any() for a in found.accepted)
+    drifts = ("reference_phase", "lock_in_background", "lock_in_time", "frequency_offset")
+    drifts += ("damping_drift", "gain_drift", "phase_drift")
+    known = [t for t in instrument_terms(case) if t.label in drifts]
+    assert fit_case(case, known).chi2_per_dof > 4 * found.final.chi2_per_dof
 
 
 def test_the_law_of_a_wire_with_hysteresis_leaves_less_than_a_cubic_spring(wire, tmp_path):

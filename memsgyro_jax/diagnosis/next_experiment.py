@@ -17,6 +17,7 @@ import numpy as np
 from memsgyro_jax.base.runtime import usable_cores
 from memsgyro_jax.base.threads import in_threads
 from memsgyro_jax.measurement.case import Case
+from memsgyro_jax.measurement.drive_levels import goes_one_way
 from memsgyro_jax.measurement.experiments import Readings
 
 from .findings import NOTHING, SIGMAS_SEEN, Prospect
@@ -108,6 +109,12 @@ def of_the_unknown(case: Case) -> str:
     more = ""
     if any(hasattr(record, "setting") for record in case.records):
         more = "; sweeps at further drives, and at a lower one, show the law that is missing at more amplitudes"
+    alike = [record.name for record in case.records if goes_one_way(record)]
+    if alike:
+        more += (
+            f"; in {', '.join(alike)} the drive goes one way in time, so that a drift looks like what comes with the "
+            "drive: repeat the first drive at the end"
+        )
     return f"none is predicted, as nothing that was tried explains these records{more}"
 
 

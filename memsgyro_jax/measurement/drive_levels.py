@@ -40,6 +40,17 @@ def levels_apart(drives: Iterable[float]) -> list[float]:
     return levels
 
 
+def goes_one_way(record: AbstractRecord) -> bool:
+    """Whether the drive of a record with a clock rises from sweep to sweep and never falls, or falls and never rises."""
+    level, time = getattr(record, "setting", None), getattr(record, "time", None)
+    if level is None or time is None:
+        return False
+    in_order = sorted(record.sweeps, key=lambda rows: time[rows][0])
+    steps = np.diff(np.log([np.mean(level[rows]) for rows in in_order]))
+    rises, falls = bool(np.any(steps > ALIKE)), bool(np.any(steps < -ALIKE))
+    return rises != falls
+
+
 def lowest_drives(case: Case, count: int) -> Case:
     """The case as it was measured with so many of its lowest drive levels: without sweeps that are driven harder, and
     without other records that are. What is driven sample by sample stays.

@@ -18,6 +18,7 @@ from memsgyro_jax.diagnosis.next_experiment import Rivals, advice, as_recorded, 
 from memsgyro_jax.diagnosis.optimum import optimise
 from memsgyro_jax.diagnosis.search import CONFUSED, always_free
 from memsgyro_jax.effects import catalogue
+from memsgyro_jax.measurement.drive_levels import goes_one_way
 from memsgyro_jax.measurement.experiments.base import BEYOND
 from memsgyro_jax.measurement.linear_start import starting_device
 from memsgyro_jax.measurement.readings import model_of, readings_of
@@ -151,6 +152,20 @@ def test_where_nothing_explains_the_records_no_standard_deviations_are_promised(
     assert "at a lower one" in said
     assert "standard deviations" not in said
     assert "drives" not in of_the_unknown(replace(case, records=()))
+
+
+@pytest.mark.parametrize(
+    ("drives", "one_way"),
+    [((1.0, 2.0, 3.0), True), ((3.0, 3.0, 1.0), True), ((1.0, 2.0, 1.0), False), ((1.0, 1.02, 1.0), False)],
+)
+def test_a_drive_that_goes_one_way_in_time_is_repeated_at_the_end(drives, one_way):
+    sweep = replace(ONE_AXIS.experiments[0], values=drives)
+    without_clock = case_of(protocol=replace(ONE_AXIS, experiments=(sweep,))).records[0]
+    record = replace(without_clock, time=np.arange(len(without_clock.drive), dtype=float))
+    assert not goes_one_way(without_clock)
+    assert goes_one_way(record) is one_way
+    said = of_the_unknown(replace(case_of(), records=(record,)))
+    assert ("repeat the first drive at the end" in said) is one_way
 
 
 @pytest.mark.slow
