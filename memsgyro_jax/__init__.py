@@ -200,6 +200,7 @@ if TYPE_CHECKING:
     from .measurement.case import RingDownRecord as RingDownRecord
     from .measurement.case import FreeDecayRecord as FreeDecayRecord
     from .measurement.case import RateTableRecord as RateTableRecord
+    from .measurement.case import OperatingPointsRecord as OperatingPointsRecord
     from .measurement.case import TimeRecord as TimeRecord
     from .measurement.case import assess as assess
     from .measurement.case import CaseQuality as CaseQuality

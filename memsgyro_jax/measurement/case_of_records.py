@@ -38,7 +38,7 @@ def toml_of_records(name: str, records: list[ImportedRecord], sources: list[str]
     parts.append(toml_table("conventions", {"lock_in": _LOCK_IN}))
     for record in records:
         entry = {"name": record.name, "kind": record.kind, "file": f"{record.name}.csv", **record.keys}
-        if record.kind in ("frequency_sweep", "rate_table"):
+        if record.kind in ("frequency_sweep", "rate_table", "operating_points"):
             entry["drive_axis"] = record.axis or "x"
         said = [f"# from {record.source}", *(f"# assumed: {sentence}" for sentence in record.assumed)]
         said += [f"# not needed: {listed(record.unused)}"] if record.unused else []

@@ -69,6 +69,13 @@ class Meaning:
         """Whether the frequency runs, rather than time."""
         return "f" in self.columns and np.unique(self.columns["f"].values).size > 2
 
+    @property
+    def at_points(self) -> bool:
+        """Whether neither runs, but conditions do, of phasors at one frequency."""
+        varied = any(np.ptp(self.columns[role].values) > 0 for role in ("rate", "T", "V_bias") if role in self.columns)
+        phasors = {"I", "Q"} <= {*self.columns} or {"amp", "phase"} <= {*self.columns}
+        return varied and phasors and not self.swept and "t" not in self.columns
+
 
 def meaning_of(table: SourceTable, said: Mapping[str, str]) -> Meaning:
     """What the columns of a table mean.
@@ -205,6 +212,8 @@ def _whole(table: SourceTable, columns: dict[str, SourceColumn], unused: tuple[s
     parts = {f"y_{role}" for role in ("I", "Q", "amp", "phase", "signal") if role in columns}
     if meaning.two_axes and parts != {*SECOND} & {*columns}:
         raise _unclear(table, {k: [v] for k, v in columns.items()}, "the two channels do not have the same parts")
+    if meaning.at_points:
+        return meaning
     if not meaning.swept and "t" not in columns:
         raise _unclear(table, {k: [v] for k, v in columns.items()}, "no column is a frequency that runs, or time")
     if not meaning.swept and not (pair or {"amp", "phase"} <= {*columns} or "signal" in columns):

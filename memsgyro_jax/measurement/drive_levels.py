@@ -41,11 +41,11 @@ def levels_apart(drives: Iterable[float]) -> list[float]:
 
 
 def goes_one_way(record: AbstractRecord) -> bool:
-    """Whether the drive of a record with a clock rises from sweep to sweep and never falls, or falls and never rises."""
-    level, time = getattr(record, "setting", None), getattr(record, "time", None)
-    if level is None or time is None:
+    """Whether the drive of a record with a clock rises from sweep to sweep and never falls, or the other way round."""
+    level, time, sweeps = (getattr(record, name, None) for name in ("setting", "time", "sweeps"))
+    if level is None or time is None or sweeps is None:
         return False
-    in_order = sorted(record.sweeps, key=lambda rows: time[rows][0])
+    in_order = sorted(sweeps, key=lambda rows: time[rows][0])
     steps = np.diff(np.log([np.mean(level[rows]) for rows in in_order]))
     rises, falls = bool(np.any(steps > ALIKE)), bool(np.any(steps < -ALIKE))
     return rises != falls

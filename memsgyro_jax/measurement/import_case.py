@@ -115,7 +115,7 @@ def import_case(
             each that needs it; ``"-"`` stands for a file that needs none.
         axis: ``"x"`` or ``"y"``, which of two axes was driven, one for all files or one for each, where neither a
             column F_x or F_y nor the file's name (``drive_x_10mV.csv``) says it, or says it wrongly.
-        reference: frequency of a lock-in that recorded over time, like ``"32.768 kHz"``.
+        reference: frequency of a lock-in that recorded over time, or operating points, like ``"32.768 kHz"``.
         every: keeps one row of so many, waveforms behind a low pass.
         rms: takes a lock-in's readings for effective values, where their unit does not say; the drive stays as it is.
         overwrite: writes over a case that is there.

@@ -20,6 +20,7 @@ from .imported_columns import (
     reading_column,
     time_column,
 )
+from .imported_points import columns_of_points
 from .imported_sweep import PEAK, columns_of_sweep, level_of, phasor_columns_of, phasors_of, read_as
 from .thinning import thinned
 from .tracking import rough_decay
@@ -91,6 +92,8 @@ def records_of(name: str, table: SourceTable, meaning: Meaning, given: Given) ->
     with np.errstate(over="ignore", invalid="ignore"):  # of a damaged file; reading the case refuses them
         if meaning.swept:
             return [_sweep(about, table, meaning, rows, given, assumed)]
+        if meaning.at_points:
+            return [_points(about, table, meaning, rows, given, assumed)]
         if "rate" in rows and "signal" not in rows and np.ptp(rows["rate"].values) > 0:
             return [_rate_table(about, table, rows, given, meaning, assumed)]
         return _over_time({**about, "two_axes": meaning.two_axes}, table, rows, given, meaning, assumed)
@@ -116,6 +119,19 @@ def _sweep(about: dict, table: SourceTable, meaning: Meaning, rows: dict, given:
     columns, keys, quantity = columns_of_sweep(table, rows, given.drive, axis, assumed)
     return ImportedRecord(
         **about, kind="frequency_sweep", columns=headed(columns), keys=keys, assumed=tuple(assumed), quantity=quantity,
+        two_axes=meaning.two_axes, axis=axis,
+    )  # fmt: skip
+
+
+def _points(about: dict, table: SourceTable, meaning: Meaning, rows: dict, given: Given, assumed: list[str]):
+    """Settled phasors at one frequency, a row for each rate or other condition."""
+    _check_rate(table, rows)
+    value, unit = _reference(table, rows, given)
+    axis = _driven_axis(about, rows, given, meaning, assumed)
+    columns, keys, quantity = columns_of_points(table, rows, given.drive, axis, assumed)
+    keys["drive_frequency"] = {"value": value, "unit": unit}
+    return ImportedRecord(
+        **about, kind="operating_points", columns=headed(columns), keys=keys, assumed=tuple(assumed), quantity=quantity,
         two_axes=meaning.two_axes, axis=axis,
     )  # fmt: skip
 
@@ -246,11 +262,7 @@ def _lock_in_decay(about, table, columns, rows, given: Given, assumed: list[str]
 
 def _rate_table(about, table, rows, given: Given, meaning: Meaning, assumed: list[str]) -> ImportedRecord:
     """Phasors over time beside the rate of a table: means over whole cycles of the drive, or of a low pass."""
-    if not rows["rate"].unit:
-        remedy = 'as in --map "rate=... [deg/s],..."'
-        raise InputError(
-            f"{table.path}: `{rows['rate'].name}` must have its unit, {remedy} with all columns to be used."
-        )
+    _check_rate(table, rows)
     columns = {"t": time_column(table, rows["t"], assumed), "rate": rows["rate"], **phasor_columns_of(rows, assumed)}
     if not any("peak amplitude" in sentence for sentence in assumed):
         assumed.append(PEAK)
@@ -277,6 +289,15 @@ def _rate_table(about, table, rows, given: Given, meaning: Meaning, assumed: lis
         **about, kind="rate_table", columns=headed(columns), keys=keys, assumed=tuple(assumed), axis=axis,
         two_axes=meaning.two_axes,
     )  # fmt: skip
+
+
+def _check_rate(table: SourceTable, rows: Mapping[str, SourceColumn]) -> None:
+    """A rate without a unit may be anything."""
+    if "rate" in rows and not rows["rate"].unit:
+        remedy = 'as in --map "rate=... [deg/s],..."'
+        raise InputError(
+            f"{table.path}: `{rows['rate'].name}` must have its unit, {remedy} with all columns to be used."
+        )
 
 
 def _steady_level(table, rows, given: Given, assumed: list[str]) -> Mapping[str, Any]:

@@ -34,7 +34,7 @@ def import_command(
             none, as a ring-down.
         axis: which axis was driven, x or y, where two channels were read and neither a column F_x, F_y nor the file's
             name (drive_x) says it; one for all files or one for each.
-        reference: frequency of a lock-in that recorded over time, like "32.768 kHz".
+        reference: frequency of a lock-in that recorded over time, or operating points, like "32.768 kHz".
         every: keep one row of so many, waveforms behind a low pass: for records longer than they need to be.
         rms: the readings of a lock-in are effective values, not peak ones, where their unit does not say; the drive
             stays as it is.

@@ -6,6 +6,7 @@ from ..declared import Readout as Readout
 from ..experiments import AbstractRecord as AbstractRecord
 from ..experiments import FreeDecayRecord as FreeDecayRecord
 from ..experiments import FrequencySweepRecord as FrequencySweepRecord
+from ..experiments import OperatingPointsRecord as OperatingPointsRecord
 from ..experiments import RateTableRecord as RateTableRecord
 from ..experiments import RingDownRecord as RingDownRecord
 from ..experiments import TimeRecord as TimeRecord

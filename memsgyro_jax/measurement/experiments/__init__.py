@@ -18,6 +18,7 @@ from .deviation import Known as Known
 from .free_decay import FreeDecayRecord as FreeDecayRecord
 from .frequency_sweep import FrequencySweepRecord as FrequencySweepRecord
 from .harmonic_sweep import HarmonicSweep as HarmonicSweep
+from .operating_points import OperatingPointsRecord as OperatingPointsRecord
 from .rate_table import RateTable as RateTable
 from .rate_table import RateTableRecord as RateTableRecord
 from .record import AbstractRecord as AbstractRecord
@@ -29,5 +30,5 @@ from .time_record import TimeRecord as TimeRecord
 
 
 KINDS: tuple[type[AbstractRecord], ...] = (
-    *(FrequencySweepRecord, RingDownRecord, FreeDecayRecord, RateTableRecord, TimeRecord),
+    *(FrequencySweepRecord, RingDownRecord, FreeDecayRecord, RateTableRecord, OperatingPointsRecord, TimeRecord),
 )

@@ -144,15 +144,17 @@ class HarmonicSweep(Experiment):
         return dataclasses.replace(self, fineness=FINENESS[0])
 
     def proposals(self, name: str) -> Iterator[tuple[str, Experiment]]:
-        """All sweeps again: as they were, the first drive after the last, over other bands, at the ends of what was
+        """All rows again: as they were, the first drive after the last, over other bands, at the ends of what was
         varied, on the other axis, at other drives.
         """
-        again, around = "repeat the frequency sweeps", self.surroundings
+        around, held = self.surroundings, bool(np.ptp(np.asarray(self.frequency)) == 0.0)
+        again = f"repeat `{name}`" if held else "repeat the frequency sweeps"
         yield again, self
         if (late := self._first_again()) is not None:
             yield "repeat the first drive level at the end of the record", late
-        yield f"{again} over half the band, around the resonance", self._over(0.5)
-        yield f"{again} over {BEYOND:g} times the band", self._over(BEYOND)
+        if not held:
+            yield f"{again} over half the band, around the resonance", self._over(0.5)
+            yield f"{again} over {BEYOND:g} times the band", self._over(BEYOND)
         for what, unit in (("temperature", "K"), ("bias_voltage", "V"), ("rate", "rad/s")):
             values = np.asarray(getattr(around, what))
             ends = float(values.min()), float(values.max())

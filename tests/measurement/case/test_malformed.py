@@ -115,7 +115,7 @@ def test_a_wrong_entry_names_its_line_and_key(bench, old, new, words):
 
 HEAD = 'schema = "memsgyro-case/1"\nname = "a"\ndevice = "resonator"\n'
 SWEEP = '[[experiment]]\nname = "a"\nkind = "frequency_sweep"\nfile = "a.csv"\n'
-KINDS = '"frequency_sweep" or "ring_down" or "free_decay" or "rate_table" or "time_record"'
+KINDS = '"frequency_sweep" or "ring_down" or "free_decay" or "rate_table" or "operating_points" or "time_record"'
 LIKE = "must be a table, like `quality_factor ="
 USUAL = LIKE + " { value = 100, tolerance = 0.1 }`"
 
