@@ -9,7 +9,6 @@ import numpy as np
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.units import to_si
 
-from .clock import is_even, usual_period
 from .column_meaning import Meaning
 from .experiments.time_record import RING_TIMES
 from .formats import SourceColumn, SourceTable
@@ -20,8 +19,8 @@ from .imported_columns import (
     reading_column,
     time_column,
 )
-from .imported_points import columns_of_points
-from .imported_sweep import PEAK, columns_of_sweep, level_of, phasor_columns_of, phasors_of, read_as
+from .imported_conditions import columns_of_points, columns_of_rate_table, stamps
+from .imported_sweep import columns_of_sweep, phasor_columns_of, phasors_of, read_as
 from .thinning import thinned
 from .tracking import rough_decay
 from .two_channels import axis_in_name, said_of_channels
@@ -32,8 +31,6 @@ _QUIET_SHARE = 0.15  # of the rows at the end without drive: a free decay
 _FEWEST = 50  # rows of a record over time
 _LOUD = 0.9  # of the largest envelope: the decay has not begun
 _FALLEN = 0.02  # in natural logarithms: an envelope that falls by less is kept up
-_WHOLE = 0.02  # cycles beside a whole number, from row to row, of a mean over so many
-_STEADY = 1e-3  # of a drive: by less it stays as it is
 _EARLY = 0.88  # of the usual fall: an envelope that falls by so much in its first quarter falls from the start
 
 
@@ -125,11 +122,8 @@ def _sweep(about: dict, table: SourceTable, meaning: Meaning, rows: dict, given:
 
 def _points(about: dict, table: SourceTable, meaning: Meaning, rows: dict, given: Given, assumed: list[str]):
     """Settled phasors at one frequency, a row for each rate or other condition."""
-    _check_rate(table, rows)
-    value, unit = _reference(table, rows, given)
     axis = _driven_axis(about, rows, given, meaning, assumed)
-    columns, keys, quantity = columns_of_points(table, rows, given.drive, axis, assumed)
-    keys["drive_frequency"] = {"value": value, "unit": unit}
+    columns, keys, quantity = columns_of_points(table, rows, _reference(table, rows, given), given.drive, axis, assumed)
     return ImportedRecord(
         **about, kind="operating_points", columns=headed(columns), keys=keys, assumed=tuple(assumed), quantity=quantity,
         two_axes=meaning.two_axes, axis=axis,
@@ -234,7 +228,7 @@ def _decay(about: dict, columns: dict[str, SourceColumn], assumed: list[str]) ->
     else:
         begin = 0
     design = rough_decay(to_si(time.values[begin:], time.unit, "s", "t"), signal[begin:])
-    keys = _stamps(time, said) | ({"from": {"value": float(time.values[begin]), "unit": time.unit}} if begin else {})
+    keys = stamps(time, said) | ({"from": {"value": float(time.values[begin]), "unit": time.unit}} if begin else {})
     return ImportedRecord(
         **about, kind="free_decay", columns=headed(columns), keys=keys, assumed=tuple(said), design=design
     )
@@ -254,61 +248,23 @@ def _lock_in_decay(about, table, columns, rows, given: Given, assumed: list[str]
     if not about["two_axes"]:
         seconds = to_si(columns["t"].values, columns["t"].unit, "s", "t")
         design = rough_decay(seconds, phasors_of(columns, "x"), to_si(*reference, "Hz", "f"))
-    keys = _stamps(columns["t"], assumed) | {"reference_frequency": {"value": reference[0], "unit": reference[1]}}
+    keys = stamps(columns["t"], assumed) | {"reference_frequency": {"value": reference[0], "unit": reference[1]}}
     return ImportedRecord(
         **about, kind="free_decay", columns=headed(columns), keys=keys, assumed=tuple(assumed), design=design
     )
 
 
 def _rate_table(about, table, rows, given: Given, meaning: Meaning, assumed: list[str]) -> ImportedRecord:
-    """Phasors over time beside the rate of a table: means over whole cycles of the drive, or of a low pass."""
-    _check_rate(table, rows)
-    columns = {"t": time_column(table, rows["t"], assumed), "rate": rows["rate"], **phasor_columns_of(rows, assumed)}
-    if not any("peak amplitude" in sentence for sentence in assumed):
-        assumed.append(PEAK)
-    value, unit = _reference(table, rows, given)
-    period = usual_period(to_si(columns["t"].values, columns["t"].unit, "s", "t"))
-    cycles = float(to_si(value, unit, "Hz", "f")) * period
-    whole = abs(cycles - round(cycles)) <= _WHOLE and cycles > 0.5
-    if whole:
-        assumed.append(f"each row is the mean over the {round(cycles)} cycles of the drive from row to row")
-    else:
-        assumed.append("each row is what the lock-in's low pass makes of the time from row to row")
-    assumed.append("the rate is the setting of the table (`rate_reference`), and the device had settled before")
+    """Phasors over time beside the rate of a table."""
+    reference = _reference(table, rows, given)
+    columns, keys, quantity = columns_of_rate_table(table, rows, reference, given.drive, assumed)
     axis = _driven_axis(about, rows, given, meaning, assumed)
-    keys = {
-        "drive_force": _steady_level(table, rows, given, assumed),
-        "drive_frequency": {"value": value, "unit": unit},
-        **({"lock_in_cycles": round(cycles)} if whole else {}),
-        **_stamps(columns["t"], assumed),
-    }
     beside = tuple(rows[role].header for role in ("T", "V_bias") if role in rows)
     about = {**about, "unused": (*about["unused"], *beside)}
-    about["quantity"] = read_as(columns["Vx_I" if "I" in rows else "Vx_amp"].unit)
     return ImportedRecord(
-        **about, kind="rate_table", columns=headed(columns), keys=keys, assumed=tuple(assumed), axis=axis,
-        two_axes=meaning.two_axes,
+        **about, kind="rate_table", columns=headed(columns), keys=keys, assumed=tuple(assumed), quantity=quantity,
+        two_axes=meaning.two_axes, axis=axis,
     )  # fmt: skip
-
-
-def _check_rate(table: SourceTable, rows: Mapping[str, SourceColumn]) -> None:
-    """A rate without a unit may be anything."""
-    if "rate" in rows and not rows["rate"].unit:
-        remedy = 'as in --map "rate=... [deg/s],..."'
-        raise InputError(
-            f"{table.path}: `{rows['rate'].name}` must have its unit, {remedy} with all columns to be used."
-        )
-
-
-def _steady_level(table, rows, given: Given, assumed: list[str]) -> Mapping[str, Any]:
-    """The level of a drive that stays as it is: that of its column, or as given."""
-    if "drive" not in rows:
-        return level_of(table, given.drive, assumed)
-    drive = reading_column(rows["drive"], assumed, "drive")
-    if np.ptp(drive.values) > _STEADY * np.max(np.abs(drive.values)):
-        name = rows["drive"].name
-        raise InputError(f"{table.path}: the drive of a rate table must stay as it is, but `{name}` moves.")
-    return {"value": float(np.median(drive.values)), "unit": drive.unit}
 
 
 def _reference(table: SourceTable, rows: Mapping[str, SourceColumn], given: Given) -> tuple[float, str]:
@@ -321,15 +277,6 @@ def _reference(table: SourceTable, rows: Mapping[str, SourceColumn], given: Give
         f"{table.path}: the reference frequency of the lock-in must be known, but no column has it; give it as in "
         '--reference "32.768 kHz".'
     )
-
-
-def _stamps(time: SourceColumn, assumed: list[str]) -> dict[str, Any]:
-    """`uneven` where rows are lost or stamps jitter, which are then taken for right."""
-    if is_even(time.values):
-        return {}
-    lost = round((time.values[-1] - time.values[0]) / usual_period(time.values)) + 1 - len(time.values)
-    assumed.append(f"the time of each row is right (`uneven`), though {'rows are lost' if lost > 0 else 'it jitters'}")
-    return {"uneven": True}
 
 
 def _envelope(signal: np.ndarray) -> np.ndarray:
