@@ -120,4 +120,6 @@ class Prospect:
     @property
     def told(self) -> str:
         """What it decides, in words."""
-        return self.decides if self.weaker is None else f"{self.weaker[0]}, {self.weaker[1]:.2g} times weaker"
+        if self.weaker is None:
+            return self.decides
+        return f"{self.weaker[0]}, {self.weaker[1]:.2g} times weaker" if self.weaker[0] else "nothing new"

@@ -26,7 +26,7 @@ from .linearised import WIDTH
 from .optimum import Optimum, optimise
 from .rounds import DECIDED
 from .score import RELATIVE, basis, score
-from .search import CONFUSED, Ranking, Search, always_free
+from .search import CONFUSED, LOOK_AHEAD, Ranking, Search, always_free
 
 
 HALF = 0.5  # of what an experiment tells: how few rows hold it is said
@@ -222,7 +222,8 @@ def _shown(search: Search, ranking: Ranking) -> Callable[[Proposal], Prospect]:
     seen = [i for i in ranking.order if ranking.scores[i].size]
     rest = search.optimum.free.size
     columns = np.concatenate([search.optimum.free, *(joint.of_effect(ranking.places[i]) for i in (*blind, *seen))])
-    columns = columns[: WIDTH * (1 + (rest + len(blind)) // WIDTH)]  # as many as cost no more
+    few = sum(joint.of_effect(ranking.places[i]).size for i in (*blind, *seen[:LOOK_AHEAD]))
+    columns = columns[: WIDTH * -(-(rest + few) // WIDTH)]  # some that are seen, and more where they cost nothing
     places = {i: np.isin(columns, joint.of_effect(ranking.places[i])) for i in (*blind, *seen)}
     whole = {i: places[i].sum() == joint.of_effect(ranking.places[i]).size for i in places}
     labels = {i: joint.model.effects[ranking.places[i]].label for i in places if whole[i]}

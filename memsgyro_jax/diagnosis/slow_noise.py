@@ -160,7 +160,7 @@ def slow_noise(search: Search, ranking: Ranking) -> Mapping[str, str]:
 def _is_response(fit: CaseFit, number: int) -> bool:
     """Whether what is left of a record is a good part of its response to a drive, which no noise is."""
     record, deviation = next(pair for pair in fit.deviations if pair[1].number == number)
-    if not hasattr(record, "setting"):
+    if not record.stepped:
         return False
     seen, rows = _rows(record, deviation)
     response = np.abs(record.readings[seen][:, record.channels]) / record.noise_level

@@ -11,7 +11,7 @@ from bench_case import ONE_AXIS, RESONATOR, bench
 from lab.faults import Faults
 
 from memsgyro_jax.diagnosis.diagnose import diagnose
-from memsgyro_jax.diagnosis.findings import Prospect
+from memsgyro_jax.diagnosis.findings import NOTHING, SIGMAS_SEEN, Prospect
 from memsgyro_jax.diagnosis.instrument import instrument_terms
 from memsgyro_jax.diagnosis.joint_residual import Joint
 from memsgyro_jax.diagnosis.next_experiment import Rivals, advice, as_recorded, expected, of_the_unknown, plans
@@ -139,6 +139,8 @@ def test_the_advice_is_the_best_or_says_that_none_decides():
     assert advice([replace(one, chi2=36.0)]) == (
         "repeat it; it would tell drift from spring by 6 standard deviations, half of it in 2 of 9 rows"
     )
+    assert replace(one, decides=f"a{NOTHING}", chi2=4 * SIGMAS_SEEN**2).told == "a, 2 times weaker"
+    assert replace(one, decides=NOTHING, chi2=0.0).told == "nothing new"
     assert advice([replace(one, decides="show a, which these records cannot", shown=1)]) == (
         "repeat it; it would show a, which these records cannot"
     )

@@ -66,6 +66,7 @@ class OperatingPointsRecord(AbstractRecord):
 
     kind: ClassVar[str] = "operating_points"
     section: ClassVar[type[ExperimentSection]] = OperatingPointsSection
+    stepped: ClassVar[bool] = True
     settled: ClassVar[bool] = True
     time: ClassVar[None] = None
     phase_known: ClassVar[bool] = True
@@ -108,7 +109,7 @@ class OperatingPointsRecord(AbstractRecord):
         return tuple(map(slice, begins[:-1], begins[1:]))
 
     @cached_property
-    def setting(self) -> np.ndarray:
+    def drive_force(self) -> np.ndarray:
         """(n,) drive that was set, of which `drive` may be a reading."""
         return levels_set(self.drive, self.sweeps, _SCATTER)
 
@@ -182,9 +183,9 @@ class OperatingPointsRecord(AbstractRecord):
         return declared.readout.motion(self.phasors, self.frequency)
 
     def starting_phasors(self, declared: Declared) -> Phasors | None:
-        around, lowest = declared.environment, self.setting.min()
+        around, lowest = declared.environment, self.drive_force.min()
         calm = np.abs(self.rate) <= _REST * np.max(np.abs(self.rate), initial=0.0)
-        calm &= (np.abs(self.temperature - around.temperature) < 1) & (self.setting <= (1 + _SCATTER) * lowest)
+        calm &= (np.abs(self.temperature - around.temperature) < 1) & (self.drive_force <= (1 + _SCATTER) * lowest)
         calm &= np.abs(self.bias_voltage - around.bias_voltage) < 1e-6
         if not calm.any() or len(self.channels) < declared.channels:
             return None
@@ -233,7 +234,7 @@ class OperatingPointsRecord(AbstractRecord):
             Known("rate", self.rate, "rad/s"),
             Known("temperature", self.temperature, "K"),
             Known("bias voltage", self.bias_voltage, "V"),
-            Known("drive", self.setting, force),
+            Known("drive", self.drive_force, force),
         )
 
     def known(self, declared: Declared) -> tuple[Known, ...]:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import memsgyro_jax as mg
+from memsgyro_jax.app.report.diagnosis_page import diagnosis_page
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.measurement.case import write_case
 from memsgyro_jax.measurement.linear_start import starting_device
@@ -149,6 +150,8 @@ def test_further_experiments_repeat_points_and_no_band(tmp_path):
 def test_a_table_that_turns_too_fast_is_found(tmp_path):
     found = mg.diagnose(None, imported(tmp_path, scale=1.05))
     assert found.verdict == "found"
+    page = diagnosis_page(found).html()
+    assert "rate [rad/s]" in page
     (one,) = found.accepted
     assert one.name == "rate_scale_error"
     assert abs(one.estimate[0] - 0.05) < 3.5 * one.std[0]
