@@ -30,7 +30,7 @@ from .records_together import agreed, turned_alike, without_copies
 
 _PLURAL = {
     "frequency_sweep": "sweeps", "free_decay": "decays", "time_record": "records over time",
-    "rate_table": "rate tables",
+    "rate_table": "rate tables", "operating_points": "operating points",
 }  # fmt: skip
 _ABOUT = {  # kinds of what is assumed, the one that strengths hang on first, by the first words that it has
     "drive": re.compile(r"\bdriv|response to 1 N"),
@@ -89,7 +89,7 @@ def import_case(
     paths: Sequence[str | Path],
     folder: str | Path,
     *,
-    columns: str = "",
+    columns: str | Sequence[str] = "",
     drive: Sequence[str] = (),
     axis: Sequence[str] = (),
     reference: str = "",
@@ -110,7 +110,7 @@ def import_case(
         columns: ``"f=Frequency (Hz),x_I=X [V],..."``, role to column, where names do not tell. Roles: f, t, x_I, x_Q,
             x_amp, x_phase, x, F_x, u_x, T, V_bias, rate, and of a second channel y_I, y_Q, y_amp, y_phase, y, F_y; a
             unit overrides the file's, and a factor may stand before the name, ``t=1e-3*count [s]``. Columns that are
-            not named are not used.
+            not named are not used. One for all files, or a list with one for each, ``"-"`` where the names tell.
         drive: level with its unit where no column has it, like ``"20 mV"``: one for all files, one for each, or one for
             each that needs it; ``"-"`` stands for a file that needs none.
         axis: ``"x"`` or ``"y"``, which of two axes was driven, one for all files or one for each, where neither a
@@ -131,25 +131,25 @@ def import_case(
         raise InputError("Argument `paths` must hold at least one file, but is empty.")
     if (folder.exists() and not folder.is_dir()) or (folder.is_dir() and any(folder.iterdir()) and not overwrite):
         raise InputError(f"{folder} must be a new or empty folder, but exists; choose another, or give `--overwrite`.")
-    said = parse_map(columns) if columns else {}
+    maps = _maps([columns] if isinstance(columns, str) else columns, len(paths))
     tuned = amount_of_option(reference, "--reference", "32.768 kHz", "Hz") if reference else None
     every = whole("every", every, 1)
     sources = [Path(path).name for path in paths]
     files, read = [Path(path) for path in paths], [read_instrument_file(path) for path in paths]
     parts = [[k] for k in range(len(files))]
-    if not said:  # which columns are used was not said for tables made here
+    if not any(maps):  # which columns are used was not said for tables made here
         files, read, parts = demodulators_joined(files, read)
     axis, drive = (_of_joined(option, parts, name) for option, name in ((axis, "--axis"), (drive, "--drive")))
     given = [None if text.strip() == "-" else amount_of_option(text, "--drive", "20 mV") for text in drive]
     axes = axes_of_files(axis, len(files))
-    found = [
-        _records(tables, said, Given(None, tuned, every, rms, own)) for (_, tables), own in zip(read, axes, strict=True)
-    ]
+
+    def taken(k: int, level: Level | None) -> list[ImportedRecord]:
+        return _records(read[k][1], maps[k], Given(level, tuned, every, rms, axes[k]))
+
+    found = [taken(k, None) for k in range(len(files))]
     needing = [any("drive_force" in record.keys for record in some) for some in found]
     levels = _levels(given, needing)
-    for k, level in enumerate(levels):
-        if level is not None and needing[k]:
-            found[k] = _records(read[k][1], said, Given(level, tuned, every, rms, axes[k]))
+    found = [taken(k, levels[k]) if levels[k] is not None and needing[k] else found[k] for k in range(len(files))]
     require_axes(files, found, axis)
     names = [path.name for path in files]
     unused = [
@@ -161,10 +161,20 @@ def import_case(
     records = turned_alike(agreed(_named([record for some in found for record in some])))
     case = _write(folder, records, sources)
     again = ["memsgyro", "import", *map(str, paths), "--out", str(folder), "--overwrite"]
-    again += [*(["--map", columns] if columns else []), *(["--axis", *axis] if axis else [])]
+    again += [*(["--map", *([columns] if isinstance(columns, str) else columns)] if any(maps) else [])]
+    again += ["--axis", *axis] if axis else []
     left = [some if needs else [] for some, needs in zip(found, needing, strict=True)]
     warning = _warning(names, left, shlex.join(again))
     return ImportedCase(case, tuple(form for form, _ in read), tuple(records), (*unused, *copies), warning)
+
+
+def _maps(given: Sequence[str], files: int) -> list[dict[str, str]]:
+    """What was said of the columns of each file, empty where nothing was; raises `InputError` for another number."""
+    if len(given) not in (0, 1, files):
+        told = f"given once or for each of {files} files (`-` for one whose names tell), but has {len(given)}"
+        raise InputError(f"Option `--map` must be {told}.")
+    maps = [{} if text.strip() in ("", "-") else parse_map(text) for text in given]
+    return maps if len(maps) == files else (maps or [{}]) * files
 
 
 def _of_joined(given: Sequence[str], parts: Sequence[Sequence[int]], option: str) -> Sequence[str]:

@@ -319,3 +319,25 @@ def test_a_copy_of_a_file_is_not_used(tmp_path):
     assert [record.name for record in found.case.records] == ["first_10mV"], "the one whose level is told"
     levels = mg.import_case(files, tmp_path / "both", drive=["10 mV", "20 mV"])
     assert len(levels.case.records) == 2
+
+
+@pytest.mark.parametrize("by_command", [True, False])
+def test_each_file_may_have_a_map_of_its_own(by_command, tmp_path):
+    """Files of two instruments, whose columns are named otherwise; the names of one tell."""
+    table = np.stack([w.FREQUENCY, w.RESPONSE.real, w.RESPONSE.imag], axis=1)
+    for level, header in ((10, "Frequency [Hz],X [V],Y [V]"), (20, "axis,re,im"), (30, "c1,c2,c3")):
+        rows = [",".join(f"{v:.9g}" for v in (row[0], level * row[1], level * row[2])) for row in table]
+        (tmp_path / f"sweep_{level}mV.csv").write_text("\n".join([header, *rows]) + "\n")
+    files = [tmp_path / f"sweep_{level}mV.csv" for level in (10, 20, 30)]
+    maps = ["-", "f=axis [Hz],x_I=re [V],x_Q=im [V]", "f=c1 [Hz],x_I=c2 [V],x_Q=c3 [V]"]
+    if by_command:
+        folder = tmp_path / "case"
+        with pytest.raises(SystemExit, match=r"^0$"):
+            cli.main(["import", *map(str, files), "--out", str(folder), "--map", *maps])
+        case = mg.load_case(folder)
+    else:
+        case = mg.import_case(files, tmp_path / "case", columns=maps).case
+    for record, level in zip(case.records, (10, 20, 30), strict=True):
+        np.testing.assert_allclose(record.phasors[:, 0], level * w.RESPONSE, rtol=1e-7)
+    with pytest.raises(mg.InputError, match="given once or for each of 3 files"):
+        mg.import_case(files, tmp_path / "other", columns=maps[:2])

@@ -11,7 +11,7 @@ from .flags import Flag, Words
 def import_command(
     *files: Path,
     out: Path,
-    map_: Annotated[str, cyclopts.Parameter(name="--map")] = "",
+    map_: Annotated[tuple[str, ...], cyclopts.Parameter(name="--map", consume_multiple=True)] = (),
     drive: Words = (),
     axis: Words = (),
     reference: str = "",
@@ -29,7 +29,8 @@ def import_command(
     Args:
         files: one or several of one device.
         out: folder of the case.
-        map_: what columns mean where names do not tell, like "f=Frequency (Hz),x_I=X [V],x_Q=Y [V],F_x=drive [A]".
+        map_: what columns mean where names do not tell, like "f=Frequency (Hz),x_I=X [V],x_Q=Y [V],F_x=drive [A]";
+            one for all files or one for each, "-" for a file whose names tell.
         drive: level where no column has it, like "20 mV"; one for all files or one for each, "-" for a file that needs
             none, as a ring-down.
         axis: which axis was driven, x or y, where two channels were read and neither a column F_x, F_y nor the file's
@@ -47,9 +48,10 @@ def import_command(
     from .options import require_writable
 
     require_writable(json)
-    levels, tuned = [level.strip() for level in drive], reference.strip()  # without what kept a dash from an option
+    # Without what kept a dash from an option.
+    levels, maps, tuned = [level.strip() for level in drive], [one.strip() for one in map_], reference.strip()
     result = import_case(
-        files, out, columns=map_, drive=levels, axis=axis, reference=tuned, every=every, rms=rms, overwrite=overwrite
+        files, out, columns=maps, drive=levels, axis=axis, reference=tuned, every=every, rms=rms, overwrite=overwrite
     )
     print(result)
     if not result.warning:

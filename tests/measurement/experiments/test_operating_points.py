@@ -165,3 +165,14 @@ def test_a_table_that_turns_as_it_is_set_lacks_nothing(tmp_path):
 def test_a_device_mounted_upside_down_is_named(tmp_path):
     case = imported(tmp_path, scale=-1.0)
     assert any("has the other sign" in sentence for sentence in mg.assess(case).warnings)
+
+
+def test_what_is_assumed_of_several_tables_is_told_once(tmp_path):
+    sweep_x, sweep_y, static = files(tmp_path)
+    further = tmp_path / "further.csv"
+    further.write_text("\n".join(static.read_text().splitlines()[:10]).replace("\n0;", "\n1;") + "\n")
+    found = mg.import_case(
+        [sweep_x, sweep_y, static, further], tmp_path / "case", drive=("60 nN",), axis=("x", "y", "x", "x"),
+        reference="9312.7 Hz",
+    )  # fmt: skip
+    assert "(all operating points)" in str(found)
