@@ -135,7 +135,7 @@ def _descended(
 ) -> Optimum:  # fmt: skip
     """`optimise` from where it begins."""
     units = np.eye(vector.size)[places]
-    value, slope = joint.linearise(vector, units, chosen) if known is None else known
+    value, slope = _finite(*(joint.linearise(vector, units, chosen) if known is None else known))
     first, count, done, tried = slope, 1, True, np.zeros(places.size, bool)
     while count < max_evaluations:
         free = _movable(joint, vector, places, value, slope)
@@ -157,7 +157,7 @@ def _descended(
             value, slope = end.residual, np.zeros_like(slope)
             slope[:, free] = end.slope @ course.back / along
             break
-        value, slope = joint.linearise(vector, units, chosen)
+        value, slope = _finite(*joint.linearise(vector, units, chosen))
         count += 1
     begin = Information.of(first)
     return Optimum(vector, places, value, slope, begin.directions[~begin.held], done, count)
@@ -210,10 +210,15 @@ class _Course:
         return vector, along
 
     def linearise(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Residual and its slopes by the coordinates; something finite and large where the model has none."""
+        """Residual and its slopes by the coordinates."""
         vector, along = self.at(place)
         new, slopes = self.joint.linearise(vector, (self.ways * along) @ self.rows, self.chosen)
-        return np.where(np.abs(new) < 1e100, new, 1e6), np.where(np.isfinite(slopes), slopes, 0.0)
+        return _finite(new, slopes)
+
+
+def _finite(residual: np.ndarray, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Something finite and large where the model has no residual, and no slopes where it has none."""
+    return np.where(np.abs(residual) < 1e100, residual, 1e6), np.where(np.abs(slopes) < 1e100, slopes, 0.0)
 
 
 def bent(start: np.ndarray, step: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -131,10 +131,14 @@ class ClosedLoop(Displayed):
 
     @property
     def silent(self) -> "ClosedLoop":
-        """The same loop without noise, of which its observer knows nothing: none of the read-out, no Brownian force."""
+        """The same loop without noise, of which its observer knows nothing: none of the read-out, no Brownian force,
+        no steps of a converter, across which noise would carry the signal.
+        """
         quiet = eqx.tree_at(lambda made: made.readout.noise_density, self, (jnp.zeros(()), jnp.zeros(())))
         if quiet.device.temperature is not None:
             quiet = eqx.tree_at(lambda made: made.device, quiet, quiet.device.at_temperature(None))
+        if quiet.readout.adc is not None:
+            quiet = eqx.tree_at(lambda made: made.readout.adc, quiet, quiet.readout.adc.without_steps)
         return quiet if quiet.readout.flicker is None else eqx.tree_at(lambda made: made.readout.flicker, quiet, None)
 
     def in_blocks(self, length: int = 512, *, start: int | None = None) -> "ClosedLoop":

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 _PER_ROOT_HOUR = 60.0 * 180.0 / np.pi  # °/√h in a rad/√s
 _DEGREES = 180.0 / np.pi
 _POINTS = 121
-_DITHER = 0.5  # of a step, beyond which rounding is white: its correlation with the signal falls as exp(-2π² steps²)
+DITHER = 0.5  # of a step, beyond which rounding is white: its correlation with the signal falls as exp(-2π² steps²)
 
 
 class NoiseBudget(Shown, eqx.Module):
@@ -237,16 +237,22 @@ def _instability(loop: ClosedLoop, sense: _Sense, phase_locked: bool) -> Scalar:
     return jnp.sqrt(jnp.sum(turned**2)) / jnp.abs(sense.per_rate)
 
 
+def noise_in_steps(loop: ClosedLoop, period: float) -> float:
+    """The least noise of a sample over a step of the read-out's converter; infinite without one, and where unknown."""
+    adc = loop.readout.adc
+    if adc is None or not is_concrete(loop.readout):
+        return np.inf
+    least = min(float(np.min(np.asarray(density))) for density in loop.readout.noise_density)
+    return least * np.sqrt(0.5 / period) * 2**adc.bits / (2.0 * float(np.max(np.asarray(adc.limit))))
+
+
 def _notes(loop: ClosedLoop, phase_locked: bool, period: float) -> tuple[str, ...]:
-    found, adc = [], loop.readout.adc
-    if adc is not None and is_concrete(loop.readout):
-        least = min(float(np.min(np.asarray(density))) for density in loop.readout.noise_density)
-        steps = least * np.sqrt(0.5 / period) * 2**adc.bits / (2.0 * float(np.max(np.asarray(adc.limit))))
-        if steps < _DITHER:
-            found.append(
-                f"The converter's rounding is taken as white, but a sample's noise is only {steps:.2g} of its step: "
-                "what it adds may be more, and depends on the signal."
-            )
+    found, steps = [], noise_in_steps(loop, period)
+    if steps < DITHER:
+        found.append(
+            f"The converter's rounding is taken as white, but a sample's noise is only {steps:.2g} of its step: "
+            "what it adds may be more, and depends on the signal."
+        )
     if loop.device.temperature is None:
         found.append("The device knows no temperature: no Brownian force (`gyro.at_temperature(300.0)`).")
     if not phase_locked:

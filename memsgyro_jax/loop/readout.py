@@ -63,6 +63,11 @@ class Adc(Displayed):
         clipped = saturated(volts, self.limit, step)
         return clipped + jax.lax.stop_gradient(step * jnp.round(clipped / step) - clipped)
 
+    @property
+    def without_steps(self) -> "Adc":
+        """The same range, rounded to next to nothing: what noise over several steps makes of it on average."""
+        return Adc(self.limit, 48)
+
 
 class AbstractReadout(Displayed):
     """What turns motion into the voltages an observer sees."""

@@ -12,8 +12,9 @@ from scipy import stats
 from memsgyro_jax.base.arguments import quantity
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.provenance import Settings
+from memsgyro_jax.base.text import listed
 from memsgyro_jax.loop.loop import ClosedLoop
-from memsgyro_jax.loop.noise_budget import thermal_left_out
+from memsgyro_jax.loop.noise_budget import DITHER, noise_in_steps, thermal_left_out
 from memsgyro_jax.loop.settling import duration_to_settle
 from memsgyro_jax.montecarlo.spread import Spread
 
@@ -34,7 +35,7 @@ from .datasheet_tests import (
 )
 from .lot_outputs import Outputs
 from .over_temperature import check_temperatures
-from .rate_tests import RateTests
+from .rate_tests import RATE, RateTests
 
 
 _FEW = 30  # dies beyond which the spread is known to a third
@@ -65,8 +66,8 @@ def datasheet(
 ) -> Datasheet:
     """Test `dies` dies of `spread` around `loop` as a laboratory would, and tell every figure over the lot.
 
-    The rate of `scenario` is replaced, all else of it stays; `sample_rate` and `duration` follow the device where they
-    are left out (`Operation`). Nine constant rates from minus to plus `full_scale`
+    The rate of `scenario` is replaced, and its spread left out, all else of it stays; `sample_rate` and `duration`
+    follow the device where they are left out (`Operation`). Nine constant rates from minus to plus `full_scale`
     [rad/s] without read-out noise give zero-rate output, scale factor and non-linearity, each from `settle` [s] (half
     the duration when left out) to `duration` [s]; a step of a tenth of the full scale gives bandwidth and delay; a run
     with noise of `noise_duration` [s] (left out: 192 to 384 periods of the bandwidth, ten to a hundred durations)
@@ -122,7 +123,7 @@ def datasheet(
         said = (*limited, *(row.note for row in rows if row.note), *impossible_ends(rows))
         return Datasheet(
             rows, dies, int(np.sum(~alive)), bench.full_scale, rates, outputs, answer.times, answers, settings,
-            (*said, *notes_of(alive, started, bench)), drifts,
+            (*said, *_rate_left_out(spread), *notes_of(alive, started, bench)), drifts,
         )  # fmt: skip
 
     record = noise_duration or record_needed(bench, answer.bandwidth, table[0].period)
@@ -217,6 +218,11 @@ def unsettled(alive: np.ndarray, started: DatasheetRow, bench: RateTests) -> str
     )
 
 
+def _rate_left_out(spread: Spread) -> tuple[str, ...]:
+    held = listed((item.path for item in spread.items if item.path.startswith(RATE)), "`")
+    return (f"The spread of {held} is left out: the rate is that of each test.",) if held else ()
+
+
 def notes_of(alive: np.ndarray, started: DatasheetRow, bench: RateTests) -> tuple[str, ...]:
     """What is to be said of the lot beside its rows."""
     lost = int(np.sum(~alive))
@@ -229,6 +235,12 @@ def notes_of(alive: np.ndarray, started: DatasheetRow, bench: RateTests) -> tupl
         said.append(
             f"{told} dies are few for a spread: σ is known within {low:.2g} to {high:.2g} times (95 %), and the ends "
             f"at ±3 σ may be what no die can be; take {_FEW} dies or more."
+        )
+    steps = noise_in_steps(bench.loop, 1.0 / bench.sample_rate)
+    if np.isfinite(steps):
+        said.append(
+            "Figures without noise are told without the steps of the converter, across which noise carries the signal"
+            + (f"; a sample's noise is but {steps:.2g} of a step, which may move them." if steps < DITHER else ".")
         )
     if left_out := thermal_left_out(bench.loop, sample_rate=bench.sample_rate):
         said.append(f"{left_out}.")

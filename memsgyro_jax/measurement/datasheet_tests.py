@@ -226,8 +226,12 @@ def noises(
         return _noise_rows(bench, duration, ("every die was lost",) * 3)
     half = rate.shape[1] // 2
     early, late = (np.median(np.var(np.diff(part[run.alive]), axis=1)) for part in (rate[:, :half], rate[:, half:]))
-    if not 1.0 / _ALIKE < early / late < _ALIKE:
-        change = f"falls to 1/{early / late:.3g}" if early > late else f"rises to {late / early:.3g} times"
+    if early == late == 0.0:
+        return _noise_rows(bench, duration, ("no noise comes through: it does not cross a step of the converter",) * 3)
+    if not late / _ALIKE < early < _ALIKE * late:
+        less, more = sorted((early, late))
+        change = f"{'falls to 1/' if early > late else 'rises to '}{more / max(less, np.finfo(float).tiny):.3g}"
+        change += " times" if early < late else ""
         moving = f"the output is no stationary noise: from one half of the record to the other its power {change}, "
         moving += (
             "as its observer still learns"

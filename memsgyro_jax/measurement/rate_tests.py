@@ -23,6 +23,7 @@ from .lot_outputs import Outputs, lot_outputs
 _WINDOWS = 400  # of a run
 _FINER = 10  # times as many, to look at what is fast in it
 FEWEST = 3  # dies
+RATE = "scenario.rate."  # where the paths of what is replaced begin
 MORE = 1.2  # times as much of a number
 
 Dies = Float[np.ndarray, " dies"]
@@ -52,7 +53,8 @@ class RateTests:
         sample_rate: float | str | None, duration: float | str | None, settle: float | str | None, seed: int,
         windows: int = _WINDOWS,
     ) -> "RateTests":  # fmt: skip
-        """From the arguments of a test, which is called `what`; `settle` is half the duration when left out.
+        """From the arguments of a test, which is called `what`; `settle` is half the duration when left out. A spread
+        of the rate is left out, which each test replaces.
 
         **Raises:** `InputError` for settings that cannot be run, and outside float64.
         """
@@ -65,6 +67,7 @@ class RateTests:
         settle = 0.5 * duration if settle is None else quantity("settle", settle, "s")
         if not 0.0 <= settle < duration:
             raise InputError(f"Argument `settle` must lie within the duration of {duration:g} s, but is {settle:g} s.")
+        spread = spread.without(RATE)
         loop = replace(loop, blocks=None).sampled_at(sample_rate, duration=duration)
         window = max(1, count_steps(sample_rate, duration) // windows)
         many = partial(lot_outputs, loop, spread=spread, dies=dies, seed=seed, sample_rate=sample_rate, window=window)

@@ -132,7 +132,11 @@ class Spread(Shown):
     @property
     def of_silent(self) -> "Spread":
         """What of it varies in a loop that is `silent`."""
-        kept = [n for n, item in enumerate(self.items) if not item.path.startswith(_NOISES)]
+        return self.without(*_NOISES)
+
+    def without(self, *paths: str) -> "Spread":
+        """The same but for items whose path begins with one of `paths`."""
+        kept = [n for n, item in enumerate(self.items) if not item.path.startswith(paths)]
         joint = None if self.correlation is None else np.asarray(self.correlation)[np.ix_(kept, kept)].tolist()
         return replace(self, items=tuple(self.items[n] for n in kept), correlation=joint and tuple(map(tuple, joint)))
 

@@ -1,5 +1,7 @@
 """Volts of the comb and charge amplifier by hand, noise densities, the converter and its derivative, and bad input."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import memsgyro_jax as mg
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.electronics import CarrierDetection, ChargeStage, run_carrier
 from memsgyro_jax.loop.carrier_readout import CarrierReadout
@@ -170,3 +173,18 @@ def test_a_carrier_reads_as_its_base_band_says():
 def test_a_scale_that_shows_nothing_is_refused(scale):
     with pytest.raises(InputError, match="`scale` must be finite and not zero"):
         DirectReadout(scale)
+
+
+def test_a_silent_loop_has_a_converter_without_steps_that_still_ends():
+    """Rounding without noise is a dead band of a nulled channel, which noise carries the signal across."""
+    gyro = mg.SingleMassGyro.chi2010()
+    readout = replace(ChargeAmplifier.chi2010(), adc=Adc(2.5, 6))
+    observer = mg.ExtendedKalmanFilter.for_device(gyro, readout)
+    loop = mg.ClosedLoop(gyro, readout, observer, mg.DampingCompensation())
+    for made in (loop, replace(loop, readout=mg.LayoutReadout(readout))):
+        quiet = made.silent.readout
+        scale, offset = float(quiet.scale[0]), float(quiet.offset[0])
+        for volts, shown in ((0.01, 0.01), (9.0, 2.5)):
+            found, _ = quiet.measure((volts / scale, 0.0, 0.0, 0.0), (9.0, 9.0), (-offset, 0.0), 1e-5)
+            assert float(found) == pytest.approx(shown, abs=1e-12)
+    assert loop.readout.adc.bits == 6

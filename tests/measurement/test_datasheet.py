@@ -15,7 +15,7 @@ from memsgyro_jax.app.report.datasheet_page import datasheet_page
 from memsgyro_jax.loop.noise_budget import thermal_left_out
 from memsgyro_jax.loop.settling import settling_time_constant
 from memsgyro_jax.measurement.bandwidth_cause import knobs, limits
-from memsgyro_jax.measurement.datasheet import at_rest, impossible_ends, notes_of, step_told, unsettled
+from memsgyro_jax.measurement.datasheet import _rate_left_out, at_rest, impossible_ends, notes_of, step_told, unsettled
 from memsgyro_jax.measurement.datasheet_rows import NOT_MODELLED, DatasheetRow
 from memsgyro_jax.measurement.datasheet_tests import Answer, best_line, noises, start_up, with_trim
 from memsgyro_jax.measurement.lot_outputs import Outputs, lot_outputs
@@ -306,6 +306,32 @@ def test_no_noise_is_none_of_the_mass_either():
     kept = mg.Spread(noise + own, joint).of_silent
     assert [item.path for item in kept.items] == ["device.kxx"]
     assert kept.correlation == ((1.0,),)
+
+
+def test_a_spread_of_the_rate_is_left_out_of_tests_that_set_it():
+    own = (mg.Vary("device.kxx", mg.Normal(relative=1e-3)),)
+    rates = (mg.Vary("scenario.rate.level", mg.Uniform(low=-1.0, high=1.0)),)
+    settings = {"full_scale": "200 deg/s", "dies": 3, "sample_rate": RATE, "duration": 0.02, "settle": 0.01, "seed": 0}
+    both, alone = (RateTests.of("x", LOOP, mg.Spread(items), **settings, scenario=0.0) for items in (own + rates, own))
+    ran = [bench.run(bench.at(1.0)).rate for bench in (both, alone)]
+    assert np.array_equal(*ran)
+    assert _rate_left_out(mg.Spread(own)) == ()
+    assert "`scenario.rate.level`" in _rate_left_out(mg.Spread(own + rates))[0]
+
+
+@pytest.mark.slow
+def test_a_converter_has_no_dead_band_where_there_is_no_noise():
+    """A rebalanced axis sat still within a step: 45 in place of 49.5 deg/s at rest, of a design that noise dithers."""
+    control = mg.ClassicControl.force_rebalance(GYRO, READOUT, amplitude=1e-6, drive_bandwidth=400.0)
+    loop = replace(LOOP, controller=control)
+    coarse = replace(loop, readout=replace(READOUT, adc=mg.Adc(0.5, 15)))
+    settings = {"full_scale": "200 deg/s", "dies": 3, "sample_rate": RATE, "duration": 0.2, "settle": 0.15}
+    fine, rounded = (mg.datasheet(one, SPREAD, noise_duration=0.4, **settings) for one in (loop, coarse))
+    for a, b in zip(fine.rows, rounded.rows, strict=True):
+        if a.name in ("zero-rate output", "scale factor", "non-linearity", "bandwidth"):
+            np.testing.assert_allclose(b.values, a.values, rtol=1e-9, atol=1e-12)
+    assert any("without the steps of the converter" in note for note in rounded.notes)
+    assert not any("converter" in note for note in fine.notes)
 
 
 def test_a_device_without_temperature_is_told_what_its_datasheet_leaves_out(sheet):

@@ -53,7 +53,8 @@ def tornado_command(
     if zero_rate:
         settle = settings["settle"]
         off = mean_error(0.5 if settle is None else settle / settings["duration"])
-        loop, spread, scenario = loop.silent, spread.of_silent, replace(scenario, rate=Constant(0.0))
+        loop, spread = loop.silent, spread.of_silent.without("scenario.rate.")
+        scenario = replace(scenario, rate=Constant(0.0))
         of = [replace(off, name="zero-rate output")]
     if repeats == 1:
         print("One noise at each point: bars have no standard error; two or more `--repeats` give one.", flush=True)
