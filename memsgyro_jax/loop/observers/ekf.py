@@ -46,7 +46,7 @@ from .covariance import (
 )
 from .fading import AbstractFading
 from .pickoff import check_curves, curved
-from .settings import Annealing, Prior, ProcessNoise, check_lengths, check_told, design_prior
+from .settings import Annealing, Prior, ProcessNoise, check_lengths, check_told, design_prior, rounding_of
 
 
 class KalmanState(NamedTuple):
@@ -70,6 +70,7 @@ class ExtendedKalmanFilter(AbstractBlockObserver[KalmanState]):
     `estimated` holds the indices of the coefficients that are states, `with_offsets` whether the two read-out offsets
     are; the rest keeps its prior mean. `scale` in V per unit of `signals`, `noise_density` in V/√Hz one-sided.
     `pickoff` are read-out effects that it knows: curves of the pick-off, followed to first order about the estimate.
+    `rounding` is the standard deviation in V that a converter adds to each sample; empty without one.
     """
 
     prior: Prior
@@ -85,11 +86,12 @@ class ExtendedKalmanFilter(AbstractBlockObserver[KalmanState]):
     with_offsets: bool = eqx.field(static=True)
     iterations: int = eqx.field(static=True)
     pickoff: tuple[Any, ...] = eqx.field(converter=Effects.of, default=())
+    rounding: Pair = arrays("V", default=())
     usually_tuned: ClassVar[tuple[str, ...]] = ("noise_density", "process_noise.rate")
 
     def __check_init__(self):
         check_told(self.prior, self.process_noise, self.model)
-        check_lengths(self, scale=2, noise_density=2)
+        check_lengths(self, scale=2, noise_density=2, **({"rounding": 2} if self.rounding else {}))
         for density in self.noise_density:
             check_positive("noise_density", density)
         if any(self.model.coefficients[i].delays is not None for i in self.estimated) and (
@@ -141,6 +143,7 @@ class ExtendedKalmanFilter(AbstractBlockObserver[KalmanState]):
             with_offsets=with_offsets,
             iterations=iterations,
             pickoff=pickoff,
+            rounding=rounding_of(readout),
         )
 
     def init(self) -> KalmanState:
@@ -284,11 +287,10 @@ class ExtendedKalmanFilter(AbstractBlockObserver[KalmanState]):
         return channels[0], channels[1]
 
     def variance(self, clock: Clock) -> Pair:
-        """The density over the band of a sample, raised while it anneals."""
-        factor = 0.5 / clock.period
-        if self.annealing is not None:
-            factor = factor * self.annealing.factor(clock.time)
-        return tuple(density**2 * factor for density in self.noise_density)
+        """The density over the band of a sample and the rounding, raised while it anneals."""
+        factor = 1.0 if self.annealing is None else self.annealing.factor(clock.time)
+        white = tuple(density**2 * (0.5 / clock.period * factor) for density in self.noise_density)
+        return tuple(w + s**2 * factor for w, s in zip(white, self.rounding, strict=True)) if self.rounding else white
 
     def _correct(self, state: KalmanState, predicted: Predicted, measured: Pair, clock: Clock) -> "_Corrected":
         """Fading, process noise, and the two scalar measurements in turn."""

@@ -26,6 +26,7 @@ from memsgyro_jax.device.propagate import AbstractDiscretisation, State4
 from memsgyro_jax.device.sizes import with_sizes
 from memsgyro_jax.device.small import Vector
 
+from ..readout import AbstractReadout
 from .covariance import UPPER, diagonal
 
 
@@ -124,6 +125,12 @@ class Annealing(Displayed):
     def factor(self, time: Scalar) -> Scalar:
         """The factor at `time` [s]."""
         return 1.0 + self.excess * jnp.exp(-time / self.decay)
+
+
+def rounding_of(readout: AbstractReadout) -> tuple[Scalar, ...]:
+    """Standard deviation [V] of what its converter's rounding adds to a sample of each channel; none without one."""
+    adc = readout.adc
+    return () if adc is None else (2.0 * adc.limit / 2**adc.bits / jnp.sqrt(12.0),) * 2
 
 
 def check_lengths(settings: eqx.Module, **lengths: int) -> None:
