@@ -23,6 +23,7 @@ from .column_meaning import meaning_of, parse_map
 from .demodulators import demodulators_joined
 from .driven_axes import axes_of_files, require_axes
 from .formats import SourceTable, read_instrument_file
+from .imported_conditions import conditions_of_files
 from .imported_record import Given, ImportedRecord, records_of
 from .imported_sweep import NO_LEVEL
 from .records_together import agreed, turned_alike, without_copies
@@ -93,6 +94,8 @@ def import_case(
     drive: Sequence[str] = (),
     axis: Sequence[str] = (),
     reference: str = "",
+    bias: Sequence[str] = (),
+    temperature: Sequence[str] = (),
     every: int = 1,
     rms: bool = False,
     overwrite: bool = False,
@@ -116,6 +119,9 @@ def import_case(
         axis: ``"x"`` or ``"y"``, which of two axes was driven, one for all files or one for each, where neither a
             column F_x or F_y nor the file's name (``drive_x_10mV.csv``) says it, or says it wrongly.
         reference: frequency of a lock-in that recorded over time, or operating points, like ``"32.768 kHz"``.
+        bias: voltage of the electrodes, like ``"20 V"``, one for all files or one for each, where no column has it;
+            ``"-"`` for a file of which nothing is said. Records over time have none.
+        temperature: like ``"25 degC"``, as `bias`.
         every: keeps one row of so many, waveforms behind a low pass.
         rms: takes a lock-in's readings for effective values, where their unit does not say; the drive stays as it is.
         overwrite: writes over a case that is there.
@@ -142,9 +148,11 @@ def import_case(
     axis, drive = (_of_joined(option, parts, name) for option, name in ((axis, "--axis"), (drive, "--drive")))
     given = [None if text.strip() == "-" else amount_of_option(text, "--drive", "20 mV") for text in drive]
     axes = axes_of_files(axis, len(files))
+    told = (_of_joined(option, parts, name) for option, name in ((bias, "--bias"), (temperature, "--temperature")))
+    held = conditions_of_files(dict(zip(("V_bias", "T"), told, strict=True)), len(files))
 
     def taken(k: int, level: Level | None) -> list[ImportedRecord]:
-        return _records(read[k][1], maps[k], Given(level, tuned, every, rms, axes[k]))
+        return _records(read[k][1], maps[k], Given(level, tuned, every, rms, axes[k], held[k]))
 
     found = [taken(k, None) for k in range(len(files))]
     needing = [any("drive_force" in record.keys for record in some) for some in found]

@@ -2,12 +2,15 @@
 points without a clock, rate tables with one. Columns in the words of a case, keys, what is read.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.quantity import number_and_unit
+from memsgyro_jax.base.text import printable
 from memsgyro_jax.base.units import to_si
 
 from .clock import is_even, usual_period
@@ -19,6 +22,72 @@ from .imported_sweep import PEAK, level_of, phasor_columns_of, read_as
 Level = tuple[float, str]  # with its unit
 _WHOLE = 0.02  # cycles beside a whole number, from row to row, of a mean over so many
 _STEADY = 1e-3  # of a drive: by less it stays as it is
+
+
+@dataclass(frozen=True)
+class _Condition:
+    """What the whole of a file may have been recorded at: its option, an example, a unit, and what it is."""
+
+    option: str
+    like: str
+    unit: str
+    words: str
+
+
+CONDITIONS = {
+    "V_bias": _Condition("--bias", "20 V", "V", "bias voltage"),
+    "T": _Condition("--temperature", "25 degC", "K", "temperature"),
+}
+
+
+def conditions_of_files(given: Mapping[str, Sequence[str]], files: int) -> list[dict[str, Level]]:
+    """What the user says that each file was recorded at, role to value and unit.
+
+    Args:
+        given: by role, once for all files or for each, "-" for one of which nothing is said.
+        files: how many.
+
+    Raises:
+        InputError: another number of them, or no number with a unit that fits.
+    """
+    out: list[dict[str, Level]] = [{} for _ in range(files)]
+    for role, texts in given.items():
+        known = CONDITIONS[role]
+        if len(texts) not in (0, 1, files):
+            told = f"given once or for each of {files} files (`-` for one of which nothing is said)"
+            raise InputError(f"Option `{known.option}` must be {told}, but has {len(texts)}.")
+        for of_file, text in zip(out, list(texts) * (files if len(texts) == 1 else 1), strict=False):
+            if text.strip() != "-":
+                of_file[role] = _level(text, known)
+    return out
+
+
+def _level(text: str, known: _Condition) -> Level:
+    try:
+        number, unit = number_and_unit(text)
+    except ValueError as error:
+        raise InputError(f"Option `{known.option}` {error}.") from error
+    if not unit:
+        must = f'must be a number with its unit, like "{known.like}", but is "{printable(text, 60)}"'
+        raise InputError(f"Option `{known.option}` {must}.")
+    to_si(number, unit, known.unit, f"option `{known.option}`")
+    return number, unit
+
+
+def beside_conditions(
+    table: SourceTable, rows: Mapping[str, SourceColumn], given: Mapping[str, Level], assumed: list[str]
+) -> dict[str, SourceColumn]:
+    """The columns, and those of what was given of the whole file; raises `InputError` where a column says it."""
+    out = dict(rows)
+    for role, (value, unit) in given.items():
+        known = CONDITIONS[role]
+        if role in rows:
+            told = f"`{known.option}` must be left out (`-`), as `{rows[role].name}` says it"
+            raise InputError(f"{table.path}: {told}.")
+        count = len(next(iter(rows.values())).values)
+        out[role] = SourceColumn(known.option, unit, np.full(count, value))
+        assumed.append(f"the {known.words} is {value:g} {unit}, as was given")
+    return out
 
 
 def columns_of_points(

@@ -19,7 +19,7 @@ from .imported_columns import (
     reading_column,
     time_column,
 )
-from .imported_conditions import columns_of_points, columns_of_rate_table, stamps
+from .imported_conditions import beside_conditions, columns_of_points, columns_of_rate_table, stamps
 from .imported_sweep import columns_of_sweep, phasor_columns_of, phasors_of, read_as
 from .thinning import thinned
 from .tracking import rough_decay
@@ -68,8 +68,8 @@ class ImportedRecord:
 @dataclass(frozen=True)
 class Given:
     """What the user says beside the file: drive level and reference frequency with their units, or nothing; that one
-    row of `every` is kept; whether a lock-in's readings are effective values (`rms`); and which `axis` of two was
-    driven.
+    row of `every` is kept; whether a lock-in's readings are effective values (`rms`); which `axis` of two was
+    driven; and the `conditions` of the whole file, role to value and unit.
     """
 
     drive: tuple[float, str] | None = None
@@ -77,6 +77,7 @@ class Given:
     every: int = 1
     rms: bool = False
     axis: str = ""
+    conditions: Mapping[str, tuple[float, str]] = field(default_factory=dict)
 
 
 def records_of(name: str, table: SourceTable, meaning: Meaning, given: Given) -> list[ImportedRecord]:
@@ -84,6 +85,10 @@ def records_of(name: str, table: SourceTable, meaning: Meaning, given: Given) ->
     assumed = [*table.assumed]
     rows = thinned(table, meaning, _finite(table, meaning, assumed), given.every, assumed)
     rows = from_effective(rows, assumed) if given.rms else rows
+    if meaning.swept or meaning.at_points:
+        rows = beside_conditions(table, rows, given.conditions, assumed)
+    elif given.conditions:
+        assumed.append("the bias voltage and temperature that were given are left out, as no record over time has them")
     source = f"{table.path.name}{', ' + table.name if table.name else ''}"
     about = {"name": name, "source": source, "unused": meaning.unused}
     with np.errstate(over="ignore", invalid="ignore"):  # of a damaged file; reading the case refuses them

@@ -341,3 +341,33 @@ def test_each_file_may_have_a_map_of_its_own(by_command, tmp_path):
         np.testing.assert_allclose(record.phasors[:, 0], level * w.RESPONSE, rtol=1e-7)
     with pytest.raises(mg.InputError, match="given once or for each of 3 files"):
         mg.import_case(files, tmp_path / "other", columns=maps[:2])
+
+
+def test_what_each_file_was_recorded_at_may_be_given(sweeps, tmp_path):
+    given = {"bias": ["10 V", "-", "0.02 kV"], "temperature": ["-40 degC"]}
+    found = mg.import_case(sweeps, tmp_path / "case", **given)
+    volts = [float(np.unique(record.bias_voltage)[0]) for record in found.case.records]
+    assert volts == [10.0, 10.0, found.case.environment.bias_voltage, found.case.environment.bias_voltage, 20.0, 20.0]
+    assert all(np.allclose(record.temperature, 233.15) for record in found.case.records)
+    assert "the bias voltage is 10 V, as was given" in str(found)
+
+
+@pytest.mark.parametrize(
+    ("given", "sentence"),
+    [
+        ({"bias": ["10 V", "20 V"]}, "`--bias` must be given once or for each of 3 files"),
+        ({"bias": ["10"]}, 'must be a number with its unit, like "20 V", but is "10"'),
+        ({"temperature": ["10 V"]}, "option `--temperature`"),
+    ],
+)
+def test_conditions_that_are_none_are_refused(given, sentence, sweeps, tmp_path):
+    with pytest.raises(mg.InputError, match=sentence):
+        mg.import_case(sweeps, tmp_path / "case", **given)
+
+
+def test_a_bias_that_a_column_says_is_not_given_again(tmp_path):
+    rows = "\n".join(f"{f},10.0,{z.real},{z.imag}" for f, z in zip(w.FREQUENCY, w.RESPONSE, strict=True))
+    path = tmp_path / "sweep.csv"
+    path.write_text(f"f [Hz],Bias [V],X [V],Y [V]\n{rows}\n")
+    with pytest.raises(mg.InputError, match="`--bias` must be left out"):
+        mg.import_case([path], tmp_path / "case", bias=["12 V"])

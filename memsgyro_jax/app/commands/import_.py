@@ -15,6 +15,8 @@ def import_command(
     drive: Words = (),
     axis: Words = (),
     reference: str = "",
+    bias: Words = (),
+    temperature: Words = (),
     every: int = 1,
     rms: Flag = False,
     overwrite: Flag = False,
@@ -36,6 +38,9 @@ def import_command(
         axis: which axis was driven, x or y, where two channels were read and neither a column F_x, F_y nor the file's
             name (drive_x) says it; one for all files or one for each.
         reference: frequency of a lock-in that recorded over time, or operating points, like "32.768 kHz".
+        bias: voltage of the electrodes where no column has it, like "20 V"; one for all files or one for each, "-" for
+            a file of which nothing is said.
+        temperature: like "25 degC", as the bias.
         every: keep one row of so many, waveforms behind a low pass: for records longer than they need to be.
         rms: the readings of a lock-in are effective values, not peak ones, where their unit does not say; the drive
             stays as it is.
@@ -50,8 +55,18 @@ def import_command(
     require_writable(json)
     # Without what kept a dash from an option.
     levels, maps, tuned = [level.strip() for level in drive], [one.strip() for one in map_], reference.strip()
+    held = {"bias": [one.strip() for one in bias], "temperature": [one.strip() for one in temperature]}
     result = import_case(
-        files, out, columns=maps, drive=levels, axis=axis, reference=tuned, every=every, rms=rms, overwrite=overwrite
+        files,
+        out,
+        columns=maps,
+        drive=levels,
+        axis=axis,
+        reference=tuned,
+        **held,
+        every=every,
+        rms=rms,
+        overwrite=overwrite,
     )
     print(result)
     if not result.warning:
