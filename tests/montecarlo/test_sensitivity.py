@@ -120,6 +120,37 @@ def test_an_output_that_nearly_never_differs_has_no_indices():
     assert np.all(np.isnan(indices_of(1.0 - values * (np.arange(128) < 19), 0.95, np.random.default_rng(0))[1]))
 
 
+def sobol_of(values, points):
+    """A result as `sobol` makes it of one output of two inputs."""
+    first, total, *intervals, dropped = (part[None] for part in indices_of(values, 0.95, np.random.default_rng(0)))
+    return mg.Sobol(
+        ("error",), ("deg/s",), ("a", "b", "noise"), None, first, total, *intervals,
+        np.nanmean(values[:2])[None], np.nanstd(values[:2])[None], points, dropped, 0, values.size, 0.95,
+    )  # fmt: skip
+
+
+def test_too_few_points_are_called_so_and_how_many_it_takes_is_told():
+    """All 16 dies of 8 points differ; what lacks are points, and with lost dies more of them."""
+    said = repr(sobol_of(ishigami_sets(8, 1), 8))
+    assert "no indices, because 8 points are too few of at least 11; give `points` = 16 or" in said
+    assert "the same for all" not in said
+    spoiled = ishigami_sets(16, 1)
+    spoiled[0, :6] = np.nan
+    assert "10 points without a lost die are too few of at least 11; give `points` = 32" in repr(sobol_of(spoiled, 16))
+    rare = np.zeros((5, 128))
+    rare[0, :19] = 1.0
+    assert "the same for all but fewer than 20 dies" in repr(sobol_of(rare, 128))
+
+
+def test_an_index_below_its_uncertainty_is_not_told():
+    few, many = sobol_of(ishigami_sets(16, 1), 16), sobol_of(ishigami_sets(2**12, 0), 2**12)
+    figures = (few.first, few.first_interval), (few.total, few.total_interval)
+    untold = sum(int(np.sum(np.abs(index) < 0.5 * np.ptp(ends, axis=-1))) for index, ends in figures)
+    assert 0 < untold == repr(few).count("- (") < 6
+    assert repr(few).endswith("more `points` narrow it")
+    assert repr(many).count("- (") == 1, "the third input alone has no index of first order"
+
+
 # ---- sweeps at chosen points
 
 
