@@ -273,12 +273,33 @@ def test_the_gradient_of_a_tornado_is_that_of_the_runs_and_results_print(loop):
         (lambda loop: mg.tornado(loop, mg.Spread()), "must vary at least one parameter"),
         (lambda loop: mg.tornado(loop, PAIR, sigmas=0.0), "`sigmas` and `repeats` must be positive"),
         (lambda loop: mg.corners(loop, PAIR, repeats=0), "`sigmas` and `repeats` must be positive"),
-        (lambda loop: mg.corners(loop, replace(PAIR, everywhere=mg.Normal(relative=0.4)), **SHORT), "impossible"),
+        (lambda loop: mg.corners(loop, replace(PAIR, everywhere=mg.Normal(relative=0.4)), **SHORT), "no device can be"),
     ],
 )
 def test_bad_input_is_one_sentence(loop, make, words):
     with pytest.raises(InputError, match=words):
         make(loop)
+
+
+def test_a_corner_that_no_device_can_be_at_is_named_with_its_cause():
+    """A mode within 0.01 Hz of the other, beside a quadrature that holds them 0.06 Hz apart; a negative stiffness."""
+    gyro = mg.SingleMassGyro.from_modes("20 ug", ("14 kHz", "14.003 kHz"), 1e5, quadrature="10 deg/s")
+    readout = mg.DirectReadout(5e5, noise_density=1e-7)
+    near = mg.ClosedLoop(gyro, readout, mg.NoObserver.for_device(gyro, readout), mg.OpenLoop())
+    second = mg.Vary("device.frequency.1", mg.Normal(std=1.0, mean=14_002.99))
+    spread = mg.Spread((second, mg.Vary("device.cross_damping", mg.Normal(std=0.02))))
+    with pytest.raises(InputError, match="no device can be") as found:
+        mg.corners(near, spread, **SHORT)
+    said = str(found.value)
+    assert "`device.frequency.1` = 14000" in said
+    assert " Hz (-3 σ)" in said
+    assert "Its modes would lie nearer to each other than its quadrature sets them apart." in said
+    assert "nan" not in said
+    assert "cross_damping" not in said, "one number is enough for it"
+    assert "drawn" not in said
+    soft = mg.Spread((mg.Vary("device.kxx", mg.Normal(relative=0.4)), mg.Vary("device.dxy", mg.Normal(std=1e-9))))
+    with pytest.raises(InputError, match=r"`device.kxx` = -\S+ N/m \(-3 σ\); .* stiffness matrix must be positive"):
+        mg.corners(near, soft, **SHORT)
 
 
 def test_designs_carry_gradients(loop):
