@@ -25,7 +25,7 @@ from memsgyro_jax.loop.trace import count_steps
 from memsgyro_jax.loop.unreached import unreached
 
 from .batch import Plan
-from .bounds import own_bounds
+from .bounds import own_bounds, why_unbounded
 from .caveats import Order
 from .divergence import divergence_of, unexpected
 from .folder import RemotePath, place_of
@@ -76,7 +76,8 @@ class Computation:
             runner.loop, runner.scenario, runner.spread, runner.seed, bounded, settings.sample_rate, settings.duration
         )
         divergence = divergence_of(*tally.diverged, runner.loop, runner.scenario, self.plan)
-        return figures_of(tally, settings, runner.loop, bounds, divergence, self.notes, tuple(amiss), speed)
+        why = why_unbounded(runner.loop, runner.scenario, settings.duration) if bounded and bounds is None else None
+        return figures_of(tally, settings, runner.loop, bounds, why, divergence, self.notes, tuple(amiss), speed)
 
 
 @dataclass(frozen=True)
