@@ -185,7 +185,10 @@ def test_where_every_die_is_lost_nothing_is_claimed(loop):
     bars = mg.tornado(small, PAIR, repeats=4, **SHORT)
     assert np.isnan(bars.low[:2]).all()
     assert np.all(bars.lost == 1.0)
-    assert np.isnan(mg.corners(small, PAIR, repeats=2, **SHORT).worst[0]).all()
+    corners = mg.corners(small, PAIR, repeats=2, **SHORT)
+    assert np.isnan(corners.worst[0]).all()
+    assert "rms rate error: every die was lost" in repr(corners)
+    assert "nan" not in repr(corners)
 
 
 def replace_travel(loop, travel):
