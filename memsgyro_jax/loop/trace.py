@@ -25,6 +25,7 @@ from .operation import run_of
 from .scenario import AbstractProfile, Scenario, as_scenario
 from .settling import not_rested
 from .trace_result import Trace
+from .unreached import unreached
 
 
 class _Row(NamedTuple):
@@ -72,10 +73,10 @@ def simulate(
     the device where they are left out, as in `Operation`: its higher mode is sampled 26.6 times per period.
 
     `scenario` is a `Scenario`, a profile of the rate, or a constant rate in rad/s. Noise depends on (`seed`, `die`)
-    only. Every number of `loop` and `scenario` may be differentiated and mapped from outside (`jax.grad`, `jax.vmap`);
-    settings and status are then filled in as far as they are known. What the observer cannot expect of the run, a
-    moving rate that it holds constant say, is logged before it begins. Raises `InputError` for a sample rate that
-    cannot carry the device's modes, and outside float64.
+    only. Every number of `loop` and `scenario` may be differentiated and mapped from outside (`jax.grad`,
+    `jax.vmap`); settings and status are then filled in as far as they are known. What the observer cannot expect of
+    the run, a moving rate that it holds constant say, and a change that lies beyond its end are logged before it
+    begins. Raises `InputError` for a sample rate that cannot carry the device's modes, and outside float64.
 
     A loop `in_blocks` keeps the ends of its blocks, and before them as many samples as `decimation` says, or somewhat
     more. Its volts are without noise, its `nis` that of the block's statistics.
@@ -91,7 +92,8 @@ def simulate(
     _require_one_die(loop)
     scenario, loop = as_scenario(scenario), loop.sampled_at(sample_rate, duration=duration)
     ran, hindered = prepared(loop.present)
-    tell((*expectations(loop, scenario, sample_rate, duration), *not_rested(loop, duration), *hindered))
+    late = unreached(scenario, duration)
+    tell((*expectations(loop, scenario, sample_rate, duration), *not_rested(loop, duration), *late, *hindered))
     words = noise.die_words(jax.random.key(seed), jnp.asarray(die))
     rows = _Rows.of(ran.blocks, steps, decimation)
     done = _compiled(ran, scenario, words, 1.0 / sample_rate, rows)

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 from scipy import stats
 
 from memsgyro_jax.base.arguments import quantity
@@ -20,6 +20,8 @@ from .rate_noise import NoiseFit, fit_noise
 
 FLAT = float(np.sqrt(2.0 * np.log(2.0) / np.pi))  # 0.664, the deviation of flicker of strength one
 _FEWEST = 6  # octaves: five terms and something to judge them by
+_POOR = 1e-3  # probability of a fit's χ² below which the five noises are taken not to describe the record
+_OTHER = "the five noises do not describe the record"
 
 
 def allan(
@@ -40,6 +42,8 @@ def allan(
         column: the one to take of a file.
         start: [s] from which on the rates count, behind the settling; zero takes all.
         band: shortest and longest averaging time of the fit [s]; without it all octaves up to a third of the record.
+
+    Of a record that the five noises do not describe no term is told, nor the bias instability; `notes` say so.
 
     Raises:
         InputError: for rates that are not finite, do not vary or are too few, and for what `read_rate_log` refuses.
@@ -148,12 +152,15 @@ def _terms(
     high: np.ndarray,
     period: float,
 ) -> dict[str, NoiseTerm]:
-    terms = {}
+    terms, other = {}, bool(_poor(found)[k])
     for place, name in enumerate(TERMS):
         _, unit, factor, power = MEANING[name]
         value, least, most = (
             factor * period**power * float(part[k, place]) for part in (found.value, found.low, found.high)
         )
+        if other:
+            terms[name] = NoiseTerm(None, 0.0, float("inf"), unit, _OTHER)
+            continue
         told = least > 0.0
         terms[name] = NoiseTerm(value if told else None, least, most, unit, "" if told else "the record cannot tell it")
     return {
@@ -178,15 +185,22 @@ def _minimum(terms: Mapping[str, NoiseTerm], measured: np.ndarray, low: np.ndarr
     value, below, above = (factor / FLAT * float(curve[least]) for curve in (measured, low, high))
     if least == 0:
         return NoiseTerm(None, 0.0, above, unit, "the deviation rises from the first averaging time on")
+    if terms["N"].verdict == _OTHER:
+        return NoiseTerm(None, 0.0, above, unit, _OTHER)
     if all(terms[name].value is None for name in "BKR"):
         return NoiseTerm(None, 0.0, above, unit, "the deviation has not ceased to fall")
     return NoiseTerm(value, below, above, unit, "")
 
 
+def _poor(found: NoiseFit) -> Bool[np.ndarray, " series"]:
+    """Which series are described by no sum of the five noises, whose terms then mean nothing."""
+    return np.asarray(stats.chi2.sf(found.chi2, found.dof) < _POOR)
+
+
 def _misfits(names: tuple[str, ...], found: NoiseFit) -> list[str]:
-    poor = [name for name, p in zip(names, stats.chi2.sf(found.chi2, found.dof), strict=True) if p < 1e-3]
+    poor = int(np.sum(_poor(found)))
     if not poor:
         return []
-    which = "" if len(names) == 1 else f" of {len(poor)} of {len(names)} series"
-    said = f"The five noises do not describe the record{which} (χ² beyond its 99.9 % point); "
-    return [said + "a filter, vibration, settling or temperature: the terms hold only for a `band` without them."]
+    which = "" if len(names) == 1 else f" of {poor} of {len(names)} series"
+    said = f"The five noises do not describe the record{which} (χ² beyond its 99.9 % point): "
+    return [said + "a filter, vibration, settling or temperature; no term is told, those of a `band` without them are."]

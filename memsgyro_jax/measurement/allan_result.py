@@ -33,7 +33,7 @@ MEANING = {  # name, and unit with what one in SI is in it; powers of the sample
 @dataclass(frozen=True)
 class NoiseTerm:
     """A figure of one series with its 95 % interval, in `unit`; value `None` means that the record cannot tell it, and
-    then `high`, where there is one, is the most that it may be.
+    then `high`, where it is finite, is the most that it may be.
     """
 
     value: float | None

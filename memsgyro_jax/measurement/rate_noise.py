@@ -70,7 +70,9 @@ def fit_noise(variance: Float[np.ndarray, "series factors"], factors: tuple[int,
     best, least = _descend(model.loss, start, floor, free, 80)
     ramp = np.exp(best[:, 3]) * model.shapes[-1, 3] > _RAMP * model.expected(best).variance[:, -1]
     fall = np.where(ramp[:, None], _BESIDE_RAMP, _FALL)
-    ends, absent = _profile(model, best, least[:, None] + 0.5 * fall, floor, nearest + _MOST, nearest)
+    # What describes no record may have a term further above the curve still, whose end lies above it all the same.
+    most = np.maximum(nearest, best) + _MOST
+    ends, absent = _profile(model, best, least[:, None] + 0.5 * fall, floor, most, nearest)
     expected = model.expected(best)
     gone = best <= floor + 1.0
     value = np.where(gone, 0.0, np.exp(0.5 * best))

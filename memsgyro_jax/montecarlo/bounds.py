@@ -26,21 +26,13 @@ def own_bounds(
     The bound is that of a constant rate on a constant device that the read-out's noise hides, so there is none where
     anything varies.
     """
-    if dies == 0:
-        return None
-    conditions = jax.vmap(scenario.at)(jnp.linspace(0.0, duration, 1001))
-    varies = any(float(jnp.ptp(value)) > 0.0 for value in jax.tree.leaves(conditions))
-    if varies or any(float(jnp.min(density)) == 0.0 for density in loop.readout.noise_density):
+    if dies == 0 or not _has_bound(loop) or _moving(scenario, duration):
         return None
     observer = loop.observer
-    if not observer.learns:  # it takes the design's numbers for true, which no bound without a prior does
-        return None
     known: tuple[str, ...] = ()
     prior = None
     if isinstance(observer, AbstractCovarianceObserver):
         known, prior = observer.known, observer.prior
-    if "rate" in known:  # nothing to find
-        return None
     drawn, design = spread.draw(loop, scenario, seed, np.arange(dies)), (loop, scenario)
     found = []
     for first in range(0, dies, _LANES):
@@ -56,3 +48,28 @@ def own_bounds(
             break
     rate = np.concatenate(found)[:dies]
     return np.where(np.isfinite(rate), rate, np.nan)
+
+
+def why_unbounded(loop: ClosedLoop, scenario: Scenario, duration: float) -> str | None:
+    """Why a loop that has a bound has none in a run of `duration` [s]: something moves in `scenario`. Else None."""
+    moving = _moving(scenario, duration) if _has_bound(loop) else None
+    return f"none, as it is that of a constant rate on a constant device, but {moving}" if moving else None
+
+
+def _has_bound(loop: ClosedLoop) -> bool:
+    """Whether the read-out's noise hides a rate that the observer seeks."""
+    if any(float(jnp.min(density)) == 0.0 for density in loop.readout.noise_density):
+        return False
+    if not loop.observer.learns:  # it takes the design's numbers for true, which no bound without a prior does
+        return False
+    # A known rate is nothing to find.
+    return not (isinstance(loop.observer, AbstractCovarianceObserver) and "rate" in loop.observer.known)
+
+
+def _moving(scenario: Scenario, duration: float) -> str | None:
+    """What moves in a run, in words; None for nothing."""
+    conditions = jax.vmap(scenario.at)(jnp.linspace(0.0, duration, 1001))
+    if float(jnp.ptp(conditions.inertial.rate)) > 0.0:
+        return "the rate moves"
+    varies = any(float(jnp.ptp(value)) > 0.0 for value in jax.tree.leaves(conditions))
+    return "the conditions move" if varies else None

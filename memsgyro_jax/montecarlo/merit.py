@@ -96,7 +96,8 @@ def ratio(errors: Float[np.ndarray, " dies"], bounds: Float[np.ndarray, " dies"]
 
 class StraightError(NamedTuple):
     """Error of the settled rate over the true one: `bias` [rad/s] and `scale`, the scale-factor error (IEEE 528), each
-    with its standard deviation. `scale` is None where all dies turn alike; `bias` is then their mean error.
+    with its standard deviation. `scale` is None where all dies turn alike, or their rates move; `bias` is then their
+    mean error.
     """
 
     bias: float
@@ -124,14 +125,14 @@ class Moments:
         self.largest = np.maximum(self.largest, np.max(np.abs(points), axis=0))
 
 
-def straight_error(points: Moments) -> StraightError | None:
-    """The straight line through the errors of dies over their rates, by least squares, of moments of (rate, error);
-    None below three dies.
+def straight_error(points: Moments, moves: bool = False) -> StraightError | None:
+    """The straight line through the errors of dies over their rates, by least squares, of moments of (rate, error), or
+    the mean error alone of rates that move; None below three dies.
     """
     count, (rate, error), ((across, both), (_, up)) = points.count, points.mean, points.products
     if count < 3:
         return None
-    if not np.sqrt(across / count) > 1e-9 * (points.largest[0] + 1e-9):
+    if moves or not np.sqrt(across / count) > 1e-9 * (points.largest[0] + 1e-9):
         return StraightError(float(error), float(np.sqrt(up / (count - 1) / count)), None, None)
     slope = both / across
     scatter = max(up - slope * both, 0.0) / (count - 2)

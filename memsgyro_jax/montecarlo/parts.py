@@ -22,9 +22,10 @@ from memsgyro_jax.loop.operation import run_of
 from memsgyro_jax.loop.scenario import AbstractProfile, Scenario, as_scenario
 from memsgyro_jax.loop.settling import not_at_rest
 from memsgyro_jax.loop.trace import count_steps
+from memsgyro_jax.loop.unreached import unreached
 
 from .batch import Plan
-from .bounds import own_bounds
+from .bounds import own_bounds, why_unbounded
 from .caveats import Order
 from .divergence import divergence_of, unexpected
 from .folder import RemotePath, place_of
@@ -75,7 +76,8 @@ class Computation:
             runner.loop, runner.scenario, runner.spread, runner.seed, bounded, settings.sample_rate, settings.duration
         )
         divergence = divergence_of(*tally.diverged, runner.loop, runner.scenario, self.plan)
-        return figures_of(tally, settings, runner.loop, bounds, divergence, self.notes, tuple(amiss), speed)
+        why = why_unbounded(runner.loop, runner.scenario, settings.duration) if bounded and bounds is None else None
+        return figures_of(tally, settings, runner.loop, bounds, why, divergence, self.notes, tuple(amiss), speed)
 
 
 @dataclass(frozen=True)
@@ -247,8 +249,9 @@ def computation_of(
     _check(settle, duration, tolerance, chunk)
     loop, hindered = prepared(loop, apart=parts_tones(paths))
     windows = windows_of(loop, sample_rate, duration, settle, tolerance)
-    moving = not_at_rest(loop, settle, duration)
-    tell(notes := (*unexpected(loop, scenario, spread, seed, dies, sample_rate, duration), *hindered, *moving))
+    late = () if any(path.endswith(".at") for path in paths) else unreached(scenario, duration)  # dies have their own
+    told = (*hindered, *not_at_rest(loop, settle, duration), *late)
+    tell(notes := (*unexpected(loop, scenario, spread, seed, dies, sample_rate, duration), *told))
     settings = Settings.of(loop, scenario, spread, windows, sample_rate=sample_rate, duration=duration, seed=seed)
     runner = Runner(loop, scenario, spread, windows, seed, chunk or default_chunk())
     return Computation(runner, settings, dies, bound_dies, notes)

@@ -8,10 +8,9 @@ from collections import Counter
 from dataclasses import dataclass, replace
 from typing import Protocol
 
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 from scipy import special, stats
 
 from memsgyro_jax.base.display import UNITS, Shown
@@ -23,11 +22,11 @@ from memsgyro_jax.device.sizes import numbers_of, with_sizes
 from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.scenario import Scenario
 
-from .batch import picked
 from .distributions import AbstractDistribution as AbstractDistribution
 from .distributions import AtLeast
 from .distributions import Normal as Normal
 from .distributions import Uniform as Uniform
+from .impossible import cannot_be, why_none
 from .vary import DEVICE_PREFIX
 from .vary import Root as Root
 from .vary import Vary as Vary
@@ -177,7 +176,8 @@ class Spread(Shown):
             bad[places] = cannot_be(_drawn(items, loop, scenario, normal[places]).loop, loop)
         if redrawn.any():
             drawn = _drawn(items, loop, scenario, normal)
-        _require_possible(drawn.loop, dies, bad)
+        if bad.any():
+            raise self._impossible(items, loop, scenario, normal[bad][0], dies[bad][0])
         return replace(drawn, normal=normal, redrawn=redrawn)
 
     def at(self, loop: ClosedLoop, scenario: Scenario, normal: Float[np.ndarray, "dies items"]) -> "Draw":
@@ -214,6 +214,27 @@ class Spread(Shown):
     def noise(self, dies: np.ndarray) -> Int[np.ndarray, " dies"]:
         """The numbers that key the measurement noise of the dies: their own, but for chosen points."""
         return dies if self.points is None else np.asarray(self.points.noise)[dies]
+
+    def _impossible(
+        self, items: tuple[Vary, ...], loop: ClosedLoop, scenario: Scenario, row: np.ndarray, die: int
+    ) -> InputError:
+        """What is said of a die that no device can be, at the normal numbers `row`: of a chosen point where it is, by
+        the numbers that one by one are enough for it, or else by all.
+        """
+        drawn = _drawn(items, loop, scenario, row[None])
+        why = why_none(drawn.loop, loop, drawn.parameters)
+        if self.points is None:
+            return InputError(
+                f"The spread makes die {die} impossible however often it is drawn; lower it, or its `cut`. {why}"
+            )
+        alone = cannot_be(_drawn(items, loop, scenario, np.diag(row)).loop, loop) if len(row) > 1 else np.ones(1, bool)
+        chosen = np.flatnonzero(alone) if alone.any() else np.arange(len(row))
+        units = [Root(loop, scenario).unit(item.path) for item in items]
+        told = [f"`{items[n].path}` = {drawn.table[0, n]:.7g} {units[n]} ({row[n]:+.3g} σ)" for n in chosen]
+        return InputError(
+            f"The spread has a corner, or another point that was asked for, at which no device can be: {listed(told)}; "
+            f"lower the spread, or the number of standard deviations. {why}"
+        )
 
     def _uniform(self, count: int, seed: Seed, dies: np.ndarray) -> Float[np.ndarray, "dies items"]:
         if not self.quasi:
@@ -283,38 +304,3 @@ def _instead(device: AbstractGyro, path: str) -> list[str]:
 def _number(value: Array) -> Scalar:
     """A Python number, which NumPy and SciPy work with fastest, unless it is traced."""
     return float(value) if is_concrete(value) else value
-
-
-def cannot_be(loop: ClosedLoop, design: ClosedLoop) -> Bool[np.ndarray, " dies"]:
-    """Which of the dies in `loop`, drawn about `design`, no device, read-out or filter can be.
-
-    The parts check themselves, many dies at a time: by halves, a few bad ones among thousands are soon found.
-    """
-    drawn, plain = ((part.device, part.readout, part.filter) for part in (loop, design))
-    varies = [v for v, p in zip(jax.tree.leaves(drawn), jax.tree.leaves(plain), strict=True) if np.ndim(v) > np.ndim(p)]
-    bad = np.zeros(varies[0].shape[-1] if varies else 1, bool)
-    waiting = [np.arange(len(bad))]
-    while waiting:
-        places = waiting.pop()
-        if _fault(picked(drawn, plain, places) if varies and is_concrete(varies) else drawn) is None:
-            continue
-        bad[places] = len(places) == 1
-        waiting += np.array_split(places, 2) if len(places) > 1 else []
-    return bad
-
-
-def _fault(parts: tuple) -> InputError | None:
-    try:
-        for part in parts:
-            getattr(part, "__check_init__", lambda: None)()
-    except InputError as error:
-        return error
-    return None
-
-
-def _require_possible(loop: ClosedLoop, dies: np.ndarray, bad: np.ndarray) -> None:
-    if bad.any():
-        raise InputError(
-            f"The spread makes die {dies[np.argmax(bad)]} impossible however often it is drawn; lower it, or its `cut`."
-            f" {_fault((loop.device, loop.readout, loop.filter))}"
-        )

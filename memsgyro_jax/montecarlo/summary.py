@@ -26,6 +26,16 @@ from .merit import (
     straight_error,
 )
 from .tally import Tally
+from .wording import (
+    following_entries,
+    following_text,
+    lost_text,
+    reached_text,
+    straight_entries,
+    straight_name,
+    straight_text,
+    triple,
+)
 
 
 SCHEMA = "memsgyro-sweep/1"
@@ -41,17 +51,18 @@ class Summary(Shown):
     """Figures of a lot, in SI; `as_dict` gives the machine-readable form with its units in the names.
 
     Of `dies`, `redrawn` were drawn again because no device could be as they were drawn first. `end` and `settled` are
-    over the dies that were not lost, `sound` over those that did not diverge either; `failed`
-    dies were lost, `divergence` tells which of the others' filters were. `bound` is the root mean square over dies of
-    the least standard deviation any unbiased use of the same data and prior could reach at the end, `reached` compares
-    each die's error with its own bound, `reached_sound` without the diverged dies; all are None without a bound.
-    `prior_share` is the part of the information in the bound that the filter's prior of the rate brought along.
-    `nees` is the mean over dies, `nees_median` their median, `states` the expectation of the mean; `claim` the root
-    mean square of the rate's error at the end over the standard deviation that is claimed of it; `straight` holds bias
-    and scale-factor error. `unsettled` says how errors still
-    move when the runs end, so that the yield is of a start; `crossing` that of `crossed` dies the modes stand the other
-    way round. `notes` were told before the run, `amiss` is what is wrong with its store.
-    `steps_per_s` is None when a single batch left nothing to time after compiling.
+    over the dies that were not lost, `sound` over those that did not diverge either; `failed` dies were lost,
+    `divergence` tells which of the others' filters were. `bound` is the root mean square over dies of the least
+    standard deviation any unbiased use of the same data and prior could reach at the end, `reached` compares each die's
+    error with its own bound, `reached_sound` without the diverged dies; all are None without a bound. `prior_share` is
+    the part of the information in the bound that the filter's prior of the rate brought along. `nees` is the mean over
+    dies, `nees_median` their median, `states` the expectation of the mean; `claim` the root mean square of the rate's
+    error at the end over the standard deviation that is claimed of it; `straight` holds bias and scale-factor error,
+    where the rate `moves` the mean error alone, in which the lag is. `lost_at` are the first, median and last time [s]
+    at which a die was lost, `unbounded` says why there is no bound, `unsettled` how errors still move when the runs
+    end, so that the yield is of a start; `crossing` that of `crossed` dies the modes stand the other way round. `notes`
+    were told before the run, `amiss` is what is wrong with its store. `steps_per_s` is None when a single batch left
+    nothing to time after compiling.
     """
 
     dies: int
@@ -78,6 +89,9 @@ class Summary(Shown):
     crossing: str | None
     following: Following | None
     straight: StraightError | None
+    moves: bool
+    lost_at: tuple[float, float, float] | None
+    unbounded: str | None
     claim_error: float | None
     notes: tuple[str, ...]
     amiss: tuple[str, ...]
@@ -93,6 +107,11 @@ class Summary(Shown):
         return float(low) / count, float(high) / count
 
     @property
+    def all_lost(self) -> bool:
+        """Whether no die is left to speak of."""
+        return 0 < self.failed == self.dies
+
+    @property
     def ratio_to_bound(self) -> float | None:
         """Root mean square, over the dies, of error over that die's bound."""
         return None if self.reached is None else self.reached.value
@@ -105,6 +124,7 @@ class Summary(Shown):
             "dies": self.dies,
             "redrawn": self.redrawn,
             "failed": self.failed,
+            "lost_at_s": self.lost_at,
             "diverged": {"count": len(self.divergence.dies), **asdict(self.divergence)},
             "rate_error_dps": {
                 "end": degrees(self.end),
@@ -125,8 +145,8 @@ class Summary(Shown):
             "yield": asdict(self.good),
             "unsettled": self.unsettled,
             "crossed": self.crossed,
-            "following": None if self.following is None else _following(self.following),
-            **({} if self.straight is None else _straight(self.straight)),
+            "following": None if self.following is None else following_entries(self.following),
+            **({} if self.straight is None else straight_entries(self.straight, self.moves)),
             "claim_error": self.claim_error,
             "notes": [*self.notes, *self.amiss],
             "steps_per_s": self.steps_per_s,
@@ -146,21 +166,20 @@ class Summary(Shown):
         rows = [
             ("dies", f"{self.dies}, of which {self.failed} lost" + ("" if unknown else f", {diverged} diverged")),
             *([("  drawn again, impossible at first", self._redrawn())] if self.redrawn else []),
+            *([] if self.lost_at is None else [("  lost at (first, median, last)", lost_text(self.lost_at))]),
             *([("diverged dies", f"unknown, because {unknown}")] if unknown and watched else []),
             *(("  diverged, likely because", cause) for cause in self.divergence.causes),
-            ("rate error at the end (rms, median, 95 %)", _triple(self.end)),
-            *([("  without the diverged dies", _triple(self.sound))] if diverged else []),
-            ("rate error over the settled part", _triple(self.settled)),
-            ("standard deviation within one run", self._scatter()),
+            *([("rate error", "none, as every die was lost")] if self.all_lost else self._errors()),
         ]
         if self.bound is not None and self.reached is not None:
             rows.append(("information bound at the end (rms)", f"{np.degrees(self.bound):.3g} deg/s"))
             rows += [("  mostly known before", self.hidden)] if self.hidden else []
-            rows.append(("error over own bound, die by die", _reached_text(self.reached, self.dies)))
+            rows.append(("error over own bound, die by die", reached_text(self.reached, self.dies)))
             rows += [("  less than the bound", self.wide)] if self.wide else []
             if diverged and self.reached_sound is not None:
-                rows.append(("  without the diverged dies", _reached_text(self.reached_sound, self.dies)))
-        if watched:
+                rows.append(("  without the diverged dies", reached_text(self.reached_sound, self.dies)))
+        rows += [("information bound", self.unbounded)] if self.unbounded else []
+        if watched and not self.all_lost:
             rows.append(("consistency (NEES, NIS)", self._consistency()))
             rows += [("  rate error over its claim (rms)", f"{self.claim:.3g} of 1")] if self.claim is not None else []
         if self.convergence_time is not None:
@@ -173,13 +192,23 @@ class Summary(Shown):
         rows += [("  not settled", self.unsettled)] if self.unsettled else []
         rows += [("modes crossed", self.crossing)] if self.crossing else []
         if self.straight is not None:
-            rows.append(("bias, scale-factor error", _straight_text(self.straight)))
+            rows.append((straight_name(self.moves), straight_text(self.straight, self.moves)))
         if self.following is not None:
-            rows.append(("varying rate followed", _following_text(self.following)))
+            rows.append(("varying rate followed", following_text(self.following)))
         rows += [("note", note) for note in (*(self.notes if notes else ()), *self.amiss)]
         if self.steps_per_s is not None:
             rows.append(("speed after compiling", f"{self.steps_per_s / 1e6:.3g} million steps/s"))
         return rows
+
+    def _errors(self) -> list[tuple[str, str]]:
+        """Of the dies that were not lost."""
+        sound = [("  without the diverged dies", triple(self.sound))] if self.divergence.dies else []
+        return [
+            ("rate error at the end (rms, median, 95 %)", triple(self.end)),
+            *sound,
+            ("rate error over the settled part", triple(self.settled)),
+            ("standard deviation within one run", self._scatter()),
+        ]
 
     @property
     def hidden(self) -> str | None:
@@ -202,9 +231,8 @@ class Summary(Shown):
         )
 
     def _scatter(self) -> str:
-        alone = np.isnan(self.series_std) and self.failed < self.dies
         told = "unknown (the settled part holds one estimate)"
-        return told if alone else f"{np.degrees(self.series_std):.3g} deg/s"
+        return told if np.isnan(self.series_std) else f"{np.degrees(self.series_std):.3g} deg/s"
 
     def _redrawn(self) -> str:
         share = 100.0 * self.redrawn / self.dies
@@ -239,15 +267,16 @@ def figures_of(
     settings: Settings,
     loop: ClosedLoop,
     bounds: Float[np.ndarray, " dies"] | None,
+    unbounded: str | None,
     divergence: Divergence,
     notes: tuple[str, ...],
     amiss: tuple[str, ...],
     speed: float | None,
 ) -> Summary:
     """The summary of the dies in `tally`; lost ones count as failed and never as numbers. `bounds` are those of the
-    first dies.
+    first dies; without any, `unbounded` may say why.
     """
-    plan = tally.plan
+    plan, moves = tally.plan, tally.over_time is not None
     bounded = bounds is not None and bool(np.isfinite(bounds).any())
     bound = percentiles(bounds).rms if bounded else None
     reached, reached_sound = (
@@ -280,7 +309,10 @@ def figures_of(
         crossed=tally.crossed,
         crossing=tally.crossing,
         following=None if over_time is None else following(plan.window_times, *over_time, plan.settle),
-        straight=straight_error(tally.straight),
+        straight=straight_error(tally.straight, moves),
+        moves=moves,
+        lost_at=tally.lost_at,
+        unbounded=unbounded if bound is None else None,
         claim_error=claim_error(loop, settings.sample_rate),
         notes=notes,
         amiss=amiss,
@@ -298,44 +330,3 @@ def _prior_share(loop: ClosedLoop, bound: float) -> float | None:
 
 def _states(loop: ClosedLoop) -> int | None:
     return len(loop.observer.states) if isinstance(loop.observer, AbstractCovarianceObserver) else None
-
-
-def _triple(error: Percentiles) -> str:
-    return "{:.3g}, {:.3g}, {:.3g} deg/s".format(*np.degrees([error.rms, error.p50, error.p95]))
-
-
-def _reached_text(reached: Ratio, dies: int) -> str:
-    share = "" if reached.dies >= dies else f"; over {reached.dies} of {dies} dies"
-    return f"x {reached.value:.3g} rms ({reached.low:.3g} to {reached.high:.3g}), median x {reached.median:.3g}{share}"
-
-
-def _following(result: Following) -> dict[str, object]:
-    return {
-        "rms_dps": float(np.degrees(result.rms)),
-        "delay_s": result.delay,
-        "delay_interval_s": result.delay_interval,
-        "bandwidth_hz": result.bandwidth,
-        "bandwidth_interval_hz": result.bandwidth_interval,
-    }
-
-
-def _following_text(result: Following) -> str:
-    told, low, high = (1e3 * t for t in (result.delay, *result.delay_interval))
-    # An output that is not late, or early, is told by how late it is at most.
-    delay = f"{told:.3g} ms ({low:.3g} to {high:.3g})" if low > 0.0 or high < 0.0 else f"below {high:.3g} ms"
-    band = "not shown by this rate"
-    if result.bandwidth is not None and result.bandwidth_interval is not None:
-        band = "{:.3g} Hz ({:.3g} to {:.3g})".format(result.bandwidth, *result.bandwidth_interval)
-    return f"rms {np.degrees(result.rms):.3g} deg/s, delay {delay}, bandwidth {band}"
-
-
-def _straight(error: StraightError) -> dict[str, object]:
-    bias = {"value": float(np.degrees(error.bias)), "std": float(np.degrees(error.bias_std))}
-    return {"bias_dps": bias, "scale_factor_error": {"value": error.scale, "std": error.scale_std}}
-
-
-def _straight_text(error: StraightError) -> str:
-    bias = f"{np.degrees(error.bias):.3g} ± {np.degrees(error.bias_std):.2g} deg/s"
-    if error.scale is None or error.scale_std is None:
-        return f"{bias}, unknown (all dies turn alike: spread `scenario.rate.level`)"
-    return f"{bias}, {100.0 * error.scale:.3g} ± {100.0 * error.scale_std:.2g} %"

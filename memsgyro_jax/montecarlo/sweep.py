@@ -125,7 +125,8 @@ def sweep(
     standard deviation, NIS and NEES those of the observer's estimate before the filter, which alone they speak of. The
     bound holds for any use of the same data and prior, with a filter or without. A die whose errors or innovations are
     impossible under what its filter claims (`divergence.LEVEL`) is *diverged*: counted, explained, and part of all
-    figures but those that say so. What the filter cannot expect of the run is logged before it begins.
+    figures but those that say so. What the filter cannot expect of the run, and a change of it beyond its end, is
+    logged before it begins.
 
     Raises `InputError` for settings that cannot be run, a store of something else, and outside float64.
     """

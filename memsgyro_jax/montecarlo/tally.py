@@ -27,7 +27,7 @@ class Tally:
         self.movement, self.order, self.crossed, self.first_crossed = Movement(plan), order, 0, list[int]()
         self.plan, self.settled = plan, plan.window_times >= plan.settle
         self.computed = self.lost = self.redrawn = self.good = 0
-        self.end, self.sound, self.run, self.nees, self.converged = (Sketch() for _ in range(5))
+        self.end, self.sound, self.run, self.nees, self.converged, self._lost_at = (Sketch() for _ in range(6))
         self.series_squares = 0.0
         self.series_count = 0
         self.sums = dict.fromkeys(("nees_end", "nis_mean", "claim"), (0, 0.0))
@@ -44,6 +44,7 @@ class Tally:
         alive = sound | astray
         self.computed += int(np.sum(alive | lost))
         self.lost += int(np.sum(lost))
+        self._lost_at.add(rows["lost_at"][lost])
         self.redrawn += int(np.sum(rows["redrawn"][alive | lost] > 0))
         self.good += int(np.sum(np.abs(end[alive]) <= self.plan.tolerance))
         self.end.add(_finite(end[alive]))
@@ -75,6 +76,12 @@ class Tally:
     def diverged(self) -> tuple[Int[np.ndarray, " dies"], Float[np.ndarray, "first coefficients"]]:
         """Numbers of the diverged dies, and the coefficients of the first of them."""
         return np.concatenate([*self._diverged, np.empty(0, int)]), np.concatenate(self._theta or [np.empty((0, 0))])
+
+    @property
+    def lost_at(self) -> tuple[float, float, float] | None:
+        """When the first die was lost, the median one and the last [s]; None without any."""
+        first, middle, last = self._lost_at.quantile(0.0, 0.5, 1.0)
+        return (first, middle, last) if self.lost else None
 
     @property
     def over_time(self) -> tuple[np.ndarray, np.ndarray] | None:

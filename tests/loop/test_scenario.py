@@ -9,6 +9,7 @@ from scipy.integrate import quad
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.loop.scenario import Chirp, Constant, Ramp, RandomWalk, Recorded, Scenario, Sine, Step, as_scenario
+from memsgyro_jax.loop.unreached import unreached
 
 
 TIMES = np.linspace(0.0, 2.0, 41)
@@ -30,6 +31,21 @@ PROFILES = {
 def test_profiles_are_what_they_say(name):
     profile, by_hand = PROFILES[name]
     assert np.allclose([float(profile.value(t)) for t in TIMES], by_hand(TIMES), rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["step", "ramp", "record", "sum"])
+def test_a_change_beyond_the_end_of_a_run_is_told(name):
+    profile = PROFILES[name][0]
+    (said,) = unreached(Scenario(rate=profile), 0.4)
+    assert "of `scenario.rate` at 0.5 s lies beyond the end of the run at 0.4 s and never comes" in said
+    assert unreached(Scenario(rate=profile), 0.6) == (), "it comes"
+    assert "`scenario.offset_drift.1`" in unreached(Scenario(offset_drift=(Constant(), profile)), 0.4)[0]
+
+
+def test_what_changes_nothing_is_not_missed():
+    still = Step(0.5, 1.0, 1.0), Ramp(0.5, 0.0), Recorded([0.5, 1.0], [2.0, 2.0]), Sine(1.0, 1.0), Constant(1.0)
+    assert [unreached(Scenario(rate=profile), 0.4) for profile in still] == [()] * 5
+    assert jax.eval_shape(lambda at: len(unreached(Scenario(rate=Step(at, 1.0)), 0.4)) * at, 0.5).shape == ()
 
 
 def test_chirp_integrates_its_frequency():

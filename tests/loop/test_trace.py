@@ -14,6 +14,7 @@ from kept import kept
 import memsgyro_jax as mg
 from memsgyro_jax.app.report.run_summary import run_figures
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.montecarlo.parts import computation_of
 
 
 mpl.use("agg")
@@ -64,6 +65,22 @@ def test_a_device_from_a_file_runs_through_the_program_of_one_written_in_python(
     read = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)), loop)
     kinds = [[leaf.aval for leaf in jax.tree.leaves(made.sampled_at(100e3))] for made in (loop, read)]
     assert kinds[0] == kinds[1]
+
+
+def test_a_step_that_never_comes_is_told(loop, caplog):
+    mg.simulate(loop, mg.Step(at=0.6, after=1.0), sample_rate=100e3, duration=0.01, seed=3)
+    assert "The step of `scenario.rate` at 0.6 s lies beyond the end of the run at 0.01 s" in caplog.text
+    made = computation_of(
+        loop, mg.Spread(), mg.Step(at=0.6, after=1.0), dies=2, sample_rate=100e3, duration=0.01, settle=None,
+        tolerance=1.0, seed=0, chunk=None, bound_dies=0,
+    )  # fmt: skip
+    assert sum("never comes" in note for note in made.notes) == 1
+    own = mg.Spread((mg.Vary("scenario.rate.at", mg.Uniform(low=1e-3, high=2e-3)),))
+    made = computation_of(
+        loop, own, mg.Step(at=0.6, after=1.0), dies=2, sample_rate=100e3, duration=0.01, settle=None, tolerance=1.0,
+        seed=0, chunk=None, bound_dies=0,
+    )  # fmt: skip
+    assert not any("never comes" in note for note in made.notes), "every die has its own"
 
 
 def test_decimation_keeps_every_nth_sample(loop, trace):

@@ -162,6 +162,24 @@ def test_a_filter_is_noticed_and_a_band_helps():
     assert part.terms[0]["N"].low < np.degrees(1e-4) * 60.0 < part.terms[0]["N"].high
 
 
+def test_no_term_of_a_record_that_the_noises_do_not_describe_is_told():
+    """White noise behind a filter of 50 Hz: its walk stood outside its own interval, and N below half of the truth."""
+    rate = lfilter([0.03], [1.0, -0.97], draw(np.random.default_rng(6), 30_000, 1, n=1e-3)[0])
+    found = mg.allan(rate, sample_rate=1e4)
+    for name in (*TERMS, "bias_instability"):
+        assert found.terms[0][name].value is None
+        assert found.terms[0][name].low == 0.0
+        assert found.terms[0][name].verdict == "the five noises do not describe the record"
+    assert all(np.isinf(found.terms[0][name].high) for name in TERMS)
+    assert found.terms[0]["arw_1s"].value is not None, "read from the curve, of which it needs no term"
+    assert "no term is told" in found.status
+    both = mg.allan(np.stack([rate, draw(np.random.default_rng(5), 30_000, 1, n=1e-3)[0]]), sample_rate=1e4)
+    assert [terms["N"].value is None for terms in both.terms] == [True, False]
+    whole = tuple(2**k for k in range(14))
+    fitted = fit_noise(allan_deviation(rate[None], whole) ** 2, whole, rate.size)
+    assert np.all((fitted.low <= fitted.value) & (fitted.value <= fitted.high))
+
+
 def test_many_series_are_summed_up():
     found = mg.allan(draw(np.random.default_rng(7), 200, 8, n=1e-3), sample_rate=1.0)
     assert "8 of 8" in str(found)

@@ -138,12 +138,12 @@ def test_the_interval_of_a_percentile_holds_it_as_often_as_it_says():
     assert np.isnan(percentiles(rng.standard_normal(8)).p95_high)
 
 
-def line_of(rate, error):
+def line_of(rate, error, moves=False):
     """Of dies that come in two parts, as those of two shards do."""
     points, gathered = np.stack([rate, error], axis=1), Moments(2)
     for part in np.array_split(points, 2):
         gathered.add(part)
-    return straight_error(gathered)
+    return straight_error(gathered, moves)
 
 
 def test_bias_and_scale_factor_are_the_line_through_the_errors():
@@ -161,4 +161,5 @@ def test_bias_and_scale_factor_are_the_line_through_the_errors():
     alike = line_of(np.full(400, 1.0), 0.3 + 0.1 * rng.standard_normal(400))
     assert alike.bias == pytest.approx(0.3, abs=0.02)
     assert alike.scale is None
+    assert line_of(rate, 0.3 - 0.05 * rate, moves=True)[2:] == (None, None), "no line through a lag"
     assert line_of(rate[:2], rate[:2]) is None

@@ -120,6 +120,37 @@ def test_an_output_that_nearly_never_differs_has_no_indices():
     assert np.all(np.isnan(indices_of(1.0 - values * (np.arange(128) < 19), 0.95, np.random.default_rng(0))[1]))
 
 
+def sobol_of(values, points):
+    """A result as `sobol` makes it of one output of two inputs."""
+    first, total, *intervals, dropped = (part[None] for part in indices_of(values, 0.95, np.random.default_rng(0)))
+    return mg.Sobol(
+        ("error",), ("deg/s",), ("a", "b", "noise"), None, first, total, *intervals,
+        np.nanmean(values[:2])[None], np.nanstd(values[:2])[None], points, dropped, 0, values.size, 0.95,
+    )  # fmt: skip
+
+
+def test_too_few_points_are_called_so_and_how_many_it_takes_is_told():
+    """All 16 dies of 8 points differ; what lacks are points, and with lost dies more of them."""
+    said = repr(sobol_of(ishigami_sets(8, 1), 8))
+    assert "no indices, because 8 points are too few of at least 11; give `points` = 16 or" in said
+    assert "the same for all" not in said
+    spoiled = ishigami_sets(16, 1)
+    spoiled[0, :6] = np.nan
+    assert "10 points without a lost die are too few of at least 11; give `points` = 32" in repr(sobol_of(spoiled, 16))
+    rare = np.zeros((5, 128))
+    rare[0, :19] = 1.0
+    assert "the same for all but fewer than 20 dies" in repr(sobol_of(rare, 128))
+
+
+def test_an_index_below_its_uncertainty_is_not_told():
+    few, many = sobol_of(ishigami_sets(16, 1), 16), sobol_of(ishigami_sets(2**12, 0), 2**12)
+    figures = (few.first, few.first_interval), (few.total, few.total_interval)
+    untold = sum(int(np.sum(np.abs(index) < 0.5 * np.ptp(ends, axis=-1))) for index, ends in figures)
+    assert 0 < untold == repr(few).count("- (") < 6
+    assert repr(few).endswith("more `points` narrow it")
+    assert repr(many).count("- (") == 1, "the third input alone has no index of first order"
+
+
 # ---- sweeps at chosen points
 
 
@@ -154,7 +185,10 @@ def test_where_every_die_is_lost_nothing_is_claimed(loop):
     bars = mg.tornado(small, PAIR, repeats=4, **SHORT)
     assert np.isnan(bars.low[:2]).all()
     assert np.all(bars.lost == 1.0)
-    assert np.isnan(mg.corners(small, PAIR, repeats=2, **SHORT).worst[0]).all()
+    corners = mg.corners(small, PAIR, repeats=2, **SHORT)
+    assert np.isnan(corners.worst[0]).all()
+    assert "rms rate error: every die was lost" in repr(corners)
+    assert "nan" not in repr(corners)
 
 
 def replace_travel(loop, travel):
@@ -242,12 +276,33 @@ def test_the_gradient_of_a_tornado_is_that_of_the_runs_and_results_print(loop):
         (lambda loop: mg.tornado(loop, mg.Spread()), "must vary at least one parameter"),
         (lambda loop: mg.tornado(loop, PAIR, sigmas=0.0), "`sigmas` and `repeats` must be positive"),
         (lambda loop: mg.corners(loop, PAIR, repeats=0), "`sigmas` and `repeats` must be positive"),
-        (lambda loop: mg.corners(loop, replace(PAIR, everywhere=mg.Normal(relative=0.4)), **SHORT), "impossible"),
+        (lambda loop: mg.corners(loop, replace(PAIR, everywhere=mg.Normal(relative=0.4)), **SHORT), "no device can be"),
     ],
 )
 def test_bad_input_is_one_sentence(loop, make, words):
     with pytest.raises(InputError, match=words):
         make(loop)
+
+
+def test_a_corner_that_no_device_can_be_at_is_named_with_its_cause():
+    """A mode within 0.01 Hz of the other, beside a quadrature that holds them 0.06 Hz apart; a negative stiffness."""
+    gyro = mg.SingleMassGyro.from_modes("20 ug", ("14 kHz", "14.003 kHz"), 1e5, quadrature="10 deg/s")
+    readout = mg.DirectReadout(5e5, noise_density=1e-7)
+    near = mg.ClosedLoop(gyro, readout, mg.NoObserver.for_device(gyro, readout), mg.OpenLoop())
+    second = mg.Vary("device.frequency.1", mg.Normal(std=1.0, mean=14_002.99))
+    spread = mg.Spread((second, mg.Vary("device.cross_damping", mg.Normal(std=0.02))))
+    with pytest.raises(InputError, match="no device can be") as found:
+        mg.corners(near, spread, **SHORT)
+    said = str(found.value)
+    assert "`device.frequency.1` = 14000" in said
+    assert " Hz (-3 σ)" in said
+    assert "Its modes would lie nearer to each other than its quadrature sets them apart." in said
+    assert "nan" not in said
+    assert "cross_damping" not in said, "one number is enough for it"
+    assert "drawn" not in said
+    soft = mg.Spread((mg.Vary("device.kxx", mg.Normal(relative=0.4)), mg.Vary("device.dxy", mg.Normal(std=1e-9))))
+    with pytest.raises(InputError, match=r"`device.kxx` = -\S+ N/m \(-3 σ\); .* stiffness matrix must be positive"):
+        mg.corners(near, soft, **SHORT)
 
 
 def test_designs_carry_gradients(loop):

@@ -80,6 +80,7 @@ def rows_of(dies: int) -> dict[str, np.ndarray]:
     rows[STATUS] = rng.choice([PENDING, OK, OK, OK, LOST, DIVERGED], dies).astype(np.int8)
     for name in set(rows) - {STATUS, "redrawn", "coefficient_true"}:
         rows[name][rows[STATUS] == LOST] = np.nan
+    rows["lost_at"] = np.where(rows[STATUS] == LOST, rng.uniform(size=dies), np.nan)
     return rows
 
 
@@ -102,6 +103,9 @@ def test_parts_add_up_to_the_whole():
     for name in ("end", "sound", "run", "nees"):
         assert getattr(parts, name).percentiles == getattr(whole, name).percentiles
     np.testing.assert_array_equal(parts.first, whole.first)
+    gone = rows["lost_at"][status == LOST]
+    assert parts.lost_at == whole.lost_at == pytest.approx((gone.min(), np.median(gone), gone.max()))
+    assert Tally(plan, 64).lost_at is None
     np.testing.assert_array_equal(parts.diverged[0], np.flatnonzero(status == DIVERGED))
     np.testing.assert_array_equal(parts.diverged[1], rows["coefficient_true"][status == DIVERGED])
     for one, other in zip(parts.over_time, whole.over_time, strict=True):

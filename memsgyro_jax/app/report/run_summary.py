@@ -28,7 +28,9 @@ def run_figures(trace: Trace, settle: float | None) -> dict[str, Any]:
         "coefficient_error": {
             name: float(trace.theta_estimate[-1, i] / trace.theta[i] - 1.0)
             for i, name in enumerate(trace.coefficients)
-            if not name.startswith("rate") and trace.readings is None  # who reads a lock estimates no coefficient
+            if not name.startswith("rate")
+            and trace.readings is None
+            and trace.loop.observer.learns  # or there is no estimate
         },
         "settled_from_s": begin,
         "sample_rate_hz": given.sample_rate,

@@ -57,7 +57,7 @@ def _headline(lot: "Lot") -> str:
     text += f"{summary.good.criterion}. "
     if summary.unsettled:
         text += f"The yield is not to be trusted: {summary.unsettled}. "
-    text += f"The rate error is {np.degrees(summary.end.rms):.3g} deg/s rms."
+    text += "" if summary.all_lost else f"The rate error is {np.degrees(summary.end.rms):.3g} deg/s rms."
     if summary.reached is not None:
         text += (
             f" It is {summary.reached.value:.2f} times ({summary.reached.low:.2f} to {summary.reached.high:.2f}) what "

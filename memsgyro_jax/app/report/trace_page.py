@@ -30,7 +30,8 @@ def trace_page(trace: "Trace", study: "Study", rows: list[tuple[str, str]]) -> P
         page.drawing(orbit, "The mass over its last vibrations, and the two ways in which it would swing by itself.")
     else:
         page.text(orbit)
-    page.section("Coefficients")
-    page.figure(figures.coefficients_figure(trace), "Size of estimate over truth minus one.")
+    if trace.loop.observer.learns:  # one that holds the design would draw how far the die is from it
+        page.section("Coefficients")
+        page.figure(figures.coefficients_figure(trace), "Size of estimate over truth minus one.")
     unused = "tune.", "sweep.dies", "sweep.tolerance", "sweep.chunk"
     return with_settings(page.section("Settings"), study, trace.settings, *unused)

@@ -62,6 +62,8 @@ class Corners(Sensitivity):
 
     def _text(self, output: int) -> str:
         name, unit, worst = self.outputs[output], self.units[output], self.worst[output]
+        if not np.isfinite(worst).any():
+            return f"{name}: every die was lost"
         if np.ptp(np.nan_to_num(worst)) == 0.0:
             return f"{name}: {np.nanmax(worst):.4g} {unit} at every corner"
         rows = [(f"{name} [{unit}]", "mean", "worst", "lost")]

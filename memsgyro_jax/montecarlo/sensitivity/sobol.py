@@ -37,6 +37,8 @@ FEWEST = 20
 """Dies of both sets that must differ from all others in an output, one that is nearly always 0 say, for it to have
 indices: those of fewer say which dies were drawn.
 """
+_DASH = "     -"  # as wide as an index
+_UNTOLD = "-: not told, as its uncertainty is larger than itself; more `points` narrow it"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -82,13 +84,23 @@ class Sobol(Sensitivity):
                 return f"{name}: every die was lost"
             if self.std[output] == 0.0:
                 return f"{name}: {mean:.4g} {unit} for all"
-            return f"{name}: {mean:.4g} {unit}; no indices, because it is the same for all but fewer than {FEWEST} dies"
+            return f"{name}: {mean:.4g} {unit}; no indices, because {self._why_none(output)}"
         rows = [("  input", "first order", "total")]
         for i in np.argsort(-self.total[output]):
             indices = ((self.first, self.first_interval), (self.total, self.total_interval))
-            texts = ("{:6.3f} ({:.3f} to {:.3f})".format(v[output, i], *ends[output, i]) for v, ends in indices)
-            rows.append((f"  {self.inputs[i]}", *texts))
-        return f"{name}: {mean:.4g} ± {self.std[output]:.3g} {unit}\n{aligned(rows)}"
+            rows.append((f"  {self.inputs[i]}", *(_index(v[output, i], *ends[output, i]) for v, ends in indices)))
+        untold = f"\n  {_UNTOLD}" if any(told.startswith(_DASH) for row in rows[1:] for told in row[1:]) else ""
+        return f"{name}: {mean:.4g} ± {self.std[output]:.3g} {unit}\n{aligned(rows)}{untold}"
+
+    def _why_none(self, output: int) -> str:
+        """Too few dies for any indices, with how many points it takes, or too few of them that differ."""
+        kept = self.points - int(self.dropped[output])
+        if 2 * kept > FEWEST:
+            return f"it is the same for all but fewer than {FEWEST} dies"
+        which = f"{self.points} points" if kept == self.points else f"{kept} points without a lost die"
+        enough = FEWEST // 2 + 1
+        needed = 1 << int(np.ceil(np.log2(enough * self.points / max(kept, 1))))
+        return f"{which} are too few of at least {enough}; give `points` = {needed} or, for small indices, some hundred"
 
     def plot(self, ax: "Axes | None" = None, output: str | None = None) -> "Axes":
         """Total (light) and first-order (dark) index of every input of one output, with intervals; returns the axes."""
@@ -184,6 +196,12 @@ def indices_of(values: Float[np.ndarray, "sets points"], confidence: float, rng:
     # Few points of an output that only counts may resample to one that does not vary: no index, left out.
     ends = np.nanquantile(np.stack(again), [0.5 - 0.5 * confidence, 0.5 + 0.5 * confidence], axis=0)
     return first, total, ends[:, 0].T, ends[:, 1].T, dropped
+
+
+def _index(value: float, low: float, high: float) -> str:
+    """An index with its interval, without its value where that is less than its uncertainty."""
+    told = f"{value:6.3f}" if abs(value) >= 0.5 * (high - low) else _DASH
+    return f"{told} ({low:.3f} to {high:.3f})"
 
 
 def _estimates(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -4,6 +4,7 @@ import re
 from dataclasses import replace
 
 import browser
+import equinox as eqx
 import numpy as np
 import pytest
 
@@ -12,6 +13,7 @@ from memsgyro_jax.app.report import figures, moving
 from memsgyro_jax.app.report.diff_page import diff_page
 from memsgyro_jax.app.report.loop_pages import loop_page, tornado_page
 from memsgyro_jax.app.report.moving import mode_shapes
+from memsgyro_jax.app.report.run_summary import run_figures
 from memsgyro_jax.app.report.sweep_page import settings, sweep_page
 from memsgyro_jax.app.report.trace_page import trace_page
 from memsgyro_jax.device.gyro import Inertial
@@ -155,6 +157,17 @@ def of_a_loop(study, made):
     assert "The loops come to rest later." in pages["tornado"]
     assert "the step does not follow the gradient" in pages["tornado"]
     return pages
+
+
+def test_a_run_that_estimates_no_coefficient_has_no_picture_of_them(run, run_page, study):
+    assert "<h2>Coefficients</h2>" in run_page
+    idle = mg.NoObserver.for_device(study.loop.device, study.loop.readout)
+    held = eqx.tree_at(lambda made: made.loop.observer, run, idle, is_leaf=lambda part: part is run.loop.observer)
+    text = trace_page(held, study, []).html()
+    assert "Coefficients" not in text
+    assert "<h2>Rate</h2>" in text
+    assert run_figures(held, None)["coefficient_error"] == {}
+    assert run_figures(run, None)["coefficient_error"] != {}
 
 
 def test_the_mass_and_its_modes_move(run, run_page):
