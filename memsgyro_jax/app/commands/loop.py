@@ -89,10 +89,17 @@ def loop_command(
             print(f"\n{loop_page(chosen, answers, margins, noise).save(report)} is the page.")
         if json is not None:
             told_margins = None if margins is None else margins.as_dict()
+            missing = [] if margins is None else list(margins.left_out)
             told_answers = {answer.disturbance: answer.as_dict() for answer in answers}
             write_json(
                 json,
-                {"schema": SCHEMA, "responses": told_answers, "margins": told_margins, "noise": noise.as_dict()},
+                {
+                    "schema": SCHEMA,
+                    "responses": told_answers,
+                    "margins": told_margins,
+                    "margins_leave_out": missing,
+                    "noise": noise.as_dict(),
+                },
             )
 
 

@@ -33,6 +33,8 @@ def loop_page(
         from memsgyro_jax.loop.gain_phase import HEAD
 
         page.section("Margins of its loops").table(HEAD, margins.rows(), stacked=True)
+        for note in margins.notes:
+            page.text(note)
     page.section("Noise of the rate by source")
     page.text(f"{str(noise).splitlines()[0]}.")
     figure = blank(3.4)
