@@ -20,6 +20,7 @@ from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.files import finite
 from memsgyro_jax.base.labelled import Tabular, labelled
 
+from .further import Response, around_split, half_power_bracket, looked_further
 from .linearised import INPUTS, disturbed, known_array
 from .loop import ClosedLoop, as_loop
 from .scenario import Scenario, as_scenario
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 
 
 _RESTLESS = 0.01  # of an answer, from which the rest of it is told
+_HIGHER = 1.05  # times all that is shown, from which a peak between it is told
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -43,6 +45,10 @@ class FrequencyResponse(Tabular):
     swing. `level` is the constant rate [rad/s] around which it was taken. With a `carrier` [Hz] the sine is that of the
     amplitude of an oscillation at this frequency, in the phase that the loop answers most. `static` is the response to
     a small change that stays, of the rate or of that amplitude, None of another disturbance.
+
+    `further` are frequencies, responses and rests of those and of more where half the power, or a peak between them,
+    was looked for; None where there are no more. `lost_at` is the time [s] at which the loop was lost even without the
+    sine, out of travel or not finite, None where it was not: a response of a lost loop is NaN.
     """
 
     disturbance: str
@@ -52,44 +58,88 @@ class FrequencyResponse(Tabular):
     level: float
     static: complex | None = None
     carrier: float | None = None
+    further: Response | None = None
+    lost_at: float | None = None
     along: ClassVar[str] = "frequency"
 
     @property
     def bandwidth(self) -> float:
         """The frequency in Hz at which the power has halved from that of a constant rate, or of the lowest frequency
-        where another disturbance was asked for; NaN where it does not, or has before the lowest frequency.
+        where another disturbance was asked for; NaN where it does not, has before the lowest frequency, or is unknown.
         """
-        gain = jnp.abs(self.response) / jnp.abs(self.response[0] if self.static is None else self.static)
-        power = known_array(gain**2)
-        below = np.flatnonzero(np.asarray(settled(power)) < 0.5)
-        if not below.size or below[0] == 0:
+        frequency, response, _ = self._all
+        power = known_array((jnp.abs(response) / jnp.abs(self._whole)) ** 2)
+        k = half_power_bracket(np.sqrt(np.asarray(settled(power))))
+        if k is None:
             return float("nan")
-        k = int(below[0])
-        xp, (before, behind) = np if is_concrete(power) else jnp, self.frequency[k - 1 : k + 1]
+        xp, (before, behind) = np if is_concrete(power) else jnp, frequency[k - 1 : k + 1]
         share = xp.log(power[k - 1] / 0.5) / xp.log(power[k - 1] / power[k])
         return _number(before * (behind / before) ** share)
 
-    def __str__(self) -> str:
+    @property
+    def peak(self) -> tuple[float, float]:
+        """The frequency in Hz that is answered most of all looked at, and the gain there; NaN of no answer."""
+        frequency, gain = self._all[0], np.abs(self._all[1])
+        if not np.all(np.isfinite(gain)):
+            return float("nan"), float("nan")
+        return float(frequency[np.argmax(gain)]), float(np.max(gain))
+
+    @property
+    def _all(self) -> Response:
+        return (self.frequency, self.response, self.rest) if self.further is None else self.further
+
+    @property
+    def _whole(self) -> Any:
+        return self.response[0] if self.static is None else self.static
+
+    @property
+    def headline(self) -> str:
+        """What the response is of and where its power has halved, or that its loop was lost."""
+        about = f"Response of the rate to {self.disturbed} ({self._unit})"
+        if self.lost_at is not None:
+            return f"{about}: none, as the loop was lost at {self.lost_at:.4g} s (out of travel or not finite)"
+        if not np.all(np.isfinite(self.response)):
+            return f"{about}: none, as it is not finite"
+        return f"{about}, {self._halved}"
+
+    @property
+    def _halved(self) -> str:
         low, whole = self.frequency[0], f"{self.frequency[0]:.4g} Hz"
         if self.static is not None:
             whole = "a constant rate" if self.carrier is None else "a constant one"
         half, first = f"half the power of {whole}", abs(self.response[0])
         if np.isfinite(self.bandwidth):
-            half += f" at {self.bandwidth:.4g} Hz"
-        elif self.static is not None and first**2 < 0.5 * abs(self.static) ** 2:
-            half += f" below {low:.4g} Hz already: ask for lower frequencies too"
-        else:
-            half += f" nowhere up to {self.frequency[-1]:.4g} Hz"
+            return f"{half} at {self.bandwidth:.4g} Hz"
+        if self.static is not None and first**2 < 0.5 * abs(self.static) ** 2:
+            return f"{half} below {low:.4g} Hz already: ask for lower frequencies too"
+        return f"{half} nowhere up to {self.frequency[-1]:.4g} Hz"
+
+    def __str__(self) -> str:
+        if not np.all(np.isfinite(self.response)):
+            return self.headline
         phase = np.degrees(np.unwrap(np.angle(self.response)))
-        lines = [f"Response of the rate to {self.disturbed} ({self._unit}), {half}"]
         rows = zip(self.frequency, np.abs(self.response), phase, self.rest, strict=True)
-        lines += [f"  {f:>10.4g} Hz  {gain:>10.4g}  {angle:>8.1f}°  rest {rest:.1e}" for f, gain, angle, rest in rows]
+        lines = [
+            self.headline,
+            *(f"  {f:>10.4g} Hz  {gain:>10.4g}  {angle:>8.1f}°  rest {rest:.1e}" for f, gain, angle, rest in rows),
+            *(f"  {note}" for note in self.notes),
+        ]
+        return "\n".join(lines)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a reader of its rows must know: of a peak between them, and of what is no such sine."""
+        found, (at, gain), shown = [], self.peak, np.max(np.abs(self.response))
+        if gain > _HIGHER * shown:
+            found.append(
+                f"a peak of {gain:.4g} at {at:.4g} Hz lies between these frequencies, which show {shown:.4g} at most"
+            )
         if np.max(self.rest) > _RESTLESS:
-            lines.append(
-                f"  up to {np.max(self.rest):.2g} of the answer is no such sine: what the start or the swing left "
+            found.append(
+                f"up to {np.max(self.rest):.2g} of the answer is no such sine: what the start or the swing left "
                 "there; a longer `duration` or a later `settle` shows whether it dies away"
             )
-        return "\n".join(lines)
+        return tuple(found)
 
     @property
     def disturbed(self) -> str:
@@ -116,16 +166,20 @@ class FrequencyResponse(Tabular):
         phase = np.degrees(np.unwrap(np.angle(self.response)))
         told = {"frequency_hz": self.frequency, "gain": np.abs(self.response), "phase_deg": phase, "rest": self.rest}
         about = {"disturbance": self.disturbed, "unit": self._unit, "bandwidth_hz": float(self.bandwidth)}
+        about |= {"lost_at_s": self.lost_at, "peak": dict(zip(("frequency_hz", "gain"), self.peak, strict=True))}
         return finite({**about, **{name: np.asarray(values).tolist() for name, values in told.items()}})
 
     def plot(self, ax: "Axes | None" = None) -> "Axes":
-        """Bode diagram: gain in dB, and the phase dashed on an axis at the right; returns the axes of the gain."""
-        ax = axes(ax)
-        ax.semilogx(self.frequency, 20.0 * np.log10(np.abs(self.response)), color="C0", marker=".")
+        """Bode diagram: gain in dB with dots where it was asked for, and the phase dashed on an axis at the right;
+        returns the axes of the gain.
+        """
+        ax, (frequency, response, _) = axes(ax), self._all
+        ax.semilogx(frequency, 20.0 * np.log10(np.abs(response)), color="C0")
+        ax.semilogx(self.frequency, 20.0 * np.log10(np.abs(self.response)), color="C0", marker=".", ls="")
         ax.set(xlabel="frequency [Hz]", ylabel=f"gain [dB of {self._unit}]")
         right = ax.twinx()
-        phase = np.degrees(np.unwrap(np.angle(self.response)))
-        right.semilogx(self.frequency, phase, color="C1", ls="--", marker=".", label="phase")
+        phase = np.degrees(np.unwrap(np.angle(response)))
+        right.semilogx(frequency, phase, color="C1", ls="--", label="phase")
         right.set_ylabel("phase [°]")
         right.plot([], [], color="C0", marker=".", label="gain")
         right.legend(loc="best", frameon=False)
@@ -149,7 +203,8 @@ def frequency_response(
 
     Args:
         loop: whatever it is made of.
-        frequency: of the sines [Hz, or texts], rising; each has its own run, side by side.
+        frequency: of the sines [Hz, or texts], rising; each has its own run, side by side. Between them more are run
+            where half the power, or a peak, lies there.
         disturbance: one of `INPUTS`.
         sample_rate, duration: of the runs, Hz and s.
         settle: from when on the answer is taken [s]; half the duration without.
@@ -172,14 +227,46 @@ def frequency_response(
     check_frequencies(frequency, sample_rate, duration - settle)
     loop = loop.sampled_at(sample_rate, duration=duration).present
     place = list(INPUTS).index(disturbance)
-    start, omega = round(settle * sample_rate), jnp.asarray(2.0 * np.pi * np.append(frequency, 0.0))
+    start = round(settle * sample_rate)
     carrier = None if carrier is None else quantity("carrier", carrier, "Hz")
     phases = jnp.zeros(1) if carrier is None else jnp.array([0.0, -0.5 * np.pi])
     carried = jnp.asarray(2.0 * np.pi * (0.0 if carrier is None else carrier))
-    found, rest = _answers(loop, as_scenario(level), 1.0 / sample_rate, steps, start, omega, place, carried, phases)
-    found, rest = _strongest(known_array(found), known_array(rest))
+    period, scenario = 1.0 / sample_rate, as_scenario(level)
+
+    def answers(frequency: Any) -> tuple[Any, Any]:
+        """Responses and rests, and of a constant last."""
+        omega = jnp.asarray(2.0 * np.pi * np.append(frequency, 0.0))
+        parts = _answers(loop, scenario, period, steps, start, omega, place, carried, phases)
+        return _strongest(*map(known_array, parts))
+
+    found, rest = answers(frequency)
     static = found[-1] if disturbance == "rate" or carrier is not None else None
-    return FrequencyResponse(disturbance, frequency, found[:-1], rest[:-1], level, static, carrier)
+    known, lost_at = (frequency, found[:-1], rest[:-1]), _lost_at(loop, scenario, period, steps)
+    if lost_at is not None:
+        known, static = (frequency, np.full(frequency.shape, np.nan + 0j), np.full(frequency.shape, np.nan)), None
+    further = known
+    if lost_at is None and is_concrete(settled(known)):
+        first = around_split(loop.device, frequency[0], frequency[-1])
+        further = looked_further(answers, known, known[1][0] if static is None else static, first)
+    more = None if further is known else further
+    return FrequencyResponse(disturbance, *known, level, static, carrier, more, lost_at)
+
+
+def _lost_at(loop: ClosedLoop, scenario: Scenario, period: float, steps: int) -> float | None:
+    """When [s] the loop is lost without a disturbance; None where it is not, and inside `vmap` and `jit`."""
+    lost = settled(_lost(loop, scenario, period, steps))
+    if not is_concrete(lost) or not np.any(np.asarray(lost)):
+        return None
+    return float(period * (1 + np.argmax(np.asarray(lost))))
+
+
+@eqx.filter_jit
+def _lost(loop: ClosedLoop, scenario: Scenario, period: float, steps: int) -> Array:
+    def told(sample: Any) -> Array:
+        far = jnp.maximum(*map(jnp.abs, sample.motion[:2]))
+        return ~((far <= loop.travel) & jnp.isfinite(sum(sample.motion) + sample.rate))
+
+    return disturbed(loop, scenario, loop.init(), 0, steps, period, lambda _: jnp.zeros(len(INPUTS)), told)[1]
 
 
 def check_frequencies(frequency: Float[np.ndarray, " f"], sample_rate: float, settled: float) -> None:

@@ -11,6 +11,7 @@ from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.files import finite
 from memsgyro_jax.base.text import aligned
 
+from .lateness import uncounted, uncounted_effects
 from .loop import ClosedLoop
 from .stability import LoopMargins, loop_margins, open_loops, poles_with
 
@@ -31,7 +32,7 @@ class GainPhaseMargins(Shown):
     [dB] are by how much its gain may grow, and fall, until it oscillates, infinite where no change of the gain does
     that. NaN where the loop hands nothing back, where it is unstable as it is, for a crossover that it has not, and for
     that of two loops. `distance` are the least distances of the Nyquist curves from -1, of rate and quadrature the one
-    of both.
+    of both. `left_out` are the device's effects that the margins do not count.
     """
 
     distance: LoopMargins
@@ -39,6 +40,12 @@ class GainPhaseMargins(Shown):
     phase_margin: Float[np.ndarray, " 5"]
     increase: Float[np.ndarray, " 5"]
     decrease: Float[np.ndarray, " 5"]
+    left_out: tuple[str, ...] = ()
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """A sentence where effects of the device are not counted, or none."""
+        return uncounted(self.left_out)
 
     @property
     def _distances(self) -> dict[str, float]:
@@ -57,7 +64,7 @@ class GainPhaseMargins(Shown):
         return rows
 
     def __str__(self) -> str:
-        return aligned([HEAD, *self.rows()])
+        return "\n".join([aligned([HEAD, *self.rows()]), *(f"  {note}" for note in self.notes)])
 
     def as_dict(self) -> dict[str, dict[str, float]]:
         """Entries for JSON by loop; null where there is no number."""
@@ -72,13 +79,15 @@ class GainPhaseMargins(Shown):
 def gain_phase_margins(loop: ClosedLoop) -> GainPhaseMargins:
     """Gain and phase margins of the loops of a die in classic control, of the linearised loops of `loop_margins`.
 
-    Crossings are looked for between 0.0016 Hz and 160 kHz. Raises `InputError` for another controller, and for a lot.
+    Crossings are looked for between 0.0016 Hz and 160 kHz. Of the device's effects a `ReadoutDelay` is counted. Raises
+    `InputError` for another controller, and for a lot.
     """
     runtime.require_float64("`gain_phase_margins`")
     distance, curve = loop_margins(loop), open_loops(loop)
     along = curve(_SPAN)
     found = [_of_loop(lambda w, k=k: curve(w)[:, k], along[:, k], float(distance[k])) for k in range(4)]
-    return GainPhaseMargins(distance, *np.array([*found, _of_both(loop, found[2:])]).T)
+    figures = np.array([*found, _of_both(loop, found[2:])]).T
+    return GainPhaseMargins(distance, *figures, left_out=uncounted_effects(loop))
 
 
 def _of_loop(curve: Callable, along: np.ndarray, distance: float) -> tuple[float, float, float, float]:

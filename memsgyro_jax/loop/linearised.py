@@ -4,6 +4,7 @@ A loop that swings is linear in small disturbances, but not the same at every mo
 that of one moment, or of some samples from there.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
@@ -62,21 +63,24 @@ def _step(
     return _Pushed(**parts, push=push).step(state, conditions, (0.0, 0.0), clock)
 
 
-def disturbed(loop: ClosedLoop, scenario: Scenario, state: LoopState, first: Any, samples: int, period: float, at: Any):
-    """State and last sample, `samples` later; `at` gives the disturbances at a time."""
+def _outputs(sample: Sample) -> Array:
+    return jnp.stack([jnp.asarray(value, float) for value in (sample.rate, *sample.force, *sample.volts)])
+
+
+def disturbed(
+    loop: ClosedLoop, scenario: Scenario, state: LoopState, first: Any, samples: int, period: float, at: Any,
+    told: Callable[[Sample], Array] = _outputs,
+):  # fmt: skip
+    """State and what is `told` of each sample, `samples` later; `at` gives the disturbances at a time."""
 
     def one(carry, index):
         time = index * period
         conditions = scenario.at(time + 0.5 * period)
         new, sample = _step(loop, conditions, at(time + 0.5 * period), carry, Clock(time, index, period))
-        return jax.tree.map(lambda value, like: jnp.asarray(value, jnp.result_type(like)), new, carry), _outputs(sample)
+        return jax.tree.map(lambda value, like: jnp.asarray(value, jnp.result_type(like)), new, carry), told(sample)
 
     state = jax.tree.map(jnp.asarray, state)
     return jax.lax.scan(one, state, first + jnp.arange(samples))
-
-
-def _outputs(sample: Sample) -> Array:
-    return jnp.stack([jnp.asarray(value, float) for value in (sample.rate, *sample.force, *sample.volts)])
 
 
 class StateSpace(NamedTuple):

@@ -16,6 +16,7 @@ from memsgyro_jax.base.plainly import at_once
 from memsgyro_jax.device.gyro import Inertial, Scalar
 
 from .controllers import ClassicControl, ForceRebalance
+from .lateness import delays
 from .loop import ClosedLoop
 from .stability import LoopMargins
 
@@ -28,8 +29,9 @@ def separate_margins(loop: ClosedLoop) -> LoopMargins:
         sense      (k + i/s) C 2 ω A / (j Δ(s + jω)),
 
     each with the demodulator's b/(s + b); d is the damping per mass, Δ the dynamic stiffness per mass, of the device,
-    while gains, ω, A and conversion C (turned) are the controller's. Differentiable, a lot gives a margin for each die.
-    Raises `InputError` for another controller.
+    while gains, ω, A and conversion C (turned) are the controller's. A late read-out delays each loop, turns that of
+    the sense axis by ω times its delay and weakens that of the amplitude by the cosine of it. Differentiable, a lot
+    gives a margin for each die. Raises `InputError` for another controller.
     """
     control: Any = loop.controller
     if not isinstance(control, ClassicControl):
@@ -44,13 +46,13 @@ def _separate(loop: ClosedLoop) -> LoopMargins:
     control: Any = loop.controller
     drive, dynamics = control.drive, loop.device.dynamics(Inertial())
     omega, pole = 2.0 * jnp.pi * drive.frequency, 2.0 * jnp.pi * drive.demodulator.bandwidth
-    decay = 0.5 * dynamics.damping[0][0]
+    decay, *late = jnp.broadcast_arrays(0.5 * dynamics.damping[0][0], *delays(loop))
     shown = [true / design for true, design in zip(loop.readout.scale, control.scale, strict=True)]
 
     def swing(s: Array) -> Array:
-        return pole / (s + pole) / (s + decay)
+        return pole / (s + pole) / (s + decay) * jnp.exp(-s * late[0])
 
-    grow = shown[0] * dynamics.gain[0] / (2.0 * omega)
+    grow = shown[0] * jnp.cos(omega * late[0]) * dynamics.gain[0] / (2.0 * omega)
     along = _around(jnp.zeros_like(decay), decay, pole)
     phase = _distance(swing, drive.phase_gain, drive.phase_integral, along, pole)
     amplitude = _distance(lambda s: grow * swing(s), drive.force_gain, drive.force_integral, along, pole)
@@ -60,11 +62,12 @@ def _separate(loop: ClosedLoop) -> LoopMargins:
     sense, width = control.sense, 2.0 * jnp.pi * control.sense.demodulator.bandwidth
     per_rate = -1j * (sense.balanced[0] + 1j * sense.balanced[1])
     per_rate = per_rate * sense.force_per_rate * dynamics.gain[1] * shown[1]
-    stiffness, damping = dynamics.stiffness[1][1], dynamics.damping[1][1]
+    stiffness, damping, _ = jnp.broadcast_arrays(dynamics.stiffness[1][1], dynamics.damping[1][1], late[1])
 
     def still(s: Array) -> Array:
         turning = s + 1j * omega
-        return per_rate * width / (s + width) / (stiffness + turning * (turning + damping))
+        then = jnp.exp(-turning * late[1])
+        return per_rate * then * width / (s + width) / (stiffness + turning * (turning + damping))
 
     split = jnp.sqrt(stiffness) - omega
     across = _around(split, 0.5 * damping, width)

@@ -15,6 +15,7 @@ from memsgyro_jax.device.gyro import VX, Inertial, Pair, Scalar
 from .controllers import ClassicControl, ForceRebalance
 from .controllers.classic import locked_frequency
 from .filters import Lowpass
+from .lateness import delays
 from .loop import ClosedLoop
 
 
@@ -46,8 +47,9 @@ def loop_margins(loop: ClosedLoop) -> LoopMargins:
         phase      (k + i/s) / (s + d/2),   amplitude  (k + i/s) / (2 m ω (s + d/2)),
         sense      (k + i/s) C 2 ω A / (j Δ(s + jω)).
 
-    Averaging and sampling are left out: exact for demodulators that are slow beside the drive, 5 % of gain at a
-    twentieth of it; so are effects, and what saturates.
+    A read-out that answers late (`ReadoutDelay`, `Delayed`) turns what both demodulators see by ω times the delay, and
+    delays how it changes. Averaging and sampling are left out: exact for demodulators that are slow beside the drive,
+    5 % of gain at a twentieth of it; so are all other effects, and what saturates.
     Differentiable by gains and device; a lot gives a margin for each die. Not for a program on several devices at once,
     where linear algebra can wait for itself: the loss `LoopMargin` takes each loop by itself. Raises
     `InputError` for another controller.
@@ -68,7 +70,7 @@ def _numbers(loop: ClosedLoop) -> tuple[Array, Any, tuple[bool, bool], tuple[int
     numbers = _Numbers(
         tuple(tuple(row) for row in dynamics.stiffness), tuple(tuple(row) for row in dynamics.damping),
         tuple(dynamics.gain), tuple(a / b for a, b in zip(loop.readout.scale, control.scale, strict=True)),
-        locked_frequency(loop.device, nulled=shut), control.drive, control.sense,
+        delays(loop), locked_frequency(loop.device, nulled=shut), control.drive, control.sense,
     )  # fmt: skip
     leaves, tree = jax.tree.flatten(numbers)
     lot = jnp.broadcast_shapes(*(jnp.shape(leaf) for leaf in leaves))
@@ -78,12 +80,15 @@ def _numbers(loop: ClosedLoop) -> tuple[Array, Any, tuple[bool, bool], tuple[int
 
 
 class _Numbers(NamedTuple):
-    """All that decides the margins of a die; `shown` is what the read-out shows over what the control takes it for."""
+    """All that decides the margins of a die; `shown` is what the read-out shows over what the control takes it for,
+    `late` by how much it shows it late [s].
+    """
 
     stiffness: tuple[Pair, Pair]
     damping: tuple[Pair, Pair]
     gain: Pair
     shown: Pair
+    late: Pair
     omega: Scalar
     drive: Any
     sense: Any
@@ -182,11 +187,13 @@ class _Flow:
     def start(self) -> Float[Array, " states"]:
         """Locked, y at rest."""
         size, zero = 1.0 / self.numbers.shown[0], jnp.zeros(())
+        ahead = self.numbers.omega * self.numbers.late[0]  # x of what is shown
         held = [jnp.zeros(each.order, complex) for each in self.filters]
         held[0] = held[0].at[-1].set(1j if self.velocity[0] else 1.0)
-        phasors = jnp.concatenate([jnp.stack([size, zero]), *held])
-        pushed = self.numbers.damping[0][0] / self.numbers.omega * size
-        return jnp.concatenate([phasors.real, phasors.imag, jnp.stack([1.0 + zero, pushed, zero, zero])])
+        phasors = jnp.concatenate([jnp.stack([size * jnp.exp(1j * ahead), zero]), *held])
+        decay = self.numbers.damping[0][0] / self.numbers.omega
+        inner = jnp.stack([1.0 + 0.5 * decay * jnp.tan(ahead), decay * size / jnp.cos(ahead), zero, zero])
+        return jnp.concatenate([phasors.real, phasors.imag, inner])
 
     def linear(self, state: Float[Array, " states"]) -> tuple[Array, Array, Array, Array]:
         """Slopes of the slope by the state with all loops open and by what acts, of what the loops put out by the
@@ -215,10 +222,19 @@ class _Flow:
             gains = (sense.integral, sense.quadrature_integral)
             slopes[2:] = [_kept(k, part, -pole * held) for k, part, held in zip(gains, left, integral, strict=True)]
         moving = self.turning @ place + self.pushing @ push
-        seen = [n.shown[i] * (moving[i] / n.omega if fast else place[i]) for i, fast in enumerate(self.velocity)]
+        seen = self._seen(place, moving)
         smoothed = [each.flow(*pair)[1] for each, pair in zip(self.filters, zip(held, seen, strict=True), strict=True)]
         phasors = jnp.concatenate([moving - 1j * n.omega * speed * place, *smoothed])
         return jnp.concatenate([phasors.real, phasors.imag, jnp.stack(slopes)])
+
+    def _seen(self, place: Array, moving: Array) -> list[Array]:
+        """What the read-out shows of both axes: places as they were, by the turn at ω, and to first order by how that
+        changes. No read-out shows velocities late.
+        """
+        n = self.numbers
+        late = jnp.stack(n.late)
+        then = jnp.exp(-1j * n.omega * late) * (place - late * (moving - 1j * n.omega * place))
+        return [n.shown[i] * (moving[i] / n.omega if fast else then[i]) for i, fast in enumerate(self.velocity)]
 
     def _read(self, state: Float[Array, " states"]) -> tuple:
         """The loops' outputs, what they miss, the displacements, and what the demodulators hold."""
@@ -275,9 +291,13 @@ def _distances(closed: Float[Array, "n n"], push: Float[Array, "n 4"], out: Floa
         return jnp.stack([_apart(each[n])[..., n] for n in range(3)])
 
     def nearest(tried: Array) -> Array:
-        """The nearest of frequencies and those on either side of it, (3, 3)."""
-        places = jnp.clip(jnp.argmin(far(tried), axis=1)[:, None] + np.arange(-1, 2), 0, tried.shape[1] - 1)
-        return jnp.take_along_axis(tried, places, axis=1)
+        """The nearest of frequencies that rise and the next other ones on either side of it, (3, 3); poles come in
+        pairs, and their frequencies twice.
+        """
+        middle = jnp.take_along_axis(tried, jnp.argmin(far(tried), axis=1)[:, None], axis=1)
+        below = jnp.max(jnp.where(tried < middle, tried, tried[:, :1]), axis=1)
+        above = jnp.min(jnp.where(tried > middle, tried, tried[:, -1:]), axis=1)
+        return jnp.stack([below, middle[:, 0], above], axis=1)
 
     beside = jnp.abs(poles.imag[:, None] + poles.real[:, None] * _BESIDE).reshape(-1)
     tried = jnp.sort(jnp.concatenate([beside, jnp.max(jnp.abs(poles)) * _LOG]))

@@ -4,6 +4,7 @@ import numpy as np
 
 from memsgyro_jax.base.concrete import is_concrete
 from memsgyro_jax.loop.controllers import ClassicControl
+from memsgyro_jax.loop.lateness import uncounted, uncounted_effects
 from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.stability import loop_margins
 
@@ -54,4 +55,4 @@ def margin_eaten(before: ClosedLoop, after: ClosedLoop) -> tuple[str, ...]:
         "rate error does not feel how near a loop is to oscillating; `loss=mg.losses.Weighted((mg.losses."
         "SquaredRateError(settle), 1.0), (mg.losses.LoopMargin(), 10.0))` does, `mg.gain_phase_margins` tells more."
     )
-    return (said,)
+    return (" ".join([said, *uncounted(uncounted_effects(after))]),)

@@ -41,7 +41,7 @@ def loop_command(
         study: a study file (TOML); without it the loop of the thesis.
         disturbance: what the sine is of: rate, "force x", "force y", "voltage x" or "voltage y"; one or several.
         frequencies: of the sines in Hz, rising, from one period of the settled part on: `--duration` sets this lowest
-            one (2/duration, without `settle`). Without them 24 from there on.
+            one (2/duration, without `settle`). Without them 24 from there on, and some at the split of the modes.
         duration: of the runs in s or with a unit; without it the study's own, or as long as a classic loop takes to
             come to rest. A longer one allows lower frequencies.
         level: the constant rate in deg/s around which the loop is looked at.
@@ -54,6 +54,7 @@ def loop_command(
 
     from memsgyro_jax.base.files import write_json
     from memsgyro_jax.loop.frequency_response import check_frequencies, frequency_response
+    from memsgyro_jax.loop.further import around_split
     from memsgyro_jax.loop.noise_budget import noise_budget
 
     from .options import chosen_study, require_writable, with_unit, writing
@@ -75,7 +76,7 @@ def loop_command(
         tell("margins and noise")
         margins, noise = _margins(chosen.loop), noise_budget(chosen.loop, sample_rate=runs["sample_rate"])
         high = min(_SPAN * low, _SHARE * runs["sample_rate"], 0.5 * float(noise.swing))
-        at = frequencies or np.geomspace(low, high, _POINTS)
+        at = frequencies or np.union1d(np.geomspace(low, high, _POINTS), around_split(chosen.loop.device, low, high))
         for name in disturbance:
             tell(f"response to {name}")
             carrier = None if name == "rate" else float(noise.swing)  # slow ones do not reach the rate
@@ -89,10 +90,17 @@ def loop_command(
             print(f"\n{loop_page(chosen, answers, margins, noise).save(report)} is the page.")
         if json is not None:
             told_margins = None if margins is None else margins.as_dict()
+            missing = [] if margins is None else list(margins.left_out)
             told_answers = {answer.disturbance: answer.as_dict() for answer in answers}
             write_json(
                 json,
-                {"schema": SCHEMA, "responses": told_answers, "margins": told_margins, "noise": noise.as_dict()},
+                {
+                    "schema": SCHEMA,
+                    "responses": told_answers,
+                    "margins": told_margins,
+                    "margins_leave_out": missing,
+                    "noise": noise.as_dict(),
+                },
             )
 
 

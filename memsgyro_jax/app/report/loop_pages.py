@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from memsgyro_jax.montecarlo.sensitivity.tornado import HEAD as TORNADO_HEAD
 
 from .figures import blank, plain
@@ -25,7 +27,11 @@ def loop_page(
     """The page of the loop of `study`: a Bode diagram of each of the `answers`, its margins if any, and noise."""
     page = Page("A loop over frequency", f"{study.source.name}, at its design")
     for answer in answers:
-        page.section(f"From {answer.disturbed} to the rate given out").text(f"{str(answer).splitlines()[0]}.")
+        page.section(f"From {answer.disturbed} to the rate given out").text(f"{answer.headline}.")
+        for note in answer.notes:
+            page.text(f"{note[0].upper()}{note[1:]}.")
+        if not np.all(np.isfinite(answer.response)):
+            continue
         figure = blank(3.6)
         answer.plot(figure.subplots())
         page.figure(figure, "Gain and, dashed, phase of the rate given out over that of a small sine.")
@@ -33,6 +39,8 @@ def loop_page(
         from memsgyro_jax.loop.gain_phase import HEAD
 
         page.section("Margins of its loops").table(HEAD, margins.rows(), stacked=True)
+        for note in margins.notes:
+            page.text(note)
     page.section("Noise of the rate by source")
     page.text(f"{str(noise).splitlines()[0]}.")
     figure = blank(3.4)
