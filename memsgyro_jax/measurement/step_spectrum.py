@@ -7,6 +7,7 @@ from jaxtyping import Float
 HALF = np.sqrt(0.5)  # 3 dB down
 _RISES, _SURE = 1.3, 3.0  # share by which power must rise to count, and standard deviations beyond
 _EVERY = 600  # frequencies that are looked at
+_FINE = 101  # of them about the highest, where a resonance is narrower than their steps
 
 
 def first_half_power(answer: Float[np.ndarray, " times"], period: float) -> float:
@@ -40,10 +41,14 @@ def resonance_in_band(answers: Float[np.ndarray, "dies times"], period: float) -
 
 def spectrum_of_step(answer: Float[np.ndarray, " times"], period: float) -> tuple[np.ndarray, np.ndarray]:
     """Frequencies [Hz] and the size of the spectrum of an answer's slope there, means over windows of `period` [s]."""
-    slope = np.diff(answer, prepend=0.0)
     frequencies = np.geomspace(0.02 / (len(answer) * period), 0.4 / period, _EVERY)
+    return frequencies, _size_at(frequencies, answer, period)
+
+
+def _size_at(frequencies: np.ndarray, answer: Float[np.ndarray, " times"], period: float) -> np.ndarray:
+    slope = np.diff(answer, prepend=0.0)
     turns = np.exp(-2j * np.pi * frequencies[:, None] * period * np.arange(len(answer)))
-    return frequencies, np.abs(turns @ slope) / np.sinc(frequencies * period)
+    return np.abs(turns @ slope) / np.sinc(frequencies * period)
 
 
 def spectrum_of(rate: Float[np.ndarray, "dies times"], period: float) -> tuple[np.ndarray, np.ndarray]:
@@ -78,4 +83,7 @@ def _rise(answer: Float[np.ndarray, " times"], period: float) -> tuple[float, fl
     size = size[: below[0]] if below.size else size
     if not size.size or np.max(size) < 1.0 / HALF:
         return None
-    return float(np.max(size)), float(frequencies[np.argmax(size)]), float(frequencies[np.argmax(size > 1.0 / HALF)])
+    top = int(np.argmax(size))
+    near = np.linspace(frequencies[max(top - 1, 0)], frequencies[min(top + 1, len(frequencies) - 1)], _FINE)
+    fine = _size_at(near, answer, period)
+    return float(np.max(fine)), float(near[np.argmax(fine)]), float(frequencies[np.argmax(size > 1.0 / HALF)])

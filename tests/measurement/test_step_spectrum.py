@@ -46,6 +46,14 @@ def test_a_resonance_before_the_fall_is_told():
     assert resonance_in_band(np.full((2, 50), np.nan), PERIOD) == ""
 
 
+@pytest.mark.parametrize("split", [97.0, 98.0, 99.0, 100.0])
+def test_a_resonance_narrower_than_the_grid_is_told_in_full(split):
+    """But for 1.5 % of its ringing, which the record does not see."""
+    answer = second_order(split, 1.0 / 60.0)
+    (gain, at, _) = (float(n) for n in re.findall(r"([\d.]+) (?:times|Hz)", resonance_in_band(answer[None], PERIOD)))
+    assert (gain, at) == pytest.approx((30.0, split), rel=0.03)
+
+
 @pytest.mark.parametrize(("corner", "low", "high"), [(np.inf, 100.0, 100.0), (30.0, 12.0, 60.0), (4.0, 1.5, 8.0)])
 def test_noise_is_flat_up_to_where_it_rises(corner, low, high):
     """White noise, and white noise whose power grows with the square of the frequency beyond a corner."""
