@@ -35,7 +35,7 @@ class Watched(NamedTuple):
         name: for people.
         values: (n,) real or complex.
         noise: standard deviation of each real number; zero where it carries none.
-        place: (n,) abscissa, strictly monotonic within each piece.
+        place: (n,) abscissa, monotonic within each piece.
         pieces: rows that follow each other.
     """
 

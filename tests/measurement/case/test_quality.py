@@ -231,6 +231,29 @@ def test_the_first_row_of_a_new_course_is_no_outlier():
     assert [row for row, _ in lone_rows(np.arange(60.0), rate, 0.0)] == [30]
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("wrong", [20, 41, 61, 62])
+def test_rows_at_the_same_place_are_laid_beside_their_neighbours(wrong):
+    """Repeats within a sweep, one of which is wrong, or a row between them; NumPy warned of a division by zero."""
+    place = np.sort(np.r_[np.linspace(-4.0, 4.0, 60), np.linspace(-4.0, 4.0, 60)[10:40:2], -4.0])
+    rng = np.random.default_rng(6)
+    values = 1e3 / (1 + 1j * place) + rng.normal(size=76) + 1j * rng.normal(size=76)
+    assert lone_rows(place, values, 1.0) == lone_rows(-place, values, 1.0) == []
+    values[wrong] += 80.0
+    assert [row for row, _ in lone_rows(place, values, 1.0)] == [wrong]
+
+
+def test_a_wrong_row_beside_a_close_one_is_told_itself():
+    """A reading 30 % too large a tenth of a step past its neighbour: the row after next lies farther off the cubic
+    through its own neighbours, of which it is one.
+    """
+    place = np.array([-13.0, -12.0, -11.3, -10.8, -10.55, -10.51, -10.0, -9.65, -9.29, -9.0, -8.5, -8.0, -7.0])
+    values = 100.0 / (1 + 1j * place)
+    values += 1e-3 * np.random.default_rng(7).normal(size=13)
+    values[5] *= 1.3
+    assert [row for row, _ in lone_rows(place, values, 1e-3)] == [5]
+
+
 def test_noise_alone_has_no_outlier():
     rng = np.random.default_rng(3)
     assert [lone_rows(np.arange(500.0), rng.normal(size=500), 1.0) for _ in range(50)] == [[]] * 50
