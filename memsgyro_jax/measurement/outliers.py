@@ -76,11 +76,7 @@ def _one_at_each(place: np.ndarray) -> list[np.ndarray]:
 
 def _lone_apart(place: np.ndarray, values: np.ndarray, noise: float) -> list[tuple[int, float]]:
     """Those of rows at places that are all different."""
-    if len(values) < 9:
-        return []
-    misfit = np.abs(interpolation_misfit(place, values))
-    scale = np.maximum(noise, _usual(misfit))
-    high = misfit > _SIGMAS * np.maximum(scale, 1e-12 * float(np.max(np.abs(values))))
+    misfit, scale, high = _misfit(place, values, noise)
     high &= misfit >= _AS_FAR * np.max(sliding_window_view(np.pad(misfit, 2), 5), axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         sigmas = misfit / scale
@@ -94,6 +90,25 @@ def _lone_apart(place: np.ndarray, values: np.ndarray, noise: float) -> list[tup
         for row in rows
         if not any(misfit[other] > misfit[row] for other in rows if abs(other - row) <= 2)
     ]
+
+
+def _misfit(place: np.ndarray, values: np.ndarray, noise: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(n,) distance from the cubic, what counts as a standard deviation, and which rows are far; none of few rows."""
+    if len(values) < 9:
+        return np.zeros(len(values)), np.zeros(len(values)), np.zeros(len(values), bool)
+    misfit = np.abs(interpolation_misfit(place, values))
+    scale = np.maximum(noise, _usual(misfit))
+    return misfit, scale, misfit > _SIGMAS * np.maximum(scale, 1e-12 * float(np.max(np.abs(values))))
+
+
+def excursions(place: np.ndarray, values: np.ndarray, noise: float) -> np.ndarray:
+    """Rows that lie as far off their neighbours as those of `lone_rows`, alone or not, as a few rows of a resonance do.
+
+    Args:
+        place, values, noise: as there.
+    """
+    far = [rows[_misfit(place[rows], values[rows], noise)[2]] for rows in _one_at_each(place)]
+    return np.unique(np.concatenate([*far, np.zeros(0, int)]))
 
 
 def _usual(misfit: np.ndarray) -> np.ndarray:

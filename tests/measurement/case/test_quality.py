@@ -259,6 +259,40 @@ def test_noise_alone_has_no_outlier():
     assert [lone_rows(np.arange(500.0), rng.normal(size=500), 1.0) for _ in range(50)] == [[]] * 50
 
 
+def narrow_modes(folder, grids, wrong=()):
+    """Two axes with a little in common at 11.3 and 11.6 kHz, 3 Hz wide, swept over grids by axis; `wrong` adds 10 mV
+    to rows (file, row) of channel x.
+    """
+    files = []
+    for number, (axis, f) in enumerate(grids):
+        rng, shape = np.random.default_rng(number), [1.0 / ((c**2 - f**2) / c + 3j * f / c) for c in (11300.0, 11600.6)]
+        mix = np.array([[1.0, 0.02], [0.02, 1.0]])
+        z = np.stack([mix[0, axis] * shape[0] + 0.02 * shape[1], mix[1, axis] * shape[1] + 0.02 * shape[0]], axis=1)
+        z += 1e-5 * (rng.normal(size=z.shape) + 1j * rng.normal(size=z.shape))
+        z[[row for file, row in wrong if file == number], 0] += 0.01
+        files.append(folder / f"drive_{'xy'[axis]}_{number}.csv")
+        rows = [
+            ",".join(f"{v:.9e}" for v in (a, b.real, b.imag, c.real, c.imag)) for a, (b, c) in zip(f, z, strict=True)
+        ]
+        files[-1].write_text("\n".join(["f [Hz],Vx_I [V],Vx_Q [V],Vy_I [V],Vy_Q [V]", *rows]) + "\n")
+    import_case(files, case := folder / f"case_{len(wrong)}")
+    return [w for w in assess(load_case(case)).warnings if "digit" in w]
+
+
+COARSE = np.linspace(11250.0, 11650.0, 81)
+DENSE = [np.unique(np.r_[COARSE, centre + np.linspace(-6.0, 6.0, 41)]) for centre in (11300.0, 11600.6)]
+
+
+@pytest.mark.parametrize(
+    "grids", [list(enumerate(DENSE)), [*[(0, DENSE[0])] * 2, (1, COARSE)]], ids=["other axis", "other sweep"]
+)
+def test_a_resonance_that_another_sweep_shows_is_no_wrong_digit(grids, tmp_path):
+    """Rows 5 Hz apart over the other axis' resonance, where one stands alone; what is wrong is told all the same."""
+    assert narrow_modes(tmp_path, grids) == []
+    (told,) = narrow_modes(tmp_path, grids, wrong=[(0, 90)])
+    assert told.startswith("drive_x_0.csv, line 92: channel x")
+
+
 @pytest.mark.parametrize("factor", [0.1, 10.0])
 def test_a_wrong_declared_noise_is_told(bench, factor):
     (warning,) = assess(with_record(bench, "ringdown", noise_std=factor * NOISE)).warnings
