@@ -14,7 +14,6 @@ from .first_numbers import with_numbers_that_show
 from .fit import CaseFit, beside_case
 from .joint_residual import Joint
 from .optimum import WHOLE, Optimum, optimise
-from .scans import coverage
 from .score import Score, basis, family_p_values, overlap, score, within_bounds
 
 
@@ -197,7 +196,7 @@ class Search:
     def refuses(self, place: int, chosen: Optimum) -> bool:
         """Whether an effect does not stay, though a refit with it was made; it is told why."""
         why = refusal(
-            self.joint, place, self.optimum, chosen, others=len(self.accepted), coverage=coverage(self.case)
+            self.joint, place, self.optimum, chosen, others=len(self.accepted), case=self.case
         )  # fmt: skip
         if why:
             self.tell(f"left out {self.joint.model.effects[place].label}: {why}")

@@ -343,7 +343,7 @@ def test_what_the_weakest_sweeps_show_stands_beside_the_design(tmp_path):
     """A lock-in whose reference is 1.7° off and 0.4 µs late, at 41.3 kHz; and a design that is not this device's."""
     case = load_case(driven.write(tmp_path))
     said = beside_design(case)
-    assert said[0] == "resonance: the records show 41.3 kHz, the design 41.3 kHz."
+    assert said[0] == "resonance: the records show 41.3 kHz, as `[design]` has it."
     assert said[1].startswith("quality_factor: the records show ")
     assert not [sentence for sentence in said if "outside" in sentence]
     (turn,) = [float(found) for sentence in said for found in re.findall(r"about ([+-].*?)°", sentence)]
