@@ -20,7 +20,6 @@ from memsgyro_jax.diagnosis.instrument import instrument_terms, knowledge
 from memsgyro_jax.diagnosis.joint_residual import Joint
 from memsgyro_jax.diagnosis.optimum import Optimum
 from memsgyro_jax.diagnosis.rounds import FITTED
-from memsgyro_jax.diagnosis.scans import coverage
 from memsgyro_jax.diagnosis.score import basis, best_by_noise, family_p_values, score, within_bounds
 from memsgyro_jax.diagnosis.search import Ranking, Search
 from memsgyro_jax.diagnosis.slow_noise import slow_noise
@@ -166,7 +165,7 @@ class Nulls:
         effect = False
         if tempted:
             after = _fitted(joint, np.append(base, blocks[best]), value[fitted], slopes[fitted])
-            effect = not refusal(joint, best, before, after, others=0, coverage=coverage(case))
+            effect = not refusal(joint, best, before, after, others=0, case=case)
         tried = tempted or not all(within)
         term = tried and self._ranked_terms(before, unsure) <= SHARE * (1 - RECORDS) * LEVEL
         return Decision(

@@ -4,8 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from memsgyro_jax.effects import Coverage, Scanned
+from memsgyro_jax.base.text import said_in
+from memsgyro_jax.effects import Scanned
 from memsgyro_jax.effects.base import SweepEffect
+from memsgyro_jax.measurement.calibration import unit_of_records
 from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.experiments import Readings
 from memsgyro_jax.measurement.least_squares import gate
@@ -13,6 +15,7 @@ from memsgyro_jax.measurement.least_squares import gate
 from .held_out import support
 from .joint_residual import Joint
 from .optimum import Optimum
+from .scans import coverage
 from .score import Score, survival
 
 
@@ -41,7 +44,7 @@ def hopeless(gain: float, before: Optimum, others: int) -> bool:
     return others > 0 and BEYOND_LINEAR * gain < share_needed(others) * excess(before)
 
 
-def refusal(joint: Joint, place: int, before: Optimum, after: Optimum, *, others: int, coverage: Coverage) -> str:
+def refusal(joint: Joint, place: int, before: Optimum, after: Optimum, *, others: int, case: Case) -> str:
     """Why the effect at `place`, which `after` has and `before` lacks, does not stay; empty where it does.
 
     Args:
@@ -49,12 +52,12 @@ def refusal(joint: Joint, place: int, before: Optimum, after: Optimum, *, others
         place: of the effect in its model.
         before, after: fits of the same readings.
         others: how many effects were found before it.
-        coverage: what the records cover, which a scanned effect stays within.
+        case: that is fitted; a scanned effect stays within what its records cover.
     """
     gain, need = before.chi2 - after.chi2, share_needed(others)
     if gain <= 0 or per_freedom(after) >= per_freedom(before):
         return "the model with it fits no better"
-    if impossible := _impossible(joint, place, after, coverage):
+    if impossible := _impossible(joint, place, after, case):
         return impossible
     if gain < need * excess(before):
         return f"it explains {100 * gain / excess(before):.2g} % of the misfit that is left"
@@ -72,21 +75,22 @@ def per_freedom(optimum: Optimum) -> float:
     return optimum.chi2 / optimum.dof
 
 
-def _impossible(joint: Joint, place: int, after: Optimum, coverage: Coverage) -> str:
+def _impossible(joint: Joint, place: int, after: Optimum, case: Case) -> str:
     """Whether a strength stands at a bound, or a scanned effect has left what was recorded."""
-    effect = joint.model.effects[place]
+    effect, covered = joint.model.effects[place], coverage(case)
     low, high = joint.bounds
     for i in joint.of_effect(place):
         for bound in (low[i], high[i]):
             if np.isfinite(bound) and abs(after.vector[i] - bound) <= PINNED * abs(bound):
-                return "its strength ends at the bound that physics sets"
+                at = said_in(f"{bound:.4g}", unit_of_records(case, joint.parameters[i].unit))
+                return f"its strength ends at {at}, the bound that physics sets"
     if (
         isinstance(effect, SweepEffect)
-        and abs(float(np.max(after.vector[joint.of_effect(place)]))) > FASTER * coverage.sweep_rate
+        and abs(float(np.max(after.vector[joint.of_effect(place)]))) > FASTER * covered.sweep_rate
     ):
         return "the clock of the records says that sweeps move more slowly"
     if isinstance(effect, Scanned):
-        grid = effect.grid(coverage)
+        grid = effect.grid(covered)
         for i in joint.numbers_of(place):
             tried = [float(getattr(one, joint.parameters[i].field)) for one in grid]
             if len(set(tried)) > 1 and not min(tried) <= after.vector[i] <= max(tried):

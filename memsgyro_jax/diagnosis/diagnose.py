@@ -184,15 +184,17 @@ def _stages(steps: Sequence[SearchStep]) -> tuple[Stage, ...]:
 
 
 def _keep_better(begun: Search, keep: Callable[[CaseFit, Sequence[Stage]], None]) -> Callable[[Search], None]:
-    """Keeps the steps of a search that is better than all before it."""
-    least = [begun.base.chi2_per_dof]
-    keep(begun.base, _stages(begun.steps))
+    """Keeps the steps of a search that is better than all before it, or that goes on from what is kept, as where an
+    effect was dropped.
+    """
+    kept = list(begun.steps)
+    keep(begun.base, _stages(kept))
 
     def better(search: Search) -> None:
-        fit = search.steps[-1].fit
-        if fit.chi2_per_dof < least[0]:
-            least[0] = fit.chi2_per_dof
-            keep(fit, _stages(search.steps))
+        goes_on = [step.added for step in search.steps[:-1]] == [step.added for step in kept]
+        if goes_on or search.steps[-1].fit.chi2_per_dof < kept[-1].fit.chi2_per_dof:
+            kept[:] = search.steps
+            keep(search.steps[-1].fit, _stages(kept))
 
     return better
 

@@ -43,9 +43,7 @@ def take_out(search: Search) -> None:
             search.given = kept
             continue
         search.optimum = fewer
-        label = search.joint.model.effects[place].label
-        search.tell(f"dropped {label}, which the others explain")
-        search.steps.append(SearchStep(f"without {label}", beside_case(search.case, search.joint, fewer)))
+        search.drop(search.joint.model.effects[place].label)
 
 
 def imitated(search: Search) -> None:

@@ -165,13 +165,20 @@ class Diagnosis(Labelled):
         fewer = f"memsgyro diagnose {self.case.folder} --drives {(levels + 1) // 2}"
         return drawn, ("what is missing at the lowest drives by themselves", fewer)
 
+    @property
+    def _whence(self) -> str:
+        """Which base model stands first, of a search that began at the lowest drive."""
+        if len(clear_drives(self.case)) > 1:
+            return "the base model is that of the lowest drive, as what is missing grows with the drive"
+        return "the base model is that with which the search began, as none is near all records"
+
     def __str__(self) -> str:
         lines = [f"{self.case.name}: {self.verdict.replace('_', ' ')}", self.sentence, ""]
         if not self.final.optimum.converged:
             lines[2:] = [f"The fit is {self.final.status}: what it says may still move.", ""]
         lines += map(_line, self.steps)
         if self.from_lowest:
-            lines.append("  (the base model is that of the lowest drive, as what is missing grows with the drive)")
+            lines.append(f"  ({self._whence})")
         lines += [f"  {mode}" for mode in self.linear.told]
         if self.linear.about:
             lines.append(f"  (resonance and quality factor: {self.linear.about})")

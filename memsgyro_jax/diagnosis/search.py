@@ -14,7 +14,6 @@ from .first_numbers import with_numbers_that_show
 from .fit import CaseFit, beside_case
 from .joint_residual import Joint
 from .optimum import WHOLE, Optimum, optimise
-from .scans import coverage
 from .score import Score, basis, family_p_values, overlap, score, within_bounds
 
 
@@ -197,7 +196,7 @@ class Search:
     def refuses(self, place: int, chosen: Optimum) -> bool:
         """Whether an effect does not stay, though a refit with it was made; it is told why."""
         why = refusal(
-            self.joint, place, self.optimum, chosen, others=len(self.accepted), coverage=coverage(self.case)
+            self.joint, place, self.optimum, chosen, others=len(self.accepted), case=self.case
         )  # fmt: skip
         if why:
             self.tell(f"left out {self.joint.model.effects[place].label}: {why}")
@@ -249,10 +248,9 @@ class Search:
         """Add an effect to the model."""
         self.accepted.append(place)
         self.optimum = optimum
-        self.steps.append(
-            SearchStep(self.joint.model.effects[place].label, beside_case(self.case, self.joint, optimum))
-        )
-        self.tell(f"added {self.joint.model.effects[place].label}: χ²/dof {self.steps[-1].fit.chi2_per_dof:.4g}")
+        label = self.joint.model.effects[place].label
+        self.steps.append(SearchStep(label, beside_case(self.case, self.joint, optimum)))
+        self.tell(f"added {label}: χ²/dof {self.steps[-1].fit.chi2_per_dof:.4g}")
         self.keep(self)
 
     def exchange(self, place: int, other: int, optimum: Optimum) -> None:
@@ -262,6 +260,7 @@ class Search:
         new, old = (self.joint.model.effects[i].label for i in (other, place))
         self.steps.append(SearchStep(f"{new} in place of {old}", beside_case(self.case, self.joint, optimum)))
         self.tell(f"put {new} in place of {old}: χ²/dof {self.steps[-1].fit.chi2_per_dof:.4g}")
+        self.keep(self)
 
     def prune(self) -> None:
         """Drop effects that the final model no longer needs: taken early, while the misfit was large.
@@ -278,9 +277,13 @@ class Search:
                 continue
             self.optimum = fewer
             self.accepted.remove(place)
-            label = self.joint.model.effects[place].label
-            self.tell(f"dropped {label}, which the others explain")
-            self.steps.append(SearchStep(f"without {label}", beside_case(self.case, self.joint, self.optimum)))
+            self.drop(self.joint.model.effects[place].label)
+
+    def drop(self, label: str) -> None:
+        """Note an effect that the present optimum no longer has."""
+        self.tell(f"dropped {label}, which the others explain")
+        self.steps.append(SearchStep(f"without {label}", beside_case(self.case, self.joint, self.optimum)))
+        self.keep(self)
 
     def own_score(self, place: int) -> Score:
         """Score of an accepted effect beside everything else that is free: its Wald statistic.
@@ -320,13 +323,8 @@ class Search:
 
 def first_twin(ranking: Ranking, among: Sequence[int]) -> int:
     """The first of some candidates, or the one that stands first in the catalogue of those that explain the same."""
-    best = among[0]
-    same = [
-        i
-        for i in among
-        if ranking.scores[i].size == ranking.scores[best].size
-        and overlap(ranking.scores[i], ranking.scores[best]) >= TWINS
-    ]
+    best, scores = among[0], ranking.scores
+    same = [i for i in among if scores[i].size == scores[best].size and overlap(scores[i], scores[best]) >= TWINS]
     return min([best, *same])
 
 

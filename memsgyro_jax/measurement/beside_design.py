@@ -46,7 +46,9 @@ def beside_design(case: Case) -> tuple[str, ...]:
             own = omega if case.design["resonance"].unknown else case.design["resonance"].value
             seen = f"{seen} m/N (a mass of {1.0 / (value * omega**2):.4g} kg)"
             meant = f"{meant} ({1.0 / (design.value * own**2):.4g} kg)"
-        text = f"{key}: the records show {seen}, the design {meant}"
+        # That of a free decay is written by `import` from the records themselves.
+        beside = "as `[design]` has it" if seen == meant else f"the design {meant}"
+        text = f"{key}: the records show {seen}, {beside}"
         said.append(text + (", which lies outside its tolerance." if outside else "."))
     return (*said, *_phases(rows, QUANTITIES[case.readout.order], omega, float(device.damping[0])))
 

@@ -28,6 +28,7 @@ _NEAR = 10.0  # degrees that need no number of their own
 _UNTOLD = "the read-out is taken for what other files show, for displacement where none does"
 _INSIDE = 0.01  # of the band, from its ends: where a largest reading is that of a resonance
 _LEVEL = re.compile(r"(?<![A-Za-z0-9.])(\d+(?:[.p]\d+)?)[ _]?([nuµm]?[VAN])(?:pk|p)?(?![A-Za-z])")
+_LEVEL_NAMES = ("drive", "drive_level", "drive_amplitude", "drive_force", "drive_voltage", "excitation")  # attributes
 
 
 def columns_of_sweep(
@@ -156,5 +157,9 @@ def level_of(table: SourceTable, drive: tuple[float, str] | None, assumed: list[
         value, unit = float(found[1].replace("p", ".")), found[2]
         assumed.append(f"the drive is {value:g} {unit}, as the file's name says")
         return {"value": value, "unit": unit}
+    for name, word in table.attributes.items():
+        if name.lower() in _LEVEL_NAMES and (found := _LEVEL.fullmatch(word.strip())):
+            assumed.append(f"the drive is {found[1]} {found[2]}, as the file's attribute `{name}` says")
+            return {"value": float(found[1].replace("p", ".")), "unit": found[2]}
     assumed.append(NO_LEVEL)
     return {"value": 1.0, "unit": "V"}

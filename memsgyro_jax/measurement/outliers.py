@@ -8,6 +8,7 @@ from scipy import special
 
 
 _SIGMAS = 12.0  # beyond this a row is reported
+_AS_FAR = 0.8  # of the largest misfit around: where rows stand unevenly, that of a wrong row's neighbour may be larger
 _FLAT = 0.25  # share of the jump that the neighbours may still disagree by once the row is replaced
 _AROUND = 12  # rows on each side from which the usual misfit is told
 LEVEL = 1e-3  # share of records of normal noise in which `lone_residuals` finds a row
@@ -51,27 +52,63 @@ def lone_rows(place: np.ndarray, values: np.ndarray, noise: float) -> list[tuple
 
     What counts as a standard deviation is the declared noise, or the usual misfit around the row where that is larger:
     at a resonance the curve itself bends. A step, after which the new level stays, is none; nor is the first row of a
-    new course, which those on one side of it continue.
+    new course, which those on one side of it continue. Of rows at the same place each is laid beside its neighbours
+    elsewhere, one after the other.
 
     Args:
-        place: (n,) strictly monotonic abscissa.
+        place: (n,) monotonic abscissa.
         values: (n,) real or complex.
         noise: standard deviation of each real reading; zero takes the usual misfit alone.
     """
-    if len(values) < 9:
-        return []
-    misfit = np.abs(interpolation_misfit(place, values))
-    scale = np.maximum(noise, _usual(misfit))
-    high = misfit > _SIGMAS * np.maximum(scale, 1e-12 * float(np.max(np.abs(values))))
-    high &= misfit == np.max(sliding_window_view(np.pad(misfit, 2), 5), axis=1)
+    found: dict[int, float] = {}
+    for rows in _one_at_each(place):
+        for row, sigmas in _lone_apart(place[rows], values[rows], noise):
+            found[int(rows[row])] = max(sigmas, found.get(int(rows[row]), 0.0))
+    return sorted(found.items())
+
+
+def _one_at_each(place: np.ndarray) -> list[np.ndarray]:
+    """Choices of rows with one at each place: the first there, the second, and so on, until each was chosen."""
+    first = np.flatnonzero(np.diff(place, prepend=np.nan) != 0)
+    last = np.append(first[1:], len(place)) - 1
+    return [np.minimum(first + number, last) for number in range(int(np.max(last - first, initial=-1)) + 1)]
+
+
+def _lone_apart(place: np.ndarray, values: np.ndarray, noise: float) -> list[tuple[int, float]]:
+    """Those of rows at places that are all different."""
+    misfit, scale, high = _misfit(place, values, noise)
+    high &= misfit >= _AS_FAR * np.max(sliding_window_view(np.pad(misfit, 2), 5), axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         sigmas = misfit / scale
-    rows = [int(row) for row in np.flatnonzero(high)]
+    rows = [
+        int(row)
+        for row in np.flatnonzero(high)
+        if _mends(place, values, row, misfit[row]) and not _continues(place, values, row, misfit[row])
+    ]
     return [
         (row, float(sigmas[row]))
         for row in rows
-        if _mends(place, values, row, misfit[row]) and not _continues(place, values, row, misfit[row])
+        if not any(misfit[other] > misfit[row] for other in rows if abs(other - row) <= 2)
     ]
+
+
+def _misfit(place: np.ndarray, values: np.ndarray, noise: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(n,) distance from the cubic, what counts as a standard deviation, and which rows are far; none of few rows."""
+    if len(values) < 9:
+        return np.zeros(len(values)), np.zeros(len(values)), np.zeros(len(values), bool)
+    misfit = np.abs(interpolation_misfit(place, values))
+    scale = np.maximum(noise, _usual(misfit))
+    return misfit, scale, misfit > _SIGMAS * np.maximum(scale, 1e-12 * float(np.max(np.abs(values))))
+
+
+def excursions(place: np.ndarray, values: np.ndarray, noise: float) -> np.ndarray:
+    """Rows that lie as far off their neighbours as those of `lone_rows`, alone or not, as a few rows of a resonance do.
+
+    Args:
+        place, values, noise: as there.
+    """
+    far = [rows[_misfit(place[rows], values[rows], noise)[2]] for rows in _one_at_each(place)]
+    return np.unique(np.concatenate([*far, np.zeros(0, int)]))
 
 
 def _usual(misfit: np.ndarray) -> np.ndarray:

@@ -1,6 +1,8 @@
 """`memsgyro diagnose` as a user runs it."""
 
 import json
+import re
+import shlex
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -11,6 +13,8 @@ import pytest
 import memsgyro_jax
 from memsgyro_jax.app.cli import main
 from memsgyro_jax.app.commands.diagnose import load_demo_or
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.diagnosis.diagnose import _keep_better
 from memsgyro_jax.diagnosis.findings import Stage
 from memsgyro_jax.effects import by_name, catalogue
 from memsgyro_jax.measurement.linear_start import starting_device
@@ -77,6 +81,10 @@ def test_a_model_of_another_device_is_refused(tmp_path, capsys):
     assert "model.toml: must have as many axes as the case demo has channels, 2, but has 1" in capsys.readouterr().err
 
 
+STEPS = ("", 90.0), ("drive_level", 0.9), ("without drive_level", 0.91)
+ERRORS = (SimpleNamespace(role="fit", chi2=1.0, count=1),)
+
+
 def test_what_is_known_is_said_where_it_is_told_to_end(monkeypatch, tmp_path, capsys):
     cubic = eqx.tree_at(lambda e: e.strength, by_name("cubic_stiffness", "x", among=catalogue(2)), jnp.asarray(1e9))
 
@@ -92,7 +100,38 @@ def test_what_is_known_is_said_where_it_is_told_to_end(monkeypatch, tmp_path, ca
     assert "added so far: cubic_stiffness x; validation error 8 -> 1.1 × noise." in said
     assert "Candidates in hand: cross_stiffness, quadratic_damping x." in said
     assert f"Written so far: {tmp_path / 'model.toml'}." in said
-    assert said.endswith(f"To go on: memsgyro fit {DEMO} --add cubic_stiffness x\nInterrupted.\n")
+    assert said.endswith(
+        f"To go on: memsgyro diagnose {DEMO} --model {tmp_path / 'model.toml'} --out {tmp_path / 'model.toml'}\n"
+        "Interrupted.\n"
+    )
+    assert run("diagnose", DEMO) == 130
+    said = capsys.readouterr().err
+    assert said.endswith(f'To go on: memsgyro fit {DEMO} --add "cubic_stiffness x"\nInterrupted.\n')
+    tried = []
+
+    def fitted(case, effects=()):
+        tried.append([effect.label for effect in effects])
+        if effects:
+            raise InputError("The effects are known.")
+        return SimpleNamespace(chi2_per_dof=1.0)
+
+    monkeypatch.setattr("memsgyro_jax.diagnosis.fit.fit_case", fitted)
+    (command,) = re.findall("To go on: memsgyro (.*)", said)
+    assert run(*shlex.split(command)) == 2
+    assert tried == [[], ["cubic_stiffness x"]]
+
+
+def test_an_effect_that_was_dropped_is_no_longer_kept():
+    """Though χ² per degree of freedom is a little larger without it; a rival search must be better."""
+    kept = []
+    steps = [SimpleNamespace(added=a, fit=SimpleNamespace(chi2_per_dof=c, errors=ERRORS)) for a, c in STEPS]
+    better = _keep_better(
+        SimpleNamespace(base=steps[0].fit, steps=steps[:1]), lambda fit, stages: kept.append(stages[-1].added)
+    )
+    for number in (2, 3):
+        better(SimpleNamespace(steps=steps[:number]))
+    better(SimpleNamespace(steps=[steps[0], SimpleNamespace(added="rival", fit=steps[0].fit)]))
+    assert kept == ["", "drive_level", "without drive_level"]
 
 
 def test_help_names_every_option(capsys):

@@ -10,7 +10,9 @@ import memsgyro_jax
 from memsgyro_jax.app.cli import main
 from memsgyro_jax.app.report.fit_text import named_effects
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.diagnosis.instrument import instrument_terms
 from memsgyro_jax.effects import catalogue
+from memsgyro_jax.measurement.case import load_case
 
 
 DEMO = Path(memsgyro_jax.__file__).parent / "demo"
@@ -115,6 +117,18 @@ def test_bad_input_is_one_sentence(tokens, message, tmp_path, capsys):
 def test_names(names, labels):
     assert [e.label for e in named_effects(names, catalogue(2))] == labels
     assert all(not np.any(e.strength) for e in named_effects(names, catalogue(2)))
+
+
+@pytest.mark.parametrize("by_record", [["reference_phase by record"], ["reference_phase", "by", "record"]])
+def test_a_variant_of_several_words(by_record):
+    """As an interrupted diagnosis prints it, in quotes or without."""
+    terms = instrument_terms(load_case(DEMO))
+    known = (*catalogue(2), *terms)
+    assert [e.label for e in named_effects([*by_record, "readout_delay"], known)] == [
+        "reference_phase by record",
+        "readout_delay",
+    ]
+    assert [e.label for e in named_effects(["reference_phase"], known)] == ["reference_phase"]
 
 
 def test_a_variant_without_its_effect_is_no_name():

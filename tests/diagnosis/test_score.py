@@ -269,5 +269,8 @@ def test_an_effect_that_a_refit_does_not_miss_is_dropped(monkeypatch, worse, kep
         own_score=lambda _: SimpleNamespace(p_value=0.5, size=1), without=lambda _: None,
         refit=lambda left, start: SimpleNamespace(chi2=100.0 + worse),
     )  # fmt: skip
+    told = []
+    begun.keep, begun.drop = told.append, lambda label: search.Search.drop(begun, label)
     search.Search.prune(begun)
     assert begun.accepted == kept
+    assert told == [begun] * (not kept)

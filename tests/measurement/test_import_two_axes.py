@@ -233,6 +233,21 @@ def test_two_demodulators_in_one_file_are_two_channels(tmp_path):
     assert record.axis == 1
 
 
+@pytest.mark.parametrize(("word", "level"), [("20 mV", 0.02), ("loud", 1.0)])
+def test_the_level_of_the_drive_may_be_an_attribute(word, level, tmp_path):
+    import h5py
+
+    z = moved("x")[:, 0]
+    with h5py.File(tmp_path / "one.h5", "w") as file:
+        file.attrs["drive"] = word
+        for name, values in (("frequency [Hz]", FREQUENCY), ("X [V]", z.real), ("Y [V]", z.imag)):
+            file[name] = values
+    found = mg.import_case([tmp_path / "one.h5"], tmp_path / "case")
+    np.testing.assert_allclose(found.case.records[0].drive, level)
+    said = "the drive is 20 mV, as the file's attribute `drive` says"
+    assert (said in (tmp_path / "case" / "case.toml").read_text()) == (level < 1)
+
+
 def test_demodulators_of_one_signal_or_of_waveforms_stay_apart(tmp_path):
     """Two filters behind one input are no two axes, and what is no phasor is lost in no pair."""
     z = moved("x")[:, 0]

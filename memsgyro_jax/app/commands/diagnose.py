@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib.resources import as_file, files
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from memsgyro_jax.base.errors import InputError
 
@@ -99,7 +99,8 @@ def diagnose_command(
             write_whole(json, json_text(unfinished(fit, stages)) + "\n")
 
     more = {"--effects": effects, "--kinds": kinds}
-    with so_far.said_at_the_end(case, [path for path in (out, json) if path], more), told() as tell:
+    searched = {"--drives": drives, "--level": None if level == 0.05 else level, "--out": out, "--json": json}
+    with so_far.said_at_the_end(case, more, searched), told() as tell:
         found = diagnose(start, measured, effects=own, level=level, tell=so_far.heard(tell), keep=keep)
     texts: list[tuple[Path, str]] = []
     if out is not None:
@@ -138,17 +139,23 @@ class _SoFar:
         return listening
 
     @contextmanager
-    def said_at_the_end(self, case: Path, written: Sequence[Path], more: Mapping[str, Path | None]) -> Iterator[None]:
-        """Says on standard error what is known, where it stands and how to go on, if the work is told to end."""
+    def said_at_the_end(self, case: Path, more: Mapping[str, Any], searched: Mapping[str, Any]) -> Iterator[None]:
+        """Says on standard error what is known, where it stands and how to go on, if the work is told to end.
+
+        Args:
+            case: that is diagnosed.
+            more: options that `fit` takes too.
+            searched: those of a diagnosis alone, with the files that are written after each step.
+        """
         try:
             yield
         except Exception:
             raise
         except BaseException:
-            print("\n".join(self._lines(case, written, more)), file=sys.stderr, flush=True)
+            print("\n".join(self._lines(case, more, searched)), file=sys.stderr, flush=True)
             raise
 
-    def _lines(self, case: Path, written: Sequence[Path], more: Mapping[str, Path | None]) -> Iterator[str]:
+    def _lines(self, case: Path, more: Mapping[str, Any], searched: Mapping[str, Any]) -> Iterator[str]:
         if self.best is None:
             yield "Ended before the base model was fitted: nothing is known yet."
             return
@@ -159,12 +166,23 @@ class _SoFar:
         candidates = [label for label in self.candidates if label not in labels]
         if candidates:
             yield f"Candidates in hand: {', '.join(candidates)}."
-        if written:
-            yield f"Written so far: {', '.join(map(str, written))}."
-        wanted = " ".join(labels or candidates[:1])
-        options = "".join(f" {option} {path}" for option, path in more.items() if path is not None)
-        if wanted:
-            yield f"To go on: memsgyro fit {case} --add {wanted}{options}"
+        if written := [str(searched[option]) for option in ("--out", "--json") if searched[option]]:
+            yield f"Written so far: {', '.join(written)}."
+        if labels and searched["--out"]:
+            begun = {"--model": searched["--out"], **searched, **more}
+            yield f"To go on: memsgyro diagnose {_quoted(case)}{_options(begun)}"
+        elif wanted := labels or candidates[:1]:
+            yield f"To go on: memsgyro fit {_quoted(case)} --add {' '.join(map(_quoted, wanted))}{_options(more)}"
+
+
+def _options(values: Mapping[str, Any]) -> str:
+    """The options that are given, as they are typed."""
+    return "".join(f" {option} {_quoted(value)}" for option, value in values.items() if value is not None)
+
+
+def _quoted(word: Any) -> str:
+    """A word of a command line, in quotes where a shell would take it for several."""
+    return f'"{word}"' if " " in str(word) else str(word)
 
 
 def look_for(case: Path, *others: Path | None) -> None:

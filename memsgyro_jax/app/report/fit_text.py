@@ -24,24 +24,24 @@ WORSE = 1.01  # times the χ² without what was added: more than another resolut
 
 
 def named_effects(names: Sequence[str], known: Sequence[Effect]) -> tuple[Effect, ...]:
-    """The effects of names as a user writes them: "cubic_stiffness x" and "cubic_stiffness" "x" are one variant,
-    "cubic_stiffness" alone is all of them.
+    """The effects of names as a user writes them: "cubic_stiffness x" and "cubic_stiffness" "x" are one variant, as are
+    "reference_phase by record" and its words; "cubic_stiffness" alone is all of them.
 
     **Raises:** `InputError` where nothing is named, or what is named is not known.
     """
     if not names:
         raise InputError("Option `--add` must name at least one effect, but names none; `memsgyro effects` lists them.")
     words = [word for name in names for word in name.replace(".", " ").split()]
-    labels, places = {e.name for e in known}, {e.where for e in known if e.where}
+    places = {e.where for e in known if e.where}
     found: list[Effect] = []
-    for number, word in enumerate(words):
-        following = words[number + 1] if number + 1 < len(words) else ""
-        if word in places and number and words[number - 1] in labels:
-            continue
+    while words:
+        word = words.pop(0)
+        following = next((w for n in (2, 1) if (w := " ".join(words[:n])) in places), "")
+        words = words[len(following.split()) :]
         same = [effect for effect in known if effect.name == word]
         same = [effect for effect in same if not effect.where] or same  # a term for all records, not one for each
-        if following in places or not same:
-            same = [by_name(word, following if following in places else "", among=known)]
+        if following or not same:
+            same = [by_name(word, following, among=known)]
         found += [effect for effect in same if effect.label not in {f.label for f in found}]
     return tuple(found)
 

@@ -10,10 +10,10 @@ from memsgyro_jax.base.text import aligned, spoken
 
 from ..experiments import AbstractRecord
 from ..experiments.base import Phasors
-from ..outliers import lone_rows
 from ..phasor_fit import device_of_phasors
 from ..sign_conventions import disagreements
 from .content import Case
+from .lone import lone_sentences
 
 
 _CLEAR, _STANDS_OUT = 20.0, 1.5  # standard deviations, and times the middle reading, of what counts as a resonance
@@ -89,7 +89,10 @@ def assess(case: Case) -> CaseQuality:
     if told and np.any([np.any(one.force, axis=0) for one in told], axis=0).all():  # the answer of each axis is known
         device = device_of_phasors(told)
         said += [f"{each}." for record in case.records if device for each in record.beside_device(device, case)]
-    return CaseQuality(case, tuple(_assess(record, case) for record in case.records), tuple(said))
+    noises = [record.estimated_noise() for record in case.records]
+    sure = [record.noise_std or noise or 0.0 for record, noise in zip(case.records, noises, strict=True)]
+    every = zip(case.records, noises, lone_sentences(case.records, sure), strict=True)
+    return CaseQuality(case, tuple(_assess(record, case, noise, lone) for record, noise, lone in every), tuple(said))
 
 
 def _resonances(records: Sequence[tuple[str, Phasors | None]]) -> list[str]:
@@ -110,9 +113,8 @@ def _resonances(records: Sequence[tuple[str, Phasors | None]]) -> list[str]:
     return [f"{where}, but a device of one axis has one resonance; are these records of one device?"]
 
 
-def _assess(record: AbstractRecord, case: Case) -> RecordQuality:
-    noise, declared = record.estimated_noise(), record.noise_std
-    warnings = [*_lone(record, declared or noise or 0.0), *record.warnings(case)]
+def _assess(record: AbstractRecord, case: Case, noise: float | None, lone: Sequence[str]) -> RecordQuality:
+    declared, warnings = record.noise_std, [*lone, *record.warnings(case)]
     if declared and noise and not 1 / _DISAGREE < noise / declared < _DISAGREE:
         warnings.append(
             f"{record.file}: the declared noise of {declared:.2g} {case.readout.unit} is not that of the rows, about "
@@ -125,18 +127,3 @@ def _assess(record: AbstractRecord, case: Case) -> RecordQuality:
     for name in record.undeclared:
         warnings.append(f"{record.file}: nothing is made of column `{name}`; list it in `carried` if that is meant.")
     return RecordQuality(record, noise, float(np.max(np.abs(record.readings))), tuple(warnings))
-
-
-def _lone(record: AbstractRecord, noise: float) -> list[str]:
-    """A sentence for each row that stands alone among its neighbours."""
-    return [
-        f"{record.file}, line {record.lines[piece][row]}: {column.name} lies {_far(sigmas)} off its neighbours; "
-        "is a digit wrong?"
-        for column in record.watched(noise)
-        for piece in column.pieces
-        for row, sigmas in lone_rows(column.place[piece], column.values[piece], column.noise)
-    ]
-
-
-def _far(sigmas: float) -> str:
-    return f"{sigmas:.0f} standard deviations" if np.isfinite(sigmas) else "far"

@@ -257,9 +257,8 @@ class FrequencySweepRecord(AbstractRecord):
         return freedom_over_frequency(self.frequency, self.readings[:, self.channels], self.sweeps, self.courses)
 
     def watched(self, noise: float) -> list[Watched]:
-        return [
-            Watched(f"channel {'xy'[c]}", self.phasors[:, c], noise, self.frequency, self.sweeps) for c in self.channels
-        ]
+        place, pieces = self.frequency, self.sweeps
+        return [Watched(f"channel {'xy'[c]}", self.phasors[:, c], noise, place, pieces, True) for c in self.channels]
 
     def warnings(self, declared: Declared) -> list[str]:
         read, hertz = self.phasors[:, self.channels], self.frequency / _TWO_PI

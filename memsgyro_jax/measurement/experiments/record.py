@@ -35,8 +35,9 @@ class Watched(NamedTuple):
         name: for people.
         values: (n,) real or complex.
         noise: standard deviation of each real number; zero where it carries none.
-        place: (n,) abscissa, strictly monotonic within each piece.
+        place: (n,) abscissa, monotonic within each piece.
         pieces: rows that follow each other.
+        over_frequency: whether `place` is the frequency of the drive [rad/s].
     """
 
     name: str
@@ -44,6 +45,7 @@ class Watched(NamedTuple):
     noise: float
     place: np.ndarray
     pieces: Sequence[slice]
+    over_frequency: bool = False
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

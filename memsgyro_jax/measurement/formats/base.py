@@ -74,7 +74,7 @@ def library(module: str, package: str, path: Path) -> Any:
     except ImportError as error:
         raise InputError(
             f"{path}: reading this format takes the package {package}, which is not installed; "
-            "pip install 'memsgyro-jax[import]' brings it."
+            "`pip install -e '.[import]'` in the folder of the package's README brings it."
         ) from error
 
 

@@ -231,9 +231,66 @@ def test_the_first_row_of_a_new_course_is_no_outlier():
     assert [row for row, _ in lone_rows(np.arange(60.0), rate, 0.0)] == [30]
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("wrong", [20, 41, 61, 62])
+def test_rows_at_the_same_place_are_laid_beside_their_neighbours(wrong):
+    """Repeats within a sweep, one of which is wrong, or a row between them; NumPy warned of a division by zero."""
+    place = np.sort(np.r_[np.linspace(-4.0, 4.0, 60), np.linspace(-4.0, 4.0, 60)[10:40:2], -4.0])
+    rng = np.random.default_rng(6)
+    values = 1e3 / (1 + 1j * place) + rng.normal(size=76) + 1j * rng.normal(size=76)
+    assert lone_rows(place, values, 1.0) == lone_rows(-place, values, 1.0) == []
+    values[wrong] += 80.0
+    assert [row for row, _ in lone_rows(place, values, 1.0)] == [wrong]
+
+
+def test_a_wrong_row_beside_a_close_one_is_told_itself():
+    """A reading 30 % too large a tenth of a step past its neighbour: the row after next lies farther off the cubic
+    through its own neighbours, of which it is one.
+    """
+    place = np.array([-13.0, -12.0, -11.3, -10.8, -10.55, -10.51, -10.0, -9.65, -9.29, -9.0, -8.5, -8.0, -7.0])
+    values = 100.0 / (1 + 1j * place)
+    values += 1e-3 * np.random.default_rng(7).normal(size=13)
+    values[5] *= 1.3
+    assert [row for row, _ in lone_rows(place, values, 1e-3)] == [5]
+
+
 def test_noise_alone_has_no_outlier():
     rng = np.random.default_rng(3)
     assert [lone_rows(np.arange(500.0), rng.normal(size=500), 1.0) for _ in range(50)] == [[]] * 50
+
+
+def narrow_modes(folder, grids, wrong=()):
+    """Two axes with a little in common at 11.3 and 11.6 kHz, 3 Hz wide, swept over grids by axis; `wrong` adds 10 mV
+    to rows (file, row) of channel x.
+    """
+    files = []
+    for number, (axis, f) in enumerate(grids):
+        rng, shape = np.random.default_rng(number), [1.0 / ((c**2 - f**2) / c + 3j * f / c) for c in (11300.0, 11600.6)]
+        mix = np.array([[1.0, 0.02], [0.02, 1.0]])
+        z = np.stack([mix[0, axis] * shape[0] + 0.02 * shape[1], mix[1, axis] * shape[1] + 0.02 * shape[0]], axis=1)
+        z += 1e-5 * (rng.normal(size=z.shape) + 1j * rng.normal(size=z.shape))
+        z[[row for file, row in wrong if file == number], 0] += 0.01
+        files.append(folder / f"drive_{'xy'[axis]}_{number}.csv")
+        rows = [
+            ",".join(f"{v:.9e}" for v in (a, b.real, b.imag, c.real, c.imag)) for a, (b, c) in zip(f, z, strict=True)
+        ]
+        files[-1].write_text("\n".join(["f [Hz],Vx_I [V],Vx_Q [V],Vy_I [V],Vy_Q [V]", *rows]) + "\n")
+    import_case(files, case := folder / f"case_{len(wrong)}")
+    return [w for w in assess(load_case(case)).warnings if "digit" in w]
+
+
+COARSE = np.linspace(11250.0, 11650.0, 81)
+DENSE = [np.unique(np.r_[COARSE, centre + np.linspace(-6.0, 6.0, 41)]) for centre in (11300.0, 11600.6)]
+
+
+@pytest.mark.parametrize(
+    "grids", [list(enumerate(DENSE)), [*[(0, DENSE[0])] * 2, (1, COARSE)]], ids=["other axis", "other sweep"]
+)
+def test_a_resonance_that_another_sweep_shows_is_no_wrong_digit(grids, tmp_path):
+    """Rows 5 Hz apart over the other axis' resonance, where one stands alone; what is wrong is told all the same."""
+    assert narrow_modes(tmp_path, grids) == []
+    (told,) = narrow_modes(tmp_path, grids, wrong=[(0, 90)])
+    assert told.startswith("drive_x_0.csv, line 92: channel x")
 
 
 @pytest.mark.parametrize("factor", [0.1, 10.0])
@@ -286,7 +343,7 @@ def test_what_the_weakest_sweeps_show_stands_beside_the_design(tmp_path):
     """A lock-in whose reference is 1.7° off and 0.4 µs late, at 41.3 kHz; and a design that is not this device's."""
     case = load_case(driven.write(tmp_path))
     said = beside_design(case)
-    assert said[0] == "resonance: the records show 41.3 kHz, the design 41.3 kHz."
+    assert said[0] == "resonance: the records show 41.3 kHz, as `[design]` has it."
     assert said[1].startswith("quality_factor: the records show ")
     assert not [sentence for sentence in said if "outside" in sentence]
     (turn,) = [float(found) for sentence in said for found in re.findall(r"about ([+-].*?)°", sentence)]
