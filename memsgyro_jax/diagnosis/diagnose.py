@@ -28,6 +28,7 @@ from .findings import SIGMAS_SEEN, Accepted, Candidate, Stage
 from .fit import CaseFit
 from .instrument import beside_case_of, drive_levels, knowledge
 from .joint_residual import Joint
+from .less_noise import LESS, less_noise, of_less_noise, with_less_noise
 from .next_experiment import advice, next_experiments, of_the_unknown
 from .nuisances import instrument_first, of_instrument
 from .outlying import of_rows, search_beside_outlying
@@ -43,7 +44,8 @@ RECORDS = 0.1  # share of the level for records that no candidate explains; the 
 PARTLY = 0.9  # share of the misfit above noise, in readings never fitted, that "partly explained" asks for
 NAMED = 2  # effects that are named as tried where none explains what is missing
 
-
+Tell = Callable[[str], None]
+Keep = Callable[[CaseFit, Sequence[Stage]], None]
 Begun = tuple[CaseFit, tuple[Candidate, ...]]  # the base model, and what was tried beside it
 
 
@@ -53,8 +55,8 @@ def diagnose(
     *,
     effects: Sequence[Effect] = (),
     level: float = 0.05,
-    tell: Callable[[str], None] = lambda text: None,
-    keep: Callable[[CaseFit, Sequence[Stage]], None] = lambda fit, stages: None,
+    tell: Tell = lambda text: None,
+    keep: Keep = lambda fit, stages: None,
 ) -> Diagnosis:
     """Find what is missing from a model of a case.
 
@@ -72,6 +74,19 @@ def diagnose(
     if not 0.0 < level < 1.0:
         raise InputError(f"Argument `level` must lie between 0 and 1, but is {level:g}.")
     make_room()
+    outcome = _diagnosed(model, case, effects, level, tell, keep)
+    for _ in range(LESS):
+        if outcome.verdict in UNEXPLAINED or not (less := less_noise(outcome.final)):
+            break
+        tell("again with the noise that the model leaves, as it is less than the rows told")
+        case = with_less_noise(case, less)
+        outcome = _diagnosed(model, case, effects, level, tell, keep)
+    return replace(outcome, sentence=outcome.sentence + of_less_noise(case))
+
+
+def _diagnosed(
+    model: "Model | object | None", case: Case, effects: Sequence[Effect], level: float, tell: Tell, keep: Keep
+) -> Diagnosis:
     start = _start(model, case)
     given = {e.label for e in start.effects}
     candidates = [*catalogue(case.channels), *effects]

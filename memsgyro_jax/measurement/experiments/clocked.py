@@ -1,6 +1,7 @@
 """Records whose rows follow each other in time at one period, and among them waveforms."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -42,11 +43,17 @@ class ClockedRecord(AbstractRecord):
         """How long and how fast, for people."""
         return f"{self.time[-1] - self.time[0] + self.period:.4g} s at {1 / self.period:.6g} Hz"
 
+    @cached_property
+    def told_noise(self) -> tuple[float, float]:
+        """Noise as the rows alone tell it, and its degrees of freedom."""
+        seen = self.readings[:, self.channels]
+        return noise_over_time(seen), freedom_over_time(seen)
+
     def estimated_noise(self) -> float:
-        return noise_over_time(self.readings[:, self.channels])
+        return self.told_noise[0]
 
     def estimated_freedom(self) -> float:
-        return freedom_over_time(self.readings[:, self.channels])
+        return self.told_noise[1]
 
     def watched(self, noise: float) -> list[Watched]:
         return [self.in_time(f"channel {'xy'[c]}", self.readings[:, c], noise) for c in self.channels]

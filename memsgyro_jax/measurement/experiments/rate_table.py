@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 import equinox as eqx
@@ -21,6 +22,7 @@ from ..columns import phasor_columns
 from ..declared import Declared
 from ..envelope import HARMONICS, SAMPLES, Course, Driven
 from ..first_order import Contribution, Inquiry, Periods
+from ..held_noise import noise_beside_steps
 from ..lock_in import before_lock_in, through_lock_in
 from ..model import Model
 from ..rate_signs import fast_rates, turned_rate
@@ -241,6 +243,10 @@ class RateTableRecord(ClockedRecord):
                 f"must be that of a later block of the lock-in than the row before, of {self.block:.6g} s each",
             )
 
+    @cached_property
+    def told_noise(self) -> tuple[float, float]:
+        return noise_beside_steps(self.phasors[:, self.channels], self.rate, self.blocks)
+
     def keys(self, declared: Declared) -> dict[str, Any]:
         return {
             "drive_axis": "xy"[self.axis],
@@ -331,16 +337,8 @@ class RateTableRecord(ClockedRecord):
         known, whole = self.known(deviation.declared), (slice(None),)
         parts = (*segments(self.time), *(part for one in known if one.set for part in by_setting(one, whole)))
         variables = tuple(Variable(one.name, one.values) for one in known)
-        return Series(
-            self.name,
-            deviation.channels,
-            deviation.white,
-            in_phase(deviation.white, driven),
-            whole,
-            parts,
-            (),
-            variables,
-        )
+        white = deviation.white
+        return Series(self.name, deviation.channels, white, in_phase(white, driven), whole, parts, (), variables)
 
     def missing_force(self, deviation: Deviation) -> RateResidual | None:
         if self.axis not in self.channels:

@@ -60,6 +60,7 @@ class AbstractRecord(abc.ABC):
         note: free text.
         noise_std: of each real reading (each of I and Q for phasors), in the record unit; `None` asks to estimate it.
         noise_rows: (n, channels) the same, where the file tells it row by row, of which `noise_std` is then the mean.
+        left: noise that a model leaves where the rows told too much of it, and its degrees of freedom.
         recorded: which channels the file holds; all where it is empty. The readings of others are zero, and their noise
             is infinite.
         carried: columns that nothing depends on, header to values.
@@ -77,6 +78,7 @@ class AbstractRecord(abc.ABC):
     note: str = ""
     noise_std: float | None = None
     noise_rows: np.ndarray | None = None
+    left: tuple[float, float] | None = None
     recorded: tuple[bool, ...] = ()
     carried: Mapping[str, np.ndarray] = field(default_factory=dict)
     undeclared: tuple[str, ...] = ()
@@ -183,7 +185,9 @@ class AbstractRecord(abc.ABC):
     @property
     def noise_freedom(self) -> float:
         """Degrees of freedom with which the noise is known: infinite where it is declared."""
-        return np.inf if self.noise_std is not None else self.estimated_freedom()
+        if self.noise_std is not None:
+            return np.inf
+        return self.estimated_freedom() if self.left is None else self.left[1]
 
     def estimated_freedom(self) -> float:
         """Degrees of freedom of `estimated_noise`: its square scatters like that of so many normal numbers."""
@@ -192,7 +196,9 @@ class AbstractRecord(abc.ABC):
     @cached_property
     def noise_level(self) -> float:
         """Declared or estimated; raises `InputError` where it is neither."""
-        found = self.estimated_noise() if self.noise_std is None else self.noise_std
+        found = self.noise_std
+        if found is None:
+            found = self.estimated_noise() if self.left is None else self.left[0]
         if not found:
             raise InputError(
                 f"Experiment `{self.name}` must declare its `noise_std`, as its rows do not tell their noise."
