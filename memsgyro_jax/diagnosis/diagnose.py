@@ -87,6 +87,7 @@ def diagnose(
 def _diagnosed(
     model: "Model | object | None", case: Case, effects: Sequence[Effect], level: float, tell: Tell, keep: Keep
 ) -> Diagnosis:
+    """`diagnose` with the noise that the records have."""
     start = _start(model, case)
     given = {e.label for e in start.effects}
     candidates = [*catalogue(case.channels), *effects]
@@ -125,7 +126,7 @@ def _diagnosed(
     tell("see what these records can tell apart")
     confused = confusions(search, ranking)
     accepted = _accepted(search, confused, steps)
-    explained = _explained(final, accepted, level)
+    explained = list(_each_explained(final, accepted, level))
     noise: Mapping[str, float] = {}
     if not all(explained) and all(_each_explained(final, accepted, level, wrong := wrong_noise(final))):
         explained, noise = [True] * len(explained), wrong
@@ -142,7 +143,7 @@ def _diagnosed(
         stages = _stages(steps)
         final, accepted, stages, tried = steps[apart - 1].fit, (), stages[:apart], stages[apart : apart + NAMED]
         terms = _terms_in(final, search, steps[:apart])
-        explained = _explained(final, (), level)
+        explained = list(_each_explained(final, (), level))
         if all(explained):  # an effect of chance that spoils what was never fitted
             verdict, tried = "instrument_only" if _found_more(terms, given) else "nothing_missing", ()
     else:
@@ -231,11 +232,6 @@ def _start(model, case: Case) -> Model:
     if isinstance(model, Model):
         return beside_case_of(case, model)
     return model_of(case, starting_device(case) if model is None else model)
-
-
-def _explained(fit: CaseFit, accepted: Sequence, level: float, noise: Mapping[str, float] | None = None) -> list[bool]:
-    """Per record and role, whether noise alone explains what is left."""
-    return list(_each_explained(fit, accepted, level, noise))
 
 
 def _each_explained(

@@ -241,5 +241,5 @@ def test_the_clock_of_a_record_rules_the_rate_of_its_sweeps():
     for case, speed, impossible in ((free, 9 * rate, False), (clocked, rate, False), (clocked, 2 * rate, True),
                                     (unsettled, 0.1 * rate, True)):  # fmt: skip
         joint = Joint(model_of(case, starting_device(case)).with_effect(FiniteSweepRate(speed)), readings_of(case))
-        why = _impossible(joint, 0, SimpleNamespace(vector=joint.start), coverage(case))
+        why = _impossible(joint, 0, SimpleNamespace(vector=joint.start), case)
         assert ("clock" in why) == impossible
