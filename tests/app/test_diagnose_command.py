@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
 import memsgyro_jax
@@ -158,3 +159,20 @@ def test_the_demonstration_is_found_and_written(tmp_path, capsys):
     assert "cubic_stiffness x" in names["report"].read_text()
     assert run("compare", DEMO, "--model", names["out"]) == 0
     assert "explains the records" in capsys.readouterr().out
+
+
+def test_what_is_known_is_said_where_it_cannot_go_on(monkeypatch, capsys):
+    """A library's error after six minutes left nothing but its traceback; bad input has its own sentence alone."""
+    raised = [np.linalg.LinAlgError("no"), InputError("The level is none.")]
+
+    def ended(start, case, *, tell, keep, **_):
+        model = model_of(case, starting_device(case))
+        keep(SimpleNamespace(model=model, case=case), (Stage("", 90.0, 8.0), Stage("readout_delay", 1.0, 1.1)))
+        raise raised.pop(0)
+
+    monkeypatch.setattr("memsgyro_jax.diagnosis.diagnose.diagnose", ended)
+    with pytest.raises(np.linalg.LinAlgError):
+        main(["diagnose", str(DEMO)])
+    assert "validation error 8 -> 1.1 × noise" in capsys.readouterr().err
+    assert run("diagnose", DEMO) == 2
+    assert "added so far" not in capsys.readouterr().err

@@ -36,6 +36,7 @@ def test_a_noise_that_is_told_too_large_is_taken_from_what_the_model_leaves(monk
     assert outcome.case.records[0].noise_std is None
 
 
+@pytest.mark.slow
 def test_an_effect_that_it_hid_is_found(monkeypatch):
     """Twelve times the noise leaves nothing of it to be seen."""
     case = undeclared(Hidden(cubic_stiffness_x=0.05 * RESONATOR.kxx), 12.0, monkeypatch)

@@ -73,6 +73,7 @@ def test_a_delayed_read_out_counts_as_the_effect_does():
     assert float(by_effect.rate) < float(mg.loop_margins(loop_of()).rate) - 0.03
 
 
+@pytest.mark.slow
 def test_one_by_one_they_say_the_same_and_a_lot_of_delays_has_slopes():
     late = np.array([0.0, 2e-6, 4e-6])
     together, alone = (margins(loop_of(ReadoutDelay(late))) for margins in (mg.loop_margins, separate_margins))

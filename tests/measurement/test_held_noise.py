@@ -25,7 +25,9 @@ def noise_of(shape, rng):
     return rng.normal(size=shape) + 1j * rng.normal(size=shape)
 
 
-@pytest.mark.parametrize(("hold", "count", "draws"), [(20, 12, 200), (30, 10, 200), (150, 6, 200), (1000, 3, 20)])
+@pytest.mark.parametrize(("hold", "count", "draws"), [
+    (20, 12, 200), (30, 10, 200), pytest.param(150, 6, 200, marks=pytest.mark.slow), (1000, 3, 20),
+])  # fmt: skip
 def test_transients_of_steps_are_not_taken_for_noise(hold, count, draws):
     """Two modes, one of which beats with the rows at half their rate, ten thousand times the noise: within 3 % of its
     square, which scatters as its degrees of freedom say, and no less than half of it.

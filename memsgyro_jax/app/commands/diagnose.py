@@ -140,7 +140,8 @@ class _SoFar:
 
     @contextmanager
     def said_at_the_end(self, case: Path, more: Mapping[str, Any], searched: Mapping[str, Any]) -> Iterator[None]:
-        """Says on standard error what is known, where it stands and how to go on, if the work is told to end.
+        """Says on standard error what is known, where it stands and how to go on, if the work is told to end or cannot
+        go on.
 
         Args:
             case: that is diagnosed.
@@ -149,7 +150,7 @@ class _SoFar:
         """
         try:
             yield
-        except Exception:
+        except InputError:
             raise
         except BaseException:
             print("\n".join(self._lines(case, more, searched)), file=sys.stderr, flush=True)
