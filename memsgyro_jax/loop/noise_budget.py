@@ -243,7 +243,7 @@ def noise_in_steps(loop: ClosedLoop, period: float) -> float:
     if adc is None or not is_concrete(loop.readout):
         return np.inf
     least = min(float(np.min(np.asarray(density))) for density in loop.readout.noise_density)
-    return least * np.sqrt(0.5 / period) * 2**adc.bits / (2.0 * float(np.max(np.asarray(adc.limit))))
+    return least * np.sqrt(0.5 / period) / float(np.max(np.asarray(adc.step)))
 
 
 def _notes(loop: ClosedLoop, phase_locked: bool, period: float) -> tuple[str, ...]:

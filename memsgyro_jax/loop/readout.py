@@ -59,9 +59,13 @@ class Adc(Displayed):
 
     def convert(self, volts: Scalar) -> Scalar:
         """The nearest code's voltage, clipped at the limits."""
-        step = 2.0 * self.limit / 2**self.bits
-        clipped = saturated(volts, self.limit, step)
-        return clipped + jax.lax.stop_gradient(step * jnp.round(clipped / step) - clipped)
+        clipped = saturated(volts, self.limit, self.step)
+        return clipped + jax.lax.stop_gradient(self.step * jnp.round(clipped / self.step) - clipped)
+
+    @property
+    def step(self) -> Scalar:
+        """From code to code [V]."""
+        return 2.0 * self.limit / 2**self.bits
 
     @property
     def without_steps(self) -> "Adc":
@@ -98,18 +102,13 @@ class AbstractReadout(Displayed):
         """
         found: dict[str, Pair] = {"electronics": self.noise_density}
         if self.adc is not None:
-            found["converter"] = (2.0 * self.adc.limit / 2**self.adc.bits * jnp.sqrt(period / 6.0),) * 2
+            found["converter"] = (self.adc.step * jnp.sqrt(period / 6.0),) * 2
         return found
 
     def measure(
-        self,
-        motion: tuple[Scalar, ...],
-        noise: Pair,
-        drift: Pair,
-        period: Scalar,
-        effects: Effected | None = None,
-        late: Pair | None = None,
-    ) -> Pair:
+        self, motion: tuple[Scalar, ...], noise: Pair, drift: Pair, period: Scalar,
+        effects: Effected | None = None, late: Pair | None = None,
+    ) -> Pair:  # fmt: skip
         """One sample in volts; `noise` is a pair of standard normal numbers, `drift` changes the offsets [V]. `effects`
         are what the device's effects make of the volts before the noise and behind it. `late` are the delays of both
         channels [s], counted to first order, None for none.

@@ -8,6 +8,7 @@ import numpy as np
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.text import listed
 
+from .imported_conditions import for_each_file
 from .imported_record import ImportedRecord
 
 
@@ -16,9 +17,7 @@ def axes_of_files(given: Sequence[str], files: int) -> list[str]:
     axes = [text.strip().lower() for text in given]
     if wrong := [text for text, axis in zip(given, axes, strict=True) if axis not in ("x", "y")]:
         raise InputError(f"Option `--axis` must be x or y, but is `{wrong[0]}`.")
-    if len(axes) not in (0, 1, files):
-        raise InputError(f"Option `--axis` must be given once or for each of {files} files, but has {len(axes)}.")
-    return axes if len(axes) == files else (axes or [""]) * files
+    return for_each_file("--axis", axes, files)
 
 
 def require_axes(paths: Sequence[str | Path], found: Sequence[Sequence[ImportedRecord]], given: Sequence[str]) -> None:

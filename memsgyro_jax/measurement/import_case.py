@@ -23,7 +23,7 @@ from .column_meaning import meaning_of, parse_map
 from .demodulators import demodulators_joined
 from .driven_axes import axes_of_files, require_axes
 from .formats import SourceTable, read_instrument_file
-from .imported_conditions import conditions_of_files
+from .imported_conditions import conditions_of_files, for_each_file
 from .imported_record import Given, ImportedRecord, records_of
 from .imported_sweep import NO_LEVEL
 from .records_together import agreed, turned_alike, without_copies
@@ -178,11 +178,8 @@ def import_case(
 
 def _maps(given: Sequence[str], files: int) -> list[dict[str, str]]:
     """What was said of the columns of each file, empty where nothing was; raises `InputError` for another number."""
-    if len(given) not in (0, 1, files):
-        told = f"given once or for each of {files} files (`-` for one whose names tell), but has {len(given)}"
-        raise InputError(f"Option `--map` must be {told}.")
-    maps = [{} if text.strip() in ("", "-") else parse_map(text) for text in given]
-    return maps if len(maps) == files else (maps or [{}]) * files
+    every = for_each_file("--map", given, files, "whose names tell")
+    return [{} if text.strip() in ("", "-") else parse_map(text) for text in every]
 
 
 def _of_joined(given: Sequence[str], parts: Sequence[Sequence[int]], option: str) -> Sequence[str]:

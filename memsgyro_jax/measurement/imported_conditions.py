@@ -40,6 +40,17 @@ CONDITIONS = {
 }
 
 
+def for_each_file(option: str, given: Sequence[str], files: int, without: str = "") -> list[str]:
+    """What an option says of each file, once for all or once for each; empty where it is left out. `without` tells of
+    which file "-" stands for nothing. Raises `InputError` for another number of words.
+    """
+    if len(given) not in (0, 1, files):
+        beside = f" (`-` for one {without})" if without else ""
+        told = f"given once or for each of {files} files{beside}, but has {len(given)}"
+        raise InputError(f"Option `{option}` must be {told}.")
+    return list(given) if len(given) == files else list(given or [""]) * files
+
+
 def conditions_of_files(given: Mapping[str, Sequence[str]], files: int) -> list[dict[str, Level]]:
     """What the user says that each file was recorded at, role to value and unit.
 
@@ -53,11 +64,9 @@ def conditions_of_files(given: Mapping[str, Sequence[str]], files: int) -> list[
     out: list[dict[str, Level]] = [{} for _ in range(files)]
     for role, texts in given.items():
         known = CONDITIONS[role]
-        if len(texts) not in (0, 1, files):
-            told = f"given once or for each of {files} files (`-` for one of which nothing is said)"
-            raise InputError(f"Option `{known.option}` must be {told}, but has {len(texts)}.")
-        for of_file, text in zip(out, list(texts) * (files if len(texts) == 1 else 1), strict=False):
-            if text.strip() != "-":
+        every = for_each_file(known.option, texts, files, "of which nothing is said")
+        for of_file, text in zip(out, every, strict=True):
+            if text.strip() not in ("", "-"):
                 of_file[role] = _level(text, known)
     return out
 

@@ -129,8 +129,7 @@ class Annealing(Displayed):
 
 def rounding_of(readout: AbstractReadout) -> tuple[Scalar, ...]:
     """Standard deviation [V] of what its converter's rounding adds to a sample of each channel; none without one."""
-    adc = readout.adc
-    return () if adc is None else (2.0 * adc.limit / 2**adc.bits / jnp.sqrt(12.0),) * 2
+    return () if readout.adc is None else (readout.adc.step / jnp.sqrt(12.0),) * 2
 
 
 def check_lengths(settings: eqx.Module, **lengths: int) -> None:
