@@ -22,6 +22,8 @@ from .base import ReadoutEffect as ReadoutEffect
 from .base import SurroundingsEffect as SurroundingsEffect
 from .base import SweepEffect as SweepEffect
 from .base import strength as strength
+from .bias_transduction import DriveTransduction as DriveTransduction
+from .bias_transduction import PickoffTransduction as PickoffTransduction
 from .catalogue import CATALOGUE as CATALOGUE
 from .catalogue import OF_OPERATION as OF_OPERATION
 from .catalogue import by_name as by_name

@@ -10,6 +10,7 @@ from .ageing import AgeingOffset, AgeingStiffness
 from .angular_acceleration import AngularAcceleration
 from .axes import variants
 from .base import Effect
+from .bias_transduction import DriveTransduction, PickoffTransduction
 from .centrifugal import Centrifugal
 from .cross_damping_asymmetry import CrossDampingAsymmetry
 from .cross_stiffness import CrossStiffness
@@ -43,8 +44,9 @@ CATALOGUE: tuple[type[Effect], ...] = (
     *(CrossDampingAsymmetry, QuadraticDamping, SqueezeFilmDamping, DryFriction, DampingStep),
     *(ThermalStiffness, ThermalDamping, ParasiticMode),
     *(RateOffset, RateScaleError, RateBiasDrift, AngularAcceleration, Centrifugal),
-    *(ForceMisalignment, DriveNonlinearity, ElectricalFeedthrough),
-    *(ReadoutDelay, PickoffScaleError, PickoffNonlinearity, PickoffCubicNonlinearity, PickoffCrosstalk),
+    *(ForceMisalignment, DriveNonlinearity, DriveTransduction, ElectricalFeedthrough),
+    *(ReadoutDelay, PickoffScaleError, PickoffTransduction),
+    *(PickoffNonlinearity, PickoffCubicNonlinearity, PickoffCrosstalk),
     *(AdcSaturation, FiniteSweepRate),
 )
 

@@ -1,8 +1,10 @@
 """The files of a case, written from the records that were imported."""
 
+import numpy as np
+
 from memsgyro_jax.base.text import listed, printable
 from memsgyro_jax.base.toml import toml_table, toml_text
-from memsgyro_jax.base.units import parse_header
+from memsgyro_jax.base.units import parse_header, to_si
 
 from .case.file import SCHEMA
 from .imported_record import ImportedRecord
@@ -35,6 +37,7 @@ def toml_of_records(name: str, records: list[ImportedRecord], sources: list[str]
         + toml_table("readout", {"quantity": quantity})
     )
     parts.append(f"# what is known beforehand: {_KNOWN[two]}, as {{ value, tolerance, unit }}\n" + _design(records))
+    parts += _environment(records)
     parts.append(toml_table("conventions", {"lock_in": _LOCK_IN}))
     for record in records:
         entry = {"name": record.name, "kind": record.kind, "file": f"{record.name}.csv", **record.keys}
@@ -44,6 +47,24 @@ def toml_of_records(name: str, records: list[ImportedRecord], sources: list[str]
         said += [f"# not needed: {listed(record.unused)}"] if record.unused else []
         parts.append("\n".join(map(printable, said)) + "\n" + toml_table("[experiment]", entry))
     return "\n".join(parts)
+
+
+def _environment(records: list[ImportedRecord]) -> list[str]:
+    """The bias nearest to none at which records were taken, where none was taken without one: gains that go with the
+    bias have no meaning beside 0 V.
+    """
+    columns = [
+        to_si(column, parse_header(header).unit, "V", header)
+        for record in records
+        for header, column in record.columns.items()
+        if parse_header(header).name == "V_bias"
+    ]
+    biases = np.concatenate(columns) if columns else np.zeros(1)
+    if len(columns) < len(records) or not biases.all():
+        return []
+    nearest = float(biases[np.argmin(np.abs(biases))])
+    said = "# the bias voltage at which the numbers of the device hold, which records give\n"
+    return [said + toml_table("environment", {"bias_voltage": {"value": nearest, "unit": "V"}})]
 
 
 def _design(records: list[ImportedRecord]) -> str:

@@ -65,6 +65,7 @@ def volts(n):
 # label: voltages, from strength, moment and the axes that the label names.
 SIGNALS = {
     "electrical_feedthrough": lambda s, n, a, b: volts(n) + s * n.force[a] * np.eye(2)[b],
+    "bias_transduction pickoff": lambda s, n, a, b: volts(n) * (n.bias_voltage / n.reference_bias) ** s,
     "pickoff_scale_error": lambda s, n, a, b: volts(n) * (1 + s * np.eye(2)[a]),
     "pickoff_nonlinearity": lambda s, n, a, b: n.scale * (n.displacement + s * n.displacement[a] ** 2 * np.eye(2)[a]),
     "pickoff_cubic_nonlinearity": lambda s, n, a, b: (
@@ -113,7 +114,7 @@ def test_signal(effect, number):
 
 
 def test_every_member_has_its_formula_here():
-    elsewhere = {"dry_friction", "force_misalignment", "drive_nonlinearity", "finite_sweep_rate"}
+    elsewhere = {"dry_friction", "force_misalignment", "drive_nonlinearity", "finite_sweep_rate", "bias_transduction"}
     missing = {e.name for e in MEMBERS if not (law(FORCES, e) or law(SIGNALS, e))}
     assert missing == elsewhere
 
@@ -131,6 +132,21 @@ def test_drive_nonlinearity(axis):
     now, plain = at(fx.DriveNonlinearity(), 1)
     expected = plain.force + 1e6 * plain.force[axis] ** 2 * np.eye(2)[axis]
     np.testing.assert_allclose(fx.DriveNonlinearity(axis, 1e6).applied(now.force, now), expected, rtol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("bias", "reference", "gain"), [(3.0, 2.0, 1.5), (-1.0, 2.0, 0.5), (0.0, 2.0, 1), (3.0, 0.0, 1)]
+)
+def test_a_transducer_goes_with_its_bias_and_none_without_one_does(bias, reference, gain):
+    now, _ = at(fx.DriveTransduction(), 1)
+    now = eqx.tree_at(lambda n: (n.bias_voltage, n.reference_bias), now, (jnp.asarray(bias), jnp.asarray(reference)))
+    volts = now.scale * now.displacement
+    for power in (0.0, 1.0, 2.0):
+        given, seen = fx.DriveTransduction(power), fx.PickoffTransduction(power)
+        np.testing.assert_allclose(given.applied(now.force, now), gain**power * now.force, rtol=1e-14)
+        np.testing.assert_allclose(seen.signal(volts + 0.01, now), gain**power * volts + 0.01, rtol=1e-13)
+        slope = jax.grad(lambda s: fx.DriveTransduction(s).applied(now.force, now)[0])(power)
+        np.testing.assert_allclose(slope, gain**power * np.log(gain) * now.force[0], rtol=1e-13)
 
 
 @pytest.mark.parametrize("axis", [0, 1])

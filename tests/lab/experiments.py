@@ -92,7 +92,8 @@ def _(experiment: Sweep, bench):
     force = known if experiment.condition == "drive" else experiment.force
     faults = lab.faults
     conditions["pull"] = faults.pulled(len(f), bench.rng)
-    settled = _sweep(bench, experiment, faults.force(force), 2 * np.pi * f, conditions)
+    given, shown = _transduced(bench.plant.hidden, known / lab.bias if experiment.condition == "bias" else 1.0)
+    settled = shown * _sweep(bench, experiment, given * faults.force(force), 2 * np.pi * f, conditions)
     clean = faults.lock_in(settled, experiment.name, force)
     settings = {"drive_axis": letter} if bench.plant.die.axes == 2 else {}
     if experiment.condition != "drive":
@@ -100,6 +101,11 @@ def _(experiment: Sweep, bench):
     settings |= {"settled": experiment.settled, "note": f"{header.split()[0]} is stepped"}
     columns = {"t [s]": faults.dwell * np.arange(len(f))} if faults.dwell else {}
     return _record(bench, experiment, "frequency_sweep", columns | {header: column, "f [Hz]": f}, clean, settings)
+
+
+def _transduced(hidden, ratio):
+    """What drive electrodes give and pick-off electrodes show, relative, where the bias is so many times its usual."""
+    return np.power(ratio, hidden.bias_transduction_drive), np.reshape(ratio**hidden.bias_transduction_pickoff, (-1, 1))
 
 
 def _grid(experiment, bench):

@@ -11,6 +11,8 @@ VISIBLE = {
     "cross_stiffness": 2e10,
     "electrostatic_softening_x": 2e-4,
     "electrostatic_softening_y": 2e-4,
+    "bias_transduction_drive": 0.02,
+    "bias_transduction_pickoff": 0.02,
     "cross_damping_asymmetry": 2.4e-7,
     "quadratic_damping_x": 2e-5,
     "quadratic_damping_y": 2e-5,

@@ -85,6 +85,7 @@ def assess(case: Case) -> CaseQuality:
     phasors = [(record.name, record.starting_phasors(case)) for record in case.records]
     said = [f"{sentence}." for sentence in disagreements(phasors)]
     said += _resonances(phasors) if case.channels == 1 else []
+    said += _reference_bias(case)
     told = [one for _, one in phasors if one is not None]
     if told and np.any([np.any(one.force, axis=0) for one in told], axis=0).all():  # the answer of each axis is known
         device = device_of_phasors(told)
@@ -111,6 +112,20 @@ def _resonances(records: Sequence[tuple[str, Phasors | None]]) -> list[str]:
         return []
     where = f"`{first}` resonates at {spoken(low, 'Hz')} and `{other}` at {spoken(high, 'Hz')}"
     return [f"{where}, but a device of one axis has one resonance; are these records of one device?"]
+
+
+def _reference_bias(case: Case) -> list[str]:
+    """A sentence where the numbers of the device are said to hold without a bias, but rows have several others."""
+    biases = [np.ravel(record.bias_voltage) for record in case.records if hasattr(record, "bias_voltage")]
+    volts = np.concatenate(biases) if biases else np.zeros(1)
+    if case.environment.bias_voltage or not volts.all() or not np.ptp(volts):
+        return []
+    nearest = volts[np.argmin(np.abs(volts))]
+    remedy = f'bias_voltage = {{ value = {nearest:g}, unit = "V" }}` in `[environment]` makes it one that was recorded'
+    said = (
+        "The numbers of the device hold at a bias of 0 V, where nothing was recorded: no gain that goes with the bias"
+    )
+    return [f"{said} can be found beside it; `{remedy}."]
 
 
 def _assess(record: AbstractRecord, case: Case, noise: float | None, lone: Sequence[str]) -> RecordQuality:
