@@ -11,6 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from memsgyro_jax.effects import Effect, ForceEffect
+from memsgyro_jax.measurement.case import Case
+from memsgyro_jax.measurement.drive_levels import clear_drives
 
 from .acceptance import excess
 from .drives import FAR, calm, past_the_brink, stages, up
@@ -25,6 +27,8 @@ from .search import LOOK_AHEAD, TWINS, Ranking, Search, always_free
 
 
 STRENGTHS = np.geomspace(1e-2, 1e2, 25)  # of the size of a strength, that are tried: a width of the resonance apart
+LOWEST = "the base model is that of the lowest drive, as what is missing grows with the drive"
+BEGINNING = "the base model is that with which the search began, as none is near all records"
 TENTH = 0.1  # of the misfit that the best single effect leaves: what a climb must come to
 
 
@@ -35,10 +39,12 @@ class Climb:
     Args:
         base: the base model at the lowest drive, beside every record.
         ends: effects that were followed up to the highest drive, each with the χ² that is left there, the best first.
+        whence: a sentence on what the base model is that of.
     """
 
     base: CaseFit
     ends: tuple[tuple[Effect, float], ...]
+    whence: str
 
 
 def climbed(search: Search, first: Ranking, effects: Sequence[Effect]) -> tuple[Search, Climb | None]:
@@ -59,10 +65,27 @@ def climbed(search: Search, first: Ranking, effects: Sequence[Effect]) -> tuple[
     usual = search.refit([first.places[best]], slopes=first.slopes[best])
     if usual.chi2 < FAR * usual.dof:
         return search, None
-    beside = _beside_lock_in(search)
+    beside = beside_lock_in(search)
     terms = ", ".join(beside.joint.model.effects[i].label for i in beside.given if i not in search.given)
     search.tell("climb from the lowest drive, one effect after the other" + (f", beside {terms}" if terms else ""))
-    base = _lowest(beside, steps[0])
+    return followed(beside, search, effects, steps, usual, beside.joint.start)
+
+
+def followed(
+    beside: Search, search: Search, effects: Sequence[Effect], steps: list[tuple], usual: Optimum, start: np.ndarray
+) -> tuple[Search, Climb | None]:
+    """The search with one effect more that was followed over the drives, and how; `search` and `None` where none
+    leaves a tenth of what another fit does.
+
+    Args:
+        beside: has what is free from the lowest drive on: what the lock-in does, effects that were found there.
+        search: to go on with, and the effects of the device that are candidates.
+        effects: those.
+        steps: the readings from stage to stage, as `stages` gives them.
+        usual: the other fit.
+        start: parameters from which the lowest drive is fitted.
+    """
+    base = _lowest(beside, steps[0], start)
     straight = optimise(beside.joint, base.vector, base.free, beside.joint.fitted, max_evaluations=0)
     if straight.chi2 < FAR * straight.dof:  # the lock-in alone was off
         return search, None
@@ -74,9 +97,14 @@ def climbed(search: Search, first: Ranking, effects: Sequence[Effect]) -> tuple[
         return search, None
     tried = sorted(((beside.joint.model.effects[i], one.chi2) for i, one in ends), key=lambda pair: pair[1])
     straight = replace(straight, converged=base.converged)
-    climb = Climb(beside_case(search.case, beside.joint, straight), tuple(tried))
+    climb = Climb(beside_case(search.case, beside.joint, straight), tuple(tried), whence(search.case))
     beside.take(place, end)
-    return _as_found(beside, search, effects), climb
+    return as_found(beside, search, effects), climb
+
+
+def whence(case: Case) -> str:
+    """What the base model of a climb is that of."""
+    return LOWEST if len(clear_drives(case)) > 1 else BEGINNING
 
 
 def by_surroundings(search: Search, steps: Sequence[tuple]) -> bool:
@@ -95,7 +123,7 @@ def by_surroundings(search: Search, steps: Sequence[tuple]) -> bool:
     return beside.chi2 < FAR * beside.dof
 
 
-def _beside_lock_in(search: Search) -> Search:
+def beside_lock_in(search: Search) -> Search:
     """The same search, given what a lock-in does to every phasor: nothing fits a resonance that bends over before that
     does.
     """
@@ -109,7 +137,7 @@ def _beside_lock_in(search: Search) -> Search:
     return out
 
 
-def _as_found(beside: Search, search: Search, effects: Sequence[Effect]) -> Search:
+def as_found(beside: Search, search: Search, effects: Sequence[Effect]) -> Search:
     """A search that was given terms of the lock-in as one that found those of them that the records ask for."""
     found = list(beside.steps)
     take_out(beside)
@@ -119,11 +147,18 @@ def _as_found(beside: Search, search: Search, effects: Sequence[Effect]) -> Sear
     return beside_terms(beside, search, effects)
 
 
-def _lowest(search: Search, lowest: tuple) -> Optimum:
-    """The base model at the lowest drive; where even that bends the resonance over, the linear device it started as."""
-    joint, free = search.joint, always_free(search.joint, search.given)
-    fitted = optimise(joint, joint.start, free, lowest)
-    return fitted if fitted.chi2 < FAR * fitted.dof else optimise(joint, joint.start, free, lowest, max_evaluations=0)
+def _lowest(search: Search, lowest: tuple, start: np.ndarray) -> Optimum:
+    """The base model at the lowest drive, with effects that were found; where even that bends the resonance over, the
+    linear device it started as.
+    """
+    joint, free = search.joint, always_free(search.joint, _held(search))
+    fitted = optimise(joint, start, free, lowest)
+    return fitted if fitted.chi2 < FAR * fitted.dof else optimise(joint, start, free, lowest, max_evaluations=0)
+
+
+def _held(search: Search) -> tuple[int, ...]:
+    """Places of the effects that are free all the way."""
+    return *search.given, *search.accepted
 
 
 def _tempting(search: Search, base: Optimum, lowest: tuple) -> dict[int, np.ndarray]:
@@ -150,7 +185,7 @@ def _tempting(search: Search, base: Optimum, lowest: tuple) -> dict[int, np.ndar
         return {places[k]: base.vector for k in chosen}
     # What effects would do to first order says nothing here: each is tried at its best strength.
     forces = [i for i in sizes if isinstance(joint.model.effects[i], ForceEffect)]
-    joint.together((*search.given, *forces))
+    joint.together((*_held(search), *forces))
     best = {i: _best_strength(search, base, i, sizes[i], lowest) for i in forces}
     return {i: best[i][0] for i in sorted(forces, key=lambda i: best[i][1])[:LOOK_AHEAD]}
 
@@ -171,7 +206,7 @@ def _ends(search: Search, base: Optimum, steps: list[tuple]) -> list[tuple[int, 
 
 def _up(search: Search, base: Optimum, place: int, begin: np.ndarray, steps: list[tuple]) -> Optimum:
     """A fit with one effect that starts at the lowest drive, without it or where another fit may begin."""
-    joint, free = search.joint, always_free(search.joint, (*search.given, place))
+    joint, free = search.joint, always_free(search.joint, (*_held(search), place))
     end = optimise(joint, base.vector, free, steps[0])
     if end.chi2 > FAR * end.dof and begin is not base.vector:
         end = min(end, optimise(joint, begin, free, steps[0]), key=lambda one: one.chi2)

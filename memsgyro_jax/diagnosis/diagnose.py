@@ -29,6 +29,7 @@ from .fit import CaseFit
 from .instrument import beside_case_of, drive_levels, knowledge
 from .joint_residual import Joint
 from .less_noise import LESS, less_noise, of_less_noise, with_less_noise
+from .moved import moved
 from .next_experiment import advice, next_experiments, of_the_unknown
 from .nuisances import instrument_first, of_instrument
 from .outlying import of_rows, search_beside_outlying
@@ -46,7 +47,7 @@ NAMED = 2  # effects that are named as tried where none explains what is missing
 
 Tell = Callable[[str], None]
 Keep = Callable[[CaseFit, Sequence[Stage]], None]
-Begun = tuple[CaseFit, tuple[Candidate, ...]]  # the base model, and what was tried beside it
+Begun = tuple[CaseFit, tuple[Candidate, ...], str]  # the base model, what was tried beside it, what it is that of
 
 
 def diagnose(
@@ -109,18 +110,20 @@ def _diagnosed(
 
     def searched(search: Search) -> Iterator[tuple[Search, Ranking, str, Begun]]:
         first = search.rank()
-        plain = search.base, _listed(case, search.joint.model, first, powers=done(search))
+        plain = search.base, _listed(case, search.joint.model, first, powers=done(search)), ""
         if is_slow_noise(search, first):
             yield search, first, "", plain
             return
-        begin, climb = climbed(search, first, smooth)
+        begin, climb = moved(search, smooth)
+        if climb is None:
+            begin, climb = climbed(search, first, smooth)
         ranking = begin.rank() if begin.accepted else first
-        start = plain if climb is None else (climb.base, _followed(case, climb, len(first.places)))
+        start = plain if climb is None else (climb.base, _followed(case, climb, len(first.places)), climb.whence)
         if climb is not None:
             yield begin, ranking, "", start
         yield *instrument_first(begin, ranking, smooth, search_on, done), start
 
-    (search, ranking, rival, (base, first)), left_out = search_beside_outlying(begun, searched, done)
+    (search, ranking, rival, (base, first, whence)), left_out = search_beside_outlying(begun, searched, done)
     steps = search.steps
     final = search.steps[-1].fit
     tell("see what these records can tell apart")
@@ -136,10 +139,9 @@ def _diagnosed(
     terms = _accepted(search, {place: [] for place in terms_of(search)}, steps)
     apart = _of_device(search)
     verdict = _verdict(steps[apart - 1].fit, final, accepted, all(explained), _found_more(terms, given))
-    from_lowest = base is not search.base
     stages = (Stage("", base.chi2_per_dof, validation_error(base)), *_stages(steps)[1:])
     if verdict == "unknown_effect":  # what was tried is no finding: the model stays the base model and its instrument
-        base, from_lowest = search.base, False
+        base, whence = search.base, ""
         stages = _stages(steps)
         final, accepted, stages, tried = steps[apart - 1].fit, (), stages[:apart], stages[apart : apart + NAMED]
         terms = _terms_in(final, search, steps[:apart])
@@ -165,7 +167,7 @@ def _diagnosed(
         + (f" Left out as outlying: {of_rows(case, left_out)}." if left_out else ""),
         accepted=accepted,
         first=first,
-        from_lowest=from_lowest,
+        whence=whence,
         candidates=_listed(case, search.joint.model, ranking, powers=not unexplained),
         groups=tuple((a.label, *a.confused_with) for a in accepted if a.confused_with),
         next_experiment=of_the_unknown(case) if unexplained else advice(planned),

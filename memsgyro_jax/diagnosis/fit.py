@@ -26,7 +26,7 @@ from memsgyro_jax.measurement.linear_start import starting_device
 from memsgyro_jax.measurement.model import Model, check_effect
 from memsgyro_jax.measurement.readings import Readings, model_of, readings_of
 
-from .drives import FAR, Rows, past_the_brink, stages, up, without_rows
+from .drives import Rows, without_rows
 from .first_numbers import with_numbers_that_show
 from .fit_table import fit_table
 from .fitted import ParameterEstimate, RecordError, errors_figure, of_energy
@@ -36,6 +36,7 @@ from .modes import mode_estimates
 from .optimum import WHOLE, Optimum, optimise
 from .parameters import Parameter
 from .resolved import UNSURE, in_words, sharpened, still_apart
+from .valley import in_its_valley
 
 
 if TYPE_CHECKING:
@@ -304,8 +305,7 @@ def fit_case(
         vector, _ = with_numbers_that_show(joint, optimise(joint, vector, alone, joint.fitted), places)
     longest = 0 if held else WHOLE
     optimum = optimise(joint, vector, places, joint.fitted, max_evaluations=longest)
-    if optimum.chi2 > FAR * optimum.dof and not held and len(steps := stages(case, joint.fitted)) > 1:
-        optimum = past_the_brink(case, joint, min(optimum, up(joint, joint.start, places, steps), key=lambda o: o.chi2))
+    optimum = optimum if held else in_its_valley(case, joint, optimum)
     readings, apart = sharpened(joint.at(optimum.vector), joint.readings, optimum.residual)
     if readings is not joint.readings:
         joint = Joint(joint.at(optimum.vector), readings)

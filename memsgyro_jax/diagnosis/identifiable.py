@@ -3,13 +3,14 @@ parameters.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.least_squares import Information
 from memsgyro_jax.measurement.linear_start import starting_device
+from memsgyro_jax.measurement.one_place import in_one_place
 from memsgyro_jax.measurement.readings import model_of, readings_of
 
 from .joint_residual import Joint
@@ -48,20 +49,33 @@ def identifiable(case: Case) -> tuple[Identifiable, ...]:
     """
     joint = Joint(model_of(case, starting_device(case)), readings_of(case))
     names = tuple(p.name for p in joint.parameters)
-    units, blocks = np.eye(joint.start.size), {}
+    units, blocks, moved = np.eye(joint.start.size), {}, _elsewhere(case)
     for readings in joint.fitted:
-        _, slopes = joint.linearise(joint.start, units, [readings])
-        rows = slopes.reshape(readings.record.size, -1, len(names))
-        for record in np.unique(readings.record[readings.record >= 0]):
-            blocks[int(record)] = rows[readings.record == record].reshape(-1, len(names))
-    out = [_judged(case.records[k].name, names, blocks[k], joint.start) for k in sorted(blocks)]
-    return (*out, _judged("all records", names, np.concatenate(list(blocks.values())), joint.start))
+        for number in np.unique(readings.record[readings.record >= 0]).tolist():
+            start = moved.get(number, joint.start)
+            _, slopes = joint.linearise(start, units, [readings])
+            rows = slopes.reshape(readings.record.size, -1, len(names))[readings.record == number]
+            blocks[number] = rows.reshape(-1, len(names)) * np.where(start != 0, np.abs(start), 1.0)
+    out = [_judged(case.records[k].name, names, blocks[k]) for k in sorted(blocks)]
+    return (*out, _judged("all records", names, np.concatenate(list(blocks.values()))))
 
 
-def _judged(name: str, names: Sequence[str], jacobian: np.ndarray, values: np.ndarray) -> Identifiable:
+def _elsewhere(case: Case) -> dict[int, np.ndarray]:
+    """Parameters that records taken farther from the surroundings declared than others tell by themselves, by number:
+    there the device may be another one.
+    """
+    alike = {*map(id, in_one_place(case.environment, case.records))}
+    out = {}
+    for number, record in enumerate(case.records):
+        if id(record) not in alike and record.role != "validation":
+            alone = replace(case, records=(record,))
+            out[number] = np.asarray(Joint(model_of(alone, starting_device(alone)), readings_of(alone)).start)
+    return out
+
+
+def _judged(name: str, names: Sequence[str], jacobian: np.ndarray) -> Identifiable:
     """Standard deviations and null directions of a Jacobian (r, p) in relative coordinates."""
-    scale = np.where(values != 0, np.abs(values), 1.0)
-    held = Information.of(jacobian * scale)
+    held = Information.of(jacobian)
     nulls = tuple(str(null).removeprefix("+1.00·") for null in held.null_directions(names))
     return Identifiable(name, tuple(names), tuple(held.std.tolist()), nulls)
 

@@ -64,8 +64,8 @@ class Diagnosis(Labelled):
         scale: factor of all standard deviations of effects: above one where the model leaves more than noise. Where it
             leaves more than any noise explains, none is told.
         outlying: rows of records, from zero, that stand alone and were left out.
-        from_lowest: whether the base model is that of the lowest drive, as it is far off at higher ones; then `first`
-            holds what was followed up to the highest.
+        whence: what the base model is that of, where none is near all records: of the lowest drive, or of some
+            surroundings; `first` then holds what was followed from there. Empty otherwise.
         noise: of records whose noise is not as declared and explains what is left, how it differs.
     """
 
@@ -88,7 +88,7 @@ class Diagnosis(Labelled):
     outlying: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     next_experiments: tuple[Prospect, ...] = ()
     noise: Mapping[str, str] = field(default_factory=dict)
-    from_lowest: bool = False
+    whence: str = ""
 
     @property
     def unexplained(self) -> bool:
@@ -165,20 +165,13 @@ class Diagnosis(Labelled):
         fewer = f"memsgyro diagnose {self.case.folder} --drives {(levels + 1) // 2}"
         return drawn, ("what is missing at the lowest drives by themselves", fewer)
 
-    @property
-    def _whence(self) -> str:
-        """Which base model stands first, of a search that began at the lowest drive."""
-        if len(clear_drives(self.case)) > 1:
-            return "the base model is that of the lowest drive, as what is missing grows with the drive"
-        return "the base model is that with which the search began, as none is near all records"
-
     def __str__(self) -> str:
         lines = [f"{self.case.name}: {self.verdict.replace('_', ' ')}", self.sentence, ""]
         if not self.final.optimum.converged:
             lines[2:] = [f"The fit is {self.final.status}: what it says may still move.", ""]
         lines += map(_line, self.steps)
-        if self.from_lowest:
-            lines.append(f"  ({self._whence})")
+        if self.whence:
+            lines.append(f"  ({self.whence})")
         lines += [f"  {mode}" for mode in self.linear.told]
         if self.linear.about:
             lines.append(f"  (resonance and quality factor: {self.linear.about})")
@@ -234,7 +227,7 @@ class Diagnosis(Labelled):
             "modes_are": self.linear.about,
             "std_scale": self.scale,
             "outlying": {name: list(rows) for name, rows in self.outlying.items()},
-            "base_of_lowest_drive": self.from_lowest,
+            "base_is": self.whence,
             "versions": dict(versions()),
         }
         return finite(entries)

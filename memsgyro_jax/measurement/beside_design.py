@@ -8,6 +8,7 @@ from .case import Case
 from .declared import QUANTITIES
 from .experiments.base import Phasors
 from .linear_start import starting_device
+from .one_place import in_one_place
 from .phasor_fit import device_of_phasors
 
 
@@ -61,7 +62,7 @@ def _number(key: str, value: float, quality_factor: float) -> str:
 
 def _weakest(case: Case) -> list[Phasors]:
     """The rows of the records that are driven least, which bend least."""
-    offered = [record.starting_phasors(case) for record in case.records]
+    offered = [record.starting_phasors(case) for record in in_one_place(case.environment, case.records)]
     rows = [one for one in offered if one is not None and np.any(one.force[:, 0])]
     levels = [float(np.max(np.abs(one.force[:, 0]))) for one in rows]
     return [one for one, level in zip(rows, levels, strict=True) if level <= _ALIKE * min(levels)]

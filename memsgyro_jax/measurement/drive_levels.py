@@ -74,10 +74,10 @@ def _up_to(record: AbstractRecord, level: float) -> AbstractRecord | None:
     keep = np.broadcast_to(np.abs(drive) <= level, record.rows)
     if keep.all() or not record.stepped:
         return record if keep.all() else None
-    return _with_rows(record, keep) if keep.any() else None
+    return with_rows(record, keep) if keep.any() else None
 
 
-def _with_rows(record: AbstractRecord, keep: np.ndarray) -> AbstractRecord:
+def with_rows(record: AbstractRecord, keep: np.ndarray) -> AbstractRecord:
     """A record of some rows of another (n,)."""
     values = {field.name: getattr(record, field.name) for field in fields(record)}
     rows = {n: v[keep] for n, v in values.items() if isinstance(v, np.ndarray) and v.shape[:1] == keep.shape}

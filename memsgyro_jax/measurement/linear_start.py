@@ -1,13 +1,16 @@
 """Linear devices to start a fit from: as designed, or as the records show it."""
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from memsgyro_jax.device.normalised import NormalisedDevice
 
-from .case import Case
+from .case import AbstractRecord, Case
 from .declared import design_device as design_device
 from .experiments.base import Phasors
-from .phasor_fit import device_of_phasors, most_linear
+from .one_place import in_one_place
+from .phasor_fit import device_of_phasors, is_shared, most_linear
 
 
 def starting_device(case: Case) -> NormalisedDevice:
@@ -15,12 +18,19 @@ def starting_device(case: Case) -> NormalisedDevice:
 
     Where no record drives it in a known way, the device as designed.
     """
-    offered = [record.starting_phasors(case) for record in case.records if record.role != "validation"]
-    rows = [row for row in offered if row is not None]
+    fitted = [record for record in case.records if record.role != "validation"]
+    rows = _offered(case, fitted)
     if not rows:
         return _as_heard(case)
     device = _of_rows(case, rows)
+    if not is_shared(device, rows):  # as where the surroundings move it
+        rows = _offered(case, in_one_place(case.environment, fitted))
+        device = _of_rows(case, rows)
     return device if (calm := most_linear(rows, device)) is rows else _of_rows(case, calm)
+
+
+def _offered(case: Case, records: Iterable[AbstractRecord]) -> list[Phasors]:
+    return [row for row in (record.starting_phasors(case) for record in records) if row is not None]
 
 
 def _of_rows(case: Case, rows: list[Phasors]) -> NormalisedDevice:

@@ -74,7 +74,7 @@ def most_linear(rows: list[Phasors], device: NormalisedDevice | None) -> list[Ph
     those that drive the same axes the ones driven least, if their resonance stands clear of its noise: where others
     bend over, these are the most linear. None of them where none stands clear.
     """
-    if device is not None and _left(device, rows) <= _UNSHARED:
+    if device is not None and is_shared(device, rows):
         return rows
     levels: dict[tuple, list[tuple[float, Phasors]]] = {}
     for row in rows:
@@ -86,6 +86,11 @@ def most_linear(rows: list[Phasors], device: NormalisedDevice | None) -> list[Ph
         lowest = min(clear, default=np.inf)
         kept += [row for level, row in offered if level <= (1.0 + _SAME) * lowest]
     return kept if len(kept) < len(rows) else rows
+
+
+def is_shared(device: NormalisedDevice, rows: list[Phasors]) -> bool:
+    """Whether a device leaves little of the motion of all rows."""
+    return _left(device, rows) <= _UNSHARED
 
 
 def _left(device: NormalisedDevice, rows: list[Phasors]) -> float:

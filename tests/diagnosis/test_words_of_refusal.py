@@ -8,8 +8,8 @@ import pytest
 
 import memsgyro_jax
 from memsgyro_jax.diagnosis.acceptance import refusal
+from memsgyro_jax.diagnosis.climb import whence
 from memsgyro_jax.diagnosis.parameters import Parameter
-from memsgyro_jax.diagnosis.result import Diagnosis
 from memsgyro_jax.effects import by_name
 from memsgyro_jax.measurement.case import load_case
 from memsgyro_jax.measurement.drive_levels import clear_drives, lowest_drives
@@ -35,6 +35,6 @@ def test_the_bound_at_which_a_strength_ends_is_told(demo):
 def test_the_lowest_drive_is_named_where_drives_differ(demo):
     """A climb over one drive, of which a bias varies, begins with no lowest one."""
     assert len(clear_drives(demo)) > 1
-    said = [Diagnosis._whence.fget(SimpleNamespace(case=case)) for case in (demo, lowest_drives(demo, 1))]
+    said = [whence(case) for case in (demo, lowest_drives(demo, 1))]
     assert "lowest drive" in said[0]
     assert "drive" not in said[1]

@@ -189,8 +189,8 @@ def _ranking(out: Page, diagnosis: Diagnosis) -> None:
         ["candidate beside the base model", "χ² it explains", "share of the misfit", "p-value", "own part"],
         [_candidate(c) for c in diagnosis.first if c.excited][:_BEST],
         "Best first. The p-value takes all candidates into account; the own part is what no free parameter imitates."
-        + " Each was followed, refitted, from the lowest drive to the highest; the others bring less at the lowest."
-        * diagnosis.from_lowest,
+        + " Each was followed, refitted, from where the base model is near to all records; the others bring less there."
+        * bool(diagnosis.whence),
     )
     left = [c for c in diagnosis.candidates if c.p_value <= diagnosis.level and c.excited][:_BEST]
     if left:

@@ -10,6 +10,7 @@ from memsgyro_jax.base.text import aligned, spoken
 
 from ..experiments import AbstractRecord
 from ..experiments.base import Phasors
+from ..one_place import in_one_place
 from ..phasor_fit import device_of_phasors
 from ..sign_conventions import disagreements
 from .content import Case
@@ -86,7 +87,8 @@ def assess(case: Case) -> CaseQuality:
     said = [f"{sentence}." for sentence in disagreements(phasors)]
     said += _resonances(phasors) if case.channels == 1 else []
     said += _reference_bias(case)
-    told = [one for _, one in phasors if one is not None]
+    alike = {*map(id, in_one_place(case.environment, case.records))}
+    told = [one for r, (_, one) in zip(case.records, phasors, strict=True) if one is not None and id(r) in alike]
     if told and np.any([np.any(one.force, axis=0) for one in told], axis=0).all():  # the answer of each axis is known
         device = device_of_phasors(told)
         said += [f"{each}." for record in case.records if device for each in record.beside_device(device, case)]

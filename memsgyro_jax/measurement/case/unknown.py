@@ -11,6 +11,7 @@ from memsgyro_jax.base.units import parse_header, to_si
 from memsgyro_jax.device.normalised import NormalisedDevice
 
 from ..declared import VOCABULARIES, DesignValue
+from ..one_place import in_one_place
 from ..phasor_fit import device_of_phasors, is_seen, most_linear
 from .content import Case
 from .device import gain_by_mass
@@ -69,7 +70,8 @@ def with_found_design(case: Case, file: CaseFile, path: Path) -> Case:
     open_ = [key for key, value in case.design.items() if value.unknown]
     if not open_:
         return case
-    offered = [record.starting_phasors(case) for record in case.records if record.role != "validation"]
+    fitted = [record for record in case.records if record.role != "validation"]
+    offered = [record.starting_phasors(case) for record in in_one_place(case.environment, fitted)]
     rows = [phasors for phasors in offered if phasors is not None and phasors.axis is None]
     device = device_of_phasors(rows) if rows else _left_alone(case)
     if rows and (calm := most_linear(rows, device)) and calm is not rows:

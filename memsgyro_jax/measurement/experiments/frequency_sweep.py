@@ -15,6 +15,7 @@ from memsgyro_jax.base.text import spoken
 from ..columns import amplitude_columns, phasor_columns
 from ..declared import Declared, Environment, design_device
 from ..noise import freedom_over_frequency, jitter_noise, noise_over_frequency
+from ..one_place import NEAR, away_from
 from ..section import DrivenSection, ExperimentSection, Quantity
 from .base import Phasors, Readings
 from .checks import exchanged, near_resonance
@@ -197,24 +198,26 @@ class FrequencySweepRecord(AbstractRecord):
         falls = [self.frequency[rows][-1] < self.frequency[rows][0] for rows in self.sweeps]
         return np.repeat(np.where(falls, -1.0, 1.0), [rows.stop - rows.start for rows in self.sweeps])
 
+    def away(self, around: Environment) -> np.ndarray:
+        """(n,) how far the surroundings of each row are from those declared."""
+        return away_from(around, self.temperature, self.bias_voltage, self.rate)
+
     def calm(self, around: Environment) -> np.ndarray:
         """(n,) which rows were measured at rest and in the surroundings that the case declares."""
-        near = np.abs(self.temperature - around.temperature) < 1
-        return (self.rate == 0) & near & (np.abs(self.bias_voltage - around.bias_voltage) < 1e-6)
+        return self.away(around) == 0.0
 
     # ---- start
 
     def starting_phasors(self, declared: Declared) -> Phasors | None:
-        alone = len(self.channels) < declared.channels
-        if alone and self.axis not in self.channels:
+        if (alone := len(self.channels) < declared.channels) and self.axis not in self.channels:
             return None
-        # The lowest drive and the reference conditions are the most linear; others only where nothing else is there.
-        readout, calm = declared.readout, self.calm(declared.environment)
+        # The lowest drive is the most linear, and the conditions nearest to those declared are one device.
+        readout, away = declared.readout, self.away(declared.environment)
         clear = [rows for rows in self.sweeps if self._peak(rows) > _CLEAR * self.noise_level] or self.sweeps
         lowest = min(self.setting[rows][0] for rows in clear)
         lowest = lowest if clear is not self.sweeps else self.setting.max()
-        calm &= np.abs(self.setting - lowest) <= 1e-9 * lowest
-        calm = calm if calm.any() else np.ones(self.rows, bool)
+        calm = np.abs(self.setting - lowest) <= 1e-9 * lowest
+        calm &= away <= np.min(away[calm]) + NEAR
         force = np.outer(self.drive, np.eye(declared.channels)[self.axis])[calm]
         motion, omega = readout.motion(self.phasors, self.frequency)[calm], self.frequency[calm]
         weight = abs(readout.scale) * omega**readout.order / self.noise_level

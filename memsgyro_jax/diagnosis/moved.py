@@ -1,0 +1,69 @@
+"""The first effects of a device that its surroundings move: found from the linear device that each setting shows."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from memsgyro_jax.effects import Effect
+
+from .acceptance import excess
+from .climb import TENTH, Climb, as_found, beside_lock_in, followed
+from .drives import FAR, stages
+from .fit import beside_case
+from .optimum import Optimum, optimise
+from .search import Search, always_free
+from .settings_apart import begun, in_each_place, moves, with_strengths
+
+
+WHENCE = "the base model is that of the surroundings at which its numbers hold, as the device moves with them"
+
+
+def moved(search: Search, effects: Sequence[Effect]) -> tuple[Search, Climb | None]:
+    """The search with the effects that tell how the device differs from one of its surroundings to another, where the
+    base model is far off and the resonance moves by more than its width; the same search and `None` else.
+
+    Args:
+        search: at the base model.
+        effects: those of the device that are candidates.
+    """
+    if search.optimum.chi2 < FAR * search.optimum.dof:
+        return search, None
+    every = in_each_place(search.case)
+    if not moves(every):
+        return search, None
+    beside = beside_lock_in(search)
+    begin, chosen = begun(beside.joint, every, beside.candidates())
+    if not chosen:
+        return search, None
+    tried = [beside.joint.model.effects[i] for i in chosen]
+    search.tell(f"the resonance moves from setting to setting: try {', '.join(effect.label for effect in tried)}")
+    steps = stages(search.case, beside.joint.fitted) or [tuple(beside.joint.fitted)]
+    ends = _at_the_lowest(beside, begin, chosen, steps[0])
+    if not ends:
+        return search, None
+    joint = beside.joint
+    whole = [end if len(steps) == 1 else optimise(joint, end.vector, end.free, joint.fitted) for end in ends]
+    for place, end in zip(chosen, whole, strict=True):
+        beside.take(place, end)
+    if excess(whole[-1]) > TENTH * excess(search.optimum):  # what bends the resonance over is still missing
+        return followed(beside, search, effects, steps, search.optimum, ends[-1].vector)
+    still = with_strengths(joint, begin, dict.fromkeys(chosen, 0.0))
+    straight = optimise(joint, still, always_free(joint, beside.given), joint.fitted, max_evaluations=0)
+    base = beside_case(search.case, joint, replace(straight, converged=True))
+    left = [end.chi2 for end in whole]
+    return as_found(beside, search, effects), Climb(base, tuple(zip(tried, left, strict=True)), WHENCE)
+
+
+def _at_the_lowest(search: Search, begin: np.ndarray, chosen: Sequence[int], lowest: tuple) -> list[Optimum]:
+    """Fits of the lowest drive with the first of the effects, the first two, and so on, each from where the settings
+    put it; none where all of them leave more than a tenth of what the base model does.
+    """
+    joint, given = search.joint, search.given
+    joint.together((*given, *chosen))
+    base = optimise(joint, joint.start, always_free(joint, given), lowest)
+    ends = []
+    for count in range(1, len(chosen) + 1):
+        vector = with_strengths(joint, begin, dict.fromkeys(chosen[count:], 0.0))
+        ends.append(optimise(joint, vector, always_free(joint, (*given, *chosen[:count])), lowest))
+    return ends if excess(ends[-1]) <= TENTH * excess(base) else []

@@ -1,0 +1,227 @@
+"""The linear device that each setting of temperature and bias voltage shows, and what effects make of how they differ.
+
+A narrow resonance moves by many of its widths over some tens of kelvins, or some volts of bias. A fit to all settings
+at once then has no valley to the truth, and what an effect would do to first order says nothing. But each setting by
+itself tells a stiffness, a damping and a gain without a guess, and how these go with temperature and bias tells which
+effects moved them, and by how much.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from memsgyro_jax.device.conditions import Conditions
+from memsgyro_jax.effects import DriveEffect, Effect, ForceEffect, ReadoutEffect, Scanned, SurroundingsEffect
+from memsgyro_jax.effects.evaluation import Acting, moment
+from memsgyro_jax.measurement.case import Case
+from memsgyro_jax.measurement.drive_levels import with_rows
+from memsgyro_jax.measurement.experiments import AbstractRecord
+from memsgyro_jax.measurement.experiments.base import Phasors
+from memsgyro_jax.measurement.model import Model
+from memsgyro_jax.measurement.phasor_fit import device_of_phasors
+
+from .joint_residual import Joint
+
+
+WIDTHS = 1.0  # of the resonance: over less of them, in all settings, a fit has its valley
+HALF = 0.5  # of the squares that an effect must explain, of how settings differ, to be tried
+MOST = 3  # effects that are tried together
+WITHIN = 1.0  # K: settings within it are one
+FEWEST = 7  # rows of a setting
+
+
+class Surrounded(NamedTuple):
+    """What one axis of the device is in some surroundings: stiffness and damping per mass, and gain [1/kg]."""
+
+    axis: int
+    temperature: float
+    bias_voltage: float
+    stiffness: float
+    damping: float
+    gain: float
+
+
+class Trend(NamedTuple):
+    """How the settings of a device differ, and what effects make of it.
+
+    Args:
+        differences: (n, 3) stiffness in widths of the resonance, damping in dampings, logarithm of the gain.
+        columns: (n, 3) the same by the strength of each of the effects, by its place in the model.
+        constant: (3n, b) what all settings of an axis share.
+    """
+
+    differences: np.ndarray
+    columns: dict[int, np.ndarray]
+    constant: np.ndarray
+
+    def explained(self, places: Sequence[int]) -> tuple[np.ndarray, float]:
+        """What settings share and the strengths of some effects that explain the differences best; squares left."""
+        known = np.column_stack([self.constant, *(self.columns[i].ravel() for i in places)])
+        found = np.linalg.lstsq(known, self.differences.ravel(), rcond=1e-10)[0]
+        return found, float(np.sum((self.differences.ravel() - known @ found) ** 2))
+
+
+def in_each_place(case: Case) -> list[Surrounded]:
+    """The linear device that the weakest clear drive of each axis shows in each of the surroundings, at rest."""
+    offered: dict[tuple[int, float, float], list[Phasors]] = {}
+    for record in case.records:
+        if record.role == "validation" or not hasattr(record, "calm"):
+            continue
+        for temperature, volts, rows in _surroundings(record):
+            told = with_rows(record, rows).starting_phasors(case)
+            if told is not None and not told.modulus:
+                offered.setdefault((record.axis, temperature, volts), []).append(told)
+    found = []
+    for (axis, temperature, volts), told in offered.items():
+        device, own = device_of_phasors(told), 0 if told[0].motion.shape[1] == 1 else axis
+        if device is not None:
+            numbers = float(device.stiffness[own]), float(device.damping[own]), float(device.mobility)
+            found.append(Surrounded(axis, temperature, volts, *numbers))
+    return found
+
+
+def _surroundings(record: AbstractRecord) -> Iterator[tuple[float, float, np.ndarray]]:
+    """Temperature and bias voltage of a record's sweeps at rest, and their rows (n,)."""
+    still = record.rate == 0
+    temperature = WITHIN * np.round(record.temperature / WITHIN)
+    for pair in np.unique(np.stack([temperature, record.bias_voltage], axis=1)[still], axis=0):
+        rows = still & (temperature == pair[0]) & (record.bias_voltage == pair[1])
+        if rows.sum() >= FEWEST:
+            yield float(np.mean(record.temperature[rows])), float(pair[1]), rows
+
+
+def moves(every: Sequence[Surrounded]) -> bool:
+    """Whether the resonance of an axis moves by more than its width between its settings."""
+    for axis in {one.axis for one in every}:
+        mine = [one for one in every if one.axis == axis]
+        away = np.ptp([np.sqrt(one.stiffness) for one in mine])
+        if away > WIDTHS * np.median([one.damping for one in mine]):
+            return True
+    return False
+
+
+def begun(joint: Joint, every: Sequence[Surrounded], candidates: Sequence[int]) -> tuple[np.ndarray, list[int]]:
+    """Parameters from which a fit may begin, with the strengths of those of some effects that explain how settings
+    differ, and the places of these; none where none does.
+    """
+    able = [i for i in candidates if _may_move(joint.model.effects[i])]
+    model = joint.at(_of_device(joint, every, _trend(joint.model, every, ()).explained(())[0]))
+    chosen = _chosen(_trend(model, every, able))
+    return put_beside(joint, every, chosen), chosen
+
+
+def put_beside(joint: Joint, every: Sequence[Surrounded], places: Sequence[int]) -> np.ndarray:
+    """Parameters of the device that settings share, with the strengths of some effects that explain best how they
+    differ. Twice, as forces move it by the gain at which its numbers hold.
+    """
+    able, vector = [i for i in places if _may_move(joint.model.effects[i])], joint.start
+    for _ in range(2):
+        trend = _trend(joint.at(vector), every, able)
+        found, _ = trend.explained(known := [*trend.columns])
+        vector = _of_device(joint, every, found)
+    return with_strengths(joint, vector, dict(zip(known, found[len(found) - len(known) :], strict=True)))
+
+
+def _trend(model: Model, every: Sequence[Surrounded], places: Sequence[int]) -> Trend:
+    """How settings differ, beside what each of some candidates makes of it."""
+    axes = sorted({one.axis for one in every})
+    number = np.array([axes.index(one.axis) for one in every])
+    units = np.stack([_units([one for one in every if one.axis == axis]) for axis in axes])[number]
+    shared = np.eye(3 * len(axes)).reshape(len(axes), 3, -1)[number].reshape(3 * len(every), -1)
+    columns = {}
+    for place in places:
+        column = _answers(model, model.effects[place], every) / units
+        own = column.ravel() - shared @ np.linalg.lstsq(shared, column.ravel(), rcond=None)[0]
+        if np.isfinite(column).all() and np.linalg.norm(own) > 1e-9 * np.linalg.norm(column):
+            columns[place] = column
+    return Trend(np.array([_numbers(one) for one in every]) / units, columns, shared)
+
+
+def _numbers(one: Surrounded) -> tuple[float, float, float]:
+    return one.stiffness, one.damping, float(np.log(abs(one.gain)))
+
+
+def _units(mine: Sequence[Surrounded]) -> np.ndarray:
+    """The stiffness that moves a resonance by its width, its damping, and a factor e of the gain."""
+    damping = float(np.median([one.damping for one in mine]))
+    return np.array([2.0 * np.sqrt(np.median([one.stiffness for one in mine])) * damping, damping, 1.0])
+
+
+def _may_move(effect: Effect) -> bool:
+    """Whether an effect may change the linear device with its surroundings, by one number."""
+    acts = isinstance(effect, ForceEffect | DriveEffect | ReadoutEffect)
+    other = isinstance(effect, Scanned | SurroundingsEffect) or effect.of_instrument or effect.own_size
+    return acts and not other and effect.strength.size == 1
+
+
+def _answers(model: Model, effect: Effect, every: Sequence[Surrounded]) -> np.ndarray:
+    """(n, 3) stiffness, damping and logarithm of the gain of each setting by the strength of an effect, at none."""
+    mass, still = jnp.abs(model.device.mobility), jnp.zeros(model.axes)
+
+    def of(strength: jax.Array, one: jax.Array, around: Conditions) -> jax.Array:
+        acting = Acting.of((eqx.tree_at(lambda e: e.strength, effect, jnp.reshape(strength, effect.strength.shape)),))
+
+        def answer(amounts: jax.Array) -> jax.Array:
+            motion, speed, command = amounts[:, None] * one
+            now = moment(
+                motion, speed, command, around, device=model.device, scale=model.scale,
+                reference_temperature=model.reference_temperature, reference_bias=model.reference_bias,
+                order=model.order,
+            )  # fmt: skip
+            now = eqx.tree_at(lambda m: (m.acceleration, m.jerk), now, (motion, still), is_leaf=lambda v: v is None)
+            now = acting.driven(now)
+            shown = acting.signal(model.scale * now.seen, now) / model.scale
+            return jnp.stack([acting.force(now, jnp.zeros(0))[0] @ one, now.force @ one, shown @ one])
+
+        by = jax.jacfwd(answer)(jnp.zeros(3))
+        return jnp.stack([-mass * by[0, 0], -mass * by[0, 1], jnp.log(jnp.abs(by[1, 2] * by[2, model.order % 2]))])
+
+    one = jnp.eye(model.axes)[np.array([one.axis for one in every])]
+    around = Conditions(
+        temperature=np.array([one.temperature for one in every]),
+        bias_voltage=np.array([one.bias_voltage for one in every]),
+    ).rows(len(every))
+    return np.asarray(jax.vmap(jax.jacfwd(of), in_axes=(None, 0, 0))(jnp.zeros(()), one, around))
+
+
+def _chosen(trend: Trend) -> list[int]:
+    """Places of effects that explain, one after the other, more than half of how the settings differ."""
+    chosen: list[int] = []
+    left = trend.explained([])[1]
+    while len(chosen) < min(MOST, len(trend.columns)):
+        offers = [(trend.explained([*chosen, i])[1], i) for i in trend.columns if i not in chosen]
+        least = min(offers)[0]
+        best = min(i for squares, i in offers if squares <= 1.001 * least + 1e-12)  # of twins the catalogue's first
+        if least > HALF * left:
+            break
+        chosen, left = [*chosen, best], least
+    return chosen
+
+
+def _of_device(joint: Joint, every: Sequence[Surrounded], found: np.ndarray) -> np.ndarray:
+    """Parameters of the device that settings share, by the numbers of each axis that was found."""
+    axes = sorted({one.axis for one in every})
+    vector, names, gains = joint.start.copy(), [parameter.name for parameter in joint.parameters], []
+    for k, axis in enumerate(axes):
+        mine = [one for one in every if one.axis == axis]
+        stiffness, damping, gain = found[3 * k : 3 * k + 3] * _units(mine)
+        pair = "" if joint.model.axes == 1 else 2 * "xy"[axis]
+        vector[names.index(f"k{pair}/m")] = max(stiffness, 0.5 * min(one.stiffness for one in mine))
+        vector[names.index(f"d{pair}/m")] = max(damping, 0.1 * min(one.damping for one in mine))
+        gains.append(gain)
+    if (place := names.index("1/m")) not in joint.idle:
+        vector[place] = np.copysign(np.exp(np.mean(gains)), np.median([one.gain for one in every]))
+    return vector
+
+
+def with_strengths(joint: Joint, vector: np.ndarray, strengths: Mapping[int, float]) -> np.ndarray:
+    """The parameters with some effects, by place, within the bounds of their strengths."""
+    out, (low, high) = vector.copy(), joint.bounds
+    for place, strength in strengths.items():
+        mine = joint.of_effect(place)
+        out[mine] = np.clip(strength, low[mine], high[mine])
+    return out

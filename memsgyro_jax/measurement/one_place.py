@@ -1,0 +1,31 @@
+"""Sweeps that were taken in one place: a device that its surroundings move is another one in each of them."""
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from .declared import Environment
+
+
+NEAR = 1.0  # K, within which a temperature is the same
+
+
+def away_from(around: Environment, temperature: np.ndarray, bias_voltage: np.ndarray, rate: np.ndarray) -> np.ndarray:
+    """(n,) how far the surroundings of rows are from those declared, the bias before the temperature: zero within 1 K,
+    infinite on a table that turns.
+    """
+    kelvins, volts = np.abs(temperature - around.temperature), np.abs(bias_voltage - around.bias_voltage)
+    apart = np.where(kelvins < NEAR, 0.0, kelvins) + np.where(volts < 1e-6, 0.0, 1e3 * volts)
+    return np.where(rate == 0, apart, np.inf)
+
+
+def in_one_place(around: Environment, records: Iterable[Any]) -> list[Any]:
+    """The records without sweeps that were taken farther from the surroundings declared than others of their axis."""
+    every = list(records)
+    away = {id(r): float(np.min(r.away(around))) for r in every if hasattr(r, "away")}
+    nearest: dict[int, float] = {}
+    for record in every:
+        if id(record) in away:
+            nearest[record.axis] = min(away[id(record)], nearest.get(record.axis, np.inf))
+    return [r for r in every if id(r) not in away or away[id(r)] <= nearest[r.axis] + NEAR]

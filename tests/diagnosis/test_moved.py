@@ -1,0 +1,156 @@
+"""Sweeps at several temperatures or bias voltages of a resonance that moves by many of its widths between them.
+
+The records are closed forms of an oscillator, written here. All of these ended as an unknown effect, with quality
+factors up to 1e14, as the one base model of all settings had no valley to the truth.
+"""
+
+import numpy as np
+import pytest
+
+import memsgyro_jax as mg
+from memsgyro_jax.diagnosis.identifiable import identifiable
+from memsgyro_jax.diagnosis.joint_residual import Joint
+from memsgyro_jax.diagnosis.settings_apart import begun, in_each_place
+from memsgyro_jax.effects import catalogue
+from memsgyro_jax.measurement.beside_design import beside_design
+from memsgyro_jax.measurement.readings import model_of, readings_of
+
+
+TURN = 2.0 * np.pi
+HEAD = """schema = "memsgyro-case/1"
+name = "{name}"
+device = "resonator"
+
+[readout]
+quantity = "{quantity}"
+
+[environment]
+temperature = {{ value = 25, unit = "degC" }}
+bias_voltage = {{ value = {bias}, unit = "V" }}
+
+[design]
+
+[[experiment]]
+name = "sweeps"
+kind = "frequency_sweep"
+file = "sweeps.csv"
+"""
+
+
+def recorded(folder, name, rows, noise, seed=0, bias=0.0, quantity="displacement"):
+    """The case of rows of temperature [degC], bias [V], drive [V], frequency [Hz] and voltage."""
+    rng = np.random.default_rng(seed)
+    lines = ["T [degC],V_bias [V],F_x [V],f [Hz],Vx_I [V],Vx_Q [V]"]
+    for temperature, volts, drive, hertz, seen in rows:
+        seen = seen + noise * complex(*rng.standard_normal(2))
+        lines.append(",".join(f"{value:.12g}" for value in (temperature, volts, drive, hertz, seen.real, seen.imag)))
+    (folder / "sweeps.csv").write_text("\n".join(lines) + "\n")
+    (folder / "case.toml").write_text(HEAD.format(name=name, bias=bias, quantity=quantity))
+    return mg.load_case(folder)
+
+
+@pytest.fixture
+def oven(tmp_path):
+    """A fork of 32 768 Hz, Q 1e5: −30 ppm/K move it by 90 widths from −40 to 85 °C."""
+    rows, drive = [], 1e-3
+    for temperature in (-40.0, -10.0, 25.0, 55.0, 85.0):
+        square = (TURN * 32768.0) ** 2 * (1 - 6e-5 * (temperature - 25.0))
+        damping = TURN * 0.32768 * (1 + 2e-3 * (temperature - 25.0))
+        for hertz in np.sqrt(square) / TURN + np.linspace(-2.0, 2.0, 61):
+            omega = TURN * hertz
+            rows.append((temperature, 0.0, drive, hertz, 7e7 * drive / (square - omega**2 + 1j * omega * damping)))
+    return recorded(tmp_path, "oven", rows, 2.0e-4)
+
+
+@pytest.fixture
+def electrodes(tmp_path):
+    """A comb of 62 kHz at five bias voltages, of which it gives force and sees current in proportion."""
+    mass, spring, softens = 2.1e-10, 2.1e-10 * (TURN * 62310.0) ** 2, 1.9e-4
+    rows, drive = [], 1e-3
+    for bias in (6.0, 8.0, 10.0, 13.0, 16.0):
+        stiffness = spring - softens * bias**2
+        for hertz in np.sqrt(stiffness / mass) / TURN + np.linspace(-30.0, 30.0, 81):
+            omega = TURN * hertz
+            motion = 3.1e-8 * bias * drive / (stiffness - mass * omega**2 + 1j * omega * mass * TURN * 7.6)
+            rows.append((25.0, bias, drive, hertz, 4e6 * 3.1e-8 * bias * 1j * omega * motion))
+    return recorded(tmp_path, "electrodes", rows, 1e-5, bias=6.0, quantity="velocity")
+
+
+@pytest.fixture
+def hot(tmp_path):
+    """A spring that hardens, at three temperatures and two drives, the higher of which bends it over by three widths;
+    swept upwards.
+    """
+    rows, gain, hardens = [], 3e9, 3e17
+    for temperature in (-20.0, 25.0, 80.0):
+        square = (TURN * 1.02e5) ** 2 * (1 - 4.8e-5 * (temperature - 25.0))
+        damping = TURN * 5.1 * (1 + 1e-3 * (temperature - 25.0))
+        for drive, ends, count in ((2e-8, (-12.0, 12.0), 81), (1.6e-7, (-12.0, 35.0), 141)):
+            before = 0.0
+            for hertz in np.sqrt(square) / TURN + np.linspace(*ends, count):
+                omega, bend = TURN * hertz, 0.75 * hardens
+                off = square - omega**2
+                roots = np.roots([bend**2, 2 * bend * off, off**2 + (omega * damping) ** 2, -((gain * drive) ** 2)])
+                real = roots[np.abs(roots.imag) < 1e-9 * np.abs(roots.real)].real
+                before = real[np.argmin(np.abs(real - before))]
+                rows.append(
+                    (temperature, 0.0, drive, hertz, gain * drive / (off + bend * before + 1j * omega * damping))
+                )
+    return recorded(tmp_path, "hot", rows, 6e-9)
+
+
+def found_in(case):
+    model = model_of(case, mg.measurement.linear_start.starting_device(case)).with_effect(*catalogue(1))
+    joint = Joint(model, readings_of(case))
+    vector, places = begun(joint, in_each_place(case), range(len(model.effects)))
+    return {model.effects[i].label: vector[joint.of_effect(i)].item() for i in places}
+
+
+def test_settings_tell_what_moved_the_device(oven):
+    found = found_in(oven)
+    assert list(found) == ["thermal_drift stiffness", "thermal_drift damping"]
+    assert found["thermal_drift stiffness"] == pytest.approx(-6e-5, rel=1e-4)
+    assert found["thermal_drift damping"] == pytest.approx(2e-3, rel=0.05)
+
+
+def test_a_gain_that_goes_with_the_bias_is_told_beside_the_spring(electrodes):
+    found = found_in(electrodes)
+    assert set(found) == {"electrostatic_softening x", "bias_transduction drive"}
+    assert found["bias_transduction drive"] == pytest.approx(2.0, abs=2e-3)
+
+
+def test_what_is_checked_is_the_device_in_one_place(oven):
+    said = beside_design(oven)
+    assert said[0] == "resonance: the records show 32.768 kHz."
+    assert 9.9e4 < float(said[1].split()[-1].rstrip(".")) < 1.01e5
+    assert len(said) == 2, "no phase"
+    assert identifiable(oven)[0].relative[1] < 2e-3
+
+
+def test_a_fit_finds_its_valley(oven):
+    with_drift = [e for e in catalogue(1) if e.name == "thermal_drift"]
+    found = mg.fit(None, oven, effects=with_drift)
+    assert found.chi2_per_dof < 1.2
+    told = {estimate.name: estimate for estimate in found.estimates}
+    for name, true in (("thermal_drift stiffness", -6e-5), ("thermal_drift damping", 2e-3)):
+        assert abs(told[name].value - true) < 4 * told[name].std
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "effects"),
+    [
+        ("oven", {"thermal_drift stiffness": -6e-5, "thermal_drift damping": 2e-3}),
+        ("hot", {"thermal_drift stiffness": -4.8e-5, "thermal_drift damping": 1e-3, "cubic_stiffness x": 1e8}),
+        ("electrodes", {"electrostatic_softening x": None, "bias_transduction drive": 2.0}),
+    ],
+)
+def test_a_diagnosis_names_what_moves_it(name, effects, request):
+    found = mg.diagnose(None, request.getfixturevalue(name))
+    assert found.verdict == ("cannot_tell" if name == "electrodes" else "found")
+    assert {a.label for a in found.accepted} == {*effects}
+    for a in found.accepted:
+        true = effects[a.label]
+        assert true is None or abs(a.estimate[0] - true) < 4 * a.std[0]
+    if name == "electrodes":
+        assert ("bias_transduction drive", "bias_transduction pickoff") in found.groups
