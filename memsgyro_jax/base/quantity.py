@@ -1,8 +1,11 @@
 """Numbers with units in a study file, and the base class of its sections."""
 
+import ast
 import inspect
 import re
+import textwrap
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, GetCoreSchemaHandler, GetJsonSchemaHandler
@@ -17,21 +20,43 @@ _TEXT = re.compile(rf"\s*(?P<number>{NUMBER})(?P<unit>\s.*|[^\d.,].*|)")  # 10%,
 Value = TypeVar("Value")
 
 
+def _beneath_fields(section: type) -> dict[str, str]:
+    """The text beneath each field of a class and of those that it is made from, by name."""
+    told: dict[str, str] = {}
+    for kind in reversed(section.__mro__):
+        try:
+            body = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0].body  # type: ignore[attr-defined]
+        except (OSError, TypeError):  # made while running, or not in Python
+            continue
+        for field, text in pairwise(body):
+            written = isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant)
+            if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name) and written:
+                told[field.target.id] = inspect.cleandoc(text.value.value)
+    return told
+
+
 class FileSection(BaseModel):
     """A section of a study file: immutable, unknown keys and infinite numbers refused.
 
     What a key means stands beneath its field; an editor shows it, with the unit of the field's annotation.
     """
 
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, allow_inf_nan=False, protected_namespaces=(), use_attribute_docstrings=True
-    )
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, protected_namespaces=())
 
     @classmethod
     def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        """What pydantic asks a class for; those that it makes itself are described as their base is."""
+        """What pydantic asks a class for; those that it makes itself are described as their base is.
+
+        What stands beneath the fields is read here and not by pydantic, which would read every source at each start.
+        """
         made = handler(schema)
-        handler.resolve_ref_schema(made).setdefault("description", inspect.getdoc(cls))
+        entry = handler.resolve_ref_schema(made)
+        entry.setdefault("description", inspect.getdoc(cls))
+        told = _beneath_fields(cls)
+        for name, field in cls.model_fields.items():
+            for key in (name, field.alias, *getattr(field.validation_alias, "choices", ())):
+                if name in told and key in entry.get("properties", {}):
+                    entry["properties"][key].setdefault("description", told[name])
         return made
 
     @classmethod

@@ -7,7 +7,7 @@ effects moved them, and by how much.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -19,7 +19,6 @@ from memsgyro_jax.effects import DriveEffect, Effect, ForceEffect, ReadoutEffect
 from memsgyro_jax.effects.evaluation import Acting, moment
 from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.drive_levels import with_rows
-from memsgyro_jax.measurement.experiments import AbstractRecord
 from memsgyro_jax.measurement.experiments.base import Phasors
 from memsgyro_jax.measurement.model import Model
 from memsgyro_jax.measurement.phasor_fit import device_of_phasors
@@ -68,6 +67,7 @@ class Trend(NamedTuple):
 def in_each_place(case: Case) -> list[Surrounded]:
     """The linear device that the weakest clear drive of each axis shows in each of the surroundings, at rest."""
     offered: dict[tuple[int, float, float], list[Phasors]] = {}
+    record: Any
     for record in case.records:
         if record.role == "validation" or not hasattr(record, "calm"):
             continue
@@ -76,15 +76,15 @@ def in_each_place(case: Case) -> list[Surrounded]:
             if told is not None and not told.modulus:
                 offered.setdefault((record.axis, temperature, volts), []).append(told)
     found = []
-    for (axis, temperature, volts), told in offered.items():
-        device, own = device_of_phasors(told), 0 if told[0].motion.shape[1] == 1 else axis
+    for (axis, temperature, volts), there in offered.items():
+        device, own = device_of_phasors(there), 0 if there[0].motion.shape[1] == 1 else axis
         if device is not None:
             numbers = float(device.stiffness[own]), float(device.damping[own]), float(device.mobility)
             found.append(Surrounded(axis, temperature, volts, *numbers))
     return found
 
 
-def _surroundings(record: AbstractRecord) -> Iterator[tuple[float, float, np.ndarray]]:
+def _surroundings(record: Any) -> Iterator[tuple[float, float, np.ndarray]]:
     """Temperature and bias voltage of a record's sweeps at rest, and their rows (n,)."""
     still = record.rate == 0
     temperature = WITHIN * np.round(record.temperature / WITHIN)

@@ -47,6 +47,7 @@ def recorded(tmp_path, request):
     return mg.load_case(trace.to_case(tmp_path / "case").parent)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("recorded", ["15 ms"], indirect=True)
 def test_a_fit_ends_at_a_device(recorded):
     """The stiffness of y went to a fifth of itself, 34 standard deviations off, and its damping fed the motion of x."""

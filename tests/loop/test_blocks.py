@@ -53,6 +53,7 @@ def test_a_die_is_the_same_in_any_company():
     assert abs(np.mean(many["nis_mean"]) - 2.0) < 4.0 * np.sqrt(4.0 / (40 * 10 * 14))
 
 
+@pytest.mark.slow
 def test_slopes_of_a_product_and_of_what_statistics_told():
     """Of a product by its definition; of all statistics forwards and backwards as of the recursion itself, for one and
     for many dies more.

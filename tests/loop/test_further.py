@@ -66,6 +66,7 @@ def test_an_open_sense_axis_shows_its_split():
     assert "lies between these frequencies" in str(found)
 
 
+@pytest.mark.slow
 def test_a_lost_loop_has_no_half_power():
     late = GYRO.with_effect(ReadoutDelay(0.24 / 10e3))
     control = mg.ClassicControl.force_rebalance(GYRO, READOUT, amplitude=1e-5, demodulator_bandwidth="2 kHz")

@@ -22,6 +22,7 @@ def stiffened(kxx, loop=LOOP) -> mg.ClosedLoop:
     return eqx.tree_at(lambda made: made.device.kxx, loop, jnp.asarray(kxx, float))
 
 
+@pytest.mark.slow
 def test_a_trace_is_differentiated_and_keeps_its_settings():
     seen = []
 

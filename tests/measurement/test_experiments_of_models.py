@@ -66,6 +66,7 @@ def assert_within(found: dict[str, float], bound: dict[str, float]) -> None:
     assert not too_far, too_far
 
 
+@pytest.mark.slow
 def test_a_die_with_nothing_hidden():
     assert_within(errors(Hidden(), OF_X), LINEAR)
 

@@ -69,6 +69,7 @@ def test_rates_beside_two_demodulators_are_a_rate_table(sign, tmp_path):
     assert "each row is the mean over the 80 cycles of the drive" in str(found)
 
 
+@pytest.mark.slow
 def test_rows_at_a_rate_of_their_own_are_those_of_a_low_pass(tmp_path):
     """The prediction at a steady rate is that of linear algebra, whatever the time from row to row."""
     time, rate = np.arange(120) * 80.4 / REFERENCE, np.full(120, 300.0)

@@ -88,6 +88,7 @@ def test_the_command_adds_runs_to_a_case(study, tmp_path, capsys):
     assert sorted(p.name for p in case.iterdir()) == ["case.toml", "check.csv", "run.csv"]
 
 
+@pytest.mark.slow
 def test_a_record_that_begins_in_an_unknown_motion_is_solved_for_it(trace, tmp_path):
     """As a recorder beside a running loop has it: long before the motion of its first row would have died out."""
     case = mg.load_case(trace.to_case(tmp_path / "case").parent)
@@ -110,6 +111,7 @@ def test_a_record_that_begins_in_an_unknown_motion_is_solved_for_it(trace, tmp_p
     assert not mg.compare(wrong, case, fitted=False).explained
 
 
+@pytest.mark.slow
 def test_each_channel_keeps_its_noise(study, trace, tmp_path):
     loop = trace.loop
     uneven = eqx.tree_at(lambda r: r.noise_density, loop.readout, (4.5e-7, 1.8e-6))

@@ -18,6 +18,7 @@ def loop_of(travel: float = 1e-3) -> mg.ClosedLoop:
     return mg.ClosedLoop(gyro, readout, observer, mg.OpenLoop(), travel=travel)
 
 
+@pytest.mark.slow
 def test_the_error_of_a_moving_rate_is_no_bias_and_no_bound_is_told_with_its_reason():
     summary = mg.sweep(loop_of(), mg.Spread(), mg.Sine(amplitude=0.5, frequency=300.0), **SHORT).summary
     rows = dict(summary.rows())
@@ -39,6 +40,7 @@ def test_a_rate_that_has_come_to_rest_has_a_bias():
     assert "the rate moves" in dict(summary.rows())["information bound"], "it steps during the run"
 
 
+@pytest.mark.slow
 def test_where_every_die_is_lost_the_times_are_told_and_no_number_is():
     summary = mg.sweep(loop_of(travel=0.8e-6), mg.Spread(), **SHORT).summary
     rows = dict(summary.rows())

@@ -109,6 +109,7 @@ def test_backwards_is_forwards(study, backwards, made):
     np.testing.assert_allclose(back.slopes / steepest, forth.slopes / steepest, rtol=0.0, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_a_lost_die_changes_no_other(study, backwards):
     backwards(True)
     loss = losses.SquaredRateError(SETTLE)

@@ -124,8 +124,7 @@ def _with_kinds(kinds: tuple[type[AbstractRecord], ...]) -> type[CaseFile]:
     """All sections, each experiment with the keys of its kind."""
     tagged = [create_model(k.__name__, __base__=k.section, kind=(Literal[k.kind], ...)) for k in kinds]
     section: Any = Annotated[Union[tuple(tagged)], Field(discriminator="kind")]  # noqa: UP007
-    records = Field(min_length=1, description=CaseFile.model_fields["experiment"].description)
-    return create_model("CaseFile", __base__=CaseFile, experiment=(tuple[section, ...], records))
+    return create_model("CaseFile", __base__=CaseFile, experiment=(tuple[section, ...], Field(min_length=1)))
 
 
 def _refuse_twins(file: CaseFile, source: Source) -> None:

@@ -74,6 +74,7 @@ def cubic():
     return by_name("cubic_stiffness", among=catalogue(1))
 
 
+@pytest.mark.slow
 def test_a_hardening_decay_is_found_from_the_design_alone(hardening):
     fit = fit_case(hardening, [cubic()])
     device, strength = fit.model.device, fit.model.effects[0].strength
