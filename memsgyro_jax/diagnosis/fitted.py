@@ -69,8 +69,8 @@ def with_calibration(share: float) -> str:
 
 @dataclass(frozen=True)
 class ParameterEstimate:
-    """A parameter of the model with its standard deviation (infinite where the records do not hold it), and the share
-    of it that the calibration of read-out and drive leaves unsure beside.
+    """A parameter of the model with its standard deviation (infinite where the records do not hold it, NaN where none
+    can be told), and the share of it that the calibration of read-out and drive leaves unsure beside.
     """
 
     name: str
@@ -82,6 +82,8 @@ class ParameterEstimate:
     def __str__(self) -> str:
         if np.isinf(self.std):
             return f"{self.name:<24} not determined by these records"
+        if np.isnan(self.std):
+            return f"{self.name:<24} {said_in(f'{self.value:>7.6g}', self.unit)}"
         told = said_in(f"{beside(self.value, self.std):>7} ± {self.std:.2g}", self.unit)
         return f"{self.name:<24} {told}{with_calibration(self.calibration)}"
 

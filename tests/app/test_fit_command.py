@@ -1,6 +1,7 @@
 """`memsgyro fit` and `memsgyro compare` as a user runs them, on the demonstration case."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,8 +9,10 @@ import pytest
 
 import memsgyro_jax
 from memsgyro_jax.app.cli import main
-from memsgyro_jax.app.report.fit_text import named_effects
+from memsgyro_jax.app.report.fit_text import fit_text, named_effects
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.diagnosis.compare import judged
+from memsgyro_jax.diagnosis.fit import fit_case
 from memsgyro_jax.diagnosis.instrument import instrument_terms
 from memsgyro_jax.effects import catalogue
 from memsgyro_jax.measurement.case import load_case
@@ -33,6 +36,18 @@ def run(*tokens):
     with pytest.raises(SystemExit) as stop:
         main([str(token) for token in tokens])
     return stop.value.code
+
+
+def test_a_fit_that_has_not_ended_tells_no_uncertainty():
+    case = load_case(DEMO)
+    before = fit_case(case)
+    judge = judged(before)
+    assert "±" in fit_text(before, judge)
+    stopped = replace(before, optimum=replace(before.optimum, converged=False))
+    said = fit_text(before, replace(judge, fit=stopped))
+    assert "±" not in said.replace("without ±", "")
+    assert "the fit has not ended" in said
+    assert "not converged after" in said
 
 
 def test_a_fitted_model_is_written_and_compared(tmp_path, capsys):

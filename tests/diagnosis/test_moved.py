@@ -10,9 +10,12 @@ import pytest
 import memsgyro_jax as mg
 from memsgyro_jax.diagnosis.identifiable import identifiable
 from memsgyro_jax.diagnosis.joint_residual import Joint
+from memsgyro_jax.diagnosis.optimum import optimise
 from memsgyro_jax.diagnosis.settings_apart import begun, in_each_place
+from memsgyro_jax.diagnosis.valley import to_its_end
 from memsgyro_jax.effects import catalogue
 from memsgyro_jax.measurement.beside_design import beside_design
+from memsgyro_jax.measurement.linear_start import starting_device
 from memsgyro_jax.measurement.readings import model_of, readings_of
 
 
@@ -99,8 +102,14 @@ def hot(tmp_path):
     return recorded(tmp_path, "hot", rows, 6e-9)
 
 
+def found_start(case, *names):
+    """The device that a fit begins with, and absent effects of these names, or of all."""
+    effects = [effect for effect in catalogue(1) if not names or effect.name in names]
+    return model_of(case, starting_device(case)).with_effect(*effects)
+
+
 def found_in(case):
-    model = model_of(case, mg.measurement.linear_start.starting_device(case)).with_effect(*catalogue(1))
+    model = found_start(case)
     joint = Joint(model, readings_of(case))
     vector, places = begun(joint, in_each_place(case), range(len(model.effects)))
     return {model.effects[i].label: vector[joint.of_effect(i)].item() for i in places}
@@ -154,3 +163,16 @@ def test_a_diagnosis_names_what_moves_it(name, effects, request):
         assert true is None or abs(a.estimate[0] - true) < 4 * a.std[0]
     if name == "electrodes":
         assert ("bias_transduction drive", "bias_transduction pickoff") in found.groups
+
+
+def test_a_fit_that_has_not_converged_goes_on(oven):
+    """It stopped after 30 evaluations whatever was left to gain."""
+    joint = Joint(found_start(oven, "thermal_drift"), readings_of(oven))
+    vector, _ = begun(joint, in_each_place(oven), range(2))
+    vector[:2] *= 1.000005, 3.0
+    stopped = optimise(joint, vector, np.arange(vector.size), joint.fitted, max_evaluations=2)
+    assert not stopped.converged
+    ended = to_its_end(joint, stopped)
+    assert ended.converged
+    assert ended.chi2 < stopped.chi2
+    assert ended.evaluations > stopped.evaluations

@@ -60,6 +60,7 @@ def fit_command(
     print(fit_text(before, found))
     if out is not None:
         write_model(found.model, out, note=units_of_records(measured))
-        print(f"{out} is the fitted device, for `compare --model` and for the section [device] of a study")
+        ended = "the fitted device" if found.fit.optimum.converged else "the device where the fit stopped, not its best"
+        print(f"{out} is {ended}, for `compare --model` and for the section [device] of a study")
     if json is not None:
         write_json(json, fit_entries(before, found))

@@ -72,9 +72,13 @@ def fit_text(before: CaseFit, found: Comparison) -> str:
     lines = [f"{after.case.name}: {after.status}; {chi2}", "rms of deviation over noise:", aligned([head, *rows])]
     lines += [found.verdict, *(f"  {failure}" for failure in found.failures)]
     lines += [f"  {line}" for line in (found.alone, short_of_its_valley(before, after)) if line] + ["Fitted:"]
-    scale = after.scale
-    lines += [f"  {replace(estimate, std=scale * estimate.std)}" for estimate in (*after.modes, *after.estimates)]
-    if scale > 1.0:
+    scale, ended = after.scale, after.optimum.converged
+    factor = scale if ended else np.nan
+    for estimate in (*after.modes, *after.estimates):
+        lines.append(f"  {estimate if np.isinf(estimate.std) else replace(estimate, std=factor * estimate.std)}")
+    if not ended:
+        lines.append("  (without ±: the fit has not ended, and its numbers may still move)")
+    elif scale > 1.0:
         lines.append(f"  (standard deviations times {scale:.3g}, as the model leaves more than the noise)")
     lines += [f"  {label}, held: {_listed(held)}" for label, held in _held(after).items()]
     return "\n".join(lines)
