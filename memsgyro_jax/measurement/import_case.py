@@ -96,7 +96,7 @@ def import_case(
     reference: str = "",
     bias: Sequence[str] = (),
     temperature: Sequence[str] = (),
-    every: int = 1,
+    every: int | None = None,
     rms: bool = False,
     overwrite: bool = False,
 ) -> ImportedCase:
@@ -122,7 +122,8 @@ def import_case(
         bias: voltage of the electrodes, like ``"20 V"``, one for all files or one for each, where no column has it;
             ``"-"`` for a file of which nothing is said. Records over time have none.
         temperature: like ``"25 degC"``, as `bias`.
-        every: keeps one row of so many, waveforms behind a low pass.
+        every: keeps one row of so many, waveforms behind a low pass, phasors over time as means; `None` makes such
+            means of a long ringing, and else keeps all.
         rms: takes a lock-in's readings for effective values, where their unit does not say; the drive stays as it is.
         overwrite: writes over a case that is there.
 
@@ -139,7 +140,7 @@ def import_case(
         raise InputError(f"{folder} must be a new or empty folder, but exists; choose another, or give `--overwrite`.")
     maps = _maps([columns] if isinstance(columns, str) else columns, len(paths))
     tuned = amount_of_option(reference, "--reference", "32.768 kHz", "Hz") if reference else None
-    every = whole("every", every, 1)
+    every = None if every is None else whole("every", every, 1)
     sources = [Path(path).name for path in paths]
     files, read = [Path(path) for path in paths], [read_instrument_file(path) for path in paths]
     parts = [[k] for k in range(len(files))]

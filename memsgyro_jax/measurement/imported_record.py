@@ -74,7 +74,7 @@ class Given:
 
     drive: tuple[float, str] | None = None
     reference: tuple[float, str] | None = None
-    every: int = 1
+    every: int | None = None
     rms: bool = False
     axis: str = ""
     conditions: Mapping[str, tuple[float, str]] = field(default_factory=dict)

@@ -17,7 +17,7 @@ def import_command(
     reference: str = "",
     bias: Words = (),
     temperature: Words = (),
-    every: int = 1,
+    every: int | None = None,
     rms: Flag = False,
     overwrite: Flag = False,
     json: Path | None = None,
@@ -41,7 +41,8 @@ def import_command(
         bias: voltage of the electrodes where no column has it, like "20 V"; one for all files or one for each, "-" for
             a file of which nothing is said.
         temperature: like "25 degC", as the bias.
-        every: keep one row of so many, waveforms behind a low pass: for records longer than they need to be.
+        every: keep one row of so many, waveforms behind a low pass, phasors over time as means: for records longer than
+            they need to be. Left out, a long ringing of phasors becomes such means, and all else stays.
         rms: the readings of a lock-in are effective values, not peak ones, where their unit does not say; the drive
             stays as it is.
         overwrite: write over a case that is there.
