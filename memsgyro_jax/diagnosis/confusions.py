@@ -10,6 +10,7 @@ from .score import basis, score, separation
 from .search import CONFUSED, Ranking, Search
 
 
+NEARLY = 2e-3  # of what an effect explains: sensitivities are no nearer to the truth than that
 UNEVEN = 10.0 / 9.0  # s²/k of a spring s·q² that softens as the cubic spring −UNEVEN·s²/k does: 5/12 over 3/8
 
 
@@ -28,14 +29,27 @@ def confusions(search: Search, ranking: Ranking) -> dict[int, dict[int, Optimum]
         for other, block in zip(ranking.places, ranking.slopes, strict=True):
             start = uneven_instead(search.joint, search.optimum.vector, place, other)
             theirs = score(search.optimum.residual, q, block)
-            if start is None and separation(mine.statistic, mine, theirs) < CONFUSED:
-                start = search.without(place)
-            if start is None:
-                continue
-            fit = search.refit([other if i == place else i for i in search.accepted], start=start)
-            if fit.chi2 < search.optimum.chi2 + CONFUSED:
-                out[place][other] = fit
+            starts = [] if start is None else [start]
+            near = max(CONFUSED, NEARLY * mine.statistic)
+            if start is None and separation(mine.statistic, mine, theirs) < near:
+                starts = [_as_strong(search, place, other, block), search.without(place)]
+            for start in starts:
+                fit = search.refit([other if i == place else i for i in search.accepted], start=start)
+                if fit.chi2 < search.optimum.chi2 + CONFUSED:
+                    out[place][other] = fit
+                    break
     return out
+
+
+def _as_strong(search: Search, place: int, other: int, block: np.ndarray) -> np.ndarray:
+    """The parameters with another effect in place of an accepted one, so strong that readings change as much: without
+    either, a fit may be far from its valley.
+    """
+    vector, (low, high) = search.without(place), search.joint.bounds
+    theirs = search.joint.of_effect(other)
+    strength = -np.linalg.lstsq(block, search.taken_by(place))[0]
+    vector[theirs] = np.clip(vector[theirs] + strength, low[theirs], high[theirs])
+    return vector
 
 
 def uneven_instead(joint: Joint, vector: np.ndarray, place: int, other: int) -> np.ndarray | None:

@@ -73,7 +73,7 @@ def in_each_place(case: Case) -> list[Surrounded]:
             continue
         for temperature, volts, rows in _surroundings(record):
             told = with_rows(record, rows).starting_phasors(case)
-            if told is not None and not told.modulus:
+            if told is not None:
                 offered.setdefault((record.axis, temperature, volts), []).append(told)
     found = []
     for (axis, temperature, volts), there in offered.items():
