@@ -6,11 +6,10 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import replace
 
 import numpy as np
-from scipy import special
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.runtime import make_room
-from memsgyro_jax.effects import Effect, Scanned, catalogue
+from memsgyro_jax.effects import Effect, Scanned
 from memsgyro_jax.measurement.calibration import calibration_share, unit_of_records
 from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.least_squares import gate
@@ -18,26 +17,28 @@ from memsgyro_jax.measurement.linear_start import starting_device
 from memsgyro_jax.measurement.model import Model
 from memsgyro_jax.measurement.readings import model_of, readings_of
 
-from .acceptance import excess
-from .climb import Climb, climbed
+from .climb import climbed
 from .confusions import confusions
 from .drift_in_time import with_drift_alone
 from .drives import Rows, without_rows
 from .fewer import terms_of
-from .findings import SIGMAS_SEEN, Accepted, Candidate, Stage
+from .findings import Accepted, Candidate, Stage
 from .fit import CaseFit
 from .instrument import beside_case_of, drive_levels, knowledge
 from .joint_residual import Joint
 from .less_noise import LESS, less_noise, of_less_noise, with_less_noise
+from .listing import followed_candidates, listed_candidates
 from .moved import moved
 from .next_experiment import advice, next_experiments, of_the_unknown
 from .nuisances import instrument_first, of_instrument
+from .other_courses import beside_other_courses
 from .outlying import of_rows, search_beside_outlying
 from .result import UNEXPLAINED, Diagnosis, Verdict, validation_error
 from .rounds import FITTED, search_on
 from .search import CONFUSED, Ranking, Search, SearchStep, start_search
-from .sentence import DRIFT, of_noise, sentence
+from .sentence import COURSE, DRIFT, of_noise, sentence
 from .slow_noise import is_slow_noise, slowly
+from .worth_trying import worth_trying
 from .wrong_noise import wrong_noise
 
 
@@ -91,7 +92,7 @@ def _diagnosed(
     """`diagnose` with the noise that the records have."""
     start = _start(model, case)
     given = {e.label for e in start.effects}
-    candidates = [*catalogue(case.channels), *effects]
+    candidates = [*worth_trying(case), *effects]
     smooth = [e for e in candidates if not isinstance(e, Scanned) and e.label not in given]
     known_before = knowledge([effect for effect in start.effects if effect.of_instrument])
     joint = Joint(start.with_effect(*smooth), (*readings_of(case), *known_before))
@@ -110,7 +111,7 @@ def _diagnosed(
 
     def searched(search: Search) -> Iterator[tuple[Search, Ranking, str, Begun]]:
         first = search.rank()
-        plain = search.base, _listed(case, search.joint.model, first, powers=done(search)), ""
+        plain = search.base, listed_candidates(case, search.joint.model, first, powers=done(search)), ""
         if is_slow_noise(search, first):
             yield search, first, "", plain
             return
@@ -118,7 +119,9 @@ def _diagnosed(
         if climb is None:
             begin, climb = climbed(search, first, smooth)
         ranking = begin.rank() if begin.accepted else first
-        start = plain if climb is None else (climb.base, _followed(case, climb, len(first.places)), climb.whence)
+        start = (
+            plain if climb is None else (climb.base, followed_candidates(case, climb, len(first.places)), climb.whence)
+        )
         if climb is not None:
             yield begin, ranking, "", start
         yield *instrument_first(begin, ranking, smooth, search_on, done), start
@@ -136,6 +139,7 @@ def _diagnosed(
     explained = [fine or bool(search.slow) for fine in explained]
     if accepted and all(explained) and _drifts_as_well(steps[0].fit, final, accepted, level):
         accepted = (replace(accepted[0], confused_with=(*accepted[0].confused_with, DRIFT)), *accepted[1:])
+    accepted = beside_other_courses(search, accepted, COURSE)
     terms = _accepted(search, {place: [] for place in terms_of(search)}, steps)
     apart = _of_device(search)
     verdict = _verdict(steps[apart - 1].fit, final, accepted, all(explained), _found_more(terms, given))
@@ -168,7 +172,7 @@ def _diagnosed(
         accepted=accepted,
         first=first,
         whence=whence,
-        candidates=_listed(case, search.joint.model, ranking, powers=not unexplained),
+        candidates=listed_candidates(case, search.joint.model, ranking, powers=not unexplained),
         groups=tuple((a.label, *a.confused_with) for a in accepted if a.confused_with),
         next_experiment=of_the_unknown(case) if unexplained else advice(planned),
         next_experiments=planned,
@@ -307,43 +311,3 @@ def _verdict(base: CaseFit, final: CaseFit, accepted: tuple[Accepted, ...], expl
     judge = "validation" if "validation" in roles else "fit"
     before, after = (sum(e.chi2 - e.count for e in fit.errors if e.role == judge) for fit in (base, final))
     return "partly_explained" if after < (1 - PARTLY) * before else "unknown_effect"
-
-
-def _followed(case: Case, climb: Climb, count: int) -> tuple[Candidate, ...]:
-    """What a climb tried, out of so many candidates, beside the base model of the lowest drive."""
-    chi2, missing = climb.base.optimum.chi2, excess(climb.base.optimum)
-    return tuple(
-        Candidate(
-            label=effect.label,
-            unit=unit_of_records(case, effect.unit),
-            score=chi2 - left,
-            p_value=min(1.0, count * float(special.chdtrc(effect.strength.size, max(0.0, chi2 - left)))),
-            explained_share=(chi2 - left) / missing,
-            kept_share=np.nan,
-            smallest_visible=np.nan,
-            excited=True,
-        )
-        for effect, left in climb.ends
-    )
-
-
-def _listed(case: Case, model: Model, ranking: Ranking, *, powers: bool = True) -> tuple[Candidate, ...]:
-    """The candidates, best first; what each would have to be to be found, `powers`, is told by a model that explains
-    the records alone.
-    """
-    out = []
-    for i in ranking.order:
-        effect, mine = model.effects[ranking.places[i]], ranking.scores[i]
-        out.append(
-            Candidate(
-                label=effect.label,
-                unit=unit_of_records(case, effect.unit),
-                score=mine.statistic,
-                p_value=float(ranking.p_values[i]),
-                explained_share=mine.share,
-                kept_share=mine.kept,
-                smallest_visible=mine.visible(SIGMAS_SEEN) if powers else np.nan,
-                excited=mine.size > 0,
-            )
-        )
-    return tuple(out)

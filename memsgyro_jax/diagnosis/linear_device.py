@@ -6,7 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from memsgyro_jax.base.text import beside, said_in
+from memsgyro_jax.measurement.drive_levels import clear_drives
 from memsgyro_jax.measurement.least_squares import gate
+from memsgyro_jax.measurement.one_place import nearest_in_words, place_in_words
 
 from .fit import CaseFit
 from .fitted import ParameterEstimate
@@ -15,7 +17,6 @@ from .residual_force import lowest_drive
 
 
 ROUGHLY = 30.0  # standard deviations that a value without them may be off, for its digits
-LOWEST = "of the lowest drive alone"  # where an unknown law shows least
 
 
 @dataclass(frozen=True)
@@ -55,19 +56,25 @@ class LinearDevice:
 
 
 def linear_device(fit: CaseFit, base: CaseFit, *, explained: bool) -> LinearDevice:
-    """That of a fit that explains the records; else that of the lowest drive, fitted to it alone as the base model.
+    """That of a fit that explains the records; else that of the lowest drive, in the surroundings nearest to those
+    declared, fitted to it alone as the base model.
 
     A model that lacks something is dragged by the drives that show it most.
     """
+    around, records = fit.case.environment, fit.case.records
     if explained:
-        return LinearDevice(_scaled(fit.modes, fit.scale), "", True)
+        there = place_in_words(around, records)
+        return LinearDevice(_scaled(fit.modes, fit.scale), f"at {there}" if there else "", True)
     lowest = lowest_drive(base)
     if lowest is None:
         return LinearDevice(_scaled(fit.modes, fit.scale), "", False)
+    place = nearest_in_words(around, records)
+    drive = "of the lowest drive" if len(clear_drives(fit.case)) > 1 else "of the records"
     left = lowest.chi2 / lowest.dof
     held = left <= gate(lowest.dof)
     modes = mode_estimates(lowest, base.model.axes)
-    return LinearDevice(_scaled(modes, 1.0 if held else float(np.sqrt(left))), LOWEST, held)
+    whence = f"{drive}{f' at {place}' if place else ''} alone"
+    return LinearDevice(_scaled(modes, 1.0 if held else float(np.sqrt(left))), whence, held)
 
 
 def _scaled(modes: Sequence[ParameterEstimate], scale: float) -> tuple[ParameterEstimate, ...]:

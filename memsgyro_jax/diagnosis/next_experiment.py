@@ -17,7 +17,7 @@ import numpy as np
 from memsgyro_jax.base.runtime import usable_cores
 from memsgyro_jax.base.threads import in_threads
 from memsgyro_jax.measurement.case import Case
-from memsgyro_jax.measurement.drive_levels import goes_one_way
+from memsgyro_jax.measurement.drive_levels import clear_drives, goes_one_way
 from memsgyro_jax.measurement.experiments import Readings
 
 from .findings import NOTHING, SIGMAS_SEEN, Prospect
@@ -27,6 +27,7 @@ from .optimum import Optimum, optimise
 from .rounds import DECIDED
 from .score import RELATIVE, basis, score
 from .search import CONFUSED, LOOK_AHEAD, Ranking, Search, always_free
+from .settings_apart import in_each_place, moves
 
 
 HALF = 0.5  # of what an experiment tells: how few rows hold it is said
@@ -107,7 +108,9 @@ def advice(prospects: Sequence[Prospect]) -> str | None:
 def of_the_unknown(case: Case) -> str:
     """What helps where no candidate explains the records: none then predicts what an experiment would show."""
     more = ""
-    if any(hasattr(record, "setting") for record in case.records):
+    if len(clear_drives(case)) < 2 and moves(in_each_place(case)):
+        more = "; sweeps at further temperatures or bias voltages show the course that is missing"
+    elif any(hasattr(record, "setting") for record in case.records):
         more = "; sweeps at further drives, and at a lower one, show the law that is missing at more amplitudes"
     alike = [record.name for record in case.records if goes_one_way(record)]
     if alike:

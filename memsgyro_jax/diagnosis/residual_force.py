@@ -6,6 +6,7 @@ import numpy as np
 
 from memsgyro_jax.measurement.drive_levels import ALIKE, clear_drives
 from memsgyro_jax.measurement.experiments.missing_force import MissingForce, RateResidual, SweepForce, TimeForce
+from memsgyro_jax.measurement.one_place import NEAR
 
 from .drives import without_rows
 from .fit import CaseFit, beside_case
@@ -28,15 +29,18 @@ def beside_lowest_drive(fit: CaseFit) -> CaseFit:
 
 
 def lowest_drive(fit: CaseFit, free: np.ndarray | None = None) -> Optimum | None:
-    """The base model of a fit, or what is `free` of it, fitted to the sweeps of the lowest drive of each axis alone;
-    `None` where its sweeps have but one drive.
+    """The base model of a fit, or what is `free` of it, fitted to the sweeps of the lowest drive of each axis alone, in
+    the surroundings nearest to those declared; `None` where its sweeps have but one drive in one place.
     """
     left_out: dict[int, tuple[int, ...]] = {}
     sweeps: list[tuple[int, Any]] = [(k, r) for k, r in enumerate(fit.case.records) if hasattr(r, "setting")]
     for axis in range(fit.model.axes):
         mine = [(k, r) for k, r in sweeps if r.axis == axis and r.role != "validation"]
         if clear := clear_drives(fit.case, axis):
-            left_out |= {k: tuple(np.flatnonzero(r.setting > (1 + ALIKE) * clear[0]).tolist()) for k, r in mine}
+            away = {k: r.away(fit.case.environment) for k, r in mine}
+            nearest = min(float(np.min(far)) for far in away.values())
+            elsewhere = {k: (r.setting > (1 + ALIKE) * clear[0]) | (away[k] > nearest + NEAR) for k, r in mine}
+            left_out |= {k: tuple(np.flatnonzero(rows).tolist()) for k, rows in elsewhere.items()}
     if not any(left_out.values()):
         return None
     joint = fit.joint

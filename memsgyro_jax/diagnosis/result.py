@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
+from textwrap import indent
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -26,6 +27,8 @@ from .fit import CaseFit
 from .fit_table import effects_table, errors_table, parameters_table, readings_table
 from .fitted import ParameterEstimate, errors_figure, with_calibration
 from .linear_device import LinearDevice, linear_device
+from .settings_apart import in_each_place, moves
+from .settings_table import settings_table
 
 
 if TYPE_CHECKING:
@@ -154,6 +157,11 @@ class Diagnosis(Labelled):
         """Resonance frequency [Hz] and quality factor of each mode of `linear`."""
         return self.linear.estimates
 
+    @cached_property
+    def by_setting(self) -> str:
+        """A table of the device in each of its surroundings, where something is left unexplained; else empty."""
+        return settings_table(self.case) if self.unexplained else ""
+
     @property
     def onwards(self) -> tuple[tuple[str, str], ...]:
         """What to look at next where something is left unexplained, each with the command that does; else none."""
@@ -161,7 +169,7 @@ class Diagnosis(Labelled):
             return ()
         drawn = "the law that is missing, drawn, written and fitted", DRAW.format(self.case.folder)
         if (levels := len(clear_drives(self.case))) < 2:
-            return (drawn,)
+            return () if moves(in_each_place(self.case)) else (drawn,)  # what moves it is no law of the amplitude
         fewer = f"memsgyro diagnose {self.case.folder} --drives {(levels + 1) // 2}"
         return drawn, ("what is missing at the lowest drives by themselves", fewer)
 
@@ -175,6 +183,8 @@ class Diagnosis(Labelled):
         lines += [f"  {mode}" for mode in self.linear.told]
         if self.linear.about:
             lines.append(f"  (resonance and quality factor: {self.linear.about})")
+        if self.by_setting:
+            lines += ["  as each of the surroundings shows it by itself:", indent(self.by_setting, "    ")]
         for a in (*self.instrument, *self.accepted):
             value = ", ".join(told_with(e, s) for e, s in zip(a.estimate, a.std, strict=True))
             more = "".join(f", {name} {said_in(told_with(v, s), unit)}" for name, (v, s, unit) in a.numbers.items())

@@ -10,6 +10,7 @@ from .result import Verdict
 SLIGHT, NEAR = 0.01, 5.0  # of the χ² that the strongest effect takes, and times the noise: less is told apart from it
 UNEVEN = "quadratic_stiffness"  # which a lock-in sees by its softening alone
 DRIFT = "frequency_drift"  # in time, which a lone decay may not tell from a law
+COURSE = "another course with temperature and bias voltage"  # where as many strengths as settings tell theirs
 
 
 def sentence(verdict: Verdict, accepted: tuple[Accepted, ...], final: CaseFit, explained: list[bool]) -> str:
@@ -30,6 +31,8 @@ def sentence(verdict: Verdict, accepted: tuple[Accepted, ...], final: CaseFit, e
         + "."
         + " A decay from another amplitude tells a law from a drift in time."
         * any(DRIFT in a.confused_with for a in accepted)
+        + " A setting at which the temperature alone, or the bias alone, is another tells the two apart."
+        * any(COURSE in a.confused_with for a in accepted)
         + " A waveform with its second harmonic tells a spring that is uneven from one that softens evenly."
         * any(other.startswith(UNEVEN) for a in accepted for other in a.confused_with),
         "partly_explained": f"{names} explains most of the misfit, but something unknown is left in {left}.{unused}",

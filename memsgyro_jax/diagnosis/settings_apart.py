@@ -94,6 +94,24 @@ def _surroundings(record: Any) -> Iterator[tuple[float, float, np.ndarray]]:
             yield float(np.mean(record.temperature[rows])), float(pair[1]), rows
 
 
+def as_many_as_settings(joint: Joint, every: Sequence[Surrounded], places: Sequence[int]) -> set[int]:
+    """Those of some effects that go with temperature or bias and that settings at which both vary cannot bear out: to
+    what they change, stiffness, damping or gain, there are as many strengths as ways in which settings differ.
+    """
+    if min(np.ptp([one.temperature for one in every]), np.ptp([one.bias_voltage for one in every])) < 1e-3:
+        return set()
+    found: set[int] = set()
+    trend = _trend(joint.model, every, [i for i in places if _may_move(joint.model.effects[i])])
+    for axis in {one.axis for one in every}:
+        mine = np.array([one.axis == axis for one in every])
+        for part in range(3):
+            columns = {i: column[mine, part] for i, column in trend.columns.items()}
+            moving = {i for i, c in columns.items() if np.ptp(c) > 1e-9 * np.max(np.abs(trend.columns[i]))}
+            if len(moving) > 1 and len(moving) >= mine.sum() - 1:
+                found |= moving
+    return found
+
+
 def moves(every: Sequence[Surrounded]) -> bool:
     """Whether the resonance of an axis moves by more than its width between its settings."""
     for axis in {one.axis for one in every}:

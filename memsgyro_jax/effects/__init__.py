@@ -64,7 +64,9 @@ from .scan import Scanned as Scanned
 from .self_heating import SelfHeating as SelfHeating
 from .squeeze_film_damping import SqueezeFilmDamping as SqueezeFilmDamping
 from .thermal_drift import ThermalDamping as ThermalDamping
+from .thermal_drift import ThermalDampingCurvature as ThermalDampingCurvature
 from .thermal_drift import ThermalStiffness as ThermalStiffness
+from .thermal_drift import ThermalStiffnessCurvature as ThermalStiffnessCurvature
 from .thermal_electronics import ThermalBias as ThermalBias
 from .thermal_electronics import ThermalDelay as ThermalDelay
 from .thermal_electronics import ThermalDrive as ThermalDrive

@@ -35,14 +35,14 @@ from .rate_scale_error import RateScaleError
 from .readout_delay import ReadoutDelay
 from .self_heating import SelfHeating
 from .squeeze_film_damping import SqueezeFilmDamping
-from .thermal_drift import ThermalDamping, ThermalStiffness
+from .thermal_drift import ThermalDamping, ThermalDampingCurvature, ThermalStiffness, ThermalStiffnessCurvature
 from .thermal_electronics import ThermalBias, ThermalDelay, ThermalDrive, ThermalGain
 
 
 CATALOGUE: tuple[type[Effect], ...] = (
     *(CubicStiffness, QuadraticStiffness, CrossStiffness, ElectrostaticSoftening),
     *(CrossDampingAsymmetry, QuadraticDamping, SqueezeFilmDamping, DryFriction, DampingStep),
-    *(ThermalStiffness, ThermalDamping, ParasiticMode),
+    *(ThermalStiffness, ThermalDamping, ThermalStiffnessCurvature, ThermalDampingCurvature, ParasiticMode),
     *(RateOffset, RateScaleError, RateBiasDrift, AngularAcceleration, Centrifugal),
     *(ForceMisalignment, DriveNonlinearity, DriveTransduction, ElectricalFeedthrough),
     *(ReadoutDelay, PickoffScaleError, PickoffTransduction),

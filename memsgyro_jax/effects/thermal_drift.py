@@ -58,3 +58,52 @@ class ThermalDamping(ForceEffect):
         return (
             -self.strength * now.warming * device.damping[: now.displacement.shape[0]] * now.velocity / device.mobility
         )
+
+
+class ThermalStiffnessCurvature(ForceEffect):
+    """k_xx and k_yy gain s·ΔT² of themselves, with s in 1/K² and ΔT the temperature above the reference, beside what
+    goes with ΔT. Zero: they go straight.
+
+    Shows as a resonance whose course with the temperature bends, by s·ΔT²/2 relative to itself: the parabola of a
+    quartz fork, or what doping leaves of silicon's drift. A case with fewer than three temperatures cannot see it.
+
+    Jaakkola et al., "Determination of doping and temperature-dependent elastic constants of degenerately doped silicon
+    from MEMS resonators", IEEE Trans. Ultrason. Ferroelectr. Freq. Control 61 (2014) 1063.
+    """
+
+    name, unit, law = "thermal_curvature", "1/K²", "k_xx and k_yy · (1 + s·ΔT²)"
+    reference = "Jaakkola et al., IEEE Trans. Ultrason. Ferroelectr. Freq. Control 61 (2014) 1063"
+    strength: Scalar = strength()
+
+    @property
+    def where(self) -> str:
+        """What bends."""
+        return "stiffness"
+
+    def force(self, now: Moment) -> Array:
+        device, axes = now.device, now.displacement.shape[0]
+        return -self.strength * now.warming**2 * device.stiffness[:axes] * now.displacement / device.mobility
+
+
+class ThermalDampingCurvature(ForceEffect):
+    """d_xx and d_yy gain s·ΔT² of themselves, with s in 1/K² and ΔT the temperature above the reference, beside what
+    goes with ΔT. Zero: they go straight.
+
+    Shows as a width of the resonance whose course with the temperature bends: thermoelastic loss goes with a power of
+    the absolute temperature. A case with fewer than three temperatures cannot see it.
+
+    Kim et al., "Temperature dependence of quality factor in MEMS resonators", J. Microelectromech. Syst. 17 (2008) 755.
+    """
+
+    name, unit, law = "thermal_curvature", "1/K²", "d_xx and d_yy · (1 + s·ΔT²)"
+    reference = "Kim et al., J. Microelectromech. Syst. 17 (2008) 755"
+    strength: Scalar = strength()
+
+    @property
+    def where(self) -> str:
+        """What bends."""
+        return "damping"
+
+    def force(self, now: Moment) -> Array:
+        device, axes = now.device, now.displacement.shape[0]
+        return -self.strength * now.warming**2 * device.damping[:axes] * now.velocity / device.mobility

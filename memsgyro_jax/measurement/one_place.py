@@ -29,3 +29,35 @@ def in_one_place(around: Environment, records: Iterable[Any]) -> list[Any]:
         if id(record) in away:
             nearest[record.axis] = min(away[id(record)], nearest.get(record.axis, np.inf))
     return [r for r in every if id(r) not in away or away[id(r)] <= nearest[r.axis] + NEAR]
+
+
+def place_in_words(around: Environment, records: Iterable[Any]) -> str:
+    """The surroundings at which a device's numbers hold, of those that records took at others, and whether any was
+    taken there; empty where all were taken there.
+    """
+    every = [r for r in records if hasattr(r, "away")]
+    if not every:
+        return ""
+    kelvins = np.concatenate([np.abs(r.temperature - around.temperature) for r in every])
+    volts = np.concatenate([np.abs(r.bias_voltage - around.bias_voltage) for r in every])
+    said = [f"{around.temperature - 273.15:.4g} °C"] * bool(np.any(kelvins >= NEAR))
+    said += [f"{around.bias_voltage:.4g} V"] * bool(np.any(volts >= 1e-6))
+    there = not said or any(np.any(r.away(around) == 0.0) for r in every)
+    return " and ".join(said) + ("" if there else ", where no record was taken")
+
+
+def nearest_in_words(around: Environment, records: Iterable[Any]) -> str:
+    """The surroundings in which the records nearest to those declared were taken, of what varies; empty where nothing
+    does.
+    """
+    every = [r for r in records if hasattr(r, "away")]
+    if not every:
+        return ""
+    away, kelvins, volts = (
+        np.concatenate(parts)
+        for parts in zip(*((r.away(around), r.temperature, r.bias_voltage) for r in every), strict=True)
+    )
+    near = away <= away.min() + NEAR
+    said = [f"{kelvins[near].mean() - 273.15:.4g} °C"] * bool(np.ptp(kelvins) > NEAR)
+    said += [f"{volts[near][0]:.4g} V"] * bool(np.ptp(volts) > 1e-6)
+    return " and ".join(said)

@@ -4,6 +4,8 @@ The records are closed forms of an oscillator, written here. All of these ended 
 factors up to 1e14, as the one base model of all settings had no valley to the truth.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -11,11 +13,15 @@ import memsgyro_jax as mg
 from memsgyro_jax.diagnosis.identifiable import identifiable
 from memsgyro_jax.diagnosis.joint_residual import Joint
 from memsgyro_jax.diagnosis.optimum import optimise
-from memsgyro_jax.diagnosis.settings_apart import begun, in_each_place
+from memsgyro_jax.diagnosis.settings_apart import as_many_as_settings, begun, in_each_place
+from memsgyro_jax.diagnosis.settings_table import settings_table
 from memsgyro_jax.diagnosis.valley import to_its_end
+from memsgyro_jax.diagnosis.worth_trying import worth_trying
 from memsgyro_jax.effects import catalogue
 from memsgyro_jax.measurement.beside_design import beside_design
+from memsgyro_jax.measurement.drive_levels import with_rows
 from memsgyro_jax.measurement.linear_start import starting_device
+from memsgyro_jax.measurement.one_place import nearest_in_words, place_in_words
 from memsgyro_jax.measurement.readings import model_of, readings_of
 
 
@@ -66,6 +72,21 @@ def oven(tmp_path):
 
 
 @pytest.fixture
+def crossed(tmp_path):
+    """At 150 kHz, three settings of temperature and bias together, of a stiffness whose course with the temperature
+    bends and that no bias softens.
+    """
+    rows = []
+    for temperature, bias in ((25.0, 10.0), (45.0, 15.0), (65.0, 20.0)):
+        warm = temperature - 25.0
+        square = (TURN * 1.5e5) ** 2 * (1 - 6e-5 * warm - 4e-7 * warm**2)
+        for hertz in np.sqrt(square) / TURN + np.linspace(-24.0, 24.0, 61):
+            omega = TURN * hertz
+            rows.append((temperature, bias, 1e-3, hertz, 1e6 / (square - omega**2 + 1j * omega * TURN * 6.0)))
+    return recorded(tmp_path, "crossed", rows, 2e-9, bias=10.0)
+
+
+@pytest.fixture
 def electrodes(tmp_path):
     """A comb of 62 kHz at five bias voltages, of which it gives force and sees current in proportion."""
     mass, spring, softens = 2.1e-10, 2.1e-10 * (TURN * 62310.0) ** 2, 1.9e-4
@@ -113,6 +134,50 @@ def found_in(case):
     joint = Joint(model, readings_of(case))
     vector, places = begun(joint, in_each_place(case), range(len(model.effects)))
     return {model.effects[i].label: vector[joint.of_effect(i)].item() for i in places}
+
+
+def test_amplitudes_alone_tell_it_too(oven):
+    sizes = replace(oven.records[0], phasors=np.abs(oven.records[0].phasors) + 0j, phase_known=False)
+    found = found_in(replace(oven, records=(sizes,)))
+    assert found["thermal_drift stiffness"] == pytest.approx(-6e-5, rel=1e-4)
+
+
+def test_a_table_shows_each_of_the_surroundings(oven, electrodes):
+    head, *rows = settings_table(oven).splitlines()
+    assert head.split() == ["T", "[°C]", "resonance", "[Hz]", "moved", "[ppm]", "quality", "factor", "gain"]
+    assert [row.split()[0] for row in rows] == ["-40", "-10", "25", "55", "85"]
+    assert rows[2].split()[1] == "32768.000"
+    assert float(rows[4].split()[2]) == pytest.approx(1e6 * (np.sqrt((1 - 6e-5 * 60) / (1 + 6e-5 * 65)) - 1), abs=1.0)
+    assert float(rows[0].split()[3]) == pytest.approx(1e5 * np.sqrt(1 + 6e-5 * 65) / (1 - 2e-3 * 65), rel=5e-3)
+    assert float(settings_table(electrodes).split()[-1]) == pytest.approx(7.11, abs=0.02)
+    assert settings_table(replace(oven, records=())) == ""
+
+
+def test_the_surroundings_of_a_device_are_told(oven, electrodes):
+    elsewhere = replace(oven.environment, temperature=310.0)
+    assert place_in_words(oven.environment, oven.records) == "25 °C"
+    assert place_in_words(elsewhere, oven.records) == "36.85 °C, where no record was taken"
+    assert place_in_words(electrodes.environment, electrodes.records) == "6 V"
+    assert nearest_in_words(elsewhere, oven.records) == "25 °C"
+
+
+def test_as_many_strengths_as_settings_bear_nothing_out(crossed, electrodes):
+    """Both strengths were told to 0.03 % and nothing doubted, where one is none at all."""
+    for case, loose in ((crossed, {"thermal_drift stiffness", "electrostatic_softening x"}), (electrodes, set())):
+        model = found_start(case, "thermal_drift", "electrostatic_softening", "bias_transduction")
+        joint, every = Joint(model, readings_of(case)), in_each_place(case)
+        wanted = {"thermal_drift stiffness", "electrostatic_softening x", "bias_transduction drive"}
+        places = [i for i, effect in enumerate(model.effects) if effect.label in wanted]
+        assert {model.effects[i].label for i in as_many_as_settings(joint, every, places)} == loose
+
+
+def test_a_course_that_bends_is_tried_from_four_temperatures(oven):
+    def labels(case):
+        return {effect.name for effect in worth_trying(case)}
+
+    few = with_rows(oven.records[0], oven.records[0].temperature < 310.0)
+    assert "thermal_curvature" in labels(oven)
+    assert "thermal_curvature" not in labels(replace(oven, records=(few,)))
 
 
 def test_settings_tell_what_moved_the_device(oven):

@@ -47,6 +47,8 @@ FORCES = {
     "squeeze_film_damping": lambda s, n, a: -s * n.displacement[a] ** 2 * n.velocity[a] * np.eye(2)[a],
     "damping_step": lambda s, n, a: -s * M * D @ n.velocity * (n.time >= 0.4) * (n.record == 0),
     "thermal_drift stiffness": lambda s, n, a: -s * n.warming * M * np.diag(K) * n.displacement,
+    "thermal_curvature stiffness": lambda s, n, a: -s * n.warming**2 * M * np.diag(K) * n.displacement,
+    "thermal_curvature damping": lambda s, n, a: -s * n.warming**2 * M * np.diag(D) * n.velocity,
     "thermal_drift damping": lambda s, n, a: -s * n.warming * M * np.diag(D) * n.velocity,
     "parasitic_mode": lambda s, n, a: s * M * (2 * np.pi * 20e3) ** 2 * (n.own[0] - n.displacement[a]) * np.eye(2)[a],
     "rate_offset": lambda s, n, a: 2 * M * s * (1 - n.rate_trusted) * crossed(n),

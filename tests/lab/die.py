@@ -125,6 +125,8 @@ class Hidden:
     dry_friction_y: float = 0.0
     thermal_drift_stiffness: float = 0.0
     thermal_drift_damping: float = 0.0
+    thermal_curvature_stiffness: float = 0.0
+    thermal_curvature_damping: float = 0.0
     thermal_drift_couplings: bool = False  # whether kxy and dxy drift as well
     rate_offset: float = 0.0
     rate_scale_error: float = 0.0

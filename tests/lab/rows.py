@@ -60,9 +60,11 @@ def rows(die, hidden, count, temperature=0.0, bias=0.0, rate=0.0, turn=0.0, cali
     wide = np.ones(count)
     softening = np.append(hidden.pair("electrostatic_softening"), 0.0)[:, None] * (bias * wide)
     heat = np.array([1.0, 1.0, float(hidden.thermal_drift_couplings)])[:, None] * temperature * wide
-    stiffness = die.stiffness[:, None] * (1 + hidden.thermal_drift_stiffness * heat) - softening
+    bent = (hidden.thermal_curvature_stiffness, hidden.thermal_curvature_damping)  # all of it on the axes' own
+    square = np.array([1.0, 1.0, 0.0])[:, None] * temperature**2 * wide
+    stiffness = die.stiffness[:, None] * (1 + hidden.thermal_drift_stiffness * heat + bent[0] * square) - softening
     stiffness = stiffness * (1 + pull * wide) ** 2
-    damping = die.damping[:, None] * (1 + hidden.thermal_drift_damping * heat)
+    damping = die.damping[:, None] * (1 + hidden.thermal_drift_damping * heat + bent[1] * square)
     scale = 1 + hidden.rate_scale_error
     true_rate = scale * rate * wide + (0.0 if calibrated else hidden.rate_offset)
     zero = np.zeros(count)

@@ -1,6 +1,7 @@
 """`memsgyro check`: read a measurement case, say what it holds, how good it is, and what it can identify."""
 
 from pathlib import Path
+from textwrap import indent
 
 from .cases import cases_in, only_of_folders, over_cases
 from .diagnose import load_demo_or, look_for
@@ -36,6 +37,7 @@ def check_command(
     look_for(case, kinds)
     from memsgyro_jax.base.text import listed
     from memsgyro_jax.diagnosis.identifiable import identifiable
+    from memsgyro_jax.diagnosis.settings_table import settings_table
     from memsgyro_jax.measurement.beside_design import beside_design
     from memsgyro_jax.measurement.case import assess
     from memsgyro_jax.measurement.user_kinds import load_kinds
@@ -45,6 +47,8 @@ def check_command(
         print(part, end="\n\n", flush=True)
     for sentence in beside_design(measured):
         print(sentence)
+    if table := settings_table(measured):
+        print(f"The device as each of its surroundings shows it by itself:\n{indent(table, '  ')}")
     print("What the fitted records can identify of the base model, by the size of one standard deviation:")
     told = identifiable(measured)
     for line in told:

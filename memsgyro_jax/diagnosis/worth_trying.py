@@ -1,0 +1,25 @@
+"""The effects of the catalogue that a case may ask for."""
+
+import numpy as np
+
+from memsgyro_jax.effects import Effect, ThermalDampingCurvature, ThermalStiffnessCurvature, catalogue
+from memsgyro_jax.measurement.case import Case
+from memsgyro_jax.measurement.one_place import NEAR
+
+
+COURSE = 4  # temperatures from which a parabola is more than a line drawn through all of them
+
+
+def worth_trying(case: Case) -> tuple[Effect, ...]:
+    """Those that the device can have, without courses that any three temperatures would bear out."""
+    every = catalogue(case.channels)
+    if _temperatures(case) >= COURSE:
+        return every
+    return tuple(e for e in every if not isinstance(e, ThermalStiffnessCurvature | ThermalDampingCurvature))
+
+
+def _temperatures(case: Case) -> int:
+    """How many there are, of all records, farther apart than one reading is from the next."""
+    read = [np.ravel(record.temperature) for record in case.records if hasattr(record, "temperature")]
+    values = np.sort(np.concatenate(read)) if read else np.zeros(0)
+    return int(values.size > 0) + int(np.sum(np.diff(values) > NEAR))
