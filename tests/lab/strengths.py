@@ -22,7 +22,7 @@ VISIBLE = {
     "dry_friction_y": 1e-9,
     "thermal_drift_stiffness": -6e-5,
     "thermal_drift_damping": 3e-3,
-    "thermal_curvature_stiffness": 2e-6,
+    "thermal_curvature_stiffness": 5e-7,
     "thermal_curvature_damping": 1e-4,
     "rate_offset": 0.2,
     "rate_scale_error": 0.03,
