@@ -6,15 +6,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from memsgyro_jax.base.text import beside, said_in
-from memsgyro_jax.measurement.least_squares import gate
 
 from .fit import CaseFit
-from .fitted import ParameterEstimate
+from .fitted import ParameterEstimate, about
 from .modes import mode_estimates
 from .residual_force import lowest_drive
 
 
-ROUGHLY = 30.0  # standard deviations that a value without them may be off, for its digits
 LOWEST = "of the lowest drive alone"  # where an unknown law shows least
 
 
@@ -42,8 +40,7 @@ class LinearDevice:
         """A line for each mode that the records hold."""
         out = []
         for m in (mode for mode in self.modes if np.isfinite(mode.std)):
-            rough = f"about {beside(m.value, ROUGHLY * m.std, 4)}"
-            value = f"{beside(m.value, m.std)} ± {m.std:.2g}" if self.held else rough
+            value = f"{beside(m.value, m.std)} ± {m.std:.2g}" if self.held else about(m.value, m.std)
             out.append(f"{m.name}: {said_in(value, m.unit)}")
         return tuple(out)
 
@@ -64,10 +61,8 @@ def linear_device(fit: CaseFit, base: CaseFit, *, explained: bool) -> LinearDevi
     lowest = lowest_drive(base)
     if lowest is None:
         return LinearDevice(_scaled(fit.modes, fit.scale), "", False)
-    left = lowest.chi2 / lowest.dof
-    held = left <= gate(lowest.dof)
-    modes = mode_estimates(lowest, base.model.axes)
-    return LinearDevice(_scaled(modes, 1.0 if held else float(np.sqrt(left))), LOWEST, held)
+    scale = 1.0 if lowest.leaves_noise else float(np.sqrt(lowest.chi2 / lowest.dof))
+    return LinearDevice(_scaled(mode_estimates(lowest, base.model.axes), scale), LOWEST, lowest.leaves_noise)
 
 
 def _scaled(modes: Sequence[ParameterEstimate], scale: float) -> tuple[ParameterEstimate, ...]:
