@@ -7,11 +7,13 @@ import numpy as np
 from memsgyro_jax.base.text import said_in
 from memsgyro_jax.effects import Scanned
 from memsgyro_jax.effects.base import SweepEffect
+from memsgyro_jax.effects.readout_delay import ReadoutDelay
 from memsgyro_jax.measurement.calibration import unit_of_records
 from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.experiments import Readings
 from memsgyro_jax.measurement.least_squares import gate
 
+from .fitted import PINNED
 from .held_out import support
 from .joint_residual import Joint
 from .optimum import Optimum
@@ -23,7 +25,7 @@ FEW = 0.05  # of the misfit above noise that is left: who explains less explains
 MANY, THIRD = 2, 1.0 / 3.0  # effects from which a further one must explain a third of it
 BEYOND_LINEAR = 3.0  # times its linear estimate: so much a refit may find
 FASTER = 1.5  # than the clock of a record: a sweep cannot have moved so
-PINNED = 0.01  # of the way from zero to a bound: a strength so near stands at it
+LATEST = 1.0  # periods of the lowest resonance: what frequency sweeps show as later is a phase, unless it explains all
 
 
 def excess(optimum: Optimum) -> float:
@@ -84,6 +86,8 @@ def _impossible(joint: Joint, place: int, after: Optimum, case: Case) -> str:
             if np.isfinite(bound) and abs(after.vector[i] - bound) <= PINNED * abs(bound):
                 at = said_in(f"{bound:.4g}", unit_of_records(case, joint.parameters[i].unit))
                 return f"its strength ends at {at}, the bound that physics sets"
+    if late := too_late(joint, place, after, case):
+        return late
     if (
         isinstance(effect, SweepEffect)
         and abs(float(np.max(after.vector[joint.of_effect(place)]))) > FASTER * covered.sweep_rate
@@ -96,6 +100,25 @@ def _impossible(joint: Joint, place: int, after: Optimum, case: Case) -> str:
             if len(set(tried)) > 1 and not min(tried) <= after.vector[i] <= max(tried):
                 return f"its {joint.parameters[i].field} leaves what was recorded"
     return ""
+
+
+def too_late(joint: Joint, place: int, after: Optimum, case: Case) -> str:
+    """Why an effect is a delay that cannot be believed; empty where it is none, or may be.
+
+    Over a sweep whole periods of a delay are a small slope of the phase, which anything that is missing may have;
+    beside angles of the reference, which take back what it turns, such a delay grows without bound. A delay of a
+    pipeline over several periods is one that explains the records.
+    """
+    driven = all(record.stepped and np.iscomplexobj(record.readings) for record in case.records)
+    if not driven or not isinstance(joint.model.effects[place], ReadoutDelay):
+        return ""
+    slowest = float(np.sqrt(np.linalg.eigvalsh(joint.at(after.vector).device.stiffness_matrix)[0]))
+    periods = float(after.vector[joint.of_effect(place)][0]) * slowest / (2.0 * np.pi)
+    if periods <= LATEST or per_freedom(after) <= gate(after.dof):
+        return ""
+    return (
+        f"it would be {periods:.2g} periods of the resonance, which sweeps show as a phase, and leaves more than noise"
+    )
 
 
 def unsure_noise(case: Case, readings: Sequence[Readings]) -> np.ndarray:

@@ -22,6 +22,7 @@ from memsgyro_jax.measurement.model import Model
 from memsgyro_jax.measurement.readings import model_of
 
 from .drives import Rows
+from .estimates import told_of, with_std_if_held
 from .fit import CaseFit, fit_case
 from .fitted import RecordError
 from .instrument import beside_case_of
@@ -111,7 +112,7 @@ class Comparison(Shown):
         if self.alone:
             lines.append(f"  {self.alone}")
         if self.fitted:
-            lines += ["Fitted:", *(f"  {estimate}" for estimate in (*self.fit.modes, *self.fit.estimates))]
+            lines += ["Fitted:", *told_of(self.fit)]
         return "\n".join(lines)
 
     @property
@@ -159,7 +160,7 @@ class Comparison(Shown):
             "failures": list(self.failures),
             "outlying": {self.case.records[number].name: list(rows) for number, rows in self.left_out.items()},
             "tests": [_check_dict(c) for c in self.checks],
-            "parameters": [p.to_dict() for p in (self.fit.estimates if self.fitted else ())],
+            "parameters": [p.to_dict() for p in (with_std_if_held(self.fit) if self.fitted else ())],
             "effects": [e.label for e in self.model.present.effects],
             "versions": dict(self.versions),
         }

@@ -12,7 +12,6 @@ from memsgyro_jax.base.runtime import make_room
 from memsgyro_jax.effects import Effect, Scanned
 from memsgyro_jax.measurement.calibration import calibration_share, unit_of_records
 from memsgyro_jax.measurement.case import Case
-from memsgyro_jax.measurement.least_squares import gate
 from memsgyro_jax.measurement.linear_start import starting_device
 from memsgyro_jax.measurement.model import Model
 from memsgyro_jax.measurement.readings import model_of, readings_of
@@ -24,6 +23,7 @@ from .drives import Rows, without_rows
 from .fewer import terms_of
 from .findings import Accepted, Candidate, Stage
 from .fit import CaseFit
+from .fitted import at_bounds, within_gates
 from .instrument import beside_case_of, drive_levels, knowledge
 from .joint_residual import Joint
 from .less_noise import LESS, less_noise, of_less_noise, with_less_noise
@@ -34,7 +34,7 @@ from .nuisances import instrument_first, of_instrument
 from .other_courses import beside_other_courses
 from .outlying import of_rows, search_beside_outlying
 from .result import UNEXPLAINED, Diagnosis, Verdict, validation_error
-from .rounds import FITTED, search_on
+from .rounds import search_on
 from .search import CONFUSED, Ranking, Search, SearchStep, start_search
 from .sentence import COURSE, DRIFT, of_noise, sentence
 from .slow_noise import is_slow_noise, slowly
@@ -250,11 +250,7 @@ def _each_explained(
     its gate counts only if noise, and the uncertainty of the fit, would seldom put it there: with all records together
     this happens to `RECORDS` of the level. Where the `noise` of a record is declared wrong, the one found counts.
     """
-    within = [
-        e.chi2 / (noise or {}).get(e.name, 1.0) ** 2 / e.count <= gate(e.count, width, e.freedom)
-        for e in fit.errors
-        for width in (FITTED if e.role == "fit" else 3.0,)
-    ]
+    within = within_gates(fit.errors, noise or {})
     if (accepted and not any(effect.of_instrument for effect in fit.joint.model.effects)) or all(within):
         yield from within
         return
@@ -269,14 +265,15 @@ def _accepted(search: Search, confused: Mapping[int, Iterable[int]], steps) -> t
     for place in confused:
         effect = search.joint.model.effects[place]
         mine = search.own_score(place)
-        at = np.isin(search.optimum.free, search.joint.of_effect(place))
+        at = search.joint.of_effect(place)
         where = labels.index(effect.label) if effect.label in labels else len(steps) - 1
         out.append(
             Accepted(
                 name=effect.name,
                 where=effect.where,
-                estimate=tuple(search.optimum.vector[search.joint.of_effect(place)].tolist()),
-                std=tuple(search.optimum.std[at].tolist()),
+                estimate=tuple(search.optimum.vector[at].tolist()),
+                std=tuple(search.optimum.std[np.isin(search.optimum.free, at)].tolist()),
+                stopped=at_bounds(search.optimum.vector, search.joint.bounds, at.tolist()),
                 unit=unit_of_records(search.case, effect.unit),
                 p_value=mine.p_value,
                 error_before=validation_error(steps[max(where - 1, 0)].fit),

@@ -11,6 +11,7 @@ from memsgyro_jax.effects import InstrumentTerm
 from memsgyro_jax.effects.lock_in_terms import ReferencePhase
 from memsgyro_jax.effects.readout_delay import ReadoutDelay
 
+from .acceptance import too_late
 from .fit import beside_case
 from .instrument import instrument_terms
 from .joint_residual import Joint
@@ -57,7 +58,8 @@ def imitated(search: Search) -> None:
             search.joint.together((*search.given, *search.accepted, other))
             start = search.without(place)
             fewer, none = (search.refit([*search.accepted, *more], start=start) for more in ([other], []))
-            if cost(fewer) > min(cost(search.optimum), cost(none)):
+            late = too_late(search.joint, other, fewer, search.case)
+            if late or cost(fewer) > min(cost(search.optimum), cost(none)):
                 search.given = kept
                 continue
             search.tell(f"dropped {term.label} for what it imitates")

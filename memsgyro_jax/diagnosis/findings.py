@@ -7,6 +7,8 @@ import numpy as np
 
 from memsgyro_jax.base.text import beside
 
+from .fitted import AT_BOUND
+
 
 NOTHING = " from nothing"  # ends what an experiment decides where no two models are left to be told apart
 SIGMAS_SEEN = 4.3  # strength over its standard deviation that is found nine times in ten among some forty candidates
@@ -26,6 +28,7 @@ class Accepted:
         numbers: its further numbers by name: value, standard deviation and unit.
         calibration: share of the strength that the declared tolerances of the scales leave unsure, beside `std`.
         chi2: that the final model would leave more without it, to first order.
+        stopped: of each component, whether it stands at its bound, where no standard deviation says how sure it is.
     """
 
     name: str
@@ -40,6 +43,7 @@ class Accepted:
     numbers: Mapping[str, tuple[float, float, str]] = field(default_factory=dict)
     calibration: float = 0.0
     chi2: float = np.nan
+    stopped: tuple[bool, ...] = ()
 
     @property
     def label(self) -> str:
@@ -50,6 +54,12 @@ class Accepted:
         """The same with all standard deviations multiplied."""
         numbers = {name: (value, factor * std, unit) for name, (value, std, unit) in self.numbers.items()}
         return replace(self, std=tuple(factor * s for s in self.std), numbers=numbers)
+
+    def told(self, digits: int = 5) -> tuple[str, ...]:
+        """Each component of the strength, for people."""
+        ends = self.stopped or (False,) * len(self.estimate)
+        every = zip(self.estimate, self.std, ends, strict=True)
+        return tuple(f"{e:.3g} {AT_BOUND}" if end else told_with(e, s, digits) for e, s, end in every)
 
 
 def told_with(value: float, std: float, digits: int = 5) -> str:

@@ -17,7 +17,6 @@ from memsgyro_jax.device.gyro import SingleMassGyro
 from memsgyro_jax.device.resonator import Resonator
 from memsgyro_jax.effects import InstrumentTerm
 from memsgyro_jax.effects.base import Effect
-from memsgyro_jax.measurement.calibration import calibration_share, unit_of_records
 from memsgyro_jax.measurement.case import AbstractRecord, Case
 from memsgyro_jax.measurement.experiments import Deviation
 from memsgyro_jax.measurement.experiments.missing_force import MissingForce
@@ -27,14 +26,14 @@ from memsgyro_jax.measurement.model import Model, check_effect
 from memsgyro_jax.measurement.readings import Readings, model_of, readings_of
 
 from .drives import Rows, without_rows
+from .estimates import estimates_of, told_of
 from .first_numbers import with_numbers_that_show
 from .fit_table import fit_table
-from .fitted import ParameterEstimate, RecordError, errors_figure, of_energy
+from .fitted import ParameterEstimate, RecordError, errors_figure, of_energy, within_gates
 from .instrument import beside_case_of, knowledge
 from .joint_residual import Joint
 from .modes import mode_estimates
 from .optimum import WHOLE, Optimum, optimise
-from .parameters import Parameter
 from .resolved import UNSURE, in_words, sharpened, still_apart
 from .valley import in_its_valley
 
@@ -158,22 +157,17 @@ class CaseFit(Tabular):
     @property
     def estimates(self) -> tuple[ParameterEstimate, ...]:
         """The parameters that were free."""
-        names: tuple[Parameter, ...] = self.joint.parameters
-        return tuple(
-            ParameterEstimate(
-                names[i].name,
-                float(self.optimum.vector[i]),
-                float(std),
-                unit_of_records(self.case, names[i].unit),
-                calibration_share(self.case, names[i].unit),
-            )
-            for i, std in zip(self.optimum.free, self.optimum.std, strict=True)
-        )
+        return estimates_of(self.case, self.joint, self.optimum)
 
     @cached_property
     def modes(self) -> tuple[ParameterEstimate, ...]:
         """Resonance frequency [Hz] and quality factor of each mode of the base device."""
         return mode_estimates(self.optimum, self.model.axes)
+
+    @property
+    def leaves_noise(self) -> bool:
+        """Whether noise alone explains what is left of every record that was fitted; a diagnosis tells no ± beyond."""
+        return all(within_gates([e for e in self.errors if e.role == "fit"], {}))
 
     @property
     def null_directions(self) -> tuple[str, ...]:
@@ -245,8 +239,7 @@ class CaseFit(Tabular):
             f"  {e.name:<{width}}  {e.role:<10}  {e.rms:10.4g} × noise{'' if e.explained else '  not explained'}"
             for e in self.errors
         ]
-        lines += [f"  {estimate}" for estimate in (*self.modes, *self.estimates)]
-        return "\n".join(lines)
+        return "\n".join([*lines, *told_of(self)])
 
 
 def fit(

@@ -1,6 +1,6 @@
 """What a fit leaves of each record, and the parameters it found."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +14,11 @@ from memsgyro_jax.measurement.least_squares import gate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+FITTED = 4.5  # standard deviations of χ² in a fitted record that count as noise: these are many, and tested anyway
+PINNED = 0.01  # of a bound: a number so near stands at it
+AT_BOUND = "at its bound"
+ROUGHLY = 30.0  # standard deviations that a value without them may be off, for its digits
 
 
 @dataclass(frozen=True)
@@ -62,6 +67,17 @@ class RecordError:
         }
 
 
+def within_gates(errors: Sequence[RecordError], noise: Mapping[str, float]) -> list[bool]:
+    """Of each entry, whether χ²/N is within the gate of a diagnosis, wider for what was fitted; in units of another
+    `noise` of some records than they have.
+    """
+    widths = [FITTED if error.role == "fit" else 3.0 for error in errors]
+    return [
+        bool(e.chi2 / noise.get(e.name, 1.0) ** 2 / e.count <= gate(e.count, width, e.freedom))
+        for e, width in zip(errors, widths, strict=True)
+    ]
+
+
 def with_calibration(share: float) -> str:
     """What stands behind a number whose calibration is unsure by that share; empty for none."""
     return f" (statistical), ± {100 * share:.2g} % with the calibration" if share else ""
@@ -70,7 +86,8 @@ def with_calibration(share: float) -> str:
 @dataclass(frozen=True)
 class ParameterEstimate:
     """A parameter of the model with its standard deviation (infinite where the records do not hold it, NaN where none
-    can be told), and the share of it that the calibration of read-out and drive leaves unsure beside.
+    can be told), and the share of it that the calibration of read-out and drive leaves unsure beside; whether a bound
+    has stopped it.
     """
 
     name: str
@@ -78,8 +95,11 @@ class ParameterEstimate:
     std: float
     unit: str
     calibration: float = 0.0
+    stopped: bool = False
 
     def __str__(self) -> str:
+        if self.stopped:
+            return f"{self.name:<24} {said_in(f'{self.value:>7.6g}', self.unit)}, {AT_BOUND}"
         if np.isinf(self.std):
             return f"{self.name:<24} not determined by these records"
         if np.isnan(self.std):
@@ -87,9 +107,30 @@ class ParameterEstimate:
         told = said_in(f"{beside(self.value, self.std):>7} ± {self.std:.2g}", self.unit)
         return f"{self.name:<24} {told}{with_calibration(self.calibration)}"
 
+    @property
+    def roughly(self) -> str:
+        """The same with the digits that hold where a model leaves more than the noise, which no ± says."""
+        if self.stopped or not np.isfinite(self.std):
+            return str(self)
+        return f"{self.name:<24} {said_in(about(self.value, self.std), self.unit)}"
+
     def to_dict(self) -> dict[str, Any]:
         """The entry of a JSON file."""
         return asdict(self)
+
+
+def about(value: float, std: float) -> str:
+    """A value whose standard deviation says little."""
+    return f"about {beside(value, ROUGHLY * std, 4)}"
+
+
+def at_bounds(values: np.ndarray, bounds: tuple[np.ndarray, np.ndarray], places: Sequence[int]) -> tuple[bool, ...]:
+    """Which of the values at some places stand at one of their bounds; zero, where an effect is absent, is none."""
+
+    def stands_at(value: float, bound: float) -> bool:
+        return bool(np.isfinite(bound) and bound != 0.0 and abs(value - bound) <= PINNED * abs(bound))
+
+    return tuple(any(stands_at(float(values[i]), float(bound[i])) for bound in bounds) for i in places)
 
 
 def of_energy(device: NormalisedDevice) -> str:

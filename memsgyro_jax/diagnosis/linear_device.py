@@ -7,11 +7,10 @@ import numpy as np
 
 from memsgyro_jax.base.text import beside, said_in
 from memsgyro_jax.measurement.drive_levels import clear_drives
-from memsgyro_jax.measurement.least_squares import gate
 from memsgyro_jax.measurement.one_place import nearest_in_words, place_in_words
 
 from .fit import CaseFit
-from .fitted import ParameterEstimate
+from .fitted import ParameterEstimate, about
 from .modes import mode_estimates
 from .residual_force import lowest_drive
 
@@ -43,8 +42,7 @@ class LinearDevice:
         """A line for each mode that the records hold."""
         out = []
         for m in (mode for mode in self.modes if np.isfinite(mode.std)):
-            rough = f"about {beside(m.value, ROUGHLY * m.std, 4)}"
-            value = f"{beside(m.value, m.std)} ± {m.std:.2g}" if self.held else rough
+            value = f"{beside(m.value, m.std)} ± {m.std:.2g}" if self.held else about(m.value, m.std)
             out.append(f"{m.name}: {said_in(value, m.unit)}")
         return tuple(out)
 
@@ -70,11 +68,9 @@ def linear_device(fit: CaseFit, base: CaseFit, *, explained: bool) -> LinearDevi
         return LinearDevice(_scaled(fit.modes, fit.scale), "", False)
     place = nearest_in_words(around, records)
     drive = "of the lowest drive" if len(clear_drives(fit.case)) > 1 else "of the records"
-    left = lowest.chi2 / lowest.dof
-    held = left <= gate(lowest.dof)
-    modes = mode_estimates(lowest, base.model.axes)
     whence = f"{drive}{f' at {place}' if place else ''} alone"
-    return LinearDevice(_scaled(modes, 1.0 if held else float(np.sqrt(left))), whence, held)
+    scale = 1.0 if lowest.leaves_noise else float(np.sqrt(lowest.chi2 / lowest.dof))
+    return LinearDevice(_scaled(mode_estimates(lowest, base.model.axes), scale), whence, lowest.leaves_noise)
 
 
 def _scaled(modes: Sequence[ParameterEstimate], scale: float) -> tuple[ParameterEstimate, ...]:

@@ -7,11 +7,10 @@ import numpy as np
 
 from memsgyro_jax.base.text import said_in
 from memsgyro_jax.effects import TERMS, Effect, InstrumentTerm, Scanned
-from memsgyro_jax.measurement.least_squares import gate
 
 from .acceptance import BEYOND_LINEAR, excess, share_needed
 from .fewer import SHARE, cost, imitated
-from .findings import Accepted, told_with
+from .findings import Accepted
 from .fit import beside_case
 from .instrument import instrument_terms, knowledge
 from .joint_residual import Joint
@@ -89,19 +88,19 @@ def _best_effect(search: Search, first: Ranking) -> tuple[str, Optimum] | None:
     return search.joint.model.effects[first.places[best]].label, fit
 
 
-def _leaves_noise(optimum: Optimum) -> bool:
-    return optimum.chi2 / optimum.dof <= gate(optimum.dof)
-
-
 def _rival(alone: Search, best: tuple[str, Optimum] | None) -> tuple[str, float]:
     """The best single effect of the device, and by how much it is better than the instrument."""
     return ("", -np.inf) if best is None else (best[0], cost(alone.optimum) - cost(best[1]))
 
 
 def of_instrument(terms: Sequence[Accepted], rival: str, levels: int) -> str:
-    """Sentences on what the instrument does, at how many levels of the drive; empty where it does nothing."""
+    """Sentences on what the instrument does, at how many levels of the drive; empty where it does nothing. Beside
+    something unknown, which may have gone into its numbers, they are none of what is found first.
+    """
     if not terms:
         return ""
+    if all(np.isnan(s) for term in terms for s in term.std):
+        return f" Beside it stands what an instrument may do, without proof: {', '.join(term.label for term in terms)}."
     also = f" These records cannot tell it from {rival}." if rival else ""
     if levels > 1 and {term.name for term in terms} <= {kind.name for kind in TERMS if kind.in_proportion}:
         also += f" What that explains grows in proportion at all {levels} levels of the drive: it is not the device."
@@ -109,7 +108,8 @@ def of_instrument(terms: Sequence[Accepted], rival: str, levels: int) -> str:
 
 
 def _numbers_of(term: Accepted) -> str:
-    held = [told_with(e, s, 4) for e, s in zip(term.estimate, term.std, strict=True) if not abs(e) <= 1e-6 * s]
+    every = zip(term.told(4), term.estimate, term.std, strict=True)
+    held = [told for told, e, s in every if not abs(e) <= 1e-6 * s]
     turned = f" ({np.degrees(term.estimate[0]):.4g}°)" if term.unit == "rad" and len(term.estimate) == 1 else ""
     return f"{term.label} {said_in(', '.join(held), term.unit)}{turned}"
 
@@ -229,7 +229,7 @@ def _explains_more(search: Search, first: Ranking, promise: Promise, best: tuple
     device = _promised_by_effects(search, first)
     if device is None or not device.chosen:
         return True
-    if best is not None and _leaves_noise(best[1]):
+    if best is not None and best[1].leaves_noise:
         single = device.alone[first.order[0]]
         return promise.worth >= single - np.log(search.optimum.residual.size) - EVIDENT - ROUGHLY * single
     share = RIVAL if device.gain >= RIVAL * missing else FAINT

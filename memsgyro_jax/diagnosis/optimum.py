@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from memsgyro_jax.measurement.experiments import Readings
-from memsgyro_jax.measurement.least_squares import Information, least_squares
+from memsgyro_jax.measurement.least_squares import Information, gate, least_squares
 
 from .joint_residual import Joint
 
@@ -54,6 +54,11 @@ class Optimum:
         """Readings that are compared, without rows that only fill up a shape, less the parameters that moved."""
         compared = (self.residual != 0) | np.any(self.jacobian != 0, axis=1)
         return int(compared.sum()) - self.free.size
+
+    @property
+    def leaves_noise(self) -> bool:
+        """Whether what is left is no more than noise: beyond it no standard deviation says how sure a number is."""
+        return bool(self.chi2 / self.dof <= gate(self.dof))
 
     @cached_property
     def information(self) -> Information:

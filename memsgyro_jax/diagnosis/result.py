@@ -186,7 +186,7 @@ class Diagnosis(Labelled):
         if self.by_setting:
             lines += ["  as each of the surroundings shows it by itself:", indent(self.by_setting, "    ")]
         for a in (*self.instrument, *self.accepted):
-            value = ", ".join(told_with(e, s) for e, s in zip(a.estimate, a.std, strict=True))
+            value = ", ".join(a.told())
             more = "".join(f", {name} {said_in(told_with(v, s), unit)}" for name, (v, s, unit) in a.numbers.items())
             value = said_in(value, a.unit)
             lines.append(f"  {a.label}: {value}{with_calibration(a.calibration)}{more}" + _confused(a))
@@ -331,5 +331,6 @@ def _accepted(a: Accepted) -> dict:
         "confused_with": list(a.confused_with),
         "calibration": a.calibration,
         "chi2": a.chi2,
+        "stopped": any(a.stopped),
         "numbers": {name: {"value": v, "std": s, "unit": unit} for name, (v, s, unit) in a.numbers.items()},
     }

@@ -5,7 +5,6 @@ Everything here looks at fitted readings alone: those that validate are kept for
 
 from dataclasses import replace
 
-from memsgyro_jax.measurement.least_squares import gate
 from memsgyro_jax.measurement.model import Model
 
 from .acceptance import excess, hopeless
@@ -24,7 +23,6 @@ from .slow_noise import is_slow_noise
 DECIDED = 25.0  # expected Δχ² from which an experiment counts as deciding
 EXCHANGES = 4  # refits with one effect in the place of another, the most promising first
 MOST = 0.9  # of the misfit: an effect that takes so much needs no rival from a scan
-FITTED = 4.5  # standard deviations of χ² in a fitted record that count as noise: these are many, and tested anyway
 
 
 def search_on(search: Search, ranking: Ranking) -> tuple[Search, Ranking]:
@@ -79,8 +77,7 @@ def _resolve(search: Search) -> None:
 
 def is_noise(search: Search) -> bool:
     """Whether noise alone explains what the fit leaves of every record that it saw."""
-    errors = [e for e in search.steps[-1].fit.errors if e.role == "fit"]
-    return all(e.chi2 / e.count <= gate(e.count, FITTED, e.freedom) for e in errors)
+    return search.steps[-1].fit.leaves_noise
 
 
 def _takes_most(search: Search, other: Optimum) -> bool:

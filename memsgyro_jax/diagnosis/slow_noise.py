@@ -18,6 +18,7 @@ from memsgyro_jax.measurement.case import AbstractRecord
 from memsgyro_jax.measurement.experiments import Deviation
 from memsgyro_jax.measurement.readings import Readings
 
+from .at_resonance import concentrated
 from .fit import CaseFit, beside_case
 from .instrument import instrument_terms
 from .misfit import check_all
@@ -256,9 +257,10 @@ def _rows(record: AbstractRecord, deviation: Deviation) -> tuple[np.ndarray, np.
 
 def _spectra(fit: CaseFit) -> dict[int, SlowNoise]:
     """The spectra of records whose noise is evidently slow, of others of their kinds, which share instruments, and of
-    those of which it is then likely.
+    those of which it is then likely; without those of which white noise is the likeliest.
     """
-    every = [(record, d.number, *slow_noise_of(_rows(record, d)[1])) for record, d in fit.deviations]
+    told = [(record, d.number, *slow_noise_of(_rows(record, d)[1])) for record, d in fit.deviations]
+    every = [one for one in told if one[2].corner > 0]
     kinds = {record.kind for record, _, _, gain in every if gain > EVIDENT}
     return {number: one for record, number, one, gain in every if record.kind in kinds or (kinds and gain > LIKELY)}
 
@@ -310,7 +312,7 @@ def _passes(fit: CaseFit, found: Mapping[int, SlowNoise], alone: float) -> bool:
     others = [error for error in fit.errors if error.name not in names and not error.explained]
     if any(fit.p_value(error) <= alone / len(fit.errors) for error in others):
         return False
-    series = []
+    series, white_again = [], []
     for record, deviation in fit.deviations:
         if deviation.number in found:
             seen, rows = _rows(record, deviation)
@@ -318,5 +320,6 @@ def _passes(fit: CaseFit, found: Mapping[int, SlowNoise], alone: float) -> bool:
             white = np.full(deviation.white.shape, np.nan)
             size = np.sqrt(np.mean(rows**2))
             white[np.ix_(seen, record.channels)] = (rows / size).reshape(seen.size, len(record.channels), -1)
-            series.append(record.series(replace(deviation, white=white)).compared)
-    return not any(check.failed for check in check_all(series))
+            white_again.append((record, replace(deviation, white=white)))
+            series.append(record.series(white_again[-1][1]).compared)
+    return not concentrated(white_again) and not any(check.failed for check in check_all(series))

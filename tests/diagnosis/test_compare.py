@@ -1,6 +1,7 @@
 """A comparison says where a model fails, and is content with the right one."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -61,6 +62,21 @@ def test_it_prints_a_table(base):
     text = str(base)
     for word in ("sweep_x", "validation", "rms/noise", "kxx/m", "does not explain", "tests fail"):
         assert word in text
+
+
+def test_numbers_of_a_model_that_fails_are_told_without_errors(base, right):
+    """The base model's were told to 0.1 %, and are off by much more."""
+    assert base.fit.optimum.converged
+    assert "±" not in str(base).replace("without ±", "")
+    assert "  lower mode frequency     about " in str(base)
+    assert "(without ±: the model leaves more than the noise" in str(base)
+    assert {p["std"] for p in base.to_dict()["parameters"]} == {None}
+    assert "±" in str(right)
+    assert "without ±" not in str(right)
+    assert all(p["std"] > 0 for p in right.to_dict()["parameters"])
+    stopped = replace(right, fit=replace(right.fit, optimum=replace(right.fit.optimum, converged=False)))
+    assert "not converged after" in str(stopped)
+    assert "±" not in str(stopped).replace("without ±", "")
 
 
 def test_a_held_model_is_not_fitted(case, right):

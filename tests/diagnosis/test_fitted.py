@@ -1,7 +1,11 @@
-"""What is said of a fitted device that is none."""
+"""What is said of a fitted device that is none, and of numbers that a bound has stopped."""
+
+import numpy as np
 
 from memsgyro_jax.device.normalised import NormalisedDevice
-from memsgyro_jax.diagnosis.fitted import of_energy
+from memsgyro_jax.diagnosis.findings import Accepted
+from memsgyro_jax.diagnosis.fitted import ParameterEstimate, at_bounds, of_energy
+from memsgyro_jax.diagnosis.nuisances import of_instrument
 
 
 def test_a_damping_that_feeds_a_motion_is_said():
@@ -9,3 +13,16 @@ def test_a_damping_that_feeds_a_motion_is_said():
     assert of_energy(NormalisedDevice(stiffness, [10.0, 12.0, 3.0], mobility)) == ""
     assert of_energy(NormalisedDevice([1e9], [0.1], mobility)) == ""
     assert "no study takes it" in of_energy(NormalisedDevice(stiffness, [10.0, 12.0, 11.5], mobility))
+
+
+def test_a_number_at_its_bound_has_no_error():
+    """frequency_offset ends at four times what clocks differ by: that was told as 4e-06 ± 1.2e-08."""
+    bounds = np.array([-4e-6, 0.0, -np.inf]), np.array([4e-6, np.inf, np.inf])
+    assert at_bounds(np.array([3.99e-6, 0.0, 5.0]), bounds, [0, 1, 2]) == (True, False, False)
+    assert at_bounds(np.array([-3.99e-6, 1e-9, 5.0]), bounds, [2, 0]) == (False, True)
+    assert at_bounds(np.array([3.8e-6, 0.0, 5.0]), bounds, [0]) == (False,)
+    said = str(ParameterEstimate("frequency_offset[1]", 3.99e-6, 1.2e-8, "1", stopped=True))
+    assert said.split() == ["frequency_offset[1]", "3.99e-06,", "at", "its", "bound"]
+    term = Accepted("drive_level", "", (0.05, -0.2), (0.01, 0.02), "1", 0.0, 9.0, 1.0, stopped=(False, True))
+    assert term.told() == ("0.05 ± 0.01", "-0.2 at its bound")
+    assert of_instrument((term,), "", 1) == " The instrument: drive_level 0.05 ± 0.01, -0.2 at its bound."

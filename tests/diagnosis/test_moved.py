@@ -38,23 +38,29 @@ temperature = {{ value = 25, unit = "degC" }}
 bias_voltage = {{ value = {bias}, unit = "V" }}
 
 [design]
-
+"""
+RECORD = """
 [[experiment]]
-name = "sweeps"
+name = "{name}"
 kind = "frequency_sweep"
-file = "sweeps.csv"
+file = "{name}.csv"
 """
 
 
-def recorded(folder, name, rows, noise, seed=0, bias=0.0, quantity="displacement"):
-    """The case of rows of temperature [degC], bias [V], drive [V], frequency [Hz] and voltage."""
-    rng = np.random.default_rng(seed)
-    lines = ["T [degC],V_bias [V],F_x [V],f [Hz],Vx_I [V],Vx_Q [V]"]
+def recorded(folder, name, rows, noise, seed=0, bias=0.0, quantity="displacement", apart=False):
+    """The case of rows of temperature [degC], bias [V], drive [V], frequency [Hz] and voltage; `apart` makes a record
+    of each temperature.
+    """
+    rng, head = np.random.default_rng(seed), "T [degC],V_bias [V],F_x [V],f [Hz],Vx_I [V],Vx_Q [V]"
+    files = {}
     for temperature, volts, drive, hertz, seen in rows:
         seen = seen + noise * complex(*rng.standard_normal(2))
-        lines.append(",".join(f"{value:.12g}" for value in (temperature, volts, drive, hertz, seen.real, seen.imag)))
-    (folder / "sweeps.csv").write_text("\n".join(lines) + "\n")
-    (folder / "case.toml").write_text(HEAD.format(name=name, bias=bias, quantity=quantity))
+        told = ",".join(f"{value:.12g}" for value in (temperature, volts, drive, hertz, seen.real, seen.imag))
+        files.setdefault(f"at_{temperature:g}" if apart else "sweeps", [head]).append(told)
+    for file, lines in files.items():
+        (folder / f"{file}.csv").write_text("\n".join(lines) + "\n")
+    text = HEAD.format(name=name, bias=bias, quantity=quantity) + "".join(RECORD.format(name=file) for file in files)
+    (folder / "case.toml").write_text(text)
     return mg.load_case(folder)
 
 
@@ -241,3 +247,19 @@ def test_a_fit_that_has_not_converged_goes_on(oven):
     assert ended.converged
     assert ended.chi2 < stopped.chi2
     assert ended.evaluations > stopped.evaluations
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2, 7])
+def test_a_damping_of_no_known_law_is_no_slow_noise(tmp_path, seed):
+    """With the cube of the absolute temperature: "found", and the misfit of each resonance noise that is slow."""
+    rows = []
+    for temperature in (-10.0, 10.0, 30.0, 50.0, 70.0):
+        square = 6e4**2 * (1 - 5.8e-5 * (temperature - 25.0))
+        width = 5.0 * ((temperature + 273.15) / 298.15) ** 3
+        for hertz in np.sqrt(square) + np.linspace(-30.0, 30.0, 121):
+            rows.append((temperature, 0.0, 5e-3, hertz, 3e4 / (square - hertz**2 + 1j * hertz * width)))
+    found = mg.diagnose(None, recorded(tmp_path, "cube", rows, 2e-4, seed=seed, apart=True))
+    assert found.verdict == "partly_explained"
+    assert "noise is not white" not in found.sentence
+    assert {a.label for a in found.accepted} == {"thermal_drift stiffness", "thermal_drift damping"}

@@ -1,12 +1,18 @@
 """The spectrum of noise that is white and slow, told by rows."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from lab.faults import Faults
 from scipy.fft import dct
 
+from memsgyro_jax.diagnosis.at_resonance import NEAR, concentrated, larger_at_resonance
 from memsgyro_jax.diagnosis.score import Score, survival
-from memsgyro_jax.diagnosis.slow_noise import EVIDENT, slow_noise_of
+from memsgyro_jax.diagnosis.slow_noise import EVIDENT, _spectra, slow_noise_of
+
+
+RESPONSE = 1.0 / (1.0 + 2j * np.linspace(-6.0, 6.0, 121))  # to a drive, twelve widths of the resonance
 
 
 @pytest.mark.parametrize("rows", [40, 400])
@@ -49,3 +55,51 @@ def test_what_few_rows_tell_of_slow_noise_is_allowed_for():
         known.append(survival(one))
     assert np.mean(np.array(told) <= 0.02) <= 0.03
     assert np.mean(np.array(known) <= 0.005) >= 0.01, "were the spectrum known"
+
+
+def sweep(left, number=0, response=RESPONSE):
+    """A frequency sweep and its deviations (n, 2)."""
+    record = SimpleNamespace(kind="frequency_sweep", channels=(0,), stepped=True, sweeps=(slice(None),))
+    return record, SimpleNamespace(number=number, white=left[:, None, :], predicted=response[:, None])
+
+
+def test_a_record_of_white_noise_beside_slow_ones_is_not_called_slow():
+    """It ended a diagnosis: its noise is slow over more than infinitely many rows."""
+    slow, rng = Faults(corner=20.0), np.random.default_rng(3)
+    rows = np.stack([slow.noise(121, None, rng) for _ in range(2)], axis=1)
+    sound = next(white for _ in range(50) if slow_noise_of(white := rng.standard_normal((121, 2)))[1] == 0.0)
+    assert list(_spectra(SimpleNamespace(deviations=[sweep(rows, 0), sweep(sound, 1)]))) == [0]
+
+
+def test_slow_noise_is_seldom_larger_at_the_resonance():
+    """Whitened by its own spectrum, at three corners; a hundredth of the probabilities may lie below a hundredth."""
+    rng, found = np.random.default_rng(4), []
+    for corner in (2.0, 20.0, 200.0):
+        for _ in range(200):
+            rows = np.stack([Faults(corner=corner).noise(121, None, rng) for _ in range(2)], axis=1)
+            white = slow_noise_of(rows)[0].whitened(rows)
+            near = np.repeat((np.abs(RESPONSE) ** 2 > NEAR)[:, None], 2, axis=1)
+            found.append(larger_at_resonance([white], [near]))
+    assert np.mean(np.array(found) <= 0.01) <= 0.02
+    assert np.mean(np.array(found) <= 0.5) == pytest.approx(0.5, abs=0.12)
+
+
+def test_what_a_resonance_is_wrong_by_is_no_slow_noise_of_five_sweeps():
+    """A damping that is wrong by different amounts, beside white noise: spectra are slow, but what they whiten is
+    larger near the resonance.
+    """
+    rng = np.random.default_rng(5)
+    wrong, records = RESPONSE**2, []
+    for number, size in enumerate((2.0, 6.0, -5.0, 4.0, -7.0)):
+        rows = np.stack([(size * wrong).real, (size * wrong).imag], axis=1) + rng.standard_normal((121, 2))
+        spectrum, gain = slow_noise_of(rows)
+        assert gain > EVIDENT or number == 0
+        records.append(sweep(spectrum.whitened(rows), number))
+    assert concentrated(records)
+    assert not concentrated([sweep(rng.standard_normal((121, 2))) for _ in range(5)])
+
+
+def test_nothing_is_asked_where_a_sweep_has_no_resonance_or_nothing_else():
+    white = 3.0 * np.random.default_rng(6).standard_normal((121, 2))
+    assert not concentrated([sweep(white, response=np.ones(121))])
+    assert larger_at_resonance([], []) == 1.0

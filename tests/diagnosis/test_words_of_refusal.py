@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import memsgyro_jax
-from memsgyro_jax.diagnosis.acceptance import refusal
+from memsgyro_jax.diagnosis.acceptance import refusal, too_late
 from memsgyro_jax.diagnosis.climb import whence
 from memsgyro_jax.diagnosis.parameters import Parameter
 from memsgyro_jax.effects import by_name
@@ -30,6 +30,30 @@ def test_the_bound_at_which_a_strength_ends_is_told(demo):
     before, after = SimpleNamespace(chi2=900.0, dof=10), SimpleNamespace(chi2=20.0, dof=9, vector=np.array([2.5e-5]))
     said = refusal(joint, 0, before, after, others=0, case=demo)
     assert said == "its strength ends at 2.5e-05 s, the bound that physics sets"
+
+
+@pytest.mark.parametrize(
+    ("seconds", "left", "stepped", "refused"),
+    [
+        (1.38e-4, 94.0, True, True),
+        (1.38e-4, 1.0, True, False),
+        (4e-5, 94.0, True, False),
+        (1.38e-4, 94.0, False, False),
+    ],
+)
+def test_a_delay_of_periods_that_explains_little_is_a_phase(seconds, left, stepped, refused):
+    """Angles of the reference by record, which took it back, stood beside 2.8 periods of a perfect instrument. One that
+    leaves noise alone may be a converter's pipeline; one over time is seen directly.
+    """
+    record = SimpleNamespace(stepped=stepped, readings=np.zeros(3, complex))
+    joint = SimpleNamespace(
+        model=SimpleNamespace(effects=(by_name("readout_delay"),)),
+        at=lambda vector: SimpleNamespace(device=SimpleNamespace(stiffness_matrix=(2 * np.pi * 20e3) ** 2 * np.eye(1))),
+        of_effect=lambda place: np.array([0]),
+    )
+    after = SimpleNamespace(vector=np.array([seconds]), chi2=900 * left, dof=900)
+    said = too_late(joint, 0, after, SimpleNamespace(records=(record,)))
+    assert said.startswith("it would be 2.8 periods of the resonance") if refused else said == ""
 
 
 def test_the_lowest_drive_is_named_where_drives_differ(demo):

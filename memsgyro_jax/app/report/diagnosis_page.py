@@ -124,7 +124,7 @@ def _effect(a: Accepted) -> list[str]:
     spans = (_interval(e, 1.96 * s) for e, s in zip(a.estimate, a.std, strict=True))
     return [
         a.label,
-        ", ".join(told_with(e, s, 4).partition(" ±")[0] for e, s in zip(a.estimate, a.std, strict=True)),
+        ", ".join(told.partition(" ±")[0] for told in a.told(4)),
         "; ".join(spans),
         a.unit,
         as_times(a.error_before),

@@ -1,7 +1,6 @@
 """What effects added to a fit have helped, for people and for machines."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +11,7 @@ from memsgyro_jax.base.provenance import versions
 from memsgyro_jax.base.text import aligned
 from memsgyro_jax.diagnosis.compare import Comparison, as_times
 from memsgyro_jax.diagnosis.drives import FAR
+from memsgyro_jax.diagnosis.estimates import told_of
 from memsgyro_jax.diagnosis.fit import CaseFit
 from memsgyro_jax.diagnosis.result import DRAW
 from memsgyro_jax.diagnosis.scans import coverage, scan
@@ -72,14 +72,7 @@ def fit_text(before: CaseFit, found: Comparison) -> str:
     lines = [f"{after.case.name}: {after.status}; {chi2}", "rms of deviation over noise:", aligned([head, *rows])]
     lines += [found.verdict, *(f"  {failure}" for failure in found.failures)]
     lines += [f"  {line}" for line in (found.alone, short_of_its_valley(before, after)) if line] + ["Fitted:"]
-    scale, ended = after.scale, after.optimum.converged
-    factor = scale if ended else np.nan
-    for estimate in (*after.modes, *after.estimates):
-        lines.append(f"  {estimate if np.isinf(estimate.std) else replace(estimate, std=factor * estimate.std)}")
-    if not ended:
-        lines.append("  (without ±: the fit has not ended, and its numbers may still move)")
-    elif scale > 1.0:
-        lines.append(f"  (standard deviations times {scale:.3g}, as the model leaves more than the noise)")
+    lines += told_of(after)
     lines += [f"  {label}, held: {_listed(held)}" for label, held in _held(after).items()]
     return "\n".join(lines)
 

@@ -162,7 +162,8 @@ def test_a_strength_beside_something_unknown_is_told_without_its_error(diagnosis
         assert " times, as" not in text
     assert f"{found.label}: {found.estimate[0]:.3g} N/m³" in str(partly)
     assert "standard deviations times" not in str(partly)
-    assert of_instrument((shown,), "", 1).startswith(" The instrument: drive_level 0.0624, -0.0637.")
+    assert of_instrument((shown,), "", 1) == " Beside it stands what an instrument may do, without proof: drive_level."
+    assert "drive_level: 0.0624, -0.0637" in str(partly)
     assert "± 0.001, -0.0637 ± 0.002" in of_instrument((term,), "", 1)
     answer = partly.to_dict()
     assert {p["std"] for p in answer["final"]["parameters"]} == {None}

@@ -1,0 +1,56 @@
+"""The numbers that a fit found, and how they are told."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from memsgyro_jax.measurement.calibration import calibration_share, unit_of_records
+from memsgyro_jax.measurement.case import Case
+
+from .fitted import ParameterEstimate, at_bounds
+from .joint_residual import Joint
+from .optimum import Optimum
+
+
+UNENDED = "without ±: the fit has not ended, and its numbers may still move"
+WITHOUT = "without ±: the model leaves more than the noise, and its numbers take what it lacks"
+SCALED = "standard deviations times {:.3g}, as the model leaves more than the noise"
+
+
+def estimates_of(case: Case, joint: Joint, optimum: Optimum) -> tuple[ParameterEstimate, ...]:
+    """The parameters that were free."""
+    free = optimum.free.tolist()
+    stopped = at_bounds(optimum.vector, joint.bounds, free)
+    return tuple(
+        ParameterEstimate(
+            joint.parameters[i].name,
+            float(optimum.vector[i]),
+            float(std),
+            unit_of_records(case, joint.parameters[i].unit),
+            calibration_share(case, joint.parameters[i].unit),
+            end,
+        )
+        for i, std, end in zip(free, optimum.std, stopped, strict=True)
+    )
+
+
+def told_of(fit: Any) -> tuple[str, ...]:
+    """A line for each mode and parameter of a fit, and one on their ±; without ± where the fit has not ended, or leaves
+    more than noise.
+    """
+    every = (*fit.modes, *fit.estimates)
+    if not fit.optimum.converged:
+        bare = (e if np.isinf(e.std) else replace(e, std=np.nan) for e in every)
+        return (*(f"  {e}" for e in bare), f"  ({UNENDED})")
+    if not fit.leaves_noise:
+        return (*(f"  {e.roughly}" for e in every), f"  ({WITHOUT})")
+    said = tuple(f"  {replace(e, std=fit.scale * e.std)}" for e in every)
+    return said if fit.scale == 1.0 else (*said, f"  ({SCALED.format(fit.scale)})")
+
+
+def with_std_if_held(fit: Any) -> tuple[ParameterEstimate, ...]:
+    """The parameters of a fit, with NaN in place of standard deviations that are not told, for machines."""
+    if fit.optimum.converged and fit.leaves_noise:
+        return tuple(fit.estimates)
+    return tuple(replace(e, std=np.nan) for e in fit.estimates)
