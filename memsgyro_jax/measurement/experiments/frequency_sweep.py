@@ -1,7 +1,7 @@
 """Frequency sweep: settled lock-in phasors over drive frequency, of one or more sweeps under several conditions."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar, Self, cast
 
@@ -26,6 +26,7 @@ from .record import AbstractRecord, Watched
 from .sheet import Sheet
 from .sweep_coverage import hasty, peaks_not_seen, place_in_band, swept_elsewhere, weak_sweeps
 from .sweep_layout import halves, joined_rows
+from .sweep_readings import motion_of_amplitudes, scattered, steadied
 from .sweep_rows import alike, check_order, check_phase, levels_set, refuse_copies, single_sweeps
 
 
@@ -61,6 +62,7 @@ class FrequencySweepRecord(AbstractRecord):
         phasors: (n, channels) complex, in the record unit.
         time: (n,) when each row was recorded [s], or `None`.
         phase_known: whether phasors are more than amplitudes, which stand there with a phase of zero.
+        thermometer: by how much readings of the temperature scattered from row to row [K], which was taken off them.
     """
 
     kind: ClassVar[str] = "frequency_sweep"
@@ -76,6 +78,7 @@ class FrequencySweepRecord(AbstractRecord):
     phasors: np.ndarray
     time: np.ndarray | None = None
     phase_known: bool = True
+    thermometer: float = 0.0
 
     @property
     def readings(self) -> np.ndarray:
@@ -128,7 +131,7 @@ class FrequencySweepRecord(AbstractRecord):
         drives = [name for group in columns.words.drives for name in group]
         conditions = ("T", "V_bias", "rate", "t")
         columns.refuse_others(["f", *columns.signal_names("_I", "_Q", "_amp", "_phase"), *drives, *conditions])
-        return cls(
+        record = cls(
             **sheet.common(),
             axis=axis,
             settled=sheet.entry.settled,
@@ -141,6 +144,8 @@ class FrequencySweepRecord(AbstractRecord):
             time=columns.time() if columns.has("t") else None,
             phase_known=columns.has_phase,
         )
+        temperature, scatter = steadied(record.temperature, record.sweeps)
+        return replace(record, temperature=temperature, thermometer=scatter)
 
     def check(self, table: Table, declared: Declared) -> None:
         try:
@@ -229,17 +234,8 @@ class FrequencySweepRecord(AbstractRecord):
     def motion(self, declared: Declared) -> np.ndarray:
         """(n, axes) displacement phasors that were seen; where no phase was, those of the device as designed."""
         motion = declared.readout.motion(self.phasors, self.frequency)
-        return motion if self.phase_known else np.abs(motion) * self._lag(motion, declared)[:, None]
-
-    def _lag(self, motion: np.ndarray, declared: Declared) -> np.ndarray:
-        """(n,) of modulus 1: the phase at which the drive replaces what the damping takes, before or past the peak."""
-        size, device = np.abs(motion[:, self.axis]), design_device(declared)
-        taken = self.frequency * float(device.damping[self.axis]) * size
-        lag = np.arcsin(np.minimum(1.0, taken / np.abs(float(device.mobility) * self.drive)))
-        for rows in self.sweeps:
-            past = self.frequency[rows] > self.frequency[rows][np.argmax(size[rows])]
-            lag[rows] = np.where(past, np.pi - lag[rows], lag[rows])
-        return np.exp(-1j * lag) * np.sign(float(device.mobility))
+        known = self.frequency, self.drive, self.axis, design_device(declared), self.sweeps
+        return motion if self.phase_known else motion_of_amplitudes(motion, *known)
 
     def _peak(self, rows: slice) -> float:
         """Highest reading of the driven channel within a sweep; of the other where it was not recorded."""
@@ -270,6 +266,7 @@ class FrequencySweepRecord(AbstractRecord):
         found += peaks_not_seen(self.file, hertz, size, self.setting, self.sweeps, others)
         peaks, noise = [self._peak(rows) for rows in self.sweeps], self.noise_std or self.estimated_noise()
         found += weak_sweeps(self.file, [self.lines[rows] for rows in self.sweeps], peaks, noise)
+        found += scattered(self.file, self.thermometer)
         return found + hasty(self.file, self.time if self.settled else None, declared.shortest_decay)
 
     # ---- misfit and overlay
