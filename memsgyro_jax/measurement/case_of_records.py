@@ -44,7 +44,7 @@ def toml_of_records(name: str, records: list[ImportedRecord], sources: list[str]
         if record.kind in ("frequency_sweep", "rate_table", "operating_points"):
             entry["drive_axis"] = record.axis or "x"
         said = [f"# from {record.source}", *(f"# assumed: {sentence}" for sentence in record.assumed)]
-        said += [f"# not needed: {listed(record.unused)}"] if record.unused else []
+        said += [f"# not used: {listed(record.unused)}"] if record.unused else []
         parts.append("\n".join(map(printable, said)) + "\n" + toml_table("[experiment]", entry))
     return "\n".join(parts)
 

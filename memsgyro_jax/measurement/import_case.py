@@ -65,6 +65,8 @@ class ImportedCase(Shown):
         shared = _shared(self.records)
         for sentence, names in sorted(shared.items(), key=lambda one: [*_ABOUT].index(_about(one[0]))):
             lines.append(f"Assumed of the {_about(sentence)}: {sentence}{_of(names, self.records)}.")
+        for columns, names in _unused_columns(self.records).items():
+            lines.append(f"Not used: {columns}{_of(names, self.records)}.")
         lines += [f"Not used: {level}." for level in self.unused]
         lines += [f"WARNING: {self.warning}"] if self.warning else []
         return "\n".join(lines)
@@ -278,8 +280,15 @@ def _shared(records: Sequence[ImportedRecord]) -> dict[str, list[str]]:
     for record in records:
         for sentence in record.assumed:
             found.setdefault(sentence, []).append(record.name)
+    return found
+
+
+def _unused_columns(records: Sequence[ImportedRecord]) -> dict[str, list[str]]:
+    """Columns that are not used, with the records beside which they stand."""
+    found: dict[str, list[str]] = {}
+    for record in records:
         if record.unused:
-            found.setdefault(f"{listed(record.unused, '`')} not needed", []).append(record.name)
+            found.setdefault(listed(record.unused, "`"), []).append(record.name)
     return found
 
 
