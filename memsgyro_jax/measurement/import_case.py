@@ -25,7 +25,7 @@ from .driven_axes import axes_of_files, require_axes
 from .formats import SourceTable, read_instrument_file
 from .imported_conditions import conditions_of_files, for_each_file
 from .imported_record import Given, ImportedRecord, records_of
-from .imported_sweep import NO_LEVEL
+from .imported_sweep import NO_LEVEL, is_ratio
 from .records_together import agreed, turned_alike, without_copies
 
 
@@ -34,7 +34,7 @@ _PLURAL = {
     "rate_table": "rate tables", "operating_points": "operating points",
 }  # fmt: skip
 _ABOUT = {  # kinds of what is assumed, the one that strengths hang on first, by the first words that it has
-    "drive": re.compile(r"\bdriv|response to 1 N"),
+    "drive": re.compile(r"\bdriv|taken at|response to 1 N"),
     "readings": re.compile(r"\bread-?(?:ing|out)|phase|amplitude|effective|response is in"),
     "rows": re.compile(""),
 }
@@ -159,14 +159,15 @@ def import_case(
 
     found = [taken(k, None) for k in range(len(files))]
     needing = [any("drive_force" in record.keys for record in some) for some in found]
-    levels = _levels(given, needing)
-    found = [taken(k, levels[k]) if levels[k] is not None and needing[k] else found[k] for k in range(len(files))]
+    using = [needs or any(map(is_ratio, tables)) for needs, (_, tables) in zip(needing, read, strict=True)]
+    levels = _levels(given, needing, using)
+    found = [taken(k, levels[k]) if levels[k] is not None and using[k] else found[k] for k in range(len(files))]
     require_axes(files, found, axis)
     names = [path.name for path in files]
     unused = [
         f"the drive of {level[0]:g} {level[1]}, as {name} does not need it"
-        for level, name, needs in zip(levels, names, needing, strict=True)
-        if level and not needs and len(given) > 1
+        for level, name, uses in zip(levels, names, using, strict=True)
+        if level and not uses and (len(given) > 1 or not any(using))
     ]
     found, copies = without_copies(found)
     records = turned_alike(agreed(_named([record for some in found for record in some])))
@@ -175,7 +176,7 @@ def import_case(
     again += [*(["--map", *([columns] if isinstance(columns, str) else columns)] if any(maps) else [])]
     again += ["--axis", *axis] if axis else []
     left = [some if needs else [] for some, needs in zip(found, needing, strict=True)]
-    warning = _warning(names, left, shlex.join(again))
+    warning = _warning(names, left, levels, shlex.join(again))
     return ImportedCase(case, tuple(form for form, _ in read), tuple(records), (*unused, *copies), warning)
 
 
@@ -196,19 +197,23 @@ def _of_joined(given: Sequence[str], parts: Sequence[Sequence[int]], option: str
     return [given[some[0]] for some in parts]
 
 
-def _warning(names: Sequence[str], found: Sequence[list[ImportedRecord]], command: str) -> str:
+def _warning(
+    names: Sequence[str], found: Sequence[list[ImportedRecord]], given: Sequence[Level | None], command: str
+) -> str:
     """That nothing tells the drive levels of several files, and the command to give them; empty where they are told.
 
     Args:
         names: of all files.
         found: the records of each; none where it needs no level.
+        given: level of each.
         command: that was given.
     """
     levels = []
-    for some in found:
-        known = next((record.keys["drive_force"] for record in some if "drive_force" in record.keys), None)
+    for some, said in zip(found, given, strict=True):
+        keys = (record.keys["drive_force"] for record in some if "drive_force" in record.keys)
+        known = next(((key["value"], key["unit"]) for key in keys), said)
         guessed = any(NO_LEVEL in record.assumed for record in some)
-        levels.append("..." if guessed else "-" if known is None else f"{known['value']:g} {known['unit']}")
+        levels.append("..." if guessed else "-" if known is None else f"{known[0]:g} {known[1]}")
     if levels.count("...") < 2:
         return ""
     files = listed(name for name, level in zip(names, levels, strict=True) if level == "...")
@@ -221,15 +226,18 @@ def _warning(names: Sequence[str], found: Sequence[list[ImportedRecord]], comman
     )
 
 
-def _levels(given: Sequence[Level | None], swept: Sequence[bool]) -> list[Level | None]:
-    """The level of each file, of which those that are `swept` without a column for it need one."""
+def _levels(given: Sequence[Level | None], swept: Sequence[bool], using: Sequence[bool]) -> list[Level | None]:
+    """The level of each file, of which those that are `swept` without a column for it need one, while ratios are among
+    those that use one.
+    """
     if len(given) <= 1:
         return [given[0] if given else None] * len(swept)
     if len(given) == len(swept):
         return list(given)
-    if len(given) == sum(swept):
-        left = iter(given)
-        return [next(left) if needs else None for needs in swept]
+    for files in (swept, using):
+        if len(given) == sum(files):
+            left = iter(given)
+            return [next(left) if takes else None for takes in files]
     raise InputError(
         f"Option `--drive` must be given once, for each of {len(swept)} files (`-` for one that needs no level), or "
         f"for each of the {sum(swept)} that need one, but has {len(given)}."

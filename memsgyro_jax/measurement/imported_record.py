@@ -20,7 +20,7 @@ from .imported_columns import (
     time_column,
 )
 from .imported_conditions import beside_conditions, columns_of_points, columns_of_rate_table, stamps
-from .imported_sweep import columns_of_sweep, phasor_columns_of, phasors_of, read_as
+from .imported_sweep import at_level, columns_of_sweep, phasor_columns_of, phasors_of, read_as
 from .thinning import thinned
 from .tracking import rough_decay
 from .two_channels import axis_in_name, said_of_channels
@@ -94,6 +94,7 @@ def records_of(name: str, table: SourceTable, meaning: Meaning, given: Given) ->
     assumed = [*table.assumed]
     rows = thinned(table, meaning, _finite(table, meaning, assumed), given.every, assumed)
     rows = from_effective(rows, assumed) if given.rms else rows
+    rows = at_level(table, rows, given.drive, assumed)
     if meaning.swept or meaning.at_points:
         rows = beside_conditions(table, rows, given.conditions, assumed)
     elif given.conditions:

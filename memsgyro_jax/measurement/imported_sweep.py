@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.units import to_si
 
 from .formats import SourceColumn, SourceTable
@@ -85,6 +86,32 @@ def _by_drive(
     if gains and is_same_kind(unit, "V"):
         columns |= {name: SourceColumn("", unit, columns[name].values * level) for name in gains}
         assumed.append("the readings in dB are ratios to the drive, with which they are multiplied")
+
+
+def is_ratio(table: SourceTable) -> bool:
+    """Whether the readings of a table are ratios to its drive, whose level it does not say."""
+    return table.attributes.get("ratio") == "drive"
+
+
+def at_level(
+    table: SourceTable, rows: Mapping[str, SourceColumn], drive: tuple[float, str] | None, assumed: list[str]
+) -> dict[str, SourceColumn]:
+    """The columns of ratios to the drive at the level that was given, without one at 1 V; others as they are."""
+    if not is_ratio(table) or "drive" not in rows:
+        return dict(rows)
+    if drive is None:
+        assumed.append("it was taken at 1 V, as the file does not say (`--drive`)")
+        return dict(rows)
+    if not is_same_kind(drive[1], "V"):
+        must = "the level `--drive` of a ratio of voltages must be a voltage"
+        raise InputError(f"{table.path}: {must}, but is {drive[0]:g} {drive[1]}.")
+    volts = float(to_si(*drive, "V", "option `--drive`"))
+    assumed.append(f"it was taken at {drive[0]:g} {drive[1]}, as was given, with which the ratio is multiplied")
+    scaled = {"I", "Q", "amp", "drive"}
+    return {
+        role: SourceColumn(column.name, column.unit, column.values * volts) if role in scaled else column
+        for role, column in rows.items()
+    }
 
 
 def phasor_columns_of(rows: Mapping[str, SourceColumn], assumed: list[str]) -> dict[str, SourceColumn]:
