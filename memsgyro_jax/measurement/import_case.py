@@ -20,6 +20,7 @@ from .case import Case, load_case
 from .case.file import FILE
 from .case_of_records import csv_of_record, toml_of_records
 from .column_meaning import meaning_of, parse_map
+from .condition_hints import hints
 from .demodulators import demodulators_joined
 from .driven_axes import axes_of_files, require_axes
 from .formats import SourceTable, read_instrument_file
@@ -51,6 +52,7 @@ class ImportedCase(Shown):
         records: where each experiment comes from, and what was assumed of it.
         unused: drive levels that no record needs, each with its file, and files whose rows another has.
         warning: that several files were given one drive level, as none has its own, and what to do; empty otherwise.
+        hints: conditions that only the names of files tell, each with the option that says them.
     """
 
     case: Case
@@ -58,6 +60,7 @@ class ImportedCase(Shown):
     records: tuple[ImportedRecord, ...]
     unused: tuple[str, ...] = ()
     warning: str = ""
+    hints: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         lines = [f"{self.case.folder}: {len(self.records)} records from {', '.join(dict.fromkeys(self.formats))}"]
@@ -68,6 +71,7 @@ class ImportedCase(Shown):
         for columns, names in _unused_columns(self.records).items():
             lines.append(f"Not used: {columns}{_of(names, self.records)}.")
         lines += [f"Not used: {level}." for level in self.unused]
+        lines += [f"Hint: {hint}." for hint in self.hints]
         lines += [f"WARNING: {self.warning}"] if self.warning else []
         return "\n".join(lines)
 
@@ -78,6 +82,7 @@ class ImportedCase(Shown):
             "case": str(self.case.folder),
             "formats": list(self.formats),
             "warning": self.warning,
+            "hints": [*self.hints],
             "records": [
                 {
                     "name": r.name, "kind": r.kind, "source": r.source, "columns": list(r.columns),
@@ -177,7 +182,8 @@ def import_case(
     again += ["--axis", *axis] if axis else []
     left = [some if needs else [] for some, needs in zip(found, needing, strict=True)]
     warning = _warning(names, left, levels, shlex.join(again))
-    return ImportedCase(case, tuple(form for form, _ in read), tuple(records), (*unused, *copies), warning)
+    hinted = hints(files, found, {"V_bias": bias, "T": temperature})
+    return ImportedCase(case, tuple(form for form, _ in read), tuple(records), (*unused, *copies), warning, hinted)
 
 
 def _maps(given: Sequence[str], files: int) -> list[dict[str, str]]:

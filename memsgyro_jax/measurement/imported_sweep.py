@@ -9,6 +9,7 @@ import numpy as np
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.units import to_si
 
+from .file_names import without_bias
 from .formats import SourceColumn, SourceTable
 from .imported_columns import (
     add_surroundings,
@@ -180,7 +181,7 @@ def level_of(table: SourceTable, drive: tuple[float, str] | None, assumed: list[
     """The drive level that no column holds."""
     if drive is not None:
         return {"value": drive[0], "unit": drive[1]}
-    if found := _LEVEL.search(table.path.stem):
+    if found := _LEVEL.search(without_bias(table.path.stem)):
         value, unit = float(found[1].replace("p", ".")), found[2]
         assumed.append(f"the drive is {value:g} {unit}, as the file's name says")
         return {"value": value, "unit": unit}

@@ -5,12 +5,13 @@ import numpy as np
 import pytest
 
 import memsgyro_jax as mg
+from memsgyro_jax.measurement.file_names import bias_in_name, temperature_in_name
 
 
-def sweep(path, beside="", value=0.0):
+def sweep(path, beside="", value=0.0, gain=1.0):
     """A sweep, with a column of one number beside it where `beside` is its header."""
     more, number = (f",{beside}", f",{value}") if beside else ("", "")
-    lines = [f"{f},{z.real},{z.imag}{number}" for f, z in zip(w.FREQUENCY, w.RESPONSE, strict=True)]
+    lines = [f"{f},{gain * z.real},{gain * z.imag}{number}" for f, z in zip(w.FREQUENCY, w.RESPONSE, strict=True)]
     path.write_text("\n".join([f"f [Hz],X [V],Y [V]{more}", *lines]) + "\n")
     return path
 
@@ -43,3 +44,70 @@ def test_bias_and_temperature_stand_in_one_section(tmp_path):
     found = mg.import_case([sweep(tmp_path / "s.csv", "T [degC]", 70.0)], tmp_path / "case", bias=["12 V"])
     assert found.case.environment.temperature == pytest.approx(343.15)
     assert found.case.environment.bias_voltage == pytest.approx(12.0)
+
+
+@pytest.mark.parametrize(
+    ("stem", "told"),
+    [
+        ("oven_+45C", "45 degC"), ("oven_+0C", "0 degC"), ("oven_-20C", "-20 degC"), ("g_45C", "45 degC"),
+        ("m40C", "-40 degC"), ("set_m5p5C_2", "-5.5 degC"), ("sweep-25C", "25 degC"), ("T85degC", "85 degC"),
+        ("temp_60_degC", "60 degC"), ("cryo_80K", "80 K"), ("85°C run", "85 degC"), ("minus40C", "-40 degC"),
+        ("25C_to_45C", ""), ("ofen_10", ""), ("C4", ""), ("rev4C1", ""), ("10CH", ""), ("a12C", ""),
+        ("sweep_10mV", ""), ("2kHz", ""),
+    ],
+)  # fmt: skip
+def test_a_temperature_in_a_name(stem, told):
+    assert temperature_in_name(stem) == told
+
+
+@pytest.mark.parametrize(
+    ("stem", "told"),
+    [
+        ("bias_10V", "10 V"), ("bias10V_100mV", "10 V"), ("Vdc12p5V", "12.5 V"), ("Bias_-5V", "-5 V"),
+        ("10Vdc", "10 V"), ("10p5V_dc", "10.5 V"),
+        ("s_15V_bias", "15 V"), ("DC_20V", "20 V"), ("bias-10V", "10 V"), ("vb_8V", "8 V"), ("bias_1kV", "1 kV"),
+        ("drive_10V", ""), ("10V", ""), ("adc_5V", ""), ("abias", ""), ("bias", ""),
+        ("bias_10Vpp", ""), ("bias_5V_bias_6V", ""),
+    ],
+)  # fmt: skip
+def test_a_bias_in_a_name(stem, told):
+    assert bias_in_name(stem) == told
+
+
+def hints_of(tmp_path, *names, **options):
+    """What is hinted at of sweeps with such names."""
+    files = [sweep(tmp_path / f"{name}.csv", gain=1.0 + 0.01 * k) for k, name in enumerate(names)]
+    found = mg.import_case(files, tmp_path / "case", overwrite=True, **{"drive": ["10 mV"], **options})
+    assert found.to_dict()["hints"] == [*found.hints]
+    for hint in found.hints:
+        assert f"Hint: {hint}" in str(found)
+    return [hint.partition("give it: ")[2] for hint in found.hints], found.case
+
+
+def test_conditions_that_only_names_tell_are_hinted_at(tmp_path):
+    told, case = hints_of(tmp_path, "oven_+45C", "oven_-5C", "other")
+    assert told == ['--temperature "45 degC" "-5 degC" -']
+    assert case.environment.temperature == pytest.approx(298.15), "nothing is guessed"
+    given = {"temperature": ["45 degC", "-5 degC", "-"]}
+    assert hints_of(tmp_path, "oven_+45C", "oven_-5C", "other", **given)[0] == []
+    assert hints_of(tmp_path, "a_25C", "b_25C")[0] == []
+    assert hints_of(tmp_path, "s_25C_10V", "s_45C_15V")[0] == [
+        '--temperature "25 degC" "45 degC"',
+        '--bias "10 V" "15 V"',
+    ]
+    assert hints_of(tmp_path, "s_10V", "t_10V")[0] == []
+    assert hints_of(tmp_path, "s_10V", "s_15V", drive=[])[0] == [], "they are levels of the drive"
+
+
+def test_what_a_column_tells_or_no_record_has_is_not_hinted_at(tmp_path):
+    files = [sweep(tmp_path / "s_45C.csv", "T [degC]", 45.0), decay(tmp_path / "r_60C.csv")]
+    assert mg.import_case(files, tmp_path / "case", drive=["10 mV", "-"]).hints == ()
+
+
+def test_a_bias_in_a_name_is_no_drive(tmp_path):
+    """It was taken for the level: 10 V in place of some millivolts."""
+    told, case = hints_of(tmp_path, "bias_10V", "bias_20V", drive=[])
+    assert told == ['--bias "10 V" "20 V"']
+    np.testing.assert_allclose([record.drive[0] for record in case.records], 1.0)
+    both = hints_of(tmp_path, "bias_10V_100mV", "bias_20V_50mV", drive=[])[1]
+    np.testing.assert_allclose([record.drive[0] for record in both.records], [0.1, 0.05])
