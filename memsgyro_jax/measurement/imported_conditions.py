@@ -79,7 +79,10 @@ def _level(text: str, known: _Condition) -> Level:
     if not unit:
         must = f'must be a number with its unit, like "{known.like}", but is "{printable(text, 60)}"'
         raise InputError(f"Option `{known.option}` {must}.")
-    to_si(number, unit, known.unit, f"option `{known.option}`")
+    value = to_si(number, unit, known.unit, f"option `{known.option}`")
+    if known.unit == "K" and not value > 0:
+        must = f'must be above absolute zero, -273.15 degC, but is "{printable(text, 60)}"'
+        raise InputError(f"Option `{known.option}` {must}.")
     return number, unit
 
 

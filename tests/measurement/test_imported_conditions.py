@@ -111,3 +111,23 @@ def test_a_bias_in_a_name_is_no_drive(tmp_path):
     np.testing.assert_allclose([record.drive[0] for record in case.records], 1.0)
     both = hints_of(tmp_path, "bias_10V_100mV", "bias_20V_50mV", drive=[])[1]
     np.testing.assert_allclose([record.drive[0] for record in both.records], [0.1, 0.05])
+
+
+@pytest.mark.parametrize("text", ["-300 degC", "-273.16 degC", "0 K", "-1 K", "-460 degF"])
+def test_no_file_was_recorded_at_or_below_absolute_zero(text, tmp_path):
+    with pytest.raises(mg.InputError, match="`--temperature` must be above absolute zero") as told:
+        mg.import_case([sweep(tmp_path / "a.csv")], tmp_path / "case", temperature=[text])
+    assert str(told.value).endswith(f'but is "{text}".')
+    assert not (tmp_path / "case").exists()
+
+
+@pytest.mark.parametrize("broken", [slice(None), slice(7, 8)])
+def test_a_column_at_or_below_absolute_zero_is_refused(broken, tmp_path):
+    """What a broken sensor writes."""
+    table = np.stack([w.FREQUENCY, w.RESPONSE.real, w.RESPONSE.imag, np.full(w.FREQUENCY.size, 45.0)], axis=1)
+    table[broken, 3] = -300.0
+    path = tmp_path / "a.csv"
+    np.savetxt(path, table, delimiter=",", header="f [Hz],X [V],Y [V],T [degC]", comments="")
+    with pytest.raises(mg.InputError, match="column `T`: the value must be above absolute zero") as told:
+        mg.import_case([path], tmp_path / "case")
+    assert "a.csv (as a record)" in str(told.value)
