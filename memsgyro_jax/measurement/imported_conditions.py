@@ -102,6 +102,14 @@ def beside_conditions(
     return out
 
 
+def left_out(given: Mapping[str, Level]) -> str:
+    """The sentence on what was given of a record over time."""
+    told = [f"the {CONDITIONS[role].words} of {value:g} {unit}" for role, (value, unit) in given.items()]
+    many = len(told) > 1
+    was, them = ("were given are", "them") if many else ("was given is", "one")
+    return f"{' and '.join(told)} that {was} left out, as no record over time has {them}"
+
+
 def columns_of_points(
     table: SourceTable, rows: Mapping[str, SourceColumn], reference: Level, drive: Level | None, axis: str,
     assumed: list[str],

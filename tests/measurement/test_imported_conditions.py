@@ -131,3 +131,20 @@ def test_a_column_at_or_below_absolute_zero_is_refused(broken, tmp_path):
     with pytest.raises(mg.InputError, match="column `T`: the value must be above absolute zero") as told:
         mg.import_case([path], tmp_path / "case")
     assert "a.csv (as a record)" in str(told.value)
+
+
+@pytest.mark.parametrize(
+    ("given", "sentence"),
+    [
+        ({"temperature": ["45 degC"]}, "the temperature of 45 degC that was given is left out"),
+        ({"bias": ["10 V"]}, "the bias voltage of 10 V that was given is left out"),
+        ({"bias": ["10 V"], "temperature": ["45 degC"]},
+         "the bias voltage of 10 V and the temperature of 45 degC that were given are left out"),
+        ({"bias": ["-"]}, ""),
+    ],
+)  # fmt: skip
+def test_only_what_was_given_of_a_record_over_time_is_said_to_be_left_out(given, sentence, tmp_path):
+    found = mg.import_case([decay(tmp_path / "r.csv")], tmp_path / "case", **given)
+    assert [one for one in found.records[0].assumed if "left out" in one] == (
+        [f"{sentence}, as no record over time has {'them' if ' are ' in sentence else 'one'}"] if sentence else []
+    )
