@@ -282,7 +282,7 @@ def _named(records: list[ImportedRecord]) -> list[ImportedRecord]:
     seen: dict[str, int] = {}
     named = []
     for record in records:
-        name = re.sub(r"[^\w.-]+", "_", record.name).strip("._") or "record"
+        name = re.sub(r"[^\w.+-]+", "_", record.name).strip("._") or "record"
         seen[name] = seen.get(name, 0) + 1
         named.append(replace(record, name=name if seen[name] == 1 else f"{name}_{seen[name]}"))
     return named

@@ -148,3 +148,13 @@ def test_only_what_was_given_of_a_record_over_time_is_said_to_be_left_out(given,
     assert [one for one in found.records[0].assumed if "left out" in one] == (
         [f"{sentence}, as no record over time has {'them' if ' are ' in sentence else 'one'}"] if sentence else []
     )
+
+
+def test_a_sign_in_the_name_of_a_file_stays(tmp_path):
+    names = ["oven_+5C", "oven_-5C", "oven_+0C", "oven +5C", "5 µV & more"]
+    files = [sweep(tmp_path / f"{name}.csv", gain=1.0 + 0.01 * k) for k, name in enumerate(names)]
+    case = mg.import_case(files, tmp_path / "case", drive=["10 mV"]).case
+    assert [record.name for record in case.records] == ["oven_+5C", "oven_-5C", "oven_+0C", "oven_+5C_2", "5_µV_more"]
+    assert [record.file for record in mg.load_case(tmp_path / "case").records] == [
+        f"{r.name}.csv" for r in case.records
+    ]
