@@ -11,6 +11,8 @@ from .imported_record import ImportedRecord
 
 
 _LOCK_IN = "V(t) = Re[(I + i Q) exp(i w t)] for a drive F cos(w t); amplitudes are peak values"
+_ZERO_CELSIUS = 273.15  # K
+_ROOM, _NEAR_ROOM = 298.15, 1.0  # K: the temperature of a case that names none, and how near to it is recorded there
 _KNOWN = {  # beforehand, of a device of one axis and of two
     False: "resonance, quality_factor, static_gain",
     True: "mass, frequency_x, frequency_y, quality_factor_x, quality_factor_y",
@@ -44,27 +46,41 @@ def toml_of_records(name: str, records: list[ImportedRecord], sources: list[str]
         if record.kind in ("frequency_sweep", "rate_table", "operating_points"):
             entry["drive_axis"] = record.axis or "x"
         said = [f"# from {record.source}", *(f"# assumed: {sentence}" for sentence in record.assumed)]
-        said += [f"# not needed: {listed(record.unused)}"] if record.unused else []
+        said += [f"# not used: {listed(record.unused)}"] if record.unused else []
         parts.append("\n".join(map(printable, said)) + "\n" + toml_table("[experiment]", entry))
     return "\n".join(parts)
 
 
 def _environment(records: list[ImportedRecord]) -> list[str]:
-    """The bias nearest to none at which records were taken, where none was taken without one: gains that go with the
-    bias have no meaning beside 0 V.
+    """The bias nearest to none and the temperature nearest to the usual one at which records were taken, where none was
+    taken without a bias or there: gains that go with the bias have no meaning beside 0 V, and the numbers of the device
+    would hold where nothing was measured.
     """
+    entries, said = {}, []
+    temperatures = _recorded(records, "T", "K")
+    if temperatures is not None and np.all(temperatures > 0) and np.min(np.abs(temperatures - _ROOM)) > _NEAR_ROOM:
+        nearest = float(temperatures[np.argmin(np.abs(temperatures - _ROOM))])
+        entries["temperature"] = {"value": round(nearest - _ZERO_CELSIUS, 6), "unit": "degC"}
+        said.append("temperature")
+    biases = _recorded(records, "V_bias", "V")
+    if biases is not None and biases.all():
+        entries["bias_voltage"] = {"value": float(biases[np.argmin(np.abs(biases))]), "unit": "V"}
+        said.append("bias voltage")
+    if not said:
+        return []
+    about = f"# the {' and the '.join(said)} at which the numbers of the device hold, which records give\n"
+    return [about + toml_table("environment", entries)]
+
+
+def _recorded(records: list[ImportedRecord], name: str, unit: str) -> np.ndarray | None:
+    """All rows of a column that every record has, in SI; `None` where one has it not."""
     columns = [
-        to_si(column, parse_header(header).unit, "V", header)
+        to_si(column, parse_header(header).unit, unit, header)
         for record in records
         for header, column in record.columns.items()
-        if parse_header(header).name == "V_bias"
+        if parse_header(header).name == name
     ]
-    biases = np.concatenate(columns) if columns else np.zeros(1)
-    if len(columns) < len(records) or not biases.all():
-        return []
-    nearest = float(biases[np.argmin(np.abs(biases))])
-    said = "# the bias voltage at which the numbers of the device hold, which records give\n"
-    return [said + toml_table("environment", {"bias_voltage": {"value": nearest, "unit": "V"}})]
+    return np.concatenate(columns) if columns and len(columns) == len(records) else None
 
 
 def _design(records: list[ImportedRecord]) -> str:

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from memsgyro_jax.base.text import listed, printable
 from memsgyro_jax.base.units import NUMBER
 
 from .formats import SourceColumn, SourceTable
-from .formats.header import split_header
+from .formats.header import SPECIAL, split_header
 from .imported_columns import is_same_kind
 from .two_channels import PARTS, axis_of_drive, channel_and_part, plain_words, two_channels, two_waveforms
 
@@ -41,6 +41,10 @@ _NAMED = {
     "phase": r"\bphase|theta|\bphi\b|\barg\b|angle",
     "amp": r"^r$|\bamp\b|ampl\b|amplitude|magnitude|\bmag\b|\babs\b|modulus|\bgain\b|^s\d\d db$",
 }
+_DC_VOLTAGE = re.compile(  # whole names: a reading or a drive may have a part of them
+    r"([vu] ?(dc|b)|dc (voltage|volts?)|voltage dc|polari[sz](ation|ing) voltage)"
+    r"( (set ?point|set|source|supply|level))?"
+)
 _TURN_RATE = re.compile(r"^(rate|angular rate|turn rate|table rate|rate table|omega z?|ω)$")
 _DIMENSIONS = {"f": "Hz", "t": "s", "T": "K", "phase": "rad"}
 
@@ -53,11 +57,13 @@ class Meaning:
         columns: role to column.
         unused: names of those that are left out.
         driven: axis of the drive, where its column says.
+        guessed: roles that a name does not say outright.
     """
 
     columns: Mapping[str, SourceColumn]
     unused: tuple[str, ...]
     driven: str = ""
+    guessed: tuple[str, ...] = ()
 
     @property
     def two_axes(self) -> bool:
@@ -96,10 +102,12 @@ def meaning_of(table: SourceTable, said: Mapping[str, str]) -> Meaning:
     found: dict[str, list[SourceColumn]] = {}
     for column in table.columns:
         found.setdefault(role_of(column), []).append(column)
+    _as_read(found)
     _as_channels(found)
     _as_amplitudes(found)
     if "f" not in found or not ({"I", "amp"} & {*found}):
         _as_waveforms(found)
+    _without_others(found)
     _settled(table, found)
     columns = {
         role: candidates[0] for role, candidates in found.items() if (role and role != "signal") or candidates[1:] == []
@@ -107,7 +115,9 @@ def meaning_of(table: SourceTable, said: Mapping[str, str]) -> Meaning:
     columns.pop("", None)
     used = {id(column) for column in columns.values()}
     unused = tuple(column.header for column in table.columns if id(column) not in used)
-    return _whole(table, columns, unused, axis_of_drive(columns["drive"].name) if "drive" in columns else "")
+    driven = axis_of_drive(columns["drive"].name) if "drive" in columns else ""
+    guessed = tuple(role for role in columns if role == "V_bias" and _is_dc_voltage(columns[role]))
+    return replace(_whole(table, columns, unused, driven), guessed=guessed)
 
 
 def role_of(column: SourceColumn) -> str:
@@ -124,6 +134,8 @@ def role_of(column: SourceColumn) -> str:
         return "f" if re.search(_NAMED["f"], name) else "rate"
     if not column.unit and _TURN_RATE.search(name):
         return "rate"
+    if _is_dc_voltage(column):
+        return "V_bias"
     tokens = [re.sub(r"\d+$", "", token) for token in name.split()]
     for role in ("f", "t", "T", "V_bias", "drive"):
         unlike = column.unit and role in _DIMENSIONS
@@ -138,6 +150,38 @@ def role_of(column: SourceColumn) -> str:
         if tokens and (tokens[-1] in words or tokens[0] in words):
             return role
     return "amp" if column.unit in ("dB", "dBV", "dBm") else "signal"
+
+
+def _is_dc_voltage(column: SourceColumn) -> bool:
+    """Whether a column is a steady voltage by its whole name and its unit, which is none of amplitudes."""
+    named = _DC_VOLTAGE.fullmatch(plain_words(column.name)) is not None
+    return named and not SPECIAL.fullmatch(column.unit) and is_same_kind(column.unit, "V")
+
+
+def _as_read(found: dict[str, list[SourceColumn]]) -> None:
+    """What is named like a steady voltage is read where nothing else is, as on a channel `Vb`, alone or beside `Va`."""
+    signals = found.get("signal", [])
+    alone = not ({"I", "Q", "amp"} & {*found}) and all(plain_words(c.name) in ("va", "v a") for c in signals)
+    steady = [column for column in found.get("V_bias", []) if _is_dc_voltage(column)]
+    if alone and steady:
+        found["signal"] = [*signals, *steady]
+        found["V_bias"] = [column for column in found["V_bias"] if column not in steady]
+        if not found["V_bias"]:
+            del found["V_bias"]
+
+
+def _without_others(found: dict[str, list[SourceColumn]]) -> None:
+    """Beside phasors, a column that no word tells of is a signal only where time runs and its unit is theirs."""
+    if not ({"I", "Q"} <= {*found} or "amp" in found):
+        return
+    swept = any(np.unique(column.values).size > 2 for column in found.get("f", []))
+    if swept or "t" not in found:
+        found.pop("signal", None)
+        found.pop("y_signal", None)
+    elif {"I", "Q"} <= {*found} or "phase" in found:
+        unit = found["I" if "I" in found else "amp"][0].unit or "V"
+        alike = [c for c in found.pop("signal", []) if not c.unit or is_same_kind(c.unit, unit)]
+        found |= {"signal": alike} if alike else {}
 
 
 def _as_channels(found: dict[str, list[SourceColumn]]) -> None:

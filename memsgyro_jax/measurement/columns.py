@@ -62,8 +62,11 @@ class Columns:
         return self._positive("f", np.asarray(values))
 
     def optional(self, name: str, unit: str, default: float) -> np.ndarray:
-        """A column in SI, or `default` in every row."""
-        return self.si(name, unit) if self.has(name) else np.full(len(self.table.lines), default)
+        """A column in SI, or `default` in every row; a temperature is above absolute zero."""
+        if not self.has(name):
+            return np.full(len(self.table.lines), default)
+        values = self.si(name, unit)
+        return self._positive(name, values, "above absolute zero") if unit == "K" else values
 
     def time(self) -> np.ndarray:
         """Column `t` [s], strictly increasing."""
@@ -196,10 +199,10 @@ class Columns:
             found = ", ".join(f"`{column}`" for column in self.table.columns)
             raise self.refuse(f"must have the column `{name}`, but has {found}")
 
-    def _positive(self, name: str, values: np.ndarray) -> np.ndarray:
+    def _positive(self, name: str, values: np.ndarray, words: str = "positive") -> np.ndarray:
         wrong = ~((values > 0) & np.isfinite(values))
         if np.any(wrong):
-            raise self.table.at(int(np.argmax(wrong)), name, "must be positive")
+            raise self.table.at(int(np.argmax(wrong)), name, f"must be {words}")
         return values
 
     def _reading(self, name: str) -> np.ndarray:

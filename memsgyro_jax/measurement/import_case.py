@@ -20,12 +20,13 @@ from .case import Case, load_case
 from .case.file import FILE
 from .case_of_records import csv_of_record, toml_of_records
 from .column_meaning import meaning_of, parse_map
+from .condition_hints import hints
 from .demodulators import demodulators_joined
 from .driven_axes import axes_of_files, require_axes
 from .formats import SourceTable, read_instrument_file
 from .imported_conditions import conditions_of_files, for_each_file
 from .imported_record import Given, ImportedRecord, records_of
-from .imported_sweep import NO_LEVEL
+from .imported_sweep import NO_LEVEL, is_ratio
 from .records_together import agreed, turned_alike, without_copies
 
 
@@ -34,7 +35,7 @@ _PLURAL = {
     "rate_table": "rate tables", "operating_points": "operating points",
 }  # fmt: skip
 _ABOUT = {  # kinds of what is assumed, the one that strengths hang on first, by the first words that it has
-    "drive": re.compile(r"\bdriv|response to 1 N"),
+    "drive": re.compile(r"\bdriv|taken at|response to 1 N"),
     "readings": re.compile(r"\bread-?(?:ing|out)|phase|amplitude|effective|response is in"),
     "rows": re.compile(""),
 }
@@ -51,6 +52,7 @@ class ImportedCase(Shown):
         records: where each experiment comes from, and what was assumed of it.
         unused: drive levels that no record needs, each with its file, and files whose rows another has.
         warning: that several files were given one drive level, as none has its own, and what to do; empty otherwise.
+        hints: conditions that only the names of files tell, each with the option that says them.
     """
 
     case: Case
@@ -58,6 +60,7 @@ class ImportedCase(Shown):
     records: tuple[ImportedRecord, ...]
     unused: tuple[str, ...] = ()
     warning: str = ""
+    hints: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         lines = [f"{self.case.folder}: {len(self.records)} records from {', '.join(dict.fromkeys(self.formats))}"]
@@ -65,7 +68,10 @@ class ImportedCase(Shown):
         shared = _shared(self.records)
         for sentence, names in sorted(shared.items(), key=lambda one: [*_ABOUT].index(_about(one[0]))):
             lines.append(f"Assumed of the {_about(sentence)}: {sentence}{_of(names, self.records)}.")
+        for columns, names in _unused_columns(self.records).items():
+            lines.append(f"Not used: {columns}{_of(names, self.records)}.")
         lines += [f"Not used: {level}." for level in self.unused]
+        lines += [f"Hint: {hint}." for hint in self.hints]
         lines += [f"WARNING: {self.warning}"] if self.warning else []
         return "\n".join(lines)
 
@@ -76,6 +82,7 @@ class ImportedCase(Shown):
             "case": str(self.case.folder),
             "formats": list(self.formats),
             "warning": self.warning,
+            "hints": [*self.hints],
             "records": [
                 {
                     "name": r.name, "kind": r.kind, "source": r.source, "columns": list(r.columns),
@@ -121,7 +128,7 @@ def import_case(
         reference: frequency of a lock-in that recorded over time, or operating points, like ``"32.768 kHz"``.
         bias: voltage of the electrodes, like ``"20 V"``, one for all files or one for each, where no column has it;
             ``"-"`` for a file of which nothing is said. Records over time have none.
-        temperature: like ``"25 degC"``, as `bias`.
+        temperature: like ``"25 degC"``, as `bias`; records over time have none.
         every: keeps one row of so many, waveforms behind a low pass, phasors over time as means; `None` makes such
             means of a long ringing, and else keeps all.
         rms: takes a lock-in's readings for effective values, where their unit does not say; the drive stays as it is.
@@ -157,14 +164,15 @@ def import_case(
 
     found = [taken(k, None) for k in range(len(files))]
     needing = [any("drive_force" in record.keys for record in some) for some in found]
-    levels = _levels(given, needing)
-    found = [taken(k, levels[k]) if levels[k] is not None and needing[k] else found[k] for k in range(len(files))]
+    using = [needs or any(map(is_ratio, tables)) for needs, (_, tables) in zip(needing, read, strict=True)]
+    levels = _levels(given, needing, using)
+    found = [taken(k, levels[k]) if levels[k] is not None and using[k] else found[k] for k in range(len(files))]
     require_axes(files, found, axis)
     names = [path.name for path in files]
     unused = [
         f"the drive of {level[0]:g} {level[1]}, as {name} does not need it"
-        for level, name, needs in zip(levels, names, needing, strict=True)
-        if level and not needs and len(given) > 1
+        for level, name, uses in zip(levels, names, using, strict=True)
+        if level and not uses and (len(given) > 1 or not any(using))
     ]
     found, copies = without_copies(found)
     records = turned_alike(agreed(_named([record for some in found for record in some])))
@@ -173,8 +181,9 @@ def import_case(
     again += [*(["--map", *([columns] if isinstance(columns, str) else columns)] if any(maps) else [])]
     again += ["--axis", *axis] if axis else []
     left = [some if needs else [] for some, needs in zip(found, needing, strict=True)]
-    warning = _warning(names, left, shlex.join(again))
-    return ImportedCase(case, tuple(form for form, _ in read), tuple(records), (*unused, *copies), warning)
+    warning = _warning(names, left, levels, shlex.join(again))
+    hinted = hints(files, found, {"V_bias": bias, "T": temperature})
+    return ImportedCase(case, tuple(form for form, _ in read), tuple(records), (*unused, *copies), warning, hinted)
 
 
 def _maps(given: Sequence[str], files: int) -> list[dict[str, str]]:
@@ -194,19 +203,23 @@ def _of_joined(given: Sequence[str], parts: Sequence[Sequence[int]], option: str
     return [given[some[0]] for some in parts]
 
 
-def _warning(names: Sequence[str], found: Sequence[list[ImportedRecord]], command: str) -> str:
+def _warning(
+    names: Sequence[str], found: Sequence[list[ImportedRecord]], given: Sequence[Level | None], command: str
+) -> str:
     """That nothing tells the drive levels of several files, and the command to give them; empty where they are told.
 
     Args:
         names: of all files.
         found: the records of each; none where it needs no level.
+        given: level of each.
         command: that was given.
     """
     levels = []
-    for some in found:
-        known = next((record.keys["drive_force"] for record in some if "drive_force" in record.keys), None)
+    for some, said in zip(found, given, strict=True):
+        keys = (record.keys["drive_force"] for record in some if "drive_force" in record.keys)
+        known = next(((key["value"], key["unit"]) for key in keys), said)
         guessed = any(NO_LEVEL in record.assumed for record in some)
-        levels.append("..." if guessed else "-" if known is None else f"{known['value']:g} {known['unit']}")
+        levels.append("..." if guessed else "-" if known is None else f"{known[0]:g} {known[1]}")
     if levels.count("...") < 2:
         return ""
     files = listed(name for name, level in zip(names, levels, strict=True) if level == "...")
@@ -219,15 +232,18 @@ def _warning(names: Sequence[str], found: Sequence[list[ImportedRecord]], comman
     )
 
 
-def _levels(given: Sequence[Level | None], swept: Sequence[bool]) -> list[Level | None]:
-    """The level of each file, of which those that are `swept` without a column for it need one."""
+def _levels(given: Sequence[Level | None], swept: Sequence[bool], using: Sequence[bool]) -> list[Level | None]:
+    """The level of each file, of which those that are `swept` without a column for it need one, while ratios are among
+    those that use one.
+    """
     if len(given) <= 1:
         return [given[0] if given else None] * len(swept)
     if len(given) == len(swept):
         return list(given)
-    if len(given) == sum(swept):
-        left = iter(given)
-        return [next(left) if needs else None for needs in swept]
+    for files in (swept, using):
+        if len(given) == sum(files):
+            left = iter(given)
+            return [next(left) if takes else None for takes in files]
     raise InputError(
         f"Option `--drive` must be given once, for each of {len(swept)} files (`-` for one that needs no level), or "
         f"for each of the {sum(swept)} that need one, but has {len(given)}."
@@ -266,7 +282,7 @@ def _named(records: list[ImportedRecord]) -> list[ImportedRecord]:
     seen: dict[str, int] = {}
     named = []
     for record in records:
-        name = re.sub(r"[^\w.-]+", "_", record.name).strip("._") or "record"
+        name = re.sub(r"[^\w.+-]+", "_", record.name).strip("._") or "record"
         seen[name] = seen.get(name, 0) + 1
         named.append(replace(record, name=name if seen[name] == 1 else f"{name}_{seen[name]}"))
     return named
@@ -278,8 +294,15 @@ def _shared(records: Sequence[ImportedRecord]) -> dict[str, list[str]]:
     for record in records:
         for sentence in record.assumed:
             found.setdefault(sentence, []).append(record.name)
+    return found
+
+
+def _unused_columns(records: Sequence[ImportedRecord]) -> dict[str, list[str]]:
+    """Columns that are not used, with the records beside which they stand."""
+    found: dict[str, list[str]] = {}
+    for record in records:
         if record.unused:
-            found.setdefault(f"{listed(record.unused, '`')} not needed", []).append(record.name)
+            found.setdefault(listed(record.unused, "`"), []).append(record.name)
     return found
 
 

@@ -79,7 +79,10 @@ def _level(text: str, known: _Condition) -> Level:
     if not unit:
         must = f'must be a number with its unit, like "{known.like}", but is "{printable(text, 60)}"'
         raise InputError(f"Option `{known.option}` {must}.")
-    to_si(number, unit, known.unit, f"option `{known.option}`")
+    value = to_si(number, unit, known.unit, f"option `{known.option}`")
+    if known.unit == "K" and not value > 0:
+        must = f'must be above absolute zero, -273.15 degC, but is "{printable(text, 60)}"'
+        raise InputError(f"Option `{known.option}` {must}.")
     return number, unit
 
 
@@ -97,6 +100,14 @@ def beside_conditions(
         out[role] = SourceColumn(known.option, unit, np.full(count, value))
         assumed.append(f"the {known.words} is {value:g} {unit}, as was given")
     return out
+
+
+def left_out(given: Mapping[str, Level]) -> str:
+    """The sentence on what was given of a record over time."""
+    told = [f"the {CONDITIONS[role].words} of {value:g} {unit}" for role, (value, unit) in given.items()]
+    many = len(told) > 1
+    was, them = ("were given are", "them") if many else ("was given is", "one")
+    return f"{' and '.join(told)} that {was} left out, as no record over time has {them}"
 
 
 def columns_of_points(

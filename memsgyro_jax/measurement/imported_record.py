@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.base.units import to_si
+from memsgyro_jax.base.units import parse_header, to_si
 
 from .column_meaning import Meaning
 from .experiments.time_record import RING_TIMES
@@ -19,8 +19,8 @@ from .imported_columns import (
     reading_column,
     time_column,
 )
-from .imported_conditions import beside_conditions, columns_of_points, columns_of_rate_table, stamps
-from .imported_sweep import columns_of_sweep, phasor_columns_of, phasors_of, read_as
+from .imported_conditions import beside_conditions, columns_of_points, columns_of_rate_table, left_out, stamps
+from .imported_sweep import at_level, columns_of_sweep, phasor_columns_of, phasors_of, read_as
 from .thinning import thinned
 from .tracking import rough_decay
 from .two_channels import axis_in_name, said_of_channels
@@ -31,6 +31,15 @@ _QUIET_SHARE = 0.15  # of the rows at the end without drive: a free decay
 _FEWEST = 50  # rows of a record over time
 _LOUD = 0.9  # of the largest envelope: the decay has not begun
 _FALLEN = 0.02  # in natural logarithms: an envelope that falls by less is kept up
+_MADE_OF: dict[str, set[str]] = {  # columns of a case and keys of its sections that a column of each role becomes
+    **{role: {f"Vx_{role}"} for role in ("I", "Q", "amp", "phase")},
+    **{f"y_{role}": {f"Vy_{role}"} for role in ("I", "Q", "amp", "phase")},
+    **{role: {role} for role in ("t", "T", "V_bias", "rate")},
+    "f": {"f", "reference_frequency", "drive_frequency"},
+    "signal": {"Vx"},
+    "y_signal": {"Vy"},
+    "drive": {"F_x", "F_y", "u_x", "u_y", "drive_force"},
+}
 _EARLY = 0.88  # of the usual fall: an envelope that falls by so much in its first quarter falls from the start
 
 
@@ -45,7 +54,7 @@ class ImportedRecord:
         columns: header, in the words of a case, to numbers.
         keys: further keys of its section.
         assumed: one sentence each.
-        unused: columns of the source that are left out.
+        unused: columns of the source that are not used.
         quantity: what is read, where the record shows it: "displacement", "velocity" or "acceleration".
         design: values that no other record can tell, in SI.
         two_axes: whether two channels were read.
@@ -85,20 +94,45 @@ def records_of(name: str, table: SourceTable, meaning: Meaning, given: Given) ->
     assumed = [*table.assumed]
     rows = thinned(table, meaning, _finite(table, meaning, assumed), given.every, assumed)
     rows = from_effective(rows, assumed) if given.rms else rows
+    rows = at_level(table, rows, given.drive, assumed)
     if meaning.swept or meaning.at_points:
         rows = beside_conditions(table, rows, given.conditions, assumed)
     elif given.conditions:
-        assumed.append("the bias voltage and temperature that were given are left out, as no record over time has them")
+        assumed.append(left_out(given.conditions))
     source = f"{table.path.name}{', ' + table.name if table.name else ''}"
     about = {"name": name, "source": source, "unused": meaning.unused}
     with np.errstate(over="ignore", invalid="ignore"):  # of a damaged file; reading the case refuses them
-        if meaning.swept:
-            return [_sweep(about, table, meaning, rows, given, assumed)]
-        if meaning.at_points:
-            return [_points(about, table, meaning, rows, given, assumed)]
-        if "rate" in rows and "signal" not in rows and np.ptp(rows["rate"].values) > 0:
-            return [_rate_table(about, table, rows, given, meaning, assumed)]
-        return _over_time({**about, "two_axes": meaning.two_axes}, table, rows, given, meaning, assumed)
+        return _naming_unused(_records(about, table, meaning, rows, given, assumed), meaning)
+
+
+def _records(
+    about: dict, table: SourceTable, meaning: Meaning, rows: dict, given: Given, assumed: list[str]
+) -> list[ImportedRecord]:
+    """Those that the columns make."""
+    if meaning.swept:
+        return [_sweep(about, table, meaning, rows, given, assumed)]
+    if meaning.at_points:
+        return [_points(about, table, meaning, rows, given, assumed)]
+    if "rate" in rows and "signal" not in rows and np.ptp(rows["rate"].values) > 0:
+        return [_rate_table(about, table, rows, given, meaning, assumed)]
+    return _over_time({**about, "two_axes": meaning.two_axes}, table, rows, given, meaning, assumed)
+
+
+def _naming_unused(records: list[ImportedRecord], meaning: Meaning) -> list[ImportedRecord]:
+    """The records, with the columns that none of them made something of among those that are not used; one of which a
+    sentence says that it is left out has been named.
+    """
+    made = {parse_header(header).name for record in records for header in record.columns}
+    made |= {key for record in records for key in record.keys}
+    said = " ".join(sentence for record in records for sentence in record.assumed)
+    idle = tuple(
+        column.header
+        for role, column in meaning.columns.items()
+        if not made & _MADE_OF[role] and f"`{column.name}` is left out" not in said
+    )
+    guessed = [f"`{meaning.columns[role].name}` is taken for the bias voltage" for role in meaning.guessed]
+    guessed = guessed if "V_bias" in made else []
+    return [replace(record, unused=(*record.unused, *idle), assumed=(*record.assumed, *guessed)) for record in records]
 
 
 def _finite(table: SourceTable, meaning: Meaning, assumed: list[str]) -> dict[str, SourceColumn]:
@@ -264,8 +298,6 @@ def _rate_table(about, table, rows, given: Given, meaning: Meaning, assumed: lis
     reference = _reference(table, rows, given)
     columns, keys, quantity = columns_of_rate_table(table, rows, reference, given.drive, assumed)
     axis = _driven_axis(about, rows, given, meaning, assumed)
-    beside = tuple(rows[role].header for role in ("T", "V_bias") if role in rows)
-    about = {**about, "unused": (*about["unused"], *beside)}
     return ImportedRecord(
         **about, kind="rate_table", columns=headed(columns), keys=keys, assumed=tuple(assumed), quantity=quantity,
         two_axes=meaning.two_axes, axis=axis,

@@ -6,8 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.units import to_si
 
+from .file_names import without_bias
 from .formats import SourceColumn, SourceTable
 from .imported_columns import (
     add_surroundings,
@@ -87,6 +89,32 @@ def _by_drive(
         assumed.append("the readings in dB are ratios to the drive, with which they are multiplied")
 
 
+def is_ratio(table: SourceTable) -> bool:
+    """Whether the readings of a table are ratios to its drive, whose level it does not say."""
+    return table.attributes.get("ratio") == "drive"
+
+
+def at_level(
+    table: SourceTable, rows: Mapping[str, SourceColumn], drive: tuple[float, str] | None, assumed: list[str]
+) -> dict[str, SourceColumn]:
+    """The columns of ratios to the drive at the level that was given, without one at 1 V; others as they are."""
+    if not is_ratio(table) or "drive" not in rows:
+        return dict(rows)
+    if drive is None:
+        assumed.append("it was taken at 1 V, as the file does not say (`--drive`)")
+        return dict(rows)
+    if not is_same_kind(drive[1], "V"):
+        must = "the level `--drive` of a ratio of voltages must be a voltage"
+        raise InputError(f"{table.path}: {must}, but is {drive[0]:g} {drive[1]}.")
+    volts = float(to_si(*drive, "V", "option `--drive`"))
+    assumed.append(f"it was taken at {drive[0]:g} {drive[1]}, as was given, with which the ratio is multiplied")
+    scaled = {"I", "Q", "amp", "drive"}
+    return {
+        role: SourceColumn(column.name, column.unit, column.values * volts) if role in scaled else column
+        for role, column in rows.items()
+    }
+
+
 def phasor_columns_of(rows: Mapping[str, SourceColumn], assumed: list[str]) -> dict[str, SourceColumn]:
     """The parts of a phasor, of one channel or two, in the words of a case."""
     form = ("I", "Q") if "I" in rows else ("amp", "phase")
@@ -153,7 +181,7 @@ def level_of(table: SourceTable, drive: tuple[float, str] | None, assumed: list[
     """The drive level that no column holds."""
     if drive is not None:
         return {"value": drive[0], "unit": drive[1]}
-    if found := _LEVEL.search(table.path.stem):
+    if found := _LEVEL.search(without_bias(table.path.stem)):
         value, unit = float(found[1].replace("p", ".")), found[2]
         assumed.append(f"the drive is {value:g} {unit}, as the file's name says")
         return {"value": value, "unit": unit}

@@ -252,7 +252,7 @@ def test_levels_are_for_the_files_that_need_one(sweeps, tmp_path, capsys):
     with pytest.raises(SystemExit) as ended:
         cli.main(words)
     assert ended.value.code == 0
-    assert "Not used" not in capsys.readouterr().out
+    assert "Not used: the drive" not in capsys.readouterr().out
     more = mg.import_case(files, tmp_path / "more", drive=("1 mV", "2 mV", "3 mV", "4 mV"))
     assert "Not used: the drive of 4 mV, as scope.txt does not need it." in str(more)
     with pytest.raises(mg.InputError, match="`-` for one that needs no level"):

@@ -11,7 +11,7 @@ from .base import Format, SourceColumn, SourceTable, library
 
 
 class Touchstone(Format):
-    """Scattering parameters over frequency: what the load sees of one volt.
+    """Scattering parameters over frequency: what the load sees of one volt, a ratio to the drive.
 
     A resonance is one in every scattering parameter too, with the quality factor that the ports leave it. Unlike an
     admittance worked out from it, it keeps its noise as the analyser had it, the same at all frequencies.
@@ -40,4 +40,4 @@ class Touchstone(Format):
         what, ohms = "S21" if through else "1 - S11", float(np.real(network.z0[0, 0]))
         said = f"the response is {what}, a voltage under 1 V, as of the current through a resonator in series"
         loaded = f"its quality factor is the one beside the ports' {ohms:g} ohm"
-        return (SourceTable(path, "", columns, {"reads": "velocity"}, (said, loaded)),)
+        return (SourceTable(path, "", columns, {"reads": "velocity", "ratio": "drive"}, (said, loaded)),)

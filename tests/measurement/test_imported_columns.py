@@ -1,0 +1,104 @@
+"""Which columns of an instrument's table are taken for the bias voltage, and that those that are not used are named."""
+
+import instrument_files as w
+import numpy as np
+import pytest
+
+import memsgyro_jax as mg
+
+
+F, Z = w.FREQUENCY, w.RESPONSE
+
+
+def wrote(path, header, *columns):
+    """A table as text, of columns and numbers that stay as they are."""
+    table = np.broadcast_arrays(*columns)
+    lines = [",".join(f"{value:.9g}" for value in row) for row in np.transpose(table)]
+    path.write_text("\n".join([header, *lines]) + "\n")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("header", "unused"),
+    [
+        ("f [Hz],X [V],Y [V],Pressure [Pa]", "`Pressure [Pa]`"),
+        ("f [Hz],X [V],Y [V],phase [deg]", "`phase [deg]`"),
+        ("f [Hz],X [V],Y [V],Pressure [Pa],Humidity [percent]", "`Pressure [Pa]`, `Humidity [percent]`"),
+        ("f [Hz],X [V],Y [V],Temperature", "`Temperature`"),
+        ("f [Hz],X [V],Y [V],bias current [A]", "`bias current [A]`"),
+    ],
+)
+def test_columns_that_are_not_used_are_named(header, unused, tmp_path):
+    rows = (F, Z.real, Z.imag, 25.0 + 0.1 * np.arange(F.size), 40.0)[: header.count(",") + 1]
+    found = mg.import_case([wrote(tmp_path / "a.csv", header, *rows)], tmp_path / "case")
+    assert f"Not used: {unused}." in str(found)
+    assert f"# not used: {unused.replace('`', '')}\n" in (tmp_path / "case" / "case.toml").read_text()
+    assert found.to_dict()["records"][0]["unused"] == unused.strip("`").split("`, `")
+
+
+def test_a_further_column_neither_takes_rows_nor_becomes_the_signal(tmp_path):
+    """A gap in a column that is not used cost its row; a pressure beside phasors over time became the vibration."""
+    gap = np.where(np.arange(F.size) == 7, np.nan, 3.0)
+    path = wrote(tmp_path / "a.csv", "f [Hz],X [V],Y [V],Pressure [Pa]", F, Z.real, Z.imag, gap)
+    assert mg.import_case([path], tmp_path / "sweep").case.records[0].rows == F.size
+    time = np.arange(400) / 1e3
+    z = np.exp((-5 + 2j * np.pi * 0.7) * time)
+    path = wrote(tmp_path / "b.csv", "t [s],X [V],Y [V],Pressure [Pa]", time, z.real, z.imag, 3.0 + time)
+    found = mg.import_case([path], tmp_path / "decay", reference="4 kHz")
+    np.testing.assert_allclose(found.case.records[0].signals[:, 0], z, rtol=1e-8)
+    assert "Not used: `Pressure [Pa]`." in str(found)
+
+
+def test_what_a_record_over_time_has_no_use_for_is_named(tmp_path):
+    time = np.arange(4000) / 20e3
+    values = np.exp(-20.0 * time) * np.cos(2 * np.pi * 3200.0 * time)
+    header = "t [s],signal [V],T [degC],Bias [V],Vdc [V],drive [V]"
+    found = mg.import_case([wrote(tmp_path / "a.csv", header, time, values, 45.0, 10.0, 10.0, 0.0)], tmp_path / "case")
+    assert found.case.records[0].kind == "free_decay"
+    assert "Not used: `Vdc [V]`, `T [degC]`, `Bias [V]`, `drive [V]`." in str(found)
+    assert "taken for the bias" not in str(found)
+
+
+@pytest.mark.parametrize(
+    "header", ["Vdc [V]", "V_DC (V)", "VDC [mV]", "DC bias (V)", "bias voltage [V]", "Vb [V]", "V_b (V)", "Udc [V]",
+               "DC voltage [V]", "Voltage DC (V)", "Vdc setpoint (V)", "Vdc source [V]", "dc_voltage_V",
+               "polarization voltage [V]"],
+)  # fmt: skip
+def test_a_voltage_named_dc_or_bias_is_the_bias(header, tmp_path):
+    factor = 1e-3 if "mV" in header else 1.0
+    volts = np.where(np.arange(F.size) < F.size // 2, 10.0, 12.0)
+    path = wrote(tmp_path / "a.csv", f"f [Hz],X [V],Y [V],{header}", F, Z.real, Z.imag, volts)
+    found = mg.import_case([path], tmp_path / "case", drive=["10 mV"])
+    np.testing.assert_allclose(found.case.records[0].bias_voltage, factor * volts, rtol=1e-12)
+    assert found.case.environment.bias_voltage == pytest.approx(factor * 10.0)
+    assert ("is taken for the bias voltage" in str(found)) == ("bias" not in header.lower())
+    assert "Not used" not in str(found)
+
+
+@pytest.mark.parametrize(
+    "header", ["DC [V]", "Signal DC [V]", "ADC 1 [V]", "Vdc [A]", "Vdc [Vrms]", "Vdc [Vpk]", "Vdc", "Idc [mA]",
+               "DC offset [V]", "Vdd [V]", "Vbe [V]", "Vb rms [V]", "DC gain [1]", "V_bat [V]", "demod 1 Vdc [V]"],
+)  # fmt: skip
+def test_what_is_no_bias_is_not_taken_for_one(header, tmp_path):
+    path = wrote(tmp_path / "a.csv", f"f [Hz],X [V],Y [V],{header}", F, Z.real, Z.imag, 10.0)
+    found = mg.import_case([path], tmp_path / "case", drive=["10 mV"])
+    assert found.case.environment.bias_voltage == 0.0
+    assert "V_bias" not in (tmp_path / "case" / "a.csv").read_text()
+    assert "taken for the bias" not in str(found)
+
+
+@pytest.mark.parametrize("header", ["Vdrive dc [V]", "drive [V]", "Drive DC level [V]"])
+def test_a_drive_stays_the_drive(header, tmp_path):
+    path = wrote(tmp_path / "a.csv", f"f [Hz],X [V],Y [V],{header}", F, Z.real, Z.imag, 0.25)
+    record = mg.import_case([path], tmp_path / "case").case.records[0]
+    np.testing.assert_allclose(record.drive, 0.25)
+    assert not np.any(record.bias_voltage)
+
+
+def test_the_only_waveform_and_two_that_belong_together_are_no_bias(tmp_path):
+    time = np.arange(4000) / 20e3
+    values = np.exp(-20.0 * time) * np.cos(2 * np.pi * 3200.0 * time)
+    found = mg.import_case([wrote(tmp_path / "a.csv", "t [s],Vb [V]", time, values)], tmp_path / "case")
+    np.testing.assert_allclose(found.case.records[0].signals[:, 0], values, atol=1e-8)
+    with pytest.raises(mg.InputError, match=r"more than one column may be the signal: `Va \[V\]`, `Vb \[V\]`"):
+        mg.import_case([wrote(tmp_path / "b.csv", "t [s],Va [V],Vb [V]", time, values, values)], tmp_path / "two")
