@@ -39,8 +39,6 @@ def test_what_runs_smoothly_stays_as_it_is(values):
 
 
 def test_it_is_said():
-    assert scattered("oven.csv", 0.3) == [
-        "oven.csv: column `T` scatters by 0.3 K from row to row, as no device does: what it is in each sweep on the whole "
-        "was taken."
-    ]
+    (said,) = scattered("oven.csv", 0.3)
+    assert said.startswith("oven.csv: column `T` scatters by 0.3 K from row to row")
     assert scattered("oven.csv", 0.0) == []
