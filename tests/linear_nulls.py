@@ -16,10 +16,10 @@ from memsgyro_jax.diagnosis.acceptance import judged_by_misfit, refusal, unsure_
 from memsgyro_jax.diagnosis.diagnose import RECORDS
 from memsgyro_jax.diagnosis.fewer import SHARE
 from memsgyro_jax.diagnosis.fit import beside_case
+from memsgyro_jax.diagnosis.fitted import FITTED
 from memsgyro_jax.diagnosis.instrument import instrument_terms, knowledge
 from memsgyro_jax.diagnosis.joint_residual import Joint
 from memsgyro_jax.diagnosis.optimum import Optimum
-from memsgyro_jax.diagnosis.rounds import FITTED
 from memsgyro_jax.diagnosis.score import basis, best_by_noise, family_p_values, score, within_bounds
 from memsgyro_jax.diagnosis.search import Ranking, Search
 from memsgyro_jax.diagnosis.slow_noise import slow_noise
