@@ -60,7 +60,7 @@ def _environment(records: list[ImportedRecord]) -> list[str]:
     temperatures = _recorded(records, "T", "K")
     if temperatures is not None and np.all(temperatures > 0) and np.min(np.abs(temperatures - _ROOM)) > _NEAR_ROOM:
         nearest = float(temperatures[np.argmin(np.abs(temperatures - _ROOM))])
-        entries["temperature"] = {"value": round(nearest - _ZERO_CELSIUS, 6), "unit": "degC"}
+        entries["temperature"] = {"value": round(nearest - _ZERO_CELSIUS, 3), "unit": "degC"}
         said.append("temperature")
     biases = _recorded(records, "V_bias", "V")
     if biases is not None and biases.all():

@@ -1,5 +1,6 @@
 """Files as instruments save them, written as a measurement case that says what was assumed."""
 
+import itertools
 import re
 import shlex
 import shutil
@@ -279,12 +280,14 @@ def _records(tables: tuple[SourceTable, ...], said: dict[str, str], given: Given
 
 def _named(records: list[ImportedRecord]) -> list[ImportedRecord]:
     """Records under names that differ and are file names."""
-    seen: dict[str, int] = {}
+    taken: set[str] = set()
     named = []
     for record in records:
         name = re.sub(r"[^\w.+-]+", "_", record.name).strip("._") or "record"
-        seen[name] = seen.get(name, 0) + 1
-        named.append(replace(record, name=name if seen[name] == 1 else f"{name}_{seen[name]}"))
+        further = (f"{name}_{number}" for number in itertools.count(2))
+        name = next(one for one in itertools.chain([name], further) if one not in taken)
+        taken.add(name)
+        named.append(replace(record, name=name))
     return named
 
 

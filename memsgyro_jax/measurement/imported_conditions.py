@@ -102,7 +102,7 @@ def beside_conditions(
     return out
 
 
-def left_out(given: Mapping[str, Level]) -> str:
+def given_in_vain(given: Mapping[str, Level]) -> str:
     """The sentence on what was given of a record over time."""
     told = [f"the {CONDITIONS[role].words} of {value:g} {unit}" for role, (value, unit) in given.items()]
     many = len(told) > 1

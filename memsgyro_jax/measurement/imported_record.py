@@ -19,7 +19,7 @@ from .imported_columns import (
     reading_column,
     time_column,
 )
-from .imported_conditions import beside_conditions, columns_of_points, columns_of_rate_table, left_out, stamps
+from .imported_conditions import beside_conditions, columns_of_points, columns_of_rate_table, given_in_vain, stamps
 from .imported_sweep import at_level, columns_of_sweep, phasor_columns_of, phasors_of, read_as
 from .thinning import thinned
 from .tracking import rough_decay
@@ -98,7 +98,7 @@ def records_of(name: str, table: SourceTable, meaning: Meaning, given: Given) ->
     if meaning.swept or meaning.at_points:
         rows = beside_conditions(table, rows, given.conditions, assumed)
     elif given.conditions:
-        assumed.append(left_out(given.conditions))
+        assumed.append(given_in_vain(given.conditions))
     source = f"{table.path.name}{', ' + table.name if table.name else ''}"
     about = {"name": name, "source": source, "unused": meaning.unused}
     with np.errstate(over="ignore", invalid="ignore"):  # of a damaged file; reading the case refuses them

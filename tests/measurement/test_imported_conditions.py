@@ -158,3 +158,12 @@ def test_a_sign_in_the_name_of_a_file_stays(tmp_path):
     assert [record.file for record in mg.load_case(tmp_path / "case").records] == [
         f"{r.name}.csv" for r in case.records
     ]
+
+
+def test_names_that_are_alike_stay_apart(tmp_path):
+    """The third had the name that the second was given, and the case was refused."""
+    files = [sweep(tmp_path / f"{name}.csv", gain=k + 1.0) for k, name in enumerate(["a b", "a_b", "a_b_2"])]
+    case = mg.import_case(files, tmp_path / "case", drive=["10 mV"]).case
+    assert len({record.name for record in case.records}) == 3
+    heights = [np.abs(record.phasors).max() / np.abs(w.RESPONSE).max() for record in case.records]
+    np.testing.assert_allclose(heights, [1.0, 2.0, 3.0], rtol=1e-6)

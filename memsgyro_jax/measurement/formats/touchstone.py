@@ -38,6 +38,6 @@ class Touchstone(Format):
             SourceColumn("drive", "V", np.ones(len(frequency))),
         )
         what, ohms = "S21" if through else "1 - S11", float(np.real(network.z0[0, 0]))
-        said = f"the response is {what}, a voltage under 1 V, as of the current through a resonator in series"
+        said = f"the response is {what}, a ratio to the drive, as of the current through a resonator in series"
         loaded = f"its quality factor is the one beside the ports' {ohms:g} ohm"
         return (SourceTable(path, "", columns, {"reads": "velocity", "ratio": "drive"}, (said, loaded)),)
