@@ -11,7 +11,7 @@ from pathlib import Path
 
 import memsgyro_jax
 from memsgyro_jax.app.claims import all_studies, studies_folder
-from memsgyro_jax.effects import Effect, catalogue
+from memsgyro_jax.effects import TERMS, Effect, catalogue
 from memsgyro_jax.measurement.case.device import BY_MASS, BY_MODES
 from memsgyro_jax.measurement.declared import VOCABULARIES
 
@@ -76,6 +76,16 @@ def catalogue_page() -> str:
         where = ", ".join(effect.where for effect in group if effect.where)
         cells = (f"[`{name}`][memsgyro_jax.effects.{kind}]", group[0].unit, where, law, group[0].reference)
         lines.append(table_row(cells))
+    lines += [
+        "",
+        "## What an instrument may do",
+        "",
+        "Tried before any effect of the device, for all records or for each.",
+        "",
+    ]
+    lines += ["| term | unit | law | is |", "|---|---|---|---|"]
+    for term in TERMS:
+        lines.append(table_row((f"`{term.name}`", term.unit, term.law, _first(term))))
     for path, what in PORTS:
         module, _, name = f"memsgyro_jax.{path}".rpartition(".")
         port = getattr(importlib.import_module(module), name)

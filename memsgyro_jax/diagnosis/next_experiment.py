@@ -23,6 +23,7 @@ from memsgyro_jax.measurement.experiments import Readings
 from .findings import NOTHING, SIGMAS_SEEN, Prospect
 from .joint_residual import Joint
 from .linearised import WIDTH
+from .odd_setting import odd_setting
 from .optimum import Optimum, optimise
 from .rounds import DECIDED
 from .score import RELATIVE, basis, score
@@ -110,6 +111,7 @@ def of_the_unknown(case: Case) -> str:
     more = ""
     if len(clear_drives(case)) < 2 and moves(in_each_place(case)):
         more = "; sweeps at further temperatures or bias voltages show the course that is missing"
+        more = f"; {odd}" if (odd := odd_setting(case)) else more
     elif any(hasattr(record, "setting") for record in case.records):
         more = "; sweeps at further drives, and at a lower one, show the law that is missing at more amplitudes"
     alike = [record.name for record in case.records if goes_one_way(record)]

@@ -31,6 +31,7 @@ HALF = 0.5  # of the squares that an effect must explain, of how settings differ
 MOST = 3  # effects that are tried together
 WITHIN = 1.0  # K: settings within it are one
 FEWEST = 7  # rows of a setting
+ALIKE, ODD = 0.1, 30.0  # widths that settings may be off where effects explain them; squares by which one stands out
 
 
 class Surrounded(NamedTuple):
@@ -56,6 +57,13 @@ class Trend(NamedTuple):
     differences: np.ndarray
     columns: dict[int, np.ndarray]
     constant: np.ndarray
+
+    def without(self, one: int) -> "Trend":
+        """The same without one of the settings."""
+        kept = np.arange(len(self.differences)) != one
+        shared = self.constant.reshape(*self.differences.shape, -1)[kept]
+        columns = {place: column[kept] for place, column in self.columns.items()}
+        return Trend(self.differences[kept], columns, shared.reshape(-1, shared.shape[-1]))
 
     def explained(self, places: Sequence[int]) -> tuple[np.ndarray, float]:
         """What settings share and the strengths of some effects that explain the differences best; squares left."""
@@ -92,6 +100,24 @@ def _surroundings(record: Any) -> Iterator[tuple[float, float, np.ndarray]]:
         rows = still & (temperature == pair[0]) & (record.bias_voltage == pair[1])
         if rows.sum() >= FEWEST:
             yield float(np.mean(record.temperature[rows])), float(pair[1]), rows
+
+
+def odd_one(joint: Joint, every: Sequence[Surrounded]) -> tuple[Surrounded, list[int]] | None:
+    """The one setting without which some effects explain how all others differ, and their places; `None` where there is
+    none, or more than one.
+    """
+    if len(every) < MOST + 2:
+        return None
+    start = joint.at(_of_device(joint, every, _trend(joint.model, every, ()).explained(())[0]))
+    trend = _trend(start, every, [i for i, e in enumerate(joint.model.effects) if _may_move(e)])
+    rest = [trend.without(one) for one in range(len(every))]
+    chosen = [_chosen(some) for some in rest]
+    left = [some.explained(places)[1] for some, places in zip(rest, chosen, strict=True)]
+    best, second = np.argsort(left)[:2]
+    spare = trend.differences.size - trend.constant.shape[1]
+    if not chosen[best] or left[best] > spare * ALIKE**2 or left[second] < ODD * max(left[best], 1e-6):
+        return None
+    return every[best], chosen[best]
 
 
 def as_many_as_settings(joint: Joint, every: Sequence[Surrounded], places: Sequence[int]) -> set[int]:

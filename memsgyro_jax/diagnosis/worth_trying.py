@@ -2,7 +2,14 @@
 
 import numpy as np
 
-from memsgyro_jax.effects import Effect, ThermalDampingCurvature, ThermalStiffnessCurvature, catalogue
+from memsgyro_jax.effects import (
+    Effect,
+    ThermalDampingCurvature,
+    ThermalDrive,
+    ThermalGain,
+    ThermalStiffnessCurvature,
+    catalogue,
+)
 from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.one_place import NEAR
 
@@ -11,10 +18,12 @@ COURSE = 4  # temperatures from which a parabola is more than a line drawn throu
 
 
 def worth_trying(case: Case) -> tuple[Effect, ...]:
-    """Those that the device can have, without courses that any three temperatures would bear out."""
+    """Those that the device can have: from four temperatures on with gains that go with them, and before that without
+    courses that any three would bear out.
+    """
     every = catalogue(case.channels)
     if _temperatures(case) >= COURSE:
-        return every
+        return *every, ThermalGain(), ThermalDrive()
     return tuple(e for e in every if not isinstance(e, ThermalStiffnessCurvature | ThermalDampingCurvature))
 
 

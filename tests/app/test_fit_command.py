@@ -14,7 +14,7 @@ from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.diagnosis.compare import judged
 from memsgyro_jax.diagnosis.fit import fit_case
 from memsgyro_jax.diagnosis.instrument import instrument_terms
-from memsgyro_jax.effects import catalogue
+from memsgyro_jax.effects import catalogue, every_effect
 from memsgyro_jax.measurement.case import load_case
 
 
@@ -144,6 +144,17 @@ def test_a_variant_of_several_words(by_record):
         "readout_delay",
     ]
     assert [e.label for e in named_effects(["reference_phase"], known)] == ["reference_phase"]
+
+
+def test_what_no_diagnosis_asks_for_is_fitted_where_it_is_named_with_its_variant():
+    """`memsgyro effects` lists it, and `fit` denied that it was of the catalogue."""
+    known = catalogue(1)
+    others = [e for e in every_effect(1) if e.label not in {one.label for one in known}]
+    assert [e.label for e in named_effects(["thermal_drift pickoff_gain"], known, others)] == [
+        "thermal_drift pickoff_gain"
+    ]
+    alone = [e.label for e in named_effects(["thermal_drift"], known, others)]
+    assert alone == ["thermal_drift stiffness", "thermal_drift damping"]
 
 
 def test_a_variant_without_its_effect_is_no_name():

@@ -12,6 +12,7 @@ import pytest
 import memsgyro_jax as mg
 from memsgyro_jax.diagnosis.identifiable import identifiable
 from memsgyro_jax.diagnosis.joint_residual import Joint
+from memsgyro_jax.diagnosis.odd_setting import odd_setting
 from memsgyro_jax.diagnosis.optimum import optimise
 from memsgyro_jax.diagnosis.settings_apart import as_many_as_settings, begun, in_each_place
 from memsgyro_jax.diagnosis.settings_table import settings_table
@@ -175,6 +176,23 @@ def test_as_many_strengths_as_settings_bear_nothing_out(crossed, electrodes):
         wanted = {"thermal_drift stiffness", "electrostatic_softening x", "bias_transduction drive"}
         places = [i for i, effect in enumerate(model.effects) if effect.label in wanted]
         assert {model.effects[i].label for i in as_many_as_settings(joint, every, places)} == loose
+
+
+def test_one_setting_that_was_written_down_wrongly_is_named(electrodes):
+    """12 V for 13: all others agree."""
+    record = electrodes.records[0]
+    wrong = replace(record, bias_voltage=np.where(record.bias_voltage == 13.0, 12.0, record.bias_voltage))
+    said = odd_setting(replace(electrodes, records=(wrong,)))
+    assert said.startswith("without what was taken at 25 °C and 12 V all others go with ")
+    assert "electrostatic_softening x" in said
+    assert "bias_transduction drive" in said
+    assert odd_setting(electrodes) == ""
+
+
+def test_gains_that_go_with_the_temperature_are_tried_from_four_on(oven):
+    names = {effect.label for effect in worth_trying(oven)}
+    assert {"thermal_drift pickoff_gain", "thermal_drift drive_gain"} <= names
+    assert "thermal_drift bias_voltage" not in names
 
 
 def test_a_course_that_bends_is_tried_from_four_temperatures(oven):

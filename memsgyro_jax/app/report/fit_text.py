@@ -23,16 +23,17 @@ SCHEMA = "memsgyro-fit/1"
 WORSE = 1.01  # times the χ² without what was added: more than another resolution of the same model makes
 
 
-def named_effects(names: Sequence[str], known: Sequence[Effect]) -> tuple[Effect, ...]:
+def named_effects(names: Sequence[str], known: Sequence[Effect], whole: Sequence[Effect] = ()) -> tuple[Effect, ...]:
     """The effects of names as a user writes them: "cubic_stiffness x" and "cubic_stiffness" "x" are one variant, as are
-    "reference_phase by record" and its words; "cubic_stiffness" alone is all of them.
+    "reference_phase by record" and its words; "cubic_stiffness" alone is all of them. Those that are in `whole` and not
+    in `known` have to be named with their variant.
 
     **Raises:** `InputError` where nothing is named, or what is named is not known.
     """
     if not names:
         raise InputError("Option `--add` must name at least one effect, but names none; `memsgyro effects` lists them.")
     words = [word for name in names for word in name.replace(".", " ").split()]
-    places = {e.where for e in known if e.where}
+    places = {e.where for e in (*known, *whole) if e.where}
     found: list[Effect] = []
     while words:
         word = words.pop(0)
@@ -41,7 +42,7 @@ def named_effects(names: Sequence[str], known: Sequence[Effect]) -> tuple[Effect
         same = [effect for effect in known if effect.name == word]
         same = [effect for effect in same if not effect.where] or same  # a term for all records, not one for each
         if following or not same:
-            same = [by_name(word, following, among=known)]
+            same = [by_name(word, following, among=(*known, *whole))]
         found += [effect for effect in same if effect.label not in {f.label for f in found}]
     return tuple(found)
 
