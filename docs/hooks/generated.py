@@ -76,13 +76,8 @@ def catalogue_page() -> str:
         where = ", ".join(effect.where for effect in group if effect.where)
         cells = (f"[`{name}`][memsgyro_jax.effects.{kind}]", group[0].unit, where, law, group[0].reference)
         lines.append(table_row(cells))
-    lines += [
-        "",
-        "## What an instrument may do",
-        "",
-        "Tried before any effect of the device, for all records or for each.",
-        "",
-    ]
+    lines += ["", "## What an instrument may do", ""]
+    lines += ["Tried before any effect of the device, for all records or for each.", ""]
     lines += ["| term | unit | law | is |", "|---|---|---|---|"]
     for term in TERMS:
         lines.append(table_row((f"`{term.name}`", term.unit, term.law, _first(term))))

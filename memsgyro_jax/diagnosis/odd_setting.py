@@ -1,5 +1,7 @@
 """The one setting of a case that contradicts all others, as one whose temperature or bias was written down wrongly."""
 
+from typing import Any
+
 import numpy as np
 
 from memsgyro_jax.base.text import listed
@@ -22,11 +24,11 @@ def odd_setting(case: Case) -> str:
     if found is None:
         return ""
     one, places = found
+    swept: list[Any] = [record for record in case.records if hasattr(record, "away")]
     names = [
         r.name
-        for r in case.records
-        if hasattr(r, "away")
-        and np.all(np.abs(r.temperature - one.temperature) < NEAR)
+        for r in swept
+        if np.all(np.abs(r.temperature - one.temperature) < NEAR)
         and np.all(np.abs(r.bias_voltage - one.bias_voltage) < 1e-3)
     ]
     where = f"{one.temperature - 273.15:.4g} °C and {one.bias_voltage:.4g} V" + (f" ({listed(names)})" if names else "")
