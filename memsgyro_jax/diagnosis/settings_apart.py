@@ -102,6 +102,10 @@ def _surroundings(record: Any) -> Iterator[tuple[float, float, np.ndarray]]:
             yield float(np.mean(record.temperature[rows])), float(pair[1]), rows
 
 
+def _surroundings_of(every: Sequence[Surrounded]) -> tuple[list[float], list[float]]:
+    return [one.temperature for one in every], [one.bias_voltage for one in every]
+
+
 def odd_one(joint: Joint, every: Sequence[Surrounded]) -> tuple[Surrounded, list[int]] | None:
     """The one setting without which some effects explain how all others differ, and their places; `None` where there is
     none, or more than one.
@@ -124,7 +128,8 @@ def as_many_as_settings(joint: Joint, every: Sequence[Surrounded], places: Seque
     """Those of some effects that go with temperature or bias and that settings at which both vary cannot bear out: to
     what they change, stiffness, damping or gain, there are as many strengths as ways in which settings differ.
     """
-    if min(np.ptp([one.temperature for one in every]), np.ptp([one.bias_voltage for one in every])) < 1e-3:
+    kelvins, volts = ({round(value, 3) for value in values} for values in _surroundings_of(every))
+    if len(kelvins) < 2 or len(volts) < 2:
         return set()
     found: set[int] = set()
     trend = _trend(joint.model, every, [i for i in places if _may_move(joint.model.effects[i])])

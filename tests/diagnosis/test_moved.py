@@ -176,6 +176,7 @@ def test_as_many_strengths_as_settings_bear_nothing_out(crossed, electrodes):
         wanted = {"thermal_drift stiffness", "electrostatic_softening x", "bias_transduction drive"}
         places = [i for i, effect in enumerate(model.effects) if effect.label in wanted]
         assert {model.effects[i].label for i in as_many_as_settings(joint, every, places)} == loose
+        assert as_many_as_settings(joint, [], places) == set(), "no sweeps"
 
 
 def test_one_setting_that_was_written_down_wrongly_is_named(electrodes):
