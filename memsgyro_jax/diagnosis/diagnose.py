@@ -115,7 +115,7 @@ def _diagnosed(
         if is_slow_noise(search, first):
             yield search, first, "", plain
             return
-        begin, climb = moved(search, smooth)
+        begin, climb = moved(search, first, smooth)
         if climb is None:
             begin, climb = climbed(search, first, smooth)
         ranking = begin.rank() if begin.accepted else first

@@ -12,25 +12,29 @@ from .climb import TENTH, Climb, as_found, beside_lock_in, followed
 from .drives import FAR, stages
 from .fit import beside_case
 from .optimum import Optimum, optimise
-from .search import Search, always_free
+from .search import Ranking, Search, always_free
 from .settings_apart import begun, in_each_place, moves, with_strengths
 
 
 WHENCE = "the base model is that of the surroundings at which its numbers hold, as the device moves with them"
 
 
-def moved(search: Search, effects: Sequence[Effect]) -> tuple[Search, Climb | None]:
+def moved(search: Search, first: Ranking, effects: Sequence[Effect]) -> tuple[Search, Climb | None]:
     """The search with the effects that tell how the device differs from one of its surroundings to another, where the
-    base model is far off and the resonance moves by more than its width; the same search and `None` else.
+    base model is far off, as it is with the best effect in one step, and the resonance moves by more than its width;
+    the same search and `None` else.
 
     Args:
-        search: at the base model.
+        search, first: at the base model, and the effects of the device beside it.
         effects: those of the device that are candidates.
     """
-    if search.optimum.chi2 < FAR * search.optimum.dof:
+    if search.optimum.chi2 < FAR * search.optimum.dof or not first.places:
         return search, None
     every = in_each_place(search.case)
     if not moves(every):
+        return search, None
+    usual = search.refit([first.places[first.order[0]]], slopes=first.slopes[first.order[0]])
+    if usual.chi2 < FAR * usual.dof:
         return search, None
     beside = beside_lock_in(search)
     begin, chosen = begun(beside.joint, every, beside.candidates())

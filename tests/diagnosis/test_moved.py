@@ -271,9 +271,11 @@ def test_a_fit_that_has_not_converged_goes_on(oven):
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2, 7])
 def test_a_damping_of_no_known_law_is_no_slow_noise(tmp_path, seed):
-    """With the cube of the absolute temperature: "found", and the misfit of each resonance noise that is slow."""
+    """With the cube of the absolute temperature, at too few of them for a course that bends: "found", and the misfit of
+    each resonance noise that is slow.
+    """
     rows = []
-    for temperature in (-10.0, 10.0, 30.0, 50.0, 70.0):
+    for temperature in (-10.0, 30.0, 70.0):
         square = 6e4**2 * (1 - 5.8e-5 * (temperature - 25.0))
         width = 5.0 * ((temperature + 273.15) / 298.15) ** 3
         for hertz in np.sqrt(square) + np.linspace(-30.0, 30.0, 121):
