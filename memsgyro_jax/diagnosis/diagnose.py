@@ -36,7 +36,7 @@ from .outlying import of_rows, search_beside_outlying
 from .result import UNEXPLAINED, Diagnosis, Verdict, validation_error
 from .rounds import search_on
 from .search import CONFUSED, Ranking, Search, SearchStep, start_search
-from .sentence import COURSE, DRIFT, of_noise, sentence
+from .sentence import DRIFT, of_noise, sentence
 from .slow_noise import is_slow_noise, slowly
 from .worth_trying import worth_trying
 from .wrong_noise import wrong_noise
@@ -139,7 +139,7 @@ def _diagnosed(
     explained = [fine or bool(search.slow) for fine in explained]
     if accepted and all(explained) and _drifts_as_well(steps[0].fit, final, accepted, level):
         accepted = (replace(accepted[0], confused_with=(*accepted[0].confused_with, DRIFT)), *accepted[1:])
-    accepted = beside_other_courses(search, accepted, COURSE)
+    accepted = beside_other_courses(search, accepted)
     terms = _accepted(search, {place: [] for place in terms_of(search)}, steps)
     apart = _of_device(search)
     verdict = _verdict(steps[apart - 1].fit, final, accepted, all(explained), _found_more(terms, given))

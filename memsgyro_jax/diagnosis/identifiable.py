@@ -51,9 +51,10 @@ def identifiable(case: Case) -> tuple[Identifiable, ...]:
     names = tuple(p.name for p in joint.parameters)
     units, blocks, moved = np.eye(joint.start.size), {}, _elsewhere(case)
     for readings in joint.fitted:
+        here = joint.linearise(joint.start, units, [readings])[1]
         for number in np.unique(readings.record[readings.record >= 0]).tolist():
             start = moved.get(number, joint.start)
-            _, slopes = joint.linearise(start, units, [readings])
+            slopes = joint.linearise(start, units, [readings])[1] if number in moved else here
             rows = slopes.reshape(readings.record.size, -1, len(names))[readings.record == number]
             blocks[number] = rows.reshape(-1, len(names)) * np.where(start != 0, np.abs(start), 1.0)
     out = [_judged(case.records[k].name, names, blocks[k]) for k in sorted(blocks)]

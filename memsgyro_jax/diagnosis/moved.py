@@ -1,7 +1,6 @@
 """The first effects of a device that its surroundings move: found from the linear device that each setting shows."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -54,7 +53,7 @@ def moved(search: Search, first: Ranking, effects: Sequence[Effect]) -> tuple[Se
         return followed(beside, search, effects, steps, search.optimum, ends[-1].vector)
     still = with_strengths(joint, begin, dict.fromkeys(chosen, 0.0))
     straight = optimise(joint, still, always_free(joint, beside.given), joint.fitted, max_evaluations=0)
-    base = beside_case(search.case, joint, replace(straight, converged=True))
+    base = beside_case(search.case, joint, straight)
     left = [end.chi2 for end in whole]
     return as_found(beside, search, effects), Climb(base, tuple(zip(tried, left, strict=True)), WHENCE)
 

@@ -21,6 +21,7 @@ from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.drive_levels import with_rows
 from memsgyro_jax.measurement.experiments.base import Phasors
 from memsgyro_jax.measurement.model import Model
+from memsgyro_jax.measurement.one_place import NEAR
 from memsgyro_jax.measurement.phasor_fit import device_of_phasors
 
 from .joint_residual import Joint
@@ -29,7 +30,6 @@ from .joint_residual import Joint
 WIDTHS = 1.0  # of the resonance: over less of them, in all settings, a fit has its valley
 HALF = 0.5  # of the squares that an effect must explain, of how settings differ, to be tried
 MOST = 3  # effects that are tried together
-WITHIN = 1.0  # K: settings within it are one
 FEWEST = 7  # rows of a setting
 ALIKE, ODD = 0.1, 30.0  # widths that settings may be off where effects explain them; squares by which one stands out
 
@@ -95,15 +95,11 @@ def in_each_place(case: Case) -> list[Surrounded]:
 def _surroundings(record: Any) -> Iterator[tuple[float, float, np.ndarray]]:
     """Temperature and bias voltage of a record's sweeps at rest, and their rows (n,)."""
     still = record.rate == 0
-    temperature = WITHIN * np.round(record.temperature / WITHIN)
+    temperature = NEAR * np.round(record.temperature / NEAR)
     for pair in np.unique(np.stack([temperature, record.bias_voltage], axis=1)[still], axis=0):
         rows = still & (temperature == pair[0]) & (record.bias_voltage == pair[1])
         if rows.sum() >= FEWEST:
             yield float(np.mean(record.temperature[rows])), float(pair[1]), rows
-
-
-def _surroundings_of(every: Sequence[Surrounded]) -> tuple[list[float], list[float]]:
-    return [one.temperature for one in every], [one.bias_voltage for one in every]
 
 
 def odd_one(joint: Joint, every: Sequence[Surrounded]) -> tuple[Surrounded, list[int]] | None:
@@ -128,8 +124,7 @@ def as_many_as_settings(joint: Joint, every: Sequence[Surrounded], places: Seque
     """Those of some effects that go with temperature or bias and that settings at which both vary cannot bear out: to
     what they change, stiffness, damping or gain, there are as many strengths as ways in which settings differ.
     """
-    kelvins, volts = ({round(value, 3) for value in values} for values in _surroundings_of(every))
-    if len(kelvins) < 2 or len(volts) < 2:
+    if len({one.temperature for one in every}) < 2 or len({one.bias_voltage for one in every}) < 2:
         return set()
     found: set[int] = set()
     trend = _trend(joint.model, every, [i for i in places if _may_move(joint.model.effects[i])])

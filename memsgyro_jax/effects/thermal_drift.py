@@ -5,6 +5,18 @@ from jaxtyping import Array
 from .base import ForceEffect, Moment, Scalar, strength
 
 
+def _spring(now: Moment, part: Array) -> Array:
+    """Force of so much more stiffness, of itself."""
+    device = now.device
+    return -part * device.stiffness[: now.displacement.shape[0]] * now.displacement / device.mobility
+
+
+def _damper(now: Moment, part: Array) -> Array:
+    """Force of so much more damping, of itself."""
+    device = now.device
+    return -part * device.damping[: now.displacement.shape[0]] * now.velocity / device.mobility
+
+
 class ThermalStiffness(ForceEffect):
     """k_xx and k_yy times 1 + s·ΔT with s in 1/K and ΔT the temperature above the reference; the coupling, a matter of
     angles, stays. Zero: none depends on it.
@@ -25,14 +37,7 @@ class ThermalStiffness(ForceEffect):
         return "stiffness"
 
     def force(self, now: Moment) -> Array:
-        device = now.device
-        return (
-            -self.strength
-            * now.warming
-            * device.stiffness[: now.displacement.shape[0]]
-            * now.displacement
-            / device.mobility
-        )
+        return _spring(now, self.strength * now.warming)
 
 
 class ThermalDamping(ForceEffect):
@@ -54,10 +59,7 @@ class ThermalDamping(ForceEffect):
         return "damping"
 
     def force(self, now: Moment) -> Array:
-        device = now.device
-        return (
-            -self.strength * now.warming * device.damping[: now.displacement.shape[0]] * now.velocity / device.mobility
-        )
+        return _damper(now, self.strength * now.warming)
 
 
 class ThermalStiffnessCurvature(ForceEffect):
@@ -81,8 +83,7 @@ class ThermalStiffnessCurvature(ForceEffect):
         return "stiffness"
 
     def force(self, now: Moment) -> Array:
-        device, axes = now.device, now.displacement.shape[0]
-        return -self.strength * now.warming**2 * device.stiffness[:axes] * now.displacement / device.mobility
+        return _spring(now, self.strength * now.warming**2)
 
 
 class ThermalDampingCurvature(ForceEffect):
@@ -105,5 +106,4 @@ class ThermalDampingCurvature(ForceEffect):
         return "damping"
 
     def force(self, now: Moment) -> Array:
-        device, axes = now.device, now.displacement.shape[0]
-        return -self.strength * now.warming**2 * device.damping[:axes] * now.velocity / device.mobility
+        return _damper(now, self.strength * now.warming**2)

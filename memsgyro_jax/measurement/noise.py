@@ -22,7 +22,7 @@ _BAND = 64  # spectral lines at least in a band
 _BANDS = 16  # at most
 _QUIET = 0.2  # share of the bands that no signal reaches
 _NORMAL = 1.4826  # median absolute value to standard deviation, of a normal variable
-_RAYLEIGH = 1.1774  # median of the modulus of a complex normal variable over the standard deviation of each part
+RAYLEIGH = 1.1774  # median of the modulus of a complex normal variable over the standard deviation of each part
 
 
 def noise_over_frequency(
@@ -195,7 +195,7 @@ def noise_over_time(values: np.ndarray) -> float:
     """
     misfit = interpolation_misfit(np.arange(len(values), dtype=float), values)[2:-2]
     near = np.median(np.abs(misfit), axis=0) if len(misfit) else np.full(values.shape[1], np.inf)
-    near = near / _RAYLEIGH if np.iscomplexobj(misfit) else near * _NORMAL
+    near = near / RAYLEIGH if np.iscomplexobj(misfit) else near * _NORMAL
     return float(np.median(np.minimum(near, [_quiet_level(channel) for channel in values.T])))
 
 

@@ -13,6 +13,7 @@ from memsgyro_jax.base.errors import InputError
 from .clock import is_even
 from .column_meaning import Meaning
 from .formats import SourceColumn, SourceTable
+from .noise import RAYLEIGH, noise_over_time
 from .outliers import interpolation_misfit
 
 
@@ -21,7 +22,6 @@ PLENTY = 2000  # rows of phasors over time that are kept, where nothing is said
 BEND = 0.1  # of the noise of a mean: so far it may lie off for the curve that its rows run along
 ALONE = 6.0  # standard deviations from which a row is left out of its mean
 SELDOM, HALF = 0.05, 0.5  # of all rows, more of which do not stand alone; of a mean, which must keep it
-_RAYLEIGH = 1.1774  # median of the modulus of a complex normal variable over the standard deviation of each part
 
 
 def thinned(
@@ -98,7 +98,7 @@ def _as_many_as_need_be(rows: Mapping[str, SourceColumn]) -> int:
         return 1
     window = count // 20 | 1
     for _, still, _ in _phasors(rows):
-        noise = np.median(np.abs(np.diff(still, 3))) / _RAYLEIGH / np.sqrt(20.0)
+        noise = noise_over_time(still[:, None])
         parts = (signal.savgol_filter(part, window, 4, deriv=2) for part in (still.real, still.imag))
         bend = max(float(np.max(np.abs(part))) for part in parts)  # of the curve, row by row
         most = min(most, int((24.0 * BEND * noise / max(bend, 1e-300)) ** 0.4))
@@ -128,7 +128,7 @@ def _means(rows: Mapping[str, SourceColumn], every: int, assumed: list[str]) -> 
 def _in_line(still: np.ndarray) -> np.ndarray:
     """Which of some phasors (n,) are what their neighbours on both sides lead to, as nearly all must be."""
     off = np.abs(interpolation_misfit(np.arange(len(still), dtype=float), still[:, None])[:, 0])
-    usual = np.median(off) / _RAYLEIGH
+    usual = np.median(off) / RAYLEIGH
     nearby = ndimage.maximum_filter1d(off, 5)  # one that stands alone leads its neighbours astray too
     lone = (off > ALONE * usual) & (off >= nearby)
     return ~lone | (lone.mean() > SELDOM)
