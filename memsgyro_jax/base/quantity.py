@@ -1,9 +1,11 @@
 """Numbers with units in a study file, and the base class of its sections."""
 
 import ast
+import functools
 import inspect
 import re
 import textwrap
+from collections import ChainMap
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Annotated, Any, TypeVar
@@ -20,19 +22,19 @@ _TEXT = re.compile(rf"\s*(?P<number>{NUMBER})(?P<unit>\s.*|[^\d.,].*|)")  # 10%,
 Value = TypeVar("Value")
 
 
+@functools.cache
 def _beneath_fields(section: type) -> dict[str, str]:
-    """The text beneath each field of a class and of those that it is made from, by name."""
-    told: dict[str, str] = {}
-    for kind in reversed(section.__mro__):
-        try:
-            body = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0].body  # type: ignore[attr-defined]
-        except (OSError, TypeError):  # made while running, or not in Python
-            continue
-        for field, text in pairwise(body):
-            written = isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant)
-            if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name) and written:
-                told[field.target.id] = inspect.cleandoc(text.value.value)
-    return told
+    """The text beneath each field of a class, without those that it is made from, by name."""
+    try:
+        body = ast.parse(textwrap.dedent(inspect.getsource(section))).body[0].body  # type: ignore[attr-defined]
+    except (OSError, TypeError):  # made while running, or not in Python
+        return {}
+    return {
+        field.target.id: inspect.cleandoc(text.value.value)
+        for field, text in pairwise(body)
+        if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)
+        if isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant)
+    }
 
 
 class FileSection(BaseModel):
@@ -52,7 +54,7 @@ class FileSection(BaseModel):
         made = handler(schema)
         entry = handler.resolve_ref_schema(made)
         entry.setdefault("description", inspect.getdoc(cls))
-        told = _beneath_fields(cls)
+        told = dict(ChainMap(*(_beneath_fields(kind) for kind in cls.__mro__)))
         for name, field in cls.model_fields.items():
             for key in (name, field.alias, *getattr(field.validation_alias, "choices", ())):
                 if name in told and key in entry.get("properties", {}):

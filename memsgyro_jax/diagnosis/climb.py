@@ -14,21 +14,23 @@ from memsgyro_jax.effects import Effect, ForceEffect
 from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.drive_levels import clear_drives
 
-from .acceptance import excess
-from .drives import FAR, calm, past_the_brink, stages, up
+from .acceptance import THIRD, excess
+from .drives import FAR, calm, past_the_brink, stages
 from .fewer import take_out, terms_of
 from .fit import CaseFit, beside_case
 from .instrument import instrument_terms
 from .joint_residual import Joint
 from .nuisances import beside_terms
 from .optimum import Optimum, optimise
-from .score import basis, overlap, score, within_bounds
-from .search import LOOK_AHEAD, TWINS, Ranking, Search, always_free
+from .score import basis
+from .search import LOOK_AHEAD, Ranking, Search, always_free
 
 
 STRENGTHS = np.geomspace(1e-2, 1e2, 25)  # of the size of a strength, that are tried: a width of the resonance apart
+COARSE = 3  # every so many of them above a drive at which the base model is near: a fit from there is tried as well
 LOWEST = "the base model is that of the lowest drive, as what is missing grows with the drive"
 BEGINNING = "the base model is that with which the search began, as none is near all records"
+WORSE = 2.0  # times what is left without an effect: strengths beyond two of which leave that are not tried
 TENTH = 0.1  # of the misfit that the best single effect leaves: what a climb must come to
 
 
@@ -38,7 +40,8 @@ class Climb:
 
     Args:
         base: the base model at the lowest drive, beside every record.
-        ends: effects that were followed up to the highest drive, each with the χ² that is left there, the best first.
+        ends: effects that were followed up to the highest drive, each with the χ² that is left there beside those of
+            before; the one that stays first.
         whence: a sentence on what the base model is that of.
     """
 
@@ -74,8 +77,8 @@ def climbed(search: Search, first: Ranking, effects: Sequence[Effect]) -> tuple[
 def followed(
     beside: Search, search: Search, effects: Sequence[Effect], steps: list[tuple], usual: Optimum, start: np.ndarray
 ) -> tuple[Search, Climb | None]:
-    """The search with one effect more that was followed over the drives, and how; `search` and `None` where none
-    leaves a tenth of what another fit does.
+    """The search with one effect more that was followed over the drives, or one for each axis, and how; `search` and
+    `None` where that does not leave a tenth of what another fit does.
 
     Args:
         beside: has what is free from the lowest drive on: what the lock-in does, effects that were found there.
@@ -89,17 +92,25 @@ def followed(
     straight = optimise(beside.joint, base.vector, base.free, beside.joint.fitted, max_evaluations=0)
     if straight.chi2 < FAR * straight.dof:  # the lock-in alone was off
         return search, None
-    ends = _ends(beside, base, steps)
-    if not ends:
-        return search, None
-    place, end = min(ends, key=lambda one: one[1].chi2)
-    if excess(end) > TENTH * excess(usual) or beside.refuses(place, end):
-        return search, None
-    tried = sorted(((beside.joint.model.effects[i], one.chi2) for i, one in ends), key=lambda pair: pair[1])
-    straight = replace(straight, converged=base.converged)
-    climb = Climb(beside_case(search.case, beside.joint, straight), tuple(tried), whence(search.case))
-    beside.take(place, end)
-    return as_found(beside, search, effects), climb
+    tried: list[tuple[Effect, float]] = []
+    most = len(beside.accepted) + beside.joint.model.axes  # one of each axis
+    before = excess(straight)
+    while len(beside.accepted) < most:
+        ends = _ends(beside, base, steps)
+        if not ends:
+            break
+        place, end = min(ends, key=lambda one: one[1].chi2)
+        enough = excess(end) <= TENTH * excess(usual)
+        if beside.refuses(place, end) or not (enough or excess(end) <= (1.0 - THIRD) * before):
+            break
+        tried += sorted(((beside.joint.model.effects[i], one.chi2) for i, one in ends), key=lambda pair: pair[1])
+        beside.take(place, end)
+        if enough:
+            straight = replace(straight, converged=base.converged)
+            climb = Climb(beside_case(search.case, beside.joint, straight), tuple(tried), whence(search.case))
+            return as_found(beside, search, effects), climb
+        base, before = _lowest(beside, steps[0], end.vector), excess(end)
+    return search, None
 
 
 def whence(case: Case) -> str:
@@ -161,60 +172,68 @@ def _held(search: Search) -> tuple[int, ...]:
     return *search.given, *search.accepted
 
 
-def _tempting(search: Search, base: Optimum, lowest: tuple) -> dict[int, np.ndarray]:
-    """Effects that the lowest drive asks for most, no two of which say the same, and parameters with each from which a
-    fit may begin: its strength changes the readings as much as they are missed, or leaves least of them.
+def _tempting(search: Search, base: Optimum, where: tuple, strengths: np.ndarray) -> dict[int, np.ndarray]:
+    """Forces that the first drive at which the base model is far off asks for most, and parameters with each from which
+    a fit there may begin.
+
+    What they would do to first order says nothing there: each is tried at `strengths` times one that changes the
+    readings as much as they are missed, and stands for the best of them.
     """
     joint, places = search.joint, [i for i in search.candidates() if search.joint.of_effect(i).size == 1]
     if not places:
         return {}
     columns = np.concatenate([joint.of_effect(i) for i in places])
-    _, slopes = joint.linearise(base.vector, np.eye(joint.start.size)[columns], lowest)
-    slopes, q = np.where(np.isfinite(slopes), slopes, 0.0), basis(base.jacobian)
-    scores = [
-        within_bounds(score(base.residual, q, s[:, None]), base.residual, s[:, None], low[None], high[None])
-        for s, low, high in zip(slopes.T, *(bound[columns] for bound in joint.bounds), strict=True)
-    ]
-    chosen: list[int] = []
-    for k in sorted(range(len(places)), key=lambda k: -scores[k].statistic):
-        if len(chosen) < LOOK_AHEAD and scores[k].size and all(overlap(scores[k], scores[j]) < TWINS for j in chosen):
-            chosen.append(k)
-    missed = float(np.linalg.norm(base.residual))
-    sizes = {places[k]: missed / float(np.linalg.norm(slopes[:, k])) for k in range(len(places)) if scores[k].size}
-    if base.chi2 < FAR * base.dof:
-        return {places[k]: base.vector for k in chosen}
-    # What effects would do to first order says nothing here: each is tried at its best strength.
-    forces = [i for i in sizes if isinstance(joint.model.effects[i], ForceEffect)]
+    left, slopes = joint.linearise(base.vector, np.eye(joint.start.size)[columns], where)
+    shown = np.linalg.norm(np.where(np.isfinite(slopes), slopes, 0.0), axis=0)
+    forces = {
+        i: np.linalg.norm(left) / size
+        for i, size in zip(places, shown, strict=True)
+        if size > 0.0 and isinstance(joint.model.effects[i], ForceEffect)
+    }
     joint.together((*_held(search), *forces))
-    best = {i: _best_strength(search, base, i, sizes[i], lowest) for i in forces}
-    return {i: best[i][0] for i in sorted(forces, key=lambda i: best[i][1])[:LOOK_AHEAD]}
+    best = {i: _best_strength(search, base, i, size * strengths, where) for i, size in forces.items()}
+    chosen = sorted(forces, key=lambda i: best[i][1])
+    return {i: best[i][0] for i in chosen if i in search.own or i in chosen[:LOOK_AHEAD]}
 
 
 def _ends(search: Search, base: Optimum, steps: list[tuple]) -> list[tuple[int, Optimum]]:
     """Where each of the tempting effects ends; others are not tried once one leaves nothing but noise, unless they are
     the user's own.
     """
-    tempting = _tempting(search, base, steps[0])
+    first = next((k for k, step in enumerate(steps) if _far(search, base, step)), len(steps) - 1)
+    tempting = _tempting(search, base, steps[first], STRENGTHS[:: COARSE if first else 1])
     ends: list[tuple[int, Optimum]] = []
     for i in sorted(tempting, key=lambda i: i not in search.own):
         if i not in search.own and any(excess(end) == 0.0 for _, end in ends):
             break
         search.tell(f"climb with {search.joint.model.effects[i].label}")
-        ends.append((i, _up(search, base, i, tempting[i], steps)))
+        ends.append((i, _up(search, base, i, tempting[i], steps, first)))
     return ends
 
 
-def _up(search: Search, base: Optimum, place: int, begin: np.ndarray, steps: list[tuple]) -> Optimum:
-    """A fit with one effect that starts at the lowest drive, without it or where another fit may begin."""
+def _far(search: Search, base: Optimum, step: tuple) -> bool:
+    """Whether a fit to the lowest drive is far from what is read at others."""
+    beside = optimise(search.joint, base.vector, base.free, step, max_evaluations=0)
+    return not beside.chi2 < FAR * beside.dof
+
+
+def _up(search: Search, base: Optimum, place: int, begin: np.ndarray, steps: list[tuple], first: int) -> Optimum:
+    """A fit with one effect more that starts at the lowest drive, without it, and at the drive `first` also where
+    another fit may begin.
+    """
     joint, free = search.joint, always_free(search.joint, (*_held(search), place))
-    end = optimise(joint, base.vector, free, steps[0])
-    if end.chi2 > FAR * end.dof and begin is not base.vector:
-        end = min(end, optimise(joint, begin, free, steps[0]), key=lambda one: one.chi2)
-    return past_the_brink(search.case, joint, up(joint, end.vector, free, steps[1:]) if len(steps) > 1 else end)
+    end = base
+    for k, step in enumerate(steps):
+        end = optimise(joint, end.vector, free, step)
+        if k == first and end.chi2 > FAR * end.dof:
+            end = min(end, optimise(joint, begin, free, step), key=lambda one: one.chi2)
+    return past_the_brink(search.case, joint, end)
 
 
-def _best_strength(search: Search, base: Optimum, place: int, size: float, lowest: tuple) -> tuple[np.ndarray, float]:
-    """Base parameters with the strength of one effect that leaves least of the lowest drive, and χ², when what readings
+def _best_strength(
+    search: Search, base: Optimum, place: int, sizes: np.ndarray, where: tuple
+) -> tuple[np.ndarray, float]:
+    """Base parameters with the strength of one effect that leaves least of what is read, and χ², when what readings
     are linear in has been taken off.
     """
     joint = search.joint
@@ -227,14 +246,21 @@ def _best_strength(search: Search, base: Optimum, place: int, size: float, lowes
         return vector
 
     def misfit(vector: np.ndarray) -> float:
-        left, slopes = joint.linearise(vector, units, lowest)
+        left, slopes = joint.linearise(vector, units, where)
         if not (np.isfinite(left).all() and np.isfinite(slopes).all()):
             return np.inf
         left = left - basis(slopes) @ (basis(slopes).T @ left)
         return float(left @ left)
 
-    strengths = np.concatenate([-size * STRENGTHS[::-1], size * STRENGTHS])
-    tried = [with_strength(strength) for strength in np.unique(np.clip(strengths, low, high))]
-    left = [misfit(vector) for vector in tried]
-    best = int(np.argmin(left))
-    return tried[best], left[best]
+    best = with_strength(0.0)
+    least = without = misfit(best)
+    for sign in (1, -1):
+        before = without
+        for strength in np.unique(np.clip(sign * sizes, low, high))[::sign]:
+            left = misfit(vector := with_strength(strength))
+            if left < least:
+                best, least = vector, left
+            if min(left, before) > WORSE * without:  # far beyond, where every prediction takes long
+                break
+            before = left
+    return best, least

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from lab import bent
+from lab import bent, both_bent
 
 import memsgyro_jax as mg
 from memsgyro_jax.diagnosis.climb import by_surroundings
@@ -99,3 +99,17 @@ def test_a_cubic_spring_is_found_by_a_climb_from_the_lowest_drive(tmp_path):
     assert spring.estimate[0] == pytest.approx(bent.CUBIC, abs=5.0 * spring.std[0] + 1e-3 * bent.CUBIC)
     (turned,) = found.instrument
     assert (turned.name, turned.estimate[0]) == ("reference_phase", pytest.approx(bent.PHASE, abs=1e-3))
+
+
+@pytest.mark.slow
+def test_each_of_two_axes_that_bend_over_gets_its_spring(tmp_path):
+    """At the lowest drive neither shows, at the next both are off by a width, at the last by six."""
+    found = mg.diagnose(None, mg.load_case(both_bent.both_bent(tmp_path / "case")))
+    assert found.verdict == "found", found.sentence
+    springs = {spring.label: spring for spring in found.accepted}
+    assert set(springs) == {"cubic_stiffness x", "cubic_stiffness y"}
+    for axis, cubic in zip("xy", both_bent.CUBIC, strict=True):
+        spring = springs[f"cubic_stiffness {axis}"]
+        assert spring.estimate[0] == pytest.approx(cubic, abs=5.0 * spring.std[0])
+        assert spring.std[0] < 1e-3 * abs(cubic)
+    assert len(found.first) > len(springs), "what else was followed is told as well"
