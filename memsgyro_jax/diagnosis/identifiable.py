@@ -11,11 +11,13 @@ from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.least_squares import Information
 from memsgyro_jax.measurement.linear_start import starting_device
 from memsgyro_jax.measurement.one_place import in_one_place
-from memsgyro_jax.measurement.readings import model_of, readings_of
+from memsgyro_jax.measurement.readings import Readings, model_of, readings_of
 
 from .joint_residual import Joint
+from .optimum import optimise
 
 
+MUCH = 0.01  # of the power of what is read: a start that leaves so much tells no sensitivity
 LOOSE = 1.0  # relative standard deviation from which a parameter counts as not identified
 
 
@@ -45,20 +47,41 @@ class Identifiable:
 def identifiable(case: Case) -> tuple[Identifiable, ...]:
     """Per fitted record, and for all of them together, how well the base parameters would be known.
 
-    The sensitivities are those at the start that the data themselves give; nothing is fitted. `InputError` in float32.
+    The sensitivities are those at the start that the data themselves give, or where that leaves much of them, as of a
+    short run it may, at the end of a fit from there. `InputError` in float32.
     """
     joint = Joint(model_of(case, starting_device(case)), readings_of(case))
     names = tuple(p.name for p in joint.parameters)
-    units, blocks, moved = np.eye(joint.start.size), {}, _elsewhere(case)
+    units, blocks, moved, near = np.eye(joint.start.size), {}, _elsewhere(case), _near(case, joint)
     for readings in joint.fitted:
-        here = joint.linearise(joint.start, units, [readings])[1]
+        here = joint.linearise(near, units, [readings])[1]
         for number in np.unique(readings.record[readings.record >= 0]).tolist():
-            start = moved.get(number, joint.start)
+            start = moved.get(number, near)
             slopes = joint.linearise(start, units, [readings])[1] if number in moved else here
             rows = slopes.reshape(readings.record.size, -1, len(names))[readings.record == number]
             blocks[number] = rows.reshape(-1, len(names)) * np.where(start != 0, np.abs(start), 1.0)
     out = [_judged(case.records[k].name, names, blocks[k]) for k in sorted(blocks)]
     return (*out, _judged("all records", names, np.concatenate(list(blocks.values()))))
+
+
+def _near(case: Case, joint: Joint) -> np.ndarray:
+    """Base parameters near what is read."""
+    left = np.concatenate(joint.residual(joint.start, joint.fitted))
+    if left @ left < MUCH * sum(_power(case, readings) for readings in joint.fitted):
+        return joint.start
+    return optimise(joint, joint.start, joint.base(), joint.fitted).vector
+
+
+def _power(case: Case, readings: Readings) -> float:
+    """Sum of what is read over its noise, squared; infinite where nobody tells a noise."""
+    noise = getattr(readings.experiment.noise, "std", None)
+    if noise is None:
+        return np.inf
+    std, total = np.broadcast_to(noise, (readings.record.size, readings.axes)), 0.0
+    for number in np.unique(readings.record[readings.record >= 0]):
+        mine = readings.record == number
+        total += float(np.nansum(np.abs(case.records[number].readings[readings.row[mine]] / std[mine]) ** 2))
+    return total
 
 
 def _elsewhere(case: Case) -> dict[int, np.ndarray]:

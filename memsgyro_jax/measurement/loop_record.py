@@ -1,6 +1,7 @@
 """A run of the closed loop as a measurement case: what a recorder at the electrodes and at the converter would keep."""
 
 import tempfile
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import numpy as np
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.files import write_whole
 from memsgyro_jax.device.gyro import AbstractGyro, SingleMassGyro, X, Y
+from memsgyro_jax.loop.kicks import kick_error
 from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.trace_result import Trace
 
@@ -19,6 +21,7 @@ from .experiments.record import Role
 
 
 HEADING = "[[experiment]]"
+SEEN = 10.0  # χ² that the error of kicks adds to a record, from which a fit may take it for physics
 
 
 def case_of_trace(
@@ -34,7 +37,8 @@ def case_of_trace(
 
     Row n holds the reading at its time and the force from then to the next row. Offsets and the motion itself are not
     told; a loop whose mass starts at rest makes a record that does. What a loop beyond its rate and temperature is
-    exposed to (drifting offsets, accelerations) no case knows.
+    exposed to (drifting offsets, accelerations) no case knows. A warning says where the noise is so low that the record
+    shows how the loop computed its effects.
 
     Args:
         trace: of a single-mass gyro behind a displacement read-out, with every sample kept.
@@ -54,6 +58,8 @@ def case_of_trace(
     if trace.lost_at is not None:
         raise InputError(f"A case needs a run to its end, but this one was {trace.status}.")
     scale, std = (np.asarray(pair, float) for pair in (readout.scale, readout.noise_std(period)))
+    if shown := _kicks_shown(trace, np.abs(scale) / std):
+        warnings.warn(shown, stacklevel=2)
     start = np.asarray(loop.start, float)
     noise = np.random.default_rng(trace.settings.seed).standard_normal(2)
     drift = trace.offset[0] - np.asarray(readout.offset, float)
@@ -83,6 +89,23 @@ def case_of_trace(
         environment=environment or around,
         conventions={"forces": "held from each row to the next"},
         records=(record,),
+    )
+
+
+def _kicks_shown(trace: Trace, per_metre: np.ndarray) -> str:
+    """A sentence where a record tells effects that act as kicks from the same effects at every moment; else nothing.
+    `per_metre` are standard deviations of its noise, per channel.
+    """
+    if not np.all(np.isfinite(per_metre)):
+        return ""
+    error = per_metre * kick_error(trace.loop, trace.force, trace.rate_true, 1.0 / trace.settings.sample_rate)
+    if not np.sum(error**2) > SEEN:
+        return ""
+    return (
+        "The effects of the device acted once in a sample, which moves the record by up to "
+        f"{np.max(np.abs(error)):.2g} standard deviations of its noise: a fit may take that for physics. Run the loop "
+        'with `discretisation=mg.Integrated()` (in a study `[loop] discretisation = "integrated"`), or at a higher '
+        "sample rate."
     )
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import memsgyro_jax as mg
 from memsgyro_jax.diagnosis.identifiable import identifiable
 from memsgyro_jax.measurement.case import Case, DesignValue, Environment, FrequencySweepRecord, Readout
 
@@ -15,6 +16,23 @@ W, Q, G, NOISE = 2 * np.pi * 3000.0, 300.0, 2.0, 1e-3
 def response(parameters, omega):
     stiffness, damping, mobility = parameters
     return mobility / (stiffness - omega**2 + 1j * omega * damping)
+
+
+def test_a_short_run_tells_what_a_fit_of_it_would(tmp_path):
+    """Its spectrum told a start three times off in mass and damping, and the dampers' coupling to a few parts in 1e4."""
+    gyro = mg.SingleMassGyro.from_modes("1 mg", ("5 kHz", "5.2 kHz"), (500, 700), quadrature="10 deg/s")
+    readout, force = mg.DirectReadout(1e5, noise_density=1e-7), float(gyro.kxx) * 5e-6 / 500
+    drive = mg.OpenLoop(((mg.Tone(5000.0, force), mg.Tone(5080.0, force)), (mg.Tone(5200.0, force / 2),)))
+    loop = mg.ClosedLoop(gyro, readout, mg.NoObserver.for_device(gyro, readout), drive, start=(1e-6, 0.0, 0.0, 0.0))
+    trace = mg.simulate(loop, np.radians(200.0), sample_rate=140e3, duration=0.03, seed=4)
+    case = mg.load_case(trace.to_case(tmp_path / "case").parent)
+    told = identifiable(case)[-1]
+    fit = mg.fit(None, case)
+    known = {e.name: e.std / abs(e.value) for e in fit.estimates}
+    for name, relative in zip(told.names, told.relative, strict=True):
+        if name in ("kxx/m", "kyy/m", "dxx/m", "dyy/m", "1/m"):
+            assert relative == pytest.approx(known[name], rel=0.05), name
+    assert told.relative[told.names.index("dxy/m")] > 0.1
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,6 @@
 """`memsgyro simulate`: read the study, run one die, print, write."""
 
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -96,7 +97,11 @@ def simulate_command(
             write_json(json, figures)
     if case is not None:
         around = _environment(chosen)
-        written = trace.to_case(case, name=record, role=role, design=chosen.loop.device, environment=around)
+        with warnings.catch_warnings(record=True) as caveats:
+            warnings.simplefilter("always")
+            written = trace.to_case(case, name=record, role=role, design=chosen.loop.device, environment=around)
+        for caveat in caveats:
+            print(caveat.message)
         print(f"{written} holds the run, for `memsgyro check`, `compare`, `diagnose` and `fit`.")
     if out is not None:
         print(f"{out / 'report.html'}, summary.json and trace.zarr hold the details.")

@@ -24,6 +24,7 @@ from memsgyro_jax.base.quantity import (
 from memsgyro_jax.device.gyro import AbstractGyro
 from memsgyro_jax.device.propagate import AbstractDiscretisation, Exact, ForwardEuler
 from memsgyro_jax.loop.blocks.block_filter import BlockFilter
+from memsgyro_jax.loop.integrated import Integrated
 from memsgyro_jax.loop.observers import (
     AbstractObserver,
     EnergyObserver,
@@ -44,13 +45,14 @@ from .classic import Unobserved
 
 
 Discretisation = Literal["exact", "euler"]
+OfDevice = Literal["exact", "euler", "integrated"]
 Positive = Annotated[float, Field(gt=0.0), In("1")]
 ObserverT = TypeVar("ObserverT", bound=AbstractObserver)
 
 
-def discretisation(name: Discretisation) -> AbstractDiscretisation:
-    """The way a sample is computed: exactly, or by the thesis' forward Euler."""
-    return Exact() if name == "exact" else ForwardEuler()
+def discretisation(name: OfDevice) -> AbstractDiscretisation:
+    """The way a sample is computed: exactly but for the effects, by the thesis' forward Euler, or to a tolerance."""
+    return {"exact": Exact, "euler": ForwardEuler, "integrated": Integrated}[name]()
 
 
 class Fixed(FileSection):

@@ -23,7 +23,7 @@ from memsgyro_jax.base.quantity import (
 )
 from memsgyro_jax.montecarlo.spread import AbstractDistribution, Normal, Spread, Uniform, Vary
 
-from .laws import Discretisation, Positive
+from .laws import OfDevice, Positive
 
 
 class Start(FileSection):
@@ -36,8 +36,9 @@ class Start(FileSection):
     """Velocity (x, y) at time zero."""
     travel: Annotated[float, Field(gt=0.0), In("m")] | None = None
     """How far the mass may move: a die beyond it is lost. Left out, as far as the read-out follows."""
-    discretisation: Discretisation = "exact"
-    """How the device is computed over a sample: exactly, or by the thesis' forward Euler."""
+    discretisation: OfDevice = "exact"
+    """How the device is computed over a sample: exactly, effects as kicks at both its ends; by the thesis' forward
+    Euler; or integrated to a tolerance, effects at every moment, some hundred times slower."""
     block: Annotated[Whole, Field(ge=2)] | None = None
     """Number of samples, a power of two, by which a linear loop is advanced at once (`ClosedLoop.in_blocks`); left out,
     sample by sample."""
