@@ -19,7 +19,7 @@ def response(parameters, omega):
 
 
 def test_a_short_run_tells_what_a_fit_of_it_would(tmp_path):
-    """Its spectrum told a start three times off in mass and damping, and the dampers' coupling to a few parts in 1e4."""
+    """Its spectrum told a start three times off in mass and damping, and the dampers' coupling to 6e-4."""
     gyro = mg.SingleMassGyro.from_modes("1 mg", ("5 kHz", "5.2 kHz"), (500, 700), quadrature="10 deg/s")
     readout, force = mg.DirectReadout(1e5, noise_density=1e-7), float(gyro.kxx) * 5e-6 / 500
     drive = mg.OpenLoop(((mg.Tone(5000.0, force), mg.Tone(5080.0, force)), (mg.Tone(5200.0, force / 2),)))
