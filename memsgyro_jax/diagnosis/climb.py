@@ -6,6 +6,7 @@ is found there starts a fit with the next drive.
 """
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -64,14 +65,26 @@ def climbed(search: Search, first: Ranking, effects: Sequence[Effect]) -> tuple[
         return search, None
     if by_surroundings(search, steps):
         return search, None
-    best = first.order[0]
-    usual = search.refit([first.places[best]], slopes=first.slopes[best])
+    usual = _in_steps(search, first)
     if usual.chi2 < FAR * usual.dof:
         return search, None
     beside = beside_lock_in(search)
     terms = ", ".join(beside.joint.model.effects[i].label for i in beside.given if i not in search.given)
     search.tell("climb from the lowest drive, one effect after the other" + (f", beside {terms}" if terms else ""))
     return followed(beside, search, effects, steps, usual, beside.joint.start)
+
+
+def _in_steps(search: Search, first: Ranking) -> Optimum:
+    """The fit with the best effect in one step, or where that is far off and the device has two axes, with another."""
+    best = first.order[0]
+    step = copy(search)
+    step.optimum = search.refit([first.places[best]], slopes=first.slopes[best])
+    step.accepted = [first.places[best]]
+    if step.optimum.chi2 < FAR * step.optimum.dof or search.joint.model.axes == 1:
+        return step.optimum
+    second = step.rank()
+    best = second.order[0]
+    return step.refit([*step.accepted, second.places[best]], slopes=second.slopes[best])
 
 
 def followed(

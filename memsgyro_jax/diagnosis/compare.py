@@ -24,6 +24,7 @@ from memsgyro_jax.measurement.readings import model_of
 from .drives import Rows
 from .estimates import told_of, with_std_if_held
 from .fit import CaseFit, fit_case
+from .fit_uncertainty import beside_uncertainty
 from .fitted import RecordError
 from .instrument import beside_case_of
 from .misfit import LEVEL, Check, check_all
@@ -240,8 +241,18 @@ def beside_outlying(result: Comparison, again: Callable[[Rows], CaseFit]) -> Com
 
 
 def judged(fit: CaseFit, *, level: float = LEVEL, fitted: bool = True) -> Comparison:
-    """Every test on the residuals of a fit that was made already."""
-    series = tuple(r.series(d).compared for r, d in fit.deviations)
+    """Every test on the residuals of a fit that was made already; what it has not seen it may also miss by its own
+    uncertainty.
+    """
+    result = _judged(fit, fit, level, fitted)
+    if result.explained or not fitted:
+        return result
+    allowed = _judged(fit, beside_uncertainty(fit), level, fitted)
+    return allowed if allowed.explained else result
+
+
+def _judged(fit: CaseFit, left: CaseFit, level: float, fitted: bool) -> Comparison:
+    series = tuple(r.series(d).compared for r, d in left.deviations)
     return Comparison(fit, series, check_all(series, level), level, fitted)
 
 

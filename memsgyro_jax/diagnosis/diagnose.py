@@ -38,6 +38,7 @@ from .rounds import search_on
 from .search import CONFUSED, Ranking, Search, SearchStep, start_search
 from .sentence import DRIFT, of_noise, sentence
 from .slow_noise import is_slow_noise, slowly
+from .spoiler import without_spoiler
 from .worth_trying import worth_trying
 from .wrong_noise import wrong_noise
 
@@ -127,6 +128,8 @@ def _diagnosed(
         yield *instrument_first(begin, ranking, smooth, search_on, done), start
 
     (search, ranking, rival, (base, first, whence)), left_out = search_beside_outlying(begun, searched, done)
+    if without_spoiler(search, lambda fit, accepted: all(_each_explained(fit, accepted, level))):
+        ranking = search.rank()
     steps = search.steps
     final = search.steps[-1].fit
     tell("see what these records can tell apart")

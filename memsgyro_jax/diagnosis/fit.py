@@ -324,14 +324,15 @@ def beside_case(case: Case, joint: Joint, optimum: Optimum, apart: float = 0.0) 
     fitted = [np.zeros(r.rows, bool) for r in case.records]
     ends = np.cumsum([r.size for r in joint.fitted])
     for readings, values in zip(joint.fitted, np.split(optimum.residual, ends[:-1]), strict=True):
-        _place(readings, values, white, fitted)
+        put_in_place(readings, values, white, fitted)
     others = [r for r in joint.readings if not r.fitted]
     for readings, values in zip(others, joint.residual(optimum.vector, others), strict=True):
-        _place(readings, values, white, fitted)
+        put_in_place(readings, values, white, fitted)
     return CaseFit(case, joint, optimum, tuple(white), tuple(fitted), apart)
 
 
-def _place(readings: Readings, values: np.ndarray, white: list[np.ndarray], fitted: list[np.ndarray]) -> None:
+def put_in_place(readings: Readings, values: np.ndarray, white: list[np.ndarray], fitted: list[np.ndarray]) -> None:
+    """Puts residuals of some readings where their records have them, and notes which were fitted."""
     rows = values.reshape(readings.record.size, readings.axes, -1)
     std = getattr(readings.experiment.noise, "std", None)
     if std is not None:  # a channel that was not recorded is not compared

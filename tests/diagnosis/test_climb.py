@@ -102,6 +102,18 @@ def test_a_cubic_spring_is_found_by_a_climb_from_the_lowest_drive(tmp_path):
 
 
 @pytest.mark.slow
+def test_two_axes_that_bend_by_less_than_a_width_need_no_climb(tmp_path):
+    """A step with the best effect is far off, as another is missing; one more step is not."""
+    told: list[str] = []
+    folder = both_bent.both_bent(tmp_path / "case", levels=(50, 100, 150))
+    found = mg.diagnose(None, mg.load_case(folder), tell=told.append)
+    assert not [line for line in told if line.startswith("climb")]
+    assert {spring.label for spring in found.accepted} == {"cubic_stiffness x", "cubic_stiffness y"}, found.sentence
+    for spring in found.accepted:
+        assert spring.estimate[0] == pytest.approx(both_bent.CUBIC["xy".index(spring.where)], abs=5.0 * spring.std[0])
+
+
+@pytest.mark.slow
 def test_each_of_two_axes_that_bend_over_gets_its_spring(tmp_path):
     """At the lowest drive neither shows, at the next both are off by a width, at the last by six."""
     found = mg.diagnose(None, mg.load_case(both_bent.both_bent(tmp_path / "case")))

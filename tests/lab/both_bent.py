@@ -44,8 +44,8 @@ def along(axis: int, frequency: np.ndarray, force: float) -> np.ndarray:
     return np.array(found)
 
 
-def both_bent(folder: Path, rows: int = 52) -> Path:
-    """The case: each axis swept upwards at three drives through both resonances."""
+def both_bent(folder: Path, levels: tuple[int, ...] = LEVELS, rows: int = 52) -> Path:
+    """The case: each axis swept upwards at some drives [nN] through both resonances."""
     generator = np.random.default_rng(5)
     low, high = NATURAL
     frequency = np.concatenate([low + np.linspace(-25.0, 90.0, rows), high + np.linspace(-90.0, 25.0, rows)])
@@ -54,7 +54,7 @@ def both_bent(folder: Path, rows: int = 52) -> Path:
     (folder / "case.toml").write_text(HEAD + "".join(RECORD.format(axis=axis) for axis in "xy"))
     for driven, axis in enumerate("xy"):
         lines = [f"F_{axis} [nN],f [Hz],Vx_I [V],Vx_Q [V],Vy_I [V],Vy_Q [V]"]
-        for level in LEVELS:
+        for level in levels:
             motion = np.empty((2, len(frequency)), complex)
             motion[driven] = along(driven, frequency, 1e-9 * level)
             other, width = 1 - driven, MASS * 2.0 * np.pi * NATURAL[1 - driven] / QUALITY[1 - driven]
