@@ -18,6 +18,7 @@ from memsgyro_jax.measurement.readings import model_of, readings_of
 
 from .climb import climbed
 from .confusions import confusions
+from .decays_apart import SAME_CLOCK, decays_apart
 from .drift_in_time import with_drift_alone
 from .drives import Rows, without_rows
 from .fewer import terms_of
@@ -161,6 +162,7 @@ def _diagnosed(
     unexplained = verdict in UNEXPLAINED
     scale = np.nan if unexplained else final.scale  # what is left that nobody knows is in no standard deviation
     accepted, terms = (tuple(a.scaled(scale) for a in every) for every in (accepted, terms))
+    apart_in_time = decays_apart(final) if unexplained else ""
     planned = () if unexplained else next_experiments(search, ranking, confused, rival)
     return Diagnosis(
         case=case,
@@ -168,6 +170,7 @@ def _diagnosed(
         final=final,
         verdict=verdict,
         sentence=sentence(verdict, accepted, final, explained)
+        + apart_in_time
         + of_instrument(terms, rival, drive_levels(case))
         + of_noise(noise, declared)
         + slowly(search.slow)
@@ -177,7 +180,7 @@ def _diagnosed(
         whence=whence,
         candidates=listed_candidates(case, search.joint.model, ranking, powers=not unexplained),
         groups=tuple((a.label, *a.confused_with) for a in accepted if a.confused_with),
-        next_experiment=of_the_unknown(case) if unexplained else advice(planned),
+        next_experiment=(SAME_CLOCK if apart_in_time else of_the_unknown(case)) if unexplained else advice(planned),
         next_experiments=planned,
         given=tuple(effect.label for effect in start.effects),
         steps=stages,
