@@ -49,7 +49,8 @@ def loop_margins(loop: ClosedLoop) -> LoopMargins:
 
     A read-out that answers late (`ReadoutDelay`, `Delayed`) turns what both demodulators see by ω times the delay, and
     delays how it changes. Averaging and sampling are left out: exact for demodulators that are slow beside the drive,
-    5 % of gain at a twentieth of it; so are all other effects, and what saturates.
+    5 % of gain at a twentieth of it, and no more true of a loop that reaches beyond a tenth of the drive's frequency;
+    so are all other effects, and what saturates.
     Differentiable by gains and device; a lot gives a margin for each die. Not for a program on several devices at once,
     where linear algebra can wait for itself: the loss `LoopMargin` takes each loop by itself. Raises
     `InputError` for another controller.
@@ -94,13 +95,32 @@ class _Numbers(NamedTuple):
     sense: Any
 
 
-def open_loops(loop: ClosedLoop) -> Callable[[Float[np.ndarray, " some"]], Complex[np.ndarray, "some 4"]]:
-    """Of one die: what each of the four loops, opened where its output acts while the others are closed, hands back
-    with the sign turned, at angular frequencies [rad/s]. Raises `InputError` for another controller, and for a lot.
+class Lock(NamedTuple):
+    """The closed loops of one die where it is locked at rest, in phasors that turn with the drive: slope by state, by
+    what acts, and what the four loops put out by the state; and the drive's angular frequency `omega` [rad/s].
     """
+
+    closed: Float[np.ndarray, "n n"]
+    push: Float[np.ndarray, "n 4"]
+    out: Float[np.ndarray, "4 n"]
+    omega: float
+
+
+def at_lock(loop: ClosedLoop) -> Lock:
+    """Of one die. Raises `InputError` for another controller, and for a lot."""
     table, tree, velocity, lot = _numbers(loop)
-    _require_one(lot)
+    if lot:
+        raise InputError("Argument `loop` must be one die, but holds several; `loop_margins` takes a lot.")
+    omega = float(jax.tree.unflatten(tree, list(table[0])).omega)
     closed, push, out = map(np.asarray, _matrices(table[0], tree, velocity))
+    return Lock(closed, push, out, omega)
+
+
+def open_loops(lock: Lock) -> Callable[[Float[np.ndarray, " some"]], Complex[np.ndarray, "some 4"]]:
+    """What each of the four loops, opened where its output acts while the others are closed, hands back with the sign
+    turned, at angular frequencies [rad/s].
+    """
+    closed, push, out, _ = lock
 
     def handed_back(omega: Float[np.ndarray, " some"]) -> Complex[np.ndarray, "some 4"]:
         moved = np.linalg.solve(1j * omega[:, None, None] * np.eye(len(closed)) - closed, push + 0j)
@@ -113,20 +133,13 @@ def closed_poles(loop: ClosedLoop) -> Complex[np.ndarray, " states"]:
     """Poles [1/s] of the closed loops of one die where its device is locked at rest, in phasors that turn with the
     drive. Raises `InputError` for another controller, and for a lot.
     """
-    return poles_with(loop)(1.0)
+    return np.linalg.eigvals(at_lock(loop).closed)
 
 
-def poles_with(loop: ClosedLoop) -> Callable[[float], Complex[np.ndarray, " states"]]:
+def poles_with(lock: Lock) -> Callable[[float], Complex[np.ndarray, " states"]]:
     """`closed_poles` where the loops of rate and quadrature are both so many times as strong."""
-    table, tree, velocity, lot = _numbers(loop)
-    _require_one(lot)
-    closed, push, out = map(np.asarray, _matrices(table[0], tree, velocity))
+    closed, push, out, _ = lock
     return lambda times: np.linalg.eigvals(closed + (times - 1.0) * push[:, 2:] @ out[2:])
-
-
-def _require_one(lot: tuple[int, ...]) -> None:
-    if lot:
-        raise InputError("Argument `loop` must be one die, but holds several; `loop_margins` takes a lot.")
 
 
 @eqx.filter_jit

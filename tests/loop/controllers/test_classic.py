@@ -370,6 +370,43 @@ def test_a_gain_margin_is_where_a_loop_begins_to_oscillate():
     assert 180.0 - abs(np.degrees(np.angle(loop))) == pytest.approx(found.phase_margin[0], abs=3.0)
 
 
+def test_a_gain_margin_ends_where_the_averaged_loops_do():
+    """Loops that bear any gain when averaged are stable in simulations up to what is told, and not at any gain."""
+    gyro = mg.SingleMassGyro.from_modes("20 ug", ("9 kHz", "9.0002 kHz"), 50000)
+    control = mg.ClassicControl.force_rebalance(gyro, DISPLACEMENT, amplitude=1e-6)
+    found = mg.gain_phase_margins(loop_of(gyro, DISPLACEMENT, control))
+    assert np.all(np.isinf(found.increase))
+    assert np.all((found.known_to > 20.0) & (found.known_to < 30.0))
+    assert "> 25 dB" in str(found)
+    assert "a tenth of the drive's frequency" in str(found)
+    up = [loop["gain_margin_up_db"] for loop in found.as_dict().values()]
+    above = [loop["gain_margin_up_above_db"] for loop in found.as_dict().values()]
+    assert (up, above) == ([None] * 5, found.known_to.tolist())
+    names = ("gain", "integral", "quadrature_gain", "quadrature_integral")
+    ends = []
+    for change in (found.known_to[4], 48.0):
+        made = {name: 10.0 ** (change / 20.0) * getattr(control.sense, name) for name in names}
+        louder = dataclasses.replace(control, sense=dataclasses.replace(control.sense, **made))
+        loop = dataclasses.replace(loop_of(gyro, DISPLACEMENT, louder), start=(1e-6, 0.0, 0.0, 0.0))
+        trace = mg.simulate(loop, 0.1, sample_rate=100e3, duration=0.2, decimation=20)
+        ends.append((np.std(trace.rate_estimate[trace.time > 0.15]), trace.intact_until < 0.2))
+    assert ends[0][0] < 1e-4
+    assert [lost for _, lost in ends] == [False, True]
+
+
+def test_a_loop_beyond_the_averaged_model_has_no_known_margin():
+    gyro = mg.SingleMassGyro.from_modes("20 ug", ("9 kHz", "9.0002 kHz"), 50000)
+    control = mg.ClassicControl.force_rebalance(gyro, DISPLACEMENT, amplitude=1e-6)
+    names = ("gain", "integral", "quadrature_gain", "quadrature_integral")
+    made = {name: 30.0 * getattr(control.sense, name) for name in names}
+    louder = dataclasses.replace(control, sense=dataclasses.replace(control.sense, **made))
+    found = mg.gain_phase_margins(loop_of(gyro, DISPLACEMENT, louder))
+    assert found.known_to[2] < 0.0
+    assert "as it is: rate, quadrature, rate and quadrature together" in str(found)
+    assert "unknown" in str(found)
+    assert found.as_dict()["rate"]["gain_margin_up_above_db"] is None
+
+
 def test_a_run_that_ends_before_its_loops_rest_says_so():
     """A high-Q sense axis near the drive leaves rebalance loops of a wide demodulator a time constant of a second."""
     gyro = mg.SingleMassGyro.from_modes("8 ug", ("10 kHz", "10.06 kHz"), 8000, quadrature="200 deg/s")
