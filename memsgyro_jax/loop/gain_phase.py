@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Complex, Float
 
 from memsgyro_jax.base import runtime
 from memsgyro_jax.base.display import Shown
@@ -13,7 +13,7 @@ from memsgyro_jax.base.text import aligned
 
 from .lateness import uncounted, uncounted_effects
 from .loop import ClosedLoop
-from .stability import Lock, LoopMargins, at_lock, loop_margins, open_loops, poles_with
+from .stability import Lock, LoopMargins, at_lock, loop_margins
 
 
 HEAD = ("loop", "distance from -1", "crossover", "phase margin", "gain margin up", "and down")
@@ -111,7 +111,7 @@ def gain_phase_margins(loop: ClosedLoop) -> GainPhaseMargins:
     """
     runtime.require_float64("`gain_phase_margins`")
     distance, lock = loop_margins(loop), at_lock(loop)
-    curve, span = open_loops(lock), np.geomspace(1e-2, lock.omega, 6001)  # rad/s
+    curve, span = _open_loops(lock), np.geomspace(1e-2, lock.omega, 6001)  # rad/s
     along = curve(span)
     found = [_of_loop(lambda w, k=k: curve(w)[:, k], span, along[:, k], float(distance[k])) for k in range(4)]
     figures = np.array([*found, _of_both(lock, found[2:])]).T
@@ -119,6 +119,25 @@ def gain_phase_margins(loop: ClosedLoop) -> GainPhaseMargins:
     known_to[np.isnan(figures[2])] = np.nan
     figures[2, figures[2] > known_to] = np.inf
     return GainPhaseMargins(distance, *figures, known_to=known_to, left_out=uncounted_effects(loop))
+
+
+def _open_loops(lock: Lock) -> Callable[[Float[np.ndarray, " some"]], Complex[np.ndarray, "some 4"]]:
+    """What each of the four loops, opened where its output acts while the others are closed, hands back with the sign
+    turned, at angular frequencies [rad/s].
+    """
+    closed, push, out = lock[:3]
+
+    def handed_back(omega: Float[np.ndarray, " some"]) -> Complex[np.ndarray, "some 4"]:
+        moved = np.linalg.solve(1j * omega[:, None, None] * np.eye(len(closed)) - closed, push + 0j)
+        return 1.0 / (1.0 + np.diagonal(out @ moved, axis1=1, axis2=2)) - 1.0
+
+    return handed_back
+
+
+def _poles_with(lock: Lock) -> Callable[[float], Complex[np.ndarray, " states"]]:
+    """`closed_poles` where the loops of rate and quadrature are both so many times as strong."""
+    closed, push, out = lock[:3]
+    return lambda times: np.linalg.eigvals(closed + (times - 1.0) * push[:, 2:] @ out[2:])
 
 
 def _known_to(lock: Lock, own: list[int]) -> float:
@@ -150,7 +169,7 @@ def _of_both(lock: Lock, alone: list[tuple[float, ...]]) -> tuple[float, float, 
     """As `_of_loop` of rate and quadrature when both gains change by the same factor."""
     if np.isnan(alone).all():
         return (np.nan,) * 4
-    poles = poles_with(lock)
+    poles = _poles_with(lock)
     rest = 1e-9 * np.max(np.abs(poles(1.0)))  # an integral's pole at zero, but for rounding
 
     def oscillates(change: float) -> bool:
