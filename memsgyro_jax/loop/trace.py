@@ -23,7 +23,7 @@ from .expectation import expectations, tell
 from .loop import ClosedLoop, Sample, as_loop
 from .operation import run_of
 from .scenario import AbstractProfile, Scenario, as_scenario
-from .settling import not_rested
+from .settling import not_rested_first
 from .trace_result import Trace
 from .unreached import unreached
 from .unsuited import unsuited
@@ -93,7 +93,7 @@ def simulate(
     _require_one_die(loop)
     scenario, loop = as_scenario(scenario), loop.sampled_at(sample_rate, duration=duration)
     ran, hindered = prepared(loop.present)
-    ill = (*expectations(loop, scenario, sample_rate, duration), *unsuited(loop), *not_rested(loop, duration))
+    ill = (*expectations(loop, scenario, sample_rate, duration), *unsuited(loop), *not_rested_first(loop, duration))
     tell((*ill, *unreached(scenario, duration), *hindered))
     words = noise.die_words(jax.random.key(seed), jnp.asarray(die))
     rows = _Rows.of(ran.blocks, steps, decimation)

@@ -418,6 +418,24 @@ def test_a_run_that_ends_before_its_loops_rest_says_so():
     assert not_rested(broken, 0.5) == ()
 
 
+def test_a_run_that_ends_before_its_loops_rest_names_what_is_slow(caplog, monkeypatch):
+    """A drive that swings up in 0.26 s, behind which a demodulator of 125 times the split has nothing to gain."""
+    gyro = mg.SingleMassGyro.from_modes("1 mg", ("5 kHz", "5.002 kHz"), (80000, 80000), quadrature="2 deg/s")
+    control = mg.ClassicControl.force_rebalance(gyro, DISPLACEMENT, amplitude=2e-6)
+    loop = loop_of(gyro, DISPLACEMENT, control)
+    (said,) = not_rested(loop, 0.3)
+    assert "after the 0.26 s in which the drive swings up" in said
+    assert "0.35 s and more outlast. A larger `limit` of the drive's force" in said
+    assert "sense axis" not in said
+    apart = mg.SingleMassGyro.from_modes("8 ug", ("10 kHz", "10.06 kHz"), 8000, quadrature="200 deg/s")
+    slow = mg.ClassicControl.force_rebalance(apart, DISPLACEMENT, amplitude=1e-6, demodulator_bandwidth="250 Hz")
+    assert "a demodulator of five times the mode split" in not_rested(loop_of(apart, DISPLACEMENT, slow), 0.5)[0]
+    monkeypatch.setattr("memsgyro_jax.loop.settling._SAID", set())
+    for change in (1.0, 1.001):  # a loop over parameters
+        mg.simulate(loop, 0.1 * change, sample_rate=130e3, duration=2e-3)
+    assert caplog.text.count("it shows their start") == 1
+
+
 def test_coupled_axes_make_a_slow_drive_unstable():
     """Holding y still moves the resonance of the thesis' drive by 107 Hz."""
     gyro = mg.SingleMassGyro.chi2010()
