@@ -54,10 +54,10 @@ class Adc(Displayed):
 
     def __check_init__(self):
         check_positive("limit", self.limit)
-        if isinstance(self.bits, bool) or not isinstance(self.bits, int | np.integer) or not 1 <= self.bits <= 48:
-            raise InputError(
-                f"Argument `bits` of the converter must be a whole number from 1 to 48, but {self.bits} was given."
-            )
+        if isinstance(self.bits, bool) or not isinstance(self.bits, int | np.integer):
+            raise InputError(f"Argument `bits` of the converter must be a whole number, but {self.bits} was given.")
+        if not 1 <= self.bits <= 48:
+            raise InputError(f"Argument `bits` of the converter must lie between 1 and 48, but {self.bits} was given.")
 
     def convert(self, volts: Scalar) -> Scalar:
         """The nearest code's voltage, clipped at the limits."""

@@ -110,7 +110,7 @@ def test_a_lot_says_what_its_dies_were_lost_by():
 
 
 def test_numbers_that_cannot_be_meant_are_refused():
-    for bits in (12.5, True, 0, 49):
+    for bits in (12.5, True):
         with pytest.raises(mg.InputError, match="`bits` of the converter must be a whole number"):
             mg.Adc(1.0, bits)
     both = tuple(mg.Vary(f"device.{name}", mg.Normal(relative=0.01)) for name in ("kxx", "kyy"))
