@@ -109,10 +109,18 @@ class FrequencyResponse(Tabular):
             whole = "a constant rate" if self.carrier is None else "a constant one"
         half, first = f"half the power of {whole}", abs(self.response[0])
         if np.isfinite(self.bandwidth):
-            return f"{half} at {self.bandwidth:.4g} Hz"
+            return f"{half} at {self.bandwidth:.4g} Hz{self._resonance}"
         if self.static is not None and first**2 < 0.5 * abs(self.static) ** 2:
             return f"{half} below {low:.4g} Hz already: ask for lower frequencies too"
-        return f"{half} nowhere up to {self.frequency[-1]:.4g} Hz"
+        return f"{half} nowhere up to {self.frequency[-1]:.4g} Hz{self._resonance}"
+
+    @property
+    def _resonance(self) -> str:
+        """Words for a peak of more than twice the power of a constant rate, that is no end of what was looked at."""
+        at, gain = self.peak
+        if not gain > np.sqrt(2.0) * abs(self._whole) or at in (self._all[0][0], self._all[0][-1]):
+            return ""
+        return f", a peak of {gain / abs(self._whole):.4g} times at {at:.4g} Hz"
 
     def __str__(self) -> str:
         if not np.all(np.isfinite(self.response)):

@@ -10,8 +10,12 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from memsgyro_jax.base.concrete import is_concrete, settled
+from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.gyro import AbstractGyro, Inertial
 from memsgyro_jax.device.modes import natural_frequencies
+
+from .loop import ClosedLoop
+from .stability import at_lock
 
 
 _COUNT = 12  # frequencies of each further look
@@ -33,6 +37,24 @@ def around_split(gyro: AbstractGyro, low: float, high: float) -> Float[np.ndarra
     width = 0.5 * max(float(dynamics.damping[i][i]) for i in (0, 1)) / (2.0 * np.pi)
     found = float(np.ptp(natural_frequencies(dynamics.stiffness))) + width * _WIDTHS
     return found[(found > low) & (found < high)]
+
+
+def expected_half_power(loop: ClosedLoop) -> float | None:
+    """About where [Hz] a loop in classic control answers a rate by half the power of a constant one, of its linearised
+    loops averaged over the drive's periods and its output filter; None of another loop, and where it does not.
+    """
+    try:
+        closed, *_, turned, told, omega = at_lock(loop)
+    except (InputError, np.linalg.LinAlgError):
+        return None
+    along = omega * np.geomspace(1e-6, 0.5, 2001)
+    if not np.all(np.isfinite(closed)):
+        return None
+    moved = np.linalg.solve(1j * along[:, None, None] * np.eye(len(closed)) - closed, turned[:, None] + 0j)
+    gain = np.abs(moved[..., 0] @ told)
+    k = half_power_bracket(gain / gain[0])
+    edges = () if loop.filter is None else (float(np.min(edge)) for edge in loop.filter.edges())
+    return None if k is None else min([float(along[k]) / (2.0 * np.pi), *edges])
 
 
 def half_power_bracket(gain: Float[np.ndarray, " some"]) -> int | None:

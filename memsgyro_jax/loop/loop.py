@@ -31,6 +31,7 @@ from .controllers.base import AbstractController
 from .filters import AbstractFilter, check_fits
 from .observers.base import AbstractCovarianceObserver, AbstractObserver, Clock, Estimate
 from .observers.settings import arrays
+from .own_parts import check_within_travel, commanded, estimated
 from .readout import AbstractReadout
 from .scenario import Conditions
 from .with_effects import SampleEffects, check_effects, check_own_states, own_start
@@ -115,6 +116,7 @@ class ClosedLoop(Displayed):
             )
         check_effects(self.device, self.readout.signals)
         check_positive("travel", self.travel)
+        check_within_travel(self.controller, self.travel)
         if is_concrete(self.start) and not (len(self.start) == 4 and all(np.all(np.isfinite(v)) for v in self.start)):
             raise InputError("Argument `start` must be 4 finite numbers (x, y, vx, vy), in m and m/s.")
         if not (self.filter is None or isinstance(self.filter, AbstractFilter)):
@@ -180,7 +182,7 @@ class ClosedLoop(Displayed):
         return self._given_out(state.observer, state.controller)
 
     def _given_out(self, observer: Any, controller: Any) -> Estimate:
-        return self.controller.output(controller, self.observer.estimate(observer))
+        return self.controller.output(controller, estimated(self.observer, observer))
 
     def rate(self, state: LoopState) -> Scalar:
         """The loop's output in rad/s: the estimated rate, behind the output filter where there is one."""
@@ -198,8 +200,8 @@ class ClosedLoop(Displayed):
         """One sample, from `clock` to one period later; `noise` is a pair of standard normal numbers, `shaking` four
         for the device's Brownian force, None for none, `flicker` a pair for each state of the read-out's flicker.
         """
-        estimate = self.observer.estimate(state.observer)
-        force, controller = self.controller.command(state.controller, estimate, clock)
+        estimate = estimated(self.observer, state.observer)
+        force, controller = commanded(self.controller, state.controller, estimate, clock)
 
         motion, own, shown = self._moved(state, conditions, force, clock, shaking)
         end = Clock(clock.time + clock.period, clock.sample + 1, clock.period)
@@ -269,7 +271,7 @@ class ClosedLoop(Displayed):
         whole = settled(self if design is None else design)
         known = whole.device.dynamics(Inertial())
         if not is_concrete(known):
-            known = whole.observer.estimate(whole.observer.init()).dynamics
+            known = estimated(whole.observer, whole.observer.init()).dynamics
         if not is_concrete(known):
             return self
         highest = float(np.max(natural_frequencies(known.stiffness))) * _MARGIN

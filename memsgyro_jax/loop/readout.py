@@ -54,6 +54,8 @@ class Adc(Displayed):
 
     def __check_init__(self):
         check_positive("limit", self.limit)
+        if isinstance(self.bits, bool) or not isinstance(self.bits, int | np.integer):
+            raise InputError(f"Argument `bits` of the converter must be a whole number, but {self.bits} was given.")
         if not 1 <= self.bits <= 48:
             raise InputError(f"Argument `bits` of the converter must lie between 1 and 48, but {self.bits} was given.")
 

@@ -29,13 +29,18 @@ WALK_STREAM = 1  # stream of `noise.normal_pair`; the measurement noise of a run
 class AbstractProfile(Displayed):
     """A scalar quantity over time. A new kind gives `value`.
 
-    **Raises:** `InputError` where one of its numbers is NaN; traced ones pass.
+    **Raises:** `InputError` where one of its numbers is NaN or infinite, but for a time `at`, which may never come;
+    traced ones pass.
     """
 
     def __check_init__(self):
         for name, value in vars(self).items():
-            if eqx.is_inexact_array(value) and is_concrete(value) and np.any(np.isnan(value)):
+            if not (eqx.is_inexact_array(value) and is_concrete(value)):
+                continue
+            if np.any(np.isnan(value)):
                 raise InputError(f"Argument `{name}` of a {type(self).__name__} must be a number, but is NaN.")
+            if name != "at" and np.any(np.isinf(value)):
+                raise InputError(f"Argument `{name}` of a {type(self).__name__} must be finite, but is infinite.")
 
     @abc.abstractmethod
     def value(self, time: Scalar) -> Scalar:
@@ -262,6 +267,11 @@ def as_scenario(given: "Scenario | AbstractProfile | float | str") -> Scenario:
     """A scenario from itself, from a rate profile, or from a constant rate in rad/s or as text with its unit."""
     if isinstance(given, Scenario):
         return given
+    if isinstance(given, list | tuple) or np.ndim(given) > 0:
+        raise InputError(
+            "Argument `scenario` must be a `Scenario`, a profile of the rate or one rate, but is of "
+            f"{np.size(given)} numbers; a rate over time is `mg.Recorded(times, rates)`."
+        )
     return Scenario(
         rate=given if isinstance(given, AbstractProfile) else Constant(quantity("scenario", given, "rad/s"))
     )

@@ -8,6 +8,7 @@ import numpy as np
 from memsgyro_jax.base.concrete import is_concrete
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.gyro import Inertial
+from memsgyro_jax.device.modes import natural_frequencies
 
 from .controllers import ClassicControl, ForceRebalance, OpenSense, PhaseLockedDrive
 from .loop import ClosedLoop
@@ -17,6 +18,7 @@ from .stability import closed_poles
 _RESTED = 6.0  # time constants after which a start is over: 0.25 % is left
 _SWINGS = 0.5  # of the amplitude at the start: a loop that begins with its swing
 _MOVING = 3.0  # within which 5 % and more are left
+_AROUND = 5.0  # times the mode split, from which on a demodulator lets a loop close around both modes
 
 
 def settling_time_constant(loop: ClosedLoop) -> float | None:
@@ -82,20 +84,53 @@ def not_at_rest(loop: ClosedLoop, settle: float, duration: float) -> tuple[str, 
 def not_rested(loop: ClosedLoop, duration: float) -> tuple[str, ...]:
     """A sentence where a run of `duration` [s] ends before its loops have come to rest; none of traced numbers."""
     time_constant, up = settling_time_constant(loop) if is_concrete(loop) else None, swing_up_time(loop)
-    if time_constant is None or duration >= up + _MOVING * time_constant:
+    if time_constant is None or duration >= (enough := up + _MOVING * time_constant):
         return ()
     said = (
         f"The closed loops come to rest with a time constant of {time_constant:.2g} s{_after(up, time_constant)}, "
-        f"but the run ends after {duration:.3g} s: it shows their start."
+        f"but the run ends after {duration:.3g} s: it shows their start, which {_up_to(enough):g} s and more outlast."
     )
-    if duration < up:
-        return (said,)
-    if isinstance(loop.controller, ClassicControl) and isinstance(loop.controller.sense, ForceRebalance):
+    if up > time_constant:
+        said += " A larger `limit` of the drive's force, or a smaller amplitude, swings up faster."
+    elif _limited_by_split(loop):
         said += (
             " What a rebalance loop can do is limited by the sense axis: a demodulator of five times the mode split, "
             "less quality factor, matched modes (`mg.matching_bias`) or an open sense axis are faster."
         )
     return (said,)
+
+
+def not_rested_first(loop: ClosedLoop, duration: float) -> tuple[str, ...]:
+    """`not_rested` unless as much was said before: a loop over parameters says it once, not at each run."""
+    said = not_rested(loop, duration)
+    if not said:
+        return ()
+    times = settling_time_constant(loop) or 0.0, swing_up_time(loop)
+    return said if _is_new(float(f"{duration:.1g}"), *(math.frexp(time)[1] for time in times)) else ()
+
+
+_SAID: set[tuple[float, ...]] = set()  # of which runs it was said: their times within a factor of two
+
+
+def _is_new(*about: float) -> bool:
+    known = about in _SAID
+    _SAID.add(about)
+    return not known
+
+
+def _up_to(time: float) -> float:
+    """Rounded up to two digits."""
+    digit = 10.0 ** (math.floor(math.log10(time)) - 1)
+    return float(f"{math.ceil(time / digit - 1e-9) * digit:.3g}")
+
+
+def _limited_by_split(loop: ClosedLoop) -> bool:
+    """Whether a rebalance loop has a demodulator narrower than would close around both modes."""
+    control: Any = loop.controller
+    if not (isinstance(control, ClassicControl) and isinstance(control.sense, ForceRebalance)):
+        return False
+    split = float(np.max(np.ptp(natural_frequencies(loop.device.dynamics(Inertial()).stiffness), axis=0)))
+    return float(np.min(np.asarray(control.sense.demodulator.bandwidth))) < _AROUND * split
 
 
 def _after(up: float, time_constant: float) -> str:

@@ -1,6 +1,5 @@
 """How far the loops of classic control are from instability, all of them closed around both axes."""
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -49,7 +48,8 @@ def loop_margins(loop: ClosedLoop) -> LoopMargins:
 
     A read-out that answers late (`ReadoutDelay`, `Delayed`) turns what both demodulators see by ω times the delay, and
     delays how it changes. Averaging and sampling are left out: exact for demodulators that are slow beside the drive,
-    5 % of gain at a twentieth of it; so are all other effects, and what saturates.
+    5 % of gain at a twentieth of it, and no more true of a loop that reaches beyond a tenth of the drive's frequency;
+    so are all other effects, and what saturates.
     Differentiable by gains and device; a lot gives a margin for each die. Not for a program on several devices at once,
     where linear algebra can wait for itself: the loss `LoopMargin` takes each loop by itself. Raises
     `InputError` for another controller.
@@ -94,44 +94,43 @@ class _Numbers(NamedTuple):
     sense: Any
 
 
-def open_loops(loop: ClosedLoop) -> Callable[[Float[np.ndarray, " some"]], Complex[np.ndarray, "some 4"]]:
-    """Of one die: what each of the four loops, opened where its output acts while the others are closed, hands back
-    with the sign turned, at angular frequencies [rad/s]. Raises `InputError` for another controller, and for a lot.
+class Lock(NamedTuple):
+    """The closed loops of one die where it is locked at rest, in phasors that turn with the drive: slope by state, by
+    what acts, and what the four loops put out by the state; the slope by a rate and the rate given out by the state,
+    both in units of the drive's angular frequency `omega` [rad/s].
     """
+
+    closed: Float[np.ndarray, "n n"]
+    push: Float[np.ndarray, "n 4"]
+    out: Float[np.ndarray, "4 n"]
+    turned: Float[np.ndarray, " n"]
+    told: Float[np.ndarray, " n"]
+    omega: float
+
+
+def at_lock(loop: ClosedLoop) -> Lock:
+    """Of one die. Raises `InputError` for another controller, and for a lot."""
     table, tree, velocity, lot = _numbers(loop)
-    _require_one(lot)
-    closed, push, out = map(np.asarray, _matrices(table[0], tree, velocity))
-
-    def handed_back(omega: Float[np.ndarray, " some"]) -> Complex[np.ndarray, "some 4"]:
-        moved = np.linalg.solve(1j * omega[:, None, None] * np.eye(len(closed)) - closed, push + 0j)
-        return 1.0 / (1.0 + np.diagonal(out @ moved, axis1=1, axis2=2)) - 1.0
-
-    return handed_back
+    if lot:
+        raise InputError("Argument `loop` must be one die, but holds several; `loop_margins` takes a lot.")
+    omega = float(jax.tree.unflatten(tree, list(table[0])).omega)
+    closed, push, out, turned, told = map(np.asarray, _matrices(table[0], tree, velocity))
+    return Lock(closed, push, out, turned, told, omega)
 
 
 def closed_poles(loop: ClosedLoop) -> Complex[np.ndarray, " states"]:
     """Poles [1/s] of the closed loops of one die where its device is locked at rest, in phasors that turn with the
     drive. Raises `InputError` for another controller, and for a lot.
     """
-    return poles_with(loop)(1.0)
-
-
-def poles_with(loop: ClosedLoop) -> Callable[[float], Complex[np.ndarray, " states"]]:
-    """`closed_poles` where the loops of rate and quadrature are both so many times as strong."""
-    table, tree, velocity, lot = _numbers(loop)
-    _require_one(lot)
-    closed, push, out = map(np.asarray, _matrices(table[0], tree, velocity))
-    return lambda times: np.linalg.eigvals(closed + (times - 1.0) * push[:, 2:] @ out[2:])
-
-
-def _require_one(lot: tuple[int, ...]) -> None:
-    if lot:
-        raise InputError("Argument `loop` must be one die, but holds several; `loop_margins` takes a lot.")
+    return np.linalg.eigvals(at_lock(loop).closed)
 
 
 @eqx.filter_jit
-def _matrices(row: Array, tree: Any, velocity: tuple[bool, bool]) -> tuple[Array, Array, Array]:
-    return _around_the_lock(jax.tree.unflatten(tree, list(row)), velocity)
+def _matrices(row: Array, tree: Any, velocity: tuple[bool, bool]) -> tuple[Array, ...]:
+    """Those of a `Lock`."""
+    numbers = jax.tree.unflatten(tree, list(row))
+    *matrices, state = _around_the_lock(numbers, velocity)
+    return *matrices, *_Flow(numbers, velocity).of_rate(state)
 
 
 @eqx.filter_jit
@@ -140,7 +139,7 @@ def _margins(table: Float[Array, "dies numbers"], tree: Any, velocity: tuple[boo
 
 
 def _of_die(numbers: _Numbers, velocity: tuple[bool, bool]) -> Float[Array, " 4"]:
-    closed, push, out = _around_the_lock(numbers, velocity)
+    closed, push, out, _ = _around_the_lock(numbers, velocity)
     without = closed - push.T[:, :, None] * out[:, None, :]
     poles = jnp.linalg.eigvals(jax.lax.stop_gradient(jnp.concatenate([closed[None], without]))).real
     rest = 1e-6 * numbers.drive.demodulator.bandwidth  # an integral's pole at zero, but for rounding
@@ -150,8 +149,8 @@ def _of_die(numbers: _Numbers, velocity: tuple[bool, bool]) -> Float[Array, " 4"
     return jnp.where(guilty, -1.0, 1.0) * _distances(closed, push, out)
 
 
-def _around_the_lock(numbers: _Numbers, velocity: tuple[bool, bool]) -> tuple[Array, Array, Array]:
-    """The matrices of the closed loops, of what acts, and of what the loops put out, where the state rests."""
+def _around_the_lock(numbers: _Numbers, velocity: tuple[bool, bool]) -> tuple[Array, Array, Array, Array]:
+    """The matrices of the closed loops, of what acts, and of what the loops put out, where the state rests, and it."""
     flow = _Flow(numbers, velocity)
 
     def step(_: int, carry: tuple) -> tuple:
@@ -163,8 +162,8 @@ def _around_the_lock(numbers: _Numbers, velocity: tuple[bool, bool]) -> tuple[Ar
 
     start = flow.start()
     zeros = (jnp.zeros((len(start), size)) for size in (len(start), 4))
-    _, within, push, out = jax.lax.fori_loop(0, _STEPS, step, (start, *zeros, jnp.zeros((4, len(start)))))
-    return within + push @ out, push, out
+    state, within, push, out = jax.lax.fori_loop(0, _STEPS, step, (start, *zeros, jnp.zeros((4, len(start)))))
+    return within + push @ out, push, out, state
 
 
 class _Flow:
@@ -203,12 +202,21 @@ class _Flow:
         within, push = jax.jacfwd(self._slope, argnums=(0, 1))(state, acting)
         return within, push, jax.jacfwd(lambda there: self._read(there)[0])(state), self._slope(state, acting)
 
-    def _slope(self, state: Float[Array, " states"], acting: Float[Array, " 4"]) -> Float[Array, " states"]:
-        """Where the phase turns with a speed, and a force, a rate and a quadrature are acted by."""
+    def of_rate(self, state: Float[Array, " states"]) -> tuple[Array, Array]:
+        """The slope of the slope by a rate, and of the rate given out by the state, both in units of ω."""
+        acting = self._read(state)[0]
+        turned = jax.jacfwd(lambda rate: self._slope(state, acting, rate))(jnp.zeros(()))
+        shut = isinstance(self.numbers.sense, ForceRebalance)
+        return turned, jax.grad(lambda at: self._read(at)[0][2] if shut else self._read(at)[1][2][0])(state)
+
+    def _slope(
+        self, state: Float[Array, " states"], acting: Float[Array, " 4"], rate: Scalar | float = 0.0
+    ) -> Float[Array, " states"]:
+        """Where the phase turns with a speed, a force, a rate and a quadrature are acted by, and a `rate` turns it."""
         n, drive, sense = self.numbers, self.numbers.drive, self.numbers.sense
         _, (missing, lead, left), place, held = self._read(state)
         speed, force, *balance = acting
-        push = jnp.stack([1j * force, 0.0j])
+        push = jnp.stack([1j * force, -2j * rate * place[0]])
         nominal, pole = 2.0 * jnp.pi * drive.frequency / n.omega, 2.0 * jnp.pi * drive.demodulator.bandwidth
         tuned, pushed, *integral = state[-4:]
         slopes = [
@@ -218,7 +226,7 @@ class _Flow:
         ]
         if isinstance(sense, ForceRebalance):
             per_rate = sense.force_per_rate * n.gain[1] / (n.omega * drive.amplitude)
-            push = push.at[1].set(1j * per_rate * (balance[0] + 1j * balance[1]))
+            push = push.at[1].add(1j * per_rate * (balance[0] + 1j * balance[1]))
             gains = (sense.integral, sense.quadrature_integral)
             slopes[2:] = [_kept(k, part, -pole * held) for k, part, held in zip(gains, left, integral, strict=True)]
         moving = self.turning @ place + self.pushing @ push

@@ -23,9 +23,10 @@ from .expectation import expectations, tell
 from .loop import ClosedLoop, Sample, as_loop
 from .operation import run_of
 from .scenario import AbstractProfile, Scenario, as_scenario
-from .settling import not_rested
+from .settling import not_rested_first
 from .trace_result import Trace
 from .unreached import unreached
+from .unsuited import unsuited
 
 
 class _Row(NamedTuple):
@@ -92,8 +93,8 @@ def simulate(
     _require_one_die(loop)
     scenario, loop = as_scenario(scenario), loop.sampled_at(sample_rate, duration=duration)
     ran, hindered = prepared(loop.present)
-    late = unreached(scenario, duration)
-    tell((*expectations(loop, scenario, sample_rate, duration), *not_rested(loop, duration), *late, *hindered))
+    ill = (*expectations(loop, scenario, sample_rate, duration), *unsuited(loop), *not_rested_first(loop, duration))
+    tell((*ill, *unreached(scenario, duration), *hindered))
     words = noise.die_words(jax.random.key(seed), jnp.asarray(die))
     rows = _Rows.of(ran.blocks, steps, decimation)
     done = _compiled(ran, scenario, words, 1.0 / sample_rate, rows)

@@ -16,7 +16,7 @@ from memsgyro_jax.base.text import listed
 from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.noise_budget import DITHER, noise_in_steps, thermal_left_out
 from memsgyro_jax.loop.settling import duration_to_settle
-from memsgyro_jax.montecarlo.spread import Spread
+from memsgyro_jax.montecarlo.spread import Spread, as_spread
 
 from .bandwidth_cause import limits
 from .datasheet_rows import FEWEST, Datasheet, DatasheetRow
@@ -81,7 +81,7 @@ def datasheet(
     Raises `InputError` for settings that cannot be run, and outside float64.
     """
     bench = RateTests.of(
-        "datasheet", loop, spread, scenario, full_scale=full_scale, dies=dies, sample_rate=sample_rate,
+        "datasheet", loop, as_spread(spread), scenario, full_scale=full_scale, dies=dies, sample_rate=sample_rate,
         duration=duration, settle=settle, seed=seed,
     )  # fmt: skip
     check_temperatures(temperatures)

@@ -23,6 +23,7 @@ from memsgyro_jax.loop.scenario import AbstractProfile, Scenario, as_scenario
 from memsgyro_jax.loop.settling import not_at_rest
 from memsgyro_jax.loop.trace import count_steps
 from memsgyro_jax.loop.unreached import unreached
+from memsgyro_jax.loop.unsuited import unsuited
 
 from .batch import Plan
 from .bounds import own_bounds, why_unbounded
@@ -31,7 +32,7 @@ from .divergence import divergence_of, unexpected
 from .folder import RemotePath, place_of
 from .layout import Layout
 from .runner import Runner, default_chunk, windows_of
-from .spread import DEVICE_PREFIX, Spread
+from .spread import DEVICE_PREFIX, Spread, as_spread
 from .store import opened
 from .stored import StoredRows
 from .summary import Summary, figures_of
@@ -235,7 +236,7 @@ def computation_of(
     runtime.require_float64("sweep")
     plain = "plain numbers, or map `simulate` over a lot that `Spread.draw` has drawn"
     refuse_traced("A sweep keeps a table of its dies and", plain, loop, spread, scenario)
-    loop, seed = as_loop(loop), whole("seed", seed)
+    loop, spread, seed = as_loop(loop), as_spread(spread), whole("seed", seed)
     dies, bound_dies = whole("dies", dies, 1), whole("bound_dies", bound_dies)
     sample_rate, duration = run_of(loop, sample_rate, duration)
     settle = 0.5 * duration if settle is None else quantity("settle", settle, "s")
@@ -250,7 +251,7 @@ def computation_of(
     loop, hindered = prepared(loop, apart=parts_tones(paths))
     windows = windows_of(loop, sample_rate, duration, settle, tolerance)
     late = () if any(path.endswith(".at") for path in paths) else unreached(scenario, duration)  # dies have their own
-    told = (*hindered, *not_at_rest(loop, settle, duration), *late)
+    told = (*hindered, *unsuited(loop), *not_at_rest(loop, settle, duration), *late)
     tell(notes := (*unexpected(loop, scenario, spread, seed, dies, sample_rate, duration), *told))
     settings = Settings.of(loop, scenario, spread, windows, sample_rate=sample_rate, duration=duration, seed=seed)
     runner = Runner(loop, scenario, spread, windows, seed, chunk or default_chunk())

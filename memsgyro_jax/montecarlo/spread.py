@@ -16,7 +16,7 @@ from scipy import special, stats
 from memsgyro_jax.base.display import UNITS, Shown
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.linalg import semidefinite_root
-from memsgyro_jax.base.text import listed
+from memsgyro_jax.base.text import excerpt, listed
 from memsgyro_jax.device.gyro import AbstractGyro, Scalar, is_concrete
 from memsgyro_jax.device.sizes import numbers_of, with_sizes
 from memsgyro_jax.loop.loop import ClosedLoop
@@ -66,6 +66,16 @@ class Points:
         return f"Points of {len(self.normal)} dies"
 
 
+def as_spread(given: object) -> "Spread":
+    """A spread as it is; raises `InputError` for anything else, a share say."""
+    if not isinstance(given, Spread):
+        raise InputError(
+            'Argument `spread` must be a `Spread`, `mg.Spread.relative("1 %")` say, but is '
+            f"{excerpt(given)} of type {type(given).__name__}."
+        )
+    return given
+
+
 @dataclass(frozen=True, repr=False)
 class Spread(Shown):
     """Independent or correlated variations of a lot; `correlation` is a matrix over `items` of the underlying normal
@@ -96,6 +106,11 @@ class Spread(Shown):
         _require_once([(item.path, item.path) for item in self.items])
         if not 0.0 <= self.shared < 1.0:
             raise InputError(f"Argument `shared` must lie from 0 to below 1, but {self.shared:g} was given.")
+        if self.correlation is not None:
+            matrix = np.asarray(self.correlation, float)
+            if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1]:
+                raise InputError(f"Argument `correlation` must be a square matrix, but {matrix.shape} was given.")
+            semidefinite_root("correlation", matrix)
 
     @classmethod
     def relative(cls, std: float, *, quasi: bool = True, shared: float = 0.0) -> "Spread":

@@ -59,10 +59,10 @@ class Summary(Shown):
     dies, `nees_median` their median, `states` the expectation of the mean; `claim` the root mean square of the rate's
     error at the end over the standard deviation that is claimed of it; `straight` holds bias and scale-factor error,
     where the rate `moves` the mean error alone, in which the lag is. `lost_at` are the first, median and last time [s]
-    at which a die was lost, `unbounded` says why there is no bound, `unsettled` how errors still move when the runs
-    end, so that the yield is of a start; `crossing` that of `crossed` dies the modes stand the other way round. `notes`
-    were told before the run, `amiss` is what is wrong with its store. `steps_per_s` is None when a single batch left
-    nothing to time after compiling.
+    at which a die was lost, beyond its `travel` [m] or not finite, `unbounded` says why there is no bound, `unsettled`
+    how errors still move when the runs end, so that the yield is of a start; `crossing` that of `crossed` dies the
+    modes stand the other way round. `notes` were told before the run, `amiss` is what is wrong with its store.
+    `steps_per_s` is None when a single batch left nothing to time after compiling.
     """
 
     dies: int
@@ -97,6 +97,7 @@ class Summary(Shown):
     amiss: tuple[str, ...]
     steps_per_s: float | None
     settings: Settings
+    travel: float | None = None
 
     @property
     def nees_interval(self) -> tuple[float, float]:
@@ -166,7 +167,7 @@ class Summary(Shown):
         rows = [
             ("dies", f"{self.dies}, of which {self.failed} lost" + ("" if unknown else f", {diverged} diverged")),
             *([("  drawn again, impossible at first", self._redrawn())] if self.redrawn else []),
-            *([] if self.lost_at is None else [("  lost at (first, median, last)", lost_text(self.lost_at))]),
+            *([("  lost at (first, median, last)", lost_text(at, self.travel))] if (at := self.lost_at) else []),
             *([("diverged dies", f"unknown, because {unknown}")] if unknown and watched else []),
             *(("  diverged, likely because", cause) for cause in self.divergence.causes),
             *([("rate error", "none, as every die was lost")] if self.all_lost else self._errors()),
@@ -318,6 +319,7 @@ def figures_of(
         amiss=amiss,
         steps_per_s=speed,
         settings=settings,
+        travel=float(np.max(np.asarray(loop.travel))),
     )
 
 

@@ -64,6 +64,7 @@ def straight_text(error: StraightError, moves: bool) -> str:
     return f"{bias}, {scale} (line through the dies ± standard errors)"
 
 
-def lost_text(lost_at: tuple[float, float, float]) -> str:
-    """When dies were lost."""
-    return "{:.3g}, {:.3g}, {:.3g} ms".format(*(1e3 * time for time in lost_at))
+def lost_text(lost_at: tuple[float, float, float], travel: float | None) -> str:
+    """When dies were lost, and by what, a `travel` [m] being known."""
+    times = "{:.3g}, {:.3g}, {:.3g} ms".format(*(1e3 * time for time in lost_at))
+    return times if travel is None else f"{times}: beyond {1e6 * travel:.4g} µm (`travel`), or not finite"

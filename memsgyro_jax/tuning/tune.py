@@ -24,7 +24,7 @@ from memsgyro_jax.loop.operation import run_of
 from memsgyro_jax.loop.scenario import AbstractProfile, Scenario, as_scenario
 from memsgyro_jax.loop.trace import count_steps
 from memsgyro_jax.montecarlo.parts import parts_tones
-from memsgyro_jax.montecarlo.spread import Spread
+from memsgyro_jax.montecarlo.spread import Spread, as_spread
 from memsgyro_jax.montecarlo.sweep import sweep
 
 from .caveats import margin_eaten, warnings_of
@@ -92,7 +92,7 @@ def tune(
     report_dies, evaluations = whole("report_dies", report_dies, 1), whole("evaluations", evaluations, 1)
     sample_rate, duration = run_of(loop, sample_rate, duration)
     scenario, loop = as_scenario(scenario), loop.sampled_at(sample_rate, duration=duration)
-    spread = Spread.relative(0.15) if spread is None else spread
+    spread = Spread.relative(0.15) if spread is None else as_spread(spread)
     settle = 0.5 * duration if settle is None else quantity("settle", settle, "s")
     tunables = resolved(loop, free, sample_rate, duration)
     varied = (item.path for item in spread.resolved(loop))

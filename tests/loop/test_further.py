@@ -1,12 +1,14 @@
 """Where a Bode diagram looks further than it was asked, against formulas, and what it says of a lost loop."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 import memsgyro_jax as mg
 from memsgyro_jax.effects import ReadoutDelay
 from memsgyro_jax.loop.frequency_response import FrequencyResponse
-from memsgyro_jax.loop.further import around_split, looked_further
+from memsgyro_jax.loop.further import around_split, expected_half_power, looked_further
 
 
 GYRO = mg.SingleMassGyro.from_modes(2e-9, (10e3, 10.3e3), 1000.0, quadrature=np.radians(50.0))
@@ -46,7 +48,7 @@ def test_a_peak_between_the_frequencies_is_found_and_told():
     assert len({each.shape for each in tried}) == 1, "one program for all"
     assert not response_of(answer, [10.0, 20.0])[1], "nothing to look for"
     dense, _ = response_of(answer, np.append(np.arange(895.0, 905.0, 0.5), 1100.0))
-    assert "a peak of" not in str(dense)
+    assert "lies between" not in str(dense)
 
 
 def test_the_split_is_looked_at_where_it_lies_in_between():
@@ -64,6 +66,19 @@ def test_an_open_sense_axis_shows_its_split():
     assert found.peak[0] == pytest.approx(300.0, abs=5.0)
     assert found.peak[1] > 5.0 * np.max(np.abs(found.response))
     assert "lies between these frequencies" in str(found)
+    assert f"Hz, a peak of {found.peak[1] / abs(found.static):.4g} times at {found.peak[0]:.4g} Hz" in found.headline
+    assert expected_half_power(loop) == pytest.approx(found.bandwidth, rel=0.05)
+    slow = dataclasses.replace(loop, filter=mg.Lowpass("20 Hz"))
+    assert expected_half_power(slow) == pytest.approx(20.0)
+    assert expected_half_power(mg.default_study().loop) is None
+
+
+def test_a_rebalanced_axis_has_the_half_power_of_its_averaged_loops():
+    control = mg.ClassicControl.force_rebalance(GYRO, READOUT, amplitude=1e-6)
+    loop = mg.ClosedLoop(GYRO, READOUT, mg.NoObserver.for_device(GYRO, READOUT), control)
+    found = mg.frequency_response(loop, [7.0, 60.0], sample_rate=100e3, duration=0.3)
+    assert expected_half_power(loop) == pytest.approx(found.bandwidth, rel=0.05)
+    assert "a peak of" not in found.headline
 
 
 @pytest.mark.slow

@@ -14,8 +14,9 @@ if TYPE_CHECKING:
     from memsgyro_jax.loop.loop import ClosedLoop
 
 SCHEMA = "memsgyro-loop/1"
-_POINTS, _SPAN = 24, 200.0  # frequencies of a Bode diagram where none are given, and their ratio
+_POINTS = 24  # frequencies of a Bode diagram where none are given
 _SHARE = 0.05  # of the sample rate, which none of these exceeds
+_PERIODS = 20.0  # of the frequency at half the power, in which the lowest one has its period
 
 
 def loop_command(
@@ -41,7 +42,8 @@ def loop_command(
         study: a study file (TOML); without it the loop of the thesis.
         disturbance: what the sine is of: rate, "force x", "force y", "voltage x" or "voltage y"; one or several.
         frequencies: of the sines in Hz, rising, from one period of the settled part on: `--duration` sets this lowest
-            one (2/duration, without `settle`). Without them 24 from there on, and some at the split of the modes.
+            one (2/duration, without `settle`). Without them 24 from there to half the drive's frequency, and some at
+            the split of the modes.
         duration: of the runs in s or with a unit; without it the study's own, or as long as a classic loop takes to
             come to rest. A longer one allows lower frequencies.
         level: the constant rate in deg/s around which the loop is looked at.
@@ -75,7 +77,7 @@ def loop_command(
     with told() as tell:
         tell("margins and noise")
         margins, noise = _margins(chosen.loop), noise_budget(chosen.loop, sample_rate=runs["sample_rate"])
-        high = min(_SPAN * low, _SHARE * runs["sample_rate"], 0.5 * float(noise.swing))
+        high = min(_SHARE * runs["sample_rate"], 0.5 * float(noise.swing))
         at = frequencies or np.union1d(np.geomspace(low, high, _POINTS), around_split(chosen.loop.device, low, high))
         for name in disturbance:
             tell(f"response to {name}")
@@ -106,16 +108,20 @@ def loop_command(
 
 def _rested(loop: "ClosedLoop", runs: dict[str, float]) -> dict[str, float]:
     """The numbers of runs whose loop has come to rest where they begin to count; where they change, it is said."""
+    from memsgyro_jax.loop.further import expected_half_power
     from memsgyro_jax.loop.settling import duration_to_settle, not_at_rest
 
     if not not_at_rest(loop, runs["settle"], runs["duration"]):
         return runs
     enough = duration_to_settle(loop, runs["settle"], runs["duration"])
+    rested, window = enough * runs["settle"] / runs["duration"], runs["duration"] - runs["settle"]
+    if half := expected_half_power(loop):  # what counts may be shorter than what has passed
+        enough = min(enough, float(f"{rested + max(window, _PERIODS / half):.3g}"))
     print(
         f"Runs of {enough:g} s, in which the loop comes to rest: the {runs['duration']:.3g} s of the study would show "
         "its start (`--duration` sets another)."
     )
-    return {**runs, "duration": enough, "settle": enough * runs["settle"] / runs["duration"]}
+    return {**runs, "duration": enough, "settle": rested}
 
 
 def _margins(loop: "ClosedLoop") -> "GainPhaseMargins | None":

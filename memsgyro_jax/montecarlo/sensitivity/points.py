@@ -12,7 +12,7 @@ from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.scenario import AbstractProfile, Scenario, as_scenario
 
 from ..batch import LOST
-from ..spread import Points, Spread
+from ..spread import Points, Spread, as_spread
 from ..sweep import DEFAULT_TOLERANCE, Lot, sweep
 from .outputs import Output, outputs, values_of
 
@@ -47,7 +47,7 @@ def repeated(places: Float[np.ndarray, "places inputs"], repeats: int) -> Points
 
 def inputs_of(loop: ClosedLoop, spread: Spread) -> tuple[str, ...]:
     """Paths of the varied parameters; raises `InputError` where there is none."""
-    items = spread.resolved(loop)
+    items = as_spread(spread).resolved(loop)
     if not items:
         raise InputError("Argument `spread` must vary at least one parameter, but varies none.")
     return tuple(item.path for item in items)

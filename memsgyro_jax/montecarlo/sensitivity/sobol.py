@@ -22,7 +22,7 @@ from memsgyro_jax.base.text import aligned
 from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.scenario import AbstractProfile, Scenario
 
-from ..spread import Points, Spread
+from ..spread import Points, Spread, as_spread
 from .outputs import Output, mean, standard_deviation
 from .points import inputs_of, run_at
 from .result import Sensitivity
@@ -159,7 +159,7 @@ def sobol(
 
 
 def _check(spread: Spread, points: int) -> None:
-    if spread.correlation is not None or spread.shared > 0.0:
+    if as_spread(spread).correlation is not None or spread.shared > 0.0:
         raise InputError(
             "Argument `spread` must be independent for Sobol indices, but has a correlation; leave `correlation` and "
             "`shared` out."

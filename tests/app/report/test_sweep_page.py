@@ -137,7 +137,7 @@ def of_a_loop(study, made):
     at, two, none = np.array([1.0, 10.0]), np.array([[1.0, -0.2], [0.0, 0.0]]), np.zeros((2, 2))
     answer = FrequencyResponse("force y", at, np.array([1.0, 0.5j]), 0.01 * at, 0.0, 1.0, 3e3)
     margins = mg.GainPhaseMargins(
-        LoopMargins(*(0.5 * np.ones(4))), *(np.full(5, value) for value in (9.0, 60.0, 12.0, -9.0))
+        LoopMargins(*(0.5 * np.ones(4))), *(np.full(5, value) for value in (9.0, 60.0, 12.0, -9.0, 25.0))
     )
     bars = mg.Tornado(
         ("rate error", "lost"), ("deg/s", "share"), ("device.kxx", "device.dxy"), made, np.zeros(2), -two, two,

@@ -370,6 +370,43 @@ def test_a_gain_margin_is_where_a_loop_begins_to_oscillate():
     assert 180.0 - abs(np.degrees(np.angle(loop))) == pytest.approx(found.phase_margin[0], abs=3.0)
 
 
+def test_a_gain_margin_ends_where_the_averaged_loops_do():
+    """Loops that bear any gain when averaged are stable in simulations up to what is told, and not at any gain."""
+    gyro = mg.SingleMassGyro.from_modes("20 ug", ("9 kHz", "9.0002 kHz"), 50000)
+    control = mg.ClassicControl.force_rebalance(gyro, DISPLACEMENT, amplitude=1e-6)
+    found = mg.gain_phase_margins(loop_of(gyro, DISPLACEMENT, control))
+    assert np.all(np.isinf(found.increase))
+    assert np.all((found.known_to > 20.0) & (found.known_to < 30.0))
+    assert "> 25 dB" in str(found)
+    assert "a tenth of the drive's frequency" in str(found)
+    up = [loop["gain_margin_up_db"] for loop in found.as_dict().values()]
+    above = [loop["gain_margin_up_above_db"] for loop in found.as_dict().values()]
+    assert (up, above) == ([None] * 5, found.known_to.tolist())
+    names = ("gain", "integral", "quadrature_gain", "quadrature_integral")
+    ends = []
+    for change in (found.known_to[4], 48.0):
+        made = {name: 10.0 ** (change / 20.0) * getattr(control.sense, name) for name in names}
+        louder = dataclasses.replace(control, sense=dataclasses.replace(control.sense, **made))
+        loop = dataclasses.replace(loop_of(gyro, DISPLACEMENT, louder), start=(1e-6, 0.0, 0.0, 0.0))
+        trace = mg.simulate(loop, 0.1, sample_rate=100e3, duration=0.2, decimation=20)
+        ends.append((np.std(trace.rate_estimate[trace.time > 0.15]), trace.intact_until < 0.2))
+    assert ends[0][0] < 1e-4
+    assert [lost for _, lost in ends] == [False, True]
+
+
+def test_a_loop_beyond_the_averaged_model_has_no_known_margin():
+    gyro = mg.SingleMassGyro.from_modes("20 ug", ("9 kHz", "9.0002 kHz"), 50000)
+    control = mg.ClassicControl.force_rebalance(gyro, DISPLACEMENT, amplitude=1e-6)
+    names = ("gain", "integral", "quadrature_gain", "quadrature_integral")
+    made = {name: 30.0 * getattr(control.sense, name) for name in names}
+    louder = dataclasses.replace(control, sense=dataclasses.replace(control.sense, **made))
+    found = mg.gain_phase_margins(loop_of(gyro, DISPLACEMENT, louder))
+    assert found.known_to[2] < 0.0
+    assert "as it is: rate, quadrature, rate and quadrature together" in str(found)
+    assert "unknown" in str(found)
+    assert found.as_dict()["rate"]["gain_margin_up_above_db"] is None
+
+
 def test_a_run_that_ends_before_its_loops_rest_says_so():
     """A high-Q sense axis near the drive leaves rebalance loops of a wide demodulator a time constant of a second."""
     gyro = mg.SingleMassGyro.from_modes("8 ug", ("10 kHz", "10.06 kHz"), 8000, quadrature="200 deg/s")
@@ -379,6 +416,24 @@ def test_a_run_that_ends_before_its_loops_rest_says_so():
     assert not_rested(loop, 5.0) == ()
     broken = eqx.tree_at(lambda one: one.device.kxx, loop, jnp.nan)
     assert not_rested(broken, 0.5) == ()
+
+
+def test_a_run_that_ends_before_its_loops_rest_names_what_is_slow(caplog, monkeypatch):
+    """A drive that swings up in 0.26 s, behind which a demodulator of 125 times the split has nothing to gain."""
+    gyro = mg.SingleMassGyro.from_modes("1 mg", ("5 kHz", "5.002 kHz"), (80000, 80000), quadrature="2 deg/s")
+    control = mg.ClassicControl.force_rebalance(gyro, DISPLACEMENT, amplitude=2e-6)
+    loop = loop_of(gyro, DISPLACEMENT, control)
+    (said,) = not_rested(loop, 0.3)
+    assert "after the 0.26 s in which the drive swings up" in said
+    assert "0.35 s and more outlast. A larger `limit` of the drive's force" in said
+    assert "sense axis" not in said
+    apart = mg.SingleMassGyro.from_modes("8 ug", ("10 kHz", "10.06 kHz"), 8000, quadrature="200 deg/s")
+    slow = mg.ClassicControl.force_rebalance(apart, DISPLACEMENT, amplitude=1e-6, demodulator_bandwidth="250 Hz")
+    assert "a demodulator of five times the mode split" in not_rested(loop_of(apart, DISPLACEMENT, slow), 0.5)[0]
+    monkeypatch.setattr("memsgyro_jax.loop.settling._SAID", set())
+    for change in (1.0, 1.001):  # a loop over parameters
+        mg.simulate(loop, 0.1 * change, sample_rate=130e3, duration=2e-3)
+    assert caplog.text.count("it shows their start") == 1
 
 
 def test_coupled_axes_make_a_slow_drive_unstable():
