@@ -46,6 +46,7 @@ from .wrong_noise import wrong_noise
 
 RECORDS = 0.1  # share of the level for records that no candidate explains; the rest is the candidates'
 PARTLY = 0.9  # share of the misfit above noise, in readings never fitted, that "partly explained" asks for
+FAR_LEFT = 10.0  # times the noise: what is left of them beyond that makes the law unknown, whatever share was explained
 NAMED = 2  # effects that are named as tried where none explains what is missing
 
 Tell = Callable[[str], None]
@@ -313,4 +314,5 @@ def _verdict(base: CaseFit, final: CaseFit, accepted: tuple[Accepted, ...], expl
     roles = {e.role for e in base.errors}
     judge = "validation" if "validation" in roles else "fit"
     before, after = (sum(e.chi2 - e.count for e in fit.errors if e.role == judge) for fit in (base, final))
-    return "partly_explained" if after < (1 - PARTLY) * before else "unknown_effect"
+    near = after < FAR_LEFT**2 * sum(e.count for e in final.errors if e.role == judge)
+    return "partly_explained" if near and after < (1 - PARTLY) * before else "unknown_effect"
