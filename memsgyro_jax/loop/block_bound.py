@@ -10,11 +10,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from .blocks.algebra import multiplied, over_lanes
 from .blocks.maps import Maps, TrueMaps
 from .blocks.run import BlockCourse, Span, crossing
+from .engine import healthy
 from .loop import ClosedLoop, LoopState
 from .observers.base import OFFSETS
 from .scenario import Scenario
@@ -27,10 +28,11 @@ def goes_by_blocks(unknown: Unknowns) -> bool:
 
 
 class _Carried(NamedTuple):
-    """State of the loop, the motion's derivative by each quantity, and the maps."""
+    """State of the loop, the motion's derivative by each quantity, whether the die was never lost, and the maps."""
 
     state: LoopState
     tangents: Float[Array, "4 quantities lanes"]
+    alive: Bool[Array, " lanes"]
     maps: tuple[Maps, TrueMaps]
 
 
@@ -52,26 +54,29 @@ def roots_in_blocks(
     course = BlockCourse(silent, scenario, (jnp.zeros(wide, jnp.uint32),) * 2, period, max(sizes))
     told = _Told(course, unknown, over_lanes(noise, wide))
 
-    def block(carry: _Carried, entering: tuple[Span, Array]) -> tuple[_Carried, Array]:
-        (state, tangents, maps), (span, renewed) = carry, entering
+    def block(carry: _Carried, entering: tuple[Span, Array]) -> tuple[_Carried, tuple[Array, Array]]:
+        (state, tangents, alive, maps), (span, renewed) = carry, entering
         made = lambda: (course.maps(state, span), course.true_maps(state, unknown.model, span))  # noqa: E731
         maps = jax.lax.cond(renewed, made, lambda: maps)
         rows, tangents = told.later(maps[1], state, tangents, span)
-        return _Carried(course.block(state, maps[0], span)[0], tangents, maps), rows
+        state = course.block(state, maps[0], span)[0]
+        alive = alive & healthy(loop, state)
+        return _Carried(state, tangents, alive, maps), (rows, alive)
 
     state = course.settled_in(begun.loop)
     shapes = jax.eval_shape(lambda: course.true_maps(state, unknown.model, Span(*(jnp.zeros((), int),) * 3)))
     nothing = jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), shapes)
-    carry = _Carried(state, jnp.stack(begun.tangents), (course.no_maps(state), nothing))
+    carry = _Carried(state, jnp.stack(begun.tangents), begun.alive, (course.no_maps(state), nothing))
     entering = jax.tree.map(jnp.asarray, crossing(design, scenario, start, np.asarray(sizes)))
-    rows = jax.lax.scan(block, carry, entering)[1]
+    rows, alive = jax.lax.scan(block, carry, entering)[1]
     if only_last:
         rows = jnp.pad(rows, ((0, -len(rows) % _TOGETHER), *((0, 0),) * 3))
         parts = rows.reshape(-1, _TOGETHER, *rows.shape[1:])
         rows = jnp.moveaxis(parts, 1, -3).reshape(len(parts), *wide, -1, count)
     last, roots = jax.lax.scan(lambda root, rows: (_root(root, rows),) * 2, first, rows)
     roots = last[None] if only_last else jnp.concatenate([first[None], roots])
-    return roots.reshape(len(roots), *lanes, count, count)
+    alive = alive[-1:] if only_last else jnp.concatenate([begun.alive[None], alive])
+    return jnp.where(alive[..., None, None], roots, jnp.nan).reshape(len(roots), *lanes, count, count)
 
 
 class _Told(NamedTuple):

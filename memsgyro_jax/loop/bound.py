@@ -42,7 +42,8 @@ class InformationBound(Shown, eqx.Module):
     `time` (windows,) in s; `std` (windows, quantities, *dies) in the quantities' units, infinite where the data say
     nothing; `covariance` (quantities, quantities, *dies) at the end, meaningful where `std` is finite. `degenerate`
     lists the directions that the whole run leaves undetermined (of the first die that has one), as {quantity: change in
-    its unit}, 1 for the first; it is empty inside `jax.vmap` and `jax.jit`. Dies whose loop diverged hold NaN.
+    its unit}, 1 for the first; it is empty inside `jax.vmap` and `jax.jit`. Dies that were lost, out of their travel or
+    not finite, hold NaN from then on.
     """
 
     time: Float[np.ndarray, " windows"]
@@ -98,8 +99,10 @@ class InformationBound(Shown, eqx.Module):
     def __str__(self) -> str:
         last = self.std[-1].reshape(len(self.names), -1)
         dies = "" if self.std.ndim == 2 else f", median of {last.shape[1]} dies"
-        rate = np.nanmedian(rate_to_dps(self.rate_std[-1]))
         lines = [f"{self.settings.get('kind', 'Information')} bound after {self.time[-1]:g} s{dies}"]
+        if np.isnan(last).all():
+            return f"{lines[0]}\n  none: the run is lost by then, out of travel or not finite"
+        rate = np.nanmedian(rate_to_dps(self.rate_std[-1]))
         lines.append(f"  rate: {rate:.4g} deg/s")
         lines += [
             f"  {name:<24} {np.nanmedian(std):>12.4g} {unit}"
@@ -202,7 +205,8 @@ def _roots(
         root = jnp.linalg.qr(jnp.concatenate([root, jax.lax.stop_gradient(rows)], axis=-2), mode="r")
         if information is not None:
             information = information + jnp.swapaxes(rows, -1, -2) @ rows
-        return (state, root, information), (root, information)
+        # The rows of a lost die are finite, but of a motion that cannot be.
+        return (state, root, information), (jnp.where(state.alive[..., None, None], root, jnp.nan), information)
 
     known = jnp.broadcast_to(jnp.diag(unknown.scale / unknown.prior_std), (*lanes, count, count))
     warm = loop.device.temperature is not None

@@ -12,7 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from memsgyro_jax.base.concrete import is_concrete, settled
 from memsgyro_jax.base.errors import InputError
@@ -33,7 +33,7 @@ from memsgyro_jax.device.gyro import (
 )
 from memsgyro_jax.device.propagate import State4, applied
 
-from .engine import over_dies
+from .engine import healthy, over_dies
 from .loop import ClosedLoop, LoopState
 from .observers.base import MOTION, OFFSETS, Clock
 from .observers.settings import Prior
@@ -122,12 +122,13 @@ def lanes_of(loop: ClosedLoop, design: ClosedLoop, scenario: Scenario) -> tuple[
 
 
 class Sensitive(NamedTuple):
-    """State of the loop, the motion's derivative by each quantity, and, where a force shakes the mass, what is known of
-    its part in the rows.
+    """State of the loop, the motion's derivative by each quantity, whether the die was never lost, and, where a force
+    shakes the mass, what is known of its part in the rows.
     """
 
     loop: LoopState
     tangents: tuple[Float[Array, "quantities *lanes"], ...]
+    alive: Bool[Array, "*lanes"]
     shaken: Shaken | None = None
 
 
@@ -139,7 +140,7 @@ def begin(
         lambda value, like: over_dies(value, jnp.ndim(like), lanes), loop.init(), jax.eval_shape(design.init)
     )
     tangents = fresh(unknown, lanes)
-    return Sensitive(state, tangents, Shaken.still(tangents[0]) if warm else None)
+    return Sensitive(state, tangents, jnp.ones(lanes, bool), Shaken.still(tangents[0]) if warm else None)
 
 
 def fresh(unknown: Unknowns, lanes: tuple[int, ...]) -> tuple[Array, ...]:
@@ -167,7 +168,7 @@ def sampling(
             shaken, rows = _independent(
                 silent, shaken.carried(step.full, silent.shaking(conditions, period)), rows, unit
             )
-        return Sensitive(state, tangents, shaken), rows
+        return Sensitive(state, tangents, carry.alive & healthy(silent, state), shaken), rows
 
     def block(carry: Sensitive, index: Array) -> tuple[Sensitive, Array]:
         carry, rows = jax.lax.scan(sample, carry, (index, jax.vmap(scenario.at)((index + 0.5) * period)))

@@ -15,11 +15,12 @@ from memsgyro_jax.loop.trace_result import Trace
 from .allan_result import MEANING, Allan, NoiseTerm
 from .allan_variance import TERMS, allan_deviation, shapes
 from .rate_log import RateLog, read_rate_log
-from .rate_noise import NoiseFit, fit_noise
+from .rate_noise import NoiseFit, fit_noise, low_passed
 
 
 FLAT = float(np.sqrt(2.0 * np.log(2.0) / np.pi))  # 0.664, the deviation of flicker of strength one
 _FEWEST = 6  # octaves: five terms and something to judge them by
+_SEEN = 1e-3  # share of white noise from which a low-pass is worth a word
 _POOR = 1e-3  # probability of a fit's χ² below which the five noises are taken not to describe the record
 _OTHER = "the five noises do not describe the record"
 
@@ -48,7 +49,13 @@ def allan(
     Raises:
         InputError: for rates that are not finite, do not vary or are too few, and for what `read_rate_log` refuses.
     """
-    log = _after(_read(source, sample_rate, column), quantity("start", start, "s"))
+    return analysed(_after(_read(source, sample_rate, column), quantity("start", start, "s")), band)
+
+
+def analysed(log: RateLog, band: tuple[float, float] | None = None, low_pass: bool = False) -> Allan:
+    """`allan` of rates that are read; with `low_pass` those of a lot whose `band` begins near the end of its bandwidth,
+    so that white noise has lost something there.
+    """
     samples, period = log.rate.shape[-1], log.period
     octaves = tuple(2**k for k in range(samples.bit_length()) if 3 * 2**k <= samples)
     if band is not None:
@@ -62,7 +69,7 @@ def allan(
     measured = allan_deviation(log.rate, factors)
     if not np.all(measured[:, np.isin(factors, octaves)] > 0.0):
         raise InputError("The rates must vary at every averaging time, but some do not; is the log of coarse numbers?")
-    found = fit_noise(measured[:, np.isin(factors, octaves)] ** 2, octaves, samples)
+    found = fit_noise(measured[:, np.isin(factors, octaves)] ** 2, octaves, samples, low_pass)
     freedom = np.exp([np.interp(np.log(factors), np.log(octaves), row) for row in np.log(found.freedom)])
     ends = [measured * np.sqrt(freedom / stats.chi2.ppf(tail, freedom)) for tail in (0.975, 0.025)]
     tau = np.array(factors) * period
@@ -73,14 +80,31 @@ def allan(
         deviation=measured,
         low=ends[0],
         high=ends[1],
-        fitted=np.sqrt(found.value**2 @ shapes(factors).T),
+        fitted=_fitted(found, factors, octaves),
         terms=terms,
         band=(octaves[0] * period, octaves[-1] * period),
         chi2_per_dof=found.chi2 / found.dof,
         period=period,
         samples=samples,
-        notes=(*log.notes, *_misfits(log.names, found)),
+        notes=(*log.notes, *_passed(found, octaves[0], period), *_misfits(log.names, found)),
     )
+
+
+def _fitted(found: NoiseFit, factors: tuple[int, ...], octaves: tuple[int, ...]) -> Float[np.ndarray, "series factors"]:
+    """Deviation of the model; of a low-pass no more is known than from the band on."""
+    m = np.array(factors, float)
+    taken = found.value[:, :1] ** 2 / m * low_passed(found.lag, np.maximum(m, octaves[0]))
+    return np.sqrt(found.value**2 @ shapes(factors).T - taken)
+
+
+def _passed(found: NoiseFit, first: int, period: float) -> list[str]:
+    """What a low-pass takes of the white noise at the `first` averaging time; nothing where none is seen."""
+    taken = float(np.median(low_passed(found.lag, np.array([first]))))
+    if taken < _SEEN:
+        return []
+    less, at = 100.0 * (1.0 - np.sqrt(1.0 - taken)), first * period
+    said = f"White noise is {less:.2g} % less at {at:.3g} s than a random walk tells, as behind a low-pass; "
+    return [f"{said}N is that of long averaging times, and Q cannot be told."]
 
 
 def _read(source: Any, sample_rate: float | str | None, column: str | None) -> RateLog:

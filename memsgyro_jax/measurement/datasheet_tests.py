@@ -11,10 +11,11 @@ from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.loop.noise_budget import noise_budget
 from memsgyro_jax.loop.scenario import Constant
 
-from .allan import allan
+from .allan import analysed
 from .datasheet_rows import FEWEST, NOT_MODELLED, DatasheetRow
 from .lot_outputs import Outputs
 from .over_temperature import CELSIUS, OverTemperature, depends_on_temperature, held_at
+from .rate_log import RateLog
 from .rate_tests import Dies, RateTests, settled_mean
 from .step_spectrum import first_half_power, flat_up_to, resonance_in_band, spectrum_of
 
@@ -256,7 +257,8 @@ def noises(
             f"{_by_formula(bench)[0]}"
         )
     try:
-        terms = allan(rate[run.alive], sample_rate=1.0 / run.period, band=(2.0 / widest, np.inf)).terms
+        log = RateLog(tuple(map(str, np.flatnonzero(run.alive))), rate[run.alive], run.period)
+        terms = analysed(log, (2.0 / widest, np.inf), low_pass=True).terms
     except InputError:
         said[2] = (
             f"the record is too short: averaging times from {2.0 / widest:.3g} s on take "

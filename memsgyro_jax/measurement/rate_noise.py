@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from scipy import stats
 
 from .allan_variance import NOISES, TERMS, covariance_parts, shapes
 
@@ -21,19 +22,25 @@ _MOST = np.log(1e4)  # and none can lie further above it
 _IN_SIGHT = np.log(50.0)  # below the curve, from where a term is pulled to where it belongs
 _STEP = 1e-4  # of a logarithm, for slopes
 _HALVINGS = 18
+_SPARED = np.array([5.41, 7.29, 8.75, 10.02, 11.18])  # the same for so many terms left out, at `_CHANCE` for none there
+_LAG = len(TERMS)  # place of a low-pass behind the terms
+_BEGUN = 0.3  # artanh of a lag over the first factor
+_OPPOSITE = TERMS.index("Q")  # which goes with the averaging time as a low-pass does, but adds
+_CHANCE = 0.01  # probability at which series without a term, or without a low-pass, are taken to have it
 
 
 class NoiseFit(NamedTuple):
     """Terms of the noise model with the sample period as the unit of time, one row per series.
 
     Args:
-        value: of each term; zero where it vanishes.
+        value: of each term; zero where the series need none of it.
         low, high: ends of the 95 % interval by the profile likelihood; `low` is zero where the record cannot tell the
             term from none.
         variance: Allan variance of the model at each factor.
         freedom: degrees of freedom of the measured variance at each factor, 2 σ⁴/variance of it.
         chi2: squared whitened residual.
-        dof: of `chi2`: deviations less terms that do not vanish.
+        dof: of `chi2`: deviations less terms that do not vanish, and less the low-pass.
+        lag: of a low-pass, as `low_passed` takes it; zero where the series show none.
     """
 
     value: Float[np.ndarray, "series 5"]
@@ -43,6 +50,7 @@ class NoiseFit(NamedTuple):
     freedom: Float[np.ndarray, "series factors"]
     chi2: Float[np.ndarray, " series"]
     dof: Float[np.ndarray, " series"]
+    lag: Float[np.ndarray, " series"]
 
 
 class _Expected(NamedTuple):
@@ -55,52 +63,131 @@ class _Expected(NamedTuple):
     correlation: np.ndarray
 
 
-def fit_noise(variance: Float[np.ndarray, "series factors"], factors: tuple[int, ...], samples: int) -> NoiseFit:
+def fit_noise(
+    variance: Float[np.ndarray, "series factors"], factors: tuple[int, ...], samples: int, low_pass: bool = False
+) -> NoiseFit:
     """Fit `TERMS` to overlapping Allan variances of series of `samples` rates, each an average over its period.
 
     A variance follows a multiple of χ² with ν degrees of freedom, whose cube root is nearly normal with the mean
     1 − 2/(9ν) and the variance 2/(9ν) (Wilson and Hilferty 1931), also where ν is 1. The cube roots are taken as
     jointly normal with the correlations of the variances. Mean, ν and correlations are those of the model at hand, so
     that the likelihood is whole: no weights from the data.
+
+    No term can be negative, so one that is not there still takes from the others: N was told 3 % too small. What the
+    series can do without is dropped therefore (`_needed`), while the intervals are those of all terms. A low-pass
+    (`low_passed`, up to the first factor) is counted where the series together show it, and with `low_pass` in any
+    case, of either sign. Nothing tells it from quantisation, which is left out then.
     """
     model = _Model(variance, factors, samples)
     nearest = np.log(np.min(variance[:, :, None] / model.shapes, axis=1))
-    floor, start = nearest - _NOTHING, nearest - np.log(len(TERMS))
-    free = np.ones(start.shape, bool)
-    best, least = _descend(model.loss, start, floor, free, 80)
+    least_lag = np.full((len(nearest), 1), -1.0 if low_pass else 0.0)
+    nearest = np.concatenate([nearest, least_lag + _IN_SIGHT], axis=1)
+    floor = np.concatenate([nearest[:, :_LAG] - _NOTHING, least_lag], axis=1)
+    start = np.concatenate([nearest[:, :_LAG] - np.log(len(TERMS)), np.zeros_like(least_lag)], axis=1)
+    best, least, free = _full(model, start, floor, low_pass)
     ramp = np.exp(best[:, 3]) * model.shapes[-1, 3] > _RAMP * model.expected(best).variance[:, -1]
     fall = np.where(ramp[:, None], _BESIDE_RAMP, _FALL)
     # What describes no record may have a term further above the curve still, whose end lies above it all the same.
     most = np.maximum(nearest, best) + _MOST
-    ends, absent = _profile(model, best, least[:, None] + 0.5 * fall, floor, most, nearest)
-    expected = model.expected(best)
-    gone = best <= floor + 1.0
-    value = np.where(gone, 0.0, np.exp(0.5 * best))
-    low = np.where(absent, 0.0, np.exp(0.5 * ends[0]))
+    ends, rises = _profile(model, best, least[:, None] + 0.5 * fall, floor, most, nearest, free)
+    kept = _needed(model, best, least, rises - least[:, None], floor, nearest, free)
+    expected = model.expected(kept)
+    gone = (kept <= floor + 1.0)[:, :_LAG]
+    value = np.where(gone, 0.0, np.exp(0.5 * kept[:, :_LAG]))
+    unknown = free[:, _LAG:] & np.isin(TERMS, TERMS[_OPPOSITE])
+    low = np.where(rises <= least[:, None] + 0.5 * fall, 0.0, np.exp(0.5 * ends[0]))
     return NoiseFit(
         value,
-        low,
-        np.exp(0.5 * ends[1]),
+        np.minimum(low, value),
+        np.where(unknown, np.inf, np.maximum(np.exp(0.5 * ends[1]), value)),
         expected.variance,
         expected.freedom,
         np.sum(model.whitened(expected) ** 2, axis=-1),
-        np.maximum(len(factors) - np.sum(~gone, axis=-1), 1.0),
+        np.maximum(len(factors) - np.sum(~gone, axis=-1) - np.sum(free[:, _LAG:], axis=-1), 1.0),
+        factors[0] * np.tanh(kept[:, _LAG]),
     )
 
 
+def _full(
+    model: "_Model", start: np.ndarray, floor: np.ndarray, low_pass: bool
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Best of all terms, its loss, and what is free in it: a low-pass in place of quantisation where there is one, or
+    the series together show one.
+    """
+    free = np.ones(start.shape, bool)
+    free[:, _LAG] = False
+    best, least = _descend(model.loss, start, floor, free, 80)
+    begun = np.where(free, np.maximum(best, start - _IN_SIGHT), _BEGUN)
+    begun[:, _OPPOSITE], lagged = floor[:, _OPPOSITE], np.ones(start.shape, bool)
+    lagged[:, _OPPOSITE] = False
+    passed, less = _descend(model.loss, begun, floor, lagged, 80)
+    if not low_pass and _by_chance(2.0 * np.maximum(least - less, 0.0)) > _CHANCE:
+        return best, least, free
+    return passed, less, lagged
+
+
+def _needed(
+    model: "_Model", best: np.ndarray, least: np.ndarray, rises: np.ndarray, floor: np.ndarray, nearest: np.ndarray,
+    free: np.ndarray,
+) -> np.ndarray:  # fmt: skip
+    """Best without the terms that the series can do without. Terms are left out in turn, from that on which least
+    hangs: in a series as long as its likelihood allows, never one that it tells, and in none where the likelihoods of
+    all of them together object, as a mean over a lot shows what no die shows.
+    """
+    at, loss, free, told, left_out = best, least, free.copy(), 2.0 * rises > _FALL, np.zeros(len(best), int)
+    for place in np.argsort(np.sum(np.clip(2.0 * rises, 0.0, _FALL), axis=0)):
+        trial = free.copy()
+        trial[:, place] = False
+        begun = np.where(trial, np.maximum(at, nearest - _IN_SIGHT), floor)
+        begun[:, _LAG] = at[:, _LAG]
+        moved, value = _descend(model.loss, begun, floor, trial, 30)
+        spared = ~told[:, place] & (2.0 * (value - least) <= _SPARED[left_out])
+        if _by_chance(np.minimum(2.0 * (value - loss), _FALL)) < _CHANCE:
+            continue
+        at, loss = np.where(spared[:, None], moved, at), np.where(spared, value, loss)
+        free, left_out = np.where(spared[:, None], trial, free), left_out + spared
+    return at
+
+
+def _by_chance(gains: np.ndarray) -> float:
+    """Probability of as large a sum of twice the gains in log-likelihood by one number that cannot be negative and is
+    zero in all series: each gain is zero for one half of them, and χ² for the other.
+    """
+    count = len(gains)
+    positive = np.arange(1, count + 1)
+    return float(stats.binom.pmf(positive, count, 0.5) @ stats.chi2.sf(max(float(np.sum(gains)), 0.0), positive))
+
+
+def low_passed(
+    lag: Float[np.ndarray, "*series"], factors: Float[np.ndarray, " factors"]
+) -> Float[np.ndarray, "*series factors"]:
+    """Share of the Allan variance of white noise that a low-pass takes: lag/m at averaging times m far beyond its own,
+    whatever its form, the lag being three times the first moment of its autocovariance over N². Nearer to its own it is
+    taken to have one pole. A negative lag is noise that swings before it falls, and adds.
+    """
+    lag = np.asarray(lag)[..., None]
+    pole = 2.0 * np.maximum(lag, 0.0) / (3.0 + np.sqrt(9.0 + 4.0 * lag**2))  # of which lag is 3 a/(1 − a²)
+    near = pole**factors
+    return lag / factors * (1.0 - (4.0 * near - near**2) / 3.0)
+
+
 class _Model:
-    """The likelihood of logarithms of the terms' squares; leading axes of arguments are many fits at once."""
+    """The likelihood of logarithms of the terms' squares and the artanh of a low-pass's lag over the first factor;
+    leading axes of arguments are many fits at once.
+    """
 
     def __init__(self, variance: np.ndarray, factors: tuple[int, ...], samples: int) -> None:
         self.shapes = shapes(factors)
         squares, sums = covariance_parts(samples, factors)
         self.squares, self.sums = squares.reshape(-1, len(NOISES) ** 2).T, sums.reshape(-1, len(NOISES)).T
         self.root = np.cbrt(variance)
+        self.factors = np.array(factors, float)
 
     def repeated(self, times: int) -> "_Model":
         """Each series `times` over."""
         other = object.__new__(_Model)
         other.shapes, other.squares, other.sums = self.shapes, self.squares, self.sums
+        other.factors = self.factors
         other.root = np.repeat(self.root, times, axis=0)
         return other
 
@@ -111,7 +198,7 @@ class _Model:
         return other
 
     def expected(self, logs: np.ndarray) -> _Expected:
-        power = np.exp(logs)
+        power = np.exp(logs[..., :_LAG])
         random, ramp = power[..., list(NOISES)], power[..., 3]
         pairs = (random[..., :, None] * random[..., None, :]).reshape(*random.shape[:-1], -1)
         size = len(self.shapes)
@@ -121,6 +208,9 @@ class _Model:
         freedom, std = 2.0 * variance**2 / own, np.sqrt(own)
         correlation = covariance / (std[..., :, None] * std[..., None, :])
         spread = 2.0 / (9.0 * freedom)
+        # At averaging times beyond its own a low-pass changes how large deviations are, hardly their correlation.
+        lag = self.factors[0] * np.tanh(logs[..., _LAG])
+        variance = variance - power[..., :1] * self.shapes[:, 0] * low_passed(lag, self.factors)
         scale = np.cbrt(variance)
         return _Expected(variance, freedom, scale * (1.0 - spread), scale * np.sqrt(spread), correlation)
 
@@ -151,13 +241,14 @@ def _descend(
     loss: Loss, at: np.ndarray, floor: np.ndarray, free: np.ndarray, rounds: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Levenberg-Marquardt on many losses at once, over logarithms not below `floor`, moving those that are `free`."""
-    value, _ = loss(at)
+    value, white = loss(at)
     damping = np.full(len(at), 1e-2)
-    units = _STEP * np.eye(at.shape[-1])
-    for _ in range(rounds):
-        sides = [[loss(at + sign * unit) for sign in (1.0, -1.0)] for unit in units]
-        slope = np.stack([(up[0] - down[0]) / (2 * _STEP) for up, down in sides], axis=-1)
-        bend = np.stack([(up[1] - down[1]) / (2 * _STEP) for up, down in sides], axis=-1)
+    units, moved = _STEP * np.eye(at.shape[-1]), np.flatnonzero(np.any(free, axis=0))
+    slope, bend = np.zeros(at.shape), np.zeros((*white.shape, at.shape[-1]))
+    for _ in range(rounds if moved.size else 0):
+        sides = [[loss(at + sign * unit) for sign in (1.0, -1.0)] for unit in units[moved]]
+        slope[:, moved] = np.stack([(up[0] - down[0]) / (2 * _STEP) for up, down in sides], axis=-1)
+        bend[..., moved] = np.stack([(up[1] - down[1]) / (2 * _STEP) for up, down in sides], axis=-1)
         moving = free & ~((at <= floor) & (slope > 0.0))
         slope, bend = np.where(moving, slope, 0.0), np.where(moving[:, None, :], bend, 0.0)
         normal = np.swapaxes(bend, -1, -2) @ bend
@@ -177,14 +268,16 @@ def _descend(
 
 
 def _profile(
-    model: _Model, best: np.ndarray, limits: np.ndarray, floor: np.ndarray, most: np.ndarray, nearest: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """(2, series, 5) logarithms where the loss, least over the other terms, has risen to `limits` (series, 5), below
-    and above; and (series, 5) whether a vanishing term is within it.
+    model: _Model, best: np.ndarray, limits: np.ndarray, floor: np.ndarray, most: np.ndarray, nearest: np.ndarray,
+    free: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """(2, series, 5) logarithms where the loss, least over the others that are `free`, has risen to `limits` (series,
+    5), below and above; and (series, 5) the loss of a vanishing term.
     """
-    series, terms = best.shape
+    series, terms = limits.shape
     number = 2 * terms
-    many, held = model.repeated(number), np.tile(np.eye(terms, dtype=bool), (2 * series, 1))
+    many, held = model.repeated(number), np.tile(np.eye(terms, best.shape[-1], dtype=bool), (2 * series, 1))
+    others_free = np.repeat(free, number, axis=0) & ~held
     base, bottom = np.repeat(best, number, axis=0), np.repeat(floor, number, axis=0)
     limit = np.tile(limits, 2).ravel()
     down = np.tile(np.repeat([True, False], terms), series)
@@ -197,18 +290,18 @@ def _profile(
     seen = np.maximum(base, np.repeat(nearest - _IN_SIGHT, number, axis=0))
 
     def at(position: np.ndarray, start: np.ndarray, rounds: int) -> tuple[np.ndarray, np.ndarray]:
-        found, cost = _descend(many.loss, np.where(held, position[:, None], start), bottom, ~held, rounds)
+        found, cost = _descend(many.loss, np.where(held, position[:, None], start), bottom, others_free, rounds)
         poor = cost > limit
         if not np.any(poor):
             return found, cost
         begun = np.where(held, position[:, None], seen)[poor]
-        moved, less = _descend(many.only(poor).loss, begun, bottom[poor], ~held[poor], rounds + 6)
+        moved, less = _descend(many.only(poor).loss, begun, bottom[poor], others_free[poor], rounds + 6)
         better = less < cost[poor]
         found[poor], cost[poor] = np.where(better[:, None], moved, found[poor]), np.where(better, less, cost[poor])
         return found, cost
 
     _, value = at(far, base, 25)
-    absent = (down & (value <= limit)).reshape(series, 2, terms)[:, 0]
+    absent = value.reshape(series, 2, terms)[:, 0]
     outside = far
     for _ in range(_HALVINGS):
         middle = 0.5 * (inside + outside)

@@ -60,9 +60,10 @@ class Summary(Shown):
     error at the end over the standard deviation that is claimed of it; `straight` holds bias and scale-factor error,
     where the rate `moves` the mean error alone, in which the lag is. `lost_at` are the first, median and last time [s]
     at which a die was lost, beyond its `travel` [m] or not finite, `unbounded` says why there is no bound, `unsettled`
-    how errors still move when the runs end, so that the yield is of a start; `crossing` that of `crossed` dies the
-    modes stand the other way round. `notes` were told before the run, `amiss` is what is wrong with its store.
-    `steps_per_s` is None when a single batch left nothing to time after compiling.
+    how errors still move when the runs end, so that the yield is of a start, and `starting` how many dies that makes
+    the scatter within one run of a start; `convergence_time` is None where the median die does not converge; `crossing`
+    that of `crossed` dies the modes stand the other way round. `notes` were told before the run, `amiss` is what is
+    wrong with its store. `steps_per_s` is None when a single batch left nothing to time after compiling.
     """
 
     dies: int
@@ -85,6 +86,7 @@ class Summary(Shown):
     convergence_time: float | None
     good: Proportion
     unsettled: str | None
+    starting: str | None
     crossed: int
     crossing: str | None
     following: Following | None
@@ -145,6 +147,7 @@ class Summary(Shown):
             "convergence_time_s": self.convergence_time,
             "yield": asdict(self.good),
             "unsettled": self.unsettled,
+            "rate_series_unsettled": self.starting,
             "crossed": self.crossed,
             "following": None if self.following is None else following_entries(self.following),
             **({} if self.straight is None else straight_entries(self.straight, self.moves)),
@@ -183,10 +186,8 @@ class Summary(Shown):
         if watched and not self.all_lost:
             rows.append(("consistency (NEES, NIS)", self._consistency()))
             rows += [("  rate error over its claim (rms)", f"{self.claim:.3g} of 1")] if self.claim is not None else []
-        if self.convergence_time is not None:
-            within = "not shown: the median die is within the tolerance from the start"
-            shown = f"{1e3 * self.convergence_time:.3g} ms" if self.convergence_time else within
-            rows.append(("median time to converge", shown))
+        if not self.all_lost:
+            rows.append(("median time to converge", self._converged()))
         share = "{:.1f} % ({:.1f} to {:.1f} %)".format(*(100.0 * v for v in astuple(self.good)[:3]))
         trusted = "" if self.unsettled is None else "; not to be trusted"
         rows.append(("yield (95 % interval)", f"{share}: {self.good.criterion}{trusted}"))
@@ -209,6 +210,7 @@ class Summary(Shown):
             *sound,
             ("rate error over the settled part", triple(self.settled)),
             ("standard deviation within one run", self._scatter()),
+            *([("  of the start", self.starting)] if self.starting else []),
         ]
 
     @property
@@ -230,6 +232,12 @@ class Summary(Shown):
             "the bound counts on dies as different as the filter's prior says; those of this lot likely differ less, "
             "for what the filter claims is too wide as well"
         )
+
+    def _converged(self) -> str:
+        if self.convergence_time is None:
+            return "none: the median die has not converged within the run"
+        within = "not shown: the median die is within the tolerance from the start"
+        return f"{1e3 * self.convergence_time:.3g} ms" if self.convergence_time else within
 
     def _scatter(self) -> str:
         told = "unknown (the settled part holds one estimate)"
@@ -307,6 +315,7 @@ def figures_of(
         convergence_time=converged if np.isfinite(converged) else None,
         good=proportion(tally.good, tally.computed, within),
         unsettled=tally.movement.sentence(loop),
+        starting=None if loop.observer.learns else tally.scatter.sentence(loop),
         crossed=tally.crossed,
         crossing=tally.crossing,
         following=None if over_time is None else following(plan.window_times, *over_time, plan.settle),

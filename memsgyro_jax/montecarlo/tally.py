@@ -6,11 +6,12 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from .batch import DIVERGED, LOST, OK, STATUS, Plan
-from .caveats import NAMED, Movement, Order
+from .caveats import NAMED, Movement, Order, Scatter
 from .merit import Moments
 from .sketch import EXACT, Sketch
 
 
+_HELD = 0.05  # of a run: for how long at its end a die must be within the tolerance to have converged
 FOLLOWED = 8192  # dies whose rate and estimate over time are kept, where the rate varies
 
 
@@ -25,7 +26,7 @@ class Tally:
 
     def __init__(self, plan: Plan, bounded: int, order: Order | None = None):
         self.movement, self.order, self.crossed, self.first_crossed = Movement(plan), order, 0, list[int]()
-        self.plan, self.settled = plan, plan.window_times >= plan.settle
+        self.scatter, self.plan, self.settled = Scatter(plan), plan, plan.window_times >= plan.settle
         self.computed = self.lost = self.redrawn = self.good = 0
         self.end, self.sound, self.run, self.nees, self.converged, self._lost_at = (Sketch() for _ in range(6))
         self.series_squares = 0.0
@@ -57,7 +58,9 @@ class Tally:
         )
         self.nees.add(rows["nees_end"][alive])
         late = rows["convergence_time"][alive]
-        self.converged.add(np.where(np.isfinite(late), late, np.inf))
+        # Within the tolerance for the last samples alone is by chance: their time is that of the run's end.
+        held = late <= (1.0 - _HELD) * self.plan.samples * self.plan.period
+        self.converged.add(np.where(held, late, np.inf))
         with np.errstate(divide="ignore", invalid="ignore"):
             judged = {**rows, "claim": (end / rows["rate_std_end"]) ** 2}
         for name, (count, total) in self.sums.items():
@@ -112,6 +115,7 @@ class Tally:
         if not alive.any():
             return
         self.movement.add(true, estimate)
+        self.scatter.add(true, estimate)
         mean = np.mean(true[:, self.settled], axis=1)
         self.straight.add(np.stack([mean, np.mean(estimate[:, self.settled], axis=1) - mean], axis=1))
         room = FOLLOWED - sum(len(rates) for rates, _ in self._followed)

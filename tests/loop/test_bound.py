@@ -258,6 +258,20 @@ def test_a_lost_die_holds_nan_and_the_others_do_not():
     assert np.all(np.isnan(got.std[-1, :, 1]))
 
 
+def test_a_mass_out_of_its_travel_has_no_bound_from_then_on():
+    """It left its travel, linear and finite: the trace said "lost", the bound 0.21 deg/s."""
+    loop, settings = forced(), {"sample_rate": 100e3, "duration": 401e-5}  # a prime number of samples: blocks of one
+    loop = dataclasses.replace(loop, start=(0.0, 0.0, 0.05, 0.0))
+    whole = information_bound(loop, 1.0, **settings)
+    bound = information_bound(dataclasses.replace(loop, travel=2e-6), 1.0, **settings)
+    known = np.isfinite(bound.rate_std)
+    assert not known[-1]
+    assert np.isfinite(whole.rate_std[-1])
+    assert np.isnan(bound.covariance).all()
+    np.testing.assert_array_equal(bound.rate_std[known], whole.rate_std[known])
+    assert "lost by then" in str(bound)
+
+
 @pytest.mark.slow
 def test_velocity_readout_is_bounded_too():
     readout = DirectReadout.of_velocity(1.0, 1e-9)

@@ -73,7 +73,7 @@ def rows_of(dies: int) -> dict[str, np.ndarray]:
     rng = np.random.default_rng(2)
     rows = {name: rng.standard_normal(dies) for name in ("rate_error_end", "rate_error_rms", "rate_series_std")}
     rows |= {name: rng.uniform(size=dies) for name in ("nees_end", "nis_mean", "redrawn", "rate_std_end")}
-    rows["convergence_time"] = np.where(rng.uniform(size=dies) < 0.2, np.nan, rng.uniform(size=dies))
+    rows["convergence_time"] = np.where(rng.uniform(size=dies) < 0.2, np.nan, 0.07 * rng.uniform(size=dies))
     rows["rate_true"] = np.sin(np.arange(8.0)) + rng.standard_normal((dies, 1))
     rows["rate_estimate"] = rows["rate_true"] * 1.01 + 0.1 * rng.standard_normal((dies, 8))
     rows["coefficient_true"] = rng.standard_normal((dies, 3))
@@ -82,6 +82,16 @@ def rows_of(dies: int) -> dict[str, np.ndarray]:
         rows[name][rows[STATUS] == LOST] = np.nan
     rows["lost_at"] = np.where(rows[STATUS] == LOST, rng.uniform(size=dies), np.nan)
     return rows
+
+
+def test_within_the_tolerance_at_the_end_alone_is_not_converged():
+    """An error that swings through the tolerance "converged" at the end of the run."""
+    tally, rows = Tally(Plan(1e-3, 8, 10, 0.02, 1.0), 64), rows_of(100)
+    rows[STATUS][:] = OK
+    for time, told in ((0.0765, np.inf), (0.03, 0.03)):
+        tally.converged = type(tally.converged)()
+        tally.add({**rows, "convergence_time": np.full(100, time)}, 0)
+        assert tally.converged.quantile(0.5) == [told]
 
 
 def test_parts_add_up_to_the_whole():
