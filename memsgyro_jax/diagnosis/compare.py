@@ -1,6 +1,6 @@
 """A model beside measurements: how far apart, and where."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -145,6 +145,10 @@ class Comparison(Shown):
             f"What is left has the size of the noise, on which the verdict rests, but is not noise alone: {failed} of "
             f"{len(self.checks)} finer tests fail (with probability {self.level:g} noise alone fails any)."
         )
+
+    def without(self, records: Container[str]) -> "Comparison":
+        """The same without the tests of some records, of which something else was said."""
+        return replace(self, checks=tuple(check for check in self.checks if check.record not in records))
 
     def to_dict(self) -> dict[str, Any]:
         """The machine-readable result, schema `memsgyro-comparison/1`; numbers that are not finite become null."""
