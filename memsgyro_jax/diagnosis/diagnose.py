@@ -40,7 +40,7 @@ from .search import CONFUSED, Ranking, Search, SearchStep, start_search
 from .sentence import DRIFT, of_noise, sentence
 from .slow_noise import is_slow_noise, slowly
 from .worth_trying import worth_trying
-from .wrong_noise import wrong_noise
+from .wrong_noise import what_repeats, wrong_noise
 
 
 RECORDS = 0.1  # share of the level for records that no candidate explains; the rest is the candidates'
@@ -162,6 +162,7 @@ def _diagnosed(
     else:
         tried = ()
         onset = onset_of(final) if verdict == "partly_explained" else None
+    again = what_repeats(final, noise)
     declared = {record.name for record in case.records if record.noise_std}
     unexplained = verdict in UNEXPLAINED
     scale = np.nan if unexplained else final.scale  # what is left that nobody knows is in no standard deviation
@@ -174,7 +175,7 @@ def _diagnosed(
         verdict=verdict,
         sentence=sentence(verdict, accepted, final, explained, onset)
         + of_instrument(terms, rival, drive_levels(case))
-        + of_noise(noise, declared)
+        + of_noise(noise, declared, again)
         + slowly(search.slow)
         + (f" Left out as outlying: {of_rows(case, left_out)}." if left_out else ""),
         accepted=accepted,
@@ -191,7 +192,12 @@ def _diagnosed(
         outlying={case.records[number].name: rows for number, rows in left_out.items()},
         instrument=terms,
         scale=final.scale,
-        noise={k: f"its noise is larger than {'declared' if k in declared else 'estimated'}" for k in noise}
+        noise={
+            k: "part of what is left repeats"
+            if again
+            else f"its noise is larger than {'declared' if k in declared else 'estimated'}"
+            for k in noise
+        }
         | dict.fromkeys(search.slow, "its noise is slow"),
     )
 

@@ -77,10 +77,16 @@ def _by_weight(accepted: tuple[Accepted, ...], final: CaseFit) -> str:
     return main + f", and far weaker, within {NEAR:g} times the noise, {slight}" * bool(slight)
 
 
-def of_noise(noise: Mapping[str, float], declared: Set[str]) -> str:
-    """A sentence on noise that is declared wrong, or was told wrong by the rows of a record; empty where none is."""
+def of_noise(noise: Mapping[str, float], declared: Set[str], repeated: str = "") -> str:
+    """A sentence on noise that is declared wrong, or was told wrong by the rows of a record; empty where none is. Where
+    what is left is `repeated` from sweep to sweep, with the words why.
+    """
     found = ", ".join(
         f"{size:.3g} times what is {'declared in' if record in declared else 'estimated from the rows of'} {record}"
         for record, size in noise.items()
     )
+    if found and repeated:
+        return (
+            f" The noise would be {found}, but part of what is left is none: it repeats from sweep to sweep{repeated}."
+        )
     return f" The noise is {found}: what is left there is white and depends on nothing." if found else ""
