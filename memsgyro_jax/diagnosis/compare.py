@@ -1,6 +1,6 @@
 """A model beside measurements: how far apart, and where."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -147,6 +147,10 @@ class Comparison(Shown):
             f"{len(self.checks)} finer tests fail (with probability {self.level:g} noise alone fails any)."
         )
 
+    def without(self, records: Container[str]) -> "Comparison":
+        """The same without the tests of some records, of which something else was said."""
+        return replace(self, checks=tuple(check for check in self.checks if check.record not in records))
+
     def to_dict(self) -> dict[str, Any]:
         """The machine-readable result, schema `memsgyro-comparison/1`; numbers that are not finite become null."""
         entries = {
@@ -241,19 +245,15 @@ def beside_outlying(result: Comparison, again: Callable[[Rows], CaseFit]) -> Com
 
 
 def judged(fit: CaseFit, *, level: float = LEVEL, fitted: bool = True) -> Comparison:
-    """Every test on the residuals of a fit that was made already; what it has not seen it may also miss by its own
-    uncertainty.
-    """
-    result = _judged(fit, fit, level, fitted)
-    if result.explained or not fitted:
-        return result
-    allowed = _judged(fit, beside_uncertainty(fit), level, fitted)
-    return allowed if allowed.explained else result
+    """Every test on the residuals of a fit; records that it has not seen it may also miss by its uncertainty."""
 
+    def made(left: CaseFit) -> Comparison:
+        series = tuple(r.series(d).compared for r, d in left.deviations)
+        return Comparison(fit, series, check_all(series, level), level, fitted)
 
-def _judged(fit: CaseFit, left: CaseFit, level: float, fitted: bool) -> Comparison:
-    series = tuple(r.series(d).compared for r, d in left.deviations)
-    return Comparison(fit, series, check_all(series, level), level, fitted)
+    raw = made(fit)
+    allowed = raw if raw.explained or not fitted else made(beside_uncertainty(fit))
+    return allowed if allowed.explained else raw
 
 
 def as_times(ratio: float) -> str:

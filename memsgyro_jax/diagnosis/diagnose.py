@@ -32,6 +32,7 @@ from .listing import followed_candidates, listed_candidates
 from .moved import moved
 from .next_experiment import advice, next_experiments, of_the_unknown
 from .nuisances import instrument_first, of_instrument
+from .onset import Onset, onset_of
 from .other_courses import beside_other_courses
 from .outlying import of_rows, search_beside_outlying
 from .result import UNEXPLAINED, Diagnosis, Verdict, validation_error
@@ -41,7 +42,7 @@ from .sentence import DRIFT, of_noise, sentence
 from .slow_noise import is_slow_noise, slowly
 from .spoiler import without_spoiler
 from .worth_trying import worth_trying
-from .wrong_noise import wrong_noise
+from .wrong_noise import what_repeats, wrong_noise
 
 
 RECORDS = 0.1  # share of the level for records that no candidate explains; the rest is the candidates'
@@ -139,6 +140,7 @@ def _diagnosed(
     accepted = _accepted(search, confused, steps)
     explained = list(_each_explained(final, accepted, level))
     noise: Mapping[str, float] = {}
+    onset: Onset | None = None
     if not all(explained) and all(_each_explained(final, accepted, level, wrong := wrong_noise(final))):
         explained, noise = [True] * len(explained), wrong
     explained = [fine or bool(search.slow) for fine in explained]
@@ -157,8 +159,15 @@ def _diagnosed(
         explained = list(_each_explained(final, (), level))
         if all(explained):  # an effect of chance that spoils what was never fitted
             verdict, tried = "instrument_only" if _found_more(terms, given) else "nothing_missing", ()
+        elif onset := onset_of(search.base) or onset_of(final):
+            final, explained = onset.fit, list(_each_explained(onset.fit, (), level))
+            if final.joint is search.base.joint:  # what the instrument seemed to do is not needed there
+                base, whence, terms = final, onset.whence, ()
+                stages = (Stage("", base.chi2_per_dof, validation_error(base)),)
     else:
         tried = ()
+        onset = onset_of(final) if verdict == "partly_explained" else None
+    again = what_repeats(final, noise)
     declared = {record.name for record in case.records if record.noise_std}
     unexplained = verdict in UNEXPLAINED
     scale = np.nan if unexplained else final.scale  # what is left that nobody knows is in no standard deviation
@@ -170,10 +179,10 @@ def _diagnosed(
         base=base,
         final=final,
         verdict=verdict,
-        sentence=sentence(verdict, accepted, final, explained)
+        sentence=sentence(verdict, accepted, final, explained, onset)
         + apart_in_time
         + of_instrument(terms, rival, drive_levels(case))
-        + of_noise(noise, declared)
+        + of_noise(noise, declared, again)
         + slowly(search.slow)
         + (f" Left out as outlying: {of_rows(case, left_out)}." if left_out else ""),
         accepted=accepted,
@@ -190,7 +199,12 @@ def _diagnosed(
         outlying={case.records[number].name: rows for number, rows in left_out.items()},
         instrument=terms,
         scale=final.scale,
-        noise={k: f"its noise is larger than {'declared' if k in declared else 'estimated'}" for k in noise}
+        noise={
+            k: "part of what is left repeats"
+            if again
+            else f"its noise is larger than {'declared' if k in declared else 'estimated'}"
+            for k in noise
+        }
         | dict.fromkeys(search.slow, "its noise is slow"),
     )
 

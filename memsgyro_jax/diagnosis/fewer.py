@@ -8,14 +8,15 @@ import numpy as np
 from scipy import special
 
 from memsgyro_jax.effects import InstrumentTerm
-from memsgyro_jax.effects.lock_in_terms import ReferencePhase
+from memsgyro_jax.effects.lock_in_terms import CapacitiveFeedthrough, LockInFeedthrough, ReferencePhase
 from memsgyro_jax.effects.readout_delay import ReadoutDelay
 
 from .acceptance import too_late
 from .fit import beside_case
-from .instrument import instrument_terms
+from .instrument import every_term, instrument_terms
 from .joint_residual import Joint
 from .optimum import Optimum, optimise
+from .promise import offers_of, promised
 from .search import CONFUSED, Search, SearchStep, always_free
 
 
@@ -64,6 +65,31 @@ def imitated(search: Search) -> None:
                 continue
             search.tell(f"dropped {term.label} for what it imitates")
             search.take(other, fewer)
+
+
+def as_a_capacitance(search: Search) -> None:
+    """Put a feed-through that grows with the frequency in the place of one that does not, where the sweeps tell that it
+    does: a wrong one moves the quality factor, and what it leaves passes for slow noise.
+    """
+    joint, fit = search.joint, search.steps[-1].fit
+    for place, term in [one for one in _terms(search) if isinstance(one[1], LockInFeedthrough)]:
+        (twin,) = [t for t in every_term(search.case) if isinstance(t, CapacitiveFeedthrough)]
+        # To the first order and beside the other, before a program of its own is made.
+        if promised(search.optimum, offers_of(fit, [twin]), SHARE * search.level).gain < CONFUSED:
+            continue
+        model = joint.at(search.optimum.vector)
+        middle = np.median(np.concatenate([np.ravel(getattr(r.experiment, "frequency", [])) for r in joint.fitted]))
+        twin = eqx.tree_at(lambda t: t.strength, twin, model.effects[place].strength / middle)
+        effects = [twin if i == place else effect for i, effect in enumerate(model.effects)]
+        whole = Joint(model.with_only(effects), joint.readings, joint.programs)
+        optimum = optimise(whole, whole.start, always_free(whole, (*search.given, *search.accepted)), whole.fitted)
+        if optimum.chi2 > search.optimum.chi2 - CONFUSED:
+            continue
+        said = f"{twin.label} in place of {term.label}"
+        fit = beside_case(search.case, whole, optimum)
+        search.joint, search.optimum, search.unseen = whole, optimum, None
+        search.steps = [*search.steps, SearchStep(said, fit)]
+        search.tell(f"put {said}: χ²/dof {fit.chi2_per_dof:.4g}")
 
 
 def as_a_phase(search: Search) -> Search:

@@ -24,6 +24,7 @@ from memsgyro_jax.effects.instrument import (
     RecordGain,
 )
 from memsgyro_jax.effects.lock_in_terms import (
+    CapacitiveFeedthrough,
     LockInBackground,
     LockInFeedthrough,
     LockInMemory,
@@ -73,7 +74,9 @@ def _prior(label: str, size: int, std: float) -> Readings:
 
 
 def instrument_terms(case: Case) -> tuple[InstrumentTerm, ...]:
-    """The terms that the records of a case can hold, each at zero; those of which they have but one group have none."""
+    """The terms that the records of a case can hold and a search tries, each at zero; those of which they have but one
+    group have none.
+    """
     groups = _Groups.of(case)
     phasor, clocked = groups.phasor, groups.clocked
     every, several = _together(phasor), phasor if len(phasor) > 1 else []
@@ -97,6 +100,13 @@ def instrument_terms(case: Case) -> tuple[InstrumentTerm, ...]:
     return tuple(sorted(terms, key=lambda term: TERMS.index(type(term))))
 
 
+def every_term(case: Case) -> tuple[InstrumentTerm, ...]:
+    """The same, and the one that a search puts in the place of another alone."""
+    tried = instrument_terms(case)
+    twin = [CapacitiveFeedthrough(t.strength) for t in tried if isinstance(t, LockInFeedthrough)]
+    return (*tried, *twin)
+
+
 def beside_case_of(case: Case, model: Model) -> Model:
     """The model, each of whose terms of the instrument says which rows of the case take which of its numbers.
 
@@ -108,7 +118,7 @@ def beside_case_of(case: Case, model: Model) -> Model:
         raise InputError(
             f"Model: its read-out shows {theirs}, that of the case {case.name} {ours}; they must show the same."
         )
-    offered = {term.label: term for term in instrument_terms(case)}
+    offered = {term.label: term for term in every_term(case)}
 
     def placed(effect: Effect) -> Effect:
         if not isinstance(effect, TERMS):

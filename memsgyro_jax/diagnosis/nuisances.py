@@ -9,7 +9,7 @@ from memsgyro_jax.base.text import said_in
 from memsgyro_jax.effects import TERMS, Effect, InstrumentTerm, Scanned
 
 from .acceptance import BEYOND_LINEAR, excess, share_needed
-from .fewer import SHARE, cost, imitated
+from .fewer import SHARE, as_a_capacitance, cost, imitated
 from .findings import Accepted
 from .fit import beside_case
 from .instrument import instrument_terms, knowledge
@@ -315,6 +315,7 @@ def beside_terms(alone: Search, search: Search, effects: Sequence[Effect]) -> Se
     out.own = tuple(i for i, e in enumerate(joint.model.effects) if e.label in _labels(search, search.own))
     out.keep(out)
     imitated(out)
+    as_a_capacitance(out)
     return out
 
 

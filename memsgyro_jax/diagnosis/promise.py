@@ -167,6 +167,7 @@ def _seen(fit: CaseFit, readings: Readings, span: slice) -> tuple[SeenRows, np.n
         by_frequency=2.0 * along("k"),
         by_damping=along("d"),
         force=np.broadcast_to(force, rows),
+        frequency=np.broadcast_to(np.asarray(getattr(experiment, "frequency", 0.0)), rows),
         record=row("record"),
         sweep=row("sweep"),
         time=row("time"),

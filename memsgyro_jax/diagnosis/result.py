@@ -205,7 +205,7 @@ class Diagnosis(Labelled):
             + ("" if e.explained else f"   {self.noise.get(e.name, 'not explained' if self.unexplained else SLIGHTLY)}")
             for e in self.final.errors
         ]
-        if rest := judged(self.final).beside_size:
+        if rest := judged(self.final).without(self.noise).beside_size:
             lines += ["", f"  {rest}"]
         if self.next_experiment:
             lines += ["", f"  next experiment: {self.next_experiment}"]

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Set
 
 from .findings import Accepted
 from .fit import CaseFit
+from .onset import Onset
 from .result import Verdict
 
 
@@ -13,8 +14,16 @@ DRIFT = "frequency_drift"  # in time, which a lone decay may not tell from a law
 COURSE = "another course with temperature and bias voltage"  # where as many strengths as settings tell theirs
 
 
-def sentence(verdict: Verdict, accepted: tuple[Accepted, ...], final: CaseFit, explained: list[bool]) -> str:
-    """What was found, and what is left where something is."""
+def sentence(
+    verdict: Verdict,
+    accepted: tuple[Accepted, ...],
+    final: CaseFit,
+    explained: list[bool],
+    onset: Onset | None = None,
+) -> str:
+    """What was found, and what is left where something is; from which drive on, where a model fitted to those
+    below explains them.
+    """
     names = _by_weight(accepted, final)
     left = ", ".join(
         f"{e.name} ({e.role}, {e.rms:.3g} × noise)" for e, fine in zip(final.errors, explained, strict=True) if not fine
@@ -35,9 +44,18 @@ def sentence(verdict: Verdict, accepted: tuple[Accepted, ...], final: CaseFit, e
         * any(COURSE in a.confused_with for a in accepted)
         + " A waveform with its second harmonic tells a spring that is uneven from one that softens evenly."
         * any(other.startswith(UNEVEN) for a in accepted for other in a.confused_with),
-        "partly_explained": f"{names} explains most of the misfit, but something unknown is left in {left}.{unused}",
-        "unknown_effect": f"Something is missing that no known effect explains: it shows in {left}.{unused}",
+        "partly_explained": f"{names} explains most of the misfit, but something unknown is left in {left}.{unused}"
+        + (f" {_from_where(onset)}." if onset else ""),
+        "unknown_effect": "Something is missing that no known effect explains"
+        + (f". {_from_where(onset)}, beside that model" if onset else ": it shows")
+        + f" in {left}.{unused}",
     }[verdict]
+
+
+def _from_where(onset: Onset) -> str:
+    """From which drive on something unknown shows."""
+    fitted = f"The drives up to {onset.upto} are explained to their noise by the model fitted to them alone"
+    return f"{fitted}: what is unknown shows from {onset.since} on"
 
 
 def _judged_only(final: CaseFit, explained: list[bool]) -> str:
@@ -59,10 +77,16 @@ def _by_weight(accepted: tuple[Accepted, ...], final: CaseFit) -> str:
     return main + f", and far weaker, within {NEAR:g} times the noise, {slight}" * bool(slight)
 
 
-def of_noise(noise: Mapping[str, float], declared: Set[str]) -> str:
-    """A sentence on noise that is declared wrong, or was told wrong by the rows of a record; empty where none is."""
+def of_noise(noise: Mapping[str, float], declared: Set[str], repeated: str = "") -> str:
+    """A sentence on noise that is declared wrong, or was told wrong by the rows of a record; empty where none is. Where
+    what is left is `repeated` from sweep to sweep, with the words why.
+    """
     found = ", ".join(
         f"{size:.3g} times what is {'declared in' if record in declared else 'estimated from the rows of'} {record}"
         for record, size in noise.items()
     )
+    if found and repeated:
+        return (
+            f" The noise would be {found}, but part of what is left is none: it repeats from sweep to sweep{repeated}."
+        )
     return f" The noise is {found}: what is left there is white and depends on nothing." if found else ""

@@ -2,12 +2,22 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from scipy import special
+
+from memsgyro_jax.base.text import spoken
+from memsgyro_jax.measurement.experiments import Deviation
+from memsgyro_jax.measurement.experiments.rounded_frequency import MATTERS, rounding_error
 
 from .compare import judged
 from .fit import CaseFit
 from .misfit import check_all
+
+
+BY_CHANCE = 1e-3  # that noise alone repeats so
+ALIKE = 1e-9  # of a frequency, within which rows of several sweeps are at the same
 
 
 def wrong_noise(fit: CaseFit) -> Mapping[str, float]:
@@ -25,3 +35,42 @@ def wrong_noise(fit: CaseFit) -> Mapping[str, float]:
     ]
     still = {check.record for check in check_all(rescaled, comparison.level) if check.failed}
     return {record: size for record, size in sizes.items() if size > 1.0 and record not in still}
+
+
+def what_repeats(fit: CaseFit, noise: Mapping[str, float]) -> str:
+    """What is said where that which a fit leaves of records of such `noise` is much alike in several sweeps at the same
+    frequencies, as no noise is; empty where it is not, or no frequencies are the same.
+
+    By the analysis of variance of whitened rows, each record in units of its own size, between frequencies.
+    """
+    values, places, steps = [], [], []
+    sweeps: list[tuple[Any, Deviation]] = list(fit.deviations)
+    for record, deviation in sweeps:
+        if record.name in noise and hasattr(record, "setting"):
+            white = deviation.white[:, record.channels].reshape(record.rows, -1) / noise[record.name]
+            values.append(white)
+            places.append(np.round(np.log(record.frequency) / ALIKE) + 1e12 * record.axis)
+            hertz, read = record.frequency / (2.0 * np.pi), record.readings[:, record.channels]
+            step, error = rounding_error(hertz, read, record.sweeps)
+            steps.append(step if error > MATTERS * record.noise_level else 0.0)
+    if len({one.shape[1] for one in values}) != 1 or not _repeat(np.vstack(values), np.concatenate(places)):
+        return ""
+    if step := max(steps):
+        return f", as frequencies that are rounded to {spoken(step, 'Hz', 2)} make it"
+    return ": the frequencies are off, or something weak is missing"
+
+
+def _repeat(values: np.ndarray, place: np.ndarray) -> bool:
+    """Whether rows (n, k) at the same place are alike."""
+    seen = np.isfinite(values).all(axis=1)
+    _, number, size = np.unique(place[seen], return_inverse=True, return_counts=True)
+    several = size[number] > 1
+    values, number = values[seen][several], np.unique(number[several], return_inverse=True)[1]
+    rows, groups, parts = len(values), int(number.max(initial=-1)) + 1, values.shape[1]
+    if groups < 2:
+        return False
+    sums = np.stack([np.bincount(number, weights=part) for part in values.T], axis=1)
+    between = float(np.sum(sums**2 / np.bincount(number)[:, None]))
+    within = float(np.sum(values**2)) - between
+    free, left = parts * groups, parts * (rows - groups)
+    return within <= 0.0 or bool(special.fdtrc(free, left, between / free / (within / left)) <= BY_CHANCE)

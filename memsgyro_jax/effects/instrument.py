@@ -31,6 +31,7 @@ class SeenRows(NamedTuple):
         values: (n, axes) predicted readings [V].
         by_frequency, by_damping: (n, axes) their derivatives by the logarithm of all frequencies and of all dampings.
         force: (n,) command of the electrode that is driven [N].
+        frequency: (n,) of that command [rad/s]; zero where none is known.
         record, sweep, time: (n,) as in a `Moment`.
         ringing, turning: (n, axes) what is left of the row before, minus this one's readings, after its dwell, and the
             rate at which that goes on changing [V/s], negated; zero where rows have settled.
@@ -41,6 +42,7 @@ class SeenRows(NamedTuple):
     by_frequency: np.ndarray
     by_damping: np.ndarray
     force: np.ndarray
+    frequency: np.ndarray
     record: np.ndarray
     sweep: np.ndarray
     time: np.ndarray

@@ -106,6 +106,30 @@ class LockInFeedthrough(InstrumentTerm, LockInEffect):
         return _each_part(self.moved(seen))
 
 
+class CapacitiveFeedthrough(InstrumentTerm, LockInEffect):
+    """A phasor in proportion to the drive and to its frequency, as of the current through a capacitance beside the
+    device: V → V + s·ω·u, real and imaginary part of each channel. Zero: none.
+
+    It takes the place of `lock_in_feedthrough`, the same at all frequencies, where sweeps tell the two apart: over a
+    band a share b of the frequency they differ by b.
+    """
+
+    name, unit, law = "capacitive_feedthrough", "V·s/N", "V → V + s_k·ω·u"
+    in_proportion: ClassVar[bool] = True
+    parts: ClassVar[tuple[str, ...]] = _PARTS
+    strength: Array = strength((0.0,))
+    entry: Array = row_field((((0.0,),),))
+
+    def phasors(self, values: Complex[Array, " axes"], row: LockInRow) -> Complex[Array, " axes"]:
+        return values + _pairs(self.strength) * row.frequency * jnp.sum(row.force)
+
+    def moved(self, seen: SeenRows) -> np.ndarray:
+        return np.ones_like(seen.values) * (seen.frequency * seen.force)[:, None]
+
+    def slopes(self, seen: SeenRows) -> np.ndarray:
+        return _each_part(self.moved(seen))
+
+
 class LockInMemory(InstrumentTerm, LockInEffect):
     """The filter of the lock-in still shows the part s of the row before: V_n → V_n + s_k·(seen_{n−1} − V_n). Zero: it
     has settled. A filter with one time constant τ, read a dwell D after the step, has s = exp(−D/τ).
@@ -173,7 +197,7 @@ class LockInTime(InstrumentTerm, LockInEffect):
 
 TERMS: tuple[type[InstrumentTerm], ...] = (
     *(UnsettledRows, LockInTime, LockInMemory, ReferencePhase, LockInBackground, LockInFeedthrough),
-    *(DriveLevel, RecordGain, FrequencyOffset),
+    *(CapacitiveFeedthrough, DriveLevel, RecordGain, FrequencyOffset),
     *(FrequencyDrift, DampingDrift, GainDrift, PhaseDrift),
 )
 

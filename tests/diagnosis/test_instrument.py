@@ -17,7 +17,7 @@ from memsgyro_jax.diagnosis.acceptance import _impossible
 from memsgyro_jax.diagnosis.compare import compare
 from memsgyro_jax.diagnosis.diagnose import diagnose
 from memsgyro_jax.diagnosis.fit import beside_case, fit_case
-from memsgyro_jax.diagnosis.instrument import instrument_terms, knowledge
+from memsgyro_jax.diagnosis.instrument import beside_case_of, every_term, instrument_terms, knowledge
 from memsgyro_jax.diagnosis.joint_residual import Joint
 from memsgyro_jax.diagnosis.nuisances import _with_terms, add_terms, beside_terms
 from memsgyro_jax.diagnosis.optimum import Optimum
@@ -36,6 +36,8 @@ from memsgyro_jax.measurement.readings import model_of, readings_of
 
 CLOCK = 5.0  # s from row to row
 HIDDEN = Hidden()
+OMEGA = 2 * np.pi * 68.6
+WEAK = 0.012
 
 
 def slow(*case):
@@ -65,7 +67,7 @@ def numbers(search, label):
 @pytest.mark.parametrize("kind", TERMS, ids=lambda kind: kind.name)
 @pytest.mark.parametrize("axes", [1, 2])
 def test_a_term_keeps_the_promises_of_its_port(kind, axes):
-    size = 2 * axes if kind.name in ("lock_in_background", "lock_in_feedthrough") else 1
+    size = 2 * axes if kind.parts else 1
     term = kind(np.zeros(size), np.ones((1, 1, size)))
     assert complaint(term, axes) == ""
     assert term.of_instrument
@@ -151,6 +153,30 @@ def test_what_the_instrument_does_is_there_once_where_more_of_it_is_found():
     assert search.optimum.chi2 / search.optimum.dof < 1.7
 
 
+@pytest.mark.parametrize(
+    ("label", "size", "faults"),
+    [
+        slow("capacitive_feedthrough", 0.2 / OMEGA, {"capacitance": 0.2j / OMEGA}),
+        ("lock_in_feedthrough", 0.2, {"feedthrough": 0.2j}),
+        ("lock_in_feedthrough", WEAK, {"capacitance": 1j * WEAK / OMEGA}),  # too weak to tell how it grows
+    ],
+)
+def test_a_feedthrough_grows_with_the_frequency_where_the_sweeps_say_so(tmp_path, label, size, faults):
+    """A constant one beside a capacitive one moves the quality factor, and what it leaves passed for slow noise."""
+    case = case_of(**faults)
+    (term,) = [t for t in instrument_terms(case) if t.label == "lock_in_feedthrough"]
+    joint = Joint(model_of(case, starting_device(case)), readings_of(case))
+    search = start_search(case, joint, 0.05, (), lambda text: None)
+    found = beside_terms(_with_terms(search, [term]), search, ())
+    (place,) = found.given
+    assert found.joint.model.effects[place].label == label
+    mine = found.joint.of_effect(place)
+    std = found.optimum.std[np.isin(found.optimum.free, mine)]
+    assert np.all(np.abs(found.optimum.vector[mine] - [0.0, size]) < 4 * std)
+    again = read_model(write_model(found.joint.at(found.optimum.vector), tmp_path / "m.toml"))
+    assert beside_case_of(case, again).effects[0].label == label
+
+
 def test_a_model_that_was_found_explains_its_case_from_its_file(tmp_path):
     """With what the instrument does; beside a case with other rows it is refused."""
     case = case_of(phase=0.026)
@@ -171,7 +197,7 @@ def test_what_a_term_promises_is_what_a_program_derives(settled):
     whole = case_of(dwell=0.5)
     case = replace(whole, records=tuple(replace(r, settled=settled) if r.kind == "frequency_sweep" else r
                                         for r in whole.records))  # fmt: skip
-    terms = instrument_terms(case)
+    terms = every_term(case)
     model = model_of(case, starting_device(case)).with_effect(*terms)
     joint = Joint(model, readings_of(case))
     free = np.arange(joint.start.size)

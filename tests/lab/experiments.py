@@ -94,7 +94,7 @@ def _(experiment: Sweep, bench):
     conditions["pull"] = faults.pulled(len(f), bench.rng)
     given, shown = _transduced(bench.plant.hidden, known / lab.bias if experiment.condition == "bias" else 1.0)
     settled = shown * _sweep(bench, experiment, given * faults.force(force), 2 * np.pi * f, conditions)
-    clean = faults.lock_in(settled, experiment.name, force)
+    clean = faults.lock_in(settled, experiment.name, force, 2 * np.pi * f)
     settings = {"drive_axis": letter} if bench.plant.die.axes == 2 else {}
     if experiment.condition != "drive":
         settings["drive_force"] = (experiment.force / unit, drive_column[5:-1])

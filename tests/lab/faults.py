@@ -14,6 +14,7 @@ class Faults:
         phase: by which the lock-in's reference is turned [rad].
         gains: relative error of the gain by record name.
         background, feedthrough: phasor that is always there [V], and in proportion to the drive [V per unit of drive].
+        capacitance: likewise, and to its frequency besides [V s per unit of drive].
         pull: relative change of every frequency from the first to the last row, growing evenly.
         gain_drift, phase_drift: likewise of the gain, and of the reference [rad].
         dwell: time from row to row [s]; a clock is written where it is not zero.
@@ -35,6 +36,7 @@ class Faults:
     gains: tuple = ()
     background: complex = 0.0
     feedthrough: complex = 0.0
+    capacitance: complex = 0.0
     pull: float = 0.0
     gain_drift: float = 0.0
     phase_drift: float = 0.0
@@ -65,7 +67,7 @@ class Faults:
         shift = shift + self.wander * np.sin(3 * np.pi * np.linspace(0, 1, count))
         return shift - self.jitter * rng.standard_normal(count) if self.jitter else shift
 
-    def lock_in(self, clean, name, force):
+    def lock_in(self, clean, name, force, omega):
         """What the lock-in shows of settled phasors (rows, axes)."""
         along = np.linspace(-0.5, 0.5, len(clean))[:, None]
         gain = (1 + dict(self.gains).get(name, 0.0) + self.gain_drift * along) * np.exp(
@@ -75,7 +77,8 @@ class Faults:
         gain = gain * np.exp(1j * self.phase_jump * late[:, None])
         if self.lost_row:
             clean = np.where(late[:, None], np.append(clean[1:], clean[-1:], axis=0), clean)
-        seen = gain * clean + self.background + self.feedthrough * np.broadcast_to(force, len(clean))[:, None]
+        leak = (self.feedthrough + self.capacitance * omega) * np.broadcast_to(force, len(clean))
+        seen = gain * clean + self.background + leak[:, None]
         return self._filtered(seen) if self.filter_time else seen
 
     def _filtered(self, settled):

@@ -36,7 +36,7 @@ def fit_command(
     from memsgyro_jax.base.text import listed
     from memsgyro_jax.diagnosis.compare import beside_outlying, judged
     from memsgyro_jax.diagnosis.fit import fit_case
-    from memsgyro_jax.diagnosis.instrument import instrument_terms
+    from memsgyro_jax.diagnosis.instrument import every_term
     from memsgyro_jax.diagnosis.outlying import fit_without
     from memsgyro_jax.effects import catalogue, every_effect, load_effects
     from memsgyro_jax.measurement.calibration import units_of_records
@@ -50,7 +50,7 @@ def fit_command(
     require_writable(out, json)
     measured = load_demo_or(case, load_kinds(kinds) if kinds else ())
     own = load_effects(effects, measured.channels, as_written=True) if effects else ()
-    known = (*catalogue(measured.channels), *own, *instrument_terms(measured))
+    known = (*catalogue(measured.channels), *own, *every_term(measured))
     others = [e for e in every_effect(measured.channels) if e.label not in {one.label for one in known}]
     chosen = named_effects(add, known, others)
     with told() as tell:

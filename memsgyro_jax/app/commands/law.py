@@ -46,7 +46,7 @@ def law_command(
     from memsgyro_jax.diagnosis.backbone import backbone
     from memsgyro_jax.diagnosis.compare import judged
     from memsgyro_jax.diagnosis.fit import fit_case
-    from memsgyro_jax.diagnosis.instrument import instrument_terms
+    from memsgyro_jax.diagnosis.instrument import every_term
     from memsgyro_jax.diagnosis.law import draw_law
     from memsgyro_jax.diagnosis.law_fit import beside_known, fit_law, with_even_part, with_held_terms
     from memsgyro_jax.effects import catalogue
@@ -66,7 +66,7 @@ def law_command(
     measured, number = load_demo_or(case, load_kinds(kinds) if kinds else ()), "xy".index(axis)
     if number >= measured.channels:
         raise InputError(f"Option `--axis` must be x for a device of one axis, but is {axis}.")
-    chosen = named_effects(add, (*catalogue(measured.channels), *instrument_terms(measured))) if add else ()
+    chosen = named_effects(add, (*catalogue(measured.channels), *every_term(measured))) if add else ()
     before = fit_case(measured)
     beside = beside_known(measured, chosen) if chosen or len(clear_drives(measured)) > 1 else before
     curve, law = backbone(beside, number), draw_law(beside, number, terms=terms, spline=spline)

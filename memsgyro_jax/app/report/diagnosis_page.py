@@ -160,7 +160,9 @@ def _errors(out: Page, diagnosis: Diagnosis) -> None:
     ]
     header = ["experiment", "rows", "readings", "base model", "final model", "noise alone below", "explained"]
     out.table(header, rows, "Root mean square of the deviation over the noise; 1 is the noise floor.")
-    comparison = judged(diagnosis.final)
+    comparison = judged(diagnosis.final).without(diagnosis.noise)
+    if not comparison.checks:
+        return
     out.text(comparison.beside_size or f"{comparison.verdict.rstrip(':.')}.")
     for failure in comparison.failures:
         out.text(failure)

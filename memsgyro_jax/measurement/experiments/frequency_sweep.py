@@ -23,6 +23,7 @@ from .deviation import Deviation, Known, Overlay, Series, Variable, View, around
 from .harmonic_sweep import HarmonicSweep
 from .missing_force import SweepForce
 from .record import AbstractRecord, Watched
+from .rounded_frequency import rounded_frequencies
 from .sheet import Sheet
 from .sweep_coverage import hasty, peaks_not_seen, place_in_band, swept_elsewhere, weak_sweeps
 from .sweep_layout import halves, joined_rows
@@ -267,6 +268,7 @@ class FrequencySweepRecord(AbstractRecord):
         peaks, noise = [self._peak(rows) for rows in self.sweeps], self.noise_std or self.estimated_noise()
         found += weak_sweeps(self.file, [self.lines[rows] for rows in self.sweeps], peaks, noise)
         found += scattered(self.file, self.thermometer)
+        found += rounded_frequencies(self.file, hertz, read, self.sweeps, noise, declared.readout.unit)
         return found + hasty(self.file, self.time if self.settled else None, declared.shortest_decay)
 
     # ---- misfit and overlay

@@ -121,6 +121,8 @@ def test_finer_tests_do_not_contradict_the_verdict(diagnosis, monkeypatch):
     assert said not in str(diagnosis)
     monkeypatch.setattr("memsgyro_jax.diagnosis.result.judged", lambda fit: wrong)
     assert said in str(diagnosis)
+    slow = dict.fromkeys((check.record for check in wrong.checks), "its noise is slow")
+    assert "finer tests" not in str(replace(diagnosis, noise=slow))  # these tests fail as the noise is not white
 
 
 def test_a_fall_to_half_is_labelled():

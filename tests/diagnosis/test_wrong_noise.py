@@ -1,0 +1,53 @@
+"""Noise of another size than declared, and what repeats from sweep to sweep, which is none."""
+
+import numpy as np
+import pytest
+
+from memsgyro_jax.diagnosis.fit import fit_case
+from memsgyro_jax.diagnosis.sentence import of_noise
+from memsgyro_jax.diagnosis.wrong_noise import what_repeats, wrong_noise
+from memsgyro_jax.measurement.case import load_case
+
+
+F0, Q, NOISE = 13999.74, 1e4, 9e-4
+CASE = """schema = "memsgyro-case/1"
+name = "few"
+device = "resonator"
+[readout]
+quantity = "displacement"
+"""
+RECORD = """[[experiment]]
+name = "at_{level}mV"
+kind = "frequency_sweep"
+file = "at_{level}mV.csv"
+settled = true
+noise_std = {{ value = 0.3, unit = "mV" }}
+drive_force = {{ value = {level}, unit = "mV" }}
+drive_axis = "x"
+"""
+
+
+def few_rows(folder, digits, seed=0):
+    """Sweeps of twelve rows at three levels, of a linear device; noise three times what is declared."""
+    levels, rng = (20, 60, 150), np.random.default_rng(seed)
+    (folder / "case.toml").write_text(CASE + "".join(RECORD.format(level=level) for level in levels))
+    hertz = np.linspace(13996.0, 14004.0, 12)
+    for level in levels:
+        seen = 12.2e-7 * level / (1 - (hertz / F0) ** 2 + 1j * hertz / F0 / Q)
+        seen = seen + NOISE * (rng.standard_normal(12) + 1j * rng.standard_normal(12))
+        rows = [f"{f:.{digits}f},{v.real!r},{v.imag!r}" for f, v in zip(hertz, seen.tolist(), strict=True)]
+        (folder / f"at_{level}mV.csv").write_text("\n".join(["f [Hz],Vx_I [V],Vx_Q [V]", *rows]))
+    return load_case(folder)
+
+
+@pytest.mark.parametrize(("digits", "words"), [(2, "rounded to 10 mHz"), (8, "")])
+def test_what_rounded_frequencies_leave_repeats_and_is_no_noise(tmp_path, digits, words):
+    fit = fit_case(few_rows(tmp_path, digits))
+    noise = wrong_noise(fit)
+    assert noise
+    again = what_repeats(fit, noise)
+    assert words in again
+    assert bool(again) == bool(words)
+    said = of_noise(noise, set(noise), again)
+    assert ("depends on nothing" in said) != bool(words)
+    assert ("repeats from sweep to sweep" in said) == bool(words)
