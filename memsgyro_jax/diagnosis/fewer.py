@@ -72,10 +72,12 @@ def as_a_capacitance(search: Search) -> None:
     does: a wrong one moves the quality factor, and what it leaves passes for slow noise.
     """
     joint, fit = search.joint, search.steps[-1].fit
+    # Where more is missing, what the two differ by may stand for that.
+    least = CONFUSED * max(1.0, search.optimum.chi2 / search.optimum.dof)
     for place, term in [one for one in _terms(search) if isinstance(one[1], LockInFeedthrough)]:
         (twin,) = [t for t in every_term(search.case) if isinstance(t, CapacitiveFeedthrough)]
         # To the first order and beside the other, before a program of its own is made.
-        if promised(search.optimum, offers_of(fit, [twin]), SHARE * search.level).gain < CONFUSED:
+        if promised(search.optimum, offers_of(fit, [twin]), SHARE * search.level).gain < least:
             continue
         model = joint.at(search.optimum.vector)
         middle = np.median(np.concatenate([np.ravel(getattr(r.experiment, "frequency", [])) for r in joint.fitted]))
@@ -83,7 +85,7 @@ def as_a_capacitance(search: Search) -> None:
         effects = [twin if i == place else effect for i, effect in enumerate(model.effects)]
         whole = Joint(model.with_only(effects), joint.readings, joint.programs)
         optimum = optimise(whole, whole.start, always_free(whole, (*search.given, *search.accepted)), whole.fitted)
-        if optimum.chi2 > search.optimum.chi2 - CONFUSED:
+        if optimum.chi2 > search.optimum.chi2 - least:
             continue
         said = f"{twin.label} in place of {term.label}"
         fit = beside_case(search.case, whole, optimum)
