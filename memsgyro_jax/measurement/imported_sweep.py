@@ -19,6 +19,7 @@ from .imported_columns import (
     time_column,
     with_usual_unit,
 )
+from .outliers import lone_rows
 from .two_channels import said_of_channels
 
 
@@ -145,8 +146,9 @@ def _conventions(columns: dict[str, SourceColumn], table: SourceTable, axis: str
     known = known or table.attributes.get("reads", "")
     if f"{own}_I" not in columns and f"{own}_phase" not in columns:
         return known
-    phasors = phasors_of(columns, axis)
-    frequency = columns["f"].values
+    phasors, frequency = phasors_of(columns, axis), np.asarray(columns["f"].values, float)
+    kept = ~_lone(frequency, phasors)
+    phasors, frequency = phasors[kept], frequency[kept]
     turn = phasors[1:] * phasors[:-1].conj()
     if np.sum(np.sign(np.diff(frequency)) * turn.imag) > 0.2 * np.sum(np.abs(turn.imag)):
         for second in [name for name in columns if name.endswith(("_Q", "_phase"))]:
@@ -169,6 +171,15 @@ def _conventions(columns: dict[str, SourceColumn], table: SourceTable, axis: str
     about = f"about {whole}°" if abs(angle - whole) <= _NEAR else f"{angle:.0f}°, nearest to {nearest}"
     assumed.append(f"the read-out shows {quantity}: at resonance its phase is {about}")
     return quantity
+
+
+def _lone(frequency: np.ndarray, phasors: np.ndarray) -> np.ndarray:
+    """Which rows (n,) stand alone among their neighbours, up or down the band: a wrong one may be the largest."""
+    found = np.zeros(len(phasors), bool)
+    ways = np.sign(np.diff(frequency, prepend=frequency[0]))
+    for rows in np.split(np.arange(len(phasors)), 1 + np.flatnonzero(np.diff(ways[1:])) + 1):
+        found[[rows[row] for row, _ in lone_rows(frequency[rows], phasors[rows], 0.0)]] = True
+    return found
 
 
 def read_as(unit: str) -> str:

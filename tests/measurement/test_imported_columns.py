@@ -102,3 +102,20 @@ def test_the_only_waveform_and_two_that_belong_together_are_no_bias(tmp_path):
     np.testing.assert_allclose(found.case.records[0].signals[:, 0], values, atol=1e-8)
     with pytest.raises(mg.InputError, match=r"more than one column may be the signal: `Va \[V\]`, `Vb \[V\]`"):
         mg.import_case([wrote(tmp_path / "b.csv", "t [s],Va [V],Vb [V]", time, values, values)], tmp_path / "two")
+
+
+@pytest.mark.parametrize("row", [7, 38])
+def test_a_wrong_row_above_the_resonance_neither_stops_a_sweep_nor_tells_what_is_read(row, tmp_path):
+    """One reading of 3.5 times the peak: the phase falls across the resonance all the same."""
+    f = np.linspace(990.0, 1010.0, 61)
+    z = 1000.0 / (1000.0**2 - f**2 + 1j * f) + 1e-3 * np.random.default_rng(2).normal(size=(61, 2)) @ [1, 1j]
+    z[row] = 3.5 * np.abs(z).max() * np.exp(0.3j)
+    path = tmp_path / "sweep_50mV.csv"
+    rows = (f"{a},{b.real},{b.imag}" for a, b in zip(f, z, strict=True))
+    path.write_text("\n".join(["f [Hz],X [V],Y [V]", *rows]) + "\n")
+    found = mg.import_case([path], tmp_path / "case")
+    assert "the read-out shows displacement: at resonance its phase is about -90°" in str(found)
+    assert f"line {row + 2}: channel x lies" in str(mg.assess(found.case))
+    path.write_text("\n".join(["f [Hz],Y [V],X [V]", *(f"{a},{b.real},{b.imag}" for a, b in zip(f, z, strict=True))]))
+    mapped = "f=f [Hz],x_I=Y [V],x_Q=X [V]"
+    assert mg.import_case([path], tmp_path / "swapped", columns=mapped).case.records
