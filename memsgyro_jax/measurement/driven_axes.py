@@ -59,7 +59,7 @@ def _louder(record: ImportedRecord) -> str:
         axis: max(
             float(np.max(np.abs(v)))
             for name, v in record.columns.items()
-            if name.startswith((f"V{axis}_I", f"V{axis}_Q", f"V{axis}_amp"))
+            if name.startswith((f"V{axis} ", f"V{axis}_I", f"V{axis}_Q", f"V{axis}_amp"))
         )
         for axis in "xy"
     }

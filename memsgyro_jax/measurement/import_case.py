@@ -20,7 +20,8 @@ from memsgyro_jax.base.text import listed
 from .case import Case, load_case
 from .case.file import FILE
 from .case_of_records import csv_of_record, toml_of_records
-from .column_meaning import meaning_of, parse_map
+from .column_map import parse_map
+from .column_meaning import meaning_of
 from .condition_hints import hints
 from .demodulators import demodulators_joined
 from .driven_axes import axes_of_files, require_axes
@@ -119,9 +120,10 @@ def import_case(
         paths: of the files.
         folder: of the case; made where it does not exist.
         columns: ``"f=Frequency (Hz),x_I=X [V],..."``, role to column, where names do not tell. Roles: f, t, x_I, x_Q,
-            x_amp, x_phase, x, F_x, u_x, T, V_bias, rate, and of a second channel y_I, y_Q, y_amp, y_phase, y, F_y; a
-            unit overrides the file's, and a factor may stand before the name, ``t=1e-3*count [s]``. Columns that are
-            not named are not used. One for all files, or a list with one for each, ``"-"`` where the names tell.
+            x_amp, x_phase, x, F_x, u_x, T, V_bias, rate, and of a second channel y_I, y_Q, y_amp, y_phase, y, F_y (over
+            time beside F_x); a unit overrides the file's, and a factor may stand before the name,
+            ``t=1e-3*count [s]``. Columns that are not named are not used. One for all files, or a list with one for
+            each, ``"-"`` where the names tell.
         drive: level with its unit where no column has it, like ``"20 mV"``: one for all files, one for each, or one for
             each that needs it; ``"-"`` stands for a file that needs none.
         axis: ``"x"`` or ``"y"``, which of two axes was driven, one for all files or one for each, where neither a

@@ -145,7 +145,8 @@ def test_columns_that_may_be_more_than_two_channels_are_named_with_a_map_to_copy
         ({"axis": ["x", "y"]}, "`--axis` must be given once or for each of 3 files, but has 2"),
         ({"columns": "f=Frequency,x_I=X1,x_Q=Y1", "axis": ["x"]}, "`--axis` must be left out"),
         ({"columns": "f=Frequency,x_I=X1,x_Q=Y1,y_I=X2"}, "the two channels do not have the same parts.*y_Q=Y2"),
-        ({"columns": "f=Frequency,x_I=X1,x_Q=Y1,F_x=X2,F_y=Y2"}, "must name each role once"),
+        ({"columns": "f=Frequency,x_I=X1,x_Q=Y1,F_x=X2,F_y=Y2"}, "must name one drive, as a sweep drives one axis"),
+        ({"columns": "f=Frequency,x_I=X1,x_Q=Y1,F_x=X2,drive=Y2"}, "must name each role once"),
     ],
 )
 def test_what_does_not_fit_two_channels_is_one_sentence(options, what, files, tmp_path):
