@@ -10,6 +10,18 @@ from memsgyro_jax.base.text import listed
 
 from .imported_conditions import for_each_file
 from .imported_record import ImportedRecord
+from .two_channels import axis_in_name
+
+
+_OF_A_DRIVE = ("frequency_sweep", "rate_table", "operating_points")  # kinds of record that drive one axis
+
+
+ONE_CHANNEL = (
+    "one channel tells nothing of the other axis by itself: to have a device of two axes all the same, import without "
+    '`--axis`, then set `device = "single_mass"`, `drive_axis` of each sweep and, of the axis that was not read, its k '
+    "and d (or frequency and quality_factor) with kxy and dxy under `[design]` in case.toml"
+)
+"""What to do where two axes were driven and one was read."""
 
 
 def axes_of_files(given: Sequence[str], files: int) -> list[str]:
@@ -32,7 +44,8 @@ def require_axes(paths: Sequence[str | Path], found: Sequence[Sequence[ImportedR
     one = [path for path, some in zip(paths, found, strict=True) if not all(record.two_axes for record in some)]
     if given and not two:
         raise InputError(
-            "Option `--axis` must be left out, as no file has two channels (`--map` with y_I, y_Q names one)."
+            "Option `--axis` must be left out, as no file has two channels (`--map` with y_I, y_Q names one). "
+            f"{ONE_CHANNEL[0].upper()}{ONE_CHANNEL[1:]}."
         )
     if two and one:
         raise InputError(
@@ -51,6 +64,16 @@ def require_axes(paths: Sequence[str | Path], found: Sequence[Sequence[ImportedR
             f"{names}: with two channels the driven axis must be known, but neither a column F_x or F_y nor the file's "
             f"name says it; give it for each file, as in --axis {words} (by the larger channel)."
         )
+
+
+def hint_of_axes(paths: Sequence[Path], found: Sequence[Sequence[ImportedRecord]]) -> tuple[str, ...]:
+    """A sentence where names of files of one channel say that both axes were driven: they become sweeps of one axis."""
+    names = [path.stem for path, some in zip(paths, found, strict=True) if any(r.kind in _OF_A_DRIVE for r in some)]
+    told = [axis_in_name(name) for name in names]
+    if any(record.two_axes for some in found for record in some) or {*told} != {"x", "y"}:
+        return ()
+    said = "the files' names say that x and y were driven, but each has one channel, and all are taken for one axis"
+    return (f"{said}; {ONE_CHANNEL}",)
 
 
 def _louder(record: ImportedRecord) -> str:

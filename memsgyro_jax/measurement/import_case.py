@@ -24,7 +24,7 @@ from .column_map import parse_map
 from .column_meaning import meaning_of
 from .condition_hints import hints
 from .demodulators import demodulators_joined
-from .driven_axes import axes_of_files, require_axes
+from .driven_axes import axes_of_files, hint_of_axes, require_axes
 from .formats import SourceTable, read_instrument_file
 from .imported_conditions import conditions_of_files, for_each_file
 from .imported_record import Given, ImportedRecord, records_of
@@ -54,7 +54,7 @@ class ImportedCase(Shown):
         records: where each experiment comes from, and what was assumed of it.
         unused: drive levels that no record needs, each with its file, and files whose rows another has.
         warning: that several files were given one drive level, as none has its own, and what to do; empty otherwise.
-        hints: conditions that only the names of files tell, each with the option that says them.
+        hints: conditions and axes that only the names of files tell, each with what says them.
     """
 
     case: Case
@@ -185,7 +185,7 @@ def import_case(
     again += ["--axis", *axis] if axis else []
     left = [some if needs else [] for some, needs in zip(found, needing, strict=True)]
     warning = _warning(names, left, levels, shlex.join(again))
-    hinted = hints(files, found, {"V_bias": bias, "T": temperature})
+    hinted = (*hints(files, found, {"V_bias": bias, "T": temperature}), *hint_of_axes(files, found))
     return ImportedCase(case, tuple(form for form, _ in read), tuple(records), (*unused, *copies), warning, hinted)
 
 

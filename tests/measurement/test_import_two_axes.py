@@ -270,3 +270,37 @@ def test_options_for_each_file_hold_for_the_pair(tmp_path):
     assert len(found.case.records) == 1
     with pytest.raises(InputError, match="`--axis` must say the same of two files"):
         mg.import_case(files, tmp_path / "other", axis=["x", "y"], drive=["20 mV"])
+
+
+def test_two_driven_axes_of_which_one_was_read_are_led_to_a_case(tmp_path):
+    """What `import` makes of them, the words of its hint, and what `[design]` must then give."""
+    paths = []
+    for axis in "xy":
+        z, path = moved(axis), tmp_path / f"drive_{axis}_10mV.csv"
+        rows = (f"{f:.9g},{a.real:.9g},{a.imag:.9g}" for f, a in zip(FREQUENCY, z[:, 0], strict=True))
+        path.write_text("\n".join(["f [Hz],Vx_I [V],Vx_Q [V]", *rows]) + "\n")
+        paths.append(path)
+    with pytest.raises(mg.InputError, match=r"must be left out.*set `device = .single_mass.`, `drive_axis`"):
+        mg.import_case(paths, tmp_path / "case", axis=["x", "y"])
+    found = mg.import_case(paths, tmp_path / "case")
+    assert "Hint: the files' names say that x and y were driven, but each has one channel" in str(found)
+    file = tmp_path / "case" / "case.toml"
+    text = file.read_text().replace('device = "resonator"', 'device = "single_mass"')
+    first, second = text.split("# from drive_y")
+    text = first + "# from drive_y" + second.replace('drive_axis = "x"', 'drive_axis = "y"')
+    file.write_text(text)
+    with pytest.raises(mg.InputError) as told:
+        mg.load_case(tmp_path / "case")
+    missing = "must give kyy, kxy, dyy, dxy (kyy and dyy also as frequency_y and quality_factor_y), as no sweep that"
+    assert f"{missing} may be fitted reads channel y; the records tell mass, kxx, dxx." in str(told.value)
+    given = """[design]
+frequency_y = { value = 8200, unit = "Hz", tolerance = 0.001 }
+quality_factor_y = { value = 330, unit = "1", tolerance = 0.3 }
+kxy = { low = -1e-6, high = 1e-6, unit = "N/m" }
+dxy = { low = -1e-6, high = 1e-6, unit = "N*s/m" }
+"""
+    file.write_text(text.replace("[design]\n", given))
+    design = mg.load_case(tmp_path / "case").design
+    hertz = np.sqrt(design["kxx"].value / design["mass"].value) / (2 * np.pi)
+    assert hertz == pytest.approx(8000.0, rel=1e-3)
+    assert design["mass"].value == pytest.approx(1e-2 / (4 * np.pi**2 * 1e6), rel=0.05)  # of 10 mV
