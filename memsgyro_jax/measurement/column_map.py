@@ -10,8 +10,8 @@ from .formats import SourceColumn, SourceTable
 from .formats.header import split_header
 
 
-ROLES = ("t", "f", "I", "Q", "amp", "phase", "signal", "drive", "T", "V_bias", "rate")
-"""Time, frequency, parts of a phasor, amplitude and phase of it, a waveform, what drives, conditions."""
+ROLES = ("t", "f", "I", "Q", "amp", "phase", "signal", "drive", "T", "V_bias", "rate", "std")
+"""Time, frequency, parts of a phasor, amplitude and phase of it, a waveform, what drives, conditions, noise."""
 SECOND_DRIVE = "y_drive"
 """What drives the second axis while another column drives the first, over time."""
 SECOND = ("y_I", "y_Q", "y_amp", "y_phase", "y_signal")

@@ -35,6 +35,8 @@ _DC_VOLTAGE = re.compile(  # whole names: a reading or a drive may have a part o
     r"( (set ?point|set|source|supply|level))?"
 )
 _TURN_RATE = re.compile(r"^(rate|angular rate|turn rate|table rate|rate table|omega z?|ω)$")
+NOISE = {"std": "std", "vx std": "x_std", "x std": "x_std", "vy std": "y_std", "y std": "y_std"}
+"""Whole names of the standard deviation of each row, of all channels or of one."""
 _DIMENSIONS = {"f": "Hz", "t": "s", "T": "K", "phase": "rad"}
 
 
@@ -125,7 +127,11 @@ def _said(table: SourceTable, said: Mapping[str, str]) -> tuple[dict[str, Source
 def role_of(column: SourceColumn) -> str:
     """What a column is by its unit and name; empty for what no record needs."""
     name = plain_words(column.name)
-    if column.values.dtype.kind not in "iuf" or not np.isfinite(column.values).any() or _UNUSED.search(name):
+    if column.values.dtype.kind not in "iuf" or not np.isfinite(column.values).any():
+        return ""
+    if name in NOISE:
+        return NOISE[name]
+    if _UNUSED.search(name):
         return ""
     for role in ("f", "t", "T", "phase"):
         if column.unit and is_same_kind(column.unit, _DIMENSIONS[role]) and not (role == "phase" and "rate" in name):

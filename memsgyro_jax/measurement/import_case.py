@@ -120,8 +120,8 @@ def import_case(
         paths: of the files.
         folder: of the case; made where it does not exist.
         columns: ``"f=Frequency (Hz),x_I=X [V],..."``, role to column, where names do not tell. Roles: f, t, x_I, x_Q,
-            x_amp, x_phase, x, F_x, u_x, T, V_bias, rate, and of a second channel y_I, y_Q, y_amp, y_phase, y, F_y (over
-            time beside F_x); a unit overrides the file's, and a factor may stand before the name,
+            x_amp, x_phase, x, F_x, u_x, T, V_bias, rate, std, and of a second channel y_I, y_Q, y_amp, y_phase, y, F_y
+            (over time beside F_x); a unit overrides the file's, and a factor may stand before the name,
             ``t=1e-3*count [s]``. Columns that are not named are not used. One for all files, or a list with one for
             each, ``"-"`` where the names tell.
         drive: level with its unit where no column has it, like ``"20 mV"``: one for all files, one for each, or one for

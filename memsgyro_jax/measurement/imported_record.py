@@ -15,6 +15,7 @@ from .column_meaning import Meaning
 from .experiments.time_record import RING_TIMES
 from .formats import SourceColumn, SourceTable
 from .imported_columns import (
+    NOISE_COLUMNS,
     add_surroundings,
     cut_column,
     from_effective,
@@ -38,6 +39,7 @@ _MADE_OF: dict[str, set[str]] = {  # columns of a case and keys of its sections 
     **{role: {role} for role in ("t", "T", "V_bias", "rate")},
     "f": {"f", "reference_frequency", "drive_frequency"},
     "signal": {"Vx"},
+    **{role: {name} for role, name in NOISE_COLUMNS.items()},
     "y_signal": {"Vy"},
     "drive": {"F_x", "F_y", "u_x", "u_y", "drive_force"},
     SECOND_DRIVE: {"F_y", "u_y"},
@@ -137,8 +139,9 @@ def _naming_unused(records: list[ImportedRecord], meaning: Meaning) -> list[Impo
 
 
 def _finite(table: SourceTable, meaning: Meaning, assumed: list[str]) -> dict[str, SourceColumn]:
-    """The columns in rows that have every number and are no copies."""
-    kept = np.all([np.isfinite(column.values) for column in meaning.columns.values()], axis=0)
+    """The columns in rows that have every number, but for that of their noise, and are no copies."""
+    every = [column.values for role, column in meaning.columns.items() if role not in NOISE_COLUMNS]
+    kept = np.all([np.isfinite(values) for values in every], axis=0)
     if not kept.all():
         assumed.append(f"{(~kept).sum()} rows without a number are left out")
     values = np.stack([np.asarray(column.values, float)[kept] for column in meaning.columns.values()], axis=1)

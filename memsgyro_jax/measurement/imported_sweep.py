@@ -12,6 +12,7 @@ from memsgyro_jax.base.units import to_si
 from .file_names import without_bias
 from .formats import SourceColumn, SourceTable
 from .imported_columns import (
+    add_noise,
     add_surroundings,
     angle_column,
     is_same_kind,
@@ -71,6 +72,8 @@ def columns_of_sweep(
         columns[f"F_{axis or 'x'}"] = reading_column(rows["drive"], assumed, "drive")
     else:
         keys["drive_force"] = level_of(table, drive, assumed)
+    if not is_ratio(table) and not any(rows[role].unit == "dB" for role in ("amp", "y_amp") if role in rows):
+        add_noise(columns, rows, columns[next(name for name in columns if name.startswith("V"))].unit, assumed)
     _by_drive(columns, keys, rows, assumed)
     add_surroundings(columns, rows)
     return columns, keys, quantity

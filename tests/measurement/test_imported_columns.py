@@ -119,3 +119,27 @@ def test_a_wrong_row_above_the_resonance_neither_stops_a_sweep_nor_tells_what_is
     path.write_text("\n".join(["f [Hz],Y [V],X [V]", *(f"{a},{b.real},{b.imag}" for a, b in zip(f, z, strict=True))]))
     mapped = "f=f [Hz],x_I=Y [V],x_Q=X [V]"
     assert mg.import_case([path], tmp_path / "swapped", columns=mapped).case.records
+
+
+@pytest.mark.parametrize("name", ["std [mV]", "Vx_std [mV]"])
+def test_the_noise_of_each_row_is_taken(name, tmp_path):
+    size = 0.1 + 0.05 * np.arange(F.size) / F.size
+    path = wrote(tmp_path / "sweep_10mV.csv", f"f [Hz],X [V],Y [V],{name}", F, Z.real, Z.imag, size)
+    found = mg.import_case([path], tmp_path / "case")
+    (record,) = found.case.records
+    np.testing.assert_allclose(record.noise_of_rows[:, 0], 1e-3 * size, rtol=1e-6)
+    assert "is the standard deviation of each row" in str(found)
+    assert "Not used" not in str(found)
+    effective = mg.import_case([path], tmp_path / "rms", rms=True)
+    np.testing.assert_allclose(effective.case.records[0].noise_of_rows[:, 0], 2**0.5 * 1e-3 * size, rtol=1e-6)
+
+
+@pytest.mark.parametrize("wrong", [0.0, np.nan])
+@pytest.mark.parametrize("unit", ["V", "K"])
+def test_what_is_no_noise_of_each_row_is_left_out_and_said(wrong, unit, tmp_path):
+    size = np.where(np.arange(F.size) == 3, wrong, 1e-4)
+    path = wrote(tmp_path / "sweep_10mV.csv", f"f [Hz],X [V],Y [V],std [{unit}]", F, Z.real, Z.imag, size)
+    found = mg.import_case([path], tmp_path / "case")
+    (record,) = found.case.records
+    assert (record.noise_rows, record.rows) == (None, F.size)
+    assert "`std` is left out, as it is no positive noise of each row in V" in str(found)
