@@ -25,11 +25,13 @@ ONE_CHANNEL = (
 
 
 def axes_of_files(given: Sequence[str], files: int) -> list[str]:
-    """The axis of each file, empty where none was given; raises `InputError` for another word or number of them."""
+    """The axis of each file, empty where none was given, or "-"; raises `InputError` for another word or number of
+    them.
+    """
     axes = [text.strip().lower() for text in given]
-    if wrong := [text for text, axis in zip(given, axes, strict=True) if axis not in ("x", "y")]:
-        raise InputError(f"Option `--axis` must be x or y, but is `{wrong[0]}`.")
-    return for_each_file("--axis", axes, files)
+    if wrong := [text for text, axis in zip(given, axes, strict=True) if axis not in ("x", "y", "-")]:
+        raise InputError(f"Option `--axis` must be x or y (`-` for a file that says it), but is `{wrong[0]}`.")
+    return ["" if axis == "-" else axis for axis in for_each_file("--axis", axes, files, "that says it, or has none")]
 
 
 def require_axes(paths: Sequence[str | Path], found: Sequence[Sequence[ImportedRecord]], given: Sequence[str]) -> None:

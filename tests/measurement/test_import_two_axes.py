@@ -141,8 +141,8 @@ def test_columns_that_may_be_more_than_two_channels_are_named_with_a_map_to_copy
 @pytest.mark.parametrize(
     ("options", "what"),
     [
-        ({"axis": ["z"]}, "`--axis` must be x or y, but is `z`"),
-        ({"axis": ["x", "y"]}, "`--axis` must be given once or for each of 3 files, but has 2"),
+        ({"axis": ["z"]}, "`--axis` must be x or y .*, but is `z`"),
+        ({"axis": ["x", "y"]}, "`--axis` must be given once or for each of 3 files .*, but has 2"),
         ({"columns": "f=Frequency,x_I=X1,x_Q=Y1", "axis": ["x"]}, "`--axis` must be left out"),
         ({"columns": "f=Frequency,x_I=X1,x_Q=Y1,y_I=X2"}, "the two channels do not have the same parts.*y_Q=Y2"),
         ({"columns": "f=Frequency,x_I=X1,x_Q=Y1,F_x=X2,F_y=Y2"}, "must name one drive, as a sweep drives one axis"),
@@ -304,3 +304,10 @@ dxy = { low = -1e-6, high = 1e-6, unit = "N*s/m" }
     hertz = np.sqrt(design["kxx"].value / design["mass"].value) / (2 * np.pi)
     assert hertz == pytest.approx(8000.0, rel=1e-3)
     assert design["mass"].value == pytest.approx(1e-2 / (4 * np.pi**2 * 1e6), rel=0.05)  # of 10 mV
+
+
+def test_a_file_that_says_its_axis_needs_no_option(tmp_path):
+    paths = [wrote(tmp_path / "drive_x_10mV.csv", "x"), wrote(tmp_path / "run2_10mV.csv", "y")]
+    found = mg.import_case(paths, tmp_path / "case", axis=["-", "y"])
+    assert [record.axis for record in found.case.records] == [0, 1]
+    assert "x is driven, as the file's name says" in str(found)
