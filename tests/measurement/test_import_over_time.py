@@ -1,5 +1,7 @@
 """What a lock-in with two demodulators records over time becomes a free decay of two axes, or a rate table."""
 
+import re
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -211,3 +213,33 @@ def test_the_driven_axis_of_two_waveforms_is_asked_for(tmp_path):
     path, _ = driven(tmp_path / "loop.csv", "t [s],drive [V],sigma [V],Vx [V],Vy [V]", keep=5)
     with pytest.raises(InputError, match=r"driven axis must be known.*--axis [xy] "):
         mg.import_case([path], tmp_path / "case")
+
+
+def test_a_decay_alone_whose_calibration_is_declared_is_led_to_a_case(tmp_path):
+    """The comment that `import` writes, step by step: a gain in volts had stood in the way, and a mass was refused."""
+    time = np.arange(4000) * 2e-5
+    wave = 0.2 * np.exp(-40.0 * time) * np.cos(2 * np.pi * 8050.0 * time)
+    wave += 1e-5 * np.random.default_rng(3).normal(size=4000)
+    path, file = tmp_path / "ring.csv", tmp_path / "case" / "case.toml"
+    path.write_text("\n".join(["Time (s),Vx [V]", *(f"{t:.9g},{v:.12g}" for t, v in zip(time, wave, strict=True))]))
+    case = mg.import_case([path], tmp_path / "case").case
+    assert case.design["quality_factor"].value == pytest.approx(np.pi * 8050.0 / 40.0, rel=0.01)
+    text = file.read_text()
+    (mass,) = re.findall(r"mass = \{.*?\}", text)
+    massive = text.replace("[design]\n", f"[design]\n{mass}\n", 1)
+    file.write_text(massive)
+    with pytest.raises(
+        InputError, match=r"`scale` under `\[readout\]`, and its drive a force, by `\[drive\]` with `unit"
+    ):
+        load_case(tmp_path / "case")
+    (scale,) = re.findall(r"scale = \{.*?\}", text)
+    file.write_text(massive.replace("[readout]\n", f'[drive]\nunit = "N"\n[readout]\n{scale}\n', 1))
+    assert load_case(tmp_path / "case").design["static_gain"].value == pytest.approx(
+        1.0 / (1e-9 * (2 * np.pi * 8050.0) ** 2), rel=1e-3
+    )
+    gain = 'static_gain = { value = 1.0, tolerance = 0.5, unit = "mV/V" }'
+    file.write_text(
+        text.replace("[design]\n", f"[design]\n{gain}\n", 1).replace("[readout]\n", f"[readout]\n{scale}\n", 1)
+    )
+    with pytest.raises(InputError, match=r"displacements are lengths; a gain that nothing needs is left out"):
+        load_case(tmp_path / "case")

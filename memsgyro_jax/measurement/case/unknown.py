@@ -133,12 +133,19 @@ def _all_of(alone: dict[str, float], open_: list[str], path: Path) -> dict[str, 
 
 
 def _left_alone(case: Case) -> NormalisedDevice | None:
-    """A device of one axis whose free vibration is all that was seen; of its gain nothing is known."""
-    heard = [modes for record in case.records if (modes := record.free_modes(case)) is not None]
-    if not heard or case.channels > 1:
+    """A device of one axis whose free vibration is all that was seen, or its design where not even that is; of its gain
+    nothing is known.
+    """
+    if case.channels > 1:
         return None
-    _, omega, decay = max(modes[0] for modes in heard)
-    return NormalisedDevice([omega**2], [2.0 * decay], omega**2) if decay > 0 else None
+    heard = [modes[0] for record in case.records if (modes := record.free_modes(case)) is not None]
+    _, omega, decay = max(heard, default=(0.0, 0.0, 0.0))
+    if decay > 0:
+        return NormalisedDevice([omega**2], [2.0 * decay], omega**2)
+    resonance, quality = (case.design[key] for key in ("resonance", "quality_factor"))
+    if resonance.unknown or quality.unknown or any(record.kind != "free_decay" for record in case.records):
+        return None
+    return NormalisedDevice([resonance.value**2], [resonance.value / quality.value], resonance.value**2)
 
 
 def _numbers(case: Case, stiffness: np.ndarray, damping: np.ndarray, mobility: np.ndarray) -> dict[str, float]:
