@@ -12,7 +12,7 @@ import pytest
 
 import memsgyro_jax as mg
 from memsgyro_jax.app import cli
-from memsgyro_jax.measurement.column_meaning import parse_map
+from memsgyro_jax.measurement.column_map import parse_map
 
 
 README = (Path(__file__).resolve().parent.parent / "README.md").read_text()

@@ -34,7 +34,7 @@ from .next_experiment import advice, next_experiments, of_the_unknown
 from .nuisances import instrument_first, of_instrument
 from .onset import Onset, onset_of
 from .other_courses import beside_other_courses
-from .outlying import of_rows, search_beside_outlying
+from .outlying import far_off, of_rows, search_beside_outlying
 from .result import UNEXPLAINED, Diagnosis, Verdict, validation_error
 from .rounds import search_on
 from .search import CONFUSED, Ranking, Search, SearchStep, start_search
@@ -184,7 +184,8 @@ def _diagnosed(
         + of_instrument(terms, rival, drive_levels(case))
         + of_noise(noise, declared, again)
         + slowly(search.slow)
-        + (f" Left out as outlying: {of_rows(case, left_out)}." if left_out else ""),
+        + (f" Left out as outlying: {of_rows(case, left_out)}." if left_out else "")
+        + (far_off(case) if unexplained and not left_out else ""),
         accepted=accepted,
         first=first,
         whence=whence,

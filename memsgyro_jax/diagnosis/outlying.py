@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from memsgyro_jax.measurement.case import AbstractRecord, Case
+from memsgyro_jax.measurement.case.lone import lone_readings
 from memsgyro_jax.measurement.least_squares import gate
 from memsgyro_jax.measurement.outliers import lone_residuals
 from memsgyro_jax.measurement.readings import Readings
@@ -53,6 +54,16 @@ def of_rows(case: Case, left_out: Rows) -> str:
         f"row{'s' * (len(rows) > 1)} {', '.join(_of_row(case.records[number], row) for row in rows)} of "
         f"{case.records[number].name}"
         for number, rows in left_out.items()
+    )
+
+
+def far_off(case: Case) -> str:
+    """Rows that `check` names, which pull every fit: to be said of a case that nothing explains; empty for none."""
+    rows = lone_readings(case.records)
+    if not rows:
+        return ""
+    return (
+        f" Rows that lie far off their neighbours pull every fit, to be corrected or left out: {of_rows(case, rows)}."
     )
 
 

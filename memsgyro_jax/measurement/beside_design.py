@@ -51,7 +51,7 @@ def beside_design(case: Case) -> tuple[str, ...]:
         beside = "as `[design]` has it" if seen == meant else f"the design {meant}"
         text = f"{key}: the records show {seen}, {beside}"
         said.append(text + (", which lies outside its tolerance." if outside else "."))
-    return (*said, *_phases(rows, QUANTITIES[case.readout.order], omega, float(device.damping[0])))
+    return (*said, *_phases(_weakest(case, True), QUANTITIES[case.readout.order], omega, float(device.damping[0])))
 
 
 def _number(key: str, value: float, quality_factor: float) -> str:
@@ -60,23 +60,30 @@ def _number(key: str, value: float, quality_factor: float) -> str:
     return spoken(value / (2.0 * np.pi), "Hz", digits) if key == "resonance" else f"{value:.4g}"
 
 
-def _weakest(case: Case) -> list[Phasors]:
-    """The rows of the records that are driven least, which bend least."""
-    offered = [record.starting_phasors(case) for record in in_one_place(case.environment, case.records)]
+def _weakest(case: Case, read: bool = False) -> list[Phasors]:
+    """The rows of the records that are driven least, which bend least; of those alone whose phasors were `read`, as the
+    lines of a record over time are spectra under a window.
+    """
+    records = [r for r in in_one_place(case.environment, case.records) if not read or np.iscomplexobj(r.readings)]
+    offered = [record.starting_phasors(case) for record in records]
     rows = [one for one in offered if one is not None and np.any(one.force[:, 0])]
     levels = [float(np.max(np.abs(one.force[:, 0]))) for one in rows]
-    return [one for one, level in zip(rows, levels, strict=True) if level <= _ALIKE * min(levels)]
+    return [one for one, level in zip(rows, levels, strict=True) if level <= _ALIKE * min(levels, default=0.0)]
 
 
 def _phases(rows: list[Phasors], read: str, omega: float, width: float) -> list[str]:
     """A sentence where rows aside of the resonance are turned against those of a resonator."""
-    turned = 0.0 + 0.0j
+    gains = [np.zeros(0, complex)]
     for one in rows:
         if one.modulus:  # a phase of zero stands there for none
             continue
         away = omega**2 - one.omega**2
         far = (np.abs(away) > _FAR * omega * width) & (np.abs(one.force[:, 0]) > 0)
-        turned += np.sum(((away + 1j * one.omega * width) * one.motion[:, 0])[far] / one.force[far, 0])
+        gains.append(((away + 1j * one.omega * width) * one.motion[:, 0])[far] / one.force[far, 0])
+    every = np.concatenate(gains)
+    turned = (
+        np.median(every.real) + 1j * np.median(every.imag) if every.size else 0.0
+    )  # which a wrong row does not move
     angle = float(np.degrees(np.angle(turned)))
     if turned == 0 or min(abs(angle), 180.0 - abs(angle)) < _OFF:
         return []

@@ -19,6 +19,13 @@ _KNOWN = {  # beforehand, of a device of one axis and of two
 }
 
 
+_OF_DECAYS = """\
+# resonance and quality_factor as the decays show them; nothing drives, so that there is no static_gain.
+# Where [readout] has its scale, mass = { value = 1e-9, tolerance = 0.1, unit = "kg" } gives strengths in newtons,
+# with a section [drive] that says unit = "N".
+"""
+
+
 def csv_of_record(record: ImportedRecord) -> str:
     """The file of one record."""
     rows = zip(*(map(repr, column.astype(float).tolist()) for column in record.columns.values()), strict=True)
@@ -38,7 +45,7 @@ def toml_of_records(name: str, records: list[ImportedRecord], sources: list[str]
         '# displacement, velocity or acceleration; add scale = { value = 1.0, unit = "V/um" } if it is known\n'
         + toml_table("readout", {"quantity": quantity})
     )
-    parts.append(f"# what is known beforehand: {_KNOWN[two]}, as {{ value, tolerance, unit }}\n" + _design(records))
+    parts.append(_design(records, two))
     parts += _environment(records)
     parts.append(toml_table("conventions", {"lock_in": _LOCK_IN}))
     for record in records:
@@ -83,17 +90,13 @@ def _recorded(records: list[ImportedRecord], name: str, unit: str) -> np.ndarray
     return np.concatenate(columns) if columns and len(columns) == len(records) else None
 
 
-def _design(records: list[ImportedRecord]) -> str:
+def _design(records: list[ImportedRecord], two: bool) -> str:
     """Design values where no record is driven in a known way, roughly from the decays themselves."""
     if any(not record.design or record.two_axes for record in records):
-        return "[design]\n"
+        return f"# what is known beforehand: {_KNOWN[two]}, as {{ value, tolerance, unit }}\n[design]\n"
     rough = records[0].design
     entries = {
         key: {"value": value, "low": value / spread, "high": value * spread, "unit": unit}
         for (key, (value, unit)), spread in zip(rough.items(), (1.2, 3.0), strict=True)
     }
-    header = next(header for header in records[0].columns if header.startswith("Vx"))
-    order = {"velocity": 1, "acceleration": 2}.get(records[0].quantity, 0)
-    gain = f"{parse_header(header).unit}{'*s' * order}/V"  # nothing drives, so that any number does
-    entries["static_gain"] = {"value": 1.0, "low": 0.5, "high": 2.0, "unit": gain}
-    return toml_table("design", entries)
+    return _OF_DECAYS + toml_table("design", entries)

@@ -8,25 +8,14 @@ import numpy as np
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.text import listed, printable
-from memsgyro_jax.base.units import NUMBER
 
+from .column_map import SECOND, SECOND_DRIVE, chosen_column
 from .formats import SourceColumn, SourceTable
-from .formats.header import SPECIAL, split_header
+from .formats.header import SPECIAL
 from .imported_columns import is_same_kind
-from .two_channels import PARTS, axis_of_drive, channel_and_part, plain_words, two_channels, two_waveforms
+from .two_channels import PARTS, axis_of_drive, channel_and_part, plain_words, two_channels, two_drives, two_waveforms
 
 
-ROLES = ("t", "f", "I", "Q", "amp", "phase", "signal", "drive", "T", "V_bias", "rate")
-"""Time, frequency, parts of a phasor, amplitude and phase of it, a waveform, what drives, conditions."""
-SECOND = ("y_I", "y_Q", "y_amp", "y_phase", "y_signal")
-"""Parts of the phasor of a second channel, and its waveform."""
-SHORT = {
-    "x_I": "I", "Vx_I": "I", "X": "I", "x_Q": "Q", "Vx_Q": "Q", "Y": "Q", "x_amp": "amp", "Vx_amp": "amp", "R": "amp",
-    "x_phase": "phase", "Vx_phase": "phase", "theta": "phase", "x": "signal", "y": "signal", "Vx": "signal",
-    "F": "drive", "F_x": "drive_x", "u": "drive", "u_x": "drive_x", "F_y": "drive_y", "u_y": "drive_y",
-    **{role: role for role in SECOND}, **{f"V{role}": role for role in SECOND}, "Vy": "y_signal",
-}  # fmt: skip
-"""Other words for the roles on the left of `--map`."""
 _UNUSED = re.compile(
     r"std|sigma|noise|stderr|pwr|power|settl|bandwidth|\btc\b|constant|\bdio\b|^trigger|^aux ?in|chunk|\bsize\b|\bnext|"
     r"count|index|\bno\b|coherence|direction|status|overload|\bdate\b|density|comment|set ?timestamp|\bsweep\b"
@@ -46,6 +35,8 @@ _DC_VOLTAGE = re.compile(  # whole names: a reading or a drive may have a part o
     r"( (set ?point|set|source|supply|level))?"
 )
 _TURN_RATE = re.compile(r"^(rate|angular rate|turn rate|table rate|rate table|omega z?|ω)$")
+NOISE = {"std": "std", "vx std": "x_std", "x std": "x_std", "vy std": "y_std", "y std": "y_std"}
+"""Whole names of the standard deviation of each row, of all channels or of one."""
 _DIMENSIONS = {"f": "Hz", "t": "s", "T": "K", "phase": "rad"}
 
 
@@ -67,8 +58,8 @@ class Meaning:
 
     @property
     def two_axes(self) -> bool:
-        """Whether there are the readings of two channels."""
-        return bool({*SECOND} & {*self.columns})
+        """Whether there are the readings of two channels, or the drives of two axes."""
+        return bool({*SECOND, SECOND_DRIVE} & {*self.columns})
 
     @property
     def swept(self) -> bool:
@@ -94,8 +85,7 @@ def meaning_of(table: SourceTable, said: Mapping[str, str]) -> Meaning:
         InputError: the names and units do not tell; the sentence has a `--map` to copy.
     """
     if said:
-        columns = {role.partition("drive_")[0] or "drive": _chosen(table, role, text) for role, text in said.items()}
-        driven = next((role[-1] for role in said if role.startswith("drive_")), "")
+        columns, driven = _said(table, said)
         names = {column.name for column in columns.values()}
         unused = tuple(column.header for column in table.columns if column.name not in names)
         return _whole(table, columns, unused, driven)
@@ -115,15 +105,33 @@ def meaning_of(table: SourceTable, said: Mapping[str, str]) -> Meaning:
     columns.pop("", None)
     used = {id(column) for column in columns.values()}
     unused = tuple(column.header for column in table.columns if id(column) not in used)
-    driven = axis_of_drive(columns["drive"].name) if "drive" in columns else ""
+    driven = axis_of_drive(columns["drive"].name) if "drive" in columns and SECOND_DRIVE not in columns else ""
     guessed = tuple(role for role in columns if role == "V_bias" and _is_dc_voltage(columns[role]))
     return replace(_whole(table, columns, unused, driven), guessed=guessed)
+
+
+def _said(table: SourceTable, said: Mapping[str, str]) -> tuple[dict[str, SourceColumn], str]:
+    """The columns that the user names, role to column, and the axis of the drive where one drives by itself."""
+    columns = {role: chosen_column(table, role, text) for role, text in said.items()}
+    drives = {role: columns.pop(role) for role in said if role.startswith("drive")}
+    if len(drives) == 2:  # one that stays as it is, or of a sweep is nothing, drives none
+        moving = {role: c for role, c in drives.items() if np.ptp(c.values) > 0 or ("f" in said and c.values.any())}
+        drives = moving or dict([*drives.items()][:1])
+    if len(drives) == 2 and "f" in said:
+        both = listed((column.header for column in drives.values()), "`")
+        raise InputError(f"{table.path}: `--map` must name one drive, as a sweep drives one axis, but both {both} do.")
+    axis = "" if len(drives) == 2 else "".join(drives).removeprefix("drive").lstrip("_")
+    return columns | dict(zip(("drive", SECOND_DRIVE), (drives[role] for role in sorted(drives)), strict=False)), axis
 
 
 def role_of(column: SourceColumn) -> str:
     """What a column is by its unit and name; empty for what no record needs."""
     name = plain_words(column.name)
-    if column.values.dtype.kind not in "iuf" or not np.isfinite(column.values).any() or _UNUSED.search(name):
+    if column.values.dtype.kind not in "iuf" or not np.isfinite(column.values).any():
+        return ""
+    if name in NOISE:
+        return NOISE[name]
+    if _UNUSED.search(name):
         return ""
     for role in ("f", "t", "T", "phase"):
         if column.unit and is_same_kind(column.unit, _DIMENSIONS[role]) and not (role == "phase" and "rate" in name):
@@ -233,6 +241,8 @@ def _settled(table: SourceTable, found: dict[str, list[SourceColumn]]) -> None:
         if role == "drive" and len(here) > 1:  # one that stays as it is drives nothing
             here = [c for c in here if np.ptp(c.values) > 0] or here[:1]
             found[role] = here
+            if over_time and "signal" in found and (pair := two_drives(here)):
+                (found[role], found[SECOND_DRIVE]), here = ([one] for one in pair), []
         if len(here) > 1:
             raise _unclear(
                 table, found, f"more than one column may be {_SPOKEN[role]}: {listed([c.header for c in here], '`')}"
@@ -268,12 +278,13 @@ def _whole(table: SourceTable, columns: dict[str, SourceColumn], unused: tuple[s
 def _unclear(table: SourceTable, found: Mapping[str, Sequence[SourceColumn]], what: str) -> InputError:
     """The names, and the words to copy."""
     over_time = "f" not in found
+    waveforms = ("t", "signal", "y_signal") if "y_signal" in found else ("t", "signal")
     roles: tuple[str, ...] = (
-        ("t", "signal") if over_time else ("f", "I", "Q") if "amp" not in found else ("f", "amp", "phase")
+        waveforms if over_time else ("f", "I", "Q") if "amp" not in found else ("f", "amp", "phase")
     )
     if not over_time and any(_repeated(table, found, role) for role in roles[1:]):
         roles += tuple(f"y_{role}" for role in roles[1:])
-    words = {"I": "x_I", "Q": "x_Q", "amp": "x_amp", "phase": "x_phase", "signal": "x"}
+    words = {"I": "x_I", "Q": "x_Q", "amp": "x_amp", "phase": "x_phase", "signal": "x", "y_signal": "y"}
     rest = [c for c in table.columns if c.values.dtype.kind in "iuf"]
     pairs = []
     for role in roles:
@@ -284,6 +295,8 @@ def _unclear(table: SourceTable, found: Mapping[str, Sequence[SourceColumn]], wh
         if candidates or part != "phase":
             pairs.append(f"{words.get(role, role)}={candidates[0].header if candidates else 'COLUMN'}")
             rest = [c for c in rest if not candidates or c.name != candidates[0].name]
+    drives = found.get("drive", []) if roles[0] == "t" else []
+    pairs += [f"{role}={column.header}" for role, column in zip(("u_x", "u_y"), drives, strict=False)]
     names = listed([column.header for column in table.columns], "`")
     where = f"{printable(str(table.path))}{', ' + table.name if table.name else ''}"
     second = " (`y=` for that of a second axis)" if roles == ("t", "signal") and "signal" in found else ""
@@ -295,45 +308,3 @@ def _unclear(table: SourceTable, found: Mapping[str, Sequence[SourceColumn]], wh
 def _repeated(table: SourceTable, found: Mapping[str, Sequence[SourceColumn]], role: str) -> bool:
     """Whether more than one column may be this part of a phasor, so that there may be two channels."""
     return "y_" + role in found or len(found.get(role, [])) > 1 or sum(role_of(c) == role for c in table.columns) > 1
-
-
-def parse_map(text: str) -> dict[str, str]:
-    """`role=column,…` as role to column; raises `InputError` for what is no such list."""
-    pairs: dict[str, str] = {}
-    for part in re.split(r",(?=\s*\w+\s*=)", text):
-        left, equals, right = part.partition("=")
-        role = SHORT.get(left.strip(), left.strip())
-        if not equals or not right.strip() or role not in (*ROLES, *SHORT.values()):
-            raise InputError(
-                f'Option `--map` must read "role=column,..." with roles among {", ".join(ROLES)} (or x_I, x_Q, x_amp, '
-                f"x_phase, x, u_x, F_x; of a second channel y_I, y_Q, y_amp, y_phase, F_y), "
-                f"but has `{printable(part, 60)}`."
-            )
-        if left.strip() == "y" and "signal" in pairs:  # beside x
-            role = "y_signal"
-        if role in pairs or (role.startswith("drive") and any(one.startswith("drive") for one in pairs)):
-            raise InputError(f"Option `--map` must name each role once, but {left.strip()} stands twice.")
-        pairs[role] = right.strip()
-    return pairs
-
-
-def _chosen(table: SourceTable, role: str, text: str) -> SourceColumn:
-    """The column that a text names: `[number*]name [unit]`, where the unit is that of the file or overrides it."""
-    factor = re.match(rf"({NUMBER})\s*\*\s*(?=\S)", text)
-    wanted = text[factor.end() :] if factor else text
-    name, unit = split_header(wanted)
-    for same in (
-        lambda c: wanted in (c.header, c.name),
-        lambda c: c.name == name,
-        lambda c: c.name.casefold() == name.casefold(),
-    ):
-        hits = [column for column in table.columns if same(column)]
-        if len(hits) == 1:
-            values = hits[0].values
-            if values.dtype.kind not in "iuf":
-                raise InputError(f"{table.path}: `{wanted}`, named by --map, must hold numbers, but holds words.")
-            return SourceColumn(hits[0].name, unit or hits[0].unit, values * (float(factor[1]) if factor else 1))
-    names = listed([column.header for column in table.columns], "`")
-    raise InputError(
-        f"{table.path}: --map must name a column of the file for `{role}`, but `{wanted}` is none of {names}."
-    )

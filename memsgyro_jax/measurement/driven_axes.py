@@ -10,14 +10,28 @@ from memsgyro_jax.base.text import listed
 
 from .imported_conditions import for_each_file
 from .imported_record import ImportedRecord
+from .two_channels import axis_in_name
+
+
+_OF_A_DRIVE = ("frequency_sweep", "rate_table", "operating_points")  # kinds of record that drive one axis
+
+
+ONE_CHANNEL = (
+    "one channel tells nothing of the other axis by itself: to have a device of two axes all the same, import without "
+    '`--axis`, then set `device = "single_mass"`, `drive_axis` of each sweep and, of the axis that was not read, its k '
+    "and d (or frequency and quality_factor) with kxy and dxy under `[design]` in case.toml"
+)
+"""What to do where two axes were driven and one was read."""
 
 
 def axes_of_files(given: Sequence[str], files: int) -> list[str]:
-    """The axis of each file, empty where none was given; raises `InputError` for another word or number of them."""
+    """The axis of each file, empty where none was given, or "-"; raises `InputError` for another word or number of
+    them.
+    """
     axes = [text.strip().lower() for text in given]
-    if wrong := [text for text, axis in zip(given, axes, strict=True) if axis not in ("x", "y")]:
-        raise InputError(f"Option `--axis` must be x or y, but is `{wrong[0]}`.")
-    return for_each_file("--axis", axes, files)
+    if wrong := [text for text, axis in zip(given, axes, strict=True) if axis not in ("x", "y", "-")]:
+        raise InputError(f"Option `--axis` must be x or y (`-` for a file that says it), but is `{wrong[0]}`.")
+    return ["" if axis == "-" else axis for axis in for_each_file("--axis", axes, files, "that says it, or has none")]
 
 
 def require_axes(paths: Sequence[str | Path], found: Sequence[Sequence[ImportedRecord]], given: Sequence[str]) -> None:
@@ -32,7 +46,8 @@ def require_axes(paths: Sequence[str | Path], found: Sequence[Sequence[ImportedR
     one = [path for path, some in zip(paths, found, strict=True) if not all(record.two_axes for record in some)]
     if given and not two:
         raise InputError(
-            "Option `--axis` must be left out, as no file has two channels (`--map` with y_I, y_Q names one)."
+            "Option `--axis` must be left out, as no file has two channels (`--map` with y_I, y_Q names one). "
+            f"{ONE_CHANNEL[0].upper()}{ONE_CHANNEL[1:]}."
         )
     if two and one:
         raise InputError(
@@ -53,13 +68,23 @@ def require_axes(paths: Sequence[str | Path], found: Sequence[Sequence[ImportedR
         )
 
 
+def hint_of_axes(paths: Sequence[Path], found: Sequence[Sequence[ImportedRecord]]) -> tuple[str, ...]:
+    """A sentence where names of files of one channel say that both axes were driven: they become sweeps of one axis."""
+    names = [path.stem for path, some in zip(paths, found, strict=True) if any(r.kind in _OF_A_DRIVE for r in some)]
+    told = [axis_in_name(name) for name in names]
+    if any(record.two_axes for some in found for record in some) or {*told} != {"x", "y"}:
+        return ()
+    said = "the files' names say that x and y were driven, but each has one channel, and all are taken for one axis"
+    return (f"{said}; {ONE_CHANNEL}",)
+
+
 def _louder(record: ImportedRecord) -> str:
     """The channel with the largest reading."""
     most = {
         axis: max(
             float(np.max(np.abs(v)))
             for name, v in record.columns.items()
-            if name.startswith((f"V{axis}_I", f"V{axis}_Q", f"V{axis}_amp"))
+            if name.startswith((f"V{axis} ", f"V{axis}_I", f"V{axis}_Q", f"V{axis}_amp"))
         )
         for axis in "xy"
     }

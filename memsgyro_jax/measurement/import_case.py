@@ -20,10 +20,11 @@ from memsgyro_jax.base.text import listed
 from .case import Case, load_case
 from .case.file import FILE
 from .case_of_records import csv_of_record, toml_of_records
-from .column_meaning import meaning_of, parse_map
+from .column_map import parse_map
+from .column_meaning import meaning_of
 from .condition_hints import hints
 from .demodulators import demodulators_joined
-from .driven_axes import axes_of_files, require_axes
+from .driven_axes import axes_of_files, hint_of_axes, require_axes
 from .formats import SourceTable, read_instrument_file
 from .imported_conditions import conditions_of_files, for_each_file
 from .imported_record import Given, ImportedRecord, records_of
@@ -53,7 +54,7 @@ class ImportedCase(Shown):
         records: where each experiment comes from, and what was assumed of it.
         unused: drive levels that no record needs, each with its file, and files whose rows another has.
         warning: that several files were given one drive level, as none has its own, and what to do; empty otherwise.
-        hints: conditions that only the names of files tell, each with the option that says them.
+        hints: conditions and axes that only the names of files tell, each with what says them.
     """
 
     case: Case
@@ -119,13 +120,15 @@ def import_case(
         paths: of the files.
         folder: of the case; made where it does not exist.
         columns: ``"f=Frequency (Hz),x_I=X [V],..."``, role to column, where names do not tell. Roles: f, t, x_I, x_Q,
-            x_amp, x_phase, x, F_x, u_x, T, V_bias, rate, and of a second channel y_I, y_Q, y_amp, y_phase, y, F_y; a
-            unit overrides the file's, and a factor may stand before the name, ``t=1e-3*count [s]``. Columns that are
-            not named are not used. One for all files, or a list with one for each, ``"-"`` where the names tell.
+            x_amp, x_phase, x, F_x, u_x, T, V_bias, rate, std, and of a second channel y_I, y_Q, y_amp, y_phase, y, F_y
+            (over time beside F_x); a unit overrides the file's, and a factor may stand before the name,
+            ``t=1e-3*count [s]``. Columns that are not named are not used. One for all files, or a list with one for
+            each, ``"-"`` where the names tell.
         drive: level with its unit where no column has it, like ``"20 mV"``: one for all files, one for each, or one for
             each that needs it; ``"-"`` stands for a file that needs none.
         axis: ``"x"`` or ``"y"``, which of two axes was driven, one for all files or one for each, where neither a
-            column F_x or F_y nor the file's name (``drive_x_10mV.csv``) says it, or says it wrongly.
+            column F_x or F_y nor the file's name (``drive_x_10mV.csv``) says it, or says it wrongly; ``"-"``
+            for one that does.
         reference: frequency of a lock-in that recorded over time, or operating points, like ``"32.768 kHz"``.
         bias: voltage of the electrodes, like ``"20 V"``, one for all files or one for each, where no column has it;
             ``"-"`` for a file of which nothing is said. Records over time have none.
@@ -183,7 +186,7 @@ def import_case(
     again += ["--axis", *axis] if axis else []
     left = [some if needs else [] for some, needs in zip(found, needing, strict=True)]
     warning = _warning(names, left, levels, shlex.join(again))
-    hinted = hints(files, found, {"V_bias": bias, "T": temperature})
+    hinted = (*hints(files, found, {"V_bias": bias, "T": temperature}), *hint_of_axes(files, found))
     return ImportedCase(case, tuple(form for form, _ in read), tuple(records), (*unused, *copies), warning, hinted)
 
 

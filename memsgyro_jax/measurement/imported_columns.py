@@ -11,6 +11,8 @@ from .formats import SourceColumn, SourceTable
 from .formats.header import SPECIAL
 
 
+NOISE_COLUMNS = {"std": "std", "x_std": "Vx_std", "y_std": "Vy_std"}
+"""Standard deviation of each row, role to column of a case."""
 _REFERENCE = {"dB": (1.0, "1"), "dBV": (np.sqrt(2.0), "V"), "dBm": (np.sqrt(2.0 * 1e-3 * 50.0), "V")}
 
 
@@ -67,7 +69,7 @@ def from_effective(rows: Mapping[str, SourceColumn], assumed: list[str]) -> dict
     how they are meant.
     """
     turned = dict(rows)
-    for name in {"I", "Q", "amp", "y_I", "y_Q", "y_amp"} & rows.keys():
+    for name in {"I", "Q", "amp", "y_I", "y_Q", "y_amp", *NOISE_COLUMNS} & rows.keys():
         column = rows[name]
         if not SPECIAL.fullmatch(column.unit):
             turned[name] = SourceColumn(column.name, column.unit, TO_PEAK["rms"] * column.values)
@@ -80,6 +82,28 @@ def add_surroundings(columns: dict[str, SourceColumn], rows: Mapping[str, Source
     for name, expected in (("T", "K"), ("V_bias", "V"), ("rate", "rad/s")):
         if name in rows and rows[name].unit and is_same_kind(rows[name].unit, expected):
             columns[name] = rows[name]
+
+
+def _linear(unit: str) -> str:
+    """The unit without how an amplitude in it is meant; empty for decibels."""
+    special = SPECIAL.fullmatch(unit)
+    return (special["base"] or "") if special else unit
+
+
+def add_noise(
+    columns: dict[str, SourceColumn], rows: Mapping[str, SourceColumn], unit: str, assumed: list[str]
+) -> None:
+    """The standard deviation of each row, where it is that of readings in this unit and positive."""
+    for role, name in NOISE_COLUMNS.items():
+        if role not in rows or (role == "y_std" and not any(one.startswith("Vy") for one in columns)):
+            continue
+        column = rows[role]
+        linear = is_same_kind(_linear(column.unit), unit)
+        if not linear or not np.all(column.values > 0):
+            assumed.append(f"`{column.name}` is left out, as it is no positive noise of each row in {unit}")
+            continue
+        columns[name] = reading_column(column, assumed)
+        assumed.append(f"`{column.name}` is the standard deviation of each row (`noise_std` and estimates give way)")
 
 
 def is_same_kind(unit: str, expected: str) -> bool:

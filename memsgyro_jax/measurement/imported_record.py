@@ -9,10 +9,14 @@ import numpy as np
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.units import parse_header, to_si
 
+from .begin_of_decay import begin_of_decay
+from .column_map import SECOND_DRIVE
 from .column_meaning import Meaning
 from .experiments.time_record import RING_TIMES
 from .formats import SourceColumn, SourceTable
 from .imported_columns import (
+    NOISE_COLUMNS,
+    add_surroundings,
     cut_column,
     from_effective,
     headed,
@@ -29,18 +33,17 @@ from .two_channels import axis_in_name, said_of_channels
 _SILENT = 0.01  # of the largest drive: nothing
 _QUIET_SHARE = 0.15  # of the rows at the end without drive: a free decay
 _FEWEST = 50  # rows of a record over time
-_LOUD = 0.9  # of the largest envelope: the decay has not begun
-_FALLEN = 0.02  # in natural logarithms: an envelope that falls by less is kept up
 _MADE_OF: dict[str, set[str]] = {  # columns of a case and keys of its sections that a column of each role becomes
     **{role: {f"Vx_{role}"} for role in ("I", "Q", "amp", "phase")},
     **{f"y_{role}": {f"Vy_{role}"} for role in ("I", "Q", "amp", "phase")},
     **{role: {role} for role in ("t", "T", "V_bias", "rate")},
     "f": {"f", "reference_frequency", "drive_frequency"},
     "signal": {"Vx"},
+    **{role: {name} for role, name in NOISE_COLUMNS.items()},
     "y_signal": {"Vy"},
     "drive": {"F_x", "F_y", "u_x", "u_y", "drive_force"},
+    SECOND_DRIVE: {"F_y", "u_y"},
 }
-_EARLY = 0.88  # of the usual fall: an envelope that falls by so much in its first quarter falls from the start
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,8 +60,8 @@ class ImportedRecord:
         unused: columns of the source that are not used.
         quantity: what is read, where the record shows it: "displacement", "velocity" or "acceleration".
         design: values that no other record can tell, in SI.
-        two_axes: whether two channels were read.
-        axis: that was driven, of two: "x" or "y"; empty where nothing says.
+        two_axes: whether two channels were read, or two axes driven.
+        axis: that was driven, of two: "x" or "y", "xy" over time for both; empty where nothing says.
     """
 
     name: str
@@ -136,8 +139,9 @@ def _naming_unused(records: list[ImportedRecord], meaning: Meaning) -> list[Impo
 
 
 def _finite(table: SourceTable, meaning: Meaning, assumed: list[str]) -> dict[str, SourceColumn]:
-    """The columns in rows that have every number and are no copies."""
-    kept = np.all([np.isfinite(column.values) for column in meaning.columns.values()], axis=0)
+    """The columns in rows that have every number, but for that of their noise, and are no copies."""
+    every = [column.values for role, column in meaning.columns.items() if role not in NOISE_COLUMNS]
+    kept = np.all([np.isfinite(values) for values in every], axis=0)
     if not kept.all():
         assumed.append(f"{(~kept).sum()} rows without a number are left out")
     values = np.stack([np.asarray(column.values, float)[kept] for column in meaning.columns.values()], axis=1)
@@ -202,18 +206,37 @@ def _over_time(
     drive = rows.get("drive")
     if drive is None or not np.ptp(drive.values) > 0:
         return [_decay(about, columns, assumed)]
-    axis = _driven_axis(about, rows, given, meaning, assumed)
-    about, driven = {**about, "axis": axis}, f"u_{axis or 'x'}"
-    columns[driven] = reading_column(drive, assumed, "drive")
-    force = np.abs(columns[driven].values)
+    if SECOND_DRIVE in rows:
+        axis, drives = "xy", {"u_x": drive, "u_y": rows[SECOND_DRIVE]}
+        if "y_signal" not in rows:
+            assumed.append(f"two drives make it a device of two axes (`single_mass`), x read by {rows['signal'].name}")
+    else:
+        axis = _driven_axis(about, rows, given, meaning, assumed)
+        drives = {f"u_{axis or 'x'}": drive}
+    driven = {name: reading_column(column, assumed, "drive") for name, column in drives.items()}
+    return _driven_over_time({**about, "axis": axis}, columns, driven, rows, assumed)
+
+
+def _driven_over_time(
+    about: dict,
+    columns: dict[str, SourceColumn],
+    driven: dict[str, SourceColumn],
+    rows: Mapping[str, SourceColumn],
+    assumed: list[str],
+) -> list[ImportedRecord]:
+    """What was forced of a run, and what was free after it."""
+    forces = [np.abs(column.values) for column in driven.values()]
+    force = np.max([one / max(one.max(), 1e-300) for one in forces], axis=0)  # N and V may stand side by side
     last = int(np.flatnonzero(force > _SILENT * force.max())[-1]) + 1
     free = len(force) - last > max(_QUIET_SHARE * len(force), _FEWEST)
     records = []
-    forced = {name: cut_column(column, slice(None, last if free else None)) for name, column in columns.items()}
+    all_of_it = {**columns, **driven}
+    add_surroundings(all_of_it, {"rate": rows["rate"]} if "rate" in rows else {})
+    forced = {name: cut_column(column, slice(None, last if free else None)) for name, column in all_of_it.items()}
     records.append(_forced(about, forced, assumed))
     if free:
         begin = columns["t"].values[last]
-        after = {name: cut_column(columns[name], slice(last, None)) for name in columns if name != driven}
+        after = {name: cut_column(columns[name], slice(last, None)) for name in columns}
         said = [
             *assumed,
             f"from {begin:.6g} {columns['t'].unit} on nothing drives, and the decay is a record of its own",
@@ -254,8 +277,7 @@ def _forced(about: dict, columns: dict[str, SourceColumn], assumed: list[str]) -
 def _decay(about: dict, columns: dict[str, SourceColumn], assumed: list[str]) -> ImportedRecord:
     """A waveform that dies out, from where its envelope was last near its largest."""
     signal, time = _louder(columns), columns["t"]
-    envelope = _envelope(signal - np.mean(signal))
-    begin = 0 if _falls_from_the_start(envelope) else int(np.flatnonzero(envelope >= _LOUD * envelope.max())[-1])
+    begin = begin_of_decay(signal)
     if len(signal) - begin < _FEWEST:
         raise InputError(
             f"{about['source']}: a record over time without a drive must be a vibration that dies away, but its "
@@ -314,21 +336,3 @@ def _reference(table: SourceTable, rows: Mapping[str, SourceColumn], given: Give
         f"{table.path}: the reference frequency of the lock-in must be known, but no column has it; give it as in "
         '--reference "32.768 kHz".'
     )
-
-
-def _envelope(signal: np.ndarray) -> np.ndarray:
-    """Root mean square over a fiftieth of the record around each row."""
-    every = np.ones(max(len(signal) // 50, 3))
-    return np.sqrt(np.convolve(signal**2, every, mode="same") / np.convolve(np.ones(len(signal)), every, mode="same"))
-
-
-def _falls_from_the_start(envelope: np.ndarray) -> bool:
-    """Whether a free decay has begun before the first row: until it has halved, or the record ends, it falls by nearly
-    as much in the first quarter as in the others, while one that is kept up first falls later.
-    """
-    halved = envelope < 0.5 * envelope[0]
-    end = int(np.argmax(halved)) if halved.any() else len(envelope) - 1
-    quarter, fall = end // 4, float(np.log(envelope[0] / envelope[end]))
-    if quarter < max(len(envelope) // 50, 3) or fall < _FALLEN:
-        return False
-    return bool(4.0 * np.log(envelope[0] / envelope[quarter]) > _EARLY * fall)

@@ -12,6 +12,7 @@ from memsgyro_jax.base.units import to_si
 from .file_names import without_bias
 from .formats import SourceColumn, SourceTable
 from .imported_columns import (
+    add_noise,
     add_surroundings,
     angle_column,
     is_same_kind,
@@ -19,6 +20,7 @@ from .imported_columns import (
     time_column,
     with_usual_unit,
 )
+from .outliers import lone_rows
 from .two_channels import said_of_channels
 
 
@@ -70,6 +72,8 @@ def columns_of_sweep(
         columns[f"F_{axis or 'x'}"] = reading_column(rows["drive"], assumed, "drive")
     else:
         keys["drive_force"] = level_of(table, drive, assumed)
+    if not is_ratio(table) and not any(rows[role].unit == "dB" for role in ("amp", "y_amp") if role in rows):
+        add_noise(columns, rows, columns[next(name for name in columns if name.startswith("V"))].unit, assumed)
     _by_drive(columns, keys, rows, assumed)
     add_surroundings(columns, rows)
     return columns, keys, quantity
@@ -145,8 +149,9 @@ def _conventions(columns: dict[str, SourceColumn], table: SourceTable, axis: str
     known = known or table.attributes.get("reads", "")
     if f"{own}_I" not in columns and f"{own}_phase" not in columns:
         return known
-    phasors = phasors_of(columns, axis)
-    frequency = columns["f"].values
+    phasors, frequency = phasors_of(columns, axis), np.asarray(columns["f"].values, float)
+    kept = ~_lone(frequency, phasors)
+    phasors, frequency = phasors[kept], frequency[kept]
     turn = phasors[1:] * phasors[:-1].conj()
     if np.sum(np.sign(np.diff(frequency)) * turn.imag) > 0.2 * np.sum(np.abs(turn.imag)):
         for second in [name for name in columns if name.endswith(("_Q", "_phase"))]:
@@ -169,6 +174,15 @@ def _conventions(columns: dict[str, SourceColumn], table: SourceTable, axis: str
     about = f"about {whole}°" if abs(angle - whole) <= _NEAR else f"{angle:.0f}°, nearest to {nearest}"
     assumed.append(f"the read-out shows {quantity}: at resonance its phase is {about}")
     return quantity
+
+
+def _lone(frequency: np.ndarray, phasors: np.ndarray) -> np.ndarray:
+    """Which rows (n,) stand alone among their neighbours, up or down the band: a wrong one may be the largest."""
+    found = np.zeros(len(phasors), bool)
+    ways = np.sign(np.diff(frequency, prepend=frequency[0]))
+    for rows in np.split(np.arange(len(phasors)), 1 + np.flatnonzero(np.diff(ways[1:])) + 1):
+        found[[rows[row] for row, _ in lone_rows(frequency[rows], phasors[rows], 0.0)]] = True
+    return found
 
 
 def read_as(unit: str) -> str:

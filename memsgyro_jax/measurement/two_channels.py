@@ -78,6 +78,12 @@ def two_waveforms(columns: Sequence[SourceColumn]) -> tuple[SourceColumn, Source
     return (found["x"], found["y"]) if len(columns) == len(found) == 2 else None
 
 
+def two_drives(columns: Sequence[SourceColumn]) -> tuple[SourceColumn, SourceColumn] | None:
+    """The drives of x and y of two columns, where their names say so, like ``u_x`` and ``u_y``."""
+    found = {axis: column for column in columns if (axis := axis_of_drive(column.name))}
+    return (found["x"], found["y"]) if len(columns) == len(found) == 2 else None
+
+
 def said_of_channels(columns: Mapping[str, SourceColumn]) -> str:
     """The sentence on what two channels were taken for."""
     named = [

@@ -18,6 +18,7 @@ from memsgyro_jax.diagnosis.joint_residual import Joint
 from memsgyro_jax.diagnosis.optimum import optimise
 from memsgyro_jax.diagnosis.outlying import (
     _to_leave_out,
+    far_off,
     fit_without,
     not_pulled,
     of_rows,
@@ -85,6 +86,14 @@ def test_a_fit_leaves_out_and_names_the_same_rows():
     part = fit_case(case_of(1, Hidden(cubic_stiffness_x=3.9 * RESONATOR.kxx), rows=(44,), sigmas=4000.0))
     kept = beside_outlying(judged(part), lambda rows: fit_without(part, rows))
     assert kept.left_out == {}, "a law is missing"
+
+
+def test_rows_far_off_in_what_was_read_are_named_of_a_case_that_nothing_explains():
+    said = far_off(case_of(1, rows=(44,), sigmas=3000.0))
+    assert said.startswith(
+        " Rows that lie far off their neighbours pull every fit, to be corrected or left out: row 45 ("
+    )
+    assert far_off(case_of(1)) == ""
 
 
 def test_a_row_of_a_fall_is_told():

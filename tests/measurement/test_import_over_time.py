@@ -1,12 +1,18 @@
 """What a lock-in with two demodulators records over time becomes a free decay of two axes, or a rate table."""
 
+import re
+
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 import memsgyro_jax as mg
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.normalised import NormalisedDevice
 from memsgyro_jax.measurement.case import load_case, write_case
+from memsgyro_jax.measurement.column_map import parse_map
+from memsgyro_jax.measurement.column_meaning import meaning_of
+from memsgyro_jax.measurement.formats import read_instrument_file
 from memsgyro_jax.measurement.readings import model_of, readings_of
 
 
@@ -147,3 +153,93 @@ def test_a_decay_turns_as_its_resonance_says(sign, beat, tmp_path):
     decay = mg.import_case(files, tmp_path / "case", reference="8020 Hz").case.records[1]
     right = turning if beat > 0 else turning.conj()  # the resonance is at 8050 Hz
     np.testing.assert_allclose(decay.signals, right, rtol=1e-9)
+
+
+TWO_DRIVES = "t [s],{0}_x [{1}],{0}_y [{1}],Vx [V],Vy [V],rate [deg/s]"
+
+
+def driven(path, header, keep=6):
+    """Both axes driven by noise, as a closed loop drives them; as many columns as wanted."""
+    draw = np.random.default_rng(5)
+    push = draw.normal(size=(2000, 2))
+    pole = 0.99 * np.exp(1j * np.array([0.5, 0.6]))  # of each axis
+    answer = [lfilter([0.0, 0.1], np.poly([p, p.conj()]).real, column) for p, column in zip(pole, push.T, strict=True)]
+    wave = np.stack(answer, axis=1) + 1e-4 * draw.normal(size=(2000, 2))
+    columns = np.column_stack([np.arange(2000) * 2e-5, push, wave, np.full(2000, 10.0)])[:, :keep]
+    lines = (",".join(f"{value:.9g}" for value in row) for row in columns)
+    path.write_text("\n".join([",".join(header.split(",")[:keep]), *lines]) + "\n")
+    return path, columns
+
+
+@pytest.mark.parametrize(("letter", "unit"), [("u", "V"), ("F", "uN")])
+@pytest.mark.parametrize("said", [False, True])
+def test_two_drives_and_two_waveforms_are_a_time_record(letter, unit, said, tmp_path):
+    header = TWO_DRIVES.format(letter, unit)
+    path, columns = driven(tmp_path / "loop.csv", header)
+    words = ("t", f"{letter}_x", f"{letter}_y", "x", "y", "rate")
+    options = (
+        ",".join(f"{word}={column}" for word, column in zip(words, header.split(","), strict=True)) if said else ""
+    )
+    found = mg.import_case([path], tmp_path / "case", columns=options)
+    (record,) = found.case.records
+    scale = 1e-6 if unit == "uN" else 1.0
+    assert (found.case.device, record.kind) == ("single_mass", "time_record")
+    np.testing.assert_allclose(record.forces, scale * columns[:, 1:3], rtol=1e-8)
+    np.testing.assert_allclose(record.signals, columns[:, 3:5], rtol=1e-8)
+    np.testing.assert_allclose(record.rate, np.radians(10.0))
+    assert "Not used" not in str(found)
+
+
+def test_the_second_of_two_mapped_drives_may_be_silent(tmp_path):
+    path, _ = driven(tmp_path / "loop.csv", TWO_DRIVES.format("u", "V"))
+    ((table,),) = [read_instrument_file(path)[1]]
+    meaning = meaning_of(table, parse_map("t=t,u_x=0*u_x,u_y=u_y,x=Vx,y=Vy"))
+    assert (meaning.columns["drive"].name, meaning.driven) == ("u_y", "y")
+    assert "y_drive" not in meaning.columns
+
+
+def test_drives_that_no_name_tells_apart_are_in_the_map_to_copy(tmp_path):
+    header = "t [s],drive A [V],drive B [V],Vx [V],Vy [V]"
+    path, columns = driven(tmp_path / "loop.csv", header, keep=5)
+    with pytest.raises(InputError, match="more than one column may be the drive") as told:
+        mg.import_case([path], tmp_path / "case")
+    copied = str(told.value).split('--map "')[1].split('"')[0]
+    assert copied == "t=t [s],x=Vx [V],y=Vy [V],u_x=drive A [V],u_y=drive B [V]"
+    (record,) = mg.import_case([path], tmp_path / "case", columns=copied).case.records
+    np.testing.assert_allclose(record.forces, columns[:, 1:3], rtol=1e-8)
+
+
+def test_the_driven_axis_of_two_waveforms_is_asked_for(tmp_path):
+    path, _ = driven(tmp_path / "loop.csv", "t [s],drive [V],sigma [V],Vx [V],Vy [V]", keep=5)
+    with pytest.raises(InputError, match=r"driven axis must be known.*--axis [xy] "):
+        mg.import_case([path], tmp_path / "case")
+
+
+def test_a_decay_alone_whose_calibration_is_declared_is_led_to_a_case(tmp_path):
+    """The comment that `import` writes, step by step: a gain in volts had stood in the way, and a mass was refused."""
+    time = np.arange(4000) * 2e-5
+    wave = 0.2 * np.exp(-40.0 * time) * np.cos(2 * np.pi * 8050.0 * time)
+    wave += 1e-5 * np.random.default_rng(3).normal(size=4000)
+    path, file = tmp_path / "ring.csv", tmp_path / "case" / "case.toml"
+    path.write_text("\n".join(["Time (s),Vx [V]", *(f"{t:.9g},{v:.12g}" for t, v in zip(time, wave, strict=True))]))
+    case = mg.import_case([path], tmp_path / "case").case
+    assert case.design["quality_factor"].value == pytest.approx(np.pi * 8050.0 / 40.0, rel=0.01)
+    text = file.read_text()
+    (mass,) = re.findall(r"mass = \{.*?\}", text)
+    massive = text.replace("[design]\n", f"[design]\n{mass}\n", 1)
+    file.write_text(massive)
+    with pytest.raises(
+        InputError, match=r"`scale` under `\[readout\]`, and its drive a force, by `\[drive\]` with `unit"
+    ):
+        load_case(tmp_path / "case")
+    (scale,) = re.findall(r"scale = \{.*?\}", text)
+    file.write_text(massive.replace("[readout]\n", f'[drive]\nunit = "N"\n[readout]\n{scale}\n', 1))
+    assert load_case(tmp_path / "case").design["static_gain"].value == pytest.approx(
+        1.0 / (1e-9 * (2 * np.pi * 8050.0) ** 2), rel=1e-3
+    )
+    gain = 'static_gain = { value = 1.0, tolerance = 0.5, unit = "mV/V" }'
+    file.write_text(
+        text.replace("[design]\n", f"[design]\n{gain}\n", 1).replace("[readout]\n", f"[readout]\n{scale}\n", 1)
+    )
+    with pytest.raises(InputError, match=r"displacements are lengths; a gain that nothing needs is left out"):
+        load_case(tmp_path / "case")

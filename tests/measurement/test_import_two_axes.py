@@ -141,11 +141,12 @@ def test_columns_that_may_be_more_than_two_channels_are_named_with_a_map_to_copy
 @pytest.mark.parametrize(
     ("options", "what"),
     [
-        ({"axis": ["z"]}, "`--axis` must be x or y, but is `z`"),
-        ({"axis": ["x", "y"]}, "`--axis` must be given once or for each of 3 files, but has 2"),
+        ({"axis": ["z"]}, "`--axis` must be x or y .*, but is `z`"),
+        ({"axis": ["x", "y"]}, "`--axis` must be given once or for each of 3 files .*, but has 2"),
         ({"columns": "f=Frequency,x_I=X1,x_Q=Y1", "axis": ["x"]}, "`--axis` must be left out"),
         ({"columns": "f=Frequency,x_I=X1,x_Q=Y1,y_I=X2"}, "the two channels do not have the same parts.*y_Q=Y2"),
-        ({"columns": "f=Frequency,x_I=X1,x_Q=Y1,F_x=X2,F_y=Y2"}, "must name each role once"),
+        ({"columns": "f=Frequency,x_I=X1,x_Q=Y1,F_x=X2,F_y=Y2"}, "must name one drive, as a sweep drives one axis"),
+        ({"columns": "f=Frequency,x_I=X1,x_Q=Y1,F_x=X2,drive=Y2"}, "must name each role once"),
     ],
 )
 def test_what_does_not_fit_two_channels_is_one_sentence(options, what, files, tmp_path):
@@ -269,3 +270,44 @@ def test_options_for_each_file_hold_for_the_pair(tmp_path):
     assert len(found.case.records) == 1
     with pytest.raises(InputError, match="`--axis` must say the same of two files"):
         mg.import_case(files, tmp_path / "other", axis=["x", "y"], drive=["20 mV"])
+
+
+def test_two_driven_axes_of_which_one_was_read_are_led_to_a_case(tmp_path):
+    """What `import` makes of them, the words of its hint, and what `[design]` must then give."""
+    paths = []
+    for axis in "xy":
+        z, path = moved(axis), tmp_path / f"drive_{axis}_10mV.csv"
+        rows = (f"{f:.9g},{a.real:.9g},{a.imag:.9g}" for f, a in zip(FREQUENCY, z[:, 0], strict=True))
+        path.write_text("\n".join(["f [Hz],Vx_I [V],Vx_Q [V]", *rows]) + "\n")
+        paths.append(path)
+    with pytest.raises(mg.InputError, match=r"must be left out.*set `device = .single_mass.`, `drive_axis`"):
+        mg.import_case(paths, tmp_path / "case", axis=["x", "y"])
+    found = mg.import_case(paths, tmp_path / "case")
+    assert "Hint: the files' names say that x and y were driven, but each has one channel" in str(found)
+    file = tmp_path / "case" / "case.toml"
+    text = file.read_text().replace('device = "resonator"', 'device = "single_mass"')
+    first, second = text.split("# from drive_y")
+    text = first + "# from drive_y" + second.replace('drive_axis = "x"', 'drive_axis = "y"')
+    file.write_text(text)
+    with pytest.raises(mg.InputError) as told:
+        mg.load_case(tmp_path / "case")
+    missing = "must give kyy, kxy, dyy, dxy (kyy and dyy also as frequency_y and quality_factor_y), as no sweep that"
+    assert f"{missing} may be fitted reads channel y; the records tell mass, kxx, dxx." in str(told.value)
+    given = """[design]
+frequency_y = { value = 8200, unit = "Hz", tolerance = 0.001 }
+quality_factor_y = { value = 330, unit = "1", tolerance = 0.3 }
+kxy = { low = -1e-6, high = 1e-6, unit = "N/m" }
+dxy = { low = -1e-6, high = 1e-6, unit = "N*s/m" }
+"""
+    file.write_text(text.replace("[design]\n", given))
+    design = mg.load_case(tmp_path / "case").design
+    hertz = np.sqrt(design["kxx"].value / design["mass"].value) / (2 * np.pi)
+    assert hertz == pytest.approx(8000.0, rel=1e-3)
+    assert design["mass"].value == pytest.approx(1e-2 / (4 * np.pi**2 * 1e6), rel=0.05)  # of 10 mV
+
+
+def test_a_file_that_says_its_axis_needs_no_option(tmp_path):
+    paths = [wrote(tmp_path / "drive_x_10mV.csv", "x"), wrote(tmp_path / "run2_10mV.csv", "y")]
+    found = mg.import_case(paths, tmp_path / "case", axis=["-", "y"])
+    assert [record.axis for record in found.case.records] == [0, 1]
+    assert "x is driven, as the file's name says" in str(found)

@@ -102,3 +102,44 @@ def test_the_only_waveform_and_two_that_belong_together_are_no_bias(tmp_path):
     np.testing.assert_allclose(found.case.records[0].signals[:, 0], values, atol=1e-8)
     with pytest.raises(mg.InputError, match=r"more than one column may be the signal: `Va \[V\]`, `Vb \[V\]`"):
         mg.import_case([wrote(tmp_path / "b.csv", "t [s],Va [V],Vb [V]", time, values, values)], tmp_path / "two")
+
+
+@pytest.mark.parametrize("row", [7, 38])
+def test_a_wrong_row_above_the_resonance_neither_stops_a_sweep_nor_tells_what_is_read(row, tmp_path):
+    """One reading of 3.5 times the peak: the phase falls across the resonance all the same."""
+    f = np.linspace(990.0, 1010.0, 61)
+    z = 1000.0 / (1000.0**2 - f**2 + 1j * f) + 1e-3 * np.random.default_rng(2).normal(size=(61, 2)) @ [1, 1j]
+    z[row] = 3.5 * np.abs(z).max() * np.exp(0.3j)
+    path = tmp_path / "sweep_50mV.csv"
+    rows = (f"{a},{b.real},{b.imag}" for a, b in zip(f, z, strict=True))
+    path.write_text("\n".join(["f [Hz],X [V],Y [V]", *rows]) + "\n")
+    found = mg.import_case([path], tmp_path / "case")
+    assert "the read-out shows displacement: at resonance its phase is about -90°" in str(found)
+    assert f"line {row + 2}: channel x lies" in str(mg.assess(found.case))
+    path.write_text("\n".join(["f [Hz],Y [V],X [V]", *(f"{a},{b.real},{b.imag}" for a, b in zip(f, z, strict=True))]))
+    mapped = "f=f [Hz],x_I=Y [V],x_Q=X [V]"
+    assert mg.import_case([path], tmp_path / "swapped", columns=mapped).case.records
+
+
+@pytest.mark.parametrize("name", ["std [mV]", "Vx_std [mV]"])
+def test_the_noise_of_each_row_is_taken(name, tmp_path):
+    size = 0.1 + 0.05 * np.arange(F.size) / F.size
+    path = wrote(tmp_path / "sweep_10mV.csv", f"f [Hz],X [V],Y [V],{name}", F, Z.real, Z.imag, size)
+    found = mg.import_case([path], tmp_path / "case")
+    (record,) = found.case.records
+    np.testing.assert_allclose(record.noise_of_rows[:, 0], 1e-3 * size, rtol=1e-6)
+    assert "is the standard deviation of each row" in str(found)
+    assert "Not used" not in str(found)
+    effective = mg.import_case([path], tmp_path / "rms", rms=True)
+    np.testing.assert_allclose(effective.case.records[0].noise_of_rows[:, 0], 2**0.5 * 1e-3 * size, rtol=1e-6)
+
+
+@pytest.mark.parametrize("wrong", [0.0, np.nan])
+@pytest.mark.parametrize("unit", ["V", "K"])
+def test_what_is_no_noise_of_each_row_is_left_out_and_said(wrong, unit, tmp_path):
+    size = np.where(np.arange(F.size) == 3, wrong, 1e-4)
+    path = wrote(tmp_path / "sweep_10mV.csv", f"f [Hz],X [V],Y [V],std [{unit}]", F, Z.real, Z.imag, size)
+    found = mg.import_case([path], tmp_path / "case")
+    (record,) = found.case.records
+    assert (record.noise_rows, record.rows) == (None, F.size)
+    assert "`std` is left out, as it is no positive noise of each row in V" in str(found)

@@ -1,7 +1,8 @@
 """Sections `[design]`, `[readout]`, `[drive]` and `[environment]` of a case, in SI."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -54,6 +55,10 @@ def gain_by_mass(file: CaseFile, resonance: float) -> DesignValue | None:
     return _instead(given, BY_MASS["static_gain"], {"resonance": DesignValue(resonance, resonance, resonance)})
 
 
+_FOR_A_MASS = (
+    "but where its displacement is a length, by `scale` under `[readout]`, and its drive a force, by `[drive]` with "
+    '`unit = "N"`, or with a `scale` such as "uN/V"'
+)
 UNKNOWN = DesignValue(math.nan, -math.inf, math.inf, unknown=True)
 
 
@@ -66,7 +71,8 @@ def design(file: CaseFile, source: Source, words: Vocabulary) -> dict[str, Desig
     for key in file.design:
         if key not in known:
             with source.section("design", key):
-                raise InputError(f"is not known to a {file.device} ({suggestion(key, known)})")
+                told = _FOR_A_MASS if key == "mass" else f"({suggestion(key, known)})"
+                raise InputError(f"is not known to a {file.device} {told}")
     values: dict[str, DesignValue] = {}
     for key, unit in words.design.items():
         other = by_modes.get(key)
@@ -81,7 +87,8 @@ def design(file: CaseFile, source: Source, words: Vocabulary) -> dict[str, Desig
             given = file.design.get(key)
             _check_unit(given, key, unit, source)
             if given is not None and not given.unknown:
-                values[key] = _design_value(given, unit, key in words.positive)
+                with _in_lengths(key, unit):
+                    values[key] = _design_value(given, unit, key in words.positive)
             elif key == "mass":  # part of the gain: all else is per mass until the records tell
                 values[key] = DesignValue(1.0, 1.0, 1.0, unknown=True)
             else:
@@ -91,6 +98,18 @@ def design(file: CaseFile, source: Source, words: Vocabulary) -> dict[str, Desig
             if values["kxy"].value ** 2 >= values["kxx"].value * values["kyy"].value:
                 raise InputError("must be smaller than the geometric mean of kxx and kyy, else the mass is not held")
     return values
+
+
+@contextmanager
+def _in_lengths(key: str, unit: str) -> Iterator[None]:
+    """Says of a static gain in volts, beside a scale that makes lengths of them, what to do."""
+    try:
+        yield
+    except InputError as error:
+        if key != "static_gain" or not unit.startswith("m/") or "must measure the same" not in str(error):
+            raise
+        way = "as `[readout]` has a scale, displacements are lengths; a gain that nothing needs is left out"
+        raise InputError(f"{str(error).rstrip('.')} ({way})") from error
 
 
 def _check_unit(entry: DesignEntry | None, key: str, unit: str, source: Source) -> None:

@@ -1,6 +1,6 @@
 """Rows that stand alone among their neighbours: wrong digits, or a resonance too narrow for the rows of its sweep."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -71,6 +71,28 @@ def lone_sentences(records: Sequence[AbstractRecord], noises: Sequence[float]) -
         records: of a case.
         noises: standard deviation of each real reading, a number for each record; zero where it is not known.
     """
+    said: list[list[str]] = [[] for _ in records]
+    for course, row, sigmas in _lone(records, noises):
+        said[course.record].append(
+            f"{records[course.record].file}, line {course.lines[row]}: {course.name} lies {_far(sigmas)} off "
+            "its neighbours; is a digit wrong?"
+        )
+    return said
+
+
+def lone_readings(records: Sequence[AbstractRecord]) -> dict[int, tuple[int, ...]]:
+    """Rows of each record, by its number, in which `lone_sentences` names a channel."""
+    noises = [record.noise_std or record.estimated_noise() or 0.0 for record in records]
+    found: dict[int, set[int]] = {}
+    for course, row, _ in _lone(records, noises):
+        if course.name.startswith("channel"):
+            at = int(np.flatnonzero(records[course.record].lines == course.lines[row])[0])
+            found.setdefault(course.record, set()).add(at)
+    return {number: tuple(sorted(rows)) for number, rows in found.items()}
+
+
+def _lone(records: Sequence[AbstractRecord], noises: Sequence[float]) -> Iterator[tuple[_Course, int, float]]:
+    """Every row that stands alone, and by how many standard deviations."""
     courses = [
         _Course(
             number, piece, column.name, column.place[rows], column.values[rows], column.noise, record.lines[rows],
@@ -80,15 +102,10 @@ def lone_sentences(records: Sequence[AbstractRecord], noises: Sequence[float]) -
         for column in record.watched(noise)
         for piece, rows in enumerate(column.pieces)
     ]  # fmt: skip
-    said: list[list[str]] = [[] for _ in records]
     for course in courses:
         for row, sigmas in lone_rows(course.place, course.values, course.noise):
             if not _of_a_resonance(course, row, courses):
-                said[course.record].append(
-                    f"{records[course.record].file}, line {course.lines[row]}: {course.name} lies {_far(sigmas)} off "
-                    "its neighbours; is a digit wrong?"
-                )
-    return said
+                yield course, row, sigmas
 
 
 def _of_a_resonance(course: _Course, row: int, courses: Sequence[_Course]) -> bool:

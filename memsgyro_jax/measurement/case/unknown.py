@@ -1,6 +1,6 @@
 """What a case leaves open, as its files tell it: units of drive and readings, and design values not declared."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +11,7 @@ from memsgyro_jax.base.units import parse_header, to_si
 from memsgyro_jax.device.normalised import NormalisedDevice
 
 from ..declared import VOCABULARIES, DesignValue
+from ..experiments.base import Phasors
 from ..one_place import in_one_place
 from ..phasor_fit import device_of_phasors, is_seen, most_linear
 from .content import Case
@@ -73,6 +74,8 @@ def with_found_design(case: Case, file: CaseFile, path: Path) -> Case:
     fitted = [record for record in case.records if record.role != "validation"]
     offered = [record.starting_phasors(case) for record in in_one_place(case.environment, fitted)]
     rows = [phasors for phasors in offered if phasors is not None and phasors.axis is None]
+    if not rows and case.channels > 1 and (alone := _told_by_one_channel(case, offered)):
+        return _with_told(case, file, _all_of(alone, open_, path))
     device = device_of_phasors(rows) if rows else _left_alone(case)
     if rows and (calm := most_linear(rows, device)) and calm is not rows:
         rows, device = calm, device_of_phasors(calm)
@@ -85,22 +88,64 @@ def with_found_design(case: Case, file: CaseFile, path: Path) -> Case:
     by_mass = gain_by_mass(file, found["resonance"]) if "static_gain" in told else None
     if by_mass is not None and not by_mass.unknown:
         told["static_gain"] = by_mass
-    if "mass" in told:  # what was given by a frequency is per mass so far
+    return _with_told(case, file, told)
+
+
+def _with_told(case: Case, file: CaseFile, told: dict[str, DesignValue]) -> Case:
+    """The case with these values of its design; what was given by a frequency is per mass until the mass is told."""
+    if "mass" in told:
         for key, value in case.design.items():
-            if key not in open_ and key not in file.design:
-                told[key] = replace(
-                    value, **{end: getattr(value, end) * found["mass"] for end in ("value", "low", "high")}
-                )
+            if key not in told and key not in file.design:
+                mass = told["mass"].value
+                scaled = replace(value, **{end: getattr(value, end) * mass for end in ("value", "low", "high")})
+                told = {**told, key: scaled}
     return replace(case, design={**case.design, **told})
 
 
+def _told_by_one_channel(case: Case, offered: Iterable[Phasors | None]) -> dict[str, float]:
+    """Design values of the axes that sweeps of a device of two show, where the other channel was not recorded."""
+    alone = [one for one in offered if one is not None and one.axis is not None]
+    told: dict[str, float] = {}
+    for axis in sorted({one.axis for one in alone if one.axis is not None}):
+        rows = [one for one in alone if one.axis == axis]
+        device = device_of_phasors(rows)
+        if device is None or not is_seen(device, rows):
+            continue
+        own = 1.0 / abs(float(device.mobility)) if case.design["mass"].unknown else case.design["mass"].value
+        mass = told.setdefault("mass", own)
+        told[f"k{2 * 'xy'[axis]}"] = mass * float(device.stiffness[0])
+        told[f"d{2 * 'xy'[axis]}"] = mass * float(device.damping[0])
+    return told
+
+
+def _all_of(alone: dict[str, float], open_: list[str], path: Path) -> dict[str, DesignValue]:
+    """Values for all that was left open; raises `InputError` that names what one channel does not tell."""
+    if missing := [key for key in open_ if key not in alone]:
+        (unseen,) = {"x", "y"} - {key[-1] for key in alone if key != "mass"} or {""}
+        channel = f"reads channel {unseen}" if unseen else "reads both channels at once"
+        other = f" (k{2 * unseen} and d{2 * unseen} also as frequency_{unseen} and quality_factor_{unseen})"
+        other = other if f"k{2 * unseen}" in missing else ""
+        raise InputError(
+            f"{path}, `design`: must give {', '.join(missing)}{other}, as no sweep that may be fitted {channel}; the "
+            f"records tell {', '.join(alone)}."
+        )
+    return {key: DesignValue.found(alone[key]) for key in open_}
+
+
 def _left_alone(case: Case) -> NormalisedDevice | None:
-    """A device of one axis whose free vibration is all that was seen; of its gain nothing is known."""
-    heard = [modes for record in case.records if (modes := record.free_modes(case)) is not None]
-    if not heard or case.channels > 1:
+    """A device of one axis whose free vibration is all that was seen, or its design where not even that is; of its gain
+    nothing is known.
+    """
+    if case.channels > 1:
         return None
-    _, omega, decay = max(modes[0] for modes in heard)
-    return NormalisedDevice([omega**2], [2.0 * decay], omega**2) if decay > 0 else None
+    heard = [modes[0] for record in case.records if (modes := record.free_modes(case)) is not None]
+    _, omega, decay = max(heard, default=(0.0, 0.0, 0.0))
+    if decay > 0:
+        return NormalisedDevice([omega**2], [2.0 * decay], omega**2)
+    resonance, quality = (case.design[key] for key in ("resonance", "quality_factor"))
+    if resonance.unknown or quality.unknown or any(record.kind != "free_decay" for record in case.records):
+        return None
+    return NormalisedDevice([resonance.value**2], [resonance.value / quality.value], resonance.value**2)
 
 
 def _numbers(case: Case, stiffness: np.ndarray, damping: np.ndarray, mobility: np.ndarray) -> dict[str, float]:

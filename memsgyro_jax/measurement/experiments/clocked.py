@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain
 from typing import ClassVar
 
 import numpy as np
@@ -10,6 +11,7 @@ from ..columns import signal_columns
 from ..declared import Declared
 from ..noise import freedom_over_time, noise_over_time
 from ..tracking import Track, tracked
+from .clipping import clipped
 from .deviation import Band, Deviation, Known, Overlay, Series, Variable, View, segments
 from .missing_force import TimeForce, force_over_time
 from .record import AbstractRecord, Watched
@@ -86,6 +88,13 @@ class WaveformRecord(ClockedRecord):
     @property
     def readings(self) -> np.ndarray:
         return self.signals
+
+    def warnings(self, declared: Declared) -> list[str]:
+        if np.iscomplexobj(self.signals):
+            return []
+        unit = "" if declared.readout.unit == "1" else f" {declared.readout.unit}"
+        ends = (clipped(self.file, f"channel {'xy'[c]}", self.signals[:, c], unit) for c in self.channels)
+        return [*chain.from_iterable(ends)]
 
     @property
     def offset(self) -> np.ndarray | None:

@@ -245,6 +245,5 @@ class FreeDecayRecord(WaveformRecord):
 
     def warnings(self, declared: Declared) -> list[str]:
         loud = [self.track(declared, channel).seen.time.size for channel in range(declared.channels)]
-        if max(loud) > 0:
-            return []
-        return [f"{self.file}: nothing that vibrates stands clear of the noise; is `from` right?"]
+        silent = f"{self.file}: nothing that vibrates stands clear of the noise; is `from` right?"
+        return [*super().warnings(declared), *([] if max(loud) > 0 else [silent])]

@@ -201,7 +201,8 @@ class RingDownRecord(WaveformRecord):
         return self.track(declared, channel)
 
     def warnings(self, declared: Declared) -> list[str]:
-        found, decay = exchanged(self.file, self.axis, self.signals[:, self.channels]), declared.shortest_decay
+        found = super().warnings(declared) + exchanged(self.file, self.axis, self.signals[:, self.channels])
+        decay = declared.shortest_decay
         if self.drive_duration < 5 * decay:
             found.append(
                 f"{self.file}: the drive of {self.drive_duration:.3g} s lasts less than 5 time constants of {decay:.3g}"

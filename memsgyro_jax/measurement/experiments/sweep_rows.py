@@ -7,6 +7,7 @@ import numpy as np
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.table import Table
+from memsgyro_jax.measurement.outliers import lone_rows
 
 
 _AFTER = 6  # rows on each side of a turn that say whether it was one
@@ -123,12 +124,13 @@ def check_phase(table: Table, rows: slice, axis: int, frequency: np.ndarray, pha
     was labelled wrongly.
     """
     order = np.argsort(frequency[rows])
-    response = phasors[rows, axis][order]
-    ends = max(1, len(response) // 10)
-    background = np.mean(np.concatenate([response[:ends], response[-ends:]]))
-    turns = [turn for taken in (0.0, background) if (turn := _turn(response - taken, noise)) is not None]
-    if len(turns) < 2 or min(turns) <= -30:
-        return  # no full resonance in the band, or one drowned in noise: nothing to check against
+    f, response = frequency[rows][order], phasors[rows, axis][order]
+    turns = _turns(response, noise)
+    if _turns_wrongly(turns):  # a wrong row may stand higher than the resonance, and is named by `check`
+        lone = [row for row, _ in lone_rows(f, response, noise)]
+        turns = _turns(np.delete(response, lone), noise)
+    if not _turns_wrongly(turns):
+        return
     where = f"{table.path}, lines {table.lines[rows][0]} to {table.lines[rows][-1]}"
     conjugated = 'if the file follows e^{-iωt}, say `convention = "exp(-iwt)"`'
     raise InputError(
@@ -136,6 +138,20 @@ def check_phase(table: Table, rows: slice, axis: int, frequency: np.ndarray, pha
         f"V(t) = Re[(I + iQ) e^{{iωt}}] does, but changes by {turns[0]:+.0f}°; "
         f"{conjugated + '.' if turns[0] > 30 else 'are these readings as labelled?'}"
     )
+
+
+def _turns(response: np.ndarray, noise: float) -> list[float]:
+    """By how many degrees a response in the order of frequency turns, as it is and beside what the ends of its band
+    have; one of them, or none, where it has no half-power points.
+    """
+    ends = max(1, len(response) // 10)
+    background = np.mean(np.concatenate([response[:ends], response[-ends:]]))
+    return [turn for taken in (0.0, background) if (turn := _turn(response - taken, noise)) is not None]
+
+
+def _turns_wrongly(turns: Sequence[float]) -> bool:
+    """Whether a resonance in the band turns the other way, or not at all; one drowned in noise tells nothing."""
+    return len(turns) == 2 and min(turns) > -30
 
 
 def _turn(response: np.ndarray, noise: float) -> float | None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from lab import driven
 from measurement.case.bench import NOISE, write_bench
-from scipy import stats
+from scipy import signal, stats
 
 import memsgyro_jax
 from memsgyro_jax.measurement.beside_design import beside_design
@@ -362,3 +362,27 @@ def test_what_the_weakest_sweeps_show_stands_beside_the_design(tmp_path):
     (wrong,) = [sentence for sentence in beside_design(load_case(tmp_path)) if "outside" in sentence]
     assert wrong.startswith("quality_factor: the records show ")
     assert wrong.endswith("the design 2000, which lies outside its tolerance.")
+
+
+@pytest.mark.parametrize("start", ["rest", "unknown"])
+def test_the_lines_of_a_chirp_tell_no_phase_aside_of_the_resonance(start, tmp_path):
+    """They are spectra under a window, of a force that is nearly none where it did not dwell: 43° where truth is 0°."""
+    time = np.arange(6000) / 4e4
+    force = 0.5 * signal.chirp(time, 2500.0, time[-1], 6000.0)
+    omega = 2 * np.pi * 4000.0
+    _, moved, _ = signal.lsim(([0.02 * omega**2], [1.0, omega / 50.0, omega**2]), force, time)
+    seen = moved + 5e-4 * np.random.default_rng(3).normal(size=6000)
+    rows = (f"{t:.9g},{u:.9g},{v:.9g}" for t, u, v in zip(time, force, seen, strict=True))
+    (tmp_path / "chirp.csv").write_text("\n".join(["t [s],u [V],x [V]", *rows]) + "\n")
+    (tmp_path / "case.toml").write_text(f"""schema = "memsgyro-case/1"
+name = "chirp"
+device = "resonator"
+[[experiment]]
+name = "chirp"
+kind = "time_record"
+file = "chirp.csv"
+hold = "linear"
+start = "{start}"
+""")
+    said = beside_design(load_case(tmp_path))
+    assert [sentence.split(":")[0] for sentence in said] == ["resonance", "quality_factor"]

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.units import parse_header, to_si
-from memsgyro_jax.measurement.column_meaning import meaning_of, parse_map
+from memsgyro_jax.measurement.column_map import parse_map
+from memsgyro_jax.measurement.column_meaning import meaning_of
 from memsgyro_jax.measurement.declared import angular
 from memsgyro_jax.measurement.formats import read_instrument_file
 from memsgyro_jax.measurement.formats.header import split_header
