@@ -83,6 +83,8 @@ def _in_steps(search: Search, first: Ranking) -> Optimum:
     if step.optimum.chi2 < FAR * step.optimum.dof or search.joint.model.axes == 1:
         return step.optimum
     second = step.rank()
+    if not second.places:
+        return step.optimum
     best = second.order[0]
     return step.refit([*step.accepted, second.places[best]], slopes=second.slopes[best])
 
