@@ -18,6 +18,7 @@ from memsgyro_jax.measurement.case import Case
 from . import diagnosis_figures as figures
 from . import force_figures
 from .page import Page
+from .record_settings import settings_in_words
 
 
 VERDICTS = {
@@ -176,13 +177,16 @@ def _records(out: Page, diagnosis: Diagnosis) -> None:
             continue
         caption = f"All sweeps of {'xy'[axis]} over their drive: points measured, lines the final model."
         out.figure(together, f"{caption} What is linear falls on one curve.")
-    for (record, base), (_, final) in zip(diagnosis.base.deviations, diagnosis.final.deviations, strict=True):
+    pairs = list(zip(diagnosis.base.deviations, diagnosis.final.deviations, strict=True))
+    settings = settings_in_words([record for (record, _), _ in pairs], diagnosis.case)
+    for ((record, base), (_, final)), taken_at in zip(pairs, settings, strict=True):
         overlay = record.overlay(base, final)
         if any(view.curves for view in overlay.views):
             figure = figures.overlay_figure(record, base, final, overlay.views)
         else:
             figure = figures.residual_figure(base, final, overlay.views)
-        out.figure(figure, f"{record.name}: {overlay.caption}." if overlay.caption else f"{record.name}.")
+        about = "; ".join(filter(None, (overlay.caption, taken_at)))
+        out.figure(figure, f"{record.name}: {about}." if about else f"{record.name}.")
 
 
 def _ranking(out: Page, diagnosis: Diagnosis) -> None:

@@ -8,15 +8,18 @@ import numpy as np
 import pytest
 from bench_case import demonstration
 
+from memsgyro_jax.app.report import diagnosis_page as page_of_diagnosis
 from memsgyro_jax.app.report.diagnosis_figures import steps_figure
 from memsgyro_jax.app.report.diagnosis_page import diagnosis_page
-from memsgyro_jax.base.text import beside
+from memsgyro_jax.app.report.record_settings import settings_in_words
+from memsgyro_jax.base.text import beside, spoken
 from memsgyro_jax.diagnosis.compare import judged
 from memsgyro_jax.diagnosis.findings import Accepted, Candidate, Stage
 from memsgyro_jax.diagnosis.fit import beside_case
 from memsgyro_jax.diagnosis.nuisances import of_instrument
 from memsgyro_jax.diagnosis.optimum import optimise
 from memsgyro_jax.diagnosis.result import ONLY_IF, Diagnosis, validation_error
+from memsgyro_jax.measurement.experiments import FrequencySweepRecord
 
 
 HOSTILE = '<script>alert("$x_1$")</script> & "quoted" 漢字 $\\frac$'
@@ -204,3 +207,19 @@ def test_nothing_is_loaded_from_anywhere(found):
     links = [v for n, v in outline.attributes if n in ("src", "href", "xlink:href")]
     assert all(link.startswith("#") for link in links)
     assert not {"img", "link", "iframe", "script", "object"} & set(outline.tags)
+
+
+def test_pictures_of_records_say_at_what_settings_they_were_taken(diagnosis, monkeypatch):
+    first, second, *_ = (one for one in diagnosis.case.records if isinstance(one, FrequencySweepRecord))
+    assert settings_in_words([first, first], diagnosis.case) == ("", "")  # all agree
+    warm = replace(first, temperature=first.temperature + 40.0)
+    second_half = np.arange(second.rows) >= second.rows // 2
+    stepped = replace(second, bias_voltage=np.where(second_half, 12.0, 0.0), drive=0.5 * second.drive)
+    told = settings_in_words([warm, stepped], diagnosis.case)
+    for one, words in zip((warm, stepped), told, strict=True):
+        assert f"temperature {float(one.temperature[0]) - 273.15:.4g} °C" in words
+        assert words.startswith(f"drive {spoken(float(one.setting[0]), diagnosis.case.words.force)}")
+    assert "bias voltage 0 V to 12 V" in told[1]
+    monkeypatch.setattr(page_of_diagnosis, "settings_in_words", lambda records, _: ("bias voltage 7 V",) * len(records))
+    shown = diagnosis_page(diagnosis).html()
+    assert shown.count("; bias voltage 7 V.") + shown.count(": bias voltage 7 V.") == 2 * len(diagnosis.case.records)
