@@ -270,7 +270,8 @@ def as_scenario(given: "Scenario | AbstractProfile | float | str") -> Scenario:
     if isinstance(given, list | tuple) or np.ndim(given) > 0:
         raise InputError(
             "Argument `scenario` must be a `Scenario`, a profile of the rate or one rate, but is of "
-            f"{np.size(given)} numbers; a rate over time is `mg.Recorded(times, rates)`."
+            f"{np.size(given)} numbers; a rate over time is `mg.Recorded(times, rates)`, one for each die of a batch "
+            "`mg.Constant(rates)`."
         )
     return Scenario(
         rate=given if isinstance(given, AbstractProfile) else Constant(quantity("scenario", given, "rad/s"))

@@ -19,7 +19,7 @@ from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.observers import ExtendedKalmanFilter
 from memsgyro_jax.loop.observers.settings import Annealing
 from memsgyro_jax.loop.readout import ChargeAmplifier, DirectReadout
-from memsgyro_jax.loop.scenario import Ramp, as_scenario
+from memsgyro_jax.loop.scenario import Constant, Ramp, Scenario, as_scenario
 
 
 SINGLE, DUAL = SingleMassGyro.chi2010(), DualMassGyro.chi2010()
@@ -341,12 +341,12 @@ def test_the_filter_reaches_the_bayesian_bound(sample_rate):
     device = SingleMassGyro(mass, *(mass * value for value in (kxx, kyy, kxy, dxx, dyy, dxy)))
     batch = eqx.tree_at(lambda made: (made.device, made.start), loop, (device, start))
     words = noise.die_words(jax.random.key(1), jnp.arange(dies))
-    go = eqx.filter_jit(lambda b: run(b, as_scenario(rate), words, 1 / sample_rate, 100, int(1e-3 * sample_rate),
-                                      _Nothing(), loop))  # fmt: skip
+    rates, block = Scenario(rate=Constant(rate)), int(1e-3 * sample_rate)
+    go = eqx.filter_jit(lambda b: run(b, rates, words, 1 / sample_rate, 100, block, _Nothing(), loop))
     end = go(batch)
     assert bool(end.alive.all())
     error = np.asarray(loop.observer.estimate(end.state.observer).rate) - np.asarray(rate)
-    bound = information_bound(batch, rate, sample_rate=sample_rate, prior=prior, design=loop, windows=1).rate_std[-1]
+    bound = information_bound(batch, rates, sample_rate=sample_rate, prior=prior, design=loop, windows=1).rate_std[-1]
     square = error**2 / np.mean(bound**2)
     assert np.sqrt(np.mean(square)) == pytest.approx(1.0, abs=0.1)
     assert abs(np.mean((error / bound) ** 2) - 1.0) < 4.0 * np.sqrt(2.0 / dies)
