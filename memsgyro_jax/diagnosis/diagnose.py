@@ -12,6 +12,7 @@ from memsgyro_jax.base.runtime import make_room
 from memsgyro_jax.effects import Effect, Scanned
 from memsgyro_jax.measurement.calibration import calibration_share, unit_of_records
 from memsgyro_jax.measurement.case import Case
+from memsgyro_jax.measurement.case.lone import lone_readings
 from memsgyro_jax.measurement.linear_start import starting_device
 from memsgyro_jax.measurement.model import Model
 from memsgyro_jax.measurement.readings import model_of, readings_of
@@ -130,7 +131,9 @@ def _diagnosed(
             yield begin, ranking, "", start
         yield *instrument_first(begin, ranking, smooth, search_on, done), start
 
-    (search, ranking, rival, (base, first, whence)), left_out = search_beside_outlying(begun, searched, done)
+    (search, ranking, rival, (base, first, whence)), left_out = search_beside_outlying(
+        begun, searched, done, lambda: lone_readings(case.records)
+    )
     if without_spoiler(search, lambda fit, accepted: all(_each_explained(fit, accepted, level))):
         ranking = search.rank()
     steps = search.steps

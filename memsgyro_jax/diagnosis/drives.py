@@ -107,9 +107,14 @@ def _on_the_brink(record: AbstractRecord) -> tuple[int, ...]:
 
 def falls(record: AbstractRecord) -> np.ndarray:
     """Rows of a sweep across which the reading changes at once, and hardly beside them."""
-    if not np.iscomplexobj(record.readings):
+    return falls_of(record.readings)
+
+
+def falls_of(readings: np.ndarray) -> np.ndarray:
+    """The same of phasors (n, channels), read or predicted; none of real readings."""
+    if not np.iscomplexobj(readings):
         return np.empty(0, int)
-    size = np.max(np.abs(record.readings), axis=1)
+    size = np.max(np.abs(readings), axis=1)
     steps, across = np.abs(np.diff(size)), np.abs(size[2:] - size[:-2])[1:-1]  # a row that stands alone comes back
     sudden = across > SUDDEN * np.maximum(steps[:-3], steps[3:])
     return 2 + np.flatnonzero(sudden & (across > FALL * np.nanmax(size)))

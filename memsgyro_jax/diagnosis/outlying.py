@@ -12,6 +12,7 @@ from memsgyro_jax.measurement.outliers import lone_residuals
 from memsgyro_jax.measurement.readings import Readings
 
 from .drives import NOBODY, Rows, falls, gone, without_rows, without_weight
+from .far_rows import FEW_ROWS, HOPELESS, far_rows_in_turns, near_rows
 from .fit import CaseFit, beside_case
 from .joint_residual import Joint
 from .optimum import optimise
@@ -19,13 +20,11 @@ from .score import basis
 from .search import Search
 
 
-HOPELESS = 1.5  # of the χ² that noise may leave: rows without which a model leaves more are not what it misses
-FEW_ROWS = 0.05  # share of a record's rows from which they are no outliers but a part of it
-
 FAR, TRIMMED = 3.0, 0.1  # times what is usual from which rows are trimmed, and the largest share of them
 USUAL = 1.5  # standard deviations that most rows may be off a fit that nothing pulls
 NEARER = 0.5  # of what was usual: what a fit to the others must come to, each time
 ROUNDS, EVALUATIONS = 8, 8  # of such fits
+AGAIN = 3  # searches without rows that were found beside the end of another
 
 
 def outlying(fit: CaseFit) -> Rows:
@@ -75,42 +74,76 @@ def _of_row(record: AbstractRecord, row: int) -> str:
 
 def search_beside_outlying(
     begun: Callable[[Rows], Search], searched: Callable[[Search], Iterator[tuple[Search, Any, Any, Any]]],
-    done: Callable[[Search], bool],
+    done: Callable[[Search], bool], suspected: Callable[[], Rows] = dict,
 ) -> tuple[tuple[Search, Any, Any, Any], Rows]:  # fmt: skip
     """The end of a search, and the rows that it leaves out, if any.
 
     Rows are outlying only beside a model that explains all others: beside another they may be its misfit, as the one
     row at the top of a narrow resonance is. So they are left out at the beginning where the base model then explains
-    the case, or where a model that was found on the way, or at the end, does.
+    the case, or where a model that was found on the way, or at the end, does. Rows that stand out before any model are
+    left out on the way, as they pull every fit, and taken in again where the end explains them.
 
     Args:
         begun: a search without some rows.
         searched: where a search stands on its way and at its end, and what else is told of it.
         done: whether a search leaves nothing to explain.
+        suspected: rows that stand far off their neighbours in what was read.
     """
-    search = begun({})
-    if not done(search) and (rows := _to_leave_out(search.base)) and done(fewer := begun(rows)):
-        *_, found = searched(fewer)
-        return found, rows
-    tried: list[Rows] = []
+    whole = begun({})
+    search, left_out = (whole, {}) if done(whole) else _begun_without(whole, begun, done, suspected)
+    tried: list[Rows] = [left_out]
     for found in searched(search):
-        if done(found[0]) or not (rows := _to_leave_out(found[0].steps[-1].fit)) or rows in tried:
-            continue
-        *_, again = searched(begun(rows))
+        end, rows = found, left_out
+        while not done(end[0]) and len(tried) <= AGAIN:
+            rows = _together(rows, _to_leave_out(end[0].steps[-1].fit))
+            if rows in tried:
+                break
+            tried.append(rows)
+            *_, end = searched(begun(rows))
+        if done(end[0]) and rows != left_out:
+            break
+    if not done(end[0]):
+        return found, left_out
+    near = near_rows(end[0].steps[-1].fit, whole.joint.readings, rows) if rows else {}
+    if near:
+        fewer = {k: kept for k, every in rows.items() if (kept := tuple(np.setdiff1d(every, near.get(k, ())).tolist()))}
+        *_, again = searched(begun(fewer))
         if done(again[0]):
-            return again, rows
-        tried.append(rows)
-    return found, {}
+            return again, fewer
+    return end, rows
+
+
+def _begun_without(
+    whole: Search, begun: Callable[[Rows], Search], done: Callable[[Search], bool], suspected: Callable[[], Rows]
+) -> tuple[Search, Rows]:
+    """A search without the rows that are outlying beside the base model, where that explains the rest, else without
+    those that are suspected, and which they are.
+    """
+    if (rows := _to_leave_out(whole.base)) and done(fewer := begun(rows)):
+        return fewer, rows
+    if not (suspects := suspected()):
+        return whole, {}
+    search = begun(suspects)
+    if not done(search) and (more := _to_leave_out(search.base)):
+        rows = _together(suspects, more)
+        if done(fewer := begun(rows)):
+            return fewer, rows
+    return search, suspects
+
+
+def _together(some: Rows, others: Rows) -> dict[int, tuple[int, ...]]:
+    """The rows of both."""
+    return {k: tuple(sorted({*some.get(k, ()), *others.get(k, ())})) for k in sorted({*some, *others})}
 
 
 def _to_leave_out(fit: CaseFit) -> Rows:
     """Outlying rows, if without them the rest may be explained; also those that one row, far off, has hidden by pulling
-    the fit away from all others.
+    the fit away from all others, and those that stand beside each other.
     """
     if rows := outlying_in_noise(fit):
         return rows
     calmer = not_pulled(fit)
-    return {} if calmer is None else outlying_in_noise(calmer)
+    return {} if calmer is None else outlying_in_noise(calmer) or far_rows_in_turns(calmer)
 
 
 def fit_without(fit: CaseFit, rows: Rows) -> CaseFit:
@@ -150,7 +183,7 @@ def not_pulled(fit: CaseFit) -> CaseFit | None:
         ]
         vector = optimise(joint, vector, free, near, max_evaluations=EVALUATIONS).vector
         sizes = _sizes(np.concatenate(joint.residual(vector, joint.fitted)), joint.fitted)
-        if not np.median(np.concatenate(sizes)) <= NEARER * usual:
+        if not np.median(np.concatenate(sizes)) <= max(USUAL, NEARER * usual):
             break
     return None
 

@@ -5,9 +5,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from bench_case import BAND, RESONATOR, bench
+from bench_case import RESONATOR
 from lab.die import Hidden
-from lab.protocol import Laboratory, Sweep
+from long_sweep import case_of
 
 from memsgyro_jax.app.report.fit_text import fit_entries, fit_text
 from memsgyro_jax.diagnosis.compare import beside_outlying, compare, judged
@@ -27,18 +27,7 @@ from memsgyro_jax.diagnosis.outlying import (
 )
 
 
-LONG = Laboratory((Sweep("sweep", 0, (0.002, 0.006), **BAND | {"points": 90}),), digits=17)
 WRONG = (11, 40, 77, 130, 151)
-
-
-def case_of(seed, hidden=Hidden(), rows=(), sigmas=15.0):  # noqa: B008
-    """A long sweep at two levels, with some rows that are wrong by so many standard deviations."""
-    case = bench(hidden, seed, LONG, RESONATOR).case
-    (record,) = case.records
-    phasors = record.phasors.copy()
-    turn = np.exp(2j * np.pi * np.random.default_rng(seed).random(len(rows)))
-    phasors[list(rows), 0] += sigmas * record.noise_std * turn
-    return replace(case, records=(replace(record, phasors=phasors),))
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -152,8 +141,11 @@ def test_a_record_of_which_a_part_is_wrong_keeps_all_rows():
 def test_rows_are_left_out_where_the_rest_is_explained(monkeypatch, base, fewer, final, again, named):
     monkeypatch.setattr("memsgyro_jax.diagnosis.outlying._to_leave_out", lambda fit: {0: (3,)})
 
+    monkeypatch.setattr("memsgyro_jax.diagnosis.outlying.near_rows", lambda fit, readings, rows: {})
+
     def state(done):
-        return SimpleNamespace(done=done, base=None, steps=[SimpleNamespace(fit=None)])
+        joint = SimpleNamespace(readings=())
+        return SimpleNamespace(done=done, base=None, steps=[SimpleNamespace(fit=None)], joint=joint)
 
     def searched(search):
         yield state(again if search is without else final), None, "", None
