@@ -2,11 +2,14 @@
 
 import gc
 import os
+from importlib.metadata import version
 
 from memsgyro_jax.base import runtime
 
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # NumPy's threads would wait for work on the other workers' cores
+if version("jaxlib") in ("0.10.2", "0.12.0.1") and "XLA_FLAGS" not in os.environ:  # likewise XLA's; others may not know
+    os.environ["XLA_FLAGS"] = "--xla_cpu_parallel_codegen_split_count=1"
 runtime.configure(devices=2)
 gc.set_threshold(50_000, 20, 100)  # what is imported and compiled stays: few collections need to look at it
 
@@ -31,44 +34,56 @@ ROOT = Path(__file__).resolve().parent.parent
 SETTINGS = ("XLA_FLAGS", "JAX_", "MEMSGYRO_")
 # The files that take longest, most of it to compile. Workers begin with them: one begun last would leave others idle.
 LONGEST = (
+    "app/report/test_diagnosis_page.py",
     "montecarlo/test_sweep.py",
     "diagnosis/test_diagnose.py",
-    "app/report/test_diagnosis_page.py",
-    "app/test_commands.py",
-    "couplings/test_identify.py",
-    "diagnosis/test_instrument.py",
-    "loop/controllers/test_classic.py",
-    "diagnosis/test_joint_residual.py",
-    "loop/test_bound.py",
-    "diagnosis/test_law.py",
-    "tuning/test_tune.py",
     "effects/test_members.py",
-    "measurement/test_experiments_of_models.py",
-    "loop/observers/test_ekf.py",
-    "app/test_bench_to_loop.py",
-    "motion/test_design_motion.py",
-    "loop/test_blocks.py",
+    "app/test_commands.py",
+    "tuning/test_tune.py",
     "loop/test_effects_in_loop.py",
-    "montecarlo/test_sensitivity.py",
-    "montecarlo/test_lots.py",
-    "tuning/test_adjoint.py",
-    "loop/test_transforms.py",
-    "couplings/test_modal.py",
-    "effects/test_settled.py",
-    "loop/test_output_filter.py",
-    "app/test_datasheet_command.py",
-    "couplings/test_tree_fit.py",
-    "measurement/test_datasheet.py",
-    "diagnosis/test_driven.py",
-    "device/test_propagate.py",
-    "base/test_runtime.py",
+    "motion/test_design_motion.py",
+    "couplings/test_identify.py",
+    "loop/observers/test_ekf.py",
+    "diagnosis/test_joint_residual.py",
+    "diagnosis/test_instrument.py",
     "measurement/experiments/test_free_decay.py",
+    "loop/controllers/test_classic.py",
+    "measurement/test_thinning.py",
+    "measurement/test_allan.py",
+    "diagnosis/test_moved.py",
     "loop/test_trace.py",
-    "loop/test_gradients.py",
-    "loop/test_consistency.py",
+    "loop/test_blocks.py",
+    "loop/test_bound.py",
+    "montecarlo/test_sensitivity.py",
+    "test_typing.py",
+    "measurement/test_datasheet.py",
+    "device/test_propagate.py",
+    "effects/test_settled.py",
+    "diagnosis/test_identifiable.py",
+    "base/test_runtime.py",
+    "measurement/case/test_quality.py",
+    "app/report/test_sweep_page.py",
+    "loop/test_further.py",
+    "couplings/test_tree_fit.py",
+    "measurement/test_import_case.py",
+    "montecarlo/test_lots.py",
+    "app/test_fit_command.py",
+    "couplings/test_modal.py",
+    "lab/test_laboratory.py",
     "diagnosis/test_further_numbers.py",
+    "measurement/test_held_noise.py",
+    "loop/test_linearised.py",
+    "diagnosis/test_law.py",
+    "montecarlo/test_farm.py",
     "app/test_identify_command.py",
+    "loop/test_output_filter.py",
+    "diagnosis/test_decays_apart.py",
+    "test_cantilever.py",
     "test_readme.py",
+    "measurement/experiments/test_operating_points.py",
+    "measurement/test_harmonic_slopes.py",
+    "effects/test_units.py",
+    "effects/test_of_operation.py",
 )
 
 
