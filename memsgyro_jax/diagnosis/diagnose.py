@@ -173,6 +173,7 @@ def _diagnosed(
     again = what_repeats(final, noise)
     declared = {record.name for record in case.records if record.noise_std}
     unexplained = verdict in UNEXPLAINED
+    why = "as they lie far off their neighbours and pull every fit" if unexplained else "as outlying"
     scale = np.nan if unexplained else final.scale  # what is left that nobody knows is in no standard deviation
     accepted, terms = (tuple(a.scaled(scale) for a in every) for every in (accepted, terms))
     apart_in_time = decays_apart(final) if unexplained else ""
@@ -187,7 +188,7 @@ def _diagnosed(
         + of_instrument(terms, rival, drive_levels(case))
         + of_noise(noise, declared, again)
         + slowly(search.slow)
-        + (f" Left out as outlying: {of_rows(case, left_out)}." if left_out else "")
+        + (f" Left out {why}: {of_rows(case, left_out)}." if left_out else "")
         + (far_off(case) if unexplained and not left_out else ""),
         accepted=accepted,
         first=first,

@@ -12,7 +12,7 @@ from memsgyro_jax.measurement.outliers import lone_residuals
 from memsgyro_jax.measurement.readings import Readings
 
 from .drives import NOBODY, Rows, falls, gone, without_rows, without_weight
-from .far_rows import FEW_ROWS, HOPELESS, far_rows_in_turns, near_rows
+from .far_rows import FEW_ROWS, HOPELESS, TRIMMED, far_rows_in_turns, near_rows
 from .fit import CaseFit, beside_case
 from .joint_residual import Joint
 from .optimum import optimise
@@ -20,7 +20,7 @@ from .score import basis
 from .search import Search
 
 
-FAR, TRIMMED = 3.0, 0.1  # times what is usual from which rows are trimmed, and the largest share of them
+FAR = 3.0  # times what is usual from which rows are trimmed
 USUAL = 1.5  # standard deviations that most rows may be off a fit that nothing pulls
 NEARER = 0.5  # of what was usual: what a fit to the others must come to, each time
 ROUNDS, EVALUATIONS = 8, 8  # of such fits
