@@ -96,7 +96,8 @@ def tracked(
     found = []
     for begin in range(0, len(time) - width + 1, width):
         middle = time[begin : begin + width].mean()
-        one = _window(values[begin : begin + width], time[begin : begin + width] - middle, omega - reference, phasors)
+        fitted = _phasors if phasors else _window
+        one = fitted(values[begin : begin + width], time[begin : begin + width] - middle, omega - reference)
         found.append((middle, *one))
         low, high = band
         if low < one[2] + reference < high:
@@ -144,7 +145,7 @@ def _strongest(
     return float(omega[np.argmax(size)])
 
 
-def _window(values: np.ndarray, tau: np.ndarray, omega: float, phasors: bool) -> tuple[Any, ...]:
+def _window(values: np.ndarray, tau: np.ndarray, omega: float) -> tuple[Any, ...]:
     """Phasor, its standard deviation, frequency, its, decay rate, its, and the constant beside it, from values at times
     `tau` about the middle of their window [s].
     """
@@ -152,20 +153,37 @@ def _window(values: np.ndarray, tau: np.ndarray, omega: float, phasors: bool) ->
     for _ in range(ROUNDS):
         turn = np.exp(1j * omega * tau)
         wave = np.stack([turn, 1j * turn, tau / half * turn, 1j * tau / half * turn], axis=1)
-        if phasors:
-            columns, seen = np.concatenate([wave.real, wave.imag]), np.concatenate([values.real, values.imag])
-        else:
-            columns, seen = np.concatenate([wave.real, np.ones((len(tau), 1))], axis=1), values
-        found, _, _, _ = np.linalg.lstsq(columns, seen)
+        columns = np.concatenate([wave.real, np.ones((len(tau), 1))], axis=1)
+        found, _, _, _ = np.linalg.lstsq(columns, values)
         a, b = found[0] + 1j * found[1], (found[2] + 1j * found[3]) / half
         rate = b / a
         move = float(np.clip(rate.imag, -1.0 / half, 1.0 / half))
         omega += move
         if abs(move) < 1e-9 * abs(omega) + 1e-12:
             break
-    left = seen - columns @ found
-    freedom = max(1, len(seen) - columns.shape[1])
+    left = values - columns @ found
+    freedom = max(1, len(values) - columns.shape[1])
     spread = np.sqrt(np.diag(np.linalg.pinv(columns.T @ columns)) * float(left @ left) / freedom)
     slope = float(np.hypot(spread[2], spread[3])) / np.sqrt(2) / half / abs(a)
     level = float(np.hypot(spread[0], spread[1])) / np.sqrt(2)
-    return a, level, omega, slope, -rate.real, slope, 0.0 if phasors else float(found[4])
+    return a, level, omega, slope, -rate.real, slope, float(found[4])
+
+
+def _phasors(values: np.ndarray, tau: np.ndarray, omega: float) -> tuple[Any, ...]:
+    """`_window` of phasors, which have no constant: turned back they lie along a straight line."""
+    half, mean = max(float(tau[-1]), 1e-300), tau.mean()
+    away = tau - mean
+    size = float(away @ away)
+    for _ in range(ROUNDS):
+        still = values * np.exp(-1j * omega * tau)
+        b = away @ still / size if size else np.complex128(0.0)
+        a = still.mean() - b * mean
+        move = float(np.clip((b / a).imag, -1.0 / half, 1.0 / half))
+        omega += move
+        if abs(move) < 1e-9 * abs(omega) + 1e-12:
+            break
+    left = still - a - b * tau
+    variance = float(np.vdot(left, left).real) / max(1, 2 * len(values) - 4)
+    slope = float(np.sqrt(variance / size)) / abs(a) if size else 0.0
+    level = float(np.sqrt(variance * (1.0 / len(values) + (mean**2 / size if size else 0.0))))
+    return a, level, omega, slope, -(b / a).real, slope, 0.0

@@ -22,3 +22,23 @@ def test_a_phase_that_turns_is_told_beside_noise(turn, span):
     track = tracked(time, volts, (2 * np.pi * 7e3, 2 * np.pi * 9e3)).seen
     whole = turn * span * (1.0 - np.exp(-2.0 * np.pi * HERTZ / QUALITY * track.time[-1]))
     assert track.turned(span) == pytest.approx(whole, rel=0.25, abs=0.3)
+
+
+@pytest.mark.parametrize("phasors", [True, False])
+def test_each_window_is_told_with_the_noise_that_it_has(phasors):
+    """Amplitude, frequency and decay rate of a steady vibration, over as many windows as tell a spread."""
+    rng, omega, time = np.random.default_rng(3), 2 * np.pi * 8010.0, np.arange(64_000) / RATE
+    reference = 2 * np.pi * 8e3 if phasors else 0.0
+    turning = np.exp(1j * ((omega - reference) * time + 0.3))
+    noise = NOISE * (rng.standard_normal(time.size) + 1j * rng.standard_normal(time.size))
+    seen = turning + noise if phasors else (turning + noise).real
+    track = tracked(time, seen, (2 * np.pi * 7e3, 2 * np.pi * 9e3), reference=reference, rows=160)
+    within = 4 / np.sqrt(2 * track.time.size)
+    for value, std, truth in (
+        (track.amplitude, track.amplitude_std, 1.0),
+        (track.omega, track.omega_std, omega),
+        (track.decay, track.decay_std, 0.0),
+    ):
+        off = (value - truth) / std
+        assert np.mean(off) == pytest.approx(0.0, abs=4 / np.sqrt(off.size))
+        assert np.std(off) == pytest.approx(1.0, abs=within)

@@ -129,16 +129,19 @@ def table_of_lines(path: Path, lines: list[str], assumed: list[str], first: int 
     begin = next(k for k, n in enumerate(data) if dialect.mask(dialect.fields(lines[n])) == mask)
     above, header = _above(bare[first : data[begin]], dialect, len(mask))
     repeated = {lines[n].strip() for n in range(first, data[begin])}
-    rows = []
+    rows, read = [], []
     for n in data[begin:]:
-        if lines[n].strip() in repeated:
+        bare_line = lines[n].strip()
+        if bare_line in repeated:
             continue
-        if lines[n].strip().upper() == "END":
+        if bare_line.upper() == "END":
             break
         fields = dialect.fields(lines[n])
-        if len(fields) != len(mask) or any(m and dialect.number(f) is None for m, f in zip(mask, fields, strict=True)):
+        held = [dialect.number(field) if m else field for m, field in zip(mask, fields, strict=False)]
+        if len(fields) != len(mask) or None in held:
             raise _broken(path, n + 1, fields, mask, last=n == data[-1])
         rows.append(fields)
+        read.append(held)
     if len(rows) < 2:
         raise InputError(f"{printable(str(path))}: must hold at least two rows of numbers, but holds {len(rows)}.")
     columns = []
@@ -146,7 +149,7 @@ def table_of_lines(path: Path, lines: list[str], assumed: list[str], first: int 
         cells = [row[place] for row in rows]
         if place == len(mask) - 1 and not any(cells):  # a delimiter at the end of each row
             continue
-        values = np.array([dialect.number(cell) for cell in cells], float) if is_number else np.array(cells)
+        values = np.array([row[place] for row in read], float) if is_number else np.array(cells)
         name, unit = header[place] if header else (f"column {place + 1}", "")
         columns.append(SourceColumn(name or f"column {place + 1}", unit, values))
     said = assumed if dialect == DIALECTS[-1] else [*assumed, dialect.words]
