@@ -22,11 +22,12 @@ from .confusions import confusions
 from .decays_apart import SAME_CLOCK, decays_apart
 from .drift_in_time import with_drift_alone
 from .drives import Rows, without_rows
+from .estimates import unseen_terms
 from .fewer import terms_of
 from .findings import Accepted, Candidate, Stage
 from .fit import CaseFit
 from .fitted import at_bounds, within_gates
-from .instrument import beside_case_of, drive_levels, knowledge
+from .instrument import beside_case_of, drive_levels, knowledge, with_declared
 from .joint_residual import Joint
 from .less_noise import LESS, less_noise, of_less_noise, with_less_noise
 from .listing import followed_candidates, listed_candidates
@@ -255,15 +256,15 @@ def _of_device(search: Search) -> int:
 
 def _terms_in(fit: CaseFit, search: Search, steps) -> tuple[Accepted, ...]:
     """The terms of the instrument that a fit has."""
-    free = {fit.joint.parameters[i].effect for i in fit.optimum.free}
+    free = {fit.joint.parameters[i].effect for i in fit.optimum.free} - unseen_terms(fit.joint, fit.optimum)
     places = [i for i, effect in enumerate(fit.joint.model.effects) if effect.of_instrument and i in free]
     return _accepted(Search(fit, search.level, places, search.tell), {place: [] for place in places}, steps)
 
 
 def _start(model, case: Case) -> Model:
     if isinstance(model, Model):
-        return beside_case_of(case, model)
-    return model_of(case, starting_device(case) if model is None else model)
+        return with_declared(case, beside_case_of(case, model))
+    return with_declared(case, model_of(case, starting_device(case) if model is None else model))
 
 
 def _each_explained(

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from memsgyro_jax.effects import InstrumentTerm
 from memsgyro_jax.measurement.calibration import calibration_share, unit_of_records
 from memsgyro_jax.measurement.case import Case
 
@@ -19,8 +20,8 @@ SCALED = "standard deviations times {:.3g}, as the model leaves more than the no
 
 
 def estimates_of(case: Case, joint: Joint, optimum: Optimum) -> tuple[ParameterEstimate, ...]:
-    """The parameters that were free."""
-    free = optimum.free.tolist()
+    """The parameters that were free, without those of terms that no record shows."""
+    free, unseen = optimum.free.tolist(), unseen_terms(joint, optimum)
     stopped = at_bounds(optimum.vector, joint.bounds, free)
     return tuple(
         ParameterEstimate(
@@ -32,7 +33,19 @@ def estimates_of(case: Case, joint: Joint, optimum: Optimum) -> tuple[ParameterE
             end,
         )
         for i, std, end in zip(free, optimum.std, stopped, strict=True)
+        if joint.parameters[i].effect not in unseen
     )
+
+
+def unseen_terms(joint: Joint, optimum: Optimum) -> frozenset[int]:
+    """Places of terms of the instrument of which fitted records show no number: what was known beforehand stands, as
+    of a temperature on which nothing depends.
+    """
+    told = np.concatenate([np.repeat(r.record >= 0, r.size // r.record.size) for r in joint.fitted])
+    shown = optimum.free[np.any(optimum.jacobian[told] != 0, axis=0)]
+    terms = [i for i, e in enumerate(joint.model.effects) if isinstance(e, InstrumentTerm) and e.known_to is not None]
+    free = {joint.parameters[i].effect for i in optimum.free}
+    return frozenset(i for i in terms if i in free and not np.isin(joint.of_effect(i), shown).any())
 
 
 def told_of(fit: Any) -> tuple[str, ...]:

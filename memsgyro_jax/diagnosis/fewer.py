@@ -12,8 +12,9 @@ from memsgyro_jax.effects.lock_in_terms import CapacitiveFeedthrough, LockInFeed
 from memsgyro_jax.effects.readout_delay import ReadoutDelay
 
 from .acceptance import too_late
+from .estimates import unseen_terms
 from .fit import beside_case
-from .instrument import every_term, instrument_terms
+from .instrument import declared_terms, every_term, instrument_terms
 from .joint_residual import Joint
 from .optimum import Optimum, optimise
 from .promise import offers_of, promised
@@ -25,8 +26,9 @@ SAME = 0.1  # of χ²: two fits that differ by less are one
 
 
 def terms_of(search: Search) -> list[int]:
-    """Places of the terms of the instrument that a search was given."""
-    return [i for i, _ in _terms(search)]
+    """Places of the terms of the instrument that a search was given and its records show."""
+    unseen = unseen_terms(search.joint, search.optimum)
+    return [i for i, _ in _terms(search) if i not in unseen]
 
 
 def _terms(search: Search) -> list[tuple[int, InstrumentTerm]]:
@@ -35,9 +37,12 @@ def _terms(search: Search) -> list[tuple[int, InstrumentTerm]]:
 
 
 def take_out(search: Search) -> None:
-    """Take terms of the instrument out again that the effects found since explain as well."""
+    """Take terms of the instrument out again that the effects found since explain as well; not those that the case
+    declares, which every ± is to hold.
+    """
     upright(search)
-    for place in terms_of(search):
+    declared = {term.label for term in declared_terms(search.case)}
+    for place in [i for i, term in _terms(search) if term.label not in declared]:
         size = search.joint.of_effect(place).size
         kept, search.given = search.given, tuple(i for i in search.given if i != place)
         fewer = search.refit(search.accepted, start=search.without(place))

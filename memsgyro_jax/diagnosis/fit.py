@@ -30,7 +30,7 @@ from .estimates import estimates_of, told_of
 from .first_numbers import with_numbers_that_show
 from .fit_table import fit_table
 from .fitted import ParameterEstimate, RecordError, errors_figure, of_energy, within_gates
-from .instrument import beside_case_of, knowledge
+from .instrument import beside_case_of, knowledge, with_declared
 from .joint_residual import Joint
 from .modes import mode_estimates
 from .optimum import WHOLE, Optimum, optimise
@@ -290,7 +290,7 @@ def fit_case(
     base = model if model is not None else model_of(case, starting_device(case))
     for effect in effects:
         check_effect(effect, base.axes)
-    whole = base.with_effect(*effects)
+    whole = with_declared(case, base.with_effect(*effects))
     known = knowledge([effect for effect in whole.effects if isinstance(effect, InstrumentTerm)])
     joint = Joint(whole, (*without_rows(readings_of(case), left_out or {}), *known))
     vector, places = joint.start, _free_places(joint, fixed)

@@ -4,7 +4,7 @@ A term is an effect whose strength has one entry per record or sweep; fit, score
 What is known beforehand of a strength enters as readings of it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -22,6 +22,7 @@ from memsgyro_jax.effects.instrument import (
     FrequencyOffset,
     GainDrift,
     RecordGain,
+    RecordTemperature,
 )
 from memsgyro_jax.effects.lock_in_terms import (
     CapacitiveFeedthrough,
@@ -39,6 +40,7 @@ from memsgyro_jax.measurement.drive_levels import levels_apart
 from memsgyro_jax.measurement.experiments import Readings
 from memsgyro_jax.measurement.experiments.base import Experiment, RealNoise
 from memsgyro_jax.measurement.model import Model
+from memsgyro_jax.measurement.one_place import set_points
 
 
 class Knowledge(Experiment):
@@ -64,13 +66,12 @@ class Knowledge(Experiment):
 
 def knowledge(terms: Sequence[InstrumentTerm]) -> tuple[Readings, ...]:
     """The readings that stand for what is known of the terms beforehand; they belong to no record."""
-    known = [term for term in terms if term.prior is not None]
-    return tuple(_prior(term.label, term.strength.size, term.prior) for term in known if term.prior)
+    return tuple(_prior(term.label, std) for term in terms if (std := term.known_to) is not None)
 
 
-def _prior(label: str, size: int, std: float) -> Readings:
-    nobody = np.full(size, -1)
-    return Readings(Knowledge(label, jnp.zeros((size, 1)), RealNoise(std)), nobody, nobody, True)
+def _prior(label: str, std: np.ndarray) -> Readings:
+    nobody = np.full(std.size, -1)
+    return Readings(Knowledge(label, jnp.zeros((std.size, 1)), RealNoise(std[:, None])), nobody, nobody, True)
 
 
 def instrument_terms(case: Case) -> tuple[InstrumentTerm, ...]:
@@ -104,7 +105,40 @@ def every_term(case: Case) -> tuple[InstrumentTerm, ...]:
     """The same, and the one that a search puts in the place of another alone."""
     tried = instrument_terms(case)
     twin = [CapacitiveFeedthrough(t.strength) for t in tried if isinstance(t, LockInFeedthrough)]
-    return (*tried, *twin)
+    return (*tried, *twin, *declared_terms(case))
+
+
+def declared_terms(case: Case) -> tuple[InstrumentTerm, ...]:
+    """What the case declares to be known only so far, which is free in every fit: how warm its records were."""
+    spread = {number: record.temperature_std for number, record in enumerate(case.records) if record.temperature_std}
+    return (record_temperature(case, spread),) if spread else ()
+
+
+def record_temperature(case: Case, spread: Mapping[int, float]) -> RecordTemperature:
+    """Of some records, a number for each of their set points, at zero.
+
+    No two records share one: whether an oven was set anew between them no file says, and one number for two visits
+    would leave what they differ by as a misfit.
+
+    Args:
+        case: of the records.
+        spread: by the number of a record, the standard deviation of its temperatures [K].
+    """
+    groups: dict[tuple[int, int], set[Place]] = {}
+    for number in spread:
+        record = case.records[number]
+        pieces = getattr(record, "sweeps", (slice(None),))
+        warm = np.broadcast_to(getattr(record, "temperature", 0.0), record.rows)  # of a kind without it, one for all
+        for sweep, point in enumerate(set_points(np.array([np.mean(warm[piece]) for piece in pieces]))):
+            groups.setdefault((number, int(point)), set()).add((number, sweep))
+    table = _Groups.of(case).table(list(groups.values()))
+    return RecordTemperature(np.zeros(len(groups)), table, np.array([spread[number] for number, _ in groups]))
+
+
+def with_declared(case: Case, model: Model) -> Model:
+    """The model with those terms of the case that it lacks."""
+    held = {effect.label for effect in model.effects}
+    return model.with_effect(*(term for term in declared_terms(case) if term.label not in held))
 
 
 def beside_case_of(case: Case, model: Model) -> Model:

@@ -225,7 +225,7 @@ class Joint:
         mine = [self.of_effect(i) for i, effect in enumerate(self.model.effects) if effect.label == knowledge.name]
         if not mine:
             return np.zeros(len(knowledge.measured)), np.zeros((len(directions), len(knowledge.measured)))
-        std = np.asarray(knowledge.noise.std)
+        std = np.ravel(knowledge.noise.std)
         return -vector[mine[0]] / std, -directions[:, mine[0]] / std
 
     def together(self, effects: Iterable[int]) -> None:

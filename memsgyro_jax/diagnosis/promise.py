@@ -123,8 +123,8 @@ def offers_of(fit: CaseFit, terms: Sequence[InstrumentTerm]) -> list[Offer]:
     for term, block in zip(terms, blocks, strict=True):
         (number,) = [n for n in free_numbers(term) if n.field == "strength"]
         every = np.ones(term.strength.size)
-        prior = np.inf if term.prior is None else term.prior
-        out.append(Offer(np.concatenate(block), number.low * every, number.high * every, prior * every))
+        known = np.inf * every if term.known_to is None else term.known_to
+        out.append(Offer(np.concatenate(block), number.low * every, number.high * every, known))
     return out
 
 

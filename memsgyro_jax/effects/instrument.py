@@ -17,7 +17,7 @@ from memsgyro_jax.base.arguments import in_unit
 from memsgyro_jax.base.fields import AbstractVar
 from memsgyro_jax.base.linalg import product
 
-from .base import DriveEffect, Effect, ForceEffect, LockInRow, Moment, ReadoutEffect, strength
+from .base import DriveEffect, Effect, ForceEffect, LockInRow, Moment, ReadoutEffect, SurroundingsEffect, strength
 
 
 BY_RECORD = "by record"  # of a term that each record has for itself
@@ -80,6 +80,13 @@ class InstrumentTerm(Effect):
     def where(self) -> str:
         """Which rows share a number, where that is left open."""
         return getattr(self, "of", "")
+
+    @property
+    def known_to(self) -> np.ndarray | None:
+        """(k,) the standard deviation that each number has before anything is measured, `None` where nothing is
+        known.
+        """
+        return None if self.prior is None else np.full(self.strength.size, self.prior)
 
     def chosen(self, now: Moment | LockInRow) -> Array:
         """The number of the group that a row belongs to."""
@@ -149,6 +156,33 @@ class FrequencyOffset(InstrumentTerm, ForceEffect):
 
     def moved(self, seen: SeenRows) -> np.ndarray:
         return seen.by_frequency
+
+
+class RecordTemperature(InstrumentTerm, SurroundingsEffect):
+    """T → T + s_k, one s_k per record, and per temperature within it, as an oven may be off its set point. Zero: the
+    temperature is the declared one.
+
+    A case that declares `temperature_std` has it in every fit; a search offers it to no other.
+
+    Args:
+        spread: (k,) standard deviation of each number, as declared [K].
+    """
+
+    name, unit, law = "record_temperature", "K", "T → T + s_k"
+    strength: Array = strength((0.0,), low=-100.0, high=100.0)
+    entry: Array = row_field((((0.0,),),))
+    spread: Array = row_field((1.0,))
+
+    @property
+    def known_to(self) -> np.ndarray:
+        return np.broadcast_to(np.asarray(self.spread), self.strength.shape)
+
+    def warmer(self, now: Moment) -> Array:
+        return self.chosen(now)
+
+    def moved(self, seen: SeenRows) -> np.ndarray:
+        """Nothing, as a device that no temperature moves."""
+        return np.zeros_like(seen.values)
 
 
 class ClockedTerm(InstrumentTerm):

@@ -20,6 +20,7 @@ from .instrument import (
     GainDrift,
     InstrumentTerm,
     RecordGain,
+    RecordTemperature,
     SeenRows,
     row_field,
 )
@@ -197,7 +198,7 @@ class LockInTime(InstrumentTerm, LockInEffect):
 
 TERMS: tuple[type[InstrumentTerm], ...] = (
     *(UnsettledRows, LockInTime, LockInMemory, ReferencePhase, LockInBackground, LockInFeedthrough),
-    *(CapacitiveFeedthrough, DriveLevel, RecordGain, FrequencyOffset),
+    *(CapacitiveFeedthrough, DriveLevel, RecordGain, RecordTemperature, FrequencyOffset),
     *(FrequencyDrift, DampingDrift, GainDrift, PhaseDrift),
 )
 

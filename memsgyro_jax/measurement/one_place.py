@@ -20,6 +20,19 @@ def away_from(around: Environment, temperature: np.ndarray, bias_voltage: np.nda
     return np.where(rate == 0, apart, np.inf)
 
 
+def set_points(temperature: np.ndarray) -> np.ndarray:
+    """(n,) number of the set point that each temperature [K] belongs to, from the coldest: those within 1 K of the
+    coldest of them are one.
+    """
+    values, place = np.unique(temperature, return_inverse=True)
+    numbers, first, number = np.zeros(values.size, int), -np.inf, -1
+    for k, kelvins in enumerate(values):
+        if kelvins >= first + NEAR:
+            first, number = kelvins, number + 1
+        numbers[k] = number
+    return numbers[place.ravel()]
+
+
 def in_one_place(around: Environment, records: Iterable[Any]) -> list[Any]:
     """The records without sweeps that were taken farther from the surroundings declared than others of their axis."""
     every = list(records)

@@ -83,6 +83,9 @@ class ExperimentSection(FileSection):
     noise_std: Quantity | None = None
     """Standard deviation (1σ) of the noise of a single reading, of I and Q each, in a unit of the readings. Left out,
     that of columns `std`, or estimated from the record."""
+    temperature_std: Temperature | None = None
+    """Standard deviation (1σ) of the temperature at which the record was taken, a difference in K: by so much an oven
+    may be off its set point, in all rows of one temperature alike. Left out, the temperature is exact."""
     convention: Literal["exp(+iwt)", "exp(-iwt)"] = "exp(+iwt)"
     """Time factor of the phasors: the sign with which their phase runs."""
     inverted: bool = False

@@ -198,6 +198,7 @@ kind = "frequency_sweep"                  # or "ring_down", "free_decay", "rate_
 file = "low.csv"
 settled = true                            # every row was read after the transient had died away
 # noise_std = {{ value = 50, unit = "uV" }}  # of I and Q; estimated from the rows where it is left out
+# temperature_std = {{ value = 0.1, unit = "K" }}  # by how much the oven may be off; exact where it is left out
 
 [[experiment]]
 name = "high"                             # a second drive level separates springs that stiffen from those that do not

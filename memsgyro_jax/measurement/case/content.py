@@ -7,7 +7,7 @@ import numpy as np
 
 from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.base.text import aligned, spoken
+from memsgyro_jax.base.text import aligned, listed, spoken
 
 from ..calibration import calibration_text
 from ..declared import Declared, Drive
@@ -52,7 +52,17 @@ class Case(Shown, Declared):
             )
             for r in self.records
         ]
-        return "\n".join(filter(None, (heading, calibration_text(self), aligned([head, *rows]))))
+        return "\n".join(filter(None, (heading, calibration_text(self), aligned([head, *rows]), _unsure_warmth(self))))
+
+
+def _unsure_warmth(case: Case) -> str:
+    """By how much the temperatures of which records may be off; empty where all are exact."""
+    unsure: dict[float, list[str]] = {}
+    for record in case.records:
+        if record.temperature_std:
+            unsure.setdefault(record.temperature_std, []).append(record.name)
+    said = [f"of {listed(names)} by {std:.3g} K" for std, names in unsure.items()]
+    return f"The temperatures may be off, {'; '.join(said)} (1σ): they are free in every fit." if said else ""
 
 
 def _level(known: Sequence[Known], drive: Drive | None) -> str:

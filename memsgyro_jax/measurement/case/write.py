@@ -93,6 +93,8 @@ def _entry(record: AbstractRecord, case: Case, csv: str) -> dict[str, str]:
         entry["carried"] = [name.rsplit(" [", 1)[0] for name in record.carried]
     if record.noise_std is not None and record.noise_rows is None:
         entry["noise_std"] = {"value": record.noise_std, "unit": case.readout.unit}
+    if record.temperature_std:
+        entry["temperature_std"] = {"value": record.temperature_std, "unit": "K"}
     return {key: _text(value) for key, value in (entry | record.keys(case)).items()}
 
 

@@ -20,6 +20,7 @@ from memsgyro_jax.device.normalised import NormalisedDevice
 from ..columns import phasor_columns
 from ..declared import Declared
 from ..noise import freedom_over_frequency, noise_over_frequency
+from ..one_place import set_points
 from ..rate_signs import fast_rates, turned_rate
 from ..section import DrivenSection, ExperimentSection, Frequency, Quantity
 from .base import Phasors, Readings
@@ -104,8 +105,13 @@ class OperatingPointsRecord(AbstractRecord):
 
     @cached_property
     def sweeps(self) -> tuple[slice, ...]:
-        """The rows of each setting of the drive that follow each other."""
-        begins = [0, *np.flatnonzero(np.abs(np.diff(np.log(self.drive))) > _SCATTER) + 1, self.rows]
+        """The rows of each setting of the drive that follow each other; where temperatures may be off, of each of those
+        too.
+        """
+        another = np.abs(np.diff(np.log(self.drive))) > _SCATTER
+        if self.temperature_std:
+            another |= np.diff(set_points(self.temperature)) != 0
+        begins = [0, *np.flatnonzero(another) + 1, self.rows]
         return tuple(map(slice, begins[:-1], begins[1:]))
 
     @cached_property

@@ -60,6 +60,7 @@ class AbstractRecord(abc.ABC):
         note: free text.
         noise_std: of each real reading (each of I and Q for phasors), in the record unit; `None` asks to estimate it.
         noise_rows: (n, channels) the same, where the file tells it row by row, of which `noise_std` is then the mean.
+        temperature_std: of the temperature at which it was taken [K], the same error in all rows of one temperature.
         left: noise that a model leaves where the rows told too much of it, and its degrees of freedom.
         recorded: which channels the file holds; all where it is empty. The readings of others are zero, and their noise
             is infinite.
@@ -78,6 +79,7 @@ class AbstractRecord(abc.ABC):
     note: str = ""
     noise_std: float | None = None
     noise_rows: np.ndarray | None = None
+    temperature_std: float = 0.0
     left: tuple[float, float] | None = None
     recorded: tuple[bool, ...] = ()
     carried: Mapping[str, np.ndarray] = field(default_factory=dict)

@@ -14,6 +14,9 @@ from ..section import Amount
 from .checks import near_resonance
 
 
+_MOST_OFF = 30.0  # K: a larger uncertainty is a temperature itself, or a mistake
+
+
 @dataclass(frozen=True)
 class Sheet:
     """What a kind of measurement reads its record from.
@@ -45,6 +48,7 @@ class Sheet:
         return {
             "name": entry.name, "file": entry.file, "lines": self.columns.table.lines, "role": entry.role,
             "note": entry.note, "noise_std": noise, "noise_rows": rows, "recorded": self.columns.recorded,
+            "temperature_std": 0.0 if entry.temperature_std is None else self._warmth(entry.temperature_std),
         }  # fmt: skip
 
     def amount(self, key: str, unit: str) -> float:
@@ -93,6 +97,16 @@ class Sheet:
     def force_unit(self) -> str:
         """Unit of the drive."""
         return self.declared.words.force
+
+    def _warmth(self, std: Amount) -> float:
+        """[K], of an oven or a thermometer; an absolute temperature, as degrees Celsius give, is more than that."""
+        with self.source.section("experiment", self.number, "temperature_std"):
+            if not 0.0 < std.number or not (kelvins := si(std, "K")) <= _MOST_OFF:
+                raise InputError(
+                    f'must be a difference of temperatures up to {_MOST_OFF:g} K, such as {{ value = 0.1, unit = "K" }}'
+                    f", but is {std.number:g} {std.unit}; leave it out where the temperature is exact"
+                )
+            return kelvins
 
     def _noise(self, noise: Amount) -> float:
         with self.source.section("experiment", self.number, "noise_std"):
