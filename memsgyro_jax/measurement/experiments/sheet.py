@@ -101,7 +101,7 @@ class Sheet:
     def _warmth(self, std: Amount) -> float:
         """[K], of an oven or a thermometer; an absolute temperature, as degrees Celsius give, is more than that."""
         with self.source.section("experiment", self.number, "temperature_std"):
-            if not 0.0 < std.number or not (kelvins := si(std, "K")) <= _MOST_OFF:
+            if not std.number > 0.0 or not (kelvins := si(std, "K")) <= _MOST_OFF:
                 raise InputError(
                     f'must be a difference of temperatures up to {_MOST_OFF:g} K, such as {{ value = 0.1, unit = "K" }}'
                     f", but is {std.number:g} {std.unit}; leave it out where the temperature is exact"
