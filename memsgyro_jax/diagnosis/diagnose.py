@@ -37,6 +37,7 @@ from .nuisances import instrument_first, of_instrument
 from .onset import Onset, onset_of
 from .other_courses import beside_other_courses
 from .outlying import far_off, of_rows, search_beside_outlying
+from .oven import of_oven
 from .result import UNEXPLAINED, Diagnosis, Verdict, validation_error
 from .rounds import search_on
 from .search import CONFUSED, Ranking, Search, SearchStep, start_search
@@ -187,6 +188,7 @@ def _diagnosed(
         sentence=sentence(verdict, accepted, final, explained, onset)
         + apart_in_time
         + of_instrument(terms, rival, drive_levels(case))
+        + of_oven(case, terms, final.model.effects)
         + of_noise(noise, declared, again)
         + slowly(search.slow)
         + (f" Left out {why}: {of_rows(case, left_out)}." if left_out else "")

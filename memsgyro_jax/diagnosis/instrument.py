@@ -43,6 +43,9 @@ from memsgyro_jax.measurement.model import Model
 from memsgyro_jax.measurement.one_place import set_points
 
 
+UNDECLARED = 1.0  # K to which set points are known of which a case says nothing, where somebody asks
+
+
 class Knowledge(Experiment):
     """What is known of a strength beforehand, as readings of zero.
 
@@ -105,13 +108,22 @@ def every_term(case: Case) -> tuple[InstrumentTerm, ...]:
     """The same, and the one that a search puts in the place of another alone."""
     tried = instrument_terms(case)
     twin = [CapacitiveFeedthrough(t.strength) for t in tried if isinstance(t, LockInFeedthrough)]
-    return (*tried, *twin, *declared_terms(case))
+    warm = undeclared_temperature(case)
+    return (*tried, *twin, *declared_terms(case), *([] if warm is None else [warm]))
 
 
 def declared_terms(case: Case) -> tuple[InstrumentTerm, ...]:
     """What the case declares to be known only so far, which is free in every fit: how warm its records were."""
     spread = {number: record.temperature_std for number, record in enumerate(case.records) if record.temperature_std}
     return (record_temperature(case, spread),) if spread else ()
+
+
+def undeclared_temperature(case: Case) -> RecordTemperature | None:
+    """The same of a case that says nothing of it; `None` where it does, or has but one set point."""
+    if declared_terms(case):
+        return None
+    term = record_temperature(case, dict.fromkeys(range(len(case.records)), UNDECLARED))
+    return term if term.strength.size > 1 else None
 
 
 def record_temperature(case: Case, spread: Mapping[int, float]) -> RecordTemperature:

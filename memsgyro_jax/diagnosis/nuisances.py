@@ -15,6 +15,7 @@ from .fit import beside_case
 from .instrument import instrument_terms, knowledge
 from .joint_residual import Joint
 from .optimum import Optimum, optimise
+from .oven import oven_offer
 from .promise import Offer, Promise, offers_of, promised
 from .search import GLANCE, INSTRUMENT, LOOK_AHEAD, Ranking, Search, always_free
 
@@ -123,14 +124,25 @@ def instrument_alone(search: Search, first: Ranking, best: tuple[str, Optimum] |
         first: the further effects of the device beside it.
         best: one of them and a fit with it.
     """
-    held = _labels(search, search.given)
-    terms = [term for term in instrument_terms(search.case) if term.label not in held]
-    if not terms or not _is_of_interest(search, first):
+    if not _is_of_interest(search, first):
         return None
-    promise = promised(search.optimum, offers_of(search.steps[-1].fit, terms), SHARE * search.level)
-    if not _explains_more(search, first, promise, best):
+    terms, promise = _offered(search)
+    if promise is None or not _explains_more(search, first, promise, best):
         return None
     return _chosen_terms(search, terms, promise)
+
+
+def _offered(search: Search) -> tuple[list[InstrumentTerm], Promise | None]:
+    """Terms of the instrument that a search lacks, and what they promise; how far temperatures are off is one of them
+    where effects were found that may depend on them.
+    """
+    held = _labels(search, search.given)
+    terms = [term for term in instrument_terms(search.case) if term.label not in held]
+    offers = offers_of(search.steps[-1].fit, terms)
+    warm = oven_offer(search) if search.accepted else None
+    if warm is not None:
+        terms, offers = [*terms, warm[0]], [*offers, warm[1]]
+    return terms, promised(search.optimum, offers, SHARE * search.level) if terms else None
 
 
 def _chosen_terms(search: Search, terms: Sequence[InstrumentTerm], promise: Promise) -> Search | None:
@@ -155,9 +167,7 @@ def instrument_between(search: Search, ranking: Ranking) -> Search | None:
 
     An effect that stands out hides what the instrument does, and what imitates the instrument must not come before it.
     """
-    held = _labels(search, search.given)
-    terms = [term for term in instrument_terms(search.case) if term.label not in held]
-    promise = promised(search.optimum, offers_of(search.steps[-1].fit, terms), SHARE * search.level) if terms else None
+    terms, promise = _offered(search)
     if promise is None or not promise.chosen or promise.gain < LITTLE * excess(search.optimum):
         return None
     device = _promised_by_effects(search, ranking)

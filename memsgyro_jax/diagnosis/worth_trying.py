@@ -22,12 +22,12 @@ def worth_trying(case: Case) -> tuple[Effect, ...]:
     courses that any three would bear out.
     """
     every = catalogue(case.channels)
-    if _temperatures(case) >= COURSE:
+    if count_temperatures(case) >= COURSE:
         return *every, ThermalGain(), ThermalDrive()
     return tuple(e for e in every if not isinstance(e, ThermalStiffnessCurvature | ThermalDampingCurvature))
 
 
-def _temperatures(case: Case) -> int:
+def count_temperatures(case: Case) -> int:
     """How many there are, of all records, farther apart than one reading is from the next."""
     read = [np.ravel(record.temperature) for record in case.records if hasattr(record, "temperature")]
     values = np.sort(np.concatenate(read)) if read else np.zeros(0)

