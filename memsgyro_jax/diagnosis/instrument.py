@@ -138,13 +138,24 @@ def record_temperature(case: Case, spread: Mapping[int, float]) -> RecordTempera
     """
     groups: dict[tuple[int, int], set[Place]] = {}
     for number in spread:
-        record = case.records[number]
-        pieces = getattr(record, "sweeps", (slice(None),))
-        warm = np.broadcast_to(getattr(record, "temperature", 0.0), record.rows)  # of a kind without it, one for all
-        for sweep, point in enumerate(set_points(np.array([np.mean(warm[piece]) for piece in pieces]))):
+        for sweep, point in enumerate(set_points(_warmth(case, number))):
             groups.setdefault((number, int(point)), set()).add((number, sweep))
     table = _Groups.of(case).table(list(groups.values()))
     return RecordTemperature(np.zeros(len(groups)), table, np.array([spread[number] for number, _ in groups]))
+
+
+def temperatures_of(case: Case, term: RecordTemperature) -> np.ndarray:
+    """(k,) the temperature [K] that the records have where each number of a term of theirs holds."""
+    table, every = np.asarray(term.entry), [_warmth(case, number) for number in range(len(case.records))]
+    total = sum(warm @ table[number, : warm.size] for number, warm in enumerate(every))
+    return total / table.sum(axis=(0, 1))
+
+
+def _warmth(case: Case, number: int) -> np.ndarray:
+    """The mean temperature [K] of each single sweep of a record."""
+    record = case.records[number]
+    warm = np.broadcast_to(getattr(record, "temperature", case.environment.temperature), record.rows)
+    return np.array([np.mean(warm[piece]) for piece in getattr(record, "sweeps", (slice(None),))])
 
 
 def with_declared(case: Case, model: Model) -> Model:

@@ -6,18 +6,20 @@ set point takes it, and tells it in kelvins.
 """
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from scipy import optimize
+from scipy import optimize, special
 
 from memsgyro_jax.effects import free_numbers
 from memsgyro_jax.effects.instrument import RecordTemperature
 from memsgyro_jax.measurement.case import Case
+from memsgyro_jax.measurement.one_place import set_points
 
 from .findings import Accepted
-from .instrument import declared_terms, undeclared_temperature
+from .instrument import declared_terms, temperatures_of, undeclared_temperature
 from .joint_residual import Joint
 from .optimum import Optimum
 from .promise import Offer
@@ -28,6 +30,7 @@ from .worth_trying import COURSE, count_temperatures
 
 MOST = 3.0  # K by which an oven may be off: what scatters by more is a law that is missing
 LEAST = 1e-6  # K; and of the largest sensitivity to a temperature, below which a combination of them shows nothing
+CUBIC, CHANCE = 3, 0.01  # degree of a course that is no line, and how seldom errors look like one
 
 
 def oven_offer(search: Search) -> tuple[RecordTemperature, Offer] | None:
@@ -45,8 +48,10 @@ def oven_offer(search: Search) -> tuple[RecordTemperature, Offer] | None:
     beside = Joint(model.with_only((*kept, term)), joint.readings, joint.programs)
     units = np.eye(beside.start.size)[beside.of_effect(len(kept))]
     slopes = beside.linearise(beside.start, units, beside.fitted)[1]
-    spread = scatter(optimum, slopes) if np.isfinite(slopes).all() else 0.0
-    if not LEAST < spread < MOST:
+    if not np.isfinite(slopes).all():
+        return None
+    found = Scatter.of(optimum, slopes)
+    if not LEAST < (spread := found.size) < MOST or found.is_course(temperatures_of(search.case, term)):
         return None
     (number,) = [n for n in free_numbers(term) if n.field == "strength"]
     every = np.ones(term.strength.size)
@@ -54,27 +59,59 @@ def oven_offer(search: Search) -> tuple[RecordTemperature, Offer] | None:
     return term, Offer(slopes, number.low * every, number.high * every, spread * every)
 
 
-def scatter(optimum: Optimum, slopes: np.ndarray) -> float:
-    """Standard deviation of numbers that nobody knows, by the likelihood of the residual that they leave: of what the
-    free parameters do not take, and beside noise as large as the rest of the misfit.
+class Scatter(NamedTuple):
+    """Numbers that nobody knows, one for each set point, as a residual tells them beside all that is free.
 
     Args:
-        optimum: of the model without them.
-        slopes: of its residual by each of them (r, k).
+        ways: (m, k) orthonormal combinations of them that it shows.
+        values: (m,) what each of these is.
+        std: (m,) the standard deviation of that, beside noise as large as the rest of the misfit.
     """
-    q = basis(optimum.jacobian)
-    u, size, _ = np.linalg.svd(slopes - q @ (q.T @ slopes), full_matrices=False)
-    shown = size > LEAST * np.max(np.linalg.norm(slopes, axis=0), initial=0.0)
-    seen, size = (u.T @ optimum.residual)[shown], size[shown]
-    if seen.size < 2:  # one alone is any number
-        return 0.0
-    noise = max(1.0, (optimum.chi2 - float(seen @ seen)) / max(1, optimum.dof - seen.size))
 
-    def cost(power: float) -> float:
-        variance = noise + (size * 10.0**power) ** 2
-        return float(np.sum(np.log(variance) + seen**2 / variance))
+    ways: np.ndarray
+    values: np.ndarray
+    std: np.ndarray
 
-    return float(10.0 ** optimize.minimize_scalar(cost, bounds=np.log10([LEAST, 2.0 * MOST]), method="bounded").x)
+    @classmethod
+    def of(cls, optimum: Optimum, slopes: np.ndarray) -> "Scatter":
+        """By the slopes of the residual by each number (r, k)."""
+        q = basis(optimum.jacobian)
+        u, size, ways = np.linalg.svd(slopes - q @ (q.T @ slopes), full_matrices=False)
+        shown = size > LEAST * np.max(np.linalg.norm(slopes, axis=0), initial=0.0)
+        seen, size = (u.T @ optimum.residual)[shown], size[shown]
+        rest = (optimum.chi2 - float(seen @ seen)) / max(1, optimum.dof - seen.size)
+        return cls(ways[shown], -seen / size, np.sqrt(max(1.0, rest)) / size)
+
+    @property
+    def size(self) -> float:
+        """The standard deviation of the numbers, by the likelihood of what is seen of them; zero of one alone."""
+        if self.values.size < 2:
+            return 0.0
+
+        def cost(power: float) -> float:
+            variance = self.std**2 + 10.0 ** (2.0 * power)
+            return float(np.sum(np.log(variance) + self.values**2 / variance))
+
+        return float(10.0 ** optimize.minimize_scalar(cost, bounds=np.log10([LEAST, 2.0 * MOST]), method="bounded").x)
+
+    def is_course(self, kelvins: np.ndarray) -> bool:
+        """Whether what is told of the numbers, at temperatures (k,), is a curve over these, which errors seldom are: a
+        cubic against the line that the model takes, by Fisher's F; of too few nobody can say.
+        """
+        points = set_points(kelvins)
+        count = np.bincount(points)  # several numbers at one temperature may be of one visit
+        warm, here = (np.bincount(points, each) / count for each in (kelvins, self.values @ self.ways))
+        spare = count.size - (CUBIC + 1)
+        if spare < 1:
+            return False
+        line, cubic = (_left(warm, here, degree) for degree in (1, CUBIC))
+        return bool(special.fdtrc(CUBIC - 1, spare, (line - cubic) / (CUBIC - 1) / (cubic / spare)) < CHANCE)
+
+
+def _left(places: np.ndarray, values: np.ndarray, degree: int) -> float:
+    """The squares that a polynomial leaves of some values."""
+    q, _ = np.linalg.qr(((places - places.mean()) / np.ptp(places))[:, None] ** np.arange(degree + 1))
+    return float(np.sum((values - q @ (q.T @ values)) ** 2))
 
 
 def of_oven(case: Case, terms: Sequence[Accepted], effects: Sequence) -> str:
@@ -86,5 +123,6 @@ def of_oven(case: Case, terms: Sequence[Accepted], effects: Sequence) -> str:
     kelvins = float(np.mean(np.asarray(warm[found[0].label].known_to)))
     return (
         f" The records scatter by {kelvins:.2g} K about their course with the temperature, as an oven that is off its "
-        f"set points lets them: `temperature_std` declares by how much it may be."
+        "set points lets them (`temperature_std` declares by how much it may be), or a course that is none of those "
+        "tried: sweeps repeated at these temperatures tell, as errors do not come back."
     )

@@ -3,7 +3,7 @@
 Stiffness and damping go with the temperature that the device has, the files tell the one that was set.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -29,9 +29,9 @@ temperature = "25 degC"
 
 
 def phasors(frequency: np.ndarray, warming: float, stiffer: float, damped: float) -> np.ndarray:
-    """Readings [V] of a device that is so much warmer than the reference [K], without noise."""
+    """Readings [V], without noise, of a device that is so much warmer than the reference [K] and stiffer by a share."""
     omega, width = 2 * np.pi * frequency, RESONANCE / QUALITY
-    push = RESONANCE**2 * (1 + stiffer * warming) - omega**2 + 1j * omega * width * (1 + damped * warming)
+    push = RESONANCE**2 * (1 + stiffer) - omega**2 + 1j * omega * width * (1 + damped * warming)
     return HIGHEST * RESONANCE * width / push
 
 
@@ -43,12 +43,15 @@ def oven(
     declared: float | None = OFF,
     stiffer: float = STIFFER,
     damped: float = DAMPED,
+    further: Callable[[float], float] = lambda warming: 0.0,
     set_points: Sequence[float] = SET_POINTS,
     judge: float | None = None,
     rows: int = 41,
 ) -> Path:
-    """A case of a sweep at each set point [degC], off by `off` [K] (1 sigma), of which the case says `declared`; one of
-    the set points may be the `judge`, which no fit sees.
+    """A case of a sweep at each set point [degC], off by `off` [K] (1 sigma), of which the case says `declared`.
+
+    One of the set points may be the `judge`, which no fit sees. The stiffness gains `stiffer` of itself per kelvin, and
+    what is `further` of the warming.
     """
     random, sections = np.random.default_rng(seed), []
     folder.mkdir(parents=True, exist_ok=True)
@@ -57,7 +60,7 @@ def oven(
         width = RESONANCE / QUALITY / (2 * np.pi)
         centre = RESONANCE / (2 * np.pi) * np.sqrt(1 + stiffer * (point - REFERENCE))
         frequency = np.round(centre, 1) + np.linspace(-5 * width, 5 * width, rows)
-        seen = phasors(frequency, warming, stiffer, damped)
+        seen = phasors(frequency, warming, stiffer * warming + further(warming), damped)
         seen = seen + NOISE * (random.standard_normal(rows) + 1j * random.standard_normal(rows))
         table = np.column_stack([frequency, np.full(rows, point), seen.real, seen.imag])
         name, header = f"at_{point:g}", "f [Hz],T [degC],Vx_I [V],Vx_Q [V]"
