@@ -1,12 +1,18 @@
 """Temperatures that may be off by what a case declares: ± that hold it, in fits, verdicts, files and lots."""
 
+import re
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from lab.oven import DAMPED, OFF, REFERENCE, RESONANCE, SET_POINTS, STIFFER, oven
 
 import memsgyro_jax as mg
+from memsgyro_jax.app.report.fit_text import fit_entries, fit_text
+from memsgyro_jax.diagnosis.compare import judged
 from memsgyro_jax.diagnosis.fit import fit_case
 from memsgyro_jax.diagnosis.instrument import with_declared
+from memsgyro_jax.diagnosis.oven import Scatter
 from memsgyro_jax.effects import catalogue
 from memsgyro_jax.measurement.case import load_case
 from memsgyro_jax.measurement.linear_start import starting_device
@@ -84,3 +90,110 @@ def test_a_temperature_that_is_asked_for_by_name_is_there_once(tmp_path):
     case = load_case(oven(tmp_path, rows=11))
     (term,) = with_declared(case, model_of(case, starting_device(case))).effects
     assert [effect.label for effect in fit_case(case, [term]).joint.model.effects] == [TERM]
+
+
+def test_a_fitted_model_explains_its_case_from_its_file(tmp_path):
+    """With the temperatures that it found; a case that says nothing of them takes them too."""
+    fit = fitted(tmp_path / "case", rows=11)
+    file = mg.write_model(fit.model, tmp_path / "model.toml")
+    for case in (fit.case, replace(fit.case, records=tuple(replace(r, temperature_std=0.0) for r in fit.case.records))):
+        again = mg.compare(mg.read_model(file), case, fitted=False)
+        for error, before in zip(again.errors, fit.errors, strict=True):
+            assert error.chi2 == pytest.approx(before.chi2, rel=1e-9)
+
+
+def test_the_oven_is_no_part_of_the_device(tmp_path):
+    """A lot drawn from a fit varies the device by what the oven leaves unsure of it."""
+    fit = fitted(tmp_path, rows=11)
+    assert not any(effect.of_instrument for effect in fit.device.effects)
+    paths = fit.uncertainty.paths
+    assert len(paths) == 5
+    assert not any(TERM in path for path in paths)
+    told = {one.name: one.std for one in fit.estimates}[STIFFNESS]
+    assert fit.uncertainty.std[
+        [STIFFNESS.split()[0] in path and "strength" in path for path in paths].index(True)
+    ] == pytest.approx(told, rel=1e-6)
+
+
+def test_the_result_of_a_fit_leaves_out_what_no_record_shows(tmp_path):
+    calm = fitted(tmp_path / "calm", (), stiffer=0.0, damped=0.0, rows=11)
+    assert TERM not in fit_text(calm, judged(calm))
+    assert fit_entries(calm, judged(calm))["effects"] == []
+    warm = fitted(tmp_path / "warm", rows=11)
+    names = [effect["name"] for effect in fit_entries(warm, judged(warm))["effects"]]
+    assert names == [STIFFNESS, DAMPING, *(f"{TERM}[{k}]" for k in range(5))]
+
+
+def test_a_record_that_is_not_fitted_may_be_off_as_well(tmp_path):
+    """By the temperature that the case leaves open, which a comparison takes into account."""
+    wide = {"judge": 55.0, "off": 0.3, "seed": 1}
+    unsure = fitted(tmp_path / "unsure", declared=0.3, **wide)
+    (judge,) = [error for error in unsure.errors if error.role == "validation"]
+    assert not judge.explained
+    assert unsure.p_value(judge) > 0.01
+    assert judged(unsure).explained
+    sure = fitted(tmp_path / "sure", declared=None, **wide)
+    assert not judged(sure).explained
+
+
+def test_scatter_is_told_from_a_course():
+    """Numbers at nine temperatures of which a straight line is taken already."""
+    kelvins, random = np.linspace(240.0, 360.0, 9), np.random.default_rng(1)
+    line = np.linalg.qr(np.vander(kelvins - 300.0, 2))[0]
+    ways = np.linalg.svd(np.eye(9) - line @ line.T)[2][:7]
+
+    def seen(values):
+        return Scatter(ways, ways @ values, np.full(7, 1e-3))
+
+    errors = [seen(0.1 * random.standard_normal(9)) for _ in range(300)]
+    assert np.sqrt(np.mean([one.size**2 for one in errors])) == pytest.approx(0.1, rel=0.1)
+    assert np.mean([one.is_course(kelvins) for one in errors]) < 0.03
+    assert seen(1e-6 * (kelvins - 300.0) ** 3 + 1e-3 * random.standard_normal(9)).is_course(kelvins)
+    assert seen(1e-4 * random.standard_normal(9)).size < 1e-3
+
+
+def diagnosed(folder, **more):
+    return mg.diagnose(None, load_case(oven(folder, **more)))
+
+
+@pytest.mark.slow
+def test_a_diagnosis_holds_what_is_declared(tmp_path):
+    found = diagnosed(tmp_path, judge=55.0, seed=2)
+    assert found.verdict == "found"
+    assert {a.label for a in found.accepted} == {STIFFNESS, DAMPING}
+    assert [a.label for a in found.instrument] == [TERM]
+    assert "temperature_std" not in found.sentence
+    (stiffer,) = [a for a in found.accepted if a.label == STIFFNESS]
+    assert abs(stiffer.estimate[0] - STIFFER) < 3.0 * stiffer.std[0]
+    assert stiffer.std[0] > 5e-8
+
+
+@pytest.mark.slow
+def test_a_diagnosis_of_a_device_that_no_temperature_moves_says_nothing_of_it(tmp_path):
+    found = diagnosed(tmp_path, stiffer=0.0, damped=0.0, seed=6)
+    assert found.verdict == "nothing_missing"
+    assert found.instrument == ()
+    assert TERM not in str(found)
+
+
+@pytest.mark.slow
+def test_what_an_oven_was_off_is_told_in_kelvin_where_a_case_holds_it_for_exact(tmp_path):
+    """Over six ovens what is found is off by as much as it says, though nobody said how far they are off."""
+    far, kelvins = [], []
+    for seed in SEEDS:
+        found = diagnosed(tmp_path / f"{seed}", seed=seed, declared=None)
+        assert found.verdict == "found"
+        (stiffer,) = [a for a in found.accepted if a.label == STIFFNESS]
+        far.append((stiffer.estimate[0] - STIFFER) / stiffer.std[0])
+        assert [a.label for a in found.instrument] == [TERM]
+        kelvins.append(float(re.search(r"scatter by ([\d.]+) K", found.sentence)[1]))
+    assert 0.05 < np.sqrt(np.mean(np.square(kelvins))) < 0.2, kelvins
+    assert np.sqrt(np.mean(np.square(far))) < 2.0, far
+
+
+@pytest.mark.slow
+def test_a_course_that_no_effect_follows_is_no_oven(tmp_path):
+    points = np.linspace(-30.0, 85.0, 9)
+    found = diagnosed(tmp_path, off=0.0, declared=None, set_points=points, further=lambda warming: 1e-10 * warming**3)
+    assert TERM not in {a.label for a in found.instrument}
+    assert "scatter by" not in found.sentence

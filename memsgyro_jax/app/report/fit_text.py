@@ -63,7 +63,7 @@ def placed_by_scan(effect: Effect, base: CaseFit) -> Effect:
 def fit_text(before: CaseFit, found: Comparison) -> str:
     """A fit without effects and one with them, as it was judged, side by side."""
     after = found.fit
-    names = [e.label for e in after.model.effects]
+    names = _added(before, after)
     head = ("experiment", "role", "base", f"with {', '.join(names)}", "noise alone below")
     rows = [
         (b.name, b.role, as_times(b.rms), as_times(a.rms), f"{np.sqrt(a.gate):.3g}")
@@ -76,6 +76,12 @@ def fit_text(before: CaseFit, found: Comparison) -> str:
     lines += told_of(after)
     lines += [f"  {label}, held: {_listed(held)}" for label, held in _held(after).items()]
     return "\n".join(lines)
+
+
+def _added(before: CaseFit, after: CaseFit) -> list[str]:
+    """Labels of the effects that a fit has beside those of one without them, as of what its case declares unsure."""
+    held = {effect.label for effect in before.model.effects}
+    return [effect.label for effect in after.model.effects if effect.label not in held]
 
 
 def short_of_its_valley(before: CaseFit, after: CaseFit) -> str:
@@ -100,12 +106,12 @@ def fit_entries(before: CaseFit, found: Comparison) -> dict[str, Any]:
     """The machine-readable result, schema `memsgyro-fit/1`; numbers that are not finite become null."""
     after = found.fit
     estimates = {p.name: p for p in after.estimates}
-    of_effects = [p.name for p in after.joint.parameters if p.effect is not None]
+    of_effects = [p.name for p in after.joint.parameters if p.effect is not None and p.name in estimates]
     entries = {
         "schema": SCHEMA,
         "case": after.case.name,
         "status": after.status,
-        "added": [e.label for e in after.model.effects],
+        "added": _added(before, after),
         "before": _fit(before),
         "after": _fit(after),
         "explained": found.explained,
