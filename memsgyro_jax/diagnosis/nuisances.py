@@ -7,6 +7,7 @@ import numpy as np
 
 from memsgyro_jax.base.text import said_in
 from memsgyro_jax.effects import TERMS, Effect, InstrumentTerm, Scanned
+from memsgyro_jax.effects.instrument import FrequencyOffset
 
 from .acceptance import BEYOND_LINEAR, excess, share_needed
 from .fewer import SHARE, as_a_capacitance, cost, imitated
@@ -142,6 +143,13 @@ def _offered(search: Search) -> tuple[list[InstrumentTerm], Promise | None]:
     warm = oven_offer(search) if search.accepted else None
     if warm is not None:
         terms, offers = [*terms, warm[0]], [*offers, warm[1]]
+        gains = promised(search.optimum, offers, SHARE * search.level).alone
+        # Beside a drift a frequency that is off says in another unit what a temperature says of all that drifts.
+        same = [i for i, t in enumerate(terms) if isinstance(t, FrequencyOffset) and gains[-1] >= RIVAL * gains[i]]
+        terms, offers = (
+            [t for i, t in enumerate(terms) if i not in same],
+            [o for i, o in enumerate(offers) if i not in same],
+        )
     return terms, promised(search.optimum, offers, SHARE * search.level) if terms else None
 
 

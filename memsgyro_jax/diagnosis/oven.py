@@ -50,16 +50,18 @@ def oven_offer(search: Search) -> tuple[RecordTemperature, Offer] | None:
     slopes = beside.linearise(beside.start, units, beside.fitted)[1]
     if not np.isfinite(slopes).all():
         return None
-    found = Scatter.of(optimum, slopes)
-    if not LEAST < (spread := found.size) < MOST or found.is_course(temperatures_of(search.case, term)):
+    found = SetPointErrors.of(optimum, slopes)
+    if not LEAST < found.size < MOST or found.is_course(temperatures_of(search.case, term)):
         return None
+    count = found.values.size
+    spread = found.size * np.sqrt((count + 1) / (count - 1))  # as so few say it roughly: the tails of Student's
     (number,) = [n for n in free_numbers(term) if n.field == "strength"]
     every = np.ones(term.strength.size)
     term = eqx.tree_at(lambda t: t.spread, term, jnp.asarray(spread * every))
     return term, Offer(slopes, number.low * every, number.high * every, spread * every)
 
 
-class Scatter(NamedTuple):
+class SetPointErrors(NamedTuple):
     """Numbers that nobody knows, one for each set point, as a residual tells them beside all that is free.
 
     Args:
@@ -73,7 +75,7 @@ class Scatter(NamedTuple):
     std: np.ndarray
 
     @classmethod
-    def of(cls, optimum: Optimum, slopes: np.ndarray) -> "Scatter":
+    def of(cls, optimum: Optimum, slopes: np.ndarray) -> "SetPointErrors":
         """By the slopes of the residual by each number (r, k)."""
         q = basis(optimum.jacobian)
         u, size, ways = np.linalg.svd(slopes - q @ (q.T @ slopes), full_matrices=False)
@@ -95,12 +97,13 @@ class Scatter(NamedTuple):
         return float(10.0 ** optimize.minimize_scalar(cost, bounds=np.log10([LEAST, 2.0 * MOST]), method="bounded").x)
 
     def is_course(self, kelvins: np.ndarray) -> bool:
-        """Whether what is told of the numbers, at temperatures (k,), is a curve over these, which errors seldom are: a
-        cubic against the line that the model takes, by Fisher's F; of too few nobody can say.
+        """Whether what is surely told of the numbers, at temperatures (k,), is a curve over these, which errors seldom
+        are: a cubic against the line that the model takes, by Fisher's F; of too few nobody can say.
         """
+        told = self.values / (1.0 + (self.std / self.size) ** 2)
         points = set_points(kelvins)
         count = np.bincount(points)  # several numbers at one temperature may be of one visit
-        warm, here = (np.bincount(points, each) / count for each in (kelvins, self.values @ self.ways))
+        warm, here = (np.bincount(points, each) / count for each in (kelvins, told @ self.ways))
         spare = count.size - (CUBIC + 1)
         if spare < 1:
             return False

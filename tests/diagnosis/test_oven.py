@@ -12,7 +12,7 @@ from memsgyro_jax.app.report.fit_text import fit_entries, fit_text
 from memsgyro_jax.diagnosis.compare import judged
 from memsgyro_jax.diagnosis.fit import fit_case
 from memsgyro_jax.diagnosis.instrument import with_declared
-from memsgyro_jax.diagnosis.oven import Scatter
+from memsgyro_jax.diagnosis.oven import SetPointErrors
 from memsgyro_jax.effects import catalogue
 from memsgyro_jax.measurement.case import load_case
 from memsgyro_jax.measurement.linear_start import starting_device
@@ -143,7 +143,7 @@ def test_scatter_is_told_from_a_course():
     ways = np.linalg.svd(np.eye(9) - line @ line.T)[2][:7]
 
     def seen(values):
-        return Scatter(ways, ways @ values, np.full(7, 1e-3))
+        return SetPointErrors(ways, ways @ values, np.full(7, 1e-3))
 
     errors = [seen(0.1 * random.standard_normal(9)) for _ in range(300)]
     assert np.sqrt(np.mean([one.size**2 for one in errors])) == pytest.approx(0.1, rel=0.1)
@@ -181,7 +181,8 @@ def test_what_an_oven_was_off_is_told_in_kelvin_where_a_case_holds_it_for_exact(
     """Over six ovens what is found is off by as much as it says, though nobody said how far they are off."""
     far, kelvins = [], []
     for seed in SEEDS:
-        found = diagnosed(tmp_path / f"{seed}", seed=seed, declared=None)
+        points = np.linspace(-30.0, 90.0, 7)
+        found = diagnosed(tmp_path / f"{seed}", seed=seed, declared=None, set_points=points)
         assert found.verdict == "found"
         (stiffer,) = [a for a in found.accepted if a.label == STIFFNESS]
         far.append((stiffer.estimate[0] - STIFFER) / stiffer.std[0])
