@@ -162,10 +162,12 @@ class RecordTemperature(InstrumentTerm, SurroundingsEffect):
     """T → T + s_k, one s_k per record, and per temperature within it, as an oven may be off its set point. Zero: the
     temperature is the declared one.
 
-    A case that declares `temperature_std` has it in every fit; a search offers it to no other.
+    A case that declares `temperature_std` has it in every fit. Of another it is tried beside effects of the device that
+    were found and depend on the temperature.
 
     Args:
-        spread: (k,) standard deviation of each number, as declared [K].
+        spread: (k,) standard deviation of each number, as declared [K]; zero would hold the temperature, and is refused
+            where a case is read.
     """
 
     name, unit, law = "record_temperature", "K", "T → T + s_k"

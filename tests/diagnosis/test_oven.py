@@ -12,11 +12,14 @@ from memsgyro_jax.app.report.fit_text import fit_entries, fit_text
 from memsgyro_jax.diagnosis.compare import judged
 from memsgyro_jax.diagnosis.fit import fit_case
 from memsgyro_jax.diagnosis.instrument import with_declared
-from memsgyro_jax.diagnosis.oven import SetPointErrors
+from memsgyro_jax.diagnosis.joint_residual import Joint
+from memsgyro_jax.diagnosis.oven import SetPointErrors, oven_offer
+from memsgyro_jax.diagnosis.promise import promised
+from memsgyro_jax.diagnosis.search import start_search
 from memsgyro_jax.effects import catalogue
 from memsgyro_jax.measurement.case import load_case
 from memsgyro_jax.measurement.linear_start import starting_device
-from memsgyro_jax.measurement.readings import model_of
+from memsgyro_jax.measurement.readings import model_of, readings_of
 
 
 STIFFNESS, DAMPING, TERM = "thermal_drift stiffness", "thermal_drift damping", "record_temperature"
@@ -150,6 +153,28 @@ def test_scatter_is_told_from_a_course():
     assert np.mean([one.is_course(kelvins) for one in errors]) < 0.03
     assert seen(1e-6 * (kelvins - 300.0) ** 3 + 1e-3 * random.standard_normal(9)).is_course(kelvins)
     assert seen(1e-4 * random.standard_normal(9)).size < 1e-3
+
+
+def drifting(case):
+    """A search beside drifts that are there, at their strengths."""
+    drifts = (mg.effects.ThermalStiffness(STIFFER), mg.effects.ThermalDamping(DAMPED))
+    joint = Joint(model_of(case, starting_device(case)).with_effect(*drifts), readings_of(case))
+    return start_search(case, joint, 0.05, (0, 1), lambda text: None)
+
+
+def test_what_an_oven_was_off_explains_what_drifts_leave(tmp_path):
+    """Where nothing is declared, at four temperatures or more; a promise is made of nothing but what is left."""
+    case = load_case(oven(tmp_path / "five", declared=None, seed=1))
+    search = drifting(case)
+    term, offer = oven_offer(search)
+    assert 0.05 < float(term.known_to[0]) < 0.3
+    left = search.optimum.chi2 - promised(search.optimum, [offer], 0.05).gain
+    assert search.optimum.chi2 > 10.0 * search.optimum.dof
+    assert left < 1.3 * search.optimum.dof
+    some = replace(case, records=case.records[:3])
+    assert oven_offer(drifting(some)) is None
+    search.case = replace(case, records=tuple(replace(r, temperature_std=OFF) for r in case.records))
+    assert oven_offer(search) is None
 
 
 def diagnosed(folder, **more):
