@@ -119,7 +119,7 @@ def declared_terms(case: Case) -> tuple[InstrumentTerm, ...]:
 
 
 def undeclared_temperature(case: Case) -> RecordTemperature | None:
-    """The same of a case that says nothing of it; `None` where it does, or has but one set point."""
+    """The same of a case that says nothing of it; `None` where it does, or would have but one number."""
     if declared_terms(case):
         return None
     term = record_temperature(case, dict.fromkeys(range(len(case.records)), UNDECLARED))

@@ -135,21 +135,19 @@ def instrument_alone(search: Search, first: Ranking, best: tuple[str, Optimum] |
 
 def _offered(search: Search) -> tuple[list[InstrumentTerm], Promise | None]:
     """Terms of the instrument that a search lacks, and what they promise; how far temperatures are off is one of them
-    where effects were found that may depend on them.
+    where there are effects that may depend on them.
     """
     held = _labels(search, search.given)
     terms = [term for term in instrument_terms(search.case) if term.label not in held]
     offers = offers_of(search.steps[-1].fit, terms)
-    warm = oven_offer(search) if search.accepted else None
+    warm = oven_offer(search)
     if warm is not None:
         terms, offers = [*terms, warm[0]], [*offers, warm[1]]
         gains = promised(search.optimum, offers, SHARE * search.level).alone
         # Beside a drift a frequency that is off says in another unit what a temperature says of all that drifts.
-        same = [i for i, t in enumerate(terms) if isinstance(t, FrequencyOffset) and gains[-1] >= RIVAL * gains[i]]
-        terms, offers = (
-            [t for i, t in enumerate(terms) if i not in same],
-            [o for i, o in enumerate(offers) if i not in same],
-        )
+        same = [isinstance(t, FrequencyOffset) and gains[-1] >= RIVAL * g for t, g in zip(terms, gains, strict=True)]
+        terms = [term for term, one in zip(terms, same, strict=True) if not one]
+        offers = [offer for offer, one in zip(offers, same, strict=True) if not one]
     return terms, promised(search.optimum, offers, SHARE * search.level) if terms else None
 
 

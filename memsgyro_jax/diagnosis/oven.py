@@ -43,7 +43,8 @@ def oven_offer(search: Search) -> tuple[RecordTemperature, Offer] | None:
     joint, optimum = search.joint, search.optimum
     model = joint.at(optimum.vector)
     kept = [model.effects[i] for i in sorted((*search.given, *search.accepted))]
-    if term is None or count_temperatures(search.case) < COURSE or term.label in {effect.label for effect in kept}:
+    held, depends = {effect.label for effect in kept}, any(not effect.of_instrument for effect in kept)
+    if term is None or not depends or term.label in held or count_temperatures(search.case) < COURSE:
         return None
     beside = Joint(model.with_only((*kept, term)), joint.readings, joint.programs)
     units = np.eye(beside.start.size)[beside.of_effect(len(kept))]
