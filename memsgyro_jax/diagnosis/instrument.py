@@ -154,7 +154,8 @@ def temperatures_of(case: Case, term: RecordTemperature) -> np.ndarray:
 def _warmth(case: Case, number: int) -> np.ndarray:
     """The mean temperature [K] of each single sweep of a record."""
     record = case.records[number]
-    warm = np.broadcast_to(getattr(record, "temperature", case.environment.temperature), record.rows)
+    told = getattr(record, "temperature", None)  # of a record that does not tell it, that of the case
+    warm = np.broadcast_to(case.environment.temperature if told is None else told, record.rows)
     return np.array([np.mean(warm[piece]) for piece in getattr(record, "sweeps", (slice(None),))])
 
 

@@ -1,14 +1,12 @@
 """The one setting of a case that contradicts all others, as one whose temperature or bias was written down wrongly."""
 
-from typing import Any
-
 import numpy as np
 
 from memsgyro_jax.base.text import listed
 from memsgyro_jax.effects import Scanned
 from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.linear_start import starting_device
-from memsgyro_jax.measurement.one_place import NEAR
+from memsgyro_jax.measurement.one_place import NEAR, placed
 from memsgyro_jax.measurement.readings import model_of, readings_of
 
 from .joint_residual import Joint
@@ -24,10 +22,9 @@ def odd_setting(case: Case) -> str:
     if found is None:
         return ""
     one, places = found
-    swept: list[Any] = [record for record in case.records if hasattr(record, "away")]
     names = [
         r.name
-        for r in swept
+        for r in placed(case.records)
         if np.all(np.abs(r.temperature - one.temperature) < NEAR)
         and np.all(np.abs(r.bias_voltage - one.bias_voltage) < 1e-3)
     ]

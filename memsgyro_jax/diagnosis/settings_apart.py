@@ -18,10 +18,9 @@ from memsgyro_jax.device.conditions import Conditions
 from memsgyro_jax.effects import DriveEffect, Effect, ForceEffect, ReadoutEffect, Scanned, SurroundingsEffect
 from memsgyro_jax.effects.evaluation import Acting, moment
 from memsgyro_jax.measurement.case import Case
-from memsgyro_jax.measurement.drive_levels import with_rows
 from memsgyro_jax.measurement.experiments.base import Phasors
 from memsgyro_jax.measurement.model import Model
-from memsgyro_jax.measurement.one_place import NEAR
+from memsgyro_jax.measurement.one_place import NEAR, placed
 from memsgyro_jax.measurement.phasor_fit import device_of_phasors
 
 from .joint_residual import Joint
@@ -35,7 +34,9 @@ ALIKE, ODD = 0.1, 30.0  # widths that settings may be off where effects explain 
 
 
 class Surrounded(NamedTuple):
-    """What one axis of the device is in some surroundings: stiffness and damping per mass, and gain [1/kg]."""
+    """What one axis of the device is in some surroundings: stiffness and damping per mass, and gain [1/kg], NaN where a
+    free decay does not tell it.
+    """
 
     axis: int
     temperature: float
@@ -49,7 +50,8 @@ class Trend(NamedTuple):
     """How the settings of a device differ, and what effects make of it.
 
     Args:
-        differences: (n, 3) stiffness in widths of the resonance, damping in dampings, logarithm of the gain.
+        differences: (n, 3) stiffness in widths of the resonance, damping in dampings, logarithm of the gain; NaN where
+            it is not known.
         columns: (n, 3) the same by the strength of each of the effects, by its place in the model.
         constant: (3n, b) what all settings of an axis share.
     """
@@ -67,20 +69,32 @@ class Trend(NamedTuple):
 
     def explained(self, places: Sequence[int]) -> tuple[np.ndarray, float]:
         """What settings share and the strengths of some effects that explain the differences best; squares left."""
-        known = np.column_stack([self.constant, *(self.columns[i].ravel() for i in places)])
-        found = np.linalg.lstsq(known, self.differences.ravel(), rcond=1e-10)[0]
-        return found, float(np.sum((self.differences.ravel() - known @ found) ** 2))
+        known = np.column_stack([self.constant, *(self.columns[i].ravel() for i in places)])[self.seen]
+        found = np.linalg.lstsq(known, self.differences.ravel()[self.seen], rcond=1e-10)[0]
+        return found, float(np.sum((self.differences.ravel()[self.seen] - known @ found) ** 2))
+
+    @property
+    def seen(self) -> np.ndarray:
+        """(3n,) which of the differences are known."""
+        return np.isfinite(self.differences.ravel())
+
+    @property
+    def spare(self) -> int:
+        """How many of them are left beside what settings share."""
+        return int(self.seen.sum()) - int(np.linalg.matrix_rank(self.constant[self.seen]))
 
 
 def in_each_place(case: Case) -> list[Surrounded]:
-    """The linear device that the weakest clear drive of each axis shows in each of the surroundings, at rest."""
+    """The linear device that the weakest clear drive of each axis shows in each of the surroundings, at rest; where it
+    was not swept, that of a free decay.
+    """
     offered: dict[tuple[int, float, float], list[Phasors]] = {}
     record: Any
     for record in case.records:
         if record.role == "validation" or not hasattr(record, "calm"):
             continue
         for temperature, volts, rows in _surroundings(record):
-            told = with_rows(record, rows).starting_phasors(case)
+            told = record.only(rows).starting_phasors(case)
             if told is not None:
                 offered.setdefault((record.axis, temperature, volts), []).append(told)
     found = []
@@ -89,7 +103,22 @@ def in_each_place(case: Case) -> list[Surrounded]:
         if device is not None:
             numbers = float(device.stiffness[own]), float(device.damping[own]), float(device.mobility)
             found.append(Surrounded(axis, temperature, volts, *numbers))
-    return found
+    swept = {(one.axis, round(one.temperature / NEAR), one.bias_voltage) for one in found}
+    heard = {(one.axis, round(one.temperature / NEAR), one.bias_voltage): one for one in _heard(case)}
+    return [*found, *(one for place, one in heard.items() if place not in swept)]
+
+
+def _heard(case: Case) -> Iterator[Surrounded]:
+    """What the axis that vibrates most in each free decay shows of itself, where the record tells its surroundings."""
+    for record in placed(case.records):
+        if record.role == "validation":
+            continue
+        heard = {c: track.seen for c in record.channels if (track := record.decay(case, c)) is not None}
+        axis = max(heard, key=lambda c: float(np.max(heard[c].amplitude, initial=0.0)), default=None)
+        if axis is not None and (track := heard[axis]).time.size:
+            omega, rate = (np.average(values, weights=track.amplitude**2) for values in (track.omega, track.decay))
+            around = float(np.mean(record.temperature)), float(np.mean(record.bias_voltage))
+            yield Surrounded(axis, *around, float(omega**2 + rate**2), float(2.0 * rate), np.nan)
 
 
 def _surroundings(record: Any) -> Iterator[tuple[float, float, np.ndarray]]:
@@ -114,8 +143,7 @@ def odd_one(joint: Joint, every: Sequence[Surrounded]) -> tuple[Surrounded, list
     chosen = [_chosen(some) for some in rest]
     left = [some.explained(places)[1] for some, places in zip(rest, chosen, strict=True)]
     best, second = np.argsort(left)[:2]
-    spare = trend.differences.size - trend.constant.shape[1]
-    if not chosen[best] or left[best] > spare * ALIKE**2 or left[second] < ODD * max(left[best], 1e-6):
+    if not chosen[best] or left[best] > trend.spare * ALIKE**2 or left[second] < ODD * max(left[best], 1e-6):
         return None
     return every[best], chosen[best]
 
@@ -130,7 +158,7 @@ def as_many_as_settings(joint: Joint, every: Sequence[Surrounded], places: Seque
     trend = _trend(joint.model, every, [i for i in places if _may_move(joint.model.effects[i])])
     for axis in {one.axis for one in every}:
         mine = np.array([one.axis == axis for one in every])
-        for part in range(3):
+        for part in range(2 if np.isnan([one.gain for one in every]).any() else 3):
             columns = {i: column[mine, part] for i, column in trend.columns.items()}
             moving = {i for i, c in columns.items() if np.ptp(c) > 1e-9 * np.max(np.abs(trend.columns[i]))}
             if len(moving) > 1 and len(moving) >= mine.sum() - 1:
@@ -256,9 +284,9 @@ def _of_device(joint: Joint, every: Sequence[Surrounded], found: np.ndarray) -> 
         pair = "" if joint.model.axes == 1 else 2 * "xy"[axis]
         vector[names.index(f"k{pair}/m")] = max(stiffness, 0.5 * min(one.stiffness for one in mine))
         vector[names.index(f"d{pair}/m")] = max(damping, 0.1 * min(one.damping for one in mine))
-        gains.append(gain)
-    if (place := names.index("1/m")) not in joint.idle:
-        vector[place] = np.copysign(np.exp(np.mean(gains)), np.median([one.gain for one in every]))
+        gains += [gain] if np.isfinite([one.gain for one in mine]).any() else []
+    if (place := names.index("1/m")) not in joint.idle and gains:
+        vector[place] = np.copysign(np.exp(np.mean(gains)), np.nanmedian([one.gain for one in every]))
     return vector
 
 

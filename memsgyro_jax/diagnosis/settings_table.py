@@ -1,4 +1,4 @@
-"""What the device is in each of its surroundings, as the sweeps there show it by themselves: a table to print."""
+"""What the device is in each of its surroundings, as the records there show it by themselves: a table to print."""
 
 import numpy as np
 
@@ -20,7 +20,9 @@ def settings_table(case: Case) -> str:
         return ""
     warm = np.ptp([one.temperature for one in every]) > 0
     biased = np.ptp([one.bias_voltage for one in every]) > 0
+    driven = not np.isnan([one.gain for one in every]).all()
     first = {one.axis: one for one in reversed(every)}
+    gain = {one.axis: one.gain for one in reversed(every) if not np.isnan(one.gain)}
     rows = [("axis", "T [°C]", "V_bias [V]", "resonance [Hz]", "moved [ppm]", "quality factor", "gain")]
     for one in every:
         omega, start = np.sqrt(one.stiffness), np.sqrt(first[one.axis].stiffness)
@@ -34,8 +36,8 @@ def settings_table(case: Case) -> str:
                 f"{omega / (2 * np.pi):.{digits}f}",
                 f"{1e6 * (omega / start - 1.0):+.4g}",
                 f"{quality:.4g}",
-                f"x {one.gain / first[one.axis].gain:.4g}",
+                "-" if np.isnan(one.gain) else f"x {one.gain / gain[one.axis]:.4g}",
             )
         )
-    kept = [k for k, shown in enumerate((case.channels > 1, warm, biased, True, True, True, True)) if shown]
+    kept = [k for k, shown in enumerate((case.channels > 1, warm, biased, True, True, True, driven)) if shown]
     return aligned([tuple(row[k] for k in kept) for row in rows])

@@ -29,6 +29,7 @@ def worth_trying(case: Case) -> tuple[Effect, ...]:
 
 def count_temperatures(case: Case) -> int:
     """How many there are, of all records, farther apart than one reading is from the next."""
-    read = [np.ravel(record.temperature) for record in case.records if hasattr(record, "temperature")]
+    told = (getattr(record, "temperature", None) for record in case.records)
+    read = [np.ravel(one) for one in told if one is not None]
     values = np.sort(np.concatenate(read)) if read else np.zeros(0)
     return int(values.size > 0) + int(np.sum(np.diff(values) > NEAR))

@@ -51,9 +51,9 @@ def _volts(files: Sequence[Path], found: Sequence[Sequence[ImportedRecord]]) -> 
 
 
 def _may_have(role: str, records: Sequence[ImportedRecord]) -> bool:
-    """Whether records can have a condition, and have none."""
-    able = any(record.kind in ("frequency_sweep", "operating_points") for record in records)
-    return able and not any(parse_header(header).name == role for record in records for header in record.columns)
+    """Whether records have none of a condition."""
+    told = {parse_header(header).name for record in records for header in record.columns}
+    return bool(records) and role not in told
 
 
 def _is_usual(values: Sequence[str]) -> bool:

@@ -1,7 +1,7 @@
 """The drives of a case: which levels its sweeps show, and the case of the lowest of them alone."""
 
 from collections.abc import Iterable
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -74,12 +74,4 @@ def _up_to(record: AbstractRecord, level: float) -> AbstractRecord | None:
     keep = np.broadcast_to(np.abs(drive) <= level, record.rows)
     if keep.all() or not record.stepped:
         return record if keep.all() else None
-    return with_rows(record, keep) if keep.any() else None
-
-
-def with_rows(record: AbstractRecord, keep: np.ndarray) -> AbstractRecord:
-    """A record of some rows of another (n,)."""
-    values = {field.name: getattr(record, field.name) for field in fields(record)}
-    rows = {n: v[keep] for n, v in values.items() if isinstance(v, np.ndarray) and v.shape[:1] == keep.shape}
-    carried = {name: column[keep] for name, column in record.carried.items()}
-    return replace(record, **rows, carried=carried)
+    return record.only(keep) if keep.any() else None

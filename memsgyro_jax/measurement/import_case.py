@@ -131,8 +131,8 @@ def import_case(
             for one that does.
         reference: frequency of a lock-in that recorded over time, or operating points, like ``"32.768 kHz"``.
         bias: voltage of the electrodes, like ``"20 V"``, one for all files or one for each, where no column has it;
-            ``"-"`` for a file of which nothing is said. Records over time have none.
-        temperature: like ``"25 degC"``, as `bias`; records over time have none.
+            ``"-"`` for a file of which nothing is said.
+        temperature: like ``"25 degC"``, as `bias`.
         every: keeps one row of so many, waveforms behind a low pass, phasors over time as means; `None` makes such
             means of a long ringing, and else keeps all.
         rms: takes a lock-in's readings for effective values, where their unit does not say; the drive stays as it is.

@@ -102,14 +102,6 @@ def beside_conditions(
     return out
 
 
-def given_in_vain(given: Mapping[str, Level]) -> str:
-    """The sentence on what was given of a record over time."""
-    told = [f"the {CONDITIONS[role].words} of {value:g} {unit}" for role, (value, unit) in given.items()]
-    many = len(told) > 1
-    was, them = ("were given are", "them") if many else ("was given is", "one")
-    return f"{' and '.join(told)} that {was} left out, as no record over time has {them}"
-
-
 def columns_of_points(
     table: SourceTable, rows: Mapping[str, SourceColumn], reference: Level, drive: Level | None, axis: str,
     assumed: list[str],
@@ -136,6 +128,7 @@ def columns_of_rate_table(
     _check_rate(table, rows)
     columns, quantity = _phasors(rows, assumed)
     columns = {"t": time_column(table, rows["t"], assumed), "rate": rows["rate"], **columns}
+    add_surroundings(columns, {role: rows[role] for role in CONDITIONS if role in rows})
     value, unit = reference
     period = usual_period(to_si(columns["t"].values, columns["t"].unit, "s", "t"))
     cycles = float(to_si(value, unit, "Hz", "f")) * period

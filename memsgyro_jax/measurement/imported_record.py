@@ -23,7 +23,7 @@ from .imported_columns import (
     reading_column,
     time_column,
 )
-from .imported_conditions import beside_conditions, columns_of_points, columns_of_rate_table, given_in_vain, stamps
+from .imported_conditions import CONDITIONS, beside_conditions, columns_of_points, columns_of_rate_table, stamps
 from .imported_sweep import at_level, columns_of_sweep, phasor_columns_of, phasors_of, read_as
 from .thinning import thinned
 from .tracking import rough_decay
@@ -98,10 +98,7 @@ def records_of(name: str, table: SourceTable, meaning: Meaning, given: Given) ->
     rows = thinned(table, meaning, _finite(table, meaning, assumed), given.every, assumed)
     rows = from_effective(rows, assumed) if given.rms else rows
     rows = at_level(table, rows, given.drive, assumed)
-    if meaning.swept or meaning.at_points:
-        rows = beside_conditions(table, rows, given.conditions, assumed)
-    elif given.conditions:
-        assumed.append(given_in_vain(given.conditions))
+    rows = beside_conditions(table, rows, given.conditions, assumed)
     source = f"{table.path.name}{', ' + table.name if table.name else ''}"
     about = {"name": name, "source": source, "unused": meaning.unused}
     with np.errstate(over="ignore", invalid="ignore"):  # of a damaged file; reading the case refuses them
@@ -196,6 +193,7 @@ def _over_time(
         raise InputError(f"{table.path}: a record over time must have {_FEWEST} rows, but has {len(rows['t'].values)}.")
     if not np.all(np.diff(columns["t"].values) > 0):
         raise InputError(f"{table.path}: the time must rise from row to row, but does not.")
+    add_surroundings(columns, {role: rows[role] for role in CONDITIONS if role in rows})
     if "signal" not in rows:
         return [_lock_in_decay(about, table, columns, rows, given, assumed)]
     columns["Vx"] = reading_column(rows["signal"], assumed)

@@ -21,7 +21,7 @@ def starting_device(case: Case) -> NormalisedDevice:
     fitted = [record for record in case.records if record.role != "validation"]
     rows = _offered(case, fitted)
     if not rows:
-        return _as_heard(case)
+        return _as_heard(case, in_one_place(case.environment, case.records))
     device = _of_rows(case, rows)
     if not is_shared(device, rows):  # as where the surroundings move it
         rows = _offered(case, in_one_place(case.environment, fitted))
@@ -55,9 +55,9 @@ def _with_axis(device: NormalisedDevice, axis: int, rows: list[Phasors], gain: b
     return moved if moved.is_held else device
 
 
-def _as_heard(case: Case) -> NormalisedDevice:
-    """The device as designed, each axis at the frequency and damping of what vibrates most in its free decays."""
-    device, heard = design_device(case), [m for r in case.records if (m := r.free_modes(case)) is not None]
+def _as_heard(case: Case, records: Iterable[AbstractRecord]) -> NormalisedDevice:
+    """The device as designed, each axis at the frequency and damping of what vibrates most in free decays."""
+    device, heard = design_device(case), [m for r in records if (m := r.free_modes(case)) is not None]
     stiffness, damping = np.array(device.stiffness), np.array(device.damping)
     for axis, modes in enumerate(zip(*heard, strict=True)):
         _, omega, decay = max(modes)

@@ -1,4 +1,4 @@
-"""Sweeps that were taken in one place: a device that its surroundings move is another one in each of them."""
+"""Records that were taken in one place: a device that its surroundings move is another one in each of them."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -33,22 +33,45 @@ def set_points(temperature: np.ndarray) -> np.ndarray:
     return numbers[place.ravel()]
 
 
+def placed(records: Iterable[Any]) -> list[Any]:
+    """Those of some records that tell in what surroundings they were taken."""
+    return [r for r in records if hasattr(r, "away") and r.temperature is not None]
+
+
 def in_one_place(around: Environment, records: Iterable[Any]) -> list[Any]:
-    """The records without sweeps that were taken farther from the surroundings declared than others of their axis."""
+    """The records without those that were taken farther from the surroundings declared than others of their axis, or
+    than any where they drive none or both.
+    """
     every = list(records)
-    away = {id(r): float(np.min(r.away(around))) for r in every if hasattr(r, "away")}
-    nearest: dict[int, float] = {}
-    for record in every:
-        if id(record) in away:
-            nearest[record.axis] = min(away[id(record)], nearest.get(record.axis, np.inf))
-    return [r for r in every if id(r) not in away or away[id(r)] <= nearest[r.axis] + NEAR]
+    away = {id(r): float(np.min(r.away(around))) for r in placed(every)}
+    axes = {id(r): getattr(r, "axis", None) for r in placed(every)}
+
+    def is_near(record: Any) -> bool:
+        axis = axes[id(record)]
+        return away[id(record)] <= NEAR + min(far for one, far in away.items() if axis is None or axes[one] == axis)
+
+    return [r for r in every if id(r) not in away or is_near(r)]
+
+
+def in_another_place(around: Environment, record: Any, others: Iterable[Any]) -> bool:
+    """Whether a record tells surroundings in which none of the others was taken; those that tell none were taken in
+    those declared.
+    """
+    if not placed([record]):
+        return False
+    kelvins, volts = float(np.mean(record.temperature)), float(np.mean(record.bias_voltage))
+    taken = [
+        (r.temperature, r.bias_voltage) if placed([r]) else (around.temperature, around.bias_voltage) for r in others
+    ]
+    near = [(np.abs(warm - kelvins) <= NEAR) & (np.abs(bias - volts) < 1e-6) for warm, bias in taken]
+    return not any(map(np.any, near))
 
 
 def place_in_words(around: Environment, records: Iterable[Any]) -> str:
     """The surroundings at which a device's numbers hold, of those that records took at others, and whether any was
     taken there; empty where all were taken there.
     """
-    every = [r for r in records if hasattr(r, "away")]
+    every = placed(records)
     if not every:
         return ""
     kelvins = np.concatenate([np.abs(r.temperature - around.temperature) for r in every])
@@ -63,7 +86,7 @@ def nearest_in_words(around: Environment, records: Iterable[Any]) -> str:
     """The surroundings in which the records nearest to those declared were taken, of what varies; empty where nothing
     does.
     """
-    every = [r for r in records if hasattr(r, "away")]
+    every = placed(records)
     if not every:
         return ""
     away, kelvins, volts = (

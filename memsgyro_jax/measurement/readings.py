@@ -13,6 +13,7 @@ from memsgyro_jax.device.normalised import NormalisedDevice
 from .case import Case
 from .experiments import Readings
 from .model import Model
+from .one_place import in_another_place
 
 
 def readings_of(case: Case) -> tuple[Readings, ...]:
@@ -20,13 +21,16 @@ def readings_of(case: Case) -> tuple[Readings, ...]:
 
     Fitted are records with the role "fit", and without a declared role what its kind says: every second row of a
     frequency sweep, rate tables, raw captures; ring-downs, and the earlier half of free decays, only where nothing else
-    holds the device. The others validate.
+    holds the device, or was taken at their temperature and bias voltage. The others validate.
     """
-    alone = all(record.role == "validation" or record.last_resort for record in case.records)
+    others = [record for record in case.records if record.role != "validation" and not record.last_resort]
+    alone = [not others or in_another_place(case.environment, record, others) for record in case.records]
     out = []
     for kind in dict.fromkeys(type(record) for record in case.records):
-        records = [(number, record) for number, record in enumerate(case.records) if type(record) is kind]
-        out += kind.laid_out(case, records, alone)
+        mine = [(number, record) for number, record in enumerate(case.records) if type(record) is kind]
+        for lonely in (False, True):
+            if records := [(number, record) for number, record in mine if alone[number] == lonely]:
+                out += kind.laid_out(case, records, lonely)
     return tuple(out)
 
 

@@ -20,7 +20,6 @@ from memsgyro_jax.diagnosis.valley import to_its_end
 from memsgyro_jax.diagnosis.worth_trying import worth_trying
 from memsgyro_jax.effects import catalogue
 from memsgyro_jax.measurement.beside_design import beside_design
-from memsgyro_jax.measurement.drive_levels import with_rows
 from memsgyro_jax.measurement.linear_start import starting_device
 from memsgyro_jax.measurement.one_place import nearest_in_words, place_in_words
 from memsgyro_jax.measurement.readings import model_of, readings_of
@@ -200,7 +199,7 @@ def test_a_course_that_bends_is_tried_from_four_temperatures(oven):
     def labels(case):
         return {effect.name for effect in worth_trying(case)}
 
-    few = with_rows(oven.records[0], oven.records[0].temperature < 310.0)
+    few = oven.records[0].only(oven.records[0].temperature < 310.0)
     assert "thermal_curvature" in labels(oven)
     assert "thermal_curvature" not in labels(replace(oven, records=(few,)))
 
@@ -284,3 +283,55 @@ def test_a_damping_of_no_known_law_is_no_slow_noise(tmp_path, seed):
     assert found.verdict == "partly_explained"
     assert "noise is not white" not in found.sentence
     assert {a.label for a in found.accepted} == {"thermal_drift stiffness", "thermal_drift damping"}
+
+
+def decays(folder, noise=2e-4):
+    """Phasors of a ring-down at three temperatures, as an oven and a lock-in make them: 9137 Hz, Q 12 000."""
+    rng, time = np.random.default_rng(5), np.arange(1200) * 1e-3
+    text = HEAD.format(name="ringing", bias=0, quantity="displacement")
+    text += 'resonance = { value = 9137, tolerance = 0.1, unit = "Hz" }\n'
+    text += 'quality_factor = { value = 12000, tolerance = 0.9, unit = "1" }\n'
+    for celsius in (-20, 25, 70):
+        hertz, damping = 9137 * np.sqrt(1 - 6e-5 * (celsius - 25)), TURN * 9137 / 12e3 * (1 + 3e-3 * (celsius - 25))
+        turn = np.exp(-damping / 2 * time + 1j * TURN * (np.sqrt(hertz**2 - (damping / 2 / TURN) ** 2) - 9137) * time)
+        seen = 0.8 * turn + noise * (rng.standard_normal(time.size) + 1j * rng.standard_normal(time.size))
+        rows = np.column_stack([time, np.full(time.size, celsius), seen.real, seen.imag])
+        np.savetxt(
+            folder / f"r{celsius}.csv", rows, "%.9g", ",", header="t [s],T [degC],Vx_I [V],Vx_Q [V]", comments=""
+        )
+        text += RECORD.format(name=f"r{celsius}").replace("frequency_sweep", "free_decay")
+        text += 'reference_frequency = { value = 9137, unit = "Hz" }\n'
+    (folder / "case.toml").write_text(text)
+    return mg.load_case(folder)
+
+
+def test_each_decay_shows_the_device_at_its_temperature(tmp_path):
+    case = decays(tmp_path)
+    every = in_each_place(case)
+    assert [one.temperature for one in every] == pytest.approx([253.15, 298.15, 343.15])
+    hertz = np.sqrt([one.stiffness for one in every]) / TURN
+    np.testing.assert_allclose(hertz, 9137 * np.sqrt(1 - 6e-5 * np.array([-45, 0, 45])), rtol=3e-7)
+    np.testing.assert_allclose(
+        [one.damping for one in every], TURN * 9137 / 12e3 * np.array([0.865, 1, 1.135]), rtol=5e-3
+    )
+    assert np.isnan([one.gain for one in every]).all()
+    table = settings_table(case)
+    assert "gain" not in table
+    assert "9149.32" in table
+    joint = Joint(model_of(case, starting_device(case)).with_effect(*worth_trying(case)), readings_of(case))
+    vector, chosen = begun(joint, every, range(len(joint.model.effects)))
+    assert [joint.model.effects[i].label for i in chosen] == ["thermal_drift stiffness", "thermal_drift damping"]
+    strengths = [float(vector[joint.of_effect(i)][0]) for i in chosen]
+    np.testing.assert_allclose(strengths, [-6e-5, 3e-3], rtol=2e-2)
+
+
+@pytest.mark.slow
+def test_decays_in_an_oven_are_explained(tmp_path):
+    """The drift was no effect of a record over time, and none of them could be explained beside the others."""
+    result = mg.diagnose(None, decays(tmp_path))
+    assert result.verdict == "found"
+    found = {one.label: (one.estimate[0], one.std[0]) for one in result.accepted}
+    assert set(found) == {"thermal_drift stiffness", "thermal_drift damping"}
+    for label, truth in (("thermal_drift stiffness", -6e-5), ("thermal_drift damping", 3e-3)):
+        value, std = found[label]
+        assert abs(value - truth) < 4 * std < 1e-2 * abs(truth)

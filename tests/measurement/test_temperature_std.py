@@ -7,7 +7,7 @@ import pytest
 from lab.oven import oven
 
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.diagnosis.instrument import declared_terms, instrument_terms
+from memsgyro_jax.diagnosis.instrument import declared_terms, instrument_terms, temperatures_of
 from memsgyro_jax.measurement.case import load_case, write_case
 from memsgyro_jax.measurement.one_place import set_points
 
@@ -102,3 +102,21 @@ def test_operating_points_have_a_number_for_each_set_point(tmp_path):
     np.testing.assert_array_equal(np.argmax(term.entry[1], axis=-1), [1, 2, 1])
     exact = replace(case.records[1], temperature_std=0.0)
     assert exact.sweeps == (slice(0, 5),)
+
+
+def test_a_ring_down_has_a_number_with_or_without_a_column_of_temperatures(tmp_path):
+    path = oven(tmp_path, set_points=(25.0,)) / "case.toml"
+    time, text = np.arange(40) * 1e-5, path.read_text()
+    for name, warm in (("told", "85"), ("untold", "")):
+        rows = [f"{','.join(filter(None, (f'{t:.6g}', warm)))},{np.cos(2e5 * t)}" for t in time]
+        head = ",".join(filter(None, ("t [s]", "T [degC]" if warm else "", "Vx [V]")))
+        (tmp_path / f"{name}.csv").write_text("\n".join([head, *rows]))
+        text += (
+            f'[[experiment]]\nname = "{name}"\nkind = "free_decay"\nfile = "{name}.csv"\nnoise_std = "1 mV"\n'
+            'temperature_std = "0.2 K"\n'
+        )
+    path.write_text(text)
+    case = load_case(tmp_path)
+    (term,) = declared_terms(case)
+    np.testing.assert_allclose(temperatures_of(case, term) - 273.15, [25.0, 85.0, 25.0])
+    np.testing.assert_array_equal(term.known_to, [0.1, 0.2, 0.2])

@@ -197,13 +197,23 @@ class Phasors(NamedTuple):
 
 
 def surroundings(
-    declared: Declared, number: int, count: int, rate: np.ndarray | float = 0.0, *, time: np.ndarray | float = 0.0
+    declared: Declared,
+    number: int,
+    count: int,
+    rate: np.ndarray | float = 0.0,
+    *,
+    time: np.ndarray | float = 0.0,
+    temperature: np.ndarray | float | None = None,
+    bias_voltage: np.ndarray | float | None = None,
 ) -> Conditions:
-    """Conditions of `count` rows of record `number`, as declared but for the rate [rad/s] and the time [s]."""
+    """Conditions of `count` rows of record `number`: rate [rad/s], time [s], temperature [K] and bias voltage [V], the
+    last two as the case declares them where they are `None`.
+    """
+    around = declared.environment
     return Conditions(
         rate=rate,
-        temperature=declared.environment.temperature,
-        bias_voltage=declared.environment.bias_voltage,
+        temperature=around.temperature if temperature is None else temperature,
+        bias_voltage=around.bias_voltage if bias_voltage is None else bias_voltage,
         time=time,
         progress=np.linspace(0.0, 1.0, count),
         record=float(number),

@@ -1,23 +1,27 @@
 """Records whose rows follow each other in time at one period, and among them waveforms."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
-from ..columns import signal_columns
-from ..declared import Declared
+from ..columns import Columns, signal_columns
+from ..declared import Declared, Environment
 from ..noise import freedom_over_time, noise_over_time
+from ..one_place import away_from
 from ..tracking import Track, tracked
 from .clipping import clipped
 from .deviation import Band, Deviation, Known, Overlay, Series, Variable, View, segments
 from .missing_force import TimeForce, force_over_time
 from .record import AbstractRecord, Watched
+from .sweep_readings import scattered, steadied
 
 
 REACH = (0.5, 2.0)  # times the design's resonances: where a vibration is looked for
+CONDITIONS = ("T", "V_bias")  # columns that tell the surroundings of a record
 _AROUND = 0.1  # of a mode's frequency that counts as "at" it in a spectrum
 
 
@@ -27,9 +31,15 @@ class ClockedRecord(AbstractRecord):
 
     Args:
         time: (n,) of each row [s], uniform.
+        temperature: (n,) [K]; `None` where the record does not tell its surroundings, which are then those declared.
+        bias_voltage: (n,) of the electrodes [V], likewise.
+        thermometer: by how much readings of the temperature scattered from row to row [K], which was taken off them.
     """
 
     time: np.ndarray
+    temperature: np.ndarray | None = None
+    bias_voltage: np.ndarray | None = None
+    thermometer: float = 0.0
 
     @property
     def period(self) -> float:
@@ -65,7 +75,35 @@ class ClockedRecord(AbstractRecord):
         return Watched(name, values, noise, np.arange(self.rows, dtype=float), (slice(None),))
 
     def known(self, declared: Declared) -> tuple[Known, ...]:
-        return (Known("time", self.time, "s", set=False),)
+        time = Known("time", self.time, "s", set=False)
+        if self.temperature is None or self.bias_voltage is None:
+            return (time,)
+        return time, Known("temperature", self.temperature, "K"), Known("bias voltage", self.bias_voltage, "V")
+
+    def warnings(self, declared: Declared) -> list[str]:
+        return scattered(self.file, self.thermometer)
+
+    # ---- surroundings
+
+    def surrounded(self, at: Callable[[np.ndarray], Any]) -> dict[str, Any]:
+        """Temperature and bias voltage, by name, as `at` makes them of those of the rows; nothing where the record does
+        not tell them.
+        """
+        told = {"temperature": self.temperature, "bias_voltage": self.bias_voltage}
+        return {name: at(values) for name, values in told.items() if values is not None}
+
+    def away(self, around: Environment) -> np.ndarray:
+        """(n,) how far the surroundings of each row are from those declared, if it tells them."""
+        still = np.zeros(self.rows)
+        if self.temperature is None or self.bias_voltage is None:
+            return still
+        return away_from(around, self.temperature, self.bias_voltage, still)
+
+    @property
+    def told_columns(self) -> dict[str, np.ndarray]:
+        """What the record tells of its surroundings, as columns of a file."""
+        names = {"temperature": "T [K]", "bias_voltage": "V_bias [V]"}
+        return {names[name]: values for name, values in self.surrounded(np.asarray).items()}
 
     def overlay(self, base: Deviation, final: Deviation) -> Overlay:
         """The residual of every channel over time."""
@@ -90,18 +128,20 @@ class WaveformRecord(ClockedRecord):
         return self.signals
 
     def warnings(self, declared: Declared) -> list[str]:
+        told = super().warnings(declared)
         if np.iscomplexobj(self.signals):
-            return []
+            return told
         unit = "" if declared.readout.unit == "1" else f" {declared.readout.unit}"
         ends = (clipped(self.file, f"channel {'xy'[c]}", self.signals[:, c], unit) for c in self.channels)
-        return [*chain.from_iterable(ends)]
+        return [*told, *chain.from_iterable(ends)]
 
     @property
     def offset(self) -> np.ndarray | None:
         return self.signals[self.rows // 2 :].mean(axis=0)
 
     def columns(self, declared: Declared) -> dict[str, np.ndarray]:
-        return {"t [s]": self.time, **signal_columns(self.signals, declared, self.channels)}
+        signals = signal_columns(self.signals, declared, self.channels)
+        return {"t [s]": self.time, **self.told_columns, **signals}
 
     def track(self, declared: Declared, channel: int, rows: int = 0) -> Track:
         """Amplitude, frequency and decay rate of the strongest vibration of a channel, over windows of some rows."""
@@ -126,3 +166,13 @@ class WaveformRecord(ClockedRecord):
         if len(self.channels) < self.readings.shape[1]:
             return None
         return force_over_time(self.name, deviation, self.time, self.noise_level)
+
+
+def surroundings_told(columns: Columns, around: Environment) -> dict[str, Any]:
+    """What columns tell of the surroundings of a record, by the name of its fields; nothing where there are none."""
+    if not any(columns.has(name) for name in CONDITIONS):
+        return {}
+    temperature = columns.optional("T", "K", around.temperature)
+    temperature, scatter = steadied(temperature, (slice(0, len(temperature)),))
+    bias = columns.optional("V_bias", "V", around.bias_voltage)
+    return {"temperature": temperature, "bias_voltage": bias, "thermometer": scatter}

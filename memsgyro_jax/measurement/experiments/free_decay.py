@@ -1,7 +1,7 @@
 """Free decay: a vibration that dies out, whatever made it; how it began is solved for."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 import jax.numpy as jnp
@@ -19,7 +19,7 @@ from ..section import ExperimentSection, Frequency, Seconds
 from ..tracking import Track, tracked
 from .base import CartesianNoise, Readings, RealNoise, surroundings
 from .checks import check_sampling
-from .clocked import WaveformRecord
+from .clocked import CONDITIONS, WaveformRecord, surroundings_told
 from .decay_pieces import FreeDecay
 from .deviation import Deviation, Series, in_phase, segments
 from .missing_force import TimeForce
@@ -77,7 +77,7 @@ class FreeDecayRecord(WaveformRecord):
         columns, entry = sheet.columns, sheet.entry
         reference = None if entry.reference_frequency is None else sheet.frequency("reference_frequency")
         ends = ("",) if reference is None else ("_I", "_Q", "_amp", "_phase")
-        columns.refuse_others(["t", *columns.signal_names(*ends)])
+        columns.refuse_others(["t", *CONDITIONS, *columns.signal_names(*ends)])
         time = columns.time()
         kept = np.ones(len(time), bool)
         for key, name, inside in (("from", "begin", np.greater_equal), ("to", "end", np.less_equal)):
@@ -87,14 +87,15 @@ class FreeDecayRecord(WaveformRecord):
                     kept &= inside(time, si(given, "s", positive=False))
                     if kept.sum() < ROWS:
                         raise InputError(f"must leave {ROWS} rows or more, but leaves {kept.sum()}")
-        common = sheet.common()
-        return cls(
-            **{**common, "lines": common["lines"][kept]},
-            time=time[kept],
-            signals=(columns.signals() if reference is None else columns.phasors())[kept],
+        whole = cls(
+            **sheet.common(),
+            **surroundings_told(columns, sheet.declared.environment),
+            time=time,
+            signals=columns.signals() if reference is None else columns.phasors(),
             reference_frequency=reference,
             uneven=entry.uneven,
         )
+        return whole if kept.all() else whole.only(kept)
 
     def check(self, table: Table, declared: Declared) -> None:
         if len(self.channels) < declared.channels:
@@ -116,7 +117,7 @@ class FreeDecayRecord(WaveformRecord):
     def columns(self, declared: Declared) -> dict[str, np.ndarray]:
         if self.reference_frequency is None:
             return super().columns(declared)
-        return {"t [s]": self.time, **phasor_columns(self.signals, declared)}
+        return {"t [s]": self.time, **self.told_columns, **phasor_columns(self.signals, declared)}
 
     # ---- pieces
 
@@ -161,7 +162,7 @@ class FreeDecayRecord(WaveformRecord):
 
     def _experiment(self, declared: Declared, number: int, part: np.ndarray, rows: int) -> FreeDecay:
         """Of some rows, in pieces of `rows`."""
-        few = replace(self, lines=self.lines[part], time=self.time[part], signals=self.signals[part])
+        few = self.only(part)
         away, noise = self._distance(declared), self.noise_level
         step = min(self.period, PHASE_STEP / away)
         spans = np.ptp(few.time.reshape(-1, rows), axis=1)
@@ -171,7 +172,7 @@ class FreeDecayRecord(WaveformRecord):
             noise=RealNoise(noise) if self.reference_frequency is None else CartesianNoise(noise),
             start=jnp.asarray(few._starts(declared, rows)),
             period=jnp.asarray(self.period),
-            surroundings=surroundings(declared, number, part.size, time=few.time),
+            surroundings=surroundings(declared, number, part.size, time=few.time, **few.surrounded(np.asarray)),
             frequency=jnp.asarray(self.reference_frequency or 0.0),
             substeps=max(1, int(np.ceil(away * self.period / PHASE_STEP))),
             nodes=1 + int(np.ceil(spans.max() / step)) if self.uneven else 0,

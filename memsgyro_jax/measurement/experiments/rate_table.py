@@ -29,7 +29,7 @@ from ..rate_signs import fast_rates, turned_rate
 from ..section import ExperimentSection, ToneSection
 from ..steady import FINENESS, as_seen, fundamental, reading_samples, steady_state
 from .base import BEYOND, CartesianNoise, Experiment, Noise, Phasors, Readings, surroundings
-from .clocked import ClockedRecord
+from .clocked import CONDITIONS, ClockedRecord, surroundings_told
 from .deviation import Deviation, Known, Series, Variable, by_setting, in_phase, segments
 from .missing_force import RateResidual, residual_over_rate
 from .record import Watched
@@ -216,9 +216,10 @@ class RateTableRecord(ClockedRecord):
     @classmethod
     def read(cls, sheet: Sheet) -> Self:
         columns = sheet.columns
-        columns.refuse_others(["t", "rate", *columns.signal_names("_I", "_Q", "_amp", "_phase")])
+        columns.refuse_others(["t", "rate", *CONDITIONS, *columns.signal_names("_I", "_Q", "_amp", "_phase")])
         return cls(
             **sheet.common(),
+            **surroundings_told(columns, sheet.declared.environment),
             axis=sheet.axis,
             drive_force=sheet.amount("drive_force", sheet.force_unit),
             drive_frequency=sheet.frequency("drive_frequency"),
@@ -258,8 +259,8 @@ class RateTableRecord(ClockedRecord):
         }
 
     def columns(self, declared: Declared) -> dict[str, np.ndarray]:
-        rate = {"rate [rad/s]": self.rate} if self.has_rate else {}
-        return {"t [s]": self.time, **rate, **phasor_columns(self.phasors, declared, self.channels)}
+        told = {**({"rate [rad/s]": self.rate} if self.has_rate else {}), **self.told_columns}
+        return {"t [s]": self.time, **told, **phasor_columns(self.phasors, declared, self.channels)}
 
     def experiment(self, declared: Declared, number: int) -> RateTable:
         blocks, count = self.blocks, int(self.blocks[-1]) + 1
@@ -270,15 +271,14 @@ class RateTableRecord(ClockedRecord):
             out[blocks] = values
             return out
 
-        between = np.arange(count)
-        rate = np.interp(between, blocks, self.rate)
+        def between(values: np.ndarray) -> np.ndarray:
+            return np.interp(np.arange(count), blocks, values)
+
+        told = {"time": between(self.time), **self.surrounded(between)}
         around = eqx.tree_at(
             lambda c: (c.angular_acceleration, c.rate_trusted),
-            surroundings(declared, number, count, rate, time=np.interp(between, blocks, self.time)),
-            (
-                jnp.asarray(np.interp(between, blocks, self.slope)),
-                jnp.asarray(np.full(count, float(self.rate_calibrated))),
-            ),
+            surroundings(declared, number, count, between(self.rate), **told),
+            (jnp.asarray(between(self.slope)), jnp.asarray(np.full(count, float(self.rate_calibrated)))),
         )
         return RateTable(
             name="rate tables",
@@ -313,7 +313,7 @@ class RateTableRecord(ClockedRecord):
         return Phasors(np.array([self.drive_frequency]), motion, force + 0j, np.array([weight]))
 
     def warnings(self, declared: Declared) -> list[str]:
-        return fast_rates(self.name, self.rate)
+        return [*super().warnings(declared), *fast_rates(self.name, self.rate)]
 
     def beside_device(self, device: NormalisedDevice, declared: Declared) -> list[str]:
         if declared.channels < 2 or len(self.channels) < 2:

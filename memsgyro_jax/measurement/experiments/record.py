@@ -6,7 +6,7 @@ laboratory would have recorded of a model; all else has a default that claims no
 
 import abc
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, ClassVar, Literal, NamedTuple, Self
 
@@ -119,6 +119,12 @@ class AbstractRecord(abc.ABC):
     @abc.abstractmethod
     def read(cls, sheet: Sheet) -> Self:
         """The record that a section of `case.toml` and its CSV file hold; raises `InputError` for what is wrong."""
+
+    def only(self, rows: np.ndarray) -> Self:
+        """A record of some of the rows, by their numbers or by a mask (n,)."""
+        values = {one.name: getattr(self, one.name) for one in fields(self)}
+        kept = {n: v[rows] for n, v in values.items() if isinstance(v, np.ndarray) and v.shape[:1] == (self.rows,)}
+        return replace(self, **kept, carried={name: column[rows] for name, column in self.carried.items()})
 
     def check(self, table: Table, declared: Declared) -> None:  # noqa: B027
         """Raises `InputError` where rows, declarations and design contradict each other; by default they never do."""

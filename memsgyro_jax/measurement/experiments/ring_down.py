@@ -24,7 +24,7 @@ from ..section import ExperimentSection, Seconds, ToneSection
 from ..tracking import Track
 from .base import BEYOND, Experiment, Noise, RealNoise, surroundings
 from .checks import check_sampling, exchanged
-from .clocked import WaveformRecord
+from .clocked import CONDITIONS, WaveformRecord, surroundings_told
 from .sheet import Sheet
 
 
@@ -138,9 +138,10 @@ class RingDownRecord(WaveformRecord):
     @classmethod
     def read(cls, sheet: Sheet) -> Self:
         columns = sheet.columns
-        columns.refuse_others(["t", *columns.signal_names("")])
+        columns.refuse_others(["t", *CONDITIONS, *columns.signal_names("")])
         return cls(
             **sheet.common(),
+            **surroundings_told(columns, sheet.declared.environment),
             axis=sheet.axis,
             drive_force=sheet.amount("drive_force", sheet.force_unit),
             drive_frequency=sheet.frequency("drive_frequency"),
@@ -178,6 +179,7 @@ class RingDownRecord(WaveformRecord):
                 f"{declared.folder}, experiment `{self.name}`: `drive_duration` must hold at least one drive cycle, "
                 f"but holds {driven:.3g}."
             )
+        around = surroundings(declared, number, 1, **self.surrounded(np.mean))
         return RingDown(
             name="ring-downs",
             time=jnp.asarray(self.time),
@@ -185,7 +187,7 @@ class RingDownRecord(WaveformRecord):
             noise=RealNoise(self.noise_of_rows),
             frequency=jnp.asarray(self.drive_frequency),
             force=jnp.asarray(self.drive_force * np.eye(declared.channels)[self.axis]),
-            surroundings=jax.tree.map(lambda leaf: leaf[0], surroundings(declared, number, 1)),
+            surroundings=jax.tree.map(lambda leaf: leaf[0], around),
             cycles=cycles,
             late=bool(self.time[0] > 0),
             nodes=self._nodes if self.uneven else 0,

@@ -48,4 +48,4 @@ def motion_of_amplitudes(
 def scattered(file: object, thermometer: float) -> list[str]:
     """A sentence where a temperature was steadied; none where it was not."""
     said = f"column `T` scatters by {thermometer:.2g} K from row to row, as no device does"
-    return [f"{file}: {said}: what it is in each sweep on the whole was taken."] if thermometer else []
+    return [f"{file}: {said}: what it is on the whole was taken."] if thermometer else []

@@ -23,7 +23,7 @@ from ..model import Model
 from ..section import ExperimentSection
 from .base import BEYOND, Experiment, Noise, Phasors, RealNoise, surroundings
 from .checks import check_sampling
-from .clocked import WaveformRecord
+from .clocked import CONDITIONS, WaveformRecord, surroundings_told
 from .deviation import Known
 from .record import Watched
 from .sheet import Sheet
@@ -217,9 +217,10 @@ class TimeRecord(WaveformRecord):
     def read(cls, sheet: Sheet) -> Self:
         columns = sheet.columns
         inputs = [name for group in columns.words.forces for name in group]
-        columns.refuse_others(["t", *inputs, *columns.signal_names(""), "rate"])
+        columns.refuse_others(["t", *inputs, *columns.signal_names(""), "rate", *CONDITIONS])
         return cls(
             **sheet.common(),
+            **surroundings_told(columns, sheet.declared.environment),
             hold=sheet.entry.hold,
             start=sheet.entry.start,
             time=columns.time(),
@@ -247,6 +248,7 @@ class TimeRecord(WaveformRecord):
         fine = np.repeat(self.forces, substeps, axis=0) if held else _between(self.forces, substeps, self.hold)
         following = np.concatenate([fine[1:], fine[-1:]])
         rate, time = (np.repeat(values, substeps) for values in (self.rate, self.time))
+        around = self.surrounded(lambda values: np.repeat(values, substeps))
         skipped = self._unknown_start(declared)
         solved = skipped > self.rows // 2
         skipped = 0 if solved else skipped
@@ -258,7 +260,7 @@ class TimeRecord(WaveformRecord):
             forces=jnp.asarray(fine),
             increments=jnp.asarray(np.zeros_like(fine) if held else following - fine),
             step=jnp.asarray(self.period / substeps),
-            surroundings=surroundings(declared, number, fine.shape[0], rate, time=time),
+            surroundings=surroundings(declared, number, fine.shape[0], rate, time=time, **around),
             substeps=substeps,
             skipped=skipped,
             solved=solved,
