@@ -6,7 +6,7 @@ from memsgyro_jax.base.text import listed
 from memsgyro_jax.effects import Scanned
 from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.linear_start import starting_device
-from memsgyro_jax.measurement.one_place import NEAR, placed
+from memsgyro_jax.measurement.one_place import NEAR, with_place
 from memsgyro_jax.measurement.readings import model_of, readings_of
 
 from .joint_residual import Joint
@@ -24,7 +24,7 @@ def odd_setting(case: Case) -> str:
     one, places = found
     names = [
         r.name
-        for r in placed(case.records)
+        for r in with_place(case.records)
         if np.all(np.abs(r.temperature - one.temperature) < NEAR)
         and np.all(np.abs(r.bias_voltage - one.bias_voltage) < 1e-3)
     ]

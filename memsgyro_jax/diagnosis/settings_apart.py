@@ -20,7 +20,7 @@ from memsgyro_jax.effects.evaluation import Acting, moment
 from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.experiments.base import Phasors
 from memsgyro_jax.measurement.model import Model
-from memsgyro_jax.measurement.one_place import NEAR, placed
+from memsgyro_jax.measurement.one_place import NEAR, with_place
 from memsgyro_jax.measurement.phasor_fit import device_of_phasors
 
 from .joint_residual import Joint
@@ -110,7 +110,7 @@ def in_each_place(case: Case) -> list[Surrounded]:
 
 def _heard(case: Case) -> Iterator[Surrounded]:
     """What the axis that vibrates most in each free decay shows of itself, where the record tells its surroundings."""
-    for record in placed(case.records):
+    for record in with_place(case.records):
         if record.role == "validation":
             continue
         heard = {c: track.seen for c in record.channels if (track := record.decay(case, c)) is not None}

@@ -33,7 +33,7 @@ def set_points(temperature: np.ndarray) -> np.ndarray:
     return numbers[place.ravel()]
 
 
-def placed(records: Iterable[Any]) -> list[Any]:
+def with_place(records: Iterable[Any]) -> list[Any]:
     """Those of some records that tell in what surroundings they were taken."""
     return [r for r in records if hasattr(r, "away") and r.temperature is not None]
 
@@ -43,8 +43,8 @@ def in_one_place(around: Environment, records: Iterable[Any]) -> list[Any]:
     than any where they drive none or both.
     """
     every = list(records)
-    away = {id(r): float(np.min(r.away(around))) for r in placed(every)}
-    axes = {id(r): getattr(r, "axis", None) for r in placed(every)}
+    away = {id(r): float(np.min(r.away(around))) for r in with_place(every)}
+    axes = {id(r): getattr(r, "axis", None) for r in with_place(every)}
 
     def is_near(record: Any) -> bool:
         axis = axes[id(record)]
@@ -57,11 +57,12 @@ def in_another_place(around: Environment, record: Any, others: Iterable[Any]) ->
     """Whether a record tells surroundings in which none of the others was taken; those that tell none were taken in
     those declared.
     """
-    if not placed([record]):
+    if not with_place([record]):
         return False
     kelvins, volts = float(np.mean(record.temperature)), float(np.mean(record.bias_voltage))
     taken = [
-        (r.temperature, r.bias_voltage) if placed([r]) else (around.temperature, around.bias_voltage) for r in others
+        (r.temperature, r.bias_voltage) if with_place([r]) else (around.temperature, around.bias_voltage)
+        for r in others
     ]
     near = [(np.abs(warm - kelvins) <= NEAR) & (np.abs(bias - volts) < 1e-6) for warm, bias in taken]
     return not any(map(np.any, near))
@@ -71,7 +72,7 @@ def place_in_words(around: Environment, records: Iterable[Any]) -> str:
     """The surroundings at which a device's numbers hold, of those that records took at others, and whether any was
     taken there; empty where all were taken there.
     """
-    every = placed(records)
+    every = with_place(records)
     if not every:
         return ""
     kelvins = np.concatenate([np.abs(r.temperature - around.temperature) for r in every])
@@ -86,7 +87,7 @@ def nearest_in_words(around: Environment, records: Iterable[Any]) -> str:
     """The surroundings in which the records nearest to those declared were taken, of what varies; empty where nothing
     does.
     """
-    every = placed(records)
+    every = with_place(records)
     if not every:
         return ""
     away, kelvins, volts = (

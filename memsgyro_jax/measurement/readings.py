@@ -24,7 +24,10 @@ def readings_of(case: Case) -> tuple[Readings, ...]:
     holds the device, or was taken at their temperature and bias voltage. The others validate.
     """
     others = [record for record in case.records if record.role != "validation" and not record.last_resort]
-    alone = [not others or in_another_place(case.environment, record, others) for record in case.records]
+    alone = [
+        not others or (record.last_resort and in_another_place(case.environment, record, others))
+        for record in case.records
+    ]
     out = []
     for kind in dict.fromkeys(type(record) for record in case.records):
         mine = [(number, record) for number, record in enumerate(case.records) if type(record) is kind]

@@ -55,7 +55,9 @@ def test_what_a_record_over_time_has_no_use_for_is_named(tmp_path):
     header = "t [s],signal [V],T [degC],Bias [V],Vdc [V],drive [V]"
     found = mg.import_case([wrote(tmp_path / "a.csv", header, time, values, 45.0, 10.0, 10.0, 0.0)], tmp_path / "case")
     assert found.case.records[0].kind == "free_decay"
-    assert "Not used: `Vdc [V]`, `T [degC]`, `Bias [V]`, `drive [V]`." in str(found)
+    assert "Not used: `Vdc [V]`, `drive [V]`." in str(found)
+    assert found.case.records[0].temperature[0] == pytest.approx(318.15)
+    assert found.case.records[0].bias_voltage[0] == pytest.approx(10.0)
     assert "taken for the bias" not in str(found)
 
 

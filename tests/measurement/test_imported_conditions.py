@@ -16,10 +16,10 @@ def sweep(path, beside="", value=0.0, gain=1.0):
     return path
 
 
-def decay(path):
+def decay(path, hertz=3200.0):
     """A waveform that dies out."""
     time = np.arange(4000) / 20e3
-    values = np.exp(-20.0 * time) * np.cos(2 * np.pi * 3200.0 * time)
+    values = np.exp(-20.0 * time) * np.cos(2 * np.pi * hertz * time)
     path.write_text("t [s],y [V]\n" + "\n".join(f"{t:.6f},{v:.6f}" for t, v in zip(time, values, strict=True)))
     return path
 
@@ -106,7 +106,7 @@ def test_what_a_column_tells_is_not_hinted_at(tmp_path):
 
 def test_the_temperature_of_a_decay_is_hinted_at_and_taken(tmp_path):
     """It was said that no record over time has one: ring-downs in an oven lost theirs."""
-    files = [decay(tmp_path / f"r_{kelvin}C.csv") for kelvin in (25, 60)]
+    files = [decay(tmp_path / f"r_{degrees}C.csv", 3200.0 - 0.1 * degrees) for degrees in (25, 60)]
     (told,) = mg.import_case(files, tmp_path / "case").hints
     assert told.endswith('--temperature "25 degC" "60 degC"')
     found = mg.import_case(files, tmp_path / "told", temperature=["25 degC", "60 degC"], bias=["10 V", "-"])
