@@ -1,12 +1,20 @@
 """The files of a case, written from the records that were imported."""
 
+import shutil
+import tempfile
+from pathlib import Path
+
 import numpy as np
 
+from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.files import write_whole
 from memsgyro_jax.base.text import listed, printable
 from memsgyro_jax.base.toml import toml_table, toml_text
 from memsgyro_jax.base.units import parse_header, to_si
 
-from .case.file import SCHEMA
+from .case import Case, load_case
+from .case.file import FILE, SCHEMA
+from .case.unknown import OpenDesign
 from .imported_record import ImportedRecord
 
 
@@ -17,6 +25,14 @@ _KNOWN = {  # beforehand, of a device of one axis and of two
     False: "resonance, quality_factor, static_gain",
     True: "mass, frequency_x, frequency_y, quality_factor_x, quality_factor_y",
 }
+_TO_FILL = {  # where the records do not tell it
+    False: ("resonance", "quality_factor"),
+    True: ("frequency_x", "frequency_y", "quality_factor_x", "quality_factor_y"),
+}
+_LINE = {
+    True: '# {} = {{ value = ..., tolerance = 0.5, unit = "1" }}',  # a quality factor
+    False: '# {} = {{ value = ..., tolerance = 0.02, unit = "Hz" }}',
+}
 
 
 _OF_DECAYS = """\
@@ -26,13 +42,13 @@ _OF_DECAYS = """\
 """
 
 
-def csv_of_record(record: ImportedRecord) -> str:
+def _csv_of(record: ImportedRecord) -> str:
     """The file of one record."""
     rows = zip(*(map(repr, column.astype(float).tolist()) for column in record.columns.values()), strict=True)
     return "\n".join([",".join(record.columns), *map(",".join, rows)]) + "\n"
 
 
-def toml_of_records(name: str, records: list[ImportedRecord], sources: list[str]) -> str:
+def _toml_of(name: str, records: list[ImportedRecord], sources: list[str]) -> str:
     """`case.toml`: what is not known of the device is left out, to be told by the records."""
     two = any(record.two_axes for record in records)
     top = {"schema": SCHEMA, "name": printable(name, 60), "description": f"imported from {listed(sources)}"}
@@ -93,10 +109,49 @@ def _recorded(records: list[ImportedRecord], name: str, unit: str) -> np.ndarray
 def _design(records: list[ImportedRecord], two: bool) -> str:
     """Design values where no record is driven in a known way, roughly from the decays themselves."""
     if any(not record.design or record.two_axes for record in records):
-        return f"# what is known beforehand: {_KNOWN[two]}, as {{ value, tolerance, unit }}\n[design]\n"
+        lines = [_LINE["quality" in key].format(key) for key in _TO_FILL[two]]
+        known = f"# what is known beforehand: {_KNOWN[two]}, as {{ value, tolerance, unit }}"
+        return "\n".join([known, "[design]", *lines]) + "\n"
     rough = records[0].design
     entries = {
         key: {"value": value, "low": value / spread, "high": value * spread, "unit": unit}
         for (key, (value, unit)), spread in zip(rough.items(), (1.2, 3.0), strict=True)
     }
     return _OF_DECAYS + toml_table("design", entries)
+
+
+def write_records(folder: Path, records: list[ImportedRecord], sources: list[str]) -> Case:
+    """The case of some records, written beside the folder, read as a test, and only then moved there.
+
+    **Raises:** `InputError` for what cannot be read, and where nothing tells the design, the lines of which are left to
+    fill in.
+    """
+    parent = folder.absolute().parent
+    parent.mkdir(parents=True, exist_ok=True)
+    beside = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=parent))
+    try:
+        for record in records:
+            write_whole(beside / f"{record.name}.csv", _csv_of(record))
+        write_whole(beside / FILE, _toml_of(folder.absolute().name, records, sources))
+        try:
+            load_case(beside)
+        except InputError as error:  # of files that the user never sees: named as what they were made from
+            said = str(error)
+            for record in records:
+                said = said.replace(str(beside / f"{record.name}.csv"), f"{record.source} (as a record)")
+            said = said.replace(str(beside), str(folder))
+            if isinstance(error, OpenDesign):
+                _moved(beside, folder)
+                said += f" Everything else is written: fill in the lines there, then `memsgyro check {folder}`."
+            raise InputError(said) from error
+        _moved(beside, folder)
+        return load_case(folder)
+    finally:
+        shutil.rmtree(beside, ignore_errors=True)
+
+
+def _moved(beside: Path, folder: Path) -> None:
+    """The files of a case put in their place, the one that makes it a case last."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for path in sorted(beside.iterdir(), key=lambda path: path.name == FILE):
+        path.replace(folder / path.name)

@@ -3,8 +3,6 @@
 import itertools
 import re
 import shlex
-import shutil
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,13 +11,11 @@ from typing import Any
 from memsgyro_jax.base.arguments import whole
 from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.base.files import write_whole
 from memsgyro_jax.base.quantity import amount_of_option
 from memsgyro_jax.base.text import listed
 
-from .case import Case, load_case
-from .case.file import FILE
-from .case_of_records import csv_of_record, toml_of_records
+from .case import Case
+from .case_of_records import write_records
 from .column_map import parse_map
 from .column_meaning import meaning_of
 from .condition_hints import hints
@@ -180,7 +176,7 @@ def import_case(
     ]
     found, copies = without_copies(found)
     records = turned_alike(agreed(_named([record for some in found for record in some])))
-    case = _write(folder, records, sources)
+    case = write_records(folder, records, sources)
     again = ["memsgyro", "import", *map(str, paths), "--out", str(folder), "--overwrite"]
     again += [*(["--map", *([columns] if isinstance(columns, str) else columns)] if any(maps) else [])]
     again += ["--axis", *axis] if axis else []
@@ -315,27 +311,3 @@ def _unused_columns(records: Sequence[ImportedRecord]) -> dict[str, list[str]]:
 def _about(sentence: str) -> str:
     """Of which kind an assumption is."""
     return next(kind for kind, words in _ABOUT.items() if words.search(sentence))
-
-
-def _write(folder: Path, records: list[ImportedRecord], sources: list[str]) -> Case:
-    """Writes beside the folder, reads it as a test, and only then moves it there."""
-    parent = folder.absolute().parent
-    parent.mkdir(parents=True, exist_ok=True)
-    beside = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=parent))
-    try:
-        for record in records:
-            write_whole(beside / f"{record.name}.csv", csv_of_record(record))
-        write_whole(beside / FILE, toml_of_records(folder.absolute().name, records, sources))
-        try:
-            load_case(beside)
-        except InputError as error:  # of files that the user never sees: named as what they were made from
-            said = str(error)
-            for record in records:
-                said = said.replace(str(beside / f"{record.name}.csv"), f"{record.source} (as a record)")
-            raise InputError(said.replace(str(beside), str(folder))) from error
-        folder.mkdir(parents=True, exist_ok=True)
-        for path in sorted(beside.iterdir(), key=lambda path: path.name == FILE):
-            path.replace(folder / path.name)
-    finally:
-        shutil.rmtree(beside, ignore_errors=True)
-    return load_case(folder)

@@ -163,7 +163,7 @@ def _window(values: np.ndarray, tau: np.ndarray, omega: float) -> tuple[Any, ...
             break
     left = values - columns @ found
     freedom = max(1, len(values) - columns.shape[1])
-    spread = np.sqrt(np.diag(np.linalg.pinv(columns.T @ columns)) * float(left @ left) / freedom)
+    spread = np.sqrt(np.maximum(np.diag(np.linalg.pinv(columns.T @ columns)), 0.0) * float(left @ left) / freedom)
     slope = float(np.hypot(spread[2], spread[3])) / np.sqrt(2) / half / abs(a)
     level = float(np.hypot(spread[0], spread[1])) / np.sqrt(2)
     return a, level, omega, slope, -rate.real, slope, float(found[4])

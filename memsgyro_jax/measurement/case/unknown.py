@@ -15,11 +15,21 @@ from ..experiments.base import Phasors
 from ..one_place import in_one_place
 from ..phasor_fit import device_of_phasors, is_seen, most_linear
 from .content import Case
-from .device import gain_by_mass
+from .device import BY_MODES, gain_by_mass
 from .file import CaseFile
 
 
+BY_HAND = {  # how a maker gives them
+    **{key: other.key for key, other in BY_MODES.items() if other.positive},
+    "resonance": "resonance",
+    "quality_factor": "quality_factor",
+}
+CLEAR = 10.0  # times the noise: a vibration
 _UNITS = ("V", "N", "A", "1", "m", "m/s", "m/s**2", "rad", "Pa")
+
+
+class OpenDesign(InputError):
+    """No record tells what the design leaves open."""
 
 
 def recorded_units(file: CaseFile, folder: Path) -> tuple[str, str]:
@@ -80,8 +90,11 @@ def with_found_design(case: Case, file: CaseFile, path: Path) -> Case:
     if rows and (calm := most_linear(rows, device)) and calm is not rows:
         rows, device = calm, device_of_phasors(calm)
     if device is None or (rows and not is_seen(device, rows)):
-        raise InputError(
-            f"{path}, `design`: must give {', '.join(open_)}, as no record that may be fitted shows a clear resonance."
+        if case.channels > 1 and not set(open_) & {"kxx", "kyy", "dxx", "dyy"}:
+            return _with_told(case, file, _uncoupled(case, open_))
+        needed = ", ".join(BY_HAND[key] for key in open_ if key in BY_HAND) or ", ".join(open_)
+        raise OpenDesign(
+            f"{path}, `design`: must give {needed}, as no record that may be fitted shows a clear resonance."
         )
     found = _numbers(case, *(np.asarray(part) for part in (device.stiffness, device.damping, device.mobility)))
     told = {key: DesignValue.found(found[key]) for key in open_}
@@ -137,7 +150,7 @@ def _left_alone(case: Case) -> NormalisedDevice | None:
     nothing is known.
     """
     if case.channels > 1:
-        return None
+        return _both_left_alone(case)
     heard = [modes[0] for record in case.records if (modes := record.free_modes(case)) is not None]
     _, omega, decay = max(heard, default=(0.0, 0.0, 0.0))
     if decay > 0:
@@ -146,6 +159,28 @@ def _left_alone(case: Case) -> NormalisedDevice | None:
     if resonance.unknown or quality.unknown or any(record.kind != "free_decay" for record in case.records):
         return None
     return NormalisedDevice([resonance.value**2], [resonance.value / quality.value], resonance.value**2)
+
+
+def _both_left_alone(case: Case) -> NormalisedDevice | None:
+    """A device of two axes of which each vibrates most at a frequency of its own in a free decay."""
+    heard = [(r.noise_level, modes) for r in case.records if (modes := r.free_modes(case)) is not None]
+    if not heard:
+        return None
+    noise, modes = max(heard, key=lambda told: min(loud for loud, _, _ in told[1]) / told[0])
+    loud, omega, decay = np.transpose(modes)
+    clear = np.min(loud) > CLEAR * noise and np.min(omega) > np.max(omega) / 10.0  # a slow drift is no mode
+    if not clear or np.any(decay <= 0) or np.ptp(omega) < 2.0 * np.sum(decay):
+        return None
+    return NormalisedDevice([*omega**2, 0.0], [*(2.0 * decay), 0.0], 1.0)
+
+
+def _uncoupled(case: Case, open_: list[str]) -> dict[str, DesignValue]:
+    """What is left open of a device whose axes are known: uncoupled ones, as far as nothing tells otherwise."""
+    design = {key: value.value for key, value in case.design.items()}
+    least = np.sqrt(design["kxx"] * design["kyy"]) / max(1.0, case.largest_quality)
+    reach = {"kxy": max(abs(design["kyy"] - design["kxx"]) / 2.0, least), "dxy": np.sqrt(design["dxx"] * design["dyy"])}
+    none = {key: DesignValue(0.0, -float(far), float(far), unknown=True) for key, far in reach.items()}
+    return {key: value for key, value in none.items() if key in open_}  # all is per mass where that is open
 
 
 def _numbers(case: Case, stiffness: np.ndarray, damping: np.ndarray, mobility: np.ndarray) -> dict[str, float]:
