@@ -31,7 +31,7 @@ def settings_table(case: Case) -> str:
         rows.append(
             (
                 "xy"[one.axis],
-                f"{one.temperature - 273.15:.4g}",
+                f"{round(one.temperature - 273.15, 3) + 0.0:.4g}",
                 f"{one.bias_voltage:.4g}",
                 f"{omega / (2 * np.pi):.{digits}f}",
                 f"{1e6 * (omega / start - 1.0):+.4g}",

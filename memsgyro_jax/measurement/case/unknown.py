@@ -21,8 +21,7 @@ from .file import CaseFile
 
 BY_HAND = {  # how a maker gives them
     **{key: other.key for key, other in BY_MODES.items() if other.positive},
-    "resonance": "resonance",
-    "quality_factor": "quality_factor",
+    **{key: key for key in VOCABULARIES["resonator"].design},
 }
 CLEAR = 10.0  # times the noise: a vibration
 _UNITS = ("V", "N", "A", "1", "m", "m/s", "m/s**2", "rad", "Pa")
