@@ -213,7 +213,9 @@ def _minimum(terms: Mapping[str, NoiseTerm], measured: np.ndarray, low: np.ndarr
         return NoiseTerm(None, 0.0, above, unit, _OTHER)
     if all(terms[name].value is None for name in "BKR"):
         return NoiseTerm(None, 0.0, above, unit, "the deviation has not ceased to fall")
-    return NoiseTerm(value, below, above, unit, "")
+    return NoiseTerm(
+        value, below, above, unit, "all noises together: flicker alone, B, is less" * (terms["B"].high < below)
+    )
 
 
 def _poor(found: NoiseFit) -> Bool[np.ndarray, " series"]:

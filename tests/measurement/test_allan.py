@@ -167,6 +167,7 @@ def test_terms_are_found_or_said_to_be_unknown(tmp_path):
     assert terms["bias_instability"].value == pytest.approx(
         found.deviation[0].min() / 0.66428 * 3600 * 180 / np.pi, rel=1e-4
     )
+    assert terms["bias_instability"].verdict == ""
     assert "cannot tell" in str(found)
     table = found.to_xarray()
     assert np.isnan(table["term_value"].sel(term="K").item())
@@ -177,6 +178,16 @@ def test_terms_are_found_or_said_to_be_unknown(tmp_path):
     ax = found.plot()
     assert ax.get_xscale() == "log"
     ax.figure.clear()
+
+
+def test_a_minimum_that_is_not_of_flicker_says_so():
+    """A ramp ends the fall of a white rate: what datasheets call the bias instability stood there as if it were B."""
+    rate = draw(np.random.default_rng(2), 30_000, 1, n=np.radians(0.4) / 60.0 * np.sqrt(50.0))[0]
+    terms = mg.allan(rate + np.radians(1e-5) * np.arange(rate.size), sample_rate="50 Hz").terms[0]
+    least = terms["bias_instability"]
+    assert least.value is not None
+    assert terms["B"].high < least.low
+    assert least.verdict == "all noises together: flicker alone, B, is less"
 
 
 def test_what_still_falls_has_no_bias_instability():
