@@ -164,7 +164,7 @@ class Tuning(Tabular):
 
     def _merit_table(self) -> str:
         both = self.before, self.after
-        rows = [(f"on {self.after.dies} unseen dies", "before", "after")]
+        rows = [(f"on {self.after.dies} unseen dies (intervals of 95 %)", "before", "after")]
         for name, field in (("mean squared error [(deg/s)²]", "mean"), ("median", "median"), ("95 %", "p95")):
             rows.append((name, *(_squared_degrees(getattr(merit, field)) for merit in both)))
         rows.append(("after over before", "1", str(self.ratio)))

@@ -197,7 +197,7 @@ def test_each_number_has_a_fate(made):
     values = Values(rng.normal(size=50), np.ones(50, bool), slopes)
     assert fates(few, found, values) == (
         "moved x 2, in a direction without effect", "moved x 2, in a direction without effect", "stayed",
-        "moved x 450, at its upper bound, no effect there",
+        "moved x 450, at its upper bound, small changes there have no effect",
     )  # fmt: skip
     assert null_directions(few, found, values) == ("+0.71·observer.noise_density.0 +0.71·observer.noise_density.1",)
 
@@ -225,7 +225,7 @@ def merit(mean, nis=(1.0, 1.0), nees=14.0, lost=0):
         (merit(0.5, nis=(0.7, 1.3)), 0.4, ["absorbing an error of the model"]),
         (merit(0.5, lost=2), 0.4, ["2 of 256 unseen dies are lost"]),
         (merit(1.05), 0.9, []),
-        (merit(1.5), 1.2, ["has risen to 1.5 (1.2 to 1.8) of that before"]),
+        (merit(1.5), 1.2, ["has risen to 1.5 (1.2 to 1.8) of that before, by an interval of 99.5 %"]),
     ],
 )
 def test_warnings(after, low, words):
