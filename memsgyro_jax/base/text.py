@@ -64,7 +64,7 @@ def suggestion(name: str, known: Iterable[str], *, every: bool = False) -> str:
     """What a name that is not known may have meant: "did you mean `kxy`?", or `every` one that is known."""
     known = list(known)
     alike = {one: _likeness(name, one) for one in known} if len(name) <= _LONG else {}
-    near = max(alike, key=alike.__getitem__, default="")
+    near = max(alike, key=lambda one: (alike[one], one), default="")
     asked = f"did you mean `{near}`?" if alike.get(near, 0.0) >= _NEAR else ""
     return asked if asked and not every else f"{asked} known are {listed(known)}".strip()
 
