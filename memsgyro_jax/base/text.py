@@ -11,6 +11,7 @@ _PREFIXES = ((1e9, "G"), (1e6, "M"), (1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, 
 FIRST = 10  # complaints that a sentence spells out
 _MANY = 20  # names in a sentence
 _LONG = 60  # characters of a name in a sentence
+_NEAR = 0.6  # likeness from which on a name may be another mistyped
 _ALL_DIGITS = re.compile(r"\d+\.\d{4,}(e[+-]?\d+)?")  # a number with all its digits
 
 
@@ -62,9 +63,18 @@ def first_of(complaints: Sequence[str], what: str, count: int | None = None) -> 
 def suggestion(name: str, known: Iterable[str], *, every: bool = False) -> str:
     """What a name that is not known may have meant: "did you mean `kxy`?", or `every` one that is known."""
     known = list(known)
-    near = difflib.get_close_matches(name, known, n=1) if len(name) <= _LONG else []
-    asked = f"did you mean `{near[0]}`?" if near else ""
-    return asked if near and not every else f"{asked} known are {listed(known)}".strip()
+    alike = {one: _likeness(name, one) for one in known} if len(name) <= _LONG else {}
+    near = max(alike, key=lambda one: (alike[one], one), default="")
+    asked = f"did you mean `{near}`?" if alike.get(near, 0.0) >= _NEAR else ""
+    return asked if asked and not every else f"{asked} known are {listed(known)}".strip()
+
+
+def _likeness(name: str, other: str) -> float:
+    """From 0 to 1, of dotted names by what stands behind the parts that they begin with alike: these name no number."""
+    parts, others = name.split("."), other.split(".")
+    while len(parts) > 1 and len(others) > 1 and parts[0] == others[0]:
+        parts, others = parts[1:], others[1:]
+    return difflib.SequenceMatcher(None, ".".join(others), ".".join(parts)).ratio()
 
 
 def combination(weights: Sequence[float], names: Sequence[str], least: float = 0.1, most: int = 4) -> str:

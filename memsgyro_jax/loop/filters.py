@@ -184,7 +184,7 @@ def check_fits(filter_: AbstractFilter, sample_rate: float) -> None:
     """Raise `InputError` unless the filter lies below half of `sample_rate` [Hz]; traced values pass."""
     if not is_concrete(*filter_.edges(), sample_rate):
         return
-    highest = max(float(np.max(edge)) for edge in filter_.edges())
+    highest = max(float(np.max(np.asarray(edge))) for edge in filter_.edges())
     if not highest < 0.5 * sample_rate:
         raise InputError(
             f"Argument `sample_rate` must be more than twice the filter's {highest:g} Hz, "

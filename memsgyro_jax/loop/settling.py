@@ -3,6 +3,7 @@
 import math
 from typing import Any
 
+import jax
 import numpy as np
 
 from memsgyro_jax.base.concrete import is_concrete
@@ -102,10 +103,11 @@ def not_rested(loop: ClosedLoop, duration: float) -> tuple[str, ...]:
 
 def not_rested_first(loop: ClosedLoop, duration: float) -> tuple[str, ...]:
     """`not_rested` unless as much was said before: a loop over parameters says it once, not at each run."""
-    said = not_rested(loop, duration)
-    if not said:
-        return ()
-    times = settling_time_constant(loop) or 0.0, swing_up_time(loop)
+    with jax.ensure_compile_time_eval():  # a loop of known numbers that a compiled function closes over stays known
+        said = not_rested(loop, duration)
+        if not said:
+            return ()
+        times = settling_time_constant(loop) or 0.0, swing_up_time(loop)
     return said if _is_new(float(f"{duration:.1g}"), *(math.frexp(time)[1] for time in times)) else ()
 
 

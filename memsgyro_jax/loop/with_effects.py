@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.text import listed
 from memsgyro_jax.device.carried import Effects, each_die
 from memsgyro_jax.device.conditions import Conditions
 from memsgyro_jax.device.gyro import AbstractGyro, Dynamics, Inertial, Pair, Scalar, SingleMassGyro
@@ -126,8 +127,13 @@ def check_effects(device: AbstractGyro, signals: tuple[int, int]) -> None:
                 f"A loop takes no frequency sweep, so its device must be without the effect `{effect.label}`; leave it "
                 "out with `gyro.with_only(...)`."
             )
-    if Acting.of(device.effects).readouts and signals != (0, 1):
-        raise InputError("A read-out whose effects are followed must show displacement, but it shows another signal.")
+    if (shown := Acting.of(device.effects).readouts) and signals != (0, 1):
+        named = listed((effect.label for effect in shown), "`")
+        raise InputError(
+            "A read-out whose effects are followed must show displacement, but it shows another signal beside a device "
+            f"with {named}; leave that out with `gyro.with_only(...)`, or take a read-out of displacement "
+            "(`DirectReadout`)."
+        )
 
 
 def check_own_states(device: AbstractGyro, discretisation: AbstractDiscretisation, sample_rate: float) -> None:

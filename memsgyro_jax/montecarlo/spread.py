@@ -79,7 +79,7 @@ def as_spread(given: object) -> "Spread":
 @dataclass(frozen=True, repr=False)
 class Spread(Shown):
     """Independent or correlated variations of a lot; `correlation` is a matrix over `items` of the underlying normal
-    numbers.
+    numbers, with ones on its diagonal: how wide an item is, its distribution says.
 
     `quasi=True` draws a scrambled Sobol sequence (percentiles converge faster), False pseudo-random numbers. With
     `points` nothing is drawn: die i is the i-th of them. `shared`, from 0 to below 1, is the correlation that
@@ -111,6 +111,7 @@ class Spread(Shown):
             if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1]:
                 raise InputError(f"Argument `correlation` must be a square matrix, but {matrix.shape} was given.")
             semidefinite_root("correlation", matrix)
+            _require_ones(np.diag(matrix))
 
     @classmethod
     def relative(cls, std: float, *, quasi: bool = True, shared: float = 0.0) -> "Spread":
@@ -284,6 +285,17 @@ def _require_once(named: list[tuple[str, str]]) -> None:
     if twice:
         raise InputError(
             f"Argument `items` must name each number once, but names one twice: {listed(twice, '`')}; keep one of them."
+        )
+
+
+def _require_ones(diagonal: Float[np.ndarray, " items"]) -> None:
+    """Raise `InputError` unless these are those of a correlation, not of a covariance, but for rounding."""
+    if (wrong := np.flatnonzero(np.abs(diagonal - 1.0) > 1e-6)).size:
+        n = wrong[0]
+        raise InputError(
+            f"Argument `correlation` must have ones on its diagonal, but entry [{n}][{n}] is {diagonal[n]:g}; of a "
+            "covariance give the square roots of its diagonal as `std` of the items, and divide rows and columns by "
+            "them."
         )
 
 

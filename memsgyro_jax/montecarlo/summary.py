@@ -31,6 +31,7 @@ from .wording import (
     following_text,
     lost_text,
     reached_text,
+    sound_text,
     straight_entries,
     straight_name,
     straight_text,
@@ -196,7 +197,7 @@ class Summary(Shown):
         if self.straight is not None:
             rows.append((straight_name(self.moves), straight_text(self.straight, self.moves)))
         if self.following is not None:
-            rows.append(("varying rate followed", following_text(self.following)))
+            rows.append(("varying rate followed", following_text(self.following, self.settings.duration)))
         rows += [("note", note) for note in (*(self.notes if notes else ()), *self.amiss)]
         if self.steps_per_s is not None:
             rows.append(("speed after compiling", f"{self.steps_per_s / 1e6:.3g} million steps/s"))
@@ -204,7 +205,7 @@ class Summary(Shown):
 
     def _errors(self) -> list[tuple[str, str]]:
         """Of the dies that were not lost."""
-        sound = [("  without the diverged dies", triple(self.sound))] if self.divergence.dies else []
+        sound = [("  without the diverged dies", sound_text(self.sound))] if self.divergence.dies else []
         return [
             ("rate error at the end (rms, median, 95 %)", triple(self.end)),
             *sound,

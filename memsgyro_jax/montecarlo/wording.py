@@ -11,6 +11,11 @@ def triple(error: Percentiles) -> str:
     return "{:.3g}, {:.3g}, {:.3g} deg/s".format(*np.degrees([error.rms, error.p50, error.p95]))
 
 
+def sound_text(error: Percentiles) -> str:
+    """The same of the dies that did not diverge, which may be none."""
+    return triple(error) if np.isfinite(error.rms) else "none, as every die that is not lost diverged"
+
+
 def reached_text(reached: Ratio, dies: int) -> str:
     """Errors over bounds, and of how many of the `dies`."""
     share = "" if reached.dies >= dies else f"; over {reached.dies} of {dies} dies"
@@ -28,11 +33,12 @@ def following_entries(result: Following) -> dict[str, object]:
     }
 
 
-def following_text(result: Following) -> str:
-    """How a varying rate was followed."""
+def following_text(result: Following, duration: float) -> str:
+    """How a varying rate was followed in a run of `duration` [s]."""
     told, low, high = (1e3 * t for t in (result.delay, *result.delay_interval))
     # An output that is not late, or early, is told by how late it is at most.
     delay = f"{told:.3g} ms ({low:.3g} to {high:.3g})" if low > 0.0 or high < 0.0 else f"below {high:.3g} ms"
+    delay = delay if high < 1e3 * duration else "not shown by this run"
     band = "not shown by this rate"
     if result.bandwidth is not None and result.bandwidth_interval is not None:
         band = "{:.3g} Hz ({:.3g} to {:.3g})".format(result.bandwidth, *result.bandwidth_interval)

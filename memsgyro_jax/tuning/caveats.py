@@ -9,6 +9,7 @@ from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.stability import loop_margins
 
 from .result import Interval, Merit
+from .right import LEVEL
 
 
 _NEAR = 0.5  # distance of a Nyquist curve from -1: 6 dB of gain and 29 degrees of phase at least
@@ -35,7 +36,8 @@ def warnings_of(after: Merit, lost_before: int, ratio: Interval) -> tuple[str, .
         found.append(f"{after.lost} of {after.dies} unseen dies are lost with the tuned loop ({lost_before} before).")
     if ratio.low > 1.0:
         found.append(
-            f"the mean squared error on unseen dies has risen to {ratio} of that before; the start was better."
+            f"the mean squared error on unseen dies has risen to {ratio} of that before, by an interval of "
+            f"{100.0 * (1.0 - 0.5 * LEVEL):g} %; the start was better."
         )
     return tuple(found)
 

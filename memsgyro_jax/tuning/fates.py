@@ -28,7 +28,7 @@ def fates(tunables: Tunables, found: Float[np.ndarray, " n"], values: Values) ->
         elif places[i] > 1.0 - EDGE:
             parts.append("at its upper bound")
         if effect[i] < FLAT:
-            parts.append("no effect there")
+            parts.append("small changes there have no effect")
         elif any(abs(vector[i]) > _PART for vector in nulls):
             parts.append("in a direction without effect")
         words.append(", ".join(parts))

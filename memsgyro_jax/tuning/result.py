@@ -13,7 +13,7 @@ from memsgyro_jax.base.labelled import Tabular, columns_of, labelled
 from memsgyro_jax.base.provenance import Settings
 from memsgyro_jax.base.text import aligned
 from memsgyro_jax.loop.loop import ClosedLoop
-from memsgyro_jax.montecarlo.batch import LOST
+from memsgyro_jax.montecarlo.batch import LOST, Plan
 from memsgyro_jax.montecarlo.sweep import Lot
 
 from .right import CONSISTENT, nees_interval, nis_interval, shift_of_nees
@@ -164,7 +164,7 @@ class Tuning(Tabular):
 
     def _merit_table(self) -> str:
         both = self.before, self.after
-        rows = [(f"on {self.after.dies} unseen dies", "before", "after")]
+        rows = [(f"on {self.after.dies} unseen dies (intervals of 95 %)", "before", "after")]
         for name, field in (("mean squared error [(deg/s)²]", "mean"), ("median", "median"), ("95 %", "p95")):
             rows.append((name, *(_squared_degrees(getattr(merit, field)) for merit in both)))
         rows.append(("after over before", "1", str(self.ratio)))
@@ -253,11 +253,13 @@ def merit_of(lot: Lot, loop: ClosedLoop | None = None) -> Merit:
     if nees is not None and states is not None:
         channels = lot.data["nis_channel"].values[there]
         nis = tuple(float(v) for v in np.nanmean(channels, axis=0))
-        around = nis_interval(channels[:, 0]), nis_interval(channels[:, 1])
-        each = lot.data["nees_end"].values
+        plan = Plan(**{name: lot.data.attrs[name] for name in Plan._fields})
+        first, second = (nis_interval(int(dies), plan.innovations) for dies in np.isfinite(channels).sum(axis=0))
+        around = first, second
+        each = int(np.isfinite(lot.data["nees_end"].values).sum())
         shift, slack = (0.0, (0.0, 0.0)) if loop is None else shift_of_nees(lot, loop)
         expected = states + shift
-        interval = nees_interval(each[np.isfinite(each)], states, expected, slack)
+        interval = nees_interval(each, states, expected, slack)
     mean, median, high = (_interval(squares[there], figure) for figure in (np.mean, np.median, _p95))
     lost = int(np.sum(status == LOST))
     return Merit(mean, median, high, len(status), lost, nis, nees, expected, interval, around)

@@ -1,7 +1,6 @@
 """What the claims of a right filter look like over the dies of a lot, so that warnings come at a stated level."""
 
 import numpy as np
-from jaxtyping import Float
 from scipy import stats
 
 from memsgyro_jax.loop.loop import ClosedLoop
@@ -14,27 +13,29 @@ _EACH = LEVEL / 4.0
 CONSISTENT = (0.9, 1.1)  # mean of e²/S of a channel within which a filter's claims pass as right
 
 
-def nis_interval(channel: Float[np.ndarray, " dies"]) -> tuple[float, float]:
-    """Where the mean of e²/S of a right filter lies but for one case in 400, from how the dies differ; `CONSISTENT`
-    at the least, as nobody minds less.
+def nis_interval(dies: int, innovations: int) -> tuple[float, float]:
+    """Where the mean of e²/S of a channel over so many `innovations` of each of `dies` lies for a right filter, but for
+    one case in 400: that of χ², `CONSISTENT` at the least, as nobody minds less.
+
+    Not from how the dies differ: those of a wrong filter do by as much as it is wrong, and an interval that widens with
+    them calls it right.
     """
-    channel = channel[np.isfinite(channel)]
-    if len(channel) < 2:
+    count = dies * innovations
+    if count == 0:
         return CONSISTENT
-    half = float(stats.t.isf(0.5 * _EACH, len(channel) - 1) * np.std(channel, ddof=1) / np.sqrt(len(channel)))
-    return min(CONSISTENT[0], 1.0 - half), max(CONSISTENT[1], 1.0 + half)
+    low, high = (float(end) / count for end in stats.chi2.interval(1.0 - _EACH, count))
+    return min(CONSISTENT[0], low), max(CONSISTENT[1], high)
 
 
 def nees_interval(
-    nees: Float[np.ndarray, " dies"], states: int, expected: float, slack: tuple[float, float] = (0.0, 0.0)
+    dies: int, states: int, expected: float, slack: tuple[float, float] = (0.0, 0.0)
 ) -> tuple[float, float]:
-    """Where the mean NEES of a right filter lies but for one case in 400: that of χ² about what is `expected`, wider
-    where the dies differ by more, and by the `slack` (below and above) of what it may be expected to be.
+    """Where the mean NEES of a right filter over so many dies lies but for one case in 400: that of χ² about what is
+    `expected`, wider by the `slack` (below and above) of what it may be expected to be.
     """
-    count = max(len(nees), 1)
-    wider = max(1.0, float(np.std(nees)) / np.sqrt(2.0 * states)) if len(nees) > 1 else 1.0
+    count = max(dies, 1)
     ends = stats.chi2.interval(1.0 - _EACH, states * count)
-    low, high = (expected + wider * (float(end) / count - states) + more for end, more in zip(ends, slack, strict=True))
+    low, high = (expected + float(end) / count - states + more for end, more in zip(ends, slack, strict=True))
     return low, high
 
 

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from memsgyro_jax.base.text import beside, said_in
+from memsgyro_jax.base.text import beside, said_in, suggestion
 
 
 @pytest.mark.parametrize(
@@ -25,3 +25,16 @@ def test_a_value_has_the_digits_that_its_uncertainty_leaves_it(value, std, told)
 @pytest.mark.parametrize(("unit", "told"), [("Hz", "3 ± 1 Hz"), ("1", "3 ± 1"), ("", "3 ± 1"), ("1/s", "3 ± 1 1/s")])
 def test_a_pure_number_has_no_unit(unit, told):
     assert said_in("3 ± 1", unit) == told
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("controller.gians", "known are controller.drive.haste, observer.length"),
+        ("controller.drive.hate", "did you mean `controller.drive.haste`?"),
+        ("controller.haste", "did you mean `controller.drive.haste`?"),
+        ("obsrver.length", "did you mean `observer.length`?"),
+    ],
+)
+def test_a_suggestion_is_like_what_is_behind_the_parts_that_agree(name, told):
+    assert suggestion(name, ["controller.drive.haste", "observer.length"]) == told

@@ -322,7 +322,7 @@ def test_a_loop_refuses_effects_that_mean_nothing_in_it():
     """A sweep's own effect, a pick-off's on a velocity, a state too fast for the samples."""
     with pytest.raises(InputError, match="takes no frequency sweep"):
         ClosedLoop(gyro(E.FiniteSweepRate(1.0)), DirectReadout(1e5), Blind(), Held(1))
-    with pytest.raises(InputError, match="must show displacement"):
+    with pytest.raises(InputError, match=r"must show displacement, .*`readout_delay`; leave that out with"):
         ClosedLoop(gyro(E.ReadoutDelay(1e-7)), DirectReadout.of_velocity(1.0), Blind(), Held(1))
     fast = gyro(E.ParasiticMode("x", 1e-3, omega=2 * np.pi * 60e3))
     with pytest.raises(InputError, match="`parasitic_mode x`"):

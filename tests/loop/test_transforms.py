@@ -53,6 +53,23 @@ def test_a_trace_of_many_devices_equals_theirs():
             np.testing.assert_allclose(getattr(many, name)[row], getattr(one, name), rtol=1e-6, atol=1e-12)
 
 
+def _classic() -> mg.ClosedLoop:
+    control = mg.ClassicControl.force_rebalance(GYRO, READOUT, amplitude=1e-6)
+    return mg.ClosedLoop(GYRO, READOUT, mg.NoObserver.for_device(GYRO, READOUT), control)
+
+
+def _filtered() -> mg.ClosedLoop:
+    return eqx.tree_at(lambda loop: loop.filter, SWINGING, mg.Lowpass("100 Hz"), is_leaf=lambda leaf: leaf is None)
+
+
+@pytest.mark.parametrize("made", [_filtered, _classic])
+def test_a_compiled_function_closes_over_a_loop(made):
+    """Of a filter and of classic control, which are looked at before a run: their numbers are known all the same."""
+    loop = made()
+    shapes = jax.eval_shape(jax.jit(lambda rate: mg.simulate(loop, rate, **RUN).rate_estimate), 1.0)
+    assert shapes.shape == (200,)
+
+
 @pytest.mark.slow
 def test_a_trace_comes_out_of_a_compiled_function():
     trace = jax.jit(lambda kxx: mg.simulate(stiffened(kxx), 1.0, **RUN))(63.96)

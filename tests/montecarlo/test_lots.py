@@ -64,6 +64,8 @@ def test_filters_that_take_as_known_what_varies_are_diverged_and_told_so(loop, t
     assert np.isfinite(lot.summary.end.rms)
     text = repr(lot)
     assert "0 lost, 40 diverged" in text
+    assert "none, as every die that is not lost diverged" in text
+    assert "nan" not in text
     assert "NEES unknown (the claimed covariance is singular" in text
 
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import stats
@@ -14,6 +15,7 @@ from memsgyro_jax.loop.scenario import as_scenario
 from memsgyro_jax.montecarlo.runner import Runner
 from memsgyro_jax.montecarlo.sensitivity.corners import signs_of
 from memsgyro_jax.montecarlo.sensitivity.outputs import outputs
+from memsgyro_jax.montecarlo.sensitivity.points import not_normal
 from memsgyro_jax.montecarlo.sensitivity.sobol import designed_points, indices_of
 from memsgyro_jax.montecarlo.spread import Points
 
@@ -246,6 +248,7 @@ def test_the_gradient_of_a_tornado_is_that_of_the_runs_and_results_print(loop):
     np.testing.assert_allclose(found.slope[5], [0.0, 0.02e-3 * 63.96], rtol=1e-3)
     assert np.all(found.lost == 0.0)
     assert "device.dxy" in repr(found)
+    assert " at the design\n" in repr(found)
     assert found.plot().get_xlabel().startswith("change of rate error at the end")
     assert " *" not in repr(found)
     odd = replace(found, slope=30.0 * found.slope, std=0.0 * found.std)
@@ -261,6 +264,35 @@ def test_the_gradient_of_a_tornado_is_that_of_the_runs_and_results_print(loop):
     assert [label.get_text() for label in indices.plot(output="rms rate error").get_yticklabels()].count("noise") == 1
     with pytest.raises(InputError, match=r"Argument `output` must be one of .*, but `x` was given"):
         indices.plot(output="x")
+
+
+def test_the_gradient_is_taken_where_the_bars_start_and_steps_that_are_no_deviations_are_told():
+    """Of distributions about another number than the loop's own, whose bars start in their middle."""
+    gyro, readout = mg.SingleMassGyro.chi2010(), mg.ChargeAmplifier.chi2010()
+    loop = mg.ClosedLoop(gyro, readout, mg.NoObserver.for_device(gyro, readout), mg.OpenLoop())
+    own = np.array([float(loop.device.kxx), float(loop.device.kyy)])
+    pair = mg.Spread(
+        (
+            mg.Vary("device.kxx", mg.Uniform(low=0.99 * own[0], high=1.03 * own[0])),
+            mg.Vary("device.kyy", mg.Normal(std=0.01 * own[1], mean=1.02 * own[1])),
+        )
+    )
+    squared = [mg.Output(name, "N²/m²", _squared(name), of_loop=True) for name in ("kxx", "kyy")]
+    found = mg.tornado(loop, pair, repeats=1, sigmas=2.0, of=squared, **SHORT)
+    middles, steps = np.array([1.01, 1.02]) * own, np.array([0.04 * (stats.norm.cdf(2.0) - 0.5), 0.02]) * own
+    np.testing.assert_allclose(found.design, middles**2, rtol=1e-9)
+    np.testing.assert_allclose(np.diag(found.high), (middles + steps) ** 2 - middles**2, rtol=2e-3)
+    np.testing.assert_allclose(np.diag(found.slope), 2.0 * middles * steps, rtol=2e-3)
+    assert " in the middle of the spread\n" in repr(found)
+    assert "at the design" not in repr(found)
+    said = "Of `device.kxx`, not normal or cut near there, ∓2 σ are the 2.275 and 97.72 % points."
+    assert said in found.notes
+    usual = (mg.Vary("device.kxx", mg.Normal(relative=0.01)), mg.Vary("device.kyy", mg.Normal(std=0.1)))
+    assert not_normal(loop, mg.Spread(usual), 2.0) == ()
+
+
+def _squared(name: str):
+    return lambda loop: jnp.square(getattr(loop.device, name))
 
 
 @pytest.mark.parametrize(

@@ -148,6 +148,7 @@ def test_the_scenario_can_vary(loop):
         (lambda: mg.Spread(items=mg.Vary("device.kxx", mg.Normal(relative=0.1))), "`items` must be a tuple of `Vary"),
         (lambda: mg.Spread.relative(-0.1), "negative"),
         (lambda: mg.Spread(PAIR, correlation=((1.0, 0.9), (-0.9, 1.0))), r"symmetric, but entry \[0\]\[1\] is 0.9"),
+        (lambda: mg.Spread(PAIR, correlation=((1.0, 0.0), (0.0, 4.0))), r"ones on its diagonal, .* \[1\]\[1\] is 4;"),
         (lambda: mg.Spread.relative(0.1, shared=1.0), "`shared` must lie from 0"),
         (lambda: mg.Spread.relative(float("nan")), "negative"),
         (lambda: mg.Spread((mg.Vary("device.kxx", mg.Uniform(relative=-0.1)),)), "negative"),

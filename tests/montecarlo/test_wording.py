@@ -3,8 +3,9 @@
 import pytest
 
 import memsgyro_jax as mg
+from memsgyro_jax.montecarlo.following import Following
 from memsgyro_jax.montecarlo.merit import StraightError
-from memsgyro_jax.montecarlo.wording import straight_entries, straight_text
+from memsgyro_jax.montecarlo.wording import following_text, straight_entries, straight_text
 
 
 SHORT = {"dies": 4, "sample_rate": 50e3, "duration": 4e-3, "chunk": 4}
@@ -58,3 +59,9 @@ def test_what_stands_behind_a_plus_minus_is_said(scale, words):
     assert f"({words} standard error" in straight_text(error, moves=False)
     assert straight_entries(error, moves=False)["scale_factor_error"]["value"] == scale
     assert list(straight_entries(error, moves=True)) == ["mean_error_dps"]
+
+
+def test_a_delay_longer_than_the_run_is_not_told():
+    found = Following(0.1, 2e-3, (-0.395, 0.399), None, None)
+    assert "delay not shown by this run," in following_text(found, 10e-3)
+    assert "delay below 399 ms," in following_text(found, 1.0)

@@ -1,5 +1,7 @@
 """What is free by name: bounds, coordinates, the tree of `memsgyro_jax.free`, and what became of each number."""
 
+from types import SimpleNamespace
+
 import equinox as eqx
 import jax
 import numpy as np
@@ -9,11 +11,12 @@ import xarray as xr
 import memsgyro_jax as mg
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.transforms import from_vector, names, to_vector
+from memsgyro_jax.montecarlo.batch import OK, Plan
 from memsgyro_jax.tuning.caveats import margin_eaten, warnings_of
 from memsgyro_jax.tuning.descent import Descent, DescentStep, Judged, descend, sought
 from memsgyro_jax.tuning.fates import fates, null_directions
 from memsgyro_jax.tuning.objective import Values
-from memsgyro_jax.tuning.result import Interval, Merit, ratio_of
+from memsgyro_jax.tuning.result import Interval, Merit, merit_of, ratio_of
 from memsgyro_jax.tuning.right import LEVEL, nees_interval, nis_interval
 from memsgyro_jax.tuning.tunable import resolved, tree
 
@@ -194,7 +197,7 @@ def test_each_number_has_a_fate(made):
     values = Values(rng.normal(size=50), np.ones(50, bool), slopes)
     assert fates(few, found, values) == (
         "moved x 2, in a direction without effect", "moved x 2, in a direction without effect", "stayed",
-        "moved x 450, at its upper bound, no effect there",
+        "moved x 450, at its upper bound, small changes there have no effect",
     )  # fmt: skip
     assert null_directions(few, found, values) == ("+0.71·observer.noise_density.0 +0.71·observer.noise_density.1",)
 
@@ -222,7 +225,7 @@ def merit(mean, nis=(1.0, 1.0), nees=14.0, lost=0):
         (merit(0.5, nis=(0.7, 1.3)), 0.4, ["absorbing an error of the model"]),
         (merit(0.5, lost=2), 0.4, ["2 of 256 unseen dies are lost"]),
         (merit(1.05), 0.9, []),
-        (merit(1.5), 1.2, ["has risen to 1.5 (1.2 to 1.8) of that before"]),
+        (merit(1.5), 1.2, ["has risen to 1.5 (1.2 to 1.8) of that before, by an interval of 99.5 %"]),
     ],
 )
 def test_warnings(after, low, words):
@@ -236,14 +239,34 @@ def test_right_loops_are_warned_of_at_the_stated_level():
     """100 lots of 64 dies as a right filter leaves them, errors as unequal as those of dies: the share that is told."""
     rng, told, figure = np.random.default_rng(3), 0, Interval(1.0, 1.0, 1.0)
     for _ in range(100):
-        nees, nis = rng.chisquare(14, 64), 1.0 + 0.15 * rng.standard_normal((2, 64))
-        around = tuple(nis_interval(channel) for channel in nis)
+        nees, nis = rng.chisquare(14, 64), rng.chisquare(90, (2, 64)) / 90
+        around = nis_interval(64, 90), nis_interval(64, 90)
         own = Merit(figure, figure, figure, 64, 0, tuple(nis.mean(axis=1)), nees.mean(), 14.0,
-                    nees_interval(nees, 14, 14.0), around)  # fmt: skip
+                    nees_interval(64, 14, 14.0), around)  # fmt: skip
         size = rng.lognormal(0.0, 1.0, 64)
         lots = [Squares(size * rng.chisquare(20, 64) / 20) for _ in range(2)]
         told += bool(warnings_of(own, 0, ratio_of(*lots, level=1.0 - 0.5 * LEVEL)))
     assert told <= 5, "of 100 one is expected"
+
+
+def test_a_wrong_filter_does_not_widen_what_it_is_judged_by():
+    """Of one told a fiftieth of the walk, whose dies differ by as much as it is wrong."""
+    rng = np.random.default_rng(5)
+    plan = {"period": 1e-5, "blocks": 100, "block": 10, "settle": 5e-3, "tolerance": 0.3}
+    rows = {
+        "status": ("die", np.full(16, OK)),
+        "rate_error_rms": ("die", np.ones(16)),
+        "nees_end": ("die", 69.0 * rng.chisquare(1, 16)),
+        "nis_channel": (("die", "channel"), 880.0 * rng.chisquare(8, (16, 2)) / 8),
+    }
+    data = xr.Dataset(rows, attrs=Plan(**plan)._asdict())
+    wrong = merit_of(SimpleNamespace(data=data, summary=SimpleNamespace(nees=float(data.nees_end.mean()), states=5)))
+    assert wrong.consistent is False
+    assert "NIS is" in wrong.inconsistency
+    assert "NEES is" in wrong.inconsistency
+    (low, high), (least, most) = wrong.nees_interval, wrong.nis_interval[0]
+    assert 2.0 < low < 5.0 < high < 8.0
+    assert (least, most) == (0.9, 1.1), "8000 innovations say nothing wider"
 
 
 class Squares:

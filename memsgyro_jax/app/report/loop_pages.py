@@ -66,7 +66,7 @@ def tornado_page(bars: "Tornado", study: "Study") -> Page:
             continue
         figure = blank(1.4 + 0.36 * len(bars.inputs))
         bars.plot(figure.subplots(), name)
-        page.text(f"{design} at the design.").figure(
+        page.text(f"{design} {bars.where}.").figure(
             plain(figure), f"Change by ∓{bars.sigmas:g} σ of one parameter alone, the largest on top."
         )
         page.table(TORNADO_HEAD, bars.rows(k))

@@ -19,7 +19,7 @@ from memsgyro_jax.base.toml import checked, toml_table, toml_text
 from memsgyro_jax.device.gyro import AbstractGyro
 from memsgyro_jax.device.propagate import Exact
 from memsgyro_jax.effects import Effect
-from memsgyro_jax.effects.section import EffectSection
+from memsgyro_jax.effects.section import EffectSection, unit_of_setting
 from memsgyro_jax.loop.filters import check_fits
 from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.scenario import Scenario
@@ -316,13 +316,14 @@ def _build(given: StudyFile, source: Source, own: tuple[Effect, ...]) -> Study:
 
 
 def _unit_of_gyro(gyro: AbstractGyro, path: str) -> str | None:
-    """The unit of `device.quadrature`, `device.effects.0.strength` and `device.effects.cubic_stiffness_x.strength`."""
+    """The unit of `device.quadrature`, `device.effects.0.strength` and `device.effects.parasitic_mode_x.omega`."""
     head, _, last = path.rpartition(".")
     if gyro.natural and (unit := gyro.natural.units.get(path.removeprefix("device."))):
         return unit
-    if not head.startswith("device.effects.") or last != "strength":
+    if not head.startswith("device.effects."):
         return None
-    return Vary(head.removeprefix("device."), Normal()).find(gyro).unit
+    effect = Vary(head.removeprefix("device."), Normal()).find(gyro)
+    return effect.unit if last == "strength" else unit_of_setting(effect, last) or None
 
 
 def _data(file: StudyFile, folder: str | Path | None) -> dict[str, Any]:

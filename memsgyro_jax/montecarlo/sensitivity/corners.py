@@ -84,7 +84,8 @@ def corners(
     seed: int = 0,
     **settings: Any,
 ) -> Corners:
-    """Every varied parameter at +`sigmas` or -`sigmas` standard deviations at once.
+    """Every varied parameter at +`sigmas` or -`sigmas` standard deviations at once; one that is not normal stands where
+    a normal one is as likely to be beyond, which `notes` tell: a uniform one of `sigmas` 3 all but at its ends.
 
     All corners for up to seven parameters; beyond, the rows of a Hadamard matrix and their opposites, in which every
     parameter, and every pair of them, takes all its combinations equally often (Plackett and Burman).
@@ -100,7 +101,7 @@ def corners(
     values = found.at_places(repeats)
     largest = np.max(np.where(np.isfinite(values), np.abs(values), -np.inf), axis=-1)
     return Corners(
-        **found.told,
+        **found.told_at(sigmas, loop, spread),
         inputs=inputs,
         signs=signs,
         mean=mean(values),

@@ -6,8 +6,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from scipy import special
 
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.text import listed
 from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.scenario import AbstractProfile, Scenario, as_scenario
 
@@ -15,6 +17,9 @@ from ..batch import LOST
 from ..spread import Points, Spread, as_spread
 from ..sweep import DEFAULT_TOLERANCE, Lot, sweep
 from .outputs import Output, outputs, values_of
+
+
+_NORMAL = 0.02  # of a step: what the ends of a normal distribution that is cut take off it without a word
 
 
 class Evaluation(NamedTuple):
@@ -39,6 +44,13 @@ class Evaluation(NamedTuple):
         notes = (*self.lot.summary.notes, *self.lot.notes)
         return {"outputs": names, "units": units, "settings": self.lot.settings, "notes": notes}
 
+    def told_at(self, sigmas: float, loop: ClosedLoop, spread: Spread) -> dict[str, Any]:
+        """The same of a result with parameters ±`sigmas` standard deviations away, with a note of those of `spread`
+        whose steps are none of these.
+        """
+        told = self.told
+        return told | {"notes": (*told["notes"], *not_normal(loop, spread, sigmas))}
+
 
 def repeated(places: Float[np.ndarray, "places inputs"], repeats: int) -> Points:
     """Each place with the same `repeats` noises."""
@@ -51,6 +63,18 @@ def inputs_of(loop: ClosedLoop, spread: Spread) -> tuple[str, ...]:
     if not items:
         raise InputError("Argument `spread` must vary at least one parameter, but varies none.")
     return tuple(item.path for item in items)
+
+
+def not_normal(loop: ClosedLoop, spread: Spread, sigmas: float) -> tuple[str, ...]:
+    """A sentence about the parameters that ±`sigmas` standard deviations are said of, and that stand elsewhere: at the
+    same share of a distribution that is not normal; none without any.
+    """
+    ends = np.array([-sigmas, sigmas])
+    items = as_spread(spread).resolved(loop)
+    other = [item.path for item in items if not np.allclose(item.distribution.place(ends), ends, rtol=_NORMAL)]
+    low, high = (f"{100.0 * share:.4g}" for share in special.ndtr(ends))
+    said = f"Of {listed(other, '`')}, not normal or cut near there, ∓{sigmas:g} σ are the {low} and {high} % points."
+    return (said,) if other else ()
 
 
 def run_at(

@@ -1,4 +1,4 @@
-"""How each varied parameter moves the outputs, one at a time: by one gradient at the design, and by runs at both ends.
+"""How each varied parameter moves the outputs, one at a time: by one gradient in the middle, and by runs at both ends.
 
 A difference between the two says that the response bends; a bar that is not larger than its standard error says that
 the noise hides it. All points share the same noise, so most of it cancels in the differences.
@@ -6,7 +6,7 @@ the noise hides it. All points share the same noise, so most of it cancels in th
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -38,7 +38,7 @@ HEAD = ("input", "low", "high", "standard error", "gradient")  # of `Tornado.row
 ONE_NOISE = "one noise at each point and so no standard error"
 _SPARE = 0.1  # of the larger bar: how far a gradient may lie outside both before that is told
 _POINT = (
-    "gradient at the design alone, which a whole step does not follow: take the bars. The response turns within the "
+    "gradient {where} alone, which a whole step does not follow: take the bars. The response turns within the "
     "step, or the run still holds its start, whose lock changes with every small step."
 )
 
@@ -48,14 +48,17 @@ class Tornado(Sensitivity):
     """Change of every output with one parameter at a time.
 
     Args:
-        design: outputs at the design, mean over the repeats (outputs,).
-        low, high: change of the output with the parameter `sigmas` standard deviations below and above its design
-            (outputs, inputs), mean over the repeats in which neither die was lost; NaN where there is none.
+        design: outputs with every parameter in the middle of its distribution, mean over the repeats (outputs,).
+        low, high: change of the output with the parameter `sigmas` standard deviations below and above that middle
+            (outputs, inputs), mean over the repeats in which neither die was lost; NaN where there is none. One that is
+            not normal stands where a normal one is as likely to be beyond: a uniform one of `sigmas` 1 at its 15.9 and
+            84.1 % points, which `notes` tell.
         std: standard error of the larger change (outputs, inputs); NaN of one repeat.
-        slope: change by `sigmas` standard deviations as the gradient at the design has it (outputs, inputs); NaN for
-            outputs that only count.
+        slope: change to the high end as the gradient in the middle has it (outputs, inputs); NaN for outputs that only
+            count.
         lost: share of dies lost at the low and at the high end (inputs, 2).
         sigmas, repeats: as they were asked for.
+        centred: whether the middle is the design: not where a distribution has a middle of its own.
     """
 
     design: Float[np.ndarray, " outputs"]
@@ -66,6 +69,12 @@ class Tornado(Sensitivity):
     lost: Float[np.ndarray, "inputs 2"]
     sigmas: float
     repeats: int
+    centred: bool = True
+
+    @property
+    def where(self) -> str:
+        """Words for where `design` and `slope` are taken."""
+        return "at the design" if self.centred else "in the middle of the spread"
 
     @property
     def status(self) -> str:
@@ -111,7 +120,7 @@ class Tornado(Sensitivity):
 
     def note(self, output: int) -> str:
         """What the stars say; empty without any."""
-        return f"* {_POINT}" if self._apart(output).any() else ""
+        return f"* {_POINT.format(where=self.where)}" if self._apart(output).any() else ""
 
     def moved(self, output: int) -> bool:
         """Whether any input moves the output at all."""
@@ -134,7 +143,7 @@ class Tornado(Sensitivity):
             return f"{design} everywhere"
         rows = [("  input", *HEAD[1:]), *((f"  {name}", *cells) for name, *cells in self.rows(output))]
         note = self.note(output)
-        return f"{design} at the design\n{aligned(rows)}" + (f"\n  {note}" if note else "")
+        return f"{design} {self.where}\n{aligned(rows)}" + (f"\n  {note}" if note else "")
 
     def plot(self, ax: "Axes | None" = None, output: str | None = None) -> "Axes":
         """Bars of one output, the largest on top, grey where the noise hides them, with the gradient's prediction, an
@@ -181,7 +190,8 @@ def tornado(
     seed: int = 0,
     **settings: Any,
 ) -> Tornado:
-    """One parameter of the spread after the other at ∓`sigmas` standard deviations, the others at their design.
+    """One parameter of the spread after the other at ∓`sigmas` standard deviations, the others in the middle of their
+    distributions. One that is not normal stands where a normal one is as likely to be beyond (see `Tornado`).
 
     `loop`, `spread` (correlations do not matter here), `scenario` and `settings` (`sample_rate`, `progress`...) are as
     in `sweep`, which runs `repeats` dies at each point with the noise of `seed`; one has no standard error. Looked at
@@ -200,49 +210,68 @@ def tornado(
     change = values[:, 1:] - values[:, :1]
     low, high = np.split(mean(change), 2, axis=1)
     plan = Plan(**{name: found.lot.data.attrs[name] for name in Plan._fields})
+    around = _Ends.of(loop, spread, as_scenario(scenario), sigmas)
     return Tornado(
-        **found.told,
+        **found.told_at(sigmas, loop, spread),
         inputs=inputs,
         design=mean(values[:, 0]),
         low=low,
         high=high,
         std=np.fmax(*np.split(standard_error(change), 2, axis=1)),
-        slope=slopes(
-            loop, spread, as_scenario(scenario), plan, sigmas=sigmas, repeats=repeats, of=found.chosen, seed=seed
-        ),
+        slope=_slopes(loop, spread, as_scenario(scenario), plan, around, repeats=repeats, of=found.chosen, seed=seed),
         lost=lost[1:].reshape(2, -1).T,
         sigmas=sigmas,
         repeats=repeats,
+        centred=around.centred,
     )
 
 
-def slopes(
-    loop: ClosedLoop, spread: Spread, scenario: Scenario, plan: Plan, *, sigmas: float, repeats: int,
+class _Ends(NamedTuple):
+    """Of each varied parameter, in its unit: the loop's own number, the middle of its distribution, the high end."""
+
+    designs: Float[np.ndarray, " inputs"]
+    middles: Float[np.ndarray, " inputs"]
+    highs: Float[np.ndarray, " inputs"]
+
+    @classmethod
+    def of(cls, loop: ClosedLoop, spread: Spread, scenario: Scenario, sigmas: float) -> "_Ends":
+        root = Root(loop, scenario)
+        items = spread.resolved(loop)
+        designs = [float(item.read(root)) for item in items]
+        laws = [item.distribution for item in items]
+        at = np.array([0.0, sigmas])
+        ends = [np.asarray(law.value(own, law.place(at))) for law, own in zip(laws, designs, strict=True)]
+        return cls(np.array(designs), *np.transpose(ends))
+
+    @property
+    def centred(self) -> bool:
+        """Whether every middle is the loop's own number, but for a thousandth of the step."""
+        return bool(np.all(np.abs(self.middles - self.designs) <= 1e-3 * np.abs(self.highs - self.middles)))
+
+
+def _slopes(
+    loop: ClosedLoop, spread: Spread, scenario: Scenario, plan: Plan, around: _Ends, *, repeats: int,
     of: Sequence[Output], seed: int,
 ) -> Float[np.ndarray, "outputs inputs"]:  # fmt: skip
-    """Derivative of each output's mean over the noises by each parameter, times `sigmas` standard deviations of it."""
+    """Derivative of each output's mean over the noises by each parameter in the middle, times its way to the end."""
     loop = loop.sampled_at(1.0 / plan.period, duration=plan.samples * plan.period)
     items, root = spread.resolved(loop), Root(loop, scenario)
-    designs = [float(item.read(root)) for item in items]
-    one = np.ones(1)  # standard deviation above
-    above = [i.distribution.value(d, i.distribution.place(one))[0] for i, d in zip(items, designs, strict=True)]
-    steps = sigmas * (np.asarray(above) - np.asarray(designs))
     words = noise.die_words(jax.random.key(seed), jnp.arange(repeats))
     smooth = [k for k, output in enumerate(of) if not output.counts]
     out = np.full((len(of), len(items)), np.nan)
     if smooth:
         chosen = [of[k] for k in smooth]
-        out[smooth] = np.asarray(_gradient(root, items, jnp.asarray(steps), words, plan, chosen))
+        middles, steps = jnp.asarray(around.middles), jnp.asarray(around.highs - around.middles)
+        out[smooth] = np.asarray(_gradient(root, items, middles, steps, words, plan, chosen))
     return out
 
 
 @eqx.filter_jit
 def _gradient(
-    root: Root, items: tuple, steps: Array, words: tuple, plan: Plan, of: Sequence[Output]
+    root: Root, items: tuple, middles: Array, steps: Array, words: tuple, plan: Plan, of: Sequence[Output]
 ) -> Float[Array, "outputs inputs"]:
     def means(shift: Array) -> Array:
-        values = [item.read(root) + part for item, part in zip(items, shift * steps, strict=True)]
-        moved = root.moved(items, values)
+        moved = root.moved(items, list(middles + shift * steps))
         rows = rows_of(moved.loop, moved.scenario, root.loop, words, plan)
         rows = {name: jnp.moveaxis(value, -1, 0) for name, value in rows.items()}  # as a lot has them
         found = [output.of(moved.loop if output.of_loop else rows) for output in of]

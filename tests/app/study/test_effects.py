@@ -174,6 +174,16 @@ def test_settings_carry_their_unit(written, tmp_path):
     assert again.loop.device.effects[0].omega == mode.omega
 
 
+def test_a_number_of_an_effect_varies_in_its_unit(written):
+    spread = '[spread.parameters]\n"device.effects.parasitic_mode_x.omega" = { kind = "uniform", low = "'
+    spread += '17 krad/s", high = "1.9e4 rad/s" }\n'
+    study = mg.load_study(written(MODE.format('omega = "18 krad/s", quality = 200') + spread))
+    law = study.spread.items[0].distribution
+    assert (law.low, law.high) == (17e3, 19e3)
+    with pytest.raises(mg.InputError, match='must measure the same as "rad/s", but is "mm"'):
+        mg.load_study(written(MODE.format('omega = "18 krad/s"') + spread.replace("17 krad/s", "17 mm")))
+
+
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
