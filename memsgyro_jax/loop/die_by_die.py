@@ -23,7 +23,12 @@ def from_outside(*trees: Any) -> bool:
     """Whether a module anywhere in `trees` is of a class from outside the package; effects are mapped wherever they
     act, and do not count.
     """
-    return any(type(part).__module__.split(".")[0] != _PACKAGE for tree in trees for part in _modules(tree))
+    return any(is_outside(type(part)) for tree in trees for part in _modules(tree))
+
+
+def is_outside(kind: type) -> bool:
+    """Whether a class is not of the package."""
+    return kind.__module__.split(".")[0] != _PACKAGE
 
 
 def _modules(tree: Any) -> Iterator[eqx.Module]:
