@@ -10,7 +10,7 @@ from memsgyro_jax.montecarlo.sweep import Lot
 
 
 LEVEL = 0.01  # share of right loops that are warned of; divided among what is looked at: two NIS, NEES and the error
-_EACH = LEVEL / 4.0
+EACH = LEVEL / 4.0
 CONSISTENT = (0.9, 1.1)  # mean of e²/S of a channel within which a filter's claims pass as right
 
 
@@ -21,7 +21,7 @@ def nis_interval(channel: Float[np.ndarray, " dies"]) -> tuple[float, float]:
     channel = channel[np.isfinite(channel)]
     if len(channel) < 2:
         return CONSISTENT
-    half = float(stats.t.isf(0.5 * _EACH, len(channel) - 1) * np.std(channel, ddof=1) / np.sqrt(len(channel)))
+    half = float(stats.t.isf(0.5 * EACH, len(channel) - 1) * np.std(channel, ddof=1) / np.sqrt(len(channel)))
     return min(CONSISTENT[0], 1.0 - half), max(CONSISTENT[1], 1.0 + half)
 
 
@@ -33,7 +33,7 @@ def nees_interval(
     """
     count = max(len(nees), 1)
     wider = max(1.0, float(np.std(nees)) / np.sqrt(2.0 * states)) if len(nees) > 1 else 1.0
-    ends = stats.chi2.interval(1.0 - _EACH, states * count)
+    ends = stats.chi2.interval(1.0 - EACH, states * count)
     low, high = (expected + wider * (float(end) / count - states) + more for end, more in zip(ends, slack, strict=True))
     return low, high
 
