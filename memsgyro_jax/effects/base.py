@@ -25,6 +25,7 @@ from memsgyro_jax.base.arguments import number_in
 from memsgyro_jax.base.concrete import check_finite
 from memsgyro_jax.base.converter import FieldConverter
 from memsgyro_jax.base.display import Displayed
+from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.fields import AbstractVar
 from memsgyro_jax.base.fields import Scalar as Scalar
 from memsgyro_jax.device.carried import AbstractEffect
@@ -150,7 +151,30 @@ class Effect(AbstractEffect):
 
 
 class ForceEffect(Effect):
-    """Acts on the proof mass."""
+    """Acts on the proof mass.
+
+    **Raises:** `InputError` for an own state without `own_rate`, and for the reverse: neither would do anything.
+    """
+
+    def __check_init__(self):
+        if missing := self.unmoved():
+            raise InputError(f"Effect `{self.label}` must have {missing}.")
+
+    @classmethod
+    def unmoved(cls) -> str:
+        """What an effect with a state of its own lacks, in words; empty for nothing."""
+        moves = cls.own_rate is not ForceEffect.own_rate
+        if cls.own_size and not moves:
+            return (
+                "the method `own_rate(self, now)`, the time derivative of its own state, as `own_size` of "
+                f"{cls.__name__} is {cls.own_size}, but has not: the state would stay as it is"
+            )
+        if moves and not cls.own_size:
+            return (
+                f"an `own_size`, how many numbers its own state has, as {cls.__name__} has a method `own_rate`, but "
+                "has not: it would never be asked"
+            )
+        return ""
 
     @abc.abstractmethod
     def force(self, now: Moment) -> Float[Array, " axes"]:

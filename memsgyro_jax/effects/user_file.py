@@ -13,7 +13,7 @@ from memsgyro_jax.base.units import to_si
 from memsgyro_jax.base.user_file import in_one_line, line_of, run_user_file
 
 from .axes import needed_axes, variants
-from .base import Effect
+from .base import Effect, ForceEffect
 from .catalogue import CATALOGUE, OF_OPERATION
 from .trial import PORT_METHODS, at_strength, complaint
 
@@ -80,6 +80,8 @@ def _check_class(kind: type[Effect], place: str) -> None:
         said = any(field in vars(base) for base in kind.__mro__ if base.__module__ != Effect.__module__)
         if not (said and isinstance(getattr(kind, field), str) and getattr(kind, field).strip()):
             raise InputError(f"{place}: effect `{name}` must have a {field}, e.g. `{field} = {example}`, but has none.")
+    if issubclass(kind, ForceEffect) and (missing := kind.unmoved()):
+        raise InputError(f"{place}: effect `{name}` must have {missing}.")
     if not kind.name.isidentifier():
         raise InputError(f'{place}: the name of effect `{name}` must be one word, but is "{kind.name}".')
     to_si(1.0, kind.unit, kind.unit, f"effect `{name}` ({place})")

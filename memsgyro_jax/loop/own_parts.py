@@ -9,6 +9,7 @@ from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.gyro import Pair
 
 from .controllers.base import AbstractController
+from .die_by_die import is_outside
 from .observers.base import AbstractObserver, Estimate
 
 
@@ -53,6 +54,17 @@ def commanded(controller: AbstractController, state: Any, estimate: Estimate, cl
     if (count := _length(force)) != 2:
         raise InputError(f"{must} its force is {_told(force) if count is None else f'of {count} numbers'}.")
     return (force[0], force[1]), state
+
+
+def overridden(part: object, *methods: str) -> str | None:
+    """Which of `methods`, that a class of the package has, the class of `part` gives otherwise, in words; None for
+    none. A method that the package leaves open is promised, not overridden.
+    """
+    kind = type(part)
+    base = next(one for one in kind.__mro__ if not is_outside(one) or one is object)
+    known = [name for name in methods if hasattr(base, name) and name not in getattr(base, "__abstractmethods__", ())]
+    own = [name for name in known if is_outside(next(one for one in kind.__mro__ if name in vars(one)))]
+    return f"{kind.__name__} has its own `{'`, `'.join(own)}`, which blocks do not follow" if own else None
 
 
 def _length(given: Any) -> int | None:

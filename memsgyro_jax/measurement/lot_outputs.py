@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float, PyTree
 
 from memsgyro_jax.device.gyro import Scalar
 from memsgyro_jax.loop import engine, noise
+from memsgyro_jax.loop.die_by_die import die_by_die, from_outside
 from memsgyro_jax.loop.loop import ClosedLoop, Sample
 from memsgyro_jax.loop.scenario import Scenario
 from memsgyro_jax.montecarlo import batch as lot
@@ -144,12 +145,26 @@ _Given = tuple[ClosedLoop, Scenario, tuple[ClosedLoop, Scenario], tuple[np.ndarr
 @eqx.filter_jit
 def _begun(given: _Given) -> engine.Run:
     loop, _, design, words, _ = given
-    begun = engine.unbegun(loop, _Recorder(), words[0].shape, design[0])
+    if from_outside(design):
+        plain = (design[0], tuple(word[0] for word in words))
+        begun = die_by_die(lambda one, key: engine.unbegun(one, _Recorder(), key[0].shape), (loop, words), plain)
+    else:
+        begun = engine.unbegun(loop, _Recorder(), words[0].shape, design[0])
     return jax.tree.map(lambda leaf: jax.lax.convert_element_type(leaf, leaf.dtype), begun)  # strong, as at the end
 
 
 @eqx.filter_jit
 def _run(given: _Given, since: engine.Since, windows: int, window: int) -> tuple[engine.Run, tuple[Array, Array]]:
     loop, scenario, design, words, period = given
-    done = engine.run(loop, scenario, words, period, windows, window, _Recorder(), design[0], since)
+
+    def done_of(loop: ClosedLoop, scenario: Scenario, words: tuple, end: engine.Run) -> engine.Run:
+        return engine.run(
+            loop, scenario, words, period, windows, window, _Recorder(), design[0], since._replace(end=end)
+        )
+
+    dies = (loop, scenario, words, since.end)
+    if from_outside(design):
+        done = die_by_die(done_of, dies, (*design, *jax.tree.map(lambda leaf: leaf[..., 0], dies[2:])))
+    else:
+        done = done_of(*dies)
     return done._replace(outputs=None), (done.outputs.rate, done.outputs.quadrature)

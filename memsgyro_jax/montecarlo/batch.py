@@ -15,6 +15,7 @@ from memsgyro_jax.device.gyro import Pair, Scalar, number
 from memsgyro_jax.loop import engine
 from memsgyro_jax.loop.blocks.length import lengths
 from memsgyro_jax.loop.blocks.run import run_in_blocks
+from memsgyro_jax.loop.die_by_die import die_by_die, differs, from_outside
 from memsgyro_jax.loop.loop import ClosedLoop, LoopState, Sample
 from memsgyro_jax.loop.observers import AbstractCovarianceObserver
 from memsgyro_jax.loop.scenario import Scenario
@@ -168,7 +169,7 @@ def run_batch(
 
     def group(dynamic):
         loop, scenario, words = eqx.combine(dynamic, static)
-        rows = rows_of(loop, scenario, design[0], words, plan)
+        rows = rows_of(loop, scenario, design, words, plan)
         return {name: jnp.moveaxis(value, -1, 0) for name, value in rows.items()}
 
     def part(dynamic):
@@ -195,11 +196,6 @@ def compiled_for(mesh: Mesh) -> Callable[..., dict[str, Float[Array, "dies ..."]
     return _compiled_for_processors if mesh.devices.flat[0].platform == "cpu" else _compiled
 
 
-def differs(dies: PyTree, one: PyTree) -> PyTree[bool]:
-    """Which leaves differ between dies: those with more axes than for `one` die."""
-    return jax.tree.map(lambda value, plain: np.ndim(value) > np.ndim(plain), dies, one)
-
-
 def trailing(rank: int) -> P:
     """The trailing axis, the dies, split over devices."""
     return P(*(None,) * (rank - 1), DIE_AXIS)
@@ -216,8 +212,17 @@ def picked(dies: PyTree, one: PyTree, places: Int[np.ndarray, " some"]) -> PyTre
     return jax.tree.map(lambda v, differs: np.asarray(v)[..., places] if differs else v, dies, differs(dies, one))
 
 
-def rows_of(loop: ClosedLoop, scenario: Scenario, design: ClosedLoop, words: tuple, plan: Plan) -> dict[str, Array]:
+def rows_of(
+    loop: ClosedLoop, scenario: Scenario, design: tuple[ClosedLoop, Scenario], words: tuple, plan: Plan
+) -> dict[str, Array]:
     """The rows of dies side by side, which trail; differentiable by every number of the loop and scenario."""
+    if not from_outside(design):
+        return _rows(loop, scenario, words, design[0], plan)
+    one = (*design, tuple(word[0] for word in words))
+    return die_by_die(lambda die, at, key: _rows(die, at, key, design[0], plan), (loop, scenario, words), one)
+
+
+def _rows(loop: ClosedLoop, scenario: Scenario, words: tuple, design: ClosedLoop, plan: Plan) -> dict[str, Array]:
     recorder = LotRecorder(plan.tolerance)
     if plan.stride:
         done = run_in_blocks(loop, scenario, words, plan.period, (1, plan.start), plan.sizes, recorder, design)
@@ -269,7 +274,8 @@ def _window_rates(scenario: Scenario, plan: Plan, lanes: tuple[int, ...]) -> Arr
     if plan.stride:
         rates = plan.per_window(jax.vmap(scenario.rate.value)(plan.instants).reshape(len(plan.instants), -1))
         begun = jax.vmap(scenario.rate.value)((jnp.arange(plan.start) + 0.5) * plan.period).reshape(plan.start, -1)
-        return jnp.broadcast_to(jnp.concatenate([begun.mean(axis=0)[None], rates]), (plan.windows, *lanes))
+        rates = jnp.concatenate([begun.mean(axis=0)[None], rates])
+        return jnp.broadcast_to(rates if lanes else rates[:, 0], (plan.windows, *lanes))
 
     def window(number: Array) -> Array:
         middles = (number * plan.block + jnp.arange(plan.block) + 0.5) * plan.period

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from memsgyro_jax.loop.bound import information_bound
+from memsgyro_jax.loop.die_by_die import from_outside
 from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.observers import AbstractCovarianceObserver
 from memsgyro_jax.loop.scenario import Scenario
@@ -35,15 +36,16 @@ def own_bounds(
         known, prior = observer.known, observer.prior
     drawn, design = spread.draw(loop, scenario, seed, np.arange(dies)), (loop, scenario)
     found = []
-    for first in range(0, dies, _LANES):
-        # Always as many side by side: one program, whatever the number of dies.
-        places = np.minimum(first + np.arange(_LANES), dies - 1)
+    alone = from_outside(*design)
+    for first in range(0, dies, 1 if alone else _LANES):
+        # Always as many side by side: one program, whatever the number of dies. Parts from outside know of one alone.
+        places = np.asarray(first) if alone else np.minimum(first + np.arange(_LANES), dies - 1)
         made, turning = picked((drawn.loop, drawn.scenario), design, places)
         bound = information_bound(
             made, turning, sample_rate=sample_rate, duration=duration, prior=prior, known=known, windows=1, design=loop
         )
-        found.append(np.broadcast_to(bound.rate_std[-1], places.shape))
-        if np.ndim(bound.rate_std[-1]) == 0:  # all dies are alike
+        found.append(np.broadcast_to(bound.rate_std[-1], np.atleast_1d(places).shape))
+        if not alone and np.ndim(bound.rate_std[-1]) == 0:  # all dies are alike
             found = [np.full(dies, bound.rate_std[-1])]
             break
     rate = np.concatenate(found)[:dies]

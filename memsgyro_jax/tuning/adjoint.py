@@ -81,7 +81,7 @@ class Portion(eqx.Module):
         """Losses and slopes, forwards: every sample carries its derivative by each number along."""
 
         def one(unit):
-            tangent = jnp.broadcast_to(unit[:, None], numbers.shape)
+            tangent = jnp.broadcast_to(unit.reshape(-1, *(1,) * (numbers.ndim - 1)), numbers.shape)
             loss, slope, alive = jax.jvp(self.through, (numbers,), (tangent,), has_aux=True)
             return (loss, alive), slope
 
@@ -105,11 +105,11 @@ class Portion(eqx.Module):
         def forward(carry, number):
             before, alive = carry
             after, _ = jax.lax.scan(lambda *at: (self._sample(loop, *at), None), before, self._entering(number))
-            return (after, alive & engine.healthy(loop, after[0])), flat_of(before)
+            return (after, alive & engine.healthy(loop, after[0])), self._flat(before)
 
         begin = (self._begin(own), jnp.ones(self.words[0].shape, bool))
         (end, alive), starts = jax.lax.scan(forward, begin, jnp.arange(self.timing.blocks))
-        return alive, Kept(starts, flat_of(end))
+        return alive, Kept(starts, self._flat(end))
 
     def _pulled(self, own: Numbers, end: Flat) -> tuple[Array, Numbers]:
         """The derivative of the losses by the real numbers of the state at the end, and by the numbers directly."""
@@ -127,7 +127,7 @@ class Portion(eqx.Module):
             pull, slopes = carry
 
             def sample(own, real):
-                return flat_of(self._sample(self._tuned(own), self._unflat(real, rest), entering))
+                return self._flat(self._sample(self._tuned(own), self._unflat(real, rest), entering))
 
             _, back, _ = jax.vjp(sample, own, real, has_aux=True)
             more, pull = back(pull)
@@ -137,13 +137,13 @@ class Portion(eqx.Module):
             number, start = was
             entering = self._entering(apart(number))
             _, states = jax.lax.scan(
-                lambda state, at: (self._sample(loop, state, at), flat_of(state)), self._unflat(*start), entering
+                lambda state, at: (self._sample(loop, state, at), self._flat(state)), self._unflat(*start), entering
             )
             return jax.lax.scan(one_back, carry, (states, entering), reverse=True)
 
         blocks = (jnp.arange(self.timing.blocks), kept.starts)
         (pull, slopes), _ = jax.lax.scan(block_back, (pull, slopes), blocks, reverse=True)
-        _, begun = jax.vjp(lambda own: flat_of(self._begin(own))[0], own)
+        _, begun = jax.vjp(lambda own: self._flat(self._begin(own))[0], own)
         return slopes + begun(pull)[0]
 
     def _own(self, numbers: Numbers) -> Numbers:
@@ -173,11 +173,17 @@ class Portion(eqx.Module):
         loss = self._judged(memory, loop)
         return loss, alive & jnp.isfinite(loss)
 
+    def _flat(self, state: Any) -> Flat:
+        """A state's real numbers in one array, and the rest."""
+        real, rest = eqx.partition(state, eqx.is_inexact_array)
+        return jnp.concatenate([leaf.reshape(-1, *self.words[0].shape) for leaf in jax.tree.leaves(real)]), rest
+
     def _unflat(self, real: Array, rest: Any) -> Carry:
         like = jax.eval_shape(lambda: engine.beginning(self.design[0], self.loss, self.words[0].shape))
         shapes, tree = jax.tree.flatten(eqx.filter(like, lambda leaf: jnp.issubdtype(leaf.dtype, jnp.inexact)))
         # Derivatives of `split` are put together by one concatenation, those of slices by adding padded arrays.
-        parts = jax.lax.split(real, [math.prod(leaf.shape[:-1]) for leaf in shapes])
+        lanes = len(self.words[0].shape)
+        parts = jax.lax.split(real, [math.prod(leaf.shape[: leaf.ndim - lanes]) for leaf in shapes])
         parts = [part.reshape(leaf.shape) for part, leaf in zip(parts, shapes, strict=True)]
         return eqx.combine(jax.tree.unflatten(tree, parts), rest)
 
@@ -186,9 +192,3 @@ def apart(number: Int[Array, ""]) -> Int[Array, ""]:
     """`number`, through a sort. XLA on CPU makes a loop with all loops inside it one function, which takes time as the
     square of its length to compile; not a loop with a sort."""
     return jax.lax.sort(jnp.stack([number, number + 1]))[0]
-
-
-def flat_of(state: Any) -> Flat:
-    """A state's real numbers in one array, and the rest."""
-    real, rest = eqx.partition(state, eqx.is_inexact_array)
-    return jnp.concatenate([leaf.reshape(-1, leaf.shape[-1]) for leaf in jax.tree.leaves(real)]), rest

@@ -16,7 +16,7 @@ from jaxtyping import Bool
 from memsgyro_jax.loop import engine
 from memsgyro_jax.loop.blocks.run import BlockCourse, Span, crossing, run_in_blocks
 
-from .adjoint import Carry, Flat, Judgement, Kept, Numbers, Portion, apart, flat_of
+from .adjoint import Carry, Flat, Judgement, Kept, Numbers, Portion, apart
 
 
 class KeptInBlocks(NamedTuple):
@@ -52,11 +52,11 @@ class PortionInBlocks(Portion):
             (before, maps, alive), (span, renewed) = carry, crossed
             maps = jax.lax.cond(renewed, lambda: course.maps(before[0], span), lambda: maps)
             after = self._block(course, before, maps, span)
-            return (after, maps, alive & engine.healthy(loop, after[0])), flat_of(before)
+            return (after, maps, alive & engine.healthy(loop, after[0])), self._flat(before)
 
         begin = ((state, memory), course.no_maps(state), alive)
         (end, _, alive), starts = jax.lax.scan(forward, begin, jax.tree.map(jnp.asarray, self._crossed()))
-        return self._judgement(end[1], alive, loop), KeptInBlocks(begun, starts, flat_of(end))
+        return self._judgement(end[1], alive, loop), KeptInBlocks(begun, starts, self._flat(end))
 
     def back(self, numbers: Numbers, kept: Any) -> Numbers:
         """The slopes, backwards; those of a lost die mean nothing."""
@@ -80,7 +80,7 @@ class PortionInBlocks(Portion):
                 span, real, rest = before(first + count - 1 - number)
 
                 def block(own, real, maps):
-                    return flat_of(self._block(self._course(own), self._unflat(real, rest), maps, span))
+                    return self._flat(self._block(self._course(own), self._unflat(real, rest), maps, span))
 
                 _, turned, _ = jax.vjp(block, own, real, maps, has_aux=True)
                 more, pull, there = turned(pull)
@@ -95,7 +95,7 @@ class PortionInBlocks(Portion):
 
         def settled(own, real):
             state, memory = self._unflat(real, rest)
-            return flat_of((self._course(own).settled_in(state), memory))[0]
+            return self._flat((self._course(own).settled_in(state), memory))[0]
 
         more, pull = jax.vjp(settled, own, real)[1](pull)
         return chain(self._back(own, begun, pull, slopes + more))[0]

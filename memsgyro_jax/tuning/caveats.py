@@ -1,6 +1,9 @@
 """What a user must know before believing a gain: claims that do not hold, lost dies, a loop near oscillation."""
 
+from collections.abc import Sequence
+
 import numpy as np
+from scipy import stats
 
 from memsgyro_jax.base.concrete import is_concrete
 from memsgyro_jax.loop.controllers import ClassicControl
@@ -8,10 +11,14 @@ from memsgyro_jax.loop.lateness import uncounted, uncounted_effects
 from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.stability import loop_margins
 
-from .result import Interval, Merit
-from .right import LEVEL
+from .result import Interval, Merit, TunedNumber
+from .right import CONSISTENT, EACH, LEVEL
 
 
+ABSORBING = (
+    "the gains are absorbing an error of the model; find what is missing first (`memsgyro compare`, "
+    "`memsgyro diagnose`), add it or its process noise, and tune again."
+)
 _NEAR = 0.5  # distance of a Nyquist curve from -1: 6 dB of gain and 29 degrees of phase at least
 _EATEN = 0.9  # of the distance before: what is left of it where tuning has eaten some
 
@@ -28,8 +35,7 @@ def warnings_of(after: Merit, lost_before: int, ratio: Interval) -> tuple[str, .
             "free (`observer.noise_density`), a prior wider than the dies vary, an annealing that has not ended, or "
             "noises raised for an error of the model do that."
             if after.cautious
-            else "the gains are absorbing an error of the model; find what is missing first (`memsgyro compare`, "
-            "`memsgyro diagnose`), add it or its process noise, and tune again."
+            else ABSORBING
         )
         found.append(f"{when} {after.inconsistency}: {why}")
     if after.lost:
@@ -40,6 +46,25 @@ def warnings_of(after: Merit, lost_before: int, ratio: Interval) -> tuple[str, .
             f"{100.0 * (1.0 - 0.5 * LEVEL):g} %; the start was better."
         )
     return tuple(found)
+
+
+def of_record(nis: tuple[float, float], readings: int, numbers: Sequence[TunedNumber]) -> tuple[str, ...]:
+    """A sentence where the mean `nis` of so many held-out readings of both channels is another than that of a right
+    filter, but for one right case in 400 of a channel; it names the numbers that end at a bound.
+    """
+    half = float(stats.norm.isf(0.5 * EACH)) * np.sqrt(2.0 / readings)
+    low, high = min(CONSISTENT[0], 1.0 - half), max(CONSISTENT[1], 1.0 + half)
+    if all(low <= value <= high for value in nis):
+        return ()
+    bound = [f"`{n.label}` {part}" for n in numbers for part in n.fate.split(", ") if part.endswith("bound")]
+    ends = f" ({'; '.join(bound)})" if bound else ""
+    why = (
+        "the filter claims more error than it makes; a noise that it is told too large and that is not free does that."
+        if all(value <= high for value in nis)
+        else ABSORBING
+    )
+    said = f"after tuning NIS of what was held out is {nis[0]:.3g}, {nis[1]:.3g} instead of 1 ({low:.3g} to {high:.3g})"
+    return (f"{said}{ends}: {why}",)
 
 
 def margin_eaten(before: ClosedLoop, after: ClosedLoop) -> tuple[str, ...]:

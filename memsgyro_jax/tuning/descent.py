@@ -19,6 +19,7 @@ _FLATTEST = 1e-6  # of the steepest direction's squared slope: less counts as th
 _COARSE = "what stands is the best of a coarse grid, from which no step made the validation dies fare better"
 _PATIENCE = 3  # accepted steps that may bring next to nothing, or no gain on the validation dies
 _WORTH = 0.02  # of the standard error of the loss: what these steps together must bring
+_QUIET = np.errstate(all="ignore")  # what overflows is no step that is accepted; nobody else must know
 _RENEWED = 0.2  # of the standard error where the metric was taken: from there on it is taken anew
 
 
@@ -130,6 +131,7 @@ class _Walk:
     `origin + root @ theirs`.
     """
 
+    @_QUIET
     def __init__(self, here: Judged, origin: Vector, length: float):
         self.origin, self.root, self.first, self.error = origin, _root(here.slopes), here.value, here.error
         natural = float(np.linalg.norm(self.root @ self.root @ here.slope))
@@ -149,6 +151,7 @@ class _Walk:
         """Where the loss is wanted next."""
         return self.origin + self.root @ (self.at + self.step)
 
+    @_QUIET
     def took(self, found: Judged) -> bool:
         """Whether the trial is accepted; then it chooses the next."""
         value, slope = (found.value - self.first) * self.unit, self.root @ found.slope * self.unit
@@ -158,7 +161,8 @@ class _Walk:
             lack = gain - expected
             self.step = self.step * float(np.clip(-0.5 * expected / lack if lack > 0.0 else 0.5, 0.1, 0.5))
             return False
-        self.curvature.update(self.step, slope - self.slope)
+        if np.any(slope != self.slope):  # SciPy warns of a slope that stays, and takes nothing from it
+            self.curvature.update(self.step, slope - self.slope)
         self.at, self.value, self.slope = self.at + self.step, value, slope
         step = -self.curvature.dot(slope)
         length = np.linalg.norm(self.root @ step)

@@ -7,6 +7,7 @@ what they do and not by luck.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -19,6 +20,7 @@ from jaxtyping import Array, Bool, Float
 from memsgyro_jax.base.provenance import fingerprint
 from memsgyro_jax.loop import noise
 from memsgyro_jax.loop.blocks.run import sizes_of, statistics
+from memsgyro_jax.loop.die_by_die import die_by_die, differs, from_outside
 from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.scenario import Scenario
 from memsgyro_jax.montecarlo import batch as lot
@@ -247,8 +249,10 @@ def _split(function: Callable, mesh: jax.sharding.Mesh, part: Portion, *rows: An
     """`function` of a portion and of arrays by dies, run on every device with its share of the dies."""
     loop, scenario = part.design
     one = replace(part, loop=loop, scenario=scenario, words=tuple(w[0] for w in part.words), places=part.places[:, 0])
+    if from_outside(part.design, part.loss):
+        function = partial(_alone, function, one)
     dynamic, static = eqx.partition(part, eqx.is_array)
-    shares = lot.shares(dynamic, lot.differs(dynamic, eqx.filter(one, eqx.is_array)))
+    shares = lot.shares(dynamic, differs(dynamic, eqx.filter(one, eqx.is_array)))
     specs = (shares, *(lot.shares(tree) for tree in rows))
     ranks = _RANKS.get(function) or jax.tree.map(lambda row: row.ndim, eqx.filter_eval_shape(function, part, *rows))
     out = jax.tree.map(lot.trailing, ranks)
@@ -257,3 +261,8 @@ def _split(function: Callable, mesh: jax.sharding.Mesh, part: Portion, *rows: An
         return function(eqx.combine(dynamic, static), *rows)
 
     return jax.shard_map(local, mesh=mesh, in_specs=specs, out_specs=out, check_vma=False)(dynamic, *rows)
+
+
+def _alone(function: Callable, one: Portion, part: Portion, *rows: Any) -> Any:
+    """`function` of a portion with parts from outside, die by die; `one` is the like of a single die."""
+    return die_by_die(function, (part, *rows), (one, *jax.tree.map(lambda row: row[..., 0], rows)))

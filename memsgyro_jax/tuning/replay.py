@@ -21,6 +21,7 @@ from memsgyro_jax.device.brownian import HasTemperature
 from memsgyro_jax.loop.observers import AbstractObserver
 from memsgyro_jax.loop.record_filter import readings_after_settling, told_by_record
 
+from .caveats import of_record
 from .descent import descend
 from .fates import null_directions, tuned_numbers
 from .losses import Consistency
@@ -45,7 +46,8 @@ class Replay(eqx.Module):
 class RecordTuning(Shown):
     """An observer tuned on a record: `observer`, the fate of each free number, and the figures of the part of the
     record that was held out, before and after: mean negative log-likelihood in nats per reading (a sample, or of a
-    filter in blocks a projection), and (Σ ln² NIS)½ over the two channels, zero when both are consistent.
+    filter in blocks a projection), and (Σ ln² NIS)½ over the two channels, zero when both are consistent. `warnings`
+    are sentences that a user must read before believing it.
     """
 
     observer: AbstractObserver
@@ -54,13 +56,14 @@ class RecordTuning(Shown):
     likelihood: tuple[float, float]
     inconsistency: tuple[float, float]
     status: str
+    warnings: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         lines = [f"{n.label:<32} {n.start:10.4g} -> {n.value:10.4g}  {n.fate}" for n in self.numbers]
         lines += [f"no effect along {null}" for null in self.nulls]
         lines.append("held out: -ln likelihood {:.6g} -> {:.6g} nats per reading".format(*self.likelihood))
         lines.append("held out: inconsistency {:.3g} -> {:.3g} (0 is consistent)".format(*self.inconsistency))
-        return "\n".join([*lines, self.status])
+        return "\n".join([*lines, self.status, *(f"WARNING: {warning}" for warning in self.warnings)])
 
 
 @dataclass(frozen=True)
@@ -106,8 +109,14 @@ class _Told(NamedTuple):
     @property
     def held_out(self) -> tuple[float, float]:
         """Likelihood and inconsistency of the pieces at the end."""
-        nats, *squares = np.mean(self.values[-_HELD_OUT:], axis=0)
-        return float(nats), float(np.sqrt(Consistency().value((*squares, 1.0))))
+        nats = float(np.mean(self.values[-_HELD_OUT:, 0]))
+        return nats, float(np.sqrt(Consistency().value((*self.nis, 1.0))))
+
+    @property
+    def nis(self) -> tuple[float, float]:
+        """Mean of e²/S of both channels in the pieces at the end."""
+        first, second = np.mean(self.values[-_HELD_OUT:, 1:], axis=0).tolist()
+        return first, second
 
 
 def _along(
@@ -165,13 +174,15 @@ def tune_on_record(
     )
     found, after = tunables.numbers(descent.coordinates), at(descent.coordinates)
     likelihood, inconsistency = zip(before.held_out, after.held_out, strict=True)
+    numbers = tuned_numbers(tunables, found, after.taught, "InnovationLikelihood")
     return RecordTuning(
         observer=tunables.applied(record.replay, found).observer,
-        numbers=tuned_numbers(tunables, found, after.taught, "InnovationLikelihood"),
+        numbers=numbers,
         nulls=null_directions(tunables, found, after.taught),
         likelihood=likelihood,
         inconsistency=inconsistency,
         status=descent.status,
+        warnings=of_record(after.nis, record.every * _HELD_OUT, numbers),
     )
 
 

@@ -9,7 +9,7 @@ from memsgyro_jax.montecarlo.sweep import Lot
 
 
 LEVEL = 0.01  # share of right loops that are warned of; divided among what is looked at: two NIS, NEES and the error
-_EACH = LEVEL / 4.0
+EACH = LEVEL / 4.0
 CONSISTENT = (0.9, 1.1)  # mean of e²/S of a channel within which a filter's claims pass as right
 
 
@@ -23,7 +23,7 @@ def nis_interval(dies: int, innovations: int) -> tuple[float, float]:
     count = dies * innovations
     if count == 0:
         return CONSISTENT
-    low, high = (float(end) / count for end in stats.chi2.interval(1.0 - _EACH, count))
+    low, high = (float(end) / count for end in stats.chi2.interval(1.0 - EACH, count))
     return min(CONSISTENT[0], low), max(CONSISTENT[1], high)
 
 
@@ -34,7 +34,7 @@ def nees_interval(
     `expected`, wider by the `slack` (below and above) of what it may be expected to be.
     """
     count = max(dies, 1)
-    ends = stats.chi2.interval(1.0 - _EACH, states * count)
+    ends = stats.chi2.interval(1.0 - EACH, states * count)
     low, high = (expected + float(end) / count - states + more for end, more in zip(ends, slack, strict=True))
     return low, high
 

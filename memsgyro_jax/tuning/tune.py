@@ -84,7 +84,8 @@ def tune(
     was killed, to the same bits.
 
     Raises `InputError` for what is free but unknown, for bounds that do not hold the start, for settings that cannot be
-    run, for a loss that is no number at the start, and outside float64.
+    run, for a loss that is no number at the start, for numbers of a filter under a loss that believes what it claims,
+    and outside float64.
     """
     runtime.require_float64("tune")
     loop, seed = as_loop(loop), whole("seed", seed)
@@ -101,6 +102,7 @@ def tune(
     check_claims(loop.observer)
     stages = _stages(loop, tunables, loss, settle)
     _check_priors(stages, tunables)
+    _check_claims(loss, tunables)
     timing = timing_of(sample_rate, duration, max(float(stage.loss.begins()) for stage in stages))
     told = progress or (lambda sentence: None)
     for sentence in hindered:
@@ -264,6 +266,17 @@ def _check_priors(stages: tuple[TuningStage, ...], tunables: Tunables) -> None:
                     f"A prior must belong to a number that is tuned by likelihood, but `{path}` is tuned by "
                     f"{type(stage.loss).__name__}; give it bounds instead."
                 )
+
+
+def _check_claims(loss: AbstractLoss | None, tunables: Tunables) -> None:
+    """Refuse a filter's numbers under a loss by which one that claims less error is better."""
+    own = [path for path in tunables.paths if path.startswith("observer.")]
+    if loss is not None and loss.believes_claims and own:
+        raise InputError(
+            f"The loss `{type(loss).__name__}` believes whatever the filter claims of its error, so `free` must hold "
+            f"no number of the filter, but holds `{own[0]}`; tune that by likelihood first (without `loss`), and with "
+            "this loss what makes the motion tell more, tones or the device."
+        )
 
 
 def _check(dies: int, validation_dies: int) -> None:

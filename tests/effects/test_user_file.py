@@ -91,6 +91,12 @@ BAD = {
     "empty unit": ("N·s³/m³", " ", "line 7: effect `Creep` must have a unit"),
     "unknown unit": ("N·s³/m³", "N·foo", 'line 7) must be one that can be read, e.g. "um", "deg/s" or "1", but is'),
     "two words": ('"creep"', '"slow creep"', 'line 7: the name of effect `Creep` must be one word, but is "slow'),
+    "state that rests": (NAMES, NAMES + "\n    own_size = 1", "line 7: effect `Creep` must have the method `own_rate("),
+    "state of no size": (
+        "    def force",
+        "    def own_rate(self, now):\n        return now.own\n\n    def force",
+        "line 7: effect `Creep` must have an `own_size`",
+    ),
     "clash": ('"creep"', '"cubic_stiffness"', "line 7: an effect must have a name of its own, but `cubic_stiff"),
     "no strength": ("    strength: Array = fx.strength()\n", "", "line 7: effect `Creep` must have the field `str"),
     "plain number": ("fx.strength()", "0.0", "but its strength is 0.0"),
@@ -119,6 +125,13 @@ def test_a_mistake_is_one_sentence_with_its_place(load, old, new, words):
     assert "mine.py" in text
     assert "\n" not in text
     assert text.endswith(".")
+
+
+def test_an_own_state_without_its_rate_is_made_nowhere(load):
+    """It once stayed zero and did nothing, unseen."""
+    kind = type(load(GOOD)[0])
+    with pytest.raises(InputError, match=r"`creep x` must have the method `own_rate\(self, now\)`.* is 1, but has not"):
+        type("Rests", (kind,), {"own_size": 1, "__module__": kind.__module__})(0, 1.0)
 
 
 @pytest.mark.parametrize(

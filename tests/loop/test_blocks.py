@@ -205,6 +205,51 @@ def test_the_part_that_holds_a_loop_up_is_told(part, words):
     assert words in said[0]
 
 
+class Doubled(mg.DirectReadout):
+    def measure(self, motion, noise, drift, period, effects=None, late=None):
+        return super().measure(motion, tuple(2.0 * n for n in noise), drift, period, effects, late)
+
+
+class Clipped(mg.ExtendedKalmanFilter):
+    def update(self, state, measured, force, clock):
+        return super().update(state, tuple(jnp.clip(volts, -1.0, 1.0) for volts in measured), force, clock)
+
+
+class Bounded(mg.DampingCompensation):
+    def command(self, state, estimate, clock):
+        force, state = super().command(state, estimate, clock)
+        return tuple(1e-7 * jnp.tanh(f / 1e-7) for f in force), state
+
+
+class Stepped(mg.Exact):
+    def advance(self, motion, push, stiffness, velocity, period):
+        return super().advance(motion, push, stiffness, velocity, period)
+
+
+class Plain(mg.DirectReadout):
+    def noise_std(self, period):  # which blocks ask
+        return tuple(2.0 * std for std in super().noise_std(period))
+
+
+@pytest.mark.parametrize(
+    ("place", "part", "words"),
+    [
+        ("readout", Doubled(-1e5, noise_density=1e-7), "Doubled has its own `measure`"),
+        ("observer", Clipped.for_device(GYRO, READOUT), "Clipped has its own `update`"),
+        ("controller", Bounded(), "Bounded has its own `command`"),
+        ("discretisation", Stepped(), "Stepped has its own `advance`"),
+        ("readout", Plain(-1e5, noise_density=1e-7), None),
+    ],
+)
+def test_what_is_overridden_holds_a_loop_up(place, part, words):
+    """Blocks went over it, with the statistics of the class below."""
+    parts = {"device": GYRO, "readout": READOUT, "observer": LOOP.observer, "controller": LOOP.controller}
+    made, said = prepared(mg.ClosedLoop(**{**parts, place: part}).in_blocks())
+    assert (made.blocks is None) == (words is not None)
+    if words:
+        assert words in said[0]
+
+
 def test_what_walks_is_told_to_be_later():
     walking = mg.ExtendedKalmanFilter.for_device(
         GYRO, READOUT, process_noise=mg.ProcessNoise.of(GYRO.model, rate=1.0, kxy=0.0)

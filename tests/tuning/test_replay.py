@@ -9,6 +9,8 @@ from tuning_study import small_study
 import memsgyro_jax as mg
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.loop.record_filter import told_by_record
+from memsgyro_jax.tuning.caveats import of_record
+from memsgyro_jax.tuning.result import TunedNumber
 
 
 @pytest.fixture(scope="module")
@@ -98,3 +100,40 @@ def test_an_observer_that_loses_the_record_is_told(record):
     broken = eqx.tree_at(lambda o: o.prior.theta[1], observer, jnp.asarray(np.inf))
     with pytest.raises(InputError, match="must follow the record at the start"):
         mg.tune_on_record(broken, volts, force, free=FREE, sample_rate=1e6)
+
+
+NUMBER = TunedNumber(
+    "observer.noise_density", "observer.noise_density", 1e-8, 1e-3, 1e-12, 1e-3, "", "moved x 1e+05, at its upper bound"
+)
+
+
+@pytest.mark.parametrize(
+    ("nis", "readings", "words"),
+    [
+        ((1.05, 0.96), 2000, None),
+        ((1.3, 1.0), 100, None),  # as few of a right filter may be
+        ((1.3, 1.0), 2000, "is 1.3, 1 instead of 1 (0.9 to 1.1) (`observer.noise_density` at its upper bound): the ga"),
+        ((0.5, 1.0), 2000, "is 0.5, 1 instead of 1 (0.9 to 1.1) (`observer.noise_density` at its upper bound): the fi"),
+    ],
+)
+def test_claims_that_do_not_hold_on_a_record_are_warned_of(nis, readings, words):
+    said = of_record(nis, readings, (NUMBER,))
+    assert len(said) == (words is not None)
+    assert all(words in sentence for sentence in said)
+
+
+@pytest.mark.slow
+def test_gains_that_absorb_a_wrong_model_are_told():
+    """A displacement in quadrature with what the filter takes for the frequency; said with the result."""
+    gyro = mg.SingleMassGyro.from_modes("15 ug", ("3.2 kHz", "3.26 kHz"), (400, 350))
+    wrong = mg.SingleMassGyro(gyro.mass, 1.01 * gyro.kxx, gyro.kyy, gyro.kxy, gyro.dxx, gyro.dyy, gyro.dxy)
+    told = mg.DirectReadout(1e5, noise_density=1e-7)
+    known = ("kxx", "kyy", "kxy", "dxx", "dyy", "dxy", "sigma")
+    observer = mg.ExtendedKalmanFilter.for_device(wrong, told, known=known, with_offsets=False)
+    time = np.arange(1600) / 80e3
+    volts = 0.1 * np.cos(2 * np.pi * 3200.0 * time)[:, None] * (1.0, 0.1)
+    found = mg.tune_on_record(observer, volts, 0.0 * volts, free=mg.free({"observer.noise_density": (1e-9, 2e-7)}),
+                              sample_rate=80e3, evaluations=3)  # fmt: skip
+    assert found.inconsistency[1] > 1.0
+    assert len(found.warnings) == 1
+    assert "WARNING: after tuning NIS of what was held out" in repr(found)

@@ -1,5 +1,6 @@
 """What is free by name: bounds, coordinates, the tree of `memsgyro_jax.free`, and what became of each number."""
 
+import warnings
 from types import SimpleNamespace
 
 import equinox as eqx
@@ -158,6 +159,20 @@ def test_without_any_effect_nothing_moves():
     found = descend(flat, lambda at: 1.0, np.zeros(2), evaluations=5)
     assert found.status == "nothing free has an effect"
     assert found.coordinates.tolist() == [0.0, 0.0]
+
+
+@pytest.mark.parametrize("brink", [-np.inf, -0.5])
+def test_numbers_beyond_all_sizes_warn_nobody(brink):
+    """Of a slope that stays SciPy warns, NumPy of what is infinite beyond a brink."""
+
+    def plane(at):
+        slope = np.ones(2) if at[0] > brink else np.array([np.inf, -np.inf])
+        return Judged(float(np.sum(at)) if at[0] > brink else np.inf, slope, slope[:, None] * [1.0, 2.0, 3.0], 1e-3)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = descend(plane, lambda at: float(np.sum(at)), np.zeros(2), evaluations=9).coordinates
+    assert brink < found[0] < -0.2
 
 
 def test_a_rescue_goes_down_again():

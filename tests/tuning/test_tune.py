@@ -181,6 +181,22 @@ def test_what_cannot_be_tuned_is_one_sentence(study, change, message):
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize(
+    "loss",
+    [
+        losses.ExpectedMisses(0.1),
+        losses.ClaimedVariance(5e-4),
+        losses.WorstDies(losses.ExpectedMisses(0.1), 0.25),
+        losses.Weighted((losses.ClaimedVariance(5e-4), 1.0), (losses.ExpectedMisses(0.1), 1.0)),
+    ],
+)
+def test_a_loss_that_believes_claims_moves_no_filter(study, loss):
+    """It moved the noises to their bounds, where the filter claims least."""
+    words = f"`{type(loss).__name__}` believes .* must hold no number of the filter, but holds `observer"
+    with pytest.raises(InputError, match=words):
+        mg.tune(**{**study.tune_arguments, "loss": loss})
+
+
 @pytest.mark.slow
 def test_a_design_value_moves_its_dies(study):
     """Free and varied at once: at a new design the dies are those drawn around it; slopes are those of differences."""

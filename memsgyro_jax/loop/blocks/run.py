@@ -12,11 +12,13 @@ from jaxtyping import Array, Bool, Float, Int
 
 from memsgyro_jax.base.concrete import is_concrete
 from memsgyro_jax.device.gyro import DualMassGyro, MotionModel, Scalar
+from memsgyro_jax.device.propagate import AbstractDiscretisation
 
 from .. import engine, noise
 from ..controllers.base import AbstractLinearController
 from ..loop import ClosedLoop, FilterState, LoopState, Sample
 from ..observers.base import AbstractBlockObserver, Clock, Innovation
+from ..own_parts import inner, overridden
 from ..readout import AbstractLinearReadout
 from ..scenario import Constant, Scenario
 from . import basis
@@ -35,14 +37,16 @@ def hindrances(loop: ClosedLoop) -> tuple[str, ...]:
     found = [f"the device has the effect {effect.label}" for effect in loop.device.effects]
     if loop.device.temperature is not None:
         found.append("the device's Brownian force acts between samples")
-    for part, kind in (
-        (loop.readout, AbstractLinearReadout),
-        (loop.observer, AbstractBlockObserver),
-        (loop.controller, AbstractLinearController),
+    for part, kind, of_samples in (
+        (loop.readout, AbstractLinearReadout, ("measure",)),
+        (loop.observer, AbstractBlockObserver, ("update",)),
+        (loop.controller, AbstractLinearController, ("init", "command", "measured", "output")),
+        (loop.discretisation, AbstractDiscretisation, ("advance",)),
+        (loop, ClosedLoop, ("step",)),
     ):
         if not isinstance(part, kind):
             found.append(f"{type(part).__name__} is no {kind.__name__}")
-        elif own := getattr(part, "hindrance", None):
+        elif own := getattr(part, "hindrance", None) or overridden(inner(part), *of_samples):
             found.append(own)
     return tuple(found)
 

@@ -272,7 +272,7 @@ def _gradient(
 ) -> Float[Array, "outputs inputs"]:
     def means(shift: Array) -> Array:
         moved = root.moved(items, list(middles + shift * steps))
-        rows = rows_of(moved.loop, moved.scenario, root.loop, words, plan)
+        rows = rows_of(moved.loop, moved.scenario, (root.loop, root.scenario), words, plan)
         rows = {name: jnp.moveaxis(value, -1, 0) for name, value in rows.items()}  # as a lot has them
         found = [output.of(moved.loop if output.of_loop else rows) for output in of]
         return jnp.stack([output.factor * jnp.nanmean(each) for output, each in zip(of, found, strict=True)])

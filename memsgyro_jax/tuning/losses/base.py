@@ -26,6 +26,7 @@ class AbstractLoss(Displayed, engine.AbstractRecorder[Memory, tuple[()]]):
     """
 
     sees_truth: ClassVar[bool] = True  # False where only measurement, command and estimate are used
+    believes_claims: ClassVar[bool] = False  # True where a filter that claims less error is better, whatever it makes
 
     def __check_init__(self):
         check_not_negative("settle", getattr(self, "settle", 0.0))

@@ -16,12 +16,13 @@ class ExpectedMisses(AbstractFinal):
 
     Its mean over the dies is 1 less the yield that a consistent filter may expect, and hardly depends on the noise
     drawn: what a design is centred by. An error drawn once jumps about with the phase of a vibration that a stiffness
-    changes, and its gradient says nothing about the yield. Never free the filter's own noises with it: it would believe
-    any claim. It needs no truth.
+    changes, and its gradient says nothing about the yield. It believes any claim of the filter, whose own numbers
+    tuning refuses to free with it. It needs no truth.
     """
 
     tolerance: Scalar = number()
     sees_truth: ClassVar[bool] = False
+    believes_claims: ClassVar[bool] = True
 
     def __check_init__(self):
         check_positive("tolerance", self.tolerance)

@@ -35,6 +35,10 @@ class Weighted(AbstractLoss[Any]):
     def sees_truth(self) -> bool:  # type: ignore[override]  # depends on the parts
         return any(loss.sees_truth for loss in self.losses)
 
+    @property
+    def believes_claims(self) -> bool:  # type: ignore[override]  # depends on the parts: one that sees more corrects it
+        return all(loss.believes_claims for loss in self.losses)
+
     def init(self):
         return tuple(loss.init() for loss in self.losses)
 

@@ -32,6 +32,10 @@ class WorstDies(AbstractLoss[Any]):
     def sees_truth(self) -> bool:  # type: ignore[override]  # depends on what is wrapped
         return self.loss.sees_truth
 
+    @property
+    def believes_claims(self) -> bool:  # type: ignore[override]  # depends on what is wrapped
+        return self.loss.believes_claims
+
     def init(self):
         return self.loss.init()
 
