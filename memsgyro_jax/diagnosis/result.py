@@ -18,6 +18,7 @@ from memsgyro_jax.device.gyro import SingleMassGyro
 from memsgyro_jax.device.resonator import Resonator
 from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.drive_levels import clear_drives
+from memsgyro_jax.measurement.experiments import AbstractRecord
 from memsgyro_jax.measurement.model import Model
 
 from .compare import judged
@@ -310,11 +311,15 @@ def _fit(fit: CaseFit, *, with_std: bool = True) -> dict:
         "status": fit.status,
         "per_experiment": [
             {"name": e.name, "role": e.role, "count": e.count, "chi2_per_n": e.chi2 / e.count, "error": e.rms}
-            | {"gate": e.gate, "explained": e.explained}
+            | {"gate": e.gate, "explained": e.explained, "noise_std": _noise(fit.case.record(e.name))}
             for e in fit.errors
         ],
         "parameters": [p.to_dict() | ({} if with_std else {"std": None}) for p in fit.estimates],
     }
+
+
+def _noise(record: AbstractRecord) -> dict[str, float]:
+    return {"xy"[channel]: float(record.noise_levels[channel]) for channel in record.channels}
 
 
 def _accepted(a: Accepted) -> dict:

@@ -164,7 +164,7 @@ def _is_response(fit: CaseFit, number: int) -> bool:
     if not record.stepped:
         return False
     seen, rows = _rows(record, deviation)
-    response = np.abs(record.readings[seen][:, record.channels]) / record.noise_level
+    response = np.abs(record.readings[seen][:, record.channels]) / record.noise_levels[record.channels]
     return float(np.sum(rows**2)) > RESPONSE * float(np.sum(response**2))
 
 

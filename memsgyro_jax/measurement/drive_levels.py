@@ -26,7 +26,7 @@ def clear_drives(case: Case, axis: int | None = None) -> list[float]:
         float(np.mean(r.setting[rows]))
         for r in sweeps
         for rows in r.sweeps
-        if np.max(np.abs(r.readings[rows, r.axis])) > CLEAR * r.noise_level
+        if np.max(np.abs(r.readings[rows, r.axis])) > CLEAR * r.noise_levels[r.axis]
     ]
     return levels_apart(clear)
 

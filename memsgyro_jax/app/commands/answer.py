@@ -6,7 +6,9 @@ from typing import Literal
 
 @dataclass(frozen=True)
 class JudgedRecord:
-    """An experiment beside a model: `error` is the rms of the deviation over the noise, explained up to `gate`."""
+    """An experiment beside a model: `error` is the rms of the deviation over the noise, explained up to `gate`;
+    `noise_std` is that noise of each channel that was recorded, in the unit of the record.
+    """
 
     name: str
     role: Literal["fit", "validation"]
@@ -15,6 +17,7 @@ class JudgedRecord:
     error: float | None
     gate: float | None
     explained: bool
+    noise_std: dict[str, float | None]
 
 
 @dataclass(frozen=True)

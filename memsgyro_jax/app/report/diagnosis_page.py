@@ -14,6 +14,7 @@ from memsgyro_jax.diagnosis.residual_force import beside_lowest_drive, rate_resi
 from memsgyro_jax.diagnosis.result import ONLY_IF, Diagnosis
 from memsgyro_jax.measurement.calibration import unit_of_records
 from memsgyro_jax.measurement.case import Case
+from memsgyro_jax.measurement.channel_noise import spoken_levels
 
 from . import diagnosis_figures as figures
 from . import force_figures
@@ -161,6 +162,10 @@ def _errors(out: Page, diagnosis: Diagnosis) -> None:
     ]
     header = ["experiment", "rows", "readings", "base model", "final model", "noise alone below", "explained"]
     out.table(header, rows, "Root mean square of the deviation over the noise; 1 is the noise floor.")
+    unit = "" if diagnosis.case.readout.unit == "1" else f" {diagnosis.case.readout.unit}"
+    for record in diagnosis.case.records:
+        if levels := spoken_levels(record, unit):
+            out.text(f"The rows of {record.name} told each channel's own noise: {levels}.")
     comparison = judged(diagnosis.final).without(diagnosis.noise)
     if not comparison.checks:
         return

@@ -61,18 +61,14 @@ class _Course:
         return float(np.max(np.abs(np.diff(self.place[max(row - 1, 0) : row + 2]))))
 
 
-def lone_sentences(records: Sequence[AbstractRecord], noises: Sequence[float]) -> list[list[str]]:
+def lone_sentences(records: Sequence[AbstractRecord]) -> list[list[str]]:
     """Of each record a sentence for each row that stands alone among its neighbours.
 
     None where a resonance explains it of which the sweep has a row or two: one that another channel, sweep or record
     shows there, or that leaves other sweeps off their neighbours at the same frequency.
-
-    Args:
-        records: of a case.
-        noises: standard deviation of each real reading, a number for each record; zero where it is not known.
     """
     said: list[list[str]] = [[] for _ in records]
-    for course, row, sigmas in _lone(records, noises):
+    for course, row, sigmas in _lone(records):
         said[course.record].append(
             f"{records[course.record].file}, line {course.lines[row]}: {course.name} lies {_far(sigmas)} off "
             "its neighbours; is a digit wrong?"
@@ -82,24 +78,23 @@ def lone_sentences(records: Sequence[AbstractRecord], noises: Sequence[float]) -
 
 def lone_readings(records: Sequence[AbstractRecord]) -> dict[int, tuple[int, ...]]:
     """Rows of each record, by its number, in which `lone_sentences` names a channel."""
-    noises = [record.noise_std or record.estimated_noise() or 0.0 for record in records]
     found: dict[int, set[int]] = {}
-    for course, row, _ in _lone(records, noises):
+    for course, row, _ in _lone(records):
         if course.name.startswith("channel"):
             at = int(np.flatnonzero(records[course.record].lines == course.lines[row])[0])
             found.setdefault(course.record, set()).add(at)
     return {number: tuple(sorted(rows)) for number, rows in found.items()}
 
 
-def _lone(records: Sequence[AbstractRecord], noises: Sequence[float]) -> Iterator[tuple[_Course, int, float]]:
+def _lone(records: Sequence[AbstractRecord]) -> Iterator[tuple[_Course, int, float]]:
     """Every row that stands alone, and by how many standard deviations."""
     courses = [
         _Course(
             number, piece, column.name, column.place[rows], column.values[rows], column.noise, record.lines[rows],
             column.over_frequency,
         )
-        for number, (record, noise) in enumerate(zip(records, noises, strict=True))
-        for column in record.watched(noise)
+        for number, record in enumerate(records)
+        for column in record.watched(record.noise_levels)
         for piece, rows in enumerate(column.pieces)
     ]  # fmt: skip
     for course in courses:

@@ -8,6 +8,7 @@ import numpy as np
 from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.text import aligned, spoken
 
+from ..channel_noise import spoken_levels
 from ..experiments import AbstractRecord
 from ..experiments.base import Phasors
 from ..one_place import in_one_place
@@ -28,7 +29,8 @@ class RecordQuality:
 
     Args:
         record: the record.
-        noise: estimated standard deviation of each real reading, in the record unit; `None` where rows do not tell.
+        noise: estimated standard deviation of each real reading, in the record unit, root mean square over channels
+            where they differ; `None` where rows do not tell.
         peak: largest reading.
         warnings: one sentence each, with file and line where there is one.
     """
@@ -40,9 +42,17 @@ class RecordQuality:
 
     @property
     def ratio(self) -> float:
-        """Peak over noise, the declared one where there is one; infinite without noise."""
-        noise = self.record.noise_std or self.noise
-        return self.peak / noise if noise else np.inf
+        """Peak over noise, the declared one where there is one, of the channel that stands clearest; else infinite."""
+        levels, seen = self.record.noise_levels, self.record.channels
+        if not levels[seen].all():
+            return np.inf
+        return float(np.max(np.max(np.abs(self.record.readings[:, seen]), axis=0) / levels[seen]))
+
+    @property
+    def noise_of_channels(self) -> dict[str, float]:
+        """Estimated noise of each channel by its name, where they differ by more than chance; else empty."""
+        names = ["xy"[channel] for channel in self.record.channels]
+        return dict(zip(names, self.record.told_noise.levels, strict=False))
 
 
 @dataclass(frozen=True, repr=False)
@@ -71,7 +81,7 @@ class CaseQuality(Shown):
             (
                 q.record.name,
                 f"{q.peak:.3g}{unit}",
-                "-" if q.noise is None else f"{q.noise:.2g}{unit}",
+                spoken_levels(q.record, unit) or ("-" if q.noise is None else f"{q.noise:.2g}{unit}"),
                 f"{q.record.noise_std:.2g}{unit}" if q.record.noise_std else "-",
                 f"{q.ratio:.0f}",
                 str(len(q.warnings)),
@@ -92,10 +102,8 @@ def assess(case: Case) -> CaseQuality:
     if told and np.any([np.any(one.force, axis=0) for one in told], axis=0).all():  # the answer of each axis is known
         device = device_of_phasors(told)
         said += [f"{each}." for record in case.records if device for each in record.beside_device(device, case)]
-    noises = [record.estimated_noise() for record in case.records]
-    sure = [record.noise_std or noise or 0.0 for record, noise in zip(case.records, noises, strict=True)]
-    every = zip(case.records, noises, lone_sentences(case.records, sure), strict=True)
-    return CaseQuality(case, tuple(_assess(record, case, noise, lone) for record, noise, lone in every), tuple(said))
+    every = zip(case.records, lone_sentences(case.records), strict=True)
+    return CaseQuality(case, tuple(_assess(record, case, lone) for record, lone in every), tuple(said))
 
 
 def _resonances(records: Sequence[tuple[str, Phasors | None]]) -> list[str]:
@@ -130,13 +138,8 @@ def _reference_bias(case: Case) -> list[str]:
     return [f"{said} can be found beside it; `{remedy}."]
 
 
-def _assess(record: AbstractRecord, case: Case, noise: float | None, lone: Sequence[str]) -> RecordQuality:
-    declared, warnings = record.noise_std, [*lone, *record.warnings(case)]
-    if declared and noise and not 1 / _DISAGREE < noise / declared < _DISAGREE:
-        warnings.append(
-            f"{record.file}: the declared noise of {declared:.2g} {case.readout.unit} is not that of the rows, about "
-            f"{noise:.2g} {case.readout.unit}; estimates and their uncertainty follow the declared one."
-        )
+def _assess(record: AbstractRecord, case: Case, lone: Sequence[str]) -> RecordQuality:
+    noise, warnings = record.estimated_noise(), [*lone, *record.warnings(case), *_declared_wrong(record, case)]
     for channel in set(range(record.readings.shape[1])) - set(record.channels):
         warnings.append(
             f"{record.file}: channel {'xy'[channel]} was not recorded; what shows there alone this record cannot tell."
@@ -144,3 +147,24 @@ def _assess(record: AbstractRecord, case: Case, noise: float | None, lone: Seque
     for name in record.undeclared:
         warnings.append(f"{record.file}: nothing is made of column `{name}`; list it in `carried` if that is meant.")
     return RecordQuality(record, noise, float(np.max(np.abs(record.readings))), tuple(warnings))
+
+
+def _declared_wrong(record: AbstractRecord, case: Case) -> list[str]:
+    """A sentence where the declared noise is not that which the rows tell, of all channels or of one."""
+    noise, unit = record.estimated_noise(), case.readout.unit
+    if not record.noise_std or not noise:
+        return []
+    names, told = ["xy"[channel] for channel in record.channels], record.told_noise.levels
+    each = record.noise_levels[record.channels] if told else np.array([record.noise_std])
+    ratio = np.array(told or (noise,)) / each
+    if np.all((ratio > 1 / _DISAGREE) & (ratio < _DISAGREE)):
+        return []
+    said = f"{noise:.2g} {unit}"
+    remedy = ""
+    if told:
+        said = " and ".join(f"{one:.2g} {unit} in channel {name}" for name, one in zip(names, told, strict=True))
+    if told and record.noise_rows is None:
+        columns = " and ".join(f"`{case.words.signals[0][channel]}_std`" for channel in record.channels)
+        remedy = f"; columns {columns} would declare each, or leave `noise_std` out"
+    off = f"the declared noise of {record.noise_std:.2g} {unit} is not that of the rows, about {said}"
+    return [f"{record.file}: {off}; estimates and their uncertainty follow the declared one{remedy}."]

@@ -1,8 +1,7 @@
 """Records whose rows follow each other in time at one period, and among them waveforms."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import chain
 from typing import Any, ClassVar
 
@@ -55,20 +54,12 @@ class ClockedRecord(AbstractRecord):
         """How long and how fast, for people."""
         return f"{self.time[-1] - self.time[0] + self.period:.4g} s at {1 / self.period:.6g} Hz"
 
-    @cached_property
-    def told_noise(self) -> tuple[float, float]:
-        """Noise as the rows alone tell it, and its degrees of freedom."""
-        seen = self.readings[:, self.channels]
+    def noise_told_by(self, channels: Sequence[int]) -> tuple[float | None, float]:
+        seen = self.readings[:, channels]
         return noise_over_time(seen), freedom_over_time(seen)
 
-    def estimated_noise(self) -> float:
-        return self.told_noise[0]
-
-    def estimated_freedom(self) -> float:
-        return self.told_noise[1]
-
-    def watched(self, noise: float) -> list[Watched]:
-        return [self.in_time(f"channel {'xy'[c]}", self.readings[:, c], noise) for c in self.channels]
+    def watched(self, noise: np.ndarray) -> list[Watched]:
+        return [self.in_time(f"channel {'xy'[c]}", self.readings[:, c], float(noise[c])) for c in self.channels]
 
     def in_time(self, name: str, values: np.ndarray, noise: float = 0.0) -> Watched:
         """A column of the record to be watched for wrong digits."""
@@ -165,7 +156,7 @@ class WaveformRecord(ClockedRecord):
     def missing_force(self, deviation: Deviation) -> TimeForce | None:
         if len(self.channels) < self.readings.shape[1]:
             return None
-        return force_over_time(self.name, deviation, self.time, self.noise_level)
+        return force_over_time(self.name, deviation, self.time, self.noise_levels)
 
 
 def surroundings_told(columns: Columns, around: Environment) -> dict[str, Any]:

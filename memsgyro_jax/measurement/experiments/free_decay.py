@@ -14,7 +14,7 @@ from memsgyro_jax.base.table import Table
 from ..clock import check_period, usual_period
 from ..columns import phasor_columns
 from ..declared import Declared, si
-from ..noise import noise_beside_tone
+from ..noise import freedom_over_time, noise_beside_tone
 from ..section import ExperimentSection, Frequency, Seconds
 from ..tracking import Track, tracked
 from .base import CartesianNoise, Readings, RealNoise, surroundings
@@ -163,7 +163,7 @@ class FreeDecayRecord(WaveformRecord):
     def _experiment(self, declared: Declared, number: int, part: np.ndarray, rows: int) -> FreeDecay:
         """Of some rows, in pieces of `rows`."""
         few = self.only(part)
-        away, noise = self._distance(declared), self.noise_level
+        away, noise = self._distance(declared), self.noise_of_rows[part]
         step = min(self.period, PHASE_STEP / away)
         spans = np.ptp(few.time.reshape(-1, rows), axis=1)
         return FreeDecay(
@@ -219,17 +219,17 @@ class FreeDecayRecord(WaveformRecord):
     def offset(self) -> np.ndarray | None:
         return super().offset if self.reference_frequency is None else None  # a lock-in sees no constant
 
-    def estimated_noise(self) -> float:
+    def noise_told_by(self, channels: Sequence[int]) -> tuple[float | None, float]:
         if not self.uneven:
-            return super().estimated_noise()
+            return super().noise_told_by(channels)
         reference, fastest = self.reference_frequency or 0.0, np.pi / self.period
         slowest = reference - fastest if reference else 8 * np.pi / (self.time[-1] - self.time[0])
         levels = []
-        for signal in self.signals[:, self.channels].T:
+        for signal in self.signals[:, channels].T:
             track = tracked(self.time, signal, (slowest, reference + fastest), reference=reference)
             omega = np.interp(self.time, track.time, track.omega) - reference
             levels.append(noise_beside_tone(self.time, signal[:, None], omega))
-        return float(np.median(levels))
+        return float(np.median(levels)), freedom_over_time(self.signals[:, channels])
 
     def series(self, deviation: Deviation) -> Series:
         if self.reference_frequency is None:

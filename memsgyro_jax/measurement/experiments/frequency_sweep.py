@@ -10,7 +10,6 @@ from pydantic import StrictBool
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.table import Table
-from memsgyro_jax.base.text import spoken
 
 from ..columns import amplitude_columns, phasor_columns
 from ..declared import Declared, Environment, design_device
@@ -27,7 +26,7 @@ from .rounded_frequency import rounded_frequencies
 from .sheet import Sheet
 from .sweep_coverage import hasty, peaks_not_seen, place_in_band, swept_elsewhere, weak_sweeps
 from .sweep_layout import halves, joined_rows
-from .sweep_readings import motion_of_amplitudes, scattered, steadied
+from .sweep_readings import motion_of_amplitudes, scattered, steadied, varied
 from .sweep_rows import alike, check_order, check_phase, levels_set, refuse_copies, single_sweeps
 
 
@@ -35,6 +34,7 @@ _TWO_PI = 2 * np.pi
 _CURVES = 7  # sweeps in one picture
 _ZOOM = 2.5  # full widths of the resonance to each side of a close-up
 _CLEAR = 20.0  # standard deviations from which a sweep shows its resonance clearly
+_AMPLE = 5.0  # standard deviations above which an amplitude scatters as each of its parts does
 _SCATTER = 0.02  # of the drive that is a reading of one setting, and not another
 
 
@@ -155,14 +155,13 @@ class FrequencySweepRecord(AbstractRecord):
             raise InputError(f"{table.path}, column `f`: the band {error}.") from error
         check_order(table, self.frequency, self.sweeps)
         refuse_copies(table)
-        noise = self.noise_std or self.estimated_noise() or 0.0
         if not self.settled and len(self.channels) < declared.channels:
             raise InputError(
                 f"{table.path}, header: must have the readings of both axes where rows had not settled, as each begins "
                 "in the motion of the row before."
             )
         for rows in self.sweeps if self.phase_known and self.axis in self.channels else ():
-            check_phase(table, rows, self.axis, self.frequency, self.phasors, noise)
+            check_phase(table, rows, self.axis, self.frequency, self.phasors, self.noise_levels[self.axis])
 
     def keys(self, declared: Declared) -> dict[str, Any]:
         return {"drive_axis": "xy"[self.axis], "settled": self.settled}
@@ -219,7 +218,7 @@ class FrequencySweepRecord(AbstractRecord):
             return None
         # The lowest drive is the most linear, and the conditions nearest to those declared are one device.
         readout, away = declared.readout, self.away(declared.environment)
-        clear = [rows for rows in self.sweeps if self._peak(rows) > _CLEAR * self.noise_level] or self.sweeps
+        clear = [rows for rows in self.sweeps if self._peak(rows) > _CLEAR] or self.sweeps
         lowest = min(self.setting[rows][0] for rows in clear)
         lowest = lowest if clear is not self.sweeps else self.setting.max()
         calm = np.abs(self.setting - lowest) <= 1e-9 * lowest
@@ -239,36 +238,47 @@ class FrequencySweepRecord(AbstractRecord):
         return motion if self.phase_known else motion_of_amplitudes(motion, *known)
 
     def _peak(self, rows: slice) -> float:
-        """Highest reading of the driven channel within a sweep; of the other where it was not recorded."""
+        """Highest reading over noise of the driven channel within a sweep; of the other where it was not recorded."""
         channel = self.axis if self.axis in self.channels else self.channels[0]
-        return float(np.max(np.abs(self.phasors[rows, channel])))
+        return float(np.max(np.abs(self.phasors[rows, channel])) / (self.noise_levels[channel] or 1e-300))
 
     # ---- noise and quality
 
-    def estimated_noise(self) -> float | None:
-        return noise_over_frequency(self.frequency, self.readings[:, self.channels], self.sweeps, self.courses)
+    def noise_told_by(self, channels: Sequence[int]) -> tuple[float | None, float]:
+        seen = self.frequency, self.readings[:, channels], self.sweeps, self.courses
+        return noise_over_frequency(*seen), freedom_over_frequency(*seen)
+
+    @property
+    def noise_by_channel(self) -> bool:
+        if self.phase_known:
+            return True
+        # An amplitude that noise alone makes scatters by less than each of its parts.
+        size = np.median(np.abs(self.phasors[:, self.channels]), axis=0)
+        return bool(np.all(size > _AMPLE * (self.noise_told_by(self.channels)[0] or 0.0)))
 
     @cached_property
     def noise_of_rows(self) -> np.ndarray:
-        jitter = None if self.noise_std else jitter_noise(self.frequency, self.readings, self.courses)
-        return super().noise_of_rows if jitter is None else np.hypot(super().noise_of_rows, jitter)
+        white = super().noise_of_rows
+        if self.noise_std:
+            return white
+        # Noise that differs between channels is no jitter, which is then looked for in each alone.
+        for seen in [[c] for c in self.channels] if self.told_noise.levels else [slice(None)]:
+            jitter = jitter_noise(self.frequency, self.readings[:, seen], self.courses)
+            white[:, seen] = white[:, seen] if jitter is None else np.hypot(white[:, seen], jitter)
+        return white
 
-    def estimated_freedom(self) -> float:
-        return freedom_over_frequency(self.frequency, self.readings[:, self.channels], self.sweeps, self.courses)
-
-    def watched(self, noise: float) -> list[Watched]:
-        place, pieces = self.frequency, self.sweeps
-        return [Watched(f"channel {'xy'[c]}", self.phasors[:, c], noise, place, pieces, True) for c in self.channels]
+    def watched(self, noise: np.ndarray) -> list[Watched]:
+        every = [(f"channel {'xy'[c]}", self.phasors[:, c], float(noise[c])) for c in self.channels]
+        return [Watched(*one, self.frequency, self.sweeps, True) for one in every]
 
     def warnings(self, declared: Declared) -> list[str]:
         read, hertz = self.phasors[:, self.channels], self.frequency / _TWO_PI
         found = exchanged(self.file, self.axis, read)
         size, others = np.abs(read).max(axis=1), swept_elsewhere(self, declared)
         found += peaks_not_seen(self.file, hertz, size, self.setting, self.sweeps, others)
-        peaks, noise = [self._peak(rows) for rows in self.sweeps], self.noise_std or self.estimated_noise()
-        found += weak_sweeps(self.file, [self.lines[rows] for rows in self.sweeps], peaks, noise)
-        found += scattered(self.file, self.thermometer)
-        found += rounded_frequencies(self.file, hertz, read, self.sweeps, noise, declared.readout.unit)
+        near = hertz, read, self.sweeps, self.noise_std or self.estimated_noise()
+        found += weak_sweeps(self.file, [self.lines[rows] for rows in self.sweeps], [*map(self._peak, self.sweeps)])
+        found += scattered(self.file, self.thermometer) + rounded_frequencies(self.file, *near, declared.readout.unit)
         return found + hasty(self.file, self.time if self.settled else None, declared.shortest_decay)
 
     # ---- misfit and overlay
@@ -314,16 +324,7 @@ class FrequencySweepRecord(AbstractRecord):
         views = [View(c, "frequency [Hz]", hertz, slice(None), drawn) for c in self.channels]
         if near.sum() > 4:
             views.append(View(int(worst), "frequency [Hz]", hertz, near, curves((near,)), near=True))
-        return Overlay(f"driven on {'xy'[self.axis]}{self._varied(base.declared)}", tuple(views))
-
-    def _varied(self, declared: Declared) -> str:
-        """What was varied from sweep to sweep, for a caption."""
-        said = []
-        for one in self.known(declared):
-            levels = [spoken(float(np.mean(one.values[s])), one.unit, 3) for s in self.sweeps] if one.set else []
-            if len(levels := list(dict.fromkeys(levels))) > 1:
-                said.append(f"; {one.name} {', '.join(levels)}")
-        return "".join(said)
+        return Overlay(f"driven on {'xy'[self.axis]}{varied(self.known(base.declared), self.sweeps)}", tuple(views))
 
     def missing_force(self, deviation: Deviation) -> SweepForce | None:
         """The missing force of every row, fitted or not; none from amplitudes alone, or without the driven channel."""
@@ -338,7 +339,7 @@ class FrequencySweepRecord(AbstractRecord):
         rows = seen[order := np.argsort(seen)]
         motion, force, gain = (np.concatenate([piece[k] for piece in pieces])[order] for k in (1, 2, 3))
         omega = self.frequency[rows]
-        noise = self.noise_level / np.abs(np.asarray(model.scale)) / omega[:, None] ** model.order
+        noise = self.noise_levels / np.abs(np.asarray(model.scale)) / omega[:, None] ** model.order
         std = np.full(force.shape, np.inf)  # of a channel that was not recorded, which moves as the model has it
         own = self.channels
         std[:, own] = np.sqrt(np.einsum("nij,nj->ni", gain[:, own][:, :, own] ** 2, noise[:, own] ** 2))

@@ -173,7 +173,7 @@ class RateResidual(MissingForce):
     time: Binned
 
 
-def force_over_time(record: str, deviation: Deviation, time: np.ndarray, noise_std: float) -> TimeForce | None:
+def force_over_time(record: str, deviation: Deviation, time: np.ndarray, noise_std: np.ndarray) -> TimeForce | None:
     """The equation of motion of a waveform's residual, solved for the force, in the lines of the spectrum that carry
     it; `None` where too few rows are compared.
 
@@ -181,7 +181,7 @@ def force_over_time(record: str, deviation: Deviation, time: np.ndarray, noise_s
         record: its name.
         deviation: from the model.
         time: (n,) uniform [s].
-        noise_std: of each reading.
+        noise_std: (channels,) of each reading.
     """
     seen = deviation.seen
     if seen.sum() <= FEWEST:
@@ -263,7 +263,7 @@ def receptance(model: Model, matrix: Array, omega: Array) -> Complex[Array, "a a
 
 
 def residual_over_rate(
-    record: str, deviation: Deviation, axis: int, rate: np.ndarray, time: np.ndarray, noise_std: float
+    record: str, deviation: Deviation, axis: int, rate: np.ndarray, time: np.ndarray, noise_std: np.ndarray
 ) -> RateResidual:
     """What is left of phasors over time, by the phase of the driven axis, against rate [rad/s] and time [s], (n,)."""
     seen = deviation.seen

@@ -202,11 +202,10 @@ class OperatingPointsRecord(AbstractRecord):
 
     # ---- noise and quality
 
-    def estimated_noise(self) -> float | None:
-        return noise_over_frequency(*self._over_what_varies)
-
-    def estimated_freedom(self) -> float:
-        return freedom_over_frequency(*self._over_what_varies)
+    def noise_told_by(self, channels: Sequence[int]) -> tuple[float | None, float]:
+        place, readings, *rows = self._over_what_varies
+        seen = place, readings[:, channels], *rows
+        return noise_over_frequency(*seen), freedom_over_frequency(*seen)
 
     @property
     def _over_what_varies(self) -> tuple[np.ndarray, np.ndarray, list[slice], list[np.ndarray]]:
@@ -220,9 +219,9 @@ class OperatingPointsRecord(AbstractRecord):
         order = np.lexsort((most.values, group.ravel()))
         courses = [np.flatnonzero(group.ravel()[order] == k) for k in range(group.max() + 1)]
         pieces = [slice(rows[0], rows[-1] + 1) for rows in courses]
-        return most.values[order], self.readings[order][:, self.channels], pieces, courses
+        return most.values[order], self.readings[order], pieces, courses
 
-    def watched(self, noise: float) -> list[Watched]:
+    def watched(self, noise: np.ndarray) -> list[Watched]:
         return []
 
     def warnings(self, declared: Declared) -> list[str]:

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 import equinox as eqx
@@ -244,9 +243,8 @@ class RateTableRecord(ClockedRecord):
                 f"must be that of a later block of the lock-in than the row before, of {self.block:.6g} s each",
             )
 
-    @cached_property
-    def told_noise(self) -> tuple[float, float]:
-        return noise_beside_steps(self.phasors[:, self.channels], self.rate, self.blocks)
+    def noise_told_by(self, channels: Sequence[int]) -> tuple[float | None, float]:
+        return noise_beside_steps(self.phasors[:, channels], self.rate, self.blocks)
 
     def keys(self, declared: Declared) -> dict[str, Any]:
         return {
@@ -321,7 +319,7 @@ class RateTableRecord(ClockedRecord):
         motion = declared.readout.motion(self.phasors, self.drive_frequency)
         return turned_rate(self.name, device, self.drive_frequency, self.axis, motion, self.rate)
 
-    def watched(self, noise: float) -> list[Watched]:
+    def watched(self, noise: np.ndarray) -> list[Watched]:
         return [*super().watched(noise), self.in_time("the rate", self.rate)]
 
     def known(self, declared: Declared) -> tuple[Known, ...]:
@@ -343,4 +341,5 @@ class RateTableRecord(ClockedRecord):
     def missing_force(self, deviation: Deviation) -> RateResidual | None:
         if self.axis not in self.channels:
             return None
-        return residual_over_rate(self.name, deviation, self.axis, self.rate, self.time, self.noise_level)
+        noise = np.where(np.isfinite(self.noise_levels), self.noise_levels, 0.0)
+        return residual_over_rate(self.name, deviation, self.axis, self.rate, self.time, noise)

@@ -16,6 +16,7 @@ from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.table import Table
 from memsgyro_jax.device.normalised import NormalisedDevice
 
+from ..channel_noise import ToldNoise, told_by_channels
 from ..declared import Declared
 from ..section import ExperimentSection
 from ..tracking import Track
@@ -61,7 +62,8 @@ class AbstractRecord(abc.ABC):
         noise_std: of each real reading (each of I and Q for phasors), in the record unit; `None` asks to estimate it.
         noise_rows: (n, channels) the same, where the file tells it row by row, of which `noise_std` is then the mean.
         temperature_std: of the temperature at which it was taken [K], the same error in all rows of one temperature.
-        left: noise that a model leaves where the rows told too much of it, and its degrees of freedom.
+        left: noise that a model leaves where the rows told too much of it, of each recorded channel where they differ,
+            and its degrees of freedom.
         recorded: which channels the file holds; all where it is empty. The readings of others are zero, and their noise
             is infinite.
         carried: columns that nothing depends on, header to values.
@@ -80,7 +82,7 @@ class AbstractRecord(abc.ABC):
     noise_std: float | None = None
     noise_rows: np.ndarray | None = None
     temperature_std: float = 0.0
-    left: tuple[float, float] | None = None
+    left: tuple[float | tuple[float, ...], float] | None = None
     recorded: tuple[bool, ...] = ()
     carried: Mapping[str, np.ndarray] = field(default_factory=dict)
     undeclared: tuple[str, ...] = ()
@@ -187,8 +189,26 @@ class AbstractRecord(abc.ABC):
     # ---- noise and quality
 
     def estimated_noise(self) -> float | None:
-        """Standard deviation of each real reading as the rows alone tell it; `None`, the default, where they do not."""
-        return None
+        """Standard deviation of each real reading as the rows alone tell it, root mean square over channels where they
+        differ; `None` where they do not tell.
+        """
+        return self.told_noise.level
+
+    def noise_told_by(self, channels: Sequence[int]) -> tuple[float | None, float]:
+        """Noise that the rows tell of some channels as if it were one, `None`, the default, where they do not, and its
+        degrees of freedom.
+        """
+        return None, np.inf
+
+    @cached_property
+    def told_noise(self) -> ToldNoise:
+        """Noise as the rows alone tell it, of each channel where these differ by more than chance."""
+        return told_by_channels(self.noise_told_by, self.channels, self.noise_by_channel)
+
+    @property
+    def noise_by_channel(self) -> bool:
+        """Whether the rows of each channel tell its own noise."""
+        return True
 
     @property
     def noise_freedom(self) -> float:
@@ -199,30 +219,51 @@ class AbstractRecord(abc.ABC):
 
     def estimated_freedom(self) -> float:
         """Degrees of freedom of `estimated_noise`: its square scatters like that of so many normal numbers."""
-        return np.inf
+        return self.told_noise.freedom
 
     @cached_property
     def noise_level(self) -> float:
-        """Declared or estimated; raises `InputError` where it is neither."""
+        """Declared or estimated, root mean square over channels where they differ; raises `InputError` where it is
+        neither.
+        """
         found = self.noise_std
         if found is None:
-            found = self.estimated_noise() if self.left is None else self.left[0]
+            found = self.estimated_noise() if self.left is None else float(np.sqrt(np.mean(np.square(self.left[0]))))
         if not found:
             raise InputError(
                 f"Experiment `{self.name}` must declare its `noise_std`, as its rows do not tell their noise."
             )
         return found
 
+    @cached_property
+    def noise_levels(self) -> np.ndarray:
+        """(channels,) the same of each channel, mean square over rows where the file tells it row by row; zero where it
+        is neither declared nor told, infinite in channels that were not recorded.
+        """
+        every, seen = np.full(self.readings.shape[1], np.inf), self.channels
+        if self.noise_rows is not None:
+            every[seen] = np.sqrt(np.mean(self.noise_rows[:, seen] ** 2, axis=0))
+        elif self.noise_std is not None:
+            every[seen] = self.noise_std
+        elif self.left is not None:
+            every[seen] = self.left[0]
+        else:
+            every[seen] = self.told_noise.levels or self.estimated_noise() or 0.0
+        return every
+
     @property
     def noise_of_rows(self) -> np.ndarray:
         """(n, channels) standard deviation of each real reading; infinite in channels that were not recorded."""
         every = np.full(self.readings.shape, np.inf)
         seen = self.channels
-        every[:, seen] = self.noise_level if self.noise_rows is None else self.noise_rows[:, seen]
+        levels = np.where(self.noise_levels > 0.0, self.noise_levels, self.noise_level)
+        every[:, seen] = levels[seen] if self.noise_rows is None else self.noise_rows[:, seen]
         return every
 
-    def watched(self, noise: float) -> list[Watched]:
-        """Columns in which a row far off its neighbours is an error; none by default."""
+    def watched(self, noise: np.ndarray) -> list[Watched]:
+        """Columns in which a row far off its neighbours is an error, where each channel has the standard deviation
+        `noise` (channels,), zero where it is not known; none by default.
+        """
         return []
 
     def warnings(self, declared: Declared) -> list[str]:

@@ -1,6 +1,6 @@
 """Ring-down: driven from rest for a while, then left alone."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
@@ -19,7 +19,7 @@ from ..clock import check_period
 from ..declared import Declared
 from ..envelope import Driven
 from ..model import Model
-from ..noise import noise_beside_tone
+from ..noise import freedom_over_time, noise_beside_tone, noise_over_time
 from ..section import ExperimentSection, Seconds, ToneSection
 from ..tracking import Track
 from .base import BEYOND, Experiment, Noise, RealNoise, surroundings
@@ -167,9 +167,10 @@ class RingDownRecord(WaveformRecord):
             **({"uneven": True} if self.uneven else {}),
         }
 
-    def estimated_noise(self) -> float:
-        beside = noise_beside_tone(self.time, self.signals[:, self.channels], self.drive_frequency)
-        return beside if self.uneven else min(beside, super().estimated_noise())
+    def noise_told_by(self, channels: Sequence[int]) -> tuple[float | None, float]:
+        seen = self.signals[:, channels]
+        beside, freedom = noise_beside_tone(self.time, seen, self.drive_frequency), freedom_over_time(seen)
+        return (beside if self.uneven else min(beside, noise_over_time(seen))), freedom
 
     def experiment(self, declared: Declared, number: int) -> RingDown:
         driven = self.drive_duration * self.drive_frequency / (2 * np.pi)

@@ -97,9 +97,9 @@ def sudden_fall(size: np.ndarray) -> int | None:
     return int(falls[0]) + 1 if falls.size else None
 
 
-def weak_sweeps(file: str, lines: Sequence[np.ndarray], peaks: Sequence[float], noise: float | None) -> list[str]:
-    """A sentence on each sweep, of the lines of its file, whose largest reading is next to its noise."""
-    weak = [rows for rows, peak in zip(lines, peaks, strict=True) if peak < _WEAK * (noise or 0.0)]
+def weak_sweeps(file: str, lines: Sequence[np.ndarray], peaks: Sequence[float]) -> list[str]:
+    """A sentence on each sweep, of the lines of its file, whose largest reading over noise shows little else."""
+    weak = [rows for rows, peak in zip(lines, peaks, strict=True) if peak < _WEAK]
     return [
         f"{file}, lines {rows[0]} to {rows[-1]}: the sweep hardly rises above its noise, so that it tells little; it "
         "is used."

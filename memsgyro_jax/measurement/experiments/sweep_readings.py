@@ -4,7 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from memsgyro_jax.base.text import spoken
 from memsgyro_jax.device.normalised import NormalisedDevice
+
+from .deviation import Known
 
 
 _SLOW, _BENT = 12, 10.0  # rows of a sweep that show what scatters in it; F of a parabola that is clearly nearer
@@ -49,3 +52,13 @@ def scattered(file: object, thermometer: float) -> list[str]:
     """A sentence where a temperature was steadied; none where it was not."""
     said = f"column `T` scatters by {thermometer:.2g} K from row to row, as no device does"
     return [f"{file}: {said}: what it is on the whole was taken."] if thermometer else []
+
+
+def varied(known: Sequence[Known], sweeps: Sequence[slice]) -> str:
+    """What was varied from sweep to sweep of what is known of them, for a caption."""
+    said = []
+    for one in known:
+        levels = [spoken(float(np.mean(one.values[rows])), one.unit, 3) for rows in sweeps] if one.set else []
+        if len(levels := list(dict.fromkeys(levels))) > 1:
+            said.append(f"; {one.name} {', '.join(levels)}")
+    return "".join(said)

@@ -295,7 +295,7 @@ class TimeRecord(WaveformRecord):
             omega, readout.motion(lines[near], omega), force[near], abs(readout.scale) * omega**readout.order / noise
         )
 
-    def watched(self, noise: float) -> list[Watched]:
+    def watched(self, noise: np.ndarray) -> list[Watched]:
         inputs = [self.in_time(f"the input {name}", column) for name, column in zip("xy", self.forces.T, strict=False)]
         return [*super().watched(noise), *inputs, self.in_time("the rate", self.rate)]
 
