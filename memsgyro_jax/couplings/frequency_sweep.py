@@ -53,7 +53,7 @@ class FrequencySweep(Experiment):
                 bench.device, self.frequency, self.start, bench.sweep_rate.strength, self.axis, self.rate
             )
             motion = motion + lag
-        signal = motion * bench.readout.channels(self.axis)
+        signal = motion * bench.readout.channels(self.axis) * bench.behind(self.frequency[:, None])
         if bench.feedthrough is not None:
             signal = signal + bench.feedthrough.phasor(self.axis)
         return signal * self.drive[:, None]
