@@ -57,14 +57,24 @@ class LeakPhasors(Displayed):
         return jnp.zeros(2) + 0j if leak is None else leak[:, 0] + 1j * leak[:, 1]
 
 
+def offset_in(device: CoupledModes, offsets: Array | None, number: int) -> CoupledModes:
+    """The device with the offset of its frequencies in a sweep; none in the first."""
+    return device if offsets is None or number == 0 else device.offset(offsets[number - 1])
+
+
 class Bench(Displayed):
-    """A device as a frequency sweep sees it; what is `None` is absent and costs nothing."""
+    """A device as a frequency sweep sees it; what is `None` is absent and costs nothing.
+
+    `offsets` (sweeps − 1,) are by what share of themselves its frequencies lie higher in the second sweep and those
+    after it, as the effect `frequency_offset` has it.
+    """
 
     device: CoupledModes
     readout: LockIn = eqx.field(default_factory=LockIn)
     feedthrough: LeakPhasors | None = None
     sweep_rate: FiniteSweepRate | None = None
     delay: ReadoutDelay | None = None
+    offsets: Array | None = None
 
     @classmethod
     def of(cls, gyro: SingleMassGyro, scale: float | tuple[float, float] = 1.0) -> "Bench":
@@ -91,6 +101,10 @@ class Bench(Displayed):
             ReadoutDelay(sum(delay.strength for delay in delays)) if delays else None,
         )
 
+    def during(self, number: int) -> CoupledModes:
+        """The device as it was during a sweep, by its number from 0."""
+        return offset_in(self.device, self.offsets, number)
+
     def behind(self, frequency: Array) -> Array:
         """By what factor phasors of the motion at `frequency` [rad/s] are seen late, as `Model.behind`."""
         return jnp.ones(()) if self.delay is None else behind(self.delay.strength, frequency)
@@ -98,7 +112,7 @@ class Bench(Displayed):
     def gyro(self, mass: float) -> SingleMassGyro:
         """The device of this mass [kg] with its effects, inverse of `of`; of a leak the part in phase with the drive.
 
-        What the lock-in adds (gains, phases) is no property of the device and stays behind.
+        What the lock-in adds (gains, phases), and what sweeps differ by, is no property of the device and stays behind.
         """
         effects: list[Effect] = []
         if self.feedthrough is not None:

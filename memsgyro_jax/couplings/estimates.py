@@ -50,6 +50,8 @@ def _estimates(outcome: Fit) -> dict[str, tuple[jnp.ndarray, jnp.ndarray]]:
         functions["sweep_speed"] = lambda seen: seen.sweep_rate.strength / (2 * jnp.pi)
     if seen.delay is not None:
         functions["readout_delay"] = lambda seen: seen.delay.strength
+    if seen.offsets is not None:
+        functions["frequency_offset"] = lambda seen: seen.offsets
     if seen.feedthrough is not None and seen.feedthrough.x_drive is not None:
         functions["x_leak"] = lambda seen: seen.feedthrough.x_drive
     if seen.feedthrough is not None and seen.feedthrough.y_drive is not None:
@@ -139,7 +141,9 @@ def _held(value: float, std: float, most: float, unit: str, what: str) -> Coupli
     return CouplingCoefficient(float(value), float(std), unit, what)
 
 
-def effect_values(estimates: Mapping[str, _Estimate]) -> dict[str, CouplingCoefficient]:
+def effect_values(
+    estimates: Mapping[str, _Estimate], sweeps: Sequence[FrequencySweep]
+) -> dict[str, CouplingCoefficient]:
     """What the effects that were modelled beyond two linear modes came to."""
     out = {}
     if "readout_delay" in estimates:
@@ -148,6 +152,9 @@ def effect_values(estimates: Mapping[str, _Estimate]) -> dict[str, CouplingCoeff
     if "sweep_speed" in estimates:
         value, std = estimates["sweep_speed"]
         out["sweep_speed"] = CouplingCoefficient(float(value), float(std), "Hz/s", "finite_sweep_rate")
+    for sweep, value, std in zip(sweeps[1:], *estimates.get("frequency_offset", ((), ())), strict=False):
+        what = f"of the frequencies in {sweep.name} over those in {sweeps[0].name}"
+        out[f"frequency_offset_{sweep.number + 1}"] = CouplingCoefficient(float(value), float(std), "1", what)
     for axis in "xy":
         if f"{axis}_leak" not in estimates:
             continue

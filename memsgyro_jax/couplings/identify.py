@@ -32,8 +32,11 @@ EFFECTS: Mapping[str, str] = {
     "electrical_feedthrough": "leak",
     "finite_sweep_rate": "moving",
     "readout_delay": "late",
+    "frequency_offset": "apart",
 }
 
+
+BETWEEN = "frequency_offset"  # what sweeps differ by, and one alone cannot
 
 # What no sweep can tell: the pick-offs are what the axes are known by.
 RELATIVE = (
@@ -68,7 +71,8 @@ def identify(
     """
     require_float64("Identification")
     _check(records, mass, effects)
-    sweeps = tuple(sweep_of(record, noise) for record in records)
+    sweeps = tuple(sweep_of(record, noise, number) for number, record in enumerate(records))
+    known = [name for name in EFFECTS if len(records) > 1 or name != BETWEEN]
     estimate = noise is None
     (outcome, sweeps), wrong = without_wrong_rows(
         sweeps, records, partial(_fit, effects=effects, estimate=estimate), partial(_again, estimate=estimate)
@@ -76,11 +80,11 @@ def identify(
     own = Explanation.of(effects, outcome)
     repairs = {}
     if not own.explains:
-        for name in [name for name in EFFECTS if name not in effects]:
+        for name in [name for name in known if name not in effects]:
             every = (*effects, name)
             repairs[name] = Explanation.of(every, _fit(sweeps, every, estimate)[0])
     told = estimates(outcome)
-    others = rivals(own, told["couplings"][1], tuple(EFFECTS), lambda every: _fit(sweeps, every, False)[0])
+    others = rivals(own, told["couplings"][1], known, lambda every: _fit(sweeps, every, False)[0])
     why = doubt(outcome, sweeps, repairs, others, float(told["readout"][1][1]))
     found = _judged(outcome, told, sweeps, mass, why)
     return replace(
@@ -91,8 +95,10 @@ def identify(
     )
 
 
-def sweep_of(record: SweepRecord, noise: Noise | None = None) -> FrequencySweep:
-    """The experiment of a record; without `noise` one with the shape of its format, to be scaled later."""
+def sweep_of(record: SweepRecord, noise: Noise | None = None, number: int = 0) -> FrequencySweep:
+    """The experiment of a record, one of several by its number from 0; without `noise` one with the shape of its
+    format, to be scaled later.
+    """
     if noise is None:
         noise = (
             PolarNoise(jnp.full(2, 1e-3), jnp.full(2, 1e-3))
@@ -108,6 +114,7 @@ def sweep_of(record: SweepRecord, noise: Noise | None = None) -> FrequencySweep:
         start=record.start,
         axis=record.axis,
         rate=record.rate,
+        number=number,
     )
 
 
@@ -165,6 +172,8 @@ def _check(records: Sequence[SweepRecord], mass: float | None, effects: Sequence
     for name in effects:
         if name not in EFFECTS:
             raise InputError(f"Argument `effects` must be among {', '.join(EFFECTS)}, but is {name}.")
+    if BETWEEN in effects and len(records) == 1:
+        raise InputError(f"Effect `{BETWEEN}` must have two sweeps to lie between, but there is one; leave it out.")
 
 
 def _notes(records: Sequence[SweepRecord], noise: Noise | None, mass: float | None) -> tuple[str, ...]:
@@ -186,7 +195,8 @@ def _judged(
 ) -> Identification:
     """What a fit tells, with a verdict each; `why` is the doubt about all of it."""
     channels = readout(*told["readout"])
-    held = products(told["products"], sweeps, mass) if channels["gain_ratio"].value is None else {}
+    ratio, std = (float(part[0]) for part in told["readout"])
+    held = {} if std < 0.1 * ratio else products(told["products"], sweeps, mass)
     return Identification(
         coefficients=coefficients(told["couplings"], outcome, sweeps, mass, why),
         modal=modal(*told["modal"]),
@@ -194,7 +204,7 @@ def _judged(
         chi2_per_dof=float(outcome.chi2_per_dof),
         dof=outcome.dof,
         method="maximum likelihood",
-        effect_values=effect_values(told),
+        effect_values=effect_values(told, sweeps),
         status=outcome.status,
         fit=outcome,
         sweeps=sweeps,

@@ -46,6 +46,8 @@ def free_parameters(seen: SeenBench, sweeps: Sequence[FrequencySweep]) -> PyTree
         spec = mark(spec, lambda b: b.sweep_rate.strength, Free(Log()))
     if seen.delay is not None:  # of either sign: what the reference comes late by, the read-out comes early by
         spec = mark(spec, lambda b: b.delay.strength, Free())
+    if seen.offsets is not None:
+        spec = mark(spec, lambda b: b.offsets, Free())
     return spec
 
 
@@ -56,6 +58,7 @@ def fit_sweeps(
     leak: bool = False,
     moving: bool = False,
     late: bool = False,
+    apart: bool = False,
     starts: int = STARTS,
 ) -> Fit:
     """Fit device and read-out to all sweeps from starts that the records themselves give.
@@ -65,6 +68,7 @@ def fit_sweeps(
         leak: add `LeakPhasors` for the electrodes driven.
         moving: add `FiniteSweepRate`, one speed for all sweeps.
         late: add `ReadoutDelay`, of both channels in all sweeps.
+        apart: let the frequencies of each sweep be higher or lower than those of the first.
         starts: how many of each family of scanned starts to optimise.
 
     Returns:
@@ -74,6 +78,9 @@ def fit_sweeps(
     if late:
         none = ReadoutDelay(jnp.zeros_like(candidates.readout.phase))
         candidates = eqx.tree_at(lambda seen: seen.delay, candidates, none, is_leaf=_absent)
+    if apart:
+        same = jnp.zeros((*candidates.readout.phase.shape, len(sweeps) - 1))
+        candidates = eqx.tree_at(lambda seen: seen.offsets, candidates, same, is_leaf=_absent)
     spec = free_parameters(jax.tree.map(lambda leaf: leaf[0], candidates), sweeps)
     best = fit_tree_from(candidates, spec, sweeps)
     return evaluate(gauge_fixed(best.values), spec, sweeps, converged=best.converged, steps=best.steps)

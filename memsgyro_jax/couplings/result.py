@@ -55,8 +55,8 @@ class Identification(Tabular):
         coefficients: `lambda_yx`, `lambda_xy`, `c_xy`, `k_xy`.
         modal: uncoupled `f_x` [Hz], `q_x`, `f_y`, `q_y` and the coupled resonances `pole_x` [Hz], `pole_q_x`, ... they
             are mistaken for.
-        readout: `gain_ratio` and `phase_asymmetry_deg`; where the sweeps leave the gain ratio open also the products of
-            it and the couplings that they hold, such as `gain_ratio*lambda_yx`.
+        readout: `gain_ratio` and `phase_asymmetry_deg`; where the sweeps tell the gain ratio worse than to a tenth
+            also the products of it and the couplings that they hold, such as `gain_ratio*lambda_yx`.
         chi2_per_dof: 1 where model and noise explain the record; with estimated noise, misfit over neighbour scatter.
         method: how it was obtained.
         effects: what was modelled beyond two linear modes.

@@ -12,7 +12,7 @@ from jaxtyping import Array
 from memsgyro_jax.effects import FiniteSweepRate, ReadoutDelay
 from memsgyro_jax.effects.readout_delay import behind
 
-from .bench import Bench, LeakPhasors, LockIn
+from .bench import Bench, LeakPhasors, LockIn, offset_in
 from .modes import CoupledModes
 
 
@@ -31,6 +31,7 @@ class SeenBench(eqx.Module):
     feedthrough: LeakPhasors | None = None
     sweep_rate: FiniteSweepRate | None = None
     delay: ReadoutDelay | None = None
+    offsets: Array | None = None
 
     @classmethod
     def of(cls, bench: Bench) -> "SeenBench":
@@ -48,6 +49,7 @@ class SeenBench(eqx.Module):
             bench.feedthrough,
             bench.sweep_rate,
             bench.delay,
+            bench.offsets,
         )
 
     @property
@@ -73,7 +75,11 @@ class SeenBench(eqx.Module):
     def bench(self) -> Bench:
         """Back to device and read-out."""
         readout = _turned(self.readout, self.delay, self.omega[0])
-        return Bench(self.device, readout, self.feedthrough, self.sweep_rate, self.delay)
+        return Bench(self.device, readout, self.feedthrough, self.sweep_rate, self.delay, self.offsets)
+
+    def during(self, number: int) -> CoupledModes:
+        """As `Bench.during`."""
+        return offset_in(self.device, self.offsets, number)
 
     def behind(self, frequency: Array) -> Array:
         """As `Bench.behind`, beside what the phase of the read-out holds already."""

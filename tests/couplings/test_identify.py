@@ -233,6 +233,19 @@ def test_a_late_readout_is_noticed_named_and_repaired():
     assert "not trusted" not in repaired.coefficients["c_xy"].verdict
 
 
+@pytest.mark.slow
+def test_a_device_that_drifts_between_two_sweeps_is_noticed_named_and_repaired():
+    higher = lab.replace(SLOW, fx=SLOW.fx * (1 + 1e-4), fy=SLOW.fy * (1 + 1e-4))
+    level = lab.FILTERED
+    apart = [swept(SLOW, SLOW_BAND, noise=level), swept(higher, SLOW_BAND, noise=level, axis=1, seed=1)]
+    plain = identify(apart, mass=SLOW.mass)
+    assert plain.coefficients["c_xy"].verdict.endswith("; add frequency_offset")
+    repaired = identify(apart, mass=SLOW.mass, effects=("frequency_offset",))
+    assert repaired.explained
+    assert_within(repaired.effect_values["frequency_offset_2"], 1e-4)
+    assert_within(repaired.coefficients["c_xy"], SLOW.cxy)
+
+
 class Told:
     """What doubts ask of a fit that leaves so much with so many numbers and tells this c_xy."""
 
@@ -382,6 +395,7 @@ def test_the_published_chain_runs_and_is_worse():
         ({"records": []}, "at least one sweep"),
         ({"effects": ("duffing",)}, "electrical_feedthrough"),
         ({"mass": -1.0}, "positive number of kilograms"),
+        ({"effects": ("frequency_offset",)}, "must have two sweeps to lie between, but there is one"),
     ],
 )
 def test_bad_arguments_are_one_sentence(arguments, message):

@@ -74,6 +74,19 @@ def test_a_bench_and_a_model_of_one_gyro_predict_the_same(axis):
     np.testing.assert_allclose(predict(sweep, SeenBench.of(Bench.of(gyro, SCALE))), expected, rtol=1e-9)
 
 
+def test_in_a_later_sweep_a_device_is_one_with_other_stiffness():
+    gyro, share = MODES.gyro(MASS), 1e-3
+    stiffer = eqx.tree_at(lambda g: (g.kxx, g.kyy, g.kxy), gyro, replace_fn=lambda k: k * (1 + share) ** 2)
+    same(MODES.offset(share), CoupledModes.of(stiffer))
+    bench = eqx.tree_at(lambda b: b.offsets, Bench(MODES), jnp.array([share]), is_leaf=lambda leaf: leaf is None)
+    omega = np.linspace(3.0e4, 3.3e4, 41)
+    none, noise = jnp.zeros((41, 2)) + 0j, CartesianNoise(1e-3)
+    first, second = (FrequencySweep("sweep", omega, none, noise, number=number) for number in (0, 1))
+    for seen in (bench, SeenBench.of(bench)):
+        np.testing.assert_allclose(first.predict(seen), first.predict(Bench(MODES)), rtol=1e-12)
+        np.testing.assert_allclose(second.predict(seen), first.predict(Bench(MODES.offset(share))), rtol=1e-9)
+
+
 def test_a_bench_becomes_a_gyro_and_comes_back():
     gyro = MODES.gyro(MASS).with_effect(
         *(ElectricalFeedthrough(s, t, 1e3 * (1 + s + 2 * t)) for s in (0, 1) for t in (0, 1)),

@@ -47,7 +47,7 @@ def identify_command(
         mass: of the mode in kg; without it c_xy and k_xy are per unit mass.
         amplitude_noise: relative, peak to peak; without it the noise is estimated from neighbouring points.
         phase_noise: in degrees, peak to peak.
-        effects: also model electrical_feedthrough, finite_sweep_rate, readout_delay.
+        effects: also model electrical_feedthrough, finite_sweep_rate, readout_delay, frequency_offset.
         drive_axis: the driven electrode of files without `F_x` and `F_y`, once for all or once for each.
         conjugated: the file follows e^{-iwt}.
         json: file for the machine-readable result.
