@@ -7,7 +7,8 @@ from jaxtyping import Array, Complex
 from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.plainly import at_once
 from memsgyro_jax.device.gyro import SingleMassGyro
-from memsgyro_jax.effects import Effect, ElectricalFeedthrough, FiniteSweepRate
+from memsgyro_jax.effects import Effect, ElectricalFeedthrough, FiniteSweepRate, ReadoutDelay
+from memsgyro_jax.effects.readout_delay import behind
 
 from .modes import CoupledModes
 
@@ -56,26 +57,39 @@ class LeakPhasors(Displayed):
         return jnp.zeros(2) + 0j if leak is None else leak[:, 0] + 1j * leak[:, 1]
 
 
+def offset_in(device: CoupledModes, offsets: Array | None, number: int) -> CoupledModes:
+    """The device with the offset of its frequencies in a sweep; none in the first."""
+    return device if offsets is None or number == 0 else device.offset(offsets[number - 1])
+
+
 class Bench(Displayed):
-    """A device as a frequency sweep sees it; what is `None` is absent and costs nothing."""
+    """A device as a frequency sweep sees it; what is `None` is absent and costs nothing.
+
+    `offsets` (sweeps − 1,) are by what share of themselves its frequencies lie higher in the second sweep and those
+    after it, as the effect `frequency_offset` has it.
+    """
 
     device: CoupledModes
     readout: LockIn = eqx.field(default_factory=LockIn)
     feedthrough: LeakPhasors | None = None
     sweep_rate: FiniteSweepRate | None = None
+    delay: ReadoutDelay | None = None
+    offsets: Array | None = None
 
     @classmethod
     def of(cls, gyro: SingleMassGyro, scale: float | tuple[float, float] = 1.0) -> "Bench":
         """A gyro before a lock-in that reads `scale` [V/m], one number or one per channel, driven in N.
 
-        The gyro may carry `force_misalignment`, `electrical_feedthrough` and `finite_sweep_rate`.
+        The gyro may carry `force_misalignment`, `electrical_feedthrough`, `finite_sweep_rate` and `readout_delay`.
 
         **Raises:** `InputError` for any other effect, which is not of two linear modes.
         """
         volts = jnp.broadcast_to(jnp.asarray(scale, float), (2,))
         leaks = [effect for effect in gyro.effects if isinstance(effect, ElectricalFeedthrough)]
         rates = [effect for effect in gyro.effects if isinstance(effect, FiniteSweepRate)]
-        rest = gyro.with_only(e for e in gyro.effects if not isinstance(e, ElectricalFeedthrough | FiniteSweepRate))
+        delays = [effect for effect in gyro.effects if isinstance(effect, ReadoutDelay)]
+        apart = ElectricalFeedthrough | FiniteSweepRate | ReadoutDelay
+        rest = gyro.with_only(effect for effect in gyro.effects if not isinstance(effect, apart))
         drives = jnp.zeros((2, 2, 2))  # electrode, channel, part
         for leak in leaks:
             drives = drives.at[leak.source, leak.target, 0].add(leak.strength)
@@ -84,12 +98,21 @@ class Bench(Displayed):
             LockIn(volts[0] / gyro.mass, gain_ratio=volts[1] / volts[0]),
             LeakPhasors(drives[0], drives[1]) if leaks else None,
             FiniteSweepRate(sum(rate.strength for rate in rates)) if rates else None,
+            ReadoutDelay(sum(delay.strength for delay in delays)) if delays else None,
         )
+
+    def during(self, number: int) -> CoupledModes:
+        """The device as it was during a sweep, by its number from 0."""
+        return offset_in(self.device, self.offsets, number)
+
+    def behind(self, frequency: Array) -> Array:
+        """By what factor phasors of the motion at `frequency` [rad/s] are seen late, as `Model.behind`."""
+        return jnp.ones(()) if self.delay is None else behind(self.delay.strength, frequency)
 
     def gyro(self, mass: float) -> SingleMassGyro:
         """The device of this mass [kg] with its effects, inverse of `of`; of a leak the part in phase with the drive.
 
-        What the lock-in adds (gains, phases) is no property of the device and stays behind.
+        What the lock-in adds (gains, phases), and what sweeps differ by, is no property of the device and stays behind.
         """
         effects: list[Effect] = []
         if self.feedthrough is not None:
@@ -100,4 +123,6 @@ class Bench(Displayed):
                 effects += [ElectricalFeedthrough(electrode, channel, per_force[channel]) for channel in (0, 1)]
         if self.sweep_rate is not None:
             effects.append(self.sweep_rate)
+        if self.delay is not None:
+            effects.append(self.delay)
         return self.device.gyro(mass).with_effect(*effects)

@@ -28,6 +28,7 @@ class FrequencySweep(Experiment):
             row.
         axis: the driven electrode, 0 = x or 1 = y.
         rate: known angular rate while sweeping [rad/s]; zero at rest.
+        number: of the sweep among those of one bench, from 0.
     """
 
     name: str = eqx.field(static=True)
@@ -38,22 +39,22 @@ class FrequencySweep(Experiment):
     start: Array = eqx.field(converter=jnp.asarray)
     rate: Array = eqx.field(converter=jnp.asarray)
     axis: Literal[0, 1] = eqx.field(static=True)
+    number: int = eqx.field(static=True)
 
-    def __init__(self, name, frequency, measured, noise, *, drive=1.0, start=None, axis=0, rate=0.0):
-        self.name, self.axis, self.noise = name, axis, noise
+    def __init__(self, name, frequency, measured, noise, *, drive=1.0, start=None, axis=0, rate=0.0, number=0):
+        self.name, self.axis, self.noise, self.number = name, axis, noise, number
         self.frequency, self.measured, self.rate = jnp.asarray(frequency), jnp.asarray(measured), jnp.asarray(rate)
         self.drive = jnp.broadcast_to(jnp.asarray(drive, dtype=self.frequency.dtype), self.frequency.shape)
         self.start = jnp.broadcast_to(self.frequency[0] if start is None else jnp.asarray(start), self.frequency.shape)
 
     def predict(self, bench: Bench) -> Complex[Array, "n 2"]:
         """Phasors of both channels; closed form, with a finite sweep rate too."""
-        motion = bench.device.response(self.frequency, self.axis, self.rate)
+        device = bench.during(self.number)
+        motion = device.response(self.frequency, self.axis, self.rate)
         if bench.sweep_rate is not None:
-            lag = chirp_excess(
-                bench.device, self.frequency, self.start, bench.sweep_rate.strength, self.axis, self.rate
-            )
+            lag = chirp_excess(device, self.frequency, self.start, bench.sweep_rate.strength, self.axis, self.rate)
             motion = motion + lag
-        signal = motion * bench.readout.channels(self.axis)
+        signal = motion * bench.readout.channels(self.axis) * bench.behind(self.frequency[:, None])
         if bench.feedthrough is not None:
             signal = signal + bench.feedthrough.phasor(self.axis)
         return signal * self.drive[:, None]

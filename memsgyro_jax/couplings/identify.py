@@ -3,24 +3,24 @@ hold it.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.runtime import require_float64
 from memsgyro_jax.measurement.experiments import CartesianNoise, Noise, PolarNoise
-from memsgyro_jax.measurement.least_squares import gate
 from memsgyro_jax.measurement.noise import noise_beside_misfit
 
+from .doubts import Explanation, doubt, rivals
+from .estimates import coefficients, effect_values, estimates, modal, products, readout
 from .frequency_sweep import FrequencySweep
 from .likelihood import fit_sweeps, refit
-from .modal import SingleMode, coupled_poles
 from .record import SweepRecord
-from .result import CouplingCoefficient, Identification
+from .result import Identification
 from .sense_view import SeenBench
 from .tree_fit import Fit
 from .wrong_rows import without_wrong_rows
@@ -28,7 +28,21 @@ from .wrong_rows import without_wrong_rows
 
 # What a sweep may show beyond two linear modes, by its name in the catalogue of effects: the switch of the fit that
 # models it.
-EFFECTS: Mapping[str, str] = {"electrical_feedthrough": "leak", "finite_sweep_rate": "moving"}
+EFFECTS: Mapping[str, str] = {
+    "electrical_feedthrough": "leak",
+    "finite_sweep_rate": "moving",
+    "readout_delay": "late",
+    "frequency_offset": "apart",
+}
+
+
+BETWEEN = "frequency_offset"  # what sweeps differ by, and one alone cannot
+
+# What no sweep can tell: the pick-offs are what the axes are known by.
+RELATIVE = (
+    "Angles and couplings are relative to the axes of the pick-offs: a turn or crosstalk of these counts as lambda and "
+    "k_xy, a rate during the sweep that the file does not tell as phase asymmetry and c_xy."
+)
 
 
 def identify(
@@ -40,7 +54,12 @@ def identify(
 ) -> Identification:
     """Maximum likelihood on both complex responses of every sweep, jointly with modes, gain ratio and phase asymmetry.
 
-    A row that stands alone, as a wrong digit leaves it, is named in the notes and left out.
+    A row that stands alone, as a wrong digit leaves it, is named in the notes and left out. Angles and couplings are
+    relative to the axes of the pick-offs: a turn or crosstalk of these counts as λ and kxy, and a rate during the sweep
+    that the record does not tell as phase asymmetry and cxy.
+
+    Sweeps that two linear modes miss are fitted with each effect, and the verdicts name what explains them. Where an
+    effect is modelled, each other one is tried in its place: what is explained as well so, is not trusted.
 
     Args:
         records: one or several sweeps of one device, with the x electrode, the y electrode or each of them driven.
@@ -52,21 +71,34 @@ def identify(
     """
     require_float64("Identification")
     _check(records, mass, effects)
-    sweeps = tuple(sweep_of(record, noise) for record in records)
+    sweeps = tuple(sweep_of(record, noise, number) for number, record in enumerate(records))
+    known = [name for name in EFFECTS if len(records) > 1 or name != BETWEEN]
     estimate = noise is None
     (outcome, sweeps), wrong = without_wrong_rows(
         sweeps, records, partial(_fit, effects=effects, estimate=estimate), partial(_again, estimate=estimate)
     )
+    own = Explanation.of(effects, outcome)
     repairs = {}
-    if outcome.chi2_per_dof > gate(outcome.dof):
-        for name in EFFECTS.keys() - set(effects):
-            other, _ = _fit(sweeps, (*effects, name), noise is None)
-            repairs[name] = float(other.chi2_per_dof)
-    return _judged(outcome, sweeps, mass, tuple(effects), repairs, (*wrong, *_notes(records, noise, mass)))
+    if not own.explains:
+        for name in [name for name in known if name not in effects]:
+            every = (*effects, name)
+            repairs[name] = Explanation.of(every, _fit(sweeps, every, estimate)[0])
+    told = estimates(outcome)
+    others = rivals(own, told["couplings"][1], known, lambda every: _fit(sweeps, every, False)[0])
+    why = doubt(outcome, sweeps, repairs, others, float(told["readout"][1][1]))
+    found = _judged(outcome, told, sweeps, mass, why)
+    return replace(
+        found,
+        effects=tuple(effects),
+        repairs={name: one.chi2_per_dof for name, one in repairs.items()},
+        notes=(*wrong, *_notes(records, noise, mass)),
+    )
 
 
-def sweep_of(record: SweepRecord, noise: Noise | None = None) -> FrequencySweep:
-    """The experiment of a record; without `noise` one with the shape of its format, to be scaled later."""
+def sweep_of(record: SweepRecord, noise: Noise | None = None, number: int = 0) -> FrequencySweep:
+    """The experiment of a record, one of several by its number from 0; without `noise` one with the shape of its
+    format, to be scaled later.
+    """
     if noise is None:
         noise = (
             PolarNoise(jnp.full(2, 1e-3), jnp.full(2, 1e-3))
@@ -82,6 +114,7 @@ def sweep_of(record: SweepRecord, noise: Noise | None = None) -> FrequencySweep:
         start=record.start,
         axis=record.axis,
         rate=record.rate,
+        number=number,
     )
 
 
@@ -139,10 +172,13 @@ def _check(records: Sequence[SweepRecord], mass: float | None, effects: Sequence
     for name in effects:
         if name not in EFFECTS:
             raise InputError(f"Argument `effects` must be among {', '.join(EFFECTS)}, but is {name}.")
+    if BETWEEN in effects and len(records) == 1:
+        raise InputError(f"Effect `{BETWEEN}` must have two sweeps to lie between, but there is one; leave it out.")
 
 
 def _notes(records: Sequence[SweepRecord], noise: Noise | None, mass: float | None) -> tuple[str, ...]:
     notes = [note for record in records for note in record.notes]
+    notes.append(RELATIVE)
     if noise is None:
         notes.append("The noise was estimated from the scatter of neighbouring points.")
     if mass is None:
@@ -152,162 +188,25 @@ def _notes(records: Sequence[SweepRecord], noise: Noise | None, mass: float | No
 
 def _judged(
     outcome: Fit,
+    told: Mapping[str, tuple[np.ndarray, np.ndarray]],
     sweeps: tuple[FrequencySweep, ...],
     mass: float | None,
-    effects: tuple[str, ...],
-    repairs: Mapping[str, float],
-    notes: tuple[str, ...],
+    why: str,
 ) -> Identification:
-    chi2 = float(outcome.chi2_per_dof)
-    estimates = jax.tree.map(np.asarray, _estimates(outcome))
-    readout = _readout(*estimates["readout"])
-    doubt = _doubt(outcome, sweeps, chi2, repairs, readout["phase_asymmetry_deg"].std)
+    """What a fit tells, with a verdict each; `why` is the doubt about all of it."""
+    channels = readout(*told["readout"])
+    ratio, std = (float(part[0]) for part in told["readout"])
+    held = {} if std < 0.1 * ratio else products(told["products"], sweeps, mass)
     return Identification(
-        coefficients=_coefficients(estimates["couplings"], outcome, sweeps, mass, doubt),
-        modal=_modal(*estimates["modal"]),
-        readout=readout,
-        chi2_per_dof=chi2,
+        coefficients=coefficients(told["couplings"], outcome, sweeps, mass, why),
+        modal=modal(*told["modal"]),
+        readout={**channels, **held},
+        chi2_per_dof=float(outcome.chi2_per_dof),
         dof=outcome.dof,
         method="maximum likelihood",
-        effects=effects,
-        repairs=repairs,
-        notes=notes,
-        effect_values=_effect_values(estimates),
+        effect_values=effect_values(told, sweeps),
         status=outcome.status,
         fit=outcome,
         sweeps=sweeps,
         mass=mass,
     )
-
-
-def _doubt(
-    outcome: Fit, sweeps: Sequence[FrequencySweep], chi2: float, repairs: Mapping[str, float], phase_std: float
-) -> str:
-    """Why no coefficient of this fit can be trusted, or the empty string."""
-    if chi2 > gate(outcome.dof):
-        text = f"not trusted: two linear modes miss the record (chi2/dof {chi2:.3g})"
-        cures = [
-            name for name, value in sorted(repairs.items(), key=lambda item: item[1]) if value <= gate(outcome.dof)
-        ]
-        return text + (f"; add {' or '.join(cures)}" if cures else "")
-    # A flat likelihood keeps the optimiser walking: what is open then is the data, not the method.
-    if not phase_std < 30.0 or outcome.open_parameters() or not (bool(outcome.converged) or _covers(outcome, sweeps)):
-        return f"not identified by this sweep: {_advice(outcome, sweeps)}"
-    return "" if bool(outcome.converged) else "not trusted: the fit did not converge"
-
-
-def _covers(outcome: Fit, sweeps: Sequence[FrequencySweep]) -> bool:
-    """Whether some sweep passes each of both resonances."""
-    poles = np.asarray(coupled_poles(outcome.values.device).imag)
-    spans = [(float(sweep.frequency.min()), float(sweep.frequency.max())) for sweep in sweeps]
-    return all(any(low < pole < high for low, high in spans) for pole in poles)
-
-
-def _advice(outcome: Fit, sweeps: Sequence[FrequencySweep]) -> str:
-    """What would help: the resonance that the sweeps leave out, else better data."""
-    return "more points or less noise are needed" if _covers(outcome, sweeps) else "sweep both resonances"
-
-
-def _couplings(seen: SeenBench) -> jnp.ndarray:
-    device = seen.device
-    return jnp.stack([device.force_yx, device.force_xy, device.damping_coupling, device.stiffness_coupling])
-
-
-def _modes(seen: SeenBench) -> jnp.ndarray:
-    coupled = SingleMode.of_pole(coupled_poles(seen.device))
-    turns = jnp.stack([seen.omega, coupled.omega]) / (2 * jnp.pi)
-    return jnp.stack([turns, jnp.stack([seen.quality, coupled.quality])], axis=1)
-
-
-@eqx.filter_jit
-def _estimates(outcome: Fit) -> dict[str, tuple[jnp.ndarray, jnp.ndarray]]:
-    """Value and standard deviation of everything reported, in one compiled function."""
-    functions = {
-        "couplings": _couplings,
-        "modal": _modes,
-        "readout": lambda seen: jnp.stack([seen.readout.gain_ratio, jnp.rad2deg(seen.readout.phase_asymmetry)]),
-    }
-    seen = outcome.values
-    if seen.sweep_rate is not None:
-        functions["sweep_speed"] = lambda seen: seen.sweep_rate.strength / (2 * jnp.pi)
-    if seen.feedthrough is not None and seen.feedthrough.x_drive is not None:
-        functions["x_leak"] = lambda seen: seen.feedthrough.x_drive
-    if seen.feedthrough is not None and seen.feedthrough.y_drive is not None:
-        functions["y_leak"] = lambda seen: seen.feedthrough.y_drive
-    return {name: (function(seen), outcome.std_of(function)) for name, function in functions.items()}
-
-
-def _coefficients(
-    estimate: tuple[np.ndarray, np.ndarray],
-    outcome: Fit,
-    sweeps: Sequence[FrequencySweep],
-    mass: float | None,
-    doubt: str,
-) -> dict[str, CouplingCoefficient]:
-    scale = np.array([1.0, 1.0, mass or 1.0, mass or 1.0])
-    value, std = (part * scale for part in estimate)
-    device = outcome.values.device
-    # What each could be at most: λ of order one, |cxy| ≤ √(cxx·cyy), |kxy| ≤ √(kxx·kyy).
-    ceiling = scale * np.array([1.0, 1.0, np.sqrt(np.prod(device.omega / device.quality)), np.prod(device.omega)])
-    units = ("1", "1", "N*s/m", "N/m") if mass else ("1", "1", "1/s", "1/s^2")
-    axes = {sweep.axis for sweep in sweeps}
-    out = {}
-    for i, name in enumerate(("lambda_yx", "lambda_xy", "c_xy", "k_xy")):
-        if i < 2 and i not in axes:
-            electrode = "xy"[i]
-            out[name] = CouplingCoefficient(
-                None, None, units[i], f"not identified by this sweep: drive the {electrode} electrode too"
-            )
-        else:
-            verdict = doubt or _verdict(value[i], std[i], ceiling[i], lambda: _advice(outcome, sweeps))
-            out[name] = CouplingCoefficient(float(value[i]), float(std[i]), units[i], verdict)
-    return out
-
-
-def _verdict(value: float, std: float, ceiling: float, advice) -> str:
-    """Identified to a tenth, roughly, bounded near zero, or not at all."""
-    if not std < 0.1 * ceiling:
-        return f"not identified by this sweep: {advice()}"
-    if std <= 0.1 * abs(value):
-        return "identified"
-    if std <= abs(value) / 3:
-        return f"identified roughly (± {100 * std / abs(value):.0f} %)"
-    return f"not distinguishable from zero (|value| below {abs(value) + 2 * std:.2g} at 95 %)"
-
-
-def _modal(value: np.ndarray, std: np.ndarray) -> dict[str, CouplingCoefficient]:
-    out = {}
-    for axis, letter in enumerate("xy"):
-        for i, (label, what) in enumerate((("", "uncoupled axis"), ("pole_", "coupled resonance"))):
-            out[f"{label}f_{letter}"] = CouplingCoefficient(
-                float(value[i, 0, axis]), float(std[i, 0, axis]), "Hz", what
-            )
-            out[f"{label}q_{letter}"] = CouplingCoefficient(float(value[i, 1, axis]), float(std[i, 1, axis]), "1", what)
-    return out
-
-
-def _readout(value: np.ndarray, std: np.ndarray) -> dict[str, CouplingCoefficient]:
-    return {
-        "gain_ratio": CouplingCoefficient(float(value[0]), float(std[0]), "1", "sense over drive channel"),
-        "phase_asymmetry_deg": CouplingCoefficient(float(value[1]), float(std[1]), "deg", "sense less drive channel"),
-    }
-
-
-def _effect_values(estimates: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> dict[str, CouplingCoefficient]:
-    out = {}
-    if "sweep_speed" in estimates:
-        value, std = estimates["sweep_speed"]
-        out["sweep_speed"] = CouplingCoefficient(float(value), float(std), "Hz/s", "finite_sweep_rate")
-    for axis in "xy":
-        if f"{axis}_leak" not in estimates:
-            continue
-        value, std = estimates[f"{axis}_leak"]
-        for channel, part in np.ndindex(2, 2):
-            name = f"leak_{'xy'[channel]}_{'IQ'[part]}_{axis}_driven"
-            out[name] = CouplingCoefficient(
-                float(value[channel, part]),
-                float(std[channel, part]),
-                "1",
-                "electrical_feedthrough, record unit per drive",
-            )
-    return out

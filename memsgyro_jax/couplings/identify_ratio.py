@@ -12,7 +12,7 @@ from memsgyro_jax.measurement.experiments import Noise
 from memsgyro_jax.measurement.outliers import lone_rows
 
 from .bench import Bench, LockIn
-from .identify import sweep_of
+from .identify import RELATIVE, sweep_of
 from .modal import half_power
 from .modes import CoupledModes, mirrored
 from .ratio import TruncatedRatio, conversion_ratio, goodness_of_fit, phase_offset, relative_error
@@ -46,6 +46,7 @@ def identify_by_ratio(
     y = _ascending(by_axis[1], wrong[1]) if 1 in by_axis else None
     modes = _modes(x, y)
     notes = [_sentence(by_axis[axis], row) for axis, rows in sorted(wrong.items()) for row in rows]
+    notes.append(RELATIVE)
     asymmetry, gain_ratio = 0.0, 1.0
     if y is None:
         notes.append("Without a sweep with y driven, both channels are taken as equal in gain and phase.")

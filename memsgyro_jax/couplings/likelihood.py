@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Complex, PyTree
 
 from memsgyro_jax.base.transforms import Free, Log, LogLogit, fixed, mark
-from memsgyro_jax.effects import FiniteSweepRate
+from memsgyro_jax.effects import FiniteSweepRate, ReadoutDelay
 
 from . import start as sweep_start
 from .bench import Bench
@@ -44,12 +44,22 @@ def free_parameters(seen: SeenBench, sweeps: Sequence[FrequencySweep]) -> PyTree
         spec = eqx.tree_at(lambda b: b.feedthrough, spec, jax.tree.map(lambda _: Free(), seen.feedthrough))
     if seen.sweep_rate is not None:
         spec = mark(spec, lambda b: b.sweep_rate.strength, Free(Log()))
+    if seen.delay is not None:  # of either sign: what the reference comes late by, the read-out comes early by
+        spec = mark(spec, lambda b: b.delay.strength, Free())
+    if seen.offsets is not None:
+        spec = mark(spec, lambda b: b.offsets, Free())
     return spec
 
 
 @eqx.filter_jit
 def fit_sweeps(
-    sweeps: Sequence[FrequencySweep], *, leak: bool = False, moving: bool = False, starts: int = STARTS
+    sweeps: Sequence[FrequencySweep],
+    *,
+    leak: bool = False,
+    moving: bool = False,
+    late: bool = False,
+    apart: bool = False,
+    starts: int = STARTS,
 ) -> Fit:
     """Fit device and read-out to all sweeps from starts that the records themselves give.
 
@@ -57,12 +67,20 @@ def fit_sweeps(
         sweeps: records of one device and one read-out, with either electrode driven.
         leak: add `LeakPhasors` for the electrodes driven.
         moving: add `FiniteSweepRate`, one speed for all sweeps.
+        late: add `ReadoutDelay`, of both channels in all sweeps.
+        apart: let the frequencies of each sweep be higher or lower than those of the first.
         starts: how many of each family of scanned starts to optimise.
 
     Returns:
         A `Fit` whose values are a `SeenBench`, with the gauge |phase asymmetry| < 90°.
     """
     candidates = _candidates(tuple(sweeps), leak, moving, starts)
+    if late:
+        none = ReadoutDelay(jnp.zeros_like(candidates.readout.phase))
+        candidates = eqx.tree_at(lambda seen: seen.delay, candidates, none, is_leaf=_absent)
+    if apart:
+        same = jnp.zeros((*candidates.readout.phase.shape, len(sweeps) - 1))
+        candidates = eqx.tree_at(lambda seen: seen.offsets, candidates, same, is_leaf=_absent)
     spec = free_parameters(jax.tree.map(lambda leaf: leaf[0], candidates), sweeps)
     best = fit_tree_from(candidates, spec, sweeps)
     return evaluate(gauge_fixed(best.values), spec, sweeps, converged=best.converged, steps=best.steps)

@@ -82,6 +82,14 @@ class CoupledModes(Displayed):
         kxy, dxy = mass * self.stiffness_coupling, mass * self.damping_coupling
         return SingleMassGyro(mass, kxx, kyy, kxy, dxx, dyy, dxy, effects=across)
 
+    def offset(self, share: Array) -> "CoupledModes":
+        """The same modes with their frequencies higher by a share of themselves; the damping stays."""
+        return eqx.tree_at(
+            lambda m: (m.omega, m.quality, m.stiffness_coupling),
+            self,
+            (self.omega * (1 + share), self.quality * (1 + share), self.stiffness_coupling * (1 + share) ** 2),
+        )
+
     def stiffness(self) -> Float[Array, "2 2"]:
         """Stiffness over mass [1/s²]."""
         return jnp.diag(self.omega**2) + self.stiffness_coupling * (1 - jnp.eye(2))

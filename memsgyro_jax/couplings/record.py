@@ -174,7 +174,13 @@ def _drive(table: Table, axis: int | None) -> tuple[int, np.ndarray, tuple[str, 
             f"{table.path}: one electrode must be driven at a time, but both F_x and F_y are non-zero; split the file."
         )
     if not present:
-        note = () if axis is not None else ("The file names no drive (F_x or F_y): taken as the x electrode.",)
+        note = (
+            ()
+            if axis is not None
+            else (
+                f"{table.path.name} names no drive (F_x, F_y): taken as the x electrode; `--drive-axis` says another.",
+            )
+        )
         return axis or 0, np.ones(len(table.lines)), note
     if axis is not None and axis != present[0]:
         raise InputError(

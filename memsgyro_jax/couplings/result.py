@@ -13,6 +13,7 @@ from memsgyro_jax.base.files import finite, json_text
 from memsgyro_jax.base.joint_normal import JointNormal
 from memsgyro_jax.base.labelled import Tabular, labelled
 from memsgyro_jax.base.provenance import versions
+from memsgyro_jax.base.text import beside
 from memsgyro_jax.base.transforms import from_vector, to_vector
 from memsgyro_jax.device.gyro import SingleMassGyro
 from memsgyro_jax.measurement.least_squares import gate
@@ -41,9 +42,9 @@ class CouplingCoefficient:
 
     def __str__(self) -> str:
         if self.value is None:
-            return f"{'-':>25}  {self.verdict}"
+            return f"{'-':>16} {'':<10} {self.unit:<6} {self.verdict}"
         spread = f"± {self.std:.2g}" if self.std is not None else ""
-        return f"{self.value:>14.6g} {spread:<10} {self.unit:<6} {self.verdict}"
+        return f"{beside(self.value, self.std or 0.0, 6):>16} {spread:<10} {self.unit:<6} {self.verdict}"
 
 
 @dataclass(frozen=True, repr=False)
@@ -54,7 +55,8 @@ class Identification(Tabular):
         coefficients: `lambda_yx`, `lambda_xy`, `c_xy`, `k_xy`.
         modal: uncoupled `f_x` [Hz], `q_x`, `f_y`, `q_y` and the coupled resonances `pole_x` [Hz], `pole_q_x`, ... they
             are mistaken for.
-        readout: `gain_ratio` and `phase_asymmetry_deg`.
+        readout: `gain_ratio` and `phase_asymmetry_deg`; where the sweeps tell the gain ratio worse than to a tenth
+            also the products of it and the couplings that they hold, such as `gain_ratio*lambda_yx`.
         chi2_per_dof: 1 where model and noise explain the record; with estimated noise, misfit over neighbour scatter.
         method: how it was obtained.
         effects: what was modelled beyond two linear modes.
@@ -130,7 +132,7 @@ class Identification(Tabular):
         chi2 = f"χ²/dof {self.chi2_per_dof:.3f}" if np.isfinite(self.chi2_per_dof) else "χ² unknown"
         lines = [f"Coupling errors by {self.method}: {chi2} ({self.status})"]
         for group in (self.coefficients, self.modal, self.readout, self.effect_values):
-            lines += [f"  {name:<20}{value}" for name, value in group.items()]
+            lines += [f"  {name:<22}{value}" for name, value in group.items()]
         return "\n".join([*lines, *(f"  note: {note}" for note in self.notes)])
 
     def to_dict(self) -> dict[str, Any]:

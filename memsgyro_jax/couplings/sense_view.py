@@ -9,15 +9,17 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from memsgyro_jax.effects import FiniteSweepRate
+from memsgyro_jax.effects import FiniteSweepRate, ReadoutDelay
+from memsgyro_jax.effects.readout_delay import behind
 
-from .bench import Bench, LeakPhasors, LockIn
+from .bench import Bench, LeakPhasors, LockIn, offset_in
 from .modes import CoupledModes
 
 
 class SeenBench(eqx.Module):
     """A `Bench`, one to one. `coupling` is (real, imaginary) of ρ·(α + iωx·η), `force_yx` |ρ|·λyx and `force_xy`
-    λxy/|ρ|, ρ = gain ratio · e^{i asymmetry}.
+    λxy/|ρ|, ρ = gain ratio · e^{i asymmetry}. With a `delay` the phase of the read-out is that at ωx, delay included:
+    over a narrow band the phase of a late read-out at zero frequency is nobody's to tell.
     """
 
     omega: Array = eqx.field(converter=jnp.asarray)
@@ -28,6 +30,8 @@ class SeenBench(eqx.Module):
     readout: LockIn
     feedthrough: LeakPhasors | None = None
     sweep_rate: FiniteSweepRate | None = None
+    delay: ReadoutDelay | None = None
+    offsets: Array | None = None
 
     @classmethod
     def of(cls, bench: Bench) -> "SeenBench":
@@ -41,9 +45,11 @@ class SeenBench(eqx.Module):
             jnp.stack([seen.real, seen.imag]),
             device.force_yx * readout.gain_ratio,
             device.force_xy / readout.gain_ratio,
-            readout,
+            _turned(readout, bench.delay, -device.omega[0]),
             bench.feedthrough,
             bench.sweep_rate,
+            bench.delay,
+            bench.offsets,
         )
 
     @property
@@ -60,6 +66,28 @@ class SeenBench(eqx.Module):
             self.force_xy * ratio,
         )
 
+    @property
+    def couplings(self) -> Array:
+        """λyx, λxy, and cxy [1/s] and kxy [1/s²] per unit mass."""
+        device = self.device
+        return jnp.stack([device.force_yx, device.force_xy, device.damping_coupling, device.stiffness_coupling])
+
     def bench(self) -> Bench:
         """Back to device and read-out."""
-        return Bench(self.device, self.readout, self.feedthrough, self.sweep_rate)
+        readout = _turned(self.readout, self.delay, self.omega[0])
+        return Bench(self.device, readout, self.feedthrough, self.sweep_rate, self.delay, self.offsets)
+
+    def during(self, number: int) -> CoupledModes:
+        """As `Bench.during`."""
+        return offset_in(self.device, self.offsets, number)
+
+    def behind(self, frequency: Array) -> Array:
+        """As `Bench.behind`, beside what the phase of the read-out holds already."""
+        return jnp.ones(()) if self.delay is None else behind(self.delay.strength, frequency - self.omega[0])
+
+
+def _turned(readout: LockIn, delay: ReadoutDelay | None, omega: Array) -> LockIn:
+    """The read-out with the phase ω·delay added."""
+    if delay is None:
+        return readout
+    return eqx.tree_at(lambda r: r.phase, readout, readout.phase + omega * delay.strength)

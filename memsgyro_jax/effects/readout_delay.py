@@ -2,6 +2,7 @@
 
 import abc
 
+import jax.numpy as jnp
 from jaxtyping import Array
 
 from .base import Moment, ReadoutEffect, Scalar, strength
@@ -36,6 +37,11 @@ class ReadoutDelay(LateEffect):
 
     def late(self, now: Moment) -> Array:
         return self.strength
+
+
+def behind(delay: Array, omega: Array) -> Array:
+    """exp(−iω·delay), by which a phasor at `omega` [rad/s] is seen late by `delay` [s]."""
+    return jnp.exp(-1j * omega * delay)
 
 
 def lag(delay: Array, *derivatives: Array) -> Array:

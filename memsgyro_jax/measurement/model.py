@@ -22,7 +22,7 @@ from memsgyro_jax.device.normalised import NormalisedDevice
 from memsgyro_jax.device.resonator import Resonator
 from memsgyro_jax.effects.base import Effect, Moment, ReadoutEffect
 from memsgyro_jax.effects.evaluation import Acting, carried, moment
-from memsgyro_jax.effects.readout_delay import LateEffect
+from memsgyro_jax.effects.readout_delay import LateEffect, behind
 
 
 class Model(Displayed):
@@ -156,7 +156,7 @@ class Model(Displayed):
             return jnp.ones(())
         rest = jnp.zeros(self.size) if state is None else state
         now = self.at_moment(rest, jnp.zeros(self.axes), conditions)
-        return jnp.exp(-1j * omega * sum(effect.late(now) for effect in late))
+        return behind(sum(effect.late(now) for effect in late), omega)
 
     @property
     def prompt(self) -> "Model":

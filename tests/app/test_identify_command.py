@@ -8,6 +8,7 @@ import pytest
 from lab import two_modes as lab
 
 from memsgyro_jax.app.cli import main
+from memsgyro_jax.app.commands.identify import _records
 
 
 @pytest.fixture
@@ -62,6 +63,46 @@ def test_bad_options_are_one_sentence(sweep, tmp_path, capsys, options, message)
     assert message in error
     assert error.count("\n") == 1
     assert not target.exists()
+
+
+@pytest.fixture
+def files(tmp_path):
+    """Sweeps with x and with y driven, as an instrument writes them: separated by semicolons, without a drive."""
+    for axis in (0, 1):
+        phasors = lab.record(lab.Gyro(), lab.Instrument(), lab.WIDE, axis)
+        values = np.column_stack([lab.WIDE, *(part for z in phasors.T for part in (z.real, z.imag))])
+        head = "Frequency (Hz);Demod 1 X (V);Demod 1 Y (V);Demod 2 X (V);Demod 2 Y (V)"
+        np.savetxt(tmp_path / f"li_{'xy'[axis]}.csv", values, delimiter=";", header=head, comments="")
+    return tmp_path / "li_x.csv", tmp_path / "li_y.csv"
+
+
+def test_the_case_that_an_import_writes_is_read_with_its_drive_axes(files, tmp_path, capsys):
+    case = tmp_path / "case"
+    assert run("import", *files, "--axis", "x", "y", "--drive", "50 mV", "--out", case) == 0
+    records = _records((case,), (), False)
+    assert [record.name for record in records] == ["li_x", "li_y"]
+    assert [record.axis for record in records] == [0, 1]
+    for record in records:
+        np.testing.assert_allclose(record.phasors, lab.record(lab.Gyro(), lab.Instrument(), lab.WIDE, record.axis))
+        np.testing.assert_allclose(record.frequency, 2 * np.pi * lab.WIDE)
+        assert set(record.start) == {record.frequency[0]}
+        assert not record.notes
+    assert run("identify", case, "--drive-axis", "x") == 2
+    assert "is a case, which says so itself; leave it out" in capsys.readouterr().err
+    single = [_records((case / f"li_{axis}.csv",), (axis,), False)[0] for axis in "xy"]
+    both = _records((case / "li_x.csv", case / "li_y.csv"), ("x", "y"), False)
+    assert [record.axis for record in single] == [record.axis for record in both] == [0, 1]
+    assert [record.axis for record in _records((case / "li_x.csv", case / "li_y.csv"), ("y",), False)] == [1, 1]
+
+
+def test_a_case_without_a_sweep_and_too_few_axes_are_one_sentence(sweep, tmp_path, capsys):
+    case = tmp_path / "case"
+    case.mkdir()
+    (case / "case.toml").write_text('schema = "memsgyro-case/1"\nname = "none"\ndevice = "single_mass"\n')
+    assert run("identify", case) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert run("identify", sweep, sweep, sweep, "--drive-axis", "x", "y") == 2
+    assert "once for all files or once for each of the 3, but is given 2 times" in capsys.readouterr().err
 
 
 def test_a_malformed_file_is_one_sentence(sweep, capsys):

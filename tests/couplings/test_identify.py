@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import equinox as eqx
 import jax
@@ -13,12 +14,15 @@ from lab import two_modes as lab
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.couplings.bench import Bench, LockIn
+from memsgyro_jax.couplings.doubts import Explanation, doubt, rivals
+from memsgyro_jax.couplings.estimates import products, readout
 from memsgyro_jax.couplings.frequency_sweep import FrequencySweep
 from memsgyro_jax.couplings.identify import identify, sweep_of
 from memsgyro_jax.couplings.identify_ratio import identify_by_ratio
 from memsgyro_jax.couplings.likelihood import fit_sweeps, free_parameters, gauge_fixed, refit, refit_draws
 from memsgyro_jax.couplings.modes import CoupledModes
 from memsgyro_jax.couplings.record import SweepRecord
+from memsgyro_jax.couplings.result import CouplingCoefficient
 from memsgyro_jax.couplings.sense_view import SeenBench
 from memsgyro_jax.couplings.tree_fit import evaluate
 from memsgyro_jax.measurement.experiments import PolarNoise
@@ -75,6 +79,26 @@ def test_wide_sweep_returns_every_coefficient(wide):
     assert {wide.coefficients[name].verdict for name in ("lambda_yx", "c_xy", "k_xy")} == {"identified"}
     assert "drive the y electrode" in wide.coefficients["lambda_xy"].verdict
     assert wide.explained
+    (note,) = [note for note in wide.notes if "pick-offs" in note]
+    assert "counts as lambda and k_xy" in note
+    assert note in str(wide)
+
+
+def test_what_sweeps_leave_open_has_no_value_and_the_products_that_they_hold_have():
+    open_gain = readout(np.array([1e4, 4.6]), np.array([7.3e12, 0.2]))
+    assert open_gain["gain_ratio"].value is None
+    assert open_gain["gain_ratio"].verdict == "sense over drive channel, not determined by these sweeps"
+    assert open_gain["phase_asymmetry_deg"].value == 4.6
+    sweep = sweep_of(swept(lab.Gyro(), noise=None), RAW)
+    held = products((np.array([0.003, 0.0, 2.0, 5.0]), np.array([1e-5, 0.0, 40.0, 0.1])), (sweep,), 2.0)
+    assert set(held) == {"gain_ratio*lambda_yx", "gain_ratio*k_xy"}, (
+        "the other product is as open, and y was not driven"
+    )
+    assert held["gain_ratio*k_xy"].value == 10.0
+
+
+def test_a_value_is_told_with_the_digits_of_its_deviation():
+    assert "5999.99987 ± 0.00014" in str(CouplingCoefficient(5999.99987, 0.00014, "Hz", "uncoupled axis"))
 
 
 def test_result_as_json_and_xarray(wide, tmp_path):
@@ -195,6 +219,64 @@ def test_feedthrough_is_noticed_named_and_repaired():
     assert_within(repaired.effect_values["leak_x_I_x_driven"], leak[0].real)
 
 
+@pytest.mark.slow
+def test_a_late_readout_is_noticed_named_and_repaired():
+    """A delay of 1 ms turns the phase by 5 deg over the band, which leaks that do not exist explain nearly as well."""
+    late = swept(SLOW, SLOW_BAND, noise=lab.FILTERED, motion=None)
+    late = replace(late, phasors=late.phasors * np.exp(-1j * late.frequency * 1e-3)[:, None])
+    plain = identify([late], mass=SLOW.mass)
+    assert "; add readout_delay" in plain.coefficients["c_xy"].verdict
+    repaired = identify([late], mass=SLOW.mass, effects=("readout_delay",))
+    assert repaired.explained
+    assert_within(repaired.effect_values["readout_delay"], 1e-3)
+    assert_within(repaired.coefficients["c_xy"], SLOW.cxy)
+    assert "not trusted" not in repaired.coefficients["c_xy"].verdict
+
+
+@pytest.mark.slow
+def test_a_device_that_drifts_between_two_sweeps_is_noticed_named_and_repaired():
+    higher = lab.replace(SLOW, fx=SLOW.fx * (1 + 1e-4), fy=SLOW.fy * (1 + 1e-4))
+    level = lab.FILTERED
+    apart = [swept(SLOW, SLOW_BAND, noise=level), swept(higher, SLOW_BAND, noise=level, axis=1, seed=1)]
+    plain = identify(apart, mass=SLOW.mass)
+    assert plain.coefficients["c_xy"].verdict.endswith("; add frequency_offset")
+    repaired = identify(apart, mass=SLOW.mass, effects=("frequency_offset",))
+    assert repaired.explained
+    assert_within(repaired.effect_values["frequency_offset_2"], 1e-4)
+    assert_within(repaired.coefficients["c_xy"], SLOW.cxy)
+
+
+class Told:
+    """What doubts ask of a fit that leaves so much with so many numbers and tells this c_xy."""
+
+    def __init__(self, chi2, numbers, cxy):
+        self.chi2, self.dof, self.chi2_per_dof = chi2, 3200 - numbers, chi2 / (3200 - numbers)
+        self.values = SimpleNamespace(couplings=np.array([0.0, 0.0, cxy, 0.0]))
+        self.converged, self.open_parameters = True, tuple
+
+
+LEAKING, LATE, PLAIN = Told(3294.0, 22, 17.7), Told(3257.0, 15, 10.5), Told(7672.0, 14, 17.9)
+KNOWN, STD = ("electrical_feedthrough", "readout_delay"), np.full(4, 1.0)
+
+
+def test_where_two_effects_explain_a_record_the_better_is_named_first_with_both():
+    cures = {name: Explanation.of((name,), fit) for name, fit in zip(KNOWN, (LEAKING, LATE), strict=True)}
+    told = doubt(PLAIN, (), cures, [], 0.1)
+    assert told.endswith("; add readout_delay or electrical_feedthrough (readout_delay does it better)")
+    cures["electrical_feedthrough"] = Explanation.of(KNOWN[:1], Told(3199.0, 22, 17.7))
+    assert doubt(PLAIN, (), cures, [], 0.1).endswith("(compare what each tells)")
+
+
+def test_what_another_effect_explains_as_well_is_not_trusted():
+    leaking, late = (Explanation.of((name,), fit) for name, fit in zip(KNOWN, (LEAKING, LATE), strict=True))
+    (other,) = rivals(leaking, STD, KNOWN, lambda _: LATE)
+    told = doubt(LEAKING, (), {}, [other], 0.1)
+    assert told == "not trusted: readout_delay explains these sweeps as well or better; compare what each tells"
+    assert not rivals(late, STD, KNOWN, lambda _: LEAKING), "leaks take seven numbers more and explain less"
+    assert not rivals(leaking, STD, KNOWN, lambda _: Told(3257.0, 15, 17.0)), "both tell the same"
+    assert not rivals(Explanation.of((), PLAIN), STD, KNOWN, lambda _: LATE), "nothing was modelled"
+
+
 @pytest.mark.parametrize(("noise", "level"), [(RAW, lab.RAW), (FILTERED, lab.FILTERED)])
 @pytest.mark.slow
 def test_many_draws_reach_the_bound(noise, level):
@@ -313,6 +395,7 @@ def test_the_published_chain_runs_and_is_worse():
         ({"records": []}, "at least one sweep"),
         ({"effects": ("duffing",)}, "electrical_feedthrough"),
         ({"mass": -1.0}, "positive number of kilograms"),
+        ({"effects": ("frequency_offset",)}, "must have two sweeps to lie between, but there is one"),
     ],
 )
 def test_bad_arguments_are_one_sentence(arguments, message):

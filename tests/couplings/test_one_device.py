@@ -11,8 +11,9 @@ from memsgyro_jax.base.joint_normal import JointNormal
 from memsgyro_jax.couplings.bench import Bench
 from memsgyro_jax.couplings.frequency_sweep import FrequencySweep
 from memsgyro_jax.couplings.modes import AxisAngles, CoupledModes
+from memsgyro_jax.couplings.sense_view import SeenBench
 from memsgyro_jax.device.conditions import Conditions
-from memsgyro_jax.effects import CubicStiffness, ElectricalFeedthrough, FiniteSweepRate, ForceMisalignment
+from memsgyro_jax.effects import CubicStiffness, ElectricalFeedthrough, FiniteSweepRate, ForceMisalignment, ReadoutDelay
 from memsgyro_jax.measurement.experiments import CartesianNoise, HarmonicSweep
 from memsgyro_jax.measurement.model import Model
 
@@ -52,6 +53,7 @@ def test_a_bench_and_a_model_of_one_gyro_predict_the_same(axis):
         ElectricalFeedthrough("x", "x", 3e3),
         ElectricalFeedthrough("x", "y", -2e3),
         ElectricalFeedthrough("y", "y", 1e3),
+        ReadoutDelay(7e-6),
     )
     omega, force, rate = np.linspace(3.0e4, 3.3e4, 41), 3e-8, 2.0
     noise, none = CartesianNoise(1e-3), jnp.zeros((41, 2)) + 0j
@@ -69,11 +71,27 @@ def test_a_bench_and_a_model_of_one_gyro_predict_the_same(axis):
     )
     expected = predict(general, Model(gyro, scale=SCALE))
     np.testing.assert_allclose(predict(sweep, Bench.of(gyro, SCALE)), expected, rtol=1e-9)
+    np.testing.assert_allclose(predict(sweep, SeenBench.of(Bench.of(gyro, SCALE))), expected, rtol=1e-9)
+
+
+def test_in_a_later_sweep_a_device_is_one_with_other_stiffness():
+    gyro, share = MODES.gyro(MASS), 1e-3
+    stiffer = eqx.tree_at(lambda g: (g.kxx, g.kyy, g.kxy), gyro, replace_fn=lambda k: k * (1 + share) ** 2)
+    same(MODES.offset(share), CoupledModes.of(stiffer))
+    bench = eqx.tree_at(lambda b: b.offsets, Bench(MODES), jnp.array([share]), is_leaf=lambda leaf: leaf is None)
+    omega = np.linspace(3.0e4, 3.3e4, 41)
+    none, noise = jnp.zeros((41, 2)) + 0j, CartesianNoise(1e-3)
+    first, second = (FrequencySweep("sweep", omega, none, noise, number=number) for number in (0, 1))
+    for seen in (bench, SeenBench.of(bench)):
+        np.testing.assert_allclose(first.predict(seen), first.predict(Bench(MODES)), rtol=1e-12)
+        np.testing.assert_allclose(second.predict(seen), first.predict(Bench(MODES.offset(share))), rtol=1e-9)
 
 
 def test_a_bench_becomes_a_gyro_and_comes_back():
     gyro = MODES.gyro(MASS).with_effect(
-        *(ElectricalFeedthrough(s, t, 1e3 * (1 + s + 2 * t)) for s in (0, 1) for t in (0, 1)), FiniteSweepRate(7.0)
+        *(ElectricalFeedthrough(s, t, 1e3 * (1 + s + 2 * t)) for s in (0, 1) for t in (0, 1)),
+        FiniteSweepRate(7.0),
+        ReadoutDelay(7e-6),
     )
     back = Bench.of(gyro, SCALE).gyro(MASS)
     assert [e.label for e in back.effects] == [e.label for e in gyro.effects]

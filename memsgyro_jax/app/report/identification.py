@@ -3,6 +3,7 @@
 import numpy as np
 from matplotlib.figure import Figure
 
+from memsgyro_jax.base.text import beside
 from memsgyro_jax.couplings.figures import plot_amplitude, plot_phase, plot_residual
 from memsgyro_jax.couplings.result import CouplingCoefficient, Identification
 from memsgyro_jax.measurement.least_squares import gate
@@ -63,7 +64,7 @@ def _rows(values: dict[str, CouplingCoefficient]) -> list[list[str]]:
     return [
         [
             name,
-            "–" if c.value is None else f"{c.value:.7g}",
+            "–" if c.value is None else beside(c.value, c.std or 0.0, 7),
             "–" if c.std is None else f"{c.std:.2g}",
             c.unit,
             c.verdict,
