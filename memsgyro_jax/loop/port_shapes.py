@@ -63,13 +63,13 @@ def check_loss(loss: Any, loop: ClosedLoop, scenario: Scenario, period: float) -
 def _check_readout(readout: AbstractReadout, period: float) -> None:
     std = _given(readout, "noise_std", lambda: readout.noise_std(period))
     _numbers(std, 2, readout, "noise_std", "two numbers, V of x and y")
-    volts = _given(readout, "measure", lambda *given: readout.measure(*given, period), (_NUMBER,) * 4, _PAIR, _PAIR)
+    volts = _given(readout, "measure", lambda at, n, d: readout.measure(at, n, d, period), (_NUMBER,) * 4, _PAIR, _PAIR)
     _numbers(volts, 2, readout, "measure", "two numbers, V of x and y")
 
 
 def _check_observer(observer: AbstractObserver, period: float) -> None:
     state = _given(observer, "init", observer.init)
-    later = _given(observer, "update", lambda *at: observer.update(*at, _clock(period)), state, _PAIR, _PAIR)
+    later = _given(observer, "update", lambda at, v, f: observer.update(at, v, f, _clock(period)), state, _PAIR, _PAIR)
     _alike(later, state, observer, "update")
     estimate = _given(observer, "estimate", lambda at: estimated(observer, at), state)
     count = len(observer.model.names)
@@ -89,7 +89,7 @@ def _check_controller(controller: AbstractController, observer: AbstractObserver
     _numbers(force, 2, controller, "command", "two forces in N and the state: each force a number")
     name = "command"
     if type(controller).measured is not AbstractController.measured:
-        later = _given(controller, "measured", lambda *at: controller.measured(*at, _clock(period)), later, _PAIR)
+        later = _given(controller, "measured", lambda at, v: controller.measured(at, v, _clock(period)), later, _PAIR)
         name = "measured"
     _alike(later, state, controller, name)
 
@@ -129,9 +129,11 @@ def _alike(later: Any, state: Any, part: Any, method: str) -> None:
         pairs = zip(jax.tree.leaves(later), jax.tree.leaves(state), strict=True)
         if all((new.shape, new.dtype) == (old.shape, old.dtype) for new, old in pairs):
             return
+    whole = any(jnp.issubdtype(leaf.dtype, jnp.integer) for leaf in jax.tree.leaves(state))
+    hint = "; what counts no samples begins as 0.0, not as 0" if whole else ""
     raise InputError(
         f"Method `{method}` of {type(part).__name__} must return a state of the shapes and kinds that `init` gives, "
-        f"{_text(state)}, but returns {_text(later)}; a number that changes begins as 0.0, not as 0."
+        f"{_text(state)}, but returns {_text(later)}{hint}."
     )
 
 

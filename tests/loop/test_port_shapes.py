@@ -84,10 +84,10 @@ class InWords(mg.AbstractProfile):
     ("parts", "rate", "words"),
     [
         ({"observer": Longer()}, 0.0, r"`update` of Longer .* \(float64, .* but returns \(float64 of shape \(2,\), "),
-        ({"observer": Counts()}, 0.0, r"`update` of Counts .* gives, \(int64, .* begins as 0.0, not as 0"),
+        ({"observer": Counts()}, 0.0, r"`update` of Counts .* gives, \(int64, .* begins as 0.0, not as 0\."),
         ({"observer": Short()}, 0.0, r"`estimate` of Short must return an `Estimate` whose `theta` is 8 numbers"),
         ({"controller": Vectors()}, 0.0, r"`command` of Vectors .* each force a number, but returns \(float64 of sh"),
-        ({"controller": Forgets()}, 0.0, r"`command` of Forgets must return a state .* gives, \(float64\), .* \(\);"),
+        ({"controller": Forgets()}, 0.0, r"`command` of Forgets must return a state .* gives, \(float64\), .* \(\)\."),
         ({"readout": OneVolt(1e5)}, 0.0, r"`measure` of OneVolt must return two numbers, V .* but returns float64\."),
         ({"readout": Deaf(1e5)}, 0.0, r"`noise_std` of Deaf must return two numbers"),
         ({}, TwoRates(), r"`value` of TwoRates must return a number, but returns float64 of shape \(2,\)"),
