@@ -22,6 +22,7 @@ from .blocks.run import prepared, run_in_blocks
 from .expectation import expectations, tell
 from .loop import ClosedLoop, Sample, as_loop
 from .operation import run_of
+from .port_shapes import check_ports
 from .scenario import AbstractProfile, Scenario, as_scenario
 from .settling import not_rested_first
 from .trace_result import Trace
@@ -92,6 +93,7 @@ def simulate(
         )
     _require_one_die(loop)
     scenario, loop = as_scenario(scenario), loop.sampled_at(sample_rate, duration=duration)
+    check_ports(loop, scenario, 1.0 / sample_rate)
     ran, hindered = prepared(loop.present)
     ill = (*expectations(loop, scenario, sample_rate, duration), *unsuited(loop), *not_rested_first(loop, duration))
     tell((*ill, *unreached(scenario, duration), *hindered))

@@ -19,6 +19,7 @@ from memsgyro_jax.loop.expectation import tell
 from memsgyro_jax.loop.loop import ClosedLoop, as_loop
 from memsgyro_jax.loop.observers.base import check_claims
 from memsgyro_jax.loop.operation import run_of
+from memsgyro_jax.loop.port_shapes import check_ports
 from memsgyro_jax.loop.scenario import AbstractProfile, Scenario, as_scenario
 from memsgyro_jax.loop.settling import not_at_rest
 from memsgyro_jax.loop.trace import count_steps
@@ -241,8 +242,9 @@ def computation_of(
     sample_rate, duration = run_of(loop, sample_rate, duration)
     settle = 0.5 * duration if settle is None else quantity("settle", settle, "s")
     tolerance, chunk = quantity("tolerance", tolerance, "rad/s"), chunk and whole("chunk", chunk, 1)
-    check_claims(loop.observer)
     scenario, loop = as_scenario(scenario), loop.sampled_at(sample_rate, duration=duration)
+    check_ports(loop, scenario, 1.0 / sample_rate)
+    check_claims(loop.observer)
     paths = [item.path for item in spread.resolved(loop)]
     if not any(path.startswith(f"{DEVICE_PREFIX}effects.") for path in paths):
         loop = loop.present

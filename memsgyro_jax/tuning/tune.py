@@ -21,6 +21,7 @@ from memsgyro_jax.loop.blocks.run import prepared
 from memsgyro_jax.loop.loop import ClosedLoop, as_loop
 from memsgyro_jax.loop.observers.base import check_claims
 from memsgyro_jax.loop.operation import run_of
+from memsgyro_jax.loop.port_shapes import check_loss, check_ports
 from memsgyro_jax.loop.scenario import AbstractProfile, Scenario, as_scenario
 from memsgyro_jax.loop.trace import count_steps
 from memsgyro_jax.montecarlo.parts import parts_tones
@@ -99,6 +100,8 @@ def tune(
     varied = (item.path for item in spread.resolved(loop))
     loop, hindered = prepared(loop, apart=parts_tones((*tunables.paths, *varied)))
     _check(dies, validation_dies)
+    check_ports(loop, scenario, 1.0 / sample_rate)
+    check_loss(loss, loop, scenario, 1.0 / sample_rate)
     check_claims(loop.observer)
     stages = _stages(loop, tunables, loss, settle)
     _check_priors(stages, tunables)
