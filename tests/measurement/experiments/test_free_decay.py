@@ -1,5 +1,7 @@
 """Free decays from unknown starts, against plain integration of the equation of motion."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -146,6 +148,14 @@ def test_rows_that_are_left_out_have_no_say(hardening):
     left = residual(without.experiment)
     assert left[40] == 0.0
     np.testing.assert_array_equal(residual(eqx.tree_at(lambda e: e.measured, without.experiment, wrong)), left)
+
+
+def test_each_reading_has_the_noise_that_its_row_declares(hardening):
+    record = hardening.records[0]
+    rows = np.linspace(1e-3, 2e-3, record.rows)[:, None]
+    case = replace(hardening, records=(replace(record, noise_std=1.5e-3, noise_rows=rows),))
+    (readings,) = readings_of(case)[:1]
+    np.testing.assert_array_equal(readings.experiment.noise.std, rows[readings.row])
 
 
 def test_stamps_that_jitter_and_rows_that_are_lost(tmp_path):
