@@ -80,7 +80,7 @@ def doubt(
         return f"not trusted: {names} explains these sweeps as well or better; compare what each tells"
     # A flat likelihood keeps the optimiser walking: what is open then is the data, not the method.
     if not phase_std < 30.0 or outcome.open_parameters() or not (bool(outcome.converged) or _covers(outcome, sweeps)):
-        return f"not identified by this sweep: {advice(outcome, sweeps)}"
+        return f"not identified by this sweep: {would_help(outcome, sweeps)}"
     return "" if bool(outcome.converged) else "not trusted: the fit did not converge"
 
 
@@ -91,7 +91,7 @@ def _covers(outcome: Fit, sweeps: Sequence[FrequencySweep]) -> bool:
     return all(any(low < pole < high for low, high in spans) for pole in poles)
 
 
-def advice(outcome: Fit, sweeps: Sequence[FrequencySweep]) -> str:
+def would_help(outcome: Fit, sweeps: Sequence[FrequencySweep]) -> str:
     """What would help: the resonance that the sweeps leave out, the electrode that they leave still, else better
     data.
     """

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .doubts import advice
+from .doubts import would_help
 from .frequency_sweep import FrequencySweep
 from .modal import SingleMode, coupled_poles
 from .result import CouplingCoefficient
@@ -83,10 +83,10 @@ def coefficients(
             )
         elif not std[i] < ceiling[i]:
             out[name] = CouplingCoefficient(
-                None, None, units[i], doubt or f"not identified by this sweep: {advice(outcome, sweeps)}"
+                None, None, units[i], doubt or f"not identified by this sweep: {would_help(outcome, sweeps)}"
             )
         else:
-            verdict = doubt or _verdict(value[i], std[i], ceiling[i], lambda: advice(outcome, sweeps))
+            verdict = doubt or _verdict(value[i], std[i], ceiling[i], lambda: would_help(outcome, sweeps))
             out[name] = CouplingCoefficient(float(value[i]), float(std[i]), units[i], verdict)
     return out
 
@@ -113,7 +113,7 @@ def modal(value: np.ndarray, std: np.ndarray) -> dict[str, CouplingCoefficient]:
     return out
 
 
-def readout(value: np.ndarray, std: np.ndarray) -> dict[str, CouplingCoefficient]:
+def channel_values(value: np.ndarray, std: np.ndarray) -> dict[str, CouplingCoefficient]:
     """Gain ratio and phase asymmetry of the channels; each of them has no value where the sweeps leave it open."""
     return {
         "gain_ratio": _held(value[0], std[0], value[0], "1", "sense over drive channel"),

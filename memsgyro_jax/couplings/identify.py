@@ -16,7 +16,7 @@ from memsgyro_jax.measurement.experiments import CartesianNoise, Noise, PolarNoi
 from memsgyro_jax.measurement.noise import noise_beside_misfit
 
 from .doubts import Explanation, doubt, rivals
-from .estimates import coefficients, effect_values, estimates, modal, products, readout
+from .estimates import channel_values, coefficients, effect_values, estimates, modal, products
 from .frequency_sweep import FrequencySweep
 from .likelihood import fit_sweeps, refit
 from .record import SweepRecord
@@ -194,7 +194,7 @@ def _judged(
     why: str,
 ) -> Identification:
     """What a fit tells, with a verdict each; `why` is the doubt about all of it."""
-    channels = readout(*told["readout"])
+    channels = channel_values(*told["readout"])
     ratio, std = (float(part[0]) for part in told["readout"])
     held = {} if std < 0.1 * ratio else products(told["products"], sweeps, mass)
     return Identification(

@@ -15,7 +15,7 @@ from lab import two_modes as lab
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.couplings.bench import Bench, LockIn
 from memsgyro_jax.couplings.doubts import Explanation, doubt, rivals
-from memsgyro_jax.couplings.estimates import products, readout
+from memsgyro_jax.couplings.estimates import channel_values, products
 from memsgyro_jax.couplings.frequency_sweep import FrequencySweep
 from memsgyro_jax.couplings.identify import identify, sweep_of
 from memsgyro_jax.couplings.identify_ratio import identify_by_ratio
@@ -85,7 +85,7 @@ def test_wide_sweep_returns_every_coefficient(wide):
 
 
 def test_what_sweeps_leave_open_has_no_value_and_the_products_that_they_hold_have():
-    open_gain = readout(np.array([1e4, 4.6]), np.array([7.3e12, 0.2]))
+    open_gain = channel_values(np.array([1e4, 4.6]), np.array([7.3e12, 0.2]))
     assert open_gain["gain_ratio"].value is None
     assert open_gain["gain_ratio"].verdict == "sense over drive channel, not determined by these sweeps"
     assert open_gain["phase_asymmetry_deg"].value == 4.6
