@@ -76,6 +76,20 @@ class Course(eqx.Module):
     here: Array
     there: Array
 
+    @classmethod
+    def of(cls, start: Array, last: Array, passed: Complex[Array, "t 3 h n"]) -> "tuple[Array, Course]":
+        """The last state and the course, of what every step from `start` gave."""
+        end, here, there = jnp.moveaxis(passed, 1, 0)
+        return last, cls(jnp.concatenate([start[None], end[:-1]]), end, here, there)
+
+    def visited(self, propagate: Propagator, load: Array) -> Complex[Array, "t 2 h n"]:
+        """The states at which the steps ask what the linear part leaves out, of propagators and loads for all steps or
+        for each.
+        """
+        load = load + self.here
+        predicted = product(propagate.exponential, self.start) + product(propagate.first, load)
+        return jnp.stack([self.start, predicted], axis=1)
+
 
 class Driven(eqx.Module):
     """The model under a drive Re[F e^{iωt}], its state as slowly varying harmonics (HARMONICS + 1, n).
@@ -139,27 +153,27 @@ class Driven(eqx.Module):
         """Through as many steps of `step` seconds as `conditions` has rows: the last state, and what happened on the
         way. `added` are accelerations that the model lacks, at both ends of each step.
         """
-        propagate, load = self.propagator(step), self.load
+        propagate = self.propagator(step)
 
         def advance(state: Array, inputs: tuple[Conditions | Remainder, Array | None]) -> tuple[Array, Array]:
-            now, more = inputs
-            extra = (0.0, 0.0) if more is None else among_velocities(more, self.model.size)
-            end, here, there = propagate.advance(state, load, lambda s: self.rest(s, now), extra)
-            return end, jnp.stack([end, here, there])
+            return self.advance(propagate, state, *inputs)
 
+        return Course.of(start, *jax.lax.scan(advance, start, (jax.vmap(self.around)(conditions), added)))
+
+    def advance(
+        self, propagate: Propagator, state: Complex[Array, "h n"], now: Conditions | Remainder, more: Array | None
+    ) -> tuple[Array, Complex[Array, "3 h n"]]:
+        """One step of a run: its end, and that once more with what the linear part leaves out at both ends."""
+        extra = (0.0, 0.0) if more is None else among_velocities(more, self.model.size)
+        end, here, there = propagate.advance(state, self.load, lambda s: self.rest(s, now), extra)
         # One result per step: with several, XLA's fusion copies all of the steps before at every step.
-        last, passed = jax.lax.scan(advance, start, (jax.vmap(self.around)(conditions), added))
-        end, here, there = jnp.moveaxis(passed, 1, 0)
-        return last, Course(jnp.concatenate([start[None], end[:-1]]), end, here, there)
+        return end, jnp.stack([end, here, there])
 
     def visited(self, course: Course, step: Array) -> Complex[Array, "t 2 h n"]:
         """The states at which a course asks what the linear part leaves out: at the start of each step, and where it
         is predicted to end.
         """
-        propagate = self.propagator(step)
-        load = self.load + course.here
-        predicted = product(propagate.exponential, course.start) + product(propagate.first, load)
-        return jnp.stack([course.start, predicted], axis=1)
+        return course.visited(self.propagator(step), self.load)
 
     def run_legs(
         self, start: Complex[Array, "h n"], legs: Sequence[tuple[Array, Array, int]], conditions: Conditions
@@ -186,13 +200,12 @@ class Driven(eqx.Module):
         Means of S·e^{ikωt} follow from the equation of motion: L times the mean is the change of S less the load.
         """
         change, drift = (course.end - course.start) / step, (course.there - course.here) / step
-        matrix, turn = self.linear[0], 1j * self.omega * jnp.eye(self.model.size)
-        solve = jax.vmap(inverse)(jnp.concatenate([self.operator, jnp.stack([matrix + turn, matrix - turn])]))
-        means = product(solve[:-2], change - self.load - 0.5 * (course.here + course.there))
+        solve = jax.vmap(inverse)(self.operator)
+        means = product(solve, change - self.load - 0.5 * (course.here + course.there))
         if not boxcar:
             return means
-        conjugate = product(solve[-2], change[:, 1] - drift[:, 1] / (2j * self.omega))
-        constant = product(solve[-1], change[:, 0] + drift[:, 0] / (1j * self.omega))
+        conjugate = product(jnp.conj(solve[1]), change[:, 1] - drift[:, 1] / (2j * self.omega))
+        constant = product(solve[1], change[:, 0] + drift[:, 0] / (1j * self.omega))
         return means.at[:, 1].add(jnp.conj(conjugate) + 2 * constant)
 
     def instant(self, state: Complex[Array, "h n"], time: Array) -> Float[Array, " n"]:

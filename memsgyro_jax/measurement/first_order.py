@@ -112,7 +112,7 @@ class Inquiry(eqx.Module):
     Args:
         forced: where forces act, group by group.
         read: where channels are read.
-        base: conditions at which its linear part is propagated; `None` where it is not propagated.
+        base: conditions at which its linear part is propagated, one or several; `None` where it is not propagated.
         swept: whether the rate of a sweep acts.
     """
 
@@ -128,7 +128,7 @@ class Contribution(eqx.Module):
     Args:
         forced: accelerations (r, axes) of each group of its inquiry, or their Fourier coefficients (r, h + 1, axes).
         seen: voltages (r, axes), or their phasors.
-        linear: to the matrix (n, n) and gain (n, axes) that are propagated.
+        linear: to the matrix (n, n) and gain (n, axes) that are propagated, at one condition or at each of several.
         speed: of a sweep [rad/s²].
     """
 
@@ -250,7 +250,9 @@ def _read(model: Model, absent: Absent, state: Array, command: Array, turn: Arra
 
 @_seldom
 def _propagated(model: Model, absent: Absent, base: Conditions) -> tuple[Array, Array]:
-    """(K, n, n) and (K, n, axes): what is added to the linear part."""
+    """(K, n, n) and (K, n, axes): what is added to the linear part, or (K, r, ...) at each of several conditions."""
+    if base.rate.ndim:
+        return jax.vmap(lambda one: _propagated(model, absent, one), out_axes=1)(base)
     axes, rest, still = model.axes, jnp.zeros(model.size), jnp.zeros(model.axes)
     parts = jax.jacfwd(lambda s, u: _accelerations(model, absent, s, u, base), argnums=(0, 1))(rest, still)
     around = (0, 0), (axes, model.size - 2 * axes), (0, 0)

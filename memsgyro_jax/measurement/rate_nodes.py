@@ -1,0 +1,56 @@
+"""The linear part of a model at every rate of a record, from few exact ones."""
+
+import math
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+
+_LEFT = 1e-10  # of a propagated state: what an interpolation between nodes may leave
+
+
+class RateNodes(eqx.Module):
+    """Rates at which something is made exactly, and how those make it up at the rate of each row.
+
+    A propagator e^{LΔ} is an entire function of the rate: the modes turn into each other by at most the angle rate·Δ,
+    and once an interpolation at Chebyshev points has more nodes than the angle has radians, its error falls faster than
+    that of any power. A record of few rates, as one in steps, has these for nodes.
+
+    Args:
+        rate: of each node [rad/s].
+        weights: of the nodes at each row; a column of ones where all rows have one rate.
+    """
+
+    rate: Float[Array, " k"]
+    weights: Float[Array, "t k"]
+
+    @classmethod
+    def of(cls, rate: np.ndarray, step: float) -> "RateNodes":
+        """For rates (t,) [rad/s] that last for steps of `step` seconds each."""
+        found, place = np.unique(rate, return_inverse=True)
+        middle, half = 0.5 * (found[-1] + found[0]), 0.5 * (found[-1] - found[0])
+        count = _enough(half * step, found.size)
+        if found.size <= count:
+            return cls(jnp.asarray(found), jnp.asarray(np.eye(found.size)[place.ravel()]))
+        angle = np.pi * (np.arange(count) + 0.5) / count
+        order = np.arange(count)
+        turned = np.arccos(np.clip((rate - middle) / half, -1.0, 1.0))
+        share = np.where(order == 0, 1.0, 2.0)[:, None] / count * np.cos(np.outer(order, angle))
+        return cls(jnp.asarray(middle + half * np.cos(angle)), jnp.asarray(np.cos(np.outer(turned, order)) @ share))
+
+    @property
+    def one(self) -> bool:
+        """Whether all rows have the same rate."""
+        return self.rate.size == 1
+
+    def at_rows(self, values: Array) -> Array:
+        """Values at the nodes (k, ...) as they are at each row (t, ...)."""
+        return jnp.tensordot(self.weights, values, 1)
+
+
+def _enough(angle: float, most: int) -> int:
+    """Nodes, at most `most`, that e^{i·angle·x} asks for between −1 and 1."""
+    return next((k for k in range(2, most) if k * math.log(max(angle, 1e-300) / 2) - math.lgamma(k + 1)
+                 < math.log(_LEFT / 4)), most)  # fmt: skip
