@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from memsgyro_jax.base.linalg import exponential, inverse, product
+from memsgyro_jax.base.linalg import exponential_and_means, inverse, product, solved
 
 from .model import Conditions, Model
 from .steady import Remainder, nonlinear_spectrum
@@ -37,16 +37,11 @@ class Propagator(eqx.Module):
         """For s' = L·s + (what is left): L (..., n, n), the step [s] and typical sizes of the state's entries, which
         only keep the arithmetic well scaled.
         """
-        size = matrix.shape[-1]
-        one, none = jnp.eye(size, dtype=matrix.dtype), jnp.zeros((size, size), dtype=matrix.dtype)
         balance = units / units[:, None]
 
         def single(m: Array) -> tuple[Array, Array, Array]:
-            # Al-Mohy and Higham: φ-functions are blocks of one exponential of an augmented matrix.
-            block = jnp.block([[m * balance * step, one, none], [none, none, one], [none, none, none]])
-            power = exponential(block)
-            parts = power[:size, :size], step * power[:size, size : 2 * size], step * power[:size, 2 * size :]
-            return tuple(part / balance for part in parts)
+            power, first, second = exponential_and_means(m * balance * step)
+            return power / balance, step * first / balance, step * second / balance
 
         for _ in range(matrix.ndim - 2):
             single = jax.vmap(single)
@@ -153,21 +148,16 @@ class Driven(eqx.Module):
         """Through as many steps of `step` seconds as `conditions` has rows: the last state, and what happened on the
         way. `added` are accelerations that the model lacks, at both ends of each step.
         """
-        propagate = self.propagator(step)
+        propagate, load = self.propagator(step), self.load
 
         def advance(state: Array, inputs: tuple[Conditions | Remainder, Array | None]) -> tuple[Array, Array]:
-            return self.advance(propagate, state, *inputs)
+            now, more = inputs
+            extra = (0.0, 0.0) if more is None else among_velocities(more, self.model.size)
+            end, here, there = propagate.advance(state, load, lambda s: self.rest(s, now), extra)
+            return end, jnp.stack([end, here, there])
 
-        return Course.of(start, *jax.lax.scan(advance, start, (jax.vmap(self.around)(conditions), added)))
-
-    def advance(
-        self, propagate: Propagator, state: Complex[Array, "h n"], now: Conditions | Remainder, more: Array | None
-    ) -> tuple[Array, Complex[Array, "3 h n"]]:
-        """One step of a run: its end, and that once more with what the linear part leaves out at both ends."""
-        extra = (0.0, 0.0) if more is None else among_velocities(more, self.model.size)
-        end, here, there = propagate.advance(state, self.load, lambda s: self.rest(s, now), extra)
         # One result per step: with several, XLA's fusion copies all of the steps before at every step.
-        return end, jnp.stack([end, here, there])
+        return Course.of(start, *jax.lax.scan(advance, start, (jax.vmap(self.around)(conditions), added)))
 
     def visited(self, course: Course, step: Array) -> Complex[Array, "t 2 h n"]:
         """The states at which a course asks what the linear part leaves out: at the start of each step, and where it
@@ -193,19 +183,26 @@ class Driven(eqx.Module):
 
         return jax.lax.scan(advance, start, np.repeat(np.arange(len(legs)), counts))[1]
 
-    def demodulated(self, course: "Course", step: Array, boxcar: bool = True) -> Complex[Array, "t h n"]:
+    def demodulated(
+        self, course: "Course", step: Array, boxcar: bool = True, first: Complex[Array, "t n n"] | None = None
+    ) -> Complex[Array, "t h n"]:
         """What a lock-in over each step makes of the state: harmonic by harmonic the mean, and with a `boxcar` (over a
         whole number of cycles) in harmonic 1 also what passes from harmonic 0 and from the conjugate while they change.
+        `first` is the operator of harmonic 1 in each step, where it is not the same in all.
 
         Means of S·e^{ikωt} follow from the equation of motion: L times the mean is the change of S less the load.
         """
         change, drift = (course.end - course.start) / step, (course.there - course.here) / step
-        solve = jax.vmap(inverse)(self.operator)
-        means = product(solve, change - self.load - 0.5 * (course.here + course.there))
+        operator, right = self.operator, change - self.load - 0.5 * (course.here + course.there)
+        frozen = jax.vmap(inverse)(jax.lax.stop_gradient(operator))
+        means, one, undone = solved(operator, frozen, right), operator[1], frozen[1]
+        if first is not None:
+            one, undone = first, jax.vmap(inverse)(jax.lax.stop_gradient(first))
+            means = means.at[:, 1].set(solved(one, undone, right[:, 1]))
         if not boxcar:
             return means
-        conjugate = product(jnp.conj(solve[1]), change[:, 1] - drift[:, 1] / (2j * self.omega))
-        constant = product(solve[1], change[:, 0] + drift[:, 0] / (1j * self.omega))
+        turned, constant = change[:, 1] - drift[:, 1] / (2j * self.omega), change[:, 0] + drift[:, 0] / (1j * self.omega)
+        conjugate, constant = solved(jnp.conj(one), jnp.conj(undone), turned), solved(one, undone, constant)
         return means.at[:, 1].add(jnp.conj(conjugate) + 2 * constant)
 
     def instant(self, state: Complex[Array, "h n"], time: Array) -> Float[Array, " n"]:

@@ -2,9 +2,12 @@
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Complex
 
-from .envelope import Course, Driven, Propagator
+from memsgyro_jax.base.linalg import product
+
+from .envelope import Course, Driven, Propagator, among_velocities, state_units
 from .model import Conditions
 from .rate_nodes import RateNodes
 
@@ -12,8 +15,9 @@ from .rate_nodes import RateNodes
 class OnTable(eqx.Module):
     """As `Driven`, its linear part at some rates, and the rate of every step between them.
 
-    A row may last for many beats between the drive and a mode: what a new rate couples into that mode would turn all
-    the while, and is no remainder that goes straight from one end of a step to the other.
+    A row may last for many beats between the drive and a mode: what a new rate couples into that mode turns all the
+    while, and is no remainder that goes straight from one end of a step to the other. Harmonics 0 and 2, far from all
+    modes, stay with the first of the rates, and the rest with them.
 
     Args:
         driven: with the linear part (k, n, n), (k, n, axes) at every node.
@@ -36,36 +40,56 @@ class OnTable(eqx.Module):
         added: Complex[Array, "t 2 h axes"] | None = None,
     ) -> tuple[Array, Course]:
         """As `Driven.run`."""
-        around = jax.vmap(lambda linear, now: self._with(linear).around(now))(self._linear, conditions)
+        base, changes = self._base, self._changes
+        propagate, load = base.propagator(step), base.load
 
         def advance(state: Array, inputs: tuple) -> tuple[Array, Array]:
-            linear, propagate, now, more = inputs
-            return self._with(linear).advance(propagate, state, now, more)
+            (power, first, change), now, more = inputs
+            extra = (0.0, 0.0) if more is None else among_velocities(more, base.model.size)
+            here = _with_first(propagate, power, first)
+            rest = lambda s: base.rest(s, now).at[1].add(-product(change, s[1]))  # noqa: E731
+            end, *left = here.advance(state, load, rest, extra)
+            return end, jnp.stack([end, *left])
 
-        steps = self._linear, self._propagators(step), around, added
+        steps = (*self._propagators(step), changes), jax.vmap(base.around)(conditions), added
         return Course.of(start, *jax.lax.scan(advance, start, steps))
 
     def visited(self, course: Course, step: Array) -> Complex[Array, "t 2 h n"]:
         """As `Driven.visited`."""
-        return course.visited(self._propagators(step), jax.vmap(lambda linear: self._with(linear).load)(self._linear))
+        base = self._base
+        every = jax.vmap(lambda *own: _with_first(base.propagator(step), *own))(*self._propagators(step))
+        return course.visited(every, base.load)
 
     def demodulated(self, course: Course, step: Array, boxcar: bool = True) -> Complex[Array, "t h n"]:
         """As `Driven.demodulated`."""
-
-        def one(linear: tuple[Array, Array], row: Course) -> Array:
-            return self._with(linear).demodulated(jax.tree.map(lambda leaf: leaf[None], row), step, boxcar)[0]
-
-        return jax.vmap(one)(self._linear, course)
+        base = self._base
+        return base.demodulated(course, step, boxcar, base.operator[1] + self._changes)
 
     @property
-    def _linear(self) -> tuple[Array, Array]:
-        """The linear part of every step."""
-        return jax.tree.map(self.rates.at_rows, self.driven.linear)
+    def _base(self) -> Driven:
+        """At the first node."""
+        return self._with(jax.tree.map(lambda leaf: leaf[0], self.driven.linear))
+
+    @property
+    def _changes(self) -> Array:
+        """(t, n, n) what the rate of every step changes in the matrix of the first node."""
+        matrix = self.driven.linear[0]
+        return self.rates.at_rows(matrix - matrix[0])
 
     def _with(self, linear: tuple[Array, Array]) -> Driven:
         return eqx.tree_at(lambda driven: driven.linear, self.driven, linear)
 
-    def _propagators(self, step: Array) -> Propagator:
-        """Of every step."""
-        at_nodes = jax.vmap(lambda linear: self._with(linear).propagator(step))(self.driven.linear)
-        return jax.tree.map(self.rates.at_rows, at_nodes)
+    def _propagators(self, step: Array) -> tuple[Array, Array]:
+        """e^{LΔ} and Δφ₁(LΔ) of harmonic 1, (t, n, n) each. Δφ₂ tells only how what is left out changes."""
+        units = state_units(self.driven.model)
+        nodes = jax.vmap(lambda linear: Propagator.of(self._with(linear).operator[1], step, units))(self.driven.linear)
+        return self.rates.at_rows(nodes.exponential), self.rates.at_rows(nodes.first)
+
+
+def _with_first(propagate: Propagator, power: Array, first: Array) -> Propagator:
+    """With others for harmonic 1."""
+    return eqx.tree_at(
+        lambda p: (p.exponential, p.first),
+        propagate,
+        (propagate.exponential.at[1].set(power), propagate.first.at[1].set(first)),
+    )

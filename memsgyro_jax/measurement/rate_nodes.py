@@ -47,7 +47,11 @@ class RateNodes(eqx.Module):
 
     def at_rows(self, values: Array) -> Array:
         """Values at the nodes (k, ...) as they are at each row (t, ...)."""
-        return jnp.tensordot(self.weights, values, 1)
+        flat = values.reshape(values.shape[0], -1)
+        whole = jnp.iscomplexobj(values)
+        made = self.weights @ (jnp.concatenate([flat.real, flat.imag], axis=1) if whole else flat)
+        made = made[:, : flat.shape[1]] + 1j * made[:, flat.shape[1] :] if whole else made
+        return made.reshape(-1, *values.shape[1:])
 
 
 def _enough(angle: float, most: int) -> int:
