@@ -90,7 +90,7 @@ class Driven(eqx.Module):
     """The model under a drive Re[F e^{iωt}], its state as slowly varying harmonics (HARMONICS + 1, n).
 
     The linear part is taken at the conditions `base`; what later conditions change is part of what is left out, and so
-    exact to second order in the step. `samples` are those of a cycle.
+    exact to second order in the step (a rate that changes: see `OnTable`). `samples` are those of a cycle.
     """
 
     model: Model
@@ -201,8 +201,9 @@ class Driven(eqx.Module):
             means = means.at[:, 1].set(solved(one, undone, right[:, 1]))
         if not boxcar:
             return means
-        turned, constant = change[:, 1] - drift[:, 1] / (2j * self.omega), change[:, 0] + drift[:, 0] / (1j * self.omega)
-        conjugate, constant = solved(jnp.conj(one), jnp.conj(undone), turned), solved(one, undone, constant)
+        conjugate = change[:, 1] - drift[:, 1] / (2j * self.omega)
+        conjugate = solved(jnp.conj(one), jnp.conj(undone), conjugate)
+        constant = solved(one, undone, change[:, 0] + drift[:, 0] / (1j * self.omega))
         return means.at[:, 1].add(jnp.conj(conjugate) + 2 * constant)
 
     def instant(self, state: Complex[Array, "h n"], time: Array) -> Float[Array, " n"]:

@@ -138,10 +138,14 @@ class Contribution(eqx.Module):
     speed: Array
 
     @classmethod
-    def none(cls, model: Model, forced: Sequence[tuple[int, ...]], seen: tuple[int, ...], kind: type) -> "Contribution":
-        """Zeros of these shapes, real or complex."""
-        linear = np.zeros((model.size, model.size)), np.zeros((model.size, model.axes))
-        return cls(tuple(np.zeros(shape, kind) for shape in forced), np.zeros(seen, kind), linear, np.zeros(()))
+    def none(
+        cls, model: Model, forced: Sequence[tuple[int, ...]], seen: tuple[int, ...], kind: type,
+        several: tuple[int, ...] = (),
+    ) -> "Contribution":  # fmt: skip
+        """Zeros of these shapes, real or complex, with a linear part at one condition or at `several`, (r,)."""
+        linear = (*several, model.size, model.size), (*several, model.size, model.axes)
+        parts = np.zeros(linear[0]), np.zeros(linear[1])
+        return cls(tuple(np.zeros(shape, kind) for shape in forced), np.zeros(seen, kind), parts, np.zeros(()))
 
     def beside(self, linear: tuple[Array, Array]) -> tuple[Array, Array]:
         """The linear part of a model with what is added to it."""
@@ -251,12 +255,14 @@ def _read(model: Model, absent: Absent, state: Array, command: Array, turn: Arra
 @_seldom
 def _propagated(model: Model, absent: Absent, base: Conditions) -> tuple[Array, Array]:
     """(K, n, n) and (K, n, axes): what is added to the linear part, or (K, r, ...) at each of several conditions."""
-    if base.rate.ndim:
-        return jax.vmap(lambda one: _propagated(model, absent, one), out_axes=1)(base)
     axes, rest, still = model.axes, jnp.zeros(model.size), jnp.zeros(model.axes)
-    parts = jax.jacfwd(lambda s, u: _accelerations(model, absent, s, u, base), argnums=(0, 1))(rest, still)
-    around = (0, 0), (axes, model.size - 2 * axes), (0, 0)
-    return jnp.pad(parts[0], around), jnp.pad(parts[1], around)
+
+    def at(base: Conditions) -> tuple[Array, Array]:
+        parts = jax.jacfwd(lambda s, u: _accelerations(model, absent, s, u, base), argnums=(0, 1))(rest, still)
+        around = (0, 0), (axes, model.size - 2 * axes), (0, 0)
+        return jnp.pad(parts[0], around), jnp.pad(parts[1], around)
+
+    return jax.vmap(at, out_axes=1)(base) if jnp.ndim(base.rate) else at(base)
 
 
 def _looks_back(model: Model, volts: Array, moment: Moment) -> bool:

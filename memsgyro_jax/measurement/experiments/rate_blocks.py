@@ -75,7 +75,8 @@ class RateTable(Experiment):
     def nothing(self, bench: Model) -> Contribution:
         rows, axes = self.measured.shape
         forced = (1, FINENESS[0].harmonics + 1, axes), (2 * rows, HARMONICS + 1, axes)
-        return Contribution.none(bench, forced, (rows, axes), complex)
+        several = () if self.rates.one else self.rates.rate.shape
+        return Contribution.none(bench, forced, (rows, axes), complex, several)
 
     @property
     def _first(self) -> Conditions:
