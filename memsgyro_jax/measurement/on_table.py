@@ -17,7 +17,7 @@ class OnTable(eqx.Module):
 
     A row may last for many beats between the drive and a mode: what a new rate couples into that mode turns all the
     while, and is no remainder that goes straight from one end of a step to the other. Harmonics 0 and 2, far from all
-    modes, stay with the first of the rates, and the rest with them.
+    modes, stay with the rate of the first node.
 
     Args:
         driven: with the linear part (k, n, n), (k, n, axes) at every node.

@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 
 
 _LEFT = 1e-10  # of a propagated state: what an interpolation between nodes may leave
+_MANY = 32  # nodes: more than these cost more than the rates themselves, where those are few
 
 
 class RateNodes(eqx.Module):
@@ -16,7 +17,7 @@ class RateNodes(eqx.Module):
 
     A propagator e^{LΔ} is an entire function of the rate: the modes turn into each other by at most the angle rate·Δ,
     and once an interpolation at Chebyshev points has more nodes than the angle has radians, its error falls faster than
-    that of any power. A record of few rates, as one in steps, has these for nodes.
+    that of any power. Where that would be many, few rates, as of a table in steps, are nodes themselves.
 
     Args:
         rate: of each node [rad/s].
@@ -30,15 +31,14 @@ class RateNodes(eqx.Module):
     def of(cls, rate: np.ndarray, step: float) -> "RateNodes":
         """For rates (t,) [rad/s] that last for steps of `step` seconds each."""
         found, place = np.unique(rate, return_inverse=True)
-        middle, half = 0.5 * (found[-1] + found[0]), 0.5 * (found[-1] - found[0])
-        count = _enough(half * step, found.size)
-        if found.size <= count:
+        most = float(np.max(np.abs(found)))
+        count = _enough(most * step)  # of the largest rate alone: experiments that are proposed have the same shapes
+        if found.size == 1 or (count > _MANY and found.size < count):
             return cls(jnp.asarray(found), jnp.asarray(np.eye(found.size)[place.ravel()]))
-        angle = np.pi * (np.arange(count) + 0.5) / count
         order = np.arange(count)
-        turned = np.arccos(np.clip((rate - middle) / half, -1.0, 1.0))
+        angle, turned = np.pi * (order + 0.5) / count, np.arccos(rate / most)
         share = np.where(order == 0, 1.0, 2.0)[:, None] / count * np.cos(np.outer(order, angle))
-        return cls(jnp.asarray(middle + half * np.cos(angle)), jnp.asarray(np.cos(np.outer(turned, order)) @ share))
+        return cls(jnp.asarray(most * np.cos(angle)), jnp.asarray(np.cos(np.outer(turned, order)) @ share))
 
     @property
     def one(self) -> bool:
@@ -54,7 +54,9 @@ class RateNodes(eqx.Module):
         return made.reshape(-1, *values.shape[1:])
 
 
-def _enough(angle: float, most: int) -> int:
-    """Nodes, at most `most`, that e^{i·angle·x} asks for between −1 and 1."""
-    return next((k for k in range(2, most) if k * math.log(max(angle, 1e-300) / 2) - math.lgamma(k + 1)
-                 < math.log(_LEFT / 4)), most)  # fmt: skip
+def _enough(angle: float) -> int:
+    """Nodes that e^{i·angle·x} asks for between −1 and 1: its Chebyshev series falls as (angle/2)ᵏ/k!."""
+    half, left, count = max(angle, 1e-9) / 2, math.log(_LEFT / 4), 2
+    while count * math.log(half) - math.lgamma(count + 1) > left:
+        count += 1
+    return count

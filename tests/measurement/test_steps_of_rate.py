@@ -87,3 +87,12 @@ def test_what_an_effect_adds_on_its_way_is_what_it_changes(name):
     _, beside = jax.jit(lambda: jax.jvp(lambda a: table.predict_beside(model, a)[0], (none,), (added,)))()
     _, wanted = jax.jit(lambda: jax.jvp(carried, (strength,), (jnp.ones_like(strength),)))()
     np.testing.assert_allclose(beside, wanted, rtol=0, atol=1e-6 * np.max(np.abs(wanted)))
+
+
+@pytest.mark.parametrize(("step", "count"), [(0.1, 9), (30.0, 5)])
+def test_nodes_tell_what_turns_by_the_rate(step, count):
+    """Also where a table turns round many times within a row: steps of few rates are then made one by one."""
+    nodes = RateNodes.of(STEPS, step)
+    assert nodes.rate.size == count
+    turned = np.asarray(nodes.at_rows(jnp.exp(1j * nodes.rate * step)))
+    np.testing.assert_allclose(turned, np.exp(1j * STEPS * step), rtol=0, atol=1e-9)
