@@ -26,6 +26,14 @@ def inverse(matrix: Shaped[Array, "n n"]) -> Shaped[Array, "n n"]:
     return frozen + frozen @ (one - matrix @ frozen)
 
 
+def solved(matrix: Shaped[Array, "*b n n"], frozen: Shaped[Array, "*b n n"], right: Array) -> Array:
+    """What a matrix makes `right` of, from its inverse without derivatives; differentiable as the exact one, with no
+    more than products with vectors.
+    """
+    found = product(frozen, right)
+    return found + product(frozen, right - product(matrix, found))
+
+
 def _gauss_jordan(matrix: Array) -> Array:
     """In the place of the matrix itself: of a column that is done, that of the inverse takes the room."""
     size = matrix.shape[0]
@@ -99,12 +107,31 @@ def exponential(matrix: Shaped[Array, "n n"]) -> Shaped[Array, "n n"]:
     For any matrix of any norm, once per run. `device.propagate` has a series of its own for the 4×4 of a device once
     per sample and die: its order is known beforehand, and half of the products and all scaling fall away.
     """
-    norm = jnp.max(jnp.sum(jnp.abs(matrix), axis=-1))
-    squarings = jnp.clip(jnp.ceil(jnp.log2(norm)), 0, 60).astype(int)
-    scaled = matrix * 2.0 ** (-squarings.astype(matrix.real.dtype))
+    squarings, scaled = _scaled(matrix)
     one = jnp.eye(matrix.shape[-1], dtype=matrix.dtype)
     total = jax.lax.fori_loop(0, 18, lambda k, total: one + scaled @ total / (18 - k), one)
     return jax.lax.fori_loop(0, squarings, lambda _, m: m @ m, total)
+
+
+def exponential_and_means(matrix: Shaped[Array, "n n"]) -> tuple[Array, Array, Array]:
+    """e^M, φ₁(M) = ∫₀¹ e^{Mτ} dτ and φ₂(M) = ∫₀¹ (1 − τ) e^{Mτ} dτ, by scaling and squaring as `exponential`."""
+    squarings, scaled = _scaled(matrix)
+    one = jnp.eye(matrix.shape[-1], dtype=matrix.dtype)
+    second = jax.lax.fori_loop(0, 18, lambda k, total: one + scaled @ total / (20 - k), one) / 2
+    first = one + scaled @ second
+
+    def double(_: int, parts: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        power, first, second = parts
+        return power @ power, (first + power @ first) / 2, (second + first + power @ second) / 4
+
+    return jax.lax.fori_loop(0, squarings, double, (one + scaled @ first, first, second))
+
+
+def _scaled(matrix: Shaped[Array, "n n"]) -> tuple[Array, Array]:
+    """How often a matrix is halved until its norm is one, and what it is then."""
+    norm = jnp.max(jnp.sum(jnp.abs(matrix), axis=-1))
+    squarings = jnp.clip(jnp.ceil(jnp.log2(norm)), 0, 60).astype(int)
+    return squarings, matrix * 2.0 ** (-squarings.astype(matrix.real.dtype))
 
 
 def semidefinite_root(name: str, matrix: np.ndarray) -> np.ndarray:

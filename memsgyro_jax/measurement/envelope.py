@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from memsgyro_jax.base.linalg import exponential, inverse, product
+from memsgyro_jax.base.linalg import exponential_and_means, inverse, product, solved
 
 from .model import Conditions, Model
 from .steady import Remainder, nonlinear_spectrum
@@ -37,16 +37,11 @@ class Propagator(eqx.Module):
         """For s' = L·s + (what is left): L (..., n, n), the step [s] and typical sizes of the state's entries, which
         only keep the arithmetic well scaled.
         """
-        size = matrix.shape[-1]
-        one, none = jnp.eye(size, dtype=matrix.dtype), jnp.zeros((size, size), dtype=matrix.dtype)
         balance = units / units[:, None]
 
         def single(m: Array) -> tuple[Array, Array, Array]:
-            # Al-Mohy and Higham: φ-functions are blocks of one exponential of an augmented matrix.
-            block = jnp.block([[m * balance * step, one, none], [none, none, one], [none, none, none]])
-            power = exponential(block)
-            parts = power[:size, :size], step * power[:size, size : 2 * size], step * power[:size, 2 * size :]
-            return tuple(part / balance for part in parts)
+            power, first, second = exponential_and_means(m * balance * step)
+            return power / balance, step * first / balance, step * second / balance
 
         for _ in range(matrix.ndim - 2):
             single = jax.vmap(single)
@@ -76,12 +71,26 @@ class Course(eqx.Module):
     here: Array
     there: Array
 
+    @classmethod
+    def of(cls, start: Array, last: Array, passed: Complex[Array, "t 3 h n"]) -> "tuple[Array, Course]":
+        """The last state and the course, of what every step from `start` gave."""
+        end, here, there = jnp.moveaxis(passed, 1, 0)
+        return last, cls(jnp.concatenate([start[None], end[:-1]]), end, here, there)
+
+    def visited(self, propagate: Propagator, load: Array) -> Complex[Array, "t 2 h n"]:
+        """The states at which the steps ask what the linear part leaves out, of propagators and loads for all steps or
+        for each.
+        """
+        load = load + self.here
+        predicted = product(propagate.exponential, self.start) + product(propagate.first, load)
+        return jnp.stack([self.start, predicted], axis=1)
+
 
 class Driven(eqx.Module):
     """The model under a drive Re[F e^{iωt}], its state as slowly varying harmonics (HARMONICS + 1, n).
 
     The linear part is taken at the conditions `base`; what later conditions change is part of what is left out, and so
-    exact to second order in the step. `samples` are those of a cycle.
+    exact to second order in the step (a rate that changes: see `OnTable`). `samples` are those of a cycle.
     """
 
     model: Model
@@ -148,18 +157,13 @@ class Driven(eqx.Module):
             return end, jnp.stack([end, here, there])
 
         # One result per step: with several, XLA's fusion copies all of the steps before at every step.
-        last, passed = jax.lax.scan(advance, start, (jax.vmap(self.around)(conditions), added))
-        end, here, there = jnp.moveaxis(passed, 1, 0)
-        return last, Course(jnp.concatenate([start[None], end[:-1]]), end, here, there)
+        return Course.of(start, *jax.lax.scan(advance, start, (jax.vmap(self.around)(conditions), added)))
 
     def visited(self, course: Course, step: Array) -> Complex[Array, "t 2 h n"]:
         """The states at which a course asks what the linear part leaves out: at the start of each step, and where it
         is predicted to end.
         """
-        propagate = self.propagator(step)
-        load = self.load + course.here
-        predicted = product(propagate.exponential, course.start) + product(propagate.first, load)
-        return jnp.stack([course.start, predicted], axis=1)
+        return course.visited(self.propagator(step), self.load)
 
     def run_legs(
         self, start: Complex[Array, "h n"], legs: Sequence[tuple[Array, Array, int]], conditions: Conditions
@@ -179,20 +183,27 @@ class Driven(eqx.Module):
 
         return jax.lax.scan(advance, start, np.repeat(np.arange(len(legs)), counts))[1]
 
-    def demodulated(self, course: "Course", step: Array, boxcar: bool = True) -> Complex[Array, "t h n"]:
+    def demodulated(
+        self, course: "Course", step: Array, boxcar: bool = True, first: Complex[Array, "t n n"] | None = None
+    ) -> Complex[Array, "t h n"]:
         """What a lock-in over each step makes of the state: harmonic by harmonic the mean, and with a `boxcar` (over a
         whole number of cycles) in harmonic 1 also what passes from harmonic 0 and from the conjugate while they change.
+        `first` is the operator of harmonic 1 in each step, where it is not the same in all.
 
         Means of S·e^{ikωt} follow from the equation of motion: L times the mean is the change of S less the load.
         """
         change, drift = (course.end - course.start) / step, (course.there - course.here) / step
-        matrix, turn = self.linear[0], 1j * self.omega * jnp.eye(self.model.size)
-        solve = jax.vmap(inverse)(jnp.concatenate([self.operator, jnp.stack([matrix + turn, matrix - turn])]))
-        means = product(solve[:-2], change - self.load - 0.5 * (course.here + course.there))
+        operator, right = self.operator, change - self.load - 0.5 * (course.here + course.there)
+        frozen = jax.vmap(inverse)(jax.lax.stop_gradient(operator))
+        means, one, undone = solved(operator, frozen, right), operator[1], frozen[1]
+        if first is not None:
+            one, undone = first, jax.vmap(inverse)(jax.lax.stop_gradient(first))
+            means = means.at[:, 1].set(solved(one, undone, right[:, 1]))
         if not boxcar:
             return means
-        conjugate = product(solve[-2], change[:, 1] - drift[:, 1] / (2j * self.omega))
-        constant = product(solve[-1], change[:, 0] + drift[:, 0] / (1j * self.omega))
+        conjugate = change[:, 1] - drift[:, 1] / (2j * self.omega)
+        conjugate = solved(jnp.conj(one), jnp.conj(undone), conjugate)
+        constant = solved(one, undone, change[:, 0] + drift[:, 0] / (1j * self.omega))
         return means.at[:, 1].add(jnp.conj(conjugate) + 2 * constant)
 
     def instant(self, state: Complex[Array, "h n"], time: Array) -> Float[Array, " n"]:

@@ -112,7 +112,7 @@ class Inquiry(eqx.Module):
     Args:
         forced: where forces act, group by group.
         read: where channels are read.
-        base: conditions at which its linear part is propagated; `None` where it is not propagated.
+        base: conditions at which its linear part is propagated, one or several; `None` where it is not propagated.
         swept: whether the rate of a sweep acts.
     """
 
@@ -128,7 +128,7 @@ class Contribution(eqx.Module):
     Args:
         forced: accelerations (r, axes) of each group of its inquiry, or their Fourier coefficients (r, h + 1, axes).
         seen: voltages (r, axes), or their phasors.
-        linear: to the matrix (n, n) and gain (n, axes) that are propagated.
+        linear: to the matrix (n, n) and gain (n, axes) that are propagated, at one condition or at each of several.
         speed: of a sweep [rad/s²].
     """
 
@@ -138,10 +138,14 @@ class Contribution(eqx.Module):
     speed: Array
 
     @classmethod
-    def none(cls, model: Model, forced: Sequence[tuple[int, ...]], seen: tuple[int, ...], kind: type) -> "Contribution":
-        """Zeros of these shapes, real or complex."""
-        linear = np.zeros((model.size, model.size)), np.zeros((model.size, model.axes))
-        return cls(tuple(np.zeros(shape, kind) for shape in forced), np.zeros(seen, kind), linear, np.zeros(()))
+    def none(
+        cls, model: Model, forced: Sequence[tuple[int, ...]], seen: tuple[int, ...], kind: type,
+        several: tuple[int, ...] = (),
+    ) -> "Contribution":  # fmt: skip
+        """Zeros of these shapes, real or complex, with a linear part at one condition or at `several`, (r,)."""
+        linear = (*several, model.size, model.size), (*several, model.size, model.axes)
+        parts = np.zeros(linear[0]), np.zeros(linear[1])
+        return cls(tuple(np.zeros(shape, kind) for shape in forced), np.zeros(seen, kind), parts, np.zeros(()))
 
     def beside(self, linear: tuple[Array, Array]) -> tuple[Array, Array]:
         """The linear part of a model with what is added to it."""
@@ -250,11 +254,15 @@ def _read(model: Model, absent: Absent, state: Array, command: Array, turn: Arra
 
 @_seldom
 def _propagated(model: Model, absent: Absent, base: Conditions) -> tuple[Array, Array]:
-    """(K, n, n) and (K, n, axes): what is added to the linear part."""
+    """(K, n, n) and (K, n, axes): what is added to the linear part, or (K, r, ...) at each of several conditions."""
     axes, rest, still = model.axes, jnp.zeros(model.size), jnp.zeros(model.axes)
-    parts = jax.jacfwd(lambda s, u: _accelerations(model, absent, s, u, base), argnums=(0, 1))(rest, still)
-    around = (0, 0), (axes, model.size - 2 * axes), (0, 0)
-    return jnp.pad(parts[0], around), jnp.pad(parts[1], around)
+
+    def at(base: Conditions) -> tuple[Array, Array]:
+        parts = jax.jacfwd(lambda s, u: _accelerations(model, absent, s, u, base), argnums=(0, 1))(rest, still)
+        around = (0, 0), (axes, model.size - 2 * axes), (0, 0)
+        return jnp.pad(parts[0], around), jnp.pad(parts[1], around)
+
+    return jax.vmap(at, out_axes=1)(base) if jnp.ndim(base.rate) else at(base)
 
 
 def _looks_back(model: Model, volts: Array, moment: Moment) -> bool:

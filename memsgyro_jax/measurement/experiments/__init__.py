@@ -19,7 +19,7 @@ from .free_decay import FreeDecayRecord as FreeDecayRecord
 from .frequency_sweep import FrequencySweepRecord as FrequencySweepRecord
 from .harmonic_sweep import HarmonicSweep as HarmonicSweep
 from .operating_points import OperatingPointsRecord as OperatingPointsRecord
-from .rate_table import RateTable as RateTable
+from .rate_blocks import RateTable as RateTable
 from .rate_table import RateTableRecord as RateTableRecord
 from .record import AbstractRecord as AbstractRecord
 from .ring_down import RingDown as RingDown
