@@ -75,3 +75,28 @@ def test_axes_that_are_known_need_no_coupling(tmp_path):
     low, high = case.resonances
     assert low < TURN * HERTZ[0] < TURN * HERTZ[1] < high
     assert low > 0.9 * TURN * HERTZ[0]
+
+
+def test_amplitudes_of_two_axes_ask_for_their_couplings(tmp_path):
+    """A number that was no number went on into least squares, and a traceback came out."""
+    head = 'schema = "memsgyro-case/1"\nname = "two"\ndevice = "single_mass"\n[readout]\nquantity = "displacement"\n'
+    text, omega = head, TURN * HERTZ
+    for axis, name in enumerate("xy"):
+        hertz = HERTZ[axis] + np.linspace(-20, 20, 61)
+        square = (TURN * hertz)[:, None] ** 2
+        seen = (
+            1e5
+            / np.abs(omega**2 - square + 1j * np.sqrt(square) * omega / QUALITY)
+            * np.where(np.arange(2) == axis, 1, 1e-3)
+        )
+        rows = np.column_stack([hertz, np.full(61, 0.01), seen])
+        header = f"f [Hz],F_{name} [V],Vx_amp [V],Vy_amp [V]"
+        np.savetxt(tmp_path / f"{name}.csv", rows, "%.9g", ",", header=header, comments="")
+        text += (
+            f'[[experiment]]\nname = "{name}"\nkind = "frequency_sweep"\nfile = "{name}.csv"\ndrive_axis = "{name}"\n'
+        )
+    (tmp_path / "case.toml").write_text(text)
+    with pytest.raises(
+        mg.InputError, match=r"must give kxy, dxy, as no sweep .* with its phase; the records tell mass, kxx"
+    ):
+        mg.load_case(tmp_path)

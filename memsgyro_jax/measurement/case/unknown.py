@@ -134,7 +134,7 @@ def _all_of(alone: dict[str, float], open_: list[str], path: Path) -> dict[str, 
     """Values for all that was left open; raises `InputError` that names what one channel does not tell."""
     if missing := [key for key in open_ if key not in alone]:
         (unseen,) = {"x", "y"} - {key[-1] for key in alone if key != "mass"} or {""}
-        channel = f"reads channel {unseen}" if unseen else "reads both channels at once"
+        channel = f"reads channel {unseen}" if unseen else "reads both channels at once, with its phase"
         other = f" (k{2 * unseen} and d{2 * unseen} also as frequency_{unseen} and quality_factor_{unseen})"
         other = other if f"k{2 * unseen}" in missing else ""
         raise InputError(

@@ -214,9 +214,10 @@ class FrequencySweepRecord(AbstractRecord):
     # ---- start
 
     def starting_phasors(self, declared: Declared) -> Phasors | None:
-        if (alone := len(self.channels) < declared.channels) and self.axis not in self.channels:
+        seen = len(self.channels) if self.phase_known else 1
+        if (alone := seen < declared.channels) and self.axis not in self.channels:
             return None
-        # The lowest drive is the most linear, and the conditions nearest to those declared are one device.
+        # The lowest drive is the most linear, and what is nearest to the declared conditions is one device.
         readout, away = declared.readout, self.away(declared.environment)
         clear = [rows for rows in self.sweeps if self._peak(rows) > _CLEAR] or self.sweeps
         lowest = min(self.setting[rows][0] for rows in clear)
@@ -226,10 +227,8 @@ class FrequencySweepRecord(AbstractRecord):
         force = np.outer(self.drive, np.eye(declared.channels)[self.axis])[calm]
         motion, omega = readout.motion(self.phasors, self.frequency)[calm], self.frequency[calm]
         weight = abs(readout.scale) * omega**readout.order / self.noise_level
-        own = [self.axis] if alone else self.channels
-        return Phasors(
-            omega, motion[:, own], force[:, own] + 0j, weight, not self.phase_known, self.axis if alone else None
-        )
+        own, axis = ([self.axis], self.axis) if alone else (self.channels, None)
+        return Phasors(omega, motion[:, own], force[:, own] + 0j, weight, not self.phase_known, axis)
 
     def motion(self, declared: Declared) -> np.ndarray:
         """(n, axes) displacement phasors that were seen; where no phase was, those of the device as designed."""
