@@ -1,6 +1,7 @@
 """The frequency sweeps of a measurement case, as the couplings are identified from them."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -20,10 +21,10 @@ def case_sweeps(folder: str | Path) -> list[SweepRecord]:
     phase, or was taken under more than one condition; and as `load_case` does.
     """
     case = load_case(folder)
-    sweeps = [record for record in case.records if isinstance(record, FrequencySweepRecord)]
+    sweeps: list[Any] = [record for record in case.records if hasattr(record, "directions")]  # of the frequency
     if not sweeps:
         raise InputError(f"{folder}: the case must hold a frequency sweep to identify couplings, but holds none.")
-    others = [record.name for record in case.records if not isinstance(record, FrequencySweepRecord)]
+    others = [record.name for record in case.records if record not in sweeps]
     notes = (f"Of {folder} the frequency sweeps are used, and not {listed(others)}.",) if others else ()
     return [_sweep(record, case, notes) for record in sweeps]
 
