@@ -21,7 +21,7 @@ def case_sweeps(folder: str | Path) -> list[SweepRecord]:
     phase, or was taken under more than one condition; and as `load_case` does.
     """
     case = load_case(folder)
-    sweeps: list[Any] = [record for record in case.records if hasattr(record, "directions")]  # of the frequency
+    sweeps: list[Any] = [record for record in case.records if hasattr(record, "calm")]
     if not sweeps:
         raise InputError(f"{folder}: the case must hold a frequency sweep to identify couplings, but holds none.")
     others = [record.name for record in case.records if record not in sweeps]
