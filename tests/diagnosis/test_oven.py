@@ -89,12 +89,14 @@ def test_a_case_that_declares_none_has_the_model_it_had(tmp_path):
     assert with_declared(case, model).effects == model.effects
 
 
+@pytest.mark.slow
 def test_a_temperature_that_is_asked_for_by_name_is_there_once(tmp_path):
     case = load_case(oven(tmp_path, rows=11))
     (term,) = with_declared(case, model_of(case, starting_device(case))).effects
     assert [effect.label for effect in fit_case(case, [term]).joint.model.effects] == [TERM]
 
 
+@pytest.mark.slow
 def test_a_fitted_model_explains_its_case_from_its_file(tmp_path):
     """With the temperatures that it found; a case that says nothing of them takes them too."""
     fit = fitted(tmp_path / "case", rows=11)
@@ -127,6 +129,7 @@ def test_the_result_of_a_fit_leaves_out_what_no_record_shows(tmp_path):
     assert names == [STIFFNESS, DAMPING, *(f"{TERM}[{k}]" for k in range(5))]
 
 
+@pytest.mark.slow
 def test_a_record_that_is_not_fitted_may_be_off_as_well(tmp_path):
     """By the temperature that the case leaves open, which a comparison takes into account."""
     wide = {"judge": 55.0, "off": 0.3, "seed": 1}
@@ -162,6 +165,7 @@ def drifting(case):
     return start_search(case, joint, 0.05, (0, 1), lambda text: None)
 
 
+@pytest.mark.slow
 def test_what_an_oven_was_off_explains_what_drifts_leave(tmp_path):
     """Where nothing is declared, at four temperatures or more; a promise is made of nothing but what is left."""
     case = load_case(oven(tmp_path / "five", declared=None, seed=1))

@@ -44,6 +44,9 @@ lock_in_cycles = 40
 }
 
 
+SLOW = [pytest.param(kind, marks=pytest.mark.slow) for kind in ("free_decay", "rate_table")]
+
+
 def ringing(degrees, time):
     """A decay at a temperature [V], of a spring that softens with it."""
     omega, rate = 2 * np.pi * HERTZ * np.sqrt(1 + DRIFT * (degrees - 25)), np.pi * HERTZ / QUALITY
@@ -97,7 +100,7 @@ def test_a_record_that_tells_none_is_as_the_case_declares(kind, tmp_path):
     assert not {"T [K]", "V_bias [V]"} & set(record.columns(case))
 
 
-@pytest.mark.parametrize("kind", ["free_decay", "ring_down", "rate_table"])
+@pytest.mark.parametrize("kind", ["ring_down", *SLOW])
 def test_a_prediction_is_that_of_the_device_at_this_temperature(kind, tmp_path):
     """The record at 70 °C of a device that drifts, and one at 25 °C of a device whose spring is as soft."""
     warm = written(tmp_path, kind, [70.0])
@@ -138,6 +141,7 @@ def test_a_start_is_that_of_the_temperature_nearest_to_the_declared_one(tmp_path
     assert hertz == pytest.approx(HERTZ * np.sqrt(1 + DRIFT * 15.0), rel=2e-6)
 
 
+@pytest.mark.slow
 def test_a_drift_is_fitted_over_decays_that_turn_apart(tmp_path):
     """Between 70 and −20 °C the resonance moves by 29 Hz, one and a half of its widths."""
     case = written(tmp_path, "free_decay", [70.0, 25.0, -20.0], noise=1e-3)
