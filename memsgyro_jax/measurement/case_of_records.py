@@ -25,13 +25,15 @@ _KNOWN = {  # beforehand, of a device of one axis and of two
     False: "resonance, quality_factor, static_gain",
     True: "mass, frequency_x, frequency_y, quality_factor_x, quality_factor_y",
 }
+_FREQUENCY, _QUALITY = 'value = ..., tolerance = 0.02, unit = "Hz"', 'value = ..., tolerance = 0.5, unit = "1"'
 _TO_FILL = {  # where the records do not tell it
-    False: ("resonance", "quality_factor"),
-    True: ("frequency_x", "frequency_y", "quality_factor_x", "quality_factor_y"),
-}
-_LINE = {
-    True: '# {} = {{ value = ..., tolerance = 0.5, unit = "1" }}',  # a quality factor
-    False: '# {} = {{ value = ..., tolerance = 0.02, unit = "Hz" }}',
+    False: {"resonance": _FREQUENCY, "quality_factor": _QUALITY},
+    True: {
+        "frequency_x": _FREQUENCY,
+        "frequency_y": _FREQUENCY,
+        "quality_factor_x": _QUALITY,
+        "quality_factor_y": _QUALITY,
+    },
 }
 
 
@@ -109,7 +111,7 @@ def _recorded(records: list[ImportedRecord], name: str, unit: str) -> np.ndarray
 def _design(records: list[ImportedRecord], two: bool) -> str:
     """Design values where no record is driven in a known way, roughly from the decays themselves."""
     if any(not record.design or record.two_axes for record in records):
-        lines = [_LINE["quality" in key].format(key) for key in _TO_FILL[two]]
+        lines = [f"# {key} = {{ {value} }}" for key, value in _TO_FILL[two].items()]
         known = f"# what is known beforehand: {_KNOWN[two]}, as {{ value, tolerance, unit }}"
         return "\n".join([known, "[design]", *lines]) + "\n"
     rough = records[0].design
