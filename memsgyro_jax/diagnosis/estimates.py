@@ -12,6 +12,7 @@ from memsgyro_jax.measurement.case import Case
 from .fitted import ParameterEstimate, at_bounds
 from .joint_residual import Joint
 from .optimum import Optimum
+from .outside_design import outside_design
 
 
 UNENDED = "without ±: the fit has not ended, and its numbers may still move"
@@ -59,6 +60,8 @@ def told_of(fit: Any) -> tuple[str, ...]:
     if not fit.leaves_noise:
         return (*(f"  {e.roughly}" for e in every), f"  ({WITHOUT})")
     said = tuple(f"  {replace(e, std=fit.scale * e.std)}" for e in every)
+    outside = outside_design(fit.case, fit.optimum, fit.scale)
+    said += tuple(f"  outside its design: {one}" for one in outside)
     return said if fit.scale == 1.0 else (*said, f"  ({SCALED.format(fit.scale)})")
 
 

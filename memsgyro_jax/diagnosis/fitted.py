@@ -87,7 +87,7 @@ def with_calibration(share: float) -> str:
 class ParameterEstimate:
     """A parameter of the model with its standard deviation (infinite where the records do not hold it, NaN where none
     can be told), and the share of it that the calibration of read-out and drive leaves unsure beside; whether a bound
-    has stopped it.
+    has stopped it; and of what is told from below alone, above what it lies (95 %; `None` for others).
     """
 
     name: str
@@ -96,16 +96,24 @@ class ParameterEstimate:
     unit: str
     calibration: float = 0.0
     stopped: bool = False
+    above: float | None = None
 
     def __str__(self) -> str:
         if self.stopped:
             return f"{self.name:<24} {said_in(f'{self.value:>7.6g}', self.unit)}, {AT_BOUND}"
+        if self.above is not None:
+            return f"{self.name:<24} {self.at_least}"
         if np.isinf(self.std):
             return f"{self.name:<24} not determined by these records"
         if np.isnan(self.std):
             return f"{self.name:<24} {said_in(f'{self.value:>7.6g}', self.unit)}"
         told = said_in(f"{beside(self.value, self.std):>7} ± {self.std:.2g}", self.unit)
         return f"{self.name:<24} {told}{with_calibration(self.calibration)}"
+
+    @property
+    def at_least(self) -> str:
+        """What is told from below alone."""
+        return f"above {said_in(f'{self.above:.2g}', self.unit)} (95 %), as its damping is not told from none"
 
     @property
     def roughly(self) -> str:

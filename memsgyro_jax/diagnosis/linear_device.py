@@ -12,10 +12,11 @@ from memsgyro_jax.measurement.one_place import nearest_in_words, place_in_words
 from .fit import CaseFit
 from .fitted import ParameterEstimate, about
 from .modes import mode_estimates
+from .outside_design import outside_design
 from .residual_force import lowest_drive
 
 
-ROUGHLY = 30.0  # standard deviations that a value without them may be off, for its digits
+MAYBE_NONE = " (a mode whose damping is not told may be noise, of records that do not show it)"
 
 
 @dataclass(frozen=True)
@@ -26,11 +27,13 @@ class LinearDevice:
         modes: frequencies [Hz], then quality factors; with standard deviations as what is left makes them.
         whence: of which records, in words; empty for all.
         held: whether the model leaves noise alone of them, so that the standard deviations say how sure they are.
+        outside: a sentence for each number of an axis that lies outside its design.
     """
 
     modes: tuple[ParameterEstimate, ...]
     whence: str
     held: bool
+    outside: tuple[str, ...] = ()
 
     @property
     def estimates(self) -> tuple[ParameterEstimate, ...]:
@@ -41,7 +44,11 @@ class LinearDevice:
     def told(self) -> tuple[str, ...]:
         """A line for each mode that the records hold."""
         out = []
-        for m in (mode for mode in self.modes if np.isfinite(mode.std)):
+        for m in self.modes:
+            if m.above is not None:
+                out.append(f"{m.name}: {m.at_least}")
+            if not np.isfinite(m.std):
+                continue
             value = f"{beside(m.value, m.std)} ± {m.std:.2g}" if self.held else about(m.value, m.std)
             out.append(f"{m.name}: {said_in(value, m.unit)}")
         return tuple(out)
@@ -62,7 +69,10 @@ def linear_device(fit: CaseFit, base: CaseFit, *, explained: bool) -> LinearDevi
     around, records = fit.case.environment, fit.case.records
     if explained:
         there = place_in_words(around, records)
-        return LinearDevice(_scaled(fit.modes, fit.scale), f"at {there}" if there else "", True)
+        outside = outside_design(fit.case, fit.optimum, fit.scale)
+        if any(mode.above is not None for mode in fit.modes):
+            outside = tuple(one + MAYBE_NONE for one in outside)
+        return LinearDevice(_scaled(fit.modes, fit.scale), f"at {there}" if there else "", True, outside)
     lowest = lowest_drive(base)
     if lowest is None:
         return LinearDevice(_scaled(fit.modes, fit.scale), "", False)

@@ -1,5 +1,7 @@
 """Resonances and quality factors of a fitted device, and what the records leave unsure of them."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from .fitted import ParameterEstimate
@@ -9,11 +11,14 @@ from .optimum import Optimum
 _MODES = {1: ("",), 2: ("lower mode ", "upper mode ")}
 _STEP = 1e-3  # of a standard deviation, for differences
 _PAIRS = {1: 1, 2: 3}
+_SEEN = 2.0  # standard deviations from none, from which on a damping tells a quality factor
+_SURELY = 1.645  # the same, beyond which a number lies with 5 %
 
 
 def mode_estimates(optimum: Optimum, axes: int) -> tuple[ParameterEstimate, ...]:
     """Frequency [Hz] and quality factor of each undamped mode of the base device that a fit found, to first order in
     the joint uncertainty of its numbers; the standard deviation is infinite where the records do not hold one of them.
+    Of a damping that is not told from none the quality factor has no standard deviation but a bound.
     """
     held, size = optimum.information, 2 * _PAIRS[axes]
     values = _modes(optimum.vector, axes)
@@ -30,10 +35,20 @@ def mode_estimates(optimum: Optimum, axes: int) -> tuple[ParameterEstimate, ...]
         for mode in _MODES[axes]
     ]
     units = ["Hz"] * axes + ["1"] * axes
-    return tuple(
+    found = [
         ParameterEstimate(name, float(value), float(std), unit)
         for name, value, std, unit in zip(names, values, np.sqrt(variance), units, strict=True)
-    )
+    ]
+    return (*found[:axes], *map(_told_of_quality, found[axes:]))
+
+
+def _told_of_quality(mode: ParameterEstimate) -> ParameterEstimate:
+    """A quality factor whose damping the records do not tell from none, as "above" what that can be at most."""
+    if not (np.isfinite(mode.std) and mode.value) or mode.value > _SEEN * mode.std:
+        return mode
+    damping, std = 1.0 / mode.value, mode.std / mode.value**2
+    most = damping + _SURELY * std
+    return replace(mode, std=np.inf, above=1.0 / most if most > 0.0 else None)
 
 
 def _modes(vector: np.ndarray, axes: int) -> np.ndarray:

@@ -182,6 +182,7 @@ class Diagnosis(Labelled):
         if self.whence:
             lines.append(f"  ({self.whence})")
         lines += [f"  {mode}" for mode in self.linear.told]
+        lines += [f"  outside its design: {one}" for one in self.linear.outside]
         if self.linear.about:
             lines.append(f"  (resonance and quality factor: {self.linear.about})")
         if self.by_setting:

@@ -41,6 +41,8 @@ def diagnosis_page(diagnosis: Diagnosis) -> Page:
     if told := diagnosis.linear.told:
         about = f" ({diagnosis.linear.about})" if diagnosis.linear.about else ""
         out.text(f"Of the linear device{about}: {'; '.join(told)}.")
+    for one in diagnosis.linear.outside:
+        out.text(f"Outside its design: {one}.")
     _effects(out, diagnosis)
     for figure, caption in _found_figures(diagnosis):
         out.figure(figure, caption)
