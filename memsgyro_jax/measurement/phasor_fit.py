@@ -8,6 +8,7 @@ variables: Young and Jakeman, Int. J. Control 29 (1979) 1).
 """
 
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,23 +30,26 @@ _NARROW = 1e-3  # of the distance from row to row: a resonance within it is one 
 _BETTER = 0.5  # of the squared error of the plain resonance that this must come to
 
 
+Coefficients = tuple[np.ndarray, np.ndarray, float]  # stiffness, damping, mobility per mass
+
+
 def device_of_phasors(offered: Sequence[Phasors]) -> NormalisedDevice | None:
     """The device that explains the phasors of all records best; `None` where none is offered or it would not be one."""
     if not offered:
         return None
-    omega, motion, force, weight = (np.concatenate(part) for part in zip(*(rows[:4] for rows in offered), strict=True))
+    rows = _Rows.of(offered)
     found = [_of_modulus(*rows[:4]) if rows.modulus else None for rows in offered]
     if any(found):
         return next(one for one in found if one is not None)
     try:
-        rounds = list(_rounds(omega, motion, force, weight))
-        device, whole = rounds[min(ROUNDS, len(rounds) - 1)][1], np.sum(np.abs(weight[:, None] * motion) ** 2)
+        rounds = list(_rounds(rows))
+        device, whole = rounds[min(ROUNDS, len(rounds) - 1)][1], np.sum(np.abs(rows.weight[:, None] * rows.motion) ** 2)
         least, best = min(rounds, key=lambda one: one[0])
         # Noise off the resonances, slow noise above all, may lead the rounds away from a device that was good.
         if least <= _SHOWN * whole or least < min(left for left, _ in rounds[: ROUNDS + 1]):
             device = best
-        if motion.shape[1] == 1 and len(omega) >= _FEWEST:
-            device = _turned(device, omega, motion[:, 0], force[:, 0], weight)
+        if rows.motion.shape[1] == 1 and len(rows.omega) >= _FEWEST:
+            device = _turned(device, rows.omega, rows.motion[:, 0], rows.force[:, 0], rows.weight)
         return NormalisedDevice(*device) if _is_device(device) else None
     except np.linalg.LinAlgError:  # nothing answers, or everything alike
         return None
@@ -56,7 +60,7 @@ def is_seen(device: NormalisedDevice, offered: Sequence[Phasors]) -> bool:
     is added to a background.
     """
     gained = 0.0
-    for omega, motion, force, weight, modulus, _ in offered:
+    for omega, motion, force, weight, modulus, *_ in offered:
         if modulus or motion.shape[1] > 1:
             return True
         stiffness, damping = np.asarray(device.stiffness)[0], np.asarray(device.damping)[0]
@@ -95,15 +99,12 @@ def is_shared(device: NormalisedDevice, rows: list[Phasors]) -> bool:
 
 def _left(device: NormalisedDevice, rows: list[Phasors]) -> float:
     """The share of the squared motion, weighted with its noise, that a device leaves of records of all axes."""
-    stiffness, damping = np.asarray(device.stiffness_matrix), np.asarray(device.damping_matrix)
+    entries = np.asarray(device.stiffness), np.asarray(device.damping), float(device.mobility)
     left = whole = 0.0
     for row in rows:
         if row.modulus or row.axis is not None:
             continue
-        omega = row.omega[:, None, None]
-        operator = stiffness - omega**2 * np.eye(len(stiffness)) + 1j * omega * damping
-        moved = float(device.mobility) * np.linalg.solve(operator, row.force[..., None])[..., 0]
-        left += float(np.sum(row.weight[:, None] ** 2 * np.abs(row.motion - moved) ** 2))
+        left += float(np.sum(row.weight[:, None] ** 2 * np.abs(_Rows.of([row]).off(entries)) ** 2))
         whole += float(np.sum(row.weight[:, None] ** 2 * np.abs(row.motion) ** 2))
     return left / whole if whole > 0.0 else 0.0
 
@@ -195,55 +196,81 @@ def _responses(device, omega: np.ndarray, axes: int) -> np.ndarray:
     return np.linalg.inv(operator)
 
 
-Coefficients = tuple[np.ndarray, np.ndarray, float]  # stiffness, damping, mobility per mass
+class _Rows(NamedTuple):
+    """Phasors of displacement, velocity, acceleration and force (n, axes) at `omega`; `weight` (n,) of the first."""
+
+    omega: np.ndarray
+    motion: np.ndarray
+    slope: np.ndarray
+    bend: np.ndarray
+    force: np.ndarray
+    weight: np.ndarray
+
+    @classmethod
+    def of(cls, offered: Sequence[Phasors]) -> "_Rows":
+        parts = ((p.omega, p.motion, *p.derivatives, p.force, p.weight) for p in offered)
+        return cls(*map(np.concatenate, zip(*parts, strict=True)))
+
+    def off(self, device: Coefficients) -> np.ndarray:
+        """By how much the motion lies off what a device makes of the force (n, axes)."""
+        stiffness, damping = _matrix(device[0]), _matrix(device[1])
+        error = self.motion @ stiffness + self.slope @ damping + self.bend - device[2] * self.force
+        return np.einsum("nij,nj->ni", _responses(device, self.omega, self.motion.shape[1]), error)
+
+    def less(self, motion: np.ndarray) -> "_Rows":
+        """Without a part of the motion."""
+        turn = 1j * self.omega[:, None]
+        return self._replace(
+            motion=self.motion - motion, slope=self.slope - turn * motion, bend=self.bend - turn**2 * motion
+        )
 
 
-def _rounds(omega, motion, force, weight) -> Iterator[tuple[float, Coefficients]]:
+def _rounds(rows: _Rows) -> Iterator[tuple[float, Coefficients]]:
     """Device after device, and the squared motion that each leaves, infinite for what is none: `ROUNDS` of least
     squares behind the first, then as many of instrumental variables.
     """
-    device = _solve(omega, motion, force, np.outer(weight / omega**2, np.ones(motion.shape[1])))
+    axes = rows.motion.shape[1]
+    device = _solve(rows, np.outer(rows.weight / rows.omega**2, np.ones(axes)))
     with np.errstate(over="ignore", invalid="ignore"):
         for turn in range(2 * ROUNDS + 1):
-            response = _responses(device, omega, motion.shape[1])
-            moved = device[2] * np.einsum("nij,nj->ni", response, force)
-            left = float(np.sum(np.abs(weight[:, None] * (motion - moved)) ** 2))
+            response, off = _responses(device, rows.omega, axes), rows.off(device)
+            left = float(np.sum(np.abs(rows.weight[:, None] * off) ** 2))
             yield (left if np.isfinite(left) and _is_device(device) else np.inf), device
             if not np.isfinite(response).all():
                 return
             # What an error of one axis' equation does to both channels: at a resonance of x that of y does little.
-            weights = weight[:, None] * np.linalg.norm(response, axis=1)
-            device = _solve(omega, motion, force, weights, moved if turn >= ROUNDS else None)
+            weights = rows.weight[:, None] * np.linalg.norm(response, axis=1)
+            device = _solve(rows, weights, rows.less(off) if turn >= ROUNDS else None)
 
 
-def _solve(omega, motion, force, weight, instrument=None) -> Coefficients:
-    """The device whose equation leaves what is orthogonal to its columns with `instrument`, itself a motion, in them:
-    least squares with `None`; `weight` (n, axes) is that of each equation.
+def _solve(rows: _Rows, weight: np.ndarray, instrument: _Rows | None = None) -> Coefficients:
+    """The device whose equation leaves what is orthogonal to its columns with `instrument`, rows of another motion, in
+    them: least squares with `None`; `weight` (n, axes) is that of each equation.
     """
-    left, right = _equation(omega, motion, force, weight)
+    left, right = _equation(rows, weight)
     size = np.linalg.norm(left, axis=0)
     size = np.where(size > 0, size, 1.0)
     left = left / size
     if instrument is not None:
-        free = _equation(omega, instrument, force, weight)[0] / size
+        free = _equation(instrument, weight)[0] / size
         left, right = free.T @ left, free.T @ right
     found = np.linalg.lstsq(left, right, rcond=1e-12)[0] / size
-    pairs = len(PAIRS[motion.shape[1]])
+    pairs = len(PAIRS[rows.motion.shape[1]])
     return found[:pairs], found[pairs:-1], float(found[-1])
 
 
-def _equation(omega, motion, force, weight) -> tuple[np.ndarray, np.ndarray]:
+def _equation(rows: _Rows, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Columns and right-hand side of the equation of motion, linear in stiffness, damping and mobility."""
-    axes = motion.shape[1]
+    axes = rows.motion.shape[1]
     pairs = PAIRS[axes]
-    columns = np.zeros((omega.size, axes, 2 * len(pairs) + 1), complex)
+    columns = np.zeros((rows.omega.size, axes, 2 * len(pairs) + 1), complex)
     for place, (i, j) in enumerate(pairs):
         for row, column in {(i, j), (j, i)}:
-            columns[:, row, place] = motion[:, column]
-            columns[:, row, len(pairs) + place] = 1j * omega * motion[:, column]
-    columns[:, :, -1] = -force
+            columns[:, row, place] = rows.motion[:, column]
+            columns[:, row, len(pairs) + place] = rows.slope[:, column]
+    columns[:, :, -1] = -rows.force
     left = (columns * weight[:, :, None]).reshape(-1, columns.shape[-1])
-    right = (omega[:, None] ** 2 * motion * weight).ravel()
+    right = (-rows.bend * weight).ravel()
     return np.concatenate([left.real, left.imag]), np.concatenate([right.real, right.imag])
 
 

@@ -186,6 +186,9 @@ class Phasors(NamedTuple):
         weight: (n,) one over the standard deviation of the motion [1/m].
         modulus: whether the motion is known by its amplitude alone.
         axis: the only one that was recorded, of which motion and force then have one column; `None` where all were.
+        slope, bend: (n, axes) phasors of velocity [m/s] and acceleration [m/s²] of what is no steady motion, under a
+            window that has begun and ended; `None` for a steady one, of which they are 1j·omega and −omega² times the
+            motion.
     """
 
     omega: np.ndarray
@@ -194,6 +197,15 @@ class Phasors(NamedTuple):
     weight: np.ndarray
     modulus: bool = False
     axis: int | None = None
+    slope: np.ndarray | None = None
+    bend: np.ndarray | None = None
+
+    @property
+    def derivatives(self) -> tuple[np.ndarray, np.ndarray]:
+        """Phasors of velocity and acceleration (n, axes)."""
+        turn = 1j * self.omega[:, None]
+        slope = turn * self.motion if self.slope is None else self.slope
+        return slope, turn**2 * self.motion if self.bend is None else self.bend
 
 
 def surroundings(

@@ -1,0 +1,65 @@
+"""A capture under known forces tells its device at once, however it moves at its ends."""
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+import memsgyro_jax as mg
+from memsgyro_jax.measurement.linear_start import starting_device
+
+
+HERTZ, QUALITY, MOBILITY = np.array([6000.0, 6400.0]), np.array([3000.0, 1200.0]), 8e11
+COUPLING = 2e5
+CASE = """schema = "memsgyro-case/1"
+name = "loop"
+device = "single_mass"
+[readout]
+quantity = "{}"
+[design]
+[[experiment]]
+name = "loop"
+kind = "time_record"
+file = "loop.csv"
+hold = "zero_order"
+start = "unknown"
+"""
+
+
+def closed_loop(path, order=0, kept=0):
+    """An amplitude held at resonance (x) beside a slow sine of frequency (y), forces held from row to row; readings are
+    the displacement or a derivative of it [V], from a row on.
+    """
+    omega = 2 * np.pi * HERTZ
+    stiffness = np.array([[omega[0] ** 2, COUPLING], [COUPLING, omega[1] ** 2]])
+    period, count = 1 / 60e3, 9000
+    equation = np.zeros((6, 6))
+    equation[:2, 2:4] = np.eye(2)
+    equation[2:4] = np.concatenate([-stiffness, -np.diag(omega / QUALITY), MOBILITY * np.eye(2)], axis=1)
+    step, state, rows = expm(equation * period)[:4], np.zeros(6), []
+    for k in range(count):
+        size = np.hypot(state[0], state[2] / omega[0])
+        state[4] = min(8e-8 * max(0.2 - size, 0.0) / 0.2 + 2e-8, 1e-7) * np.sign(state[2] or 1.0)
+        state[5] = 2e-8 * np.sin(2 * np.pi * HERTZ[1] * k * period + 0.4 * np.sin(2 * np.pi * 7.0 * k * period))
+        bend = equation[2:4] @ state
+        rows.append([k * period, *((state[:2], state[2:4], bend)[order]), *state[4:]])
+        state[:4] = step @ state
+    rows = np.array(rows[kept:])
+    rows[:, 1:3] += 1e-5 * np.abs(rows[:, 1:3]).max() * np.random.default_rng(5).standard_normal((len(rows), 2))
+    header = "t [s],Vx [V],Vy [V],u_x [N],u_y [N]"
+    np.savetxt(path, rows, "%.10g", ",", header=header, comments="")
+    return path
+
+
+@pytest.mark.parametrize(("order", "kept"), [(0, 0), (0, 3000), (1, 3000), (2, 0)])
+def test_a_closed_loop_without_a_design(tmp_path, order, kept):
+    """From leaking lines the quality factors started at 49 and 12, the fit ended 1600 times the noise off."""
+    closed_loop(tmp_path / "loop.csv", order, kept)
+    (tmp_path / "case.toml").write_text(CASE.format(("displacement", "velocity", "acceleration")[order]))
+    case = mg.load_case(tmp_path)
+    found = starting_device(case)
+    stiffness, damping = np.asarray(found.stiffness), np.asarray(found.damping)
+    hertz = np.sqrt(stiffness[:2]) / (2 * np.pi)
+    np.testing.assert_allclose(hertz, HERTZ, atol=0.02)
+    np.testing.assert_allclose(2 * np.pi * hertz / damping[:2], QUALITY, rtol=0.02)
+    assert stiffness[2] == pytest.approx(COUPLING, rel=0.05)
+    assert float(found.mobility) == pytest.approx(MOBILITY, rel=0.02)
