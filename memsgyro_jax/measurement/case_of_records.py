@@ -2,6 +2,7 @@
 
 import shutil
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -122,8 +123,9 @@ def _design(records: list[ImportedRecord], two: bool) -> str:
     return _OF_DECAYS + toml_table("design", entries)
 
 
-def write_records(folder: Path, records: list[ImportedRecord], sources: list[str]) -> Case:
-    """The case of some records, written beside the folder, read as a test, and only then moved there.
+def write_records(folder: Path, records: list[ImportedRecord], sources: list[str]) -> tuple[Case, list[ImportedRecord]]:
+    """The case of some records, written beside the folder, read as a test, and only then moved there; and the records,
+    with what their rows correct.
 
     **Raises:** `InputError` for what cannot be read, and where nothing tells the design, the lines of which are left to
     fill in.
@@ -136,7 +138,10 @@ def write_records(folder: Path, records: list[ImportedRecord], sources: list[str
             write_whole(beside / f"{record.name}.csv", _csv_of(record))
         write_whole(beside / FILE, _toml_of(folder.absolute().name, records, sources))
         try:
-            load_case(beside)
+            better = _as_rows_show(load_case(beside), records)
+            if any(one.keys != other.keys for one, other in zip(better, records, strict=True)):
+                write_whole(beside / FILE, _toml_of(folder.absolute().name, better, sources))
+                load_case(beside)
         except InputError as error:  # of files that the user never sees: named as what they were made from
             said = str(error)
             for record in records:
@@ -147,9 +152,20 @@ def write_records(folder: Path, records: list[ImportedRecord], sources: list[str
                 said += f" Everything else is written: fill in the lines there, then `memsgyro check {folder}`."
             raise InputError(said) from error
         _moved(beside, folder)
-        return load_case(folder)
+        return load_case(folder), better
     finally:
         shutil.rmtree(beside, ignore_errors=True)
+
+
+def _as_rows_show(case: Case, records: list[ImportedRecord]) -> list[ImportedRecord]:
+    """The records, with what was assumed of a key ("`hold` is ...") corrected where their rows show another."""
+    out = []
+    for record, read in zip(records, case.records, strict=True):
+        keys, told = read.better_keys(case)
+        assumed = tuple(one for one in record.assumed if not any(f"(`{key}` is " in one for key in keys))
+        record = replace(record, keys={**record.keys, **keys}, assumed=(*assumed, told)) if keys else record
+        out.append(record)
+    return out
 
 
 def _moved(beside: Path, folder: Path) -> None:

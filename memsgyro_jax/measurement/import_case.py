@@ -176,7 +176,7 @@ def import_case(
     ]
     found, copies = without_copies(found)
     records = turned_alike(agreed(_named([record for some in found for record in some])))
-    case = write_records(folder, records, sources)
+    case, records = write_records(folder, records, sources)
     again = ["memsgyro", "import", *map(str, paths), "--out", str(folder), "--overwrite"]
     again += [*(["--map", *([columns] if isinstance(columns, str) else columns)] if any(maps) else [])]
     again += ["--axis", *axis] if axis else []

@@ -97,6 +97,17 @@ def is_shared(device: NormalisedDevice, rows: list[Phasors]) -> bool:
     return _left(device, rows) <= _UNSHARED
 
 
+def misfit(offered: Phasors) -> float:
+    """Squared deviation over noise, a half of a phasor's, of a record from the device that explains its phasors best;
+    infinite where none does.
+    """
+    device, rows = device_of_phasors([offered]), _Rows.of([offered])
+    if device is None:
+        return float("inf")
+    off = rows.off((np.asarray(device.stiffness), np.asarray(device.damping), float(device.mobility)))
+    return float(np.mean(np.abs(rows.weight[:, None] * off) ** 2)) / 2.0
+
+
 def _left(device: NormalisedDevice, rows: list[Phasors]) -> float:
     """The share of the squared motion, weighted with its noise, that a device leaves of records of all axes."""
     entries = np.asarray(device.stiffness), np.asarray(device.damping), float(device.mobility)

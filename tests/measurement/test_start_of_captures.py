@@ -5,6 +5,7 @@ import pytest
 from scipy.linalg import expm
 
 import memsgyro_jax as mg
+from memsgyro_jax.measurement.case.quality import assess
 from memsgyro_jax.measurement.linear_start import starting_device
 
 
@@ -63,3 +64,16 @@ def test_a_closed_loop_without_a_design(tmp_path, order, kept):
     np.testing.assert_allclose(2 * np.pi * hertz / damping[:2], QUALITY, rtol=0.02)
     assert stiffness[2] == pytest.approx(COUPLING, rel=0.05)
     assert float(found.mobility) == pytest.approx(MOBILITY, rel=0.02)
+
+
+def test_the_rows_tell_how_the_force_was_held(tmp_path):
+    """`import` took every force for one that was sampled as it ran, half a row early where it was held."""
+    found = mg.import_case([closed_loop(tmp_path / "loop.csv")], tmp_path / "case")
+    assert found.case.records[0].hold == "zero_order"
+    assert "nearer to a device where the force was held from row to row (`hold` is zero_order)." in str(found)
+    assert "band_limited" not in str(found)
+    path = tmp_path / "case" / "case.toml"
+    path.write_text(path.read_text().replace('hold = "zero_order"', 'hold = "linear"'))
+    assert not [one for one in assess(found.case).warnings if "hold" in one]
+    (warning,) = [one for one in assess(mg.load_case(path.parent)).warnings if "hold" in one]
+    assert warning.startswith("`loop`: its rows lie ")

@@ -270,6 +270,10 @@ class AbstractRecord(abc.ABC):
         """A sentence for everything about the rows that a colleague should know; none by default."""
         return []
 
+    def better_keys(self, declared: Declared) -> tuple[dict[str, Any], str]:
+        """Keys of its section that its rows contradict, as they show them, and a sentence on it; by default none."""
+        return {}, ""
+
     def beside_device(self, device: NormalisedDevice, declared: Declared) -> list[str]:
         """The same of what they contradict in the device that the phasors of all records show."""
         return []

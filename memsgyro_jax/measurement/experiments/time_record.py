@@ -25,15 +25,16 @@ from .base import BEYOND, Experiment, Noise, Phasors, RealNoise, surroundings
 from .checks import check_sampling
 from .clocked import CONDITIONS, WaveformRecord, surroundings_told
 from .deviation import Known
+from .hold import Hold, better_hold, between
 from .record import Watched
 from .sheet import Sheet
 from .unknown_start import beside_start, start_that_leaves_least
+from .windowed_lines import derivatives
 
 
 PHASE_STEP = 0.1  # of the highest mode per integration step where a nonlinear part is integrated [rad]
 RING_TIMES = 12  # amplitude time constants after which an unknown start has died out
 SOLVES = 3  # Gauss-Newton steps towards a start; a linear device needs one
-Hold = Literal["zero_order", "linear", "band_limited"]
 
 
 class RawCapture(Experiment):
@@ -245,7 +246,7 @@ class TimeRecord(WaveformRecord):
     def experiment(self, declared: Declared, number: int) -> RawCapture:
         held, highest = self.hold == "zero_order", declared.resonances[1]
         substeps = max(1, int(np.ceil(0.9 * highest * self.period / PHASE_STEP)))
-        fine = np.repeat(self.forces, substeps, axis=0) if held else _between(self.forces, substeps, self.hold)
+        fine = np.repeat(self.forces, substeps, axis=0) if held else between(self.forces, substeps, self.hold)
         following = np.concatenate([fine[1:], fine[-1:]])
         rate, time = (np.repeat(values, substeps) for values in (self.rate, self.time))
         around = self.surrounded(lambda values: np.repeat(values, substeps))
@@ -281,8 +282,8 @@ class TimeRecord(WaveformRecord):
             return None
         (low, high), readout, held = declared.resonances, declared.readout, self.hold == "zero_order"
         omega = 2 * np.pi * np.fft.rfftfreq(self.rows, self.period)
-        read = _derivatives(self.signals - self.signals.mean(axis=0), omega, self.period)
-        force = _derivatives(self.forces, omega, self.period, late=0.5 * held)[readout.order]
+        read = derivatives(self.signals - self.signals.mean(axis=0), omega, self.period)
+        force = derivatives(self.forces, omega, self.period, late=0.5 * held)[readout.order]
         if held:
             force = force * np.sinc(omega * self.period / 2 / np.pi)[:, None]
         if not np.isfinite(high):  # not declared: around the highest line
@@ -294,43 +295,18 @@ class TimeRecord(WaveformRecord):
         weight = abs(readout.scale) * omega**readout.order / noise
         return Phasors(omega, motion, force, weight, slope=slope, bend=bend)
 
+    def better_keys(self, declared: Declared) -> tuple[dict[str, Any], str]:
+        """Another `hold`, where the rows show it."""
+        better, told = better_hold(self.hold, lambda hold: dataclasses.replace(self, hold=hold), declared)
+        return ({"hold": better}, told) if better else ({}, "")
+
+    def warnings(self, declared: Declared) -> list[str]:
+        _, told = self.better_keys(declared)
+        return [*super().warnings(declared), *([f"`{self.name}`: {told}."] if told else [])]
+
     def watched(self, noise: np.ndarray) -> list[Watched]:
         inputs = [self.in_time(f"the input {name}", column) for name, column in zip("xy", self.forces.T, strict=False)]
         return [*super().watched(noise), *inputs, self.in_time("the rate", self.rate)]
 
     def known(self, declared: Declared) -> tuple[Known, ...]:
         return (*super().known(declared), Known("rate", self.rate, "rad/s"))
-
-
-def _derivatives(
-    signals: np.ndarray, omega: np.ndarray, period: float, late: float = 0.0
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Spectral lines at `omega` of signals (n, channels) under a Hann window, and those of their first and second
-    derivative under the same, by parts: as window and slope vanish at both ends, no line leaks into another's equation
-    of motion (modulating functions: Shinbrot, Trans. ASME 79 (1957) 547).
-
-    The samples are `late` by a part of the period.
-    """
-    pace, turn = 2 * np.pi / ((len(signals) - 1) * period), 1j * omega[:, None]
-    phase = pace * period * (np.arange(len(signals)) + late)[:, None]
-    windows = (1 - np.cos(phase)) / 2, pace * np.sin(phase) / 2, pace**2 * np.cos(phase) / 2
-    begun, first, second = (np.fft.rfft(signals * w, axis=0) * np.exp(-turn * late * period) for w in windows)
-    return begun, turn * begun - first, turn**2 * begun - 2 * turn * first + second
-
-
-def _between(forces: np.ndarray, substeps: int, hold: str) -> np.ndarray:
-    """Input on a grid `substeps` times finer: on straight lines, or as a band-limited signal.
-
-    The integration takes the fine grid as straight lines, which weakens a sine by (ωh)²/12; the band-limited signal is
-    strengthened by as much.
-    """
-    count = forces.shape[0]
-    if hold == "linear" or substeps == 1:
-        place = np.arange(count * substeps) / substeps
-        return np.stack([np.interp(place, np.arange(count), column) for column in forces.T], axis=1)
-    from scipy import signal
-
-    fine = signal.resample_poly(forces, substeps, 1, axis=0, window=("kaiser", 12.0), padtype="line")
-    curvature = np.zeros_like(fine)
-    curvature[1:-1] = fine[2:] - 2 * fine[1:-1] + fine[:-2]
-    return fine - curvature / 12
