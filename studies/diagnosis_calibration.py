@@ -56,7 +56,7 @@ def main() -> None:
 def interval(count: int, of: int) -> str:
     """Share with its 95 % interval (Clopper and Pearson)."""
     low, high = stats.binomtest(count, of).proportion_ci(0.95)
-    return f"{100 * count / of:.2g} % ({100 * low:.1f} to {100 * high:.1f})"
+    return f"{100 * count / of:.3g} % ({100 * low:.1f} to {100 * high:.1f})"
 
 
 # ---- where everything is linear
