@@ -186,6 +186,13 @@ class Model(Displayed):
         return is_affine(lambda s, u: self.derivative(s, u, Conditions()), rest, still)
 
     @property
+    def is_bare(self) -> bool:
+        """Whether no effect acts on the motion, which a step of any length then tells exactly under held forces and a
+        constant rate.
+        """
+        return not self._acting.forces
+
+    @property
     def is_read_linearly(self) -> bool:
         """Whether the voltages are affine in state and command, whatever the conditions are."""
         rest, still = jnp.zeros(self.size), jnp.zeros(self.axes)

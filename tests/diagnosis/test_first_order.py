@@ -17,8 +17,10 @@ from memsgyro_jax.effects.instrument import RecordGain
 from memsgyro_jax.effects.lock_in_terms import ReferencePhase
 from memsgyro_jax.effects.numbers import parameter
 from memsgyro_jax.measurement.first_order import of_first_order
+from memsgyro_jax.measurement.import_case import import_case
+from memsgyro_jax.measurement.linear_start import starting_device
 from memsgyro_jax.measurement.model import Model
-from memsgyro_jax.measurement.readings import readings_of
+from memsgyro_jax.measurement.readings import model_of, readings_of
 
 
 GYROS = {
@@ -122,3 +124,25 @@ def test_responses_of_a_resonator(beside, monkeypatch):
     effects = [e for e in catalogue(1) if not isinstance(e, Scanned) and e.label not in {b.label for b in beside}]
     model = truth(case, RESONATOR, Hidden(), ()).with_effect(*effects, *beside)
     assert not_the_same(model, case, monkeypatch) <= unseen
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("beside", [(), (CubicStiffness("x", 3e18),)], ids=["alone", "hardening"])
+def test_responses_of_a_decay_from_an_unknown_start(beside, monkeypatch, tmp_path):
+    """Waveforms of two axes that ring by themselves, piece by piece; what a start makes up for is not seen."""
+    time, rng = np.arange(1500) / 80e3, np.random.default_rng(3)
+    rings = [
+        a * np.exp(-np.pi * f / q * time) * np.cos(2 * np.pi * f * time + p) + 1e-4 * rng.standard_normal(time.size)
+        for a, f, q, p in ((0.4, 9000.0, 250.0, 0.3), (0.2, 9600.0, 180.0, 1.2))
+    ]
+    rows = np.stack([time, *rings], axis=1)
+    np.savetxt(tmp_path / "decay.csv", rows, "%.9g", ",", header="t [s],Vx [V],Vy [V]", comments="")
+    case = import_case([tmp_path / "decay.csv"], tmp_path / "case").case
+    labels = {e.label for e in beside}
+    effects = [e for e in catalogue(2) if not isinstance(e, Scanned) and e.label not in labels]
+    model = model_of(case, starting_device(case)).with_effect(*effects, *beside)
+    unseen = not_the_same(model, case, monkeypatch)
+    assert "cubic_stiffness y" not in unseen
+    shown = {"quadratic_damping x", "quadratic_stiffness x", "squeeze_film_damping y", "pickoff_nonlinearity x"}
+    shown |= {"cross_damping_asymmetry", "pickoff_crosstalk x_to_y", "dry_friction x"}
+    assert not shown & unseen, unseen

@@ -13,7 +13,8 @@ from jaxtyping import Array, Float
 from memsgyro_jax.base.linalg import inverse, product, small_root
 from memsgyro_jax.device.conditions import Conditions
 
-from ..envelope import FINEST, HARMONICS, Driven, run_samples
+from ..envelope import FINEST, HARMONICS, Driven, run_samples, visited_samples
+from ..first_order import Contribution, Inquiry, Instants
 from ..model import Model
 from ..steady import fundamental
 from .base import BEYOND, Experiment, Noise
@@ -21,6 +22,7 @@ from .unknown_start import beside_start, start_that_leaves_least
 
 
 SOLVES = 4  # Gauss-Newton steps towards the start of a piece
+STRAIGHT = 2  # the same of a linear device: the second is taken where the first has ended
 
 
 class FreeDecay(Experiment):
@@ -73,6 +75,37 @@ class FreeDecay(Experiment):
 
         return jax.vmap(one)(starts, slopes, *self._pieces()).ravel()
 
+    def nothing(self, bench: Model) -> Contribution | None:
+        if jnp.iscomplexobj(self.measured) or self.nodes:
+            return None
+        forced = (2 * self.substeps * len(self.measured), bench.axes)
+        return Contribution.none(bench, (forced,), self.measured.shape, float, self.start.shape[:1])
+
+    def residual_beside(self, bench: Model, added: Contribution) -> tuple[Float[Array, " r"], Inquiry]:
+        starts, slopes = self._solved(jax.lax.stop_gradient(bench))
+        pushed, seen = self._by_piece(added.forced[0].reshape(-1, 2, bench.axes)), self._by_piece(added.seen)
+        quiet, measured, noise, now = jnp.zeros(bench.axes), *self._pieces()
+
+        def one(start: Array, now: Conditions, push: Array, linear: tuple[Array, Array]) -> tuple[Array, Array]:
+            states, fine, none = self._waveform(bench, start, now, linear, push)
+            first = jax.tree.map(lambda leaf: leaf[0], now)
+            return states, visited_samples(bench, states, none, none, self._grid(now)[0], fine, first)
+
+        states, visited = jax.vmap(one)(starts, now, pushed, added.linear)
+        kept = states[:, :: self.substeps]
+        shown = jax.vmap(jax.vmap(lambda s, c: bench.observe(s, quiet, quiet, c)))(kept, now) + seen
+        left = jax.vmap(lambda m, n, p, s: beside_start(n.whiten(m, p).ravel(), s))(measured, noise, shown, slopes)
+        moments = self._moments(bench, visited, jnp.repeat(jnp.arange(len(self.measured)), 2 * self.substeps))
+        firsts = jax.tree.map(lambda leaf: leaf[:, 0], now)
+        return left.ravel(), Inquiry((moments,), self._moments(bench, kept, slice(None)), firsts)
+
+    def _moments(self, bench: Model, states: Array, rows: Any) -> Instants:
+        """Moments of states (..., n) at some of the rows, under no force."""
+        states = states.reshape(-1, bench.size)
+        quiet = jnp.zeros((len(states), bench.axes))
+        now = jax.tree.map(lambda leaf: leaf[rows], self.surroundings)
+        return Instants(state=states, command=quiet, turn=quiet, conditions=now)
+
     @property
     def finer(self) -> "FreeDecay | None":
         """The same in steps half as long; `None` at the last."""
@@ -119,7 +152,7 @@ class FreeDecay(Experiment):
             def left(start: Array) -> Array:
                 return noise.whiten(measured, self._readings(model, start, now)).ravel()
 
-            return start_that_leaves_least(left, begin, units, steps=SOLVES, far=1.0)
+            return start_that_leaves_least(left, begin, units, steps=STRAIGHT if model.is_bare else SOLVES, far=1.0)
 
         begin = jax.lax.stop_gradient(self.start)
         return jax.vmap(one)(begin, *self._pieces())
@@ -128,13 +161,14 @@ class FreeDecay(Experiment):
         """Readings (m, axes) of one piece."""
         first, quiet = jax.tree.map(lambda leaf: leaf[0], now), jnp.zeros(model.axes)
         step, fine = self._grid(now)
-        linear = model.linear(first)
+        if not (jnp.iscomplexobj(self.measured) or self.nodes) and model.is_bare:  # a step of any length is exact
+            states, _, _ = self._waveform(model, start, now, whole=True)
+            return jax.vmap(lambda s, c: model.observe(s, quiet, quiet, c))(states, now)
         if not jnp.iscomplexobj(self.measured):
-            none = jnp.zeros((jnp.asarray(fine.time).size, model.axes))
-            begin = model.state_of(start, first)
-            states = run_samples(model, none, none, step, fine, first, start=begin, linear=linear)
+            states, fine, none = self._waveform(model, start, now)
             states = self._at_samples(states, lambda: jax.vmap(model.derivative)(states, none, fine), step, now)
             return jax.vmap(lambda s, c: model.observe(s, quiet, quiet, c))(states, now)
+        linear = model.linear(first)
         vector = _turning_one_way(linear[0], start)
         turning = model.state_of(vector.real, first) + 1j * model.state_of(vector.imag, first)
         free = Driven(model, self.frequency, quiet + 0j, linear)
@@ -144,8 +178,33 @@ class FreeDecay(Experiment):
         states = self._at_samples(course.start, slopes, step, now)
         return jax.vmap(lambda s, c: fundamental(model, self.frequency, s, free.force, c))(states, now)
 
-    def _grid(self, now: Conditions) -> tuple[Array, Conditions]:
+    def _waveform(
+        self,
+        model: Model,
+        start: Array,
+        now: Conditions,
+        more: tuple[Array, Array] | None = None,
+        push: Array | None = None,
+        *,
+        whole: bool = False,
+    ) -> tuple[Array, Conditions, Array]:
+        """States at the beginning of every step of a piece, conditions and forces there; with `more` linear part, and
+        accelerations `push` at both ends of each step, than the model has. In steps of a `whole` period, if asked for.
+        """
+        first, (step, fine) = jax.tree.map(lambda leaf: leaf[0], now), self._grid(now, whole)
+        none, (matrix, gain) = jnp.zeros((jnp.asarray(fine.time).size, model.axes)), model.linear(first)
+        linear = (matrix, gain) if more is None else (matrix + more[0], gain + more[1])
+        begin = model.state_of(start, first)
+        return (
+            run_samples(model, none, none, step, fine, first, start=begin, linear=linear, added=push),
+            fine,
+            none,
+        )
+
+    def _grid(self, now: Conditions, whole: bool = False) -> tuple[Array, Conditions]:
         """Step of the integration of a piece [s], and the conditions of each."""
+        if whole:
+            return self.period, now
         if not self.nodes:
             return self.period / self.substeps, jax.tree.map(lambda leaf: jnp.repeat(leaf, self.substeps), now)
         given = jnp.asarray(now.time)

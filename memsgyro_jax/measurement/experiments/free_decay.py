@@ -26,7 +26,9 @@ from .missing_force import TimeForce
 from .sheet import Sheet
 
 
-PHASE_STEP = 0.06  # of the highest mode per integration step [rad]
+NEARBY = 1.2  # of the frequency that a channel shows most: as high vibrates what shows less in it
+PHASE_STEP = 0.06  # of the highest mode per integration step, in the frame of phasors [rad]
+WAVE_STEP = 0.2  # the same of waveforms; where that moves a reading, steps become shorter
 TURN = 4.0  # phase by which a vibration may turn in the time of a piece, between its lowest and highest frequency [rad]
 CYCLES, ROWS = 4, 24  # in a piece at least
 GAP = 0.25  # of a piece without a row, over which none reaches
@@ -163,8 +165,8 @@ class FreeDecayRecord(WaveformRecord):
     def _experiment(self, declared: Declared, number: int, part: np.ndarray, rows: int) -> FreeDecay:
         """Of some rows, in pieces of `rows`."""
         few = self.only(part)
-        away, noise = self._distance(declared), self.noise_of_rows[part]
-        step = min(self.period, PHASE_STEP / away)
+        noise, most = self.noise_of_rows[part], WAVE_STEP if self.reference_frequency is None else PHASE_STEP
+        step = min(self.period, most / self._distance(declared))
         spans = np.ptp(few.time.reshape(-1, rows), axis=1)
         return FreeDecay(
             name="free decays",
@@ -174,20 +176,19 @@ class FreeDecayRecord(WaveformRecord):
             period=jnp.asarray(self.period),
             surroundings=surroundings(declared, number, part.size, time=few.time, **few.surrounded(np.asarray)),
             frequency=jnp.asarray(self.reference_frequency or 0.0),
-            substeps=max(1, int(np.ceil(away * self.period / PHASE_STEP))),
+            substeps=int(np.ceil(self.period / step)),
             nodes=1 + int(np.ceil(spans.max() / step)) if self.uneven else 0,
         )
 
     def _distance(self, declared: Declared) -> float:
         """How fast at most the vibration turns in the frame of the record [rad/s].
 
-        Phasors show it themselves; what a design leaves open may be a thousand times as wide.
+        The record shows it itself; what a design leaves open may be a thousand times as wide.
         """
         reference = self.reference_frequency or 0.0
-        if reference:
-            seen = [self.track(declared, channel).seen for channel in range(declared.channels)]
-            if away := [float(np.max(np.abs(track.omega - reference))) for track in seen if track.time.size]:
-                return 2.0 * max(away)
+        seen = [self.track(declared, channel).seen for channel in range(declared.channels)]
+        if away := [float(np.max(np.abs(track.omega - reference))) for track in seen if track.time.size]:
+            return (2.0 if reference else NEARBY) * max(away)
         return max(abs(omega - reference) for omega in declared.resonances)
 
     def _starts(self, declared: Declared, rows: int) -> np.ndarray:
