@@ -19,10 +19,10 @@ from .scale_factor_figures import (
     noise_rows,
     nonlinearity_rows,
     scale_factor_rows,
-    temperature_rows,
+    temperature_sensitivities,
     trend_of,
 )
-from .scale_factor_notes import outlying, sequence_notes, with_runs
+from .scale_factor_notes import lone_plateaus, sequence_notes, with_runs
 from .scale_factor_result import ScaleFactorTest
 
 
@@ -60,17 +60,17 @@ def scale_factor_test(
     full = greatest if full_scale is None else float(quantity("full_scale", full_scale, "rad/s"))
     if not full > 0.0 or not np.isfinite(full):
         raise InputError(f"Argument `full_scale` must be positive and finite, but {full:g} rad/s was given.")
-    return judged(read, full)
+    return test_of_plateaus(read, full)
 
 
-def judged(read: RatePlateaus, full_scale: float) -> ScaleFactorTest:
+def test_of_plateaus(read: RatePlateaus, full_scale: float) -> ScaleFactorTest:
     """The figures of plateaus that are read."""
     if len(levels(read.rate)[0]) < 2:
         raise InputError(
             f"{read.where}: a scale factor takes plateaus at two rates or more, but the rate of all "
             f"{len(read.rate)} is {np.degrees(read.rate[0]):.6g} deg/s."
         )
-    line = line_of(read, full_scale)
+    line = fitted_line(read, full_scale)
     bent = TREND in line.design.names
     nonlinear, by_level, reach = nonlinearity_rows(line)
     figures = {
@@ -78,8 +78,8 @@ def judged(read: RatePlateaus, full_scale: float) -> ScaleFactorTest:
         **nonlinear,
         "asymmetry": asymmetry_row(line),
         "hysteresis": hysteresis_row(line),
-        "drift": drift_row(line, trend_of(line, lambda: line_of(read, full_scale, with_trend=True)), bent),
-        **temperature_rows(line),
+        "drift": drift_row(line, trend_of(line, lambda: fitted_line(read, full_scale, with_trend=True)), bent),
+        **temperature_sensitivities(line),
         **noise_rows(line),
     }
     figures, said = with_runs(line, figures)
@@ -92,7 +92,7 @@ def judged(read: RatePlateaus, full_scale: float) -> ScaleFactorTest:
     )  # fmt: skip
 
 
-def line_of(read: RatePlateaus, full_scale: float, **options: bool) -> Line:
+def fitted_line(read: RatePlateaus, full_scale: float, **options: bool) -> Line:
     """The line through plateaus."""
     design = design_of(read, **options)
     return Line(read, design, response(design.means), full_scale)
@@ -101,8 +101,8 @@ def line_of(read: RatePlateaus, full_scale: float, **options: bool) -> Line:
 def _alone(line: Line) -> list[str]:
     """A sentence on each plateau that stands alone, with what it does to the scale factor."""
     read, said = line.read, []
-    for number in outlying(line):
-        rest = line_of(read.without(number), line.full_scale)
+    for number in lone_plateaus(line):
+        rest = fitted_line(read.without(number), line.full_scale)
         less = PPM * (rest.scale_factor / line.scale_factor - 1.0)
         said.append(
             f"The plateau of {np.degrees(read.rate[number]):.6g} deg/s that begins in line {read.lines[number]} lies "

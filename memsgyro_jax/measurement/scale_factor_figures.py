@@ -22,7 +22,7 @@ _SIDES = 3  # rates on each side of zero, from which on a kink there is told fro
 WITHIN_NOISE = "within the noise"
 
 
-class Interval(NamedTuple):
+class Ranged(NamedTuple):
     """A figure with half of its 95 % interval, infinite where nothing tells it."""
 
     value: float
@@ -72,22 +72,22 @@ class Line:
         """What an output is multiplied with to be ppm of the full scale."""
         return PPM / (abs(self.scale_factor) * float(np.degrees(self.full_scale)))
 
-    def of(self, weights: np.ndarray) -> Interval:
+    def of(self, weights: np.ndarray) -> Ranged:
         """A figure that is linear in the response."""
         return self.of_draws(float(weights @ self.found.output), self.found.outputs @ weights)
 
-    def of_draws(self, value: float, draws: np.ndarray) -> Interval:
+    def of_draws(self, value: float, draws: np.ndarray) -> Ranged:
         """A figure by its draws."""
         if not self.known:
-            return Interval(value, np.inf)
-        return Interval(value, float(np.quantile(np.abs(draws - value), _LEVEL)))
+            return Ranged(value, np.inf)
+        return Ranged(value, float(np.quantile(np.abs(draws - value), _LEVEL)))
 
     @property
     def known(self) -> bool:
         """Whether anything tells the noise of the means."""
         return self.found.spare > 0 or bool(np.any(self.read.within > 0.0))
 
-    def effect(self, name: str) -> Interval | None:
+    def effect(self, name: str) -> Ranged | None:
         """Of a column beside; `None` where the sequence does not tell it."""
         if name not in self.design.names:
             return None
@@ -222,14 +222,14 @@ def hysteresis_row(line: Line) -> MeasuredFigure:
     title, unit = "hysteresis, from below less from above", "ppm of full scale"
     one = line.effect(DIRECTION)
     if one is not None:
-        scaled = Interval(line.ppm * one.value, line.ppm * one.reach)
+        scaled = Ranged(line.ppm * one.value, line.ppm * one.reach)
         return scaled.figure(title, unit, WITHIN_NOISE if line.known and not scaled.told else "")
     both = np.any(line.read.direction > 0) and np.any(line.read.direction < 0)
     why = "the sequence does not tell it from other figures" if both else "rates are approached from one side only"
     return MeasuredFigure(title, None, -np.inf, np.inf, unit, why)
 
 
-def drift_row(line: Line, trend: Interval | None, bent: bool) -> MeasuredFigure:
+def drift_row(line: Line, trend: Ranged | None, bent: bool) -> MeasuredFigure:
     """Drift of the bias over time, by a line; `bent` says whether a curved one is told apart, too."""
     timed = line.read.timed
     unit = "deg/s/h" if timed else "deg/s over the test"
@@ -239,12 +239,12 @@ def drift_row(line: Line, trend: Interval | None, bent: bool) -> MeasuredFigure:
         return MeasuredFigure(title, None, -np.inf, np.inf, unit, why)
     hours = float(np.ptp(line.read.time)) / _HOUR if timed else 1.0
     scale = 1.0 / (line.scale_factor * max(hours, 1e-12))
-    one = Interval(scale * trend.value, abs(scale) * trend.reach)
+    one = Ranged(scale * trend.value, abs(scale) * trend.reach)
     said = "" if one.told or not line.known else WITHIN_NOISE
     return one.figure(title, unit, said if bent else f"{said or 'straight'}; a bent course is not told apart")
 
 
-def temperature_rows(line: Line) -> dict[str, MeasuredFigure]:
+def temperature_sensitivities(line: Line) -> dict[str, MeasuredFigure]:
     """Temperature sensitivities of zero-rate output and scale factor, where the temperature differs."""
     read = line.read
     if read.temperature is None:
@@ -265,7 +265,7 @@ def temperature_rows(line: Line) -> dict[str, MeasuredFigure]:
             why = f"the temperature differs by {span:.2g} K only" if effect not in line.design.left else _CONFOUNDED
             rows[name] = MeasuredFigure(title, None, -np.inf, np.inf, unit, why)
             continue
-        per = Interval(scale / span * one.value, abs(scale) / span * one.reach)
+        per = Ranged(scale / span * one.value, abs(scale) / span * one.reach)
         rows[name] = per.figure(title, unit, "" if per.told or not line.known else WITHIN_NOISE)
     return rows
 
@@ -273,7 +273,7 @@ def temperature_rows(line: Line) -> dict[str, MeasuredFigure]:
 _CONFOUNDED = "the sequence does not tell it from other figures"
 
 
-def trend_of(line: Line, other: Callable[[], Line]) -> Interval | None:
+def trend_of(line: Line, other: Callable[[], Line]) -> Ranged | None:
     """The straight drift, by columns with it where the first have none."""
     return line.effect(TREND) or other().effect(TREND)
 
@@ -294,7 +294,7 @@ def noise_rows(line: Line) -> dict[str, MeasuredFigure]:
         grows = fit.pvalue < 0.01
         said = f"at the greatest rate {np.exp(fit.slope):.3g} times that at zero ({ends[0]:.3g} to {ends[1]:.3g})"
         said += "" if grows else ": does not depend on the rate"
-    rows["noise"] = Interval(typical, spread).figure("noise of samples, rms", "deg/s", said)
+    rows["noise"] = Ranged(typical, spread).figure("noise of samples, rms", "deg/s", said)
     if np.all(read.within > 0.0):
         walk = 60.0 * float(np.sqrt(np.mean(read.within**2 * read.duration))) / abs(line.scale_factor)
         freedom = 9.0 * len(scatter)

@@ -109,7 +109,7 @@ def _confounded(line: Line) -> str:
     )
 
 
-def outlying(line: Line) -> list[int]:
+def lone_plateaus(line: Line) -> list[int]:
     """Plateaus that the others do not expect."""
     found, freedom = line.found, line.found.spare
     if freedom < 3:
