@@ -21,6 +21,7 @@ _HEAVIER = np.array([10.0, 20.0, 50.0])  # a walk beside a scatter that is small
 _WALK_SCALE = 1.0  # of its prior
 _LIKELY = 1e-4  # weight from which on a pair of strengths counts
 _SEED = 0
+_ROUNDING = 1e-12  # of the greatest output, below which what a fit leaves is none
 
 
 class Means(NamedTuple):
@@ -52,7 +53,6 @@ class Response:
         effect_draws: (draws, q) of them.
         misfit: (n,) how far each mean is off what the others say of it, in standard deviations.
         spare: plateaus beyond the columns.
-        walks: share of the spread of what a plain fit leaves that is a walk of the bias.
     """
 
     output: Float[np.ndarray, " n"]
@@ -61,7 +61,6 @@ class Response:
     effect_draws: Float[np.ndarray, "draws q"]
     misfit: Float[np.ndarray, " n"]
     spare: int
-    walks: float
 
 
 class _Pair(NamedTuple):
@@ -88,7 +87,7 @@ def response(means: Means) -> Response:
     pairs = [_pair(units, basis, columns, known, *each) for each in strengths]
     weights = np.exp(np.array([pair.weight for pair in pairs]) - max(pair.weight for pair in pairs))
     weights /= weights.sum()
-    return _drawn(units, pairs, weights, strengths, scale, basis)
+    return _drawn(units, pairs, weights, scale, basis)
 
 
 def _strengths(known: bool, spare: int) -> list[tuple[float, float, float]]:
@@ -130,16 +129,15 @@ def _pair(
     off_mean = linear.copy()
     off_mean[:count] -= 1.0 / count
     error = linear @ plain @ linear.T + off_mean @ walked @ off_mean.T
-    if not known:
-        error = error * (square / max(freedom, 1))
+    rounding = (_ROUNDING * float(np.max(np.abs(means.output)))) ** 2
+    common = 1.0 if known else max(square / max(freedom, 1), rounding)
+    error = error * common
     with np.errstate(divide="ignore", invalid="ignore"):
-        misfit = left @ means.output / np.sqrt(np.diag(left) * (1.0 if known else square / max(freedom, 1)))
+        misfit = left @ means.output / np.sqrt(np.diag(left) * common)
     return _Pair(likely + prior, linear, error, np.nan_to_num(misfit), freedom)
 
 
-def _drawn(
-    means: Means, pairs: list[_Pair], weights: np.ndarray, strengths: list[tuple], scale: float, basis: np.ndarray
-) -> Response:
+def _drawn(means: Means, pairs: list[_Pair], weights: np.ndarray, scale: float, basis: np.ndarray) -> Response:
     rng, drawn = np.random.default_rng(_SEED), []
     for pair, number in zip(pairs, np.random.default_rng(_SEED).multinomial(DRAWS, weights), strict=True):
         if not number:
@@ -153,7 +151,4 @@ def _drawn(
     every, count = scale * np.concatenate(drawn), len(means.output)
     best = pairs[int(np.argmax(weights))]
     value = scale * sum(w * (pair.linear @ means.output) for w, pair in zip(weights, pairs, strict=True))
-    walks = float(np.sum(weights * [walk > scatter for scatter, walk, _ in strengths]))
-    return Response(
-        value[:count], every[:, :count], value[count:], every[:, count:], best.misfit, basis.shape[1], walks
-    )
+    return Response(value[:count], every[:, :count], value[count:], every[:, count:], best.misfit, basis.shape[1])

@@ -75,13 +75,15 @@ def settling(output: np.ndarray, found: list[slice]) -> Settling:
     edges = _edges(shortest)
     late = answer[shortest // 2 :]
     bins = [(a, float(np.mean(answer[a:b])), _spread(late, b - a)) for a, b in pairwise(edges)]
-    moving = [k for k, (_, value, spread) in enumerate(bins) if abs(value) > _NOISE * spread + _SETTLED]
+    quiet = np.array([abs(value) <= _NOISE * spread + _SETTLED for _, value, spread in bins])
     most = int(_MOST * shortest)
-    if not moving:
-        return Settling(min(2, most), True)
-    last = moving[-1] + 1
-    if last >= len(bins) or bins[last][0] >= most:
+    # A response that rings passes zero: only two bins of noise after each other are its end.
+    ends_at = np.flatnonzero(quiet[:-1] & quiet[1:])
+    if not ends_at.size or bins[ends_at[0]][0] >= most:
         return Settling(most, False)
+    last = int(ends_at[0])
+    if last == 0:
+        return Settling(min(2, most), True)
     first, hidden = abs(bins[0][1]), _NOISE * bins[last][2] + _SETTLED
     reached = bins[last][0]
     decay = reached / max(np.log(max(first / hidden, 1.0)), 1.0)

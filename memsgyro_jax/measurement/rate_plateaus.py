@@ -224,13 +224,16 @@ def _mean_of(table: Table, name: str | None, unit: str, kept: list[slice] | None
 
 
 def _directions(table: Table, columns: TableColumns, read: RatePlateaus) -> np.ndarray:
-    """From the column, or from the rate before in the same run."""
+    """From the column, or from the last other rate in the same run."""
     if columns.direction is not None:
         rows = np.searchsorted(table.lines, read.lines)
         return np.sign(table.columns[columns.direction][rows]).astype(int)
-    steps = np.diff(read.rate, prepend=read.rate[:1])
-    steps[np.diff(read.run, prepend=read.run[:1]) != 0] = 0.0
-    return np.where(np.abs(steps) > _SAME * np.max(np.abs(read.rate)), np.sign(steps), 0).astype(int)
+    found = np.zeros(len(read.rate), int)
+    same = _SAME * np.max(np.abs(read.rate))
+    for number, step in enumerate(np.diff(read.rate), 1):
+        if read.run[number] == read.run[number - 1]:
+            found[number] = np.sign(step) if abs(step) > same else found[number - 1]
+    return found
 
 
 def levels(rate: np.ndarray) -> tuple[Float[np.ndarray, " levels"], Int[np.ndarray, " n"]]:

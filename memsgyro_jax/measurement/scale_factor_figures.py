@@ -87,6 +87,13 @@ class Line:
         """Whether anything tells the noise of the means."""
         return self.found.spare > 0 or bool(np.any(self.read.within > 0.0))
 
+    @property
+    def holds_drift(self) -> bool:
+        """Whether a straight drift of the bias would count as scale factor, a twentieth of it at least."""
+        free = TREND in self.design.left and not self.design.by_temperature and len(self.rate) > 2
+        since = self.design.since
+        return free and abs(float(self.weights[1] @ since)) * float(np.degrees(self.full_scale)) > 0.05
+
     def effect(self, name: str) -> Ranged | None:
         """Of a column beside; `None` where the sequence does not tell it."""
         if name not in self.design.names:
@@ -119,7 +126,8 @@ def scale_factor_rows(line: Line) -> dict[str, MeasuredFigure]:
     is_rate = unit == "deg/s"
     per_rate = "1" if is_rate else f"{unit}/(deg/s)" if unit != "1" else "1/(deg/s)"
     off = f"{PPM * (slope.value - 1.0):+.4g} ppm off 1" if is_rate else ""
-    rows = {"scale_factor": slope.figure("scale factor", per_rate, off)}
+    hidden = "with any drift of the bias in it" if line.holds_drift else ""
+    rows = {"scale_factor": slope.figure("scale factor", per_rate, ", ".join(filter(None, (off, hidden))))}
     zero = line.of(line.weights[0])
     in_rate = lambda one: "" if is_rate else f"{one.value / line.scale_factor:.4g} deg/s"  # noqa: E731
     outside = not line.rate.min() <= 0.0 <= line.rate.max()
@@ -235,7 +243,8 @@ def drift_row(line: Line, trend: Ranged | None, bent: bool) -> MeasuredFigure:
     unit = "deg/s/h" if timed else "deg/s over the test"
     title = "drift of the zero-rate output"
     if trend is None:
-        why = "the sequence does not tell it from the scale factor or other figures"
+        together = line.design.by_temperature
+        why = "runs with the temperature, and is told there" if together else _CONFOUNDED
         return MeasuredFigure(title, None, -np.inf, np.inf, unit, why)
     hours = float(np.ptp(line.read.time)) / _HOUR if timed else 1.0
     scale = 1.0 / (line.scale_factor * max(hours, 1e-12))

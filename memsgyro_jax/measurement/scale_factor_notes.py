@@ -59,7 +59,8 @@ def _over_runs(figure: MeasuredFigure, spread: float, runs: int) -> tuple[Measur
     assert figure.value is not None
     reach = spread / np.sqrt(runs) * float(stats.t.ppf(0.975, runs - 1))
     reach = max(float(reach), 0.5 * (figure.high - figure.low))
-    said = f"Runs differ in {figure.title} by more than the noise: its interval is that of a mean of {runs} runs."
+    what = figure.title.split(",")[0]
+    said = f"Runs differ in {what} by more than the noise: its interval is that of a mean of {runs} runs."
     return replace(figure, low=figure.value - reach, high=figure.value + reach), said
 
 
@@ -73,7 +74,12 @@ def sequence_notes(line: Line) -> tuple[str, ...]:
         way = "positive" if rate.max() > 0.0 else "negative"
         said.append(f"All rates are {way} or zero: nothing is told of others.")
     if TREND in line.design.left and len(rate) > 2:
-        said.append(_confounded(line))
+        said.append(_TOGETHER if line.design.by_temperature else _confounded(line))
+    if count > 3 and not line.design.scale_drifts_apart and line.of(line.powers()[3]).told:
+        said.append(
+            "The greater the rates the later they come: a scale factor that drifts, with temperature say, cannot be "
+            "told from the cubic part; mix the order of the rates."
+        )
     if not line.known:
         said.append("Nothing tells the noise of the means: repeat plateaus, or give the raw log; no interval is told.")
     elif not line.found.spare:
@@ -90,17 +96,21 @@ def sequence_notes(line: Line) -> tuple[str, ...]:
     return tuple(said)
 
 
+_TOGETHER = "Time and temperature run together: what drifts is told as the temperature's, and may be the time's."
+
+
 def _confounded(line: Line) -> str:
     """Which drift the sequence hides, and what it would count as."""
     since = line.design.since
-    counts = PPM * float(line.weights[1] @ since) * np.degrees(line.full_scale) * _DRIFT
-    hidden = 1e-3 * float(np.degrees(line.full_scale))
-    way = "in one way" if abs(np.corrcoef(since, line.rate)[0, 1]) > 0.9 else "so"
-    if abs(counts) > 0.05 * _DRIFT * PPM:
+    full = float(np.degrees(line.full_scale))
+    hidden = _DRIFT * full
+    if line.holds_drift:
+        counts = PPM * _DRIFT * full * abs(float(line.weights[1] @ since))
+        way = "in one way, so" if abs(np.corrcoef(since, line.rate)[0, 1]) > 0.9 else "so"
         return (
             f"Rates follow each other {way} that a drift of the bias cannot be told from the scale factor: "
-            f"{hidden:.3g} deg/s from begin to end would count as {abs(counts):.3g} ppm; return to zero between rates, "
-            "or sweep back."
+            f"{hidden:.3g} deg/s from begin to end would count as {counts:.3g} ppm; return to zero between rates, or "
+            "sweep back."
         )
     return (
         "Rates follow each other so that a bias which drifts along a bent course, as in warm-up, cannot be told from "

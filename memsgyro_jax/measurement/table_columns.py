@@ -16,6 +16,7 @@ _APPLIED = re.compile(r"table|command|applied|input|reference|\bref|set ?point|s
 _PUT_OUT = re.compile(r"out|gyro|sensor|dut|uut|meas|signal|reading|response", re.I)
 _SCATTER = re.compile(r"\b(std|stdev|stddev|sd|sigma|rms|noise|deviation)\b", re.I)
 _RUN = re.compile(r"\b(run|turn on|power on|sequence|cycle|repeat|lauf)\b", re.I)
+_TEMPERATURE = re.compile(r"^T$|\b[tT]emp|°")
 _DIRECTION = re.compile(r"\b(dir|direction|sense|richtung)\b", re.I)
 
 
@@ -80,6 +81,9 @@ def columns_of_test(table: Table, rate: str | None, output: str | None) -> Table
     scatter = take([name for name in left if _SCATTER.search(_words(name))])
     time = take([name for name in left if measures(table, name, "s")])
     temperature = take([name for name in left if measures(table, name, "K")])
+    for name in left:
+        if _TEMPERATURE.search(_words(name)):
+            table.si(name, "K")  # whose error says how degrees are written
     run = take([name for name in left if table.units[name] == "1" and _RUN.search(_words(name))])
     direction = take([name for name in left if table.units[name] == "1" and _DIRECTION.search(_words(name))])
     rate = rate or take(_rates(table, left, output))
