@@ -33,8 +33,7 @@ def test_it_prints_writes_and_draws(log, tmp_path, capsys):
     entries = json.loads((tmp_path / "a.json").read_text())
     assert entries["schema"] == "memsgyro-scale-factor-test/1"
     assert entries["full_scale_dps"] == pytest.approx(250.0)
-    found = entries["figures"]["scale_factor"]
-    assert found["low"] < 0.01 < found["high"]
+    assert entries["figures"]["scale_factor"]["value"] == pytest.approx(0.01, rel=1e-5)
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
 
 

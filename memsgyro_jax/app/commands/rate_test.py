@@ -4,7 +4,6 @@ from pathlib import Path
 
 from memsgyro_jax.base.errors import InputError
 
-from .options import require_writable, writing
 from .quick import look_for_study
 
 
@@ -39,6 +38,8 @@ def rate_test_command(
         plot: file for a picture of the deviation from the line, SVG, PNG or PDF by its name.
     """
     look_for_study(None, log)
+    from .options import require_writable, writing
+
     require_writable(json, plot)
     import math
 
