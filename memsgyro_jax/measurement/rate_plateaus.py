@@ -11,6 +11,7 @@ from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.table import Table
 from memsgyro_jax.base.text import listed
 
+from .allan_variance import allan_deviation
 from .plateau_search import BATCHES, Settling, batch_means, plateaus, settling
 from .table_columns import TableColumns, columns_of_test, measures, table_of
 
@@ -33,7 +34,8 @@ class RatePlateaus:
         timed: whether the times are known.
         within: standard error of each mean by the noise within its plateau; zeros where it is not known.
         scatter: standard deviation of the samples of each plateau; NaN where it is not known.
-        duration: of each plateau behind the settling [s]; NaN where it is not known.
+        walk: square of the random walk N of each plateau by its Allan deviation, in squares of `unit` times s; NaN
+            where it is not known.
         run: number of the run (turn-on) from zero on.
         direction: +1 for a rate approached from below, -1 from above, 0 where there is none.
         temperature, voltage: of each plateau [K], [V]; `None` without such a column.
@@ -50,7 +52,7 @@ class RatePlateaus:
     timed: bool
     within: Float[np.ndarray, " n"]
     scatter: Float[np.ndarray, " n"]
-    duration: Float[np.ndarray, " n"]
+    walk: Float[np.ndarray, " n"]
     run: Int[np.ndarray, " n"]
     direction: Int[np.ndarray, " n"]
     temperature: Float[np.ndarray, " n"] | None
@@ -147,12 +149,11 @@ def _of_log(
             f"{table.path}: a plateau must have {_FEWEST_KEPT} samples or more behind {left.samples * period:.3g} s of "
             f"settling, but the longest has {max(one.stop - one.start for one in found)} in all."
         )
-    duration = np.array([len(part) * period for part in parts])
     mean = lambda values: np.array([np.mean(values[one]) for one in kept])  # noqa: E731
     at_rate, begins = mean(rate), [one.start for one in kept]
     return RatePlateaus(
-        at_rate, mean(output), "", mean(time), True, _errors(parts, duration, at_rate),
-        np.array([np.std(part, ddof=1) for part in parts]), duration, _runs(table, columns, begins),
+        at_rate, mean(output), "", mean(time), True, _errors(parts, at_rate),
+        np.array([np.std(part, ddof=1) for part in parts]), _walks(parts, period), _runs(table, columns, begins),
         np.zeros(len(kept), int), _mean_of(table, columns.temperature, "K", kept),
         _mean_of(table, columns.voltage, "V", kept), table.lines[begins], str(table.path),
         left.samples * period, _said(found, kept, left, period, len(rate)),
@@ -176,25 +177,37 @@ def _said(found: list[slice], kept: list[slice], left: Settling, period: float, 
     return tuple(said)
 
 
-def _errors(parts: list[np.ndarray], duration: np.ndarray, rate: np.ndarray) -> np.ndarray:
+def _errors(parts: list[np.ndarray], rate: np.ndarray) -> np.ndarray:
     """Standard errors of the means of plateaus, by means of batches: what is correlated for shorter than a batch counts
     as it does in the mean, and what batches still share is added as for a series that remembers one batch.
 
+    A straight course of each plateau is taken out, as the bias that walks from plateau to plateau is not of this noise.
     All plateaus together tell it; where the noise depends on the rate, as a power of e in its modulus.
     """
-    batches = np.array([batch_means(part) for part in parts])
-    centred = batches - batches.mean(axis=1, keepdims=True)
-    shared = float(np.sum(centred[:, 1:] * centred[:, :-1]) / max(np.sum(centred**2), 1e-300)) + 1.0 / BATCHES
+    length = np.array([len(part) for part in parts])
+    line = np.vander(np.arange(BATCHES), 2)
+    keep = np.eye(BATCHES) - line @ np.linalg.pinv(line)
+    rest = np.array([batch_means(part) for part in parts]) @ keep
+    # Of white noise neighbours share that much once a line is taken out.
+    usual = np.trace(keep[1:, :-1]) / np.trace(keep)
+    shared = float(np.sum(rest[:, 1:] * rest[:, :-1]) / max(np.sum(rest**2), 1e-300)) - usual
     longer = (1.0 + shared) / (1.0 - shared) if 0.0 < shared < 1.0 else 1.0
-    density = np.var(batches, axis=1, ddof=1) / BATCHES * duration * longer
+    density = np.sum(rest**2, axis=1) / (BATCHES - 2) / BATCHES * length * longer
     if np.all(density > 0.0) and len(parts) >= 6:
         place = np.column_stack([np.ones(len(rate)), np.abs(rate) / np.max(np.abs(rate))])
-        slope, rest = np.linalg.lstsq(place, np.log(density), rcond=None)[:2]
-        error = np.sqrt(np.sum(rest) / (len(rate) - 2) * np.linalg.inv(place.T @ place)[1, 1])
+        slope, left = np.linalg.lstsq(place, np.log(density), rcond=None)[:2]
+        error = np.sqrt(np.sum(left) / (len(rate) - 2) * np.linalg.inv(place.T @ place)[1, 1])
         if abs(slope[1]) > 3.0 * error:
             course = np.exp(place @ slope)
-            return np.sqrt(course * np.mean(density / course) / duration)
-    return np.sqrt(np.mean(density) / duration)
+            return np.sqrt(course * np.mean(density / course) / length)
+    return np.sqrt(np.mean(density) / length)
+
+
+def _walks(parts: list[np.ndarray], period: float) -> np.ndarray:
+    """N² of each plateau, its Allan variance at the length of a batch times that length."""
+    widths = [len(part) // BATCHES for part in parts]
+    each = [allan_deviation(part, (width,))[0] ** 2 * width for part, width in zip(parts, widths, strict=True)]
+    return period * np.array(each)
 
 
 def _check_gaps(table: Table, columns: TableColumns, found: list[slice], time: np.ndarray, period: float) -> None:

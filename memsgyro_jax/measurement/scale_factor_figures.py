@@ -18,6 +18,7 @@ from .scale_factor_result import MeasuredFigure
 _LEVEL = 0.95
 PPM = 1e6
 _HOUR = 3600.0
+_FREEDOM = 13.0  # of the overlapping Allan variance of white noise at a tenth of its record
 _SIDES = 3  # rates on each side of zero, from which on a kink there is told from a curve
 WITHIN_NOISE = "within the noise"
 
@@ -249,8 +250,10 @@ def drift_row(line: Line, trend: Ranged | None, bent: bool) -> MeasuredFigure:
     hours = float(np.ptp(line.read.time)) / _HOUR if timed else 1.0
     scale = 1.0 / (line.scale_factor * max(hours, 1e-12))
     one = Ranged(scale * trend.value, abs(scale) * trend.reach)
-    said = "" if one.told or not line.known else WITHIN_NOISE
-    return one.figure(title, unit, said if bent else f"{said or 'straight'}; a bent course is not told apart")
+    said = f"{one.value * hours:.3g} deg/s over the test" if one.told and timed else ""
+    said = said if one.told or not line.known else WITHIN_NOISE
+    bends = "" if bent else "a bent course is not told apart"
+    return one.figure(title, unit, ", ".join(filter(None, (said, bends))))
 
 
 def temperature_sensitivities(line: Line) -> dict[str, MeasuredFigure]:
@@ -300,15 +303,20 @@ def noise_rows(line: Line) -> dict[str, MeasuredFigure]:
         fit = stats.linregress(x, np.log(scatter))
         spread = typical * float(np.std(np.log(scatter), ddof=1)) * 1.96 / np.sqrt(len(scatter))
         ends = np.exp(fit.slope + np.array([-1.0, 1.0]) * stats.t.ppf(0.975, len(scatter) - 2) * fit.stderr)
-        grows = fit.pvalue < 0.01
+        grows = not ends[0] <= 1.0 <= ends[1]
         said = f"at the greatest rate {np.exp(fit.slope):.3g} times that at zero ({ends[0]:.3g} to {ends[1]:.3g})"
         said += "" if grows else ": does not depend on the rate"
     rows["noise"] = Ranged(typical, spread).figure("noise of samples, rms", "deg/s", said)
-    if np.all(read.within > 0.0):
-        walk = 60.0 * float(np.sqrt(np.mean(read.within**2 * read.duration))) / abs(line.scale_factor)
-        freedom = 9.0 * len(scatter)
+    if np.all(read.walk > 0.0):
+        walk = 60.0 * float(np.sqrt(np.mean(read.walk))) / abs(line.scale_factor)
+        freedom = _FREEDOM * len(scatter)
         low, high = (walk * np.sqrt(freedom / stats.chi2.ppf(tail, freedom)) for tail in (0.975, 0.025))
         rows["angle_random_walk"] = MeasuredFigure(
-            "angle random walk within plateaus", walk, float(low), float(high), "deg/√h"
+            "angle random walk, by the Allan deviation",
+            walk,
+            float(low),
+            float(high),
+            "deg/√h",
+            "of tenths of the plateaus",
         )
     return rows

@@ -244,3 +244,43 @@ def test_settling_is_left_out_as_long_as_it_takes():
     )
     slow = dict(source, **{"gyro [deg/s]": low_passed(rate, 0.05, sample_rate)})
     assert "does not settle" in str(mg.scale_factor_test(slow))
+
+
+ONCE = [*np.linspace(-300.0, 300.0, 9), *np.linspace(225.0, -300.0, 8)]
+BACK = back_to_zero(*STEPS, *(-step for step in STEPS))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("sequence", "strength", "walk", "warm"),
+    [
+        (BACK, 0.0, 0.0, 0.0),
+        (BACK, 0.005, 0.0, 0.0),
+        (BACK, 0.0, 0.002, 0.0),
+        (BACK, 0.001, 0.0, 0.05),
+        ([*ONCE, *ONCE[1:]], 0.002, 0.0, 0.0),
+        (ONCE, 0.0, 0.002, 0.0),
+    ],
+    ids=["white", "flicker", "walk", "warm-up", "two sweeps", "one sweep"],
+)
+def test_intervals_of_raw_logs_hold_the_truth(sequence, strength, walk, warm):
+    """In 100 logs each behind a filter of 20 Hz, with a quadratic and a cubic part."""
+    sample_rate, held_by = 200.0, []
+    at = np.array(sequence)
+    curve = lambda rate: 1.002 * (rate + 3e-4 * rate**2 / 300.0 - 2e-4 * rate**3 / 300.0**2)  # noqa: E731
+    rate = rates_over_time(sequence, 4.0, sample_rate)
+    time = np.arange(len(rate)) / sample_rate
+    line = np.polyfit(at, curve(at), 1)
+    powers = np.polyfit(at / 300.0, curve(at), 3) / (300.0 * line[0]) * 1e6
+    largest = np.max(np.abs(curve(at) - np.polyval(line, at))) / (300.0 * line[0]) * 1e6
+    truth = {"scale_factor": line[0], "quadratic": powers[1], "cubic": powers[0], "nonlinearity_max": largest}
+    for seed in range(100):
+        rng = np.random.default_rng(seed)
+        white, steps = rng.standard_normal((2, len(rate)))
+        output = low_passed(curve(rate) + 0.7 + 0.005 * np.sqrt(sample_rate / 2.0) * white, 20.0, sample_rate)
+        output += flicker(rng, len(rate), sample_rate, strength) + warm * np.exp(-time / 40.0)
+        output += walk * np.cumsum(steps) / np.sqrt(sample_rate)
+        source = {"t [s]": time, "table rate [deg/s]": rate, "gyro [deg/s]": output}
+        figures = mg.scale_factor_test(source).figures
+        held_by.append([held(figures[name], value) for name, value in {**truth, "hysteresis": 0.0}.items()])
+    assert np.all(np.mean(held_by, axis=0) >= 0.89), np.mean(held_by, axis=0)
