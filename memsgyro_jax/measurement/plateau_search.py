@@ -8,7 +8,9 @@ from jaxtyping import Float
 
 
 _FEWEST = 10  # samples of a plateau
-_TOLERANCE = 1e-3  # of the span of rates, within which a rate is the same
+_TOLERANCE = 1e-3  # of the span of rates, within which a measured rate is the same
+_EXACT = 1e-5  # of the span, within which a command is
+_DIGITS, _FINE = 4, 1e-4  # last digits of a command, and share of the span below which its smallest step is one
 _SIGMAS = 8.0
 _TRAVEL = 0.3  # of the tolerance, that the rate of a plateau may move from its first third to its last
 _SHORT = 0.1  # of the usual plateau, below which one is a halt on the way
@@ -28,11 +30,12 @@ class Settling(NamedTuple):
 
 def plateaus(rate: Float[np.ndarray, " rows"]) -> list[slice]:
     """Stretches of rows in which the rate stands still, for rates as commanded and as measured."""
-    steps = np.diff(rate)
-    noise = 1.4826 * float(np.median(np.abs(steps - np.median(steps)))) / np.sqrt(2.0)
-    tolerance = max(_SIGMAS * noise, _TOLERANCE * float(np.ptp(rate)))
+    tolerance = _tolerance(rate)
     found, begin = [], 0
     while begin < len(rate):
+        if abs(rate[begin] - np.median(rate[begin : begin + 5])) > tolerance:  # the last row of a ramp
+            begin += 1
+            continue
         end = _leaves(rate, begin, tolerance)
         part = rate[begin:end]
         third = len(part) // 3
@@ -43,6 +46,16 @@ def plateaus(rate: Float[np.ndarray, " rows"]) -> list[slice]:
         return []
     usual = float(np.median([one.stop - one.start for one in found]))
     return [one for one in found if one.stop - one.start >= _SHORT * usual]
+
+
+def _tolerance(rate: np.ndarray) -> float:
+    """Within which a rate is the same: a few digits of a command, more of a rate that is measured with noise."""
+    steps, span = np.abs(np.diff(rate)), float(np.ptp(rate))
+    if np.mean(steps == 0.0) > 0.5:
+        digit = float(np.min(steps[steps > 0.0], initial=span))
+        return max(_DIGITS * digit if digit < _FINE * span else 0.0, _EXACT * span)
+    noise = 1.4826 * float(np.median(np.abs(np.diff(rate) - np.median(np.diff(rate))))) / np.sqrt(2.0)
+    return max(_SIGMAS * noise, _TOLERANCE * span)
 
 
 def _leaves(rate: np.ndarray, begin: int, tolerance: float) -> int:
@@ -76,7 +89,7 @@ def settling(output: np.ndarray, found: list[slice]) -> Settling:
     late = answer[shortest // 2 :]
     bins = [(a, float(np.mean(answer[a:b])), _spread(late, b - a)) for a, b in pairwise(edges)]
     quiet = np.array([abs(value) <= _NOISE * spread + _SETTLED for _, value, spread in bins])
-    most = int(_MOST * shortest)
+    most = min(int(_MOST * shortest), max(shortest - BATCHES, 0))
     # A response that rings passes zero: only two bins of noise after each other are its end.
     ends_at = np.flatnonzero(quiet[:-1] & quiet[1:])
     if not ends_at.size or bins[ends_at[0]][0] >= most:

@@ -43,11 +43,6 @@ class Design(NamedTuple):
         """Whether it is the temperature that a drift over time is not told apart from."""
         return TREND in self.left and TEMPERATURE in self.names and tells_apart(self.means.shape, self.since)
 
-    @property
-    def scale_drifts_apart(self) -> bool:
-        """Whether a scale factor that drifts is told from the response to the rate."""
-        return tells_apart(np.column_stack([self.means.shape, self.means.beside]), self.since * self.place)
-
 
 def design_of(read: RatePlateaus, *, with_trend: bool | None = None, with_runs: bool = True) -> Design:
     """The columns that the sequence tells apart; with `with_trend` a straight drift even where a bent one is not."""

@@ -19,7 +19,7 @@ from .table_columns import TableColumns, columns_of_test, measures, table_of
 _SAMPLES = 10  # of the usual plateau, from which on a file with times is a raw log
 _GAP = 1.5  # of the usual period, from which on samples are missing
 _SAME = 1e-4  # of the greatest rate, within which rates are the same
-_FEWEST_KEPT = 2 * BATCHES  # samples of a plateau behind the settling
+_FEWEST_KEPT = BATCHES  # samples of a plateau behind the settling
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,9 @@ from memsgyro_jax.base.errors import InputError
 
 from .plateau_noise import response
 from .rate_design import TREND, design_of
+from .rate_line import PPM, Line
 from .rate_plateaus import RatePlateaus, levels, read_plateaus
 from .scale_factor_figures import (
-    PPM,
-    Line,
     asymmetry_row,
     drift_row,
     hysteresis_row,

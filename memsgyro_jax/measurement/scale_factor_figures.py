@@ -1,124 +1,28 @@
 """Figures of a rate-table test in the terms of IEEE Std 1431 and 528, from the response and its draws."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
-from .plateau_noise import Response
-from .rate_design import DIRECTION, TEMPERATURE, TEMPERATURE_RATE, TREND, Design
-from .rate_plateaus import RatePlateaus
+from .rate_design import DIRECTION, TEMPERATURE, TEMPERATURE_RATE, TREND
+from .rate_line import LEVEL, PPM, Line, Ranged
 from .scale_factor_result import MeasuredFigure
 
 
-_LEVEL = 0.95
-PPM = 1e6
 _HOUR = 3600.0
 _FREEDOM = 13.0  # of the overlapping Allan variance of white noise at a tenth of its record
 _SIDES = 3  # rates on each side of zero, from which on a kink there is told from a curve
 WITHIN_NOISE = "within the noise"
-
-
-class Ranged(NamedTuple):
-    """A figure with half of its 95 % interval, infinite where nothing tells it."""
-
-    value: float
-    reach: float
-
-    @property
-    def told(self) -> bool:
-        """Whether it is not zero."""
-        return abs(self.value) > self.reach
-
-    def figure(self, title: str, unit: str, verdict: str = "") -> MeasuredFigure:
-        """As it is printed."""
-        return MeasuredFigure(title, self.value, self.value - self.reach, self.value + self.reach, unit, verdict)
-
-
-@dataclass(frozen=True)
-class Line:
-    """The least-squares line over all plateaus, and what leaves it.
-
-    Args:
-        read, design, found: plateaus, their columns, and the response to the rate.
-        full_scale: [rad/s].
-    """
-
-    read: RatePlateaus
-    design: Design
-    found: Response
-    full_scale: float
-
-    @cached_property
-    def rate(self) -> Float[np.ndarray, " n"]:
-        """Of each plateau, the same for those of one rate [deg/s]."""
-        return np.degrees(self.design.place * np.max(np.abs(self.read.rate)))
-
-    @cached_property
-    def weights(self) -> Float[np.ndarray, "2 n"]:
-        """What the response is multiplied with to be zero-rate output and scale factor."""
-        return np.linalg.pinv(np.column_stack([np.ones(len(self.rate)), self.rate]))
-
-    @cached_property
-    def scale_factor(self) -> float:
-        """[unit per deg/s]."""
-        return float(self.weights[1] @ self.found.output)
-
-    @property
-    def ppm(self) -> float:
-        """What an output is multiplied with to be ppm of the full scale."""
-        return PPM / (abs(self.scale_factor) * float(np.degrees(self.full_scale)))
-
-    def of(self, weights: np.ndarray) -> Ranged:
-        """A figure that is linear in the response."""
-        return self.of_draws(float(weights @ self.found.output), self.found.outputs @ weights)
-
-    def of_draws(self, value: float, draws: np.ndarray) -> Ranged:
-        """A figure by its draws."""
-        if not self.known:
-            return Ranged(value, np.inf)
-        return Ranged(value, float(np.quantile(np.abs(draws - value), _LEVEL)))
-
-    @property
-    def known(self) -> bool:
-        """Whether anything tells the noise of the means."""
-        return self.found.spare > 0 or bool(np.any(self.read.within > 0.0))
-
-    @property
-    def holds_drift(self) -> bool:
-        """Whether a straight drift of the bias would count as scale factor, a twentieth of it at least."""
-        free = TREND in self.design.left and not self.design.by_temperature and len(self.rate) > 2
-        since = self.design.since
-        return free and abs(float(self.weights[1] @ since)) * float(np.degrees(self.full_scale)) > 0.05
-
-    def effect(self, name: str) -> Ranged | None:
-        """Of a column beside; `None` where the sequence does not tell it."""
-        if name not in self.design.names:
-            return None
-        place = self.design.names.index(name)
-        return self.of_draws(float(self.found.effects[place]), self.found.effect_draws[:, place])
-
-    @cached_property
-    def leaving(self) -> Float[np.ndarray, "n n"]:
-        """What the response is multiplied with to be its deviation from the line."""
-        line = np.column_stack([np.ones(len(self.rate)), self.rate]) @ self.weights
-        return np.eye(len(self.rate)) - line
-
-    @cached_property
-    def by_level(self) -> Float[np.ndarray, "levels n"]:
-        """What the response is multiplied with to be the mean deviation at each rate."""
-        here = self.design.level == np.arange(self.design.level.max() + 1)[:, None]
-        return (here / here.sum(axis=1, keepdims=True)) @ self.leaving
-
-    def powers(self, *more: np.ndarray) -> Float[np.ndarray, "columns n"]:
-        """What the response is multiplied with to be powers of rate over full scale, and `more`."""
-        x = self.rate / float(np.degrees(self.full_scale))
-        degree = min(3, int(self.design.level.max()))
-        return np.linalg.pinv(np.column_stack([x**k for k in range(degree + 1)] + list(more)))
+_OF_FULL_SCALE = "ppm of full scale"
+_CONFOUNDED = "the sequence does not tell it from other figures"
+_NONLINEAR = {
+    "nonlinearity_max": "scale-factor nonlinearity, largest",
+    "nonlinearity_rms": "scale-factor nonlinearity, rms",
+}
+_CURVES = {"quadratic": "quadratic part at full scale", "cubic": "cubic part at full scale"}
 
 
 def scale_factor_rows(line: Line) -> dict[str, MeasuredFigure]:
@@ -150,56 +54,80 @@ def scale_factor_rows(line: Line) -> dict[str, MeasuredFigure]:
     return {**rows, "zero_rate_plateaus": read.figure(title, unit, said)}
 
 
-def nonlinearity_rows(line: Line) -> tuple[dict[str, MeasuredFigure], np.ndarray, np.ndarray]:
-    """Largest and root mean square deviation, and the curve that explains them; deviation at each rate and its reach.
+class Deviations(NamedTuple):
+    """Mean deviation from the line at each rate [ppm of full scale].
 
-    One test holds for the deviations of all rates and the two coefficients together: their largest, each over its
-    spread, beside that of draws.
+    Args:
+        value: (levels,).
+        noise: (draws, levels) what it may be off by.
+        reach: (levels,) half of an interval that holds all rates at once; infinite where nothing tells it.
+        told: whether they are more than noise.
     """
+
+    value: Float[np.ndarray, " levels"]
+    noise: Float[np.ndarray, "draws levels"]
+    reach: Float[np.ndarray, " levels"]
+    told: bool
+
+
+def deviations(line: Line) -> Deviations:
+    """Of each rate, and whether they are more than noise.
+
+    One test holds for all rates and the coefficients of the curve together: the largest of them, each over its spread,
+    beside that of draws.
+    """
+    by_level = line.ppm * np.vstack([line.by_level, line.powers()[2:]])
     count = int(line.design.level.max()) + 1
-    titles = ("scale-factor nonlinearity, largest", "scale-factor nonlinearity, rms")
+    value = by_level @ line.found.output
+    noise = line.found.outputs @ by_level.T - value
+    spread = np.maximum(np.std(noise, axis=0), np.finfo(float).tiny)
+    off = np.abs(noise) / spread
+    told = line.known and np.max(np.abs(value) / spread) > np.quantile(off.max(axis=1), LEVEL)
+    far = float(np.quantile(off[:, :count].max(axis=1), LEVEL)) if line.known else np.inf
+    return Deviations(value[:count], noise[:, :count], spread[:count] * far, bool(told))
+
+
+def nonlinearity_rows(line: Line) -> tuple[dict[str, MeasuredFigure], np.ndarray, np.ndarray]:
+    """Largest and rms deviation, and the curve that explains them; deviation at each rate and its reach."""
+    count = int(line.design.level.max()) + 1
     if count < 3:
         why = f"{count} rates make a line; a nonlinearity takes three or more"
-        none = [MeasuredFigure(title, None, -np.inf, np.inf, "ppm of full scale", why) for title in titles]
+        none = [MeasuredFigure(title, None, -np.inf, np.inf, _OF_FULL_SCALE, why) for title in _NONLINEAR.values()]
         return dict(zip(_NONLINEAR, none, strict=True)), np.zeros(count), np.full(count, np.inf)
-    by_level = line.ppm * line.by_level
-    value, draws = by_level @ line.found.output, line.found.outputs @ by_level.T
-    powers = line.ppm * line.powers()[2:]
-    bent = powers @ line.found.output
-    bent_draws = line.found.outputs @ powers.T
-    every, every_draws = np.concatenate([value, bent]), np.hstack([draws, bent_draws])
-    spread = np.maximum(np.std(every_draws - every, axis=0), 1e-12)
-    off = np.abs(every_draws - every) / spread
-    told = line.known and np.max(np.abs(every) / spread) > np.quantile(off.max(axis=1), _LEVEL)
-    level_off = off[:, :count].max(axis=1)
-    reach = spread[:count] * (np.quantile(level_off, _LEVEL) if line.known else np.inf)
-    largest, rms = float(np.max(np.abs(value))), float(np.sqrt(np.mean(value**2)))
-    alone = float(np.quantile(np.max(np.abs(draws - value), axis=1), _LEVEL))
-    noise_square = float(np.mean(np.var(draws - value, axis=0)))
-    where = float(np.degrees(0.0) + np.unique(line.rate)[int(np.argmax(np.abs(value)))])
-    verdict = f"at {where:.6g} deg/s" if told else f"{WITHIN_NOISE}, which alone makes up to {alone:.3g}"
+    found = deviations(line)
+    rows = {"nonlinearity_max": _largest(line, found), "nonlinearity_rms": _rms(line, found)}
+    for name, title, weights in zip(_CURVES, _CURVES.values(), line.powers()[2:], strict=False):
+        one = line.of(line.ppm * weights)
+        said = "" if one.told or not line.known else WITHIN_NOISE
+        if name == "cubic" and one.told and line.cubic_holds_drift:
+            said = "or a scale factor that drifts"
+        rows[name] = one.figure(title, _OF_FULL_SCALE, said)
+    return rows, found.value, found.reach
+
+
+def _largest(line: Line, found: Deviations) -> MeasuredFigure:
+    worst = int(np.argmax(np.abs(found.value)))
+    verdict = f"at {np.unique(line.rate)[worst]:.6g} deg/s"
     if not line.known:
-        verdict = f"at {where:.6g} deg/s; nothing tells how much of it is noise"
-    low = float(np.max(np.abs(value) - reach)) if told else 0.0
-    high = float(np.max(np.abs(value) + reach))
-    clean = f"without the noise {np.sqrt(max(rms**2 - noise_square, 0.0)):.3g}" if told else WITHIN_NOISE
-    spread_rms = np.sqrt(np.mean((draws - value) ** 2, axis=1))
-    far = float(np.quantile(spread_rms, _LEVEL)) if line.known else np.inf
-    rows = {
-        "nonlinearity_max": MeasuredFigure(titles[0], largest, max(low, 0.0), high, "ppm of full scale", verdict),
-        "nonlinearity_rms": MeasuredFigure(
-            titles[1], rms, max(rms - far, 0.0) if told else 0.0, rms + far, "ppm of full scale",
-            clean if line.known else "",
-        ),
-    }  # fmt: skip
-    for name, title, number, each in zip(("quadratic", "cubic"), _CURVES, bent, bent_draws.T, strict=False):
-        one = line.of_draws(float(number), each)
-        rows[name] = one.figure(title, "ppm of full scale", "" if one.told or not line.known else WITHIN_NOISE)
-    return rows, value, reach
+        verdict += "; nothing tells how much of it is noise"
+    elif not found.told:
+        alone = np.quantile(np.max(np.abs(found.noise), axis=1), LEVEL)
+        verdict = f"{WITHIN_NOISE}, which alone makes up to {alone:.3g}"
+    low = max(float(np.max(np.abs(found.value) - found.reach)), 0.0) if found.told else 0.0
+    high = float(np.max(np.abs(found.value) + found.reach))
+    return MeasuredFigure(
+        _NONLINEAR["nonlinearity_max"], float(abs(found.value[worst])), low, high, _OF_FULL_SCALE, verdict
+    )
 
 
-_NONLINEAR = ("nonlinearity_max", "nonlinearity_rms")
-_CURVES = ("quadratic part at full scale", "cubic part at full scale")
+def _rms(line: Line, found: Deviations) -> MeasuredFigure:
+    """The root mean square of what differs lies within that of the differences of what is told."""
+    rms = float(np.sqrt(np.mean(found.value**2)))
+    reach = float(np.quantile(np.sqrt(np.mean(found.noise**2, axis=1)), LEVEL)) if line.known else np.inf
+    clean = np.sqrt(max(rms**2 - float(np.mean(found.noise**2)), 0.0))
+    verdict = f"without the noise {clean:.3g}" if found.told else WITHIN_NOISE if line.known else ""
+    low = max(rms - reach, 0.0) if found.told else 0.0
+    return MeasuredFigure(_NONLINEAR["nonlinearity_rms"], rms, low, rms + reach, _OF_FULL_SCALE, verdict)
 
 
 def asymmetry_row(line: Line) -> MeasuredFigure:
@@ -228,7 +156,7 @@ def asymmetry_row(line: Line) -> MeasuredFigure:
 
 def hysteresis_row(line: Line) -> MeasuredFigure:
     """Output of rates that are approached from below less that from above."""
-    title, unit = "hysteresis, from below less from above", "ppm of full scale"
+    title, unit = "hysteresis, from below less from above", _OF_FULL_SCALE
     one = line.effect(DIRECTION)
     if one is not None:
         scaled = Ranged(line.ppm * one.value, line.ppm * one.reach)
@@ -280,9 +208,6 @@ def temperature_sensitivities(line: Line) -> dict[str, MeasuredFigure]:
         per = Ranged(scale / span * one.value, abs(scale) / span * one.reach)
         rows[name] = per.figure(title, unit, "" if per.told or not line.known else WITHIN_NOISE)
     return rows
-
-
-_CONFOUNDED = "the sequence does not tell it from other figures"
 
 
 def trend_of(line: Line, other: Callable[[], Line]) -> Ranged | None:

@@ -6,7 +6,8 @@ import numpy as np
 from scipy import stats
 
 from .rate_design import RUN, RUN_RATE, TREND
-from .scale_factor_figures import PPM, WITHIN_NOISE, Line
+from .rate_line import PPM, Line
+from .scale_factor_figures import WITHIN_NOISE
 from .scale_factor_result import MeasuredFigure
 
 
@@ -75,7 +76,7 @@ def sequence_notes(line: Line) -> tuple[str, ...]:
         said.append(f"All rates are {way} or zero: nothing is told of others.")
     if TREND in line.design.left and len(rate) > 2:
         said.append(_TOGETHER if line.design.by_temperature else _confounded(line))
-    if count > 3 and not line.design.scale_drifts_apart and line.of(line.powers()[3]).told:
+    if count > 3 and line.cubic_holds_drift and line.of(line.powers()[3]).told:
         said.append(
             "The greater the rates the later they come: a scale factor that drifts, with temperature say, cannot be "
             "told from the cubic part; mix the order of the rates."

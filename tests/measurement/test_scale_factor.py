@@ -159,11 +159,22 @@ def test_runs_and_what_a_mean_of_them_is_known_to():
 def test_temperatures_tell_sensitivities():
     celsius = np.repeat([-40.0, 25.0, 85.0], len(UP_DOWN))
     rate, warm = np.tile(UP_DOWN, 3), celsius - 25.0
-    output = around(rate) + 0.01 * (-100e-6 * warm * rate + 0.02 * warm)
+    output = around(rate, 2) + 0.01 * (-100e-6 * warm * rate + 0.02 * warm)
     figures = mg.scale_factor_test(rows(rate, output, **{"T [degC]": celsius})).figures
     assert held(figures["zero_rate_temperature"], 0.02)
     assert held(figures["scale_factor_temperature"], -100.0 / (1.0 - 100e-6 * np.mean(warm)))
     assert figures["scale_factor_temperature"].high - figures["scale_factor_temperature"].low < 0.5
+
+
+def test_a_warm_up_with_rates_that_grow_is_no_cubic_part_for_sure():
+    """Temperature rises with time and the rates with both, so that its scale factor looks like a cubic."""
+    rate = np.array(back_to_zero(*(sign * step for step in STEPS for sign in (1.0, -1.0))))
+    warm = 8.0 * (1.0 - np.exp(-np.arange(len(rate)) / 15.0))
+    found = mg.scale_factor_test(rows(rate, around(rate) - 0.01 * 80e-6 * warm * rate, **{"T [degC]": 25.0 + warm}))
+    assert found.figures["scale_factor_temperature"].value is None
+    assert found.figures["cubic"].verdict == "or a scale factor that drifts"
+    assert "mix the order of the rates" in str(found)
+    assert "Time and temperature run together" in str(found)
 
 
 def test_what_few_rates_cannot_tell():
@@ -224,6 +235,17 @@ def test_samples_that_are_missing_within_a_plateau_are_refused():
     keep[300:340] = False
     with pytest.raises(mg.InputError, match=r"line 301, column `t`.*are rows missing"):
         mg.scale_factor_test({"t [s]": time[keep], "table rate [deg/s]": rate[keep], "gyro [deg/s]": output[keep]})
+
+
+def test_small_steps_of_a_command_and_averages_of_a_second():
+    """Half a degree among 300, and ten rows a plateau."""
+    steps = (0.0, 0.5, 0.0, -0.5, 0.0, 300.0, 0.0, -300.0, 0.0)
+    rate = np.repeat(steps, 12)
+    noise = 1e-3 * np.random.default_rng(4).standard_normal(len(rate))
+    source = {"t [s]": np.arange(len(rate)), "table rate [deg/s]": rate, "gyro [deg/s]": rate + noise}
+    found = mg.scale_factor_test(source)
+    np.testing.assert_allclose(np.degrees(found.rate), steps, atol=1e-9)
+    assert held(found.figures["scale_factor"], 1.0)
 
 
 def test_settling_is_left_out_as_long_as_it_takes():
