@@ -13,6 +13,7 @@ _REPEATED = 6  # plateaus beyond the rates, from which on each rate has a mean o
 _DEGREE = 3  # of the response otherwise
 _APART = 0.1  # share of a column that no other explains, from which on it is told apart
 _SPARE = 3  # plateaus that must stay beyond the columns
+_BOTH = 0.5  # share of rates that must be approached from both sides
 _WARM = 0.5  # K between the coldest and the warmest plateau, below which temperature is none
 
 TEMPERATURE, TEMPERATURE_RATE, TREND, DIRECTION = "temperature", "temperature, rate", "trend", "direction"
@@ -76,11 +77,20 @@ def design_of(read: RatePlateaus, *, with_trend: bool | None = None, with_runs: 
         add(TREND, since)
     else:
         left.append(TREND)
-    if np.any(read.direction > 0) and np.any(read.direction < 0):
+    if both_ways(read, level, rates):
         add(DIRECTION, 0.5 * read.direction)
     beside = np.column_stack(columns) if columns else np.zeros((len(place), 0))
     means = Means(output, shape, beside, read.within, _walk(read, span))
     return Design(means, tuple(names), tuple(left), place, level, since)
+
+
+def both_ways(read: RatePlateaus, level: np.ndarray, rates: np.ndarray) -> bool:
+    """Whether most rates but zero are approached from below and from above: else what differs by direction differs by
+    the sign of the rate, and one would be paid for with the other.
+    """
+    turned = np.flatnonzero(rates)
+    seen = [{*read.direction[level == number]} >= {-1, 1} for number in turned]
+    return bool(np.mean(seen) > _BOTH)
 
 
 def tells_apart(columns: np.ndarray, column: np.ndarray) -> bool:

@@ -161,8 +161,7 @@ def hysteresis_row(line: Line) -> MeasuredFigure:
     if one is not None:
         scaled = Ranged(line.ppm * one.value, line.ppm * one.reach)
         return scaled.figure(title, unit, WITHIN_NOISE if line.known and not scaled.told else "")
-    both = np.any(line.read.direction > 0) and np.any(line.read.direction < 0)
-    why = "the sequence does not tell it from other figures" if both else "rates are approached from one side only"
+    why = _CONFOUNDED if DIRECTION in line.design.left else "each rate but zero is approached from one side"
     return MeasuredFigure(title, None, -np.inf, np.inf, unit, why)
 
 
