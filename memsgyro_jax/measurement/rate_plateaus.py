@@ -94,8 +94,11 @@ def read_plateaus(
         )
     else:
         read = _of_rows(table, columns, rate, output, time)
-    unused = (f"Columns not used: {listed(columns.unused, '`')}.",) if columns.unused else ()
-    return replace(read, unit=unit, direction=_directions(table, columns, read), notes=(*read.notes, *unused))
+    said = [f"Columns not used: {listed(columns.unused, '`')}."] if columns.unused else []
+    if 2 * (read.run.max() + 1) > len(read.rate):  # a number of each plateau
+        said += [f"Column `{columns.run}` has hardly two plateaus a run, and tells no runs."] if columns.run else []
+        read = replace(read, run=np.zeros(len(read.rate), int))
+    return replace(read, unit=unit, direction=_directions(table, columns, read), notes=(*read.notes, *said))
 
 
 def _of_rows(

@@ -22,7 +22,7 @@ from .scale_factor_figures import (
     trend_of,
 )
 from .scale_factor_notes import lone_plateaus, sequence_notes, with_runs
-from .scale_factor_result import ScaleFactorTest
+from .scale_factor_result import MeasuredFigure, ScaleFactorTest
 
 
 def scale_factor_test(
@@ -59,36 +59,50 @@ def scale_factor_test(
     full = greatest if full_scale is None else float(quantity("full_scale", full_scale, "rad/s"))
     if not full > 0.0 or not np.isfinite(full):
         raise InputError(f"Argument `full_scale` must be positive and finite, but {full:g} rad/s was given.")
-    return test_of_plateaus(read, full)
+    return judge_plateaus(read, full)
 
 
-def test_of_plateaus(read: RatePlateaus, full_scale: float) -> ScaleFactorTest:
+def judge_plateaus(read: RatePlateaus, full_scale: float) -> ScaleFactorTest:
     """The figures of plateaus that are read."""
     if len(levels(read.rate)[0]) < 2:
         raise InputError(
             f"{read.where}: a scale factor takes plateaus at two rates or more, but the rate of all "
             f"{len(read.rate)} is {np.degrees(read.rate[0]):.6g} deg/s."
         )
+    if not np.ptp(read.output):
+        raise InputError(f"{read.where}: the output must follow the rate, but is {read.output[0]:g} at all of them.")
     line = fitted_line(read, full_scale)
-    bent = TREND in line.design.names
     nonlinear, by_level, reach = nonlinearity_rows(line)
-    figures = {
-        **scale_factor_rows(line),
-        **nonlinear,
-        "asymmetry": asymmetry_row(line),
-        "hysteresis": hysteresis_row(line),
-        "drift": drift_row(line, trend_of(line, lambda: fitted_line(read, full_scale, with_trend=True)), bent),
-        **temperature_sensitivities(line),
-        **noise_rows(line),
-    }
-    figures, said = with_runs(line, figures)
-    notes = (*read.notes, *sequence_notes(line), *said, *_alone(line))
+    figures, said = scale_factor_rows(line), (*read.notes, _UNMOVED)
+    follows = not line.known or line.of(line.weights[1]).told
+    if follows:
+        figures, told = _figures(line, {**figures, **nonlinear})
+        said = (*read.notes, *sequence_notes(line), *told, *_alone(line))
     missing = np.full(len(read.rate), np.nan)
     return ScaleFactorTest(
         figures, read.rate, read.output, line.found.output, line.ppm * (line.leaving @ line.found.output), read.time,
         read.run, read.direction, missing if read.temperature is None else read.temperature,
-        np.unique(np.radians(line.rate)), by_level, reach, read.unit, full_scale, int(read.run.max()) + 1, notes=notes,
+        np.unique(np.radians(line.rate)), by_level, reach, read.unit, full_scale, int(read.run.max()) + 1,
+        "completed" if follows else _UNMOVED, said,
     )  # fmt: skip
+
+
+_UNMOVED = "The output does not follow the rate beyond its noise: is its column, or the axis, another one?"
+
+
+def _figures(line: Line, first: dict[str, MeasuredFigure]) -> tuple[dict[str, MeasuredFigure], tuple[str, ...]]:
+    """All figures, behind those that come `first`, and sentences on the runs."""
+    bent = TREND in line.design.names
+    trend = trend_of(line, lambda: fitted_line(line.read, line.full_scale, with_trend=True))
+    figures = {
+        **first,
+        "asymmetry": asymmetry_row(line),
+        "hysteresis": hysteresis_row(line),
+        "drift": drift_row(line, trend, bent),
+        **temperature_sensitivities(line),
+        **noise_rows(line),
+    }
+    return with_runs(line, figures)
 
 
 def fitted_line(read: RatePlateaus, full_scale: float, **options: bool) -> Line:
@@ -102,9 +116,10 @@ def _alone(line: Line) -> list[str]:
     read, said = line.read, []
     for number in lone_plateaus(line):
         rest = fitted_line(read.without(number), line.full_scale)
-        less = PPM * (rest.scale_factor / line.scale_factor - 1.0)
+        more = PPM * (rest.scale_factor / line.scale_factor - 1.0)
+        size = f"{abs(more):.3g} ppm {'more' if more > 0.0 else 'less'}"
         said.append(
             f"The plateau of {np.degrees(read.rate[number]):.6g} deg/s that begins in line {read.lines[number]} lies "
-            f"far off what all others say; without it the scale factor would be {less:+.3g} ppm more."
+            f"far off what all others say; without it the scale factor would be {size}."
         )
     return said

@@ -218,6 +218,7 @@ def test_counts_of_any_unit_and_exact_numbers():
         ({"rate [deg/s]": [0, 1], "output [V]": [1, 2]}, {"settle": "1 s"}, "one row a plateau"),
         ({"rate [deg/s]": [0, 1], "output [V]": [1, 2], "T [C]": [1, 2]}, {}, "degC"),
         ({"rate [deg/s]": [1, 1], "output [V]": [1, 2]}, {}, "two rates or more"),
+        ({"rate [deg/s]": [0, 1], "output [V]": [1, 1]}, {}, "must follow the rate"),
         ({"rate [deg/s]": [0, 1], "output [V]": [1, 2]}, {"full_scale": 0.0}, "full_scale"),
         ({"t [s]": [0, 0], "rate [deg/s]": [0, 1], "output [V]": [1, 2]}, {}, "line 2.*behind"),
         ({"rate [deg/s]": [0, np.nan], "output [V]": [1, 2]}, {}, "finite numbers"),
@@ -227,6 +228,16 @@ def test_counts_of_any_unit_and_exact_numbers():
 def test_unusable_tests_are_refused(source, options, words):
     with pytest.raises(mg.InputError, match=words):
         mg.scale_factor_test(source, **options)
+
+
+def test_an_output_of_another_axis_and_numbers_of_plateaus():
+    noise = np.random.default_rng(0).standard_normal(len(UP_DOWN))
+    found = mg.scale_factor_test(rows(UP_DOWN, noise))
+    assert "does not follow the rate" in found.status
+    assert "nonlinearity_max" not in found.figures
+    numbered = mg.scale_factor_test(rows(UP_DOWN, around(UP_DOWN), **{"sequence [1]": np.arange(len(UP_DOWN))}))
+    assert numbered.runs == 1
+    assert "tells no runs" in str(numbered)
 
 
 def test_samples_that_are_missing_within_a_plateau_are_refused():
