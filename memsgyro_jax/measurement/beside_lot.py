@@ -50,7 +50,8 @@ class LotRow(NamedTuple):
         unit = self.measured.unit
         if not np.isfinite(self.typical):
             return (f"  {self.measured.title}", *self.measured.cells()[:2], "-", "", self.verdict)
-        lot = said_in(f"{self.typical:.4g}", unit), f"{self.low:.4g} to {self.high:.4g}"
+        typical, low, high = (_without_rounding(one, unit) for one in (self.typical, self.low, self.high))
+        lot = said_in(typical, unit), f"{low} to {high}"
         return (f"  {self.measured.title}", *self.measured.cells()[:2], *lot, self.verdict)
 
 
@@ -234,6 +235,11 @@ def _row(measured: MeasuredFigure, values: np.ndarray) -> LotRow:
     return LotRow(measured, typical, low, high, verdict)
 
 
+def _without_rounding(value: float, unit: str) -> str:
+    """A figure of the model, of ppm no more digits than a run without noise has."""
+    return f"{round(value, 2) + 0.0:.4g}" if unit.startswith("ppm") else f"{value:.4g}"
+
+
 def _notes(test: ScaleFactorTest, rows: Mapping[str, LotRow], outputs: np.ndarray) -> list[str]:
     """What was left out, and what the model lacks."""
     said, lost = [], int(np.sum(~np.isfinite(outputs[:, 0])))
@@ -249,7 +255,7 @@ def _notes(test: ScaleFactorTest, rows: Mapping[str, LotRow], outputs: np.ndarra
         if row is not None and row.verdict == OUTSIDE:
             said.append(
                 f"The measured response has an {kind} part of {row.measured.value:.3g} ppm, dies of the model one of "
-                f"{row.typical:.3g}: nothing in the study makes the rest of it."
+                f"{_without_rounding(row.typical, 'ppm')}: nothing in the study makes the rest of it."
             )
     if "scale_factor" in rows and rows["scale_factor"].verdict == OUTSIDE:
         said.append("A scale factor outside the lot may be the trim of the gyro, which the study does not hold.")
