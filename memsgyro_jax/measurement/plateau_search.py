@@ -12,6 +12,7 @@ _TOLERANCE = 1e-3  # of the span of rates, within which a measured rate is the s
 _EXACT = 1e-5  # of the span, within which a command is
 _DIGITS, _FINE = 4, 1e-4  # last digits of a command, and share of the span below which its smallest step is one
 _SIGMAS = 8.0
+_MOVING = 0.05  # of the span, beyond which no noise of a table is
 _TRAVEL = 0.3  # of the tolerance, that the rate of a plateau may move from its first third to its last
 _SHORT = 0.1  # of the usual plateau, below which one is a halt on the way
 _GROWTH = 1.3  # from one bin of the step response to the next
@@ -31,6 +32,8 @@ class Settling(NamedTuple):
 def plateaus(rate: Float[np.ndarray, " rows"]) -> list[slice]:
     """Stretches of rows in which the rate stands still, for rates as commanded and as measured."""
     tolerance = _tolerance(rate)
+    if tolerance > _MOVING * float(np.ptp(rate)):  # the rate of nearly every row is another
+        return []
     found, begin = [], 0
     while begin < len(rate):
         if abs(rate[begin] - np.median(rate[begin : begin + 5])) > tolerance:  # the last row of a ramp

@@ -19,6 +19,7 @@ from .table_columns import TableColumns, columns_of_test, measures, table_of
 _SAMPLES = 10  # of the usual plateau, from which on a file with times is a raw log
 _GAP = 1.5  # of the usual period, from which on samples are missing
 _SAME = 1e-4  # of the greatest rate, within which rates are the same
+_MOST = 400  # plateaus
 _FEWEST_KEPT = BATCHES  # samples of a plateau behind the settling
 
 
@@ -87,6 +88,13 @@ def read_plateaus(
     raw = bool(found) and np.median([one.stop - one.start for one in found]) >= _SAMPLES
     if raw and time is not None:
         read = _of_log(table, columns, found, rate, output, time, settle)
+    elif len(rate) > _MOST:
+        what = (
+            "times, so that plateaus of a raw log are found" if time is None else "rates that stand still for 10 rows"
+        )
+        raise InputError(
+            f"{table.path}: a file of more than {_MOST} rows must have {what}, but has {len(rate)} rows without."
+        )
     elif settle is not None:
         raise InputError(
             f"{table.path}: argument `settle` must go with a raw log, whose plateaus have {_SAMPLES} samples or more "
@@ -94,6 +102,10 @@ def read_plateaus(
         )
     else:
         read = _of_rows(table, columns, rate, output, time)
+    if len(read.rate) > _MOST:
+        raise InputError(
+            f"{table.path}: a test must have {_MOST} plateaus or fewer, but has {len(read.rate)}; judge its runs apart."
+        )
     said = [f"Columns not used: {listed(columns.unused, '`')}."] if columns.unused else []
     if 2 * (read.run.max() + 1) > len(read.rate):  # a number of each plateau
         said += [f"Column `{columns.run}` has hardly two plateaus a run, and tells no runs."] if columns.run else []

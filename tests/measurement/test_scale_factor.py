@@ -9,6 +9,7 @@ from oracles.rate_table import back_to_zero, flicker, low_passed, rates_over_tim
 import memsgyro_jax as mg
 
 
+RAMP = np.arange(500.0)
 STEPS = (50.0, 100.0, 150.0, 200.0, 250.0, 300.0)
 
 
@@ -219,6 +220,8 @@ def test_counts_of_any_unit_and_exact_numbers():
         ({"rate [deg/s]": [0, 1], "output [V]": [1, 2], "T [C]": [1, 2]}, {}, "degC"),
         ({"rate [deg/s]": [1, 1], "output [V]": [1, 2]}, {}, "two rates or more"),
         ({"rate [deg/s]": [0, 1], "output [V]": [1, 1]}, {}, "must follow the rate"),
+        ({"rate [deg/s]": np.arange(500.0), "output [V]": np.arange(500.0)}, {}, "must have times"),
+        ({"t [s]": RAMP, "rate [deg/s]": RAMP, "output [V]": RAMP}, {}, "rates that stand still"),
         ({"rate [deg/s]": [0, 1], "output [V]": [1, 2]}, {"full_scale": 0.0}, "full_scale"),
         ({"t [s]": [0, 0], "rate [deg/s]": [0, 1], "output [V]": [1, 2]}, {}, "line 2.*behind"),
         ({"rate [deg/s]": [0, np.nan], "output [V]": [1, 2]}, {}, "finite numbers"),
@@ -246,6 +249,14 @@ def test_samples_that_are_missing_within_a_plateau_are_refused():
     keep[300:340] = False
     with pytest.raises(mg.InputError, match=r"line 301, column `t`.*are rows missing"):
         mg.scale_factor_test({"t [s]": time[keep], "table rate [deg/s]": rate[keep], "gyro [deg/s]": output[keep]})
+
+
+def test_rows_with_times_are_no_raw_log():
+    """Whose rate changes from row to row; all rows were taken for one plateau."""
+    rate = np.array(back_to_zero(*np.random.default_rng(0).permutation(SWEEP[SWEEP != 0.0])))
+    found = mg.scale_factor_test(rows(rate, around(rate), **{"t [min]": np.arange(len(rate))}))
+    assert len(found.rate) == len(rate)
+    assert held(found.figures["scale_factor"], 0.01)
 
 
 def test_small_steps_of_a_command_and_averages_of_a_second():
