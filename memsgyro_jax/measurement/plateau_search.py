@@ -18,7 +18,7 @@ _SHORT = 0.1  # of the usual plateau, below which one is a halt on the way
 _GROWTH = 1.3  # from one bin of the step response to the next
 _SETTLED = 1e-6  # of a step, to which the output is to have settled
 _NOISE = 3.0  # standard deviations within which a bin of the step response is noise
-_MOST = 0.5  # of the shortest plateau that settling may take
+MOST = 0.7  # of the shortest plateau that settling may take
 BATCHES = 10
 
 
@@ -78,21 +78,21 @@ def _leaves(rate: np.ndarray, begin: int, tolerance: float) -> int:
 def settling(output: np.ndarray, found: list[slice]) -> Settling:
     """What to leave out of each plateau: until a step has died away to a millionth of itself.
 
-    Steps of all plateaus together give one step response, each laid beside what its plateau gives in its second half;
+    Steps of all plateaus together give one step response, each laid beside what its plateau gives in its last quarter;
     what noise hides of its end is continued as an exponential.
     """
     shortest = min(one.stop - one.start for one in found)
-    ends = np.array([np.mean(output[(one.start + one.stop) // 2 : one.stop]) for one in found])
+    ends = np.array([np.mean(output[one.stop - (one.stop - one.start) // 4 : one.stop]) for one in found])
     steps = ends[:-1] - ends[1:]
     if len(found) < 2 or not np.any(steps):
         return Settling(0, True)
     each = np.stack([output[one.start : one.start + shortest] for one in found[1:]])
     answer = steps @ (each - ends[1:, None]) / float(steps @ steps)
     edges = _edges(shortest)
-    late = answer[shortest // 2 :]
+    late = answer[-(shortest // 4) :]
     bins = [(a, float(np.mean(answer[a:b])), _spread(late, b - a)) for a, b in pairwise(edges)]
     quiet = np.array([abs(value) <= _NOISE * spread + _SETTLED for _, value, spread in bins])
-    most = min(int(_MOST * shortest), max(shortest - BATCHES, 0))
+    most = min(int(MOST * shortest), max(shortest - BATCHES, 0))
     # A response that rings passes zero: only two bins of noise after each other are its end.
     ends_at = np.flatnonzero(quiet[:-1] & quiet[1:])
     if not ends_at.size or bins[ends_at[0]][0] >= most:

@@ -12,7 +12,7 @@ from memsgyro_jax.base.table import Table
 from memsgyro_jax.base.text import listed
 
 from .allan_variance import allan_deviation
-from .plateau_search import BATCHES, Settling, batch_means, plateaus, settling
+from .plateau_search import BATCHES, MOST, Settling, batch_means, plateaus, settling
 from .table_columns import TableColumns, columns_of_test, measures, table_of
 
 
@@ -184,8 +184,8 @@ def _said(found: list[slice], kept: list[slice], left: Settling, period: float, 
     said = [f"{head}, and {left_out}."]
     if not left.seen:
         said.append(
-            "The output does not settle to a millionth of a step within half of the shortest plateau: means hold some "
-            "of the step before; longer plateaus would not (`settle`, `--settle`, leaves out more)."
+            f"The output does not settle to a millionth of a step within {100.0 * MOST:.0f} % of the shortest plateau: "
+            "means may hold some of the step before; longer plateaus would not (`settle`, `--settle`, leaves out more)."
         )
     if len(kept) < len(found):
         said.append(f"{len(found) - len(kept)} plateaus with fewer than {_FEWEST_KEPT} samples are left out.")

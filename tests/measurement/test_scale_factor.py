@@ -251,6 +251,20 @@ def test_samples_that_are_missing_within_a_plateau_are_refused():
         mg.scale_factor_test({"t [s]": time[keep], "table rate [deg/s]": rate[keep], "gyro [deg/s]": output[keep]})
 
 
+def test_a_table_that_lags_its_command_is_settling():
+    """The column is what was asked for; the table takes 6 s for the greatest step."""
+    sequence, sample_rate = (0.0, 100.0, -100.0, 200.0, -200.0, 300.0, -300.0, 0.0, 150.0, 0.0), 20.0
+    command, rate, at = np.repeat(sequence, 400), [], 0.0
+    for wanted in command:
+        at += np.clip(wanted - at, -5.0, 5.0)
+        rate.append(at)
+    output = 1.001 * np.array(rate) + 0.02 * np.random.default_rng(0).standard_normal(len(rate))
+    source = {"t [s]": np.arange(len(rate)) / sample_rate, "command [deg/s]": command, "gyro [deg/s]": output}
+    found = mg.scale_factor_test(source)
+    assert held(found.figures["scale_factor"], 1.001)
+    assert held(found.figures["nonlinearity_max"], 0.0)
+
+
 def test_rows_with_times_are_no_raw_log():
     """Whose rate changes from row to row; all rows were taken for one plateau."""
     rate = np.array(back_to_zero(*np.random.default_rng(0).permutation(SWEEP[SWEEP != 0.0])))
