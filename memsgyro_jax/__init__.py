@@ -178,6 +178,11 @@ if TYPE_CHECKING:
     from .measurement.allan import allan as allan
     from .measurement.allan_result import Allan as Allan
     from .measurement.allan_variance import allan_deviation as allan_deviation
+    from .measurement.scale_factor import scale_factor_test as scale_factor_test
+    from .measurement.scale_factor_result import ScaleFactorTest as ScaleFactorTest
+    from .measurement.scale_factor_result import MeasuredFigure as MeasuredFigure
+    from .measurement.beside_lot import beside_lot as beside_lot
+    from .measurement.beside_lot import BesideLot as BesideLot
     from .measurement.datasheet import datasheet as datasheet
     from .measurement.datasheet_rows import Datasheet as Datasheet
     from .measurement.datasheet_rows import DatasheetRow as DatasheetRow

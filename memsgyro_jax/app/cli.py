@@ -33,6 +33,7 @@ from .commands.import_ import import_command
 from .commands.law import law_command
 from .commands.loop import loop_command
 from .commands.new import new_command
+from .commands.rate_test import rate_test_command
 from .commands.schema import schema_command
 from .commands.simulate import simulate_command
 from .commands.status import status_command
@@ -86,6 +87,7 @@ for _command in (
     tune_command,
     identify_command,
     allan_command,
+    rate_test_command,
     datasheet_command,
     effects_command,
     import_command,
@@ -100,7 +102,8 @@ for _command in (
     studies_command,
 ):
     _told = kinds_text() if _command in (sweep_command, simulate_command, tune_command) else None
-    app.command(_prepared(_command), name=_command.__name__.removesuffix("_command"), help_epilogue=_told)
+    _name = _command.__name__.removesuffix("_command").replace("_", "-")
+    app.command(_prepared(_command), name=_name, help_epilogue=_told)
 
 
 app.register_install_completion_command(help="Complete words of the command line in this shell (bash, zsh, fish).")
