@@ -27,8 +27,8 @@ from .sheet import Sheet
 
 
 NEARBY = 1.2  # of the frequency that a channel shows most: as high vibrates what shows less in it
-PHASE_STEP = 0.06  # of the highest mode per integration step, in the frame of phasors [rad]
-WAVE_STEP = 0.2  # the same of waveforms; where that moves a reading, steps become shorter
+PHASE_STEP = 0.06  # of the highest mode per integration step [rad], in the frame of phasors, and between uneven stamps
+WAVE_STEP = 0.2  # the same of even waveforms; where that moves a reading, steps become shorter
 TURN = 4.0  # phase by which a vibration may turn in the time of a piece, between its lowest and highest frequency [rad]
 CYCLES, ROWS = 4, 24  # in a piece at least
 GAP = 0.25  # of a piece without a row, over which none reaches
@@ -165,7 +165,8 @@ class FreeDecayRecord(WaveformRecord):
     def _experiment(self, declared: Declared, number: int, part: np.ndarray, rows: int) -> FreeDecay:
         """Of some rows, in pieces of `rows`."""
         few = self.only(part)
-        noise, most = self.noise_of_rows[part], WAVE_STEP if self.reference_frequency is None else PHASE_STEP
+        noise, stepped = self.noise_of_rows[part], self.reference_frequency is None and not self.uneven
+        most = WAVE_STEP if stepped else PHASE_STEP
         step = min(self.period, most / self._distance(declared))
         spans = np.ptp(few.time.reshape(-1, rows), axis=1)
         return FreeDecay(
