@@ -127,7 +127,25 @@ def _told_by_one_channel(case: Case, offered: Iterable[Phasors | None]) -> dict[
         mass = told.setdefault("mass", own)
         told[f"k{2 * 'xy'[axis]}"] = mass * float(device.stiffness[0])
         told[f"d{2 * 'xy'[axis]}"] = mass * float(device.damping[0])
+    if {"kxx", "kyy"} <= {*told} and any(one.beside is not None for one in alone):
+        told |= {"kxy": told["mass"] * _coupling_of_amplitudes(alone, told), "dxy": 0.0}
     return told
+
+
+def _coupling_of_amplitudes(alone: Iterable[Phasors], told: dict[str, float]) -> float:
+    """The coupling over the mass that amplitudes of both channels ask for: |k_xy| = |Y/X| · |k_yy − ω² + iωd_yy| where
+    x is driven. Its sign they do not tell: a positive one is taken.
+    """
+    found, weights = [np.zeros(0)], [np.zeros(0)]
+    for one in (one for one in alone if one.beside is not None and one.axis is not None):
+        name = 2 * "xy"[1 - one.axis]
+        stiffness, damping = told[f"k{name}"] / told["mass"], told[f"d{name}"] / told["mass"]
+        amplitude, held = np.abs(one.motion[:, 0]), np.abs(stiffness - one.omega**2 + 1j * one.omega * damping)
+        clear = one.beside * one.weight > CLEAR
+        found.append((one.beside / np.maximum(amplitude, 1e-300) * held)[clear])
+        weights.append((one.weight * amplitude / held)[clear] ** 2)
+    size, weight = np.concatenate(found), np.concatenate(weights)
+    return float(np.sum(weight * size) / np.sum(weight)) if size.size else 0.0
 
 
 def _all_of(alone: dict[str, float], open_: list[str], path: Path) -> dict[str, DesignValue]:

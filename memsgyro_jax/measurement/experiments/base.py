@@ -189,6 +189,7 @@ class Phasors(NamedTuple):
         slope, bend: (n, axes) phasors of velocity [m/s] and acceleration [m/s²] of what is no steady motion, under a
             window that has begun and ended; `None` for a steady one, of which they are 1j·omega and −omega² times the
             motion.
+        beside: (n,) amplitude of the other axis [m], where its phase is not known; else `None`.
     """
 
     omega: np.ndarray
@@ -199,6 +200,7 @@ class Phasors(NamedTuple):
     axis: int | None = None
     slope: np.ndarray | None = None
     bend: np.ndarray | None = None
+    beside: np.ndarray | None = None
 
     @property
     def derivatives(self) -> tuple[np.ndarray, np.ndarray]:

@@ -228,7 +228,8 @@ class FrequencySweepRecord(AbstractRecord):
         motion, omega = readout.motion(self.phasors, self.frequency)[calm], self.frequency[calm]
         weight = abs(readout.scale) * omega**readout.order / self.noise_level
         own, axis = ([self.axis], self.axis) if alone else (self.channels, None)
-        return Phasors(omega, motion[:, own], force[:, own] + 0j, weight, not self.phase_known, axis)
+        other = np.abs(motion[:, 1 - axis]) if axis is not None and 1 - axis in self.channels else None
+        return Phasors(omega, motion[:, own], force[:, own] + 0j, weight, not self.phase_known, axis, beside=other)
 
     def motion(self, declared: Declared) -> np.ndarray:
         """(n, axes) displacement phasors that were seen; where no phase was, those of the device as designed."""
