@@ -137,7 +137,9 @@ def _coupling_of_amplitudes(alone: Iterable[Phasors], told: dict[str, float]) ->
     x is driven. Its sign they do not tell: a positive one is taken.
     """
     found, weights = [np.zeros(0)], [np.zeros(0)]
-    for one in (one for one in alone if one.beside is not None and one.axis is not None):
+    for one in alone:
+        if one.beside is None or one.axis is None:
+            continue
         name = 2 * "xy"[1 - one.axis]
         stiffness, damping = told[f"k{name}"] / told["mass"], told[f"d{name}"] / told["mass"]
         amplitude, held = np.abs(one.motion[:, 0]), np.abs(stiffness - one.omega**2 + 1j * one.omega * damping)
