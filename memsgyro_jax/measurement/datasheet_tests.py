@@ -37,7 +37,7 @@ _RECORD = 3.0 * 2.0**5  # times the first of six octaves of averaging times: a r
 _NOISES = (
     ("noise density", "deg/s/√Hz", "One-sided density of the output where it is flat"),
     ("angle random walk", "deg/√h", "Coefficient N of the Allan deviation"),
-    ("bias instability", "deg/h", "Least Allan deviation over 0.664"),
+    ("bias instability", "deg/h", "Least Allan deviation of the fitted noises over 0.664"),
 )
 _FRAME = "the device leaves out the terms of its rotating frame (`rotating_frame` brings them in)"
 
