@@ -115,7 +115,7 @@ def fit_noise(
 
 def _lowest(model: "_Model", kept: np.ndarray, floor: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(series, 3) least variance of the model with its 95 % interval by what the deviations tell of the terms that are
-    `kept`, and whether it is the first. The least of the measured ones is of the longest averaging times, where few of them scatter
+    `kept`, and whether it is the first. The least of the measured ones is of the longest averaging times, which scatter
     most: of flicker it lay between a third and all of it.
     """
     times = np.geomspace(model.factors[0], model.factors[-1], 16 * len(model.factors))

@@ -180,7 +180,7 @@ def test_terms_are_found_or_said_to_be_unknown(tmp_path):
 
 def test_the_bias_instability_is_no_minimum_of_chance():
     """5 Hz, 0.05 deg/√h and 3 deg/h of flicker over 0.7 h: the least of the measured deviations, of the longest times,
-    told 2.3 deg/h as the median of 16 series, down to 0.9, with intervals five times as high as low.
+    told 2.3 deg/h as the median of 16 series, down to 1.4, with upper ends at three times the lower ones.
     """
     n, b = np.radians(0.05) / 60.0, np.radians(3.0) / 3600.0
     rates = draw(np.random.default_rng(9), 12_000, 16, n=n * np.sqrt(5.0), b=b)
