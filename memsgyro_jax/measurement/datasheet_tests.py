@@ -164,7 +164,7 @@ def step_answer(bench: RateTests, still: Outputs, run: Outputs) -> tuple[Answer,
     )
     with np.errstate(divide="ignore", invalid="ignore"):
         over = np.where(settled[:, None], answer / end[:, None], np.nan)
-    bandwidth = np.array([first_half_power(one, run.period) for one in over])
+    bandwidth = first_half_power(over, run.period)
     delay = 1e3 * np.sum(1.0 - over, axis=1) * run.period
     past = "" if np.isfinite(bandwidth).any() else f"it lies beyond {0.4 / run.period:.4g} Hz, which this run shows"
     condition = f"step of {np.degrees(size):.3g} deg/s after {0.5 * bench.duration:.3g} s, no noise"
