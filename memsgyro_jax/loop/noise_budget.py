@@ -110,8 +110,8 @@ class NoiseBudget(Shown, eqx.Module):
         names = [f"{s}: {w * _PER_ROOT_HOUR:.3g} °/√h" for s, w in zip(self.sources, self.walk, strict=True)]
         power = (_DEGREES * np.asarray(self.density)) ** 2
         ax.stackplot(np.asarray(self.frequency), power, labels=names, alpha=0.8)
-        ax.set(xlabel="frequency of the rate [Hz]", ylabel="power density of the rate [(°/s)²/Hz]", xscale="log")
-        ax.set_ylim(0.0, 1.1 * float(np.max(power.sum(axis=0))))
+        ax.set(xlabel="frequency of the rate [Hz]", ylabel="power density as input rate [(°/s)²/Hz]", xscale="log")
+        ax.set_ylim(0.0, (1.1 + 0.08 * len(names)) * float(np.max(power.sum(axis=0))))  # the legend stands above
         ax.legend(loc="upper left", frameon=False)
         return ax
 
