@@ -59,6 +59,11 @@ def analysed(log: RateLog, band: tuple[float, float] | None = None, low_pass: bo
     samples, period = log.rate.shape[-1], log.period
     octaves = tuple(2**k for k in range(samples.bit_length()) if 3 * 2**k <= samples)
     if band is not None:
+        if not 0.0 <= band[0] < band[1]:
+            raise InputError(
+                "Argument `band` must be a shortest and a longest averaging time, but is "
+                f"{band[0]:g} and {band[1]:g} s."
+            )
         octaves = tuple(m for m in octaves if band[0] * (1 - 1e-9) <= m * period <= band[1] * (1 + 1e-9))
     if len(octaves) < _FEWEST:
         raise InputError(

@@ -84,7 +84,8 @@ def test_a_sweep_in_parts_is_the_sweep(memsgyro, folder, swept):
     ):
         status, _, said = memsgyro("sweep", *SMALL, *tokens)
         assert (status, said.count("\n"), "`" in said) == (2, 1, True), said
-    assert memsgyro("status", "nowhere")[0] == 2
+    status, _, said = memsgyro("status", "nowhere")
+    assert (status, "but there is none; give the folder that the sweep has" in said) == (2, True)
 
 
 def test_a_sweep_prints_its_table_and_leaves_three_results(memsgyro, folder):

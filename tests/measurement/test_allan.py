@@ -258,6 +258,11 @@ def test_unusable_rates_are_refused(rate, words):
         mg.allan(rate, sample_rate=1.0)
 
 
+def test_a_band_from_long_to_short_is_refused():
+    with pytest.raises(InputError, match="`band` must be a shortest and a longest averaging time, but is 10 and 1 s"):
+        mg.allan(np.sin(np.arange(1000.0)), sample_rate=1.0, band=(10.0, 1.0))
+
+
 def write(path, header, *columns):
     np.savetxt(path, np.stack(columns, axis=-1), delimiter=",", header=header, comments="", fmt="%.9g")
     return path
