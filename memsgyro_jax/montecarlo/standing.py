@@ -58,9 +58,9 @@ def standing_of(out: str | Path) -> Standing:
     attributes, dies = attributes_of(path), held_by(path)
     block = attributes.get("block")
     if attributes.get("schema") != SCHEMA or not isinstance(block, int) or block < 1 or dies is None:
-        found = f"is {attributes['schema']}" if "schema" in attributes else "there is none"
+        other = f"is {attributes['schema']}" if "schema" in attributes else "there is none"
         raise InputError(
-            f"{path} must be the store of a sweep ({SCHEMA}), but {found}; give the folder that the sweep has as "
+            f"{path} must be the store of a sweep ({SCHEMA}), but {other}; give the folder that the sweep has as "
             "`--out`."
         )
     per_shard, blocks, shards, files = blocks_per_shard(block), -(-dies // block), Folder(path), waiting_of(path)
