@@ -96,7 +96,7 @@ report.row("time constant, 3.2 kHz, Q 804 [s]", 0.08, float(time[np.argmax(swing
            "simulated step of 1 rad/s, 100 Hz demodulator included (2Q/ω = 0.0800)")  # fmt: skip
 report.row("bandwidth [Hz]", "about 3", half, f"-3 dB; the claim is 1/(4τ) = {1 / (4 * 2 / damping):.2f}")
 after = swing[time > 0.02]
-shown = first_half_power(after / np.mean(after[-500:]), 10.0 / SAMPLE_RATE)
+(shown,) = first_half_power(after[None] / np.mean(after[-500:]), 10.0 / SAMPLE_RATE)
 report.row("  of the simulated step's answer [Hz]", "", shown, "100 Hz demodulator included")
 report.row("frequency of the lock [Hz]", 3200.0, float(locked[-1]), "from rest, SNR 1000")
 report.row("best resolution at SNR 100 [deg/s]", 7.16, float(np.degrees(omega / (2.0 * 804.0) / 100.0)), "(2.9)")

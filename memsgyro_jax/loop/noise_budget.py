@@ -27,6 +27,7 @@ from .controllers.classic import ClassicControl, locked_frequency
 from .controllers.sense import ForceRebalance
 from .loop import ClosedLoop, as_loop
 from .operation import sample_rate_of
+from .rebalance_noise import beyond_the_split
 
 
 if TYPE_CHECKING:
@@ -110,8 +111,8 @@ class NoiseBudget(Shown, eqx.Module):
         names = [f"{s}: {w * _PER_ROOT_HOUR:.3g} °/√h" for s, w in zip(self.sources, self.walk, strict=True)]
         power = (_DEGREES * np.asarray(self.density)) ** 2
         ax.stackplot(np.asarray(self.frequency), power, labels=names, alpha=0.8)
-        ax.set(xlabel="frequency of the rate [Hz]", ylabel="power density of the rate [(°/s)²/Hz]", xscale="log")
-        ax.set_ylim(0.0, 1.1 * float(np.max(power.sum(axis=0))))
+        ax.set(xlabel="frequency of the rate [Hz]", ylabel="power density as input rate [(°/s)²/Hz]", xscale="log")
+        ax.set_ylim(0.0, (1.1 + 0.08 * len(names)) * float(np.max(power.sum(axis=0))))  # the legend stands above
         ax.legend(loc="upper left", frameon=False)
         return ax
 
@@ -154,7 +155,18 @@ def noise_budget(
     phase_locked = isinstance(loop.controller, ClassicControl)
     numbers = _numbers(loop, amplitude, period)
     check_positive("amplitude", numbers["amplitude"])
-    return NoiseBudget(**numbers, notes=_notes(loop, phase_locked, period))
+    return NoiseBudget(**numbers, notes=(*_notes(loop, phase_locked, period), *_beyond(loop, amplitude, numbers)))
+
+
+def _beyond(loop: ClosedLoop, amplitude: Scalar | None, numbers: dict[str, Any]) -> tuple[str, ...]:
+    if not is_concrete((loop, numbers["walk"])):
+        return ()
+    walks = dict(zip(numbers["sources"], np.sqrt(2.0) * np.asarray(numbers["walk"]), strict=True))
+    forces = walks.pop("Brownian force")
+    sense, shown = _sense(loop, amplitude)[0], float(np.hypot.reduce([*walks.values()]))
+    swing, split = (2.0 * np.pi * float(numbers[name]) for name in ("swing", "split"))
+    said = beyond_the_split(loop, sense.resistance, swing, split, shown, float(forces))
+    return (said,) if said else ()
 
 
 @at_once

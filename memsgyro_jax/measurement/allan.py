@@ -59,6 +59,11 @@ def analysed(log: RateLog, band: tuple[float, float] | None = None, low_pass: bo
     samples, period = log.rate.shape[-1], log.period
     octaves = tuple(2**k for k in range(samples.bit_length()) if 3 * 2**k <= samples)
     if band is not None:
+        if not 0.0 <= band[0] < band[1]:
+            raise InputError(
+                "Argument `band` must be a shortest and a longest averaging time, but is "
+                f"{band[0]:g} and {band[1]:g} s."
+            )
         octaves = tuple(m for m in octaves if band[0] * (1 - 1e-9) <= m * period <= band[1] * (1 + 1e-9))
     if len(octaves) < _FEWEST:
         raise InputError(
@@ -190,7 +195,7 @@ def _terms(
     return {
         **terms,
         "arw_1s": _at_one_second(tau, measured, low, high),
-        "bias_instability": _minimum(terms, measured, low, high),
+        "bias_instability": _minimum(terms, found, k, float(high[np.argmin(measured)])),
     }
 
 
@@ -203,16 +208,21 @@ def _at_one_second(tau: np.ndarray, *curves: np.ndarray) -> NoiseTerm:
     return NoiseTerm(value, low, high, unit, "")
 
 
-def _minimum(terms: Mapping[str, NoiseTerm], measured: np.ndarray, low: np.ndarray, high: np.ndarray) -> NoiseTerm:
+def _minimum(terms: Mapping[str, NoiseTerm], found: NoiseFit, k: int, most: float) -> NoiseTerm:
+    """Of the fitted model: the least of the measured deviations is the one that chance has put lowest. Where the model
+    has no minimum, it is below `most`, the upper end of that one.
+    """
     _, unit, factor, _ = MEANING["B"]
-    least = int(np.argmin(measured))
-    value, below, above = (factor / FLAT * float(curve[least]) for curve in (measured, low, high))
-    if least == 0:
-        return NoiseTerm(None, 0.0, above, unit, "the deviation rises from the first averaging time on")
+    value, below, above = (factor / FLAT * float(np.sqrt(part)) for part in found.lowest[k])
+    unknown = ""
     if terms["N"].verdict == _OTHER:
-        return NoiseTerm(None, 0.0, above, unit, _OTHER)
-    if all(terms[name].value is None for name in "BKR"):
-        return NoiseTerm(None, 0.0, above, unit, "the deviation has not ceased to fall")
+        unknown = _OTHER
+    elif all(terms[name].value is None for name in "BKR"):
+        unknown = "the deviation has not ceased to fall"
+    elif found.rising[k]:
+        unknown = "the deviation rises from the first averaging time on"
+    if unknown:
+        return NoiseTerm(None, 0.0, factor / FLAT * most, unit, unknown)
     return NoiseTerm(
         value, below, above, unit, "all noises together: flicker alone, B, is less" * (terms["B"].high < below)
     )

@@ -59,7 +59,7 @@ class Allan(Shown):
         tau: averaging times [s].
         deviation: [rad/s]; `low` to `high` is its 95 % interval.
         terms: of each series, by name: `N`, `B`, `K`, `R`, `Q` of the fitted model, `arw_1s` as read at 1 s, and
-            `bias_instability`, the minimum of the curve over 0.664.
+            `bias_instability`, the minimum of the fitted curve over 0.664.
         fitted: deviation of the fitted model [rad/s].
         band: averaging times of the fit [s].
         chi2_per_dof: of the fit, one number per series; near 1 where the five terms describe the record.
@@ -177,5 +177,5 @@ class Allan(Shown):
 
 
 def _title(key: str) -> str:
-    named = {"arw_1s": "angle random walk at 1 s", "bias_instability": "bias instability, minimum/0.664"}
+    named = {"arw_1s": "angle random walk at 1 s", "bias_instability": "bias instability, least of the fit/0.664"}
     return named[key] if key in named else f"{key}  {MEANING[key][0]}"

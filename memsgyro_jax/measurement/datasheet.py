@@ -91,8 +91,8 @@ def datasheet(
     rates = np.linspace(-bench.full_scale, bench.full_scale, _POINTS)
     told(f"{dies} dies at {_POINTS} constant rates, {bench.duration:g} s each; the first compiles, some seconds")
     table, pace = _timed(bench, rates, told)
-    told("step of the rate, and what sets the bandwidth")
-    stepped, answer, step_rows = step_told(bench, table[_POINTS // 2])
+    told("step of the rate")
+    stepped, answer, step_rows = step_told(bench, table[_POINTS // 2], told)
     told("other axes, acceleration, temperature")
     outputs, static = scale_and_bias(bench, rates, table)
     drifts, over_temperature = temperature_rows(bench, temperatures, told)
@@ -102,6 +102,7 @@ def datasheet(
     why = unsettled(alive, started, bench)
     if np.sum(begun) < FEWEST:  # what the step shows is of a start
         answer = answer._replace(unknown=answer.unknown or NOT_SETTLED)
+    told("what sets the bandwidth")
     limited = limits(stepped, answer)
     step_rows = at_rest(step_rows, begun, why)
     full, settled = static[0], static[1:]  # the full scale is declared
@@ -132,7 +133,9 @@ def datasheet(
     return sheet(noises(bench, answer, record, _shares(record, pace * record / bench.duration, told)))
 
 
-def step_told(bench: RateTests, still: Outputs) -> tuple[RateTests, Answer, tuple[DatasheetRow, ...]]:
+def step_told(
+    bench: RateTests, still: Outputs, told: Callable[[str], None]
+) -> tuple[RateTests, Answer, tuple[DatasheetRow, ...]]:
     """What a step of the rate tells, and the tests that told it: finer ones where windows hide how fast it is."""
     found = step_answer(bench, still, bench.run(bench.at(0.0, step_size(bench))))
     fast = np.nan_to_num(found[0].bandwidth, nan=np.inf) * still.period > _COARSE
@@ -140,7 +143,8 @@ def step_told(bench: RateTests, still: Outputs) -> tuple[RateTests, Answer, tupl
     if bench.finer is None or single or found[0].unknown or np.mean(fast) <= 0.5:
         return bench, *found
     finer = bench.finer()
-    return step_told(finer, finer.run(finer.at(0.0)))
+    told(f"the step again, in means over less than {still.period:.2g} s: its answer is fast")
+    return step_told(finer, finer.run(finer.at(0.0)), told)
 
 
 def check_noise_duration(bench: RateTests, noise_duration: float | None) -> None:
@@ -170,14 +174,17 @@ def _timed(bench: RateTests, rates: np.ndarray, told: Callable[[str], None]) -> 
 def _shares(record: float, seconds: float, told: Callable[[str], None]) -> Callable[[float], None]:
     """Tells that a record with noise [s] will take some `seconds`, and returns what tells how far it is."""
     told(f"a record of {record:.3g} s with noise, about {_about(seconds)}; what is known so far is kept")
-    began = time.perf_counter()
-    last = [began]
+    last = [time.perf_counter()]
+    first: list[tuple[float, float]] = []  # until then it is compiled, which tells nothing of what is left
 
     def share(done: float) -> None:
         now = time.perf_counter()
-        if now - last[0] > _SILENCE and done < 1.0:
-            last[0], left = now, (now - began) * (1.0 - done) / done
-            told(f"{100.0 * done:.0f} % of the record with noise, about {_about(left)} left")
+        first.append((now, done))
+        (began, before), silent = first[0], now - last[0]
+        if silent > _SILENCE and done < 1.0:
+            last[0] = now
+            left = f", about {_about((now - began) * (1.0 - done) / (done - before))} left" if done > before else ""
+            told(f"{100.0 * done:.0f} % of the record with noise{left}")
 
     return share
 

@@ -37,7 +37,7 @@ _RECORD = 3.0 * 2.0**5  # times the first of six octaves of averaging times: a r
 _NOISES = (
     ("noise density", "deg/s/√Hz", "One-sided density of the output where it is flat"),
     ("angle random walk", "deg/√h", "Coefficient N of the Allan deviation"),
-    ("bias instability", "deg/h", "Least Allan deviation over 0.664"),
+    ("bias instability", "deg/h", "Least Allan deviation of the fitted noises over 0.664"),
 )
 _FRAME = "the device leaves out the terms of its rotating frame (`rotating_frame` brings them in)"
 
@@ -164,7 +164,7 @@ def step_answer(bench: RateTests, still: Outputs, run: Outputs) -> tuple[Answer,
     )
     with np.errstate(divide="ignore", invalid="ignore"):
         over = np.where(settled[:, None], answer / end[:, None], np.nan)
-    bandwidth = np.array([first_half_power(one, run.period) for one in over])
+    bandwidth = first_half_power(over, run.period)
     delay = 1e3 * np.sum(1.0 - over, axis=1) * run.period
     past = "" if np.isfinite(bandwidth).any() else f"it lies beyond {0.4 / run.period:.4g} Hz, which this run shows"
     condition = f"step of {np.degrees(size):.3g} deg/s after {0.5 * bench.duration:.3g} s, no noise"

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy import stats
 
 from .allan_variance import NOISES, TERMS, covariance_parts, shapes
@@ -41,6 +41,8 @@ class NoiseFit(NamedTuple):
         chi2: squared whitened residual.
         dof: of `chi2`: deviations less terms that do not vanish, and less the low-pass.
         lag: of a low-pass, as `low_passed` takes it; zero where the series show none.
+        lowest: least Allan variance of the model within the factors, and the ends of its 95 % interval.
+        rising: whether that is at the first factor.
     """
 
     value: Float[np.ndarray, "series 5"]
@@ -51,6 +53,8 @@ class NoiseFit(NamedTuple):
     chi2: Float[np.ndarray, " series"]
     dof: Float[np.ndarray, " series"]
     lag: Float[np.ndarray, " series"]
+    lowest: Float[np.ndarray, "series 3"]
+    rising: Bool[np.ndarray, " series"]
 
 
 class _Expected(NamedTuple):
@@ -105,7 +109,29 @@ def fit_noise(
         np.sum(model.whitened(expected) ** 2, axis=-1),
         np.maximum(len(factors) - np.sum(~gone, axis=-1) - np.sum(free[:, _LAG:], axis=-1), 1.0),
         factors[0] * np.tanh(kept[:, _LAG]),
+        *_lowest(model, kept, floor),
     )
+
+
+def _lowest(model: "_Model", kept: np.ndarray, floor: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(series, 3) least variance of the model with its 95 % interval by what the deviations tell of the terms that are
+    `kept`, and whether it is the first. The least of the measured ones is of the longest averaging times, which scatter
+    most: of flicker it lay between a third and all of it.
+    """
+    times = np.geomspace(model.factors[0], model.factors[-1], 16 * len(model.factors))
+    there = (kept > floor + 1.0)[:, :_LAG]
+    parts = (np.exp(kept[:, :_LAG]) * there)[:, None, :] * shapes(times)
+    variance = np.sum(parts, axis=-1)
+    place = np.argmin(variance, axis=-1)[:, None]
+    value = np.take_along_axis(variance, place, axis=-1)
+    shares = np.take_along_axis(parts, place[..., None], axis=1)[:, 0] / value  # slopes of the logarithm
+    units = _STEP * np.eye(kept.shape[-1])[:_LAG]
+    sides = [[model.loss(kept + sign * unit)[1] for sign in (1.0, -1.0)] for unit in units]
+    bend = np.stack([(up - down) / (2 * _STEP) for up, down in sides], axis=-1) * there[:, None, :]
+    normal = np.swapaxes(bend, -1, -2) @ bend + np.where(there, 1e-6, 1.0)[:, None, :] * np.eye(_LAG)
+    spread = np.einsum("st,st->s", shares, np.linalg.solve(normal, shares[..., None])[..., 0])
+    ends = np.exp(np.sqrt(_FALL * spread)[:, None] * np.array([0.0, -1.0, 1.0]))
+    return value * ends, place[:, 0] == 0
 
 
 def _full(

@@ -12,7 +12,7 @@ from memsgyro_jax.base import runtime
 from memsgyro_jax.base.arguments import quantity, refuse_traced, whole
 from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.base.farm import farmed
+from memsgyro_jax.base.farm import farmed, require_scheduler
 from memsgyro_jax.base.provenance import Settings
 from memsgyro_jax.loop.blocks.run import prepared
 from memsgyro_jax.loop.expectation import tell
@@ -121,7 +121,12 @@ class PartRun(Shown):
     steps_per_s: float | None
 
     def __repr__(self) -> str:
-        return "\n".join([f"{self.computed} of {self.dies} dies computed, the others were there", *self.notes])
+        said = f"{self.computed} of {self.dies} dies computed"
+        if not self.dies:
+            said = "no dies in this part: parts take whole blocks of dies, of which there are fewer than parts"
+        elif self.computed < self.dies:
+            said += ", the others were there"
+        return "\n".join([said, *self.notes])
 
 
 def plan(
@@ -187,6 +192,7 @@ def run_on_dask(
     store: StoredSweep, scheduler: str, resume: bool, progress: Callable[[int, int], None] | None
 ) -> PartRun:
     """Let the workers of a Dask scheduler compute what is missing, a block a task."""
+    require_scheduler(scheduler)  # before there is a store, in whose way the right address would find it
     made, blocks = store.computation, store.blocks
     with opened(store.path, made.layout, made.dies, made.runner.block, resume) as work:
         before, notes, missing = work.done, tuple(work.notes), work.missing

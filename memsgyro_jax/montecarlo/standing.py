@@ -58,8 +58,11 @@ def standing_of(out: str | Path) -> Standing:
     attributes, dies = attributes_of(path), held_by(path)
     block = attributes.get("block")
     if attributes.get("schema") != SCHEMA or not isinstance(block, int) or block < 1 or dies is None:
-        found = attributes.get("schema", "no store")
-        raise InputError(f"{path} must be the store of a sweep ({SCHEMA}), but is {found}.")
+        other = f"is {attributes['schema']}" if "schema" in attributes else "there is none"
+        raise InputError(
+            f"{path} must be the store of a sweep ({SCHEMA}), but {other}; give the folder that the sweep has as "
+            "`--out`."
+        )
     per_shard, blocks, shards, files = blocks_per_shard(block), -(-dies // block), Folder(path), waiting_of(path)
     counts, waiting, there = Counter[int](), 0, _numbers(files)  # looked for once: a listing may be long
     for first in range(0, blocks, per_shard):

@@ -87,7 +87,7 @@ def loss(vector: Float[Array, " n"], problem: Problem) -> Float[Array, ""]:
 
 
 class BestTones(NamedTuple):
-    """Tones at the end of each start, best first, and the logarithm of their bound."""
+    """Tones at the end of each start, best first, and the logarithm of their bound before they met a limit."""
 
     tones: Tones
     losses: Float[np.ndarray, " starts"]
@@ -110,7 +110,7 @@ def search(
     losses = np.asarray(_losses(padded, problem))[: 2 * starts].reshape(2, starts)
     best = np.argmin(losses, axis=0), np.arange(len(vectors))
     order = np.argsort(losses[best])
-    return BestTones(_tones(both[best][order], problem), losses[best][order])
+    return BestTones(_to_the_limit(both[best][order], problem), losses[best][order])
 
 
 def _pool(problem: Problem, modes: tuple, count: int, rng: np.random.Generator) -> Float[np.ndarray, "count n"]:
@@ -132,8 +132,19 @@ def _pool(problem: Problem, modes: tuple, count: int, rng: np.random.Generator) 
 
 
 @eqx.filter_jit
-def _tones(vectors: Float[Array, "n size"], problem: Problem) -> Tones:
-    return jax.vmap(lambda vector: tones(vector, problem))(vectors)
+def _to_the_limit(vectors: Float[Array, "n size"], problem: Problem) -> Tones:
+    """Larger until a limit is met: the smooth maximum keeps 4 % away from the force where both axes need it, and larger
+    amplitudes tell more of everything.
+    """
+
+    def one(vector: Array) -> Tones:
+        made = tones(vector, problem)
+        force = jnp.sum(jnp.abs(held(problem.design, made, problem.period).force), axis=0)
+        moved = jnp.sum(jnp.abs(made.amplitude), axis=0)
+        used = jnp.concatenate([force / problem.force, moved / problem.displacement])
+        return made._replace(amplitude=made.amplitude / jnp.max(used))
+
+    return jax.vmap(one)(vectors)
 
 
 @eqx.filter_jit

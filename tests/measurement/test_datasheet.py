@@ -256,7 +256,7 @@ def test_a_bandwidth_is_that_of_the_output_whatever_the_windows(bandwidth):
         return RateTests(run, None, None, LOOP, mg.Scenario(), 1.0, 0.5, 1.0, RATE, finer)
 
     bench = bench_of(400)
-    used, _, (row, delay) = step_told(bench, bench.run(bench.at(0.0)))
+    used, _, (row, delay) = step_told(bench, bench.run(bench.at(0.0)), lambda sentence: None)
     np.testing.assert_allclose(row.values, bandwidth, rtol=0.015)
     np.testing.assert_allclose(delay.values, 1e3 / decay, rtol=0.01)
     assert max(finest) == {20.0: 400, 90.0: 4000, 700.0: 40_000}[bandwidth]

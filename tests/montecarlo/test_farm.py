@@ -10,6 +10,7 @@ from functools import partial
 import numpy as np
 import pytest
 
+import memsgyro_jax as mg
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.farm import farmed
 from memsgyro_jax.montecarlo.batch import STATUS
@@ -62,5 +63,14 @@ def test_where_no_scheduler_answers_it_is_one_sentence(monkeypatch):
     pytest.importorskip("distributed")
     monkeypatch.setattr("memsgyro_jax.base.farm._PATIENCE", 0.2)
     for address in ("tcp://127.0.0.1:9", "nonsense"):
-        with pytest.raises(InputError, match=f"address of a scheduler, but {address}"):
+        with pytest.raises(InputError, match=f"at {address} none answers"):
             list(farmed(compute, range(2), address))
+
+
+def test_a_number_is_no_address_and_leaves_nothing_behind(tmp_path):
+    """`--dask 2` waited for a minute, ended in a traceback, and left a store in the way of the right address."""
+    pytest.importorskip("distributed")
+    loop = mg.default_study().loop
+    with pytest.raises(InputError, match="as tcp://host:8786"):
+        mg.sweep(loop, mg.Spread.relative("1 %"), dies=2, sample_rate=50e3, duration=1e-3, out=tmp_path, dask="2")
+    assert list(tmp_path.iterdir()) == []

@@ -114,7 +114,7 @@ def test_limits_hold(design):
     )
     assert np.all(np.sum(np.abs(weak.force), axis=0) <= 20e-6 * (1.0 + 1e-9))
     assert np.all(np.sum(np.abs(weak.amplitude), axis=0) <= 0.9e-6 * (1.0 + 1e-9))
-    assert np.max(np.sum(np.abs(weak.force), axis=0)) > 18e-6, "the limit is used"
+    assert np.max(np.sum(np.abs(weak.force), axis=0)) > 19.99e-6, "the limit is used"
     assert np.all((weak.frequency > 2500.0) & (weak.frequency < 4500.0))
 
 

@@ -65,7 +65,8 @@ def _head(case: Case) -> list[str]:
     design = {
         key: "{ unknown = true }"
         if v.unknown
-        else f"{{ value = {v.value!r}, low = {v.low!r}, high = {v.high!r}, unit = {_text(words.design[key])} }}"
+        else f"{{ value = {_number(v.value)}, low = {_number(v.low)}, high = {_number(v.high)}, "
+        f"unit = {_text(words.design[key])} }}"
         for key, v in case.design.items()
     }
     around = {
@@ -116,5 +117,10 @@ def _table(name: str, entries: dict[str, str]) -> str:
 
 
 def _quantity(value: float, unit: str, tolerance: float = 0.0) -> str:
-    known = f", tolerance = {tolerance!r}" if tolerance else ""
-    return f"{{ value = {value!r}, unit = {_text(unit)}{known} }}"
+    known = f", tolerance = {_number(tolerance)}" if tolerance else ""
+    return f"{{ value = {_number(value)}, unit = {_text(unit)}{known} }}"
+
+
+def _number(value: float) -> str:
+    """The shortest text that reads back as the same number; that of NumPy's own kind would name its type."""
+    return repr(float(value))

@@ -114,8 +114,8 @@ class Tornado(Sensitivity):
         columns = [values[output] for values in (self.low, self.high, self.std, self.slope)]
         apart, found = self._apart(output), []
         for i in self.order(output):
-            *bars, slope = ("-" if np.isnan(column[i]) else f"{column[i]:+.3g}" for column in columns)
-            found.append((self.inputs[i], *bars, f"{slope} *" if apart[i] else slope))
+            *bars, error, slope = ("-" if np.isnan(column[i]) else f"{column[i]:+.3g}" for column in columns)
+            found.append((self.inputs[i], *bars, error.removeprefix("+"), f"{slope} *" if apart[i] else slope))
         return found
 
     def note(self, output: int) -> str:
