@@ -12,10 +12,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from memsgyro_jax.base.own_code import is_outside
 from memsgyro_jax.device.carried import Effects
 
 from .controllers.base import AbstractController
-from .die_by_die import from_outside, is_outside
+from .die_by_die import from_outside
 from .filters import AbstractFilter
 from .loop import ClosedLoop
 from .observers.base import AbstractCovarianceObserver, AbstractObserver, Estimate
