@@ -9,7 +9,7 @@ import pytest
 import memsgyro_jax as mg
 from memsgyro_jax.loop.expectation import expectations, folding
 from memsgyro_jax.montecarlo.batch import Plan, nees
-from memsgyro_jax.montecarlo.divergence import divergence_of, impossible
+from memsgyro_jax.montecarlo.divergence import _short_swing, divergence_of, impossible
 
 
 STATES = 14
@@ -85,6 +85,16 @@ def test_of_many_dies_none_is_far_from_the_prior_by_chance(loop):
     assert first.startswith("1 of them (7) lie farther than 5.1 standard deviations from the filter's prior")
     assert first.endswith(": kxx")
     assert second.startswith("all dies: the rate moves")
+
+
+def test_dies_whose_swing_rings_down_early_are_told_what_keeps_them(loop):
+    """2/d of the axis with more damping: 80 ms of the thesis' device, 13 ms of one with 6.3 times its damping."""
+    damped = mg.SingleMassGyro(1.8e-7, 63.96, 95.92, 12.78, 6.3 * 3.6e-6, 6.3 * 4.5e-6, 6.3 * 3.6e-7)
+    plan = Plan(1e-5, 100, 100, 0.05, 0.35)
+    assert _short_swing(loop, plan) == ""
+    told = _short_swing(replace(loop, device=damped), plan)
+    assert told.startswith("the design rings down in 13 ms: start it with a larger swing")
+    assert "annealing=mg.Annealing(1e4, 0.004)" in told
 
 
 # ---- before the run
