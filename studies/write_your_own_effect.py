@@ -41,9 +41,9 @@ import memsgyro_jax.effects as fx
 class Stop(fx.ForceEffect):
     name, unit, law = "elastic_stop", "N/m²", "F = −s·(|q| − 1.6 µm)²·sign(q) beyond the gap"
     axis: int = eqx.field(static=True, default=0)
-    strength: Array = fx.strength()
+    strength: fx.Scalar = fx.strength()
 
-    def force(self, now):
+    def force(self, now: fx.Moment) -> Array:
         q = now.displacement[self.axis]
         return self.along(now, -self.strength * jnp.maximum(jnp.abs(q) - 1.6e-6, 0.0) ** 2 * jnp.sign(q))
 """

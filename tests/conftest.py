@@ -8,7 +8,7 @@ from memsgyro_jax.base import runtime
 
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # NumPy's threads would wait for work on the other workers' cores
-if version("jaxlib") in ("0.10.2", "0.12.0.1") and "XLA_FLAGS" not in os.environ:  # likewise XLA's; others may not know
+if version("jaxlib") in runtime._TRIED and "XLA_FLAGS" not in os.environ:  # likewise XLA's; others may not know
     os.environ["XLA_FLAGS"] = "--xla_cpu_parallel_codegen_split_count=1"
 runtime.configure(devices=2)
 gc.set_threshold(50_000, 20, 100)  # what is imported and compiled stays: few collections need to look at it

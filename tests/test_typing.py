@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 import memsgyro_jax
+from memsgyro_jax.app.commands.templates import EFFECT
 
 
 SCRIPT = """
@@ -21,6 +22,41 @@ trace = mg.simulate(loop, mg.Step(at=0.05, after=1.0), sample_rate=100e3, durati
 lot = mg.sweep(loop, mg.Spread.relative(0.15), dies=8, sample_rate=100e3, duration=0.1)
 print(trace, trace.to_xarray(), lot.plot(), mg.effects.CATALOGUE)
 better = mg.fit(gyro, mg.load_case("bench"))
+"""
+OWN = """
+
+EFFECT = SoftStop(0, 1e8)
+
+
+class Push(mg.AbstractController[tuple[()]]):
+    gain: Array = eqx.field(converter=jnp.asarray, default=1e-3)
+
+    def init(self) -> tuple[()]:
+        return ()
+
+    def command(
+        self, state: tuple[()], estimate: mg.Estimate, clock: mg.Clock
+    ) -> tuple[tuple[Array, Array], tuple[()]]:
+        return (-self.gain * estimate.motion[2], jnp.zeros(())), state
+
+
+class Sees(mg.AbstractObserver[tuple[Array, Array]]):
+    model = mg.SingleMassGyro.model
+
+    def init(self) -> tuple[Array, Array]:
+        return jnp.zeros(()), jnp.zeros(())
+
+    def update(
+        self, state: tuple[Array, Array], measured: tuple[Array, Array], force: tuple[Array, Array], clock: mg.Clock
+    ) -> tuple[Array, Array]:
+        return measured
+
+    def estimate(self, state: tuple[Array, Array]) -> mg.Estimate:
+        return mg.Estimate((*state, *state), (0.0,) * 8, (0.0, 0.0), self.model)
+
+
+class Doubled(mg.DirectReadout):
+    scale: tuple[Array, Array]
 """
 MISSPELT = {
     "mg.simulate(loop, sample_rate=100e3, duratoin=0.1)": 'Unexpected keyword argument "duratoin" for "simulate"',
@@ -52,6 +88,7 @@ def test_a_users_script_is_checked(skipped, tmp_path, pytestconfig):
     (tmp_path / "mypy.ini").write_text("\n".join(settings))
     names = sorted({*memsgyro_jax.__all__})
     (tmp_path / "right.py").write_text(SCRIPT + f"print({', '.join(f'mg.{name}' for name in names)})\n")
+    (tmp_path / "own.py").write_text(EFFECT.format(name="own.py") + "import memsgyro_jax as mg\n" + OWN)
     (tmp_path / "wrong.py").write_text(SCRIPT + "\n".join(MISSPELT))
     package = Path(memsgyro_jax.__file__).parent
     assert (package / "py.typed").exists()
@@ -59,7 +96,8 @@ def test_a_users_script_is_checked(skipped, tmp_path, pytestconfig):
     environment = {**os.environ, "PYTHONPATH": str(package.parent)}
     kept = str(pytestconfig.cache.mkdir(f"mypy-{len(skipped)}"))
     done = subprocess.run(
-        [sys.executable, "-m", "mypy", "--cache-dir", kept, "--no-error-summary", "right.py", "wrong.py"],
+        [sys.executable, "-m", "mypy", "--cache-dir", kept, "--no-error-summary", "--strict", "right.py", "own.py",
+         "wrong.py"],
         cwd=tmp_path, env=environment, capture_output=True, text=True, check=False,
     )  # fmt: skip
     told = [line for line in done.stdout.splitlines() if ": error: " in line]

@@ -10,10 +10,9 @@ from pathlib import Path
 from types import ModuleType
 from typing import TypeVar
 
-import jax
-
 from .errors import InputError
 from .files import read_text
+from .own_code import untraced
 
 
 MODULE = "memsgyro_file_of_user"
@@ -84,7 +83,7 @@ def line_of(error: BaseException, path: Path, otherwise: str) -> str:
 
 def in_one_line(error: BaseException) -> str:
     """An error in one line, without the closing full stop."""
-    if isinstance(error, jax.errors.TracerBoolConversionError):
-        return "it branches on a number; choose with `jax.numpy.where` instead of `if`"
+    if words := untraced(error):
+        return f"it {words}"
     first = str(error).strip().split("\n")[0].rstrip(".: ")
     return f"{type(error).__name__}: {first}" if first else type(error).__name__

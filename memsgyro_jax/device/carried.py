@@ -2,7 +2,7 @@
 
 import abc
 from collections.abc import Callable, Iterable
-from typing import Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import equinox as eqx
 import jax
@@ -21,7 +21,13 @@ class AbstractEffect(Displayed):
 
     name: ClassVar[str] = ""
 
-    strength: AbstractVar[Array]
+    if TYPE_CHECKING:  # a member's field may stand in the place of a property, not of a class variable
+
+        @property
+        def strength(self) -> Array: ...
+
+    else:
+        strength: AbstractVar[Array]
 
     @property
     @abc.abstractmethod

@@ -4,7 +4,6 @@ them, or by pulling the fit.
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from scipy import special
@@ -122,9 +121,10 @@ def far_rows(fit: CaseFit) -> Rows:
         rows = [row for piece in pieces for row in _alone(size / scale, piece, numbers, brink)]
         if 0 < len(rows) <= FEW_ROWS * record.rows:
             found[deviation.number] = tuple(sorted(rows))
-    sweeps = {number: rows for number, rows in found.items() if hasattr(fit.case.records[number], "setting")}
-    if _repeated(fit, sweeps):
-        found = {number: rows for number, rows in found.items() if number not in sweeps}
+    # Each row at a frequency of its own: a sweep.
+    swept = {d.number for record, d in fit.deviations if record.stepped and len(record.frequencies) == record.rows}
+    if _repeated(fit, {number: rows for number, rows in found.items() if number in swept}):
+        found = {number: rows for number, rows in found.items() if number not in swept}
     return found
 
 
@@ -157,13 +157,14 @@ def _alone(size: np.ndarray, piece: slice, numbers: int, brink: np.ndarray) -> l
 def _repeated(fit: CaseFit, found: Rows) -> bool:
     """Whether rows of different sweeps stand at the same frequency more often than chance puts them there."""
     places, bands, sweeps = [], [], []
-    for number, rows in found.items():
-        record: Any = fit.case.records[number]
-        bands.append(record.frequency)
-        for k, piece in enumerate(record.sweeps):
+    for record, deviation in fit.deviations:
+        if (rows := found.get(deviation.number)) is None:
+            continue
+        bands.append(record.frequencies)
+        for k, piece in enumerate(record.series(deviation).pieces):
             mine = np.intersect1d(np.arange(record.rows)[piece], rows)
-            places.append(record.frequency[mine])
-            sweeps += [(number, k)] * mine.size
+            places.append(record.frequencies[mine])
+            sweeps += [(deviation.number, k)] * mine.size
     if len(sweeps) < PAIR:
         return False
     place = np.concatenate(places)

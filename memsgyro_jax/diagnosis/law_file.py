@@ -109,7 +109,7 @@ _HEAD = """class {title}(fx.ForceEffect):
     name, unit = "{name}", "{unit}"
     law = "{law}"
     axis: int = eqx.field(static=True, default={axis})
-    strength: Array = fx.strength({strength})
+    strength: fx.Scalar = fx.strength({strength})
 """
 
 
@@ -131,20 +131,20 @@ def _term_text(name: str, term: LawTerm, axis: int) -> str:
     low, high = term.bounds
     lines = [_head(name, term.formula, axis, f"{term.strength:.6g}" + (", sign=+1" if high < 0 else ""))]
     start = min(max(term.exponent, low + 0.01), high - 0.01)  # within, not at a bound
-    lines.append(f"    exponent: Array = fx.parameter(start={start:.4g}, low={low}, high={high})\n")
+    lines.append(f"    exponent: fx.Scalar = fx.parameter(start={start:.4g}, low={low}, high={high})\n")
     size = f"{term.size:.6g}"
     over = f"jnp.abs(z) / {size}"
     if term.threshold is not None:
         unit = "m" if term.kind == "stiffness" else "m/s"
         lines.append(
-            f"    threshold: Array = fx.parameter(start={term.threshold:.6g}, low={0.5 * term.least:.4g}, "
+            f"    threshold: fx.Scalar = fx.parameter(start={term.threshold:.6g}, low={0.5 * term.least:.4g}, "
             f'high={size}, unit="{unit}")\n'
         )
         over = f"jnp.maximum(jnp.abs(z) - self.threshold, 0.0) / {size}"
     factor = "z" if term.threshold is None else f"{size} * jnp.sign(z) * over"
     factor = "jnp.abs(z)" if term.kind == "even_stiffness" else factor
     lines.append(
-        "\n    def force(self, now):\n"
+        "\n    def force(self, now: fx.Moment) -> Array:\n"
         f"        z = {_variable(name)}\n"
         f"        over = {over}\n"
         f"        return self.along(now, -self.strength * {factor} * (over**2 + {ROUNDING}) ** (0.5 * self.exponent))\n"
@@ -156,7 +156,7 @@ def _spline_text(name: str, knots: np.ndarray, values: np.ndarray, axis: int) ->
     listed = lambda numbers: "(" + ", ".join(f"{n:.6g}" for n in numbers) + ")"  # noqa: E731
     head = _head(name, "F = −s(|z|)·z, s bent at each knot", axis, listed(values))
     return (
-        f"{head}\n    def force(self, now):\n"
+        f"{head}\n    def force(self, now: fx.Moment) -> Array:\n"
         f"        z = {_variable(name)}\n"
         f"        knots = jnp.asarray({listed(knots[:-1])})\n"
         f"        over = (jnp.abs(z) - knots) / {knots[-1]:.6g}\n"

@@ -19,6 +19,7 @@ from .base import LockInEffect as LockInEffect
 from .base import LockInRow as LockInRow
 from .base import Moment as Moment
 from .base import ReadoutEffect as ReadoutEffect
+from .base import Scalar as Scalar
 from .base import SurroundingsEffect as SurroundingsEffect
 from .base import SweepEffect as SweepEffect
 from .base import strength as strength

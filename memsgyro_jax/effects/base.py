@@ -6,15 +6,15 @@ strong they are are numbers. One's own effect takes about ten lines:
     class Creep(mg.effects.ForceEffect):
         name, unit, law = "creep", "N·s³/m³", "F = −s·v³"
         axis: int = eqx.field(static=True, default=0)
-        strength: Array = mg.effects.strength()
+        strength: mg.effects.Scalar = mg.effects.strength()
 
-        def force(self, now):
+        def force(self, now: mg.effects.Moment) -> Array:
             return self.along(now, -self.strength * now.velocity[self.axis] ** 3)
 """
 
 import abc
 import math
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import equinox as eqx
 import jax
@@ -124,7 +124,13 @@ class Effect(AbstractEffect):
     own_is_linear: ClassVar[bool] = False
     of_instrument: ClassVar[bool] = False  # belongs to a record, not to the device
 
-    strength: AbstractVar[Array]
+    if TYPE_CHECKING:  # a member's field may stand in the place of a property, not of a class variable
+
+        @property
+        def strength(self) -> Array: ...
+
+    else:
+        strength: AbstractVar[Array]
 
     def __check_init__(self):
         check_finite("strength", self.strength)

@@ -83,6 +83,11 @@ class Acting(NamedTuple):
 
 def _whole(effect: Effect, method: str, value: Array, now: Moment) -> Array:
     """What a method returned, a number for each axis: one number for all would act on all of them, unseen."""
+    if isinstance(value, list | tuple):
+        raise InputError(
+            f"Method `{method}` of {type(effect).__name__} must return an array, but returns a {type(value).__name__}; "
+            "`jax.numpy.stack` makes an array of one."
+        )
     if jnp.shape(value) != now.displacement.shape:
         raise InputError(
             f"Method `{method}` of {type(effect).__name__} must return an array of shape {now.displacement.shape}, but "

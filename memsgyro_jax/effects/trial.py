@@ -1,6 +1,7 @@
 """Whether an effect keeps the port's promises: right shapes, exactly absent at strength zero, differentiable there."""
 
 from collections.abc import Callable
+from itertools import chain
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -9,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from memsgyro_jax.base.own_code import amiss_in_arguments, traced
 from memsgyro_jax.base.plainly import plainly
 from memsgyro_jax.device.normalised import NormalisedDevice
 
@@ -89,8 +91,10 @@ def _read(now: Moment) -> tuple[Array, LockInRow]:
     )  # fmt: skip
 
 
-def _parts(values: Array) -> Array:
-    """Real and imaginary parts."""
+def _parts(values: Any) -> Any:
+    """Real and imaginary parts; what is no array stays as it is."""
+    if isinstance(values, list | tuple):
+        return values
     return jnp.stack([values.real, values.imag], axis=-1)
 
 
@@ -138,17 +142,45 @@ def feels_warmth(effect: Effect) -> bool:
 def complaint(effect: Effect, axes: int) -> str:
     """What is wrong with an effect, as the rest of a sentence about it; empty if nothing is."""
     absent, now = at_strength(effect, jnp.zeros_like(effect.strength)), moments(effect, axes)
-    return next(filter(None, (_complaint(part, absent, now) for part in methods_of(effect))), "")
+    return misshapen(effect, axes) or next(
+        filter(None, (_complaint(part, absent, now) for part in methods_of(effect))), ""
+    )
+
+
+def misshapen(effect: Effect, axes: int) -> str:
+    """The same of what its methods take, return and read alone, for which nothing is computed. What they raise passes,
+    as what JAX raises where it cannot follow them.
+    """
+    now = moments(effect, axes, 1)
+    found = (_misshapen(part, effect, now) for part in methods_of(effect))
+    return next(chain(amiss_in_arguments(effect), filter(None, found), [""]))
+
+
+def _misshapen(part: PortMethod, effect: Effect, now: Moment) -> str:
+    # Everything under tracing, as fits do: a branch on a number shows here and not in the middle of a fit.
+    first = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), now)
+    wanted, given = jax.eval_shape(part.like, first).shape, type(None)
+
+    def value(moment: Moment) -> Array:
+        nonlocal given
+        found = part.value(effect, moment)
+        given = type(found)
+        return jnp.asarray(found)
+
+    shapes, far = traced(value, first)
+    shape = shapes.shape
+    if issubclass(given, list | tuple):
+        return (
+            f"method `{part.method}` must return an array of shape {wanted}, but returns a {given.__name__}; "
+            "`jax.numpy.stack` makes an array of one"
+        )
+    if shape != wanted:
+        return f"method `{part.method}` must return an array of shape {wanted}, but returns one of {shape}"
+    axes = now.displacement.shape[-1]
+    return f"method `{part.method}` {far}, on a device of {axes} {'axes' if axes > 1 else 'axis'}" if far else ""
 
 
 def _complaint(part: PortMethod, absent: Effect, now: Moment) -> str:
-    # Everything under tracing, as fits do: a branch on a number shows here and not in the middle of a fit.
-    first = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), now)
-    wanted = jax.eval_shape(part.like, first).shape
-    shape = jax.eval_shape(lambda n: jnp.asarray(part.value(absent, n)), first).shape
-    if shape != wanted:
-        return f"method `{part.method}` must return an array of shape {wanted}, but returns one of {shape}"
-
     def value(strength: Array) -> Array:
         return jax.vmap(lambda n: jnp.asarray(part.value(at_strength(absent, strength), n)))(now)
 

@@ -73,8 +73,8 @@ def _check_class(kind: type[Effect], place: str) -> None:
         raise InputError(f"{place}: effect `{name}` must have the method {missing}, but has not.")
     if getattr(kind, "__abstractvars__", None):
         raise InputError(
-            f"{place}: effect `{name}` must have the field `strength: Array = memsgyro_jax.effects.strength()`, "
-            "but has not."
+            f"{place}: effect `{name}` must have the field `strength: fx.Scalar = fx.strength()` of "
+            "memsgyro_jax.effects, but has not."
         )
     for field, example in (("name", '"my_effect"'), ("unit", '"N/m³", or "1" for a pure number')):
         said = any(field in vars(base) for base in kind.__mro__ if base.__module__ != Effect.__module__)
@@ -98,7 +98,7 @@ def _checked(effect: Effect, axes: int, path: Path, place: str) -> Effect:
         raise InputError(f"{place}: {label} must fit a device with one axis, but needs {needed_axes(effect)}.")
     if not (isinstance(effect.strength, Array) and jnp.issubdtype(effect.strength.dtype, jnp.floating)):
         raise InputError(
-            f"{place}: {label} must have the field `strength: Array = memsgyro_jax.effects.strength()`, "
+            f"{place}: {label} must have the field `strength: fx.Scalar = fx.strength()` of memsgyro_jax.effects, "
             f"but its strength is {effect.strength!r}."
         )
     effect = at_strength(effect, jnp.zeros(effect.strength.shape))

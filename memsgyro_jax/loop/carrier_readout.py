@@ -50,12 +50,12 @@ class CarrierReadout(AbstractLinearReadout):
         return tuple(2.0 * g * made.response(omega) for g, made in zip(self.gradient, self.detection, strict=True))
 
     @property
-    def scale(self) -> Pair:  # type: ignore[override]  # an abstract field may be a property
+    def scale(self) -> Pair:
         """What is in phase with the displacement."""
         return tuple(jnp.real(found) for found in self.response)
 
     @property
-    def offset(self) -> Pair:  # type: ignore[override]
+    def offset(self) -> Pair:
         """Of the mismatch."""
         return tuple(
             jnp.real(made.response(jnp.zeros(()))) * missed
@@ -63,7 +63,7 @@ class CarrierReadout(AbstractLinearReadout):
         )
 
     @property
-    def noise_density(self) -> Pair:  # type: ignore[override]
+    def noise_density(self) -> Pair:
         """Of all sources but the converter."""
         return tuple(jnp.sqrt(sum(powers.values())) for powers in self._powers(self.frequency))
 

@@ -13,22 +13,20 @@ import jax
 import numpy as np
 from jaxtyping import PyTree
 
+from memsgyro_jax.base.own_code import is_outside
 from memsgyro_jax.device.carried import Effects
-
-
-_PACKAGE = __name__.split(".")[0]
 
 
 def from_outside(*trees: Any) -> bool:
     """Whether a module anywhere in `trees` is of a class from outside the package; effects are mapped wherever they
     act, and do not count.
     """
-    return any(is_outside(type(part)) for tree in trees for part in _modules(tree))
+    return any(True for _ in own_parts(*trees))
 
 
-def is_outside(kind: type) -> bool:
-    """Whether a class is not of the package."""
-    return kind.__module__.split(".")[0] != _PACKAGE
+def own_parts(*trees: Any) -> Iterator[eqx.Module]:
+    """The modules of classes from outside, the outer ones first."""
+    return (part for tree in trees for part in _modules(tree) if is_outside(type(part)))
 
 
 def _modules(tree: Any) -> Iterator[eqx.Module]:

@@ -106,8 +106,12 @@ def gain_phase_margins(loop: ClosedLoop) -> GainPhaseMargins:
     """Gain and phase margins of the loops of a die in classic control, of the linearised loops of `loop_margins`.
 
     Crossings are looked for between 0.0016 Hz and the drive's frequency, what oscillates up to a tenth of it: beyond,
-    averaging and samples (ten in a period, say) count, which simulations of the loop with a larger gain show. Of the
-    device's effects a `ReadoutDelay` is counted. Raises `InputError` for another controller, and for a lot.
+    averaging and samples (ten in a period, say) count, which simulations of the loop with a larger gain show. Below,
+    samples are little: holding a force takes 180°·crossover/sample rate, a demodulator in samples gives as much or more
+    back. Of a loop that crosses at a twentieth of the drive's frequency simulations have 2° more phase margin at 8
+    samples in a period than at 100 and 0.4° at 27 (a tracking demodulator; a product one 0.6° and 0.1° less), where
+    averaging leaves out 5° (1°). Of the device's effects a `ReadoutDelay` is counted. Raises `InputError` for another
+    controller, and for a lot.
     """
     runtime.require_float64("`gain_phase_margins`")
     distance, lock = loop_margins(loop), at_lock(loop)

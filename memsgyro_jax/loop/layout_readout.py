@@ -40,27 +40,27 @@ class LayoutReadout(AbstractLinearReadout):
         return made
 
     @property
-    def scale(self) -> Pair:  # type: ignore[override]  # an abstract field may be a property
+    def scale(self) -> Pair:
         """Of what is made."""
         return self.made.scale
 
     @property
-    def offset(self) -> Pair:  # type: ignore[override]
+    def offset(self) -> Pair:
         """Of what is made."""
         return self.made.offset
 
     @property
-    def noise_density(self) -> Pair:  # type: ignore[override]
+    def noise_density(self) -> Pair:
         """Of the circuit."""
         return self.drawn.noise_density
 
     @property
-    def adc(self) -> Adc | None:  # type: ignore[override]
+    def adc(self) -> Adc | None:
         """Of the circuit."""
         return self.drawn.adc
 
     @property
-    def signals(self) -> tuple[int, int]:  # type: ignore[override]
+    def signals(self) -> tuple[int, int]:
         """Of the circuit."""
         return self.drawn.signals
 

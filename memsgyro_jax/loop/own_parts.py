@@ -6,10 +6,10 @@ import numpy as np
 
 from memsgyro_jax.base.concrete import is_concrete
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.own_code import is_outside
 from memsgyro_jax.device.gyro import Pair
 
 from .controllers.base import AbstractController
-from .die_by_die import is_outside
 from .observers.base import AbstractObserver, Estimate
 
 

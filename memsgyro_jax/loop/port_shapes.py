@@ -8,12 +8,17 @@ import jax.numpy as jnp
 from jaxtyping import Array, PyTree
 
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.own_code import amiss_in_arguments, is_outside, traced, untraced, where_in
 from memsgyro_jax.base.text import excerpt
+from memsgyro_jax.device.gyro import AbstractGyro
+from memsgyro_jax.effects.base import Effect
+from memsgyro_jax.effects.evaluation import Acting
+from memsgyro_jax.effects.trial import misshapen
 
 from . import engine, noise
 from .controllers.base import AbstractController
-from .die_by_die import from_outside
-from .loop import ClosedLoop
+from .die_by_die import from_outside, own_parts
+from .loop import ClosedLoop, LoopState
 from .observers.base import AbstractObserver, Clock, Estimate
 from .own_parts import commanded, estimated
 from .readout import AbstractReadout
@@ -27,9 +32,15 @@ _PAIR = (_NUMBER, _NUMBER)
 def check_ports(loop: ClosedLoop, scenario: Scenario, period: float) -> None:
     """Trace what parts from outside return for a sample of `period` [s]; the package's own cost nothing.
 
-    **Raises:** `InputError` that names class and method, for a state that is not like that of `init`, and for what is
-    not the numbers that the port asks for.
+    **Raises:** `InputError` that names class and method, for a state that is not like that of `init`, for what is not
+    the numbers that the port asks for, for other arguments than the port's, for what JAX cannot follow, as an `if` on a
+    number, and for what reaches beyond the end of an array.
     """
+    shows = loop.device.effects and Acting.of(loop.device.effects).readouts
+    by_name = ("effects",) * bool(shows) + ("late",) * (loop.readout.flicker is not None)
+    _check_arguments(loop.readout, named=by_name)
+    _check_arguments(loop.observer, loop.controller, loop.filter, loop.discretisation, scenario)
+    _check_effects(loop.device)
     for profile in jax.tree.leaves(scenario, is_leaf=lambda part: isinstance(part, AbstractProfile)):
         if isinstance(profile, AbstractProfile) and from_outside(profile):
             _numbers(_given(profile, "value", profile.value, _NUMBER), None, profile, "value", "a number")
@@ -48,16 +59,35 @@ def check_loss(loss: Any, loop: ClosedLoop, scenario: Scenario, period: float) -
     """
     if not from_outside(loss):
         return
+    _check_arguments(loss)
     warm, flickers = loop.device.temperature is not None, engine.flickers_of(loop)
 
-    def sampled(memory: Any) -> Any:
+    def sampled(memory: Any, state: LoopState) -> Any:
         words = noise.die_words(jax.random.key(0), jnp.zeros((), int))
         row = engine.entering(scenario, words, period, 1, jnp.zeros((), int), 1, warm, flickers)
-        return engine.one_sample(loop, period, loss, (loop.init(), memory), jax.tree.map(lambda part: part[0], row))[1]
+        return engine.one_sample(loop, period, loss, (state, memory), jax.tree.map(lambda part: part[0], row))[1]
 
     memory = _given(loss, "init", loss.init)
-    _alike(_given(loss, "sample", sampled, memory), memory, loss, "sample")
+    _alike(_given(loss, "sample", sampled, memory, jax.eval_shape(loop.init)), memory, loss, "sample")
     _numbers(_given(loss, "value", loss.value, memory), None, loss, "value", "a number, the loss of a die")
+
+
+def _check_arguments(*parts: Any, named: tuple[str, ...] = ()) -> None:
+    for part in own_parts(*parts):
+        for words in amiss_in_arguments(part, named):
+            raise InputError(f"{words[0].upper()}{words[1:]}.")
+
+
+def _check_effects(device: AbstractGyro) -> None:
+    """Those of a user's own, of one die, which a file of them has been asked the same of."""
+    leaves, structure = jax.tree.flatten(device.effects)
+    ranks = getattr(device.effects, "ranks", ())
+    one = [leaf[(..., *(0,) * (jnp.ndim(leaf) - rank))] for leaf, rank in zip(leaves, ranks, strict=True)]
+    for effect in jax.tree.unflatten(structure, one):
+        if is_outside(type(effect)) and isinstance(effect, Effect):
+            found = _followed(effect, "force", lambda each=effect: misshapen(each, device.axes))
+            if found:
+                raise InputError(f"Effect `{effect.label}`: {found}.")
 
 
 def _check_readout(readout: AbstractReadout, period: float) -> None:
@@ -92,6 +122,8 @@ def _check_controller(controller: AbstractController, observer: AbstractObserver
         later = _given(controller, "measured", lambda at, v: controller.measured(at, v, _clock(period)), later, _PAIR)
         name = "measured"
     _alike(later, state, controller, name)
+    if type(controller).output is not AbstractController.output:
+        _given(controller, "output", controller.output, state, seen)
 
 
 def _clock(period: float) -> Clock:
@@ -110,7 +142,29 @@ def _given(part: Any, method: str, function: Callable[..., Any], *given: PyTree)
                 f"{type(leaf).__name__}."
             ) from error
 
-    return jax.eval_shape(lambda *at: jax.tree.map(number, function(*at)), *given)
+    whole = lambda *at: jax.tree.map(number, function(*at))  # noqa: E731
+    shapes, far = _followed(part, method, lambda: traced(whole, *given))
+    if far:
+        raise InputError(
+            f"Method `{method}` of {type(part).__name__} must stay within its arrays, but {far}: JAX would take the "
+            "last entry in its place."
+        )
+    return shapes
+
+
+def _followed(part: Any, method: str, called: Callable[[], Any]) -> Any:
+    """What `called` gives; raises `InputError` where JAX cannot follow the method."""
+    try:
+        return called()
+    except Exception as error:
+        if not (words := untraced(error)):
+            raise
+        kind = next((type(own) for own in own_parts(part)), type(part))
+        name, line = where_in(error, kind)
+        where = f" (line {line} of its file)" if line else ""
+        raise InputError(
+            f"Method `{name or method}` of {kind.__name__}{where} must be one that JAX can follow, but {words}."
+        ) from error
 
 
 def _numbers(found: Any, many: int | None, part: Any, method: str, wanted: str) -> None:

@@ -5,10 +5,9 @@ the offset it must find. Noise is a one-sided density, so that changing the samp
 """
 
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -27,9 +26,9 @@ from memsgyro_jax.device.gyro import (
     is_concrete,
     number,
 )
-from memsgyro_jax.effects.adc_saturation import saturated
 from memsgyro_jax.effects.readout_delay import lag
 
+from .adc import Adc as Adc
 from .flicker import Flicker, check_flicker
 from .pairs import pair_field, pair_in
 
@@ -43,46 +42,32 @@ THESIS_RATE = 10e6  # Hz, the sampling rate at which the thesis states its noise
 Effected = tuple[Callable[[Pair], Pair], Callable[[Pair], Pair]]
 
 
-class Adc(Displayed):
-    """An analogue-to-digital converter: `limit` is half the span in volts, `bits` the word length.
-
-    Conversion rounds and clips; its derivative is that of the clipped straight line, so tuning sees through the steps.
-    """
-
-    limit: Scalar = number("V")
-    bits: int = eqx.field(static=True)
-
-    def __check_init__(self):
-        check_positive("limit", self.limit)
-        if isinstance(self.bits, bool) or not isinstance(self.bits, int | np.integer):
-            raise InputError(f"Argument `bits` of the converter must be a whole number, but {self.bits} was given.")
-        if not 1 <= self.bits <= 48:
-            raise InputError(f"Argument `bits` of the converter must lie between 1 and 48, but {self.bits} was given.")
-
-    def convert(self, volts: Scalar) -> Scalar:
-        """The nearest code's voltage, clipped at the limits."""
-        clipped = saturated(volts, self.limit, self.step)
-        return clipped + jax.lax.stop_gradient(self.step * jnp.round(clipped / self.step) - clipped)
-
-    @property
-    def step(self) -> Scalar:
-        """From code to code [V]."""
-        return 2.0 * self.limit / 2**self.bits
-
-    @property
-    def without_steps(self) -> "Adc":
-        """The same range, rounded to next to nothing: what noise over several steps makes of it on average."""
-        return Adc(self.limit, 48)
-
-
 class AbstractReadout(Displayed):
     """What turns motion into the voltages an observer sees."""
 
-    scale: AbstractVar[Pair]  # volts per unit of the signal (V/m or V·s/m)
-    offset: AbstractVar[Pair]  # volts at zero signal
-    noise_density: AbstractVar[Pair]
-    adc: AbstractVar[Adc | None]
-    signals: AbstractVar[tuple[int, int]]
+    if TYPE_CHECKING:  # a member's field may stand in the place of a property, not of a class variable
+
+        @property
+        def scale(self) -> Pair: ...
+
+        @property
+        def offset(self) -> Pair: ...
+
+        @property
+        def noise_density(self) -> Pair: ...
+
+        @property
+        def adc(self) -> Adc | None: ...
+
+        @property
+        def signals(self) -> tuple[int, int]: ...
+
+    else:
+        scale: AbstractVar[Pair]  # volts per unit of the signal (V/m or V·s/m)
+        offset: AbstractVar[Pair]  # volts at zero signal
+        noise_density: AbstractVar[Pair]
+        adc: AbstractVar[Adc | None]
+        signals: AbstractVar[tuple[int, int]]
 
     @property
     def flicker(self) -> Flicker | None:
@@ -231,12 +216,12 @@ class ChargeAmplifier(AbstractLinearReadout):
         return tuple(n * PERMITTIVITY * w / z for n, w, z in zip(self.fingers, self.width, self.gap, strict=True))
 
     @property
-    def scale(self) -> Pair:  # type: ignore[override]  # an abstract field may be a property
+    def scale(self) -> Pair:
         """-2V/Cf · dC/dx (3.10)."""
         return tuple(-2.0 * self.bias / cf * g for cf, g in zip(self.feedback, self.gradient, strict=True))
 
     @property
-    def offset(self) -> Pair:  # type: ignore[override]
+    def offset(self) -> Pair:
         """α + ν·β of (3.10) and (3.12)."""
         parts = (self.gradient, self.mismatch, self.overlap, self.feedback, self.parasitic, self.opamp_offset)
         return tuple(
@@ -309,27 +294,27 @@ class Delayed(AbstractLinearReadout):
         return self.inner.flicker
 
     @property
-    def scale(self) -> Pair:  # type: ignore[override]  # an abstract field may be a property
+    def scale(self) -> Pair:
         """Of the read-out itself."""
         return self.inner.scale
 
     @property
-    def offset(self) -> Pair:  # type: ignore[override]
+    def offset(self) -> Pair:
         """Of the read-out itself."""
         return self.inner.offset
 
     @property
-    def noise_density(self) -> Pair:  # type: ignore[override]
+    def noise_density(self) -> Pair:
         """Of the read-out itself."""
         return self.inner.noise_density
 
     @property
-    def adc(self) -> Adc | None:  # type: ignore[override]
+    def adc(self) -> Adc | None:
         """Of the read-out itself."""
         return self.inner.adc
 
     @property
-    def signals(self) -> tuple[int, int]:  # type: ignore[override]
+    def signals(self) -> tuple[int, int]:
         """Displacement."""
         return self.inner.signals
 

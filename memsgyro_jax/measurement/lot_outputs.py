@@ -14,7 +14,8 @@ from jaxtyping import Array, Bool, Float, PyTree
 
 from memsgyro_jax.device.gyro import Scalar
 from memsgyro_jax.loop import engine, noise
-from memsgyro_jax.loop.die_by_die import die_by_die, from_outside
+from memsgyro_jax.loop.die_by_die import die_by_die
+from memsgyro_jax.loop.each_part import each_mapped
 from memsgyro_jax.loop.loop import ClosedLoop, Sample
 from memsgyro_jax.loop.scenario import Scenario
 from memsgyro_jax.montecarlo import batch as lot
@@ -144,12 +145,12 @@ _Given = tuple[ClosedLoop, Scenario, tuple[ClosedLoop, Scenario], tuple[np.ndarr
 
 @eqx.filter_jit
 def _begun(given: _Given) -> engine.Run:
-    loop, _, design, words, _ = given
-    if from_outside(design):
+    loop, scenario, design, words, _ = given
+    if (mapped := each_mapped((loop, scenario), design)) is not None:
+        begun = engine.unbegun(mapped[0], _Recorder(), words[0].shape, design[0])
+    else:
         plain = (design[0], tuple(word[0] for word in words))
         begun = die_by_die(lambda one, key: engine.unbegun(one, _Recorder(), key[0].shape), (loop, words), plain)
-    else:
-        begun = engine.unbegun(loop, _Recorder(), words[0].shape, design[0])
     return jax.tree.map(lambda leaf: jax.lax.convert_element_type(leaf, leaf.dtype), begun)  # strong, as at the end
 
 
@@ -162,9 +163,10 @@ def _run(given: _Given, since: engine.Since, windows: int, window: int) -> tuple
             loop, scenario, words, period, windows, window, _Recorder(), design[0], since._replace(end=end)
         )
 
-    dies = (loop, scenario, words, since.end)
-    if from_outside(design):
-        done = die_by_die(done_of, dies, (*design, *jax.tree.map(lambda leaf: leaf[..., 0], dies[2:])))
+    rest = (words, since.end)
+    if (mapped := each_mapped((loop, scenario), design)) is not None:
+        done = done_of(*mapped, *rest)
     else:
-        done = done_of(*dies)
+        one = (*design, *jax.tree.map(lambda leaf: leaf[..., 0], rest))
+        done = die_by_die(done_of, (loop, scenario, *rest), one)
     return done._replace(outputs=None), (done.outputs.rate, done.outputs.quadrature)

@@ -4,9 +4,11 @@ import inspect
 from pathlib import Path
 
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.text import listed
 from memsgyro_jax.base.user_file import run_user_file
 
 from .experiments import AbstractRecord
+from .experiments.base import Experiment
 
 
 def load_kinds(path: str | Path) -> tuple[type[AbstractRecord], ...]:
@@ -33,5 +35,12 @@ def load_kinds(path: str | Path) -> tuple[type[AbstractRecord], ...]:
             raise InputError(
                 f"{file.at(kind)}: record `{kind.__name__}` must have the word that `case.toml` has for it, e.g. "
                 '`kind = "static_deflection"`, but has none.'
+            )
+    for experiment in file.final(Experiment):  # type: ignore[type-abstract]
+        lacking = sorted(experiment.__abstractmethods__ | getattr(experiment, "__abstractvars__", set()))
+        if lacking:
+            named = listed(lacking, "`")
+            raise InputError(
+                f"{file.at(experiment)}: experiment `{experiment.__name__}` must have {named}, but has not."
             )
     return tuple(kinds)

@@ -15,7 +15,8 @@ from memsgyro_jax.device.gyro import Pair, Scalar, number
 from memsgyro_jax.loop import engine
 from memsgyro_jax.loop.blocks.length import lengths
 from memsgyro_jax.loop.blocks.run import run_in_blocks
-from memsgyro_jax.loop.die_by_die import die_by_die, differs, from_outside
+from memsgyro_jax.loop.die_by_die import die_by_die, differs
+from memsgyro_jax.loop.each_part import each_mapped
 from memsgyro_jax.loop.loop import ClosedLoop, LoopState, Sample
 from memsgyro_jax.loop.observers import AbstractCovarianceObserver
 from memsgyro_jax.loop.scenario import Scenario
@@ -216,8 +217,8 @@ def rows_of(
     loop: ClosedLoop, scenario: Scenario, design: tuple[ClosedLoop, Scenario], words: tuple, plan: Plan
 ) -> dict[str, Array]:
     """The rows of dies side by side, which trail; differentiable by every number of the loop and scenario."""
-    if not from_outside(design):
-        return _rows(loop, scenario, words, design[0], plan)
+    if (mapped := each_mapped((loop, scenario), design)) is not None:
+        return _rows(*mapped, words, design[0], plan)
     one = (*design, tuple(word[0] for word in words))
     return die_by_die(lambda die, at, key: _rows(die, at, key, design[0], plan), (loop, scenario, words), one)
 

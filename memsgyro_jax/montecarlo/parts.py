@@ -77,9 +77,14 @@ class Computation:
         bounds = own_bounds(
             runner.loop, runner.scenario, runner.spread, runner.seed, bounded, settings.sample_rate, settings.duration
         )
-        divergence = divergence_of(*tally.diverged, runner.loop, runner.scenario, self.plan)
+        divergence = divergence_of(*tally.diverged, runner.loop, runner.scenario, self.plan, self._drawn)
         why = why_unbounded(runner.loop, runner.scenario, settings.duration) if bounded and bounds is None else None
         return figures_of(tally, settings, runner.loop, bounds, why, divergence, self.notes, tuple(amiss), speed)
+
+    def _drawn(self, dies: np.ndarray) -> tuple[ClosedLoop, Scenario]:
+        """Dies by their numbers, which trail."""
+        drawn = self.runner.spread.draw(self.runner.loop, self.runner.scenario, self.runner.seed, dies)
+        return drawn.loop, drawn.scenario
 
 
 @dataclass(frozen=True)

@@ -342,7 +342,7 @@ class _ForBoth(ForceEffect):
 def test_a_force_for_no_axis_is_refused_where_it_would_act_on_both():
     loop = ClosedLoop(gyro(_ForBoth(1.0)), DirectReadout(1e5), Blind(), Held(1))
     with pytest.raises(
-        InputError, match=r"`force` of _ForBoth must return an array of shape \(2,\), but returns one of \(\)"
+        InputError, match=r"`for_both`: method `force` must return an array of shape \(2,\), but returns one of \(\)"
     ):
         mg.simulate(loop, 1.0, sample_rate=100e3, duration=1e-4)
 

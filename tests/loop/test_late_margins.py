@@ -103,3 +103,26 @@ def test_effects_that_the_margins_leave_out_are_named():
     assert "leave out" not in str(mg.gain_phase_margins(loop_of(ReadoutDelay(1e-6))))
     (said,) = margin_eaten(loop_of(), loop_of(ReadoutDelay(4e-6), CubicStiffness("x", 1e9)))
     assert said.endswith("`simulate` counts them.")
+
+
+@pytest.mark.slow
+def test_samples_take_little_of_a_margin_beside_what_averaging_leaves_out():
+    """The open loop of rate at its crossover, from the simulated answer to a rate and what holding makes of it."""
+    gyro = mg.SingleMassGyro.from_modes(0.8e-9, ("32 kHz", "32.9 kHz"), (4e4, 3e3))
+    control = mg.ClassicControl.force_rebalance(gyro, READOUT, amplitude=1e-5, demodulator_bandwidth="5 kHz")
+    loop = mg.ClosedLoop(gyro, READOUT, mg.NoObserver.for_device(gyro, READOUT), control, start=(1e-5, 0.0, 0.0, 0.0))
+    told = mg.gain_phase_margins(loop)
+    crossover = told.crossover[2]
+
+    def open_loop(samples):
+        rate = 32e3 * samples
+        found = mg.frequency_response(loop, [0.9 * crossover, crossover], sample_rate=rate, duration=0.03)
+        turn = np.pi * crossover / rate
+        answer = found.response[1] * np.exp(-1j * turn) * np.sinc(turn / np.pi)
+        return answer / (1.0 - answer)
+
+    few, usual, many = map(open_loop, (8, 27, 100))
+    assert crossover == pytest.approx(32e3 / 20, rel=0.1)
+    assert np.degrees(np.angle(few / many)) == pytest.approx(2.0, abs=0.5)
+    assert np.degrees(np.angle(usual / many)) == pytest.approx(0.4, abs=0.2)
+    assert 180.0 - abs(np.degrees(np.angle(many))) == pytest.approx(told.phase_margin[2] - 5.3, abs=0.5)

@@ -8,6 +8,7 @@ import pytest
 
 import memsgyro_jax as mg
 from memsgyro_jax.loop.die_by_die import differs, from_outside
+from memsgyro_jax.loop.each_part import each_mapped
 from memsgyro_jax.montecarlo.bounds import own_bounds
 from memsgyro_jax.tuning import objective
 from memsgyro_jax.tuning.objective import Objective
@@ -123,3 +124,53 @@ def test_a_part_from_outside_is_found_wherever_it_stands():
     assert from_outside(plain, mg.Scenario(Bumps()))
     assert from_outside(mg.losses.Weighted((Both(), 1.0)))
     assert not from_outside(GYRO.with_effect(mg.effects.CubicStiffness("x", 1e9)))
+
+
+class Counting(mg.AbstractController):
+    """Its state has a number, a table and a flag; its gain differs from die to die."""
+
+    gain: jax.Array = eqx.field(converter=jnp.asarray, default=1e-8)
+    share: jax.Array = eqx.field(converter=jnp.asarray, default=(1.0, 2.0, 3.0))
+
+    def init(self):
+        return jnp.zeros((), int), jnp.ones((2, 3)), jnp.zeros((), bool)
+
+    def command(self, state, estimate, clock):
+        number, table, _ = state
+        table = 0.9 * table + jnp.array(estimate.motion[2:])[:, None] * self.share / jnp.sum(self.share)
+        return self.gain * jnp.sum(table, axis=1) / jnp.linalg.norm(table), (number + 1, table, number > 3)
+
+
+class Held(mg.DirectReadout):
+    @property
+    def travel(self):
+        return jnp.mean(jnp.array(self.scale)) * 1e-10
+
+
+def test_only_the_part_from_outside_is_mapped():
+    """What is the package's stays as it is; a part's answers are those of each die alone; who computes more of its
+    numbers than a port's methods do is mapped as a whole.
+    """
+    loop, scenario = mg.ClosedLoop(GYRO, READOUT, KALMAN, Counting()), mg.Scenario()
+    spread = mg.Spread((mg.Vary("controller.gain", mg.Normal(relative=0.1)), *SPREAD.items))
+    drawn = spread.draw(loop, scenario, 0, np.arange(3))
+    mapped = each_mapped((drawn.loop, drawn.scenario), (loop, scenario))[0]
+    assert type(mapped.observer) is type(KALMAN)
+    estimate = mg.Estimate((*jnp.arange(12.0).reshape(4, 3),), GYRO.coefficients(1.0), (0.0, 0.0), GYRO.model)
+    state = jax.tree.map(lambda leaf: jnp.stack([leaf] * 3, axis=-1), loop.controller.init())
+    force, later = mapped.controller.command(state, estimate, mg.Clock(0.0, 0, 1e-5))
+    for die in range(3):
+        one, alone = (
+            each(drawn, (loop, scenario), die)[0].controller,
+            jax.tree.map(lambda leaf, k=die: leaf[..., k], state),
+        )
+        told = eqx.tree_at(lambda e: e.motion, estimate, tuple(value[die] for value in estimate.motion))
+        own = one.command(alone, told, mg.Clock(0.0, 0, 1e-5))
+        for found, expected in zip(jax.tree.leaves((force, later)), jax.tree.leaves(own), strict=True):
+            np.testing.assert_allclose(found[..., die], expected, rtol=1e-15)
+
+    plain = mg.ClosedLoop(GYRO, READOUT, KALMAN, mg.DampingCompensation())
+    assert each_mapped((plain, scenario), (plain, scenario))[0] is plain
+    whole = eqx.tree_at(lambda made: made.readout, loop, Held(0.1e6, noise_density=1e-7))
+    for other in (whole, loop.in_blocks()):
+        assert each_mapped((other, scenario), (other, scenario)) is None

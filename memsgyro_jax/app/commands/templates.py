@@ -229,9 +229,9 @@ class SoftStop(fx.ForceEffect):
     name, unit, law = "soft_stop", "N/m²", "F = −s·(|q| − g)²·sign(q) beyond a gap g of 1.6 µm"
     reference = ""  # where the law is from
     axis: int = eqx.field(static=True, default=0)  # 0 is x, 1 is y
-    strength: Array = fx.strength()  # fx.strength(sign=+1) where physics gives the sign
+    strength: fx.Scalar = fx.strength()  # fx.strength(sign=+1) where physics gives the sign
 
-    def force(self, now):
+    def force(self, now: fx.Moment) -> Array:
         """The force on the mass; `now` has displacement and velocity [m, m/s] of both axes, rate, temperature, time."""
         q = now.displacement[self.axis]
         return self.along(now, -self.strength * jnp.maximum(jnp.abs(q) - 1.6e-6, 0.0) ** 2 * jnp.sign(q))

@@ -108,7 +108,7 @@ class BlockFilter(AbstractObserver[BlockState]):
         return cls(made, tones, length, pace.start if start is None else start)
 
     @property
-    def model(self) -> MotionModel:  # type: ignore[override]  # an abstract field may be a property
+    def model(self) -> MotionModel:
         return self.filter.model
 
     @property

@@ -23,7 +23,7 @@ class Ahead(AbstractLinearController):
     inner: AbstractLinearController
 
     @property
-    def tones(self) -> Tones:  # type: ignore[override]
+    def tones(self) -> Tones:
         """Those of the inner law."""
         return self.inner.tones
 

@@ -2,7 +2,7 @@
 
 import abc
 from collections.abc import Mapping
-from typing import Any, ClassVar, Generic, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeAlias, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -56,7 +56,13 @@ class AbstractLinearController(AbstractController[tuple[()]]):
     `frequencies` [Hz] are those besides the tones' at which the mass swings under it, other than its own.
     """
 
-    tones: AbstractVar["Tones"]
+    if TYPE_CHECKING:  # a member's field may stand in the place of a property, not of a class variable
+
+        @property
+        def tones(self) -> "Tones": ...
+
+    else:
+        tones: AbstractVar["Tones"]
 
     @property
     def frequencies(self) -> tuple[Scalar, ...]:

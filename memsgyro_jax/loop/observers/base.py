@@ -1,7 +1,7 @@
 """The observer port."""
 
 import abc
-from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -108,7 +108,13 @@ class AbstractObserver(Displayed, Generic[State]):
     its measurements leaves the rate to a controller that measures.
     """
 
-    model: AbstractVar[MotionModel]
+    if TYPE_CHECKING:  # a member's field may stand in the place of a property, not of a class variable
+
+        @property
+        def model(self) -> MotionModel: ...
+
+    else:
+        model: AbstractVar[MotionModel]
     usually_tuned: ClassVar[tuple[str, ...]] = ()
     learns: ClassVar[bool] = True
 
@@ -146,7 +152,13 @@ class AbstractCovarianceObserver(AbstractObserver[State]):
     `prior` is its belief at the start. Numbers of a field `process_noise`, a `ProcessNoise`, are bounded by it.
     """
 
-    prior: AbstractVar[Prior]
+    if TYPE_CHECKING:  # a member's field may stand in the place of a property, not of a class variable
+
+        @property
+        def prior(self) -> Prior: ...
+
+    else:
+        prior: AbstractVar[Prior]
 
     @property
     @abc.abstractmethod

@@ -37,7 +37,7 @@ class EnergyObserver(AbstractObserver[LyapunovState]):
         check_not_negative("gain", self.gain)
 
     @property
-    def model(self) -> MotionModel:  # type: ignore[override]
+    def model(self) -> MotionModel:
         """That of the inner observer."""
         return self.inner.model
 

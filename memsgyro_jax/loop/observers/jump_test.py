@@ -70,12 +70,12 @@ class JumpTest(AbstractCovarianceObserver[JumpState]):
         return cls(inner, tuple(std if damping else 0.0 for damping in named), **options)
 
     @property
-    def model(self) -> MotionModel:  # type: ignore[override]
+    def model(self) -> MotionModel:
         """The filter's."""
         return self.inner.model
 
     @property
-    def prior(self) -> Prior:  # type: ignore[override]
+    def prior(self) -> Prior:
         """The filter's."""
         return self.inner.prior
 

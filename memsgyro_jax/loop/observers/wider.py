@@ -48,11 +48,11 @@ class AbstractWiderFilter(AbstractCovarianceObserver[KalmanState]):
             raise InputError(f"The filter of a {type(self).__name__} must have one iteration and no fading memory.")
 
     @property
-    def model(self) -> MotionModel:  # type: ignore[override]  # an abstract field may be a property
+    def model(self) -> MotionModel:
         return MotionModel(self.filter.model.coefficients[:-1])
 
     @property
-    def prior(self) -> Prior:  # type: ignore[override]
+    def prior(self) -> Prior:
         inner = self.filter.prior
         return replace(inner, theta=inner.theta[:-1], theta_std=inner.theta_std[:-1])
 

@@ -3,7 +3,7 @@
 import abc
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -101,9 +101,21 @@ class Experiment(eqx.Module):
     slow: ClassVar[bool] = False  # to predict: a scan takes a coarse net
     driven: ClassVar[bool] = True  # by a known force: else it does not tell the mass
 
-    name: AbstractVar[str]
-    measured: AbstractVar[Array]
-    noise: AbstractVar[Noise]
+    if TYPE_CHECKING:  # a member's field may stand in the place of a property, not of a class variable
+
+        @property
+        def name(self) -> str: ...
+
+        @property
+        def measured(self) -> Array: ...
+
+        @property
+        def noise(self) -> Noise: ...
+
+    else:
+        name: AbstractVar[str]
+        measured: AbstractVar[Array]
+        noise: AbstractVar[Noise]
 
     @abc.abstractmethod
     def predict(self, bench: PyTree) -> Array:

@@ -119,12 +119,18 @@ def test_the_command_line_takes_its_file(folder, capsys):
             "line 2: record `A` must have `columns`, `experiment`, `extent`, `read`",
         ),
         ("class A(TimeRecord): kind = None", "line 2: record `A` must have the word that `case.toml` has for it"),
+        (
+            "class A(TimeRecord): kind = 'a'\nclass B(Experiment): pass",
+            "line 3: experiment `B` must have `measured`, `name`, `noise`, `predict`, but has not",
+        ),
         ("1 / 0", "line 2: must run, but: ZeroDivisionError: division by zero"),
     ],
 )
 def test_a_file_without_a_kind_is_one_sentence(tmp_path, text, sentence):
     path = tmp_path / "own.py"
-    path.write_text(f"from memsgyro_jax.measurement.experiments import AbstractRecord, TimeRecord\n{text}\n")
+    path.write_text(
+        f"from memsgyro_jax.measurement.experiments import AbstractRecord, Experiment, TimeRecord\n{text}\n"
+    )
     with pytest.raises(InputError, match=re.escape(sentence)):
         load_kinds(path)
 
