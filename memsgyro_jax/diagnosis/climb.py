@@ -16,6 +16,7 @@ from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.drive_levels import clear_drives
 
 from .acceptance import THIRD, excess
+from .best_single import best_single
 from .drives import FAR, calm, past_the_brink, stages
 from .fewer import take_out, terms_of
 from .fit import CaseFit, beside_case
@@ -76,8 +77,8 @@ def climbed(search: Search, first: Ranking, effects: Sequence[Effect]) -> tuple[
 
 def _in_steps(search: Search, first: Ranking) -> Optimum:
     """The fit with the best effect in one step, or where that is far off and the device has two axes, with another."""
-    best = first.order[0]
-    step = copy(search)
+    found, step = best_single(search, first), copy(search)
+    best = first.order[0] if found is None else found.number
     step.optimum = search.refit([first.places[best]], slopes=first.slopes[best])
     step.accepted = [first.places[best]]
     if step.optimum.chi2 < FAR * step.optimum.dof or search.joint.model.axes == 1:

@@ -10,6 +10,7 @@ from memsgyro_jax.effects import TERMS, Effect, InstrumentTerm, Scanned
 from memsgyro_jax.effects.instrument import FrequencyOffset
 
 from .acceptance import BEYOND_LINEAR, excess, share_needed
+from .best_single import Best, best_single
 from .fewer import SHARE, as_a_capacitance, cost, imitated
 from .findings import Accepted
 from .fit import beside_case
@@ -50,7 +51,7 @@ def instrument_first(
         go_on: the search for effects of the device, from a search and its ranking.
         done: whether a search leaves nothing to explain.
     """
-    best = _best_effect(search, first)
+    best = best_single(search, first)
     alone = instrument_alone(search, first, best)
     rival, gain = ("", -np.inf) if alone is None else _rival(alone, best)
 
@@ -81,18 +82,9 @@ def _beside(alone: Search, search: Search, effects: Sequence[Effect], go_on) -> 
     return go_on(beside, beside.rank())
 
 
-def _best_effect(search: Search, first: Ranking) -> tuple[str, Optimum] | None:
-    """The best single effect of the device and a fit with it, if it helps beyond chance."""
-    best = first.order[0] if first.places else None
-    if best is None or first.p_values[best] > search.level:
-        return None
-    fit = search.refit([first.places[best]], slopes=first.slopes[best])
-    return search.joint.model.effects[first.places[best]].label, fit
-
-
-def _rival(alone: Search, best: tuple[str, Optimum] | None) -> tuple[str, float]:
+def _rival(alone: Search, best: Best | None) -> tuple[str, float]:
     """The best single effect of the device, and by how much it is better than the instrument."""
-    return ("", -np.inf) if best is None else (best[0], cost(alone.optimum) - cost(best[1]))
+    return ("", -np.inf) if best is None else (best.label, cost(alone.optimum) - cost(best.optimum))
 
 
 def of_instrument(terms: Sequence[Accepted], rival: str, levels: int) -> str:
@@ -116,7 +108,7 @@ def _numbers_of(term: Accepted) -> str:
     return f"{term.label} {said_in(', '.join(held), term.unit)}{turned}"
 
 
-def instrument_alone(search: Search, first: Ranking, best: tuple[str, Optimum] | None) -> Search | None:
+def instrument_alone(search: Search, first: Ranking, best: Best | None) -> Search | None:
     """The present model with the terms of the instrument that its records need; `None` where they need none, or where
     the device explains more: by what both promise, before anything is fitted.
 
@@ -233,7 +225,7 @@ def _simplify(alone: Search) -> None:
                 alone.exchange(place, other, fewer)
 
 
-def _explains_more(search: Search, first: Ranking, promise: Promise, best: tuple[str, Optimum] | None) -> bool:
+def _explains_more(search: Search, first: Ranking, promise: Promise, best: Best | None) -> bool:
     """Whether terms of the instrument are worth a fit before the effects of the device.
 
     Beside an effect that leaves noise alone they must be as good, number by number; beside effects that together
@@ -245,8 +237,8 @@ def _explains_more(search: Search, first: Ranking, promise: Promise, best: tuple
     device = _promised_by_effects(search, first)
     if device is None or not device.chosen:
         return True
-    if best is not None and best[1].leaves_noise:
-        single = device.alone[first.order[0]]
+    if best is not None and best.optimum.leaves_noise:
+        single = max(device.alone[best.number], cost(search.optimum) - cost(best.optimum))
         return promise.worth >= single - np.log(search.optimum.residual.size) - EVIDENT - ROUGHLY * single
     share = RIVAL if device.gain >= RIVAL * missing else FAINT
     return promise.gain >= max(share * device.gain, MOSTLY * missing)

@@ -22,6 +22,7 @@ PAIRS = {1: ((0, 0),), 2: ((0, 0), (1, 1), (0, 1))}
 _FEWEST = 8  # rows of one axis from which a gain that turns the phase, and a background, can be told too
 _BENT, _BENDS, _FINER = 1.5, 301, 41  # how far a resonance may bend over, in widths of the band; steps that are tried
 _STANDS_OUT = 40.0
+_VANISHES = 1e-12  # of the largest operator
 _SHOWN = 0.05  # of the squared motion, left by a device that the records show
 _CLEAR = 100.0  # standard deviations of the largest reading of a record that tells a device by itself
 _UNSHARED = 0.1  # of the squared motion, left by a device that several drives do not share
@@ -150,7 +151,7 @@ def _with_gain(plain, omega, motion, force, weight, *, bends: bool):
     columns = np.concatenate([motion[:, None], 1j * omega[:, None] * motion[:, None], powers, 1j * powers], axis=1)
     square = np.abs(motion) ** 2 / (np.max(np.abs(motion) ** 2) or 1.0)
     columns = np.concatenate([columns, (square * motion)[:, None]], axis=1) if bends else columns
-    scale = np.abs(weight) / np.maximum(np.abs(near + 1j * omega * plain[1][0] - (plain[0][0] - centre**2)), 1e-300)
+    scale = weight / _clear_of_zero(near + 1j * omega * plain[1][0] - (plain[0][0] - centre**2))
     for _ in range(ROUNDS):
         left, right = columns * scale[:, None], target * scale
         left, right = np.concatenate([left.real, left.imag]), np.concatenate([right.real, right.imag])
@@ -158,7 +159,7 @@ def _with_gain(plain, omega, motion, force, weight, *, bends: bool):
         size = np.where(size > 0, size, 1.0)
         found = np.linalg.lstsq(left / size, right, rcond=1e-12)[0] / size
         operator = found[0] - near + 1j * omega * found[1] + (found[8] * square if bends else 0.0)
-        scale = weight / np.abs(operator)
+        scale = weight / _clear_of_zero(operator)
     stiffness, damping = found[0] + centre**2, found[1]
     rest = float(np.sum(np.abs((columns @ found - target) * scale) ** 2))
     if not (stiffness > 0 and damping > _NARROW * span / len(omega)):
@@ -166,6 +167,12 @@ def _with_gain(plain, omega, motion, force, weight, *, bends: bool):
     pole = (np.sqrt(stiffness) + 0.5j * damping - centre) / span
     gain = np.polyval((found[2:5] + 1j * found[5:8])[::-1], pole)
     return (np.array([stiffness]), np.array([damping]), float(np.abs(gain) * (1.0 if gain.real >= 0 else -1.0))), rest
+
+
+def _clear_of_zero(operator: np.ndarray) -> np.ndarray:
+    """The size of each, at least a part of the largest: without noise one may vanish."""
+    size = np.abs(operator)
+    return np.maximum(size, _VANISHES * size.max() or 1.0)
 
 
 def _of_modulus(omega, motion, force, weight):

@@ -283,6 +283,7 @@ class TimeRecord(WaveformRecord):
         (low, high), readout, held = declared.resonances, declared.readout, self.hold == "zero_order"
         omega = 2 * np.pi * np.fft.rfftfreq(self.rows, self.period)
         read = derivatives(self.signals - self.signals.mean(axis=0), omega, self.period)
+        turned = self._turned(omega, readout.order)
         force = derivatives(self.forces, omega, self.period, late=0.5 * held)[readout.order]
         if held:
             force = force * np.sinc(omega * self.period / 2 / np.pi)[:, None]
@@ -290,10 +291,23 @@ class TimeRecord(WaveformRecord):
             low = high = omega[1 + np.argmax(np.abs(read[0][1:]).max(axis=1))]
         near = (omega > 0.5 * low) & (omega < 2.0 * high)
         omega, noise = omega[near], self.noise_level * np.sqrt(np.sum(np.hanning(self.rows) ** 2) / 2)
-        motion, slope, bend = (readout.motion(part[near], omega) for part in read)
+        motion, slope, bend = (readout.motion(part[near], omega) for part in (*read[:2], read[2] - turned))
         force = force[near] / (1j * omega[:, None]) ** readout.order
         weight = abs(readout.scale) * omega**readout.order / noise
         return Phasors(omega, motion, force, weight, slope=slope, bend=bend)
+
+    def _turned(self, omega: np.ndarray, order: int) -> np.ndarray:
+        """Lines of what the rate adds to the acceleration of both axes, 2Ω·(vy, −vx), of readings that are the
+        displacement or its derivative of some `order`; of derivatives at a slow rate.
+        """
+        if self.signals.shape[1] == 1 or not self.rate.any():
+            return np.zeros((omega.size, self.signals.shape[1]))
+        crossed = (self.signals - self.signals.mean(axis=0))[:, ::-1] * [2.0, -2.0]
+        whole = derivatives(self.rate[:, None] * crossed, omega, self.period)[1]
+        if order:
+            return whole
+        steeper = np.gradient(self.rate, self.period)[:, None]
+        return whole - derivatives(steeper * crossed, omega, self.period)[0]
 
     def better_keys(self, declared: Declared) -> tuple[dict[str, Any], str]:
         """Another `hold`, where the rows show it."""

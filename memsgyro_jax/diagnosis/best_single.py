@@ -1,0 +1,33 @@
+"""The one effect that explains most by itself, by fits and not by slopes alone."""
+
+from typing import NamedTuple
+
+from .fewer import cost
+from .optimum import Optimum
+from .search import Ranking, Search
+
+
+LOOKED = 3  # effects of a ranking that are fitted, one by one
+
+
+class Best(NamedTuple):
+    """The best single effect of the device: its number in the ranking, its label, and a fit with it."""
+
+    number: int
+    label: str
+    optimum: Optimum
+
+
+def best_single(search: Search, first: Ranking) -> Best | None:
+    """The best single effect of the device, if one helps beyond chance: of the first few of the ranking the one that
+    fits best, as a large strength is not told by its slope (a channel eight times as sensitive as the other).
+    """
+    found: list[Best] = []
+    for number in first.order[:LOOKED] if first.places else ():
+        if first.p_values[number] > search.level:
+            break
+        fit = search.refit([first.places[number]], slopes=first.slopes[number])
+        found.append(Best(number, search.joint.model.effects[first.places[number]].label, fit))
+        if fit.leaves_noise:
+            break
+    return min(found, key=lambda one: cost(one.optimum), default=None)
