@@ -2,12 +2,14 @@
 
 from typing import NamedTuple
 
+from .acceptance import excess
 from .fewer import cost
 from .optimum import Optimum
 from .search import Ranking, Search
 
 
 LOOKED = 3  # effects of a ranking that are fitted, one by one
+MOST = 0.9  # of the misfit: what explains so much is not looked beyond
 
 
 class Best(NamedTuple):
@@ -28,6 +30,6 @@ def best_single(search: Search, first: Ranking) -> Best | None:
             break
         fit = search.refit([first.places[number]], slopes=first.slopes[number])
         found.append(Best(number, search.joint.model.effects[first.places[number]].label, fit))
-        if fit.leaves_noise:
+        if excess(fit) <= (1.0 - MOST) * excess(search.optimum):
             break
     return min(found, key=lambda one: cost(one.optimum), default=None)

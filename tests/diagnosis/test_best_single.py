@@ -10,18 +10,19 @@ from memsgyro_jax.diagnosis.best_single import best_single
 
 
 def optimum(chi2):
-    return SimpleNamespace(chi2=chi2, leaves_noise=chi2 < 500.0, frozen=(), free=np.arange(8), residual=np.zeros(484))
+    return SimpleNamespace(chi2=chi2, frozen=(), free=np.arange(8), dof=476, residual=np.zeros(484))
 
 
 @pytest.mark.parametrize(("p_values", "best", "fitted"), [
     ((1e-37, 1e-30, 1e-9, 1e-4), "three", 3), ((1e-37, 0.2, 1e-9, 1e-4), "one", 1), ((0.2, 0.3, 0.4, 0.5), None, 0),
 ])  # fmt: skip
 def test_the_first_few_are_fitted(p_values, best, fitted):
-    """The first stops in another valley; what follows one that helps by chance alone is not looked at."""
+    """The first two stop in another valley; what follows one that helps by chance alone is not looked at."""
     chi2, asked = dict(zip((10, 11, 12, 13), (1.3e6, 1.4e6, 486.0, 480.0), strict=True)), []
     labels = dict(zip(chi2, ("one", "two", "three", "four"), strict=True))
     search = SimpleNamespace(
         level=0.05,
+        optimum=optimum(1.5e6),
         joint=SimpleNamespace(model=SimpleNamespace(effects={k: SimpleNamespace(label=v) for k, v in labels.items()})),
         refit=lambda places, slopes: asked.append(places[0]) or optimum(chi2[places[0]]),
     )
