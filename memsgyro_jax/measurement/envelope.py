@@ -21,6 +21,7 @@ from .steady import Remainder, nonlinear_spectrum
 
 
 HARMONICS = 2  # a step in time carries no more: the third is a millionth of the first, and feeds back as its square
+LONGEST = 2**20  # steps of a record, whose states a fit keeps for every direction (4 GB): no finer ones beyond
 FINEST = 8  # parts at most that a step through a record is divided into, where what is left out needs it
 SAMPLES = 12  # per cycle: exact for powers up to the third
 

@@ -49,7 +49,8 @@ def device_of_phasors(offered: Sequence[Phasors]) -> NormalisedDevice | None:
         # Noise off the resonances, slow noise above all, may lead the rounds away from a device that was good.
         if least <= _SHOWN * whole or least < min(left for left, _ in rounds[: ROUNDS + 1]):
             device = best
-        if rows.motion.shape[1] == 1 and len(rows.omega) >= _FEWEST:
+        steady = all(one.slope is None for one in offered)
+        if rows.motion.shape[1] == 1 and steady and len(rows.omega) >= _FEWEST:
             device = _turned(device, rows.omega, rows.motion[:, 0], rows.force[:, 0], rows.weight)
         return NormalisedDevice(*device) if _is_device(device) else None
     except np.linalg.LinAlgError:  # nothing answers, or everything alike
@@ -99,14 +100,13 @@ def is_shared(device: NormalisedDevice, rows: list[Phasors]) -> bool:
 
 
 def misfit(offered: Phasors) -> float:
-    """Squared deviation over noise, a half of a phasor's, of a record from the device that explains its phasors best;
-    infinite where none does.
+    """Squared deviation over noise, a half of a phasor's, of a record from the device that explains its phasors best,
+    with a gain that turns nothing; infinite where none does.
     """
-    device, rows = device_of_phasors([offered]), _Rows.of([offered])
-    if device is None:
+    try:
+        return min(left for left, _ in _rounds(_Rows.of([offered]))) / (2.0 * offered.motion.size)
+    except np.linalg.LinAlgError:
         return float("inf")
-    off = rows.off((np.asarray(device.stiffness), np.asarray(device.damping), float(device.mobility)))
-    return float(np.mean(np.abs(rows.weight[:, None] * off) ** 2)) / 2.0
 
 
 def _left(device: NormalisedDevice, rows: list[Phasors]) -> float:

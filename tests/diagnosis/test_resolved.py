@@ -13,6 +13,7 @@ from lab.protocol import Laboratory, Raw
 from memsgyro_jax.diagnosis.fit import fit_case
 from memsgyro_jax.diagnosis.resolved import UNSURE, sharpened
 from memsgyro_jax.effects import CubicStiffness, ForceEffect, on_axis, strength
+from memsgyro_jax.measurement.envelope import LONGEST
 from memsgyro_jax.measurement.readings import readings_of
 from memsgyro_jax.measurement.steady import FINENESS
 
@@ -55,6 +56,7 @@ def test_a_smooth_law_keeps_the_first_resolution():
     assert "resolved" not in fit.status
 
 
+PER_STEP = "forces", "increments"
 CLEAN = Laboratory((Raw("raw", interval=2e-5, samples=1000, force=3e-6, noise=2e-5),), digits=17)
 
 
@@ -83,3 +85,12 @@ def test_shorter_steps_change_nothing_but_the_steps():
     assert again.parts == 1
     for name in ("forces", "increments", "step"):
         np.testing.assert_array_equal(getattr(again, name), getattr(once, name))
+
+
+def test_a_long_record_has_no_shorter_steps_than_a_fit_can_keep():
+    """65 000 rows in 64 steps each took 15 GB, and the process was killed."""
+    (first,) = readings_of(bench(Hidden(), 1, CLEAN).case)
+    times = LONGEST // len(first.experiment.forces)
+    long = replace(first.experiment, **{k: np.tile(getattr(first.experiment, k), (times, 1)) for k in PER_STEP})
+    assert first.experiment.finer is not None
+    assert long.finer is None

@@ -77,3 +77,23 @@ def test_the_rows_tell_how_the_force_was_held(tmp_path):
     assert not [one for one in assess(found.case).warnings if "hold" in one]
     (warning,) = [one for one in assess(mg.load_case(path.parent)).warnings if "hold" in one]
     assert warning.startswith("`loop`: its rows lie ")
+
+
+def test_a_resonator_tells_it_too(tmp_path):
+    """A gain that turns the phase stood for half a row, and a delay of half a row was found to be missing."""
+    omega, quality, period, rng = 2 * np.pi * 87e3, 900.0, 1e-6, np.random.default_rng(9)
+    step = expm(np.array([[0, 1, 0], [-(omega**2), -omega / quality, 1], [0, 0, 0]]) * period)
+    state, rows = np.zeros(3), []
+    for k in range(8000):
+        state[2] = 150.0 * np.sign(np.sin(2 * np.pi * 87.05e3 * k * period)) * (k < 5000) + 30 * rng.standard_normal()
+        rows.append([k * period, state[2] / 300.0, 1e3 * state[1]])
+        state = step @ state
+    rows = np.array(rows)
+    rows[:, 2] += 2e-3 * np.abs(rows[:, 2]).max() * rng.standard_normal(len(rows))
+    header = "Time (s);Drive (V);Velocity (mm/s)"
+    np.savetxt(tmp_path / "burst.csv", rows, "%.9g", ";", header=header, comments="")
+    case = mg.import_case([tmp_path / "burst.csv"], tmp_path / "case").case
+    assert (case.records[0].hold, case.readout.order) == ("zero_order", 1)
+    found = starting_device(case)
+    assert float(np.sqrt(found.stiffness[0])) == pytest.approx(omega, rel=2e-6)
+    assert omega / float(found.damping[0]) == pytest.approx(quality, rel=0.01)

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from memsgyro_jax.base.linalg import inverse, product, small_root
 from memsgyro_jax.device.conditions import Conditions
 
-from ..envelope import FINEST, HARMONICS, Driven, run_samples, visited_samples
+from ..envelope import FINEST, HARMONICS, LONGEST, Driven, run_samples, visited_samples
 from ..first_order import Contribution, Inquiry, Instants
 from ..model import Model
 from ..steady import fundamental
@@ -108,8 +108,9 @@ class FreeDecay(Experiment):
 
     @property
     def finer(self) -> "FreeDecay | None":
-        """The same in steps half as long; `None` at the last."""
-        return self._divided(2 * self.parts) if self.parts < FINEST else None
+        """The same in steps half as long; `None` at the last, and where a fit could not keep them all."""
+        more = self.parts < FINEST and 2 * len(self.measured) * self.substeps <= LONGEST
+        return self._divided(2 * self.parts) if more else None
 
     @property
     def coarse(self) -> "FreeDecay":

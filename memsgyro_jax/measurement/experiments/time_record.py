@@ -17,7 +17,7 @@ from memsgyro_jax.device.conditions import Conditions
 from ..clock import check_period
 from ..columns import force_columns
 from ..declared import Declared
-from ..envelope import FINEST, run_samples, visited_samples
+from ..envelope import FINEST, LONGEST, run_samples, visited_samples
 from ..first_order import Contribution, Inquiry, Instants
 from ..model import Model
 from ..section import ExperimentSection
@@ -147,8 +147,9 @@ class RawCapture(Experiment):
 
     @property
     def finer(self) -> "RawCapture | None":
-        """The same in steps half as long; `None` at the last."""
-        return self._divided(2 * self.parts) if self.parts < FINEST else None
+        """The same in steps half as long; `None` at the last, and where a fit could not keep them all."""
+        more = self.parts < FINEST and 2 * len(self.forces) <= LONGEST
+        return self._divided(2 * self.parts) if more else None
 
     @property
     def coarse(self) -> "RawCapture":
