@@ -49,8 +49,9 @@ def device_of_phasors(offered: Sequence[Phasors]) -> NormalisedDevice | None:
         # Noise off the resonances, slow noise above all, may lead the rounds away from a device that was good.
         if least <= _SHOWN * whole or least < min(left for left, _ in rounds[: ROUNDS + 1]):
             device = best
-        steady = all(one.slope is None for one in offered)
-        if rows.motion.shape[1] == 1 and steady and len(rows.omega) >= _FEWEST:
+        steady = all(one.slope is None for one in offered)  # for which alone the following holds; else better than none
+        turns = steady or not _is_device(device)
+        if rows.motion.shape[1] == 1 and turns and len(rows.omega) >= _FEWEST:
             device = _turned(device, rows.omega, rows.motion[:, 0], rows.force[:, 0], rows.weight)
         return NormalisedDevice(*device) if _is_device(device) else None
     except np.linalg.LinAlgError:  # nothing answers, or everything alike
