@@ -25,9 +25,9 @@ def best_single(search: Search, first: Ranking) -> Best | None:
     fits best, as a large strength is not told by its slope (a channel eight times as sensitive as the other).
     """
     found: list[Best] = []
-    for number in first.order[:LOOKED] if first.places else ():
-        if first.p_values[number] > search.level:
-            break
+    looked = [number for number in first.order if first.p_values[number] <= search.level][:LOOKED]
+    search.joint.together((*search.given, *(first.places[number] for number in looked)))
+    for number in looked:
         fit = search.refit([first.places[number]], slopes=first.slopes[number])
         found.append(Best(number, search.joint.model.effects[first.places[number]].label, fit))
         if excess(fit) <= (1.0 - MOST) * excess(search.optimum):

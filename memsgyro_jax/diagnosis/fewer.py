@@ -61,7 +61,7 @@ def imitated(search: Search) -> None:
     for place, term in _terms(search):
         for other in [i for i in search.candidates() if effects[i].label == term.imitates]:
             kept, search.given = search.given, tuple(i for i in search.given if i != place)
-            search.joint.together((*search.given, *search.accepted, other))
+            search.joint.together((*kept, *search.accepted, other))  # the same program for the next of them
             start = search.without(place)
             fewer, none = (search.refit([*search.accepted, *more], start=start) for more in ([other], []))
             late = too_late(search.joint, other, fewer, search.case)

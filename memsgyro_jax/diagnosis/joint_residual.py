@@ -17,7 +17,7 @@ from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.runtime import require_float64, usable_cores
 from memsgyro_jax.base.threads import in_threads
 from memsgyro_jax.base.transforms import Free, Identity, fixed, from_vector, mark, to_vector
-from memsgyro_jax.effects import free_numbers
+from memsgyro_jax.effects import Effect, free_numbers
 from memsgyro_jax.measurement.first_order import Absent, Contribution, Inquiry, contributions, of_first_order
 from memsgyro_jax.measurement.model import Model
 from memsgyro_jax.measurement.readings import Readings
@@ -25,7 +25,7 @@ from memsgyro_jax.measurement.readings import Readings
 from .instrument import Knowledge
 from .linearised import WIDTH, Calls, Part, lanes, nothing
 from .parameters import Parameter, parameters
-from .programs import Programs, is_idle, of_lock_in
+from .programs import Programs, is_idle
 
 
 CARRIED = 3  # absent effects that are carried through a model: a fit goes on with them
@@ -149,7 +149,7 @@ class Joint:
         others = np.where(np.isin(self.owner, quick), 0.0, directions)
         rows = np.flatnonzero(np.any(others != 0, axis=1))
         along = rows if rows.size <= WIDTH and self._acting(vector, others) <= set(part.effects) else rows[:0]
-        first = lanes(others[along][:, part.places]) if along.size else None
+        first = lanes(part.along(others[along])) if along.size else None
         here = self.calls.linear(part, vector, readings.experiment, first)
         places = tuple(int(sum(k < i for k in present)) for i in lacking)
         added = contributions(model, Absent(tuple(whole.effects[i] for i in lacking), places), here.inquiry)
@@ -208,7 +208,7 @@ class Joint:
         """Residual and its derivatives, all that moves carried through the model."""
         count, part = directions.shape[0], self._part(vector, directions)
         padded = np.zeros((max(1, -(-count // WIDTH)) * WIDTH, part.places.size))
-        padded[:count] = directions[:, part.places]
+        padded[:count] = part.along(directions)
 
         def one(r: Readings) -> tuple[np.ndarray, np.ndarray]:
             if isinstance(r.experiment, Knowledge):
@@ -238,26 +238,36 @@ class Joint:
         """The model of the effects that are present at a vector or move along one of the directions (k, p), and of
         others that are absent where there is a program for all of them. What is linear stays so: it is quick.
         """
-        effects, names = self.model.effects, self._names
+        names, programs = self._names, self.programs
         acting = frozenset(names[i] for i in self._acting(vector, directions))
 
         def idle(name: str) -> bool:
-            if name not in names:  # an effect of another model of the case
+            if name not in names and name not in programs.absent:  # announced for another model
                 return False
             cheap = self._is_linear(name) or not all(map(self._is_linear, acting))
-            return is_idle(effects[names.index(name)]) and cheap
+            return is_idle(self._named(name)) and cheap
 
-        chosen = self.programs.chosen(acting, idle)
-        # What the lock-in does comes last, in whichever order effects and terms were found.
-        mine = sorted((i for i, name in enumerate(names) if name in chosen), key=lambda i: (of_lock_in(effects[i]), i))
-        model = self.model.with_only(effects[i] for i in mine)
-        return Part(tuple(mine), model, _all_free(model), self._places(mine))
+        chosen = programs.chosen(acting, idle)
+        order = programs.in_order(chosen, list(zip(names, self.model.effects, strict=True)))
+        model = self.model.with_only(map(self._named, order))
+        mine = tuple(names.index(name) if name in names else None for name in order)
+        spec = _all_free(model)
+        rest = np.asarray(to_vector(model, spec))
+        places = [np.flatnonzero(self.owner == -1)]
+        for place, effect in zip(mine, model.effects, strict=True):
+            lacking = np.full(sum(np.size(getattr(effect, number.field)) for number in free_numbers(effect)), -1)
+            places.append(lacking if place is None else np.flatnonzero(self.owner == place))
+        return Part(tuple(i for i in mine if i is not None), model, spec, np.concatenate(places), rest)
+
+    def _named(self, name: str) -> Effect:
+        """An effect of the model; of a program that is there, where the model lacks it."""
+        return self.model.effects[self._names.index(name)] if name in self._names else self.programs.absent[name]
 
     def _is_linear(self, name: str) -> bool:
         """Whether an effect by itself leaves the model, and what is read of it, linear."""
         known = self.programs.linear
         if name not in known:
-            alone = self.model.with_only([self.model.effects[self._names.index(name)]])
+            alone = self.model.with_only([self._named(name)])
             known[name] = alone.is_linear and alone.is_read_linearly
         return known[name]
 
@@ -266,10 +276,6 @@ class Joint:
         """What the effects are called, one like another by its number too."""
         labels = [effect.label for effect in self.model.effects]
         return [f"{label} {labels[:k].count(label)}" for k, label in enumerate(labels)]
-
-    def _places(self, effects: Sequence[int]) -> np.ndarray:
-        """Places of the parameters of the base and of some effects, one after the other, in the vector."""
-        return np.concatenate([np.flatnonzero(self.owner == i) for i in (-1, *effects)])
 
     def _acting(self, vector: np.ndarray, directions: np.ndarray) -> frozenset[int]:
         """Effects that are present or move."""

@@ -24,12 +24,23 @@ SHORT = 100  # rows up to which optimising a program takes longer than the calls
 
 
 class Part(NamedTuple):
-    """A model with some of the effects, what is free in it, and where its parameters stand among those of all."""
+    """A model with some of the effects, what is free in it, and where its parameters stand among those of all; -1 of
+    those of an absent effect that all do not have, which keep what they are at `rest`.
+    """
 
     effects: tuple[int, ...]
     model: Model
     spec: PyTree
     places: np.ndarray
+    rest: np.ndarray
+
+    def of(self, vector: np.ndarray) -> np.ndarray:
+        """Its parameters at a vector of all."""
+        return np.where(self.places < 0, self.rest, vector[self.places])
+
+    def along(self, directions: np.ndarray) -> np.ndarray:
+        """Directions (k, p) among all parameters as directions among its own."""
+        return np.where(self.places < 0, 0.0, directions[:, self.places])
 
 
 class Linear(NamedTuple):
@@ -58,7 +69,7 @@ class Calls:
 
     def residual(self, part: Part, vector: np.ndarray, experiment: Experiment) -> np.ndarray:
         """Residual (r,) at a vector of all parameters."""
-        at = vector[part.places]
+        at = part.of(vector)
         if _shape(experiment) in self._fitted:  # a program exists; to compile one without slopes takes longer
             return self.linear(part, vector, experiment).value
         known = self._known(part, at, experiment)
@@ -70,7 +81,7 @@ class Calls:
 
     def linear(self, part: Part, vector: np.ndarray, experiment: Experiment, block: np.ndarray | None = None) -> Linear:
         """The same with slopes along a block of directions (WIDTH, p); any, where none is given."""
-        at = vector[part.places]
+        at = part.of(vector)
         known = self._known(part, at, experiment)
         if known is not None and known.block is not None and (block is None or np.array_equal(known.block, block)):
             return known
@@ -82,7 +93,7 @@ class Calls:
 
     def responses(self, part: Part, vector: np.ndarray, added: Contribution, readings: Readings) -> np.ndarray:
         """(k, r) what each of k contributions, side by side, adds to a residual."""
-        at, experiment = vector[part.places], readings.experiment
+        at, experiment = part.of(vector), readings.experiment
         still, out = np.zeros((WIDTH, at.size)), np.zeros((len(added.seen), readings.size))
         acting = [np.any(leaf != 0, axis=tuple(range(1, leaf.ndim))) for leaf in jax.tree.leaves(added)]
         places = np.flatnonzero(np.any(acting, axis=0))

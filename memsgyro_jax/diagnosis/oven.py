@@ -6,16 +6,19 @@ set point takes it, and tells it in kelvins.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from scipy import optimize, special
 
+from memsgyro_jax.device.conditions import Conditions
 from memsgyro_jax.effects import free_numbers
 from memsgyro_jax.effects.instrument import RecordTemperature
 from memsgyro_jax.measurement.case import Case
+from memsgyro_jax.measurement.experiments import Readings
 from memsgyro_jax.measurement.one_place import set_points
 
 from .findings import Accepted
@@ -29,6 +32,7 @@ from .worth_trying import COURSE, count_temperatures
 
 
 MOST = 3.0  # K by which an oven may be off: what scatters by more is a law that is missing
+STEP = 1e-3  # K of a difference: far below the width of a resonance in a spring's drift, far above rounding
 LEAST = 1e-6  # K; and of the largest sensitivity to a temperature, below which a combination of them shows nothing
 CUBIC, CHANCE = 3, 0.01  # degree of a course that is no line, and how seldom errors look like one
 
@@ -46,9 +50,7 @@ def oven_offer(search: Search) -> tuple[RecordTemperature, Offer] | None:
     held, depends = {effect.label for effect in kept}, any(not effect.of_instrument for effect in kept)
     if term is None or not depends or term.label in held or count_temperatures(search.case) < COURSE:
         return None
-    beside = Joint(model.with_only((*kept, term)), joint.readings, joint.programs)
-    units = np.eye(beside.start.size)[beside.of_effect(len(kept))]
-    slopes = beside.linearise(beside.start, units, beside.fitted)[1]
+    slopes = _slopes(joint, optimum.vector, term)
     if not np.isfinite(slopes).all():
         return None
     found = SetPointErrors.of(optimum, slopes)
@@ -60,6 +62,38 @@ def oven_offer(search: Search) -> tuple[RecordTemperature, Offer] | None:
     every = np.ones(term.strength.size)
     term = eqx.tree_at(lambda t: t.spread, term, jnp.asarray(spread * every))
     return term, Offer(slopes, number.low * every, number.high * every, spread * every)
+
+
+def _slopes(joint: Joint, vector: np.ndarray, term: RecordTemperature) -> np.ndarray:
+    """Sensitivities (r, k) of the fitted readings to the number of each set point, by central differences: all set
+    points are moved at once, as each reading belongs to one, and no program is needed that the fit has not made.
+    """
+    placed = [r for r in joint.fitted if hasattr(r.experiment, "surroundings")]
+    warm, cold = ([_warmed(r, term, kelvins) for r in placed] for kelvins in (STEP, -STEP))
+    ends = joint.residual(vector, [*warm, *cold])
+    moved = {id(r): (ends[i] - ends[i + len(placed)]) / (2.0 * STEP) for i, r in enumerate(placed)}
+    blocks = []
+    for readings in joint.fitted:
+        block = np.zeros((readings.size, term.strength.size))
+        if id(readings) in moved:
+            mine = _taken(term, readings)[-len(readings.experiment.measured) :]  # a capture begins before its readings
+            block = moved[id(readings)][:, None] * np.repeat(mine, readings.size // len(mine), axis=0)
+        blocks.append(block)
+    return np.concatenate(blocks)
+
+
+def _taken(term: RecordTemperature, readings: Readings) -> np.ndarray:
+    """(n, k) how much of each number a row takes; (k,) of readings with the conditions of one."""
+    experiment: Any = readings.experiment  # most kinds have surroundings, not all
+    around: Conditions = experiment.surroundings
+    return np.asarray(term.entry)[np.asarray(around.record, int), np.asarray(around.sweep, int)]
+
+
+def _warmed(readings: Readings, term: RecordTemperature, kelvins: float) -> Readings:
+    """The same readings, predicted where every set point is warmer."""
+    moved = kelvins * _taken(term, readings).sum(axis=-1)
+    warmer = eqx.tree_at(lambda e: e.surroundings.temperature, readings.experiment, replace_fn=lambda t: t + moved)
+    return replace(readings, experiment=warmer)
 
 
 class SetPointErrors(NamedTuple):

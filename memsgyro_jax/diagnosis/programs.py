@@ -1,6 +1,9 @@
 """Which effects a compiled program carries: an absent one beside those asked for costs less than another program."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
 
 from memsgyro_jax.effects.base import Effect, LockInEffect, ReadoutEffect, SweepEffect
 
@@ -9,14 +12,16 @@ SPARE = 4  # absent effects that a program may have beside those asked for, befo
 
 
 class Programs:
-    """The sets of effects, by name, that there are programs for; those that are going to be asked for in parts, the
-    likeliest first; and which effects are known to be linear, or not.
+    """The sets of effects, by name, that there are programs for, with their order in it; those that are going to be
+    asked for in parts, the likeliest first; which effects are known to be linear, or not; and all effects of programs,
+    absent, as another model of the case may lack one.
     """
 
     def __init__(self) -> None:
-        self.made: list[frozenset[str]] = []
+        self.made: dict[frozenset[str], tuple[str, ...]] = {}
         self.announced: tuple[str, ...] = ()
         self.linear: dict[str, bool] = {}
+        self.absent: dict[str, Effect] = {}
 
     def chosen(self, acting: frozenset[str], idle: Callable[[str], bool]) -> frozenset[str]:
         """The fewest effects, those `acting` among them, that there is a program for, or is going to be; the others
@@ -31,8 +36,24 @@ class Programs:
         together = self.announced if acting <= set(self.announced) else ()
         others = [name for name in together if name not in acting and idle(name)]
         best = acting | frozenset(others[:SPARE])
-        self.made.append(best)
+        self.made[best] = ()
         return best
+
+    def in_order(self, chosen: frozenset[str], effects: Sequence[tuple[str, Effect]]) -> list[str]:
+        """The effects of a program in one order, so that it is the same program whichever model asks for it. Those of
+        the model keep theirs, what the lock-in does last; what the model lacks is absent, and may stand anywhere.
+        """
+        mine = [name for name, effect in sorted(effects, key=lambda pair: of_lock_in(pair[1])) if name in chosen]
+        for name, effect in effects:
+            if name in chosen and name not in self.absent:
+                self.absent[name] = eqx.tree_at(lambda e: e.strength, effect, jnp.zeros_like(effect.strength))
+        known = self.made.get(chosen, ())
+        if not chosen or [name for name in known if name in mine] == mine:
+            return list(known)
+        lacking = sorted(chosen - set(mine), key=lambda name: (of_lock_in(self.absent[name]), name))
+        order = sorted((*mine, *lacking), key=lambda name: of_lock_in(self.absent[name]))
+        self.made[chosen] = tuple(order)
+        return order
 
 
 def of_lock_in(effect: Effect) -> bool:

@@ -1,7 +1,9 @@
 """The files of a case, written from the records that were imported."""
 
+import contextlib
 import shutil
 import tempfile
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,9 +15,11 @@ from memsgyro_jax.base.text import listed, printable
 from memsgyro_jax.base.toml import toml_table, toml_text
 from memsgyro_jax.base.units import parse_header, to_si
 
-from .case import Case, load_case
+from .case import AbstractRecord, Case, load_case
 from .case.file import FILE, SCHEMA
 from .case.unknown import OpenDesign
+from .declared import QUANTITIES
+from .experiments.time_record import TimeRecord
 from .imported_record import ImportedRecord
 
 
@@ -136,12 +140,8 @@ def write_records(folder: Path, records: list[ImportedRecord], sources: list[str
     try:
         for record in records:
             write_whole(beside / f"{record.name}.csv", _csv_of(record))
-        write_whole(beside / FILE, _toml_of(folder.absolute().name, records, sources))
         try:
-            better = _as_rows_show(load_case(beside), records)
-            if any(one.keys != other.keys for one, other in zip(better, records, strict=True)):
-                write_whole(beside / FILE, _toml_of(folder.absolute().name, better, sources))
-                load_case(beside)
+            better = _as_rows_show(beside, folder.absolute().name, records, sources)
         except InputError as error:  # of files that the user never sees: named as what they were made from
             said = str(error)
             for record in records:
@@ -157,15 +157,63 @@ def write_records(folder: Path, records: list[ImportedRecord], sources: list[str
         shutil.rmtree(beside, ignore_errors=True)
 
 
-def _as_rows_show(case: Case, records: list[ImportedRecord]) -> list[ImportedRecord]:
-    """The records, with what was assumed of a key ("`hold` is ...") corrected where their rows show another."""
-    out = []
-    for record, read in zip(records, case.records, strict=True):
-        keys, told = read.better_keys(case)
-        assumed = tuple(one for one in record.assumed if not any(f"(`{key}` is " in one for key in keys))
-        record = replace(record, keys={**record.keys, **keys}, assumed=(*assumed, told)) if keys else record
-        out.append(record)
-    return out
+def _as_rows_show(beside: Path, name: str, records: list[ImportedRecord], sources: list[str]) -> list[ImportedRecord]:
+    """The records, with what was assumed of the read-out or of a key ("`hold` is ...") corrected where their rows show
+    another; the case is written as they show it, and read as a test.
+    """
+
+    def read(known: list[ImportedRecord]) -> Case:
+        write_whole(beside / FILE, _toml_of(name, known, sources))
+        return load_case(beside)
+
+    untold = any(record.kind == TimeRecord.kind for record in records) and not any(
+        record.quantity for record in records
+    )
+    shown = records
+    try:
+        case = read(records)
+    except OpenDesign:  # of a wrong quantity no device may be found
+        if not untold:
+            raise
+        shown, case = _of_another_quantity(records, read)
+    found = [one.better_quantity(case) for one in case.records] if untold else []
+    for quantity, why in [one for one in found if one[0]][:1]:
+        shown = _showing(records, quantity, why)
+        case = read(shown)
+    better = [_corrected(record, one, case) for record, one in zip(shown, case.records, strict=True)]
+    if any(one.keys != other.keys for one, other in zip(better, shown, strict=True)):
+        read(better)
+    return better
+
+
+def _of_another_quantity(
+    records: list[ImportedRecord], read: Callable[[list[ImportedRecord]], Case]
+) -> tuple[list[ImportedRecord], Case]:
+    """The records where the read-out shows the first quantity but displacement of which they tell a device, and their
+    case. **Raises:** `OpenDesign`, the case as it was, where they tell none.
+    """
+    for quantity in QUANTITIES[1:]:
+        others = _showing(records, quantity, f"the read-out shows {quantity}: of displacements they tell no device")
+        with contextlib.suppress(OpenDesign):
+            return others, read(others)
+    return records, read(records)
+
+
+def _showing(records: list[ImportedRecord], quantity: str, why: str) -> list[ImportedRecord]:
+    """The records, captures among which show a quantity, as a sentence says why."""
+    return [
+        replace(record, quantity=quantity, assumed=(*record.assumed, why)) if record.kind == TimeRecord.kind else record
+        for record in records
+    ]
+
+
+def _corrected(record: ImportedRecord, read: AbstractRecord, case: Case) -> ImportedRecord:
+    """A record with the keys that its rows show."""
+    keys, told = read.better_keys(case)
+    if not keys:
+        return record
+    assumed = tuple(one for one in record.assumed if not any(f"(`{key}` is " in one for key in keys))
+    return replace(record, keys={**record.keys, **keys}, assumed=(*assumed, told))
 
 
 def _moved(beside: Path, folder: Path) -> None:

@@ -220,13 +220,11 @@ class Declared:
         design = self.design
         if "resonance" in design:
             return design["resonance"].low, design["resonance"].high
-        mass, coupling = design["mass"], max(abs(design["kxy"].low), abs(design["kxy"].high))
-        softest = min(design["kxx"].low, design["kyy"].low)
-        stiffest = max(design["kxx"].high, design["kyy"].high)
-        low = max(
-            softest - coupling, 0.25 * softest
-        )  # a coupling that would nearly buckle the die is no resonance to expect
-        return float(np.sqrt(low / mass.high)), float(np.sqrt((stiffest + coupling) / mass.low))
+        (lightest, heaviest), coupling = self._sizes("mass"), self._sizes("kxy")[1]
+        softest, stiffest = self._sizes("kxx", "kyy")
+        # A coupling that would nearly buckle the die is no resonance to expect.
+        low = max(softest - coupling, 0.25 * softest)
+        return float(np.sqrt(low / heaviest)), float(np.sqrt((stiffest + coupling) / lightest))
 
     @property
     def shortest_decay(self) -> float:
@@ -234,7 +232,7 @@ class Declared:
         d = self.design
         if "quality_factor" in d:
             return 2 * d["quality_factor"].low / d["resonance"].high
-        return 2 * d["mass"].low / max(d["dxx"].high, d["dyy"].high)
+        return 2 * self._sizes("mass")[0] / self._sizes("dxx", "dyy")[1]
 
     @property
     def largest_quality(self) -> float:
@@ -242,7 +240,14 @@ class Declared:
         d = self.design
         if "quality_factor" in d:
             return d["quality_factor"].high
-        return float(np.sqrt(d["kxx"].high * d["mass"].high) / min(d["dxx"].low, d["dyy"].low))
+        return float(np.sqrt(self._sizes("kxx")[1] * self._sizes("mass")[1]) / self._sizes("dxx", "dyy")[0])
+
+    def _sizes(self, *keys: str) -> tuple[float, float]:
+        """The smallest and the largest size of some design values: where records tell the design of a channel that is
+        turned round, mass, springs and dampings are all negative.
+        """
+        ends = [abs(end) for key in keys for end in (self.design[key].low, self.design[key].high)]
+        return min(ends), max(ends)
 
 
 def check_temperature(kelvin: float) -> float:

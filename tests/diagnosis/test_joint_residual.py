@@ -317,8 +317,30 @@ def test_a_program_serves_models_with_fewer_effects():
     assert programs.chosen(frozenset(), idle) == frozenset()  # the base model is linear
     assert programs.chosen(frozenset("d"), idle) == frozenset("d")
     assert programs.chosen(frozenset("b"), "a".__contains__) == frozenset("b")
-    programs.made, programs.announced = [frozenset("abcdefgh")], tuple("bhgfedca")
+    programs.made, programs.announced = {frozenset("abcdefgh"): ()}, tuple("bhgfedca")
     assert programs.chosen(frozenset("ab"), "abcdefgh".__contains__) == frozenset("abhgfe")  # the likeliest, and few
+
+
+def test_a_model_that_lacks_an_effect_goes_through_a_program_that_has_it():
+    """Which is no other program, and tells the same numbers."""
+    case = bench().case
+    wanted = "rate_offset", "centrifugal", "rate_scale_error"
+    one, two, three = (effect for name in wanted for effect in OF_X if effect.label == name)
+    model = model_of(case, starting_device(case))
+    readings = [r for r in readings_of(case) if type(r.experiment).__name__ == "HarmonicSweep"]
+    whole = Joint(model.with_effect(three, two, one), readings)
+    whole.together(range(3))
+    units = np.eye(whole.start.size)
+    whole.linearise(whole.start, units[whole.of_effect(1)], whole.fitted)
+    fewer = Joint(model.with_effect(two, one), readings, whole.programs)
+    vector = fewer.start.copy()
+    vector[fewer.of_effect(0)] = 1e-3
+    ways = np.eye(vector.size)[[0, int(fewer.of_effect(1)[0]), int(fewer.of_effect(0)[0])]]
+    part = fewer._part(vector, ways)
+    assert [effect.label for effect in part.model.effects] == [e.label for e in (three, two, one)]
+    alone = Joint(fewer.model, readings)
+    for found, expected in zip(*(j.linearise(vector, ways, j.fitted) for j in (fewer, alone)), strict=True):
+        assert found == pytest.approx(expected, rel=1e-9, abs=1e-9 * np.abs(expected).max())
 
 
 def test_a_linear_model_is_not_given_a_program_that_is_not():

@@ -165,6 +165,18 @@ def drifting(case):
     return start_search(case, joint, 0.05, (0, 1), lambda text: None)
 
 
+def test_a_warmer_set_point_moves_readings_as_a_model_with_a_number_for_it_says(tmp_path):
+    """The differences that an offer is made of, against the derivatives of a model that carries the numbers."""
+    search = drifting(load_case(oven(tmp_path, declared=None, rows=11, seed=1)))
+    term, offer = oven_offer(search)
+    joint, vector = search.joint, search.optimum.vector
+    beside = Joint(joint.at(vector).with_effect(term), joint.readings)
+    units = np.eye(beside.start.size)[beside.of_effect(2)]
+    carried = beside.linearise(beside.start, units, beside.fitted)[1]
+    assert carried.shape == offer.slopes.shape
+    assert np.abs(offer.slopes - carried).max() < 1e-5 * np.abs(carried).max()
+
+
 @pytest.mark.slow
 def test_what_an_oven_was_off_explains_what_drifts_leave(tmp_path):
     """Where nothing is declared, at four temperatures or more; a promise is made of nothing but what is left."""

@@ -26,6 +26,15 @@ start = "unknown"
 """
 
 
+DESIGN = """[design]
+mass = { value = 1e-9, tolerance = 0.5, unit = "kg" }
+frequency_x = { value = 6000, tolerance = 0.1, unit = "Hz" }
+frequency_y = { value = 6400, tolerance = 0.1, unit = "Hz" }
+quality_factor_x = { value = 2000, tolerance = 0.9, unit = "1" }
+quality_factor_y = { value = 2000, tolerance = 0.9, unit = "1" }
+"""
+
+
 def closed_loop(path, order=0, kept=0):
     """An amplitude held at resonance (x) beside a slow sine of frequency (y), forces held from row to row; readings are
     the displacement or a derivative of it [V], from a row on.
@@ -77,6 +86,23 @@ def test_the_rows_tell_how_the_force_was_held(tmp_path):
     assert not [one for one in assess(found.case).warnings if "hold" in one]
     (warning,) = [one for one in assess(mg.load_case(path.parent)).warnings if "hold" in one]
     assert warning.startswith("`loop`: its rows lie ")
+
+
+@pytest.mark.parametrize(("order", "quantity"), [(1, "velocity"), (2, "acceleration")])
+def test_the_rows_tell_what_is_read(tmp_path, order, quantity):
+    """Velocities were refused ("no record shows a clear resonance"), accelerations taken for displacements."""
+    found = mg.import_case([closed_loop(tmp_path / "loop.csv", order, 3000)], tmp_path / "case")
+    assert (found.case.readout.order, found.case.records[0].hold) == (order, "zero_order")
+    assert f"the read-out shows {quantity}" in str(found)
+    assert assess(found.case).warnings == ()
+
+
+def test_what_is_declared_of_the_read_out_is_held_against_the_rows(tmp_path):
+    closed_loop(tmp_path / "loop.csv", 1, 3000)
+    (tmp_path / "case.toml").write_text(CASE.format("displacement").replace("[design]", DESIGN))
+    (warning,) = [one for one in assess(mg.load_case(tmp_path)).warnings if "`quantity`" in one]
+    assert warning.startswith("`loop`: its rows lie ")
+    assert warning.endswith("where the read-out shows velocity (`quantity` of `[readout]`).")
 
 
 def test_a_resonator_tells_it_too(tmp_path):

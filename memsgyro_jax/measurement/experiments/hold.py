@@ -34,11 +34,18 @@ def better_hold(
     if here is None or there is None or here.omega.size < FEWEST:
         return None, ""
     now, then = misfit(here), misfit(there)
-    nearer = then < (SURELY if then < NOISE else FAR) * now  # a latency, too, may be less wrong with half a row more
-    if not (nearer and (now / max(then, 1.0) - 1.0) * 2 * here.motion.size > CLEAR):
+    if not is_far_nearer(now, then, here.motion.size):
         return None, ""
     times = f"{np.sqrt(now / then):.2g} times" if np.isfinite(now) else "far"
     return other, f"its rows lie {times} nearer to a device where {SAID[other]}"
+
+
+def is_far_nearer(now: float, then: float, size: int) -> bool:
+    """Whether the squared misfit of `size` phasors is so much smaller that nothing else is less wrong by chance: a
+    latency, too, may be less wrong with half a row more.
+    """
+    nearer = then < (SURELY if then < NOISE else FAR) * now
+    return nearer and (now / max(then, 1.0) - 1.0) * 2 * size > CLEAR
 
 
 def between(forces: np.ndarray, substeps: int, hold: Hold) -> np.ndarray:

@@ -274,6 +274,10 @@ class AbstractRecord(abc.ABC):
         """Keys of its section that its rows contradict, as they show them, and a sentence on it; by default none."""
         return {}, ""
 
+    def better_quantity(self, declared: Declared) -> tuple[str, str]:
+        """The same of what the case says that its read-out shows: by default nothing, both empty."""
+        return "", ""
+
     def beside_device(self, device: NormalisedDevice, declared: Declared) -> list[str]:
         """The same of what they contradict in the device that the phasors of all records show."""
         return []

@@ -26,6 +26,7 @@ from .checks import check_sampling
 from .clocked import CONDITIONS, WaveformRecord, surroundings_told
 from .deviation import Known
 from .hold import Hold, better_hold, between
+from .read_quantity import better_quantity
 from .record import Watched
 from .sheet import Sheet
 from .unknown_start import beside_start, start_that_leaves_least
@@ -315,8 +316,12 @@ class TimeRecord(WaveformRecord):
         better, told = better_hold(self.hold, lambda hold: dataclasses.replace(self, hold=hold), declared)
         return ({"hold": better}, told) if better else ({}, "")
 
+    def better_quantity(self, declared: Declared) -> tuple[str, str]:
+        return better_quantity(self, declared)
+
     def warnings(self, declared: Declared) -> list[str]:
-        _, told = self.better_keys(declared)
+        quantity, told = self.better_quantity(declared)
+        told = told if quantity else self.better_keys(declared)[1]
         return [*super().warnings(declared), *([f"`{self.name}`: {told}."] if told else [])]
 
     def watched(self, noise: np.ndarray) -> list[Watched]:
