@@ -1,5 +1,6 @@
 """The one effect that explains most by itself, by fits and not by slopes alone."""
 
+from itertools import takewhile
 from typing import NamedTuple
 
 from .acceptance import excess
@@ -25,7 +26,7 @@ def best_single(search: Search, first: Ranking) -> Best | None:
     fits best, as a large strength is not told by its slope (a channel eight times as sensitive as the other).
     """
     found: list[Best] = []
-    looked = [number for number in first.order if first.p_values[number] <= search.level][:LOOKED]
+    looked = list(takewhile(lambda number: first.p_values[number] <= search.level, first.order[:LOOKED]))
     search.joint.together((*search.given, *(first.places[number] for number in looked)))
     for number in looked:
         fit = search.refit([first.places[number]], slopes=first.slopes[number])

@@ -19,7 +19,6 @@ from .case import AbstractRecord, Case, load_case
 from .case.file import FILE, SCHEMA
 from .case.unknown import OpenDesign
 from .declared import QUANTITIES
-from .experiments.time_record import TimeRecord
 from .imported_record import ImportedRecord
 
 
@@ -166,9 +165,7 @@ def _as_rows_show(beside: Path, name: str, records: list[ImportedRecord], source
         write_whole(beside / FILE, _toml_of(name, known, sources))
         return load_case(beside)
 
-    untold = any(record.kind == TimeRecord.kind for record in records) and not any(
-        record.quantity for record in records
-    )
+    untold = any(record.forced for record in records) and not any(record.quantity for record in records)
     shown = records
     try:
         case = read(records)
@@ -200,9 +197,9 @@ def _of_another_quantity(
 
 
 def _showing(records: list[ImportedRecord], quantity: str, why: str) -> list[ImportedRecord]:
-    """The records, captures among which show a quantity, as a sentence says why."""
+    """The records, those under recorded forces showing a quantity, as a sentence says why."""
     return [
-        replace(record, quantity=quantity, assumed=(*record.assumed, why)) if record.kind == TimeRecord.kind else record
+        replace(record, quantity=quantity, assumed=(*record.assumed, why)) if record.forced else record
         for record in records
     ]
 

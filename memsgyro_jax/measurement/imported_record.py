@@ -62,6 +62,7 @@ class ImportedRecord:
         design: values that no other record can tell, in SI.
         two_axes: whether two channels were read, or two axes driven.
         axis: that was driven, of two: "x" or "y", "xy" over time for both; empty where nothing says.
+        forced: whether its columns hold the forces at every row.
     """
 
     name: str
@@ -75,6 +76,7 @@ class ImportedRecord:
     design: Mapping[str, tuple[float, str]] = field(default_factory=dict)
     two_axes: bool = False
     axis: str = ""
+    forced: bool = False
 
 
 @dataclass(frozen=True)
@@ -269,7 +271,9 @@ def _forced(about: dict, columns: dict[str, SourceColumn], assumed: list[str]) -
     if rest and time.values[0] != 0:
         columns["t"] = SourceColumn("", time.unit, time.values - time.values[0])
     keys = {"hold": "band_limited", "start": "rest" if rest else "unknown"}
-    return ImportedRecord(**about, kind="time_record", columns=headed(columns), keys=keys, assumed=tuple(said))
+    return ImportedRecord(
+        **about, kind="time_record", columns=headed(columns), keys=keys, assumed=tuple(said), forced=True
+    )
 
 
 def _decay(about: dict, columns: dict[str, SourceColumn], assumed: list[str]) -> ImportedRecord:

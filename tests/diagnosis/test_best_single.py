@@ -19,17 +19,23 @@ def optimum(chi2):
 def test_the_first_few_are_fitted(p_values, best, fitted):
     """The first two stop in another valley; what follows one that helps by chance alone is not looked at."""
     chi2, asked = dict(zip((10, 11, 12, 13), (1.3e6, 1.4e6, 486.0, 480.0), strict=True)), []
+    announced: list[tuple[int, ...]] = []
     labels = dict(zip(chi2, ("one", "two", "three", "four"), strict=True))
     search = SimpleNamespace(
         level=0.05,
         optimum=optimum(1.5e6),
-        joint=SimpleNamespace(model=SimpleNamespace(effects={k: SimpleNamespace(label=v) for k, v in labels.items()})),
+        given=(),
+        joint=SimpleNamespace(
+            model=SimpleNamespace(effects={k: SimpleNamespace(label=v) for k, v in labels.items()}),
+            together=announced.append,
+        ),
         refit=lambda places, slopes: asked.append(places[0]) or optimum(chi2[places[0]]),
     )
     first = SimpleNamespace(places=tuple(chi2), order=np.arange(4), p_values=p_values, slopes=[None] * 4)
     found = best_single(search, first)
     assert (found and found.label) == best
     assert len(asked) == fitted
+    assert announced == [tuple(asked)]  # through one program
 
 
 @pytest.mark.slow
