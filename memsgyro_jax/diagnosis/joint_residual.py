@@ -232,7 +232,7 @@ class Joint:
         """One program for all models of some of these effects, which are going to be asked for one after the other, the
         likeliest first.
         """
-        self.programs.announced = tuple(self._names[i] for i in effects)
+        self.programs.announce([(self._names[i], self.model.effects[i]) for i in effects])
 
     def _part(self, vector: np.ndarray, directions: np.ndarray) -> Part:
         """The model of the effects that are present at a vector or move along one of the directions (k, p), and of

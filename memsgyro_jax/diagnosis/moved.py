@@ -11,7 +11,7 @@ from .climb import TENTH, Climb, as_found, beside_lock_in, followed
 from .drives import FAR, stages
 from .fit import beside_case
 from .optimum import Optimum, optimise
-from .search import Ranking, Search, always_free
+from .search import LOOK_AHEAD, Ranking, Search, always_free
 from .settings_apart import begun, in_each_place, moves, with_strengths
 
 
@@ -32,12 +32,13 @@ def moved(search: Search, first: Ranking, effects: Sequence[Effect]) -> tuple[Se
     every = in_each_place(search.case)
     if not moves(every):
         return search, None
-    usual = search.refit([first.places[first.order[0]]], slopes=first.slopes[first.order[0]])
-    if usual.chi2 < FAR * usual.dof:
-        return search, None
     beside = beside_lock_in(search)
     begin, chosen = begun(beside.joint, every, beside.candidates())
     if not chosen:
+        return search, None
+    _announce(beside, chosen, [search.joint.model.effects[first.places[i]].label for i in first.order[:LOOK_AHEAD]])
+    usual = search.refit([first.places[first.order[0]]], slopes=first.slopes[first.order[0]])
+    if usual.chi2 < FAR * usual.dof:
         return search, None
     tried = [beside.joint.model.effects[i] for i in chosen]
     search.tell(f"the resonance moves from setting to setting: try {', '.join(effect.label for effect in tried)}")
@@ -58,12 +59,20 @@ def moved(search: Search, first: Ranking, effects: Sequence[Effect]) -> tuple[Se
     return as_found(beside, search, effects), Climb(base, tuple(zip(tried, left, strict=True)), WHENCE)
 
 
+def _announce(beside: Search, chosen: Sequence[int], first: Sequence[str]) -> None:
+    """One program for all that is going to be asked for: the first effects by slopes, the chosen ones, what a lock-in
+    does, and what that imitates.
+    """
+    effects = beside.joint.model.effects
+    labels = {*first, *(getattr(effects[i], "imitates", "") for i in beside.given)}
+    beside.joint.together((*beside.given, *chosen, *(i for i, effect in enumerate(effects) if effect.label in labels)))
+
+
 def _at_the_lowest(search: Search, begin: np.ndarray, chosen: Sequence[int], lowest: tuple) -> list[Optimum]:
     """Fits of the lowest drive with the first of the effects, the first two, and so on, each from where the settings
     put it; none where all of them leave more than a tenth of what the base model does.
     """
     joint, given = search.joint, search.given
-    joint.together((*given, *chosen))
     base = optimise(joint, joint.start, always_free(joint, given), lowest)
     ends = []
     for count in range(1, len(chosen) + 1):

@@ -8,7 +8,8 @@ import jax.numpy as jnp
 from memsgyro_jax.effects.base import Effect, LockInEffect, ReadoutEffect, SweepEffect
 
 
-SPARE = 4  # absent effects that a program may have beside those asked for, before another is made
+SPARE = 8  # absent effects that a program may have beside those asked for, before another is made: so many make it
+# a tenth slower, and another takes as long to compile as fifty calls of one
 
 
 class Programs:
@@ -39,14 +40,22 @@ class Programs:
         self.made[best] = ()
         return best
 
+    def announce(self, effects: Sequence[tuple[str, Effect]]) -> None:
+        """Effects that are going to be asked for one after the other, the likeliest first, by this or another model."""
+        self.announced = tuple(dict.fromkeys(name for name, _ in effects))
+        self._remember(effects)
+
+    def _remember(self, effects: Sequence[tuple[str, Effect]]) -> None:
+        for name, effect in effects:
+            if name not in self.absent:
+                self.absent[name] = eqx.tree_at(lambda e: e.strength, effect, jnp.zeros_like(effect.strength))
+
     def in_order(self, chosen: frozenset[str], effects: Sequence[tuple[str, Effect]]) -> list[str]:
         """The effects of a program in one order, so that it is the same program whichever model asks for it. Those of
         the model keep theirs, what the lock-in does last; what the model lacks is absent, and may stand anywhere.
         """
         mine = [name for name, effect in sorted(effects, key=lambda pair: of_lock_in(pair[1])) if name in chosen]
-        for name, effect in effects:
-            if name in chosen and name not in self.absent:
-                self.absent[name] = eqx.tree_at(lambda e: e.strength, effect, jnp.zeros_like(effect.strength))
+        self._remember([pair for pair in effects if pair[0] in chosen])
         known = self.made.get(chosen, ())
         if not chosen or [name for name in known if name in mine] == mine:
             return list(known)

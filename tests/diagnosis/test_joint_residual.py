@@ -317,8 +317,10 @@ def test_a_program_serves_models_with_fewer_effects():
     assert programs.chosen(frozenset(), idle) == frozenset()  # the base model is linear
     assert programs.chosen(frozenset("d"), idle) == frozenset("d")
     assert programs.chosen(frozenset("b"), "a".__contains__) == frozenset("b")
-    programs.made, programs.announced = {frozenset("abcdefgh"): ()}, tuple("bhgfedca")
-    assert programs.chosen(frozenset("ab"), "abcdefgh".__contains__) == frozenset("abhgfe")  # the likeliest, and few
+    letters = "abcdefghijklm"
+    programs.made, programs.announced = {frozenset(letters): ()}, tuple("bmlkjihgfedca")
+    likeliest = frozenset("ab" + "mlkjihgf")  # and few
+    assert programs.chosen(frozenset("ab"), letters.__contains__) == likeliest
 
 
 def test_a_model_that_lacks_an_effect_goes_through_a_program_that_has_it():

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import chain
 from typing import Any, ClassVar
 
@@ -137,8 +138,16 @@ class WaveformRecord(ClockedRecord):
     def track(self, declared: Declared, channel: int, rows: int = 0) -> Track:
         """Amplitude, frequency and decay rate of the strongest vibration of a channel, over windows of some rows."""
         low, high = declared.resonances
-        band = REACH[0] * low, REACH[1] * high
-        return tracked(self.time, self.signals[:, channel], band, reference=self.reference_frequency or 0.0, rows=rows)
+        asked = (REACH[0] * low, REACH[1] * high), channel, rows
+        if asked not in self._tracks:
+            band, reference = asked[0], self.reference_frequency or 0.0
+            self._tracks[asked] = tracked(self.time, self.signals[:, channel], band, reference=reference, rows=rows)
+        return self._tracks[asked]
+
+    @cached_property
+    def _tracks(self) -> dict[tuple, Track]:
+        """What has been tracked, by what was asked: each is asked for again and again, and takes its time."""
+        return {}
 
     def series(self, deviation: Deviation) -> Series:
         motion, white = deviation.motion(self.period), deviation.white
