@@ -35,6 +35,7 @@ from .moved import moved
 from .next_experiment import advice, next_experiments, of_the_unknown
 from .nuisances import instrument_first, of_instrument
 from .onset import Onset, onset_of
+from .optimum import Optimum
 from .other_courses import beside_other_courses
 from .outlying import far_off, of_rows, search_beside_outlying
 from .oven import of_oven
@@ -140,8 +141,7 @@ def _diagnosed(
         ranking = search.rank()
     steps = search.steps
     final = search.steps[-1].fit
-    tell("see what these records can tell apart")
-    confused = confusions(search, ranking)
+    confused: dict[int, dict[int, Optimum]] = {place: {} for place in search.accepted}
     accepted = _accepted(search, confused, steps)
     explained = list(_each_explained(final, accepted, level))
     noise: Mapping[str, float] = {}
@@ -149,12 +149,17 @@ def _diagnosed(
     if not all(explained) and all(_each_explained(final, accepted, level, wrong := wrong_noise(final))):
         explained, noise = [True] * len(explained), wrong
     explained = [fine or bool(search.slow) for fine in explained]
-    if accepted and all(explained) and _drifts_as_well(steps[0].fit, final, accepted, level):
-        accepted = (replace(accepted[0], confused_with=(*accepted[0].confused_with, DRIFT)), *accepted[1:])
-    accepted = beside_other_courses(search, accepted)
     terms = _accepted(search, {place: [] for place in terms_of(search)}, steps)
     apart = _of_device(search)
-    verdict = _verdict(steps[apart - 1].fit, final, accepted, all(explained), _found_more(terms, given))
+    found_more = _found_more(terms, given)
+    if _verdict(steps[apart - 1].fit, final, accepted, all(explained), found_more) != "unknown_effect":
+        tell("see what these records can tell apart")
+        confused = confusions(search, ranking)
+        accepted = _accepted(search, confused, steps)
+        if accepted and all(explained) and _drifts_as_well(steps[0].fit, final, accepted, level):
+            accepted = (replace(accepted[0], confused_with=(*accepted[0].confused_with, DRIFT)), *accepted[1:])
+        accepted = beside_other_courses(search, accepted)
+    verdict = _verdict(steps[apart - 1].fit, final, accepted, all(explained), found_more)
     stages = (Stage("", base.chi2_per_dof, validation_error(base)), *_stages(steps)[1:])
     if verdict == "unknown_effect":  # what was tried is no finding: the model stays the base model and its instrument
         base, whence = search.base, ""
