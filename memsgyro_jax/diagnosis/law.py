@@ -20,6 +20,7 @@ from memsgyro_jax.device.normalised import NormalisedDevice
 from memsgyro_jax.effects.instrument import DriveLevel
 from memsgyro_jax.effects.lock_in_terms import LockInBackground, ReferencePhase
 from memsgyro_jax.effects.trial import at_strength
+from memsgyro_jax.measurement.calibration import units_of_records
 from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.model import Model
 
@@ -71,8 +72,8 @@ class DrawnLaw(Shown):
     def write(self, path: str | Path) -> Path:
         """The effect file, whole or not at all."""
         splines = tuple(zip(self.knots, self.values, strict=True))
-        length = self.measured.words.displacement
-        text = law_text(self.measured.name, self.axis, self.names, self.seen, self.terms, splines, length)
+        length, units = self.measured.words.displacement, units_of_records(self.measured)
+        text = law_text(self.measured.name, self.axis, self.names, self.seen, self.terms, splines, length, units)
         return write_whole(path, text)
 
     def __str__(self) -> str:

@@ -78,6 +78,7 @@ def law_text(
     terms: Sequence[LawTerm],
     splines: Sequence[tuple[np.ndarray, np.ndarray]],
     length: str = "m",
+    units: str = "",
 ) -> str:
     """The text of the file: the terms, or a spline per kind, each under its name.
 
@@ -89,6 +90,7 @@ def law_text(
         terms: of the law.
         splines: knots and values of each, where there are no terms.
         length: unit of a displacement.
+        units: sentence on what m and N in the file stand for, where not for themselves.
     """
     (low, high), (slow, fast) = seen
     title = case.replace("\\", "/").replace('"', "'")
@@ -96,7 +98,9 @@ def law_text(
         f'"""What the records of {title} show beyond a linear device. Edit it, then fit it:\n\n'
         "    memsgyro law CASE --edited THIS_FILE\n\n"
         f"Seen at amplitudes from {low:.4g} to {high:.4g} {length}\n"
-        f'and {slow:.4g} to {fast:.4g} {length}/s; elsewhere it extrapolates.\n"""\n\n'
+        f"and {slow:.4g} to {fast:.4g} {length}/s; elsewhere it extrapolates."
+        + (f"\nHere {units}." if units else "")
+        + '\n"""\n\n'
         "import equinox as eqx\nimport jax.numpy as jnp\nfrom jax import Array\n\nimport memsgyro_jax.effects as fx\n"
     )
     bodies = [_term_text(name, term, axis) for name, term in zip(names, terms, strict=False)]

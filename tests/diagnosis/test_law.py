@@ -230,6 +230,9 @@ def test_the_file_holds_what_was_drawn(tmp_path):
     (tmp_path / "law.py").write_text(text)
     effects = load_effects(tmp_path / "law.py", as_written=True)
     assert [e.name for e in effects] == list(names)
+    assert "stand" not in text
+    units = "lengths are in V and forces in V, as the records are: m stands for V, N for V"
+    assert f"Here {units}." in law_text("case", 1, names, SEEN, TERMS, (), "V", units).split('"""')[1]
     now = moments(effects[0], 2)
     for effect, term in zip(effects, TERMS, strict=True):
         z = np.asarray(now.velocity if term.kind == "damping" else now.displacement)[:, 1]
