@@ -26,9 +26,11 @@ def better_quantity(record: "AbstractRecord", declared: Declared) -> tuple[str, 
         phasors = replace(record, **record.better_keys(shown)[0]).starting_phasors(shown)
         if phasors is None or phasors.omega.size < FEWEST:
             return "", ""
-        left[quantity], size = misfit(phasors), phasors.motion.size
+        size = phasors.motion.size
+        whole = float(np.sum(np.abs(phasors.weight[:, None] * phasors.motion) ** 2)) / (2.0 * size)
+        left[quantity] = min(misfit(phasors), whole)  # no device is as good as none
     now, best = left[QUANTITIES[declared.readout.order]], min(left, key=lambda quantity: left[quantity])
     if not is_far_nearer(now, left[best], size):
         return "", ""
-    times = f"{np.sqrt(now / left[best]):.2g} times" if np.isfinite(now) else "far"
-    return best, f"its rows lie {times} nearer to a device where the read-out shows {best} (`quantity` of `[readout]`)"
+    times = f"{np.sqrt(now / left[best]):.2g} times nearer to a device"
+    return best, f"its rows lie {times} where the read-out shows {best} (`quantity` of `[readout]`)"
