@@ -11,6 +11,7 @@ from memsgyro_jax.base.units import to_si
 
 from .file_names import without_bias
 from .formats import SourceColumn, SourceTable
+from .immittance import PER_VOLT
 from .imported_columns import (
     add_noise,
     add_surroundings,
@@ -72,25 +73,36 @@ def columns_of_sweep(
         columns[f"F_{axis or 'x'}"] = reading_column(rows["drive"], assumed, "drive")
     else:
         keys["drive_force"] = level_of(table, drive, assumed)
-    if not is_ratio(table) and not any(rows[role].unit == "dB" for role in ("amp", "y_amp") if role in rows):
+    if (
+        not is_ratio(table)
+        and PER_VOLT not in table.attributes
+        and not any(rows[role].unit == "dB" for role in ("amp", "y_amp") if role in rows)
+    ):
         add_noise(columns, rows, columns[next(name for name in columns if name.startswith("V"))].unit, assumed)
-    _by_drive(columns, keys, rows, assumed)
+    _by_drive(table, columns, keys, rows, assumed)
     add_surroundings(columns, rows)
     return columns, keys, quantity
 
 
 def _by_drive(
-    columns: dict[str, SourceColumn], keys: Mapping[str, Any], rows: Mapping[str, SourceColumn], assumed: list[str]
+    table: SourceTable,
+    columns: dict[str, SourceColumn],
+    keys: Mapping[str, Any],
+    rows: Mapping[str, SourceColumn],
+    assumed: list[str],
 ) -> None:
-    """Makes readings of the gains of a network analyser, which are ratios to the drive."""
+    """Makes readings of the gains of a network analyser, and of admittances, which are ratios to the drive."""
     owners = {"amp": "Vx_amp", "y_amp": "Vy_amp"}
     gains = [name for role, name in owners.items() if role in rows and rows[role].unit == "dB"]
     drive = next((column for name, column in columns.items() if name.startswith("F_")), None)
     told = keys.get("drive_force", {})
     level, unit = (told["value"], told["unit"]) if drive is None else (drive.values, drive.unit)
+    what = "readings in dB"
+    if PER_VOLT in table.attributes:
+        gains, what = [name for name in columns if name.endswith(("_I", "_Q", "_amp"))], "currents"
     if gains and is_same_kind(unit, "V"):
         columns |= {name: SourceColumn("", unit, columns[name].values * level) for name in gains}
-        assumed.append("the readings in dB are ratios to the drive, with which they are multiplied")
+        assumed.append(f"the {what} are ratios to the drive, with which they are multiplied")
 
 
 def is_ratio(table: SourceTable) -> bool:
