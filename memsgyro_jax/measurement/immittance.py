@@ -1,4 +1,4 @@
-"""Impedances and admittances over a frequency, as impedance analysers save them: the current that a drive makes flow."""
+"""Impedances and admittances over a frequency, as analysers save them: the current that a drive makes flow."""
 
 from collections.abc import Mapping
 from dataclasses import replace

@@ -31,6 +31,8 @@ PEAK = "amplitudes are peak values, not rms (`Vrms` in a header, or `--rms`, say
 _CLEAR = 30.0  # degrees around which the phase at resonance tells what is read
 _NEAR = 10.0  # degrees that need no number of their own
 _UNTOLD = "the read-out is taken for what other files show, for displacement where none does"
+_SETTLED = 2.0  # ring times of a step, of which what rang before it is turned by little
+_HEARD, _TURNS = 0.1, 1.5 * np.pi  # of the largest reading; rad, where settled modes turn by half a turn
 _INSIDE = 0.01  # of the band, from its ends: where a largest reading is that of a resonance
 _LEVEL = re.compile(r"(?<![A-Za-z0-9.])(\d+(?:[.p]\d+)?)[ _]?([nuµm]?[VAN])(?:pk|p)?(?![A-Za-z])")
 _LEVEL_NAMES = ("drive", "drive_level", "drive_amplitude", "drive_force", "drive_voltage", "excitation")  # attributes
@@ -172,6 +174,9 @@ def _conventions(columns: dict[str, SourceColumn], table: SourceTable, axis: str
         assumed.append(TURNED)
     if known:
         return known
+    if "t" in columns and _never_settles(columns["t"], frequency, phasors):
+        assumed.append(f"{_UNTOLD}; the sweep is too fast for its phase to tell")
+        return ""
     largest = int(np.argmax(np.abs(phasors)))
     angle = np.degrees(np.angle(phasors[largest]))
     if min(frequency[largest] - frequency.min(), frequency.max() - frequency[largest]) < _INSIDE * np.ptp(frequency):
@@ -186,6 +191,18 @@ def _conventions(columns: dict[str, SourceColumn], table: SourceTable, axis: str
     about = f"about {whole}°" if abs(angle - whole) <= _NEAR else f"{angle:.0f}°, nearest to {nearest}"
     assumed.append(f"the read-out shows {quantity}: at resonance its phase is {about}")
     return quantity
+
+
+def _never_settles(time: SourceColumn, frequency: np.ndarray, phasors: np.ndarray) -> bool:
+    """Whether a step is too short for a resonance as narrow as the one that is seen, and what still rings from the
+    steps before has turned the phase further than two modes do: it then tells nothing at the largest reading.
+    """
+    rows = np.argsort(frequency, kind="stable")
+    size = np.abs(phasors[rows])
+    turned = np.unwrap(np.angle(phasors[rows][size >= _HEARD * size.max()]))
+    width = float(np.sum((size >= size.max() / np.sqrt(2.0)) * np.gradient(frequency[rows])))
+    step = float(np.median(np.diff(to_si(time.values, time.unit, "s", "t"))))
+    return np.pi * width * step < _SETTLED and float(np.ptp(turned)) > _TURNS
 
 
 def _lone(frequency: np.ndarray, phasors: np.ndarray) -> np.ndarray:
