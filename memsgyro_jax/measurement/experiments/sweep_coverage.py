@@ -88,7 +88,7 @@ def peaks_not_seen(
         elif (row := sudden_fall(values)) is not None and _at_one_phase(channels[rows], row):
             factor, where = values[row + 1] / values[row], place_in_band(places, row)
             said.append(
-                f"{file}: near {where} the reading becomes {factor:.3g} times as large from one row to the next, at one "
+                f"{file}: near {where} the reading becomes {factor:.3g} times as large from row to row, at one "
                 "phase, as when a range or a gain is changed: split the file there, or put its readings right."
             )
         elif row is not None and not any(way.passes(setting[rows][0], not rising, places[row]) for way in ways):
