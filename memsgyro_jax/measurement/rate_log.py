@@ -10,10 +10,11 @@ from jaxtyping import Float
 from memsgyro_jax.base.arguments import quantity
 from memsgyro_jax.base.concrete import check_positive
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.base.table import Table, read_table
+from memsgyro_jax.base.table import Table
 from memsgyro_jax.base.text import listed
 
 from .clock import check_period
+from .log_table import log_table
 from .lost_rows import bridged
 
 
@@ -44,10 +45,10 @@ def read_rate_log(path: str | Path, sample_rate: float | str | None = None, colu
     be lost on an even clock: rows from beside, mirrored, stand in their place, and a note says so.
 
     Raises:
-        InputError: with file, line and column for what `read_table` refuses, no or an unknown column of a rate, neither
+        InputError: with file, line and column for what `log_table` refuses, no or an unknown column of a rate, neither
             times nor `sample_rate` or both in contradiction, more lost rows than that, and times that jitter.
     """
-    table = read_table(path)
+    table = log_table(path)
     rates = [name for name in table.columns if _measures(table, name, "rad/s")]
     times = [name for name in table.columns if _measures(table, name, "s")]
     if not rates or (column is not None and column not in rates):
