@@ -71,8 +71,9 @@ def _gain(device: NormalisedDevice, row: Phasors) -> tuple[float, float]:
     stiffness, damping = float(device.stiffness[0]), float(device.damping[0])
     want = float(device.mobility) * row.force[:, 0] / (stiffness - row.omega**2 + 1j * row.omega * damping) * row.weight
     seen = row.motion[:, 0] * row.weight
-    gain = float(np.real(np.vdot(want, seen)) / max(np.linalg.norm(want) ** 2, 1e-300))
-    return gain, float(np.linalg.norm(seen - gain * want) ** 2 / max(np.linalg.norm(seen) ** 2, 1e-300))
+    size, whole = float(np.linalg.norm(want)), float(np.linalg.norm(seen))
+    gain = float(np.real(np.vdot(want, seen))) / max(size**2, 1e-300)
+    return gain, (float(np.linalg.norm(seen - gain * want)) / max(whole, 1e-300)) ** 2
 
 
 def _numbers(one: _Told) -> np.ndarray:
