@@ -13,6 +13,7 @@ from memsgyro_jax.effects import Effect, Scanned
 from memsgyro_jax.measurement.calibration import calibration_share, unit_of_records
 from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.case.lone import lone_readings
+from memsgyro_jax.measurement.case.quality import contradictions
 from memsgyro_jax.measurement.linear_start import starting_device
 from memsgyro_jax.measurement.model import Model
 from memsgyro_jax.measurement.readings import model_of, readings_of
@@ -42,7 +43,7 @@ from .oven import of_oven
 from .result import UNEXPLAINED, Diagnosis, Verdict, validation_error
 from .rounds import search_on
 from .search import CONFUSED, Ranking, Search, SearchStep, start_search
-from .sentence import DRIFT, of_noise, sentence
+from .sentence import DRIFT, before_all, of_noise, sentence
 from .slow_noise import is_slow_noise, slowly
 from .spoiler import without_spoiler
 from .worth_trying import worth_trying
@@ -84,6 +85,9 @@ def diagnose(
     if not 0.0 < level < 1.0:
         raise InputError(f"Argument `level` must lie between 0 and 1, but is {level:g}.")
     make_room()
+    against = contradictions(case)
+    for contradiction in against:
+        tell(f"records contradict each other: {contradiction}")
     outcome = _diagnosed(model, case, effects, level, tell, keep)
     for _ in range(LESS):
         if outcome.verdict in UNEXPLAINED or not (less := less_noise(outcome.final)):
@@ -91,7 +95,7 @@ def diagnose(
         tell("again with the noise that the model leaves, as it is less than the rows told")
         case = with_less_noise(case, less)
         outcome = _diagnosed(model, case, effects, level, tell, keep)
-    return replace(outcome, sentence=outcome.sentence + of_less_noise(case))
+    return replace(outcome, sentence=before_all(against) + outcome.sentence + of_less_noise(case))
 
 
 def _diagnosed(

@@ -1,6 +1,6 @@
 """What a diagnosis says in sentences."""
 
-from collections.abc import Mapping, Set
+from collections.abc import Mapping, Sequence, Set
 
 from .findings import Accepted
 from .fit import CaseFit
@@ -50,6 +50,14 @@ def sentence(
         + (f". {_from_where(onset)}, beside that model" if onset else ": it shows")
         + f" in {left}.{unused}",
     }[verdict]
+
+
+def before_all(contradictions: Sequence[str]) -> str:
+    """What to put right before anything else is believed, of records that contradict each other; else empty."""
+    if not contradictions:
+        return ""
+    said = " ".join(f"{one[0].upper()}{one[1:]}" for one in contradictions)
+    return f"The records contradict each other, which is to be put right before what follows counts. {said} "
 
 
 def _from_where(onset: Onset) -> str:

@@ -12,6 +12,7 @@ from memsgyro_jax.base.text import listed, printable
 from .column_map import SECOND, SECOND_DRIVE, chosen_column
 from .formats import SourceColumn, SourceTable
 from .formats.header import SPECIAL
+from .immittance import immittance_part
 from .imported_columns import is_same_kind
 from .two_channels import PARTS, axis_of_drive, channel_and_part, plain_words, two_channels, two_drives, two_waveforms
 
@@ -133,6 +134,8 @@ def role_of(column: SourceColumn) -> str:
         return NOISE[name]
     if _UNUSED.search(name):
         return ""
+    if part := immittance_part(column):
+        return part
     for role in ("f", "t", "T", "phase"):
         if column.unit and is_same_kind(column.unit, _DIMENSIONS[role]) and not (role == "phase" and "rate" in name):
             return role

@@ -14,6 +14,7 @@ from .column_map import SECOND_DRIVE
 from .column_meaning import Meaning
 from .experiments.time_record import RING_TIMES
 from .formats import SourceColumn, SourceTable
+from .immittance import as_current
 from .imported_columns import (
     NOISE_COLUMNS,
     add_surroundings,
@@ -99,6 +100,7 @@ def records_of(name: str, table: SourceTable, meaning: Meaning, given: Given) ->
     assumed = [*table.assumed]
     rows = thinned(table, meaning, _finite(table, meaning, assumed), given.every, assumed)
     rows = from_effective(rows, assumed) if given.rms else rows
+    table, rows = as_current(table, rows, assumed)
     rows = at_level(table, rows, given.drive, assumed)
     rows = beside_conditions(table, rows, given.conditions, assumed)
     source = f"{table.path.name}{', ' + table.name if table.name else ''}"

@@ -11,6 +11,7 @@ from memsgyro_jax.base.units import to_si
 
 from .file_names import without_bias
 from .formats import SourceColumn, SourceTable
+from .immittance import PER_VOLT
 from .imported_columns import (
     add_noise,
     add_surroundings,
@@ -30,6 +31,8 @@ PEAK = "amplitudes are peak values, not rms (`Vrms` in a header, or `--rms`, say
 _CLEAR = 30.0  # degrees around which the phase at resonance tells what is read
 _NEAR = 10.0  # degrees that need no number of their own
 _UNTOLD = "the read-out is taken for what other files show, for displacement where none does"
+_SETTLED = 2.0  # ring times of a step, of which what rang before it is turned by little
+_HEARD, _TURNS = 0.1, 1.5 * np.pi  # of the largest reading; rad, where settled modes turn by half a turn
 _INSIDE = 0.01  # of the band, from its ends: where a largest reading is that of a resonance
 _LEVEL = re.compile(r"(?<![A-Za-z0-9.])(\d+(?:[.p]\d+)?)[ _]?([nuµm]?[VAN])(?:pk|p)?(?![A-Za-z])")
 _LEVEL_NAMES = ("drive", "drive_level", "drive_amplitude", "drive_force", "drive_voltage", "excitation")  # attributes
@@ -72,25 +75,36 @@ def columns_of_sweep(
         columns[f"F_{axis or 'x'}"] = reading_column(rows["drive"], assumed, "drive")
     else:
         keys["drive_force"] = level_of(table, drive, assumed)
-    if not is_ratio(table) and not any(rows[role].unit == "dB" for role in ("amp", "y_amp") if role in rows):
+    if (
+        not is_ratio(table)
+        and PER_VOLT not in table.attributes
+        and not any(rows[role].unit == "dB" for role in ("amp", "y_amp") if role in rows)
+    ):
         add_noise(columns, rows, columns[next(name for name in columns if name.startswith("V"))].unit, assumed)
-    _by_drive(columns, keys, rows, assumed)
+    _by_drive(table, columns, keys, rows, assumed)
     add_surroundings(columns, rows)
     return columns, keys, quantity
 
 
 def _by_drive(
-    columns: dict[str, SourceColumn], keys: Mapping[str, Any], rows: Mapping[str, SourceColumn], assumed: list[str]
+    table: SourceTable,
+    columns: dict[str, SourceColumn],
+    keys: Mapping[str, Any],
+    rows: Mapping[str, SourceColumn],
+    assumed: list[str],
 ) -> None:
-    """Makes readings of the gains of a network analyser, which are ratios to the drive."""
+    """Makes readings of the gains of a network analyser, and of admittances, which are ratios to the drive."""
     owners = {"amp": "Vx_amp", "y_amp": "Vy_amp"}
     gains = [name for role, name in owners.items() if role in rows and rows[role].unit == "dB"]
     drive = next((column for name, column in columns.items() if name.startswith("F_")), None)
     told = keys.get("drive_force", {})
     level, unit = (told["value"], told["unit"]) if drive is None else (drive.values, drive.unit)
+    what = "readings in dB"
+    if PER_VOLT in table.attributes:
+        gains, what = [name for name in columns if name.endswith(("_I", "_Q", "_amp"))], "currents"
     if gains and is_same_kind(unit, "V"):
         columns |= {name: SourceColumn("", unit, columns[name].values * level) for name in gains}
-        assumed.append("the readings in dB are ratios to the drive, with which they are multiplied")
+        assumed.append(f"the {what} are ratios to the drive, with which they are multiplied")
 
 
 def is_ratio(table: SourceTable) -> bool:
@@ -160,6 +174,9 @@ def _conventions(columns: dict[str, SourceColumn], table: SourceTable, axis: str
         assumed.append(TURNED)
     if known:
         return known
+    if "t" in columns and _never_settles(columns["t"], frequency, phasors):
+        assumed.append(f"{_UNTOLD}; the sweep is too fast for its phase to tell")
+        return ""
     largest = int(np.argmax(np.abs(phasors)))
     angle = np.degrees(np.angle(phasors[largest]))
     if min(frequency[largest] - frequency.min(), frequency.max() - frequency[largest]) < _INSIDE * np.ptp(frequency):
@@ -174,6 +191,18 @@ def _conventions(columns: dict[str, SourceColumn], table: SourceTable, axis: str
     about = f"about {whole}°" if abs(angle - whole) <= _NEAR else f"{angle:.0f}°, nearest to {nearest}"
     assumed.append(f"the read-out shows {quantity}: at resonance its phase is {about}")
     return quantity
+
+
+def _never_settles(time: SourceColumn, frequency: np.ndarray, phasors: np.ndarray) -> bool:
+    """Whether a step is too short for a resonance as narrow as the one that is seen, and what still rings from the
+    steps before has turned the phase further than two modes do: it then tells nothing at the largest reading.
+    """
+    rows = np.argsort(frequency, kind="stable")
+    size = np.abs(phasors[rows])
+    turned = np.unwrap(np.angle(phasors[rows][size >= _HEARD * size.max()]))
+    width = float(np.sum((size >= size.max() / np.sqrt(2.0)) * np.gradient(frequency[rows])))
+    step = float(np.median(np.diff(to_si(time.values, time.unit, "s", "t"))))
+    return np.pi * width * step < _SETTLED and float(np.ptp(turned)) > _TURNS
 
 
 def _lone(frequency: np.ndarray, phasors: np.ndarray) -> np.ndarray:

@@ -10,10 +10,12 @@ from jaxtyping import Float
 from memsgyro_jax.base.arguments import quantity
 from memsgyro_jax.base.concrete import check_positive
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.base.table import Table, read_table
+from memsgyro_jax.base.table import Table
 from memsgyro_jax.base.text import listed
 
 from .clock import check_period
+from .log_table import log_table
+from .lost_rows import bridged
 
 
 _MISMATCH = 0.01  # relative, between times and a given sample rate
@@ -39,13 +41,14 @@ def read_rate_log(path: str | Path, sample_rate: float | str | None = None, colu
     """The rates of a CSV file with a header like ``t [s],rate_z [deg/h]``, in any unit of angular rate.
 
     Every column of a rate is a series, or `column` alone; others are left out. The clock is the column of times, or
-    `sample_rate` [Hz], which also takes times as they jitter for those of even sampling.
+    `sample_rate` [Hz], which also takes times as they jitter for those of even sampling. Up to a tenth of the rows may
+    be lost on an even clock: rows from beside, mirrored, stand in their place, and a note says so.
 
     Raises:
-        InputError: with file, line and column for what `read_table` refuses, no or an unknown column of a rate, neither
-            times nor `sample_rate` or both in contradiction, a gap, and times that jitter.
+        InputError: with file, line and column for what `log_table` refuses, no or an unknown column of a rate, neither
+            times nor `sample_rate` or both in contradiction, more lost rows than that, and times that jitter.
     """
-    table = read_table(path)
+    table = log_table(path)
     rates = [name for name in table.columns if _measures(table, name, "rad/s")]
     times = [name for name in table.columns if _measures(table, name, "s")]
     if not rates or (column is not None and column not in rates):
@@ -72,7 +75,12 @@ def read_rate_log(path: str | Path, sample_rate: float | str | None = None, colu
     if clock is not None and period is not None:
         notes.append(f"The rows are taken as sampled at {1.0 / period:g} Hz, whatever their times jitter.")
     rate = np.stack([table.si(name, "rad/s") for name in chosen])
-    return RateLog(tuple(chosen), rate, _clocked(clock, period), tuple(notes))
+    whole = None if clock is None else bridged(clock, rate)
+    if whole is None:
+        return RateLog(tuple(chosen), rate, _clocked(clock, period), tuple(notes))
+    if period is not None:
+        _require_near(table, whole.period, period)
+    return RateLog(tuple(chosen), whole.rate, whole.period, (*notes, whole.note))
 
 
 def _measures(table: Table, name: str, unit: str) -> bool:
@@ -87,6 +95,14 @@ def _period(sample_rate: float | str) -> float:
     rate = quantity("sample_rate", sample_rate, "Hz")
     check_positive("sample_rate", rate)
     return 1.0 / float(rate)
+
+
+def _require_near(clock: Table, own: float, period: float) -> None:
+    if abs(own - period) > _MISMATCH * period:
+        raise InputError(
+            f"{clock.path}: the times must agree with the given sample rate, {1.0 / period:g} Hz, but rise as at "
+            f"{1.0 / own:.6g} Hz; is a unit wrong, or are rows missing?"
+        )
 
 
 def _clocked(clock: Table | None, period: float | None) -> float:
@@ -104,11 +120,7 @@ def _clocked(clock: Table | None, period: float | None) -> float:
                 f"{str(error).rstrip('.')} (with a sample rate, `sample_rate` or `--rate`, jitter is passed over)."
             ) from error
         return own
-    if abs(own - period) > _MISMATCH * period:
-        raise InputError(
-            f"{clock.path}: the times must agree with the given sample rate, {1.0 / period:g} Hz, but rise as at "
-            f"{1.0 / own:.6g} Hz; is a unit wrong, or are rows missing?"
-        )
+    _require_near(clock, own, period)
     wrong = np.flatnonzero(np.abs(np.diff(times) - period) > 0.5 * period)
     if wrong.size:
         row = int(wrong[0]) + 1

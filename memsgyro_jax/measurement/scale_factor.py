@@ -51,7 +51,7 @@ def scale_factor_test(
     plateau, and a random walk of the bias.
 
     Raises:
-        InputError: with file, line and column for what `read_table` refuses, columns that cannot be told, samples that
+        InputError: with file, line and column for what `log_table` refuses, columns that cannot be told, samples that
             are missing within a plateau, and fewer than two rates.
     """
     read = read_plateaus(source, rate_column, output_column, settle)

@@ -7,9 +7,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.base.table import Table, read_table
+from memsgyro_jax.base.table import Table
 from memsgyro_jax.base.text import listed, suggestion
 from memsgyro_jax.base.units import parse_header
+
+from .log_table import log_table
 
 
 _APPLIED = re.compile(r"table|command|applied|input|reference|\bref|set ?point|stimul|encoder|true|drehtisch", re.I)
@@ -38,10 +40,10 @@ def table_of(source: Any) -> Table:
     """A CSV file, or a mapping of headers such as "rate [deg/s]" to numbers, as a frame of pandas is one.
 
     Raises:
-        InputError: for what `read_table` refuses, and columns that are not finite numbers of one length.
+        InputError: for what `log_table` refuses, and columns that are not finite numbers of one length.
     """
     if isinstance(source, str | Path):
-        return read_table(source)
+        return log_table(source)
     try:
         columns = {str(name): np.asarray(source[name], float) for name in source}
     except (AttributeError, TypeError, ValueError) as error:

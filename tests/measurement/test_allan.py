@@ -286,7 +286,7 @@ def test_a_log_in_degrees_per_hour(tmp_path):
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
-        (lambda t: np.where(np.arange(1200) > 600, t + 0.35, t), "line 603.*is a row missing"),
+        (lambda t: np.where(np.arange(1200) > 600, t + 0.33, t), "line 603.*is a row missing"),
         (lambda t: t + 0.004 * np.sin(np.arange(1200.0)), "clock of one period.*--rate"),
     ],
     ids=["gap", "jitter"],
@@ -304,6 +304,27 @@ def test_gaps_and_jitter(tmp_path, spoil, words):
     else:
         with pytest.raises(InputError, match="line 603"):
             mg.allan(path, sample_rate=20.0)
+
+
+def test_lost_rows_are_filled_and_told(tmp_path):
+    """Single rows and a whole stretch: white noise and a random walk are found as in the whole record."""
+    rng = np.random.default_rng(0)
+    rate, time, kept = draw(rng, 6000, 1, n=1e-3, k=3e-5)[0], np.arange(6000) / 20.0, rng.random(6000) > 0.01
+    kept[2000:2200] = False
+    kept[[0, -1]] = True
+    found = mg.allan(write(tmp_path / "log.csv", "t [s],w [rad/s]", time[kept], rate[kept]))
+    assert found.samples == 6000
+    assert found.period == pytest.approx(0.05, rel=1e-6)
+    lost = 6000 - int(kept.sum())
+    assert f"{lost} of 6000 rows" in found.notes[0]
+    assert "mirrored" in found.notes[0]
+    whole = mg.allan(rate, sample_rate=20.0)
+    np.testing.assert_allclose(found.deviation[0, :20], whole.deviation[0, :20], rtol=0.05)
+    for name in "NK":
+        assert found.terms[0][name].low <= whole.terms[0][name].value <= found.terms[0][name].high
+    kept[1000:2000] = False
+    with pytest.raises(InputError, match="at most a tenth of the rows may be lost"):
+        mg.allan(write(tmp_path / "log.csv", "t [s],w [rad/s]", time[kept], rate[kept]))
 
 
 def test_a_log_without_times_needs_a_rate(tmp_path):

@@ -13,6 +13,7 @@ from ..experiments import AbstractRecord
 from ..experiments.base import Phasors
 from ..one_place import in_one_place
 from ..phasor_fit import device_of_phasors
+from ..records_apart import out_of_line
 from ..sign_conventions import disagreements
 from .content import Case
 from .lone import lone_sentences
@@ -94,7 +95,7 @@ class CaseQuality(Shown):
 def assess(case: Case) -> CaseQuality:
     """The quality of each record of a case."""
     phasors = [(record.name, record.starting_phasors(case)) for record in case.records]
-    said = [f"{sentence}." for sentence in disagreements(phasors)]
+    said = [*contradictions(case)]
     said += _resonances(phasors) if case.channels == 1 else []
     said += _reference_bias(case)
     alike = {*map(id, in_one_place(case.environment, case.records))}
@@ -104,6 +105,15 @@ def assess(case: Case) -> CaseQuality:
         said += [f"{each}." for record in case.records if device for each in record.beside_device(device, case)]
     every = zip(case.records, lone_sentences(case.records), strict=True)
     return CaseQuality(case, tuple(_assess(record, case, lone) for record, lone in every), tuple(said))
+
+
+def contradictions(case: Case) -> tuple[str, ...]:
+    """A sentence for each record whose phasors contradict those of the others in sign, size or resonance."""
+    phasors = [(record.name, record.starting_phasors(case)) for record in case.records]
+    near = {*map(id, in_one_place(case.environment, case.records))}
+    alike = [one for record, one in zip(case.records, phasors, strict=True) if id(record) in near]
+    found = [*disagreements(phasors), *(out_of_line(alike) if case.channels == 1 else ())]
+    return tuple(sentence if sentence.endswith("?") else f"{sentence}." for sentence in found)
 
 
 def _resonances(records: Sequence[tuple[str, Phasors | None]]) -> list[str]:

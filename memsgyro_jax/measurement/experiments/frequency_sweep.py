@@ -274,8 +274,8 @@ class FrequencySweepRecord(AbstractRecord):
     def warnings(self, declared: Declared) -> list[str]:
         read, hertz = self.phasors[:, self.channels], self.frequency / _TWO_PI
         found = exchanged(self.file, self.axis, read)
-        size, others = np.abs(read).max(axis=1), swept_elsewhere(self, declared)
-        found += peaks_not_seen(self.file, hertz, size, self.setting, self.sweeps, others)
+        seen, others = read if self.phase_known else np.abs(read), swept_elsewhere(self, declared)
+        found += peaks_not_seen(self.file, hertz, seen, self.setting, self.sweeps, others)
         near = hertz, read, self.sweeps, self.noise_std or self.estimated_noise()
         found += weak_sweeps(self.file, [self.lines[rows] for rows in self.sweeps], [*map(self._peak, self.sweeps)])
         found += scattered(self.file, self.thermometer) + rounded_frequencies(self.file, *near, declared.readout.unit)

@@ -11,6 +11,7 @@ from memsgyro_jax.base.text import spoken
 
 _FALL = 0.3  # of the largest reading: a change from row to row that may be a fall from branch to branch
 _SUDDEN = 3.0  # times the changes beside it
+_TURNS = np.radians(20.0)  # from row to row beside a resonance; a fall turns by several times that
 _ALIKE = 0.02  # of a drive: within it sweeps have the same
 _WEAK = 5.0  # standard deviations that the highest of some tens of rows of mere noise stays within
 _SETTLED = 5.0  # time constants between rows
@@ -56,15 +57,23 @@ def swept_elsewhere(record: Any, declared: Any) -> list[Way]:
 def peaks_not_seen(
     file: str,
     hertz: np.ndarray,
-    size: np.ndarray,
+    read: np.ndarray,
     setting: np.ndarray,
     sweeps: Sequence[slice],
     elsewhere: Sequence[Way] = (),
 ) -> list[str]:
-    """A sentence for each sweep that ends before its peak, and for each that falls from branch to branch and is not
-    taken in both directions, neither in this record nor `elsewhere` in the case.
+    """A sentence for each sweep that ends before its peak, for each whose gain changes on the way, and for each that
+    falls from branch to branch and is not taken in both directions, neither in this record nor `elsewhere` in the case.
+
+    Args:
+        file: to be named.
+        hertz: (n,) frequencies.
+        read: (n,) or (n, channels) phasors, or amplitudes alone where these are real.
+        setting: (n,) of the drive.
+        sweeps, elsewhere: single sweeps of this record, and those of others.
     """
-    said = []
+    said, channels = [], np.reshape(read, (len(hertz), -1))
+    size = np.max(np.abs(channels), axis=1)
     ways = [*ways_swept(hertz, setting, sweeps), *elsewhere]
     for rows in sweeps:
         values, places = size[rows], hertz[rows]
@@ -76,9 +85,13 @@ def peaks_not_seen(
                 f"{file}: the largest reading of a sweep is at the end of its band, {place_in_band(places, end)}: a "
                 f"sweep on to {beyond} frequencies shows its peak."
             )
-        elif (row := sudden_fall(values)) is not None and not any(
-            way.passes(setting[rows][0], not rising, places[row]) for way in ways
-        ):
+        elif (row := sudden_fall(values)) is not None and _at_one_phase(channels[rows], row):
+            factor, where = values[row + 1] / values[row], place_in_band(places, row)
+            said.append(
+                f"{file}: near {where} the reading becomes {factor:.3g} times as large from row to row, at one "
+                "phase, as when a range or a gain is changed: split the file there, or put its readings right."
+            )
+        elif row is not None and not any(way.passes(setting[rows][0], not rising, places[row]) for way in ways):
             back = "down" if rising else "up"
             said.append(
                 f"{file}: the reading changes at once near {place_in_band(places, row)}, as a bent resonance does from "
@@ -95,6 +108,14 @@ def sudden_fall(size: np.ndarray) -> int | None:
     beside = np.maximum(steps[:-2], steps[2:])
     falls = np.flatnonzero((steps[1:-1] > _FALL * np.nanmax(size)) & (steps[1:-1] > _SUDDEN * beside))
     return int(falls[0]) + 1 if falls.size else None
+
+
+def _at_one_phase(channels: np.ndarray, row: int) -> bool:
+    """Whether a change behind a row turns no phasor, as a fall from branch to branch does; amplitudes do not tell."""
+    if not np.iscomplexobj(channels):
+        return False
+    largest = int(np.argmax(np.abs(channels[row])))
+    return bool(abs(np.angle(channels[row + 1, largest] * np.conj(channels[row, largest]))) < _TURNS)
 
 
 def weak_sweeps(file: str, lines: Sequence[np.ndarray], peaks: Sequence[float]) -> list[str]:

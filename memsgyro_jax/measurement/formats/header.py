@@ -13,7 +13,7 @@ _BARE = {
     "Hz", "kHz", "MHz", "GHz", "s", "ms", "us", "µs", "ns", "V", "mV", "uV", "µV", "nV", "A", "mA", "uA", "µA", "nA",
     "Vrms", "mVrms", "Vpp", "Vpk", "dB", "dBV", "dBm", "deg", "°", "rad", "degC", "°C", "K", "mK", "N", "mN", "nN",
     "m", "mm", "um", "µm", "nm", "m/s", "m/s^2", "sec", "second", "seconds", "Volt", "Volts", "degrees", "rad/s",
-    "deg/s", "dps", "mdps", "Grad",
+    "deg/s", "dps", "mdps", "Grad", "Ohm", "ohm", "kOhm", "MOhm", "Ω", "kΩ", "MΩ",
 }  # fmt: skip
 _SAME = {
     "°": "deg", "degree": "deg", "degrees": "deg", "sec": "s", "second": "s", "seconds": "s", "secs": "s",
@@ -24,6 +24,8 @@ _SAME = {
     "arb.": "1", "lin": "1", "dBVrms": "dBV", "counts": "1", "LSB": "1", "strain": "1", "m/m": "1", "ue": "ppm",
     "µε": "ppm", "µm/m": "ppm", "um/m": "ppm", "g": "g_0", "gn": "g_0", "Deg": "deg", "DEG": "deg", "Rad": "rad",
     "Newtons": "N", "Amps": "A", "dbm": "dBm", "db": "dB", "RAD": "rad", "dBV rms": "dBV", "v": "V", "mv": "mV",
+    "Ohm": "ohm", "Ohms": "ohm", "ohms": "ohm", "OHM": "ohm", "Ω": "ohm", "kOhm": "kohm", "kΩ": "kohm", "MOhm": "Mohm",
+    "MΩ": "Mohm", "mOhm": "mohm", "Siemens": "S",
 }  # fmt: skip
 SPECIAL = re.compile(r"(?P<decibel>dBV|dBm|dB)|(?P<base>[a-zA-Zµμ]+?)(?P<how>rms|pp|pk)")
 """Units that say how an amplitude is meant."""

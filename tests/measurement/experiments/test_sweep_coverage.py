@@ -47,6 +47,17 @@ def test_a_fall_asks_for_the_other_direction_unless_it_was_taken():
     assert len(said(np.concatenate([bent, bent[::-1]]), (WHOLE, slice(81, 162)), both, other)) == 2
 
 
+def test_a_range_that_changes_is_no_fall():
+    phasors = 1.0 / (1010.0**2 - HERTZ**2 + 1j * HERTZ * 1010.0 / 300.0)
+    (sentence,) = said(np.where(HERTZ < 1010.1, phasors, 0.1 * phasors))
+    assert "times as large" in sentence
+    assert "a range or a gain is changed" in sentence
+    assert said(phasors) == []
+    bent = np.where(HERTZ < 1012.0, -1j * (0.1 + (HERTZ - 1000.0) / 12.0), -0.08)
+    (sentence,) = said(bent)
+    assert "shows the other branch" in sentence
+
+
 def test_the_other_direction_may_be_in_another_record():
     """At the same drive, over the place of the fall."""
     bent = np.where(HERTZ < 1012.0, 0.1 + (HERTZ - 1000.0) / 12.0, 0.08)
@@ -61,13 +72,13 @@ def test_a_record_asks_its_case_for_the_other_direction():
     case = bench(die=RESONATOR, protocol=ONE_AXIS).case
     record = case.records[0]
     rows = record.sweeps[0]
-    hertz, bent = record.frequency[rows], np.where(np.arange(rows.stop) < 9, 0.2 + 0.1 * np.arange(rows.stop), 0.08)
+    hertz, bent = record.frequency[rows], np.where(np.arange(rows.stop) < 9, -0.2j - 0.1j * np.arange(rows.stop), 0.08)
     order = np.argsort(hertz)
     names = ("drive", "temperature", "bias_voltage", "rate", "frequency")
     kept = {name: getattr(record, name)[rows][order] for name in names}
-    up = replace(record, **kept, phasors=bent[:, None] + 0j, time=None, file="up.csv")
+    up = replace(record, **kept, phasors=bent[:, None], time=None, file="up.csv")
     turned = {name: values[::-1] for name, values in kept.items()}
-    down = replace(record, **turned, phasors=bent[::-1, None] + 0j, time=None, file="down.csv")
+    down = replace(record, **turned, phasors=bent[::-1, None], time=None, file="down.csv")
     assert any("a sweep down" in said for said in up.warnings(replace(case, records=(up,))))
     assert not any("other branch" in said for said in up.warnings(replace(case, records=(up, down))))
 

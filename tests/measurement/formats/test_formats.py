@@ -317,6 +317,15 @@ def test_a_reflection_is_read_as_what_goes_in(tmp_path):
     assert_is_the_sweep(imported(tmp_path / "a.s1p")[0])
 
 
+@pytest.mark.parametrize("kind", ["Y", "Z"])
+def test_immittances_of_a_touchstone_file_are_normalised_to_its_ports(kind, tmp_path):
+    through_ports = 2 / w.RESPONSE - 1  # 1 - S11 = 2 y / (1 + y), with y in units of the ports'
+    value = 1 / through_ports if kind == "Y" else through_ports
+    rows = [f"{f:.6f} {v.real:.12e} {v.imag:.12e}" for f, v in zip(w.FREQUENCY, value, strict=True)]
+    (tmp_path / "a.s1p").write_text("\n".join([f"# Hz {kind} RI R 50", *rows]) + "\n")
+    assert_is_the_sweep(imported(tmp_path / "a.s1p")[0])
+
+
 def test_a_recording_that_broke_off_is_read_as_far_as_it_goes_and_told(tmp_path, capfd):
     w.tdms(tmp_path / "a.tdms")
     whole = (tmp_path / "a.tdms").read_bytes()
