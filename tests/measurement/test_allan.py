@@ -174,7 +174,9 @@ def test_terms_are_found_or_said_to_be_unknown(tmp_path):
     assert entries["schema"] == "memsgyro-allan/1"
     assert entries["series"][0]["terms"]["K"]["value"] is None
     ax = found.plot()
-    assert ax.get_xscale() == "log"
+    assert (ax.get_xscale(), ax.get_ylabel()) == ("log", "Allan deviation [deg/h]")  # as the terms, not deg/s
+    measured = ax.lines[0].get_ydata()
+    np.testing.assert_allclose(measured, 3600.0 * np.degrees(found.deviation[0]))
     ax.figure.clear()
 
 
