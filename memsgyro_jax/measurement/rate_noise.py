@@ -24,9 +24,13 @@ _STEP = 1e-4  # of a logarithm, for slopes
 _HALVINGS = 18
 _SPARED = np.array([5.41, 7.29, 8.75, 10.02, 11.18])  # the same for so many terms left out, at `_CHANCE` for none there
 _LAG = len(TERMS)  # place of a low-pass behind the terms
-_BEGUN = 0.3  # artanh of a lag over the first factor
+_FIRST_LAG = 0.3  # lag over the first factor, nearly
+_REACH = 8.0  # times the first factor that a lag can be, where nothing is known of a low-pass
 _OPPOSITE = TERMS.index("Q")  # which goes with the averaging time as a low-pass does, but adds
-_CHANCE = 0.01  # probability at which series without a term, or without a low-pass, are taken to have it
+_CHANCE = 0.01  # probability at which series without a term are taken to have it
+_LAGGED = (
+    0.1  # the same of a low-pass: one that is not seen takes from N, one that is not there only widens its interval
+)
 
 
 class NoiseFit(NamedTuple):
@@ -79,16 +83,10 @@ def fit_noise(
 
     No term can be negative, so one that is not there still takes from the others: N was told 3 % too small. What the
     series can do without is dropped therefore (`_needed`), while the intervals are those of all terms. A low-pass
-    (`low_passed`, up to the first factor) is counted where the series together show it, and with `low_pass` in any
+    (`low_passed`) is counted where the series together show it, and with `low_pass` in any
     case, of either sign. Nothing tells it from quantisation, which is left out then.
     """
-    model = _Model(variance, factors, samples)
-    nearest = np.log(np.min(variance[:, :, None] / model.shapes, axis=1))
-    least_lag = np.full((len(nearest), 1), -1.0 if low_pass else 0.0)
-    nearest = np.concatenate([nearest, least_lag + _IN_SIGHT], axis=1)
-    floor = np.concatenate([nearest[:, :_LAG] - _NOTHING, least_lag], axis=1)
-    start = np.concatenate([nearest[:, :_LAG] - np.log(len(TERMS)), np.zeros_like(least_lag)], axis=1)
-    best, least, free = _full(model, start, floor, low_pass)
+    model, nearest, floor, (best, least, free) = _begun(variance, factors, samples, low_pass)
     ramp = np.exp(best[:, 3]) * model.shapes[-1, 3] > _RAMP * model.expected(best).variance[:, -1]
     fall = np.where(ramp[:, None], _BESIDE_RAMP, _FALL)
     # What describes no record may have a term further above the curve still, whose end lies above it all the same.
@@ -108,9 +106,33 @@ def fit_noise(
         expected.freedom,
         np.sum(model.whitened(expected) ** 2, axis=-1),
         np.maximum(len(factors) - np.sum(~gone, axis=-1) - np.sum(free[:, _LAG:], axis=-1), 1.0),
-        factors[0] * np.tanh(kept[:, _LAG]),
+        model.lag(kept),
         *_lowest(model, kept, floor),
     )
+
+
+def glance(
+    variance: Float[np.ndarray, "series factors"], factors: tuple[int, ...], samples: int, low_pass: bool = False
+) -> tuple[Float[np.ndarray, " series"], Float[np.ndarray, " series"], float]:
+    """Lag and χ² of each series where all terms of `fit_noise` are fitted, and the degrees of freedom: a tenth of its
+    work, without intervals.
+    """
+    model, _, _, (best, _, free) = _begun(variance, factors, samples, low_pass)
+    chi2 = np.sum(model.whitened(model.expected(best)) ** 2, axis=-1)
+    return model.lag(best), chi2, max(len(factors) - float(np.sum(free[0])), 1.0)
+
+
+def _begun(
+    variance: np.ndarray, factors: tuple[int, ...], samples: int, low_pass: bool
+) -> "tuple[_Model, np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray]]":
+    """The model, the terms that reach the curve, those as good as absent, and the best of all terms (`_full`)."""
+    model = _Model(variance, factors, samples, 1.0 if low_pass else _REACH)
+    nearest = np.log(np.min(variance[:, :, None] / model.shapes, axis=1))
+    least_lag = np.full((len(nearest), 1), -1.0 if low_pass else 0.0)
+    nearest = np.concatenate([nearest, least_lag + _IN_SIGHT], axis=1)
+    floor = np.concatenate([nearest[:, :_LAG] - _NOTHING, least_lag], axis=1)
+    start = np.concatenate([nearest[:, :_LAG] - np.log(len(TERMS)), np.zeros_like(least_lag)], axis=1)
+    return model, nearest, floor, _full(model, start, floor, low_pass)
 
 
 def _lowest(model: "_Model", kept: np.ndarray, floor: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -143,11 +165,11 @@ def _full(
     free = np.ones(start.shape, bool)
     free[:, _LAG] = False
     best, least = _descend(model.loss, start, floor, free, 80)
-    begun = np.where(free, np.maximum(best, start - _IN_SIGHT), _BEGUN)
+    begun = np.where(free, np.maximum(best, start - _IN_SIGHT), _FIRST_LAG)
     begun[:, _OPPOSITE], lagged = floor[:, _OPPOSITE], np.ones(start.shape, bool)
     lagged[:, _OPPOSITE] = False
     passed, less = _descend(model.loss, begun, floor, lagged, 80)
-    if not low_pass and _by_chance(2.0 * np.maximum(least - less, 0.0)) > _CHANCE:
+    if not low_pass and _by_chance(2.0 * np.maximum(least - less, 0.0)) > _LAGGED:
         return best, least, free
     return passed, less, lagged
 
@@ -198,11 +220,12 @@ def low_passed(
 
 
 class _Model:
-    """The likelihood of logarithms of the terms' squares and the artanh of a low-pass's lag over the first factor;
-    leading axes of arguments are many fits at once.
+    """The likelihood of logarithms of the terms' squares and of a low-pass's lag, as `lag` reads it; leading axes of
+    arguments are many fits at once. A lag is below `reach` times the first factor.
     """
 
-    def __init__(self, variance: np.ndarray, factors: tuple[int, ...], samples: int) -> None:
+    def __init__(self, variance: np.ndarray, factors: tuple[int, ...], samples: int, reach: float) -> None:
+        self.reach = reach
         self.shapes = shapes(factors)
         squares, sums = covariance_parts(samples, factors)
         self.squares, self.sums = squares.reshape(-1, len(NOISES) ** 2).T, sums.reshape(-1, len(NOISES)).T
@@ -213,7 +236,7 @@ class _Model:
         """Each series `times` over."""
         other = object.__new__(_Model)
         other.shapes, other.squares, other.sums = self.shapes, self.squares, self.sums
-        other.factors = self.factors
+        other.factors, other.reach = self.factors, self.reach
         other.root = np.repeat(self.root, times, axis=0)
         return other
 
@@ -222,6 +245,9 @@ class _Model:
         other = self.repeated(1)
         other.root = self.root[chosen]
         return other
+
+    def lag(self, logs: np.ndarray) -> np.ndarray:
+        return self.reach * self.factors[0] * np.tanh(logs[..., _LAG] / self.reach)
 
     def expected(self, logs: np.ndarray) -> _Expected:
         power = np.exp(logs[..., :_LAG])
@@ -235,8 +261,7 @@ class _Model:
         correlation = covariance / (std[..., :, None] * std[..., None, :])
         spread = 2.0 / (9.0 * freedom)
         # At averaging times beyond its own a low-pass changes how large deviations are, hardly their correlation.
-        lag = self.factors[0] * np.tanh(logs[..., _LAG])
-        variance = variance - power[..., :1] * self.shapes[:, 0] * low_passed(lag, self.factors)
+        variance = variance - power[..., :1] * self.shapes[:, 0] * low_passed(self.lag(logs), self.factors)
         scale = np.cbrt(variance)
         return _Expected(variance, freedom, scale * (1.0 - spread), scale * np.sqrt(spread), correlation)
 
