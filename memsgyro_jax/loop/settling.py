@@ -104,7 +104,8 @@ def not_rested(loop: ClosedLoop, duration: float) -> tuple[str, ...]:
         return ()
     said = (
         f"The closed loops come to rest with a time constant of {time_constant:.2g} s"
-        f"{_after(loop, up, time_constant)}, but the run ends after {duration:.3g} s: it shows their start, which {_up_to(enough):g} s and more outlast."
+        f"{_after(loop, up, time_constant)}, but the run ends after {duration:.3g} s: it shows their start, which "
+        f"{_up_to(enough):g} s and more outlast."
     )
     if up > time_constant and _comes_down(loop):
         said += " A `start` at rest, (0, 0, 0, 0), or with the drive's amplitude needs none of it."

@@ -14,8 +14,9 @@ from memsgyro_jax.loop.trace_result import Trace
 
 from .allan_result import MEANING, Allan, NoiseTerm
 from .allan_variance import TERMS, allan_deviation, shapes
+from .noise_likelihood import low_passed
 from .rate_log import RateLog, read_rate_log
-from .rate_noise import NoiseFit, fit_noise, glance, low_passed
+from .rate_noise import NoiseFit, fit_noise, glance
 
 
 FLAT = float(np.sqrt(2.0 * np.log(2.0) / np.pi))  # 0.664, the deviation of flicker of strength one
