@@ -36,10 +36,12 @@ def low_passed(
 
 class NoiseModel:
     """The likelihood of logarithms of the terms' squares and of a low-pass's lag, as `lag` reads it; leading axes of
-    arguments are many fits at once. A lag is below `reach` times the first factor.
+    arguments are many fits at once. A lag lies within `reach` times the first factor, below and above zero.
     """
 
-    def __init__(self, variance: np.ndarray, factors: tuple[int, ...], samples: int, reach: float) -> None:
+    def __init__(
+        self, variance: np.ndarray, factors: tuple[int, ...], samples: int, reach: tuple[float, float]
+    ) -> None:
         self.reach = reach
         self.shapes = shapes(factors)
         squares, sums = covariance_parts(samples, factors)
@@ -62,7 +64,10 @@ class NoiseModel:
         return other
 
     def lag(self, logs: np.ndarray) -> np.ndarray:
-        return self.reach * self.factors[0] * np.tanh(logs[..., LAG] / self.reach)
+        below, above = self.reach
+        at = logs[..., LAG]
+        low, high = below * np.tanh(np.minimum(at, 0.0) / below), above * np.tanh(np.maximum(at, 0.0) / above)
+        return self.factors[0] * (low + high)
 
     def expected(self, logs: np.ndarray) -> Expected:
         power = np.exp(logs[..., :LAG])

@@ -25,7 +25,7 @@ _STEP = 1e-4  # of a logarithm, for slopes
 _HALVINGS = 18
 _SPARED = np.array([5.41, 7.29, 8.75, 10.02, 11.18])  # the same for so many terms left out, at `_CHANCE` for none there
 _FIRST_LAG = 0.3  # lag over the first factor, nearly
-_REACH = 8.0  # times the first factor that a lag can be, where nothing is known of a low-pass
+_REACH = 8.0  # times the first factor that a lag can be, where nothing is known of a low-pass, or noise that grows
 _OPPOSITE = TERMS.index("Q")  # which goes with the averaging time as a low-pass does, but adds
 _CHANCE = 0.01  # probability at which series without a term are taken to have it
 _LAGGED = 0.1  # the same of a low-pass: one that is not seen takes from N, one that is not there widens its interval
@@ -114,9 +114,9 @@ def _begun(
     variance: np.ndarray, factors: tuple[int, ...], samples: int, low_pass: bool
 ) -> tuple[NoiseModel, np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """The model, the terms that reach the curve, those as good as absent, and the best of all terms (`_full`)."""
-    model = NoiseModel(variance, factors, samples, 1.0 if low_pass else _REACH)
+    model = NoiseModel(variance, factors, samples, (_REACH, 1.0 if low_pass else _REACH))
     nearest = np.log(np.min(variance[:, :, None] / model.shapes, axis=1))
-    least_lag = np.full((len(nearest), 1), -1.0 if low_pass else 0.0)
+    least_lag = np.full((len(nearest), 1), -_REACH if low_pass else 0.0)
     nearest = np.concatenate([nearest, least_lag + _IN_SIGHT], axis=1)
     floor = np.concatenate([nearest[:, :LAG] - _NOTHING, least_lag], axis=1)
     start = np.concatenate([nearest[:, :LAG] - np.log(len(TERMS)), np.zeros_like(least_lag)], axis=1)
