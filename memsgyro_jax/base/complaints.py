@@ -134,8 +134,12 @@ def _deeper(error: Any) -> Place:
 
 
 def _follows(error: Any, errors: Sequence[Any]) -> bool:
-    """Whether a list is called too short only because its entries are wrong, each of which is told."""
+    """Whether a list is called too short only because its entries are wrong, each of which is told, or because of a
+    later entry, too.
+    """
     place = error["loc"]
+    if error["type"] == "missing" and isinstance(place[-1], int):
+        return any(other["type"] == "missing" and other["loc"] == (*place[:-1], place[-1] + 1) for other in errors)
     within = (other["loc"] for other in errors if len(other["loc"]) > len(place))
     return error["type"] == "too_short" and any(other[: len(place)] == place for other in within)
 
@@ -144,6 +148,8 @@ def _sentence(error: Any, model: type[BaseModel], place: Place) -> str:
     kind, given = error["type"], error["input"]
     if kind == "value_error":
         return str(error["ctx"]["error"])
+    if kind == "missing" and isinstance(error["loc"][-1], int):
+        return f"must have at least {error['loc'][-1] + 1} entries, but has {len(given)}"
     if kind == "missing":
         return f"is missing: give it{_remedy(str(error['loc'][-1]), _models_at(error['loc'][:-1], model))}"
     if kind == "extra_forbidden":
@@ -155,23 +161,34 @@ def _sentence(error: Any, model: type[BaseModel], place: Place) -> str:
     if kind == "too_short":
         least, count = error["ctx"]["min_length"], error["ctx"]["actual_length"]
         return f"must have at least {least} {'entry' if least == 1 else 'entries'}, but has {count}"
+    if kind == "too_long":
+        return f"must have at most {error['ctx']['max_length']} entries, but has {error['ctx']['actual_length']}"
     wanted = error["msg"].replace("Input should be", "must be").replace("String should", "must")
-    wanted = _FORMS.get(kind, wanted) + _example(kind, given, place, _models_at(error["loc"], model))
+    wanted = _FORMS.get(kind, wanted) + _example(error, place, model)
     return f"{wanted}, but is {excerpt(given)}"
 
 
-def _example(kind: str, given: Any, place: Place, models: list[type[BaseModel]]) -> str:
+def _example(error: Any, place: Place, model: type[BaseModel]) -> str:
     """How a list or a table is written, in the user's own words; empty for what is neither."""
+    kind, given, models = error["type"], error["input"], _models_at(error["loc"], model)
     name = ".".join(part for part in place if isinstance(part, str))
     if kind == "tuple_type":
         one = excerpt(given) if isinstance(given, str | int | float) else '"a"'
-        return f" of tables, each under `[[{name}]]`" if models else f", like `[{one}]`"
+        entries = ", ".join([one] * _entries(error["loc"], model))
+        return f" of tables, each under `[[{name}]]`" if models else f", like `[{entries}]`"
     if _FORMS.get(kind) != _TABLE_FORM or not place:
         return ""
     sections = [each for each in models if issubclass(each, FileSection) and kind != "dict_type"]
     alone = next(filter(None, (each.alone(given) for each in sections)), "")
     under = f"[[{name}]]" if isinstance(place[-1], int) else f"[{name}]"
     return f", like `{place[-1]} = {alone}`" if alone else f", as under `{under}`"
+
+
+def _entries(loc: Place, model: type[BaseModel]) -> int:
+    """How many entries a list must have, or one where it may have any number."""
+    fields = [each.model_fields[loc[-1]] for each in _models_at(loc[:-1], model) if loc[-1] in each.model_fields]
+    kinds = [get_args(field.annotation) for field in fields]
+    return max((len(each) for each in kinds if each and Ellipsis not in each), default=1)
 
 
 def _remedy(name: str, models: list[type[BaseModel]]) -> str:

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from memsgyro_jax.base import runtime
+from memsgyro_jax.base.arguments import refuse_traced
 from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.files import finite
 from memsgyro_jax.base.text import aligned
@@ -111,9 +112,10 @@ def gain_phase_margins(loop: ClosedLoop) -> GainPhaseMargins:
     back. Of a loop that crosses at a twentieth of the drive's frequency simulations have 2° more phase margin at 8
     samples in a period than at 100 and 0.4° at 27 (a tracking demodulator; a product one 0.6° and 0.1° less), where
     averaging leaves out 5° (1°). Of the device's effects a `ReadoutDelay` is counted. Raises `InputError` for another
-    controller, and for a lot.
+    controller, for a lot, and for numbers that a transformation of JAX traces: `loop_margins` has gradients.
     """
     runtime.require_float64("`gain_phase_margins`")
+    refuse_traced("`gain_phase_margins` looks for crossings and", "plain numbers, or take `loop_margins`", loop)
     distance, lock = loop_margins(loop), at_lock(loop)
     curve, span = _open_loops(lock), np.geomspace(1e-2, lock.omega, 6001)  # rad/s
     along = curve(span)

@@ -17,7 +17,7 @@ import scipy.linalg
 from jax.experimental.jet import jet
 from jaxtyping import Array, Float
 
-from memsgyro_jax.base.arguments import quantity
+from memsgyro_jax.base.arguments import quantity, refuse_traced
 from memsgyro_jax.base.concrete import settled
 from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
@@ -165,6 +165,7 @@ def observability(
     Raises `InputError` for float32, an unknown name, a batch of dies, or a window that a run does not have.
     """
     require_float64("`observability`")
+    refuse_traced("`observability` tells ranks and", "plain numbers, or take `information_bound`", loop, scenario)
     loop, scenario = as_loop(loop), as_scenario(scenario)
     sample_rate, duration = run_of(loop, sample_rate, duration)
     check_positive("sample_rate", sample_rate)

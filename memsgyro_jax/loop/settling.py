@@ -17,7 +17,7 @@ from .stability import closed_poles
 
 
 _RESTED = 6.0  # time constants after which a start is over: 0.25 % is left
-_SWINGS = 0.5  # of the amplitude at the start: a loop that begins with its swing
+_SWINGS = 0.5  # of the amplitude: a loop that starts within it begins with its swing
 _MOVING = 3.0  # within which 5 % and more are left
 _AROUND = 5.0  # times the mode split, from which on a demodulator lets a loop close around both modes
 
@@ -40,19 +40,34 @@ def settling_time_constant(loop: ClosedLoop) -> float | None:
 
 
 def swing_up_time(loop: ClosedLoop) -> float:
-    """How long [s] the largest force of a phase-locked drive takes to swing the design up from rest; zero for another
-    loop, one that starts swinging, for numbers that are traced, and for a force that never does.
+    """How long [s] the largest force of a phase-locked drive takes to bring the design from its start to its amplitude,
+    up from rest or down from a larger swing; zero for another loop, one that starts near it, for numbers that are
+    traced, and for a force that never does.
     """
     drive: Any = getattr(loop.controller, "drive", None)
     if not isinstance(drive, PhaseLockedDrive) or not is_concrete(loop.device, loop.start, drive):
         return 0.0
     dynamics = loop.device.dynamics(Inertial())
     damping, gain = (float(np.max(np.asarray(part))) for part in (dynamics.damping[0][0], dynamics.gain[0]))
-    holding = damping * 2.0 * np.pi * float(np.max(np.asarray(drive.frequency))) * float(np.max(drive.amplitude)) / gain
-    if float(np.max(np.abs(loop.start[0]))) >= _SWINGS * float(np.max(drive.amplitude)):
-        return 0.0
+    amplitude, start = float(np.max(drive.amplitude)), _start(loop)
+    holding = damping * 2.0 * np.pi * float(np.max(np.asarray(drive.frequency))) * amplitude / gain
     share = holding / float(np.min(np.asarray(drive.limit)))
-    return -2.0 / damping * math.log1p(-share) if damping > 0.0 and share < 1.0 else 0.0
+    if damping <= 0.0 or abs(start / amplitude - 1.0) <= _SWINGS:
+        return 0.0
+    if start > amplitude:
+        return 2.0 / damping * math.log((start / amplitude + 1.0 / share) / (1.0 + 1.0 / share))
+    return -2.0 / damping * math.log1p(-share) if share < 1.0 else 0.0
+
+
+def _start(loop: ClosedLoop) -> float:
+    """Displacement of x [m] at time zero."""
+    return float(np.max(np.abs(loop.start[0])))
+
+
+def _comes_down(loop: ClosedLoop) -> bool:
+    """Whether a loop with a phase-locked drive starts with a larger swing than that holds."""
+    drive: Any = getattr(loop.controller, "drive", None)
+    return isinstance(drive, PhaseLockedDrive) and _start(loop) > (1.0 + _SWINGS) * float(np.max(drive.amplitude))
 
 
 def duration_to_settle(loop: ClosedLoop, settle: float, duration: float, seen: float = 0.0) -> float:
@@ -75,7 +90,7 @@ def not_at_rest(loop: ClosedLoop, settle: float, duration: float) -> tuple[str, 
     enough = duration_to_settle(loop, settle, duration)
     said = (
         f"The closed loops come to rest with a time constant of {time_constant:.2g} s at the design"
-        f"{_after(up, time_constant)}, but the figures count from {settle:.3g} s on and may be of the start; a "
+        f"{_after(loop, up, time_constant)}, but the figures count from {settle:.3g} s on and may be of the start; a "
         f"`duration` of {enough:g} s lets it die away before "
         "(they count from its half on where `settle` is left out)."
     )
@@ -88,10 +103,13 @@ def not_rested(loop: ClosedLoop, duration: float) -> tuple[str, ...]:
     if time_constant is None or duration >= (enough := up + _MOVING * time_constant):
         return ()
     said = (
-        f"The closed loops come to rest with a time constant of {time_constant:.2g} s{_after(up, time_constant)}, "
-        f"but the run ends after {duration:.3g} s: it shows their start, which {_up_to(enough):g} s and more outlast."
+        f"The closed loops come to rest with a time constant of {time_constant:.2g} s"
+        f"{_after(loop, up, time_constant)}, but the run ends after {duration:.3g} s: it shows their start, which "
+        f"{_up_to(enough):g} s and more outlast."
     )
-    if up > time_constant:
+    if up > time_constant and _comes_down(loop):
+        said += " A `start` at rest, (0, 0, 0, 0), or with the drive's amplitude needs none of it."
+    elif up > time_constant:
         said += " A larger `limit` of the drive's force, or a smaller amplitude, swings up faster."
     elif _limited_by_split(loop):
         said += (
@@ -135,6 +153,9 @@ def _limited_by_split(loop: ClosedLoop) -> bool:
     return float(np.min(np.asarray(control.sense.demodulator.bandwidth))) < _AROUND * split
 
 
-def _after(up: float, time_constant: float) -> str:
-    """Words for a drive that takes longer than that to swing `up`."""
-    return f" after the {up:.2g} s in which the drive swings up" if up > time_constant else ""
+def _after(loop: ClosedLoop, up: float, time_constant: float) -> str:
+    """Words for a drive that takes longer than that to bring the swing to its amplitude."""
+    if up <= time_constant:
+        return ""
+    way = f"swing comes down from its start at {_start(loop):.3g} m" if _comes_down(loop) else "drive swings up"
+    return f" after the {up:.2g} s in which the {way}"

@@ -14,15 +14,19 @@ from memsgyro_jax.loop.trace_result import Trace
 
 from .allan_result import MEANING, Allan, NoiseTerm
 from .allan_variance import TERMS, allan_deviation, shapes
+from .noise_likelihood import low_passed
 from .rate_log import RateLog, read_rate_log
-from .rate_noise import NoiseFit, fit_noise, low_passed
+from .rate_noise import NoiseFit, fit_noise, glance
 
 
 FLAT = float(np.sqrt(2.0 * np.log(2.0) / np.pi))  # 0.664, the deviation of flicker of strength one
 _FEWEST = 6  # octaves: five terms and something to judge them by
-_SEEN = 1e-3  # share of white noise from which a low-pass is worth a word
+_SEEN = 0.1  # share of white noise from which a low-pass is worth a word: less shows by chance
+_BEYOND = 2.0  # times its lag, from where on the form of a low-pass hardly matters
 _POOR = 1e-3  # probability of a fit's χ² below which the five noises are taken not to describe the record
 _OTHER = "the five noises do not describe the record"
+_HIDDEN = "the record is too short behind its low-pass"
+_HIDES = 0.75  # of the first averaging time: a lag that leaves the noises to be guessed by the form of the low-pass
 
 
 def allan(
@@ -74,11 +78,14 @@ def analysed(log: RateLog, band: tuple[float, float] | None = None, low_pass: bo
     measured = allan_deviation(log.rate, factors)
     if not np.all(measured[:, np.isin(factors, octaves)] > 0.0):
         raise InputError("The rates must vary at every averaging time, but some do not; is the log of coarse numbers?")
-    found = fit_noise(measured[:, np.isin(factors, octaves)] ** 2, octaves, samples, low_pass)
+    begun = octaves[0]
+    octaves, found = _fit(measured, factors, octaves, samples, low_pass, band is not None)
     freedom = np.exp([np.interp(np.log(factors), np.log(octaves), row) for row in np.log(found.freedom)])
     ends = [measured * np.sqrt(freedom / stats.chi2.ppf(tail, freedom)) for tail in (0.975, 0.025)]
     tau = np.array(factors) * period
-    terms = tuple(_terms(found, k, tau, measured[k], ends[0][k], ends[1][k], period) for k in range(len(log.names)))
+    terms = tuple(
+        _terms(found, k, tau, measured[k], ends[0][k], ends[1][k], period, octaves[0]) for k in range(len(log.names))
+    )
     return Allan(
         series=log.names,
         tau=tau,
@@ -91,8 +98,33 @@ def analysed(log: RateLog, band: tuple[float, float] | None = None, low_pass: bo
         chi2_per_dof=found.chi2 / found.dof,
         period=period,
         samples=samples,
-        notes=(*log.notes, *_passed(found, octaves[0], period), *_misfits(log.names, found)),
+        notes=(*log.notes, *_passed(found, octaves[0], period, begun), *_misfits(log.names, found)),
     )
+
+
+def _fit(
+    measured: np.ndarray, factors: tuple[int, ...], octaves: tuple[int, ...], samples: int, low_pass: bool, held: bool
+) -> tuple[tuple[int, ...], NoiseFit]:
+    """The noises, and from which octave on they are fitted: unless that is `held`, beyond the reach of a low-pass that
+    shows, so that its form does not matter; of one pole, N was told 12 to 16 % too small from the first octave on. All
+    octaves where the noises describe the record from none of them on.
+    """
+
+    def of(some: tuple[int, ...]) -> np.ndarray:
+        return measured[:, np.isin(factors, some)] ** 2
+
+    later, known = octaves, low_pass
+    while not held:
+        lag, chi2, dof = glance(of(later), later, samples, known)
+        poor = stats.chi2.sf(chi2, dof) < _POOR
+        # What its form leaves undescribed says little of how far it reaches: an octave at a time then.
+        beyond = _BEYOND * float(np.median(np.where(poor, later[0], lag)))
+        if beyond <= later[0] or len(later) == _FEWEST:
+            octaves, low_pass = (octaves, low_pass) if np.median(poor) else (later, known)
+            break
+        rest = tuple(m for m in later if m >= beyond)
+        later, known = rest if len(rest) >= _FEWEST else later[-_FEWEST:], True
+    return octaves, fit_noise(of(octaves), octaves, samples, low_pass)
 
 
 def _fitted(found: NoiseFit, factors: tuple[int, ...], octaves: tuple[int, ...]) -> Float[np.ndarray, "series factors"]:
@@ -102,14 +134,22 @@ def _fitted(found: NoiseFit, factors: tuple[int, ...], octaves: tuple[int, ...])
     return np.sqrt(found.value**2 @ shapes(factors).T - taken)
 
 
-def _passed(found: NoiseFit, first: int, period: float) -> list[str]:
-    """What a low-pass takes of the white noise at the `first` averaging time; nothing where none is seen."""
+def _passed(found: NoiseFit, first: int, period: float, begun: int) -> list[str]:
+    """What a low-pass takes of the white noise at the `first` averaging time; nothing where none is seen. Times from
+    `begun` on were looked at.
+    """
     taken = float(np.median(low_passed(found.lag, np.array([first]))))
-    if taken < _SEEN:
+    at, less = f"{first * period:.3g} s", f"{100.0 * (1.0 - np.sqrt(1.0 - max(taken, 0.0))):.2g} %"
+    if first > begun:
+        said = (
+            f"The noises are fitted from {at} on, not from {begun * period:.3g} s: a low-pass takes white noise before"
+        )
+        said += f", and {less} of it there" * (taken >= _SEEN)
+    elif taken >= _SEEN:
+        said = f"White noise is {less} less at {at} than a random walk tells, as behind a low-pass"
+    else:
         return []
-    less, at = 100.0 * (1.0 - np.sqrt(1.0 - taken)), first * period
-    said = f"White noise is {less:.2g} % less at {at:.3g} s than a random walk tells, as behind a low-pass; "
-    return [f"{said}N is that of long averaging times, and Q cannot be told."]
+    return [f"{said}; N is that of long averaging times, and Q cannot be told."]
 
 
 def _read(source: Any, sample_rate: float | str | None, column: str | None) -> RateLog:
@@ -180,15 +220,16 @@ def _terms(
     low: np.ndarray,
     high: np.ndarray,
     period: float,
+    first: int,
 ) -> dict[str, NoiseTerm]:
-    terms, other = {}, bool(_poor(found)[k])
+    terms, other = {}, _unknown(found, first)[k]
     for place, name in enumerate(TERMS):
         _, unit, factor, power = MEANING[name]
         value, least, most = (
             factor * period**power * float(part[k, place]) for part in (found.value, found.low, found.high)
         )
         if other:
-            terms[name] = NoiseTerm(None, 0.0, float("inf"), unit, _OTHER)
+            terms[name] = NoiseTerm(None, 0.0, float("inf"), unit, other)
             continue
         told = least > 0.0
         terms[name] = NoiseTerm(value if told else None, least, most, unit, "" if told else "the record cannot tell it")
@@ -215,8 +256,8 @@ def _minimum(terms: Mapping[str, NoiseTerm], found: NoiseFit, k: int, most: floa
     _, unit, factor, _ = MEANING["B"]
     value, below, above = (factor / FLAT * float(np.sqrt(part)) for part in found.lowest[k])
     unknown = ""
-    if terms["N"].verdict == _OTHER:
-        unknown = _OTHER
+    if terms["N"].verdict in {_OTHER, _HIDDEN}:
+        unknown = terms["N"].verdict
     elif all(terms[name].value is None for name in "BKR"):
         unknown = "the deviation has not ceased to fall"
     elif found.rising[k]:
@@ -231,6 +272,12 @@ def _minimum(terms: Mapping[str, NoiseTerm], found: NoiseFit, k: int, most: floa
 def _poor(found: NoiseFit) -> Bool[np.ndarray, " series"]:
     """Which series are described by no sum of the five noises, whose terms then mean nothing."""
     return np.asarray(stats.chi2.sf(found.chi2, found.dof) < _POOR)
+
+
+def _unknown(found: NoiseFit, first: int) -> list[str]:
+    """Why the terms of each series mean nothing; empty where they do."""
+    hidden = found.lag > _HIDES * first
+    return [_OTHER if poor else _HIDDEN * bool(hides) for poor, hides in zip(_poor(found), hidden, strict=True)]
 
 
 def _misfits(names: tuple[str, ...], found: NoiseFit) -> list[str]:

@@ -21,9 +21,10 @@ if TYPE_CHECKING:
 
 SCHEMA = "memsgyro-allan/1"
 _DEGREE = 180.0 / np.pi
+_PER_HOUR = 3600.0 * _DEGREE  # deg/h in a rad/s, the unit of the terms of a rate
 MEANING = {  # name, and unit with what one in SI is in it; powers of the sample period in a value
     "N": ("angle random walk", "deg/√h", 60.0 * _DEGREE, 0.5),
-    "B": ("flicker", "deg/h", 3600.0 * _DEGREE, 0.0),
+    "B": ("flicker", "deg/h", _PER_HOUR, 0.0),
     "K": ("rate random walk", "deg/h/√h", 60.0 * 3600.0 * _DEGREE, -0.5),
     "R": ("rate ramp", "deg/h²", 3600.0**2 * _DEGREE, -1.0),
     "Q": ("quantisation", "deg", _DEGREE, 1.0),
@@ -161,17 +162,17 @@ class Allan(Shown):
         return xr.Dataset({**curves, **tables}, coordinates, {"schema": SCHEMA, "status": self.status})
 
     def plot(self, ax: "Axes | None" = None) -> "Axes":
-        """Deviation over averaging time with its interval, and the fitted model, both axes logarithmic."""
+        """Deviation [deg/h] over averaging time with its interval, and the fitted model, both axes logarithmic."""
         ax = axes(ax)
         for k, name in enumerate(self.series):
             color = f"C{k % 10}"
-            ax.fill_between(self.tau, *np.degrees([self.low[k], self.high[k]]), color=color, alpha=0.2, lw=0)
-            ax.plot(self.tau, np.degrees(self.deviation[k]), color=color, marker=".", ms=4, lw=1.0, label=name)
-            ax.plot(self.tau, np.degrees(self.fitted[k]), color="k", ls="--", lw=0.8, label="" if k else "fitted model")
+            ax.fill_between(self.tau, *_PER_HOUR * np.array([self.low[k], self.high[k]]), color=color, alpha=0.2, lw=0)
+            ax.plot(self.tau, _PER_HOUR * self.deviation[k], color=color, marker=".", ms=4, lw=1.0, label=name)
+            ax.plot(self.tau, _PER_HOUR * self.fitted[k], color="k", ls="--", lw=0.8, label="" if k else "fitted model")
         ax.set_xscale("log")
         ax.set_yscale("log")
         ax.set_xlabel("averaging time [s]")
-        ax.set_ylabel("Allan deviation [deg/s]")
+        ax.set_ylabel("Allan deviation [deg/h]")
         ax.legend(loc="best", frameon=False)
         return ax
 

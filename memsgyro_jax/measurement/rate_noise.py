@@ -7,7 +7,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import stats
 
-from .allan_variance import NOISES, TERMS, covariance_parts, shapes
+from .allan_variance import TERMS, shapes
+from .noise_likelihood import LAG, NoiseModel
 
 
 # Fall of twice the log-likelihood at the ends of a 95 % interval. It is 3.84 for many degrees of freedom, of which the
@@ -23,10 +24,11 @@ _IN_SIGHT = np.log(50.0)  # below the curve, from where a term is pulled to wher
 _STEP = 1e-4  # of a logarithm, for slopes
 _HALVINGS = 18
 _SPARED = np.array([5.41, 7.29, 8.75, 10.02, 11.18])  # the same for so many terms left out, at `_CHANCE` for none there
-_LAG = len(TERMS)  # place of a low-pass behind the terms
-_BEGUN = 0.3  # artanh of a lag over the first factor
+_FIRST_LAG = 0.3  # lag over the first factor, nearly
+_REACH = 8.0  # times the first factor that a lag can be, where nothing is known of a low-pass, or noise that grows
 _OPPOSITE = TERMS.index("Q")  # which goes with the averaging time as a low-pass does, but adds
-_CHANCE = 0.01  # probability at which series without a term, or without a low-pass, are taken to have it
+_CHANCE = 0.01  # probability at which series without a term are taken to have it
+_LAGGED = 0.1  # the same of a low-pass: one that is not seen takes from N, one that is not there widens its interval
 
 
 class NoiseFit(NamedTuple):
@@ -57,16 +59,6 @@ class NoiseFit(NamedTuple):
     rising: Bool[np.ndarray, " series"]
 
 
-class _Expected(NamedTuple):
-    """What a model expects of the cube roots of the variances."""
-
-    variance: np.ndarray
-    freedom: np.ndarray
-    mean: np.ndarray
-    std: np.ndarray
-    correlation: np.ndarray
-
-
 def fit_noise(
     variance: Float[np.ndarray, "series factors"], factors: tuple[int, ...], samples: int, low_pass: bool = False
 ) -> NoiseFit:
@@ -79,16 +71,10 @@ def fit_noise(
 
     No term can be negative, so one that is not there still takes from the others: N was told 3 % too small. What the
     series can do without is dropped therefore (`_needed`), while the intervals are those of all terms. A low-pass
-    (`low_passed`, up to the first factor) is counted where the series together show it, and with `low_pass` in any
+    (`low_passed`) is counted where the series together show it, and with `low_pass` in any
     case, of either sign. Nothing tells it from quantisation, which is left out then.
     """
-    model = _Model(variance, factors, samples)
-    nearest = np.log(np.min(variance[:, :, None] / model.shapes, axis=1))
-    least_lag = np.full((len(nearest), 1), -1.0 if low_pass else 0.0)
-    nearest = np.concatenate([nearest, least_lag + _IN_SIGHT], axis=1)
-    floor = np.concatenate([nearest[:, :_LAG] - _NOTHING, least_lag], axis=1)
-    start = np.concatenate([nearest[:, :_LAG] - np.log(len(TERMS)), np.zeros_like(least_lag)], axis=1)
-    best, least, free = _full(model, start, floor, low_pass)
+    model, nearest, floor, (best, least, free) = _begun(variance, factors, samples, low_pass)
     ramp = np.exp(best[:, 3]) * model.shapes[-1, 3] > _RAMP * model.expected(best).variance[:, -1]
     fall = np.where(ramp[:, None], _BESIDE_RAMP, _FALL)
     # What describes no record may have a term further above the curve still, whose end lies above it all the same.
@@ -96,9 +82,9 @@ def fit_noise(
     ends, rises = _profile(model, best, least[:, None] + 0.5 * fall, floor, most, nearest, free)
     kept = _needed(model, best, least, rises - least[:, None], floor, nearest, free)
     expected = model.expected(kept)
-    gone = (kept <= floor + 1.0)[:, :_LAG]
-    value = np.where(gone, 0.0, np.exp(0.5 * kept[:, :_LAG]))
-    unknown = free[:, _LAG:] & np.isin(TERMS, TERMS[_OPPOSITE])
+    gone = (kept <= floor + 1.0)[:, :LAG]
+    value = np.where(gone, 0.0, np.exp(0.5 * kept[:, :LAG]))
+    unknown = free[:, LAG:] & np.isin(TERMS, TERMS[_OPPOSITE])
     low = np.where(rises <= least[:, None] + 0.5 * fall, 0.0, np.exp(0.5 * ends[0]))
     return NoiseFit(
         value,
@@ -107,53 +93,77 @@ def fit_noise(
         expected.variance,
         expected.freedom,
         np.sum(model.whitened(expected) ** 2, axis=-1),
-        np.maximum(len(factors) - np.sum(~gone, axis=-1) - np.sum(free[:, _LAG:], axis=-1), 1.0),
-        factors[0] * np.tanh(kept[:, _LAG]),
+        np.maximum(len(factors) - np.sum(~gone, axis=-1) - np.sum(free[:, LAG:], axis=-1), 1.0),
+        model.lag(kept),
         *_lowest(model, kept, floor),
     )
 
 
-def _lowest(model: "_Model", kept: np.ndarray, floor: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def glance(
+    variance: Float[np.ndarray, "series factors"], factors: tuple[int, ...], samples: int, low_pass: bool = False
+) -> tuple[Float[np.ndarray, " series"], Float[np.ndarray, " series"], float]:
+    """Lag and χ² of each series where all terms of `fit_noise` are fitted, and the degrees of freedom: a tenth of its
+    work, without intervals.
+    """
+    model, _, _, (best, _, free) = _begun(variance, factors, samples, low_pass)
+    chi2 = np.sum(model.whitened(model.expected(best)) ** 2, axis=-1)
+    return model.lag(best), chi2, max(len(factors) - float(np.sum(free[0])), 1.0)
+
+
+def _begun(
+    variance: np.ndarray, factors: tuple[int, ...], samples: int, low_pass: bool
+) -> tuple[NoiseModel, np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """The model, the terms that reach the curve, those as good as absent, and the best of all terms (`_full`)."""
+    model = NoiseModel(variance, factors, samples, (_REACH, 1.0 if low_pass else _REACH))
+    nearest = np.log(np.min(variance[:, :, None] / model.shapes, axis=1))
+    least_lag = np.full((len(nearest), 1), -_REACH if low_pass else 0.0)
+    nearest = np.concatenate([nearest, least_lag + _IN_SIGHT], axis=1)
+    floor = np.concatenate([nearest[:, :LAG] - _NOTHING, least_lag], axis=1)
+    start = np.concatenate([nearest[:, :LAG] - np.log(len(TERMS)), np.zeros_like(least_lag)], axis=1)
+    return model, nearest, floor, _full(model, start, floor, low_pass)
+
+
+def _lowest(model: NoiseModel, kept: np.ndarray, floor: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(series, 3) least variance of the model with its 95 % interval by what the deviations tell of the terms that are
     `kept`, and whether it is the first. The least of the measured ones is of the longest averaging times, which scatter
     most: of flicker it lay between a third and all of it.
     """
     times = np.geomspace(model.factors[0], model.factors[-1], 16 * len(model.factors))
-    there = (kept > floor + 1.0)[:, :_LAG]
-    parts = (np.exp(kept[:, :_LAG]) * there)[:, None, :] * shapes(times)
+    there = (kept > floor + 1.0)[:, :LAG]
+    parts = (np.exp(kept[:, :LAG]) * there)[:, None, :] * shapes(times)
     variance = np.sum(parts, axis=-1)
     place = np.argmin(variance, axis=-1)[:, None]
     value = np.take_along_axis(variance, place, axis=-1)
     shares = np.take_along_axis(parts, place[..., None], axis=1)[:, 0] / value  # slopes of the logarithm
-    units = _STEP * np.eye(kept.shape[-1])[:_LAG]
+    units = _STEP * np.eye(kept.shape[-1])[:LAG]
     sides = [[model.loss(kept + sign * unit)[1] for sign in (1.0, -1.0)] for unit in units]
     bend = np.stack([(up - down) / (2 * _STEP) for up, down in sides], axis=-1) * there[:, None, :]
-    normal = np.swapaxes(bend, -1, -2) @ bend + np.where(there, 1e-6, 1.0)[:, None, :] * np.eye(_LAG)
+    normal = np.swapaxes(bend, -1, -2) @ bend + np.where(there, 1e-6, 1.0)[:, None, :] * np.eye(LAG)
     spread = np.einsum("st,st->s", shares, np.linalg.solve(normal, shares[..., None])[..., 0])
     ends = np.exp(np.sqrt(_FALL * spread)[:, None] * np.array([0.0, -1.0, 1.0]))
     return value * ends, place[:, 0] == 0
 
 
 def _full(
-    model: "_Model", start: np.ndarray, floor: np.ndarray, low_pass: bool
+    model: NoiseModel, start: np.ndarray, floor: np.ndarray, low_pass: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Best of all terms, its loss, and what is free in it: a low-pass in place of quantisation where there is one, or
     the series together show one.
     """
     free = np.ones(start.shape, bool)
-    free[:, _LAG] = False
+    free[:, LAG] = False
     best, least = _descend(model.loss, start, floor, free, 80)
-    begun = np.where(free, np.maximum(best, start - _IN_SIGHT), _BEGUN)
+    begun = np.where(free, np.maximum(best, start - _IN_SIGHT), _FIRST_LAG)
     begun[:, _OPPOSITE], lagged = floor[:, _OPPOSITE], np.ones(start.shape, bool)
     lagged[:, _OPPOSITE] = False
     passed, less = _descend(model.loss, begun, floor, lagged, 80)
-    if not low_pass and _by_chance(2.0 * np.maximum(least - less, 0.0)) > _CHANCE:
+    if not low_pass and _by_chance(2.0 * np.maximum(least - less, 0.0)) > _LAGGED:
         return best, least, free
     return passed, less, lagged
 
 
 def _needed(
-    model: "_Model", best: np.ndarray, least: np.ndarray, rises: np.ndarray, floor: np.ndarray, nearest: np.ndarray,
+    model: NoiseModel, best: np.ndarray, least: np.ndarray, rises: np.ndarray, floor: np.ndarray, nearest: np.ndarray,
     free: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
     """Best without the terms that the series can do without. Terms are left out in turn, from that on which least
@@ -165,7 +175,7 @@ def _needed(
         trial = free.copy()
         trial[:, place] = False
         begun = np.where(trial, np.maximum(at, nearest - _IN_SIGHT), floor)
-        begun[:, _LAG] = at[:, _LAG]
+        begun[:, LAG] = at[:, LAG]
         moved, value = _descend(model.loss, begun, floor, trial, 30)
         spared = ~told[:, place] & (2.0 * (value - least) <= _SPARED[left_out])
         if _by_chance(np.minimum(2.0 * (value - loss), _FALL)) < _CHANCE:
@@ -182,82 +192,6 @@ def _by_chance(gains: np.ndarray) -> float:
     count = len(gains)
     positive = np.arange(1, count + 1)
     return float(stats.binom.pmf(positive, count, 0.5) @ stats.chi2.sf(max(float(np.sum(gains)), 0.0), positive))
-
-
-def low_passed(
-    lag: Float[np.ndarray, "*series"], factors: Float[np.ndarray, " factors"]
-) -> Float[np.ndarray, "*series factors"]:
-    """Share of the Allan variance of white noise that a low-pass takes: lag/m at averaging times m far beyond its own,
-    whatever its form, the lag being three times the first moment of its autocovariance over N². Nearer to its own it is
-    taken to have one pole. A negative lag is noise that swings before it falls, and adds.
-    """
-    lag = np.asarray(lag)[..., None]
-    pole = 2.0 * np.maximum(lag, 0.0) / (3.0 + np.sqrt(9.0 + 4.0 * lag**2))  # of which lag is 3 a/(1 − a²)
-    near = pole**factors
-    return lag / factors * (1.0 - (4.0 * near - near**2) / 3.0)
-
-
-class _Model:
-    """The likelihood of logarithms of the terms' squares and the artanh of a low-pass's lag over the first factor;
-    leading axes of arguments are many fits at once.
-    """
-
-    def __init__(self, variance: np.ndarray, factors: tuple[int, ...], samples: int) -> None:
-        self.shapes = shapes(factors)
-        squares, sums = covariance_parts(samples, factors)
-        self.squares, self.sums = squares.reshape(-1, len(NOISES) ** 2).T, sums.reshape(-1, len(NOISES)).T
-        self.root = np.cbrt(variance)
-        self.factors = np.array(factors, float)
-
-    def repeated(self, times: int) -> "_Model":
-        """Each series `times` over."""
-        other = object.__new__(_Model)
-        other.shapes, other.squares, other.sums = self.shapes, self.squares, self.sums
-        other.factors = self.factors
-        other.root = np.repeat(self.root, times, axis=0)
-        return other
-
-    def only(self, chosen: np.ndarray) -> "_Model":
-        """The series that are `chosen`."""
-        other = self.repeated(1)
-        other.root = self.root[chosen]
-        return other
-
-    def expected(self, logs: np.ndarray) -> _Expected:
-        power = np.exp(logs[..., :_LAG])
-        random, ramp = power[..., list(NOISES)], power[..., 3]
-        pairs = (random[..., :, None] * random[..., None, :]).reshape(*random.shape[:-1], -1)
-        size = len(self.shapes)
-        covariance = (pairs @ self.squares + ramp[..., None] * (random @ self.sums)).reshape(*ramp.shape, size, size)
-        variance = power @ self.shapes.T
-        own = np.diagonal(covariance, axis1=-2, axis2=-1)
-        freedom, std = 2.0 * variance**2 / own, np.sqrt(own)
-        correlation = covariance / (std[..., :, None] * std[..., None, :])
-        spread = 2.0 / (9.0 * freedom)
-        # At averaging times beyond its own a low-pass changes how large deviations are, hardly their correlation.
-        lag = self.factors[0] * np.tanh(logs[..., _LAG])
-        variance = variance - power[..., :1] * self.shapes[:, 0] * low_passed(lag, self.factors)
-        scale = np.cbrt(variance)
-        return _Expected(variance, freedom, scale * (1.0 - spread), scale * np.sqrt(spread), correlation)
-
-    def whitened(self, expected: _Expected) -> np.ndarray:
-        residual = ((self.root - expected.mean) / expected.std)[..., None]
-        return np.linalg.solve(_factor(expected.correlation), residual)[..., 0]
-
-    def loss(self, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Negative log-likelihood, and the whitened residual."""
-        expected = self.expected(logs)
-        factor = _factor(expected.correlation)
-        residual = ((self.root - expected.mean) / expected.std)[..., None]
-        white = np.linalg.solve(factor, residual)[..., 0]
-        size = np.log(np.diagonal(factor, axis1=-2, axis2=-1)) + np.log(expected.std)
-        return 0.5 * np.sum(white**2, axis=-1) + np.sum(size, axis=-1), white
-
-
-def _factor(correlation: np.ndarray) -> np.ndarray:
-    # Of a walk under a ramp all deviations are one and the same, to rounding.
-    size = correlation.shape[-1]
-    return np.linalg.cholesky(correlation + 1e-5 * np.eye(size))
 
 
 Loss = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
@@ -294,7 +228,7 @@ def _descend(
 
 
 def _profile(
-    model: _Model, best: np.ndarray, limits: np.ndarray, floor: np.ndarray, most: np.ndarray, nearest: np.ndarray,
+    model: NoiseModel, best: np.ndarray, limits: np.ndarray, floor: np.ndarray, most: np.ndarray, nearest: np.ndarray,
     free: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """(2, series, 5) logarithms where the loss, least over the others that are `free`, has risen to `limits` (series,

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from memsgyro_jax.base import runtime
-from memsgyro_jax.base.arguments import quantity, whole
+from memsgyro_jax.base.arguments import quantity, refuse_traced, whole
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.loop.loop import ClosedLoop, as_loop
 from memsgyro_jax.loop.operation import run_of
@@ -59,6 +59,8 @@ class RateTests:
         **Raises:** `InputError` for settings that cannot be run, and outside float64.
         """
         runtime.require_float64(what)
+        plain = "plain numbers, or map `simulate` over a lot that `Spread.draw` has drawn"
+        refuse_traced(f"`{what}` makes tables of a lot and", plain, loop, spread, scenario)
         loop, seed, dies = as_loop(loop), whole("seed", seed), whole("dies", dies, FEWEST)
         sample_rate, duration = run_of(loop, sample_rate, duration)
         full_scale = quantity("full_scale", full_scale, "rad/s")

@@ -181,7 +181,7 @@ def _require(path: Path | RemotePath, layout: Layout, block: int) -> None:
     if found.get("block") != block:
         raise InputError(
             f"{path} was cut in blocks of {found.get('block')} dies, this run would cut {block}; "
-            "resume with the chunk size it was made with."
+            f"resume with the `chunk` it was made with, {found.get('block', 0) / block:g} times that of this run."
         )
 
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from memsgyro_jax.base.arguments import quantity, whole
+from memsgyro_jax.base.arguments import quantity, refuse_traced, whole
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.runtime import require_float64
 from memsgyro_jax.device.gyro import AbstractGyro, check_positive, mode_frequencies
@@ -72,6 +72,7 @@ def design_motion(
     sample rate, an unknown name, a read-out without noise, fewer tones than the unknowns need.
     """
     require_float64("`design_motion`")
+    refuse_traced("`design_motion` searches and", "plain numbers, or take `information_bound`", gyro, readout)
     tones, dies, starts, seed = (
         whole(name, number, least)
         for name, number, least in (("tones", tones, 1), ("dies", dies, 1), ("starts", starts, 1), ("seed", seed, 0))

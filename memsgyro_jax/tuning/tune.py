@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from memsgyro_jax.base import runtime
-from memsgyro_jax.base.arguments import quantity, whole
+from memsgyro_jax.base.arguments import quantity, refuse_traced, whole
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.provenance import Settings, fingerprint
 from memsgyro_jax.loop.blocks.run import prepared
@@ -89,6 +89,7 @@ def tune(
     and outside float64.
     """
     runtime.require_float64("tune")
+    refuse_traced("`tune` decides by what it finds and", "plain numbers, or the gradient of `simulate`", loop, scenario)
     loop, seed = as_loop(loop), whole("seed", seed)
     dies, validation_dies = whole("dies", dies, 2), whole("validation_dies", validation_dies, 1)
     report_dies, evaluations = whole("report_dies", report_dies, 1), whole("evaluations", evaluations, 1)

@@ -22,24 +22,6 @@ RUN = ["--sample-rate", "20 kHz", "--duration", "0.01"]
 RECORD = "t [s],rate [deg/s]\n0,0\n0.005,60\n0.01,-30\n"
 
 
-@pytest.fixture
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
-@pytest.fixture
-def memsgyro(folder, capsys):
-    """Runs the command line in an empty folder: exit status, standard output, standard error."""
-
-    def run(*tokens):
-        with pytest.raises(SystemExit) as end:
-            cli.main(list(map(str, tokens)))
-        return end.value.code, *capsys.readouterr()
-
-    return run
-
-
 @pytest.fixture(scope="module")
 def swept(tmp_path_factory):
     """Folder of a small sweep's results."""

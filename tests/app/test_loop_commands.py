@@ -1,12 +1,14 @@
 """`memsgyro tornado` and `memsgyro loop` as a user runs them, against the functions that they are made of."""
 
 import json
+from typing import get_args
 
 import numpy as np
 import pytest
 
 import memsgyro_jax as mg
-from memsgyro_jax.app import cli
+from memsgyro_jax.app.commands.loop import Disturbance
+from memsgyro_jax.loop.linearised import INPUTS
 
 
 STUDY = """
@@ -37,52 +39,46 @@ duration = "5 ms"
 
 
 @pytest.fixture
-def memsgyro(tmp_path, monkeypatch, capsys):
-    """Runs the command line beside the study: exit status and standard output."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "study.toml").write_text(STUDY)
-
-    def run(*tokens):
-        with pytest.raises(SystemExit) as end:
-            cli.main(list(map(str, tokens)))
-        return end.value.code, capsys.readouterr().out
-
-    return run
+def study(folder):
+    """Lies where the command line is run."""
+    path = folder / "study.toml"
+    path.write_text(STUDY)
+    return path
 
 
 @pytest.mark.slow
-def test_a_tornado_of_the_zero_rate_output(memsgyro, tmp_path):
+def test_a_tornado_of_the_zero_rate_output(memsgyro, folder, study):
     """A filter that knows all but the rate takes what cross damping changes for a rate of it over 2 m."""
     given = ("--zero-rate", "--repeats", 2, "--report", "bars.html", "--json", "bars.json")
-    status, out = memsgyro("tornado", "study.toml", *given)
+    status, out, _ = memsgyro("tornado", study, *given)
     assert (status, "zero-rate output" in out, "device.dxy" in out) == (0, True, True)
-    (told,) = json.loads((tmp_path / "bars.json").read_text())["outputs"]
+    (told,) = json.loads((folder / "bars.json").read_text())["outputs"]
     largest = told["inputs"][0]
     assert (largest["name"], told["name"]) == ("device.dxy", "zero-rate output")
-    sigma = 0.1 * float(mg.load_study("study.toml").loop.device.dxy)
+    sigma = 0.1 * float(mg.load_study(study).loop.device.dxy)
     assert abs(largest["high"]) == pytest.approx(np.degrees(sigma / (2.0 * 180e-9)), rel=0.1)
     assert largest["gradient"] == pytest.approx(largest["high"], rel=0.01)
     assert largest["standard_error"] == 0.0  # the read-out is silent
-    assert (tmp_path / "bars.html").read_text().count("<svg") == 1
+    assert (folder / "bars.html").read_text().count("<svg") == 1
 
 
 @pytest.mark.slow
-def test_a_loop_over_frequency(memsgyro, tmp_path):
-    status, out = memsgyro("loop", "study.toml", "--frequencies", 500, 900, "--report", "l.html", "--json", "l.json")
+def test_a_loop_over_frequency(memsgyro, folder, study):
+    status, out, _ = memsgyro("loop", study, "--frequencies", 500, 900, "--report", "l.html", "--json", "l.json")
     assert (status, "half the power" in out, "°/√h" in out) == (0, True, True)
-    told = json.loads((tmp_path / "l.json").read_text())
+    told = json.loads((folder / "l.json").read_text())
     answer = mg.frequency_response(
-        mg.load_study("study.toml").loop, [500.0, 900.0], sample_rate=40e3, duration=5e-3, settle=2.5e-3
+        mg.load_study(study).loop, [500.0, 900.0], sample_rate=40e3, duration=5e-3, settle=2.5e-3
     )
     assert told["responses"]["rate"]["gain"] == pytest.approx(np.abs(answer.response).tolist())
     assert told["margins"] is None
     assert told["noise"]["walk_deg_per_root_hour"]["electronics"] > 0.0
-    assert (tmp_path / "l.html").read_text().count("<svg") == 2
+    assert (folder / "l.html").read_text().count("<svg") == 2
 
 
 def test_what_they_refuse(memsgyro):
-    assert memsgyro("loop", "study.toml", "--disturbance", "heat")[0] == 2
-    assert memsgyro("tornado", "study.toml", "--sigmas", 0)[0] == 2
+    assert memsgyro("loop", study, "--disturbance", "heat")[0] == 2
+    assert memsgyro("tornado", study, "--sigmas", 0)[0] == 2
     assert memsgyro("tornado", "nowhere.toml")[0] == 2
 
 
@@ -107,13 +103,13 @@ duration = "2 ms"
 
 
 @pytest.mark.slow
-def test_a_classic_loop_is_looked_at_once_it_rests(memsgyro, tmp_path):
+def test_a_classic_loop_is_looked_at_once_it_rests(memsgyro, folder, study):
     """The study's own runs would show the start, from a frequency on that is none of slow rates."""
-    (tmp_path / "classic.toml").write_text(CLASSIC)
-    status, out = memsgyro("loop", "classic.toml", "--json", "rested.json")
+    (folder / "classic.toml").write_text(CLASSIC)
+    status, out, _ = memsgyro("loop", "classic.toml", "--json", "rested.json")
     assert status == 0
     assert "in which the loop comes to rest: the 0.002 s of the study would show its start" in out
-    told = json.loads((tmp_path / "rested.json").read_text())["responses"]["rate"]
+    told = json.loads((folder / "rested.json").read_text())["responses"]["rate"]
     at, rest = np.array(told["frequency_hz"]), np.array(told["rest"])
     assert at[0] < 150.0
     assert 0.45 * 17.2e3 < at[-1] <= 0.5 * 17.3e3  # the split and the fall-off lie below
@@ -122,3 +118,15 @@ def test_a_classic_loop_is_looked_at_once_it_rests(memsgyro, tmp_path):
     assert "a peak of" in next(line for line in out.splitlines() if line.startswith("Response"))
     assert np.max(rest[at < 450.0]) < 0.02
     assert "comes to rest" not in memsgyro("loop", "classic.toml", "--duration", "3 ms", "--frequencies", 1000, 2000)[1]
+
+
+def test_an_unknown_disturbance_is_refused_before_anything_is_imported(fresh_python, folder):
+    """It took 8 s of margins and noise until then."""
+    code = (
+        "import sys\nfrom memsgyro_jax.app import cli\ntry:\n    cli.main(['loop', '--disturbance', 'torque'])\n"
+        "except SystemExit as end:\n    print(end.code, 'jax' in sys.modules)"
+    )
+    done = fresh_python("-c", code)
+    assert done.stdout.split() == ["2", "False"]
+    assert all(name in done.stderr for name in ("torque", *INPUTS))
+    assert get_args(Disturbance) == tuple(INPUTS)

@@ -123,6 +123,17 @@ def test_what_no_transformation_goes_through_is_said():
         jax.grad(lambda duration: mg.simulate(SWINGING, 1.0, **RUN | {"duration": duration}).rate_estimate[-1])(2e-3)
     with pytest.raises(mg.InputError, match="`sample_rate` decides how many samples"):
         jax.vmap(lambda rate: mg.information_bound(SWINGING, 1.0, sample_rate=rate).rate_std)(jnp.array([1e5, 2e5]))
+    spread = mg.Spread.relative(0.1)
+    for function, word in (
+        (lambda loop: mg.datasheet(loop, spread, dies=4, sample_rate=1e5, duration=1e-3), "`datasheet` makes tables"),
+        (lambda loop: mg.tornado(loop, spread, sample_rate=1e5, duration=1e-3), "A sensitivity is a table"),
+        (lambda loop: mg.tune(loop, free=mg.free(["device.kxx"]), sample_rate=1e5, duration=1e-3), "`tune` decides by"),
+        (lambda loop: mg.gain_phase_margins(loop), "or take `loop_margins`"),
+        (lambda loop: mg.observability(loop, sample_rate=1e5, duration=1e-3), "or take `information_bound`"),
+        (lambda loop: mg.design_motion(loop.device), "`design_motion` searches"),
+    ):
+        with pytest.raises(mg.InputError, match=word):
+            jax.eval_shape(lambda kxx, function=function: function(stiffened(kxx)), 63.96)
     sweep = lambda kxx: mg.sweep(stiffened(kxx), mg.Spread.relative(0.1), dies=2, sample_rate=1e5, duration=1e-3)  # noqa: E731
     with pytest.raises(mg.InputError, match=r"A sweep keeps a table of its dies .*`Spread.draw`"):
         jax.jvp(lambda kxx: sweep(kxx).rate_error, (63.96,), (1.0,))

@@ -1,11 +1,13 @@
 """`memsgyro loop`: the loop of a study at its design, over frequency: Bode diagrams, margins, noise by source."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import cyclopts
 
 from memsgyro_jax.base.errors import InputError
 
-from .flags import Numbers, Words
+from .flags import Numbers
 from .quick import look_for_study
 
 
@@ -14,6 +16,7 @@ if TYPE_CHECKING:
     from memsgyro_jax.loop.loop import ClosedLoop
 
 SCHEMA = "memsgyro-loop/1"
+Disturbance = Literal["rate", "force x", "force y", "voltage x", "voltage y"]  # `INPUTS`, known before JAX is imported
 _POINTS = 24  # frequencies of a Bode diagram where none are given
 _SHARE = 0.05  # of the sample rate, which none of these exceeds
 _PERIODS = 20.0  # of the frequency at half the power, in which the lowest one has its period
@@ -23,7 +26,7 @@ def loop_command(
     study: Path | None = None,
     /,
     *,
-    disturbance: Words = ("rate",),
+    disturbance: Annotated[tuple[Disturbance, ...], cyclopts.Parameter(consume_multiple=True)] = ("rate",),
     frequencies: Numbers = (),
     duration: str | None = None,
     level: float = 0.0,
@@ -40,7 +43,7 @@ def loop_command(
 
     Args:
         study: a study file (TOML); without it the loop of the thesis.
-        disturbance: what the sine is of: rate, "force x", "force y", "voltage x" or "voltage y"; one or several.
+        disturbance: what the sine is of, one or several: the rate, a force on the mass, a voltage of the read-out.
         frequencies: of the sines in Hz, rising, from one period of the settled part on: `--duration` sets this lowest
             one (2/duration, without `settle`). Without them 24 from there to half the drive's frequency, and some at
             the split of the modes.

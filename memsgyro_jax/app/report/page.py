@@ -1,17 +1,19 @@
 """A report page: sections of text, tables and figures in one HTML file that loads nothing from anywhere.
 
-Everything that is not a figure is escaped; figures are SVG drawn here by matplotlib. The page's content policy forbids
-scripts and every outside resource, so that a report may be opened from an untrusted share.
+Everything that is not a figure is escaped, and what stands between backticks is set as code; figures are SVG drawn here
+by matplotlib. The page's content policy forbids scripts and every outside resource, so that a report may be opened from
+an untrusted share.
 """
 
 import io
+import re
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from memsgyro_jax.base.files import write_whole
 from memsgyro_jax.base.made_by import made_by
@@ -96,7 +98,13 @@ def _template() -> Template:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters |= {"marked": _marked, "unmarked": lambda text: text.replace("`", "")}
     return environment.get_template("page.html")
+
+
+def _marked(text: str) -> Markup:
+    """Text whose `names` are set as code; all of it is escaped first."""
+    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text))))
 
 
 def _svg(figure: "Figure", salt: str) -> Markup:

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import special
 
+from memsgyro_jax.base.arguments import refuse_traced
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.text import listed
 from memsgyro_jax.loop.loop import ClosedLoop
@@ -58,7 +59,9 @@ def repeated(places: Float[np.ndarray, "places inputs"], repeats: int) -> Points
 
 
 def inputs_of(loop: ClosedLoop, spread: Spread) -> tuple[str, ...]:
-    """Paths of the varied parameters; raises `InputError` where there is none."""
+    """Paths of the varied parameters; raises `InputError` where there is none, and for numbers that are traced."""
+    plain = "plain numbers, or map `simulate` over a lot that `Spread.draw` has drawn"
+    refuse_traced("A sensitivity is a table of a lot and", plain, loop, spread)
     items = as_spread(spread).resolved(loop)
     if not items:
         raise InputError("Argument `spread` must vary at least one parameter, but varies none.")

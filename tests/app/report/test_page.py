@@ -48,6 +48,15 @@ def test_everything_is_escaped():
     assert not any(name.startswith("on") for name, _ in page.attributes)
 
 
+def test_names_of_the_study_are_set_as_code():
+    """Pages showed the marks of a terminal, `settle`."""
+    said, code = "a longer `sweep.settle` or `<b>`", "<code>sweep.settle</code> or <code>&lt;b&gt;</code>"
+    html = Page("one").section(said).text(said).table([said], [[said]], said).figure(drawn(), said).html()
+    assert html.count(code) == 6  # title of the section, text, head, cell, captions of the table and the figure
+    assert "`" not in html
+    assert 'aria-label="a longer sweep.settle or &lt;b&gt;"' in html
+
+
 def test_nothing_is_loaded_from_anywhere():
     html = evil_page()
     assert "default-src 'none'" in html

@@ -141,6 +141,8 @@ def test_a_readout_by_its_carrier(tmp_path):
     ("old", "new", "words"),
     [
         ('"9 kHz"', '"9 N/m"', ["line 5, `device.frequency", '"Hz"', '"N/m"']),
+        ('["9 kHz", "10 kHz"]', '["9 kHz"]', ["line 5, `device.frequency`: must have at least 2 entries, but has 1"]),
+        ('"9 kHz"', '"9 kHz", "1 Hz"', ["line 5, `device.frequency`: must have at most 2 entries, but has 3"]),
         ("[1000, 2000]", "[1000, 0]", ["line 6, `device.quality_factor", "greater than 0"]),
         ("[1000, 2000]", "[1000, 2000]\nquadrature = 3", ["line 7, `device.quadrature`", "must carry a unit"]),
         ("[1000, 2000]", '[1000, 2000]\nquadrature = "1 MHz"', ["line 7", '"rad/s"']),

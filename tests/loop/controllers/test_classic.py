@@ -427,6 +427,10 @@ def test_a_run_that_ends_before_its_loops_rest_names_what_is_slow(caplog, monkey
     assert "after the 0.26 s in which the drive swings up" in said
     assert "0.35 s and more outlast. A larger `limit` of the drive's force" in said
     assert "sense axis" not in said
+    from_above = eqx.tree_at(lambda one: one.start[0], loop, 2e-5)
+    (said,) = not_rested(from_above, 0.3)
+    assert "in which the swing comes down from its start at 2e-05 m" in said
+    assert "A `start` at rest, (0, 0, 0, 0), or with the drive's amplitude needs none of it." in said
     apart = mg.SingleMassGyro.from_modes("8 ug", ("10 kHz", "10.06 kHz"), 8000, quadrature="200 deg/s")
     slow = mg.ClassicControl.force_rebalance(apart, DISPLACEMENT, amplitude=1e-6, demodulator_bandwidth="250 Hz")
     assert "a demodulator of five times the mode split" in not_rested(loop_of(apart, DISPLACEMENT, slow), 0.5)[0]
