@@ -29,7 +29,7 @@ def folder(tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def memsgyro(folder, capsys):
+def memsgyro(folder, capsys, quick_pictures):
     """Runs the command line in an empty folder: exit status, standard output, standard error."""
 
     def run(*tokens):
