@@ -87,8 +87,6 @@ def _lines(path: Path, text: str) -> list[_Line]:
 
 
 def _fields(path: Path, number: int, line: str) -> list[str]:
-    if '"' not in line:  # a tenth of the reader's time
-        return [field.lstrip(" ") for field in line.split(",")]
     try:
         return next(csv.reader([line], skipinitialspace=True, strict=True))
     except csv.Error as error:
