@@ -170,6 +170,22 @@ def shared() -> Path:
 
 
 @pytest.fixture
+def quick_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pictures of pages are drawn once, without the search for their margins, which is most of a page's time: for tests
+    of what stands beside them. Pages that fixtures of a module make are drawn as users see them.
+    """
+    from matplotlib.figure import Figure
+
+    whole = Figure.savefig
+
+    def savefig(figure: Figure, *arguments: Any, bbox_inches: Any = None, **named: Any) -> None:
+        figure.set_layout_engine("none")
+        whole(figure, *arguments, **named)
+
+    monkeypatch.setattr(Figure, "savefig", savefig)
+
+
+@pytest.fixture
 def fresh_python(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
     """Runs `python *arguments` as a user's first start would: no setting of this process, empty cache, empty folder.
 

@@ -7,6 +7,7 @@ effects moved them, and by how much.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -14,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from memsgyro_jax.base.plainly import plainly
 from memsgyro_jax.device.conditions import Conditions
 from memsgyro_jax.effects import DriveEffect, Effect, ForceEffect, ReadoutEffect, Scanned, SurroundingsEffect
 from memsgyro_jax.effects.evaluation import Acting, moment
@@ -205,8 +207,8 @@ def _trend(model: Model, every: Sequence[Surrounded], places: Sequence[int]) -> 
     units = np.stack([_units([one for one in every if one.axis == axis]) for axis in axes])[number]
     shared = np.eye(3 * len(axes)).reshape(len(axes), 3, -1)[number].reshape(3 * len(every), -1)
     columns = {}
-    for place in places:
-        column = _answers(model, model.effects[place], every) / units
+    for place, answers in zip(places, _answers(model, [model.effects[i] for i in places], every), strict=True):
+        column = answers / units
         own = column.ravel() - shared @ np.linalg.lstsq(shared, column.ravel(), rcond=None)[0]
         if np.isfinite(column).all() and np.linalg.norm(own) > 1e-9 * np.linalg.norm(column):
             columns[place] = column
@@ -230,34 +232,46 @@ def _may_move(effect: Effect) -> bool:
     return acts and not other and effect.strength.size == 1
 
 
-def _answers(model: Model, effect: Effect, every: Sequence[Surrounded]) -> np.ndarray:
-    """(n, 3) stiffness, damping and logarithm of the gain of each setting by the strength of an effect, at none."""
-    mass, still = jnp.abs(model.device.mobility), jnp.zeros(model.axes)
-
-    def of(strength: jax.Array, one: jax.Array, around: Conditions) -> jax.Array:
-        acting = Acting.of((eqx.tree_at(lambda e: e.strength, effect, jnp.reshape(strength, effect.strength.shape)),))
-
-        def answer(amounts: jax.Array) -> jax.Array:
-            motion, speed, command = amounts[:, None] * one
-            now = moment(
-                motion, speed, command, around, device=model.device, scale=model.scale,
-                reference_temperature=model.reference_temperature, reference_bias=model.reference_bias,
-                order=model.order,
-            )  # fmt: skip
-            now = eqx.tree_at(lambda m: (m.acceleration, m.jerk), now, (motion, still), is_leaf=lambda v: v is None)
-            now = acting.driven(now)
-            shown = acting.signal(model.scale * now.seen, now) / model.scale
-            return jnp.stack([acting.force(now, jnp.zeros(0))[0] @ one, now.force @ one, shown @ one])
-
-        by = jax.jacfwd(answer)(jnp.zeros(3))
-        return jnp.stack([-mass * by[0, 0], -mass * by[0, 1], jnp.log(jnp.abs(by[1, 2] * by[2, model.order % 2]))])
-
-    one = jnp.eye(model.axes)[np.array([one.axis for one in every])]
+def _answers(model: Model, effects: Sequence[Effect], every: Sequence[Surrounded]) -> list[np.ndarray]:
+    """For each of some effects (n, 3) stiffness, damping and logarithm of the gain of each setting by its strength, at
+    none.
+    """
+    if not effects:
+        return []
+    one = np.eye(model.axes)[[setting.axis for setting in every]]
     around = Conditions(
-        temperature=np.array([one.temperature for one in every]),
-        bias_voltage=np.array([one.bias_voltage for one in every]),
+        temperature=np.array([setting.temperature for setting in every]),
+        bias_voltage=np.array([setting.bias_voltage for setting in every]),
     ).rows(len(every))
-    return np.asarray(jax.vmap(jax.jacfwd(of), in_axes=(None, 0, 0))(jnp.zeros(()), one, around))
+    return [np.asarray(answers) for answers in _slopes_of_all(model, tuple(effects), one, around)]
+
+
+@plainly
+def _slopes_of_all(model: Model, effects: tuple[Effect, ...], one: jax.Array, around: Conditions) -> list[jax.Array]:
+    """One program in place of one for each operation of each effect."""
+    by_strength = [jax.jacfwd(partial(_of_strength, model, effect)) for effect in effects]
+    return [jax.vmap(slopes, in_axes=(None, 0, 0))(jnp.zeros(()), one, around) for slopes in by_strength]
+
+
+def _of_strength(model: Model, effect: Effect, strength: jax.Array, one: jax.Array, around: Conditions) -> jax.Array:
+    """(3,) what an effect of some strength adds to stiffness, damping and logarithm of the gain along an axis."""
+    mass, still = jnp.abs(model.device.mobility), jnp.zeros(model.axes)
+    acting = Acting.of((eqx.tree_at(lambda e: e.strength, effect, jnp.reshape(strength, effect.strength.shape)),))
+
+    def answer(amounts: jax.Array) -> jax.Array:
+        motion, speed, command = amounts[:, None] * one
+        now = moment(
+            motion, speed, command, around, device=model.device, scale=model.scale,
+            reference_temperature=model.reference_temperature, reference_bias=model.reference_bias,
+            order=model.order,
+        )  # fmt: skip
+        now = eqx.tree_at(lambda m: (m.acceleration, m.jerk), now, (motion, still), is_leaf=lambda v: v is None)
+        now = acting.driven(now)
+        shown = acting.signal(model.scale * now.seen, now) / model.scale
+        return jnp.stack([acting.force(now, jnp.zeros(0))[0] @ one, now.force @ one, shown @ one])
+
+    by = jax.jacfwd(answer)(jnp.zeros(3))
+    return jnp.stack([-mass * by[0, 0], -mass * by[0, 1], jnp.log(jnp.abs(by[1, 2] * by[2, model.order % 2]))])
 
 
 def _chosen(trend: Trend) -> list[int]:

@@ -8,6 +8,7 @@ from memsgyro_jax.base.units import to_si
 
 
 _JITTER = 1e-6  # of a period: what rounding in double precision may add where every digit was printed
+_WHOLE = 1e15  # below which double precision holds every tenth of a number: it is rounded to decimals as in print
 _MISMATCH = 1e-3  # relative, between blocks and cycles: a drive frequency is declared with a few digits
 
 
@@ -79,9 +80,23 @@ def _half_digit(values: np.ndarray) -> np.ndarray:
     half = np.empty(len(values))
     for decade in np.unique(decades):
         here = decades == decade
-        half[here] = 0.5 * 10.0 ** -max(_decimals(value) for value in values[here].tolist())
+        half[here] = 0.5 * 10.0 ** -_most_decimals(values[here])
     half[values == 0] = 0.0
     return half
+
+
+def _most_decimals(values: np.ndarray) -> int:
+    """The largest of `_decimals` of values (n,)."""
+    for decimals in range(16):
+        if np.max(np.abs(values)) * 10.0**decimals > _WHOLE:
+            break
+        longer = values[np.round(values, decimals) != values]
+        if longer.size == 0 and decimals > 0:
+            return decimals
+        if longer.size == 0:  # whole ones may be tens or hundreds
+            break
+        values = longer
+    return max(_decimals(value) for value in values.tolist())
 
 
 def _decimals(value: float) -> int:

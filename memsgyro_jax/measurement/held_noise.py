@@ -30,9 +30,12 @@ def noise_beside_steps(values: np.ndarray, setting: np.ndarray, place: np.ndarra
         place: (n,) number of each row's block; lost ones end a stretch.
     """
     whole, usual = noise_over_time(values), freedom_over_time(values)
-    runs = [_of_runs(values[rows]) for rows in _stretches(setting, place)] if np.ptp(setting) > 0 else []
-    if not runs:
+    alike: dict[int, list[np.ndarray]] = {}  # stretches of one length are worked out together
+    for rows in _stretches(setting, place) if np.ptp(setting) > 0 else []:
+        alike.setdefault(rows.stop - rows.start, []).append(values[rows])
+    if not alike:
         return whole, usual
+    runs = [_of_runs(np.stack(stretches)) for stretches in alike.values()]
     squares, spare = (np.concatenate(part) for part in zip(*runs, strict=True))
     held, freedom = float(np.sqrt(np.median(squares))), max(1.0, _MEDIAN * float(np.sum(spare)))
     if held <= 0.0 or whole <= 0.0:
@@ -53,18 +56,20 @@ def _stretches(setting: np.ndarray, place: np.ndarray) -> list[slice]:
 
 
 def _of_runs(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Squares that the local model leaves in every run of a stretch, over their median for a noise of 1, and their
-    degrees of freedom: of a parabola where that leaves no more than by chance, else of transients.
+    """Squares that the local model leaves in every run of stretches (stretches, rows, channels), over their median for
+    a noise of 1, and their degrees of freedom: of a parabola where that leaves no more than by chance, else of
+    transients.
     """
-    count = max(1, len(values) // _RUN)
-    width, channels = len(values) // count, values.shape[1]
-    runs = values[len(values) - count * width :].reshape(count, width, channels)
+    stretches, rows, channels = values.shape
+    count = max(1, rows // _RUN)
+    width = rows // count
+    runs = values[:, rows - count * width :].reshape(stretches * count, width, channels)
     plain, dying = _parabola_left(runs), _transients_left(runs)
     more, free = 2 * _MODES, 2 * channels * (width - 3)
     spare = 2 * (channels * (width - 1 - _MODES) - _MODES)
     straight = (plain - dying) / more <= special.fdtri(more, spare, 1.0 - _BENT) * dying / spare
     levels = np.where(straight, plain / special.chdtri(free, 0.5), dying / special.chdtri(spare, 0.5))
-    return levels, np.full(count, float(spare))
+    return levels, np.full(len(runs), float(spare))
 
 
 def _parabola_left(runs: np.ndarray) -> np.ndarray:
@@ -83,22 +88,41 @@ def _transients_left(runs: np.ndarray) -> np.ndarray:
     count, width, _ = runs.shape
     rows = width - _MODES
     lags = np.stack([runs[:, _MODES - k : width - k] for k in range(_MODES + 1)], axis=-1).reshape(count, rows, -1)
-    whiten = np.broadcast_to(np.eye(rows, dtype=complex), (count, rows, rows))
-    at = np.arange(rows)
+    plain = weighted = np.concatenate([lags, np.ones((count, rows, 1))], axis=-1)
     for _ in range(_ROUNDS):
-        seen = _beside_constant(lags, whiten)
+        seen = _beside_constant(weighted)
         found = -np.linalg.pinv(seen[..., 1:]) @ seen[..., :1]
         recursion = np.concatenate([np.ones((count, 1, 1)), found], axis=1)
-        banded = np.zeros((count, rows, width), complex)
-        for k in range(_MODES + 1):
-            banded[:, at, at + _MODES - k] = recursion[:, k]
-        whiten = np.linalg.inv(np.linalg.cholesky(banded @ np.conj(np.swapaxes(banded, 1, 2))))
-    return np.sum(np.abs(_beside_constant(lags, whiten) @ recursion) ** 2, axis=(1, 2))
+        weighted = _whitened(plain, recursion[..., 0])
+    return np.sum(np.abs(_beside_constant(weighted) @ recursion) ** 2, axis=(1, 2))
 
 
-def _beside_constant(lags: np.ndarray, whiten: np.ndarray) -> np.ndarray:
-    """Weighted rows of a recursion (runs, rows times channels, lags), without what a constant explains of them."""
-    seen, one = whiten @ lags, whiten @ np.ones((lags.shape[1], 1))
+def _whitened(values: np.ndarray, recursion: np.ndarray) -> np.ndarray:
+    """Rows (runs, rows, columns) weighted such that what a recursion (runs, lags) makes of white noise is white again.
+
+    That is a division by the Cholesky factor of its covariance, row by row, as only the rows within the lags meet.
+    """
+    order = recursion.shape[1] - 1
+    covariance = [np.sum(recursion[:, k:] * np.conj(recursion[:, : order + 1 - k]), axis=1) for k in range(order + 1)]
+    factor: list[list[np.ndarray]] = []  # of each row: its diagonal, then what stands 1, 2, ... left of that
+    white = np.empty(values.shape, complex)
+    for row in range(values.shape[1]):
+        line = [np.zeros(0)] * (order + 1)
+        for k in range(min(order, row), 0, -1):
+            met = sum(line[m] * np.conj(factor[row - k][m - k]) for m in range(k + 1, min(order, row) + 1))
+            line[k] = (covariance[k] - met) / factor[row - k][0]
+        line[0] = np.sqrt(covariance[0].real - sum(np.abs(part) ** 2 for part in line[1 : min(order, row) + 1]))
+        rest = values[:, row] - sum(line[k][:, None] * white[:, row - k] for k in range(1, min(order, row) + 1))
+        white[:, row] = rest / line[0][:, None]
+        factor.append(line)
+    return white
+
+
+def _beside_constant(weighted: np.ndarray) -> np.ndarray:
+    """Weighted rows of a recursion (runs, rows times channels, lags), without what a constant, the last column of
+    `weighted`, explains of them.
+    """
+    seen, one = weighted[..., :-1], weighted[..., -1:]
     one = one / np.linalg.norm(one, axis=1, keepdims=True)
     seen = seen - one @ (np.conj(np.swapaxes(one, 1, 2)) @ seen)
     return seen.reshape(len(seen), -1, _MODES + 1)

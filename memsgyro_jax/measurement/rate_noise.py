@@ -203,12 +203,14 @@ def _descend(
     """Levenberg-Marquardt on many losses at once, over logarithms not below `floor`, moving those that are `free`."""
     value, white = loss(at)
     damping = np.full(len(at), 1e-2)
-    units, moved = _STEP * np.eye(at.shape[-1]), np.flatnonzero(np.any(free, axis=0))
+    moved = np.flatnonzero(np.any(free, axis=0))
+    sides = _STEP * np.eye(at.shape[-1])[moved][:, None, :]
     slope, bend = np.zeros(at.shape), np.zeros((*white.shape, at.shape[-1]))
     for _ in range(rounds if moved.size else 0):
-        sides = [[loss(at + sign * unit) for sign in (1.0, -1.0)] for unit in units[moved]]
-        slope[:, moved] = np.stack([(up[0] - down[0]) / (2 * _STEP) for up, down in sides], axis=-1)
-        bend[..., moved] = np.stack([(up[1] - down[1]) / (2 * _STEP) for up, down in sides], axis=-1)
+        # One call for all: of few fits the calls cost, not what is computed.
+        (above, below), (bent, back) = (np.split(part, 2) for part in loss(np.concatenate([at + sides, at - sides])))
+        slope[:, moved] = ((above - below) / (2 * _STEP)).T
+        bend[..., moved] = np.moveaxis((bent - back) / (2 * _STEP), 0, -1)
         moving = free & ~((at <= floor) & (slope > 0.0))
         slope, bend = np.where(moving, slope, 0.0), np.where(moving[:, None, :], bend, 0.0)
         normal = np.swapaxes(bend, -1, -2) @ bend

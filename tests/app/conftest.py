@@ -17,7 +17,9 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture
-def memsgyro(folder: Path, capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[Any, str, str]]:
+def memsgyro(
+    folder: Path, capsys: pytest.CaptureFixture[str], quick_pictures: None
+) -> Callable[..., tuple[Any, str, str]]:
     """Runs the command line in `folder`: exit status, standard output, standard error."""
 
     def run(*tokens: Any) -> tuple[Any, str, str]:

@@ -354,6 +354,7 @@ def test_the_gauge_twin_predicts_the_same():
     assert float(turned.device.damping_coupling) == pytest.approx(-float(seen.device.damping_coupling), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_the_estimate_is_differentiable_by_the_data():
     start, clean = seen_bench(), sweep_of(swept(lab.Gyro(), noise=None), RAW)
 

@@ -313,7 +313,7 @@ def test_a_noise_free_readout_has_no_bound():
 
 def test_an_unknown_quantity_is_refused():
     with pytest.raises(InputError, match=r"one of x, y, .* but `Q` was given"):
-        information_bound(closed(), 1.0, duration=0.02).of("Q")
+        information_bound(closed(), 1.0).of("Q")  # a program compiled above
 
 
 class _Nothing(AbstractRecorder):

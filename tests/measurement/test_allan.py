@@ -126,8 +126,8 @@ def told_of_white(count, samples, seed, pole=0.0, low_pass=False):
 
 def test_a_walk_of_white_noise_is_not_biased():
     """Terms that cannot be negative took 3 % of it, and the mean over a lot excluded the truth."""
-    values, held = told_of_white(64, 400, 21)
-    assert abs(np.mean(values) - 1.0) < 2.0 * np.std(values) / 8.0
+    values, held = told_of_white(32, 400, 21)
+    assert abs(np.mean(values) - 1.0) < 2.0 * np.std(values) / np.sqrt(32)
     assert np.std(values) < 0.05
     assert np.mean(held) >= 0.9
 

@@ -28,10 +28,14 @@ def test_slopes_are_those_of_the_law(fineness):
         return steady._flatten(steady.spectrum(jax.vmap(law)(steady.waveform(state, samples)), harmonics))
 
     at = jnp.asarray(rng.normal(size=3 * (2 * harmonics + 1)))
-    state = product(push, steady._unflatten(at, Model, harmonics))
-    local = jax.vmap(jax.jacfwd(law))(steady.waveform(state, samples))
-    wanted = jax.jacfwd(coefficients)(at)
-    np.testing.assert_allclose(steady._harmonic_slopes(local, push), wanted, atol=1e-11 * np.abs(wanted).max())
+
+    @jax.jit
+    def found(flat):
+        state = product(push, steady._unflatten(flat, Model, harmonics))
+        return steady._harmonic_slopes(jax.vmap(jax.jacfwd(law))(steady.waveform(state, samples)), push)
+
+    wanted = jax.jit(jax.jacfwd(coefficients))(at)
+    np.testing.assert_allclose(found(at), wanted, atol=1e-11 * np.abs(wanted).max())
 
 
 @pytest.mark.parametrize("size", [1, 5, *(pytest.param(n, marks=pytest.mark.slow) for n in (2, 31))])
@@ -43,6 +47,6 @@ def test_inverses_are_those_of_lapack(size, kind):
     matrices = matrices + 1j * rng.normal(size=matrices.shape) if kind is complex else matrices
     matrices[::2] = matrices[::2, ::-1] * np.geomspace(1e-9, 1e9, size)[:, None]
     matrices[1::4, 0, 0] = 0.0 if size > 1 else 1.0
-    found = jax.vmap(inverse)(matrices)
+    found = jax.jit(jax.vmap(inverse))(matrices)
     for one, other in zip(found, np.linalg.inv(matrices), strict=True):
         assert np.all(np.abs(one - other) <= 1e-8 * np.abs(other) + 1e-10 * np.abs(other).max(axis=0))

@@ -38,6 +38,8 @@ class Dialect:
         """The fields of a line, without blanks around them."""
         if self.delimiter is None:
             return line.split()
+        if line and '"' not in line:
+            return [part.strip() for part in line.split(self.delimiter)]
         parts = next(csv.reader([line], delimiter=self.delimiter, skipinitialspace=True), [])
         return [part.strip() for part in parts]
 
@@ -46,6 +48,12 @@ class Dialect:
         if (_POINT if self.mark == "." else _COMMA).fullmatch(field):
             return float(field.replace(",", "."))
         return np.nan if field.lower() in _MISSING else None
+
+    def numbers(self, width: int) -> re.Pattern[str]:
+        """What a line of that many numbers and nothing else matches, in one go."""
+        number = rf"(?>{(_POINT if self.mark == '.' else _COMMA).pattern})"
+        apart = rf"\s+{number}" if self.delimiter is None else rf" *{re.escape(self.delimiter)} *{number}"
+        return re.compile(rf" *{number}(?:{apart}){{{width - 1}}} *")
 
     def mask(self, fields: list[str]) -> tuple[bool, ...]:
         """Which fields are numbers or missing."""
@@ -130,16 +138,21 @@ def table_of_lines(path: Path, lines: list[str], assumed: list[str], first: int 
     above, header = _above(bare[first : data[begin]], dialect, len(mask))
     repeated = {lines[n].strip() for n in range(first, data[begin])}
     rows, read = [], []
+    usual = dialect.numbers(len(mask)) if all(mask) else None
     for n in data[begin:]:
         bare_line = lines[n].strip()
         if bare_line in repeated:
             continue
         if bare_line.upper() == "END":
             break
-        fields = dialect.fields(lines[n])
-        held = [dialect.number(field) if m else field for m, field in zip(mask, fields, strict=False)]
-        if len(fields) != len(mask) or None in held:
-            raise _broken(path, n + 1, fields, mask, last=n == data[-1])
+        if usual and usual.fullmatch(lines[n]):
+            fields = lines[n].split(dialect.delimiter)
+            held = [float(field.replace(",", ".")) for field in fields]
+        else:
+            fields = dialect.fields(lines[n])
+            held = [dialect.number(field) if m else field for m, field in zip(mask, fields, strict=False)]
+            if len(fields) != len(mask) or None in held:
+                raise _broken(path, n + 1, fields, mask, last=n == data[-1])
         rows.append(fields)
         read.append(held)
     if len(rows) < 2:
@@ -184,6 +197,8 @@ def _dialect(path: Path, lines: list[str]) -> tuple[Dialect, tuple[bool, ...]]:
     """The dialect in which most fields of one run of rows are numbers, and which columns these are."""
     best: tuple[float, Dialect, tuple[bool, ...]] | None = None
     for dialect in DIALECTS:
+        if dialect.delimiter and not any(dialect.delimiter in line for line in lines):
+            continue  # a row of one field is none
         cells = [dialect.fields(line) for line in lines]
         kinds = [(dialect.mask(row), sum(_MOMENT.fullmatch(field) is not None for field in row)) for row in cells]
         for (mask, moments), group in itertools.groupby(kinds):

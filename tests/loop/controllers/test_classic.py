@@ -88,7 +88,8 @@ def test_the_steady_state_and_its_slope_are_those_of_linear_algebra(name):
     gyro, readout, make = LOOPS[name]
     control = make(gyro, readout, amplitude=1e-6)
     nulled = isinstance(control.sense, mg.ForceRebalance)
-    value, slope = jax.jvp(lambda rate: settled(loop_of(gyro, readout, control), rate, 0.5), (RATE,), (1.0,))
+    run = jax.jit(lambda rate: settled(loop_of(gyro, readout, control), rate, 0.5))
+    value, slope = jax.jvp(run, (RATE,), (1.0,))
     conversion = complex(*map(float, control.sense.conversion))
     near = float(locked_frequency(gyro, nulled=nulled)) / (2.0 * np.pi)
 
