@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
+from memsgyro_jax.base.arguments import check_kind
 from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
 
@@ -195,8 +196,9 @@ def backbone(fit: CaseFit, axis: int = 0, *, knots: int = KNOTS) -> Backbone:
         knots: between which each force is a straight line over its own variable.
 
     Raises:
-        InputError: where no sweep drives the axis and nothing rings down, or too few rows do.
+        InputError: where no sweep drives the axis and nothing rings down, too few rows do, or for what is no fit.
     """
+    check_kind("fit", fit, CaseFit, "what `fit` returned")
     given = equations(fit, axis)
     a, speed = given.amplitude, given.amplitude * given.omega
     grids = [_knots(size, knots) for size in (a, speed)]

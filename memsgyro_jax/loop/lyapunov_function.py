@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from memsgyro_jax.base.arguments import check_kind
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.gyro import UX, VX, AbstractGyro, Dynamics, Inertial, Scalar
 
@@ -48,8 +49,9 @@ def lyapunov_function(trace: Trace, *, weighted: bool = True) -> LyapunovFunctio
     `weighted=False` takes R = 1 for two masses too, as the thesis does: `expected` is then (4.42), which the slope is
     not. The identity is that of continuous time with noise-free volts; a run departs from it by its samples.
 
-    Raises `InputError` for another observer, or a moving rate.
+    Raises `InputError` for another observer, a moving rate, or what is no trace.
     """
+    check_kind("trace", trace, Trace, "a run that `simulate` returned")
     observer, device = trace.loop.observer, trace.loop.device
     if not isinstance(observer, LyapunovObserver):
         raise InputError(f"The loop must have a LyapunovObserver, but its observer is {type(observer).__name__}.")

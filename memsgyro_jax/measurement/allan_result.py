@@ -13,6 +13,8 @@ from memsgyro_jax.base.files import finite, json_text
 from memsgyro_jax.base.provenance import versions
 from memsgyro_jax.base.text import aligned
 
+from .rate_noise import FALL
+
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -42,6 +44,15 @@ class NoiseTerm:
     high: float
     unit: str
     verdict: str
+
+    @property
+    def for_mean(self) -> float:
+        """The value for a mean over many records, NaN where there is none: the root of a variance that scatters is low
+        by half the square of its own relative scatter, 1 to 4 % in records of some hundred periods of the bandwidth.
+        """
+        if self.value is None or not self.low > 0.0:
+            return float("nan")
+        return self.value * (1.0 + 0.5 * (np.log(self.high / self.low) / (2.0 * np.sqrt(FALL))) ** 2)
 
     def cells(self) -> tuple[str, str, str]:
         """Value, interval and verdict as text."""

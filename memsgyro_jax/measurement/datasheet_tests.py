@@ -269,7 +269,7 @@ def noises(
         rows = _noise_rows(bench, duration, tuple(said), (density, _PER_ROOT_HOUR * density, instability))
         return (rows[0], replace(rows[1], note=_FROM_DENSITY if known else ""), rows[2])
     for name, values in (("N", walk), ("bias_instability", instability)):
-        values[run.alive] = [np.nan if term[name].value is None else term[name].value for term in terms]
+        values[run.alive] = [term[name].for_mean for term in terms]
     if np.sum(np.isfinite(walk)) < FEWEST:
         said[1] = f"the Allan deviation tells no white part on {FEWEST} dies or more{_by_formula(bench)[1]}"
     if np.mean(np.isfinite(instability)) < 0.5:

@@ -15,7 +15,7 @@ from .noise_likelihood import LAG, NoiseModel
 # longest averaging times have few; beside a ramp the slower noises have but two or three, as Student's t has, and a
 # walk's own drift passes for the ramp. By simulation the intervals hold the truth in 92 to 99 %, beside a ramp in 93 to
 # 98 %, more than 99 % where the walk is none.
-_FALL = 5.0
+FALL = 5.0
 _BESIDE_RAMP = (5.0, 13.0, 10.0, 11.0, 5.0)  # of each term
 _RAMP = 0.1  # share of the variance at the longest averaging time from which a ramp counts
 _NOTHING = np.log(1e6)  # a term this far below the curve is as good as absent
@@ -76,7 +76,7 @@ def fit_noise(
     """
     model, nearest, floor, (best, least, free) = _begun(variance, factors, samples, low_pass)
     ramp = np.exp(best[:, 3]) * model.shapes[-1, 3] > _RAMP * model.expected(best).variance[:, -1]
-    fall = np.where(ramp[:, None], _BESIDE_RAMP, _FALL)
+    fall = np.where(ramp[:, None], _BESIDE_RAMP, FALL)
     # What describes no record may have a term further above the curve still, whose end lies above it all the same.
     most = np.maximum(nearest, best) + _MOST
     ends, rises = _profile(model, best, least[:, None] + 0.5 * fall, floor, most, nearest, free)
@@ -140,7 +140,7 @@ def _lowest(model: NoiseModel, kept: np.ndarray, floor: np.ndarray) -> tuple[np.
     bend = np.stack([(up - down) / (2 * _STEP) for up, down in sides], axis=-1) * there[:, None, :]
     normal = np.swapaxes(bend, -1, -2) @ bend + np.where(there, 1e-6, 1.0)[:, None, :] * np.eye(LAG)
     spread = np.einsum("st,st->s", shares, np.linalg.solve(normal, shares[..., None])[..., 0])
-    ends = np.exp(np.sqrt(_FALL * spread)[:, None] * np.array([0.0, -1.0, 1.0]))
+    ends = np.exp(np.sqrt(FALL * spread)[:, None] * np.array([0.0, -1.0, 1.0]))
     return value * ends, place[:, 0] == 0
 
 
@@ -170,15 +170,15 @@ def _needed(
     hangs: in a series as long as its likelihood allows, never one that it tells, and in none where the likelihoods of
     all of them together object, as a mean over a lot shows what no die shows.
     """
-    at, loss, free, told, left_out = best, least, free.copy(), 2.0 * rises > _FALL, np.zeros(len(best), int)
-    for place in np.argsort(np.sum(np.clip(2.0 * rises, 0.0, _FALL), axis=0)):
+    at, loss, free, told, left_out = best, least, free.copy(), 2.0 * rises > FALL, np.zeros(len(best), int)
+    for place in np.argsort(np.sum(np.clip(2.0 * rises, 0.0, FALL), axis=0)):
         trial = free.copy()
         trial[:, place] = False
         begun = np.where(trial, np.maximum(at, nearest - _IN_SIGHT), floor)
         begun[:, LAG] = at[:, LAG]
         moved, value = _descend(model.loss, begun, floor, trial, 30)
         spared = ~told[:, place] & (2.0 * (value - least) <= _SPARED[left_out])
-        if _by_chance(np.minimum(2.0 * (value - loss), _FALL)) < _CHANCE:
+        if _by_chance(np.minimum(2.0 * (value - loss), FALL)) < _CHANCE:
             continue
         at, loss = np.where(spared[:, None], moved, at), np.where(spared, value, loss)
         free, left_out = np.where(spared[:, None], trial, free), left_out + spared

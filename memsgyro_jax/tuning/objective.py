@@ -21,6 +21,7 @@ from memsgyro_jax.base.provenance import fingerprint
 from memsgyro_jax.loop import noise
 from memsgyro_jax.loop.blocks.run import sizes_of, statistics
 from memsgyro_jax.loop.die_by_die import die_by_die, differs, from_outside
+from memsgyro_jax.loop.each_part import each_mapped
 from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.scenario import Scenario
 from memsgyro_jax.montecarlo import batch as lot
@@ -247,20 +248,29 @@ _RANKS = {
 @eqx.filter_jit
 def _split(function: Callable, mesh: jax.sharding.Mesh, part: Portion, *rows: Any) -> Any:
     """`function` of a portion and of arrays by dies, run on every device with its share of the dies."""
-    loop, scenario = part.design
+    (loop, scenario), known = part.design, _RANKS.get(function)
     one = replace(part, loop=loop, scenario=scenario, words=tuple(w[0] for w in part.words), places=part.places[:, 0])
     if from_outside(part.design, part.loss):
-        function = partial(_alone, function, one)
+        whole = from_outside(part.loss) or each_mapped((part.loop, part.scenario), part.design) is None
+        function = partial(_alone if whole else _each, function, one)
     dynamic, static = eqx.partition(part, eqx.is_array)
     shares = lot.shares(dynamic, differs(dynamic, eqx.filter(one, eqx.is_array)))
     specs = (shares, *(lot.shares(tree) for tree in rows))
-    ranks = _RANKS.get(function) or jax.tree.map(lambda row: row.ndim, eqx.filter_eval_shape(function, part, *rows))
+    ranks = known or jax.tree.map(lambda row: row.ndim, eqx.filter_eval_shape(function, part, *rows))
     out = jax.tree.map(lot.trailing, ranks)
 
     def local(dynamic, *rows):
         return function(eqx.combine(dynamic, static), *rows)
 
     return jax.shard_map(local, mesh=mesh, in_specs=specs, out_specs=out, check_vma=False)(dynamic, *rows)
+
+
+def _each(function: Callable, one: Portion, part: Portion, *rows: Any) -> Any:
+    """`function` of a portion whose parts from outside are mapped over the dies each by itself."""
+    mapped = each_mapped((part.loop, part.scenario), (one.loop, one.scenario))
+    assert mapped is not None
+    loop, scenario = mapped
+    return function(replace(part, loop=loop, scenario=scenario), *rows)
 
 
 def _alone(function: Callable, one: Portion, part: Portion, *rows: Any) -> Any:

@@ -311,4 +311,6 @@ def test_without_rows_of_an_axis_there_is_no_backbone(tmp_path):
     before = fit_case(swept(tmp_path, bowed, DEVICES["fork"]))
     with pytest.raises(InputError, match="sweeps or decays of axis y"):
         backbone(before, 1)
+    with pytest.raises(InputError, match="`fit` must be what `fit` returned, but is of type Case"):
+        backbone(before.case)
     assert with_drift_alone(before) is None, "of driven records drifts are terms of the instrument"

@@ -69,3 +69,5 @@ def test_what_has_no_such_function():
     other = mg.simulate(loop, 1.0, sample_rate=1e5, duration=1e-4)
     with pytest.raises(mg.InputError, match="must have a LyapunovObserver, but its observer is ExtendedKalmanFilter"):
         lyapunov_function(other)
+    with pytest.raises(mg.InputError, match="must be a run that `simulate` returned, but is of type ClosedLoop"):
+        lyapunov_function(loop)

@@ -13,7 +13,9 @@ from scipy.signal import butter, lfilter
 
 import memsgyro_jax as mg
 from memsgyro_jax import InputError
+from memsgyro_jax.measurement.allan import analysed
 from memsgyro_jax.measurement.allan_variance import TERMS, allan_deviation, covariance_parts, shapes
+from memsgyro_jax.measurement.rate_log import RateLog
 from memsgyro_jax.measurement.rate_noise import fit_noise
 
 
@@ -167,17 +169,28 @@ def test_a_record_too_short_for_its_filter_tells_no_walk():
     assert "too short behind its low-pass" in found.terms[0]["N"].verdict
 
 
-@pytest.mark.slow
 def test_noise_that_grows_with_the_frequency_leaves_the_walk():
     """Of a rebalanced loop, up to its bandwidth: N was told 28 % too large, where no interval held it."""
     made = np.random.default_rng(1)
-    white, more = (made.standard_normal((48, 3600)) for _ in range(2))
+    white, more = (made.standard_normal((12, 3600)) for _ in range(2))
     growing = white[:, 1:] + 6.0 * np.diff(more, axis=1)
     rates = lfilter(*butter(2, 0.3), growing)[:, 2000:]
     factors = tuple(m for m in octaves(rates.shape[1]) if m >= 2.0 / 0.15)
     found = fit_noise(allan_deviation(rates, factors) ** 2, factors, rates.shape[1], low_pass=True)
-    assert np.mean((found.low[:, 0] <= 1.0) & (found.high[:, 0] >= 1.0)) >= 0.9
-    assert np.mean(found.value[:, 0]) == pytest.approx(1.0, abs=0.08)
+    assert np.mean((found.low[:, 0] <= 1.0) & (found.high[:, 0] >= 1.0)) >= 0.8
+    assert np.mean(found.value[:, 0]) == pytest.approx(1.0, abs=0.12)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("order", "width", "samples"), [(1, 0.15, 1551), (2, 0.05, 6200)])
+def test_a_mean_over_a_lot_of_short_records_is_not_low(order, width, samples):
+    """As a datasheet takes them, from twice the period of the bandwidth on: the mean of N was 1 to 4 % low."""
+    white = np.random.default_rng(5).standard_normal((120, samples + 500))
+    rates = np.radians(lfilter(*butter(order, 2.0 * width), white)[:, 500:])
+    log = RateLog(tuple(map(str, range(120))), rates, 1.0)
+    terms = [series["N"] for series in analysed(log, (2.0 / width, np.inf), low_pass=True).terms]
+    mean = np.nanmean([term.for_mean for term in terms]) / 60.0
+    assert mean == pytest.approx(1.0, abs=2.0 * 0.013)
 
 
 @pytest.mark.slow

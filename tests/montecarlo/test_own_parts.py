@@ -96,11 +96,16 @@ def test_a_sweep_gives_each_die_what_it_gets_alone():
     np.testing.assert_allclose(lot.to_xarray().rate_error_end, alone, rtol=1e-9)
 
 
+@pytest.mark.parametrize(
+    "loss",
+    [pytest.param(Both(), id="own", marks=pytest.mark.slow), pytest.param(mg.losses.SquaredRateError(), id="known")],
+)
 @pytest.mark.parametrize("many", [pytest.param(1, marks=pytest.mark.slow), 1000])
-def test_tuning_gives_each_die_what_it_gets_alone(many, monkeypatch):
+def test_tuning_gives_each_die_what_it_gets_alone(many, loss, monkeypatch):
+    """Under a loss of the package the parts are mapped each by itself, under one of a user's own the whole."""
     monkeypatch.setattr(objective, "_MANY", many)  # backwards, forwards
     tunables = resolved(LOOP, mg.free({"observer.pull": (0.01, 0.9)}), RATE, DURATION)
-    given = LOOP, mg.Scenario(mg.Constant(1.0)), SPREAD, tunables, Both()
+    given = LOOP, mg.Scenario(mg.Constant(1.0)), SPREAD, tunables, loss
     lots = (
         Objective.of(*given, dies=np.arange(n), timing=timing_of(RATE, DURATION, 0.0), seed=0, lanes=n) for n in (1, 3)
     )
