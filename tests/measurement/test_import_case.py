@@ -61,7 +61,9 @@ def test_a_decay_begins_where_its_envelope_falls(tmp_path):
     assert case.design["quality_factor"].value == pytest.approx(2000.0, rel=0.2)
 
 
-@pytest.mark.parametrize(("quality", "noise"), [(1e5, 1e-3), pytest.param(3e4, 0.03, marks=pytest.mark.slow), (3e3, 0.003)])
+@pytest.mark.parametrize(
+    ("quality", "noise"), [(1e5, 1e-3), pytest.param(3e4, 0.03, marks=pytest.mark.slow), (3e3, 0.003)]
+)
 def test_a_decay_that_hardly_falls_begins_at_its_first_row(tmp_path, quality, noise):
     time = np.arange(30000) / 100e3
     signal = np.exp(-np.pi * 14e3 / quality * time) * np.cos(2 * np.pi * 14e3 * time)
