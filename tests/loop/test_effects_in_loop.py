@@ -179,13 +179,19 @@ def test_strength_zero_is_absence_bit_for_bit():
     assert all(np.all(np.asarray(effect.strength) == 0.0) for effect in absent.effects)
     clock, motion, push = Clock(0.0, 0, PERIOD), (1e-6, -2e-7, 1e-3, 2e-3), (3e-9, -2e-9)
     around = AROUND.at(0.0)
-    sample = SampleEffects.of(absent, absent.dynamics(around.inertial), around, push, (1e5, 1e5), clock)
     own = (3e-7,) * Acting.of(absent.effects).own_size
-    sample = sample.driven(motion, own)
-    assert tuple(sample.held) == push
-    assert tuple(sample.rates(motion, own)[0]) == (0.0, 0.0)
-    for shown in sample.shown_at(motion, own):
-        assert tuple(shown((0.123, -0.456))) == (0.123, -0.456)
+
+    @jax.jit
+    def acted(push, motion, volts):
+        sample = SampleEffects.of(absent, absent.dynamics(around.inertial), around, push, (1e5, 1e5), clock)
+        sample = sample.driven(motion, own)
+        shown = [one(volts) for one in sample.shown_at(motion, own)]
+        return sample.held, sample.rates(motion, own)[0], shown
+
+    held, rates, shown = jax.tree.map(float, acted(push, motion, (0.123, -0.456)))
+    assert tuple(held) == push
+    assert tuple(rates) == (0.0, 0.0)
+    assert {tuple(one) for one in shown} == {(0.123, -0.456)}
 
     runs = [mg.simulate(thesis_loop(*e), AROUND, sample_rate=1e5, duration=2e-3) for e in ((), absent.effects)]
     assert np.array_equal(runs[0].motion, runs[1].motion)
