@@ -220,13 +220,10 @@ class Declared:
         design = self.design
         if "resonance" in design:
             return design["resonance"].low, design["resonance"].high
-        mass, coupling = design["mass"], max(abs(design["kxy"].low), abs(design["kxy"].high))
-        softest = min(design["kxx"].low, design["kyy"].low)
-        stiffest = max(design["kxx"].high, design["kyy"].high)
-        low = max(
-            softest - coupling, 0.25 * softest
-        )  # a coupling that would nearly buckle the die is no resonance to expect
-        return float(np.sqrt(low / mass.high)), float(np.sqrt((stiffest + coupling) / mass.low))
+        coupling = max(abs(design["kxy"].low), abs(design["kxy"].high))
+        (lightest, heaviest), (soft, stiff) = self._sizes("mass"), self._sizes("kxx", "kyy")
+        low = max(soft - coupling, 0.25 * soft)  # a coupling that would nearly buckle the die is no resonance to expect
+        return float(np.sqrt(low / heaviest)), float(np.sqrt((stiff + coupling) / lightest))
 
     @property
     def shortest_decay(self) -> float:
@@ -234,7 +231,7 @@ class Declared:
         d = self.design
         if "quality_factor" in d:
             return 2 * d["quality_factor"].low / d["resonance"].high
-        return 2 * d["mass"].low / max(d["dxx"].high, d["dyy"].high)
+        return 2 * self._sizes("mass")[0] / self._sizes("dxx", "dyy")[1]
 
     @property
     def largest_quality(self) -> float:
@@ -242,7 +239,16 @@ class Declared:
         d = self.design
         if "quality_factor" in d:
             return d["quality_factor"].high
-        return float(np.sqrt(d["kxx"].high * d["mass"].high) / min(d["dxx"].low, d["dyy"].low))
+        stiffest = self._sizes("kxx")[1] * self._sizes("mass")[1]
+        return float(np.sqrt(stiffest)) / self._sizes("dxx", "dyy")[0]
+
+    def _sizes(self, *keys: str) -> tuple[float, float]:
+        """Smallest and largest of design values that are positive; records of a pick-off that is turned round tell
+        all of them with a minus sign, which is that of the gain.
+        """
+        some = [self.design[key] for key in keys]
+        ends = [(-v.value / UNSURE, -v.value * UNSURE) if v.value < 0 else (v.low, v.high) for v in some]
+        return min(low for low, _ in ends), max(high for _, high in ends)
 
 
 def check_temperature(kelvin: float) -> float:
