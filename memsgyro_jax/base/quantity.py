@@ -3,6 +3,7 @@
 import ast
 import functools
 import inspect
+import math
 import re
 import textwrap
 from collections import ChainMap
@@ -19,6 +20,7 @@ from .units import NUMBER, decimal, to_peak, to_si
 
 
 _TEXT = re.compile(rf"\s*(?P<number>{NUMBER})(?P<unit>\s.*|[^\d.,].*|)")  # 10%, 1400 1/s, but not 1,5 mm
+_DECIBELS = {"dBm": math.sqrt(2.0 * 1e-3 * 50.0), "dBV": math.sqrt(2.0)}  # V, the peak at zero; dBm into 50 ohm
 Value = TypeVar("Value")
 
 
@@ -152,7 +154,7 @@ def number_and_unit(given: Any) -> tuple[float, str]:
 
 def amount_of_option(text: str, option: str, like: str, measures: str = "") -> tuple[float, str]:
     """Positive number and unit that an option of the command line holds; effective and peak-to-peak amplitudes
-    ("10 mVrms", "20 Vpp") as peak ones.
+    ("10 mVrms", "20 Vpp") as peak ones, and levels ("-10 dBm", into 50 ohm, and "-20 dBV") as peak voltages.
 
     Args:
         text: as given.
@@ -168,6 +170,8 @@ def amount_of_option(text: str, option: str, like: str, measures: str = "") -> t
     except ValueError as error:
         raise InputError(f"Option `{option}` {error}.") from error
     must = f'Option `{option}` must be a positive number with its unit, like "{like}"'
+    if unit in _DECIBELS and not measures:
+        return _DECIBELS[unit] * 10.0 ** (number / 20.0), "V"
     if not unit or not number > 0:
         raise InputError(f'{must}, but is "{printable(text.strip(), 60)}".')
     if unit.startswith("dB"):

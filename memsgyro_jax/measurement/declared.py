@@ -220,11 +220,10 @@ class Declared:
         design = self.design
         if "resonance" in design:
             return design["resonance"].low, design["resonance"].high
-        (lightest, heaviest), coupling = self._sizes("mass"), self._sizes("kxy")[1]
-        softest, stiffest = self._sizes("kxx", "kyy")
-        # A coupling that would nearly buckle the die is no resonance to expect.
-        low = max(softest - coupling, 0.25 * softest)
-        return float(np.sqrt(low / heaviest)), float(np.sqrt((stiffest + coupling) / lightest))
+        coupling = max(abs(design["kxy"].low), abs(design["kxy"].high))
+        (lightest, heaviest), (soft, stiff) = self._sizes("mass"), self._sizes("kxx", "kyy")
+        low = max(soft - coupling, 0.25 * soft)  # a coupling that would nearly buckle the die is no resonance to expect
+        return float(np.sqrt(low / heaviest)), float(np.sqrt((stiff + coupling) / lightest))
 
     @property
     def shortest_decay(self) -> float:
@@ -240,14 +239,16 @@ class Declared:
         d = self.design
         if "quality_factor" in d:
             return d["quality_factor"].high
-        return float(np.sqrt(self._sizes("kxx")[1] * self._sizes("mass")[1]) / self._sizes("dxx", "dyy")[0])
+        stiffest = self._sizes("kxx")[1] * self._sizes("mass")[1]
+        return float(np.sqrt(stiffest)) / self._sizes("dxx", "dyy")[0]
 
     def _sizes(self, *keys: str) -> tuple[float, float]:
-        """The smallest and the largest size of some design values: where records tell the design of a channel that is
-        turned round, mass, springs and dampings are all negative.
+        """Smallest and largest of design values that are positive; records of a pick-off that is turned round tell
+        all of them with a minus sign, which is that of the gain.
         """
-        ends = [abs(end) for key in keys for end in (self.design[key].low, self.design[key].high)]
-        return min(ends), max(ends)
+        some = [self.design[key] for key in keys]
+        ends = [(-v.value / UNSURE, -v.value * UNSURE) if v.value < 0 else (v.low, v.high) for v in some]
+        return min(low for low, _ in ends), max(high for _, high in ends)
 
 
 def check_temperature(kelvin: float) -> float:

@@ -102,6 +102,9 @@ def _by_drive(
     what = "readings in dB"
     if PER_VOLT in table.attributes:
         gains, what = [name for name in columns if name.endswith(("_I", "_Q", "_amp"))], "currents"
+        if not is_same_kind(unit, "V"):
+            must = "the drive beside impedances or admittances must be a voltage"
+            raise InputError(f'{table.path}: {must}, but is in {unit}; give it as in --drive "10 mV".')
     if gains and is_same_kind(unit, "V"):
         columns |= {name: SourceColumn("", unit, columns[name].values * level) for name in gains}
         assumed.append(f"the {what} are ratios to the drive, with which they are multiplied")

@@ -37,7 +37,6 @@ def difference(a: dict, b: dict) -> float:
     return float(np.sqrt(np.mean(((a["rate_error_end"] - b["rate_error_end"]) / b["rate_std_end"]) ** 2)))
 
 
-@pytest.mark.slow
 def test_the_same_noise_gives_the_same_rate(samples):
     found = lot(replace(LOOP, blocks=Blocks(512, projected=True)), 128)
     assert difference(found, samples) < 0.01

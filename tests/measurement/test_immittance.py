@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.units import parse_header, to_si
 from memsgyro_jax.measurement.column_meaning import meaning_of
 from memsgyro_jax.measurement.formats import read_instrument_file
@@ -59,3 +60,8 @@ def test_without_a_level_it_is_said_to_be_one_volt(tmp_path):
     record = imported(tmp_path / "a.csv", "f [Hz],R [Ohm],X [Ohm]", (IMPEDANCE.real, IMPEDANCE.imag), None)
     assert any("the drive is 1 V" in sentence for sentence in record.assumed)
     np.testing.assert_allclose(phasors(record), ADMITTANCE, rtol=1e-9)
+
+
+def test_a_drive_that_is_no_voltage_is_refused(tmp_path):
+    with pytest.raises(InputError, match="beside impedances or admittances must be a voltage, but is in nN"):
+        imported(tmp_path / "a.csv", "f [Hz],R [Ohm],X [Ohm]", (IMPEDANCE.real, IMPEDANCE.imag), (10.0, "nN"))

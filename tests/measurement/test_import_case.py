@@ -209,7 +209,7 @@ def test_the_command_prints_what_it_assumed_and_what_to_do_next(sweeps, tmp_path
         (["--drive", "much"], "--drive"),
         (["--drive", "10 mv"], "Unit of option `--drive` must be one that can be read"),
         (["--drive", "10 mv"], 'but is "mv"; did you mean "mV"?'),
-        (["--drive", "-10 dBm"], '"-10 dBm"'),
+        (["--drive", "-10 dB"], '"-10 dB"'),
         (["--reference", "3 khz"], 'did you mean "kHz"?'),
         (["--map", "f=nothing"], "--map"),
         (["--reference", "-3 Hz"], "--reference"),

@@ -10,7 +10,7 @@ from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.units import parse_header, to_si
 from memsgyro_jax.device.normalised import NormalisedDevice
 
-from ..declared import QUANTITIES, VOCABULARIES, DesignValue
+from ..declared import VOCABULARIES, DesignValue
 from ..experiments.base import Phasors
 from ..one_place import in_one_place
 from ..phasor_fit import device_of_phasors, is_seen, most_linear
@@ -94,12 +94,6 @@ def with_found_design(case: Case, file: CaseFile, path: Path) -> Case:
         needed = ", ".join(BY_HAND[key] for key in open_ if key in BY_HAND) or ", ".join(open_)
         raise OpenDesign(
             f"{path}, `design`: must give {needed}, as no record that may be fitted shows a clear resonance."
-        )
-    if case.channels > 1 and device.mobility < 0.0:
-        raise OpenDesign(
-            f"{path}: the readings must follow the drive, but those of both axes go against their drive: the read-out "
-            f"shows another quantity than {QUANTITIES[case.readout.order]} (`quantity` under `[readout]`), or every "
-            "record is inverted (`inverted = true`)."
         )
     found = _numbers(case, *(np.asarray(part) for part in (device.stiffness, device.damping, device.mobility)))
     told = {key: DesignValue.found(found[key]) for key in open_}
