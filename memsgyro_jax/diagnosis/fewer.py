@@ -18,7 +18,8 @@ from .instrument import declared_terms, every_term, instrument_terms
 from .joint_residual import Joint
 from .optimum import Optimum, optimise
 from .promise import offers_of, promised
-from .search import CONFUSED, Search, SearchStep, always_free
+from .score import basis, score
+from .search import CONFUSED, WORTH_A_LOOK, Search, SearchStep, always_free
 
 
 SHARE = 0.2  # of the level for terms of the instrument
@@ -62,14 +63,26 @@ def imitated(search: Search) -> None:
         for other in [i for i in search.candidates() if effects[i].label == term.imitates]:
             kept, search.given = search.given, tuple(i for i in search.given if i != place)
             search.joint.together((*kept, *search.accepted, other))  # the same program for the next of them
+            if not _may_stand_for(search, other, place):
+                search.given = kept
+                continue
             start = search.without(place)
-            fewer, none = (search.refit([*search.accepted, *more], start=start) for more in ([other], []))
-            late = too_late(search.joint, other, fewer, search.case)
-            if late or cost(fewer) > min(cost(search.optimum), cost(none)):
+            fewer = search.refit([*search.accepted, other], start=start)
+            worse = too_late(search.joint, other, fewer, search.case) or cost(fewer) > cost(search.optimum)
+            if worse or cost(fewer) > cost(search.refit(search.accepted, start=start)):
                 search.given = kept
                 continue
             search.tell(f"dropped {term.label} for what it imitates")
             search.take(other, fewer)
+
+
+def _may_stand_for(search: Search, other: int, place: int) -> bool:
+    """Whether an effect would explain much of what another one at `place` does, to the first order."""
+    units = np.eye(search.joint.start.size)[search.joint.of_effect(other)]
+    slopes = search.joint.linearise(search.optimum.vector, units, search.joint.fitted)[1]
+    left = search.optimum.residual + search.taken_by(place)
+    theirs = score(left, basis(search.jacobian_without(place)), slopes)
+    return theirs.statistic >= WORTH_A_LOOK * search.own_score(place).statistic
 
 
 def as_a_capacitance(search: Search) -> None:

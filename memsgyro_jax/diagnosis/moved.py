@@ -11,7 +11,8 @@ from .climb import TENTH, Climb, as_found, beside_lock_in, followed
 from .drives import FAR, stages
 from .fit import beside_case
 from .optimum import Optimum, optimise
-from .search import LOOK_AHEAD, Ranking, Search, always_free
+from .programs import SPARE
+from .search import Ranking, Search, always_free
 from .settings_apart import begun, in_each_place, moves, with_strengths
 
 
@@ -36,7 +37,7 @@ def moved(search: Search, first: Ranking, effects: Sequence[Effect]) -> tuple[Se
     begin, chosen = begun(beside.joint, every, beside.candidates())
     if not chosen:
         return search, None
-    _announce(beside, chosen, [search.joint.model.effects[first.places[i]].label for i in first.order[:LOOK_AHEAD]])
+    _announce(beside, chosen, [search.joint.model.effects[first.places[i]].label for i in first.order[:SPARE]])
     usual = search.refit([first.places[first.order[0]]], slopes=first.slopes[first.order[0]])
     if usual.chi2 < FAR * usual.dof:
         return search, None
@@ -64,8 +65,9 @@ def _announce(beside: Search, chosen: Sequence[int], first: Sequence[str]) -> No
     does, and what that imitates.
     """
     effects = beside.joint.model.effects
-    labels = {*first, *(getattr(effects[i], "imitates", "") for i in beside.given)}
-    beside.joint.together((*beside.given, *chosen, *(i for i, effect in enumerate(effects) if effect.label in labels)))
+    places = {effect.label: i for i, effect in enumerate(effects)}
+    labels = *(getattr(effects[i], "imitates", "") for i in beside.given), *first
+    beside.joint.together((*beside.given, *chosen, *(places[label] for label in labels if label in places)))
 
 
 def _at_the_lowest(search: Search, begin: np.ndarray, chosen: Sequence[int], lowest: tuple) -> list[Optimum]:

@@ -9,6 +9,7 @@ import pytest
 
 import memsgyro_jax as mg
 from memsgyro_jax.app import cli
+from memsgyro_jax.measurement.begin_of_decay import begin_of_decay
 
 
 def ring_down(path, frequency=3200.0, quality=2000.0, rows=4000, rate=20e3):
@@ -72,6 +73,15 @@ def test_a_decay_that_hardly_falls_begins_at_its_first_row(tmp_path, quality, no
     (tmp_path / "slow.csv").write_text("\n".join(["t [s],y [V]", *rows]))
     (record,) = mg.import_case([tmp_path / "slow.csv"], tmp_path / "case").case.records
     assert (record.kind, record.rows) == ("free_decay", 30000)
+
+
+@pytest.mark.parametrize(("kept_up", "first"), [(0.0, 0), (0.03, 150)])
+def test_a_decay_that_halves_in_an_eighth_of_its_record_begins_at_its_first_row(kept_up, first):
+    """It lost 2.4 % of its rows and 13 % of its amplitude; what is kept up first is still left out."""
+    time = np.arange(4000) / 4000
+    signal = np.exp(-np.log(2.0) * np.maximum(time - kept_up, 0.0) / 0.12) * np.cos(2 * np.pi * 400 * time + 1.0)
+    signal = signal + 1e-3 * np.random.default_rng(0).standard_normal(time.size)
+    assert begin_of_decay(signal) == pytest.approx(first, abs=60 if kept_up else 0)
 
 
 def test_what_is_forced_and_what_is_free_of_one_run_are_two_records(tmp_path):
