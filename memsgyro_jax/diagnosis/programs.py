@@ -9,7 +9,7 @@ from memsgyro_jax.effects.base import Effect, LockInEffect, ReadoutEffect, Sweep
 
 
 SPARE = 8  # absent effects that a program may have beside those asked for, before another is made: so many make it
-# a tenth slower, and another takes as long to compile as fifty calls of one
+# a seventh slower, and another takes as long to compile as some twenty-five calls
 
 
 class Programs:

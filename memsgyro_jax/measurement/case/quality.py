@@ -94,8 +94,8 @@ class CaseQuality(Shown):
 
 def assess(case: Case) -> CaseQuality:
     """The quality of each record of a case."""
-    phasors = [(record.name, record.starting_phasors(case)) for record in case.records]
-    said = [*contradictions(case)]
+    phasors = _phasors(case)
+    said = _contradictions(case, phasors)
     said += _resonances(phasors) if case.channels == 1 else []
     said += _reference_bias(case)
     alike = {*map(id, in_one_place(case.environment, case.records))}
@@ -109,11 +109,19 @@ def assess(case: Case) -> CaseQuality:
 
 def contradictions(case: Case) -> tuple[str, ...]:
     """A sentence for each record whose phasors contradict those of the others in sign, size or resonance."""
-    phasors = [(record.name, record.starting_phasors(case)) for record in case.records]
+    return tuple(_contradictions(case, _phasors(case)))
+
+
+def _phasors(case: Case) -> list[tuple[str, Phasors | None]]:
+    """The phasors that each record offers, by name."""
+    return [(record.name, record.starting_phasors(case)) for record in case.records]
+
+
+def _contradictions(case: Case, phasors: Sequence[tuple[str, Phasors | None]]) -> list[str]:
     near = {*map(id, in_one_place(case.environment, case.records))}
     alike = [one for record, one in zip(case.records, phasors, strict=True) if id(record) in near]
     found = [*disagreements(phasors), *(out_of_line(alike) if case.channels == 1 else ())]
-    return tuple(sentence if sentence.endswith("?") else f"{sentence}." for sentence in found)
+    return [sentence if sentence.endswith("?") else f"{sentence}." for sentence in found]
 
 
 def _resonances(records: Sequence[tuple[str, Phasors | None]]) -> list[str]:
