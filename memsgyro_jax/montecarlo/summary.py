@@ -255,8 +255,10 @@ class Summary(Shown):
             low, high = self.nees_interval
             # A filter that claims too much is careful, as annealing means it to be.
             remark = ": the filter claims too little error" if self.nees > (1.0 + _MATTERS) * high else ""
-            interval = f"99 %: {low:.3g} to {high:.3g}{remark}"
-            return f"NEES {self.nees:.3g} of {self.states} ({interval}; {middle}), {nis}{self._claims()}"
+            # Many dies make it narrow: as many digits as tell its ends apart.
+            digits = max(3, int(np.ceil(np.log10(20.0 * high / (high - low))))) if high > low else 3
+            interval = f"99 %: {low:.{digits}g} to {high:.{digits}g}{remark}"
+            return f"NEES {self.nees:.{digits}g} of {self.states} ({interval}; {middle}), {nis}{self._claims()}"
         if self.states is None:
             return f"NEES unknown (the observer claims no covariance), {nis}"
         return f"NEES unknown (the claimed covariance is singular: something is known exactly, or to rounding), {nis}"

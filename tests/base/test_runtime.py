@@ -45,7 +45,8 @@ def test_first_start_sets_everything_without_importing_jax(report):
     assert seen["dtype"] == "float64"
     assert seen["devices"] == len(os.sched_getaffinity(0)) == runtime.usable_cores()
     assert "--xla_cpu_prefer_vector_width=512" in seen["flags"]
-    assert any("xla_cpu_use_multi_output_fusion=true" in flag for flag in seen["flags"])
+    whole = version("jaxlib") not in runtime._FUSE_ONE_OUTPUT
+    assert any("xla_cpu_use_multi_output_fusion=true" in flag for flag in seen["flags"]) == whole
     assert seen["cache"].endswith("compiled")
 
 
@@ -77,6 +78,13 @@ def test_a_file_of_flags_is_left_alone(fresh_python, tmp_path):
     code = "from memsgyro_jax import runtime; runtime.configure(); import jax, os; print(jax.device_count())"
     done = fresh_python("-c", code, XLA_FLAGS=str(tmp_path / "flags.txt"))
     assert done.stdout == "3\n", done.stderr
+
+
+def test_a_jaxlib_that_ends_the_process_with_an_option_is_not_given_it(report):
+    told = 'runtime.version = lambda name: "0.11.2"; runtime._known = lambda flags: flags'
+    seen = report("devices=2", before=told)
+    assert not any("multi_output_fusion" in flag for flag in seen["flags"])
+    assert any("xla_cpu_disable_loop_unrolling=true" in flag for flag in seen["flags"])
 
 
 UNTRIED = "runtime._TRIED = {}"

@@ -1,5 +1,7 @@
 """What a sweep prints of a rate that moves, of a bias, and where every die is lost."""
 
+from dataclasses import replace
+
 import pytest
 
 import memsgyro_jax as mg
@@ -35,8 +37,10 @@ def test_the_error_of_a_moving_rate_is_no_bias_and_no_bound_is_told_with_its_rea
     assert "information bound" not in dict(unasked.rows())
 
 
-def test_a_rate_that_has_come_to_rest_has_a_bias():
+def test_a_rate_that_has_come_to_rest_has_a_bias_and_many_dies_more_digits():
     summary = mg.sweep(loop_of(), mg.Spread(), mg.Step(at=1e-3, after=0.5), **SHORT).summary
+    many = dict(replace(summary, dies=1_000_000, states=14, nees=13.94).rows())["consistency (NEES, NIS)"]
+    assert "NEES 13.94 of 14 (99 %: 13.986 to 14.014;" in many
     assert "(mean over the dies ± its standard error)" in dict(summary.rows())["bias, scale-factor error"]
     assert "the rate moves" in dict(summary.rows())["information bound"], "it steps during the run"
 
