@@ -149,7 +149,7 @@ def _missing_flags(present: str, devices: int) -> list[str]:
     """The flags this package wants and the user has not set, to any value."""
     if not _cpu_may_be_used() or (present and not present.startswith("-")):  # XLA_FLAGS may also name a file of flags
         return []
-    ours = _CPU_FLAGS
+    ours: tuple[str, ...] = _CPU_FLAGS
     if version("jaxlib") in _FUSE_ONE_OUTPUT:
         ours = tuple(flag.replace(f"{_MANY_OUTPUTS},", "") for flag in ours)
     wanted = [*ours, f"{_DEVICES_FLAG}={devices}"]
