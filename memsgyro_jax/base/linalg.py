@@ -4,6 +4,8 @@ LAPACK takes them one by one and, called from compiled loops on several threads,
 written out vectorises over the batch. In the step of the loop even arrays cost too much: see `device.small`.
 """
 
+from collections.abc import Sequence
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -67,6 +69,21 @@ def of_few(matrix: Float[np.ndarray, "m h"], columns: Shaped[Array, "*batch h n"
     if matrix.size > _FEW:
         return matrix @ columns
     return jnp.sum(matrix[:, :, None] * columns[..., None, :, :], axis=-2)
+
+
+def at_place(part: Shaped[Array, "*p"], place: int, count: int) -> Shaped[Array, "c *p"]:
+    """Zeros but for one of so many entries of the leading axis. In the step of a run XLA makes a loop of `.at[...]`."""
+    return jnp.pad(part[None], [(place, count - place - 1)] + [(0, 0)] * part.ndim)
+
+
+def among(entries: Shaped[Array, "*b k"], places: Sequence[int], size: int) -> Shaped[Array, "*b n"]:
+    """Entries of the trailing axis at their places in zeros, likewise."""
+    nothing, known = jnp.zeros_like(entries[..., :1]), list(places)
+    one = lambda place: entries[..., (k := known.index(place)) : k + 1] if place in known else nothing  # noqa: E731
+    first, last = (min(known), max(known)) if known else (0, -1)
+    if known == list(range(first, last + 1)):
+        return jnp.pad(entries, [(0, 0)] * (entries.ndim - 1) + [(first, size - last - 1)])
+    return jnp.concatenate([one(place) for place in range(size)], axis=-1)
 
 
 def solve_pairs(matrix: Shaped[Array, "*batch 2 2"], right: Shaped[Array, "*batch 2"]) -> Shaped[Array, "*batch 2"]:

@@ -42,7 +42,8 @@ def without_weight(readings: Readings, absent: np.ndarray) -> Readings:
         return readings
     wide = jnp.where(absent[:, None], jnp.inf, std)
     experiment = eqx.tree_at(lambda e: e.noise.std, readings.experiment, wide)
-    return replace(readings, experiment=experiment, record=np.where(absent, NOBODY, readings.record))
+    whole = readings.experiment if readings.whole is None else readings.whole
+    return replace(readings, experiment=experiment, record=np.where(absent, NOBODY, readings.record), whole=whole)
 
 
 def gone(readings: Readings, left_out: Rows) -> np.ndarray:

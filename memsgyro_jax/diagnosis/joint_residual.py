@@ -23,7 +23,7 @@ from memsgyro_jax.measurement.model import Model
 from memsgyro_jax.measurement.readings import Readings
 
 from .instrument import Knowledge
-from .linearised import WIDTH, Calls, Part, lanes, nothing
+from .linearised import WIDTH, Calls, Linear, Part, lanes, nothing
 from .parameters import Parameter, parameters
 from .programs import Programs, is_idle
 
@@ -111,7 +111,9 @@ class Joint:
         def one(r: Readings) -> np.ndarray:
             if isinstance(r.experiment, Knowledge):
                 return self._known(vector, np.zeros((0, vector.size)), r.experiment)[0]
-            return self.calls.residual(part, vector, r.experiment)
+            if r.whole is None:
+                return self.calls.residual(part, vector, r.experiment)
+            return np.where(r.weightless, 0.0, self.calls.residual(part, vector, r.whole))
 
         return self._each(chosen, one)
 
@@ -150,7 +152,7 @@ class Joint:
         rows = np.flatnonzero(np.any(others != 0, axis=1))
         along = rows if rows.size <= WIDTH and self._acting(vector, others) <= set(part.effects) else rows[:0]
         first = lanes(part.along(others[along])) if along.size else None
-        here = self.calls.linear(part, vector, readings.experiment, first)
+        here = self._linear(part, vector, readings, first)
         places = tuple(int(sum(k < i for k in present)) for i in lacking)
         added = contributions(model, Absent(tuple(whole.effects[i] for i in lacking), places), here.inquiry)
         every, columns = (np.concatenate([self.of_effect(i) for i in some]) for some in (lacking, quick))
@@ -214,11 +216,17 @@ class Joint:
             if isinstance(r.experiment, Knowledge):
                 return self._known(vector, directions, r.experiment)
             begins = range(0, len(padded), WIDTH)
-            parts = [self.calls.linear(part, vector, r.experiment, padded[i : i + WIDTH]) for i in begins]
+            parts = [self._linear(part, vector, r, padded[i : i + WIDTH]) for i in begins]
             return parts[0].value, np.concatenate([each.slopes for each in parts])[:count]
 
         values, slopes = zip(*self._each(chosen, one), strict=True)
         return np.concatenate(values), np.concatenate(slopes, axis=1).T
+
+    def _linear(self, part: Part, vector: np.ndarray, readings: Readings, block: np.ndarray | None) -> Linear:
+        """Of some readings, through the calls of all that differ from them in what is left out."""
+        if readings.whole is None:
+            return self.calls.linear(part, vector, readings.experiment, block)
+        return self.calls.linear(part, vector, readings.whole, block).without(readings.weightless)
 
     def _known(self, vector: np.ndarray, directions: np.ndarray, knowledge: Knowledge) -> tuple[np.ndarray, np.ndarray]:
         """The residual of what is known of a strength, and its derivatives: linear, so that no program is needed."""

@@ -20,6 +20,7 @@ from memsgyro_jax.measurement.model import Model
 
 
 WIDTH = 12  # directions that one pass of the compiled program differentiates
+_SPANNED = 1e-9  # of a direction: what sums of others may lack of it
 SHORT = 100  # rows up to which optimising a program takes longer than the calls of a whole diagnosis
 
 
@@ -54,6 +55,26 @@ class Linear(NamedTuple):
     slopes: np.ndarray
     inquiry: Inquiry | None
 
+    def along(self, block: np.ndarray | None) -> "Linear | None":
+        """The same along another block, or any, where its directions are sums of those that are known."""
+        if self.block is None or (block is not None and np.count_nonzero(np.any(block, axis=1)) > len(self.block)):
+            return None
+        if block is None or np.array_equal(self.block, block):
+            return self
+        scale = np.max(np.abs(self.block), axis=0)  # parameters differ by many powers of ten
+        scale = np.where(scale > 0, scale, 1.0)
+        wanted, known = block / scale, self.block / scale
+        size = np.max(np.abs(known), axis=1, keepdims=True)
+        size = np.where(size > 0, size, 1.0)
+        sums = np.linalg.lstsq((known / size).T, wanted.T, rcond=_SPANNED)[0].T
+        if np.any(np.abs(sums @ (known / size) - wanted) > _SPANNED * np.max(np.abs(wanted), axis=1, keepdims=True)):
+            return None
+        return self._replace(block=block, slopes=(sums / size.T) @ self.slopes)
+
+    def without(self, rows: np.ndarray) -> "Linear":
+        """The same where some of the residual (r,) have no weight."""
+        return self._replace(value=np.where(rows, 0.0, self.value), slopes=np.where(rows, 0.0, self.slopes))
+
 
 class Calls:
     """Calls of the programs, of which the last are kept: a fit ends where a ranking, and what tests it, begin.
@@ -83,8 +104,8 @@ class Calls:
         """The same with slopes along a block of directions (WIDTH, p); any, where none is given."""
         at = part.of(vector)
         known = self._known(part, at, experiment)
-        if known is not None and known.block is not None and (block is None or np.array_equal(known.block, block)):
-            return known
+        if known is not None and (along := known.along(block)) is not None:
+            return along
         go_on()
         block = np.zeros((WIDTH, at.size)) if block is None else block
         none = nothing(experiment, part.model)

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from memsgyro_jax.base.linalg import exponential_and_means, inverse, product, solved
+from memsgyro_jax.base.linalg import among, at_place, exponential_and_means, inverse, product, solved
 
 from .model import Conditions, Model
 from .steady import Remainder, nonlinear_spectrum
@@ -114,7 +114,7 @@ class Driven(eqx.Module):
     @property
     def load(self) -> Complex[Array, "h n"]:
         """The drive, in harmonic 1."""
-        return jnp.zeros((HARMONICS + 1, self.model.size), complex).at[1].set(self.linear[1] @ self.force)
+        return at_place(self.linear[1] @ self.force, 1, HARMONICS + 1)
 
     def propagator(self, step: Array) -> Propagator:
         """Of one step [s]."""
@@ -122,18 +122,18 @@ class Driven(eqx.Module):
 
     def around(self, conditions: Conditions) -> Conditions | Remainder:
         """What `rest` asks for at some conditions, made once for all of its states where the model is affine."""
-        return Remainder.of(self.model, self.linear, conditions) if self.model.is_linear else conditions
+        if not self.model.is_linear:
+            return conditions
+        return Remainder.of(self.model, self.linear, conditions, self.force)
 
     def rest(self, state: Complex[Array, "h n"], now: Conditions | Remainder) -> Complex[Array, "h n"]:
         """What the linear part leaves out, `now` being what is `around`."""
-        rows = np.asarray(self.model.nonlinear_rows)
         if isinstance(now, Remainder):
-            left = now.spectrum(state, self.force)[:, rows]
-        else:
-            left = nonlinear_spectrum(
-                self.model, self.linear, state, self.force, now, samples=self.samples, harmonics=HARMONICS
-            )
-        return jnp.zeros_like(state).at[:, rows].set(left)
+            return now.spectrum(state)
+        left = nonlinear_spectrum(
+            self.model, self.linear, state, self.force, now, samples=self.samples, harmonics=HARMONICS
+        )
+        return among(left, self.model.nonlinear_rows, self.model.size)
 
     def at_rest(self) -> Complex[Array, "h n"]:
         """No motion."""
@@ -173,12 +173,14 @@ class Driven(eqx.Module):
         how many of them, all under the same conditions.
         """
         forces, steps, counts = zip(*legs, strict=True)
-        propagators, pushes = jax.vmap(self.propagator)(jnp.stack(steps)), jnp.stack(forces) + 0j
-        now = self.around(conditions)
+        pushed = lambda force: eqx.tree_at(lambda driven: driven.force, self, force)  # noqa: E731
+        pushes = jnp.stack(forces) + 0j
+        of_legs = jax.vmap(self.propagator)(jnp.stack(steps)), pushes
+        left = jax.vmap(lambda force: pushed(force).around(conditions))(pushes)
 
         def advance(state: Array, leg: Array) -> tuple[Array, Array]:
-            propagate, force = jax.tree.map(lambda leaf: leaf[leg], (propagators, pushes))
-            under = eqx.tree_at(lambda driven: driven.force, self, force)
+            propagate, force, now = jax.tree.map(lambda leaf: leaf[leg], (*of_legs, left))
+            under = pushed(force)
             end, _, _ = propagate.advance(state, under.load, lambda s: under.rest(s, now))
             return end, end
 
@@ -194,23 +196,30 @@ class Driven(eqx.Module):
         Means of S·e^{ikωt} follow from the equation of motion: L times the mean is the change of S less the load.
         """
         change, drift = (course.end - course.start) / step, (course.there - course.here) / step
-        operator, right = self.operator, change - self.load - 0.5 * (course.here + course.there)
-        frozen = jax.vmap(inverse)(jax.lax.stop_gradient(operator))
-        means, one, undone = solved(operator, frozen, right), operator[1], frozen[1]
+        right = change - self.load - 0.5 * (course.here + course.there)
+        matrices = [*self.operator]
         if first is not None:
-            one, undone = first, jax.vmap(inverse)(jax.lax.stop_gradient(first))
-            means = means.at[:, 1].set(solved(one, undone, right[:, 1]))
-        if not boxcar:
-            return means
-        conjugate = change[:, 1] - drift[:, 1] / (2j * self.omega)
-        conjugate = solved(jnp.conj(one), jnp.conj(undone), conjugate)
-        constant = solved(one, undone, change[:, 0] + drift[:, 0] / (1j * self.omega))
-        return means.at[:, 1].add(jnp.conj(conjugate) + 2 * constant)
+            matrices[1] = first
+        undone = [_undone(matrix) for matrix in matrices]
+        # One by one: of what no channel shows nothing is computed.
+        means = [solved(*both, right[:, h]) for h, both in enumerate(zip(matrices, undone, strict=True))]
+        if boxcar:
+            one, back = matrices[1], undone[1]
+            conjugate = solved(jnp.conj(one), jnp.conj(back), change[:, 1] - drift[:, 1] / (2j * self.omega))
+            constant = solved(one, back, change[:, 0] + drift[:, 0] / (1j * self.omega))
+            means[1] = means[1] + jnp.conj(conjugate) + 2 * constant
+        return jnp.stack(means, axis=1)
 
     def instant(self, state: Complex[Array, "h n"], time: Array) -> Float[Array, " n"]:
         """The state itself at a time [s], phase zero at time zero."""
         turn = jnp.exp(1j * jnp.arange(HARMONICS + 1) * self.omega * time)
         return jnp.real(turn @ state)
+
+
+def _undone(matrices: Complex[Array, "*t n n"]) -> Complex[Array, "*t n n"]:
+    """Their inverses, without derivatives."""
+    held = jax.lax.stop_gradient(matrices)
+    return inverse(held) if held.ndim == 2 else jax.vmap(inverse)(held)
 
 
 def among_velocities(accelerations: Array, size: int) -> Array:
@@ -239,10 +248,9 @@ class Sampled(eqx.Module):
 
     def rest(self, state: Array, force: Array, now: Conditions) -> Array:
         """What the linear part leaves out."""
-        rows = np.asarray(self.model.nonlinear_rows)
         matrix, gain = self.linear
         left = self.model.derivative(state, force, now) - product(matrix, state) - product(gain, force)
-        return jnp.zeros_like(state).at[rows].set(left[rows])
+        return jnp.where(np.isin(np.arange(self.model.size), self.model.nonlinear_rows), left, 0.0)
 
     def predicted(self, state: Array, force: Array, increment: Array, here: Array) -> Array:
         """Where a step ends if what is left out stays as it is `here`."""

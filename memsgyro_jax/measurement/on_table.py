@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Complex
 
-from memsgyro_jax.base.linalg import product
+from memsgyro_jax.base.linalg import at_place, product
 
 from .envelope import Course, Driven, Propagator, among_velocities, state_units
 from .model import Conditions
@@ -47,7 +47,7 @@ class OnTable(eqx.Module):
             (power, first, change), now, more = inputs
             extra = (0.0, 0.0) if more is None else among_velocities(more, base.model.size)
             here = _with_first(propagate, power, first)
-            rest = lambda s: base.rest(s, now).at[1].add(-product(change, s[1]))  # noqa: E731
+            rest = lambda s: base.rest(s, now) - at_place(product(change, s[1]), 1, len(s))  # noqa: E731
             end, *left = here.advance(state, load, rest, extra)
             return end, jnp.stack([end, *left])
 
@@ -88,8 +88,6 @@ class OnTable(eqx.Module):
 
 def _with_first(propagate: Propagator, power: Array, first: Array) -> Propagator:
     """With others for harmonic 1."""
-    return eqx.tree_at(
-        lambda p: (p.exponential, p.first),
-        propagate,
-        (propagate.exponential.at[1].set(power), propagate.first.at[1].set(first)),
-    )
+    pairs = (propagate.exponential, power), (propagate.first, first)
+    made = tuple(jnp.concatenate([every[:1], own[None], every[2:]]) for every, own in pairs)
+    return eqx.tree_at(lambda p: (p.exponential, p.first), propagate, made)

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from memsgyro_jax.base.linalg import inverse, of_few, product
+from memsgyro_jax.base.linalg import at_place, inverse, of_few, product
 
 from .model import Conditions, Model
 
@@ -61,24 +61,26 @@ class Remainder(eqx.Module):
 
     Args:
         matrix: (n, n) per state.
-        gain: (n, axes) per command.
-        constant: (n,) at rest.
+        load: (2, n) harmonics 0 and 1 of what is left out at rest, under the drive.
     """
 
     matrix: Array
-    gain: Array
-    constant: Array
+    load: Array
 
     @classmethod
-    def of(cls, model: Model, linear: tuple[Array, Array], conditions: Conditions) -> "Remainder":
-        """Beside the matrix and the gain of the linear part."""
+    def of(
+        cls, model: Model, linear: tuple[Array, Array], conditions: Conditions, force: Complex[Array, " axes"]
+    ) -> "Remainder":
+        """Beside the matrix and the gain of the linear part, under a drive of phasor `force` [N]."""
         matrix, gain = model.linear(conditions)
         at_rest = model.derivative(jnp.zeros(model.size), jnp.zeros(model.axes), conditions)
-        return cls(matrix - linear[0], gain - linear[1], at_rest)
+        left = np.isin(np.arange(model.size), model.nonlinear_rows)
+        load = jnp.stack([at_rest + 0j, (gain - linear[1]) @ force])
+        return cls(jnp.where(left[:, None], matrix - linear[0], 0.0), jnp.where(left, load, 0.0))
 
-    def spectrum(self, state: Complex[Array, "h n"], force: Complex[Array, " axes"]) -> Complex[Array, "h n"]:
+    def spectrum(self, state: Complex[Array, "h n"]) -> Complex[Array, "h n"]:
         """Its Fourier coefficients."""
-        return product(self.matrix, state).at[0].add(self.constant).at[1].add(self.gain @ force)
+        return product(self.matrix, state) + jnp.pad(self.load, ((0, len(state) - 2), (0, 0)))
 
 
 def nonlinear_spectrum(
@@ -131,7 +133,7 @@ def steady_state(
     more = jnp.zeros((harmonics + 1, rows.size), complex) if added is None else _widened(added, rows.size)
     if model.is_linear:
         constant = model.derivative(jnp.zeros(model.size), jnp.zeros(model.axes), conditions)[rows]
-        return driven + product(push[:, :, rows], more.at[0].add(constant))
+        return driven + product(push[:, :, rows], more + at_place(constant, 0, harmonics + 1))
     response = linear, driven, push[:, :, rows]
     frozen = jax.lax.stop_gradient((response, model, force, conditions))
     start = _displacement_only(model, jax.lax.stop_gradient(omega), guess, harmonics)

@@ -3,10 +3,13 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from scipy.integrate import solve_ivp
 
+from memsgyro_jax.base.linalg import among, at_place
 from memsgyro_jax.device.conditions import Conditions
 from memsgyro_jax.device.gyro import SingleMassGyro
+from memsgyro_jax.effects import CubicStiffness
 from memsgyro_jax.measurement.envelope import Driven, Propagator
 from memsgyro_jax.measurement.model import Model
 
@@ -49,3 +52,30 @@ def test_a_step_is_of_second_order_in_what_the_linear_part_leaves_out():
     coarse, fine = (np.abs(end(count) - course.y[:, -1]) for count in (12, 24))
     assert np.all(fine < 2e-3)
     np.testing.assert_allclose(coarse / fine, 4.0, rtol=0.2)
+
+
+@pytest.mark.parametrize("effects", [(), (CubicStiffness("x", 1e9),)])
+def test_a_step_has_no_scatter_of_which_a_loop_would_be_made(effects):
+    """XLA wrote one for each `.at[...]` and direction: 86 kernels a step in place of 27."""
+    device = SingleMassGyro(mass=1e-7, kxx=60.0, kyy=80.0, kxy=3.0, dxx=2e-4, dyy=3e-4, dxy=1e-5)
+
+    def end(force):
+        driven = Driven.of(Model(device, effects=effects), jnp.asarray(2.1e4), force, Conditions())
+        return driven.run(driven.at_rest(), 1e-3, Conditions().rows(5))[0]
+
+    def along(force):
+        return jax.jvp(end, (force,), (force,))[1]
+
+    program = str(jax.make_jaxpr(along)(jnp.asarray([1e-6, 0.0])))
+    assert "scan" in program
+    assert "scatter" not in program[program.index("scan") :]
+
+
+def test_entries_stand_at_their_places():
+    entries = jnp.arange(6.0).reshape(2, 3)
+    np.testing.assert_array_equal(among(entries, (1, 2, 3), 5), np.pad(entries, ((0, 0), (1, 1))))
+    spread = np.zeros((2, 5))
+    spread[:, [0, 2, 4]] = entries
+    np.testing.assert_array_equal(among(entries, (0, 2, 4), 5), spread)
+    np.testing.assert_array_equal(at_place(entries, 1, 3)[1], entries)
+    np.testing.assert_array_equal(at_place(entries, 1, 3)[::2], 0.0)

@@ -169,12 +169,20 @@ class Experiment(eqx.Module):
 
 @dataclass(frozen=True)
 class Readings:
-    """An experiment, the record that each of its rows belongs to (−1: padding), the row there, whether it is fitted."""
+    """An experiment, the record that each of its rows belongs to (−1: padding), the row there, whether it is fitted,
+    and the experiment in which rows that were left out since still have their weight.
+    """
 
     experiment: Experiment
     record: np.ndarray
     row: np.ndarray
     fitted: bool
+    whole: Experiment | None = None
+
+    @property
+    def weightless(self) -> np.ndarray:
+        """Which numbers of the residual (r,) belong to no record."""
+        return np.repeat(self.record < 0, self.size // self.record.size)
 
     @property
     def axes(self) -> int:
