@@ -38,6 +38,7 @@ EVIDENT, LIKELY = 12.0, 4.0
 ROUNDS = 2  # of spectrum and fit
 STEPS = 4  # of a fit to all readings, also those that were not fitted
 RESPONSE = 0.1  # of the squared response to a drive: what leaves more is no noise, however slow
+SURELY = 1e-6  # of the level: an effect that stands out so far beside a first spectrum does beside the last
 CLEARLY = 1.25  # times what an effect leaves: a first estimate that costs so much more is not followed up
 
 
@@ -136,7 +137,8 @@ def slow_noise(search: Search, ranking: Ranking) -> Mapping[str, str]:
     price = float(np.log(optimum.residual.size)) * sum(place.size for place in blocks.values()) / _compared(fit)
     least = optimum.chi2 - max((s.statistic - price * s.size for s in ranking.scores), default=0.0)
     white = _whitener(found, blocks)
-    if _cost(_clean(optimum, white), found, blocks) > CLEARLY * least and _stands_out(search, ranking, found, blocks):
+    costly = _cost(_clean(optimum, white), found, blocks) > CLEARLY * least
+    if _stands_out(search, ranking, found, blocks, search.level * (1.0 if costly else SURELY)):
         return {}
     for _ in range(ROUNDS):
         moved = _moved(search, _whitener(found, blocks))
@@ -144,7 +146,7 @@ def slow_noise(search: Search, ranking: Ranking) -> Mapping[str, str]:
     white = _whitener(found, blocks)
     left = white(_left(search, _step(search, white)[0])[:, None])[:, 0]
     cost = _cost(left, found, blocks) + SPENT * price * len(found.keys() & blocks.keys())
-    if cost >= least or _stands_out(search, ranking, found, blocks):
+    if cost >= least or _stands_out(search, ranking, found, blocks, search.level):
         return {}
     present = {search.joint.model.effects[i].label for i in (*search.given, *search.accepted)}
     terms = [term for term in instrument_terms(case) if term.label not in present]
@@ -280,9 +282,11 @@ def _whitener(found: Mapping[int, SlowNoise], blocks: Mapping[int, np.ndarray]) 
 
 
 def _stands_out(
-    search: Search, ranking: Ranking, found: Mapping[int, SlowNoise], blocks: Mapping[int, np.ndarray]
+    search: Search, ranking: Ranking, found: Mapping[int, SlowNoise], blocks: Mapping[int, np.ndarray], level: float
 ) -> bool:
-    """Whether an effect of the device does, beside all that is free and the slow noise, as well as that is known."""
+    """Whether an effect of the device does, at a `level`, beside all that is free and the slow noise, as well as that
+    is known.
+    """
     if not ranking.places:
         return False
     white = _whitener(found, blocks)
@@ -294,7 +298,7 @@ def _stands_out(
         replace(one, p_value=survival(one, 1.0 / doubt)) if doubt > 0 else one
         for one, doubt in zip(scores, doubts, strict=True)
     ]
-    return bool(np.min(family_p_values(scores)) <= search.level)
+    return bool(np.min(family_p_values(scores)) <= level)
 
 
 def _shares(found: Score, place: np.ndarray) -> np.ndarray:
