@@ -221,7 +221,7 @@ def _warning(
         guessed = any(NO_LEVEL in record.assumed for record in some)
         levels.append("..." if guessed else "-" if known is None else f"{known[0]:g} {known[1]}")
     if levels.count("...") < 2:
-        return ""
+        return _of_one_file(names, found)
     files = listed(name for name, level in zip(names, levels, strict=True) if level == "...")
     shown = " ".join(level if level == "-" else f'"{level}"' for level in levels)
     return (
@@ -230,6 +230,18 @@ def _warning(
         "in order:\n"
         f"{command} --drive {shown}"
     )
+
+
+def _of_one_file(names: Sequence[str], found: Sequence[list[ImportedRecord]]) -> str:
+    """That nothing tells the drive levels of several sweeps in one file; empty where none holds several."""
+    for name, some in zip(names, found, strict=True):
+        if (count := sum(NO_LEVEL in record.assumed for record in some)) > 1:
+            return (
+                f"The {count} sweeps of {name} do not say at which level they were driven, and each was taken for 1 V. "
+                "Where the levels differed, strengths are wrong: give each its own as the `drive_force` of its "
+                "experiment in case.toml."
+            )
+    return ""
 
 
 def _levels(given: Sequence[Level | None], swept: Sequence[bool], using: Sequence[bool]) -> list[Level | None]:
