@@ -1,6 +1,7 @@
 """The first effects of a device that its surroundings move: found from the linear device that each setting shows."""
 
 from collections.abc import Sequence
+from copy import copy
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from .fit import beside_case
 from .optimum import Optimum, optimise
 from .programs import SPARE
 from .search import Ranking, Search, always_free
-from .settings_apart import begun, in_each_place, moves, with_strengths
+from .settings_apart import Surrounded, begun, in_each_place, moves, put_beside, twins_of, with_strengths
 
 
 WHENCE = "the base model is that of the surroundings at which its numbers hold, as the device moves with them"
@@ -51,13 +52,43 @@ def moved(search: Search, first: Ranking, effects: Sequence[Effect]) -> tuple[Se
     whole = [end if len(steps) == 1 else optimise(joint, end.vector, end.free, joint.fitted) for end in ends]
     for place, end in zip(chosen, whole, strict=True):
         beside.take(place, end)
-    if excess(whole[-1]) > TENTH * excess(search.optimum):  # what bends the resonance over is still missing
-        return followed(beside, search, effects, steps, search.optimum, ends[-1].vector)
+    bent = excess(whole[-1]) > TENTH * excess(search.optimum)
+    if bent or whole[-1].chi2 > FAR * whole[-1].dof:  # what bends the resonance over is still missing
+        low = _with_twins(climbing := _apart(beside), every, chosen, steps[0], ends[-1].vector)
+        usual = search.optimum if bent else whole[-1]
+        found, climb = followed(climbing, search, effects, steps, usual, low)
+        if bent or climb is not None:
+            return found, climb
     still = with_strengths(joint, begin, dict.fromkeys(chosen, 0.0))
     straight = optimise(joint, still, always_free(joint, beside.given), joint.fitted, max_evaluations=0)
     base = beside_case(search.case, joint, straight)
     left = [end.chi2 for end in whole]
     return as_found(beside, search, effects), Climb(base, tuple(zip(tried, left, strict=True)), WHENCE)
+
+
+def _apart(search: Search) -> Search:
+    """The same search, which may go on by itself."""
+    out = copy(search)
+    out.accepted, out.steps = list(search.accepted), list(search.steps)
+    return out
+
+
+def _with_twins(
+    beside: Search, every: list[Surrounded], chosen: Sequence[int], lowest: tuple, start: np.ndarray
+) -> np.ndarray:
+    """Takes the effects that a linear device cannot tell from the chosen ones, half and half, and returns parameters of
+    the lowest drive with them; `start` where there are none.
+    """
+    joint = beside.joint
+    twins = twins_of(joint, every, chosen, beside.candidates())
+    if not twins:
+        return start
+    begin = put_beside(joint, every, [*chosen, *twins])
+    end = optimise(joint, begin, always_free(joint, (*beside.given, *chosen, *twins)), lowest)
+    whole = optimise(joint, end.vector, end.free, joint.fitted)
+    for place in twins:
+        beside.take(place, whole)
+    return end.vector
 
 
 def _announce(beside: Search, chosen: Sequence[int], first: Sequence[str]) -> None:

@@ -32,6 +32,7 @@ WIDTHS = 1.0  # of the resonance: over less of them, in all settings, a fit has 
 HALF = 0.5  # of the squares that an effect must explain, of how settings differ, to be tried
 MOST = 3  # effects that are tried together
 FEWEST = 7  # rows of a setting
+TWINS = 1.0 - 1e-9  # cosine from which two effects move a linear device in the same way
 ALIKE, ODD = 0.1, 30.0  # widths that settings may be off where effects explain them; squares by which one stands out
 
 
@@ -186,6 +187,16 @@ def begun(joint: Joint, every: Sequence[Surrounded], candidates: Sequence[int]) 
     model = joint.at(_of_device(joint, every, _trend(joint.model, every, ()).explained(())[0]))
     chosen = _chosen(_trend(model, every, able))
     return put_beside(joint, every, chosen), chosen
+
+
+def twins_of(joint: Joint, every: Sequence[Surrounded], chosen: Sequence[int], others: Sequence[int]) -> list[int]:
+    """Places of other effects that move a linear device as one of the chosen ones does. Driven hard they differ: what
+    the drive gains bends it further, what the pick-off gains does not.
+    """
+    able = [i for i in (*chosen, *others) if _may_move(joint.model.effects[i])]
+    columns = {i: column.ravel() for i, column in _trend(joint.model, every, able).columns.items()}
+    units = {i: column / np.linalg.norm(column) for i, column in columns.items()}
+    return [i for i in units if i not in chosen and any(units[i] @ units[k] > TWINS for k in chosen if k in units)]
 
 
 def put_beside(joint: Joint, every: Sequence[Surrounded], places: Sequence[int]) -> np.ndarray:

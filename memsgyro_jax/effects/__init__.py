@@ -38,6 +38,7 @@ from .damping_step import DampingStep as DampingStep
 from .drive_nonlinearity import DriveNonlinearity as DriveNonlinearity
 from .dry_friction import DryFriction as DryFriction
 from .electrical_feedthrough import ElectricalFeedthrough as ElectricalFeedthrough
+from .electrostatic_cubic_stiffness import ElectrostaticCubicStiffness as ElectrostaticCubicStiffness
 from .electrostatic_softening import ElectrostaticSoftening as ElectrostaticSoftening
 from .finite_sweep_rate import FiniteSweepRate as FiniteSweepRate
 from .force_misalignment import ForceMisalignment as ForceMisalignment

@@ -19,6 +19,7 @@ from .damping_step import DampingStep
 from .drive_nonlinearity import DriveNonlinearity
 from .dry_friction import DryFriction
 from .electrical_feedthrough import ElectricalFeedthrough
+from .electrostatic_cubic_stiffness import ElectrostaticCubicStiffness
 from .electrostatic_softening import ElectrostaticSoftening
 from .finite_sweep_rate import FiniteSweepRate
 from .force_misalignment import ForceMisalignment
@@ -40,7 +41,7 @@ from .thermal_electronics import ThermalBias, ThermalDelay, ThermalDrive, Therma
 
 
 CATALOGUE: tuple[type[Effect], ...] = (
-    *(CubicStiffness, QuadraticStiffness, CrossStiffness, ElectrostaticSoftening),
+    *(CubicStiffness, QuadraticStiffness, CrossStiffness, ElectrostaticSoftening, ElectrostaticCubicStiffness),
     *(CrossDampingAsymmetry, QuadraticDamping, SqueezeFilmDamping, DryFriction, DampingStep),
     *(ThermalStiffness, ThermalDamping, ThermalStiffnessCurvature, ThermalDampingCurvature, ParasiticMode),
     *(RateOffset, RateScaleError, RateBiasDrift, AngularAcceleration, Centrifugal),

@@ -14,6 +14,7 @@ from memsgyro_jax.loop.trace_result import Trace
 
 from .allan_result import MEANING, Allan, NoiseTerm
 from .allan_variance import TERMS, allan_deviation, shapes
+from .log_temperature import beside_temperature
 from .noise_likelihood import low_passed
 from .rate_log import RateLog, read_rate_log
 from .rate_noise import NoiseFit, fit_noise, glance
@@ -48,12 +49,14 @@ def allan(
         start: [s] from which on the rates count, behind the settling; zero takes all.
         band: shortest and longest averaging time of the fit [s]; without it all octaves up to a third of the record.
 
-    Of a record that the five noises do not describe no term is told, nor the bias instability; `notes` say so.
+    Of a record that the five noises do not describe no term is told, nor the bias instability; `notes` say so, and
+    where the rate goes with a temperature that the file has as well.
 
     Raises:
         InputError: for rates that are not finite, do not vary or are too few, and for what `read_rate_log` refuses.
     """
-    return analysed(_after(_read(source, sample_rate, column), quantity("start", start, "s")), band)
+    log = _after(_read(source, sample_rate, column), quantity("start", start, "s"))
+    return beside_temperature(analysed(log, band), log, lambda rest: analysed(rest, band))
 
 
 def analysed(log: RateLog, band: tuple[float, float] | None = None, low_pass: bool = False) -> Allan:
@@ -200,7 +203,8 @@ def _after(log: RateLog, start: float) -> RateLog:
             f"Argument `start` must lie within the {log.rate.shape[-1] * log.period:.4g} s of the record, but "
             f"{start:g} s was given."
         )
-    return log._replace(rate=log.rate[:, first:])
+    warm = None if log.temperature is None else log.temperature[first:]
+    return log._replace(rate=log.rate[:, first:], temperature=warm)
 
 
 def _factors(samples: int, period: float, octaves: tuple[int, ...]) -> tuple[int, ...]:

@@ -45,8 +45,12 @@ def hints(
 
 def _volts(files: Sequence[Path], found: Sequence[Sequence[ImportedRecord]]) -> list[str]:
     """Voltages in names, where they differ and none is the level of a drive."""
-    levels = any("drive" in said and "name says" in said for some in found for one in some for said in one.assumed)
     volts = [volts_in_name(path.stem) for path in files]
+    levels = any(
+        f"the drive is {value}, as the file's name says" in one.assumed
+        for value, some in zip(volts, found, strict=True)
+        for one in some
+    )
     return volts if len({*filter(None, volts)}) > 1 and not levels else [""] * len(files)
 
 

@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from memsgyro_jax.base.arguments import whole
 from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
@@ -37,6 +39,7 @@ _ABOUT = {  # kinds of what is assumed, the one that strengths hang on first, by
     "readings": re.compile(r"\bread-?(?:ing|out)|phase|amplitude|effective|response is in"),
     "rows": re.compile(""),
 }
+_APART = 1.5  # times the readings of another sweep: what two levels show
 Level = tuple[float, str]
 
 
@@ -221,7 +224,7 @@ def _warning(
         guessed = any(NO_LEVEL in record.assumed for record in some)
         levels.append("..." if guessed else "-" if known is None else f"{known[0]:g} {known[1]}")
     if levels.count("...") < 2:
-        return ""
+        return _of_one_file(names, found)
     files = listed(name for name, level in zip(names, levels, strict=True) if level == "...")
     shown = " ".join(level if level == "-" else f'"{level}"' for level in levels)
     return (
@@ -230,6 +233,27 @@ def _warning(
         "in order:\n"
         f"{command} --drive {shown}"
     )
+
+
+def _of_one_file(names: Sequence[str], found: Sequence[list[ImportedRecord]]) -> str:
+    """That nothing tells the drive levels of several sweeps in one file whose readings differ as those of several
+    levels do; empty where none holds such.
+    """
+    for name, some in zip(names, found, strict=True):
+        peaks = [_peak(record) for record in some if NO_LEVEL in record.assumed]
+        if len(peaks) > 1 and max(peaks) > _APART * min(peaks):
+            return (
+                f"The {len(peaks)} sweeps of {name} do not say at which level they were driven, and each was taken "
+                "for 1 V. Where the levels differed, strengths are wrong: give each its own as the `drive_force` of "
+                "its experiment in case.toml."
+            )
+    return ""
+
+
+def _peak(record: ImportedRecord) -> float:
+    """The largest reading of a record."""
+    read = [values for header, values in record.columns.items() if header.startswith(("Vx_I", "Vx_Q", "Vx_amp"))]
+    return max((float(np.nanmax(np.abs(values))) for values in read), default=0.0)
 
 
 def _levels(given: Sequence[Level | None], swept: Sequence[bool], using: Sequence[bool]) -> list[Level | None]:

@@ -1,7 +1,7 @@
 """A frequency sweep from the columns of an instrument's table: columns in the words of a case, keys, what is read."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -223,11 +223,18 @@ def read_as(unit: str) -> str:
     return next((what for base, what in measured.items() if is_same_kind(unit, base)), "")
 
 
+def _of_drive(levels: Sequence[re.Match[str]]) -> re.Match[str] | None:
+    """The first of the levels in a name; beside volts, which may be a bias, the one in a part of a volt."""
+    parts = [one for one in levels if one[2][0] in "nuµm" and one[2].endswith("V")]
+    whole = [one for one in levels if one[2] == "V"]
+    return parts[0] if len(parts) == 1 and whole else next(iter(levels), None)
+
+
 def level_of(table: SourceTable, drive: tuple[float, str] | None, assumed: list[str]) -> dict[str, Any]:
     """The drive level that no column holds."""
     if drive is not None:
         return {"value": drive[0], "unit": drive[1]}
-    if found := _LEVEL.search(without_bias(table.path.stem)):
+    if found := _of_drive([*_LEVEL.finditer(without_bias(table.path.stem))]):
         value, unit = float(found[1].replace("p", ".")), found[2]
         assumed.append(f"the drive is {value:g} {unit}, as the file's name says")
         return {"value": value, "unit": unit}

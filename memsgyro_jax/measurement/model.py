@@ -10,11 +10,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Complex, Float
 
 from memsgyro_jax.base.affine import is_affine
 from memsgyro_jax.base.display import Displayed
-from memsgyro_jax.base.linalg import product
+from memsgyro_jax.base.linalg import inverse, product
 from memsgyro_jax.device.carried import check_effect
 from memsgyro_jax.device.conditions import Conditions
 from memsgyro_jax.device.gyro import SingleMassGyro
@@ -172,6 +172,38 @@ class Model(Displayed):
     def motion(self, phasors: Array, omega: Array) -> Array:
         """Displacement phasors that phasors (n, axes) of the channels stand for at `omega` (n,) [rad/s]."""
         return phasors / (self.scale * (1j * omega[..., None]) ** self.order)
+
+    def moved(self, shown: Complex[Array, "n axes"], conditions: Conditions) -> Complex[Array, "n axes"]:
+        """Displacement phasors (n, axes) [m] that look like those `shown` where the read-out has its scale alone: what
+        read-out effects make of a small motion, in the surroundings of each row, is taken off.
+        """
+        if not self._acting.readouts:
+            return shown
+        found = jax.vmap(lambda at, row: inverse(self._gain(at)) @ row)(conditions.rows(len(shown)), shown)
+        return jnp.where(jnp.isfinite(found), found, shown)
+
+    def shown(self, moved: Complex[Array, "n axes"], conditions: Conditions) -> Complex[Array, "n axes"]:
+        """The inverse of `moved`."""
+        if not self._acting.readouts:
+            return moved
+        return jax.vmap(lambda at, row: self._gain(at) @ row)(conditions.rows(len(moved)), moved)
+
+    def _gain(self, conditions: Conditions) -> Float[Array, "axes axes"]:
+        """What the read-out shows of a small motion along each axis, over its scale."""
+        still = jnp.zeros(self.axes)
+
+        def volts(seen: Array) -> Array:
+            moving = [seen if order == self.order else still for order in range(4)]
+            state = jnp.concatenate([*moving[:2], jnp.zeros(self.size - 2 * self.axes)])
+            now = eqx.tree_at(
+                lambda m: (m.acceleration, m.jerk),
+                self.at_moment(state, still, conditions),
+                tuple(moving[2:]),
+                is_leaf=lambda leaf: leaf is None,
+            )
+            return self._acting.signal(self.scale * seen, now)
+
+        return jax.jacfwd(volts)(still) / self.scale[:, None]
 
     @eqx.filter_jit
     def linear(self, conditions: Conditions) -> tuple[Float[Array, "n n"], Float[Array, "n axes"]]:

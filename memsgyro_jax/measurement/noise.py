@@ -47,6 +47,14 @@ def noise_over_frequency(
     return float(np.sqrt(np.median(np.concatenate(levels)))) if levels else None
 
 
+def told_over_frequency(
+    frequency: np.ndarray, phasors: np.ndarray, pieces: Sequence[slice], repeats: Sequence[np.ndarray] = ()
+) -> tuple[float | None, float]:
+    """`noise_over_frequency` and `freedom_over_frequency`."""
+    seen = frequency, phasors, pieces, repeats
+    return noise_over_frequency(*seen), freedom_over_frequency(*seen)
+
+
 def freedom_over_frequency(
     frequency: np.ndarray, phasors: np.ndarray, pieces: Sequence[slice], repeats: Sequence[np.ndarray] = ()
 ) -> float:

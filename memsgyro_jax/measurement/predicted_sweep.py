@@ -165,7 +165,7 @@ def _swept(
     near = jnp.linalg.norm(moved - left, axis=1) <= _NEAR * jnp.linalg.norm(left, axis=1)
     sweep = HarmonicSweep(
         name="predicted", frequency=omega, force=force, measured=jnp.zeros_like(force), noise=CartesianNoise(1.0),
-        surroundings=rows, near=left * model.behind(omega[:, None], around), fineness=fineness,
+        surroundings=rows, near=model.shown(left, rows) * model.behind(omega[:, None], around), fineness=fineness,
         direction=jnp.where(jnp.diff(omega, prepend=2.0 * omega[:1] - omega[1:2]) < 0.0, -1.0, 1.0),
     )  # fmt: skip
     return sweep.predict(model), near, jnp.isfinite(left).all()

@@ -29,12 +29,14 @@ class RateLog(NamedTuple):
         rate: [rad/s].
         period: [s] from sample to sample.
         notes: what was assumed or left out, one sentence each.
+        temperature: (samples,) [K] beside the rates, `None` where no column or more than one has it.
     """
 
     names: tuple[str, ...]
     rate: Float[np.ndarray, "series samples"]
     period: float
     notes: tuple[str, ...] = ()
+    temperature: Float[np.ndarray, " samples"] | None = None
 
 
 def read_rate_log(path: str | Path, sample_rate: float | str | None = None, column: str | None = None) -> RateLog:
@@ -74,13 +76,20 @@ def read_rate_log(path: str | Path, sample_rate: float | str | None = None, colu
     notes = [f"Columns not used: {listed(left, '`')}."] if left else []
     if clock is not None and period is not None:
         notes.append(f"The rows are taken as sampled at {1.0 / period:g} Hz, whatever their times jitter.")
-    rate = np.stack([table.si(name, "rad/s") for name in chosen])
+    warm = [name for name in left if _measures(table, name, "K")]
+    beside = [table.si(warm[0], "K")] if len(warm) == 1 else []
+    rate = np.stack([*(table.si(name, "rad/s") for name in chosen), *beside])
     whole = None if clock is None else bridged(clock, rate)
-    if whole is None:
-        return RateLog(tuple(chosen), rate, _clocked(clock, period), tuple(notes))
-    if period is not None:
+    if whole is not None and period is not None:
         _require_near(table, whole.period, period)
-    return RateLog(tuple(chosen), whole.rate, whole.period, (*notes, whole.note))
+    rate = rate if whole is None else whole.rate
+    return RateLog(
+        tuple(chosen),
+        rate[: len(chosen)],
+        _clocked(clock, period) if whole is None else whole.period,
+        tuple(notes) if whole is None else (*notes, whole.note),
+        rate[-1] if beside else None,
+    )
 
 
 def _measures(table: Table, name: str, unit: str) -> bool:

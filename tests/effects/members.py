@@ -16,7 +16,7 @@ AXES_AND_MEMBERS = [(axes, effect) for axes in (1, 2) for effect in catalogue(ax
 # Strengths at which each effect is about a per cent of what it acts on, at 1 µm, 0.1 m/s and 10 nN, in SI.
 STRENGTHS = {
     "cubic_stiffness": 1e12, "quadratic_stiffness": 1e6, "cross_stiffness": 1e12, "electrostatic_softening": 1e-2,
-    "bias_transduction": 0.02, "thermal_curvature": 1e-4,
+    "electrostatic_cubic_stiffness": 1e11, "bias_transduction": 0.02, "thermal_curvature": 1e-4,
     "cross_damping_asymmetry": 2e-7, "quadratic_damping": 1e-6, "squeeze_film_damping": 1e5, "dry_friction": 1e-8,
     "damping_step": 0.1, "thermal_drift": 1e-3, "parasitic_mode": 1e-3, "rate_offset": 0.1, "rate_scale_error": 0.01,
     "rate_bias_drift": (0.1, -0.2, 0.05, 0.02, -0.03, 0.01), "angular_acceleration": 1.0, "centrifugal": 1.0,

@@ -71,7 +71,7 @@ def test_a_coupling_leads_to_another_axis(kind):
         kind("x", "x")
 
 
-@pytest.mark.parametrize(("axes", "expected"), [(1, 23), (2, 47)])
+@pytest.mark.parametrize(("axes", "expected"), [(1, 24), (2, 49)])
 def test_only_what_fits_the_device(axes, expected):
     effects = fx.catalogue(axes)
     assert len(effects) == expected
@@ -84,7 +84,7 @@ def test_only_what_fits_the_device(axes, expected):
 ANY, POSITIVE, FACTOR, ANGLE = (-np.inf, np.inf), (0.0, np.inf), (-1.0, np.inf), (-1.0, 1.0)
 RANGES = {
     "cubic_stiffness": ANY, "quadratic_stiffness": ANY, "cross_stiffness": ANY, "electrostatic_softening": POSITIVE,
-    "bias_transduction": POSITIVE, "thermal_curvature": ANY,
+    "electrostatic_cubic_stiffness": POSITIVE, "bias_transduction": POSITIVE, "thermal_curvature": ANY,
     "cross_damping_asymmetry": ANY, "quadratic_damping": POSITIVE, "squeeze_film_damping": POSITIVE,
     "dry_friction": POSITIVE, "damping_step": FACTOR, "thermal_drift": ANY, "parasitic_mode": POSITIVE,
     "rate_offset": ANY, "rate_scale_error": FACTOR, "rate_bias_drift": ANY, "angular_acceleration": (0.0, 2.0),

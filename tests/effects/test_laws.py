@@ -42,6 +42,7 @@ FORCES = {
     "electrostatic_softening": lambda s, n, a: (
         s * (n.bias_voltage**2 - n.reference_bias**2) * n.displacement[a] * np.eye(2)[a]
     ),
+    "electrostatic_cubic_stiffness": lambda s, n, a: s * n.bias_voltage**2 * n.displacement[a] ** 3 * np.eye(2)[a],
     "cross_damping_asymmetry": lambda s, n, a: np.array([-s / 2 * n.velocity[1], s / 2 * n.velocity[0]]),
     "quadratic_damping": lambda s, n, a: -s * abs(n.velocity[a]) * n.velocity[a] * np.eye(2)[a],
     "squeeze_film_damping": lambda s, n, a: -s * n.displacement[a] ** 2 * n.velocity[a] * np.eye(2)[a],

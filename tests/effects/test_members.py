@@ -22,7 +22,7 @@ every_axes = pytest.mark.parametrize(
 
 
 def test_the_catalogue_is_complete():
-    assert len(MEMBERS) == len(set(LABELS)) == 47
+    assert len(MEMBERS) == len(set(LABELS)) == 49
     assert {effect.name for effect in MEMBERS} == set(STRENGTHS)
     assert {type(effect) for effect in MEMBERS} == set(fx.CATALOGUE)
     assert all(fx.needed_axes(effect) == 1 for effect in fx.catalogue(1))

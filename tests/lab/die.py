@@ -114,6 +114,8 @@ class Hidden:
     cross_stiffness: float = 0.0
     electrostatic_softening_x: float = 0.0
     electrostatic_softening_y: float = 0.0
+    electrostatic_cubic_stiffness_x: float = 0.0
+    electrostatic_cubic_stiffness_y: float = 0.0
     bias_transduction_drive: float = 0.0
     bias_transduction_pickoff: float = 0.0
     cross_damping_asymmetry: float = 0.0

@@ -86,7 +86,7 @@ def _(experiment: Sweep, bench):
     column = printed(value / factor, lab.digits)
     known = column * factor
     conditions = {
-        "drive": {}, "bias": {"bias": known**2 - lab.bias**2},
+        "drive": {}, "bias": {"bias": known**2 - lab.bias**2, "reference": lab.bias},
         "temperature": {"temperature": known - lab.temperature}, "rate": {"rate": known},
     }[experiment.condition]  # fmt: skip
     force = known if experiment.condition == "drive" else experiment.force

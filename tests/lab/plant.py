@@ -247,6 +247,10 @@ def _cubic(c, s, f, state, rows, mode):
     f[c] = f[c] - s * state[c] ** 3
 
 
+def _electrodes(c, s, f, state, rows, mode):
+    f[c] = f[c] + s * rows.volts_squared * state[c] ** 3
+
+
 def _quadratic(c, s, f, state, rows, mode):
     f[c] = f[c] - s * state[c] ** 2
 
@@ -289,7 +293,10 @@ def _stop(c, s, side, switch, gap, f, state, rows, mode):
     f[c] = f[c] - s * np.where(mode[switch] > 0, state[c] - side * gap, 0.0)
 
 
-AXIS_LAWS = {"cubic_stiffness": _cubic, "quadratic_stiffness": _quadratic, "squeeze_film_damping": _squeeze}
+AXIS_LAWS = {
+    "cubic_stiffness": _cubic, "electrostatic_cubic_stiffness": _electrodes,
+    "quadratic_stiffness": _quadratic, "squeeze_film_damping": _squeeze,
+}  # fmt: skip
 
 
 # What effects remember: each writes the rate of its own part of the state.

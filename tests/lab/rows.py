@@ -24,6 +24,7 @@ class Rows:
     swing: np.ndarray  # (2, rows)
     frequency: np.ndarray  # (rows,) rad/s
     chirp: np.ndarray  # (rows,) rad/s²
+    volts_squared: np.ndarray  # (rows,) of the bias
     step_time: np.ndarray  # (rows,) when the damping steps; infinite where it never does
 
     def __len__(self):
@@ -53,9 +54,10 @@ class Rows:
         return force + chebyshev.chebval(2 * (t - self.origin) / self.span - 1, self.held, tensor=False)
 
 
-def rows(die, hidden, count, temperature=0.0, bias=0.0, rate=0.0, turn=0.0, calibrated=False, pull=0.0, **drive):
-    """Conditions of `count` rows. `temperature` is T - T_ref [K], `bias` is V² - V_ref² [V²], `pull` what all
-    resonances change by, relative.
+def rows(die, hidden, count, temperature=0.0, bias=0.0, rate=0.0, turn=0.0, calibrated=False, pull=0.0,
+         reference=10.0, **drive):  # fmt: skip
+    """Conditions of `count` rows. `temperature` is T - T_ref [K], `bias` is V² - V_ref² [V²] with V_ref the `reference`
+    [V], `pull` what all resonances change by, relative.
     """
     wide = np.ones(count)
     softening = np.append(hidden.pair("electrostatic_softening"), 0.0)[:, None] * (bias * wide)
@@ -71,5 +73,6 @@ def rows(die, hidden, count, temperature=0.0, bias=0.0, rate=0.0, turn=0.0, cali
     default = {
         "held": np.zeros((1, 2, count)), "origin": zero, "span": wide, "swing": np.zeros((2, count)),
         "frequency": zero, "chirp": zero, "step_time": np.full(count, np.inf),
+        "volts_squared": reference**2 + bias * wide,
     }  # fmt: skip
     return Rows(stiffness, damping, true_rate, scale * turn * wide, **(default | drive))

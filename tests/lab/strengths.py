@@ -11,6 +11,8 @@ VISIBLE = {
     "cross_stiffness": 2e10,
     "electrostatic_softening_x": 2e-4,
     "electrostatic_softening_y": 2e-4,
+    "electrostatic_cubic_stiffness_x": 2e7,
+    "electrostatic_cubic_stiffness_y": 2e7,
     "bias_transduction_drive": 0.02,
     "bias_transduction_pickoff": 0.02,
     "cross_damping_asymmetry": 2.4e-7,

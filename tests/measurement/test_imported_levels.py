@@ -68,3 +68,14 @@ def test_a_level_that_a_column_says_is_told_to_be_unused(tmp_path):
     found = mg.import_case([path], tmp_path / "case", drive=["10 mV"])
     np.testing.assert_allclose(found.case.records[0].drive, 0.25)
     assert "Not used: the drive of 10 mV, as a.csv does not need it." in str(found)
+
+
+def test_a_bias_and_a_drive_in_a_name_are_told_apart(tmp_path):
+    """Of `s_10V_16mV` the drive was taken for 10 V, and that it may be the bias was not said."""
+    files = [tmp_path / f"s_{bias}V_16mV.csv" for bias in (10, 15)]
+    for times, file in enumerate(files, 1):
+        lines = [f"{f},{z.real},{z.imag}" for f, z in zip(w.FREQUENCY, times * w.RESPONSE, strict=True)]
+        file.write_text("\n".join(["f [Hz],X [V],Y [V]", *lines]) + "\n")
+    found = mg.import_case(files, tmp_path / "case")
+    assert [float(record.drive[0]) for record in found.case.records] == [0.016, 0.016]
+    assert '--bias "10 V" "15 V"' in str(found)

@@ -19,7 +19,7 @@ def acting(name, where, strength):
 ABSENT = by_name("cubic_stiffness", "x"), by_name("pickoff_nonlinearity", "y")  # at strength zero: sampled all the same
 NONLINEAR = (
     "cubic_stiffness", "quadratic_stiffness", "cross_stiffness", "quadratic_damping", "squeeze_film_damping",
-    "dry_friction", "drive_nonlinearity",
+    "dry_friction", "drive_nonlinearity", "electrostatic_cubic_stiffness",
 )  # fmt: skip
 CURVED = "pickoff_nonlinearity", "pickoff_cubic_nonlinearity", "adc_saturation"
 ACTING = (

@@ -181,16 +181,21 @@ def _left_alone(case: Case) -> NormalisedDevice | None:
 
 
 def _both_left_alone(case: Case) -> NormalisedDevice | None:
-    """A device of two axes of which each vibrates most at a frequency of its own in a free decay."""
-    heard = [(r.noise_level, modes) for r in case.records if (modes := r.free_modes(case)) is not None]
+    """A device of two axes of which each vibrates most at a frequency of its own in a free decay: in the one in which
+    both are loud, or each in that in which it is louder than the other by most.
+    """
+    heard = [(r.noise_level, np.array(m)) for r in case.records if (m := r.free_modes(case)) is not None]
     if not heard:
         return None
-    noise, modes = max(heard, key=lambda told: min(loud for loud, _, _ in told[1]) / told[0])
-    loud, omega, decay = np.transpose(modes)
-    clear = np.min(loud) > CLEAR * noise and np.min(omega) > np.max(omega) / 10.0  # a slow drift is no mode
-    if not clear or np.any(decay <= 0) or np.ptp(omega) < 2.0 * np.sum(decay):
-        return None
-    return NormalisedDevice([*omega**2, 0.0], [*(2.0 * decay), 0.0], 1.0)
+    both = max(heard, key=lambda told: min(told[1][:, 0]) / told[0])
+    each = [max(heard, key=lambda told, axis=axis: told[1][axis, 0] / told[1][1 - axis, 0]) for axis in (0, 1)]
+    for told in ([both, both], each):
+        loud, omega, decay = np.transpose([modes[axis] for axis, (_, modes) in enumerate(told)])
+        clear = np.all(loud > CLEAR * np.array([noise for noise, _ in told]))
+        apart = np.ptp(omega) >= 2.0 * np.sum(decay) and np.min(omega) > np.max(omega) / 10.0  # a slow drift is no mode
+        if clear and apart and np.all(decay > 0):
+            return NormalisedDevice([*omega**2, 0.0], [*(2.0 * decay), 0.0], 1.0)
+    return None
 
 
 def _uncoupled(case: Case, open_: list[str]) -> dict[str, DesignValue]:

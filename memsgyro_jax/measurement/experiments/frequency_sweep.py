@@ -13,7 +13,8 @@ from memsgyro_jax.base.table import Table
 
 from ..columns import amplitude_columns, phasor_columns
 from ..declared import Declared, Environment, design_device
-from ..noise import freedom_over_frequency, jitter_noise, noise_over_frequency
+from ..moving_noise import as_settled, beside_motion
+from ..noise import jitter_noise, told_over_frequency
 from ..one_place import NEAR, away_from
 from ..section import DrivenSection, ExperimentSection, Quantity
 from .base import Phasors, Readings
@@ -226,7 +227,7 @@ class FrequencySweepRecord(AbstractRecord):
         calm &= away <= np.min(away[calm]) + NEAR
         force = np.outer(self.drive, np.eye(declared.channels)[self.axis])[calm]
         motion, omega = readout.motion(self.phasors, self.frequency)[calm], self.frequency[calm]
-        weight = abs(readout.scale) * omega**readout.order / self.noise_level
+        weight = abs(readout.scale) * omega**readout.order / as_settled(self)
         own, axis = ([self.axis], self.axis) if alone else (self.channels, None)
         other = np.abs(motion[:, 1 - axis]) if axis is not None and 1 - axis in self.channels else None
         return Phasors(omega, motion[:, own], force[:, own] + 0j, weight, not self.phase_known, axis, beside=other)
@@ -245,8 +246,8 @@ class FrequencySweepRecord(AbstractRecord):
     # ---- noise and quality
 
     def noise_told_by(self, channels: Sequence[int]) -> tuple[float | None, float]:
-        seen = self.frequency, self.readings[:, channels], self.sweeps, self.courses
-        return noise_over_frequency(*seen), freedom_over_frequency(*seen)
+        told = told_over_frequency(self.frequency, self.readings[:, channels], self.sweeps, self.courses)
+        return told if self.settled else beside_motion(told, self, channels)
 
     @property
     def noise_by_channel(self) -> bool:
@@ -273,12 +274,11 @@ class FrequencySweepRecord(AbstractRecord):
 
     def warnings(self, declared: Declared) -> list[str]:
         read, hertz = self.phasors[:, self.channels], self.frequency / _TWO_PI
-        found = exchanged(self.file, self.axis, read)
-        seen, others = read if self.phase_known else np.abs(read), swept_elsewhere(self, declared)
-        found += peaks_not_seen(self.file, hertz, seen, self.setting, self.sweeps, others)
-        near = hertz, read, self.sweeps, self.noise_std or self.estimated_noise()
+        seen = read if self.phase_known else np.abs(read), self.setting, self.sweeps, swept_elsewhere(self, declared)
+        found = exchanged(self.file, self.axis, read) + peaks_not_seen(self.file, hertz, *seen)
+        near = hertz, read, self.sweeps, self.noise_std or self.estimated_noise(), declared.readout.unit
         found += weak_sweeps(self.file, [self.lines[rows] for rows in self.sweeps], [*map(self._peak, self.sweeps)])
-        found += scattered(self.file, self.thermometer) + rounded_frequencies(self.file, *near, declared.readout.unit)
+        found += scattered(self.file, self.thermometer) + rounded_frequencies(self.file, *near)
         return found + hasty(self.file, self.time if self.settled else None, declared.shortest_decay)
 
     # ---- misfit and overlay

@@ -126,12 +126,14 @@ class HarmonicSweep(Experiment):
         return seen, states
 
     def _shown(self, bench: Model) -> Complex[Array, "n axes"]:
-        """`near` as the bench shows it, before what a lock-in does; amplitudes were never turned by one."""
+        """`near` as the mass moves: before what a lock-in does, as amplitudes were never turned by one, and what
+        read-out effects make of it, but for their delay.
+        """
         if not jnp.iscomplexobj(self.measured):
-            return self.near
+            return jax.lax.stop_gradient(bench.moved(self.near, self.surroundings))
         volts = bench.scale * (1j * self.frequency[:, None]) ** bench.order
         shown = before_lock_in(bench, self.near * volts, self.frequency, self.force, self.surroundings)
-        return jax.lax.stop_gradient(shown / volts)
+        return jax.lax.stop_gradient(bench.moved(shown / volts, self.surroundings))
 
     @property
     def finer(self) -> "HarmonicSweep | None":

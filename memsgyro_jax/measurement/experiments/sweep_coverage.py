@@ -11,6 +11,7 @@ from memsgyro_jax.base.text import spoken
 
 _FALL = 0.3  # of the largest reading: a change from row to row that may be a fall from branch to branch
 _SUDDEN = 3.0  # times the changes beside it
+_CHANGED = np.log(1.5)  # a factor from row to row that may be a gain that was changed
 _TURNS = np.radians(20.0)  # from row to row beside a resonance; a fall turns by several times that
 _ALIKE = 0.02  # of a drive: within it sweeps have the same
 _WEAK = 5.0  # standard deviations that the highest of some tens of rows of mere noise stays within
@@ -108,6 +109,19 @@ def sudden_fall(size: np.ndarray) -> int | None:
     beside = np.maximum(steps[:-2], steps[2:])
     falls = np.flatnonzero((steps[1:-1] > _FALL * np.nanmax(size)) & (steps[1:-1] > _SUDDEN * beside))
     return int(falls[0]) + 1 if falls.size else None
+
+
+def at_one_gain(response: np.ndarray) -> np.ndarray:
+    """Phasors (n,) in the order of a sweep as they would be had no gain changed on the way: those behind each change by
+    a factor that turns none, and is far larger than the changes beside it, as before it.
+    """
+    steps = np.diff(np.log(np.maximum(np.abs(response), 1e-300)))
+    beside = np.maximum(
+        np.abs(np.concatenate([steps[:1], steps[:-1]])), np.abs(np.concatenate([steps[1:], steps[-1:]]))
+    )
+    changes = (np.abs(steps) > _CHANGED) & (np.abs(steps) > _SUDDEN * beside)
+    changes &= np.abs(np.angle(response[1:] * np.conj(response[:-1]))) < _TURNS
+    return response * np.exp(-np.concatenate([[0.0], np.cumsum(np.where(changes, steps, 0.0))]))
 
 
 def _at_one_phase(channels: np.ndarray, row: int) -> bool:

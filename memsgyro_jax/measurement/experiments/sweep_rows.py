@@ -9,6 +9,8 @@ from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.table import Table
 from memsgyro_jax.measurement.outliers import lone_rows
 
+from .sweep_coverage import at_one_gain
+
 
 _AFTER = 6  # rows on each side of a turn that say whether it was one
 _FEWEST = 3  # rows of a sweep: fewer show no resonance and are what a mistyped level leaves behind
@@ -129,7 +131,7 @@ def check_phase(table: Table, rows: slice, axis: int, frequency: np.ndarray, pha
     if _turns_wrongly(turns):  # a wrong row may stand higher than the resonance, and is named by `check`
         lone = [row for row, _ in lone_rows(f, response, noise)]
         turns = _turns(np.delete(response, lone), noise)
-    if not _turns_wrongly(turns):
+    if not _turns_wrongly(turns) or not _turns_wrongly(_turns(at_one_gain(response), noise)):  # `check` names a gain
         return
     where = f"{table.path}, lines {table.lines[rows][0]} to {table.lines[rows][-1]}"
     conjugated = 'if the file follows e^{-iωt}, say `convention = "exp(-iwt)"`'

@@ -15,6 +15,7 @@ from memsgyro_jax.base.units import NUMBER
 
 from .base import Format, SourceColumn, SourceTable
 from .header import split_header, tidy_unit
+from .ticks import in_seconds
 
 
 _SAMPLE = 2000  # lines by which the dialect is told
@@ -166,7 +167,7 @@ def table_of_lines(path: Path, lines: list[str], assumed: list[str], first: int 
         name, unit = header[place] if header else (f"column {place + 1}", "")
         columns.append(SourceColumn(name or f"column {place + 1}", unit, values))
     said = assumed if dialect == DIALECTS[-1] else [*assumed, dialect.words]
-    return SourceTable(path, "", tuple(_timed(columns)), above, tuple(said))
+    return SourceTable(path, "", tuple(_timed(in_seconds(columns, above))), above, tuple(said))
 
 
 def _timed(columns: list[SourceColumn]) -> list[SourceColumn]:

@@ -10,11 +10,14 @@ from memsgyro_jax.base.errors import InputError
 
 from .base import Format, SourceColumn, SourceTable
 from .delimited import Delimited, text_of
+from .ticks import CLOCKS, seconds_per_tick
 
 
-UNITS = {"frequency": "Hz", "freq": "Hz", "grid": "Hz", "x": "Vrms", "y": "Vrms", "r": "Vrms", "phase": "rad"}
+UNITS = {
+    "frequency": "Hz", "freq": "Hz", "grid": "Hz", "x": "Vrms", "y": "Vrms", "r": "Vrms", "phase": "rad", "time": "s",
+}  # fmt: skip
 """Of a demodulator's fields, as its manual has them: amplitudes are effective values."""
-_CLOCKS = ("timebase", "clockbase")
+_HEADER = re.compile(r'\A(?P<before>(?:[ \t]*[%#][^\n]*\n)*?)[%#\s]*"?chunk"?\s*[;,]\s*"?timestamp')  # below comments
 ASSUMED = "a demodulator's x, y and r are effective values and its phase is in rad, as LabOne saves them"
 
 
@@ -24,11 +27,12 @@ class LabOneText(Format):
     name = "LabOne CSV"
 
     def recognises(self, path: Path, head: bytes) -> bool:
-        return re.match(rb'(\xef\xbb\xbf)?[%#\s]*"?chunk"?\s*[;,]\s*"?timestamp', head) is not None
+        return _HEADER.search(head.decode("utf-8-sig", "replace")) is not None
 
     def read(self, path: Path) -> tuple[SourceTable, ...]:
         text, assumed = text_of(path)
-        first, _, rest = text.lstrip("%# \n").partition("\n")
+        found = _HEADER.search(text)
+        first, _, rest = text[found.end("before") if found else 0 :].lstrip("%# \n").partition("\n")
         delimiter = ";" if ";" in first else ","
         names = [name.strip().strip('"').lower() for name in first.split(delimiter)]
         if "fieldname" in names:
@@ -71,7 +75,7 @@ def _beside(path: Path, attributes) -> dict[str, str]:
     beside = path.with_name(re.sub(r"_(\d+)\.csv$", r"_header_\1.csv", path.name))
     if beside != path and beside.is_file():
         rows = [line.split(";") for line in text_of(beside)[0].splitlines()]
-        for name in _CLOCKS:
+        for name in CLOCKS:
             for row in rows[1:]:
                 if name in row[:-1]:
                     found[name] = row[row.index(name) + 1]
@@ -91,7 +95,7 @@ def demodulated(path: Path, name: str, fields, attributes, assumed=()) -> tuple[
         del kept["grid"]
     if "x" in kept and "freq" in kept:
         kept.pop("phase", None)  # of the oscillator, not of the signal
-    base = _timebase(attributes)
+    base = seconds_per_tick(attributes)
     columns = []
     for key, values in kept.items():
         if key == "chunk":
@@ -110,13 +114,3 @@ def demodulated(path: Path, name: str, fields, attributes, assumed=()) -> tuple[
         parts = tuple(SourceColumn(c.name, c.unit, c.values[here]) for c in columns)
         tables.append(SourceTable(path, f"chunk {chunk:g}", parts, attributes, (*assumed, ASSUMED)))
     return tuple(tables)
-
-
-def _timebase(attributes) -> float | None:
-    """Seconds per tick, from the clock or its period."""
-    for key, value in attributes.items():
-        if key.rpartition("/")[2] in _CLOCKS:
-            number = float(value)
-            if np.isfinite(number) and number > 0:
-                return 1 / number if number > 1 else number
-    return None

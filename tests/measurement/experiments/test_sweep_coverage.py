@@ -1,14 +1,32 @@
 """What a sweep does not show of its resonance is said; a sweep that shows it is not complained of."""
 
+from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from bench_case import ONE_AXIS, RESONATOR, bench
 
-from memsgyro_jax.measurement.experiments.sweep_coverage import peaks_not_seen, place_in_band, sudden_fall, ways_swept
+import memsgyro_jax as mg
+from memsgyro_jax.measurement.experiments.sweep_coverage import (
+    at_one_gain,
+    peaks_not_seen,
+    place_in_band,
+    sudden_fall,
+    ways_swept,
+)
 
 
+CASE = """schema = "memsgyro-case/1"
+name = "ranges"
+device = "resonator"
+[readout]
+quantity = "displacement"
+[[experiment]]
+name = "sweep"
+kind = "frequency_sweep"
+file = "sweep.csv"
+"""
 HERTZ = np.linspace(1000.0, 1020.0, 81)
 WHOLE = slice(0, 81)
 
@@ -86,3 +104,19 @@ def test_a_record_asks_its_case_for_the_other_direction():
 def test_a_frequency_has_the_digits_that_tell_rows_apart():
     assert place_in_band(np.linspace(1.0406e6, 1.0421e6, 151), 114) == "1.04174 MHz"
     assert place_in_band(np.array([100.0, 200.0, 300.0]), 1) == "200 Hz"
+
+
+def test_ranges_that_are_changed_across_the_peak_do_not_hide_how_the_phase_turns(tmp_path):
+    """Refused as a phase that falls by 18° only: between two steps of the gain there are half-power points, too."""
+    hertz = np.linspace(22000.0, 22020.0, 101)
+    plain = 1.0 / ((1.0 - (hertz / 22010.0) ** 2) * 4000.0 + 1j * hertz / 22010.0)
+    np.testing.assert_array_equal(at_one_gain(plain), plain)
+    phasors = np.where(np.abs(np.arange(101) - 51) <= 12, 0.3, 1.0) * plain
+    np.testing.assert_allclose(at_one_gain(phasors), plain, rtol=0.1)
+    file = tmp_path / "sweep.csv"
+    for read, said in ((phasors, ""), (phasors.conj(), "must fall by about 90°")):
+        table = np.column_stack([np.full(101, 0.02), hertz, read.real, read.imag])
+        np.savetxt(file, table, "%.9g", ",", header="F_x [V],f [Hz],Vx_I [V],Vx_Q [V]", comments="")
+        (tmp_path / "case.toml").write_text(CASE)
+        with pytest.raises(mg.InputError, match=said) if said else nullcontext():
+            mg.load_case(tmp_path)
