@@ -24,7 +24,7 @@ SAID = {
 }
 
 
-class Nearest(NamedTuple):
+class NearestHold(NamedTuple):
     """The way in which the force of a record ran: another `hold` where its rows lie far nearer to a device then, and a
     sentence on it; with its phasors, and their misfit, infinite where they are too few to tell.
     """
@@ -35,19 +35,19 @@ class Nearest(NamedTuple):
     misfit: float = np.inf
 
 
-def better_hold(hold: Hold, held: "Callable[[Hold], AbstractRecord]", declared: Declared) -> Nearest:
+def better_hold(hold: Hold, held: "Callable[[Hold], AbstractRecord]", declared: Declared) -> NearestHold:
     """What the rows of a record say of its `hold`; `held` is the record with another. Straight lines are not told from
     a band-limited force.
     """
     other: Literal["zero_order", "band_limited"] = "band_limited" if hold == "zero_order" else "zero_order"
     here, there = (held(one).starting_phasors(declared) for one in (hold, other))
     if here is None or there is None or here.omega.size < FEWEST:
-        return Nearest(None, "", here)
+        return NearestHold(None, "", here)
     now, then = misfit(here), misfit(there)
     if not is_far_nearer(now, then, here.motion.size):
-        return Nearest(None, "", here, now)
+        return NearestHold(None, "", here, now)
     times = f"{np.sqrt(now / then):.2g} times" if np.isfinite(now) else "far"
-    return Nearest(other, f"its rows lie {times} nearer to a device where {SAID[other]}", there, then)
+    return NearestHold(other, f"its rows lie {times} nearer to a device where {SAID[other]}", there, then)
 
 
 def is_far_nearer(now: float, then: float, size: int) -> bool:

@@ -7,10 +7,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ..declared import QUANTITIES, Declared
-from .hold import FEWEST, Nearest, is_far_nearer
+from .hold import FEWEST, NearestHold, is_far_nearer
 
 
-class Shown(NamedTuple):
+class ShownQuantity(NamedTuple):
     """Another quantity of the read-out and a sentence on it, both empty where none is, and a sentence on how the force
     ran where what is declared stays.
     """
@@ -20,7 +20,7 @@ class Shown(NamedTuple):
     of_hold: str = ""
 
 
-def better_quantity(nearest_hold: Callable[[Declared], Nearest], declared: Declared) -> Shown:
+def better_quantity(nearest_hold: Callable[[Declared], NearestHold], declared: Declared) -> ShownQuantity:
     """Another quantity of the read-out, where the rows of a record lie far nearer to a device then, whichever way its
     force ran, which `nearest_hold` tells.
 
@@ -31,13 +31,15 @@ def better_quantity(nearest_hold: Callable[[Declared], Nearest], declared: Decla
         nearest = nearest_hold(replace(declared, readout=replace(declared.readout, order=order)))
         phasors = nearest.phasors
         if phasors is None or phasors.omega.size < FEWEST:
-            return Shown(of_hold=nearest_hold(declared).told)
+            return ShownQuantity(of_hold=nearest_hold(declared).told)
         size = phasors.motion.size
         whole = float(np.sum(np.abs(phasors.weight[:, None] * phasors.motion) ** 2)) / (2.0 * size)
         left[quantity] = min(nearest.misfit, whole)  # no device is as good as none
         of_hold = nearest.told if order == declared.readout.order else of_hold
     now, best = left[QUANTITIES[declared.readout.order]], min(left, key=lambda quantity: left[quantity])
     if not is_far_nearer(now, left[best], size):
-        return Shown(of_hold=of_hold)
+        return ShownQuantity(of_hold=of_hold)
     times = f"{np.sqrt(now / left[best]):.2g} times nearer to a device"
-    return Shown(best, f"its rows lie {times} where the read-out shows {best} (`quantity` of `[readout]`)", of_hold)
+    return ShownQuantity(
+        best, f"its rows lie {times} where the read-out shows {best} (`quantity` of `[readout]`)", of_hold
+    )

@@ -25,7 +25,7 @@ from .base import BEYOND, Experiment, Noise, Phasors, RealNoise, surroundings
 from .checks import check_sampling
 from .clocked import CONDITIONS, WaveformRecord, surroundings_told
 from .deviation import Known
-from .hold import Hold, Nearest, better_hold, between
+from .hold import Hold, NearestHold, better_hold, between
 from .read_quantity import better_quantity
 from .record import Watched
 from .sheet import Sheet
@@ -316,7 +316,7 @@ class TimeRecord(WaveformRecord):
         better = self.nearest_hold(declared)
         return ({"hold": better.hold}, better.told) if better.hold else ({}, "")
 
-    def nearest_hold(self, declared: Declared) -> Nearest:
+    def nearest_hold(self, declared: Declared) -> NearestHold:
         """What the rows say of `hold`."""
         return better_hold(self.hold, lambda hold: dataclasses.replace(self, hold=hold), declared)
 
