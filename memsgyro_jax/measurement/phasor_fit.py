@@ -209,18 +209,16 @@ def _parabola(square, target, error):
 
 def _responses(device, omega: np.ndarray, axes: int) -> np.ndarray:
     """Displacement per equation error at each frequency (n, axes, axes)."""
-    turn, free = 1j * omega, omega**2
-    own = [device[0][axis] - free + turn * device[1][axis] for axis in range(axes)]
+    turn = 1j * omega
     if axes == 1:
-        made, determinant = np.ones((omega.size, 1, 1)), own[0]
-    else:  # written out, as a thousand matrices of two by two cost a library ten times as much
-        across = device[0][2] + turn * device[1][2]
-        made, determinant = np.empty((omega.size, 2, 2), complex), own[0] * own[1] - across**2
-        made[:, 0, 0], made[:, 1, 1] = own[1], own[0]
-        made[:, 0, 1] = made[:, 1, 0] = -across
+        return np.linalg.inv((device[0] + turn[:, None] ** 2 + turn[:, None] * device[1])[:, :, None])
+    x, y = (device[0][axis] + turn**2 + turn * device[1][axis] for axis in range(2))
+    across = device[0][2] + turn * device[1][2]
+    determinant = x * y - across**2  # written out, as a library takes ten times as long for thousands of two by two
     if not determinant.all():
         raise np.linalg.LinAlgError("Singular matrix")
-    return made / determinant[:, None, None]
+    made = np.array([[y, -across], [-across, x]]) / determinant
+    return np.moveaxis(made, -1, 0)
 
 
 class _Rows(NamedTuple):
