@@ -19,10 +19,10 @@ from _common import Report
 
 import memsgyro_jax as mg
 from memsgyro_jax.base import runtime
-from memsgyro_jax.montecarlo.batch import STATUS
 from memsgyro_jax.montecarlo.layout import SHARD
 from memsgyro_jax.montecarlo.runner import Runner
 from memsgyro_jax.montecarlo.standing import standing_of
+from memsgyro_jax.montecarlo.status import STATUS
 from memsgyro_jax.montecarlo.store import Memory, Store
 
 

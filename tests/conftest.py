@@ -11,7 +11,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # NumPy's threads would wait
 if version("jaxlib") in runtime._TRIED and "XLA_FLAGS" not in os.environ:  # likewise XLA's; others may not know
     os.environ["XLA_FLAGS"] = "--xla_cpu_parallel_codegen_split_count=1"
 runtime.configure(devices=2)
-gc.set_threshold(50_000, 20, 100)  # what is imported and compiled stays: few collections need to look at it
+gc.set_threshold(200_000, 20, 100)  # what is imported and compiled stays: few collections need to look at it
 
 import subprocess  # noqa: E402
 import sys  # noqa: E402
@@ -174,15 +174,27 @@ def quick_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pictures of pages are drawn once, without the search for their margins, which is most of a page's time: for tests
     of what stands beside them. Pages that fixtures of a module make are drawn as users see them.
     """
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 
     whole = Figure.savefig
 
-    def savefig(figure: Figure, *arguments: Any, bbox_inches: Any = None, **named: Any) -> None:
+    def savefig(figure: Figure, file: Any, *arguments: Any, bbox_inches: Any = None, **named: Any) -> None:
         figure.set_layout_engine("none")
-        whole(figure, *arguments, **named)
+        if named.get("format") == "svg":  # which `savefig` draws twice, the first time for a layout
+            FigureCanvasSVG(figure).print_svg(file, metadata=named.get("metadata"))
+        else:
+            whole(figure, file, *arguments, **named)
 
     monkeypatch.setattr(Figure, "savefig", savefig)
+
+
+@pytest.fixture
+def no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pages stand without their pictures, which are made but not drawn: for tests of the words alone."""
+    from matplotlib.figure import Figure
+
+    monkeypatch.setattr(Figure, "savefig", lambda figure, file, *_, **__: file.write("<svg></svg>"))
 
 
 @pytest.fixture

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 import seeded_faults
@@ -50,14 +51,34 @@ def place(path: Path) -> str:
     return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
 
 
+class Outline(NamedTuple):
+    """Of a file its imports anywhere in the text, those at the top, and the public names that it defines."""
+
+    imports: tuple[ast.Import | ast.ImportFrom, ...]
+    at_once: tuple[ast.Import | ast.ImportFrom, ...]
+    defined: tuple[str, ...]
+
+
+@cache  # parsing the package takes half a second, and four tests ask
+def outline(text: str) -> Outline:
+    """What a text imports and defines."""
+    tree = ast.parse(text)
+    imports, at_once = (
+        tuple(node for node in nodes if isinstance(node, ast.Import | ast.ImportFrom))
+        for nodes in (ast.walk(tree), tree.body)
+    )
+    named = (node.name for node in tree.body if isinstance(node, ast.FunctionDef | ast.ClassDef))
+    return Outline(imports, at_once, tuple(name for name in named if not name.startswith("_")))
+
+
 def names_imported(path: Path) -> list[list[str]]:
     """Dotted names that a file imports, anywhere in its text, for type checkers too."""
     package = ("memsgyro_jax", *path.relative_to(PACKAGE).parent.parts)
     names = []
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in outline(path.read_text()).imports:
         if isinstance(node, ast.Import):
             names += [alias.name.split(".") for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
+        else:
             base = package[: len(package) - node.level + 1] if node.level else ()
             module = [*base, *(node.module.split(".") if node.module else [])]
             names += [[*module, alias.name] for alias in node.names]
@@ -144,9 +165,8 @@ def test_a_circle_for_type_checkers_is_found(tmp_path, monkeypatch):
 def test_one_name_for_one_thing():
     places = defaultdict(set)
     for path in MODULES:
-        for node in ast.parse(path.read_text()).body:
-            if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_"):
-                places[node.name].add(path.relative_to(PACKAGE).as_posix())
+        for name in outline(path.read_text()).defined:
+            places[name].add(path.relative_to(PACKAGE).as_posix())
     assert {name: found for name, found in places.items() if len(found) > 1} == {}
 
 
@@ -158,7 +178,7 @@ def test_files_stay_short():
 def test_only_the_report_imports_matplotlib_at_once():
     """Results draw themselves through `.plot`, which imports matplotlib when called; it takes a second."""
     for path in MODULES:
-        top = [node for node in ast.parse(path.read_text()).body if isinstance(node, ast.Import | ast.ImportFrom)]
+        top = outline(path.read_text()).at_once
         names = [alias.name for node in top for alias in node.names]
         names += [getattr(node, "module", None) or "" for node in top]
         assert "report" in path.parts or not any(name.startswith("matplotlib") for name in names), path

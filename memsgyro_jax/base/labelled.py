@@ -5,7 +5,6 @@ attributes, is seen to here, and so is the file.
 """
 
 import abc
-import json
 import shutil
 import uuid
 from collections.abc import Mapping, Sequence
@@ -16,7 +15,8 @@ import numpy as np
 
 from .display import Shown
 from .errors import InputError
-from .files import finite, write_whole
+from .files import write_whole
+from .labels import plain_attributes, with_labels
 from .units import without_roots
 
 
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 MARK = "memsgyro"  # attribute: the name of the class of a result
 _ZARR = ".zarr"
 _OTHERS = (".csv", ".h5", ".hdf5", ".html", ".json", ".mat", ".npz", ".parquet", ".pickle", ".pkl", ".toml", ".txt")
-LABELS, UNITS_ALONG = "labels", "units"  # attributes that become coordinates: names, and units, along dimensions
 _LARGEST = 2**31 - 4  # bytes of a variable of NetCDF 3
 
 
@@ -123,11 +122,6 @@ def labelled(
     )
 
 
-def plain_attributes(attributes: Mapping[str, Any]) -> dict[str, Any]:
-    """Attributes that every format holds: numbers and text."""
-    return {name: _plain(value) for name, value in attributes.items() if value is not None}
-
-
 def load(path: str | Path) -> "xr.Dataset":
     """What `save` wrote, as the Dataset that `to_xarray` gave; its attribute `printed` is the result as it prints.
 
@@ -158,40 +152,11 @@ def load(path: str | Path) -> "xr.Dataset":
     )
 
 
-def with_labels(data: "xr.Dataset") -> "xr.Dataset":
-    """The Dataset with the names and units that its attributes hold as coordinates."""
-    attributes, names = labels_apart(data.attrs)
-    data = data.assign_coords(names)
-    for name, variable in data.variables.items():
-        variable.attrs.setdefault("long_name", str(name).replace("_", " "))
-    data.attrs = plain_attributes(attributes)
-    return data
-
-
-def labels_apart(attributes: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, tuple[str, list[str]]]]:
-    """The attributes without names and units along dimensions, and these as coordinates: dimension and texts."""
-    rest = dict(attributes)
-    labels, units = rest.pop(LABELS, {}), rest.pop(UNITS_ALONG, {})
-    names = {name: (name, list(texts)) for name, texts in labels.items() if texts}
-    along = {f"{name}_unit": (name, list(map(without_roots, each))) for name, each in units.items() if each}
-    return rest, names | along
-
-
 def _variable(name: str, dimensions: Any, values: Any, unit: str | None, long_name: str = "") -> tuple:
     about = {"long_name": long_name or name.replace("_", " ")}
     if name == "unit" or name.endswith("_unit"):
         values = [without_roots(each) for each in values]
     return dimensions, np.asarray(values), about if unit is None else {"units": without_roots(unit), **about}
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, bool | np.bool_):
-        return int(value)
-    if isinstance(value, str | float | np.floating):
-        return value
-    if isinstance(value, int | np.integer) and abs(int(value)) < 2**31:
-        return value
-    return json.dumps(finite(value), ensure_ascii=False, default=str)
 
 
 def _write_zarr(path: Path, data: "xr.Dataset") -> Path:

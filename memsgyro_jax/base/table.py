@@ -15,6 +15,7 @@ from .text import first_of, printable
 from .units import decimal, parse_header, to_si
 
 
+_DIGITS, _ZERO = re.compile(r"[0-9eE+\-.,]*"), re.compile(r"[+-]?[0.]+([eE].*)?")  # most files hold nothing else
 _DECIMAL_COMMA = "; is the decimal mark a comma? Write decimals with a point"
 
 
@@ -67,7 +68,8 @@ def read_table(path: str | Path) -> Table:
         )
     header = _header(path, lines[0])
     names = list(header)
-    values = np.array(_rows(path, lines[1:], names))
+    values = _plain(lines[1:], len(names))
+    values = np.array(_rows(path, lines[1:], names)) if values is None else values
     _refuse_cut_end(path, text, lines)
     columns = {name: values[:, place] for place, name in enumerate(names)}
     return Table(path, columns, header, np.array([line.number for line in lines[1:]]))
@@ -87,6 +89,8 @@ def _lines(path: Path, text: str) -> list[_Line]:
 
 
 def _fields(path: Path, number: int, line: str) -> list[str]:
+    if _DIGITS.fullmatch(line):  # as the reader below would, which is made anew for every line
+        return line.split(",")
     try:
         return next(csv.reader([line], skipinitialspace=True, strict=True))
     except csv.Error as error:
@@ -105,6 +109,22 @@ def _header(path: Path, line: _Line) -> dict[str, str]:
             raise InputError(f"{where}: a column must be named once, but `{column.name}` stands twice; remove one.")
         header[column.name] = column.unit
     return header
+
+
+def _plain(lines: list[_Line], width: int) -> np.ndarray | None:
+    """The rows at once, where all are numbers that no rule of `decimal` can be against; else `None`."""
+    if any(len(line.fields) != width for line in lines):
+        return None
+    fields = [field for line in lines for field in line.fields]
+    if _DIGITS.fullmatch(",".join(fields)) is None:
+        return None
+    try:
+        values = np.array(list(map(float, fields)))
+    except ValueError:
+        return None
+    # A zero may be what is left of a number too small.
+    zeros_alone = all(_ZERO.fullmatch(fields[place]) for place in np.flatnonzero(values == 0.0))
+    return values.reshape(len(lines), width) if zeros_alone and np.isfinite(values).all() else None
 
 
 def _rows(path: Path, lines: list[_Line], names: list[str]) -> list[list[float]]:

@@ -74,12 +74,12 @@ class NormalisedDevice(Displayed):
     @property
     def is_held(self) -> bool:
         """Whether it is pushed back whichever way it moves: its stiffness is positive definite."""
-        return bool(np.all(np.linalg.eigvalsh(np.asarray(self.stiffness_matrix)) > 0.0))
+        return is_positive(np.asarray(self.stiffness))
 
     @property
     def is_slowed(self) -> bool:
         """Whether its damping takes energy from every motion: it is positive definite."""
-        return bool(np.all(np.linalg.eigvalsh(np.asarray(self.damping_matrix)) > 0.0))
+        return is_positive(np.asarray(self.damping))
 
     def mass(self, axis: int) -> Float[Array, ""]:
         """The mass that moves along an axis [kg]."""
@@ -98,6 +98,13 @@ class NormalisedDevice(Displayed):
     def resonances(self) -> np.ndarray:
         """Undamped mode frequencies [rad/s], ascending."""
         return np.sqrt(np.linalg.eigvalsh(np.asarray(self.stiffness_matrix)))
+
+
+def is_positive(entries: np.ndarray) -> bool:
+    """Whether the matrix of (xx,), (xx, yy, xy) or (xx, yy, xy, yx) is positive definite, by its part below."""
+    if len(entries) == 1:
+        return bool(entries[0] > 0.0)
+    return bool(np.all(np.linalg.eigvalsh(np.array([[entries[0], 0.0], [entries[-1], entries[1]]])) > 0.0))
 
 
 def _symmetric(entries: Array) -> Array:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from memsgyro_jax.device.normalised import NormalisedDevice
+from memsgyro_jax.device.normalised import NormalisedDevice, is_positive
 
 from .experiments.base import Phasors
 
@@ -124,8 +124,7 @@ def _left(device: NormalisedDevice, rows: list[Phasors]) -> float:
 
 def _is_device(device) -> bool:
     """Whether it is pushed back and slowed down whichever way it moves."""
-    made = NormalisedDevice(*device)
-    return made.is_held and made.is_slowed
+    return all(is_positive(np.asarray(entries)) for entries in device[:2])
 
 
 def _turned(plain, omega, motion, force, weight):
@@ -210,9 +209,16 @@ def _parabola(square, target, error):
 
 def _responses(device, omega: np.ndarray, axes: int) -> np.ndarray:
     """Displacement per equation error at each frequency (n, axes, axes)."""
-    turn = 1j * omega[:, None, None]
-    operator = _matrix(device[0]) + turn**2 * np.eye(axes) + turn * _matrix(device[1])
-    return np.linalg.inv(operator)
+    turn = 1j * omega
+    if axes == 1:
+        return np.linalg.inv((device[0] + turn[:, None] ** 2 + turn[:, None] * device[1])[:, :, None])
+    x, y = (device[0][axis] + turn**2 + turn * device[1][axis] for axis in range(2))
+    across = device[0][2] + turn * device[1][2]
+    determinant = x * y - across**2  # written out, as a library takes ten times as long for thousands of two by two
+    if not determinant.all():
+        raise np.linalg.LinAlgError("Singular matrix")
+    made = np.array([[y, -across], [-across, x]]) / determinant
+    return np.moveaxis(made, -1, 0)
 
 
 class _Rows(NamedTuple):
@@ -230,11 +236,27 @@ class _Rows(NamedTuple):
         parts = ((p.omega, p.motion, *p.derivatives, p.force, p.weight) for p in offered)
         return cls(*map(np.concatenate, zip(*parts, strict=True)))
 
-    def off(self, device: Coefficients) -> np.ndarray:
-        """By how much the motion lies off what a device makes of the force (n, axes)."""
+    def off(self, device: Coefficients, response: np.ndarray | None = None) -> np.ndarray:
+        """By how much the motion lies off what a device, of a `response` that is made where none is given, makes of the
+        force (n, axes).
+        """
+        if response is None:
+            response = _responses(device, self.omega, self.motion.shape[1])
         stiffness, damping = _matrix(device[0]), _matrix(device[1])
         error = self.motion @ stiffness + self.slope @ damping + self.bend - device[2] * self.force
-        return np.einsum("nij,nj->ni", _responses(device, self.omega, self.motion.shape[1]), error)
+        return np.einsum("nij,nj->ni", response, error)
+
+    def columns(self) -> np.ndarray:
+        """Those of the equation of motion, linear in stiffness, damping and mobility (n, axes, unknowns)."""
+        axes = self.motion.shape[1]
+        pairs = PAIRS[axes]
+        columns = np.zeros((self.omega.size, axes, 2 * len(pairs) + 1), complex)
+        for place, (i, j) in enumerate(pairs):
+            for row, column in {(i, j), (j, i)}:
+                columns[:, row, place] = self.motion[:, column]
+                columns[:, row, len(pairs) + place] = self.slope[:, column]
+        columns[:, :, -1] = -self.force
+        return columns
 
     def less(self, motion: np.ndarray) -> "_Rows":
         """Without a part of the motion."""
@@ -248,49 +270,44 @@ def _rounds(rows: _Rows) -> Iterator[tuple[float, Coefficients]]:
     """Device after device, and the squared motion that each leaves, infinite for what is none: `ROUNDS` of least
     squares behind the first, then as many of instrumental variables.
     """
-    axes = rows.motion.shape[1]
-    device = _solve(rows, np.outer(rows.weight / rows.omega**2, np.ones(axes)))
+    axes, columns = rows.motion.shape[1], rows.columns()
+    device = _solve(rows, columns, np.outer(rows.weight / rows.omega**2, np.ones(axes)))
     with np.errstate(over="ignore", invalid="ignore"):
         for turn in range(2 * ROUNDS + 1):
-            response, off = _responses(device, rows.omega, axes), rows.off(device)
+            response = _responses(device, rows.omega, axes)
+            off = rows.off(device, response)
             left = float(np.sum(np.abs(rows.weight[:, None] * off) ** 2))
             yield (left if np.isfinite(left) and _is_device(device) else np.inf), device
-            if not np.isfinite(response).all():
+            if not np.isfinite(response).all() or turn == 2 * ROUNDS:
                 return
             # What an error of one axis' equation does to both channels: at a resonance of x that of y does little.
             weights = rows.weight[:, None] * np.linalg.norm(response, axis=1)
-            device = _solve(rows, weights, rows.less(off) if turn >= ROUNDS else None)
+            device = _solve(rows, columns, weights, rows.less(off).columns() if turn >= ROUNDS else None)
 
 
-def _solve(rows: _Rows, weight: np.ndarray, instrument: _Rows | None = None) -> Coefficients:
-    """The device whose equation leaves what is orthogonal to its columns with `instrument`, rows of another motion, in
-    them: least squares with `None`; `weight` (n, axes) is that of each equation.
+def _solve(rows: _Rows, columns: np.ndarray, weight: np.ndarray, instrument: np.ndarray | None = None) -> Coefficients:
+    """The device whose equation, of `columns`, leaves what is orthogonal to those of `instrument`, of another motion:
+    least squares with `None`; `weight` (n, axes) is that of each equation.
     """
-    left, right = _equation(rows, weight)
+    left, right = _weighted(columns, weight), _real((-rows.bend * weight).ravel())
     size = np.linalg.norm(left, axis=0)
     size = np.where(size > 0, size, 1.0)
     left = left / size
     if instrument is not None:
-        free = _equation(instrument, weight)[0] / size
+        free = _weighted(instrument, weight) / size
         left, right = free.T @ left, free.T @ right
     found = np.linalg.lstsq(left, right, rcond=1e-12)[0] / size
     pairs = len(PAIRS[rows.motion.shape[1]])
     return found[:pairs], found[pairs:-1], float(found[-1])
 
 
-def _equation(rows: _Rows, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Columns and right-hand side of the equation of motion, linear in stiffness, damping and mobility."""
-    axes = rows.motion.shape[1]
-    pairs = PAIRS[axes]
-    columns = np.zeros((rows.omega.size, axes, 2 * len(pairs) + 1), complex)
-    for place, (i, j) in enumerate(pairs):
-        for row, column in {(i, j), (j, i)}:
-            columns[:, row, place] = rows.motion[:, column]
-            columns[:, row, len(pairs) + place] = rows.slope[:, column]
-    columns[:, :, -1] = -rows.force
-    left = (columns * weight[:, :, None]).reshape(-1, columns.shape[-1])
-    right = (-rows.bend * weight).ravel()
-    return np.concatenate([left.real, left.imag]), np.concatenate([right.real, right.imag])
+def _weighted(columns: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    return _real((columns * weight[:, :, None]).reshape(-1, columns.shape[-1]))
+
+
+def _real(values: np.ndarray) -> np.ndarray:
+    """Real above imaginary parts."""
+    return np.concatenate([values.real, values.imag])
 
 
 def _matrix(entries: np.ndarray) -> np.ndarray:

@@ -21,16 +21,10 @@ from memsgyro_jax.loop.loop import ClosedLoop, LoopState, Sample
 from memsgyro_jax.loop.observers import AbstractCovarianceObserver
 from memsgyro_jax.loop.scenario import Scenario
 
+from .status import LOST, OK, STATUS
+
 
 DIE_AXIS = "die"
-STATUS = "status"  # name of the column
-PENDING, OK, LOST, DIVERGED = -1, 0, 1, 2
-MEANING = {
-    PENDING: "pending",
-    OK: "ok",
-    LOST: "lost (out of travel or not finite)",
-    DIVERGED: "diverged (impossible under what its filter claims)",
-}
 COVARIANCE = ("standardised", "correlation")  # rows that `nees` turns into a figure
 _KEPT = ("lost_at", "coefficient_true")  # rows that a lost die has too
 _SINGULAR = 1e-12  # least eigenvalue of a correlation matrix that is inverted

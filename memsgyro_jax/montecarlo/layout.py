@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.base.labelled import LABELS as LABELS
-from memsgyro_jax.base.labelled import labels_apart, with_labels
+from memsgyro_jax.base.labels import LABELS as LABELS
+from memsgyro_jax.base.labels import labels_apart, with_labels
 
-from .batch import MEANING, PENDING, STATUS
 from .folder import Folder, RemotePath
+from .status import MEANING, PENDING, STATUS
 
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from memsgyro_jax.base import runtime
-from memsgyro_jax.base.labelled import LABELS, UNITS_ALONG
+from memsgyro_jax.base.labels import LABELS, UNITS_ALONG
 from memsgyro_jax.base.provenance import Settings
 from memsgyro_jax.device.propagate import fuses_many_outputs
 from memsgyro_jax.loop import noise
@@ -23,10 +23,10 @@ from memsgyro_jax.loop.sensitivities import units_of
 from memsgyro_jax.loop.trace import count_steps
 
 from . import batch as lot
-from .batch import DIVERGED, OK, STATUS
 from .divergence import impossible
 from .layout import PROCESSOR, DieArray, Layout
 from .spread import Draw, Root, Spread
+from .status import DIVERGED, OK, STATUS
 from .store import Memory, Store
 
 

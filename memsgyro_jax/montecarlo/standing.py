@@ -11,11 +11,11 @@ from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.text import aligned
 
-from .batch import DIVERGED, LOST, OK, PENDING, STATUS
 from .folder import Folder, RemotePath, place_of
 from .layout import SCHEMA, attributes_of, blocks_per_shard, held_by
 from .lease import signed_in
 from .shards import tallied, unpacked
+from .status import DIVERGED, LOST, OK, PENDING, STATUS
 from .store import leases_of
 from .stored import waiting_of
 

@@ -15,11 +15,11 @@ import numpy as np
 
 from memsgyro_jax.base.errors import InputError
 
-from .batch import PENDING, STATUS
 from .folder import Folder, RemotePath
 from .layout import Layout, adapt, attributes_of, create, draft_path, held_by
 from .lease import Leases
 from .shards import holds
+from .status import PENDING, STATUS
 from .stored import StoredRows, waiting_of
 
 

@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, UInt64
 
-from .batch import MEANING, PENDING, STATUS
 from .folder import Folder, RemotePath
 from .layout import SEAL, Layout, blocks_per_shard
 from .shards import packed, unpacked
+from .status import MEANING, PENDING, STATUS
 
 
 _AT_ONCE = 256  # rows whose seals are made together: they stay in the cache

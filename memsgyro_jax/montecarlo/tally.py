@@ -5,10 +5,11 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Float, Int
 
-from .batch import DIVERGED, LOST, OK, STATUS, Plan
+from .batch import Plan
 from .caveats import NAMED, Movement, Order, Scatter
 from .merit import Moments
 from .sketch import EXACT, Sketch
+from .status import DIVERGED, LOST, OK, STATUS
 
 
 _HELD = 0.05  # of a run: for how long at its end a die must be within the tolerance to have converged

@@ -13,7 +13,8 @@ from memsgyro_jax.base.labelled import Tabular, columns_of, labelled
 from memsgyro_jax.base.provenance import Settings
 from memsgyro_jax.base.text import aligned
 from memsgyro_jax.loop.loop import ClosedLoop
-from memsgyro_jax.montecarlo.batch import LOST, Plan
+from memsgyro_jax.montecarlo.batch import Plan
+from memsgyro_jax.montecarlo.status import LOST
 from memsgyro_jax.montecarlo.sweep import Lot
 
 from .right import CONSISTENT, nees_interval, nis_interval, shift_of_nees

@@ -25,7 +25,7 @@ from memsgyro_jax.loop.readout import Adc, ChargeAmplifier, DirectReadout
 from memsgyro_jax.loop.scenario import AbstractProfile, Constant, Scenario
 from memsgyro_jax.loop.with_effects import SampleEffects
 from memsgyro_jax.measurement.model import Conditions, Model
-from memsgyro_jax.montecarlo.batch import LOST
+from memsgyro_jax.montecarlo.status import LOST
 from memsgyro_jax.tuning.tunable import resolved
 
 

@@ -13,8 +13,8 @@ import pytest
 import memsgyro_jax as mg
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.farm import farmed
-from memsgyro_jax.montecarlo.batch import STATUS
 from memsgyro_jax.montecarlo.layout import LABELS, DieArray, Layout
+from memsgyro_jax.montecarlo.status import STATUS
 from memsgyro_jax.montecarlo.store import opened
 
 

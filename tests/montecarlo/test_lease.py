@@ -12,9 +12,9 @@ import xarray as xr
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.montecarlo import lease
-from memsgyro_jax.montecarlo.batch import STATUS
 from memsgyro_jax.montecarlo.layout import LABELS, DieArray, Layout
 from memsgyro_jax.montecarlo.lease import Leases
+from memsgyro_jax.montecarlo.status import STATUS
 from memsgyro_jax.montecarlo.store import Store, discard, opened
 from memsgyro_jax.montecarlo.stored import StoredRows
 

@@ -8,8 +8,8 @@ import pytest
 
 import memsgyro_jax as mg
 from memsgyro_jax.device.gyro import SINGLE_MASS, MotionModel
-from memsgyro_jax.montecarlo.batch import DIVERGED
 from memsgyro_jax.montecarlo.divergence import NO_OBSERVER, Divergence
+from memsgyro_jax.montecarlo.status import DIVERGED
 
 
 SHORT = {"sample_rate": 100e3, "duration": 0.002, "bound_dies": 0}

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from memsgyro_jax.montecarlo import layout as layouts
-from memsgyro_jax.montecarlo.batch import DIVERGED, LOST, PENDING, STATUS
 from memsgyro_jax.montecarlo.layout import LABELS, PROCESSOR, DieArray, Layout
 from memsgyro_jax.montecarlo.shards import packed
 from memsgyro_jax.montecarlo.standing import standing_of
+from memsgyro_jax.montecarlo.status import DIVERGED, LOST, PENDING, STATUS
 from memsgyro_jax.montecarlo.store import opened
 
 

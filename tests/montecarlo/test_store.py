@@ -11,10 +11,10 @@ import xarray as xr
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.montecarlo import layout as layouts
-from memsgyro_jax.montecarlo.batch import LOST, STATUS
 from memsgyro_jax.montecarlo.folder import place_of
 from memsgyro_jax.montecarlo.layout import LABELS, PROCESSOR, DieArray, Layout
 from memsgyro_jax.montecarlo.standing import standing_of
+from memsgyro_jax.montecarlo.status import LOST, STATUS
 from memsgyro_jax.montecarlo.store import discard, opened
 
 

@@ -8,9 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from memsgyro_jax.montecarlo import sketch
-from memsgyro_jax.montecarlo.batch import DIVERGED, LOST, OK, PENDING, STATUS, Plan
+from memsgyro_jax.montecarlo.batch import Plan
 from memsgyro_jax.montecarlo.merit import percentiles
 from memsgyro_jax.montecarlo.sketch import Sketch
+from memsgyro_jax.montecarlo.status import DIVERGED, LOST, OK, PENDING, STATUS
 from memsgyro_jax.montecarlo.tally import Tally
 
 

@@ -12,7 +12,8 @@ import xarray as xr
 import memsgyro_jax as mg
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.transforms import from_vector, names, to_vector
-from memsgyro_jax.montecarlo.batch import OK, Plan
+from memsgyro_jax.montecarlo.batch import Plan
+from memsgyro_jax.montecarlo.status import OK
 from memsgyro_jax.tuning.caveats import margin_eaten, warnings_of
 from memsgyro_jax.tuning.descent import Descent, DescentStep, Judged, descend, sought
 from memsgyro_jax.tuning.fates import fates, null_directions

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from memsgyro_jax.base.text import rounded
-from memsgyro_jax.montecarlo.batch import DIVERGED, STATUS
+from memsgyro_jax.montecarlo.status import DIVERGED, STATUS
 
 from . import figures
 from .page import Page

@@ -1,12 +1,13 @@
 """How a sampled force runs between its rows."""
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
 from ..declared import Declared
 from ..phasor_fit import misfit
+from .base import Phasors
 
 
 if TYPE_CHECKING:
@@ -23,21 +24,30 @@ SAID = {
 }
 
 
-def better_hold(
-    hold: Hold, held: "Callable[[Hold], AbstractRecord]", declared: Declared
-) -> tuple[Literal["zero_order", "band_limited"] | None, str]:
-    """Another way in which the force of a record ran, where its rows lie far nearer to a device then, and a sentence on
-    it; `held` is the record with a `hold`. Straight lines are not told from a band-limited force.
+class NearestHold(NamedTuple):
+    """The way in which the force of a record ran: another `hold` where its rows lie far nearer to a device then, and a
+    sentence on it; with its phasors, and their misfit, infinite where they are too few to tell.
+    """
+
+    hold: Literal["zero_order", "band_limited"] | None
+    told: str
+    phasors: Phasors | None
+    misfit: float = np.inf
+
+
+def better_hold(hold: Hold, held: "Callable[[Hold], AbstractRecord]", declared: Declared) -> NearestHold:
+    """What the rows of a record say of its `hold`; `held` is the record with another. Straight lines are not told from
+    a band-limited force.
     """
     other: Literal["zero_order", "band_limited"] = "band_limited" if hold == "zero_order" else "zero_order"
     here, there = (held(one).starting_phasors(declared) for one in (hold, other))
     if here is None or there is None or here.omega.size < FEWEST:
-        return None, ""
+        return NearestHold(None, "", here)
     now, then = misfit(here), misfit(there)
     if not is_far_nearer(now, then, here.motion.size):
-        return None, ""
+        return NearestHold(None, "", here, now)
     times = f"{np.sqrt(now / then):.2g} times" if np.isfinite(now) else "far"
-    return other, f"its rows lie {times} nearer to a device where {SAID[other]}"
+    return NearestHold(other, f"its rows lie {times} nearer to a device where {SAID[other]}", there, then)
 
 
 def is_far_nearer(now: float, then: float, size: int) -> bool:

@@ -25,7 +25,7 @@ from .base import BEYOND, Experiment, Noise, Phasors, RealNoise, surroundings
 from .checks import check_sampling
 from .clocked import CONDITIONS, WaveformRecord, surroundings_told
 from .deviation import Known
-from .hold import Hold, better_hold, between
+from .hold import Hold, NearestHold, better_hold, between
 from .read_quantity import better_quantity
 from .record import Watched
 from .sheet import Sheet
@@ -313,15 +313,19 @@ class TimeRecord(WaveformRecord):
 
     def better_keys(self, declared: Declared) -> tuple[dict[str, Any], str]:
         """Another `hold`, where the rows show it."""
-        better, told = better_hold(self.hold, lambda hold: dataclasses.replace(self, hold=hold), declared)
-        return ({"hold": better}, told) if better else ({}, "")
+        better = self.nearest_hold(declared)
+        return ({"hold": better.hold}, better.told) if better.hold else ({}, "")
+
+    def nearest_hold(self, declared: Declared) -> NearestHold:
+        """What the rows say of `hold`."""
+        return better_hold(self.hold, lambda hold: dataclasses.replace(self, hold=hold), declared)
 
     def better_quantity(self, declared: Declared) -> tuple[str, str]:
-        return better_quantity(self, declared)
+        return better_quantity(self.nearest_hold, declared)[:2]
 
     def warnings(self, declared: Declared) -> list[str]:
-        quantity, told = self.better_quantity(declared)
-        told = told if quantity else self.better_keys(declared)[1]
+        shown = better_quantity(self.nearest_hold, declared)
+        told = shown.told or shown.of_hold
         return [*super().warnings(declared), *([f"`{self.name}`: {told}."] if told else [])]
 
     def watched(self, noise: np.ndarray) -> list[Watched]:

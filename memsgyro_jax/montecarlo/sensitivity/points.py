@@ -14,8 +14,8 @@ from memsgyro_jax.base.text import listed
 from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.scenario import AbstractProfile, Scenario, as_scenario
 
-from ..batch import LOST
 from ..spread import Points, Spread, as_spread
+from ..status import LOST
 from ..sweep import DEFAULT_TOLERANCE, Lot, sweep
 from .outputs import Output, outputs, values_of
 

@@ -137,7 +137,7 @@ def test_a_fall_to_half_is_labelled():
     assert [f"{y:g}" for y in ax.get_yticks() if low <= y <= high] == ["1", "1.2", "1.5"]
 
 
-@pytest.mark.usefixtures("quick_pictures")
+@pytest.mark.usefixtures("no_pictures")
 def test_what_is_unknown_is_shown_as_a_force(diagnosis):
     first, then = diagnosis.steps[:1], diagnosis.steps[1:]
     unknown = replace(diagnosis, verdict="unknown_effect", final=diagnosis.base, accepted=(), steps=first, tried=then)
@@ -154,7 +154,7 @@ def test_what_is_unknown_is_shown_as_a_force(diagnosis):
     assert "with a probability of 90 %" not in words
 
 
-@pytest.mark.usefixtures("quick_pictures")
+@pytest.mark.usefixtures("no_pictures")
 def test_a_strength_beside_something_unknown_is_told_without_its_error(diagnosis):
     """On the page, in the terminal and in the files: it would hold only if the model did."""
     (found,) = diagnosis.accepted
@@ -212,7 +212,7 @@ def test_nothing_is_loaded_from_anywhere(found):
     assert not {"img", "link", "iframe", "script", "object"} & set(outline.tags)
 
 
-@pytest.mark.usefixtures("quick_pictures")
+@pytest.mark.usefixtures("no_pictures")
 def test_pictures_of_records_say_at_what_settings_they_were_taken(diagnosis, monkeypatch):
     first, second, *_ = (one for one in diagnosis.case.records if isinstance(one, FrequencySweepRecord))
     assert settings_in_words([first, first], diagnosis.case) == ("", "")  # all agree
