@@ -38,6 +38,7 @@ FORCES = (
     E.CubicStiffness("x", 8e11), E.QuadraticStiffness("x", 3e6), E.CrossStiffness(8e11),
     E.ElectrostaticSoftening("y", 2e-3), E.CrossDampingAsymmetry(1e-6), E.QuadraticDamping("x", 5e-5),
     E.SqueezeFilmDamping("y", 1e7), E.DampingStep(0.5, time=0.005), E.ThermalStiffness(-6e-5), E.ThermalDamping(5e-3),
+    E.ThermalStiffnessCurvature(-2e-6), E.ThermalDampingCurvature(5e-4),  # at 20 K two thirds and twice of the straight
     E.ParasiticMode("x", 1e-3, omega=2e4, quality=30.0), E.RateOffset(1.0), E.RateScaleError(0.3),
     E.RateBiasDrift(np.full(6, 0.5)), E.AngularAcceleration(1e3), E.Centrifugal(1e5),
 )  # fmt: skip
