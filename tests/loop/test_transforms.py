@@ -94,7 +94,7 @@ def test_mode_frequencies_follow_every_number_of_the_device():
 
 def bound_of(kxx, **options) -> mg.InformationBound:
     loop = eqx.tree_at(lambda loop: loop.device.kxx, SWINGING, jnp.asarray(kxx, float))
-    return mg.information_bound(loop, 1.0, duration=4e-3, windows=1, **options)
+    return mg.information_bound(loop, 1.0, sample_rate=100e3, duration=4e-3, windows=1, **options)
 
 
 @pytest.mark.slow
