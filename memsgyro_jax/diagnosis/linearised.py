@@ -61,6 +61,8 @@ class Linear(NamedTuple):
             return None
         if block is None or np.array_equal(self.block, block):
             return self
+        if not np.all(np.isfinite(self.slopes)):  # sums would spread what is not
+            return None
         scale = np.max(np.abs(self.block), axis=0)  # parameters differ by many powers of ten
         scale = np.where(scale > 0, scale, 1.0)
         wanted, known = block / scale, self.block / scale

@@ -24,6 +24,9 @@ def test_slopes_along_sums_of_known_directions_are_sums_of_slopes():
     np.testing.assert_allclose(found.slopes, (wanted / scale) @ jacobian, atol=1e-9)
     assert made.along(None) is made
     assert found.along(block) is None, "two directions of five are lost"
+    spoilt = made.slopes.copy()
+    spoilt[4, 7] = np.nan
+    assert made._replace(slopes=spoilt).along(wanted) is None, "sums would spread what is no number"
     wanted[2, 6] = 1e-3 * scale[6]
     assert made.along(wanted) is None, "one that was not asked for"
 
