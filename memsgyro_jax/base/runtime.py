@@ -21,9 +21,9 @@ from .files import write_whole
 # Undocumented options that let XLA's CPU compiler keep a small, long-running loop in one vectorised function; the last
 # is LLVM's, which otherwise leaves loops with many inputs and results scalar. An unknown name of XLA's behind
 # `--xla_backend_extra_options` is ignored, one of LLVM's or in XLA_FLAGS itself ends the process: see `_known`.
-_MANY_OUTPUTS = "xla_cpu_use_multi_output_fusion=true"
+MANY_OUTPUTS = "xla_cpu_use_multi_output_fusion=true"
 _EXTRA_OPTIONS = (
-    _MANY_OUTPUTS,
+    MANY_OUTPUTS,
     "xla_cpu_small_while_loop_byte_threshold=100000000",
     "xla_cpu_disable_loop_unrolling=true",
     "-vectorize-memory-check-threshold=1000",
@@ -35,7 +35,7 @@ _CPU_FLAGS = (
     # 0.12, with which a first sweep takes about as long.
     "--xla_cpu_use_fusion_emitters=false",
 )
-# With that option these end the process at some programs ("Check failed: GetNumDims() == other.GetNumResults()").
+# With `MANY_OUTPUTS` these end the process at some programs ("Check failed: GetNumDims() == other.GetNumResults()").
 _FUSE_ONE_OUTPUT = {"0.11.1", "0.11.2"}
 _TRIED = {"0.10.2": _CPU_FLAGS, "0.12.0.1": _CPU_FLAGS[:2]}  # what a jaxlib is known to take
 _DEVICES_FLAG = "--xla_force_host_platform_device_count"
@@ -151,7 +151,7 @@ def _missing_flags(present: str, devices: int) -> list[str]:
         return []
     ours: tuple[str, ...] = _CPU_FLAGS
     if version("jaxlib") in _FUSE_ONE_OUTPUT:
-        ours = tuple(flag.replace(f"{_MANY_OUTPUTS},", "") for flag in ours)
+        ours = tuple(flag.replace(f"{MANY_OUTPUTS},", "") for flag in ours)
     wanted = [*ours, f"{_DEVICES_FLAG}={devices}"]
     names = {flag.split("=")[0] for flag in present.split()}
     return [flag for flag in wanted if flag.split("=")[0] not in names]

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from memsgyro_jax.base import runtime
 from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.fields import AbstractVar
@@ -314,4 +315,4 @@ def _apart(time: Scalar, arrays: object) -> object:
 
 def fuses_many_outputs() -> bool:
     """Whether XLA on CPU was told to fuse computations with several results (`runtime.configure` does)."""
-    return "xla_cpu_use_multi_output_fusion=true" in os.environ.get("XLA_FLAGS", "")
+    return runtime.MANY_OUTPUTS in os.environ.get("XLA_FLAGS", "")

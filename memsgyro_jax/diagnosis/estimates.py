@@ -42,7 +42,7 @@ def unseen_terms(joint: Joint, optimum: Optimum) -> frozenset[int]:
     """Places of terms of the instrument of which fitted records show no number: what was known beforehand stands, as
     of a temperature on which nothing depends.
     """
-    told = np.concatenate([np.repeat(r.record >= 0, r.size // r.record.size) for r in joint.fitted])
+    told = np.concatenate([~r.weightless for r in joint.fitted])
     shown = optimum.free[np.any(optimum.jacobian[told] != 0, axis=0)]
     terms = [i for i, e in enumerate(joint.model.effects) if isinstance(e, InstrumentTerm) and e.known_to is not None]
     free = {joint.parameters[i].effect for i in optimum.free}

@@ -205,7 +205,7 @@ def _moved_by_all(search: Search, found: Mapping[int, SlowNoise]) -> CaseFit:
         parts = []
         for group, white in zip(groups, whiteners, strict=True):
             value, slopes = joint.linearise(vector, np.eye(vector.size)[search.optimum.free], group)
-            seen = np.concatenate([np.repeat(r.record >= 0, r.size // r.record.size) for r in group])
+            seen = np.concatenate([~r.weightless for r in group])
             known = (seen & np.isfinite(value))[:, None]
             parts.append(white(np.where(known, np.column_stack([slopes, value]), 0.0)))
         every = np.concatenate(parts)

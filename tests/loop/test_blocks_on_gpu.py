@@ -12,7 +12,7 @@ from memsgyro_jax.montecarlo.batch import LotRecorder
 
 def test_a_gpu_is_asked_for_nothing_but_array_operations():
     """Lowered for CUDA there is no call back to Python and none into a library, and a block's loops are those of its
-    maps and of its statistics. On an H200 this program compiled to 87 kernels a block.
+    maps and of its statistics. On an H200 that of `studies/benchmarks/blocks.py` was 87 kernels a block.
     """
     gyro, readout = mg.SingleMassGyro.chi2010(), mg.ChargeAmplifier.chi2010()
     observer = mg.ExtendedKalmanFilter.for_device(gyro, readout, annealing=mg.Annealing())

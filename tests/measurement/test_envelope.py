@@ -56,7 +56,7 @@ def test_a_step_is_of_second_order_in_what_the_linear_part_leaves_out():
 
 @pytest.mark.parametrize("effects", [(), (CubicStiffness("x", 1e9),)])
 def test_a_step_has_no_scatter_of_which_a_loop_would_be_made(effects):
-    """XLA wrote one for each `.at[...]` and direction: 86 kernels a step in place of 27."""
+    """XLA wrote one for each `.at[...]`: 86 kernels a step of a rate table along twelve directions, in place of 27."""
     device = SingleMassGyro(mass=1e-7, kxx=60.0, kyy=80.0, kxy=3.0, dxx=2e-4, dyy=3e-4, dxy=1e-5)
 
     def end(force):
