@@ -32,7 +32,10 @@ def confusions(search: Search, ranking: Ranking) -> dict[int, dict[int, Optimum]
             starts = [] if start is None else [start]
             near = max(CONFUSED, NEARLY * mine.statistic)
             if start is None and separation(mine.statistic, mine, theirs) < near:
-                starts = [_as_strong(search, place, other, block), search.without(place)]
+                instead = _as_strong(search, place, other, block)
+                # One that would need a sign that it cannot have stands for nothing: a fit would keep it at zero.
+                possible = np.any(instead[search.joint.of_effect(other)] != 0)
+                starts = [instead, search.without(place)] if possible else []
             for start in starts:
                 fit = search.refit([other if i == place else i for i in search.accepted], start=start)
                 if fit.chi2 < search.optimum.chi2 + CONFUSED:

@@ -13,7 +13,7 @@ from .drives import FAR, stages
 from .fit import beside_case
 from .optimum import Optimum, optimise
 from .programs import SPARE
-from .search import Ranking, Search, always_free
+from .search import GLANCE, Ranking, Search, always_free
 from .settings_apart import Surrounded, begun, in_each_place, moves, put_beside, twins_of, with_strengths
 
 
@@ -39,7 +39,7 @@ def moved(search: Search, first: Ranking, effects: Sequence[Effect]) -> tuple[Se
     if not chosen:
         return search, None
     _announce(beside, chosen, [search.joint.model.effects[first.places[i]].label for i in first.order[:SPARE]])
-    usual = search.refit([first.places[first.order[0]]], slopes=first.slopes[first.order[0]])
+    usual = search.refit([first.places[first.order[0]]], slopes=first.slopes[first.order[0]], evaluations=GLANCE)
     if usual.chi2 < FAR * usual.dof:
         return search, None
     tried = [beside.joint.model.effects[i] for i in chosen]

@@ -36,6 +36,7 @@ from .steady import drive_waveform, phases, waveform
 
 
 _seldom = partial(kept, options=PLAINLY)
+NODES = 16  # conditions of the linear part at a time
 CHUNK = 6144  # moments at a time: whole rows of 12, 32 and 128, and small enough to stay near the processor
 
 
@@ -254,7 +255,7 @@ def _read(model: Model, absent: Absent, state: Array, command: Array, turn: Arra
 
 @_seldom
 def _propagated(model: Model, absent: Absent, base: Conditions) -> tuple[Array, Array]:
-    """(K, n, n) and (K, n, axes): what is added to the linear part, or (K, r, ...) at each of several conditions."""
+    """(K, r, n, n) and (K, r, n, axes): what is added to the linear part at each of several conditions."""
     axes, rest, still = model.axes, jnp.zeros(model.size), jnp.zeros(model.axes)
 
     def at(base: Conditions) -> tuple[Array, Array]:
@@ -262,7 +263,22 @@ def _propagated(model: Model, absent: Absent, base: Conditions) -> tuple[Array, 
         around = (0, 0), (axes, model.size - 2 * axes), (0, 0)
         return jnp.pad(parts[0], around), jnp.pad(parts[1], around)
 
-    return jax.vmap(at, out_axes=1)(base) if jnp.ndim(base.rate) else at(base)
+    return jax.vmap(at, out_axes=1)(base)
+
+
+def _added_to_linear(model: Model, absent: Absent, base: Conditions) -> tuple[np.ndarray, np.ndarray]:
+    """(K, n, n) and (K, n, axes), or (K, r, ...) at each of several conditions; `NODES` at a time, whatever r is, so
+    that experiments share a program.
+    """
+    several = np.ndim(base.rate) > 0
+    every = jax.tree.map(lambda leaf: np.asarray(leaf) if several else np.asarray(leaf)[None], base)
+    count, parts = len(every.rate), []
+    for begin in range(0, count, NODES):
+        chosen = np.minimum(np.arange(begin, begin + NODES), count - 1)
+        parts.append(_propagated(model, absent, jax.tree.map(lambda leaf: leaf[chosen], every)))  # noqa: B023
+    joined = (np.concatenate(part, axis=1)[:, :count] for part in zip(*parts, strict=True))
+    matrix, load = joined if several else (part[:, 0] for part in joined)
+    return matrix, load
 
 
 def _looks_back(model: Model, volts: Array, moment: Moment) -> bool:
@@ -291,7 +307,7 @@ def contributions(model: Model, absent: Absent, inquiry: Inquiry) -> Contributio
     total, size = sum(absent.sizes), model.size
     linear = np.zeros((total, size, size)), np.zeros((total, size, model.axes))
     if inquiry.base is not None:
-        linear = _propagated(model, absent, inquiry.base)
+        linear = _added_to_linear(model, absent, inquiry.base)
     forced = tuple(_told(group, lambda s, u, _, c: _pushed(model, absent, s, u, c)) for group in inquiry.forced)
     reader = inquiry.read.reader(model)
     read = _told(inquiry.read, lambda *moments: _read(reader, absent, *moments))
