@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from .experiments.clipping import clipped_rows
+
 
 _LOUD = 0.9  # of the largest envelope: the decay has not begun
 _FALLEN = 0.02  # in natural logarithms: an envelope that falls by less is kept up
@@ -13,6 +15,12 @@ def begin_of_decay(signal: np.ndarray) -> int:
     width = max(len(signal) // 50, 3)
     envelope = _envelope(signal - np.mean(signal), width)
     return 0 if _falls_from_the_start(envelope, width) else int(np.flatnonzero(envelope >= _LOUD * envelope.max())[-1])
+
+
+def behind_clipping(signal: np.ndarray) -> int:
+    """The row (n,) behind the last one in which a waveform seems to be clipped, 0 where it is not."""
+    rows = clipped_rows(signal)
+    return int(rows[-1]) + 1 if len(rows) else 0
 
 
 def _envelope(signal: np.ndarray, width: int) -> np.ndarray:

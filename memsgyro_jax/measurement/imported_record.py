@@ -9,7 +9,7 @@ import numpy as np
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.units import parse_header, to_si
 
-from .begin_of_decay import begin_of_decay
+from .begin_of_decay import begin_of_decay, behind_clipping
 from .column_map import SECOND_DRIVE
 from .column_meaning import Meaning
 from .experiments.time_record import RING_TIMES
@@ -279,17 +279,19 @@ def _forced(about: dict, columns: dict[str, SourceColumn], assumed: list[str]) -
 
 
 def _decay(about: dict, columns: dict[str, SourceColumn], assumed: list[str]) -> ImportedRecord:
-    """A waveform that dies out, from where its envelope was last near its largest."""
+    """A waveform that dies out, from where its envelope was last near its largest, or is no longer clipped."""
     signal, time = _louder(columns), columns["t"]
-    begin = begin_of_decay(signal)
+    begin, why = begin_of_decay(signal), "its envelope falls for good"
+    if begin < (whole := behind_clipping(signal)) < len(signal) - _FEWEST:
+        begin, why = whole, "it is no longer clipped, as at the end of a range"
     if len(signal) - begin < _FEWEST:
         raise InputError(
             f"{about['source']}: a record over time without a drive must be a vibration that dies away, but its "
             f"envelope falls over fewer than {_FEWEST} rows; name the drive with --map, or leave the file out."
         )
     said = list(assumed)
-    if begin > 0.02 * len(signal):
-        said.append(f"the free decay begins at {time.values[begin]:.6g} {time.unit}, where its envelope falls for good")
+    if begin > 0.02 * len(signal) or begin == whole > 0:
+        said.append(f"the free decay begins at {time.values[begin]:.6g} {time.unit}, where {why}")
     else:
         begin = 0
     design = rough_decay(to_si(time.values[begin:], time.unit, "s", "t"), signal[begin:])
