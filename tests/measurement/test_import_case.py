@@ -80,7 +80,7 @@ def test_a_decay_that_hardly_falls_begins_at_its_first_row(tmp_path, quality, no
 
 def test_a_decay_that_is_clipped_first_begins_behind(tmp_path):
     """On an oscilloscope whose range is 0.4 of the swing: what was clipped told a quality factor of 340, of 240."""
-    time = np.arange(6000) / 10e3
+    time = np.arange(12000) / 10e3
     signal = 2.4 * np.exp(-np.pi * 523 / 240 * time) * np.cos(2 * np.pi * 523 * time)
     steps = np.clip(np.round(signal * 128.0) / 128.0, -1.0, 127.0 / 128.0)
     (tmp_path / "scope.csv").write_text(
@@ -89,6 +89,8 @@ def test_a_decay_that_is_clipped_first_begins_behind(tmp_path):
     _, (table,) = read_instrument_file(tmp_path / "scope.csv")
     (record,) = records_of("scope", table, meaning_of(table, {}), Given())
     assert "where it is no longer clipped" in str(record.assumed)
+    assert "where it falls below four steps of 0.00781 V" in str(record.assumed)
+    assert record.keys["to"]["value"] == pytest.approx(240 / np.pi / 523 * np.log(2.4 * 128 / 4), abs=0.02)
     assert record.keys["from"]["value"] == pytest.approx(240 / np.pi / 523 * np.log(2.4), abs=2e-3)
     assert record.design["quality_factor"][0] == pytest.approx(240.0, rel=0.02)
 
