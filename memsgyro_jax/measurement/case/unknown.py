@@ -11,6 +11,7 @@ from memsgyro_jax.base.units import parse_header, to_si
 from memsgyro_jax.device.normalised import NormalisedDevice
 
 from ..declared import VOCABULARIES, DesignValue
+from ..exchanged_axes import all_exchanged
 from ..experiments.base import Phasors
 from ..one_place import in_one_place
 from ..phasor_fit import device_of_phasors, is_seen, most_linear
@@ -93,7 +94,8 @@ def with_found_design(case: Case, file: CaseFile, path: Path) -> Case:
             return _with_told(case, file, _uncoupled(case, open_))
         needed = ", ".join(BY_HAND[key] for key in open_ if key in BY_HAND) or ", ".join(open_)
         raise OpenDesign(
-            f"{path}, `design`: must give {needed}, as no record that may be fitted shows a clear resonance."
+            f"{path}, `design`: must give {needed}, as no record that may be fitted shows a clear resonance"
+            + (f": {said}." if (said := all_exchanged([(r.name, r.starting_phasors(case)) for r in fitted])) else ".")
         )
     found = _numbers(case, *(np.asarray(part) for part in (device.stiffness, device.damping, device.mobility)))
     told = {key: DesignValue.found(found[key]) for key in open_}
