@@ -64,6 +64,12 @@ def all_exchanged(records: Sequence[tuple[str, Phasors | None]]) -> str:
     )
 
 
+def phasors_of_sweep(omega: np.ndarray, readings: np.ndarray, axis: int, drive: np.ndarray) -> Phasors:
+    """Of a sweep of both channels (n, 2) at frequencies (n,) [rad/s] under the drive (n,) of one axis."""
+    force = drive[:, None] * np.eye(2)[axis] + 0j
+    return Phasors(omega, readings, force, np.full(len(omega), 1.0 / max(np.max(np.abs(readings)), 1e-300)))
+
+
 def _shows_both(one: Phasors) -> bool:
     """Whether a record tells the steady motion of both axes under the drive of one."""
     if one.modulus or one.axis is not None or one.slope is not None or one.motion.shape[1] != 2:

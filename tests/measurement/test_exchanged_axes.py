@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from memsgyro_jax.measurement.exchanged_axes import all_exchanged, exchanged_axes
-from memsgyro_jax.measurement.experiments.base import Phasors
+from memsgyro_jax.measurement.exchanged_axes import all_exchanged, exchanged_axes, phasors_of_sweep
 
 
 def sweeps():
@@ -17,8 +16,7 @@ def sweeps():
     for name, axis, volts in (("x20", 0, 0.02), ("x60", 0, 0.06), ("y20", 1, 0.02), ("y60", 1, 0.06)):
         z = 3e5 * volts * np.linalg.inv(dynamic)[:, :, axis] * [1.0, 1.35]
         z = z + 4e-5 * (noise.standard_normal(z.shape) + 1j * noise.standard_normal(z.shape))
-        force = volts * np.eye(2)[axis] * np.ones((f.size, 1)) + 0j
-        found.append((name, Phasors(2 * np.pi * f, z, force, np.full(f.size, 1 / 4e-5))))
+        found.append((name, phasors_of_sweep(2 * np.pi * f, z, axis, np.full(f.size, volts))))
     return found
 
 
