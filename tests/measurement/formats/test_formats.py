@@ -323,6 +323,17 @@ def test_oscilloscopes(head, tmp_path):
     assert record.design["quality_factor"][0] == pytest.approx(25.0, rel=0.05)
 
 
+@pytest.mark.parametrize("end", ["", ",,"])
+def test_an_oscilloscope_that_numbers_its_samples(end, tmp_path):
+    rows = [f"{n},{np.exp(-n / 100) * np.cos(0.5 * n):.6e}{end}" for n in range(400)]
+    head = ["X,CH1,Start,Increment,", "Sequence,Volt,-2.000000e-03,1.000000e-04"]
+    (tmp_path / "a.csv").write_text("\n".join([*head, *rows]) + "\n")
+    (record,) = imported(tmp_path / "a.csv")
+    assert record.kind == "free_decay"
+    np.testing.assert_allclose(column(record, "t", "s"), -2e-3 + 1e-4 * np.arange(400), atol=1e-12)
+    assert "Vx [V]" in record.columns
+
+
 def test_power_spectra_are_no_responses(tmp_path, monkeypatch):
     written = pyuff.UFF.write_sets
     monkeypatch.setattr(pyuff.UFF, "write_sets", lambda self, one, mode: written(self, one | {"func_type": 9}, mode))
