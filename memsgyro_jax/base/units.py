@@ -42,7 +42,10 @@ _NUMBER = re.compile(NUMBER)
 _EXPONENT = r"\(?\s*[+-]?\s*[0-9.]+\s*(?:/\s*[0-9]+\s*)?\)?(?![\w.]|\s*(?:\*\*|\^))"
 _POWER = re.compile(rf"(?:\*\*|\^)\s*(?P<exponent>{_EXPONENT})?")
 _FOREIGN = re.compile(r"[^\w\s*/^().+√·°%Ωµμ²³¹⁰⁴-⁹⁻⁺-]|[^ \S]")
-_COINED = re.compile(r"\b(?:(?P<prefix>[munµ]?)dps|Grad)\b")  # of data sheets; German, which pint takes for 1e9 rad
+_COINED = re.compile(  # of data sheets; German, which pint takes for 1e9 rad; of rate tables
+    r"\b(?:(?P<prefix>[munµ]?)dps|(?P<word>Grad|RPM|(?:rev|Umdr|U|r)(?=/(?:min|s)\b)))\b"
+)
+_WORDS = {"Grad": "deg", "RPM": "rpm"}  # further ones are turns
 _COMMON = "V A N Hz m s g K F W Pa rad deg degC rpm ppm percent"
 _WORD = re.compile(r"[^\W\d_]+")
 _HOW = re.compile(r"(?P<base>[^\W\d_]+?)_?(?P<how>rms|pp|pk)", re.IGNORECASE)
@@ -153,8 +156,12 @@ def to_peak(unit: str) -> tuple[float, str]:
 
 
 def _in_full(unit: str) -> str:
-    """The unit with what pint calls degrees per second, `dps`, and degrees, `Grad`."""
-    return _COINED.sub(lambda found: "deg" if found[0] == "Grad" else f"({found['prefix']}deg/s)", unit)
+    """The unit with what pint calls degrees per second, `dps`, degrees, `Grad`, and turns, as in `rev/min`."""
+
+    def full(found: re.Match) -> str:
+        return _WORDS.get(found["word"], "turn") if found["word"] else f"({found['prefix']}deg/s)"
+
+    return _COINED.sub(full, unit)
 
 
 def _conversion(unit: str, expected: str, name: str) -> list[float]:

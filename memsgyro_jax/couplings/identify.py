@@ -12,6 +12,7 @@ import numpy as np
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.runtime import require_float64
+from memsgyro_jax.measurement.exchanged_axes import all_exchanged, exchanged_axes, phasors_of_sweep
 from memsgyro_jax.measurement.experiments import CartesianNoise, Noise, PolarNoise
 from memsgyro_jax.measurement.noise import noise_beside_misfit
 
@@ -178,6 +179,8 @@ def _check(records: Sequence[SweepRecord], mass: float | None, effects: Sequence
 
 def _notes(records: Sequence[SweepRecord], noise: Noise | None, mass: float | None) -> tuple[str, ...]:
     notes = [note for record in records for note in record.notes]
+    told = [(r.name, phasors_of_sweep(r.frequency, r.phasors, r.axis, r.drive)) for r in records]
+    notes += [f"{said[0].upper()}{said[1:]}." for said in (*exchanged_axes(told).values(), all_exchanged(told)) if said]
     notes.append(RELATIVE)
     if noise is None:
         notes.append("The noise was estimated from the scatter of neighbouring points.")

@@ -45,7 +45,7 @@ def allan(
             taken; or rates in rad/s, shape (samples,) or (series, samples). Each rate counts as an average over its
             period: for a sampled one the rate random walk reads differently at the first averaging times.
         sample_rate: [Hz] of an array, or of a file.
-        column: the one to take of a file.
+        column: the one to take of a file, with its unit ("Gyr_X [rad/s]") where the file names none.
         start: [s] from which on the rates count, behind the settling; zero takes all.
         band: shortest and longest averaging time of the fit [s]; without it all octaves up to a third of the record.
 

@@ -14,6 +14,8 @@ from .phasor_fit import device_of_phasors
 
 _ALIKE = 1.01  # of the weakest drive: the same level
 _OFF = 2.0  # degrees of phase that are worth a sentence
+_DIGITS = 12  # of a resonance, which records tell no better
+_NO_WIDTH = 1e10  # of a quality factor: a resonance between two rows, or none
 _FAR = 2.0  # half widths from the resonance, beyond which a bent peak counts for nothing
 
 
@@ -56,7 +58,9 @@ def beside_design(case: Case) -> tuple[str, ...]:
 
 def _number(key: str, value: float, quality_factor: float) -> str:
     """A resonance to a hundredth of its width."""
-    digits = max(4, int(np.ceil(np.log10(max(quality_factor, 1.0)))) + 2)
+    digits = min(max(4, int(np.ceil(np.log10(max(quality_factor, 1.0)))) + 2), _DIGITS)
+    if key == "quality_factor" and value > _NO_WIDTH:
+        return "no width of the resonance (are the levels of the drives right?)"
     return spoken(value / (2.0 * np.pi), "Hz", digits) if key == "resonance" else f"{value:.4g}"
 
 

@@ -27,7 +27,7 @@ _NAMED = {
     "T": r"^(temp|temperature)\b|temperature",
     "V_bias": r"bias",
     "drive": r"drive|excit|force|stimul|generator|source|\binput\b|level|set ?point|control|sig(nal)? ?out|current|"
-    r"^(f [xy]|u|u [xy]|output)$|amplitude set|anregung",
+    r"exc\b|osc\b|^(f [xy]|u|u [xy]|output)$|amplitude set|anregung",
     "phase": r"\bphase|theta|\bphi\b|\barg\b|angle",
     "amp": r"^r$|\bamp\b|ampl\b|amplitude|magnitude|\bmag\b|\babs\b|modulus|\bgain\b|^s\d\d db$",
 }
@@ -157,10 +157,17 @@ def role_of(column: SourceColumn) -> str:
             return role
     if part := channel_and_part(column.name)[1]:
         return part
-    for role, words in PARTS.items():
-        if tokens and (tokens[-1] in words or tokens[0] in words):
-            return role
+    if part := _part_of(tokens):
+        return part
     return "amp" if column.unit in ("dB", "dBV", "dBm") else "signal"
+
+
+def _part_of(words: Sequence[str]) -> str:
+    """The part of a phasor that a name tells by its last word or its first, the longer one before what may be the
+    letter of a current, as in ``I_re`` and ``Im(I)``.
+    """
+    ends = sorted([*words[-1:], *words[:1]], key=len, reverse=True)
+    return next((role for end in ends for role, own in PARTS.items() if end in own), "")
 
 
 def _is_dc_voltage(column: SourceColumn) -> bool:

@@ -15,6 +15,11 @@ _BIAS = re.compile(
     rf"|(?<![A-Za-z0-9.]){_NUMBER.replace('number', 'before')}[ _]?(?P<of>[mk]?V)[ _]?(?i:{_NAMED_BIAS})(?![A-Za-z])"
 )
 _VOLTS = re.compile(rf"(?<![A-Za-z0-9.]){_NUMBER}[ _]?(?P<unit>k?V)(?![A-Za-z])")
+_LEVEL = re.compile(  # of a drive that is not told as its peak value
+    rf"(?<![A-Za-z0-9.]){_NUMBER}[ _]?(?P<unit>[nuµm]?[VA](?i:rms|pp))(?![A-Za-z])"
+    rf"|(?:^|(?<=[ _]))(?P<sign>[+-]|m(?:inus[ _]?)?(?=\d))?{_NUMBER.replace('number', 'before')}[ _]?"
+    r"(?P<of>dB[mV])(?![A-Za-z])"
+)
 
 
 def without_bias(stem: str) -> str:
@@ -42,6 +47,13 @@ def _quantity(found: re.Match[str], unit: str) -> str:
 def _only(told: Iterator[str]) -> str:
     found = {*told}
     return found.pop() if len(found) == 1 else ""
+
+
+def level_in_name(stem: str) -> str:
+    """Like "20 mVrms", of ``sweep_20mVrms``, and "-26 dBV", of ``run_-26dBV`` and ``run_m26dBV``; empty where the name
+    tells none, or several.
+    """
+    return _only(_quantity(one, one["unit"] or one["of"]) for one in _LEVEL.finditer(stem))
 
 
 def volts_in_name(stem: str) -> str:

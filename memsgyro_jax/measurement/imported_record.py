@@ -9,7 +9,7 @@ import numpy as np
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.units import parse_header, to_si
 
-from .begin_of_decay import begin_of_decay
+from .begin_of_decay import part_of_decay
 from .column_map import SECOND_DRIVE
 from .column_meaning import Meaning
 from .experiments.time_record import RING_TIMES
@@ -279,21 +279,22 @@ def _forced(about: dict, columns: dict[str, SourceColumn], assumed: list[str]) -
 
 
 def _decay(about: dict, columns: dict[str, SourceColumn], assumed: list[str]) -> ImportedRecord:
-    """A waveform that dies out, from where its envelope was last near its largest."""
+    """A waveform that dies out, as far as it is a decay that its converter could read."""
     signal, time = _louder(columns), columns["t"]
-    begin = begin_of_decay(signal)
-    if len(signal) - begin < _FEWEST:
+    part = part_of_decay(signal, columns["Vx"].unit, _FEWEST)
+    if part.end - part.begin < _FEWEST:
         raise InputError(
             f"{about['source']}: a record over time without a drive must be a vibration that dies away, but its "
             f"envelope falls over fewer than {_FEWEST} rows; name the drive with --map, or leave the file out."
         )
-    said = list(assumed)
-    if begin > 0.02 * len(signal):
-        said.append(f"the free decay begins at {time.values[begin]:.6g} {time.unit}, where its envelope falls for good")
-    else:
-        begin = 0
-    design = rough_decay(to_si(time.values[begin:], time.unit, "s", "t"), signal[begin:])
-    keys = stamps(time, said) | ({"from": {"value": float(time.values[begin]), "unit": time.unit}} if begin else {})
+    said, ends = list(assumed), {}
+    for key, words, row in (("from", part.why, part.begin), ("to", part.until, part.end - 1)):
+        if words:
+            said.append("the free decay " + words.format(f"{time.values[row]:.6g} {time.unit}"))
+            ends[key] = {"value": float(time.values[row]), "unit": time.unit}
+    rows = slice(part.begin, part.end)
+    design = rough_decay(to_si(time.values[rows], time.unit, "s", "t"), signal[rows])
+    keys = stamps(time, said) | ends
     return ImportedRecord(
         **about, kind="free_decay", columns=headed(columns), keys=keys, assumed=tuple(said), design=design
     )

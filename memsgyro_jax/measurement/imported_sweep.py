@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.quantity import amount_of_option
 from memsgyro_jax.base.units import to_si
 
-from .file_names import without_bias
+from .file_names import level_in_name, without_bias
 from .formats import SourceColumn, SourceTable
 from .immittance import PER_VOLT
 from .imported_columns import (
@@ -234,6 +235,10 @@ def level_of(table: SourceTable, drive: tuple[float, str] | None, assumed: list[
     """The drive level that no column holds."""
     if drive is not None:
         return {"value": drive[0], "unit": drive[1]}
+    if words := level_in_name(table.path.stem):
+        value, unit = amount_of_option(words, "--drive", "20 mV")
+        assumed.append(f"the drive is {words}, {value:.4g} {unit} at its peak, as the file's name says")
+        return {"value": value, "unit": unit}
     if found := _of_drive([*_LEVEL.finditer(without_bias(table.path.stem))]):
         value, unit = float(found[1].replace("p", ".")), found[2]
         assumed.append(f"the drive is {value:g} {unit}, as the file's name says")

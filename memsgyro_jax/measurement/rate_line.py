@@ -64,8 +64,8 @@ class Line:
 
     @property
     def ppm(self) -> float:
-        """What an output is multiplied with to be ppm of the full scale."""
-        return PPM / (abs(self.scale_factor) * float(np.degrees(self.full_scale)))
+        """What an output is multiplied with to be ppm of the full scale, positive where it tells of a greater rate."""
+        return PPM / (self.scale_factor * float(np.degrees(self.full_scale)))
 
     def of(self, weights: np.ndarray) -> Ranged:
         """A figure that is linear in the response."""

@@ -1,6 +1,7 @@
 """Rate logs: what a sensor at rest put out, as a CSV file."""
 
 import dataclasses
+import re
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,12 +13,14 @@ from memsgyro_jax.base.concrete import check_positive
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.table import Table
 from memsgyro_jax.base.text import listed
+from memsgyro_jax.base.units import parse_header
 
 from .clock import check_period
 from .log_table import log_table
 from .lost_rows import bridged
 
 
+_RATE = re.compile(r"gyr|rate|omega|ω|ang", re.I)
 _MISMATCH = 0.01  # relative, between times and a given sample rate
 
 
@@ -42,7 +45,8 @@ class RateLog(NamedTuple):
 def read_rate_log(path: str | Path, sample_rate: float | str | None = None, column: str | None = None) -> RateLog:
     """The rates of a CSV file with a header like ``t [s],rate_z [deg/h]``, in any unit of angular rate.
 
-    Every column of a rate is a series, or `column` alone; others are left out. The clock is the column of times, or
+    Every column of a rate is a series, or `column` alone; others are left out. A unit behind its name, as in
+    "Gyr_X [rad/s]", is that of a file which names none. The clock is the column of times, or
     `sample_rate` [Hz], which also takes times as they jitter for those of even sampling. Up to a tenth of the rows may
     be lost on an even clock: rows from beside, mirrored, stand in their place, and a note says so.
 
@@ -50,13 +54,13 @@ def read_rate_log(path: str | Path, sample_rate: float | str | None = None, colu
         InputError: with file, line and column for what `log_table` refuses, no or an unknown column of a rate, neither
             times nor `sample_rate` or both in contradiction, more lost rows than that, and times that jitter.
     """
-    table = log_table(path)
+    table, column = _named(log_table(path), column)
     rates = [name for name in table.columns if _measures(table, name, "rad/s")]
     times = [name for name in table.columns if _measures(table, name, "s")]
     if not rates or (column is not None and column not in rates):
         raise InputError(
             f'{table.path}: a rate log must have a column such as "{column or "rate"} [deg/s]", but has '
-            f"{listed((f'{name} [{unit}]' for name, unit in table.units.items()), '`')}."
+            f"{listed((f'{name} [{unit}]' for name, unit in table.units.items()), '`')}{_unit_to_say(table, column)}."
         )
     chosen = rates if column is None else [column]
     if len(times) > 1:
@@ -90,6 +94,25 @@ def read_rate_log(path: str | Path, sample_rate: float | str | None = None, colu
         tuple(notes) if whole is None else (*notes, whole.note),
         rate[-1] if beside else None,
     )
+
+
+def _named(table: Table, column: str | None) -> tuple[Table, str | None]:
+    """The table with the unit that stands behind the name of a `column` of it, and that name."""
+    if column is None or column in table.columns:
+        return table, column
+    try:
+        name, unit = parse_header(column)
+    except InputError:
+        return table, column
+    if name not in table.columns:
+        return table, column
+    return dataclasses.replace(table, units={**table.units, name: unit}), name
+
+
+def _unit_to_say(table: Table, column: str | None) -> str:
+    """What to do where the rates have no unit in the file; empty where no column seems to be one."""
+    bare = [name for name, unit in table.units.items() if unit == "1" and column in (None, name) and _RATE.search(name)]
+    return f'; if one of these is a rate, say its unit: `--column "{bare[0]} [deg/s]"` (`column`)' if bare else ""
 
 
 def _measures(table: Table, name: str, unit: str) -> bool:

@@ -106,7 +106,8 @@ def read_plateaus(
         raise InputError(
             f"{table.path}: a test must have {_MOST} plateaus or fewer, but has {len(read.rate)}; judge its runs apart."
         )
-    said = [f"Columns not used: {listed(columns.unused, '`')}."] if columns.unused else []
+    said = [f"The rate is `{columns.rate} [{table.units[columns.rate]}]`, the output `{columns.output}`."]
+    said += [f"Columns not used: {listed(columns.unused, '`')}."] if columns.unused else []
     if 2 * (read.run.max() + 1) > len(read.rate):  # a number of each plateau
         said += [f"Column `{columns.run}` has hardly two plateaus a run, and tells no runs."] if columns.run else []
         read = replace(read, run=np.zeros(len(read.rate), int))

@@ -30,7 +30,8 @@ def scale_factor_rows(line: Line) -> dict[str, MeasuredFigure]:
     unit, slope = line.read.unit, line.of(line.weights[1])
     is_rate = unit == "deg/s"
     per_rate = "1" if is_rate else f"{unit}/(deg/s)" if unit != "1" else "1/(deg/s)"
-    off = f"{PPM * (slope.value - 1.0):+.4g} ppm off 1" if is_rate else ""
+    one = np.copysign(1.0, slope.value)
+    off = f"{PPM * (abs(slope.value) - 1.0):+.4g} ppm off {one:.0f}" if is_rate else ""
     hidden = "with any drift of the bias in it" if line.holds_drift else ""
     rows = {"scale_factor": slope.figure("scale factor", per_rate, ", ".join(filter(None, (off, hidden))))}
     zero = line.of(line.weights[0])
@@ -159,7 +160,7 @@ def hysteresis_row(line: Line) -> MeasuredFigure:
     title, unit = "hysteresis, from below less from above", _OF_FULL_SCALE
     one = line.effect(DIRECTION)
     if one is not None:
-        scaled = Ranged(line.ppm * one.value, line.ppm * one.reach)
+        scaled = Ranged(line.ppm * one.value, abs(line.ppm) * one.reach)
         return scaled.figure(title, unit, WITHIN_NOISE if line.known and not scaled.told else "")
     why = _CONFOUNDED if DIRECTION in line.design.left else "each rate but zero is approached from one side"
     return MeasuredFigure(title, None, -np.inf, np.inf, unit, why)

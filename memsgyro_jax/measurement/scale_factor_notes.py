@@ -85,6 +85,11 @@ def sequence_notes(line: Line) -> tuple[str, ...]:
         said.append("Nothing tells the noise of the means: repeat plateaus, or give the raw log; no interval is told.")
     elif not line.found.spare:
         said.append("Intervals are of the noise within plateaus alone: what moves the output between does not show.")
+    if line.read.unit == "deg/s" and line.scale_factor < 0.0:
+        said.append(
+            "The output falls as the rate rises: the gyro stands upside down on the table, or one of the two counts "
+            "the other way round; negate the rate's column if it is the table."
+        )
     bias = line.of(line.weights[0])
     if bias.reach / abs(line.scale_factor) < _EARTH:
         said.append(

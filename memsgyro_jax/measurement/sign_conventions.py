@@ -15,8 +15,8 @@ from .experiments.base import Phasors
 from .phasor_fit import device_of_phasors
 
 
-_BETTER = 0.1  # of the squared misfit as labelled, which another reading must come to
-_WITHIN = 0.5  # of the squared reading, which its misfit must stay within
+BETTER = 0.1  # of the squared misfit as labelled, which another reading must come to
+WITHIN = 0.5  # of the squared reading, which its misfit must stay within
 _READINGS: tuple[tuple[Callable[[Any], Any], str, str], ...] = (
     (lambda x: x, "", ""),
     (np.conj, "recorded with e^{-iωt}", '`convention = "exp(-iwt)"`'),
@@ -49,15 +49,15 @@ def disagreements(records: Sequence[tuple[str, Phasors | None]]) -> list[str]:
 
 def _reads_as(device: NormalisedDevice, one: Phasors) -> str:
     """What the phasors read as beside what the device would show; empty where they are as labelled or fit nothing."""
-    predicted = _predicted(device, one)
-    channels = [k for k in range(predicted.shape[1]) if _strong(one, k)]
-    names = [""] if predicted.shape[1] == 1 else ["channel x ", "channel y "]
+    wanted = predicted(device, one)
+    channels = [k for k in range(wanted.shape[1]) if _strong(one, k)]
+    names = [""] if wanted.shape[1] == 1 else ["channel x ", "channel y "]
     said = []
     for channel in channels:
-        seen, want = (part[:, channel] * one.weight for part in (one.motion, predicted))
-        errors = [_misfit(turn(seen), want) for turn, _, _ in _READINGS]
+        seen, want = (part[:, channel] * one.weight for part in (one.motion, wanted))
+        errors = [misfit(turn(seen), want) for turn, _, _ in _READINGS]
         best = int(np.argmin(errors))
-        if best and errors[best] < min(_BETTER * errors[0], _WITHIN):
+        if best and errors[best] < min(BETTER * errors[0], WITHIN):
             _, how, remedy = _READINGS[best]
             said.append(f"{names[channel]}{how}; if so, give it {remedy}")
     return ", ".join(said)
@@ -69,13 +69,14 @@ def _strong(one: Phasors, channel: int) -> bool:
     return bool(size[channel] > 0.3 * size.max())
 
 
-def _misfit(seen: np.ndarray, want: np.ndarray) -> float:
+def misfit(seen: np.ndarray, want: np.ndarray) -> float:
     """Share of the squared reading that a positive multiple of the prediction leaves."""
     gain = max(float(np.real(np.vdot(want, seen)) / max(np.linalg.norm(want) ** 2, 1e-300)), 0.0)
     return float(np.linalg.norm(seen - gain * want) ** 2 / np.linalg.norm(seen) ** 2)
 
 
-def _predicted(device: NormalisedDevice, one: Phasors) -> np.ndarray:
+def predicted(device: NormalisedDevice, one: Phasors) -> np.ndarray:
+    """The motion (n, axes) [m] that a device has under the forces of a record."""
     stiffness, damping = np.asarray(device.stiffness_matrix), np.asarray(device.damping_matrix)
     turn = 1j * one.omega[:, None, None]
     operator = stiffness + turn**2 * np.eye(len(stiffness)) + turn * damping

@@ -1,6 +1,7 @@
 """What the columns of a rate-table test are: by their units, their names, or as the user says."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,11 +15,14 @@ from memsgyro_jax.base.units import parse_header
 from .log_table import log_table
 
 
-_APPLIED = re.compile(r"table|command|applied|input|reference|\bref|set ?point|stimul|encoder|true|drehtisch", re.I)
-_PUT_OUT = re.compile(r"out|gyro|sensor|dut|uut|meas|signal|reading|response", re.I)
+_APPLIED = re.compile(
+    r"table|command|applied|input|reference|\bref|set ?point|stimul|encoder|true|tisch|drehzahl|soll", re.I
+)
+_PUT_OUT = re.compile(r"out|gyro|sensor|dut|uut|meas|signal|reading|response|ausgang|kreisel", re.I)
 _SCATTER = re.compile(r"\b(std|stdev|stddev|sd|sigma|rms|noise|deviation)\b", re.I)
 _RUN = re.compile(r"\b(run|turn on|power on|sequence|cycle|repeat|lauf)\b", re.I)
 _TEMPERATURE = re.compile(r"^T$|\b[tT]emp|°")
+_A_MINUTE = re.compile(r"(1/min|min *(\^ *|\*\* *)?(-1|⁻¹))")  # of a table's rate, turns
 _DIRECTION = re.compile(r"\b(dir|direction|sense|richtung)\b", re.I)
 
 
@@ -43,7 +47,7 @@ def table_of(source: Any) -> Table:
         InputError: for what `log_table` refuses, and columns that are not finite numbers of one length.
     """
     if isinstance(source, str | Path):
-        return log_table(source)
+        return _in_turns(log_table(source))
     try:
         columns = {str(name): np.asarray(source[name], float) for name in source}
     except (AttributeError, TypeError, ValueError) as error:
@@ -58,7 +62,13 @@ def table_of(source: Any) -> Table:
     headers = [parse_header(name) for name in columns]
     named = {header.name: values for header, values in zip(headers, columns.values(), strict=True)}
     units = {header.name: header.unit for header in headers}
-    return Table(Path("source"), named, units, np.arange(1, len(next(iter(columns.values()))) + 1))
+    return _in_turns(Table(Path("source"), named, units, np.arange(1, len(next(iter(columns.values()))) + 1)))
+
+
+def _in_turns(table: Table) -> Table:
+    """The table with `rpm` for 1/min, in which many rate tables tell their rate, and which is no angle in SI."""
+    units = {name: "rpm" if _A_MINUTE.fullmatch(unit) else unit for name, unit in table.units.items()}
+    return replace(table, units=units)
 
 
 def columns_of_test(table: Table, rate: str | None, output: str | None) -> TableColumns:

@@ -16,6 +16,7 @@ from .clock import usual_period
 CYCLES = 6  # of the vibration in a window at least
 ROWS = 12  # in a window at least
 ROUNDS = 8  # of moving the frequency
+STRAYED = 0.5  # of a frequency: a window that moves it farther shows no vibration there
 SURE = 2.0  # standard deviations by which a frequency must differ
 SEEN = 10.0  # standard deviations of its own from which an amplitude counts
 
@@ -149,24 +150,36 @@ def _window(values: np.ndarray, tau: np.ndarray, omega: float) -> tuple[Any, ...
     """Phasor, its standard deviation, frequency, its, decay rate, its, and the constant beside it, from values at times
     `tau` about the middle of their window [s].
     """
-    half = max(float(tau[-1]), 1e-300)
+    half, start, first = max(float(tau[-1]), 1e-300), omega, None
+    if not np.ptp(values) > 0:  # what has died away below the step of a converter
+        return 0j, 0.0, omega, np.inf, 0.0, np.inf, float(values[0])
     for _ in range(ROUNDS):
-        turn = np.exp(1j * omega * tau)
-        wave = np.stack([turn, 1j * turn, tau / half * turn, 1j * tau / half * turn], axis=1)
-        columns = np.concatenate([wave.real, np.ones((len(tau), 1))], axis=1)
-        found, _, _, _ = np.linalg.lstsq(columns, values)
-        a, b = found[0] + 1j * found[1], (found[2] + 1j * found[3]) / half
-        rate = b / a
+        columns, found = _wave(values, tau, half, omega)
+        first = first or (columns, found)
+        rate = (found[2] + 1j * found[3]) / (found[0] + 1j * found[1]) / half
         move = float(np.clip(rate.imag, -1.0 / half, 1.0 / half))
         omega += move
+        if abs(omega - start) > STRAYED * start:
+            (columns, found), omega = first, start
+            rate = (found[2] + 1j * found[3]) / (found[0] + 1j * found[1]) / half
+            break
         if abs(move) < 1e-9 * abs(omega) + 1e-12:
             break
+    a = found[0] + 1j * found[1]
     left = values - columns @ found
     freedom = max(1, len(values) - columns.shape[1])
     spread = np.sqrt(np.maximum(np.diag(np.linalg.pinv(columns.T @ columns)), 0.0) * float(left @ left) / freedom)
     slope = float(np.hypot(spread[2], spread[3])) / np.sqrt(2) / half / abs(a)
     level = float(np.hypot(spread[0], spread[1])) / np.sqrt(2)
     return a, level, omega, slope, -rate.real, slope, float(found[4])
+
+
+def _wave(values: np.ndarray, tau: np.ndarray, half: float, omega: float) -> tuple[np.ndarray, np.ndarray]:
+    """Columns of a vibration whose size changes evenly, and of a constant, and how much of each there is."""
+    turn = np.exp(1j * omega * tau)
+    wave = np.stack([turn, 1j * turn, tau / half * turn, 1j * tau / half * turn], axis=1)
+    columns = np.concatenate([wave.real, np.ones((len(tau), 1))], axis=1)
+    return columns, np.linalg.lstsq(columns, values)[0]
 
 
 def _phasors(values: np.ndarray, tau: np.ndarray, omega: float) -> tuple[Any, ...]:

@@ -10,6 +10,9 @@ import pytest
 import memsgyro_jax as mg
 from memsgyro_jax.app import cli
 from memsgyro_jax.measurement.begin_of_decay import begin_of_decay
+from memsgyro_jax.measurement.column_meaning import meaning_of
+from memsgyro_jax.measurement.formats import read_instrument_file
+from memsgyro_jax.measurement.imported_record import Given, records_of
 
 
 def ring_down(path, frequency=3200.0, quality=2000.0, rows=4000, rate=20e3):
@@ -73,6 +76,23 @@ def test_a_decay_that_hardly_falls_begins_at_its_first_row(tmp_path, quality, no
     (tmp_path / "slow.csv").write_text("\n".join(["t [s],y [V]", *rows]))
     (record,) = mg.import_case([tmp_path / "slow.csv"], tmp_path / "case").case.records
     assert (record.kind, record.rows) == ("free_decay", 30000)
+
+
+def test_a_decay_that_is_clipped_first_begins_behind(tmp_path):
+    """On an oscilloscope whose range is 0.4 of the swing: what was clipped told a quality factor of 340, of 240."""
+    time = np.arange(12000) / 10e3
+    signal = 2.4 * np.exp(-np.pi * 523 / 240 * time) * np.cos(2 * np.pi * 523 * time)
+    steps = np.clip(np.round(signal * 128.0) / 128.0, -1.0, 127.0 / 128.0)
+    (tmp_path / "scope.csv").write_text(
+        "\n".join(["t [s],y [V]", *(f"{t:.5f},{v:.6f}" for t, v in zip(time, steps, strict=True))])
+    )
+    _, (table,) = read_instrument_file(tmp_path / "scope.csv")
+    (record,) = records_of("scope", table, meaning_of(table, {}), Given())
+    assert "where it is no longer clipped" in str(record.assumed)
+    assert "where it falls below four steps of 0.00781 V" in str(record.assumed)
+    assert record.keys["to"]["value"] == pytest.approx(240 / np.pi / 523 * np.log(2.4 * 128 / 4), abs=0.02)
+    assert record.keys["from"]["value"] == pytest.approx(240 / np.pi / 523 * np.log(2.4), abs=2e-3)
+    assert record.design["quality_factor"][0] == pytest.approx(240.0, rel=0.02)
 
 
 @pytest.mark.parametrize(("kept_up", "first"), [(0.0, 0), (0.03, 150)])

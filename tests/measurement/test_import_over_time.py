@@ -119,6 +119,10 @@ def test_two_waveforms_that_die_out_are_a_free_decay_of_two_axes(names, columns,
             mg.import_case([path], case)
         with pytest.raises(InputError, match="no record that may be fitted shows a clear resonance"):
             mg.import_case([path], case, columns=columns)
+        again = tmp_path / "again.csv"
+        again.write_text("\n".join(path.read_text().splitlines()[:3000]))
+        with pytest.raises(InputError, match=r"in `scope`, `again` channel x is the louder one.*exchanged\?"):
+            mg.import_case([path, again], tmp_path / "two", columns=columns)
         return
     sweep, decay = mg.import_case([swept(tmp_path / "drive_x_10mV.csv"), path], case).case.records
     assert (sweep.kind, decay.kind) == ("frequency_sweep", "free_decay")

@@ -36,3 +36,17 @@ def test_what_is_no_number_is_refused_in_both(tmp_path):
         (tmp_path / "log.csv").write_text("\n".join([head, *rows]) + "\n")
         with pytest.raises(InputError, match=r"rate.*number"):
             log_table(tmp_path / "log.csv")
+
+
+def test_the_unit_of_a_rate_may_be_said_where_the_file_names_none(tmp_path):
+    """As an inertial module exports its packets."""
+    path = tmp_path / "imu.csv"
+    rows = [f"{k + 65000},{np.radians(RATE[k]):.12f},0.0" for k in range(60)]
+    path.write_text("\n".join(["PacketCounter,Gyr_X,Gyr_Y", *rows]) + "\n")
+    with pytest.raises(InputError, match=r'say its unit: `--column "Gyr_X \[deg/s\]"`'):
+        read_rate_log(path, 100.0)
+    log = read_rate_log(path, 100.0, "Gyr_X [rad/s]")
+    np.testing.assert_allclose(np.degrees(log.rate), [RATE], atol=1e-9)
+    assert log.names == ("Gyr_X",)
+    with pytest.raises(InputError, match="must have a column such as"):
+        read_rate_log(path, 100.0, "Gyr_Z [rad/s]")

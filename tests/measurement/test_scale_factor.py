@@ -209,6 +209,22 @@ def test_counts_of_any_unit_and_exact_numbers():
     assert found.to_xarray().attrs["output_unit"] == "LSB"
 
 
+def test_a_gyro_upside_down_on_a_table_that_tells_turns_a_minute(tmp_path):
+    """Its rate was taken for the output where the unit is 1/min, and its curve had the other sign."""
+    turns = np.array([0.0, 10, -10, 20, -20, 30, -30, 40, -40, 50, -50, 0.0])
+    true = -6.0 * turns
+    output = 1.7 + true * (1.0 + 200e-6 * (true / 300.0) ** 2) + 1e-4 * np.cos(7.0 * np.arange(12))
+    for header in ("Drehzahl [1/min],Ausgang [deg/s]", "speed [rev/min],gyro [deg/s]", "table [RPM],output [deg/s]"):
+        found = mg.scale_factor_test(log(tmp_path / "turns.csv", header, turns, output))
+        assert found.unit == "deg/s"
+        np.testing.assert_allclose(found.rate, 2 * np.pi / 60 * turns)
+        assert held(found.figures["cubic"], 200.0)
+        assert found.figures["cubic"].low > 100.0
+        assert "ppm off -1" in found.figures["scale_factor"].verdict
+        assert "upside down" in " ".join(found.notes)
+        assert "The rate is `" + header.split(" ")[0] in str(found)
+
+
 @pytest.mark.parametrize(
     ("source", "options", "words"),
     [

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from memsgyro_jax.measurement.tracking import tracked
+from memsgyro_jax.measurement.tracking import rough_decay, tracked
 
 
 HERTZ, QUALITY, RATE, NOISE = 8e3, 1500.0, 64e3, 1 / 300
@@ -42,3 +42,24 @@ def test_each_window_is_told_with_the_noise_that_it_has(phasors):
         off = (value - truth) / std
         assert np.mean(off) == pytest.approx(0.0, abs=4 / np.sqrt(off.size))
         assert np.std(off) == pytest.approx(1.0, abs=within)
+
+
+def test_windows_in_which_nothing_is_left_of_a_vibration_are_not_seen():
+    """A decay on a converter of eight bits, whose end is zero in every row."""
+    time, volts = decay(12800, 2)
+    steps = np.round(volts * 8.0) / 8.0
+    track = tracked(time, steps, (2 * np.pi * 7e3, 2 * np.pi * 9e3))
+    assert track.amplitude[-1] == 0.0
+    assert np.all(np.isfinite(track.omega) & np.isfinite(track.decay))
+    assert track.seen.time.size < track.time.size
+    assert rough_decay(time, steps)["quality_factor"][0] == pytest.approx(QUALITY, rel=0.1)
+
+
+def test_a_step_of_a_converter_beside_zeros_is_no_vibration():
+    """Its frequency went to zero, where a wave and a constant are one, and its amplitude beyond all that was read."""
+    time = np.arange(4000) / RATE
+    volts = np.round(8.0 * np.exp(-400.0 * time) * np.cos(2 * np.pi * HERTZ * time)) / 8.0
+    volts[[3000, 3001, 3400]] = 0.125
+    track = tracked(time, volts, (0.0, np.pi * RATE))
+    assert track.amplitude.max() < 1.05
+    assert rough_decay(time, volts)["resonance"][0] == pytest.approx(HERTZ, rel=1e-3)

@@ -27,7 +27,7 @@ def allan_command(
     Args:
         log: CSV file.
         rate: sample rate in Hz; for a file without times, or one whose times jitter.
-        column: the column of a rate to take, without it all.
+        column: the column of a rate to take, without it all; like "Gyr_X [rad/s]" where the file has no unit.
         start: seconds to leave out at the beginning.
         band: shortest and longest averaging time of the fit in s.
         json: file for the machine-readable result.

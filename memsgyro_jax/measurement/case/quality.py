@@ -9,6 +9,7 @@ from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.text import aligned, spoken
 
 from ..channel_noise import spoken_levels
+from ..exchanged_axes import all_exchanged, exchanged_axes
 from ..experiments import AbstractRecord
 from ..experiments.base import Phasors
 from ..one_place import in_one_place
@@ -120,7 +121,10 @@ def _phasors(case: Case) -> list[tuple[str, Phasors | None]]:
 def _contradictions(case: Case, phasors: Sequence[tuple[str, Phasors | None]]) -> list[str]:
     near = {*map(id, in_one_place(case.environment, case.records))}
     alike = [one for record, one in zip(case.records, phasors, strict=True) if id(record) in near]
-    found = [*disagreements(phasors), *(out_of_line(alike) if case.channels == 1 else ())]
+    exchanged = exchanged_axes(phasors) if case.channels == 2 else {}
+    others = [(name, one) for name, one in phasors if name not in exchanged]
+    found = [*exchanged.values(), *disagreements(others), *(out_of_line(alike) if case.channels == 1 else ())]
+    found += [said] if case.channels == 2 and (said := all_exchanged(phasors)) else []
     return [sentence if sentence.endswith("?") else f"{sentence}." for sentence in found]
 
 

@@ -1,16 +1,19 @@
 """What a case leaves open, as its files tell it: units of drive and readings, and design values not declared."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.text import listed
 from memsgyro_jax.base.units import parse_header, to_si
 from memsgyro_jax.device.normalised import NormalisedDevice
 
 from ..declared import VOCABULARIES, DesignValue
+from ..exchanged_axes import all_exchanged
+from ..experiments import AbstractRecord
 from ..experiments.base import Phasors
 from ..one_place import in_one_place
 from ..phasor_fit import device_of_phasors, is_seen, most_linear
@@ -93,7 +96,8 @@ def with_found_design(case: Case, file: CaseFile, path: Path) -> Case:
             return _with_told(case, file, _uncoupled(case, open_))
         needed = ", ".join(BY_HAND[key] for key in open_ if key in BY_HAND) or ", ".join(open_)
         raise OpenDesign(
-            f"{path}, `design`: must give {needed}, as no record that may be fitted shows a clear resonance."
+            f"{path}, `design`: must give {needed}, as no record that may be fitted shows a clear resonance"
+            + (f": {said}{'' if said.endswith('?') else '.'}" if (said := _exchanged(case, fitted)) else ".")
         )
     found = _numbers(case, *(np.asarray(part) for part in (device.stiffness, device.damping, device.mobility)))
     told = {key: DesignValue.found(found[key]) for key in open_}
@@ -101,6 +105,21 @@ def with_found_design(case: Case, file: CaseFile, path: Path) -> Case:
     if by_mass is not None and not by_mass.unknown:
         told["static_gain"] = by_mass
     return _with_told(case, file, told)
+
+
+def _exchanged(case: Case, fitted: Sequence[AbstractRecord]) -> str:
+    """Why none may show it: x and y of all sweeps are exchanged, or all decays are those of one axis; else empty."""
+    if case.channels < 2:
+        return ""
+    heard = {r.name: np.array(modes)[:, 0] for r in fitted if (modes := r.free_modes(case)) is not None}
+    louder = {int(np.argmax(sizes)) for sizes in heard.values()}
+    if len(heard) < 2 or len(louder) != 1:
+        return all_exchanged([(record.name, record.starting_phasors(case)) for record in fitted])
+    loud, other = ("x", "y") if louder == {0} else ("y", "x")
+    return (
+        f"in {listed(heard, '`')} channel {loud} is the louder one, so that none is a decay of {other}; are the "
+        "channels of one exchanged?"
+    )
 
 
 def _with_told(case: Case, file: CaseFile, told: dict[str, DesignValue]) -> Case:

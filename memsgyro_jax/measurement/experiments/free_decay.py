@@ -20,6 +20,7 @@ from ..tracking import Track, tracked
 from .base import CartesianNoise, Readings, RealNoise, surroundings
 from .checks import check_sampling
 from .clocked import CONDITIONS, WaveformRecord, surroundings_told
+from .converter_steps import lost_in_steps
 from .decay_pieces import FreeDecay
 from .deviation import Deviation, Series, in_phase, segments
 from .missing_force import TimeForce
@@ -249,4 +250,15 @@ class FreeDecayRecord(WaveformRecord):
     def warnings(self, declared: Declared) -> list[str]:
         loud = [self.track(declared, channel).seen.time.size for channel in range(declared.channels)]
         silent = f"{self.file}: nothing that vibrates stands clear of the noise; is `from` right?"
-        return [*super().warnings(declared), *([] if max(loud) > 0 else [silent])]
+        told = [*super().warnings(declared), *([] if max(loud) > 0 else [silent])]
+        return told if np.iscomplexobj(self.signals) else told + self._hidden()
+
+    def _hidden(self) -> list[str]:
+        """A sentence where the vibration goes on below the steps in which it was read."""
+        every = [lost_in_steps(signal) for signal in self.signals.T]
+        end, step = max(every)
+        if end == self.rows:
+            return []
+        at = f"{self.time[end - 1]:.6g}"
+        below = f"from {at} s on the decay is smaller than four steps of {step:.3g}, in which it was read, and which"
+        return [f'{self.file}: {below} hide what is smaller; end it there by `to = {{ value = {at}, unit = "s" }}`.']

@@ -23,6 +23,7 @@ _COMMENT = re.compile(r"^\s*(?:#|%|//|!|\*)+\s?")
 _PAIR = re.compile(r"^\s*([^:=,;\t]{1,60}?)\s*[:=,;\t]\s*(\S.*?)[\s,;]*$")
 _UNIT_FIRST = re.compile(r"^\[\s*([^\[\]]+?)\s*\]\s*(\w*)$")  # a line of units with a part of the name behind each
 _MOMENT = re.compile(r"(?:(?P<day>\d{4}-\d\d-\d\d)[T ])?(?P<clock>\d{1,2}:\d\d:\d\d)(?P<part>[.,]\d+)?Z?")
+_NUMBERED = re.compile(r"X,.+,Start,Increment,?", re.I)
 _POINT = re.compile(NUMBER)
 _COMMA = re.compile(NUMBER.replace(r"\.", ","))
 _MISSING = {"", "nan", "-nan", "1.#qnan", "nan(ind)", "-nan(ind)", "inf", "+inf", "-inf", "--", "n/a", "na", "1.#inf"}
@@ -86,8 +87,10 @@ class Delimited(Format):
 
 def _without_settings(lines: list[str]) -> list[str]:
     """Lines of an oscilloscope that writes its settings in three columns beside time and signal, these two with the
-    units that the settings name; other lines as they are.
+    units that the settings name, or numbers its samples and names their distance; other lines as they are.
     """
+    if _NUMBERED.fullmatch(lines[0].strip()) and len(lines) > 2:
+        return _timed_by_number(lines)
     if not lines[0].startswith("Record Length,"):
         return lines
     cells = [line.rstrip(",").split(",") for line in lines if line.strip(",")]
@@ -97,6 +100,21 @@ def _without_settings(lines: list[str]) -> list[str]:
     across, up = (told.get(f"{axis} Units") or usual for axis, usual in (("Horizontal", "s"), ("Vertical", "V")))
     head = f"time [{across}],{told.get('Source') or 'signal'} [{up}]"
     return [head, *(",".join(row[3:]) for row in cells)]
+
+
+def _timed_by_number(lines: list[str]) -> list[str]:
+    """Lines with times in place of the numbers of samples, by the start and the increment of the second line."""
+    names = lines[0].strip().rstrip(",").split(",")[1:-2]
+    units = lines[1].strip().rstrip(",").split(",")
+    try:
+        begin, step = map(float, units[-2:])
+        cells = [line.split(",") for line in lines[2:] if line.strip(", ")]
+        times = [begin + step * float(row[0]) for row in cells]
+    except (ValueError, IndexError):
+        return lines
+    head = [f"{name} [{unit.strip().title()}]" for name, unit in zip(names, units[1:], strict=False)]
+    rows = [",".join([f"{t:.12g}", *row[1 : 1 + len(names)]]) for t, row in zip(times, cells, strict=True)]
+    return [",".join(["time [s]", *head]), *rows]
 
 
 def decoded(data: bytes) -> tuple[str, str] | None:

@@ -11,7 +11,7 @@ from measurement.case.bench import NOISE, write_bench
 from scipy import signal, stats
 
 import memsgyro_jax
-from memsgyro_jax.measurement.beside_design import beside_design
+from memsgyro_jax.measurement.beside_design import _number, beside_design
 from memsgyro_jax.measurement.case import assess, load_case
 from memsgyro_jax.measurement.import_case import import_case
 from memsgyro_jax.measurement.least_squares import gate
@@ -337,6 +337,13 @@ def test_short_drives_dwells_and_records_are_told(bench):
 @pytest.mark.parametrize("name", ["P1", "P4", "silverbox"])
 def test_public_cases_have_the_noise_they_declare_and_no_outlier(name):
     assert assess(load_case(CASES / name)).warnings == ()
+
+
+def test_a_resonance_without_a_width_is_told_as_that():
+    """Sweeps at several drives that were all taken for one showed "87.3569999999999993 kHz" and 8.747e+15."""
+    omega = 2 * np.pi * 87_357.0
+    assert _number("resonance", omega, 8.747e15) == "87.357 kHz"
+    assert _number("quality_factor", 8.747e15, 8.747e15).startswith("no width of the resonance")
 
 
 def test_what_the_weakest_sweeps_show_stands_beside_the_design(tmp_path):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from memsgyro_jax.measurement.experiments.clipping import clipped
+from memsgyro_jax.measurement.experiments.clipping import clipped, clipped_rows
 
 
 def sine(rows=2000, a_period=10.3, amplitude=1.0, phase=0.3, noise=0.0):
@@ -36,3 +36,21 @@ def test_neither_silence_nor_a_decay_nor_noise_is():
     for values in (np.zeros(50), sine(4000) * np.exp(-time / 300), np.random.default_rng(2).normal(size=4000)):
         for step in (1e-9, 2.0**-6):
             assert clipped("a.csv", "channel x", np.round(values / step) * step, "") == []
+
+
+def test_a_decay_that_is_clipped_at_its_begin_is_told_whatever_follows():
+    """A ring-down on an oscilloscope: nine tenths of its rows lie at zero."""
+    time = np.arange(20_000)
+    for noise in (0.0, 2e-3):
+        values = 2.4 * sine(20_000, a_period=19.1, noise=noise) * np.exp(-time / 1000)
+        steps = np.round(np.clip(values, -1.0, 1.0 - 2.0**-7) * 2.0**7) / 2.0**7
+        assert len(clipped("scope.csv", "channel x", steps, " V")) == 2
+        assert np.isclose(clipped_rows(steps)[-1], 1000 * np.log(2.4), atol=20)
+
+
+def test_a_vibration_that_was_kept_up_before_it_died_out_is_not():
+    time = np.arange(8000)
+    for a_period in (4, 5, 6, 12, 100, 19.1):
+        values = sine(8000, a_period=a_period, phase=0.0) * np.exp(-np.maximum(time - 6000, 0) / 300)
+        for step in (2.0**-4, 2.0**-9):
+            assert clipped_rows(np.round(values / step) * step).size == 0

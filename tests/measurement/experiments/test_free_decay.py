@@ -140,6 +140,18 @@ def test_eliminated_starts_are_those_of_a_fit_of_everything(hardening):
     assert pieces > 4
 
 
+def test_a_decay_below_the_steps_in_which_it_was_read_is_to_end_there(tmp_path):
+    """It left 1.7 times its noise beside the right law, and was called unknown."""
+    time = np.arange(2400) * 2e-3
+    steps = np.round(2.0 * np.exp(-2.0 * time) * np.cos(2 * np.pi * 37.0 * time) * 32.0) / 32.0
+    case = written(tmp_path, time, {"y [V]": steps}, 37.0)
+    (said,) = case.records[0].warnings(case)
+    end = float(said.split("`to = { value = ")[1].split(",")[0])
+    assert end == pytest.approx(0.5 * np.log(2.0 * 32.0 / 4.0), abs=0.05)
+    ended = written(tmp_path, time, {"y [V]": steps}, 37.0, f'to = {{ value = {end}, unit = "s" }}')
+    assert ended.records[0].warnings(ended) == []
+
+
 def test_rows_that_are_left_out_have_no_say(hardening):
     (readings,) = readings_of(hardening)[:1]
     (without,) = without_rows([readings], {0: (int(readings.row[40]),)})

@@ -240,12 +240,32 @@ def test_a_wrong_map_is_one_sentence(text, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("stem", "level"), [("sweep_20mV_up", (20.0, "mV")), ("s 0.5 nN", (0.5, "nN")), ("run12", (1.0, "V"))]
+    ("stem", "level"),
+    [
+        ("sweep_20mV_up", (20.0, "mV")),
+        ("s 0.5 nN", (0.5, "nN")),
+        ("run12", (1.0, "V")),
+        ("run_-20dBV_up", (np.sqrt(0.02), "V")),
+        ("run_m10dBm", (0.1, "V")),
+        ("run-10dBm", (1.0, "V")),
+        ("x7_20mVpp", (10.0, "mV")),
+    ],
 )
 def test_the_drive_level_from_the_name_of_the_file(stem, level, tmp_path):
     w.semicolons(tmp_path / f"{stem}.csv")
     (record,) = imported(tmp_path / f"{stem}.csv")
-    assert record.keys["drive_force"] == {"value": level[0], "unit": level[1]}
+    assert record.keys["drive_force"] == {"value": pytest.approx(level[0]), "unit": level[1]}
+
+
+@pytest.mark.parametrize("names", [("I_re", "I_im"), ("Re(I)", "Im(I)"), ("I real", "I imag")])
+def test_the_letter_of_a_current_is_no_part_of_it(names, tmp_path):
+    real, imaginary = names
+    rows = [f"{f},0.1,{1e9 * z.real},{1e9 * z.imag}" for f, z in zip(w.FREQUENCY, w.RESPONSE, strict=True)]
+    header = f"Frequency [Hz],V_exc [Vrms],{real} [nA],{imaginary} [nA]"
+    (tmp_path / "a.csv").write_text("\n".join([header, *rows]))
+    (record,) = imported(tmp_path / "a.csv")
+    assert_is_the_sweep(record, "A")
+    np.testing.assert_allclose(column(record, "F_x", "V"), 0.1 * np.sqrt(2.0))
 
 
 def over_time(rows=60, step=1e-3, mark="."):
@@ -301,6 +321,17 @@ def test_oscilloscopes(head, tmp_path):
     np.testing.assert_allclose(record.columns["t [s]"], np.arange(400) * 1e-4)
     assert record.design["resonance"][0] == pytest.approx(0.5e4 / (2 * np.pi), rel=1e-3)
     assert record.design["quality_factor"][0] == pytest.approx(25.0, rel=0.05)
+
+
+@pytest.mark.parametrize("end", ["", ",,"])
+def test_an_oscilloscope_that_numbers_its_samples(end, tmp_path):
+    rows = [f"{n},{np.exp(-n / 100) * np.cos(0.5 * n):.6e}{end}" for n in range(400)]
+    head = ["X,CH1,Start,Increment,", "Sequence,Volt,-2.000000e-03,1.000000e-04"]
+    (tmp_path / "a.csv").write_text("\n".join([*head, *rows]) + "\n")
+    (record,) = imported(tmp_path / "a.csv")
+    assert record.kind == "free_decay"
+    np.testing.assert_allclose(column(record, "t", "s"), -2e-3 + 1e-4 * np.arange(400), atol=1e-12)
+    assert "Vx [V]" in record.columns
 
 
 def test_power_spectra_are_no_responses(tmp_path, monkeypatch):
