@@ -13,7 +13,7 @@ from memsgyro_jax.base.text import listed
 
 from .experiments.base import Phasors
 from .phasor_fit import device_of_phasors
-from .sign_conventions import BETTER, WITHIN, misfit, predicted
+from .sign_conventions import BETTER, WITHIN, predicted, share_left
 
 
 _MUCH = 3.0  # times the driven axis: more than a coupling within a design's tolerances makes
@@ -90,4 +90,4 @@ def _read_as(one: Phasors, reading: _Reading) -> Phasors:
 def _misfit(want: np.ndarray, one: Phasors, reading: _Reading) -> float:
     """Share of the squared motion that a positive multiple of the prediction leaves."""
     seen = one.motion[:, ::-1] if reading.channels else one.motion
-    return misfit((seen * one.weight[:, None]).ravel(), (want * one.weight[:, None]).ravel())
+    return share_left((seen * one.weight[:, None]).ravel(), (want * one.weight[:, None]).ravel())

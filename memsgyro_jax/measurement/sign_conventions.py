@@ -55,7 +55,7 @@ def _reads_as(device: NormalisedDevice, one: Phasors) -> str:
     said = []
     for channel in channels:
         seen, want = (part[:, channel] * one.weight for part in (one.motion, wanted))
-        errors = [misfit(turn(seen), want) for turn, _, _ in _READINGS]
+        errors = [share_left(turn(seen), want) for turn, _, _ in _READINGS]
         best = int(np.argmin(errors))
         if best and errors[best] < min(BETTER * errors[0], WITHIN):
             _, how, remedy = _READINGS[best]
@@ -69,7 +69,7 @@ def _strong(one: Phasors, channel: int) -> bool:
     return bool(size[channel] > 0.3 * size.max())
 
 
-def misfit(seen: np.ndarray, want: np.ndarray) -> float:
+def share_left(seen: np.ndarray, want: np.ndarray) -> float:
     """Share of the squared reading that a positive multiple of the prediction leaves."""
     gain = max(float(np.real(np.vdot(want, seen)) / max(np.linalg.norm(want) ** 2, 1e-300)), 0.0)
     return float(np.linalg.norm(seen - gain * want) ** 2 / np.linalg.norm(seen) ** 2)

@@ -57,6 +57,19 @@ class Track:
         """The windows in which the vibration stands clear of the noise."""
         return self.where(self.amplitude > SEEN * self.amplitude_std)
 
+    @property
+    def usual(self) -> tuple[float, float]:
+        """Angular frequency [rad/s] and decay rate [1/s], means weighted with the squared amplitude; of the decay where
+        two windows or more are seen, by how the amplitude falls between them, which tells it far better than they do.
+        """
+        weight = self.amplitude**2 / np.sum(self.amplitude**2)
+        omega, decay = float(weight @ self.omega), float(weight @ self.decay)
+        seen = self.seen
+        if seen.time.size < 2:
+            return omega, decay
+        fall, _ = _slope(seen.time, np.log(seen.amplitude), 1.0 / seen.amplitude)
+        return omega, -fall
+
     def turned(self, span: float, reference: float = 0.0) -> float:
         """Phase [rad] by which its highest frequency surely turns it farther than its lowest in a `span` of seconds.
 
@@ -127,8 +140,7 @@ def rough_decay(time: np.ndarray, signal: np.ndarray, reference: float = 0.0) ->
     slowest = 8 * np.pi / (period * len(time))
     band = (omega - np.pi / period if np.iscomplexobj(signal) else slowest, omega + np.pi / period)
     track = tracked(time, signal, band, reference=omega)
-    weight = track.amplitude**2 / np.sum(track.amplitude**2)
-    resonance, decay = float(weight @ track.omega), float(weight @ track.decay)
+    resonance, decay = track.usual
     quality = resonance / (2 * max(decay, 1e-9 * resonance))
     return {"resonance": (resonance / (2 * np.pi), "Hz"), "quality_factor": (max(quality, 1.0), "1")}
 

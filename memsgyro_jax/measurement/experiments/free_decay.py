@@ -213,9 +213,7 @@ class FreeDecayRecord(WaveformRecord):
         found = []
         for channel in range(declared.channels):
             track = self.track(declared, channel)
-            weight = track.amplitude**2 / np.sum(track.amplitude**2)
-            rates = float(weight @ track.omega), float(weight @ track.decay)
-            found.append((float(track.amplitude.max()), *rates))
+            found.append((float(track.amplitude.max()), *track.usual))
         return found
 
     @property
