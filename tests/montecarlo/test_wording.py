@@ -52,7 +52,8 @@ def test_where_every_die_is_lost_the_times_are_told_and_no_number_is():
     assert rows["dies"].startswith("4, of which 4 lost")
     assert rows["rate error"] == "none, as every die was lost"
     times = summary.as_dict()["lost_at_s"]
-    assert rows["  lost at (first, median, last)"] == "{:.3g}, {:.3g}, {:.3g} ms".format(*(1e3 * t for t in times))
+    told = "{:.3g}, {:.3g}, {:.3g} ms: beyond 0.8 µm (`travel`), or not finite".format(*(1e3 * t for t in times))
+    assert rows["  lost at (first, median, last)"] == told
     assert 0.0 < times[0] <= times[2] <= SHORT["duration"]
     assert "nan" not in repr(summary)
 
