@@ -1,7 +1,7 @@
 """Effects that no gradient at zero finds: tried at every point of a grid, on the records in which they would show."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import equinox as eqx
 import jax
@@ -23,7 +23,6 @@ from .score import Score, basis, score, within_bounds
 
 COARSE = 32  # points at most that are tried where each takes long
 CHUNK = 8  # grid points evaluated side by side
-_SWEPT = 8  # frequencies: more are a sweep
 LOW = 4  # harmonics, the mean included, at which a scan looks
 
 
@@ -42,17 +41,7 @@ def coverage(case: Case) -> Coverage:
     every = np.concatenate([*(r.frequencies for r in case.records), [0.8 * low, 1.2 * high]])
     volts = max(float(np.max(np.abs(r.readings))) for r in case.records)
     band = float(every.min()), float(every.max())
-    clocks = tuple(r.duration for r in case.records), max(r.sweep_rate for r in case.records)
-    return Coverage(band, volts, *clocks, _swept([np.unique(r.frequencies) for r in case.records]))
-
-
-def _swept(every: Sequence[np.ndarray]) -> tuple[float, float, float]:
-    """Lowest and highest of the frequencies of sweeps [rad/s], and how far apart the rows of the finest one are."""
-    sweeps = [one for one in every if one.size > _SWEPT]
-    if not sweeps:
-        return 0.0, 0.0, 0.0
-    apart = min(float(np.median(np.diff(one))) for one in sweeps)
-    return min(float(one[0]) for one in sweeps), max(float(one[-1]) for one in sweeps), apart
+    return Coverage(band, volts, tuple(r.duration for r in case.records), max(r.sweep_rate for r in case.records))
 
 
 def scans(case: Case) -> tuple[tuple[Scanned, ...], ...]:
@@ -95,18 +84,7 @@ def scan(model: Model, optimum: Optimum, readings: Sequence[Readings], grid: Seq
             found = ScannedPoint(effect, mine, len(grid))
             if best is None or found.score.statistic > best.score.statistic:
                 best = found
-    return None if best is None else replace(best, effect=_as_estimated(best, optimum.residual))
-
-
-def _as_estimated(point: ScannedPoint, residual: np.ndarray) -> Scanned:
-    """The effect at its linear estimate, where its strength is not scanned: with none, what else is free of it tells
-    nothing to the first step of a fit.
-    """
-    found = point.score
-    if "strength" in point.effect.scanned or not found.information > 0.0:
-        return point.effect
-    estimate = np.clip(found.directions[:, 0] @ residual, found.low, found.high) / found.information
-    return eqx.tree_at(lambda e: e.strength, point.effect, jnp.asarray(estimate))
+    return best
 
 
 def _settled(joint: Joint, chosen: Readings, points: Sequence[Scanned]) -> np.ndarray | None:

@@ -1,7 +1,5 @@
 """A further mode that the proof mass carries: a finger, a frame, the package."""
 
-from dataclasses import replace
-
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
@@ -10,11 +8,6 @@ from .axes import on_axis
 from .base import ForceEffect, Moment, Scalar, strength
 from .numbers import parameter
 from .scan import Coverage, Scanned
-
-
-_SHARPER = 5.0  # times the quality factor: a finer grid around the best of such points reaches from one to the next
-_ROWS = 2.0  # within a width of a mode that a sweep shows
-_MOST = 600  # points of sharp modes of one quality factor
 
 
 class ParasiticMode(Scanned, ForceEffect):
@@ -57,19 +50,10 @@ class ParasiticMode(Scanned, ForceEffect):
         return float(self.omega) ** 2 * apart[..., None] * motion * np.eye(motion.shape[2])[int(self.axis)]
 
     def grid(self, coverage: Coverage) -> "tuple[ParasiticMode, ...]":
-        """Frequencies through the band and a twentieth beyond, no farther apart than half the mode's width; through
-        what was swept also those of sharper modes, as sharp as its rows would show.
-        """
-        found = self._through(coverage.band[0] / 1.05, coverage.band[1] * 1.05)
-        low, high, apart = coverage.swept
-        sharper = replace(self, quality=_SHARPER * float(self.quality))
-        while 0.0 < _ROWS * apart <= low / float(sharper.quality):
-            if len(more := sharper._through(low, high)) > _MOST:
-                break
-            found, sharper = (*found, *more), replace(sharper, quality=_SHARPER * float(sharper.quality))
-        return found
-
-    def _through(self, low: float, high: float) -> "tuple[ParasiticMode, ...]":
-        """Frequencies [rad/s] half a width apart."""
+        """Frequencies through the band and a twentieth beyond, no farther apart than half the mode's width."""
+        low, high = coverage.band[0] / 1.05, coverage.band[1] * 1.05
         count = 1 + int(np.ceil(2 * float(self.quality) * np.log(high / low)))
-        return tuple(replace(self, omega=float(omega)) for omega in np.geomspace(low, high, count))
+        return tuple(
+            ParasiticMode(self.axis, self.strength, omega=float(omega), quality=self.quality)
+            for omega in np.geomspace(low, high, count)
+        )

@@ -21,14 +21,12 @@ class Coverage:
         durations: length [s] of each record in the case's order; zero for one without a clock, such as a sweep.
         sweep_rate: fastest [rad/s²] at which the frequency of a sweep moves by the clocks of the records; infinite
             where a sweep has none.
-        swept: lowest and highest frequency of the sweeps, and how far apart their rows are [rad/s]; zeros without any.
     """
 
     band: tuple[float, float]
     volts: float
     durations: tuple[float, ...] = ()
     sweep_rate: float = float("inf")
-    swept: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 class Scanned(Effect):

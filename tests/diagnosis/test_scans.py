@@ -11,9 +11,8 @@ from numpy.testing import assert_allclose
 
 from memsgyro_jax.diagnosis.fit import fit_case
 from memsgyro_jax.diagnosis.joint_residual import Joint
-from memsgyro_jax.diagnosis.scans import _settled, refined, scan, scans
+from memsgyro_jax.diagnosis.scans import _settled, scan, scans
 from memsgyro_jax.effects import DampingStep, ParasiticMode
-from memsgyro_jax.measurement.import_case import import_case
 
 
 STEP = replace(visible("damping_step"), damping_step_record="rate", damping_step_time=0.08)
@@ -40,26 +39,6 @@ def test_a_damping_step_is_found_in_its_record_at_its_time():
 def test_a_step_that_is_not_there_is_not_significant():
     found = best("damping_step", Hidden())
     assert found.score.p_value * found.points > 0.01
-
-
-def test_a_sharp_mode_beside_the_resonance_is_found_and_fitted_from_its_estimate(tmp_path):
-    """Of a quality factor of 2500 it was an unknown effect: the grid was for 100, and a fit began at none of it."""
-    f = np.linspace(14_900.0, 15_100.0, 101)
-    own = 15_040.0**2 / (15_040.0**2 - f**2 + 1j * f * 15_040.0 / 2500.0) - 1.0
-    z = 3e-5 / (1.0 - (f / 15e3) ** 2 + 1j * f / 15e3 / 1200.0 - 1.2e-6 * (15_040.0 / 15e3) ** 2 * own)
-    z = z + 6e-6 * (np.random.default_rng(5).normal(size=(f.size, 2)) @ [1.0, 1.0j])
-    np.savetxt(tmp_path / "a_10mV.csv", np.column_stack([f, z.real, z.imag]), "%.9g", ",", header="f [Hz],X [V],Y [V]")
-    case = import_case([tmp_path / "a_10mV.csv"], tmp_path / "case").case
-    fit = fit_case(case)
-    (grid,) = [g for g in scans(case) if g[0].label == "parasitic_mode x"]
-    found = scan(fit.model, fit.optimum, fit.joint.fitted, grid)
-    finer = scan(fit.model, fit.optimum, fit.joint.fitted, refined(found.effect, grid))
-    assert float(finer.effect.strength) == pytest.approx(1.2e-6, rel=0.5)
-    told = {one.name: (one.value, one.std) for one in fit_case(case, [finer.effect]).estimates}
-    for name, true in (("", 1.2e-6), (" omega", 2 * np.pi * 15_040.0), (" quality", 2500.0)):
-        value, std = told[f"parasitic_mode x{name}"]
-        assert value == pytest.approx(true, abs=4.0 * std)
-        assert std < 0.1 * true
 
 
 def test_what_a_mode_adds_to_a_sweep_is_the_derivative_of_the_receptance():

@@ -146,17 +146,6 @@ def test_the_grid_of_a_mode_covers_the_band_within_half_a_width():
     assert {e.axis for e in fx.ParasiticMode("y").grid(COVERAGE)} == {1}
 
 
-def test_the_grid_of_a_mode_holds_sharp_ones_where_rows_would_show_them():
-    swept = 2 * np.pi * 14_850.0, 2 * np.pi * 15_150.0, 2 * np.pi * 2.0
-    grid = fx.ParasiticMode("x").grid(fx.Coverage((7e4, 1.2e5), 1.0, swept=swept))
-    assert {float(e.quality) for e in grid} == {100.0, 500.0, 2500.0}
-    sharp = np.sort([float(e.omega) for e in grid if float(e.quality) == 2500.0])
-    assert (sharp[0], sharp[-1]) == pytest.approx(swept[:2])
-    assert np.all(np.diff(sharp) <= sharp[1:] / 2500.0 / 2.0)
-    wide = fx.ParasiticMode("x").grid(fx.Coverage((7e4, 1.2e5), 1.0, swept=(2e4, 2e5, 1.0)))
-    assert {float(e.quality) for e in wide} == {100.0}, "too many points"
-
-
 def test_the_grid_of_a_step_lies_inside_records_with_a_clock():
     grid = fx.DampingStep().grid(COVERAGE)
     assert {float(e.record) for e in grid} == {1.0, 2.0}
