@@ -235,7 +235,9 @@ def test_a_late_readout_is_noticed_named_and_repaired():
 
 @pytest.mark.slow
 def test_a_device_that_drifts_between_two_sweeps_is_noticed_named_and_repaired():
-    higher = lab.replace(SLOW, fx=SLOW.fx * (1 + 1e-4), fy=SLOW.fy * (1 + 1e-4))
+    """By its springs, all by one share; its damping stays, as the effect has it."""
+    up = 1 + 1e-4
+    higher = lab.replace(SLOW, fx=SLOW.fx * up, fy=SLOW.fy * up, qx=SLOW.qx * up, qy=SLOW.qy * up, kxy=SLOW.kxy * up**2)
     level = lab.FILTERED
     apart = [swept(SLOW, SLOW_BAND, noise=level), swept(higher, SLOW_BAND, noise=level, axis=1, seed=1)]
     plain = identify(apart, mass=SLOW.mass)
