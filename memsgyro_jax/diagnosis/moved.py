@@ -39,6 +39,7 @@ def moved(search: Search, first: Ranking, effects: Sequence[Effect]) -> tuple[Se
     if not chosen:
         return search, None
     _announce(beside, chosen, [search.joint.model.effects[first.places[i]].label for i in first.order[:SPARE]])
+    # A glance tells: a fit that is still far off by then has a long way to go, and what follows goes it faster.
     usual = search.refit([first.places[first.order[0]]], slopes=first.slopes[first.order[0]], evaluations=GLANCE)
     if usual.chi2 < FAR * usual.dof:
         return search, None
