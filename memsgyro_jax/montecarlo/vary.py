@@ -2,7 +2,7 @@
 
 import re
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 from jaxtyping import Array
@@ -81,8 +81,11 @@ class Vary(Shown):
         return here
 
 
-class Root(eqx.Module):
-    """Where paths start: the parts of the loop, the process that makes some of them, and the scenario."""
+class Root(NamedTuple):
+    """Where paths start: the parts of the loop, the process that makes some of them, and the scenario.
+
+    No module: looking up a method of one flattens all that it holds, which was a third of drawing dies.
+    """
 
     loop: ClosedLoop
     scenario: Scenario
