@@ -5,6 +5,7 @@ part need not know of that axis: a mean over the two channels would be one over 
 """
 
 import dataclasses
+import functools
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -34,11 +35,16 @@ def _modules(tree: Any) -> Iterator[eqx.Module]:
         return
     if isinstance(tree, eqx.Module):
         yield tree
-        inside: Any = (getattr(tree, field.name, None) for field in dataclasses.fields(tree))
+        inside: Any = (getattr(tree, name, None) for name in _fields(type(tree)))
     else:
         inside = tree.values() if isinstance(tree, dict) else tree if isinstance(tree, tuple | list) else ()
     for part in inside:
         yield from _modules(part)
+
+
+@functools.cache
+def _fields(kind: type) -> tuple[str, ...]:
+    return tuple(field.name for field in dataclasses.fields(kind))
 
 
 def differs(dies: PyTree, one: PyTree) -> PyTree[bool]:

@@ -36,11 +36,13 @@ def check_ports(loop: ClosedLoop, scenario: Scenario, period: float) -> None:
     the numbers that the port asks for, for other arguments than the port's, for what JAX cannot follow, as an `if` on a
     number, and for what reaches beyond the end of an array.
     """
+    _check_effects(loop.device)
+    if not from_outside(loop.readout, loop.observer, loop.controller, loop.filter, loop.discretisation, scenario):
+        return
     shows = loop.device.effects and Acting.of(loop.device.effects).readouts
     by_name = ("effects",) * bool(shows) + ("late",) * (loop.readout.flicker is not None)
     _check_arguments(loop.readout, named=by_name)
     _check_arguments(loop.observer, loop.controller, loop.filter, loop.discretisation, scenario)
-    _check_effects(loop.device)
     for profile in jax.tree.leaves(scenario, is_leaf=lambda part: isinstance(part, AbstractProfile)):
         if isinstance(profile, AbstractProfile) and from_outside(profile):
             _numbers(_given(profile, "value", profile.value, _NUMBER), None, profile, "value", "a number")

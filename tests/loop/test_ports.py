@@ -16,7 +16,7 @@ from memsgyro_jax.app.kinds import KINDS
 from memsgyro_jax.app.study.control import Controller
 from memsgyro_jax.app.study.laws import Observer
 from memsgyro_jax.loop import noise
-from memsgyro_jax.loop.observers import Clock
+from memsgyro_jax.loop.observers import AbstractCovarianceObserver, Clock
 from memsgyro_jax.loop.scenario import as_scenario
 from memsgyro_jax.tuning.tunable import resolved
 
@@ -84,13 +84,26 @@ def test_help_and_study_files_know_the_same_kinds(part, union):
     assert set(KINDS[part]) == {kinds[place] for kinds in STUDIES}, "every kind must pass the tests below"
 
 
+@pytest.mark.parametrize("kinds", STUDIES, ids=" and ".join)
+def test_a_covariance_has_a_row_for_each_state(kinds):
+    """Nobody asks the package's own observers before a run, as those from outside are asked."""
+    observer = study_of(kinds).loop.observer
+    if isinstance(observer, AbstractCovarianceObserver):
+        found = jax.eval_shape(lambda: observer.covariance(observer.init())).shape
+        assert found == (len(observer.states),) * 2
+
+
+def study_of(kinds):
+    return mg.default_study().changed({"readout": VELOCITY, "observer": {"kind": "none"}, **STUDIES[kinds]})
+
+
 @pytest.fixture(
     scope="module",
     params=[kinds if kinds in NEW else pytest.param(kinds, marks=pytest.mark.slow) for kinds in STUDIES],
     ids=" and ".join,
 )
 def study(request):
-    return mg.default_study().changed({"readout": VELOCITY, "observer": {"kind": "none"}, **STUDIES[request.param]})
+    return study_of(request.param)
 
 
 @pytest.fixture(scope="module")

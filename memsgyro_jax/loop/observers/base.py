@@ -14,6 +14,7 @@ from memsgyro_jax.base.fields import AbstractVar
 from memsgyro_jax.device.gyro import Dynamics, MotionModel, Pair, Scalar
 from memsgyro_jax.device.propagate import AbstractDiscretisation, State4
 
+from ..die_by_die import from_outside
 from .settings import Prior
 
 
@@ -198,8 +199,10 @@ class AbstractCovarianceObserver(AbstractObserver[State]):
 
 
 def check_claims(observer: AbstractObserver[Any]) -> None:
-    """Raise `InputError` where an observer's covariance has another shape than its `states` say; it is not run."""
-    if not isinstance(observer, AbstractCovarianceObserver):
+    """Raise `InputError` where the covariance of an observer from outside the package has another shape than its
+    `states` say; it is not run.
+    """
+    if not (isinstance(observer, AbstractCovarianceObserver) and from_outside(observer)):
         return
     found = jax.eval_shape(lambda: jnp.asarray(observer.covariance(observer.init()))).shape
     count = len(observer.states)
