@@ -6,7 +6,7 @@ import inspect
 import platform
 import sys
 import types
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields, is_dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -18,6 +18,9 @@ import numpy as np
 from memsgyro_jax import __version__
 
 from .concrete import is_concrete, settled
+
+
+Told = Callable[[bytes], None]
 
 
 @dataclass(frozen=True)
@@ -61,49 +64,66 @@ def fingerprint(*objects: object) -> str:
     A number counts alike as a float and as an array of one entry. Functions count by their code and by the numbers and
     functions of their file that they name, classes that are no package's by those of their methods.
     """
-    digest = hashlib.sha256(repr(versions()).encode())
-    for part in _parts(objects, set()):
-        digest.update(part)
-        digest.update(b"\0")
-    return digest.hexdigest()[:16]
+    parts = b"".join(part + b"\0" for part in _parts(objects))
+    return hashlib.sha256(repr(versions()).encode() + parts).hexdigest()[:16]
 
 
-def _parts(value: Any, seen: set[object]) -> Iterator[bytes]:
-    """Everything that makes a value what it is, from the outside in; of `seen` functions and classes the name alone."""
-    if isinstance(value, float | np.generic | np.ndarray | jax.Array):
+def _parts(value: Any) -> list[bytes]:
+    """Everything that makes a value what it is, from the outside in."""
+    parts: list[bytes] = []
+    _gather(value, set(), parts.append)
+    return parts
+
+
+def _gather(value: Any, seen: set[object], told: Told) -> None:
+    """Hand on what makes a value what it is; of `seen` functions and classes the name alone."""
+    if isinstance(value, _NUMBERS):
         array = np.asarray(value)
-        yield f"{array.dtype}{array.shape}".encode() + array.tobytes()
-        return
+        return told(_kind_of_array(array.dtype, array.shape) + array.tobytes())
     kind = type(value)
-    yield f"{kind.__module__}.{kind.__qualname__}".encode()
-    if is_dataclass(kind):
-        yield from _methods(kind, seen)
-        yield from _parts({field.name: getattr(value, field.name) for field in fields(value)}, seen)
+    told(_name_of(kind))
+    if kind is str:
+        told(repr(value).encode())
+    elif is_dataclass(kind):
+        _methods(kind, seen, told)
+        _gather({field.name: getattr(value, field.name) for field in fields(value)}, seen, told)
     elif isinstance(value, dict):
-        for name, held in value.items():
-            yield from (*_parts(name, seen), *_parts(held, seen))
+        for entry in value.items():
+            for part in entry:
+                _gather(part, seen, told)
     elif isinstance(value, tuple | list | set | frozenset):
-        yield str(len(value)).encode()
+        told(str(len(value)).encode())
         for held in value if isinstance(value, tuple | list) else sorted(value, key=repr):
-            yield from _parts(held, seen)
+            _gather(held, seen, told)
     elif isinstance(value, type):
-        yield repr(value).encode()
-        yield from _methods(value, seen)
+        told(repr(value).encode())
+        _methods(value, seen, told)
     elif isinstance(inspect.unwrap(value), types.FunctionType) if callable(value) else False:
-        yield from _function(inspect.unwrap(value), seen)
+        _function(inspect.unwrap(value), seen, told)
     elif isinstance(value, types.CodeType):
-        yield from _parts((value.co_code, value.co_names, value.co_consts), seen)
+        _gather((value.co_code, value.co_names, value.co_consts), seen, told)
     elif isinstance(value, functools.partial):
-        yield from _parts((value.func, value.args, value.keywords), seen)
+        _gather((value.func, value.args, value.keywords), seen, told)
     else:
-        yield repr(value).encode()
+        told(repr(value).encode())
+    return None
 
 
-def _function(function: types.FunctionType, seen: set[object]) -> Iterator[bytes]:
+@functools.cache
+def _name_of(kind: type) -> bytes:
+    return f"{kind.__module__}.{kind.__qualname__}".encode()
+
+
+@functools.cache
+def _kind_of_array(dtype: np.dtype, shape: tuple[int, ...]) -> bytes:
+    return f"{dtype}{shape}".encode()
+
+
+def _function(function: types.FunctionType, seen: set[object], told: Told) -> None:
     """A function and what it names: constants of its file, and functions and classes that stand there too."""
-    yield f"{function.__module__}.{function.__qualname__}".encode()
+    told(f"{function.__module__}.{function.__qualname__}".encode())
     held = tuple(cell.cell_contents for cell in function.__closure__ or ())
-    yield from _parts((function.__code__, function.__defaults__, function.__kwdefaults__, held), seen)
+    _gather((function.__code__, function.__defaults__, function.__kwdefaults__, held), seen, told)
     if not _own(function) or function in seen:
         return
     seen.add(function)
@@ -111,12 +131,12 @@ def _function(function: types.FunctionType, seen: set[object]) -> Iterator[bytes
         named = function.__globals__[name]
         there = callable(named) and getattr(named, "__module__", None) == function.__module__
         if there or isinstance(named, _CONSTANTS) or (is_dataclass(named) and not isinstance(named, type)):
-            yield from _parts((name, named), seen)
+            _gather((name, named), seen, told)
 
 
-def _methods(kind: type, seen: set[object]) -> Iterator[bytes]:
+def _methods(kind: type, seen: set[object], told: Told) -> None:
     """The methods that a class of the user's has, or inherits from another of them."""
-    if not _own(kind) or kind in seen:
+    if kind in seen or not _own(kind):
         return
     seen.add(kind)
     for base in filter(_own, kind.__mro__):
@@ -124,16 +144,17 @@ def _methods(kind: type, seen: set[object]) -> Iterator[bytes]:
             code = inspect.unwrap(getattr(method, "fget", None) or getattr(method, "func", None) or method)
             # Of the methods that Python reserves most are made by `dataclass`, and made anew in each process.
             if isinstance(code, types.FunctionType) and (name == "__call__" or not name.startswith("__")):
-                yield from _parts((name, code), seen)
+                _gather((name, code), seen, told)
 
 
+_NUMBERS = (float, np.generic, np.ndarray, jax.Array)
 _CONSTANTS = (bool, int, float, complex, str, bytes, tuple, np.generic, np.ndarray, jax.Array)
 
 
 def _own(named: Any) -> bool:
     """Whether a class or function is the user's, rather than of an installed package."""
     root = str(named.__module__).split(".")[0]
-    if root in sys.stdlib_module_names | {"builtins", __name__.split(".")[0]}:
+    if root in sys.stdlib_module_names or root in ("builtins", __name__.split(".")[0]):
         return False
     place = Path(getattr(sys.modules.get(root), "__file__", None) or "")
     return not {"site-packages", "dist-packages"} & set(place.parts)
