@@ -30,13 +30,32 @@ def settled(tree: Tree) -> Tree:
     return tree if is_concrete(tree) else jax.tree.map(one, tree)
 
 
+def at_hand(tree: Tree) -> Tree:
+    """`tree` with NumPy's arrays in place of JAX's, on which a single operation takes a tenth of the time, where all of
+    its numbers are known now; else as it was.
+    """
+
+    def one(leaf: object) -> object:
+        return np.asarray(leaf) if isinstance(leaf, jax.Array) else leaf
+
+    return jax.tree.map(one, tree) if is_concrete(tree) else tree
+
+
 def strong(tree: Tree) -> Tree:
     """The same numbers without JAX's weak types: one written in Python runs through the program of a computed one."""
 
     def one(leaf: object) -> object:
-        return jnp.asarray(leaf, leaf.dtype) if isinstance(leaf, jax.Array) and leaf.weak_type else leaf
+        if not (isinstance(leaf, jax.Array) and leaf.weak_type):
+            return leaf
+        return jnp.asarray(leaf, leaf.dtype) if isinstance(leaf, jax.core.Tracer) else _given(np.asarray(leaf))
 
     return jax.tree.map(one, tree)
+
+
+@jax.jit
+def _given(number: Array) -> Array:
+    """NumPy's numbers as JAX's: a call into a program takes a third of the time of `jnp.asarray`."""
+    return number
 
 
 def check_positive(name: str, value: Number) -> None:

@@ -15,6 +15,7 @@ from jaxtyping import Float
 
 from memsgyro_jax.base.arguments import number as number
 from memsgyro_jax.base.arguments import number_in, quantity
+from memsgyro_jax.base.concrete import at_hand
 from memsgyro_jax.base.concrete import check_not_negative as check_not_negative
 from memsgyro_jax.base.concrete import check_positive as check_positive
 from memsgyro_jax.base.concrete import check_positive_definite as check_positive_definite
@@ -251,4 +252,4 @@ def mode_frequencies(gyro: AbstractGyro) -> Float[np.ndarray, "*dies two"]:
 
     Two equal modes have no derivative but that of their mean, which each of them is given.
     """
-    return natural_frequencies(gyro.dynamics(Inertial()).stiffness)
+    return natural_frequencies(at_hand(gyro).dynamics(Inertial()).stiffness)

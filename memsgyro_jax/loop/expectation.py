@@ -6,9 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy import stats
+from scipy import special
 
-from memsgyro_jax.base.concrete import is_concrete
+from memsgyro_jax.base.concrete import at_hand, is_concrete
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.gyro import AbstractGyro, mode_frequencies
 
@@ -105,7 +105,7 @@ def shifted(loop: ClosedLoop, duration: float) -> tuple[str, ...]:
     """A sentence for each offset of the read-out that lies `FAR` standard deviations from what the filter expects; one
     that it takes as known may be off by what the noise hides for `duration` [s].
     """
-    observer, offsets = loop.observer, getattr(loop.readout, "offset", None)
+    observer, offsets = loop.observer, getattr(at_hand(loop.readout), "offset", None)
     if not isinstance(observer, AbstractCovarianceObserver) or offsets is None:
         return ()
     found, prior, exact = [], observer.prior, observer.known
@@ -186,7 +186,7 @@ def _far(observer: AbstractCovarianceObserver, rates: Float[np.ndarray, " rates"
         pull = f"is {away:.2g} standard deviations from that, and its estimate is pulled back towards it"
         remedy = f"`design_prior(gyro, rate_std={abs(rate - mean):.2g})` expects it"
         said = f"the filter {expected}, but the rate of {np.degrees(rate):.4g} deg/s {pull}; {remedy}."
-        return (said,) if away > stats.norm.isf(0.5 * _LEVEL / dies) else ()
+        return (said,) if away > -special.ndtri(0.5 * _LEVEL / dies) else ()
     if abs(rate - mean) <= 1e-9 * max(abs(rate), abs(mean)):
         return ()
     return (

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from memsgyro_jax.base.arguments import check_kind
-from memsgyro_jax.base.concrete import is_concrete, settled, strong
+from memsgyro_jax.base.concrete import at_hand, is_concrete, settled, strong
 from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.brownian import correlated, thermal_acceleration
@@ -108,7 +108,8 @@ class ClosedLoop(Displayed):
                 "The observer and the read-out must measure the same, displacement or velocity; make the observer "
                 "with `for_device(gyro, readout)`."
             )
-        expected, scale = getattr(self.observer, "scale", self.readout.scale), self.readout.scale
+        scale = at_hand(self.readout).scale
+        expected = getattr(self.observer, "scale", scale)
         if is_concrete(expected, scale) and np.any(np.sign(np.asarray(expected)) != np.sign(np.asarray(scale))):
             raise InputError(
                 "The observer must expect a scale of the same sign as the read-out's; make it with "
@@ -269,7 +270,7 @@ class ClosedLoop(Displayed):
             check_fits(self.filter, self.output_rate(sample_rate))
         check_own_states((self if design is None else design).device, self.discretisation, sample_rate)
         whole = settled(self if design is None else design)
-        known = whole.device.dynamics(Inertial())
+        known = at_hand(whole.device).dynamics(Inertial())
         if not is_concrete(known):
             known = estimated(whole.observer, whole.observer.init()).dynamics
         if not is_concrete(known):
@@ -288,7 +289,7 @@ def claim_error(loop: ClosedLoop, sample_rate: float) -> float | None:
     derivative of a sample at few nodes; None where it claims none, propagates otherwise, or numbers are not known.
     """
     steps = getattr(loop.observer, "discretisation", None)
-    stiffness = settled(loop.device).dynamics(Inertial()).stiffness
+    stiffness = at_hand(settled(loop.device)).dynamics(Inertial()).stiffness
     if not isinstance(steps, Exact) or not isinstance(loop.observer, AbstractCovarianceObserver):
         return None
     if not is_concrete(stiffness):

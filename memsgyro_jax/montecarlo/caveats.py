@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import stats
 
+from memsgyro_jax.base.concrete import at_hand
 from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.settling import duration_to_settle, not_at_rest
 
@@ -119,7 +120,7 @@ class Order(NamedTuple):
         if not {"kxx", "kyy"} <= set(names):
             return None
         x, y = names.index("kxx"), names.index("kyy")
-        theta = loop.device.coefficients(0.0)
+        theta = at_hand(loop.device).coefficients(0.0)
         split = float(theta[y]) - float(theta[x])
         return cls(x, y, split > 0.0) if abs(split) > _MATCHED * float(theta[x]) else None
 

@@ -25,7 +25,7 @@ from . import basis
 from .advance import Facts, advanced
 from .algebra import over_lanes
 from .law import Lanes, same_frequency, strikes_modes, tones_of
-from .length import ONE_MASS, TWO_MASSES, Blocks, Pace, lengths, renewals
+from .length import ONE_MASS, TWO_MASSES, Pace, lengths, renewals
 from .maps import Maps, TrueMaps, maps_of, true_maps_of
 
 
@@ -61,21 +61,19 @@ def prepared(loop: ClosedLoop, apart: bool = False) -> tuple[ClosedLoop, tuple[s
     if reasons:
         return replace(loop, blocks=None), (f"the loop runs sample by sample, not in blocks: {'; '.join(reasons)}.",)
     blocks = loop.blocks
-    if blocks.start is None:
-        blocks = replace(blocks, start=_pace(loop).start)
-    if blocks.alike is None:
-        blocks = replace(blocks, alike=same_frequency(loop.controller, apart))
-    if blocks.ramps is None:
-        blocks = replace(blocks, ramps=strikes_modes(loop.controller, loop.device))
-    return replace(loop, blocks=blocks), _approximations(loop, blocks)
+    start = _pace(loop).start if blocks.start is None else blocks.start
+    alike = same_frequency(loop.controller, apart) if blocks.alike is None else blocks.alike
+    ramps = strikes_modes(loop.controller, loop.device) if blocks.ramps is None else blocks.ramps
+    ready = replace(loop, blocks=replace(blocks, start=start, alike=alike, ramps=ramps))
+    return ready, _approximations(ready, blocks.length)
 
 
-def _approximations(loop: ClosedLoop, blocks: Blocks) -> tuple[str, ...]:
-    """What a filter in blocks takes otherwise than sample by sample, in words."""
-    constant = taken_as_constant(replace(loop, blocks=blocks))
+def _approximations(loop: ClosedLoop, length: int) -> tuple[str, ...]:
+    """What a filter in blocks of `length` takes otherwise than sample by sample, in words."""
+    constant = taken_as_constant(loop)
     if not constant:
         return ()
-    late = f"it follows up to {blocks.length // 2} samples later, and claims too little where the walk is fast"
+    late = f"it follows up to {length // 2} samples later, and claims too little where the walk is fast"
     return (f"{constant}: {late} (shorter blocks, or samples, do not).",)
 
 
