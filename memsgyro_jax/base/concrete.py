@@ -14,6 +14,10 @@ Tree = TypeVar("Tree", bound=PyTree)
 Number = Float[Array, "*lanes"]
 
 
+held = jax.jit(jnp.asarray, inline=True)
+"""A Python float or NumPy's array as `jnp.asarray` gives it, in half the time."""
+
+
 def is_concrete(*values: object) -> bool:
     """Whether all values are numbers now, rather than tracers inside a transformation (which cannot be checked)."""
     return not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(values))
@@ -43,36 +47,37 @@ def at_hand(tree: Tree) -> Tree:
 
 def strong(tree: Tree) -> Tree:
     """The same numbers without JAX's weak types: one written in Python runs through the program of a computed one."""
+    known: dict[tuple[object, ...], Array] = {}  # many are zero, or alike
 
     def one(leaf: object) -> object:
         if not (isinstance(leaf, jax.Array) and leaf.weak_type):
             return leaf
-        return jnp.asarray(leaf, leaf.dtype) if isinstance(leaf, jax.core.Tracer) else _given(np.asarray(leaf))
+        if isinstance(leaf, jax.core.Tracer):
+            return jnp.asarray(leaf, leaf.dtype)
+        now = np.asarray(leaf)
+        key = now.dtype, now.shape, now.tobytes()
+        if key not in known:
+            known[key] = held(now)
+        return known[key]
 
     return jax.tree.map(one, tree)
 
 
-@jax.jit
-def _given(number: Array) -> Array:
-    """NumPy's numbers as JAX's: a call into a program takes a third of the time of `jnp.asarray`."""
-    return number
-
-
 def check_positive(name: str, value: Number) -> None:
     """Raise `InputError` unless every entry is positive and finite; traced values pass."""
-    if is_concrete(value) and not np.all((np.asarray(value) > 0.0) & np.isfinite(value)):
+    if is_concrete(value) and not np.all(((now := np.asarray(value)) > 0.0) & np.isfinite(now)):
         raise InputError(f"Argument `{name}` must be positive and finite, but {_worst(value)} was given.")
 
 
 def check_not_negative(name: str, value: Number) -> None:
     """Raise `InputError` unless every entry is zero or positive, and finite; traced values pass."""
-    if is_concrete(value) and not np.all((np.asarray(value) >= 0.0) & np.isfinite(value)):
+    if is_concrete(value) and not np.all(((now := np.asarray(value)) >= 0.0) & np.isfinite(now)):
         raise InputError(f"Argument `{name}` must be finite and not negative, but {_worst(value)} was given.")
 
 
 def check_finite(name: str, value: Number) -> None:
     """Raise `InputError` where an entry is NaN or infinite; traced values pass."""
-    if is_concrete(value) and not np.all(np.isfinite(value)):
+    if is_concrete(value) and not np.all(np.isfinite(np.asarray(value))):
         raise InputError(f"Argument `{name}` must be finite, but {_worst(value)} was given.")
 
 

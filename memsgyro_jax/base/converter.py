@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import DTypeLike
 
+from .concrete import held
 from .errors import InputError
 from .text import excerpt
 
@@ -38,7 +39,7 @@ class FieldConverter:
 def as_array(what: str, given: Any, unit: str = "", dtype: DTypeLike | None = None) -> jax.Array:
     """`given`, which must be numbers in `unit` (SI where empty), as an array; raises `InputError` where it is not."""
     try:
-        return jnp.asarray(given, dtype)
+        return held(given) if type(given) is float and dtype is None else jnp.asarray(given, dtype)
     except (TypeError, ValueError, OverflowError) as error:
         raise InputError(
             f"{what} must be a number in {unit or 'SI'}, but is {excerpt(given)} of type {type(given).__name__}."

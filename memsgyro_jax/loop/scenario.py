@@ -37,9 +37,10 @@ class AbstractProfile(Displayed):
         for name, value in vars(self).items():
             if not (eqx.is_inexact_array(value) and is_concrete(value)):
                 continue
-            if np.any(np.isnan(value)):
+            now = np.asarray(value)
+            if np.any(np.isnan(now)):
                 raise InputError(f"Argument `{name}` of a {type(self).__name__} must be a number, but is NaN.")
-            if name != "at" and np.any(np.isinf(value)):
+            if name != "at" and np.any(np.isinf(now)):
                 raise InputError(f"Argument `{name}` of a {type(self).__name__} must be finite, but is infinite.")
 
     @abc.abstractmethod
@@ -256,7 +257,7 @@ def _check_profiles(what: str, given: object, count: int) -> None:
 
 
 def _constants(count: int) -> tuple[Constant, ...]:
-    return tuple(Constant() for _ in range(count))
+    return (Constant(),) * count
 
 
 def _values(profiles: tuple[AbstractProfile, ...], time: Scalar) -> tuple[Scalar, ...]:

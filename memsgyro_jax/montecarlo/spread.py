@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy import special, stats
 
+from memsgyro_jax.base.concrete import at_hand
 from memsgyro_jax.base.display import UNITS, Shown
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.linalg import semidefinite_root
@@ -163,9 +164,10 @@ class Spread(Shown):
         _require_once([(item.spelled_out(loop.device), item.path) for item in self.items])
         if self.everywhere is None:
             return self.items
-        device, sizes = loop.device, with_sizes(loop.device)
+        device, at_design = loop.device, at_hand(loop.device)
         named = {path for item in self.items for path in (item.path, *_instead(device, item.path))}
-        found = [_sized(Vary(name, self.everywhere), device, sizes) for name in numbers_of(device)]
+        sizes = with_sizes(at_design)
+        found = [_sized(Vary(name, self.everywhere), at_design, sizes) for name in numbers_of(device)]
         if not found:
             raise InputError(
                 f"A relative spread must have numbers of the device to vary, but a {type(device).__name__} has none of "

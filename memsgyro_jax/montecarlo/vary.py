@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 from jaxtyping import Array
 
 from memsgyro_jax.base.concrete import is_concrete
@@ -118,8 +119,13 @@ class Root(NamedTuple):
         changes = {item.path.removeprefix(DEVICE_PREFIX): value for plain, item, value in pairs if not plain}
         moved = self
         if own:
-            everywhere = [value for item, value in own for _ in item.places(self)]
-            moved = eqx.tree_at(lambda root: [at for item, _ in own for at in item.places(root)], self, everywhere)
+            leaves, structure = jax.tree.flatten(self)
+            marks: list[Any] = [object() for _ in leaves]  # by which numbers are told from what follows from them
+            marked = jax.tree.unflatten(structure, marks)
+            for item, value in own:
+                for place in item.places(marked):
+                    leaves[marks.index(place)] = value
+            moved = jax.tree.unflatten(structure, leaves)
         device, names = moved.loop.device, self.loop.device.natural
         if changes and names:
             moved = eqx.tree_at(lambda root: root.loop.device, moved, names.into(device, changes))
