@@ -5,6 +5,7 @@ of JAX; what needs double precision says so through `require_float64`.
 """
 
 import contextlib
+import functools
 import hashlib
 import logging
 import os
@@ -231,6 +232,7 @@ def _set(name: str, value: bool | float | str) -> None:
         os.environ[name.upper()] = str(value)
 
 
+@functools.cache
 def processor() -> str:
     """Digits that tell kinds of processors apart, by the instructions they know: between them last bits may differ."""
     return hashlib.sha256(f"{platform.machine()} {_processor_features()}".encode()).hexdigest()[:12]

@@ -1,6 +1,7 @@
 """What the store of a sweep looks like: its columns, and the metadata they are read by."""
 
 import contextlib
+import functools
 import json
 import shutil
 import uuid
@@ -43,7 +44,7 @@ class DieArray:
         return {} if self.unit is None else {"units": self.unit}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Layout:
     """What a lot consists of: its columns, numeric coordinates as (dimension, values, unit), and attributes."""
 
@@ -63,6 +64,7 @@ class Layout:
         return with_labels(xr.Dataset(held, coordinates, self.attributes))
 
 
+@functools.lru_cache(maxsize=1)  # who makes a store looks at once whether it is as it should be
 def files_of(layout: Layout, dies: int, block: int) -> dict[str, bytes]:
     """Names and contents of the files of an empty store, by which any store of this layout can be read.
 
