@@ -109,7 +109,8 @@ class SingleMassGyro(AbstractGyro):
     def __check_init__(self):
         check_positive("mass", self.mass)
         check_positive_definite("stiffness", self.kxx, self.kyy, self.kxy)
-        check_positive_definite("damping", self.dxx, self.dyy, self.dxy + 0.5 * self.cross_damping_asymmetry)
+        coupling, asymmetry = at_hand((self.dxy, self.cross_damping_asymmetry))
+        check_positive_definite("damping", self.dxx, self.dyy, coupling + 0.5 * asymmetry)
 
     @property
     def dyx(self) -> Scalar:

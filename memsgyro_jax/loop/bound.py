@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from memsgyro_jax.base.concrete import is_concrete, settled
+from memsgyro_jax.base.concrete import at_hand, is_concrete, settled
 from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.runtime import require_float64
@@ -169,7 +169,7 @@ def information_bound(
         ends = block * np.arange(1, samples // block + 1)
         roots, information = _roots(loop, design, scenario, unknown, period, len(ends), block, lanes, slopes)
     chosen = np.unique(np.linspace(len(ends), 1, min(windows, len(ends))).round().astype(int))
-    solved = least_variance(settled(roots)[chosen - 1], unknown.scale, unknown.names)
+    solved = least_variance(at_hand(settled(roots))[chosen - 1], unknown.scale, unknown.names)
     std, covariance = solved.std, solved.covariance
     if information is not None:
         std, covariance = with_slopes(solved, information[chosen - 1], unknown.scale)

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from memsgyro_jax.base.concrete import is_concrete, settled
+from memsgyro_jax.base.concrete import at_hand, is_concrete, settled
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.gyro import (
     UX,
@@ -66,7 +66,7 @@ class Dimensions(NamedTuple):
 
 def dimensions_of(loop: ClosedLoop) -> Dimensions:
     """Units in which a loop's numbers are about one."""
-    device, start = settled((loop.device, loop.start))
+    device, start = at_hand(settled((loop.device, loop.start)))
     xp = np if is_concrete(device, start) else jnp
     frequency = 2.0 * np.pi * xp.mean(mode_frequencies(device))
     length = xp.maximum(1e-9, xp.hypot(*(xp.max(xp.abs(xp.asarray(q))) for q in start[:2])))
@@ -108,10 +108,10 @@ def unknowns_of(
     std = dict.fromkeys(table, np.inf)
     if prior is not None:
         std |= dict(zip(table, (*prior.motion_std, *prior.offset_std, *prior.theta_std), strict=False))
-    exact = {name for name, value in settled(std).items() if is_concrete(value) and value == 0.0}
+    exact = {name for name, value in at_hand(settled(std)).items() if is_concrete(value) and value == 0.0}
     names = tuple(name for name in table if name not in exact.union(known))
     scale, units = zip(*(table[name] for name in names), strict=True)
-    return Unknowns(jnp.asarray(scale), jnp.asarray([std[name] for name in names]), names, units, model)
+    return Unknowns(jnp.asarray(scale), jnp.asarray(at_hand([std[name] for name in names])), names, units, model)
 
 
 def lanes_of(loop: ClosedLoop, design: ClosedLoop, scenario: Scenario) -> tuple[int, ...]:

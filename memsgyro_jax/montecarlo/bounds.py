@@ -9,7 +9,7 @@ from memsgyro_jax.loop.bound import information_bound
 from memsgyro_jax.loop.die_by_die import from_outside
 from memsgyro_jax.loop.loop import ClosedLoop
 from memsgyro_jax.loop.observers import AbstractCovarianceObserver
-from memsgyro_jax.loop.scenario import Scenario
+from memsgyro_jax.loop.scenario import AbstractProfile, Constant, Scenario
 
 from .batch import picked
 from .spread import Spread
@@ -60,7 +60,7 @@ def why_unbounded(loop: ClosedLoop, scenario: Scenario, duration: float) -> str 
 
 def _has_bound(loop: ClosedLoop) -> bool:
     """Whether the read-out's noise hides a rate that the observer seeks."""
-    if any(float(jnp.min(density)) == 0.0 for density in loop.readout.noise_density):
+    if any(float(np.min(np.asarray(density))) == 0.0 for density in loop.readout.noise_density):
         return False
     if not loop.observer.learns:  # it takes the design's numbers for true, which no bound without a prior does
         return False
@@ -69,7 +69,10 @@ def _has_bound(loop: ClosedLoop) -> bool:
 
 
 def _moving(scenario: Scenario, duration: float) -> str | None:
-    """What moves in a run, in words; None for nothing."""
+    """What moves in a run, in words; None for nothing, which is not asked of what is constant by its kind."""
+    profiles = jax.tree.leaves(scenario, is_leaf=lambda part: isinstance(part, AbstractProfile))
+    if all(type(profile) is Constant for profile in profiles):
+        return None
     conditions = jax.vmap(scenario.at)(jnp.linspace(0.0, duration, 1001))
     if float(jnp.ptp(conditions.inertial.rate)) > 0.0:
         return "the rate moves"
