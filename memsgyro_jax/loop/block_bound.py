@@ -40,9 +40,9 @@ class _Carried(NamedTuple):
 def roots_in_blocks(
     loop: ClosedLoop, design: ClosedLoop, scenario: Scenario, unknown: Unknowns, period: float, start: int,
     sizes: tuple[int, ...], lanes: tuple[int, ...], only_last: bool,
-) -> Float[Array, "moments *lanes quantities quantities"]:  # fmt: skip
+) -> tuple[Float[Array, "moments *lanes quantities quantities"], None]:  # fmt: skip
     """Triangular root of the information behind the first `start` samples and at the end of each block of `sizes`; with
-    `only_last` at the end of all, in one step for many blocks.
+    `only_last` at the end of all, in one step for many blocks. The information itself, for derivatives, is not there.
     """
     wide, count, noise = lanes or (1,), len(unknown.names), loop.readout.noise_std(period)
     samples = sampling(loop, scenario, unknown, noise, period, wide)
@@ -76,7 +76,7 @@ def roots_in_blocks(
     last, roots = jax.lax.scan(lambda root, rows: (_root(root, rows),) * 2, first, rows)
     roots = last[None] if only_last else jnp.concatenate([first[None], roots])
     alive = alive[-1:] if only_last else jnp.concatenate([begun.alive[None], alive])
-    return jnp.where(alive[..., None, None], roots, jnp.nan).reshape(len(roots), *lanes, count, count)
+    return jnp.where(alive[..., None, None], roots, jnp.nan).reshape(len(roots), *lanes, count, count), None
 
 
 class _Told(NamedTuple):

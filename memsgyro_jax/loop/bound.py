@@ -6,13 +6,13 @@ of the information, updated by orthogonal transformations, and columns are scale
 """
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from memsgyro_jax.base.concrete import at_hand, is_concrete, settled
 from memsgyro_jax.base.display import Shown
@@ -144,11 +144,49 @@ def information_bound(
     Raises `InputError` for float32, an unknown name, a read-out without noise, or settings that make no sample.
     """
     require_float64("`information_bound`")
-    loop = as_loop(loop)
+    asked = _asked(as_loop(loop), as_scenario(scenario), sample_rate, duration, prior, known, also, windows, design)
+    unknown, chosen = asked.unknown, asked.chosen
+    roots, information = asked.program(*asked.given)
+    solved = least_variance(at_hand(settled(roots))[chosen - 1], unknown.scale, unknown.names)
+    std, covariance = solved.std, solved.covariance
+    if information is not None:
+        std, covariance = with_slopes(solved, information[chosen - 1], unknown.scale)
+    return InformationBound(
+        asked.ends, std, covariance, unknown.names, unknown.units, solved.degenerate, asked.settings
+    )
+
+
+def compile_bound(
+    loop: ClosedLoop, scenario: Scenario, *, sample_rate: float, duration: float, prior: Prior | None,
+    known: tuple[str, ...], windows: int, design: ClosedLoop,
+) -> None:  # fmt: skip
+    """Compile what `information_bound` runs when it is asked the same, and run nothing of it."""
+    asked = _asked(loop, scenario, sample_rate, duration, prior, known, (), windows, design)
+    asked.program.lower(*asked.given).compile()
+
+
+class _Asked(NamedTuple):
+    """A program for the roots of the information, what it is given, which of them are `chosen`, counted from one, and
+    at what time [s] each of these `ends`.
+    """
+
+    program: Any  # compiled by `filter_jit`
+    given: tuple[Any, ...]
+    unknown: Unknowns
+    chosen: Int[np.ndarray, " windows"]
+    ends: Float[np.ndarray, " windows"]
+    settings: dict[str, Any]
+
+
+def _asked(
+    loop: ClosedLoop, scenario: Scenario, sample_rate: float | str | None, duration: float | str | None,
+    prior: Prior | None, known: tuple[str, ...], also: tuple[Coefficient, ...], windows: int, design: ClosedLoop | None,
+) -> _Asked:  # fmt: skip
+    """What a bound is asked of; arguments and errors are those of `information_bound`."""
     sample_rate, duration = run_of(loop if design is None else design, sample_rate, duration)
     check_positive("sample_rate", sample_rate)
     check_positive("duration", duration)
-    scenario, samples, period = as_scenario(scenario), round(sample_rate * duration), 1.0 / sample_rate
+    samples, period = round(sample_rate * duration), 1.0 / sample_rate
     if samples < 1 or windows < 1:
         raise InputError(
             f"Arguments `duration` and `windows` must make at least one sample and window, but {samples} and {windows} "
@@ -161,23 +199,17 @@ def information_bound(
     lanes, slopes = lanes_of(loop, design, scenario), not is_concrete(loop, scenario, prior)
     start, sizes = sizes_of(loop, samples)
     if sizes and samples >= _WORTH_BLOCKS and not slopes and goes_by_blocks(unknown):
-        way = (start, sizes, lanes, windows == 1)
-        roots, information = roots_in_blocks(loop, design, scenario, unknown, period, *way), None
-        ends = np.cumsum([start, *sizes])[-len(roots) :]
+        program, way = roots_in_blocks, (start, sizes, lanes, windows == 1)
+        ends = np.cumsum([start, *sizes])[-1 if windows == 1 else 0 :]
     else:
         block = max(size for size in range(1, min(samples, _BLOCK) + 1) if samples % size == 0)
         ends = block * np.arange(1, samples // block + 1)
-        roots, information = _roots(loop, design, scenario, unknown, period, len(ends), block, lanes, slopes)
+        program, way = _roots, (len(ends), block, lanes, slopes)
     chosen = np.unique(np.linspace(len(ends), 1, min(windows, len(ends))).round().astype(int))
-    solved = least_variance(at_hand(settled(roots))[chosen - 1], unknown.scale, unknown.names)
-    std, covariance = solved.std, solved.covariance
-    if information is not None:
-        std, covariance = with_slopes(solved, information[chosen - 1], unknown.scale)
     kind = "Cramér-Rao" if prior is None else "Bayesian"
     settings = {"kind": kind, "sample_rate": sample_rate, "duration": duration, "known": ", ".join(known)}
-    return InformationBound(
-        ends[chosen - 1] * period, std, covariance, unknown.names, unknown.units, solved.degenerate, settings
-    )
+    given = (loop, design, scenario, unknown, period, *way)
+    return _Asked(program, given, unknown, chosen, ends[chosen - 1] * period, settings)
 
 
 def moved_by(

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -27,7 +28,7 @@ from memsgyro_jax.loop.unreached import unreached
 from memsgyro_jax.loop.unsuited import unsuited
 
 from .batch import Plan
-from .bounds import own_bounds, why_unbounded
+from .bounds import compiled_beside, own_bounds, why_unbounded
 from .caveats import Order
 from .divergence import divergence_of, unexpected
 from .folder import RemotePath, place_of
@@ -74,12 +75,20 @@ class Computation:
             tally.add(rows, first)
         if tally.computed < self.dies:
             amiss = [f"{tally.computed} of {self.dies} dies are there: figures are of those alone", *amiss]
-        bounds = own_bounds(
-            runner.loop, runner.scenario, runner.spread, runner.seed, bounded, settings.sample_rate, settings.duration
-        )
+        bounds = own_bounds(*self._of_bounds)
         divergence = divergence_of(*tally.diverged, runner.loop, runner.scenario, self.plan, self._drawn)
         why = why_unbounded(runner.loop, runner.scenario, settings.duration) if bounded and bounds is None else None
         return figures_of(tally, settings, runner.loop, bounds, why, divergence, self.notes, tuple(amiss), speed)
+
+    def compiling_bounds(self) -> AbstractContextManager[None]:
+        """Inside it the program of the dies' bounds is compiled beside all else, which a summary then finds."""
+        return compiled_beside(*self._of_bounds)
+
+    @property
+    def _of_bounds(self) -> tuple[ClosedLoop, Scenario, Spread, int, int, float, float]:
+        runner, settings, bounded = self.runner, self.settings, min(self.dies, self.bound_dies)
+        run = settings.sample_rate, settings.duration
+        return runner.loop, runner.scenario, runner.spread, runner.seed, bounded, *run
 
     def _drawn(self, dies: np.ndarray) -> tuple[ClosedLoop, Scenario]:
         """Dies by their numbers, which trail."""
@@ -183,13 +192,17 @@ def run_part(
 
 
 def run_share(
-    store: StoredSweep, share: range | None, resume: bool, progress: Callable[[int, int], None] | None
-) -> PartRun:
-    """Compute what these blocks, or all, want; without `resume` in a store that nobody has begun."""
+    store: StoredSweep, share: range | None, resume: bool, progress: Callable[[int, int], None] | None,
+    summarised: bool = False,
+) -> PartRun:  # fmt: skip
+    """Compute what these blocks, or all, want; without `resume` in a store that nobody has begun. What is to be
+    `summarised` after it will need bounds.
+    """
     made = store.computation
     with opened(store.path, made.layout, made.dies, made.runner.block, resume, share) as work:
         before = work.done
-        speed = made.runner.work(work, made.dies, progress)
+        with made.compiling_bounds() if summarised else nullcontext():
+            speed = made.runner.work(work, made.dies, progress)
         return PartRun(work.wanted, work.done - before, tuple(work.notes), speed)
 
 

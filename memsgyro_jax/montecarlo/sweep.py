@@ -138,11 +138,12 @@ def sweep(
     )  # fmt: skip
     if out is None:
         memory = Memory(made.dies, made.runner.block)
-        speed = made.runner.work(memory, made.dies, progress)
+        with made.compiling_bounds():
+            speed = made.runner.work(memory, made.dies, progress)
         rows = memory.rows
         return Lot(made.settings, made.summary([(0, rows)], [], speed), rows, made.layout)
     store = StoredSweep(place_of(out) / "dies.zarr", made)
-    ran = run_share(store, None, resume, progress) if dask is None else run_on_dask(store, dask, resume, progress)
+    ran = run_share(store, None, resume, progress, True) if dask is None else run_on_dask(store, dask, resume, progress)
     return lot_of(store, ran)
 
 

@@ -12,7 +12,7 @@ import scipy.linalg
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.gyro import DualMassGyro, Inertial, SingleMassGyro
 from memsgyro_jax.loop import noise
-from memsgyro_jax.loop.bound import CROSS_DAMPING_ASYMMETRY, information_bound
+from memsgyro_jax.loop.bound import CROSS_DAMPING_ASYMMETRY, compile_bound, information_bound
 from memsgyro_jax.loop.controllers import DampingCompensation, OpenLoop, Tone
 from memsgyro_jax.loop.engine import AbstractRecorder, run
 from memsgyro_jax.loop.loop import ClosedLoop
@@ -108,6 +108,16 @@ def dense_bound(
         information += np.diag((np.asarray(size) / prior_std) ** 2)
     scale = 1.0 / np.sqrt(np.diag(information))
     return np.asarray(size) * scale * np.sqrt(np.diag(np.linalg.inv(scale[:, None] * information * scale)))
+
+
+def test_what_was_compiled_beside_a_sweep_is_not_compiled_again(caplog):
+    loop, asked = closed(), {"sample_rate": 50e3, "duration": 1.2e-3, "prior": None, "known": (), "windows": 1}
+    of_bound = lambda: [told.message for told in caplog.records if "XLA compilation of jit(_roots)" in told.message]  # noqa: E731
+    with jax.log_compiles():
+        compile_bound(loop, as_scenario(1.0), design=loop, **asked)
+        assert len(of_bound()) == 1
+        information_bound(loop, 1.0, design=loop, **asked)
+    assert len(of_bound()) == 1
 
 
 @pytest.mark.parametrize("gyro", [SINGLE, pytest.param(DUAL, marks=pytest.mark.slow)], ids=["single", "dual"])
