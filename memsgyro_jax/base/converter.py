@@ -38,6 +38,8 @@ class FieldConverter:
 
 def as_array(what: str, given: Any, unit: str = "", dtype: DTypeLike | None = None) -> jax.Array:
     """`given`, which must be numbers in `unit` (SI where empty), as an array; raises `InputError` where it is not."""
+    if isinstance(given, jax.Array) and dtype is None:
+        return given
     try:
         return held(given) if type(given) is float and dtype is None else jnp.asarray(given, dtype)
     except (TypeError, ValueError, OverflowError) as error:

@@ -86,7 +86,9 @@ def _gather(value: Any, seen: set[object], told: Told) -> None:
         told(repr(value).encode())
     elif is_dataclass(kind):
         _methods(kind, seen, told)
-        _gather({field.name: getattr(value, field.name) for field in fields(value)}, seen, told)
+        held = getattr(value, "__dict__", {})  # a module's own look-up is slow
+        names = [field.name for field in fields(value)]
+        _gather({name: held[name] if name in held else getattr(value, name) for name in names}, seen, told)
     elif isinstance(value, dict):
         for entry in value.items():
             for part in entry:

@@ -35,7 +35,8 @@ def _modules(tree: Any) -> Iterator[eqx.Module]:
         return
     if isinstance(tree, eqx.Module):
         yield tree
-        inside: Any = (getattr(tree, name, None) for name in _fields(type(tree)))
+        held = vars(tree)  # a module's own look-up is slow
+        inside: Any = (held.get(name) for name in _fields(type(tree)))
     else:
         inside = tree.values() if isinstance(tree, dict) else tree if isinstance(tree, tuple | list) else ()
     for part in inside:
