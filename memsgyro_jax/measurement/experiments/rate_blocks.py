@@ -66,7 +66,8 @@ class RateTable(Experiment):
 
         first = jax.tree.map(lambda leaf: leaf[:1], self.surroundings)
         twice = jax.tree.map(lambda leaf: jnp.repeat(leaf, 2), self.surroundings)
-        ends = driven.visited(begun, self.step, self.surroundings).reshape(2 * self.time.size, HARMONICS + 1, -1)
+        held = jax.lax.stop_gradient(driven)  # moments are asked at, not differentiated
+        ends = held.visited(begun, self.step, self.surroundings).reshape(2 * self.time.size, HARMONICS + 1, -1)
         begin = periods(start[None], first, FINENESS[0].samples, FINENESS[0].harmonics)
         late = jax.vmap(lambda s, c: as_seen(s, bench.behind(self.frequency, c, s[0].real)))(means, self.surroundings)
         read = periods(late, self.surroundings, reading_samples(bench, FINENESS[0]), 1)
