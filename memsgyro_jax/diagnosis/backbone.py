@@ -52,6 +52,7 @@ class Equations:
         others: what multiplies the nuisances (n, 2, c).
         target: right side (n, 2).
         record: name of each row's record (n,).
+        drive: of each row (n,) [N], zero in a decay.
     """
 
     amplitude: np.ndarray
@@ -61,6 +62,7 @@ class Equations:
     others: np.ndarray
     target: np.ndarray
     record: np.ndarray
+    drive: np.ndarray
 
     def columns(self, stiffness: np.ndarray, damping: np.ndarray) -> np.ndarray:
         """Left side (2n, s + d + c) for describing functions of stiffness (n, s) and damping (n, d) at each row."""
@@ -274,7 +276,7 @@ def _of_sweeps(fit: CaseFit, axis: int) -> list[Equations]:
             Equations(
                 amplitude=np.abs(x), omega=omega, stiffness=two(-x * weight), damping=two(-1j * omega * x * weight),
                 others=np.stack([two(column * weight) for column in columns], axis=2), target=two(missing * weight),
-                record=np.repeat(found.record, len(x)),
+                record=np.repeat(found.record, len(x)), drive=found.drive[good],
             )
         )  # fmt: skip
     return out
@@ -296,7 +298,7 @@ def _of_decays(fit: CaseFit, axis: int) -> list[Equations]:
             Equations(
                 amplitude=moved, omega=track.omega,
                 stiffness=unit[0] / spread, damping=unit[1] / spread, others=np.zeros((len(shown), 2, 0)),
-                target=(shown - base) / spread, record=np.repeat(record.name, len(shown)),
+                target=(shown - base) / spread, record=np.repeat(record.name, len(shown)), drive=np.zeros(len(shown)),
             )
         )  # fmt: skip
     return out
