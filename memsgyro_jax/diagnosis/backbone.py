@@ -17,6 +17,7 @@ import xarray as xr
 from memsgyro_jax.base.arguments import check_kind
 from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.measurement.calibration import bracketed, length_of_records
 
 from .fit import CaseFit
 from .residual_force import sweep_forces
@@ -183,7 +184,9 @@ class Backbone(Shown):
                 f"{self.damping[i]:.4g} ± {self.damping_std[i]:.2g}"
             )
         slope, std = self.hardening
-        lines.append(f"  as a cubic spring over these amplitudes, k3/k1 = {slope:.4g} ± {std:.2g} 1/{self.length}²")
+        lines.append(
+            f"  as a cubic spring over these amplitudes, k3/k1 = {slope:.4g} ± {std:.2g} 1/{bracketed(self.length)}²"
+        )
         seen = f"below {a[0]:.3g} and above {a[-1]:.3g} {self.length}"
         lines.append(f"  {seen} nothing was seen: there the forces extrapolate")
         return "\n".join(lines)
@@ -238,7 +241,7 @@ def backbone(fit: CaseFit, axis: int = 0, *, knots: int = KNOTS) -> Backbone:
         velocity=curves[1][2], dissipative=curves[1][3], dissipative_std=curves[1][4],
         points=points, records=given.record, least=(float(a.min()), float(speed.min())),
         scatter=float(np.sqrt(np.average(rest**2, weights=weight))),
-        length=fit.case.words.displacement, force=fit.case.words.force,
+        length=length_of_records(fit.case), force=fit.case.words.force,
     )  # fmt: skip
 
 

@@ -20,7 +20,7 @@ from memsgyro_jax.device.normalised import NormalisedDevice
 from memsgyro_jax.effects.instrument import DriveLevel
 from memsgyro_jax.effects.lock_in_terms import LockInBackground, ReferencePhase
 from memsgyro_jax.effects.trial import at_strength
-from memsgyro_jax.measurement.calibration import units_of_records
+from memsgyro_jax.measurement.calibration import length_of_records, per_second, units_of_records
 from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.model import Model
 
@@ -73,7 +73,7 @@ class DrawnLaw(Shown):
     def write(self, path: str | Path) -> Path:
         """The effect file, whole or not at all."""
         splines = tuple(zip(self.knots, self.values, strict=True))
-        length, units = self.measured.words.displacement, units_of_records(self.measured)
+        length, units = length_of_records(self.measured), units_of_records(self.measured)
         text = law_text(self.measured.name, self.axis, self.names, self.seen, self.terms, splines, length, units)
         return write_whole(path, text)
 
@@ -86,10 +86,10 @@ class DrawnLaw(Shown):
             more = "" if term.threshold is None else f", threshold = {term.threshold:.4g}"
             lines.append(f"  {name}: {term.formula}, s = {term.strength:.4g}, exponent = {term.exponent:.3g}{more}")
         lines += [f"  {name}: straight lines with rounded corners" for name in self.names[len(self.terms) :]]
-        (low, high), (slow, fast), length = *self.seen, self.measured.words.displacement
+        (low, high), (slow, fast), length = *self.seen, length_of_records(self.measured)
         lines.append(
-            f"  seen from {low:.3g} to {high:.3g} {length} and {slow:.3g} to {fast:.3g} {length}/s; beyond, the law "
-            "extrapolates"
+            f"  seen from {low:.3g} to {high:.3g} {length} and {slow:.3g} to {fast:.3g} {per_second(length)}; beyond, "
+            "the law extrapolates"
         )
         if not any(term.kind == "even_stiffness" for term in self.terms):
             lines.append("  drawn the same for both signs: amplitude and phase at the drive do not tell them apart")
