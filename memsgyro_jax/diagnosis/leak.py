@@ -32,7 +32,7 @@ def leak_past(fit: CaseFit, axis: int) -> tuple[InstrumentTerm, ...]:
     plain = given.columns(*tables.values())
     more = np.concatenate([plain, np.stack([leaked.real, leaked.imag], axis=1).reshape(len(plain), -1)], axis=1)
     weight = given.robust(more)
-    left = [rms(given.solve(columns, weight)[2], weight) for columns in (more, plain)]
-    if not is_worth(*left, len(given.amplitude)):
+    left, before = (rms(given.solve(columns, weight)[2], weight) for columns in (more, plain))
+    if not is_worth(left, before, len(given.amplitude)):
         return ()
     return tuple(term for term in every_term(fit.case) if isinstance(term, LockInFeedthrough))
