@@ -31,13 +31,16 @@ _EXTRA_OPTIONS = (
 _CPU_FLAGS = (
     "--xla_cpu_prefer_vector_width=512",
     f"--xla_backend_extra_options={','.join(_EXTRA_OPTIONS)}",
+    # Sums over products are not handed to a library, which took the small and complex ones here with all that makes
+    # them up: captures and driven sweeps took twice as long.
+    "--xla_cpu_experimental_ynn_fusion_type=",
     # The dozens of small kernels around a loop compile in half the time without a pass through MLIR. Gone from jaxlib
     # 0.12, with which a first sweep takes about as long.
     "--xla_cpu_use_fusion_emitters=false",
 )
 # With `MANY_OUTPUTS` these end the process at some programs ("Check failed: GetNumDims() == other.GetNumResults()").
 _FUSE_ONE_OUTPUT = {"0.11.1", "0.11.2"}
-_TRIED = {"0.10.2": _CPU_FLAGS, "0.12.0.1": _CPU_FLAGS[:2]}  # what a jaxlib is known to take
+_TRIED = {"0.10.2": _CPU_FLAGS, "0.12.0.1": _CPU_FLAGS[:3]}  # what a jaxlib is known to take
 _DEVICES_FLAG = "--xla_force_host_platform_device_count"
 _LOG = logging.getLogger("memsgyro_jax")
 _PROBE = "import jax; jax.jit(abs)(1.0)"  # LLVM reads its options when it compiles

@@ -17,8 +17,9 @@ from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.runtime import require_float64, usable_cores
 from memsgyro_jax.base.threads import in_threads
 from memsgyro_jax.base.transforms import Free, Identity, fixed, from_vector, mark, to_vector
-from memsgyro_jax.effects import Effect, free_numbers
-from memsgyro_jax.measurement.first_order import Absent, Contribution, Inquiry, contributions, of_first_order
+from memsgyro_jax.effects import Effect, ForceEffect, free_numbers
+from memsgyro_jax.measurement.absent import Absent, of_first_order
+from memsgyro_jax.measurement.first_order import Contribution, Inquiry, contributions
 from memsgyro_jax.measurement.model import Model
 from memsgyro_jax.measurement.readings import Readings
 
@@ -143,9 +144,10 @@ class Joint:
         whole, present = self.at(vector), sorted(self._acting(vector, np.zeros((0, vector.size))))
         part = self._part(vector, np.zeros((0, vector.size)))
         model = whole.with_only(whole.effects[i] for i in present)
-        # All that could be asked for, so that one program tells whichever is.
-        lacking = [i for i in range(len(whole.effects)) if i not in present and of_first_order(model, whole.effects[i])]
-        quick = [i for i in absent if i in lacking]
+        # All that could be asked for, forces that are present too, so that one program tells whichever is.
+        told = [i for i, effect in enumerate(whole.effects) if i not in present or isinstance(effect, ForceEffect)]
+        told = [i for i in told if of_first_order(model, whole.effects[i])]
+        quick = [i for i in absent if i in told]
         if not quick or nothing(readings.experiment, part.model) is None:
             return self._carried(vector, directions, [readings])
         others = np.where(np.isin(self.owner, quick), 0.0, directions)
@@ -153,9 +155,9 @@ class Joint:
         along = rows if rows.size <= WIDTH and self._acting(vector, others) <= set(part.effects) else rows[:0]
         first = lanes(part.along(others[along])) if along.size else None
         here = self._linear(part, vector, readings, first)
-        places = tuple(int(sum(k < i for k in present)) for i in lacking)
-        added = contributions(model, Absent(tuple(whole.effects[i] for i in lacking), places), here.inquiry)
-        every, columns = (np.concatenate([self.of_effect(i) for i in some]) for some in (lacking, quick))
+        places = tuple(int(sum(k < i for k in present)) for i in told)
+        added = contributions(model, Absent(tuple(whole.effects[i] for i in told), places), here.inquiry)
+        every, columns = (np.concatenate([self.of_effect(i) for i in some]) for some in (told, quick))
         wanted = np.flatnonzero(np.isin(every, columns))
         ways, back = directions[:, every[wanted]], np.eye(len(directions))
         added = jax.tree.map(lambda leaf: np.asarray(leaf)[wanted], added)

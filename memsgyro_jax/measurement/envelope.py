@@ -6,7 +6,8 @@ under held forces. The scheme is ETD2RK of Cox and Matthews, "Exponential time d
 Comput. Phys. 176 (2002), equation (22).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -14,8 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from memsgyro_jax.base.linalg import among, at_place, exponential_and_means, inverse, product, solved
+from memsgyro_jax.base.linalg import among, at_place, exponential_and_means, product
 
+from .block_mean import BlockMean
 from .model import Conditions, Model
 from .steady import Remainder, nonlinear_spectrum
 
@@ -77,14 +79,6 @@ class Course(eqx.Module):
         """The last state and the course, of what every step from `start` gave."""
         end, here, there = jnp.moveaxis(passed, 1, 0)
         return last, cls(jnp.concatenate([start[None], end[:-1]]), end, here, there)
-
-    def visited(self, propagate: Propagator, load: Array) -> Complex[Array, "t 2 h n"]:
-        """The states at which the steps ask what the linear part leaves out, of propagators and loads for all steps or
-        for each.
-        """
-        load = load + self.here
-        predicted = product(propagate.exponential, self.start) + product(propagate.first, load)
-        return jnp.stack([self.start, predicted], axis=1)
 
 
 class Driven(eqx.Module):
@@ -149,22 +143,52 @@ class Driven(eqx.Module):
         """Through as many steps of `step` seconds as `conditions` has rows: the last state, and what happened on the
         way. `added` are accelerations that the model lacks, at both ends of each step.
         """
+        passing = lambda start, *passed: jnp.stack(passed)  # noqa: E731
+        # One result per step: with several, XLA's fusion copies all of the steps before at every step.
+        return Course.of(start, *self._through(start, step, conditions, added, passing))
+
+    def demodulated(
+        self,
+        start: Complex[Array, "h n"],
+        step: Array,
+        conditions: Conditions,
+        added: Complex[Array, "t 2 h axes"] | None = None,
+        boxcar: bool = True,
+    ) -> tuple[Complex[Array, "t h n"], Complex[Array, "t h n"]]:
+        """What a lock-in makes of each step of the same run (`BlockMean`), and, without derivatives, where it began.
+
+        A block is demodulated on the way: the states of all, along each direction, would be written and read again.
+        """
+        mean = self.lock_in(step, boxcar)
+        told = lambda start, end, *left: with_end(mean.over(start, end, *left), end)  # noqa: E731
+        return means_and_begins(start, self._through(start, step, conditions, added, told)[1])
+
+    def lock_in(self, step: Array, boxcar: bool) -> BlockMean:
+        """Over each step [s]."""
+        return BlockMean.of(self.operator, self.load, self.omega, step, boxcar)
+
+    def _through(
+        self, start: Array, step: Array, conditions: Conditions, added: Array | None, told: Callable[..., Any]
+    ) -> tuple[Array, Any]:
+        """The last state, and what is `told` of the start and end of each step and of what the linear part leaves out
+        there.
+        """
         propagate, load = self.propagator(step), self.load
 
-        def advance(state: Array, inputs: tuple[Conditions | Remainder, Array | None]) -> tuple[Array, Array]:
+        def advance(state: Array, inputs: tuple[Conditions | Remainder, Array | None]) -> tuple[Array, Any]:
             now, more = inputs
             extra = (0.0, 0.0) if more is None else among_velocities(more, self.model.size)
             end, here, there = propagate.advance(state, load, lambda s: self.rest(s, now), extra)
-            return end, jnp.stack([end, here, there])
+            return end, told(state, end, here, there)
 
-        # One result per step: with several, XLA's fusion copies all of the steps before at every step.
-        return Course.of(start, *jax.lax.scan(advance, start, (jax.vmap(self.around)(conditions), added)))
+        return jax.lax.scan(advance, start, (jax.vmap(self.around)(conditions), added))
 
-    def visited(self, course: Course, step: Array) -> Complex[Array, "t 2 h n"]:
-        """The states at which a course asks what the linear part leaves out: at the start of each step, and where it
-        is predicted to end.
+    def visited(self, start: Complex[Array, "t h n"], step: Array, conditions: Conditions) -> Complex[Array, "t 2 h n"]:
+        """The states at which steps from `start` ask what the linear part leaves out: there, and where each is
+        predicted to end.
         """
-        return course.visited(self.propagator(step), self.load)
+        here = jax.vmap(lambda state, now: self.rest(state, self.around(now)))(start, conditions)
+        return steps_from(self.propagator(step), start, self.load + here)
 
     def run_legs(
         self, start: Complex[Array, "h n"], legs: Sequence[tuple[Array, Array, int]], conditions: Conditions
@@ -186,40 +210,28 @@ class Driven(eqx.Module):
 
         return jax.lax.scan(advance, start, np.repeat(np.arange(len(legs)), counts))[1]
 
-    def demodulated(
-        self, course: "Course", step: Array, boxcar: bool = True, first: Complex[Array, "t n n"] | None = None
-    ) -> Complex[Array, "t h n"]:
-        """What a lock-in over each step makes of the state: harmonic by harmonic the mean, and with a `boxcar` (over a
-        whole number of cycles) in harmonic 1 also what passes from harmonic 0 and from the conjugate while they change.
-        `first` is the operator of harmonic 1 in each step, where it is not the same in all.
-
-        Means of S·e^{ikωt} follow from the equation of motion: L times the mean is the change of S less the load.
-        """
-        change, drift = (course.end - course.start) / step, (course.there - course.here) / step
-        right = change - self.load - 0.5 * (course.here + course.there)
-        matrices = [*self.operator]
-        if first is not None:
-            matrices[1] = first
-        undone = [_undone(matrix) for matrix in matrices]
-        # One by one: of what no channel shows nothing is computed.
-        means = [solved(*both, right[:, h]) for h, both in enumerate(zip(matrices, undone, strict=True))]
-        if boxcar:
-            one, back = matrices[1], undone[1]
-            conjugate = solved(jnp.conj(one), jnp.conj(back), change[:, 1] - drift[:, 1] / (2j * self.omega))
-            constant = solved(one, back, change[:, 0] + drift[:, 0] / (1j * self.omega))
-            means[1] = means[1] + jnp.conj(conjugate) + 2 * constant
-        return jnp.stack(means, axis=1)
-
     def instant(self, state: Complex[Array, "h n"], time: Array) -> Float[Array, " n"]:
         """The state itself at a time [s], phase zero at time zero."""
         turn = jnp.exp(1j * jnp.arange(HARMONICS + 1) * self.omega * time)
         return jnp.real(turn @ state)
 
 
-def _undone(matrices: Complex[Array, "*t n n"]) -> Complex[Array, "*t n n"]:
-    """Their inverses, without derivatives."""
-    held = jax.lax.stop_gradient(matrices)
-    return inverse(held) if held.ndim == 2 else jax.vmap(inverse)(held)
+def with_end(mean: Complex[Array, "h n"], end: Complex[Array, "h n"]) -> Complex[Array, "2 h n"]:
+    """What a step tells of itself as one result: with several, XLA copies those of all steps before at every step."""
+    return jnp.stack([mean, jax.lax.stop_gradient(end)])
+
+
+def means_and_begins(start: Complex[Array, "h n"], told: Complex[Array, "t 2 h n"]) -> tuple[Array, Array]:
+    """The means of all steps and, without derivatives, where each began, from what they told."""
+    return told[:, 0], jax.lax.stop_gradient(jnp.concatenate([start[None], told[:-1, 1]]))
+
+
+def steps_from(
+    propagate: Propagator, start: Complex[Array, "t h n"], load: Complex[Array, "t h n"]
+) -> Complex[Array, "t 2 h n"]:
+    """The start of every step, and where it ends under a constant load, of propagators for all steps or for each."""
+    end = product(propagate.exponential, start) + product(propagate.first, load)
+    return jnp.stack([start, end], axis=1)
 
 
 def among_velocities(accelerations: Array, size: int) -> Array:

@@ -7,36 +7,21 @@ does to the prediction is then the linear response of the *present* model to tho
 
 import abc
 from collections.abc import Sequence
-from functools import partial
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
-from memsgyro_jax.base.affine import is_constant
-from memsgyro_jax.base.kept import kept
-from memsgyro_jax.base.plainly import PLAINLY
 from memsgyro_jax.device.conditions import Conditions
-from memsgyro_jax.effects.base import (
-    DriveEffect,
-    Effect,
-    ForceEffect,
-    LockInEffect,
-    Moment,
-    ReadoutEffect,
-    SurroundingsEffect,
-    SweepEffect,
-)
-from memsgyro_jax.effects.evaluation import Acting
+from memsgyro_jax.effects.base import SweepEffect
 
+from .absent import Absent, added_to_linear, forced, seen
 from .model import Model
 from .steady import drive_waveform, phases, waveform
 
 
-_seldom = partial(kept, options=PLAINLY)
-NODES = 16  # conditions of the linear part at a time
 CHUNK = 6144  # moments at a time: whole rows of 12, 32 and 128, and small enough to stay near the processor
 
 
@@ -153,144 +138,6 @@ class Contribution(eqx.Module):
         return linear[0] + self.linear[0], linear[1] + self.linear[1]
 
 
-class Absent(eqx.Module):
-    """Effects of strength zero beside a model, each with the number of the model's own effects that stand before it."""
-
-    effects: tuple[Effect, ...]
-    places: tuple[int, ...] = eqx.field(static=True)
-
-    @property
-    def sizes(self) -> tuple[int, ...]:
-        """How many numbers each strength has."""
-        return tuple(int(np.size(effect.strength)) for effect in self.effects)
-
-
-def of_first_order(model: Model, effect: Effect) -> bool:
-    """Whether the response to an absent effect is that of the model to its force, voltage or sweep rate alone."""
-    if isinstance(effect, SweepEffect):
-        return True
-    own = sum(getattr(one, "own_size", 0) for one in model.effects)
-    if getattr(effect, "own_size", 0) or isinstance(effect, (SurroundingsEffect, LockInEffect)):
-        return False
-    if isinstance(effect, ReadoutEffect):
-        return not effect.sharp
-    return isinstance(effect, ForceEffect) or (isinstance(effect, DriveEffect) and not own)
-
-
-def _with(model: Model, effect: Effect, place: int, strength: Array) -> Model:
-    """The model with an effect of some strength at its place."""
-    own = model.effects
-    return model.with_only((*own[:place], eqx.tree_at(lambda e: e.strength, effect, strength), *own[place:]))
-
-
-def _each(function, strength: Array) -> Array:
-    """(k, axes) derivative by each number of a strength, at zero."""
-    slopes = jax.jacfwd(function)(jnp.zeros_like(strength))
-    return jnp.moveaxis(slopes.reshape(slopes.shape[0], -1), 0, 1)
-
-
-# Several programs hold these two: under `jit` what every effect does is traced once for all of them.
-
-
-@eqx.filter_jit
-def _accelerations(model: Model, absent: Absent, state: Array, command: Array, now: Conditions) -> Array:
-    """(K, axes) what all strengths add to the acceleration per unit."""
-    axes = model.axes
-    moment = model.at_moment(state, command, now)
-    parts = []
-    for effect, place in zip(absent.effects, absent.places, strict=True):
-        if isinstance(effect, ForceEffect):
-
-            def added(strength: Array, effect=effect) -> Array:
-                return jnp.abs(model.device.mobility) * eqx.tree_at(lambda e: e.strength, effect, strength).force(
-                    moment
-                )
-
-        elif isinstance(effect, DriveEffect):
-
-            def added(strength: Array, effect=effect, place=place) -> Array:
-                return _with(model, effect, place, strength).derivative(state, command, now)[axes : 2 * axes]
-
-        else:
-            parts.append(jnp.zeros((int(effect.strength.size), axes)))
-            continue
-        parts.append(_each(added, effect.strength))
-    return jnp.concatenate(parts)
-
-
-@eqx.filter_jit
-def _voltages(model: Model, absent: Absent, state: Array, command: Array, turn: Array, now: Conditions) -> Array:
-    """(K, axes) what all strengths add to the voltages per unit, the state being what it is."""
-    moment = model.at_reading(state, command, turn, now)
-    volts = model.scale * moment.seen + model.offset
-    looks_back = model.order == 2 or _looks_back(model, volts, moment)
-    parts = []
-    for effect, place in zip(absent.effects, absent.places, strict=True):
-        if isinstance(effect, ReadoutEffect):
-
-            def added(strength: Array, effect=effect, place=place) -> Array:
-                return Acting.of(_with(model, effect, place, strength).effects).signal(volts, moment)
-
-        elif looks_back and isinstance(effect, (ForceEffect, DriveEffect)):
-
-            def added(strength: Array, effect=effect, place=place) -> Array:
-                return _with(model, effect, place, strength).observe(state, command, turn, now)
-
-        else:
-            parts.append(jnp.zeros((int(effect.strength.size), model.axes)))
-            continue
-        parts.append(_each(added, effect.strength))
-    return jnp.concatenate(parts)
-
-
-@_seldom
-def _pushed(model: Model, absent: Absent, state: Array, command: Array, now: Conditions) -> Float[Array, "N K axes"]:
-    return jax.vmap(lambda s, u, c: _accelerations(model, absent, s, u, c))(state, command, now)
-
-
-@_seldom
-def _read(model: Model, absent: Absent, state: Array, command: Array, turn: Array, now: Conditions) -> Array:
-    return jax.vmap(lambda s, u, du, c: _voltages(model, absent, s, u, du, c))(state, command, turn, now)
-
-
-@_seldom
-def _propagated(model: Model, absent: Absent, base: Conditions) -> tuple[Array, Array]:
-    """(K, r, n, n) and (K, r, n, axes): what is added to the linear part at each of several conditions."""
-    axes, rest, still = model.axes, jnp.zeros(model.size), jnp.zeros(model.axes)
-
-    def at(base: Conditions) -> tuple[Array, Array]:
-        parts = jax.jacfwd(lambda s, u: _accelerations(model, absent, s, u, base), argnums=(0, 1))(rest, still)
-        around = (0, 0), (axes, model.size - 2 * axes), (0, 0)
-        return jnp.pad(parts[0], around), jnp.pad(parts[1], around)
-
-    return jax.vmap(at, out_axes=1)(base)
-
-
-def _added_to_linear(model: Model, absent: Absent, base: Conditions) -> tuple[np.ndarray, np.ndarray]:
-    """(K, n, n) and (K, n, axes), or (K, r, ...) at each of several conditions; `NODES` at a time, whatever r is, so
-    that experiments share a program.
-    """
-    several = np.ndim(base.rate) > 0
-    every = jax.tree.map(lambda leaf: np.asarray(leaf) if several else np.asarray(leaf)[None], base)
-    count, parts = len(every.rate), []
-    for begin in range(0, count, NODES):
-        chosen = np.minimum(np.arange(begin, begin + NODES), count - 1)
-        parts.append(_propagated(model, absent, jax.tree.map(lambda leaf: leaf[chosen], every)))  # noqa: B023
-    joined = (np.concatenate(part, axis=1)[:, :count] for part in zip(*parts, strict=True))
-    matrix, load = joined if several else (part[:, 0] for part in joined)
-    return matrix, load
-
-
-def _looks_back(model: Model, volts: Array, moment: Moment) -> bool:
-    """Whether the read-out shows more of the motion than what it sees of it: acceleration or jerk."""
-
-    def signal(acceleration: Array, jerk: Array) -> Array:
-        seen = eqx.tree_at(lambda m: (m.acceleration, m.jerk), moment, (acceleration, jerk))
-        return Acting.of(model.effects).signal(volts, seen)
-
-    return not is_constant(signal, moment.acceleration, moment.jerk)
-
-
 def _speeds(absent: Absent) -> np.ndarray:
     """(K,) what all strengths add to the rate of a sweep per unit."""
     parts = []
@@ -307,12 +154,12 @@ def contributions(model: Model, absent: Absent, inquiry: Inquiry) -> Contributio
     total, size = sum(absent.sizes), model.size
     linear = np.zeros((total, size, size)), np.zeros((total, size, model.axes))
     if inquiry.base is not None:
-        linear = _added_to_linear(model, absent, inquiry.base)
-    forced = tuple(_told(group, lambda s, u, _, c: _pushed(model, absent, s, u, c)) for group in inquiry.forced)
+        linear = added_to_linear(model, absent, inquiry.base)
+    pushes = tuple(_told(group, lambda s, u, _, c: forced(model, absent, s, u, c)) for group in inquiry.forced)
     reader = inquiry.read.reader(model)
-    read = _told(inquiry.read, lambda *moments: _read(reader, absent, *moments))
+    shown = _told(inquiry.read, lambda *moments: seen(reader, absent, *moments))
     speeds = _speeds(absent) if inquiry.swept else np.zeros(total)
-    return Contribution(forced, read if read.ndim < 4 else read[:, :, 1], linear, speeds)
+    return Contribution(pushes, shown if shown.ndim < 4 else shown[:, :, 1], linear, speeds)
 
 
 def _told(moments: AskedRows, function) -> np.ndarray:

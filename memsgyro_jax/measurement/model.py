@@ -123,14 +123,18 @@ class Model(Displayed):
         """Time derivative of the state under a commanded force [N]."""
         now = self.at_moment(state, command, conditions)
         q, v = now.displacement, now.velocity
-        extra, own = self._acting.force(now, state[2 * self.axes :])
-        device = self.device
-        force = now.force + jnp.sign(device.mobility) * extra  # what is turned round is the drive
-        held = product(device.stiffness_matrix, q) + product(device.damping_matrix, v)
-        acceleration = device.mobility * force - held
+        pushed, own = self.pushed(now, state[2 * self.axes :])
+        held = product(self.device.stiffness_matrix, q) + product(self.device.damping_matrix, v)
+        acceleration = pushed - held
         if self.axes == 2:
             acceleration = acceleration + 2.0 * conditions.rate * jnp.stack([v[1], -v[0]])
         return jnp.concatenate([v, acceleration, own])
+
+    def pushed(self, now: Moment, own: Float[Array, " own"]) -> tuple[Float[Array, " axes"], Float[Array, " own"]]:
+        """What the forces at a moment accelerate the mass by, and the time derivative of the effects' own states."""
+        extra, rates = self._acting.force(now, own)
+        mobility = self.device.mobility
+        return mobility * (now.force + jnp.sign(mobility) * extra), rates  # what is turned round is the drive
 
     @eqx.filter_jit
     def observe(

@@ -54,6 +54,11 @@ class RateNodes(eqx.Module):
         return made.reshape(-1, *values.shape[1:])
 
 
+def mixed(weights: Float[Array, " k"], nodes: Array) -> Array:
+    """Values at the nodes (k, n, m) as they are at one row (n, m), of which these are the weights."""
+    return jnp.sum(weights[:, None, None] * nodes, axis=0)
+
+
 def _enough(angle: float) -> int:
     """Nodes that e^{i·angle·x} asks for between −1 and 1: its Chebyshev series falls as (angle/2)ᵏ/k!."""
     half, left, count = max(angle, 1e-9) / 2, math.log(_LEFT / 4), 2

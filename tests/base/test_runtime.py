@@ -68,7 +68,8 @@ def test_settings_of_the_user_stay(report, tmp_path):
     assert seen["flags"][:2] == theirs
     ours = [flag.split("=")[0] for flag in seen["flags"][2:]]
     assert "--xla_backend_extra_options" in ours
-    assert set(ours) <= {"--xla_backend_extra_options", "--xla_cpu_use_fusion_emitters"}  # the latter if it is known
+    if_known = {"--xla_cpu_experimental_ynn_fusion_type", "--xla_cpu_use_fusion_emitters"}
+    assert set(ours) <= {"--xla_backend_extra_options", *if_known}
     assert seen["devices"] == 3
     assert seen["cache"] == str(tmp_path / "mine")
 
@@ -110,7 +111,7 @@ def test_an_option_of_the_compiler_that_it_does_not_know_is_left_out(report):
     assert f"{name}=xla_cpu_disable_loop_unrolling=true" in seen["flags"]
 
 
-@pytest.mark.parametrize(("platforms", "wanted"), [("", 4), ("cpu", 4), ("cuda,cpu", 4), ("cuda", 0)])
+@pytest.mark.parametrize(("platforms", "wanted"), [("", 5), ("cpu", 5), ("cuda,cpu", 5), ("cuda", 0)])
 def test_flags_of_the_cpu_are_for_the_cpu(monkeypatch, platforms, wanted):
     monkeypatch.setenv("JAX_PLATFORMS", platforms)
     assert len(runtime._missing_flags("", devices=2)) == wanted

@@ -16,7 +16,7 @@ from memsgyro_jax.effects.base import SurroundingsEffect, strength
 from memsgyro_jax.effects.instrument import RecordGain
 from memsgyro_jax.effects.lock_in_terms import ReferencePhase
 from memsgyro_jax.effects.numbers import parameter
-from memsgyro_jax.measurement.first_order import of_first_order
+from memsgyro_jax.measurement.absent import of_first_order
 from memsgyro_jax.measurement.import_case import import_case
 from memsgyro_jax.measurement.linear_start import starting_device
 from memsgyro_jax.measurement.model import Model

@@ -25,7 +25,7 @@ def test_a_block_of_a_lock_in_is_the_mean_of_the_turned_signal():
     def course(step, count):
         return driven.run(start, step, Conditions().rows(count))[1]
 
-    (block,) = jax.jit(lambda: driven.demodulated(course(length, 1), length))()
+    (block,) = jax.jit(lambda: driven.demodulated(start, length, Conditions().rows(1))[0])()
     states = jax.jit(lambda: course(length / fine, fine).start)()
     time = np.arange(fine) * length / fine
     signal = np.real(np.einsum("th,thn->tn", np.exp(1j * np.outer(time, np.arange(3)) * omega), np.asarray(states)))

@@ -13,8 +13,9 @@ from scipy.linalg import expm
 from memsgyro_jax.device.conditions import Conditions
 from memsgyro_jax.device.gyro import SingleMassGyro
 from memsgyro_jax.effects import by_name
+from memsgyro_jax.measurement.absent import Absent
 from memsgyro_jax.measurement.experiments import CartesianNoise, RateTable
-from memsgyro_jax.measurement.first_order import Absent, contributions
+from memsgyro_jax.measurement.first_order import contributions
 from memsgyro_jax.measurement.model import Model
 from memsgyro_jax.measurement.rate_nodes import RateNodes
 

@@ -10,7 +10,7 @@ from jaxtyping import Array, Complex, Float
 
 from memsgyro_jax.device.conditions import Conditions
 
-from ..envelope import HARMONICS, SAMPLES, Course, Driven
+from ..envelope import HARMONICS, SAMPLES, Driven
 from ..first_order import Contribution, Inquiry, Periods
 from ..lock_in import before_lock_in, through_lock_in
 from ..model import Model
@@ -59,14 +59,15 @@ class RateTable(Experiment):
         return self._predicted(bench, None)[0]
 
     def predict_beside(self, bench: Model, added: Contribution) -> tuple[Complex[Array, "n axes"], Inquiry]:
-        seen, driven, start, course, means = self._predicted(bench, added)
+        seen, driven, start, begun, means = self._predicted(bench, added)
 
         def periods(states: Array, conditions: Conditions, samples: int, harmonics: int) -> Periods:
             return Periods(states, driven.force[None], self.frequency[None], conditions, samples, harmonics)
 
         first = jax.tree.map(lambda leaf: leaf[:1], self.surroundings)
         twice = jax.tree.map(lambda leaf: jnp.repeat(leaf, 2), self.surroundings)
-        ends = driven.visited(course, self.step).reshape(2 * self.time.size, HARMONICS + 1, -1)
+        held = jax.lax.stop_gradient(driven)  # moments are asked at, not differentiated
+        ends = held.visited(begun, self.step, self.surroundings).reshape(2 * self.time.size, HARMONICS + 1, -1)
         begin = periods(start[None], first, FINENESS[0].samples, FINENESS[0].harmonics)
         late = jax.vmap(lambda s, c: as_seen(s, bench.behind(self.frequency, c, s[0].real)))(means, self.surroundings)
         read = periods(late, self.surroundings, reading_samples(bench, FINENESS[0]), 1)
@@ -98,20 +99,20 @@ class RateTable(Experiment):
 
     def _predicted(
         self, bench: Model, added: Contribution | None
-    ) -> tuple[Array, Driven | OnTable, Array, Course, Array]:
-        """Phasors; the model under the drive, the state that it begins in, its course and the means of its blocks."""
+    ) -> tuple[Array, Driven | OnTable, Array, Array, Array]:
+        """Phasors; the model under the drive, the state that it begins in, those that its blocks do and their means."""
         driven, begin, ends = self._driven(bench, added), None, None
         if added is not None:
             begin, ends = added.forced[0][0], added.forced[1].reshape(self.time.size, 2, HARMONICS + 1, bench.axes)
         shown = before_lock_in(bench, self.measured[:1], self.frequency, driven.force, self._first)[0]
         near = jax.lax.stop_gradient(bench.motion(shown, self.frequency))
         start = steady_state(bench, self.frequency, driven.force, self._first, near, FINENESS[0], begin)
-        _, course = driven.run(start[: HARMONICS + 1], self.step, self.surroundings, ends)
-        means = driven.demodulated(course, self.step, self.boxcar)
+        first = start[: HARMONICS + 1]
+        means, begun = driven.demodulated(first, self.step, self.surroundings, ends, self.boxcar)
         given = jax.vmap(lambda s, c: fundamental(bench, self.frequency, s, driven.force, c))(means, self.surroundings)
         given = given if added is None else given + added.seen
         seen = through_lock_in(bench, given, self.frequency, driven.force, given, self.surroundings)
-        return seen, driven, start, course, means
+        return seen, driven, start, begun, means
 
     def proposals(self, name: str) -> Iterator[tuple[str, Experiment]]:
         """Again as it was; rates up to the largest, known from a calibrated reference; fast ones; a stronger drive."""

@@ -28,6 +28,10 @@ from .clocked import CONDITIONS, WaveformRecord, surroundings_told
 from .sheet import Sheet
 
 
+_CYCLES = 6  # of the drive at most in a step before it is removed
+_MORE = 1.2  # times as many steps are no loss where they save another program
+
+
 class RingDown(Experiment):
     """Waveforms after the drive F cos ωt, begun at rest, was taken away at t = 0 after a whole number of cycles.
 
@@ -39,9 +43,9 @@ class RingDown(Experiment):
         frequency: of the drive [rad/s].
         force: amplitude per axis [N], (axes,).
         surroundings: conditions, scalars.
-        cycles: of the drive before it was removed.
+        driven_for: how long it was driven before, a whole number of cycles [s].
+        steps: of the integration before the removal.
         late: whether the first sample comes after the removal, rather than with it.
-        step_cycles: at most so many drive cycles per step of the integration before the removal.
         nodes: at which the decay is integrated, evenly spaced; from the last of them before it, a step leads to each
             sample. Zero where the samples themselves are such.
     """
@@ -53,19 +57,17 @@ class RingDown(Experiment):
     frequency: Array
     force: Float[Array, " axes"]
     surroundings: Conditions
-    cycles: int = eqx.field(static=True)
+    driven_for: Array
+    steps: int = eqx.field(static=True)
     late: bool = eqx.field(static=True, default=False)
-    step_cycles: int = eqx.field(static=True, default=6)
     nodes: int = eqx.field(static=True, default=0)
 
     def predict(self, bench: Model) -> Float[Array, "n axes"]:
         """Voltage of every channel at every sample."""
         driven = Driven.of(bench, self.frequency, self.force, self.surroundings)
-        period = 2 * jnp.pi / self.frequency
-        cycles = next(part for part in range(self.step_cycles, 0, -1) if self.cycles % part == 0)
         nodes, none = self.nodes or self.time.size, jnp.zeros_like(self.force)
         step = (self.time[-1] - self.time[0]) / (nodes - 1)
-        legs = [(self.force, cycles * period, self.cycles // cycles), (none, step, nodes - 1)]
+        legs = [(self.force, self.driven_for / self.steps, self.steps), (none, step, nodes - 1)]
         if self.late:
             legs.insert(1, (none, self.time[0], 1))
         before = sum(count for _, _, count in legs[:-1])
@@ -96,6 +98,15 @@ class RingDown(Experiment):
 
     def at(self, row: int) -> str:
         return f"at {float(self.time[row]):.4g} s"
+
+
+def _steps(cycles: float) -> int:
+    """Steps through so many cycles of the drive: one of eight numbers in an octave, so that records of one length have
+    a program in common.
+    """
+    least = int(np.ceil(cycles / _CYCLES))
+    unit = max(1, 2 ** (least.bit_length() - 4))
+    return -(-least // unit) * unit
 
 
 class RingDownSection(ToneSection):
@@ -181,6 +192,7 @@ class RingDownRecord(WaveformRecord):
                 f"but holds {driven:.3g}."
             )
         around = surroundings(declared, number, 1, **self.surrounded(np.mean))
+        _, fastest = declared.resonances  # which records of both axes have in common
         return RingDown(
             name="ring-downs",
             time=jnp.asarray(self.time),
@@ -189,7 +201,8 @@ class RingDownRecord(WaveformRecord):
             frequency=jnp.asarray(self.drive_frequency),
             force=jnp.asarray(self.drive_force * np.eye(declared.channels)[self.axis]),
             surroundings=jax.tree.map(lambda leaf: leaf[0], around),
-            cycles=cycles,
+            driven_for=jnp.asarray(cycles * 2 * np.pi / self.drive_frequency),
+            steps=_steps(max(cycles, min(_MORE * cycles, self.drive_duration * fastest / (2 * np.pi)))),
             late=bool(self.time[0] > 0),
             nodes=self._nodes if self.uneven else 0,
         )
