@@ -110,8 +110,9 @@ class FreeDecay(Experiment):
         measured, noise, now = self._pieces()
 
         def one(start: Array, now: Conditions, push: Array, more: tuple[Array, Array]) -> tuple[Array, Array]:
-            free, course, step, _ = self._turned(bench, start, now, more, push)
-            return course.start[:: self.substeps], free.visited(course, step)
+            free, course, step, fine = self._turned(bench, start, now, more, push)
+            held, begun = jax.lax.stop_gradient((free, course.start))  # moments are asked at, not differentiated
+            return course.start[:: self.substeps], held.visited(begun, step, fine)
 
         kept, visited = jax.vmap(one)(starts, now, pushed, added.linear)
         quiet = jnp.zeros(bench.axes) + 0j
