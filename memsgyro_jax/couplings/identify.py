@@ -12,8 +12,8 @@ import numpy as np
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.runtime import require_float64
-from memsgyro_jax.measurement.exchanged_axes import all_exchanged, exchanged_axes, phasors_of_sweep
-from memsgyro_jax.measurement.experiments import CartesianNoise, Noise, PolarNoise
+from memsgyro_jax.measurement.exchanged_axes import all_exchanged, phasors_of_sweep, refuse, surely_exchanged
+from memsgyro_jax.measurement.experiments import CartesianNoise, Noise, Phasors, PolarNoise
 from memsgyro_jax.measurement.noise import noise_beside_misfit
 
 from .doubts import Explanation, doubt, rivals
@@ -68,10 +68,12 @@ def identify(
         mass: of the mode [kg]; without it cxy and kxy are per unit mass.
         effects: of `EFFECTS`, to be modelled too.
 
-    **Raises:** `InputError` in float32, for unknown effects, for too short records.
+    **Raises:** `InputError` in float32, for unknown effects, for too short records, for sweeps of which some
+    read as if x and y were exchanged.
     """
     require_float64("Identification")
     _check(records, mass, effects)
+    refuse(surely_exchanged(_told(records)))
     sweeps = tuple(sweep_of(record, noise, number) for number, record in enumerate(records))
     known = [name for name in EFFECTS if len(records) > 1 or name != BETWEEN]
     estimate = noise is None
@@ -179,14 +181,18 @@ def _check(records: Sequence[SweepRecord], mass: float | None, effects: Sequence
 
 def _notes(records: Sequence[SweepRecord], noise: Noise | None, mass: float | None) -> tuple[str, ...]:
     notes = [note for record in records for note in record.notes]
-    told = [(r.name, phasors_of_sweep(r.frequency, r.phasors, r.axis, r.drive)) for r in records]
-    notes += [f"{said[0].upper()}{said[1:]}." for said in (*exchanged_axes(told).values(), all_exchanged(told)) if said]
+    notes += [f"{said[0].upper()}{said[1:]}."] if (said := all_exchanged(_told(records))) else []
     notes.append(RELATIVE)
     if noise is None:
         notes.append("The noise was estimated from the scatter of neighbouring points.")
     if mass is None:
         notes.append("Without a mass, c_xy and k_xy are per unit mass.")
     return tuple(dict.fromkeys(notes))
+
+
+def _told(records: Sequence[SweepRecord]) -> list[tuple[str, Phasors | None]]:
+    """The phasors of each sweep, by name."""
+    return [(r.name, phasors_of_sweep(r.frequency, r.phasors, r.axis, r.drive)) for r in records]
 
 
 def _judged(

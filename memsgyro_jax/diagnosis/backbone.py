@@ -17,6 +17,7 @@ import xarray as xr
 from memsgyro_jax.base.arguments import check_kind
 from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.measurement.calibration import bracketed, length_of_records
 
 from .fit import CaseFit
 from .residual_force import sweep_forces
@@ -52,6 +53,7 @@ class Equations:
         others: what multiplies the nuisances (n, 2, c).
         target: right side (n, 2).
         record: name of each row's record (n,).
+        drive: of each row (n,) [N], zero in a decay.
     """
 
     amplitude: np.ndarray
@@ -61,6 +63,7 @@ class Equations:
     others: np.ndarray
     target: np.ndarray
     record: np.ndarray
+    drive: np.ndarray
 
     def columns(self, stiffness: np.ndarray, damping: np.ndarray) -> np.ndarray:
         """Left side (2n, s + d + c) for describing functions of stiffness (n, s) and damping (n, d) at each row."""
@@ -181,7 +184,9 @@ class Backbone(Shown):
                 f"{self.damping[i]:.4g} ± {self.damping_std[i]:.2g}"
             )
         slope, std = self.hardening
-        lines.append(f"  as a cubic spring over these amplitudes, k3/k1 = {slope:.4g} ± {std:.2g} 1/{self.length}²")
+        lines.append(
+            f"  as a cubic spring over these amplitudes, k3/k1 = {slope:.4g} ± {std:.2g} 1/{bracketed(self.length)}²"
+        )
         seen = f"below {a[0]:.3g} and above {a[-1]:.3g} {self.length}"
         lines.append(f"  {seen} nothing was seen: there the forces extrapolate")
         return "\n".join(lines)
@@ -236,7 +241,7 @@ def backbone(fit: CaseFit, axis: int = 0, *, knots: int = KNOTS) -> Backbone:
         velocity=curves[1][2], dissipative=curves[1][3], dissipative_std=curves[1][4],
         points=points, records=given.record, least=(float(a.min()), float(speed.min())),
         scatter=float(np.sqrt(np.average(rest**2, weights=weight))),
-        length=fit.case.words.displacement, force=fit.case.words.force,
+        length=length_of_records(fit.case), force=fit.case.words.force,
     )  # fmt: skip
 
 
@@ -274,7 +279,7 @@ def _of_sweeps(fit: CaseFit, axis: int) -> list[Equations]:
             Equations(
                 amplitude=np.abs(x), omega=omega, stiffness=two(-x * weight), damping=two(-1j * omega * x * weight),
                 others=np.stack([two(column * weight) for column in columns], axis=2), target=two(missing * weight),
-                record=np.repeat(found.record, len(x)),
+                record=np.repeat(found.record, len(x)), drive=found.drive[good],
             )
         )  # fmt: skip
     return out
@@ -296,7 +301,7 @@ def _of_decays(fit: CaseFit, axis: int) -> list[Equations]:
             Equations(
                 amplitude=moved, omega=track.omega,
                 stiffness=unit[0] / spread, damping=unit[1] / spread, others=np.zeros((len(shown), 2, 0)),
-                target=(shown - base) / spread, record=np.repeat(record.name, len(shown)),
+                target=(shown - base) / spread, record=np.repeat(record.name, len(shown)), drive=np.zeros(len(shown)),
             )
         )  # fmt: skip
     return out

@@ -29,7 +29,7 @@ from .fitted import RecordError
 from .instrument import beside_case_of
 from .misfit import LEVEL, Check, check_all
 from .offset_left import with_offset_left
-from .outlying import of_rows, outlying, outlying_in_noise
+from .outlying import few_outlying, of_rows, outlying
 
 
 if TYPE_CHECKING:
@@ -238,10 +238,10 @@ def beside_outlying(result: Comparison, again: Callable[[Rows], CaseFit]) -> Com
         result: of all rows.
         again: the fit without some.
     """
-    if result.explained or not (rows := outlying_in_noise(result.fit)):
-        return result
-    fewer = judged(again(rows), level=result.level, fitted=result.fitted)
-    return replace(fewer, left_out=rows) if fewer.explained else result
+    for rows in () if result.explained else few_outlying(result.fit):
+        if (fewer := judged(again(rows), level=result.level, fitted=result.fitted)).explained:
+            return replace(fewer, left_out=rows)
+    return result
 
 
 def judged(fit: CaseFit, *, level: float = LEVEL, fitted: bool = True) -> Comparison:

@@ -20,7 +20,7 @@ from memsgyro_jax.device.normalised import NormalisedDevice
 from memsgyro_jax.effects.instrument import DriveLevel
 from memsgyro_jax.effects.lock_in_terms import LockInBackground, ReferencePhase
 from memsgyro_jax.effects.trial import at_strength
-from memsgyro_jax.measurement.calibration import units_of_records
+from memsgyro_jax.measurement.calibration import length_of_records, per_second, units_of_records
 from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.model import Model
 
@@ -36,6 +36,7 @@ BEYOND = (0.0, 1.0)  # exponents tried beyond a threshold
 THRESHOLDS = (0.15, 0.3, 0.45, 0.6, 0.75, 0.85)  # of the largest size
 STILL = 0.01  # of the damping that a linear fit finds, which a device at rest has at least
 WORTH = 0.05  # of what is left, which a further term must take
+CANCEL = 0.05  # of the sizes of all terms of one kind: where no row shows more of their sum, they cancel
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -72,7 +73,7 @@ class DrawnLaw(Shown):
     def write(self, path: str | Path) -> Path:
         """The effect file, whole or not at all."""
         splines = tuple(zip(self.knots, self.values, strict=True))
-        length, units = self.measured.words.displacement, units_of_records(self.measured)
+        length, units = length_of_records(self.measured), units_of_records(self.measured)
         text = law_text(self.measured.name, self.axis, self.names, self.seen, self.terms, splines, length, units)
         return write_whole(path, text)
 
@@ -85,10 +86,10 @@ class DrawnLaw(Shown):
             more = "" if term.threshold is None else f", threshold = {term.threshold:.4g}"
             lines.append(f"  {name}: {term.formula}, s = {term.strength:.4g}, exponent = {term.exponent:.3g}{more}")
         lines += [f"  {name}: straight lines with rounded corners" for name in self.names[len(self.terms) :]]
-        (low, high), (slow, fast), length = *self.seen, self.measured.words.displacement
+        (low, high), (slow, fast), length = *self.seen, length_of_records(self.measured)
         lines.append(
-            f"  seen from {low:.3g} to {high:.3g} {length} and {slow:.3g} to {fast:.3g} {length}/s; beyond, the law "
-            "extrapolates"
+            f"  seen from {low:.3g} to {high:.3g} {length} and {slow:.3g} to {fast:.3g} {per_second(length)}; beyond, "
+            "the law extrapolates"
         )
         if not any(term.kind == "even_stiffness" for term in self.terms):
             lines.append("  drawn the same for both signs: amplitude and phase at the drive do not tell them apart")
@@ -108,17 +109,12 @@ def draw_law(fit: CaseFit, axis: int = 0, *, terms: int = TERMS, spline: bool = 
         InputError: where too few rows show the axis.
     """
     given, mass = equations(fit, axis), 1.0 / abs(float(fit.model.device.mobility))
-    sizes = {"stiffness": given.amplitude, "damping": given.amplitude * given.omega}
-    grids = {kind: np.geomspace(max(z.min(), z.max() / 30.0), z.max(), KNOTS) for kind, z in sizes.items()}
-    tables = {
-        kind: np.stack([np.ones(len(given.omega)), *(describing(hat, sizes[kind]) for hat in bends(grid))], 1)
-        for kind, grid in grids.items()
-    }
-    columns = given.columns(tables["stiffness"], tables["damping"])
+    sizes, grids, tables = splines(given)
+    columns = given.columns(*tables.values())
     weight = given.robust(columns)
     found, _, rest = given.solve(columns, weight)
     plain = _Trial(given, sizes, weight, (), -(1 - STILL) * float(fit.model.device.damping[axis]))
-    chosen, left, places = plain, _rms(rest, weight), (0, KNOTS, 2 * KNOTS)
+    chosen, left, places = plain, rms(rest, weight), (0, KNOTS, 2 * KNOTS)
     if not spline:
         chosen = _grown(plain, terms)
         left, found, stiff = chosen.left, chosen.found, sum(t.kind == "stiffness" for t in chosen.terms)
@@ -131,6 +127,19 @@ def draw_law(fit: CaseFit, axis: int = 0, *, terms: int = TERMS, spline: bool = 
         left=(plain.left, left),
         beside=_beside(fit, axis, given, found[places[0]], found[places[1]], found[places[2] :]),
     )  # fmt: skip
+
+
+def splines(given: Equations) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """For stiffness and damping: the size (n,) of what each row has of its variable, knots, and describing functions
+    (n, 1 + knots) of a force that is straight between them.
+    """
+    sizes = {"stiffness": given.amplitude, "damping": given.amplitude * given.omega}
+    grids = {kind: np.geomspace(max(z.min(), z.max() / 30.0), z.max(), KNOTS) for kind, z in sizes.items()}
+    tables = {
+        kind: np.stack([np.ones(len(given.omega)), *(describing(hat, sizes[kind]) for hat in bends(grid))], 1)
+        for kind, grid in grids.items()
+    }
+    return sizes, grids, tables
 
 
 def _beside(
@@ -168,18 +177,35 @@ class _Trial:
     least: float  # linear damping beyond the fitted: below it, nothing would damp the device at rest
 
     def columns(self) -> np.ndarray:
-        tables = {}
+        return self.given.columns(*self._tables)
+
+    @cached_property
+    def _tables(self) -> tuple[np.ndarray, ...]:
+        """Describing functions (n, 1 + terms) of stiffness and damping, that of a linear force first."""
+        tables = []
         for kind, size in self.sizes.items():
             mine = [describing(term.share, size) for term in self.terms if term.kind == kind]
-            tables[kind] = np.stack([np.ones(len(size)), *mine], axis=1)
-        return self.given.columns(tables["stiffness"], tables["damping"])
+            tables.append(np.stack([np.ones(len(size)), *mine], axis=1))
+        return tuple(tables)
 
     @property
     def left(self) -> float:
-        """Root mean square of what is left; infinite where a force that falls with speed would feed the motion."""
+        """Root mean square of what is left; infinite where a force that falls with speed would feed the motion, and
+        where terms of one kind cancel: two alike of opposite sign are a slope in what tells them apart, and no law.
+        """
         found, rest = self._solution
         falling = [t.exponent < 0 > t.strength for t in self._with(found)]
-        return np.inf if any(falling) else _rms(rest, self.weight)
+        return np.inf if any(falling) or self._cancels(found) else rms(rest, self.weight)
+
+    def _cancels(self, found: np.ndarray) -> bool:
+        """Whether all terms of one kind together are next to nothing of what they are one by one."""
+        count = self._tables[0].shape[1]
+        for table, values in zip(self._tables, (found[:count], found[count:]), strict=True):
+            parts = table[:, 1:] * values[1 : table.shape[1]]
+            whole, sizes = np.abs(parts.sum(axis=1)), np.abs(parts).sum(axis=1)
+            if np.max(whole) < CANCEL * np.max(sizes):
+                return True
+        return False
 
     @property
     def found(self) -> np.ndarray:
@@ -237,9 +263,7 @@ def _grown(trial: _Trial, most: int) -> _Trial:
     for _ in range(most):
         tried = [replace(trial, terms=(*trial.terms, term)) for term in _family(trial.sizes)]
         best = min(tried, key=lambda one: one.left).polished()
-        count = len(trial.given.amplitude)
-        gain = 2 * count * np.log(trial.left / best.left)
-        if best.left > (1 - WORTH) * trial.left or gain < 3 * np.log(2 * count):
+        if not is_worth(best.left, trial.left, len(trial.given.amplitude)):
             break
         trial = best
     return trial
@@ -255,5 +279,11 @@ def _family(sizes: dict[str, np.ndarray]) -> list[LawTerm]:
     return out
 
 
-def _rms(rest: np.ndarray, weight: np.ndarray) -> float:
+def is_worth(left: float, before: float, rows: int) -> bool:
+    """Whether something further takes enough of what was left of some rows."""
+    return bool(left <= (1 - WORTH) * before and 2 * rows * np.log(before / left) >= 3 * np.log(2 * rows))
+
+
+def rms(rest: np.ndarray, weight: np.ndarray) -> float:
+    """Root mean square of what is left (2n,) of rows with weights (2n,)."""
     return float(np.sqrt(np.average(rest**2, weights=weight**2)))

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from memsgyro_jax.measurement.calibration import per_second
+
 
 LINEAR, HIGHEST = 0.1, 8.0  # an exponent nearer to zero is hardly told from the linear device; highest
 DRY = -0.95  # lowest exponent of a damping: nearly a force that does not depend on the speed
@@ -98,7 +100,7 @@ def law_text(
         f'"""What the records of {title} show beyond a linear device. Edit it, then fit it:\n\n'
         "    memsgyro law CASE --edited THIS_FILE\n\n"
         f"Seen at amplitudes from {low:.4g} to {high:.4g} {length}\n"
-        f"and {slow:.4g} to {fast:.4g} {length}/s; elsewhere it extrapolates."
+        f"and {slow:.4g} to {fast:.4g} {per_second(length)}; elsewhere it extrapolates."
         + (f"\nHere {units}." if units else "")
         + '\n"""\n\n'
         "import equinox as eqx\nimport jax.numpy as jnp\nfrom jax import Array\n\nimport memsgyro_jax.effects as fx\n"

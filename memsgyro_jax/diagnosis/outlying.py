@@ -163,6 +163,18 @@ def outlying_in_noise(fit: CaseFit) -> Rows:
     return rows if left / dof <= HOPELESS * gate(dof) else {}
 
 
+def few_outlying(fit: CaseFit) -> Iterator[Rows]:
+    """Rows without which a refit may leave noise: those that are outlying in noise, then those that were read while the
+    response fell from branch to branch. A motion between two branches is none of the model's, and pulls a fit too far
+    for the first order to tell what is left without it.
+    """
+    if rows := outlying_in_noise(fit):
+        yield rows
+    fallen = {k: tuple(sorted({*own} & {*falls(fit.case.records[k]).tolist()})) for k, own in outlying(fit).items()}
+    if (few := {k: own for k, own in fallen.items() if own}) and few != rows:
+        yield few
+
+
 def not_pulled(fit: CaseFit) -> CaseFit | None:
     """The fit to all rows but those that are farthest from it, round by round (least trimmed squares), beside every
     record; `None` where that brings most rows no nearer, as it does not where a law is missing.

@@ -15,6 +15,9 @@ from memsgyro_jax.base.units import base_powers
 from .declared import Declared
 
 
+_OF_READINGS = ("V", "V/N", "V·s/N", "1/V")  # of terms of the read-out; of a bias there are squares
+
+
 def calibration_share(declared: Declared, unit: str) -> float:
     """Relative standard deviation of a number of that unit by the calibration of a case alone; zero for one that does
     not hang on it, and where no scale has a tolerance.
@@ -37,20 +40,33 @@ def calibration_text(declared: Declared) -> str:
     length = declared.words.displacement + readout.order * "/s"
     known = []
     if length.startswith("m") and (readout.scale, readout.unit) != (1.0, length):
-        known.append(f"read-out {readout.scale:.5g} {readout.unit}/{_bracketed(length)}{_within(readout.tolerance)}")
+        known.append(f"read-out {readout.scale:.5g} {readout.unit}/{bracketed(length)}{_within(readout.tolerance)}")
     if drive is not None and drive.scale is not None:
         known.append(f"drive {drive.scale:.5g} N/{drive.unit}{_within(drive.tolerance)}")
     return f"Calibration: {listed(known)}." if known else ""
 
 
+def length_of_records(declared: Declared) -> str:
+    """What displacements are in: metres, or what the records are in and its integrals, of a current a charge."""
+    named = declared.words.displacement.replace("*", "·")
+    return "C" if named == "A·s" else named
+
+
+def per_second(length: str) -> str:
+    """The unit of a velocity, of displacements in `length`: that of a charge is a current."""
+    return "A" if length == "C" else length.removesuffix("·s") if length.endswith("·s") else f"{bracketed(length)}/s"
+
+
 def unit_of_records(declared: Declared, unit: str) -> str:
     """What a number of that SI unit is in where a case does not say what its records are in metres and newtons: of a
-    resonator's spring, V/V³ for N/m³.
+    resonator's spring, V/V³ for N/m³. A reading is in what the read-out is in.
     """
-    length, force = declared.words.displacement, declared.words.force
+    if unit in _OF_READINGS:
+        unit = _of_readings(unit, declared.readout.unit.replace("*", "·"))
+    length, force = length_of_records(declared), declared.words.force.replace("*", "·")
     if (length, force) == ("m", "N"):
         return unit
-    length, force = (_bracketed(name.replace("*", "·")) for name in (length, force))
+    length, force = (bracketed(name) for name in (length, force))
     if unit == "1/kg":
         return f"{length}/({force}·s²)"
     told = {"m": length, "N": force, "kg": f"({force}·s²/{length})", "W": f"({force}·{length}/s)"}
@@ -59,13 +75,20 @@ def unit_of_records(declared: Declared, unit: str) -> str:
 
 def units_of_records(declared: Declared) -> str:
     """A line on what m and N stand for in numbers of a case that does not say its records in them; else empty."""
-    length, force = declared.words.displacement, declared.words.force
+    length, force = length_of_records(declared), declared.words.force
     if (length, force) == ("m", "N"):
         return ""
     return f"lengths are in {length} and forces in {force}, as the records are: m stands for {length}, N for {force}"
 
 
-def _bracketed(unit: str) -> str:
+def _of_readings(unit: str, reading: str) -> str:
+    """The same in the unit of the readings, "1" where they are numbers."""
+    told = reading if unit == "V" else unit.replace("V", bracketed(reading))
+    return {"1/1": "1", "1·s/N": "s/N"}.get(told, told)
+
+
+def bracketed(unit: str) -> str:
+    """A unit that may stand before a power or below a slash."""
     return f"({unit})" if re.search("[/·]", unit) else unit
 
 

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.text import listed
 
 from .experiments.base import Phasors
@@ -53,6 +54,25 @@ def exchanged_axes(records: Sequence[tuple[str, Phasors | None]]) -> dict[str, s
     return found
 
 
+def surely_exchanged(records: Sequence[tuple[str, Phasors | None]]) -> list[str]:
+    """What `exchanged_axes` and `all_exchanged` say of sweeps that nothing else explains: those of all where each axis
+    was driven in some, as near the resonance of the other one a device that is driven along one axis alone moves so.
+    """
+    swept = [(name, one) for name, one in records if one is not None and np.ptp(one.omega) > 0.0]
+    axes = {_driven(one) for _, one in swept if _shows_both(one)}
+    every = all_exchanged(swept) if len(axes) == 2 else ""
+    return [*exchanged_axes(swept).values(), *([every] if every else [])]
+
+
+def refuse(sentences: Sequence[str]) -> None:
+    """**Raises:** `InputError` with what is wrong with some records, if anything is: what no device explains beside the
+    others is not looked for among effects.
+    """
+    if said := "; ".join(sentences):
+        rest = "put that right first, or leave it out: no device and no effect explains these records together"
+        raise InputError(f"{said[0].upper()}{said[1:]}; {rest}.")
+
+
 def all_exchanged(records: Sequence[tuple[str, Phasors | None]]) -> str:
     """A sentence where in all records of two axes, two or more, the axis moves that is not driven; else empty."""
     told = [(name, one) for name, one in records if one is not None and _shows_both(one)]
@@ -77,8 +97,12 @@ def _shows_both(one: Phasors) -> bool:
     return int(np.count_nonzero(np.any(one.force, axis=0))) == 1
 
 
+def _driven(one: Phasors) -> int:
+    return int(np.argmax(np.any(one.force, axis=0)))
+
+
 def _other_moves(one: Phasors) -> bool:
-    driven = int(np.argmax(np.any(one.force, axis=0)))
+    driven = _driven(one)
     peaks = np.max(np.abs(one.motion - one.motion.mean(axis=0)), axis=0)
     return bool(peaks[1 - driven] > _MUCH * peaks[driven])
 

@@ -22,6 +22,7 @@ PAIRS = {1: ((0, 0),), 2: ((0, 0), (1, 1), (0, 1))}
 _FEWEST = 8  # rows of one axis from which a gain that turns the phase, and a background, can be told too
 _BENT, _BENDS, _FINER = 1.5, 301, 41  # how far a resonance may bend over, in widths of the band; steps that are tried
 _STANDS_OUT = 40.0
+_EQUAL = 1e-9  # of a frequency, within which two are one
 _VANISHES = 1e-12  # of the largest operator
 _SHOWN = 0.05  # of the squared motion, left by a device that the records show
 _CLEAR = 100.0  # standard deviations of the largest reading of a record that tells a device by itself
@@ -35,8 +36,10 @@ Coefficients = tuple[np.ndarray, np.ndarray, float]  # stiffness, damping, mobil
 
 
 def device_of_phasors(offered: Sequence[Phasors]) -> NormalisedDevice | None:
-    """The device that explains the phasors of all records best; `None` where none is offered or it would not be one."""
-    if not offered:
+    """The device that explains the phasors of all records best; `None` where none is offered or it would not be one,
+    and where all are steady at one frequency, which shows of a gain and a distance from resonance only the quotient.
+    """
+    if not offered or _at_one_frequency(offered):
         return None
     rows = _Rows.of(offered)
     found = [_of_modulus(*rows[:4]) if rows.modulus else None for rows in offered]
@@ -56,6 +59,11 @@ def device_of_phasors(offered: Sequence[Phasors]) -> NormalisedDevice | None:
         return NormalisedDevice(*device) if _is_device(device) else None
     except np.linalg.LinAlgError:  # nothing answers, or everything alike
         return None
+
+
+def _at_one_frequency(offered: Sequence[Phasors]) -> bool:
+    every = np.concatenate([one.omega for one in offered])
+    return all(one.slope is None for one in offered) and bool(np.ptp(every) <= _EQUAL * np.max(every))
 
 
 def is_seen(device: NormalisedDevice, offered: Sequence[Phasors]) -> bool:

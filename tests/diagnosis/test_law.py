@@ -24,6 +24,7 @@ from memsgyro_jax.diagnosis.law import _grown as grown
 from memsgyro_jax.diagnosis.law import _Trial, draw_law
 from memsgyro_jax.diagnosis.law_file import LawTerm, bends, law_text
 from memsgyro_jax.diagnosis.law_fit import beside_known, fit_law
+from memsgyro_jax.diagnosis.leak import leak_past
 from memsgyro_jax.diagnosis.result import validation_error
 from memsgyro_jax.effects import by_name, catalogue, load_effects
 from memsgyro_jax.effects.trial import moments
@@ -90,10 +91,11 @@ LAWS = {"bowed": bowed, "contact": contact, "dragged": dragged}
 DEVICES = {"wire": Device(1650.0, 150.0), "fork": Device(32768.0, 20000.0)}
 
 
-def swept(folder, law, device, seed=0, *, raw=False, warmed=0.0):
+def swept(folder, law, device, seed=0, *, raw=False, warmed=0.0, leak=0.0):
     """Two sweeps over frequency, each row where its amplitude is one of a grid, below and above resonance; `raw` as a
     lock-in writes them: velocities beside a background, with a clock, from a row on that began nobody knows how. With
-    `warmed` [1/K] the stiffness follows a temperature of 20 °C below and 30 °C above resonance.
+    `warmed` [1/K] the stiffness follows a temperature of 20 °C below and 30 °C above resonance; `leak` of the drive is
+    read beside the motion.
     """
     rng, rows, warm = np.random.default_rng(seed), [], []
     linear = device.width * device.omega
@@ -124,6 +126,7 @@ def swept(folder, law, device, seed=0, *, raw=False, warmed=0.0):
     if raw:
         turned = 1j * table[:, 1] * (table[:, 2] + 1j * table[:, 3]) + unit * BACKGROUND
         table[:, 2:] = np.stack([turned.real, turned.imag], axis=1)
+    table[:, 2:] += table[:, :1] * [np.real(leak), np.imag(leak)]
     table[:, 2:] += noise * rng.standard_normal(table[:, 2:].shape)
     table[:, 1] /= 2 * np.pi
     table = np.column_stack([table, 60.0 * np.arange(len(table))])
@@ -175,6 +178,39 @@ def test_a_law_is_drawn_beside_what_is_known_to_be_there(tmp_path):
     assert [t.kind for t in law.terms] == ["stiffness"]
     assert law.terms[0].threshold == pytest.approx(0.3, abs=0.02)
     assert law.left[1] < 1.3
+
+
+def test_what_leaks_past_the_device_is_drawn_as_no_law(tmp_path):
+    """As through the capacitance of a crystal: two terms were drawn, springs that cancel, and nothing was explained."""
+    leak = 0.06 + 0.08j
+    fit = beside_known(swept(tmp_path, dragged, DEVICES["wire"], leak=leak), ())
+    (term,) = leak_past(fit, 0)
+    beside = beside_known(fit.case, (term,))
+    assert leak_past(beside, 0) == ()
+    law = draw_law(beside)
+    after = fit_law(law, law.write(tmp_path / "law.py"))
+    found = {effect.name: effect for effect in after.model.effects}
+    assert complex(*np.asarray(found[term.name].strength)) == pytest.approx(leak, abs=1e-3)
+    assert law.names == ("drawn_damping",)
+    assert float(found["drawn_damping"].exponent) == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_a_law_is_no_leak(name, tmp_path):
+    assert leak_past(beside_known(swept(tmp_path, LAWS[name], DEVICES["wire"]), ()), 0) == ()
+
+
+def test_terms_that_cancel_are_no_law():
+    """Two alike of opposite sign are the logarithm between them."""
+    a = np.geomspace(0.01, 1.0, 80)
+    terms = tuple(LawTerm("damping", 1.0, exponent, None, 1.0, 0.01) for exponent in (0.93, 0.92))
+    shares = np.stack([describing(term.share, a) for term in terms], axis=1)
+    unit, flat = np.eye(2), np.zeros((80, 2, 0))
+    for mixed, cancels in (((100.0, -100.0), True), ((1.0, 1.0), False), ((1.0, -0.5), False)):
+        target = -np.outer(shares @ mixed, unit[1])
+        given = Equations(a, np.ones(80), *(np.tile(-one, (80, 1)) for one in unit), flat, target, a, np.ones(80))
+        trial = _Trial(given, {"stiffness": a, "damping": a}, np.ones(160), terms, -1.0)
+        assert np.isinf(trial.left) == cancels
 
 
 @pytest.mark.slow
@@ -251,7 +287,7 @@ def test_a_device_at_rest_is_damped():
     shown = np.stack([np.zeros(80), 5.0 * describing(lambda z: np.abs(z) ** 0.2, a) - 4.0], axis=1)
     shown += 0.02 * np.random.default_rng(0).standard_normal((80, 2))
     one = np.ones((80, 1)) * np.eye(2)[:, None] / 0.02
-    given = Equations(a, omega, one[0], one[1], np.zeros((80, 2, 0)), shown / 0.02, np.full(80, "decay"))
+    given = Equations(a, omega, one[0], one[1], np.zeros((80, 2, 0)), shown / 0.02, np.full(80, "decay"), np.zeros(80))
     trial = grown(_Trial(given, {"stiffness": a, "damping": a}, np.ones(160), (), -3.9), 2)
     assert trial.left < 1.2
     assert trial.found[1 + sum(term.kind == "stiffness" for term in trial.terms)] >= -3.9

@@ -25,6 +25,8 @@ from memsgyro_jax.diagnosis.outlying import (
     outlying,
     search_beside_outlying,
 )
+from memsgyro_jax.effects import by_name, catalogue
+from memsgyro_jax.measurement.case import load_case
 
 
 WRONG = (11, 40, 77, 130, 151)
@@ -154,3 +156,56 @@ def test_rows_are_left_out_where_the_rest_is_explained(monkeypatch, base, fewer,
     found, rows = search_beside_outlying(lambda rows: without if rows else whole, searched, lambda one: one.done)
     assert rows == ({0: (3,)} if named else {})
     assert found[0].done == (again if named else final)
+
+
+FALL = """
+schema = "memsgyro-case/1"
+name = "fall"
+device = "resonator"
+[[experiment]]
+name = "up"
+kind = "frequency_sweep"
+file = "up.csv"
+settled = true
+noise_std = { value = 2e-5, unit = "V" }
+"""
+
+
+def fell(folder):
+    """Sweeps up at three drives of a spring that hardens, k·q + s·q³ with its third harmonic; the last falls from its
+    branch, and the row there is read while it does.
+    """
+    f, noise, quality = np.linspace(4988.0, 5040.0, 121), np.random.default_rng(0), 1000.0
+    w0, table = 2 * np.pi * 5000.0, []
+    gain, cubic = 5.0 / quality * w0**2, 32.0 / 3.0 / quality * w0**2
+    for drive in (0.02, 0.06, 0.2):
+        seen, at, fallen = [], None, 0
+        for k, w in enumerate(2 * np.pi * f):
+            # Stiffness over the squared amplitude, to the first order in the third harmonic.
+            bent = np.poly1d([3 / 128 * (cubic / w0) ** 2, 0.75 * cubic, w0**2 - w**2])
+            roots = ((bent * bent + (w * w0 / quality) ** 2) * np.poly1d([1, 0]) - (gain * drive) ** 2).roots
+            real = roots[np.abs(roots.imag) < 1e-9 * np.abs(roots)].real
+            near = real[real < 3 * (gain * drive * quality / w0**2) ** 2]
+            last, at = at, near.min() if at is None else near[np.argmin(np.abs(np.sqrt(near) - np.sqrt(at)))]
+            fallen = k if last and at < 0.1 * last else fallen
+            seen.append(gain * drive / (bent(at) + 1j * w * w0 / quality))
+        if fallen:
+            seen[fallen] = 0.35 * seen[fallen - 1] + 0.65 * seen[fallen]
+        table.append(np.column_stack([np.full(f.size, drive), f, np.real(seen), np.imag(seen)]))
+    rows = np.concatenate(table)
+    rows[:, 2:] += 2e-5 * noise.standard_normal((len(rows), 2))
+    header = "drive [V],f [Hz],X [V],Y [V]"
+    np.savetxt(folder / "up.csv", rows, fmt="%.9g", delimiter=",", header=header, comments="")
+    (folder / "case.toml").write_text(FALL)
+    return load_case(folder), 2 * f.size + fallen
+
+
+def test_a_row_read_while_the_response_fell_is_left_out_of_a_fit_of_effects(tmp_path):
+    """It pulled the fit to 841 000 times the noise variance, where a diagnosis leaves it out."""
+    case, row = fell(tmp_path)
+    fit = fit_case(case, [by_name("cubic_stiffness", "x", among=catalogue(1))])
+    assert fit.chi2_per_dof > 1e4
+    found = beside_outlying(judged(fit), lambda rows: fit_without(fit, rows))
+    assert found.explained
+    assert found.left_out == {0: (row,)}
+    assert f"row {row + 1} (near 5.02007 kHz, read while the response fell" in found.verdict

@@ -6,7 +6,14 @@ import pytest
 from lab import driven
 
 import memsgyro_jax as mg
-from memsgyro_jax.measurement.calibration import calibration_share, calibration_text, unit_of_records
+from memsgyro_jax.measurement.calibration import (
+    calibration_share,
+    calibration_text,
+    length_of_records,
+    per_second,
+    unit_of_records,
+    units_of_records,
+)
 from memsgyro_jax.measurement.declared import Readout
 
 
@@ -32,6 +39,24 @@ def test_without_scales_a_unit_is_that_of_the_records(case):
     assert [*shown.values()] == ["V/V³", "V·s²/V²", "1/V", "rad²/s²", "V/(V·s²)", "V/(V·V²)"]
     assert unit_of_records(replace(bare, readout=case.readout), "N/m³") == "V/m³"
     assert unit_of_records(case, "N/m³") == "N/m³"
+
+
+@pytest.mark.parametrize(
+    ("readout", "length", "speed", "cubic", "background", "clipped"),
+    [
+        (Readout(1.0, None, "A", 1, "A*s"), "C", "A", "V/C³", "A", "1/A"),
+        (Readout(1.0, None, "V", 1, "V*s"), "V·s", "V", "V/(V·s)³", "V", "1/V"),
+        (Readout(1.0, None, "m/s", 1, "m"), "m", "m/s", "V/m³", "m/s", "1/(m/s)"),
+    ],
+)
+def test_what_a_read_out_shows_has_a_plain_unit(case, readout, length, speed, cubic, background, clipped):
+    """Of a current "V/(A·s)³", "2e-06 A*s/s", k3/k1 in "1/A*s²" and a background in V were told."""
+    told = replace(case, readout=readout, drive=None)
+    assert length_of_records(told) == length
+    assert per_second(length) == speed
+    assert [unit_of_records(told, unit) for unit in ("N/m³", "V", "1/V")] == [cubic, background, clipped]
+    assert unit_of_records(told, "N/(m·V²)").endswith("·V²)"), "of a bias"
+    assert f"m stands for {length}" in units_of_records(told)
 
 
 def test_a_declared_mass_holds_the_product_of_the_scales(case):

@@ -49,6 +49,7 @@ def law_command(
     from memsgyro_jax.diagnosis.instrument import every_term
     from memsgyro_jax.diagnosis.law import draw_law
     from memsgyro_jax.diagnosis.law_fit import beside_known, fit_law, with_even_part, with_held_terms
+    from memsgyro_jax.diagnosis.leak import leak_past
     from memsgyro_jax.effects import catalogue
     from memsgyro_jax.measurement.calibration import units_of_records
     from memsgyro_jax.measurement.drive_levels import clear_drives
@@ -69,6 +70,12 @@ def law_command(
     chosen = named_effects(add, (*catalogue(measured.channels), *every_term(measured))) if add else ()
     before = fit_case(measured)
     beside = beside_known(measured, chosen) if chosen or len(clear_drives(measured)) > 1 else before
+    if leak := leak_past(beside, number):
+        print(
+            "The rows show what leaks past the device in proportion to the drive: drawn beside lock_in_feedthrough.\n"
+        )
+        chosen = (*chosen, *leak)
+        beside = beside_known(measured, chosen)
     curve, law = backbone(beside, number), draw_law(beside, number, terms=terms, spline=spline)
     print(curve, end="\n\n", flush=True)
     after, file = before, edited or out

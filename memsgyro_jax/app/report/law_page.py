@@ -8,6 +8,7 @@ from memsgyro_jax.diagnosis.backbone import Backbone
 from memsgyro_jax.diagnosis.compare import as_times, judged
 from memsgyro_jax.diagnosis.fit import CaseFit
 from memsgyro_jax.diagnosis.law import DrawnLaw
+from memsgyro_jax.measurement.calibration import per_second
 
 from .diagnosis_figures import BASE, FINAL, QUIET, faint
 from .figures import blank
@@ -93,7 +94,7 @@ def force_figure(curve: Backbone) -> Figure:
             curve.velocity,
             curve.dissipative,
             curve.dissipative_std,
-            f"velocity [{curve.length}/s]",
+            f"velocity [{per_second(curve.length)}]",
             f"dissipative force beyond d·v [{curve.force}]",
         ),
     )

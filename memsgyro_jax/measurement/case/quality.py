@@ -9,7 +9,7 @@ from memsgyro_jax.base.display import Shown
 from memsgyro_jax.base.text import aligned, spoken
 
 from ..channel_noise import spoken_levels
-from ..exchanged_axes import all_exchanged, exchanged_axes
+from ..exchanged_axes import all_exchanged, exchanged_axes, refuse, surely_exchanged
 from ..experiments import AbstractRecord
 from ..experiments.base import Phasors
 from ..one_place import in_one_place
@@ -109,8 +109,19 @@ def assess(case: Case) -> CaseQuality:
 
 
 def contradictions(case: Case) -> tuple[str, ...]:
-    """A sentence for each record whose phasors contradict those of the others in sign, size or resonance."""
-    return tuple(_contradictions(case, _phasors(case)))
+    """A sentence for each record whose phasors contradict those of the others in sign, size or resonance.
+
+    **Raises:** `InputError` where sweeps of one place contradict each other in the sign, or in which axis is which:
+    for a resonance that moved from row to row none of this is taken.
+    """
+    phasors, near = _phasors(case), {*map(id, in_one_place(case.environment, case.records))}
+    swept = [
+        (name, one)
+        for record, (name, one) in zip(case.records, phasors, strict=True)
+        if id(record) in near and one is not None and np.ptp(one.omega) > 0.0
+    ]
+    refuse(surely_exchanged(swept) or disagreements(swept))
+    return tuple(_contradictions(case, phasors))
 
 
 def _phasors(case: Case) -> list[tuple[str, Phasors | None]]:

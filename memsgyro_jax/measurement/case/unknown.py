@@ -12,7 +12,7 @@ from memsgyro_jax.base.units import parse_header, to_si
 from memsgyro_jax.device.normalised import NormalisedDevice
 
 from ..declared import VOCABULARIES, DesignValue
-from ..exchanged_axes import all_exchanged
+from ..exchanged_axes import all_exchanged, exchanged_axes
 from ..experiments import AbstractRecord
 from ..experiments.base import Phasors
 from ..one_place import in_one_place
@@ -108,13 +108,16 @@ def with_found_design(case: Case, file: CaseFile, path: Path) -> Case:
 
 
 def _exchanged(case: Case, fitted: Sequence[AbstractRecord]) -> str:
-    """Why none may show it: x and y of all sweeps are exchanged, or all decays are those of one axis; else empty."""
+    """Why none may show it: x and y of a sweep are exchanged, or of all, or all decays are those of one axis; else
+    empty.
+    """
     if case.channels < 2:
         return ""
     heard = {r.name: np.array(modes)[:, 0] for r in fitted if (modes := r.free_modes(case)) is not None}
     louder = {int(np.argmax(sizes)) for sizes in heard.values()}
     if len(heard) < 2 or len(louder) != 1:
-        return all_exchanged([(record.name, record.starting_phasors(case)) for record in fitted])
+        phasors = [(record.name, record.starting_phasors(case)) for record in fitted]
+        return "; ".join(exchanged_axes(phasors).values()) or all_exchanged(phasors)
     loud, other = ("x", "y") if louder == {0} else ("y", "x")
     return (
         f"in {listed(heard, '`')} channel {loud} is the louder one, so that none is a decay of {other}; are the "

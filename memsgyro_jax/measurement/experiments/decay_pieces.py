@@ -13,10 +13,10 @@ from jaxtyping import Array, Float
 from memsgyro_jax.base.linalg import inverse, product, small_root
 from memsgyro_jax.device.conditions import Conditions
 
-from ..envelope import FINEST, HARMONICS, LONGEST, Driven, run_samples, visited_samples
-from ..first_order import Contribution, Inquiry, Instants
+from ..envelope import FINEST, HARMONICS, LONGEST, SAMPLES, Course, Driven, run_samples, visited_samples
+from ..first_order import Contribution, Inquiry, Instants, Periods
 from ..model import Model
-from ..steady import fundamental
+from ..steady import FINENESS, as_seen, fundamental, reading_samples
 from .base import BEYOND, Experiment, Noise
 from .unknown_start import beside_start, start_that_leaves_least
 
@@ -76,12 +76,16 @@ class FreeDecay(Experiment):
         return jax.vmap(one)(starts, slopes, *self._pieces()).ravel()
 
     def nothing(self, bench: Model) -> Contribution | None:
-        if jnp.iscomplexobj(self.measured) or self.nodes:
+        if self.nodes:
             return None
-        forced = (2 * self.substeps * len(self.measured), bench.axes)
-        return Contribution.none(bench, (forced,), self.measured.shape, float, self.start.shape[:1])
+        turns = jnp.iscomplexobj(self.measured)
+        forced = 2 * self.substeps * len(self.measured), *((HARMONICS + 1,) if turns else ()), bench.axes
+        kind = complex if turns else float
+        return Contribution.none(bench, (forced,), self.measured.shape, kind, self.start.shape[:1])
 
     def residual_beside(self, bench: Model, added: Contribution) -> tuple[Float[Array, " r"], Inquiry]:
+        if jnp.iscomplexobj(self.measured):
+            return self._phasors_beside(bench, added)
         starts, slopes = self._solved(jax.lax.stop_gradient(bench))
         pushed, seen = self._by_piece(added.forced[0].reshape(-1, 2, bench.axes)), self._by_piece(added.seen)
         quiet, measured, noise, now = jnp.zeros(bench.axes), *self._pieces()
@@ -98,6 +102,35 @@ class FreeDecay(Experiment):
         moments = self._moments(bench, visited, jnp.repeat(jnp.arange(len(self.measured)), 2 * self.substeps))
         firsts = jax.tree.map(lambda leaf: leaf[:, 0], now)
         return left.ravel(), Inquiry((moments,), self._moments(bench, kept, slice(None)), firsts)
+
+    def _phasors_beside(self, bench: Model, added: Contribution) -> tuple[Float[Array, " r"], Inquiry]:
+        """`residual_beside` of phasors."""
+        starts, slopes = self._solved(jax.lax.stop_gradient(bench))
+        pushed = self._by_piece(added.forced[0].reshape(-1, 2, HARMONICS + 1, bench.axes))
+        measured, noise, now = self._pieces()
+
+        def one(start: Array, now: Conditions, push: Array, more: tuple[Array, Array]) -> tuple[Array, Array]:
+            free, course, step, fine = self._turned(bench, start, now, more, push)
+            held, begun = jax.lax.stop_gradient((free, course.start))  # moments are asked at, not differentiated
+            return course.start[:: self.substeps], held.visited(begun, step, fine)
+
+        kept, visited = jax.vmap(one)(starts, now, pushed, added.linear)
+        quiet = jnp.zeros(bench.axes) + 0j
+        read = jax.vmap(jax.vmap(lambda s, c: fundamental(bench, self.frequency, s, quiet, c)))
+        shown = read(kept, now) + self._by_piece(added.seen)
+        left = jax.vmap(lambda m, n, p, s: beside_start(n.whiten(m, p).ravel(), s))(measured, noise, shown, slopes)
+
+        def periods(states: Array, rows: Any, samples: int, harmonics: int) -> Periods:
+            conditions = jax.tree.map(lambda leaf: leaf[rows], self.surroundings)
+            return Periods(states, quiet[None], self.frequency[None], conditions, samples, harmonics)
+
+        every = visited.reshape(-1, HARMONICS + 1, bench.size)
+        forced = periods(every, jnp.repeat(jnp.arange(len(self.measured)), 2 * self.substeps), SAMPLES, HARMONICS)
+        late = jax.vmap(lambda s, c: as_seen(s, bench.behind(self.frequency, c, s[0].real)))
+        seen = late(kept.reshape(-1, HARMONICS + 1, bench.size), self.surroundings)
+        firsts = jax.tree.map(lambda leaf: leaf[:, 0], now)
+        asked = periods(seen, slice(None), reading_samples(bench, FINENESS[0]), 1)
+        return left.ravel(), Inquiry((forced,), asked, firsts)
 
     def _moments(self, bench: Model, states: Array, rows: Any) -> Instants:
         """Moments of states (..., n) at some of the rows, under no force."""
@@ -160,8 +193,7 @@ class FreeDecay(Experiment):
 
     def _readings(self, model: Model, start: Array, now: Conditions) -> Array:
         """Readings (m, axes) of one piece."""
-        first, quiet = jax.tree.map(lambda leaf: leaf[0], now), jnp.zeros(model.axes)
-        step, fine = self._grid(now)
+        quiet, (step, fine) = jnp.zeros(model.axes), self._grid(now)
         if not (jnp.iscomplexobj(self.measured) or self.nodes) and model.is_bare:  # a step of any length is exact
             states, _, _ = self._waveform(model, start, now, whole=True)
             return jax.vmap(lambda s, c: model.observe(s, quiet, quiet, c))(states, now)
@@ -169,15 +201,30 @@ class FreeDecay(Experiment):
             states, fine, none = self._waveform(model, start, now)
             states = self._at_samples(states, lambda: jax.vmap(model.derivative)(states, none, fine), step, now)
             return jax.vmap(lambda s, c: model.observe(s, quiet, quiet, c))(states, now)
-        linear = model.linear(first)
-        vector = _turning_one_way(linear[0], start)
-        turning = model.state_of(vector.real, first) + 1j * model.state_of(vector.imag, first)
-        free = Driven(model, self.frequency, quiet + 0j, linear)
-        begin = jnp.zeros((HARMONICS + 1, model.size), complex).at[1].set(turning)
-        _, course = free.run(begin, step, fine)
+        free, course, step, _ = self._turned(model, start, now)
         slopes = lambda: product(free.operator, course.start) + free.load + course.here  # noqa: E731
         states = self._at_samples(course.start, slopes, step, now)
         return jax.vmap(lambda s, c: fundamental(model, self.frequency, s, free.force, c))(states, now)
+
+    def _turned(
+        self,
+        model: Model,
+        start: Array,
+        now: Conditions,
+        more: tuple[Array, Array] | None = None,
+        push: Array | None = None,
+    ) -> tuple[Driven, Course, Array, Conditions]:
+        """A piece in the frame of the reference: the model there, its course, its step and the conditions of each; with
+        `more` and `push` as of a waveform.
+        """
+        first, (step, fine) = jax.tree.map(lambda leaf: leaf[0], now), self._grid(now)
+        matrix, gain = model.linear(first)
+        linear = (matrix, gain) if more is None else (matrix + more[0], gain + more[1])
+        vector = _turning_one_way(linear[0], start)
+        turning = model.state_of(vector.real, first) + 1j * model.state_of(vector.imag, first)
+        free = Driven(model, self.frequency, jnp.zeros(model.axes) + 0j, linear)
+        begin = jnp.zeros((HARMONICS + 1, model.size), complex).at[1].set(turning)
+        return free, free.run(begin, step, fine, push)[1], step, fine
 
     def _waveform(
         self,

@@ -65,6 +65,14 @@ def test_without_the_frequency_it_says_how_to_give_it(tmp_path):
         mg.import_case(files(tmp_path)[2:], tmp_path / "case", drive=("60 nN",), axis=("x",))
 
 
+def test_a_table_at_one_frequency_alone_tells_no_device(tmp_path):
+    """One whose damping was next to none was made up of it."""
+    with pytest.raises(
+        InputError, match=r"must give frequency_x.*no record that may be fitted shows a clear resonance"
+    ):
+        mg.import_case(files(tmp_path)[2:], tmp_path / "case", drive=("60 nN",), axis=("x",), reference="9312.7 Hz")
+
+
 def test_a_rate_without_a_unit_is_refused(tmp_path):
     path = files(tmp_path)[2]
     path.write_text(path.read_text().replace("Rate [deg/s]", "Rate"))
