@@ -6,6 +6,8 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Array
 
+from memsgyro_jax.base.runtime import usable_cores
+from memsgyro_jax.base.threads import in_threads
 from memsgyro_jax.measurement.experiments import Readings
 from memsgyro_jax.measurement.experiments.base import Experiment
 from memsgyro_jax.measurement.model import Model
@@ -39,11 +41,13 @@ def sharpened(
     if residual is not None:
         parts = np.split(np.nan_to_num(residual), np.cumsum([r.size for r in fitted])[:-1])
         known = {id(r): part for r, part in zip(fitted, parts, strict=True)}
-    for kind in {type(r.experiment): None for r in readings if r.experiment.finer is not None}:
-        mine = [r for r in readings if type(r.experiment) is kind]
-        steps, apart = _steps(bare, [(r.experiment, known.get(id(r))) for r in mine if r.fitted])
-        worst = max(worst, apart if apart > TOLERANCE else 0.0)
-        chosen |= {id(r): steps for r in mine}
+    kinds = list({type(r.experiment): None for r in readings if r.experiment.finer is not None})
+    every = [[r for r in readings if type(r.experiment) is kind] for kind in kinds]
+    with in_threads(min(usable_cores(), len(kinds))) as over:  # each has programs of its own, which run once
+        told = over(lambda mine: _steps(bare, [(r.experiment, known.get(id(r))) for r in mine if r.fitted]), every)
+        for mine, (steps, apart) in zip(every, told, strict=True):
+            worst = max(worst, apart if apart > TOLERANCE else 0.0)
+            chosen |= {id(r): steps for r in mine}
     finer = tuple(_finer(r, chosen.get(id(r), 0)) for r in readings)
     return finer if any(chosen.values()) else tuple(readings), worst
 

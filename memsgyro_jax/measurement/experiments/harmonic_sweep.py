@@ -235,7 +235,7 @@ class HarmonicSweep(Experiment):
         errors = model.motion(self.measured - seen, self.frequency)
         # What was not recorded moves as the model has it.
         errors = np.where(np.isfinite(getattr(self.noise, "std", 1.0)), errors, 0.0)
-        shown = self._shown(model)
+        shown = _shown(self, model)
         whole = jax.tree.map(np.asarray, (self.frequency, self.force, self.surroundings, shown, errors))
         parts = []
         for first in range(0, rows.size, AT_ONCE):
@@ -267,7 +267,11 @@ def _missing_of(
     return jax.vmap(row)(frequency, force, surroundings, near, errors)
 
 
-_missing = kept(_missing_of, PLAINLY)  # a few times for a case
+def _shown_of(sweep: HarmonicSweep, model: Model) -> Complex[Array, "n axes"]:
+    return sweep._shown(model)
+
+
+_missing, _shown = (kept(function, PLAINLY) for function in (_missing_of, _shown_of))  # a few times for a case
 
 
 def _carried(matrix: Array, omega: Array, error: Complex[Array, " a"]) -> Complex[Array, " n"]:
