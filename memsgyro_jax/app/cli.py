@@ -7,6 +7,7 @@ can mend is one sentence and exit status 2.
 
 import contextlib
 import functools
+import gc
 import logging
 import os
 import re
@@ -109,6 +110,10 @@ for _command in (
 app.register_install_completion_command(help="Complete words of the command line in this shell (bash, zsh, fish).")
 
 
+# Objects more before Python looks for what may go: at its own pace, in what JAX traced, that is 5 % of a diagnosis.
+_SELDOM = 100_000, 50, 100
+
+
 def main(tokens: Sequence[str] | None = None) -> None:
     """Runs `memsgyro` and ends the process with its exit status.
 
@@ -121,6 +126,8 @@ def main(tokens: Sequence[str] | None = None) -> None:
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(AttributeError, ValueError):  # not all that stands in for them is a stream of text
             stream.reconfigure(errors="replace")  # type: ignore[union-attr]  # `±` is no letter of every locale
+    if tokens is None:
+        gc.set_threshold(*_SELDOM)
     with told_to_end(at_last=tokens is None):
         sys.exit(_run(app, _without_verbose(sys.argv[1:] if tokens is None else tokens)))
 
