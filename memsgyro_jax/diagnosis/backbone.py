@@ -34,6 +34,7 @@ FLOOR = 0.01  # of the force: what settings and drifts leave uncertain of any ro
 OUTLYING = 4.0  # robust standard deviations from which a row loses weight
 FEWEST = 12  # real equations below which nothing is drawn
 ANGLES = (np.arange(64) + 0.5) * np.pi / 128  # of a quarter of a cycle
+CONSTANT = slice(2, 4)  # of the nuisances of a sweep's rows: a constant reading, in phase and in quadrature
 _NORMAL = 1.4826
 
 

@@ -8,13 +8,10 @@ import numpy as np
 from memsgyro_jax.effects import InstrumentTerm
 from memsgyro_jax.effects.lock_in_terms import CapacitiveFeedthrough, LockInFeedthrough
 
-from .backbone import equations
+from .backbone import CONSTANT, equations
 from .fit import CaseFit
 from .instrument import every_term
 from .law import is_worth, rms, splines
-
-
-CONSTANT = slice(2, 4)  # of the nuisances of rows: a constant reading, in phase and in quadrature
 
 
 def leak_past(fit: CaseFit, axis: int) -> tuple[InstrumentTerm, ...]:

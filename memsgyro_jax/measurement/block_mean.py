@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Complex
 
-from memsgyro_jax.base.linalg import inverse, solved
+from memsgyro_jax.base.linalg import inverse, solved, with_entry
 
 
 class BlockMean(eqx.Module):
@@ -37,14 +37,8 @@ class BlockMean(eqx.Module):
 
     def with_first(self, operator: Complex[Array, "n n"], back: Complex[Array, "n n"]) -> "BlockMean":
         """With another operator of harmonic 1, and its inverse."""
-        return eqx.tree_at(
-            lambda mean: (mean.operator, mean.undone),
-            self,
-            tuple(
-                jnp.concatenate([every[:1], own[None], every[2:]])
-                for every, own in ((self.operator, operator), (self.undone, back))
-            ),
-        )
+        made = with_entry(self.operator, 1, operator), with_entry(self.undone, 1, back)
+        return eqx.tree_at(lambda mean: (mean.operator, mean.undone), self, made)
 
     def over(self, start: Array, end: Array, here: Array, there: Array) -> Complex[Array, "h n"]:
         """Of one block, from the states (h, n) at its ends and what the linear part leaves out there."""

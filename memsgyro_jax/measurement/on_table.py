@@ -2,10 +2,9 @@
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 from jaxtyping import Array, Complex
 
-from memsgyro_jax.base.linalg import at_place, product
+from memsgyro_jax.base.linalg import at_place, product, with_entry
 
 from .block_mean import undone
 from .envelope import Driven, Propagator, among_velocities, means_and_begins, state_units, steps_from, with_end
@@ -97,6 +96,5 @@ def _without(rest: Complex[Array, "h n"], change: Array, state: Complex[Array, "
 
 def _with_first(propagate: Propagator, power: Array, first: Array) -> Propagator:
     """With others for harmonic 1."""
-    pairs = (propagate.exponential, power), (propagate.first, first)
-    made = tuple(jnp.concatenate([every[:1], own[None], every[2:]]) for every, own in pairs)
+    made = with_entry(propagate.exponential, 1, power), with_entry(propagate.first, 1, first)
     return eqx.tree_at(lambda p: (p.exponential, p.first), propagate, made)

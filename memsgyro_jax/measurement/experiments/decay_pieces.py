@@ -218,8 +218,7 @@ class FreeDecay(Experiment):
         `more` and `push` as of a waveform.
         """
         first, (step, fine) = jax.tree.map(lambda leaf: leaf[0], now), self._grid(now)
-        matrix, gain = model.linear(first)
-        linear = (matrix, gain) if more is None else (matrix + more[0], gain + more[1])
+        linear = _with_more(model.linear(first), more)
         vector = _turning_one_way(linear[0], start)
         turning = model.state_of(vector.real, first) + 1j * model.state_of(vector.imag, first)
         free = Driven(model, self.frequency, jnp.zeros(model.axes) + 0j, linear)
@@ -240,8 +239,7 @@ class FreeDecay(Experiment):
         accelerations `push` at both ends of each step, than the model has. In steps of a `whole` period, if asked for.
         """
         first, (step, fine) = jax.tree.map(lambda leaf: leaf[0], now), self._grid(now, whole)
-        none, (matrix, gain) = jnp.zeros((jnp.asarray(fine.time).size, model.axes)), model.linear(first)
-        linear = (matrix, gain) if more is None else (matrix + more[0], gain + more[1])
+        none, linear = jnp.zeros((jnp.asarray(fine.time).size, model.axes)), _with_more(model.linear(first), more)
         begin = model.state_of(start, first)
         return (
             run_samples(model, none, none, step, fine, first, start=begin, linear=linear, added=push),
@@ -272,6 +270,10 @@ class FreeDecay(Experiment):
             return ends + s * (1 - s) * ((1 - s) * slope[k] - s * slope[k + 1])
 
         return jax.vmap(one)(below, place - below)
+
+
+def _with_more(linear: tuple[Array, Array], more: tuple[Array, Array] | None) -> tuple[Array, Array]:
+    return linear if more is None else (linear[0] + more[0], linear[1] + more[1])
 
 
 def _turning_one_way(matrix: Float[Array, "n n"], start: Float[Array, " s"]) -> Array:
