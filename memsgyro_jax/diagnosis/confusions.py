@@ -37,8 +37,9 @@ def confusions(search: Search, ranking: Ranking) -> dict[int, dict[int, Optimum]
                 possible = np.any(instead[search.joint.of_effect(other)] != 0)
                 starts = [instead, search.without(place)] if possible else []
             for start in starts:
-                fit = search.refit([other if i == place else i for i in search.accepted], start=start)
-                if fit.chi2 < search.optimum.chi2 + CONFUSED:
+                places, most = [other if i == place else i for i in search.accepted], search.optimum.chi2 + CONFUSED
+                fit = search.refit(places, start=start, beat=most)
+                if fit.chi2 < most:
                     out[place][other] = fit
                     break
     return out

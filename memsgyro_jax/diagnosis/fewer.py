@@ -46,8 +46,9 @@ def take_out(search: Search) -> None:
     for place in [i for i, term in _terms(search) if term.label not in declared]:
         size = search.joint.of_effect(place).size
         kept, search.given = search.given, tuple(i for i in search.given if i != place)
-        fewer = search.refit(search.accepted, start=search.without(place))
-        if special.chdtrc(size, max(0.0, fewer.chi2 - search.optimum.chi2)) <= SHARE * search.level:
+        most = search.optimum.chi2 + special.chdtri(size, SHARE * search.level)
+        fewer = search.refit(search.accepted, start=search.without(place), beat=most)
+        if fewer.chi2 >= most:
             search.given = kept
             continue
         search.optimum = fewer

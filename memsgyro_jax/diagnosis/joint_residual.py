@@ -154,7 +154,7 @@ class Joint:
         rows = np.flatnonzero(np.any(others != 0, axis=1))
         along = rows if rows.size <= WIDTH and self._acting(vector, others) <= set(part.effects) else rows[:0]
         first = lanes(part.along(others[along])) if along.size else None
-        here = self._linear(part, vector, readings, first)
+        here = self._linear(part, vector, readings, first, asked=True)
         places = tuple(int(sum(k < i for k in present)) for i in told)
         added = contributions(model, Absent(tuple(whole.effects[i] for i in told), places), here.inquiry)
         every, columns = (np.concatenate([self.of_effect(i) for i in some]) for some in (told, quick))
@@ -200,7 +200,7 @@ class Joint:
         part = self._part(vector, np.zeros((0, vector.size)))
         if nothing(readings.experiment, part.model) is None:
             return None
-        return self.calls.linear(part, vector, readings.experiment).inquiry
+        return self.calls.linear(part, vector, readings.experiment, asked=True).inquiry
 
     def responses(self, vector: np.ndarray, added: Contribution, readings: Readings) -> np.ndarray:
         """(k, r) what each of k contributions, side by side, adds to a residual."""
@@ -224,11 +224,13 @@ class Joint:
         values, slopes = zip(*self._each(chosen, one), strict=True)
         return np.concatenate(values), np.concatenate(slopes, axis=1).T
 
-    def _linear(self, part: Part, vector: np.ndarray, readings: Readings, block: np.ndarray | None) -> Linear:
+    def _linear(
+        self, part: Part, vector: np.ndarray, readings: Readings, block: np.ndarray | None, *, asked: bool = False
+    ) -> Linear:
         """Of some readings, through the calls of all that differ from them in what is left out."""
         if readings.whole is None:
-            return self.calls.linear(part, vector, readings.experiment, block)
-        return self.calls.linear(part, vector, readings.whole, block).without(readings.weightless)
+            return self.calls.linear(part, vector, readings.experiment, block, asked=asked)
+        return self.calls.linear(part, vector, readings.whole, block, asked=asked).without(readings.weightless)
 
     def _known(self, vector: np.ndarray, directions: np.ndarray, knowledge: Knowledge) -> tuple[np.ndarray, np.ndarray]:
         """The residual of what is known of a strength, and its derivatives: linear, so that no program is needed."""

@@ -46,7 +46,7 @@ class Part(NamedTuple):
 
 class Linear(NamedTuple):
     """Residual (r,) of an experiment at a vector, its slopes (WIDTH, r) along a block of directions (WIDTH, p), without
-    one none, and what the prediction asked.
+    one none, and what the prediction asked, where that is kept.
     """
 
     experiment: Experiment
@@ -81,6 +81,8 @@ class Linear(NamedTuple):
 class Calls:
     """Calls of the programs, of which the last are kept: a fit ends where a ranking, and what tests it, begin.
 
+    What a prediction asked, hundreds of megabytes of a long raw record, is kept of the last call of an experiment only.
+
     Args:
         kept: so many.
         fitted: experiments that there are programs with slopes for.
@@ -88,6 +90,7 @@ class Calls:
 
     def __init__(self, kept: int, fitted: Sequence[Experiment]):
         self._kept: OrderedDict[tuple, Linear] = OrderedDict()
+        self._last: OrderedDict[int, tuple[tuple, Linear]] = OrderedDict()  # by experiment, with what was asked
         self._most, self._fitted = kept, {_shape(e) for e in fitted}
 
     def residual(self, part: Part, vector: np.ndarray, experiment: Experiment) -> np.ndarray:
@@ -102,10 +105,15 @@ class Calls:
             known = self._keep(part, at, Linear(experiment, None, value, np.zeros((0, value.size)), None))
         return known.value
 
-    def linear(self, part: Part, vector: np.ndarray, experiment: Experiment, block: np.ndarray | None = None) -> Linear:
-        """The same with slopes along a block of directions (WIDTH, p); any, where none is given."""
+    def linear(
+        self, part: Part, vector: np.ndarray, experiment: Experiment, block: np.ndarray | None = None, *,
+        asked: bool = False,
+    ) -> Linear:  # fmt: skip
+        """The same with slopes along a block of directions (WIDTH, p), any where none is given; and with what was
+        `asked`, if so.
+        """
         at = part.of(vector)
-        known = self._known(part, at, experiment)
+        known = self._known(part, at, experiment, asked=asked)
         if known is not None and (along := known.along(block)) is not None:
             return along
         go_on()
@@ -127,13 +135,20 @@ class Calls:
             out[mine] = np.asarray(_linearise(at, still, some, part.model, part.spec, experiment)[1])[: mine.size]
         return out
 
-    def _known(self, part: Part, at: np.ndarray, experiment: Experiment) -> Linear | None:
-        return self._kept.get((id(experiment), part.effects, at.tobytes()))
+    def _known(self, part: Part, at: np.ndarray, experiment: Experiment, *, asked: bool = False) -> Linear | None:
+        key = id(experiment), part.effects, at.tobytes()
+        if not asked:
+            return self._kept.get(key)
+        last, found = self._last.get(id(experiment), (None, None))
+        return found if last == key else None
 
     def _keep(self, part: Part, at: np.ndarray, found: Linear) -> Linear:
-        self._kept[id(found.experiment), part.effects, at.tobytes()] = found
-        while len(self._kept) > self._most:
-            self._kept.popitem(last=False)
+        key = id(found.experiment), part.effects, at.tobytes()
+        self._kept[key] = found._replace(inquiry=None)
+        self._last[id(found.experiment)] = key, found
+        for calls in (self._kept, self._last):
+            while len(calls) > self._most:
+                calls.popitem(last=False)
         return found
 
 

@@ -84,6 +84,7 @@ def optimise(
     *,
     known: tuple[np.ndarray, np.ndarray] | None = None,
     max_evaluations: int = WHOLE,
+    beat: float = np.inf,
 ) -> Optimum:
     """Move the parameters at `places` to the maximum of the likelihood of the chosen readings, within their bounds.
 
@@ -99,15 +100,16 @@ def optimise(
         chosen: the readings.
         known: residual and Jacobian by those parameters at the start, where they are known already.
         max_evaluations: bound on evaluations; 0 only evaluates.
+        beat: χ² from which the fit is of use; one that will not get there is given up.
     """
-    found = _descended(joint, vector, places, chosen, known, max_evaluations)
+    found = _descended(joint, vector, places, chosen, known, max_evaluations, beat)
     if max_evaluations < WHOLE or _is_device(joint, found.vector):
         return found
     first = np.setdiff1d(places, _of_weaker_axis(joint, vector, places, chosen))
     if first.size == places.size:
         return found
-    own = _descended(joint, vector, first, chosen, None, max_evaluations)
-    again = _descended(joint, own.vector, places, chosen, None, max_evaluations)
+    own = _descended(joint, vector, first, chosen, None, max_evaluations, beat)
+    again = _descended(joint, own.vector, places, chosen, None, max_evaluations, beat)
     poor = found.chi2 > POOR * found.dof
     if _is_device(joint, again.vector) and (poor or again.chi2 < found.chi2 + ALIKE):
         return again
@@ -136,7 +138,7 @@ def _of_weaker_axis(joint: Joint, vector: np.ndarray, places: np.ndarray, chosen
 
 def _descended(
     joint: Joint, vector: np.ndarray, places: np.ndarray, chosen: Sequence[Readings],
-    known: tuple[np.ndarray, np.ndarray] | None, max_evaluations: int,
+    known: tuple[np.ndarray, np.ndarray] | None, max_evaluations: int, beat: float = np.inf,
 ) -> Optimum:  # fmt: skip
     """`optimise` from where it begins."""
     units = np.eye(vector.size)[places]
@@ -154,6 +156,7 @@ def _descended(
             damping=GAUSS_NEWTON,
             tolerance=STATIONARY,
             evaluations=max_evaluations - count + 1,
+            beat=beat,
         )
         vector, along = course.at(end.place)
         count, done = count + int(end.evaluations) - 1, bool(end.settled(STATIONARY))

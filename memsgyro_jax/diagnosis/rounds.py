@@ -128,9 +128,9 @@ def _exchanged(search: Search, ranking: Ranking) -> bool:
     search.joint.together((*search.given, *search.accepted, *(other for *_, other in tried)))
     for *_, place, other in tried:
         instead = [other if i == place else i for i in search.accepted]
-        refit = search.refit(instead, start=search.without(place))
-        better = refit.chi2 + CONFUSED * (other not in search.own) < search.optimum.chi2
-        if better and not search.refuses(other, refit):
+        least = search.optimum.chi2 - CONFUSED * (other not in search.own)
+        refit = search.refit(instead, start=search.without(place), beat=least)
+        if refit.chi2 < least and not search.refuses(other, refit):
             search.exchange(place, other, refit)
             return True
     return False

@@ -116,23 +116,25 @@ class Search:
         start: np.ndarray | None = None,
         slopes: np.ndarray | None = None,
         evaluations: int = WHOLE,
+        beat: float = np.inf,
     ) -> Optimum:
         """Base and the effects at `places` free, from the present optimum or the vector `start`; `slopes` are the
-        sensitivities of the last of them at the present optimum, if known. One from the present optimum is made once.
+        sensitivities of the last of them at the present optimum, if known. One from the present optimum is made once;
+        one that will not get χ² down to `beat` is given up.
         """
-        kept = self._refits.get(tuple(places))
-        if start is None and kept and kept[0] is self.joint and kept[1] is self.optimum and kept[2] >= evaluations:
+        kept, joint = self._refits.get(tuple(places)), self.joint
+        if start is None and kept and kept[0] is joint and kept[1] is self.optimum and kept[2] >= evaluations:
             return kept[3]
-        free, known = always_free(self.joint, (*self.given, *places)), None
+        free, known = always_free(joint, (*self.given, *places)), None
         if slopes is not None:
-            jacobian = np.zeros((self.optimum.residual.size, self.joint.start.size))
+            jacobian = np.zeros((self.optimum.residual.size, joint.start.size))
             jacobian[:, self.optimum.free] = self.optimum.jacobian
-            jacobian[:, self.joint.of_effect(places[-1])] = slopes
+            jacobian[:, joint.of_effect(places[-1])] = slopes
             known = self.optimum.residual, jacobian[:, free]
         begin = self.optimum.vector if start is None else start
-        found = optimise(self.joint, begin, free, self.joint.fitted, known=known, max_evaluations=evaluations)
+        found = optimise(joint, begin, free, joint.fitted, known=known, max_evaluations=evaluations, beat=beat)
         if start is None:
-            self._refits[tuple(places)] = self.joint, self.optimum, WHOLE if found.converged else evaluations, found
+            self._refits[tuple(places)] = joint, self.optimum, WHOLE if found.converged else evaluations, found
         return found
 
     def without(self, place: int) -> np.ndarray:
@@ -195,9 +197,7 @@ class Search:
 
     def refuses(self, place: int, chosen: Optimum) -> bool:
         """Whether an effect does not stay, though a refit with it was made; it is told why."""
-        why = refusal(
-            self.joint, place, self.optimum, chosen, others=len(self.accepted), case=self.case
-        )  # fmt: skip
+        why = refusal(self.joint, place, self.optimum, chosen, others=len(self.accepted), case=self.case)
         if why:
             self.tell(f"left out {self.joint.model.effects[place].label}: {why}")
         return bool(why)
@@ -272,8 +272,9 @@ class Search:
         for place, mine in sorted(proposed.items(), key=lambda pair: -pair[1].p_value):
             if self.own_score(place).p_value <= alone:
                 continue
-            fewer = self.refit([i for i in self.accepted if i != place], start=self.without(place))
-            if special.chdtrc(max(1, mine.size), max(0.0, fewer.chi2 - self.optimum.chi2)) <= alone:
+            most = self.optimum.chi2 + special.chdtri(max(1, mine.size), alone)
+            fewer = self.refit([i for i in self.accepted if i != place], start=self.without(place), beat=most)
+            if fewer.chi2 >= most:
                 continue
             self.optimum = fewer
             self.accepted.remove(place)

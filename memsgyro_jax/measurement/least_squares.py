@@ -18,6 +18,7 @@ from memsgyro_jax.base.text import combination
 
 NULL = 1e-7  # of the best held direction: information below which a direction counts as not held
 PART = 1e-3  # share of a parameter in a null direction from which its own value is not held
+AT_LEAST, HOPE = 3, 10.0  # evaluations before a fit is given up, where χ² falls by less than so many promised falls
 BETTER, WORSE = 0.75, 0.01  # of the predicted fall of χ²: above it damping eases, below it a step is taken back
 EASE = 8.0
 LEVELS = 4.0 ** np.arange(-22, 31)  # dampings tried after a step that failed
@@ -143,6 +144,12 @@ class Marquardt(NamedTuple):
         """By how much a linear residual would let χ² fall in that step."""
         return ((self.squares + 2 * self.damping) * (self.gradient / (self.squares + self.damping)) ** 2).sum()
 
+    def hopeless(self, beat: float) -> Array:
+        """Whether χ² will not get down to `beat`: what a linear residual promises, and much more, is not enough."""
+        xp, held = self.slope.__array_namespace__(), self.squares > 0
+        promised = xp.where(held, self.gradient**2 / xp.where(held, self.squares, 1.0), 0.0).sum()
+        return (self.evaluations >= AT_LEAST) & (self.chi2 - HOPE * promised > beat)
+
     def settled(self, tolerance: float) -> Array:
         """Whether the next step moves the residual by less than `tolerance` standard deviations (of the misfit, where
         that exceeds the noise).
@@ -187,6 +194,7 @@ def least_squares(
     damping: float,
     tolerance: float,
     evaluations: int,
+    beat: float = np.inf,
     loop: Callable = on_host,
 ) -> Marquardt:
     """Move k coordinates from zero to the least sum of squares.
@@ -197,13 +205,14 @@ def least_squares(
         damping: to begin with, against squares of singular values at most k: 1e-12 is a step of Gauss and Newton.
         tolerance: stop when a step would move the residual by less standard deviations.
         evaluations: at most so many, the first included.
+        beat: χ² from which the fit is of use; given up where it will not get there.
         loop: `on_host`, or `jax.lax.while_loop` within a compiled program.
     """
     residual, slope = first
     xp = slope.__array_namespace__()
     start = Marquardt.at(xp.zeros(slope.shape[1]), residual, slope, xp.asarray(float(damping)), xp.asarray(1))
     return loop(
-        lambda state: (state.evaluations < evaluations) & ~state.settled(tolerance),
+        lambda state: (state.evaluations < evaluations) & ~state.settled(tolerance) & ~state.hopeless(beat),
         lambda state: state.advanced(*linearise(state.place + state.move)),
         start,
     )

@@ -54,7 +54,7 @@ def test_an_effect_that_would_need_an_impossible_sign_is_not_fitted(sign, fits):
         jacobian_without=lambda place: beside,
         taken_by=lambda place: -slope[:, 0],
         without=lambda place: np.zeros(2),
-        refit=lambda places, start: asked.append((places, start.tolist())) or SimpleNamespace(chi2=1.0),
+        refit=lambda places, start, beat: asked.append((places, start.tolist())) or SimpleNamespace(chi2=1.0),
     )
     out = confusions(search, SimpleNamespace(places=(1,), slopes=(sign * slope,)))
     assert asked == [([1], [0.0, 1.0])] * fits

@@ -61,3 +61,28 @@ def test_a_fit_without_some_rows_asks_no_program_for_what_is_known(monkeypatch):
 @pytest.mark.parametrize("block", [None, np.zeros((12, 3))])
 def test_a_residual_alone_tells_no_slopes(block):
     assert Linear(None, None, np.zeros(4), np.zeros((0, 4)), None).along(block) is None
+
+
+def test_what_a_prediction_asked_is_kept_of_the_last_call_alone_and_asked_for_again_where_it_is_wanted(monkeypatch):
+    """Of a raw record it is hundreds of megabytes, and a fit makes tens of calls."""
+    case = bench().case
+    joint = Joint(bench().model(()), [r for r in readings_of(case) if r.fitted][:1])
+    (readings,), calls, plain = joint.fitted, [], linearised._linearise
+
+    def counted(*given):
+        calls.append(plain(*given))
+        return calls[-1]
+
+    monkeypatch.setattr(linearised, "_linearise", counted)
+    moved = joint.start * (1.0 + 1e-6)
+    first = joint.asked(joint.start, readings)
+    assert joint.asked(joint.start, readings) is first
+    assert first is not None
+    joint.residual(moved, [readings])
+    joint.residual(joint.start, [readings])  # of which the numbers are still known
+    held = [part.inquiry for part in (*joint.calls._kept.values(), *(part for _, part in joint.calls._last.values()))]
+    assert sum(inquiry is not None for inquiry in held) == 1
+    assert len(calls) == 2
+    again = joint.asked(joint.start, readings)
+    assert len(calls) == 3
+    np.testing.assert_array_equal(again.forced[0].state, first.forced[0].state)

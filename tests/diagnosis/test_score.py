@@ -267,7 +267,7 @@ def test_an_effect_that_a_refit_does_not_miss_is_dropped(monkeypatch, worse, kep
         level=0.05, accepted=[0], optimum=SimpleNamespace(chi2=100.0), steps=[], tell=lambda _: None, case=None,
         joint=SimpleNamespace(model=SimpleNamespace(effects=(SimpleNamespace(label="one"),))),
         own_score=lambda _: SimpleNamespace(p_value=0.5, size=1), without=lambda _: None,
-        refit=lambda left, start: SimpleNamespace(chi2=100.0 + worse),
+        refit=lambda left, start, beat: SimpleNamespace(chi2=100.0 + worse),
     )  # fmt: skip
     told = []
     begun.keep, begun.drop = told.append, lambda label: search.Search.drop(begun, label)
