@@ -284,7 +284,8 @@ def _best(search: Search, ranking: Ranking, stopped: set[int]) -> tuple[int, Opt
         places = [*search.accepted, ranking.places[i]]
         glances[ranking.places[i]] = search.refit(places, slopes=ranking.slopes[i], evaluations=GLANCE)
     for place, glance in sorted(glances.items(), key=lambda pair: pair[1].chi2 + 2.0 * pair[1].free.size):
-        refit = glance if glance.converged else search.refit([*search.accepted, place], start=glance.vector)
+        end = glance.converged or _is_pinned(search, place, glance)
+        refit = glance if end else search.refit([*search.accepted, place], start=glance.vector)
         if _is_pinned(search, place, refit):
             stopped.add(place)
         elif refit.chi2 < search.optimum.chi2 - least:

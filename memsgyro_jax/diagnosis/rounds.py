@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from memsgyro_jax.measurement.model import Model
 
-from .acceptance import excess, hopeless
+from .acceptance import excess, hopeless, share_needed
 from .fewer import as_a_phase, take_out
 from .fit import beside_case
 from .joint_residual import Joint
@@ -100,7 +100,8 @@ def _with_scan(search: Search, rival: Optimum) -> Search | None:
     if hopeless(best.score.statistic, search.optimum, len(search.accepted)):
         return None
     model = search.joint.at(search.optimum.vector).with_effect(best.effect)
-    gain = max(DECIDED, search.optimum.chi2 - rival.chi2)
+    least = share_needed(len(search.accepted)) * excess(search.optimum)
+    gain = max(DECIDED, search.optimum.chi2 - rival.chi2, least)
     joint = Joint(model, search.joint.readings, search.joint.programs)
     return search.grown(joint, len(model.effects) - 1, gain)
 

@@ -23,6 +23,7 @@ from .score import Score, basis, score, within_bounds
 
 COARSE = 32  # points at most that are tried where each takes long
 CHUNK = 8  # grid points evaluated side by side
+BEYOND = 2.0  # times what an effect does at a point of its grid: so much it may do between that and the next
 LOW = 4  # harmonics, the mean included, at which a scan looks
 
 
@@ -78,9 +79,9 @@ def scan(model: Model, optimum: Optimum, readings: Sequence[Readings], grid: Seq
             whole[span, 0] = np.where(np.isfinite(column), column, 0.0)
             (number,) = [n for n in free_numbers(effect) if n.field == "strength"]
             low, high = np.array([number.low]), np.array([number.high])
-            mine = score(optimum.residual, q, whole)
-            if "strength" not in effect.scanned:
-                mine = within_bounds(mine, optimum.residual, whole, low, high)
+            if "strength" in effect.scanned:  # then it is a step, of which a fit finds a part or some more
+                low, high = np.zeros(1), np.full(1, BEYOND)
+            mine = within_bounds(score(optimum.residual, q, whole), optimum.residual, whole, low, high)
             found = ScannedPoint(effect, mine, len(grid))
             if best is None or found.score.statistic > best.score.statistic:
                 best = found

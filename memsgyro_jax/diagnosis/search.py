@@ -306,9 +306,10 @@ class Search:
 
     def grown(self, joint: Joint, place: int, gain: float) -> "Search | None":
         """This search with a larger model whose effect at `place` is new; None where χ² falls by less or it goes."""
-        free = always_free(joint, (*self.given, *self.accepted, place))
-        optimum = optimise(joint, joint.start, free, joint.fitted)
-        if optimum.chi2 >= self.optimum.chi2 - gain:
+        free, beat = always_free(joint, (*self.given, *self.accepted, place)), self.optimum.chi2 - gain
+        optimum = optimise(joint, joint.start, free, joint.fitted, beat=beat)
+        if optimum.chi2 >= beat:
+            self.tell(f"left out {joint.model.effects[place].label}: it explains too little, or less than another")
             return None
         # A frequency and its width are found in a narrow valley: again from within it, to its end.
         optimum = optimise(joint, optimum.vector, free, joint.fitted)
