@@ -144,7 +144,9 @@ def _offered(search: Search) -> tuple[list[InstrumentTerm], Promise | None]:
 
 
 def _chosen_terms(search: Search, terms: Sequence[InstrumentTerm], promise: Promise) -> Search | None:
-    """The present model with those of some terms that a fit favours, of those that are promised; `None` where none."""
+    """The present model with those of some terms that a fit favours, of those that are promised; `None` where none, or
+    where they keep too little of what they promised.
+    """
     wanted = {terms[i].label for i in promise.worth_a_fit}
     for _ in range(AGAIN):
         search.tell(INSTRUMENT + ", ".join(sorted(wanted)))
@@ -156,7 +158,7 @@ def _chosen_terms(search: Search, terms: Sequence[InstrumentTerm], promise: Prom
         if more is None or not more.chosen or more.gain < LITTLE * excess(alone.optimum):
             break
         wanted |= {others[i].label for i in more.worth_a_fit}
-    return alone
+    return alone if search.optimum.chi2 - alone.optimum.chi2 >= LITTLE * excess(search.optimum) else None
 
 
 def instrument_between(search: Search, ranking: Ranking) -> Search | None:
@@ -196,6 +198,7 @@ def _with_terms(search: Search, terms: Sequence[InstrumentTerm]) -> Search:
     optimum = optimise(joint, joint.start, free, joint.fitted, known=_as_before(search, joint, free), max_evaluations=0)
     alone = Search(beside_case(search.case, joint, optimum), SHARE * search.level, given, search.tell)
     alone.steps = list(search.steps)
+    joint.together(range(len(joint.model.effects)))  # one program for the ranking and for all fits
     add_terms(alone, alone.rank())
     _simplify(alone)
     return alone

@@ -86,12 +86,12 @@ def _takes_most(search: Search, other: Optimum) -> bool:
 
 def _with_scan(search: Search, rival: Optimum) -> Search | None:
     """The search with the best effect that needs a scan, if it explains more than the rival fit does."""
-    bare, best = _bare(search), None
+    bare, programs, best = _bare(search), search.joint.programs, None
     for grid in scans(search.case):
         search.tell(f"scan {grid[0].label}, {len(grid)} points")
-        found = scan(bare, search.optimum, search.joint.fitted, grid)
+        found = scan(bare, search.optimum, search.joint.fitted, grid, programs)
         if found and found.score.p_value * found.points <= search.level:
-            finer = scan(bare, search.optimum, search.joint.fitted, refined(found.effect, grid))
+            finer = scan(bare, search.optimum, search.joint.fitted, refined(found.effect, grid), programs)
             found = finer if finer and finer.score.statistic > found.score.statistic else found
             if best is None or found.score.statistic > best.score.statistic:
                 best = found

@@ -18,6 +18,7 @@ from memsgyro_jax.measurement.model import Model
 from .joint_residual import Joint
 from .linearised import compiled
 from .optimum import Optimum
+from .programs import Programs
 from .score import Score, basis, score, within_bounds
 
 
@@ -52,7 +53,13 @@ def scans(case: Case) -> tuple[tuple[Scanned, ...], ...]:
     return tuple(grid for grid in grids if grid)
 
 
-def scan(model: Model, optimum: Optimum, readings: Sequence[Readings], grid: Sequence[Scanned]) -> ScannedPoint | None:
+def scan(
+    model: Model,
+    optimum: Optimum,
+    readings: Sequence[Readings],
+    grid: Sequence[Scanned],
+    programs: Programs | None = None,
+) -> ScannedPoint | None:
     """Score of every point of a grid beside the fitted model; the best one, or `None` where no record would show it.
 
     All points are tried with few harmonics, whatever the fit needs: the refit judges the best of them with as many.
@@ -62,8 +69,9 @@ def scan(model: Model, optimum: Optimum, readings: Sequence[Readings], grid: Seq
         optimum: the residual and Jacobian of the fitted readings.
         readings: the fitted readings, in the order of that residual.
         grid: the effect at every point.
+        programs: those of the fit.
     """
-    q, best, joint = basis(optimum.jacobian), None, Joint(model, readings)
+    q, best, joint = basis(optimum.jacobian), None, Joint(model, readings, programs)
     starts = np.concatenate([[0], np.cumsum([r.size for r in readings])])
     for place, chosen in enumerate(readings):
         points = [e for e in grid if _shows(e, chosen, readings)]
@@ -95,7 +103,9 @@ def _settled(joint: Joint, chosen: Readings, points: Sequence[Scanned]) -> np.nd
     Rows stand alone: what a unit of acceleration does to each of them, harmonic by harmonic, tells what any does. What
     a read-out that looks back sees of the acceleration itself is left out, beside the motion that it makes.
     """
-    inquiry = None if joint.model.order == 2 else joint.asked(joint.start, chosen)
+    if joint.model.order == 2 or points[0].carried(np.zeros((0, LOW, joint.model.axes)), np.zeros(0)) is None:
+        return None
+    inquiry = joint.asked(joint.start, chosen)
     if inquiry is None or len(inquiry.forced) != 1 or not isinstance(inquiry.forced[0], Periods):
         return None
     settled = inquiry.forced[0]
