@@ -23,6 +23,7 @@ from .score import basis
 
 
 MOST_TERMS = 4  # that are promised together
+FARTHER = 3.0  # times a bound: what would have to go so far is no answer
 CLOSE = 0.7  # of what the first gains: a rival that is fitted beside it
 
 
@@ -106,6 +107,8 @@ def _gain(root: np.ndarray, places: np.ndarray, bounds: np.ndarray) -> float:
     whole = np.concatenate([matrix, known]) / size
     wanted = np.concatenate([target, np.zeros(places.size)])
     step = np.linalg.lstsq(whole, wanted)[0]
+    if np.any((step > FARTHER * high * size) | ((low < 0) & (step < FARTHER * low * size))):
+        return 0.0  # a fit would end at the bound, and be refused
     if np.any((step < low * size) | (step > high * size)):
         step = optimize.lsq_linear(whole, wanted, (low * size - 1e-300, high * size + 1e-300)).x
     return max(0.0, float(target @ target - np.sum((whole @ step - wanted) ** 2)))
