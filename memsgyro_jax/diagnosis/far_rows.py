@@ -24,6 +24,7 @@ HOPELESS = 1.5  # of the χ² that noise may leave: rows without which a model l
 FEW_ROWS = 0.05  # share of a record's rows from which they are no outliers but a part of it
 TRIMMED = 0.1  # of all rows: the most that are left out on the way
 TURNS = 8  # of a fit and a look for rows
+FALLING = 0.8  # of what was left: what a turn that is not the last comes to
 PAIR = 2  # rows beside one another: what goes on for longer is a part of the curve
 BESIDE, NOISE = 0.25, 3.0  # of the largest of them, or standard deviations: what rows beside may be off
 BY_CHANCE = 0.02  # so unlikely a repetition at one frequency in sweep after sweep is none
@@ -42,6 +43,7 @@ def far_rows_in_turns(fit: CaseFit) -> Rows:
     """
     optimum, most = fit.optimum, TRIMMED * sum(record.rows for record, _ in fit.deviations)
     trimmed: list[Rows] = []
+    least = np.inf
     for _ in range(TURNS):
         beside = _beside_all(fit, optimum)
         far = _far(beside)
@@ -49,6 +51,10 @@ def far_rows_in_turns(fit: CaseFit) -> Rows:
             break
         trimmed.append(far)
         optimum = _without(fit, optimum, far)
+        left = optimum.chi2 / optimum.dof
+        if left > max(HOPELESS * gate(optimum.dof), FALLING * least):  # without fewer rows it leaves more yet
+            return {}
+        least = left
     if not (rows := far_rows(beside)):
         return {}
     end = _without(fit, beside.optimum, rows)
