@@ -39,7 +39,7 @@ LEVEL, STRONG, QUICK = 0.05, 6.0, "one axis, 32.8 kHz, Q 20 000"
 
 def main() -> None:
     numbers = {
-        "nulls": (400, "draws of noise per device"),
+        "nulls": (2000, "draws of noise per device"),
         "dies": (1, "whole diagnoses of each stranger and of each sound device; each takes minutes"),
         "processes": (1, "that diagnose side by side"),
     }

@@ -161,13 +161,13 @@ class Nulls:
         if self._slow(case, before, value, slopes, ranking):
             return Decision(False, False, False, True, False, float(p_values.min()))
         best = int(np.argmin([s.p_value for s in found]))
-        tempted = p_values[best] <= (1 - RECORDS) * LEVEL
+        tempted = p_values[best] <= LEVEL
         effect = False
         if tempted:
             after = _fitted(joint, np.append(base, blocks[best]), value[fitted], slopes[fitted])
             effect = not refusal(joint, best, before, after, others=0, case=case)
         tried = tempted or not all(within)
-        term = tried and self._ranked_terms(before, unsure) <= SHARE * (1 - RECORDS) * LEVEL
+        term = tried and self._ranked_terms(before, unsure) <= SHARE * LEVEL
         return Decision(
             effect, min(p_records) <= RECORDS * LEVEL / len(p_records), term, False, tempted, float(p_values.min())
         )
@@ -175,7 +175,7 @@ class Nulls:
     def _slow(self, case, before, value, slopes, ranking):
         """Whether the noise is called slow, which ends a diagnosis."""
         joint = LinearJoint(self.joint, self.every, value, slopes)
-        search = Search(beside_case(case, joint, before), (1 - RECORDS) * LEVEL, (), lambda text: None)
+        search = Search(beside_case(case, joint, before), LEVEL, (), lambda text: None)
         return bool(slow_noise(search, ranking))
 
     def _ranked(self, before, slopes, bounds, unsure):

@@ -50,7 +50,7 @@ from .worth_trying import worth_trying
 from .wrong_noise import what_repeats, wrong_noise
 
 
-RECORDS = 0.1  # share of the level for records that no candidate explains; the rest is the candidates'
+RECORDS = 0.1  # of the level, for records; candidates have all of it, as readings left out refuse a sixth of chance's
 PARTLY = 0.9  # share of the misfit above noise, in readings never fitted, that "partly explained" asks for
 FAR_LEFT = 10.0  # times the noise: what is left of them beyond that makes the law unknown, whatever share was explained
 NAMED = 2  # effects that are named as tried where none explains what is missing
@@ -113,7 +113,7 @@ def _diagnosed(
         if left_out:
             tell("leave out " + of_rows(case, left_out))
         kept = Joint(joint.model, without_rows(joint.readings, left_out), joint.programs)
-        search = start_search(case, kept, (1 - RECORDS) * level, range(len(start.effects)), tell)
+        search = start_search(case, kept, level, range(len(start.effects)), tell)
         search.keep = _keep_better(search, keep)
         search.own = tuple(i for i, e in enumerate(joint.model.effects) if e.label in {own.label for own in effects})
         return search

@@ -10,7 +10,7 @@ from lab.die import Hidden, Outside
 from power import Linear
 from scipy import stats
 
-from memsgyro_jax.diagnosis.diagnose import RECORDS, diagnose
+from memsgyro_jax.diagnosis.diagnose import diagnose
 from memsgyro_jax.diagnosis.findings import SIGMAS_SEEN
 from memsgyro_jax.diagnosis.fit import fit_case
 from memsgyro_jax.diagnosis.joint_residual import Joint
@@ -35,7 +35,7 @@ def linear() -> Linear:
 
 @pytest.fixture(scope="module")
 def threshold(linear) -> float:
-    return linear.threshold((1 - RECORDS) * LEVEL)
+    return linear.threshold(LEVEL)
 
 
 def test_every_effect_shows_in_a_case_of_every_kind(linear):
@@ -73,7 +73,7 @@ def test_what_should_be_visible_is_seen_nine_times_in_ten(linear, threshold, pla
 def test_nothing_more_is_found_beside_the_right_effect(linear, place):
     """Its strength does not matter: with the effect free, what it leaves is projected out."""
     after = linear.with_free(place)
-    limit = after.threshold((1 - RECORDS) * LEVEL)
+    limit = after.threshold(LEVEL)
     alarms = np.mean(after.single(after.noise(DRAWS, np.random.default_rng(place))).min(axis=1) <= limit)
     assert 0.02 <= alarms <= 0.07, alarms
 
