@@ -113,8 +113,9 @@ def optimise(
     poor = found.chi2 > POOR * found.dof
     if _is_device(joint, again.vector) and (poor or again.chi2 < found.chi2 + ALIKE):
         return again
-    if poor and _is_device(joint, own.vector):
-        return replace(_descended(joint, own.vector, places, chosen, None, 0), converged=False)
+    if _is_device(joint, own.vector) and (poor or own.chi2 < found.chi2 + ALIKE):
+        beside = _descended(joint, own.vector, places, chosen, None, 0)  # what readings hardly hold stays where it was
+        return replace(beside, converged=own.converged and not poor)
     return found
 
 

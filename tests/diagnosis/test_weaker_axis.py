@@ -63,6 +63,7 @@ def test_a_fit_ends_at_a_device(recorded):
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:The effects of the device acted once in a sample")  # 1.4 standard deviations here
 @pytest.mark.parametrize("recorded", ["50 ms"], indirect=True)
 def test_the_spring_is_found(recorded):
     found = mg.diagnose(None, recorded)
