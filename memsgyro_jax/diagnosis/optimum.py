@@ -91,8 +91,8 @@ def optimise(
     Directions that the data do not hold are frozen where they are, for a drifting nuisance destroys every later test.
     What depends on a strength that was zero, or would leave its bound at first, is tried again where the others end.
     Of two axes the one that hardly moves takes what the model of the other lacks, and is led astray: where a fit ends
-    at no device, the other axis goes first, and what that leads to is taken if it fits as well, or the fit was poor; where
-    that is no device either, the axis stays where it began.
+    at no device, the other axis goes first, and what that leads to is taken if it fits as well, or the fit was poor.
+    Where that is no device either, the axis stays where it began.
 
     Args:
         joint: residual and sensitivities.
