@@ -43,9 +43,11 @@ def far_rows_in_turns(fit: CaseFit) -> Rows:
     """
     optimum, most = fit.optimum, TRIMMED * sum(record.rows for record, _ in fit.deviations)
     trimmed: list[Rows] = []
-    least = np.inf
+    near, least = False, np.inf
     for _ in range(TURNS):
         beside = _beside_all(fit, optimum)
+        if near and not far_rows(beside):  # the model leaves noise, and no row stands alone beside it
+            return {}
         far = _far(beside)
         if far in trimmed or sum(map(len, far.values())) > most:
             break
@@ -54,7 +56,7 @@ def far_rows_in_turns(fit: CaseFit) -> Rows:
         left = optimum.chi2 / optimum.dof
         if left > max(HOPELESS * gate(optimum.dof), FALLING * least):  # without fewer rows it leaves more yet
             return {}
-        least = left
+        near, least = left > FALLING * least, left
     if not (rows := far_rows(beside)):
         return {}
     end = _without(fit, beside.optimum, rows)

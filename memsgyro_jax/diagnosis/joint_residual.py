@@ -17,16 +17,17 @@ from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.runtime import require_float64, usable_cores
 from memsgyro_jax.base.threads import in_threads
 from memsgyro_jax.base.transforms import Free, Identity, fixed, from_vector, mark, to_vector
-from memsgyro_jax.effects import Effect, ForceEffect, free_numbers
+from memsgyro_jax.effects import Effect, ForceEffect, SweepEffect, free_numbers
 from memsgyro_jax.measurement.absent import Absent, of_first_order
 from memsgyro_jax.measurement.first_order import Contribution, Inquiry, contributions
 from memsgyro_jax.measurement.model import Model
 from memsgyro_jax.measurement.readings import Readings
 
 from .instrument import Knowledge
-from .linearised import WIDTH, Calls, Linear, Part, lanes, nothing
+from .linearised import WIDER, WIDTH, Calls, Linear, Part, lanes, nothing
 from .parameters import Parameter, parameters
 from .programs import Programs, is_idle
+from .rows_of_their_own import SideBySide, by_row
 
 
 CARRIED = 3  # absent effects that are carried through a model: a fit goes on with them
@@ -55,6 +56,7 @@ class Joint:
         self.spec = _all_free(model)
         self.parameters: tuple[Parameter, ...] = parameters(model)
         self.programs = Programs() if programs is None else programs
+        self.programs.know(self._names)
         self.calls = Calls(CALLS * len(self.readings), [r.experiment for r in self.fitted])
 
     @cached_property
@@ -107,11 +109,12 @@ class Joint:
 
     def residual(self, vector: np.ndarray, chosen: Sequence[Readings]) -> list[np.ndarray]:
         """Whitened residual of each of the chosen readings."""
-        part = self._part(vector, np.zeros((0, vector.size)))
+        parts = self._parts(vector, np.zeros((0, vector.size)))
 
         def one(r: Readings) -> np.ndarray:
             if isinstance(r.experiment, Knowledge):
                 return self._known(vector, np.zeros((0, vector.size)), r.experiment)[0]
+            part = parts[r.experiment.swept]
             if r.whole is None:
                 return self.calls.residual(part, vector, r.experiment)
             return np.where(r.weightless, 0.0, self.calls.residual(part, vector, r.whole))
@@ -142,18 +145,22 @@ class Joint:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Residual and derivatives of one of the readings, those by absent effects as responses where it tells them."""
         whole, present = self.at(vector), sorted(self._acting(vector, np.zeros((0, vector.size))))
-        part = self._part(vector, np.zeros((0, vector.size)))
+        part = self._part(vector, np.zeros((0, vector.size)), readings.experiment.swept)
         model = whole.with_only(whole.effects[i] for i in present)
         # All that could be asked for, forces that are present too, so that one program tells whichever is.
         told = [i for i, effect in enumerate(whole.effects) if i not in present or isinstance(effect, ForceEffect)]
         told = [i for i in told if of_first_order(model, whole.effects[i])]
         quick = [i for i in absent if i in told]
-        if not quick or nothing(readings.experiment, part.model) is None:
+        if not quick or nothing(readings.experiment, part) is None:
             return self._carried(vector, directions, [readings])
         others = np.where(np.isin(self.owner, quick), 0.0, directions)
         rows = np.flatnonzero(np.any(others != 0, axis=1))
-        along = rows if rows.size <= WIDTH and self._acting(vector, others) <= set(part.effects) else rows[:0]
-        first = lanes(part.along(others[along])) if along.size else None
+        along = (
+            rows
+            if rows.size <= part.width and self._acting(vector, others, readings.experiment.swept) <= set(part.effects)
+            else rows[:0]
+        )
+        first = lanes(part.along(others[along]), part.width) if along.size else None
         here = self._linear(part, vector, readings, first, asked=True)
         places = tuple(int(sum(k < i for k in present)) for i in told)
         added = contributions(model, Absent(tuple(whole.effects[i] for i in told), places), here.inquiry)
@@ -197,29 +204,40 @@ class Joint:
 
     def asked(self, vector: np.ndarray, readings: Readings) -> Inquiry | None:
         """All that a prediction asks of the model at a vector; `None` where nothing can be added on its way."""
-        part = self._part(vector, np.zeros((0, vector.size)))
-        if nothing(readings.experiment, part.model) is None:
+        part = self._part(vector, np.zeros((0, vector.size)), readings.experiment.swept)
+        if nothing(readings.experiment, part) is None:
             return None
         return self.calls.linear(part, vector, readings.experiment, asked=True).inquiry
 
     def responses(self, vector: np.ndarray, added: Contribution, readings: Readings) -> np.ndarray:
         """(k, r) what each of k contributions, side by side, adds to a residual."""
-        return self.calls.responses(self._part(vector, np.zeros((0, vector.size))), vector, added, readings)
+        part = self._part(vector, np.zeros((0, vector.size)), readings.experiment.swept)
+        return self.calls.responses(part, vector, added, readings)
 
     def _carried(
         self, vector: np.ndarray, directions: np.ndarray, chosen: Sequence[Readings]
     ) -> tuple[np.ndarray, np.ndarray]:
         """Residual and its derivatives, all that moves carried through the model."""
-        count, part = directions.shape[0], self._part(vector, directions)
-        padded = np.zeros((max(1, -(-count // WIDTH)) * WIDTH, part.places.size))
-        padded[:count] = part.along(directions)
+        parts = self._parts(vector, directions)
+
+        def along(part: Part, ways: np.ndarray, r: Readings) -> tuple[np.ndarray, np.ndarray]:
+            begins = range(0, max(1, len(ways)), part.width)
+            blocks = [lanes(ways[i : i + part.width], part.width) for i in begins]
+            told = [self._linear(part, vector, r, block) for block in blocks]
+            return told[0].value, np.concatenate([each.slopes for each in told])[: len(ways)]
 
         def one(r: Readings) -> tuple[np.ndarray, np.ndarray]:
             if isinstance(r.experiment, Knowledge):
                 return self._known(vector, directions, r.experiment)
-            begins = range(0, len(padded), WIDTH)
-            parts = [self._linear(part, vector, r, padded[i : i + WIDTH]) for i in begins]
-            return parts[0].value, np.concatenate([each.slopes for each in parts])[:count]
+            part = parts[r.experiment.swept]
+            ways = part.along(directions)
+            if len(ways) <= part.width:
+                return along(part, ways, r)
+            together = SideBySide.of(part.model, r, np.any(ways != 0, axis=0))
+            if -(-len(together.ways) // part.width) >= -(-len(ways) // part.width):
+                return along(part, ways, r)
+            value, slopes = along(part, together.ways, r)
+            return (value, ways @ together.apart(slopes)) if np.all(np.isfinite(slopes)) else along(part, ways, r)
 
         values, slopes = zip(*self._each(chosen, one), strict=True)
         return np.concatenate(values), np.concatenate(slopes, axis=1).T
@@ -240,18 +258,30 @@ class Joint:
         std = np.ravel(knowledge.noise.std)
         return -vector[mine[0]] / std, -directions[:, mine[0]] / std
 
-    def together(self, effects: Iterable[int]) -> None:
+    def together(self, effects: Iterable[int], later: Iterable[tuple[str, Effect]] = ()) -> None:
         """One program for all models of some of these effects, which are going to be asked for one after the other, the
-        likeliest first.
+        likeliest first, and of effects `named` by another joint of the case; of these none that makes the read-out
+        nonlinear, by which a rate table takes twice as long.
         """
-        self.programs.announce([(self._names[i], self.model.effects[i]) for i in effects])
+        plain = [(name, effect) for name, effect in later if self.model.with_only([effect]).is_read_linearly]
+        self.programs.announce([*self.named(effects), *plain])
 
-    def _part(self, vector: np.ndarray, directions: np.ndarray) -> Part:
+    def named(self, effects: Iterable[int]) -> list[tuple[str, Effect]]:
+        """Some effects with the names by which programs know them."""
+        return [(self._names[i], self.model.effects[i]) for i in effects]
+
+    def _parts(self, vector: np.ndarray, directions: np.ndarray) -> dict[bool, Part]:
+        """The part for experiments whose frequency moves, and for all others."""
+        whole = self._part(vector, directions)
+        swept = any(isinstance(effect, SweepEffect) for effect in whole.model.effects)
+        return {True: whole, False: self._part(vector, directions, False) if swept else whole}
+
+    def _part(self, vector: np.ndarray, directions: np.ndarray, swept: bool = True) -> Part:
         """The model of the effects that are present at a vector or move along one of the directions (k, p), and of
         others that are absent where there is a program for all of them. What is linear stays so: it is quick.
         """
         names, programs = self._names, self.programs
-        acting = frozenset(names[i] for i in self._acting(vector, directions))
+        acting = frozenset(names[i] for i in self._acting(vector, directions, swept))
 
         def idle(name: str) -> bool:
             if name not in names and name not in programs.absent:  # announced for another model
@@ -269,7 +299,8 @@ class Joint:
         for place, effect in zip(mine, model.effects, strict=True):
             lacking = np.full(sum(np.size(getattr(effect, number.field)) for number in free_numbers(effect)), -1)
             places.append(lacking if place is None else np.flatnonzero(self.owner == place))
-        return Part(tuple(i for i in mine if i is not None), model, spec, np.concatenate(places), rest)
+        width = WIDER if any(map(by_row, model.effects)) else WIDTH
+        return Part(tuple(i for i in mine if i is not None), model, spec, np.concatenate(places), rest, width)
 
     def _named(self, name: str) -> Effect:
         """An effect of the model; of a program that is there, where the model lacks it."""
@@ -289,11 +320,12 @@ class Joint:
         labels = [effect.label for effect in self.model.effects]
         return [f"{label} {labels[:k].count(label)}" for k, label in enumerate(labels)]
 
-    def _acting(self, vector: np.ndarray, directions: np.ndarray) -> frozenset[int]:
-        """Effects that are present or move."""
+    def _acting(self, vector: np.ndarray, directions: np.ndarray, swept: bool = True) -> frozenset[int]:
+        """Effects that are present or move; of a record at steady frequencies without those of a moving one."""
         strength = np.array([p.field == "strength" for p in self.parameters])
         acting = (strength & (vector != 0)) | np.any(directions != 0, axis=0)
-        return frozenset(int(i) for i in np.unique(self.owner[acting]) if i >= 0)
+        every, effects = np.unique(self.owner[acting]).tolist(), self.model.effects
+        return frozenset(i for i in every if i >= 0 and (swept or not isinstance(effects[i], SweepEffect)))
 
     def _each(self, chosen: Sequence[Readings], function) -> list:
         """The function of each of the chosen, side by side on the cores."""

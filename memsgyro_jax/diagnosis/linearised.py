@@ -19,14 +19,15 @@ from memsgyro_jax.measurement.first_order import Contribution, Inquiry
 from memsgyro_jax.measurement.model import Model
 
 
-WIDTH = 12  # directions that one pass of the compiled program differentiates
+WIDTH, WIDER = 12, 16  # directions that one pass of a program differentiates; of one with numbers by row
 _SPANNED = 1e-9  # of a direction: what sums of others may lack of it
 SHORT = 100  # rows up to which optimising a program takes longer than the calls of a whole diagnosis
 
 
 class Part(NamedTuple):
     """A model with some of the effects, what is free in it, and where its parameters stand among those of all; -1 of
-    those of an absent effect that all do not have, which keep what they are at `rest`.
+    those of an absent effect that all do not have, which keep what they are at `rest`. So many directions `width` go
+    through its program at once.
     """
 
     effects: tuple[int, ...]
@@ -34,6 +35,7 @@ class Part(NamedTuple):
     spec: PyTree
     places: np.ndarray
     rest: np.ndarray
+    width: int
 
     def of(self, vector: np.ndarray) -> np.ndarray:
         """Its parameters at a vector of all."""
@@ -45,8 +47,8 @@ class Part(NamedTuple):
 
 
 class Linear(NamedTuple):
-    """Residual (r,) of an experiment at a vector, its slopes (WIDTH, r) along a block of directions (WIDTH, p), without
-    one none, and what the prediction asked, where that is kept.
+    """Residual (r,) of an experiment at a vector, its slopes (w, r) along a block of directions (w, p), without one
+    none, and what the prediction asked, where that is kept.
     """
 
     experiment: Experiment
@@ -109,29 +111,29 @@ class Calls:
         self, part: Part, vector: np.ndarray, experiment: Experiment, block: np.ndarray | None = None, *,
         asked: bool = False,
     ) -> Linear:  # fmt: skip
-        """The same with slopes along a block of directions (WIDTH, p), any where none is given; and with what was
-        `asked`, if so.
+        """The same with slopes along a block of directions (w, p), as many as the part is wide, any where none is
+        given; and with what was `asked`, if so.
         """
         at = part.of(vector)
         known = self._known(part, at, experiment, asked=asked)
         if known is not None and (along := known.along(block)) is not None:
             return along
         go_on()
-        block = np.zeros((WIDTH, at.size)) if block is None else block
-        none = nothing(experiment, part.model)
+        block = np.zeros((part.width, at.size)) if block is None else block
+        none = nothing(experiment, part)
         value, slopes, inquiry = _linearise(at, block, none, part.model, part.spec, experiment)
         return self._keep(part, at, Linear(experiment, block, np.asarray(value), np.asarray(slopes), inquiry))
 
     def responses(self, part: Part, vector: np.ndarray, added: Contribution, readings: Readings) -> np.ndarray:
         """(k, r) what each of k contributions, side by side, adds to a residual."""
         at, experiment = part.of(vector), readings.experiment
-        still, out = np.zeros((WIDTH, at.size)), np.zeros((len(added.seen), readings.size))
+        still, out = np.zeros((part.width, at.size)), np.zeros((len(added.seen), readings.size))
         acting = [np.any(leaf != 0, axis=tuple(range(1, leaf.ndim))) for leaf in jax.tree.leaves(added)]
         places = np.flatnonzero(np.any(acting, axis=0))
-        for begin in range(0, places.size, WIDTH):
+        for begin in range(0, places.size, part.width):
             go_on()
-            mine = places[begin : begin + WIDTH]
-            some = jax.tree.map(lambda leaf: lanes(leaf[mine]), added)  # noqa: B023
+            mine = places[begin : begin + part.width]
+            some = jax.tree.map(lambda leaf: lanes(leaf[mine], part.width), added)  # noqa: B023
             out[mine] = np.asarray(_linearise(at, still, some, part.model, part.spec, experiment)[1])[: mine.size]
         return out
 
@@ -194,12 +196,12 @@ def _linearise(
     )
 
 
-def nothing(experiment: Experiment, model: Model) -> Contribution | None:
-    """Nothing added, `WIDTH` times."""
-    return jax.tree.map(lambda leaf: np.zeros((WIDTH, *leaf.shape), leaf.dtype), experiment.nothing(model))
+def nothing(experiment: Experiment, part: Part) -> Contribution | None:
+    """Nothing added, as often as the part is wide."""
+    return jax.tree.map(lambda leaf: np.zeros((part.width, *leaf.shape), leaf.dtype), experiment.nothing(part.model))
 
 
-def lanes(leaf: np.ndarray) -> np.ndarray:
-    """Up to `WIDTH` entries of the leading axis, and zeros in place of those that lack."""
+def lanes(leaf: np.ndarray, width: int) -> np.ndarray:
+    """Up to `width` entries of the leading axis, and zeros in place of those that lack."""
     some = np.asarray(leaf)
-    return np.concatenate([some, np.zeros((WIDTH - len(some), *some.shape[1:]), some.dtype)])
+    return np.concatenate([some, np.zeros((width - len(some), *some.shape[1:]), some.dtype)])

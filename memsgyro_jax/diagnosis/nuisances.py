@@ -11,6 +11,7 @@ from memsgyro_jax.effects.instrument import FrequencyOffset
 
 from .acceptance import BEYOND_LINEAR, excess, share_needed
 from .best_single import Best, best_single
+from .exchange import stand_ins
 from .fewer import SHARE, as_a_capacitance, cost, imitated
 from .findings import Accepted
 from .fit import beside_case
@@ -143,14 +144,16 @@ def _offered(search: Search) -> tuple[list[InstrumentTerm], Promise | None]:
     return terms, promised(search.optimum, offers, SHARE * search.level) if terms else None
 
 
-def _chosen_terms(search: Search, terms: Sequence[InstrumentTerm], promise: Promise) -> Search | None:
+def _chosen_terms(
+    search: Search, terms: Sequence[InstrumentTerm], promise: Promise, later: Sequence[int] = ()
+) -> Search | None:
     """The present model with those of some terms that a fit favours, of those that are promised; `None` where none, or
-    where they keep too little of what they promised.
+    where they keep too little of what they promised. `later` are effects that will be tried beside them.
     """
     wanted = {terms[i].label for i in promise.worth_a_fit}
     for _ in range(AGAIN):
         search.tell(INSTRUMENT + ", ".join(sorted(wanted)))
-        alone = _with_terms(search, [term for term in terms if term.label in wanted])
+        alone = _with_terms(search, [term for term in terms if term.label in wanted], later)
         if not alone.accepted:
             return None
         others = [term for term in terms if term.label not in wanted]
@@ -176,7 +179,7 @@ def instrument_between(search: Search, ranking: Ranking) -> Search | None:
     # One by one, as the next effect would be taken: what several promise together is far from what they keep.
     if max(g - price * t.strength.size for g, t in zip(promise.alone, terms, strict=True)) < single - roughly:
         return None
-    alone = _chosen_terms(search, terms, promise)
+    alone = _chosen_terms(search, terms, promise, stand_ins(search, ranking))
     if alone is None:
         return None
     if device is not None and device.chosen and device.worth > promise.worth - roughly:
@@ -187,18 +190,21 @@ def instrument_between(search: Search, ranking: Ranking) -> Search | None:
     return beside_terms(alone, search, [effect for effect in effects if not isinstance(effect, Scanned)])
 
 
-def _with_terms(search: Search, terms: Sequence[InstrumentTerm]) -> Search:
+def _with_terms(search: Search, terms: Sequence[InstrumentTerm], later: Sequence[int] = ()) -> Search:
     """A search to which the effects of another are given, with those of some terms that help beyond chance."""
-    model = search.joint.at(search.optimum.vector)
-    present = [*search.given, *search.accepted]
-    model = model.with_only((*(model.effects[i] for i in present), *terms))
-    joint = Joint(model, (*search.joint.readings, *knowledge(terms)), search.joint.programs)
-    given = range(len(present))
+    model, own = search.joint.at(search.optimum.vector), len(search.given)
+    before, behind = ([model.effects[i] for i in some] for some in (search.given, search.accepted))
+    # In the order that they have beside further effects, so that it is the same program.
+    joint = Joint(
+        model.with_only((*before, *terms, *behind)), (*search.joint.readings, *knowledge(terms)), search.joint.programs
+    )
+    given = (*range(own), *range(own + len(terms), len(joint.model.effects)))
     free = always_free(joint, given)
     optimum = optimise(joint, joint.start, free, joint.fitted, known=_as_before(search, joint, free), max_evaluations=0)
     alone = Search(beside_case(search.case, joint, optimum), SHARE * search.level, given, search.tell)
     alone.steps = list(search.steps)
-    joint.together(range(len(joint.model.effects)))  # one program for the ranking and for all fits
+    # One program for the ranking, for all fits, and for what comes after them.
+    joint.together(range(len(joint.model.effects)), search.joint.named(later))
     add_terms(alone, alone.rank())
     _simplify(alone)
     return alone
@@ -307,7 +313,7 @@ def beside_terms(alone: Search, search: Search, effects: Sequence[Effect]) -> Se
     was not given, but those terms stand beside, count as found.
     """
     model = alone.joint.at(alone.optimum.vector)
-    kept = [model.effects[i] for i in (*alone.given, *sorted(alone.accepted))]  # in the order of the signal
+    kept = [model.effects[i] for i in sorted((*alone.given, *alone.accepted))]  # in the order of the signal
     own = len(search.given)
     found = [effect for effect in kept[own:] if not effect.of_instrument]
     terms = [effect for effect in kept[own:] if effect.of_instrument]

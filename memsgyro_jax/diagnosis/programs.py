@@ -1,10 +1,11 @@
 """Which effects a compiled program carries: an absent one beside those asked for costs less than another program."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
 
+from memsgyro_jax.effects import TERMS
 from memsgyro_jax.effects.base import Effect, LockInEffect, ReadoutEffect, SweepEffect
 
 
@@ -14,15 +15,21 @@ SPARE = 8  # absent effects that a program may have beside those asked for, befo
 
 class Programs:
     """The sets of effects, by name, that there are programs for, with their order in it; those that are going to be
-    asked for in parts, the likeliest first; which effects are known to be linear, or not; and all effects of programs,
-    absent, as another model of the case may lack one.
+    asked for in parts, the likeliest first; which effects are known to be linear, or not; in which order models have
+    them; and all effects of programs, absent, as another model of the case may lack one.
     """
 
     def __init__(self) -> None:
         self.made: dict[frozenset[str], tuple[str, ...]] = {}
         self.announced: tuple[str, ...] = ()
         self.linear: dict[str, bool] = {}
+        self.order: dict[str, int] = {}
         self.absent: dict[str, Effect] = {}
+
+    def know(self, names: Iterable[str]) -> None:
+        """The effects of a model, in its order; the first is that of the whole catalogue."""
+        for name in names:
+            self.order.setdefault(name, len(self.order))
 
     def chosen(self, acting: frozenset[str], idle: Callable[[str], bool]) -> frozenset[str]:
         """The fewest effects, those `acting` among them, that there is a program for, or is going to be; the others
@@ -52,15 +59,18 @@ class Programs:
 
     def in_order(self, chosen: frozenset[str], effects: Sequence[tuple[str, Effect]]) -> list[str]:
         """The effects of a program in one order, so that it is the same program whichever model asks for it. Those of
-        the model keep theirs, what the lock-in does last; what the model lacks is absent, and may stand anywhere.
+        the model keep theirs, what the lock-in does last; what the model lacks is absent, and may stand anywhere: terms
+        of the instrument where another model has them.
         """
         mine = [name for name, effect in sorted(effects, key=lambda pair: of_lock_in(pair[1])) if name in chosen]
         self._remember([pair for pair in effects if pair[0] in chosen])
         known = self.made.get(chosen, ())
         if not chosen or [name for name in known if name in mine] == mine:
             return list(known)
-        lacking = sorted(chosen - set(mine), key=lambda name: (of_lock_in(self.absent[name]), name))
-        order = sorted((*mine, *lacking), key=lambda name: of_lock_in(self.absent[name]))
+        lacking = sorted(chosen - set(mine), key=lambda name: (of_lock_in(self.absent[name]), self.order[name]))
+        order = sorted((*mine, *lacking), key=lambda name: _of_signal(self.absent[name]))
+        if [name for name in order if name in mine] != mine:
+            order = sorted((*mine, *lacking), key=lambda name: of_lock_in(self.absent[name]))
         self.made[chosen] = tuple(order)
         return order
 
@@ -68,6 +78,11 @@ class Programs:
 def of_lock_in(effect: Effect) -> bool:
     """Whether an effect is what the lock-in does, behind all that the device does."""
     return isinstance(effect, LockInEffect)
+
+
+def _of_signal(effect: Effect) -> tuple[bool, int]:
+    """Where an effect stands among others: terms of the instrument before effects of the device, in their own order."""
+    return of_lock_in(effect), TERMS.index(type(effect)) if isinstance(effect, TERMS) else len(TERMS)
 
 
 def is_idle(effect: Effect) -> bool:

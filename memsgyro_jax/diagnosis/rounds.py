@@ -8,6 +8,7 @@ from dataclasses import replace
 from memsgyro_jax.measurement.model import Model
 
 from .acceptance import excess, hopeless, share_needed
+from .exchange import exchange_one
 from .fewer import as_a_phase, take_out
 from .fit import beside_case
 from .joint_residual import Joint
@@ -15,13 +16,11 @@ from .nuisances import instrument_between
 from .optimum import Optimum
 from .resolved import sharpened, still_apart
 from .scans import refined, scan, scans
-from .score import basis, score
-from .search import CONFUSED, ROUNDS, WORTH_A_LOOK, Ranking, Search
+from .search import ROUNDS, Ranking, Search
 from .slow_noise import is_slow_noise
 
 
 DECIDED = 25.0  # expected Δχ² from which an experiment counts as deciding
-EXCHANGES = 4  # refits with one effect in the place of another, the most promising first
 MOST = 0.9  # of the misfit: an effect that takes so much needs no rival from a scan
 
 
@@ -50,7 +49,7 @@ def search_on(search: Search, ranking: Ranking) -> tuple[Search, Ranking]:
                 continue
         if found is not None:
             search.take(*found)
-        elif is_noise(search) or not _exchanged(search, ranking):
+        elif is_noise(search) or not exchange_one(search, ranking):
             break
         _resolve(search)
         ranking = search.rank()
@@ -110,28 +109,3 @@ def _bare(search: Search) -> Model:
     """The fitted model with the accepted effects alone: smaller, and quicker to scan."""
     model = search.joint.at(search.optimum.vector)
     return model.with_only(model.effects[i] for i in sorted((*search.given, *search.accepted)))
-
-
-def _exchanged(search: Search, ranking: Ranking) -> bool:
-    """Put a candidate in the place of an effect that was roughly right, where a fit with it is better.
-
-    The first effect of a search takes what it can of all that is missing; the exact one, beside it, gains little.
-    """
-    pairs = []
-    for place in search.accepted:
-        mine, q = search.own_score(place), basis(search.jacobian_without(place))
-        left = search.optimum.residual + search.taken_by(place)  # without the effect, to the first order
-        for other, slopes in zip(ranking.places, ranking.slopes, strict=True):
-            theirs = score(left, q, slopes).statistic
-            if theirs >= WORTH_A_LOOK * mine.statistic or other in search.own:
-                pairs.append((other not in search.own, mine.statistic - theirs, place, other))
-    tried = sorted(pairs)[:EXCHANGES]
-    search.joint.together((*search.given, *search.accepted, *(other for *_, other in tried)))
-    for *_, place, other in tried:
-        instead = [other if i == place else i for i in search.accepted]
-        least = search.optimum.chi2 - CONFUSED * (other not in search.own)
-        refit = search.refit(instead, start=search.without(place), beat=least)
-        if refit.chi2 < least and not search.refuses(other, refit):
-            search.exchange(place, other, refit)
-            return True
-    return False

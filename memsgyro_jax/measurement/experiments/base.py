@@ -100,6 +100,7 @@ class Experiment(eqx.Module):
     shows_modes: ClassVar[bool] = False  # a parasitic mode is looked for here first
     slow: ClassVar[bool] = False  # to predict: a scan takes a coarse net
     driven: ClassVar[bool] = True  # by a known force: else it does not tell the mass
+    swept: ClassVar[bool] = True  # or may be: else effects of a moving frequency are none of it
 
     if TYPE_CHECKING:  # a member's field may stand in the place of a property, not of a class variable
 
@@ -134,6 +135,13 @@ class Experiment(eqx.Module):
     def at(self, row: int) -> str:
         """Where a row was or would be taken, for people: e.g. "near 3000 Hz"; empty by default."""
         return ""
+
+    @property
+    def labels(self) -> np.ndarray | None:
+        """(n, 2) number of the record and of the single sweep of each row, where none depends on what acts on others;
+        `None`, as by default, where one may.
+        """
+        return None
 
     def nothing(self, bench: PyTree) -> Contribution | None:
         """No contribution of effects that the model lacks, which `predict_beside` takes; `None`, as by default, where

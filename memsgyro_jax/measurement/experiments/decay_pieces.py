@@ -48,6 +48,7 @@ class FreeDecay(Experiment):
 
     driven: ClassVar[bool] = False
     slow: ClassVar[bool] = True
+    swept: ClassVar[bool] = False
 
     name: str = eqx.field(static=True)
     measured: Array

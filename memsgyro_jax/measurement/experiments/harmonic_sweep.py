@@ -183,11 +183,16 @@ class HarmonicSweep(Experiment):
         where = lambda s: (s.force, s.near, s.measured, *(() if s.before is None else (s.before,)))  # noqa: E731
         return eqx.tree_at(where, self, tuple(times * part for part in where(self)))
 
+    @property
+    def labels(self) -> np.ndarray:
+        """Of each row: the one before enters as it was read."""
+        told = np.stack([np.asarray(self.surroundings.record), np.asarray(self.surroundings.sweep)], axis=1)
+        return told.astype(int)
+
     def _rows(self) -> tuple[np.ndarray, np.ndarray]:
         """Number of the single sweep that each row belongs to, and its displacement along the drive."""
-        label = np.stack([np.asarray(self.surroundings.record), np.asarray(self.surroundings.sweep)], axis=1)
         driven = np.argmax(np.abs(np.asarray(self.force)), axis=1)
-        return np.unique(label, axis=0, return_inverse=True)[1].ravel(), np.take_along_axis(
+        return np.unique(self.labels, axis=0, return_inverse=True)[1].ravel(), np.take_along_axis(
             np.asarray(self.near), driven[:, None], axis=1
         )[:, 0]
 

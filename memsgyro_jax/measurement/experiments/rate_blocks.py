@@ -1,6 +1,7 @@
 """Prediction of a rate table block by block: what a lock-in makes of a driven device while the table turns."""
 
 from collections.abc import Iterator
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -42,6 +43,8 @@ class RateTable(Experiment):
         rates: at which the linear part is made, for those of the surroundings.
         boxcar: whether each is a mean over whole cycles.
     """
+
+    swept: ClassVar[bool] = False
 
     name: str = eqx.field(static=True)
     time: Float[Array, " n"]

@@ -50,6 +50,8 @@ class RingDown(Experiment):
             sample. Zero where the samples themselves are such.
     """
 
+    swept: ClassVar[bool] = False
+
     name: str = eqx.field(static=True)
     time: Float[Array, " n"]
     measured: Float[Array, "n axes"]

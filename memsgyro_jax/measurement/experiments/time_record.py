@@ -59,6 +59,7 @@ class RawCapture(Experiment):
     """
 
     slow: ClassVar[bool] = True
+    swept: ClassVar[bool] = False
 
     name: str = eqx.field(static=True)
     time: Float[Array, " n"]
