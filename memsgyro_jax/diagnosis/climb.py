@@ -206,7 +206,7 @@ def _tempting(search: Search, base: Optimum, where: tuple, strengths: np.ndarray
         for i, size in zip(places, shown, strict=True)
         if size > 0.0 and isinstance(joint.model.effects[i], ForceEffect)
     }
-    joint.together((*_held(search), *forces))
+    joint.together((*_held(search), *forces), spare=len(forces))  # a call takes less than another program
     best = {i: _best_strength(search, base, i, size * strengths, where) for i, size in forces.items()}
     chosen = sorted(forces, key=lambda i: best[i][1])
     return {i: best[i][0] for i in chosen if i in search.own or i in chosen[:LOOK_AHEAD]}
@@ -219,6 +219,7 @@ def _ends(search: Search, base: Optimum, steps: list[tuple]) -> list[tuple[int, 
     first = next((k for k, step in enumerate(steps) if _far(search, base, step)), len(steps) - 1)
     tempting = _tempting(search, base, steps[first], STRENGTHS[:: COARSE if first else 1])
     ends: list[tuple[int, Optimum]] = []
+    search.joint.together((*_held(search), *tempting))
     for i in sorted(tempting, key=lambda i: i not in search.own):
         if i not in search.own and any(excess(end) == 0.0 for _, end in ends):
             break

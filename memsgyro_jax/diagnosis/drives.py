@@ -21,6 +21,7 @@ FAR = 100.0  # χ² per degree of freedom from which a fit to all drives may hav
 FALL = 0.3  # of the largest reading: a change across one row that may be a fall from branch to branch
 SUDDEN = 3.0  # times the changes beside it
 BRINK = 3  # rows to each side of a fall: nearer to a fold than that a little change of the device ends the branch
+ELSEWHERE = 0.5  # of the misfit: where as much is left without the rows of a brink, they are not what is wrong
 NOBODY = -1  # in place of a record: rows that belong to none
 Rows = Mapping[int, tuple[int, ...]]
 
@@ -89,14 +90,17 @@ def stages(case: Case, fitted: Sequence[Readings]) -> list[tuple[Readings, ...]]
 def past_the_brink(case: Case, joint: Joint, end: Optimum) -> Optimum:
     """A fit that goes on without the rows on the brink of a fall from branch to branch, and then with all of them; the
     same where that leaves more, or noise was left alone. What is not yet right cannot pass such rows: beyond there is
-    no such branch.
+    no such branch. What is wrong at most others too will not pass them.
     """
     if end.chi2 <= gate(end.dof) * end.dof:
         return end
     brink = {k: rows for k, r in enumerate(case.records) if hasattr(r, "setting") and (rows := _on_the_brink(r))}
     if not brink:
         return end
-    near = optimise(joint, end.vector, end.free, without_rows(joint.fitted, brink))
+    most = ELSEWHERE * end.chi2
+    near = optimise(joint, end.vector, end.free, without_rows(joint.fitted, brink), beat=most)
+    if near.chi2 >= most:
+        return end
     return min(end, optimise(joint, near.vector, end.free, joint.fitted), key=lambda one: one.chi2)
 
 

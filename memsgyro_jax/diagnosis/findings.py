@@ -11,6 +11,7 @@ from .fitted import AT_BOUND
 
 
 NOTHING = " from nothing"  # ends what an experiment decides where no two models are left to be told apart
+VANISHED = 1e-9  # of the largest of several numbers: one that no row holds is left at rounding
 SIGMAS_SEEN = 4.45  # strength over its standard deviation that is found nine times in ten among some fifty candidates
 
 
@@ -58,7 +59,9 @@ class Accepted:
     def told(self, digits: int = 5) -> tuple[str, ...]:
         """Each component of the strength, for people."""
         ends = self.stopped or (False,) * len(self.estimate)
-        every = zip(self.estimate, self.std, ends, strict=True)
+        least = VANISHED * max(map(abs, self.estimate), default=0.0)
+        values = [0.0 if np.isnan(s) and abs(e) <= least else e for e, s in zip(self.estimate, self.std, strict=True)]
+        every = zip(values, self.std, ends, strict=True)
         return tuple(f"{e:.3g} {AT_BOUND}" if end else told_with(e, s, digits) for e, s, end in every)
 
 

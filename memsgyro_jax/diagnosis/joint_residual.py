@@ -26,7 +26,7 @@ from memsgyro_jax.measurement.readings import Readings
 from .instrument import Knowledge
 from .linearised import WIDER, WIDTH, Calls, Linear, Part, lanes, nothing
 from .parameters import Parameter, parameters
-from .programs import Programs, is_idle
+from .programs import SPARE, Programs, is_idle
 from .rows_of_their_own import SideBySide, by_row
 
 
@@ -258,13 +258,13 @@ class Joint:
         std = np.ravel(knowledge.noise.std)
         return -vector[mine[0]] / std, -directions[:, mine[0]] / std
 
-    def together(self, effects: Iterable[int], later: Iterable[tuple[str, Effect]] = ()) -> None:
+    def together(self, effects: Iterable[int], later: Iterable[tuple[str, Effect]] = (), spare: int = SPARE) -> None:
         """One program for all models of some of these effects, which are going to be asked for one after the other, the
-        likeliest first, and of effects `named` by another joint of the case; of these none that makes the read-out
-        nonlinear, by which a rate table takes twice as long.
+        likeliest first, so many of them absent at once; and of effects `named` by another joint of the case, of which
+        none makes the read-out nonlinear, as a rate table then takes twice as long.
         """
         plain = [(name, effect) for name, effect in later if self.model.with_only([effect]).is_read_linearly]
-        self.programs.announce([*self.named(effects), *plain])
+        self.programs.announce([*self.named(effects), *plain], spare)
 
     def named(self, effects: Iterable[int]) -> list[tuple[str, Effect]]:
         """Some effects with the names by which programs know them."""

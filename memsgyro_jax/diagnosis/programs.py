@@ -22,6 +22,7 @@ class Programs:
     def __init__(self) -> None:
         self.made: dict[frozenset[str], tuple[str, ...]] = {}
         self.announced: tuple[str, ...] = ()
+        self.spare = SPARE
         self.linear: dict[str, bool] = {}
         self.order: dict[str, int] = {}
         self.absent: dict[str, Effect] = {}
@@ -37,19 +38,21 @@ class Programs:
         """
         if acting in self.made or not acting:
             return acting
-        wide = [one for one in self.made if acting <= one and len(one - acting) <= SPARE]
+        together = self.announced if acting <= set(self.announced) else ()
+        wide = [one for one in self.made if acting <= one and len(one - acting) <= (self.spare if together else SPARE)]
         wide = [one for one in wide if all(map(idle, one - acting))]
         if wide:
             return min(wide, key=len)
-        together = self.announced if acting <= set(self.announced) else ()
         others = [name for name in together if name not in acting and idle(name)]
-        best = acting | frozenset(others[:SPARE])
+        best = acting | frozenset(others[: self.spare])
         self.made[best] = ()
         return best
 
-    def announce(self, effects: Sequence[tuple[str, Effect]]) -> None:
-        """Effects that are going to be asked for one after the other, the likeliest first, by this or another model."""
-        self.announced = tuple(dict.fromkeys(name for name, _ in effects))
+    def announce(self, effects: Sequence[tuple[str, Effect]], spare: int = SPARE) -> None:
+        """Effects that are going to be asked for one after the other, the likeliest first, by this or another model; so
+        many that are absent a program may have.
+        """
+        self.announced, self.spare = tuple(dict.fromkeys(name for name, _ in effects)), spare
         self._remember(effects)
 
     def _remember(self, effects: Sequence[tuple[str, Effect]]) -> None:
