@@ -17,7 +17,7 @@ from .findings import Accepted
 from .fit import beside_case
 from .instrument import instrument_terms, knowledge
 from .joint_residual import Joint
-from .optimum import Optimum, optimise
+from .optimum import POOR, Optimum, optimise
 from .oven import oven_offer
 from .promise import Offer, Promise, offers_of, promised
 from .search import GLANCE, INSTRUMENT, LOOK_AHEAD, Ranking, Search, always_free
@@ -28,6 +28,7 @@ FAINT, RIVAL = 0.5, 0.9  # of what effects of the device would explain: below it
 MOSTLY, LITTLE = 0.5, 0.1
 ROUGHLY = 1e-3  # of what is promised: linear estimates differ by so much where two say the same
 AGAIN = 2  # times that terms are chosen, the second beside those found
+NEARLY_ALL = 0.1  # of the misfit: where more is left, another order of the same is not tried
 EVIDENT = 10.0  # of the Bayesian information criterion by which an effect must be better than the instrument
 PINNED = 0.98  # of a bound: a strength so near has been stopped by it
 
@@ -44,7 +45,7 @@ def instrument_first(
 
     Where terms of the instrument explain every record, they do, unless one effect of the device says the same in fewer
     numbers. Where they do not, effects are looked for beside them or without them, as is better, and the other way only
-    if that leaves something: two searches at most.
+    if that leaves something, but not much: two searches at most.
 
     Args:
         search, first: at the base model, and the effects of the device beside it.
@@ -70,11 +71,17 @@ def instrument_first(
     ends = [(whole, ranking)]
     # An effect that stands out may have hidden what the instrument does.
     later = instrument_alone(whole, ranking, None) if whole.accepted else None
-    if later is not None:
+    if later is not None and _may_go_on(search, later):
         ends.append(_beside(later, search, effects, go_on))
-    elif alone is not None:
+    elif later is None and alone is not None and (not whole.accepted or _may_go_on(search, whole)):
         ends.append(order[1]())
     return *min(ends, key=lambda end: (not done(end[0]), cost(end[0].optimum))), ""
+
+
+def _may_go_on(search: Search, end: Search) -> bool:
+    """Whether more may come of a search: what leaves most, far above noise, is no matter of which came first."""
+    found = end.optimum
+    return found.chi2 <= POOR * found.dof or excess(found) <= NEARLY_ALL * excess(search.optimum)
 
 
 def _beside(alone: Search, search: Search, effects: Sequence[Effect], go_on) -> tuple[Search, Ranking]:

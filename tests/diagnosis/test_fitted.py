@@ -26,3 +26,12 @@ def test_a_number_at_its_bound_has_no_error():
     term = Accepted("drive_level", "", (0.05, -0.2), (0.01, 0.02), "1", 0.0, 9.0, 1.0, stopped=(False, True))
     assert term.told() == ("0.05 ± 0.01", "-0.2 at its bound")
     assert of_instrument((term,), "", 1) == " The instrument: drive_level 0.05 ± 0.01, -0.2 at its bound."
+
+
+def test_a_number_that_no_record_holds_is_zero():
+    """Without a standard deviation it was told as the rounding that it is."""
+    unsure = float("nan"), float("nan")
+    assert Accepted("drive_level", "", (-0.0155, -1.4e-17), unsure, "1", 0.0, 9.0, 1.0).told() == ("-0.0155", "0")
+    assert Accepted("drive_level", "", (-1.4e-17, 3e-18), unsure, "1", 0.0, 9.0, 1.0).told() == ("-1.4e-17", "3e-18")
+    small = Accepted("drive_level", "", (1.0, 1e-12), (0.1, 2e-13), "1", 0.0, 9.0, 1.0)
+    assert small.told()[1].startswith("1")

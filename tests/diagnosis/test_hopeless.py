@@ -120,3 +120,36 @@ def test_looking_for_rows_far_off_ends_where_it_is_no_way_to_noise(monkeypatch, 
     fit = SimpleNamespace(optimum=None, deviations=((SimpleNamespace(rows=1000), None),))
     assert far_rows.far_rows_in_turns(fit) == alone
     assert len(made) - bool(alone) == turns == (far_rows.TURNS if alone else turns)
+
+
+@pytest.mark.parametrize(
+    ("left", "accepted", "later", "searches"),
+    [
+        (300.0, [1], None, 1),  # the device beside terms, and far from noise: it is no matter of which came first
+        (90.0, [1], None, 2),
+        (15.0, [1], None, 2),
+        (300.0, [], None, 2),  # no effect was tried without the terms
+        (300.0, [1], 300.0, 1),
+        (300.0, [1], 90.0, 2),
+    ],
+)
+def test_another_order_is_tried_where_the_first_explains_most(monkeypatch, left, accepted, later, searches):
+    def search(chi2_per_dof, accepted=()):
+        optimum = SimpleNamespace(chi2=1e4 * chi2_per_dof, dof=10_000)
+        return SimpleNamespace(optimum=optimum, accepted=list(accepted))
+
+    alone = iter([search(500.0), None if later is None else search(later)])
+    ends = iter([search(left, accepted), search(0.9 * left, accepted)])
+    made = []
+
+    def go_on(*_):
+        made.append(next(ends))
+        return made[-1], None
+
+    monkeypatch.setattr(nuisances, "best_single", lambda *_: None)
+    monkeypatch.setattr(nuisances, "instrument_alone", lambda *_: next(alone))
+    monkeypatch.setattr(nuisances, "cost", lambda optimum: optimum.chi2)
+    monkeypatch.setattr(nuisances, "_beside", go_on)
+    end, _, rival = nuisances.instrument_first(search(1000.0), None, (), go_on, lambda search: False)
+    assert len(made) == searches
+    assert (end, rival) == (made[-1], "")
