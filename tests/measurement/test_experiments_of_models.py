@@ -152,7 +152,8 @@ def test_the_error_of_a_ring_down_falls_with_the_square_of_the_step():
     fit = fit_case(made.case, model=truth(made.case, DIE, made.hidden, effects), held=True)
     ring = next(r.experiment for r in fit.joint.readings if isinstance(r.experiment, RingDown))
     clean = made.records["ringdown"].clean
+    assert ring.steps == 12  # whose error is three times what the laboratory's own integration leaves
     coarse, fine = (
-        np.max(np.abs(eqx.filter_jit(replace(ring, steps=n * ring.steps).predict)(fit.model) - clean)) for n in (1, 2)
+        np.max(np.abs(eqx.filter_jit(replace(ring, steps=steps).predict)(fit.model) - clean)) for steps in (3, 6)
     )
-    assert 3.0 < coarse / fine < 5.0
+    assert 3.5 < coarse / fine < 4.5
