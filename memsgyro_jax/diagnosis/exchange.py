@@ -18,7 +18,7 @@ def exchange_one(search: Search, ranking: Ranking) -> bool:
         return False
     effects = search.joint.model.effects
     search.tell("try in the place of others: " + ", ".join(dict.fromkeys(effects[i].label for _, i in tried)))
-    search.joint.together((*search.given, *search.accepted, *stand_ins(search, ranking)))
+    search.joint.together((*search.given, *search.accepted, *_with_uneven(search, ranking, tried)))
     for place, other in tried:
         instead = [other if i == place else i for i in search.accepted]
         least = search.optimum.chi2 - CONFUSED * (other not in search.own)
@@ -31,13 +31,18 @@ def exchange_one(search: Search, ranking: Ranking) -> bool:
 
 def stand_ins(search: Search, ranking: Ranking) -> list[int]:
     """Candidates that will be tried in the place of accepted effects before a search ends, the likeliest first."""
+    return _with_uneven(search, ranking, _pairs(search, ranking))
+
+
+def _with_uneven(search: Search, ranking: Ranking, pairs: list[tuple[int, int]]) -> list[int]:
+    """The candidates of some pairs, and springs that `confusions` tries in the place of cubic ones."""
     uneven = [
         other
         for place in search.accepted
         for other in ranking.places
         if uneven_instead(search.joint, search.optimum.vector, place, other) is not None
     ]
-    return list(dict.fromkeys((*(other for _, other in _pairs(search, ranking)), *uneven)))
+    return list(dict.fromkeys((*(other for _, other in pairs), *uneven)))
 
 
 def _pairs(search: Search, ranking: Ranking) -> list[tuple[int, int]]:
