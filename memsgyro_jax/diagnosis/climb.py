@@ -14,10 +14,12 @@ import numpy as np
 from memsgyro_jax.effects import Effect, ForceEffect
 from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.drive_levels import clear_drives
+from memsgyro_jax.measurement.least_squares import Information
 
 from .acceptance import THIRD, excess
 from .best_single import best_single
-from .drives import FAR, calm, past_the_brink, stages
+from .drives import FAR, calm, driven_axes, past_the_brink, stages
+from .effort import exhausted
 from .fewer import take_out, terms_of
 from .fit import CaseFit, beside_case
 from .instrument import instrument_terms
@@ -105,24 +107,25 @@ def followed(
         start: parameters from which the lowest drive is fitted.
     """
     base = _lowest(beside, steps[0], start)
-    straight = optimise(beside.joint, base.vector, base.free, beside.joint.fitted, max_evaluations=0)
-    if straight.chi2 < FAR * straight.dof:  # the lock-in alone was off
+    if _first_far(beside, base, steps) is None:  # the lock-in alone was off
         return search, None
     tried: list[tuple[Effect, float]] = []
+    straight, before = None, np.inf
     most = len(beside.accepted) + beside.joint.model.axes  # one of each axis
-    before = excess(straight)
-    while len(beside.accepted) < most:
+    while len(beside.accepted) < most and not (beside.accepted and exhausted(beside)):
         ends = _ends(beside, base, steps)
         if not ends:
             break
         place, end = min(ends, key=lambda one: one[1].chi2)
+        if straight is None:
+            straight = _as_it_is(beside.joint, base, always_free(beside.joint, (*_held(beside), place)))
+            before = excess(straight)
         enough = excess(end) <= TENTH * excess(usual)
         if beside.refuses(place, end) or not (enough or excess(end) <= (1.0 - THIRD) * before):
             break
         tried += sorted(((beside.joint.model.effects[i], one.chi2) for i, one in ends), key=lambda pair: pair[1])
         beside.take(place, end)
         if enough:
-            straight = replace(straight, converged=base.converged)
             climb = Climb(beside_case(search.case, beside.joint, straight), tuple(tried), whence(search.case))
             return as_found(beside, search, effects), climb
         base, before = _lowest(beside, steps[0], end.vector), excess(end)
@@ -216,7 +219,8 @@ def _ends(search: Search, base: Optimum, steps: list[tuple]) -> list[tuple[int, 
     """Where each of the tempting effects ends; others are not tried once one leaves nothing but noise, unless they are
     the user's own.
     """
-    first = next((k for k, step in enumerate(steps) if _far(search, base, step)), len(steps) - 1)
+    first = _first_far(search, base, steps)
+    first = len(steps) - 1 if first is None else first
     tempting = _tempting(search, base, steps[first], STRENGTHS[:: COARSE if first else 1])
     ends: list[tuple[int, Optimum]] = []
     search.joint.together((*_held(search), *tempting))
@@ -224,19 +228,34 @@ def _ends(search: Search, base: Optimum, steps: list[tuple]) -> list[tuple[int, 
         if i not in search.own and any(excess(end) == 0.0 for _, end in ends):
             break
         search.tell(f"climb with {search.joint.model.effects[i].label}")
-        ends.append((i, _up(search, base, i, tempting[i], steps, first)))
+        end = _up(search, base, i, tempting[i], steps, first)
+        ends += [] if end is None else [(i, end)]
     return ends
 
 
-def _far(search: Search, base: Optimum, step: tuple) -> bool:
-    """Whether a fit to the lowest drive is far from what is read at others."""
-    beside = optimise(search.joint, base.vector, base.free, step, max_evaluations=0)
-    return not beside.chi2 < FAR * beside.dof
+def _first_far(search: Search, base: Optimum, steps: list[tuple]) -> int | None:
+    """The first stage at which a fit to the lowest drive is far from what is read; `None` where there is none."""
+
+    def far(step: tuple) -> bool:
+        beside = optimise(search.joint, base.vector, base.free, step, max_evaluations=0)
+        return not beside.chi2 < FAR * beside.dof
+
+    return next((k for k, step in enumerate(steps) if far(step)), None)
 
 
-def _up(search: Search, base: Optimum, place: int, begin: np.ndarray, steps: list[tuple], first: int) -> Optimum:
+def _as_it_is(joint: Joint, base: Optimum, places: np.ndarray) -> Optimum:
+    """A fit beside all that is fitted, by the program of a model in which what is at `places` may move too: one of its
+    own takes longer to compile.
+    """
+    beside = optimise(joint, base.vector, places, joint.fitted, max_evaluations=0)
+    slopes = beside.jacobian[:, np.isin(places, base.free)]
+    begin = Information.of(slopes)
+    return replace(base, residual=beside.residual, jacobian=slopes, frozen=begin.directions[~begin.held])
+
+
+def _up(search: Search, base: Optimum, place: int, begin: np.ndarray, steps: list[tuple], first: int) -> Optimum | None:
     """A fit with one effect more that starts at the lowest drive, without it, and at the drive `first` also where
-    another fit may begin.
+    another fit may begin; `None` where it is no better there, unless it is the user's own.
     """
     joint, free = search.joint, always_free(search.joint, (*_held(search), place))
     end = base
@@ -244,7 +263,20 @@ def _up(search: Search, base: Optimum, place: int, begin: np.ndarray, steps: lis
         end = optimise(joint, end.vector, free, step)
         if k == first and end.chi2 > FAR * end.dof:
             end = min(end, optimise(joint, begin, free, step), key=lambda one: one.chi2)
+        if k == first and place not in search.own and not _takes_most(joint, base, end, step):
+            return None
     return past_the_brink(search.case, joint, end)
+
+
+def _takes_most(joint: Joint, base: Optimum, end: Optimum, step: tuple) -> bool:
+    """Whether a fit leaves a tenth of what the base model does along an axis on which that is far off: so much does the
+    effect that is missing where it begins to show, whatever the other axis lacks.
+    """
+    before = optimise(joint, base.vector, base.free, step, max_evaluations=0).residual
+    axes = driven_axes(step)
+    told = [(before[axes == axis], end.residual[axes == axis]) for axis in np.unique(axes)]
+    far = [(float(b @ b), float(a @ a)) for b, a in told if b @ b >= FAR * np.count_nonzero(b)]
+    return not far or any(after <= TENTH * left for left, after in far)
 
 
 def _best_strength(

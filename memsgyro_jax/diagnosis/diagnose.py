@@ -2,7 +2,7 @@
 records cannot tell, or that it is none of those known.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +10,6 @@ import numpy as np
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.runtime import make_room
 from memsgyro_jax.effects import Effect, Scanned
-from memsgyro_jax.measurement.calibration import calibration_share, unit_of_records
 from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.case.lone import lone_readings
 from memsgyro_jax.measurement.case.quality import contradictions
@@ -18,16 +17,18 @@ from memsgyro_jax.measurement.linear_start import starting_device
 from memsgyro_jax.measurement.model import Model
 from memsgyro_jax.measurement.readings import model_of, readings_of
 
+from .accepted import accepted_of
 from .climb import climbed
 from .confusions import confusions
 from .decays_apart import SAME_CLOCK, decays_apart
 from .drift_in_time import with_drift_alone
 from .drives import Rows, without_rows
+from .effort import MOST, of_effort
 from .estimates import unseen_terms
 from .fewer import terms_of
 from .findings import Accepted, Candidate, Stage
 from .fit import CaseFit
-from .fitted import at_bounds, within_gates
+from .fitted import within_gates
 from .instrument import beside_case_of, drive_levels, knowledge, with_declared
 from .joint_residual import Joint
 from .less_noise import LESS, less_noise, of_less_noise, with_less_noise
@@ -66,6 +67,7 @@ def diagnose(
     *,
     effects: Sequence[Effect] = (),
     level: float = 0.05,
+    thorough: bool = False,
     tell: Tell = lambda text: None,
     keep: Keep = lambda fit, stages: None,
 ) -> Diagnosis:
@@ -76,6 +78,7 @@ def diagnose(
         case: from `load_case`.
         effects: the user's own, beside the catalogue.
         level: probability that anything is reported where nothing is missing.
+        thorough: whether a search goes on, however long it takes, also where nothing has come near what was read.
         tell: is called with a sentence as the search goes on.
         keep: is called with the best fit so far and how it came, after every step that is a better one.
 
@@ -88,19 +91,20 @@ def diagnose(
     against = contradictions(case)
     for contradiction in against:
         tell(f"records contradict each other: {contradiction}")
-    outcome = _diagnosed(model, case, effects, level, tell, keep)
+    outcome = _diagnosed(model, case, effects, level, thorough, tell, keep)
     for _ in range(LESS):
         if outcome.verdict in UNEXPLAINED or not (less := less_noise(outcome.final)):
             break
         tell("again with the noise that the model leaves, as it is less than the rows told")
         case = with_less_noise(case, less)
-        outcome = _diagnosed(model, case, effects, level, tell, keep)
+        outcome = _diagnosed(model, case, effects, level, thorough, tell, keep)
     return replace(outcome, sentence=before_all(against) + outcome.sentence + of_less_noise(case))
 
 
 def _diagnosed(
-    model: "Model | object | None", case: Case, effects: Sequence[Effect], level: float, tell: Tell, keep: Keep
-) -> Diagnosis:
+    model: "Model | object | None", case: Case, effects: Sequence[Effect], level: float, thorough: bool, tell: Tell,
+    keep: Keep,
+) -> Diagnosis:  # fmt: skip
     """`diagnose` with the noise that the records have."""
     start = _start(model, case)
     given = {e.label for e in start.effects}
@@ -108,10 +112,13 @@ def _diagnosed(
     smooth = [e for e in candidates if not isinstance(e, Scanned) and e.label not in given]
     known_before = knowledge([effect for effect in start.effects if effect.of_instrument])
     joint = Joint(start.with_effect(*smooth), (*readings_of(case), *known_before))
+    effort = joint.programs.effort
+    effort.most = np.inf if thorough else MOST
 
     def begun(left_out: Rows) -> Search:
         if left_out:
             tell("leave out " + of_rows(case, left_out))
+        effort.spent = 0
         kept = Joint(joint.model, without_rows(joint.readings, left_out), joint.programs)
         search = start_search(case, kept, level, range(len(start.effects)), tell)
         search.keep = _keep_better(search, keep)
@@ -146,20 +153,20 @@ def _diagnosed(
     steps = search.steps
     final = search.steps[-1].fit
     confused: dict[int, dict[int, Optimum]] = {place: {} for place in search.accepted}
-    accepted = _accepted(search, confused, steps)
+    accepted = accepted_of(search, confused, steps)
     explained = list(_each_explained(final, accepted, level))
     noise: Mapping[str, float] = {}
     onset: Onset | None = None
     if not all(explained) and all(_each_explained(final, accepted, level, wrong := wrong_noise(final))):
         explained, noise = [True] * len(explained), wrong
     explained = [fine or bool(search.slow) for fine in explained]
-    terms = _accepted(search, {place: [] for place in terms_of(search)}, steps)
+    terms = accepted_of(search, {place: [] for place in terms_of(search)}, steps)
     apart = _of_device(search)
     found_more = _found_more(terms, given)
     if _verdict(steps[apart - 1].fit, final, accepted, all(explained), found_more) != "unknown_effect":
         tell("see what these records can tell apart")
         confused = confusions(search, ranking)
-        accepted = _accepted(search, confused, steps)
+        accepted = accepted_of(search, confused, steps)
         if accepted and all(explained) and _drifts_as_well(steps[0].fit, final, accepted, level):
             accepted = (replace(accepted[0], confused_with=(*accepted[0].confused_with, DRIFT)), *accepted[1:])
         accepted = beside_other_courses(search, accepted)
@@ -196,6 +203,7 @@ def _diagnosed(
         verdict=verdict,
         sentence=sentence(verdict, accepted, final, explained, onset)
         + apart_in_time
+        + of_effort(effort.ended and unexplained)
         + of_instrument(terms, rival, drive_levels(case))
         + of_oven(case, terms, final.model.effects)
         + of_noise(noise, declared, again)
@@ -269,7 +277,7 @@ def _terms_in(fit: CaseFit, search: Search, steps) -> tuple[Accepted, ...]:
     """The terms of the instrument that a fit has."""
     free = {fit.joint.parameters[i].effect for i in fit.optimum.free} - unseen_terms(fit.joint, fit.optimum)
     places = [i for i, effect in enumerate(fit.joint.model.effects) if effect.of_instrument and i in free]
-    return _accepted(Search(fit, search.level, places, search.tell), {place: [] for place in places}, steps)
+    return accepted_of(Search(fit, search.level, places, search.tell), {place: [] for place in places}, steps)
 
 
 def _start(model, case: Case) -> Model:
@@ -295,46 +303,6 @@ def _each_explained(
     alone = RECORDS * level / len(within)
     for fine, error in zip(within, fit.errors, strict=True):
         yield fine or fit.p_value(error) > alone
-
-
-def _accepted(search: Search, confused: Mapping[int, Iterable[int]], steps) -> tuple[Accepted, ...]:
-    out = []
-    labels = [s.added for s in steps]
-    for place in confused:
-        effect = search.joint.model.effects[place]
-        mine = search.own_score(place)
-        at = search.joint.of_effect(place)
-        where = labels.index(effect.label) if effect.label in labels else len(steps) - 1
-        out.append(
-            Accepted(
-                name=effect.name,
-                where=effect.where,
-                estimate=tuple(search.optimum.vector[at].tolist()),
-                std=tuple(search.optimum.std[np.isin(search.optimum.free, at)].tolist()),
-                stopped=at_bounds(search.optimum.vector, search.joint.bounds, at.tolist()),
-                unit=unit_of_records(search.case, effect.unit),
-                p_value=mine.p_value,
-                error_before=validation_error(steps[max(where - 1, 0)].fit),
-                error_after=validation_error(steps[where].fit),
-                confused_with=tuple(search.joint.model.effects[i].label for i in confused[place]),
-                numbers=_numbers(search, place),
-                calibration=calibration_share(search.case, effect.unit),
-                chi2=mine.statistic,
-            )
-        )
-    return tuple(sorted(out, key=lambda a: -a.chi2))
-
-
-def _numbers(search: Search, place: int) -> dict[str, tuple[float, float, str]]:
-    """Further numbers of an accepted effect: value, standard deviation, unit."""
-    std = dict(zip(search.optimum.free.tolist(), search.optimum.std.tolist(), strict=True))
-    found = {}
-    for i in search.joint.numbers_of(place):
-        number = search.joint.parameters[i]
-        found[number.field + number.index] = (
-            float(search.optimum.vector[i]), std[int(i)], unit_of_records(search.case, number.unit),
-        )  # fmt: skip
-    return found
 
 
 def _verdict(base: CaseFit, final: CaseFit, accepted: tuple[Accepted, ...], explained: bool, terms: bool) -> Verdict:

@@ -67,6 +67,19 @@ def calm(case: Case, readings: Sequence[Readings]) -> tuple[Readings, ...]:
     return tuple(_without(r, apart) for r in readings if not _all_gone(r, apart))
 
 
+def driven_axes(readings: Sequence[Readings]) -> np.ndarray:
+    """(r,) the axis along which the device is driven where each number of a residual is read; `NOBODY` where no one
+    drive makes it.
+    """
+    axes = []
+    for one in readings:
+        rows, force = one.record.size, np.abs(np.asarray(getattr(one.experiment, "force", np.zeros((0, 1)))))
+        whole = force.shape in ((one.axes,), (rows, one.axes))
+        driven = np.broadcast_to(np.argmax(force, axis=-1) if whole else NOBODY, rows)
+        axes.append(np.repeat(driven, one.size // rows))
+    return np.concatenate(axes)
+
+
 def stages(case: Case, fitted: Sequence[Readings]) -> list[tuple[Readings, ...]]:
     """The sweeps that are fitted, up to each drive of clear ones in turn, and at last all that is; none without a clear
     sweep.

@@ -130,6 +130,7 @@ class Joint:
         response of what is present to their forces, where an experiment says at which moments it asks for them.
         """
         owner = self.owner
+        self.programs.effort.spent += len(chosen) * max(1, -(-len(directions) // WIDTH))
         moved = [i for i in np.unique(owner[np.any(directions != 0, axis=0)]) if i >= 0]
         absent = [i for i in moved if not np.any(vector[self.of_effect(i)])]
         if len(absent) <= CARRIED:

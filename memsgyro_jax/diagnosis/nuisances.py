@@ -11,13 +11,14 @@ from memsgyro_jax.effects.instrument import FrequencyOffset
 
 from .acceptance import BEYOND_LINEAR, excess, share_needed
 from .best_single import Best, best_single
+from .effort import exhausted, far_from_noise
 from .exchange import stand_ins
 from .fewer import SHARE, as_a_capacitance, cost, imitated
 from .findings import Accepted
 from .fit import beside_case
 from .instrument import instrument_terms, knowledge
 from .joint_residual import Joint
-from .optimum import POOR, Optimum, optimise
+from .optimum import Optimum, optimise
 from .oven import oven_offer
 from .promise import Offer, Promise, offers_of, promised
 from .search import GLANCE, INSTRUMENT, LOOK_AHEAD, Ranking, Search, always_free
@@ -28,7 +29,6 @@ FAINT, RIVAL = 0.5, 0.9  # of what effects of the device would explain: below it
 MOSTLY, LITTLE = 0.5, 0.1
 ROUGHLY = 1e-3  # of what is promised: linear estimates differ by so much where two say the same
 AGAIN = 2  # times that terms are chosen, the second beside those found
-NEARLY_ALL = 0.1  # of the misfit: where more is left, another order of the same is not tried
 EVIDENT = 10.0  # of the Bayesian information criterion by which an effect must be better than the instrument
 PINNED = 0.98  # of a bound: a strength so near has been stopped by it
 
@@ -71,17 +71,17 @@ def instrument_first(
     ends = [(whole, ranking)]
     # An effect that stands out may have hidden what the instrument does.
     later = instrument_alone(whole, ranking, None) if whole.accepted else None
-    if later is not None and _may_go_on(search, later):
+    # What leaves most, far above noise, is no matter of which came first.
+    if later is not None and not far_from_noise(later.optimum, search.optimum):
         ends.append(_beside(later, search, effects, go_on))
-    elif later is None and alone is not None and (not whole.accepted or _may_go_on(search, whole)):
+    elif later is None and alone is not None and _other_order(whole, search):
         ends.append(order[1]())
     return *min(ends, key=lambda end: (not done(end[0]), cost(end[0].optimum))), ""
 
 
-def _may_go_on(search: Search, end: Search) -> bool:
-    """Whether more may come of a search: what leaves most, far above noise, is no matter of which came first."""
-    found = end.optimum
-    return found.chi2 <= POOR * found.dof or excess(found) <= NEARLY_ALL * excess(search.optimum)
+def _other_order(whole: Search, search: Search) -> bool:
+    """Whether more may come of the other order, after one ended."""
+    return not (far_from_noise(whole.optimum, search.optimum) if whole.accepted else exhausted(whole))
 
 
 def _beside(alone: Search, search: Search, effects: Sequence[Effect], go_on) -> tuple[Search, Ranking]:

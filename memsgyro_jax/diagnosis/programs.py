@@ -1,9 +1,11 @@
 """Which effects a compiled program carries: an absent one beside those asked for costs less than another program."""
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 
 from memsgyro_jax.effects import TERMS
 from memsgyro_jax.effects.base import Effect, LockInEffect, ReadoutEffect, SweepEffect
@@ -11,12 +13,28 @@ from memsgyro_jax.effects.base import Effect, LockInEffect, ReadoutEffect, Sweep
 
 SPARE = 8  # absent effects that a program may have beside those asked for, before another is made: so many make it
 # a seventh slower, and another takes as long to compile as some twenty-five calls
+PROGRAM = 50  # predictions that take as long as what a further set of effects asks for
+
+
+@dataclass
+class Effort:
+    """What a search has taken, in predictions of single experiments.
+
+    Args:
+        most: after so many it begins nothing new where it is far from noise.
+        spent: since it began.
+        ended: whether something was not begun.
+    """
+
+    most: float = np.inf
+    spent: int = 0
+    ended: bool = False
 
 
 class Programs:
     """The sets of effects, by name, that there are programs for, with their order in it; those that are going to be
     asked for in parts, the likeliest first; which effects are known to be linear, or not; in which order models have
-    them; and all effects of programs, absent, as another model of the case may lack one.
+    them; all effects of programs, absent, as another model of the case may lack one; and the effort of all.
     """
 
     def __init__(self) -> None:
@@ -26,6 +44,7 @@ class Programs:
         self.linear: dict[str, bool] = {}
         self.order: dict[str, int] = {}
         self.absent: dict[str, Effect] = {}
+        self.effort = Effort()
 
     def know(self, names: Iterable[str]) -> None:
         """The effects of a model, in its order; the first is that of the whole catalogue."""
@@ -46,6 +65,7 @@ class Programs:
         others = [name for name in together if name not in acting and idle(name)]
         best = acting | frozenset(others[: self.spare])
         self.made[best] = ()
+        self.effort.spent += PROGRAM
         return best
 
     def announce(self, effects: Sequence[tuple[str, Effect]], spare: int = SPARE) -> None:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from memsgyro_jax.measurement.model import Model
 
 from .acceptance import excess, hopeless, share_needed
+from .effort import exhausted
 from .exchange import exchange_one
 from .fewer import as_a_phase, take_out
 from .fit import beside_case
@@ -32,13 +33,15 @@ def search_on(search: Search, ranking: Ranking) -> tuple[Search, Ranking]:
         _resolve(search)
         ranking = ranking if search.joint is coarse else search.rank()
     for _ in range(ROUNDS):
-        if is_slow_noise(search, ranking):
+        if is_slow_noise(search, ranking) or (scanned and exhausted(search)):
             break
         beside = instrument_between(search, ranking) if search.accepted and not is_noise(search) else None
         if beside is not None:
             search, ranking = beside, beside.rank()
         found, model = search.best(ranking), tuple(search.accepted)
         open_ = not is_noise(search) and model not in scanned
+        if found is None and model and exhausted(search):
+            break
         if open_ and (found is None or not (model or _takes_most(search, found[1]))):
             scanned.add(model)
             grown = _with_scan(search, search.optimum if found is None else found[1])

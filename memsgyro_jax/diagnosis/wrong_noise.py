@@ -18,13 +18,18 @@ from .misfit import check_all
 
 BY_CHANCE = 1e-3  # that noise alone repeats so
 ALIKE = 1e-9  # of a frequency, within which rows of several sweeps are at the same
+SPREAD = 2.0  # times the usual deviation: a few rows that make the size larger are no noise of another size
+WEAK = 3.0  # times the noise that is declared: what repeats and is larger is more than a doubt
+_OFF = ": the frequencies are off, or something weak is missing"
+_USUAL = special.ndtri(0.75)  # half of normal deviations are smaller
 
 
 def wrong_noise(fit: CaseFit) -> Mapping[str, float]:
     """Per record whose deviations are too large and nothing else, their size over the declared noise.
 
     With the noise multiplied by that, no test of the record may fail: neither of whiteness, nor of a dependence on
-    anything known, nor of the size in any part of it.
+    anything known, nor of the size in any part of it. A misfit of a few rows, as beside an internal resonance, is none,
+    nor is a large one that comes again in every sweep.
     """
     comparison = judged(fit)
     failed = {check.record for check in comparison.checks if check.failed}
@@ -34,7 +39,16 @@ def wrong_noise(fit: CaseFit) -> Mapping[str, float]:
         for s in comparison.series
     ]
     still = {check.record for check in check_all(rescaled, comparison.level) if check.failed}
-    return {record: size for record, size in sizes.items() if size > 1.0 and record not in still}
+    records = [record for record, _ in fit.deviations if record.name in sizes]
+    rounded = {record.name for record in records if _rounded_to(record)}  # most at the top of a resonance
+    still |= {s.record for s in rescaled if s.record in sizes and s.record not in rounded and _few_hold_most(s.white)}
+    found = {record: size for record, size in sizes.items() if size > 1.0 and record not in still}
+    return {} if max(found.values(), default=0.0) > WEAK and what_repeats(fit, found) == _OFF else found
+
+
+def _few_hold_most(white: np.ndarray) -> bool:
+    """Whether deviations of size one are mostly much smaller."""
+    return float(np.nanmedian(np.abs(white))) < _USUAL / SPREAD
 
 
 def what_repeats(fit: CaseFit, noise: Mapping[str, float]) -> str:
@@ -50,14 +64,21 @@ def what_repeats(fit: CaseFit, noise: Mapping[str, float]) -> str:
             white = deviation.white[:, record.channels].reshape(record.rows, -1) / noise[record.name]
             values.append(white)
             places.append(np.round(np.log(record.frequency) / ALIKE) + 1e12 * record.axis)
-            hertz, read = record.frequency / (2.0 * np.pi), record.readings[:, record.channels]
-            step, error = rounding_error(hertz, read, record.sweeps)
-            steps.append(step if error > MATTERS * record.noise_level else 0.0)
+            steps.append(_rounded_to(record))
     if len({one.shape[1] for one in values}) != 1 or not _repeat(np.vstack(values), np.concatenate(places)):
         return ""
     if step := max(steps):
         return f", as frequencies that are rounded to {spoken(step, 'Hz', 2)} make it"
-    return ": the frequencies are off, or something weak is missing"
+    return _OFF
+
+
+def _rounded_to(record: Any) -> float:
+    """Hertz to which the frequencies of a sweep are rounded, where that is no less than its noise; zero else."""
+    if not hasattr(record, "setting"):
+        return 0.0
+    hertz, read = record.frequency / (2.0 * np.pi), record.readings[:, record.channels]
+    step, error = rounding_error(hertz, read, record.sweeps)
+    return step if error > MATTERS * record.noise_level else 0.0
 
 
 def _repeat(values: np.ndarray, place: np.ndarray) -> bool:

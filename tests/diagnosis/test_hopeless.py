@@ -10,6 +10,7 @@ from lab.die import Hidden
 
 from memsgyro_jax.diagnosis import far_rows, nuisances
 from memsgyro_jax.diagnosis.fit import fit_case
+from memsgyro_jax.diagnosis.programs import Effort
 from memsgyro_jax.diagnosis.promise import FARTHER, Offer, promised
 from memsgyro_jax.diagnosis.scans import BEYOND, scan, scans
 from memsgyro_jax.diagnosis.search import GLANCE
@@ -123,20 +124,25 @@ def test_looking_for_rows_far_off_ends_where_it_is_no_way_to_noise(monkeypatch, 
 
 
 @pytest.mark.parametrize(
-    ("left", "accepted", "later", "searches"),
+    ("left", "accepted", "later", "spent", "searches"),
     [
-        (300.0, [1], None, 1),  # the device beside terms, and far from noise: it is no matter of which came first
-        (90.0, [1], None, 2),
-        (15.0, [1], None, 2),
-        (300.0, [], None, 2),  # no effect was tried without the terms
-        (300.0, [1], 300.0, 1),
-        (300.0, [1], 90.0, 2),
+        (300.0, [1], None, 0, 1),  # the device beside terms, and far from noise: it is no matter of which came first
+        (90.0, [1], None, 0, 2),
+        (15.0, [1], None, 0, 2),
+        (300.0, [], None, 0, 2),  # no effect was tried without the terms
+        (300.0, [], None, 2000, 1),
+        (15.0, [], None, 2000, 2),
+        (300.0, [1], 300.0, 0, 1),
+        (300.0, [1], 90.0, 0, 2),
     ],
 )
-def test_another_order_is_tried_where_the_first_explains_most(monkeypatch, left, accepted, later, searches):
+def test_another_order_is_tried_where_the_first_explains_most(monkeypatch, left, accepted, later, spent, searches):
+    joint = SimpleNamespace(programs=SimpleNamespace(effort=Effort(most=1000, spent=spent)))
+    base = SimpleNamespace(optimum=SimpleNamespace(chi2=1e7, dof=10_000))
+
     def search(chi2_per_dof, accepted=()):
         optimum = SimpleNamespace(chi2=1e4 * chi2_per_dof, dof=10_000)
-        return SimpleNamespace(optimum=optimum, accepted=list(accepted))
+        return SimpleNamespace(optimum=optimum, accepted=list(accepted), joint=joint, base=base, tell=lambda text: None)
 
     alone = iter([search(500.0), None if later is None else search(later)])
     ends = iter([search(left, accepted), search(0.9 * left, accepted)])

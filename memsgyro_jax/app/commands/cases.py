@@ -65,7 +65,7 @@ def over_cases(
         found = f"is {jobs}" if jobs < 1 else "Dask was named, which shares the work itself"
         raise InputError(f"Option `--jobs` must be at least 1, and 1 with `--dask`, but {found}.")
     out = out or Path(f"{command}-out")
-    given = [part for name, value in options.items() if value is not None for part in (f"--{name}", _whole(value))]
+    given = [part for name, value in options.items() for part in _as_typed(name, value)]
     names = {str(case.relative_to(folder)): case for case in cases_in(folder)}
     keys = {name: _key(case, command, given) for name, case in names.items()}
     kept = {name: answer for name in names if (answer := _kept(out / name, keys[name]))}
@@ -92,9 +92,11 @@ def _row(answer: CaseAnswer) -> tuple[str, ...]:
     return printable(answer.case), answer.status, answer.verdict, printable(answer.sentence, 200)
 
 
-def _whole(value: object) -> str:
-    """A value of an option, for a process that starts elsewhere."""
-    return str(value.resolve()) if isinstance(value, Path) else str(value)
+def _as_typed(name: str, value: object) -> tuple[str, ...]:
+    """An option with its value, for a process that starts elsewhere; nothing where it was not given."""
+    if value is None or isinstance(value, bool):
+        return (f"--{name}",) if value else ()
+    return f"--{name}", str(value.resolve()) if isinstance(value, Path) else str(value)
 
 
 def _answers(run: Any, tasks: Sequence[tuple[str, str, str]], jobs: int, dask: str | None) -> Iterator[CaseAnswer]:

@@ -32,6 +32,7 @@ def diagnose_command(
     kinds: Path | None = None,
     drives: int | None = None,
     level: float = 0.05,
+    thorough: bool = False,
     out: Path | None = None,
     json: Path | None = None,
     report: Path | None = None,
@@ -54,6 +55,7 @@ def diagnose_command(
         drives: how many of the lowest drive levels are looked at, and no record that is driven harder: what is missing
             there is told by itself where another law sets in above it.
         level: probability that an effect is reported where none is missing.
+        thorough: go on for as long as it takes, also where nothing has come near what was read.
         out: file for the fitted model, for `memsgyro compare --model`; of many cases the folder, `diagnose-out` without
             this option, for the model, the result and the page of each and for the table. What is there is not done
             again. Of a single case the best model so far is there after each step.
@@ -66,6 +68,7 @@ def diagnose_command(
         if report is not None:
             raise InputError("Option `--report` must go with a single case; of many each has its page in the folder.")
         options = {"model": model, "effects": effects, "kinds": kinds, "drives": drives, "level": level}
+        options |= {"thorough": thorough}
         made = {"--out": "model.toml", "--json": "diagnosis.json", "--report": "report.html"}
         return over_cases("diagnose", case, out, options=options, made=made, jobs=jobs, dask=dask, table=json)
     only_of_folders(jobs=jobs, dask=dask)
@@ -99,9 +102,11 @@ def diagnose_command(
             write_whole(json, json_text(unfinished(fit, stages)) + "\n")
 
     more = {"--effects": effects, "--kinds": kinds}
-    searched = {"--drives": drives, "--level": None if level == 0.05 else level, "--out": out, "--json": json}
+    told_level, told_thorough = None if level == 0.05 else level, "" if thorough else None
+    searched = {"--drives": drives, "--level": told_level, "--thorough": told_thorough, "--out": out, "--json": json}
     with so_far.said_at_the_end(case, more, searched), told() as tell:
-        found = diagnose(start, measured, effects=own, level=level, tell=so_far.heard(tell), keep=keep)
+        tell = so_far.heard(tell)
+        found = diagnose(start, measured, effects=own, level=level, thorough=thorough, tell=tell, keep=keep)
     texts: list[tuple[Path, str]] = []
     if out is not None:
         texts.append((out, model_text(found.model, note=units_of_records(measured))))
@@ -178,7 +183,8 @@ class _SoFar:
 
 def _options(values: Mapping[str, Any]) -> str:
     """The options that are given, as they are typed."""
-    return "".join(f" {option} {_quoted(value)}" for option, value in values.items() if value is not None)
+    typed = (f" {option} {_quoted(value)}".rstrip() for option, value in values.items() if value is not None)
+    return "".join(typed)
 
 
 def _quoted(word: Any) -> str:

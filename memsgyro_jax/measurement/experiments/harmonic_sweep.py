@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Complex, Float
 
+from memsgyro_jax.base.few_at_a_time import over_rows
 from memsgyro_jax.base.kept import kept
 from memsgyro_jax.base.linalg import inverse
 from memsgyro_jax.base.plainly import PLAINLY
@@ -117,7 +118,7 @@ class HarmonicSweep(Experiment):
             return fundamental(bench, omega, state, force, conditions, self.fineness), settled
 
         rows = self.frequency, self.force, self.surroundings, self._shown(bench), self.direction
-        settled, states = jax.vmap(row)(*rows, None if added is None else added.forced[0])
+        settled, states = over_rows(row, *rows, None if added is None else added.forced[0])
         settled = settled if added is None else settled + added.seen
         before = self.measured if self.before is None else self.before
         seen = through_lock_in(
