@@ -6,6 +6,7 @@ from typing import NamedTuple
 from .acceptance import excess
 from .fewer import cost
 from .optimum import Optimum
+from .programs import SPARE
 from .search import Ranking, Search
 
 
@@ -21,13 +22,17 @@ class Best(NamedTuple):
     optimum: Optimum
 
 
-def best_single(search: Search, first: Ranking) -> Best | None:
+def best_single(search: Search, first: Ranking, then: int = 0) -> Best | None:
     """The best single effect of the device, if one helps beyond chance: of the first few of the ranking the one that
-    fits best, as a large strength is not told by its slope (a channel eight times as sensitive as the other).
+    fits best, as a large strength is not told by its slope (a channel eight times as sensitive as the other). One of so
+    many that come `then` will be tried beside it.
     """
     found: list[Best] = []
     looked = list(takewhile(lambda number: first.p_values[number] <= search.level, first.order[:LOOKED]))
-    search.joint.together((*search.given, *(first.places[number] for number in looked)))
+    others = [first.places[number] for number in first.order[LOOKED : LOOKED + then]]
+    search.joint.together(
+        (*search.given, *(first.places[number] for number in looked)), search.joint.named(others), max(then, SPARE)
+    )
     for number in looked:
         fit = search.refit([first.places[number]], slopes=first.slopes[number])
         found.append(Best(number, search.joint.model.effects[first.places[number]].label, fit))

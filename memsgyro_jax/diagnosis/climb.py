@@ -11,6 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from memsgyro_jax.base.runtime import usable_cores
+from memsgyro_jax.base.threads import in_threads
 from memsgyro_jax.effects import Effect, ForceEffect
 from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.drive_levels import clear_drives
@@ -26,6 +28,7 @@ from .instrument import instrument_terms
 from .joint_residual import Joint
 from .nuisances import beside_terms
 from .optimum import Optimum, optimise
+from .programs import SPARE
 from .score import basis
 from .search import LOOK_AHEAD, Ranking, Search, always_free
 
@@ -79,7 +82,7 @@ def climbed(search: Search, first: Ranking, effects: Sequence[Effect]) -> tuple[
 
 def _in_steps(search: Search, first: Ranking) -> Optimum:
     """The fit with the best effect in one step, or where that is far off and the device has two axes, with another."""
-    found, step = best_single(search, first), copy(search)
+    found, step = best_single(search, first, then=SPARE), copy(search)
     best = first.order[0] if found is None else found.number
     step.optimum = search.refit([first.places[best]], slopes=first.slopes[best])
     step.accepted = [first.places[best]]
@@ -210,7 +213,9 @@ def _tempting(search: Search, base: Optimum, where: tuple, strengths: np.ndarray
         if size > 0.0 and isinstance(joint.model.effects[i], ForceEffect)
     }
     joint.together((*_held(search), *forces), spare=len(forces))  # a call takes less than another program
-    best = {i: _best_strength(search, base, i, size * strengths, where) for i, size in forces.items()}
+    with in_threads(usable_cores()) as over:
+        strongest = over(lambda i: _best_strength(search, base, i, forces[i] * strengths, where), forces)
+        best = dict(zip(forces, strongest, strict=True))
     chosen = sorted(forces, key=lambda i: best[i][1])
     return {i: best[i][0] for i in chosen if i in search.own or i in chosen[:LOOK_AHEAD]}
 

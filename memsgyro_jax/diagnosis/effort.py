@@ -7,7 +7,7 @@ from .optimum import POOR, Optimum
 from .search import Search
 
 
-MOST = 1400  # predictions of single experiments, after which a search that is far from noise begins nothing new
+MOST = 1000  # predictions of single experiments, after which a search that is far from noise begins nothing new
 NEARLY_ALL = 0.1  # of the misfit: where no more is left, a search is near, however long it took
 
 

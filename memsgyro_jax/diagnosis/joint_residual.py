@@ -130,7 +130,7 @@ class Joint:
         response of what is present to their forces, where an experiment says at which moments it asks for them.
         """
         owner = self.owner
-        self.programs.effort.spent += len(chosen) * max(1, -(-len(directions) // WIDTH))
+        self.programs.effort.take(len(chosen) * max(1, -(-len(directions) // WIDTH)))
         moved = [i for i in np.unique(owner[np.any(directions != 0, axis=0)]) if i >= 0]
         absent = [i for i in moved if not np.any(vector[self.of_effect(i)])]
         if len(absent) <= CARRIED:
@@ -290,8 +290,9 @@ class Joint:
             cheap = self._is_linear(name) or not all(map(self._is_linear, acting))
             return is_idle(self._named(name)) and cheap
 
-        chosen = programs.chosen(acting, idle)
-        order = programs.in_order(chosen, list(zip(names, self.model.effects, strict=True)))
+        with programs.one_at_a_time:
+            chosen = programs.chosen(acting, idle)
+            order = programs.in_order(chosen, list(zip(names, self.model.effects, strict=True)))
         model = self.model.with_only(map(self._named, order))
         mine = tuple(names.index(name) if name in names else None for name in order)
         spec = _all_free(model)

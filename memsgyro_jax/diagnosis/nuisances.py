@@ -70,7 +70,7 @@ def instrument_first(
         return whole, ranking, rival if only and gain > -EVIDENT else ""
     ends = [(whole, ranking)]
     # An effect that stands out may have hidden what the instrument does.
-    later = instrument_alone(whole, ranking, None) if whole.accepted else None
+    later = instrument_alone(whole, ranking, None) if whole.accepted and not exhausted(whole) else None
     # What leaves most, far above noise, is no matter of which came first.
     if later is not None and not far_from_noise(later.optimum, search.optimum):
         ends.append(_beside(later, search, effects, go_on))

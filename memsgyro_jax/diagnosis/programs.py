@@ -1,7 +1,8 @@
 """Which effects a compiled program carries: an absent one beside those asked for costs less than another program."""
 
+import threading
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -29,6 +30,12 @@ class Effort:
     most: float = np.inf
     spent: int = 0
     ended: bool = False
+    _one_at_a_time: threading.Lock = field(default_factory=threading.Lock, repr=False, compare=False)
+
+    def take(self, count: int) -> None:
+        """So many more, in any thread."""
+        with self._one_at_a_time:
+            self.spent += count
 
 
 class Programs:
@@ -45,6 +52,7 @@ class Programs:
         self.order: dict[str, int] = {}
         self.absent: dict[str, Effect] = {}
         self.effort = Effort()
+        self.one_at_a_time = threading.Lock()  # for threads that ask which program is theirs
 
     def know(self, names: Iterable[str]) -> None:
         """The effects of a model, in its order; the first is that of the whole catalogue."""
@@ -65,7 +73,7 @@ class Programs:
         others = [name for name in together if name not in acting and idle(name)]
         best = acting | frozenset(others[: self.spare])
         self.made[best] = ()
-        self.effort.spent += PROGRAM
+        self.effort.take(PROGRAM)
         return best
 
     def announce(self, effects: Sequence[tuple[str, Effect]], spare: int = SPARE) -> None:

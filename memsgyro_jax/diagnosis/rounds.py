@@ -57,6 +57,8 @@ def search_on(search: Search, ranking: Ranking) -> tuple[Search, Ranking]:
         _resolve(search)
         ranking = search.rank()
     before = list(search.accepted)
+    if exhausted(search):
+        return search, ranking
     search.prune()
     if search.accepted:
         take_out(search)

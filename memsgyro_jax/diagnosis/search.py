@@ -162,8 +162,8 @@ class Search:
             labels = [self.joint.model.effects[ranking.places[i]].label for i in promising]
             self.tell(LOOK + ", ".join(labels))
             later = [i for i in ranking.order if ranking.p_values[i] <= self.level and i not in (*promising, *refused)]
-            soon = [ranking.places[i] for i in (*promising, *later)]
-            self.joint.together((*self.given, *self.accepted, *soon))
+            soon, then = ([ranking.places[i] for i in some] for some in (promising, later))
+            self.joint.together((*self.given, *self.accepted, *soon), self.joint.named(then))
             refits: dict[int, Optimum] = {}
             for i in promising:
                 evaluations = GLANCE if len(promising) > 1 else WHOLE
