@@ -8,6 +8,7 @@ from .search import Search
 
 
 MOST = 1000  # predictions of single experiments, after which a search that is far from noise begins nothing new
+LONGER = 1.5  # times as many, after which one that is near does not either: what is found takes half as many as those
 NEARLY_ALL = 0.1  # of the misfit: where no more is left, a search is near, however long it took
 
 
@@ -17,18 +18,17 @@ def far_from_noise(found: Optimum, before: Optimum) -> bool:
 
 
 def exhausted(search: Search) -> bool:
-    """Whether a search has taken its share and is far from noise; that it was told so is remembered."""
-    effort = search.joint.programs.effort
-    if effort.spent <= effort.most or not far_from_noise(search.optimum, search.base.optimum):
+    """Whether a search has taken its share and leaves more than noise; that it was told so is remembered."""
+    effort, found = search.joint.programs.effort, search.optimum
+    share = effort.most * (1.0 if far_from_noise(found, search.base.optimum) else LONGER)
+    if effort.spent <= share or found.leaves_noise:
         return False
     if not effort.ended:
-        search.tell("look no further, as nothing has come near what was read")
+        search.tell("look no further, as much has been tried")
     effort.ended = True
     return True
 
 
 def of_effort(ended: bool) -> str:
     """A sentence on a search that was ended; empty for another."""
-    if not ended:
-        return ""
-    return " The search was ended where nothing had come near what was read; `--thorough` lets it try the rest."
+    return " The search was ended as much had been tried; `--thorough` lets it try the rest." if ended else ""

@@ -11,7 +11,7 @@ from memsgyro_jax.effects.instrument import FrequencyOffset
 
 from .acceptance import BEYOND_LINEAR, excess, share_needed
 from .best_single import Best, best_single
-from .effort import exhausted, far_from_noise
+from .effort import NEARLY_ALL, exhausted, far_from_noise
 from .exchange import stand_ins
 from .fewer import SHARE, as_a_capacitance, cost, imitated
 from .findings import Accepted
@@ -80,8 +80,9 @@ def instrument_first(
 
 
 def _other_order(whole: Search, search: Search) -> bool:
-    """Whether more may come of the other order, after one ended."""
-    return not (far_from_noise(whole.optimum, search.optimum) if whole.accepted else exhausted(whole))
+    """Whether more may come of the other order, after one ended: not where terms of the instrument took nearly all."""
+    much = excess(whole.optimum) > NEARLY_ALL * excess(search.optimum)
+    return much and not exhausted(whole) if not whole.accepted else not far_from_noise(whole.optimum, search.optimum)
 
 
 def _beside(alone: Search, search: Search, effects: Sequence[Effect], go_on) -> tuple[Search, Ranking]:

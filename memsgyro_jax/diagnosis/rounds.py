@@ -8,7 +8,7 @@ from dataclasses import replace
 from memsgyro_jax.measurement.model import Model
 
 from .acceptance import excess, hopeless, share_needed
-from .effort import exhausted
+from .effort import exhausted, far_from_noise
 from .exchange import exchange_one
 from .fewer import as_a_phase, take_out
 from .fit import beside_case
@@ -57,7 +57,7 @@ def search_on(search: Search, ranking: Ranking) -> tuple[Search, Ranking]:
         _resolve(search)
         ranking = search.rank()
     before = list(search.accepted)
-    if exhausted(search):
+    if far_from_noise(search.optimum, search.base.optimum) and exhausted(search):
         return search, ranking
     search.prune()
     if search.accepted:

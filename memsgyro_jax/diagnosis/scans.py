@@ -10,9 +10,10 @@ import numpy as np
 from jaxtyping import Array
 
 from memsgyro_jax.effects import Coverage, DampingStep, ParasiticMode, Scanned, catalogue, free_numbers
+from memsgyro_jax.measurement.absent import Absent
 from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.experiments import Readings
-from memsgyro_jax.measurement.first_order import Periods
+from memsgyro_jax.measurement.first_order import AskedRows, Periods, contributions
 from memsgyro_jax.measurement.model import Model
 
 from .joint_residual import Joint
@@ -80,7 +81,8 @@ def scan(
         if chosen.experiment.slow:
             points = points[:: -(-len(points) // COARSE)]
         span = slice(starts[place], starts[place + 1])
-        columns = _settled(joint, chosen, points)
+        columns = _stepped(joint, chosen, points) if isinstance(points[0], DampingStep) else None
+        columns = _settled(joint, chosen, points) if columns is None else columns
         columns = _run(joint.model, chosen, points) if columns is None else columns
         for effect, column in zip(points, columns, strict=True):
             whole = np.zeros((optimum.residual.size, 1))
@@ -94,6 +96,31 @@ def scan(
             if best is None or found.score.statistic > best.score.statistic:
                 best = found
     return best
+
+
+def _stepped(joint: Joint, chosen: Readings, points: Sequence[Scanned]) -> np.ndarray | None:
+    """(points, r) what each step adds to a residual per strength: the response to what a change that always was there
+    would add, from the moment of the step on; `None` where an experiment does not tell its moments.
+    """
+    inquiry, steps = joint.asked(joint.start, chosen), [point for point in points if isinstance(point, DampingStep)]
+    if inquiry is None:
+        return None
+    model = joint.model.present
+    records = sorted({float(step.record) for step in steps})
+    lasting = Absent(
+        tuple(DampingStep(0.0, time=-np.inf, record=r) for r in records), (len(model.effects),) * len(records)
+    )
+    always = contributions(model, lasting, eqx.tree_at(lambda one: one.base, inquiry, None))
+    mine = [records.index(float(step.record)) for step in steps]
+
+    def since(values: np.ndarray, rows: AskedRows) -> np.ndarray:
+        late = np.stack([np.asarray(rows.conditions.time) >= float(step.time) for step in steps])
+        return values[mine] * late.reshape(*late.shape, *(1,) * (values.ndim - 2))
+
+    pushes = tuple(since(push, rows) for push, rows in zip(always.forced, inquiry.forced, strict=True))
+    lanes = jax.tree.map(lambda leaf: np.zeros((len(steps), *leaf.shape), leaf.dtype), chosen.experiment.nothing(model))
+    added = eqx.tree_at(lambda one: (one.forced, one.seen), lanes, (pushes, since(always.seen, inquiry.read)))
+    return joint.responses(joint.start, added, chosen)
 
 
 def _settled(joint: Joint, chosen: Readings, points: Sequence[Scanned]) -> np.ndarray | None:

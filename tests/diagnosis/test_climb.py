@@ -1,12 +1,17 @@
 """Devices driven so hard that their resonance bends over by several widths, one record in a file for each drive."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+from bench_case import bench
 from lab import bent, both_bent
 
 import memsgyro_jax as mg
+from memsgyro_jax.diagnosis import climb
 from memsgyro_jax.diagnosis.climb import by_surroundings
-from memsgyro_jax.diagnosis.drives import FAR, stages, without_rows
+from memsgyro_jax.diagnosis.drives import FAR, driven_axes, stages, without_rows
+from memsgyro_jax.diagnosis.fit import fit_case
 from memsgyro_jax.diagnosis.joint_residual import Joint
 from memsgyro_jax.diagnosis.search import start_search
 from memsgyro_jax.measurement.linear_start import starting_device
@@ -125,3 +130,36 @@ def test_each_of_two_axes_that_bend_over_gets_its_spring(tmp_path):
         assert spring.estimate[0] == pytest.approx(cubic, abs=5.0 * spring.std[0])
         assert spring.std[0] < 1e-3 * abs(cubic)
     assert len(found.first) > len(springs), "what else was followed is told as well"
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "goes_on"),
+    [
+        ((20.0, 20.0), (1.0, 20.0), True),  # the other axis lacks something of its own
+        ((20.0, 1.0), (6.0, 9.0), True),
+        ((20.0, 1.0), (8.0, 1.0), False),  # an internal resonance: any bending takes two thirds
+        ((20.0, 20.0), (8.0, 8.0), False),
+        ((20.0, 1.0), (20.0, 0.1), False),
+        ((8.0, 8.0), (8.0, 8.0), True),  # near as it is
+    ],
+)
+def test_an_effect_is_followed_up_where_it_takes_most_of_one_axis(monkeypatch, before, after, goes_on):
+    axes = np.repeat([0, 1], 50)
+    base, end = (SimpleNamespace(residual=np.take(sizes, axes), vector=None, free=None) for sizes in (before, after))
+    monkeypatch.setattr(climb, "driven_axes", lambda step: axes)
+    monkeypatch.setattr(climb, "optimise", lambda *_, **__: base)
+    assert climb._takes_most(None, base, end, ()) == goes_on
+
+
+def test_each_number_knows_the_axis_along_which_the_device_was_driven():
+    fit = fit_case(bench().case)
+    axes = driven_axes(fit.joint.fitted)
+    assert axes.size == fit.optimum.residual.size
+    told = {record.name: record.axis for record in fit.case.records if hasattr(record, "setting")}
+    starts = np.cumsum([0, *(r.size for r in fit.joint.fitted)])
+    for begin, readings in zip(starts, fit.joint.fitted, strict=False):
+        mine = axes[begin : begin + readings.size].reshape(readings.record.size, -1)
+        for number in set(readings.record.tolist()) - {-1}:
+            name = fit.case.records[number].name
+            if name in told:
+                assert set(mine[readings.record == number].ravel().tolist()) == {told[name]}

@@ -18,7 +18,7 @@ KNOWN = Hidden(cubic_stiffness_x=0.5 * K)
 
 
 def _optimum(chi2_per_dof):
-    return SimpleNamespace(chi2=1e4 * chi2_per_dof, dof=10_000)
+    return SimpleNamespace(chi2=1e4 * chi2_per_dof, dof=10_000, leaves_noise=chi2_per_dof < 1.05)
 
 
 @pytest.mark.parametrize(
@@ -29,7 +29,8 @@ def test_far_from_noise_is_what_leaves_most_of_much(left, before, far):
 
 
 @pytest.mark.parametrize(("left", "spent", "most", "ends"), [
-    (500.0, 11, 10, True), (500.0, 10, 10, False), (500.0, 11, np.inf, False), (1.0, 11, 10, False),
+    (500.0, 11, 10, True), (500.0, 10, 10, False), (500.0, 11, np.inf, False), (1.0, 99, 10, False),
+    (15.0, 16, 10, True), (15.0, 15, 10, False),
 ])  # fmt: skip
 def test_a_search_ends_once_it_has_taken_its_share_and_says_so_once(left, spent, most, ends):
     effort, told = Effort(most=most, spent=spent), []

@@ -131,7 +131,8 @@ def test_looking_for_rows_far_off_ends_where_it_is_no_way_to_noise(monkeypatch, 
         (15.0, [1], None, 0, 2),
         (300.0, [], None, 0, 2),  # no effect was tried without the terms
         (300.0, [], None, 2000, 1),
-        (15.0, [], None, 2000, 2),
+        (150.0, [], None, 1400, 1),
+        (90.0, [], None, 0, 1),  # terms of the instrument took nearly all
         (300.0, [1], 300.0, 0, 1),
         (300.0, [1], 90.0, 0, 2),
     ],
@@ -141,7 +142,7 @@ def test_another_order_is_tried_where_the_first_explains_most(monkeypatch, left,
     base = SimpleNamespace(optimum=SimpleNamespace(chi2=1e7, dof=10_000))
 
     def search(chi2_per_dof, accepted=()):
-        optimum = SimpleNamespace(chi2=1e4 * chi2_per_dof, dof=10_000)
+        optimum = SimpleNamespace(chi2=1e4 * chi2_per_dof, dof=10_000, leaves_noise=False)
         return SimpleNamespace(optimum=optimum, accepted=list(accepted), joint=joint, base=base, tell=lambda text: None)
 
     alone = iter([search(500.0), None if later is None else search(later)])

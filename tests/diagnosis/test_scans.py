@@ -1,6 +1,7 @@
 """Effects with a moment are found on their grid, in the record that shows them; `test_diagnose.py` scans for a mode."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,10 +10,17 @@ from lab.die import Hidden
 from lab.strengths import visible
 from numpy.testing import assert_allclose
 
+from memsgyro_jax.diagnosis import scans as scans_room
 from memsgyro_jax.diagnosis.fit import fit_case
 from memsgyro_jax.diagnosis.joint_residual import Joint
-from memsgyro_jax.diagnosis.scans import _settled, scan, scans
-from memsgyro_jax.effects import DampingStep, ParasiticMode
+from memsgyro_jax.diagnosis.scans import _run, _settled, _stepped, scan, scans
+from memsgyro_jax.effects import (
+    AdcSaturation,
+    CubicStiffness,
+    DampingStep,
+    ParasiticMode,
+    PickoffCubicNonlinearity,
+)
 
 
 STEP = replace(visible("damping_step"), damping_step_record="rate", damping_step_time=0.08)
@@ -39,6 +47,38 @@ def test_a_damping_step_is_found_in_its_record_at_its_time():
 def test_a_step_that_is_not_there_is_not_significant():
     found = best("damping_step", Hidden())
     assert found.score.p_value * found.points > 0.01
+
+
+@pytest.mark.parametrize(
+    ("effect", "bent"), [(DampingStep(0.0, time=0.1, record=0), False), (AdcSaturation(1.0), True)]
+)
+def test_a_read_out_that_bends_is_left_out_where_slopes_are_scanned(monkeypatch, effect, bent):
+    """Slopes of many waveforms and the waveforms themselves at once take minutes; what clips is compared as it is."""
+    model = fit_case(bench(protocol=ONE_AXIS, die=RESONATOR).case).model
+    model = model.with_effect(CubicStiffness(0, 1e3), PickoffCubicNonlinearity(0, 1e3))
+    seen = []
+
+    def slopes(scanned, effects, experiment):
+        seen.append([one.label for one in scanned.effects])
+        return np.zeros((scans_room.CHUNK, 4))
+
+    monkeypatch.setattr(scans_room, "_slopes", slopes)
+    chosen = SimpleNamespace(experiment=SimpleNamespace(coarse=None))
+    assert _run(model, chosen, [effect]).shape == (1, 4)
+    assert seen == [["cubic_stiffness x", *(["pickoff_cubic_nonlinearity x"] if bent else [])]]
+
+
+@pytest.mark.parametrize("kind", ["RateTable", "RawCapture"])
+def test_a_step_is_scanned_as_a_program_that_carries_it_would_tell(kind):
+    """From what a change that always was there adds, moment by moment, by the response of the model."""
+    fit = fit_case(bench().case)
+    (chosen,) = [r for r in fit.joint.fitted if type(r.experiment).__name__ == kind]
+    (grid,) = [g for g in scans(fit.case) if g[0].label == "damping_step"]
+    points = [point for point in grid if np.any(chosen.record == int(point.record))][::5]
+    joint = Joint(fit.model, fit.joint.readings)
+    told, carried = _stepped(joint, chosen, points), _run(fit.model, chosen, points)
+    assert_allclose(told, carried, rtol=1e-9, atol=1e-9 * np.abs(carried).max())
+    assert np.abs(carried).max() > 0.0
 
 
 def test_what_a_mode_adds_to_a_sweep_is_the_derivative_of_the_receptance():
