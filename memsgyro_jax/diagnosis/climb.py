@@ -21,7 +21,6 @@ from memsgyro_jax.measurement.least_squares import Information
 from .acceptance import THIRD, excess
 from .best_single import best_single
 from .drives import FAR, calm, driven_axes, past_the_brink, stages
-from .effort import exhausted
 from .fewer import take_out, terms_of
 from .fit import CaseFit, beside_case
 from .instrument import instrument_terms
@@ -115,7 +114,7 @@ def followed(
     tried: list[tuple[Effect, float]] = []
     straight, before = None, np.inf
     most = len(beside.accepted) + beside.joint.model.axes  # one of each axis
-    while len(beside.accepted) < most and not (beside.accepted and exhausted(beside)):
+    while len(beside.accepted) < most:
         ends = _ends(beside, base, steps)
         if not ends:
             break
