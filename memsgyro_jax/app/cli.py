@@ -14,6 +14,7 @@ import re
 import sys
 import time
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import cyclopts
 
@@ -182,6 +183,8 @@ def _one_line(text: str) -> str:
 def _file_sentence(error: OSError) -> str:
     """Disk full, no permission, no such file: the file first, then the system's own words."""
     reason = error.strerror or str(error) or type(error).__name__
+    if isinstance(error, FileNotFoundError) and Path(str(error.filename)).name == "case.toml":
+        reason += "; `memsgyro import FILE... --out CASE` makes a case of what instruments save"
     return f"{error.filename}: {reason}." if error.filename else f"{reason}."
 
 

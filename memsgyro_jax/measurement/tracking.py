@@ -104,14 +104,18 @@ def tracked(
     """
     period = usual_period(time)
     phasors = np.iscomplexobj(values)
-    omega = _strongest(time, values, period, band, reference)
+    omega = _strongest(time, values, period, band, reference, max(64, len(values) // 8))
     width = rows or max(ROWS, int(np.ceil(CYCLES * 2 * np.pi / omega / period)))
     width = min(width, len(time))
     found = []
     for begin in range(0, len(time) - width + 1, width):
         middle = time[begin : begin + width].mean()
         fitted = _phasors if phasors else _window
-        one = fitted(values[begin : begin + width], time[begin : begin + width] - middle, omega - reference)
+        some, away = values[begin : begin + width], time[begin : begin + width] - middle
+        # A stiff spring's frequency falls so fast at first that that of many windows is none of the first.
+        starts = (omega,) if found else (omega, _strongest(time, values, period, band, reference, width))
+        every = [fitted(some, away, start - reference) for start in starts]
+        one = min(every, key=lambda told: told[1])
         found.append((middle, *one))
         low, high = band
         if low < one[2] + reference < high:
@@ -146,10 +150,10 @@ def rough_decay(time: np.ndarray, signal: np.ndarray, reference: float = 0.0) ->
 
 
 def _strongest(
-    time: np.ndarray, values: np.ndarray, period: float, band: tuple[float, float], reference: float
+    time: np.ndarray, values: np.ndarray, period: float, band: tuple[float, float], reference: float, rows: int
 ) -> float:
-    """The strongest line of the first part of a record within a band."""
-    first = slice(max(64, len(values) // 8))
+    """The strongest line of the first rows of a record within a band."""
+    first = slice(rows)
     some = np.interp(np.arange(time[0], time[first][-1] + 0.5 * period, period), time[first], values[first])
     some = (some - (0.0 if np.iscomplexobj(some) else some.mean())) * np.hanning(len(some))
     count = 8 * len(some)

@@ -39,7 +39,8 @@ for name in ("check", "compare", "fit", "diagnose"):
 """
     done = fresh_python("-c", code)
     assert done.stdout == "2 []\n" * 4, done.stdout + done.stderr
-    assert done.stderr == "nowhere/case.toml: No such file or directory.\n" * 4
+    remedy = "`memsgyro import FILE... --out CASE` makes a case of what instruments save"
+    assert done.stderr == f"nowhere/case.toml: No such file or directory; {remedy}.\n" * 4
 
 
 def test_version(fresh_python):

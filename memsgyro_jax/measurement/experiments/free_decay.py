@@ -197,11 +197,15 @@ class FreeDecayRecord(WaveformRecord):
         """Displacement and velocity at the beginning of each piece, as its strongest vibration has them."""
         columns = []
         for channel in range(declared.channels):
-            track = self.track(declared, channel, rows)
-            turn = track.omega - (self.reference_frequency or 0.0)
-            begin = track.phasor * np.exp((track.decay - 1j * turn) * (track.time - self.time[::rows]))
-            begin = declared.readout.motion(begin[:, None], track.omega)[:, 0]
-            columns.append((begin.real, (1j * track.omega * begin).real))
+            first, reference = self.time[::rows], self.reference_frequency or 0.0
+            begin, omega = _at(first, self.track(declared, channel, rows), reference)
+            # Windows as long as a piece lose a frequency that moves by their own width within them.
+            short = self.track(declared, channel).seen
+            if short.time.size > 1:
+                near = np.min(np.abs(np.subtract.outer(first, short.time)), axis=1) <= np.diff(short.time).min()
+                begin, omega = np.where(near, _at(first, short, reference), (begin, omega))
+            begin = declared.readout.motion(begin[:, None], omega.real)[:, 0]
+            columns.append((begin.real, (1j * omega.real * begin).real))
         return np.stack([c[0] for c in columns] + [c[1] for c in columns], axis=1)
 
     # ---- start, noise, misfit and overlay
@@ -260,3 +264,12 @@ class FreeDecayRecord(WaveformRecord):
         at = f"{self.time[end - 1]:.6g}"
         below = f"from {at} s on the decay is smaller than four steps of {step:.3g}, in which it was read, and which"
         return [f'{self.file}: {below} hide what is smaller; end it there by `to = {{ value = {at}, unit = "s" }}`.']
+
+
+def _at(time: np.ndarray, track: Track, reference: float) -> tuple[np.ndarray, np.ndarray]:
+    """Phasor at each of some times [s], turned on and decayed from the nearest window, and its frequency [rad/s]."""
+    near = np.argmin(np.abs(np.subtract.outer(time, track.time)), axis=1)
+    since, omega = time - track.time[near], track.omega[near]
+    drift = np.gradient(track.omega, track.time)[near] if track.time.size > 1 else 0.0
+    turned = (1j * (omega - reference + 0.5 * drift * since) - track.decay[near]) * since
+    return track.phasor[near] * np.exp(turned), omega + drift * since

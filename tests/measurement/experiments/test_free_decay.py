@@ -241,6 +241,27 @@ def test_phasors_of_a_lock_in_tell_the_same_as_the_waveform(lost, tmp_path):
     assert fit.errors[0].rms == pytest.approx(1.0, abs=0.12)
 
 
+def test_pieces_of_a_stiff_decay_begin_where_they_are_read(tmp_path):
+    """Of a phase that turns by fifteen radians more in the first piece than in the last: from a start a radian off no
+    steps lead to the right one, and a device with the true spring left 246 times the noise.
+    """
+    slow, turn, reference, omega = 12.4, 2 * np.pi * 158.0, 2 * np.pi * 21374.0, 2 * np.pi * 21372.4
+    time = np.arange(600) * 1e-3
+    phase = 0.4 + (omega - reference) * time + turn * (1.0 - np.exp(-2.0 * slow * time)) / (2.0 * slow)
+    rng = np.random.default_rng(4)
+    noise = 2e-4 * (rng.standard_normal(time.size) + 1j * rng.standard_normal(time.size))
+    phasor = 0.55 * np.exp(-slow * time + 1j * phase) + noise
+    columns = {"y_I [V]": phasor.real, "y_Q [V]": phasor.imag}
+    more = 'reference_frequency = { value = 21374, unit = "Hz" }'
+    experiment = readings_of(written(tmp_path, time, columns, 21370.0, more))[0].experiment
+    place, speed = np.asarray(experiment.start).T
+    rows = len(experiment.measured) // len(place)
+    read = np.asarray(experiment.measured)[::rows, 0] / 2.0  # V/V
+    loud = np.abs(read) > 30 * 2e-4
+    assert loud.sum() > 5
+    np.testing.assert_allclose((place - 1j * speed / omega)[loud], read[loud], atol=0.0, rtol=0.15)
+
+
 def test_a_part_is_cut_out_and_written_again(hardening, tmp_path):
     time = hardening.records[0].time
     more = 'from = { value = 7.5, unit = "s" }\nto = { value = 8500, unit = "ms" }'
