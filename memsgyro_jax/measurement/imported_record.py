@@ -14,6 +14,7 @@ from .column_map import SECOND_DRIVE
 from .column_meaning import Meaning
 from .experiments.time_record import RING_TIMES
 from .formats import SourceColumn, SourceTable
+from .formats.header import SPECIAL
 from .immittance import as_current
 from .imported_columns import (
     NOISE_COLUMNS,
@@ -309,6 +310,9 @@ def _lock_in_decay(about, table, columns, rows, given: Given, assumed: list[str]
     """Phasors over time."""
     reference = _reference(table, rows, given)
     columns |= phasor_columns_of(rows, assumed)
+    size = rows["I" if "I" in rows else "amp"]
+    if not given.rms and not SPECIAL.fullmatch(size.unit):
+        assumed.append(f"`{size.name}` tells peak amplitudes (`--rms` where they are effective values)")
     about = {**about, "quantity": read_as(columns["Vx_I" if "I" in rows else "Vx_amp"].unit)}
     design = {}  # of two axes, which sweeps or the user tell
     if not about["two_axes"]:

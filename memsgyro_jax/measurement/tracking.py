@@ -107,7 +107,7 @@ def tracked(
     omega = _strongest(time, values, period, band, reference, max(64, len(values) // 8))
     width = rows or max(ROWS, int(np.ceil(CYCLES * 2 * np.pi / omega / period)))
     width = min(width, len(time))
-    found = []
+    found: list[tuple[Any, ...]] = []
     for begin in range(0, len(time) - width + 1, width):
         middle = time[begin : begin + width].mean()
         fitted = _phasors if phasors else _window

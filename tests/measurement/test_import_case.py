@@ -164,6 +164,11 @@ def test_phasors_over_time_need_their_reference(tmp_path):
     assert lost.case.design["resonance"].value == pytest.approx(2 * np.pi * 4000.7, rel=1e-4)
     assert "Assumed of the rows: the time of each row is right (`uneven`), though rows are lost." in str(lost)
     assert case.design["resonance"].value == pytest.approx(2 * np.pi * 4000.7, rel=1e-4)
+    peak = "`X` tells peak amplitudes (`--rms` where they are effective values)"
+    assert peak in str(lost)
+    effective = mg.import_case([tmp_path / "a.csv"], tmp_path / "rms", reference="4 kHz", rms=True)
+    assert peak not in str(effective)
+    assert effective.case.records[0].signals == pytest.approx(np.sqrt(2.0) * lost.case.records[0].signals)
 
 
 def test_a_long_record_is_thinned(tmp_path):
