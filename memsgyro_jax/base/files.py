@@ -1,5 +1,6 @@
 """Files read with care: regular ones of a bounded size only. Files that appear whole or not at all. JSON text."""
 
+import difflib
 import json
 import logging
 import math
@@ -37,7 +38,8 @@ def read_whole(path: str | Path, what: str, *, most: int = LARGEST_TEXT, remedy:
         with path.open("rb") as file:
             data = file.read(most + 1) if about.st_size <= most else b""
     except FileNotFoundError as error:
-        raise InputError(f"{shown}: no such {what}{f'; {remedy}' if remedy else ''}.") from error
+        hint = remedy or _of_nearly_that_name(path)
+        raise InputError(f"{shown}: no such {what}{f'; {hint}' if hint else ''}.") from error
     except OSError as error:
         raise InputError(f"{shown}: the {what} cannot be read ({error.strerror}).") from error
     except ValueError as error:
@@ -49,6 +51,16 @@ def read_whole(path: str | Path, what: str, *, most: int = LARGEST_TEXT, remedy:
         found = f"{max(about.st_size, len(data)) / 2**20:.4g}"
         raise InputError(f"{shown}: the {what} must have at most {most >> 20} MiB, but has {found} MiB.")
     return data
+
+
+def _of_nearly_that_name(path: Path) -> str:
+    """What to take in place of a file that is not there, where one beside it is called alike."""
+    try:
+        beside = {one.name.casefold(): one.name for one in path.parent.iterdir()}
+    except OSError:
+        return ""
+    near = difflib.get_close_matches(path.name.casefold(), beside, n=1, cutoff=0.8)
+    return f"beside it stands {printable(beside[near[0]])}" if near else ""
 
 
 def read_text(path: str | Path, what: str, *, most: int = LARGEST_TEXT, remedy: str = "") -> str:

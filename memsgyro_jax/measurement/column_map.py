@@ -33,8 +33,8 @@ def parse_map(text: str) -> dict[str, str]:
         role = SHORT.get(left.strip(), left.strip())
         if not equals or not right.strip() or role not in (*ROLES, *SHORT.values()):
             raise InputError(
-                f'Option `--map` must read "role=column,..." with roles among {", ".join(ROLES)} (or x_I, x_Q, x_amp, '
-                f"x_phase, x, u_x, F_x; of a second channel y_I, y_Q, y_amp, y_phase, F_y), "
+                f'Option `--map` must read "role=column,..." with roles among {", ".join(ROLES)} (or X, Y, R, theta, '
+                f"x_I, x_Q, x_amp, x_phase, x, u_x, F_x; of a second channel y_I, y_Q, y_amp, y_phase, F_y), "
                 f"but has `{printable(part, 60)}`."
             )
         if left.strip() == "y" and "signal" in pairs:  # beside x

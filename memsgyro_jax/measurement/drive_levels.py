@@ -10,6 +10,7 @@ from memsgyro_jax.base.errors import InputError
 
 from .case import Case
 from .experiments import AbstractRecord
+from .experiments.free_decay import ROWS, FreeDecayRecord
 
 
 CLEAR = 20.0  # standard deviations from which a sweep tells the device
@@ -53,7 +54,8 @@ def goes_one_way(record: AbstractRecord) -> bool:
 
 def lowest_drives(case: Case, count: int) -> Case:
     """The case as it was measured with so many of its lowest drive levels: without sweeps that are driven harder, and
-    without other records that are. What is driven sample by sample stays.
+    without other records that are; of a free decay without what is louder than those sweeps. What is driven sample by
+    sample stays.
 
     Raises `InputError` unless there are more levels than that, and at least one is asked for.
     """
@@ -63,6 +65,9 @@ def lowest_drives(case: Case, count: int) -> Case:
         remedy = f"choose 1 to {len(levels) - 1}" if len(levels) > 1 else "none can be left out"
         raise InputError(f"The {count} lowest drives cannot be taken by themselves: the sweeps have {told}; {remedy}.")
     kept = [_up_to(record, (1 + ALIKE) * levels[count - 1]) for record in case.records]
+    sweeps: list[Any] = [record for record in kept if record is not None and hasattr(record, "setting")]
+    loudest = max(float(np.max(np.abs(record.readings))) for record in sweeps)
+    kept = [record if record is None else _as_quiet_as(record, loudest) for record in kept]
     return replace(case, records=tuple(record for record in kept if record is not None))
 
 
@@ -75,3 +80,15 @@ def _up_to(record: AbstractRecord, level: float) -> AbstractRecord | None:
     if keep.all() or not record.stepped:
         return record if keep.all() else None
     return record.only(keep) if keep.any() else None
+
+
+def _as_quiet_as(record: AbstractRecord, loudest: float) -> AbstractRecord | None:
+    """A free decay from where it is no louder than that [V], `None` where too little of it is left; others as they
+    are.
+    """
+    if not isinstance(record, FreeDecayRecord):
+        return record
+    constant = 0.0 if record.offset is None else record.offset
+    louder = np.flatnonzero(np.max(np.abs(record.readings - constant), axis=1) > loudest)
+    begin = int(louder[-1]) + 1 if louder.size else 0
+    return record.only(np.arange(begin, record.rows)) if record.rows - begin >= ROWS else None

@@ -10,7 +10,7 @@ from memsgyro_jax.app import cli
 from memsgyro_jax.app.study import load_study, read_rate_record
 from memsgyro_jax.base.complaints import Source
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.base.files import LARGEST_TEXT, write_json, write_whole
+from memsgyro_jax.base.files import LARGEST_TEXT, read_whole, write_json, write_whole
 from memsgyro_jax.base.table import read_table
 from memsgyro_jax.base.units import decimal, to_si
 from memsgyro_jax.base.user_file import run_user_file
@@ -179,3 +179,13 @@ def test_no_command_writes_into_a_folder_or_a_device(command, target, capsys, mo
     assert (end.value.code, out) == (2, "")
     assert err.startswith(f"{target} must be a file, but is ")
     assert err.count("\n") == 1
+
+
+def test_a_name_that_is_nearly_right_is_answered_with_what_is_there(tmp_path):
+    (tmp_path / "sweep_5mV.csv").write_text("1")
+    with pytest.raises(InputError, match=r"sweep_5mv\.csv: no such file; beside it stands sweep_5mV\.csv\."):
+        read_whole(tmp_path / "sweep_5mv.csv", "file")
+    with pytest.raises(InputError, match=r"other\.csv: no such file\.$"):
+        read_whole(tmp_path / "other.csv", "file")
+    with pytest.raises(InputError, match=r"a\.csv: no such file\.$"):
+        read_whole(tmp_path / "nowhere" / "a.csv", "file")

@@ -62,3 +62,25 @@ drive_duration = {{ value = 0.1, unit = "s" }}
         (folder / "case.toml").write_text((folder / "case.toml").read_text() + record)
     fewer = mg.lowest_drives(mg.load_case(folder), 1)
     assert [record.name for record in fewer.records] == ["at_5mV", "decay_4"]
+
+
+@pytest.mark.parametrize(("times", "rows"), [(0.5, 400), (3.0, 250), (1e3, 0)])
+def test_a_decay_counts_from_where_it_is_no_louder_than_the_sweeps(tmp_path, times, rows):
+    folder = bent.bent_sweeps(tmp_path / "case", (5, 20), rows=41)
+    loudest = float(np.max(np.abs(mg.load_case(folder).record("at_5mV").phasors)))
+    fall = np.log(3.0) / 149.5  # behind 150 rows a third is left
+    decay = [f"{k * 1e-4!r},{times * loudest * math.exp(-fall * k)!r},0.0" for k in range(400)]
+    (folder / "decay.csv").write_text("\n".join(["t [s],Vx_I [V],Vx_Q [V]", *decay]))
+    record = """[[experiment]]
+name = "decay"
+kind = "free_decay"
+file = "decay.csv"
+reference_frequency = { value = 23417, unit = "Hz" }
+"""
+    case = folder / "case.toml"
+    case.write_text(case.read_text() + record)
+    fewer = {one.name: one for one in mg.lowest_drives(mg.load_case(folder), 1).records}
+    assert set(fewer) == {"at_5mV", *(["decay"] if rows else [])}
+    if rows:
+        assert fewer["decay"].rows == rows
+        assert np.max(np.abs(fewer["decay"].readings)) <= loudest
