@@ -44,7 +44,7 @@ from .oven import of_oven
 from .result import UNEXPLAINED, Diagnosis, Verdict, validation_error
 from .rounds import search_on
 from .search import CONFUSED, Ranking, Search, SearchStep, start_search
-from .sentence import DRIFT, before_all, of_noise, sentence
+from .sentence import DRIFT, before_all, denied, of_noise, sentence
 from .slow_noise import is_slow_noise, slowly
 from .spoiler import without_spoiler
 from .worth_trying import worth_trying
@@ -172,7 +172,9 @@ def _diagnosed(
         accepted = beside_other_courses(search, accepted)
     verdict = _verdict(steps[apart - 1].fit, final, accepted, all(explained), found_more)
     stages = (Stage("", base.chi2_per_dof, validation_error(base)), *_stages(steps)[1:])
+    denial = ""
     if verdict == "unknown_effect":  # what was tried is no finding: the model stays the base model and its instrument
+        denial = denied(final, [step.added for step in steps[apart:]])
         base, whence = search.base, ""
         stages = _stages(steps)
         final, accepted, stages, tried = steps[apart - 1].fit, (), stages[:apart], stages[apart : apart + NAMED]
@@ -202,6 +204,7 @@ def _diagnosed(
         final=final,
         verdict=verdict,
         sentence=sentence(verdict, accepted, final, explained, onset)
+        + denial
         + apart_in_time
         + of_effort(effort.ended and unexplained)
         + of_instrument(terms, rival, drive_levels(case))

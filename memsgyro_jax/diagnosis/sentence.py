@@ -76,6 +76,21 @@ def _judged_only(final: CaseFit, explained: list[bool]) -> str:
     return f' {which} judged only: where {have} role = "fit" in the case, what is there counts for the verdict, too.'
 
 
+def denied(best: CaseFit, tried: Sequence[str]) -> str:
+    """Of something unknown, that what was tried explains all that was fitted, and which records, judged only, deny it;
+    empty where it does not.
+    """
+    left = [error for error in best.errors if not error.explained]
+    fitted = {error.name for error in best.errors if error.role == "fit"}
+    if not (tried and left and best.leaves_noise) or fitted & {error.name for error in left}:
+        return ""
+    where = ", ".join(f"{error.name} ({error.rms:.3g} × noise)" for error in left)
+    return (
+        f" Of what was tried, {' with '.join(tried)} explains all records that were fitted; it is denied by {where} "
+        "alone: look there first, whether it begins too early (`from`), or has effective values where the others have peaks."
+    )
+
+
 def _by_weight(accepted: tuple[Accepted, ...], final: CaseFit) -> str:
     """The labels of effects, and apart those that explain next to nothing beside the strongest, and little of noise."""
     count = sum(error.count for error in final.errors if error.role == "fit")

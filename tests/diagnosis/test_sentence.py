@@ -5,7 +5,8 @@ from types import SimpleNamespace
 import pytest
 
 from memsgyro_jax.diagnosis.findings import Accepted
-from memsgyro_jax.diagnosis.sentence import sentence
+from memsgyro_jax.diagnosis.fitted import RecordError
+from memsgyro_jax.diagnosis.sentence import denied, sentence
 
 
 FINAL = SimpleNamespace(errors=[SimpleNamespace(role="fit", count=100, name="a", rms=1.0)])
@@ -42,3 +43,21 @@ def test_a_record_that_was_only_judged_is_said_to_help_where_all_that_is_left_li
     said = sentence("unknown_effect", (), SimpleNamespace(errors=errors), [fine for *_, fine in roles])
     assert words in said
     assert ("judged only" in said) == bool(words)
+
+
+@pytest.mark.parametrize(
+    ("roles", "leaves_noise", "tried", "said"),
+    [
+        ([("sweep", "fit", 1.0), ("sweep", "validation", 1.0), ("decay", "validation", 246.0)], True, ["s"], True),
+        ([("sweep", "fit", 1.0), ("sweep", "validation", 3.0), ("decay", "validation", 246.0)], True, ["s"], False),
+        ([("sweep", "fit", 9.0), ("decay", "validation", 246.0)], False, ["s"], False),
+        ([("sweep", "fit", 1.0), ("decay", "validation", 246.0)], True, [], False),
+        ([("sweep", "fit", 1.0), ("decay", "validation", 1.0)], True, ["s"], False),
+    ],
+)
+def test_what_explains_all_that_was_fitted_is_told_with_what_denies_it(roles, leaves_noise, tried, said):
+    """A newcomer read that something unknown shows in sweeps that the spring which was tried explains."""
+    errors = [RecordError(name, role, 1000, 1000 * rms**2) for name, role, rms in roles]
+    told = denied(SimpleNamespace(errors=errors, leaves_noise=leaves_noise), tried)
+    assert ("s explains all records that were fitted; it is denied by decay (246 × noise) alone" in told) == said
+    assert bool(told) == said
