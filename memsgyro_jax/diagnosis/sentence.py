@@ -87,7 +87,7 @@ def denied(best: CaseFit, tried: Sequence[str]) -> str:
     where = ", ".join(f"{error.name} ({error.rms:.3g} × noise)" for error in left)
     return (
         f" Of what was tried, {' with '.join(tried)} explains all records that were fitted; it is denied by {where} "
-        "alone: look there first, whether it begins too early (`from`), or tells effective values where others tell peaks."
+        "alone: look there first, whether it begins too early (`from`), or tells effective values and others peaks."
     )
 
 
