@@ -10,7 +10,6 @@ from memsgyro_jax.base.errors import InputError
 
 from .case import Case
 from .experiments import AbstractRecord
-from .experiments.free_decay import ROWS, FreeDecayRecord
 
 
 CLEAR = 20.0  # standard deviations from which a sweep tells the device
@@ -67,7 +66,7 @@ def lowest_drives(case: Case, count: int) -> Case:
     kept = [_up_to(record, (1 + ALIKE) * levels[count - 1]) for record in case.records]
     sweeps: list[Any] = [record for record in kept if record is not None and hasattr(record, "setting")]
     loudest = max(float(np.max(np.abs(record.readings))) for record in sweeps)
-    kept = [record if record is None else _as_quiet_as(record, loudest) for record in kept]
+    kept = [record if record is None else record.no_louder_than(loudest) for record in kept]
     return replace(case, records=tuple(record for record in kept if record is not None))
 
 
@@ -80,15 +79,3 @@ def _up_to(record: AbstractRecord, level: float) -> AbstractRecord | None:
     if keep.all() or not record.stepped:
         return record if keep.all() else None
     return record.only(keep) if keep.any() else None
-
-
-def _as_quiet_as(record: AbstractRecord, loudest: float) -> AbstractRecord | None:
-    """A free decay from where it is no louder than that [V], `None` where too little of it is left; others as they
-    are.
-    """
-    if not isinstance(record, FreeDecayRecord):
-        return record
-    constant = 0.0 if record.offset is None else record.offset
-    louder = np.flatnonzero(np.max(np.abs(record.readings - constant), axis=1) > loudest)
-    begin = int(louder[-1]) + 1 if louder.size else 0
-    return record.only(np.arange(begin, record.rows)) if record.rows - begin >= ROWS else None

@@ -210,6 +210,12 @@ class FreeDecayRecord(WaveformRecord):
 
     # ---- start, noise, misfit and overlay
 
+    def no_louder_than(self, loudest: float) -> "FreeDecayRecord | None":
+        constant = 0.0 if self.offset is None else self.offset
+        louder = np.flatnonzero(np.max(np.abs(self.readings - constant), axis=1) > loudest)
+        begin = int(louder[-1]) + 1 if louder.size else 0
+        return self.only(np.arange(begin, self.rows)) if self.rows - begin >= ROWS else None
+
     def free_modes(self, declared: Declared) -> list[tuple[float, float, float]]:
         """Per channel: amplitude, angular frequency [rad/s] and decay rate [1/s] of its strongest vibration, as means
         weighted with the squared amplitude.

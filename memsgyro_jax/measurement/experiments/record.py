@@ -128,6 +128,10 @@ class AbstractRecord(abc.ABC):
         kept = {n: v[rows] for n, v in values.items() if isinstance(v, np.ndarray) and v.shape[:1] == (self.rows,)}
         return replace(self, **kept, carried={name: column[rows] for name, column in self.carried.items()})
 
+    def no_louder_than(self, loudest: float) -> "AbstractRecord | None":
+        """What of a record whose drive nobody knows is as quiet as sweeps that reach that much [V]; by default all."""
+        return self
+
     def check(self, table: Table, declared: Declared) -> None:  # noqa: B027
         """Raises `InputError` where rows, declarations and design contradict each other; by default they never do."""
 
