@@ -6,7 +6,6 @@ from typing import NamedTuple
 from .acceptance import excess
 from .fewer import cost
 from .optimum import Optimum
-from .programs import SPARE
 from .search import Ranking, Search
 
 
@@ -30,9 +29,7 @@ def best_single(search: Search, first: Ranking, then: int = 0) -> Best | None:
     found: list[Best] = []
     looked = list(takewhile(lambda number: first.p_values[number] <= search.level, first.order[:LOOKED]))
     others = [first.places[number] for number in first.order[LOOKED : LOOKED + then]]
-    search.joint.together(
-        (*search.given, *(first.places[number] for number in looked)), search.joint.named(others), max(then, SPARE)
-    )
+    search.joint.together((*search.given, *(first.places[number] for number in looked)), search.joint.named(others))
     for number in looked:
         fit = search.refit([first.places[number]], slopes=first.slopes[number])
         found.append(Best(number, search.joint.model.effects[first.places[number]].label, fit))

@@ -109,13 +109,14 @@ def followed(
         start: parameters from which the lowest drive is fitted.
     """
     base = _lowest(beside, steps[0], start)
-    if _first_far(beside, base, steps) is None:  # the lock-in alone was off
+    first = _first_far(beside, base, steps)
+    if first is None:  # the lock-in alone was off
         return search, None
     tried: list[tuple[Effect, float]] = []
     straight, before = None, np.inf
     most = len(beside.accepted) + beside.joint.model.axes  # one of each axis
     while len(beside.accepted) < most:
-        ends = _ends(beside, base, steps)
+        ends = _ends(beside, base, steps, len(steps) - 1 if first is None else first)
         if not ends:
             break
         place, end = min(ends, key=lambda one: one[1].chi2)
@@ -131,6 +132,7 @@ def followed(
             climb = Climb(beside_case(search.case, beside.joint, straight), tuple(tried), whence(search.case))
             return as_found(beside, search, effects), climb
         base, before = _lowest(beside, steps[0], end.vector), excess(end)
+        first = _first_far(beside, base, steps)
     return search, None
 
 
@@ -219,12 +221,10 @@ def _tempting(search: Search, base: Optimum, where: tuple, strengths: np.ndarray
     return {i: best[i][0] for i in chosen if i in search.own or i in chosen[:LOOK_AHEAD]}
 
 
-def _ends(search: Search, base: Optimum, steps: list[tuple]) -> list[tuple[int, Optimum]]:
-    """Where each of the tempting effects ends; others are not tried once one leaves nothing but noise, unless they are
-    the user's own.
+def _ends(search: Search, base: Optimum, steps: list[tuple], first: int) -> list[tuple[int, Optimum]]:
+    """Where each of the effects ends that are tempting at the drive `first`; others are not tried once one leaves
+    nothing but noise, unless they are the user's own.
     """
-    first = _first_far(search, base, steps)
-    first = len(steps) - 1 if first is None else first
     tempting = _tempting(search, base, steps[first], STRENGTHS[:: COARSE if first else 1])
     ends: list[tuple[int, Optimum]] = []
     search.joint.together((*_held(search), *tempting))
@@ -259,7 +259,7 @@ def _as_it_is(joint: Joint, base: Optimum, places: np.ndarray) -> Optimum:
 
 def _up(search: Search, base: Optimum, place: int, begin: np.ndarray, steps: list[tuple], first: int) -> Optimum | None:
     """A fit with one effect more that starts at the lowest drive, without it, and at the drive `first` also where
-    another fit may begin; `None` where it is no better there, unless it is the user's own.
+    another fit may begin; `None` where it does not take most there, unless it is the user's own.
     """
     joint, free = search.joint, always_free(search.joint, (*_held(search), place))
     end = base

@@ -174,7 +174,7 @@ def _diagnosed(
     stages = (Stage("", base.chi2_per_dof, validation_error(base)), *_stages(steps)[1:])
     denial = ""
     if verdict == "unknown_effect":  # what was tried is no finding: the model stays the base model and its instrument
-        denial = denied(final, [step.added for step in steps[apart:]])
+        denial = denied(final, [effect.label for effect in accepted])
         base, whence = search.base, ""
         stages = _stages(steps)
         final, accepted, stages, tried = steps[apart - 1].fit, (), stages[:apart], stages[apart : apart + NAMED]

@@ -8,7 +8,7 @@ from .search import Search
 
 
 MOST = 1200  # predictions of single experiments, after which a search that is far from noise begins nothing new
-LONGER = 1.5  # times as many, after which one that is near does not either; what is found takes 200 to 1100
+LONGER = 1.5  # times as many, after which one that is near does not either; what is found took 130 to 1100
 NEARLY_ALL = 0.1  # of the misfit: where no more is left, a search is near, however long it took
 
 

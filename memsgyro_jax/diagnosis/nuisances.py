@@ -82,7 +82,7 @@ def instrument_first(
 def _other_order(whole: Search, search: Search) -> bool:
     """Whether more may come of the other order, after one ended: not where terms of the instrument took nearly all."""
     much = excess(whole.optimum) > NEARLY_ALL * excess(search.optimum)
-    return much and not exhausted(whole) if not whole.accepted else not far_from_noise(whole.optimum, search.optimum)
+    return not far_from_noise(whole.optimum, search.optimum) if whole.accepted else much and not exhausted(whole)
 
 
 def _beside(alone: Search, search: Search, effects: Sequence[Effect], go_on) -> tuple[Search, Ranking]:

@@ -158,7 +158,7 @@ def _run(model: Model, chosen: Readings, points: Sequence[Scanned]) -> np.ndarra
     """The same through a program that carries the effects, some at a time.
 
     What a small force does is looked at without what the read-out bends: slopes of many waveforms and the waveforms
-    themselves side by side take XLA minutes, and the refit judges what is found.
+    themselves side by side took XLA twenty seconds a lot, and the refit judges what is found.
     """
     columns = []
     if "strength" not in points[0].scanned:

@@ -27,7 +27,7 @@ def test_the_first_few_are_fitted(p_values, best, fitted):
         given=(),
         joint=SimpleNamespace(
             model=SimpleNamespace(effects={k: SimpleNamespace(label=v) for k, v in labels.items()}),
-            together=lambda effects, later, spare: announced.append((*effects, *later)),
+            together=lambda effects, later: announced.append((*effects, *later)),
             named=lambda places: [],
         ),
         refit=lambda places, slopes: asked.append(places[0]) or optimum(chi2[places[0]]),

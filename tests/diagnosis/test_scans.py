@@ -53,7 +53,7 @@ def test_a_step_that_is_not_there_is_not_significant():
     ("effect", "bent"), [(DampingStep(0.0, time=0.1, record=0), False), (AdcSaturation(1.0), True)]
 )
 def test_a_read_out_that_bends_is_left_out_where_slopes_are_scanned(monkeypatch, effect, bent):
-    """Slopes of many waveforms and the waveforms themselves at once take minutes; what clips is compared as it is."""
+    """Slopes of many waveforms and these themselves took twenty seconds a lot; what clips is compared as it is."""
     model = fit_case(bench(protocol=ONE_AXIS, die=RESONATOR).case).model
     model = model.with_effect(CubicStiffness(0, 1e3), PickoffCubicNonlinearity(0, 1e3))
     seen = []
