@@ -45,14 +45,17 @@ class Identifiable:
 
 
 def identifiable(case: Case) -> tuple[Identifiable, ...]:
-    """Per fitted record, and for all of them together, how well the base parameters would be known.
+    """Per fitted record, and for all of them together, how well the base parameters would be known; without the
+    constant voltages of channels where a record reads none, as none of a lock-in does.
 
     The sensitivities are those at the start that the data themselves give, or where that leaves much of them, as of a
     short run it may, at the end of a fit from there. `InputError` in float32.
     """
     joint = Joint(model_of(case, starting_device(case)), readings_of(case))
-    names = tuple(p.name for p in joint.parameters)
+    names = np.array([p.name for p in joint.parameters])
     units, blocks, moved, near = np.eye(joint.start.size), {}, _elsewhere(case), _near(case, joint)
+    constant = np.array([name.startswith("offset") for name in names])
+    shown: dict[int, np.ndarray] = {}
     for readings in joint.fitted:
         here = joint.linearise(near, units, [readings])[1]
         for number in np.unique(readings.record[readings.record >= 0]).tolist():
@@ -60,8 +63,10 @@ def identifiable(case: Case) -> tuple[Identifiable, ...]:
             slopes = joint.linearise(start, units, [readings])[1] if number in moved else here
             rows = slopes.reshape(readings.record.size, -1, len(names))[readings.record == number]
             blocks[number] = rows.reshape(-1, len(names)) * np.where(start != 0, np.abs(start), 1.0)
-    out = [_judged(case.records[k].name, names, blocks[k]) for k in sorted(blocks)]
-    return (*out, _judged("all records", names, np.concatenate(list(blocks.values()))))
+            shown[number] = ~constant | readings.experiment.reads_constants
+    out = [_judged(case.records[k].name, names[shown[k]].tolist(), blocks[k][:, shown[k]]) for k in sorted(blocks)]
+    either = np.any(list(shown.values()), axis=0)
+    return (*out, _judged("all records", names[either].tolist(), np.concatenate(list(blocks.values()))[:, either]))
 
 
 def _near(case: Case, joint: Joint) -> np.ndarray:

@@ -56,6 +56,7 @@ class Knowledge(Experiment):
     """
 
     driven: ClassVar[bool] = False
+    reads_constants: ClassVar[bool] = False
 
     name: str = eqx.field(static=True)
     measured: Float[Array, "k 1"]

@@ -79,9 +79,12 @@ class Joint:
 
     @cached_property
     def idle(self) -> frozenset[int]:
-        """Place of 1/m where no fitted record is driven by a known force: forces then scale with the declared mass."""
-        driven = any(r.experiment.driven for r in self.fitted)
-        return frozenset(i for i, p in enumerate(self.parameters) if p.name == "1/m" and not driven)
+        """Place of 1/m where no known force drives what is fitted: forces then scale with the declared mass; and of the
+        constant voltage of each channel where none is read.
+        """
+        driven, constant = (any(getattr(r.experiment, of) for r in self.fitted) for of in ("driven", "reads_constants"))
+        told = {"1/m": driven, "offset": constant, "offset x": constant, "offset y": constant}
+        return frozenset(i for i, p in enumerate(self.parameters) if p.effect is None and not told.get(p.name, True))
 
     def of_effect(self, effect: int) -> np.ndarray:
         """Places of the strength of one effect."""

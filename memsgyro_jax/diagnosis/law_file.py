@@ -14,6 +14,16 @@ ROUND = 0.3  # of a knot, over which a spline bends there: harmonic balance foll
 ROUNDING = 1e-6  # of the square of the unit size, below which a power is a straight line
 
 
+# Exponents at which a term without a threshold is an effect of the catalogue, each with its name there.
+KNOWN = {
+    ("stiffness", 2.0): "cubic_stiffness",
+    ("even_stiffness", 1.0): "quadratic_stiffness",
+    ("damping", 1.0): "quadratic_damping",
+    ("damping", DRY): "dry_friction",
+}
+ALIKE = 0.05  # between exponents that are worth a try as one
+
+
 @dataclass(frozen=True)
 class LawTerm:
     """F = −strength·z·(max(|z| − threshold, 0)/size)^exponent, without a threshold the power of |z| itself; an even
@@ -41,6 +51,11 @@ class LawTerm:
         if self.threshold is not None:
             return 0.0, HIGHEST
         return (LINEAR, HIGHEST) if self.exponent > 0 else (DRY, -LINEAR)
+
+    def known_as(self, exponent: float) -> str:
+        """The effect of the catalogue whose law this is at such an exponent; empty where none is near."""
+        near = [name for (kind, e), name in KNOWN.items() if kind == self.kind and abs(e - exponent) <= ALIKE]
+        return "".join(near) if self.threshold is None else ""
 
     def share(self, z: np.ndarray) -> np.ndarray:
         """Force over z at strength one."""

@@ -90,6 +90,16 @@ def with_even_part(law: DrawnLaw, fit: CaseFit) -> DrawnLaw:
     return replace(law, terms=(*law.terms, LawTerm("even_stiffness", high * strength, 1.0, None, high, low)))
 
 
+def of_the_catalogue(law: DrawnLaw, fit: CaseFit) -> dict[str, str]:
+    """Terms of a fitted law that the catalogue has, by the exponent that the fit found: name in the file to label."""
+    axis, found = "xy"[law.axis], {estimate.name: estimate.value for estimate in fit.estimates}
+    known = {
+        name: term.known_as(found.get(f"{name} {axis} exponent", np.nan))
+        for name, term in zip(law.names, law.terms, strict=False)
+    }
+    return {name: f"{label} {axis}" for name, label in known.items() if label}
+
+
 def with_held_terms(law: DrawnLaw, fit: CaseFit) -> DrawnLaw:
     """The law without the terms whose strength a fit of it finds that the records do not hold."""
     loose = {estimate.name.split(" ")[0] for estimate in fit.estimates if not np.isfinite(estimate.std)}

@@ -65,10 +65,13 @@ def in_words(apart: float) -> str:
     """What `still_apart` says; empty where all agree."""
     if apart <= 0:
         return ""
-    head = "predictions are not resolved: " if apart > UNSURE else ""
+    head, remedy = "", ""
+    if apart > UNSURE:
+        head = "predictions are not resolved: "
+        remedy = ', less without the records that are driven hardest (`role = "validation"`)'
     return (
         f"{head}they have the most harmonics and the shortest steps that there are; still more would move a reading by "
-        f"up to about {apart:.2g} × noise"
+        f"up to about {apart:.2g} × noise{remedy}"
     )
 
 

@@ -135,6 +135,7 @@ def import_case(
         every: keeps one row of so many, waveforms behind a low pass, phasors over time as means; `None` makes such
             means of a long ringing, and else keeps all.
         rms: takes a lock-in's readings for effective values, where their unit does not say; the drive stays as it is.
+            Of one file among several its unit in `columns` says it, ``"x_amp=R [Vrms]"``.
         overwrite: writes over a case that is there.
 
     Returns:

@@ -37,6 +37,13 @@ def readings_of(case: Case) -> tuple[Readings, ...]:
     return tuple(out)
 
 
+def roles_of(case: Case) -> tuple[str, ...]:
+    """What the rows of each record of a case are for: "fit", "validation", or "both"."""
+    laid = readings_of(case)
+    fitted, judging = (np.concatenate([[-1], *(r.record for r in laid if r.fitted == sort)]) for sort in (True, False))
+    return tuple(("both" if k in judging else "fit") if k in fitted else "validation" for k in range(len(case.records)))
+
+
 def _offset(case: Case) -> np.ndarray:
     """Constant voltage of each channel as the waveforms show it, where a record has any: a start for the fit, and the
     value where only records that are not fitted see it.

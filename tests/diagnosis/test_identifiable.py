@@ -1,5 +1,6 @@
 """What records can identify, against an independent Fisher matrix."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -86,8 +87,15 @@ def test_standard_deviations_are_those_of_the_fisher_matrix(case):
 
 
 def test_what_no_record_holds_is_infinite_and_named(case):
-    found = identifiable(case)[-1]
+    """One phasor is two numbers for three parameters."""
+    found = identifiable(replace(case, records=(case.records[0].only(np.array([20])),)))[-1]
     assert found.name == "all records"
-    assert np.isinf(found.relative[-1])
-    assert found.nulls == ("offset x",)
-    assert str(found).endswith("not held: offset x")
+    assert len(found.nulls) == 1
+    assert np.isinf(found.relative).any()
+    assert str(found).endswith(f"not held: {found.nulls[0]}")
+
+
+def test_a_constant_that_a_lock_in_never_reads_is_not_said_to_be_missing(case):
+    (one, every) = identifiable(case)
+    assert one.names == every.names == ("k/m", "d/m", "1/m")
+    assert one.nulls == every.nulls == ()

@@ -23,7 +23,7 @@ from memsgyro_jax.diagnosis.fit import fit_case
 from memsgyro_jax.diagnosis.law import _grown as grown
 from memsgyro_jax.diagnosis.law import _Trial, draw_law
 from memsgyro_jax.diagnosis.law_file import LawTerm, bends, law_text
-from memsgyro_jax.diagnosis.law_fit import beside_known, fit_law
+from memsgyro_jax.diagnosis.law_fit import beside_known, fit_law, of_the_catalogue
 from memsgyro_jax.diagnosis.leak import leak_past
 from memsgyro_jax.diagnosis.result import validation_error
 from memsgyro_jax.effects import by_name, catalogue, load_effects
@@ -193,11 +193,28 @@ def test_what_leaks_past_the_device_is_drawn_as_no_law(tmp_path):
     assert complex(*np.asarray(found[term.name].strength)) == pytest.approx(leak, abs=1e-3)
     assert law.names == ("drawn_damping",)
     assert float(found["drawn_damping"].exponent) == pytest.approx(1.0, abs=0.05)
+    assert of_the_catalogue(law, after) == {"drawn_damping": "quadratic_damping x"}  # which `fit --add` takes
 
 
 @pytest.mark.parametrize("name", LAWS)
 def test_a_law_is_no_leak(name, tmp_path):
     assert leak_past(beside_known(swept(tmp_path, LAWS[name], DEVICES["wire"]), ()), 0) == ()
+
+
+@pytest.mark.parametrize(
+    ("term", "exponent", "name"),
+    [
+        (("stiffness", 1.0, 2.0, None), 2.02, "cubic_stiffness"),
+        (("stiffness", 1.0, 2.0, None), 2.2, ""),
+        (("stiffness", 1.0, 2.0, 1e-7), 2.0, ""),  # from a threshold on it is another law
+        (("damping", 1.0, -0.9, None), -0.95, "dry_friction"),
+        (("damping", 1.0, 2.0, None), 2.0, ""),
+        (("even_stiffness", 1.0, 1.0, None), 1.0, "quadratic_stiffness"),
+        (("stiffness", 1.0, 2.0, None), float("nan"), ""),  # edited away
+    ],
+)
+def test_a_law_of_the_catalogue_is_known_by_its_exponent(term, exponent, name):
+    assert LawTerm(*term, 2e-6, 1e-9).known_as(exponent) == name
 
 
 def test_terms_that_cancel_are_no_law():

@@ -40,6 +40,7 @@ def check_command(
     from memsgyro_jax.diagnosis.settings_table import settings_table
     from memsgyro_jax.measurement.beside_design import beside_design
     from memsgyro_jax.measurement.case import assess
+    from memsgyro_jax.measurement.readings import roles_of
     from memsgyro_jax.measurement.user_kinds import load_kinds
 
     measured = load_demo_or(case, load_kinds(kinds) if kinds else ())
@@ -50,10 +51,11 @@ def check_command(
     if table := settings_table(measured):
         print(f"The device as each of its surroundings shows it by itself:\n{indent(table, '  ')}")
     print("What the fitted records can identify of the base model, by the size of one standard deviation:")
-    told = identifiable(measured)
-    for line in told:
+    for line in identifiable(measured):
         print(f"  {line}")
-    judges = [record.name for record in measured.records if record.name not in {line.name for line in told}]
-    if judges:
+    named = [(record.name, role) for record, role in zip(measured.records, roles_of(measured), strict=True)]
+    if halves := [name for name, role in named if role == "both"]:
+        print(f"  half of the rows of {listed(halves)} are fitted, the others judge the model")
+    if judges := [name for name, role in named if role == "validation"]:
         print(f"  held out: {listed(judges)}: not fitted, it judges the model")
     return None

@@ -44,7 +44,7 @@ def import_command(
         every: keep one row of so many, waveforms behind a low pass, phasors over time as means: for records longer than
             they need to be. Left out, a long ringing of phasors becomes such means, and all else stays.
         rms: the readings of a lock-in are effective values, not peak ones, where their unit does not say; the drive
-            stays as it is.
+            stays as it is. Of one file among several say it in its map, "x_amp=R [Vrms]".
         overwrite: write over a case that is there.
         json: file for the machine-readable result.
     """

@@ -48,7 +48,13 @@ def law_command(
     from memsgyro_jax.diagnosis.fit import fit_case
     from memsgyro_jax.diagnosis.instrument import every_term
     from memsgyro_jax.diagnosis.law import draw_law
-    from memsgyro_jax.diagnosis.law_fit import beside_known, fit_law, with_even_part, with_held_terms
+    from memsgyro_jax.diagnosis.law_fit import (
+        beside_known,
+        fit_law,
+        of_the_catalogue,
+        with_even_part,
+        with_held_terms,
+    )
     from memsgyro_jax.diagnosis.leak import leak_past
     from memsgyro_jax.effects import catalogue
     from memsgyro_jax.measurement.calibration import units_of_records
@@ -93,6 +99,8 @@ def law_command(
         print(fit_text(before, judged(after)))
     if after is not before and edited is None:
         more = "".join(f' --add "{effect.label}"' for effect in chosen)
+        for name, label in of_the_catalogue(law, after).items():
+            print(f'{name} is what the catalogue has as {label}: memsgyro fit {case} --add "{label}"{more}')
         print(f"{file} is the law; edit it, then: memsgyro law {case} --edited {file}{more}")
     if model is not None:
         write_model(after.model, model, note=units_of_records(measured))

@@ -132,6 +132,11 @@ class Experiment(eqx.Module):
         """
         yield from ()
 
+    @property
+    def reads_constants(self) -> bool:
+        """Whether a constant voltage of a channel shows in what is read; in a phasor of a lock-in none does."""
+        return not jnp.iscomplexobj(self.measured)
+
     def at(self, row: int) -> str:
         """Where a row was or would be taken, for people: e.g. "near 3000 Hz"; empty by default."""
         return ""

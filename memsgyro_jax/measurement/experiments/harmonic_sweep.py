@@ -66,6 +66,7 @@ class HarmonicSweep(Experiment):
     """
 
     shows_modes: ClassVar[bool] = True
+    reads_constants: ClassVar[bool] = False  # nor do amplitudes alone, which are real
 
     name: str = eqx.field(static=True)
     frequency: Float[Array, " n"]

@@ -96,7 +96,7 @@ def peaks_not_seen(
             back = "down" if rising else "up"
             said.append(
                 f"{file}: the reading changes at once near {place_in_band(places, row)}, as a bent resonance does from "
-                f"branch to branch: a sweep {back} at this drive shows the other branch."
+                f"branch to branch; that is no fault of it, and a sweep {back} would show the other branch as well."
             )
     return said
 
