@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from .loop.observers import JumpTest as JumpTest
     from .loop.observers import LyapunovObserver as LyapunovObserver
     from .loop.observers import EnergyObserver as EnergyObserver
+    from .loop.observers import RateSlopeFilter as RateSlopeFilter
     from .loop.observers import ScaleRatioFilter as ScaleRatioFilter
     from .loop.observers import KnownRateFilter as KnownRateFilter
     from .loop.blocks.block_filter import BlockFilter as BlockFilter

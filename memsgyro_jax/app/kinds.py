@@ -5,6 +5,7 @@ KINDS = {
         "ekf": "extended Kalman filter, with a covariance",
         "block_ekf": "the same, takes a block of samples at a time: a tenth of the operations, for records",
         "scale_ratio": "the same, finds the ratio of the read-out's scales too",
+        "rate_slope": "the same, finds how fast the rate changes too",
         "known_rate": "the same, learns unequal cross damping while the rate is known",
         "lyapunov": "the thesis' own, of a velocity read-out",
         "energy_lyapunov": "the same with an energy state",

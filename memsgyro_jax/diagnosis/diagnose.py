@@ -9,6 +9,7 @@ import numpy as np
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.runtime import make_room
+from memsgyro_jax.base.text import listed
 from memsgyro_jax.effects import Effect, Scanned
 from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.case.lone import lone_readings
@@ -31,6 +32,7 @@ from .fit import CaseFit
 from .fitted import within_gates
 from .instrument import beside_case_of, drive_levels, knowledge, with_declared
 from .joint_residual import Joint
+from .judged_loosely import judged_loosely, with_these_fitted
 from .less_noise import LESS, less_noise, of_less_noise, with_less_noise
 from .listing import followed_candidates, listed_candidates
 from .moved import moved
@@ -91,21 +93,28 @@ def diagnose(
     against = contradictions(case)
     for contradiction in against:
         tell(f"records contradict each other: {contradiction}")
-    outcome = _diagnosed(model, case, effects, level, thorough, tell, keep)
+    outcome, loose = _diagnosed(model, case, effects, level, thorough, tell, keep)
+    if loose:
+        tell(f"again with {listed(loose)} fitted too: what the others hold does not tell what it shows")
+        whole = with_these_fitted(case, loose)
+        again, _ = _diagnosed(model, whole, effects, level, thorough, tell, keep)
+        if again.verdict not in UNEXPLAINED:
+            said = f" {listed(loose)} is fitted as well: what the other records hold does not tell what it shows."
+            case, outcome = whole, replace(again, sentence=again.sentence + said)
     for _ in range(LESS):
         if outcome.verdict in UNEXPLAINED or not (less := less_noise(outcome.final)):
             break
         tell("again with the noise that the model leaves, as it is less than the rows told")
         case = with_less_noise(case, less)
-        outcome = _diagnosed(model, case, effects, level, thorough, tell, keep)
+        outcome, _ = _diagnosed(model, case, effects, level, thorough, tell, keep)
     return replace(outcome, sentence=before_all(against) + outcome.sentence + of_less_noise(case))
 
 
 def _diagnosed(
     model: "Model | object | None", case: Case, effects: Sequence[Effect], level: float, thorough: bool, tell: Tell,
     keep: Keep,
-) -> Diagnosis:  # fmt: skip
-    """`diagnose` with the noise that the records have."""
+) -> tuple[Diagnosis, tuple[str, ...]]:  # fmt: skip
+    """`diagnose` with the noise that the records have; and which records judged what the others hold too loosely."""
     start = _start(model, case)
     given = {e.label for e in start.effects}
     candidates = [*worth_trying(case), *effects]
@@ -172,6 +181,7 @@ def _diagnosed(
         accepted = beside_other_courses(search, accepted)
     verdict = _verdict(steps[apart - 1].fit, final, accepted, all(explained), found_more)
     stages = (Stage("", base.chi2_per_dof, validation_error(base)), *_stages(steps)[1:])
+    loose = judged_loosely(final) if accepted and verdict in UNEXPLAINED else ()
     denial = ""
     if verdict == "unknown_effect":  # what was tried is no finding: the model stays the base model and its instrument
         denial = denied(final, [effect.label for effect in accepted])
@@ -198,7 +208,7 @@ def _diagnosed(
     accepted, terms = (tuple(a.scaled(scale) for a in every) for every in (accepted, terms))
     apart_in_time = decays_apart(final) if unexplained else ""
     planned = () if unexplained else next_experiments(search, ranking, confused, rival)
-    return Diagnosis(
+    outcome = Diagnosis(
         case=case,
         base=base,
         final=final,
@@ -235,6 +245,7 @@ def _diagnosed(
         }
         | dict.fromkeys(search.slow, "its noise is slow"),
     )
+    return outcome, loose
 
 
 def _found_more(terms: Sequence[Accepted], given: Set[str]) -> bool:

@@ -112,10 +112,13 @@ class CaseFit(Tabular):
         return tuple(out)
 
     def p_value(self, error: RecordError) -> float:
-        """Of an entry of `errors`, the probability of so large a χ² by noise alone.
+        """Of an entry of `errors`, the probability of so large a χ² by noise alone."""
+        return above(self.beyond_uncertainty(error), error.count, error.freedom)
 
-        What was not fitted also differs by the uncertainty of the fit: the sum of squares that a refit with these
-        readings would leave, itself included, is χ²-distributed with as many degrees of freedom as there are readings.
+    def beyond_uncertainty(self, error: RecordError) -> float:
+        """χ² of an entry of `errors` beyond the uncertainty of the fit, to first order: what was not fitted also
+        differs by that, and the sum of squares that a refit with these readings would leave, itself included, is
+        χ²-distributed with as many degrees of freedom as there are readings.
         """
         chi2 = error.chi2
         if error.role == "validation":
@@ -127,7 +130,7 @@ class CaseFit(Tabular):
             size = np.linalg.norm(whole, axis=0)
             whole = whole / np.where(size > 0, size, 1.0)
             chi2 = float(np.sum((target - whole @ np.linalg.lstsq(whole, target)[0]) ** 2))
-        return above(chi2, error.count, error.freedom)
+        return chi2
 
     @cached_property
     def _slopes_of_validation(self) -> dict[str, list[tuple[np.ndarray, np.ndarray]]]:

@@ -6,7 +6,7 @@ everywhere and without dependence on anything known, nothing else is missing: a 
 moves, and an effect that is missing leaves one that its own score still sees.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -26,6 +26,7 @@ from .optimum import Optimum
 from .promise import offers_of, promised
 from .score import Score, basis, family_p_values, score, survival
 from .search import Ranking, Search
+from .wrong_noise import repetition
 
 
 SLOPES = (0.6, 0.8, 1.0, 1.25, 1.5, 2.0)
@@ -39,6 +40,8 @@ ROUNDS = 2  # of spectrum and fit
 STEPS = 4  # of a fit to all readings, also those that were not fitted
 RESPONSE = 0.1  # of the squared response to a drive: what leaves more is no noise, however slow
 SURELY = 1e-6  # of the level: an effect that stands out so far beside a first spectrum does beside the last
+LARGE = 1.5  # times white noise: a record of which no more is left says nothing of what that is
+AGAIN = 10.0  # times what differs from sweep to sweep: slow noise of few independent rows comes to 5 by chance
 CLEARLY = 1.25  # times what an effect leaves: a first estimate that costs so much more is not followed up
 
 
@@ -132,6 +135,8 @@ def slow_noise(search: Search, ranking: Ranking) -> Mapping[str, str]:
     found = _spectra(fit)
     if not found or fit.optimum is not optimum or any(_is_response(fit, number) for number in found):
         return {}
+    if _comes_again(fit, found):
+        return {}
     blocks = dict(_blocks(search.joint.fitted, fit))
     # Rows that were not fitted tell of both alike, and are not counted twice.
     price = float(np.log(optimum.residual.size)) * sum(place.size for place in blocks.values()) / _compared(fit)
@@ -168,6 +173,13 @@ def _is_response(fit: CaseFit, number: int) -> bool:
     seen, rows = _rows(record, deviation)
     response = np.abs(record.readings[seen][:, record.channels]) / record.noise_levels[record.channels]
     return float(np.sum(rows**2)) > RESPONSE * float(np.sum(response**2))
+
+
+def _comes_again(fit: CaseFit, found: Iterable[int]) -> bool:
+    """Whether what is left of records is much alike at the same frequencies of several sweeps, as no noise is."""
+    left = {record.name: _rows(record, d)[1] for record, d in fit.deviations if d.number in found}
+    sizes = {name: float(np.sqrt(np.mean(rows**2))) for name, rows in left.items()}
+    return repetition(fit, {name: size for name, size in sizes.items() if size > LARGE})[0] > AGAIN
 
 
 def _cost(left: np.ndarray, found: Mapping[int, SlowNoise], blocks: Mapping[int, np.ndarray]) -> float:

@@ -57,19 +57,28 @@ def what_repeats(fit: CaseFit, noise: Mapping[str, float]) -> str:
 
     By the analysis of variance of whitened rows, each record in units of its own size, between frequencies.
     """
-    values, places, steps = [], [], []
-    sweeps: list[tuple[Any, Deviation]] = list(fit.deviations)
-    for record, deviation in sweeps:
-        if record.name in noise and hasattr(record, "setting"):
-            white = deviation.white[:, record.channels].reshape(record.rows, -1) / noise[record.name]
-            values.append(white)
-            places.append(np.round(np.log(record.frequency) / ALIKE) + 1e12 * record.axis)
-            steps.append(_rounded_to(record))
-    if len({one.shape[1] for one in values}) != 1 or not _repeat(np.vstack(values), np.concatenate(places)):
+    if repetition(fit, noise)[1] > BY_CHANCE:
         return ""
-    if step := max(steps):
+    sweeps: list[Any] = [record for record, _ in fit.deviations if record.name in noise and hasattr(record, "setting")]
+    if step := max(map(_rounded_to, sweeps)):
         return f", as frequencies that are rounded to {spoken(step, 'Hz', 2)} make it"
     return _OFF
+
+
+def repetition(fit: CaseFit, size: Mapping[str, float]) -> tuple[float, float]:
+    """How much larger what a fit leaves of sweeps is from frequency to frequency than from sweep to sweep, 1 for noise,
+    and how often white noise would make it so; of records that leave this `size` of deviation over noise. Nothing, and
+    always, where no rows are at the same frequency.
+    """
+    values, places = [], []
+    sweeps: list[tuple[Any, Deviation]] = list(fit.deviations)
+    for record, deviation in sweeps:
+        if record.name in size and hasattr(record, "setting"):
+            values.append(deviation.white[:, record.channels].reshape(record.rows, -1) / size[record.name])
+            places.append(np.round(np.log(record.frequency) / ALIKE) + 1e12 * record.axis)
+    if len({one.shape[1] for one in values}) != 1:  # or none
+        return 0.0, 1.0
+    return _repetition(np.vstack(values), np.concatenate(places))
 
 
 def _rounded_to(record: Any) -> float:
@@ -81,17 +90,20 @@ def _rounded_to(record: Any) -> float:
     return step if error > MATTERS * record.noise_level else 0.0
 
 
-def _repeat(values: np.ndarray, place: np.ndarray) -> bool:
-    """Whether rows (n, k) at the same place are alike."""
+def _repetition(values: np.ndarray, place: np.ndarray) -> tuple[float, float]:
+    """Of rows (n, k), some of which are at the same place."""
     seen = np.isfinite(values).all(axis=1)
     _, number, size = np.unique(place[seen], return_inverse=True, return_counts=True)
     several = size[number] > 1
     values, number = values[seen][several], np.unique(number[several], return_inverse=True)[1]
     rows, groups, parts = len(values), int(number.max(initial=-1)) + 1, values.shape[1]
     if groups < 2:
-        return False
+        return 0.0, 1.0
     sums = np.stack([np.bincount(number, weights=part) for part in values.T], axis=1)
     between = float(np.sum(sums**2 / np.bincount(number)[:, None]))
     within = float(np.sum(values**2)) - between
     free, left = parts * groups, parts * (rows - groups)
-    return within <= 0.0 or bool(special.fdtrc(free, left, between / free / (within / left)) <= BY_CHANCE)
+    if within <= 0.0:
+        return np.inf, 0.0
+    ratio = between / free / (within / left)
+    return ratio, float(special.fdtrc(free, left, ratio))

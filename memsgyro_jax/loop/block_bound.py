@@ -13,8 +13,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from .blocks.algebra import multiplied, over_lanes
-from .blocks.maps import Maps, TrueMaps
+from .blocks.maps import Maps
 from .blocks.run import BlockCourse, Span, crossing
+from .blocks.true_maps import TrueMaps
 from .engine import healthy
 from .loop import ClosedLoop, LoopState
 from .observers.base import OFFSETS

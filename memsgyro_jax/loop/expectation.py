@@ -14,7 +14,7 @@ from memsgyro_jax.device.gyro import AbstractGyro, mode_frequencies
 
 from .loop import ClosedLoop
 from .noise_budget import noise_budget
-from .observers import AbstractCovarianceObserver, AbstractObserver
+from .observers import AbstractBlockObserver, AbstractCovarianceObserver, AbstractObserver
 from .scenario import AbstractProfile, Constant, Recorded, Scenario
 
 
@@ -62,6 +62,8 @@ def moving(observer: AbstractObserver, scenario: Scenario, duration: float) -> t
     if not isinstance(observer, AbstractCovarianceObserver) or process is None:
         return ()
     if getattr(observer, "fading", None) is not None or "rate" not in observer.model.names:
+        return ()
+    if isinstance(observer, AbstractBlockObserver) and observer.moves() is not None:
         return ()
     rates, place = _rates(scenario, duration), observer.model.index("rate")
     moved = float(np.ptp(rates))

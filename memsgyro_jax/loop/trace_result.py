@@ -16,6 +16,7 @@ from memsgyro_jax.base.provenance import Settings
 from memsgyro_jax.device.gyro import mode_frequencies
 
 from .controllers import Saturated
+from .following_response import following_response
 from .loop import ClosedLoop
 from .observers.base import AbstractBlockObserver, LockReadings
 from .sensitivities import units_of
@@ -89,18 +90,15 @@ class Trace(Tabular, eqx.Module):
         that holds the rate constant.
 
         Of a sample or block of T seconds the filter takes the share K = q T / P of what is new, where the rate walks
-        with q (`ProcessNoise`) and P is the variance claimed; it takes the rate of the middle as that of the whole, as
-        does the loop: within a block a true sine would lose the share 1 - sinc(f T) more. Its other constants must be
+        with q (`ProcessNoise`) and P is the variance claimed; it takes the rate of the middle as that of the whole. One
+        that finds the slope of the rate too settles to the gains of both with which it claims P. Within a block the
+        loop's true rate is a ramp: a true sine would lose the share 1 - sinc(f T) more. Its other constants must be
         known by then. Raises `InputError` for an observer that is no Kalman filter of the rate.
         """
         observer, period = self.loop.observer, 1.0 / self.loop.output_rate(self.settings.sample_rate)
         if not isinstance(observer, AbstractBlockObserver) or "rate" not in observer.states:
             raise InputError("A filter must estimate the rate to follow it; make one with `ExtendedKalmanFilter`.")
-        walked = period * observer.walk()[observer.states.index("rate")]
-        # What a block's end claims holds the walk already, what a sample's claims has been read since.
-        share = walked / (self.rate_std[-1] ** 2 + (walked if self.loop.blocks is None else 0.0))
-        back = np.exp(-1j * np.pi * np.asarray(frequency) * period)  # by half a period
-        return share * back / (1.0 - (1.0 - share) * back**2)
+        return following_response(observer, float(self.rate_std[-1]), period, frequency, self.loop.blocks is not None)
 
     @property
     def filtered(self) -> bool:

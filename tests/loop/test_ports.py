@@ -54,6 +54,11 @@ STUDIES = {
                      "with_offsets": False},
         "controller": {"kind": "damping_compensation", "tones": [{"frequency": "600 Hz", "amplitude": "5 m/s^2"}]},
     },
+    ("rate_slope", "damping_compensation"): {
+        "observer": {"kind": "rate_slope", "slope": "1000 deg/s^2", "walk": "1 rad^2/s^5", "known": KNOWN,
+                     "with_offsets": False},
+        "controller": {"kind": "damping_compensation", "tones": [{"frequency": "600 Hz", "amplitude": "5 m/s^2"}]},
+    },
     ("known_rate", "damping_compensation"): {
         "observer": {"kind": "known_rate", "until": "0.1 ms", "known": KNOWN, "with_offsets": False},
         "controller": {"kind": "damping_compensation", "tones": [{"frequency": "600 Hz", "amplitude": "5 m/s^2"}]},

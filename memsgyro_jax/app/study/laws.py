@@ -32,6 +32,7 @@ from memsgyro_jax.loop.observers import (
     JumpTest,
     KnownRateFilter,
     LyapunovObserver,
+    RateSlopeFilter,
     ScaleRatioFilter,
     curves_of,
 )
@@ -204,6 +205,22 @@ class ScaleRatio(KalmanSettings):
         return self.told(made, lambda o: o.filter.noise_density)
 
 
+class RateSlope(KalmanSettings):
+    """`kind = "rate_slope"`: the filter that also finds how fast the rate changes, for rates that move."""
+
+    kind: Literal["rate_slope"]
+    slope: Annotated[float, Field(ge=0.0), In("rad/s^2")]
+    """Standard deviation (1σ) of the slope of the rate at the start: 2π·f·A for a swing of amplitude A."""
+    walk: Annotated[float, Field(ge=0.0), In("rad^2/s^5")] = 0.0
+    """Random walk of the slope, variance per time: (2π·f)³·A² follows such a swing; zero is a steady slope."""
+
+    def build(self, gyro: AbstractGyro, readout: AbstractReadout) -> AbstractObserver:
+        """The filter; raises `InputError` for a rate that is taken as known."""
+        slope = {"slope_std": self.slope, "slope_walk": self.walk}
+        made = RateSlopeFilter.for_device(gyro, readout, **slope, **self.settings(gyro))
+        return self.told(made, lambda o: o.filter.noise_density)
+
+
 class KnownRate(KalmanSettings):
     """`kind = "known_rate"`: the filter that learns unequal cross damping while the rate is known."""
 
@@ -310,5 +327,6 @@ class EnergyLyapunov(LyapunovGains):
 
 
 Observer = Annotated[
-    Kalman | BlockKalman | ScaleRatio | KnownRate | Lyapunov | EnergyLyapunov | Unobserved, Field(discriminator="kind")
+    Kalman | BlockKalman | ScaleRatio | RateSlope | KnownRate | Lyapunov | EnergyLyapunov | Unobserved,
+    Field(discriminator="kind"),
 ]

@@ -22,8 +22,9 @@ from .reading import Scalars, read_off
 
 class Facts(NamedTuple):
     """Of a block, from outside: sines and cosines of the tones at its start, the true and a fixed offset [V], standard
-    normal numbers for its statistics, the variance [V²] of a sample's noise as it is and as it is expected, and the
-    walk of the constants in the block, in unit².
+    normal numbers for its statistics, the variance [V²] of a sample's noise as it is and as it is expected, the walk of
+    the constants in the block, in unit², what they move by for a unit of each, None where they stand still, and the
+    slope of the true rate [rad/s²].
     """
 
     tones: Float[Array, "2·tones lanes"]
@@ -33,6 +34,8 @@ class Facts(NamedTuple):
     noise: Float[Array, "2 lanes"]
     expected: Float[Array, "2 lanes"]
     walk: Float[Array, "constants lanes"]
+    moves: Float[Array, "constants constants lanes"] | None = None
+    slope: Float[Array, " lanes"] | float = 0.0
 
 
 def advanced(
@@ -46,7 +49,10 @@ def advanced(
     away = mean[first:] - maps.theta
     turned, seen = multiplied(maps.turned, w), multiplied(maps.seen_turned, w)  # (4, p), (k, 2, p)
     offset = facts.offset - (mean[4:6] if with_offsets else facts.fixed)
-    innovation = multiplied(maps.unexpected, u) + maps.ones[:, None] * offset + jnp.sqrt(facts.noise) * facts.normal
+    true, unexpected = maps.true, maps.unexpected
+    if maps.ramp is not None:
+        true, unexpected = true + facts.slope * maps.ramp.true, unexpected + facts.slope * maps.ramp.unexpected
+    innovation = multiplied(unexpected, u) + maps.ones[:, None] * offset + jnp.sqrt(facts.noise) * facts.normal
     rows = _rows(maps, seen, with_offsets)
     if len(away):
         innovation = innovation - multiplied(seen, away)
@@ -55,9 +61,20 @@ def advanced(
     moved = multiplied(maps.estimated, w)[:4] + multiplied(maps.free, shift[:4])
     if len(away):
         moved = moved + multiplied(turned, away + shift[first:])
-    mean = jnp.concatenate([moved, mean[4:] + shift[4:]])
-    covariance = covariance_later(covariance, maps.free, maps.walked, turned, facts.walk)
-    return multiplied(maps.true, u), Believed(mean, covariance), told
+    after = Believed(
+        jnp.concatenate([moved, mean[4:] + shift[4:]]),
+        covariance_later(covariance, maps.free, maps.walked, turned, facts.walk),
+    )
+    after = after if facts.moves is None else _moved(after, facts.moves)
+    return multiplied(true, u), after, told
+
+
+def _moved(believed: Believed, moves: Float[Array, "constants constants lanes"]) -> Believed:
+    """Where the constants have gone by their own, the motion left where it is."""
+    mean, covariance = believed
+    jacobian = jnp.zeros_like(covariance).at[4:, 4:].set(moves) + jnp.eye(len(mean))[..., None]
+    rows = multiplied(jacobian, covariance)
+    return Believed(multiplied(jacobian, mean), multiplied(rows, jnp.swapaxes(jacobian, 0, 1)))
 
 
 def _rows(maps: Maps, seen: Array, with_offsets: bool) -> Float[Array, "k 2 states lanes"]:

@@ -11,8 +11,10 @@ statistics see of a motion C A^n w are sums S of b_n ⊗ C A^n. Everything doubl
 
     A_2m = A_m A_m,    T_2m = F_m T_m + T_m A_m,    S_2m = S_m + R_m S_m A_m,    N_2m = N_m + R_m (O_m T_m + N_m A_m)
 
-where O are the sums of C F^n and N those of C T_n; Q_2m = Q_m + F_m Q_m F_mᵀ is the covariance that a random walk of
-the motion gathers. At the end the sums are whitened (`basis`). ∂E/∂θ is the filter's own, by a rule of Gauss.
+where O are the sums of C F^n and N those of C T_n. Where a coefficient moves others, by D in a second, what the second
+half begins with is θ (1 + D m): its T_m A_m and N_m A_m are taken through that. Q_2m = Q_m + F_m Q_m F_mᵀ is the
+covariance that a random walk of the motion gathers. At the end the sums are whitened (`basis`). ∂E/∂θ is the filter's
+own, by a rule of Gauss.
 """
 
 import math
@@ -26,7 +28,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from memsgyro_jax.base.fields import Scalar
-from memsgyro_jax.device.gyro import Dynamics, MotionModel
+from memsgyro_jax.device.gyro import Dynamics
 
 from ..loop import ClosedLoop
 from ..observers.base import AbstractBlockObserver
@@ -36,13 +38,16 @@ from .basis import Sums, Turn
 from .law import Groups, Lanes, law_of, pulsations, rows_of_readout
 
 
+Moved = Callable[[Array, Array], Array]
+
+
 class Maps(NamedTuple):
     """Over a block, p estimated coefficients, w = 4 + 2·tones, u = w + 5; statistics are white.
 
-    `theta` is the linearisation; `angles` [rad per sample] those of the basis, `whiten` its W and `ones` what a
-    constant of 1 V shows in it. `estimated` A, `free` F, `turned` T and `walked` Q lead to the end of the block, `true`
-    to the true motion there; `seen_free` O and `seen_turned` N are what the read-out shows, `unexpected` what it shows
-    of truth less estimate.
+    `theta` is the linearisation, at which nothing moves a coefficient; `angles` [rad per sample] those of the basis,
+    `whiten` its W and `ones` what a constant of 1 V shows in it. `estimated` A, `free` F, `turned` T and `walked` Q
+    lead to the end of the block, `true` to the true motion there; `seen_free` O and `seen_turned` N are what the
+    read-out shows, `unexpected` what it shows of truth less estimate; `ramp` is None where the true rate stands still.
     """
 
     theta: Float[Array, "p lanes"]
@@ -56,6 +61,14 @@ class Maps(NamedTuple):
     true: Float[Array, "4 u lanes"]
     seen_free: Float[Array, "k 2 4 lanes"]
     seen_turned: Float[Array, "k 2 p w lanes"]
+    unexpected: Float[Array, "k 2 u lanes"]
+    ramp: "Ramp | None" = None
+
+
+class Ramp(NamedTuple):
+    """What a unit slope of the true rate about the middle of the block [rad/s²] adds to `true`, and to `unexpected`."""
+
+    true: Float[Array, "4 u lanes"]
     unexpected: Float[Array, "k 2 u lanes"]
 
 
@@ -74,9 +87,10 @@ def maps_of(
     apart = _APART / (2 ** doublings[1] * period) if loop.blocks and loop.blocks.ramps else None
     pulsation, tonal = pulsations(loop.controller, observer.model.assemble(theta), groups, lanes, apart)
     angles = pulsation * period
-    free, step, turned = _sample(observer, theta, law, period, lanes)
-    estimated = jnp.concatenate([step, _turning(tonal * period, lanes)])
-    own, driven, pushed = _true_sample(loop, dynamics, law, period, lanes)
+    free, step, turned = sample_of(observer, theta, law, period, lanes)
+    turned, moved = _moving(observer, turned, period, lanes)
+    estimated = jnp.concatenate([step, turning(tonal * period, lanes)])
+    own, driven, pushed = true_sample(loop, dynamics, law, period, lanes)
     expects = over_lanes(
         [
             [s if i == signal else 0.0 for i in range(4)]
@@ -88,6 +102,7 @@ def maps_of(
     walk = jnp.eye(4)[..., None] * over_lanes(observer.walk()[:4], lanes) * period
     turn, one = Turn(jnp.cos(angles), jnp.sin(angles)), basis.at(angles)
     seen = partial(Sums.first, turn)
+    double = partial(_doubled, moved)
     start = _Doubling(
         turn,
         one[:, None] * one[None],
@@ -101,92 +116,17 @@ def maps_of(
         ),
     )
 
-    _, gram, to, sums = _level_by_level(start, doublings) if backwards else _at_once(_doubled, start, doublings)
+    _, gram, to, sums = (_level_by_level if backwards else at_once)(double, start, doublings)
     whiten = basis.whitening(gram)
     white = partial(multiplied, whiten)
     unexpected = jnp.concatenate([white(part.joined) for part in (sums.own, sums.driven, sums.pushed)], axis=2)
     chosen = over_lanes([theta[i] for i in observer.estimated], lanes)
+    chosen = jnp.concatenate([chosen, jnp.zeros((turned.shape[1] - len(chosen), *lanes))])
     return Maps(
         chosen, angles, whiten, multiplied(whiten, gram[:, 0]), to.estimated, to.free, to.turned, to.walked,
         jnp.concatenate([to.own, to.driven, to.pushed], axis=1),
         white(sums.free.joined), white(sums.turned.joined), unexpected,
     )  # fmt: skip
-
-
-class TrueMaps(NamedTuple):
-    """Of the truth alone, over a block and with all its p coefficients: how a change of its start goes on by `free` and
-    one of a coefficient by `turned`, and what the read-out shows of both, white; `ones` as of `Maps`.
-    """
-
-    ones: Float[Array, "k lanes"]
-    free: Float[Array, "4 4 lanes"]
-    turned: Float[Array, "4 p u lanes"]
-    seen_free: Float[Array, "k 2 4 lanes"]
-    seen_turned: Float[Array, "k 2 p u lanes"]
-
-
-def true_maps_of(
-    loop: ClosedLoop, model: MotionModel, dynamics: Dynamics, theta: tuple[Scalar, ...], period: Scalar,
-    doublings: tuple[Array, int], lanes: Lanes,
-) -> TrueMaps:  # fmt: skip
-    """How what is true of a device with `dynamics` could be otherwise by the coefficients of `model`, while the command
-    stays that of a filter which believes `theta`. By the same doubling, with u for w.
-    """
-    observer: Any = loop.observer
-    groups: Any = loop.blocks and loop.blocks.alike
-    law = law_of(loop.controller, observer, theta, groups, period, lanes)
-    pulsation, tonal = pulsations(loop.controller, dynamics, groups, lanes, None)
-    angles = pulsation * period
-    estimated = jnp.concatenate([_sample(observer, theta, law, period, lanes)[1], _turning(tonal * period, lanes)])
-    own, driven, pushed = _true_sample(loop, dynamics, law, period, lanes)
-    size = len(estimated)
-    nothing = lambda rows, columns: jnp.zeros((rows, columns, *lanes))  # noqa: E731
-    whole = jnp.concatenate([
-        jnp.concatenate([own, driven, pushed], axis=1),
-        jnp.concatenate([nothing(size, 4), estimated, nothing(size, 1)], axis=1),
-        nothing(1, size + 5).at[0, -1].set(1.0),
-    ])  # fmt: skip
-    sample = loop.discretisation.transition(dynamics.stiffness, dynamics.velocity, period)
-    commanded = jnp.concatenate([nothing(2, 4), law, nothing(2, 1)], axis=1)
-    acting = over_lanes(dynamics.gain, lanes)[:, None] * commanded
-    acting = acting.at[:, -1].set(over_lanes(dynamics.bias, lanes))
-    terms = [coefficient.terms for coefficient in model.coefficients]
-    turned = _turned_in_a_sample(sample.nodes, terms, acting, commanded, lanes)
-    shows, turn, one = rows_of_readout(loop.readout, lanes), Turn(jnp.cos(angles), jnp.sin(angles)), basis.at(angles)
-    start = _TrueDoubling(
-        turn, one[:, None] * one[None], own, whole, turned,
-        Sums.first(turn, multiplied(shows, own)), Sums.first(turn, multiplied(shows, turned)),
-    )  # fmt: skip
-    done = _at_once(_truly_doubled, start, doublings)
-    whiten = basis.whitening(done.gram)
-    seen = (multiplied(whiten, part.joined) for part in (done.seen_free, done.seen_turned))
-    return TrueMaps(multiplied(whiten, done.gram[:, 0]), done.free, done.turned, *seen)
-
-
-class _TrueDoubling(NamedTuple):
-    """b_m, G_m, F, B and T of m samples, O and N."""
-
-    turn: Turn
-    gram: Array
-    free: Array
-    whole: Array
-    turned: Array
-    seen_free: Sums
-    seen_turned: Sums
-
-
-def _truly_doubled(half: _TrueDoubling) -> _TrueDoubling:
-    """Over 2m samples from over m."""
-    turn, gram, free, whole, turned, seen, seen_turned = half
-    return _TrueDoubling(
-        turn.twice,
-        basis.gram_twice(gram, turn),
-        multiplied(free, free),
-        multiplied(whole, whole),
-        multiplied(free, turned) + multiplied(turned, whole),
-        _later(turn, seen, _through(seen, free)),
-        _later(turn, seen_turned, _through(seen, turned), _through(seen_turned, whole)),
-    )
 
 
 class _Ends(NamedTuple):
@@ -220,16 +160,16 @@ class _Doubling(NamedTuple):
     seen: _Seen
 
 
-def _at_once(double: Callable, start: Any, doublings: tuple[Array, int]) -> Any:
-    """Of a whole block, from what is `start` of a sample."""
+def at_once(double: Callable, start: Any, doublings: tuple[Array, int]) -> Any:
+    """Of a whole block, from what is `start` of a sample; `double` is told how often it was doubled before."""
 
     def level(half: Any, passed: Array) -> tuple[Any, None]:
-        return jax.lax.cond(passed < doublings[0], double, lambda whole: whole, half), None
+        return jax.lax.cond(passed < doublings[0], double, lambda whole, _: whole, half, passed), None
 
     return jax.lax.scan(level, start, jnp.arange(doublings[1]))[0]
 
 
-def _level_by_level(start: _Doubling, doublings: tuple[Array, int]) -> _Doubling:
+def _level_by_level(double: Callable, start: _Doubling, doublings: tuple[Array, int]) -> _Doubling:
     """The same. What has a derivative goes from level to level as one array, which is all that is kept of the way: XLA
     on CPU writes a row of one array in place, but copies several anew at every level.
     """
@@ -246,19 +186,20 @@ def _level_by_level(start: _Doubling, doublings: tuple[Array, int]) -> _Doubling
 
     @jax.checkpoint
     def level(half: tuple, passed: Array) -> tuple[tuple, None]:
-        doubled = lambda *half: flat(_doubled(apart(*half)))  # noqa: E731
+        doubled = lambda *half: flat(double(apart(*half), passed))  # noqa: E731
         return jax.lax.cond(passed < doublings[0], doubled, lambda *whole: whole, *half), None
 
     return apart(*jax.lax.scan(level, flat(start), jnp.arange(doublings[1]))[0])
 
 
-def _doubled(half: _Doubling) -> _Doubling:
-    """Over 2m samples from over m."""
+def _doubled(moved: Moved, half: _Doubling, passed: Array) -> _Doubling:
+    """Over 2m samples from over m = 2^passed; `moved` takes what hangs on coefficients to those of a later start."""
     turn, gram, to, seen = half
+    later = partial(moved, passed)
     ends = _Ends(
         free=multiplied(to.free, to.free),
         estimated=multiplied(to.estimated, to.estimated),
-        turned=multiplied(to.free, to.turned) + multiplied(to.turned, to.estimated),
+        turned=multiplied(to.free, to.turned) + later(multiplied(to.turned, to.estimated)),
         walked=to.walked + multiplied(multiplied(to.free, to.walked), jnp.swapaxes(to.free, 0, 1)),
         own=multiplied(to.own, to.own),
         driven=multiplied(to.own, to.driven) + multiplied(to.driven, to.estimated),
@@ -266,27 +207,34 @@ def _doubled(half: _Doubling) -> _Doubling:
     )
 
     added = _Seen(
-        free=_later(turn, seen.free, _through(seen.free, to.free)),
-        turned=_later(turn, seen.turned, _through(seen.free, to.turned), _through(seen.turned, to.estimated)),
-        own=_later(turn, seen.own, _through(seen.own, to.own)),
-        driven=_later(turn, seen.driven, _through(seen.own, to.driven), _through(seen.driven, to.estimated)),
-        pushed=_later(turn, seen.pushed, _through(seen.own, to.pushed), seen.pushed),
+        free=seen_later(turn, seen.free, seen_through(seen.free, to.free)),
+        turned=seen_later(
+            turn,
+            seen.turned,
+            seen_through(seen.free, to.turned),
+            Sums(*map(later, seen_through(seen.turned, to.estimated))),
+        ),
+        own=seen_later(turn, seen.own, seen_through(seen.own, to.own)),
+        driven=seen_later(
+            turn, seen.driven, seen_through(seen.own, to.driven), seen_through(seen.driven, to.estimated)
+        ),
+        pushed=seen_later(turn, seen.pushed, seen_through(seen.own, to.pushed), seen.pushed),
     )
     return _Doubling(turn.twice, basis.gram_twice(gram, turn), ends, added)
 
 
-def _through(sums: Sums, onto: Array) -> Sums:
+def seen_through(sums: Sums, onto: Array) -> Sums:
     """What is seen once all went through a map."""
     return Sums(*(multiplied(part, onto) for part in sums))
 
 
-def _later(turn: Turn, first: Sums, *second: Sums) -> Sums:
+def seen_later(turn: Turn, first: Sums, *second: Sums) -> Sums:
     """Sums over both halves, where what adds up over the second is given as if it were the first."""
     rest = Sums(*(reduce(add, parts) for parts in zip(*second, strict=True))).turned(turn)
     return Sums(*(a + b for a, b in zip(first, rest, strict=True)))
 
 
-def _sample(
+def sample_of(
     observer: AbstractBlockObserver, theta: tuple[Scalar, ...], law: Array, period: Scalar, lanes: Lanes
 ) -> tuple[Array, Array, Array]:
     """F, E and ∂E/∂θ of a sample: a coefficient accelerates by its signals, at the nodes that the filter takes too."""
@@ -296,12 +244,36 @@ def _sample(
     free = over_lanes(sample.full, lanes)
     step = multiplied(over_lanes(sample.push, lanes), pushed).at[:, :4].add(free)
     terms = [observer.model.coefficients[index].terms for index in observer.estimated]
-    return free, step, _turned_in_a_sample(sample.nodes, terms, pushed, law, lanes)
+    return free, step, turned_in_a_sample(sample.nodes, terms, pushed, law, lanes)
 
 
-def _turned_in_a_sample(
-    nodes: Any, terms: list, pushed: Array, law: Array, lanes: Lanes
-) -> Float[Array, "4 p w lanes"]:
+def _moving(
+    observer: AbstractBlockObserver, turned: Float[Array, "4 p w lanes"], period: Scalar, lanes: Lanes
+) -> tuple[Array, Moved]:
+    """∂E/∂θ with columns for what moves coefficients, and how they move."""
+    moves = observer.moves()
+    if moves is None:
+        return turned, lambda passed, later: later
+    begin = 2 if observer.with_offsets else 0
+    by = jnp.broadcast_to(moves.reshape(*moves.shape[:2], -1), (*moves.shape[:2], *lanes))[begin:, begin:]
+    more = jnp.zeros((4, len(by) - turned.shape[1], *turned.shape[2:]))
+    moved = moved_by(by, period)
+    return moved(jnp.zeros(()), jnp.concatenate([turned, more], axis=1)), moved
+
+
+def moved_by(by: Float[Array, "p p lanes"], period: Scalar) -> Moved:
+    """How what hangs on coefficients after 2^passed samples (..., p, w) hangs on those before, where a unit of one
+    moves another, `by` in a second, before each sample.
+    """
+
+    def moved(passed: Array, later: Array) -> Array:
+        columns = multiplied(jnp.swapaxes(by, 0, 1), jnp.moveaxis(later, -3, 0))
+        return later + 2.0**passed * period * jnp.moveaxis(columns, 0, -3)
+
+    return moved
+
+
+def turned_in_a_sample(nodes: Any, terms: list, pushed: Array, law: Array, lanes: Lanes) -> Float[Array, "4 p w lanes"]:
     """∂E/∂θ of coefficients with these `terms`: where what acts accelerates by `pushed` w and is commanded by `law` w,
     of which the motion is the first four.
     """
@@ -314,7 +286,7 @@ def _turned_in_a_sample(
     return slopes
 
 
-def _true_sample(
+def true_sample(
     loop: ClosedLoop, dynamics: Dynamics, law: Array, period: Scalar, lanes: Lanes
 ) -> tuple[Array, Array, Array]:
     """Of the true motion after a sample: what comes from itself, from w, and from nothing."""
@@ -324,7 +296,7 @@ def _true_sample(
     return over_lanes(sample.full, lanes), driven, multiplied(push, over_lanes(dynamics.bias, lanes)[:, None])
 
 
-def _turning(angles: Float[Array, "tones lanes"], lanes: Lanes) -> Float[Array, "2·tones w lanes"]:
+def turning(angles: Float[Array, "tones lanes"], lanes: Lanes) -> Float[Array, "2·tones w lanes"]:
     """How the sine and cosine of each tone turn in a sample."""
     size, rows = 4 + 2 * len(angles), []
     for place, angle in enumerate(angles):

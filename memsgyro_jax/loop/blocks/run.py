@@ -26,7 +26,8 @@ from .advance import Facts, advanced
 from .algebra import over_lanes
 from .law import Lanes, same_frequency, strikes_modes, tones_of
 from .length import ONE_MASS, TWO_MASSES, Pace, lengths, renewals
-from .maps import Maps, TrueMaps, maps_of, true_maps_of
+from .maps import Maps, maps_of
+from .true_maps import TrueMaps, ramp_of, true_maps_of
 
 
 BLOCK_STREAM = 2  # of `noise.normal_pair`
@@ -82,7 +83,8 @@ def taken_as_constant(loop: ClosedLoop) -> str:
     observer: Any = loop.observer
     if loop.blocks is None:
         return ""
-    pairs = zip(observer.states[4:], observer.walk()[4:], strict=True)
+    # What a filter carries beside its states walks, but is not held: it moves others.
+    pairs = zip(observer.states[4:], observer.walk()[4:], strict=False)
     walking = [name for name, intensity in pairs if is_concrete(intensity) and np.any(np.asarray(intensity) > 0.0)]
     of = f"in blocks of {loop.blocks.length} samples the filter takes what walks ({', '.join(walking)}) as constant"
     return of if walking else ""
@@ -242,7 +244,10 @@ class BlockCourse(eqx.Module):
         theta = loop.observer.estimate(state.observer).theta
         doublings = span.doublings, self.longest.bit_length() - 1
         dynamics = loop.device.dynamics(middle.inertial)
-        return maps_of(loop, dynamics, theta, blocks.alike, self.period, doublings, self.lanes, self.backwards)
+        maps = maps_of(loop, dynamics, theta, blocks.alike, self.period, doublings, self.lanes, self.backwards)
+        if isinstance(self.scenario.rate, Constant):
+            return maps
+        return maps._replace(ramp=ramp_of(loop, dynamics, theta, maps, self.period, doublings, self.lanes))
 
     def true_maps(self, state: LoopState, model: MotionModel, span: Span) -> TrueMaps:
         """How the truth could be otherwise, in the coefficients of `model`."""
@@ -268,11 +273,28 @@ class BlockCourse(eqx.Module):
             noise=over_lanes(loop.readout.noise_std(self.period), lanes) ** 2,
             expected=over_lanes(observer.variance(Clock(middle, before, self.period)), lanes),
             walk=over_lanes(observer.walk()[4:], lanes) * elapsed,
+            moves=self._moves(elapsed),
+            slope=over_lanes(self._slope(span), lanes),
         )
         motion, believed = self._row((jnp.stack(state.motion), observer.believed(state.observer)))
         motion, believed, read = self._single(advanced(motion, believed, maps, facts, observer.with_offsets))
         told = observer.believing(state.observer, believed, read)
         return self._ended(state._replace(motion=tuple(motion), observer=told), span)
+
+    def _slope(self, span: Span) -> Scalar:
+        """Of the true rate, from the first sample of a block to its last."""
+        first, last = (span.before + 0.5) * self.period, (span.before + span.length - 0.5) * self.period
+        if isinstance(self.scenario.rate, Constant):
+            return 0.0 * first
+        rise = self.scenario.rate.value(last) - self.scenario.rate.value(first)
+        return rise / jnp.maximum(last - first, self.period)  # a single sample has none
+
+    def _moves(self, elapsed: Scalar) -> Array | None:
+        """What the constants of the filter move by in a block, for a unit of each."""
+        moves = self.observer.moves()
+        if moves is None:
+            return None
+        return jnp.broadcast_to(moves.reshape(*moves.shape[:2], -1), (*moves.shape[:2], *self.lanes)) * elapsed
 
     def _ended(self, state: LoopState, span: Span) -> tuple[LoopState, Sample]:
         loop, period, count = self.loop, self.period, span.before + span.length

@@ -14,6 +14,7 @@ from .known_rate import KnownRateFilter as KnownRateFilter
 from .lyapunov import LyapunovObserver as LyapunovObserver
 from .no_observer import NoObserver as NoObserver
 from .pickoff import curves_of as curves_of
+from .rate_slope import RateSlopeFilter as RateSlopeFilter
 from .scale_ratio import ScaleRatioFilter as ScaleRatioFilter
 from .settings import Annealing as Annealing
 from .settings import Prior as Prior

@@ -224,13 +224,34 @@ class AbstractBlockObserver(AbstractCovarianceObserver[State]):
     """A Kalman filter that can take a block of samples at a time: four entries of motion in `states`, then constants
     that walk at most: both offsets if `with_offsets`, then the model's coefficients numbered `estimated`.
     `discretisation` is its idea of a sample, `scale` [V per unit] that of the `signals`.
+
+    It may carry constants beside its `states`, behind them, of which it says nothing to the loop; one of them, by
+    `moves`, may move others.
     """
 
-    scale: AbstractVar[Pair]
-    signals: AbstractVar[tuple[int, int]]
-    discretisation: AbstractVar[AbstractDiscretisation]
-    estimated: AbstractVar[tuple[int, ...]]
-    with_offsets: AbstractVar[bool]
+    if TYPE_CHECKING:  # a member's field may stand in the place of a property, not of a class variable
+
+        @property
+        def scale(self) -> Pair: ...
+
+        @property
+        def signals(self) -> tuple[int, int]: ...
+
+        @property
+        def discretisation(self) -> AbstractDiscretisation: ...
+
+        @property
+        def estimated(self) -> tuple[int, ...]: ...
+
+        @property
+        def with_offsets(self) -> bool: ...
+
+    else:
+        scale: AbstractVar[Pair]
+        signals: AbstractVar[tuple[int, int]]
+        discretisation: AbstractVar[AbstractDiscretisation]
+        estimated: AbstractVar[tuple[int, ...]]
+        with_offsets: AbstractVar[bool]
 
     @property
     @abc.abstractmethod
@@ -239,7 +260,7 @@ class AbstractBlockObserver(AbstractCovarianceObserver[State]):
 
     @abc.abstractmethod
     def believed(self, state: State) -> Believed:
-        """What the state says of `states`."""
+        """What the state says of `states`, and of what it carries beside them."""
 
     @abc.abstractmethod
     def believing(self, state: State, believed: Believed, innovation: Innovation) -> State:
@@ -251,4 +272,10 @@ class AbstractBlockObserver(AbstractCovarianceObserver[State]):
 
     @abc.abstractmethod
     def walk(self) -> tuple[Scalar, ...]:
-        """Intensity of the random walk of each of `states`, in unit²/s."""
+        """Intensity of the random walk of each of these, in unit²/s."""
+
+    def moves(self) -> Float[Array, "constants constants *lanes"] | None:
+        """By how much each constant (a row) moves in a second under a unit of another, which itself stands still; None,
+        as by default, where all do.
+        """
+        return None

@@ -156,6 +156,7 @@ class JumpTest(AbstractCovarianceObserver[JumpState]):
         named = dict(zip(self.model.names, self.reopened, strict=True))
         zero = 0.0 * like[0, 0]
         rows = [zero if name in (*MOTION, *OFFSETS) else zero + named[name] ** 2 for name in self.states]
+        rows += [zero] * (len(like) - len(rows))  # of what the filter carries beside its states
         count = len(rows)
         return jnp.eye(count).reshape((count, count) + (1,) * (like.ndim - 2)) * jnp.stack(rows)[None]
 

@@ -106,9 +106,10 @@ def wider_filter(
     """The filter for `gyro` with the coefficient `further`, about zero and known to `std` at the start.
 
     `settings` are those of `ExtendedKalmanFilter.for_device`. Raises `InputError` for a gyro of two masses, whose own
-    coefficients hide any such number.
+    coefficients hide any such number that acts on the motion or a channel.
     """
-    if gyro.model != SINGLE_MASS:
+    acts = further.terms or further.delays is not None or further.scales is not None
+    if acts and gyro.model != SINGLE_MASS:
         raise InputError(
             f"A filter that estimates {further.name} must watch a `SingleMassGyro`: the coefficients of a "
             f"{type(gyro).__name__} hide it."
