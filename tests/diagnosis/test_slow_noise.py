@@ -9,7 +9,7 @@ from scipy.fft import dct
 
 from memsgyro_jax.diagnosis.at_resonance import NEAR, concentrated, larger_at_resonance
 from memsgyro_jax.diagnosis.score import Score, survival
-from memsgyro_jax.diagnosis.slow_noise import EVIDENT, _spectra, slow_noise_of
+from memsgyro_jax.diagnosis.slow_noise import EVIDENT, _comes_again, _spectra, slow_noise_of
 
 
 RESPONSE = 1.0 / (1.0 + 2j * np.linspace(-6.0, 6.0, 121))  # to a drive, twelve widths of the resonance
@@ -103,3 +103,28 @@ def test_nothing_is_asked_where_a_sweep_has_no_resonance_or_nothing_else():
     white = 3.0 * np.random.default_rng(6).standard_normal((121, 2))
     assert not concentrated([sweep(white, response=np.ones(121))])
     assert larger_at_resonance([], []) == 1.0
+
+
+def several(left, hertz):
+    """A stand-in for the fit of sweeps over the same frequencies, of each of which rows (n, 2) are left."""
+    pairs = [
+        (
+            SimpleNamespace(
+                name=f"sweep_{k}", channels=[0], rows=len(rows), axis=0, frequency=2.0 * np.pi * hertz, setting=1.0
+            ),
+            SimpleNamespace(number=k, white=rows[:, None, :]),
+        )
+        for k, rows in enumerate(left)
+    ]
+    return SimpleNamespace(deviations=pairs)
+
+
+def test_what_comes_again_in_every_sweep_is_no_slow_noise():
+    """A phase that runs away with the frequency leaves the same of every drive, in proportion; slow noise does not."""
+    rng, faults, hertz = np.random.default_rng(3), Faults(corner=8.0), np.linspace(49.5e3, 50.5e3, 201)
+    shape = np.stack([np.sin(np.linspace(0, 7, 201)), np.cos(np.linspace(0, 5, 201))], axis=1)
+    alike = [size * shape + rng.standard_normal((201, 2)) for size in (10.0, 3.0, 0.5)]
+    assert _comes_again(several(alike, hertz), range(3))
+    assert not _comes_again(several(alike[:1], hertz), range(1)), "of one sweep nobody knows"
+    noisy = [[np.stack([faults.noise(201, None, rng) for _ in range(2)], axis=1) for _ in range(3)] for _ in range(200)]
+    assert sum(_comes_again(several(one, hertz), range(3)) for one in noisy) <= 2

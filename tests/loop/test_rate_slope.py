@@ -15,7 +15,9 @@ from memsgyro_jax.loop.blocks.run import prepared
 GYRO, READOUT, DUAL = mg.SingleMassGyro.chi2010(), mg.ChargeAmplifier.chi2010(), mg.DualMassGyro.chi2010()
 KNOWN = ("kxx", "kyy", "kxy", "dxx", "dyy", "dxy", "sigma")
 STEEP = 100.0  # rad/s²
-SLOPED = mg.RateSlopeFilter.for_device(GYRO, READOUT, annealing=mg.Annealing(), slope_std=STEEP, known=KNOWN)
+SLOPED = mg.RateSlopeFilter.for_device(
+    GYRO, READOUT, annealing=mg.Annealing(), slope_std=f"{STEEP} rad/s^2", known=KNOWN
+)
 LOOP = mg.ClosedLoop(GYRO, READOUT, SLOPED, mg.DampingCompensation(tones=mg.Tone(600.0, 53.95)))
 RAMP = mg.Ramp(at=0.0, slope=STEEP)
 UPDATE = jax.jit(lambda *given: SLOPED.update(*given))

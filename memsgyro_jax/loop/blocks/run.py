@@ -83,8 +83,8 @@ def taken_as_constant(loop: ClosedLoop) -> str:
     observer: Any = loop.observer
     if loop.blocks is None:
         return ""
-    # What a filter carries beside its states walks, but is not held: it moves others.
-    pairs = zip(observer.states[4:], observer.walk()[4:], strict=False)
+    names, walks = observer.states[4:], observer.walk()[4:]
+    pairs = zip((*names, *("what moves them",) * (len(walks) - len(names))), walks, strict=True)
     walking = [name for name, intensity in pairs if is_concrete(intensity) and np.any(np.asarray(intensity) > 0.0)]
     of = f"in blocks of {loop.blocks.length} samples the filter takes what walks ({', '.join(walking)}) as constant"
     return of if walking else ""

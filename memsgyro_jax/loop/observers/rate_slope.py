@@ -6,7 +6,7 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from memsgyro_jax.base.arguments import arrays
+from memsgyro_jax.base.arguments import arrays, quantity
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.gyro import AbstractGyro, Coefficient, Pair, Scalar, check_not_negative
 from memsgyro_jax.device.propagate import AbstractDiscretisation
@@ -47,7 +47,7 @@ class RateSlopeFilter(AbstractWiderFilter, AbstractBlockObserver[KalmanState]):
         gyro: AbstractGyro,
         readout: AbstractReadout | None = None,
         *,
-        slope_std: Scalar,
+        slope_std: Scalar | str,
         slope_walk: Scalar = 0.0,
         **settings: Any,
     ) -> "RateSlopeFilter":
@@ -60,6 +60,7 @@ class RateSlopeFilter(AbstractWiderFilter, AbstractBlockObserver[KalmanState]):
         """
         if "rate" in settings.get("known", ()):
             raise InputError("A filter that finds the slope of the rate must estimate the rate, but `known` holds it.")
+        slope_std = quantity("slope_std", slope_std, "rad/s^2")
         check_not_negative("slope_std", slope_std)
         check_not_negative("slope_walk", slope_walk)
         made = wider_filter(gyro, readout, RATE_SLOPE, slope_std, settings)
