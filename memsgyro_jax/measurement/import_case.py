@@ -126,7 +126,7 @@ def import_case(
         drive: level with its unit where no column has it, like ``"20 mV"``: one for all files, one for each, or one for
             each that needs it; ``"-"`` stands for a file that needs none.
         axis: ``"x"`` or ``"y"``, which of two axes was driven, one for all files or one for each, where neither a
-            column F_x or F_y nor the file's name (``drive_x_10mV.csv``) says it, or says it wrongly; ``"-"``
+            column F_x or F_y nor the name of file or folder (``drive_x_10mV``) says it, or says it wrongly; ``"-"``
             for one that does.
         reference: frequency of a lock-in that recorded over time, or operating points, like ``"32.768 kHz"``.
         bias: voltage of the electrodes, like ``"20 V"``, one for all files or one for each, where no column has it;

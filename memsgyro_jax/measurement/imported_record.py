@@ -170,7 +170,7 @@ def _points(about: dict, table: SourceTable, meaning: Meaning, rows: dict, given
     """Settled phasors at one frequency, a row for each rate or other condition."""
     axis = driven_axis(table, rows, given.axis, meaning, assumed)
     columns, keys, quantity = columns_of_points(
-        table, rows, reference_of(table, rows, given.reference), given.drive, axis, assumed
+        table, rows, reference_of(table, rows, given.reference, assumed), given.drive, axis, assumed
     )
     return ImportedRecord(
         **about, kind="operating_points", columns=headed(columns), keys=keys, assumed=tuple(assumed), quantity=quantity,
@@ -299,7 +299,7 @@ def _louder(columns: Mapping[str, SourceColumn]) -> np.ndarray:
 
 def _lock_in_decay(about, table, columns, rows, given: Given, assumed: list[str]) -> ImportedRecord:
     """Phasors over time."""
-    reference = reference_of(table, rows, given.reference)
+    reference = reference_of(table, rows, given.reference, assumed)
     columns |= phasor_columns_of(rows, assumed)
     size = rows["I" if "I" in rows else "amp"]
     if not given.rms and not SPECIAL.fullmatch(size.unit):
@@ -317,7 +317,7 @@ def _lock_in_decay(about, table, columns, rows, given: Given, assumed: list[str]
 
 def _rate_table(about, table, rows, given: Given, meaning: Meaning, assumed: list[str]) -> ImportedRecord:
     """Phasors over time beside the rate of a table."""
-    reference = reference_of(table, rows, given.reference)
+    reference = reference_of(table, rows, given.reference, assumed)
     columns, keys, quantity = columns_of_rate_table(table, rows, reference, given.drive, assumed)
     axis = driven_axis(table, rows, given.axis, meaning, assumed)
     return ImportedRecord(

@@ -2,23 +2,29 @@
 names of the file and its folder, or attributes of the file say.
 """
 
+import contextlib
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.base.quantity import amount_of_option
+from memsgyro_jax.base.quantity import amount_of_option, number_and_unit
 
 from .column_meaning import Meaning
 from .file_names import level_in_name, told_by_names, without_bias
 from .formats import SourceColumn, SourceTable
+from .formats.header import split_header, tidy_unit
 from .imported_columns import is_same_kind
-from .two_channels import axis_in_name
+from .two_channels import axis_in_name, plain_words
 
 
 Level = tuple[float, str]  # with its unit
 NO_LEVEL = "the drive is 1 V, as the file does not say (`--drive`)"
 _LEVEL = re.compile(r"(?<![A-Za-z0-9.])(\d+(?:[.p]\d+)?)[ _]?([nuµm]?[VAN])(?:pk|p)?(?![A-Za-z])")
+_REFERENCE = (re.compile(r"\b(?:reference|ref)\b"), re.compile(r"\b(?:oscillator|osc)\b"))  # the clearer first
+_FREQUENCY = re.compile(r"\bfreq(?:uency)?\b")
+_OTHER = re.compile(r"\b(?:clock|units?|range|step|max|min|index|number)\b")
+_UNITS = ("unit", "units", "Unit", "Units")
 _LEVEL_NAMES = ("drive", "drive_level", "drive_amplitude", "drive_force", "drive_voltage", "excitation")  # attributes
 
 
@@ -90,13 +96,46 @@ def driven_axis(
     return axis or ""
 
 
-def reference_of(table: SourceTable, rows: Mapping[str, SourceColumn], given: Level | None) -> Level:
+def reference_of(
+    table: SourceTable, rows: Mapping[str, SourceColumn], given: Level | None, assumed: list[str]
+) -> Level:
     """Frequency of the lock-in's reference, and its unit."""
     if given is not None:
         return given
     if "f" in rows:
         return float(rows["f"].values[0]), rows["f"].unit or "Hz"
+    told = _references(table)
+    clear = {name: level for name, level in told.items() if level[1]}
+    if len({*clear.values()}) == 1:
+        name, level = next(iter(clear.items()))
+        assumed.append(f"the reference is {level[0]:.10g} {level[1]}, as the file's attribute `{name}` says")
+        return level
+    bare = next((name for name, level in told.items() if not level[1]), "") if not clear else ""
+    beside = f" (its attribute `{bare}` says {table.attributes[bare]} without a unit)" if bare else ""
     raise InputError(
-        f"{table.path}: the reference frequency of the lock-in must be known, but no column has it; give it as in "
-        '--reference "32.768 kHz".'
+        f"{table.path}: the reference frequency of the lock-in must be known, but no column has it{beside}; give it as "
+        'in --reference "32.768 kHz".'
     )
+
+
+def _references(table: SourceTable) -> dict[str, Level]:
+    """Frequencies that attributes give of a reference, else of an oscillator, by name; without a unit where none says
+    it.
+    """
+    found: dict[str, Level] = {}
+    for words in _REFERENCE:
+        for name, text in table.attributes.items():
+            plain, unit = split_header(name)
+            said = plain_words(plain)
+            if not words.search(said) or not _FREQUENCY.search(said) or _OTHER.search(said):
+                continue
+            with contextlib.suppress(ValueError):
+                value, own = number_and_unit(text)
+                beside = (table.attributes.get(key, "") for key in (f"{name}_unit", f"{name} unit", f"{name}_units"))
+                unit = tidy_unit(own) or unit or next(filter(None, beside), "")
+                unit = unit or next((u for k in _UNITS if is_same_kind(u := table.attributes.get(k, ""), "Hz")), "")
+                if value > 0 and (not unit or is_same_kind(unit, "Hz")):
+                    found[name] = value, unit
+        if found:
+            break
+    return found

@@ -82,6 +82,9 @@ def _of_group(group: Any, h5py: Any) -> dict[str, Any]:
         if isinstance(item, h5py.Group):
             tree[key] = _of_group(item, h5py)
             continue
+        for name, value in item.attrs.items():  # of a column about the whole: what frequency a lock-in used
+            if np.size(value) == 1 and "freq" in name.lower():
+                tree.setdefault(f"@{name}", _word(value))
         unit = next((_word(item.attrs[k]) for k in _UNIT_KEYS if k in item.attrs), "")
         if item.dtype.names and {"real", "imag"} <= {*item.dtype.names}:  # a complex number of MATLAB
             tree[key] = Leaf(item["real"] + 1j * item["imag"], unit)
@@ -117,6 +120,7 @@ def _walk(path: Path, place: str, tree: Mapping[str, Any], above: Mapping[str, s
     """A table of each place that holds columns, demodulators by the meaning of their fields."""
     leaves = {key: leaf for key, leaf in tree.items() if isinstance(leaf, Leaf)}
     scalars = {k: str(leaf.values.ravel()[0]) for k, leaf in leaves.items() if leaf.values.size == 1}
+    scalars |= {f"{k}_unit": leaf.unit for k, leaf in leaves.items() if leaf.values.size == 1 and leaf.unit}
     attributes = {**above, **{k[1:]: v for k, v in tree.items() if k[0] == "@" and isinstance(v, str)}, **scalars}
     for name, entry in tree.items():
         if name in ("chunkheader", "header") and isinstance(entry, dict):  # beside the samples it is about
