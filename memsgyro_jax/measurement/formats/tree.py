@@ -11,6 +11,7 @@ from memsgyro_jax.base.errors import InputError
 from .base import Format, SourceTable, complex_columns, library
 from .header import split_header, tidy_unit
 from .labone import demodulated
+from .structures import Leaf, shared_tables
 
 
 _DEMODULATOR = {"x", "y"}
@@ -63,13 +64,6 @@ class NetCdf3(Format):
                 for name, v in file.variables.items()
             }
         return _tables(path, leaves)
-
-
-class Leaf:
-    """Numbers of a tree, their unit, and attributes."""
-
-    def __init__(self, values: np.ndarray, unit: str = "") -> None:
-        self.values, self.unit = values, unit
 
 
 def _of_group(group: Any, h5py: Any) -> dict[str, Any]:
@@ -131,7 +125,11 @@ def _walk(path: Path, place: str, tree: Mapping[str, Any], above: Mapping[str, s
     lengths = [leaf.values.size for leaf in columns.values()]
     rows = max(sorted(set(lengths)), key=lengths.count) if lengths else 0
     kept = {key: leaf for key, leaf in columns.items() if leaf.values.size == rows}
-    if len(kept) > 1 or any(leaf.values.dtype.kind == "c" for leaf in kept.values()):
+    shared, taken = shared_tables(kept, tree)
+    for name, parts in shared.items():
+        joined = tuple(column for before, some in parts for column in _columns(some, before))
+        yield SourceTable(path, f"{place}/{name}".strip("/"), joined, attributes)
+    if not taken and (len(kept) > 1 or any(leaf.values.dtype.kind == "c" for leaf in kept.values())):
         if {*kept} > _DEMODULATOR and {*kept} & {"frequency", "grid", "timestamp"}:
             yield from demodulated(path, place, {k: leaf.values.ravel() for k, leaf in kept.items()}, attributes)
         else:
@@ -143,14 +141,14 @@ def _walk(path: Path, place: str, tree: Mapping[str, Any], above: Mapping[str, s
             )
             yield SourceTable(path, place, tuple(parts), attributes)
     for key, entry in tree.items():
-        if isinstance(entry, dict) and key not in ("chunkheader", "header"):
+        if isinstance(entry, dict) and key not in ("chunkheader", "header", *taken):
             yield from _walk(path, f"{place}/{key}".strip("/"), entry, attributes)
 
 
-def _columns(leaves: Mapping[str, Leaf]):
+def _columns(leaves: Mapping[str, Leaf], before: str = ""):
     for key, leaf in leaves.items():
         name, unit = split_header(key)
-        yield from complex_columns(name, tidy_unit(leaf.unit) or unit, leaf.values.ravel())
+        yield from complex_columns(f"{before}{name}", tidy_unit(leaf.unit) or unit, leaf.values.ravel())
 
 
 def _word(value: Any) -> str:
