@@ -31,20 +31,17 @@ def shared_tables(own: Mapping[str, Leaf], tree: Mapping[str, Any]) -> tuple[dic
     Structures whose names differ in a number or an axis alone are the channels of one table, without a name, whose
     columns are named by their places, "demod1/x". Others are tables of their own.
     """
-    if (
-        not own
-        or not any(map(_RUNS.fullmatch, own))
-        or not all(_RUNS.fullmatch(key) or _BESIDE.fullmatch(key) for key in own)
-    ):
+    readings = any(not (_RUNS.fullmatch(key) or _BESIDE.fullmatch(key)) for key in own)
+    if readings or not any(map(_RUNS.fullmatch, own)):
         return {}, set()
     rows = next(iter(own.values())).values.size
     groups: dict[str, dict[str, Leaf]] = {}
     taken = set()
     for key, entry in tree.items():
-        if isinstance(entry, dict) and key not in ("chunkheader", "header") and (found := _beneath(key, entry, rows)):
-            if not any(_RUNS.fullmatch(name) for columns in found.values() for name in columns):
-                groups |= found
-                taken.add(key)
+        found = _beneath(key, entry, rows) if isinstance(entry, dict) and key not in ("chunkheader", "header") else {}
+        if found and not any(_RUNS.fullmatch(name) for columns in found.values() for name in columns):
+            groups |= found
+            taken.add(key)
     if not groups:
         return {}, set()
     if len({_CHANNEL.sub("#", place.lower()) for place in groups}) > 1:

@@ -126,8 +126,8 @@ def _walk(path: Path, place: str, tree: Mapping[str, Any], above: Mapping[str, s
     rows = max(sorted(set(lengths)), key=lengths.count) if lengths else 0
     kept = {key: leaf for key, leaf in columns.items() if leaf.values.size == rows}
     shared, taken = shared_tables(kept, tree)
-    for name, parts in shared.items():
-        joined = tuple(column for before, some in parts for column in _columns(some, before))
+    for name, placed in shared.items():
+        joined = tuple(column for before, some in placed for column in _columns(some, before))
         yield SourceTable(path, f"{place}/{name}".strip("/"), joined, attributes)
     if not taken and (len(kept) > 1 or any(leaf.values.dtype.kind == "c" for leaf in kept.values())):
         if {*kept} > _DEMODULATOR and {*kept} & {"frequency", "grid", "timestamp"}:
