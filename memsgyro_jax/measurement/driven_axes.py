@@ -22,6 +22,12 @@ ONE_CHANNEL = (
     "and d (or frequency and quality_factor) with kxy and dxy under `[design]` in case.toml"
 )
 """What to do where two axes were driven and one was read."""
+_OF_A_SWEEP = "; import it alone, or name the columns that all files have with --map"
+_OF_A_DECAY = (
+    ": a decay begins in an unknown motion of both axes, so that one of a device of two axes needs the readings of both. "
+    "Record both, or leave this file out; as one of a device of one axis it is imported beside sweeps of that axis of "
+    "which --map names that channel alone (x_I, x_Q)"
+)
 
 
 def axes_of_files(given: Sequence[str], files: int) -> list[str]:
@@ -50,10 +56,9 @@ def require_axes(files: Sequence[FileName], found: Sequence[Sequence[ImportedRec
             f"{ONE_CHANNEL[0].upper()}{ONE_CHANNEL[1:]}."
         )
     if two and one:
-        raise InputError(
-            f"{one[0]}: must have two channels, as {two[0]} has, but has one; import it alone, or name the "
-            "columns that all files have with --map."
-        )
+        lone = next(some for file, some in zip(files, found, strict=True) if file.shown == one[0])
+        remedy = _OF_A_DECAY if all(record.kind == "free_decay" for record in lone) else _OF_A_SWEEP
+        raise InputError(f"{one[0]}: must have two channels, as {two[0]} has, but has one{remedy}.")
     silent = [
         file.shown
         for file, some in zip(files, found, strict=True)

@@ -139,6 +139,14 @@ def test_files_of_one_channel_and_of_two_are_no_case(files, tmp_path):
         mg.import_case([*files, single], tmp_path / "case")
     case = mg.import_case([single], tmp_path / "case").case
     assert (case.device, case.channels) == ("resonator", 1)
+    decay, time = tmp_path / "decay.csv", np.arange(400) * 1e-3
+    z = np.exp((-6.0 + 2j * np.pi * 3.0) * time)
+    np.savetxt(decay, np.column_stack([time, z.real, z.imag]), delimiter=",", header="t [s],X [V],Y [V]", comments="")
+    with pytest.raises(mg.InputError, match=r"decay\.csv: must .* unknown motion of both axes.* device of one axis"):
+        mg.import_case([*files, decay], tmp_path / "both", reference="8 kHz")
+    said = ["f=Frequency,x_I=X1,x_Q=Y1"] * 2 + ["-"]
+    one = mg.import_case([*files[:2], decay], tmp_path / "both", reference="8 kHz", columns=said).case
+    assert [record.kind for record in one.records] == ["frequency_sweep"] * 2 + ["free_decay"]
     header = "Frequency\tx_I [V]\tx_Q [V]\tS21 a [V]\tS21 b [V]"
     assert mg.import_case([wrote(tmp_path / "a_1V.txt", "x", header=header)], tmp_path / "one").case.channels == 1
 
