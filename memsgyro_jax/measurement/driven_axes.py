@@ -24,7 +24,7 @@ ONE_CHANNEL = (
 """What to do where two axes were driven and one was read."""
 _OF_A_SWEEP = "; import it alone, or name the columns that all files have with --map"
 _OF_A_DECAY = (
-    ": a decay begins in an unknown motion of both axes, so that one of a device of two axes needs the readings of both. "
+    ": a decay begins in an unknown motion of both axes, so that one of a device of two needs the readings of both. "
     "Record both, or leave this file out; as one of a device of one axis it is imported beside sweeps of that axis of "
     "which --map names that channel alone (x_I, x_Q)"
 )

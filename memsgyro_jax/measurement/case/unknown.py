@@ -108,7 +108,7 @@ def with_found_design(case: Case, file: CaseFile, path: Path) -> Case:
 
 
 def _exchanged(case: Case, fitted: Sequence[AbstractRecord]) -> str:
-    """Why none may show it: x and y of a sweep are exchanged, or of all, or decays are those of one axis; else empty."""
+    """Why none may show it: x and y of a sweep are exchanged, or of all, or decays tell one axis; else empty."""
     if case.channels < 2:
         return ""
     heard = {r.name: np.array(modes) for r in fitted if (modes := r.free_modes(case)) is not None}
