@@ -1,6 +1,7 @@
 """What a user says of the columns of an instrument's file: `--map`, role to column."""
 
 import re
+from itertools import accumulate
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.text import listed, printable
@@ -51,10 +52,12 @@ def chosen_column(table: SourceTable, role: str, text: str) -> SourceColumn:
     factor = re.match(rf"({NUMBER})\s*\*\s*(?=\S)", text)
     wanted = text[factor.end() :] if factor else text
     name, unit = split_header(wanted)
+    places = [*accumulate(table.name.split("/"), "{}/{}".format)]  # of a tree of names
     for same in (
         lambda c: wanted in (c.header, c.name),
         lambda c: c.name == name,
         lambda c: c.name.casefold() == name.casefold(),
+        lambda c: name in [f"{place}/{c.name}" for place in places],
     ):
         hits = [column for column in table.columns if same(column)]
         if len(hits) == 1:

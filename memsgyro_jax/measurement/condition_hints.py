@@ -1,11 +1,10 @@
 """Conditions that only the names of files tell: nothing is taken from them without a word, but it is hinted at."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 from memsgyro_jax.base.units import parse_header, to_si
 
-from .file_names import bias_in_name, temperature_in_name, volts_in_name
+from .file_names import FileName, bias_in_name, temperature_in_name, told_by_names, volts_in_name
 from .imported_conditions import CONDITIONS
 from .imported_record import ImportedRecord
 
@@ -14,18 +13,18 @@ _USUAL = 298.15, 1.0  # K, and how near to it no word is needed
 
 
 def hints(
-    files: Sequence[Path], found: Sequence[Sequence[ImportedRecord]], given: Mapping[str, Sequence[str]]
+    files: Sequence[FileName], found: Sequence[Sequence[ImportedRecord]], given: Mapping[str, Sequence[str]]
 ) -> tuple[str, ...]:
     """A sentence with the option to copy for each condition that names of files tell, and no column and no option.
 
     Args:
-        files: in the order of the options.
+        files: what they are called, in the order of the options.
         found: the records of each.
         given: what the options say, by role.
     """
     told = {
-        "T": [temperature_in_name(path.stem) for path in files],
-        "V_bias": [bias_in_name(path.stem) for path in files],
+        "T": [told_by_names(one.stem, one.folder, temperature_in_name)[0] for one in files],
+        "V_bias": [told_by_names(one.stem, one.folder, bias_in_name)[0] for one in files],
     }
     if not any(told["V_bias"]):
         told["V_bias"] = _volts(files, found)
@@ -37,17 +36,17 @@ def hints(
         known = CONDITIONS[role]
         shown = " ".join(f'"{value}"' if use else "-" for value, use in zip(values, open_, strict=True))
         sentences.append(
-            f"the files' names tell a {known.words}, which no column and no option does and which is not used; if it "
-            f"is that at which they were recorded, give it: {known.option} {shown}"
+            f"the names of files or folders tell a {known.words}, which no column and no option does and which "
+            f"is not used; if it is that at which they were recorded, give it: {known.option} {shown}"
         )
     return tuple(sentences)
 
 
-def _volts(files: Sequence[Path], found: Sequence[Sequence[ImportedRecord]]) -> list[str]:
+def _volts(files: Sequence[FileName], found: Sequence[Sequence[ImportedRecord]]) -> list[str]:
     """Voltages in names, where they differ and none is the level of a drive."""
-    volts = [volts_in_name(path.stem) for path in files]
+    volts = [told_by_names(one.stem, one.folder, volts_in_name)[0] for one in files]
     levels = any(
-        f"the drive is {value}, as the file's name says" in one.assumed
+        any(sentence.startswith(f"the drive is {value}, as the ") for sentence in one.assumed)
         for value, some in zip(volts, found, strict=True)
         for one in some
     )

@@ -1,7 +1,7 @@
 """Two demodulators of one lock-in, each saved as a table of its own: the two channels of one record."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,10 +17,12 @@ _SAME = 0.8  # gain between two demodulators of one signal, from which two chann
 _SHARED = ("frequency", "grid", "time", "timestamp")
 
 
-def demodulators_joined(paths: Sequence[Path], files: Sequence[File]) -> tuple[list[Path], list[File], list[list[int]]]:
+def demodulators_joined(
+    paths: Sequence[Path], files: Sequence[File], alone: Collection[int] = ()
+) -> tuple[list[Path], list[File], list[list[int]]]:
     """The files with tables of two demodulators made one each, where their names differ in its number alone, as in
     ``dev1234_demods_0_sample_00000.csv``, and their frequencies or times agree; in the place of the first. Also the
-    numbers of the files that each is made of.
+    numbers of the files that each is made of. Those whose numbers are `alone` stay as they are.
 
     Nothing is joined where three or more go together, for which of them are the channels nobody says, nor where both
     read the same signal.
@@ -28,7 +30,7 @@ def demodulators_joined(paths: Sequence[Path], files: Sequence[File]) -> tuple[l
     groups: dict[tuple[str, str], dict[str, tuple[int, SourceTable]]] = {}
     for place, (_, tables) in enumerate(files):
         for table in tables:
-            if (number := _number(table)) is not None:
+            if place not in alone and (number := _number(table)) is not None:
                 groups.setdefault(_without_number(table), {}).setdefault(number, (place, table))
     made: dict[int, SourceTable | None] = {}
     parts = [[place] for place in range(len(files))]
@@ -84,8 +86,8 @@ def _joined(first: SourceTable, second: SourceTable) -> SourceTable | None:
     others = [c for c in first.columns if not channel_and_part(f"{c.name} {_number(first)}")[1]]
     numbers = f"{_number(first)} and {_number(second)}"
     said = (
-        f"the readings of demodulators {numbers}, saved apart, are x and y of one record, as their rows agree (with "
-        "`--map` each stands alone)"
+        f"the readings of demodulators {numbers}, saved apart, are x and y of one record, as their rows agree (each "
+        "with a `--map` of its own, they stand alone)"
     )
     assumed = dict.fromkeys((*first.assumed, *second.assumed, said))
     return replace(first, columns=(*others, *readings), assumed=tuple(assumed))

@@ -18,16 +18,17 @@ from memsgyro_jax.base.text import listed
 
 from .case import Case
 from .case_of_records import write_records
-from .column_map import parse_map
 from .column_meaning import meaning_of
 from .condition_hints import hints
-from .demodulators import demodulators_joined
 from .driven_axes import axes_of_files, hint_of_axes, require_axes
+from .file_names import names_of_files
 from .formats import SourceTable, read_instrument_file
-from .imported_conditions import conditions_of_files, for_each_file
+from .imported_conditions import conditions_of_files
 from .imported_record import Given, ImportedRecord, records_of
-from .imported_sweep import NO_LEVEL, is_ratio
+from .imported_sweep import is_ratio
+from .options_of_files import Level, joined_files, levels_of_files, of_joined
 from .records_together import agreed, turned_alike, without_copies
+from .told_beside import NO_LEVEL
 
 
 _PLURAL = {
@@ -40,7 +41,6 @@ _ABOUT = {  # kinds of what is assumed, the one that strengths hang on first, by
     "rows": re.compile(""),
 }
 _APART = 1.5  # times the readings of another sweep: what two levels show
-Level = tuple[float, str]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -126,7 +126,7 @@ def import_case(
         drive: level with its unit where no column has it, like ``"20 mV"``: one for all files, one for each, or one for
             each that needs it; ``"-"`` stands for a file that needs none.
         axis: ``"x"`` or ``"y"``, which of two axes was driven, one for all files or one for each, where neither a
-            column F_x or F_y nor the file's name (``drive_x_10mV.csv``) says it, or says it wrongly; ``"-"``
+            column F_x or F_y nor the name of file or folder (``drive_x_10mV``) says it, or says it wrongly; ``"-"``
             for one that does.
         reference: frequency of a lock-in that recorded over time, or operating points, like ``"32.768 kHz"``.
         bias: voltage of the electrodes, like ``"20 V"``, one for all files or one for each, where no column has it;
@@ -149,30 +149,30 @@ def import_case(
         raise InputError("Argument `paths` must hold at least one file, but is empty.")
     if (folder.exists() and not folder.is_dir()) or (folder.is_dir() and any(folder.iterdir()) and not overwrite):
         raise InputError(f"{folder} must be a new or empty folder, but exists; choose another, or give `--overwrite`.")
-    maps = _maps([columns] if isinstance(columns, str) else columns, len(paths))
     tuned = amount_of_option(reference, "--reference", "32.768 kHz", "Hz") if reference else None
     every = None if every is None else whole("every", every, 1)
-    sources = [Path(path).name for path in paths]
+    columns = [columns] if isinstance(columns, str) else list(columns)
     files, read = [Path(path) for path in paths], [read_instrument_file(path) for path in paths]
-    parts = [[k] for k in range(len(files))]
-    if not any(maps):  # which columns are used was not said for tables made here
-        files, read, parts = demodulators_joined(files, read)
-    axis, drive = (_of_joined(option, parts, name) for option, name in ((axis, "--axis"), (drive, "--drive")))
+    sources = [one.shown for one in names_of_files(files)]
+    files, read, parts, maps = joined_files(files, read, columns)
+    called = names_of_files(files)
+    axis, drive = (of_joined(option, parts, name) for option, name in ((axis, "--axis"), (drive, "--drive")))
     given = [None if text.strip() == "-" else amount_of_option(text, "--drive", "20 mV") for text in drive]
     axes = axes_of_files(axis, len(files))
-    told = (_of_joined(option, parts, name) for option, name in ((bias, "--bias"), (temperature, "--temperature")))
+    told = (of_joined(option, parts, name) for option, name in ((bias, "--bias"), (temperature, "--temperature")))
     held = conditions_of_files(dict(zip(("V_bias", "T"), told, strict=True)), len(files))
 
     def taken(k: int, level: Level | None) -> list[ImportedRecord]:
-        return _records(read[k][1], maps[k], Given(level, tuned, every, rms, axes[k], held[k]))
+        tables = [replace(table, folder=called[k].folder, shown=called[k].shown) for table in read[k][1]]
+        return _records(called[k].title, tables, maps[k], Given(level, tuned, every, rms, axes[k], held[k]))
 
     found = [taken(k, None) for k in range(len(files))]
     needing = [any("drive_force" in record.keys for record in some) for some in found]
     using = [needs or any(map(is_ratio, tables)) for needs, (_, tables) in zip(needing, read, strict=True)]
-    levels = _levels(given, needing, using)
+    levels = levels_of_files(given, needing, using)
     found = [taken(k, levels[k]) if levels[k] is not None and using[k] else found[k] for k in range(len(files))]
-    require_axes(files, found, axis)
-    names = [path.name for path in files]
+    require_axes(called, found, axis)
+    names = [one.shown for one in called]
     unused = [
         f"the drive of {level[0]:g} {level[1]}, as {name} does not need it"
         for level, name, uses in zip(levels, names, using, strict=True)
@@ -182,29 +182,12 @@ def import_case(
     records = turned_alike(agreed(_named([record for some in found for record in some])))
     case, records = write_records(folder, records, sources)
     again = ["memsgyro", "import", *map(str, paths), "--out", str(folder), "--overwrite"]
-    again += [*(["--map", *([columns] if isinstance(columns, str) else columns)] if any(maps) else [])]
+    again += [*(["--map", *columns] if any(maps) else [])]
     again += ["--axis", *axis] if axis else []
     left = [some if needs else [] for some, needs in zip(found, needing, strict=True)]
     warning = _warning(names, left, levels, shlex.join(again))
-    hinted = (*hints(files, found, {"V_bias": bias, "T": temperature}), *hint_of_axes(files, found))
+    hinted = (*hints(called, found, {"V_bias": bias, "T": temperature}), *hint_of_axes(called, found))
     return ImportedCase(case, tuple(form for form, _ in read), tuple(records), (*unused, *copies), warning, hinted)
-
-
-def _maps(given: Sequence[str], files: int) -> list[dict[str, str]]:
-    """What was said of the columns of each file, empty where nothing was; raises `InputError` for another number."""
-    every = for_each_file("--map", given, files, "whose names tell")
-    return [{} if text.strip() in ("", "-") else parse_map(text) for text in every]
-
-
-def _of_joined(given: Sequence[str], parts: Sequence[Sequence[int]], option: str) -> Sequence[str]:
-    """What was said of each file, of those of which a record was made of two once; as it is where it was said
-    otherwise.
-    """
-    if len(given) != sum(map(len, parts)) or all(len(some) == 1 for some in parts):
-        return given
-    if any(given[k] != given[some[0]] for some in parts for k in some):
-        raise InputError(f"Option `{option}` must say the same of two files that are the two channels of one record.")
-    return [given[some[0]] for some in parts]
 
 
 def _warning(
@@ -257,24 +240,6 @@ def _peak(record: ImportedRecord) -> float:
     return max((float(np.nanmax(np.abs(values))) for values in read), default=0.0)
 
 
-def _levels(given: Sequence[Level | None], swept: Sequence[bool], using: Sequence[bool]) -> list[Level | None]:
-    """The level of each file, of which those that are `swept` without a column for it need one, while ratios are among
-    those that use one.
-    """
-    if len(given) <= 1:
-        return [given[0] if given else None] * len(swept)
-    if len(given) == len(swept):
-        return list(given)
-    for files in (swept, using):
-        if len(given) == sum(files):
-            left = iter(given)
-            return [next(left) if takes else None for takes in files]
-    raise InputError(
-        f"Option `--drive` must be given once, for each of {len(swept)} files (`-` for one that needs no level), or "
-        f"for each of the {sum(swept)} that need one, but has {len(given)}."
-    )
-
-
 def _of(names: Sequence[str], records: Sequence[ImportedRecord]) -> str:
     """Which records a sentence is about, in brackets; nothing where it is about all."""
     if len(names) == len(records):
@@ -286,12 +251,12 @@ def _of(names: Sequence[str], records: Sequence[ImportedRecord]) -> str:
     return f" ({listed(names)})"
 
 
-def _records(tables: tuple[SourceTable, ...], said: dict[str, str], given: Given) -> list[ImportedRecord]:
-    """Of one file; tables beside those that are measurements are passed over."""
+def _records(title: str, tables: Sequence[SourceTable], said: dict[str, str], given: Given) -> list[ImportedRecord]:
+    """Of one file, under its title; tables beside those that are measurements are passed over."""
     records, first = [], None
     for table in tables:
         try:
-            name = "_".join(filter(None, (table.path.stem, table.name)))
+            name = "_".join(filter(None, (title, table.name)))
             records += records_of(name, table, meaning_of(table, said), given)
         except InputError as error:
             first = first or error

@@ -69,7 +69,7 @@ def from_effective(rows: Mapping[str, SourceColumn], assumed: list[str]) -> dict
     how they are meant.
     """
     turned = dict(rows)
-    for name in {"I", "Q", "amp", "y_I", "y_Q", "y_amp", *NOISE_COLUMNS} & rows.keys():
+    for name in [role for role in ("I", "Q", "amp", "y_I", "y_Q", "y_amp", *NOISE_COLUMNS) if role in rows]:
         column = rows[name]
         if not SPECIAL.fullmatch(column.unit):
             turned[name] = SourceColumn(column.name, column.unit, TO_PEAK["rms"] * column.values)

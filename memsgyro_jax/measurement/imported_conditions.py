@@ -16,7 +16,8 @@ from memsgyro_jax.base.units import to_si
 from .clock import is_even, usual_period
 from .formats import SourceColumn, SourceTable
 from .imported_columns import add_surroundings, reading_column, time_column
-from .imported_sweep import PEAK, level_of, phasor_columns_of, read_as
+from .imported_sweep import PEAK, phasor_columns_of, read_as
+from .told_beside import level_of
 
 
 Level = tuple[float, str]  # with its unit

@@ -28,8 +28,9 @@ from .imported_columns import (
 from .imported_conditions import CONDITIONS, beside_conditions, columns_of_points, columns_of_rate_table, stamps
 from .imported_sweep import at_level, columns_of_sweep, phasor_columns_of, phasors_of, read_as
 from .thinning import thinned
+from .told_beside import driven_axis, reference_of
 from .tracking import rough_decay
-from .two_channels import axis_in_name, said_of_channels
+from .two_channels import said_of_channels
 
 
 _SILENT = 0.01  # of the largest drive: nothing
@@ -104,7 +105,7 @@ def records_of(name: str, table: SourceTable, meaning: Meaning, given: Given) ->
     table, rows = as_current(table, rows, assumed)
     rows = at_level(table, rows, given.drive, assumed)
     rows = beside_conditions(table, rows, given.conditions, assumed)
-    source = f"{table.path.name}{', ' + table.name if table.name else ''}"
+    source = f"{table.shown or table.path.name}{', ' + table.name if table.name else ''}"
     about = {"name": name, "source": source, "unused": meaning.unused}
     with np.errstate(over="ignore", invalid="ignore"):  # of a damaged file; reading the case refuses them
         return _naming_unused(_records(about, table, meaning, rows, given, assumed), meaning)
@@ -157,7 +158,7 @@ def _finite(table: SourceTable, meaning: Meaning, assumed: list[str]) -> dict[st
 
 
 def _sweep(about: dict, table: SourceTable, meaning: Meaning, rows: dict, given: Given, assumed: list[str]):
-    axis = _driven_axis(about, rows, given, meaning, assumed)
+    axis = driven_axis(table, rows, given.axis, meaning, assumed)
     columns, keys, quantity = columns_of_sweep(table, rows, given.drive, axis, assumed)
     return ImportedRecord(
         **about, kind="frequency_sweep", columns=headed(columns), keys=keys, assumed=tuple(assumed), quantity=quantity,
@@ -167,24 +168,14 @@ def _sweep(about: dict, table: SourceTable, meaning: Meaning, rows: dict, given:
 
 def _points(about: dict, table: SourceTable, meaning: Meaning, rows: dict, given: Given, assumed: list[str]):
     """Settled phasors at one frequency, a row for each rate or other condition."""
-    axis = _driven_axis(about, rows, given, meaning, assumed)
-    columns, keys, quantity = columns_of_points(table, rows, _reference(table, rows, given), given.drive, axis, assumed)
+    axis = driven_axis(table, rows, given.axis, meaning, assumed)
+    columns, keys, quantity = columns_of_points(
+        table, rows, reference_of(table, rows, given.reference, assumed), given.drive, axis, assumed
+    )
     return ImportedRecord(
         **about, kind="operating_points", columns=headed(columns), keys=keys, assumed=tuple(assumed), quantity=quantity,
         two_axes=meaning.two_axes, axis=axis,
     )  # fmt: skip
-
-
-def _driven_axis(about: dict, rows: dict, given: Given, meaning: Meaning, assumed: list[str]) -> str:
-    """Of two axes, which was driven; empty for a device of one, and where nothing says."""
-    if not meaning.two_axes:
-        return ""
-    axis = given.axis or meaning.driven or axis_in_name(about["name"])
-    if meaning.driven == axis != given.axis:
-        assumed.append(f"{axis} is driven, as `{rows['drive'].name}` says")
-    elif axis != given.axis:
-        assumed.append(f"{axis} is driven, as the file's name says")
-    return axis
 
 
 # ---- time
@@ -214,7 +205,7 @@ def _over_time(
         if "y_signal" not in rows:
             assumed.append(f"two drives make it a device of two axes (`single_mass`), x read by {rows['signal'].name}")
     else:
-        axis = _driven_axis(about, rows, given, meaning, assumed)
+        axis = driven_axis(table, rows, given.axis, meaning, assumed)
         drives = {f"u_{axis or 'x'}": drive}
     driven = {name: reading_column(column, assumed, "drive") for name, column in drives.items()}
     return _driven_over_time({**about, "axis": axis}, columns, driven, rows, assumed)
@@ -308,7 +299,7 @@ def _louder(columns: Mapping[str, SourceColumn]) -> np.ndarray:
 
 def _lock_in_decay(about, table, columns, rows, given: Given, assumed: list[str]) -> ImportedRecord:
     """Phasors over time."""
-    reference = _reference(table, rows, given)
+    reference = reference_of(table, rows, given.reference, assumed)
     columns |= phasor_columns_of(rows, assumed)
     size = rows["I" if "I" in rows else "amp"]
     if not given.rms and not SPECIAL.fullmatch(size.unit):
@@ -326,22 +317,10 @@ def _lock_in_decay(about, table, columns, rows, given: Given, assumed: list[str]
 
 def _rate_table(about, table, rows, given: Given, meaning: Meaning, assumed: list[str]) -> ImportedRecord:
     """Phasors over time beside the rate of a table."""
-    reference = _reference(table, rows, given)
+    reference = reference_of(table, rows, given.reference, assumed)
     columns, keys, quantity = columns_of_rate_table(table, rows, reference, given.drive, assumed)
-    axis = _driven_axis(about, rows, given, meaning, assumed)
+    axis = driven_axis(table, rows, given.axis, meaning, assumed)
     return ImportedRecord(
         **about, kind="rate_table", columns=headed(columns), keys=keys, assumed=tuple(assumed), quantity=quantity,
         two_axes=meaning.two_axes, axis=axis,
     )  # fmt: skip
-
-
-def _reference(table: SourceTable, rows: Mapping[str, SourceColumn], given: Given) -> tuple[float, str]:
-    """Frequency of the lock-in's reference, and its unit."""
-    if given.reference is not None:
-        return given.reference
-    if "f" in rows:
-        return float(rows["f"].values[0]), rows["f"].unit or "Hz"
-    raise InputError(
-        f"{table.path}: the reference frequency of the lock-in must be known, but no column has it; give it as in "
-        '--reference "32.768 kHz".'
-    )

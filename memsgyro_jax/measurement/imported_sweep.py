@@ -1,16 +1,13 @@
 """A frequency sweep from the columns of an instrument's table: columns in the words of a case, keys, what is read."""
 
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.base.quantity import amount_of_option
 from memsgyro_jax.base.units import to_si
 
-from .file_names import level_in_name, without_bias
 from .formats import SourceColumn, SourceTable
 from .immittance import PER_VOLT
 from .imported_columns import (
@@ -23,10 +20,10 @@ from .imported_columns import (
     with_usual_unit,
 )
 from .outliers import lone_rows
+from .told_beside import level_of, level_of_ratio
 from .two_channels import said_of_channels
 
 
-NO_LEVEL = "the drive is 1 V, as the file does not say (`--drive`)"
 TURNED = "the phase rises across the resonance, so the file follows e^{-iωt}: it is negated"
 PEAK = "amplitudes are peak values, not rms (`Vrms` in a header, or `--rms`, says so)"
 _CLEAR = 30.0  # degrees around which the phase at resonance tells what is read
@@ -35,8 +32,6 @@ _UNTOLD = "the read-out is taken for what other files show, for displacement whe
 _SETTLED = 2.0  # ring times of a step, of which what rang before it is turned by little
 _HEARD, _TURNS = 0.1, 1.5 * np.pi  # of the largest reading; rad, where settled modes turn by half a turn
 _INSIDE = 0.01  # of the band, from its ends: where a largest reading is that of a resonance
-_LEVEL = re.compile(r"(?<![A-Za-z0-9.])(\d+(?:[.p]\d+)?)[ _]?([nuµm]?[VAN])(?:pk|p)?(?![A-Za-z])")
-_LEVEL_NAMES = ("drive", "drive_level", "drive_amplitude", "drive_force", "drive_voltage", "excitation")  # attributes
 
 
 def columns_of_sweep(
@@ -119,9 +114,14 @@ def is_ratio(table: SourceTable) -> bool:
 def at_level(
     table: SourceTable, rows: Mapping[str, SourceColumn], drive: tuple[float, str] | None, assumed: list[str]
 ) -> dict[str, SourceColumn]:
-    """The columns of ratios to the drive at the level that was given, without one at 1 V; others as they are."""
+    """The columns of ratios to the drive at the level that was given, or that names tell, without one at 1 V; others as
+    they are.
+    """
     if not is_ratio(table) or "drive" not in rows:
         return dict(rows)
+    told = "" if drive is None else f"at {drive[0]:g} {drive[1]}, as was given"
+    if drive is None:
+        drive, told = level_of_ratio(table)
     if drive is None:
         assumed.append("it was taken at 1 V, as the file does not say (`--drive`)")
         return dict(rows)
@@ -129,7 +129,7 @@ def at_level(
         must = "the level `--drive` of a ratio of voltages must be a voltage"
         raise InputError(f"{table.path}: {must}, but is {drive[0]:g} {drive[1]}.")
     volts = float(to_si(*drive, "V", "option `--drive`"))
-    assumed.append(f"it was taken at {drive[0]:g} {drive[1]}, as was given, with which the ratio is multiplied")
+    assumed.append(f"it was taken {told}, with which the ratio is multiplied")
     scaled = {"I", "Q", "amp", "drive"}
     return {
         role: SourceColumn(column.name, column.unit, column.values * volts) if role in scaled else column
@@ -222,30 +222,3 @@ def read_as(unit: str) -> str:
     """What a reading in such a unit shows of the motion; empty where it does not tell."""
     measured = {"m": "displacement", "m/s": "velocity", "m/s**2": "acceleration"}
     return next((what for base, what in measured.items() if is_same_kind(unit, base)), "")
-
-
-def _of_drive(levels: Sequence[re.Match[str]]) -> re.Match[str] | None:
-    """The first of the levels in a name; beside volts, which may be a bias, the one in a part of a volt."""
-    parts = [one for one in levels if one[2][0] in "nuµm" and one[2].endswith("V")]
-    whole = [one for one in levels if one[2] == "V"]
-    return parts[0] if len(parts) == 1 and whole else next(iter(levels), None)
-
-
-def level_of(table: SourceTable, drive: tuple[float, str] | None, assumed: list[str]) -> dict[str, Any]:
-    """The drive level that no column holds."""
-    if drive is not None:
-        return {"value": drive[0], "unit": drive[1]}
-    if words := level_in_name(table.path.stem):
-        value, unit = amount_of_option(words, "--drive", "20 mV")
-        assumed.append(f"the drive is {words}, {value:.4g} {unit} at its peak, as the file's name says")
-        return {"value": value, "unit": unit}
-    if found := _of_drive([*_LEVEL.finditer(without_bias(table.path.stem))]):
-        value, unit = float(found[1].replace("p", ".")), found[2]
-        assumed.append(f"the drive is {value:g} {unit}, as the file's name says")
-        return {"value": value, "unit": unit}
-    for name, word in table.attributes.items():
-        if name.lower() in _LEVEL_NAMES and (found := _LEVEL.fullmatch(word.strip())):
-            assumed.append(f"the drive is {found[1]} {found[2]}, as the file's attribute `{name}` says")
-            return {"value": float(found[1].replace("p", ".")), "unit": found[2]}
-    assumed.append(NO_LEVEL)
-    return {"value": 1.0, "unit": "V"}

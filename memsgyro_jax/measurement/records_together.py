@@ -10,7 +10,8 @@ import numpy as np
 from memsgyro_jax.base.units import parse_header, to_si
 
 from .imported_record import ImportedRecord
-from .imported_sweep import NO_LEVEL, TURNED
+from .imported_sweep import TURNED
+from .told_beside import NO_LEVEL
 
 
 _SECOND = re.compile(r"V[xy]_(?:Q|phase) ")

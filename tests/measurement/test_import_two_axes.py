@@ -5,6 +5,7 @@ import shlex
 
 import numpy as np
 import pytest
+from two_channel_files import FREQUENCY, STIFFNESS, demodulator, moved, wrote
 
 import memsgyro_jax as mg
 from memsgyro_jax.app import cli
@@ -12,31 +13,6 @@ from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.measurement.formats import SourceColumn
 from memsgyro_jax.measurement.linear_start import starting_device
 from memsgyro_jax.measurement.two_channels import axis_in_name, two_channels
-
-
-FREQUENCY = np.linspace(7900.0, 8300.0, 81)
-STIFFNESS = np.array([[8000.0**2, 4e5], [4e5, 8200.0**2]])
-WIDTHS = np.array([[20.0, 0.0], [0.0, 25.0]])
-PARTS = {"x": lambda z: z.real, "y": lambda z: z.imag, "r": abs, "theta": lambda z: np.angle(z, deg=True)}
-
-
-def moved(axis, level=1.0):
-    """(rows, 2) phasors of both channels while one axis is driven; all in cycles."""
-    f = FREQUENCY[:, None, None]
-    answer = np.linalg.inv(STIFFNESS - f**2 * np.eye(2) + 1j * f * WIDTHS)[:, :, "xy".index(axis)]
-    noise = np.random.default_rng(3).normal(size=(2, *answer.shape))
-    return 1e6 * level * answer + 1e-3 * (noise[0] + 1j * noise[1])
-
-
-def wrote(path, axis, level=1.0, header="Frequency (Hz)\tX1 (V)\tY1 (V)\tX2 (V)\tY2 (V)", parts="xy", further=()):
-    """A file as a lock-in saves it, with more columns of one number each."""
-    z = moved(axis, level)
-    columns = [FREQUENCY, *(PARTS[p](z[:, c]) for c in (0, 1) for p in re.findall("theta|.", parts))]
-    columns += [np.full(len(z), number) for number in further]
-    mark = "\t" if "\t" in header else ";"
-    rows = (mark.join(f"{value:.9g}" for value in row) for row in np.column_stack(columns))
-    path.write_text("\n".join([header, *rows]) + "\n")
-    return path
 
 
 @pytest.fixture
@@ -163,6 +139,14 @@ def test_files_of_one_channel_and_of_two_are_no_case(files, tmp_path):
         mg.import_case([*files, single], tmp_path / "case")
     case = mg.import_case([single], tmp_path / "case").case
     assert (case.device, case.channels) == ("resonator", 1)
+    decay, time = tmp_path / "decay.csv", np.arange(400) * 1e-3
+    z = np.exp((-6.0 + 2j * np.pi * 3.0) * time)
+    np.savetxt(decay, np.column_stack([time, z.real, z.imag]), delimiter=",", header="t [s],X [V],Y [V]", comments="")
+    with pytest.raises(mg.InputError, match=r"decay\.csv: must .* unknown motion of both axes.* device of one axis"):
+        mg.import_case([*files, decay], tmp_path / "both", reference="8 kHz")
+    said = ["f=Frequency,x_I=X1,x_Q=Y1"] * 2 + ["-"]
+    one = mg.import_case([*files[:2], decay], tmp_path / "both", reference="8 kHz", columns=said).case
+    assert [record.kind for record in one.records] == ["frequency_sweep"] * 2 + ["free_decay"]
     header = "Frequency\tx_I [V]\tx_Q [V]\tS21 a [V]\tS21 b [V]"
     assert mg.import_case([wrote(tmp_path / "a_1V.txt", "x", header=header)], tmp_path / "one").case.channels == 1
 
@@ -181,22 +165,6 @@ def test_both_channels_are_turned_and_both_are_effective_values(tmp_path):
 def test_scattering_of_two_ports_is_not_taken_for_two_channels():
     names = ("S11 REAL", "S11 IMAG", "S21 REAL", "S21 IMAG")
     assert two_channels(SourceColumn(name, "", np.zeros(3)) for name in names) == {}
-
-
-def demodulator(path, number, z, frequency=FREQUENCY):
-    """As LabOne's sweeper saves one demodulator of a lock-in: a row per field."""
-    fields = {
-        "frequency": frequency,
-        "x": z.real,
-        "y": z.imag,
-        "r": abs(z),
-        "phase": np.angle(z),
-        "settling": 0 * z.real,
-    }
-    rows = [f"0;0;{len(frequency)};{name};" + ";".join(f"{v:.12g}" for v in row) for name, row in fields.items()]
-    path = path / f"dev1234_demods_{number}_sample_00000.csv"
-    path.write_text("\n".join(["chunk;timestamp;size;fieldname", *rows]) + "\n")
-    return path
 
 
 def test_two_demodulators_of_one_sweep_are_two_channels(tmp_path):

@@ -35,8 +35,8 @@ def import_command(
             one for all files or one for each, "-" for a file whose names tell.
         drive: level where no column has it, like "20 mV"; one for all files or one for each, "-" for a file that needs
             none, as a ring-down.
-        axis: which axis was driven, x or y, where two channels were read and neither a column F_x, F_y nor the file's
-            name (drive_x) says it; one for all files or one for each, "-" for one that says it.
+        axis: which axis was driven, x or y, where two channels were read and neither a column F_x, F_y nor the name of
+            file or folder (drive_x) says it; one for all files or one for each, "-" for one that says it.
         reference: frequency of a lock-in that recorded over time, or operating points, like "32.768 kHz".
         bias: voltage of the electrodes where no column has it, like "20 V"; one for all files or one for each, "-" for
             a file of which nothing is said.

@@ -1,6 +1,6 @@
 """What a case leaves open, as its files tell it: units of drive and readings, and design values not declared."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -108,21 +108,36 @@ def with_found_design(case: Case, file: CaseFile, path: Path) -> Case:
 
 
 def _exchanged(case: Case, fitted: Sequence[AbstractRecord]) -> str:
-    """Why none may show it: x and y of a sweep are exchanged, or of all, or all decays are those of one axis; else
-    empty.
-    """
+    """Why none may show it: x and y of a sweep are exchanged, or of all, or decays tell one axis; else empty."""
     if case.channels < 2:
         return ""
-    heard = {r.name: np.array(modes)[:, 0] for r in fitted if (modes := r.free_modes(case)) is not None}
-    louder = {int(np.argmax(sizes)) for sizes in heard.values()}
+    heard = {r.name: np.array(modes) for r in fitted if (modes := r.free_modes(case)) is not None}
+    louder = {int(np.argmax(modes[:, 0])) for modes in heard.values()}
     if len(heard) < 2 or len(louder) != 1:
         phasors = [(record.name, record.starting_phasors(case)) for record in fitted]
-        return "; ".join(exchanged_axes(phasors).values()) or all_exchanged(phasors)
+        return "; ".join(exchanged_axes(phasors).values()) or all_exchanged(phasors) or _of_one_axis(heard)
     loud, other = ("x", "y") if louder == {0} else ("y", "x")
     return (
         f"in {listed(heard, '`')} channel {loud} is the louder one, so that none is a decay of {other}; are the "
         "channels of one exchanged?"
     )
+
+
+def _of_one_axis(heard: Mapping[str, np.ndarray]) -> str:
+    """That both channels of the one decay vibrate at one frequency, with the numbers to give; else empty."""
+    for name, modes in heard.items() if len(heard) == 1 else ():
+        _, omega, decay = modes.T
+        loud = int(np.argmax(modes[:, 0]))
+        if not np.all(decay > 0) or np.ptp(omega) >= 2.0 * np.sum(decay):
+            break
+        axis, other = "xy"[loud], "yx"[loud]
+        hertz, quality = omega[loud] / (2 * np.pi), omega[loud] / (2.0 * decay[loud])
+        return (
+            f"in `{name}` both channels vibrate at one frequency, that of {axis}, the louder one: frequency_{axis} is "
+            f"{hertz:.6g} Hz and quality_factor_{axis} {quality:.4g}; those of {other} are told by a sweep, or a decay "
+            f"in which {other} is the louder one"
+        )
+    return ""
 
 
 def _with_told(case: Case, file: CaseFile, told: dict[str, DesignValue]) -> Case:

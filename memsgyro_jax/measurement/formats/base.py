@@ -44,6 +44,8 @@ class SourceTable:
         columns: in the order of the file.
         attributes: what else the file says, as text.
         assumed: one sentence each.
+        folder: name of the folder that it is in, where that tells something of it; empty otherwise.
+        shown: what the file is called in sentences; empty for its name.
     """
 
     path: Path
@@ -51,6 +53,8 @@ class SourceTable:
     columns: tuple[SourceColumn, ...]
     attributes: Mapping[str, str] = field(default_factory=dict)
     assumed: tuple[str, ...] = ()
+    folder: str = ""
+    shown: str = ""
 
 
 class Format(abc.ABC):

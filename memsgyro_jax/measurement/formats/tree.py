@@ -11,6 +11,7 @@ from memsgyro_jax.base.errors import InputError
 from .base import Format, SourceTable, complex_columns, library
 from .header import split_header, tidy_unit
 from .labone import demodulated
+from .structures import Leaf, shared_tables
 
 
 _DEMODULATOR = {"x", "y"}
@@ -65,13 +66,6 @@ class NetCdf3(Format):
         return _tables(path, leaves)
 
 
-class Leaf:
-    """Numbers of a tree, their unit, and attributes."""
-
-    def __init__(self, values: np.ndarray, unit: str = "") -> None:
-        self.values, self.unit = values, unit
-
-
 def _of_group(group: Any, h5py: Any) -> dict[str, Any]:
     """The tree below an HDF5 group, with scalar attributes as text."""
     tree: dict[str, Any] = {f"@{key}": _word(value) for key, value in group.attrs.items() if np.size(value) == 1}
@@ -82,6 +76,9 @@ def _of_group(group: Any, h5py: Any) -> dict[str, Any]:
         if isinstance(item, h5py.Group):
             tree[key] = _of_group(item, h5py)
             continue
+        for name, value in item.attrs.items():  # of a column about the whole: what frequency a lock-in used
+            if np.size(value) == 1 and "freq" in name.lower():
+                tree.setdefault(f"@{name}", _word(value))
         unit = next((_word(item.attrs[k]) for k in _UNIT_KEYS if k in item.attrs), "")
         if item.dtype.names and {"real", "imag"} <= {*item.dtype.names}:  # a complex number of MATLAB
             tree[key] = Leaf(item["real"] + 1j * item["imag"], unit)
@@ -117,6 +114,7 @@ def _walk(path: Path, place: str, tree: Mapping[str, Any], above: Mapping[str, s
     """A table of each place that holds columns, demodulators by the meaning of their fields."""
     leaves = {key: leaf for key, leaf in tree.items() if isinstance(leaf, Leaf)}
     scalars = {k: str(leaf.values.ravel()[0]) for k, leaf in leaves.items() if leaf.values.size == 1}
+    scalars |= {f"{k}_unit": leaf.unit for k, leaf in leaves.items() if leaf.values.size == 1 and leaf.unit}
     attributes = {**above, **{k[1:]: v for k, v in tree.items() if k[0] == "@" and isinstance(v, str)}, **scalars}
     for name, entry in tree.items():
         if name in ("chunkheader", "header") and isinstance(entry, dict):  # beside the samples it is about
@@ -127,7 +125,11 @@ def _walk(path: Path, place: str, tree: Mapping[str, Any], above: Mapping[str, s
     lengths = [leaf.values.size for leaf in columns.values()]
     rows = max(sorted(set(lengths)), key=lengths.count) if lengths else 0
     kept = {key: leaf for key, leaf in columns.items() if leaf.values.size == rows}
-    if len(kept) > 1 or any(leaf.values.dtype.kind == "c" for leaf in kept.values()):
+    shared, taken = shared_tables(kept, tree)
+    for name, placed in shared.items():
+        joined = tuple(column for before, some in placed for column in _columns(some, before))
+        yield SourceTable(path, f"{place}/{name}".strip("/"), joined, attributes)
+    if not taken and (len(kept) > 1 or any(leaf.values.dtype.kind == "c" for leaf in kept.values())):
         if {*kept} > _DEMODULATOR and {*kept} & {"frequency", "grid", "timestamp"}:
             yield from demodulated(path, place, {k: leaf.values.ravel() for k, leaf in kept.items()}, attributes)
         else:
@@ -139,14 +141,14 @@ def _walk(path: Path, place: str, tree: Mapping[str, Any], above: Mapping[str, s
             )
             yield SourceTable(path, place, tuple(parts), attributes)
     for key, entry in tree.items():
-        if isinstance(entry, dict) and key not in ("chunkheader", "header"):
+        if isinstance(entry, dict) and key not in ("chunkheader", "header", *taken):
             yield from _walk(path, f"{place}/{key}".strip("/"), entry, attributes)
 
 
-def _columns(leaves: Mapping[str, Leaf]):
+def _columns(leaves: Mapping[str, Leaf], before: str = ""):
     for key, leaf in leaves.items():
         name, unit = split_header(key)
-        yield from complex_columns(name, tidy_unit(leaf.unit) or unit, leaf.values.ravel())
+        yield from complex_columns(f"{before}{name}", tidy_unit(leaf.unit) or unit, leaf.values.ravel())
 
 
 def _word(value: Any) -> str:
