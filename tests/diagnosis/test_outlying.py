@@ -65,6 +65,16 @@ def test_a_comparison_leaves_out_what_stands_alone_and_names_it():
     assert part.left_out == {}
 
 
+def test_rows_are_left_out_also_where_finer_tests_fail_of_what_has_the_size_of_the_noise():
+    """A diagnosis, which rests on the size, left the row out; the comparison counted it, 63 times the noise."""
+    model, case = fit_case(case_of(1)).model, case_of(1, rows=(44,), sigmas=40.0)
+    result = compare(model, case, fitted=False, level=0.999999)
+    assert not result.explained
+    assert result.left_out == {0: (44,)}
+    assert "not even without row 45 (near " in result.verdict
+    assert "which is outlying and left out: " in result.verdict
+
+
 def test_a_fit_leaves_out_and_names_the_same_rows():
     """`memsgyro fit` printed one row as 33 times the noise of a whole record, and did not say which."""
     case = case_of(1, rows=(44,), sigmas=40.0)
