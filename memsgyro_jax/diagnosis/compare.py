@@ -231,7 +231,7 @@ def compare(
 
 
 def beside_outlying(result: Comparison, again: Callable[[Rows], CaseFit]) -> Comparison:
-    """The same without the few rows that stand alone, where that leaves each record the size of its noise; else as it is.
+    """The same without the few rows that stand alone, where each record then has the size of its noise; else as it is.
 
     Args:
         result: of all rows.
