@@ -29,7 +29,7 @@ from .fitted import RecordError
 from .instrument import beside_case_of
 from .misfit import LEVEL, Check, check_all
 from .offset_left import with_offset_left
-from .outlying import few_outlying, of_rows, outlying
+from .outlying import as_left_out, few_outlying, of_rows, outlying
 
 
 if TYPE_CHECKING:
@@ -121,18 +121,17 @@ class Comparison(Shown):
         """One sentence."""
         failed = sum(c.failed for c in self.checks)
         alarm = f"with probability {self.level:g} noise alone fails any"
+        alone = as_left_out(self.case, self.left_out)
         if failed:
-            return f"The model does not explain the records: {failed} of {len(self.checks)} tests fail ({alarm}):"
+            nor = f", not even without {alone}" if alone else ""
+            return f"The model does not explain the records{nor}: {failed} of {len(self.checks)} tests fail ({alarm}):"
         if self.fit.unsure:
             return (
                 f"Whether the model explains the records is not sure: none of {len(self.checks)} tests fails, but "
                 f"{self.fit.resolution}."
             )
-        alone = ""
-        if self.left_out:
-            are = "are" if sum(map(len, self.left_out.values())) > 1 else "is"
-            alone = f", but for {of_rows(self.case, self.left_out)}, which {are} outlying and left out"
-        return f"The model explains the records{alone}: none of {len(self.checks)} tests fails ({alarm})."
+        but = f", but for {alone}" if alone else ""
+        return f"The model explains the records{but}: none of {len(self.checks)} tests fails ({alarm})."
 
     @property
     def beside_size(self) -> str:
@@ -232,14 +231,15 @@ def compare(
 
 
 def beside_outlying(result: Comparison, again: Callable[[Rows], CaseFit]) -> Comparison:
-    """The same without the few rows that stand alone, where the model then explains the case; else as it is.
+    """The same without the few rows that stand alone, where each record then has the size of its noise; else as it is.
 
     Args:
         result: of all rows.
         again: the fit without some.
     """
     for rows in () if result.explained else few_outlying(result.fit):
-        if (fewer := judged(again(rows), level=result.level, fitted=result.fitted)).explained:
+        fewer = judged(again(rows), level=result.level, fitted=result.fitted)
+        if fewer.explained or fewer.beside_size:
             return replace(fewer, left_out=rows)
     return result
 

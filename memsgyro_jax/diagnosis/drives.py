@@ -43,7 +43,9 @@ def without_weight(readings: Readings, absent: np.ndarray) -> Readings:
         return readings
     wide = jnp.where(absent[:, None], jnp.inf, std)
     experiment = eqx.tree_at(lambda e: e.noise.std, readings.experiment, wide)
-    whole = readings.experiment if readings.whole is None else readings.whole
+    whole = readings.whole
+    if whole is None and experiment.rows_stand_alone:
+        whole = readings.experiment
     return replace(readings, experiment=experiment, record=np.where(absent, NOBODY, readings.record), whole=whole)
 
 

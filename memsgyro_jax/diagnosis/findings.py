@@ -5,12 +5,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from memsgyro_jax.base.text import beside
+from memsgyro_jax.base.text import beside, said_in
 
 from .fitted import AT_BOUND
 
 
 NOTHING = " from nothing"  # ends what an experiment decides where no two models are left to be told apart
+NOT_HELD = "not held"
 VANISHED = 1e-9  # of the largest of several numbers: one that no row holds is left at rounding
 SIGMAS_SEEN = 4.45  # strength over its standard deviation that is found nine times in ten among some fifty candidates
 
@@ -51,6 +52,14 @@ class Accepted:
         """Name and variant."""
         return f"{self.name} {self.where}".rstrip()
 
+    @property
+    def told_in_unit(self) -> str:
+        """All components of the strength with their unit, behind the last one that is held."""
+        told, held = list(self.told()), np.flatnonzero(~np.isinf(self.std))
+        if held.size:
+            told[held[-1]] = said_in(told[held[-1]], self.unit)
+        return ", ".join(told)
+
     def scaled(self, factor: float) -> "Accepted":
         """The same with all standard deviations multiplied."""
         numbers = {name: (value, factor * std, unit) for name, (value, std, unit) in self.numbers.items()}
@@ -67,6 +76,8 @@ class Accepted:
 
 def told_with(value: float, std: float, digits: int = 5) -> str:
     """A number with its standard deviation, as many digits as that leaves it; a number alone with few."""
+    if np.isinf(std):
+        return NOT_HELD
     return f"{value:.3g}" if np.isnan(std) else f"{beside(value, std, digits)} ± {std:.2g}"
 
 

@@ -84,7 +84,8 @@ def instrument_terms(case: Case) -> tuple[InstrumentTerm, ...]:
     """
     groups = _Groups.of(case)
     phasor, clocked = groups.phasor, groups.clocked
-    every, several = _together(phasor), phasor if len(phasor) > 1 else []
+    turned = groups.turned
+    every, several = _together(turned), turned if len(turned) > 1 else []
     found = [
         (UnsettledRows, groups.hasty, {}),
         (LockInTime, groups.unsettled, {}),
@@ -206,6 +207,7 @@ class _Groups:
     sweeps: list[set[Place]]
     levels: list[set[Place]]
     phasor: list[set[Place]]
+    turned: list[set[Place]]
     swept: list[set[Place]]
     clocked: list[set[Place]]
     hasty: list[set[Place]]
@@ -235,6 +237,7 @@ class _Groups:
             [{place} for own in places for place in own],
             list(levels.values()),
             [set(own) for own, wave in zip(places, phasor, strict=True) if wave],
+            [set(own) for own, wave, r in zip(places, phasor, case.records, strict=True) if wave and r.driven],
             [set(own) for own, wave, r in zip(places, phasor, case.records, strict=True) if wave and r.stepped],
             timed,
             _together([own for settled, own in stepped if settled]),

@@ -119,8 +119,7 @@ def _at_resolution(joint: Joint, finest: Sequence[Readings], chi2: float) -> Joi
     while any(_resolution(one) != _resolution(last) for one, last in zip(joint.readings, finest, strict=True)):
         held = _with_shape_held(joint)
         steps = [
-            one if one.experiment.finer is None or _resolution(one) == _resolution(last)
-            else replace(one, experiment=one.experiment.finer)
+            one if _resolution(one) == _resolution(last) else one.changed(lambda e: e.finer or e)
             for one, last in zip(held.readings, finest, strict=True)
         ]  # fmt: skip
         joint = Joint(held.model, steps)

@@ -7,7 +7,7 @@ it free. What it leaves of χ² beyond the truth is the expected Δχ² (the T-o
 62 (1975) 57).
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import equinox as eqx
@@ -60,12 +60,15 @@ class Rivals:
 
 def plans(case: Case, readings: Sequence[Readings]) -> tuple[Proposal, ...]:
     """Feasible experiments, the least effort first, as the kinds of the fitted readings propose them."""
-    return tuple(
-        Proposal(text, replace(taken, experiment=other))
-        for taken in readings
-        if taken.fitted and taken.record.max(initial=-1) >= 0
-        for text, other in taken.experiment.proposals(case.records[int(taken.record[0])].name)
-    )
+    known = [(r, r.record[r.record >= 0]) for r in readings if r.fitted]
+    return tuple(plan for taken, of in known if of.size for plan in _plans_of(taken, case.records[int(of[0])].name))
+
+
+def _plans_of(taken: Readings, name: str) -> Iterator[Proposal]:
+    """What is proposed from a record, without the same rows."""
+    whole = taken.experiment if taken.whole is None else taken.whole
+    for (text, other), (_, all_rows) in zip(taken.experiment.proposals(name), whole.proposals(name), strict=True):
+        yield Proposal(text, replace(taken, experiment=other, whole=None if taken.whole is None else all_rows))
 
 
 def next_experiments(
@@ -188,8 +191,8 @@ def as_recorded(joint: Joint, truth: Optimum, planned: Readings) -> Readings | N
             return planned
         parts = white.reshape(*measured.shape, -1)
         error = _finite(np.broadcast_to(std, measured.shape)) * (parts @ (1.0, 1.0j)[: parts.shape[-1]])
-        experiment = eqx.tree_at(lambda e: e.measured, planned.experiment, measured - jnp.asarray(error))
-        planned = replace(planned, experiment=experiment)
+        read = measured - jnp.asarray(error)
+        planned = planned.changed(lambda e: eqx.tree_at(lambda o: o.measured, e, read))  # noqa: B023
     return None
 
 

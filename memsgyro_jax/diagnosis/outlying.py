@@ -56,6 +56,12 @@ def of_rows(case: Case, left_out: Rows) -> str:
     )
 
 
+def as_left_out(case: Case, left_out: Rows) -> str:
+    """The same as a part of a sentence that says so; empty for none."""
+    are = "are" if sum(map(len, left_out.values())) > 1 else "is"
+    return f"{of_rows(case, left_out)}, which {are} outlying and left out" if left_out else ""
+
+
 def far_off(case: Case) -> str:
     """Rows that `check` names, which pull every fit: to be said of a case that nothing explains; empty for none."""
     rows = lone_readings(case.records)

@@ -6,7 +6,6 @@ set point takes it, and tells it in kelvins.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -19,6 +18,7 @@ from memsgyro_jax.effects import free_numbers
 from memsgyro_jax.effects.instrument import RecordTemperature
 from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.experiments import Readings
+from memsgyro_jax.measurement.experiments.base import Experiment
 from memsgyro_jax.measurement.one_place import set_points
 
 from .findings import Accepted
@@ -92,8 +92,11 @@ def _taken(term: RecordTemperature, readings: Readings) -> np.ndarray:
 def _warmed(readings: Readings, term: RecordTemperature, kelvins: float) -> Readings:
     """The same readings, predicted where every set point is warmer."""
     moved = kelvins * _taken(term, readings).sum(axis=-1)
-    warmer = eqx.tree_at(lambda e: e.surroundings.temperature, readings.experiment, replace_fn=lambda t: t + moved)
-    return replace(readings, experiment=warmer)
+
+    def warmer(experiment: Experiment) -> Experiment:
+        return eqx.tree_at(lambda e: e.surroundings.temperature, experiment, replace_fn=lambda t: t + moved)
+
+    return readings.changed(warmer)
 
 
 class SetPointErrors(NamedTuple):

@@ -1,7 +1,6 @@
 """Predictions that are resolved: a kink needs more harmonics than a smooth law, a strong law shorter steps in time."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Array
@@ -58,7 +57,7 @@ def still_apart(model: Model, readings: Sequence[Readings]) -> float:
 
     What was seen before that fit is no measure of it: a model that fits badly swings otherwise, and then differs more.
     """
-    return sharpened(model, [replace(r, experiment=r.experiment.coarse) for r in readings])[1]
+    return sharpened(model, [r.changed(lambda e: e.coarse) for r in readings])[1]
 
 
 def in_words(apart: float) -> str:
@@ -104,8 +103,7 @@ def _steps(model: Model, known: Sequence[tuple[Experiment, np.ndarray | None]]) 
 
 def _finer(readings: Readings, steps: int) -> Readings:
     for _ in range(steps):
-        finer = readings.experiment.finer
-        readings = readings if finer is None else replace(readings, experiment=finer)
+        readings = readings.changed(lambda e: e.finer or e)
     return readings
 
 

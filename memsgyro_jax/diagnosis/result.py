@@ -23,7 +23,7 @@ from memsgyro_jax.measurement.model import Model
 
 from .compare import judged
 from .describing import consequence, drift_over
-from .findings import Accepted, Candidate, Prospect, Stage, told_with
+from .findings import NOT_HELD, Accepted, Candidate, Prospect, Stage, told_with
 from .fit import CaseFit
 from .fit_table import effects_table, errors_table, parameters_table, readings_table
 from .fitted import ParameterEstimate, errors_figure, with_calibration
@@ -188,10 +188,8 @@ class Diagnosis(Labelled):
         if self.by_setting:
             lines += ["  as each of the surroundings shows it by itself:", indent(self.by_setting, "    ")]
         for a in (*self.instrument, *self.accepted):
-            value = ", ".join(a.told())
-            more = "".join(f", {name} {said_in(told_with(v, s), unit)}" for name, (v, s, unit) in a.numbers.items())
-            value = said_in(value, a.unit)
-            lines.append(f"  {a.label}: {value}{with_calibration(a.calibration)}{more}" + _confused(a))
+            more = "".join(f", {name} {_in_unit(v, s, unit)}" for name, (v, s, unit) in a.numbers.items())
+            lines.append(f"  {a.label}: {a.told_in_unit}{with_calibration(a.calibration)}{more}" + _confused(a))
             if about := "; ".join(filter(None, (self.laws.get(a.label), self.consequences.get(a.label)))):
                 lines.append(f"    {about}")
         if self.unexplained and (self.instrument or self.accepted):
@@ -317,6 +315,11 @@ def _fit(fit: CaseFit, *, with_std: bool = True) -> dict:
         ],
         "parameters": [p.to_dict() | ({} if with_std else {"std": None}) for p in fit.estimates],
     }
+
+
+def _in_unit(value: float, std: float, unit: str) -> str:
+    told = told_with(value, std)
+    return told if told == NOT_HELD else said_in(told, unit)
 
 
 def _noise(record: AbstractRecord) -> dict[str, float]:

@@ -35,3 +35,11 @@ def test_a_number_that_no_record_holds_is_zero():
     assert Accepted("drive_level", "", (-1.4e-17, 3e-18), unsure, "1", 0.0, 9.0, 1.0).told() == ("-1.4e-17", "3e-18")
     small = Accepted("drive_level", "", (1.0, 1e-12), (0.1, 2e-13), "1", 0.0, 9.0, 1.0)
     assert small.told()[1].startswith("1")
+
+
+def test_a_number_that_is_not_held_has_no_infinite_error():
+    """The phase of a decay, one of five, was told as "0 ± inf rad"."""
+    term = Accepted("reference_phase", "by record", (-0.18, 0.0), (0.01, np.inf), "rad", 0.0, 9.0, 1.0)
+    assert term.told() == ("-0.18 ± 0.01", "not held")
+    assert term.told_in_unit == "-0.18 ± 0.01 rad, not held"
+    assert Accepted("a", "", (1.0,), (np.inf,), "N", 0.0, 9.0, 1.0).told_in_unit == "not held"

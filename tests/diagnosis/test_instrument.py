@@ -28,6 +28,7 @@ from memsgyro_jax.effects import TERMS, FiniteSweepRate
 from memsgyro_jax.effects.lock_in_terms import ReferencePhase
 from memsgyro_jax.effects.trial import complaint
 from memsgyro_jax.measurement.case import load_case
+from memsgyro_jax.measurement.import_case import import_case
 from memsgyro_jax.measurement.linear_start import starting_device
 from memsgyro_jax.measurement.model import Model
 from memsgyro_jax.measurement.model_file import read_model, write_model
@@ -38,6 +39,7 @@ CLOCK = 5.0  # s from row to row
 HIDDEN = Hidden()
 OMEGA = 2 * np.pi * 68.6
 WEAK = 0.012
+BY_RECORDS = "reference_phase by record"
 
 
 def slow(*case):
@@ -87,6 +89,20 @@ def test_a_case_holds_no_term_of_which_it_has_one_group_alone():
     (alone,) = [replace(r, **_only(r, r.sweeps[0])) for r in whole.records if r.name == "sweep"]
     labels = [term.label for term in instrument_terms(replace(whole, records=(alone,)))]
     assert labels == ["lock_in_memory", "reference_phase", "lock_in_background", "lock_in_feedthrough"]
+
+
+def test_a_decay_from_an_unknown_start_has_no_phase_of_the_reference(tmp_path):
+    """Its start takes it: the number of a decay beside sweeps was never held."""
+    time = np.arange(200) / 800.0
+    seen = 0.4 * np.exp((2j * np.pi * 3.0 - np.pi * 9.0) * time)
+    rows = np.column_stack([time, seen.real, seen.imag])
+    np.savetxt(tmp_path / "decay.csv", rows, "%.9g", ",", header="t [s],Vx_I [V],Vx_Q [V]", comments="")
+    decay = import_case([tmp_path / "decay.csv"], tmp_path / "case", reference="9000 Hz").case
+    assert not [t for t in instrument_terms(decay) if t.name == "reference_phase"]
+    swept = case_of()
+    both = replace(swept, records=(*swept.records, *decay.records))
+    sizes = [t.strength.size for case in (swept, both) for t in instrument_terms(case) if t.label == BY_RECORDS]
+    assert sizes == [len(swept.records)] * 2
 
 
 def test_one_drift_goes_on_from_record_to_record_by_one_clock(tmp_path):

@@ -11,6 +11,7 @@ from bench_case import ONE_AXIS, RESONATOR, bench
 from lab.faults import Faults
 
 from memsgyro_jax.diagnosis.diagnose import diagnose
+from memsgyro_jax.diagnosis.drives import without_rows
 from memsgyro_jax.diagnosis.findings import NOTHING, SIGMAS_SEEN, Prospect
 from memsgyro_jax.diagnosis.instrument import instrument_terms
 from memsgyro_jax.diagnosis.joint_residual import Joint
@@ -85,6 +86,23 @@ def test_the_first_drive_comes_again_after_the_last():
     assert counted.sum() == first.sum()
     np.testing.assert_array_equal(late.force[counted], sweep.force[first])
     assert late.surroundings.time[0] >= sweep.surroundings.time.max()
+
+
+def test_what_is_proposed_is_predicted_also_where_rows_were_left_out():
+    """The record was predicted in its place, which has them all: at half the drive as it was."""
+    case = case_of()
+    (sweep,) = without_rows([r for r in readings_of(case) if r.fitted], {0: (0, 7)})
+    joint = Joint(model_of(case, starting_device(case)), [sweep])
+    base = optimise(joint, joint.start, joint.base(), joint.fitted)
+    half = next(plan for plan in plans(case, [sweep]) if plan.text.endswith("at half the drive"))
+    made = as_recorded(joint, base, half.readings)
+    assert made is not None
+    for experiment in (made.experiment, made.whole):
+        np.testing.assert_array_equal(experiment.force, 0.5 * sweep.experiment.force)
+        np.testing.assert_array_equal(experiment.measured, made.experiment.measured)
+    (left,) = joint.residual(base.vector, [made])
+    np.testing.assert_allclose(left, np.asarray(made.experiment.residual(joint.at(base.vector))), atol=1e-6)
+    assert np.sqrt(np.mean(left**2)) < 0.1
 
 
 # ---- scores

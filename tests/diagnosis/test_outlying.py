@@ -3,6 +3,7 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
+import equinox as eqx
 import numpy as np
 import pytest
 from bench_case import RESONATOR
@@ -10,6 +11,7 @@ from lab.die import Hidden
 from long_sweep import case_of
 
 from memsgyro_jax.app.report.fit_text import fit_entries, fit_text
+from memsgyro_jax.diagnosis import misfit
 from memsgyro_jax.diagnosis.compare import beside_outlying, compare, judged
 from memsgyro_jax.diagnosis.drives import without_rows
 from memsgyro_jax.diagnosis.fit import beside_case, fit_case
@@ -27,6 +29,9 @@ from memsgyro_jax.diagnosis.outlying import (
 )
 from memsgyro_jax.effects import by_name, catalogue
 from memsgyro_jax.measurement.case import load_case
+from memsgyro_jax.measurement.import_case import import_case
+from memsgyro_jax.measurement.linear_start import starting_device
+from memsgyro_jax.measurement.readings import model_of, readings_of
 
 
 WRONG = (11, 40, 77, 130, 151)
@@ -59,6 +64,19 @@ def test_a_comparison_leaves_out_what_stands_alone_and_names_it():
     part = compare(model, case_of(1, rows=range(5, 175, 12), sigmas=40.0), fitted=False)
     assert not part.explained
     assert part.left_out == {}
+
+
+def test_rows_are_left_out_also_where_finer_tests_fail_of_what_has_the_size_of_the_noise(monkeypatch):
+    """A diagnosis, which rests on the size, left the row out; the comparison counted it, 63 times the noise."""
+    model, case = fit_case(case_of(1)).model, case_of(1, rows=(44,), sigmas=40.0)
+    tests = misfit.check_all
+    failing = lambda *given: (*(made := tests(*given))[:-1], replace(made[-1], p_value=0.0))  # noqa: E731
+    monkeypatch.setattr("memsgyro_jax.diagnosis.compare.check_all", failing)
+    result = compare(model, case, fitted=False)
+    assert not result.explained
+    assert result.left_out == {0: (44,)}
+    assert "not even without row 45 (near " in result.verdict
+    assert "which is outlying and left out: " in result.verdict
 
 
 def test_a_fit_leaves_out_and_names_the_same_rows():
@@ -209,3 +227,22 @@ def test_a_row_read_while_the_response_fell_is_left_out_of_a_fit_of_effects(tmp_
     assert found.explained
     assert found.left_out == {0: (row,)}
     assert f"row {row + 1} (near 5.02007 kHz, read while the response fell" in found.verdict
+
+
+def test_a_row_that_is_left_out_of_a_decay_does_not_pull_the_start_of_its_piece(tmp_path):
+    """It had no weight in what was left, but all of it in the start that was solved for."""
+    time, rng = np.arange(200) / 800.0, np.random.default_rng(3)
+    noise = 1e-4 * (rng.standard_normal(time.size) + 1j * rng.standard_normal(time.size))
+    seen = 0.4 * np.exp((2j * np.pi * 3.0 - np.pi * 9.0) * time) + noise
+    rows, header = np.column_stack([time, seen.real, seen.imag]), "t [s],Vx_I [V],Vx_Q [V]"
+    np.savetxt(tmp_path / "decay.csv", rows, "%.9g", ",", header=header, comments="")
+    case = import_case([tmp_path / "decay.csv"], tmp_path / "case", reference="9000 Hz").case
+    model, sound = model_of(case, starting_device(case)), next(r for r in readings_of(case) if r.fitted)
+    number = int(sound.row[row := sound.row.size // 2])
+    wrong = sound.changed(lambda e: eqx.tree_at(lambda o: o.measured, e, e.measured.at[row].add(0.05)))
+
+    def left(readings):
+        joint = Joint(model, without_rows([readings], {0: (number,)}))
+        return np.concatenate(joint.residual(joint.start, joint.fitted))
+
+    np.testing.assert_allclose(left(wrong), left(sound), atol=1e-6)

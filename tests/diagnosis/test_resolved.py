@@ -3,6 +3,7 @@ record in time with steps as short as its law and its noise need."""
 
 from dataclasses import replace
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -10,11 +11,15 @@ from bench_case import ONE_AXIS, RESONATOR, bench
 from lab.die import Hidden, Outside
 from lab.protocol import Laboratory, Raw
 
+from memsgyro_jax.diagnosis.drives import without_rows
 from memsgyro_jax.diagnosis.fit import fit_case
+from memsgyro_jax.diagnosis.joint_residual import Joint
 from memsgyro_jax.diagnosis.resolved import UNSURE, sharpened
-from memsgyro_jax.effects import CubicStiffness, ForceEffect, on_axis, strength
+from memsgyro_jax.effects import CubicStiffness, ForceEffect, Scanned, catalogue, on_axis, strength
 from memsgyro_jax.measurement.envelope import LONGEST
-from memsgyro_jax.measurement.readings import readings_of
+from memsgyro_jax.measurement.import_case import import_case
+from memsgyro_jax.measurement.linear_start import starting_device
+from memsgyro_jax.measurement.readings import model_of, readings_of
 from memsgyro_jax.measurement.steady import FINENESS
 
 
@@ -85,6 +90,39 @@ def test_shorter_steps_change_nothing_but_the_steps():
     assert again.parts == 1
     for name in ("forces", "increments", "step"):
         np.testing.assert_array_equal(getattr(again, name), getattr(once, name))
+
+
+def test_rows_that_are_left_out_keep_no_record_coarse():
+    """The finer resolution went to the rest, and what predicts all rows stayed coarse."""
+    made = bench(Hidden(cubic_stiffness_x=1e11), 1, CLEAN)
+    model = made.model((CubicStiffness("x"),))
+    readings = without_rows(readings_of(made.case), {0: (40, 700)})
+    assert readings[0].whole is not None
+    (finer,), _ = sharpened(model, readings)
+    assert finer.experiment.parts == finer.whole.parts > 1
+    assert eqx.tree_equal(sharpened(model, [finer.changed(lambda e: e.coarse)])[0][0].whole, finer.whole)
+    joint = Joint(model, [finer])
+    (left,) = joint.residual(joint.start, joint.fitted)
+    np.testing.assert_allclose(left, np.asarray(finer.experiment.residual(model)), atol=1e-6)
+
+
+def test_a_finer_decay_of_phasors_without_some_rows_is_ranked(tmp_path):
+    """What it asked in first steps was answered in finer ones: `scan got values with different leading axis sizes`."""
+    time, rng = np.arange(200) / 800.0, np.random.default_rng(3)
+    noise = 1e-4 * (rng.standard_normal(time.size) + 1j * rng.standard_normal(time.size))
+    seen = 0.4 * np.exp((2j * np.pi * 3.0 - np.pi * 9.0) * time) + noise
+    rows = np.column_stack([time, seen.real, seen.imag])
+    np.savetxt(tmp_path / "decay.csv", rows, "%.9g", ",", header="t [s],Vx_I [V],Vx_Q [V]", comments="")
+    case = import_case([tmp_path / "decay.csv"], tmp_path / "case", reference="9000 Hz").case
+    effects = [e for e in catalogue(1) if not isinstance(e, Scanned)]
+    model = model_of(case, starting_device(case)).with_effect(*effects)
+    finer = [r.changed(lambda e: e.finer) for r in without_rows(readings_of(case), {0: (3,)})]
+    joint = Joint(model, finer)
+    units = np.eye(joint.start.size)[np.concatenate([joint.of_effect(i) for i in range(len(effects))])]
+    value, slopes = joint.linearise(joint.start, units, joint.fitted)
+    np.testing.assert_allclose(value, np.asarray(finer[0].experiment.residual(model.present)), atol=1e-6)
+    assert np.isfinite(slopes).all()
+    assert np.any(slopes, axis=0).any()
 
 
 def test_a_long_record_has_no_shorter_steps_than_a_fit_can_keep():

@@ -44,7 +44,7 @@ def law_command(
     from memsgyro_jax.base.errors import InputError
     from memsgyro_jax.base.files import write_whole
     from memsgyro_jax.diagnosis.backbone import backbone
-    from memsgyro_jax.diagnosis.compare import judged
+    from memsgyro_jax.diagnosis.compare import beside_outlying, judged
     from memsgyro_jax.diagnosis.fit import fit_case
     from memsgyro_jax.diagnosis.instrument import every_term
     from memsgyro_jax.diagnosis.law import draw_law
@@ -56,6 +56,7 @@ def law_command(
         with_held_terms,
     )
     from memsgyro_jax.diagnosis.leak import leak_past
+    from memsgyro_jax.diagnosis.outlying import fit_without
     from memsgyro_jax.effects import catalogue
     from memsgyro_jax.measurement.calibration import units_of_records
     from memsgyro_jax.measurement.drive_levels import clear_drives
@@ -96,7 +97,10 @@ def law_command(
     if edited is None:
         print(law, end="\n\n" if law.names else "\n")
     if after is not before:
-        print(fit_text(before, judged(after)))
+        of_all = after
+        found = beside_outlying(judged(of_all), lambda rows: fit_without(of_all, rows))
+        after = found.fit
+        print(fit_text(before, found))
     if after is not before and edited is None:
         more = "".join(f' --add "{effect.label}"' for effect in chosen)
         for name, label in of_the_catalogue(law, after).items():

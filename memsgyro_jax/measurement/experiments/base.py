@@ -1,8 +1,8 @@
 """The port of the measurement side: a kind of experiment that predicts what the laboratory would have recorded."""
 
 import abc
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import equinox as eqx
@@ -137,6 +137,11 @@ class Experiment(eqx.Module):
         """Whether a constant voltage of a channel shows in what is read; in a phasor of a lock-in none does."""
         return not jnp.iscomplexobj(self.measured)
 
+    @property
+    def rows_stand_alone(self) -> bool:
+        """Whether what is left of a row depends on the noise of no other, as it does where a start is solved for."""
+        return True
+
     def at(self, row: int) -> str:
         """Where a row was or would be taken, for people: e.g. "near 3000 Hz"; empty by default."""
         return ""
@@ -196,6 +201,11 @@ class Readings:
     def weightless(self) -> np.ndarray:
         """Which numbers of the residual (r,) belong to no record."""
         return np.repeat(self.record < 0, self.size // self.record.size)
+
+    def changed(self, change: Callable[[Experiment], Experiment]) -> "Readings":
+        """The same of a changed experiment, with which that of all rows changes: it is the one that is predicted."""
+        whole = None if self.whole is None else change(self.whole)
+        return replace(self, experiment=change(self.experiment), whole=whole)
 
     @property
     def axes(self) -> int:

@@ -61,6 +61,10 @@ class FreeDecay(Experiment):
     nodes: int = eqx.field(static=True, default=0)
     parts: int = eqx.field(static=True, default=1)
 
+    @property
+    def rows_stand_alone(self) -> bool:
+        return False
+
     def predict(self, bench: Model) -> Array:
         """Every reading, from the start of its piece that suits the readings best."""
         starts, _ = self._solved(jax.lax.stop_gradient(bench))

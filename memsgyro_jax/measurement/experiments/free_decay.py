@@ -64,6 +64,7 @@ class FreeDecayRecord(WaveformRecord):
     kind: ClassVar[str] = "free_decay"
     section: ClassVar[type[ExperimentSection]] = FreeDecaySection
     last_resort: ClassVar[bool] = True
+    driven: ClassVar[bool] = False
     reference_frequency: float | None = None
     uneven: bool = False
 

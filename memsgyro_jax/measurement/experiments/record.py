@@ -74,6 +74,7 @@ class AbstractRecord(abc.ABC):
     section: ClassVar[type[ExperimentSection]] = ExperimentSection  # its keys there
     last_resort: ClassVar[bool] = False  # without a role, fitted only where no other kind is
     stepped: ClassVar[bool] = False  # each row is a setting of its own, reached from that of the row before
+    driven: ClassVar[bool] = True  # by a known force: else its phase is that of an unknown start
     name: str
     file: str
     lines: np.ndarray

@@ -74,6 +74,10 @@ class RawCapture(Experiment):
     solved: bool = eqx.field(static=True, default=False)
     parts: int = eqx.field(static=True, default=1)
 
+    @property
+    def rows_stand_alone(self) -> bool:
+        return not self.solved
+
     def predict(self, bench: Model) -> Float[Array, "n axes"]:
         """Voltage of every channel at every kept sample."""
         return self._predicted(bench, None, self._start(bench)[0])[0]
