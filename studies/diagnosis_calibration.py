@@ -40,7 +40,7 @@ LEVEL, STRONG, QUICK = 0.05, 6.0, "one axis, 32.8 kHz, Q 20 000"
 def main() -> None:
     numbers = {
         "nulls": (2000, "draws of noise per device"),
-        "dies": (1, "whole diagnoses of each stranger and of each sound device; each takes minutes"),
+        "dies": (1, "whole diagnoses of each stranger and each sound device, which take minutes"),
         "processes": (1, "that diagnose side by side"),
     }
     report = Report(numbers=numbers)
@@ -48,7 +48,7 @@ def main() -> None:
     nulls = 60 if report.quick else report.numbers["nulls"]
     for name in [QUICK] if report.quick else DEVICES:
         linearised(report, name, nulls)
-    if not report.quick:
+    if not report.quick and report.numbers["dies"]:
         whole(report, report.numbers["dies"], report.numbers["processes"])
     report.finish()
 

@@ -62,10 +62,10 @@ class Maps(NamedTuple):
     seen_free: Float[Array, "k 2 4 lanes"]
     seen_turned: Float[Array, "k 2 p w lanes"]
     unexpected: Float[Array, "k 2 u lanes"]
-    ramp: "Ramp | None" = None
+    ramp: "RateRamp | None" = None
 
 
-class Ramp(NamedTuple):
+class RateRamp(NamedTuple):
     """What a unit slope of the true rate about the middle of the block [rad/s²] adds to `true`, and to `unexpected`."""
 
     true: Float[Array, "4 u lanes"]
@@ -116,7 +116,7 @@ def maps_of(
         ),
     )
 
-    _, gram, to, sums = (_level_by_level if backwards else at_once)(double, start, doublings)
+    _, gram, to, sums = (_level_by_level if backwards else levels_at_once)(double, start, doublings)
     whiten = basis.whitening(gram)
     white = partial(multiplied, whiten)
     unexpected = jnp.concatenate([white(part.joined) for part in (sums.own, sums.driven, sums.pushed)], axis=2)
@@ -160,7 +160,7 @@ class _Doubling(NamedTuple):
     seen: _Seen
 
 
-def at_once(double: Callable, start: Any, doublings: tuple[Array, int]) -> Any:
+def levels_at_once(double: Callable, start: Any, doublings: tuple[Array, int]) -> Any:
     """Of a whole block, from what is `start` of a sample; `double` is told how often it was doubled before."""
 
     def level(half: Any, passed: Array) -> tuple[Any, None]:
@@ -257,11 +257,11 @@ def _moving(
     begin = 2 if observer.with_offsets else 0
     by = jnp.broadcast_to(moves.reshape(*moves.shape[:2], -1), (*moves.shape[:2], *lanes))[begin:, begin:]
     more = jnp.zeros((4, len(by) - turned.shape[1], *turned.shape[2:]))
-    moved = moved_by(by, period)
+    moved = as_moved_by(by, period)
     return moved(jnp.zeros(()), jnp.concatenate([turned, more], axis=1)), moved
 
 
-def moved_by(by: Float[Array, "p p lanes"], period: Scalar) -> Moved:
+def as_moved_by(by: Float[Array, "p p lanes"], period: Scalar) -> Moved:
     """How what hangs on coefficients after 2^passed samples (..., p, w) hangs on those before, where a unit of one
     moves another, `by` in a second, before each sample.
     """

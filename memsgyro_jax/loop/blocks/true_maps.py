@@ -21,9 +21,9 @@ from .basis import Sums, Turn
 from .law import Lanes, law_of, pulsations, rows_of_readout
 from .maps import (
     Maps,
-    Ramp,
-    at_once,
-    moved_by,
+    RateRamp,
+    as_moved_by,
+    levels_at_once,
     sample_of,
     seen_later,
     seen_through,
@@ -55,7 +55,7 @@ def true_maps_of(
     pulsation, _ = pulsations(loop.controller, dynamics, _groups(loop), lanes, None)
     terms = [coefficient.terms for coefficient in model.coefficients]
     start = _of_a_sample(loop, dynamics, theta, terms, pulsation * period, period, lanes)
-    done = at_once(lambda half, _: _doubled(half), start, doublings)
+    done = levels_at_once(lambda half, _: _doubled(half), start, doublings)
     whiten = basis.whitening(done.gram)
     seen = (multiplied(whiten, part.joined) for part in (done.seen_free, done.seen_turned))
     return TrueMaps(multiplied(whiten, done.gram[:, 0]), done.free, done.turned, *seen)
@@ -64,7 +64,7 @@ def true_maps_of(
 def ramp_of(
     loop: ClosedLoop, dynamics: Dynamics, theta: tuple[Scalar, ...], maps: Maps, period: Scalar,
     doublings: tuple[Array, int], lanes: Lanes,
-) -> Ramp:  # fmt: skip
+) -> RateRamp:  # fmt: skip
     """What a slope of the true rate within a block adds to its `maps`: to first order, a second coefficient that moves
     the rate, about its value in the middle, at which `dynamics` are taken.
     """
@@ -72,16 +72,16 @@ def ramp_of(
     rate = [(axis, signal, f * share) for share, c in shares if c.is_rate for axis, signal, f in c.terms]
     by = over_lanes([[0.0, 1.0], [0.0, 0.0]], lanes)
     start = _of_a_sample(loop, dynamics, theta, [rate], maps.angles, period, lanes)
-    moved = moved_by(by, period)
+    moved = as_moved_by(by, period)
 
     def with_ramp(turned: Array) -> Array:  # of a sample, before which the rate has moved
         return moved(jnp.zeros(()), jnp.concatenate([turned, jnp.zeros_like(turned)], axis=-3))
 
     start = start._replace(turned=with_ramp(start.turned), seen_turned=_each(with_ramp, start.seen_turned))
-    done = at_once(lambda half, passed: _doubled(half, partial(moved, passed)), start, doublings)
+    done = levels_at_once(lambda half, passed: _doubled(half, partial(moved, passed)), start, doublings)
     middle = 0.5 * (2.0 ** doublings[0] + 1.0) * period
     about = lambda turned: turned[..., 1, :, :] - middle * turned[..., 0, :, :]  # noqa: E731
-    return Ramp(about(done.turned), about(multiplied(maps.whiten, done.seen_turned.joined)))
+    return RateRamp(about(done.turned), about(multiplied(maps.whiten, done.seen_turned.joined)))
 
 
 def _groups(loop: ClosedLoop) -> Any:
