@@ -10,6 +10,7 @@ from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.text import listed, printable
 
 from .column_map import SECOND, SECOND_DRIVE, chosen_column
+from .drive_columns import is_drive_level, take_levels
 from .formats import SourceColumn, SourceTable
 from .formats.header import SPECIAL
 from .immittance import immittance_part
@@ -94,6 +95,7 @@ def meaning_of(table: SourceTable, said: Mapping[str, str]) -> Meaning:
     for column in table.columns:
         found.setdefault(role_of(column), []).append(column)
     _as_read(found)
+    take_levels(found)
     _as_channels(found)
     _as_amplitudes(found)
     if "f" not in found or not ({"I", "amp"} & {*found}):
@@ -134,6 +136,8 @@ def role_of(column: SourceColumn) -> str:
         return NOISE[name]
     if _UNUSED.search(name):
         return ""
+    if is_drive_level(column):
+        return "drive"
     if part := immittance_part(column):
         return part
     for role in ("f", "t", "T", "phase"):

@@ -27,6 +27,7 @@ from .formats import SourceTable, read_instrument_file
 from .imported_conditions import conditions_of_files, for_each_file
 from .imported_record import Given, ImportedRecord, records_of
 from .imported_sweep import NO_LEVEL, is_ratio
+from .left_out_drive import left_out_drive
 from .records_together import agreed, turned_alike, without_copies
 
 
@@ -185,7 +186,8 @@ def import_case(
     again += [*(["--map", *([columns] if isinstance(columns, str) else columns)] if any(maps) else [])]
     again += ["--axis", *axis] if axis else []
     left = [some if needs else [] for some, needs in zip(found, needing, strict=True)]
-    warning = _warning(names, left, levels, shlex.join(again))
+    warning = left_out_drive([tables for _, tables in read], maps, found)
+    warning = warning or _warning(names, left, levels, shlex.join(again))
     hinted = (*hints(files, found, {"V_bias": bias, "T": temperature}), *hint_of_axes(files, found))
     return ImportedCase(case, tuple(form for form, _ in read), tuple(records), (*unused, *copies), warning, hinted)
 
