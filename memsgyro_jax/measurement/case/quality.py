@@ -131,10 +131,11 @@ def _phasors(case: Case) -> list[tuple[str, Phasors | None]]:
 
 def _contradictions(case: Case, phasors: Sequence[tuple[str, Phasors | None]]) -> list[str]:
     near = {*map(id, in_one_place(case.environment, case.records))}
-    alike = [one for record, one in zip(case.records, phasors, strict=True) if id(record) in near]
     exchanged = exchanged_axes(phasors) if case.channels == 2 else {}
+    kept = [id(record) in near and one[0] not in exchanged for record, one in zip(case.records, phasors, strict=True)]
+    alike = [one for one, keeps in zip(phasors, kept, strict=True) if keeps]
     others = [(name, one) for name, one in phasors if name not in exchanged]
-    found = [*exchanged.values(), *disagreements(others), *(out_of_line(alike) if case.channels == 1 else ())]
+    found = [*exchanged.values(), *disagreements(others), *out_of_line(alike)]
     found += [said] if case.channels == 2 and (said := all_exchanged(phasors)) else []
     return [sentence if sentence.endswith("?") else f"{sentence}." for sentence in found]
 
