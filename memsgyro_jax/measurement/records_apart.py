@@ -49,19 +49,19 @@ def out_of_line(records: Sequence[tuple[str, Phasors | None]]) -> list[str]:
     """
     told: dict[int, list[_Told]] = {}
     for name, row in records:
-        axis = None if row is None else _driven(row)
+        axis = None if row is None else driven_axis(row)
         if row is not None and axis is not None and (one := _told(name, row, axis)) is not None:
             told.setdefault(axis, []).append(one)
     return [sentence for axis in sorted(told) for sentence in _of_one_axis(told[axis])]
 
 
-def _driven(row: Phasors) -> int | None:
+def driven_axis(row: Phasors) -> int | None:
     """The one axis that is driven and read all the time; `None` where there is none."""
     driven = np.flatnonzero(np.any(row.force, axis=0))
     return int(driven[0]) if len(driven) == 1 and row.axis is None else None
 
 
-def _along(row: Phasors, axis: int) -> Phasors:
+def seen_along(row: Phasors, axis: int) -> Phasors:
     """What a record says of one axis."""
     return row._replace(motion=row.motion[:, [axis]], force=row.force[:, [axis]], beside=None)
 
@@ -78,7 +78,7 @@ def _of_one_axis(told: list[_Told]) -> list[str]:
 
 def _told(name: str, whole: Phasors, axis: int) -> _Told | None:
     """The record with its device along an axis; `None` where none shows it clearly."""
-    row, most = _along(whole, axis), _CLEAR if whole.force.shape[1] == 1 else _COUPLED
+    row, most = seen_along(whole, axis), _CLEAR if whole.force.shape[1] == 1 else _COUPLED
     if row.modulus or row.slope is not None:
         return None
     device = device_of_phasors([row])

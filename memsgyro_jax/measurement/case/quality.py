@@ -13,6 +13,7 @@ from ..exchanged_axes import all_exchanged, exchanged_axes, refuse, surely_excha
 from ..experiments import AbstractRecord
 from ..experiments.base import Phasors
 from ..one_place import in_one_place
+from ..opposite_phase import said_of_phase
 from ..phasor_fit import device_of_phasors
 from ..records_apart import out_of_line
 from ..sign_conventions import disagreements
@@ -98,7 +99,7 @@ def assess(case: Case) -> CaseQuality:
     phasors = _phasors(case)
     said = _contradictions(case, phasors)
     said += _resonances(phasors) if case.channels == 1 else []
-    said += _reference_bias(case)
+    said += said_of_phase(case.records, case) + _reference_bias(case)
     alike = {*map(id, in_one_place(case.environment, case.records))}
     told = [one for r, (_, one) in zip(case.records, phasors, strict=True) if one is not None and id(r) in alike]
     if told and np.any([np.any(one.force, axis=0) for one in told], axis=0).all():  # the answer of each axis is known
