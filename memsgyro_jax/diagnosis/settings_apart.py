@@ -87,9 +87,9 @@ class Trend(NamedTuple):
         return int(self.seen.sum()) - int(np.linalg.matrix_rank(self.constant[self.seen]))
 
 
-def in_each_place(case: Case) -> list[Surrounded]:
+def in_each_place(case: Case, but: tuple[int, int] | None = None) -> list[Surrounded]:
     """The linear device that the weakest clear drive of each axis shows in each of the surroundings, at rest; where it
-    was not swept, that of a free decay.
+    was not swept, that of a free decay. Of sweeps without one row of so many, the first of them as `but` says.
     """
     offered: dict[tuple[int, float, float], list[Phasors]] = {}
     record: Any
@@ -97,7 +97,7 @@ def in_each_place(case: Case) -> list[Surrounded]:
         if record.role == "validation" or not hasattr(record, "calm"):
             continue
         for temperature, volts, rows in _surroundings(record):
-            told = record.only(rows).starting_phasors(case)
+            told = record.only(rows if but is None else _without(rows, *but)).starting_phasors(case)
             if told is not None:
                 offered.setdefault((record.axis, temperature, volts), []).append(told)
     found = []
@@ -109,6 +109,13 @@ def in_each_place(case: Case) -> list[Surrounded]:
     swept = {(one.axis, round(one.temperature / NEAR), one.bias_voltage) for one in found}
     heard = {(one.axis, round(one.temperature / NEAR), one.bias_voltage): one for one in _heard(case)}
     return [*found, *(one for place, one in heard.items() if place not in swept)]
+
+
+def _without(rows: np.ndarray, first: int, step: int) -> np.ndarray:
+    """The rows (n,) that are chosen but for one of so many of them."""
+    kept = rows.copy()
+    kept[np.flatnonzero(rows)[first::step]] = False
+    return kept
 
 
 def _heard(case: Case) -> Iterator[Surrounded]:

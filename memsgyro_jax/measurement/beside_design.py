@@ -5,6 +5,7 @@ import numpy as np
 from memsgyro_jax.base.text import spoken
 
 from .case import Case
+from .case_of_records import SPREADS
 from .declared import QUANTITIES
 from .experiments.base import Phasors
 from .linear_start import starting_device
@@ -49,11 +50,21 @@ def beside_design(case: Case) -> tuple[str, ...]:
             own = omega if case.design["resonance"].unknown else case.design["resonance"].value
             seen = f"{seen} m/N (a mass of {1.0 / (value * omega**2):.4g} kg)"
             meant = f"{meant} ({1.0 / (design.value * own**2):.4g} kg)"
-        # That of a free decay is written by `import` from the records themselves.
+        if _of_import(case, key) and not outside:
+            said.append(f"{key}: the records show {seen}{'' if seen == meant else f', `import` wrote {meant}'}.")
+            continue
         beside = "as `[design]` has it" if seen == meant else f"the design {meant}"
         text = f"{key}: the records show {seen}, {beside}"
         said.append(text + (", which lies outside its tolerance." if outside else "."))
     return (*said, *_phases(_weakest(case, True), QUANTITIES[case.readout.order], omega, float(device.damping[0])))
+
+
+def _of_import(case: Case, key: str) -> bool:
+    """Whether a number of the design is one that `import` wrote from decays: nobody knew it beforehand."""
+    design, spread = case.design[key], SPREADS.get(key)
+    if spread is None or not case.description.startswith("imported from"):
+        return False
+    return bool(np.allclose([design.low * spread, design.high / spread], design.value, rtol=1e-12, atol=0.0))
 
 
 def _number(key: str, value: float, quality_factor: float) -> str:

@@ -20,6 +20,8 @@ from .case.file import FILE, SCHEMA
 from .case.unknown import OpenDesign
 from .declared import QUANTITIES
 from .imported_record import ImportedRecord
+from .imported_sweep import OPPOSITE
+from .opposite_phase import opposite_phase
 
 
 _LOCK_IN = "V(t) = Re[(I + i Q) exp(i w t)] for a drive F cos(w t); amplitudes are peak values"
@@ -41,6 +43,8 @@ _TO_FILL = {  # where the records do not tell it
 }
 
 
+SPREADS = {"resonance": 1.2, "quality_factor": 3.0}
+"""What a number that decays show roughly is written with: the factor from its value to either end of its interval."""
 _OF_DECAYS = """\
 # resonance and quality_factor as the decays show them; nothing drives, so that there is no static_gain.
 # Where [readout] has its scale, mass = { value = 1e-9, tolerance = 0.1, unit = "kg" } gives strengths in newtons,
@@ -121,7 +125,7 @@ def _design(records: list[ImportedRecord], two: bool) -> str:
     rough = records[0].design
     entries = {
         key: {"value": value, "low": value / spread, "high": value * spread, "unit": unit}
-        for (key, (value, unit)), spread in zip(rough.items(), (1.2, 3.0), strict=True)
+        for (key, (value, unit)), spread in zip(rough.items(), SPREADS.values(), strict=True)
     }
     return _OF_DECAYS + toml_table("design", entries)
 
@@ -177,6 +181,10 @@ def _as_rows_show(beside: Path, name: str, records: list[ImportedRecord], source
     for quantity, why in [one for one in found if one[0]][:1]:
         shown = _showing(records, quantity, why)
         case = read(shown)
+    either = any(one.startswith(OPPOSITE) for record in records for one in record.assumed)
+    if either and (quantity := opposite_phase(case.records, case)[1]):
+        shown = [_told_by_rows(record, quantity) for record in shown]
+        case = read(shown)
     better = [_corrected(record, one, case) for record, one in zip(shown, case.records, strict=True)]
     if any(one.keys != other.keys for one, other in zip(better, shown, strict=True)):
         read(better)
@@ -202,6 +210,14 @@ def _showing(records: list[ImportedRecord], quantity: str, why: str) -> list[Imp
         replace(record, quantity=quantity, assumed=(*record.assumed, why)) if record.forced else record
         for record in records
     ]
+
+
+def _told_by_rows(record: ImportedRecord, quantity: str) -> ImportedRecord:
+    """A record of which the phase leaves two quantities, with the one that the rows show."""
+    sign = " with an inverted sign" if quantity == "displacement" else ""
+    said = f"the read-out shows {quantity}{sign}: its rows lie far nearer to a device then"
+    assumed = tuple(said if one.startswith(OPPOSITE) else one for one in record.assumed)
+    return replace(record, quantity=quantity, assumed=assumed)
 
 
 def _corrected(record: ImportedRecord, read: AbstractRecord, case: Case) -> ImportedRecord:

@@ -10,6 +10,7 @@ from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.text import listed, printable
 
 from .column_map import SECOND, SECOND_DRIVE, chosen_column
+from .drive_columns import is_drive_level, take_levels
 from .formats import SourceColumn, SourceTable
 from .formats.header import SPECIAL
 from .immittance import immittance_part
@@ -38,6 +39,7 @@ _DC_VOLTAGE = re.compile(  # whole names: a reading or a drive may have a part o
 _TURN_RATE = re.compile(r"^(rate|angular rate|turn rate|table rate|rate table|omega z?|ω)$")
 NOISE = {"std": "std", "vx std": "x_std", "x std": "x_std", "vy std": "y_std", "y std": "y_std"}
 """Whole names of the standard deviation of each row, of all channels or of one."""
+_EPOCH = 1e9  # above it a first column may be the seconds of a calendar
 _DIMENSIONS = {"f": "Hz", "t": "s", "T": "K", "phase": "rad"}
 
 
@@ -94,6 +96,7 @@ def meaning_of(table: SourceTable, said: Mapping[str, str]) -> Meaning:
     for column in table.columns:
         found.setdefault(role_of(column), []).append(column)
     _as_read(found)
+    take_levels(found)
     _as_channels(found)
     _as_amplitudes(found)
     if "f" not in found or not ({"I", "amp"} & {*found}):
@@ -134,6 +137,8 @@ def role_of(column: SourceColumn) -> str:
         return NOISE[name]
     if _UNUSED.search(name):
         return ""
+    if is_drive_level(column):
+        return "drive"
     if part := immittance_part(column):
         return part
     for role in ("f", "t", "T", "phase"):
@@ -287,6 +292,8 @@ def _whole(table: SourceTable, columns: dict[str, SourceColumn], unused: tuple[s
 
 def _unclear(table: SourceTable, found: Mapping[str, Sequence[SourceColumn]], what: str) -> InputError:
     """The names, and the words to copy."""
+    if "f" not in found and _is_unnamed_sweep(table):
+        found = {"f": table.columns[:1], "I": table.columns[1:2], "Q": table.columns[2:]}
     over_time = "f" not in found
     waveforms = ("t", "signal", "y_signal") if "y_signal" in found else ("t", "signal")
     roles: tuple[str, ...] = (
@@ -313,6 +320,19 @@ def _unclear(table: SourceTable, found: Mapping[str, Sequence[SourceColumn]], wh
     return InputError(
         f'{where}: {what}; the columns are {names}; say which is which, as in --map "{",".join(pairs)}"{second}.'
     )
+
+
+def _is_unnamed_sweep(table: SourceTable) -> bool:
+    """Whether a table of three columns without names begins with what rises like a frequency, in a band away from zero,
+    and not like a time.
+    """
+    columns = table.columns
+    if len(columns) != 3 or not all(
+        re.fullmatch(r"column \d+", c.name) and c.values.dtype.kind in "iuf" for c in columns
+    ):
+        return False
+    first = columns[0].values
+    return bool(np.all(np.isfinite(first)) and first.min() > max(1.0, 0.5 * np.ptp(first)) and first.max() < _EPOCH)
 
 
 def _repeated(table: SourceTable, found: Mapping[str, Sequence[SourceColumn]], role: str) -> bool:

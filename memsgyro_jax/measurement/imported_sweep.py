@@ -26,6 +26,8 @@ from .two_channels import said_of_channels
 
 TURNED = "the phase rises across the resonance, so the file follows e^{-iωt}: it is negated"
 PEAK = "amplitudes are peak values, not rms (`Vrms` in a header, or `--rms`, says so)"
+OPPOSITE = "the read-out shows displacement with an inverted sign, or acceleration"
+OPPOSITE_TAKEN = 'displacement is taken, `quantity = "acceleration"` in [readout] says the other'
 _CLEAR = 30.0  # degrees around which the phase at resonance tells what is read
 _NEAR = 10.0  # degrees that need no number of their own
 _UNTOLD = "the read-out is taken for what other files show, for displacement where none does"
@@ -166,6 +168,7 @@ def _conventions(columns: dict[str, SourceColumn], table: SourceTable, axis: str
     known = read_as(columns[f"{own}_I" if f"{own}_I" in columns else f"{own}_amp"].unit)
     known = known or table.attributes.get("reads", "")
     if f"{own}_I" not in columns and f"{own}_phase" not in columns:
+        assumed += [] if known else [f"{_UNTOLD}; amplitudes without a phase do not tell"]
         return known
     phasors, frequency = phasors_of(columns, axis), np.asarray(columns["f"].values, float)
     kept = ~_lone(frequency, phasors)
@@ -193,7 +196,10 @@ def _conventions(columns: dict[str, SourceColumn], table: SourceTable, axis: str
     quantity, nearest = ("velocity", "0° or 180°") if away < _CLEAR else ("displacement", "-90° or 90°")
     whole = 90 * round(angle / 90)
     about = f"about {whole}°" if abs(angle - whole) <= _NEAR else f"{angle:.0f}°, nearest to {nearest}"
-    assumed.append(f"the read-out shows {quantity}: at resonance its phase is {about}")
+    if quantity == "displacement" and angle > 0:
+        assumed.append(f"{OPPOSITE}: at resonance its phase is {about}; {OPPOSITE_TAKEN}")
+    else:
+        assumed.append(f"the read-out shows {quantity}: at resonance its phase is {about}")
     return quantity
 
 

@@ -19,6 +19,7 @@ from .phasor_fit import device_of_phasors
 _OFF = 0.2  # of a gain: more than levels and ranges are off by, and than a search lets them be
 _ALIKE = 0.03  # of a gain, and of a width: the same
 _CLEAR = 0.02  # of the squared reading, which a linear device of the record alone leaves at most
+_COUPLED = 0.1  # the same along one axis of two: the other moves too
 _MOVED = 0.5  # of a resonance's width
 _FACTORS = {  # what readings are too large by, and why
     1 / np.sqrt(2.0): "as effective values beside amplitudes do",
@@ -40,13 +41,33 @@ class _Told(NamedTuple):
 
 def out_of_line(records: Sequence[tuple[str, Phasors | None]]) -> list[str]:
     """A sentence for each record, by name, that reads so many times what most do at its drive, or resonates elsewhere
-    than records at higher and at lower drives do.
+    than records at higher and at lower drives do: of those that were driven along one axis, each by its answer there.
 
     Args:
-        records: of a device of one axis, in one place; those without phasors, or of another course than that of a
-            linear device, are passed over.
+        records: of a device, in one place; those without phasors, or of another course along their axis than that of a
+            linear device of one axis, are passed over.
     """
-    told = [one for name, row in records if row is not None and (one := _told(name, row)) is not None]
+    told: dict[int, list[_Told]] = {}
+    for name, row in records:
+        axis = None if row is None else driven_axis(row)
+        if row is not None and axis is not None and (one := _told(name, row, axis)) is not None:
+            told.setdefault(axis, []).append(one)
+    return [sentence for axis in sorted(told) for sentence in _of_one_axis(told[axis])]
+
+
+def driven_axis(row: Phasors) -> int | None:
+    """The one axis that is driven and read all the time; `None` where there is none."""
+    driven = np.flatnonzero(np.any(row.force, axis=0))
+    return int(driven[0]) if len(driven) == 1 and row.axis is None else None
+
+
+def seen_along(row: Phasors, axis: int) -> Phasors:
+    """What a record says of one axis."""
+    return row._replace(motion=row.motion[:, [axis]], force=row.force[:, [axis]], beside=None)
+
+
+def _of_one_axis(told: list[_Told]) -> list[str]:
+    """The sentences of records along one axis."""
     if len(told) < 2:
         return []
     most = max(told, key=lambda one: sum(_is_shared(one, other) for other in told))
@@ -55,15 +76,16 @@ def out_of_line(records: Sequence[tuple[str, Phasors | None]]) -> list[str]:
     return [sentence for sentence in said if sentence]
 
 
-def _told(name: str, row: Phasors) -> _Told | None:
-    """The record with its device; `None` where none shows it clearly."""
-    if row.modulus or row.axis is not None or row.slope is not None or row.motion.shape[1] != 1:
+def _told(name: str, whole: Phasors, axis: int) -> _Told | None:
+    """The record with its device along an axis; `None` where none shows it clearly."""
+    row, most = seen_along(whole, axis), _CLEAR if whole.force.shape[1] == 1 else _COUPLED
+    if row.modulus or row.slope is not None:
         return None
     device = device_of_phasors([row])
     if device is None or float(device.mobility) == 0.0 or not np.any(row.force):
         return None
     gain, left = _gain(device, row)
-    return _Told(name, row, device, float(np.max(np.abs(row.force)))) if left < _CLEAR and gain > 0.0 else None
+    return _Told(name, row, device, float(np.max(np.abs(row.force)))) if left < most and gain > 0.0 else None
 
 
 def _gain(device: NormalisedDevice, row: Phasors) -> tuple[float, float]:

@@ -159,6 +159,21 @@ def test_a_table_shows_each_of_the_surroundings(oven, electrodes):
     assert settings_table(replace(oven, records=())) == ""
 
 
+def test_a_table_has_no_digits_that_noise_makes(oven):
+    """A quality factor stood there with four digits where the third was noise."""
+    record, rng = oven.records[0], np.random.default_rng(4)
+    noise = 3e-2 * np.abs(record.phasors).max() * (rng.normal(size=(2, *record.phasors.shape)))
+    noisy = replace(record, phasors=record.phasors + noise[0] + 1j * noise[1])
+    plain, rows = (
+        settings_table(oven).splitlines()[1:],
+        settings_table(replace(oven, records=(noisy,))).splitlines()[1:],
+    )
+    for row, true in zip(rows, plain, strict=True):
+        value, std = (float(word) for word in row.split(" ± ")[0].split()[-1:] + row.split(" ± ")[1].split()[:1])
+        assert abs(value - float(true.split()[3])) < 5.0 * std
+        assert value % 10 ** np.floor(np.log10(std)) == 0.0
+
+
 def test_the_surroundings_of_a_device_are_told(oven, electrodes):
     elsewhere = replace(oven.environment, temperature=310.0)
     assert place_in_words(oven.environment, oven.records) == "25 °C"

@@ -145,3 +145,26 @@ def test_what_is_no_noise_of_each_row_is_left_out_and_said(wrong, unit, tmp_path
     (record,) = found.case.records
     assert (record.noise_rows, record.rows) == (None, F.size)
     assert "`std` is left out, as it is no positive noise of each row in V" in str(found)
+
+
+@pytest.mark.parametrize(
+    ("first", "map_"),
+    [(F, "f=column 1,x_I=column 2,x_Q=column 3"), (np.arange(F.size) / 1e3, "t=column 1,x=column 2"),
+     (1.7e9 + np.arange(F.size), "t=column 1,x=column 2")],
+)  # fmt: skip
+def test_three_columns_without_names_that_rise_like_a_frequency_are_a_sweep(first, map_, tmp_path):
+    lines = [f"{f:.12g} {z.real:.9g} {z.imag:.9g}" for f, z in zip(first, Z, strict=True)]
+    (tmp_path / "a.dat").write_text("\n".join(lines) + "\n")
+    with pytest.raises(mg.InputError) as caught:
+        mg.import_case([tmp_path / "a.dat"], tmp_path / "case")
+    assert f'--map "{map_}"' in str(caught.value)
+    if map_.startswith("f"):
+        found = mg.import_case([tmp_path / "a.dat"], tmp_path / "case", columns=map_)
+        assert found.case.records[0].kind == "frequency_sweep"
+
+
+def test_amplitudes_alone_do_not_tell_what_is_read_and_that_is_said(tmp_path):
+    found = mg.import_case([wrote(tmp_path / "s_1V.csv", "f [Hz],R [V]", F, np.abs(Z))], tmp_path / "case")
+    assert "for displacement where none does; amplitudes without a phase do not tell." in str(found)
+    found = mg.import_case([wrote(tmp_path / "s_1V.csv", "f [Hz],R [m/s]", F, np.abs(Z))], tmp_path / "known")
+    assert "do not tell" not in str(found)

@@ -79,3 +79,86 @@ def test_a_bias_and_a_drive_in_a_name_are_told_apart(tmp_path):
     found = mg.import_case(files, tmp_path / "case")
     assert [float(record.drive[0]) for record in found.case.records] == [0.016, 0.016]
     assert '--bias "10 V" "15 V"' in str(found)
+
+
+LEVELS = np.repeat([10.0, 20.0, 20.0], w.FREQUENCY.size)
+
+
+def three_sweeps(path, header, levels=LEVELS, place="{f},{level},{x},{y}"):
+    """Two drives, the larger one twice, with noise."""
+    rng, lines = np.random.default_rng(1), [header]
+    for k, level in enumerate(levels):
+        f, z = w.FREQUENCY[k % w.FREQUENCY.size], w.RESPONSE[k % w.FREQUENCY.size] * LEVELS[k]
+        x, y = np.array([z.real, z.imag]) + 1e-4 * np.abs(w.RESPONSE).max() * rng.normal(size=2)
+        lines.append(place.format(f=f"{f:.9g}", level=f"{level:.9g}", x=f"{x:.9g}", y=f"{y:.9g}"))
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "unit", "factor"),
+    [("F [uN]", "N", 1e-6), ("F [nN]", "N", 1e-9), ("F (N)", "N", 1.0), ("Vac (mV)", "V", 1e-3), ("V_ac [V]", "V", 1.0),
+     ("VAC [mV]", "V", 1e-3), ("AC voltage [mV]", "V", 1e-3), ("Vexc [mV]", "V", 1e-3), ("V_exc [mV]", "V", 1e-3),
+     ("Vdrive [mV]", "V", 1e-3), ("Vdrv [mV]", "V", 1e-3), ("excitation [V]", "V", 1.0), ("Vin [mV]", "V", 1e-3),
+     ("Iac [mA]", "A", 1e-3), ("I_ac [mA]", "A", 1e-3), ("amplitude (mV)", "V", 1e-3),
+     ("Vac [mVrms]", "V", 2**0.5 * 1e-3)],
+)  # fmt: skip
+def test_a_level_that_a_column_says_is_the_drive(name, unit, factor, tmp_path):
+    path = three_sweeps(tmp_path / "a.csv", f"f (Hz),{name},X [V],Y [V]")
+    found = mg.import_case([path], tmp_path / "case")
+    np.testing.assert_allclose(found.case.records[0].drive, factor * LEVELS, rtol=1e-9)
+    assert "Not used" not in str(found)
+    assert "WARNING" not in str(found)
+    assert (tmp_path / "case" / "a.csv").read_text().count(f"F_x [{name.split()[-1][1:-1].removesuffix('rms')}]") == 1
+
+
+@pytest.mark.parametrize("header", ["F,{},X [V],Y [V]", "F [Hz],{},X [V],Y [V]", "f,{},X [V],Y [V]"])
+def test_f_alone_or_in_hertz_is_the_frequency(header, tmp_path):
+    path = three_sweeps(tmp_path / "a.csv", header.format("F_x [V]"))
+    (record,) = mg.import_case([path], tmp_path / "case").case.records
+    np.testing.assert_allclose(record.frequency[: w.FREQUENCY.size] / (2 * np.pi), w.FREQUENCY, rtol=1e-8)
+    np.testing.assert_allclose(record.drive, LEVELS)
+
+
+@pytest.mark.parametrize("name", ["Vac [V]", "amplitude [V]", "V_ac (mV)"])
+def test_an_alternating_voltage_that_is_read_is_no_drive(name, tmp_path):
+    lines = [f"f [Hz],{name}", *(f"{f:.9g},{abs(z):.9g}" for f, z in zip(w.FREQUENCY, w.RESPONSE, strict=True))]
+    (tmp_path / "a.csv").write_text("\n".join(lines) + "\n")
+    (record,) = mg.import_case([tmp_path / "a.csv"], tmp_path / "case", drive=["1 V"]).case.records
+    np.testing.assert_allclose(record.drive, 1.0)
+    assert record.phasors.real.max() > 0.0
+
+
+@pytest.mark.parametrize(
+    ("header", "word"),
+    [("f [Hz],Ch 7 [mV],X [V],Y [V]", "Ch 7 [mV]"), ("f [Hz],k,X [V],Y [V]", "k [V]"),
+     ("f [Hz],power [W],X [V],Y [V]", "")],
+)  # fmt: skip
+def test_a_column_that_is_very_probably_the_drive_is_named(header, word, tmp_path):
+    """Of sweeps that read twice as much, twice as much stood in a column, and both were taken for 1 V."""
+    path = three_sweeps(tmp_path / "a.csv", header)
+    found = mg.import_case([path], tmp_path / "case")
+    assert ("very probably the drive" in found.warning) == bool(word), found.warning
+    if word:
+        assert f'--map "f=f [Hz],x_I=X [V],x_Q=Y [V],F_x={word}"' in found.warning or f"F_x={word}" in found.warning
+        again = mg.import_case([path], tmp_path / "again", columns=f"f=f [Hz],x_I=X [V],x_Q=Y [V],F_x={word}")
+        assert len(np.unique(again.case.records[0].setting)) == 2
+
+
+def test_a_level_that_stands_in_each_of_several_files_is_named(tmp_path):
+    n = w.FREQUENCY.size
+    paths = [tmp_path / "one.csv", tmp_path / "two.csv"]
+    whole = three_sweeps(tmp_path / "a.txt", "f [Hz],Ch 7 [mV],X [V],Y [V]").read_text().splitlines()
+    for k, path in enumerate(paths):
+        path.write_text("\n".join([whole[0], *whole[1 + k * n : 1 + (k + 1) * n]]) + "\n")
+    warning = mg.import_case(paths, tmp_path / "case").warning
+    assert "very probably the drive" in warning
+    assert "F_x=Ch 7 [mV]" in warning
+
+
+@pytest.mark.parametrize("levels", [np.repeat([10.0, 20.0, 30.0], w.FREQUENCY.size), np.full(LEVELS.size, 7.0)])
+def test_a_column_that_does_not_go_with_the_readings_is_only_not_used(levels, tmp_path):
+    path = three_sweeps(tmp_path / "a.csv", "f [Hz],Ch 7 [mV],X [V],Y [V]", levels)
+    found = mg.import_case([path], tmp_path / "case")
+    assert "very probably the drive" not in found.warning
+    assert "Not used: `Ch 7 [mV]`" in str(found)

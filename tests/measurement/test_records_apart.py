@@ -53,3 +53,22 @@ def test_laws_of_the_device_are_no_contradiction(seed):
     rows = [(name, sweep(u, seed=10 * seed + k, **more[name])) for k, (name, u) in enumerate(LEVELS.items())]
     assert out_of_line(rows) == []
     assert out_of_line([(name, row) for name, row in rows if name != "s_10mV"]) == []
+
+
+def test_a_record_of_two_axes_is_compared_along_the_axis_that_is_driven():
+    """Three sweeps of 0.1, 0.3 and 1 V, all declared 1 V, got no word where two channels were read."""
+    told = []
+    for k, (name, gain) in enumerate({"a": 0.1, "b": 0.3, "c": 1.0}.items()):
+        one = sweep(0.01, gain=gain, noise=2e-5, seed=k)
+        zero = np.zeros_like(one.force)
+        told.append((name, one._replace(
+            motion=np.hstack([one.motion, 0.02 * one.motion]), force=np.hstack([one.force, zero])
+        )))  # fmt: skip
+    other = sweep(0.01, resonance=13404.0, seed=5)
+    told.append(("y", other._replace(
+        motion=np.hstack([0.02 * other.motion, other.motion]), force=np.hstack([0 * other.force, other.force])
+    )))  # fmt: skip
+    said = out_of_line(told)
+    assert len(said) == 2
+    assert "`b` reads 3 times what `a` does" in said[0]
+    assert "`c` reads 10 times what `a` does" in said[1]

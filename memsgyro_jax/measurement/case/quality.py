@@ -13,6 +13,7 @@ from ..exchanged_axes import all_exchanged, exchanged_axes, refuse, surely_excha
 from ..experiments import AbstractRecord
 from ..experiments.base import Phasors
 from ..one_place import in_one_place
+from ..opposite_phase import said_of_phase
 from ..phasor_fit import device_of_phasors
 from ..records_apart import out_of_line
 from ..sign_conventions import disagreements
@@ -98,7 +99,7 @@ def assess(case: Case) -> CaseQuality:
     phasors = _phasors(case)
     said = _contradictions(case, phasors)
     said += _resonances(phasors) if case.channels == 1 else []
-    said += _reference_bias(case)
+    said += said_of_phase(case.records, case) + _reference_bias(case)
     alike = {*map(id, in_one_place(case.environment, case.records))}
     told = [one for r, (_, one) in zip(case.records, phasors, strict=True) if one is not None and id(r) in alike]
     if told and np.any([np.any(one.force, axis=0) for one in told], axis=0).all():  # the answer of each axis is known
@@ -131,10 +132,11 @@ def _phasors(case: Case) -> list[tuple[str, Phasors | None]]:
 
 def _contradictions(case: Case, phasors: Sequence[tuple[str, Phasors | None]]) -> list[str]:
     near = {*map(id, in_one_place(case.environment, case.records))}
-    alike = [one for record, one in zip(case.records, phasors, strict=True) if id(record) in near]
     exchanged = exchanged_axes(phasors) if case.channels == 2 else {}
+    kept = [id(record) in near and one[0] not in exchanged for record, one in zip(case.records, phasors, strict=True)]
+    alike = [one for one, keeps in zip(phasors, kept, strict=True) if keeps]
     others = [(name, one) for name, one in phasors if name not in exchanged]
-    found = [*exchanged.values(), *disagreements(others), *(out_of_line(alike) if case.channels == 1 else ())]
+    found = [*exchanged.values(), *disagreements(others), *out_of_line(alike)]
     found += [said] if case.channels == 2 and (said := all_exchanged(phasors)) else []
     return [sentence if sentence.endswith("?") else f"{sentence}." for sentence in found]
 

@@ -28,7 +28,8 @@ from .sheet import Sheet
 from .sweep_coverage import hasty, peaks_not_seen, place_in_band, swept_elsewhere, weak_sweeps
 from .sweep_layout import halves, joined_rows
 from .sweep_readings import motion_of_amplitudes, scattered, steadied, varied
-from .sweep_rows import alike, check_order, check_phase, levels_set, refuse_copies, single_sweeps
+from .sweep_repeats import courses_of, not_repeats
+from .sweep_rows import check_order, check_phase, levels_set, refuse_copies, single_sweeps
 
 
 _TWO_PI = 2 * np.pi
@@ -117,8 +118,7 @@ class FrequencySweepRecord(AbstractRecord):
     @cached_property
     def courses(self) -> tuple[np.ndarray, ...]:
         """Rows that ought to lie on one curve, in the order of frequency: of a sweep and its repeats the same way."""
-        held = np.stack([self.directions, self.setting, self.bias_voltage, self.temperature, self.rate], axis=1)
-        return alike(self.frequency, held, self.sweeps)
+        return courses_of(self)
 
     @property
     def extent(self) -> str:
@@ -189,10 +189,8 @@ class FrequencySweepRecord(AbstractRecord):
         """All rows of all sweeps as one experiment to fit and one, of the same shape, to validate; without a role every
         second row is fitted.
         """
-        out = []
-        for known in (True, False):
-            out += halves(declared, [pair for pair in records if pair[1].phase_known == known])
-        return out
+        kinds = ([pair for pair in records if pair[1].phase_known == known] for known in (True, False))
+        return [one for pairs in kinds for one in halves(declared, pairs)]
 
     @property
     def frequencies(self) -> np.ndarray:
@@ -279,6 +277,7 @@ class FrequencySweepRecord(AbstractRecord):
         near = hertz, read, self.sweeps, self.noise_std or self.estimated_noise(), declared.readout.unit
         found += weak_sweeps(self.file, [self.lines[rows] for rows in self.sweeps], [*map(self._peak, self.sweeps)])
         found += scattered(self.file, self.thermometer) + rounded_frequencies(self.file, *near)
+        found += not_repeats(self, declared.words.force)
         return found + hasty(self.file, self.time if self.settled else None, declared.shortest_decay)
 
     # ---- misfit and overlay

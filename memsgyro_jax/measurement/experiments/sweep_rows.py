@@ -60,16 +60,6 @@ def levels_set(values: np.ndarray, sweeps: Sequence[slice], scatter: float) -> n
     return np.repeat(levels[group], [rows.stop - rows.start for rows in sweeps])
 
 
-def alike(frequency: np.ndarray, held: np.ndarray, sweeps: Sequence[slice]) -> tuple[np.ndarray, ...]:
-    """Rows, in the order of frequency, of all sweeps whose conditions `held` (n, k) agree to three digits."""
-    found: dict[tuple, list[np.ndarray]] = {}
-    for rows in sweeps:
-        key = tuple(f"{value:.3g}" for value in held[rows].mean(axis=0))
-        found.setdefault(key, []).append(np.arange(rows.start, rows.stop))
-    joined = map(np.concatenate, found.values())
-    return tuple(rows[np.argsort(frequency[rows], kind="stable")] for rows in joined)
-
-
 def check_order(table: Table, frequency: np.ndarray, sweeps: Sequence[slice]) -> None:
     """The rows have an order; each sweep has some, and its frequency turns back for good: not for one row, which is a
     wrong digit.

@@ -393,3 +393,21 @@ start = "{start}"
 """)
     said = beside_design(load_case(tmp_path))
     assert [sentence.split(":")[0] for sentence in said] == ["resonance", "quality_factor"]
+
+
+def test_numbers_that_import_wrote_are_no_design(tmp_path):
+    """They were estimated from the decay itself, and `check` said "as `[design]` has it"."""
+    rng, t = np.random.default_rng(1), np.arange(4000) * 5e-3
+    z = np.exp((-1.0 + 2j * np.pi * 7.0) * t) + 1e-3 * (rng.normal(size=t.size) + 1j * rng.normal(size=t.size))
+    lines = ["t [s],X [V],Y [V]", *(f"{s:.9g},{v.real:.9g},{v.imag:.9g}" for s, v in zip(t, z, strict=True))]
+    (tmp_path / "a.csv").write_text("\n".join(lines) + "\n")
+    found = import_case([tmp_path / "a.csv"], tmp_path / "case", reference="4 kHz").case
+    said = beside_design(found)
+    assert said[0].startswith("resonance: the records show 4.007")
+    assert not any("design" in sentence for sentence in said)
+    toml = tmp_path / "case" / "case.toml"
+    lines = toml.read_text().splitlines()
+    lines = ['resonance = { value = 4007.0, tolerance = 0.02, unit = "Hz" }' if one.startswith("resonance") else one
+             for one in lines]  # fmt: skip
+    toml.write_text("\n".join(lines) + "\n")
+    assert "design" in beside_design(load_case(tmp_path / "case"))[0]
