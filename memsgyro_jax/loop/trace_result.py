@@ -16,7 +16,7 @@ from memsgyro_jax.base.provenance import Settings
 from memsgyro_jax.device.gyro import mode_frequencies
 
 from .controllers import Saturated
-from .following_response import following_response
+from .following_response import by_blocks, by_samples
 from .loop import ClosedLoop
 from .observers.base import AbstractBlockObserver, LockReadings
 from .sensitivities import units_of
@@ -89,16 +89,18 @@ class Trace(Tabular, eqx.Module):
         the filter followed it at the end of the run: the size is the gain, a negative phase the lag. Zero for a filter
         that holds the rate constant.
 
-        Of a sample or block of T seconds the filter takes the share K = q T / P of what is new, where the rate walks
-        with q (`ProcessNoise`) and P is the variance claimed; it takes the rate of the middle as that of the whole. One
-        that finds the slope of the rate too settles to the gains of both with which it claims P. Within a block the
-        loop's true rate is a ramp: a true sine would lose the share 1 - sinc(f T) more. Its other constants must be
-        known by then. Raises `InputError` for an observer that is no Kalman filter of the rate.
+        Of a sample of T seconds the filter takes the share K = q T / (q T + P) of what is new, where the rate walks
+        with q (`ProcessNoise`) and P is the variance claimed; one that finds the slope of the rate too settles to the
+        gains of both with which it claims P. In blocks the loop is run once more without and once with a sine of each
+        frequency; within a block its true rate is a ramp, where a sine would lose the share 1 - sinc(f T). The filter's
+        other constants must be known by then. Raises `InputError` for an observer that is no Kalman filter of the rate.
         """
-        observer, period = self.loop.observer, 1.0 / self.loop.output_rate(self.settings.sample_rate)
+        observer = self.loop.observer
         if not isinstance(observer, AbstractBlockObserver) or "rate" not in observer.states:
             raise InputError("A filter must estimate the rate to follow it; make one with `ExtendedKalmanFilter`.")
-        return following_response(observer, float(self.rate_std[-1]), period, frequency, self.loop.blocks is not None)
+        if self.loop.blocks is not None:
+            return by_blocks(self, frequency)
+        return by_samples(observer, float(self.rate_std[-1]), 1.0 / self.settings.sample_rate, frequency)
 
     @property
     def filtered(self) -> bool:

@@ -25,13 +25,9 @@ from .file_names import names_of_files
 from .formats import SourceTable, read_instrument_file
 from .imported_conditions import conditions_of_files
 from .imported_record import Given, ImportedRecord, records_of
-<<<<<<< HEAD
 from .imported_sweep import is_ratio
-from .options_of_files import Level, joined_files, levels_of_files, of_joined
-=======
-from .imported_sweep import NO_LEVEL, is_ratio
 from .left_out_drive import left_out_drive
->>>>>>> 99288913c54cde74f4eb1fda6dde0215708d831c
+from .options_of_files import Level, joined_files, levels_of_files, of_joined
 from .records_together import agreed, turned_alike, without_copies
 from .told_beside import NO_LEVEL
 
@@ -190,14 +186,9 @@ def import_case(
     again += [*(["--map", *columns] if any(maps) else [])]
     again += ["--axis", *axis] if axis else []
     left = [some if needs else [] for some, needs in zip(found, needing, strict=True)]
-<<<<<<< HEAD
-    warning = _warning(names, left, levels, shlex.join(again))
-    hinted = (*hints(called, found, {"V_bias": bias, "T": temperature}), *hint_of_axes(called, found))
-=======
     warning = left_out_drive([tables for _, tables in read], maps, found)
     warning = warning or _warning(names, left, levels, shlex.join(again))
-    hinted = (*hints(files, found, {"V_bias": bias, "T": temperature}), *hint_of_axes(files, found))
->>>>>>> 99288913c54cde74f4eb1fda6dde0215708d831c
+    hinted = (*hints(called, found, {"V_bias": bias, "T": temperature}), *hint_of_axes(called, found))
     return ImportedCase(case, tuple(form for form, _ in read), tuple(records), (*unused, *copies), warning, hinted)
 
 

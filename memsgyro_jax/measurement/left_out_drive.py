@@ -11,7 +11,7 @@ from .column_meaning import Meaning, meaning_of
 from .drive_columns import is_amount, is_steady, levels_of
 from .formats import SourceColumn, SourceTable
 from .imported_record import ImportedRecord
-from .imported_sweep import NO_LEVEL
+from .told_beside import NO_LEVEL
 
 
 _BAND = 0.5  # of a file's band that a level lasts for: a range that changes within a sweep is none
