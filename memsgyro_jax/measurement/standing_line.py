@@ -28,6 +28,15 @@ class StandingLine:
     omega: float
     amplitude: tuple[float, ...]
 
+    def said(self, reference: float | None, unit: str) -> str:
+        """Its size and where it is, in words; `reference` is that of phasors [rad/s]."""
+        hertz, beside = self.omega / (2 * np.pi), ""
+        if reference is not None:
+            beside = f" ({abs(hertz):.6g} Hz {'above' if hertz > 0 else 'below'} the reference)"
+            hertz += reference / (2 * np.pi)
+        size = f"{max(self.amplitude):.2g}" + (f" {unit}" if unit != "1" else "")
+        return f"a line of about {size} at {hertz:.9g} Hz{beside}"
+
 
 def standing_lines(time: np.ndarray, signals: np.ndarray, omega: np.ndarray, decay: float) -> tuple[StandingLine, ...]:
     """Lines in rows (n, channels) at even times [s], the strongest first: beyond what noise makes of any bin at 1e-6,

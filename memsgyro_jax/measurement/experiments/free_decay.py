@@ -272,15 +272,9 @@ class FreeDecayRecord(WaveformRecord):
 
     def _interference(self, declared: Declared) -> list[str]:
         """A sentence for each line that stands in the record."""
-        told, unit = [], "" if declared.readout.unit == "1" else f" {declared.readout.unit}"
-        for line in self.interference(declared):
-            hertz, beside = line.omega / (2 * np.pi), ""
-            if self.reference_frequency is not None:
-                beside = f" ({abs(hertz):.6g} Hz {'above' if hertz > 0 else 'below'} the reference)"
-                hertz += self.reference_frequency / (2 * np.pi)
-            size = f"a line of about {max(line.amplitude):.2g}{unit} at {hertz:.9g} Hz{beside}"
-            told.append(f"{self.file}: {size} stands in the whole record, while the vibration dies out: interference.")
-        return told
+        stands = "stands in the whole record, while the vibration dies out: interference"
+        said = (line.said(self.reference_frequency, declared.readout.unit) for line in self.interference(declared))
+        return [f"{self.file}: {line} {stands}." for line in said]
 
     def _hidden(self) -> list[str]:
         """A sentence where the vibration goes on below the steps in which it was read."""
