@@ -275,8 +275,8 @@ class LockInRow(eqx.Module):
 
 class LockInEffect(Effect):
     """Acts on the phasors that a lock-in makes of the voltages of a sweep; a `last` one behind all others. One that
-    `rings` asks what is left of the motion of the row before; one `beside_any_motion` adds the same to whatever moves, and
-    does so in a free decay, too.
+    `rings` asks what is left of the motion of the row before; one `beside_any_motion` adds the same to whatever moves,
+    and does so in a free decay, too.
     """
 
     last: ClassVar[bool] = False
