@@ -47,7 +47,8 @@ def standing_lines(time: np.ndarray, signals: np.ndarray, omega: np.ndarray, dec
         omega: of the vibrations (k,), beside the reference of phasors [rad/s].
         decay: the lowest of their rates [1/s].
     """
-    span, left, found = float(time[-1] - time[0]), np.array(signals - 0.0), []
+    span, left = float(time[-1] - time[0]), np.array(signals)
+    found: list[StandingLine] = []
     if len(time) < FEWEST or not decay * span > FALLS:
         return ()
     away = 2 * np.pi * NEAR * PARTS / span + 4 * decay
