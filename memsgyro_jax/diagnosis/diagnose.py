@@ -11,6 +11,7 @@ from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.runtime import make_room
 from memsgyro_jax.base.text import listed
 from memsgyro_jax.effects import Effect, Scanned
+from memsgyro_jax.effects.lock_in_terms import InterferingLine
 from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.case.lone import lone_readings
 from memsgyro_jax.measurement.case.quality import contradictions
@@ -30,7 +31,7 @@ from .fewer import terms_of
 from .findings import Accepted, Candidate, Stage
 from .fit import CaseFit
 from .fitted import within_gates
-from .instrument import beside_case_of, drive_levels, knowledge, with_declared
+from .instrument import beside_case_of, drive_levels, knowledge, of_lines, with_declared
 from .joint_residual import Joint
 from .judged_loosely import judged_loosely, with_these_fitted
 from .less_noise import LESS, less_noise, of_less_noise, with_less_noise
@@ -218,6 +219,7 @@ def _diagnosed(
         + apart_in_time
         + of_effort(effort.ended and unexplained)
         + of_instrument(terms, rival, drive_levels(case))
+        + (of_lines(case) if unexplained or any(term.name == InterferingLine.name for term in terms) else "")
         + of_oven(case, terms, final.model.effects)
         + of_noise(noise, declared, again)
         + slowly(search.slow)

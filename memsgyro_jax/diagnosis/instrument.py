@@ -26,6 +26,7 @@ from memsgyro_jax.effects.instrument import (
 )
 from memsgyro_jax.effects.lock_in_terms import (
     CapacitiveFeedthrough,
+    InterferingLine,
     LockInBackground,
     LockInFeedthrough,
     LockInMemory,
@@ -39,6 +40,7 @@ from memsgyro_jax.measurement.declared import QUANTITIES
 from memsgyro_jax.measurement.drive_levels import levels_apart
 from memsgyro_jax.measurement.experiments import Readings
 from memsgyro_jax.measurement.experiments.base import Experiment, RealNoise
+from memsgyro_jax.measurement.experiments.free_decay import FreeDecayRecord
 from memsgyro_jax.measurement.model import Model
 from memsgyro_jax.measurement.one_place import set_points
 
@@ -102,8 +104,34 @@ def instrument_terms(case: Case) -> tuple[InstrumentTerm, ...]:
     terms = [kind(np.zeros(len(g)), groups.table(g), **more) for kind, g, more in found if g]
     if phasor:
         both = np.zeros(2 * case.channels)
-        terms += [LockInBackground(both), LockInFeedthrough(both)]
+        terms += [LockInBackground(both), LockInFeedthrough(both), *_interference(case, groups)]
     return tuple(sorted(terms, key=lambda term: TERMS.index(type(term))))
+
+
+def _interference(case: Case, groups: "_Groups") -> list[InterferingLine]:
+    """The lines that stand in decays of phasors, each with its own numbers; none where there is no line."""
+    told = [
+        (number, line.omega)
+        for number, record in enumerate(case.records)
+        if isinstance(record, FreeDecayRecord) and record.reference_frequency is not None
+        for line in record.interference(case)
+        for _ in range(2 * case.channels)
+    ]
+    if not told:
+        return []
+    table = groups.table([{(number, 0)} for number, _ in told])
+    return [InterferingLine(np.zeros(len(told)), table, np.array([omega for _, omega in told]))]
+
+
+def of_lines(case: Case) -> str:
+    """A sentence on the lines that stand in free decays; empty where none does."""
+    told = [
+        f"in {record.name} {line.said(record.reference_frequency, case.readout.unit)}"
+        for record in case.records
+        if isinstance(record, FreeDecayRecord)
+        for line in record.interference(case)
+    ]
+    return f" While the vibration dies out, there stands {'; '.join(told)}." if told else ""
 
 
 def every_term(case: Case) -> tuple[InstrumentTerm, ...]:

@@ -223,7 +223,8 @@ def _where(planned: Readings, rows: np.ndarray) -> str:
 
 def _shown(search: Search, ranking: Ranking) -> Callable[[Proposal], Prospect]:
     """What a proposal is worth where no two models are left: effects that the records cannot show and it would, and
-    else, of those that the records speak for most, the one that gains most, at the strength that would just show.
+    else, of those that the records speak for most, the one that gains most, at the strength that would just show. One
+    that would have to move the records by more than they read to show there is none: nothing is linear as far as that.
     """
     joint, here, known = search.joint, search.optimum.vector, search.optimum.jacobian
     blind = [i for i, mine in enumerate(ranking.scores) if not mine.size]
@@ -235,6 +236,8 @@ def _shown(search: Search, ranking: Ranking) -> Callable[[Proposal], Prospect]:
     places = {i: np.isin(columns, joint.of_effect(ranking.places[i])) for i in (*blind, *seen)}
     whole = {i: places[i].sum() == joint.of_effect(ranking.places[i]).size for i in places}
     labels = {i: joint.model.effects[ranking.places[i]].label for i in places if whole[i]}
+    read = np.linalg.norm(np.concatenate([_sizes(r) for r in joint.fitted]))
+    allowed = {i: SIGMAS_SEEN * np.linalg.norm(ranking.slopes[i]) <= read * ranking.scores[i].information for i in seen}
     units, rounding = np.eye(joint.start.size)[columns], np.zeros(columns.size)
     imitated = np.zeros((rest, columns.size))
     if blind:
@@ -248,19 +251,45 @@ def _shown(search: Search, ranking: Ranking) -> Callable[[Proposal], Prospect]:
         planned = as_recorded(joint, search.optimum, plan.readings) if blind else plan.readings
         if planned is None:
             return Prospect(plan.text, UNKNOWN, np.nan)
-        slopes = _finite(joint.linearise(here, units, [planned])[1])
+        value, slopes = map(_finite, joint.linearise(here, units, [planned]))
         clear = _news(slopes, slopes[:, :rest]) > CLEARLY * rounding
         clear &= _share_of_rows(slopes, slopes[:, :rest] @ imitated) > FEW_ROWS
         new = [labels[i] for i in blind if i in labels and clear[places[i]].any()]
-        q, gains = basis(np.concatenate([known, slopes[:, :rest]])), [(0.0, "")]
-        for i in (i for i in seen if i in labels):
-            both = np.concatenate([ranking.slopes[i], slopes[:, places[i]]])
-            more = score(np.zeros(len(both)), q, both).information / ranking.scores[i].information
-            gains.append((float((SIGMAS_SEEN * more) ** 2), labels[i]))
+        most, gains = float(_sizes(planned).max(initial=0.0) + np.abs(value).max(initial=0.0)), [(0.0, "")]
+        for i in (i for i in seen if i in labels and allowed[i]):
+            least = SIGMAS_SEEN / ranking.scores[i].information
+            sure = told_by_slopes(least * slopes[:, places[i]], planned.record.size, most)[:, None]
+            more = np.where(sure, slopes, 0.0)
+            q = basis(np.concatenate([known, more[:, :rest]]))
+            both = np.concatenate([ranking.slopes[i], more[:, places[i]]])
+            gains.append((float((least * score(np.zeros(len(both)), q, both).information) ** 2), labels[i]))
         chi2, label = max(gains)
         return Prospect(plan.text, _shows(new) if new else f"{label}{NOTHING}", chi2, shown=len(new))
 
     return weigh
+
+
+def told_by_slopes(moved: np.ndarray, rows: int, most: float) -> np.ndarray:
+    """Which readings (r,) of a planned experiment of so many rows slopes tell, by how far they move them (r, k): not
+    those beside a fall from branch to branch, where slopes grow without bound, nor any moved by more than is read.
+
+    Args:
+        moved: by the weakest strength that the records would show [standard deviations].
+        rows: of the experiment.
+        most: its largest reading [standard deviations].
+    """
+    far = np.linalg.norm(moved, axis=1)
+    falls = _beside_a_fall(far.reshape(rows, -1))
+    return (far <= most) & ~np.repeat(falls, far.size // rows)
+
+
+def _sizes(readings: Readings) -> np.ndarray:
+    """How large readings are, in standard deviations; where their noise has none, no bound."""
+    measured, std = np.asarray(readings.experiment.measured), getattr(readings.experiment.noise, "std", None)
+    if std is None:
+        return np.array([np.inf])
+    std = np.broadcast_to(std, measured.shape)
+    return np.ravel(_finite(np.abs(measured) / np.where(std > 0, std, np.inf)))
 
 
 def _here(search: Search, columns: np.ndarray) -> np.ndarray:

@@ -128,7 +128,8 @@ def _settled(joint: Joint, chosen: Readings, points: Sequence[Scanned]) -> np.nd
     where there is none.
 
     Rows stand alone: what a unit of acceleration does to each of them, harmonic by harmonic, tells what any does. What
-    a read-out that looks back sees of the acceleration itself is left out, beside the motion that it makes.
+    a read-out that looks back sees of the acceleration itself is left out, beside the motion that it makes. Rows of
+    phasors that are integrated from one to the next, as those of a free decay, are no such rows.
     """
     if joint.model.order == 2 or points[0].carried(np.zeros((0, LOW, joint.model.axes)), np.zeros(0)) is None:
         return None
@@ -137,6 +138,8 @@ def _settled(joint: Joint, chosen: Readings, points: Sequence[Scanned]) -> np.nd
         return None
     settled = inquiry.forced[0]
     motion = np.asarray(settled.state)[..., : joint.model.axes]
+    if len(motion) != len(chosen.experiment.measured):  # several moments a row: it goes on from that before
+        return None
     added = [effect.carried(motion, np.asarray(settled.frequency)) for effect in points]
     parts = [part for part in added if part is not None]
     if len(parts) < len(added):

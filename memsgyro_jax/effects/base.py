@@ -275,11 +275,13 @@ class LockInRow(eqx.Module):
 
 class LockInEffect(Effect):
     """Acts on the phasors that a lock-in makes of the voltages of a sweep; a `last` one behind all others. One that
-    `rings` asks what is left of the motion of the row before.
+    `rings` asks what is left of the motion of the row before; one `beside_any_motion` adds the same to whatever moves,
+    and does so in a free decay, too.
     """
 
     last: ClassVar[bool] = False
     rings: ClassVar[bool] = False
+    beside_any_motion: ClassVar[bool] = False
 
     @abc.abstractmethod
     def phasors(self, values: Complex[Array, " axes"], row: LockInRow) -> Complex[Array, " axes"]:

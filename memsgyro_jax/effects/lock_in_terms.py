@@ -84,6 +84,37 @@ class LockInBackground(InstrumentTerm, LockInEffect):
         return _each_part(self.moved(seen))
 
 
+class InterferingLine(InstrumentTerm, LockInEffect):
+    """A line that stands in a record beside the reference, of the mains or another instrument: V → V + s·e^{iωt}, real
+    and imaginary part of each channel, line by line. Zero: none.
+
+    Args:
+        omega: (k,) angular frequency of the line of each number, beside the reference [rad/s].
+    """
+
+    name, unit, law = "interfering_line", "V", "V → V + s_k·exp(iω_k·t)"
+    parts: ClassVar[tuple[str, ...]] = _PARTS
+    of_every_phasor: ClassVar[bool] = True
+    beside_any_motion: ClassVar[bool] = True
+    strength: Array = strength((0.0,))
+    entry: Array = row_field((((0.0,),),))
+    omega: Array = row_field((0.0,))
+
+    def phasors(self, values: Complex[Array, " axes"], row: LockInRow) -> Complex[Array, " axes"]:
+        taken = self.entry[jnp.asarray(row.record, int), jnp.asarray(row.sweep, int)]
+        numbers = taken * self.strength * jnp.exp(1j * self.omega * row.time)
+        lines = numbers.reshape(-1, values.size, 2)
+        return values + jnp.sum(lines[..., 0] + 1j * lines[..., 1], axis=0)
+
+    def moved(self, seen: SeenRows) -> np.ndarray:
+        return np.ones_like(seen.values)
+
+    def slopes(self, seen: SeenRows) -> np.ndarray:
+        turned = self.taken(seen) * np.exp(1j * np.outer(seen.time, np.broadcast_to(self.omega, self.strength.shape)))
+        lines = self.strength.size // (2 * seen.values.shape[1])
+        return np.tile(_each_part(self.moved(seen)), lines) * turned[:, None, :]
+
+
 class LockInFeedthrough(InstrumentTerm, LockInEffect):
     """A phasor in proportion to the drive: V → V + s·u, real and imaginary part of each channel, u the electrode that
     is driven. Zero: none.
@@ -197,8 +228,8 @@ class LockInTime(InstrumentTerm, LockInEffect):
 
 
 TERMS: tuple[type[InstrumentTerm], ...] = (
-    *(UnsettledRows, LockInTime, LockInMemory, ReferencePhase, LockInBackground, LockInFeedthrough),
-    *(CapacitiveFeedthrough, DriveLevel, RecordGain, RecordTemperature, FrequencyOffset),
+    *(UnsettledRows, LockInTime, LockInMemory, ReferencePhase, LockInBackground, InterferingLine),
+    *(LockInFeedthrough, CapacitiveFeedthrough, DriveLevel, RecordGain, RecordTemperature, FrequencyOffset),
     *(FrequencyDrift, DampingDrift, GainDrift, PhaseDrift),
 )
 

@@ -52,6 +52,21 @@ def through_lock_in(
     return jax.vmap(one)(phasors, conditions.rows(len(phasors)), apart, rows)
 
 
+def with_interference(bench: Model, shown: Complex[Array, "n axes"], now: Conditions) -> Complex[Array, "n axes"]:
+    """Phasors [V] of a motion that nothing drives, with what an instrument adds to them whatever moves."""
+    effects = [e for e in bench.effects if isinstance(e, LockInEffect) and e.beside_any_motion]
+    if not effects:
+        return shown
+
+    def one(values: Array, row: LockInRow) -> Array:
+        for effect in effects:
+            values = effect.phasors(values, row)
+        return values
+
+    still = jnp.zeros_like(shown)
+    return jax.vmap(one)(shown, _rows(jnp.zeros(()), still, still, now, None))
+
+
 def before_lock_in(
     bench: Model,
     phasors: Complex[Array, "n axes"],

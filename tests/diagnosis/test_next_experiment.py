@@ -1,6 +1,7 @@
 """What to measure next: within what was recorded, and it decides as much as was expected when it is carried out."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import equinox as eqx
 import jax
@@ -15,8 +16,18 @@ from memsgyro_jax.diagnosis.drives import without_rows
 from memsgyro_jax.diagnosis.findings import NOTHING, SIGMAS_SEEN, Prospect
 from memsgyro_jax.diagnosis.instrument import instrument_terms
 from memsgyro_jax.diagnosis.joint_residual import Joint
-from memsgyro_jax.diagnosis.next_experiment import Rivals, advice, as_recorded, expected, of_the_unknown, plans
+from memsgyro_jax.diagnosis.next_experiment import (
+    Proposal,
+    Rivals,
+    _shown,
+    advice,
+    as_recorded,
+    expected,
+    of_the_unknown,
+    plans,
+)
 from memsgyro_jax.diagnosis.optimum import optimise
+from memsgyro_jax.diagnosis.score import basis, score
 from memsgyro_jax.diagnosis.search import CONFUSED, always_free
 from memsgyro_jax.effects import catalogue
 from memsgyro_jax.measurement.drive_levels import goes_one_way
@@ -162,6 +173,51 @@ def test_the_advice_is_the_best_or_says_that_none_decides():
     assert advice([replace(one, decides="show a, which these records cannot", shown=1)]) == (
         "repeat it; it would show a, which these records cannot"
     )
+
+
+def weighed(told, planned, reading=100.0):
+    """Expected Δχ² of the one effect that is left, from its slopes in rows that were read and in rows that are planned,
+    beside one parameter; `reading` is the largest [standard deviations].
+    """
+    free = np.ones((told.size, 1))
+    mine = score(np.zeros(told.size), basis(free), told[:, None])
+    noise = SimpleNamespace(std=1.0)
+
+    def rows(count):
+        experiment = SimpleNamespace(measured=np.full((count, 1), reading), noise=noise)
+        return SimpleNamespace(experiment=experiment, record=np.zeros(count, int))
+
+    joint = SimpleNamespace(
+        start=np.zeros(2), fitted=[rows(told.size)], of_effect=lambda place: np.array([1]),
+        model=SimpleNamespace(effects=[SimpleNamespace(label="late")]),
+        linearise=lambda *_: (np.zeros(planned.size), np.column_stack([np.ones(planned.size), planned])),
+    )  # fmt: skip
+    optimum = SimpleNamespace(vector=np.zeros(2), jacobian=free, free=np.array([0]))
+    ranking = SimpleNamespace(scores=[mine], places=[0], order=[0], slopes=[told[:, None]])
+    weigh = _shown(SimpleNamespace(joint=joint, optimum=optimum), ranking)
+    return weigh(Proposal("it", rows(planned.size)))
+
+
+def test_slopes_that_leave_what_they_are_slopes_of_promise_nothing():
+    """Two rows beside a fall from branch to branch promised 5e20, and an effect "5e+09 times weaker"."""
+    slopes = np.sin(np.arange(50.0))
+    again, least = weighed(slopes, slopes), SIGMAS_SEEN / np.linalg.norm(slopes - slopes.mean())
+    assert again.chi2 == pytest.approx(2 * SIGMAS_SEEN**2, rel=0.05)
+    falls = slopes.copy()
+    falls[20:22] = 4e14, -3e13
+    assert weighed(slopes, falls).chi2 == pytest.approx(again.chi2, rel=0.1)
+    falls[20:22] = 1.1e3 / least  # no more than is read, but far more than any row beside
+    assert weighed(slopes, falls, reading=1e4).chi2 == pytest.approx(again.chi2, rel=0.1)
+    much = weighed(slopes, 1e6 * slopes).chi2  # where all rows grow, each is worth what is read of it at most
+    assert again.chi2 / 2 <= much <= again.chi2 / 2 + 50 * 100.0**2
+    assert weighed(slopes, 10 * slopes).chi2 == pytest.approx(101 * SIGMAS_SEEN**2, rel=0.05)
+
+
+def test_an_effect_that_the_records_hold_at_no_strength_they_could_read_is_left_out():
+    """Nearly a copy of what is free: to show, it would move each row by more than there is."""
+    slopes = 1.0 + 1e-4 * np.sin(np.arange(50.0))
+    told = weighed(slopes, np.sin(np.arange(50.0)))
+    assert (told.chi2, told.told) == (0.0, "nothing new")
 
 
 def test_where_nothing_explains_the_records_no_standard_deviations_are_promised():

@@ -21,6 +21,7 @@ from memsgyro_jax.effects import (
     ParasiticMode,
     PickoffCubicNonlinearity,
 )
+from memsgyro_jax.measurement.case import load_case
 
 
 STEP = replace(visible("damping_step"), damping_step_record="rate", damping_step_time=0.08)
@@ -96,3 +97,40 @@ def test_what_a_mode_adds_to_a_sweep_is_the_derivative_of_the_receptance():
         apart = w**2 * (w**2 / (w**2 - omega**2 + 1j * omega * w / 30.0) - 1.0)
         moved = -fit.model.scale * push * apart * motion / np.asarray(chosen.experiment.noise.std)[:, 0]
         assert_allclose(column.reshape(-1, 2) @ [1.0, 1j], moved, rtol=1e-6, atol=1e-9 * np.abs(moved).max())
+
+
+DECAY = """
+schema = "memsgyro-case/1"
+name = "decay"
+device = "resonator"
+[design]
+resonance = { value = 14000, unit = "Hz", tolerance = 0.05 }
+quality_factor = { low = 300, high = 20000, unit = "1" }
+[readout]
+quantity = "displacement"
+[[experiment]]
+name = "decay"
+kind = "free_decay"
+file = "decay.csv"
+role = "fit"
+reference_frequency = { value = 13990, unit = "Hz" }
+"""
+
+
+def test_a_mode_is_looked_for_in_a_decay_of_phasors_by_a_program_that_carries_it(tmp_path):
+    """Its rows go on from one to the next: to take each for settled ended in a shape that did not fit, and of two
+    channels would have fitted by chance.
+    """
+    time = np.arange(100) * 2e-3
+    noise = 1e-4 * np.random.default_rng(1).standard_normal((2, 100)).T
+    parts = (0.3 * np.exp((2j * np.pi * 10.0 - 8.0) * time)).view(float).reshape(-1, 2) + noise
+    table, header = np.column_stack([time, parts]), "t [s],Vx_I [V],Vx_Q [V]"
+    np.savetxt(tmp_path / "decay.csv", table, "%.9g", ",", header=header, comments="")
+    (tmp_path / "case.toml").write_text(DECAY)
+    fit = fit_case(load_case(tmp_path))
+    (chosen,) = fit.joint.fitted
+    grid = [ParasiticMode(0, 0.0, omega=2 * np.pi * hertz, quality=100.0) for hertz in (13800.0, 14000.0)]
+    assert _settled(Joint(fit.model, fit.joint.readings), chosen, grid) is None
+    found = scan(fit.model, fit.optimum, fit.joint.fitted, grid)
+    assert np.isfinite(found.score.statistic)
+    assert found.score.kept > 0.0

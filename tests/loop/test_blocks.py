@@ -258,7 +258,7 @@ def test_what_walks_is_told_to_be_later():
     assert made.blocks.length == 256
     assert len(said) == 1
     assert "(rate)" in said[0]
-    assert "256 samples later" in said[0]
+    assert "128 samples later" in said[0]
 
 
 DUAL = mg.DualMassGyro.chi2010()

@@ -74,7 +74,7 @@ def _approximations(loop: ClosedLoop, length: int) -> tuple[str, ...]:
     constant = taken_as_constant(loop)
     if not constant:
         return ()
-    late = f"it follows up to {length} samples later, and claims too little where the walk is fast"
+    late = f"it follows up to {length // 2} samples later, and claims too little where the walk is fast"
     return (f"{constant}: {late} (shorter blocks, or samples, do not).",)
 
 

@@ -15,6 +15,7 @@ from memsgyro_jax.device.conditions import Conditions
 
 from ..envelope import FINEST, HARMONICS, LONGEST, SAMPLES, Course, Driven, run_samples, visited_samples
 from ..first_order import Contribution, Inquiry, Instants, Periods
+from ..lock_in import with_interference
 from ..model import Model
 from ..steady import FINENESS, as_seen, fundamental, reading_samples
 from .base import BEYOND, Experiment, Noise
@@ -122,7 +123,7 @@ class FreeDecay(Experiment):
         kept, visited = jax.vmap(one)(starts, now, pushed, added.linear)
         quiet = jnp.zeros(bench.axes) + 0j
         read = jax.vmap(jax.vmap(lambda s, c: fundamental(bench, self.frequency, s, quiet, c)))
-        shown = read(kept, now) + self._by_piece(added.seen)
+        shown = jax.vmap(lambda v, c: with_interference(bench, v, c))(read(kept, now) + self._by_piece(added.seen), now)
         left = jax.vmap(lambda m, n, p, s: beside_start(n.whiten(m, p).ravel(), s))(measured, noise, shown, slopes)
 
         def periods(states: Array, rows: Any, samples: int, harmonics: int) -> Periods:
@@ -209,7 +210,8 @@ class FreeDecay(Experiment):
         free, course, step, _ = self._turned(model, start, now)
         slopes = lambda: product(free.operator, course.start) + free.load + course.here  # noqa: E731
         states = self._at_samples(course.start, slopes, step, now)
-        return jax.vmap(lambda s, c: fundamental(model, self.frequency, s, free.force, c))(states, now)
+        shown = jax.vmap(lambda s, c: fundamental(model, self.frequency, s, free.force, c))(states, now)
+        return with_interference(model, shown, now)
 
     def _turned(
         self,
