@@ -192,7 +192,8 @@ class FreeDecay(Experiment):
             def left(start: Array) -> Array:
                 return noise.whiten(measured, self._readings(model, start, now)).ravel()
 
-            return start_that_leaves_least(left, begin, units, steps=STRAIGHT if model.is_bare else SOLVES, far=1.0)
+            bent = not model.is_bare
+            return start_that_leaves_least(left, begin, units, steps=SOLVES if bent else STRAIGHT, far=1.0, bent=bent)
 
         begin = jax.lax.stop_gradient(self.start)
         return jax.vmap(one)(begin, *self._pieces())

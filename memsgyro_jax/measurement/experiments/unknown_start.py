@@ -15,7 +15,13 @@ UNSEEN = 1e-12  # of the squared slope by a number, that is its own: less is rou
 
 
 def start_that_leaves_least(
-    left: Callable[[Array], Array], begin: Float[Array, " s"], units: Float[Array, " s"], *, steps: int, far: float
+    left: Callable[[Array], Array],
+    begin: Float[Array, " s"],
+    units: Float[Array, " s"],
+    *,
+    steps: int,
+    far: float,
+    bent: bool = False,
 ) -> tuple[Float[Array, " s"], Float[Array, "s r"]]:
     """The start that leaves least, by Gauss and Newton, and the slopes of what is left along `units`.
 
@@ -25,16 +31,17 @@ def start_that_leaves_least(
         units: of each.
         steps: to take.
         far: the longest, in units.
+        bent: whether slopes change with the start: then those of the start that is found are looked at once more.
     """
 
-    def step(start: Array, _: None) -> tuple[Array, Array]:
+    def step(start: Array, _: None) -> tuple[Array, tuple[Array, Array]]:
         value, slope = jax.vmap(lambda e: jax.jvp(left, (start,), (e,)), out_axes=(None, 0))(jnp.diag(units))
         move = -_solved(slope, value)
         move = move * jnp.minimum(1.0, far / (jnp.sqrt(jnp.sum(move**2)) + 1e-30))
-        return start + units * move, slope
+        return start + units * move, (start, slope)
 
-    found, slopes = jax.lax.scan(step, begin, None, length=steps)
-    return found, slopes[-1]
+    found, (starts, slopes) = jax.lax.scan(step, begin, None, length=steps + bent)
+    return starts[-1] if bent else found, slopes[-1]
 
 
 def beside_start(left: Float[Array, " r"], slope: Float[Array, "s r"]) -> Float[Array, " r"]:

@@ -17,7 +17,7 @@ from memsgyro_jax.diagnosis.compare import compare
 from memsgyro_jax.diagnosis.diagnose import diagnose
 from memsgyro_jax.diagnosis.drives import without_rows
 from memsgyro_jax.diagnosis.fit import fit_case
-from memsgyro_jax.effects import by_name, catalogue
+from memsgyro_jax.effects import CubicStiffness, ReadoutDelay, by_name, catalogue
 from memsgyro_jax.measurement.case import load_case, write_case
 from memsgyro_jax.measurement.model import Model
 from memsgyro_jax.measurement.readings import model_of, readings_of
@@ -260,6 +260,28 @@ def test_pieces_of_a_stiff_decay_begin_where_they_are_read(tmp_path):
     loud = np.abs(read) > 30 * 2e-4
     assert loud.sum() > 5
     np.testing.assert_allclose((place - 1j * speed / omega)[loud], read[loud], atol=0.0, rtol=0.15)
+
+
+def test_what_another_start_would_do_is_seen_of_no_effect(tmp_path):
+    """A late read-out shows the same motion from another start, wherever the steps towards it ended: they ended short
+    where a proposed decay of a stiff spring began twice as far, and the delay was what that would show.
+    """
+    time, omega, slow = np.arange(64) * 1e-3, 2 * np.pi * 14000.0, 8.0
+    phasor = 0.3 * np.exp((10j - slow) * time)
+    more = 'reference_frequency = { value = 14000, unit = "Hz" }\nrole = "fit"'
+    case = written(tmp_path, time, {"y_I [V]": phasor.real, "y_Q [V]": phasor.imag}, 14000.0, more)
+    experiment = readings_of(case)[0].experiment
+    short = eqx.tree_at(lambda e: (e.start, e.measured), experiment, (1.5 * experiment.start, 2 * experiment.measured))
+    model = model_of(case, NormalisedDevice([omega**2], [2 * slow], 1.0), offset=np.zeros(1)).with_effect(
+        CubicStiffness(0, 0.004 * omega**2)
+    )
+
+    def left(late):
+        return short.residual(model.with_effect(ReadoutDelay(late)))
+
+    moved = plainly(lambda: jax.jvp(left, (0.0,), (1.0,))[1])()
+    whole = omega * np.linalg.norm(np.asarray(short.measured)) / float(np.max(short.noise.std))
+    assert np.linalg.norm(moved) < 1e-9 * whole
 
 
 def test_a_part_is_cut_out_and_written_again(hardening, tmp_path):
