@@ -2,6 +2,7 @@
 claims, in blocks by what the loop itself makes of a ramp.
 """
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -55,19 +56,19 @@ _READS = np.array([[1.0, 0.0]])
 _SIZES = (1e-9, 25.0)  # of the logarithm of a reading's variance over that claimed
 
 
-def by_blocks(trace: "Trace", frequency: Float[ArrayLike, "..."]) -> Complex[np.ndarray, "..."]:
-    """The same of the loop of a trace in blocks, run once more without and once with a sine of each frequency: what
+def by_blocks(
+    trace: "Trace", run: Callable[..., "Trace"], frequency: Float[ArrayLike, "..."]
+) -> Complex[np.ndarray, "..."]:
+    """The same of the loop of a trace in blocks, `run` once more without and once with a sine of each frequency: what
     that adds to the estimates in the second half of the run, over the sine.
 
     A filter that takes the rate as constant in a block weighs the early part of it more, as what the rate has moved
     since shows for longer, and by how much changes from block to block: no formula in the claims tells it.
     """
-    from .trace import simulate
-
     settings, blocks = trace.settings, trace.loop.blocks
 
     def ran(size: float, hertz: float) -> tuple[np.ndarray, np.ndarray]:
-        found = simulate(
+        found = run(
             trace.loop, Constant(float(trace.rate_true[-1])) + Sine(size, hertz), sample_rate=settings.sample_rate,
             duration=settings.duration, seed=settings.seed or 0, decimation=blocks.length,  # type: ignore[union-attr]
         )  # fmt: skip

@@ -105,6 +105,9 @@ def simulate(
     return _as_trace(done, loop, loop.device.coefficients(end.rate, end.damping_change), settings, rows)
 
 
+Trace.run = staticmethod(simulate)
+
+
 def _require_one_die(loop: ClosedLoop) -> None:
     readout = loop.readout
     numbers = (loop.device.dynamics(Inertial()), readout.scale, readout.offset, loop.start, loop.travel)

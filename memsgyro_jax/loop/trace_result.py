@@ -1,7 +1,8 @@
 """What a run of one die recorded: its rows, how it went, its pictures and its Dataset."""
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -57,6 +58,7 @@ class Trace(Tabular, eqx.Module):
     nis: Float[np.ndarray, " samples"]
     intact_until: Float[np.ndarray, ""]
     along = "time"
+    run: ClassVar[Callable[..., "Trace"]]  # `simulate`, which is made of this
     loop: ClosedLoop
     coefficients: tuple[str, ...] = eqx.field(static=True)
     settings: Settings = eqx.field(static=True)
@@ -99,7 +101,7 @@ class Trace(Tabular, eqx.Module):
         if not isinstance(observer, AbstractBlockObserver) or "rate" not in observer.states:
             raise InputError("A filter must estimate the rate to follow it; make one with `ExtendedKalmanFilter`.")
         if self.loop.blocks is not None:
-            return by_blocks(self, frequency)
+            return by_blocks(self, self.run, frequency)
         return by_samples(observer, float(self.rate_std[-1]), 1.0 / self.settings.sample_rate, frequency)
 
     @property

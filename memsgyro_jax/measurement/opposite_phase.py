@@ -13,7 +13,7 @@ from .declared import QUANTITIES, Declared
 from .experiments import AbstractRecord
 from .experiments.hold import is_far_nearer
 from .phasor_fit import device_of_phasors, misfit
-from .records_apart import driven_axis, seen_along
+from .records_apart import axis_driven_alone, seen_along
 
 
 _OTHER = {0: 2, 2: 0}  # order of the read-out: that of which the response differs by ω² and the sign
@@ -46,7 +46,7 @@ def _left(record: AbstractRecord, declared: Declared, order: int) -> tuple[bool,
     """
     seen = replace(declared, readout=replace(declared.readout, order=order))
     whole = record.starting_phasors(seen) if hasattr(record, "sweeps") else None
-    axis = None if whole is None or whole.modulus else driven_axis(whole)
+    axis = None if whole is None or whole.modulus else axis_driven_alone(whole)
     if whole is None or axis is None:
         return None
     row = seen_along(whole, axis)

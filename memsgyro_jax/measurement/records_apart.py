@@ -49,13 +49,13 @@ def out_of_line(records: Sequence[tuple[str, Phasors | None]]) -> list[str]:
     """
     told: dict[int, list[_Told]] = {}
     for name, row in records:
-        axis = None if row is None else driven_axis(row)
+        axis = None if row is None else axis_driven_alone(row)
         if row is not None and axis is not None and (one := _told(name, row, axis)) is not None:
             told.setdefault(axis, []).append(one)
     return [sentence for axis in sorted(told) for sentence in _of_one_axis(told[axis])]
 
 
-def driven_axis(row: Phasors) -> int | None:
+def axis_driven_alone(row: Phasors) -> int | None:
     """The one axis that is driven and read all the time; `None` where there is none."""
     driven = np.flatnonzero(np.any(row.force, axis=0))
     return int(driven[0]) if len(driven) == 1 and row.axis is None else None
