@@ -3,7 +3,6 @@ claims, in blocks by what the loop itself makes of a ramp.
 """
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import ArrayLike, Complex, Float
@@ -11,11 +10,7 @@ from scipy.linalg import solve_discrete_are
 from scipy.optimize import brentq
 
 from .observers.base import AbstractBlockObserver
-from .scenario import Constant, Sine
-
-
-if TYPE_CHECKING:
-    from .trace_result import Trace
+from .scenario import AbstractProfile, Constant, Sine
 
 
 def by_samples(
@@ -57,31 +52,26 @@ _SIZES = (1e-9, 25.0)  # of the logarithm of a reading's variance over that clai
 
 
 def by_blocks(
-    trace: "Trace", run: Callable[..., "Trace"], frequency: Float[ArrayLike, "..."]
+    run: Callable[[AbstractProfile], tuple[np.ndarray, np.ndarray]], level: float, frequency: Float[ArrayLike, "..."]
 ) -> Complex[np.ndarray, "..."]:
-    """The same of the loop of a trace in blocks, `run` once more without and once with a sine of each frequency: what
-    that adds to the estimates in the second half of the run, over the sine.
+    """The same of a loop in blocks, by what a sine of each frequency adds to the estimates, over the sine.
 
     A filter that takes the rate as constant in a block weighs the early part of it more, as what the rate has moved
     since shows for longer, and by how much changes from block to block: no formula in the claims tells it.
-    """
-    settings, blocks = trace.settings, trace.loop.blocks
 
-    def ran(size: float, hertz: float) -> tuple[np.ndarray, np.ndarray]:
-        found = run(
-            trace.loop, Constant(float(trace.rate_true[-1])) + Sine(size, hertz), sample_rate=settings.sample_rate,
-            duration=settings.duration, seed=settings.seed or 0, decimation=blocks.length,  # type: ignore[union-attr]
-        )  # fmt: skip
-        late = np.asarray(found.time) > 0.5 * settings.duration
-        return np.asarray(found.time)[late], np.asarray(found.rate_unfiltered)[late]
+    Args:
+        run: times of a settled part of a run, and the estimates there, under a rate that is given.
+        level: the rate [rad/s] that it is around.
+        frequency: of each sine [Hz].
+    """
+    plain = run(Constant(level) + Sine(0.0, 1.0))[1]
 
     def followed(hertz: float) -> complex:
-        time, moving = ran(_SIZE, hertz)
+        time, moving = run(Constant(level) + Sine(_SIZE, hertz))
         phase = 2.0 * np.pi * hertz * time
         parts = np.stack([np.sin(phase), np.cos(phase)], axis=1)
         return complex(*np.linalg.lstsq(parts, (moving - plain) / _SIZE, rcond=None)[0])
 
-    plain = ran(0.0, 1.0)[1]
     every = [followed(float(hertz)) for hertz in np.ravel(np.asarray(frequency, float))]
     return np.reshape(np.array(every), np.shape(frequency))
 

@@ -152,8 +152,8 @@ class ClosedLoop(Displayed):
         It needs a device without effects, and read-out, observer and controller that are linear within a block; a loop
         with another part runs sample by sample and tells which. A filter whose rate walks follows up to half a
         block later (by 1.5 to 1.9 ms in blocks of 5.1 ms, sines of 1 to 30 Hz) and says so. Figures and traces then
-        hold the ends of blocks. Tones near a mode are told with twice the statistics, which takes longer. Tuning goes by blocks
-        too, and the information bound of a long run.
+        hold the ends of blocks. Tones near a mode are told with twice the statistics, which takes longer. Tuning goes
+        by blocks too, and the information bound of a long run.
 
         Raises `InputError` unless `length` is a power of two.
         """

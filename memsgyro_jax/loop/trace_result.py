@@ -20,6 +20,7 @@ from .controllers import Saturated
 from .following_response import by_blocks, by_samples
 from .loop import ClosedLoop
 from .observers.base import AbstractBlockObserver, LockReadings
+from .scenario import AbstractProfile
 from .sensitivities import units_of
 
 
@@ -101,8 +102,23 @@ class Trace(Tabular, eqx.Module):
         if not isinstance(observer, AbstractBlockObserver) or "rate" not in observer.states:
             raise InputError("A filter must estimate the rate to follow it; make one with `ExtendedKalmanFilter`.")
         if self.loop.blocks is not None:
-            return by_blocks(self, self.run, frequency)
+            return by_blocks(self._settled_under, float(self.rate_true[-1]), frequency)
         return by_samples(observer, float(self.rate_std[-1]), 1.0 / self.settings.sample_rate, frequency)
+
+    def _settled_under(self, rate: AbstractProfile) -> tuple[np.ndarray, np.ndarray]:
+        """Times and estimates of the second half of this run under another rate."""
+        settings, blocks = self.settings, self.loop.blocks
+        assert blocks is not None
+        again = self.run(
+            self.loop,
+            rate,
+            sample_rate=settings.sample_rate,
+            duration=settings.duration,
+            seed=settings.seed or 0,
+            decimation=blocks.length,
+        )
+        late = np.asarray(again.time) > 0.5 * settings.duration
+        return np.asarray(again.time)[late], np.asarray(again.rate_unfiltered)[late]
 
     @property
     def filtered(self) -> bool:
